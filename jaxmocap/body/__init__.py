@@ -1,0 +1,1 @@
+"""The articulated body: skeleton, pose, kinematics, mass, flesh."""

@@ -1,0 +1,42 @@
+"""Flesh on bones: each limb a sphere-swept cone (the paper's cylinders, tapered and round-ended).
+
+INPUTS: a Skeleton and its Frames. OUTPUTS: end points and radii, world, metres.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.kinematics import Frames
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.geometry.rotations import rotate
+
+
+class Cones(NamedTuple):
+    """N sphere-swept cones.
+
+    Attributes:
+        near: (N, 3) centres of the spheres at the joints.
+        far: (N, 3) centres of the spheres at the far ends.
+        radii: (N, 2) of the two spheres, metres.
+    """
+
+    near: Array
+    far: Array
+    radii: Array
+
+
+def cones(skeleton: Skeleton, frames: Frames, bones: np.ndarray) -> Cones:
+    """The flesh of the given bones (static indices), in the world."""
+    reach = skeleton.lengths[bones, None] * skeleton.directions[bones]
+    near = frames.joints_world[bones]
+    far = near + rotate(frames.R_world_bone[bones], reach)
+    return Cones(near, far, skeleton.diameters[bones] / 2)
+
+
+def volumes(flesh: Cones) -> Array:
+    """Volumes (N,) of the truncated cones without their round ends, cubic metres."""
+    a, b = flesh.radii[:, 0], flesh.radii[:, 1]
+    return jnp.pi / 3 * jnp.linalg.norm(flesh.far - flesh.near, axis=-1) * (a * a + a * b + b * b)

@@ -1,0 +1,129 @@
+"""Forward kinematics and the geometric Jacobian.
+
+INPUTS: a Skeleton, a Pose. OUTPUTS: frames of all bones, points on bones, their derivatives.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton
+from jaxmocap.geometry.rotations import about_axis, compose, quaternion_to_matrix, rotate
+
+
+class Frames(NamedTuple):
+    """Where the bones are, for B bones and D degrees of freedom.
+
+    Attributes:
+        root: (3,) position of the pelvis in the world, metres.
+        R_world_bone: (B, 3, 3) orientations.
+        joints_world: (B, 3) positions of the bones' joints, metres.
+        axes_world: (D, 3) hinge axes v_j of equation (4).
+    """
+
+    root: Array
+    R_world_bone: Array
+    joints_world: Array
+    axes_world: Array
+
+
+class Sites(NamedTuple):
+    """Points fixed to bones, such as markers.
+
+    Attributes:
+        bones: (M,) bone indices (static, host integers).
+        at: (M,) fraction of the bone's length from its joint.
+        offsets: (M, 3) metres, in the bone's frame.
+    """
+
+    bones: np.ndarray
+    at: Array
+    offsets: Array
+
+
+def forward(skeleton: Skeleton, pose: Pose) -> Frames:
+    """Frames of all bones: local turns composed along the tree by pointer doubling.
+
+    Each round joins every bone's transform with that of its ancestor 1, 2, 4, ... bones up, so a
+    tree of depth 8 takes three batched products instead of seven in sequence.
+    """
+    tree = skeleton.tree
+    local, turned_axes = _local_turns(skeleton, pose.angles)
+    parents = np.array(tree.parents)
+    reach = skeleton.lengths[:, None] * skeleton.directions
+    # A bone's joint lies at its parent's far end; without a parent, at the root.
+    offsets = jnp.where((parents >= 0)[:, None], reach[parents], 0.0)
+    R, p = local, offsets
+    for ancestors in tree.doublings:
+        has = ancestors >= 0
+        R_up, p_up = R[ancestors], p[ancestors]
+        p = jnp.where(has[:, None], p_up + rotate(R_up, p), p)
+        R = jnp.where(has[:, None, None], compose(R_up, R), R)
+    R_world_root = quaternion_to_matrix(pose.quaternion)
+    R_world_bone = compose(R_world_root, R)
+    carriers = parents[np.array(tree.dof_bones)]
+    R_carrier = jnp.where((carriers >= 0)[:, None, None], R_world_bone[carriers], R_world_root)
+    return Frames(
+        pose.position,
+        R_world_bone,
+        pose.position + rotate(R_world_root, p),
+        rotate(R_carrier, turned_axes),
+    )
+
+
+def _local_turns(skeleton: Skeleton, angles: Array) -> tuple[Array, Array]:
+    """Rotations (B, 3, 3) of bones in their parents' frames, and hinge axes (D, 3) there."""
+    tree = skeleton.tree
+    hinges = about_axis(skeleton.axes, angles)
+    identity = jnp.eye(3, dtype=angles.dtype)
+    slots = tree.hinge_slots
+    turn = jnp.broadcast_to(identity, (len(tree.bones), 3, 3))
+    before = []
+    for dofs in slots.T:
+        before.append(turn)
+        turn = compose(turn, jnp.where((dofs >= 0)[:, None, None], hinges[dofs], identity))
+    slot_of = np.array([np.flatnonzero(slots[b] == d)[0] for d, b in enumerate(tree.dof_bones)])
+    R_before = jnp.stack(before)[slot_of, np.array(tree.dof_bones)]
+    return turn, rotate(R_before, skeleton.axes)
+
+
+def site_positions(skeleton: Skeleton, frames: Frames, sites: Sites) -> Array:
+    """Positions s (M, 3) of points on bones in the world, metres."""
+    bones = sites.bones
+    along = (sites.at * skeleton.lengths[bones])[:, None] * skeleton.directions[bones]
+    return frames.joints_world[bones] + rotate(frames.R_world_bone[bones], along + sites.offsets)
+
+
+def jacobian(skeleton: Skeleton, frames: Frames, bones: np.ndarray, points_world: Array) -> Array:
+    """Derivatives (M, 3, 6 + D) of points fixed to bones, by the tangent vector of ``retract``.
+
+    Equation (4) without its weight: v_j x (s_i - p_j) where degree of freedom j carries the bone
+    of point i, else 0. The root's translations give unit columns.
+    """
+    tree = skeleton.tree
+    dtype = points_world.dtype
+    eye = jnp.eye(3, dtype=dtype)
+    axes = jnp.concatenate([eye, frames.axes_world])
+    pivots = jnp.concatenate(
+        [jnp.broadcast_to(frames.root, (3, 3)), frames.joints_world[np.array(tree.dof_bones)]]
+    )
+    turning = jnp.cross(axes[None], points_world[:, None] - pivots[None])
+    carried = tree.carries[ROOT_DOF - 3 :, bones].T[..., None]
+    turning = jnp.where(carried, turning, 0.0).swapaxes(1, 2)
+    shifting = jnp.broadcast_to(eye, (points_world.shape[0], 3, 3))
+    return jnp.concatenate([shifting, turning], -1)
+
+
+def landmark_sites(skeleton: Skeleton, names: tuple[str, ...] = tuple(LANDMARKS)) -> Sites:
+    """The named landmarks as sites."""
+    bones = np.array([skeleton.tree.bone(LANDMARKS[name][0]) for name in names])
+    at = jnp.asarray([LANDMARKS[name][1] for name in names], skeleton.lengths.dtype)
+    return Sites(bones, at, jnp.zeros((len(names), 3), at.dtype))
+
+
+def landmarks(skeleton: Skeleton, pose: Pose) -> Array:
+    """Positions (L, 3) of all ``LANDMARKS``, in their order, world, metres."""
+    return site_positions(skeleton, forward(skeleton, pose), landmark_sites(skeleton))

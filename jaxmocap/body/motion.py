@@ -1,0 +1,65 @@
+"""What tracking returns: poses over time, and a report on each of them.
+
+Plain NumPy arrays and text: nothing here is traced.
+"""
+
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmocap.body.kinematics import landmarks
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+
+
+@dataclass(frozen=True)
+class Report:
+    """How far to trust each of T samples.
+
+    Attributes:
+        markers: names of the M markers tracked.
+        marker_errors: (T, M) distance of each marker to its point on the body, metres; NaN where
+            the marker is missing.
+        arm_costs: (T, 2) mean distance of the left and the right arm's outline to the nearest
+            edge, pixels; NaN where no video frame was used.
+        swivels: (T, 2) turn of the left and the right arm about shoulder and hand that video added
+            to the markers' pose, radians.
+        confidence: (T, 2) between 0 and 1, left and right elbow.
+        statuses: T tuples of sentences; empty where there is nothing to say.
+        milliseconds: stage -> times of its calls.
+        settings: what the tracker was told.
+    """
+
+    markers: tuple[str, ...]
+    marker_errors: np.ndarray
+    arm_costs: np.ndarray
+    swivels: np.ndarray
+    confidence: np.ndarray
+    statuses: tuple[tuple[str, ...], ...]
+    milliseconds: dict[str, np.ndarray] = field(default_factory=dict)
+    settings: dict = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Poses of one skeleton over T samples.
+
+    Attributes:
+        skeleton: whose poses these are.
+        times: (T,) seconds, float64, marker time.
+        poses: position (T, 3), quaternion (T, 4), angles (T, D).
+        report: on every sample, or None.
+    """
+
+    skeleton: Skeleton
+    times: np.ndarray
+    poses: Pose
+    report: Report | None = None
+
+    def joints(self) -> dict[str, np.ndarray]:
+        """Landmark name -> (T, 3) positions, world, Z up, metres."""
+        poses = Pose(*(jnp.asarray(part, float) for part in self.poses))
+        points = np.asarray(jax.jit(jax.vmap(landmarks, (None, 0)))(self.skeleton, poses))
+        return {name: points[:, i] for i, name in enumerate(LANDMARKS)}

@@ -1,0 +1,56 @@
+"""A pose and its vector: the virtual root's place and turn, and the joints' angles.
+
+INPUTS: a Pose or its packed vector. OUTPUTS: the other, or a pose moved by a tangent vector.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
+from jaxmocap.geometry.rotations import quaternion_exp, quaternion_multiply
+
+
+class Pose(NamedTuple):
+    """The configuration theta of a skeleton with D degrees of freedom.
+
+    Attributes:
+        position: (..., 3) of the pelvis in the world, metres.
+        quaternion: (..., 4) unit, wxyz, of the pelvis: body frame to world.
+        angles: (..., D) radians.
+    """
+
+    position: Array
+    quaternion: Array
+    angles: Array
+
+
+def relaxed_pose(skeleton: Skeleton) -> Pose:
+    """The relaxed pose omega, pelvis at the world's origin, facing +x."""
+    dtype = skeleton.relaxed.dtype
+    return Pose(jnp.zeros(3, dtype), jnp.eye(4, dtype=dtype)[0], skeleton.relaxed)
+
+
+def retract(pose: Pose, step: Array) -> Pose:
+    """Move a pose by a tangent vector (..., 6 + D).
+
+    The first three entries shift the pelvis along the world's axes (metres), the next three turn
+    it about them (rotation vector, radians), the rest add to the angles.
+    """
+    quaternion = quaternion_multiply(quaternion_exp(step[..., 3:ROOT_DOF]), pose.quaternion)
+    return Pose(
+        pose.position + step[..., :3],
+        quaternion / jnp.linalg.norm(quaternion, axis=-1, keepdims=True),
+        pose.angles + step[..., ROOT_DOF:],
+    )
+
+
+def pack(pose: Pose) -> Array:
+    """One vector (..., 7 + D): position, quaternion, angles."""
+    return jnp.concatenate(pose, -1)
+
+
+def unpack(vector: Array) -> Pose:
+    """The pose of a packed vector (..., 7 + D)."""
+    return Pose(vector[..., :3], vector[..., 3:7], vector[..., 7:])

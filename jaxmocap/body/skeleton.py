@@ -1,0 +1,196 @@
+"""The skeleton: bones, joints and degrees of freedom as arrays.
+
+INPUTS: a model file (``data/human.toml`` holds Table 1 of the first paper).
+OUTPUTS: a Skeleton. Names and the tree are static; every number in it is a traced array, so that
+gradients reach lengths, masses, diameters, costs and limits.
+"""
+
+import tomllib
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from importlib import resources
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+# The virtual root's degrees of freedom: three translations, three rotations.
+ROOT_DOF = 6
+
+# Landmark -> bone and fraction of its length from its joint.
+_CENTRAL = {
+    "pelvis": ("spine1", 0.0),
+    "neck": ("neck", 0.0),
+    "head": ("head", 0.0),
+    "vertex": ("head", 1.0),
+}
+_PAIRED = {
+    "shoulder": ("humerus", 0.0),
+    "elbow": ("radius", 0.0),
+    "wrist": ("hand", 0.0),
+    "hand": ("hand", 1.0),
+    "hip": ("femur", 0.0),
+    "knee": ("tibia", 0.0),
+    "ankle": ("foot", 0.0),
+    "toe": ("foot", 1.0),
+}
+LANDMARKS: dict[str, tuple[str, float]] = _CENTRAL | {
+    f"{name}_{side}": (f"{bone}_{side}", at)
+    for name, (bone, at) in _PAIRED.items()
+    for side in "lr"
+}
+
+
+def _static():
+    return field(metadata={"static": True})
+
+
+@dataclass(frozen=True)
+class Tree:
+    """What of a skeleton is static: names and who hangs on whom. Hashable.
+
+    Attributes:
+        bones: names of the B bones, parents before children.
+        parents: index of each bone's parent, -1 for bones that start at the virtual root.
+        joints: names of the D degrees of freedom.
+        dof_bones: index of the bone that each degree of freedom turns, proximal to distal.
+    """
+
+    bones: tuple[str, ...]
+    parents: tuple[int, ...]
+    joints: tuple[str, ...]
+    dof_bones: tuple[int, ...]
+
+    def bone(self, name: str) -> int:
+        """Index of a bone by name.
+
+        Raises:
+            KeyError: no such bone; the message lists the valid ones.
+        """
+        if name not in self.bones:
+            raise KeyError(f"unknown bone {name!r}; the bones are {', '.join(self.bones)}")
+        return self.bones.index(name)
+
+    def joint(self, name: str) -> int:
+        """Index of a degree of freedom by name; KeyError lists the valid ones."""
+        if name not in self.joints:
+            raise KeyError(f"unknown joint {name!r}; the joints are {', '.join(self.joints)}")
+        return self.joints.index(name)
+
+    def chain(self, bone: str) -> tuple[int, ...]:
+        """Indices of the bones on the path from the root to ``bone``: a kinematic chain."""
+        path = [self.bone(bone)]
+        while self.parents[path[-1]] >= 0:
+            path.append(self.parents[path[-1]])
+        return tuple(reversed(path))
+
+    @cached_property
+    def leaves(self) -> tuple[int, ...]:
+        """Bones that carry no other."""
+        return tuple(i for i in range(len(self.bones)) if i not in self.parents)
+
+    @cached_property
+    def carries(self) -> np.ndarray:
+        """(6 + D, B) booleans: does a degree of freedom, the root's first, move a bone?"""
+        chains = [set(self.chain(name)) for name in self.bones]
+        moved = [[bone in chain for chain in chains] for bone in self.dof_bones]
+        return np.vstack([np.ones((ROOT_DOF, len(self.bones)), bool), np.array(moved, bool)])
+
+    @cached_property
+    def hinge_slots(self) -> np.ndarray:
+        """(B, S) indices of each bone's degrees of freedom in turning order, -1 where empty."""
+        per_bone = [[d for d, b in enumerate(self.dof_bones) if b == i] for i in range(len(self.bones))]
+        slots = np.full((len(self.bones), max(map(len, per_bone))), -1)
+        for i, dofs in enumerate(per_bone):
+            slots[i, : len(dofs)] = dofs
+        return slots
+
+    @cached_property
+    def doublings(self) -> tuple[np.ndarray, ...]:
+        """Ancestors at distance 1, 2, 4, ... of every bone; -1 past the root."""
+        rounds, ancestors = [], np.array(self.parents)
+        while (ancestors >= 0).any():
+            rounds.append(ancestors)
+            ancestors = np.where(ancestors >= 0, ancestors[ancestors], -1)
+        return tuple(rounds)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Skeleton:
+    """A body of B bones with D degrees of freedom and a virtual root at the pelvis.
+
+    With all angles 0 every bone's frame is the body's: x forward, y left, z up.
+
+    Attributes:
+        tree: names and topology (static).
+        lengths: (B,) metres.
+        directions: (B, 3) unit vectors along each bone, in its own frame.
+        masses: (B,) kilograms.
+        centres: (B,) centre of mass as a fraction of the length.
+        diameters: (B, 2) metres, at the near and the far end.
+        axes: (D, 3) unit hinge axes, in the frame that the joint's earlier hinges leave.
+        limits: (D, 2) smallest and largest angle, radians.
+        costs: (6 + D,) mu of equation (4); the root's six first.
+        relaxed: (D,) omega of equation (9), radians.
+    """
+
+    tree: Tree = _static()
+    lengths: Array
+    directions: Array
+    masses: Array
+    centres: Array
+    diameters: Array
+    axes: Array
+    limits: Array
+    costs: Array
+    relaxed: Array
+
+    @classmethod
+    def human(cls, height: float | None = None, mass: float | None = None) -> "Skeleton":
+        """The paper's subject (Table 1), or a person of that height scaled by Winter's proportions.
+
+        Args:
+            height: metres; None keeps Table 1.
+            mass: kilograms; None keeps Table 1's, or follows the height at 23 kg/m^2.
+
+        Raises:
+            ValueError: height outside 0.5 to 2.5 m, or mass outside 10 to 400 kg.
+        """
+        from jaxmocap.body.subject import scale_to_height
+
+        skeleton = load_skeleton("human.toml")
+        return skeleton if height is None and mass is None else scale_to_height(skeleton, height, mass)
+
+
+@lru_cache
+def load_skeleton(name: str) -> Skeleton:
+    """Read a model file from ``body/data``."""
+    text = resources.files("jaxmocap.body").joinpath("data", name).read_text(encoding="utf-8")
+    data = tomllib.loads(text)
+    bones, joints = data["bone"], data["joint"]
+    names = [bone["name"] for bone in bones]
+
+    def column(rows: list[dict], key: str, scale: float = 1.0) -> Array:
+        return jnp.asarray(np.array([row[key] for row in rows], float) * scale, float)
+
+    tree = Tree(
+        tuple(names),
+        tuple(names.index(bone["parent"]) if bone["parent"] else -1 for bone in bones),
+        tuple(joint["name"] for joint in joints),
+        tuple(names.index(joint["bone"]) for joint in joints),
+    )
+    degree = np.pi / 180
+    return Skeleton(
+        tree=tree,
+        lengths=column(bones, "length"),
+        directions=column(bones, "direction"),
+        masses=column(bones, "mass"),
+        centres=column(bones, "centre"),
+        diameters=column(bones, "diameter"),
+        axes=column(joints, "axis"),
+        limits=column(joints, "range", degree),
+        costs=jnp.concatenate([jnp.asarray(data["root"]["cost"], float), column(joints, "cost")]),
+        relaxed=column(joints, "relaxed", degree),
+    )

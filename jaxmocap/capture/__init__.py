@@ -1,0 +1,1 @@
+"""Streams over time: markers and video."""

@@ -1,0 +1,1 @@
+"""Mathematics of rotations, cameras and outlines; knows no body and no image."""

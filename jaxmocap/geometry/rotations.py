@@ -1,0 +1,141 @@
+"""SO(3): exponential, logarithm, quaternions and products of hinges.
+
+INPUTS: rotation vectors, quaternions (wxyz), axes and angles, any leading batch shape.
+OUTPUTS: the same rotation in another form; exact and differentiable at 0 and at pi.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+# Products of rotations run at full float32: a GPU's TF32 would cost millimetres at the hand.
+HIGHEST = jax.lax.Precision.HIGHEST
+
+
+def compose(R_a_b: Array, R_b_c: Array) -> Array:
+    """Matrix product ``R_a_c`` of two (..., 3, 3) rotations, at the highest precision."""
+    return jnp.matmul(R_a_b, R_b_c, precision=HIGHEST)
+
+
+def rotate(R_a_b: Array, vectors_b: Array) -> Array:
+    """Turn (..., 3) vectors from frame b into frame a, at the highest precision."""
+    return jnp.einsum("...ij,...j->...i", R_a_b, vectors_b, precision=HIGHEST)
+
+
+def hat(vectors: Array) -> Array:
+    """Cross-product matrices (..., 3, 3) of (..., 3) vectors: ``hat(a) @ b == cross(a, b)``."""
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    o = jnp.zeros_like(x)
+    rows = [jnp.stack([o, -z, y], -1), jnp.stack([z, o, -x], -1), jnp.stack([-y, x, o], -1)]
+    return jnp.stack(rows, -2)
+
+
+def about_axis(axes: Array, angles: Array) -> Array:
+    """Rotations (..., 3, 3) by ``angles`` (...), radians, about unit ``axes`` (..., 3)."""
+    s, c = jnp.sin(angles)[..., None, None], jnp.cos(angles)[..., None, None]
+    outer = axes[..., :, None] * axes[..., None, :]
+    return c * jnp.eye(3, dtype=axes.dtype) + s * hat(axes) + (1 - c) * outer
+
+
+def exp(rotation_vectors: Array) -> Array:
+    """Rodrigues' formula: (..., 3) rotation vectors, radians, to (..., 3, 3) matrices."""
+    squared = jnp.sum(rotation_vectors**2, -1)
+    small = squared < 1e-8
+    angle = jnp.sqrt(jnp.where(small, 1.0, squared))
+    a = jnp.where(small, 1 - squared / 6, jnp.sin(angle) / angle)
+    b = jnp.where(small, 0.5 - squared / 24, (1 - jnp.cos(angle)) / angle**2)
+    K = hat(rotation_vectors)
+    K2 = compose(K, K)
+    return jnp.eye(3, dtype=K.dtype) + a[..., None, None] * K + b[..., None, None] * K2
+
+
+def quaternion_exp(rotation_vectors: Array) -> Array:
+    """(..., 3) rotation vectors, radians, to (..., 4) unit quaternions, wxyz."""
+    squared = jnp.sum(rotation_vectors**2, -1, keepdims=True)
+    small = squared < 1e-8
+    angle = jnp.sqrt(jnp.where(small, 1.0, squared))
+    w = jnp.where(small, 1 - squared / 8, jnp.cos(angle / 2))
+    scale = jnp.where(small, 0.5 - squared / 48, jnp.sin(angle / 2) / angle)
+    return jnp.concatenate([w, scale * rotation_vectors], -1)
+
+
+def quaternion_log(quaternions: Array) -> Array:
+    """(..., 4) unit quaternions, wxyz, to the shorter of their (..., 3) rotation vectors."""
+    sign = jnp.where(quaternions[..., :1] < 0, -1.0, 1.0).astype(quaternions.dtype)
+    w, xyz = sign * quaternions[..., :1], sign * quaternions[..., 1:]
+    squared = jnp.sum(xyz**2, -1, keepdims=True)
+    small = squared < 1e-8
+    norm = jnp.sqrt(jnp.where(small, 1.0, squared))
+    factor = jnp.where(small, 2 / jnp.maximum(w, 0.5), 2 * jnp.arctan2(norm, w) / norm)
+    return factor * xyz
+
+
+def quaternion_multiply(a: Array, b: Array) -> Array:
+    """Hamilton product of (..., 4) quaternions, wxyz."""
+    aw, av, bw, bv = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
+    w = aw * bw - jnp.sum(av * bv, -1, keepdims=True)
+    return jnp.concatenate([w, aw * bv + bw * av + jnp.cross(av, bv)], -1)
+
+
+def quaternion_to_matrix(quaternions: Array) -> Array:
+    """(..., 4) quaternions, wxyz (normalised here), to (..., 3, 3) matrices."""
+    q = quaternions / jnp.linalg.norm(quaternions, axis=-1, keepdims=True)
+    w, K = q[..., 0, None, None], hat(q[..., 1:])
+    return jnp.eye(3, dtype=q.dtype) + 2 * w * K + 2 * compose(K, K)
+
+
+def quaternion_from_matrix(R: Array) -> Array:
+    """(..., 3, 3) rotations to (..., 4) quaternions, wxyz, w >= 0.
+
+    Of the four ways to divide, the one with the largest pivot is taken, so that neither the
+    values nor the derivatives degrade at half turns.
+    """
+    d = jnp.diagonal(R, axis1=-2, axis2=-1)
+    x, y, z = d[..., 0], d[..., 1], d[..., 2]
+    a, b, c = R[..., 2, 1], R[..., 0, 2], R[..., 1, 0]
+    e, f, g = R[..., 1, 2], R[..., 2, 0], R[..., 0, 1]
+    rows = jnp.stack(
+        [
+            jnp.stack([1 + x + y + z, a - e, b - f, c - g], -1),
+            jnp.stack([a - e, 1 + x - y - z, c + g, b + f], -1),
+            jnp.stack([b - f, c + g, 1 - x + y - z, a + e], -1),
+            jnp.stack([c - g, b + f, a + e, 1 - x - y + z], -1),
+        ],
+        -2,
+    )
+    pivot = jnp.argmax(jnp.diagonal(rows, axis1=-2, axis2=-1), -1)
+    row = jnp.take_along_axis(rows, pivot[..., None, None], -2)[..., 0, :]
+    q = row / jnp.linalg.norm(row, axis=-1, keepdims=True)
+    return jnp.where(q[..., :1] < 0, -q, q)
+
+
+def log(R: Array) -> Array:
+    """(..., 3, 3) rotations to (..., 3) rotation vectors, radians, of length at most pi."""
+    return quaternion_log(quaternion_from_matrix(R))
+
+
+def hinges_from_matrix(R: Array, axes: Array) -> Array:
+    """Angles (3,) with ``R = H1 H2 H3``, where ``Hi`` turns about the unit rows of ``axes``.
+
+    The rows are orthogonal, in either handedness (a left shoulder mirrors a right one). The
+    second angle is in [-pi/2, pi/2]; where it is +-pi/2 (gimbal lock) the third is 0.
+    """
+    # In the basis of the axes a left-handed triple turns the other way about every axis.
+    handed = jnp.dot(jnp.cross(axes[0], axes[1]), axes[2], precision=HIGHEST)
+    M = compose(compose(axes, R), axes.T)
+    sine = jnp.clip(M[0, 2], -1.0, 1.0)
+    cosine2 = M[0, 0] ** 2 + M[0, 1] ** 2
+    locked = cosine2 < 1e-9
+    second = jnp.arctan2(sine, jnp.sqrt(jnp.where(locked, 1e-9, cosine2)))
+    one = jnp.where(locked, 1.0, M[2, 2])
+    first = jnp.where(
+        locked,
+        jnp.arctan2(M[2, 1], M[1, 1]),
+        jnp.arctan2(-jnp.where(locked, 0.0, M[1, 2]), one),
+    )
+    third = jnp.where(
+        locked,
+        0.0,
+        jnp.arctan2(-jnp.where(locked, 0.0, M[0, 1]), jnp.where(locked, 1.0, M[0, 0])),
+    )
+    return handed * jnp.stack([first, second, third])

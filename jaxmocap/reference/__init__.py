@@ -1,0 +1,1 @@
+"""The equations again in NumPy: naive and obvious, for tests."""

@@ -1,0 +1,1 @@
+"""Functions of functions: optimisers that know no body and no image."""

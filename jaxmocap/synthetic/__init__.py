@@ -1,0 +1,1 @@
+"""Motions and a renderer that make recordings."""
