@@ -164,23 +164,14 @@ class Skeleton:
         return skeleton if height is None and mass is None else scale_to_height(skeleton, height, mass)
 
 
-@lru_cache
 def load_skeleton(name: str) -> Skeleton:
     """Read a model file from ``body/data``."""
-    text = resources.files("jaxmocap.body").joinpath("data", name).read_text(encoding="utf-8")
-    data = tomllib.loads(text)
+    tree, data = _read_model(name)
     bones, joints = data["bone"], data["joint"]
-    names = [bone["name"] for bone in bones]
 
     def column(rows: list[dict], key: str, scale: float = 1.0) -> Array:
         return jnp.asarray(np.array([row[key] for row in rows], float) * scale, float)
 
-    tree = Tree(
-        tuple(names),
-        tuple(names.index(bone["parent"]) if bone["parent"] else -1 for bone in bones),
-        tuple(joint["name"] for joint in joints),
-        tuple(names.index(joint["bone"]) for joint in joints),
-    )
     degree = np.pi / 180
     return Skeleton(
         tree=tree,
@@ -194,3 +185,20 @@ def load_skeleton(name: str) -> Skeleton:
         costs=jnp.concatenate([jnp.asarray(data["root"]["cost"], float), column(joints, "cost")]),
         relaxed=column(joints, "relaxed", degree),
     )
+
+
+# The file is kept, not its arrays: those would outlive a trace or a change of precision.
+@lru_cache
+def _read_model(name: str) -> tuple[Tree, dict]:
+    """The tree and the rows of a model file."""
+    text = resources.files("jaxmocap.body").joinpath("data", name).read_text(encoding="utf-8")
+    data = tomllib.loads(text)
+    bones, joints = data["bone"], data["joint"]
+    names = [bone["name"] for bone in bones]
+    tree = Tree(
+        tuple(names),
+        tuple(names.index(bone["parent"]) if bone["parent"] else -1 for bone in bones),
+        tuple(joint["name"] for joint in joints),
+        tuple(names.index(joint["bone"]) for joint in joints),
+    )
+    return tree, data
