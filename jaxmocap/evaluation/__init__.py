@@ -1,1 +1,1 @@
-"""Errors against a reference, and plots."""
+"""Errors against a reference, and plots of them."""

@@ -1,0 +1,184 @@
+"""Joint positions against a reference: distances, their statistics, and how much they shake.
+
+INPUTS: tracked joints and reference markers over time (metres, Z up, seconds).
+OUTPUTS: Errors: distances per joint and matched sample, their statistics, a dictionary for JSON.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from jaxmocap.evaluation.series import HIGH_PASS_HZ, high_pass, match, sample_step
+from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.markers import read_markers
+
+# Vertical axis of a file -> which of its axes are the world's x, y, z.
+TO_WORLD = {"z": [0, 1, 2], "y": [2, 0, 1]}
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of J joints at N matched samples.
+
+    Attributes:
+        joints: names of the tracked joints.
+        times: (N,) seconds.
+        offsets: (N, J, 3) tracked minus reference position, world, metres; NaN where either is
+            missing.
+    """
+
+    joints: tuple[str, ...]
+    times: np.ndarray
+    offsets: np.ndarray
+
+    @property
+    def distances(self) -> np.ndarray:
+        """(N, J) Euclidean distances, metres; NaN where missing."""
+        return np.linalg.norm(self.offsets, axis=-1)
+
+    @property
+    def high_passed(self) -> np.ndarray:
+        """(N, J) what of the distances changes faster than 0.3 Hz, metres."""
+        columns = [high_pass(self.times, column) for column in self.distances.T]
+        return np.stack(columns, -1)
+
+    @property
+    def jitter(self) -> np.ndarray:
+        """(J,) root mean square of the offsets' second differences, m/s^2.
+
+        The reference's own acceleration is subtracted: what remains is the shaking of the
+        tracked joint, and that of the reference.
+        """
+        step = sample_step(self.times)
+        shaking = np.diff(self.offsets, 2, axis=0) / step**2
+        # Across a gap in the times the difference would be another thing.
+        shaking[np.abs(self.times[2:] - self.times[:-2] - 2 * step) > step / 2] = np.nan
+        return np.sqrt(_per_joint(np.mean, np.sum(shaking**2, -1)))
+
+    def statistics(self) -> dict[str, np.ndarray]:
+        """Name -> (J,) figures: metres, and m/s^2 for the jitter; NaN for a joint without data."""
+        distances = self.distances
+        return {
+            "samples": np.sum(np.isfinite(distances), 0),
+            "mean": _per_joint(np.mean, distances),
+            "median": _per_joint(np.median, distances),
+            "p95": _per_joint(lambda d: np.percentile(d, 95), distances),
+            "rms": np.sqrt(_per_joint(np.mean, distances**2)),
+            "high_pass_rms": np.sqrt(_per_joint(np.mean, self.high_passed**2)),
+            "jitter": self.jitter,
+        }
+
+    @property
+    def mean(self) -> float:
+        """Mean over the joints of their mean distances, metres; NaN where there is no data."""
+        means = self.statistics()["mean"]
+        return float(np.nanmean(means)) if np.isfinite(means).any() else float("nan")
+
+    def as_dict(self) -> dict:
+        """What JSON takes: per-joint figures and their means over the joints; NaN becomes None."""
+        table = self.statistics()
+        joints = {
+            name: {key: _plain(values[j]) for key, values in table.items()}
+            for j, name in enumerate(self.joints)
+        }
+        over_joints = {
+            key: _plain(np.nanmean(values) if np.isfinite(values).any() else np.nan)
+            for key, values in table.items()
+        }
+        units = {"distances": "m", "jitter": "m/s^2", "high_pass": f"above {HIGH_PASS_HZ} Hz"}
+        return {"joints": joints, "mean_over_joints": over_joints, "units": units}
+
+
+def _per_joint(statistic, values: np.ndarray) -> np.ndarray:
+    """A statistic of each column's finite entries; NaN for a column without any."""
+    finite = [column[np.isfinite(column)] for column in values.T]
+    return np.array([statistic(column) if len(column) else np.nan for column in finite])
+
+
+def _plain(value: np.generic | float) -> int | float | None:
+    """A Python number for JSON."""
+    number = float(value)
+    if not np.isfinite(number):
+        return None
+    return int(number) if isinstance(value, np.integer) else number
+
+
+def position_errors(
+    times: np.ndarray,
+    joints: Mapping[str, np.ndarray],
+    truth_times: np.ndarray,
+    truth: Mapping[str, np.ndarray],
+    pairs: Mapping[str, str],
+    tolerance: float | None = None,
+    sources: tuple[str | Path, str | Path] = ("tracked joints", "reference"),
+) -> Errors:
+    """Errors of tracked joints against a reference's markers, matched by time stamp.
+
+    Args:
+        times: (T,) seconds of the tracked joints.
+        joints: name -> (T, 3) world, metres (``Motion.joints()``).
+        truth_times: (R,) seconds of the reference.
+        truth: name -> (R, 3) world, metres.
+        pairs: joint name -> the name of its marker in the reference.
+        tolerance: see ``match``.
+        sources: what messages call the two.
+
+    Raises:
+        InputError: an unknown joint or marker, no pair, or no common time.
+    """
+    tracked, reference = sources
+    if not pairs:
+        raise InputError(tracked, "nothing to compare, expected a pair such as elbow_r=RElbow")
+    for joint, marker in pairs.items():
+        _require(joint, joints, "joint", tracked)
+        _require(marker, truth, "marker", reference)
+    a, b = match(times, truth_times, tolerance)
+    if not len(a):
+        problem = f"covers {_span(times)} and has no time in common with {reference}"
+        raise InputError(tracked, f"{problem}, which covers {_span(truth_times)}")
+    offsets = [
+        np.asarray(joints[joint], float)[a] - np.asarray(truth[marker], float)[b]
+        for joint, marker in pairs.items()
+    ]
+    return Errors(tuple(pairs), np.asarray(times, float)[a], np.stack(offsets, 1))
+
+
+def _require(name: str, points: Mapping[str, np.ndarray], kind: str, source: str | Path) -> None:
+    if name not in points:
+        raise InputError(source, f"no {kind} {name!r}, expected one of {', '.join(points)}")
+
+
+def _span(times: np.ndarray) -> str:
+    return f"{times[0]:.3f} to {times[-1]:.3f} s" if len(times) else "no time at all"
+
+
+def evaluate_directory(
+    directory: str | Path, truth_path: str | Path, pairs: Mapping[str, str], up: str = "z"
+) -> Errors:
+    """Errors of the ``joints.trc`` that ``track`` wrote, against a reference TRC or CSV.
+
+    Args:
+        directory: what ``track --out`` was given.
+        truth_path: the reference's file.
+        pairs: joint name -> the name of its marker in the reference.
+        up: the reference's vertical axis, "z" or "y" (world = (z, x, y) of the file).
+
+    Raises:
+        InputError: a file that is missing or no marker file, an unknown name, no common time.
+        ValueError: another ``up``.
+    """
+    if up not in TO_WORLD:
+        raise ValueError(f"up = {up!r}: expected one of {', '.join(TO_WORLD)}")
+    path = Path(directory) / "joints.trc"
+    tracked, truth = read_markers(path), read_markers(truth_path)
+    truth_world = {name: points[:, TO_WORLD[up]] for name, points in truth.points().items()}
+    return position_errors(
+        tracked.times,
+        tracked.points(),
+        truth.times,
+        truth_world,
+        pairs,
+        sources=(path, truth_path),
+    )

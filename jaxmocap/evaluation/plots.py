@@ -1,0 +1,141 @@
+"""Plots of joint errors and joint tracks, drawn by matplotlib without a display.
+
+INPUTS: times (seconds), errors and positions (metres). OUTPUTS: a picture file, by its suffix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxmocap.evaluation.series import HIGH_PASS_HZ, high_pass
+from jaxmocap.formats.atomic import replacing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MARKERS_ONLY = {"color": "#c62828", "linestyle": "-", "linewidth": 1.4}
+WITH_VIDEO = {"color": "#1557b0", "linestyle": "--", "linewidth": 1.4}
+REFERENCE = {"color": "#222222", "linestyle": "-", "linewidth": 1.0}
+
+
+def plot_elbow_errors(
+    path: str | Path,
+    times: np.ndarray,
+    errors_markers_only: Mapping[str, np.ndarray],
+    errors_with_video: Mapping[str, np.ndarray],
+    title: str = "",
+) -> None:
+    """Draw the paper's Fig. 8 for each joint: the error, its reduction by video, what shakes.
+
+    Args:
+        path: of the picture (.png, .svg, .pdf).
+        times: (N,) seconds.
+        errors_markers_only: joint -> (N,) distances from the reference, metres.
+        errors_with_video: the same joints with video.
+        title: above the panels.
+    """
+    joints = list(errors_markers_only)
+    figure, axes = _panels(3, len(joints), (5.6, 2.2), sharey="row")
+    for column, joint in enumerate(joints):
+        before = 100 * np.asarray(errors_markers_only[joint], float)
+        after = 100 * np.asarray(errors_with_video[joint], float)
+        top, middle, bottom = axes[:, column]
+        for values, style, name in (
+            (before, MARKERS_ONLY, "markers only"),
+            (after, WITH_VIDEO, "with video"),
+        ):
+            top.plot(times, values, label=f"{name}: mean {_mean(values):.1f} cm", **style)
+            bottom.plot(times, high_pass(times, values), **style)
+        top.set_title(joint.replace("_l", ", left").replace("_r", ", right"))
+        top.set_ylim(bottom=0)
+        top.legend(loc="upper left", frameon=False, ncols=2, fontsize="small", borderaxespad=0.2)
+        _plot_reduction(middle, times, before - after)
+        bottom.axhline(0, color="#888888", linewidth=0.6)
+        bottom.set_xlabel("time [s]")
+    for row, label in zip(
+        axes[:, 0],
+        ("error [cm]", "reduction [cm]", f"error above {HIGH_PASS_HZ} Hz [cm]"),
+        strict=True,
+    ):
+        row.set_ylabel(label)
+    # Room for the legend above the curves.
+    axes[0, 0].set_ylim(top=1.25 * axes[0, 0].get_ylim()[1])
+    _save(figure, path, title)
+
+
+def _plot_reduction(axes: Axes, times: np.ndarray, reduction: np.ndarray) -> None:
+    """What video takes off the error: green where it helps, red where it harms."""
+    axes.fill_between(times, 0, np.maximum(reduction, 0), color="#2e7d32", alpha=0.35, linewidth=0)
+    axes.fill_between(times, 0, np.minimum(reduction, 0), color="#c62828", alpha=0.35, linewidth=0)
+    axes.plot(times, reduction, color="#222222", linewidth=1.0)
+    axes.axhline(0, color="#888888", linewidth=0.6)
+
+
+def plot_joint_tracks(
+    path: str | Path,
+    times: np.ndarray,
+    tracks: Mapping[str, np.ndarray],
+    reference_times: np.ndarray | None = None,
+    reference: Mapping[str, np.ndarray] | None = None,
+    title: str = "",
+) -> None:
+    """Draw the world coordinates of joints over time, one column per joint.
+
+    Args:
+        path: of the picture (.png, .svg, .pdf).
+        times: (T,) seconds.
+        tracks: joint -> (T, 3) world, Z up, metres.
+        reference_times: (R,) seconds.
+        reference: joint -> (R, 3) world, metres; drawn where it has the joint.
+        title: above the panels.
+    """
+    reference = reference or {}
+    figure, axes = _panels(3, len(tracks), (4.8, 1.9))
+    for column, (joint, points) in enumerate(tracks.items()):
+        axes[0, column].set_title(joint)
+        axes[2, column].set_xlabel("time [s]")
+        for row, axis in enumerate("xyz"):
+            panel = axes[row, column]
+            if joint in reference and reference_times is not None:
+                panel.plot(
+                    reference_times, reference[joint][:, row], label="reference", **REFERENCE
+                )
+            panel.plot(times, points[:, row], label="tracked", **WITH_VIDEO)
+            if column == 0:
+                panel.set_ylabel(f"{axis} [m]")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", frameon=False, ncols=2)
+    _save(figure, path, title)
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
+
+
+def _panels(
+    rows: int, columns: int, size: tuple[float, float], sharey: str | bool = False
+) -> tuple[Figure, np.ndarray]:
+    """A figure on no display, and its (rows, columns) axes."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(size[0] * columns, size[1] * rows + 0.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, columns, sharex=True, sharey=sharey, squeeze=False)  # type: ignore[arg-type]
+    for panel in axes.flat:
+        panel.grid(color="#dddddd", linewidth=0.6)
+        panel.spines[["top", "right"]].set_visible(False)
+        panel.margins(x=0)
+    return figure, axes
+
+
+def _save(figure: Figure, path: str | Path, title: str) -> None:
+    if title:
+        figure.suptitle(title)
+    with replacing(path) as beside:
+        figure.savefig(beside, dpi=130)

@@ -1,0 +1,74 @@
+"""Series over time: pairing two of them by time stamp, and what of one changes fast.
+
+INPUTS: rising time stamps, seconds, and values at them. OUTPUTS: indices; filtered values.
+"""
+
+import numpy as np
+
+# The paper's Fig. 8 shows what of the error changes faster than this.
+HIGH_PASS_HZ = 0.3
+
+
+def sample_step(times: np.ndarray) -> float:
+    """Median time between samples, seconds; infinite for a single one."""
+    return float(np.median(np.diff(times))) if len(times) > 1 else float("inf")
+
+
+def match(
+    times_a: np.ndarray, times_b: np.ndarray, tolerance: float | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pair samples of two rising series by time stamp: each the other's nearest.
+
+    Args:
+        times_a: (A,) seconds.
+        times_b: (B,) seconds.
+        tolerance: largest difference, seconds; None is half a sample of the finer series.
+
+    Returns:
+        Indices (N,) into the first and (N,) into the second series, both rising.
+    """
+    a, b = np.asarray(times_a, float), np.asarray(times_b, float)
+    if not len(a) or not len(b):
+        return np.zeros(0, int), np.zeros(0, int)
+    if tolerance is None:
+        tolerance = min(sample_step(a), sample_step(b)) / 2
+    nearest_b, nearest_a = _nearest(b, a), _nearest(a, b)
+    mutual = nearest_a[nearest_b] == np.arange(len(a))
+    # A microsecond's slack: text files round their time stamps.
+    near = np.abs(b[nearest_b] - a) <= tolerance + 1e-6
+    indices_a = np.flatnonzero(mutual & near)
+    return indices_a, nearest_b[indices_a]
+
+
+def _nearest(series: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Indices of the entries of a rising series nearest to the wanted values."""
+    after = np.clip(np.searchsorted(series, wanted), 1, max(len(series) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(series) - 1)
+    closer = np.abs(series[before] - wanted) <= np.abs(series[after] - wanted)
+    return np.where(closer, before, after)
+
+
+def high_pass(times: np.ndarray, values: np.ndarray, cutoff: float = HIGH_PASS_HZ) -> np.ndarray:
+    """The part of a series that changes faster than a cut-off: no phase shift, mean removed.
+
+    A second-order Butterworth filter run forwards and backwards, as its gain over frequency on
+    the series continued by its mirror image; so its ends leave no steps.
+
+    Args:
+        times: (N,) seconds, evenly spaced on the whole.
+        values: (N,) the series; NaN is bridged for filtering and stays NaN.
+        cutoff: hertz, where half the amplitude passes.
+
+    Returns:
+        (N,) filtered values.
+    """
+    values = np.asarray(values, float)
+    seen = np.isfinite(values)
+    if seen.sum() < 2:
+        return np.where(seen, 0.0, np.nan)
+    bridged = np.interp(times, np.asarray(times)[seen], values[seen])
+    mirrored = np.concatenate([bridged, bridged[::-1]])
+    ratio = (np.fft.rfftfreq(len(mirrored), sample_step(times)) / cutoff) ** 4
+    filtered = np.fft.irfft(np.fft.rfft(mirrored) * ratio / (1 + ratio), len(mirrored))
+    return np.where(seen, filtered[: len(values)], np.nan)

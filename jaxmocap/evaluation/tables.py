@@ -1,0 +1,68 @@
+"""Errors as plain text.
+
+INPUTS: Errors. OUTPUTS: a table to print.
+"""
+
+from jaxmocap.evaluation.errors import Errors
+
+# Key of Errors.as_dict() -> heading, unit, factor from SI, digits.
+COLUMNS = {
+    "samples": ("samples", "", 1, 0),
+    "mean": ("mean", "cm", 100, 2),
+    "median": ("median", "cm", 100, 2),
+    "p95": ("95 %", "cm", 100, 2),
+    "rms": ("RMS", "cm", 100, 2),
+    "high_pass_rms": ("> 0.3 Hz", "cm", 100, 2),
+    "jitter": ("jitter", "m/s²", 1, 1),
+}
+
+
+def format_table(errors: Errors, before: Errors | None = None) -> str:
+    """A plain text table, one row per joint and one for their mean; centimetres.
+
+    Args:
+        errors: what to show.
+        before: with it, two more columns: the mean error before, and by how much it fell.
+    """
+    rows = [
+        ["joint", *(heading for heading, *_ in COLUMNS.values())],
+        ["", *(unit for _, unit, *_ in COLUMNS.values())],
+        *([name, *_cells(figures)] for name, figures in _by_row(errors).items()),
+    ]
+    if before is not None:
+        rows[0] += ["before", "improved"]
+        rows[1] += ["cm", "%"]
+        old = _by_row(before)
+        for row, (name, figures) in zip(rows[2:], _by_row(errors).items(), strict=True):
+            row += _improvement(old.get(name, {}).get("mean"), figures["mean"])
+    return _aligned(rows)
+
+
+def _by_row(errors: Errors) -> dict[str, dict]:
+    figures = errors.as_dict()
+    return figures["joints"] | {"mean": figures["mean_over_joints"]}
+
+
+def _cells(figures: dict) -> list[str]:
+    return [
+        _number(figures[key], factor, digits) for key, (_, _, factor, digits) in COLUMNS.items()
+    ]
+
+
+def _improvement(before: float | None, after: float | None) -> list[str]:
+    gain = 1 - after / before if before and after is not None else None
+    return [_number(before, 100, 2), _number(gain, 100, 0)]
+
+
+def _number(value: float | None, factor: float, digits: int) -> str:
+    return "-" if value is None else f"{factor * value:.{digits}f}"
+
+
+def _aligned(rows: list[list[str]]) -> str:
+    """First column to the left, the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = []
+    for first, *others in rows:
+        cells = [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]
+        lines.append("  ".join([first.ljust(widths[0]), *cells]).rstrip())
+    return "\n".join(lines)
