@@ -42,10 +42,6 @@ LANDMARKS: dict[str, tuple[str, float]] = _CENTRAL | {
 }
 
 
-def _static():
-    return field(metadata={"static": True})
-
-
 @dataclass(frozen=True)
 class Tree:
     """What of a skeleton is static: names and who hangs on whom. Hashable.
@@ -100,8 +96,9 @@ class Tree:
     @cached_property
     def hinge_slots(self) -> np.ndarray:
         """(B, S) indices of each bone's degrees of freedom in turning order, -1 where empty."""
-        per_bone = [[d for d, b in enumerate(self.dof_bones) if b == i] for i in range(len(self.bones))]
-        slots = np.full((len(self.bones), max(map(len, per_bone))), -1)
+        bones = range(len(self.bones))
+        per_bone = [[d for d, b in enumerate(self.dof_bones) if b == i] for i in bones]
+        slots = np.full((len(bones), max(map(len, per_bone))), -1)
         for i, dofs in enumerate(per_bone):
             slots[i, : len(dofs)] = dofs
         return slots
@@ -136,7 +133,7 @@ class Skeleton:
         relaxed: (D,) omega of equation (9), radians.
     """
 
-    tree: Tree = _static()
+    tree: Tree = field(metadata={"static": True})
     lengths: Array
     directions: Array
     masses: Array
@@ -161,7 +158,9 @@ class Skeleton:
         from jaxmocap.body.subject import scale_to_height
 
         skeleton = load_skeleton("human.toml")
-        return skeleton if height is None and mass is None else scale_to_height(skeleton, height, mass)
+        if height is None and mass is None:
+            return skeleton
+        return scale_to_height(skeleton, height, mass)
 
 
 def load_skeleton(name: str) -> Skeleton:

@@ -94,7 +94,9 @@ def scale_to_height(skeleton: Skeleton, height: float | None, mass: float | None
     return _with_girths(skeleton, scaled)
 
 
-def _fractions(skeleton: Skeleton, table: dict, trunk: tuple[str, ...], shares: Array) -> np.ndarray:
+def _fractions(
+    skeleton: Skeleton, table: dict[str, float], trunk: tuple[str, ...], shares: Array
+) -> np.ndarray:
     """One fraction per bone; trunk and neck with head are split in proportion to ``shares``."""
     names, shares_of = skeleton.tree.bones, np.asarray(shares)
     groups = {name: ("trunk", trunk) for name in trunk}
@@ -173,7 +175,8 @@ def _trunk_vectors(landmarks: dict[str, np.ndarray]) -> dict[tuple[str, ...], np
     """Vectors along bones without degrees of freedom, and neck with head, in the trunk's frame."""
     pelvis = (landmarks["hip_l"] + landmarks["hip_r"]) / 2
     up = landmarks["neck"] - pelvis
-    left = landmarks["hip_l"] - landmarks["hip_r"] + landmarks["shoulder_l"] - landmarks["shoulder_r"]
+    left = landmarks["hip_l"] - landmarks["hip_r"]
+    left = left + landmarks["shoulder_l"] - landmarks["shoulder_r"]
     z = up / np.linalg.norm(up, axis=-1, keepdims=True)
     x = np.cross(left, z)
     x /= np.linalg.norm(x, axis=-1, keepdims=True)
@@ -182,7 +185,7 @@ def _trunk_vectors(landmarks: dict[str, np.ndarray]) -> dict[tuple[str, ...], np
     def seen(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return np.nanmedian(np.einsum("tij,tj->ti", R_trunk_world, b - a), axis=0)
 
-    vectors = {TRUNK: seen(pelvis, landmarks["neck"])}
+    vectors: dict[tuple[str, ...], np.ndarray] = {TRUNK: seen(pelvis, landmarks["neck"])}
     if "vertex" in landmarks and np.isfinite(landmarks["vertex"]).all(-1).any():
         vectors[NECK_HEAD] = seen(landmarks["neck"], landmarks["vertex"])
     for side in "lr":
