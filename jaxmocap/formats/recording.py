@@ -1,0 +1,249 @@
+"""A recording: markers over time, where they sit, videos, and whose body it is.
+
+INPUTS: a TOML file with [markers], [markers.on], [[video]], [calibration] and [subject]; its
+paths are relative to it.
+OUTPUTS: a Recording: marker positions in the world (metres, Z up) and float64 seconds, sites on
+bones, video sources with their cameras, a scaled skeleton.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.formats.axes import read_axes, to_world
+from jaxmocap.formats.calibration import pick_camera, read_calibration
+from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.markers import read_markers
+from jaxmocap.formats.subject import DEFAULT_HEIGHT, read_subject
+from jaxmocap.formats.tables import check_times
+from jaxmocap.formats.toml import Fields, read_toml, write_toml
+from jaxmocap.geometry.cameras import Camera
+
+
+@dataclass(frozen=True)
+class MarkerPlace:
+    """Where a marker sits on the body.
+
+    Attributes:
+        name: of the marker.
+        bone: name of the bone.
+        at: fraction of the bone's length from its joint.
+        offset: metres, in the bone's frame.
+    """
+
+    name: str
+    bone: str
+    at: float = 1.0
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class VideoSource:
+    """One video and the camera that took it.
+
+    Attributes:
+        camera_name: of the camera.
+        camera: its calibration.
+        path: of the video file; None where the frames are in memory.
+        offset: seconds to add to video time to get marker time.
+        keypoints: folder of 2-D detections, one JSON file per frame, or None.
+        frames: video times (F,) in seconds and images (F, H, W, 3) BGR uint8, or None.
+    """
+
+    camera_name: str
+    camera: Camera
+    path: Path | None = None
+    offset: float = 0.0
+    keypoints: Path | None = None
+    frames: tuple[np.ndarray, Sequence[np.ndarray] | np.ndarray] | None = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What there is to track.
+
+    Attributes:
+        skeleton: scaled to the person.
+        times: (T,) seconds, float64, ascending.
+        positions_world: (T, M, 3) metres, Z up; NaN where a marker is missing.
+        places: of the M markers, in the same order.
+        videos: any number of them.
+        name: of the recording.
+        path: the file it came from, or None.
+        warnings: sentences that a user should see.
+    """
+
+    skeleton: Skeleton
+    times: np.ndarray
+    positions_world: np.ndarray
+    places: tuple[MarkerPlace, ...]
+    videos: tuple[VideoSource, ...] = ()
+    name: str = "recording"
+    path: Path | None = None
+    warnings: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        """Check that the parts fit, wherever they came from."""
+        where, expected = self.path or self.name, (len(self.times), len(self.places), 3)
+        if np.shape(self.positions_world) != expected:
+            found = np.shape(self.positions_world)
+            raise InputError(where, f"marker positions: found shape {found}, expected {expected}")
+        check_times(where, self.times, [f"marker sample {i}" for i in range(len(self.times))])
+        if not np.isfinite(self.positions_world).all(-1).any():
+            raise InputError(where, "no marker is seen in any sample, all positions are NaN")
+        bones = self.skeleton.tree.bones
+        for place in self.places:
+            if place.bone not in bones:
+                raise InputError(
+                    where,
+                    f"[markers.on] {place.name}: unknown bone {place.bone!r}, "
+                    f"expected one of {', '.join(bones)}",
+                )
+
+    @property
+    def marker_names(self) -> tuple[str, ...]:
+        """Names of the M markers."""
+        return tuple(place.name for place in self.places)
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Recording":
+        """Read a recording file; see ``load_recording``."""
+        return load_recording(path)
+
+
+def load_recording(path: str | Path) -> Recording:
+    """Read a recording file and all that it names but the video's frames.
+
+    Raises:
+        InputError: a file that is missing or cannot be used, or a field that is missing, unknown
+            or does not fit.
+    """
+    path = Path(path)
+    top = Fields(path, "", read_toml(path), ("markers", "video", "calibration", "subject"))
+    warnings = []
+    if "subject" in top:
+        skeleton = read_subject(path, "[subject]", top.table["subject"])
+    else:
+        skeleton = Skeleton.human(DEFAULT_HEIGHT)
+        warnings.append(f"{path}: no [subject], a height of {DEFAULT_HEIGHT} m is assumed")
+    times, positions_world, places = _read_marked(top)
+    seen = np.isfinite(positions_world).all(axis=2)
+    warnings += [
+        f"{path}: marker {place.name!r} is never seen"
+        for place, samples in zip(places, seen.T, strict=True)
+        if not samples.any()
+    ]
+    return Recording(
+        skeleton,
+        times,
+        positions_world,
+        places,
+        _read_videos(top),
+        path.stem,
+        path,
+        tuple(warnings),
+    )
+
+
+def _read_marked(top: Fields) -> tuple[np.ndarray, np.ndarray, tuple[MarkerPlace, ...]]:
+    """Times, positions in the world and places of the markers of [markers.on]."""
+    fields = Fields(
+        top.path, "[markers]", top.required("markers"), ("file", "up", "to_world", "on")
+    )
+    file = fields.file("file")
+    R_world_file = read_axes(fields)
+    on = Fields(top.path, "[markers.on]", fields.required("on"))
+    if not on.table:
+        raise on.error("", "names no marker, expected entries such as Head = { bone = 'head' }")
+    places = tuple(_place(top.path, name, entry) for name, entry in on.table.items())
+    markers = read_markers(file)
+    for place in places:
+        if place.name not in markers.names:
+            raise on.error(
+                place.name, f"no such marker in {file}, found {', '.join(markers.names)}"
+            )
+    columns = [markers.names.index(place.name) for place in places]
+    return markers.times, to_world(R_world_file, markers.positions[:, columns]), places
+
+
+def _place(path: Path, name: str, entry: Any) -> MarkerPlace:
+    fields = Fields(path, f"[markers.on] {name}", entry, ("bone", "at", "offset"))
+    at = fields.number("at", 1.0)
+    if not 0.0 <= at <= 1.0:
+        raise fields.error("at", f"found {at:g}, expected a fraction between 0 and 1")
+    if "offset" not in fields:
+        return MarkerPlace(name, fields.text("bone"), at)
+    x, y, z = fields.array("offset", [(3,)], "3 numbers in metres").tolist()
+    return MarkerPlace(name, fields.text("bone"), at, (x, y, z))
+
+
+def _read_videos(top: Fields) -> tuple[VideoSource, ...]:
+    tables = top.table.get("video", [])
+    if not isinstance(tables, list):
+        raise top.error("[video]", "found one table, expected [[video]] in double brackets")
+    if not tables:
+        return ()
+    if "calibration" not in top:
+        raise top.error("", "[calibration] is missing, which every [[video]] needs")
+    calibration = Fields(top.path, "[calibration]", top.table["calibration"], ("file",))
+    file = calibration.file("file")
+    cameras = read_calibration(file)
+    return tuple(_video(top.path, i, table, file, cameras) for i, table in enumerate(tables, 1))
+
+
+def _video(
+    path: Path, number: int, table: Any, calibration: Path, cameras: dict[str, Camera]
+) -> VideoSource:
+    keys = ("file", "camera", "offset", "keypoints")
+    fields = Fields(path, f"[[video]] number {number}", table, keys)
+    name = fields.text("camera")
+    return VideoSource(
+        camera_name=name,
+        camera=pick_camera(calibration, cameras, name),
+        path=fields.file("file"),
+        offset=fields.number("offset", 0.0),
+        keypoints=fields.file("keypoints", folder=True) if "keypoints" in fields else None,
+    )
+
+
+def write_recording(
+    path: str | Path,
+    markers_file: str | Path,
+    on: Mapping[str, Mapping[str, Any]],
+    videos: Sequence[Mapping[str, Any]] = (),
+    calibration_file: str | Path | None = None,
+    subject: Mapping[str, Any] | None = None,
+    up: str = "z",
+) -> Path:
+    """Write a recording file; the files that it names are written by others.
+
+    Args:
+        path: of the .toml file, or a folder, in which it is then called ``recording.toml``.
+        markers_file: relative to it, as are all others.
+        on: marker -> ``bone``, and ``at`` and ``offset`` where they differ from the defaults.
+        videos: ``file``, ``camera``, and ``offset`` and ``keypoints`` where there are any.
+        calibration_file: needed with videos.
+        subject: the keys of [subject], or None.
+        up: the marker file's axis that points up.
+
+    Returns:
+        The path of the file.
+    """
+    path = Path(path)
+    if path.suffix != ".toml":
+        path = path / "recording.toml"
+    tables: list[tuple[str, dict[str, Any]]] = [
+        ("[markers]", {"file": markers_file, "up": up}),
+        ("[markers.on]", {name: dict(place) for name, place in on.items()}),
+        *(("[[video]]", dict(video)) for video in videos),
+    ]
+    if calibration_file is not None:
+        tables.append(("[calibration]", {"file": calibration_file}))
+    if subject is not None:
+        tables.append(("[subject]", dict(subject)))
+    write_toml(path, tables)
+    return path

@@ -1,0 +1,131 @@
+"""TRC: the marker files of OpenSim, Pose2Sim and Cortex.
+
+INPUTS: a .trc file, its unit in the header (m, cm or mm); or times and points in metres.
+OUTPUTS: Markers in metres, in the file's own axes; or a .trc file in metres.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from jaxmocap.formats.atomic import replacing
+from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.tables import (
+    Markers,
+    format_rows,
+    make_markers,
+    parse_rows,
+    read_lines,
+    stack_points,
+)
+
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+_KEYS = (
+    *("DataRate", "CameraRate", "NumFrames", "NumMarkers"),
+    *("Units", "OrigDataRate", "OrigDataStartFrame", "OrigNumFrames"),
+)
+_HEADER_LINES = 5
+
+
+def read_trc(path: str | Path) -> Markers:
+    """Read a TRC file.
+
+    Empty cells and ``NaN`` are missing markers. The names in line 4 say how many markers there
+    are; the header's NumMarkers, which exporters often get wrong, is not needed.
+
+    Raises:
+        InputError: no such file, or the line that is not TRC, is cut off, has an unknown unit, or
+            a time not later than the one before.
+    """
+    lines = read_lines(path)
+    if not lines[0].startswith("PathFileType"):
+        raise InputError(path, f"line 1: found {lines[0][:20]!r}, expected 'PathFileType'")
+    if len(lines) < _HEADER_LINES:
+        raise InputError(path, f"line {len(lines)}: the file ends within its header")
+    header = dict(zip(_cells(lines[1]), _cells(lines[2]), strict=False))
+    scale = _scale(path, header)
+    names = _names(path, lines[3], lines[4])
+    data = ((i, line.split("\t")) for i, line in enumerate(lines, 1) if i > _HEADER_LINES)
+    table, numbers = parse_rows(path, data, 2 + 3 * len(names))
+    _check_count(path, header.get("NumFrames", ""), len(table))
+    table[:, 2:] *= scale
+    return make_markers(path, table[:, 1:], numbers, names, name_line=4)
+
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.split("\t")]
+
+
+def _scale(path: str | Path, header: dict[str, str]) -> float:
+    """Metres per unit of the file."""
+    if "Units" not in header:
+        raise InputError(path, "line 2: found no 'Units' in the header")
+    unit = header["Units"]
+    if unit.lower() not in METRES:
+        raise InputError(
+            path, f"line 3: unknown unit {unit!r}, expected one of {', '.join(METRES)}"
+        )
+    return METRES[unit.lower()]
+
+
+def _names(path: str | Path, name_line: str, axis_line: str) -> list[str]:
+    cells = _cells(name_line)
+    if not cells[0].lower().startswith("frame") or cells[1:2] not in (["Time"], ["time"]):
+        found = repr(name_line[:20])
+        raise InputError(path, f"line 4: found {found}, expected 'Frame#', 'Time' and names")
+    names = [cell for cell in cells[2:] if cell]
+    axes = [cell for cell in _cells(axis_line) if cell]
+    if not names:
+        raise InputError(path, "line 4: names no marker")
+    if len(axes) != 3 * len(names):
+        raise InputError(
+            path,
+            f"line 5: found {len(axes)} coordinates, expected {3 * len(names)} "
+            f"for the {len(names)} markers of line 4",
+        )
+    return names
+
+
+def _check_count(path: str | Path, declared: str, rows: int) -> None:
+    """A file that was cut off between two lines still says how long it was."""
+    if declared.isdecimal() and int(declared) > rows:
+        raise InputError(
+            path, f"line 3: NumFrames is {declared}, but the file ends after {rows} frames"
+        )
+
+
+def write_trc(
+    path: str | Path,
+    times: np.ndarray,
+    points: dict[str, np.ndarray],
+    rate: float | None = None,
+) -> None:
+    """Write a TRC file in metres; missing markers are empty cells.
+
+    Args:
+        path: of the file.
+        times: (T,) seconds, ascending.
+        points: marker -> (T, 3) positions, metres.
+        rate: samples per second for the header; None takes it from the times.
+
+    Raises:
+        ValueError: shapes or names that do not fit.
+    """
+    times, positions = stack_points(times, points, forbidden="\t\r\n\0")
+    if rate is None:
+        rate = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 1.0
+    count, shown = len(times), f"{round(rate, 2):g}"
+    values = [shown, shown, count, len(points), "m", shown, 1, count]
+    axes = [f"{axis}{i}" for i in range(1, len(points) + 1) for axis in "XYZ"]
+    lines = [
+        f"PathFileType\t4\t(X/Y/Z)\t{Path(path).name}",
+        "\t".join(_KEYS),
+        "\t".join(map(str, values)),
+        "\t".join(["Frame#", "Time", *(f"{name}\t\t" for name in points)]),
+        "\t".join(["", "", *axes]),
+        "",
+    ]
+    rows = zip(times, format_rows(positions), strict=True)
+    lines += ["\t".join([str(i), f"{t:.9f}", *row]) for i, (t, row) in enumerate(rows, 1)]
+    with replacing(path) as beside:
+        beside.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
