@@ -1,0 +1,289 @@
+"""From a few posture channels to every bone's frame, in closed form.
+
+Feet stay planted: legs are two-bone chains from the moving hips to standing ankles. Arms are
+two-bone chains from the shoulder to a wrist, turned about that axis by a swivel of their own.
+Unlike the tracker's model the trunk twists, the collarbones glide, and the wrist is not stiff.
+
+INPUTS: a Skeleton and posture channels (T, C). OUTPUTS: Bones over T instants, world, Z up.
+"""
+
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+
+# Of the arm's length; a straight arm has no elbow plane, and a folded one collides with itself.
+NEAREST_REACH, FARTHEST_REACH = 0.30, 0.975
+CLAVICLE_GLIDE = np.deg2rad(9.0)
+ANKLE_HEIGHT = 0.039  # of the body height (Winter's Fig. 4.1)
+FOOT_PITCH = np.deg2rad(17.0)
+LEG_SPAN = 0.491  # of the body height, hip to ankle
+HEAD_STEADINESS = 0.75  # how much of the trunk's turn the head undoes, to keep its eyes on the ball
+
+
+@dataclass(frozen=True)
+class Posture:
+    """One key posture. Lengths in metres, angles in degrees; hands mirrored, so that ``out`` is
+    the body's own side for either.
+
+    Attributes:
+        pelvis: forward, left, up, from upright standing.
+        yaw: of the pelvis, to the left.
+        pitch: of the pelvis, forward.
+        flexion: of the spine, forward.
+        twist: of the spine, to the left.
+        bend: of the spine, to the right.
+        gaze: yaw and pitch of the head on top of looking ahead.
+        reach_l: forward, out, up from the shoulder, in arm lengths, in the chest's frame.
+        reach_r: likewise.
+        swivel_l: of the elbow about the line from shoulder to wrist; 0 behind a hanging arm and
+            below a raised one, positive outward and up.
+        swivel_r: likewise.
+        wrist_l: flexion and pronation of the hand on the forearm.
+        wrist_r: likewise.
+    """
+
+    pelvis: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    yaw: float = 0.0
+    pitch: float = 0.0
+    flexion: float = 0.0
+    twist: float = 0.0
+    bend: float = 0.0
+    gaze: tuple[float, float] = (0.0, 0.0)
+    reach_l: tuple[float, float, float] = (0.45, 0.10, -0.45)
+    reach_r: tuple[float, float, float] = (0.45, 0.10, -0.45)
+    swivel_l: float = 40.0
+    swivel_r: float = 40.0
+    wrist_l: tuple[float, float] = (0.0, 0.0)
+    wrist_r: tuple[float, float] = (0.0, 0.0)
+
+    def channels(self) -> np.ndarray:
+        """(22,) the attributes in their order, angles in radians."""
+        metric = ("pelvis", "reach_l", "reach_r")
+        parts = []
+        for field in fields(self):
+            value = np.atleast_1d(np.asarray(getattr(self, field.name), float))
+            parts.append(value if field.name in metric else np.deg2rad(value))
+        return np.concatenate(parts)
+
+
+class Channels(NamedTuple):
+    """Posture channels over T instants, radians: the attributes of ``Posture`` as arrays."""
+
+    pelvis: np.ndarray
+    yaw: np.ndarray
+    pitch: np.ndarray
+    flexion: np.ndarray
+    twist: np.ndarray
+    bend: np.ndarray
+    gaze: np.ndarray
+    reach_l: np.ndarray
+    reach_r: np.ndarray
+    swivel_l: np.ndarray
+    swivel_r: np.ndarray
+    wrist_l: np.ndarray
+    wrist_r: np.ndarray
+
+    @classmethod
+    def split(cls, values: np.ndarray) -> "Channels":
+        """Name the columns of (T, 22) values."""
+        v = values
+        return cls(
+            *(v[:, :3], v[:, 3], v[:, 4], v[:, 5], v[:, 6], v[:, 7], v[:, 8:10]),
+            *(v[:, 10:13], v[:, 13:16], v[:, 16], v[:, 17], v[:, 18:20], v[:, 20:22]),
+        )
+
+
+class Bones(NamedTuple):
+    """Frames of B bones over T instants.
+
+    Attributes:
+        joints_world: (T, B, 3) metres.
+        R_world_bone: (T, B, 3, 3).
+    """
+
+    joints_world: np.ndarray
+    R_world_bone: np.ndarray
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A person of given bones, standing at the world's origin and facing +x.
+
+    Attributes:
+        skeleton: true lengths of this person.
+        height: body height, metres.
+        ankles: side -> (3,) where the ankle stands, metres.
+        toes_out: how far the feet turn outward, radians.
+    """
+
+    skeleton: Skeleton
+    height: float
+    ankles: dict[str, np.ndarray]
+    toes_out: float = 0.2
+
+    @classmethod
+    def standing(cls, skeleton: Skeleton, height: float, stance: float = 0.34) -> "Figure":
+        """Feet ``stance`` metres apart, the right one a little behind."""
+        up = ANKLE_HEIGHT * height
+        ankles = {"l": (0.03, stance / 2, up), "r": (-0.03, -stance / 2, up)}
+        return cls(skeleton, height, {side: np.array(at) for side, at in ankles.items()})
+
+    def reach(self, bone: str) -> np.ndarray:
+        """(3,) from a bone's joint to its far end, in its own frame, metres."""
+        i = self.skeleton.tree.bone(bone)
+        return float(self.skeleton.lengths[i]) * np.asarray(self.skeleton.directions[i], float)
+
+    def length(self, bone: str) -> float:
+        """Length of a bone, metres."""
+        return float(np.linalg.norm(self.reach(bone)))
+
+    def place(self, channels: Channels) -> Bones:
+        """Frames of all bones.
+
+        Raises:
+            ValueError: the pelvis rises beyond what the legs reach with planted feet.
+        """
+        frames: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        root = channels.pelvis + [0.0, 0.0, (ANKLE_HEIGHT + 0.965 * LEG_SPAN) * self.height]
+        R_pelvis = _turns("zy", channels.yaw, channels.pitch)
+        self._trunk(frames, root, R_pelvis, channels)
+        for side in "lr":
+            self._leg(frames, root, R_pelvis, side)
+            self._arm(frames, channels, side)
+        placed = [frames[name] for name in self.skeleton.tree.bones]
+        return Bones(np.stack([p for p, _ in placed], 1), np.stack([R for _, R in placed], 1))
+
+    def _trunk(self, frames: dict, at: np.ndarray, R: np.ndarray, channels: Channels) -> None:
+        """Spine, neck and head, from the pelvis up."""
+        for bone in ("spine1", "spine2", "spine3"):
+            R = R @ _turns("zyx", channels.twist / 3, channels.flexion / 3, channels.bend / 3)
+            frames[bone] = (at, R)
+            at = at + R @ self.reach(bone)
+        yaw = channels.gaze[:, 0] - HEAD_STEADINESS * (channels.yaw + channels.twist)
+        pitch = channels.gaze[:, 1] - HEAD_STEADINESS * (channels.pitch + channels.flexion)
+        for bone in ("neck", "head"):
+            R = R @ _turns("zy", yaw / 2, pitch / 2)
+            frames[bone] = (at, R)
+            at = at + R @ self.reach(bone)
+
+    def _leg(self, frames: dict, root: np.ndarray, R_pelvis: np.ndarray, side: str) -> None:
+        """Hip, thigh, shank and foot of one side; the ankle stays where it stands."""
+        hip, femur, tibia, foot = (f"{bone}_{side}" for bone in ("hip", "femur", "tibia", "foot"))
+        frames[hip] = (root, R_pelvis)
+        start = root + R_pelvis @ self.reach(hip)
+        ankle = np.broadcast_to(self.ankles[side], start.shape)
+        toes = np.array([self.toes_out if side == "l" else -self.toes_out])
+        R_foot = _turns("zy", toes, np.array([FOOT_PITCH]))
+        forward = np.broadcast_to(_turns("z", toes)[:, :, 0], start.shape)
+        lengths = self.length(femur), self.length(tibia)
+        if (np.linalg.norm(ankle - start, axis=-1) > 0.9995 * sum(lengths)).any():
+            raise ValueError(
+                "the pelvis is out of reach of the planted feet: lower the key posture"
+            )
+        knee = _middle(start, ankle, lengths, forward)
+        frames[femur] = (start, _frame(start - knee, forward))
+        frames[tibia] = (knee, _frame(knee - ankle, forward))
+        frames[foot] = (ankle, np.broadcast_to(R_foot, (len(start), 3, 3)))
+
+    def _arm(self, frames: dict, channels: Channels, side: str) -> None:
+        """Collarbone, upper arm, forearm and hand of one side."""
+        out = 1.0 if side == "l" else -1.0
+        clavicle, humerus, radius = (f"{bone}_{side}" for bone in ("clavicle", "humerus", "radius"))
+        reach, swivel, wrist = (
+            getattr(channels, f"{name}_{side}") for name in ("reach", "swivel", "wrist")
+        )
+        chest, R_chest = frames["spine3"]
+        neck = chest + R_chest @ self.reach("spine3")
+        lengths = self.length(humerus), self.length(radius)
+        target = reach * [1.0, out, 1.0] * sum(lengths)
+        # The shoulder glides up and forward after the hand.
+        lift = CLAVICLE_GLIDE * np.maximum(reach[:, 2] + 0.5, 0.0) * out
+        protraction = -CLAVICLE_GLIDE * reach[:, 0] * out
+        R_clavicle = R_chest @ _turns("zx", protraction, lift)
+        shoulder = neck + (R_clavicle @ self.reach(clavicle))
+        rest = neck + R_chest @ self.reach(clavicle)
+        towards = rest + np.einsum("tij,tj->ti", R_chest, target) - shoulder
+        axis, distance = _saturated(towards, sum(lengths))
+        bend = np.einsum("tij,tj->ti", R_chest, _elbow_side(_into(R_chest, axis), out * swivel))
+        end = shoulder + distance * axis
+        elbow = _middle(shoulder, end, lengths, bend)
+        R_radius = _frame(elbow - end, -bend)
+        frames[clavicle] = (neck, R_clavicle)
+        frames[humerus] = (shoulder, _frame(shoulder - elbow, -bend))
+        frames[radius] = (elbow, R_radius)
+        frames[f"hand_{side}"] = (end, R_radius @ _turns("yz", -wrist[:, 0], -out * wrist[:, 1]))
+
+    def points(self, bones: Bones, bone: str, at: float, offset: tuple = (0, 0, 0)) -> np.ndarray:
+        """(T, 3) a point fixed to a bone, at a fraction of its length plus an offset, metres."""
+        i = self.skeleton.tree.bone(bone)
+        local = at * self.reach(bone) + np.asarray(offset, float)
+        return bones.joints_world[:, i] + bones.R_world_bone[:, i] @ local
+
+    def landmarks(self, bones: Bones) -> dict[str, np.ndarray]:
+        """Landmark name -> (T, 3) world, metres."""
+        return {name: self.points(bones, *on) for name, on in LANDMARKS.items()}
+
+
+def _turns(axes: str, *angles: np.ndarray) -> np.ndarray:
+    """Product (T, 3, 3) of turns about the named axes, left to right."""
+    R = np.broadcast_to(np.eye(3), (len(angles[0]), 3, 3))
+    for axis, angle in zip(axes, angles, strict=True):
+        i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
+        turn = np.broadcast_to(np.eye(3), R.shape).copy()
+        turn[:, i, i] = turn[:, j, j] = np.cos(angle)
+        turn[:, j, i], turn[:, i, j] = np.sin(angle), -np.sin(angle)
+        R = R @ turn
+    return R
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def _into(R_world_bone: np.ndarray, vectors_world: np.ndarray) -> np.ndarray:
+    """(T, 3) vectors of the world in a bone's frame."""
+    return np.einsum("tji,tj->ti", R_world_bone, vectors_world)
+
+
+def _frame(up: np.ndarray, ahead: np.ndarray) -> np.ndarray:
+    """Frames (T, 3, 3) with z along ``up`` and x as near to ``ahead`` as can be."""
+    z = _unit(up)
+    y = _unit(np.cross(z, ahead))
+    return np.stack([np.cross(y, z), y, z], -1)
+
+
+def _middle(
+    start: np.ndarray, end: np.ndarray, lengths: tuple[float, float], towards: np.ndarray
+) -> np.ndarray:
+    """The middle joint (T, 3) of a two-bone chain, bent ``towards`` a direction."""
+    a, b = lengths
+    axis = end - start
+    d = np.linalg.norm(axis, axis=-1, keepdims=True)
+    u = axis / d
+    side = _unit(towards - np.sum(towards * u, -1, keepdims=True) * u)
+    along = (a * a - b * b + d * d) / (2 * d)
+    return start + along * u + np.sqrt(np.maximum(a * a - along * along, 0.0)) * side
+
+
+def _saturated(vectors: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
+    """Directions, and lengths (T, 1) kept smoothly within what an arm of that length reaches."""
+    d = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    near, far, softness = NEAREST_REACH * length, FARTHEST_REACH * length, 0.02 * length
+    kept = far - softness * np.logaddexp(0.0, (far - d) / softness)
+    return vectors / d, near + softness * np.logaddexp(0.0, (kept - near) / softness)
+
+
+def _elbow_side(axis: np.ndarray, swivel: np.ndarray) -> np.ndarray:
+    """Unit directions (T, 3) of the elbow from the arm's axis, chest frame.
+
+    At swivel 0 it is what the shortest turn of a hanging arm (axis -z, elbow behind) gives: smooth
+    for every direction but straight up.
+    """
+    hanging, behind = np.array([0.0, 0.0, -1.0]), np.array([-1.0, 0.0, 0.0])
+    middle = axis + hanging
+    share = (axis @ behind) / np.maximum(1 + axis @ hanging, 1e-3)
+    side = behind - share[:, None] * middle
+    return np.cos(swivel)[:, None] * side + np.sin(swivel)[:, None] * np.cross(axis, side)
