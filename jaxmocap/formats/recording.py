@@ -131,7 +131,7 @@ def load_recording(path: str | Path) -> Recording:
         skeleton = Skeleton.human(DEFAULT_HEIGHT)
         warnings.append(f"{path}: no [subject], a height of {DEFAULT_HEIGHT} m is assumed")
     times, positions_world, places = _read_marked(top)
-    seen = np.isfinite(positions_world).all(axis=2)
+    seen = np.isfinite(positions_world.sum(-1))
     warnings += [
         f"{path}: marker {place.name!r} is never seen"
         for place, samples in zip(places, seen.T, strict=True)
