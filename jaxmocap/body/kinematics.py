@@ -34,7 +34,7 @@ class Sites(NamedTuple):
     """Points fixed to bones, such as markers.
 
     Attributes:
-        bones: (M,) bone indices (static, host integers).
+        bones: (M,) bone indices (static, host integers, int32).
         at: (M,) fraction of the bone's length from its joint.
         offsets: (M, 3) metres, in the bone's frame.
     """
@@ -119,7 +119,7 @@ def jacobian(skeleton: Skeleton, frames: Frames, bones: np.ndarray, points_world
 
 def landmark_sites(skeleton: Skeleton, names: tuple[str, ...] = tuple(LANDMARKS)) -> Sites:
     """The named landmarks as sites."""
-    bones = np.array([skeleton.tree.bone(LANDMARKS[name][0]) for name in names])
+    bones = np.array([skeleton.tree.bone(LANDMARKS[name][0]) for name in names], np.int32)
     at = jnp.asarray([LANDMARKS[name][1] for name in names], skeleton.lengths.dtype)
     return Sites(bones, at, jnp.zeros((len(names), 3), at.dtype))
 

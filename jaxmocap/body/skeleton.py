@@ -42,6 +42,8 @@ LANDMARKS: dict[str, tuple[str, float]] = _CENTRAL | {
 }
 
 
+# Indices that are kept are int32: JAX remembers an int64 array as it was first seen, and a change
+# of precision between two traces would break the second.
 @dataclass(frozen=True)
 class Tree:
     """What of a skeleton is static: names and who hangs on whom. Hashable.
@@ -98,7 +100,7 @@ class Tree:
         """(B, S) indices of each bone's degrees of freedom in turning order, -1 where empty."""
         bones = range(len(self.bones))
         per_bone = [[d for d, b in enumerate(self.dof_bones) if b == i] for i in bones]
-        slots = np.full((len(bones), max(map(len, per_bone))), -1)
+        slots = np.full((len(bones), max(map(len, per_bone))), -1, np.int32)
         for i, dofs in enumerate(per_bone):
             slots[i, : len(dofs)] = dofs
         return slots
@@ -106,7 +108,7 @@ class Tree:
     @cached_property
     def doublings(self) -> tuple[np.ndarray, ...]:
         """Ancestors at distance 1, 2, 4, ... of every bone; -1 past the root."""
-        rounds, ancestors = [], np.array(self.parents)
+        rounds, ancestors = [], np.array(self.parents, np.int32)
         while (ancestors >= 0).any():
             rounds.append(ancestors)
             ancestors = np.where(ancestors >= 0, ancestors[ancestors], -1)
