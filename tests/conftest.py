@@ -1,0 +1,85 @@
+"""What all tests share: strict promotion, double precision, bodies, poses, real recordings."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+settings.register_profile("tests", deadline=None, max_examples=25, derandomize=True)
+settings.load_profile("tests")
+
+# How far float32 may lie from the same in double precision: the absolute error allowed.
+FLOAT32_TOLERANCES = {
+    "positions": 2e-6,  # metres, on a body about the origin
+    "orientations": 2e-6,
+    "jacobian": 4e-6,  # metres per radian
+    "centre_of_gravity": 2e-6,  # metres
+    "masses": 2e-5,  # kilograms
+    "arms": 2e-5,  # metres
+    "pixels": 2e-3,
+    "rays": 1e-6,
+}
+LIMITS = np.asarray(Skeleton.human().limits)
+RECORDINGS = Path(__file__).parents[2] / "shared" / "recordings"
+
+
+def double():
+    """A context in which JAX computes in float64."""
+    return jax.enable_x64(True)
+
+
+def vectors(n: int, largest: float = 1.0):
+    """Hypothesis: (n,) float64 arrays with entries between -largest and largest."""
+    return arrays(float, n, elements=st.floats(-largest, largest, width=32))
+
+
+@st.composite
+def poses(draw, beyond: float = 0.0) -> Pose:
+    """Hypothesis: float64 NumPy poses anywhere within the human's limits.
+
+    Args:
+        draw: given by Hypothesis.
+        beyond: radians by which angles may exceed the limits.
+    """
+    lowest, highest = np.asarray(LIMITS, float).T + np.array([[-beyond], [beyond]])
+    fractions = draw(arrays(float, len(lowest), elements=st.floats(0, 1, width=32)))
+    quaternion = draw(vectors(4))
+    if np.linalg.norm(quaternion) < 1e-3:
+        quaternion = np.array([1.0, 0, 0, 0])
+    angles = lowest + fractions * (highest - lowest)
+    return Pose(draw(vectors(3)), quaternion / np.linalg.norm(quaternion), angles)
+
+
+def on_device(tree, dtype=None):
+    """NumPy leaves as JAX arrays of the present precision, or of ``dtype``."""
+    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), dtype or float), tree)
+
+
+@pytest.fixture(scope="session")
+def skeleton() -> Skeleton:
+    """The paper's subject, float32."""
+    return Skeleton.human()
+
+
+@pytest.fixture(scope="session")
+def skeleton64() -> Skeleton:
+    """The paper's subject, float64."""
+    with double():
+        return Skeleton.human()
+
+
+@pytest.fixture(scope="session")
+def recordings() -> Path:
+    """The folder of real recordings, which lies beside the checkout."""
+    if not RECORDINGS.is_dir():
+        pytest.skip("the real recordings are not here (shared/recordings beside the checkout)")
+    return RECORDINGS
