@@ -13,6 +13,7 @@ from pathlib import Path
 import av
 import numpy as np
 from av.container import InputContainer
+from av.error import FFmpegError
 from av.packet import Packet
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
@@ -96,7 +97,7 @@ class Video(FrameSource):
     def _open(self) -> InputContainer:
         try:
             container = av.open(str(self.path))
-        except (av.FFmpegError, OSError):
+        except (FFmpegError, OSError):
             raise InputError(self.path, "is not a video") from None
         if not container.streams.video:
             container.close()
@@ -145,7 +146,7 @@ class Video(FrameSource):
             for packet in _packets(container, stream):
                 try:
                     frames = packet.decode()
-                except (av.FFmpegError, OSError):
+                except (FFmpegError, OSError):
                     continue
                 for frame in frames:
                     i = count if self._index is None else self._index.get(frame.pts, -1)
@@ -250,7 +251,7 @@ def _packets(container: InputContainer, stream: VideoStream) -> Iterator[Packet]
             yield next(packets)
         except StopIteration:
             return
-        except (av.FFmpegError, OSError):
+        except (FFmpegError, OSError):
             flush = Packet()
             flush.stream = stream
             yield flush
@@ -261,8 +262,9 @@ def _image(frame: VideoFrame, luma: bool) -> np.ndarray:
     """A frame as BGR or grey array, upright as its file says that it shall be shown."""
     if luma and frame.format.name in ("yuv420p", "yuvj420p", "nv12", "gray"):
         plane = frame.planes[0]
-        rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)
-        image = rows[: frame.height, : frame.width]
+        # A plane is a buffer, which its type stubs do not say.
+        rows = np.frombuffer(memoryview(plane), np.uint8)  # type: ignore[arg-type]
+        image = rows.reshape(-1, plane.line_size)[: frame.height, : frame.width]
     else:
         image = frame.to_ndarray(format="gray" if luma else "bgr24")
     turned = np.rot90(image, round(frame.rotation / 90))

@@ -147,6 +147,8 @@ def stack_points(
             cannot hold.
     """
     times = np.asarray(times, float)
+    if any(np.isinf(positions).any() for positions in points.values()):
+        raise ValueError("found an infinite position; missing ones are NaN")
     for name, positions in points.items():
         if not name.strip() or name != name.strip() or any(c in name for c in forbidden):
             raise ValueError(f"marker name {name!r} cannot be written")
