@@ -1,0 +1,119 @@
+"""Outline and signed distance of projected limbs.
+
+A limb is a sphere-swept cone. Seen by a camera, its two end spheres are two discs on the plane
+z = 1, and the limb is their convex hull: two tangent lines and two arcs.
+
+INPUTS: centres (camera frame, metres) and radii of the two spheres.
+OUTPUTS: discs on the plane z = 1, outline points with the length that each stands for, signed
+distances to the hull.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxmocap.geometry.cameras import NEAREST_M, normalise
+
+
+class Discs(NamedTuple):
+    """Two discs whose convex hull is a limb, on a plane (unitless at z = 1, or pixels).
+
+    Attributes:
+        near: (..., 2) centre at the joint.
+        far: (..., 2) centre at the far end.
+        radii: (..., 2) of the two.
+    """
+
+    near: Array
+    far: Array
+    radii: Array
+
+
+class Outline(NamedTuple):
+    """Points on the hull.
+
+    Attributes:
+        points: (..., K, 2).
+        weights: (..., K) the length of outline that each point stands for, in the plane's unit.
+    """
+
+    points: Array
+    weights: Array
+
+
+def project_limb(near_cam: Array, far_cam: Array, radii: Array) -> Discs:
+    """Discs on the plane z = 1 of spheres at (..., 3) camera points with (..., 2) radii, metres."""
+    depths = jnp.stack([near_cam[..., 2], far_cam[..., 2]], -1)
+    return Discs(normalise(near_cam), normalise(far_cam), radii / jnp.maximum(depths, NEAREST_M))
+
+
+def _tangents(discs: Discs) -> tuple[Array, Array, Array, Array]:
+    """Axis direction, its left normal, sine and cosine of the taper; smooth when end-on."""
+    axis = discs.far - discs.near
+    squared = jnp.sum(axis**2, -1, keepdims=True)
+    end_on = squared < 1e-12
+    length = jnp.sqrt(jnp.where(end_on, 1e-12, squared))
+    u = jnp.where(end_on, jnp.array([1.0, 0.0], axis.dtype), axis / length)
+    sine = (discs.radii[..., :1] - discs.radii[..., 1:]) / length
+    # One disc within the other has no tangents: the hull is the larger disc alone.
+    sine = jnp.clip(sine, -0.999, 0.999)
+    cosine = jnp.sqrt(1 - sine**2)
+    return u, jnp.stack([-u[..., 1], u[..., 0]], -1), sine, cosine
+
+
+def outline(discs: Discs, along: int, around: int, open_ends: Array) -> Outline:
+    """Sample the hull: ``along`` points on each tangent line, ``around`` on each end's arc.
+
+    An arc whose end is closed (0 in ``open_ends``; another limb goes on there) counts only as far
+    as the limb is seen end-on, when the arcs are all that is left of the outline.
+
+    Args:
+        discs: (...) limbs.
+        along: points on each side.
+        around: points on each arc.
+        open_ends: (..., 2) 1 where the near or far end is free, else 0.
+    """
+    u, v, sine, cosine = _tangents(discs)
+    near, far = discs.near[..., None, :], discs.far[..., None, :]
+    r = discs.radii[..., None]
+    t = ((jnp.arange(along, dtype=u.dtype) + 0.5) / along)[:, None]
+    pieces, weights = [], []
+    distance = jnp.sqrt(jnp.sum((discs.far - discs.near) ** 2, -1) + 1e-12)
+    for sign in (1.0, -1.0):
+        n = (sine * u + sign * cosine * v)[..., None, :]
+        pieces.append((1 - t) * (near + r[..., 0, :, None] * n) + t * (far + r[..., 1, :, None] * n))
+        side = distance * cosine[..., 0] / along
+        weights.append(jnp.broadcast_to(side[..., None], (*side.shape, along)))
+    # The far arc spans the directions within pi/2 - taper of the axis, the near one the rest.
+    half = jnp.arccos(sine)
+    nested = jnp.clip(1 - distance / jnp.sum(discs.radii, -1), 0.0, 1.0)
+    spread = (jnp.arange(around, dtype=u.dtype) + 0.5) / around * 2 - 1
+    for end, (centre, way, span) in enumerate(((near, -1.0, jnp.pi - half), (far, 1.0, half))):
+        angle = spread * span
+        direction = way * (
+            jnp.cos(angle)[..., None] * u[..., None, :] + jnp.sin(angle)[..., None] * v[..., None, :]
+        )
+        pieces.append(centre + r[..., end, :, None] * direction)
+        share = open_ends[..., end] + (1 - open_ends[..., end]) * nested
+        arc = share * 2 * span[..., 0] * discs.radii[..., end] / around
+        weights.append(jnp.broadcast_to(arc[..., None], (*arc.shape, around)))
+    return Outline(jnp.concatenate(pieces, -2), jnp.concatenate(weights, -1))
+
+
+def signed_distance(discs: Discs, points: Array) -> Array:
+    """Distance of (..., 2) points to the hull's outline, negative inside."""
+    u, v, sine, cosine = _tangents(discs)
+    offset = points - discs.near
+    x = jnp.sum(offset * u, -1)
+    y = jnp.abs(jnp.sum(offset * v, -1))
+    s, c = sine[..., 0], cosine[..., 0]
+    length = jnp.sqrt(jnp.sum((discs.far - discs.near) ** 2, -1) + 1e-12)
+    # Position along the tangent line decides which part of the outline is nearest.
+    along = x * c - y * s
+    squared_near = x * x + y * y
+    squared_far = (x - length) ** 2 + y * y
+    to_near = jnp.sqrt(jnp.maximum(squared_near, 1e-12)) - discs.radii[..., 0]
+    to_far = jnp.sqrt(jnp.maximum(squared_far, 1e-12)) - discs.radii[..., 1]
+    to_side = x * s + y * c - discs.radii[..., 0]
+    return jnp.where(along < 0, to_near, jnp.where(along > length * c, to_far, to_side))

@@ -1,0 +1,61 @@
+"""Regions of interest: where in the image an arm is looked for (section 5.2, Fig. 5).
+
+INPUTS: projected points, pixels; an image. OUTPUTS: a square window, and the image resampled to
+its one static size. Origin and scale are traced, so that a moving region compiles once.
+"""
+
+from typing import NamedTuple
+
+import cv2
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+
+class Region(NamedTuple):
+    """A square window of ``size`` x ``size`` samples on an image.
+
+    Attributes:
+        origin: (..., 2) pixel (x, y) of the window's left upper corner (pixel edge, whole - 0.5).
+        scale: (...) image pixels per sample.
+    """
+
+    origin: Array
+    scale: Array
+
+
+def region_around(pixels_xy: Array, size: int, margin: float, finest: float = 1.0) -> Region:
+    """The window around (..., P, 2) pixels with a margin, as a fraction of their extent.
+
+    Its scale is at least ``finest``: a person far away is not enlarged.
+    """
+    low, high = jnp.min(pixels_xy, -2), jnp.max(pixels_xy, -2)
+    extent = jnp.max(high - low, -1) * (1 + 2 * margin)
+    scale = jnp.maximum(extent / size, finest)
+    origin = jnp.round((low + high) / 2 - scale[..., None] * size / 2) - 0.5
+    return Region(origin, scale)
+
+
+def to_region(region: Region, pixels_xy: Array) -> Array:
+    """Image pixels (..., K, 2) to sample coordinates of the region (centres at whole numbers)."""
+    scale = region.scale[..., None, None]
+    return (pixels_xy - region.origin[..., None, :]) / scale - 0.5
+
+
+def crop(image: np.ndarray, origin: np.ndarray, scale: float, size: int) -> np.ndarray:
+    """Resample a region of an image to ``size`` x ``size``; beyond the border it is replicated."""
+    height, width = image.shape[:2]
+    side = max(1, round(float(scale) * size))
+    x, y = (int(round(float(value) + 0.5)) for value in origin)
+    # A region wholly outside still needs one row and column to replicate.
+    x0, x1 = (int(np.clip(value, 0, width)) for value in (x, x + side))
+    y0, y1 = (int(np.clip(value, 0, height)) for value in (y, y + side))
+    if x0 >= x1 or y0 >= y1:
+        return np.zeros((size, size, *image.shape[2:]), image.dtype)
+    window = image[y0:y1, x0:x1]
+    pads = (y0 - y, y + side - y1, x0 - x, x + side - x1)
+    if any(pads):
+        window = cv2.copyMakeBorder(window, *pads, cv2.BORDER_REPLICATE)
+    if side == size:
+        return window
+    return cv2.resize(window, (size, size), interpolation=cv2.INTER_AREA)
