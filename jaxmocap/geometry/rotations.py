@@ -123,19 +123,13 @@ def hinges_from_matrix(R: Array, axes: Array) -> Array:
     # In the basis of the axes a left-handed triple turns the other way about every axis.
     handed = jnp.dot(jnp.cross(axes[0], axes[1]), axes[2], precision=HIGHEST)
     M = compose(compose(axes, R), axes.T)
-    sine = jnp.clip(M[0, 2], -1.0, 1.0)
     cosine2 = M[0, 0] ** 2 + M[0, 1] ** 2
-    locked = cosine2 < 1e-9
-    second = jnp.arctan2(sine, jnp.sqrt(jnp.where(locked, 1e-9, cosine2)))
-    one = jnp.where(locked, 1.0, M[2, 2])
-    first = jnp.where(
-        locked,
-        jnp.arctan2(M[2, 1], M[1, 1]),
-        jnp.arctan2(-jnp.where(locked, 0.0, M[1, 2]), one),
-    )
-    third = jnp.where(
-        locked,
-        0.0,
-        jnp.arctan2(-jnp.where(locked, 0.0, M[0, 1]), jnp.where(locked, 1.0, M[0, 0])),
-    )
+    locked = cosine2 < 1e-12
+    cosine = jnp.where(locked, 0.0, jnp.sqrt(jnp.where(locked, 1.0, cosine2)))
+    second = jnp.arctan2(M[0, 2], cosine)
+    first = jnp.arctan2(jnp.where(locked, M[2, 1], -M[1, 2]), jnp.where(locked, M[1, 1], M[2, 2]))
+    # Of what the first hinge leaves: near the lock, where rounding turns it freely, the third
+    # turns back.
+    s, c = jnp.sin(first), jnp.cos(first)
+    third = jnp.arctan2(c * M[1, 0] + s * M[2, 0], c * M[1, 1] + s * M[2, 1])
     return handed * jnp.stack([first, second, third])
