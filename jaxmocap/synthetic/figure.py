@@ -25,8 +25,9 @@ HEAD_STEADINESS = 0.75  # how much of the trunk's turn the head undoes, to keep 
 
 @dataclass(frozen=True)
 class Posture:
-    """One key posture. Lengths in metres, angles in degrees; hands mirrored, so that ``out`` is
-    the body's own side for either.
+    """One key posture. Lengths in metres, angles in degrees.
+
+    Arms are mirrored: ``out`` is the body's own side for either.
 
     Attributes:
         pelvis: forward, left, up, from upright standing.
@@ -147,7 +148,8 @@ class Figure:
             ValueError: the pelvis rises beyond what the legs reach with planted feet.
         """
         frames: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-        root = channels.pelvis + [0.0, 0.0, (ANKLE_HEIGHT + 0.965 * LEG_SPAN) * self.height]
+        upright = (ANKLE_HEIGHT + 0.965 * LEG_SPAN) * self.height
+        root = channels.pelvis + np.array([0.0, 0.0, upright])
         R_pelvis = _turns("zy", channels.yaw, channels.pitch)
         self._trunk(frames, root, R_pelvis, channels)
         for side in "lr":

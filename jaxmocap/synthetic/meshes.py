@@ -1,0 +1,105 @@
+"""Meshes of quadrilaterals that follow moving bones.
+
+INPUTS: rings along an axis, or a skinned mesh with moving frames.
+OUTPUTS: a Mesh; its vertices over time, world, metres.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """V vertices in F quadrilaterals, skinned to bones by linear blending.
+
+    Attributes:
+        vertices: (V, 3) at rest, metres.
+        faces: (F, 4) vertex indices, anticlockwise seen from outside.
+        colours: (F, 3) reflectance, BGR, 0 to 1.
+        bones: (V, K) indices of the bones that carry a vertex.
+        weights: (V, K) their shares, adding up to 1.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    colours: np.ndarray
+    bones: np.ndarray
+    weights: np.ndarray
+
+    def posed(self, R_world_bone: np.ndarray, shifts: np.ndarray) -> np.ndarray:
+        """Vertices (T, V, 3) with the bones moved.
+
+        Args:
+            R_world_bone: (T, B, 3, 3) turns of the bones from their rest.
+            shifts: (T, B, 3) where a bone's turn takes the rest frame's origin, metres.
+        """
+        frames = np.concatenate([R_world_bone, shifts[..., None]], -1)
+        blended = np.zeros((len(frames), len(self.vertices), 3, 4))
+        for bones, weights in zip(self.bones.T, self.weights.T, strict=True):
+            blended += weights[:, None, None] * frames[:, bones]
+        return np.einsum("tvij,vj->tvi", blended[..., :3], self.vertices) + blended[..., 3]
+
+
+def joined(parts: list[Mesh]) -> Mesh:
+    """One mesh of several with equally many bones per vertex."""
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
+    return Mesh(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]),
+        np.concatenate([part.colours for part in parts]),
+        np.concatenate([part.bones for part in parts]),
+        np.concatenate([part.weights for part in parts]),
+    )
+
+
+def grid_faces(rings: int, sides: int) -> np.ndarray:
+    """(F, 4) quadrilaterals between ``rings`` closed rings of ``sides`` vertices each."""
+    k, n = np.meshgrid(np.arange(rings - 1), np.arange(sides), indexing="ij")
+    here, beside = k * sides + n, k * sides + (n + 1) % sides
+    return np.stack([here, beside, beside + sides, here + sides], -1).reshape(-1, 4)
+
+
+def loft(
+    centres: np.ndarray,
+    radii: np.ndarray,
+    across: tuple[np.ndarray, np.ndarray],
+    sides: int,
+    exponent: float = 2.0,
+    swell: np.ndarray | float = 1.0,
+) -> np.ndarray:
+    """Vertices (K * sides, 3) of superellipses along an axis.
+
+    Args:
+        centres: (K, 3) of the rings.
+        radii: (K, 2) along the two directions ``across``.
+        across: two unit vectors (3,); their cross product points along the axis, so that faces
+            of ``grid_faces`` look outward.
+        sides: vertices per ring.
+        exponent: 2 is an ellipse, more is boxier.
+        swell: (K, sides) factors on the radii, for folds.
+    """
+    angles = 2 * np.pi * np.arange(sides) / sides
+    power = partial(_signed_power, exponent=2 / exponent)
+    u = radii[:, :1] * power(np.cos(angles)) * swell
+    v = radii[:, 1:] * power(np.sin(angles)) * swell
+    points = centres[:, None] + u[..., None] * across[0] + v[..., None] * across[1]
+    return points.reshape(-1, 3)
+
+
+def _signed_power(values: np.ndarray, exponent: float) -> np.ndarray:
+    return np.sign(values) * np.abs(values) ** exponent
+
+
+def waves(
+    rng: np.random.Generator, rings: int, sides: int, around: int = 5, along: float = 3.0
+) -> np.ndarray:
+    """Smooth noise (rings, sides), about unit deviation, periodic around the ring."""
+    t = np.linspace(0, 1, rings)[:, None]
+    angle = 2 * np.pi * np.arange(sides)[None] / sides
+    total = np.zeros((rings, sides))
+    for _ in range(6):
+        turns, phase = rng.integers(0, around + 1), rng.uniform(0, 2 * np.pi)
+        total += np.cos(turns * angle + 2 * np.pi * rng.uniform(-along, along) * t + phase)
+    return total / np.sqrt(3.0)

@@ -1,0 +1,196 @@
+"""Synthetic recordings on disk, which capture reads like any other.
+
+INPUTS: a folder, a duration, a seed.
+OUTPUTS: in that folder ``recording.toml``, ``markers.trc`` (headset and two controllers at 90 Hz),
+``video.mp4`` (640 x 480 at 30 Hz), ``calibration.toml``, and ``truth.trc`` with every landmark at
+the markers' times, world, metres, Z up.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+
+from jaxmocap.formats.atomic import replacing
+from jaxmocap.formats.calibration import write_calibration
+from jaxmocap.formats.recording import write_recording
+from jaxmocap.formats.trc import write_trc
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.synthetic import motions
+from jaxmocap.synthetic.lens import look_at
+from jaxmocap.synthetic.motions import Performance
+from jaxmocap.synthetic.person import MARKERS, dressed
+from jaxmocap.synthetic.renderer import Progress, Scene, render_frames
+
+MARKER_RATE, VIDEO_RATE = 90, 30
+# Marker time of the first frame's middle of exposure: the two clocks never tick together.
+VIDEO_OFFSET_S = 0.0073
+CAMERA = "webcam"
+# A consumer headset's errors: white, and an offset that wanders within seconds; metres.
+JITTER_M, WANDER_M, WORST_M = 0.001, 0.005, 0.013
+WANDER_PERIODS_S = (2.5, 15.0)
+WAVES = 4
+
+
+def write_table_tennis(
+    directory: str | Path,
+    seconds: float = 6.0,
+    seed: int = 0,
+    strokes: Sequence[str] = ("forehand", "backhand", "serve"),
+    height: float = 1.75,
+    progress: Progress | None = None,
+) -> Path:
+    """Write a recording of table-tennis strokes.
+
+    Args:
+        directory: is made where missing.
+        seconds: duration.
+        seed: of person, clothes, room, strokes and noise.
+        strokes: played in turn.
+        height: what the recording says of the person, metres.
+        progress: called with the frames done and their total.
+
+    Returns:
+        The path of ``recording.toml``.
+    """
+    performance = motions.table_tennis(seconds, seed, strokes, height)
+    return write_performance(directory, performance, seconds, seed, progress)
+
+
+def write_squat(
+    directory: str | Path,
+    seconds: float = 5.0,
+    seed: int = 0,
+    height: float = 1.75,
+    progress: Progress | None = None,
+) -> Path:
+    """Write a recording of a squat by 0.3 m; see ``write_table_tennis``."""
+    performance = motions.squat(seconds, seed, height)
+    return write_performance(directory, performance, seconds, seed, progress)
+
+
+def write_reaching(
+    directory: str | Path,
+    seconds: float = 6.0,
+    seed: int = 0,
+    height: float = 1.75,
+    progress: Progress | None = None,
+) -> Path:
+    """Write a recording of reaching about; see ``write_table_tennis``."""
+    performance = motions.reaching(seconds, seed, height)
+    return write_performance(directory, performance, seconds, seed, progress)
+
+
+def write_performance(
+    directory: str | Path,
+    performance: Performance,
+    seconds: float,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Path:
+    """Write the recording of any performance, seen by one camera in front of the person."""
+    times = np.arange(int(seconds * MARKER_RATE)) / MARKER_RATE
+    bones, figure = performance.bones(times), performance.figure
+    camera = webcam()
+    frames = video_times(seconds)
+    return write_parts(
+        Path(directory),
+        times,
+        {name: figure.points(bones, *on) for name, on in MARKERS.items()},
+        figure.landmarks(bones),
+        camera,
+        render_frames(Scene.in_room(camera, dressed(performance, seed), seed), frames, progress),
+        marker_places(),
+        {"height": figure.height},
+        seed,
+    )
+
+
+def webcam() -> Camera:
+    """In front of the person, a little to the side, at 3 m."""
+    return look_at((3.0, 0.75, 1.30), (0.1, 0.0, 1.12))
+
+
+def video_times(seconds: float) -> np.ndarray:
+    """Marker times (F,) of the video's frames."""
+    return VIDEO_OFFSET_S + np.arange(int(seconds * VIDEO_RATE)) / VIDEO_RATE
+
+
+def marker_places() -> dict[str, dict[str, Any]]:
+    """The table [markers.on] of headset and controllers."""
+    return {
+        name: {"bone": bone, "at": at, "offset": list(offset)}
+        for name, (bone, at, offset) in MARKERS.items()
+    }
+
+
+def write_parts(
+    directory: Path,
+    times: np.ndarray,
+    markers: dict[str, np.ndarray],
+    landmarks: dict[str, np.ndarray],
+    camera: Camera,
+    frames: Iterable[np.ndarray],
+    places: Mapping[str, Mapping[str, Any]],
+    subject: Mapping[str, Any],
+    seed: int,
+) -> Path:
+    """Write every file of a recording.
+
+    Args:
+        directory: is made where missing.
+        times: (T,) of the markers, seconds.
+        markers: name -> (T, 3) without noise, world, metres.
+        landmarks: name -> (T, 3) the truth.
+        camera: of the video.
+        frames: (H, W, 3) BGR uint8, at ``video_times``.
+        places: [markers.on].
+        subject: [subject].
+        seed: of the markers' noise.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    noise = marker_noise(times, len(markers), np.random.default_rng([seed, 4]))
+    measured = {name: path + noise[:, i] for i, (name, path) in enumerate(markers.items())}
+    write_trc(directory / "markers.trc", times, measured, rate=MARKER_RATE)
+    write_trc(directory / "truth.trc", times, landmarks, rate=MARKER_RATE)
+    write_calibration(directory / "calibration.toml", {CAMERA: camera})
+    write_video(directory / "video.mp4", frames)
+    return write_recording(
+        directory,
+        "markers.trc",
+        places,
+        videos=[{"file": "video.mp4", "camera": CAMERA, "offset": VIDEO_OFFSET_S}],
+        calibration_file="calibration.toml",
+        subject=subject,
+    )
+
+
+def marker_noise(times: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Errors (T, count, 3) of a consumer headset's tracking, metres, never above ``WORST_M``."""
+    shape = (1, count, 3, WAVES)
+    frequencies = 2 * np.pi / rng.uniform(*WANDER_PERIODS_S, shape)
+    phases = rng.uniform(0, 2 * np.pi, shape)
+    # Three axes of so many waves, each of mean square 1/2.
+    amplitude = WANDER_M / np.sqrt(1.5 * WAVES)
+    wander = amplitude * np.cos(times[:, None, None, None] * frequencies + phases).sum(-1)
+    error = wander + rng.normal(0, JITTER_M, wander.shape)
+    size = np.linalg.norm(error, axis=-1, keepdims=True)
+    return error * np.minimum(1.0, WORST_M / np.maximum(size, 1e-12))
+
+
+def write_video(path: Path, frames: Iterable[np.ndarray], rate: int = VIDEO_RATE) -> None:
+    """Encode frames (H, W, 3), BGR uint8, as H.264 that any player plays."""
+    with replacing(path) as beside, av.open(str(beside), "w") as container:
+        stream: av.VideoStream = container.add_stream("libx264", rate=rate)
+        stream.pix_fmt = "yuv420p"
+        stream.options = {"crf": "18", "preset": "veryfast"}
+        for i, image in enumerate(frames):
+            if i == 0:
+                stream.height, stream.width = image.shape[:2]
+            frame = av.VideoFrame.from_ndarray(image, format="bgr24")
+            frame.pts, frame.time_base = i, Fraction(1, rate)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())

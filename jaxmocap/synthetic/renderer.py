@@ -1,0 +1,204 @@
+"""A small renderer: quadrilaterals from back to front, lit, blurred by movement, seen by a sensor.
+
+Everything a real camera does to an arm's outline is here but compression, which the video adds:
+occlusion, shading, a soft shadow on floor and wall, motion blur, lens distortion, vignetting,
+shot and read noise.
+
+INPUTS: a camera, something that moves, times. OUTPUTS: frames, BGR uint8.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.synthetic.lens import Lens
+from jaxmocap.synthetic.meshes import Mesh
+from jaxmocap.synthetic.room import FRACTION_BITS, OVERSAMPLING, WALL_X, Room, to_fixed
+
+EXPOSURE_S = 0.010
+# Instants averaged within one exposure: as many as keep the steps at about this many pixels.
+BLUR_STEP_PX, MOST_INSTANTS = 3.0, 5
+# From the scene to the lamp, and how much light comes from there, from the camera's side, from all
+# around.
+LAMP = np.array([0.55, 0.45, 0.70]) / np.linalg.norm([0.55, 0.45, 0.70])
+DIRECT, FILL, AMBIENT = 0.62, 0.18, 0.38
+SHADOW, SHADOW_SCALE, SHADOW_BLUR = 0.38, 4, 11
+MARGIN_PX = 3
+READ_NOISE, SHOT_NOISE = 1.6, 0.12
+VIGNETTING = 0.16
+Progress = Callable[[int, int], None]
+
+
+class Mover(Protocol):
+    """A mesh in motion."""
+
+    @property
+    def mesh(self) -> Mesh:
+        """At rest: its faces and colours."""
+        ...
+
+    def vertices(self, times: np.ndarray) -> np.ndarray:
+        """(T, V, 3) in the world, metres."""
+        ...
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A camera before a room with someone in it.
+
+    Attributes:
+        camera: of the video.
+        background: (H, W, 3) BGR uint8, the empty room.
+        mover: the person.
+        seed: of the sensor's noise.
+    """
+
+    camera: Camera
+    background: np.ndarray
+    mover: Mover
+    seed: int = 0
+
+    @classmethod
+    def in_room(cls, camera: Camera, mover: Mover, seed: int = 0) -> "Scene":
+        """A room furnished by the seed."""
+        room = Room.furnished(Lens.of(camera), np.random.default_rng([seed, 2]))
+        return cls(camera, room, mover, seed)
+
+
+def render_frames(
+    scene: Scene, times: np.ndarray, progress: Progress | None = None
+) -> Iterator[np.ndarray]:
+    """Frames (H, W, 3), BGR uint8, one for each time.
+
+    Args:
+        scene: what to see.
+        times: (F,) the middles of the exposures, seconds.
+        progress: called with the frames done and their total.
+    """
+    lens = Lens.of(scene.camera)
+    sensor = Sensor.create(lens.size, np.random.default_rng([scene.seed, 3]))
+    for i, time in enumerate(times):
+        yield sensor.exposed(light(scene, lens, float(time)))
+        if progress:
+            progress(i + 1, len(times))
+
+
+def light(scene: Scene, lens: Lens, time: float) -> np.ndarray:
+    """What falls onto the sensor during one exposure: (H, W, 3), BGR uint8, without noise."""
+    ends = scene.mover.vertices(time + EXPOSURE_S * np.array([-0.5, 0.0, 0.5]))
+    speed = np.linalg.norm(np.diff(lens.pixels(ends[[0, 2]]), axis=0), axis=-1).max()
+    count = int(np.clip(np.ceil(speed / BLUR_STEP_PX), 1, MOST_INSTANTS))
+    instants = time + EXPOSURE_S * ((np.arange(count) + 0.5) / count - 0.5)
+    middle = ends[1]
+    pixels = lens.pixels(scene.mover.vertices(instants))
+    image = shadowed(scene, lens, middle)
+    box = _box(pixels, lens.size)
+    if box is None:
+        return image
+    order, colours = _shaded(scene.mover.mesh, lens, middle)
+    faces = scene.mover.mesh.faces[order]
+    corners = np.ascontiguousarray(to_fixed(pixels - box[0])[:, faces])
+    (left, top), (right, bottom) = box
+    part = np.ascontiguousarray(image[top:bottom, left:right])
+    empty = cv2.resize(
+        part, None, fx=OVERSAMPLING, fy=OVERSAMPLING, interpolation=cv2.INTER_NEAREST
+    )
+    total = np.zeros(part.shape, np.float32)
+    for quads in corners:
+        drawn = _painted(empty.copy(), quads, colours)
+        total += cv2.resize(drawn, part.shape[1::-1], interpolation=cv2.INTER_AREA)
+    image[top:bottom, left:right] = np.rint(total / count).astype(np.uint8)
+    return image
+
+
+def _painted(canvas: np.ndarray, quads: np.ndarray, colours: list[tuple]) -> np.ndarray:
+    """Quadrilaterals (N, 4, 2), fixed-point, painted one over the other."""
+    fill = cv2.fillConvexPoly
+    for quad, colour in zip(quads, colours, strict=True):
+        fill(canvas, quad, colour, cv2.LINE_8, FRACTION_BITS)
+    return canvas
+
+
+def _box(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray | None:
+    """Corners [[left, top], [right, bottom]] of what is drawn, within the image; None if empty."""
+    low = np.floor(pixels.min((0, 1))) - MARGIN_PX
+    high = np.ceil(pixels.max((0, 1))) + MARGIN_PX
+    box = np.clip([low, high], 0, size).astype(int)
+    return box if (box[1] > box[0]).all() else None
+
+
+def _shaded(mesh: Mesh, lens: Lens, vertices: np.ndarray) -> tuple[np.ndarray, list[tuple]]:
+    """Faces that look at the camera, from back to front, and their colours, BGR 0 to 255."""
+    corners = vertices[mesh.faces]
+    normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-12
+    middles = corners.mean(1)
+    views = lens.position_world - middles
+    facing = np.flatnonzero(np.sum(normals * views, -1) > 0)
+    order = facing[np.argsort(-np.linalg.norm(views[facing], axis=-1), kind="stable")]
+    n = normals[order]
+    towards = views[order] / np.linalg.norm(views[order], axis=-1, keepdims=True)
+    lit = DIRECT * np.maximum(n @ LAMP, 0) + FILL * np.sum(n * towards, -1) + AMBIENT
+    # Light from above is stronger than light from the floor.
+    lit += 0.08 * n[:, 2]
+    colours = np.clip(255 * mesh.colours[order] * lit[:, None], 0, 255)
+    return order, [tuple(colour) for colour in colours.tolist()]
+
+
+def shadowed(scene: Scene, lens: Lens, vertices: np.ndarray) -> np.ndarray:
+    """The room with the person's soft shadow on floor and back wall: (H, W, 3), BGR uint8."""
+    to_floor = np.maximum(vertices[:, 2], 0) / LAMP[2]
+    to_wall = (vertices[:, 0] - WALL_X) / LAMP[0]
+    cast = vertices - np.minimum(to_floor, to_wall)[:, None] * LAMP
+    width, height = lens.size
+    mask = np.zeros((height // SHADOW_SCALE, width // SHADOW_SCALE), np.uint8)
+    in_front = np.where(lens.depths(cast)[:, None] > 0.3, lens.pixels(cast), -1e3)
+    pixels = np.rint(np.clip(in_front, -1e4, 1e4) / SHADOW_SCALE).astype(np.int32)
+    bones = scene.mover.mesh.bones[:, 0]
+    for bone in np.unique(bones):
+        cv2.fillConvexPoly(mask, cv2.convexHull(pixels[bones == bone]), 255)
+    mask = cv2.blur(cv2.blur(mask, (SHADOW_BLUR, SHADOW_BLUR)), (SHADOW_BLUR, SHADOW_BLUR))
+    soft = cv2.resize(mask, lens.size, interpolation=cv2.INTER_LINEAR)
+    factor = cv2.LUT(soft, np.rint(255 - SHADOW * np.arange(256)).astype(np.uint8))
+    return cv2.multiply(scene.background, cv2.merge([factor] * 3), scale=1 / 255)
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Vignetting and noise.
+
+    Attributes:
+        falloff: (H, W, 3) float32, brightness towards the corners.
+        grain: (H + g, W + g, 3) float32 of unit deviation; each frame takes another cut-out.
+        deviations: (256,) float32, noise of each brightness.
+        rng: of the cut-outs.
+    """
+
+    falloff: np.ndarray
+    grain: np.ndarray
+    deviations: np.ndarray
+    rng: np.random.Generator
+
+    @classmethod
+    def create(cls, size: tuple[int, int], rng: np.random.Generator) -> "Sensor":
+        """A sensor of width and height in pixels."""
+        width, height = size
+        x, y = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
+        falloff = (1 - VIGNETTING * (x * x + y * y) / 2).astype(np.float32)
+        grain = rng.standard_normal((height + 97, width + 131, 3), np.float32)
+        deviations = np.sqrt(READ_NOISE**2 + SHOT_NOISE * np.arange(256)).astype(np.float32)
+        return cls(cv2.merge([falloff] * 3), grain, deviations, rng)
+
+    def exposed(self, image: np.ndarray) -> np.ndarray:
+        """The frame (H, W, 3), BGR uint8, that comes of so much light."""
+        height, width = image.shape[:2]
+        top = int(self.rng.integers(self.grain.shape[0] - height + 1))
+        left = int(self.rng.integers(self.grain.shape[1] - width + 1))
+        noise = (
+            cv2.LUT(image, self.deviations) * self.grain[top : top + height, left : left + width]
+        )
+        return cv2.add(cv2.multiply(image, self.falloff, dtype=cv2.CV_32F), noise, dtype=cv2.CV_8U)
