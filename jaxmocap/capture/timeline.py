@@ -94,7 +94,7 @@ def bundle_frames(video_times: Sequence[np.ndarray], when=np.median) -> tuple:
             index.append([-1] * cameras)
         times[-1].append(t)
         index[-1][camera] = i
-    return np.array([when(t) for t in times]), np.array(index, int).reshape(-1, cameras)
+    return np.array([when(t) for t in times]), np.array(index, int).reshape(len(times), cameras)
 
 
 def _merge(marker_times: np.ndarray, bundle_times: np.ndarray, bundles: np.ndarray) -> Timeline:

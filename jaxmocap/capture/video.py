@@ -96,7 +96,7 @@ class Video(FrameSource):
 
     def _open(self) -> InputContainer:
         try:
-            container = av.open(str(self.path))
+            container = av.open(str(self.path), metadata_errors="replace")
         except (FFmpegError, OSError):
             raise InputError(self.path, "is not a video") from None
         if not container.streams.video:
