@@ -39,7 +39,7 @@ def double():
 
 def vectors(n: int, largest: float = 1.0):
     """Hypothesis: (n,) float64 arrays with entries between -largest and largest."""
-    return arrays(float, n, elements=st.floats(-largest, largest, width=32))
+    return arrays(float, n, elements=st.floats(-largest, largest, allow_subnormal=False))
 
 
 @st.composite
@@ -51,7 +51,7 @@ def poses(draw, beyond: float = 0.0) -> Pose:
         beyond: radians by which angles may exceed the limits.
     """
     lowest, highest = np.asarray(LIMITS, float).T + np.array([[-beyond], [beyond]])
-    fractions = draw(arrays(float, len(lowest), elements=st.floats(0, 1, width=32)))
+    fractions = draw(arrays(float, len(lowest), elements=st.floats(0, 1, allow_subnormal=False)))
     quaternion = draw(vectors(4))
     if np.linalg.norm(quaternion) < 1e-3:
         quaternion = np.array([1.0, 0, 0, 0])
