@@ -1,1 +1,1 @@
-"""What people look at: viewer, overlay, report."""
+"""What a person looks at: the overlay video, the viewer's recording, the report."""

@@ -1,0 +1,220 @@
+"""The body drawn over its video: outlines, bones, joints and marker targets.
+
+INPUTS: frames of one camera (seconds of marker time, BGR), the camera, a Motion.
+OUTPUTS: an H.264 video in an MP4 file that browsers play, each frame at its own time.
+"""
+
+from collections.abc import Iterable, Mapping
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+from av.container import OutputContainer
+from av.video.stream import VideoStream
+
+from jaxmocap.body.motion import Motion
+from jaxmocap.formats.atomic import replacing
+from jaxmocap.formats.errors import InputError
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.outputs.scene import Scene, limb_outlines, make_scene, pixels
+
+# BGR.
+BONES, JOINTS = (230, 230, 230), (255, 255, 255)
+OUTLINES = {"l": (255, 200, 60), "r": (60, 160, 255)}
+TARGETS = (255, 60, 255)
+UNKNOWN = (170, 170, 170)
+# Ticks per second of the file's clock, and the fixed point of OpenCV's drawing.
+CLOCK, SHIFT = 90_000, 4
+
+
+def write_overlay(
+    path: str | Path,
+    frames: Iterable[tuple[float, np.ndarray | None]],
+    camera: Camera,
+    motion: Motion,
+    targets: Mapping[str, np.ndarray] | None = None,
+    rate: float = 30.0,
+) -> int:
+    """Write a video with the body drawn over every frame.
+
+    Args:
+        path: of the .mp4 file; it appears when it is whole.
+        frames: time, seconds of marker time, rising, and image (H, W, 3) BGR uint8; black is
+            shown for None.
+        camera: that took the frames.
+        motion: drawn where it is at each frame's time.
+        targets: marker -> (T, 3) measured positions at the motion's times, world, metres.
+        rate: nominal frames per second.
+
+    Returns:
+        The number of frames written.
+
+    Raises:
+        InputError: not one frame to draw on.
+    """
+    artist = Artist(camera, motion, targets)
+    count, first, stamp, stream = 0, 0.0, -1, None
+    with replacing(path) as beside, _open(beside) as container:
+        for time, image in frames:
+            canvas = artist.canvas(image)
+            artist.draw(canvas, time)
+            if stream is None:
+                first, stream = time, _add_stream(container, canvas, rate)
+            # Two frames of the same time would not be a valid file.
+            stamp = max(stamp + 1, round((time - first) * CLOCK))
+            frame = av.VideoFrame.from_ndarray(canvas, format="bgr24")
+            frame.pts, frame.time_base = stamp, Fraction(1, CLOCK)
+            container.mux(stream.encode(frame))
+            count += 1
+        if stream is None:
+            raise InputError(path, "found no video frame to draw on")
+        container.mux(stream.encode(None))
+    return count
+
+
+def _open(path: Path) -> OutputContainer:
+    return av.open(str(path), "w", format="mp4", options={"movflags": "faststart"})
+
+
+def _add_stream(container: OutputContainer, canvas: np.ndarray, rate: float) -> VideoStream:
+    stream = container.add_stream(
+        "libx264",
+        rate=Fraction(rate).limit_denominator(1001),
+        options={"preset": "veryfast", "crf": "21"},
+    )
+    stream.height, stream.width = canvas.shape[:2]
+    stream.pix_fmt = "yuv420p"
+    stream.codec_context.time_base = Fraction(1, CLOCK)
+    return stream
+
+
+class Artist:
+    """Draws one motion as one camera sees it."""
+
+    def __init__(
+        self, camera: Camera, motion: Motion, targets: Mapping[str, np.ndarray] | None = None
+    ):
+        self.camera, self.motion = camera, motion
+        self.targets = dict(targets or {})
+        self.scene: Scene = make_scene(motion)
+        self._shape: tuple[int, int] | None = None
+
+    def canvas(self, image: np.ndarray | None) -> np.ndarray:
+        """A copy of the image on a canvas with even sides, as H.264 needs; all of one size."""
+        if self._shape is None:
+            width, height = np.asarray(self.camera.size, int)
+            height, width = (height, width) if image is None else image.shape[:2]
+            self._shape = (int(height + height % 2), int(width + width % 2))
+        canvas = np.zeros((*self._shape, 3), np.uint8)
+        if image is not None:
+            rows, columns = np.minimum(image.shape[:2], self._shape)
+            canvas[:rows, :columns] = image[:rows, :columns]
+        return canvas
+
+    def draw(self, canvas: np.ndarray, time: float) -> None:
+        """Draw the body at that time, in place; beyond the motion only the legend."""
+        size = max(1, round(min(canvas.shape[:2]) / 480))
+        sample = int(np.argmin(np.abs(self.scene.times - time)))
+        ends = self.scene.at(time)
+        confidence = self._confidence(sample)
+        if ends is not None:
+            self._draw_limbs(canvas, *ends, size)
+            self._draw_joints(canvas, ends[0], confidence, size)
+            self._draw_targets(canvas, sample, size)
+        _draw_legend(canvas, time, confidence, ends is not None)
+
+    def _confidence(self, sample: int) -> dict[str, float]:
+        report = self.motion.report
+        left, right = (np.nan, np.nan) if report is None else report.confidence[sample]
+        return {"elbow_l": float(left), "elbow_r": float(right)}
+
+    def _draw_limbs(self, canvas: np.ndarray, near: np.ndarray, far: np.ndarray, size: int) -> None:
+        arms = self.scene.arms
+        radii = self.scene.radii
+        loops = limb_outlines(self.camera, near[arms], far[arms], radii[arms])
+        for bone, loop in zip(arms, loops, strict=True):
+            _draw_line(canvas, loop, OUTLINES[self.scene.bones[bone][-1]], size)
+        for line in pixels(self.camera, np.stack([near, far], 1)):
+            _draw_line(canvas, line, BONES, size)
+
+    def _draw_joints(
+        self, canvas: np.ndarray, near: np.ndarray, confidence: dict[str, float], size: int
+    ) -> None:
+        for bone, pixel in zip(self.scene.bones, pixels(self.camera, near), strict=True):
+            elbow = bone.replace("radius", "elbow")
+            if elbow in confidence:
+                _draw_dot(canvas, pixel, confidence_colour(confidence[elbow]), 5 * size)
+            else:
+                _draw_dot(canvas, pixel, JOINTS, 2 * size)
+
+    def _draw_targets(self, canvas: np.ndarray, sample: int, size: int) -> None:
+        if not self.targets:
+            return
+        points = np.stack([positions[sample] for positions in self.targets.values()])
+        for pixel in pixels(self.camera, points):
+            if np.isfinite(pixel).all():
+                place = np.clip(pixel, -1e4, 1e4).round().astype(int).tolist()
+                cv2.drawMarker(
+                    canvas, place, TARGETS, cv2.MARKER_CROSS, 12 * size, size + 1, cv2.LINE_AA
+                )
+
+
+def confidence_colour(confidence: float) -> tuple[int, int, int]:
+    """BGR: red at 0, yellow at one half, green at 1, grey where unknown."""
+    if not np.isfinite(confidence):
+        return UNKNOWN
+    part = float(np.clip(confidence, 0.0, 1.0))
+    return 0, round(255 * min(1.0, 2 * part)), round(255 * min(1.0, 2 - 2 * part))
+
+
+def _draw_line(canvas: np.ndarray, points: np.ndarray, colour: tuple, width: int) -> None:
+    if np.isfinite(points).all():
+        # OpenCV's fixed point overflows far outside the image.
+        fixed = np.clip(points, -1e4, 1e4) * 2**SHIFT
+        cv2.polylines(
+            canvas, [fixed.round().astype(np.int32)], False, colour, width, cv2.LINE_AA, SHIFT
+        )
+
+
+def _draw_dot(canvas: np.ndarray, pixel: np.ndarray, colour: tuple, radius: int) -> None:
+    if np.isfinite(pixel).all():
+        fixed = (np.clip(pixel, -1e4, 1e4) * 2**SHIFT).round().astype(int).tolist()
+        cv2.circle(canvas, fixed, radius << SHIFT, colour, -1, cv2.LINE_AA, SHIFT)
+
+
+def _draw_legend(
+    canvas: np.ndarray, time: float, confidence: dict[str, float], tracked: bool
+) -> None:
+    """Time, both elbows' confidences in their colours, and what the colours and crosses mean."""
+    scale = max(0.4, min(canvas.shape[:2]) / 1000)
+    line, left = round(34 * scale), round(12 * scale)
+    lines = [(f"t = {time:.3f} s" + ("" if tracked else ", no pose"), JOINTS)]
+    for side, name in (("l", "left"), ("r", "right")):
+        value = confidence[f"elbow_{side}"]
+        text = f"{name} elbow: confidence " + (f"{value:.2f}" if np.isfinite(value) else "unknown")
+        lines.append((text, confidence_colour(value)))
+    for row, (text, colour) in enumerate(lines, 1):
+        _write(canvas, text, (left, row * line), colour, scale)
+    bottom = canvas.shape[0] - round(12 * scale)
+    for text, colour in (
+        ("left arm", OUTLINES["l"]),
+        ("right arm", OUTLINES["r"]),
+        ("+ marker", TARGETS),
+    ):
+        left += _write(canvas, text, (left, bottom), colour, scale) + line
+
+
+def _write(
+    canvas: np.ndarray, text: str, place: tuple[int, int], colour: tuple, scale: float
+) -> int:
+    """Write text with a dark rim, readable on any ground; its width in pixels."""
+    font, thick = cv2.FONT_HERSHEY_SIMPLEX, max(1, round(1.6 * scale))
+    x, y = place
+    # Shifted copies: a thicker stroke would be a wider text in OpenCV 5.
+    for dx, dy in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
+        rim = (x + dx * thick, y + dy * thick)
+        cv2.putText(canvas, text, rim, font, scale, (0, 0, 0), thick, cv2.LINE_AA)
+    cv2.putText(canvas, text, place, font, scale, colour, thick, cv2.LINE_AA)
+    return cv2.getTextSize(text, font, scale, thick)[0][0]

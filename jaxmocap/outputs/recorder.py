@@ -1,0 +1,296 @@
+"""The parts of a recording for the rerun viewer. The only module that imports rerun.
+
+INPUTS: a recording stream and what to log. OUTPUTS: none; the stream's sink holds the data.
+
+Poses, outlines and series go in whole columns, images one by one. Entities: ``world/body/BONE``,
+``world/skeleton``, ``world/markers/NAME``, ``world/cameras/NAME`` with ``image``, ``outlines``,
+``bones`` and ``markers``; ``fields/CAMERA/NAME``; one root per kind of time series.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from jaxmocap.body.motion import Motion, Report
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.rotations import quaternion_from_matrix
+from jaxmocap.outputs.scene import Scene, limb_outlines, pixels
+from jaxmocap.outputs.solids import limb_solid
+
+TIMELINE = "time"
+# RGB; middle, left and right of the body. The skeleton shines through the limbs.
+COLOURS = {"": (190, 190, 200), "l": (70, 170, 255), "r": (255, 160, 60)}
+OPACITY = 170
+TARGETS = (255, 60, 255)
+# Entity -> title of its view.
+SERIES = {
+    "marker_errors": "Marker errors [mm]",
+    "arm_costs": "Arm costs [px]",
+    "confidence": "Elbow confidence",
+    "swivel": "Swivel by video [°]",
+    "milliseconds": "Stage times [ms]",
+}
+SIDES = ("left", "right")
+
+
+@contextmanager
+def recording(path: Path, blueprint: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
+    """A stream into a file, complete at the end."""
+    stream = rr.RecordingStream("jaxmocap")
+    stream.save(path, default_blueprint=blueprint)
+    try:
+        yield stream
+    finally:
+        stream.disconnect()
+
+
+def lay_out(cameras: Mapping[str, list[str]], scene: Scene) -> rrb.Blueprint:
+    """Body to the left, cameras and their fields to the right, time series below.
+
+    Args:
+        cameras: camera name -> names of its fields.
+        scene: looked at from ahead, half from its left.
+    """
+    body = rrb.Spatial3DView(origin="/world", name="Body", eye_controls=_eye(scene))
+    views = [
+        rrb.Spatial2DView(origin=_path("world", "cameras", name), name=name) for name in cameras
+    ]
+    fields = [
+        rrb.Spatial2DView(origin=_path("fields", name, label), name=f"{name}: {label}")
+        for name, labels in cameras.items()
+        for label in labels
+    ]
+    series = [
+        rrb.TimeSeriesView(
+            origin=f"/{entity}",
+            name=title,
+            axis_y=rrb.ScalarAxis(range=(0, 1)) if entity == "confidence" else None,
+        )
+        for entity, title in SERIES.items()
+    ]
+    top: list[rrb.View | rrb.Container] = [body]
+    if fields:
+        top.append(rrb.Vertical(rrb.Tabs(*views), rrb.Grid(*fields), row_shares=[2, 1]))
+    elif views:
+        top.append(rrb.Tabs(*views))
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(*top),
+            rrb.Tabs(*series, rrb.TextLogView(origin="/statuses", name="Statuses")),
+            row_shares=[3, 1],
+        ),
+        rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+    )
+
+
+def _eye(scene: Scene) -> rrb.EyeControls3D:
+    """Far enough ahead of the first pose to see the whole body."""
+    centre = (scene.near[0].min(0) + scene.near[0].max(0)) / 2
+    size = float(np.linalg.norm(np.ptp(scene.near[0], axis=0)))
+    ahead, left = scene.R_world_bone[0, 0, :, 0], scene.R_world_bone[0, 0, :, 1]
+    away = ahead + 0.5 * left + np.array([0.0, 0.0, 0.35])
+    position = centre + 1.3 * size * away
+    return rrb.EyeControls3D(position=position, look_target=centre, eye_up=(0.0, 0.0, 1.0))
+
+
+def log_body(stream: rr.RecordingStream, motion: Motion, scene: Scene) -> None:
+    """Limbs as solids that their bones' transforms carry, and the skeleton as lines."""
+    stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    reach = np.asarray(motion.skeleton.lengths[:, None] * motion.skeleton.directions)
+    wxyz = np.asarray(quaternion_from_matrix(jnp.asarray(scene.R_world_bone)))
+    for i, bone in enumerate(scene.bones):
+        entity = f"world/body/{bone}"
+        solid = limb_solid(reach[i], scene.radii[i])
+        stream.log(
+            entity,
+            rr.Mesh3D(
+                vertex_positions=solid.vertices,
+                vertex_normals=solid.normals,
+                triangle_indices=solid.triangles,
+                albedo_factor=(*_colour(bone), OPACITY),
+            ),
+            static=True,
+        )
+        turns = np.roll(wxyz[:, i], -1, axis=-1)
+        columns = rr.Transform3D.columns(translation=scene.near[:, i], quaternion=turns)
+        stream.send_columns(entity, [_at(scene.times)], columns)
+    strips = np.stack([scene.near, scene.far], 2)
+    stream.log(
+        "world/skeleton",
+        rr.LineStrips3D.from_fields(radii=0.006, colors=[_colour(bone) for bone in scene.bones]),
+        static=True,
+    )
+    _send_strips(stream, "world/skeleton", scene.times, strips, rr.LineStrips3D)
+
+
+def _colour(bone: str) -> tuple[int, int, int]:
+    return COLOURS[bone[-1] if bone[-2:] in ("_l", "_r") else ""]
+
+
+def log_targets(
+    stream: rr.RecordingStream, times: np.ndarray, targets: Mapping[str, np.ndarray]
+) -> None:
+    """Measured markers as points; none where one is missing."""
+    for name, positions in targets.items():
+        entity = _path("world", "markers", name)
+        style = rr.Points3D.from_fields(radii=0.012, colors=TARGETS, labels=name, show_labels=False)
+        stream.log(entity, style, static=True)
+        seen = np.isfinite(positions).all(-1)
+        columns = rr.Points3D.columns(positions=np.asarray(positions)[seen])
+        stream.send_columns(entity, [_at(times)], columns.partition(seen.astype(int)))
+
+
+def log_camera(stream: rr.RecordingStream, name: str, camera: Camera) -> None:
+    """The camera's frustum in the world."""
+    width, height = np.asarray(camera.size, int).tolist()
+    T = np.asarray(camera.T_cam_world)
+    entity = _path("world", "cameras", name)
+    centre = np.asarray(camera.position_world)
+    stream.log(entity, rr.Transform3D(translation=centre, mat3x3=T[:3, :3].T), static=True)
+    stream.log(
+        entity,
+        rr.Pinhole(
+            image_from_camera=np.asarray(camera.matrix),
+            resolution=[width, height],
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=0.6,
+        ),
+        static=True,
+    )
+
+
+def log_images(
+    stream: rr.RecordingStream,
+    name: str,
+    frames: Iterable[tuple[float, np.ndarray | None]],
+    jpeg_quality: int,
+) -> np.ndarray:
+    """Frames as JPEG images, cleared where one is None; their times (F,), seconds."""
+    entity, times = _path("world", "cameras", name, "image"), []
+    for time, image in frames:
+        stream.set_time(TIMELINE, duration=time)
+        if image is None:
+            stream.log(entity, rr.Clear(recursive=False))
+        else:
+            coloured = rr.Image(image, color_model="BGR")
+            stream.log(entity, coloured.compress(jpeg_quality=jpeg_quality))
+        times.append(time)
+    return np.array(times, float)
+
+
+def log_outlines(
+    stream: rr.RecordingStream, name: str, camera: Camera, scene: Scene, times: np.ndarray
+) -> None:
+    """The arms' outlines and all bones over the image, at the frames' times."""
+    arms, ends = scene.arms, [(time, scene.at(time)) for time in times]
+    at = np.array([time for time, pair in ends if pair is not None])
+    if not len(at):
+        return
+    near, far = np.stack([pair for _, pair in ends if pair is not None], 1)
+    outlines = limb_outlines(camera, near[:, arms], far[:, arms], scene.radii[arms])
+    bones = pixels(camera, np.stack([near, far], 2))
+    for label, strips, colours, width in (
+        ("outlines", outlines, [_colour(scene.bones[i]) for i in arms], 1.0),
+        ("bones", bones, COLOURS[""], 0.6),
+    ):
+        entity = _path("world", "cameras", name, label)
+        style = rr.LineStrips2D.from_fields(colors=colours, radii=rr.Radius.ui_points(width))
+        stream.log(entity, style, static=True)
+        _send_strips(stream, entity, at, strips, rr.LineStrips2D)
+
+
+def log_seen_targets(
+    stream: rr.RecordingStream,
+    name: str,
+    camera: Camera,
+    times: np.ndarray,
+    targets: Mapping[str, np.ndarray],
+) -> None:
+    """Measured markers as points over the image, at the markers' times."""
+    for marker, positions in targets.items():
+        entity = _path("world", "cameras", name, "markers", marker)
+        style = rr.Points2D.from_fields(radii=rr.Radius.ui_points(3.0), colors=TARGETS)
+        stream.log(entity, style, static=True)
+        at = pixels(camera, positions)
+        seen = np.isfinite(at).all(-1)
+        columns = rr.Points2D.columns(positions=at[seen]).partition(seen.astype(int))
+        stream.send_columns(entity, [_at(times)], columns)
+
+
+def log_field(
+    stream: rr.RecordingStream,
+    name: str,
+    label: str,
+    images: Iterable[tuple[float, np.ndarray]],
+) -> None:
+    """Grey images of a part of the camera's image, in a view of their own."""
+    for time, image in images:
+        stream.set_time(TIMELINE, duration=time)
+        stream.log(_path("fields", name, label), rr.Image(image, color_model="L").compress())
+
+
+def log_report(stream: rr.RecordingStream, times: np.ndarray, report: Report) -> None:
+    """Time series of what the tracker said, and its sentences."""
+    errors = 1000 * np.asarray(report.marker_errors, float)
+    _send_series(stream, "marker_errors", times, report.markers, errors)
+    _send_series(stream, "arm_costs", times, SIDES, report.arm_costs)
+    _send_series(stream, "confidence", times, SIDES, report.confidence)
+    _send_series(stream, "swivel", times, SIDES, np.degrees(report.swivels))
+    for stage, spent in report.milliseconds.items():
+        # A stage that does not run at every sample has its calls spread evenly over the time.
+        spread = np.linspace(times[0], times[-1], len(spent)) if len(spent) != len(times) else times
+        _send_series(stream, "milliseconds", spread, (stage,), np.asarray(spent)[:, None])
+    said = [(time, "; ".join(lines)) for time, lines in zip(times, report.statuses, strict=True)]
+    spoken = [(time, text) for time, text in said if text]
+    if spoken:
+        at, texts = zip(*spoken, strict=True)
+        stream.send_columns("statuses", [_at(np.array(at))], rr.TextLog.columns(text=texts))
+
+
+def _send_series(
+    stream: rr.RecordingStream,
+    root: str,
+    times: np.ndarray,
+    names: Iterable[str],
+    values: np.ndarray,
+) -> None:
+    """One line per column of (T, N) values; what is NaN is left out."""
+    for name, column in zip(names, np.asarray(values, float).T, strict=True):
+        seen = np.isfinite(column)
+        if not seen.any():
+            continue
+        entity = _path(root, name)
+        stream.log(entity, rr.SeriesLines(names=name), static=True)
+        columns = rr.Scalars.columns(scalars=column[seen])
+        stream.send_columns(entity, [_at(times[seen])], columns)
+
+
+def _send_strips(
+    stream: rr.RecordingStream,
+    entity: str,
+    times: np.ndarray,
+    strips: np.ndarray,
+    archetype: type[rr.LineStrips2D] | type[rr.LineStrips3D],
+) -> None:
+    """(T, N, P, 2 or 3) lines. One that cannot be seen shrinks to nothing and keeps its colour."""
+    whole = np.isfinite(strips).all((-1, -2), keepdims=True)
+    drawn = np.where(whole, strips, 0.0).astype(np.float32)
+    columns = archetype.columns(strips=list(drawn.reshape(-1, *drawn.shape[2:])))
+    counts = np.full(len(drawn), drawn.shape[1])
+    stream.send_columns(entity, [_at(times)], columns.partition(counts))
+
+
+def _at(times: np.ndarray) -> rr.TimeColumn:
+    return rr.TimeColumn(TIMELINE, duration=np.asarray(times, np.float64))
+
+
+def _path(*parts: str) -> str:
+    """An entity path whose parts may hold any character."""
+    return rr.new_entity_path(list(parts))

@@ -1,0 +1,147 @@
+"""The report of a run as JSON: how long it took, how far to trust it, on what it ran.
+
+INPUTS: a Motion with its Report. OUTPUTS: report.json; numbers that are missing are null.
+"""
+
+import json
+import platform
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxmocap.body.motion import Motion, Report
+from jaxmocap.formats.atomic import replacing
+
+SIDES = ("left", "right")
+# OpenCV comes under several names, of which one is installed.
+_OPENCV = ("opencv-python-headless", "opencv-python", "opencv-contrib-python-headless")
+
+
+def write_report(path: str | Path, motion: Motion, extra: Mapping | None = None) -> dict:
+    """Write what ``summarise`` says, and what the caller adds.
+
+    Args:
+        path: of the .json file; it appears when it is whole.
+        motion: with or without a report.
+        extra: more entries, such as warnings or the recording's name.
+
+    Returns:
+        What was written.
+    """
+    report = plain(summarise(motion) | dict(extra or {}))
+    text = json.dumps(report, indent=2, ensure_ascii=False, allow_nan=False)
+    with replacing(path) as beside:
+        beside.write_text(text + "\n", encoding="utf-8")
+    return report
+
+
+def summarise(motion: Motion) -> dict:
+    """Frames, milliseconds, costs, statuses, confidence, marker errors, settings, versions."""
+    times = np.asarray(motion.times, float)
+    summary: dict = {
+        "frames": len(times),
+        "start_s": times[0] if len(times) else None,
+        "end_s": times[-1] if len(times) else None,
+    }
+    if motion.report is not None:
+        summary |= _summarise_report(times, motion.report)
+    return summary | {"versions": versions(), "backend": _backend()}
+
+
+def _summarise_report(times: np.ndarray, report: Report) -> dict:
+    return {
+        "milliseconds": {
+            stage: statistics(spent, {"median": 50, "p99": 99})
+            for stage, spent in report.milliseconds.items()
+        },
+        "costs_px": _by_arm(report.arm_costs, {"median": 50, "p95": 95}),
+        "statuses": _count_statuses(times, report.statuses),
+        "confidence": _by_arm(report.confidence, {"p5": 5, "median": 50}),
+        "swivel_rad": _by_arm(np.abs(report.swivels), {"median": 50, "p95": 95}),
+        "marker_errors_m": {
+            name: statistics(errors, {"p95": 95})
+            for name, errors in zip(report.markers, np.asarray(report.marker_errors).T, strict=True)
+        },
+        "settings": report.settings,
+    }
+
+
+def statistics(values: np.ndarray, percentiles: Mapping[str, float]) -> dict:
+    """Count and mean of what is not NaN, and the percentiles named; NaN where there is nothing."""
+    values = np.asarray(values, float)
+    seen = values[np.isfinite(values)]
+    figures = {"count": len(seen), "mean": seen.mean() if len(seen) else np.nan}
+    for name, percent in percentiles.items():
+        figures[name] = np.percentile(seen, percent) if len(seen) else np.nan
+    return figures
+
+
+def _by_arm(values: np.ndarray, percentiles: Mapping[str, float]) -> dict:
+    """Statistics of (T, 2) values, left and right arm."""
+    columns = np.asarray(values, float).T
+    return {
+        side: statistics(column, percentiles) for side, column in zip(SIDES, columns, strict=True)
+    }
+
+
+def _count_statuses(times: np.ndarray, statuses: tuple[tuple[str, ...], ...]) -> dict:
+    """Sentence -> how often it was said, and from when to when (seconds) without a break."""
+    said: dict[str, list[int]] = {}
+    for sample, sentences in enumerate(statuses):
+        for sentence in dict.fromkeys(sentences):
+            said.setdefault(sentence, []).append(sample)
+    return {
+        sentence: {"count": len(samples), "spans_s": _spans(times, np.array(samples))}
+        for sentence, samples in said.items()
+    }
+
+
+def _spans(times: np.ndarray, samples: np.ndarray) -> list[list[float]]:
+    runs = np.split(samples, np.flatnonzero(np.diff(samples) > 1) + 1)
+    return [[float(times[run[0]]), float(times[run[-1]])] for run in runs]
+
+
+def versions() -> dict[str, str | None]:
+    """What ran; None for what is not installed as a package."""
+    opencv = (version for name in _OPENCV if (version := _version(name)))
+    return {
+        "jaxmocap": _version("jaxmocap"),
+        "jax": _version("jax"),
+        "numpy": _version("numpy"),
+        "opencv": next(opencv, None),
+        "python": platform.python_version(),
+    }
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _backend() -> dict[str, str]:
+    device = jax.devices()[0]
+    return {"platform": device.platform, "device": device.device_kind}
+
+
+def plain(value: Any) -> Any:
+    """What JSON can hold: arrays as lists, dataclasses as dictionaries, NaN as None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if is_dataclass(value) and not isinstance(value, type):
+        return {entry.name: plain(getattr(value, entry.name)) for entry in fields(value)}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(entry) for entry in value]
+    if isinstance(value, np.ndarray | np.generic | jax.Array):
+        return plain(np.asarray(value).tolist())
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    return str(value)

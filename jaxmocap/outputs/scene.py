@@ -1,0 +1,129 @@
+"""The body over time, as what draws it needs it: limbs in the world, outlines in an image.
+
+INPUTS: a Motion, a Camera. OUTPUTS: NumPy arrays, world (metres) or pixels (x, y).
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.flesh import cones
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera, to_pixels
+from jaxmocap.geometry.outlines import outline, project_limb
+
+ARM_BONES = tuple(f"{bone}_{side}" for side in "lr" for bone in ("humerus", "radius", "hand"))
+# Points on each straight side and on each round end of an outline: smooth at 500 pixels.
+ALONG, AROUND = 8, 12
+
+
+@dataclass(frozen=True)
+class Scene:
+    """B bones over T samples.
+
+    Attributes:
+        bones: names.
+        times: (T,) seconds.
+        R_world_bone: (T, B, 3, 3) orientations.
+        near: (T, B, 3) the bones' joints, world, metres.
+        far: (T, B, 3) the bones' far ends, world, metres.
+        radii: (B, 2) of the flesh at both ends, metres.
+    """
+
+    bones: tuple[str, ...]
+    times: np.ndarray
+    R_world_bone: np.ndarray
+    near: np.ndarray
+    far: np.ndarray
+    radii: np.ndarray
+
+    @property
+    def arms(self) -> np.ndarray:
+        """Indices of the arms' bones that this body has."""
+        return np.array([i for i, name in enumerate(self.bones) if name in ARM_BONES], int)
+
+    def at(self, time: float) -> tuple[np.ndarray, np.ndarray] | None:
+        """Near and far ends (B, 3) at a time, between the samples on a straight line.
+
+        None where the time lies more than a sample outside.
+        """
+        times = self.times
+        after = int(np.clip(np.searchsorted(times, time), 1, max(len(times) - 1, 1)))
+        before, after = after - 1, min(after, len(times) - 1)
+        step = times[after] - times[before]
+        part = (time - times[before]) / step if step > 0 else time - times[before]
+        if not -1.0 <= part <= 2.0:
+            return None
+        part = float(np.clip(part, 0.0, 1.0))
+        near = (1 - part) * self.near[before] + part * self.near[after]
+        return near, (1 - part) * self.far[before] + part * self.far[after]
+
+
+def make_scene(motion: Motion) -> Scene:
+    """Place every bone of a motion in the world."""
+    dtype = motion.skeleton.lengths.dtype
+    poses = Pose(*(jnp.asarray(part, dtype) for part in motion.poses))
+    R, near, far = _place(motion.skeleton, poses)
+    return Scene(
+        motion.skeleton.tree.bones,
+        np.asarray(motion.times, float),
+        np.asarray(R),
+        np.asarray(near),
+        np.asarray(far),
+        np.asarray(motion.skeleton.diameters) / 2,
+    )
+
+
+@jax.jit
+def _place(skeleton: Skeleton, poses: Pose) -> tuple[Array, Array, Array]:
+    bones = np.arange(len(skeleton.tree.bones))
+    frames = jax.vmap(forward, (None, 0))(skeleton, poses)
+    flesh = jax.vmap(lambda placed: cones(skeleton, placed, bones))(frames)
+    return frames.R_world_bone, flesh.near, flesh.far
+
+
+def pixels(camera: Camera, points_world: np.ndarray) -> np.ndarray:
+    """Pixels (..., 2) of (..., 3) world points; NaN behind the camera or where missing."""
+    return np.asarray(_pixels(camera, jnp.asarray(points_world, camera.matrix.dtype)))
+
+
+@jax.jit
+def _pixels(camera: Camera, points_world: Array) -> Array:
+    ahead = to_camera(camera, points_world)[..., 2:] > NEAREST_M
+    return jnp.where(ahead, project(camera, points_world), jnp.nan)
+
+
+def limb_outlines(
+    camera: Camera, near: np.ndarray, far: np.ndarray, radii: np.ndarray
+) -> np.ndarray:
+    """Closed outlines (N, P, 2), pixels, of N limbs; NaN where one reaches behind the camera.
+
+    Args:
+        camera: distorts every point of the outline by itself.
+        near: (N, 3) world, metres.
+        far: (N, 3) world, metres.
+        radii: (N, 2) metres.
+    """
+    dtype = camera.matrix.dtype
+    return np.asarray(_outlines(camera, *(jnp.asarray(part, dtype) for part in (near, far, radii))))
+
+
+@jax.jit
+def _outlines(camera: Camera, near: Array, far: Array, radii: Array) -> Array:
+    near_cam, far_cam = to_camera(camera, near), to_camera(camera, far)
+    discs = project_limb(near_cam, far_cam, radii)
+    points = outline(discs, ALONG, AROUND, jnp.ones_like(radii)).points
+    # The pieces come as left side, right side, near arc, far arc: join them into one loop.
+    left, right, round_near, round_far = jnp.split(
+        points, [ALONG, 2 * ALONG, 2 * ALONG + AROUND], axis=-2
+    )
+    loop = [left, round_far[..., ::-1, :], right[..., ::-1, :], round_near[..., ::-1, :]]
+    closed = jnp.concatenate([*loop, left[..., :1, :]], -2)
+    ahead = jnp.minimum(near_cam[..., 2], far_cam[..., 2]) - jnp.max(radii, -1) > NEAREST_M
+    return jnp.where(ahead[..., None, None], to_pixels(camera, closed), jnp.nan)

@@ -1,0 +1,70 @@
+"""A recording for the rerun viewer: the tracked body among cameras, images and time series.
+
+INPUTS: a Motion; per camera its calibration and frames. OUTPUTS: an .rrd file with its blueprint.
+
+The viewer's library loads when ``write_rerun`` is called, not on import.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from jaxmocap.body.motion import Motion
+from jaxmocap.formats.atomic import replacing
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.outputs.scene import make_scene
+
+
+@dataclass(frozen=True)
+class Footage:
+    """What one camera saw. The frames are gone through once.
+
+    Attributes:
+        camera: its calibration.
+        frames: seconds of marker time, rising, and image (H, W, 3) BGR uint8 or None.
+        fields: name -> time and (h, w) uint8 image, such as an arm's edges or distance field.
+    """
+
+    camera: Camera
+    frames: Iterable[tuple[float, np.ndarray | None]]
+    fields: Mapping[str, Iterable[tuple[float, np.ndarray]]] = field(default_factory=dict)
+
+
+def write_rerun(
+    path: str | Path,
+    motion: Motion,
+    footage: Mapping[str, Footage] | None = None,
+    targets: Mapping[str, np.ndarray] | None = None,
+    jpeg_quality: int = 75,
+) -> None:
+    """Write a recording that ``rerun FILE`` shows, laid out in a prepared blueprint.
+
+    The timeline "time" holds seconds of marker time.
+
+    Args:
+        path: of the .rrd file; it appears when it is whole.
+        motion: the limbs' solids and the skeleton; with a report also the time series.
+        footage: camera name -> what it saw.
+        targets: marker -> (T, 3) measured positions at the motion's times, world, metres.
+        jpeg_quality: of the images, 1 to 100.
+    """
+    from jaxmocap.outputs import recorder
+
+    footage, targets = dict(footage or {}), dict(targets or {})
+    scene = make_scene(motion)
+    labels = {name: list(shot.fields) for name, shot in footage.items()}
+    blueprint = recorder.lay_out(labels, scene)
+    with replacing(path) as beside, recorder.recording(beside, blueprint) as stream:
+        recorder.log_body(stream, motion, scene)
+        recorder.log_targets(stream, scene.times, targets)
+        if motion.report is not None:
+            recorder.log_report(stream, scene.times, motion.report)
+        for name, shot in footage.items():
+            recorder.log_camera(stream, name, shot.camera)
+            times = recorder.log_images(stream, name, shot.frames, jpeg_quality)
+            recorder.log_outlines(stream, name, shot.camera, scene, times)
+            recorder.log_seen_targets(stream, name, shot.camera, scene.times, targets)
+            for label, images in shot.fields.items():
+                recorder.log_field(stream, name, label, images)
