@@ -190,6 +190,13 @@ def test_simultaneous_frames_are_one_event_and_rounded_stamps_do_not_split_it():
         assert (timeline.frame_index == np.arange(5)[:, None]).all()
 
 
+def test_of_several_frames_at_one_sample_the_nearest_is_merged_and_the_others_stay():
+    timeline = build_timeline(np.array([0.0]), [np.array([-0.0006, 0.0001, 0.0008])])
+    np.testing.assert_allclose(timeline.event_times, [-0.0006, 0.0, 0.0008])
+    assert timeline.sample_index.tolist() == [-1, 0, -1]
+    assert timeline.frame_index[:, 0].tolist() == [0, 1, 2]
+
+
 def test_unsynchronised_video_has_events_of_its_own():
     timeline = build_timeline(np.array([0.0, 0.1, 0.2]), [np.array([0.05, 0.15])])
     np.testing.assert_allclose(timeline.event_times, [0, 0.05, 0.1, 0.15, 0.2])

@@ -191,6 +191,7 @@ def test_csv_is_seconds_and_metres_with_empty_cells_where_missing(tmp_path):
     [
         ("", "the file is empty"),
         ("frame,Head.x,Head.y,Head.z\n", "line 1: found 'frame"),
+        ("\n" + CSV, "line 1: found ''"),
         ("time\n0\n", "line 1: found 'time'"),
         (CSV.replace("Head.y", "Head.q"), "line 1: found 'Head.q' where 'Head.y' belongs"),
         (CSV.replace(",Hand.z", ""), "line 1: found 'the end of the line' where 'Hand.z' belongs"),

@@ -40,7 +40,8 @@ def read_csv(path: str | Path) -> Markers:
 
 def _names(path: str | Path, header: str) -> list[str]:
     try:
-        cells = [cell.strip() for cell in next(csv.reader([header]))]
+        # The reader gives an empty line no cell at all.
+        cells = [cell.strip() for cell in next(csv.reader([header]))] or [""]
     except csv.Error as error:
         raise InputError(path, f"line 1: {error}, expected {HEADER}") from None
     names = [cell[:-2] for cell in cells[1::3]]
