@@ -82,7 +82,7 @@ def _add_stream(container: OutputContainer, canvas: np.ndarray, rate: float) -> 
     stream = container.add_stream(
         "libx264",
         rate=Fraction(rate).limit_denominator(1001),
-        options={"preset": "veryfast", "crf": "21"},
+        options={"preset": "superfast", "crf": "21"},
     )
     stream.height, stream.width = canvas.shape[:2]
     stream.pix_fmt = "yuv420p"
@@ -117,12 +117,10 @@ class Artist:
         """Draw the body at that time, in place; beyond the motion only the legend."""
         size = max(1, round(min(canvas.shape[:2]) / 480))
         sample = int(np.argmin(np.abs(self.scene.times - time)))
-        ends = self.scene.at(time)
-        confidence = self._confidence(sample)
+        ends, confidence = self.scene.at(time), self._confidence(sample)
         if ends is not None:
-            self._draw_limbs(canvas, *ends, size)
-            self._draw_joints(canvas, ends[0], confidence, size)
-            self._draw_targets(canvas, sample, size)
+            self._draw_outlines(canvas, *ends, size)
+            self._draw_points(canvas, *ends, sample, size)
         _draw_legend(canvas, time, confidence, ends is not None)
 
     def _confidence(self, sample: int) -> dict[str, float]:
@@ -130,35 +128,39 @@ class Artist:
         left, right = (np.nan, np.nan) if report is None else report.confidence[sample]
         return {"elbow_l": float(left), "elbow_r": float(right)}
 
-    def _draw_limbs(self, canvas: np.ndarray, near: np.ndarray, far: np.ndarray, size: int) -> None:
+    def _draw_outlines(
+        self, canvas: np.ndarray, near: np.ndarray, far: np.ndarray, size: int
+    ) -> None:
         arms = self.scene.arms
-        radii = self.scene.radii
-        loops = limb_outlines(self.camera, near[arms], far[arms], radii[arms])
+        loops = limb_outlines(self.camera, near[arms], far[arms], self.scene.radii[arms])
         for bone, loop in zip(arms, loops, strict=True):
             _draw_line(canvas, loop, OUTLINES[self.scene.bones[bone][-1]], size)
-        for line in pixels(self.camera, np.stack([near, far], 1)):
-            _draw_line(canvas, line, BONES, size)
 
-    def _draw_joints(
-        self, canvas: np.ndarray, near: np.ndarray, confidence: dict[str, float], size: int
+    def _draw_points(
+        self, canvas: np.ndarray, near: np.ndarray, far: np.ndarray, sample: int, size: int
     ) -> None:
-        for bone, pixel in zip(self.scene.bones, pixels(self.camera, near), strict=True):
+        """Bones, joints and targets, projected in one go."""
+        measured = [positions[sample] for positions in self.targets.values()]
+        points = np.concatenate([near, far, np.reshape(measured, (-1, 3))])
+        near_xy, far_xy, targets_xy = np.split(
+            pixels(self.camera, points), [len(near), 2 * len(near)]
+        )
+        for line in np.stack([near_xy, far_xy], 1):
+            _draw_line(canvas, line, BONES, size)
+        confidence = self._confidence(sample)
+        for bone, pixel in zip(self.scene.bones, near_xy, strict=True):
             elbow = bone.replace("radius", "elbow")
             if elbow in confidence:
                 _draw_dot(canvas, pixel, confidence_colour(confidence[elbow]), 5 * size)
             else:
                 _draw_dot(canvas, pixel, JOINTS, 2 * size)
+        for pixel in targets_xy:
+            _draw_cross(canvas, pixel, TARGETS, size)
 
-    def _draw_targets(self, canvas: np.ndarray, sample: int, size: int) -> None:
-        if not self.targets:
-            return
-        points = np.stack([positions[sample] for positions in self.targets.values()])
-        for pixel in pixels(self.camera, points):
-            if np.isfinite(pixel).all():
-                place = np.clip(pixel, -1e4, 1e4).round().astype(int).tolist()
-                cv2.drawMarker(
-                    canvas, place, TARGETS, cv2.MARKER_CROSS, 12 * size, size + 1, cv2.LINE_AA
-                )
+
+def encode_jpeg(image: np.ndarray, quality: int) -> bytes:
+    """A JPEG file of a BGR or grey uint8 image; quality from 1 to 100."""
+    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
 def confidence_colour(confidence: float) -> tuple[int, int, int]:
@@ -182,6 +184,12 @@ def _draw_dot(canvas: np.ndarray, pixel: np.ndarray, colour: tuple, radius: int)
     if np.isfinite(pixel).all():
         fixed = (np.clip(pixel, -1e4, 1e4) * 2**SHIFT).round().astype(int).tolist()
         cv2.circle(canvas, fixed, radius << SHIFT, colour, -1, cv2.LINE_AA, SHIFT)
+
+
+def _draw_cross(canvas: np.ndarray, pixel: np.ndarray, colour: tuple, size: int) -> None:
+    if np.isfinite(pixel).all():
+        at = np.clip(pixel, -1e4, 1e4).round().astype(int).tolist()
+        cv2.drawMarker(canvas, at, colour, cv2.MARKER_CROSS, 12 * size, size + 1, cv2.LINE_AA)
 
 
 def _draw_legend(

@@ -1,4 +1,4 @@
-"""The parts of a recording for the rerun viewer. The only module that imports rerun.
+"""The parts of a recording for the rerun viewer. It and ``layout`` alone import rerun.
 
 INPUTS: a recording stream and what to log. OUTPUTS: none; the stream's sink holds the data.
 
@@ -14,32 +14,25 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
+from rerun.blueprint import Blueprint
 
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import quaternion_from_matrix
+from jaxmocap.outputs.layout import TIMELINE, entity_path
+from jaxmocap.outputs.overlay import encode_jpeg
 from jaxmocap.outputs.scene import Scene, limb_outlines, pixels
 from jaxmocap.outputs.solids import limb_solid
 
-TIMELINE = "time"
 # RGB; middle, left and right of the body. The skeleton shines through the limbs.
 COLOURS = {"": (190, 190, 200), "l": (70, 170, 255), "r": (255, 160, 60)}
 OPACITY = 170
 TARGETS = (255, 60, 255)
-# Entity -> title of its view.
-SERIES = {
-    "marker_errors": "Marker errors [mm]",
-    "arm_costs": "Arm costs [px]",
-    "confidence": "Elbow confidence",
-    "swivel": "Swivel by video [°]",
-    "milliseconds": "Stage times [ms]",
-}
 SIDES = ("left", "right")
 
 
 @contextmanager
-def recording(path: Path, blueprint: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
+def recording(path: Path, blueprint: Blueprint) -> Iterator[rr.RecordingStream]:
     """A stream into a file, complete at the end."""
     stream = rr.RecordingStream("jaxmocap")
     stream.save(path, default_blueprint=blueprint)
@@ -47,57 +40,6 @@ def recording(path: Path, blueprint: rrb.Blueprint) -> Iterator[rr.RecordingStre
         yield stream
     finally:
         stream.disconnect()
-
-
-def lay_out(cameras: Mapping[str, list[str]], scene: Scene) -> rrb.Blueprint:
-    """Body to the left, cameras and their fields to the right, time series below.
-
-    Args:
-        cameras: camera name -> names of its fields.
-        scene: looked at from ahead, half from its left.
-    """
-    body = rrb.Spatial3DView(origin="/world", name="Body", eye_controls=_eye(scene))
-    views = [
-        rrb.Spatial2DView(origin=_path("world", "cameras", name), name=name) for name in cameras
-    ]
-    fields = [
-        rrb.Spatial2DView(origin=_path("fields", name, label), name=f"{name}: {label}")
-        for name, labels in cameras.items()
-        for label in labels
-    ]
-    series = [
-        rrb.TimeSeriesView(
-            origin=f"/{entity}",
-            name=title,
-            axis_y=rrb.ScalarAxis(range=(0, 1)) if entity == "confidence" else None,
-        )
-        for entity, title in SERIES.items()
-    ]
-    top: list[rrb.View | rrb.Container] = [body]
-    if fields:
-        top.append(rrb.Vertical(rrb.Tabs(*views), rrb.Grid(*fields), row_shares=[2, 1]))
-    elif views:
-        top.append(rrb.Tabs(*views))
-    return rrb.Blueprint(
-        rrb.Vertical(
-            rrb.Horizontal(*top),
-            rrb.Tabs(*series, rrb.TextLogView(origin="/statuses", name="Statuses")),
-            row_shares=[3, 1],
-        ),
-        rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.BlueprintPanel(state="collapsed"),
-    )
-
-
-def _eye(scene: Scene) -> rrb.EyeControls3D:
-    """Far enough ahead of the first pose to see the whole body."""
-    centre = (scene.near[0].min(0) + scene.near[0].max(0)) / 2
-    size = float(np.linalg.norm(np.ptp(scene.near[0], axis=0)))
-    ahead, left = scene.R_world_bone[0, 0, :, 0], scene.R_world_bone[0, 0, :, 1]
-    away = ahead + 0.5 * left + np.array([0.0, 0.0, 0.35])
-    position = centre + 1.3 * size * away
-    return rrb.EyeControls3D(position=position, look_target=centre, eye_up=(0.0, 0.0, 1.0))
 
 
 def log_body(stream: rr.RecordingStream, motion: Motion, scene: Scene) -> None:
@@ -139,7 +81,7 @@ def log_targets(
 ) -> None:
     """Measured markers as points; none where one is missing."""
     for name, positions in targets.items():
-        entity = _path("world", "markers", name)
+        entity = entity_path("world", "markers", name)
         style = rr.Points3D.from_fields(radii=0.012, colors=TARGETS, labels=name, show_labels=False)
         stream.log(entity, style, static=True)
         seen = np.isfinite(positions).all(-1)
@@ -151,7 +93,7 @@ def log_camera(stream: rr.RecordingStream, name: str, camera: Camera) -> None:
     """The camera's frustum in the world."""
     width, height = np.asarray(camera.size, int).tolist()
     T = np.asarray(camera.T_cam_world)
-    entity = _path("world", "cameras", name)
+    entity = entity_path("world", "cameras", name)
     centre = np.asarray(camera.position_world)
     stream.log(entity, rr.Transform3D(translation=centre, mat3x3=T[:3, :3].T), static=True)
     stream.log(
@@ -173,14 +115,14 @@ def log_images(
     jpeg_quality: int,
 ) -> np.ndarray:
     """Frames as JPEG images, cleared where one is None; their times (F,), seconds."""
-    entity, times = _path("world", "cameras", name, "image"), []
+    entity, times = entity_path("world", "cameras", name, "image"), []
     for time, image in frames:
         stream.set_time(TIMELINE, duration=time)
         if image is None:
             stream.log(entity, rr.Clear(recursive=False))
         else:
-            coloured = rr.Image(image, color_model="BGR")
-            stream.log(entity, coloured.compress(jpeg_quality=jpeg_quality))
+            jpeg = encode_jpeg(image, jpeg_quality)
+            stream.log(entity, rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))
         times.append(time)
     return np.array(times, float)
 
@@ -200,7 +142,7 @@ def log_outlines(
         ("outlines", outlines, [_colour(scene.bones[i]) for i in arms], 1.0),
         ("bones", bones, COLOURS[""], 0.6),
     ):
-        entity = _path("world", "cameras", name, label)
+        entity = entity_path("world", "cameras", name, label)
         style = rr.LineStrips2D.from_fields(colors=colours, radii=rr.Radius.ui_points(width))
         stream.log(entity, style, static=True)
         _send_strips(stream, entity, at, strips, rr.LineStrips2D)
@@ -215,7 +157,7 @@ def log_seen_targets(
 ) -> None:
     """Measured markers as points over the image, at the markers' times."""
     for marker, positions in targets.items():
-        entity = _path("world", "cameras", name, "markers", marker)
+        entity = entity_path("world", "cameras", name, "markers", marker)
         style = rr.Points2D.from_fields(radii=rr.Radius.ui_points(3.0), colors=TARGETS)
         stream.log(entity, style, static=True)
         at = pixels(camera, positions)
@@ -233,7 +175,7 @@ def log_field(
     """Grey images of a part of the camera's image, in a view of their own."""
     for time, image in images:
         stream.set_time(TIMELINE, duration=time)
-        stream.log(_path("fields", name, label), rr.Image(image, color_model="L").compress())
+        stream.log(entity_path("fields", name, label), rr.Image(image, color_model="L"))
 
 
 def log_report(stream: rr.RecordingStream, times: np.ndarray, report: Report) -> None:
@@ -266,7 +208,7 @@ def _send_series(
         seen = np.isfinite(column)
         if not seen.any():
             continue
-        entity = _path(root, name)
+        entity = entity_path(root, name)
         stream.log(entity, rr.SeriesLines(names=name), static=True)
         columns = rr.Scalars.columns(scalars=column[seen])
         stream.send_columns(entity, [_at(times[seen])], columns)
@@ -289,8 +231,3 @@ def _send_strips(
 
 def _at(times: np.ndarray) -> rr.TimeColumn:
     return rr.TimeColumn(TIMELINE, duration=np.asarray(times, np.float64))
-
-
-def _path(*parts: str) -> str:
-    """An entity path whose parts may hold any character."""
-    return rr.new_entity_path(list(parts))

@@ -50,12 +50,12 @@ def write_rerun(
         targets: marker -> (T, 3) measured positions at the motion's times, world, metres.
         jpeg_quality: of the images, 1 to 100.
     """
-    from jaxmocap.outputs import recorder
+    from jaxmocap.outputs import layout, recorder
 
     footage, targets = dict(footage or {}), dict(targets or {})
     scene = make_scene(motion)
     labels = {name: list(shot.fields) for name, shot in footage.items()}
-    blueprint = recorder.lay_out(labels, scene)
+    blueprint = layout.lay_out(labels, scene)
     with replacing(path) as beside, recorder.recording(beside, blueprint) as stream:
         recorder.log_body(stream, motion, scene)
         recorder.log_targets(stream, scene.times, targets)

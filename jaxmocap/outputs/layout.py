@@ -1,0 +1,79 @@
+"""How the rerun viewer lays a recording out: the blueprint.
+
+INPUTS: names of cameras and of their fields, a Scene to look at. OUTPUTS: a blueprint.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from jaxmocap.outputs.scene import Scene
+
+TIMELINE = "time"
+# Entity -> title of its view.
+SERIES = {
+    "marker_errors": "Marker errors [mm]",
+    "arm_costs": "Arm costs [px]",
+    "confidence": "Elbow confidence",
+    "swivel": "Swivel by video [°]",
+    "milliseconds": "Stage times [ms]",
+}
+
+
+def lay_out(cameras: Mapping[str, list[str]], scene: Scene) -> rrb.Blueprint:
+    """Body to the left, cameras and their fields to the right, time series below.
+
+    Args:
+        cameras: camera name -> names of its fields.
+        scene: looked at from ahead, half from its left.
+    """
+    body = rrb.Spatial3DView(origin="/world", name="Body", eye_controls=_eye(scene))
+    views = [
+        rrb.Spatial2DView(origin=entity_path("world", "cameras", name), name=name)
+        for name in cameras
+    ]
+    fields = [
+        rrb.Spatial2DView(origin=entity_path("fields", name, label), name=f"{name}: {label}")
+        for name, labels in cameras.items()
+        for label in labels
+    ]
+    series = [
+        rrb.TimeSeriesView(
+            origin=f"/{entity}",
+            name=title,
+            axis_y=rrb.ScalarAxis(range=(0, 1)) if entity == "confidence" else None,
+        )
+        for entity, title in SERIES.items()
+    ]
+    top: list[rrb.View | rrb.Container] = [body]
+    if fields:
+        top.append(rrb.Vertical(rrb.Tabs(*views), rrb.Grid(*fields), row_shares=[2, 1]))
+    elif views:
+        top.append(rrb.Tabs(*views))
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(*top),
+            rrb.Tabs(*series, rrb.TextLogView(origin="/statuses", name="Statuses")),
+            row_shares=[3, 1],
+        ),
+        rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+    )
+
+
+def _eye(scene: Scene) -> rrb.EyeControls3D:
+    """Far enough ahead of the first pose to see the whole body."""
+    centre = (scene.near[0].min(0) + scene.near[0].max(0)) / 2
+    size = float(np.linalg.norm(np.ptp(scene.near[0], axis=0)))
+    ahead, left = scene.R_world_bone[0, 0, :, 0], scene.R_world_bone[0, 0, :, 1]
+    away = ahead + 0.5 * left + np.array([0.0, 0.0, 0.35])
+    position = centre + 1.3 * size * away
+    return rrb.EyeControls3D(position=position, look_target=centre, eye_up=(0.0, 0.0, 1.0))
+
+
+def entity_path(*parts: str) -> str:
+    """An entity path whose parts may hold any character."""
+    return rr.new_entity_path(list(parts))
