@@ -8,6 +8,7 @@ INPUTS: a Skeleton and posture channels (T, C). OUTPUTS: Bones over T instants, 
 """
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ NEAREST_REACH, FARTHEST_REACH = 0.30, 0.975
 CLAVICLE_GLIDE = np.deg2rad(9.0)
 ANKLE_HEIGHT = 0.039  # of the body height (Winter's Fig. 4.1)
 FOOT_PITCH = np.deg2rad(17.0)
-LEG_SPAN = 0.491  # of the body height, hip to ankle
+UPRIGHT = 0.985  # of the leg's length, hip over ankle: knees are not locked
 HEAD_STEADINESS = 0.75  # how much of the trunk's turn the head undoes, to keep its eyes on the ball
 
 
@@ -132,10 +133,15 @@ class Figure:
         ankles = {"l": (0.03, stance / 2, up), "r": (-0.03, -stance / 2, up)}
         return cls(skeleton, height, {side: np.array(at) for side, at in ankles.items()})
 
+    @cached_property
+    def reaches(self) -> np.ndarray:
+        """(B, 3) from each bone's joint to its far end, in its own frame, metres."""
+        lengths = np.asarray(self.skeleton.lengths, float)
+        return lengths[:, None] * np.asarray(self.skeleton.directions, float)
+
     def reach(self, bone: str) -> np.ndarray:
-        """(3,) from a bone's joint to its far end, in its own frame, metres."""
-        i = self.skeleton.tree.bone(bone)
-        return float(self.skeleton.lengths[i]) * np.asarray(self.skeleton.directions[i], float)
+        """(3,) the same of one bone."""
+        return self.reaches[self.skeleton.tree.bone(bone)]
 
     def length(self, bone: str) -> float:
         """Length of a bone, metres."""
@@ -148,7 +154,8 @@ class Figure:
             ValueError: the pelvis rises beyond what the legs reach with planted feet.
         """
         frames: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-        upright = (ANKLE_HEIGHT + 0.965 * LEG_SPAN) * self.height
+        leg = self.length("femur_l") + self.length("tibia_l")
+        upright = ANKLE_HEIGHT * self.height + UPRIGHT * leg
         root = channels.pelvis + np.array([0.0, 0.0, upright])
         R_pelvis = _turns("zy", channels.yaw, channels.pitch)
         self._trunk(frames, root, R_pelvis, channels)

@@ -1,11 +1,10 @@
-"""A camera in NumPy and OpenCV, for drawing.
+"""A camera in NumPy, for drawing.
 
 INPUTS: a Camera, or where to put one. OUTPUTS: pixels and depths of world points.
 """
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from jaxmocap.geometry.cameras import Camera
@@ -66,7 +65,14 @@ class Lens:
 
     def pixels(self, points_world: np.ndarray) -> np.ndarray:
         """(..., 2) pixels (x, y) of (..., 3) points in front of the camera."""
-        rotation = cv2.Rodrigues(self.R_cam_world)[0]
-        flat = np.ascontiguousarray(points_world, float).reshape(-1, 1, 3)
-        pixels = cv2.projectPoints(flat, rotation, self.shift_cam, self.matrix, self.distortion)[0]
-        return np.asarray(pixels).reshape(*points_world.shape[:-1], 2)
+        points_cam = points_world @ self.R_cam_world.T + self.shift_cam
+        x, y = np.moveaxis(points_cam[..., :2] / points_cam[..., 2:], -1, 0)
+        k1, k2, p1, p2, k3, k4, k5, k6 = self.distortion
+        r2 = x * x + y * y
+        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        tangential = 2 * (p1 * y + p2 * x)
+        bent = [
+            x * (radial + tangential) + p2 * r2,
+            y * (radial + tangential) + p1 * r2,
+        ]
+        return np.stack(bent, -1) @ self.matrix[:2, :2].T + self.matrix[:2, 2]

@@ -9,6 +9,7 @@ INPUTS: a kind of movement, a duration, a seed. OUTPUTS: a Performance.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,141 +19,108 @@ from jaxmocap.synthetic.figure import Bones, Channels, Figure, Posture
 from jaxmocap.synthetic.splines import Spline
 
 LIMB_SPREAD = 0.03
-# Swivels at which an elbow is low or high; degrees. Strokes alternate between them.
-LOW_SWIVEL, MIDDLE_SWIVEL, HIGH_SWIVEL = (18.0, 26.0), (50.0, 70.0), (100.0, 110.0)
+# Swivels at which an elbow is low, between strokes, or high; degrees. Strokes alternate between low
+# and high; at the relaxed pose's, which is 0, it never is.
+LOW_SWIVEL, MIDDLE_SWIVEL, HIGH_SWIVEL = (12.0, 15.0), (28.0, 42.0), (94.0, 97.0)
 
 READY = Posture(
-    pelvis=(-0.05, 0.0, -0.12),
-    pitch=18,
-    flexion=16,
-    gaze=(0, -4),
-    reach_l=(0.50, 0.02, -0.40),
-    reach_r=(0.52, 0.08, -0.40),
+    pelvis=(-0.02, 0.0, -0.04),
+    pitch=5,
+    flexion=7,
+    gaze=(0, -2),
+    reach_l=(0.63, 0.13, -0.55),
+    reach_r=(0.65, 0.17, -0.53),
 )
 STANDING = Posture(
-    pelvis=(0.0, 0.0, -0.02), reach_l=(0.35, 0.20, -0.75), reach_r=(0.35, 0.20, -0.75)
+    pelvis=(0.0, 0.0, -0.01), reach_l=(0.37, 0.21, -0.79), reach_r=(0.37, 0.21, -0.79)
 )
 # A stroke: key postures at seconds from its start. Wrists in arm lengths: forward, out, up.
+_BACKSWING = replace(
+    READY,
+    pelvis=(-0.03, -0.03, -0.07),
+    yaw=-9,
+    twist=-13,
+    bend=5,
+    reach_l=(0.76, 0.16, -0.26),
+    reach_r=(-0.02, 0.65, -0.55),
+    wrist_r=(-8, 15),
+)
+_DRIVE = replace(
+    READY,
+    pelvis=(-0.01, 0.02, -0.05),
+    yaw=2,
+    twist=3,
+    reach_l=(0.58, 0.42, -0.47),
+    reach_r=(0.76, 0.38, -0.29),
+    wrist_r=(4, 20),
+)
+_OVER = replace(
+    READY,
+    pelvis=(0.01, 0.03, -0.04),
+    yaw=6,
+    twist=10,
+    bend=-3,
+    reach_l=(0.42, 0.47, -0.58),
+    reach_r=(0.78, -0.19, 0.21),
+    wrist_r=(10, 25),
+)
+_COIL = replace(
+    READY,
+    pelvis=(-0.03, 0.02, -0.07),
+    yaw=3,
+    twist=7,
+    flexion=10,
+    reach_l=(0.53, 0.26, -0.61),
+    reach_r=(0.58, -0.32, -0.44),
+    wrist_r=(10, -15),
+)
+_PUNCH = replace(
+    READY, twist=2, reach_l=(0.44, 0.37, -0.61), reach_r=(0.84, 0.06, -0.21), wrist_r=(0, -5)
+)
+_OPEN = replace(
+    READY,
+    yaw=-5,
+    twist=-9,
+    flexion=6,
+    reach_l=(0.37, 0.44, -0.63),
+    reach_r=(0.69, 0.50, 0.11),
+    wrist_r=(-10, 5),
+)
+_PALM = replace(
+    READY,
+    yaw=-9,
+    twist=-7,
+    flexion=9,
+    gaze=(8, -4),
+    reach_l=(0.63, -0.11, -0.53),
+    reach_r=(0.47, 0.55, -0.42),
+)
+_TOSS = replace(
+    READY,
+    pelvis=(-0.02, -0.02, -0.02),
+    yaw=-10,
+    twist=-11,
+    flexion=4,
+    gaze=(10, -14),
+    reach_l=(0.73, 0.00, 0.38),
+    reach_r=(0.11, 0.80, -0.11),
+    wrist_r=(-12, 20),
+)
+_BRUSH = replace(
+    READY,
+    pelvis=(0.0, 0.02, -0.07),
+    yaw=3,
+    twist=5,
+    flexion=12,
+    gaze=(0, 4),
+    reach_l=(0.44, 0.32, -0.63),
+    reach_r=(0.71, -0.05, -0.44),
+    wrist_r=(14, 10),
+)
 STROKES: dict[str, tuple[tuple[float, Posture], ...]] = {
-    "forehand": (
-        (
-            0.42,
-            replace(
-                READY,
-                pelvis=(-0.05, -0.05, -0.17),
-                yaw=-18,
-                twist=-26,
-                bend=6,
-                reach_l=(0.62, 0.10, -0.22),
-                reach_r=(-0.02, 0.62, -0.52),
-                wrist_r=(-8, 15),
-            ),
-        ),
-        (
-            0.60,
-            replace(
-                READY,
-                pelvis=(-0.02, 0.02, -0.13),
-                yaw=2,
-                twist=4,
-                reach_l=(0.45, 0.30, -0.35),
-                reach_r=(0.66, 0.34, -0.22),
-                wrist_r=(4, 20),
-            ),
-        ),
-        (
-            0.74,
-            replace(
-                READY,
-                pelvis=(0.0, 0.05, -0.12),
-                yaw=12,
-                twist=20,
-                bend=-4,
-                reach_l=(0.30, 0.40, -0.42),
-                reach_r=(0.66, -0.16, 0.20),
-                wrist_r=(10, 25),
-            ),
-        ),
-    ),
-    "backhand": (
-        (
-            0.40,
-            replace(
-                READY,
-                pelvis=(-0.06, 0.02, -0.16),
-                yaw=6,
-                twist=14,
-                flexion=22,
-                reach_l=(0.42, 0.18, -0.46),
-                reach_r=(0.44, -0.28, -0.36),
-                wrist_r=(10, -15),
-            ),
-        ),
-        (
-            0.56,
-            replace(
-                READY,
-                twist=2,
-                reach_l=(0.34, 0.28, -0.48),
-                reach_r=(0.72, 0.06, -0.16),
-                wrist_r=(0, -5),
-            ),
-        ),
-        (
-            0.70,
-            replace(
-                READY,
-                yaw=-6,
-                twist=-12,
-                flexion=10,
-                reach_l=(0.28, 0.34, -0.50),
-                reach_r=(0.66, 0.48, 0.10),
-                wrist_r=(-10, 5),
-            ),
-        ),
-    ),
-    "serve": (
-        (
-            0.40,
-            replace(
-                READY,
-                yaw=-22,
-                twist=-16,
-                flexion=20,
-                gaze=(10, -8),
-                reach_l=(0.50, -0.12, -0.42),
-                reach_r=(0.34, 0.44, -0.34),
-            ),
-        ),
-        (
-            0.72,
-            replace(
-                READY,
-                pelvis=(-0.04, -0.03, -0.06),
-                yaw=-26,
-                twist=-24,
-                flexion=8,
-                gaze=(12, -18),
-                reach_l=(0.62, -0.02, 0.34),
-                reach_r=(0.08, 0.70, -0.06),
-                wrist_r=(-12, 20),
-            ),
-        ),
-        (
-            0.98,
-            replace(
-                READY,
-                pelvis=(0.0, 0.02, -0.15),
-                yaw=4,
-                twist=8,
-                flexion=26,
-                gaze=(0, 4),
-                reach_l=(0.34, 0.22, -0.50),
-                reach_r=(0.60, -0.04, -0.36),
-                wrist_r=(14, 10),
-            ),
-        ),
-    ),
+    "forehand": ((0.42, _BACKSWING), (0.60, _DRIVE), (0.74, _OVER)),
+    "backhand": ((0.40, _COIL), (0.56, _PUNCH), (0.70, _OPEN)),
+    "serve": ((0.40, _PALM), (0.72, _TOSS), (0.98, _BRUSH)),
 }
 RECOVERY_S = 0.5
 REST_S = 0.25
@@ -211,7 +179,7 @@ def table_tennis(
             raise ValueError(f"unknown stroke {stroke!r}; expected one of {', '.join(STROKES)}")
     rng = np.random.default_rng(seed)
     figure = person(height, rng)
-    keys, starts, now, first = [(0.0, _lifted(READY, rng, 0))], [], REST_S, int(rng.integers(2))
+    keys, starts, now, first = [(0.0, _eased(READY, rng))], [], REST_S, int(rng.integers(2))
     while now < seconds:
         number = len(starts)
         starts.append(now)
@@ -219,8 +187,7 @@ def table_tennis(
         for after, posture in STROKES[strokes[number % len(strokes)]]:
             keys.append((now + pace * after, _lifted(_varied(posture, rng), rng, first + number)))
         now = keys[-1][0] + RECOVERY_S
-        between = {f"swivel_{side}": rng.uniform(*MIDDLE_SWIVEL) for side in "lr"}
-        keys.append((now, replace(READY, **between)))
+        keys.append((now, _eased(READY, rng)))
     return Performance(figure, _through(keys), np.array(starts))
 
 
@@ -232,14 +199,14 @@ def squat(seconds: float = 5.0, seed: int = 0, height: float = 1.75) -> Performa
         pitch=34,
         flexion=22,
         gaze=(0, -6),
-        reach_l=(0.80, 0.05, -0.12),
-        reach_r=(0.80, 0.05, -0.12),
-        swivel_l=74,
-        swivel_r=62,
+        reach_l=(0.86, 0.10, -0.12),
+        reach_r=(0.86, 0.10, -0.12),
+        swivel_l=58,
+        swivel_r=46,
     )
-    upright = replace(STANDING, swivel_l=46, swivel_r=36)
+    upright = replace(STANDING, swivel_l=34, swivel_r=26)
     shares = (0.0, 0.12, 0.42, 0.56, 0.88, 1.0)
-    postures = (upright, upright, down, replace(down, swivel_l=88), upright, upright)
+    postures = (upright, upright, down, replace(down, swivel_l=66), upright, upright)
     keys = [(share * seconds, posture) for share, posture in zip(shares, postures, strict=True)]
     return Performance(person(height, rng), _through(keys), np.array([shares[1] * seconds]))
 
@@ -248,17 +215,27 @@ def reaching(seconds: float = 6.0, seed: int = 0, height: float = 1.75) -> Perfo
     """Left and right hand in turn to places around the body, at elbow heights of their own."""
     rng = np.random.default_rng(seed)
     figure = person(height, rng)
-    keys, starts, now = [(0.0, replace(STANDING, swivel_l=60, swivel_r=60))], [], 0.3
+    keys, starts, now = [(0.0, _eased(STANDING, rng))], [], 0.3
     while now < seconds:
-        goal = (rng.uniform(0.45, 0.8), rng.uniform(-0.2, 0.45), rng.uniform(-0.35, 0.4))
-        side = "lr"[len(starts) % 2]
-        trunk = replace(STANDING, flexion=rng.uniform(4, 18), twist=(-12 if side == "l" else 12))
-        posture = replace(trunk, **{f"reach_{side}": goal})
-        keys.append((now + 0.8, _lifted(posture, rng, len(starts) // 2)))
+        # Ahead, between chest and head, at four fifths of the arm's length.
+        goal = np.array([0.8, rng.uniform(-0.25, 0.6), rng.uniform(-0.5, 0.4)])
+        goal *= rng.uniform(0.78, 0.92) / np.linalg.norm(goal)
+        side, other = "lr"[len(starts) % 2], "rl"[len(starts) % 2]
+        trunk = replace(STANDING, flexion=rng.uniform(3, 10), twist=(-8 if side == "l" else 8))
+        lifted = _lifted(trunk, rng, len(starts) // 2)
+        eased = getattr(_eased(trunk, rng), f"swivel_{other}")
+        changed: dict[str, Any] = {f"reach_{side}": tuple(goal), f"swivel_{other}": eased}
+        posture = replace(lifted, **changed)
+        keys += [(now + 0.8, posture), (now + 1.1, posture)]
         starts.append(now)
         now += 1.1
-        keys.append((now, keys[-1][1]))
     return Performance(figure, _through(keys), np.array(starts))
+
+
+def _eased(posture: Posture, rng: np.random.Generator) -> Posture:
+    """The posture with its elbows between low and high."""
+    left, right = rng.uniform(*MIDDLE_SWIVEL, 2)
+    return replace(posture, swivel_l=left, swivel_r=right)
 
 
 def _lifted(posture: Posture, rng: np.random.Generator, number: int) -> Posture:

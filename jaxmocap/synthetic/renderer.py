@@ -89,12 +89,8 @@ def render_frames(
 
 def light(scene: Scene, lens: Lens, time: float) -> np.ndarray:
     """What falls onto the sensor during one exposure: (H, W, 3), BGR uint8, without noise."""
-    ends = scene.mover.vertices(time + EXPOSURE_S * np.array([-0.5, 0.0, 0.5]))
-    speed = np.linalg.norm(np.diff(lens.pixels(ends[[0, 2]]), axis=0), axis=-1).max()
-    count = int(np.clip(np.ceil(speed / BLUR_STEP_PX), 1, MOST_INSTANTS))
-    instants = time + EXPOSURE_S * ((np.arange(count) + 0.5) / count - 0.5)
-    middle = ends[1]
-    pixels = lens.pixels(scene.mover.vertices(instants))
+    vertices = scene.mover.vertices(time + EXPOSURE_S * np.array([-0.5, 0.0, 0.5]))
+    middle, pixels = vertices[1], _blurred(lens.pixels(vertices))
     image = shadowed(scene, lens, middle)
     box = _box(pixels, lens.size)
     if box is None:
@@ -111,8 +107,17 @@ def light(scene: Scene, lens: Lens, time: float) -> np.ndarray:
     for quads in corners:
         drawn = _painted(empty.copy(), quads, colours)
         total += cv2.resize(drawn, part.shape[1::-1], interpolation=cv2.INTER_AREA)
-    image[top:bottom, left:right] = np.rint(total / count).astype(np.uint8)
+    image[top:bottom, left:right] = np.rint(total / len(corners)).astype(np.uint8)
     return image
+
+
+def _blurred(pixels: np.ndarray) -> np.ndarray:
+    """Pixels (N, V, 2) at instants evenly within the exposure, from its start, middle and end."""
+    start, middle, end = pixels
+    farthest = np.linalg.norm(end - start, axis=-1).max()
+    count = int(np.clip(np.ceil(farthest / BLUR_STEP_PX), 1, MOST_INSTANTS))
+    shares = ((2 * np.arange(count) + 1) / count - 1)[:, None, None]
+    return middle + np.abs(shares) * np.where(shares < 0, start - middle, end - middle)
 
 
 def _painted(canvas: np.ndarray, quads: np.ndarray, colours: list[tuple]) -> np.ndarray:
