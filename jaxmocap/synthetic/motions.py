@@ -180,7 +180,7 @@ def table_tennis(
     rng = np.random.default_rng(seed)
     figure = person(height, rng)
     keys, starts, now, first = [(0.0, _eased(READY, rng))], [], REST_S, int(rng.integers(2))
-    while now < seconds:
+    while not starts or now < seconds:
         number = len(starts)
         starts.append(now)
         pace = rng.uniform(1.25, 1.4)
@@ -216,7 +216,7 @@ def reaching(seconds: float = 6.0, seed: int = 0, height: float = 1.75) -> Perfo
     rng = np.random.default_rng(seed)
     figure = person(height, rng)
     keys, starts, now = [(0.0, _eased(STANDING, rng))], [], 0.3
-    while now < seconds:
+    while not starts or now < seconds:
         # Ahead, between chest and head, at four fifths of the arm's length.
         goal = np.array([0.8, rng.uniform(-0.25, 0.6), rng.uniform(-0.5, 0.4)])
         goal *= rng.uniform(0.78, 0.92) / np.linalg.norm(goal)
