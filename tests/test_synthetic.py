@@ -1,6 +1,7 @@
 """Synthetic recordings: hard for a tracker, true to their own figures, the same for a seed."""
 
 from itertools import pairwise
+from pathlib import Path
 
 import av
 import cv2
@@ -17,9 +18,13 @@ from jaxmocap.formats.trc import read_trc
 from jaxmocap.geometry.cameras import project
 from jaxmocap.synthetic import motions, recording, renderer
 from jaxmocap.synthetic.lens import Lens
+from jaxmocap.synthetic.mesh_person import MARKERS as GAIT_MARKERS
+from jaxmocap.synthetic.mesh_person import mesh_person
 from jaxmocap.synthetic.person import MARKERS, dressed
 from jaxmocap.synthetic.renderer import Scene, render_frames
 from jaxmocap.synthetic.splines import Spline
+
+RECORDINGS = Path(__file__).parents[2] / "shared" / "recordings"
 
 SECONDS = 6.0
 TIMES = np.arange(0, SECONDS, 1 / 90)
@@ -265,3 +270,71 @@ def test_the_files_truth_is_the_performers(tmp_path):
 
 def test_reaching_is_written_too(tmp_path):
     assert load_recording(recording.write_reaching(tmp_path, seconds=0.1)).videos
+
+
+@pytest.fixture(scope="module")
+def server(recordings):
+    """The rigged mesh, serving as the tennis player of the C3D file does."""
+    ezc3d = pytest.importorskip("ezc3d", reason="reading the C3D file needs ezc3d")
+    file = ezc3d.c3d(str(recordings / "motions" / "tennis_serve.c3d"))
+    labels = [name.split(":")[-1] for name in file["parameters"]["POINT"]["LABELS"]["value"]]
+    positions = dict(zip(labels, file["data"]["points"][:3].transpose(1, 2, 0), strict=True))
+    rate = float(file["header"]["points"]["frame_rate"])
+    return positions, mesh_person(
+        recordings / "person" / "person.npz", positions, rate, start=2.6, seconds=3.0
+    )
+
+
+def test_a_rigged_mesh_keeps_its_bones_and_follows_the_markers(server):
+    positions, person = server
+    times = np.arange(0, 2.9, 0.02)
+    points = person.landmarks(times)
+    for near, far, _ in BONES:
+        for side in "lr":
+            lengths = np.linalg.norm(points[f"{far}_{side}"] - points[f"{near}_{side}"], axis=1)
+            assert np.ptp(lengths) < 1e-9
+    at = GAIT_MARKERS.index
+    markers = person.markers(times).reshape(len(times), -1, 3)
+    for side, s in (("l", "L"), ("r", "R")):
+        upper = points[f"elbow_{side}"] - points[f"shoulder_{side}"]
+        measured = markers[:, at(s + "ELB")] - markers[:, at(s + "SHO")]
+        cosine = np.sum(upper * measured, -1) / np.linalg.norm(upper, axis=-1)
+        # Markers lie on the skin, centres some centimetres below it.
+        assert np.rad2deg(np.arccos(cosine / np.linalg.norm(measured, axis=-1))).max() < 20
+    hips = (points["hip_l"] + points["hip_r"]) / 2
+    pelvis = markers[:, [at(n) for n in ("LASI", "RASI", "LPSI", "RPSI")]].mean(1)
+    assert np.linalg.norm(hips - pelvis, axis=-1).max() < 0.15
+    with pytest.raises(ValueError, match="unknown person 'nobody'"):
+        mesh_person_of(positions, who="nobody")
+    with pytest.raises(ValueError, match="the markers end"):
+        mesh_person_of(positions, start=1e3)
+
+
+def mesh_person_of(positions, **changed):
+    return mesh_person(RECORDINGS / "person" / "person.npz", positions, 50.0, **changed)
+
+
+def test_joints_of_a_rigged_mesh_lie_within_its_skin(server):
+    _, person = server
+    times = np.array([0.3, 1.2, 2.5])
+    points, vertices = person.landmarks(times), person.vertices(times)
+    directions = np.random.default_rng(0).normal(size=(60, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    for name in ("elbow_l", "elbow_r", "wrist_l", "knee_r", "shoulder_l"):
+        for i in range(len(times)):
+            away = vertices[i] - points[name][i]
+            near = away[np.linalg.norm(away, axis=-1) < 0.12]
+            # Skin on every side, and none of it at the joint itself.
+            assert (near @ directions.T).max(0).min() > 0.01
+            assert np.linalg.norm(near, axis=-1).min() > 0.01
+
+
+def test_a_recording_of_a_rigged_mesh_is_read_like_any_other(server, tmp_path):
+    _, person = server
+    loaded = load_recording(recording.write_person_recording(tmp_path, person, seconds=0.1))
+    assert loaded.marker_names == tuple(recording.BODY_MARKERS)
+    tree = loaded.skeleton.tree
+    points = person.landmarks(np.zeros(1))
+    for near, far, bone in BONES[:2]:
+        length = np.linalg.norm(points[f"{far}_l"] - points[f"{near}_l"])
+        assert abs(float(loaded.skeleton.lengths[tree.bone(f"{bone}_l")]) - length) < 1e-3

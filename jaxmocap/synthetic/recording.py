@@ -21,6 +21,7 @@ from jaxmocap.formats.trc import write_trc
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.synthetic import motions
 from jaxmocap.synthetic.lens import look_at
+from jaxmocap.synthetic.mesh_person import MeshPerson
 from jaxmocap.synthetic.motions import Performance
 from jaxmocap.synthetic.person import MARKERS, dressed
 from jaxmocap.synthetic.renderer import Progress, Scene, render_frames
@@ -33,6 +34,15 @@ CAMERA = "webcam"
 JITTER_M, WANDER_M, WORST_M = 0.001, 0.005, 0.013
 WANDER_PERIODS_S = (2.5, 15.0)
 WAVES = 4
+# The five end effectors of the paper: marker, which is a landmark too -> bone that ends there.
+BODY_MARKERS = {
+    "vertex": "head",
+    **{
+        f"{mark}_{s}": f"{bone}_{s}"
+        for mark, bone in (("wrist", "radius"), ("ankle", "tibia"))
+        for s in "lr"
+    },
+}
 
 
 def write_table_tennis(
@@ -105,6 +115,39 @@ def write_performance(
         render_frames(Scene.in_room(camera, dressed(performance, seed), seed), frames, progress),
         marker_places(),
         {"height": figure.height},
+        seed,
+    )
+
+
+def write_person_recording(
+    directory: str | Path,
+    person: MeshPerson,
+    seconds: float,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Path:
+    """Write the recording of a rigged mesh, moved by recorded markers.
+
+    Head, wrists and ankles carry markers, as in the paper; a static trial, ``static.trc``, tells
+    the subject's lengths.
+    """
+    directory = Path(directory)
+    directory.mkdir(parents=True, exist_ok=True)
+    times = np.arange(int(seconds * MARKER_RATE)) / MARKER_RATE
+    landmarks, standing = person.landmarks(times), person.standing()
+    # The rig's rest faces -y; a static trial may face anywhere.
+    write_trc(directory / "static.trc", np.zeros(1), standing, rate=MARKER_RATE)
+    camera = look_at((3.6, 0.75, 1.35), (0.0, 0.0, 1.18), focal=680.0)
+    scene = Scene.in_room(camera, person, seed)
+    return write_parts(
+        directory,
+        times,
+        {landmark: landmarks[landmark] for landmark in BODY_MARKERS},
+        landmarks,
+        camera,
+        render_frames(scene, video_times(seconds), progress),
+        {landmark: {"bone": bone, "at": 1.0} for landmark, bone in BODY_MARKERS.items()},
+        {"static": "static.trc", "landmarks": {name: name for name in standing if name != "head"}},
         seed,
     )
 
