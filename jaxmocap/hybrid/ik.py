@@ -4,7 +4,6 @@ INPUTS: a Skeleton, marker targets (world, metres) with a mask, the last pose an
 OUTPUTS: the pose that meets the markers, the stance, and how the solve ended.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -17,58 +16,12 @@ from jaxmocap.body.mass import augmented_bodies
 from jaxmocap.body.pose import Pose, relaxed_pose, retract
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix, rotate
+from jaxmocap.hybrid.settings import IKSettings
 from jaxmocap.solvers.sdls import clamp_lengths, clamp_max_abs, project_secondary, sdls_step
 
 SIDES = ("l", "r")
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class IKSettings:
-    """What a user may tune; all traced.
-
-    Attributes:
-        iterations: most iterations of algorithm 1 in a frame.
-        settle: iterations that every frame makes, so that the secondary task acts while the
-            markers are met.
-        tolerance: distance at which an effector is at its target, metres.
-        largest_step: Gamma of equation (8), in weighted radians.
-        relaxation: gain of the secondary task (9).
-        uprightness: gain of the pull of the pelvis to the upright, in the same projection.
-        floor: height of the ground, metres.
-        stance_radius: the head's farthest horizontal distance from the middle between the feet
-            before they are planted anew, as a fraction of the leg's length.
-        leg_overstretch: distance by which a held foot is missed before it is planted anew, metres.
-    """
-
-    iterations: Array
-    settle: Array
-    tolerance: Array
-    largest_step: Array
-    relaxation: Array
-    uprightness: Array
-    floor: Array
-    stance_radius: Array
-    leg_overstretch: Array
-
-    @classmethod
-    def create(
-        cls,
-        iterations: int = 30,
-        settle: int = 4,
-        tolerance: float = 1e-3,
-        largest_step: float = np.pi / 4,
-        relaxation: float = 0.9,
-        uprightness: float = 0.1,
-        floor: float = 0.0,
-        stance_radius: float = 0.45,
-        leg_overstretch: float = 0.03,
-    ) -> "IKSettings":
-        """Settings as arrays (a Python float in a pytree would trace anew)."""
-        counts = (jnp.asarray(iterations, jnp.int32), jnp.asarray(settle, jnp.int32))
-        numbers = (tolerance, largest_step, relaxation, uprightness, floor)
-        rest = (stance_radius, leg_overstretch)
-        return cls(*counts, *(jnp.asarray(value, float) for value in (*numbers, *rest)))
+# A degree of freedom this near to its limit (weighted radians) is at it.
+AT_LIMIT = 1e-3
 
 
 class Effectors(NamedTuple):
@@ -81,6 +34,20 @@ class Effectors(NamedTuple):
 
     sites: Sites
     held: tuple[str, ...]
+
+
+class Goals(NamedTuple):
+    """Where M points on bones are to go.
+
+    Attributes:
+        sites: the points.
+        targets: (M, 3) world, metres.
+        weights: (M,) of each in the least-squares sense; 0 where there is no target.
+    """
+
+    sites: Sites
+    targets: Array
+    weights: Array
 
 
 class Stance(NamedTuple):
@@ -101,7 +68,7 @@ class IKResult(NamedTuple):
     Attributes:
         pose: that meets the targets.
         stance: of the feet.
-        distances: (M + F,) metres from effector to target; 0 where there is no target.
+        distances: (M + F,) metres from effector to goal; 0 where there is none.
         iterations: () made.
         planted: () whether the feet were planted anew in this frame.
     """
@@ -117,7 +84,7 @@ def effectors(skeleton: Skeleton, markers: Sites) -> Effectors:
     """Markers, and the ankles of those feet that carry no marker on tibia or foot."""
     bones = {skeleton.tree.bones[bone] for bone in markers.bones}
     held = tuple(s for s in SIDES if not bones & {f"tibia_{s}", f"foot_{s}"})
-    feet = np.array([skeleton.tree.bone(f"foot_{side}") for side in held], int)
+    feet = np.array([skeleton.tree.bone(f"foot_{side}") for side in held], np.int32)
     zeros = jnp.zeros(len(held), markers.at.dtype)
     sites = Sites(
         np.concatenate([markers.bones, feet]),
@@ -143,15 +110,27 @@ def secondary_task(skeleton: Skeleton, frames: Frames, pose: Pose, settings: IKS
 
 
 def ik_step(
-    skeleton: Skeleton, sites: Sites, settings: IKSettings, pose: Pose, targets: Array, mask: Array
-) -> Pose:
-    """One iteration of algorithm 1 from ``pose`` towards ``targets`` (M, 3) where ``mask`` (M,)."""
+    skeleton: Skeleton, goals: Goals, settings: IKSettings, pose: Pose, free: Array
+) -> tuple[Pose, Array, Array]:
+    """One iteration of algorithm 1.
+
+    Returns the new pose, the largest weighted angle that it moved by, and by how much the old one
+    missed its farthest goal, metres.
+
+    Args:
+        skeleton: D degrees of freedom.
+        goals: what is to be reached.
+        settings: traced.
+        pose: to start from.
+        free: (6 + D,) degrees of freedom that may move.
+    """
     frames = forward(skeleton, pose)
-    points = site_positions(skeleton, frames, sites)
-    arm = jnp.sum(skeleton.lengths[np.array(_arm(skeleton))])
-    error = clamp_lengths(jnp.where(mask[:, None], targets - points, 0.0), 0.1 * arm)
-    J = jacobian(skeleton, frames, sites.bones, points) / skeleton.costs
-    J = jnp.where(mask[:, None, None], J, 0.0).reshape(-1, J.shape[-1])
+    points = site_positions(skeleton, frames, goals.sites)
+    weights = goals.weights[:, None]
+    away = jnp.where(weights > 0, goals.targets - points, 0.0)
+    error = weights * clamp_lengths(away, 0.1 * _arm_length(skeleton))
+    J = jacobian(skeleton, frames, goals.sites.bones, points) / skeleton.costs
+    J = (weights[..., None] * J).reshape(-1, J.shape[-1])
     wanted = skeleton.costs * secondary_task(skeleton, frames, pose, settings)
     low, high = _room(skeleton, pose)
 
@@ -161,11 +140,57 @@ def ik_step(
         secondary = project_secondary(solved.row_space, jnp.where(free, wanted, 0.0))
         return solved.primary + clamp_max_abs(secondary, settings.largest_step)
 
-    psi = step(jnp.ones_like(low, bool))
-    # A degree of freedom that would leave its range leaves the problem, and the rest solve it.
-    blocked = (psi < low - 1e-6) & (low > -1e-3) | (psi > high + 1e-6) & (high < 1e-3)
-    psi = jax.lax.cond(jnp.any(blocked), lambda: step(~blocked), lambda: psi)
-    return retract(pose, jnp.clip(psi, low, high) / skeleton.costs)
+    # A degree of freedom at its limit that would go on leaves the problem, and the rest solve it.
+    def blocked(psi: Array, free: Array) -> Array:
+        onwards = ((psi < low) & (low > -AT_LIMIT)) | ((psi > high) & (high < AT_LIMIT))
+        return onwards & free
+
+    def unsolved(carry: tuple[Array, Array, Array]) -> Array:
+        count, _, leaving = carry
+        return (count == 0) | ((count < 2) & jnp.any(leaving))
+
+    def solve(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        count, _, leaving = carry
+        psi = step(free & ~leaving)
+        return count + 1, psi, leaving | blocked(psi, free)
+
+    start = (jnp.zeros((), jnp.int32), jnp.zeros_like(low), jnp.zeros(low.shape, bool))
+    _, psi, _ = jax.lax.while_loop(unsolved, solve, start)
+    psi = jnp.where(free, jnp.clip(psi, low, high), 0.0)
+    missed = jnp.max(jnp.where(weights[:, 0] > 0, jnp.sqrt(jnp.sum(away**2, -1) + 1e-18), 0.0))
+    return retract(pose, psi / skeleton.costs), jnp.max(jnp.abs(psi)), missed
+
+
+def reach(
+    skeleton: Skeleton, goals: Goals, settings: IKSettings, pose: Pose, free: Array | None = None
+) -> tuple[Pose, Array]:
+    """Algorithm 1: iterate from ``pose`` until the effectors are at their goals, or rest.
+
+    Returns:
+        The pose and the number of iterations.
+    """
+    moving = jnp.ones(skeleton.costs.shape, bool) if free is None else free
+
+    def unfinished(carry: tuple[Array, Pose, Array, Array]) -> Array:
+        count, _, moved, missed = carry
+        away = (missed > settings.tolerance) & (moved > settings.rest)
+        return (count < settings.settle) | (away & (count < settings.iterations))
+
+    def iterate(carry: tuple[Array, Pose, Array, Array]) -> tuple[Array, Pose, Array, Array]:
+        return carry[0] + 1, *ik_step(skeleton, goals, settings, carry[1], moving)
+
+    far = jnp.asarray(jnp.inf, pose.angles.dtype)
+    start = (jnp.zeros((), jnp.int32), pose, far, far)
+    count, pose, _, _ = jax.lax.while_loop(unfinished, iterate, start)
+    return pose, count
+
+
+def goal_distances(skeleton: Skeleton, goals: Goals, pose: Pose) -> Array:
+    """Distances (M,) of a pose from its goals, metres; 0 for those of no weight."""
+    away = goals.targets - site_positions(skeleton, forward(skeleton, pose), goals.sites)
+    wanted = goals.weights > 0
+    away = jnp.where(wanted[:, None], away, 1.0)
+    return jnp.where(wanted, jnp.sqrt(jnp.sum(away**2, -1)), 0.0)
 
 
 def _room(skeleton: Skeleton, pose: Pose) -> tuple[Array, Array]:
@@ -177,8 +202,37 @@ def _room(skeleton: Skeleton, pose: Pose) -> tuple[Array, Array]:
     return jnp.concatenate([-free, low]) * weights, jnp.concatenate([free, high]) * weights
 
 
-def _arm(skeleton: Skeleton) -> list[int]:
-    return [skeleton.tree.bone(name) for name in ("humerus_l", "radius_l", "hand_l")]
+def _arm_length(skeleton: Skeleton) -> Array:
+    bones = [skeleton.tree.bone(name) for name in ("humerus_l", "radius_l", "hand_l")]
+    return jnp.sum(skeleton.lengths[np.array(bones)])
+
+
+def goals_of(
+    skeleton: Skeleton,
+    held: Effectors,
+    settings: IKSettings,
+    stance: Stance,
+    targets: Array,
+    mask: Array,
+) -> Goals:
+    """Markers where they are seen, and the held feet where they stand.
+
+    What is below the pelvis weighs less: where a leg is too short to reach, the feet give way
+    before the head and the hands do.
+    """
+    names = skeleton.tree.bones
+    low = np.array(
+        [names[b].startswith(("hip", "femur", "tibia", "foot")) for b in held.sites.bones]
+    )
+    weights = jnp.where(low, settings.leg_weight, 1.0)
+    feet = np.array([SIDES.index(side) for side in held.held], np.int32)
+    seen = jnp.concatenate([mask, jnp.ones(len(feet), bool)])
+    targets = jnp.where(mask[:, None], targets, 0.0)
+    return Goals(
+        held.sites,
+        jnp.concatenate([targets, stance.ankles[feet]]),
+        jnp.where(seen, weights, 0.0),
+    )
 
 
 def solve_ik(
@@ -190,7 +244,7 @@ def solve_ik(
     targets: Array,
     mask: Array,
 ) -> IKResult:
-    """Algorithm 1: iterate from ``pose`` until the effectors are at their targets.
+    """Markers to pose, from the last pose and stance.
 
     Args:
         skeleton: D degrees of freedom.
@@ -202,26 +256,9 @@ def solve_ik(
         mask: (M,) which markers are seen.
     """
     stance, planted = _replant(skeleton, held, settings, pose, stance, targets, mask)
-    feet = [SIDES.index(side) for side in held.held]
-    goals = jnp.concatenate([targets, stance.ankles[np.array(feet, int)]])
-    seen = jnp.concatenate([mask, jnp.ones(len(feet), bool)])
-
-    def distances(pose: Pose) -> Array:
-        points = site_positions(skeleton, forward(skeleton, pose), held.sites)
-        return jnp.where(seen, jnp.linalg.norm(jnp.where(seen[:, None], goals - points, 1.0), axis=-1), 0.0)
-
-    def unfinished(carry: tuple[Array, Pose, Array]) -> Array:
-        count, _, misses = carry
-        away = jnp.max(misses) > settings.tolerance
-        return (count < settings.settle) | (away & (count < settings.iterations))
-
-    def iterate(carry: tuple[Array, Pose, Array]) -> tuple[Array, Pose, Array]:
-        count, pose, _ = carry
-        pose = ik_step(skeleton, held.sites, settings, pose, goals, seen)
-        return count + 1, pose, distances(pose)
-
-    start = (jnp.zeros((), jnp.int32), pose, distances(pose))
-    count, pose, misses = jax.lax.while_loop(unfinished, iterate, start)
+    goals = goals_of(skeleton, held, settings, stance, targets, mask)
+    pose, count = reach(skeleton, goals, settings, pose)
+    misses = goal_distances(skeleton, goals, pose)
     missed = jnp.max(misses[len(mask) :], initial=0.0) > settings.leg_overstretch
     return IKResult(pose, stance._replace(overstretched=missed), misses, count, planted)
 
@@ -240,7 +277,10 @@ def _replant(
         return stance, jnp.zeros((), bool)
     above, known = _head_target(skeleton, held, targets, mask)
     middle = jnp.mean(stance.ankles, 0)
-    leg = skeleton.lengths[skeleton.tree.bone("femur_l")] + skeleton.lengths[skeleton.tree.bone("tibia_l")]
+    leg = (
+        skeleton.lengths[skeleton.tree.bone("femur_l")]
+        + skeleton.lengths[skeleton.tree.bone("tibia_l")]
+    )
     away = jnp.sum((above - middle)[:2] ** 2) > (settings.stance_radius * leg) ** 2
     planted = known & (away | stance.overstretched)
     anew = stand_below(skeleton, settings, above, quaternion_to_matrix(pose.quaternion)[:, 1])
@@ -306,4 +346,6 @@ def landmark_above(skeleton: Skeleton, pose: Pose) -> Array:
     frames = forward(skeleton, pose)
     head = skeleton.tree.bone("head")
     along = skeleton.lengths[head] * skeleton.directions[head]
-    return frames.joints_world[head] + jnp.matmul(frames.R_world_bone[head], along, precision=HIGHEST)
+    return frames.joints_world[head] + jnp.matmul(
+        frames.R_world_bone[head], along, precision=HIGHEST
+    )

@@ -66,8 +66,9 @@ def downhill_simplex(
             variable, and
         cost_tolerance: no cost is higher than the best by more than this (SciPy's rule).
     """
-    batch, count, _ = simplices.shape
-    costs = jnp.stack([cost(simplices[:, i]) for i in range(count)], 1)
+    batch = simplices.shape[0]
+    # One vertex after the other: traced once, however many there are.
+    costs = jax.lax.map(cost, simplices.swapaxes(0, 1)).T
     zero = jnp.zeros(batch, jnp.int32)
     start = _settle(_State(simplices, costs, zero, zero > 0), point_tolerance, cost_tolerance)
 
@@ -129,6 +130,6 @@ def _shrink(
 ) -> tuple[Array, Array]:
     """Draw the vertices of the problems that shrink towards their best."""
     drawn = vertices[:, :1] + SHRINK * (vertices - vertices[:, :1])
-    values = [costs[:, 0]] + [cost(drawn[:, i]) for i in range(1, vertices.shape[1])]
+    values = jax.lax.map(cost, drawn[:, 1:].swapaxes(0, 1)).T
     vertices = jnp.where(shrinks[:, None, None], drawn, vertices)
-    return vertices, jnp.where(shrinks[:, None], jnp.stack(values, 1), costs)
+    return vertices, costs.at[:, 1:].set(jnp.where(shrinks[:, None], values, costs[:, 1:]))

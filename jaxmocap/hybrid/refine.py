@@ -1,0 +1,179 @@
+"""Refinement of the markers' pose by the video (section 5).
+
+The search says where each elbow is; the body follows it by inverse kinematics, with the markers
+held, so that a shoulder that three markers placed wrongly moves as well; then a downhill simplex
+over each arm's four degrees of freedom brings the outlines to the edges (section 5.2: the arms are
+problems of their own, solved side by side).
+
+INPUTS: the pose of ``solve``, its goals, an Observation, the belief.
+OUTPUTS: the refined pose, the belief.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.kinematics import Sites, forward
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.rotations import quaternion_log, rotate
+from jaxmocap.hybrid.arms import SIDES, Arms, arm_dofs, bend, flesh, hang
+from jaxmocap.hybrid.evidence import arm_cost
+from jaxmocap.hybrid.ik import Goals
+from jaxmocap.hybrid.observe import Observation
+from jaxmocap.hybrid.search import (
+    Belief,
+    believed_elbows,
+    carried,
+    search,
+)
+from jaxmocap.hybrid.settings import RefineSettings, Settings
+from jaxmocap.solvers.simplex import downhill_simplex, initial_simplex
+
+
+def look_for_elbows(
+    settings: Settings,
+    cameras: Camera,
+    arms: Arms,
+    seen: Observation,
+    belief: Belief,
+    time: Array,
+) -> tuple[Belief, Array]:
+    """The belief after the video and the (2, 3) elbows to follow.
+
+    A new image is searched; without one the last belief is carried on. Without the search, the
+    elbows are those of the markers' pose.
+    """
+
+    def look() -> tuple[Belief, Array]:
+        if not settings.search:
+            return belief._replace(time=time), jnp.zeros_like(belief.turn)
+        new = search(settings, cameras, seen, arms, belief, time)
+        return new, new.turn
+
+    def carry() -> tuple[Belief, Array]:
+        return belief, carried(settings.look, belief, time)[0]
+
+    belief, turn = jax.lax.cond(jnp.any(jnp.asarray(seen.seen)), look, carry)
+    return belief, believed_elbows(arms, turn)
+
+
+def with_elbows(skeleton: Skeleton, goals: Goals, elbows: Array, weight: Array) -> Goals:
+    """The goals, and (2, 3) elbows as two more, softer ones."""
+    bones = np.array([skeleton.tree.bone(f"radius_{side}") for side in SIDES], np.int32)
+    dtype = goals.targets.dtype
+    sites = Sites(
+        np.concatenate([goals.sites.bones, bones]),
+        jnp.concatenate([goals.sites.at, jnp.zeros(2, dtype)]),
+        jnp.concatenate([goals.sites.offsets, jnp.zeros((2, 3), dtype)]),
+    )
+    weights = jnp.concatenate([goals.weights, jnp.broadcast_to(weight, (2,))])
+    return Goals(sites, jnp.concatenate([goals.targets, elbows]), weights)
+
+
+def refine_arms(
+    settings: Settings,
+    skeleton: Skeleton,
+    cameras: Camera,
+    observation: Observation,
+    pose: Pose,
+    grip_sites: Sites,
+    grip_targets: Array,
+    elbows: Array,
+) -> Pose:
+    """Minimise equation (14) over each arm's four degrees of freedom by the downhill simplex.
+
+    An arm that no camera sees stays as it is.
+
+    Args:
+        settings: of the tracker.
+        skeleton: D degrees of freedom.
+        cameras: C, stacked.
+        observation: of both arms.
+        pose: to start from.
+        grip_sites: the two points that the markers hold.
+        grip_targets: (2, 3) t of equation (14), world, metres.
+        elbows: (2, 3) that the search believes in.
+    """
+    fit, polish = settings.fit, settings.polish
+    dofs = arm_dofs(skeleton.tree)
+    by_arm = observation.by_arm()
+    start = pose.angles[dofs]
+    low, high = skeleton.limits[dofs, 0], skeleton.limits[dofs, 1]
+    hung = hang(skeleton, forward(skeleton, pose), grip_sites)
+
+    def cost(angles: Array) -> Array:
+        arms = bend(hung, angles)
+        seen = jax.vmap(lambda o, limbs: arm_cost(settings.evidence, fit, cameras, o, limbs))(
+            by_arm, flesh(arms)
+        )
+        held = fit.hold * jnp.sqrt(jnp.sum((grip_targets - arms.grip) ** 2, -1) + 1e-12)
+        searched = jnp.sum((arms.elbow - elbows) ** 2, -1) / polish.trust**2 / 2
+        beyond = jnp.maximum(low - angles, 0.0) + jnp.maximum(angles - high, 0.0)
+        near = searched if settings.search else jnp.zeros_like(searched)
+        return seen + held + near + fit.hold * jnp.sum(beyond, -1)
+
+    J = jax.jacfwd(lambda angles: bend(hung, angles).grip)(start)
+    own = np.arange(2)
+    edges = jax.vmap(_simplex_edges, (0, None))(J[own, :, own], polish)
+    solved = downhill_simplex(cost, initial_simplex(start, edges), polish.iterations)
+    watched = jnp.any(by_arm.seen, -1)[:, None]
+    angles = jnp.where(watched, jnp.clip(solved.points, low, high), start)
+    return pose._replace(angles=pose.angles.at[dofs].set(angles))
+
+
+def _simplex_edges(J: Array, settings: RefineSettings) -> Array:
+    """Edges (4, 4) of a first simplex: one along the swivel, which moves no grip, three short ones.
+
+    lambda makes every other direction stiff; a simplex along the joints would hardly slide along
+    the swivel.
+    """
+    minors = [jnp.linalg.det(jnp.delete(J, i, axis=1)) * (-1) ** i for i in range(4)]
+    swivel = jnp.stack(minors)
+    eye = jnp.eye(4, dtype=J.dtype)
+    # The humerus' own turn (2) is the swivel of a stretched arm, where the minors vanish.
+    sign = jnp.where(swivel[2] < 0, -1.0, 1.0)
+    swivel = swivel / (jnp.sqrt(jnp.sum(swivel**2)) + 1e-6) + 0.2 * sign * eye[2]
+    swivel = swivel / jnp.sqrt(jnp.sum(swivel**2))
+    others = eye[np.array([0, 1, 3])]
+    return jnp.concatenate([settings.swivel_edge * swivel[None], settings.other_edge * others])
+
+
+def remember(belief: Belief, arms: Arms, found: Arms, seen: Observation) -> Belief:
+    """The belief with the turns from the markers' forearms to those found in a new image."""
+    watched = jnp.any(jnp.asarray(seen.seen))
+    return belief._replace(turn=jnp.where(watched, turn_between(arms, found), belief.turn))
+
+
+def turn_between(arms: Arms, refined: Arms) -> Array:
+    """Rotation vectors (2, 3) that turn the first arms' forearms, in their frame, to the second's."""
+    R = arms.R_world_radius
+    a = rotate(R.swapaxes(1, 2), arms.elbow - arms.grip)
+    b = rotate(R.swapaxes(1, 2), refined.elbow - refined.grip)
+    return _shortest_turn(a, b)
+
+
+def _shortest_turn(a: Array, b: Array) -> Array:
+    """Rotation vectors (..., 3) of the shortest turns from (..., 3) ``a`` to ``b``."""
+    a = a / jnp.sqrt(jnp.sum(a**2, -1, keepdims=True) + 1e-12)
+    b = b / jnp.sqrt(jnp.sum(b**2, -1, keepdims=True) + 1e-12)
+    half = jnp.concatenate([1 + jnp.sum(a * b, -1, keepdims=True), jnp.cross(a, b)], -1)
+    norm = jnp.sqrt(jnp.sum(half**2, -1, keepdims=True) + 1e-12)
+    return quaternion_log(half / norm)
+
+
+def swivels(arms: Arms, refined: Arms) -> Array:
+    """Turns (2,) of the elbows about the axis from shoulder to grip, radians."""
+    axis = refined.grip - refined.shoulder
+    axis = axis / jnp.sqrt(jnp.sum(axis**2, -1, keepdims=True) + 1e-12)
+
+    def across(points: Array) -> Array:
+        return points - jnp.sum(points * axis, -1, keepdims=True) * axis
+
+    a, b = across(arms.elbow - arms.shoulder), across(refined.elbow - refined.shoulder)
+    sine = jnp.sum(jnp.cross(a, b) * axis, -1)
+    cosine = jnp.sum(a * b, -1)
+    still = jnp.abs(sine) + jnp.abs(cosine) < 1e-9
+    return jnp.where(still, 0.0, jnp.arctan2(sine, jnp.where(still, 1.0, cosine)))

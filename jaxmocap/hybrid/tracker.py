@@ -1,0 +1,252 @@
+"""The hybrid tracker: markers and one or several cameras to a pose, frame by frame.
+
+A frame is two jitted calls with OpenCV's image chain between them:
+
+    solve    markers -> pose (section 4), and the regions where it puts the arms
+    observe  regions of the video frames -> distance fields of their edges (5.1)
+    refine   pose, fields -> search and simplex (5.1, 5.2), balance (5.3) -> pose, belief
+
+``solve`` reads its own last pose only; what the video found lives in refine's belief and is
+carried to the marker samples between two video frames.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.kinematics import Sites, forward, landmark_sites
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.hybrid.arms import arms_of, grips
+from jaxmocap.hybrid.balance import bow_factors, bow_on_feet
+from jaxmocap.hybrid.evidence import outline_px
+from jaxmocap.hybrid.ik import (
+    IKResult,
+    Stance,
+    effectors,
+    goal_distances,
+    goals_of,
+    place,
+    reach,
+    solve_ik,
+)
+from jaxmocap.hybrid.observe import Observation, Observer, arm_regions
+from jaxmocap.hybrid.refine import look_for_elbows, refine_arms, remember, swivels, with_elbows
+from jaxmocap.hybrid.search import Belief, confidence, no_belief
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.images.regions import Region
+
+# Markers farther than this from the last pose's points: the body is placed anew, metres.
+LOST_M = 0.6
+
+
+class State(NamedTuple):
+    """What a frame leaves to the next.
+
+    Attributes:
+        pose: of the markers alone.
+        stance: where the feet stand.
+        belief: what the video has told of the elbows.
+    """
+
+    pose: Pose
+    stance: Stance
+    belief: Belief
+
+
+class StepReport(NamedTuple):
+    """How far to trust a step.
+
+    Attributes:
+        pose: of the markers alone.
+        distances: (M,) of the markers from their points on the refined body, metres; NaN where
+            missing.
+        arm_costs: (2,) mean distance of each arm's outline to the edges, pixels; NaN unseen.
+        swivels: (2,) turn of each elbow that the video added, radians.
+        confidence: (2,) of the elbows, 0 to 1.
+        iterations: () of the inverse kinematics.
+        planted: () whether the feet were planted anew.
+        placed: () whether the body was placed anew.
+        balanced: () whether balance bowed the spine.
+    """
+
+    pose: Pose
+    distances: Array
+    arm_costs: Array
+    swivels: Array
+    confidence: Array
+    iterations: Array
+    planted: Array
+    placed: Array
+    balanced: Array
+
+
+class Solved(NamedTuple):
+    """What ``solve`` hands on: the markers' pose, whether it was placed anew, and the regions."""
+
+    ik: IKResult
+    placed: Array
+    region: Region | None
+
+
+class HybridTracker:
+    """Tracks one person. The two jitted functions trace once for a shape of input.
+
+    Attributes:
+        skeleton: of the person.
+        cameras: C cameras, stacked; None without video.
+        markers: M points on bones that the markers hold.
+        settings: how to work.
+        factors: (3,) p_i of the balance heuristic.
+    """
+
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        cameras: Camera | Sequence[Camera] | None = None,
+        settings: Settings | None = None,
+        markers: Sites | None = None,
+    ):
+        """Prepare a tracker.
+
+        Args:
+            skeleton: of the person.
+            cameras: one or several, or None for markers only.
+            settings: defaults to ``Settings()``.
+            markers: points on bones; defaults to the paper's: the vertex and both wrists.
+        """
+        listed = [cameras] if isinstance(cameras, Camera) else list(cameras or [])
+        chosen = settings or Settings()
+        self.skeleton = skeleton
+        self.settings = chosen if listed else replace(chosen, refine="none")
+        self.cameras = jax.tree.map(lambda *leaves: jnp.stack(leaves), *listed) if listed else None
+        names = ("vertex", "wrist_l", "wrist_r")
+        self.markers = landmark_sites(skeleton, names) if markers is None else markers
+        self.held = effectors(skeleton, self.markers)
+        self.grips = grips(skeleton, self.markers)
+        self.observer = Observer(len(listed), chosen.region, chosen.directions, chosen.edges)
+        self.factors = jax.jit(bow_factors)(skeleton, chosen.ik)
+        self.solve = jax.jit(self._solve)
+        self.refine = jax.jit(self._refine)
+
+    def init(self, markers_world: np.ndarray | Array) -> State:
+        """The state before the first sample, placed by its (M, 3) markers; NaN where missing."""
+        targets = jnp.asarray(np.asarray(markers_world), float)
+        mask = jnp.all(jnp.isfinite(targets), -1)
+        pose, stance = place(self.skeleton, self.held, self.settings.ik, targets, mask)
+        return State(pose, stance, no_belief(targets.dtype))
+
+    def step(
+        self,
+        state: State,
+        time: float,
+        markers_world: np.ndarray | Array,
+        images: Sequence[np.ndarray | None] | None = None,
+    ) -> tuple[State, Pose, StepReport]:
+        """One sample: solve, observe, refine.
+
+        Args:
+            state: after the last sample.
+            time: of this one, seconds since the first.
+            markers_world: (M, 3) metres; NaN where missing.
+            images: a BGR or grey uint8 frame per camera, None where there is no new one.
+
+        Returns:
+            The state, the refined pose and a report.
+        """
+        targets = jnp.asarray(np.asarray(markers_world), float)
+        solved = self.solve(
+            self.skeleton, self.cameras, self.settings, state.pose, state.stance, targets
+        )
+        seen = None if solved.region is None else self.observer.observe(images, solved.region)
+        now = jnp.asarray(time, float)
+        belief, pose, report = self.refine(
+            self.skeleton, self.cameras, self.settings, self.factors,
+            solved, targets, seen, state.belief, now,
+        )  # fmt: skip
+        return State(solved.ik.pose, solved.ik.stance, belief), pose, report
+
+    def _solve(
+        self,
+        skeleton: Skeleton,
+        cameras: Camera | None,
+        settings: Settings,
+        pose: Pose,
+        stance: Stance,
+        targets: Array,
+    ) -> Solved:
+        """Markers to pose and regions."""
+        mask = jnp.all(jnp.isfinite(targets), -1)
+        goals = goals_of(skeleton, self.held, settings.ik, stance, targets, mask)
+        placed = jnp.max(goal_distances(skeleton, goals, pose)[: mask.shape[0]]) > LOST_M
+        pose, stance = jax.lax.cond(
+            placed,
+            lambda: place(skeleton, self.held, settings.ik, targets, mask),
+            lambda: (pose, stance),
+        )
+        ik = solve_ik(skeleton, self.held, settings.ik, pose, stance, targets, mask)
+        if cameras is None:
+            return Solved(ik, placed, None)
+        arms = arms_of(skeleton, forward(skeleton, ik.pose), self.grips)
+        return Solved(ik, placed, arm_regions(cameras, arms, settings.region, settings.margin))
+
+    def _refine(
+        self,
+        skeleton: Skeleton,
+        cameras: Camera | None,
+        settings: Settings,
+        factors: Array,
+        solved: Solved,
+        targets: Array,
+        seen: Observation | None,
+        belief: Belief,
+        time: Array,
+    ) -> tuple[Belief, Pose, StepReport]:
+        """The markers' pose and what was seen to the refined pose and the new belief."""
+        mask = jnp.all(jnp.isfinite(targets), -1)
+        pose, ik = solved.ik.pose, settings.ik
+        goals = goals_of(skeleton, self.held, ik, solved.ik.stance, targets, mask)
+        arms = arms_of(skeleton, forward(skeleton, pose), self.grips)
+        costs = jnp.full(2, jnp.nan, targets.dtype)
+        balanced, free = jnp.zeros((), bool), jnp.ones(skeleton.costs.shape, bool)
+        video = settings.refine != "none" and seen is not None and cameras is not None
+        elbows = arms.elbow
+        if video:
+            belief, elbows = look_for_elbows(settings, cameras, arms, seen, belief, time)
+            goals = with_elbows(skeleton, goals, elbows, settings.polish.elbow_weight)
+        if settings.balance:
+            pose, free, balanced = bow_on_feet(skeleton, ik, pose, factors)
+        if video:
+            pose, _ = reach(skeleton, goals, ik, pose, free)
+            pose = refine_arms(
+                settings, skeleton, cameras, seen, pose, self.grips, arms.grip, elbows
+            )
+            found = arms_of(skeleton, forward(skeleton, pose), self.grips)
+            belief = remember(belief, arms, found, seen)
+            costs = outline_px(settings.fit, cameras, seen, found)
+        elif settings.balance:
+            again = lambda: reach(skeleton, goals, ik, pose, free)[0]  # noqa: E731
+            pose = jax.lax.cond(balanced, again, lambda: pose)
+        refined = arms_of(skeleton, forward(skeleton, pose), self.grips)
+        distances = goal_distances(skeleton, goals, pose)[: mask.shape[0]]
+        return (
+            belief,
+            pose,
+            StepReport(
+                solved.ik.pose,
+                jnp.where(mask, distances, jnp.nan),
+                costs,
+                swivels(arms, refined),
+                confidence(settings.look, belief, time),
+                solved.ik.iterations,
+                solved.ik.planted,
+                solved.placed,
+                balanced,
+            ),
+        )
