@@ -201,12 +201,12 @@ def squat(seconds: float = 5.0, seed: int = 0, height: float = 1.75) -> Performa
         gaze=(0, -6),
         reach_l=(0.86, 0.10, -0.12),
         reach_r=(0.86, 0.10, -0.12),
-        swivel_l=58,
+        swivel_l=48,
         swivel_r=46,
     )
     upright = replace(STANDING, swivel_l=34, swivel_r=26)
     shares = (0.0, 0.12, 0.42, 0.56, 0.88, 1.0)
-    postures = (upright, upright, down, replace(down, swivel_l=66), upright, upright)
+    postures = (upright, upright, down, replace(down, swivel_l=54), upright, upright)
     keys = [(share * seconds, posture) for share, posture in zip(shares, postures, strict=True)]
     return Performance(person(height, rng), _through(keys), np.array([shares[1] * seconds]))
 
