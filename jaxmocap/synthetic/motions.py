@@ -196,11 +196,11 @@ def squat(seconds: float = 5.0, seed: int = 0, height: float = 1.75) -> Performa
     rng = np.random.default_rng(seed)
     down = Posture(
         pelvis=(-0.16, 0.0, -0.305),
-        pitch=34,
-        flexion=22,
+        pitch=28,
+        flexion=16,
         gaze=(0, -6),
-        reach_l=(0.86, 0.10, -0.12),
-        reach_r=(0.86, 0.10, -0.12),
+        reach_l=(0.68, 0.12, 0.46),
+        reach_r=(0.68, 0.12, 0.46),
         swivel_l=48,
         swivel_r=46,
     )
