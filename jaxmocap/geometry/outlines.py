@@ -82,7 +82,9 @@ def outline(discs: Discs, along: int, around: int, open_ends: Array) -> Outline:
     distance = jnp.sqrt(jnp.sum((discs.far - discs.near) ** 2, -1) + 1e-12)
     for sign in (1.0, -1.0):
         n = (sine * u + sign * cosine * v)[..., None, :]
-        pieces.append((1 - t) * (near + r[..., 0, :, None] * n) + t * (far + r[..., 1, :, None] * n))
+        pieces.append(
+            (1 - t) * (near + r[..., 0, :, None] * n) + t * (far + r[..., 1, :, None] * n)
+        )
         side = distance * cosine[..., 0] / along
         weights.append(jnp.broadcast_to(side[..., None], (*side.shape, along)))
     # The far arc spans the directions within pi/2 - taper of the axis, the near one the rest.
@@ -92,7 +94,8 @@ def outline(discs: Discs, along: int, around: int, open_ends: Array) -> Outline:
     for end, (centre, way, span) in enumerate(((near, -1.0, jnp.pi - half), (far, 1.0, half))):
         angle = spread * span
         direction = way * (
-            jnp.cos(angle)[..., None] * u[..., None, :] + jnp.sin(angle)[..., None] * v[..., None, :]
+            jnp.cos(angle)[..., None] * u[..., None, :]
+            + jnp.sin(angle)[..., None] * v[..., None, :]
         )
         pieces.append(centre + r[..., end, :, None] * direction)
         share = open_ends[..., end] + (1 - open_ends[..., end]) * nested
@@ -116,4 +119,7 @@ def signed_distance(discs: Discs, points: Array) -> Array:
     to_near = jnp.sqrt(jnp.maximum(squared_near, 1e-12)) - discs.radii[..., 0]
     to_far = jnp.sqrt(jnp.maximum(squared_far, 1e-12)) - discs.radii[..., 1]
     to_side = x * s + y * c - discs.radii[..., 0]
-    return jnp.where(along < 0, to_near, jnp.where(along > length * c, to_far, to_side))
+    hull = jnp.where(along < 0, to_near, jnp.where(along > length * c, to_far, to_side))
+    # End-on, one disc holds the other and is the hull: of the two it is the nearer one.
+    nested = length <= jnp.abs(discs.radii[..., 0] - discs.radii[..., 1])
+    return jnp.where(nested, jnp.minimum(to_near, to_far), hull)
