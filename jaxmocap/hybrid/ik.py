@@ -13,27 +13,21 @@ from jax import Array
 
 from jaxmocap.body.kinematics import Frames, Sites, forward, jacobian, site_positions
 from jaxmocap.body.mass import augmented_bodies
-from jaxmocap.body.pose import Pose, relaxed_pose, retract
+from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
-from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix, rotate
+from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix
 from jaxmocap.hybrid.settings import IKSettings
-from jaxmocap.solvers.sdls import clamp_lengths, clamp_max_abs, project_secondary, sdls_step
+from jaxmocap.hybrid.stance import SIDES, Effectors, Stance, replant
+from jaxmocap.solvers.sdls import (
+    clamp_lengths,
+    clamp_max_abs,
+    damped_step,
+    project_secondary,
+    sdls_step,
+)
 
-SIDES = ("l", "r")
 # A degree of freedom this near to its limit (weighted radians) is at it.
 AT_LIMIT = 1e-3
-
-
-class Effectors(NamedTuple):
-    """Everything that is held somewhere: M markers, then the feet that carry none.
-
-    Attributes:
-        sites: (M + F) points on bones.
-        held: sides ("l", "r") of the F feet held where they stand.
-    """
-
-    sites: Sites
-    held: tuple[str, ...]
 
 
 class Goals(NamedTuple):
@@ -48,18 +42,6 @@ class Goals(NamedTuple):
     sites: Sites
     targets: Array
     weights: Array
-
-
-class Stance(NamedTuple):
-    """Where the feet stand.
-
-    Attributes:
-        ankles: (2, 3) left and right, world, metres.
-        overstretched: () whether a held foot was missed in the last frame.
-    """
-
-    ankles: Array
-    overstretched: Array
 
 
 class IKResult(NamedTuple):
@@ -80,20 +62,6 @@ class IKResult(NamedTuple):
     planted: Array
 
 
-def effectors(skeleton: Skeleton, markers: Sites) -> Effectors:
-    """Markers, and the ankles of those feet that carry no marker on tibia or foot."""
-    bones = {skeleton.tree.bones[bone] for bone in markers.bones}
-    held = tuple(s for s in SIDES if not bones & {f"tibia_{s}", f"foot_{s}"})
-    feet = np.array([skeleton.tree.bone(f"foot_{side}") for side in held], np.int32)
-    zeros = jnp.zeros(len(held), markers.at.dtype)
-    sites = Sites(
-        np.concatenate([markers.bones, feet]),
-        jnp.concatenate([markers.at, zeros]),
-        jnp.concatenate([markers.offsets, jnp.zeros((len(held), 3), markers.at.dtype)]),
-    )
-    return Effectors(sites, held)
-
-
 def secondary_task(skeleton: Skeleton, frames: Frames, pose: Pose, settings: IKSettings) -> Array:
     """The step (6 + D,), unweighted, towards the relaxed pose: equation (9), and to the upright.
 
@@ -110,7 +78,13 @@ def secondary_task(skeleton: Skeleton, frames: Frames, pose: Pose, settings: IKS
 
 
 def ik_step(
-    skeleton: Skeleton, goals: Goals, settings: IKSettings, pose: Pose, free: Array
+    skeleton: Skeleton,
+    goals: Goals,
+    settings: IKSettings,
+    pose: Pose,
+    free: Array,
+    wishes: Goals | None = None,
+    ardour: Array | float = 1.0,
 ) -> tuple[Pose, Array, Array]:
     """One iteration of algorithm 1.
 
@@ -123,21 +97,23 @@ def ik_step(
         settings: traced.
         pose: to start from.
         free: (6 + D,) degrees of freedom that may move.
+        wishes: goals of a second rank: approached as far as the first hold.
+        ardour: factor on all that is not of the first rank.
     """
     frames = forward(skeleton, pose)
-    points = site_positions(skeleton, frames, goals.sites)
-    weights = goals.weights[:, None]
-    away = jnp.where(weights > 0, goals.targets - points, 0.0)
-    error = weights * clamp_lengths(away, 0.1 * _arm_length(skeleton))
-    J = jacobian(skeleton, frames, goals.sites.bones, points) / skeleton.costs
-    J = (weights[..., None] * J).reshape(-1, J.shape[-1])
-    wanted = skeleton.costs * secondary_task(skeleton, frames, pose, settings)
+    J, error, missed = _linearised(skeleton, frames, goals)
+    wanted = ardour * skeleton.costs * secondary_task(skeleton, frames, pose, settings)
     low, high = _room(skeleton, pose)
 
     def step(free: Array) -> Array:
         # Equation (1) in the weighted coordinates psi = mu * theta.
-        solved = sdls_step(jnp.where(free, J, 0.0), error.ravel(), settings.largest_step)
+        solved = sdls_step(jnp.where(free, J, 0.0), error, settings.largest_step)
         secondary = project_secondary(solved.row_space, jnp.where(free, wanted, 0.0))
+        if wishes is not None:
+            A, ask, _ = _linearised(skeleton, frames, wishes)
+            A = project_secondary(solved.row_space, jnp.where(free, A, 0.0))
+            rest = ardour * ask - jnp.matmul(A, secondary, precision=HIGHEST)
+            secondary = secondary + damped_step(A, rest, settings.wish_damping)
         return solved.primary + clamp_max_abs(secondary, settings.largest_step)
 
     # A degree of freedom at its limit that would go on leaves the problem, and the rest solve it.
@@ -157,14 +133,38 @@ def ik_step(
     start = (jnp.zeros((), jnp.int32), jnp.zeros_like(low), jnp.zeros(low.shape, bool))
     _, psi, _ = jax.lax.while_loop(unsolved, solve, start)
     psi = jnp.where(free, jnp.clip(psi, low, high), 0.0)
-    missed = jnp.max(jnp.where(weights[:, 0] > 0, jnp.sqrt(jnp.sum(away**2, -1) + 1e-18), 0.0))
     return retract(pose, psi / skeleton.costs), jnp.max(jnp.abs(psi)), missed
 
 
+def _linearised(skeleton: Skeleton, frames: Frames, goals: Goals) -> tuple[Array, Array, Array]:
+    """Weighted Jacobian (3M, 6 + D) of the goals' points, (3M,) clamped errors, farthest miss."""
+    points = site_positions(skeleton, frames, goals.sites)
+    weights = goals.weights[:, None]
+    away = jnp.where(weights > 0, goals.targets - points, 0.0)
+    error = weights * clamp_lengths(away, 0.1 * _arm_length(skeleton))
+    J = jacobian(skeleton, frames, goals.sites.bones, points) / skeleton.costs
+    J = (weights[..., None] * J).reshape(-1, J.shape[-1])
+    return J, error.ravel(), jnp.sqrt(jnp.max(jnp.sum(away**2, -1)))
+
+
 def reach(
-    skeleton: Skeleton, goals: Goals, settings: IKSettings, pose: Pose, free: Array | None = None
+    skeleton: Skeleton,
+    goals: Goals,
+    settings: IKSettings,
+    pose: Pose,
+    free: Array | None = None,
+    wishes: Goals | None = None,
 ) -> tuple[Pose, Array]:
     """Algorithm 1: iterate from ``pose`` until the effectors are at their goals, or rest.
+
+    Args:
+        skeleton: D degrees of freedom.
+        goals: what is to be reached.
+        settings: traced.
+        pose: to start from.
+        free: (6 + D,) degrees of freedom that may move; all without it.
+        wishes: goals of a second rank; the last iterations leave them alone, so that the first
+            hold in the end.
 
     Returns:
         The pose and the number of iterations.
@@ -174,10 +174,13 @@ def reach(
     def unfinished(carry: tuple[Array, Pose, Array, Array]) -> Array:
         count, _, moved, missed = carry
         away = (missed > settings.tolerance) & (moved > settings.rest)
-        return (count < settings.settle) | (away & (count < settings.iterations))
+        least = settings.settle if wishes is None else settings.following
+        return (count < least) | (away & (count < settings.iterations))
 
     def iterate(carry: tuple[Array, Pose, Array, Array]) -> tuple[Array, Pose, Array, Array]:
-        return carry[0] + 1, *ik_step(skeleton, goals, settings, carry[1], moving)
+        count, pose, _, _ = carry
+        ardour = 1.0 if wishes is None else jnp.where(count < settings.following, 1.0, 0.0)
+        return count + 1, *ik_step(skeleton, goals, settings, pose, moving, wishes, ardour)
 
     far = jnp.asarray(jnp.inf, pose.angles.dtype)
     start = (jnp.zeros((), jnp.int32), pose, far, far)
@@ -255,97 +258,9 @@ def solve_ik(
         targets: (M, 3) marker positions, world, metres; anything where missing.
         mask: (M,) which markers are seen.
     """
-    stance, planted = _replant(skeleton, held, settings, pose, stance, targets, mask)
+    stance, planted = replant(skeleton, held, settings, pose, stance, targets, mask)
     goals = goals_of(skeleton, held, settings, stance, targets, mask)
     pose, count = reach(skeleton, goals, settings, pose)
     misses = goal_distances(skeleton, goals, pose)
     missed = jnp.max(misses[len(mask) :], initial=0.0) > settings.leg_overstretch
     return IKResult(pose, stance._replace(overstretched=missed), misses, count, planted)
-
-
-def _replant(
-    skeleton: Skeleton,
-    held: Effectors,
-    settings: IKSettings,
-    pose: Pose,
-    stance: Stance,
-    targets: Array,
-    mask: Array,
-) -> tuple[Stance, Array]:
-    """Plant the held feet below the head where it has left them, or a leg was overstretched."""
-    if not held.held:
-        return stance, jnp.zeros((), bool)
-    above, known = _head_target(skeleton, held, targets, mask)
-    middle = jnp.mean(stance.ankles, 0)
-    leg = (
-        skeleton.lengths[skeleton.tree.bone("femur_l")]
-        + skeleton.lengths[skeleton.tree.bone("tibia_l")]
-    )
-    away = jnp.sum((above - middle)[:2] ** 2) > (settings.stance_radius * leg) ** 2
-    planted = known & (away | stance.overstretched)
-    anew = stand_below(skeleton, settings, above, quaternion_to_matrix(pose.quaternion)[:, 1])
-    ankles = jnp.where(planted, anew, stance.ankles)
-    return Stance(ankles, jnp.zeros((), bool)), planted
-
-
-def _head_target(
-    skeleton: Skeleton, held: Effectors, targets: Array, mask: Array
-) -> tuple[Array, Array]:
-    """Mean (3,) of the seen markers on head or neck, and whether there is one."""
-    names = skeleton.tree.bones
-    on_head = np.array([names[b] in ("head", "neck") for b in held.sites.bones[: len(mask)]])
-    chosen = mask & on_head
-    total = jnp.sum(jnp.where(chosen[:, None], targets, 0.0), 0)
-    return total / jnp.maximum(jnp.sum(chosen), 1).astype(total.dtype), jnp.any(chosen)
-
-
-def stand_below(skeleton: Skeleton, settings: IKSettings, above: Array, left: Array) -> Array:
-    """Ankles (2, 3) on the ground, hip-width apart along ``left`` (3,), below a point."""
-    level = left.at[2].set(0.0)
-    level = level / jnp.maximum(jnp.linalg.norm(level), 1e-6)
-    hip = skeleton.lengths[skeleton.tree.bone("hip_l")]
-    ankle = skeleton.diameters[skeleton.tree.bone("foot_l"), 0]
-    ground = above.at[2].set(settings.floor + ankle)
-    return jnp.stack([ground + hip * level, ground - hip * level])
-
-
-def place(
-    skeleton: Skeleton, held: Effectors, settings: IKSettings, targets: Array, mask: Array
-) -> tuple[Pose, Stance]:
-    """The relaxed pose, placed by the markers in closed form.
-
-    The body is shifted and turned about the vertical so that its effectors lie nearest to the
-    markers in the least-squares sense (a planar Procrustes problem); of the two answers that a
-    symmetric marker set may leave, rounding decides nothing: left and right are labelled. Without
-    two markers apart from each other horizontally the heading stays +x.
-    """
-    pose = relaxed_pose(skeleton)
-    sites = Sites(*(part[: len(mask)] for part in held.sites))
-    points = site_positions(skeleton, forward(skeleton, pose), sites)
-    weight = mask.astype(points.dtype)[:, None] / jnp.maximum(jnp.sum(mask), 1).astype(points.dtype)
-    seen = jnp.where(mask[:, None], targets, 0.0)
-    mean_body, mean_world = jnp.sum(weight * points, 0), jnp.sum(weight * seen, 0)
-    a, b = points - mean_body, jnp.where(mask[:, None], seen - mean_world, 0.0)
-    cosine = jnp.sum(weight[:, 0] * (a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1]))
-    sine = jnp.sum(weight[:, 0] * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
-    yaw = jnp.arctan2(sine, jnp.where(jnp.abs(cosine) + jnp.abs(sine) < 1e-6, 1.0, cosine))
-    zero = jnp.zeros_like(yaw)
-    quaternion = jnp.stack([jnp.cos(yaw / 2), zero, zero, jnp.sin(yaw / 2)])
-    R = quaternion_to_matrix(quaternion)
-    above, known = _head_target(skeleton, held, targets, mask)
-    head = landmark_above(skeleton, pose)
-    by_head = above - rotate(R, head)
-    position = jnp.where(known, by_head, mean_world - rotate(R, mean_body))
-    pose = Pose(position, quaternion, pose.angles)
-    ankles = stand_below(skeleton, settings, position, R[:, 1])
-    return pose, Stance(ankles, jnp.zeros((), bool))
-
-
-def landmark_above(skeleton: Skeleton, pose: Pose) -> Array:
-    """The head bone's far end (3,) of a pose."""
-    frames = forward(skeleton, pose)
-    head = skeleton.tree.bone("head")
-    along = skeleton.lengths[head] * skeleton.directions[head]
-    return frames.joints_world[head] + jnp.matmul(
-        frames.R_world_bone[head], along, precision=HIGHEST
-    )

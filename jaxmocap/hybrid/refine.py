@@ -60,17 +60,11 @@ def look_for_elbows(
     return belief, believed_elbows(arms, turn)
 
 
-def with_elbows(skeleton: Skeleton, goals: Goals, elbows: Array, weight: Array) -> Goals:
-    """The goals, and (2, 3) elbows as two more, softer ones."""
+def elbow_wishes(skeleton: Skeleton, elbows: Array) -> Goals:
+    """The (2, 3) elbows as goals of the second rank."""
     bones = np.array([skeleton.tree.bone(f"radius_{side}") for side in SIDES], np.int32)
-    dtype = goals.targets.dtype
-    sites = Sites(
-        np.concatenate([goals.sites.bones, bones]),
-        jnp.concatenate([goals.sites.at, jnp.zeros(2, dtype)]),
-        jnp.concatenate([goals.sites.offsets, jnp.zeros((2, 3), dtype)]),
-    )
-    weights = jnp.concatenate([goals.weights, jnp.broadcast_to(weight, (2,))])
-    return Goals(sites, jnp.concatenate([goals.targets, elbows]), weights)
+    sites = Sites(bones, jnp.zeros(2, elbows.dtype), jnp.zeros((2, 3), elbows.dtype))
+    return Goals(sites, elbows, jnp.ones(2, elbows.dtype))
 
 
 def refine_arms(
@@ -141,10 +135,11 @@ def _simplex_edges(J: Array, settings: RefineSettings) -> Array:
     return jnp.concatenate([settings.swivel_edge * swivel[None], settings.other_edge * others])
 
 
-def remember(belief: Belief, arms: Arms, found: Arms, seen: Observation) -> Belief:
+def remember(belief: Belief, arms: Arms, found: Arms, seen: Observation, pose: Pose) -> Belief:
     """The belief with the turns from the markers' forearms to those found in a new image."""
     watched = jnp.any(jnp.asarray(seen.seen))
-    return belief._replace(turn=jnp.where(watched, turn_between(arms, found), belief.turn))
+    turn = jnp.where(watched, turn_between(arms, found), belief.turn)
+    return belief._replace(turn=turn, pose=pose)
 
 
 def turn_between(arms: Arms, refined: Arms) -> Array:

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxmocap.body.pose import Pose
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST, compose, exp
 from jaxmocap.hybrid.arms import Arms, flesh, turn_forearm
@@ -34,12 +35,14 @@ class Belief(NamedTuple):
             markers' forearm's frame, radians.
         spread: (2,) standard deviation of the elbow, metres.
         time: () of the last image, seconds since the tracker began.
+        pose: the last refined one.
     """
 
     log_weights: Array
     turn: Array
     spread: Array
     time: Array
+    pose: Pose
 
 
 def candidate_turns(farthest: float = 75.0, spacing: float = 9.0) -> np.ndarray:
@@ -68,10 +71,12 @@ DRIFT_SHARE = 0.1
 HALF_AT_M = 0.05
 
 
-def no_belief(dtype: jnp.dtype) -> Belief:
+def no_belief(settings: SearchSettings, pose: Pose) -> Belief:
     """Before the first image: the markers' pose is as good as its prior."""
+    dtype = pose.angles.dtype
     weights = jnp.zeros((2, len(TURNS)), dtype)
-    return Belief(weights, jnp.zeros((2, 3), dtype), jnp.full(2, 0.13, dtype), jnp.zeros((), dtype))
+    spread = jnp.broadcast_to(settings.elbow_prior, (2,))
+    return Belief(weights, jnp.zeros((2, 3), dtype), spread, jnp.zeros((), dtype), pose)
 
 
 def search(
@@ -106,7 +111,7 @@ def search(
         return posterior, turn, spread
 
     log_weights, turn, spread = jax.vmap(of_arm)(arms, observation.by_arm(), belief.log_weights)
-    return Belief(log_weights, turn, spread, time)
+    return Belief(log_weights, turn, spread, time, belief.pose)
 
 
 def _candidate_costs(

@@ -24,6 +24,9 @@ class IKSettings:
         iterations: most iterations of algorithm 1 in a frame.
         settle: iterations that every frame makes, so that the secondary task acts while the
             markers are met.
+        following: iterations that follow the elbows seen in the video; as many as are needed then
+            bring the markers home.
+        wish_damping: of those elbows' step, metres per weighted radian.
         tolerance: distance at which an effector is at its target, metres.
         rest: largest weighted angle of a step at which the solve has come to rest.
         leg_weight: of markers and held feet below the pelvis, against 1 for the others.
@@ -38,6 +41,8 @@ class IKSettings:
 
     iterations: Array
     settle: Array
+    following: Array
+    wish_damping: Array
     tolerance: Array
     rest: Array
     leg_weight: Array
@@ -53,9 +58,11 @@ class IKSettings:
         cls,
         iterations: int = 30,
         settle: int = 4,
+        following: int = 4,
+        wish_damping: float = 0.03,
         tolerance: float = 1e-3,
         rest: float = 2e-3,
-        leg_weight: float = 0.3,
+        leg_weight: float = 0.8,
         largest_step: float = np.pi / 4,
         relaxation: float = 0.9,
         uprightness: float = 0.1,
@@ -64,8 +71,17 @@ class IKSettings:
         leg_overstretch: float = 0.03,
     ) -> "IKSettings":
         """Settings as arrays (a Python float in a pytree would trace anew)."""
-        counts = (jnp.asarray(iterations, jnp.int32), jnp.asarray(settle, jnp.int32))
-        numbers = (tolerance, rest, leg_weight, largest_step, relaxation, uprightness, floor)
+        counts = (jnp.asarray(n, jnp.int32) for n in (iterations, settle, following))
+        numbers = (
+            wish_damping,
+            tolerance,
+            rest,
+            leg_weight,
+            largest_step,
+            relaxation,
+            uprightness,
+            floor,
+        )
         rest = (stance_radius, leg_overstretch)
         return cls(*counts, *(jnp.asarray(value, float) for value in (*numbers, *rest)))
 
@@ -135,14 +151,12 @@ class RefineSettings:
     """What a user may tune; all traced.
 
     Attributes:
-        elbow_weight: of the believed elbows beside the markers' 1.
         iterations: most steps of the simplex.
         swivel_edge: of the first simplex along the arm's swivel, radians.
         other_edge: of the first simplex along the other three, radians.
         trust: standard deviation of the elbow about the searched one, metres.
     """
 
-    elbow_weight: Array
     iterations: Array
     swivel_edge: Array
     other_edge: Array
@@ -151,15 +165,14 @@ class RefineSettings:
     @classmethod
     def create(
         cls,
-        elbow_weight: float = 0.4,
         iterations: int = 40,
         swivel_edge: float = 0.2,
         other_edge: float = 0.04,
         trust: float = 0.03,
     ) -> "RefineSettings":
         """Settings as arrays (a Python float in a pytree would trace anew)."""
-        numbers = [jnp.asarray(v, float) for v in (elbow_weight, swivel_edge, other_edge, trust)]
-        return cls(numbers[0], jnp.asarray(iterations, jnp.int32), *numbers[1:])
+        numbers = (jnp.asarray(value, float) for value in (swivel_edge, other_edge, trust))
+        return cls(jnp.asarray(iterations, jnp.int32), *numbers)
 
 
 def _static(default: object) -> Any:

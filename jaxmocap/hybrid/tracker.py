@@ -26,20 +26,12 @@ from jaxmocap.geometry.cameras import Camera
 from jaxmocap.hybrid.arms import arms_of, grips
 from jaxmocap.hybrid.balance import bow_factors, bow_on_feet
 from jaxmocap.hybrid.evidence import outline_px
-from jaxmocap.hybrid.ik import (
-    IKResult,
-    Stance,
-    effectors,
-    goal_distances,
-    goals_of,
-    place,
-    reach,
-    solve_ik,
-)
+from jaxmocap.hybrid.ik import IKResult, goal_distances, goals_of, reach, solve_ik
 from jaxmocap.hybrid.observe import Observation, Observer, arm_regions
-from jaxmocap.hybrid.refine import look_for_elbows, refine_arms, remember, swivels, with_elbows
+from jaxmocap.hybrid.refine import elbow_wishes, look_for_elbows, refine_arms, remember, swivels
 from jaxmocap.hybrid.search import Belief, confidence, no_belief
 from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.stance import Stance, effectors, place
 from jaxmocap.images.regions import Region
 
 # Markers farther than this from the last pose's points: the body is placed anew, metres.
@@ -124,6 +116,7 @@ class HybridTracker:
         listed = [cameras] if isinstance(cameras, Camera) else list(cameras or [])
         chosen = settings or Settings()
         self.skeleton = skeleton
+        self.dtype = skeleton.lengths.dtype
         self.settings = chosen if listed else replace(chosen, refine="none")
         self.cameras = jax.tree.map(lambda *leaves: jnp.stack(leaves), *listed) if listed else None
         names = ("vertex", "wrist_l", "wrist_r")
@@ -140,7 +133,7 @@ class HybridTracker:
         targets = jnp.asarray(np.asarray(markers_world), float)
         mask = jnp.all(jnp.isfinite(targets), -1)
         pose, stance = place(self.skeleton, self.held, self.settings.ik, targets, mask)
-        return State(pose, stance, no_belief(targets.dtype))
+        return State(pose, stance, no_belief(self.settings.look, pose))
 
     def step(
         self,
@@ -160,12 +153,12 @@ class HybridTracker:
         Returns:
             The state, the refined pose and a report.
         """
-        targets = jnp.asarray(np.asarray(markers_world), float)
+        targets = np.asarray(markers_world, self.dtype)
         solved = self.solve(
             self.skeleton, self.cameras, self.settings, state.pose, state.stance, targets
         )
         seen = None if solved.region is None else self.observer.observe(images, solved.region)
-        now = jnp.asarray(time, float)
+        now = np.asarray(time, self.dtype)
         belief, pose, report = self.refine(
             self.skeleton, self.cameras, self.settings, self.factors,
             solved, targets, seen, state.belief, now,
@@ -218,17 +211,20 @@ class HybridTracker:
         video = settings.refine != "none" and seen is not None and cameras is not None
         elbows = arms.elbow
         if video:
+            # From its own last pose, so that the trunk that video has found stays found.
+            fresh = goal_distances(skeleton, goals, belief.pose)[: mask.shape[0]]
+            lost = jnp.max(fresh) > LOST_M
+            pose = jax.tree.map(lambda new, old: jnp.where(lost, new, old), pose, belief.pose)
             belief, elbows = look_for_elbows(settings, cameras, arms, seen, belief, time)
-            goals = with_elbows(skeleton, goals, elbows, settings.polish.elbow_weight)
         if settings.balance:
             pose, free, balanced = bow_on_feet(skeleton, ik, pose, factors)
         if video:
-            pose, _ = reach(skeleton, goals, ik, pose, free)
+            pose, _ = reach(skeleton, goals, ik, pose, free, elbow_wishes(skeleton, elbows))
             pose = refine_arms(
                 settings, skeleton, cameras, seen, pose, self.grips, arms.grip, elbows
             )
             found = arms_of(skeleton, forward(skeleton, pose), self.grips)
-            belief = remember(belief, arms, found, seen)
+            belief = remember(belief, arms, found, seen, pose)
             costs = outline_px(settings.fit, cameras, seen, found)
         elif settings.balance:
             again = lambda: reach(skeleton, goals, ik, pose, free)[0]  # noqa: E731

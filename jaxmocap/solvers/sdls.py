@@ -14,7 +14,6 @@ from jax import Array
 HIGHEST = jax.lax.Precision.HIGHEST
 
 
-
 class Step(NamedTuple):
     """One step of n degrees of freedom.
 
@@ -71,6 +70,20 @@ def sdls_step(J: Array, error: Array, largest: Array | float, rank_tolerance: fl
 
 
 def project_secondary(row_space: Array, secondary: Array) -> Array:
-    """``(I - J^+ J) secondary`` of equation (1): the part (n,) that moves no end effector."""
-    along = jnp.matmul(row_space, secondary, precision=HIGHEST)
+    """``(I - J^+ J) secondary`` of equation (1): the part (..., n) that moves no end effector."""
+    along = jnp.matmul(secondary, row_space.T, precision=HIGHEST)
     return secondary - jnp.matmul(along, row_space, precision=HIGHEST)
+
+
+def damped_step(J: Array, error: Array, damping: Array | float) -> Array:
+    """Damped least squares (Nakamura and Hanafusa 1986): ``J^T (J J^T + damping^2 I)^-1 error``.
+
+    Args:
+        J: (m, n); rows of absent goals are 0.
+        error: (m,).
+        damping: in the units of J's singular values.
+    """
+    square = jnp.matmul(J, J.T, precision=HIGHEST)
+    ridge = damping**2 * jnp.eye(len(error), dtype=J.dtype)
+    factor = jax.scipy.linalg.cho_factor(square + ridge)
+    return jnp.matmul(jax.scipy.linalg.cho_solve(factor, error), J, precision=HIGHEST)
