@@ -12,6 +12,10 @@ import numpy as np
 from jax import Array
 
 
+# Regions this many times as large as their image hold a few samples of it only.
+LARGEST_SIDE = 8
+
+
 class Region(NamedTuple):
     """A square window of ``size`` x ``size`` samples on an image.
 
@@ -47,10 +51,10 @@ def crop(image: np.ndarray, origin: np.ndarray, scale: float, size: int) -> np.n
     height, width = image.shape[:2]
     side = max(1, round(float(scale) * size))
     x, y = (int(round(float(value) + 0.5)) for value in origin)
-    # A region wholly outside still needs one row and column to replicate.
+    # Of a region wholly outside, or of an arm beside the lens, nothing is to be seen.
     x0, x1 = (int(np.clip(value, 0, width)) for value in (x, x + side))
     y0, y1 = (int(np.clip(value, 0, height)) for value in (y, y + side))
-    if x0 >= x1 or y0 >= y1:
+    if x0 >= x1 or y0 >= y1 or side > LARGEST_SIDE * max(height, width):
         return np.zeros((size, size, *image.shape[2:]), image.dtype)
     window = image[y0:y1, x0:x1]
     pads = (y0 - y, y + side - y1, x0 - x, x + side - x1)
