@@ -61,5 +61,9 @@ class Motion:
     def joints(self) -> dict[str, np.ndarray]:
         """Landmark name -> (T, 3) positions, world, Z up, metres."""
         poses = Pose(*(jnp.asarray(part, float) for part in self.poses))
-        points = np.asarray(jax.jit(jax.vmap(landmarks, (None, 0)))(self.skeleton, poses))
+        points = np.asarray(_landmarks_over_time(self.skeleton, poses))
         return {name: points[:, i] for i, name in enumerate(LANDMARKS)}
+
+
+# Of the module, so that motions of one length and skeleton share one compilation.
+_landmarks_over_time = jax.jit(jax.vmap(landmarks, (None, 0)))

@@ -1,0 +1,225 @@
+"""The commands: parse, call, print.
+
+Exit codes: 0 done, 2 bad input (one sentence on stderr), 130 interrupted.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+from jaxmocap import __version__
+from jaxmocap.formats.errors import InputError
+
+EXAMPLES = {
+    "demo": "jaxmocap demo --out jaxmocap-demo",
+    "track": "jaxmocap track recording.toml --out tracked",
+    "evaluate": "jaxmocap evaluate tracked truth.trc --match elbow_l=LElbow elbow_r=RElbow",
+    "view": "jaxmocap view tracked",
+}
+
+
+class Parser(argparse.ArgumentParser):
+    """Says in one line what is wrong."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print one sentence and leave with 2."""
+        self.exit(2, f"{self.prog}: {message}\n")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; its exit code."""
+    options = make_parser().parse_args(arguments)
+    try:
+        options.run(options)
+    except InputError as error:
+        print(f"jaxmocap {options.command}: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        problem = error.strerror or str(error)
+        print(f"jaxmocap {options.command}: {error.filename}: {problem}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"jaxmocap {options.command}: interrupted", file=sys.stderr)
+        return 130
+    return 0
+
+
+def make_parser() -> Parser:
+    """All commands and their options."""
+    parser = Parser(
+        prog="jaxmocap",
+        description="Human motion capture from three tracked points and one ordinary camera.",
+        epilog=f"example: {EXAMPLES['demo']}",
+    )
+    parser.add_argument("--version", action="version", version=__version__)
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    _add_demo(_command(commands, "demo", demo, "make a synthetic recording and track it"))
+    _add_track(_command(commands, "track", track, "track a recording"))
+    _add_evaluate(
+        _command(commands, "evaluate", evaluate, "compare tracked joints with a reference")
+    )
+    view_parser = _command(commands, "view", view, "show what track wrote in the rerun viewer")
+    view_parser.add_argument("directory", metavar="DIR", help="what track --out was given")
+    return parser
+
+
+def _command(commands: Any, name: str, run: Any, purpose: str) -> Parser:
+    parser = commands.add_parser(
+        name,
+        help=purpose,
+        description=f"{purpose}.".capitalize(),
+        epilog=f"example: {EXAMPLES[name]}",
+    )
+    parser.set_defaults(run=run)
+    return parser
+
+
+def _add_json(parser: Parser) -> None:
+    parser.add_argument(
+        "--json", metavar="FILE", help="write the figures as JSON; - for standard output"
+    )
+
+
+def _add_demo(parser: Parser) -> None:
+    parser.add_argument(
+        "--out", metavar="DIR", default="jaxmocap-demo", help="default: %(default)s"
+    )
+    parser.add_argument("--seconds", type=_positive, default=6.0, help="default: %(default)s")
+    parser.add_argument("--seed", type=int, default=0, help="of person, room, strokes and noise")
+    _add_json(parser)
+
+
+def _add_track(parser: Parser) -> None:
+    parser.add_argument("recording", metavar="RECORDING.toml")
+    parser.add_argument("--out", metavar="DIR", required=True, help="where to write")
+    parser.add_argument(
+        "--refine",
+        choices=("simplex", "none"),
+        default="simplex",
+        help="how video refines the markers' pose; none: markers only",
+    )
+    mode = parser.add_mutually_exclusive_group()
+    mode.add_argument(
+        "--causal",
+        dest="mode",
+        action="store_const",
+        const="causal",
+        help="use no later marker or frame than a live run would",
+    )
+    mode.add_argument(
+        "--nearest",
+        dest="mode",
+        action="store_const",
+        const="nearest",
+        help="use the frame nearest to each marker sample, as in the paper",
+    )
+    parser.add_argument(
+        "--paper", action="store_true", help="the paper's edges, cost and simplex, no memory"
+    )
+    parser.add_argument(
+        "--cameras", metavar="A,B", type=_names, help="use these of the recording's cameras"
+    )
+    parser.add_argument(
+        "--height", metavar="M", type=_positive, help="metres, in place of the [subject]"
+    )
+    parser.set_defaults(mode="own")
+    _add_json(parser)
+
+
+def _add_evaluate(parser: Parser) -> None:
+    parser.add_argument("directory", metavar="DIR", help="what track --out was given")
+    parser.add_argument("truth", metavar="TRUTH.trc", help="reference, .trc or .csv")
+    parser.add_argument(
+        "--match",
+        metavar="JOINT=MARKER",
+        type=_pair,
+        nargs="+",
+        required=True,
+        help="a joint and its marker in the reference",
+    )
+    parser.add_argument("--up", choices=("y", "z"), default="z", help="the reference's vertical")
+    _add_json(parser)
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a positive number")
+    return value
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",")]
+
+
+def _pair(text: str) -> tuple[str, str]:
+    joint, equals, marker = text.partition("=")
+    if not (joint and equals and marker):
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected JOINT=MARKER")
+    return joint, marker
+
+
+def demo(options: argparse.Namespace) -> None:
+    """Make a synthetic recording, track it and show what video brings."""
+    from jaxmocap.run.compilation import keep_compiled
+    from jaxmocap.run.demo import demonstrate
+
+    keep_compiled()
+    shown = demonstrate(options.out, options.seconds, options.seed, progress=True)
+    files = "\n".join(f"written  {path}" for path in shown.files)
+    _report(options, f"{shown.table()}\n\n{files}", shown.as_dict())
+
+
+def track(options: argparse.Namespace) -> None:
+    """Track a recording and write everything."""
+    from jaxmocap.formats.recording import load_recording
+    from jaxmocap.run import recording as offline
+    from jaxmocap.run.compilation import keep_compiled
+    from jaxmocap.run.summary import figures, summary
+    from jaxmocap.run.writing import check_folder, write_outputs
+
+    keep_compiled()
+    recording = load_recording(options.recording)
+    if options.cameras:
+        recording = offline.select_cameras(recording, options.cameras)
+    if options.height:
+        recording = offline.with_height(recording, options.height)
+    settings = offline.choose_settings(options.refine, options.paper)
+    check_folder(options.out)
+    motion = offline.track(recording, settings, mode=options.mode, progress=True)
+    files = write_outputs(motion, recording, options.out, settings, progress=True)
+    _report(options, summary(motion, files), figures(motion))
+
+
+def evaluate(options: argparse.Namespace) -> None:
+    """Compare joints.trc with a reference."""
+    from jaxmocap.evaluation.errors import evaluate_directory
+    from jaxmocap.evaluation.tables import format_table
+
+    errors = evaluate_directory(options.directory, options.truth, dict(options.match), options.up)
+    _report(options, format_table(errors), errors.as_dict())
+
+
+def view(options: argparse.Namespace) -> None:
+    """Open the viewer."""
+    from jaxmocap.run.viewing import open_viewer, recording_in
+
+    print(open_viewer(recording_in(options.directory)))
+
+
+def _report(options: argparse.Namespace, text: str, figures: dict) -> None:
+    """Print the text, and write the figures where --json says; - leaves standard output to them."""
+    from jaxmocap.run.summary import write_figures
+
+    if options.json == "-":
+        print(text, file=sys.stderr)
+        print(write_figures(figures))
+        return
+    print(text)
+    if options.json:
+        write_figures(figures, options.json)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

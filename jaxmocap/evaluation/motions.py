@@ -1,0 +1,44 @@
+"""A motion in memory against a reference.
+
+INPUTS: a Motion; a marker file or points over time. OUTPUTS: Errors.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from jaxmocap.body.motion import Motion
+from jaxmocap.evaluation.errors import TO_WORLD, Errors, position_errors
+from jaxmocap.formats.markers import read_markers
+from jaxmocap.formats.tables import Markers
+
+
+def evaluate(
+    motion: Motion, truth: str | Path | Markers, pairs: Mapping[str, str], up: str = "z"
+) -> Errors:
+    """Errors of a motion's joints against a reference, matched by time stamp.
+
+    Args:
+        motion: what was tracked.
+        truth: a TRC or CSV file, or Markers.
+        pairs: joint name -> the name of its marker in the reference.
+        up: the reference's vertical axis, "z" or "y" (world = (z, x, y) of the file).
+
+    Raises:
+        InputError: a file that is missing or no marker file, an unknown name, no common time.
+        ValueError: another ``up``.
+    """
+    if up not in TO_WORLD:
+        raise ValueError(f"up = {up!r}: expected one of {', '.join(TO_WORLD)}")
+    in_memory = isinstance(truth, Markers)
+    markers = truth if in_memory else read_markers(truth)
+    points = {name: np.asarray(p)[:, TO_WORLD[up]] for name, p in markers.points().items()}
+    return position_errors(
+        motion.times,
+        motion.joints(),
+        markers.times,
+        points,
+        pairs,
+        sources=("motion", "reference" if in_memory else truth),
+    )

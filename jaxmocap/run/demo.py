@@ -1,0 +1,125 @@
+"""A synthetic table-tennis recording, tracked with markers only and with video.
+
+INPUTS: a folder, a duration, a seed.
+OUTPUTS: in that folder the recording, everything that ``track`` writes, and elbow_errors.png.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from jaxmocap.body.kinematics import forward, site_positions
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.pose import relaxed_pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.evaluation.errors import Errors
+from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.plots import plot_elbow_errors
+from jaxmocap.evaluation.tables import format_table
+from jaxmocap.formats.recording import MarkerPlace, Recording, VideoSource
+from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.run.recording import make_tracker, marker_sites, track, track_both
+from jaxmocap.run.summary import frames_per_second
+from jaxmocap.run.timing import progress_bar
+from jaxmocap.run.writing import make_folder, write_outputs
+from jaxmocap.synthetic.recording import CAMERA, marker_places, webcam, write_table_tennis
+
+ELBOWS = {"elbow_l": "elbow_l", "elbow_r": "elbow_r"}
+HEIGHT = 1.75
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """What the demo shows.
+
+    Attributes:
+        motion: by markers and video.
+        markers_only: errors of the elbows without video.
+        with_video: errors of the elbows with it.
+        files: that were written.
+    """
+
+    motion: Motion
+    markers_only: Errors
+    with_video: Errors
+    files: list[Path]
+
+    @property
+    def frames_per_second(self) -> float:
+        """Of the steps with a video frame, once compiled; NaN if there was none."""
+        report = self.motion.report
+        return float("nan") if report is None else frames_per_second(report)
+
+    @property
+    def improvement(self) -> float:
+        """By which share video lowers the mean error."""
+        return 1 - self.with_video.mean / self.markers_only.mean
+
+    def table(self) -> str:
+        """Elbow errors with video, those before, and the rate."""
+        rate = f"{self.frames_per_second:.0f} frames per second, once compiled"
+        return f"{format_table(self.with_video, self.markers_only)}\n\n{rate}"
+
+    def as_dict(self) -> dict:
+        """What JSON takes."""
+        return {
+            "markers_only": self.markers_only.as_dict(),
+            "with_video": self.with_video.as_dict(),
+            "improvement": self.improvement,
+            "frames_per_second": self.frames_per_second,
+            "files": [str(path) for path in self.files],
+        }
+
+
+def demonstrate(
+    directory: str | Path, seconds: float = 6.0, seed: int = 0, progress: bool = False
+) -> Demonstration:
+    """Make a recording, track it, compare both elbows with the truth, and write it all down.
+
+    Args:
+        directory: is made where missing; the recording goes to ``recording`` in it.
+        seconds: duration.
+        seed: of person, room, strokes and noise.
+        progress: show bars on stderr.
+    """
+    folder = make_folder(directory)
+    # The tracker compiles while the frames are rendered: they share nothing but the plan.
+    with ThreadPoolExecutor(1) as renderer, progress_bar("rendering", progress) as show:
+        written = renderer.submit(
+            write_table_tennis,
+            folder / "recording",
+            seconds,
+            seed,
+            height=HEIGHT,
+            progress=show,
+        )
+        tracker = compiled_tracker()
+        recording = Recording.load(written.result())
+    tracked = track_both(recording, progress=progress, tracker=tracker)
+    files = write_outputs(tracked.motion, recording, folder, tracker.settings, progress)
+    truth = folder / "recording" / "truth.trc"
+    before, after = (evaluate(motion, truth, ELBOWS) for motion in reversed(tracked))
+    files.append(folder / "elbow_errors.png")
+    plot_elbow_errors(files[-1], after.times, _by_joint(before), _by_joint(after), "Elbow errors")
+    return Demonstration(tracked.motion, before, after, files)
+
+
+def compiled_tracker() -> HybridTracker:
+    """The demo's tracker, compiled by a step on somebody who stands still before a grey wall."""
+    skeleton, camera = Skeleton.human(HEIGHT), webcam()
+    places = tuple(MarkerPlace(name, **place) for name, place in marker_places().items())
+    sites = marker_sites(skeleton, places)
+    points = site_positions(skeleton, forward(skeleton, relaxed_pose(skeleton)), sites)
+    width, height = np.asarray(camera.size, int)
+    wall = (np.zeros(1), [np.full((height, width), 128, np.uint8)])
+    video = VideoSource(CAMERA, camera, frames=wall)
+    standing = Recording(skeleton, np.zeros(1), np.asarray(points)[None], places, (video,))
+    tracker = make_tracker(standing)
+    track(standing, tracker=tracker)
+    return tracker
+
+
+def _by_joint(errors: Errors) -> dict[str, np.ndarray]:
+    return dict(zip(errors.joints, errors.distances.T, strict=True))

@@ -1,0 +1,59 @@
+"""The videos of a recording, opened, checked and read forward, the next frame decoded ahead.
+
+INPUTS: a Recording. OUTPUTS: frame sources and warnings; grey images by their index.
+"""
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import contextmanager
+
+import numpy as np
+
+from jaxmocap.capture.timeline import check_overlap
+from jaxmocap.capture.video import FrameSource, check_size, open_video
+from jaxmocap.formats.recording import Recording
+
+
+def open_footage(recording: Recording) -> tuple[list[FrameSource], tuple[str, ...]]:
+    """Every video of a recording, and what a user should be told of the recording.
+
+    Raises:
+        InputError: what is not a video, does not fit its calibration, or shares no time with the
+            markers.
+    """
+    videos, warnings = [], list(recording.warnings)
+    for source in recording.videos:
+        video = open_video(source)
+        warning = check_size(video, source.camera, video.name)
+        check_overlap(recording.times, video.times, video.name)
+        videos.append(video)
+        warnings += [warning] if warning else []
+    return videos, tuple(warnings)
+
+
+class ForwardReader:
+    """One video, asked for frames in rising order; while one is used the next is decoded."""
+
+    def __init__(self, video: FrameSource, worker: Executor):
+        self._frames, self._worker = video.frames(luma=True), worker
+        self._index, self._image = -1, None
+        self._coming = worker.submit(next, self._frames, None)
+
+    def at(self, index: int) -> np.ndarray | None:
+        """The grey image (H, W), uint8, of a frame; None where there is none or for index -1."""
+        if index < 0:
+            return None
+        while self._index < index:
+            frame = self._coming.result()
+            if frame is None:
+                return None
+            self._index, self._image = self._index + 1, frame[1]
+            self._coming = self._worker.submit(next, self._frames, None)
+        return self._image
+
+
+@contextmanager
+def reading(videos: Sequence[FrameSource]) -> Iterator[list[ForwardReader]]:
+    """Readers of the videos, each with a thread that decodes one frame ahead."""
+    with ThreadPoolExecutor(max(1, len(videos))) as workers:
+        yield [ForwardReader(video, workers) for video in videos]

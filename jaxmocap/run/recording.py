@@ -1,0 +1,292 @@
+"""The offline loop: a recording, event by event, to a motion.
+
+    recording ── open_footage ── build_timeline ── tracker.step at every event ── Motion
+                                                   (a marker sample, a video frame, or both)
+
+INPUTS: a Recording. OUTPUTS: a Motion with one row per marker sample, and its Report.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmocap.body.kinematics import Sites
+from jaxmocap.body.motion import Motion, Report
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.capture.markers import interpolate
+from jaxmocap.capture.timeline import Mode, Timeline, build_timeline
+from jaxmocap.capture.video import FrameSource
+from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.recording import MarkerPlace, Recording
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.tracker import HybridTracker, State, StepReport
+from jaxmocap.outputs.report import plain
+from jaxmocap.run import statuses
+from jaxmocap.run.reading import ForwardReader, open_footage, reading
+from jaxmocap.run.timing import Clock, Progress, progress_bar, timed_stages
+
+# The first sample is solved again and again until the joints turn by less (radians).
+SETTLED_RAD, MOST_SETTLING = 1e-3, 10
+
+
+class Tracked(NamedTuple):
+    """One run over a recording, seen twice.
+
+    Attributes:
+        motion: by markers and video.
+        markers_only: the same steps before the video had its say.
+    """
+
+    motion: Motion
+    markers_only: Motion
+
+
+def track(
+    recording: Recording,
+    settings: Settings | None = None,
+    *,
+    mode: Mode = "own",
+    progress: Progress | bool | None = None,
+    tracker: HybridTracker | None = None,
+) -> Motion:
+    """Track a recording.
+
+    Args:
+        recording: markers, and any number of videos.
+        settings: of the tracker; defaults to ``Settings()``.
+        mode: ``own`` looks at each video frame at its own time, with the markers interpolated
+            there; ``nearest`` looks at the frame nearest to each marker sample, as in the paper;
+            ``causal`` is ``own`` without any later marker or frame than a live run would have.
+        progress: called with the events done and their total; True shows a bar on stderr.
+        tracker: of ``make_tracker`` for this recording, so that it compiles once for several
+            runs; its settings hold.
+
+    Returns:
+        One pose per marker sample, NaN before the first sample with a marker, and a report: what
+        was missing and how long each stage took (``milliseconds``: ``decode``, ``solve``,
+        ``observe``, ``refine``, and ``frame`` for all of them, at the events with a video frame;
+        ``carry`` for the second call and ``sample`` for all at those without one; ``first_call``
+        for the first event, compilation included).
+
+    Raises:
+        InputError: a video that cannot be used with the recording.
+    """
+    return track_both(recording, settings, mode=mode, progress=progress, tracker=tracker).motion
+
+
+def track_both(
+    recording: Recording,
+    settings: Settings | None = None,
+    *,
+    mode: Mode = "own",
+    progress: Progress | bool | None = None,
+    tracker: HybridTracker | None = None,
+) -> Tracked:
+    """Track a recording and keep the markers' own poses as well; see ``track``."""
+    videos, warnings = open_footage(recording)
+    tracker = tracker or make_tracker(recording, settings)
+    used = [] if tracker.cameras is None else videos
+    run = Run.plan(recording, used, mode)
+    with progress_bar("tracking", progress) as show, reading(used) as readers:
+        for done, total in run.events(tracker, readers):
+            show(done, total)
+    told = {
+        "recording": recording.path or recording.name,
+        "mode": mode,
+        "cameras": [source.camera_name for source in recording.videos],
+        "markers": recording.marker_names,
+        "warnings": warnings,
+        "tracker": tracker.settings,
+    }
+    return run.tracked(tracker.skeleton, plain(told))
+
+
+def make_tracker(recording: Recording, settings: Settings | None = None) -> HybridTracker:
+    """The tracker for a recording's person, markers and cameras."""
+    settings = settings or Settings()
+    cameras = [source.camera for source in recording.videos] if settings.refine != "none" else None
+    sites = marker_sites(recording.skeleton, recording.places)
+    return HybridTracker(recording.skeleton, cameras, settings, sites)
+
+
+def marker_sites(skeleton: Skeleton, places: Sequence[MarkerPlace]) -> Sites:
+    """The markers' points on the bones."""
+    bones = np.array([skeleton.tree.bone(place.bone) for place in places], np.int32)
+    at = np.array([place.at for place in places], float)
+    offsets = np.array([place.offset for place in places], float).reshape(-1, 3)
+    return Sites(bones, jnp.asarray(at, float), jnp.asarray(offsets, float))
+
+
+def choose_settings(
+    refine: Literal["simplex", "none"] = "simplex", paper: bool = False
+) -> Settings:
+    """The tracker's defaults, or the first paper's own way."""
+    return replace(Settings.paper() if paper else Settings(), refine=refine)
+
+
+def with_height(recording: Recording, height: float) -> Recording:
+    """The recording of a person of another height (metres), by published proportions.
+
+    Raises:
+        InputError: nobody's height.
+    """
+    try:
+        return replace(recording, skeleton=Skeleton.human(height))
+    except ValueError as error:
+        raise InputError(recording.path or recording.name, str(error)) from None
+
+
+def select_cameras(recording: Recording, names: Sequence[str]) -> Recording:
+    """The recording with some of its cameras, in their order there.
+
+    Raises:
+        InputError: a name that it does not have.
+    """
+    there = [source.camera_name for source in recording.videos]
+    for name in names:
+        if name not in there:
+            problem = f"no [[video]] of camera {name!r}, found {', '.join(there) or 'no video'}"
+            raise InputError(recording.path or recording.name, problem)
+    chosen = tuple(source for source in recording.videos if source.camera_name in names)
+    return replace(recording, videos=chosen)
+
+
+@dataclass
+class Run:
+    """One way through a recording, and what it yields on the way.
+
+    Attributes:
+        recording: what is tracked.
+        timeline: its events.
+        markers_world: (E, M, 3) at the events; NaN where missing.
+        unseen: C of (T,), whether no frame of a camera lies near each sample.
+        start: the first event with a marker; the tracker is placed there.
+        rows: pose and report of each sample from there on.
+        said: sentences of each of these samples.
+        milliseconds: stage -> times.
+    """
+
+    recording: Recording
+    timeline: Timeline
+    markers_world: np.ndarray
+    unseen: list[np.ndarray]
+    start: int
+    rows: list[tuple[Pose, StepReport]] = field(default_factory=list)
+    said: list[tuple[str, ...]] = field(default_factory=list)
+    milliseconds: dict[str, list[float]] = field(default_factory=dict)
+
+    @classmethod
+    def plan(cls, recording: Recording, videos: Sequence[FrameSource], mode: Mode) -> "Run":
+        """The events, and the markers at them."""
+        times, causal = recording.times, mode == "causal"
+        timeline = build_timeline(times, [video.times for video in videos], mode)
+        markers = interpolate(times, recording.positions_world, timeline.event_times, causal)
+        first = int(np.isfinite(recording.positions_world).all(-1).any(-1).argmax())
+        start = int(np.flatnonzero(timeline.sample_index == first)[0])
+        unseen = [statuses.without_video(times, video.times, causal) for video in videos]
+        return cls(recording, timeline, markers, unseen, start)
+
+    def events(
+        self, tracker: HybridTracker, readers: Sequence[ForwardReader]
+    ) -> Iterator[tuple[int, int]]:
+        """Step through the events from the first marker to the last sample.
+
+        Yields:
+            How many are done, and how many there are.
+        """
+        clock, times = Clock(), self.timeline.event_times
+        timed = timed_stages(tracker, clock)
+        stop = int(np.flatnonzero(self.timeline.sample_index >= 0)[-1]) + 1
+        sentences: list[str] = []
+        began = perf_counter()
+        state = settled(tracker, self.markers_world[self.start])
+        for event in range(self.start, stop):
+            began = perf_counter() if event > self.start else began
+            frames = self.timeline.frame_index[event]
+            images = [reader.at(i) for reader, i in zip(readers, frames, strict=True)]
+            clock.spent = {"decode": 1e3 * (perf_counter() - began)}
+            markers, time = self.markers_world[event], times[event] - times[self.start]
+            state, pose, report = jax.device_get(timed.step(state, time, markers, images))
+            sentences += [*statuses.of_step(report), *self._about_images(frames, images)]
+            self._keep_times(clock.spent, 1e3 * (perf_counter() - began), images)
+            if (sample := int(self.timeline.sample_index[event])) >= 0:
+                sentences += self._about_sample(sample, report)
+                self.rows.append((pose, report))
+                # What happened since the sample before belongs to this one.
+                self.said.append(tuple(dict.fromkeys(sentences)))
+                sentences = []
+            yield event + 1 - self.start, stop - self.start
+
+    def _about_images(
+        self, frames: np.ndarray, images: Sequence[np.ndarray | None]
+    ) -> Iterator[str]:
+        names = [source.camera_name for source in self.recording.videos][: len(images)]
+        yield from statuses.of_images(names, (frames >= 0).tolist(), images)
+
+    def _about_sample(self, sample: int, report: StepReport) -> Iterator[str]:
+        positions = self.recording.positions_world[sample]
+        yield from statuses.of_markers(self.recording.marker_names, positions)
+        for source, unseen in zip(self.recording.videos, self.unseen, strict=False):
+            if unseen[sample]:
+                yield f"{source.camera_name}: no video frame near this sample"
+        if self.unseen:
+            yield from statuses.of_confidence(report.confidence)
+
+    def _keep_times(
+        self, spent: dict[str, float], total: float, images: Sequence[np.ndarray | None]
+    ) -> None:
+        if not self.milliseconds:
+            self.milliseconds["first_call"] = [total]
+            return
+        if any(image is not None for image in images):
+            kept = spent | {"frame": total}
+        else:
+            kept = {"solve": spent["solve"], "carry": spent["refine"], "sample": total}
+        for stage, time in kept.items():
+            self.milliseconds.setdefault(stage, []).append(time)
+
+    def tracked(self, skeleton: Skeleton, told: dict) -> Tracked:
+        """All rows as arrays, NaN before the first sample with a marker."""
+        before = len(self.recording.times) - len(self.rows)
+        said = (("no marker has been seen yet",),) * before + tuple(self.said)
+
+        def column(values: Sequence[np.ndarray]) -> np.ndarray:
+            stacked = np.stack(values)
+            return np.concatenate([np.full((before, *stacked.shape[1:]), np.nan), stacked])
+
+        def motion(poses: Sequence[Pose], report: Report | None) -> Motion:
+            parts = Pose(*(column(part) for part in zip(*poses, strict=True)))
+            return Motion(skeleton, self.recording.times, parts, report)
+
+        poses, reports = zip(*self.rows, strict=True)
+        report = Report(
+            markers=self.recording.marker_names,
+            marker_errors=column([report.distances for report in reports]),
+            arm_costs=column([report.arm_costs for report in reports]),
+            swivels=column([report.swivels for report in reports]),
+            confidence=column([report.confidence for report in reports]),
+            statuses=said,
+            milliseconds={stage: np.array(t) for stage, t in self.milliseconds.items()},
+            settings=told,
+        )
+        return Tracked(motion(poses, report), motion([report.pose for report in reports], None))
+
+
+def settled(tracker: HybridTracker, markers_world: np.ndarray) -> State:
+    """The state at the first sample, where the body has come to rest on its (M, 3) markers."""
+    state, targets = tracker.init(markers_world), jnp.asarray(markers_world, float)
+    for _ in range(MOST_SETTLING):
+        ik = tracker.solve(
+            tracker.skeleton, tracker.cameras, tracker.settings, state.pose, state.stance, targets
+        ).ik
+        turned = np.abs(np.asarray(ik.pose.angles) - np.asarray(state.pose.angles)).max()
+        state = state._replace(pose=ik.pose, stance=ik.stance)
+        if turned < SETTLED_RAD:
+            break
+    return state

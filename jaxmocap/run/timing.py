@@ -1,0 +1,70 @@
+"""How long the stages of a step take, and how far a long run has come.
+
+INPUTS: a tracker; numbers of steps. OUTPUTS: a tracker whose stages are timed; progress bars.
+"""
+
+import copy
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from time import perf_counter
+
+import jax
+from tqdm import tqdm
+
+from jaxmocap.hybrid.observe import Observer
+from jaxmocap.hybrid.tracker import HybridTracker
+
+# Called with the steps done and their total.
+Progress = Callable[[int, int], None]
+
+
+class Clock:
+    """Milliseconds of the stages of the present step.
+
+    Attributes:
+        spent: stage -> milliseconds.
+    """
+
+    def __init__(self):
+        self.spent: dict[str, float] = {}
+
+    def timed(self, stage: str, function: Callable) -> Callable:
+        """The function, whose time is kept; it returns when its result is there."""
+
+        def run(*arguments):
+            began = perf_counter()
+            result = jax.block_until_ready(function(*arguments))
+            self.spent[stage] = 1e3 * (perf_counter() - began)
+            return result
+
+        return run
+
+
+def timed_stages(tracker: HybridTracker, clock: Clock) -> HybridTracker:
+    """The same tracker, compiled parts shared, with timed stages and an image chain of its own.
+
+    The image chain remembers thresholds from frame to frame; a new recording starts afresh.
+    """
+    settings, old = tracker.settings, tracker.observer
+    observer = Observer(len(old.thresholds), settings.region, settings.directions, settings.edges)
+    observer.observe = clock.timed("observe", observer.observe)
+    timed = copy.copy(tracker)
+    timed.observer = observer
+    timed.solve = clock.timed("solve", tracker.solve)
+    timed.refine = clock.timed("refine", tracker.refine)
+    return timed
+
+
+@contextmanager
+def progress_bar(label: str, progress: Progress | bool | None) -> Iterator[Progress]:
+    """What to call with the steps done: the caller's own, a bar on stderr for True, or nothing."""
+    if progress is not True:
+        yield progress or (lambda done, total: None)
+        return
+    with tqdm(desc=label, leave=True) as bar:
+
+        def show(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        yield show

@@ -1,0 +1,189 @@
+"""Everything that ``track`` writes, each file moved into place when it is whole.
+
+INPUTS: a Motion, its Recording, a folder.
+OUTPUTS: joints.trc, motion.npz, report.json, recording.rrd, and overlay.mp4 where there is video.
+"""
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmocap.body.motion import Motion
+from jaxmocap.capture.video import Frame, FrameSource
+from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.npz import save_motion
+from jaxmocap.formats.recording import Recording
+from jaxmocap.formats.trc import write_trc
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.images.edges import Thresholds, edge_image, gradients
+from jaxmocap.images.regions import Region, crop, region_around
+from jaxmocap.outputs.overlay import write_overlay
+from jaxmocap.outputs.report import write_report
+from jaxmocap.outputs.scene import ARM_BONES, make_scene, pixels
+from jaxmocap.outputs.viewer import Footage, write_rerun
+from jaxmocap.run.reading import open_footage
+from jaxmocap.run.timing import Progress, progress_bar
+
+# The viewer's recording holds at most so many frames of a camera.
+MOST_VIEWED = 300
+
+
+def make_folder(directory: str | Path) -> Path:
+    """The folder to write to, made where missing; InputError where that cannot be."""
+    directory = Path(directory)
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(directory, f"cannot be a folder ({error.strerror})") from None
+    return directory
+
+
+def check_folder(directory: str | Path) -> None:
+    """InputError where a folder cannot be made or written to; nothing is made."""
+    there = Path(directory)
+    while not there.exists() and there != there.parent:
+        there = there.parent
+    if not there.is_dir():
+        raise InputError(directory, f"cannot be a folder, {there} is a file")
+    if not os.access(there, os.W_OK):
+        raise InputError(directory, f"cannot be written to, {there} is read-only")
+
+
+def write_outputs(
+    motion: Motion,
+    recording: Recording,
+    directory: str | Path,
+    settings: Settings | None = None,
+    progress: Progress | bool | None = None,
+) -> list[Path]:
+    """Write all files of a tracked recording.
+
+    Args:
+        motion: tracked from the recording.
+        recording: with its videos.
+        directory: is made where missing.
+        settings: of the tracker, for the edges that the viewer shows.
+        progress: called with the frames drawn and their total; True shows a bar on stderr.
+
+    Returns:
+        The files, in the order in which they were written.
+    """
+    folder = make_folder(directory)
+    videos, warnings = open_footage(recording)
+    files = [folder / name for name in ("joints.trc", "motion.npz", "report.json")]
+    write_trc(files[0], motion.times, motion.joints())
+    save_motion(files[1], motion)
+    extra = {"recording": recording.path or recording.name, "warnings": warnings}
+    write_report(files[2], motion, extra)
+    targets = marker_tracks(recording)
+    with progress_bar("drawing", progress) as show:
+        total = sum(len(video) + viewed(video) for video in videos)
+        counter = Counter(show, total)
+        files += _write_overlays(motion, recording, videos, folder, targets, counter)
+        files.append(folder / "recording.rrd")
+        footage = {
+            source.camera_name: Footage(
+                source.camera,
+                counter.over(thinned(video)),
+                arm_edges(video, source.camera, motion, settings or Settings()),
+            )
+            for source, video in zip(recording.videos, videos, strict=True)
+        }
+        write_rerun(files[-1], motion, footage, targets)
+    return files
+
+
+def _write_overlays(
+    motion: Motion,
+    recording: Recording,
+    videos: list[FrameSource],
+    folder: Path,
+    targets: Mapping[str, np.ndarray],
+    counter: "Counter",
+) -> list[Path]:
+    """overlay.mp4 of the first camera, overlay_NAME.mp4 of the others."""
+    files = []
+    for i, (source, video) in enumerate(zip(recording.videos, videos, strict=True)):
+        path = folder / (f"overlay_{source.camera_name}.mp4" if i else "overlay.mp4")
+        frames = counter.over(video.frames())
+        write_overlay(path, frames, source.camera, motion, targets, video.fps or 30.0)
+        files.append(path)
+    return files
+
+
+def marker_tracks(recording: Recording) -> dict[str, np.ndarray]:
+    """Marker -> (T, 3) measured positions, world, metres."""
+    columns = np.moveaxis(recording.positions_world, 1, 0)
+    return dict(zip(recording.marker_names, columns, strict=True))
+
+
+class Counter:
+    """Tells a progress bar of every frame that goes by."""
+
+    def __init__(self, show: Progress, total: int):
+        self.show, self.total, self.done = show, total, 0
+
+    def over(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+        """The same frames, counted."""
+        for frame in frames:
+            yield frame
+            self.done += 1
+            self.show(self.done, self.total)
+
+
+def thinned(video: FrameSource, luma: bool = False) -> Iterator[Frame]:
+    """At most ``MOST_VIEWED`` frames, evenly over the video."""
+    for i, frame in enumerate(video.frames(luma)):
+        if i % _stride(video) == 0:
+            yield frame
+
+
+def viewed(video: FrameSource) -> int:
+    """How many frames ``thinned`` gives."""
+    return -(-len(video) // _stride(video))
+
+
+def _stride(video: FrameSource) -> int:
+    return -(-len(video) // MOST_VIEWED)
+
+
+def arm_edges(
+    video: FrameSource, camera: Camera, motion: Motion, settings: Settings
+) -> dict[str, list[tuple[float, np.ndarray]]]:
+    """Canny's edges in both arms' regions of interest, at the frames of ``thinned``.
+
+    Returns:
+        Name -> time and edges (S, S), uint8, 255 on edges.
+    """
+    chains = {"edges, left arm": Thresholds(), "edges, right arm": Thresholds()}
+    images: dict[str, list[tuple[float, np.ndarray]]] = {name: [] for name in chains}
+    regions = arm_regions_over_time(camera, motion, video.times, settings)
+    origins, scales = np.asarray(regions.origin), np.asarray(regions.scale)
+    times = {float(time): i for i, time in enumerate(video.times)}
+    for time, image in thinned(video, luma=True):
+        i = times[time]
+        for arm, (name, thresholds) in enumerate(chains.items()):
+            if image is None or not np.isfinite(origins[i, arm]).all():
+                continue
+            part = crop(image, origins[i, arm], scales[i, arm], settings.region)
+            dx, dy = gradients(part, settings.edges)
+            images[name].append((time, edge_image(dx, dy, settings.edges, thresholds)))
+    return images
+
+
+def arm_regions_over_time(
+    camera: Camera, motion: Motion, times: np.ndarray, settings: Settings
+) -> Region:
+    """Regions (F, 2) around shoulder, elbow and hand of each arm at (F,) seconds; NaN unseen."""
+    scene = make_scene(motion)
+    bones = np.array([scene.bones.index(bone) for bone in ARM_BONES]).reshape(2, 3)
+    unknown = np.full((2, len(scene.bones), 3), np.nan)
+    ends = np.array([unknown if (pair := scene.at(t)) is None else pair for t in times])
+    near, far = ends[:, 0, bones], ends[:, 1, bones[:, 2:]]
+    points = np.concatenate([near[:, :, :2], far], 2)
+    margin = float(settings.margin)
+    return region_around(jnp.asarray(pixels(camera, points)), settings.region, margin)
