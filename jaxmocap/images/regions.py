@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-
 # Regions this many times as large as their image hold a few samples of it only.
 LARGEST_SIDE = 8
 
