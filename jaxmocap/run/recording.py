@@ -236,7 +236,7 @@ class Run:
             if unseen[sample]:
                 yield f"{source.camera_name}: no video frame near this sample"
         if self.unseen:
-            yield from statuses.of_confidence(report.confidence)
+            yield from statuses.of_confidence(np.asarray(report.confidence))
 
     def _keep_times(
         self, spent: dict[str, float], total: float, images: Sequence[np.ndarray | None]
@@ -261,7 +261,7 @@ class Run:
             return np.concatenate([np.full((before, *stacked.shape[1:]), np.nan), stacked])
 
         def motion(poses: Sequence[Pose], report: Report | None) -> Motion:
-            parts = Pose(*(column(part) for part in zip(*poses, strict=True)))
+            parts = jax.tree.map(lambda *values: column(values), *poses)
             return Motion(skeleton, self.recording.times, parts, report)
 
         poses, reports = zip(*self.rows, strict=True)

@@ -49,9 +49,11 @@ def timed_stages(tracker: HybridTracker, clock: Clock) -> HybridTracker:
     observer = Observer(len(old.thresholds), settings.region, settings.directions, settings.edges)
     observer.observe = clock.timed("observe", observer.observe)
     timed = copy.copy(tracker)
-    timed.observer = observer
-    timed.solve = clock.timed("solve", tracker.solve)
-    timed.refine = clock.timed("refine", tracker.refine)
+    vars(timed).update(
+        observer=observer,
+        solve=clock.timed("solve", tracker.solve),
+        refine=clock.timed("refine", tracker.refine),
+    )
     return timed
 
 

@@ -1,0 +1,81 @@
+"""The public names, frozen: who removes or renames one breaks somebody's notebook."""
+
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import jaxmocap
+
+PUBLIC = {
+    "Camera",
+    "HybridTracker",
+    "InputError",
+    "Motion",
+    "Pose",
+    "Recording",
+    "Report",
+    "Settings",
+    "Skeleton",
+    "State",
+    "__version__",
+    "evaluate",
+    "track",
+}
+PARAMETERS = {
+    "track": ["recording", "settings", "mode", "progress", "tracker"],
+    "evaluate": ["motion", "truth", "pairs", "up"],
+    "HybridTracker": ["skeleton", "cameras", "settings", "markers"],
+    "HybridTracker.init": ["self", "markers_world"],
+    "HybridTracker.step": ["self", "state", "time", "markers_world", "images"],
+    "Recording.load": ["path"],
+    "Skeleton.human": ["height", "mass"],
+    "Motion.joints": ["self"],
+}
+# Everything heavy, OpenCV and the viewer above all, loads when it is used.
+LIGHT = "import sys, jaxmocap; print(sorted(m for m in sys.modules if m.startswith('jaxmocap')))"
+
+
+def test_the_public_names_are_these_and_no_others():
+    assert set(jaxmocap.__all__) == PUBLIC
+    assert set(dir(jaxmocap)) >= PUBLIC
+    for name in PUBLIC:
+        assert getattr(jaxmocap, name) is not None
+
+
+def test_every_public_name_is_what_its_home_defines():
+    from jaxmocap.hybrid.tracker import HybridTracker
+    from jaxmocap.run.recording import track
+
+    assert jaxmocap.HybridTracker is HybridTracker and jaxmocap.track is track
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'tracker'"):
+        _ = jaxmocap.tracker
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_public_calls_keep_their_parameters(name):
+    thing = jaxmocap
+    for part in name.split("."):
+        thing = getattr(thing, part)
+    assert list(inspect.signature(thing).parameters) == PARAMETERS[name]
+
+
+def test_importing_the_package_loads_no_room_of_it():
+    done = subprocess.run(
+        [sys.executable, "-c", LIGHT],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=Path(__file__).parents[1],
+    )
+    assert done.stdout.strip() == "['jaxmocap']"
+
+
+def test_state_and_pose_are_named_tuples_that_jax_takes_apart():
+    assert jaxmocap.Pose._fields == ("position", "quaternion", "angles")
+    assert jaxmocap.State._fields[0] == "pose"
