@@ -124,7 +124,9 @@ def _candidate_costs(
         moved, slack = turn_forearm(arm, compose(compose(R, exp(turn)), R.T))
         seen = arm_cost(settings.evidence, settings.fit, cameras, observation, flesh(moved))
         away = jnp.sum((moved.elbow - arm.elbow) ** 2) / look.elbow_prior**2
-        return seen + (slack / look.shoulder_slack) ** 2 / 2 + away / 2, moved.elbow
+        # Student's t with three degrees of freedom: markers alone may be far off.
+        prior = 2 * jnp.log1p(away / 3)
+        return seen + (slack / look.shoulder_slack) ** 2 / 2 + prior, moved.elbow
 
     return jax.vmap(of_turn)(jnp.asarray(TURNS, R.dtype))
 

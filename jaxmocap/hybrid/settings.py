@@ -106,7 +106,7 @@ class EvidenceSettings:
     @classmethod
     def create(
         cls,
-        truncation: float = 0.042,
+        truncation: float = 0.06,
         edge_scale: float = 0.0042,
         softness: float = 1.0,
         hold: float = 2000.0,

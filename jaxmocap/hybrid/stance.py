@@ -4,6 +4,7 @@ INPUTS: marker targets (world, metres) with a mask, the last pose and stance.
 OUTPUTS: the stance, planted anew where the head has left it; the relaxed pose placed by markers.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -12,11 +13,14 @@ from jax import Array
 
 from jaxmocap.body.kinematics import Sites, forward, site_positions
 from jaxmocap.body.pose import Pose, relaxed_pose
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix, rotate
 from jaxmocap.hybrid.settings import IKSettings
 
 SIDES = ("l", "r")
+# On feet that carry no marker: factors on the costs mu, and knee angles in radians.
+TRUNK_STIFFNESS, NECK_STIFFNESS, LEG_STIFFNESS = 3.0, 2.0, 0.4
+SOFT_KNEE, LEAST_KNEE = float(np.radians(20.0)), float(np.radians(8.0))
 
 
 class Effectors(NamedTuple):
@@ -41,6 +45,37 @@ class Stance(NamedTuple):
 
     ankles: Array
     overstretched: Array
+
+
+def on_held_feet(skeleton: Skeleton, held: tuple[str, ...]) -> Skeleton:
+    """The skeleton as inverse kinematics takes it while neither foot carries a marker.
+
+    Nothing tells then how the trunk leans, and a straight leg cannot be shortened to the first
+    order: a sinking head would bend neck and trunk instead of the knees. So the knees stay soft
+    and cheap, and the trunk is stiff. With markers on both legs the skeleton stays as it is.
+    """
+    if len(held) < len(SIDES):
+        return skeleton
+    costs, relaxed = np.ones(len(skeleton.costs)), np.zeros(len(skeleton.relaxed))
+    least = np.full(len(skeleton.relaxed), -np.inf)
+    costs[3:ROOT_DOF] = TRUNK_STIFFNESS
+    for i, name in enumerate(skeleton.tree.joints):
+        if name.startswith(("spine", "neck")):
+            costs[ROOT_DOF + i] = TRUNK_STIFFNESS if name.startswith("spine") else NECK_STIFFNESS
+        if name.startswith(("hip", "knee")):
+            costs[ROOT_DOF + i] = LEG_STIFFNESS
+        if name.startswith("knee"):
+            relaxed[i], least[i] = SOFT_KNEE, LEAST_KNEE
+        if name.startswith("hip_flexion"):
+            relaxed[i] = SOFT_KNEE / 2
+    dtype = skeleton.costs.dtype
+    low = jnp.maximum(skeleton.limits[:, 0], jnp.asarray(least, dtype))
+    return replace(
+        skeleton,
+        costs=skeleton.costs * jnp.asarray(costs, dtype),
+        relaxed=jnp.maximum(skeleton.relaxed, jnp.asarray(relaxed, dtype)),
+        limits=jnp.stack([low, skeleton.limits[:, 1]], -1),
+    )
 
 
 def effectors(skeleton: Skeleton, markers: Sites) -> Effectors:

@@ -31,7 +31,7 @@ from jaxmocap.hybrid.observe import Observation, Observer, arm_regions
 from jaxmocap.hybrid.refine import elbow_wishes, look_for_elbows, refine_arms, remember, swivels
 from jaxmocap.hybrid.search import Belief, confidence, no_belief
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.hybrid.stance import Stance, effectors, place
+from jaxmocap.hybrid.stance import Stance, effectors, on_held_feet, place
 from jaxmocap.images.regions import Region
 
 # Markers farther than this from the last pose's points: the body is placed anew, metres.
@@ -91,7 +91,7 @@ class HybridTracker:
     """Tracks one person. The two jitted functions trace once for a shape of input.
 
     Attributes:
-        skeleton: of the person.
+        skeleton: of the person, as the inverse kinematics takes it.
         cameras: C cameras, stacked; None without video.
         markers: M points on bones that the markers hold.
         settings: how to work.
@@ -115,16 +115,16 @@ class HybridTracker:
         """
         listed = [cameras] if isinstance(cameras, Camera) else list(cameras or [])
         chosen = settings or Settings()
-        self.skeleton = skeleton
         self.dtype = skeleton.lengths.dtype
         self.settings = chosen if listed else replace(chosen, refine="none")
         self.cameras = jax.tree.map(lambda *leaves: jnp.stack(leaves), *listed) if listed else None
         names = ("vertex", "wrist_l", "wrist_r")
         self.markers = landmark_sites(skeleton, names) if markers is None else markers
         self.held = effectors(skeleton, self.markers)
+        self.skeleton = on_held_feet(skeleton, self.held.held)
         self.grips = grips(skeleton, self.markers)
         self.observer = Observer(len(listed), chosen.region, chosen.directions, chosen.edges)
-        self.factors = jax.jit(bow_factors)(skeleton, chosen.ik)
+        self.factors = jax.jit(bow_factors)(self.skeleton, chosen.ik)
         self.solve = jax.jit(self._solve)
         self.refine = jax.jit(self._refine)
 
