@@ -36,10 +36,12 @@ class Outline(NamedTuple):
     Attributes:
         points: (..., K, 2).
         weights: (..., K) the length of outline that each point stands for, in the plane's unit.
+        normals: (..., K, 2) unit, outwards.
     """
 
     points: Array
     weights: Array
+    normals: Array
 
 
 def project_limb(near_cam: Array, far_cam: Array, radii: Array) -> Discs:
@@ -78,7 +80,7 @@ def outline(discs: Discs, along: int, around: int, open_ends: Array) -> Outline:
     near, far = discs.near[..., None, :], discs.far[..., None, :]
     r = discs.radii[..., None]
     t = ((jnp.arange(along, dtype=u.dtype) + 0.5) / along)[:, None]
-    pieces, weights = [], []
+    pieces, weights, normals = [], [], []
     distance = jnp.sqrt(jnp.sum((discs.far - discs.near) ** 2, -1) + 1e-12)
     for sign in (1.0, -1.0):
         n = (sine * u + sign * cosine * v)[..., None, :]
@@ -87,6 +89,7 @@ def outline(discs: Discs, along: int, around: int, open_ends: Array) -> Outline:
         )
         side = distance * cosine[..., 0] / along
         weights.append(jnp.broadcast_to(side[..., None], (*side.shape, along)))
+        normals.append(jnp.broadcast_to(n, pieces[-1].shape))
     # The far arc spans the directions within pi/2 - taper of the axis, the near one the rest.
     half = jnp.arccos(sine)
     nested = jnp.clip(1 - distance / jnp.sum(discs.radii, -1), 0.0, 1.0)
@@ -101,7 +104,10 @@ def outline(discs: Discs, along: int, around: int, open_ends: Array) -> Outline:
         share = open_ends[..., end] + (1 - open_ends[..., end]) * nested
         arc = share * 2 * span[..., 0] * discs.radii[..., end] / around
         weights.append(jnp.broadcast_to(arc[..., None], (*arc.shape, around)))
-    return Outline(jnp.concatenate(pieces, -2), jnp.concatenate(weights, -1))
+        normals.append(direction)
+    return Outline(
+        jnp.concatenate(pieces, -2), jnp.concatenate(weights, -1), jnp.concatenate(normals, -2)
+    )
 
 
 def signed_distance(discs: Discs, points: Array) -> Array:

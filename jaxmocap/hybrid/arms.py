@@ -48,7 +48,7 @@ def limb_bones(tree: Tree) -> np.ndarray:
 
 
 def grips(skeleton: Skeleton, markers: Sites) -> Sites:
-    """The two points, one per arm, that markers hold: the first on forearm or hand, else the wrist."""
+    """The point of each arm that its first marker on forearm or hand holds, else the wrist."""
     bones = limb_bones(skeleton.tree)
     wrists = Sites(bones[:, 2], jnp.zeros(2, markers.at.dtype), jnp.zeros((2, 3), markers.at.dtype))
     chosen = list(zip(*wrists, strict=True))

@@ -20,6 +20,8 @@ from jaxmocap.hybrid.ik import Goals, reach
 from jaxmocap.hybrid.settings import IKSettings
 
 SPINE = ("spine1", "spine2", "spine3")
+# The pelvis' turns about the world's horizontal axes, among the degrees of freedom.
+LEAN = np.array([3, 4], np.int32)
 # The squat that the factors are computed for, metres.
 SQUAT = 0.3
 # A foot higher above the other, or above the ground, than this is lifted, metres.
@@ -65,10 +67,14 @@ def bow(skeleton: Skeleton, pose: Pose, angles: Array) -> Pose:
     return pose._replace(angles=pose.angles.at[dofs].set(bent))
 
 
-def all_but_spine(skeleton: Skeleton) -> Array:
-    """The degrees of freedom (6 + D,) that move when arms and head are solved again."""
+def all_but_trunk(skeleton: Skeleton) -> Array:
+    """The degrees of freedom (6 + D,) that move when arms and head are solved again.
+
+    The spine stays bowed, and the pelvis does not lean back against it: it moves and turns about
+    the vertical, and the hips go back.
+    """
     free = jnp.ones(skeleton.costs.shape, bool)
-    return free.at[ROOT_DOF + spine_dofs(skeleton)].set(False)
+    return free.at[np.concatenate([LEAN, ROOT_DOF + spine_dofs(skeleton)])].set(False)
 
 
 def bow_on_feet(
@@ -87,7 +93,7 @@ def bow_on_feet(
     bows = on_both_feet(ankles, settings.floor, height) & (sunk > LEAST_SINKING)
     bowed = bow(skeleton, pose, factors * sunk)
     angles = jnp.where(bows, bowed.angles, pose.angles)
-    return pose._replace(angles=angles), ~bows | all_but_spine(skeleton), bows
+    return pose._replace(angles=angles), ~bows | all_but_trunk(skeleton), bows
 
 
 def imbalance(skeleton: Skeleton, pose: Pose) -> tuple[Array, Array]:
@@ -115,14 +121,12 @@ def bow_factors(skeleton: Skeleton, settings: IKSettings, trials: int = 9) -> Ar
     """
     dofs = spine_dofs(skeleton)
     most = skeleton.limits[dofs, 1] - skeleton.relaxed[dofs]
-    goals = squat_goals(skeleton, SQUAT)
-    start = relaxed_pose(skeleton)._replace(position=jnp.zeros(3, most.dtype))
+    goals, standing = squat_goals(skeleton, SQUAT), relaxed_pose(skeleton)
 
     def ahead(share: Array) -> Array:
-        pose = reach(skeleton, goals, settings, start)[0]
-        bowed = bow(skeleton, pose, share * most / SQUAT * sinking(skeleton, pose))
-        balanced = reach(skeleton, goals, settings, bowed, all_but_spine(skeleton))[0]
-        return imbalance(skeleton, balanced)[0]
+        bowed = bow(skeleton, standing, share * most)
+        squatting = reach(skeleton, goals, settings, bowed, all_but_spine(skeleton))[0]
+        return imbalance(skeleton, squatting)[0]
 
     shares = jnp.linspace(0.0, 1.0, trials, dtype=most.dtype)
     leads = jax.lax.map(ahead, shares)

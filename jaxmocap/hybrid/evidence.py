@@ -22,7 +22,7 @@ from jaxmocap.images.regions import Region, to_region
 from jaxmocap.images.sampling import bilinear
 
 # Outline points per side and per arc of a limb.
-ALONG, AROUND = 14, 3
+ALONG, AROUND = 10, 2
 # The hand is no cone: its outline counts half.
 LIMB_WEIGHTS = (1.0, 1.0, 0.5)
 # Which ends are free: of the three limbs only the hand's far one.
@@ -51,7 +51,7 @@ def outline_distance(
     discs = project_limb(near, far, limbs.radii)
     samples = outline(discs, ALONG, AROUND, jnp.asarray(OPEN_ENDS, near.dtype))
     pixels = to_pixels(camera, samples.points)
-    channels = _channels(camera, discs, samples.points, pixels, fields.shape[0])
+    channels = _channels(camera, samples.normals, fields.shape[0])
     distances_px = bilinear(fields, channels, to_region(region, pixels)) * region.scale
     inside = (pixels >= BORDER_PX) & (pixels <= camera.size - 1 - BORDER_PX)
     front = jnp.minimum(near[:, 2], far[:, 2])[:, None] > 0
@@ -66,17 +66,20 @@ def outline_distance(
     return jnp.where(visible, mean, truncation), jnp.where(visible, mean_px, jnp.nan)
 
 
-def _channels(camera: Camera, discs: Discs, points: Array, pixels: Array, count: int) -> Array:
-    """Channel (L, P) of the direction of the outline's normal at each point, seen from the axis."""
-    if count == 1:
-        return jnp.zeros(pixels.shape[:-1], jnp.int32)
-    axis = (discs.far - discs.near)[:, None]
-    offset = points - discs.near[:, None]
-    squared = jnp.maximum(jnp.sum(axis**2, -1, keepdims=True), 1e-12)
-    t = jnp.clip(jnp.sum(offset * axis, -1, keepdims=True) / squared, 0.0, 1.0)
-    normal = pixels - to_pixels(camera, discs.near[:, None] + t * axis)
-    turn = jnp.arctan2(normal[..., 1], normal[..., 0]) / np.pi
-    return jnp.clip(jnp.floor((turn % 1.0) * count).astype(jnp.int32), 0, count - 1)
+def _channels(camera: Camera, normals: Array, count: int) -> Array:
+    """Channel (...) of outline normals (..., 2) on the plane z = 1.
+
+    The lens' distortion hardly turns them. Counting the borders between channels that a normal
+    has passed is cheaper than an arc tangent.
+    """
+    x = normals[..., 0] * camera.matrix[0, 0]
+    y = normals[..., 1] * camera.matrix[1, 1]
+    # A normal and its opposite are one direction: turn it to the upper half plane.
+    flip = jnp.where((y < 0) | ((y == 0) & (x < 0)), -1.0, 1.0)
+    borders = np.arange(1, count) * np.pi / count
+    passed = [np.cos(b) * y - np.sin(b) * x for b in borders.tolist()]
+    zero = jnp.zeros(x.shape, jnp.int32)
+    return sum(((flip * side >= 0).astype(jnp.int32) for side in passed), start=zero)
 
 
 def chamfer_sum(

@@ -4,6 +4,7 @@ INPUTS: the markers' pose (for the regions), video frames. OUTPUTS: an Observati
 """
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
@@ -31,7 +32,7 @@ class Observation(NamedTuple):
     seen: Array | np.ndarray
 
     def by_arm(self) -> "Observation":
-        """The same with the arms' axis first: region (2, C), fields (2, C, K, S, S), seen (2, C)."""
+        """The same with the arms' axis before the cameras'."""
         return jax.tree.map(lambda part: jnp.swapaxes(jnp.asarray(part), 0, 1), self)
 
 
@@ -61,6 +62,7 @@ class Observer:
         self.thresholds = [[Thresholds(), Thresholds()] for _ in range(cameras)]
         shape = (cameras, 2, channels, size, size)
         self._blank = np.full(shape, FARTHEST_PX, np.float32)
+        self._pool = ThreadPoolExecutor(max_workers=2, thread_name_prefix="observe")
         # Already where jit wants it: a sample without an image costs no transfer.
         self._nothing = jnp.asarray(self._blank)
 
@@ -70,14 +72,21 @@ class Observer:
             return Observation(region, self._nothing, np.zeros(self._blank.shape[:2], bool))
         origins, scales = np.asarray(region.origin), np.asarray(region.scale)
         fields, seen = self._blank.copy(), np.zeros(self._blank.shape[:2], bool)
-        for c, image in enumerate(images):
-            if image is None:
-                continue
-            for arm in range(2):
-                grey = to_grey(crop(image, origins[c, arm], scales[c, arm], self.size))
-                fields[c, arm], edges = distance_fields(
-                    grey, self.edges, self.thresholds[c][arm], self.channels
-                )
-                # A black or featureless image is no evidence.
-                seen[c, arm] = bool(edges.any())
+
+        def look(camera: int, arm: int, image: np.ndarray) -> None:
+            grey = to_grey(crop(image, origins[camera, arm], scales[camera, arm], self.size))
+            fields[camera, arm], edges = distance_fields(
+                grey, self.edges, self.thresholds[camera][arm], self.channels
+            )
+            # A black or featureless image is no evidence.
+            seen[camera, arm] = bool(edges.any())
+
+        jobs = [
+            (camera, arm, image)
+            for camera, image in enumerate(images)
+            if image is not None
+            for arm in range(2)
+        ]
+        # OpenCV lets go of the interpreter, so two regions take two cores.
+        list(self._pool.map(lambda job: look(*job), jobs))
         return Observation(Region(origins, scales), fields, seen)

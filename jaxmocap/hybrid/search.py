@@ -45,7 +45,7 @@ class Belief(NamedTuple):
     pose: Pose
 
 
-def candidate_turns(farthest: float = 75.0, spacing: float = 9.0) -> np.ndarray:
+def candidate_turns(farthest: float = 75.0, spacing: float = 10.0) -> np.ndarray:
     """Rotation vectors (K, 3), radians, about x and y of the forearm: a hexagonal grid.
 
     Args:

@@ -179,6 +179,9 @@ def _static(default: object) -> Any:
     return field(default=default, metadata={"static": True})
 
 
+EDGES = EdgeSettings()
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Settings:
@@ -204,9 +207,9 @@ class Settings:
     search: bool = _static(True)
     evidence: Literal["outline", "raster"] = _static("outline")
     balance: bool = _static(True)
-    region: int = _static(200)
+    region: int = _static(160)
     directions: int = _static(6)
-    edges: EdgeSettings = _static(EdgeSettings())
+    edges: EdgeSettings = _static(EDGES)
     margin: Array = field(default_factory=lambda: jnp.asarray(0.35, float))
     ik: IKSettings = field(default_factory=IKSettings.create)
     fit: EvidenceSettings = field(default_factory=EvidenceSettings.create)

@@ -124,16 +124,17 @@ class HybridTracker:
         self.skeleton = on_held_feet(skeleton, self.held.held)
         self.grips = grips(skeleton, self.markers)
         self.observer = Observer(len(listed), chosen.region, chosen.directions, chosen.edges)
-        self.factors = jax.jit(bow_factors)(self.skeleton, chosen.ik)
+        balancing = chosen.balance
+        no_bow = jnp.zeros(3, skeleton.lengths.dtype)
+        self.factors = jax.jit(bow_factors)(self.skeleton, chosen.ik) if balancing else no_bow
+        self._begin = jax.jit(self._start)
         self.solve = jax.jit(self._solve)
         self.refine = jax.jit(self._refine)
 
     def init(self, markers_world: np.ndarray | Array) -> State:
         """The state before the first sample, placed by its (M, 3) markers; NaN where missing."""
-        targets = jnp.asarray(np.asarray(markers_world), float)
-        mask = jnp.all(jnp.isfinite(targets), -1)
-        pose, stance = place(self.skeleton, self.held, self.settings.ik, targets, mask)
-        return State(pose, stance, no_belief(self.settings.look, pose))
+        targets = np.asarray(markers_world, self.dtype)
+        return self._begin(self.skeleton, self.settings, targets)
 
     def step(
         self,
@@ -164,6 +165,12 @@ class HybridTracker:
             solved, targets, seen, state.belief, now,
         )  # fmt: skip
         return State(solved.ik.pose, solved.ik.stance, belief), pose, report
+
+    def _start(self, skeleton: Skeleton, settings: Settings, targets: Array) -> State:
+        """Place the body by its first markers."""
+        mask = jnp.all(jnp.isfinite(targets), -1)
+        pose, stance = place(skeleton, self.held, settings.ik, targets, mask)
+        return State(pose, stance, no_belief(settings.look, pose))
 
     def _solve(
         self,
@@ -217,7 +224,9 @@ class HybridTracker:
             pose = jax.tree.map(lambda new, old: jnp.where(lost, new, old), pose, belief.pose)
             belief, elbows = look_for_elbows(settings, cameras, arms, seen, belief, time)
         if settings.balance:
-            pose, free, balanced = bow_on_feet(skeleton, ik, pose, factors)
+            # From the markers' pose: one bow on another would pile up.
+            bowed, free, balanced = bow_on_feet(skeleton, ik, solved.ik.pose, factors)
+            pose = jax.tree.map(lambda new, old: jnp.where(balanced, new, old), bowed, pose)
         if video:
             pose, _ = reach(skeleton, goals, ik, pose, free, elbow_wishes(skeleton, elbows))
             pose = refine_arms(
