@@ -125,7 +125,7 @@ def bow_factors(skeleton: Skeleton, settings: IKSettings, trials: int = 9) -> Ar
 
     def ahead(share: Array) -> Array:
         bowed = bow(skeleton, standing, share * most)
-        squatting = reach(skeleton, goals, settings, bowed, all_but_spine(skeleton))[0]
+        squatting = reach(skeleton, goals, settings, bowed, all_but_trunk(skeleton))[0]
         return imbalance(skeleton, squatting)[0]
 
     shares = jnp.linspace(0.0, 1.0, trials, dtype=most.dtype)

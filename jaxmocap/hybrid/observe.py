@@ -36,7 +36,7 @@ class Observation(NamedTuple):
         return jax.tree.map(lambda part: jnp.swapaxes(jnp.asarray(part), 0, 1), self)
 
 
-def arm_regions(cameras: Camera, arms: Arms, size: int, margin: Array | float) -> Region:
+def arm_regions(cameras: Camera, arms: Arms, size: int, margin: Array) -> Region:
     """Regions (C, 2) around each arm's shoulder, elbow and hand as C stacked cameras see them."""
 
     def of_camera(camera: Camera) -> Region:
@@ -89,4 +89,4 @@ class Observer:
         ]
         # OpenCV lets go of the interpreter, so two regions take two cores.
         list(self._pool.map(lambda job: look(*job), jobs))
-        return Observation(Region(origins, scales), fields, seen)
+        return Observation(Region(jnp.asarray(origins), jnp.asarray(scales)), fields, seen)

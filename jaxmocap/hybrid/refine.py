@@ -143,7 +143,7 @@ def remember(belief: Belief, arms: Arms, found: Arms, seen: Observation, pose: P
 
 
 def turn_between(arms: Arms, refined: Arms) -> Array:
-    """Rotation vectors (2, 3) from the first arms' forearms to the second's, in the first's frame."""
+    """Rotation vectors (2, 3) between two arms' forearms, in the frame of the first."""
     R = arms.R_world_radius
     a = rotate(R.swapaxes(1, 2), arms.elbow - arms.grip)
     b = rotate(R.swapaxes(1, 2), refined.elbow - refined.grip)

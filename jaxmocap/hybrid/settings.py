@@ -73,17 +73,10 @@ class IKSettings:
         """Settings as arrays (a Python float in a pytree would trace anew)."""
         counts = (jnp.asarray(n, jnp.int32) for n in (iterations, settle, following))
         numbers = (
-            wish_damping,
-            tolerance,
-            rest,
-            leg_weight,
-            largest_step,
-            relaxation,
-            uprightness,
-            floor,
-        )
-        rest = (stance_radius, leg_overstretch)
-        return cls(*counts, *(jnp.asarray(value, float) for value in (*numbers, *rest)))
+            wish_damping, tolerance, rest, leg_weight, largest_step, relaxation, uprightness,
+            floor, stance_radius, leg_overstretch,
+        )  # fmt: skip
+        return cls(*counts, *(jnp.asarray(value, float) for value in numbers))
 
 
 @jax.tree_util.register_dataclass
@@ -179,9 +172,6 @@ def _static(default: object) -> Any:
     return field(default=default, metadata={"static": True})
 
 
-EDGES = EdgeSettings()
-
-
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Settings:
@@ -209,7 +199,7 @@ class Settings:
     balance: bool = _static(True)
     region: int = _static(160)
     directions: int = _static(6)
-    edges: EdgeSettings = _static(EDGES)
+    edges: EdgeSettings = field(default=EdgeSettings(), metadata={"static": True})
     margin: Array = field(default_factory=lambda: jnp.asarray(0.35, float))
     ik: IKSettings = field(default_factory=IKSettings.create)
     fit: EvidenceSettings = field(default_factory=EvidenceSettings.create)

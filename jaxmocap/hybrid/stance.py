@@ -149,7 +149,8 @@ def place(
     two markers apart from each other horizontally the heading stays +x.
     """
     pose = relaxed_pose(skeleton)
-    sites = Sites(*(part[: len(mask)] for part in held.sites))
+    count = len(mask)
+    sites = Sites(held.sites.bones[:count], held.sites.at[:count], held.sites.offsets[:count])
     points = site_positions(skeleton, forward(skeleton, pose), sites)
     weight = mask.astype(points.dtype)[:, None] / jnp.maximum(jnp.sum(mask), 1).astype(points.dtype)
     seen = jnp.where(mask[:, None], targets, 0.0)

@@ -215,9 +215,8 @@ class HybridTracker:
         arms = arms_of(skeleton, forward(skeleton, pose), self.grips)
         costs = jnp.full(2, jnp.nan, targets.dtype)
         balanced, free = jnp.zeros((), bool), jnp.ones(skeleton.costs.shape, bool)
-        video = settings.refine != "none" and seen is not None and cameras is not None
         elbows = arms.elbow
-        if video:
+        if cameras is not None and seen is not None and settings.refine != "none":
             # From its own last pose, so that the trunk that video has found stays found.
             fresh = goal_distances(skeleton, goals, belief.pose)[: mask.shape[0]]
             lost = jnp.max(fresh) > LOST_M
@@ -227,7 +226,7 @@ class HybridTracker:
             # From the markers' pose: one bow on another would pile up.
             bowed, free, balanced = bow_on_feet(skeleton, ik, solved.ik.pose, factors)
             pose = jax.tree.map(lambda new, old: jnp.where(balanced, new, old), bowed, pose)
-        if video:
+        if cameras is not None and seen is not None and settings.refine != "none":
             pose, _ = reach(skeleton, goals, ik, pose, free, elbow_wishes(skeleton, elbows))
             pose = refine_arms(
                 settings, skeleton, cameras, seen, pose, self.grips, arms.grip, elbows

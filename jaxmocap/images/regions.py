@@ -27,7 +27,9 @@ class Region(NamedTuple):
     scale: Array
 
 
-def region_around(pixels_xy: Array, size: int, margin: float, finest: float = 1.0) -> Region:
+def region_around(
+    pixels_xy: Array, size: int, margin: Array | float, finest: float = 1.0
+) -> Region:
     """The window around (..., P, 2) pixels with a margin, as a fraction of their extent.
 
     Its scale is at least ``finest``: a person far away is not enlarged.

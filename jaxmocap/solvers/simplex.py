@@ -42,7 +42,7 @@ class _State(NamedTuple):
 
 
 def initial_simplex(starts: Array, edges: Array) -> Array:
-    """Simplices (B, n + 1, n) with one vertex at each (B, n) start and edges (n, n) or (B, n, n)."""
+    """Simplices (B, n + 1, n): one vertex at each (B, n) start, (n, n) or (B, n, n) edges."""
     others = starts[:, None] + jnp.broadcast_to(edges, (*starts.shape, starts.shape[-1]))
     return jnp.concatenate([starts[:, None], others], 1)
 
