@@ -122,15 +122,22 @@ def bow_factors(skeleton: Skeleton, settings: IKSettings, trials: int = 9) -> Ar
     dofs = spine_dofs(skeleton)
     most = skeleton.limits[dofs, 1] - skeleton.relaxed[dofs]
     goals, standing = squat_goals(skeleton, SQUAT), relaxed_pose(skeleton)
+    trunk_stays = all_but_trunk(skeleton)
 
     def ahead(share: Array) -> Array:
-        bowed = bow(skeleton, standing, share * most)
-        squatting = reach(skeleton, goals, settings, bowed, all_but_trunk(skeleton))[0]
-        return imbalance(skeleton, squatting)[0]
+        def stage(i: Array, pose: Pose) -> Pose:
+            # First the squat of the markers, then the same with the spine bowed: as in tracking,
+            # but traced once.
+            tau = share * most / SQUAT * sinking(skeleton, pose)
+            bowed = bow(skeleton, pose, jnp.where(i == 1, tau, 0.0))
+            return reach(skeleton, goals, settings, bowed, (i == 0) | trunk_stays)[0]
+
+        return imbalance(skeleton, jax.lax.fori_loop(0, 2, stage, standing))[0]
 
     shares = jnp.linspace(0.0, 1.0, trials, dtype=most.dtype)
     leads = jax.lax.map(ahead, shares)
-    best = shares[jnp.argmin(jnp.abs(leads))]
+    # The more it bows, the less it leads: between two trials it stands over the middle.
+    best = jnp.interp(jnp.zeros((), most.dtype), -leads, shares)
     return best * most / SQUAT
 
 
