@@ -51,9 +51,11 @@ def plot_elbow_errors(
         ):
             top.plot(times, values, label=f"{name}: mean {_mean(values):.1f} cm", **style)
             bottom.plot(times, high_pass(times, values), **style)
-        top.set_title(joint.replace("_l", ", left").replace("_r", ", right"))
-        top.set_ylim(bottom=0)
-        top.legend(loc="upper left", frameon=False, ncols=2, fontsize="small", borderaxespad=0.2)
+        top.set_title(joint.replace("_l", ", left").replace("_r", ", right"), pad=22)
+        # Above the panel, where it hides no curve.
+        top.legend(
+            loc="lower center", bbox_to_anchor=(0.5, 0.98), frameon=False, ncols=2, fontsize="small"
+        )
         _plot_reduction(middle, times, before - after)
         bottom.axhline(0, color="#888888", linewidth=0.6)
         bottom.set_xlabel("time [s]")
@@ -63,8 +65,8 @@ def plot_elbow_errors(
         strict=True,
     ):
         row.set_ylabel(label)
-    # Room for the legend above the curves.
-    axes[0, 0].set_ylim(top=1.25 * axes[0, 0].get_ylim()[1])
+    # Once all is drawn: fixing one end of the shared axis stops it from following the curves.
+    axes[0, 0].set_ylim(bottom=0)
     _save(figure, path, title)
 
 
