@@ -89,4 +89,4 @@ class Observer:
         ]
         # OpenCV lets go of the interpreter, so two regions take two cores.
         list(self._pool.map(lambda job: look(*job), jobs))
-        return Observation(Region(jnp.asarray(origins), jnp.asarray(scales)), fields, seen)
+        return Observation(region, fields, seen)

@@ -35,7 +35,7 @@ def sinking(skeleton: Any, pose: Any) -> float:
 def on_both_feet(ankles_world: np.ndarray, floor: float, ankle_height: float) -> bool:
     """Whether neither of the two ankles (2, 3) is lifted or in flight."""
     left, right = (z - floor - ankle_height for z in ankles_world[:, 2])
-    return abs(left - right) < LIFTED and max(left, right) < 2 * LIFTED
+    return bool(abs(left - right) < LIFTED and max(left, right) < 2 * LIFTED)
 
 
 def bow(skeleton: Any, pose: Any, angles: np.ndarray) -> Pose:
@@ -66,6 +66,8 @@ def bow_on_feet(
         return as_pose(pose), free, False
     for name in SPINE:
         free[6 + skeleton.tree.dof_bones.index(skeleton.tree.bone(name))] = False
+    # The pelvis may not lean back against the bow: its turns about the world's x and y stay.
+    free[3], free[4] = False, False
     return bow(skeleton, pose, np.asarray(factors, float) * sunk), free, True
 
 
