@@ -71,7 +71,8 @@ def test_outline_points_lie_on_the_outline_and_weigh_its_length(near, far, a, b)
     limb = discs(near, far, a, b)
     assume(np.linalg.norm(near - far) > abs(a - b) + 0.01)
     with double():
-        points, weights = OUTLINE(on_device(limb), ALONG, AROUND, jnp.ones(2))
+        found = OUTLINE(on_device(limb), ALONG, AROUND, jnp.ones(2))
+        points, weights = found.points, found.weights
         distances = DISTANCE(on_device(limb), points)
     assert points.shape == (2 * ALONG + 2 * AROUND, 2)
     np.testing.assert_allclose(distances, 0, atol=1e-6)
@@ -79,6 +80,16 @@ def test_outline_points_lie_on_the_outline_and_weigh_its_length(near, far, a, b)
     assert np.sum(np.asarray(weights)) == pytest.approx(
         ConvexHull(hull_points(limb)).area, rel=1e-5
     )
+
+
+@given(vectors(2), vectors(2), radii, radii)
+def test_normals_point_outwards_from_the_outline(near, far, a, b):
+    limb = discs(near, far, a, b)
+    assume(np.linalg.norm(near - far) > abs(a - b) + 0.01)
+    with double():
+        found = OUTLINE(on_device(limb), ALONG, AROUND, jnp.ones(2))
+        farther = DISTANCE(on_device(limb), found.points + 0.01 * found.normals)
+    np.testing.assert_allclose(farther, 0.01, atol=1e-6)
 
 
 @given(vectors(2), vectors(2), radii, radii, st.integers(0, 1))
@@ -105,7 +116,8 @@ def test_a_closed_limb_seen_end_on_still_has_an_outline():
 
 def spheres_to_everything(near_cam, far_cam, radii):
     limb = outlines.project_limb(near_cam, far_cam, radii)
-    points, weights = outlines.outline(limb, ALONG, AROUND, jnp.array([0.0, 1.0]))
+    found = outlines.outline(limb, ALONG, AROUND, jnp.array([0.0, 1.0]))
+    points, weights = found.points, found.weights
     inside = outlines.signed_distance(limb, jnp.array([[0.05, -0.02], [0.0, 0.0], [0.4, 0.3]]))
     return jnp.sum(points * weights[:, None]), jnp.sum(inside)
 
