@@ -29,6 +29,7 @@ WINTER_LENGTHS = {
     "tibia": 0.246,
     "foot": 0.110,
 }
+ANKLE_HEIGHT = 0.039
 CLAVICLE_DROP = 0.052 / 0.129
 # Masses as fractions of the body mass; trunk and head are split as Table 1 splits them.
 WINTER_MASSES = {
@@ -136,7 +137,7 @@ def scale_to_landmarks(skeleton: Skeleton, landmarks: dict[str, np.ndarray]) -> 
         if name not in landmarks or not np.isfinite(landmarks[name]).all(-1).any():
             raise ValueError(f"a static trial needs the landmark {name!r} in at least one frame")
     measured = {bone: _distance(landmarks, *ends) for bone, ends in _MEASURED.items()}
-    guess = scale_to_height(skeleton, _height(measured), None)
+    guess = scale_to_height(skeleton, _height(landmarks, measured), None)
     lengths, directions = np.array(guess.lengths), np.array(guess.directions)
     names = skeleton.tree.bones
     for bone, length in measured.items():
@@ -161,8 +162,16 @@ def _distance(landmarks: dict[str, np.ndarray], a: str, b: str) -> float | None:
     return float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else None
 
 
-def _height(measured: dict[str, float | None]) -> float:
-    """The height at which Winter's limbs are as long as the measured ones, by their median."""
+def _height(landmarks: dict[str, np.ndarray], measured: dict[str, float | None]) -> float:
+    """Body height, metres: from vertex to ankles where both are known, else from the limbs.
+
+    The limbs' height is the median of those at which Winter's limbs are as long as the measured.
+    """
+    if {"vertex", "ankle_l", "ankle_r"} <= set(landmarks):
+        ankles = (landmarks["ankle_l"] + landmarks["ankle_r"]) / 2
+        extent = (landmarks["vertex"] - ankles)[:, 2]
+        if np.isfinite(extent).any():
+            return float(np.clip(np.nanmedian(extent) / (1 - ANKLE_HEIGHT), 0.5, 2.5))
     ratios = [
         length / WINTER_LENGTHS[bone[:-2]]
         for bone, length in measured.items()
