@@ -5,14 +5,16 @@ INPUTS: a Skeleton and its Frames. OUTPUTS: Arms, left then right, and their fle
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from jaxmocap.body.flesh import Cones
-from jaxmocap.body.kinematics import Frames, Sites, site_positions
+from jaxmocap.body.kinematics import Frames, Sites, forward, site_positions
+from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, Tree
-from jaxmocap.geometry.rotations import about_axis, compose, rotate
+from jaxmocap.geometry.rotations import about_axis, compose, hinges_from_matrix, rotate
 
 SIDES = ("l", "r")
 LIMBS = ("humerus", "radius", "hand")
@@ -80,9 +82,10 @@ def arms_of(skeleton: Skeleton, frames: Frames, grip_sites: Sites) -> Arms:
 
 
 class Hung(NamedTuple):
-    """Arms hung on a fixed trunk: what their joints' angles alone leave open (left, right).
+    """Arms hung on a fixed trunk, to be moved by their own joints alone (left, right).
 
     Attributes:
+        angles: (2, 4) of the pose, shoulder to elbow, radians.
         R_world_carrier: (2, 3, 3) orientations of the clavicles.
         axes: (2, 4, 3) hinge axes, shoulder to elbow, each in the frame its predecessors leave.
         reaches: (2, 3, 3) vectors along humerus, radius and hand, each in its bone's frame.
@@ -90,6 +93,7 @@ class Hung(NamedTuple):
         arms: at the pose that the trunk was taken from.
     """
 
+    angles: Array
     R_world_carrier: Array
     axes: Array
     reaches: Array
@@ -104,37 +108,69 @@ def arm_dofs(tree: Tree) -> np.ndarray:
     return np.array(rows, np.int32)
 
 
-def hang(skeleton: Skeleton, frames: Frames, grip_sites: Sites) -> Hung:
-    """The arms of a pose, ready to be bent by their own angles alone."""
-    bones = limb_bones(skeleton.tree)
+def hang(skeleton: Skeleton, pose: Pose, grip_sites: Sites) -> Hung:
+    """The arms of a pose, ready to be moved by their own joints alone."""
+    bones, dofs = limb_bones(skeleton.tree), arm_dofs(skeleton.tree)
+    frames = forward(skeleton, pose)
     arms = arms_of(skeleton, frames, grip_sites)
     carriers = np.array(skeleton.tree.parents, np.int32)[bones[:, 0]]
     to_radius = arms.R_world_radius.swapaxes(-1, -2)
     return Hung(
+        pose.angles[dofs],
         frames.R_world_bone[carriers],
-        skeleton.axes[arm_dofs(skeleton.tree)],
+        skeleton.axes[dofs],
         skeleton.lengths[bones][..., None] * skeleton.directions[bones],
         rotate(to_radius, arms.grip - arms.elbow),
         arms,
     )
 
 
-def bend(hung: Hung, angles: Array) -> Arms:
-    """The arms (2) with their (2, 4) joint angles, radians; the hand goes with the forearm."""
+def swing(hung: Hung, moves: Array) -> tuple[Arms, Array]:
+    """The arms (2) bent, and then swung about the axis from shoulder to grip.
+
+    The swing, an arm's swivel, moves no grip however far it goes; along the joints' angles the same
+    way is curved, and a simplex would hardly slide along it.
+
+    Args:
+        hung: arms of a pose.
+        moves: (2, 4) the swivel, then what is added to the shoulder's first two angles and to the
+            elbow's, radians.
+
+    Returns:
+        The arms, and their (2, 4) joint angles, radians.
+    """
+    added = jnp.zeros_like(moves).at[:, np.array([0, 1, 3])].set(moves[:, 1:])
+    angles = hung.angles + added
     hinges = about_axis(hung.axes, angles)
-    R_humerus = hung.R_world_carrier
-    for i in range(3):
-        R_humerus = compose(R_humerus, hinges[:, i])
-    R_radius = compose(R_humerus, hinges[:, 3])
-    elbow = hung.arms.shoulder + rotate(R_humerus, hung.reaches[:, 0])
-    wrist = elbow + rotate(R_radius, hung.reaches[:, 1])
-    return hung.arms._replace(
-        elbow=elbow,
-        wrist=wrist,
-        tip=wrist + rotate(R_radius, hung.reaches[:, 2]),
-        grip=elbow + rotate(R_radius, hung.grip),
-        R_world_radius=R_radius,
+    R_humerus = compose(compose(hinges[:, 0], hinges[:, 1]), hinges[:, 2])
+    R_world_humerus = compose(hung.R_world_carrier, R_humerus)
+    R_world_radius = compose(R_world_humerus, hinges[:, 3])
+    elbow = rotate(R_world_humerus, hung.reaches[:, 0])
+    wrist = elbow + rotate(R_world_radius, hung.reaches[:, 1])
+    grip = elbow + rotate(R_world_radius, hung.grip)
+    axis = grip / jnp.sqrt(jnp.sum(grip**2, -1, keepdims=True) + 1e-12)
+    R_swing = about_axis(axis, moves[:, 0])
+    tip = wrist + rotate(R_world_radius, hung.reaches[:, 2])
+    shoulder = hung.arms.shoulder
+    arms = hung.arms._replace(
+        elbow=shoulder + rotate(R_swing, elbow),
+        wrist=shoulder + rotate(R_swing, wrist),
+        tip=shoulder + rotate(R_swing, tip),
+        grip=shoulder + grip,
+        R_world_radius=compose(R_swing, R_world_radius),
     )
+    R_local = compose(hung.R_world_carrier.swapaxes(-1, -2), compose(R_swing, R_world_humerus))
+    turned = jax.vmap(nearest_hinges)(R_local, hung.axes[:, :3], angles[:, :3])
+    return arms, jnp.concatenate([turned, angles[:, 3:]], -1)
+
+
+def nearest_hinges(R: Array, axes: Array, near: Array) -> Array:
+    """Angles (3,) of the hinges that make up ``R``, of both answers the one nearer to ``near``."""
+    one = hinges_from_matrix(R, axes)
+    other = jnp.stack([one[0] + jnp.pi, jnp.pi - one[1], one[2] + jnp.pi])
+    wrapped = [near + (answer - near + jnp.pi) % (2 * jnp.pi) - jnp.pi for answer in (one, other)]
+    first, second = (jnp.sum((answer - near) ** 2) for answer in wrapped)
+    return jnp.where(first <= second, wrapped[0], wrapped[1])
 
 
 def flesh(arms: Arms) -> Cones:

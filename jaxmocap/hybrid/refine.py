@@ -14,12 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import Sites, forward
+from jaxmocap.body.kinematics import Sites
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import quaternion_log, rotate
-from jaxmocap.hybrid.arms import SIDES, Arms, arm_dofs, bend, flesh, hang
+from jaxmocap.hybrid.arms import SIDES, Arms, arm_dofs, flesh, hang, swing
 from jaxmocap.hybrid.evidence import arm_cost
 from jaxmocap.hybrid.ik import Goals
 from jaxmocap.hybrid.observe import Observation
@@ -29,7 +29,7 @@ from jaxmocap.hybrid.search import (
     carried,
     search,
 )
-from jaxmocap.hybrid.settings import RefineSettings, Settings
+from jaxmocap.hybrid.settings import Settings
 from jaxmocap.solvers.simplex import downhill_simplex, initial_simplex
 
 
@@ -94,45 +94,28 @@ def refine_arms(
     fit, polish = settings.fit, settings.polish
     dofs = arm_dofs(skeleton.tree)
     by_arm = observation.by_arm()
-    start = pose.angles[dofs]
     low, high = skeleton.limits[dofs, 0], skeleton.limits[dofs, 1]
-    hung = hang(skeleton, forward(skeleton, pose), grip_sites)
+    hung = hang(skeleton, pose, grip_sites)
 
-    def cost(angles: Array) -> Array:
-        arms = bend(hung, angles)
+    def cost(moves: Array) -> Array:
+        arms, angles = swing(hung, moves)
         seen = jax.vmap(lambda o, limbs: arm_cost(settings.evidence, fit, cameras, o, limbs))(
             by_arm, flesh(arms)
         )
         held = fit.hold * jnp.sqrt(jnp.sum((grip_targets - arms.grip) ** 2, -1) + 1e-12)
-        searched = jnp.sum((arms.elbow - elbows) ** 2, -1) / polish.trust**2 / 2
         beyond = jnp.maximum(low - angles, 0.0) + jnp.maximum(angles - high, 0.0)
-        near = searched if settings.search else jnp.zeros_like(searched)
-        return seen + held + near + fit.hold * jnp.sum(beyond, -1)
+        total = seen + held + polish.limit * jnp.sum(beyond, -1)
+        if not settings.search:
+            return total
+        return total + jnp.sum((arms.elbow - elbows) ** 2, -1) / polish.trust**2 / 2
 
-    J = jax.jacfwd(lambda angles: bend(hung, angles).grip)(start)
-    own = np.arange(2)
-    edges = jax.vmap(_simplex_edges, (0, None))(J[own, :, own], polish)
-    solved = downhill_simplex(cost, initial_simplex(start, edges), polish.iterations)
+    still = jnp.zeros_like(hung.angles)
+    lengths = jnp.full(4, polish.other_edge).at[0].set(polish.swivel_edge)
+    solved = downhill_simplex(cost, initial_simplex(still, jnp.diag(lengths)), polish.iterations)
     watched = jnp.any(by_arm.seen, -1)[:, None]
-    angles = jnp.where(watched, jnp.clip(solved.points, low, high), start)
+    moves = jnp.where(watched, solved.points, still)
+    angles = jnp.where(watched, jnp.clip(swing(hung, moves)[1], low, high), hung.angles)
     return pose._replace(angles=pose.angles.at[dofs].set(angles))
-
-
-def _simplex_edges(J: Array, settings: RefineSettings) -> Array:
-    """Edges (4, 4) of a first simplex: one along the swivel, which moves no grip, three short ones.
-
-    lambda makes every other direction stiff; a simplex along the joints would hardly slide along
-    the swivel.
-    """
-    minors = [jnp.linalg.det(jnp.delete(J, i, axis=1)) * (-1) ** i for i in range(4)]
-    swivel = jnp.stack(minors)
-    eye = jnp.eye(4, dtype=J.dtype)
-    # The humerus' own turn (2) is the swivel of a stretched arm, where the minors vanish.
-    sign = jnp.where(swivel[2] < 0, -1.0, 1.0)
-    swivel = swivel / (jnp.sqrt(jnp.sum(swivel**2)) + 1e-6) + 0.2 * sign * eye[2]
-    swivel = swivel / jnp.sqrt(jnp.sum(swivel**2))
-    others = eye[np.array([0, 1, 3])]
-    return jnp.concatenate([settings.swivel_edge * swivel[None], settings.other_edge * others])
 
 
 def remember(belief: Belief, arms: Arms, found: Arms, seen: Observation, pose: Pose) -> Belief:

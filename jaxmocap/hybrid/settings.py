@@ -148,12 +148,14 @@ class RefineSettings:
         swivel_edge: of the first simplex along the arm's swivel, radians.
         other_edge: of the first simplex along the other three, radians.
         trust: standard deviation of the elbow about the searched one, metres.
+        limit: price of a radian beyond a joint's range.
     """
 
     iterations: Array
     swivel_edge: Array
     other_edge: Array
     trust: Array
+    limit: Array
 
     @classmethod
     def create(
@@ -161,10 +163,11 @@ class RefineSettings:
         iterations: int = 40,
         swivel_edge: float = 0.2,
         other_edge: float = 0.04,
-        trust: float = 0.03,
+        trust: float = 0.02,
+        limit: float = 100.0,
     ) -> "RefineSettings":
         """Settings as arrays (a Python float in a pytree would trace anew)."""
-        numbers = (jnp.asarray(value, float) for value in (swivel_edge, other_edge, trust))
+        numbers = (jnp.asarray(value, float) for value in (swivel_edge, other_edge, trust, limit))
         return cls(jnp.asarray(iterations, jnp.int32), *numbers)
 
 
