@@ -75,10 +75,22 @@ def goals_near(skeleton, pose, seed, size=0.1):
     """Random targets around the effectors of a pose, weights with an absent one now and then."""
     rng = np.random.default_rng(seed)
     with double():
-        frames = reference_kinematics.forward(skeleton, pose)
-        points = reference_kinematics.site_positions(skeleton, frames, five(skeleton))
+        body, sites = plain(skeleton), plain(five(skeleton))
+        frames = reference_kinematics.forward(body, pose)
+        points = reference_kinematics.site_positions(body, frames, sites)
     targets = points + rng.normal(size=(5, 3)) * size
     return targets, np.array([1, 1, 1, 0.5, 0.5]) * (rng.uniform(size=5) < 0.8)
+
+
+def plain(tree):
+    """The same in NumPy: the reference takes one number at a time."""
+    return jax.tree.map(np.asarray, tree)
+
+
+def reference_step(skeleton, chosen, pose, targets, weights, free=EVERYTHING, *wishes):
+    """One step by the reference, of the paper's five."""
+    goals = reference.Goals(plain(five(skeleton)), targets, weights)
+    return reference.ik_step(plain(skeleton), goals, chosen, pose, free, *wishes)
 
 
 def compared(ours, theirs, tolerance):
@@ -96,7 +108,11 @@ def test_a_step_is_the_references_in_double_precision(skeleton64, pose, seed, si
         arguments = (on_device(targets), on_device(weights), jnp.asarray(free))
         ours = step(skeleton64, chosen, on_device(pose), *arguments)
         theirs = reference.ik_step(
-            skeleton64, reference.Goals(five(skeleton64), targets, weights), chosen, pose, free
+            plain(skeleton64),
+            reference.Goals(plain(five(skeleton64)), targets, weights),
+            chosen,
+            pose,
+            free,
         )
     compared(ours, theirs, 1e-9)
 
@@ -112,9 +128,9 @@ def test_a_step_with_wishes_is_the_references(skeleton64, pose, seed):
             skeleton64, chosen, on_device(pose), on_device(targets), on_device(weights),
             jnp.asarray(EVERYTHING), on_device(elbows),
         )  # fmt: skip
-        theirs = reference.ik_step(
-            skeleton64, reference.Goals(five(skeleton64), targets, weights), chosen, pose,
-            EVERYTHING, reference.Goals(sites, elbows, np.ones(2)), 0.8,
+        theirs = reference_step(
+            skeleton64, chosen, pose, targets, weights, EVERYTHING,
+            reference.Goals(plain(sites), elbows, np.ones(2)), 0.8,
         )  # fmt: skip
     compared(ours, theirs, 1e-8)
 
@@ -125,10 +141,7 @@ def test_a_step_in_float32_stays_within_its_tolerance(skeleton, skeleton64, pose
     targets, weights = goals_near(skeleton64, inner, seed)
     with double():
         chosen = IKSettings.create()
-        theirs = reference.ik_step(
-            skeleton64, reference.Goals(five(skeleton64), targets, weights), chosen, inner,
-            EVERYTHING,
-        )  # fmt: skip
+        theirs = reference_step(skeleton64, chosen, inner, targets, weights)
     arguments = (on_device(targets), on_device(weights), jnp.asarray(EVERYTHING))
     ours = step(skeleton, IKSettings.create(), on_device(inner), *arguments)
     assert ours[0].angles.dtype == jnp.float32
@@ -143,8 +156,9 @@ def test_the_secondary_task_is_the_references(skeleton64, pose):
         chosen = IKSettings.create()
         start = on_device(pose)
         task = secondary(skeleton64, start, chosen)
+    body = plain(skeleton64)
     expected = reference.secondary_task(
-        skeleton64, reference_kinematics.forward(skeleton64, pose), pose, chosen
+        body, reference_kinematics.forward(body, pose), pose, chosen
     )
     np.testing.assert_allclose(task, expected, rtol=1e-9, atol=1e-12)
 
