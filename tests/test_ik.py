@@ -135,6 +135,28 @@ def test_a_step_with_wishes_is_the_references(skeleton64, pose, seed):
     compared(ours, theirs, 1e-8)
 
 
+@jax.jit
+def solved(skeleton, chosen, pose, targets, weights):
+    return ik.reach(skeleton, ik.Goals(five(skeleton), targets, weights), chosen, pose)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_whole_solve_is_the_references_in_double_precision(skeleton64, seed):
+    with double():
+        start = plain(relaxed_pose(skeleton64))
+    targets, weights = goals_near(skeleton64, start, seed, 0.15)
+    with double():
+        chosen = IKSettings.create()
+        arguments = (on_device(start), on_device(targets), on_device(weights))
+        pose, count = solved(skeleton64, chosen, *arguments)
+        goals = reference.Goals(plain(five(skeleton64)), targets, weights)
+        expected, steps = reference.reach(plain(skeleton64), goals, chosen, start)
+    assert int(count) == steps
+    # Rounding grows along some tens of steps.
+    for part, theirs in zip(pose, expected, strict=True):
+        np.testing.assert_allclose(part, theirs, rtol=1e-8, atol=1e-8)
+
+
 @given(pose=poses(), seed=st.integers(0, 2**20))
 def test_a_step_in_float32_stays_within_its_tolerance(skeleton, skeleton64, pose, seed):
     inner = pose._replace(angles=0.8 * pose.angles + 0.2 * np.asarray(skeleton64.relaxed))

@@ -1,10 +1,13 @@
 """Refinement: each arm goes to its own edges, hands stay, and what is not seen is left alone."""
 
+from dataclasses import replace
+
+import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import LIMITS, on_device
+from conftest import LIMITS, double, on_device
 from drawn_arms import camera_at, draw, limbs_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -25,12 +28,14 @@ from watched_arms import (
     turned_by,
 )
 
+from jaxmocap.body.kinematics import Sites, forward
 from jaxmocap.geometry.cameras import project
 from jaxmocap.hybrid import refine
-from jaxmocap.hybrid.arms import arm_dofs, hang, swing
-from jaxmocap.hybrid.observe import arm_regions
-from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.arms import arm_dofs, arms_of, hang, swing
+from jaxmocap.hybrid.observe import Observation, arm_regions
+from jaxmocap.hybrid.settings import RefineSettings, Settings
 from jaxmocap.images.regions import to_region
+from jaxmocap.reference import pipeline as reference
 
 CAMERAS, BOTH = stacked(FRONT), stacked(FRONT, SIDE)
 ALONE = Settings(region=SIZE, search=False)
@@ -92,6 +97,40 @@ def test_the_swivel_moves_no_hand(left, right):
     np.testing.assert_allclose(arms.grip, true_arms().grip, atol=1e-5)
     np.testing.assert_allclose(arms.elbow, turned_by(left, right).elbow, atol=1e-5)
     assert np.abs(angles).max() < 2 * np.pi
+
+
+def test_the_papers_simplex_over_each_arm_is_the_references_in_double_precision():
+    small = 16
+    rng = np.random.default_rng(0)
+    with double():
+        body = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), float), PERSON)
+        camera = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), float), FRONT)
+        sites = Sites(GRIPS.bones, on_device(GRIPS.at), on_device(GRIPS.offsets))
+        chosen = replace(
+            Settings.paper(), region=small, polish=RefineSettings.create(iterations=10)
+        )
+        start = on_device(TRUTH)
+        arms = arms_of(body, forward(body, start), sites)
+        region = arm_regions(stacked(camera), arms, small, chosen.margin)
+        fields = cv2.GaussianBlur(rng.uniform(0, 20, (small, small, 2)), (0, 0), 2)
+        seen = Observation(
+            region, on_device(fields.transpose(2, 0, 1))[None, :, None], np.ones((1, 2), bool)
+        )
+        targets = arms.grip + 0.01
+        ours = jax.jit(refine.refine_arms)(
+            chosen, body, stacked(camera), seen, start, sites, targets, arms.elbow
+        )
+    plain_body, plain_camera = jax.tree.map(np.asarray, (body, camera))
+    for i, side in enumerate("lr"):
+        origin, scale = np.asarray(region.origin)[0, i], float(region.scale[0, i])
+        view = reference.ArmView(origin, scale, fields[..., i])
+        dofs, angles = reference.refine_arm(
+            plain_body, plain_camera, chosen, TRUTH, side, view, jax.tree.map(np.asarray, sites),
+            np.asarray(targets)[i],
+        )  # fmt: skip
+        assert dofs == DOFS[i].tolist()
+        assert np.abs(angles - TRUTH.angles[dofs]).max() > 1e-3
+        np.testing.assert_allclose(np.asarray(ours.angles)[dofs], angles, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("off", [(0.25, -0.25), (-0.3, -0.3), (0.2, 0.0)])
