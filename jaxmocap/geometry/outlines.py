@@ -112,10 +112,12 @@ def outline(discs: Discs, along: int, around: int, open_ends: Array) -> Outline:
 
 def signed_distance(discs: Discs, points: Array) -> Array:
     """Distance of (..., 2) points to the hull's outline, negative inside."""
-    u, v, sine, cosine = _tangents(discs)
-    offset = points - discs.near
-    x = jnp.sum(offset * u, -1)
-    y = jnp.abs(jnp.sum(offset * v, -1))
+    u, _, sine, cosine = _tangents(discs)
+    # By components: a sum over an axis of two is a slow loop of its own over a raster.
+    right = points[..., 0] - discs.near[..., 0]
+    down = points[..., 1] - discs.near[..., 1]
+    x = right * u[..., 0] + down * u[..., 1]
+    y = jnp.abs(down * u[..., 0] - right * u[..., 1])
     s, c = sine[..., 0], cosine[..., 0]
     length = jnp.sqrt(jnp.sum((discs.far - discs.near) ** 2, -1) + 1e-12)
     # Position along the tangent line decides which part of the outline is nearest.
