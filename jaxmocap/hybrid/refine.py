@@ -110,11 +110,17 @@ def refine_arms(
         return total + jnp.sum((arms.elbow - elbows) ** 2, -1) / polish.trust**2 / 2
 
     still = jnp.zeros_like(hung.angles)
-    lengths = jnp.full(4, polish.other_edge).at[0].set(polish.swivel_edge)
-    solved = downhill_simplex(cost, initial_simplex(still, jnp.diag(lengths)), polish.iterations)
     watched = jnp.any(by_arm.seen, -1)[:, None]
-    moves = jnp.where(watched, solved.points, still)
-    angles = jnp.where(watched, jnp.clip(swing(hung, moves)[1], low, high), hung.angles)
+
+    def fitted() -> Array:
+        lengths = jnp.full(4, polish.other_edge).at[0].set(polish.swivel_edge)
+        first = initial_simplex(still, jnp.diag(lengths))
+        moves = downhill_simplex(cost, first, polish.iterations).points
+        angles = swing(hung, jnp.where(watched, moves, still))[1]
+        return jnp.where(watched, jnp.clip(angles, low, high), hung.angles)
+
+    # Between two images there is nothing to fit.
+    angles = jax.lax.cond(jnp.any(watched), fitted, lambda: hung.angles)
     return pose._replace(angles=pose.angles.at[dofs].set(angles))
 
 
