@@ -22,7 +22,7 @@ from jaxmocap.images.regions import Region, to_region
 from jaxmocap.images.sampling import bilinear
 
 # Outline points per side and per arc of a limb.
-ALONG, AROUND = 10, 2
+ALONG, AROUND = 8, 1
 # The hand is no cone: its outline counts half.
 LIMB_WEIGHTS = (1.0, 1.0, 0.5)
 # Which ends are free: of the three limbs only the hand's far one.
@@ -53,10 +53,12 @@ def outline_distance(
     pixels = to_pixels(camera, samples.points)
     channels = _channels(camera, samples.normals, fields.shape[0])
     distances_px = bilinear(fields, channels, to_region(region, pixels)) * region.scale
-    inside = (pixels >= BORDER_PX) & (pixels <= camera.size - 1 - BORDER_PX)
+    x, y = pixels[..., 0], pixels[..., 1]
+    right, bottom = camera.size[0] - 1 - BORDER_PX, camera.size[1] - 1 - BORDER_PX
+    inside = (x >= BORDER_PX) & (x <= right) & (y >= BORDER_PX) & (y <= bottom)
     front = jnp.minimum(near[:, 2], far[:, 2])[:, None] > 0
     weights = samples.weights * jnp.asarray(LIMB_WEIGHTS, near.dtype)[:, None]
-    weights = jnp.where(jnp.all(inside, -1) & front, weights, 0.0)
+    weights = jnp.where(inside & front, weights, 0.0)
     metres_per_px = ((near[:, 2] + far[:, 2]) / 2 / camera.matrix[0, 0])[:, None]
     distances = jnp.minimum(distances_px * metres_per_px, truncation)
     total = jnp.sum(weights)
