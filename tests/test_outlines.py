@@ -7,6 +7,7 @@ import pytest
 from conftest import double, on_device, vectors
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from scipy import optimize
 from scipy.spatial import ConvexHull
 
 from jaxmocap.geometry import outlines
@@ -24,11 +25,20 @@ def discs(near, far, near_radius, far_radius) -> Discs:
 
 
 def distance_to_swept_disc(limb: Discs, points: np.ndarray) -> np.ndarray:
-    """Brute force: the hull is the union of all discs between the two; the nearest one decides."""
-    t = np.linspace(0, 1, 4001)[:, None]
-    centres = (1 - t) * limb.near + t * limb.far
-    swept = (1 - t[:, 0]) * limb.radii[0] + t[:, 0] * limb.radii[1]
-    return np.array([np.min(np.linalg.norm(centres - p, axis=1) - swept) for p in points])
+    """The hull is the union of all discs between the two; the nearest one decides (convex)."""
+
+    def from_disc(t, point):
+        centre = (1 - t) * limb.near + t * limb.far
+        radius = (1 - t) * limb.radii[0] + t * limb.radii[1]
+        return np.linalg.norm(centre - point) - radius
+
+    def nearest(point):
+        inner = optimize.minimize_scalar(
+            from_disc, bounds=(0, 1), args=(point,), method="bounded", options={"xatol": 1e-11}
+        )
+        return min(inner.fun, from_disc(0, point), from_disc(1, point))
+
+    return np.array([nearest(point) for point in points])
 
 
 def hull_points(limb: Discs, count=4000) -> np.ndarray:
