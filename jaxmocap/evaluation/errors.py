@@ -13,6 +13,7 @@ import numpy as np
 from jaxmocap.evaluation.series import HIGH_PASS_HZ, high_pass, match, sample_step
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.markers import read_markers
+from jaxmocap.formats.tables import Markers
 
 # Vertical axis of a file -> which of its axes are the world's x, y, z.
 TO_WORLD = {"z": [0, 1, 2], "y": [2, 0, 1]}
@@ -154,6 +155,17 @@ def _span(times: np.ndarray) -> str:
     return f"{times[0]:.3f} to {times[-1]:.3f} s" if len(times) else "no time at all"
 
 
+def turned_up(reference: Markers, up: str) -> dict[str, np.ndarray]:
+    """Points (T, 3) by name, world with Z up, of a reference whose vertical axis is ``up``.
+
+    Raises:
+        ValueError: an ``up`` that is neither "z" nor "y".
+    """
+    if up not in TO_WORLD:
+        raise ValueError(f"up = {up!r}: expected one of {', '.join(TO_WORLD)}")
+    return {name: points[:, TO_WORLD[up]] for name, points in reference.points().items()}
+
+
 def evaluate_directory(
     directory: str | Path, truth_path: str | Path, pairs: Mapping[str, str], up: str = "z"
 ) -> Errors:
@@ -169,11 +181,9 @@ def evaluate_directory(
         InputError: a file that is missing or no marker file, an unknown name, no common time.
         ValueError: another ``up``.
     """
-    if up not in TO_WORLD:
-        raise ValueError(f"up = {up!r}: expected one of {', '.join(TO_WORLD)}")
     path = Path(directory) / "joints.trc"
     tracked, truth = read_markers(path), read_markers(truth_path)
-    truth_world = {name: points[:, TO_WORLD[up]] for name, points in truth.points().items()}
+    truth_world = turned_up(truth, up)
     return position_errors(
         tracked.times,
         tracked.points(),

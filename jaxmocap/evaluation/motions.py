@@ -6,10 +6,8 @@ INPUTS: a Motion; a marker file or points over time. OUTPUTS: Errors.
 from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
-
 from jaxmocap.body.motion import Motion
-from jaxmocap.evaluation.errors import TO_WORLD, Errors, position_errors
+from jaxmocap.evaluation.errors import Errors, position_errors, turned_up
 from jaxmocap.formats.markers import read_markers
 from jaxmocap.formats.tables import Markers
 
@@ -29,16 +27,13 @@ def evaluate(
         InputError: a file that is missing or no marker file, an unknown name, no common time.
         ValueError: another ``up``.
     """
-    if up not in TO_WORLD:
-        raise ValueError(f"up = {up!r}: expected one of {', '.join(TO_WORLD)}")
     in_memory = isinstance(truth, Markers)
     markers = truth if in_memory else read_markers(truth)
-    points = {name: np.asarray(p)[:, TO_WORLD[up]] for name, p in markers.points().items()}
     return position_errors(
         motion.times,
         motion.joints(),
         markers.times,
-        points,
+        turned_up(markers, up),
         pairs,
         sources=("motion", "reference" if in_memory else truth),
     )
