@@ -36,6 +36,7 @@ PERFORMANCES = {
     "table tennis": lambda seed: motions.table_tennis(SECONDS, seed),
     "squat": lambda seed: motions.squat(SECONDS, seed),
     "reaching": lambda seed: motions.reaching(SECONDS, seed),
+    "thrust": lambda seed: motions.thrust(SECONDS, seed, azimuth=40.0),
 }
 
 

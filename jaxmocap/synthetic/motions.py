@@ -1,4 +1,4 @@
-"""Movements of a synthetic person: table-tennis strokes, a squat, reaching.
+"""Movements of a synthetic person: table-tennis strokes, a squat, reaching, thrusts at a camera.
 
 Key postures joined by smooth splines; a continuous function of time, so that markers, video and
 the instants within one exposure sample the same movement. Every stroke lifts the elbow its own
@@ -34,6 +34,10 @@ READY = Posture(
 STANDING = Posture(
     pelvis=(0.0, 0.0, -0.01), reach_l=(0.37, 0.21, -0.79), reach_r=(0.37, 0.21, -0.79)
 )
+# Between thrusts; how far ahead of the shoulder the fists are then and at the end of one, and how
+# far below it, in arm lengths.
+GUARD = Posture(pelvis=(-0.01, 0.0, -0.05), pitch=3, flexion=5)
+FOLDED, STRETCHED, BELOW = 0.08, (0.82, 0.90), 0.33
 # A stroke: key postures at seconds from its start. Wrists in arm lengths: forward, out, up.
 _BACKSWING = replace(
     READY,
@@ -230,6 +234,52 @@ def reaching(seconds: float = 6.0, seed: int = 0, height: float = 1.75) -> Perfo
         starts.append(now)
         now += 1.1
     return Performance(figure, _through(keys), np.array(starts))
+
+
+def thrust(
+    seconds: float = 6.0, seed: int = 0, height: float = 1.75, azimuth: float = 0.0
+) -> Performance:
+    """Left fist, right fist and both in turn, straight at a camera and back, elbows swinging.
+
+    Along the line of sight the image hardly moves: what tells is the elbow, high or low.
+
+    Args:
+        seconds: duration.
+        seed: of person and thrusts.
+        height: metres.
+        azimuth: of the camera, degrees from frontal, positive to the person's left. Hips and
+            chest turn towards it, by half the way.
+    """
+    rng = np.random.default_rng(seed)
+    figure = person(height, rng)
+    guard = _aimed(GUARD, azimuth, FOLDED, FOLDED)
+    keys, starts, now = [(0.0, _eased(guard, rng))], [], 0.2
+    while not starts or now < seconds:
+        left, right = rng.uniform(*STRETCHED, 2)
+        fists = ((left, FOLDED), (FOLDED, right), (left, right))[len(starts) % 3]
+        aimed = _aimed(replace(GUARD, twist=rng.uniform(-4, 4)), azimuth, *fists)
+        struck = _lifted(aimed, rng, len(starts))
+        keys += [(now + 0.30, struck), (now + 0.40, struck), (now + 0.75, _eased(guard, rng))]
+        starts.append(now)
+        now += 0.85
+    return Performance(figure, _through(keys), np.array(starts))
+
+
+def _aimed(posture: Posture, azimuth: float, left: float, right: float) -> Posture:
+    """Hips and chest half the way to an azimuth, fists so many arm lengths ahead, all the way."""
+    # In the chest's frame: what is left of the way, and the lean of trunk and chest undone.
+    rest = np.deg2rad(azimuth / 2 - posture.twist)
+    lean = np.deg2rad(posture.pitch + posture.flexion)
+    up = np.array([-np.sin(lean), 0.0, np.cos(lean)])
+    left_ahead = np.array([np.cos(rest) * np.cos(lean), np.sin(rest), np.sin(lean)])
+    right_ahead = left_ahead * [1.0, -1.0, 1.0]
+    return replace(
+        posture,
+        yaw=azimuth / 4,
+        twist=posture.twist + azimuth / 4,
+        reach_l=tuple(left * left_ahead - BELOW * up),
+        reach_r=tuple(right * right_ahead - BELOW * up),
+    )
 
 
 def _eased(posture: Posture, rng: np.random.Generator) -> Posture:

@@ -24,6 +24,7 @@ from jaxmocap.synthetic.lens import look_at
 from jaxmocap.synthetic.mesh_person import MeshPerson
 from jaxmocap.synthetic.motions import Performance
 from jaxmocap.synthetic.person import MARKERS, dressed
+from jaxmocap.synthetic.placement import Turned, camera_at
 from jaxmocap.synthetic.renderer import Progress, Scene, render_frames
 
 MARKER_RATE, VIDEO_RATE = 90, 30
@@ -52,6 +53,7 @@ def write_table_tennis(
     strokes: Sequence[str] = ("forehand", "backhand", "serve"),
     height: float = 1.75,
     progress: Progress | None = None,
+    azimuth: float | None = None,
 ) -> Path:
     """Write a recording of table-tennis strokes.
 
@@ -62,12 +64,14 @@ def write_table_tennis(
         strokes: played in turn.
         height: what the recording says of the person, metres.
         progress: called with the frames done and their total.
+        azimuth: where the camera stands, degrees from frontal, positive to the person's left;
+            None is ``webcam()``.
 
     Returns:
         The path of ``recording.toml``.
     """
     performance = motions.table_tennis(seconds, seed, strokes, height)
-    return write_performance(directory, performance, seconds, seed, progress)
+    return write_performance(directory, performance, seconds, seed, progress, azimuth)
 
 
 def write_squat(
@@ -76,10 +80,11 @@ def write_squat(
     seed: int = 0,
     height: float = 1.75,
     progress: Progress | None = None,
+    azimuth: float | None = None,
 ) -> Path:
     """Write a recording of a squat by 0.3 m; see ``write_table_tennis``."""
     performance = motions.squat(seconds, seed, height)
-    return write_performance(directory, performance, seconds, seed, progress)
+    return write_performance(directory, performance, seconds, seed, progress, azimuth)
 
 
 def write_reaching(
@@ -88,10 +93,24 @@ def write_reaching(
     seed: int = 0,
     height: float = 1.75,
     progress: Progress | None = None,
+    azimuth: float | None = None,
 ) -> Path:
     """Write a recording of reaching about; see ``write_table_tennis``."""
     performance = motions.reaching(seconds, seed, height)
-    return write_performance(directory, performance, seconds, seed, progress)
+    return write_performance(directory, performance, seconds, seed, progress, azimuth)
+
+
+def write_thrust(
+    directory: str | Path,
+    seconds: float = 6.0,
+    seed: int = 0,
+    height: float = 1.75,
+    progress: Progress | None = None,
+    azimuth: float = 0.0,
+) -> Path:
+    """Write a recording of fists thrust at the camera; see ``write_table_tennis``."""
+    performance = motions.thrust(seconds, seed, height, azimuth)
+    return write_performance(directory, performance, seconds, seed, progress, azimuth)
 
 
 def write_performance(
@@ -100,11 +119,12 @@ def write_performance(
     seconds: float,
     seed: int = 0,
     progress: Progress | None = None,
+    azimuth: float | None = None,
 ) -> Path:
-    """Write the recording of any performance, seen by one camera in front of the person."""
+    """Write the recording of any performance, seen by one camera; see ``write_table_tennis``."""
     times = np.arange(int(seconds * MARKER_RATE)) / MARKER_RATE
     bones, figure = performance.bones(times), performance.figure
-    camera = webcam()
+    camera = webcam() if azimuth is None else camera_at(azimuth)
     frames = video_times(seconds)
     return write_parts(
         Path(directory),
@@ -112,7 +132,7 @@ def write_performance(
         {name: figure.points(bones, *on) for name, on in MARKERS.items()},
         figure.landmarks(bones),
         camera,
-        render_frames(Scene.in_room(camera, dressed(performance, seed), seed), frames, progress),
+        render_frames(scene(performance, seed, azimuth), frames, progress),
         marker_places(),
         {"height": figure.height},
         seed,
@@ -155,6 +175,14 @@ def write_person_recording(
 def webcam() -> Camera:
     """In front of the person, a little to the side, at 3 m."""
     return look_at((3.0, 0.75, 1.30), (0.1, 0.0, 1.12))
+
+
+def scene(performance: Performance, seed: int = 0, azimuth: float | None = None) -> Scene:
+    """What the camera at that azimuth sees of a performance; None is ``webcam()``."""
+    actor = dressed(performance, seed)
+    if azimuth is None:
+        return Scene.in_room(webcam(), actor, seed)
+    return Scene.in_room(camera_at(0.0), Turned(actor, azimuth), seed)
 
 
 def video_times(seconds: float) -> np.ndarray:
