@@ -1,0 +1,83 @@
+"""The recordings that the protocol tracks: real ones, and synthetic ones rendered once.
+
+INPUTS: the folder of real recordings; seeds, azimuths and a folder to keep what is rendered in.
+OUTPUTS: Clips.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from jaxmocap.synthetic.recording import (
+    write_reaching,
+    write_squat,
+    write_table_tennis,
+    write_thrust,
+)
+
+WRITERS = {
+    "tennis": write_table_tennis,
+    "thrust": write_thrust,
+    "reaching": write_reaching,
+    "squat": write_squat,
+}
+REAL_ELBOWS = {"elbow_l": "LElbow", "elbow_r": "RElbow"}
+ELBOWS = {"elbow_l": "elbow_l", "elbow_r": "elbow_r"}
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One recording with its reference.
+
+    Attributes:
+        group: recordings of one kind share one row of means.
+        name: of the recording.
+        path: of its ``recording.toml``; ``truth`` lies beside it.
+        pairs: joint -> its marker in the reference.
+        seed: of noise that is added to its markers.
+    """
+
+    group: str
+    name: str
+    path: Path
+    pairs: dict[str, str]
+    seed: int = 0
+
+    @property
+    def truth(self) -> Path:
+        """The reference."""
+        return self.path.with_name("truth.trc")
+
+
+def real(folder: Path) -> list[Clip]:
+    """Each camera of the real recording by itself."""
+    paths = sorted((folder / "balancing").glob("recording_cam_0*.toml"))
+    names = [path.stem.removeprefix("recording_") for path in paths]
+    return [
+        Clip("balancing", name, path, REAL_ELBOWS, seed)
+        for seed, (name, path) in enumerate(zip(names, paths, strict=True))
+    ]
+
+
+def synthetic(
+    motion: str, seeds: Iterable[int], azimuths: Sequence[float], seconds: float, keep: Path
+) -> list[Clip]:
+    """A recording for each seed, rendered where ``keep`` does not hold it yet.
+
+    Args:
+        motion: of ``WRITERS``.
+        seeds: each of its own person, room and movement.
+        azimuths: of the camera, degrees from frontal: seed s is seen from the (s mod n)-th.
+        seconds: of each.
+        keep: holds a folder for each, such as ``tennis_003_-30_6s``.
+    """
+    clips = []
+    for seed in seeds:
+        azimuth = azimuths[seed % len(azimuths)]
+        name = f"{motion}_{seed:03d}_{azimuth:+03.0f}_{seconds:g}s"
+        path = keep / name / "recording.toml"
+        # Written last: where it is, all is.
+        if not path.is_file():
+            WRITERS[motion](path.parent, seconds, seed, azimuth=azimuth)
+        clips.append(Clip(motion, name, path, ELBOWS, seed))
+    return clips
