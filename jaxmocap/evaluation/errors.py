@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxmocap.evaluation.series import HIGH_PASS_HZ, high_pass, match, sample_step
+from jaxmocap.evaluation.series import HIGH_PASS_HZ, high_pass, match, second_difference
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.markers import read_markers
 from jaxmocap.formats.tables import Markers
@@ -52,10 +52,7 @@ class Errors:
         The reference's own acceleration is subtracted: what remains is the shaking of the
         tracked joint, and that of the reference.
         """
-        step = sample_step(self.times)
-        shaking = np.diff(self.offsets, 2, axis=0) / step**2
-        # Across a gap in the times the difference would be another thing.
-        shaking[np.abs(self.times[2:] - self.times[:-2] - 2 * step) > step / 2] = np.nan
+        shaking = second_difference(self.times, self.offsets)
         return np.sqrt(_per_joint(np.mean, np.sum(shaking**2, -1)))
 
     def statistics(self) -> dict[str, np.ndarray]:

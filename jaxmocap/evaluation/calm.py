@@ -1,0 +1,121 @@
+"""How calm a track is, and how late: acceleration beside the reference's, lag by correlation.
+
+Either alone can be cheated: a frozen joint does not shake, and a delayed one may be as smooth as
+the reference. A reference that was low-pass filtered (the real recording's at some 6 Hz) has lost
+what true acceleration there was above; a ratio a little over 1 is then no fault.
+
+INPUTS: points of joints over time, tracked and reference (metres, seconds).
+OUTPUTS: Calm.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxmocap.evaluation.series import resampled, sample_step, second_difference
+
+LARGEST_LAG_S = 0.25
+# Lags tried within a sample; a parabola through the best three finds what lies between.
+LAGS_PER_SAMPLE = 2
+# Velocities less alike than this at every lag tell no lag.
+LEAST_LIKENESS = 0.5
+
+
+@dataclass(frozen=True)
+class Calm:
+    """Acceleration and lag of J joints.
+
+    Attributes:
+        track: (J,) root mean square acceleration of the track, m/s^2.
+        reference: (J,) the same of the reference at the same times.
+        lags: (J,) seconds by which the track comes after the reference; NaN where it moves too
+            differently to tell, as a frozen joint does.
+        likeness: (J,) correlation of the velocities at that lag; NaN where one does not move.
+    """
+
+    track: np.ndarray
+    reference: np.ndarray
+    lags: np.ndarray
+    likeness: np.ndarray
+
+    @property
+    def ratio(self) -> float:
+        """Acceleration of all joints together, track over reference; NaN without data."""
+        known = np.isfinite(self.track) & np.isfinite(self.reference)
+        squares = [np.sum(values[known] ** 2) for values in (self.track, self.reference)]
+        return float(np.sqrt(squares[0] / squares[1])) if squares[1] > 0 else float("nan")
+
+    @property
+    def worst_lag(self) -> float:
+        """The lag farthest from 0, seconds; NaN if that of any joint is unknown."""
+        return float(self.lags[np.argmax(np.where(np.isnan(self.lags), np.inf, abs(self.lags)))])
+
+
+def calmness(
+    times: np.ndarray, points: np.ndarray, reference_times: np.ndarray, reference: np.ndarray
+) -> Calm:
+    """Compare the tracks of J joints with their reference.
+
+    The track is taken as it is, sample by sample, so that none of its shaking is lost; the
+    reference, smooth by assumption, is brought to its times.
+
+    Args:
+        times: (T,) seconds.
+        points: (T, J, 3) world, metres; NaN where missing.
+        reference_times: (R,) seconds.
+        reference: (R, J, 3) world, metres; NaN where missing.
+    """
+    figures = [
+        (
+            *_accelerations(times, track, resampled(reference_times, truth, times)),
+            *lag(times, track, reference_times, truth),
+        )
+        for track, truth in zip(_per_joint(points), _per_joint(reference), strict=True)
+    ]
+    return Calm(*np.array(figures).reshape(-1, 4).T)
+
+
+def _per_joint(points: np.ndarray) -> np.ndarray:
+    """(T, J, 3) as (J, T, 3)."""
+    return np.moveaxis(np.asarray(points, float), 1, 0)
+
+
+def _accelerations(times: np.ndarray, *tracks: np.ndarray) -> list[float]:
+    """Root mean square accelerations of (T, 3) tracks over the samples that all of them have."""
+    squares = np.sum(second_difference(times, np.stack(tracks, 1)) ** 2, -1)
+    common = squares[np.isfinite(squares).all(-1)]
+    return np.sqrt(common.mean(0)).tolist() if len(common) else [float("nan")] * len(tracks)
+
+
+def lag(
+    times: np.ndarray, track: np.ndarray, reference_times: np.ndarray, reference: np.ndarray
+) -> tuple[float, float]:
+    """By how much a (T, 3) track comes after a (R, 3) reference, and how alike they then move.
+
+    The lag, seconds, at which their velocities correlate best, finer than a sample; NaN where they
+    are not alike at any. The correlation is of the samples that both have.
+    """
+    step = sample_step(times)
+    count = int(LAGS_PER_SAMPLE * LARGEST_LAG_S / step)
+    lags = np.arange(-count, count + 1) * step / LAGS_PER_SAMPLE
+    truth = resampled(reference_times, reference, times - lags[:, None])
+    likeness = _likeness(np.diff(track, axis=0), np.diff(truth, axis=1))
+    if np.isnan(likeness).all():
+        return float("nan"), float("nan")
+    best = int(np.nanargmax(likeness))
+    if likeness[best] < LEAST_LIKENESS:
+        return float("nan"), float(likeness[best])
+    before, here, after = likeness[np.clip([best - 1, best, best + 1], 0, 2 * count)]
+    bend = before - 2 * here + after
+    # At the end of what was tried, or beside a gap, there is no parabola.
+    between = (before - after) / (2 * bend) if bend < 0 and 0 < best < 2 * count else 0.0
+    return float(lags[best] + between * step / LAGS_PER_SAMPLE), float(here)
+
+
+def _likeness(track: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """(L,) correlations of (N, 3) velocities with each of (L, N, 3); NaN for too few samples."""
+    both = np.isfinite(np.sum(track + truth, -1))
+    a, b = (np.where(both[..., None], velocities, 0.0) for velocities in (track, truth))
+    sizes = np.sqrt(np.sum(a * a, (1, 2)) * np.sum(b * b, (1, 2)))
+    enough = (both.sum(-1) >= track.shape[0] / 2) & (sizes > 1e-12)
+    return np.where(enough, np.sum(a * b, (1, 2)) / np.where(enough, sizes, 1.0), np.nan)
