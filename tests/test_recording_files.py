@@ -24,6 +24,7 @@ VIDEO = '[[video]]\nfile = "v.mp4"\ncamera = "cam"\n'
 CALIBRATION = '[calibration]\nfile = "c.toml"\n'
 SUBJECT = "[subject]\nheight = 1.7\n"
 WHOLE = MARKERS + ON + VIDEO + CALIBRATION + SUBJECT
+KEYPOINTS = MARKERS + ON + CALIBRATION + VIDEO + 'keypoints = "keys"\n'
 STATIC = '[subject]\nstatic = "static.trc"\n[subject.landmarks]\n'
 STANDING = {
     "Neck": (0.0, 0.0, 1.45),
@@ -68,6 +69,7 @@ def test_a_recording_holds_what_its_file_says(folder):
     first, second = recording.videos
     assert (first.offset, first.keypoints) == (-0.5, folder / "keys")
     assert (second.offset, second.keypoints) == (0.0, None)
+    assert (first.keypoints_model, first.keypoints_first) == (None, None)
     assert first.path == folder / "v.mp4" and first.camera_name == "cam"
     assert np.asarray(first.camera.size).tolist() == [640, 480]
     np.testing.assert_array_equal(recording.skeleton.lengths, Skeleton.human(1.7).lengths)
@@ -162,6 +164,16 @@ def test_a_subject_may_have_a_file_with_paths_of_its_own(folder):
         (WHOLE.replace('"cam"', '"cam"\noffset = "1"'), "offset: found '1', expected a number"),
         (WHOLE.replace('"cam"', '"cam"\noffset = nan'), "offset: found nan, expected a number"),
         (WHOLE.replace('"cam"', '"cam"\nkeypoints = "k"'), "keypoints: no such folder"),
+        (WHOLE.replace('"cam"', '"cam"\nkeypoints = "k.json"'), "keypoints: no such file"),
+        (WHOLE.replace('"cam"', '"cam"\nkeypoints = 3'), "keypoints: found 3, expected text"),
+        (KEYPOINTS + 'keypoints_model = "BODY"\n', "number 1 keypoints_model: found 'BODY', expec"),
+        (KEYPOINTS + 'keypoints_model = "BODY"\n', "one of BODY_25, BODY_25B, COCO_18, COCO_17"),
+        (KEYPOINTS + "keypoints_first = 0.5\n", "keypoints_first: found 0.5, expected a whole"),
+        (KEYPOINTS + "keypoints_first = '1'\n", "keypoints_first: found '1', expected a number"),
+        (
+            WHOLE.replace('"cam"', '"cam"\nkeypoints_model = "BODY_25"'),
+            "[[video]] number 1 keypoints_model: found without 'keypoints'",
+        ),
         (WHOLE.replace(CALIBRATION, ""), "[calibration] is missing"),
         (WHOLE.replace("c.toml", "d.toml"), "[calibration] file: no such file"),
         (WHOLE.replace("1.7", "17"), "[subject]: height = 17.0: expected metres between"),
@@ -238,6 +250,7 @@ def test_parts_in_memory_are_checked_as_well(times, shape, bone, says):
 def test_a_written_recording_is_read_back(folder):
     names = ["a b", 'q"uo\\te', "Ünicode.x", "tab\x7f"]
     times = np.arange(2.0)
+    (folder / "cam.json").touch()
     write_trc(folder / "n.trc", times, {name: np.ones((2, 3)) for name in names})
     on = {name: {"bone": "hand_l", "at": np.float64(0.25)} for name in names}
     on[names[0]] = {"bone": "head", "offset": (0.1, 0.2, 1e-9)}
@@ -246,8 +259,11 @@ def test_a_written_recording_is_read_back(folder):
         "n.trc",
         on,
         [
-            {"file": Path("v.mp4"), "camera": "cam", "offset": 1 / 3},
-            {"file": "v.mp4", "camera": "cam"},
+            {
+                **{"file": Path("v.mp4"), "camera": "cam", "offset": 1 / 3, "keypoints": "keys"},
+                **{"keypoints_model": "BODY_25B", "keypoints_first": 1},
+            },
+            {"file": "v.mp4", "camera": "cam", "keypoints": Path("cam.json")},
         ],
         "c.toml",
         {"static": "static.trc", "landmarks": dict(line.split(' = "') for line in _pairs())},
@@ -259,6 +275,9 @@ def test_a_written_recording_is_read_back(folder):
     assert recording.places[0] == MarkerPlace("a b", "head", 1.0, (0.1, 0.2, 1e-9))
     assert recording.places[1] == MarkerPlace(names[1], "hand_l", 0.25)
     assert [video.offset for video in recording.videos] == [1 / 3, 0.0]
+    first, second = recording.videos
+    assert (first.keypoints, second.keypoints) == (folder / "keys", folder / "cam.json")
+    assert (first.keypoints_model, first.keypoints_first) == ("BODY_25B", 1)
 
 
 def _pairs() -> list[str]:

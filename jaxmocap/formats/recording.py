@@ -17,11 +17,16 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.formats.axes import read_axes, to_world
 from jaxmocap.formats.calibration import pick_camera, read_calibration
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.keypoint_models import MODELS
+from jaxmocap.formats.keypoints import Detections
 from jaxmocap.formats.markers import read_markers
 from jaxmocap.formats.subject import DEFAULT_HEIGHT, read_subject
 from jaxmocap.formats.tables import check_times
 from jaxmocap.formats.toml import Fields, read_toml, write_toml
 from jaxmocap.geometry.cameras import Camera
+
+# What [[video]] may say of 2-D detections.
+_KEYPOINTS = ("keypoints", "keypoints_model", "keypoints_first")
 
 
 @dataclass(frozen=True)
@@ -50,7 +55,9 @@ class VideoSource:
         camera: its calibration.
         path: of the video file; None where the frames are in memory.
         offset: seconds to add to video time to get marker time.
-        keypoints: folder of 2-D detections, one JSON file per frame, or None.
+        keypoints: folder (or file) of 2-D detections, what was read from it already, or None.
+        keypoints_model: whose points they are, or None to tell it from them.
+        keypoints_first: number that they give the video's first frame, or None to tell it.
         frames: video times (F,) in seconds and images (F, H, W, 3) BGR uint8, or None.
     """
 
@@ -58,7 +65,9 @@ class VideoSource:
     camera: Camera
     path: Path | None = None
     offset: float = 0.0
-    keypoints: Path | None = None
+    keypoints: Path | Detections | None = None
+    keypoints_model: str | None = None
+    keypoints_first: int | None = None
     frames: tuple[np.ndarray, Sequence[np.ndarray] | np.ndarray] | None = None
 
 
@@ -198,7 +207,7 @@ def _read_videos(top: Fields) -> tuple[VideoSource, ...]:
 def _video(
     path: Path, number: int, table: Any, calibration: Path, cameras: dict[str, Camera]
 ) -> VideoSource:
-    keys = ("file", "camera", "offset", "keypoints")
+    keys = ("file", "camera", "offset", *_KEYPOINTS)
     fields = Fields(path, f"[[video]] number {number}", table, keys)
     name = fields.text("camera")
     return VideoSource(
@@ -206,8 +215,30 @@ def _video(
         camera=pick_camera(calibration, cameras, name),
         path=fields.file("file"),
         offset=fields.number("offset", 0.0),
-        keypoints=fields.file("keypoints", folder=True) if "keypoints" in fields else None,
+        **_keypoints(fields),
     )
+
+
+def _keypoints(fields: Fields) -> dict[str, Any]:
+    """Where a video's 2-D detections are, and what is said of them."""
+    given: dict[str, Any] = {}
+    for key in _KEYPOINTS:
+        if key in fields and "keypoints" not in fields:
+            raise fields.error(key, "found without 'keypoints', which it is about")
+    if "keypoints" in fields:
+        is_file = fields.text("keypoints").lower().endswith(".json")
+        given["keypoints"] = fields.file("keypoints", folder=not is_file)
+    if "keypoints_model" in fields:
+        given["keypoints_model"] = model = fields.text("keypoints_model")
+        if model not in MODELS:
+            expected = ", ".join(MODELS)
+            raise fields.error("keypoints_model", f"found {model!r}, expected one of {expected}")
+    if "keypoints_first" in fields:
+        first = fields.number("keypoints_first")
+        if first != int(first):
+            raise fields.error("keypoints_first", f"found {first:g}, expected a whole number")
+        given["keypoints_first"] = int(first)
+    return given
 
 
 def write_recording(
@@ -225,7 +256,8 @@ def write_recording(
         path: of the .toml file, or a folder, in which it is then called ``recording.toml``.
         markers_file: relative to it, as are all others.
         on: marker -> ``bone``, and ``at`` and ``offset`` where they differ from the defaults.
-        videos: ``file``, ``camera``, and ``offset`` and ``keypoints`` where there are any.
+        videos: ``file``, ``camera``, and ``offset`` and ``keypoints`` (with ``keypoints_model``
+            and ``keypoints_first``) where there are any.
         calibration_file: needed with videos.
         subject: the keys of [subject], or None.
         up: the marker file's axis that points up.

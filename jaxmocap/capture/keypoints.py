@@ -1,0 +1,193 @@
+"""2-D key points of a video: lined up with its frames, and whose they are.
+
+INPUTS: Detections (frame numbers, everybody in each frame), a video, where some landmarks of the
+tracked person are known to be.
+OUTPUTS: Keypoints, one row per frame of the video; the tracked person's own pixels and confidences.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmocap.body.skeleton import LANDMARKS, Tree
+from jaxmocap.capture.markers import interpolate
+from jaxmocap.capture.video import FrameSource
+from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.keypoints import Detections, read_keypoints
+from jaxmocap.formats.recording import MarkerPlace, Recording, VideoSource
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera
+
+# A detection further than this from where a landmark is known to be is not of that landmark.
+GATE_M = 0.25
+
+
+@dataclass(frozen=True)
+class Keypoints:
+    """Detections of at most N people in each of a video's F frames.
+
+    Attributes:
+        landmarks: names of the P points, landmarks of ours.
+        pixels_xy: (F, N, P, 2) pixels of the video; NaN where missing.
+        confidences: (F, N, P) between 0 and 1; 0 where missing.
+        warnings: sentences that a user should see.
+    """
+
+    landmarks: tuple[str, ...]
+    pixels_xy: np.ndarray
+    confidences: np.ndarray
+    warnings: tuple[str, ...] = ()
+
+
+def open_keypoints(source: VideoSource, video: FrameSource) -> Keypoints | None:
+    """The key points of a recording's video, or None where it has none.
+
+    Raises:
+        InputError: what cannot be read, or not be lined up with the video.
+    """
+    if source.keypoints is None:
+        return None
+    if isinstance(source.keypoints, Detections):
+        detections = source.keypoints
+    else:
+        detections = read_keypoints(source.keypoints, source.keypoints_model)
+    return line_up(detections, len(video), source.keypoints_first)
+
+
+def line_up(detections: Detections, frames: int, first: int | None = None) -> Keypoints:
+    """Give every frame of a video its detections.
+
+    Detectors count from 0 (OpenPose, Pose2Sim, MMPose's inferencer), from 1 (MMPose's demos) or,
+    where images were cut out of a longer recording, from anywhere. Not stated, the first frame's
+    number is the smallest one if the numbers span just as many frames as the video has; else it
+    is the smallest one if that is 0 or 1 and the numbers fit into the video.
+
+    Args:
+        detections: with numbers of frames.
+        frames: of the video, F.
+        first: the number of the video's first frame, where it is stated.
+
+    Raises:
+        InputError: numbers that do not tell the first frame, or none of them in the video.
+    """
+    smallest, largest = int(detections.numbers[0]), int(detections.numbers[-1])
+    if first is None:
+        span = largest - smallest + 1
+        if span != frames and (smallest not in (0, 1) or span > frames):
+            raise InputError(
+                detections.name,
+                f"found key points of frames {smallest} to {largest} for a video of {frames} "
+                "frames; state keypoints_first in [[video]], the number of its first frame",
+            )
+        first = smallest
+    rows = detections.numbers - first
+    inside = (rows >= 0) & (rows < frames)
+    if not inside.any():
+        raise InputError(
+            detections.name,
+            f"found key points of frames {smallest} to {largest}, but the video has "
+            f"frames {first} to {first + frames - 1}; check keypoints_first",
+        )
+    pixels_xy = np.full((frames, *detections.pixels_xy.shape[1:]), np.nan)
+    confidences = np.zeros((frames, *detections.confidences.shape[1:]))
+    pixels_xy[rows[inside]] = detections.pixels_xy[inside]
+    confidences[rows[inside]] = detections.confidences[inside]
+    warnings = detections.warnings
+    if inside.sum() < frames:
+        said = f"key points of {inside.sum()} of the video's {frames} frames"
+        warnings += (f"{detections.name}: {said}",)
+    return Keypoints(detections.landmarks, pixels_xy, confidences, warnings)
+
+
+def choose_person(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: float) -> int:
+    """Which of the people in a frame is the one whose landmarks are known.
+
+    The one with the smallest mean distance over the known landmarks, where each counts at most as
+    much as the gate, and as much where it was not detected: neither a swapped wrist nor a person
+    of whom little is seen decides.
+
+    Args:
+        pixels_xy: (N, P, 2) the people's points; NaN where missing.
+        predicted_xy: (P, 2) where the landmarks must be; NaN where not known.
+        gate_px: pixels; a detection further away is not of that landmark.
+
+    Returns:
+        The person's index, or -1 where nobody has two landmarks within the gate (one, where no
+        more are known).
+    """
+    pixels_xy, predicted_xy = np.asarray(pixels_xy, float), np.asarray(predicted_xy, float)
+    known = np.isfinite(predicted_xy).all(-1)
+    if not known.any() or not len(pixels_xy):
+        return -1
+    distances = np.linalg.norm(pixels_xy[:, known] - predicted_xy[known], axis=-1)
+    # NaN, a point that was not detected, is never near.
+    near = distances <= gate_px
+    costs = np.where(near, distances, gate_px).mean(-1)
+    costs[near.sum(-1) < min(2, known.sum())] = np.inf
+    best = int(costs.argmin())
+    return best if np.isfinite(costs[best]) else -1
+
+
+def follow_person(
+    keypoints: Keypoints, camera: Camera, points_world: np.ndarray, gate_m: float = GATE_M
+) -> tuple[np.ndarray, np.ndarray]:
+    """The tracked person's detections among everybody's, frame by frame.
+
+    Args:
+        keypoints: of F frames.
+        camera: that took them.
+        points_world: (F, P, 3) where the key points' landmarks are at the frames' times, metres,
+            as far as that is known: NaN elsewhere.
+        gate_m: metres; see ``choose_person``.
+
+    Returns:
+        (F, P, 2) pixels, NaN where missing, and (F, P) confidences, 0 where missing or where the
+        person is not among those detected.
+    """
+    points_cam = np.asarray(to_camera(camera, jnp.asarray(points_world, float)))
+    depths = np.where(points_cam[..., 2] > NEAREST_M, points_cam[..., 2], np.nan)
+    predicted_xy = np.array(project(camera, jnp.asarray(points_world, float)))
+    predicted_xy[np.isnan(depths)] = np.nan
+    pixels_xy = np.full(keypoints.pixels_xy[:, 0].shape, np.nan)
+    confidences = np.zeros(pixels_xy.shape[:-1])
+    for frame in np.flatnonzero(np.isfinite(depths).any(-1)):
+        gate_px = gate_m * float(camera.matrix[0, 0]) / np.nanmedian(depths[frame])
+        person = choose_person(keypoints.pixels_xy[frame], predicted_xy[frame], gate_px)
+        if person >= 0:
+            pixels_xy[frame] = keypoints.pixels_xy[frame, person]
+            confidences[frame] = keypoints.confidences[frame, person]
+    return pixels_xy, confidences
+
+
+def marked_landmarks(
+    recording: Recording, landmarks: Sequence[str], at: np.ndarray, causal: bool = False
+) -> np.ndarray:
+    """Where those landmarks are that a marker sits on: what tells the tracked person by.
+
+    Args:
+        recording: with its markers; their offsets, some centimetres, are left out.
+        landmarks: names of P landmarks.
+        at: (F,) seconds of marker time.
+        causal: use no marker sample later than each time.
+
+    Returns:
+        (F, P, 3) metres, world; NaN where there is no marker or it is not seen.
+    """
+    positions = interpolate(recording.times, recording.positions_world, at, causal)
+    points = np.full((len(at), len(landmarks), 3), np.nan)
+    for marker, place in enumerate(recording.places):
+        name = _landmark_at(recording.skeleton.tree, place)
+        if name in landmarks:
+            points[:, landmarks.index(name)] = positions[:, marker]
+    return points
+
+
+def _landmark_at(tree: Tree, place: MarkerPlace) -> str | None:
+    """The landmark at a marker's place; a bone's far end is the near end of the next."""
+    bone = tree.bone(place.bone)
+    for name, (other, at) in LANDMARKS.items():
+        follows = tree.parents[tree.bone(other)] == bone and (place.at, at) == (1.0, 0.0)
+        if follows or (place.bone, place.at) == (other, at):
+            return name
+    return None
