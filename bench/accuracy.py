@@ -1,142 +1,210 @@
-"""``python -m bench.accuracy [RECORDINGS] [--json FILE]``: elbow errors without and with video.
+"""``python -m bench.accuracy [RECORDINGS]``: the measuring protocol, one command for any setting.
+
+Elbow errors without and with video, wrong turns, calm, lag and, where the tracker reports it,
+confidence, on real cameras and on synthetic recordings from all around; then what a tracker must
+show, and whether this one does. Tune on seeds 0 to 9. Seeds 100 to 119 are kept for the final
+report: never run them before.
 
 INPUTS: the folder of real recordings, with ``balancing/recording_cam_0*.toml`` and
-``balancing/truth.trc`` in it; without one the synthetic table tennis alone.
-OUTPUTS: a table, and Metrics as JSON.
+``balancing/truth.trc`` in it; without one the synthetic recordings alone.
+OUTPUTS: tables, and Metrics as JSON.
 """
 
 import argparse
+import math
+import sys
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import numpy as np
 
+from bench.clips import WRITERS, Clip, real, synthetic
+from bench.criteria import covered, criteria, pool, table
+from bench.judging import Result, judge
 from bench.metrics import Metric, aligned, write_json
 from jaxmocap.evaluation.errors import Errors
-from jaxmocap.evaluation.motions import evaluate
-from jaxmocap.formats.recording import Recording
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.run.compilation import keep_compiled
-from jaxmocap.run.recording import track
-from jaxmocap.synthetic.recording import write_table_tennis
+from jaxmocap.run.recording import choose_settings
 
-REAL_ELBOWS = {"elbow_l": "LElbow", "elbow_r": "RElbow"}
-ELBOWS = {"elbow_l": "elbow_l", "elbow_r": "elbow_r"}
-FEET = ("ankle", "toe")  # parts of their markers' names
-HEADINGS = [
-    ["recording", "markers", "", "", "video", "", "", "better", "off markers", ""],
-    ["", "mean", "median", "95 %", "mean", "median", "95 %", "by", "95 %", "max"],
+SPREAD = ["mean", "median", "95 %", ">0.3 Hz"]
+ERROR_HEADINGS = [
+    ["recording", "markers", "", "", "", "video", "", "", "", "better", "off markers", ""],
+    ["", *SPREAD, *SPREAD, "by", "95 %", "max"],
 ]
+CALM_HEADINGS = [
+    ["recording", "wrong turns", "", "acceleration", "", "", "", "lag", ""],
+    ["", "%", "longest s", "truth", "video", "ratio", "markers'", "frames", "markers'"],
+]
+USUAL, KINDS = ("real", "tennis", "thrust"), ("real", *WRITERS)
 
 
-@dataclass(frozen=True)
-class Result:
-    """One recording, tracked twice.
-
-    Attributes:
-        name: of the recording.
-        alone: errors of the elbows by markers alone.
-        video: the same with video.
-        off: (T, M) distances from head and hands to their markers after refinement, metres.
-    """
-
-    name: str
-    alone: Errors
-    video: Errors
-    off: np.ndarray
-
-    @property
-    def improvement(self) -> float:
-        """By which share video lowers the mean error."""
-        return 1 - self.video.mean / self.alone.mean
-
-    def row(self) -> list[str]:
-        """Centimetres, and the improvement in per cent."""
-        cells = [f"{100 * v:.1f}" for e in (self.alone, self.video) for v in spread(e)]
-        off = [100 * np.nanpercentile(self.off, 95), 100 * np.nanmax(self.off)]
-        return [self.name, *cells, f"{self.improvement:.0%}", *(f"{v:.2f}" for v in off)]
-
-    def metrics(self) -> list[Metric]:
-        """The figures that a baseline holds."""
-        off = 100 * float(np.nanmax(self.off))
-        gain = 100 * self.improvement
-        return [
-            Metric(f"{self.name}, elbows, markers", 100 * self.alone.mean, "cm", tolerance=0.03),
-            Metric(f"{self.name}, elbows, video", 100 * self.video.mean, "cm", tolerance=0.05),
-            Metric(f"{self.name}, improvement", gain, "%", "higher", 0.1),
-            Metric(f"{self.name}, farthest off a marker", off, "cm", tolerance=0.1),
-        ]
-
-
-def spread(errors: Errors) -> tuple[float, float, float]:
-    """Mean, median and 95th percentile over both elbows, metres."""
+def spread(errors: Errors) -> list[float]:
+    """Mean, median, 95th percentile and RMS above 0.3 Hz over both elbows, metres."""
     found = errors.distances[np.isfinite(errors.distances)]
-    return errors.mean, float(np.median(found)), float(np.percentile(found, 95))
+    fast = float(np.sqrt(np.nanmean(errors.high_passed**2)))
+    return [errors.mean, float(np.median(found)), float(np.percentile(found, 95)), fast]
 
 
-def compare(name: str, path: Path, truth: Path, pairs: dict[str, str]) -> Result:
-    """Track a recording by markers alone and with video, and hold both against the truth."""
-    recording = Recording.load(path)
-    alone = track(recording, Settings(refine="none"))
-    video = track(recording)
-    assert video.report is not None
-    upper = [not any(foot in name.lower() for foot in FEET) for name in video.report.markers]
-    off = video.report.marker_errors[:, upper]
-    return Result(name, evaluate(alone, truth, pairs), evaluate(video, truth, pairs), off)
+def error_row(result: Result) -> list[str]:
+    """Centimetres, and the improvement in per cent."""
+    cells = [f"{100 * v:.1f}" for e in (result.alone, result.video) for v in spread(e)]
+    off = [100 * np.nanpercentile(result.off, 95), 100 * np.nanmax(result.off)]
+    return [result.clip.name, *cells, f"{result.improvement:.0%}", *(f"{v:.2f}" for v in off)]
 
 
-def balancing(folder: Path) -> list[Result]:
-    """One result for each camera of the real recording."""
-    paths = sorted(folder.glob("recording_cam_0*.toml"))
-    truth = folder / "truth.trc"
-    return [
-        compare(path.stem.removeprefix("recording_"), path, truth, REAL_ELBOWS) for path in paths
-    ]
-
-
-def table_tennis(seconds: float, seeds: range) -> list[Result]:
-    """One result for each synthetic person."""
-    results = []
-    for seed in seeds:
-        with tempfile.TemporaryDirectory() as folder:
-            path = write_table_tennis(folder, seconds, seed)
-            truth = path.with_name("truth.trc")
-            results.append(compare(f"table tennis {seed}", path, truth, ELBOWS))
-    return results
-
-
-def mean_row(name: str, results: list[Result]) -> list[str]:
+def mean_row(group: str, results: list[Result]) -> list[str]:
     """The means over some recordings, and by how much the mean error falls."""
     alone, video = (
         np.mean([spread(getattr(result, which)) for result in results], 0)
         for which in ("alone", "video")
     )
     cells = [f"{100 * v:.1f}" for v in (*alone, *video)]
-    return [name, *cells, f"{1 - video[0] / alone[0]:.0%}", "", ""]
+    return [f"{group}, mean", *cells, f"{1 - video[0] / alone[0]:.0%}", "", ""]
+
+
+def calm_row(result: Result) -> list[str]:
+    """Wrong turns, acceleration in m/s^2, lag in frames of the video."""
+    calm, alone = result.calm, result.calm_alone
+    sizes = [float(np.sqrt(np.mean(values**2))) for values in (calm.reference, calm.track)]
+    return [
+        result.clip.name,
+        f"{100 * result.wrong_share:.1f}",
+        f"{np.nanmax(result.turns.longest):.2f}",
+        *(f"{size:.1f}" for size in sizes),
+        *(f"{ratio:.2f}" for ratio in (calm.ratio, alone.ratio)),
+        *(_or_dash(lag) for lag in (result.lag_frames, alone.worst_lag / result.frame)),
+    ]
+
+
+def _or_dash(value: float) -> str:
+    return f"{value:+.2f}" if math.isfinite(value) else "-"
+
+
+def sure_rows(group: str, results: list[Result]) -> list[list[str]]:
+    """Of each landmark: truths within the 90 % interval, width, share that is the prior's."""
+    sure, pooled = covered(results), pool(results)
+    if sure is None or pooled is None:
+        return []
+    rows = [[group, "in 90 %, %", "", "", "deviation/RMS", "", "", "from prior"]]
+    rows.append(["", *"xyz", *"xyz", "%"])
+    for i, name in enumerate(pooled.landmarks):
+        prior = 100 * np.nanmean(pooled.from_prior[:, i])
+        shares, widths = ([f"{100 * v:.0f}" for v in sure.share[i]], sure.ratio[i])
+        rows.append([name, *shares, *(f"{v:.2f}" for v in widths), f"{prior:.0f}"])
+    return rows
+
+
+def metrics(result: Result) -> list[Metric]:
+    """The figures that a baseline holds."""
+    name, calm = result.clip.name, 100 * abs(result.calm.ratio - 1)
+    found = [
+        Metric(f"{name}, elbows, markers", 100 * result.alone.mean, "cm", tolerance=0.03),
+        Metric(f"{name}, elbows, video", 100 * result.video.mean, "cm", tolerance=0.05),
+        Metric(f"{name}, elbows, video, 95 %", 100 * spread(result.video)[2], "cm", tolerance=0.1),
+        Metric(f"{name}, improvement", 100 * result.improvement, "%", "higher", 0.1),
+        Metric(f"{name}, farthest off a marker", 100 * float(np.nanmax(result.off)), "cm"),
+        Metric(f"{name}, wrong turns", 100 * result.wrong_share, "%", tolerance=0.5),
+        Metric(f"{name}, longest wrong turn", float(np.nanmax(result.turns.longest)), "s"),
+        Metric(f"{name}, acceleration off the reference's", calm, "%"),
+        Metric(f"{name}, lag", abs(result.lag_frames), "frames"),
+    ]
+    return [metric for metric in found if math.isfinite(metric.value)]
+
+
+def report(groups: dict[str, list[Result]], causal: bool) -> str:
+    """All tables."""
+    errors, calm, parts = list(ERROR_HEADINGS), list(CALM_HEADINGS), []
+    for group, results in groups.items():
+        errors += [*map(error_row, results), mean_row(group, results)]
+        calm += map(calm_row, results)
+        parts += [aligned(rows)] if (rows := sure_rows(group, results)) else []
+    first = "elbows: distance from the truth, cm; off markers: head and hands, cm\n"
+    return "\n\n".join(
+        [first + aligned(errors), aligned(calm), *parts, table(criteria(groups, causal))]
+    )
+
+
+def chosen_clips(options: argparse.Namespace, keep: Path) -> dict[str, list[Clip]]:
+    """The recordings asked for, rendered where they are not there yet."""
+    groups: dict[str, list[Clip]] = {}
+    for kind in options.only:
+        if kind != "real":
+            groups[kind] = synthetic(kind, options.seeds, options.azimuths, options.seconds, keep)
+        elif options.recordings:
+            groups["balancing"] = real(Path(options.recordings))
+    return groups
+
+
+def seeds(text: str) -> list[int]:
+    """Such as ``0-9`` or ``3`` or ``0,4-6``."""
+    found: list[int] = []
+    for part in text.split(","):
+        first, _, last = part.partition("-")
+        found += range(int(first), int(last or first) + 1)
+    return found
+
+
+def numbers(text: str) -> list[float]:
+    """Such as ``0,-60,60``."""
+    return [float(part) for part in text.split(",")]
+
+
+def kinds(text: str) -> list[str]:
+    """Such as ``real,tennis``."""
+    found = text.split(",")
+    if unknown := [kind for kind in found if kind not in KINDS]:
+        raise argparse.ArgumentTypeError(f"{unknown[0]!r}: expected of {', '.join(KINDS)}")
+    return found
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    whole = argparse.ArgumentParser(
+        prog="python -m bench.accuracy",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = whole.add_argument
+    add("recordings", nargs="?", help="folder of the real recordings")
+    add(
+        "--seeds", type=seeds, default=seeds("0-9"), metavar="0-9",
+        help="of each synthetic kind; 100 to 119 are kept for the final report",
+    )  # fmt: skip
+    add("--seconds", type=float, default=6.0, help="of a synthetic recording")
+    add(
+        "--azimuths", type=numbers, default=numbers("0,-60,60,-30,30"), metavar="0,-60,...",
+        help="of the camera, degrees from frontal, one for each seed in turn (with a leading "
+        "minus: --azimuths=-60,60)",
+    )  # fmt: skip
+    add("--noise", type=float, default=0.0, help="on the markers, metres, such as 0.005")
+    add("--causal", action="store_true", help="as a live run would have it")
+    known = get_args(get_type_hints(Settings)["refine"])
+    add("--refine", choices=known, default=Settings().refine, help="what follows the search")
+    add(
+        "--only", type=kinds, default=list(USUAL), metavar="KIND,...",
+        help=f"of {', '.join(KINDS)}; usually {', '.join(USUAL)}",
+    )  # fmt: skip
+    add("--keep", metavar="DIR", help="keep synthetic recordings here, rendered once")
+    add("--json", metavar="FILE", help="write the metrics")
+    return whole
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m bench.accuracy", description=__doc__)
-    parser.add_argument("recordings", nargs="?", help="folder of the real recordings")
-    parser.add_argument("--seconds", type=float, default=6.0, help="of table tennis, each")
-    parser.add_argument("--seeds", type=int, default=2, help="of table tennis, how many")
-    parser.add_argument("--json", metavar="FILE", help="write the metrics")
-    options = parser.parse_args()
+    options = parser().parse_args()
     keep_compiled()
-    sets = {"table tennis, mean": table_tennis(options.seconds, range(options.seeds))}
-    if options.recordings:
-        sets["cameras, mean"] = balancing(Path(options.recordings) / "balancing")
-    rows = list(HEADINGS)
-    for name, results in sets.items():
-        rows += [result.row() for result in results]
-        rows.append(mean_row(name, results))
-    print("elbows: distance from the truth, cm; off markers: head and hands, cm")
-    print(aligned(rows))
+    settings, mode = choose_settings(options.refine), "causal" if options.causal else "own"
+    groups: dict[str, list[Result]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for group, clips in chosen_clips(options, Path(options.keep or folder)).items():
+            for clip in clips:
+                print(f"tracking {clip.name}", file=sys.stderr, flush=True)
+                groups.setdefault(group, []).append(judge(clip, settings, mode, options.noise))
+    print(report(groups, options.causal))
     if options.json:
-        write_json(
-            (m for results in sets.values() for r in results for m in r.metrics()), options.json
-        )
+        found = (metric for results in groups.values() for r in results for metric in metrics(r))
+        write_json(found, options.json)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.synthetic.recording import (
     write_reaching,
     write_squat,
@@ -21,8 +22,13 @@ WRITERS = {
     "reaching": write_reaching,
     "squat": write_squat,
 }
-REAL_ELBOWS = {"elbow_l": "LElbow", "elbow_r": "RElbow"}
-ELBOWS = {"elbow_l": "elbow_l", "elbow_r": "elbow_r"}
+ELBOWS = ("elbow_l", "elbow_r")
+# Landmark -> its marker in the reference.
+REAL_LANDMARKS = {"neck": "Neck", "vertex": "Head"} | {
+    f"{part}_{side}": f"{side.upper()}{'BigToe' if part == 'toe' else part.capitalize()}"
+    for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe")
+    for side in "lr"
+}
 
 
 @dataclass(frozen=True)
@@ -33,20 +39,27 @@ class Clip:
         group: recordings of one kind share one row of means.
         name: of the recording.
         path: of its ``recording.toml``; ``truth`` lies beside it.
-        pairs: joint -> its marker in the reference.
+        landmarks: landmark -> its marker in the reference.
         seed: of noise that is added to its markers.
+        azimuth: of a synthetic recording's camera, degrees from frontal.
     """
 
     group: str
     name: str
     path: Path
-    pairs: dict[str, str]
+    landmarks: dict[str, str]
     seed: int = 0
+    azimuth: float = 0.0
 
     @property
     def truth(self) -> Path:
         """The reference."""
         return self.path.with_name("truth.trc")
+
+    @property
+    def pairs(self) -> dict[str, str]:
+        """The elbows -> their markers in the reference."""
+        return {name: self.landmarks[name] for name in ELBOWS}
 
 
 def real(folder: Path) -> list[Clip]:
@@ -54,7 +67,7 @@ def real(folder: Path) -> list[Clip]:
     paths = sorted((folder / "balancing").glob("recording_cam_0*.toml"))
     names = [path.stem.removeprefix("recording_") for path in paths]
     return [
-        Clip("balancing", name, path, REAL_ELBOWS, seed)
+        Clip("balancing", name, path, REAL_LANDMARKS, seed)
         for seed, (name, path) in enumerate(zip(names, paths, strict=True))
     ]
 
@@ -79,5 +92,5 @@ def synthetic(
         # Written last: where it is, all is.
         if not path.is_file():
             WRITERS[motion](path.parent, seconds, seed, azimuth=azimuth)
-        clips.append(Clip(motion, name, path, ELBOWS, seed))
+        clips.append(Clip(motion, name, path, {mark: mark for mark in LANDMARKS}, seed, azimuth))
     return clips

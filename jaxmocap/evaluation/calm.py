@@ -15,6 +15,8 @@ import numpy as np
 from jaxmocap.evaluation.series import resampled, sample_step, second_difference
 
 LARGEST_LAG_S = 0.25
+# Velocities for the lag are taken over this time: from sample to sample, jitter would drown them.
+BASELINE_S = 0.1
 # Lags tried within a sample; a parabola through the best three finds what lies between.
 LAGS_PER_SAMPLE = 2
 # Velocities less alike than this at every lag tell no lag.
@@ -99,7 +101,8 @@ def lag(
     count = int(LAGS_PER_SAMPLE * LARGEST_LAG_S / step)
     lags = np.arange(-count, count + 1) * step / LAGS_PER_SAMPLE
     truth = resampled(reference_times, reference, times - lags[:, None])
-    likeness = _likeness(np.diff(track, axis=0), np.diff(truth, axis=1))
+    apart = max(round(BASELINE_S / step), 1)
+    likeness = _likeness(track[apart:] - track[:-apart], truth[:, apart:] - truth[:, :-apart])
     if np.isnan(likeness).all():
         return float("nan"), float("nan")
     best = int(np.nanargmax(likeness))

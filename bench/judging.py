@@ -1,0 +1,148 @@
+"""One recording, tracked by markers alone and with video, and what can be said of the two.
+
+INPUTS: a Clip, settings of the tracker. OUTPUTS: a Result.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.clips import Clip
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.capture.timeline import Mode
+from jaxmocap.evaluation.calm import Calm, calmness
+from jaxmocap.evaluation.errors import Errors
+from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.series import sample_step
+from jaxmocap.evaluation.turns import WrongTurns, wrong_turns
+from jaxmocap.formats.markers import read_markers
+from jaxmocap.formats.recording import Recording
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.run.reading import open_footage
+from jaxmocap.run.recording import choose_settings, track
+
+FEET = ("ankle", "toe")  # parts of their markers' names
+
+
+class Sureness(NamedTuple):
+    """Errors of L landmarks beside the deviations that the tracker reports.
+
+    Attributes:
+        landmarks: their names.
+        offsets: (N, L, 3) tracked minus reference, metres; NaN where either is missing.
+        deviations: (N, L, 3) metres.
+        from_prior: (N, L) whether the tracker says that it knows no better than its prior.
+    """
+
+    landmarks: tuple[str, ...]
+    offsets: np.ndarray
+    deviations: np.ndarray
+    from_prior: np.ndarray
+
+
+@dataclass(frozen=True)
+class Result:
+    """One recording, tracked twice.
+
+    Attributes:
+        clip: the recording.
+        alone: errors of the elbows by markers alone.
+        video: the same with video.
+        off: (T, M) distances from head and hands to their markers after refinement, metres.
+        turns: where video was worse than markers alone, each elbow.
+        calm_alone: acceleration and lag of the elbows by markers alone.
+        calm: the same with video.
+        frame: time between two video frames, seconds.
+        sureness: None where the tracker reports no deviations.
+    """
+
+    clip: Clip
+    alone: Errors
+    video: Errors
+    off: np.ndarray
+    turns: WrongTurns
+    calm_alone: Calm
+    calm: Calm
+    frame: float
+    sureness: Sureness | None
+
+    @property
+    def improvement(self) -> float:
+        """By which share video lowers the mean error."""
+        return 1 - self.video.mean / self.alone.mean
+
+    @property
+    def lag_frames(self) -> float:
+        """Of the elbow that is farthest off, in frames of the video; NaN if that is unknown."""
+        return self.calm.worst_lag / self.frame
+
+    @property
+    def wrong_share(self) -> float:
+        """Share of wrong turns over both elbows."""
+        return float(np.nanmean(self.turns.share))
+
+
+def judge(clip: Clip, settings: Settings, mode: Mode = "own", noise: float = 0.0) -> Result:
+    """Track a recording by markers alone and with video, and hold both against the truth.
+
+    Args:
+        clip: the recording.
+        settings: of the tracker with video.
+        mode: of ``track``.
+        noise: standard deviation of white noise on every coordinate of the markers, metres.
+    """
+    recording = shaken(Recording.load(clip.path), noise, clip.seed)
+    alone = track(recording, choose_settings("none"), mode=mode)
+    video = track(recording, settings, mode=mode)
+    assert video.report is not None
+    upper = [not any(foot in name.lower() for foot in FEET) for name in video.report.markers]
+    before, after = (evaluate(motion, clip.truth, clip.pairs) for motion in (alone, video))
+    (footage, *_), _ = open_footage(recording)
+    return Result(
+        clip,
+        before,
+        after,
+        video.report.marker_errors[:, upper],
+        wrong_turns(after.times, before.distances, after.distances),
+        calm_of(alone, clip),
+        calm_of(video, clip),
+        sample_step(footage.times),
+        sureness_of(video, clip),
+    )
+
+
+def shaken(recording: Recording, noise: float, seed: int) -> Recording:
+    """The recording with white noise (metres, of each coordinate) on its markers."""
+    if not noise:
+        return recording
+    rng = np.random.default_rng([seed, 5])
+    positions = recording.positions_world
+    return replace(recording, positions_world=positions + rng.normal(0, noise, positions.shape))
+
+
+def calm_of(motion: Motion, clip: Clip) -> Calm:
+    """Acceleration and lag of the elbows."""
+    markers, joints = read_markers(clip.truth), motion.joints()
+    truth = markers.points()
+    return calmness(
+        motion.times,
+        np.stack([joints[joint] for joint in clip.pairs], 1),
+        markers.times,
+        np.stack([truth[marker] for marker in clip.pairs.values()], 1),
+    )
+
+
+def sureness_of(motion: Motion, clip: Clip) -> Sureness | None:
+    """Errors of every landmark that the reference has, beside the reported deviations."""
+    deviations = getattr(motion.report, "landmarks_std", None)
+    if deviations is None:
+        return None
+    errors = evaluate(motion, clip.truth, clip.landmarks)
+    rows = np.searchsorted(motion.times, errors.times)
+    columns = [list(LANDMARKS).index(name) for name in clip.landmarks]
+    from_prior = np.asarray(getattr(motion.report, "from_prior", np.zeros(deviations.shape[:2])))
+    return Sureness(
+        errors.joints, errors.offsets, deviations[rows][:, columns], from_prior[rows][:, columns]
+    )
