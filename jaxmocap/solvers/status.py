@@ -12,6 +12,8 @@ class Status(IntEnum):
     CONVERGED = 0
     OUT_OF_STEPS = 1
     BROKEN = 2
+    STALLED = 3
+    UNDETERMINED = 4
 
 
 # They hold no figures, so that a report can count them.
@@ -19,4 +21,6 @@ SENTENCES = {
     Status.CONVERGED: "",
     Status.OUT_OF_STEPS: "had not converged after its largest number of steps",
     Status.BROKEN: "broke down and left its start as it was",
+    Status.STALLED: "stopped where no step lowered its cost",
+    Status.UNDETERMINED: "left unknowns as they were that nothing determines",
 }

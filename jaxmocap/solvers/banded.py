@@ -1,0 +1,99 @@
+"""Symmetric positive definite systems whose blocks reach a few frames on, in float64 on the host.
+
+T frames of N unknowns each. The matrix is kept as its upper block rows (T, N, (r + 1) N): row t
+holds the blocks (t, t), (t, t + 1) to (t, t + r) side by side; what reaches past the last frame is
+ignored.
+
+INPUTS: block rows, right-hand sides. OUTPUTS: solutions, blocks of the inverse.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_solve_banded, cholesky_banded
+
+# LinAlgError, which ``factorise`` raises, by a name of ours.
+NotPositiveDefinite = np.linalg.LinAlgError
+
+
+class Factor(NamedTuple):
+    """A Cholesky factor L of a banded matrix.
+
+    Attributes:
+        columns: (T * N, (r + 1) N) column i of L from its diagonal entry downwards.
+        frames: T.
+    """
+
+    columns: np.ndarray
+    frames: int
+
+
+def pack(rows: np.ndarray) -> np.ndarray:
+    """The columns (T * N, (r + 1) N), from the diagonal down, of (T, N, (r + 1) N) block rows.
+
+    Entry k of column i is the matrix's (i + k, i): LAPACK's lower band storage, transposed.
+    """
+    frames, size, width = rows.shape
+    padded = np.concatenate([rows, np.zeros((frames, size, size))], 2)
+    return padded[(slice(None), *_diagonals(size, width))].reshape(frames * size, width)
+
+
+def unpack(columns: np.ndarray, frames: int) -> np.ndarray:
+    """Block rows (T, N, (r + 1) N) of the upper triangle whose ``columns`` those are.
+
+    The diagonal blocks have their upper triangles only.
+    """
+    width = columns.shape[1]
+    size = len(columns) // frames
+    padded = np.zeros((frames, size, width + size))
+    padded[(slice(None), *_diagonals(size, width))] = columns.reshape(frames, size, width)
+    return padded[:, :, :width]
+
+
+def factorise(rows: np.ndarray, ridge: np.ndarray | float = 0.0) -> Factor:
+    """The Cholesky factor of block rows (T, N, (r + 1) N) with ``ridge`` (T, N) on the diagonal.
+
+    Raises:
+        NotPositiveDefinite: where there is none.
+    """
+    columns = pack(rows)
+    columns[:, 0] += np.broadcast_to(ridge, rows.shape[:2]).ravel()
+    # The transposed view is in Fortran's order, so that LAPACK works in place.
+    band = cholesky_banded(columns.T, overwrite_ab=True, lower=True, check_finite=False)
+    return Factor(band.T, len(rows))
+
+
+def solve(factor: Factor, right: np.ndarray) -> np.ndarray:
+    """Solutions (T, N, K) of K right-hand sides (T, N, K)."""
+    if not right.size:
+        return np.zeros(right.shape)
+    flat = np.asfortranarray(right.reshape(len(factor.columns), -1))
+    band = (factor.columns.T, True)
+    return cho_solve_banded(band, flat, overwrite_b=True, check_finite=False).reshape(right.shape)
+
+
+def inverse_blocks(factor: Factor) -> np.ndarray:
+    """Diagonal blocks (T, N, N) of the inverse, from the last frame to the first (Takahashi).
+
+    Given what follows it, a frame is U times the next r frames plus noise that is independent of
+    them; each block is a sum of positive parts, so that no variance can turn negative.
+    """
+    upper = unpack(factor.columns, factor.frames)
+    size, width = upper.shape[1:]
+    own = np.linalg.inv(upper[:, :, :size])
+    U = own @ upper[:, :, size:]
+    noise = own @ own.swapaxes(1, 2)
+    blocks = np.empty_like(noise)
+    following = np.zeros((width - size, width - size))
+    for frame in reversed(range(factor.frames)):
+        across = -U[frame] @ following
+        blocks[frame] = noise[frame] - across @ U[frame].T
+        joint = np.block([[blocks[frame], across], [across.T, following]])
+        following = joint[: width - size, : width - size]
+    return blocks
+
+
+def _diagonals(size: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Indices (N, width) into a block row: row b from column b on."""
+    row = np.arange(size)[:, None]
+    return np.broadcast_to(row, (size, width)), row + np.arange(width)

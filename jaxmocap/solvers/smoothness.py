@@ -1,0 +1,111 @@
+"""What is known of a motion before it is seen: accelerations are white noise.
+
+M coordinates of points over T frames at any times. The prior is a sum of squares, the integral of
+(acceleration / deviation)^2 over time in its discrete form, so that it does not depend on how often
+the motion was sampled: a point whose acceleration has the spectral density ``deviation``^2.
+
+INPUTS: times, deviations, points over time. OUTPUTS: the prior's cost, precision, block rows.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+# An acceleration reaches two frames on.
+REACH = 2
+
+
+class Stencil(NamedTuple):
+    """Weighted differences of K successive groups of w frames.
+
+    Attributes:
+        coefficients: (K, w).
+        weights: (M,) 1 / deviation; 0 where nothing is known.
+    """
+
+    coefficients: np.ndarray
+    weights: np.ndarray
+
+    def residuals(self, values: np.ndarray) -> np.ndarray:
+        """Differences (K, M, ...) of (T, M, ...) values, weighted."""
+        count, width = self.coefficients.shape
+        shape = (count, *[1] * (values.ndim - 1))
+        total = np.zeros((count, *values.shape[1:]))
+        for k in range(width):
+            total += self.coefficients[:, k].reshape(shape) * values[k : k + count]
+        return total * self.weights.reshape(-1, *[1] * (values.ndim - 2))
+
+    def spread(self, residuals: np.ndarray, frames: int) -> np.ndarray:
+        """The transpose of ``residuals``: (K, M, ...) to (T, M, ...)."""
+        count, width = self.coefficients.shape
+        shape = (count, *[1] * (residuals.ndim - 1))
+        total = np.zeros((frames, *residuals.shape[1:]))
+        for k in range(width):
+            total[k : k + count] += self.coefficients[:, k].reshape(shape) * residuals
+        return total * self.weights.reshape(-1, *[1] * (residuals.ndim - 2))
+
+    def band(self, ahead: int, frames: int) -> np.ndarray:
+        """How strongly (T,) each frame is tied to the one ``ahead`` of it, for weight 1."""
+        count, width = self.coefficients.shape
+        total = np.zeros(frames)
+        for k in range(width - ahead):
+            total[k : k + count] += self.coefficients[:, k] * self.coefficients[:, k + ahead]
+        return total
+
+
+class Smoothness(NamedTuple):
+    """A prior over the motion of M coordinates in T frames.
+
+    Attributes:
+        frames: T.
+        stencils: of velocities and of accelerations.
+    """
+
+    frames: int
+    stencils: tuple[Stencil, ...]
+
+    def cost(self, points: np.ndarray) -> float:
+        """The sum of squares at (T, M) points."""
+        return sum(float(np.sum(each.residuals(points) ** 2)) for each in self.stencils)
+
+    def precision(self, values: np.ndarray) -> np.ndarray:
+        """The prior's precision matrix times each of (T, M, K) values."""
+        return sum(
+            (each.spread(each.residuals(values), self.frames) for each in self.stencils),
+            start=np.zeros(values.shape),
+        )
+
+    def block_rows(self, jacobian: np.ndarray) -> np.ndarray:
+        """Its Hessian by the (T, M, N) derivative of the points, as ``banded`` keeps it."""
+        rows = np.zeros((self.frames, jacobian.shape[2], 3 * jacobian.shape[2]))
+        blocks = np.split(rows, REACH + 1, 2)
+        for ahead, block in enumerate(blocks[: self.frames]):
+            ties = sum(np.outer(s.band(ahead, self.frames), s.weights**2) for s in self.stencils)
+            here = slice(0, self.frames - ahead)
+            scaled = jacobian[ahead:] * np.asarray(ties)[here, :, None]
+            block[here] = jacobian[here].swapaxes(1, 2) @ scaled
+        return rows
+
+
+def smoothness(
+    times: np.ndarray,
+    accelerations: np.ndarray,
+    velocities: np.ndarray | float = np.inf,
+) -> Smoothness:
+    """The prior that accelerations, and velocities if asked for, are white noise.
+
+    Args:
+        times: (T,) seconds, increasing, at any intervals.
+        accelerations: (M,) deviations sigma, in units / s^2 * sqrt(s); infinite where nothing is
+            known. The mean acceleration over h seconds deviates by sigma / sqrt(h).
+        velocities: (M,) or (), the same of velocities, in units / s * sqrt(s).
+    """
+    times, deviations = np.asarray(times, float), np.asarray(accelerations, float)
+    steps = np.diff(times)
+    if not (steps > 0).all():
+        raise ValueError("the times of a trajectory must increase")
+    h1, h2 = steps[:-1], steps[1:]
+    second = np.stack([1 / h1, -1 / h1 - 1 / h2, 1 / h2], 1) * np.sqrt(2 / (h1 + h2))[:, None]
+    first = np.stack([-1 / np.sqrt(steps), 1 / np.sqrt(steps)], 1)
+    slow = np.broadcast_to(np.asarray(velocities, float), deviations.shape)
+    return Smoothness(len(times), (Stencil(first, 1 / slow), Stencil(second, 1 / deviations)))
