@@ -61,6 +61,8 @@ class Equations(NamedTuple):
         cross: (T, N, P) C.
         shared: (P, P) B.
         shared_gradient: (P,) b.
+        scale: (N,) what damping holds each frame's unknowns back by.
+        shared_scale: (P,) likewise.
     """
 
     rows: np.ndarray
@@ -68,6 +70,8 @@ class Equations(NamedTuple):
     cross: np.ndarray
     shared: np.ndarray
     shared_gradient: np.ndarray
+    scale: np.ndarray
+    shared_scale: np.ndarray
 
     def diagonal(self) -> np.ndarray:
         """(T, N) of A."""
@@ -78,13 +82,13 @@ class Equations(NamedTuple):
         return all(bool(np.isfinite(entries).all()) for entries in self)
 
     def step(self, damping: float, floor: float) -> Step:
-        """The step with ``damping`` times the diagonal, and ``floor``, added to the diagonal.
+        """The step with ``damping`` times the scale, and ``floor``, added to the diagonal.
 
         Raises:
             NotPositiveDefinite: where the damping is too light.
         """
-        ridge = damping * self.diagonal() + floor
-        shared_ridge = damping * np.diag(self.shared) + floor
+        ridge = damping * self.scale + floor
+        shared_ridge = damping * self.shared_scale + floor
         factor = banded.factorise(self.rows, ridge)
         right = np.concatenate([self.gradient[..., None], self.cross], 2)
         solved = banded.solve(factor, right)

@@ -27,30 +27,28 @@ class Stencil(NamedTuple):
     weights: np.ndarray
 
     def residuals(self, values: np.ndarray) -> np.ndarray:
-        """Differences (K, M, ...) of (T, M, ...) values, weighted."""
+        """Differences (K, M, L), weighted, of each of L sets of (T, M, L) values."""
         count, width = self.coefficients.shape
-        shape = (count, *[1] * (values.ndim - 1))
         total = np.zeros((count, *values.shape[1:]))
         for k in range(width):
-            total += self.coefficients[:, k].reshape(shape) * values[k : k + count]
-        return total * self.weights.reshape(-1, *[1] * (values.ndim - 2))
+            total += self.coefficients[:, k, None, None] * values[k : k + count]
+        return total * self.weights[:, None]
 
     def spread(self, residuals: np.ndarray, frames: int) -> np.ndarray:
-        """The transpose of ``residuals``: (K, M, ...) to (T, M, ...)."""
+        """The transpose of ``residuals``: (K, M, L) to (T, M, L)."""
         count, width = self.coefficients.shape
-        shape = (count, *[1] * (residuals.ndim - 1))
         total = np.zeros((frames, *residuals.shape[1:]))
         for k in range(width):
-            total[k : k + count] += self.coefficients[:, k].reshape(shape) * residuals
-        return total * self.weights.reshape(-1, *[1] * (residuals.ndim - 2))
+            total[k : k + count] += self.coefficients[:, k, None, None] * residuals
+        return total * self.weights[:, None]
 
-    def band(self, ahead: int, frames: int) -> np.ndarray:
-        """How strongly (T,) each frame is tied to the one ``ahead`` of it, for weight 1."""
+    def ties(self, ahead: int, frames: int) -> np.ndarray:
+        """How strongly (T, M) each frame's values are tied to those ``ahead`` of them."""
         count, width = self.coefficients.shape
         total = np.zeros(frames)
         for k in range(width - ahead):
             total[k : k + count] += self.coefficients[:, k] * self.coefficients[:, k + ahead]
-        return total
+        return np.outer(total, self.weights**2)
 
 
 class Smoothness(NamedTuple):
@@ -66,7 +64,7 @@ class Smoothness(NamedTuple):
 
     def cost(self, points: np.ndarray) -> float:
         """The sum of squares at (T, M) points."""
-        return sum(float(np.sum(each.residuals(points) ** 2)) for each in self.stencils)
+        return sum(float(np.sum(each.residuals(points[..., None]) ** 2)) for each in self.stencils)
 
     def precision(self, values: np.ndarray) -> np.ndarray:
         """The prior's precision matrix times each of (T, M, K) values."""
@@ -77,12 +75,14 @@ class Smoothness(NamedTuple):
 
     def block_rows(self, jacobian: np.ndarray) -> np.ndarray:
         """Its Hessian by the (T, M, N) derivative of the points, as ``banded`` keeps it."""
-        rows = np.zeros((self.frames, jacobian.shape[2], 3 * jacobian.shape[2]))
+        rows = np.zeros((self.frames, jacobian.shape[2], (REACH + 1) * jacobian.shape[2]))
         blocks = np.split(rows, REACH + 1, 2)
         for ahead, block in enumerate(blocks[: self.frames]):
-            ties = sum(np.outer(s.band(ahead, self.frames), s.weights**2) for s in self.stencils)
+            ties = np.zeros(jacobian.shape[:2])
+            for each in self.stencils:
+                ties += each.ties(ahead, self.frames)
             here = slice(0, self.frames - ahead)
-            scaled = jacobian[ahead:] * np.asarray(ties)[here, :, None]
+            scaled = jacobian[ahead:] * ties[here, :, None]
             block[here] = jacobian[here].swapaxes(1, 2) @ scaled
         return rows
 
@@ -108,4 +108,5 @@ def smoothness(
     second = np.stack([1 / h1, -1 / h1 - 1 / h2, 1 / h2], 1) * np.sqrt(2 / (h1 + h2))[:, None]
     first = np.stack([-1 / np.sqrt(steps), 1 / np.sqrt(steps)], 1)
     slow = np.broadcast_to(np.asarray(velocities, float), deviations.shape)
-    return Smoothness(len(times), (Stencil(first, 1 / slow), Stencil(second, 1 / deviations)))
+    stencils = Stencil(first, 1 / slow), Stencil(second, 1 / deviations)
+    return Smoothness(len(times), tuple(each for each in stencils if each.weights.any()))

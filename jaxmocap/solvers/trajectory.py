@@ -23,6 +23,10 @@ from jaxmocap.solvers.status import Status
 
 # The derivative by no shared parameters, of any number of coordinates in any number of frames.
 UNSHARED = np.zeros((1, 1, 0))
+# Damping is by the frames' own curvature: by the prior's, a million times as stiff from frame to
+# frame, slow movements, in which the prior is soft, would hardly start. This share of the prior's
+# still holds unknowns that no frame sees.
+PRIORS_SHARE = 1e-4
 LEAST_DAMPING = 1e-9
 # With more of it, a small step or gain does not mean that the minimum is near.
 LIGHT_DAMPING = 1.0
@@ -63,7 +67,7 @@ class Settings(NamedTuple):
     Attributes:
         iterations: most linearisations.
         attempts: most steps tried from one of them.
-        damping: the first, as a share of the Hessian's diagonal.
+        damping: the first, as a share of the frames' mean curvature.
         relative: converged when the cost falls by no more than this share, or
         step: when no tangent component moves by more than this.
         floor: curvature that every unknown has about its present value, so that what nothing
@@ -116,6 +120,9 @@ def smooth(
     held: int = 0,
 ) -> Smoothed:
     """Minimise the frames' costs plus the prior over a whole trajectory.
+
+    A stiff prior turns a far start into a narrow bent valley: there, solve with several times the
+    prior's deviations first.
 
     Args:
         linearise: trajectory to its ``Linearised``.
@@ -177,6 +184,7 @@ def normal_equations(linearised: Linearised, prior: Smoothness, held: int = 0) -
     cross, shared, shared_gradient, shared_jacobian = border
     common = np.broadcast_to(shared_jacobian, (*points.shape, len(shared)))
     rows = prior.block_rows(jacobian)
+    stiffness = np.einsum("tii->i", rows[:, :, : gradient.shape[1]]) / len(rows)
     rows[:, :, : gradient.shape[1]] += hessian
     # The points and their leverage on the shared parameters pass through the prior together.
     pulled = prior.precision(np.concatenate([points[..., None], common], 2))
@@ -188,6 +196,8 @@ def normal_equations(linearised: Linearised, prior: Smoothness, held: int = 0) -
         (cross + own[..., 1:])[held:],
         shared + corner[:, 1:],
         shared_gradient + corner[:, 0],
+        np.einsum("tii->i", hessian) / len(rows) + PRIORS_SHARE * stiffness,
+        np.diag(shared) + PRIORS_SHARE * np.diag(corner[:, 1:]),
     )
 
 
