@@ -110,24 +110,52 @@ def outline(discs: Discs, along: int, around: int, open_ends: Array) -> Outline:
     )
 
 
-def signed_distance(discs: Discs, points: Array) -> Array:
-    """Distance of (..., 2) points to the hull's outline, negative inside."""
+class Touch(NamedTuple):
+    """Where the hull's outline is nearest to points: on the circle about one place of its axis.
+
+    Attributes:
+        along: (...) fraction of the axis, 0 at the near disc.
+        distance: (...) to the outline, negative inside.
+        normal_x: (...) of the unit vector from the axis' place to the point.
+        normal_y: (...).
+    """
+
+    along: Array
+    distance: Array
+    normal_x: Array
+    normal_y: Array
+
+
+def touch(discs: Discs, x: Array, y: Array) -> Touch:
+    """The hull as the union of the discs along its axis, and the one nearest to each point.
+
+    By the envelope theorem the distance's derivative by a disc is that of the touching circle: for
+    its centre ``-(1 - along) normal`` and ``-along normal``, for its radius ``-(1 - along)`` and
+    ``-along``, at the near and the far end.
+
+    Args:
+        discs: limbs, of a batch that broadcasts against the points.
+        x: (...) of the points; by components, since a sum over an axis of two is a slow loop of
+            its own over a raster.
+        y: (...).
+    """
     u, _, sine, cosine = _tangents(discs)
-    # By components: a sum over an axis of two is a slow loop of its own over a raster.
-    right = points[..., 0] - discs.near[..., 0]
-    down = points[..., 1] - discs.near[..., 1]
-    x = right * u[..., 0] + down * u[..., 1]
-    y = jnp.abs(down * u[..., 0] - right * u[..., 1])
     s, c = sine[..., 0], cosine[..., 0]
     length = jnp.sqrt(jnp.sum((discs.far - discs.near) ** 2, -1) + 1e-12)
-    # Position along the tangent line decides which part of the outline is nearest.
-    along = x * c - y * s
-    squared_near = x * x + y * y
-    squared_far = (x - length) ** 2 + y * y
-    to_near = jnp.sqrt(jnp.maximum(squared_near, 1e-12)) - discs.radii[..., 0]
-    to_far = jnp.sqrt(jnp.maximum(squared_far, 1e-12)) - discs.radii[..., 1]
-    to_side = x * s + y * c - discs.radii[..., 0]
-    hull = jnp.where(along < 0, to_near, jnp.where(along > length * c, to_far, to_side))
-    # End-on, one disc holds the other and is the hull: of the two it is the nearer one.
-    nested = length <= jnp.abs(discs.radii[..., 0] - discs.radii[..., 1])
-    return jnp.where(nested, jnp.minimum(to_near, to_far), hull)
+    right, down = x - discs.near[..., 0], y - discs.near[..., 1]
+    ahead = right * u[..., 0] + down * u[..., 1]
+    aside = jnp.abs(down * u[..., 0] - right * u[..., 1])
+    along = jnp.clip((ahead - aside * s / c) / length, 0.0, 1.0)
+    # End-on, the larger disc holds the other and is the hull.
+    gap = discs.radii[..., 0] - discs.radii[..., 1]
+    along = jnp.where(length <= jnp.abs(gap), jnp.where(gap > 0, 0.0, 1.0), along)
+    away_x = right - along * length * u[..., 0]
+    away_y = down - along * length * u[..., 1]
+    away = jnp.sqrt(jnp.maximum(away_x**2 + away_y**2, 1e-12))
+    radius = (1 - along) * discs.radii[..., 0] + along * discs.radii[..., 1]
+    return Touch(along, away - radius, away_x / away, away_y / away)
+
+
+def signed_distance(discs: Discs, points: Array) -> Array:
+    """Distance of (..., 2) points to the hull's outline, negative inside."""
+    return touch(discs, points[..., 0], points[..., 1]).distance
