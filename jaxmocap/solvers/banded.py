@@ -87,7 +87,9 @@ def inverse_blocks(factor: Factor) -> np.ndarray:
     following = np.zeros((width - size, width - size))
     for frame in reversed(range(factor.frames)):
         across = -U[frame] @ following
-        blocks[frame] = noise[frame] - across @ U[frame].T
+        own_block = noise[frame] - across @ U[frame].T
+        # What rounding leaves unsymmetric would grow threefold from frame to frame.
+        blocks[frame] = (own_block + own_block.T) / 2
         joint = np.block([[blocks[frame], across], [across.T, following]])
         following = joint[: width - size, : width - size]
     return blocks

@@ -67,7 +67,7 @@ class Smoothness(NamedTuple):
         return sum(float(np.sum(each.residuals(points[..., None]) ** 2)) for each in self.stencils)
 
     def precision(self, values: np.ndarray) -> np.ndarray:
-        """The prior's precision matrix times each of (T, M, K) values."""
+        """The prior's precision matrix times each of L sets of (T, M, L) values."""
         return sum(
             (each.spread(each.residuals(values), self.frames) for each in self.stencils),
             start=np.zeros(values.shape),

@@ -21,8 +21,8 @@ from jaxmocap.solvers.banded import NotPositiveDefinite
 from jaxmocap.solvers.smoothness import Smoothness
 from jaxmocap.solvers.status import Status
 
-# The derivative by no shared parameters, of any number of coordinates in any number of frames.
-UNSHARED = np.zeros((1, 1, 0))
+# The derivative of anything, in any frame, by no shared parameters.
+UNSHARED = np.zeros((1, 0))
 # Damping is by the frames' own curvature: by the prior's, a million times as stiff from frame to
 # frame, slow movements, in which the prior is soft, would hardly start. This share of the prior's
 # still holds unknowns that no frame sees.
@@ -45,8 +45,8 @@ class Linearised(NamedTuple):
         points: (T, M) the coordinates whose motion the prior judges.
         jacobian: (T, M, N) their derivative.
         cross: (T, N, P) J^T J_p; without shared parameters this and the rest are left out.
-        shared_hessian: (P, P) J_p^T J_p, summed over all frames and the prior on p.
-        shared_gradient: (P,) J_p^T r, likewise.
+        shared_hessian: (T, P, P) J_p^T J_p; a prior on p belongs to one frame, or a T-th to each.
+        shared_gradient: (T, P) J_p^T r.
         shared_jacobian: (T, M, P) the points' derivative by p.
     """
 
@@ -56,8 +56,8 @@ class Linearised(NamedTuple):
     points: ArrayLike
     jacobian: ArrayLike
     cross: ArrayLike = UNSHARED
-    shared_hessian: ArrayLike = np.zeros((0, 0))
-    shared_gradient: ArrayLike = np.zeros(0)
+    shared_hessian: ArrayLike = UNSHARED.T @ UNSHARED
+    shared_gradient: ArrayLike = UNSHARED[0]
     shared_jacobian: ArrayLike = UNSHARED
 
 
@@ -128,7 +128,7 @@ def smooth(
         linearise: trajectory to its ``Linearised``.
         evaluate: trajectory to costs (T,), with that of the prior on p in any of them, and points
             (T, M); a cost that is not finite refuses a step.
-        move: trajectory, steps (T, N) and shared step (P,), both float64, to trajectory.
+        move: trajectory, steps (T, N) and shared step (P,), float64 arrays both, to trajectory.
         start: a trajectory: anything that the three of them understand.
         prior: of the points' motion.
         settings: of the solve.
@@ -172,7 +172,7 @@ def point_variances(
 ) -> np.ndarray:
     """Variances (T, M) of coordinates, by their derivatives (T, M, N) and (T, M, P)."""
     own, common = _double(jacobian), _double(shared_jacobian)
-    common = np.broadcast_to(common, (*own.shape[:2], common.shape[2]))
+    common = np.broadcast_to(common, (*own.shape[:2], common.shape[-1]))
     spread = own @ found.frames + common @ found.cross.swapaxes(1, 2)
     across = own @ found.cross + common @ found.shared
     return np.sum(spread * own, 2) + np.sum(across * common, 2)
@@ -181,11 +181,13 @@ def point_variances(
 def normal_equations(linearised: Linearised, prior: Smoothness, held: int = 0) -> Equations:
     """The equations of all frames but the first ``held``, the prior's terms included."""
     _, hessian, gradient, points, jacobian, *border = (_double(each) for each in linearised)
-    cross, shared, shared_gradient, shared_jacobian = border
-    common = np.broadcast_to(shared_jacobian, (*points.shape, len(shared)))
+    cross, shared_hessian, shared_gradient, shared_jacobian = border
+    (frames, size), width = gradient.shape, shared_gradient.shape[-1]
+    common = np.broadcast_to(shared_jacobian, (*points.shape, width))
+    shared = np.broadcast_to(shared_hessian, (frames, width, width)).sum(0)
     rows = prior.block_rows(jacobian)
-    stiffness = np.einsum("tii->i", rows[:, :, : gradient.shape[1]]) / len(rows)
-    rows[:, :, : gradient.shape[1]] += hessian
+    stiffness = np.einsum("tii->i", rows[:, :, :size]) / frames
+    rows[:, :, :size] += hessian
     # The points and their leverage on the shared parameters pass through the prior together.
     pulled = prior.precision(np.concatenate([points[..., None], common], 2))
     own = jacobian.swapaxes(1, 2) @ pulled
@@ -195,8 +197,8 @@ def normal_equations(linearised: Linearised, prior: Smoothness, held: int = 0) -
         (gradient + own[..., 0])[held:],
         (cross + own[..., 1:])[held:],
         shared + corner[:, 1:],
-        shared_gradient + corner[:, 0],
-        np.einsum("tii->i", hessian) / len(rows) + PRIORS_SHARE * stiffness,
+        np.broadcast_to(shared_gradient, (frames, width)).sum(0) + corner[:, 0],
+        np.einsum("tii->i", hessian) / frames + PRIORS_SHARE * stiffness,
         np.diag(shared) + PRIORS_SHARE * np.diag(corner[:, 1:]),
     )
 
