@@ -10,8 +10,10 @@ OUTPUTS: the sum of squares, and its Gauss-Newton terms by the limbs' discs.
 
 from typing import NamedTuple
 
+import cv2
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxmocap.geometry.outlines import Discs, Touch, touch
@@ -33,6 +35,22 @@ class Grid(NamedTuple):
     weight: Array
 
 
+def blurred(grid: Grid, softness: float) -> Grid:
+    """Grids (V, S, S) seen as softly as they are drawn; on the host.
+
+    What is seen is averaged by weight, and so is the weight.
+    """
+
+    def blur(values: np.ndarray) -> np.ndarray:
+        way = cv2.BORDER_REPLICATE
+        return cv2.GaussianBlur(values, (0, 0), float(softness), borderType=way)
+
+    pairs = zip(np.asarray(grid.probability), np.asarray(grid.weight), strict=True)
+    parts = [(blur(p * w), blur(w)) for p, w in pairs]
+    seen, weight = (np.stack(each) for each in zip(*parts, strict=True))
+    return Grid(seen / np.maximum(weight, 1e-3), weight)
+
+
 class CoverageFit(NamedTuple):
     """Sum of squared differences over K limbs, about their present places.
 
@@ -48,7 +66,7 @@ class CoverageFit(NamedTuple):
 
 
 def cells(size: int, dtype: jnp.dtype) -> tuple[Array, Array]:
-    """x and y (S * S,) of a grid's cells, row by row."""
+    """Coordinates x and y (S * S,) of a grid's cells, row by row."""
     axis = jnp.arange(size, dtype=dtype)
     y, x = jnp.meshgrid(axis, axis, indexing="ij")
     return x.ravel(), y.ravel()

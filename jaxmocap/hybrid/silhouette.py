@@ -1,0 +1,144 @@
+"""The body's silhouette: how far the drawn body covers what the cameras saw of it.
+
+Two pictures of the same grid: the whole person against the background, and the forearms against
+all else, so that an arm before the torso is seen as well.
+
+INPUTS: a skeleton, a pose, a camera, what was seen on a grid.
+OUTPUTS: a cost, and its Gauss-Newton terms by the pose's tangent vector.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.flesh import Cones, cones
+from jaxmocap.body.kinematics import Frames, jacobian
+from jaxmocap.body.skeleton import Skeleton, Tree
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, to_camera, to_pixels
+from jaxmocap.geometry.outlines import Discs, project_limb, touch
+from jaxmocap.geometry.rotations import HIGHEST
+from jaxmocap.images.regions import Region, to_region
+from jaxmocap.images.silhouette import Grid, cells, coverage_cost, coverage_fit, frontmost
+
+# Feet are no cones, and shoes have colours of their own.
+UNDRAWN = ("foot_l", "foot_r")
+FOREARMS = ("radius_l", "radius_r", "hand_l", "hand_r")
+# A limb is hidden by what lies in front of its axis by more than this, metres, give or take.
+HIDDEN_BEYOND_M, HIDDEN_SOFTLY_M = 0.06, 0.03
+
+
+class Sight(NamedTuple):
+    """What one camera saw of the person at one time.
+
+    Attributes:
+        region: where the grid lies in the image (no batch).
+        person: the whole person.
+        forearms: forearms and hands alone.
+    """
+
+    region: Region
+    person: Grid
+    forearms: Grid
+
+
+def drawn_bones(tree: Tree) -> np.ndarray:
+    """Indices of the bones whose flesh is drawn."""
+    return np.array([tree.bone(name) for name in tree.bones if name not in UNDRAWN], np.int32)
+
+
+def silhouette_cost(
+    skeleton: Skeleton, frames: Frames, camera: Camera, sight: Sight, softness: Array
+) -> Array:
+    """Sum of squares of both pictures; ``softness`` in cells."""
+    flesh = cones(skeleton, frames, drawn_bones(skeleton.tree))
+    discs = _discs(camera, flesh, sight.region)
+    fore, visible = _forearms(skeleton.tree, camera, flesh, discs, sight.person)
+    arms = Discs(*(part[fore] for part in discs))
+    whole = coverage_cost(discs, sight.person, softness)
+    return whole + coverage_cost(arms, sight.forearms, softness, visible)
+
+
+def silhouette_fit(
+    skeleton: Skeleton, frames: Frames, camera: Camera, sight: Sight, softness: Array
+) -> tuple[Array, Array, Array]:
+    """The same cost (), with J^T J (6 + D, 6 + D) and J^T r (6 + D,)."""
+    bones = drawn_bones(skeleton.tree)
+    flesh = cones(skeleton, frames, bones)
+    discs = _discs(camera, flesh, sight.region)
+    fore, visible = _forearms(skeleton.tree, camera, flesh, discs, sight.person)
+    arms = Discs(*(part[fore] for part in discs))
+    leverage = _leverage(skeleton, frames, camera, flesh, discs, sight.region, bones)
+    whole = coverage_fit(discs, sight.person, softness)
+    part = coverage_fit(arms, sight.forearms, softness, visible)
+    hessian = whole.hessian.at[fore].add(part.hessian)
+    gradient = whole.gradient.at[fore].add(part.gradient)
+    return (
+        whole.cost + part.cost,
+        jnp.einsum("kia,kij,kjb->ab", leverage, hessian, leverage, precision=HIGHEST),
+        jnp.einsum("kia,ki->a", leverage, gradient, precision=HIGHEST),
+    )
+
+
+def _discs(camera: Camera, flesh: Cones, region: Region) -> Discs:
+    """Limbs in cells of the grid."""
+    on_plane = project_limb(
+        to_camera(camera, flesh.near), to_camera(camera, flesh.far), flesh.radii
+    )
+    focal_px = (camera.matrix[0, 0] + camera.matrix[1, 1]) / 2
+    return Discs(
+        to_region(region, to_pixels(camera, on_plane.near)),
+        to_region(region, to_pixels(camera, on_plane.far)),
+        on_plane.radii * focal_px / region.scale,
+    )
+
+
+def _forearms(
+    tree: Tree, camera: Camera, flesh: Cones, discs: Discs, grid: Grid
+) -> tuple[np.ndarray, Array]:
+    """Which limbs are forearms, and how much (S * S,) of the frontmost of them is to be seen.
+
+    Seen as they are: what hides a limb has no derivative.
+    """
+    names = [tree.bones[bone] for bone in drawn_bones(tree)]
+    fore = np.array([name in FOREARMS for name in names])
+    size = grid.probability.shape[-1]
+    depths = jnp.stack([to_camera(camera, end)[:, 2] for end in (flesh.near, flesh.far)], 1)
+    which, _, at = frontmost(Discs(*(part[fore] for part in discs)), size)
+    ends = depths[fore][which]
+    depth = (1 - at.along) * ends[:, 0] + at.along * ends[:, 1]
+    others = Discs(*(part[~fore][:, None] for part in discs))
+    x, y = cells(size, discs.near.dtype)
+    surface = jnp.mean(depths[~fore] - flesh.radii[~fore], 1)[:, None]
+    over = touch(others, x, y).distance < 0
+    before = jnp.min(jnp.where(over, surface, jnp.inf), 0)
+    visible = jax.nn.sigmoid((before + HIDDEN_BEYOND_M - depth) / HIDDEN_SOFTLY_M)
+    return np.flatnonzero(fore), jax.lax.stop_gradient(visible)
+
+
+def _leverage(
+    skeleton: Skeleton,
+    frames: Frames,
+    camera: Camera,
+    flesh: Cones,
+    discs: Discs,
+    region: Region,
+    bones: np.ndarray,
+) -> Array:
+    """Derivatives (K, 6, 6 + D) of the limbs' discs in cells; the lens' distortion hardly turns."""
+    focal = (camera.matrix[0, 0] + camera.matrix[1, 1]) / 2 / region.scale
+    R_cam_world = camera.T_cam_world[:3, :3]
+
+    def of_end(points_world: Array, radii: Array) -> tuple[Array, Array]:
+        J_world = jacobian(skeleton, frames, bones, points_world)
+        J = jnp.einsum("ij,kjd->kid", R_cam_world, J_world, precision=HIGHEST)
+        point = to_camera(camera, points_world)
+        depth = jnp.maximum(point[:, 2], NEAREST_M)[:, None, None]
+        centre = focal * (J[:, :2] - point[:, :2, None] / depth * J[:, 2:]) / depth
+        return centre, -radii[:, None, None] / depth * J[:, 2:]
+
+    near, near_radius = of_end(flesh.near, discs.radii[:, 0])
+    far, far_radius = of_end(flesh.far, discs.radii[:, 1])
+    return jnp.concatenate([near, far, near_radius, far_radius], 1)
