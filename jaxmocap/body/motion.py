@@ -26,7 +26,12 @@ class Report:
             edge, pixels; NaN where no video frame was used.
         swivels: (T, 2) turn of the left and the right arm about shoulder and hand that video added
             to the markers' pose, radians.
-        confidence: (T, 2) between 0 and 1, left and right elbow.
+        confidence: (T, 2) between 0 and 1, left and right elbow; one half where the elbow's
+            standard deviation is 5 cm.
+        landmarks_std: (T, L, 3) standard deviations of the ``LANDMARKS``' coordinates, world,
+            metres; NaN where nothing is said of them.
+        from_prior: (T, L) 1 where a landmark comes from the prior alone, neither marker nor video
+            telling much of it, else 0; NaN where nothing is said.
         statuses: T tuples of sentences; empty where there is nothing to say.
         milliseconds: stage -> times of its calls.
         settings: what the tracker was told.
@@ -37,6 +42,8 @@ class Report:
     arm_costs: np.ndarray
     swivels: np.ndarray
     confidence: np.ndarray
+    landmarks_std: np.ndarray
+    from_prior: np.ndarray
     statuses: tuple[tuple[str, ...], ...]
     milliseconds: dict[str, np.ndarray] = field(default_factory=dict)
     settings: dict = field(default_factory=dict)

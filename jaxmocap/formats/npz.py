@@ -21,7 +21,7 @@ from jaxmocap.formats.errors import InputError
 
 VERSION = 1
 _SKELETON = tuple(field.name for field in fields(Skeleton) if field.name != "tree")
-_REPORT = ("marker_errors", "arm_costs", "swivels", "confidence")
+_REPORT = ("marker_errors", "arm_costs", "swivels", "confidence", "landmarks_std", "from_prior")
 
 
 def save_motion(path: str | Path, motion: Motion) -> None:

@@ -171,6 +171,120 @@ class RefineSettings:
         return cls(jnp.asarray(iterations, jnp.int32), *numbers)
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class GradientSettings:
+    """What a user may tune of the gradient refinement; all but the first three are traced.
+
+    Attributes:
+        method: "levenberg-marquardt", "gauss-newton" or "bfgs" (static).
+        steps: most of them (static).
+        tolerance: at rest where nothing moves by more than this share of its prior's deviation
+            (static); BFGS, whose first steps are short, wants a smaller one.
+        marker: standard deviation of a marker about its point on the body, metres.
+        elbow: of an elbow about the searched one, metres; its tails are long.
+        bend: distance to an edge at which its price turns from square to straight, metres.
+        shift: standard deviation of the pelvis about the markers' pose, metres.
+        turn: the same of its orientation, radians.
+        lean: of the pelvis from the vertical, radians.
+        spine: of each of its joints about the markers' pose, radians.
+        neck: the same.
+        arm: the same.
+        leg: the same.
+        limit: by which a joint may exceed its range, radians.
+    """
+
+    method: Literal["levenberg-marquardt", "gauss-newton", "bfgs"] = field(
+        metadata={"static": True}
+    )
+    steps: int = field(metadata={"static": True})
+    tolerance: float = field(metadata={"static": True})
+    marker: Array
+    elbow: Array
+    bend: Array
+    shift: Array
+    turn: Array
+    lean: Array
+    spine: Array
+    neck: Array
+    arm: Array
+    leg: Array
+    limit: Array
+
+    @classmethod
+    def create(
+        cls,
+        method: Literal["levenberg-marquardt", "gauss-newton", "bfgs"] = "levenberg-marquardt",
+        steps: int = 20,
+        tolerance: float = 1e-2,
+        marker: float = 0.004,
+        elbow: float = 0.02,
+        bend: float = 0.005,
+        shift: float = 0.1,
+        turn: float = 0.3,
+        lean: float = 0.15,
+        spine: float = 0.1,
+        neck: float = 0.4,
+        arm: float = 1.0,
+        leg: float = 0.4,
+        limit: float = 0.02,
+    ) -> "GradientSettings":
+        """Settings as arrays (a Python float in a pytree would trace anew)."""
+        numbers = (marker, elbow, bend, shift, turn, lean, spine, neck, arm, leg, limit)
+        return cls(method, steps, tolerance, *(jnp.asarray(value, float) for value in numbers))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SmoothingSettings:
+    """What a user may tune of the smoothing over a whole recording; all but the first are traced.
+
+    Standard deviations, unless said otherwise.
+
+    Attributes:
+        iterations: most of one solve (static).
+        marker: of a marker about its point on the body, metres.
+        silhouette: of a cell's coverage; above what one cell errs by, since neighbours err alike.
+        acceleration: spectral density of the landmarks' accelerations, m / s^2 * sqrt(s).
+        lean: of the pelvis from the vertical, radians.
+        facing: of the pelvis about where the markers' pose faces, radians.
+        limit: by which a joint may exceed its range, radians.
+        ground: of the height of ankles that no marker holds, metres.
+        footing: of their place on the ground, metres.
+        mismatch: of a landmark that all else determines, since no person is made of cones and
+            bones of known length, metres.
+    """
+
+    iterations: int = field(metadata={"static": True})
+    marker: Array
+    silhouette: Array
+    acceleration: Array
+    lean: Array
+    facing: Array
+    limit: Array
+    ground: Array
+    footing: Array
+    mismatch: Array
+
+    @classmethod
+    def create(
+        cls,
+        iterations: int = 12,
+        marker: float = 0.004,
+        silhouette: float = 0.7,
+        acceleration: float = 3.0,
+        lean: float = 0.1,
+        facing: float = 0.3,
+        limit: float = 0.02,
+        ground: float = 0.05,
+        footing: float = 0.3,
+        mismatch: float = 0.02,
+    ) -> "SmoothingSettings":
+        """Settings as arrays (a Python float in a pytree would trace anew)."""
+        numbers = (marker, silhouette, acceleration, lean, facing, limit, ground, footing, mismatch)
+        return cls(iterations, *(jnp.asarray(value, float) for value in numbers))
+
+
 def _static(default: object) -> Any:
     return field(default=default, metadata={"static": True})
 
@@ -181,7 +295,8 @@ class Settings:
     """How the tracker works. The first seven are static; the rest are traced.
 
     Attributes:
-        refine: "simplex", or "none" for markers only.
+        refine: "simplex" (each arm by itself, the paper's way), "gradient" (the whole body by
+            least squares, differentiable), or "none" for markers only.
         search: look for the elbows globally and remember; without it the simplex starts from the
             markers' pose in every frame, as in the paper.
         evidence: "outline" (mean distance along it) or "raster" (the paper's sum, (13)).
@@ -194,9 +309,12 @@ class Settings:
         fit: of the evidence.
         look: of the search.
         polish: of the simplex.
+        descent: of the gradient refinement.
+        smooth: smooth over the whole recording where it is there as a whole (static).
+        over_time: of that smoothing.
     """
 
-    refine: Literal["simplex", "none"] = _static("simplex")
+    refine: Literal["simplex", "gradient", "none"] = _static("simplex")
     search: bool = _static(True)
     evidence: Literal["outline", "raster"] = _static("outline")
     balance: bool = _static(True)
@@ -208,6 +326,9 @@ class Settings:
     fit: EvidenceSettings = field(default_factory=EvidenceSettings.create)
     look: SearchSettings = field(default_factory=SearchSettings.create)
     polish: RefineSettings = field(default_factory=RefineSettings.create)
+    descent: GradientSettings = field(default_factory=GradientSettings.create)
+    smooth: bool = _static(True)
+    over_time: SmoothingSettings = field(default_factory=SmoothingSettings.create)
 
     @classmethod
     def paper(cls) -> "Settings":

@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from threadpoolctl import threadpool_limits
 
 from jaxmocap.body.kinematics import (
     Sites,
@@ -33,7 +34,7 @@ from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix
 from jaxmocap.hybrid.settings import SmoothingSettings
 from jaxmocap.hybrid.silhouette import Sight, silhouette_cost, silhouette_fit
 from jaxmocap.images.silhouette import blurred
-from jaxmocap.solvers.smoothness import smoothness
+from jaxmocap.solvers.smoothness import Smoothness, smoothness
 from jaxmocap.solvers.status import Status
 from jaxmocap.solvers.trajectory import Linearised, covariances, point_variances, smooth
 from jaxmocap.solvers.trajectory import Settings as Solve
@@ -45,6 +46,9 @@ EASE = {
     "spine": 15, "neck": 25, "arm_flex": 60, "arm": 40, "elbow": 60,
     "hip_flexion": 40, "hip": 25, "knee": 60,
 }  # fmt: skip
+# A landmark is a guess where the video leaves more than this share of its variance, unless the
+# markers alone already hold it this well (metres).
+GUESSED, HELD_M = 0.7, 0.03
 GROUND = ("ankle_l", "ankle_r")
 
 
@@ -101,23 +105,26 @@ class Problem:
     sights: Sights
 
 
-class Smoothed(NamedTuple):
+class SmoothedPoses(NamedTuple):
     """Poses of all frames.
 
     Attributes:
         poses: (T, ...).
         deviations: (T, L, 3) standard deviations of the landmarks' coordinates, world, metres.
+        from_prior: (T, L) 1 where markers and video leave a landmark almost as uncertain as it is
+            without them, else 0.
         cost: of all residuals and the prior.
         status: why the solve ended.
     """
 
     poses: Pose
     deviations: np.ndarray
+    from_prior: np.ndarray
     cost: float
     status: Status
 
 
-def smooth_poses(problem: Problem, start: Pose, softness: tuple[float, ...]) -> Smoothed:
+def smooth_poses(problem: Problem, start: Pose, softness: tuple[float, ...]) -> SmoothedPoses:
     """Minimise all residuals from a start (T, ...), with silhouettes ever sharper.
 
     Args:
@@ -126,10 +133,12 @@ def smooth_poses(problem: Problem, start: Pose, softness: tuple[float, ...]) -> 
         softness: of the silhouettes' borders, cells, one solve after the other.
     """
     settings = problem.settings
-    deviations = np.full(3 * len(LANDMARKS), float(settings.acceleration))
-    prior = smoothness(problem.times, deviations)
+    accelerations = np.full(3 * len(LANDMARKS), float(settings.acceleration))
+    prior = smoothness(problem.times, accelerations)
     poses, ended = start, None
-    with ThreadPoolExecutor(2, thread_name_prefix="smooth") as workers:
+    # Band matrices are narrow: BLAS's threads would only wait for one another, for seconds.
+    one_thread = threadpool_limits(1, user_api="blas")
+    with one_thread, ThreadPoolExecutor(2, thread_name_prefix="smooth") as workers:
         for soft in softness:
             seen = _softened(problem, soft)
             linearise = partial(_linearise, seen, soft, workers)
@@ -140,8 +149,26 @@ def smooth_poses(problem: Problem, start: Pose, softness: tuple[float, ...]) -> 
             poses = ended.x
         assert ended is not None
         linear = _linearise(seen, softness[-1], workers, poses)
-    spread = point_variances(linear.jacobian, covariances(linear, prior))
-    return Smoothed(poses, np.sqrt(spread).reshape(-1, len(LANDMARKS), 3), ended.cost, ended.status)
+        unseen = _linearise(_unseen(seen), softness[-1], workers, poses)
+        told, guessed = (_variances(each, prior) for each in (linear, unseen))
+    deviations = np.sqrt(told + float(settings.mismatch) ** 2)
+    from_prior = told.sum(-1) > GUESSED * guessed.sum(-1)
+    markers_hold = guessed.sum(-1) < HELD_M**2
+    return SmoothedPoses(
+        poses, deviations, (from_prior & ~markers_hold).astype(float), ended.cost, ended.status
+    )
+
+
+def _variances(linear: Linearised, prior: Smoothness) -> np.ndarray:
+    """(T, L, 3) of the landmarks' coordinates."""
+    found = point_variances(linear.jacobian, covariances(linear, prior))
+    return found.reshape(-1, len(LANDMARKS), 3)
+
+
+def _unseen(problem: Problem) -> Problem:
+    """The same without what the cameras saw."""
+    blind = jax.tree.map(lambda part: part[:0], problem.sights)
+    return replace(problem, sights=blind)
 
 
 def _softened(problem: Problem, softness: float) -> Problem:
@@ -259,6 +286,8 @@ def _linearise(
 ) -> Linearised:
     """All frames about their poses."""
     cost, hessian, gradient, points, by_pose = _over_frames(_frames_fit, problem, workers, poses)
+    if not len(problem.sights.frame):
+        return Linearised(cost, hessian, gradient, points, by_pose)
     seen = _over_sights(_sights_fit, problem, softness, workers, poses)
     for total, part in zip((cost, hessian, gradient), seen, strict=True):
         scaled = part / float(problem.settings.silhouette) ** 2

@@ -28,7 +28,9 @@ from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker, State, StepReport
 from jaxmocap.outputs.report import plain
 from jaxmocap.run import statuses
+from jaxmocap.run.judging import Judged, deviations_of_elbows
 from jaxmocap.run.reading import ForwardReader, open_footage, reading
+from jaxmocap.run.smoothing import Done, Smoothed, smooth_recording
 from jaxmocap.run.timing import Clock, Progress, progress_bar, timed_stages
 
 # The first sample is solved again and again until the joints turn by less (radians).
@@ -96,6 +98,12 @@ def track_both(
     with progress_bar("tracking", progress) as show, reading(used) as readers:
         for done, total in run.events(tracker, readers):
             show(done, total)
+    smoothed = None
+    if used and tracker.settings.smooth and mode != "causal":
+        with progress_bar("smoothing", progress) as show:
+            smoothed = smooth_recording(
+                tracker, used, run.done(), *run.poses(), lambda share: show(round(100 * share), 100)
+            )
     told = {
         "recording": recording.path or recording.name,
         "mode": mode,
@@ -104,7 +112,7 @@ def track_both(
         "warnings": warnings,
         "tracker": tracker.settings,
     }
-    return run.tracked(tracker.skeleton, plain(told))
+    return run.tracked(tracker.skeleton, plain(told), smoothed)
 
 
 def make_tracker(recording: Recording, settings: Settings | None = None) -> HybridTracker:
@@ -124,7 +132,7 @@ def marker_sites(skeleton: Skeleton, places: Sequence[MarkerPlace]) -> Sites:
 
 
 def choose_settings(
-    refine: Literal["simplex", "none"] = "simplex", paper: bool = False
+    refine: Literal["simplex", "gradient", "none"] = "simplex", paper: bool = False
 ) -> Settings:
     """The tracker's defaults, or the first paper's own way."""
     return replace(Settings.paper() if paper else Settings(), refine=refine)
@@ -167,7 +175,7 @@ class Run:
         markers_world: (E, M, 3) at the events; NaN where missing.
         unseen: C of (T,), whether no frame of a camera lies near each sample.
         start: the first event with a marker; the tracker is placed there.
-        rows: pose and report of each sample from there on.
+        steps: pose and report of each event from there on.
         said: sentences of each of these samples.
         milliseconds: stage -> times.
     """
@@ -177,7 +185,7 @@ class Run:
     markers_world: np.ndarray
     unseen: list[np.ndarray]
     start: int
-    rows: list[tuple[Pose, StepReport]] = field(default_factory=list)
+    steps: list[tuple[Pose, StepReport]] = field(default_factory=list)
     said: list[tuple[str, ...]] = field(default_factory=list)
     milliseconds: dict[str, list[float]] = field(default_factory=dict)
 
@@ -215,9 +223,9 @@ class Run:
             state, pose, report = jax.device_get(timed.step(state, time, markers, images))
             sentences += [*statuses.of_step(report), *self._about_images(frames, images)]
             self._keep_times(clock.spent, 1e3 * (perf_counter() - began), images)
+            self.steps.append((pose, report))
             if (sample := int(self.timeline.sample_index[event])) >= 0:
-                sentences += self._about_sample(sample, report)
-                self.rows.append((pose, report))
+                sentences += self._about_sample(sample)
                 # What happened since the sample before belongs to this one.
                 self.said.append(tuple(dict.fromkeys(sentences)))
                 sentences = []
@@ -229,14 +237,27 @@ class Run:
         names = [source.camera_name for source in self.recording.videos][: len(images)]
         yield from statuses.of_images(names, (frames >= 0).tolist(), images)
 
-    def _about_sample(self, sample: int, report: StepReport) -> Iterator[str]:
+    def done(self) -> Done:
+        """The events that were gone through."""
+        events = slice(self.start, self.start + len(self.steps))
+        parts = (self.timeline.event_times, self.timeline.sample_index, self.timeline.frame_index)
+        return Done(Timeline(*(part[events] for part in parts)), self.markers_world[events])
+
+    def poses(self) -> tuple[Pose, Pose]:
+        """Of these events: by the markers alone, and refined; float64."""
+        found = [(report.pose, pose) for pose, report in self.steps]
+        alone, refined = (
+            jax.tree.map(lambda *values: np.stack(values), *each)
+            for each in zip(*found, strict=True)
+        )
+        return alone, refined
+
+    def _about_sample(self, sample: int) -> Iterator[str]:
         positions = self.recording.positions_world[sample]
         yield from statuses.of_markers(self.recording.marker_names, positions)
         for source, unseen in zip(self.recording.videos, self.unseen, strict=False):
             if unseen[sample]:
                 yield f"{source.camera_name}: no video frame near this sample"
-        if self.unseen:
-            yield from statuses.of_confidence(np.asarray(report.confidence))
 
     def _keep_times(
         self, spent: dict[str, float], total: float, images: Sequence[np.ndarray | None]
@@ -251,31 +272,52 @@ class Run:
         for stage, time in kept.items():
             self.milliseconds.setdefault(stage, []).append(time)
 
-    def tracked(self, skeleton: Skeleton, told: dict) -> Tracked:
-        """All rows as arrays, NaN before the first sample with a marker."""
-        before = len(self.recording.times) - len(self.rows)
-        said = (("no marker has been seen yet",),) * before + tuple(self.said)
+    def tracked(self, skeleton: Skeleton, told: dict, smoothed: Smoothed | None) -> Tracked:
+        """All samples as arrays, NaN before the first one with a marker."""
+        before = len(self.recording.times) - len(self.said)
+        at_samples = np.flatnonzero(self.done().timeline.sample_index >= 0)
 
-        def column(values: Sequence[np.ndarray]) -> np.ndarray:
-            stacked = np.stack(values)
-            return np.concatenate([np.full((before, *stacked.shape[1:]), np.nan), stacked])
+        def column(values: np.ndarray) -> np.ndarray:
+            kept = np.asarray(values)[at_samples]
+            return np.concatenate([np.full((before, *kept.shape[1:]), np.nan), kept])
 
-        def motion(poses: Sequence[Pose], report: Report | None) -> Motion:
-            parts = jax.tree.map(lambda *values: column(values), *poses)
-            return Motion(skeleton, self.recording.times, parts, report)
+        def motion(poses: Pose, report: Report | None) -> Motion:
+            return Motion(skeleton, self.recording.times, jax.tree.map(column, poses), report)
 
-        poses, reports = zip(*self.rows, strict=True)
+        alone, refined = self.poses()
+        judged = self._judged() if smoothed is None else smoothed.judged
         report = Report(
             markers=self.recording.marker_names,
-            marker_errors=column([report.distances for report in reports]),
-            arm_costs=column([report.arm_costs for report in reports]),
-            swivels=column([report.swivels for report in reports]),
-            confidence=column([report.confidence for report in reports]),
-            statuses=said,
+            marker_errors=column(judged.distances),
+            arm_costs=column(np.stack([report.arm_costs for _, report in self.steps])),
+            swivels=column(judged.swivels),
+            confidence=column(judged.confidence),
+            landmarks_std=column(judged.deviations),
+            from_prior=column(judged.from_prior),
+            statuses=self._sentences(before, column(judged.confidence)),
             milliseconds={stage: np.array(t) for stage, t in self.milliseconds.items()},
             settings=told,
         )
-        return Tracked(motion(poses, report), motion([report.pose for report in reports], None))
+        poses = refined if smoothed is None else smoothed.poses
+        return Tracked(motion(poses, report), motion(alone, None))
+
+    def _judged(self) -> Judged:
+        """What the steps themselves report."""
+        reports = [report for _, report in self.steps]
+        distances, swivels, confidence = (
+            np.stack([np.asarray(getattr(report, name)) for report in reports])
+            for name in ("distances", "swivels", "confidence")
+        )
+        return Judged(distances, swivels, confidence, *deviations_of_elbows(confidence))
+
+    def _sentences(self, before: int, confidence: np.ndarray) -> tuple[tuple[str, ...], ...]:
+        """What there is to say of each sample."""
+        unsure = confidence[before:] if self.unseen else np.ones((len(self.said), 2))
+        said = (
+            (*sentences, *statuses.of_confidence(each))
+            for sentences, each in zip(self.said, unsure, strict=True)
+        )
+        return (("no marker has been seen yet",),) * before + tuple(said)
 
 
 def settled(tracker: HybridTracker, markers_world: np.ndarray) -> State:

@@ -9,6 +9,7 @@ INPUTS: a recording, its events, the poses of the first pass. OUTPUTS: poses, th
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +27,7 @@ from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera, to_
 from jaxmocap.geometry.outlines import Discs, project_limb
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.hybrid.silhouette import FOREARMS, Sight, drawn_bones
-from jaxmocap.hybrid.smoothing import Frame, Problem, Sights, Smoothed, smooth_poses
+from jaxmocap.hybrid.smoothing import Frame, Problem, Sights, smooth_poses
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.images.background import Background, spread
 from jaxmocap.images.foreground import (
@@ -42,6 +43,7 @@ from jaxmocap.images.hulls import draw_hulls
 from jaxmocap.images.parts import part_odds
 from jaxmocap.images.regions import Region
 from jaxmocap.images.silhouette import Grid
+from jaxmocap.run.judging import Judged, judge
 
 # Rows of the images that silhouettes are learned from; cells of the grid around the person.
 ROWS, CELLS = 360, 64
@@ -104,11 +106,34 @@ class Appearance:
     forearms: Colours
 
 
+class Done(NamedTuple):
+    """What the first pass went through.
+
+    Attributes:
+        timeline: E events.
+        markers_world: (E, M, 3); NaN where missing.
+    """
+
+    timeline: Timeline
+    markers_world: np.ndarray
+
+
+class Smoothed(NamedTuple):
+    """What the second pass found.
+
+    Attributes:
+        poses: (E, ...).
+        judged: how far to trust them.
+    """
+
+    poses: Pose
+    judged: Judged
+
+
 def smooth_recording(
     tracker: HybridTracker,
     videos: Sequence[FrameSource],
-    timeline: Timeline,
-    markers_world: np.ndarray,
+    done: Done,
     alone: Pose,
     start: Pose,
     show: Callable[[float], None],
@@ -118,8 +143,7 @@ def smooth_recording(
     Args:
         tracker: its person, cameras, markers and settings.
         videos: one per camera.
-        timeline: E events.
-        markers_world: (E, M, 3); NaN where missing.
+        done: E events.
         alone: poses (E, ...) of the markers alone.
         start: poses (E, ...) to start from.
         show: called with the share done.
@@ -127,29 +151,30 @@ def smooth_recording(
     Returns:
         None where no camera has a frame.
     """
-    looks = _looks(timeline)
     assert tracker.cameras is not None
-    if not any(len(look.events) for look in looks):
+    times, markers_world = done.timeline.event_times, done.markers_world
+    looks = [look for look in _looks(done.timeline) if len(look.events)]
+    if not looks:
         return None
-    frames = _frames(tracker, timeline.event_times, markers_world, alone)
-    poses, smoothed = start, None
+    frames = _frames(tracker, times, markers_world, alone)
+    poses, ended = start, None
     for number, softness in enumerate(ROUNDS):
         sights = []
-        for look, video in zip(looks, videos, strict=True):
+        for look in looks:
             camera = jax.tree.map(lambda part, c=look.camera: part[c], tracker.cameras)
             there = jax.tree.map(lambda part, e=look.events: np.asarray(part)[e], poses)
-            if len(look.events):
-                sights.append(_sights(tracker.skeleton, camera, look, video, there))
+            sights.append(_sights(tracker.skeleton, camera, look, videos[look.camera], there))
             show((number + 0.5 * len(sights) / len(looks)) / len(ROUNDS))
         together = jax.tree.map(lambda *parts: np.concatenate(parts), *sights)
         problem = Problem(
             tracker.skeleton, tracker.cameras, tracker.markers, tracker.settings.over_time,
-            timeline.event_times, frames, together,
+            times, frames, together,
         )  # fmt: skip
-        smoothed = smooth_poses(problem, poses, softness)
-        poses = smoothed.poses
+        ended = smooth_poses(problem, poses, softness)
+        poses = ended.poses
         show((number + 1) / len(ROUNDS))
-    return smoothed
+    assert ended is not None
+    return Smoothed(poses, judge(tracker, ended, alone, markers_world))
 
 
 def _looks(timeline: Timeline) -> list[Look]:
