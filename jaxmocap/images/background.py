@@ -22,8 +22,10 @@ KNOWN_SHARE, KNOWN_FRAMES = 0.1, 3
 LEAST_NOISE, MOST_NOISE = 3.0, 12.0
 # A normal distribution's standard deviation by its median and its mean absolute deviation.
 SIGMA_PER_MAD, SIGMA_PER_MEAN = 1.4826, 1.2533
-# Exposure is read at every so many pixels, and believed up to this ratio.
-STRIDE, MOST_GAIN, LEAST_GAIN = 6, 2.0, 0.005
+# Exposure is read at every so many rows and columns, believed up to this ratio, and left as it is
+# where it differs by less than that.
+FEW = (slice(4, None, 9), slice(4, None, 9))
+MOST_GAIN, LEAST_GAIN = 2.0, 0.005
 # Values that tell an exposure (grey levels), and the fewest of them.
 DARK, BRIGHT, FEWEST = 20, 245, 50
 # Shares of the sampled pixels that agree with the background where it is trusted not at all, fully.
@@ -117,7 +119,7 @@ def ranked(values: np.ndarray, rank: np.ndarray) -> np.ndarray:
 
 def _equally_exposed(frames: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Frames brought to the exposure of their median, as far as they show it."""
-    few, open_ = frames[:, ::STRIDE, ::STRIDE], free[:, ::STRIDE, ::STRIDE]
+    few, open_ = frames[:, *FEW], free[:, *FEW]
     usual, _, seen = _medians(few, open_)
     shown = open_ & (seen > 0)
     gains = [gain(few[i][shown[i]], usual[shown[i]]) for i in range(len(frames))]
@@ -157,14 +159,19 @@ def as_learned(frame: np.ndarray, background: Background) -> tuple[np.ndarray, f
     A black frame, a moved camera or a cut to something else agrees with the background hardly
     anywhere: nothing then follows from a difference.
     """
-    few = (slice(None, None, STRIDE),) * 2
-    sure = background.known[few] > 0.5
-    pixels, expected = frame[few][sure], background.colour[few][sure]
+    few = Background(background.colour[FEW], background.noise[FEW], background.known[FEW])
+    return _exposed(frame, few)
+
+
+def _exposed(frame: np.ndarray, few: Background) -> tuple[np.ndarray, float]:
+    """``as_learned`` by the background at every so many pixels."""
+    sure = few.known > 0.5
+    pixels, expected = frame[FEW][sure], few.colour[sure]
     gains = gain(pixels, expected)
     if gains is None:
         return frame, 0.0
     away = np.abs(pixels / gains - expected).max(-1)
-    agreeing = float((away < 3 * background.noise[few][sure]).mean())
+    agreeing = float((away < 3 * few.noise[sure]).mean())
     low, high = AGREEING
     return regained(frame, gains), float(np.clip((agreeing - low) / (high - low), 0, 1))
 
@@ -173,41 +180,60 @@ def as_learned(frame: np.ndarray, background: Background) -> tuple[np.ndarray, f
 class RunningBackground:
     """A background that only looks back: fed frame by frame, at any time ready to be used.
 
-    A running mean at first, an exponential one of about ``memory`` sightings later, from which
-    outliers are cut, since a median needs all the frames at once.
+    A running mean at first, an exponential one of about ``memory`` sightings later, whose steps are
+    bounded, since a median needs all the frames at once. Where nothing agrees with it for so long
+    that the camera must have been moved, it starts again.
 
     Attributes:
         memory: sightings after which the past fades.
         enough: sightings after which a pixel is known.
+        patience: frames in a row that may disagree.
     """
 
     memory: float = 300.0
     enough: float = 6.0
-    _colour: np.ndarray | None = field(default=None, repr=False)
+    patience: int = 30
+    _seen: np.ndarray | None = field(default=None, repr=False)
+    _colour: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)
     _noise: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)
-    _seen: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)
+    _strangers: int = field(default=0, repr=False)
 
     def update(self, frame: np.ndarray, body: np.ndarray | None = None) -> None:
         """Look at a frame (h, w, 3) uint8, except where the body (h, w) bool may be."""
-        if self._colour is None:
-            self._colour = np.zeros(frame.shape, np.float32)
-            self._noise = np.zeros(frame.shape[:2], np.float32)
-            self._seen = np.zeros(frame.shape[:2], np.float32)
-        elif self._seen.any():
-            frame, trust = as_learned(frame, self.background())
+        if self._seen is None or self._strangers >= self.patience:
+            self._start(frame.shape)
+        elif (self._seen[FEW] >= self.enough).sum() >= FEWEST:
+            certain = _trusted(self._noise[FEW], self._seen[FEW], self.enough)
+            frame, trust = _exposed(frame, Background(self._colour[FEW], *certain))
+            self._strangers = 0 if trust > 0 else self._strangers + 1
             if trust == 0:
                 return
-        free = np.ones(frame.shape[:2], np.float32) if body is None else (~body).astype(np.float32)
-        self._seen = np.minimum(self._seen + free, self.memory)
-        rate = free / np.maximum(self._seen, 1)
-        bound = np.where(self._seen > self.enough, 3 * np.maximum(self._noise, LEAST_NOISE), 255)
-        step = np.clip(frame - self._colour, -bound[..., None], bound[..., None])
-        self._colour += rate[..., None] * step
-        late = rate * (self._seen > 1)
-        self._noise += late * (SIGMA_PER_MEAN * np.abs(step).mean(-1) - self._noise)
+        self._learn(frame, np.zeros(frame.shape[:2], bool) if body is None else body)
 
     def background(self) -> Background:
-        """What is known so far."""
-        if self._colour is None:
-            raise ValueError("RunningBackground has not seen any frame yet: call update first")
-        return Background(self._colour, *_trusted(self._noise, self._seen, self.enough))
+        """What is known so far: a copy, which later frames leave as it is."""
+        if self._seen is None:
+            raise ValueError("RunningBackground has seen no frame yet: call update first")
+        noise, known = _trusted(self._noise, self._seen, self.enough)
+        return Background(self._colour.copy(), noise, known)
+
+    def _start(self, shape: tuple[int, ...]) -> None:
+        """Forget everything."""
+        self._seen, self._noise = np.zeros(shape[:2], np.float32), np.zeros(shape[:2], np.float32)
+        self._colour, self._strangers = np.zeros(shape, np.float32), 0
+
+    def _learn(self, frame: np.ndarray, body: np.ndarray) -> None:
+        """Move each free pixel's mean and noise towards the frame, by bounded steps."""
+        assert self._seen is not None
+        self._seen = np.minimum(self._seen + ~body, np.float32(self.memory))
+        rate = np.where(body, np.float32(0), 1 / np.maximum(self._seen, 1))
+        step = cv2.subtract(frame, self._colour, dtype=cv2.CV_32F)
+        away = cv2.transform(np.abs(step), np.full((1, 3), SIGMA_PER_MEAN / 3))
+        late = self._seen > self.enough
+        bounded = np.minimum(
+            away, 3 * np.maximum(self._noise, LEAST_NOISE), where=late, out=away.copy()
+        )
+        cv2.multiply(step, cv2.merge([rate * (bounded / np.maximum(away, 1))] * 3), dst=step)
+        cv2.add(self._colour, step, dst=self._colour)
+        # The first sighting is a colour, not yet a deviation.
+        self._noise += np.where(self._seen > 1, rate, np.float32(0)) * (bounded - self._noise)

@@ -1,28 +1,31 @@
 """Which pixels show the person: by a learned background and by the body's colours.
 
 A pixel speaks for the person as far as the body's colours explain it better than the background
-does; where the background is unknown it says nothing. The log-odds are resampled to a static grid
-around the person, where a drawn silhouette can be laid over them.
+does; where the background is unknown, the colours of all the rest stand in for it. The log-odds are
+resampled to a static grid around the person, where a drawn silhouette can be laid over them.
 
 INPUTS: frames uint8, masks of where the body may be and of where it surely is.
 OUTPUTS: log-odds (h, w) float32, positive where the person is; grids of probability and weight.
 """
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
 from jaxmocap.images.background import Background, as_learned, learn_background, spread
+from jaxmocap.images.colours import Colours, colour_bins, learn_colours
 
 # Log-odds are cut off here: no pixel is surer than 98 %.
 MOST_ODDS = 4.0
-# Levels of each channel in a colour histogram, and the blur between neighbouring bins.
-LEVELS, BIN_BLUR = 16, 0.7
-# Every colour has this share of the even distribution: what was never seen is not impossible.
-EVEN_SHARE = 1e-4
 # Of the background's pixels, how many show something else: passers-by, reflections, screens.
 STRANGE = 0.02
+# How many lie in shadow, and how much light is left there at least.
+SHADED, DARKEST = 0.05, 0.6
+# Beyond this exponent a normal density is none at all (and would underflow).
+FARTHEST = 60.0
+# Weight of the colours where they are all there is: neighbouring pixels share their errors.
+COLOURS_ALONE = 0.5
+# While learning, a pixel within the body's reach is background from these log-odds downwards.
+SURE_ODDS = 1.0
 # Blur of the log-odds, pixels.
 SOFTNESS = 0.8
 # Log-odds from which a pixel has its full weight.
@@ -53,78 +56,56 @@ def shrunk_pixels(pixels_xy: np.ndarray, size: tuple[int, int], rows: int) -> np
     return (np.asarray(pixels_xy) + 0.5) * ratio - 0.5
 
 
-@dataclass(frozen=True)
-class Colours:
-    """How likely colours are, per cubic grey level: (LEVELS ** 3,) float32 each.
-
-    Attributes:
-        body: of the person.
-        rest: of everything else.
-    """
-
-    body: np.ndarray
-    rest: np.ndarray
-
-
-def colour_bins(image: np.ndarray) -> np.ndarray:
-    """Histogram bin (...) of every pixel of an image (..., 3) uint8."""
-    a, b, c = np.moveaxis((image // (256 // LEVELS)).astype(np.int32), -1, 0)
-    return (a * LEVELS + b) * LEVELS + c
-
-
-def learn_colours(frames: np.ndarray, cores: np.ndarray, bodies: np.ndarray) -> Colours:
-    """Colours inside the cores and outside the bodies.
-
-    Args:
-        frames: (N, h, w, 3) uint8.
-        cores: (N, h, w) bool, surely the person.
-        bodies: (N, h, w) bool, perhaps the person.
-    """
-    body, rest = np.zeros(LEVELS**3), np.zeros(LEVELS**3)
-    for i in spread(len(frames)):
-        bins = colour_bins(frames[i])
-        body += np.bincount(bins[cores[i]], minlength=LEVELS**3)
-        rest += np.bincount(bins[~bodies[i]], minlength=LEVELS**3)
-    return Colours(_density(body), _density(rest))
-
-
-def _density(counts: np.ndarray) -> np.ndarray:
-    """Counts (LEVELS ** 3,) smoothed over neighbouring colours, per cubic grey level."""
-    cube = counts.reshape(LEVELS, LEVELS, LEVELS)
-    for _ in range(3):
-        cube = np.moveaxis(_blurred_first(cube), 0, -1)
-    share = cube.ravel() / max(cube.sum(), 1e-9) if counts.any() else np.full(LEVELS**3, 0.0)
-    share = (1 - EVEN_SHARE) * share + EVEN_SHARE / LEVELS**3 if counts.any() else 1 / LEVELS**3
-    return np.broadcast_to(share * (LEVELS / 256) ** 3, LEVELS**3).astype(np.float32)
-
-
-def _blurred_first(cube: np.ndarray) -> np.ndarray:
-    """A cube blurred along its first axis."""
-    flat = np.ascontiguousarray(cube.reshape(LEVELS, -1))
-    blurred = cv2.GaussianBlur(flat, (1, 5), 1e-6, sigmaY=BIN_BLUR, borderType=cv2.BORDER_REFLECT)
-    return blurred.reshape(cube.shape)
-
-
-def log_odds(frame: np.ndarray, background: Background, colours: Colours) -> np.ndarray:
+def log_odds(
+    frame: np.ndarray, background: Background, colours: Colours, alone: float = COLOURS_ALONE
+) -> np.ndarray:
     """How much more likely each pixel of a frame (h, w, 3) uint8 is under the person.
 
-    With the background's colour B, noise s and knowledge k, the body's colours b and the rest's r:
-    ``log[ b(I) / (k ((1 - e) N(I; B, s) + e r(I)) + (1 - k) b(I)) ]``, at most ``MOST_ODDS`` either
-    way.
+    With what the background there would look like, p, and how surely it is known, k, with the
+    body's colours b and the rest's r, and a share e of strange things, within ``MOST_ODDS``:
+    ``-log[ k ((1 - e) p(I) + e r(I)) / b(I) + (1 - k) (r(I) / b(I))^alone ]``.
+
+    Args:
+        frame: is brought to the background's exposure; one that does not show it has no odds.
+        background: learned.
+        colours: learned.
+        alone: weight of the colours where no background is known; 0 says nothing there.
 
     Returns:
-        (h, w) float32; 0 where nothing is known.
+        (h, w) float32, slightly blurred; 0 where nothing is known.
     """
     frame, trust = as_learned(frame, background)
-    bins = colour_bins(frame)
-    away = frame.astype(np.float32) - background.colour
-    square = np.einsum("...c,...c->...", away, away) / (2 * background.noise**2)
-    like = cv2.exp(-np.minimum(square, 60)) / ((2 * np.pi) ** 1.5 * background.noise**3)
-    other = (1 - STRANGE) * like + STRANGE * colours.rest[bins]
-    known = trust * background.known
-    ratio = known * other / colours.body[bins] + (1 - known)
-    odds = np.clip(-cv2.log(ratio.astype(np.float32)), -MOST_ODDS, MOST_ODDS)
-    return cv2.GaussianBlur(odds, (0, 0), SOFTNESS)
+    if trust == 0:
+        return np.zeros(frame.shape[:2], np.float32)
+    bins, unlike = colour_bins(frame), colours.rest / colours.body
+    lit = _like(frame, background) * ((1 - STRANGE) / colours.body)[bins]
+    known = background.known
+    odds = -cv2.log(known * (lit + (STRANGE * unlike)[bins]) + (1 - known) * (unlike**alone)[bins])
+    return cv2.GaussianBlur(trust * np.clip(odds, -MOST_ODDS, MOST_ODDS), (0, 0), SOFTNESS)
+
+
+def _like(frame: np.ndarray, background: Background) -> np.ndarray:
+    """Density (h, w), per cubic grey level, of a frame's colours under background, lit or shaded.
+
+    Normal about the background's colour; or, in shadow, evenly on the way from there towards black
+    as far as ``DARKEST``, and normal across it.
+    """
+    seen, room = frame.astype(np.float32), background.colour
+    room_room, seen_room, seen_seen = _dot(room, room) + 1, _dot(seen, room), _dot(seen, seen)
+    lit = np.clip(seen_room / room_room, DARKEST, 1)
+    across = seen_seen - lit * (2 * seen_room - lit * room_room)
+    away = seen_seen - 2 * seen_room + room_room
+    precision = 0.5 / background.noise**2
+    planar = precision / np.pi
+    plain = planar * np.sqrt(planar) * cv2.exp(-np.minimum(away * precision, FARTHEST))
+    length = (1 - DARKEST) * np.sqrt(room_room)
+    shaded = planar / length * cv2.exp(-np.minimum(across * precision, FARTHEST))
+    return (1 - SHADED) * plain + SHADED * shaded
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Scalar products (h, w) of colours (h, w, 3) float32."""
+    return cv2.transform(a * b, np.ones((1, 3)))
 
 
 def learn_foreground(
@@ -147,8 +128,8 @@ def learn_foreground(
     colours, covered = learn_colours(frames, cores, bodies), bodies
     background = learn_background(frames, covered)
     for _ in range(rounds - 1):
-        odds = np.stack([log_odds(frame, background, colours) for frame in frames])
-        background = learn_background(frames, cores | (bodies & (odds >= 0)))
+        odds = np.stack([log_odds(frame, background, colours, alone=0) for frame in frames])
+        background = learn_background(frames, cores | (bodies & (odds > -SURE_ODDS)))
         colours = learn_colours(frames, cores & (odds >= 0), bodies)
     return background, colours
 
