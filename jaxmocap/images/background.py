@@ -22,9 +22,9 @@ KNOWN_SHARE, KNOWN_FRAMES = 0.1, 3
 LEAST_NOISE, MOST_NOISE = 3.0, 12.0
 # A normal distribution's standard deviation by its median and its mean absolute deviation.
 SIGMA_PER_MAD, SIGMA_PER_MEAN = 1.4826, 1.2533
-# Exposure is read at every so many rows and columns, believed up to this ratio, and left as it is
-# where it differs by less than that.
-FEW = (slice(4, None, 9), slice(4, None, 9))
+# Exposure is read at about so many rows, believed up to this ratio, and left as it is where it
+# differs by less than that.
+SAMPLED_ROWS = 40
 MOST_GAIN, LEAST_GAIN = 2.0, 0.005
 # Values that tell an exposure (grey levels), and the fewest of them.
 DARK, BRIGHT, FEWEST = 20, 245, 50
@@ -117,9 +117,16 @@ def ranked(values: np.ndarray, rank: np.ndarray) -> np.ndarray:
     return found
 
 
+def sampled(image: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns of an image (h, w, ...) that are enough to read its exposure."""
+    step = max(1, round(len(image) / SAMPLED_ROWS))
+    every = slice(step // 2, None, step)
+    return every, every
+
+
 def _equally_exposed(frames: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Frames brought to the exposure of their median, as far as they show it."""
-    few, open_ = frames[:, *FEW], free[:, *FEW]
+    few, open_ = frames[:, *sampled(frames[0])], free[:, *sampled(frames[0])]
     usual, _, seen = _medians(few, open_)
     shown = open_ & (seen > 0)
     gains = [gain(few[i][shown[i]], usual[shown[i]]) for i in range(len(frames))]
@@ -159,14 +166,15 @@ def as_learned(frame: np.ndarray, background: Background) -> tuple[np.ndarray, f
     A black frame, a moved camera or a cut to something else agrees with the background hardly
     anywhere: nothing then follows from a difference.
     """
-    few = Background(background.colour[FEW], background.noise[FEW], background.known[FEW])
+    some = sampled(frame)
+    few = Background(background.colour[some], background.noise[some], background.known[some])
     return _exposed(frame, few)
 
 
 def _exposed(frame: np.ndarray, few: Background) -> tuple[np.ndarray, float]:
     """``as_learned`` by the background at every so many pixels."""
     sure = few.known > 0.5
-    pixels, expected = frame[FEW][sure], few.colour[sure]
+    pixels, expected = frame[sampled(frame)][sure], few.colour[sure]
     gains = gain(pixels, expected)
     if gains is None:
         return frame, 0.0
@@ -202,9 +210,8 @@ class RunningBackground:
         """Look at a frame (h, w, 3) uint8, except where the body (h, w) bool may be."""
         if self._seen is None or self._strangers >= self.patience:
             self._start(frame.shape)
-        elif (self._seen[FEW] >= self.enough).sum() >= FEWEST:
-            certain = _trusted(self._noise[FEW], self._seen[FEW], self.enough)
-            frame, trust = _exposed(frame, Background(self._colour[FEW], *certain))
+        elif ((some := self._sample(frame)).known > 0).sum() >= FEWEST:
+            frame, trust = _exposed(frame, some)
             self._strangers = 0 if trust > 0 else self._strangers + 1
             if trust == 0:
                 return
@@ -216,6 +223,13 @@ class RunningBackground:
             raise ValueError("RunningBackground has seen no frame yet: call update first")
         noise, known = _trusted(self._noise, self._seen, self.enough)
         return Background(self._colour.copy(), noise, known)
+
+    def _sample(self, frame: np.ndarray) -> Background:
+        """Every so many pixels; whatever was seen at all is good enough to read the exposure."""
+        assert self._seen is not None
+        some = sampled(frame)
+        noise = np.maximum(self._noise[some], LEAST_NOISE)
+        return Background(self._colour[some], noise, np.minimum(self._seen[some], 1))
 
     def _start(self, shape: tuple[int, ...]) -> None:
         """Forget everything."""
