@@ -98,9 +98,10 @@ def _add_track(parser: Parser) -> None:
     parser.add_argument("--out", metavar="DIR", required=True, help="where to write")
     parser.add_argument(
         "--refine",
-        choices=("simplex", "none"),
+        choices=("simplex", "gradient", "none"),
         default="simplex",
-        help="how video refines the markers' pose; none: markers only",
+        help="how video refines the markers' pose: each arm by a simplex, the whole body by "
+        "least squares, or not at all (markers only)",
     )
     mode = parser.add_mutually_exclusive_group()
     mode.add_argument(

@@ -6,6 +6,8 @@ shrinks. The default is the mean distance along the outline, to edges that run i
 INPUTS: one arm's limbs, a camera, the fields of its region. OUTPUTS: a cost.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -31,6 +33,47 @@ OPEN_ENDS = ((0.0, 0.0), (0.0, 0.0), (0.0, 1.0))
 BORDER_PX = 2.0
 
 
+class Traced(NamedTuple):
+    """An arm's outline in one camera, laid over the distance fields.
+
+    Attributes:
+        points: (3, K, 2) of the three limbs, on the plane z = 1.
+        distances_px: (3, K) to the nearest edge of each point's direction, pixels.
+        metres_per_px: (3, 1) at the limbs' depth.
+        weights: (3, K) length of outline that each point stands for; 0 outside the image.
+    """
+
+    points: Array
+    distances_px: Array
+    metres_per_px: Array
+    weights: Array
+
+
+def trace_outline(camera: Camera, region: Region, fields: Array, limbs: Cones) -> Traced:
+    """Look an arm's outline up in the fields of its region.
+
+    Args:
+        camera: that sees the arm.
+        region: of the arm in this camera (no batch).
+        fields: (K, S, S) distances, samples of the region.
+        limbs: three cones, world, metres.
+    """
+    near, far = to_camera(camera, limbs.near), to_camera(camera, limbs.far)
+    discs = project_limb(near, far, limbs.radii)
+    samples = outline(discs, ALONG, AROUND, jnp.asarray(OPEN_ENDS, near.dtype))
+    pixels = to_pixels(camera, samples.points)
+    channels = _channels(camera, samples.normals, fields.shape[0])
+    distances_px = bilinear(fields, channels, to_region(region, pixels)) * region.scale
+    x, y = pixels[..., 0], pixels[..., 1]
+    right, bottom = camera.size[0] - 1 - BORDER_PX, camera.size[1] - 1 - BORDER_PX
+    inside = (x >= BORDER_PX) & (x <= right) & (y >= BORDER_PX) & (y <= bottom)
+    front = jnp.minimum(near[:, 2], far[:, 2])[:, None] > 0
+    weights = samples.weights * jnp.asarray(LIMB_WEIGHTS, near.dtype)[:, None]
+    metres_per_px = ((near[:, 2] + far[:, 2]) / 2 / camera.matrix[0, 0])[:, None]
+    weights = jnp.where(inside & front, weights, 0.0)
+    return Traced(samples.points, distances_px, metres_per_px, weights)
+
+
 def outline_distance(
     camera: Camera, region: Region, fields: Array, limbs: Cones, truncation: Array
 ) -> tuple[Array, Array]:
@@ -47,19 +90,7 @@ def outline_distance(
         The mean in metres at the limbs' depth, and the same in pixels; ``truncation`` where
         nothing of the arm is within the image.
     """
-    near, far = to_camera(camera, limbs.near), to_camera(camera, limbs.far)
-    discs = project_limb(near, far, limbs.radii)
-    samples = outline(discs, ALONG, AROUND, jnp.asarray(OPEN_ENDS, near.dtype))
-    pixels = to_pixels(camera, samples.points)
-    channels = _channels(camera, samples.normals, fields.shape[0])
-    distances_px = bilinear(fields, channels, to_region(region, pixels)) * region.scale
-    x, y = pixels[..., 0], pixels[..., 1]
-    right, bottom = camera.size[0] - 1 - BORDER_PX, camera.size[1] - 1 - BORDER_PX
-    inside = (x >= BORDER_PX) & (x <= right) & (y >= BORDER_PX) & (y <= bottom)
-    front = jnp.minimum(near[:, 2], far[:, 2])[:, None] > 0
-    weights = samples.weights * jnp.asarray(LIMB_WEIGHTS, near.dtype)[:, None]
-    weights = jnp.where(inside & front, weights, 0.0)
-    metres_per_px = ((near[:, 2] + far[:, 2]) / 2 / camera.matrix[0, 0])[:, None]
+    _, distances_px, metres_per_px, weights = trace_outline(camera, region, fields, limbs)
     distances = jnp.minimum(distances_px * metres_per_px, truncation)
     total = jnp.sum(weights)
     visible = total > 1e-6

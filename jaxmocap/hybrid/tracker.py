@@ -26,6 +26,7 @@ from jaxmocap.geometry.cameras import Camera
 from jaxmocap.hybrid.arms import arms_of, grips
 from jaxmocap.hybrid.balance import bow_factors, bow_on_feet
 from jaxmocap.hybrid.evidence import outline_px
+from jaxmocap.hybrid.gradient import Aims, refine_body
 from jaxmocap.hybrid.ik import IKResult, goal_distances, goals_of, reach, solve_ik
 from jaxmocap.hybrid.observe import Observation, Observer, arm_regions
 from jaxmocap.hybrid.refine import elbow_wishes, look_for_elbows, refine_arms, remember, swivels
@@ -33,6 +34,7 @@ from jaxmocap.hybrid.search import Belief, confidence, no_belief
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.stance import Stance, effectors, on_held_feet, place
 from jaxmocap.images.regions import Region
+from jaxmocap.solvers.status import Status
 
 # Markers farther than this from the last pose's points: the body is placed anew, metres.
 LOST_M = 0.6
@@ -66,6 +68,7 @@ class StepReport(NamedTuple):
         planted: () whether the feet were planted anew.
         placed: () whether the body was placed anew.
         balanced: () whether balance bowed the spine.
+        ending: () int32 ``Status`` of the gradient refinement.
     """
 
     pose: Pose
@@ -77,6 +80,7 @@ class StepReport(NamedTuple):
     planted: Array
     placed: Array
     balanced: Array
+    ending: Array
 
 
 class Solved(NamedTuple):
@@ -215,6 +219,7 @@ class HybridTracker:
         arms = arms_of(skeleton, forward(skeleton, pose), self.grips)
         costs = jnp.full(2, jnp.nan, targets.dtype)
         balanced, free = jnp.zeros((), bool), jnp.ones(skeleton.costs.shape, bool)
+        centre, ending = pose, jnp.asarray(int(Status.CONVERGED), jnp.int32)
         elbows = arms.elbow
         if cameras is not None and seen is not None and settings.refine != "none":
             # From its own last pose, so that the trunk that video has found stays found.
@@ -225,12 +230,21 @@ class HybridTracker:
         if settings.balance:
             # From the markers' pose: one bow on another would pile up.
             bowed, free, balanced = bow_on_feet(skeleton, ik, solved.ik.pose, factors)
-            pose = jax.tree.map(lambda new, old: jnp.where(balanced, new, old), bowed, pose)
+            pose, centre = (
+                jax.tree.map(lambda new, old: jnp.where(balanced, new, old), bowed, before)
+                for before in (pose, centre)
+            )
         if cameras is not None and seen is not None and settings.refine != "none":
             pose, _ = reach(skeleton, goals, ik, pose, free, elbow_wishes(skeleton, elbows))
-            pose = refine_arms(
-                settings, skeleton, cameras, seen, pose, self.grips, arms.grip, elbows
-            )
+            if settings.refine == "gradient":
+                aims = Aims(goals, elbows, centre, free)
+                pose, *_, ending = refine_body(
+                    settings, skeleton, cameras, seen, pose, self.grips, aims
+                )
+            else:
+                pose = refine_arms(
+                    settings, skeleton, cameras, seen, pose, self.grips, arms.grip, elbows
+                )
             found = arms_of(skeleton, forward(skeleton, pose), self.grips)
             belief = remember(belief, arms, found, seen, pose)
             costs = outline_px(settings.fit, cameras, seen, found)
@@ -252,5 +266,6 @@ class HybridTracker:
                 solved.ik.planted,
                 solved.placed,
                 balanced,
+                ending,
             ),
         )

@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.hybrid.tracker import StepReport
+from jaxmocap.solvers.status import SENTENCES, Status
 
 SIDES = ("left", "right")
 # Below it an elbow is little more than the markers' guess.
@@ -27,6 +28,8 @@ def of_step(report: StepReport) -> Iterator[str]:
         yield "the body was placed anew"
     if report.planted:
         yield "the feet were planted anew"
+    if sentence := SENTENCES[Status(int(report.ending))]:
+        yield f"the refinement {sentence}"
 
 
 def of_markers(names: Sequence[str], positions_world: np.ndarray) -> Iterator[str]:

@@ -1,0 +1,74 @@
+"""What hides what: crossed arms, and arms behind the body, must not claim each other's edges.
+
+INPUTS: both arms and the torso in the world, a camera, points of outlines.
+OUTPUTS: which of the points another limb hides from that camera.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.flesh import Cones, cones
+from jaxmocap.body.kinematics import Frames
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.geometry.cameras import Camera, to_camera
+from jaxmocap.geometry.outlines import Discs, project_limb, signed_distance
+from jaxmocap.hybrid.arms import Arms, flesh
+
+TORSO = ("spine1", "spine2", "spine3")
+# A limb must be nearer by this, between the axes, to hide another, metres: limbs side by side and
+# the shoulder on its own chest hide nothing.
+NEARER_M = 0.04
+
+
+def blockers(skeleton: Skeleton, frames: Frames, arms: Arms) -> Cones:
+    """What may hide each arm: (2, N) cones, the other arm's limbs and then the torso's."""
+    torso = cones(skeleton, frames, np.array([skeleton.tree.bone(name) for name in TORSO]))
+    crossed = jax.tree.map(lambda part: part[::-1], flesh(arms))
+    return jax.tree.map(
+        lambda other, own: jnp.concatenate([other, jnp.broadcast_to(own, (2, *own.shape))], 1),
+        crossed,
+        torso,
+    )
+
+
+def hidden(camera: Camera, limbs: Cones, points: Array, others: Cones) -> Array:
+    """Which points of one arm's outline lie behind another limb.
+
+    Args:
+        camera: that sees them.
+        limbs: three cones, world.
+        points: (3, K, 2) on the limbs' outlines, on the plane z = 1.
+        others: N cones that may hide them, world.
+
+    Returns:
+        (3, K) True where hidden.
+    """
+    near, far = to_camera(camera, limbs.near), to_camera(camera, limbs.far)
+    own = depths_along(project_limb(near, far, limbs.radii), near, far, points)
+
+    def behind(other: Cones) -> Array:
+        a, b = to_camera(camera, other.near), to_camera(camera, other.far)
+        discs = project_limb(a, b, other.radii)
+        within = signed_distance(discs, points) < 0
+        seen = jnp.minimum(a[2], b[2]) > 0
+        return within & seen & (depths_along(discs, a, b, points) + NEARER_M < own)
+
+    return jnp.any(jax.vmap(behind)(others), 0)
+
+
+def depths_along(discs: Discs, near: Array, far: Array, points: Array) -> Array:
+    """Depths, metres, of limbs' axes beside (..., K, 2) points on the plane z = 1.
+
+    Args:
+        discs: of the limbs (...).
+        near: (..., 3) their joints in the camera's frame.
+        far: (..., 3) their far ends.
+        points: on the plane.
+    """
+    axis = (discs.far - discs.near)[..., None, :]
+    squared = jnp.sum(axis**2, -1) + 1e-12
+    t = jnp.sum((points - discs.near[..., None, :]) * axis, -1) / squared
+    t = jnp.clip(t, 0.0, 1.0)
+    return (1 - t) * near[..., 2, None] + t * far[..., 2, None]
