@@ -213,18 +213,30 @@ def test_without_any_pixel_every_colour_is_alike():
 
 def test_the_running_background_knows_only_the_past():
     frames, _, reach = clip(walking())
-    one, other = RunningBackground(), RunningBackground()
+    running = RunningBackground()
     for i in range(12):
-        one.update(frames[i], reach[i])
-        other.update(frames[i], reach[i])
-    then = one.background()
+        running.update(frames[i], reach[i])
+    then = running.background()
     kept = Background(then.colour.copy(), then.noise.copy(), then.known.copy())
     for i in range(12, FRAMES):
-        one.update(255 - frames[i], reach[i])
-        other.update(frames[i], reach[i])
+        running.update(frames[i], reach[i])
+    now = running.background()
     for name in ("colour", "noise", "known"):
         np.testing.assert_array_equal(getattr(then, name), getattr(kept, name))
-    assert np.abs(other.background().colour - wall()).mean() < 2
+        assert (getattr(now, name) != getattr(then, name)).any()
+    assert np.abs(now.colour - wall()).mean() < 2
+
+
+def test_what_stands_unmasked_in_a_single_frame_hardly_moves_the_running_background():
+    frames, _, reach = clip(walking())
+    running = RunningBackground()
+    for frame, body in zip(frames, reach, strict=True):
+        running.update(frame, body)
+    before = running.background().colour
+    visited = frames[-1].copy()
+    visited[20:50, 10:40] = 255
+    running.update(visited, reach[-1])
+    assert np.abs(running.background().colour - before).max() < 1.5
 
 
 def test_the_running_background_grows_sure_with_unmasked_sightings():
