@@ -76,6 +76,95 @@ def test_a_limb_seen_end_on_is_its_larger_disc(near, turn, share, seed):
         np.testing.assert_allclose(ours, expected, atol=1e-5)
 
 
+TOUCH = jax.jit(outlines.touch)
+
+
+def touched(limb: Discs, points: np.ndarray) -> outlines.Touch:
+    with double():
+        found = TOUCH(on_device(limb), *on_device((points[:, 0], points[:, 1])))
+    return outlines.Touch(*(np.asarray(part) for part in found))
+
+
+@given(vectors(2), vectors(2), radii, radii, st.integers(0, 1000))
+def test_the_nearest_disc_along_the_axis_is_the_one_that_touches(near, far, a, b, seed):
+    limb = discs(near, far, a, b)
+    length = np.linalg.norm(near - far)
+    assume(abs(length - abs(a - b)) > 2e-3 and length > 1e-5)
+    points = np.random.default_rng(seed).uniform(-1.5, 1.5, (12, 2))
+    found = touched(limb, points)
+    share = np.linspace(0, 1, 2001)[:, None]
+    family = np.linalg.norm(points - ((1 - share) * near + share * far)[:, None], axis=-1)
+    family = family - ((1 - share) * a + share * b)
+    # The step between two discs of the family, squared, bounds what the finer one gains.
+    np.testing.assert_allclose(found.distance, family.min(0), atol=2e-3)
+    assert (found.distance <= family.min(0) + 1e-9).all()
+    along = found.along[:, None]
+    centre, radius = (1 - along) * near + along * far, (1 - along) * a + along * b
+    normal = np.stack([found.normal_x, found.normal_y], 1)
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1, atol=1e-6)
+    np.testing.assert_allclose(
+        centre + (radius + found.distance[:, None]) * normal, points, atol=1e-5
+    )
+
+
+def numbers_of(limb: Discs) -> np.ndarray:
+    """Near x, y; far x, y; near and far radius."""
+    return np.concatenate([np.asarray(part, float) for part in limb])
+
+
+def by_finite_differences(limb: Discs, points: np.ndarray, step: float = 1e-6) -> np.ndarray:
+    """Derivatives (K, 6) of the points' signed distances."""
+
+    def distances(numbers: np.ndarray) -> np.ndarray:
+        with double():
+            return np.asarray(
+                DISTANCE(
+                    on_device(Discs(numbers[:2], numbers[2:4], numbers[4:])), on_device(points)
+                )
+            )
+
+    middle = numbers_of(limb)
+    columns = [(distances(middle + d) - distances(middle - d)) for d in step * np.eye(6)]
+    return np.stack(columns, 1) / (2 * step)
+
+
+def by_the_touching_circle(found: outlines.Touch) -> np.ndarray:
+    """The same by the envelope theorem."""
+    near, far = 1 - found.along, found.along
+    x, y = found.normal_x, found.normal_y
+    return -np.stack([near * x, near * y, far * x, far * y, near, far], 1)
+
+
+def off_the_medial_axis(limb: Discs, points: np.ndarray) -> np.ndarray:
+    """The points at which the distance has a derivative, well away from those where it has none."""
+    axis = limb.far - limb.near
+    away = points - limb.near
+    aside = np.abs(axis[0] * away[:, 1] - axis[1] * away[:, 0]) / np.linalg.norm(axis)
+    centres = np.stack([limb.near, limb.far])[:, None]
+    return points[(aside > 0.03) & (np.linalg.norm(points - centres, axis=-1) > 0.03).all(0)]
+
+
+@given(vectors(2), vectors(2), radii, radii, st.integers(0, 1000))
+def test_derivatives_by_the_discs_are_those_of_the_touching_circle(near, far, a, b, seed):
+    limb = discs(near, far, a, b)
+    assume(np.linalg.norm(near - far) > abs(a - b) / 0.99 + 0.02)
+    points = off_the_medial_axis(limb, np.random.default_rng(seed).uniform(-1.5, 1.5, (16, 2)))
+    expected = by_finite_differences(limb, points)
+    np.testing.assert_allclose(by_the_touching_circle(touched(limb, points)), expected, atol=2e-4)
+
+
+@given(vectors(2, 0.5), st.floats(-np.pi, np.pi), st.floats(0.05, 0.9), st.integers(0, 1000))
+def test_a_nested_disc_has_no_say_in_the_distance(near, turn, share, seed):
+    for larger, smaller in ((0.3, 0.1), (0.1, 0.3)):
+        far = near + share * 0.2 * np.array([np.cos(turn), np.sin(turn)])
+        limb = discs(near, far, larger, smaller)
+        points = off_the_medial_axis(limb, np.random.default_rng(seed).uniform(-1, 1, (8, 2)))
+        found = by_the_touching_circle(touched(limb, points))
+        np.testing.assert_allclose(found, by_finite_differences(limb, points), atol=2e-4)
+        inner = [2, 3, 5] if larger > smaller else [0, 1, 4]
+        assert not found[:, inner].any()
+
+
 @given(vectors(2), vectors(2), radii, radii)
 def test_outline_points_lie_on_the_outline_and_weigh_its_length(near, far, a, b):
     limb = discs(near, far, a, b)

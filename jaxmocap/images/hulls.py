@@ -18,14 +18,15 @@ def draw_hulls(discs: Discs, size: tuple[int, int]) -> np.ndarray:
     """The union (h, w) bool of K hulls in an image of width and height ``size``.
 
     Args:
-        discs: K, pixels; those that are not finite are left out.
+        discs: K, pixels; those that are not finite, or too far away, are left out.
         size: of the image.
     """
     mask = np.zeros((size[1], size[0]), np.uint8)
     near, far, radii = (np.asarray(part, float) for part in discs)
     for a, b, r in zip(near, far, radii, strict=True):
-        corners = np.concatenate([a + r[0] * CIRCLE, b + r[1] * CIRCLE])
-        if np.isfinite(corners).all() and np.abs(corners).max() < FARTHEST_PX:
+        # What is not a number is not less either.
+        if (np.abs([*a, *b, *r]) < FARTHEST_PX).all():
+            corners = np.concatenate([a + r[0] * CIRCLE, b + r[1] * CIRCLE])
             hull = cv2.convexHull(np.round(corners).astype(np.int32))
             cv2.fillConvexPoly(mask, hull, 1)
     return mask.astype(bool)
