@@ -243,10 +243,8 @@ class RunningBackground:
         rate = np.where(body, np.float32(0), 1 / np.maximum(self._seen, 1))
         step = cv2.subtract(frame, self._colour, dtype=cv2.CV_32F)
         away = cv2.transform(np.abs(step), np.full((1, 3), SIGMA_PER_MEAN / 3))
-        late = self._seen > self.enough
-        bounded = np.minimum(
-            away, 3 * np.maximum(self._noise, LEAST_NOISE), where=late, out=away.copy()
-        )
+        usual = np.where(self._seen > self.enough, np.maximum(self._noise, LEAST_NOISE), 255)
+        bounded = np.minimum(away, 3 * usual)
         cv2.multiply(step, cv2.merge([rate * (bounded / np.maximum(away, 1))] * 3), dst=step)
         cv2.add(self._colour, step, dst=self._colour)
         # The first sighting is a colour, not yet a deviation.
