@@ -23,8 +23,8 @@ class Region(NamedTuple):
         scale: (...) image pixels per sample.
     """
 
-    origin: Array
-    scale: Array
+    origin: Array | np.ndarray
+    scale: Array | np.ndarray
 
 
 def region_around(

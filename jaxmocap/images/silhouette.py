@@ -31,8 +31,8 @@ class Grid(NamedTuple):
         weight: (..., S, S) how much the cell tells; 0 where nothing is known.
     """
 
-    probability: Array
-    weight: Array
+    probability: Array | np.ndarray
+    weight: Array | np.ndarray
 
 
 def blurred(grid: Grid, softness: float) -> Grid:
@@ -130,4 +130,4 @@ def coverage_fit(
 
 
 def _residuals(grid: Grid, coverage: Array) -> Array:
-    return grid.weight.ravel() * (coverage - grid.probability.ravel())
+    return (coverage - grid.probability.ravel()) * grid.weight.ravel()

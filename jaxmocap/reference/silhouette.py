@@ -39,4 +39,4 @@ def coverage_cost(
     for cell in np.ndindex(*covered.shape):
         difference = covered[cell] * visible[cell] - probability[cell]
         total += (weight[cell] * difference) ** 2
-    return total
+    return float(total)
