@@ -246,11 +246,14 @@ class SmoothingSettings:
         marker: of a marker about its point on the body, metres.
         silhouette: of a cell's coverage; above what one cell errs by, since neighbours err alike.
         acceleration: spectral density of the landmarks' accelerations, m / s^2 * sqrt(s).
-        lean: of the pelvis from the vertical, radians.
-        facing: of the pelvis about where the markers' pose faces, radians.
+        lean: of the pelvis' upright about that of the markers' pose, radians; about the vertical
+            where no marker holds the feet.
+        facing: of the pelvis about where the markers' pose faces, radians; thrice that where no
+            marker holds the feet.
         limit: by which a joint may exceed its range, radians.
         ground: of the height of ankles that no marker holds, metres.
         footing: of their place on the ground, metres.
+        proportions: weight of the prior on the person's proportions, in sights.
         mismatch: of a landmark that all else determines, since no person is made of cones and
             bones of known length, metres.
     """
@@ -264,6 +267,7 @@ class SmoothingSettings:
     limit: Array
     ground: Array
     footing: Array
+    proportions: Array
     mismatch: Array
 
     @classmethod
@@ -274,14 +278,18 @@ class SmoothingSettings:
         silhouette: float = 0.7,
         acceleration: float = 3.0,
         lean: float = 0.1,
-        facing: float = 0.3,
+        facing: float = 0.1,
         limit: float = 0.02,
         ground: float = 0.05,
         footing: float = 0.3,
+        proportions: float = 5.0,
         mismatch: float = 0.02,
     ) -> "SmoothingSettings":
         """Settings as arrays (a Python float in a pytree would trace anew)."""
-        numbers = (marker, silhouette, acceleration, lean, facing, limit, ground, footing, mismatch)
+        numbers = (
+            marker, silhouette, acceleration, lean, facing, limit, ground, footing, proportions,
+            mismatch,
+        )  # fmt: skip
         return cls(iterations, *(jnp.asarray(value, float) for value in numbers))
 
 

@@ -15,7 +15,9 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.flesh import Cones, cones
-from jaxmocap.body.kinematics import Frames, jacobian
+from jaxmocap.body.kinematics import Frames, forward, jacobian
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.proportions import scaled
 from jaxmocap.body.skeleton import Skeleton, Tree
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, to_camera, to_pixels
 from jaxmocap.geometry.outlines import Discs, project_limb, touch
@@ -62,15 +64,40 @@ def silhouette_cost(
 
 
 def silhouette_fit(
-    skeleton: Skeleton, frames: Frames, camera: Camera, sight: Sight, softness: Array
+    skeleton: Skeleton,
+    proportions: Array,
+    pose: Pose,
+    camera: Camera,
+    sight: Sight,
+    softness: Array,
 ) -> tuple[Array, Array, Array]:
-    """The same cost (), with J^T J (6 + D, 6 + D) and J^T r (6 + D,)."""
+    """The same cost (), with J^T J (N, N) and J^T r (N,), N = 6 + D + P: pose, then proportions.
+
+    Args:
+        skeleton: unscaled.
+        proportions: (P,) of ``scaled``.
+        pose: of the person.
+        camera: that sees it.
+        sight: what it saw.
+        softness: cells.
+    """
+
+    def drawn(proportions: Array) -> Discs:
+        person = scaled(skeleton, proportions)
+        body = cones(person, forward(person, pose), bones)
+        return _discs(camera, body, sight.region)
+
     bones = drawn_bones(skeleton.tree)
+    by_proportions = jax.jacfwd(drawn)(proportions)
+    skeleton = scaled(skeleton, proportions)
+    frames = forward(skeleton, pose)
     flesh = cones(skeleton, frames, bones)
     discs = _discs(camera, flesh, sight.region)
     fore, visible = _forearms(skeleton.tree, camera, flesh, discs, sight.person)
     arms = Discs(*(part[fore] for part in discs))
-    leverage = _leverage(skeleton, frames, camera, flesh, discs, sight.region, bones)
+    by_pose = _leverage(skeleton, frames, camera, flesh, discs, sight.region, bones)
+    ends = by_proportions.near, by_proportions.far, by_proportions.radii
+    leverage = jnp.concatenate([by_pose, jnp.concatenate(ends, 1)], 2)
     whole = coverage_fit(discs, sight.person, softness)
     part = coverage_fit(arms, sight.forearms, softness, visible)
     hessian = whole.hessian.at[fore].add(part.hessian)

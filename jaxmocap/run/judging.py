@@ -12,7 +12,7 @@ from jax import Array
 
 from jaxmocap.body.kinematics import forward, site_positions
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.hybrid.arms import arms_of
 from jaxmocap.hybrid.refine import swivels
 from jaxmocap.hybrid.search import HALF_AT_M
@@ -41,19 +41,23 @@ class Judged(NamedTuple):
 
 
 def judge(
-    tracker: HybridTracker, smoothed: SmoothedPoses, alone: Pose, markers_world: np.ndarray
+    tracker: HybridTracker,
+    person: Skeleton,
+    smoothed: SmoothedPoses,
+    alone: Pose,
+    markers_world: np.ndarray,
 ) -> Judged:
-    """Of smoothed poses (E, ...), against those of the markers alone."""
+    """Of smoothed poses (E, ...) of a person as found, against those of the markers alone."""
 
     def of_event(pose: Pose, before: Pose, targets: Array) -> tuple[Array, Array]:
-        skeleton, grips = tracker.skeleton, tracker.grips
-        bones, bones_before = forward(skeleton, pose), forward(skeleton, before)
-        off = site_positions(skeleton, bones, tracker.markers) - targets
-        arms = arms_of(skeleton, bones_before, grips), arms_of(skeleton, bones, grips)
+        bones, bones_before = forward(person, pose), forward(tracker.skeleton, before)
+        off = site_positions(person, bones, tracker.markers) - targets
+        first = arms_of(tracker.skeleton, bones_before, tracker.grips)
+        arms = first, arms_of(person, bones, tracker.grips)
         return jnp.sqrt(jnp.sum(off**2, -1)), swivels(*arms)
 
     every = jax.tree.map(
-        lambda part: jnp.asarray(part, float), (smoothed.poses, alone, markers_world)
+        lambda part: jnp.asarray(part, float), (smoothed.motion.poses, alone, markers_world)
     )
     distances, turned = jax.device_get(jax.jit(jax.vmap(of_event))(*every))
     deviations = smoothed.deviations

@@ -281,8 +281,8 @@ class Run:
             kept = np.asarray(values)[at_samples]
             return np.concatenate([np.full((before, *kept.shape[1:]), np.nan), kept])
 
-        def motion(poses: Pose, report: Report | None) -> Motion:
-            return Motion(skeleton, self.recording.times, jax.tree.map(column, poses), report)
+        def motion(person: Skeleton, poses: Pose, report: Report | None) -> Motion:
+            return Motion(person, self.recording.times, jax.tree.map(column, poses), report)
 
         alone, refined = self.poses()
         judged = self._judged() if smoothed is None else smoothed.judged
@@ -298,8 +298,8 @@ class Run:
             milliseconds={stage: np.array(t) for stage, t in self.milliseconds.items()},
             settings=told,
         )
-        poses = refined if smoothed is None else smoothed.poses
-        return Tracked(motion(poses, report), motion(alone, None))
+        person, poses = (skeleton, refined) if smoothed is None else smoothed[:2]
+        return Tracked(motion(person, poses, report), motion(skeleton, alone, None))
 
     def _judged(self) -> Judged:
         """What the steps themselves report."""

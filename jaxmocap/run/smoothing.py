@@ -20,14 +20,16 @@ from scipy.ndimage import gaussian_filter1d
 from jaxmocap.body.flesh import cones
 from jaxmocap.body.kinematics import forward, landmarks
 from jaxmocap.body.pose import Pose
+from jaxmocap.body.proportions import PROPORTIONS, scaled
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.capture.timeline import Timeline
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera, to_pixels
 from jaxmocap.geometry.outlines import Discs, project_limb
 from jaxmocap.geometry.rotations import quaternion_to_matrix
+from jaxmocap.hybrid.residuals import Frame
 from jaxmocap.hybrid.silhouette import FOREARMS, Sight, drawn_bones
-from jaxmocap.hybrid.smoothing import Frame, Problem, Sights, smooth_poses
+from jaxmocap.hybrid.smoothing import Motion, Problem, Sights, smooth_poses
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.images.background import Background, spread
 from jaxmocap.images.foreground import (
@@ -122,10 +124,12 @@ class Smoothed(NamedTuple):
     """What the second pass found.
 
     Attributes:
+        skeleton: of the person with the proportions found.
         poses: (E, ...).
         judged: how far to trust them.
     """
 
+    skeleton: Skeleton
     poses: Pose
     judged: Judged
 
@@ -157,24 +161,26 @@ def smooth_recording(
     if not looks:
         return None
     frames = _frames(tracker, times, markers_world, alone)
-    poses, ended = start, None
+    no_change = np.zeros(len(PROPORTIONS), tracker.dtype)
+    motion, ended = Motion(start, no_change), None
     for number, softness in enumerate(ROUNDS):
-        sights = []
+        person, sights = scaled(tracker.skeleton, jnp.asarray(motion.proportions)), []
         for look in looks:
             camera = jax.tree.map(lambda part, c=look.camera: part[c], tracker.cameras)
-            there = jax.tree.map(lambda part, e=look.events: np.asarray(part)[e], poses)
-            sights.append(_sights(tracker.skeleton, camera, look, videos[look.camera], there))
+            there = jax.tree.map(lambda part, e=look.events: np.asarray(part)[e], motion.poses)
+            sights.append(_sights(person, camera, look, videos[look.camera], there))
             show((number + 0.5 * len(sights) / len(looks)) / len(ROUNDS))
         together = jax.tree.map(lambda *parts: np.concatenate(parts), *sights)
         problem = Problem(
             tracker.skeleton, tracker.cameras, tracker.markers, tracker.settings.over_time,
             times, frames, together,
         )  # fmt: skip
-        ended = smooth_poses(problem, poses, softness)
-        poses = ended.poses
+        ended = smooth_poses(problem, motion, softness)
+        motion = ended.motion
         show((number + 1) / len(ROUNDS))
     assert ended is not None
-    return Smoothed(poses, judge(tracker, ended, alone, markers_world))
+    person = scaled(tracker.skeleton, jnp.asarray(motion.proportions))
+    return Smoothed(person, motion.poses, judge(tracker, person, ended, alone, markers_world))
 
 
 def _looks(timeline: Timeline) -> list[Look]:
@@ -201,7 +207,7 @@ def _frames(
     names = [tracker.skeleton.tree.bones[bone] for bone in tracker.markers.bones]
     free = not any(name.startswith(FEET) for name in names)
     feet = np.full(len(times), float(free))
-    parts = (markers_world, facing, ankles, feet)
+    parts = (markers_world, R[:, :2, 2], facing, ankles, feet)
     return Frame(*(np.asarray(part, tracker.dtype) for part in parts))
 
 
@@ -288,8 +294,8 @@ class Drawing:
         kept = [n not in without and (only is None or n in only) for n in self.names]
         near, far, radii = (each[frame][kept] for each in self.discs)
         ends = [near + at * (far - near) for at in part]
-        widths = [radii[:, 0] + at * (radii[:, 1] - radii[:, 0]) for at in part]
-        return draw_hulls(Discs(*ends, share * np.stack(widths, 1) + more_px), self.size)
+        widths = radii[:, :1] + np.array(part) * (radii[:, 1:] - radii[:, :1])
+        return draw_hulls(Discs(ends[0], ends[1], widths * share + more_px), self.size)
 
 
 def _regions(skeleton: Skeleton, camera: Camera, poses: Pose) -> Region:
@@ -312,7 +318,7 @@ def _learn(look: Look, video: FrameSource, drawing: Drawing) -> Appearance:
     which = [i for i, image in read if image is not None]
     cores = np.stack([drawing.mask(i, CORE) for i in which])
     more_px = ERRING_M * drawing.per_metre
-    bodies = np.stack([drawing.mask(i, WHEREVER, more_px[i]) for i in which])
+    bodies = np.stack([drawing.mask(i, WHEREVER, float(more_px[i])) for i in which])
     background, person = learn_foreground(frames, cores, bodies)
     odds = np.stack([log_odds(frame, background, person) for frame in frames])
     arms = np.stack([drawing.mask(i, CORE, only=FOREARMS[:2], part=BARE) for i in which])
