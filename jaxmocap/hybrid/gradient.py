@@ -205,18 +205,21 @@ def _points_on_jvp(bones: tuple[int, ...], primals: tuple, tangents: tuple) -> t
 points_on.defjvp(_points_on_jvp, symbolic_zeros=True)
 
 
+def _symbolic(leaf: Any) -> bool:
+    return isinstance(leaf, SymbolicZero)
+
+
 def _is_zero(tangents: Any) -> bool:
-    leaves = jax.tree.leaves(tangents, is_leaf=lambda leaf: isinstance(leaf, SymbolicZero))
-    return all(isinstance(leaf, SymbolicZero) for leaf in leaves)
+    return all(map(_symbolic, jax.tree.leaves(tangents, is_leaf=_symbolic)))
 
 
 def _filled(tangents: Any) -> Any:
     """Tangents with symbolic zeros as arrays."""
 
     def fill(leaf: Any) -> Array:
-        return jnp.zeros(leaf.shape, leaf.dtype) if isinstance(leaf, SymbolicZero) else leaf
+        return jnp.zeros(leaf.shape, leaf.dtype) if _symbolic(leaf) else leaf
 
-    return jax.tree.map(fill, tangents, is_leaf=lambda leaf: isinstance(leaf, SymbolicZero))
+    return jax.tree.map(fill, tangents, is_leaf=_symbolic)
 
 
 def marker_residuals(settings: GradientSettings, points: Array, goals: Goals) -> Array:
