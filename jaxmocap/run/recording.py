@@ -74,7 +74,7 @@ def track(
         was missing and how long each stage took (``milliseconds``: ``decode``, ``solve``,
         ``observe``, ``refine``, and ``frame`` for all of them, at the events with a video frame;
         ``carry`` for the second call and ``sample`` for all at those without one; ``first_call``
-        for the first event, compilation included).
+        for the first event and ``smooth`` for the second pass, compilation included).
 
     Raises:
         InputError: a video that cannot be used with the recording.
@@ -100,10 +100,12 @@ def track_both(
             show(done, total)
     smoothed = None
     if used and tracker.settings.smooth and mode != "causal":
+        began = perf_counter()
         with progress_bar("smoothing", progress) as show:
             smoothed = smooth_recording(
                 tracker, used, run.done(), *run.poses(), lambda share: show(round(100 * share), 100)
             )
+        run.milliseconds["smooth"] = [1e3 * (perf_counter() - began)]
     told = {
         "recording": recording.path or recording.name,
         "mode": mode,

@@ -14,6 +14,10 @@ from jaxmocap.formats.atomic import replacing
 from jaxmocap.outputs.report import plain, summarise
 
 
+# Stages that run once and compile on the way.
+ONCE = ("first_call", "smooth")
+
+
 def frames_per_second(report: Report) -> float:
     """Steady state, all stages of an event together: those with a video frame where there are any.
 
@@ -44,7 +48,7 @@ def summary(motion: Motion, files: Sequence[Path] = ()) -> str:
 def _figures(report: Report) -> list[tuple[str, str]]:
     rows = [("rate", f"{frames_per_second(report):.0f} frames per second")]
     for stage, times in report.milliseconds.items():
-        if stage == "first_call":
+        if stage in ONCE:
             rows.append((stage, f"{times[0] / 1e3:.1f} s, compilation included"))
         else:
             rows.append((stage, f"{np.median(times):.2f} ms (median of {len(times)})"))
