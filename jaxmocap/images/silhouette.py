@@ -45,9 +45,9 @@ def blurred(grid: Grid, softness: float) -> Grid:
         way = cv2.BORDER_REPLICATE
         return cv2.GaussianBlur(values, (0, 0), float(softness), borderType=way)
 
-    pairs = zip(np.asarray(grid.probability), np.asarray(grid.weight), strict=True)
-    parts = [(blur(p * w), blur(w)) for p, w in pairs]
-    seen, weight = (np.stack(each) for each in zip(*parts, strict=True))
+    seen, weight = (np.array(part) for part in grid)
+    for p, w in zip(seen, weight, strict=True):
+        p[:], w[:] = blur(p * w), blur(w)
     return Grid(seen / np.maximum(weight, 1e-3), weight)
 
 
