@@ -13,7 +13,6 @@ from jaxmocap.body.motion import Motion, Report
 from jaxmocap.formats.atomic import replacing
 from jaxmocap.outputs.report import plain, summarise
 
-
 # Stages that run once and compile on the way.
 ONCE = ("first_call", "smooth")
 
