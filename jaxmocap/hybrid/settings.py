@@ -254,8 +254,9 @@ class SmoothingSettings:
         ground: of the height of ankles that no marker holds, metres.
         footing: of their place on the ground, metres.
         proportions: weight of the prior on the person's proportions, in sights.
-        mismatch: of a landmark that all else determines, since no person is made of cones and
-            bones of known length, metres.
+        redundancy: how many cells and frames err alike: a silhouette is wrong where the person is
+            no cone, and goes on being so. For the deviations only.
+        mismatch: of a landmark that no marker holds, however sure the video, metres.
     """
 
     iterations: int = field(metadata={"static": True})
@@ -268,6 +269,7 @@ class SmoothingSettings:
     ground: Array
     footing: Array
     proportions: Array
+    redundancy: Array
     mismatch: Array
 
     @classmethod
@@ -283,12 +285,13 @@ class SmoothingSettings:
         ground: float = 0.05,
         footing: float = 0.3,
         proportions: float = 5.0,
-        mismatch: float = 0.02,
+        redundancy: float = 100.0,
+        mismatch: float = 0.025,
     ) -> "SmoothingSettings":
         """Settings as arrays (a Python float in a pytree would trace anew)."""
         numbers = (
             marker, silhouette, acceleration, lean, facing, limit, ground, footing, proportions,
-            mismatch,
+            redundancy, mismatch,
         )  # fmt: skip
         return cls(iterations, *(jnp.asarray(value, float) for value in numbers))
 

@@ -7,11 +7,11 @@ ease are residuals; accelerations of the body's landmarks are the prior that joi
 INPUTS: a start, markers, sights at some of the frames. OUTPUTS: poses, standard deviations.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +25,7 @@ from jaxmocap.body.proportions import PROPORTIONS, scaled
 from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
+from jaxmocap.hybrid.batches import in_batches
 from jaxmocap.hybrid.residuals import Frame, residuals
 from jaxmocap.hybrid.settings import SmoothingSettings
 from jaxmocap.hybrid.silhouette import Sight, silhouette_cost, silhouette_fit
@@ -36,9 +37,9 @@ from jaxmocap.solvers.trajectory import Settings as Solve
 
 # Frames and sights per call: shapes that every recording shares, so that they compile once.
 FRAMES_A_CALL, SIGHTS_A_CALL = 64, 16
-# A landmark is a guess where the video leaves more than this share of its variance, unless the
-# markers alone already hold it this well (metres).
-GUESSED, HELD_M = 0.7, 0.03
+# A landmark is a guess where the video leaves more than this share of its variance, unless markers
+# hold it already, as they do below some HELD_M metres.
+GUESSED, HELD_M = 0.7, 0.01
 
 
 class Motion(NamedTuple):
@@ -128,22 +129,34 @@ def smooth_poses(problem: Problem, start: Motion, softness: tuple[float, ...]) -
             )
             motion = ended.x
         assert ended is not None
-        linear = _linearise(seen, softness[-1], workers, motion)
-        unseen = _linearise(_unseen(seen), softness[-1], workers, motion)
-        told, guessed = (_variances(each, prior) for each in (linear, unseen))
-    deviations = np.sqrt(told + float(settings.mismatch) ** 2)
+        told = _variances(_alike(seen), softness[-1], workers, motion, prior)
+        guessed = _variances(_unseen(seen), softness[-1], workers, motion, prior)
+    loose = told / (told + HELD_M**2)
+    deviations = np.sqrt(told + loose * float(settings.mismatch) ** 2)
     from_prior = told.sum(-1) > GUESSED * guessed.sum(-1)
-    markers_hold = guessed.sum(-1) < HELD_M**2
+    markers_hold = guessed.sum(-1) < 9 * HELD_M**2
     return SmoothedPoses(
         motion, deviations, (from_prior & ~markers_hold).astype(float), ended.cost, ended.status
     )
 
 
-def _variances(linear: Linearised, prior: Smoothness) -> np.ndarray:
+def _variances(
+    problem: Problem,
+    softness: float,
+    workers: ThreadPoolExecutor,
+    motion: Motion,
+    prior: Smoothness,
+) -> np.ndarray:
     """(T, L, 3) of the landmarks' coordinates."""
-    found = covariances(linear, prior)
-    found = point_variances(linear.jacobian, found, linear.shared_jacobian)
+    linear = _linearise(problem, softness, workers, motion)
+    found = point_variances(linear.jacobian, covariances(linear, prior), linear.shared_jacobian)
     return found.reshape(-1, len(LANDMARKS), 3)
+
+
+def _alike(problem: Problem) -> Problem:
+    """The same with sights that tell as little as their cells' common errors leave."""
+    alike = problem.settings.silhouette * jnp.sqrt(problem.settings.redundancy)
+    return replace(problem, settings=replace(problem.settings, silhouette=alike))
 
 
 def _unseen(problem: Problem) -> Problem:
@@ -306,7 +319,7 @@ def _over_frames(
     """A function of batches of frames over all of them, float64."""
     fixed = problem.skeleton, jnp.asarray(motion.proportions), problem.markers, problem.settings
     each = motion.poses, problem.frames
-    return _in_batches(lambda *b: call(*fixed, *b), each, FRAMES_A_CALL, workers)
+    return in_batches(lambda *b: call(*fixed, *b), each, FRAMES_A_CALL, workers)
 
 
 def _over_sights(
@@ -318,23 +331,4 @@ def _over_sights(
     there = jax.tree.map(lambda part: np.asarray(part)[sights.frame], motion.poses)
     fixed = problem.skeleton, jnp.asarray(motion.proportions), jnp.asarray(softness, float)
     each = (there, cameras, sights.sight)
-    return _in_batches(lambda *b: call(*fixed, *b), each, SIGHTS_A_CALL, workers)
-
-
-def _in_batches(
-    call: Callable, stacked: tuple[Any, ...], size: int, workers: ThreadPoolExecutor
-) -> list[np.ndarray]:
-    """``call`` over batches of one size, of which the last is filled up with its last entry."""
-    count = len(jax.tree.leaves(stacked)[0])
-
-    def of_batch(rows: np.ndarray) -> list[np.ndarray]:
-        found = call(*jax.tree.map(lambda part: np.asarray(part)[rows], stacked))
-        return [np.asarray(part, np.float64) for part in jax.tree.leaves(found)]
-
-    parts = list(workers.map(of_batch, _batches(count, size)))
-    return [np.concatenate(each)[:count] for each in zip(*parts, strict=True)]
-
-
-def _batches(count: int, size: int) -> Iterator[np.ndarray]:
-    for first in range(0, count, size):
-        yield np.minimum(np.arange(first, first + size), count - 1)
+    return in_batches(lambda *b: call(*fixed, *b), each, SIGHTS_A_CALL, workers)

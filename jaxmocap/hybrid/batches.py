@@ -1,0 +1,30 @@
+"""Jitted functions of batches of one size over any number of entries, so that they compile once.
+
+INPUTS: stacked entries. OUTPUTS: stacked results, float64.
+"""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import jax
+import numpy as np
+
+
+def in_batches(
+    call: Callable, stacked: tuple[Any, ...], size: int, workers: ThreadPoolExecutor
+) -> list[np.ndarray]:
+    """``call`` over batches of one size, of which the last is filled up with its last entry."""
+    count = len(jax.tree.leaves(stacked)[0])
+
+    def of_batch(rows: np.ndarray) -> list[np.ndarray]:
+        found = call(*jax.tree.map(lambda part: np.asarray(part)[rows], stacked))
+        return [np.asarray(part, np.float64) for part in jax.tree.leaves(found)]
+
+    parts = list(workers.map(of_batch, _batches(count, size)))
+    return [np.concatenate(each)[:count] for each in zip(*parts, strict=True)]
+
+
+def _batches(count: int, size: int) -> Iterator[np.ndarray]:
+    for first in range(0, count, size):
+        yield np.minimum(np.arange(first, first + size), count - 1)
