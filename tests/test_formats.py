@@ -13,13 +13,13 @@ from hypothesis.extra import numpy as hnp
 
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.calibration import pick_camera, read_calibration, write_calibration
 from jaxmocap.formats.csv import read_csv, write_csv
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.markers import read_markers
-from jaxmocap.formats.npz import load_motion, save_motion
+from jaxmocap.formats.npz import VERSION, load_motion, save_motion
 from jaxmocap.formats.trc import read_trc, write_trc
 from jaxmocap.geometry.cameras import Camera
 
@@ -364,6 +364,8 @@ def test_a_motion_survives_a_round_trip_with_skeleton_and_report(tmp_path):
         arm_costs=np.full((4, 2), np.nan),
         swivels=rng.normal(size=(4, 2)),
         confidence=rng.uniform(size=(4, 2)),
+        landmarks_std=rng.uniform(size=(4, len(LANDMARKS), 3)),
+        from_prior=rng.integers(0, 2, (4, len(LANDMARKS))).astype(float),
         statuses=((), ("the head was lost",), (), ("a", "b")),
         milliseconds={"solve": rng.uniform(size=5), "refine": rng.uniform(size=3)},
         settings={"refine": "simplex", "lam": 0.5, "on": jnp.arange(2)},
@@ -398,7 +400,7 @@ def test_what_is_no_motion_is_refused(tmp_path):
     assert "not an .npz file" in complaint(load_motion, written(tmp_path, "text", "a.npz"))
     np.savez(tmp_path / "b.npz", times=np.arange(3))
     assert "version: found none" in complaint(load_motion, tmp_path / "b.npz")
-    np.savez(tmp_path / "c.npz", version=1)
+    np.savez(tmp_path / "c.npz", version=VERSION)
     assert "is missing" in complaint(load_motion, tmp_path / "c.npz")
     save_motion(tmp_path / "d.npz", some_motion(None))
     content = (tmp_path / "d.npz").read_bytes()

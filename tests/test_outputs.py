@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.formats.errors import InputError
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.outputs.overlay import Artist, confidence_colour, write_overlay
@@ -54,6 +54,8 @@ def make_report() -> Report:
         arm_costs=costs,
         swivels=np.full((SAMPLES, 2), 0.1),
         confidence=np.tile([1.0, 0.0], (SAMPLES, 1)),
+        landmarks_std=np.full((SAMPLES, len(LANDMARKS), 3), 0.02),
+        from_prior=np.zeros((SAMPLES, len(LANDMARKS))),
         statuses=tuple(missing),
         milliseconds={"solve": np.arange(101.0), "refine": np.full(13, 2.0)},
         settings={"refine": "gradient", "weights": np.ones(2, np.float32), "limit": np.inf},

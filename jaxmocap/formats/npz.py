@@ -19,7 +19,7 @@ from jaxmocap.body.skeleton import Skeleton, Tree
 from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.errors import InputError
 
-VERSION = 1
+VERSION = 2
 _SKELETON = tuple(field.name for field in fields(Skeleton) if field.name != "tree")
 _REPORT = ("marker_errors", "arm_costs", "swivels", "confidence", "landmarks_std", "from_prior")
 

@@ -65,7 +65,8 @@ def track(
         mode: ``own`` looks at each video frame at its own time, with the markers interpolated
             there; ``nearest`` looks at the frame nearest to each marker sample, as in the paper;
             ``causal`` is ``own`` without any later marker or frame than a live run would have.
-        progress: called with the events done and their total; True shows a bar on stderr.
+        progress: called with the events done and their total, then with the percent of the second
+            pass done and 100; True shows a bar on stderr.
         tracker: of ``make_tracker`` for this recording, so that it compiles once for several
             runs; its settings hold.
 

@@ -53,8 +53,9 @@ def _figures(report: Report) -> list[tuple[str, str]]:
             rows.append((stage, f"{np.median(times):.2f} ms (median of {len(times)})"))
     errors = [f"{name} {_centimetres(column)}" for name, column in _columns(report)]
     rows.append(("off the markers", f"{', '.join(errors)} (95 %)"))
-    if (seen := np.isfinite(report.arm_costs)).any():
-        means = [f"{np.nanmean(c):.2f}" for c in report.confidence[seen.any(-1)].T]
+    # Frames need not fall on a sample to have been looked at.
+    if "observe" in report.milliseconds:
+        means = [f"{np.nanmean(column):.2f}" for column in report.confidence.T]
         rows.append(("confidence", f"left elbow {means[0]}, right elbow {means[1]}"))
     return rows
 
