@@ -310,12 +310,14 @@ def _regions(skeleton: Skeleton, camera: Camera, poses: Pose) -> Region:
     return Region(origin.astype(dtype), np.full(len(origin), side / CELLS, dtype))
 
 
-def _learn(look: Look, video: FrameSource, drawing: Drawing) -> Appearance:
-    """Background and colours from frames spread over the recording."""
+def _learn(look: Look, video: FrameSource, drawing: Drawing) -> Appearance | None:
+    """Background and colours from frames spread over the recording; None if none can be read."""
     chosen = spread(len(look.events))
-    read = list(zip(chosen, look.frames(video, chosen), strict=True))
-    frames = np.stack([image for _, image in read if image is not None])
-    which = [i for i, image in read if image is not None]
+    pairs = zip(chosen, look.frames(video, chosen), strict=True)
+    read = [(i, image) for i, image in pairs if image is not None]
+    if not read:
+        return None
+    which, frames = [i for i, _ in read], np.stack([image for _, image in read])
     cores = np.stack([drawing.mask(i, CORE) for i in which])
     more_px = ERRING_M * drawing.per_metre
     bodies = np.stack([drawing.mask(i, WHEREVER, float(more_px[i])) for i in which])
@@ -331,15 +333,15 @@ def _learn(look: Look, video: FrameSource, drawing: Drawing) -> Appearance:
 
 
 def _grids(
-    image: np.ndarray | None, learned: Appearance, drawing: Drawing, frame: int, region: Region
+    image: np.ndarray | None, known: Appearance | None, drawing: Drawing, frame: int, region: Region
 ) -> tuple[Grid, Grid]:
     """The person and the forearms on the grid; nothing known where there is no image."""
-    if image is None:
+    if image is None or known is None:
         nothing = Grid(*np.zeros((2, CELLS, CELLS), np.float32))
         return nothing, nothing
-    person = log_odds(image, learned.background, learned.person)
+    person = log_odds(image, known.background, known.person)
     head = drawing.mask(frame, HEAD_GROWN, only=HEAD)
-    forearms = part_odds(image, person, learned.forearms, head)
+    forearms = part_odds(image, person, known.forearms, head)
     # Edges map onto edges.
     origin = (np.asarray(region.origin) + 0.5) * drawing.ratio - 0.5
     cell = float(region.scale) * drawing.ratio[0]

@@ -1,0 +1,342 @@
+"""The second pass over a recording: what it sees in the frames, what is missing, what it finds."""
+
+from dataclasses import replace
+from functools import cache
+
+import cv2
+import jax
+import numpy as np
+import pytest
+from conftest import on_device
+from drawn_arms import SIZE
+from drawn_body import Painted, paint, room
+from painted_motion import CAMERAS, ELBOWS, MARKERS, PERSON, disturbed, points_of, pose_at
+
+from jaxmocap.body.kinematics import forward, site_positions
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.capture.timeline import build_timeline
+from jaxmocap.capture.video import MemoryVideo
+from jaxmocap.formats.recording import MarkerPlace, Recording, VideoSource
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.smoothing import Problem, SmoothedPoses
+from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.images.hulls import draw_hulls
+from jaxmocap.run import smoothing
+from jaxmocap.run.judging import deviations_of_elbows, sure
+from jaxmocap.run.recording import make_tracker, track_both
+from jaxmocap.run.smoothing import Done, Drawing, Look, Smoothed, smooth_recording
+from jaxmocap.solvers.status import Status
+
+# Seconds apart: frames, and the marker samples of which every other has a frame.
+FRAMES, FRAME_S, SAMPLE_S = 20, 1 / 30, 1 / 60
+CAMERA = CAMERAS[0]
+TIMES = np.arange(2 * FRAMES) * SAMPLE_S
+
+
+@cache
+def painted() -> list[Painted]:
+    """The frames, with the little noise of a sensor."""
+    wall, rng = room(SIZE), np.random.default_rng(1)
+    frames = [paint(CAMERA, PERSON, pose_at(i * FRAME_S), wall) for i in range(FRAMES)]
+    noise = [np.rint(rng.normal(0, 2, frame.image.shape)) for frame in frames]
+    return [
+        frame._replace(image=np.clip(frame.image + each, 0, 255).astype(np.uint8))
+        for frame, each in zip(frames, noise, strict=True)
+    ]
+
+
+def images() -> list[np.ndarray | None]:
+    return [frame.image for frame in painted()]
+
+
+@cache
+def true_poses() -> Pose:
+    """Of all samples."""
+    poses = [pose_at(time) for time in TIMES]
+    return Pose(*(np.stack(part).astype(np.float32) for part in zip(*poses, strict=True)))
+
+
+@cache
+def markers_world() -> np.ndarray:
+    """(E, M, 3) of head and wrists."""
+    over = jax.vmap(lambda pose: site_positions(PERSON, forward(PERSON, pose), MARKERS))
+    return np.asarray(over(on_device(true_poses())), float)
+
+
+@cache
+def tracker() -> HybridTracker:
+    """Of the person and the camera; nothing of it is compiled here."""
+    return HybridTracker(PERSON, [CAMERA], Settings(), MARKERS)
+
+
+def second_pass(frames=None, mode="own", start=None, shown=None) -> Smoothed | None:
+    """The second pass, from the true poses by default."""
+    video = MemoryVideo(np.arange(FRAMES) * FRAME_S, frames or images())
+    timeline = build_timeline(TIMES, [video.times], mode)
+    start = true_poses() if start is None else start
+    show = (lambda share: None) if shown is None else shown.append
+    done = Done(timeline, markers_world())
+    return smooth_recording(tracker(), [video], done, true_poses(), start, show)
+
+
+@pytest.fixture
+def problems(monkeypatch):
+    """What is to be smoothed, round by round, instead of smoothing it."""
+    kept: list[Problem] = []
+
+    def keep(problem, start, _):
+        kept.append(problem)
+        shape = (len(problem.times), len(LANDMARKS))
+        there = np.full((*shape, 3), 0.02)
+        return SmoothedPoses(start, there, np.zeros(shape), 0.0, Status.CONVERGED)
+
+    monkeypatch.setattr(smoothing, "smooth_poses", keep)
+    return kept
+
+
+def on_grid(share: np.ndarray, region, i: int, cells: int) -> np.ndarray:
+    """A painted share (h, w) averaged over the cells of the i-th grid."""
+    side, scale = 4 * cells, float(region.scale[i]) / 4
+    x, y = np.asarray(region.origin[i], float) + scale / 2
+    fine = cv2.warpAffine(
+        share,
+        np.array([[scale, 0, x], [0, scale, y]]),
+        (side, side),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+    )
+    return cv2.resize(fine, (cells, cells), interpolation=cv2.INTER_AREA)
+
+
+# What it sees ------------------------------------------------------------------------------------
+
+
+def test_the_grids_show_the_person_and_the_bare_forearms(problems):
+    second_pass()
+    seen = problems[-1].sights
+    np.testing.assert_array_equal(seen.frame, np.arange(0, 2 * FRAMES, 2))
+    assert not seen.camera.any()
+    for grid, part in ((seen.sight.person, "person"), (seen.sight.forearms, "forearms")):
+        cells = grid.probability.shape[-1]
+        for i in range(FRAMES):
+            truth = on_grid(getattr(painted()[i], part), seen.sight.region, i, cells)
+            sure_of = grid.weight[i] > 0.5
+            inside, outside = sure_of & (truth > 0.95), sure_of & (truth < 0.05)
+            assert inside.sum() > 10 and outside.sum() > 0.5 * truth.size
+            assert (grid.probability[i][inside] > 0.5).mean() > 0.9, part
+            assert (grid.probability[i][outside] < 0.5).mean() > 0.97, part
+
+
+def test_a_frame_that_cannot_be_read_tells_nothing(problems):
+    broken = images()
+    broken[0], broken[7] = None, None
+    second_pass(broken)
+    for grid in problems[-1].sights.sight[1:]:
+        told = grid.weight.reshape(FRAMES, -1).max(1)
+        assert not told[[0, 7]].any() and (np.delete(told, [0, 7]) > 0.5).all()
+        assert np.isfinite(grid.probability).all()
+
+
+def test_no_frame_that_can_be_read_tells_nothing_either(problems):
+    later = np.arange(FRAMES + 1) * FRAME_S
+    video = MemoryVideo(later, [*[None] * FRAMES, painted()[0].image])
+    done = Done(build_timeline(TIMES, [video.times[:-1]], "own"), markers_world())
+    found = smooth_recording(
+        tracker(), [video], done, true_poses(), true_poses(), lambda share: None
+    )
+    assert found is not None
+    for grid in problems[-1].sights.sight[1:]:
+        assert grid.weight.shape[0] == FRAMES and not grid.weight.any()
+
+
+def test_a_video_narrower_than_its_calibration_keeps_its_pixels_in_place(problems):
+    second_pass()
+    whole = problems[-1].sights.sight
+    second_pass([image[:, :-9] for image in images()])
+    narrow = problems[-1].sights.sight
+    np.testing.assert_array_equal(narrow.region.origin, whole.region.origin)
+    for grid, other in zip(narrow[1:], whole[1:], strict=True):
+        both = (grid.weight > 0.5) & (other.weight > 0.5)
+        assert both.mean() > 0.2
+        difference = np.abs(grid.probability - other.probability)[both]
+        assert difference.mean() < 0.01 and np.percentile(difference, 99) < 0.2
+
+
+def test_a_frame_that_serves_several_samples_is_looked_at_for_each(problems):
+    second_pass(mode="nearest")
+    seen = problems[-1].sights
+    np.testing.assert_array_equal(seen.frame, np.arange(2 * FRAMES))
+    # The last sample of each pair has the frame of the first or of the next.
+    region = seen.sight.region
+    pairs = np.flatnonzero((np.diff(region.origin, axis=0) == 0).all(1))
+    same = [
+        np.array_equal(seen.sight.person.probability[i], seen.sight.person.probability[i + 1])
+        for i in pairs
+    ]
+    assert any(same)
+    own = np.arange(0, 2 * FRAMES, 2)
+    assert len(problems) == len(smoothing.ROUNDS)
+    second_pass()
+    alone = problems[-1].sights.sight.person.probability
+    np.testing.assert_allclose(seen.sight.person.probability[own].mean(), alone.mean(), atol=0.01)
+
+
+def test_frames_are_chosen_by_index_shrunk_and_repeated():
+    tagged = [np.full((720, 960, 3), 10 * i, np.uint8) for i in range(6)]
+    video = MemoryVideo(np.arange(6) / 30, [*tagged[:4], None, tagged[5]])
+    look = Look(0, np.arange(7), np.array([0, 0, 1, 3, 3, 4, 5]))
+    read = list(look.frames(video, np.arange(7)))
+    assert [None if im is None else int(im[0, 0, 0]) for im in read] == [0, 0, 10, 30, 30, None, 50]
+    assert all(im is None or im.shape == (smoothing.ROWS, 480, 3) for im in read)
+    few = list(look.frames(video, np.array([1, 3, 4])))
+    assert [int(im[0, 0, 0]) for im in few if im is not None] == [0, 30, 30]
+
+
+def test_frames_beyond_the_videos_end_cannot_be_read():
+    video = MemoryVideo(np.arange(3) / 30, [np.zeros((72, 96, 3), np.uint8)] * 3)
+    read = list(Look(0, np.arange(4), np.array([1, 2, 3, 4])).frames(video, np.arange(4)))
+    assert [image is None for image in read] == [False, False, True, True]
+
+
+def test_without_any_frame_there_is_nothing_to_do():
+    video = MemoryVideo(100 + np.arange(FRAMES) * FRAME_S, images())
+    index = np.full((len(TIMES), 1), -1)
+    timeline = build_timeline(TIMES, [np.zeros(0)], "own")
+    done = Done(replace(timeline, frame_index=index), markers_world())
+    assert (
+        smooth_recording(tracker(), [video], done, true_poses(), true_poses(), lambda s: None)
+        is None
+    )
+
+
+# The body in the frames --------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def drawing() -> Drawing:
+    poses = jax.tree.map(lambda part: part[::2], true_poses())
+    return Drawing.of(PERSON, CAMERA, SIZE, poses)
+
+
+def test_the_drawn_body_covers_the_painted_one(drawing):
+    assert drawing.size == (480, 360)
+    for i in (0, 10):
+        share = cv2.resize(painted()[i].person, drawing.size, interpolation=cv2.INTER_AREA)
+        mask = drawing.mask(i, 1.0)
+        assert mask[share > 0.99].mean() > 0.97 and not mask[share == 0].mean() > 0.005
+        wide = drawing.mask(i, 1.4, 5.0)
+        assert wide[share > 0].all() and wide.sum() > 1.2 * mask.sum()
+
+
+def test_parts_of_limbs_and_limbs_by_name_are_drawn(drawing):
+    whole = drawing.mask(3, 1.0)
+    forearm = drawing.mask(3, 1.0, only=("radius_l",))
+    rest = drawing.mask(3, 1.0, without=("radius_l",))
+    half = drawing.mask(3, 1.0, only=("radius_l",), part=(0.5, 0.95))
+    np.testing.assert_array_equal(whole, forearm | rest)
+    assert 0 < half.sum() < 0.8 * forearm.sum()
+    # The half's hull is rounded to pixels by itself.
+    assert (half & ~forearm).sum() <= 0.05 * half.sum()
+    near, far, radii = (part[3][drawing.names.index("radius_l")][None] for part in drawing.discs)
+    np.testing.assert_array_equal(
+        forearm, draw_hulls(type(drawing.discs)(near, far, radii), drawing.size)
+    )
+
+
+# What it finds -----------------------------------------------------------------------------------
+
+
+def errors_of(poses: Pose) -> np.ndarray:
+    """Distances (E, 2) of the elbows from the truth, metres."""
+    off = points_of(poses) - points_of(true_poses())
+    return np.linalg.norm(off, axis=-1)[:, ELBOWS]
+
+
+@pytest.fixture(scope="module")
+def found():
+    """The second pass from arms that are turned away, some frames unreadable; the shares shown."""
+    angles, frames, shown = true_poses().angles.copy(), images(), []
+    wrong = disturbed(1).poses.angles[0] - pose_at(0.0).angles
+    frames[5] = None
+    start = true_poses()._replace(angles=(angles + wrong).astype(np.float32))
+    return second_pass(frames, start=start, shown=shown), start, shown
+
+
+def test_elbows_that_the_frames_show_are_found(found):
+    smoothed, start, _ = found
+    before, after = errors_of(start), errors_of(smoothed.poses)
+    assert before.mean() > 0.06
+    assert after.mean() < 0.04 and after.mean() < 0.5 * before.mean()
+
+
+def test_every_event_is_judged(found):
+    judged, events = found[0].judged, len(TIMES)
+    assert judged.distances.shape == (events, 3) and judged.distances.max() < 0.03
+    assert judged.swivels.shape == judged.confidence.shape == (events, 2)
+    assert ((judged.confidence > 0) & (judged.confidence < 1)).all()
+    assert judged.deviations.shape == (events, len(LANDMARKS), 3) and (judged.deviations > 0).all()
+    assert judged.from_prior.shape == (events, len(LANDMARKS))
+
+
+def test_the_share_done_grows_to_one(found):
+    shown = found[2]
+    assert shown == sorted(shown) and shown[0] > 0 and shown[-1] == pytest.approx(1)
+
+
+def test_confidence_falls_with_the_elbows_deviation():
+    spread = np.array([[0.0, 0.02], [0.05, 0.4]])
+    confidence = sure(spread)
+    assert confidence[0, 0] == 1 and confidence[1, 0] == pytest.approx(0.5)
+    assert (np.diff(confidence.ravel()) < 0).all()
+
+
+def test_deviations_follow_from_the_elbows_confidence():
+    spread = np.array([[0.01, 0.02], [0.05, 0.4]])
+    deviations, from_prior = deviations_of_elbows(sure(spread))
+    np.testing.assert_allclose(np.linalg.norm(deviations[:, ELBOWS], axis=-1), spread, rtol=1e-6)
+    others = np.delete(deviations, ELBOWS, axis=1)
+    assert np.isnan(others).all() and np.isnan(from_prior).all()
+
+
+# The whole way -----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    places = tuple(
+        MarkerPlace(name, bone)
+        for name, bone in (("Head", "head"), ("LWrist", "radius_l"), ("RWrist", "radius_r"))
+    )
+    frames = (np.arange(FRAMES) * FRAME_S, images())
+    video = VideoSource("cam", CAMERA, offset=0.0, frames=frames)
+    return Recording(PERSON, TIMES, markers_world(), places, (video,), "painted")
+
+
+@pytest.fixture(scope="module")
+def whole_way(recording):
+    own = make_tracker(recording)
+    return [track_both(recording, mode=mode, tracker=own) for mode in ("own", "causal")]
+
+
+def test_a_recording_is_smoothed_to_better_elbows_than_the_markers_alone(whole_way):
+    tracked, _ = whole_way
+    alone, smoothed = (errors_of(motion.poses) for motion in (tracked.markers_only, tracked.motion))
+    assert smoothed.mean() < 0.6 * alone.mean() and smoothed.mean() < 0.05
+    assert tracked.motion.report.milliseconds["smooth"].shape == (1,)
+    assert np.isfinite(tracked.motion.report.landmarks_std).all()
+    assert np.isin(tracked.motion.report.from_prior, [0, 1]).all()
+
+
+def test_causally_nothing_is_smoothed(whole_way):
+    report = whole_way[1].motion.report
+    assert "smooth" not in report.milliseconds
+    assert np.isnan(report.from_prior).all()
+    others = np.delete(report.landmarks_std, ELBOWS, axis=1)
+    assert np.isnan(others).all()
+
+
+def test_who_does_not_want_it_gets_no_second_pass(recording, problems):
+    settings = replace(Settings(), smooth=False)
+    few = replace(recording, times=TIMES[:3], positions_world=markers_world()[:3])
+    motion = track_both(few, tracker=make_tracker(few, settings)).motion
+    assert not problems and np.isnan(motion.report.from_prior).all()
