@@ -341,6 +341,9 @@ def test_the_report_tells_times_costs_and_statuses_and_has_null_for_nan(tmp_path
     assert report["milliseconds"]["solve"] == {"count": 101, "mean": 50, "median": 50, "p99": 99}
     assert report["costs_px"]["left"] == {"count": 14, "mean": 2, "median": 2, "p95": 2}
     assert report["marker_errors_m"]["L Wrist:1"]["count"] == SAMPLES - 4
+    elbow = report["landmarks"]["elbow_l"]
+    assert elbow["deviation_m"]["median"] == pytest.approx(0.02 * 3**0.5)
+    assert 0 <= elbow["from_prior_share"] <= 1
     assert report["confidence"]["left"]["mean"] == 1 and report["confidence"]["right"]["mean"] == 0
     times = motion.times
     assert report["statuses"]["marker LWrist is missing"] == {

@@ -15,6 +15,7 @@ import jax
 import numpy as np
 
 from jaxmocap.body.motion import Motion, Report
+from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.formats.atomic import replacing
 
 SIDES = ("left", "right")
@@ -67,7 +68,20 @@ def _summarise_report(times: np.ndarray, report: Report) -> dict:
             name: statistics(errors, {"p95": 95})
             for name, errors in zip(report.markers, np.asarray(report.marker_errors).T, strict=True)
         },
+        "landmarks": _by_landmark(report),
         "settings": report.settings,
+    }
+
+
+def _by_landmark(report: Report) -> dict:
+    """Landmark -> its standard deviation over the three axes together, and how often a guess."""
+    deviations = np.sqrt(np.sum(np.asarray(report.landmarks_std, float) ** 2, -1))
+    return {
+        name: {
+            "deviation_m": statistics(deviations[:, i], {"median": 50, "p95": 95}),
+            "from_prior_share": statistics(report.from_prior[:, i], {})["mean"],
+        }
+        for i, name in enumerate(LANDMARKS)
     }
 
 
