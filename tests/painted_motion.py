@@ -17,10 +17,10 @@ from jaxmocap.body.proportions import PROPORTIONS
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import quaternion_to_matrix
-from jaxmocap.hybrid.residuals import Frame
+from jaxmocap.hybrid.residuals import Known
 from jaxmocap.hybrid.settings import SmoothingSettings
 from jaxmocap.hybrid.silhouette import Sight
-from jaxmocap.hybrid.smoothing import Motion, Problem, Sights
+from jaxmocap.hybrid.smoothing import Problem, Sights, Trajectory
 from jaxmocap.images.regions import Region
 from jaxmocap.images.silhouette import Grid
 
@@ -114,18 +114,18 @@ def sights(count: int, cameras=(0,), frames=None) -> Sights:
     return jax.tree.map(lambda *each: np.concatenate(each), *parts)
 
 
-def known(count: int) -> Frame:
+def known(count: int) -> Known:
     """What markers tell of each frame: those of head and wrists."""
     poses = on_device(truth(count))
     places = jax.vmap(lambda pose: site_positions(PERSON, forward(PERSON, pose), MARKERS))(poses)
     points = points_of(truth(count))
     R = np.asarray(jax.vmap(quaternion_to_matrix)(poses.quaternion))
     ankles = points[:, [list(LANDMARKS).index(f"ankle_{side}") for side in "lr"]]
-    parts = Frame(places, R[:, :2, 2], R[:, :, 0], ankles, np.ones(count))
-    return Frame(*(np.asarray(part, np.float32) for part in parts))
+    parts = Known(places, R[:, :2, 2], R[:, :, 0], ankles, np.ones(count))
+    return Known(*(np.asarray(part, np.float32) for part in parts))
 
 
-def problem(count: int, seen: Sights, frames: Frame | None = None) -> Problem:
+def problem(count: int, seen: Sights, frames: Known | None = None) -> Problem:
     """Everything that is known of the motion."""
     cameras: Camera = jax.tree.map(lambda *leaves: jnp.stack(leaves), *CAMERAS)
     frames = known(count) if frames is None else frames
@@ -133,7 +133,7 @@ def problem(count: int, seen: Sights, frames: Frame | None = None) -> Problem:
     return Problem(PERSON, cameras, MARKERS, SETTINGS, times, frames, seen)
 
 
-def disturbed(count: int, degrees: float = 15.0) -> Motion:
+def disturbed(count: int, degrees: float = 15.0) -> Trajectory:
     """A start whose arms are turned away from the truth."""
     poses, turn = truth(count), np.radians(degrees)
     angles = poses.angles.copy()
@@ -145,4 +145,4 @@ def disturbed(count: int, degrees: float = 15.0) -> Motion:
     ):
         angles[:, PERSON.tree.joint(name)] += by
     start = Pose(*(np.asarray(part, np.float32) for part in poses._replace(angles=angles)))
-    return Motion(start, np.zeros(len(PROPORTIONS), np.float32))
+    return Trajectory(start, np.zeros(len(PROPORTIONS), np.float32))

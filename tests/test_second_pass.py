@@ -25,7 +25,7 @@ from jaxmocap.images.hulls import draw_hulls
 from jaxmocap.run import smoothing
 from jaxmocap.run.judging import deviations_of_elbows, sure
 from jaxmocap.run.recording import make_tracker, track_both
-from jaxmocap.run.smoothing import Done, Drawing, Look, Smoothed, smooth_recording
+from jaxmocap.run.smoothing import Drawing, FirstPass, Look, Smoothed, smooth_recording
 from jaxmocap.solvers.status import Status
 
 # Seconds apart: frames, and the marker samples of which every other has a frame.
@@ -76,8 +76,8 @@ def second_pass(frames=None, mode="own", start=None, shown=None) -> Smoothed | N
     timeline = build_timeline(TIMES, [video.times], mode)
     start = true_poses() if start is None else start
     show = (lambda share: None) if shown is None else shown.append
-    done = Done(timeline, markers_world())
-    return smooth_recording(tracker(), [video], done, true_poses(), start, show)
+    done = FirstPass(timeline, markers_world(), true_poses(), start)
+    return smooth_recording(tracker(), [video], done, show)
 
 
 @pytest.fixture
@@ -140,10 +140,9 @@ def test_a_frame_that_cannot_be_read_tells_nothing(problems):
 def test_no_frame_that_can_be_read_tells_nothing_either(problems):
     later = np.arange(FRAMES + 1) * FRAME_S
     video = MemoryVideo(later, [*[None] * FRAMES, painted()[0].image])
-    done = Done(build_timeline(TIMES, [video.times[:-1]], "own"), markers_world())
-    found = smooth_recording(
-        tracker(), [video], done, true_poses(), true_poses(), lambda share: None
-    )
+    timeline = build_timeline(TIMES, [video.times[:-1]], "own")
+    done = FirstPass(timeline, markers_world(), true_poses(), true_poses())
+    found = smooth_recording(tracker(), [video], done, lambda share: None)
     assert found is not None
     for grid in problems[-1].sights.sight[1:]:
         assert grid.weight.shape[0] == FRAMES and not grid.weight.any()
@@ -201,12 +200,9 @@ def test_frames_beyond_the_videos_end_cannot_be_read():
 def test_without_any_frame_there_is_nothing_to_do():
     video = MemoryVideo(100 + np.arange(FRAMES) * FRAME_S, images())
     index = np.full((len(TIMES), 1), -1)
-    timeline = build_timeline(TIMES, [np.zeros(0)], "own")
-    done = Done(replace(timeline, frame_index=index), markers_world())
-    assert (
-        smooth_recording(tracker(), [video], done, true_poses(), true_poses(), lambda s: None)
-        is None
-    )
+    timeline = replace(build_timeline(TIMES, [np.zeros(0)], "own"), frame_index=index)
+    done = FirstPass(timeline, markers_world(), true_poses(), true_poses())
+    assert smooth_recording(tracker(), [video], done, lambda share: None) is None
 
 
 # The body in the frames --------------------------------------------------------------------------

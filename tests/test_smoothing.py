@@ -54,20 +54,23 @@ def by_one_camera() -> SmoothedPoses:
 
 def test_disturbed_elbows_are_found_again_by_one_camera(by_one_camera):
     assert elbow_errors(disturbed(COUNT).poses).min() > 0.05
-    errors = elbow_errors(by_one_camera.motion.poses)
+    errors = elbow_errors(by_one_camera.trajectory.poses)
     assert errors.mean() < 0.02 and errors.max() < 0.03
     assert by_one_camera.status == Status.CONVERGED
 
 
 def test_the_markers_are_met(by_one_camera):
-    off = points_of(by_one_camera.motion.poses) - points_of(truth(COUNT))
+    off = points_of(by_one_camera.trajectory.poses) - points_of(truth(COUNT))
     for name in ("vertex", "wrist_l", "wrist_r"):
         assert np.linalg.norm(off[:, list(LANDMARKS).index(name)], axis=1).max() < 0.015, name
 
 
 def test_two_cameras_know_better_than_either(by_one_camera):
     both = smoothed(sights(COUNT, (0, 1)))
-    errors, alone = elbow_errors(both.motion.poses), elbow_errors(by_one_camera.motion.poses)
+    errors, alone = (
+        elbow_errors(both.trajectory.poses),
+        elbow_errors(by_one_camera.trajectory.poses),
+    )
     assert errors.mean() < 0.01 and errors.mean() < 0.7 * alone.mean()
     assert (elbow_spread(both) < elbow_spread(by_one_camera)).all()
 
@@ -76,14 +79,14 @@ def test_the_result_depends_neither_on_the_batches_nor_on_the_order_of_sights(by
     order = np.random.default_rng(0).permutation(COUNT)
     assert not np.array_equal(order[:16], np.arange(16))
     mixed = smoothed(jax.tree.map(lambda part: part[order], sights(COUNT)))
-    for found, expected in zip(mixed.motion.poses, by_one_camera.motion.poses, strict=True):
+    for found, expected in zip(mixed.trajectory.poses, by_one_camera.trajectory.poses, strict=True):
         np.testing.assert_allclose(found, expected, atol=1e-4)
     np.testing.assert_allclose(mixed.deviations, by_one_camera.deviations, rtol=1e-3)
 
 
 def test_smoothing_starts_again_from_its_own_end_without_moving(by_one_camera):
-    again = smooth_poses(problem(COUNT, sights(COUNT)), by_one_camera.motion, SOFTNESS[-1:])
-    off = points_of(again.motion.poses) - points_of(by_one_camera.motion.poses)
+    again = smooth_poses(problem(COUNT, sights(COUNT)), by_one_camera.trajectory, SOFTNESS[-1:])
+    off = points_of(again.trajectory.poses) - points_of(by_one_camera.trajectory.poses)
     assert np.abs(off).max() < 2e-3
     assert again.cost <= by_one_camera.cost * (1 + 1e-4)
 
@@ -114,11 +117,11 @@ def test_a_stretch_without_sights_is_bridged_and_known_to_be_a_guess():
     assert not found.from_prior[there][:, ELBOWS].any()
     # The markers hold the wrists all the same.
     assert not found.from_prior[:, WRIST_L].any()
-    errors = elbow_errors(found.motion.poses)
+    errors = elbow_errors(found.trajectory.poses)
     assert errors[there].mean() < 0.03
     # The truth lies within what is said of it.
     assert (errors[middle] < 3 * spread[middle]).all()
-    steps = np.linalg.norm(np.diff(points_of(found.motion.poses)[:, ELBOWS], axis=0), axis=-1)
+    steps = np.linalg.norm(np.diff(points_of(found.trajectory.poses)[:, ELBOWS], axis=0), axis=-1)
     assert steps.max() < 0.06
 
 
@@ -133,8 +136,8 @@ def test_without_anything_seen_the_elbows_are_guesses(weightless, by_one_camera)
     found = smoothed(seen)
     assert found.from_prior[:, ELBOWS].all() and not found.from_prior[:, WRIST_L].any()
     assert (elbow_spread(found) > elbow_spread(by_one_camera)).all()
-    assert all(np.isfinite(part).all() for part in found.motion.poses)
-    off = points_of(found.motion.poses) - points_of(truth(COUNT))
+    assert all(np.isfinite(part).all() for part in found.trajectory.poses)
+    off = points_of(found.trajectory.poses) - points_of(truth(COUNT))
     assert np.linalg.norm(off[:, WRIST_L], axis=1).max() < 0.015
 
 
@@ -146,10 +149,10 @@ def test_missing_markers_are_bridged():
     targets = frames.targets.copy()
     targets[5:10, 1], targets[12] = np.nan, np.nan
     found = smoothed(frames=frames._replace(targets=targets))
-    assert all(np.isfinite(part).all() for part in found.motion.poses)
-    off = points_of(found.motion.poses) - points_of(truth(COUNT))
+    assert all(np.isfinite(part).all() for part in found.trajectory.poses)
+    off = points_of(found.trajectory.poses) - points_of(truth(COUNT))
     assert np.linalg.norm(off[:, WRIST_L], axis=1).max() < 0.03
-    assert elbow_errors(found.motion.poses).mean() < 0.025
+    assert elbow_errors(found.trajectory.poses).mean() < 0.025
     spread = np.linalg.norm(found.deviations[:, WRIST_L], axis=-1)
     assert spread[7] > spread[2]
 
@@ -159,7 +162,7 @@ def test_a_frame_that_nothing_tells_of_lies_between_its_neighbours(by_one_camera
     targets = frames.targets.copy()
     targets[8] = np.nan
     found = smoothed(sights(COUNT, frames=there), frames._replace(targets=targets))
-    off = points_of(found.motion.poses) - points_of(by_one_camera.motion.poses)
+    off = points_of(found.trajectory.poses) - points_of(by_one_camera.trajectory.poses)
     assert np.linalg.norm(off[8], axis=-1).max() < 0.01
     assert np.isfinite(found.deviations).all()
 

@@ -25,7 +25,7 @@ GROUND = ("ankle_l", "ankle_r")
 UNFOOTED = 3.0
 
 
-class Frame(NamedTuple):
+class Known(NamedTuple):
     """What is known of one frame besides its sights.
 
     Attributes:
@@ -44,16 +44,16 @@ class Frame(NamedTuple):
 
 
 def residuals(
-    skeleton: Skeleton, markers: Sites, settings: SmoothingSettings, pose: Pose, frame: Frame
+    skeleton: Skeleton, markers: Sites, settings: SmoothingSettings, pose: Pose, known: Known
 ) -> Array:
     """All whitened residuals (R,) of one frame but its sights'."""
     bones = forward(skeleton, pose)
-    seen = jnp.isfinite(frame.targets)
-    off = site_positions(skeleton, bones, markers) - jnp.where(seen, frame.targets, 0.0)
+    seen = jnp.isfinite(known.targets)
+    off = site_positions(skeleton, bones, markers) - jnp.where(seen, known.targets, 0.0)
     held = jnp.where(seen, off, 0.0) / settings.marker
     R = quaternion_to_matrix(pose.quaternion)
-    turned = jnp.cross(R[:, 0], frame.facing)[2]
-    facing = settings.facing * (1 + (UNFOOTED - 1) * frame.feet)
+    turned = jnp.cross(R[:, 0], known.facing)[2]
+    facing = settings.facing * (1 + (UNFOOTED - 1) * known.feet)
     low, high = skeleton.limits[:, 0], skeleton.limits[:, 1]
     beyond = jnp.maximum(low - pose.angles, 0.0) + jnp.maximum(pose.angles - high, 0.0)
     ankles = site_positions(skeleton, bones, landmark_sites(skeleton, GROUND))
@@ -61,11 +61,11 @@ def residuals(
     return jnp.concatenate(
         [
             held.ravel(),
-            (R[:2, 2] - (1 - frame.feet) * frame.up) / settings.lean,
+            (R[:2, 2] - (1 - known.feet) * known.up) / settings.lean,
             turned[None] / facing,
             (pose.angles - skeleton.relaxed) / _ease(skeleton),
             beyond / settings.limit,
-            (frame.feet * (ankles - frame.ankles) / ground).ravel(),
+            (known.feet * (ankles - known.ankles) / ground).ravel(),
         ]
     )
 

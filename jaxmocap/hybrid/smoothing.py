@@ -26,7 +26,7 @@ from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.hybrid.batches import in_batches
-from jaxmocap.hybrid.residuals import Frame, residuals
+from jaxmocap.hybrid.residuals import Known, residuals
 from jaxmocap.hybrid.settings import SmoothingSettings
 from jaxmocap.hybrid.silhouette import Sight, silhouette_cost, silhouette_fit
 from jaxmocap.images.silhouette import blurred
@@ -42,7 +42,7 @@ FRAMES_A_CALL, SIGHTS_A_CALL = 64, 16
 GUESSED, HELD_M = 0.7, 0.01
 
 
-class Motion(NamedTuple):
+class Trajectory(NamedTuple):
     """What is solved for: poses (T, ...), and the person's proportions (P,)."""
 
     poses: Pose
@@ -73,7 +73,7 @@ class Problem:
         markers: M points on bones.
         settings: of the smoothing.
         times: (T,) seconds.
-        frames: (T, ...) each.
+        known: (T, ...) of each frame besides its sights.
         sights: of all cameras.
     """
 
@@ -82,15 +82,15 @@ class Problem:
     markers: Sites
     settings: SmoothingSettings
     times: np.ndarray
-    frames: Frame
+    known: Known
     sights: Sights
 
 
 class SmoothedPoses(NamedTuple):
-    """A motion, and how far to trust it.
+    """A trajectory, and how far to trust it.
 
     Attributes:
-        motion: poses and proportions.
+        trajectory: poses and proportions.
         deviations: (T, L, 3) standard deviations of the landmarks' coordinates, world, metres.
         from_prior: (T, L) 1 where markers and video leave a landmark almost as uncertain as it is
             without them, else 0.
@@ -98,14 +98,14 @@ class SmoothedPoses(NamedTuple):
         status: why the solve ended.
     """
 
-    motion: Motion
+    trajectory: Trajectory
     deviations: np.ndarray
     from_prior: np.ndarray
     cost: float
     status: Status
 
 
-def smooth_poses(problem: Problem, start: Motion, softness: tuple[float, ...]) -> SmoothedPoses:
+def smooth_poses(problem: Problem, start: Trajectory, softness: tuple[float, ...]) -> SmoothedPoses:
     """Minimise all residuals from a start (T, ...), with silhouettes ever sharper.
 
     Args:
@@ -116,7 +116,7 @@ def smooth_poses(problem: Problem, start: Motion, softness: tuple[float, ...]) -
     settings = problem.settings
     accelerations = np.full(3 * len(LANDMARKS), float(settings.acceleration))
     prior = smoothness(problem.times, accelerations)
-    motion, ended, seen = start, None, problem
+    trajectory, ended, seen = start, None, problem
     # Band matrices are narrow: BLAS's threads would only wait for one another, for seconds.
     one_thread = threadpool_limits(1, user_api="blas")
     with one_thread, ThreadPoolExecutor(2, thread_name_prefix="smooth") as workers:
@@ -125,18 +125,18 @@ def smooth_poses(problem: Problem, start: Motion, softness: tuple[float, ...]) -
             linearise = partial(_linearise, seen, soft, workers)
             evaluate = partial(_evaluate, seen, soft, workers)
             ended = smooth(
-                linearise, evaluate, _move, motion, prior, Solve(iterations=settings.iterations)
+                linearise, evaluate, _move, trajectory, prior, Solve(iterations=settings.iterations)
             )
-            motion = ended.x
+            trajectory = ended.x
         assert ended is not None
-        told = _variances(_alike(seen), softness[-1], workers, motion, prior)
-        guessed = _variances(_unseen(seen), softness[-1], workers, motion, prior)
+        told = _variances(_alike(seen), softness[-1], workers, trajectory, prior)
+        guessed = _variances(_unseen(seen), softness[-1], workers, trajectory, prior)
     loose = told / (told + HELD_M**2)
     deviations = np.sqrt(told + loose * float(settings.mismatch) ** 2)
     from_prior = told.sum(-1) > GUESSED * guessed.sum(-1)
     markers_hold = guessed.sum(-1) < 9 * HELD_M**2
     return SmoothedPoses(
-        motion, deviations, (from_prior & ~markers_hold).astype(float), ended.cost, ended.status
+        trajectory, deviations, (from_prior & ~markers_hold).astype(float), ended.cost, ended.status
     )
 
 
@@ -144,11 +144,11 @@ def _variances(
     problem: Problem,
     softness: float,
     workers: ThreadPoolExecutor,
-    motion: Motion,
+    trajectory: Trajectory,
     prior: Smoothness,
 ) -> np.ndarray:
     """(T, L, 3) of the landmarks' coordinates."""
-    linear = _linearise(problem, softness, workers, motion)
+    linear = _linearise(problem, softness, workers, trajectory)
     found = point_variances(linear.jacobian, covariances(linear, prior), linear.shared_jacobian)
     return found.reshape(-1, len(LANDMARKS), 3)
 
@@ -178,7 +178,7 @@ def _frames_fit(
     sites: Sites,
     settings: SmoothingSettings,
     poses: Pose,
-    frames: Frame,
+    known: Known,
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Costs, J^T J, J^T r, landmarks and their derivatives of a batch of frames.
 
@@ -186,20 +186,18 @@ def _frames_fit(
     """
     count = ROOT_DOF + len(skeleton.tree.joints)
 
-    def of_frame(pose: Pose, frame: Frame) -> tuple[Array, Array, Array, Array, Array]:
+    def of_frame(pose: Pose, one: Known) -> tuple[Array, Array, Array, Array, Array]:
         def moved(step: Array) -> tuple[Array, Array]:
             person = scaled(skeleton, proportions + step[count:])
             there = retract(pose, step[:count])
-            return residuals(person, sites, settings, there, frame), landmarks(
-                person, there
-            ).ravel()
+            return residuals(person, sites, settings, there, one), landmarks(person, there).ravel()
 
         still = jnp.zeros(count + proportions.size, pose.angles.dtype)
         (r, at), (J, by) = moved(still), jax.jacfwd(moved)(still)
         hessian = jnp.matmul(J.T, J, precision=HIGHEST)
         return jnp.sum(r**2), hessian, jnp.matmul(r, J, precision=HIGHEST), at, by
 
-    return jax.vmap(of_frame)(poses, frames)
+    return jax.vmap(of_frame)(poses, known)
 
 
 @jax.jit
@@ -209,16 +207,16 @@ def _frames_cost(
     sites: Sites,
     settings: SmoothingSettings,
     poses: Pose,
-    frames: Frame,
+    known: Known,
 ) -> tuple[Array, Array]:
     """Costs and landmarks of a batch of frames."""
     person = scaled(skeleton, proportions)
 
-    def of_frame(pose: Pose, frame: Frame) -> tuple[Array, Array]:
-        r = residuals(person, sites, settings, pose, frame)
+    def of_frame(pose: Pose, one: Known) -> tuple[Array, Array]:
+        r = residuals(person, sites, settings, pose, one)
         return jnp.sum(r**2), landmarks(person, pose).ravel()
 
-    return jax.vmap(of_frame)(poses, frames)
+    return jax.vmap(of_frame)(poses, known)
 
 
 @jax.jit
@@ -261,23 +259,23 @@ def _sights_cost(
 _retract = jax.jit(jax.vmap(retract))
 
 
-def _move(motion: Motion, steps: np.ndarray, shared: np.ndarray) -> Motion:
-    poses = jax.device_get(_retract(motion.poses, jnp.asarray(steps, float)))
-    return Motion(poses, np.asarray(motion.proportions + shared, poses.angles.dtype))
+def _move(trajectory: Trajectory, steps: np.ndarray, shared: np.ndarray) -> Trajectory:
+    poses = jax.device_get(_retract(trajectory.poses, jnp.asarray(steps, float)))
+    return Trajectory(poses, np.asarray(trajectory.proportions + shared, poses.angles.dtype))
 
 
 def _linearise(
-    problem: Problem, softness: float, workers: ThreadPoolExecutor, motion: Motion
+    problem: Problem, softness: float, workers: ThreadPoolExecutor, trajectory: Trajectory
 ) -> Linearised:
     """All frames about their poses, and the proportions that they share."""
-    found = _over_frames(_frames_fit, problem, workers, motion)
+    found = _over_frames(_frames_fit, problem, workers, trajectory)
     cost, hessian, gradient, points, by = found
     if len(problem.sights.frame):
-        seen = _over_sights(_sights_fit, problem, softness, workers, motion)
+        seen = _over_sights(_sights_fit, problem, softness, workers, trajectory)
         for total, part in zip((cost, hessian, gradient), seen, strict=True):
             np.add.at(total, problem.sights.frame, part * _weight(problem))
     n = by.shape[2] - len(PROPORTIONS)
-    curvature, pull, price = _proportions_prior(problem, motion)
+    curvature, pull, price = _proportions_prior(problem, trajectory)
     return Linearised(
         cost + price, hessian[:, :n, :n], gradient[:, :n], points, by[:, :, :n],
         hessian[:, :n, n:], hessian[:, n:, n:] + curvature, gradient[:, n:] + pull, by[:, :, n:],
@@ -285,21 +283,23 @@ def _linearise(
 
 
 def _evaluate(
-    problem: Problem, softness: float, workers: ThreadPoolExecutor, motion: Motion
+    problem: Problem, softness: float, workers: ThreadPoolExecutor, trajectory: Trajectory
 ) -> tuple[np.ndarray, np.ndarray]:
     """Costs and landmarks of all frames."""
-    cost, points = _over_frames(_frames_cost, problem, workers, motion)
+    cost, points = _over_frames(_frames_cost, problem, workers, trajectory)
     if len(problem.sights.frame):
-        (seen,) = _over_sights(_sights_cost, problem, softness, workers, motion)
+        (seen,) = _over_sights(_sights_cost, problem, softness, workers, trajectory)
         np.add.at(cost, problem.sights.frame, seen * _weight(problem))
-    return cost + _proportions_prior(problem, motion)[2], points
+    return cost + _proportions_prior(problem, trajectory)[2], points
 
 
 def _weight(problem: Problem) -> float:
     return 1 / float(problem.settings.silhouette) ** 2
 
 
-def _proportions_prior(problem: Problem, motion: Motion) -> tuple[np.ndarray, np.ndarray, float]:
+def _proportions_prior(
+    problem: Problem, trajectory: Trajectory
+) -> tuple[np.ndarray, np.ndarray, float]:
     """The prior on the proportions, its Hessian, gradient and cost, in each frame.
 
     It weighs like one more sight of each sight: what the silhouettes get wrong they get wrong in
@@ -309,26 +309,30 @@ def _proportions_prior(problem: Problem, motion: Motion) -> tuple[np.ndarray, np
     weights *= (
         float(problem.settings.proportions) * max(len(problem.sights.frame), 1) / len(problem.times)
     )
-    p = np.asarray(motion.proportions, float)
+    p = np.asarray(trajectory.proportions, float)
     return np.diag(weights), weights * p, float(np.sum(weights * p**2))
 
 
 def _over_frames(
-    call: Callable, problem: Problem, workers: ThreadPoolExecutor, motion: Motion
+    call: Callable, problem: Problem, workers: ThreadPoolExecutor, trajectory: Trajectory
 ) -> list[np.ndarray]:
     """A function of batches of frames over all of them, float64."""
-    fixed = problem.skeleton, jnp.asarray(motion.proportions), problem.markers, problem.settings
-    each = motion.poses, problem.frames
+    fixed = problem.skeleton, jnp.asarray(trajectory.proportions), problem.markers, problem.settings
+    each = trajectory.poses, problem.known
     return in_batches(lambda *b: call(*fixed, *b), each, FRAMES_A_CALL, workers)
 
 
 def _over_sights(
-    call: Callable, problem: Problem, softness: float, workers: ThreadPoolExecutor, motion: Motion
+    call: Callable,
+    problem: Problem,
+    softness: float,
+    workers: ThreadPoolExecutor,
+    trajectory: Trajectory,
 ) -> list[np.ndarray]:
     """A function of batches of sights over all of them, float64."""
     sights = problem.sights
     cameras = jax.tree.map(lambda part: np.asarray(part)[sights.camera], problem.cameras)
-    there = jax.tree.map(lambda part: np.asarray(part)[sights.frame], motion.poses)
-    fixed = problem.skeleton, jnp.asarray(motion.proportions), jnp.asarray(softness, float)
+    there = jax.tree.map(lambda part: np.asarray(part)[sights.frame], trajectory.poses)
+    fixed = problem.skeleton, jnp.asarray(trajectory.proportions), jnp.asarray(softness, float)
     each = (there, cameras, sights.sight)
     return in_batches(lambda *b: call(*fixed, *b), each, SIGHTS_A_CALL, workers)

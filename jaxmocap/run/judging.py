@@ -57,7 +57,7 @@ def judge(
         return jnp.sqrt(jnp.sum(off**2, -1)), swivels(*arms)
 
     every = jax.tree.map(
-        lambda part: jnp.asarray(part, float), (smoothed.motion.poses, alone, markers_world)
+        lambda part: jnp.asarray(part, float), (smoothed.trajectory.poses, alone, markers_world)
     )
     distances, turned = jax.device_get(jax.jit(jax.vmap(of_event))(*every))
     deviations = smoothed.deviations

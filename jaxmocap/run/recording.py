@@ -30,7 +30,7 @@ from jaxmocap.outputs.report import plain
 from jaxmocap.run import statuses
 from jaxmocap.run.judging import Judged, deviations_of_elbows
 from jaxmocap.run.reading import ForwardReader, open_footage, reading
-from jaxmocap.run.smoothing import Done, Smoothed, smooth_recording
+from jaxmocap.run.smoothing import FirstPass, Smoothed, smooth_recording
 from jaxmocap.run.timing import Clock, Progress, progress_bar, timed_stages
 
 # The first sample is solved again and again until the joints turn by less (radians).
@@ -104,7 +104,7 @@ def track_both(
         began = perf_counter()
         with progress_bar("smoothing", progress) as show:
             smoothed = smooth_recording(
-                tracker, used, run.done(), *run.poses(), lambda share: show(round(100 * share), 100)
+                tracker, used, run.first_pass(), lambda share: show(round(100 * share), 100)
             )
         run.milliseconds["smooth"] = [1e3 * (perf_counter() - began)]
     told = {
@@ -240,20 +240,17 @@ class Run:
         names = [source.camera_name for source in self.recording.videos][: len(images)]
         yield from statuses.of_images(names, (frames >= 0).tolist(), images)
 
-    def done(self) -> Done:
-        """The events that were gone through."""
+    def first_pass(self) -> FirstPass:
+        """The events that were gone through, and their poses, float64."""
         events = slice(self.start, self.start + len(self.steps))
         parts = (self.timeline.event_times, self.timeline.sample_index, self.timeline.frame_index)
-        return Done(Timeline(*(part[events] for part in parts)), self.markers_world[events])
-
-    def poses(self) -> tuple[Pose, Pose]:
-        """Of these events: by the markers alone, and refined; float64."""
         found = [(report.pose, pose) for pose, report in self.steps]
         alone, refined = (
             jax.tree.map(lambda *values: np.stack(values), *each)
             for each in zip(*found, strict=True)
         )
-        return alone, refined
+        timeline = Timeline(*(part[events] for part in parts))
+        return FirstPass(timeline, self.markers_world[events], alone, refined)
 
     def _about_sample(self, sample: int) -> Iterator[str]:
         positions = self.recording.positions_world[sample]
@@ -278,7 +275,8 @@ class Run:
     def tracked(self, skeleton: Skeleton, told: dict, smoothed: Smoothed | None) -> Tracked:
         """All samples as arrays, NaN before the first one with a marker."""
         before = len(self.recording.times) - len(self.said)
-        at_samples = np.flatnonzero(self.done().timeline.sample_index >= 0)
+        first = self.first_pass()
+        at_samples = np.flatnonzero(first.timeline.sample_index >= 0)
 
         def column(values: np.ndarray) -> np.ndarray:
             kept = np.asarray(values)[at_samples]
@@ -287,7 +285,6 @@ class Run:
         def motion(person: Skeleton, poses: Pose, report: Report | None) -> Motion:
             return Motion(person, self.recording.times, jax.tree.map(column, poses), report)
 
-        alone, refined = self.poses()
         judged = self._judged() if smoothed is None else smoothed.judged
         report = Report(
             markers=self.recording.marker_names,
@@ -301,8 +298,8 @@ class Run:
             milliseconds={stage: np.array(t) for stage, t in self.milliseconds.items()},
             settings=told,
         )
-        person, poses = (skeleton, refined) if smoothed is None else smoothed[:2]
-        return Tracked(motion(person, poses, report), motion(skeleton, alone, None))
+        person, poses = (skeleton, first.refined) if smoothed is None else smoothed[:2]
+        return Tracked(motion(person, poses, report), motion(skeleton, first.alone, None))
 
     def _judged(self) -> Judged:
         """What the steps themselves report."""

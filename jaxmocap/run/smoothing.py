@@ -27,9 +27,9 @@ from jaxmocap.capture.video import FrameSource
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera, to_pixels
 from jaxmocap.geometry.outlines import Discs, project_limb
 from jaxmocap.geometry.rotations import quaternion_to_matrix
-from jaxmocap.hybrid.residuals import Frame
+from jaxmocap.hybrid.residuals import Known
 from jaxmocap.hybrid.silhouette import FOREARMS, Sight, drawn_bones
-from jaxmocap.hybrid.smoothing import Motion, Problem, Sights, smooth_poses
+from jaxmocap.hybrid.smoothing import Problem, Sights, Trajectory, smooth_poses
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.images.background import Background, spread
 from jaxmocap.images.foreground import (
@@ -108,16 +108,20 @@ class Appearance:
     forearms: Colours
 
 
-class Done(NamedTuple):
-    """What the first pass went through.
+class FirstPass(NamedTuple):
+    """What the first pass went through, and what it found there.
 
     Attributes:
         timeline: E events.
         markers_world: (E, M, 3); NaN where missing.
+        alone: poses (E, ...) of the markers alone.
+        refined: poses (E, ...) with what the video had to say of each.
     """
 
     timeline: Timeline
     markers_world: np.ndarray
+    alone: Pose
+    refined: Pose
 
 
 class Smoothed(NamedTuple):
@@ -137,9 +141,7 @@ class Smoothed(NamedTuple):
 def smooth_recording(
     tracker: HybridTracker,
     videos: Sequence[FrameSource],
-    done: Done,
-    alone: Pose,
-    start: Pose,
+    first_pass: FirstPass,
     show: Callable[[float], None],
 ) -> Smoothed | None:
     """Smooth the poses of all events.
@@ -147,40 +149,41 @@ def smooth_recording(
     Args:
         tracker: its person, cameras, markers and settings.
         videos: one per camera.
-        done: E events.
-        alone: poses (E, ...) of the markers alone.
-        start: poses (E, ...) to start from.
+        first_pass: E events, and the poses to start from.
         show: called with the share done.
 
     Returns:
         None where no camera has a frame.
     """
     assert tracker.cameras is not None
-    times, markers_world = done.timeline.event_times, done.markers_world
-    looks = [look for look in _looks(done.timeline) if len(look.events)]
+    looks = [look for look in _looks(first_pass.timeline) if len(look.events)]
     if not looks:
         return None
-    frames = _frames(tracker, times, markers_world, alone)
+    known = _known(tracker, first_pass)
     no_change = np.zeros(len(PROPORTIONS), tracker.dtype)
-    motion, ended = Motion(start, no_change), None
+    found, ended = Trajectory(first_pass.refined, no_change), None
     for number, softness in enumerate(ROUNDS):
-        person, sights = scaled(tracker.skeleton, jnp.asarray(motion.proportions)), []
+        person, sights = scaled(tracker.skeleton, jnp.asarray(found.proportions)), []
         for look in looks:
             camera = jax.tree.map(lambda part, c=look.camera: part[c], tracker.cameras)
-            there = jax.tree.map(lambda part, e=look.events: np.asarray(part)[e], motion.poses)
+            there = jax.tree.map(lambda part, e=look.events: np.asarray(part)[e], found.poses)
             sights.append(_sights(person, camera, look, videos[look.camera], there))
             show((number + 0.5 * len(sights) / len(looks)) / len(ROUNDS))
         together = jax.tree.map(lambda *parts: np.concatenate(parts), *sights)
         problem = Problem(
             tracker.skeleton, tracker.cameras, tracker.markers, tracker.settings.over_time,
-            times, frames, together,
+            first_pass.timeline.event_times, known, together,
         )  # fmt: skip
-        ended = smooth_poses(problem, motion, softness)
-        motion = ended.motion
+        ended = smooth_poses(problem, found, softness)
+        found = ended.trajectory
         show((number + 1) / len(ROUNDS))
     assert ended is not None
-    person = scaled(tracker.skeleton, jnp.asarray(motion.proportions))
-    return Smoothed(person, motion.poses, judge(tracker, person, ended, alone, markers_world))
+    person = scaled(tracker.skeleton, jnp.asarray(found.proportions))
+    return Smoothed(
+        person,
+        found.poses,
+        judge(tracker, person, ended, first_pass.alone, first_pass.markers_world),
+    )
 
 
 def _looks(timeline: Timeline) -> list[Look]:
@@ -192,10 +195,9 @@ def _looks(timeline: Timeline) -> list[Look]:
     ]
 
 
-def _frames(
-    tracker: HybridTracker, times: np.ndarray, markers_world: np.ndarray, alone: Pose
-) -> Frame:
+def _known(tracker: HybridTracker, first_pass: FirstPass) -> Known:
     """What is known of each event besides its sights."""
+    times, alone = first_pass.timeline.event_times, first_pass.alone
     R = np.asarray(jax.vmap(quaternion_to_matrix)(jnp.asarray(alone.quaternion, float)))
     ahead = R[:, :2, 0]
     step = np.median(np.diff(times)) if len(times) > 1 else 1.0
@@ -207,8 +209,8 @@ def _frames(
     names = [tracker.skeleton.tree.bones[bone] for bone in tracker.markers.bones]
     free = not any(name.startswith(FEET) for name in names)
     feet = np.full(len(times), float(free))
-    parts = (markers_world, R[:, :2, 2], facing, ankles, feet)
-    return Frame(*(np.asarray(part, tracker.dtype) for part in parts))
+    parts = (first_pass.markers_world, R[:, :2, 2], facing, ankles, feet)
+    return Known(*(np.asarray(part, tracker.dtype) for part in parts))
 
 
 def _landmarks(skeleton: Skeleton, poses: Pose) -> np.ndarray:
