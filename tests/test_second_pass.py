@@ -18,6 +18,7 @@ from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.capture.timeline import build_timeline
 from jaxmocap.capture.video import MemoryVideo
 from jaxmocap.formats.recording import MarkerPlace, Recording, VideoSource
+from jaxmocap.hybrid.appearance import ROWS, Drawing
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.smoothing import Problem, SmoothedPoses
 from jaxmocap.hybrid.tracker import HybridTracker
@@ -25,7 +26,7 @@ from jaxmocap.images.hulls import draw_hulls
 from jaxmocap.run import smoothing
 from jaxmocap.run.judging import deviations_of_elbows, sure
 from jaxmocap.run.recording import make_tracker, track_both
-from jaxmocap.run.smoothing import Drawing, FirstPass, Look, Smoothed, smooth_recording
+from jaxmocap.run.smoothing import FirstPass, Look, Smoothed, smooth_recording
 from jaxmocap.solvers.status import Status
 
 # Seconds apart: frames, and the marker samples of which every other has a frame.
@@ -186,7 +187,7 @@ def test_frames_are_chosen_by_index_shrunk_and_repeated():
     look = Look(0, np.arange(7), np.array([0, 0, 1, 3, 3, 4, 5]))
     read = list(look.frames(video, np.arange(7)))
     assert [None if im is None else int(im[0, 0, 0]) for im in read] == [0, 0, 10, 30, 30, None, 50]
-    assert all(im is None or im.shape == (smoothing.ROWS, 480, 3) for im in read)
+    assert all(im is None or im.shape == (ROWS, 480, 3) for im in read)
     few = list(look.frames(video, np.array([1, 3, 4])))
     assert [int(im[0, 0, 0]) for im in few if im is not None] == [0, 30, 30]
 

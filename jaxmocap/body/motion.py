@@ -67,10 +67,14 @@ class Motion:
 
     def joints(self) -> dict[str, np.ndarray]:
         """Landmark name -> (T, 3) positions, world, Z up, metres."""
-        poses = Pose(*(jnp.asarray(part, float) for part in self.poses))
-        points = np.asarray(_landmarks_over_time(self.skeleton, poses))
+        points = landmarks_over_time(self.skeleton, self.poses)
         return {name: points[:, i] for i, name in enumerate(LANDMARKS)}
 
 
+def landmarks_over_time(skeleton: Skeleton, poses: Pose) -> np.ndarray:
+    """Positions (T, L, 3) of the ``LANDMARKS``, world, metres, of poses (T, ...)."""
+    return np.asarray(_over_time(skeleton, Pose(*(jnp.asarray(part, float) for part in poses))))
+
+
 # Of the module, so that motions of one length and skeleton share one compilation.
-_landmarks_over_time = jax.jit(jax.vmap(landmarks, (None, 0)))
+_over_time = jax.jit(jax.vmap(landmarks, (None, 0)))

@@ -7,7 +7,8 @@ OUTPUTS: log-odds of the part.
 import cv2
 import numpy as np
 
-from jaxmocap.images.foreground import MOST_ODDS, SOFTNESS, Colours, colour_bins
+from jaxmocap.images.colours import Colours, colour_bins
+from jaxmocap.images.foreground import MOST_ODDS, SOFTNESS
 
 # The part is a piece of the person; where the person is doubtful it may still be there.
 BENEFIT = 1.0
