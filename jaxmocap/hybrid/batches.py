@@ -12,16 +12,20 @@ import numpy as np
 
 
 def in_batches(
-    call: Callable, stacked: tuple[Any, ...], size: int, workers: ThreadPoolExecutor
+    call: Callable, stacked: tuple[Any, ...], size: int, workers: ThreadPoolExecutor | None = None
 ) -> list[np.ndarray]:
-    """``call`` over batches of one size, of which the last is filled up with its last entry."""
+    """``call`` over batches of one size, of which the last is filled up with its last entry.
+
+    Without workers one after the other in the caller's thread, to which JAX's precision belongs.
+    """
     count = len(jax.tree.leaves(stacked)[0])
 
     def of_batch(rows: np.ndarray) -> list[np.ndarray]:
         found = call(*jax.tree.map(lambda part: np.asarray(part)[rows], stacked))
         return [np.asarray(part, np.float64) for part in jax.tree.leaves(found)]
 
-    parts = list(workers.map(of_batch, _batches(count, size)))
+    each = workers.map if workers else map
+    parts = list(each(of_batch, _batches(count, size)))
     return [np.concatenate(each)[:count] for each in zip(*parts, strict=True)]
 
 

@@ -114,18 +114,17 @@ def smooth_poses(problem: Problem, start: Trajectory, softness: tuple[float, ...
         softness: of the silhouettes' borders, cells, one solve after the other.
     """
     settings = problem.settings
-    accelerations = np.full(3 * len(LANDMARKS), float(settings.acceleration))
-    prior = smoothness(problem.times, accelerations)
+    prior = landmark_prior(problem)
     trajectory, ended, seen = start, None, problem
     # Band matrices are narrow: BLAS's threads would only wait for one another, for seconds.
     one_thread = threadpool_limits(1, user_api="blas")
     with one_thread, ThreadPoolExecutor(2, thread_name_prefix="smooth") as workers:
         for soft in softness:
-            seen = _softened(problem, soft)
+            seen = softened(problem, soft)
             linearise = partial(_linearise, seen, soft, workers)
             evaluate = partial(_evaluate, seen, soft, workers)
             ended = smooth(
-                linearise, evaluate, _move, trajectory, prior, Solve(iterations=settings.iterations)
+                linearise, evaluate, moved_by, trajectory, prior, Solve(iterations=settings.iterations)
             )
             trajectory = ended.x
         assert ended is not None
@@ -138,6 +137,12 @@ def smooth_poses(problem: Problem, start: Trajectory, softness: tuple[float, ...
     return SmoothedPoses(
         trajectory, deviations, (from_prior & ~markers_hold).astype(float), ended.cost, ended.status
     )
+
+
+def landmark_prior(problem: Problem) -> Smoothness:
+    """What is known of the landmarks' motion before it is seen."""
+    accelerations = np.full(3 * len(LANDMARKS), float(problem.settings.acceleration))
+    return smoothness(problem.times, accelerations)
 
 
 def _variances(
@@ -165,7 +170,8 @@ def _unseen(problem: Problem) -> Problem:
     return replace(problem, sights=blind)
 
 
-def _softened(problem: Problem, softness: float) -> Problem:
+def softened(problem: Problem, softness: float) -> Problem:
+    """The same, seen as softly as it is drawn."""
     sight = problem.sights.sight
     soft = Sight(sight.region, blurred(sight.person, softness), blurred(sight.forearms, softness))
     return replace(problem, sights=problem.sights._replace(sight=soft))
@@ -259,7 +265,8 @@ def _sights_cost(
 _retract = jax.jit(jax.vmap(retract))
 
 
-def _move(trajectory: Trajectory, steps: np.ndarray, shared: np.ndarray) -> Trajectory:
+def moved_by(trajectory: Trajectory, steps: np.ndarray, shared: np.ndarray) -> Trajectory:
+    """A trajectory moved by tangent vectors (T, 6 + D), its proportions by (P,)."""
     poses = jax.device_get(_retract(trajectory.poses, jnp.asarray(steps, float)))
     return Trajectory(poses, np.asarray(trajectory.proportions + shared, poses.angles.dtype))
 
@@ -273,9 +280,9 @@ def _linearise(
     if len(problem.sights.frame):
         seen = _over_sights(_sights_fit, problem, softness, workers, trajectory)
         for total, part in zip((cost, hessian, gradient), seen, strict=True):
-            np.add.at(total, problem.sights.frame, part * _weight(problem))
+            np.add.at(total, problem.sights.frame, part * sights_weight(problem))
     n = by.shape[2] - len(PROPORTIONS)
-    curvature, pull, price = _proportions_prior(problem, trajectory)
+    curvature, pull, price = proportions_prior(problem, trajectory)
     return Linearised(
         cost + price, hessian[:, :n, :n], gradient[:, :n], points, by[:, :, :n],
         hessian[:, :n, n:], hessian[:, n:, n:] + curvature, gradient[:, n:] + pull, by[:, :, n:],
@@ -289,15 +296,16 @@ def _evaluate(
     cost, points = _over_frames(_frames_cost, problem, workers, trajectory)
     if len(problem.sights.frame):
         (seen,) = _over_sights(_sights_cost, problem, softness, workers, trajectory)
-        np.add.at(cost, problem.sights.frame, seen * _weight(problem))
-    return cost + _proportions_prior(problem, trajectory)[2], points
+        np.add.at(cost, problem.sights.frame, seen * sights_weight(problem))
+    return cost + proportions_prior(problem, trajectory)[2], points
 
 
-def _weight(problem: Problem) -> float:
+def sights_weight(problem: Problem) -> float:
+    """Of a squared difference between what was drawn and what was seen."""
     return 1 / float(problem.settings.silhouette) ** 2
 
 
-def _proportions_prior(
+def proportions_prior(
     problem: Problem, trajectory: Trajectory
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """The prior on the proportions, its Hessian, gradient and cost, in each frame.
