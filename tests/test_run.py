@@ -254,6 +254,10 @@ def test_settings_are_chosen_by_words():
     assert make_tracker(small_recording(), choose_settings("none")).cameras is None
 
 
+def test_the_papers_own_way_knows_no_second_pass():
+    assert choose_settings().smooth and not choose_settings(paper=True).smooth
+
+
 # Files -------------------------------------------------------------------------------------------
 
 

@@ -343,5 +343,6 @@ class Settings:
 
     @classmethod
     def paper(cls) -> "Settings":
-        """The first paper's own way: plain edges, its sum, the simplex alone, no memory."""
-        return cls(search=False, evidence="raster", directions=1, edges=EdgeSettings(equalise=True))
+        """The first paper's own way: plain edges, its sum, the simplex, one pass, no memory."""
+        edges = EdgeSettings(equalise=True)
+        return cls(search=False, evidence="raster", directions=1, edges=edges, smooth=False)
