@@ -84,8 +84,8 @@ def test_a_second_camera_sees_what_one_cannot():
     error_of_both = elbow_errors(elbows_of(arms, together.turn))
     assert error[1] > 0.05 > error_of_both[1]
     assert together.spread[1] < alone.spread[1]
-    certain = search.confidence(LOOK, together, together.time)
-    assert certain[1] > search.confidence(LOOK, alone, alone.time)[1]
+    certain, unsure = (search.confidence_of(each.spread) for each in (together, alone))
+    assert certain[1] > unsure[1]
 
 
 def stripes() -> np.ndarray:
@@ -100,7 +100,7 @@ def test_an_image_that_fits_everything_leaves_the_doubt():
     vague = watched([stripes()], ONE, arms, 3)
     assert (np.asarray(vague.spread) > 2 * np.asarray(clear.spread)).all()
     assert (np.asarray(vague.spread) > 0.08).all()
-    assert (np.asarray(search.confidence(LOOK, vague, vague.time)) < 0.3).all()
+    assert (np.asarray(search.confidence_of(vague.spread)) < 0.3).all()
 
 
 def test_two_answers_stay_alive_until_a_clear_image_decides():
@@ -152,7 +152,7 @@ def test_without_images_the_turn_fades_and_the_doubt_grows():
         turn, spread = search.carried(LOOK, found, found.time + age)
         turns.append(np.linalg.norm(turn, axis=1))
         spreads.append(np.asarray(spread))
-        certain.append(np.asarray(search.confidence(LOOK, found, found.time + age)))
+        certain.append(np.asarray(search.confidence_of(spread)))
     np.testing.assert_allclose(turns[0], np.linalg.norm(found.turn, axis=1), rtol=1e-5)
     assert (np.diff(turns, axis=0) < 0).all() and (turns[-1] < 1e-3).all()
     assert (np.diff(spreads, axis=0) >= 0).all()
@@ -184,7 +184,13 @@ def test_before_the_first_image_the_markers_pose_is_believed():
     belief = unknowing()
     np.testing.assert_allclose(elbows_of(true_arms(), belief.turn), true_arms().elbow, atol=1e-6)
     np.testing.assert_allclose(belief.spread, LOOK.elbow_prior)
-    assert (search.confidence(LOOK, belief, belief.time) < 0.2).all()
+    assert (search.confidence_of(belief.spread) < 0.2).all()
+
+
+def test_confidence_falls_with_the_elbows_deviation():
+    confidence = search.confidence_of(np.array([0.0, 0.02, search.HALF_AT_M, 0.4]))
+    assert confidence[0] == 1 and confidence[2] == pytest.approx(0.5)
+    assert (np.diff(confidence) < 0).all()
 
 
 def test_fields_of_an_unseen_camera_may_hold_anything():

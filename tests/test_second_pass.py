@@ -21,10 +21,10 @@ from jaxmocap.formats.recording import MarkerPlace, Recording, VideoSource
 from jaxmocap.hybrid.appearance import ROWS, Drawing
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.smoothing import Problem, SmoothedPoses
-from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.hybrid.tracker import HybridTracker, StepReport
 from jaxmocap.images.hulls import draw_hulls
 from jaxmocap.run import smoothing
-from jaxmocap.run.judging import deviations_of_elbows, sure
+from jaxmocap.run.judging import judge_steps
 from jaxmocap.run.recording import make_tracker, track_both
 from jaxmocap.run.smoothing import FirstPass, Look, Smoothed, smooth_recording
 from jaxmocap.solvers.status import Status
@@ -280,19 +280,19 @@ def test_the_share_done_grows_to_one(found):
     assert shown == sorted(shown) and shown[0] > 0 and shown[-1] == pytest.approx(1)
 
 
-def test_confidence_falls_with_the_elbows_deviation():
-    spread = np.array([[0.0, 0.02], [0.05, 0.4]])
-    confidence = sure(spread)
-    assert confidence[0, 0] == 1 and confidence[1, 0] == pytest.approx(0.5)
-    assert (np.diff(confidence.ravel()) < 0).all()
-
-
-def test_deviations_follow_from_the_elbows_confidence():
-    spread = np.array([[0.01, 0.02], [0.05, 0.4]])
-    deviations, from_prior = deviations_of_elbows(sure(spread))
-    np.testing.assert_allclose(np.linalg.norm(deviations[:, ELBOWS], axis=-1), spread, rtol=1e-6)
-    others = np.delete(deviations, ELBOWS, axis=1)
-    assert np.isnan(others).all() and np.isnan(from_prior).all()
+def test_steps_tell_of_the_elbows_only():
+    spread, nothing = np.array([[0.01, 0.02], [0.05, 0.4]]), np.zeros(())
+    still = Pose(*(part[0] for part in true_poses()))
+    reports = [
+        StepReport(still, np.zeros(3), np.zeros(2), np.zeros(2), each, *[nothing] * 5)
+        for each in spread
+    ]
+    judged = judge_steps(reports)
+    np.testing.assert_allclose(np.linalg.norm(judged.deviations[:, ELBOWS], axis=-1), spread)
+    np.testing.assert_allclose(judged.confidence, [each.confidence for each in reports])
+    assert judged.confidence[1, 0] == pytest.approx(0.5)
+    others = np.delete(judged.deviations, ELBOWS, axis=1)
+    assert np.isnan(others).all() and np.isnan(judged.from_prior).all()
 
 
 # The whole way -----------------------------------------------------------------------------------

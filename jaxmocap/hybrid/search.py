@@ -163,6 +163,6 @@ def carried(settings: SearchSettings, belief: Belief, time: Array) -> tuple[Arra
     return fading * belief.turn, spread
 
 
-def confidence(settings: SearchSettings, belief: Belief, time: Array) -> Array:
-    """Confidence (2,) in the elbows, 0 to 1: one half where their spread is ``HALF_AT_M``."""
-    return 1 / (1 + (carried(settings, belief, time)[1] / HALF_AT_M) ** 2)
+def confidence_of(spread: Array | np.ndarray) -> Array | np.ndarray:
+    """Confidence (...) in elbows whose standard deviation is so many metres, 0 to 1."""
+    return 1 / (1 + (spread / HALF_AT_M) ** 2)

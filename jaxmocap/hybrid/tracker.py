@@ -30,7 +30,7 @@ from jaxmocap.hybrid.gradient import Aims, refine_body
 from jaxmocap.hybrid.ik import IKResult, goal_distances, goals_of, reach, solve_ik
 from jaxmocap.hybrid.observe import Observation, Observer, arm_regions
 from jaxmocap.hybrid.refine import elbow_wishes, look_for_elbows, refine_arms, remember, swivels
-from jaxmocap.hybrid.search import Belief, confidence, no_belief
+from jaxmocap.hybrid.search import Belief, carried, confidence_of, no_belief
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.stance import Stance, effectors, on_held_feet, place
 from jaxmocap.images.regions import Region
@@ -63,7 +63,7 @@ class StepReport(NamedTuple):
             missing.
         arm_costs: (2,) mean distance of each arm's outline to the edges, pixels; NaN unseen.
         swivels: (2,) turn of each elbow that the video added, radians.
-        confidence: (2,) of the elbows, 0 to 1.
+        spread: (2,) standard deviation of the elbows, metres.
         iterations: () of the inverse kinematics.
         planted: () whether the feet were planted anew.
         placed: () whether the body was placed anew.
@@ -75,12 +75,17 @@ class StepReport(NamedTuple):
     distances: Array
     arm_costs: Array
     swivels: Array
-    confidence: Array
+    spread: Array
     iterations: Array
     planted: Array
     placed: Array
     balanced: Array
     ending: Array
+
+    @property
+    def confidence(self) -> Array | np.ndarray:
+        """(2,) in the elbows, 0 to 1."""
+        return confidence_of(self.spread)
 
 
 class Solved(NamedTuple):
@@ -261,7 +266,7 @@ class HybridTracker:
                 jnp.where(mask, distances, jnp.nan),
                 costs,
                 swivels(arms, refined),
-                confidence(settings.look, belief, time),
+                carried(settings.look, belief, time)[1],
                 solved.ik.iterations,
                 solved.ik.planted,
                 solved.placed,

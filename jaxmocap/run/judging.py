@@ -3,6 +3,7 @@
 INPUTS: poses and what their solve or their steps tell of them. OUTPUTS: Judged.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -15,9 +16,9 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.hybrid.arms import arms_of
 from jaxmocap.hybrid.refine import swivels
-from jaxmocap.hybrid.search import HALF_AT_M
+from jaxmocap.hybrid.search import confidence_of
 from jaxmocap.hybrid.smoothing import SmoothedPoses
-from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.hybrid.tracker import HybridTracker, StepReport
 
 ELBOWS = tuple(list(LANDMARKS).index(f"elbow_{side}") for side in "lr")
 
@@ -28,16 +29,20 @@ class Judged(NamedTuple):
     Attributes:
         distances: (E, M) of the markers from their points on the body, metres.
         swivels: (E, 2) turns of the elbows that the video added, radians.
-        confidence: (E, 2) in the elbows, 0 to 1.
         deviations: (E, L, 3) of the landmarks' coordinates, metres.
         from_prior: (E, L) 1 where neither markers nor video tell much, else 0.
     """
 
     distances: np.ndarray
     swivels: np.ndarray
-    confidence: np.ndarray
     deviations: np.ndarray
     from_prior: np.ndarray
+
+    @property
+    def confidence(self) -> np.ndarray:
+        """(E, 2) in the elbows, 0 to 1."""
+        spread = np.sqrt(np.sum(self.deviations[:, ELBOWS] ** 2, -1))
+        return np.asarray(confidence_of(spread))
 
 
 def judge(
@@ -60,19 +65,15 @@ def judge(
         lambda part: jnp.asarray(part, float), (smoothed.trajectory.poses, alone, markers_world)
     )
     distances, turned = jax.device_get(jax.jit(jax.vmap(of_event))(*every))
-    deviations = smoothed.deviations
-    spread = np.sqrt(np.sum(deviations[:, ELBOWS] ** 2, -1))
-    return Judged(distances, turned, sure(spread), deviations, smoothed.from_prior)
+    return Judged(distances, turned, smoothed.deviations, smoothed.from_prior)
 
 
-def sure(spread: np.ndarray) -> np.ndarray:
-    """Confidence of elbows that deviate by so many metres."""
-    return 1 / (1 + (spread / HALF_AT_M) ** 2)
-
-
-def deviations_of_elbows(confidence: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Deviations (E, L, 3) where only the elbows' confidence (E, 2) is known; from_prior (E, L)."""
-    spread = HALF_AT_M * np.sqrt(1 / np.maximum(confidence, 1e-6) - 1)
+def judge_steps(reports: Sequence[StepReport]) -> Judged:
+    """Of E steps, which tell of the elbows' deviations only."""
+    distances, turned, spread = (
+        np.stack([np.asarray(getattr(report, name)) for report in reports])
+        for name in ("distances", "swivels", "spread")
+    )
     deviations = np.full((len(spread), len(LANDMARKS), 3), np.nan)
     deviations[:, ELBOWS] = spread[..., None] / np.sqrt(3)
-    return deviations, np.full(deviations.shape[:2], np.nan)
+    return Judged(distances, turned, deviations, np.full(deviations.shape[:2], np.nan))

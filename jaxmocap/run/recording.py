@@ -28,7 +28,7 @@ from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker, State, StepReport
 from jaxmocap.outputs.report import plain
 from jaxmocap.run import statuses
-from jaxmocap.run.judging import Judged, deviations_of_elbows
+from jaxmocap.run.judging import judge_steps
 from jaxmocap.run.reading import ForwardReader, open_footage, reading
 from jaxmocap.run.smoothing import FirstPass, Smoothed, smooth_recording
 from jaxmocap.run.timing import Clock, Progress, progress_bar, timed_stages
@@ -285,11 +285,12 @@ class Run:
         def motion(person: Skeleton, poses: Pose, report: Report | None) -> Motion:
             return Motion(person, self.recording.times, jax.tree.map(column, poses), report)
 
-        judged = self._judged() if smoothed is None else smoothed.judged
+        reports = [report for _, report in self.steps]
+        judged = judge_steps(reports) if smoothed is None else smoothed.judged
         report = Report(
             markers=self.recording.marker_names,
             marker_errors=column(judged.distances),
-            arm_costs=column(np.stack([report.arm_costs for _, report in self.steps])),
+            arm_costs=column(np.stack([report.arm_costs for report in reports])),
             swivels=column(judged.swivels),
             confidence=column(judged.confidence),
             landmarks_std=column(judged.deviations),
@@ -300,15 +301,6 @@ class Run:
         )
         person, poses = (skeleton, first.refined) if smoothed is None else smoothed[:2]
         return Tracked(motion(person, poses, report), motion(skeleton, first.alone, None))
-
-    def _judged(self) -> Judged:
-        """What the steps themselves report."""
-        reports = [report for _, report in self.steps]
-        distances, swivels, confidence = (
-            np.stack([np.asarray(getattr(report, name)) for report in reports])
-            for name in ("distances", "swivels", "confidence")
-        )
-        return Judged(distances, swivels, confidence, *deviations_of_elbows(confidence))
 
     def _sentences(self, before: int, confidence: np.ndarray) -> tuple[tuple[str, ...], ...]:
         """What there is to say of each sample."""
