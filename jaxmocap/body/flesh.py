@@ -1,6 +1,7 @@
 """Flesh on bones: each limb a sphere-swept cone (the paper's cylinders, tapered and round-ended).
 
-INPUTS: a Skeleton and its Frames. OUTPUTS: end points and radii, world, metres.
+INPUTS: a Skeleton and its Frames; a Camera.
+OUTPUTS: end points and radii, world, metres; the same as discs in the image, pixels.
 """
 
 from typing import NamedTuple
@@ -11,6 +12,8 @@ from jax import Array
 
 from jaxmocap.body.kinematics import Frames
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.geometry.cameras import Camera, to_camera, to_pixels
+from jaxmocap.geometry.outlines import Discs, project_limb
 from jaxmocap.geometry.rotations import rotate
 
 
@@ -34,6 +37,14 @@ def cones(skeleton: Skeleton, frames: Frames, bones: np.ndarray) -> Cones:
     near = frames.joints_world[bones]
     far = near + rotate(frames.R_world_bone[bones], reach)
     return Cones(near, far, skeleton.diameters[bones] / 2)
+
+
+def project_cones(camera: Camera, flesh: Cones) -> Discs:
+    """Limbs (N) in the image, pixels; the lens' distortion moves the discs, not their radii."""
+    plane = project_limb(to_camera(camera, flesh.near), to_camera(camera, flesh.far), flesh.radii)
+    focal_px = (camera.matrix[0, 0] + camera.matrix[1, 1]) / 2
+    ends = to_pixels(camera, plane.near), to_pixels(camera, plane.far)
+    return Discs(*ends, plane.radii * focal_px)
 
 
 def volumes(flesh: Cones) -> Array:

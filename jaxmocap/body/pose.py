@@ -46,6 +46,12 @@ def retract(pose: Pose, step: Array) -> Pose:
     )
 
 
+def beyond_limits(limits: Array, angles: Array) -> Array:
+    """By how much (..., D) angles lie outside (..., D, 2) limits, radians; 0 within."""
+    low, high = limits[..., 0], limits[..., 1]
+    return jnp.maximum(low - angles, 0.0) + jnp.maximum(angles - high, 0.0)
+
+
 def pack(pose: Pose) -> Array:
     """One vector (..., 7 + D): position, quaternion, angles."""
     return jnp.concatenate(pose, -1)

@@ -156,6 +156,11 @@ def touch(discs: Discs, x: Array, y: Array) -> Touch:
     return Touch(along, away - radius, away_x / away, away_y / away)
 
 
+def depth_along(at: Touch, near: Array, far: Array) -> Array:
+    """Depths (...) of the axis where it is touched, given those of its ends."""
+    return (1 - at.along) * near + at.along * far
+
+
 def signed_distance(discs: Discs, points: Array) -> Array:
     """Distance of (..., 2) points to the hull's outline, negative inside."""
     return touch(discs, points[..., 0], points[..., 1]).distance

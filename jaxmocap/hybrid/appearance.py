@@ -14,13 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.flesh import cones
+from jaxmocap.body.flesh import cones, project_cones
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera, to_pixels
-from jaxmocap.geometry.outlines import Discs, project_limb
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera
+from jaxmocap.geometry.outlines import Discs
 from jaxmocap.hybrid.silhouette import FOREARMS, Sight, drawn_bones
 from jaxmocap.images.background import Background
 from jaxmocap.images.colours import Colours, learn_colours
@@ -85,12 +85,8 @@ class Drawing:
 
         def of_pose(pose: Pose) -> tuple[Discs, Array]:
             flesh = cones(skeleton, forward(skeleton, pose), bones)
-            ends = to_camera(camera, flesh.near), to_camera(camera, flesh.far)
-            plane = project_limb(*ends, flesh.radii)
-            depth = jnp.maximum(jnp.mean(ends[0][:, 2]), NEAREST_M)
-            radii = plane.radii * camera.matrix[0, 0]
-            discs = Discs(to_pixels(camera, plane.near), to_pixels(camera, plane.far), radii)
-            return discs, camera.matrix[0, 0] / depth
+            depth = jnp.maximum(jnp.mean(to_camera(camera, flesh.near)[:, 2]), NEAREST_M)
+            return project_cones(camera, flesh), camera.matrix[0, 0] / depth
 
         small = shrunk_size(size, ROWS)
         ratio = np.divide(small, size)

@@ -13,14 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.flesh import Cones
+from jaxmocap.body.flesh import Cones, project_cones
 from jaxmocap.geometry.cameras import Camera, to_camera, to_pixels
-from jaxmocap.geometry.outlines import Discs, outline, project_limb
+from jaxmocap.geometry.outlines import outline, project_limb
 from jaxmocap.hybrid.arms import Arms, flesh
 from jaxmocap.hybrid.observe import Observation
 from jaxmocap.hybrid.settings import EvidenceSettings
 from jaxmocap.images.raster import soft_coverage
-from jaxmocap.images.regions import Region, to_region
+from jaxmocap.images.regions import Region, discs_in_region, to_region
 from jaxmocap.images.sampling import bilinear
 
 # Outline points per side and per arc of a limb.
@@ -122,15 +122,8 @@ def chamfer_sum(
 
     The plain field is the least over the directions.
     """
-    near, far = to_camera(camera, limbs.near), to_camera(camera, limbs.far)
-    discs = project_limb(near, far, limbs.radii)
-    focal_px = (camera.matrix[0, 0] + camera.matrix[1, 1]) / 2
-    in_region = Discs(
-        to_region(region, to_pixels(camera, discs.near)),
-        to_region(region, to_pixels(camera, discs.far)),
-        discs.radii * focal_px / region.scale,
-    )
-    coverage = soft_coverage(in_region, fields.shape[-1], softness)
+    discs = discs_in_region(region, project_cones(camera, limbs))
+    coverage = soft_coverage(discs, fields.shape[-1], softness)
     return jnp.sum(coverage * jnp.min(fields, 0))
 
 

@@ -19,7 +19,7 @@ from jax.custom_derivatives import SymbolicZero
 
 from jaxmocap.body.flesh import Cones
 from jaxmocap.body.kinematics import Sites, forward, jacobian, landmark_sites, site_positions
-from jaxmocap.body.pose import Pose, retract
+from jaxmocap.body.pose import Pose, beyond_limits, retract
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import (
@@ -255,9 +255,7 @@ def prior_residuals(
 
 def limit_residuals(settings: GradientSettings, skeleton: Skeleton, pose: Pose) -> Array:
     """By how much (D,) each joint is beyond its range."""
-    low, high = skeleton.limits.T
-    beyond = jnp.maximum(low - pose.angles, 0.0) + jnp.maximum(pose.angles - high, 0.0)
-    return beyond / settings.limit
+    return beyond_limits(skeleton.limits, pose.angles) / settings.limit
 
 
 def outline_residuals(

@@ -13,7 +13,7 @@ from jaxmocap.body.flesh import Cones, cones
 from jaxmocap.body.kinematics import Frames
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera, to_camera
-from jaxmocap.geometry.outlines import Discs, project_limb, signed_distance
+from jaxmocap.geometry.outlines import Discs, depth_along, project_limb, touch
 from jaxmocap.hybrid.arms import Arms, flesh
 
 TORSO = ("spine1", "spine2", "spine3")
@@ -46,29 +46,14 @@ def hidden(camera: Camera, limbs: Cones, points: Array, others: Cones) -> Array:
         (3, K) True where hidden.
     """
     near, far = to_camera(camera, limbs.near), to_camera(camera, limbs.far)
-    own = depths_along(project_limb(near, far, limbs.radii), near, far, points)
+    x, y = points[..., 0], points[..., 1]
+    limb = Discs(*(part[:, None] for part in project_limb(near, far, limbs.radii)))
+    own = depth_along(touch(limb, x, y), near[:, 2:], far[:, 2:])
 
     def behind(other: Cones) -> Array:
         a, b = to_camera(camera, other.near), to_camera(camera, other.far)
-        discs = project_limb(a, b, other.radii)
-        within = signed_distance(discs, points) < 0
+        at = touch(project_limb(a, b, other.radii), x, y)
         seen = jnp.minimum(a[2], b[2]) > 0
-        return within & seen & (depths_along(discs, a, b, points) + NEARER_M < own)
+        return (at.distance < 0) & seen & (depth_along(at, a[2], b[2]) + NEARER_M < own)
 
     return jnp.any(jax.vmap(behind)(others), 0)
-
-
-def depths_along(discs: Discs, near: Array, far: Array, points: Array) -> Array:
-    """Depths, metres, of limbs' axes beside (..., K, 2) points on the plane z = 1.
-
-    Args:
-        discs: of the limbs (...).
-        near: (..., 3) their joints in the camera's frame.
-        far: (..., 3) their far ends.
-        points: on the plane.
-    """
-    axis = (discs.far - discs.near)[..., None, :]
-    squared = jnp.sum(axis**2, -1) + 1e-12
-    t = jnp.sum((points - discs.near[..., None, :]) * axis, -1) / squared
-    t = jnp.clip(t, 0.0, 1.0)
-    return (1 - t) * near[..., 2, None] + t * far[..., 2, None]

@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import Sites
-from jaxmocap.body.pose import Pose
+from jaxmocap.body.pose import Pose, beyond_limits
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import quaternion_log, rotate
@@ -94,7 +94,7 @@ def refine_arms(
     fit, polish = settings.fit, settings.polish
     dofs = arm_dofs(skeleton.tree)
     by_arm = observation.by_arm()
-    low, high = skeleton.limits[dofs, 0], skeleton.limits[dofs, 1]
+    limits = skeleton.limits[dofs]
     hung = hang(skeleton, pose, grip_sites)
 
     def cost(moves: Array) -> Array:
@@ -103,8 +103,8 @@ def refine_arms(
             by_arm, flesh(arms)
         )
         held = fit.hold * jnp.sqrt(jnp.sum((grip_targets - arms.grip) ** 2, -1) + 1e-12)
-        beyond = jnp.maximum(low - angles, 0.0) + jnp.maximum(angles - high, 0.0)
-        total = seen + held + polish.limit * jnp.sum(beyond, -1)
+        beyond = jnp.sum(beyond_limits(limits, angles), -1)
+        total = seen + held + polish.limit * beyond
         if not settings.search:
             return total
         return total + jnp.sum((arms.elbow - elbows) ** 2, -1) / polish.trust**2 / 2
@@ -117,7 +117,7 @@ def refine_arms(
         first = initial_simplex(still, jnp.diag(lengths))
         moves = downhill_simplex(cost, first, polish.iterations).points
         angles = swing(hung, jnp.where(watched, moves, still))[1]
-        return jnp.where(watched, jnp.clip(angles, low, high), hung.angles)
+        return jnp.where(watched, jnp.clip(angles, limits[..., 0], limits[..., 1]), hung.angles)
 
     # Between two images there is nothing to fit.
     angles = jax.lax.cond(jnp.any(watched), fitted, lambda: hung.angles)

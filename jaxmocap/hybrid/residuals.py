@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import Sites, forward, landmark_sites, site_positions
-from jaxmocap.body.pose import Pose
+from jaxmocap.body.pose import Pose, beyond_limits
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.hybrid.settings import SmoothingSettings
@@ -54,8 +54,6 @@ def residuals(
     R = quaternion_to_matrix(pose.quaternion)
     turned = jnp.cross(R[:, 0], known.facing)[2]
     facing = settings.facing * (1 + (UNFOOTED - 1) * known.feet)
-    low, high = skeleton.limits[:, 0], skeleton.limits[:, 1]
-    beyond = jnp.maximum(low - pose.angles, 0.0) + jnp.maximum(pose.angles - high, 0.0)
     ankles = site_positions(skeleton, bones, landmark_sites(skeleton, GROUND))
     ground = jnp.stack([settings.footing, settings.footing, settings.ground])
     return jnp.concatenate(
@@ -64,7 +62,7 @@ def residuals(
             (R[:2, 2] - (1 - known.feet) * known.up) / settings.lean,
             turned[None] / facing,
             (pose.angles - skeleton.relaxed) / _ease(skeleton),
-            beyond / settings.limit,
+            beyond_limits(skeleton.limits, pose.angles) / settings.limit,
             (known.feet * (ankles - known.ankles) / ground).ravel(),
         ]
     )

@@ -14,15 +14,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.flesh import Cones, cones
+from jaxmocap.body.flesh import Cones, cones, project_cones
 from jaxmocap.body.kinematics import Frames, forward, jacobian
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.proportions import scaled
 from jaxmocap.body.skeleton import Skeleton, Tree
-from jaxmocap.geometry.cameras import NEAREST_M, Camera, to_camera, to_pixels
-from jaxmocap.geometry.outlines import Discs, project_limb, touch
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, to_camera
+from jaxmocap.geometry.outlines import Discs, depth_along, touch
 from jaxmocap.geometry.rotations import HIGHEST
-from jaxmocap.images.regions import Region, to_region
+from jaxmocap.images.regions import Region, discs_in_region
 from jaxmocap.images.silhouette import Grid, cells, coverage_cost, coverage_fit, frontmost
 
 # Feet are no cones, and shoes have colours of their own.
@@ -56,7 +56,7 @@ def silhouette_cost(
 ) -> Array:
     """Sum of squares of both pictures; ``softness`` in cells."""
     flesh = cones(skeleton, frames, drawn_bones(skeleton.tree))
-    discs = _discs(camera, flesh, sight.region)
+    discs = discs_in_region(sight.region, project_cones(camera, flesh))
     fore, visible = _forearms(skeleton.tree, camera, flesh, discs, sight.person)
     arms = Discs(*(part[fore] for part in discs))
     whole = coverage_cost(discs, sight.person, softness)
@@ -85,14 +85,14 @@ def silhouette_fit(
     def drawn(proportions: Array) -> Discs:
         person = scaled(skeleton, proportions)
         body = cones(person, forward(person, pose), bones)
-        return _discs(camera, body, sight.region)
+        return discs_in_region(sight.region, project_cones(camera, body))
 
     bones = drawn_bones(skeleton.tree)
     by_proportions = jax.jacfwd(drawn)(proportions)
     skeleton = scaled(skeleton, proportions)
     frames = forward(skeleton, pose)
     flesh = cones(skeleton, frames, bones)
-    discs = _discs(camera, flesh, sight.region)
+    discs = discs_in_region(sight.region, project_cones(camera, flesh))
     fore, visible = _forearms(skeleton.tree, camera, flesh, discs, sight.person)
     arms = Discs(*(part[fore] for part in discs))
     by_pose = _leverage(skeleton, frames, camera, flesh, discs, sight.region, bones)
@@ -109,19 +109,6 @@ def silhouette_fit(
     )
 
 
-def _discs(camera: Camera, flesh: Cones, region: Region) -> Discs:
-    """Limbs in cells of the grid."""
-    on_plane = project_limb(
-        to_camera(camera, flesh.near), to_camera(camera, flesh.far), flesh.radii
-    )
-    focal_px = (camera.matrix[0, 0] + camera.matrix[1, 1]) / 2
-    return Discs(
-        to_region(region, to_pixels(camera, on_plane.near)),
-        to_region(region, to_pixels(camera, on_plane.far)),
-        on_plane.radii * focal_px / region.scale,
-    )
-
-
 def _forearms(
     tree: Tree, camera: Camera, flesh: Cones, discs: Discs, grid: Grid
 ) -> tuple[np.ndarray, Array]:
@@ -135,7 +122,7 @@ def _forearms(
     depths = jnp.stack([to_camera(camera, end)[:, 2] for end in (flesh.near, flesh.far)], 1)
     which, _, at = frontmost(Discs(*(part[fore] for part in discs)), size)
     ends = depths[fore][which]
-    depth = (1 - at.along) * ends[:, 0] + at.along * ends[:, 1]
+    depth = depth_along(at, ends[:, 0], ends[:, 1])
     others = Discs(*(part[~fore][:, None] for part in discs))
     x, y = cells(size, discs.near.dtype)
     surface = jnp.mean(depths[~fore] - flesh.radii[~fore], 1)[:, None]

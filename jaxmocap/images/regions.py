@@ -11,6 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxmocap.geometry.outlines import Discs
+
 # Regions this many times as large as their image hold a few samples of it only.
 LARGEST_SIDE = 8
 
@@ -45,6 +47,12 @@ def to_region(region: Region, pixels_xy: Array) -> Array:
     """Image pixels (..., K, 2) to sample coordinates of the region (centres at whole numbers)."""
     scale = region.scale[..., None, None]
     return (pixels_xy - region.origin[..., None, :]) / scale - 0.5
+
+
+def discs_in_region(region: Region, discs: Discs) -> Discs:
+    """Limbs (K), pixels, in samples of one region."""
+    near, far = to_region(region, discs.near), to_region(region, discs.far)
+    return Discs(near, far, discs.radii / region.scale)
 
 
 def crop(image: np.ndarray, origin: np.ndarray, scale: float, size: int) -> np.ndarray:
