@@ -124,7 +124,12 @@ def smooth_poses(problem: Problem, start: Trajectory, softness: tuple[float, ...
             linearise = partial(_linearise, seen, soft, workers)
             evaluate = partial(_evaluate, seen, soft, workers)
             ended = smooth(
-                linearise, evaluate, moved_by, trajectory, prior, Solve(iterations=settings.iterations)
+                linearise,
+                evaluate,
+                moved_by,
+                trajectory,
+                prior,
+                Solve(iterations=settings.iterations),
             )
             trajectory = ended.x
         assert ended is not None
