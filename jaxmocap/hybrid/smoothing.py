@@ -113,8 +113,8 @@ def smooth_poses(problem: Problem, start: Trajectory, softness: tuple[float, ...
         start: poses and proportions.
         softness: of the silhouettes' borders, cells, one solve after the other.
     """
-    settings = problem.settings
-    prior = landmark_prior(problem)
+    settings, prior = problem.settings, landmark_prior(problem)
+    solve = Solve(iterations=settings.iterations)
     trajectory, ended, seen = start, None, problem
     # Band matrices are narrow: BLAS's threads would only wait for one another, for seconds.
     one_thread = threadpool_limits(1, user_api="blas")
@@ -123,14 +123,7 @@ def smooth_poses(problem: Problem, start: Trajectory, softness: tuple[float, ...
             seen = softened(problem, soft)
             linearise = partial(_linearise, seen, soft, workers)
             evaluate = partial(_evaluate, seen, soft, workers)
-            ended = smooth(
-                linearise,
-                evaluate,
-                moved_by,
-                trajectory,
-                prior,
-                Solve(iterations=settings.iterations),
-            )
+            ended = smooth(linearise, evaluate, moved_by, trajectory, prior, solve)
             trajectory = ended.x
         assert ended is not None
         told = _variances(_alike(seen), softness[-1], workers, trajectory, prior)
