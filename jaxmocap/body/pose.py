@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
-from jaxmocap.geometry.rotations import quaternion_exp, quaternion_multiply
+from jaxmocap.geometry.rotations import quaternion_exp, quaternion_log, quaternion_multiply
 
 
 class Pose(NamedTuple):
@@ -44,6 +44,13 @@ def retract(pose: Pose, step: Array) -> Pose:
         quaternion / jnp.linalg.norm(quaternion, axis=-1, keepdims=True),
         pose.angles + step[..., ROOT_DOF:],
     )
+
+
+def difference(pose: Pose, origin: Pose) -> Array:
+    """The tangent vector (..., 6 + D) that moves ``origin`` to ``pose``: ``retract``'s inverse."""
+    back = origin.quaternion * jnp.asarray([1, -1, -1, -1], origin.quaternion.dtype)
+    turn = quaternion_log(quaternion_multiply(pose.quaternion, back))
+    return jnp.concatenate([pose.position - origin.position, turn, pose.angles - origin.angles], -1)
 
 
 def beyond_limits(limits: Array, angles: Array) -> Array:

@@ -29,6 +29,7 @@ from jaxmocap.hybrid.batches import in_batches
 from jaxmocap.hybrid.residuals import Known, residuals
 from jaxmocap.hybrid.settings import SmoothingSettings
 from jaxmocap.hybrid.silhouette import Sight, silhouette_cost, silhouette_fit
+from jaxmocap.hybrid.trust import trusted
 from jaxmocap.images.silhouette import blurred
 from jaxmocap.solvers.smoothness import Smoothness, smoothness
 from jaxmocap.solvers.status import Status
@@ -37,9 +38,6 @@ from jaxmocap.solvers.trajectory import Settings as Solve
 
 # Frames and sights per call: shapes that every recording shares, so that they compile once.
 FRAMES_A_CALL, SIGHTS_A_CALL = 64, 16
-# A landmark is a guess where the video leaves more than this share of its variance, unless markers
-# hold it already, as they do below some HELD_M metres.
-GUESSED, HELD_M = 0.7, 0.01
 
 
 class Trajectory(NamedTuple):
@@ -128,13 +126,8 @@ def smooth_poses(problem: Problem, start: Trajectory, softness: tuple[float, ...
         assert ended is not None
         told = _variances(_alike(seen), softness[-1], workers, trajectory, prior)
         guessed = _variances(_unseen(seen), softness[-1], workers, trajectory, prior)
-    loose = told / (told + HELD_M**2)
-    deviations = np.sqrt(told + loose * float(settings.mismatch) ** 2)
-    from_prior = told.sum(-1) > GUESSED * guessed.sum(-1)
-    markers_hold = guessed.sum(-1) < 9 * HELD_M**2
-    return SmoothedPoses(
-        trajectory, deviations, (from_prior & ~markers_hold).astype(float), ended.cost, ended.status
-    )
+    trust = trusted(told, guessed, float(settings.mismatch))
+    return SmoothedPoses(trajectory, *trust, ended.cost, ended.status)
 
 
 def landmark_prior(problem: Problem) -> Smoothness:
@@ -176,7 +169,7 @@ def softened(problem: Problem, softness: float) -> Problem:
 
 
 @jax.jit
-def _frames_fit(
+def frames_fit(
     skeleton: Skeleton,
     proportions: Array,
     sites: Sites,
@@ -224,7 +217,7 @@ def _frames_cost(
 
 
 @jax.jit
-def _sights_fit(
+def sights_fit(
     skeleton: Skeleton,
     proportions: Array,
     softness: Array,
@@ -273,10 +266,10 @@ def _linearise(
     problem: Problem, softness: float, workers: ThreadPoolExecutor, trajectory: Trajectory
 ) -> Linearised:
     """All frames about their poses, and the proportions that they share."""
-    found = _over_frames(_frames_fit, problem, workers, trajectory)
+    found = _over_frames(frames_fit, problem, workers, trajectory)
     cost, hessian, gradient, points, by = found
     if len(problem.sights.frame):
-        seen = _over_sights(_sights_fit, problem, softness, workers, trajectory)
+        seen = _over_sights(sights_fit, problem, softness, workers, trajectory)
         for total, part in zip((cost, hessian, gradient), seen, strict=True):
             np.add.at(total, problem.sights.frame, part * sights_weight(problem))
     n = by.shape[2] - len(PROPORTIONS)

@@ -1,0 +1,38 @@
+"""Corrections that fade in: a track that changes its mind does not jump.
+
+Each new solve moves what lies behind a little. What was given out cannot be moved any more, so the
+difference to it, in place and speed, is carried on and dies out as a critically damped spring does.
+Where the solves agree nothing is added: a motion that is tracked right is not delayed.
+
+INPUTS: corrections of place and speed, times. OUTPUTS: what is left of them.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Fading(NamedTuple):
+    """What is left of past corrections.
+
+    Attributes:
+        offset: (N,) to be added to the track.
+        rate: (N,) its change per second.
+        time: () seconds.
+    """
+
+    offset: np.ndarray
+    rate: np.ndarray
+    time: float
+
+    def corrected(self, offset: np.ndarray, rate: np.ndarray) -> "Fading":
+        """With a track that from now on lies by ``offset`` (and ``rate``) behind the last one."""
+        return self._replace(offset=self.offset + offset, rate=self.rate + rate)
+
+    def at(self, time: float, fade: float) -> "Fading":
+        """What is left at a later time, with the time constant ``fade``, seconds."""
+        elapsed = time - self.time
+        pull = self.rate + self.offset / fade
+        left = np.exp(-elapsed / fade)
+        offset = (self.offset + pull * elapsed) * left
+        return Fading(offset, (self.rate - pull * elapsed / fade) * left, time)

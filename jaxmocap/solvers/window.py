@@ -1,0 +1,189 @@
+"""The newest frames of a trajectory: a few are solved again and again, the past is condensed.
+
+Frames that leave the window leave what they told, as a quadratic of the two frames that the prior
+ties them to. Nothing is forgotten, and the window stays as short as its frames need to settle.
+
+INPUTS: the window's frames as in ``trajectory``, what the past told.
+OUTPUTS: better states, what the past tells without the oldest frame, variances.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxmocap.solvers import banded
+from jaxmocap.solvers.arrow import Equations
+from jaxmocap.solvers.smoothness import REACH, Smoothness
+from jaxmocap.solvers.trajectory import DEFAULTS, Linearised, Settings, normal_equations
+
+# Damping after a step that led uphill is at least this.
+HEAVIER = 0.1
+
+
+class Past(NamedTuple):
+    """What the frames before a window tell of its first two, as a quadratic of their offset.
+
+    In tangent directions, from where the two stood when it was made.
+
+    Attributes:
+        hessian: (2 N, 2 N).
+        gradient: (2 N,) half the cost's derivative at no offset.
+    """
+
+    hessian: np.ndarray
+    gradient: np.ndarray
+
+    def cost(self, offset: np.ndarray) -> float:
+        """At an offset (2 N,), but for a constant."""
+        return float(offset @ self.hessian @ offset + 2 * self.gradient @ offset)
+
+
+class Improved(NamedTuple):
+    """Where some steps led.
+
+    Attributes:
+        x: the states.
+        linear: the frames there.
+        cost: there, the prior's and the past's included.
+    """
+
+    x: Any
+    linear: Linearised
+    cost: float
+
+
+def with_past(equations: Equations, past: Past | None, offset: np.ndarray) -> Equations:
+    """A window's equations, and what the past tells of its first two frames."""
+    if past is None:
+        return equations
+    rows, gradient = equations.rows.copy(), equations.gradient.copy()
+    size = rows.shape[1]
+    pull = past.gradient + past.hessian @ offset
+    gradient[:REACH] += pull.reshape(REACH, size)
+    rows[0, :, : 2 * size] += past.hessian[:size]
+    rows[1, :, :size] += past.hessian[size:, size:]
+    return equations._replace(rows=rows, gradient=gradient)
+
+
+def condensed(
+    linear: Linearised,
+    prior: Smoothness,
+    past: Past | None,
+    offset: np.ndarray,
+    settings: Settings = DEFAULTS,
+) -> Past:
+    """The past of a window without its first frame, about where its next two stand.
+
+    Args:
+        linear: three frames or more about their present states.
+        prior: of the first three.
+        past: of the window as it is.
+        offset: (2 N,) of its first two frames from where that was made.
+        settings: of the solve.
+    """
+    first = REACH + 1
+    hessian, gradient = (
+        np.array(part, float)[:first] for part in (linear.hessian, linear.gradient)
+    )
+    # The other two frames' own terms stay in the window.
+    hessian[1:], gradient[1:] = 0, 0
+    points, jacobian = (np.asarray(part)[:first] for part in (linear.points, linear.jacobian))
+    alone = Linearised(np.zeros(first), hessian, gradient, points, jacobian)
+    equations = with_past(normal_equations(alone, prior), past, offset)
+    size = gradient.shape[1]
+    whole = np.zeros((first * size, first * size))
+    for row in range(first):
+        block = equations.rows[row, :, : (first - row) * size]
+        whole[row * size : (row + 1) * size, row * size :] = block
+    whole = np.triu(whole) + np.triu(whole, 1).T
+    own = whole[:size, :size] + settings.floor * np.eye(size)
+    right = np.column_stack([whole[:size, size:], equations.gradient[0]])
+    solved = np.linalg.solve(own, right)
+    rest = whole[size:, size:] - whole[size:, :size] @ solved[:, :-1]
+    pull = equations.gradient[1:].ravel() - whole[size:, :size] @ solved[:, -1]
+    return Past((rest + rest.T) / 2, pull)
+
+
+def improve(
+    linearise: Callable[[Any], Linearised],
+    move: Callable[[Any, np.ndarray], Any],
+    offset: Callable[[Any], np.ndarray],
+    start: Any,
+    prior: Smoothness,
+    past: Past | None,
+    settings: Settings = DEFAULTS,
+) -> Improved:
+    """A few steps of Levenberg-Marquardt over a window.
+
+    Where a step led is linearised at once: mostly it was right, and the next step begins there.
+
+    Args:
+        linearise: states to their ``Linearised``.
+        move: states and steps (T, N) to states.
+        offset: states to the offset (2 N,) of the first two from where the past was made.
+        start: T states.
+        prior: of the points' motion in the window.
+        past: what earlier frames told; None where there are none.
+        settings: of the solve.
+    """
+
+    def at(x: Any) -> Improved:
+        linear = linearise(x)
+        cost = float(np.sum(linear.cost)) + prior.cost(np.asarray(linear.points, float))
+        cost += 0.0 if past is None else past.cost(offset(x))
+        return Improved(x, linear, cost)
+
+    here, damping = at(start), settings.damping
+    for _ in range(settings.iterations):
+        equations = normal_equations(here.linear, prior)
+        equations = with_past(equations, past, offset(here.x))
+        there = None
+        for _ in range(settings.attempts):
+            try:
+                step = equations.step(damping, settings.floor).frames
+            except banded.NotPositiveDefinite:
+                damping = 10 * max(damping, HEAVIER)
+                continue
+            tried = at(move(here.x, step))
+            if tried.cost < here.cost:
+                there = tried
+                break
+            damping = 10 * max(damping, HEAVIER)
+        if there is None:
+            break
+        fall, here = here.cost - there.cost, there
+        damping = max(damping / 3, settings.damping)
+        if fall <= settings.relative * abs(here.cost):
+            break
+    return here
+
+
+def window_variances(
+    linear: Linearised,
+    prior: Smoothness,
+    past: Past | None,
+    frames: np.ndarray,
+    settings: Settings = DEFAULTS,
+) -> np.ndarray:
+    """Variances (F, M) of the points of some of a window's frames, given window and past.
+
+    Infinite where the equations do not determine them.
+    """
+    jacobian = np.asarray(linear.jacobian, float)
+    equations = normal_equations(linear, prior)
+    size = jacobian.shape[2]
+    equations = with_past(equations, past, np.zeros(REACH * size))
+    right = np.zeros((len(jacobian), size, len(frames) * size))
+    for column, frame in enumerate(frames):
+        right[frame, :, column * size : (column + 1) * size] = np.eye(size)
+    try:
+        factor = banded.factorise(equations.rows, settings.floor)
+    except banded.NotPositiveDefinite:
+        return np.full((len(frames), jacobian.shape[1]), np.inf)
+    solved = banded.solve(factor, right)
+    found = []
+    for column, frame in enumerate(frames):
+        covariance = solved[frame, :, column * size : (column + 1) * size]
+        found.append(np.einsum("mi,ij,mj->m", jacobian[frame], covariance, jacobian[frame]))
+    return np.maximum(np.array(found), 0.0)
