@@ -109,7 +109,8 @@ def _add_track(parser: Parser) -> None:
         dest="mode",
         action="store_const",
         const="causal",
-        help="use no later marker or frame than a live run would",
+        help="use no later marker or frame than a live run would, which smooths each pose once it "
+        "has seen two more video frames",
     )
     mode.add_argument(
         "--nearest",

@@ -17,7 +17,6 @@ from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.hybrid.arms import arms_of
 from jaxmocap.hybrid.refine import swivels
 from jaxmocap.hybrid.search import confidence_of
-from jaxmocap.hybrid.smoothing import SmoothedPoses
 from jaxmocap.hybrid.tracker import HybridTracker, StepReport
 
 ELBOWS = tuple(list(LANDMARKS).index(f"elbow_{side}") for side in "lr")
@@ -48,11 +47,21 @@ class Judged(NamedTuple):
 def judge(
     tracker: HybridTracker,
     person: Skeleton,
-    smoothed: SmoothedPoses,
+    poses: Pose,
+    trust: tuple[np.ndarray, np.ndarray],
     alone: Pose,
     markers_world: np.ndarray,
 ) -> Judged:
-    """Of smoothed poses (E, ...) of a person as found, against those of the markers alone."""
+    """Of smoothed poses (E, ...) of a person as found, against those of the markers alone.
+
+    Args:
+        tracker: that found the markers' poses.
+        person: as found.
+        poses: of the person.
+        trust: deviations (E, L, 3) and what is a guess (E, L).
+        alone: poses of the markers alone.
+        markers_world: (E, M, 3) metres; NaN where missing.
+    """
 
     def of_event(pose: Pose, before: Pose, targets: Array) -> tuple[Array, Array]:
         bones, bones_before = forward(person, pose), forward(tracker.skeleton, before)
@@ -61,11 +70,9 @@ def judge(
         arms = first, arms_of(person, bones, tracker.grips)
         return jnp.sqrt(jnp.sum(off**2, -1)), swivels(*arms)
 
-    every = jax.tree.map(
-        lambda part: jnp.asarray(part, float), (smoothed.trajectory.poses, alone, markers_world)
-    )
+    every = jax.tree.map(lambda part: jnp.asarray(part, float), (poses, alone, markers_world))
     distances, turned = jax.device_get(jax.jit(jax.vmap(of_event))(*every))
-    return Judged(distances, turned, smoothed.deviations, smoothed.from_prior)
+    return Judged(distances, turned, *trust)
 
 
 def judge_steps(reports: Sequence[StepReport]) -> Judged:

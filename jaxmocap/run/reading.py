@@ -1,6 +1,6 @@
 """The videos of a recording, opened, checked and read forward, the next frame decoded ahead.
 
-INPUTS: a Recording. OUTPUTS: frame sources and warnings; grey images by their index.
+INPUTS: a Recording. OUTPUTS: frame sources and warnings; images by their index.
 """
 
 from collections.abc import Iterator, Sequence
@@ -34,13 +34,13 @@ def open_footage(recording: Recording) -> tuple[list[FrameSource], tuple[str, ..
 class ForwardReader:
     """One video, asked for frames in rising order; while one is used the next is decoded."""
 
-    def __init__(self, video: FrameSource, worker: Executor):
-        self._frames, self._worker = video.frames(luma=True), worker
+    def __init__(self, video: FrameSource, worker: Executor, colour: bool = False):
+        self._frames, self._worker = video.frames(luma=not colour), worker
         self._index, self._image = -1, None
         self._coming = worker.submit(next, self._frames, None)
 
     def at(self, index: int) -> np.ndarray | None:
-        """The grey image (H, W), uint8, of a frame; None where there is none or for index -1."""
+        """A frame (H, W), or (H, W, 3) BGR, uint8; None where there is none or for index -1."""
         if index < 0:
             return None
         while self._index < index:
@@ -53,7 +53,7 @@ class ForwardReader:
 
 
 @contextmanager
-def reading(videos: Sequence[FrameSource]) -> Iterator[list[ForwardReader]]:
-    """Readers of the videos, each with a thread that decodes one frame ahead."""
+def reading(videos: Sequence[FrameSource], colour: bool = False) -> Iterator[list[ForwardReader]]:
+    """Readers of the videos, grey or in colour, each with a thread that decodes one frame ahead."""
     with ThreadPoolExecutor(max(1, len(videos))) as workers:
-        yield [ForwardReader(video, workers) for video in videos]
+        yield [ForwardReader(video, workers, colour) for video in videos]

@@ -24,13 +24,14 @@ from jaxmocap.capture.timeline import Mode, Timeline, build_timeline
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.recording import MarkerPlace, Recording
+from jaxmocap.hybrid.fixed_lag import DELAY_FRAMES, DELAY_S, FixedLagSmoother, Given
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker, State, StepReport
 from jaxmocap.outputs.report import plain
 from jaxmocap.run import statuses
 from jaxmocap.run.judging import judge_steps
 from jaxmocap.run.reading import ForwardReader, open_footage, reading
-from jaxmocap.run.smoothing import FirstPass, Smoothed, smooth_recording
+from jaxmocap.run.smoothing import FirstPass, Smoothed, gathered, smooth_recording
 from jaxmocap.run.timing import Clock, Progress, progress_bar, timed_stages
 
 # The first sample is solved again and again until the joints turn by less (radians).
@@ -64,7 +65,8 @@ def track(
         settings: of the tracker; defaults to ``Settings()``.
         mode: ``own`` looks at each video frame at its own time, with the markers interpolated
             there; ``nearest`` looks at the frame nearest to each marker sample, as in the paper;
-            ``causal`` is ``own`` without any later marker or frame than a live run would have.
+            ``causal`` is ``own`` without any later marker or frame than a live run would have:
+            poses are smoothed by what came before and by at most two more video frames.
         progress: called with the events done and their total, then with the percent of the second
             pass done and 100; True shows a bar on stderr.
         tracker: of ``make_tracker`` for this recording, so that it compiles once for several
@@ -75,7 +77,8 @@ def track(
         was missing and how long each stage took (``milliseconds``: ``decode``, ``solve``,
         ``observe``, ``refine``, and ``frame`` for all of them, at the events with a video frame;
         ``carry`` for the second call and ``sample`` for all at those without one; ``first_call``
-        for the first event and ``smooth`` for the second pass, compilation included).
+        for the first event and ``smooth`` for the second pass, compilation included, or
+        causally for the smoothing at each event with a video frame).
 
     Raises:
         InputError: a video that cannot be used with the recording.
@@ -96,11 +99,14 @@ def track_both(
     tracker = tracker or make_tracker(recording, settings)
     used = [] if tracker.cameras is None else videos
     run = Run.plan(recording, used, mode)
-    with progress_bar("tracking", progress) as show, reading(used) as readers:
-        for done, total in run.events(tracker, readers):
+    smooth, causal = bool(used) and tracker.settings.smooth, mode == "causal"
+    smoother = FixedLagSmoother(tracker) if smooth and causal else None
+    in_colour = reading(used, colour=smoother is not None)
+    with progress_bar("tracking", progress) as show, in_colour as readers:
+        for done, total in run.events(tracker, readers, smoother):
             show(done, total)
-    smoothed = None
-    if used and tracker.settings.smooth and mode != "causal":
+    smoothed = gathered(tracker, run.given, run.first_pass()) if smoother else None
+    if smooth and not causal:
         began = perf_counter()
         with progress_bar("smoothing", progress) as show:
             smoothed = smooth_recording(
@@ -114,6 +120,7 @@ def track_both(
         "markers": recording.marker_names,
         "warnings": warnings,
         "tracker": tracker.settings,
+        "latency": {"video frames": DELAY_FRAMES, "seconds": DELAY_S} if smoother else {},
     }
     return run.tracked(tracker.skeleton, plain(told), smoothed)
 
@@ -181,6 +188,7 @@ class Run:
         steps: pose and report of each event from there on.
         said: sentences of each of these samples.
         milliseconds: stage -> times.
+        given: what a smoother behind the tracker gave out, event by event.
     """
 
     recording: Recording
@@ -191,6 +199,7 @@ class Run:
     steps: list[tuple[Pose, StepReport]] = field(default_factory=list)
     said: list[tuple[str, ...]] = field(default_factory=list)
     milliseconds: dict[str, list[float]] = field(default_factory=dict)
+    given: list[Given] = field(default_factory=list)
 
     @classmethod
     def plan(cls, recording: Recording, videos: Sequence[FrameSource], mode: Mode) -> "Run":
@@ -204,9 +213,17 @@ class Run:
         return cls(recording, timeline, markers, unseen, start)
 
     def events(
-        self, tracker: HybridTracker, readers: Sequence[ForwardReader]
+        self,
+        tracker: HybridTracker,
+        readers: Sequence[ForwardReader],
+        smoother: FixedLagSmoother | None = None,
     ) -> Iterator[tuple[int, int]]:
         """Step through the events from the first marker to the last sample.
+
+        Args:
+            tracker: that takes the steps.
+            readers: of its cameras' videos.
+            smoother: behind the tracker.
 
         Yields:
             How many are done, and how many there are.
@@ -224,6 +241,11 @@ class Run:
             clock.spent = {"decode": 1e3 * (perf_counter() - began)}
             markers, time = self.markers_world[event], times[event] - times[self.start]
             state, pose, report = jax.device_get(timed.step(state, time, markers, images))
+            if smoother is not None:
+                # Between the samples markers are extrapolated, which the smoother does better.
+                there = markers if self.timeline.sample_index[event] >= 0 else np.nan * markers
+                smooth = clock.timed("smooth", smoother.step)
+                self.given += smooth(time, there, images, pose, report)
             sentences += [*statuses.of_step(report), *self._about_images(frames, images)]
             self._keep_times(clock.spent, 1e3 * (perf_counter() - began), images)
             self.steps.append((pose, report))
@@ -233,6 +255,7 @@ class Run:
                 self.said.append(tuple(dict.fromkeys(sentences)))
                 sentences = []
             yield event + 1 - self.start, stop - self.start
+        self.given += smoother.flush() if smoother else []
 
     def _about_images(
         self, frames: np.ndarray, images: Sequence[np.ndarray | None]

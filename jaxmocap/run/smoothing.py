@@ -25,6 +25,7 @@ from jaxmocap.capture.video import FrameSource
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.hybrid.appearance import ROWS, Drawing, learn_appearance, see, upper_body_regions
+from jaxmocap.hybrid.fixed_lag import FEET, Given
 from jaxmocap.hybrid.residuals import Known
 from jaxmocap.hybrid.smoothing import Problem, Sights, Trajectory, smooth_poses
 from jaxmocap.hybrid.tracker import HybridTracker
@@ -36,8 +37,6 @@ from jaxmocap.run.judging import Judged, judge
 ROUNDS = ((3.0, 1.5), (1.5, 0.8))
 # Over so many seconds the markers' facing is averaged: a person turns more slowly than it errs.
 TURNING_S = 0.5
-# Bones whose markers hold a foot.
-FEET = ("tibia", "foot")
 
 
 @dataclass(frozen=True)
@@ -139,8 +138,26 @@ def smooth_recording(
         show((number + 1) / len(ROUNDS))
     assert ended is not None
     person = scaled(tracker.skeleton, jnp.asarray(found.proportions))
-    judged = judge(tracker, person, ended, first_pass.alone, first_pass.markers_world)
-    return Smoothed(person, found.poses, judged)
+    trust = ended.deviations, ended.from_prior
+    return _judged(tracker, person, found.poses, trust, first_pass)
+
+
+def gathered(tracker: HybridTracker, given: Sequence[Given], first_pass: FirstPass) -> Smoothed:
+    """What a ``FixedLagSmoother`` gave out of all events, in order."""
+    poses = jax.tree.map(lambda *parts: np.stack(parts), *(each.pose for each in given))
+    trust = np.stack([g.deviations for g in given]), np.stack([g.from_prior for g in given])
+    return _judged(tracker, tracker.skeleton, poses, trust, first_pass)
+
+
+def _judged(
+    tracker: HybridTracker,
+    person: Skeleton,
+    poses: Pose,
+    trust: tuple[np.ndarray, np.ndarray],
+    first_pass: FirstPass,
+) -> Smoothed:
+    judged = judge(tracker, person, poses, trust, first_pass.alone, first_pass.markers_world)
+    return Smoothed(person, poses, judged)
 
 
 def _looks(timeline: Timeline) -> list[Look]:

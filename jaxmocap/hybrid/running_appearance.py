@@ -1,0 +1,170 @@
+"""What a person looks like to one camera, learned while looking: the past alone, for a live run.
+
+    see      a frame + where the body is expected -> two grids: the person, the forearms
+    learn    the same frame, once it is known better where the body was -> background, colours
+
+Where the person stood from the start the background is unknown; there only colours tell, until the
+person has moved.
+
+INPUTS: frames, poses. OUTPUTS: a Sight of each frame.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.flesh import cones, project_cones
+from jaxmocap.body.kinematics import forward, landmarks
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera
+from jaxmocap.geometry.outlines import Discs
+from jaxmocap.hybrid.appearance import (
+    BARE,
+    BELOW,
+    CORE,
+    ERRING_M,
+    HEAD,
+    HEAD_GROWN,
+    MARGIN,
+    WHEREVER,
+    Drawing,
+)  # fmt: skip
+from jaxmocap.hybrid.silhouette import FOREARMS, Sight, drawn_bones
+from jaxmocap.images.background import RunningBackground
+from jaxmocap.images.colours import RunningColours
+from jaxmocap.images.foreground import SURE_ODDS, log_odds, person_grid, shrink, shrunk_size
+from jaxmocap.images.parts import part_odds
+from jaxmocap.images.regions import Region
+from jaxmocap.images.silhouette import Grid, blurred
+
+# Rows of the images that silhouettes are learned from, fewer than for a whole recording.
+ROWS, CELLS = 240, 64
+# A part's pixels must at least not look like the background.
+UNLIKELY_ODDS = -0.5
+# A region's scale stays as it is while the person fills this much of it, so that cells do not swim.
+LEAST_FILLED = 0.6
+UPPER = [i for i, name in enumerate(LANDMARKS) if not name.startswith(BELOW)]
+
+
+class Seen(NamedTuple):
+    """A frame that has been looked at, to be learned from later.
+
+    Attributes:
+        image: (h, w, 3) BGR, shrunk.
+        odds: (h, w) that a pixel shows the person.
+        known: (h, w) whether the background there was known.
+        sight: what it told.
+    """
+
+    image: np.ndarray
+    odds: np.ndarray
+    known: np.ndarray
+    sight: Sight
+
+
+@jax.jit
+def _in_image(skeleton: Skeleton, camera: Camera, pose: Pose) -> tuple[Discs, Array, Array]:
+    """Limbs (K), pixels per metre there, landmarks of the upper half; pixels of the full image."""
+    flesh = cones(skeleton, forward(skeleton, pose), drawn_bones(skeleton.tree))
+    depth = jnp.maximum(jnp.mean(to_camera(camera, flesh.near)[:, 2]), NEAREST_M)
+    pixels = project(camera, landmarks(skeleton, pose)[np.array(UPPER)])
+    return project_cones(camera, flesh), camera.matrix[0, 0] / depth, pixels
+
+
+class RunningAppearance:
+    """One camera's view of one person.
+
+    Attributes:
+        background: without the person, so far.
+        person: colours against the rest, so far.
+        forearms: colours against the rest of the body, so far.
+    """
+
+    def __init__(self, skeleton: Skeleton, camera: Camera):
+        """Prepare for the person; the size of the frames is that of the first."""
+        self.background, self.person = RunningBackground(), RunningColours()
+        self.forearms = RunningColours()
+        self._skeleton, self._camera = skeleton, camera
+        self._side, self._ignorant = 0.0, True
+        self._names = [skeleton.tree.bones[bone] for bone in drawn_bones(skeleton.tree)]
+
+    def see(self, image: np.ndarray, pose: Pose, softness: float) -> Seen:
+        """Look at a frame (H, W[, 3]) uint8 in which the body is expected in a pose.
+
+        The first frame is learned from beforehand: colours are known at once.
+        """
+        size = image.shape[1], image.shape[0]
+        small = shrink(_coloured(image), ROWS)
+        drawing, pixels = self._drawing(size, pose)
+        region = self._region(pixels)
+        if self._ignorant:
+            self._learn(small, drawing, None, None)
+        background = self.background.background()
+        odds = log_odds(small, background, self.person.colours())
+        head = drawing.mask(0, HEAD_GROWN, only=HEAD)
+        part = part_odds(small, odds, self.forearms.colours(), head)
+        # Edges map onto edges.
+        origin = (np.asarray(region.origin) + 0.5) * drawing.ratio - 0.5
+        cell = float(region.scale) * drawing.ratio[0]
+        grids = (
+            _soft(Grid(*person_grid(each, origin, cell, CELLS)), softness) for each in (odds, part)
+        )
+        return Seen(small, odds, background.known > 0.5, Sight(region, *grids))
+
+    def learn(self, seen: Seen, size: tuple[int, int], pose: Pose) -> None:
+        """Learn from a frame, whose full width and height is ``size``, where the body was."""
+        self._learn(seen.image, self._drawing(size, pose)[0], seen.odds, seen.known)
+
+    def _drawing(self, size: tuple[int, int], pose: Pose) -> tuple[Drawing, np.ndarray]:
+        """The body in the shrunk image, and its upper half's landmarks in the full one."""
+        there = jax.tree.map(lambda part: jnp.asarray(part, float), pose)
+        discs, per_metre, pixels = jax.device_get(_in_image(self._skeleton, self._camera, there))
+        small = shrunk_size(size, ROWS)
+        ratio = np.divide(small, size)
+        near, far = ((end + 0.5) * ratio - 0.5 for end in (discs.near, discs.far))
+        limbs = Discs(near[None], far[None], discs.radii[None] * ratio[0])
+        return Drawing(limbs, np.array([per_metre * ratio[0]]), small, ratio, self._names), pixels
+
+    def _region(self, pixels: np.ndarray) -> Region:
+        """The region about some pixels (K, 2)."""
+        low, high = pixels.min(0), pixels.max(0)
+        extent = float((high - low).max()) * (1 + 2 * MARGIN)
+        if not LEAST_FILLED * self._side <= extent <= self._side:
+            self._side = extent
+        dtype = pixels.dtype
+        origin = np.round((low + high) / 2 - self._side / 2) - 0.5
+        return Region(origin.astype(dtype), np.asarray(self._side / CELLS, dtype))
+
+    def _learn(
+        self, image: np.ndarray, drawing: Drawing, odds: np.ndarray | None, known: np.ndarray | None
+    ) -> None:
+        self._ignorant = False
+        core = drawing.mask(0, CORE)
+        body = drawing.mask(0, WHEREVER, float(ERRING_M * drawing.per_metre[0]))
+        arms = drawing.mask(0, CORE, only=FOREARMS[:2], part=BARE)
+        others = drawing.mask(0, CORE, without=(*FOREARMS, *HEAD))
+        others &= ~drawing.mask(0, 2.0, only=FOREARMS)
+        hidden = body
+        if odds is not None and known is not None:
+            # What looks like the background that is known there is background, body or not.
+            hidden = core | (body & ~(known & (odds <= -SURE_ODDS)))
+            core, likely = core & (odds >= 0), odds > UNLIKELY_ODDS
+            arms, others = arms & likely, others & likely
+        self.background.update(image, hidden)
+        self.person.update(image, core, body)
+        self.forearms.update(image, arms, ~others)
+
+
+def _coloured(image: np.ndarray) -> np.ndarray:
+    """(H, W, 3), of a grey image (H, W) too."""
+    return image if image.ndim == 3 else np.repeat(image[..., None], 3, 2)
+
+
+def _soft(grid: Grid, softness: float) -> Grid:
+    """One grid seen as softly as it is drawn, float32."""
+    stacked = blurred(Grid(*(np.asarray(part)[None] for part in grid)), softness)
+    return Grid(*(np.asarray(part[0], np.float32) for part in stacked))
