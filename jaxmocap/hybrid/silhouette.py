@@ -23,7 +23,14 @@ from jaxmocap.geometry.cameras import NEAREST_M, Camera, to_camera
 from jaxmocap.geometry.outlines import Discs, depth_along, touch
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.images.regions import Region, discs_in_region
-from jaxmocap.images.silhouette import Grid, cells, coverage_cost, coverage_fit, frontmost
+from jaxmocap.images.silhouette import (
+    CoverageFit,
+    Grid,
+    cells,
+    coverage_cost,
+    coverage_fit,
+    frontmost,
+)
 
 # Feet are no cones, and shoes have colours of their own.
 UNDRAWN = ("foot_l", "foot_r")
@@ -55,12 +62,32 @@ def silhouette_cost(
     skeleton: Skeleton, frames: Frames, camera: Camera, sight: Sight, softness: Array
 ) -> Array:
     """Sum of squares of both pictures; ``softness`` in cells."""
-    flesh = cones(skeleton, frames, drawn_bones(skeleton.tree))
-    discs = discs_in_region(sight.region, project_cones(camera, flesh))
-    fore, visible = _forearms(skeleton.tree, camera, flesh, discs, sight.person)
-    arms = Discs(*(part[fore] for part in discs))
+    discs, visible = drawn(skeleton, frames, camera, sight)
+    arms = Discs(*(part[forearms(skeleton.tree)] for part in discs))
     whole = coverage_cost(discs, sight.person, softness)
     return whole + coverage_cost(arms, sight.forearms, softness, visible)
+
+
+def drawn(skeleton: Skeleton, frames: Frames, camera: Camera, sight: Sight) -> tuple[Discs, Array]:
+    """The body's limbs (K) in cells, and how much (S * S,) of a forearm is to be seen."""
+    flesh = cones(skeleton, frames, drawn_bones(skeleton.tree))
+    discs = discs_in_region(sight.region, project_cones(camera, flesh))
+    return discs, _visible(skeleton.tree, camera, flesh, discs, sight.person)
+
+
+def drawn_fit(
+    tree: Tree, discs: Discs, visible: Array, sight: Sight, softness: Array
+) -> CoverageFit:
+    """Gauss-Newton terms of both pictures, by limbs (K) that are ``drawn``."""
+    fore = forearms(tree)
+    arms = Discs(*(part[fore] for part in discs))
+    whole = coverage_fit(discs, sight.person, softness)
+    part = coverage_fit(arms, sight.forearms, softness, visible)
+    return CoverageFit(
+        whole.cost + part.cost,
+        whole.hessian.at[fore].add(part.hessian),
+        whole.gradient.at[fore].add(part.gradient),
+    )
 
 
 def silhouette_fit(
@@ -82,45 +109,43 @@ def silhouette_fit(
         softness: cells.
     """
 
-    def drawn(proportions: Array) -> Discs:
+    def limbs(proportions: Array) -> Discs:
         person = scaled(skeleton, proportions)
         body = cones(person, forward(person, pose), bones)
         return discs_in_region(sight.region, project_cones(camera, body))
 
     bones = drawn_bones(skeleton.tree)
-    by_proportions = jax.jacfwd(drawn)(proportions)
+    by_proportions = jax.jacfwd(limbs)(proportions)
     skeleton = scaled(skeleton, proportions)
     frames = forward(skeleton, pose)
     flesh = cones(skeleton, frames, bones)
     discs = discs_in_region(sight.region, project_cones(camera, flesh))
-    fore, visible = _forearms(skeleton.tree, camera, flesh, discs, sight.person)
-    arms = Discs(*(part[fore] for part in discs))
+    visible = _visible(skeleton.tree, camera, flesh, discs, sight.person)
     by_pose = _leverage(skeleton, frames, camera, flesh, discs, sight.region, bones)
     ends = by_proportions.near, by_proportions.far, by_proportions.radii
     leverage = jnp.concatenate([by_pose, jnp.concatenate(ends, 1)], 2)
-    whole = coverage_fit(discs, sight.person, softness)
-    part = coverage_fit(arms, sight.forearms, softness, visible)
-    hessian = whole.hessian.at[fore].add(part.hessian)
-    gradient = whole.gradient.at[fore].add(part.gradient)
+    fit = drawn_fit(skeleton.tree, discs, visible, sight, softness)
     return (
-        whole.cost + part.cost,
-        jnp.einsum("kia,kij,kjb->ab", leverage, hessian, leverage, precision=HIGHEST),
-        jnp.einsum("kia,ki->a", leverage, gradient, precision=HIGHEST),
+        fit.cost,
+        jnp.einsum("kia,kij,kjb->ab", leverage, fit.hessian, leverage, precision=HIGHEST),
+        jnp.einsum("kia,ki->a", leverage, fit.gradient, precision=HIGHEST),
     )
 
 
-def _forearms(
-    tree: Tree, camera: Camera, flesh: Cones, discs: Discs, grid: Grid
-) -> tuple[np.ndarray, Array]:
-    """Which limbs are forearms, and how much (S * S,) of the frontmost of them is to be seen.
+def forearms(tree: Tree) -> np.ndarray:
+    """Which of the drawn limbs are forearms and hands."""
+    return np.flatnonzero([tree.bones[bone] in FOREARMS for bone in drawn_bones(tree)])
 
-    Seen as they are: what hides a limb has no derivative.
+
+def _visible(tree: Tree, camera: Camera, flesh: Cones, discs: Discs, grid: Grid) -> Array:
+    """How much (S * S,) of the frontmost forearm is to be seen.
+
+    Seen as it is: what hides a limb has no derivative.
     """
-    names = [tree.bones[bone] for bone in drawn_bones(tree)]
-    fore = np.array([name in FOREARMS for name in names])
+    fore = np.isin(np.arange(len(discs.near)), forearms(tree))
     size = grid.probability.shape[-1]
     depths = jnp.stack([to_camera(camera, end)[:, 2] for end in (flesh.near, flesh.far)], 1)
-    which, _, at = frontmost(Discs(*(part[fore] for part in discs)), size)
+    which, at = frontmost(Discs(*(part[fore] for part in discs)), size)
     ends = depths[fore][which]
     depth = depth_along(at, ends[:, 0], ends[:, 1])
     others = Discs(*(part[~fore][:, None] for part in discs))
@@ -129,7 +154,7 @@ def _forearms(
     over = touch(others, x, y).distance < 0
     before = jnp.min(jnp.where(over, surface, jnp.inf), 0)
     visible = jax.nn.sigmoid((before + HIDDEN_BEYOND_M - depth) / HIDDEN_SOFTLY_M)
-    return np.flatnonzero(fore), jax.lax.stop_gradient(visible)
+    return jax.lax.stop_gradient(visible)
 
 
 def _leverage(

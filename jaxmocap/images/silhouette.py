@@ -8,6 +8,7 @@ INPUTS: limbs as discs in cells of a grid, the grid's probabilities and weights.
 OUTPUTS: the sum of squares, and its Gauss-Newton terms by the limbs' discs.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import cv2
@@ -72,18 +73,28 @@ def cells(size: int, dtype: jnp.dtype) -> tuple[Array, Array]:
     return x.ravel(), y.ravel()
 
 
-def frontmost(limbs: Discs, size: int) -> tuple[Array, Discs, Touch]:
-    """For each of S * S cells: the limb that reaches farthest over it, its discs, how it touches.
+def frontmost(limbs: Discs, size: int) -> tuple[Array, Touch]:
+    """For each of S * S cells: the limb that reaches farthest over it, and how it touches.
 
     Args:
         limbs: K, in cells.
         size: S.
     """
     x, y = cells(size, limbs.near.dtype)
-    each = Discs(*(part[:, None] for part in limbs))
-    nearest = jnp.argmin(touch(each, x, y).distance, 0)
-    chosen = Discs(*(part[nearest] for part in limbs))
-    return nearest, chosen, touch(chosen, x, y)
+
+    def nearer(best: tuple[Array, Touch], limb: tuple[Array, Discs]) -> tuple:
+        index, discs = limb
+        other = touch(discs, x, y)
+        closer = other.distance < best[1].distance
+        found = jax.tree.map(partial(jnp.where, closer), other, best[1])
+        return (jnp.where(closer, index, best[0]), found), None
+
+    # Limb by limb: picking each cell's limb out of a list takes four times as long.
+    nothing, far = jnp.zeros_like(x), jnp.full_like(x, jnp.inf)
+    start = jnp.zeros(x.shape, jnp.int32), Touch(nothing, far, nothing, nothing)
+    indices = jnp.arange(len(limbs.near), dtype=jnp.int32)
+    (nearest, at), _ = jax.lax.scan(nearer, start, (indices, limbs))
+    return nearest, at
 
 
 def coverage_cost(
@@ -109,7 +120,7 @@ def coverage_fit(
 ) -> CoverageFit:
     """The same with its Gauss-Newton terms; see ``coverage_cost``."""
     size, count = grid.probability.shape[-1], limbs.near.shape[0]
-    nearest, _, at = frontmost(limbs, size)
+    nearest, at = frontmost(limbs, size)
     coverage = jax.nn.sigmoid(-at.distance / softness)
     residuals = _residuals(grid, coverage * visible)
     slope = -coverage * (1 - coverage) / softness * visible * grid.weight.ravel()
@@ -118,7 +129,7 @@ def coverage_fit(
         [near * at.normal_x, near * at.normal_y, far * at.normal_x, far * at.normal_y, near, far]
     )
     # Sums by limb as products with 0 and 1: a scatter is many times slower.
-    owner = (jnp.arange(count)[:, None] == nearest).astype(rows.dtype)
+    owner = (jnp.arange(count, dtype=jnp.int32)[:, None] == nearest).astype(rows.dtype)
     squares = (rows[:, None] * rows[None]).reshape(OUTLINE_NUMBERS**2, -1)
     hessian = jnp.matmul(owner, squares.T, precision=HIGHEST)
     gradient = jnp.matmul(owner, (rows * residuals).T, precision=HIGHEST)
