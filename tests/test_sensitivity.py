@@ -168,3 +168,4 @@ def test_newtons_steps_square_the_distance_to_the_minimum():
             sizes.append(here.slopes.equations.step(0.0, 0.0).largest())
             here = here.settled()
     assert sizes[0] > 1e-6 and sizes[-1] < 1e-10
+    assert here.slopes.exact

@@ -46,7 +46,7 @@ from jaxmocap.hybrid.smoothing import (
 )
 from jaxmocap.solvers.arrow import Equations
 from jaxmocap.solvers.smoothness import Smoothness
-from jaxmocap.solvers.trajectory import Linearised, normal_equations
+from jaxmocap.solvers.trajectory import Linearised, normal_equations, positive
 
 # Frames or sights per call.
 A_CALL = 16
@@ -60,12 +60,15 @@ class Slopes(NamedTuple):
         landmarks: (T, L * 3) world, metres.
         jacobian: (T, L * 3, N + P) of the landmarks.
         pull: (T, L * 3) of the prior, by the landmarks.
+        exact: the Hessian is the whole one. Where that is not positive, since noisy cells that
+            change hands make no smooth minimum, each frame's negative curvature is left out.
     """
 
     equations: Equations
     landmarks: np.ndarray
     jacobian: np.ndarray
     pull: np.ndarray
+    exact: bool
 
 
 @dataclass(frozen=True)
@@ -97,7 +100,8 @@ class Sensitivity:
     def at(cls, problem: Problem, trajectory: Trajectory, softness: float) -> "Sensitivity":
         """At the trajectory that ``smooth_poses`` found, with the last softness that it was given.
 
-        The derivative is as exact as the trajectory is a minimum; ``settled`` brings it closer.
+        The derivative is as exact as the trajectory is a minimum (``slopes.exact``: whether it is
+        one); ``settled`` brings it closer.
         """
         seen, prior = softened(problem, softness), landmark_prior(problem)
         soft = jnp.asarray(softness, trajectory.proportions.dtype)
@@ -121,7 +125,7 @@ class Sensitivity:
         """How the landmarks (T, L, 3) follow a small change of what was stated, metres.
 
         Raises:
-            NotPositiveDefinite: where the trajectory is no minimum.
+            NotPositiveDefinite: where nothing determines the trajectory.
         """
         slopes, stated, sights = self.slopes, Stated.of(self.problem), self.problem.sights
         uphill, points = _over(frames_forwards, (stated, change, *self._fixed()), self._frames())
@@ -138,7 +142,7 @@ class Sensitivity:
         """The gradient of a loss by all that was stated, from that (T, L, 3) by the landmarks.
 
         Raises:
-            NotPositiveDefinite: where the trajectory is no minimum.
+            NotPositiveDefinite: where nothing determines the trajectory.
         """
         slopes, stated, sights = self.slopes, Stated.of(self.problem), self.problem.sights
         given = np.asarray(by_landmarks, float).reshape(slopes.landmarks.shape)
@@ -200,12 +204,18 @@ def _slopes(problem: Problem, trajectory: Trajectory, softness: Array, prior: Sm
     curvature, uphill, _ = proportions_prior(problem, trajectory)
     # The prior's own pull is in the frames' gradients already.
     still = np.zeros_like(points)
-    linear = Linearised(
-        np.zeros(len(points)), hessian[:, :n, :n], gradient[:, :n], still, jacobian[:, :, :n],
-        hessian[:, :n, n:], hessian[:, n:, n:] + curvature, gradient[:, n:] + uphill,
-        jacobian[:, :, n:],
-    )  # fmt: skip
-    return Slopes(normal_equations(linear, prior), points, jacobian, pull)
+
+    def equations(hessian: np.ndarray) -> Equations:
+        linear = Linearised(
+            np.zeros(len(points)), hessian[:, :n, :n], gradient[:, :n], still, jacobian[:, :, :n],
+            hessian[:, :n, n:], hessian[:, n:, n:] + curvature, gradient[:, n:] + uphill,
+            jacobian[:, :, n:],
+        )  # fmt: skip
+        return normal_equations(linear, prior)
+
+    whole = equations(hessian)
+    exact = whole.determined()
+    return Slopes(whole if exact else equations(positive(hessian)), points, jacobian, pull, exact)
 
 
 def _sights_of(problem: Problem, trajectory: Trajectory) -> tuple[Pose, Camera, Sight]:

@@ -161,7 +161,7 @@ def covariances(
     Diagonal blocks of the inverse Hessian of half the cost: covariances, if the residuals have
     unit variance. Those of held frames are 0.
     """
-    frames = _positive(_double(linearised.hessian))
+    frames = positive(_double(linearised.hessian))
     equations = normal_equations(linearised._replace(hessian=frames), prior, held)
     found = equations.covariances(settings.floor)
     return found._replace(frames=_padded(found.frames, held), cross=_padded(found.cross, held))
@@ -237,7 +237,7 @@ def _total(prior: Smoothness, cost: ArrayLike, points: ArrayLike) -> float:
     return float(_double(cost).sum()) + prior.cost(_double(points))
 
 
-def _positive(hessians: np.ndarray) -> np.ndarray:
+def positive(hessians: np.ndarray) -> np.ndarray:
     """The nearest (T, N, N) without the negative curvature that float32's rounding leaves."""
     values, vectors = np.linalg.eigh(hessians)
     return (vectors * np.maximum(values, 0)[:, None]) @ vectors.swapaxes(1, 2)
