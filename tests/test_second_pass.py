@@ -19,6 +19,7 @@ from jaxmocap.capture.timeline import build_timeline
 from jaxmocap.capture.video import MemoryVideo
 from jaxmocap.formats.recording import MarkerPlace, Recording, VideoSource
 from jaxmocap.hybrid.appearance import ROWS, Drawing
+from jaxmocap.hybrid.fixed_lag import DELAY_FRAMES
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.smoothing import Problem, SmoothedPoses
 from jaxmocap.hybrid.tracker import HybridTracker, StepReport
@@ -324,12 +325,17 @@ def test_a_recording_is_smoothed_to_better_elbows_than_the_markers_alone(whole_w
     assert np.isin(tracked.motion.report.from_prior, [0, 1]).all()
 
 
-def test_causally_nothing_is_smoothed(whole_way):
-    report = whole_way[1].motion.report
-    assert "smooth" not in report.milliseconds
-    assert np.isnan(report.from_prior).all()
-    others = np.delete(report.landmarks_std, ELBOWS, axis=1)
-    assert np.isnan(others).all()
+def test_causally_each_pose_waits_for_two_frames_and_says_so(whole_way):
+    motion = whole_way[1].motion
+    report = motion.report
+    assert report.settings["latency"]["video frames"] == DELAY_FRAMES
+    # At every frame but the first.
+    assert report.milliseconds["smooth"].shape == (FRAMES - 1,)
+    assert len(motion.times) == len(TIMES)
+    assert all(np.isfinite(part).all() for part in motion.poses)
+    assert np.isfinite(report.landmarks_std).all()
+    alone = errors_of(whole_way[1].markers_only.poses)
+    assert errors_of(motion.poses).mean() < 0.8 * alone.mean()
 
 
 def test_who_does_not_want_it_gets_no_second_pass(recording, problems):

@@ -30,7 +30,7 @@ from jaxmocap.solvers.window import Improved, Past, condensed, improve, window_v
 SOFTNESS = 1.0
 # Where a sure first pass has an elbow so far away, metres, a window that starts from it may win,
 # by so much cost; tried at most every so many video frames.
-RIVAL_M, RIVAL_SPREAD_M, RIVAL_GAIN, RIVAL_EVERY = 0.15, 0.06, 5.0, 5
+RIVAL_M, RIVAL_SPREAD_M, RIVAL_GAIN, RIVAL_EVERY = 0.1, 0.06, 5.0, 2
 STEP = Settings(iterations=1, attempts=4, relative=1e-3)
 SEVERAL = STEP._replace(iterations=3)
 # Events per call, so that they compile once.
