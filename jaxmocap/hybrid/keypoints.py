@@ -1,0 +1,80 @@
+"""2-D key points as evidence: each is a line of sight that a landmark of the person lies near.
+
+Detectors mark joints where they look to be, centimetres from where they are, and now and then mark
+a wrong place, or another limb's; so a line pulls the less the further off it is (Student's t).
+
+INPUTS: pixels and confidences of landmarks. OUTPUTS: lines of sight; whitened residuals.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.geometry.cameras import Camera, pixel_rays
+
+# Degrees of freedom: beyond some deviations a point is taken for a wrong one, and hardly pulls.
+TAILS = 5.0
+
+
+class Lines(NamedTuple):
+    """Where C cameras see the landmarks at one time.
+
+    Attributes:
+        origin: (C, 3) the cameras' centres, world, metres.
+        ways: (C, L, 3) unit vectors to the ``LANDMARKS``, world; NaN where not detected.
+        confidences: (C, L) between 0 and 1; 0 where not detected.
+    """
+
+    origin: Array | np.ndarray
+    ways: Array | np.ndarray
+    confidences: Array | np.ndarray
+
+
+def lines_of_sight(
+    camera: Camera, landmarks: Sequence[str], pixels_xy: np.ndarray, confidences: np.ndarray
+) -> Lines:
+    """The lines (T, ...) through one camera's detections.
+
+    Args:
+        camera: that sees them.
+        landmarks: names of P landmarks.
+        pixels_xy: (T, P, 2); NaN where missing.
+        confidences: (T, P).
+    """
+    count, columns = len(pixels_xy), [list(LANDMARKS).index(name) for name in landmarks]
+    T_cam_world = np.asarray(camera.T_cam_world, float)
+    origin = np.tile(-T_cam_world[:3, :3].T @ T_cam_world[:3, 3], (count, 1))
+    ways, sure = np.full((count, len(LANDMARKS), 3), np.nan), np.zeros((count, len(LANDMARKS)))
+    ways[:, columns] = np.asarray(pixel_rays(camera, jnp.asarray(pixels_xy, float)))
+    seen = np.isfinite(ways[:, columns]).all(-1)
+    sure[:, columns] = np.where(seen, confidences, 0.0)
+    return Lines(*(np.asarray(part, np.float32)[:, None] for part in (origin, ways, sure)))
+
+
+def line_residuals(points_world: Array, lines: Lines, deviation: Array) -> Array:
+    """How far landmarks (..., L, 3) lie off their lines: (..., C, L, 3), long tails included.
+
+    Their squares add up to a logarithm that Student's t has, instead of growing without end.
+
+    Args:
+        points_world: metres.
+        lines: of C cameras.
+        deviation: of a point of full confidence, metres at the person.
+    """
+    seen = jnp.isfinite(lines.ways).all(-1, keepdims=True) & (lines.confidences > 0)[..., None]
+    way = jnp.where(seen, lines.ways, 0.0)
+    off = points_world[..., None, :, :] - lines.origin[..., None, :]
+    across = off - jnp.sum(off * way, -1, keepdims=True) * way
+    return _with_tails(jnp.where(seen, across * lines.confidences[..., None] / deviation, 0.0))
+
+
+def _with_tails(off: Array) -> Array:
+    """Vectors (..., 3) shortened so that their squares grow as a logarithm."""
+    ratio = jnp.sum(off**2, -1, keepdims=True) / TAILS
+    small = ratio < 1e-4
+    large = jnp.where(small, 1.0, ratio)
+    return off * jnp.sqrt(jnp.where(small, 1 - ratio / 2, jnp.log1p(large) / large))
