@@ -18,9 +18,9 @@ from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.hybrid.residuals import Known
-from jaxmocap.hybrid.settings import SmoothingSettings
 from jaxmocap.hybrid.silhouette import Sight
 from jaxmocap.hybrid.smoothing import Problem, Sights, Trajectory
+from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
 from jaxmocap.images.regions import Region
 from jaxmocap.images.silhouette import Grid
 
@@ -121,8 +121,10 @@ def known(count: int) -> Known:
     points = points_of(truth(count))
     R = np.asarray(jax.vmap(quaternion_to_matrix)(poses.quaternion))
     ankles = points[:, [list(LANDMARKS).index(f"ankle_{side}") for side in "lr"]]
-    parts = Known(places, R[:, :2, 2], R[:, :, 0], ankles, np.ones(count))
-    return Known(*(np.asarray(part, np.float32) for part in parts))
+    parts = Known(
+        places, R[:, :2, 2], R[:, :, 0], ankles, np.ones(count), np.full((count, 2, 3), np.nan)
+    )
+    return jax.tree.map(lambda part: np.asarray(part, np.float32), parts)
 
 
 def problem(count: int, seen: Sights, frames: Known | None = None) -> Problem:

@@ -23,6 +23,7 @@ from jaxmocap.hybrid.fixed_lag import DELAY_FRAMES
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.smoothing import Problem, SmoothedPoses
 from jaxmocap.hybrid.tracker import HybridTracker, StepReport
+from jaxmocap.hybrid.trust import Trust
 from jaxmocap.images.hulls import draw_hulls
 from jaxmocap.run import smoothing
 from jaxmocap.run.judging import judge_steps
@@ -89,11 +90,14 @@ def problems(monkeypatch):
 
     def keep(problem, start, _):
         kept.append(problem)
+        return SmoothedPoses(start, 0.0, Status.CONVERGED)
+
+    def trust(problem, found, softness):
         shape = (len(problem.times), len(LANDMARKS))
-        there = np.full((*shape, 3), 0.02)
-        return SmoothedPoses(start, there, np.zeros(shape), 0.0, Status.CONVERGED)
+        return Trust(np.full((*shape, 3), 0.02), np.zeros(shape))
 
     monkeypatch.setattr(smoothing, "smooth_poses", keep)
+    monkeypatch.setattr(smoothing, "trust_in", trust)
     return kept
 
 
@@ -176,7 +180,7 @@ def test_a_frame_that_serves_several_samples_is_looked_at_for_each(problems):
     ]
     assert any(same)
     own = np.arange(0, 2 * FRAMES, 2)
-    assert len(problems) == len(smoothing.ROUNDS)
+    assert len(problems) == 2 + smoothing.DECISIONS
     second_pass()
     alone = problems[-1].sights.sight.person.probability
     np.testing.assert_allclose(seen.sight.person.probability[own].mean(), alone.mean(), atol=0.01)

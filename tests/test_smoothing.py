@@ -1,6 +1,7 @@
 """Smoothing over a whole recording: a painted motion is found again, whatever is missing."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +25,7 @@ from painted_motion import (
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF
 from jaxmocap.hybrid.residuals import residuals
-from jaxmocap.hybrid.smoothing import SmoothedPoses, smooth_poses
+from jaxmocap.hybrid.smoothing import Trajectory, smooth_poses, trust_in
 from jaxmocap.solvers.status import Status
 
 # One more than a batch of sights, so that a second batch holds one of them alone.
@@ -33,19 +34,30 @@ SOFTNESS = (3.0, 0.8)
 WRIST_L = list(LANDMARKS).index("wrist_l")
 
 
-def smoothed(seen=None, frames=None, count: int = COUNT) -> SmoothedPoses:
+class Found(NamedTuple):
+    """What a solve ended with, and how far to trust it."""
+
+    trajectory: Trajectory
+    cost: float
+    status: Status
+    deviations: np.ndarray
+    from_prior: np.ndarray
+
+
+def smoothed(seen=None, frames=None, count: int = COUNT) -> Found:
     """The disturbed motion, smoothed by sights and markers; by default all that camera 0 saw."""
-    seen = sights(count) if seen is None else seen
-    return smooth_poses(problem(count, seen, frames), disturbed(count), SOFTNESS)
+    given = problem(count, sights(count) if seen is None else seen, frames)
+    ended = smooth_poses(given, disturbed(count), SOFTNESS)
+    return Found(*ended, *trust_in(given, ended.trajectory, SOFTNESS[-1]))
 
 
-def elbow_spread(found: SmoothedPoses) -> np.ndarray:
+def elbow_spread(found: Found) -> np.ndarray:
     """Standard deviations (T, 2) of the elbows, all coordinates together, metres."""
     return np.linalg.norm(found.deviations[:, ELBOWS], axis=-1)
 
 
 @pytest.fixture(scope="module")
-def by_one_camera() -> SmoothedPoses:
+def by_one_camera() -> Found:
     return smoothed()
 
 

@@ -173,6 +173,31 @@ def nearest_hinges(R: Array, axes: Array, near: Array) -> Array:
     return jnp.where(first <= second, wrapped[0], wrapped[1])
 
 
+def bent(hung: Hung, side: int, arm: Arms) -> Array:
+    """Joint angles (4,), shoulder to elbow, that bring one arm (no batch) to where it is.
+
+    The elbow's hinge is across the plane of upper arm and forearm; of a straight arm it is open.
+    Its shoulder's place does not count.
+    """
+    upper, fore = arm.elbow - arm.shoulder, arm.wrist - arm.elbow
+    local_upper, axis = hung.reaches[side, 0], hung.axes[side, 3]
+    across = jnp.cross(upper, fore)
+    # As much across as along: the angle between the two.
+    elbow = jnp.arctan2(jnp.sqrt(jnp.sum(across**2) + 1e-12), jnp.sum(upper * fore))
+    local = _upright(local_upper, axis)
+    R_world_humerus = compose(_upright(upper, across).T, local)
+    R = compose(hung.R_world_carrier[side].T, R_world_humerus)
+    return jnp.append(nearest_hinges(R, hung.axes[side, :3], hung.angles[side, :3]), elbow)
+
+
+def _upright(along: Array, across: Array) -> Array:
+    """Rows (3, 3) of the frame whose first axis is along one vector, the second across it."""
+    x = along / jnp.sqrt(jnp.sum(along**2) + 1e-12)
+    y = across - x * jnp.sum(x * across)
+    y = y / jnp.sqrt(jnp.sum(y**2) + 1e-12)
+    return jnp.stack([x, y, jnp.cross(x, y)])
+
+
 def flesh(arms: Arms) -> Cones:
     """Sphere-swept cones (2, 3) of the arms."""
     near = jnp.stack([arms.shoulder, arms.elbow, arms.wrist], -2)

@@ -28,7 +28,7 @@ from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.hybrid.newest import SOFTNESS, Event, Newest, Solved, offsets
-from jaxmocap.hybrid.residuals import GROUND, Known
+from jaxmocap.hybrid.residuals import GROUND, NO_GOALS, Known
 from jaxmocap.hybrid.running_appearance import RunningAppearance
 from jaxmocap.hybrid.tracker import HybridTracker, StepReport
 from jaxmocap.hybrid.trust import trusted
@@ -39,7 +39,7 @@ DELAY_FRAMES, DELAY_S = 2, 0.1
 # Video frames that stay in the window, and for how long; events that wait for the next frame.
 KEPT_FRAMES, KEPT_S, MOST_WAITING = 3, 0.2, 6
 # Time constant with which corrections fade in, seconds.
-FADE_S = 0.06
+FADE_S = 0.07
 # Over so many seconds the markers' facing is averaged: a person turns more slowly than it errs.
 TURNING_S = 0.35
 # Events farther apart are no motion.
@@ -175,7 +175,7 @@ class FixedLagSmoother:
         )
         self._alone = alone
         facing = self._facing(R[:2, 0], 0.0 if last is None else time - last.time)
-        parts = (markers_world, R[:2, 2], facing, ankles, self._feet_free)
+        parts = (markers_world, R[:2, 2], facing, ankles, self._feet_free, NO_GOALS)
         known = Known(*(np.asarray(part, dtype) for part in parts))
         looks = [
             (camera, view.see(image, there, SOFTNESS), (image.shape[1], image.shape[0]))
@@ -246,7 +246,8 @@ class FixedLagSmoother:
             nothing = np.zeros(ROOT_DOF + len(event.pose.angles))
             self._fading = Fading(nothing, nothing, event.time)
         self._fading = self._fading.at(event.time, FADE_S)
-        return jax.device_get(_retract(event.pose, self._fading.offset.astype(self.tracker.dtype)))
+        offset = self._fading.offset.astype(self.tracker.dtype)
+        return jax.device_get(_retract(event.pose, offset))
 
     def _remember(self, last: int) -> None:
         """The event given out last and one beside it, as they are now."""

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
 from jaxmocap.images.edges import EdgeSettings
 
 
@@ -232,68 +233,6 @@ class GradientSettings:
         """Settings as arrays (a Python float in a pytree would trace anew)."""
         numbers = (marker, elbow, bend, shift, turn, lean, spine, neck, arm, leg, limit)
         return cls(method, steps, tolerance, *(jnp.asarray(value, float) for value in numbers))
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class SmoothingSettings:
-    """What a user may tune of the smoothing over a whole recording; all but the first are traced.
-
-    Standard deviations, unless said otherwise.
-
-    Attributes:
-        iterations: most of one solve (static).
-        marker: of a marker about its point on the body, metres.
-        silhouette: of a cell's coverage; above what one cell errs by, since neighbours err alike.
-        acceleration: spectral density of the landmarks' accelerations, m / s^2 * sqrt(s).
-        lean: of the pelvis' upright about that of the markers' pose, radians; about the vertical
-            where no marker holds the feet.
-        facing: of the pelvis about where the markers' pose faces, radians; thrice that where no
-            marker holds the feet.
-        limit: by which a joint may exceed its range, radians.
-        ground: of the height of ankles that no marker holds, metres.
-        footing: of their place on the ground, metres.
-        proportions: weight of the prior on the person's proportions, in sights.
-        redundancy: how many cells and frames err alike: a silhouette is wrong where the person is
-            no cone, and goes on being so. For the deviations only.
-        mismatch: of a landmark that no marker holds, however sure the video, metres.
-    """
-
-    iterations: int = field(metadata={"static": True})
-    marker: Array
-    silhouette: Array
-    acceleration: Array
-    lean: Array
-    facing: Array
-    limit: Array
-    ground: Array
-    footing: Array
-    proportions: Array
-    redundancy: Array
-    mismatch: Array
-
-    @classmethod
-    def create(
-        cls,
-        iterations: int = 12,
-        marker: float = 0.004,
-        silhouette: float = 0.7,
-        acceleration: float = 3.0,
-        lean: float = 0.1,
-        facing: float = 0.1,
-        limit: float = 0.02,
-        ground: float = 0.05,
-        footing: float = 0.3,
-        proportions: float = 5.0,
-        redundancy: float = 100.0,
-        mismatch: float = 0.025,
-    ) -> "SmoothingSettings":
-        """Settings as arrays (a Python float in a pytree would trace anew)."""
-        numbers = (
-            marker, silhouette, acceleration, lean, facing, limit, ground, footing, proportions,
-            redundancy, mismatch,
-        )  # fmt: skip
-        return cls(iterations, *(jnp.asarray(value, float) for value in numbers))
 
 
 def _static(default: object) -> Any:

@@ -144,17 +144,30 @@ def _visible(tree: Tree, camera: Camera, flesh: Cones, discs: Discs, grid: Grid)
     """
     fore = np.isin(np.arange(len(discs.near)), forearms(tree))
     size = grid.probability.shape[-1]
-    depths = jnp.stack([to_camera(camera, end)[:, 2] for end in (flesh.near, flesh.far)], 1)
     which, at = frontmost(Discs(*(part[fore] for part in discs)), size)
-    ends = depths[fore][which]
-    depth = depth_along(at, ends[:, 0], ends[:, 1])
+    ends = (to_camera(camera, end)[fore][which, 2] for end in (flesh.near, flesh.far))
     others = Discs(*(part[~fore][:, None] for part in discs))
-    x, y = cells(size, discs.near.dtype)
-    surface = jnp.mean(depths[~fore] - flesh.radii[~fore], 1)[:, None]
-    over = touch(others, x, y).distance < 0
-    before = jnp.min(jnp.where(over, surface, jnp.inf), 0)
-    visible = jax.nn.sigmoid((before + HIDDEN_BEYOND_M - depth) / HIDDEN_SOFTLY_M)
-    return jax.lax.stop_gradient(visible)
+    away = touch(others, *cells(size, discs.near.dtype)).distance
+    surface = nearest_surface(camera, Cones(*(part[~fore] for part in flesh)), away)
+    return jax.lax.stop_gradient(unhidden(surface, depth_along(at, *ends)))
+
+
+def nearest_surface(camera: Camera, flesh: Cones, away: Array) -> Array:
+    """Depth (C,) of the nearest limb over each cell, metres; infinite where none is.
+
+    Args:
+        camera: that sees them.
+        flesh: K limbs.
+        away: (K, C) distances of the cells from the limbs' outlines, negative inside.
+    """
+    depths = jnp.stack([to_camera(camera, end)[:, 2] for end in (flesh.near, flesh.far)], 1)
+    surfaces = jnp.mean(depths - flesh.radii, 1)[:, None]
+    return jnp.min(jnp.where(away < 0, surfaces, jnp.inf), 0)
+
+
+def unhidden(surface: Array, depth: Array) -> Array:
+    """Share (C,) of a limb at a depth (C,) that a surface before or behind it leaves to be seen."""
+    return jax.nn.sigmoid((surface + HIDDEN_BEYOND_M - depth) / HIDDEN_SOFTLY_M)
 
 
 def _leverage(

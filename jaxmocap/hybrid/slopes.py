@@ -22,9 +22,9 @@ from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.outlines import Discs
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.hybrid.residuals import Known, residuals
-from jaxmocap.hybrid.settings import SmoothingSettings
 from jaxmocap.hybrid.silhouette import Sight, drawn, drawn_fit
 from jaxmocap.hybrid.smoothing import Problem
+from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
 from jaxmocap.images.silhouette import OUTLINE_NUMBERS
 
 

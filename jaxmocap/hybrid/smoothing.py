@@ -7,8 +7,9 @@ ease are residuals; accelerations of the body's landmarks are the prior that joi
 INPUTS: a start, markers, sights at some of the frames. OUTPUTS: poses, standard deviations.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -27,9 +28,9 @@ from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.hybrid.batches import in_batches
 from jaxmocap.hybrid.residuals import Known, residuals
-from jaxmocap.hybrid.settings import SmoothingSettings
 from jaxmocap.hybrid.silhouette import Sight, silhouette_cost, silhouette_fit
-from jaxmocap.hybrid.trust import trusted
+from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
+from jaxmocap.hybrid.trust import Trust, trusted
 from jaxmocap.images.silhouette import blurred
 from jaxmocap.solvers.smoothness import Smoothness, smoothness
 from jaxmocap.solvers.status import Status
@@ -85,20 +86,15 @@ class Problem:
 
 
 class SmoothedPoses(NamedTuple):
-    """A trajectory, and how far to trust it.
+    """What a solve ended with.
 
     Attributes:
         trajectory: poses and proportions.
-        deviations: (T, L, 3) standard deviations of the landmarks' coordinates, world, metres.
-        from_prior: (T, L) 1 where markers and video leave a landmark almost as uncertain as it is
-            without them, else 0.
         cost: of all residuals and the prior.
         status: why the solve ended.
     """
 
     trajectory: Trajectory
-    deviations: np.ndarray
-    from_prior: np.ndarray
     cost: float
     status: Status
 
@@ -111,23 +107,37 @@ def smooth_poses(problem: Problem, start: Trajectory, softness: tuple[float, ...
         start: poses and proportions.
         softness: of the silhouettes' borders, cells, one solve after the other.
     """
-    settings, prior = problem.settings, landmark_prior(problem)
-    solve = Solve(iterations=settings.iterations)
-    trajectory, ended, seen = start, None, problem
-    # Band matrices are narrow: BLAS's threads would only wait for one another, for seconds.
-    one_thread = threadpool_limits(1, user_api="blas")
-    with one_thread, ThreadPoolExecutor(2, thread_name_prefix="smooth") as workers:
+    prior, solve = landmark_prior(problem), Solve(iterations=problem.settings.iterations)
+    trajectory, ended = start, None
+    with _workers() as workers:
         for soft in softness:
             seen = softened(problem, soft)
             linearise = partial(_linearise, seen, soft, workers)
             evaluate = partial(_evaluate, seen, soft, workers)
             ended = smooth(linearise, evaluate, moved_by, trajectory, prior, solve)
             trajectory = ended.x
-        assert ended is not None
-        told = _variances(_alike(seen), softness[-1], workers, trajectory, prior)
-        guessed = _variances(_unseen(seen), softness[-1], workers, trajectory, prior)
-    trust = trusted(told, guessed, float(settings.mismatch))
-    return SmoothedPoses(trajectory, *trust, ended.cost, ended.status)
+    assert ended is not None
+    return SmoothedPoses(trajectory, ended.cost, ended.status)
+
+
+def trust_in(problem: Problem, trajectory: Trajectory, softness: float) -> Trust:
+    """How far to trust a trajectory that a solve with this softness ended with."""
+    prior, seen = landmark_prior(problem), softened(problem, softness)
+    with _workers() as workers:
+        told = _variances(_alike(seen), softness, workers, trajectory, prior)
+        guessed = _variances(_unseen(seen), softness, workers, trajectory, prior)
+    return trusted(told, guessed, float(problem.settings.mismatch))
+
+
+@contextmanager
+def _workers() -> Iterator[ThreadPoolExecutor]:
+    """Two threads over batches, and one alone in BLAS.
+
+    Band matrices are narrow: BLAS's own threads would only wait for one another, for seconds.
+    """
+    one_thread = threadpool_limits(1, user_api="blas")
+    with one_thread, ThreadPoolExecutor(2, thread_name_prefix="smooth") as workers:
+        yield workers
 
 
 def landmark_prior(problem: Problem) -> Smoothness:
@@ -158,7 +168,7 @@ def _alike(problem: Problem) -> Problem:
 def _unseen(problem: Problem) -> Problem:
     """The same without what the cameras saw."""
     blind = jax.tree.map(lambda part: part[:0], problem.sights)
-    return replace(problem, sights=blind)
+    return replace(problem, sights=blind, known=problem.known._replace(lines=None))
 
 
 def softened(problem: Problem, softness: float) -> Problem:

@@ -2,13 +2,16 @@
 
     learn    some frames + where the poses put the body -> background, colours
     see      every frame -> two grids: the person, the forearms
-    smooth   markers, grids -> poses; once roughly, and again with what the better poses taught
+    smooth   markers, grids -> poses, roughly
+    decide   every frame's candidates for the elbows -> the cheapest path, which the poses follow
+
+and again with what the better poses taught, the last solve as finely as was seen.
 
 INPUTS: a recording, its events, the poses of the first pass. OUTPUTS: poses, their deviations.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import jax
@@ -26,15 +29,19 @@ from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.hybrid.appearance import ROWS, Drawing, learn_appearance, see, upper_body_regions
 from jaxmocap.hybrid.fixed_lag import FEET, Given
-from jaxmocap.hybrid.residuals import Known
-from jaxmocap.hybrid.smoothing import Problem, Sights, Trajectory, smooth_poses
+from jaxmocap.hybrid.hypotheses import elbow_goals
+from jaxmocap.hybrid.keypoints import Lines
+from jaxmocap.hybrid.residuals import NO_GOALS, Known
+from jaxmocap.hybrid.smoothing import Problem, Sights, Trajectory, smooth_poses, trust_in
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.images.background import spread
 from jaxmocap.images.foreground import shrink
 from jaxmocap.run.judging import Judged, judge
 
-# Cells over which silhouettes fade, from solve to solve: roughly first, then as seen.
-ROUNDS = ((3.0, 1.5), (1.5, 0.8))
+# Cells over which silhouettes fade, from solve to solve: roughly first, in the end as seen.
+ROUGHLY, DECIDING, FINELY = (3.0, 1.5), (1.5,), (1.5, 0.8)
+# So many times candidates decide where the elbows are.
+DECISIONS = 2
 # Over so many seconds the markers' facing is averaged: a person turns more slowly than it errs.
 TURNING_S = 0.5
 
@@ -75,12 +82,14 @@ class FirstPass(NamedTuple):
         markers_world: (E, M, 3); NaN where missing.
         alone: poses (E, ...) of the markers alone.
         refined: poses (E, ...) with what the video had to say of each.
+        lines: of sight of the landmarks (E, ...), where the recording brings key points.
     """
 
     timeline: Timeline
     markers_world: np.ndarray
     alone: Pose
     refined: Pose
+    lines: Lines | None = None
 
 
 class Smoothed(NamedTuple):
@@ -118,27 +127,34 @@ def smooth_recording(
     looks = [look for look in _looks(first_pass.timeline) if len(look.events)]
     if not looks:
         return None
-    known = _known(tracker, first_pass)
-    no_change = np.zeros(len(PROPORTIONS), tracker.dtype)
-    found, ended = Trajectory(first_pass.refined, no_change), None
-    for number, softness in enumerate(ROUNDS):
-        person, sights = scaled(tracker.skeleton, jnp.asarray(found.proportions)), []
-        for look in looks:
-            camera = jax.tree.map(lambda part, c=look.camera: part[c], tracker.cameras)
-            there = jax.tree.map(lambda part, e=look.events: np.asarray(part)[e], found.poses)
-            sights.append(_sights(person, camera, look, videos[look.camera], there))
-            show((number + 0.5 * len(sights) / len(looks)) / len(ROUNDS))
-        together = jax.tree.map(lambda *parts: np.concatenate(parts), *sights)
-        problem = Problem(
-            tracker.skeleton, tracker.cameras, tracker.markers, tracker.settings.over_time,
-            first_pass.timeline.event_times, known, together,
+    cameras = tracker.cameras
+    known, times = _known(tracker, first_pass), first_pass.timeline.event_times
+
+    def looked(found: Trajectory) -> Problem:
+        return Problem(
+            tracker.skeleton, cameras, tracker.markers, tracker.settings.over_time,
+            times, known, _all_sights(tracker, looks, videos, found),
         )  # fmt: skip
-        ended = smooth_poses(problem, found, softness)
-        found = ended.trajectory
-        show((number + 1) / len(ROUNDS))
-    assert ended is not None
+
+    def decided(problem: Problem, found: Trajectory) -> Trajectory:
+        goals = elbow_goals(problem, found, tracker.grips)
+        hoped = replace(problem, known=known._replace(goals=goals))
+        return smooth_poses(hoped, found, DECIDING).trajectory
+
+    no_change = np.zeros(len(PROPORTIONS), tracker.dtype)
+    found = Trajectory(first_pass.refined, no_change)
+    problem = looked(found)
+    found = smooth_poses(problem, found, ROUGHLY).trajectory
+    show(0.3)
+    for turn in range(DECISIONS):
+        found = decided(problem, found)
+        # Better poses teach better what the person looks like.
+        problem = looked(found)
+        show(0.3 + 0.4 * (turn + 1) / DECISIONS)
+    found = smooth_poses(problem, found, FINELY).trajectory
+    trust = trust_in(problem, found, FINELY[-1])
+    show(1.0)
     person = scaled(tracker.skeleton, jnp.asarray(found.proportions))
-    trust = ended.deviations, ended.from_prior
     return _judged(tracker, person, found.poses, trust, first_pass)
 
 
@@ -183,8 +199,22 @@ def _known(tracker: HybridTracker, first_pass: FirstPass) -> Known:
     names = [tracker.skeleton.tree.bones[bone] for bone in tracker.markers.bones]
     free = not any(name.startswith(FEET) for name in names)
     feet = np.full(len(times), float(free))
-    parts = (first_pass.markers_world, R[:, :2, 2], facing, ankles, feet)
-    return Known(*(np.asarray(part, tracker.dtype) for part in parts))
+    goals = np.full((len(times), *NO_GOALS.shape), np.nan)
+    parts = (first_pass.markers_world, R[:, :2, 2], facing, ankles, feet, goals)
+    lines = jax.tree.map(lambda part: np.asarray(part, tracker.dtype), first_pass.lines)
+    return Known(*(np.asarray(part, tracker.dtype) for part in parts), lines)
+
+
+def _all_sights(
+    tracker: HybridTracker, looks: Sequence[Look], videos: Sequence[FrameSource], found: Trajectory
+) -> Sights:
+    """What all cameras see, by what the poses found so far teach."""
+    person, sights = scaled(tracker.skeleton, jnp.asarray(found.proportions)), []
+    for look in looks:
+        camera = jax.tree.map(lambda part, c=look.camera: part[c], tracker.cameras)
+        there = jax.tree.map(lambda part, e=look.events: np.asarray(part)[e], found.poses)
+        sights.append(_sights(person, camera, look, videos[look.camera], there))
+    return jax.tree.map(lambda *parts: np.concatenate(parts), *sights)
 
 
 def _sights(
