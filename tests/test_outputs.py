@@ -320,6 +320,24 @@ def test_the_recorded_transforms_carry_the_solids_to_the_joints(tmp_path, motion
     assert [len(row) for row in points] == [0 if 5 <= i < 9 else 1 for i in range(SAMPLES)]
 
 
+def test_the_viewer_shows_how_far_to_trust_each_landmark(tmp_path, motion):
+    deviations = np.full((SAMPLES, len(LANDMARKS), 3), 0.01)
+    deviations[3, 0] = np.nan
+    deviations[:, 2] = 0.2
+    guessed = np.zeros(deviations.shape[:2])
+    guessed[:, 5] = 1
+    report = replace(motion.report, landmarks_std=deviations, from_prior=guessed)
+    write_rerun(tmp_path / "recording.rrd", replace(motion, report=report))
+    timed, _ = read_recording(tmp_path / "recording.rrd")
+    (batch,) = timed["/world/trust"]
+    sizes = batch.column("Ellipsoids3D:half_sizes").to_pylist()
+    assert [len(row) for row in sizes] == [len(LANDMARKS) - (i == 3) for i in range(SAMPLES)]
+    colours = np.array(batch.column("Ellipsoids3D:colors").to_pylist()[0], np.uint32)
+    red, green, blue = colours >> 24, colours >> 16 & 255, colours >> 8 & 255
+    assert green[1] > red[1] and red[2] > green[2]
+    assert red[5] == green[5] == blue[5]
+
+
 def test_a_motion_without_report_or_camera_can_be_viewed(tmp_path, motion):
     write_rerun(tmp_path / "recording.rrd", replace(motion, report=None))
     timed, _ = read_recording(tmp_path / "recording.rrd")

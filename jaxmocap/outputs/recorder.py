@@ -3,8 +3,8 @@
 INPUTS: a recording stream and what to log. OUTPUTS: none; the stream's sink holds the data.
 
 Poses, outlines and series go in whole columns, images one by one. Entities: ``world/body/BONE``,
-``world/skeleton``, ``world/markers/NAME``, ``world/cameras/NAME`` with ``image``, ``outlines``,
-``bones`` and ``markers``; ``fields/CAMERA/NAME``; one root per kind of time series.
+``world/skeleton``, ``world/trust``, ``world/markers/NAME``, ``world/cameras/NAME`` with ``image``,
+``outlines``, ``bones`` and ``markers``; ``fields/CAMERA/NAME``; one root per kind of time series.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -28,6 +28,10 @@ from jaxmocap.outputs.solids import limb_solid
 COLOURS = {"": (190, 190, 200), "l": (70, 170, 255), "r": (255, 160, 60)}
 OPACITY = 170
 TARGETS = (255, 60, 255)
+# Landmarks that are sure, doubtful and lost by these metres, and guesses.
+SPREADS_M = (0.02, 0.06, 0.15)
+SPREAD_COLOURS = ((60, 200, 90), (250, 210, 60), (230, 50, 40))
+GUESSED_COLOUR, TRUST_OPACITY = (140, 140, 140), 90
 SIDES = ("left", "right")
 
 
@@ -87,6 +91,39 @@ def log_targets(
         seen = np.isfinite(positions).all(-1)
         columns = rr.Points3D.columns(positions=np.asarray(positions)[seen])
         stream.send_columns(entity, [_at(times)], columns.partition(seen.astype(int)))
+
+
+def log_trust(stream: rr.RecordingStream, motion: Motion) -> None:
+    """An ellipsoid of one standard deviation about each landmark, coloured by how large it is.
+
+    What comes from the prior alone is grey; what has no deviation is left out.
+    """
+    report = motion.report
+    if report is None:
+        return
+    centres = np.stack(list(motion.joints().values()), 1)
+    deviations = np.asarray(report.landmarks_std, float)
+    known = np.isfinite(centres).all(-1) & np.isfinite(deviations).all(-1)
+    columns = rr.Ellipsoids3D.columns(
+        centers=centres[known],
+        half_sizes=deviations[known],
+        colors=trust_colours(deviations, np.asarray(report.from_prior))[known],
+    )
+    style = rr.Ellipsoids3D.from_fields(fill_mode=rr.components.FillMode.Solid)
+    stream.log("world/trust", style, static=True)
+    counts = known.sum(1).astype(int)
+    stream.send_columns("world/trust", [_at(motion.times)], columns.partition(counts))
+
+
+def trust_colours(deviations: np.ndarray, from_prior: np.ndarray) -> np.ndarray:
+    """RGBA (..., 4) of landmarks that deviate by (..., 3) metres: green, yellow, red, or grey."""
+    spread = np.sqrt(np.sum(np.asarray(deviations) ** 2, -1))
+    shares = [
+        np.interp(spread, SPREADS_M, channel) for channel in zip(*SPREAD_COLOURS, strict=True)
+    ]
+    colours = np.stack([*shares, np.full(spread.shape, TRUST_OPACITY)], -1)
+    colours[np.asarray(from_prior) > 0] = (*GUESSED_COLOUR, TRUST_OPACITY)
+    return np.nan_to_num(colours).astype(np.uint8)
 
 
 def log_camera(stream: rr.RecordingStream, name: str, camera: Camera) -> None:

@@ -45,7 +45,8 @@ def write_rerun(
 
     Args:
         path: of the .rrd file; it appears when it is whole.
-        motion: the limbs' solids and the skeleton; with a report also the time series.
+        motion: the limbs' solids and the skeleton; with a report also the time series, and how far
+            to trust each landmark.
         footage: camera name -> what it saw.
         targets: marker -> (T, 3) measured positions at the motion's times, world, metres.
         jpeg_quality: of the images, 1 to 100.
@@ -58,6 +59,7 @@ def write_rerun(
     blueprint = layout.lay_out(labels, scene)
     with replacing(path) as beside, recorder.recording(beside, blueprint) as stream:
         recorder.log_body(stream, motion, scene)
+        recorder.log_trust(stream, motion)
         recorder.log_targets(stream, scene.times, targets)
         if motion.report is not None:
             recorder.log_report(stream, scene.times, motion.report)
