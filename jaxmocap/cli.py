@@ -179,6 +179,7 @@ def demo(options: argparse.Namespace) -> None:
 def track(options: argparse.Namespace) -> None:
     """Track a recording and write everything."""
     from jaxmocap.formats.recording import load_recording
+    from jaxmocap.run import choosing
     from jaxmocap.run import recording as offline
     from jaxmocap.run.compilation import keep_compiled
     from jaxmocap.run.summary import figures, summary
@@ -187,9 +188,9 @@ def track(options: argparse.Namespace) -> None:
     keep_compiled()
     recording = load_recording(options.recording)
     if options.cameras:
-        recording = offline.select_cameras(recording, options.cameras)
+        recording = choosing.select_cameras(recording, options.cameras)
     if options.height:
-        recording = offline.with_height(recording, options.height)
+        recording = choosing.with_height(recording, options.height)
     settings = offline.choose_settings(options.refine, options.paper)
     check_folder(options.out)
     motion = offline.track(recording, settings, mode=options.mode, progress=True)

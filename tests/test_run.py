@@ -27,14 +27,8 @@ from jaxmocap.formats.tables import Markers
 from jaxmocap.hybrid.fixed_lag import DELAY_S
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.run import statuses
-from jaxmocap.run.recording import (
-    choose_settings,
-    make_tracker,
-    select_cameras,
-    track,
-    track_both,
-    with_height,
-)
+from jaxmocap.run.choosing import select_cameras, with_height
+from jaxmocap.run.recording import choose_settings, make_tracker, track, track_both
 from jaxmocap.run.summary import frames_per_second, summary
 from jaxmocap.run.writing import arm_edges, thinned, write_outputs
 

@@ -22,7 +22,6 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.capture.markers import interpolate
 from jaxmocap.capture.timeline import Mode, Timeline, build_timeline
 from jaxmocap.capture.video import FrameSource
-from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.recording import MarkerPlace, Recording
 from jaxmocap.hybrid.fixed_lag import DELAY_FRAMES, DELAY_S, FixedLagSmoother, Given
 from jaxmocap.hybrid.settings import Settings
@@ -30,6 +29,7 @@ from jaxmocap.hybrid.tracker import HybridTracker, State, StepReport
 from jaxmocap.outputs.report import plain
 from jaxmocap.run import statuses
 from jaxmocap.run.judging import judge_steps
+from jaxmocap.run.key_points import lines_at_events, open_all_keypoints
 from jaxmocap.run.reading import ForwardReader, open_footage, reading
 from jaxmocap.run.smoothing import FirstPass, Smoothed, gathered, smooth_recording
 from jaxmocap.run.timing import Clock, Progress, progress_bar, timed_stages
@@ -81,7 +81,7 @@ def track(
         causally for the smoothing at each event with a video frame).
 
     Raises:
-        InputError: a video that cannot be used with the recording.
+        InputError: a video or key points that cannot be used with the recording.
     """
     return track_both(recording, settings, mode=mode, progress=progress, tracker=tracker).motion
 
@@ -96,6 +96,9 @@ def track_both(
 ) -> Tracked:
     """Track a recording and keep the markers' own poses as well; see ``track``."""
     videos, warnings = open_footage(recording)
+    # Read first, so that what is wrong with them is said before anything takes its time.
+    keypoints = open_all_keypoints(recording, videos)
+    warnings += tuple(said for each in keypoints if each for said in each.warnings)
     tracker = tracker or make_tracker(recording, settings)
     used = [] if tracker.cameras is None else videos
     run = Run.plan(recording, used, mode)
@@ -107,10 +110,12 @@ def track_both(
             show(done, total)
     smoothed = gathered(tracker, run.given, run.first_pass()) if smoother else None
     if smooth and not causal:
-        began = perf_counter()
+        began, first = perf_counter(), run.first_pass()
+        lines = lines_at_events(recording, keypoints, first.timeline, first.alone)
+        first = first._replace(lines=lines)
         with progress_bar("smoothing", progress) as show:
             smoothed = smooth_recording(
-                tracker, used, run.first_pass(), lambda share: show(round(100 * share), 100)
+                tracker, used, first, lambda share: show(round(100 * share), 100)
             )
         run.milliseconds["smooth"] = [1e3 * (perf_counter() - began)]
     told = {
@@ -146,33 +151,6 @@ def choose_settings(
 ) -> Settings:
     """The tracker's defaults, or the first paper's own way."""
     return replace(Settings.paper() if paper else Settings(), refine=refine)
-
-
-def with_height(recording: Recording, height: float) -> Recording:
-    """The recording of a person of another height (metres), by published proportions.
-
-    Raises:
-        InputError: nobody's height.
-    """
-    try:
-        return replace(recording, skeleton=Skeleton.human(height))
-    except ValueError as error:
-        raise InputError(recording.path or recording.name, str(error)) from None
-
-
-def select_cameras(recording: Recording, names: Sequence[str]) -> Recording:
-    """The recording with some of its cameras, in their order there.
-
-    Raises:
-        InputError: a name that it does not have.
-    """
-    there = [source.camera_name for source in recording.videos]
-    for name in names:
-        if name not in there:
-            problem = f"no [[video]] of camera {name!r}, found {', '.join(there) or 'no video'}"
-            raise InputError(recording.path or recording.name, problem)
-    chosen = tuple(source for source in recording.videos if source.camera_name in names)
-    return replace(recording, videos=chosen)
 
 
 @dataclass
