@@ -1,0 +1,280 @@
+"""``python -m bench.evidence [RECORDINGS]``: kinds of evidence, one against another.
+
+First frame by frame, by the outlines alone; then over the whole recording, what the second pass
+makes of silhouettes against a learned background, of the forearms' learned colours and of 2-D key
+points. Synthetic recordings get key points made from the truth, with noise and some false ones. A
+real recording's are read from ``keypoints/CAMERA`` beside it, where there are any; if its reference
+was triangulated from them, as that of "balancing" was, that row praises itself.
+
+INPUTS: the folder of real recordings; without one the synthetic recordings alone.
+OUTPUTS: a table of the elbows' distances from the truth, and Metrics as JSON.
+"""
+
+import argparse
+import json
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+from unittest import mock
+
+import jax.numpy as jnp
+import numpy as np
+
+from bench.accuracy import seeds
+from bench.clips import Clip, real, synthetic
+from bench.metrics import Metric, aligned, write_json
+from jaxmocap.body.motion import Motion
+from jaxmocap.capture.markers import interpolate
+from jaxmocap.capture.video import FrameSource
+from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.formats.keypoint_models import LANDMARK_OF, MODELS
+from jaxmocap.formats.markers import read_markers
+from jaxmocap.formats.recording import Recording
+from jaxmocap.geometry.cameras import Camera, project
+from jaxmocap.hybrid.settings import EvidenceSettings, Settings
+from jaxmocap.hybrid.silhouette import Sight
+from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.images.silhouette import Grid
+from jaxmocap.run import smoothing
+from jaxmocap.run.compilation import keep_compiled
+from jaxmocap.run.key_points import lines_at_events, open_all_keypoints
+from jaxmocap.run.reading import open_footage, reading
+from jaxmocap.run.recording import Run, make_tracker, track
+from jaxmocap.run.timing import Progress, progress_bar
+
+AZIMUTHS, SECONDS = (0.0, -60.0, 60.0, -30.0, 30.0), 6.0
+# Of key points made from the truth: pixels; how many are false, how far off; their confidences.
+MODEL, NOISE_PX, FALSE, ASTRAY_PX = "BODY_25B", 3.0, 0.05, 150.0
+SURE, UNSURE = (0.6, 1.0), (0.2, 0.8)
+
+
+class Kind(NamedTuple):
+    """What the second pass is told.
+
+    Attributes:
+        person: the silhouettes' weight.
+        forearms: that of the forearms' colours.
+        points: whether it is told the key points.
+    """
+
+    person: float
+    forearms: float
+    points: bool
+
+
+USUAL = "edges by direction"
+FRAME_BY_FRAME = {
+    "plain edges, the paper's sum, no memory": replace(Settings.paper(), smooth=False),
+    "plain edges": replace(Settings(), smooth=False, directions=1),
+    "edges by direction, not truncated": replace(
+        Settings(), smooth=False, fit=EvidenceSettings.create(truncation=1.0)
+    ),
+}
+OVER_TIME = {
+    "silhouettes": Kind(1, 0, False),
+    "silhouettes, colours": Kind(1, 1, False),
+    "silhouettes, colours, key points": Kind(1, 1, True),
+    "key points alone": Kind(0, 0, True),
+}
+# What --quick leaves.
+QUICK, QUICK_SECONDS = ("silhouettes, colours, key points",), 0.5
+
+
+@dataclass(frozen=True)
+class FirstRun:
+    """A recording, tracked frame by frame in the usual way."""
+
+    recording: Recording
+    tracker: HybridTracker
+    videos: list[FrameSource]
+    run: Run
+
+    @classmethod
+    def through(cls, recording: Recording) -> "FirstRun":
+        """Track it."""
+        videos, _ = open_footage(recording)
+        tracker, run = make_tracker(recording), Run.plan(recording, videos, "own")
+        with reading(videos) as readers:
+            for _ in run.events(tracker, readers):
+                pass
+        return cls(recording, tracker, videos, run)
+
+    def smoothed(self, kind: Kind) -> Motion:
+        """What the second pass makes of some kind of evidence."""
+        first = self.run.first_pass()
+        if kind.points:
+            points = open_all_keypoints(self.recording, self.videos)
+            lines = lines_at_events(self.recording, points, first.timeline, first.alone)
+            first = first._replace(lines=lines)
+        usual = smoothing.see
+
+        def see(*arguments) -> Sight:
+            sight = usual(*arguments)
+            person, forearms = (
+                Grid(grid.probability, np.float32(weight) * grid.weight)
+                for grid, weight in zip(sight[1:], kind[:2], strict=True)
+            )
+            return Sight(sight.region, person, forearms)
+
+        with mock.patch.object(smoothing, "see", see):
+            found = smoothing.smooth_recording(self.tracker, self.videos, first, lambda _: None)
+        return self.run.tracked(self.tracker.skeleton, {}, found).motion
+
+
+def measure(clip: Clip, quick: bool, folder: Path) -> Iterator[tuple[str, np.ndarray]]:
+    """Kinds of evidence, and the elbows' distances (N, 2) from the truth, metres.
+
+    Args:
+        clip: the recording.
+        quick: few kinds.
+        folder: for key points that are made.
+    """
+
+    def errors(motion: Motion) -> np.ndarray:
+        return evaluate(motion, clip.truth, clip.pairs).distances
+
+    recording = with_keypoints(clip, folder)
+    own = FirstRun.through(recording)
+    both = own.run.tracked(own.tracker.skeleton, {}, None)
+    yield "markers alone", errors(both.markers_only)
+    for name, settings in {} if quick else FRAME_BY_FRAME.items():
+        yield name, errors(track(recording, settings))
+    yield USUAL, errors(both.motion)
+    for name, kind in OVER_TIME.items():
+        if (quick and name not in QUICK) or (kind.points and not has_keypoints(recording)):
+            continue
+        yield name, errors(own.smoothed(kind))
+
+
+def has_keypoints(recording: Recording) -> bool:
+    """Whether any video comes with some."""
+    return any(source.keypoints is not None for source in recording.videos)
+
+
+def with_keypoints(clip: Clip, folder: Path) -> Recording:
+    """The recording with key points: its own, those that lie beside it, or made ones."""
+    recording = Recording.load(clip.path)
+    sources = []
+    for source in recording.videos:
+        beside = clip.path.parent / "keypoints" / source.camera_name
+        if source.keypoints is None and clip.group != "balancing":
+            made = folder / clip.name / source.camera_name
+            (video,), _ = open_footage(replace(recording, videos=(source,)))
+            write_keypoints(made, clip, source.camera, video.times)
+            beside = made
+        if source.keypoints is None and beside.is_dir():
+            source = replace(source, keypoints=beside, keypoints_model=MODEL)
+        sources.append(source)
+    return replace(recording, videos=tuple(sources))
+
+
+def write_keypoints(folder: Path, clip: Clip, camera: Camera, times: np.ndarray) -> None:
+    """OpenPose's files, one per frame, of somebody detected where the truth has him."""
+    truth, rng = read_markers(clip.truth), np.random.default_rng([clip.seed, 25])
+    at_frames = interpolate(truth.times, truth.positions, times)
+    table = np.zeros((len(times), len(MODELS[MODEL]), 3))
+    for column, point in enumerate(MODELS[MODEL]):
+        marker = clip.landmarks.get(LANDMARK_OF.get(point, ""))
+        if marker in truth.names:
+            points = jnp.asarray(at_frames[:, truth.names.index(marker)], float)
+            table[:, column, :2] = project(camera, points)
+            table[:, column, 2] = rng.uniform(*SURE, len(times))
+    there = table[..., 2] > 0
+    table[there, :2] += rng.normal(0, NOISE_PX, (there.sum(), 2))
+    false = there & (rng.random(there.shape) < FALSE)
+    table[false, :2] += rng.uniform(-ASTRAY_PX, ASTRAY_PX, (false.sum(), 2))
+    table[false, 2] = rng.uniform(*UNSURE, false.sum())
+    # A false point may be beyond the world in which the truth was known.
+    table[~np.isfinite(table).all(-1)] = 0.0
+    folder.mkdir(parents=True, exist_ok=True)
+    for frame, points in enumerate(table):
+        person = {"pose_keypoints_2d": points.ravel().round(3).tolist()}
+        name = f"{clip.name}_{frame:012d}_keypoints.json"
+        (folder / name).write_text(json.dumps({"people": [person]}))
+
+
+def spread(distances: np.ndarray) -> list[float]:
+    """Mean, median and 95th percentile over both elbows, centimetres."""
+    found = 100 * distances[np.isfinite(distances)]
+    return [float(v) for v in (found.mean(), np.median(found), np.percentile(found, 95))]
+
+
+def table(found: dict[str, dict[str, np.ndarray]]) -> str:
+    """One group's table: kinds down; means over the recordings, then each one's mean, across.
+
+    Args:
+        found: recording -> kind -> (N, 2) metres.
+    """
+    rows = [["", "mean", "median", "95 %", *found]]
+    for kind in next(iter(found.values())):
+        each = [spread(kinds[kind]) for kinds in found.values() if kind in kinds]
+        cells = [*np.mean(each, 0), *(values[0] for values in each)]
+        rows.append([kind, *(f"{value:.1f}" for value in cells)])
+    return aligned(rows)
+
+
+def chosen_clips(options: argparse.Namespace, keep: Path) -> list[Clip]:
+    """The recordings asked for, rendered where they are not there yet."""
+    if options.quick:
+        return synthetic("tennis", options.seeds[:1], AZIMUTHS, QUICK_SECONDS, keep)
+    own = real(Path(options.recordings)) if options.recordings else []
+    return [*own, *synthetic("tennis", options.seeds, AZIMUTHS, SECONDS, keep)]
+
+
+def measure_all(
+    clips: list[Clip], quick: bool, show: Progress
+) -> dict[str, dict[str, dict[str, np.ndarray]]]:
+    """Group -> recording -> kind -> (N, 2) distances, metres."""
+    kinds = 2 + (len(QUICK) if quick else len(FRAME_BY_FRAME) + len(OVER_TIME))
+    found: dict[str, dict[str, dict[str, np.ndarray]]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for i, clip in enumerate(clips):
+            own = found.setdefault(clip.group, {}).setdefault(clip.name, {})
+            for name, distances in measure(clip, quick, Path(folder)):
+                own[name] = distances
+                show(i * kinds + len(own), len(clips) * kinds)
+            show((i + 1) * kinds, len(clips) * kinds)
+    return found
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    whole = argparse.ArgumentParser(
+        prog="python -m bench.evidence",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = whole.add_argument
+    add("recordings", nargs="?", help="folder of the real recordings")
+    add("--seeds", type=seeds, default=seeds("0-2"), metavar="0-2", help="of table tennis")
+    add("--keep", metavar="DIR", help="keep synthetic recordings here, rendered once")
+    add("--quick", action="store_true", help="half a second of one seed, few kinds of evidence")
+    add("--json", metavar="FILE", help="write the metrics")
+    return whole
+
+
+def main(arguments: list[str] | None = None) -> None:
+    options = parser().parse_args(arguments)
+    keep_compiled()
+    with tempfile.TemporaryDirectory() as folder, progress_bar("measuring", True) as show:
+        clips = chosen_clips(options, Path(options.keep or folder))
+        found = measure_all(clips, options.quick, show)
+    print("elbows: distance from the truth, cm; of each recording the mean")
+    for group, of_group in found.items():
+        print(f"\n{group}\n{table(of_group)}")
+    if options.json:
+        write_json(
+            (
+                Metric(f"{name}, {kind}", spread(distances)[0], "cm", tolerance=0.05)
+                for of_group in found.values()
+                for name, kinds in of_group.items()
+                for kind, distances in kinds.items()
+            ),
+            options.json,
+        )
+
+
+if __name__ == "__main__":
+    main()
