@@ -68,7 +68,7 @@ def shaking() -> Pose:
 def tracker(**changed: float | int) -> HybridTracker:
     """Of the person and camera 0; nothing of it is compiled here."""
     over_time = SmoothingSettings.create(
-        marker=0.004, silhouette=0.7, acceleration=3.0, redundancy=4.0, mismatch=0.02, **changed
+        marker=0.004, silhouette=0.7, acceleration=3.0, redundancy=4.0, mismatch=1.0, **changed
     )
     return HybridTracker(PERSON, [CAMERAS[0]], replace(Settings(), over_time=over_time), MARKERS)
 

@@ -99,7 +99,7 @@ class FixedLagSmoother:
             RunningAppearance(tracker.skeleton, camera) for camera in self._newest.cameras
         ]
         names = [tracker.skeleton.tree.bones[bone] for bone in tracker.markers.bones]
-        self._feet_free = float(not any(name.startswith(FEET) for name in names))
+        self._feet_free = np.array(float(not any(name.startswith(FEET) for name in names)))
         self._blas = ThreadpoolController()
         self._count = self._given = 0
         self._begin()
@@ -175,8 +175,8 @@ class FixedLagSmoother:
         )
         self._alone = alone
         facing = self._facing(R[:2, 0], 0.0 if last is None else time - last.time)
-        parts = (markers_world, R[:2, 2], facing, ankles, self._feet_free, NO_GOALS)
-        known = Known(*(np.asarray(part, dtype) for part in parts))
+        known = Known(markers_world, R[:2, 2], facing, ankles, self._feet_free, NO_GOALS)
+        known = jax.tree.map(lambda part: np.asarray(part, dtype), known)
         looks = [
             (camera, view.see(image, there, SOFTNESS), (image.shape[1], image.shape[0]))
             for camera, (view, image) in enumerate(zip(self._views, images or (), strict=False))

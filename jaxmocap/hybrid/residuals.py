@@ -68,7 +68,7 @@ def residuals(
             held.ravel(),
             (R[:2, 2] - (1 - known.feet) * known.up) / settings.lean,
             turned[None] / facing,
-            (pose.angles - skeleton.relaxed) / ease(skeleton),
+            (pose.angles - skeleton.relaxed) / (settings.ease * ease(skeleton)),
             beyond_limits(skeleton.limits, pose.angles) / settings.limit,
             (known.feet * (ankles - known.ankles) / ground).ravel(),
             (_off(elbows, known.goals) / settings.goal).ravel(),

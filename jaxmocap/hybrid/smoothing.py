@@ -30,11 +30,10 @@ from jaxmocap.hybrid.batches import in_batches
 from jaxmocap.hybrid.residuals import Known, residuals
 from jaxmocap.hybrid.silhouette import Sight, silhouette_cost, silhouette_fit
 from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
-from jaxmocap.hybrid.trust import Trust, trusted
 from jaxmocap.images.silhouette import blurred
 from jaxmocap.solvers.smoothness import Smoothness, smoothness
 from jaxmocap.solvers.status import Status
-from jaxmocap.solvers.trajectory import Linearised, covariances, point_variances, smooth
+from jaxmocap.solvers.trajectory import Linearised, smooth
 from jaxmocap.solvers.trajectory import Settings as Solve
 
 # Frames and sights per call: shapes that every recording shares, so that they compile once.
@@ -109,10 +108,10 @@ def smooth_poses(problem: Problem, start: Trajectory, softness: tuple[float, ...
     """
     prior, solve = landmark_prior(problem), Solve(iterations=problem.settings.iterations)
     trajectory, ended = start, None
-    with _workers() as workers:
+    with two_workers() as workers:
         for soft in softness:
             seen = softened(problem, soft)
-            linearise = partial(_linearise, seen, soft, workers)
+            linearise = partial(linearise_poses, seen, soft, workers)
             evaluate = partial(_evaluate, seen, soft, workers)
             ended = smooth(linearise, evaluate, moved_by, trajectory, prior, solve)
             trajectory = ended.x
@@ -120,17 +119,8 @@ def smooth_poses(problem: Problem, start: Trajectory, softness: tuple[float, ...
     return SmoothedPoses(trajectory, ended.cost, ended.status)
 
 
-def trust_in(problem: Problem, trajectory: Trajectory, softness: float) -> Trust:
-    """How far to trust a trajectory that a solve with this softness ended with."""
-    prior, seen = landmark_prior(problem), softened(problem, softness)
-    with _workers() as workers:
-        told = _variances(_alike(seen), softness, workers, trajectory, prior)
-        guessed = _variances(_unseen(seen), softness, workers, trajectory, prior)
-    return trusted(told, guessed, float(problem.settings.mismatch))
-
-
 @contextmanager
-def _workers() -> Iterator[ThreadPoolExecutor]:
+def two_workers() -> Iterator[ThreadPoolExecutor]:
     """Two threads over batches, and one alone in BLAS.
 
     Band matrices are narrow: BLAS's own threads would only wait for one another, for seconds.
@@ -144,31 +134,6 @@ def landmark_prior(problem: Problem) -> Smoothness:
     """What is known of the landmarks' motion before it is seen."""
     accelerations = np.full(3 * len(LANDMARKS), float(problem.settings.acceleration))
     return smoothness(problem.times, accelerations)
-
-
-def _variances(
-    problem: Problem,
-    softness: float,
-    workers: ThreadPoolExecutor,
-    trajectory: Trajectory,
-    prior: Smoothness,
-) -> np.ndarray:
-    """(T, L, 3) of the landmarks' coordinates."""
-    linear = _linearise(problem, softness, workers, trajectory)
-    found = point_variances(linear.jacobian, covariances(linear, prior), linear.shared_jacobian)
-    return found.reshape(-1, len(LANDMARKS), 3)
-
-
-def _alike(problem: Problem) -> Problem:
-    """The same with sights that tell as little as their cells' common errors leave."""
-    alike = problem.settings.silhouette * jnp.sqrt(problem.settings.redundancy)
-    return replace(problem, settings=replace(problem.settings, silhouette=alike))
-
-
-def _unseen(problem: Problem) -> Problem:
-    """The same without what the cameras saw."""
-    blind = jax.tree.map(lambda part: part[:0], problem.sights)
-    return replace(problem, sights=blind, known=problem.known._replace(lines=None))
 
 
 def softened(problem: Problem, softness: float) -> Problem:
@@ -272,7 +237,7 @@ def moved_by(trajectory: Trajectory, steps: np.ndarray, shared: np.ndarray) -> T
     return Trajectory(poses, np.asarray(trajectory.proportions + shared, poses.angles.dtype))
 
 
-def _linearise(
+def linearise_poses(
     problem: Problem, softness: float, workers: ThreadPoolExecutor, trajectory: Trajectory
 ) -> Linearised:
     """All frames about their poses, and the proportions that they share."""

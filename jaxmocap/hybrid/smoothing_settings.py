@@ -26,6 +26,7 @@ class SmoothingSettings:
             where no marker holds the feet.
         facing: of the pelvis about where the markers' pose faces, radians; thrice that where no
             marker holds the feet.
+        ease: how far joints go from the relaxed pose, as a multiple of what is usual.
         limit: by which a joint may exceed its range, radians.
         goal: of an elbow about where a hypothesis puts it, metres.
         keypoints: of a 2-D key point of full confidence about its landmark, metres at the person.
@@ -34,7 +35,8 @@ class SmoothingSettings:
         proportions: weight of the prior on the person's proportions, in sights.
         redundancy: how many cells and frames err alike: a silhouette is wrong where the person is
             no cone, and goes on being so. For the deviations only.
-        mismatch: of a landmark that no marker holds, however sure the video, metres.
+        habit: for how long somebody keeps to what is unusual, seconds. For the deviations only.
+        mismatch: of skeletons, as a multiple of what is usual. For the deviations only.
     """
 
     iterations: int = field(metadata={"static": True})
@@ -43,6 +45,7 @@ class SmoothingSettings:
     acceleration: Array
     lean: Array
     facing: Array
+    ease: Array
     limit: Array
     goal: Array
     keypoints: Array
@@ -50,6 +53,7 @@ class SmoothingSettings:
     footing: Array
     proportions: Array
     redundancy: Array
+    habit: Array
     mismatch: Array
 
     @classmethod
@@ -61,6 +65,7 @@ class SmoothingSettings:
         acceleration: float = 3.0,
         lean: float = 0.1,
         facing: float = 0.1,
+        ease: float = 1.0,
         limit: float = 0.02,
         goal: float = 0.04,
         keypoints: float = 0.02,
@@ -68,11 +73,12 @@ class SmoothingSettings:
         footing: float = 0.3,
         proportions: float = 5.0,
         redundancy: float = 100.0,
-        mismatch: float = 0.025,
+        habit: float = 1.0,
+        mismatch: float = 1.0,
     ) -> "SmoothingSettings":
         """Settings as arrays (a Python float in a pytree would trace anew)."""
         numbers = (
-            marker, silhouette, acceleration, lean, facing, limit, goal, keypoints, ground,
-            footing, proportions, redundancy, mismatch,
+            marker, silhouette, acceleration, lean, facing, ease, limit, goal, keypoints, ground,
+            footing, proportions, redundancy, habit, mismatch,
         )  # fmt: skip
         return cls(iterations, *(jnp.asarray(value, float) for value in numbers))

@@ -32,8 +32,9 @@ from jaxmocap.hybrid.fixed_lag import FEET, Given
 from jaxmocap.hybrid.hypotheses import elbow_goals
 from jaxmocap.hybrid.keypoints import Lines
 from jaxmocap.hybrid.residuals import NO_GOALS, Known
-from jaxmocap.hybrid.smoothing import Problem, Sights, Trajectory, smooth_poses, trust_in
+from jaxmocap.hybrid.smoothing import Problem, Sights, Trajectory, smooth_poses
 from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.hybrid.trust import trust_in
 from jaxmocap.images.background import spread
 from jaxmocap.images.foreground import shrink
 from jaxmocap.run.judging import Judged, judge
@@ -200,9 +201,10 @@ def _known(tracker: HybridTracker, first_pass: FirstPass) -> Known:
     free = not any(name.startswith(FEET) for name in names)
     feet = np.full(len(times), float(free))
     goals = np.full((len(times), *NO_GOALS.shape), np.nan)
-    parts = (first_pass.markers_world, R[:, :2, 2], facing, ankles, feet, goals)
-    lines = jax.tree.map(lambda part: np.asarray(part, tracker.dtype), first_pass.lines)
-    return Known(*(np.asarray(part, tracker.dtype) for part in parts), lines)
+    known = Known(
+        first_pass.markers_world, R[:, :2, 2], facing, ankles, feet, goals, first_pass.lines
+    )
+    return jax.tree.map(lambda part: np.asarray(part, tracker.dtype), known)
 
 
 def _all_sights(
