@@ -271,6 +271,19 @@ def test_elbows_that_the_frames_show_are_found(found):
     assert after.mean() < 0.04 and after.mean() < 0.5 * before.mean()
 
 
+def test_a_camera_whose_calibration_is_true_hardly_turns(found):
+    assert found[0].turns_cam.shape == (1, 3)
+    assert 0 < np.degrees(np.linalg.norm(found[0].turns_cam)) < 0.2
+
+
+def test_calibrations_hold_where_the_settings_say_so(problems, monkeypatch):
+    own = tracker()
+    over_time = replace(own.settings.over_time, camera=np.float32(0.0))
+    monkeypatch.setattr(own, "settings", replace(own.settings, over_time=over_time))
+    smoothed = second_pass()
+    assert problems and smoothed is not None and smoothed.turns_cam.shape == (0, 3)
+
+
 def test_every_event_is_judged(found):
     judged, events = found[0].judged, len(TIMES)
     assert judged.distances.shape == (events, 3) and judged.distances.max() < 0.03

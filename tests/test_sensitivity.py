@@ -32,7 +32,8 @@ from jaxmocap.geometry.rotations import exp
 from jaxmocap.hybrid.sensitivity import Sensitivity
 from jaxmocap.hybrid.silhouette import drawn
 from jaxmocap.hybrid.slopes import Stated
-from jaxmocap.hybrid.smoothing import Problem, Sights, Trajectory, smooth_poses
+from jaxmocap.hybrid.smoothing import Problem, Sights, smooth_poses
+from jaxmocap.hybrid.trajectory import Trajectory, all_turned
 from jaxmocap.images.silhouette import cells
 
 COUNT, SOFTNESS = 4, 0.6
@@ -128,6 +129,21 @@ def test_landmarks_follow_as_differences_between_minima_say(number):
         found = solution().forwards(change)
     assert np.abs(expected).max() > 0.01
     np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_cameras_that_were_found_turned_are_stated_so():
+    with double():
+        given, there = recording()
+        turns = np.array([[2e-3, -5e-3, 1e-3], [0.0, 4e-3, -2e-3]])
+        wrong = replace(given, cameras=in_double(all_turned(given.cameras, turns)))
+        back = np.asarray(all_turned(wrong.cameras, -turns).T_cam_world)
+        np.testing.assert_allclose(back, given.cameras.T_cam_world, atol=1e-12)
+        found = Sensitivity.at(wrong, there._replace(turns_cam=-turns), SOFTNESS)
+        expected = Sensitivity.at(given, there, SOFTNESS).slopes.equations.gradient
+        unaware = Sensitivity.at(wrong, there, SOFTNESS).slopes.equations.gradient
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(found.slopes.equations.gradient, expected, atol=1e-9 * scale)
+    assert np.abs(unaware - expected).max() > 0.01 * scale
 
 
 def test_a_losss_gradient_is_what_the_landmarks_pass_back():

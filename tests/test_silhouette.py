@@ -18,6 +18,7 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import retract
 from jaxmocap.body.proportions import PROPORTIONS, scaled
 from jaxmocap.body.skeleton import ROOT_DOF
+from jaxmocap.geometry.cameras import turned
 from jaxmocap.geometry.outlines import Discs, signed_distance
 from jaxmocap.hybrid.silhouette import Sight, silhouette_cost, silhouette_fit
 from jaxmocap.images.colours import Colours, colour_bins, learn_colours
@@ -237,16 +238,17 @@ def test_the_parts_colours_are_told_from_the_rest_of_the_body(painted):
 
 
 def moved_cost(step, skeleton, proportions, pose, camera, sight, softness):
-    """The silhouette's cost of pose and proportions moved by a tangent vector."""
-    count = step.shape[0] - proportions.shape[0]
-    person = scaled(skeleton, proportions + step[count:])
-    there = retract(pose, step[:count])
-    return silhouette_cost(person, forward(person, there), camera, sight, softness)
+    """The silhouette's cost of pose, proportions and camera moved by a tangent vector."""
+    count = step.shape[0] - proportions.shape[0] - 3
+    of_pose, lengths, turn = jnp.split(step, [count, step.shape[0] - 3])
+    person = scaled(skeleton, proportions + lengths)
+    frames = forward(person, retract(pose, of_pose))
+    return silhouette_cost(person, frames, turned(camera, turn), sight, softness)
 
 
 FITTED, COSTED = jax.jit(silhouette_fit), jax.jit(moved_cost)
 STEPPED = jax.jit(jax.grad(moved_cost))
-AT_REST = np.zeros(ROOT_DOF + len(PERSON.tree.joints) + len(PROPORTIONS))
+AT_REST = np.zeros(ROOT_DOF + len(PERSON.tree.joints) + len(PROPORTIONS) + 3)
 
 
 def a_sight(seed: int, of_forearms: float = 1.0) -> Sight:
@@ -278,7 +280,7 @@ def test_the_silhouettes_gradient_is_half_its_costs_without_distortion(seed):
         expected = np.asarray(STEPPED(still, *arguments)) / 2
         assert float(cost) == pytest.approx(float(COSTED(still, *arguments)), rel=1e-9)
     np.testing.assert_allclose(gradient, expected, atol=1e-6 * np.abs(expected).max())
-    assert (np.abs(expected[-len(PROPORTIONS) :]) > 0.01).all()
+    assert (np.abs(expected[-len(PROPORTIONS) - 3 :]) > 0.01).all()
 
 
 def test_the_whole_persons_gradient_is_that_of_finite_differences():

@@ -4,7 +4,7 @@ INPUTS: points in the world (metres, Z up), a Camera.
 OUTPUTS: pixels (x right, y down, centres at whole numbers), depths, rays.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -74,6 +74,12 @@ class Camera:
         """(3,) the centre of projection in the world, metres."""
         R, t = self.T_cam_world[:3, :3], self.T_cam_world[:3, 3]
         return -jnp.matmul(R.T, t, precision=HIGHEST)
+
+
+def turned(camera: Camera, turn_cam: Array) -> Camera:
+    """A camera turned about its centre by a rotation vector (3,) in its own frame, radians."""
+    T = jnp.matmul(exp(turn_cam), camera.T_cam_world[:3], precision=HIGHEST)
+    return replace(camera, T_cam_world=camera.T_cam_world.at[:3].set(T))
 
 
 def to_camera(camera: Camera, points_world: Array) -> Array:

@@ -9,6 +9,7 @@ INPUTS: a recording's problem and its trajectory so far. OUTPUTS: goals for the 
 """
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -46,7 +47,8 @@ from jaxmocap.hybrid.silhouette import (
     nearest_surface,
     unhidden,
 )
-from jaxmocap.hybrid.smoothing import Problem, Trajectory, softened
+from jaxmocap.hybrid.smoothing import Problem, softened
+from jaxmocap.hybrid.trajectory import Trajectory, all_turned
 from jaxmocap.images.regions import Region, discs_in_region
 from jaxmocap.images.silhouette import Grid, cells
 
@@ -73,6 +75,8 @@ def elbow_goals(problem: Problem, trajectory: Trajectory, grips: Sites) -> np.nd
         trajectory: where the body is so far.
         grips: the point of each arm that its marker holds.
     """
+    cameras = all_turned(problem.cameras, trajectory.turns_cam)
+    problem = replace(problem, cameras=cameras)
     person = scaled(problem.skeleton, jnp.asarray(trajectory.proportions))
     seen = np.unique(problem.sights.frame)
     times, frames = problem.times[seen], np.arange(len(seen))[:, None]

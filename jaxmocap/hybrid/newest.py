@@ -217,7 +217,7 @@ class Newest:
             weight = 1 / float(over_time.silhouette) ** 2
             np.add.at(cost, rows, weight * told[0])
             np.add.at(seen, rows, weight * told[1][:, :size, :size])
-            np.add.at(gradient, rows, weight * told[2])
+            np.add.at(gradient, rows, weight * told[2][:, : gradient.shape[1]])
         own = hessian[:, :size, :size] + seen
         return Linearised(cost, own, gradient[:, :size], points, jacobian[:, :, :size]), seen
 

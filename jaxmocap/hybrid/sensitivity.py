@@ -6,8 +6,8 @@ what Gauss-Newton leaves out, yet banded as the solve's own: every residual belo
 and of the prior that joins the frames only the landmarks' curvature is new.
 
 Held fixed: what was seen (the grids, the background and colours that they come from, where they
-lie), the markers, what hides a forearm, facing and ankles of the markers' pose. Which limb reaches
-farthest over a cell changes in jumps, which have no derivative.
+lie), how the cameras were found turned, the markers, what hides a forearm, facing and ankles of the
+markers' pose. Which limb reaches farthest over a cell changes in jumps, which have no derivative.
 
 INPUTS: a recording's problem, its solution. OUTPUTS: the derivative, forwards and backwards.
 """
@@ -37,13 +37,11 @@ from jaxmocap.hybrid.slopes import (
 )
 from jaxmocap.hybrid.smoothing import (
     Problem,
-    Trajectory,
     landmark_prior,
-    moved_by,
-    proportions_prior,
     sights_weight,
     softened,
 )
+from jaxmocap.hybrid.trajectory import UNTURNED, Trajectory, all_turned, moved_by, shared_prior
 from jaxmocap.solvers.arrow import Equations
 from jaxmocap.solvers.smoothness import Smoothness
 from jaxmocap.solvers.trajectory import Linearised, normal_equations, positive
@@ -101,8 +99,11 @@ class Sensitivity:
         """At the trajectory that ``smooth_poses`` found, with the last softness that it was given.
 
         The derivative is as exact as the trajectory is a minimum (``slopes.exact``: whether it is
-        one); ``settled`` brings it closer.
+        one); ``settled`` brings it closer. Cameras that were found turned are stated so.
         """
+        cameras = all_turned(problem.cameras, trajectory.turns_cam)
+        problem = replace(problem, cameras=cameras)
+        trajectory = trajectory._replace(turns_cam=UNTURNED)
         seen, prior = softened(problem, softness), landmark_prior(problem)
         soft = jnp.asarray(softness, trajectory.proportions.dtype)
         return cls(seen, trajectory, soft, prior, _slopes(seen, trajectory, soft, prior))
@@ -201,7 +202,7 @@ def _slopes(problem: Problem, trajectory: Trajectory, softness: Array, prior: Sm
         for total, part in zip((hessian, gradient), seen, strict=True):
             np.add.at(total, sights.frame, part * sights_weight(problem))
     n = gradient.shape[1] - trajectory.proportions.size
-    curvature, uphill, _ = proportions_prior(problem, trajectory)
+    curvature, uphill, _ = shared_prior(problem.settings, problem.sights.camera, trajectory)
     # The prior's own pull is in the frames' gradients already.
     still = np.zeros_like(points)
 

@@ -19,7 +19,7 @@ from jaxmocap.body.kinematics import Frames, forward, jacobian
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.proportions import scaled
 from jaxmocap.body.skeleton import Skeleton, Tree
-from jaxmocap.geometry.cameras import NEAREST_M, Camera, to_camera
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, to_camera, turned
 from jaxmocap.geometry.outlines import Discs, depth_along, touch
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.images.regions import Region, discs_in_region
@@ -98,7 +98,9 @@ def silhouette_fit(
     sight: Sight,
     softness: Array,
 ) -> tuple[Array, Array, Array]:
-    """The same cost (), with J^T J (N, N) and J^T r (N,), N = 6 + D + P: pose, then proportions.
+    """The same cost (), with J^T J (N, N) and J^T r (N,), N = 6 + D + P + 3.
+
+    By the pose, then the proportions, then a turn of the camera in its own frame.
 
     Args:
         skeleton: unscaled.
@@ -109,20 +111,20 @@ def silhouette_fit(
         softness: cells.
     """
 
-    def limbs(proportions: Array) -> Discs:
-        person = scaled(skeleton, proportions)
+    def limbs(shared: Array) -> Discs:
+        person = scaled(skeleton, shared[:-3])
         body = cones(person, forward(person, pose), bones)
-        return discs_in_region(sight.region, project_cones(camera, body))
+        return discs_in_region(sight.region, project_cones(turned(camera, shared[-3:]), body))
 
     bones = drawn_bones(skeleton.tree)
-    by_proportions = jax.jacfwd(limbs)(proportions)
+    by_shared = jax.jacfwd(limbs)(jnp.pad(proportions, (0, 3)))
     skeleton = scaled(skeleton, proportions)
     frames = forward(skeleton, pose)
     flesh = cones(skeleton, frames, bones)
     discs = discs_in_region(sight.region, project_cones(camera, flesh))
     visible = _visible(skeleton.tree, camera, flesh, discs, sight.person)
     by_pose = _leverage(skeleton, frames, camera, flesh, discs, sight.region, bones)
-    ends = by_proportions.near, by_proportions.far, by_proportions.radii
+    ends = by_shared.near, by_shared.far, by_shared.radii
     leverage = jnp.concatenate([by_pose, jnp.concatenate(ends, 1)], 2)
     fit = drawn_fit(skeleton.tree, discs, visible, sight, softness)
     return (

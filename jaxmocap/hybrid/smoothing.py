@@ -30,6 +30,14 @@ from jaxmocap.hybrid.batches import in_batches
 from jaxmocap.hybrid.residuals import Known, residuals
 from jaxmocap.hybrid.silhouette import Sight, silhouette_cost, silhouette_fit
 from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
+from jaxmocap.hybrid.trajectory import (
+    TURN,
+    Trajectory,
+    all_turned,
+    among_cameras,
+    moved_by,
+    shared_prior,
+)
 from jaxmocap.images.silhouette import blurred
 from jaxmocap.solvers.smoothness import Smoothness, smoothness
 from jaxmocap.solvers.status import Status
@@ -38,13 +46,6 @@ from jaxmocap.solvers.trajectory import Settings as Solve
 
 # Frames and sights per call: shapes that every recording shares, so that they compile once.
 FRAMES_A_CALL, SIGHTS_A_CALL = 64, 16
-
-
-class Trajectory(NamedTuple):
-    """What is solved for: poses (T, ...), and the person's proportions (P,)."""
-
-    poses: Pose
-    proportions: Array | np.ndarray
 
 
 class Sights(NamedTuple):
@@ -88,7 +89,7 @@ class SmoothedPoses(NamedTuple):
     """What a solve ended with.
 
     Attributes:
-        trajectory: poses and proportions.
+        trajectory: poses and what they share.
         cost: of all residuals and the prior.
         status: why the solve ended.
     """
@@ -103,7 +104,7 @@ def smooth_poses(problem: Problem, start: Trajectory, softness: tuple[float, ...
 
     Args:
         problem: what is known.
-        start: poses and proportions.
+        start: poses and what they share; the cameras turn where it brings turns.
         softness: of the silhouettes' borders, cells, one solve after the other.
     """
     prior, solve = landmark_prior(problem), Solve(iterations=problem.settings.iterations)
@@ -200,7 +201,7 @@ def sights_fit(
     cameras: Camera,
     sights: Sight,
 ) -> tuple[Array, Array, Array]:
-    """Costs, J^T J and J^T r of a batch of sights, by pose and proportions."""
+    """Costs, J^T J and J^T r of a batch of sights, by pose, proportions and their camera's turn."""
 
     def of_sight(each: tuple[Pose, Camera, Sight]) -> tuple[Array, Array, Array]:
         return silhouette_fit(skeleton, proportions, *each, softness)
@@ -228,27 +229,23 @@ def _sights_cost(
     return jax.lax.map(of_sight, (poses, cameras, sights))
 
 
-_retract = jax.jit(jax.vmap(retract))
-
-
-def moved_by(trajectory: Trajectory, steps: np.ndarray, shared: np.ndarray) -> Trajectory:
-    """A trajectory moved by tangent vectors (T, 6 + D), its proportions by (P,)."""
-    poses = jax.device_get(_retract(trajectory.poses, jnp.asarray(steps, float)))
-    return Trajectory(poses, np.asarray(trajectory.proportions + shared, poses.angles.dtype))
-
-
 def linearise_poses(
     problem: Problem, softness: float, workers: ThreadPoolExecutor, trajectory: Trajectory
 ) -> Linearised:
-    """All frames about their poses, and the proportions that they share."""
+    """All frames about their poses, and what they share."""
     found = _over_frames(frames_fit, problem, workers, trajectory)
     cost, hessian, gradient, points, by = found
+    cameras, n = len(trajectory.turns_cam), by.shape[2] - len(PROPORTIONS)
+    # Frames know nothing of cameras.
+    wider = (0, TURN * cameras)
+    hessian = np.pad(hessian, ((0, 0), wider, wider))
+    gradient, by = np.pad(gradient, ((0, 0), wider)), np.pad(by, ((0, 0), (0, 0), wider))
     if len(problem.sights.frame):
-        seen = _over_sights(sights_fit, problem, softness, workers, trajectory)
+        price, by_sight, pull = _over_sights(sights_fit, problem, softness, workers, trajectory)
+        seen = price, *among_cameras(by_sight, pull, problem.sights.camera, cameras)
         for total, part in zip((cost, hessian, gradient), seen, strict=True):
             np.add.at(total, problem.sights.frame, part * sights_weight(problem))
-    n = by.shape[2] - len(PROPORTIONS)
-    curvature, pull, price = proportions_prior(problem, trajectory)
+    curvature, pull, price = shared_prior(problem.settings, problem.sights.camera, trajectory)
     return Linearised(
         cost + price, hessian[:, :n, :n], gradient[:, :n], points, by[:, :, :n],
         hessian[:, :n, n:], hessian[:, n:, n:] + curvature, gradient[:, n:] + pull, by[:, :, n:],
@@ -263,28 +260,12 @@ def _evaluate(
     if len(problem.sights.frame):
         (seen,) = _over_sights(_sights_cost, problem, softness, workers, trajectory)
         np.add.at(cost, problem.sights.frame, seen * sights_weight(problem))
-    return cost + proportions_prior(problem, trajectory)[2], points
+    return cost + shared_prior(problem.settings, problem.sights.camera, trajectory)[2], points
 
 
 def sights_weight(problem: Problem) -> float:
     """Of a squared difference between what was drawn and what was seen."""
     return 1 / float(problem.settings.silhouette) ** 2
-
-
-def proportions_prior(
-    problem: Problem, trajectory: Trajectory
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """The prior on the proportions, its Hessian, gradient and cost, in each frame.
-
-    It weighs like one more sight of each sight: what the silhouettes get wrong they get wrong in
-    every frame, so that many frames are no more sure of a length than few.
-    """
-    weights = 1 / np.array([p.deviation for p in PROPORTIONS]) ** 2
-    weights *= (
-        float(problem.settings.proportions) * max(len(problem.sights.frame), 1) / len(problem.times)
-    )
-    p = np.asarray(trajectory.proportions, float)
-    return np.diag(weights), weights * p, float(np.sum(weights * p**2))
 
 
 def _over_frames(
@@ -305,7 +286,8 @@ def _over_sights(
 ) -> list[np.ndarray]:
     """A function of batches of sights over all of them, float64."""
     sights = problem.sights
-    cameras = jax.tree.map(lambda part: np.asarray(part)[sights.camera], problem.cameras)
+    cameras = all_turned(problem.cameras, trajectory.turns_cam)
+    cameras = jax.tree.map(lambda part: np.asarray(part)[sights.camera], cameras)
     there = jax.tree.map(lambda part: np.asarray(part)[sights.frame], trajectory.poses)
     fixed = problem.skeleton, jnp.asarray(trajectory.proportions), jnp.asarray(softness, float)
     each = (there, cameras, sights.sight)

@@ -33,6 +33,8 @@ class SmoothingSettings:
         ground: of the height of ankles that no marker holds, metres.
         footing: of their place on the ground, metres.
         proportions: weight of the prior on the person's proportions, in sights.
+        camera: of a camera's turn against its calibration, about each axis, radians; weighs in as
+            many sights as the proportions do. With 0 no camera turns. Key points' lines never do.
         redundancy: how many cells and frames err alike: a silhouette is wrong where the person is
             no cone, and goes on being so. For the deviations only.
         habit: for how long somebody keeps to what is unusual, seconds. For the deviations only.
@@ -52,6 +54,7 @@ class SmoothingSettings:
     ground: Array
     footing: Array
     proportions: Array
+    camera: Array
     redundancy: Array
     habit: Array
     mismatch: Array
@@ -72,6 +75,7 @@ class SmoothingSettings:
         ground: float = 0.05,
         footing: float = 0.3,
         proportions: float = 5.0,
+        camera: float = 0.005,
         redundancy: float = 100.0,
         habit: float = 1.0,
         mismatch: float = 1.0,
@@ -79,6 +83,6 @@ class SmoothingSettings:
         """Settings as arrays (a Python float in a pytree would trace anew)."""
         numbers = (
             marker, silhouette, acceleration, lean, facing, ease, limit, goal, keypoints, ground,
-            footing, proportions, redundancy, habit, mismatch,
+            footing, proportions, camera, redundancy, habit, mismatch,
         )  # fmt: skip
         return cls(iterations, *(jnp.asarray(value, float) for value in numbers))

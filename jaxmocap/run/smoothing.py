@@ -32,8 +32,9 @@ from jaxmocap.hybrid.fixed_lag import FEET, Given
 from jaxmocap.hybrid.hypotheses import elbow_goals
 from jaxmocap.hybrid.keypoints import Lines
 from jaxmocap.hybrid.residuals import NO_GOALS, Known
-from jaxmocap.hybrid.smoothing import Problem, Sights, Trajectory, smooth_poses
+from jaxmocap.hybrid.smoothing import Problem, Sights, smooth_poses
 from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.hybrid.trajectory import TURN, UNTURNED, Trajectory, all_turned
 from jaxmocap.hybrid.trust import trust_in
 from jaxmocap.images.background import spread
 from jaxmocap.images.foreground import shrink
@@ -100,11 +101,14 @@ class Smoothed(NamedTuple):
         skeleton: of the person with the proportions found.
         poses: (E, ...).
         judged: how far to trust them.
+        turns_cam: (C, 3) by which each camera was found turned against its calibration, rotation
+            vectors in its own frame, radians; ``UNTURNED`` where that was not asked.
     """
 
     skeleton: Skeleton
     poses: Pose
     judged: Judged
+    turns_cam: np.ndarray = UNTURNED
 
 
 def smooth_recording(
@@ -143,7 +147,7 @@ def smooth_recording(
         return smooth_poses(hoped, found, DECIDING).trajectory
 
     no_change = np.zeros(len(PROPORTIONS), tracker.dtype)
-    found = Trajectory(first_pass.refined, no_change)
+    found = Trajectory(first_pass.refined, no_change, _as_calibrated(tracker))
     problem = looked(found)
     found = smooth_poses(problem, found, ROUGHLY).trajectory
     show(0.3)
@@ -156,7 +160,15 @@ def smooth_recording(
     trust = trust_in(problem, found, FINELY[-1])
     show(1.0)
     person = scaled(tracker.skeleton, jnp.asarray(found.proportions))
-    return _judged(tracker, person, found.poses, trust, first_pass)
+    smoothed = _judged(tracker, person, found.poses, trust, first_pass)
+    return smoothed._replace(turns_cam=np.asarray(found.turns_cam))
+
+
+def _as_calibrated(tracker: HybridTracker) -> np.ndarray:
+    """Cameras that are not turned yet, and may be where the settings say so."""
+    assert tracker.cameras is not None
+    turns = np.zeros((len(tracker.cameras.matrix), TURN), tracker.dtype)
+    return turns if float(tracker.settings.over_time.camera) > 0 else UNTURNED
 
 
 def gathered(tracker: HybridTracker, given: Sequence[Given], first_pass: FirstPass) -> Smoothed:
@@ -211,9 +223,11 @@ def _all_sights(
     tracker: HybridTracker, looks: Sequence[Look], videos: Sequence[FrameSource], found: Trajectory
 ) -> Sights:
     """What all cameras see, by what the poses found so far teach."""
+    assert tracker.cameras is not None
     person, sights = scaled(tracker.skeleton, jnp.asarray(found.proportions)), []
+    cameras = all_turned(tracker.cameras, found.turns_cam)
     for look in looks:
-        camera = jax.tree.map(lambda part, c=look.camera: part[c], tracker.cameras)
+        camera = jax.tree.map(lambda part, c=look.camera: part[c], cameras)
         there = jax.tree.map(lambda part, e=look.events: np.asarray(part)[e], found.poses)
         sights.append(_sights(person, camera, look, videos[look.camera], there))
     return jax.tree.map(lambda *parts: np.concatenate(parts), *sights)
