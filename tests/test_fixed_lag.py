@@ -19,7 +19,6 @@ from jaxmocap.body.proportions import PROPORTIONS
 from jaxmocap.hybrid import fixed_lag, newest
 from jaxmocap.hybrid.fixed_lag import DELAY_FRAMES, FixedLagSmoother
 from jaxmocap.hybrid.fixed_lag import Given as GivenOut
-from jaxmocap.hybrid.residuals import Known
 from jaxmocap.hybrid.settings import Settings, SmoothingSettings
 from jaxmocap.hybrid.silhouette import Sight
 from jaxmocap.hybrid.smoothing import Problem, Sights, Trajectory, smooth_poses
@@ -216,7 +215,7 @@ def test_a_window_over_everything_agrees_with_the_second_pass(monkeypatch):
     for i in range(count):
         assert not smoother.step(TIMES[i], markers()[i], [images()[i]], at(shaking(), i), report(i))
     events = smoother._newest.events
-    known = Known(*(np.stack(part) for part in zip(*(e.known for e in events), strict=True)))
+    known = jax.tree.map(lambda *parts: np.stack(parts), *(e.known for e in events))
     sight = jax.tree.map(lambda *parts: np.stack(parts), *(e.looks[0][1].sight for e in events))
     start = jax.tree.map(lambda *parts: np.stack(parts), *(e.pose for e in events))
     own = smoother.tracker
