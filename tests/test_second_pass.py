@@ -342,6 +342,14 @@ def test_a_recording_is_smoothed_to_better_elbows_than_the_markers_alone(whole_w
     assert np.isin(tracked.motion.report.from_prior, [0, 1]).all()
 
 
+def test_the_report_says_how_the_camera_was_found_turned(whole_way):
+    over_all, causal = (tracked.motion.report.settings for tracked in whole_way)
+    (turn,) = over_all["camera_turns_deg"].values()
+    assert list(over_all["camera_turns_deg"]) == ["cam"] and len(turn) == 3
+    assert 0 < np.linalg.norm(turn) < 0.2
+    assert causal["camera_turns_deg"] == {}
+
+
 def test_causally_each_pose_waits_for_two_frames_and_says_so(whole_way):
     motion = whole_way[1].motion
     report = motion.report

@@ -125,9 +125,16 @@ def track_both(
         "markers": recording.marker_names,
         "warnings": warnings,
         "tracker": tracker.settings,
+        "camera_turns_deg": _turns_deg(recording, smoothed),
         "latency": {"video frames": DELAY_FRAMES, "seconds": DELAY_S} if smoother else {},
     }
     return run.tracked(tracker.skeleton, plain(told), smoothed)
+
+
+def _turns_deg(recording: Recording, smoothed: Smoothed | None) -> dict[str, list[float]]:
+    """Camera -> how it was found turned against its calibration, a vector in its frame, degrees."""
+    turns = [] if smoothed is None else np.degrees(smoothed.turns_cam).tolist()
+    return dict(zip((source.camera_name for source in recording.videos), turns, strict=False))
 
 
 def make_tracker(recording: Recording, settings: Settings | None = None) -> HybridTracker:
