@@ -10,7 +10,7 @@ from itertools import product
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from painted_motion import ELBOWS, MARKERS, PERSON, known, points_of, problem, sights, truth
 
@@ -81,6 +81,7 @@ def test_one_clear_frame_decides_for_the_ambiguous_ones_beside_it():
 # Joint angles of candidates ----------------------------------------------------------------------
 
 
+@settings(max_examples=8, deadline=None)
 @given(st.integers(0, COUNT - 1), st.floats(-60, 60))
 def test_an_arms_places_tell_its_joint_angles(frame, degrees):
     poses = swivelled((degrees, -degrees))

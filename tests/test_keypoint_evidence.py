@@ -39,8 +39,9 @@ from jaxmocap.hybrid.hypotheses import elbow_goals
 from jaxmocap.hybrid.keypoints import TAILS, Lines, line_residuals, lines_of_sight
 from jaxmocap.hybrid.residuals import residuals
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.hybrid.smoothing import SmoothedPoses, smooth_poses, trust_in
+from jaxmocap.hybrid.smoothing import SmoothedPoses, smooth_poses
 from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.hybrid.trust import trust_in
 from jaxmocap.run.key_points import lines_at_events
 from jaxmocap.run.recording import track
 from jaxmocap.run.smoothing import FirstPass, smooth_recording
