@@ -41,6 +41,7 @@ BARE = (0.5, 0.95)
 HEAD = ("head", "neck")
 HEAD_GROWN = 1.6
 BELOW = ("knee", "ankle", "toe")
+UPPER = [i for i, name in enumerate(LANDMARKS) if not name.startswith(BELOW)]
 
 
 @dataclass(frozen=True)
@@ -118,8 +119,7 @@ class Drawing:
 def upper_body_regions(skeleton: Skeleton, camera: Camera, poses: Pose) -> Region:
     """Where (F) the person's upper half is, all at one scale."""
     points = landmarks_over_time(skeleton, poses)
-    upper = [i for i, name in enumerate(LANDMARKS) if not name.startswith(BELOW)]
-    pixels = np.asarray(project(camera, jnp.asarray(points[:, upper])))
+    pixels = np.asarray(project(camera, jnp.asarray(points[:, UPPER])))
     low, high = pixels.min(1), pixels.max(1)
     side = np.percentile((high - low).max(1), 95) * (1 + 2 * MARGIN)
     origin = np.round((low + high) / 2 - side / 2) - 0.5
@@ -184,6 +184,13 @@ def _grids(
     if image is None or known is None:
         nothing = Grid(*np.zeros((2, CELLS, CELLS), np.float32))
         return nothing, nothing
+    return body_grids(image, known, drawing, frame, region)[1:]
+
+
+def body_grids(
+    image: np.ndarray, known: Appearance, drawing: Drawing, frame: int, region: Region
+) -> tuple[np.ndarray, Grid, Grid]:
+    """Log-odds (h, w) that pixels of a shrunk image show the person; person, forearms on a grid."""
     person = log_odds(image, known.background, known.person)
     head = drawing.mask(frame, HEAD_GROWN, only=HEAD)
     forearms = part_odds(image, person, known.forearms, head)
@@ -191,4 +198,4 @@ def _grids(
     origin = (np.asarray(region.origin) + 0.5) * drawing.ratio - 0.5
     cell = float(region.scale) * drawing.ratio[0]
     whole, part = (Grid(*person_grid(odds, origin, cell, CELLS)) for odds in (person, forearms))
-    return whole, part
+    return person, whole, part

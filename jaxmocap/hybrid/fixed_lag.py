@@ -28,7 +28,7 @@ from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.hybrid.newest import SOFTNESS, Event, Newest, Solved, offsets
-from jaxmocap.hybrid.residuals import GROUND, NO_GOALS, Known
+from jaxmocap.hybrid.residuals import GROUND, NO_GOALS, Known, feet_free
 from jaxmocap.hybrid.running_appearance import RunningAppearance
 from jaxmocap.hybrid.tracker import HybridTracker, StepReport
 from jaxmocap.hybrid.trust import trusted
@@ -46,8 +46,6 @@ TURNING_S = 0.35
 LONGEST_GAP_S = 0.25
 # Velocities are told from events at least so far apart, seconds.
 BASELINE_S = 0.005
-# Bones whose markers hold a foot.
-FEET = ("tibia", "foot")
 
 
 class Given(NamedTuple):
@@ -98,8 +96,7 @@ class FixedLagSmoother:
         self._views = [
             RunningAppearance(tracker.skeleton, camera) for camera in self._newest.cameras
         ]
-        names = [tracker.skeleton.tree.bones[bone] for bone in tracker.markers.bones]
-        self._feet_free = np.array(float(not any(name.startswith(FEET) for name in names)))
+        self._feet_free = np.array(feet_free(tracker.skeleton, tracker.markers))
         self._blas = ThreadpoolController()
         self._count = self._given = 0
         self._begin()

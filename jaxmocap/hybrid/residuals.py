@@ -23,6 +23,8 @@ EASE = {
 }  # fmt: skip
 GROUND = ("ankle_l", "ankle_r")
 ELBOWS = ("elbow_l", "elbow_r")
+# Bones whose markers hold a foot.
+FEET = ("tibia", "foot")
 # Of both elbows, where no hypothesis puts them anywhere.
 NO_GOALS = np.full((2, 3), np.nan)
 # Where no marker holds the feet, the markers' pose faces so many times less surely.
@@ -91,6 +93,11 @@ def _off(points: Array, targets: Array | np.ndarray) -> Array:
     """Points less their targets; 0 where there is none."""
     there = jnp.isfinite(targets)
     return jnp.where(there, points - jnp.where(there, targets, 0.0), 0.0)
+
+
+def feet_free(skeleton: Skeleton, markers: Sites) -> float:
+    """1 where no marker holds the feet, else 0."""
+    return float(not any(skeleton.tree.bones[b].startswith(FEET) for b in markers.bones))
 
 
 def ease(skeleton: Skeleton) -> Array:

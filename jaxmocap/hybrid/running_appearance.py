@@ -19,35 +19,35 @@ from jax import Array
 from jaxmocap.body.flesh import cones, project_cones
 from jaxmocap.body.kinematics import forward, landmarks
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera
 from jaxmocap.geometry.outlines import Discs
 from jaxmocap.hybrid.appearance import (
     BARE,
-    BELOW,
+    CELLS,
     CORE,
     ERRING_M,
     HEAD,
-    HEAD_GROWN,
     MARGIN,
+    UPPER,
     WHEREVER,
+    Appearance,
     Drawing,
+    body_grids,
 )  # fmt: skip
 from jaxmocap.hybrid.silhouette import FOREARMS, Sight, drawn_bones
 from jaxmocap.images.background import RunningBackground
 from jaxmocap.images.colours import RunningColours
-from jaxmocap.images.foreground import SURE_ODDS, log_odds, person_grid, shrink, shrunk_size
-from jaxmocap.images.parts import part_odds
+from jaxmocap.images.foreground import SURE_ODDS, shrink, shrunk_size
 from jaxmocap.images.regions import Region
 from jaxmocap.images.silhouette import Grid, blurred
 
 # Rows of the images that silhouettes are learned from, fewer than for a whole recording.
-ROWS, CELLS = 240, 64
+ROWS = 240
 # A part's pixels must at least not look like the background.
 UNLIKELY_ODDS = -0.5
 # A region's scale stays as it is while the person fills this much of it, so that cells do not swim.
 LEAST_FILLED = 0.6
-UPPER = [i for i, name in enumerate(LANDMARKS) if not name.startswith(BELOW)]
 
 
 class Seen(NamedTuple):
@@ -104,16 +104,10 @@ class RunningAppearance:
         if self._ignorant:
             self._learn(small, drawing, None, None)
         background = self.background.background()
-        odds = log_odds(small, background, self.person.colours())
-        head = drawing.mask(0, HEAD_GROWN, only=HEAD)
-        part = part_odds(small, odds, self.forearms.colours(), head)
-        # Edges map onto edges.
-        origin = (np.asarray(region.origin) + 0.5) * drawing.ratio - 0.5
-        cell = float(region.scale) * drawing.ratio[0]
-        grids = (
-            _soft(Grid(*person_grid(each, origin, cell, CELLS)), softness) for each in (odds, part)
-        )
-        return Seen(small, odds, background.known > 0.5, Sight(region, *grids))
+        known = Appearance(background, self.person.colours(), self.forearms.colours())
+        odds, *grids = body_grids(small, known, drawing, 0, region)
+        soft = (_soft(grid, softness) for grid in grids)
+        return Seen(small, odds, background.known > 0.5, Sight(region, *soft))
 
     def learn(self, seen: Seen, size: tuple[int, int], pose: Pose) -> None:
         """Learn from a frame, whose full width and height is ``size``, where the body was."""

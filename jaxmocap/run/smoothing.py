@@ -28,10 +28,10 @@ from jaxmocap.capture.video import FrameSource
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.hybrid.appearance import ROWS, Drawing, learn_appearance, see, upper_body_regions
-from jaxmocap.hybrid.fixed_lag import FEET, Given
+from jaxmocap.hybrid.fixed_lag import Given
 from jaxmocap.hybrid.hypotheses import elbow_goals
 from jaxmocap.hybrid.keypoints import Lines
-from jaxmocap.hybrid.residuals import NO_GOALS, Known
+from jaxmocap.hybrid.residuals import NO_GOALS, Known, feet_free
 from jaxmocap.hybrid.smoothing import Problem, Sights, smooth_poses
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.hybrid.trajectory import TURN, UNTURNED, Trajectory, all_turned
@@ -209,9 +209,7 @@ def _known(tracker: HybridTracker, first_pass: FirstPass) -> Known:
     facing = np.pad(ahead, ((0, 0), (0, 1)))
     points = landmarks_over_time(tracker.skeleton, alone)
     ankles = points[:, [list(LANDMARKS).index(name) for name in ("ankle_l", "ankle_r")]]
-    names = [tracker.skeleton.tree.bones[bone] for bone in tracker.markers.bones]
-    free = not any(name.startswith(FEET) for name in names)
-    feet = np.full(len(times), float(free))
+    feet = np.full(len(times), feet_free(tracker.skeleton, tracker.markers))
     goals = np.full((len(times), *NO_GOALS.shape), np.nan)
     known = Known(
         first_pass.markers_world, R[:, :2, 2], facing, ankles, feet, goals, first_pass.lines
