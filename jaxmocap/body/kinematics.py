@@ -97,7 +97,9 @@ def site_positions(skeleton: Skeleton, frames: Frames, sites: Sites) -> Array:
     return frames.joints_world[bones] + rotate(frames.R_world_bone[bones], along + sites.offsets)
 
 
-def jacobian(skeleton: Skeleton, frames: Frames, bones: np.ndarray, points_world: Array) -> Array:
+def jacobian(
+    skeleton: Skeleton, frames: Frames, bones: Array | np.ndarray, points_world: Array
+) -> Array:
     """Derivatives (M, 3, 6 + D) of points fixed to bones, by the tangent vector of ``retract``.
 
     Equation (4) without its weight: v_j x (s_i - p_j) where degree of freedom j carries the bone
@@ -111,7 +113,7 @@ def jacobian(skeleton: Skeleton, frames: Frames, bones: np.ndarray, points_world
         [jnp.broadcast_to(frames.root, (3, 3)), frames.joints_world[np.array(tree.dof_bones)]]
     )
     turning = jnp.cross(axes[None], points_world[:, None] - pivots[None])
-    carried = tree.carries[ROOT_DOF - 3 :, bones].T[..., None]
+    carried = jnp.asarray(tree.carries[ROOT_DOF - 3 :])[:, bones].T[..., None]
     turning = jnp.where(carried, turning, 0.0).swapaxes(1, 2)
     shifting = jnp.broadcast_to(eye, (points_world.shape[0], 3, 3))
     return jnp.concatenate([shifting, turning], -1)

@@ -5,14 +5,23 @@ INPUTS: a skeleton, a pose, what is known of the frame. OUTPUTS: whitened residu
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import Frames, Sites, forward, landmark_sites, site_positions
+from jaxmocap.body.kinematics import (
+    Frames,
+    Sites,
+    forward,
+    jacobian,
+    landmark_sites,
+    site_positions,
+)
 from jaxmocap.body.pose import Pose, beyond_limits
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.geometry.rotations import quaternion_to_matrix
+from jaxmocap.body.proportions import scaled
+from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton
+from jaxmocap.geometry.rotations import HIGHEST, hat, quaternion_to_matrix
 from jaxmocap.hybrid.keypoints import Lines, line_residuals
 from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
 
@@ -53,40 +62,118 @@ class Known(NamedTuple):
     lines: Lines | None = None
 
 
+class Placed(NamedTuple):
+    """The body as a pose puts it: all that a frame's residuals look at.
+
+    Attributes:
+        marked: (M, 3) points on bones where markers sit, world, metres.
+        landmarks: (L, 3) world, metres.
+        R_world_pelvis: (3, 3).
+        angles: (D,) radians.
+    """
+
+    marked: Array
+    landmarks: Array
+    R_world_pelvis: Array
+    angles: Array
+
+
 def residuals(
     skeleton: Skeleton, markers: Sites, settings: SmoothingSettings, pose: Pose, known: Known
 ) -> Array:
     """All whitened residuals (R,) of one frame but its sights'."""
-    bones = forward(skeleton, pose)
-    held = _off(site_positions(skeleton, bones, markers), known.targets) / settings.marker
-    elbows = site_positions(skeleton, bones, landmark_sites(skeleton, ELBOWS))
-    R = quaternion_to_matrix(pose.quaternion)
-    turned = jnp.cross(R[:, 0], known.facing)[2]
-    facing = settings.facing * (1 + (UNFOOTED - 1) * known.feet)
-    ankles = site_positions(skeleton, bones, landmark_sites(skeleton, GROUND))
-    ground = jnp.stack([settings.footing, settings.footing, settings.ground])
-    return jnp.concatenate(
-        [
-            held.ravel(),
-            (R[:2, 2] - (1 - known.feet) * known.up) / settings.lean,
-            turned[None] / facing,
-            (pose.angles - skeleton.relaxed) / (settings.ease * ease(skeleton)),
-            beyond_limits(skeleton.limits, pose.angles) / settings.limit,
-            (known.feet * (ankles - known.ankles) / ground).ravel(),
-            (_off(elbows, known.goals) / settings.goal).ravel(),
-            *_off_lines(skeleton, settings, bones, known),
-        ]
+    placed = _placed(skeleton, markers, forward(skeleton, pose), pose)
+    return _answers(skeleton, settings, known, placed)
+
+
+def linearised_residuals(
+    skeleton: Skeleton,
+    proportions: Array,
+    markers: Sites,
+    settings: SmoothingSettings,
+    pose: Pose,
+    known: Known,
+) -> tuple[Array, Array, Array, Array]:
+    """Residuals (R,), their derivative (R, N), landmarks (3 L,) and theirs (3 L, N).
+
+    By the pose's tangent vector and the proportions: N = 6 + D + P. The body's points by the
+    geometric Jacobian, the few numbers that residuals make of them forwards.
+
+    Args:
+        skeleton: unscaled.
+        proportions: (P,) of ``scaled``.
+        markers: M points on bones.
+        settings: of the smoothing.
+        pose: of the person.
+        known: of the frame.
+    """
+
+    def resized(logarithms: Array) -> Placed:
+        person = scaled(skeleton, logarithms)
+        return _placed(person, markers, forward(person, pose), pose)
+
+    person = scaled(skeleton, proportions)
+    frames = forward(person, pose)
+    placed = _placed(person, markers, frames, pose)
+    by_pose, by_size = _by_pose(person, markers, frames, placed), jax.jacfwd(resized)(proportions)
+    by = jax.tree.map(lambda *parts: jnp.concatenate(parts, -1), by_pose, by_size)
+
+    def answers(there: Placed) -> Array:
+        return _answers(person, settings, known, there)
+
+    r, push = jax.linearize(answers, placed)
+    J = jax.vmap(push, -1, -1)(by)
+    return r, J, placed.landmarks.ravel(), by.landmarks.reshape(-1, J.shape[-1])
+
+
+def _placed(skeleton: Skeleton, markers: Sites, frames: Frames, pose: Pose) -> Placed:
+    return Placed(
+        site_positions(skeleton, frames, markers),
+        site_positions(skeleton, frames, landmark_sites(skeleton)),
+        quaternion_to_matrix(pose.quaternion),
+        pose.angles,
     )
 
 
-def _off_lines(
-    skeleton: Skeleton, settings: SmoothingSettings, bones: Frames, known: Known
-) -> list[Array]:
-    """How far the landmarks are from where key points show them."""
-    if known.lines is None:
-        return []
-    points = site_positions(skeleton, bones, landmark_sites(skeleton, tuple(LANDMARKS)))
-    return [line_residuals(points, known.lines, settings.keypoints).ravel()]
+def _by_pose(skeleton: Skeleton, markers: Sites, frames: Frames, placed: Placed) -> Placed:
+    """Derivatives (..., 6 + D) of what is placed, by the tangent vector of ``retract``."""
+    dofs, dtype = placed.angles.size, placed.angles.dtype
+    turning = jnp.einsum(
+        "kij,jl->ilk", hat(jnp.eye(3, dtype=dtype)), placed.R_world_pelvis, precision=HIGHEST
+    )
+    return Placed(
+        jacobian(skeleton, frames, markers.bones, placed.marked),
+        jacobian(skeleton, frames, landmark_sites(skeleton).bones, placed.landmarks),
+        jnp.pad(turning, ((0, 0), (0, 0), (3, dofs))),
+        jnp.eye(dofs, ROOT_DOF + dofs, ROOT_DOF, dtype),
+    )
+
+
+def _answers(
+    skeleton: Skeleton, settings: SmoothingSettings, known: Known, placed: Placed
+) -> Array:
+    """The residuals (R,) of a body that is placed."""
+    ankles, elbows = (placed.landmarks[_which(names)] for names in (GROUND, ELBOWS))
+    R = placed.R_world_pelvis
+    turned = jnp.cross(R[:, 0], known.facing)[2]
+    facing = settings.facing * (1 + (UNFOOTED - 1) * known.feet)
+    ground = jnp.stack([settings.footing, settings.footing, settings.ground])
+    parts = [
+        _off(placed.marked, known.targets) / settings.marker,
+        (R[:2, 2] - (1 - known.feet) * known.up) / settings.lean,
+        turned / facing,
+        (placed.angles - skeleton.relaxed) / (settings.ease * ease(skeleton)),
+        beyond_limits(skeleton.limits, placed.angles) / settings.limit,
+        known.feet * (ankles - known.ankles) / ground,
+        _off(elbows, known.goals) / settings.goal,
+    ]
+    if known.lines is not None:
+        parts.append(line_residuals(placed.landmarks, known.lines, settings.keypoints))
+    return jnp.concatenate([part.ravel() for part in parts])
+
+
+def _which(names: tuple[str, ...]) -> np.ndarray:
+    return np.array([list(LANDMARKS).index(name) for name in names])
 
 
 def _off(points: Array, targets: Array | np.ndarray) -> Array:

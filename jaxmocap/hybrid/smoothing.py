@@ -21,14 +21,14 @@ from jax import Array
 from threadpoolctl import threadpool_limits
 
 from jaxmocap.body.kinematics import Sites, forward, landmarks
-from jaxmocap.body.pose import Pose, retract
+from jaxmocap.body.pose import Pose
 from jaxmocap.body.proportions import PROPORTIONS, scaled
-from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.hybrid.batches import in_batches
-from jaxmocap.hybrid.residuals import Known, residuals
-from jaxmocap.hybrid.silhouette import Sight, silhouette_cost, silhouette_fit
+from jaxmocap.hybrid.residuals import Known, linearised_residuals, residuals
+from jaxmocap.hybrid.silhouette import Sight, silhouette_cost, silhouette_fit, weighed
 from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
 from jaxmocap.hybrid.trajectory import (
     TURN,
@@ -138,10 +138,11 @@ def landmark_prior(problem: Problem) -> Smoothness:
 
 
 def softened(problem: Problem, softness: float) -> Problem:
-    """The same, seen as softly as it is drawn."""
+    """The same, seen as softly as it is drawn, and counting as the settings say."""
     sight = problem.sights.sight
     soft = Sight(sight.region, blurred(sight.person, softness), blurred(sight.forearms, softness))
-    return replace(problem, sights=problem.sights._replace(sight=soft))
+    counting = weighed(soft, problem.settings)
+    return replace(problem, sights=problem.sights._replace(sight=counting))
 
 
 @jax.jit
@@ -157,16 +158,9 @@ def frames_fit(
 
     By pose and proportions, in this order: N = 6 + D + P.
     """
-    count = ROOT_DOF + len(skeleton.tree.joints)
 
     def of_frame(pose: Pose, one: Known) -> tuple[Array, Array, Array, Array, Array]:
-        def moved(step: Array) -> tuple[Array, Array]:
-            person = scaled(skeleton, proportions + step[count:])
-            there = retract(pose, step[:count])
-            return residuals(person, sites, settings, there, one), landmarks(person, there).ravel()
-
-        still = jnp.zeros(count + proportions.size, pose.angles.dtype)
-        (r, at), (J, by) = moved(still), jax.jacfwd(moved)(still)
+        r, J, at, by = linearised_residuals(skeleton, proportions, sites, settings, pose, one)
         hessian = jnp.matmul(J.T, J, precision=HIGHEST)
         return jnp.sum(r**2), hessian, jnp.matmul(r, J, precision=HIGHEST), at, by
 
