@@ -193,6 +193,16 @@ def test_grey_images_will_do():
     assert len(out) == 6 and all(np.isfinite(part).all() for part in poses_of(out))
 
 
+def test_silhouettes_without_weight_tell_nothing():
+    dark, blind = [np.zeros_like(image) for image in images()], tracker(person=0.0, forearms=0.0)
+    seen, unseen = (
+        poses_of(joined(steps(each, smoother=FixedLagSmoother(blind), count=8)))
+        for each in (images(), dark)
+    )
+    for own, expected in zip(seen, unseen, strict=True):
+        np.testing.assert_array_equal(own, expected)
+
+
 def test_a_body_that_is_placed_anew_begins_a_new_motion():
     out = steps(placed=(6,), count=9)
     assert [each.number for each in joined(out)] == list(range(9))

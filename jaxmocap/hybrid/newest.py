@@ -20,6 +20,7 @@ from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.hybrid.batches import in_batches
 from jaxmocap.hybrid.residuals import Known
 from jaxmocap.hybrid.running_appearance import Seen
+from jaxmocap.hybrid.silhouette import weighed
 from jaxmocap.hybrid.smoothing import frames_fit, sights_fit
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.solvers.smoothness import REACH, Smoothness, smoothness
@@ -210,7 +211,10 @@ class Newest:
             each = (
                 jax.tree.map(lambda part: part[rows], poses),
                 jax.tree.map(lambda *parts: np.stack(parts), *(self.cameras[c] for c in cameras)),
-                jax.tree.map(lambda *parts: np.stack(parts), *(s.sight for s in sights)),
+                weighed(
+                    jax.tree.map(lambda *parts: np.stack(parts), *(s.sight for s in sights)),
+                    over_time,
+                ),
             )
             fit = partial(sights_fit, tracker.skeleton, usual, jnp.asarray(SOFTNESS, float))
             told = in_batches(fit, each, 1, self._pool)

@@ -22,6 +22,7 @@ from jaxmocap.body.skeleton import Skeleton, Tree
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, to_camera, turned
 from jaxmocap.geometry.outlines import Discs, depth_along, touch
 from jaxmocap.geometry.rotations import HIGHEST
+from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
 from jaxmocap.images.regions import Region, discs_in_region
 from jaxmocap.images.silhouette import (
     CoverageFit,
@@ -51,6 +52,15 @@ class Sight(NamedTuple):
     region: Region
     person: Grid
     forearms: Grid
+
+
+def weighed(sight: Sight, settings: SmoothingSettings) -> Sight:
+    """Sights (...) on the host, whose pictures count as the settings say."""
+    person, forearms = (
+        Grid(grid.probability, float(weight) * grid.weight)
+        for grid, weight in zip(sight[1:], (settings.person, settings.forearms), strict=True)
+    )
+    return Sight(sight.region, person, forearms)
 
 
 def drawn_bones(tree: Tree) -> np.ndarray:

@@ -21,6 +21,8 @@ class SmoothingSettings:
         iterations: most of one solve (static).
         marker: of a marker about its point on the body, metres.
         silhouette: of a cell's coverage; above what one cell errs by, since neighbours err alike.
+        person: weight of the differences from the whole person's silhouette; 0 leaves it out.
+        forearms: weight of those from the forearms'.
         acceleration: spectral density of the landmarks' accelerations, m / s^2 * sqrt(s).
         lean: of the pelvis' upright about that of the markers' pose, radians; about the vertical
             where no marker holds the feet.
@@ -44,6 +46,8 @@ class SmoothingSettings:
     iterations: int = field(metadata={"static": True})
     marker: Array
     silhouette: Array
+    person: Array
+    forearms: Array
     acceleration: Array
     lean: Array
     facing: Array
@@ -65,6 +69,8 @@ class SmoothingSettings:
         iterations: int = 12,
         marker: float = 0.004,
         silhouette: float = 0.7,
+        person: float = 1.0,
+        forearms: float = 1.0,
         acceleration: float = 3.0,
         lean: float = 0.1,
         facing: float = 0.1,
@@ -82,7 +88,7 @@ class SmoothingSettings:
     ) -> "SmoothingSettings":
         """Settings as arrays (a Python float in a pytree would trace anew)."""
         numbers = (
-            marker, silhouette, acceleration, lean, facing, ease, limit, goal, keypoints, ground,
-            footing, proportions, camera, redundancy, habit, mismatch,
+            marker, silhouette, person, forearms, acceleration, lean, facing, ease, limit, goal,
+            keypoints, ground, footing, proportions, camera, redundancy, habit, mismatch,
         )  # fmt: skip
         return cls(iterations, *(jnp.asarray(value, float) for value in numbers))
