@@ -1,6 +1,7 @@
 """``python -m bench.evidence [RECORDINGS]``: kinds of evidence, one against another.
 
-First frame by frame, by the outlines alone; then over the whole recording, what the second pass
+First frame by frame, by the outlines alone, also with the learned background made flat, so that
+only what differs from it has edges; then over the whole recording, what the second pass
 makes of silhouettes against a learned background, of the forearms' learned colours and of 2-D key
 points. Synthetic recordings get key points made from the truth, with noise and some false ones. A
 real recording's are read from ``keypoints/CAMERA`` beside it, where there are any; if its reference
@@ -17,13 +18,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
-from unittest import mock
 
 import jax.numpy as jnp
 import numpy as np
 
 from bench.accuracy import seeds
 from bench.clips import Clip, real, synthetic
+from bench.flattening import flattened
 from bench.metrics import Metric, aligned, write_json
 from jaxmocap.body.motion import Motion
 from jaxmocap.capture.markers import interpolate
@@ -34,14 +35,12 @@ from jaxmocap.formats.markers import read_markers
 from jaxmocap.formats.recording import Recording
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.hybrid.settings import EvidenceSettings, Settings
-from jaxmocap.hybrid.silhouette import Sight
 from jaxmocap.hybrid.tracker import HybridTracker
-from jaxmocap.images.silhouette import Grid
-from jaxmocap.run import smoothing
 from jaxmocap.run.compilation import keep_compiled
 from jaxmocap.run.key_points import lines_at_events, open_all_keypoints
 from jaxmocap.run.reading import open_footage, reading
 from jaxmocap.run.recording import Run, make_tracker, track
+from jaxmocap.run.smoothing import smooth_recording
 from jaxmocap.run.timing import Progress, progress_bar
 
 AZIMUTHS, SECONDS = (0.0, -60.0, 60.0, -30.0, 30.0), 6.0
@@ -65,6 +64,7 @@ class Kind(NamedTuple):
 
 
 USUAL = "edges by direction"
+BEFORE = "edges by direction, before a learned background"
 FRAME_BY_FRAME = {
     "plain edges, the paper's sum, no memory": replace(Settings.paper(), smooth=False),
     "plain edges": replace(Settings(), smooth=False, directions=1),
@@ -108,18 +108,10 @@ class FirstRun:
             points = open_all_keypoints(self.recording, self.videos)
             lines = lines_at_events(self.recording, points, first.timeline, first.alone)
             first = first._replace(lines=lines)
-        usual = smoothing.see
-
-        def see(*arguments) -> Sight:
-            sight = usual(*arguments)
-            person, forearms = (
-                Grid(grid.probability, np.float32(weight) * grid.weight)
-                for grid, weight in zip(sight[1:], kind[:2], strict=True)
-            )
-            return Sight(sight.region, person, forearms)
-
-        with mock.patch.object(smoothing, "see", see):
-            found = smoothing.smooth_recording(self.tracker, self.videos, first, lambda _: None)
+        weights = {name: jnp.asarray(getattr(kind, name), float) for name in ("person", "forearms")}
+        over_time = replace(self.tracker.settings.over_time, **weights)
+        tracker = make_tracker(self.recording, replace(Settings(), over_time=over_time))
+        found = smooth_recording(tracker, self.videos, first, lambda _: None)
         return self.run.tracked(self.tracker.skeleton, {}, found).motion
 
 
@@ -142,6 +134,9 @@ def measure(clip: Clip, quick: bool, folder: Path) -> Iterator[tuple[str, np.nda
     for name, settings in {} if quick else FRAME_BY_FRAME.items():
         yield name, errors(track(recording, settings))
     yield USUAL, errors(both.motion)
+    if not quick:
+        before = flattened(recording, own.videos, own.run.first_pass())
+        yield BEFORE, errors(track(before, replace(Settings(), smooth=False)))
     for name, kind in OVER_TIME.items():
         if (quick and name not in QUICK) or (kind.points and not has_keypoints(recording)):
             continue
@@ -227,7 +222,7 @@ def measure_all(
     clips: list[Clip], quick: bool, show: Progress
 ) -> dict[str, dict[str, dict[str, np.ndarray]]]:
     """Group -> recording -> kind -> (N, 2) distances, metres."""
-    kinds = 2 + (len(QUICK) if quick else len(FRAME_BY_FRAME) + len(OVER_TIME))
+    kinds = 2 + (len(QUICK) if quick else 1 + len(FRAME_BY_FRAME) + len(OVER_TIME))
     found: dict[str, dict[str, dict[str, np.ndarray]]] = {}
     with tempfile.TemporaryDirectory() as folder:
         for i, clip in enumerate(clips):

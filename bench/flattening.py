@@ -1,0 +1,82 @@
+"""A recording's videos with their backgrounds made flat, so that edges are left before them alone.
+
+What a pixel shows fades into a blurred background as far as it does not differ from what the camera
+sees there without the person. Where that is not known the pixel stays as it is.
+
+INPUTS: a recording, its videos, poses of every frame. OUTPUTS: the recording, videos in memory.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import cv2
+import jax
+import numpy as np
+
+from jaxmocap.capture.video import FrameSource
+from jaxmocap.formats.recording import Recording
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.hybrid.appearance import ROWS, Drawing, learn_appearance
+from jaxmocap.images.background import Background, as_learned, spread
+from jaxmocap.images.foreground import shrink
+from jaxmocap.run.smoothing import FirstPass, Look
+
+# Differences, in deviations of the sensor's noise, from which a pixel begins to differ, and does.
+ALIKE, DIFFERENT = 2.0, 5.0
+# Pixels of the shrunk images by which the background is blurred, and the difference.
+FLAT_PX, SOFT_PX = 12.0, 1.5
+
+
+def flattened(
+    recording: Recording, videos: Sequence[FrameSource], first_pass: FirstPass
+) -> Recording:
+    """The recording with videos whose backgrounds are flat; one that tells none is left as it is.
+
+    Args:
+        recording: to be tracked again.
+        videos: its own.
+        first_pass: whose poses tell where the person covers the background.
+    """
+    sources = []
+    for camera, (source, video) in enumerate(zip(recording.videos, videos, strict=True)):
+        background = learned(recording, source.camera, camera, video, first_pass)
+        if background is not None:
+            frames = video.times, list(_flat_frames(video, background))
+            source = replace(source, path=None, frames=frames, offset=0.0)
+        sources.append(source)
+    return replace(recording, videos=tuple(sources))
+
+
+def learned(
+    recording: Recording, lens: Camera, camera: int, video: FrameSource, first_pass: FirstPass
+) -> Background | None:
+    """What a camera sees without the person, in its shrunk frames; as the second pass learns it."""
+    column = first_pass.timeline.frame_index[:, camera]
+    events = np.flatnonzero(column >= 0)
+    if not len(events):
+        return None
+    look, chosen = Look(camera, events, column[events]), spread(len(events))
+    poses = jax.tree.map(lambda part: np.asarray(part)[events], first_pass.refined)
+    drawing = Drawing.of(recording.skeleton, lens, video.size, poses)
+    appearance = learn_appearance(drawing, chosen, look.frames(video, chosen))
+    return None if appearance is None else appearance.background
+
+
+def _flat_frames(video: FrameSource, background: Background) -> Iterator[np.ndarray | None]:
+    """Grey (H, W) uint8."""
+    for _, image in video.frames():
+        yield None if image is None else flat_frame(image, background)
+
+
+def flat_frame(image: np.ndarray, background: Background) -> np.ndarray:
+    """One frame (H, W, 3) uint8, grey, before its background (h, w) made flat."""
+    small, trust = as_learned(shrink(image, ROWS), background)
+    away = np.abs(small.astype(np.float32) - background.colour).max(-1) / background.noise
+    differs = np.clip((away - ALIKE) / (DIFFERENT - ALIKE), 0, 1)
+    # Where the background is not known, or this is not that room, nothing is alike.
+    share = 1 - trust * background.known * (1 - differs)
+    size, grey = image.shape[1::-1], cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    share = cv2.resize(cv2.GaussianBlur(share, (0, 0), SOFT_PX), size)
+    flat = cv2.cvtColor(cv2.GaussianBlur(background.colour, (0, 0), FLAT_PX), cv2.COLOR_BGR2GRAY)
+    mixed = share * grey + (1 - share) * cv2.resize(flat, size)
+    return np.rint(mixed).astype(np.uint8)
