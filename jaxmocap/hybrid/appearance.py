@@ -8,6 +8,7 @@ INPUTS: poses of the person, frames. OUTPUTS: an Appearance; a Sight of every fr
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera
 from jaxmocap.geometry.outlines import Discs
+from jaxmocap.hybrid.batches import in_batches
 from jaxmocap.hybrid.silhouette import FOREARMS, Sight, drawn_bones
 from jaxmocap.images.background import Background
 from jaxmocap.images.colours import Colours, learn_colours
@@ -32,6 +34,8 @@ from jaxmocap.images.silhouette import Grid
 
 # Rows of the images that silhouettes are learned from; cells of the grid around the person.
 ROWS, CELLS = 360, 64
+# Poses per call, so that they compile once.
+POSES_A_CALL = 64
 # Around the person's upper half, as a share of its extent.
 MARGIN = 0.12
 # Of a limb's thickness: its core, and wherever it may be; the pose errs by some centimetres.
@@ -59,6 +63,16 @@ class Appearance:
     forearms: Colours
 
 
+def in_image(skeleton: Skeleton, camera: Camera, pose: Pose) -> tuple[Discs, Array]:
+    """Limbs (K), pixels of the full image, and how many of them make a metre at the person."""
+    flesh = cones(skeleton, forward(skeleton, pose), drawn_bones(skeleton.tree))
+    depth = jnp.maximum(jnp.mean(to_camera(camera, flesh.near)[:, 2]), NEAREST_M)
+    return project_cones(camera, flesh), camera.matrix[0, 0] / depth
+
+
+_all_in_image = jax.jit(jax.vmap(in_image, (None, None, 0)))
+
+
 @dataclass(frozen=True)
 class Drawing:
     """The body as poses put it into the shrunk images.
@@ -82,22 +96,23 @@ class Drawing:
         cls, skeleton: Skeleton, camera: Camera, size: tuple[int, int], poses: Pose
     ) -> "Drawing":
         """The poses (F, ...) in a camera's frames, whose width and height is ``size``."""
-        bones = drawn_bones(skeleton.tree)
+        there = jax.tree.map(lambda part: np.asarray(part, skeleton.lengths.dtype), poses)
+        call = partial(_all_in_image, skeleton, camera)
+        *limbs, per_metre = in_batches(call, (there,), POSES_A_CALL)
+        return cls.shrunk(skeleton, Discs._make(limbs), per_metre, size)
 
-        def of_pose(pose: Pose) -> tuple[Discs, Array]:
-            flesh = cones(skeleton, forward(skeleton, pose), bones)
-            depth = jnp.maximum(jnp.mean(to_camera(camera, flesh.near)[:, 2]), NEAREST_M)
-            return project_cones(camera, flesh), camera.matrix[0, 0] / depth
-
-        small = shrunk_size(size, ROWS)
+    @classmethod
+    def shrunk(
+        cls, skeleton: Skeleton, limbs: Discs, per_metre: np.ndarray, size: tuple[int, int],
+        rows: int = ROWS,
+    ) -> "Drawing":  # fmt: skip
+        """Of what ``in_image`` found in full images (F, ...) of that width and height."""
+        small = shrunk_size(size, rows)
         ratio = np.divide(small, size)
-        there = jax.tree.map(lambda part: jnp.asarray(part, float), poses)
-        found, per_metre = jax.device_get(jax.jit(jax.vmap(of_pose))(there))
-        near, far = ((end + 0.5) * ratio - 0.5 for end in (found.near, found.far))
-        names = [skeleton.tree.bones[bone] for bone in bones]
-        return cls(
-            Discs(near, far, found.radii * ratio[0]), per_metre * ratio[0], small, ratio, names
-        )
+        near, far = ((end + 0.5) * ratio - 0.5 for end in (limbs.near, limbs.far))
+        names = [skeleton.tree.bones[bone] for bone in drawn_bones(skeleton.tree)]
+        discs = Discs(near, far, limbs.radii * ratio[0])
+        return cls(discs, per_metre * ratio[0], small, ratio, names)
 
     def mask(
         self,

@@ -16,11 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.flesh import cones, project_cones
-from jaxmocap.body.kinematics import forward, landmarks
+from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera
+from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.geometry.outlines import Discs
 from jaxmocap.hybrid.appearance import (
     BARE,
@@ -34,11 +33,12 @@ from jaxmocap.hybrid.appearance import (
     Appearance,
     Drawing,
     body_grids,
+    in_image,
 )  # fmt: skip
-from jaxmocap.hybrid.silhouette import FOREARMS, Sight, drawn_bones
+from jaxmocap.hybrid.silhouette import FOREARMS, Sight
 from jaxmocap.images.background import RunningBackground
 from jaxmocap.images.colours import RunningColours
-from jaxmocap.images.foreground import SURE_ODDS, shrink, shrunk_size
+from jaxmocap.images.foreground import SURE_ODDS, shrink
 from jaxmocap.images.regions import Region
 from jaxmocap.images.silhouette import Grid, blurred
 
@@ -67,12 +67,10 @@ class Seen(NamedTuple):
 
 
 @jax.jit
-def _in_image(skeleton: Skeleton, camera: Camera, pose: Pose) -> tuple[Discs, Array, Array]:
-    """Limbs (K), pixels per metre there, landmarks of the upper half; pixels of the full image."""
-    flesh = cones(skeleton, forward(skeleton, pose), drawn_bones(skeleton.tree))
-    depth = jnp.maximum(jnp.mean(to_camera(camera, flesh.near)[:, 2]), NEAREST_M)
+def _expected(skeleton: Skeleton, camera: Camera, pose: Pose) -> tuple[Discs, Array, Array]:
+    """What ``in_image`` tells, and the upper half's landmarks, pixels of the full image."""
     pixels = project(camera, landmarks(skeleton, pose)[np.array(UPPER)])
-    return project_cones(camera, flesh), camera.matrix[0, 0] / depth, pixels
+    return *in_image(skeleton, camera, pose), pixels
 
 
 class RunningAppearance:
@@ -90,7 +88,6 @@ class RunningAppearance:
         self.forearms = RunningColours()
         self._skeleton, self._camera = skeleton, camera
         self._side, self._ignorant = 0.0, True
-        self._names = [skeleton.tree.bones[bone] for bone in drawn_bones(skeleton.tree)]
 
     def see(self, image: np.ndarray, pose: Pose, softness: float) -> Seen:
         """Look at a frame (H, W[, 3]) uint8 in which the body is expected in a pose.
@@ -116,12 +113,9 @@ class RunningAppearance:
     def _drawing(self, size: tuple[int, int], pose: Pose) -> tuple[Drawing, np.ndarray]:
         """The body in the shrunk image, and its upper half's landmarks in the full one."""
         there = jax.tree.map(lambda part: jnp.asarray(part, float), pose)
-        discs, per_metre, pixels = jax.device_get(_in_image(self._skeleton, self._camera, there))
-        small = shrunk_size(size, ROWS)
-        ratio = np.divide(small, size)
-        near, far = ((end + 0.5) * ratio - 0.5 for end in (discs.near, discs.far))
-        limbs = Discs(near[None], far[None], discs.radii[None] * ratio[0])
-        return Drawing(limbs, np.array([per_metre * ratio[0]]), small, ratio, self._names), pixels
+        limbs, per_metre, pixels = jax.device_get(_expected(self._skeleton, self._camera, there))
+        alone = Discs(*(part[None] for part in limbs)), per_metre[None]
+        return Drawing.shrunk(self._skeleton, *alone, size, ROWS), pixels
 
     def _region(self, pixels: np.ndarray) -> Region:
         """The region about some pixels (K, 2)."""
