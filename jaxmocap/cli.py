@@ -10,12 +10,19 @@ from typing import Any, NoReturn
 
 from jaxmocap import __version__
 from jaxmocap.formats.errors import InputError
+from jaxmocap.setup import arguments as setup_arguments
+from jaxmocap.setup.arguments import positive, with_signs
 
 EXAMPLES = {
     "demo": "jaxmocap demo --out jaxmocap-demo",
     "track": "jaxmocap track recording.toml --out tracked",
     "evaluate": "jaxmocap evaluate tracked truth.trc --match elbow_l=LElbow elbow_r=RElbow",
     "view": "jaxmocap view tracked",
+    "calibrate": "jaxmocap calibrate intrinsics --help",
+    "intrinsics": "jaxmocap calibrate intrinsics board*.jpg --board 4x7 --square 0.06 "
+    "--camera cam_01 --out calibration.toml --pictures checked",
+    "extrinsics": "jaxmocap calibrate extrinsics floor.jpg --board 4x7 --square 0.06 "
+    "--pose 0.5,1.2,0,0,0,90 --camera cam_01 --out calibration.toml --pictures checked",
 }
 
 
@@ -32,7 +39,8 @@ class Parser(argparse.ArgumentParser):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; its exit code."""
-    options = make_parser().parse_args(arguments)
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    options = make_parser().parse_args(with_signs(given))
     try:
         options.run(options)
     except InputError as error:
@@ -64,6 +72,14 @@ def make_parser() -> Parser:
     )
     view_parser = _command(commands, "view", view, "show what track wrote in the rerun viewer")
     view_parser.add_argument("directory", metavar="DIR", help="what track --out was given")
+    calibrate = _command(commands, "calibrate", None, "calibrate a camera by a chessboard")
+    kinds = calibrate.add_subparsers(dest="kind", required=True, metavar="KIND")
+    inside = _command(kinds, "intrinsics", calibrate_intrinsics, "find focal length and lens")
+    outside = _command(kinds, "extrinsics", calibrate_extrinsics, "find where a camera stands")
+    setup_arguments.add_intrinsics(inside)
+    setup_arguments.add_extrinsics(outside)
+    _add_json(inside)
+    _add_json(outside)
     return parser
 
 
@@ -88,7 +104,7 @@ def _add_demo(parser: Parser) -> None:
     parser.add_argument(
         "--out", metavar="DIR", default="jaxmocap-demo", help="default: %(default)s"
     )
-    parser.add_argument("--seconds", type=_positive, default=6.0, help="default: %(default)s")
+    parser.add_argument("--seconds", type=positive, default=6.0, help="default: %(default)s")
     parser.add_argument("--seed", type=int, default=0, help="of person, room, strokes and noise")
     _add_json(parser)
 
@@ -126,7 +142,7 @@ def _add_track(parser: Parser) -> None:
         "--cameras", metavar="A,B", type=_names, help="use these of the recording's cameras"
     )
     parser.add_argument(
-        "--height", metavar="M", type=_positive, help="metres, in place of the [subject]"
+        "--height", metavar="M", type=positive, help="metres, in place of the [subject]"
     )
     parser.set_defaults(mode="own")
     _add_json(parser)
@@ -145,13 +161,6 @@ def _add_evaluate(parser: Parser) -> None:
     )
     parser.add_argument("--up", choices=("y", "z"), default="z", help="the reference's vertical")
     _add_json(parser)
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"found {text}, expected a positive number")
-    return value
 
 
 def _names(text: str) -> list[str]:
@@ -205,6 +214,41 @@ def evaluate(options: argparse.Namespace) -> None:
 
     errors = evaluate_directory(options.directory, options.truth, dict(options.match), options.up)
     _report(options, format_table(errors), errors.as_dict())
+
+
+def calibrate_intrinsics(options: argparse.Namespace) -> None:
+    """Find a camera's intrinsics."""
+    from jaxmocap.setup import calibration_report
+    from jaxmocap.setup.boards import parse_board
+    from jaxmocap.setup.calibrate import calibrate_intrinsics
+
+    board = parse_board(options.board, options.square, options.charuco)
+    found = calibrate_intrinsics(
+        options.paths, board, options.camera, options.out, options.distortions, options.pictures
+    )
+    text, figures = calibration_report.intrinsics_text, calibration_report.intrinsics_figures
+    _report(options, text(found), figures(found))
+
+
+def calibrate_extrinsics(options: argparse.Namespace) -> None:
+    """Find where a camera stands."""
+    from jaxmocap.setup import calibration_report
+    from jaxmocap.setup.placing import calibrate_extrinsics, measured
+
+    seen = measured(
+        options.board,
+        options.square,
+        options.charuco,
+        options.pose,
+        options.origin,
+        options.points,
+        options.up,
+    )
+    found = calibrate_extrinsics(
+        options.image, seen, options.camera, options.out, options.intrinsics, options.pictures
+    )
+    text, figures = calibration_report.extrinsics_text, calibration_report.extrinsics_figures
+    _report(options, text(found), figures(found))
 
 
 def view(options: argparse.Namespace) -> None:

@@ -10,7 +10,7 @@ from jaxmocap.formats.calibration import orthonormal
 from jaxmocap.formats.toml import Fields
 
 # "y" is the cyclic permutation that OpenSim and Pose2Sim use: world = (z, x, y) of the file.
-_UP = {"z": np.eye(3), "y": np.eye(3)[[2, 0, 1]]}
+UP = {"z": np.eye(3), "y": np.eye(3)[[2, 0, 1]]}
 
 
 def read_axes(fields: Fields) -> np.ndarray:
@@ -22,9 +22,9 @@ def read_axes(fields: Fields) -> np.ndarray:
     """
     if "to_world" not in fields:
         up = fields.text("up") if "up" in fields else "z"
-        if up not in _UP:
+        if up not in UP:
             raise fields.error("up", f"found {up!r}, expected 'z' or 'y'")
-        return _UP[up]
+        return UP[up]
     if "up" in fields:
         raise fields.error("", "found both 'up' and 'to_world', expected one of them")
     expected = "a 3 × 3 matrix with unit rows at right angles"

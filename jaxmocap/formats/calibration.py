@@ -1,16 +1,24 @@
-"""Camera calibrations in the TOML layout that anipose and Pose2Sim share.
+"""Camera calibrations in the TOML layout that anipose and Pose2Sim share, or in OpenCV's YAML.
 
 INPUTS: a .toml file with one section per camera: size, matrix, distortions, rotation (Rodrigues
-vector, world to camera), translation (metres, world to camera), fisheye.
-OUTPUTS: Cameras by the name of their section; or such a file.
+vector, world to camera), translation (metres, world to camera), fisheye; or a .yml file.
+OUTPUTS: Cameras by the name of their section, or one camera's Lens; such a .toml file, or one
+section of it replaced.
 """
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
+from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.opencv_yaml import SUFFIXES, read_opencv_yaml
+from jaxmocap.formats.tables import read_bytes
 from jaxmocap.formats.toml import Fields, read_toml, toml_key, write_toml
+from jaxmocap.formats.toml_sections import replace_entries
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import log
 
@@ -19,6 +27,27 @@ METADATA = "metadata"
 # How far R Rᵀ may be from the identity: files print four digits or more.
 ORTHONORMAL = 1e-3
 _COUNTS = [(n,) for n in range(9)]
+_Section = TypeVar("_Section")
+
+
+@dataclass(frozen=True)
+class Lens:
+    """What a camera is, wherever it stands: in double precision, as files hold it.
+
+    Attributes:
+        size: (2,) width and height, pixels.
+        matrix: (3, 3) intrinsic matrix, pixels.
+        distortions: up to 8 of OpenCV's k1 k2 p1 p2 k3 k4 k5 k6.
+    """
+
+    size: np.ndarray
+    matrix: np.ndarray
+    distortions: np.ndarray
+
+    def entries(self) -> dict[str, Any]:
+        """Its fields in a section of the file."""
+        fields = {"size": self.size, "matrix": self.matrix, "distortions": self.distortions}
+        return fields | {"fisheye": False}
 
 
 def read_calibration(path: str | Path) -> dict[str, Camera]:
@@ -28,22 +57,52 @@ def read_calibration(path: str | Path) -> dict[str, Camera]:
         InputError: no such file, no camera in it, or a field that is missing or does not fit.
     """
     path = Path(path)
-    sections = {name: table for name, table in read_toml(path).items() if name != METADATA}
+    sections = _sections(path)
     if not sections:
         raise InputError(path, "found no camera section")
     return {name: _camera(Fields(path, f"[{name}]", table)) for name, table in sections.items()}
 
 
-def pick_camera(path: str | Path, cameras: dict[str, Camera], name: str) -> Camera:
+def read_lens(path: str | Path, name: str) -> Lens:
+    """Read the intrinsics of one camera, which need not have been placed yet.
+
+    Raises:
+        InputError: as above; in an OpenCV file, which holds one camera, the name is not asked for.
+    """
+    path = Path(path)
+    sections = _sections(path)
+    if path.suffix.lower() in SUFFIXES:
+        return _lens(Fields(path, "", next(iter(sections.values()))))
+    table = pick_camera(path, sections, name)
+    return _lens(Fields(path, f"[{name}]", table))
+
+
+def _sections(path: Path) -> dict[str, Any]:
+    if path.suffix.lower() in SUFFIXES:
+        return read_opencv_yaml(path)
+    return {name: table for name, table in read_toml(path).items() if name != METADATA}
+
+
+def pick_camera(path: str | Path, cameras: Mapping[str, _Section], name: str) -> _Section:
     """The camera of that section; InputError lists the sections there are."""
     if name not in cameras:
-        raise InputError(path, f"section [{name}] is missing, found {', '.join(cameras)}")
+        found = f"found {', '.join(cameras)}" if cameras else "found no camera section"
+        raise InputError(path, f"section [{name}] is missing, {found}")
     return cameras[name]
 
 
 def _camera(fields: Fields) -> Camera:
-    if fields.table.get("fisheye", False):
-        raise fields.error("fisheye", "fisheye lenses are not supported yet, expected false")
+    lens = _lens(fields)
+    for key in ("rotation", "translation"):
+        if key not in fields:
+            raise fields.error("", f"{key!r} is missing (jaxmocap calibrate extrinsics finds it)")
+    translation = fields.array("translation", [(3,)], "3 numbers in metres")
+    size = (lens.size[0], lens.size[1])
+    return Camera.create(size, lens.matrix, lens.distortions, _rotation(fields), translation)
+
+
+def _lens(fields: Fields) -> Lens:
+    refuse_fisheye(fields)
     size = fields.array("size", [(2,)], "[width, height] in pixels")
     if (size <= 0).any():
         raise fields.error("size", f"found {size.tolist()}, expected two positive numbers")
@@ -52,10 +111,13 @@ def _camera(fields: Fields) -> Camera:
         if "distortions" in fields
         else np.zeros(0)
     )
-    translation = fields.array("translation", [(3,)], "3 numbers in metres")
-    return Camera.create(
-        (size[0], size[1]), _matrix(fields), distortions, _rotation(fields), translation
-    )
+    return Lens(size, _matrix(fields), distortions)
+
+
+def refuse_fisheye(fields: Fields) -> None:
+    """InputError where a camera's section says that its lens is a fisheye."""
+    if fields.table.get("fisheye", False):
+        raise fields.error("fisheye", "fisheye lenses are not supported yet, expected false")
 
 
 def _matrix(fields: Fields) -> np.ndarray:
@@ -105,3 +167,41 @@ def write_calibration(path: str | Path, cameras: dict[str, Camera]) -> None:
         }
         tables.append((f"[{toml_key(name)}]", entries))
     write_toml(path, tables)
+
+
+def write_camera(path: str | Path, name: str, entries: Mapping[str, Any]) -> None:
+    """Add one camera's section to a calibration file, or replace these entries of it.
+
+    All else in the file stays as it is: other sections, unknown keys, comments.
+
+    Args:
+        path: of the .toml file; it is made where there is none.
+        name: of the section.
+        entries: such as ``Lens.entries()``, or rotation and translation.
+
+    Raises:
+        InputError: the file is there and no TOML, or the name is not a camera's.
+    """
+    path = Path(path)
+    check_writable(path, name)
+    text = ""
+    if path.exists():
+        read_toml(path)
+        text = read_bytes(path).decode("utf-8-sig").replace("\r\n", "\n")
+    try:
+        changed = replace_entries(text, name, {"name": name, **entries})
+    except ValueError as error:
+        raise InputError(path, f"camera {name!r} {error}") from None
+    with replacing(path) as beside:
+        beside.write_text(changed, encoding="utf-8", newline="\n")
+
+
+def check_writable(path: Path, name: str) -> None:
+    """InputError where ``write_camera`` could not write this camera: known before any work."""
+    if path.suffix.lower() != ".toml":
+        raise InputError(path, "cannot be written to, expected a .toml file")
+    if not name or name == METADATA:
+        raise InputError(path, f"found {name!r} as a camera's name, expected another")
+    if path.exists():
+        table = read_toml(path).get(name, {})
+        refuse_fisheye(Fields(path, f"[{name}]", table))

@@ -1,0 +1,1 @@
+"""Before tracking: what must be known of cameras, clocks and people."""

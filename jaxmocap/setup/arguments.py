@@ -1,0 +1,125 @@
+"""What the commands of this room take on the command line, and the text that explains it.
+
+INPUTS: a command's parser. OUTPUTS: the parser with its options; values of options.
+"""
+
+import argparse
+import math
+from collections.abc import Callable
+
+BOARD = """\
+Of a board its inner corners are counted, where four squares meet: a board of 5 x 8 squares is
+--board 4x7. Its x axis runs along the first number, y along the second, z out of the print. Its
+origin is the inner corner at the bottom left when you hold it with x to the right and y up, and
+that end whose two outermost squares are black at the bottom (at the left where the first number is
+odd). Of a ChArUco board: at the bottom left with its markers upright. --pictures draws the axes."""
+POSE = """\
+--pose X,Y,Z,RX,RY,RZ is the board's place in the world: its origin in metres, then its turns in
+degrees about the world's fixed axes, about x first, then y, then z (extrinsic xyz; R = Rz Ry Rx).
+A board that lies on the floor, print up, its axes along the world's, has turns of 0,0,0; one that
+stands upright with y up and its print towards the world's -y has 90,0,0. --points instead is a
+file of columns x,y,z,u,v (or name,x,y,z,u,v): metres in the world, pixels in the picture; at least
+four on a plane, better six or more that are not."""
+# Options whose value may begin with a minus, which is no option then.
+SIGNED = ("--pose", "--origin")
+
+
+def add_intrinsics(parser: argparse.ArgumentParser) -> None:
+    """Options of ``calibrate intrinsics``."""
+    parser.description = f"{parser.description}\n\n{BOARD}"
+    parser.add_argument("paths", metavar="IMAGE|VIDEO", nargs="+", help="10 to 20 views are best")
+    _add_board(parser, required=True)
+    parser.add_argument(
+        "--distortions",
+        type=int,
+        choices=(0, 1, 2, 4, 5),
+        default=4,
+        help="coefficients of the lens to find: none, k1, k1 k2, with p1 p2, with k3; "
+        "default: %(default)s",
+    )
+
+
+def add_extrinsics(parser: argparse.ArgumentParser) -> None:
+    """Options of ``calibrate extrinsics``."""
+    parser.description = f"{parser.description}\n\n{BOARD}\n\n{POSE}"
+    parser.add_argument("image", metavar="IMAGE")
+    place = parser.add_mutually_exclusive_group(required=True)
+    place.add_argument("--pose", metavar="X,Y,Z,RX,RY,RZ", type=_numbers(6), help="of the board")
+    place.add_argument("--points", metavar="POINTS.csv", help="listed points, instead of a board")
+    _add_board(parser, required=False)
+    parser.add_argument(
+        "--origin",
+        metavar="U,V",
+        type=_numbers(2),
+        help="pixel near the board's origin, for boards that look the same when turned",
+    )
+    parser.add_argument(
+        "--up", choices=("y", "z"), default="z", help="vertical axis of what was measured"
+    )
+    parser.add_argument(
+        "--intrinsics", metavar="FILE", help=".toml or OpenCV's .yml; default: what --out holds"
+    )
+
+
+def _add_board(parser: argparse.ArgumentParser, required: bool) -> None:
+    parser.add_argument(
+        "--board", metavar="COLUMNSxROWS", type=_counts, required=required, help="inner corners"
+    )
+    parser.add_argument(
+        "--square", metavar="M", type=positive, required=required, help="its side, metres"
+    )
+    parser.add_argument(
+        "--charuco",
+        metavar="DICT,M",
+        type=_charuco,
+        help="a ChArUco board: its dictionary and the side of a marker, such as 5X5_100,0.045",
+    )
+    parser.add_argument("--camera", metavar="NAME", required=True, help="its section in the file")
+    parser.add_argument(
+        "--out", metavar="CALIBRATION.toml", required=True, help="only that section is changed"
+    )
+    parser.add_argument("--pictures", metavar="DIR", help="draw what was found, to look at")
+
+
+def with_signs(arguments: list[str]) -> list[str]:
+    """Arguments in which ``--pose -1,2,3`` is one, as argparse wants it."""
+    joined: list[str] = []
+    for argument in arguments:
+        if joined and joined[-1] in SIGNED and argument[:2] != "--":
+            joined[-1] += f"={argument}"
+        else:
+            joined.append(argument)
+    return joined
+
+
+def positive(text: str) -> float:
+    """A positive number."""
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a positive number")
+    return value
+
+
+def _counts(text: str) -> tuple[int, int]:
+    columns, _, rows = text.lower().partition("x")
+    if not (columns.isdecimal() and rows.isdecimal()):
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected inner corners such as 4x7")
+    return int(columns), int(rows)
+
+
+def _charuco(text: str) -> tuple[str, float]:
+    dictionary, _, marker = text.partition(",")
+    return dictionary.strip(), positive(marker)
+
+
+def _numbers(count: int) -> Callable[[str], tuple[float, ...]]:
+    def numbers(text: str) -> tuple[float, ...]:
+        try:
+            values = tuple(float(part) for part in text.split(","))
+        except ValueError:
+            values = ()
+        if len(values) != count or not all(map(math.isfinite, values)):
+            raise argparse.ArgumentTypeError(f"found {text!r}, expected {count} numbers")
+        return values
+
+    return numbers

@@ -1,0 +1,130 @@
+"""Whether views of a board are enough: how many, how different, and where in the image.
+
+INPUTS: Views, Intrinsics. OUTPUTS: reasons to refuse, Coverage, words of warning.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from jaxmocap.setup.intrinsics import Intrinsics, View
+from jaxmocap.setup.poses import Pose
+
+# Views that are fewer, or boards all tilted alike within this angle, tell too little.
+FEWEST, MANY, ALIKE_DEG = 5, 10, 10.0
+# A focal length known worse than this part of itself is not known.
+FOCAL_DOUBT = 0.02
+# Two pictures whose corners differ less than this on average show the same, pixels.
+SAME_PX = 1.0
+# A principal point known worse than this part of the image is said to be uncertain.
+CENTRE_DOUBT = 0.002
+# Cells of the image's side into which the coverage is counted, and their names.
+_ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "middle", "right")
+_MASK = 200
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Where in the image boards were seen.
+
+    Attributes:
+        share: of the image that was within a board's corners at least once, 0 to 1.
+        empty: names of the ninths of the image without any corner.
+    """
+
+    share: float
+    empty: tuple[str, ...]
+
+
+def covered(views: Sequence[View], size: tuple[int, int]) -> Coverage:
+    """Coverage of an image of that size by views."""
+    scale = _MASK / max(size)
+    mask = np.zeros((round(size[1] * scale), round(size[0] * scale)), np.uint8)
+    counts = np.zeros((3, 3), int)
+    for view in views:
+        hull = cv2.convexHull((view.pixels_xy * scale).round().astype(np.int32))
+        cv2.fillConvexPoly(mask, hull, 1)
+        column, row = np.clip(3 * view.pixels_xy / size, 0, 2).astype(int).T
+        np.add.at(counts, (row, column), 1)
+    empty = [
+        f"{_ROWS[i]} {_COLUMNS[j]}".replace("middle middle", "middle")
+        for i, j in np.argwhere(counts == 0)
+    ]
+    return Coverage(float(mask.mean()), tuple(empty))
+
+
+def distinct(views: Sequence[View]) -> tuple[list[View], list[str]]:
+    """Views that differ, and the names of those that repeat an earlier one."""
+    kept: list[View] = []
+    repeated = []
+    for view in views:
+        if any(_same(view, other) for other in kept):
+            repeated.append(view.name)
+        else:
+            kept.append(view)
+    return kept, repeated
+
+
+def _same(a: View, b: View) -> bool:
+    if len(a.pixels_xy) != len(b.pixels_xy) or (a.points_board != b.points_board).any():
+        return False
+    return float(np.linalg.norm(a.pixels_xy - b.pixels_xy, axis=-1).mean()) < SAME_PX
+
+
+def too_alike(result: Intrinsics) -> str | None:
+    """Why the views do not determine the camera; None where they do."""
+    spread = tilt_spread([pose for pose, use in _pairs(result) if use and pose])
+    if spread < ALIKE_DEG:
+        return (
+            f"the views are too alike: all boards are parallel within {spread:.0f}°, expected "
+            f"{ALIKE_DEG:.0f}° or more (30° to 45° are better); tilt the board to several sides"
+        )
+    doubt = (result.doubt[:2] / result.values[:2]).max()
+    if not doubt <= FOCAL_DOUBT:
+        return (
+            f"the views are too alike: they leave the focal length open by ±{100 * doubt:.1f} %, "
+            f"expected {100 * FOCAL_DOUBT:.0f} % or less; tilt the board more, to several sides"
+        )
+    return None
+
+
+def tilt_spread(poses: Sequence[Pose]) -> float:
+    """Largest angle between any two boards' normals, degrees."""
+    normals = np.array([pose.matrix[:3, 2] for pose in poses])
+    return float(np.degrees(np.arccos(np.clip(np.abs(normals @ normals.T).min(), 0, 1))))
+
+
+def _pairs(result: Intrinsics) -> list[tuple[Pose | None, bool]]:
+    return list(zip(result.poses, result.used, strict=True))
+
+
+def remarks(result: Intrinsics, coverage: Coverage) -> list[str]:
+    """Plain words on what the figures mean."""
+    said = []
+    few = sum(result.used) < MANY or coverage.empty
+    centre = result.doubt[2:4]
+    if few or centre.max() > CENTRE_DOUBT * max(result.lens.size):
+        said.append(
+            f"the principal point is poorly determined: ± {centre[0]:.1f} and {centre[1]:.1f} "
+            "pixels if the lens is as modelled and the board flat, several times that where they "
+            "are not; a shift of it looks like a turn of the camera, so find the extrinsics with "
+            "these intrinsics, and show the board near all edges of the image, turned and tilted"
+        )
+    ratio = result.jackknife[:4] / result.std[:4]
+    if ratio.max() > 1.5:
+        said.append(
+            "leaving out one view changes the result by more than the corners' noise explains: "
+            "trust the jackknife's standard deviations (the board may be bent, or a view blurred)"
+        )
+    if result.rms > 1.0:
+        said.append(
+            f"{result.rms:.1f} pixels are a lot (0.1 to 0.3 is usual): blurred pictures, a bent "
+            "board, or a fisheye lens, which this model does not describe"
+        )
+    if coverage.empty:
+        said.append(f"no corner was seen at the image's {', '.join(coverage.empty)}")
+    if sum(result.used) < MANY:
+        said.append(f"{sum(result.used)} views are few: 10 to 20 are better")
+    return said

@@ -1,0 +1,228 @@
+"""Placing a camera in the world: the story of the command, from one photograph to a file.
+
+INPUTS: a photograph; a board and where it stands, or listed points; the calibration file.
+OUTPUTS: rotation and translation in the camera's section, a picture to look at, and a Placed that
+tells what was found.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from jaxmocap.capture.video import SIZE_TOLERANCE
+from jaxmocap.formats.axes import UP
+from jaxmocap.formats.calibration import Lens, check_writable, read_lens, write_camera
+from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.points import read_points
+from jaxmocap.setup.boards import Board, parse_board
+from jaxmocap.setup.calibrate import other_counts
+from jaxmocap.setup.corners import Corners, find_corners
+from jaxmocap.setup.drawing import Canvas, magnification, write_canvas
+from jaxmocap.setup.extrinsics import Placement, board_to_world, place, turned_board
+from jaxmocap.setup.pictures import Picture
+
+# Axes are drawn this long where there is no board, metres.
+_AXES_M = 0.5
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Where the board stands, or which points were listed: what the user measured.
+
+    Attributes:
+        board: in the photograph; None with points.
+        pose: of the board in the world: x, y, z in metres, rx, ry, rz in degrees.
+        origin_xy: pixel near the board's origin, for boards that look the same when turned.
+        points: file of points.
+        up: the axis that points up where these were measured, "z" or "y".
+    """
+
+    board: Board | None = None
+    pose: tuple[float, ...] | None = None
+    origin_xy: tuple[float, float] | None = None
+    points: str | Path | None = None
+    up: str = "z"
+
+
+def measured(
+    counts: tuple[int, int] | None,
+    square: float | None,
+    charuco: tuple[str, float] | None,
+    pose: tuple[float, ...] | None,
+    origin_xy: tuple[float, float] | None,
+    points: str | Path | None,
+    up: str = "z",
+) -> Measured:
+    """What the command line holds, checked: either a board with its pose, or points.
+
+    Raises:
+        InputError: a pose without the board that it is of.
+    """
+    if points is not None:
+        return Measured(points=points, up=up)
+    if counts is None or square is None:
+        raise InputError("--pose", "is of a board, expected --board and --square too")
+    return Measured(parse_board(counts, square, charuco), pose, origin_xy, up=up)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """What ``calibrate_extrinsics`` found.
+
+    Attributes:
+        camera: name of its section.
+        image: the photograph's name.
+        names: of the N points or corners.
+        placement: the camera in the world, and residuals.
+        remarks: sentences that a user should see.
+        files: written.
+    """
+
+    camera: str
+    image: str
+    names: tuple[str, ...]
+    placement: Placement
+    remarks: tuple[str, ...]
+    files: tuple[Path, ...]
+
+
+def calibrate_extrinsics(
+    image: str | Path,
+    measured: Measured,
+    camera: str,
+    out: str | Path,
+    intrinsics: str | Path | None = None,
+    pictures: str | Path | None = None,
+) -> Placed:
+    """Place a camera and write its rotation and translation.
+
+    Args:
+        image: a photograph.
+        measured: the board's place, or points.
+        camera: name of the section.
+        out: the calibration file, .toml.
+        intrinsics: file with the camera's intrinsics, .toml or OpenCV's .yml; None: ``out``.
+        pictures: folder for what is drawn, or None.
+
+    Raises:
+        InputError: files that cannot be used, no board, or one whose origin cannot be told.
+    """
+    path, out = Path(image), Path(out)
+    check_writable(out, camera)
+    lens = read_lens(intrinsics or out, camera)
+    picture = Picture(path.name, path)
+    photo = picture.image()
+    said = _check_size(path, photo, lens)
+    T_world_board, names, points_world, pixels_xy = _targets(path, photo, measured)
+    try:
+        placement = place(points_world, pixels_xy, lens)
+    except ArithmeticError as error:
+        raise InputError(measured.points or path, str(error)) from None
+    said += [*placement.remarks, *_advice(placement, T_world_board, names)]
+    drawn = []
+    if pictures is not None:
+        canvas = _draw(
+            photo, picture.name, lens, placement, pixels_xy, T_world_board, measured.board
+        )
+        drawn.append(write_canvas(Path(pictures) / f"{path.stem}_placed.jpg", canvas))
+    place_entries = {
+        "rotation": placement.rotation,
+        "translation": placement.T_cam_world[:3, 3],
+    }
+    given = lens.entries() if intrinsics is not None else {}
+    write_camera(out, camera, given | place_entries)
+    return Placed(camera, path.name, tuple(names), placement, tuple(said), (out, *drawn))
+
+
+def _check_size(path: Path, photo: np.ndarray, lens: Lens) -> list[str]:
+    """A remark where the photograph is a little narrower than the calibration, as for videos."""
+    size, expected = np.array(photo.shape[1::-1]), lens.size
+    if (size == expected).all():
+        return []
+    found = f"is {size[0]} × {size[1]}, the calibration {expected[0]:g} × {expected[1]:g} pixels"
+    if (np.abs(size - expected) > SIZE_TOLERANCE * expected).any():
+        raise InputError(path, f"{found}, expected the same camera and the same resolution")
+    return [f"{path.name} {found}: taken as cropped on the right and at the bottom"]
+
+
+def _targets(
+    path: Path, photo: np.ndarray, measured: Measured
+) -> tuple[np.ndarray | None, list[str], np.ndarray, np.ndarray]:
+    """T_world_board (None with points), names, (N, 3) points in the world, (N, 2) pixels."""
+    R_world_file = UP[measured.up]
+    if measured.points is not None:
+        names, points, pixels_xy = read_points(measured.points)
+        return None, names, points @ R_world_file.T, pixels_xy
+    board = measured.board
+    if board is None or measured.pose is None:
+        raise InputError(path, "needs a board and its pose, or a file of points")
+    corners = find_corners(photo, board)
+    if corners is None:
+        hint = other_counts([Picture(path.name, path)], board)
+        raise InputError(path, f"found no {board.label} board{hint}")
+    pixels_xy = _ordered(path, corners, measured.origin_xy)
+    T_file_board = board_to_world(measured.pose)
+    T_world_file = np.eye(4)
+    T_world_file[:3, :3] = R_world_file
+    T_world_board = T_world_file @ T_file_board
+    points_world = corners.points_board @ T_world_board[:3, :3].T + T_world_board[:3, 3]
+    names = [f"corner {i}" for i in range(1, len(points_world) + 1)]
+    return T_world_board, names, points_world, pixels_xy
+
+
+def _ordered(path: Path, corners: Corners, origin_xy: tuple[float, float] | None) -> np.ndarray:
+    """Pixels in the board's order; with a board that looks the same turned, the user tells."""
+    orders = [corners.pixels_xy, *corners.orders]
+    if len(orders) == 1:
+        return orders[0]
+    if origin_xy is None:
+        places = " or ".join(f"--origin {x:.0f},{y:.0f}" for x, y in (o[0] for o in orders))
+        raise InputError(
+            path,
+            "the board looks the same when it is turned (both counts even, or both odd), so its "
+            f"origin cannot be told: say where in the picture it is, {places}",
+        )
+    return min(orders, key=lambda order: float(np.linalg.norm(order[0] - origin_xy)))
+
+
+def _advice(placement: Placement, T_world_board: np.ndarray | None, names: list[str]) -> list[str]:
+    said = []
+    if T_world_board is not None:
+        advice = turned_board(placement.T_cam_world, T_world_board)
+        said += [advice] if advice else []
+    elif placement.remarks:
+        said.append("are the points in the world's axes (Z up, or --up y), and pixels unmirrored?")
+    for i in np.flatnonzero(~placement.used):
+        off = np.linalg.norm(placement.residuals_xy[i])
+        said.append(f"{names[i]} was left out: {off:.0f} pixels from where the others put it")
+    if placement.rms > 3:
+        said.append(f"{placement.rms:.1f} pixels are a lot: the picture shows which points are off")
+    return said
+
+
+def _draw(
+    photo: np.ndarray,
+    name: str,
+    lens: Lens,
+    placement: Placement,
+    pixels_xy: np.ndarray,
+    T_world_board: np.ndarray | None,
+    board: Board | None,
+) -> Canvas:
+    times = magnification(placement.rms, (photo.shape[1], photo.shape[0]))
+    canvas = Canvas(photo)
+    x, y, z = placement.position_world
+    canvas.title(name)
+    canvas.title(f"camera at ({x:.2f}, {y:.2f}, {z:.2f}) m, {placement.rms:.2f} px RMS")
+    canvas.title(f"residuals x {times}")
+    if T_world_board is not None and board is not None:
+        canvas.corners(pixels_xy)
+        T_cam_board = placement.T_cam_world @ T_world_board
+        canvas.axes(T_cam_board, lens, 2 * board.square, "board")
+    for pixel in pixels_xy:
+        canvas.dot(pixel, (90, 230, 90), 5, 1)
+    canvas.residuals(pixels_xy, placement.residuals_xy, times)
+    if T_world_board is None or np.abs(T_world_board - np.eye(4)).max() > 1e-6:
+        canvas.axes(placement.T_cam_world, lens, _AXES_M, "world")
+    return canvas
