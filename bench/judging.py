@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.clips import Clip
 from jaxmocap.body.motion import Motion
-from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.capture.timeline import Mode
 from jaxmocap.evaluation.calm import Calm, calmness
 from jaxmocap.evaluation.errors import Errors
@@ -141,7 +141,7 @@ def sureness_of(motion: Motion, clip: Clip) -> Sureness | None:
         return None
     errors = evaluate(motion, clip.truth, clip.landmarks)
     rows = np.searchsorted(motion.times, errors.times)
-    columns = [list(LANDMARKS).index(name) for name in clip.landmarks]
+    columns = landmark_rows(clip.landmarks)
     from_prior = np.asarray(getattr(motion.report, "from_prior", np.zeros(deviations.shape[:2])))
     return Sureness(
         errors.joints, errors.offsets, deviations[rows][:, columns], from_prior[rows][:, columns]

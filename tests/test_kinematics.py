@@ -138,6 +138,18 @@ def test_landmarks_of_the_reference_are_those_of_the_body():
     assert list(reference.LANDMARK_ENDS) == list(LANDMARKS)
 
 
+def test_joined_sites_are_where_they_were_apart(skeleton):
+    ankles = kinematics.landmark_sites(skeleton, ("ankle_r", "ankle_l"))
+    frames = FORWARD(skeleton, relaxed_pose(skeleton))
+    both, first, second = (
+        kinematics.site_positions(skeleton, frames, sites)
+        for sites in (kinematics.joined_sites(ankles, device_sites()), ankles, device_sites())
+    )
+    np.testing.assert_array_equal(both, np.concatenate([first, second]))
+    none = kinematics.joined_sites(ankles, kinematics.landmark_sites(skeleton, ()))
+    np.testing.assert_array_equal(none.bones, ankles.bones)
+
+
 def test_a_standing_body_has_its_landmarks_where_table_1_puts_them(skeleton64):
     with double():
         standing = Pose(jnp.zeros(3), jnp.eye(4)[0], jnp.zeros(21))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from conftest import double
 
-from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton
+from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, ROOT_DOF, Skeleton, landmark_rows
 
 # Table 1 as printed: length in millimetres, mass in grams, degrees of freedom.
 TABLE_1 = {
@@ -148,6 +148,15 @@ def test_unknown_names_are_answered_with_the_valid_ones(skeleton):
         skeleton.tree.bone("ulna_l")
     with pytest.raises(KeyError, match=r"unknown joint 'wrist'; the joints are spine1_flexion, "):
         skeleton.tree.joint("wrist")
+
+
+def test_landmarks_are_found_by_name_and_unknown_ones_answered_with_the_valid_ones():
+    rows = landmark_rows(["wrist_r", "neck"])
+    assert [list(LANDMARKS)[row] for row in rows] == ["wrist_r", "neck"]
+    assert [list(LANDMARKS)[row] for row in ELBOWS] == ["elbow_l", "elbow_r"]
+    assert rows.dtype == np.int32 and landmark_rows([]).shape == (0,)
+    with pytest.raises(KeyError, match="'ellbow'; the landmarks are pelvis, neck"):
+        landmark_rows(["ellbow"])
 
 
 def test_landmarks_lie_on_bones(skeleton):

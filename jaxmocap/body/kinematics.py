@@ -126,6 +126,15 @@ def landmark_sites(skeleton: Skeleton, names: tuple[str, ...] = tuple(LANDMARKS)
     return Sites(bones, at, jnp.zeros((len(names), 3), at.dtype))
 
 
+def joined_sites(first: Sites, second: Sites) -> Sites:
+    """The points of both, in this order."""
+    return Sites(
+        np.concatenate([first.bones, second.bones]),
+        jnp.concatenate([first.at, second.at]),
+        jnp.concatenate([first.offsets, second.offsets]),
+    )
+
+
 def landmarks(skeleton: Skeleton, pose: Pose) -> Array:
     """Positions (L, 3) of all ``LANDMARKS``, in their order, world, metres."""
     return site_positions(skeleton, forward(skeleton, pose), landmark_sites(skeleton))

@@ -6,6 +6,7 @@ gradients reach lengths, masses, diameters, costs and limits.
 """
 
 import tomllib
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from importlib import resources
@@ -40,6 +41,23 @@ LANDMARKS: dict[str, tuple[str, float]] = _CENTRAL | {
     for name, (bone, at) in _PAIRED.items()
     for side in "lr"
 }
+
+
+def landmark_rows(names: Iterable[str]) -> np.ndarray:
+    """Where the named landmarks are among all ``LANDMARKS``, (K,) int32.
+
+    Raises:
+        KeyError: no such landmark; the message lists the valid ones.
+    """
+    rows, known = [], list(LANDMARKS)
+    for name in names:
+        if name not in LANDMARKS:
+            raise KeyError(f"unknown landmark {name!r}; the landmarks are {', '.join(known)}")
+        rows.append(known.index(name))
+    return np.array(rows, np.int32)
+
+
+ELBOWS = landmark_rows(("elbow_l", "elbow_r"))
 
 
 # Indices that are kept are int32: JAX remembers an int64 array as it was first seen, and a change

@@ -18,7 +18,14 @@ from jax import Array
 from jax.custom_derivatives import SymbolicZero
 
 from jaxmocap.body.flesh import Cones
-from jaxmocap.body.kinematics import Sites, forward, jacobian, landmark_sites, site_positions
+from jaxmocap.body.kinematics import (
+    Sites,
+    forward,
+    jacobian,
+    joined_sites,
+    landmark_sites,
+    site_positions,
+)
 from jaxmocap.body.pose import Pose, beyond_limits, retract
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera
@@ -151,12 +158,7 @@ def prior_deviations(skeleton: Skeleton, settings: GradientSettings) -> Array:
 def body_sites(skeleton: Skeleton, goals: Goals) -> Sites:
     """Shoulder, elbow, wrist and tip of the left and the right arm, then the goals' points."""
     names = [f"{name}_{side}" for side in SIDES for name in ("shoulder", "elbow", "wrist", "hand")]
-    own, more = landmark_sites(skeleton, tuple(names)), goals.sites
-    return Sites(
-        np.concatenate([own.bones, more.bones]),
-        jnp.concatenate([own.at, more.at]),
-        jnp.concatenate([own.offsets, more.offsets]),
-    )
+    return joined_sites(landmark_sites(skeleton, tuple(names)), goals.sites)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))

@@ -22,7 +22,7 @@ from jaxmocap.body.flesh import Cones, cones, project_cones
 from jaxmocap.body.kinematics import Sites, forward
 from jaxmocap.body.pose import Pose, beyond_limits
 from jaxmocap.body.proportions import scaled
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.skeleton import ELBOWS, Skeleton
 from jaxmocap.geometry.cameras import Camera, to_camera
 from jaxmocap.geometry.outlines import Discs, Touch, depth_along, touch
 from jaxmocap.geometry.rotations import compose, exp
@@ -105,8 +105,7 @@ def _off_lines(problem: Problem, seen: np.ndarray, elbows: np.ndarray) -> np.nda
     if problem.known.lines is None:
         return 0.0
     origin, ways, sure = (np.asarray(part)[seen] for part in problem.known.lines)
-    which = [list(LANDMARKS).index(f"elbow_{side}") for side in SIDES]
-    lines = Lines(origin[:, None], ways[:, None, :, which], sure[:, None, :, which])
+    lines = Lines(origin[:, None], ways[:, None, :, ELBOWS], sure[:, None, :, ELBOWS])
     places = jnp.asarray(elbows.swapaxes(1, 2), float)
     off = line_residuals(places, lines, problem.settings.keypoints)
     return np.asarray(jnp.sum(off**2, (-3, -1)) / 2).swapaxes(1, 2)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.skeleton import LANDMARKS, landmark_rows
 from jaxmocap.geometry.cameras import Camera, pixel_rays
 
 # Degrees of freedom: beyond some deviations a point is taken for a wrong one, and hardly pulls.
@@ -45,7 +45,7 @@ def lines_of_sight(
         pixels_xy: (T, P, 2); NaN where missing.
         confidences: (T, P).
     """
-    count, columns = len(pixels_xy), [list(LANDMARKS).index(name) for name in landmarks]
+    count, columns = len(pixels_xy), landmark_rows(landmarks)
     T_cam_world = np.asarray(camera.T_cam_world, float)
     origin = np.tile(-T_cam_world[:3, :3].T @ T_cam_world[:3, 3], (count, 1))
     ways, sure = np.full((count, len(LANDMARKS), 3), np.nan), np.zeros((count, len(LANDMARKS)))

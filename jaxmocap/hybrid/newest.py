@@ -16,7 +16,7 @@ import numpy as np
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.proportions import PROPORTIONS
-from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.skeleton import ELBOWS, LANDMARKS
 from jaxmocap.hybrid.batches import in_batches
 from jaxmocap.hybrid.residuals import Known
 from jaxmocap.hybrid.running_appearance import Seen
@@ -36,7 +36,6 @@ STEP = Settings(iterations=1, attempts=4, relative=1e-3)
 SEVERAL = STEP._replace(iterations=3)
 # Events per call, so that they compile once.
 EVENTS_A_CALL = 8
-ELBOWS = np.array([list(LANDMARKS).index(f"elbow_{side}") for side in "lr"])
 
 
 @dataclass

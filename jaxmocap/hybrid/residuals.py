@@ -20,7 +20,7 @@ from jaxmocap.body.kinematics import (
 )
 from jaxmocap.body.pose import Pose, beyond_limits
 from jaxmocap.body.proportions import scaled
-from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton
+from jaxmocap.body.skeleton import ELBOWS, ROOT_DOF, Skeleton, landmark_rows
 from jaxmocap.geometry.rotations import HIGHEST, hat, quaternion_to_matrix
 from jaxmocap.hybrid.keypoints import Lines, line_residuals
 from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
@@ -31,7 +31,6 @@ EASE = {
     "hip_flexion": 40, "hip": 25, "knee": 60,
 }  # fmt: skip
 GROUND = ("ankle_l", "ankle_r")
-ELBOWS = ("elbow_l", "elbow_r")
 # Bones whose markers hold a foot.
 FEET = ("tibia", "foot")
 # Of both elbows, where no hypothesis puts them anywhere.
@@ -153,7 +152,7 @@ def _answers(
     skeleton: Skeleton, settings: SmoothingSettings, known: Known, placed: Placed
 ) -> Array:
     """The residuals (R,) of a body that is placed."""
-    ankles, elbows = (placed.landmarks[_which(names)] for names in (GROUND, ELBOWS))
+    ankles, elbows = (placed.landmarks[rows] for rows in (landmark_rows(GROUND), ELBOWS))
     R = placed.R_world_pelvis
     turned = jnp.cross(R[:, 0], known.facing)[2]
     facing = settings.facing * (1 + (UNFOOTED - 1) * known.feet)
@@ -170,10 +169,6 @@ def _answers(
     if known.lines is not None:
         parts.append(line_residuals(placed.landmarks, known.lines, settings.keypoints))
     return jnp.concatenate([part.ravel() for part in parts])
-
-
-def _which(names: tuple[str, ...]) -> np.ndarray:
-    return np.array([list(LANDMARKS).index(name) for name in names])
 
 
 def _off(points: Array, targets: Array | np.ndarray) -> Array:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import Sites, forward, site_positions
+from jaxmocap.body.kinematics import Sites, forward, joined_sites, landmark_sites, site_positions
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix, rotate
@@ -82,14 +82,8 @@ def effectors(skeleton: Skeleton, markers: Sites) -> Effectors:
     """Markers, and the ankles of those feet that carry no marker on tibia or foot."""
     bones = {skeleton.tree.bones[bone] for bone in markers.bones}
     held = tuple(s for s in SIDES if not bones & {f"tibia_{s}", f"foot_{s}"})
-    feet = np.array([skeleton.tree.bone(f"foot_{side}") for side in held], np.int32)
-    zeros = jnp.zeros(len(held), markers.at.dtype)
-    sites = Sites(
-        np.concatenate([markers.bones, feet]),
-        jnp.concatenate([markers.at, zeros]),
-        jnp.concatenate([markers.offsets, jnp.zeros((len(held), 3), markers.at.dtype)]),
-    )
-    return Effectors(sites, held)
+    ankles = landmark_sites(skeleton, tuple(f"ankle_{side}" for side in held))
+    return Effectors(joined_sites(markers, ankles), held)
 
 
 def replant(

@@ -4,6 +4,7 @@ INPUTS: poses and what their solve or their steps tell of them. OUTPUTS: Judged.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -11,15 +12,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import forward, site_positions
+from jaxmocap.body.kinematics import Sites, forward, site_positions
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.hybrid.arms import arms_of
+from jaxmocap.hybrid.batches import in_batches
 from jaxmocap.hybrid.refine import swivels
 from jaxmocap.hybrid.search import confidence_of
 from jaxmocap.hybrid.tracker import HybridTracker, StepReport
 
-ELBOWS = tuple(list(LANDMARKS).index(f"elbow_{side}") for side in "lr")
+# Events per call, so that they compile once.
+EVENTS_A_CALL = 64
 
 
 class Judged(NamedTuple):
@@ -62,17 +65,27 @@ def judge(
         alone: poses of the markers alone.
         markers_world: (E, M, 3) metres; NaN where missing.
     """
+    each = poses, alone, markers_world
+    each = jax.tree.map(lambda part: np.asarray(part, tracker.dtype), each)
+    call = partial(_distances, person, tracker.skeleton, tracker.markers, tracker.grips)
+    distances, turned = in_batches(call, each, EVENTS_A_CALL)
+    return Judged(distances, turned, *trust)
+
+
+@jax.jit
+def _distances(
+    person: Skeleton, first: Skeleton, markers: Sites, grips: Sites,
+    poses: Pose, alone: Pose, targets: Array,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Of a batch of events: the markers' distances, the elbows' turns."""
 
     def of_event(pose: Pose, before: Pose, targets: Array) -> tuple[Array, Array]:
-        bones, bones_before = forward(person, pose), forward(tracker.skeleton, before)
-        off = site_positions(person, bones, tracker.markers) - targets
-        first = arms_of(tracker.skeleton, bones_before, tracker.grips)
-        arms = first, arms_of(person, bones, tracker.grips)
+        bones = forward(person, pose)
+        off = site_positions(person, bones, markers) - targets
+        arms = arms_of(first, forward(first, before), grips), arms_of(person, bones, grips)
         return jnp.sqrt(jnp.sum(off**2, -1)), swivels(*arms)
 
-    every = jax.tree.map(lambda part: jnp.asarray(part, float), (poses, alone, markers_world))
-    distances, turned = jax.device_get(jax.jit(jax.vmap(of_event))(*every))
-    return Judged(distances, turned, *trust)
+    return jax.vmap(of_event)(poses, alone, targets)
 
 
 def judge_steps(reports: Sequence[StepReport]) -> Judged:

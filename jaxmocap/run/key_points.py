@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.capture.keypoints import (
     Keypoints,
     follow_person,
@@ -77,7 +77,7 @@ def _lines(
     marked = marked_landmarks(recording, names, timeline.event_times)
     # Markers tell the person more surely than a pose, where they sit on enough of the landmarks.
     enough = np.isfinite(marked).all(-1).sum(1) >= 2
-    posed = points_world[:, [list(LANDMARKS).index(name) for name in names]]
+    posed = points_world[:, landmark_rows(names)]
     known = np.where(enough[:, None, None], marked, posed)
     known[frames < 0] = np.nan
     at_events = replace(

@@ -22,7 +22,7 @@ from scipy.ndimage import gaussian_filter1d
 from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.proportions import PROPORTIONS, scaled
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.skeleton import Skeleton, landmark_rows
 from jaxmocap.capture.timeline import Timeline
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.geometry.cameras import Camera
@@ -31,7 +31,7 @@ from jaxmocap.hybrid.appearance import ROWS, Drawing, learn_appearance, see, upp
 from jaxmocap.hybrid.fixed_lag import Given
 from jaxmocap.hybrid.hypotheses import elbow_goals
 from jaxmocap.hybrid.keypoints import Lines
-from jaxmocap.hybrid.residuals import NO_GOALS, Known, feet_free
+from jaxmocap.hybrid.residuals import GROUND, NO_GOALS, Known, feet_free
 from jaxmocap.hybrid.smoothing import Problem, Sights, smooth_poses
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.hybrid.trajectory import TURN, UNTURNED, Trajectory, all_turned
@@ -208,7 +208,7 @@ def _known(tracker: HybridTracker, first_pass: FirstPass) -> Known:
     ahead = ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
     facing = np.pad(ahead, ((0, 0), (0, 1)))
     points = landmarks_over_time(tracker.skeleton, alone)
-    ankles = points[:, [list(LANDMARKS).index(name) for name in ("ankle_l", "ankle_r")]]
+    ankles = points[:, landmark_rows(GROUND)]
     feet = np.full(len(times), feet_free(tracker.skeleton, tracker.markers))
     goals = np.full((len(times), *NO_GOALS.shape), np.nan)
     known = Known(
