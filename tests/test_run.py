@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from small_recording import (
@@ -17,6 +18,7 @@ from small_recording import (
     with_frames,
 )
 
+from jaxmocap.body.motion import Motion
 from jaxmocap.capture.video import open_video
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.formats.errors import InputError
@@ -24,6 +26,7 @@ from jaxmocap.formats.markers import read_markers
 from jaxmocap.formats.npz import load_motion
 from jaxmocap.formats.recording import Recording
 from jaxmocap.formats.tables import Markers
+from jaxmocap.geometry.cameras import turned
 from jaxmocap.hybrid.fixed_lag import DELAY_S
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.run import statuses
@@ -311,6 +314,29 @@ def test_the_overlay_has_every_frame(written):
         stream = video.streams.video[0]
         assert sum(1 for _ in video.decode(stream)) == FRAMES
         assert (stream.width, stream.height) == (96, 72)
+
+
+def test_the_overlay_is_drawn_by_the_camera_as_it_was_found(written, tracked, tmp_path):
+    """As by a camera that is calibrated there: eight pixels beside where this one is."""
+    import av
+
+    def drawn(folder) -> np.ndarray:
+        with av.open(str(folder / "overlay.mp4")) as video:
+            return np.stack([frame.to_ndarray(format="gray") for frame in video.decode(video=0)])
+
+    def told(turns) -> Motion:
+        settings = {**tracked.motion.report.settings, "camera_turns_deg": turns}
+        return replace(tracked.motion, report=replace(tracked.motion.report, settings=settings))
+
+    turn, recording = [0.0, 5.0, 0.0], small_recording()
+    (source,) = recording.videos
+    away = turned(source.camera, jnp.radians(jnp.array(turn)))
+    elsewhere = replace(recording, videos=(replace(source, camera=away),))
+    write_outputs(told({"cam": turn}), recording, tmp_path / "found")
+    write_outputs(told({}), elsewhere, tmp_path / "calibrated")
+    expected = drawn(tmp_path / "calibrated")
+    np.testing.assert_array_equal(drawn(tmp_path / "found"), expected)
+    assert (np.abs(drawn(written).astype(int) - expected) > 50).any(0).sum() > 200
 
 
 def test_with_two_cameras_each_has_its_overlay(tracked, tmp_path):

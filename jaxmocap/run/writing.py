@@ -6,8 +6,10 @@ OUTPUTS: joints.trc, motion.npz, report.json, recording.rrd, and overlay.mp4 whe
 
 import os
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -15,9 +17,9 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.capture.video import Frame, FrameSource
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.npz import save_motion
-from jaxmocap.formats.recording import Recording
+from jaxmocap.formats.recording import Recording, VideoSource
 from jaxmocap.formats.trc import write_trc
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import Camera, turned
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.images.edges import Thresholds, edge_image, gradients
 from jaxmocap.images.regions import Region, crop, region_around
@@ -60,7 +62,7 @@ def write_outputs(
     settings: Settings | None = None,
     progress: Progress | bool | None = None,
 ) -> list[Path]:
-    """Write all files of a tracked recording.
+    """Write all files of a tracked recording, drawn by its cameras as they were found.
 
     Args:
         motion: tracked from the recording.
@@ -74,6 +76,7 @@ def write_outputs(
     """
     folder = make_folder(directory)
     videos, warnings = open_footage(recording)
+    recording = as_found(recording, motion)
     files = [folder / name for name in ("joints.trc", "motion.npz", "report.json")]
     write_trc(files[0], motion.times, motion.joints())
     save_motion(files[1], motion)
@@ -95,6 +98,20 @@ def write_outputs(
         }
         write_rerun(files[-1], motion, footage, targets)
     return files
+
+
+def as_found(recording: Recording, motion: Motion) -> Recording:
+    """The recording with its cameras turned by what the motion's report says of them."""
+    told = {} if motion.report is None else motion.report.settings.get("camera_turns_deg", {})
+
+    def found(source: VideoSource) -> VideoSource:
+        if source.camera_name not in told:
+            return source
+        camera = jax.tree.map(jnp.asarray, source.camera)
+        turn_cam = jnp.asarray(np.radians(told[source.camera_name]), camera.T_cam_world.dtype)
+        return replace(source, camera=turned(camera, turn_cam))
+
+    return replace(recording, videos=tuple(map(found, recording.videos)))
 
 
 def _write_overlays(
