@@ -21,8 +21,8 @@ _NAMES = {
     "translation": ("tvec", "T", "translation"),
 }
 _ENTRY = re.compile(r"(\s*)([\w.]+)\s*:\s*(.*)")
-_TAG = "!!opencv-matrix"
-_MATRIX = ("rows", "cols", "dt", "data")
+_TAGS = ("!!opencv-matrix", "!!opencv-nd-matrix")
+_MATRIX = ("rows", "cols", "sizes", "dt", "data")
 
 
 def read_opencv_yaml(path: str | Path) -> dict[str, dict[str, Any]]:
@@ -59,7 +59,7 @@ def _entries(path: Path) -> dict[str, Any]:
         if found and not found[1]:
             key, text = found[2], found[3]
             # A matrix, or another map: what is indented belongs to it.
-            inside = {} if text in ("", _TAG) else None
+            inside = {} if text in ("", *_TAGS) else None
             entries[key] = text if inside is None else inside
             last = (entries, key)
         elif found and inside is not None and found[2] in _MATRIX:
@@ -93,7 +93,12 @@ def _matrix(path: Path, name: str, entry: Any, flat: bool) -> list:
     fields = entry if isinstance(entry, dict) else {}
     text = fields.get("data", "").strip()
     try:
-        rows, columns = int(fields["rows"]), int(fields["cols"])
+        # OpenCV 5 writes a vector with its sizes only.
+        rows, columns = (
+            (1, int(fields["sizes"].strip("[] ")))
+            if "sizes" in fields
+            else (int(fields["rows"]), int(fields["cols"]))
+        )
         if not (text.startswith("[") and text.endswith("]")):
             raise ValueError
         data = [float(number) for number in text[1:-1].split(",") if number.strip()]

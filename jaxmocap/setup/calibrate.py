@@ -18,7 +18,7 @@ from jaxmocap.formats.toml import read_toml
 from jaxmocap.setup.boards import Board
 from jaxmocap.setup.corners import find_coarsely, find_corners
 from jaxmocap.setup.coverage import FEWEST, Coverage, covered, distinct, remarks, too_alike
-from jaxmocap.setup.drawing import Canvas, draw_coverage, magnification, write_canvas
+from jaxmocap.setup.drawing import LEGEND, Canvas, draw_coverage, magnification, write_canvas
 from jaxmocap.setup.intrinsics import PARAMETERS, Intrinsics, View, calibrate
 from jaxmocap.setup.pictures import Picture, open_pictures
 from jaxmocap.setup.poses import tilt
@@ -104,14 +104,14 @@ def calibrate_intrinsics(
         result = calibrate(views, size, coefficients)
     except ArithmeticError as error:
         raise InputError(where, f"the views determine no camera: {error}") from None
+    if (why := too_alike(result)) is not None:
+        raise InputError(where, why)
     used = [view for view, use in zip(views, result.used, strict=True) if use]
     if len(used) < FEWEST:
         others = ", ".join(v.name for v, use in zip(views, result.used, strict=True) if not use)
         raise InputError(
             where, f"only {len(used)} views agree, expected {FEWEST} or more; not with: {others}"
         )
-    if (why := too_alike(result)) is not None:
-        raise InputError(where, why)
     coverage = covered(used, size)
     said = [*said, *remarks(result, coverage), *_changes(result, before, placed)]
     calibrated = Calibrated(
@@ -247,7 +247,7 @@ def _draw(calibrated: Calibrated, shown: Sequence[Picture], folder: Path) -> lis
                 canvas.title(f"{pose.rms:.2f} px RMS, tilt {tilt(pose):.0f} degrees")
                 canvas.residuals(view.pixels_xy, pose.residuals_xy, times if use else 1)
                 canvas.axes(pose.matrix, lens, 2 * calibrated.board.square, "origin")
-            canvas.title(f"residuals x {times}" if use else "LEFT OUT, residuals x 1")
+            canvas.title(LEGEND.format(times) if use else f"LEFT OUT, {LEGEND.format(1)}")
         else:
             again = picture.name in calibrated.repeated
             canvas.title("the same as an earlier one" if again else "NO BOARD FOUND")

@@ -13,7 +13,7 @@ from jaxmocap.setup.boards import Board
 
 _FAST = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
 _THOROUGH = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
-# What the sector-based detector is asked for in turn, the quick first.
+# What the sector-based detector is asked for in turn, the quick first; the last in a crop only.
 _SECTORS = (0, _THOROUGH, _THOROUGH | cv2.CALIB_CB_ACCURACY)
 # A crop reaches this part of the board's extent beyond its outermost inner corners.
 _MARGIN = 0.25
@@ -87,7 +87,7 @@ def _find_chessboard(grey: np.ndarray, board: Board) -> np.ndarray | None:
         right, bottom = (high + margin).astype(int) + 1
     crop = np.ascontiguousarray(grey[top:bottom, left:right])
     answers = []
-    for flags in _SECTORS:
+    for flags in _SECTORS if found else _SECTORS[:2]:
         sure, pixels = cv2.findChessboardCornersSB(crop, size, flags=flags)
         if sure:
             answers.append(pixels.reshape(-1, 2).astype(float) + np.array([left, top]))

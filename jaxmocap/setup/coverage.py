@@ -10,10 +10,9 @@ import cv2
 import numpy as np
 
 from jaxmocap.setup.intrinsics import Intrinsics, View
-from jaxmocap.setup.poses import Pose
 
-# Views that are fewer, or boards all tilted alike within this angle, tell too little.
-FEWEST, MANY, ALIKE_DEG = 5, 10, 10.0
+# Fewer views are refused, fewer than many are said to be few.
+FEWEST, MANY = 5, 10
 # A focal length known worse than this part of itself is not known.
 FOCAL_DOUBT = 0.02
 # Two pictures whose corners differ less than this on average show the same, pixels.
@@ -74,30 +73,18 @@ def _same(a: View, b: View) -> bool:
 
 
 def too_alike(result: Intrinsics) -> str | None:
-    """Why the views do not determine the camera; None where they do."""
-    spread = tilt_spread([pose for pose, use in _pairs(result) if use and pose])
-    if spread < ALIKE_DEG:
-        return (
-            f"the views are too alike: all boards are parallel within {spread:.0f}°, expected "
-            f"{ALIKE_DEG:.0f}° or more (30° to 45° are better); tilt the board to several sides"
-        )
-    doubt = (result.doubt[:2] / result.values[:2]).max()
-    if not doubt <= FOCAL_DOUBT:
-        return (
-            f"the views are too alike: they leave the focal length open by ±{100 * doubt:.1f} %, "
-            f"expected {100 * FOCAL_DOUBT:.0f} % or less; tilt the board more, to several sides"
-        )
-    return None
+    """Why the views do not determine the camera; None where they do.
 
-
-def tilt_spread(poses: Sequence[Pose]) -> float:
-    """Largest angle between any two boards' normals, degrees."""
-    normals = np.array([pose.matrix[:3, 2] for pose in poses])
-    return float(np.degrees(np.arccos(np.clip(np.abs(normals @ normals.T).min(), 0, 1))))
-
-
-def _pairs(result: Intrinsics) -> list[tuple[Pose | None, bool]]:
-    return list(zip(result.poses, result.used, strict=True))
+    Boards that are all parallel, however far apart, leave the focal length open.
+    """
+    doubt = 100 * (result.doubt[:2] / result.values[:2]).max()
+    if doubt <= 100 * FOCAL_DOUBT:
+        return None
+    shown = f"± {doubt:.1f} %" if doubt < 100 else "more than itself"
+    return (
+        f"the views are too alike: they leave the focal length open by {shown}, expected "
+        f"{100 * FOCAL_DOUBT:.0f} % or less; tilt the board by 30° to 45°, to several sides"
+    )
 
 
 def remarks(result: Intrinsics, coverage: Coverage) -> list[str]:

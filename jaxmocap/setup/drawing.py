@@ -16,6 +16,7 @@ from jaxmocap.formats.calibration import Lens
 # BGR.
 SEEN, REPROJECTED, RESIDUAL = (90, 230, 90), (60, 60, 255), (0, 220, 255)
 AXES = {"x": (60, 60, 255), "y": (90, 230, 90), "z": (255, 150, 50)}
+LEGEND = "green: seen, red: reprojected, yellow: residuals x {}"
 WHITE, GREY = (255, 255, 255), (70, 70, 70)
 # Longer side of what is drawn, pixels, and the fixed point of OpenCV's drawing.
 _LONGEST, _SHIFT = 1400, 4
@@ -95,7 +96,7 @@ class Canvas:
         origin, *ends = pixels.reshape(-1, 2)
         for end, (axis, colour) in zip(ends, AXES.items(), strict=True):
             self.line(origin, end, colour, 3)
-            self.text(axis, end + 6, colour)
+            self.text(axis, end + 6, WHITE)
         self.dot(origin, WHITE, 5)
         self.text(name, origin + 10, WHITE)
 

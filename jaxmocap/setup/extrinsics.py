@@ -22,6 +22,8 @@ AMBIGUOUS = 2.0
 _LINE = 1e-3
 # With at least this many points, one that errs is found: without it the residual falls so far.
 _MANY, _FALLS = 6, 0.25
+# A place known worse than this is said to be uncertain, metres.
+_ROUGH_M = 0.05
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,7 @@ def place(points_world: np.ndarray, pixels_xy: np.ndarray, lens: Lens) -> Placem
         std_deg,
         None if mirrored is None else mirrored.matrix,
         np.inf if mirrored is None else mirrored.rms / max(best.rms, 1e-9),
-        tuple([*said, *_worries(best.matrix)]),
+        tuple([*said, *_rough(std_m), *_worries(best.matrix)]),
     )
 
 
@@ -173,6 +175,15 @@ def _at(T_cam_world: np.ndarray) -> str:
     return "({:.2f}, {:.2f}, {:.2f}) m".format(*position(T_cam_world))
 
 
+def _rough(std_m: np.ndarray) -> list[str]:
+    if std_m.max() < _ROUGH_M:
+        return []
+    return [
+        f"the camera's place is only roughly known, ± {100 * std_m.max():.0f} cm: the board or the "
+        "points fill too little of the picture, or lie square to the view"
+    ]
+
+
 def _worries(T_cam_world: np.ndarray) -> list[str]:
     """What cannot be of a camera in a room."""
     said = []
@@ -189,7 +200,7 @@ def turned_board(T_cam_world: np.ndarray, T_world_board: np.ndarray) -> str | No
     if not _worries(T_cam_world):
         return None
     T_cam_board = T_cam_world @ T_world_board
-    for axis in "xyz":
+    for axis in "zxy":
         half = np.eye(4)
         half[:3, :3] = Rotation.from_euler(axis, 180, degrees=True).as_matrix()
         other = T_cam_board @ np.linalg.inv(T_world_board @ half)

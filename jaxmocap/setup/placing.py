@@ -18,7 +18,7 @@ from jaxmocap.formats.points import read_points
 from jaxmocap.setup.boards import Board, parse_board
 from jaxmocap.setup.calibrate import other_counts
 from jaxmocap.setup.corners import Corners, find_corners
-from jaxmocap.setup.drawing import Canvas, magnification, write_canvas
+from jaxmocap.setup.drawing import LEGEND, Canvas, magnification, write_canvas
 from jaxmocap.setup.extrinsics import Placement, board_to_world, place, turned_board
 from jaxmocap.setup.pictures import Picture
 
@@ -215,7 +215,7 @@ def _draw(
     x, y, z = placement.position_world
     canvas.title(name)
     canvas.title(f"camera at ({x:.2f}, {y:.2f}, {z:.2f}) m, {placement.rms:.2f} px RMS")
-    canvas.title(f"residuals x {times}")
+    canvas.title(LEGEND.format(times))
     if T_world_board is not None and board is not None:
         canvas.corners(pixels_xy)
         T_cam_board = placement.T_cam_world @ T_world_board
