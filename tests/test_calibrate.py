@@ -276,6 +276,16 @@ def test_too_few_boards_are_refused_with_the_files_that_show_none(
     assert "in 3 different pictures of 4; no board in wall.png; expected 5 or more" in said
 
 
+def test_a_video_without_a_board_is_refused_with_what_was_looked_at(tmp_path, capsys):
+    path = str(tmp_path / "empty.avi")
+    writer = cv2.VideoWriter(path, cv2.VideoWriter_fourcc(*"MJPG"), 30, SIZE)
+    for _ in range(4):
+        writer.write(np.full((*SIZE[::-1], 3), int(WALL), np.uint8))
+    writer.release()
+    said = refusal(capsys, tmp_path, [path, *BOARD_OPTIONS])
+    assert "0 different pictures of 0; empty.avi: board seen in 0 of 4 frames looked at" in said
+
+
 def test_the_same_picture_again_is_no_other_view(photographs, tmp_path, capsys):
     again = [*photographs[:4], photographs[0], photographs[1]]
     said = refusal(capsys, tmp_path, [*again, *BOARD_OPTIONS])

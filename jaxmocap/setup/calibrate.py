@@ -99,7 +99,9 @@ def calibrate_intrinsics(
     where = _together(paths)
     found, missing, size = _search(shown, board, where)
     views, repeated = distinct(found)
-    _enough(where, views, missing, repeated, shown, board)
+    if len(views) < FEWEST:
+        hint = other_counts([p for p in shown if p.name in missing][:_HINTS], board)
+        raise InputError(where, f"{_too_few(board, views, missing, repeated, said)}{hint}")
     try:
         result = calibrate(views, size, coefficients)
     except ArithmeticError as error:
@@ -161,25 +163,21 @@ def _search(
     return views, missing, next(iter(sizes), (0, 0))
 
 
-def _enough(
-    where: str,
+def _too_few(
+    board: Board,
     views: Sequence[View],
     missing: Sequence[str],
     repeated: Sequence[str],
-    shown: Sequence[Picture],
-    board: Board,
-) -> None:
-    """InputError unless the board was found in enough pictures that differ."""
-    if len(views) >= FEWEST:
-        return
+    said: Sequence[str],
+) -> str:
+    """In how few pictures the board was found, and in which it was not."""
     total = len(views) + len(missing) + len(repeated)
-    problem = f"found the {board.label} board in {len(views)} different pictures of {total}"
+    parts = [f"found the {board.label} board in {len(views)} different pictures of {total}", *said]
     for names, what in ((missing, "no board in"), (repeated, "the same as an earlier one:")):
         if names:
             more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-            problem += f"; {what} {', '.join(names[:_NAMED])}{more}"
-    hint = other_counts([p for p in shown if p.name in missing][:_HINTS], board)
-    raise InputError(where, f"{problem}; expected {FEWEST} or more{hint}")
+            parts.append(f"{what} {', '.join(names[:_NAMED])}{more}")
+    return "; ".join([*parts, f"expected {FEWEST} or more"])
 
 
 def other_counts(pictures: Sequence[Picture], board: Board) -> str:

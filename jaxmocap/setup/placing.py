@@ -222,7 +222,8 @@ def _draw(
         canvas.axes(T_cam_board, lens, 2 * board.square, "board")
     for pixel in pixels_xy:
         canvas.dot(pixel, (90, 230, 90), 5, 1)
-    canvas.residuals(pixels_xy, placement.residuals_xy, times)
+    for which, longer in ((placement.used, times), (~placement.used, 1)):
+        canvas.residuals(pixels_xy[which], placement.residuals_xy[which], longer)
     if T_world_board is None or np.abs(T_world_board - np.eye(4)).max() > 1e-6:
         canvas.axes(placement.T_cam_world, lens, _AXES_M, "world")
     return canvas
