@@ -74,10 +74,12 @@ def in_double(tree):
 
 
 @cache
-def recording() -> tuple[Problem, Trajectory]:
-    """A painted recording and, nearly, its solution."""
+def recording(blind: bool = False) -> tuple[Problem, Trajectory]:
+    """A painted recording, or one without any sight, and, nearly, its solution."""
     with jax.enable_x64(False):
-        single = problem(COUNT, untied(sights(COUNT, (0, 1))))
+        seen = untied(sights(COUNT, (0, 1)))
+        seen = jax.tree.map(lambda part: part[:0], seen) if blind else seen
+        single = problem(COUNT, seen)
         found = smooth_poses(single, disturbed(COUNT, 5.0), (SOFTNESS,))
     parts = {
         name: in_double(getattr(single, name))
@@ -144,6 +146,28 @@ def test_cameras_that_were_found_turned_are_stated_so():
     scale = np.abs(expected).max()
     np.testing.assert_allclose(found.slopes.equations.gradient, expected, atol=1e-9 * scale)
     assert np.abs(unaware - expected).max() > 0.01 * scale
+
+
+def test_without_anything_seen_the_markers_alone_move_the_body():
+    with double():
+        blind, there = recording(blind=True)
+        here = Sensitivity.at(blind, there, SOFTNESS).settled(4)
+        assert here.slopes.exact and here.slopes.equations.step(0.0, 0.0).largest() < 1e-9
+        still = jnp.zeros(len(NUMBERS))
+        ways = {name: jnp.eye(len(NUMBERS))[i] for i, name in enumerate(NUMBERS)}
+        found = {
+            name: here.forwards(jax.jvp(state, (still,), (way,))[1]) for name, way in ways.items()
+        }
+        moved = STEP * ways["marker moved"]
+        ahead, behind = (
+            Sensitivity.at(state(at).put_into(blind), here.trajectory, SOFTNESS).settled(3)
+            for at in (moved, -moved)
+        )
+    expected = (ahead.landmarks - behind.landmarks) / (2 * STEP)
+    assert np.abs(expected).max() > 0.5
+    np.testing.assert_allclose(found["marker moved"], expected, atol=1e-5)
+    # Nobody looked through the camera.
+    assert not found["camera turned"].any() and not found["focal length"].any()
 
 
 def test_a_losss_gradient_is_what_the_landmarks_pass_back():
