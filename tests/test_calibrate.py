@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxmocap.cli import main
-from jaxmocap.formats.calibration import read_lens
+from jaxmocap.formats.calibration import Lens, read_lens
 from jaxmocap.setup.boards import Board
 from jaxmocap.setup.calibrate import calibrate_intrinsics
 from jaxmocap.setup.corners import find_corners
-from jaxmocap.setup.coverage import covered
+from jaxmocap.setup.coverage import covered, remarks
 from jaxmocap.setup.intrinsics import PARAMETERS, View, calibrate
 
 BOARD_OPTIONS = ["--board", "4x7", "--square", "0.06", "--camera", "cam"]
@@ -172,7 +173,9 @@ def test_a_charuco_board_calibrates_though_parts_of_it_are_hidden(tmp_path):
         cv2.imwrite(path, image)
     out = tmp_path / "c.toml"
     found = calibrate_intrinsics(paths, CHARUCO, "cam", out)
-    assert min(len(view.pixels_xy) for view in found.views) < 28 and len(found.views) == 7
+    assert (
+        min(len(view.pixels_xy) for view in found.found.views) < 28 and len(found.found.views) == 7
+    )
     np.testing.assert_allclose(found.result.values[:2], TRUTH[:2], rtol=0.004)
     np.testing.assert_allclose(read_lens(out, "cam").matrix, found.result.lens.matrix)
 
@@ -187,11 +190,30 @@ def test_of_a_video_sharp_frames_that_differ_are_chosen(tmp_path):
             writer.write(frame)
     writer.release()
     found = calibrate_intrinsics([path], BOARD, "cam", tmp_path / "c.toml")
-    numbers = [int(view.name.split()[-1]) for view in found.views]
+    numbers = [int(view.name.split()[-1]) for view in found.found.views]
     assert sorted(n // 4 for n in numbers) == list(range(7))
     assert all(n % 4 in (1, 2) for n in numbers)
     np.testing.assert_allclose(found.result.values[:2], TRUTH[:2], rtol=0.005)
     assert "board seen in 21 of 28 frames looked at, 7 blurred, 7 chosen" in found.remarks[0]
+
+
+def test_distortion_that_turns_back_within_the_image_is_said():
+    found = calibrate(noisy_views(), SIZE)
+    coverage = covered(noisy_views(), SIZE)
+    assert not any("turns back" in said for said in remarks(found, coverage))
+    folded = Lens(LENS.size, LENS.matrix, np.array([-0.9, 0.0, 0.0, 0.0]))
+    assert any("turns back" in said for said in remarks(replace(found, lens=folded), coverage))
+
+
+def test_files_of_one_name_from_two_folders_are_told_apart(photographs, tmp_path):
+    (tmp_path / "other").mkdir()
+    image = cv2.imread(photographs[6])
+    cv2.imwrite(str(tmp_path / "other" / "view_1.png"), image)
+    paths = [*photographs[:6], tmp_path / "other" / "view_1.png"]
+    found = calibrate_intrinsics(paths, BOARD, "cam", tmp_path / "c.toml", pictures=tmp_path / "d")
+    names = [view.name for view in found.found.views]
+    assert names[0] == photographs[0] and names[-1].endswith("other/view_1.png")
+    assert len(set(names)) == 7 and len(list((tmp_path / "d").iterdir())) == 8
 
 
 def test_coverage_names_the_parts_of_the_image_where_no_board_was():
@@ -274,6 +296,24 @@ def test_too_few_boards_are_refused_with_the_files_that_show_none(
 ):
     said = refusal(capsys, tmp_path, [*photographs[:3], wall, *BOARD_OPTIONS])
     assert "in 3 different pictures of 4; no board in wall.png; expected 5 or more" in said
+
+
+def test_what_is_refused_is_drawn_too(photographs, wall, tmp_path, capsys):
+    drawn = tmp_path / "drawn"
+    given = [*photographs[:2], wall, *BOARD_OPTIONS, "--pictures", str(drawn)]
+    refusal(capsys, tmp_path, given)
+    assert [p.name for p in sorted(drawn.iterdir())] == [
+        "01_view_1.jpg",
+        "02_view_2.jpg",
+        "03_wall.jpg",
+    ]
+
+
+def test_counts_of_a_charuco_board_that_are_exchanged_get_a_hint(tmp_path, capsys):
+    paths = write_views(tmp_path, CHARUCO)[:2]
+    exchanged = ["--board", "7x4", *BOARD_OPTIONS[2:], "--charuco", "5X5_100,0.045"]
+    said = refusal(capsys, tmp_path, [*paths, *exchanged])
+    assert "shows a 4x7 board: the first number runs along the markers' upper edges" in said
 
 
 def test_a_video_without_a_board_is_refused_with_what_was_looked_at(tmp_path, capsys):
@@ -380,7 +420,7 @@ def test_real_photographs_agree_with_the_optical_systems_calibration(
     out.write_bytes(given.read_bytes())
     found = calibrate_intrinsics(paths, BOARD, f"cam_0{camera}", out)
     result = found.result
-    assert sum(result.used) >= 6 and len(found.views) == found_in and result.rms < 0.2
+    assert sum(result.used) >= 6 and len(found.found.views) == found_in and result.rms < 0.2
     truth = read_lens(given, f"cam_0{camera}").matrix
     focal = np.array([truth[0, 0], truth[1, 1]])
     np.testing.assert_allclose(result.values[:2], focal, rtol=0.01)

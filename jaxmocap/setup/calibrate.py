@@ -6,27 +6,20 @@ was found.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from jaxmocap.formats.calibration import Lens, check_writable, read_lens, write_camera
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.toml import read_toml
 from jaxmocap.setup.boards import Board
-from jaxmocap.setup.corners import find_coarsely, find_corners
-from jaxmocap.setup.coverage import FEWEST, Coverage, covered, distinct, remarks, too_alike
-from jaxmocap.setup.drawing import LEGEND, Canvas, draw_coverage, magnification, write_canvas
-from jaxmocap.setup.intrinsics import PARAMETERS, Intrinsics, View, calibrate
-from jaxmocap.setup.pictures import Picture, open_pictures
+from jaxmocap.setup.coverage import Coverage, covered, remarks, too_alike
+from jaxmocap.setup.finding import FEWEST, Found, find_boards
+from jaxmocap.setup.intrinsics import PARAMETERS, Intrinsics, calibrate
 from jaxmocap.setup.poses import tilt
-
-# How many pictures without a board are looked through for a board of other counts.
-_HINTS = 3
-# Named in a message at most.
-_NAMED = 8
+from jaxmocap.setup.sheets import draw_calibrated, draw_found
 
 
 @dataclass(frozen=True)
@@ -35,36 +28,23 @@ class Calibrated:
 
     Attributes:
         camera: name of its section.
-        board: that was looked for.
-        views: in which it was found, each once; ``result.used`` says which the result rests on.
+        found: the board in pictures; ``result.used`` says on which views the result rests.
         result: the calibration.
         coverage: of the image by the views used.
-        not_found: names of the pictures without a board.
-        repeated: names of the pictures that show the same as an earlier one.
-        before: the lens that the file held of this camera, or None.
         remarks: sentences that a user should see.
         files: written.
     """
 
     camera: str
-    board: Board
-    views: tuple[View, ...]
+    found: Found
     result: Intrinsics
     coverage: Coverage
-    not_found: tuple[str, ...]
-    repeated: tuple[str, ...]
-    before: Lens | None
     remarks: tuple[str, ...]
-    files: tuple[Path, ...] = ()
-
-    @property
-    def left_out(self) -> list[tuple[str, float]]:
-        """Pictures whose corners do not fit the others', and their residual in pixels."""
-        return [(name, error) for name, error, _, use in self.rows() if not use]
+    files: tuple[Path, ...]
 
     def rows(self) -> list[tuple[str, float, float, bool]]:
         """Name, residual (pixels, RMS), tilt (degrees) and whether it was used, of each view."""
-        both = zip(self.views, self.result.poses, self.result.used, strict=True)
+        both = zip(self.found.views, self.result.poses, self.result.used, strict=True)
         nothing = float("inf"), float("nan")
         return [
             (view.name, *((pose.rms, tilt(pose)) if pose else nothing), use)
@@ -88,48 +68,28 @@ def calibrate_intrinsics(
         camera: name of the section to add or replace.
         out: the calibration file, .toml.
         coefficients: of distortion: 0, 1 (k1), 2 (k1 k2), 4 (k1 k2 p1 p2) or 5 (and k3).
-        pictures: folder for what is drawn, or None.
+        pictures: folder for what is drawn, or None. Corners are drawn even if views are refused.
 
     Raises:
         InputError: files that cannot be used, or views that do not determine the camera.
     """
-    check_writable(Path(out), camera)
-    before, placed = _already(Path(out), camera)
-    shown, said = open_pictures(paths, board)
-    where = _together(paths)
-    found, missing, size = _search(shown, board, where)
-    views, repeated = distinct(found)
-    if len(views) < FEWEST:
-        hint = other_counts([p for p in shown if p.name in missing][:_HINTS], board)
-        raise InputError(where, f"{_too_few(board, views, missing, repeated, said)}{hint}")
+    out = Path(out)
+    check_writable(out, camera)
+    before, placed = _already(out, camera)
+    found = find_boards(paths, board)
     try:
-        result = calibrate(views, size, coefficients)
-    except ArithmeticError as error:
-        raise InputError(where, f"the views determine no camera: {error}") from None
-    if (why := too_alike(result)) is not None:
-        raise InputError(where, why)
-    used = [view for view, use in zip(views, result.used, strict=True) if use]
-    if len(used) < FEWEST:
-        others = ", ".join(v.name for v, use in zip(views, result.used, strict=True) if not use)
-        raise InputError(
-            where, f"only {len(used)} views agree, expected {FEWEST} or more; not with: {others}"
-        )
-    coverage = covered(used, size)
-    said = [*said, *remarks(result, coverage), *_changes(result, before, placed)]
-    calibrated = Calibrated(
-        camera,
-        board,
-        tuple(views),
-        result,
-        coverage,
-        tuple(missing),
-        tuple(repeated),
-        before,
-        tuple(said),
+        result = _determined(found, coefficients)
+    except InputError:
+        if pictures is not None:
+            draw_found(found, pictures)
+        raise
+    coverage = covered(
+        [v for v, use in zip(found.views, result.used, strict=True) if use], found.size
     )
-    drawn = [] if pictures is None else _draw(calibrated, shown, Path(pictures))
+    said = [*found.said, *remarks(result, coverage), *_changes(result, before, placed)]
+    drawn = [] if pictures is None else draw_calibrated(found, result, pictures)
     write_camera(out, camera, result.lens.entries())
-    return replace(calibrated, files=(Path(out), *drawn))
+    return Calibrated(camera, found, result, coverage, tuple(said), (out, *drawn))
 
 
 def _already(out: Path, camera: str) -> tuple[Lens | None, bool]:
@@ -139,65 +99,22 @@ def _already(out: Path, camera: str) -> tuple[Lens | None, bool]:
     return lens, "rotation" in table
 
 
-def _together(paths: Sequence[str | Path]) -> str:
-    return str(paths[0]) if len(paths) == 1 else f"{paths[0]} and {len(paths) - 1} more"
-
-
-def _search(
-    shown: Sequence[Picture], board: Board, where: str
-) -> tuple[list[View], list[str], tuple[int, int]]:
-    """Views, names of pictures without a board, and the size that all pictures have."""
-    views, missing = [], []
-    sizes: dict[tuple[int, int], str] = {}
-    for picture in shown:
-        image = picture.image()
-        sizes.setdefault((image.shape[1], image.shape[0]), picture.name)
-        if len(sizes) > 1:
-            found = ", ".join(f"{name} {w} × {h}" for (w, h), name in sizes.items())
-            raise InputError(where, f"pictures differ in size, expected one camera's: {found}")
-        corners = find_corners(image, board)
-        if corners is None:
-            missing.append(picture.name)
-        else:
-            views.append(View(picture.name, corners.points_board, corners.pixels_xy))
-    return views, missing, next(iter(sizes), (0, 0))
-
-
-def _too_few(
-    board: Board,
-    views: Sequence[View],
-    missing: Sequence[str],
-    repeated: Sequence[str],
-    said: Sequence[str],
-) -> str:
-    """In how few pictures the board was found, and in which it was not."""
-    total = len(views) + len(missing) + len(repeated)
-    parts = [f"found the {board.label} board in {len(views)} different pictures of {total}", *said]
-    for names, what in ((missing, "no board in"), (repeated, "the same as an earlier one:")):
-        if names:
-            more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-            parts.append(f"{what} {', '.join(names[:_NAMED])}{more}")
-    return "; ".join([*parts, f"expected {FEWEST} or more"])
-
-
-def other_counts(pictures: Sequence[Picture], board: Board) -> str:
-    """A hint where the pictures show a board of other counts; nothing where they do not."""
-    c, r = board.columns, board.rows
-    tried = [(c - 1, r - 1), (c + 1, r + 1)]
-    if board.dictionary is not None:
-        tried.insert(0, (r, c))
-    for columns, rows in tried:
-        if min(columns, rows) < 3:
-            continue
-        other = board.resized(columns, rows)
-        for picture in pictures:
-            grey = cv2.cvtColor(picture.image(), cv2.COLOR_BGR2GRAY)
-            if find_coarsely(grey, other) is not None:
-                return (
-                    f"; {picture.name} shows a {other.label} board: inner corners are counted, "
-                    "where four squares meet, not squares"
-                )
-    return ""
+def _determined(found: Found, coefficients: int) -> Intrinsics:
+    """The calibration; InputError with the reason where the views do not determine it."""
+    if (why := found.too_few()) is not None:
+        raise InputError(found.where, why)
+    try:
+        result = calibrate(found.views, found.size, coefficients)
+    except ArithmeticError as error:
+        raise InputError(found.where, f"the views determine no camera: {error}") from None
+    if (why := too_alike(result)) is not None:
+        raise InputError(found.where, why)
+    if (count := sum(result.used)) < FEWEST:
+        both = zip(found.views, result.used, strict=True)
+        others = ", ".join(view.name for view, use in both if not use)
+        problem = f"only {count} views agree, expected {FEWEST} or more; not with them: {others}"
+        raise InputError(found.where, problem)
+    return result
 
 
 def _changes(result: Intrinsics, before: Lens | None, placed: bool) -> list[str]:
@@ -223,37 +140,3 @@ def _changes(result: Intrinsics, before: Lens | None, placed: bool) -> list[str]
             "jaxmocap calibrate extrinsics again"
         )
     return said
-
-
-def _draw(calibrated: Calibrated, shown: Sequence[Picture], folder: Path) -> list[Path]:
-    """One picture for each given one, and the coverage."""
-    result, lens = calibrated.result, calibrated.result.lens
-    size = (int(lens.size[0]), int(lens.size[1]))
-    times = magnification(result.rms, size)
-    found = {
-        view.name: (view, pose, use)
-        for view, pose, use in zip(calibrated.views, result.poses, result.used, strict=True)
-    }
-    files = []
-    for number, picture in enumerate(shown, 1):
-        canvas = Canvas(picture.image())
-        canvas.title(picture.name)
-        if picture.name in found:
-            view, pose, use = found[picture.name]
-            canvas.corners(view.pixels_xy)
-            if pose is not None:
-                canvas.title(f"{pose.rms:.2f} px RMS, tilt {tilt(pose):.0f} degrees")
-                canvas.residuals(view.pixels_xy, pose.residuals_xy, times if use else 1)
-                canvas.axes(pose.matrix, lens, 2 * calibrated.board.square, "origin")
-            canvas.title(LEGEND.format(times) if use else f"LEFT OUT, {LEGEND.format(1)}")
-        else:
-            again = picture.name in calibrated.repeated
-            canvas.title("the same as an earlier one" if again else "NO BOARD FOUND")
-        stem = picture.name.replace(".", "_").replace(" ", "_")
-        files.append(write_canvas(folder / f"{number:02d}_{stem}.jpg", canvas))
-    used = [
-        (view.pixels_xy, pose.residuals_xy) for view, pose, use in found.values() if use and pose
-    ]
-    pixels, residuals = zip(*used, strict=True)
-    canvas = draw_coverage(size, pixels, residuals, times)
-    return [*files, write_canvas(folder / "coverage.jpg", canvas)]

@@ -20,15 +20,15 @@ def intrinsics_text(found: Calibrated) -> str:
     """Pictures with their errors, parameters with their deviations, remarks, files."""
     width, height = found.result.lens.size
     used = sum(found.result.used)
-    total = len(found.views) + len(found.not_found) + len(found.repeated)
+    total = len(found.found.pictures)
     lines = [
         f"[{found.camera}] {width:g} × {height:g} pixels, {used} of {total} pictures used, "
         f"{found.result.rms:.3f} pixels RMS",
         "",
         "picture: reprojection, tilt of the board",
         *(_picture(*row) for row in found.rows()),
-        *(f"  {name}: no board found" for name in found.not_found),
-        *(f"  {name}: the same as an earlier one" for name in found.repeated),
+        *(f"  {name}: no board found" for name in found.found.not_found),
+        *(f"  {name}: the same as an earlier one" for name in found.found.repeated),
         "",
         *_parameters(found),
         "",
@@ -81,13 +81,13 @@ def intrinsics_figures(found: Calibrated) -> dict[str, Any]:
     return {
         "camera": found.camera,
         "size": [int(n) for n in result.lens.size],
-        "board": found.board.label,
+        "board": found.found.board.label,
         "rms_px": result.rms,
         "pictures": pictures,
         "used": sum(result.used),
-        "left_out": [name for name, _ in found.left_out],
-        "not_found": list(found.not_found),
-        "repeated": list(found.repeated),
+        "left_out": [name for name, _, _, use in found.rows() if not use],
+        "not_found": list(found.found.not_found),
+        "repeated": list(found.found.repeated),
         "parameters": parameters,
         "coverage": found.coverage.share,
         "empty": list(found.coverage.empty),

@@ -9,14 +9,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from jaxmocap.formats.calibration import Lens
 from jaxmocap.setup.intrinsics import Intrinsics, View
 
-# Fewer views are refused, fewer than many are said to be few.
-FEWEST, MANY = 5, 10
+# Fewer views are said to be few.
+MANY = 10
 # A focal length known worse than this part of itself is not known.
 FOCAL_DOUBT = 0.02
-# Two pictures whose corners differ less than this on average show the same, pixels.
-SAME_PX = 1.0
 # A principal point known worse than this part of the image is said to be uncertain.
 CENTRE_DOUBT = 0.002
 # Cells of the image's side into which the coverage is counted, and their names.
@@ -52,24 +51,6 @@ def covered(views: Sequence[View], size: tuple[int, int]) -> Coverage:
         for i, j in np.argwhere(counts == 0)
     ]
     return Coverage(float(mask.mean()), tuple(empty))
-
-
-def distinct(views: Sequence[View]) -> tuple[list[View], list[str]]:
-    """Views that differ, and the names of those that repeat an earlier one."""
-    kept: list[View] = []
-    repeated = []
-    for view in views:
-        if any(_same(view, other) for other in kept):
-            repeated.append(view.name)
-        else:
-            kept.append(view)
-    return kept, repeated
-
-
-def _same(a: View, b: View) -> bool:
-    if len(a.pixels_xy) != len(b.pixels_xy) or (a.points_board != b.points_board).any():
-        return False
-    return float(np.linalg.norm(a.pixels_xy - b.pixels_xy, axis=-1).mean()) < SAME_PX
 
 
 def too_alike(result: Intrinsics) -> str | None:
@@ -110,8 +91,25 @@ def remarks(result: Intrinsics, coverage: Coverage) -> list[str]:
             f"{result.rms:.1f} pixels are a lot (0.1 to 0.3 is usual): blurred pictures, a bent "
             "board, or a fisheye lens, which this model does not describe"
         )
+    if not _distorts_evenly(result.lens):
+        said.append(
+            "the lens' distortion turns back within the image, where no corner held it: what is "
+            "near the image's edges will be misplaced; show the board there, or try --distortions 2"
+        )
     if coverage.empty:
         said.append(f"no corner was seen at the image's {', '.join(coverage.empty)}")
     if sum(result.used) < MANY:
         said.append(f"{sum(result.used)} views are few: 10 to 20 are better")
     return said
+
+
+def _distorts_evenly(lens: Lens) -> bool:
+    """Do points farther from the centre appear farther from it, up to the image's corners?"""
+    K = lens.matrix
+    corners = np.array([[x, y] for x in (0, lens.size[0]) for y in (0, lens.size[1])])
+    farthest = np.linalg.norm((corners - K[:2, 2]) / np.diag(K)[:2], axis=-1).max()
+    k1, k2, _, _, k3 = (
+        [*lens.distortions, 0.0][:5] if len(lens.distortions) == 4 else lens.distortions
+    )
+    r = np.linspace(0, farthest, 100)
+    return bool((np.diff(r * (1 + r**2 * (k1 + r**2 * (k2 + r**2 * k3)))) > 0).all())

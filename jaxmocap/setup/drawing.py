@@ -77,6 +77,10 @@ class Canvas:
         """Corners as they were seen, a thin line through them in their order."""
         for start, end in pairwise(pixels_xy):
             self.line(start, end, SEEN, 1)
+        self.dots(pixels_xy)
+
+    def dots(self, pixels_xy: np.ndarray) -> None:
+        """Points as they were seen."""
         for pixel in pixels_xy:
             self.dot(pixel, SEEN, 5, 1)
 
@@ -102,12 +106,18 @@ class Canvas:
 
 
 def draw_coverage(
-    size: tuple[int, int], pixels: Sequence[np.ndarray], residuals: Sequence[np.ndarray], times: int
+    size: tuple[int, int], views: Sequence[tuple[np.ndarray, np.ndarray]], times: int
 ) -> Canvas:
-    """The image's area: the lighter the more boards, with every corner and its residual."""
+    """The image's area: the lighter the more boards, with every corner and its residual.
+
+    Args:
+        size: of the image, pixels.
+        views: pixels (N, 2) and residuals (N, 2) of each.
+        times: by how much residuals are drawn longer.
+    """
     scale = min(1.0, _LONGEST / max(size))
     counts = np.zeros((round(size[1] * scale), round(size[0] * scale)), np.float32)
-    for pixels_xy in pixels:
+    for pixels_xy, _ in views:
         mask = np.zeros_like(counts)
         cv2.fillConvexPoly(mask, cv2.convexHull((pixels_xy * scale).round().astype(np.int32)), 1)
         counts += mask
@@ -117,9 +127,9 @@ def draw_coverage(
     for part in (1 / 3, 2 / 3):
         canvas.line(np.array([part * size[0], 0]), np.array([part * size[0], size[1]]), GREY, 1)
         canvas.line(np.array([0, part * size[1]]), np.array([size[0], part * size[1]]), GREY, 1)
-    for pixels_xy, residuals_xy in zip(pixels, residuals, strict=True):
+    for pixels_xy, residuals_xy in views:
         canvas.residuals(pixels_xy, residuals_xy, times)
-    canvas.title(f"corners of {len(pixels)} views; residuals x {times}")
+    canvas.title(f"corners of {len(views)} views; residuals x {times}")
     return canvas
 
 

@@ -56,11 +56,13 @@ def open_pictures(paths: Sequence[str | Path], board: Board) -> tuple[list[Pictu
     """
     pictures: list[Picture] = []
     said: list[str] = []
-    for path in map(Path, paths):
+    files = [Path(path) for path in paths]
+    for path in files:
+        alone = len({other for other in files if other.name == path.name}) == 1
         if path.is_dir():
             raise InputError(path, "is a folder, expected images or a video")
         if _decoded(path) is not None:
-            pictures.append(Picture(path.name, path))
+            pictures.append(Picture(path.name if alone else str(path), path))
             continue
         try:
             video = Video(path)

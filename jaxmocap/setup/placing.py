@@ -16,14 +16,11 @@ from jaxmocap.formats.calibration import Lens, check_writable, read_lens, write_
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.points import read_points
 from jaxmocap.setup.boards import Board, parse_board
-from jaxmocap.setup.calibrate import other_counts
 from jaxmocap.setup.corners import Corners, find_corners
-from jaxmocap.setup.drawing import LEGEND, Canvas, magnification, write_canvas
 from jaxmocap.setup.extrinsics import Placement, board_to_world, place, turned_board
+from jaxmocap.setup.finding import other_counts
 from jaxmocap.setup.pictures import Picture
-
-# Axes are drawn this long where there is no board, metres.
-_AXES_M = 0.5
+from jaxmocap.setup.sheets import draw_placed
 
 
 @dataclass(frozen=True)
@@ -122,10 +119,10 @@ def calibrate_extrinsics(
     said += [*placement.remarks, *_advice(placement, T_world_board, names)]
     drawn = []
     if pictures is not None:
-        canvas = _draw(
-            photo, picture.name, lens, placement, pixels_xy, T_world_board, measured.board
-        )
-        drawn.append(write_canvas(Path(pictures) / f"{path.stem}_placed.jpg", canvas))
+        board = None
+        if measured.board is not None and T_world_board is not None:
+            board = measured.board, T_world_board
+        drawn.append(draw_placed(picture, lens, placement, pixels_xy, board, pictures))
     place_entries = {
         "rotation": placement.rotation,
         "translation": placement.T_cam_world[:3, 3],
@@ -199,31 +196,3 @@ def _advice(placement: Placement, T_world_board: np.ndarray | None, names: list[
     if placement.rms > 3:
         said.append(f"{placement.rms:.1f} pixels are a lot: the picture shows which points are off")
     return said
-
-
-def _draw(
-    photo: np.ndarray,
-    name: str,
-    lens: Lens,
-    placement: Placement,
-    pixels_xy: np.ndarray,
-    T_world_board: np.ndarray | None,
-    board: Board | None,
-) -> Canvas:
-    times = magnification(placement.rms, (photo.shape[1], photo.shape[0]))
-    canvas = Canvas(photo)
-    x, y, z = placement.position_world
-    canvas.title(name)
-    canvas.title(f"camera at ({x:.2f}, {y:.2f}, {z:.2f}) m, {placement.rms:.2f} px RMS")
-    canvas.title(LEGEND.format(times))
-    if T_world_board is not None and board is not None:
-        canvas.corners(pixels_xy)
-        T_cam_board = placement.T_cam_world @ T_world_board
-        canvas.axes(T_cam_board, lens, 2 * board.square, "board")
-    for pixel in pixels_xy:
-        canvas.dot(pixel, (90, 230, 90), 5, 1)
-    for which, longer in ((placement.used, times), (~placement.used, 1)):
-        canvas.residuals(pixels_xy[which], placement.residuals_xy[which], longer)
-    if T_world_board is None or np.abs(T_world_board - np.eye(4)).max() > 1e-6:
-        canvas.axes(placement.T_cam_world, lens, _AXES_M, "world")
-    return canvas
