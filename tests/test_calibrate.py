@@ -209,11 +209,11 @@ def test_files_of_one_name_from_two_folders_are_told_apart(photographs, tmp_path
     (tmp_path / "other").mkdir()
     image = cv2.imread(photographs[6])
     cv2.imwrite(str(tmp_path / "other" / "view_1.png"), image)
-    paths = [*photographs[:6], tmp_path / "other" / "view_1.png"]
+    paths = [*photographs[:4], tmp_path / "other" / "view_1.png"]
     found = calibrate_intrinsics(paths, BOARD, "cam", tmp_path / "c.toml", pictures=tmp_path / "d")
     names = [view.name for view in found.found.views]
     assert names[0] == photographs[0] and names[-1].endswith("other/view_1.png")
-    assert len(set(names)) == 7 and len(list((tmp_path / "d").iterdir())) == 8
+    assert len(set(names)) == 5 and len(list((tmp_path / "d").iterdir())) == 6
 
 
 def test_coverage_names_the_parts_of_the_image_where_no_board_was():
@@ -228,7 +228,7 @@ def test_coverage_names_the_parts_of_the_image_where_no_board_was():
 # What is left out --------------------------------------------------------------------------------
 
 
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(st.integers(0, 6), st.integers(0, 27), st.floats(0, 6.2), st.floats(8, 200))
 def test_one_wrong_corner_leaves_its_view_out_and_nothing_else(view, corner, direction, pixels):
     given = noisy_views()
@@ -430,5 +430,5 @@ def test_real_photographs_agree_with_the_optical_systems_calibration(
     assert 20 < np.linalg.norm(result.values[2:4] - centre) < 45
     said = " ".join(found.remarks)
     assert "cx by +2" in said and "differ systematically" in said
-    assert "the principal point is poorly determined" in said
+    assert "determine the principal point poorly" in said
     assert tomllib.loads(out.read_text())["cam_03"] == tomllib.loads(given.read_text())["cam_03"]
