@@ -246,7 +246,8 @@ def test_a_view_of_nonsense_spoils_nothing():
     clean = calibrate(given, SIZE)
     found = calibrate([*given, View("nonsense", BOARD.points_board, nonsense)], SIZE)
     assert found.used == (*clean.used, False)
-    np.testing.assert_array_equal(found.values, clean.values)
+    # OpenCV sums in parallel, in no fixed order.
+    np.testing.assert_allclose(found.values, clean.values, rtol=1e-6)
 
 
 def test_a_false_detection_is_named_with_its_error(photographs, tmp_path, capsys):

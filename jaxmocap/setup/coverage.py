@@ -76,9 +76,10 @@ def remarks(result: Intrinsics, coverage: Coverage) -> list[str]:
     if few or centre.max() > CENTRE_DOUBT * max(result.lens.size):
         said.append(
             f"the views determine the principal point poorly: ± {centre[0]:.1f} and "
-            f"{centre[1]:.1f} pixels if the lens is as modelled and the board flat, several times that where they "
-            "are not; a shift of it looks like a turn of the camera, so find the extrinsics with "
-            "these intrinsics, and show the board near all edges of the image, turned and tilted"
+            f"{centre[1]:.1f} pixels if the lens is as modelled and the board flat, several times "
+            "that where they are not; a shift of it looks like a turn of the camera, so find the "
+            "extrinsics with these intrinsics, and show the board near all edges of the image, "
+            "turned and tilted"
         )
     ratio = result.jackknife[:4] / result.std[:4]
     if ratio.max() > 1.5:
