@@ -36,7 +36,7 @@ def test_legs_that_no_marker_holds_may_be_a_stride_aside():
     """Learned as furniture otherwise, if they never move."""
     there = first(1)
     aside = there._replace(angles=there.angles.copy())
-    for name in ("hip_flexion_l", "hip_flexion_r"):
+    for name in ("hip_abduction_l", "hip_abduction_r"):
         aside.angles[:, PERSON.tree.joints.index(name)] += 0.3
     legs = drawing(there).mask(0, 1.0, only=LEGS)
     held, astray = (drawing(aside).wherever(0, free) for free in (False, True))

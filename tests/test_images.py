@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import ndimage
 
+from jaxmocap.geometry.outlines import Discs
 from jaxmocap.images import edges, regions, sampling
 from jaxmocap.images.edges import FARTHEST_PX, EdgeSettings, Thresholds
 
@@ -151,6 +152,15 @@ def test_a_bright_dot_is_found_where_its_pixel_is_mapped_to(scale, dot):
     rows, columns = np.indices(small.shape)
     found = [np.sum(axis * small) / np.sum(small) for axis in (columns, rows)]
     np.testing.assert_allclose(found, expected, atol=0.5)
+
+
+def test_limbs_in_one_region_are_the_same_limbs_in_another():
+    rng = np.random.default_rng(4)
+    limbs = Discs(*(on_device(rng.uniform(0, 300, (3, 2))) for _ in range(3)))
+    here, there = window((40, 20), 3.0), window((100, 7), 7.5)
+    found = regions.in_other_region(regions.discs_in_region(here, limbs), here, there)
+    for own, expected in zip(found, regions.discs_in_region(there, limbs), strict=True):
+        np.testing.assert_allclose(own, expected, atol=1e-4)
 
 
 def test_at_scale_1_a_region_is_a_plain_cut():

@@ -70,8 +70,8 @@ def lines(camera: int = 0, wrong: float = 0.0) -> Lines:
 def blind():
     """Sights that show nothing."""
     seen = sights(COUNT)
-    grids = [grid._replace(weight=0 * grid.weight) for grid in seen.sight[1:]]
-    return seen._replace(sight=seen.sight._replace(person=grids[0], forearms=grids[1]))
+    blind = seen.sight.each_grid(lambda grid: grid._replace(weight=0 * grid.weight))
+    return seen._replace(sight=blind)
 
 
 def smoothed(told: Lines | None) -> SmoothedPoses:

@@ -5,6 +5,7 @@ from functools import cache
 
 import cv2
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import on_device
@@ -18,6 +19,7 @@ from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.capture.timeline import build_timeline
 from jaxmocap.capture.video import MemoryVideo
 from jaxmocap.formats.recording import MarkerPlace, Recording, VideoSource
+from jaxmocap.geometry.cameras import project
 from jaxmocap.hybrid.appearance import ROWS, Drawing
 from jaxmocap.hybrid.fixed_lag import DELAY_FRAMES
 from jaxmocap.hybrid.settings import Settings
@@ -25,6 +27,7 @@ from jaxmocap.hybrid.smoothing import Problem, SmoothedPoses
 from jaxmocap.hybrid.tracker import HybridTracker, StepReport
 from jaxmocap.hybrid.trust import Trust
 from jaxmocap.images.hulls import draw_hulls
+from jaxmocap.images.silhouette import Grid
 from jaxmocap.run import smoothing
 from jaxmocap.run.judging import judge_steps
 from jaxmocap.run.recording import make_tracker, track_both
@@ -101,6 +104,12 @@ def problems(monkeypatch):
     return kept
 
 
+def grids(problem: Problem) -> list[Grid]:
+    """All that was seen."""
+    _, person, forearms, legs = problem.sights.sight
+    return [person, forearms, legs.person]
+
+
 def on_grid(share: np.ndarray, region, i: int, cells: int) -> np.ndarray:
     """A painted share (h, w) averaged over the cells of the i-th grid."""
     side, scale = 4 * cells, float(region.scale[i]) / 4
@@ -122,22 +131,37 @@ def test_the_grids_show_the_person_and_the_bare_forearms(problems):
     seen = problems[-1].sights
     np.testing.assert_array_equal(seen.frame, np.arange(0, 2 * FRAMES, 2))
     assert not seen.camera.any()
-    for grid, part in ((seen.sight.person, "person"), (seen.sight.forearms, "forearms")):
+    upper, whole, forearms, legs = seen.sight
+    for region, grid, part in (
+        (upper, whole, "person"), (upper, forearms, "forearms"), (*legs, "person"),
+    ):  # fmt: skip
         cells = grid.probability.shape[-1]
         for i in range(FRAMES):
-            truth = on_grid(getattr(painted()[i], part), seen.sight.region, i, cells)
+            truth = on_grid(getattr(painted()[i], part), region, i, cells)
             sure_of = grid.weight[i] > 0.5
             inside, outside = sure_of & (truth > 0.95), sure_of & (truth < 0.05)
-            assert inside.sum() > 10 and outside.sum() > 0.5 * truth.size
+            assert inside.sum() > 10 and outside.sum() > 0.3 * truth.size
             assert (grid.probability[i][inside] > 0.5).mean() > 0.9, part
             assert (grid.probability[i][outside] < 0.5).mean() > 0.97, part
+
+
+def test_a_head_and_a_pelvis_tell_nothing(problems):
+    second_pass()
+    sight = problems[-1].sights.sight
+    for name in ("head", "pelvis"):
+        point = points_of(true_poses())[0, list(LANDMARKS).index(name)]
+        pixel = np.asarray(project(CAMERA, jnp.asarray(point, float)))
+        scale, origin = sight.region.scale[0], sight.region.origin[0]
+        column, row = np.round((pixel - origin) / scale - 0.5).astype(int)
+        assert sight.person.weight[0, row, column] < 0.05
+        assert sight.forearms.weight[0, row, column] < 0.05 or name == "pelvis"
 
 
 def test_a_frame_that_cannot_be_read_tells_nothing(problems):
     broken = images()
     broken[0], broken[7] = None, None
     second_pass(broken)
-    for grid in problems[-1].sights.sight[1:]:
+    for grid in grids(problems[-1]):
         told = grid.weight.reshape(FRAMES, -1).max(1)
         assert not told[[0, 7]].any() and (np.delete(told, [0, 7]) > 0.5).all()
         assert np.isfinite(grid.probability).all()
@@ -150,7 +174,7 @@ def test_no_frame_that_can_be_read_tells_nothing_either(problems):
     done = FirstPass(timeline, markers_world(), true_poses(), true_poses())
     found = smooth_recording(tracker(), [video], done, lambda share: None)
     assert found is not None
-    for grid in problems[-1].sights.sight[1:]:
+    for grid in grids(problems[-1]):
         assert grid.weight.shape[0] == FRAMES and not grid.weight.any()
 
 
@@ -160,7 +184,7 @@ def test_a_video_narrower_than_its_calibration_keeps_its_pixels_in_place(problem
     second_pass([image[:, :-9] for image in images()])
     narrow = problems[-1].sights.sight
     np.testing.assert_array_equal(narrow.region.origin, whole.region.origin)
-    for grid, other in zip(narrow[1:], whole[1:], strict=True):
+    for grid, other in zip(narrow[1:3], whole[1:3], strict=True):
         both = (grid.weight > 0.5) & (other.weight > 0.5)
         assert both.mean() > 0.2
         difference = np.abs(grid.probability - other.probability)[both]
@@ -172,13 +196,11 @@ def test_a_frame_that_serves_several_samples_is_looked_at_for_each(problems):
     seen = problems[-1].sights
     np.testing.assert_array_equal(seen.frame, np.arange(2 * FRAMES))
     # The last sample of each pair has the frame of the first or of the next.
-    region = seen.sight.region
+    region, told = seen.sight.region, seen.sight.person
     pairs = np.flatnonzero((np.diff(region.origin, axis=0) == 0).all(1))
-    same = [
-        np.array_equal(seen.sight.person.probability[i], seen.sight.person.probability[i + 1])
-        for i in pairs
-    ]
-    assert any(same)
+    both = [(told.weight[i] > 0.5) & (told.weight[i + 1] > 0.5) for i in pairs]
+    away = [np.abs(told.probability[i] - told.probability[i + 1]) for i in pairs]
+    assert any(np.quantile(a[b], 0.95) < 1e-6 for a, b in zip(away, both, strict=True))
     own = np.arange(0, 2 * FRAMES, 2)
     assert len(problems) == 2 + smoothing.DECISIONS
     second_pass()
@@ -368,3 +390,19 @@ def test_who_does_not_want_it_gets_no_second_pass(recording, problems):
     few = replace(recording, times=TIMES[:3], positions_world=markers_world()[:3])
     motion = track_both(few, tracker=make_tracker(few, settings)).motion
     assert not problems and np.isnan(motion.report.from_prior).all()
+
+
+def test_legs_that_no_marker_holds_are_found_where_they_stand():
+    """Whoever stands still would be furniture if the body were believed to be elsewhere."""
+    kneeling = np.zeros(len(PERSON.tree.joints), np.float32)
+    for name in ("hip_flexion_l", "hip_flexion_r"):
+        kneeling[PERSON.tree.joints.index(name)] = 0.35
+    start = true_poses()
+    start = start._replace(angles=start.angles + kneeling)
+    found = second_pass(start=start)
+    assert found is not None
+    ankles = [list(LANDMARKS).index(f"ankle_{side}") for side in "lr"]
+    truth = points_of(true_poses())[:, ankles]
+    before = np.linalg.norm(points_of(start)[:, ankles] - truth, axis=-1)
+    after = np.linalg.norm(points_of(found.poses)[:, ankles] - truth, axis=-1)
+    assert before.min() > 0.29 and after.max() < 0.15

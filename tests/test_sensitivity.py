@@ -59,8 +59,7 @@ def untied(seen: Sights) -> Sights:
         pose = on_device(Pose(*(part[frame] for part in poses)))
         kept.append(np.asarray(second_nearest(pose, CAMERAS[camera], sight)) > APART)
     weight = np.stack(kept).astype(np.float32)
-    grids = (grid._replace(weight=weight) for grid in seen.sight[1:])
-    return seen._replace(sight=type(seen.sight)(seen.sight.region, *grids))
+    return seen._replace(sight=seen.sight.each_grid(lambda grid: grid._replace(weight=weight)))
 
 
 def in_double(tree):

@@ -20,7 +20,7 @@ from jaxmocap.body.proportions import PROPORTIONS, scaled
 from jaxmocap.body.skeleton import ROOT_DOF
 from jaxmocap.geometry.cameras import turned
 from jaxmocap.geometry.outlines import Discs, signed_distance
-from jaxmocap.hybrid.silhouette import Sight, silhouette_cost, silhouette_fit
+from jaxmocap.hybrid.silhouette import Legs, Sight, silhouette_cost, silhouette_fit
 from jaxmocap.images.colours import Colours, colour_bins, learn_colours
 from jaxmocap.images.hulls import draw_hulls
 from jaxmocap.images.parts import BENEFIT, part_odds
@@ -31,6 +31,7 @@ from jaxmocap.reference import silhouette as reference
 CELLS, LIMBS, SOFTNESS = 16, 4, 1.3
 # Silhouettes of the whole body.
 BODY_CELLS, BODY_REGION = 32, Region(np.array([111.5, 31.5]), np.array(13.0))
+LEGS_REGION = Region(np.array([190.5, 330.5]), np.array(17.0))
 COST, FIT = jax.jit(coverage_cost), jax.jit(coverage_fit)
 
 
@@ -251,17 +252,19 @@ STEPPED = jax.jit(jax.grad(moved_cost))
 AT_REST = np.zeros(ROOT_DOF + len(PERSON.tree.joints) + len(PROPORTIONS) + 3)
 
 
-def a_sight(seed: int, of_forearms: float = 1.0) -> Sight:
-    """A random sight of the body's upper half; smooth, as what is seen."""
+def a_sight(seed: int, of_forearms: float = 1.0, legs: bool = False) -> Sight:
+    """A random sight of the body; smooth, as what is seen."""
     rng = np.random.default_rng(seed)
     blur = partial(cv2.GaussianBlur, ksize=(0, 0), sigmaX=2.0)
     probability, weight = (
         [blur(rng.uniform(low, 1, (BODY_CELLS, BODY_CELLS))) for _ in range(2)] for low in (0, 0.5)
     )
+    below = Grid(blur(rng.uniform(0, 1, (16, 16))), blur(rng.uniform(0.5, 1, (16, 16))))
     return Sight(
         BODY_REGION,
         Grid(probability[0], weight[0]),
         Grid(probability[1], of_forearms * weight[1]),
+        Legs(LEGS_REGION, below) if legs else None,
     )
 
 
@@ -270,11 +273,11 @@ def body_arguments(sight: Sight, camera=FRONT, pose=TRUTH, softness: float = 1.0
     return on_device((PERSON, proportions, pose, camera, sight, softness), float)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_the_silhouettes_gradient_is_half_its_costs_without_distortion(seed):
+@pytest.mark.parametrize("legs", [False, True])
+def test_the_silhouettes_gradient_is_half_its_costs_without_distortion(legs):
     """What hides a forearm has no derivative, in either."""
     with double():
-        arguments = body_arguments(a_sight(seed))
+        arguments = body_arguments(a_sight(1, legs=legs))
         cost, _, gradient = FITTED(*arguments)
         still = on_device(AT_REST)
         expected = np.asarray(STEPPED(still, *arguments)) / 2

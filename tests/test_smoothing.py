@@ -154,8 +154,8 @@ def test_a_stretch_without_sights_is_bridged_and_known_to_be_a_guess():
 def test_without_anything_seen_the_elbows_are_guesses(weightless, by_one_camera):
     seen = sights(COUNT)
     if weightless:
-        blind = [grid._replace(weight=0 * grid.weight) for grid in seen.sight[1:]]
-        seen = seen._replace(sight=seen.sight._replace(person=blind[0], forearms=blind[1]))
+        blind = seen.sight.each_grid(lambda grid: grid._replace(weight=0 * grid.weight))
+        seen = seen._replace(sight=blind)
     else:
         seen = jax.tree.map(lambda part: part[:0], seen)
     found = smoothed(seen)
@@ -211,7 +211,8 @@ SLOPES = jax.jit(jax.jacfwd(moved))
 STILL = np.zeros(ROOT_DOF + len(PERSON.tree.joints), np.float32)
 # Nothing outside the body holds it.
 ADRIFT = replace(
-    SETTINGS, marker=jnp.float32(1e3), footing=jnp.float32(1e3), ground=jnp.float32(1e3)
+    SETTINGS,
+    **dict.fromkeys(("marker", "footing", "ground", "balance"), jnp.float32(1e3)),
 )
 
 
@@ -271,5 +272,19 @@ def test_feet_that_a_marker_holds_are_left_to_it():
     pose, frame = one_frame()
     lifted = frame._replace(ankles=frame.ankles + 0.2)
     assert priced(pose, lifted) > priced(pose, frame) + 1
-    held = lifted._replace(feet=jnp.asarray(0.0))
-    assert priced(pose, held) == pytest.approx(priced(pose, frame), rel=1e-3)
+    held, own = (each._replace(feet=jnp.asarray(0.0)) for each in (lifted, frame))
+    assert priced(pose, held) == pytest.approx(priced(pose, own), rel=1e-6)
+
+
+def test_free_feet_stand_below_the_centre_of_gravity():
+    pose, frame = one_frame()
+    aside = frame._replace(ankles=frame.ankles + np.array([0.15, 0.0, 0.0], np.float32))
+    there = 0.15 * np.eye(len(STILL), dtype=np.float32)[0]
+    balance = SETTINGS.balance
+    firm = replace(ADRIFT, balance=balance)
+    # The whole body moves, and stays as balanced as it was.
+    assert priced(pose, aside, firm, there) == pytest.approx(priced(pose, frame, firm), rel=1e-3)
+    bowed = STILL.copy()
+    bowed[4] = 0.5
+    free, loose = (priced(pose, frame, each, bowed) for each in (firm, ADRIFT))
+    assert free > loose + 1

@@ -1,7 +1,7 @@
 """What a person looks like to one camera, and where that is to be seen in its frames.
 
     learn    some frames + where the poses put the body -> background, colours
-    see      every frame -> two grids: the person, the forearms
+    see      every frame -> grids: the person, the forearms; the legs
 
 INPUTS: poses of the person, frames. OUTPUTS: an Appearance; a Sight of every frame.
 """
@@ -9,6 +9,7 @@ INPUTS: poses of the person, frames. OUTPUTS: an Appearance; a Sight of every fr
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +24,7 @@ from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera
 from jaxmocap.geometry.outlines import Discs
 from jaxmocap.hybrid.batches import in_batches
-from jaxmocap.hybrid.silhouette import FOREARMS, Sight, drawn_bones
+from jaxmocap.hybrid.silhouette import FOREARMS, Legs, Sight
 from jaxmocap.images.background import Background
 from jaxmocap.images.colours import Colours, learn_colours
 from jaxmocap.images.foreground import learn_foreground, log_odds, person_grid, shrunk_size
@@ -32,20 +33,28 @@ from jaxmocap.images.parts import part_odds
 from jaxmocap.images.regions import Region
 from jaxmocap.images.silhouette import Grid
 
-# Rows of the images that silhouettes are learned from; cells of the grid around the person.
-ROWS, CELLS = 360, 64
+# Rows of the images that silhouettes are learned from; cells of the grids around the upper half and
+# around the legs.
+ROWS, CELLS, LEG_CELLS = 360, 64, 32
 # Poses per call, so that they compile once.
 POSES_A_CALL = 64
-# Around the person's upper half, as a share of its extent.
-MARGIN = 0.12
+# Around the person's upper half and around the legs, as a share of their extent.
+MARGIN, LEG_MARGIN = 0.12, 0.15
 # Of a limb's thickness: its core, and wherever it may be; the pose errs by some centimetres.
 CORE, WHEREVER, ERRING_M = 0.7, 1.4, 0.03
+# By how much legs err that no marker holds, metres. Somebody who stands still would be learned as
+# furniture if legs were drawn aside of where they are.
+ASTRAY_M = {"femur": 0.12, "tibia": 0.2, "foot": 0.2}
 # Along the forearm: skin, whatever the sleeve; the markers hold its far half best.
 BARE = (0.5, 0.95)
-HEAD = ("head", "neck")
-HEAD_GROWN = 1.6
+LEGS = ("femur_l", "femur_r", "tibia_l", "tibia_r")
+HEAD, PELVIS, FEET = ("head", "neck"), ("hip_l", "hip_r"), ("foot_l", "foot_r")
+# What no cone is like, a head with its head-set, a pelvis, shoes: so many times as thick, or so
+# many metres about it, silhouettes tell nothing.
+GROWN, SHOE_M = 1.6, 0.06
 BELOW = ("knee", "ankle", "toe")
 UPPER = [i for i, name in enumerate(LANDMARKS) if not name.startswith(BELOW)]
+LOWER = [i for i, name in enumerate(LANDMARKS) if name.startswith(("hip", *BELOW))]
 
 
 @dataclass(frozen=True)
@@ -64,8 +73,9 @@ class Appearance:
 
 
 def in_image(skeleton: Skeleton, camera: Camera, pose: Pose) -> tuple[Discs, Array]:
-    """Limbs (K), pixels of the full image, and how many of them make a metre at the person."""
-    flesh = cones(skeleton, forward(skeleton, pose), drawn_bones(skeleton.tree))
+    """All limbs (K), pixels of the full image, and how many of them make a metre at the person."""
+    every = np.arange(len(skeleton.tree.bones))
+    flesh = cones(skeleton, forward(skeleton, pose), every)
     depth = jnp.maximum(jnp.mean(to_camera(camera, flesh.near)[:, 2]), NEAREST_M)
     return project_cones(camera, flesh), camera.matrix[0, 0] / depth
 
@@ -110,9 +120,8 @@ class Drawing:
         small = shrunk_size(size, rows)
         ratio = np.divide(small, size)
         near, far = ((end + 0.5) * ratio - 0.5 for end in (limbs.near, limbs.far))
-        names = [skeleton.tree.bones[bone] for bone in drawn_bones(skeleton.tree)]
         discs = Discs(near, far, limbs.radii * ratio[0])
-        return cls(discs, per_metre * ratio[0], small, ratio, names)
+        return cls(discs, per_metre * ratio[0], small, ratio, list(skeleton.tree.bones))
 
     def mask(
         self,
@@ -130,20 +139,59 @@ class Drawing:
         widths = radii[:, :1] + np.array(part) * (radii[:, 1:] - radii[:, :1])
         return draw_hulls(Discs(ends[0], ends[1], widths * share + more_px), self.size)
 
+    def core(self, frame: int, without: Sequence[str] = ()) -> np.ndarray:
+        """Where (h, w) the person surely is."""
+        return self.mask(frame, CORE, without=(*FEET, *without))
 
-def upper_body_regions(skeleton: Skeleton, camera: Camera, poses: Pose) -> Region:
-    """Where (F) the person's upper half is, all at one scale."""
-    points = landmarks_over_time(skeleton, poses)
-    pixels = np.asarray(project(camera, jnp.asarray(points[:, UPPER])))
+    def wherever(self, frame: int, astray: bool) -> np.ndarray:
+        """Where (h, w) the person may be; ``astray`` where no marker holds the feet."""
+        metre = float(self.per_metre[frame])
+        found = self.mask(frame, WHEREVER, ERRING_M * metre)
+        for start, metres in ASTRAY_M.items() if astray else ():
+            legs = [name for name in (*LEGS, *FEET) if name.startswith(start)]
+            found |= self.mask(frame, WHEREVER, metres * metre, only=legs)
+        return found
+
+    def unlike(self, frame: int) -> np.ndarray:
+        """Where (h, w) the person is not like what is drawn."""
+        shoes = self.mask(frame, 1.0, SHOE_M * float(self.per_metre[frame]), only=FEET)
+        return self.mask(frame, GROWN, only=(*HEAD, *PELVIS)) | shoes
+
+
+class Regions(NamedTuple):
+    """Where F frames, or one, are looked at.
+
+    Attributes:
+        upper: around the upper half.
+        lower: around the legs.
+    """
+
+    upper: Region
+    lower: Region
+
+    @classmethod
+    def around(cls, skeleton: Skeleton, camera: Camera, poses: Pose) -> "Regions":
+        """Those of poses (F, ...), all at one scale."""
+        points = landmarks_over_time(skeleton, poses)
+        pixels = np.asarray(project(camera, jnp.asarray(points)))
+        upper = _region(pixels[:, UPPER], CELLS, MARGIN)
+        return cls(upper, _region(pixels[:, LOWER], LEG_CELLS, LEG_MARGIN))
+
+    def of(self, frame: int) -> "Regions":
+        """Of one frame."""
+        return jax.tree.map(lambda part: part[frame], self)
+
+
+def _region(pixels: np.ndarray, cells: int, margin: float) -> Region:
     low, high = pixels.min(1), pixels.max(1)
-    side = np.percentile((high - low).max(1), 95) * (1 + 2 * MARGIN)
+    side = np.percentile((high - low).max(1), 95) * (1 + 2 * margin)
     origin = np.round((low + high) / 2 - side / 2) - 0.5
-    dtype = points.dtype
-    return Region(origin.astype(dtype), np.full(len(origin), side / CELLS, dtype))
+    dtype = pixels.dtype
+    return Region(origin.astype(dtype), np.full(len(origin), side / cells, dtype))
 
 
 def learn_appearance(
-    drawing: Drawing, chosen: np.ndarray, images: Iterable[np.ndarray | None]
+    drawing: Drawing, chosen: np.ndarray, images: Iterable[np.ndarray | None], astray: bool
 ) -> Appearance | None:
     """Background and colours from some frames; None if none of them can be read.
 
@@ -151,18 +199,18 @@ def learn_appearance(
         drawing: the body in F frames.
         chosen: which of them.
         images: these, shrunk, BGR; None where one cannot be read.
+        astray: whether no marker holds the feet.
     """
     read = [(i, image) for i, image in zip(chosen, images, strict=True) if image is not None]
     if not read:
         return None
     which, frames = [i for i, _ in read], np.stack([image for _, image in read])
-    cores = np.stack([drawing.mask(i, CORE) for i in which])
-    more_px = ERRING_M * drawing.per_metre
-    bodies = np.stack([drawing.mask(i, WHEREVER, float(more_px[i])) for i in which])
+    cores = np.stack([drawing.core(i) for i in which])
+    bodies = np.stack([drawing.wherever(i, astray) for i in which])
     background, person = learn_foreground(frames, cores, bodies)
     odds = np.stack([log_odds(frame, background, person) for frame in frames])
     arms = np.stack([drawing.mask(i, CORE, only=FOREARMS[:2], part=BARE) for i in which])
-    others = np.stack([drawing.mask(i, CORE, without=(*FOREARMS, *HEAD)) for i in which])
+    others = np.stack([drawing.core(i, without=(*FOREARMS, *HEAD)) for i in which])
     near = np.stack([drawing.mask(i, 2.0, only=FOREARMS) for i in which])
     rest = others & ~near & (odds > -0.5)
     rest = rest if rest.any() else others
@@ -171,46 +219,49 @@ def learn_appearance(
 
 
 def see(
-    images: Iterable[np.ndarray | None], known: Appearance | None, drawing: Drawing, region: Region
+    images: Iterable[np.ndarray | None],
+    known: Appearance | None,
+    drawing: Drawing,
+    regions: Regions,
 ) -> Sight:
-    """The person (F, ...) on the grids of F regions.
+    """The person (F, ...) on the grids of F frames.
 
     Args:
         images: F, shrunk, BGR; None where one cannot be read.
         known: of the person; None where nothing is.
         drawing: the body in the frames.
-        region: where the grids lie, in pixels of the full images.
+        regions: where the grids lie, in pixels of the full images.
     """
-    grids = [
-        _grids(image, known, drawing, i, Region(region.origin[i], region.scale[i]))
+    sights = [
+        _unseen(regions.of(i))
+        if image is None or known is None
+        else body_sight(image, known, drawing, i, regions.of(i))[1]
         for i, image in enumerate(images)
     ]
-    person, forearms = (
-        Grid(*(np.stack(parts) for parts in zip(*each, strict=True)))
-        for each in zip(*grids, strict=True)
-    )
-    return Sight(region, person, forearms)
+    return jax.tree.map(lambda *parts: np.stack(parts), *sights)
 
 
-def _grids(
-    image: np.ndarray | None, known: Appearance | None, drawing: Drawing, frame: int, region: Region
-) -> tuple[Grid, Grid]:
-    """The person and the forearms on the grid; nothing known where there is no image."""
-    if image is None or known is None:
-        nothing = Grid(*np.zeros((2, CELLS, CELLS), np.float32))
-        return nothing, nothing
-    return body_grids(image, known, drawing, frame, region)[1:]
+def _unseen(regions: Regions) -> Sight:
+    """Nothing is known where there is no image."""
+    upper, lower = (Grid(*np.zeros((2, cells, cells), np.float32)) for cells in (CELLS, LEG_CELLS))
+    return Sight(regions.upper, upper, upper, Legs(regions.lower, lower))
 
 
-def body_grids(
-    image: np.ndarray, known: Appearance, drawing: Drawing, frame: int, region: Region
-) -> tuple[np.ndarray, Grid, Grid]:
-    """Log-odds (h, w) that pixels of a shrunk image show the person; person, forearms on a grid."""
-    person = log_odds(image, known.background, known.person)
-    head = drawing.mask(frame, HEAD_GROWN, only=HEAD)
-    forearms = part_odds(image, person, known.forearms, head)
+def body_sight(
+    image: np.ndarray, known: Appearance, drawing: Drawing, frame: int, regions: Regions
+) -> tuple[np.ndarray, Sight]:
+    """Log-odds (h, w) that pixels of a shrunk image show the person; what that is on the grids."""
+    odds = log_odds(image, known.background, known.person)
+    head = drawing.mask(frame, GROWN, only=HEAD)
+    forearms = part_odds(image, odds, known.forearms, head)
+    told = np.where(drawing.unlike(frame), np.float32(0), odds)
+    whole, part = (_grid(drawing, each, regions.upper, CELLS) for each in (told, forearms))
+    lower = _grid(drawing, told, regions.lower, LEG_CELLS)
+    return odds, Sight(regions.upper, whole, part, Legs(regions.lower, lower))
+
+
+def _grid(drawing: Drawing, odds: np.ndarray, region: Region, cells: int) -> Grid:
+    """Log-odds (h, w) of a shrunk image on the grid of a region of the full one."""
     # Edges map onto edges.
     origin = (np.asarray(region.origin) + 0.5) * drawing.ratio - 0.5
-    cell = float(region.scale) * drawing.ratio[0]
-    whole, part = (Grid(*person_grid(odds, origin, cell, CELLS)) for odds in (person, forearms))
-    return person, whole, part
+    return Grid(*person_grid(odds, origin, float(region.scale) * drawing.ratio[0], cells))

@@ -93,10 +93,11 @@ class FixedLagSmoother:
             raise ValueError("FixedLagSmoother needs a tracker with at least one camera")
         self.tracker = tracker
         self._newest = Newest(tracker)
+        free = feet_free(tracker.skeleton, tracker.markers)
         self._views = [
-            RunningAppearance(tracker.skeleton, camera) for camera in self._newest.cameras
+            RunningAppearance(tracker.skeleton, camera, free > 0) for camera in self._newest.cameras
         ]
-        self._feet_free = np.array(feet_free(tracker.skeleton, tracker.markers))
+        self._feet_free = np.array(free)
         self._blas = ThreadpoolController()
         self._count = self._given = 0
         self._begin()

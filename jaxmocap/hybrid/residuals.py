@@ -18,6 +18,7 @@ from jaxmocap.body.kinematics import (
     landmark_sites,
     site_positions,
 )
+from jaxmocap.body.mass import bone_centres, centre_of_gravity
 from jaxmocap.body.pose import Pose, beyond_limits
 from jaxmocap.body.proportions import scaled
 from jaxmocap.body.skeleton import ELBOWS, ROOT_DOF, Skeleton, landmark_rows
@@ -31,6 +32,8 @@ EASE = {
     "hip_flexion": 40, "hip": 25, "knee": 60,
 }  # fmt: skip
 GROUND = ("ankle_l", "ankle_r")
+# Whose middle is the middle of the base of support.
+BASE = (*GROUND, "toe_l", "toe_r")
 # Bones whose markers hold a foot.
 FEET = ("tibia", "foot")
 # Of both elbows, where no hypothesis puts them anywhere.
@@ -68,12 +71,14 @@ class Placed(NamedTuple):
         marked: (M, 3) points on bones where markers sit, world, metres.
         landmarks: (L, 3) world, metres.
         R_world_pelvis: (3, 3).
+        gravity: (3,) centre of gravity, world, metres.
         angles: (D,) radians.
     """
 
     marked: Array
     landmarks: Array
     R_world_pelvis: Array
+    gravity: Array
     angles: Array
 
 
@@ -130,6 +135,7 @@ def _placed(skeleton: Skeleton, markers: Sites, frames: Frames, pose: Pose) -> P
         site_positions(skeleton, frames, markers),
         site_positions(skeleton, frames, landmark_sites(skeleton)),
         quaternion_to_matrix(pose.quaternion),
+        centre_of_gravity(skeleton, frames),
         pose.angles,
     )
 
@@ -144,15 +150,24 @@ def _by_pose(skeleton: Skeleton, markers: Sites, frames: Frames, placed: Placed)
         jacobian(skeleton, frames, markers.bones, placed.marked),
         jacobian(skeleton, frames, landmark_sites(skeleton).bones, placed.landmarks),
         jnp.pad(turning, ((0, 0), (0, 0), (3, dofs))),
+        _by_gravity(skeleton, frames),
         jnp.eye(dofs, ROOT_DOF + dofs, ROOT_DOF, dtype),
     )
+
+
+def _by_gravity(skeleton: Skeleton, frames: Frames) -> Array:
+    """Derivative (3, 6 + D) of the centre of gravity."""
+    bones = np.arange(len(skeleton.tree.bones))
+    by_bone = jacobian(skeleton, frames, bones, bone_centres(skeleton, frames))
+    weights = skeleton.masses / jnp.sum(skeleton.masses)
+    return jnp.einsum("b,bij->ij", weights, by_bone, precision=HIGHEST)
 
 
 def _answers(
     skeleton: Skeleton, settings: SmoothingSettings, known: Known, placed: Placed
 ) -> Array:
     """The residuals (R,) of a body that is placed."""
-    ankles, elbows = (placed.landmarks[rows] for rows in (landmark_rows(GROUND), ELBOWS))
+    ankles, feet = (placed.landmarks[landmark_rows(names)] for names in (GROUND, BASE))
     R = placed.R_world_pelvis
     turned = jnp.cross(R[:, 0], known.facing)[2]
     facing = settings.facing * (1 + (UNFOOTED - 1) * known.feet)
@@ -164,7 +179,8 @@ def _answers(
         (placed.angles - skeleton.relaxed) / (settings.ease * ease(skeleton)),
         beyond_limits(skeleton.limits, placed.angles) / settings.limit,
         known.feet * (ankles - known.ankles) / ground,
-        _off(elbows, known.goals) / settings.goal,
+        known.feet * (placed.gravity - jnp.mean(feet, 0))[:2] / settings.balance,
+        _off(placed.landmarks[ELBOWS], known.goals) / settings.goal,
     ]
     if known.lines is not None:
         parts.append(line_residuals(placed.landmarks, known.lines, settings.keypoints))

@@ -1,6 +1,6 @@
 """What a person looks like to one camera, learned while looking: the past alone, for a live run.
 
-    see      a frame + where the body is expected -> two grids: the person, the forearms
+    see      a frame + where the body is expected -> grids: the person, the forearms; the legs
     learn    the same frame, once it is known better where the body was -> background, colours
 
 Where the person stood from the start the background is unknown; there only colours tell, until the
@@ -9,6 +9,7 @@ person has moved.
 INPUTS: frames, poses. OUTPUTS: a Sight of each frame.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -25,14 +26,16 @@ from jaxmocap.hybrid.appearance import (
     BARE,
     CELLS,
     CORE,
-    ERRING_M,
     HEAD,
+    LEG_CELLS,
+    LEG_MARGIN,
+    LOWER,
     MARGIN,
     UPPER,
-    WHEREVER,
     Appearance,
     Drawing,
-    body_grids,
+    Regions,
+    body_sight,
     in_image,
 )  # fmt: skip
 from jaxmocap.hybrid.silhouette import FOREARMS, Sight
@@ -68,9 +71,37 @@ class Seen(NamedTuple):
 
 @jax.jit
 def _expected(skeleton: Skeleton, camera: Camera, pose: Pose) -> tuple[Discs, Array, Array]:
-    """What ``in_image`` tells, and the upper half's landmarks, pixels of the full image."""
-    pixels = project(camera, landmarks(skeleton, pose)[np.array(UPPER)])
+    """What ``in_image`` tells, and all landmarks, pixels of the full image."""
+    pixels = project(camera, landmarks(skeleton, pose))
     return *in_image(skeleton, camera, pose), pixels
+
+
+@dataclass
+class _Window:
+    """A region that follows some landmarks at a scale that hardly changes.
+
+    Attributes:
+        landmarks: which.
+        cells: to a side.
+        margin: around them, as a share of their extent.
+        side: of the region so far, pixels.
+    """
+
+    landmarks: list[int]
+    cells: int
+    margin: float
+    side: float = 0.0
+
+    def region(self, pixels: np.ndarray) -> Region:
+        """The region about these of all landmarks (L, 2)."""
+        own = pixels[self.landmarks]
+        low, high = own.min(0), own.max(0)
+        extent = float((high - low).max()) * (1 + 2 * self.margin)
+        if not LEAST_FILLED * self.side <= extent <= self.side:
+            self.side = extent
+        origin = np.round((low + high) / 2 - self.side / 2) - 0.5
+        dtype = pixels.dtype
+        return Region(origin.astype(dtype), np.asarray(self.side / self.cells, dtype))
 
 
 class RunningAppearance:
@@ -82,12 +113,20 @@ class RunningAppearance:
         forearms: colours against the rest of the body, so far.
     """
 
-    def __init__(self, skeleton: Skeleton, camera: Camera):
-        """Prepare for the person; the size of the frames is that of the first."""
+    def __init__(self, skeleton: Skeleton, camera: Camera, astray: bool):
+        """Prepare for the person; the size of the frames is that of the first.
+
+        Args:
+            skeleton: of the person.
+            camera: that looks.
+            astray: whether no marker holds the feet.
+        """
         self.background, self.person = RunningBackground(), RunningColours()
         self.forearms = RunningColours()
-        self._skeleton, self._camera = skeleton, camera
-        self._side, self._ignorant = 0.0, True
+        self._skeleton, self._camera, self._astray = skeleton, camera, astray
+        self._upper = _Window(UPPER, CELLS, MARGIN)
+        self._lower = _Window(LOWER, LEG_CELLS, LEG_MARGIN)
+        self._ignorant = True
 
     def see(self, image: np.ndarray, pose: Pose, softness: float) -> Seen:
         """Look at a frame (H, W[, 3]) uint8 in which the body is expected in a pose.
@@ -97,44 +136,33 @@ class RunningAppearance:
         size = image.shape[1], image.shape[0]
         small = shrink(_coloured(image), ROWS)
         drawing, pixels = self._drawing(size, pose)
-        region = self._region(pixels)
+        regions = Regions(self._upper.region(pixels), self._lower.region(pixels))
         if self._ignorant:
             self._learn(small, drawing, None, None)
         background = self.background.background()
         known = Appearance(background, self.person.colours(), self.forearms.colours())
-        odds, *grids = body_grids(small, known, drawing, 0, region)
-        soft = (_soft(grid, softness) for grid in grids)
-        return Seen(small, odds, background.known > 0.5, Sight(region, *soft))
+        odds, sight = body_sight(small, known, drawing, 0, regions)
+        soft = sight.each_grid(lambda grid: _soft(grid, softness))
+        return Seen(small, odds, background.known > 0.5, soft)
 
     def learn(self, seen: Seen, size: tuple[int, int], pose: Pose) -> None:
         """Learn from a frame, whose full width and height is ``size``, where the body was."""
         self._learn(seen.image, self._drawing(size, pose)[0], seen.odds, seen.known)
 
     def _drawing(self, size: tuple[int, int], pose: Pose) -> tuple[Drawing, np.ndarray]:
-        """The body in the shrunk image, and its upper half's landmarks in the full one."""
+        """The body in the shrunk image, and its landmarks in the full one."""
         there = jax.tree.map(lambda part: jnp.asarray(part, float), pose)
         limbs, per_metre, pixels = jax.device_get(_expected(self._skeleton, self._camera, there))
         alone = Discs(*(part[None] for part in limbs)), per_metre[None]
         return Drawing.shrunk(self._skeleton, *alone, size, ROWS), pixels
 
-    def _region(self, pixels: np.ndarray) -> Region:
-        """The region about some pixels (K, 2)."""
-        low, high = pixels.min(0), pixels.max(0)
-        extent = float((high - low).max()) * (1 + 2 * MARGIN)
-        if not LEAST_FILLED * self._side <= extent <= self._side:
-            self._side = extent
-        dtype = pixels.dtype
-        origin = np.round((low + high) / 2 - self._side / 2) - 0.5
-        return Region(origin.astype(dtype), np.asarray(self._side / CELLS, dtype))
-
     def _learn(
         self, image: np.ndarray, drawing: Drawing, odds: np.ndarray | None, known: np.ndarray | None
     ) -> None:
         self._ignorant = False
-        core = drawing.mask(0, CORE)
-        body = drawing.mask(0, WHEREVER, float(ERRING_M * drawing.per_metre[0]))
+        core, body = drawing.core(0), drawing.wherever(0, self._astray)
         arms = drawing.mask(0, CORE, only=FOREARMS[:2], part=BARE)
-        others = drawing.mask(0, CORE, without=(*FOREARMS, *HEAD))
+        others = drawing.core(0, without=(*FOREARMS, *HEAD))
         others &= ~drawing.mask(0, 2.0, only=FOREARMS)
         hidden = body
         if odds is not None and known is not None:

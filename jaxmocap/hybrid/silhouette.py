@@ -1,12 +1,14 @@
 """The body's silhouette: how far the drawn body covers what the cameras saw of it.
 
-Two pictures of the same grid: the whole person against the background, and the forearms against
-all else, so that an arm before the torso is seen as well.
+Two pictures of the same grid round the upper half: the whole person against the background, and the
+forearms against all else, so that an arm before the torso is seen as well. A coarser grid round the
+legs shows where the person stands.
 
 INPUTS: a skeleton, a pose, a camera, what was seen on a grid.
 OUTPUTS: a cost, and its Gauss-Newton terms by the pose's tangent vector.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -23,7 +25,7 @@ from jaxmocap.geometry.cameras import NEAREST_M, Camera, to_camera, turned
 from jaxmocap.geometry.outlines import Discs, depth_along, touch
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
-from jaxmocap.images.regions import Region, discs_in_region
+from jaxmocap.images.regions import Region, discs_in_region, in_other_region
 from jaxmocap.images.silhouette import (
     CoverageFit,
     Grid,
@@ -33,34 +35,54 @@ from jaxmocap.images.silhouette import (
     frontmost,
 )
 
-# Feet are no cones, and shoes have colours of their own.
+# Feet are no cones, and shoes have colours of their own; pictures leave them out, too.
 UNDRAWN = ("foot_l", "foot_r")
 FOREARMS = ("radius_l", "radius_r", "hand_l", "hand_r")
 # A limb is hidden by what lies in front of its axis by more than this, metres, give or take.
 HIDDEN_BEYOND_M, HIDDEN_SOFTLY_M = 0.06, 0.03
 
 
+class Legs(NamedTuple):
+    """What one camera saw of the person's lower half.
+
+    Attributes:
+        region: where the grid lies in the image.
+        person: the whole person, as far as it is there.
+    """
+
+    region: Region
+    person: Grid
+
+
 class Sight(NamedTuple):
     """What one camera saw of the person at one time.
 
     Attributes:
-        region: where the grid lies in the image (no batch).
+        region: where the grid round the upper half lies in the image (no batch).
         person: the whole person.
         forearms: forearms and hands alone.
+        legs: the lower half; None where nobody looked.
     """
 
     region: Region
     person: Grid
     forearms: Grid
+    legs: Legs | None = None
+
+    def each_grid(self, call: Callable[[Grid], Grid]) -> "Sight":
+        """The same with every grid changed."""
+        legs = self.legs and self.legs._replace(person=call(self.legs.person))
+        return Sight(self.region, call(self.person), call(self.forearms), legs)
 
 
 def weighed(sight: Sight, settings: SmoothingSettings) -> Sight:
     """Sights (...) on the host, whose pictures count as the settings say."""
-    person, forearms = (
-        Grid(grid.probability, float(weight) * grid.weight)
-        for grid, weight in zip(sight[1:], (settings.person, settings.forearms), strict=True)
-    )
-    return Sight(sight.region, person, forearms)
+
+    def by(weight: Array) -> Callable[[Grid], Grid]:
+        return lambda grid: Grid(grid.probability, float(weight) * grid.weight)
+
+    person = sight.each_grid(by(settings.person))
+    return person._replace(forearms=by(settings.forearms)(sight.forearms))
 
 
 def drawn_bones(tree: Tree) -> np.ndarray:
@@ -71,11 +93,15 @@ def drawn_bones(tree: Tree) -> np.ndarray:
 def silhouette_cost(
     skeleton: Skeleton, frames: Frames, camera: Camera, sight: Sight, softness: Array
 ) -> Array:
-    """Sum of squares of both pictures; ``softness`` in cells."""
+    """Sum of squares of all pictures; ``softness`` in cells."""
     discs, visible = drawn(skeleton, frames, camera, sight)
     arms = Discs(*(part[forearms(skeleton.tree)] for part in discs))
-    whole = coverage_cost(discs, sight.person, softness)
-    return whole + coverage_cost(arms, sight.forearms, softness, visible)
+    cost = coverage_cost(discs, sight.person, softness)
+    cost += coverage_cost(arms, sight.forearms, softness, visible)
+    if sight.legs is not None:
+        below = in_other_region(discs, sight.region, sight.legs.region)
+        cost += coverage_cost(below, sight.legs.person, softness)
+    return cost
 
 
 def drawn(skeleton: Skeleton, frames: Frames, camera: Camera, sight: Sight) -> tuple[Discs, Array]:
@@ -88,16 +114,24 @@ def drawn(skeleton: Skeleton, frames: Frames, camera: Camera, sight: Sight) -> t
 def drawn_fit(
     tree: Tree, discs: Discs, visible: Array, sight: Sight, softness: Array
 ) -> CoverageFit:
-    """Gauss-Newton terms of both pictures, by limbs (K) that are ``drawn``."""
+    """Gauss-Newton terms of all pictures, by limbs (K) that are ``drawn``."""
     fore = forearms(tree)
     arms = Discs(*(part[fore] for part in discs))
     whole = coverage_fit(discs, sight.person, softness)
     part = coverage_fit(arms, sight.forearms, softness, visible)
-    return CoverageFit(
+    both = CoverageFit(
         whole.cost + part.cost,
         whole.hessian.at[fore].add(part.hessian),
         whole.gradient.at[fore].add(part.gradient),
     )
+    if sight.legs is None:
+        return both
+    # By samples of the upper grid, as all else.
+    ratio = jnp.asarray(sight.region.scale / sight.legs.region.scale)
+    below = in_other_region(discs, sight.region, sight.legs.region)
+    below = coverage_fit(below, sight.legs.person, softness)
+    own = CoverageFit(below.cost, ratio**2 * below.hessian, ratio * below.gradient)
+    return jax.tree.map(jnp.add, both, own)
 
 
 def silhouette_fit(

@@ -139,8 +139,7 @@ def landmark_prior(problem: Problem) -> Smoothness:
 
 def softened(problem: Problem, softness: float) -> Problem:
     """The same, seen as softly as it is drawn, and counting as the settings say."""
-    sight = problem.sights.sight
-    soft = Sight(sight.region, blurred(sight.person, softness), blurred(sight.forearms, softness))
+    soft = problem.sights.sight.each_grid(lambda grid: blurred(grid, softness))
     counting = weighed(soft, problem.settings)
     return replace(problem, sights=problem.sights._replace(sight=counting))
 

@@ -33,7 +33,8 @@ class SmoothingSettings:
         goal: of an elbow about where a hypothesis puts it, metres.
         keypoints: of a 2-D key point of full confidence about its landmark, metres at the person.
         ground: of the height of ankles that no marker holds, metres.
-        footing: of their place on the ground, metres.
+        footing: of their place on the ground about that in the markers' pose, metres.
+        balance: of the middle of such feet about the point below the centre of gravity, metres.
         proportions: weight of the prior on the person's proportions, in sights.
         camera: of a camera's turn against its calibration, about each axis, radians; weighs in as
             many sights as the proportions do. With 0 no camera turns. Key points' lines never do.
@@ -57,6 +58,7 @@ class SmoothingSettings:
     keypoints: Array
     ground: Array
     footing: Array
+    balance: Array
     proportions: Array
     camera: Array
     redundancy: Array
@@ -79,7 +81,8 @@ class SmoothingSettings:
         goal: float = 0.04,
         keypoints: float = 0.02,
         ground: float = 0.05,
-        footing: float = 0.3,
+        footing: float = 1.0,
+        balance: float = 0.06,
         proportions: float = 5.0,
         camera: float = 0.005,
         redundancy: float = 100.0,
@@ -89,6 +92,6 @@ class SmoothingSettings:
         """Settings as arrays (a Python float in a pytree would trace anew)."""
         numbers = (
             marker, silhouette, person, forearms, acceleration, lean, facing, ease, limit, goal,
-            keypoints, ground, footing, proportions, camera, redundancy, habit, mismatch,
+            keypoints, ground, footing, balance, proportions, camera, redundancy, habit, mismatch,
         )  # fmt: skip
         return cls(iterations, *(jnp.asarray(value, float) for value in numbers))

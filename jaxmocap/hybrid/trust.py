@@ -25,7 +25,7 @@ from jaxmocap.solvers.smoothness import Smoothness
 from jaxmocap.solvers.trajectory import covariances, point_variances
 
 # What is not measured but usual; somebody who is unusual stays so for a while.
-HABITS = ("ease", "lean", "facing", "ground", "footing")
+HABITS = ("ease", "lean", "facing", "ground", "footing", "balance")
 # A landmark is a guess where the video leaves more than this share of its variance, unless markers
 # hold it already, as they do below some HELD_M metres.
 GUESSED, HELD_M = 0.7, 0.01

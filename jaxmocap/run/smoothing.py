@@ -27,7 +27,7 @@ from jaxmocap.capture.timeline import Timeline
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import quaternion_to_matrix
-from jaxmocap.hybrid.appearance import ROWS, Drawing, learn_appearance, see, upper_body_regions
+from jaxmocap.hybrid.appearance import ROWS, Drawing, Regions, learn_appearance, see
 from jaxmocap.hybrid.fixed_lag import Given
 from jaxmocap.hybrid.hypotheses import elbow_goals
 from jaxmocap.hybrid.keypoints import Lines
@@ -227,17 +227,18 @@ def _all_sights(
     for look in looks:
         camera = jax.tree.map(lambda part, c=look.camera: part[c], cameras)
         there = jax.tree.map(lambda part, e=look.events: np.asarray(part)[e], found.poses)
-        sights.append(_sights(person, camera, look, videos[look.camera], there))
+        astray = feet_free(person, tracker.markers) > 0
+        sights.append(_sights(person, camera, look, videos[look.camera], there, astray))
     return jax.tree.map(lambda *parts: np.concatenate(parts), *sights)
 
 
 def _sights(
-    skeleton: Skeleton, camera: Camera, look: Look, video: FrameSource, poses: Pose
+    skeleton: Skeleton, camera: Camera, look: Look, video: FrameSource, poses: Pose, astray: bool
 ) -> Sights:
     """Grids of all of one camera's frames, of a background learned from some of them."""
     # The frames' own size: a video may be cropped against its calibration.
     drawing, chosen = Drawing.of(skeleton, camera, video.size, poses), spread(len(look.events))
-    appearance = learn_appearance(drawing, chosen, look.frames(video, chosen))
+    appearance = learn_appearance(drawing, chosen, look.frames(video, chosen), astray)
     every = look.frames(video, np.arange(len(look.events)))
-    sight = see(every, appearance, drawing, upper_body_regions(skeleton, camera, poses))
+    sight = see(every, appearance, drawing, Regions.around(skeleton, camera, poses))
     return Sights(look.events, np.full(len(look.events), look.camera), sight)
