@@ -35,7 +35,7 @@ def read_csv(path: str | Path) -> Markers:
     names = _names(path, lines[0])
     data = ((i, line.split(",")) for i, line in enumerate(lines, 1) if i > 1)
     table, numbers = parse_rows(path, data, 1 + 3 * len(names))
-    return make_markers(path, table, numbers, names, name_line=1)
+    return make_markers(path, table, numbers, names, "line 1")
 
 
 def _names(path: str | Path, header: str) -> list[str]:

@@ -1,17 +1,18 @@
 """Marker files of any kind, told by their suffix.
 
-INPUTS: a .trc or .csv file.
+INPUTS: a .trc, .csv or .c3d file.
 OUTPUTS: Markers in metres, in the file's own axes.
 """
 
 from pathlib import Path
 
+from jaxmocap.formats.c3d import read_c3d
 from jaxmocap.formats.csv import read_csv
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.tables import Markers
 from jaxmocap.formats.trc import read_trc
 
-_READERS = {".trc": read_trc, ".csv": read_csv}
+_READERS = {".trc": read_trc, ".csv": read_csv, ".c3d": read_c3d}
 
 
 def read_markers(path: str | Path) -> Markers:
@@ -22,5 +23,5 @@ def read_markers(path: str | Path) -> Markers:
     """
     suffix = Path(path).suffix.lower()
     if suffix not in _READERS:
-        raise InputError(path, f"unknown suffix {suffix!r}, expected {' or '.join(_READERS)}")
+        raise InputError(path, f"unknown suffix {suffix!r}, expected one of {', '.join(_READERS)}")
     return _READERS[suffix](path)

@@ -22,11 +22,14 @@ class Markers:
         times: (T,) seconds, float64, ascending.
         names: of the M markers.
         positions: (T, M, 3) metres, float64, in the file's own axes; all three NaN where missing.
+        residuals: (T, M) metres, how far apart the rays of each point were, NaN where it is
+            missing; or None where the file says nothing of them (only C3D does).
     """
 
     times: np.ndarray
     names: tuple[str, ...]
     positions: np.ndarray
+    residuals: np.ndarray | None = None
 
     def points(self) -> dict[str, np.ndarray]:
         """Name -> (T, 3) positions."""
@@ -100,9 +103,20 @@ def _number(path: str | Path, line: int, cell: str) -> float:
 
 
 def make_markers(
-    path: str | Path, table: np.ndarray, lines: list[int], names: Sequence[str], name_line: int
+    path: str | Path,
+    table: np.ndarray,
+    lines: Sequence[int],
+    names: Sequence[str],
+    name_place: str,
 ) -> Markers:
     """Markers from a table (T, 1 + 3 M) of times and coordinates, in metres.
+
+    Args:
+        path: for the message.
+        table: see above.
+        lines: of the T rows; none where the file is not text.
+        names: of the M markers.
+        name_place: where in the file they stand.
 
     Raises:
         InputError: two markers of one name, a time that is missing or does not follow the one
@@ -110,9 +124,10 @@ def make_markers(
     """
     for i, name in enumerate(names):
         if name in names[:i]:
-            raise InputError(path, f"line {name_line}: marker {name!r} is named twice")
+            raise InputError(path, f"{name_place}: marker {name!r} is named twice")
     times = table[:, 0]
-    check_times(path, times, [f"line {line}" for line in lines])
+    places = [f"line {line}" for line in lines] or [f"frame {i}" for i in range(len(times))]
+    check_times(path, times, places)
     positions = table[:, 1:].reshape(len(table), -1, 3)
     # A marker of which one coordinate is missing is missing.
     positions = np.where(np.isnan(positions).any(-1, keepdims=True), np.nan, positions)
@@ -130,6 +145,24 @@ def check_times(path: str | Path, times: np.ndarray, places: Sequence[str]) -> N
             path,
             f"{places[i + 1]}: time runs backwards, found {times[i + 1]:g} s after {times[i]:g} s",
         )
+
+
+def even_rate(path: str | Path, times: np.ndarray) -> float:
+    """Samples per second of (T,) evenly spaced times; 1 for a single one.
+
+    Raises:
+        InputError: a step that differs from the mean by more than a hundredth of it, and by more
+            than the microsecond to which text files round.
+    """
+    if len(times) == 1:
+        return 1.0
+    steps, step = np.diff(times), (times[-1] - times[0]) / (len(times) - 1)
+    if np.abs(steps - step).max() > max(0.01 * step, 2e-6):
+        found = f"samples are {1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms apart"
+        raise InputError(path, f"{found}, the format holds one rate only (give --rate)")
+    # 60.000024 is what is left of 60 after rounding.
+    rate = round(1 / step, 3)
+    return rate if abs(rate * step - 1) * len(times) < 1e-3 else 1 / step
 
 
 def format_rows(values: np.ndarray) -> np.ndarray:

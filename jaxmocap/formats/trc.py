@@ -49,7 +49,7 @@ def read_trc(path: str | Path) -> Markers:
     table, numbers = parse_rows(path, data, 2 + 3 * len(names))
     _check_count(path, header.get("NumFrames", ""), len(table))
     table[:, 2:] *= scale
-    return make_markers(path, table[:, 1:], numbers, names, name_line=4)
+    return make_markers(path, table[:, 1:], numbers, names, "line 4")
 
 
 def _cells(line: str) -> list[str]:
