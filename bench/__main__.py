@@ -1,34 +1,65 @@
-"""``python -m bench [--quick] [--json FILE]``: speed, in one table."""
+"""``python -m bench [--quick] [--json FILE] [--gate]``: speed, in one table.
+
+Everything runs on one core, so that figures do not depend on what the others do. Ratios are of
+times that were taken in turn; ``--gate`` holds them against ``baseline.json``.
+"""
 
 import argparse
 import os
+import platform
+import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
-import jax
 
-from bench.frame_rate import measure
-from bench.metrics import write_json
-from jaxmocap.run.compilation import keep_compiled
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    whole = argparse.ArgumentParser(
+        prog="python -m bench",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = whole.add_argument
+    add("--quick", action="store_true", help="less than a minute: what the gate needs")
+    add("--json", metavar="FILE", help="write the metrics")
+    add("--gate", action="store_true", help="exit 1 where a ratio is worse than the baseline's")
+    add("--only", choices=("frame rate", "rivals", "growth"), help="one part; not with --gate")
+    add("--all-cores", action="store_true", help="do not keep to one core")
+    return whole
 
-# Seconds of the clip and solves by the reference: in full, and quickly.
-FULL, QUICK = (20.0, 300), (2.0, 40)
+
+def keep_to_one_core() -> None:
+    """This process and its threads, where the system can do that."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="a short clip")
-    parser.add_argument("--json", metavar="FILE", help="write the metrics")
-    options = parser.parse_args()
-    if os.environ.get("JAX_COMPILATION_CACHE_DIR"):
-        keep_compiled()
-    device = jax.devices()[0]
-    print(f"frame rate, on {os.cpu_count()} cores, {device.platform}", flush=True)
+def main(arguments: Sequence[str] | None = None) -> None:
+    whole = parser()
+    options = whole.parse_args(arguments)
+    if options.gate and options.only:
+        whole.error("--gate needs all parts: leave --only out")
+    if not options.all_cores:
+        keep_to_one_core()
+    # XLA counts the cores when it is loaded.
+    from bench.gate import failures, read_baseline
+    from bench.metrics import table, write_json
+    from bench.parts import run
+    from jaxmocap.run.compilation import keep_compiled
+
+    keep_compiled()
+    mode = "quick" if options.quick else "full"
+    cores = "all cores" if options.all_cores else "one core"
+    print(f"{mode}, {cores} of {os.cpu_count()}, {platform.machine()}", flush=True)
     with tempfile.TemporaryDirectory() as folder:
-        metrics, table = measure(Path(folder), *(QUICK if options.quick else FULL))
-    print(table)
+        metrics, skipped = run(Path(folder), options.quick, options.only)
+    baseline = read_baseline(mode)
+    print(table(metrics, baseline))
     if options.json:
         write_json(metrics, options.json)
+    if options.gate and (said := failures(metrics, baseline, skipped)):
+        sys.exit("\n".join(said))
 
 
 if __name__ == "__main__":

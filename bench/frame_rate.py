@@ -1,174 +1,238 @@
-"""How long a frame takes, stage by stage, and how the inverse kinematics compares with NumPy's.
+"""How long a frame takes, stage by stage, at three sizes and in several ways of working.
 
-INPUTS: a synthetic table-tennis clip, 640 x 480 at 30 Hz, markers at 90 Hz, made on the spot.
-OUTPUTS: Metrics and a table. Decoding is left out: the frames are in memory, grey.
+INPUTS: a synthetic table-tennis clip, 30 Hz, markers at 90 Hz, made on the spot.
+OUTPUTS: Metrics. Frames are decoded beforehand but where the name says otherwise.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from time import perf_counter
 
+import cv2
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from bench.metrics import Metric, aligned, stage_metrics
-from jaxmocap.body.motion import Report
-from jaxmocap.body.pose import Pose
+from bench.clock import BusyClock, Span, Stopwatch, peak_mib, ratio, start_up, timed
+from bench.footage import SIZES, Footage, at_size, film
+from bench.image_chain import both_arms, image_chain
+from bench.metrics import Metric, stage_metrics
 from jaxmocap.capture.markers import interpolate
 from jaxmocap.capture.timeline import build_timeline
 from jaxmocap.capture.video import open_video
-from jaxmocap.formats.recording import Recording
-from jaxmocap.hybrid import ik
+from jaxmocap.hybrid.fixed_lag import FixedLagSmoother
+from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker
-from jaxmocap.reference import ik as reference
+from jaxmocap.run.reading import open_footage, reading
 from jaxmocap.run.recording import make_tracker, settled, track
-from jaxmocap.synthetic.recording import write_table_tennis
+from jaxmocap.run.timing import timed_stages
 
-# Stage of the report -> what the table calls it.
+Look = Callable[[int], np.ndarray | None]
+# Stage -> what the table calls it.
 STAGES = {
-    "solve": "solve (markers to pose)",
-    "observe": "observe (edges, distance fields)",
-    "refine": "refine (search, simplex)",
-    "frame": "whole step with a frame",
-    "carry": "refine without a frame",
-    "sample": "whole step without a frame",
+    "solve": "solve",
+    "observe": "observe",
+    "refine": "refine",
+    "step": "tracker's step with a frame",
+    "smooth": "fixed-lag smoothing",
+    "frame": "causal step with a frame",
+    "sample": "causal step without a frame",
 }
 
 
-@dataclass(frozen=True)
-class Rivals:
-    """The same solves by us and by the reference, milliseconds each, and how far they differ."""
+@dataclass
+class Pace:
+    """How long the parts of a causal run took.
 
-    ours: list[float]
-    reference: list[float]
-    farthest_rad: float
+    Attributes:
+        spans: stage -> times; "chain" is the yardstick, taken in turn with the frames.
+        duration_s: of the recording.
+    """
+
+    spans: dict[str, list[Span]] = field(default_factory=dict)
+    duration_s: float = 0.0
+
+    def keep(self, stage: str, span: Span) -> None:
+        """One more time of a stage."""
+        self.spans.setdefault(stage, []).append(span)
+
+    def of(self, stage: str) -> np.ndarray:
+        """All times (N, 2) of a stage, by both clocks."""
+        return np.array(self.spans[stage])
+
+    def wall(self, stage: str) -> np.ndarray:
+        """All times (N,) of a stage, by the wall's clock."""
+        return self.of(stage)[:, 0]
 
     @property
-    def ratio(self) -> float:
-        """How many times as long the reference takes."""
-        return float(np.median(self.reference) / np.median(self.ours))
+    def core_share(self) -> float:
+        """Of one core, at the recording's own pace, per cent."""
+        busy = sum(self.of(stage)[:, 1].sum() for stage in ("frame", "sample"))
+        return 100 * busy / 1e3 / self.duration_s
 
 
-def clip(folder: Path, seconds: float) -> Recording:
-    """The recording, its frames decoded beforehand."""
-    recording = Recording.load(write_table_tennis(folder, seconds))
-    (source,) = recording.videos
-    video = open_video(source)
-    images = [image for _, image in video.frames(luma=True)]
-    # The times in memory are marker time already.
-    still = replace(source, path=None, offset=0.0, frames=(video.times, images))
-    return replace(recording, videos=(still,))
+def causal(
+    tracker: HybridTracker,
+    footage: Footage,
+    look: Look,
+    chain: Callable[[int], object] = lambda frame: None,
+) -> Pace:
+    """As a live run: every marker sample and every frame in turn, smoothed where that is set.
+
+    Args:
+        tracker: compiled already, or the first times tell of that.
+        footage: whose markers and times count.
+        look: the frame of that index.
+        chain: the yardstick on that frame; run right after it.
+    """
+    recording, clock = footage.recording, BusyClock()
+    smoothing = tracker.settings.smooth and tracker.cameras is not None
+    smoother = FixedLagSmoother(tracker) if smoothing else None
+    line = build_timeline(recording.times, [footage.times], "causal")
+    markers = interpolate(recording.times, recording.positions_world, line.event_times, True)
+    stepping = timed_stages(tracker, clock)
+    state = settled(tracker, recording.positions_world[0])
+    pace = Pace(duration_s=float(line.event_times[-1] - line.event_times[0]))
+    for event, time in enumerate(line.event_times):
+        frame, whole = int(line.frame_index[event, 0]), Stopwatch()
+        images = [None if frame < 0 else look(frame)]
+        step = Stopwatch()
+        state, pose, report = jax.device_get(stepping.step(state, time, markers[event], images))
+        clock.spans["step"] = step.read()
+        if smoother is not None:
+            # Between the samples markers are extrapolated, which the smoother does better.
+            there = markers[event] if line.sample_index[event] >= 0 else np.nan * markers[event]
+            clock.timed("smooth", smoother.step)(time, there, images, pose, report)
+        if frame < 0:
+            pace.keep("sample", whole.read())
+            continue
+        clock.spans["frame"] = whole.read()
+        for stage, span in clock.spans.items():
+            pace.keep(stage, span)
+        pace.keep("chain", timed(chain, frame)[0])
+    return pace
 
 
-def measure(folder: Path, seconds: float, solves: int) -> tuple[list[Metric], str]:
-    """All figures of this part, and their table.
+def measure(folder: Path, seconds: float, quick: bool) -> Iterator[Metric]:
+    """All figures of this part.
 
     Args:
         folder: to put the clip in.
         seconds: of the clip.
-        solves: by the reference, which takes its time.
+        quick: the smallest size, markers with and without video, and no second pass.
     """
-    recording = clip(folder, seconds)
-    began = perf_counter()
-    tracker = make_tracker(recording)
-    build = perf_counter() - began
-    report = track(recording, tracker=tracker).report
-    assert report is not None
-    first = build + report.milliseconds["first_call"][0] / 1e3
-    # The stages above wait for each other to be timed; a user waits once, for the pose.
-    report = replace(report, milliseconds=report.milliseconds | step_times(tracker, recording))
-    rivals = race(tracker, recording, solves)
-    return metrics(report, first, rivals), table(report, first, rivals)
+    cv2.setNumThreads(1)
+    footage = film(folder, seconds)
+    crops = both_arms(footage.recording, footage.camera, footage.times, footage.images)
+
+    def chain(frame: int) -> object:
+        return image_chain(crops[frame])
+
+    tracker = make_tracker(footage.recording)
+    yield from starting(tracker, footage)
+    causal(tracker, footage, footage.images.__getitem__, chain)
+    pace = causal(tracker, footage, footage.images.__getitem__, chain)
+    yield from at_one_size("640x480", pace)
+    yield from over_chain(pace)
+    yield Metric("memory, most so far", peak_mib(), "MiB")
+    if not quick:
+        yield from offline(tracker, footage, pace)
+        yield from at_all_sizes(footage)
+    yield from otherwise(footage, ["none"] if quick else ["none", "gradient"])
 
 
-def step_times(tracker: HybridTracker, recording: Recording) -> dict[str, np.ndarray]:
-    """Milliseconds of ``tracker.step`` as a user calls it, with a frame and without one."""
-    video = open_video(recording.videos[0])
-    images = [image for _, image in video.frames(luma=True)]
-    line = build_timeline(recording.times, [video.times])
-    markers = interpolate(recording.times, recording.positions_world, line.event_times)
-    state = settled(tracker, recording.positions_world[0])
-    spent: dict[str, list[float]] = {"frame": [], "sample": []}
-    for i, time in enumerate(line.event_times):
-        frame = line.frame_index[i, 0]
-        seen = None if frame < 0 else [images[frame]]
-        took, (state, _, _) = _timed(tracker.step, state, time, markers[i], seen)
-        spent["sample" if seen is None else "frame"].append(took)
-    return {stage: np.array(times) for stage, times in spent.items()}
-
-
-def race(tracker: HybridTracker, recording: Recording, solves: int) -> Rivals:
-    """Algorithm 1 from the same start to the same goals, jitted in float32 and in NumPy."""
-
-    @jax.jit
-    def solve(skeleton, goals, settings, pose):
-        # Which bones carry the goals is static.
-        sites = goals.sites._replace(bones=tracker.held.sites.bones)
-        return ik.reach(skeleton, goals._replace(sites=sites), settings, pose)
-
-    state = settled(tracker, recording.positions_world[0])
-    ours, theirs, farthest = [], [], 0.0
-    for markers in recording.positions_world[1 : solves + 2]:
-        targets = jnp.asarray(markers, tracker.dtype)
-        mask = jnp.all(jnp.isfinite(targets), -1)
-        goals = ik.goals_of(
-            tracker.skeleton, tracker.held, tracker.settings.ik, state.stance, targets, mask
-        )
-        problem = (tracker.skeleton, goals, tracker.settings.ik, state.pose)
-        time, (pose, _) = _timed(solve, *problem)
-        ours.append(time)
-        # As NumPy arrays: fetching each of its numbers from JAX would take most of its time.
-        time, (expected, _) = _timed(reference.reach, *jax.tree.map(np.asarray, problem))
-        theirs.append(time)
-        farthest = max(farthest, _apart(pose, expected))
-        state = state._replace(pose=pose)
-    # The first of ours compiles.
-    return Rivals(ours[1:], theirs[1:], farthest)
-
-
-def _timed(function: Callable, *arguments) -> tuple[float, tuple]:
-    began = perf_counter()
-    result = jax.block_until_ready(function(*arguments))
-    return 1e3 * (perf_counter() - began), result
-
-
-def _apart(pose: Pose, expected: reference.Pose) -> float:
-    return float(np.abs(np.asarray(pose.angles, float) - expected.angles).max())
-
-
-def metrics(report: Report, first: float, rivals: Rivals) -> list[Metric]:
-    """The figures that a baseline holds."""
-    found = [
-        metric
-        for stage, name in STAGES.items()
-        for metric in stage_metrics(name, report.milliseconds[stage])
-    ]
-    rate = 1e3 / float(np.median(report.milliseconds["frame"]))
-    return [
-        *found,
-        Metric("frame rate", rate, "1/s", "higher"),
-        Metric("first call, compilation included", first, "s", tolerance=0.5),
-        *stage_metrics("inverse kinematics", rivals.ours),
-        *stage_metrics("inverse kinematics, NumPy reference", rivals.reference),
-        Metric("inverse kinematics, reference / ours", rivals.ratio, "x", "higher"),
-    ]
-
-
-def table(report: Report, first: float, rivals: Rivals) -> str:
-    """The same to read."""
-    times = {name: report.milliseconds[stage] for stage, name in STAGES.items()}
-    times["inverse kinematics alone"] = np.array(rivals.ours)
-    times["the same, NumPy reference"] = np.array(rivals.reference)
-    rows = [["stage", "median ms", "99 % ms", "calls"]]
-    for name, spent in times.items():
-        median, p99 = np.percentile(spent, [50, 99])
-        rows.append([name, f"{median:.2f}", f"{p99:.2f}", str(len(spent))])
-    rate = 1e3 / np.median(report.milliseconds["frame"])
-    return (
-        f"{aligned(rows)}\n\n"
-        f"{rate:.0f} frames per second; first call {first:.1f} s, compilation included\n"
-        f"inverse kinematics: {rivals.ratio:.0f} times as fast as the reference, "
-        f"joint angles within {rivals.farthest_rad:.1e} rad of it"
+def starting(tracker: HybridTracker, footage: Footage) -> Iterator[Metric]:
+    """What a first step costs: solve and refine apart, then the smoother's first frames."""
+    recording = footage.recording
+    beginning, state = timed(tracker.init, recording.positions_world[0])
+    targets = np.asarray(recording.positions_world[0], tracker.dtype)
+    shared = (tracker.skeleton, tracker.cameras, tracker.settings)
+    solve = (*shared, state.pose, state.stance, targets)
+    yield Metric(
+        "start: first placement, trace and compile", beginning.wall / 1e3, "s", tolerance=0.5
     )
+    yield from start_up("start: solve", tracker.solve, *solve)
+    solved = tracker.solve(*solve)
+    seen = tracker.observer.observe([footage.images[0]], solved.region)
+    now = np.asarray(0.0, tracker.dtype)
+    refine = (*shared, tracker.factors, solved, targets, seen, state.belief, now)
+    yield from start_up("start: refine", tracker.refine, *refine)
+
+
+def at_one_size(size: str, pace: Pace) -> Iterator[Metric]:
+    """The stages, the frame rate, and the share of a core."""
+    for stage, name in STAGES.items():
+        if stage in pace.spans:
+            yield from stage_metrics(f"{size}, {name}", pace.wall(stage))
+    rate = 1e3 / float(np.median(pace.wall("frame")))
+    yield Metric(f"{size}, causal frames per second", rate, "1/s", "higher")
+    yield Metric(f"{size}, causal, of one core at 30 Hz", pace.core_share, "%")
+
+
+def over_chain(pace: Pace) -> Iterator[Metric]:
+    """Times as multiples of the bare image chain, taken in turn."""
+    chain = pace.of("chain")
+    yield from stage_metrics("bare image chain, two 200x200 regions", chain[:, 0])
+    yield Metric("step_over_image_chain", ratio(pace.of("frame"), chain), "x")
+    yield Metric("tracker_step_over_image_chain", ratio(pace.of("step"), chain), "x")
+    for stage in ("solve", "observe", "refine", "smooth"):
+        yield Metric(f"{stage}_over_image_chain", ratio(pace.of(stage), chain), "x")
+    for stage, name in (("step", "tracker_step"), ("frame", "step")):
+        late = float(np.percentile(busy := pace.of(stage)[:, 1], 99) / np.median(busy))
+        yield Metric(f"{name}_p99_over_median", late, "x", tolerance=1.0)
+
+
+def offline(tracker: HybridTracker, footage: Footage, pace: Pace) -> Iterator[Metric]:
+    """The default: a first pass, and a second one over the whole recording."""
+    before, _ = timed(lambda: track(footage.decoded, tracker=tracker))
+    watch = Stopwatch()
+    report = track(footage.decoded, tracker=tracker).report
+    whole, frames = watch.read(), len(footage.images)
+    assert report is not None
+    second_pass = float(report.milliseconds["smooth"][0])
+    compiling = max(before.wall - whole.wall, 0.0) / 1e3
+    yield Metric("start: second pass, trace and compile", compiling, "s", tolerance=0.5)
+    yield Metric("640x480, first pass, per frame", (whole.wall - second_pass) / frames, "ms")
+    yield Metric("640x480, second pass, per frame", second_pass / frames, "ms")
+    chain = float(np.median(pace.of("chain")[:, 1]))
+    yield Metric("offline_over_image_chain", whole.busy / frames / chain, "x")
+
+
+def at_all_sizes(footage: Footage) -> Iterator[Metric]:
+    """The causal loop at larger sizes, and decoding beside it at all of them."""
+    for width, height in SIZES:
+        size = f"{width}x{height}"
+        larger = at_size(footage, width, height)
+        tracker = make_tracker(larger.recording)
+        # The smoother's grids are as large as the images: the first way through compiles.
+        causal(tracker, larger, larger.images.__getitem__)
+        if (width, height) != SIZES[0]:
+            yield from at_one_size(size, causal(tracker, larger, larger.images.__getitem__))
+        yield from decoding(size, tracker, larger)
+
+
+def decoding(size: str, tracker: HybridTracker, footage: Footage) -> Iterator[Metric]:
+    """Decoding by itself, to colour and to grey, and within the causal loop."""
+    video = open_video(footage.recording.videos[0])
+    for name, luma in (("BGR", False), ("grey", True)):
+        watch = Stopwatch()
+        count = sum(1 for _ in video.frames(luma=luma))
+        spent = watch.read()
+        yield Metric(f"{size}, decoding to {name}", spent.wall / count, "ms")
+        of_core = 100 * spent.busy / 1e3 / video.duration
+        yield Metric(f"{size}, decoding to {name}, of one core at 30 Hz", of_core, "%")
+    videos, _ = open_footage(footage.recording)
+    with reading(videos, colour=True) as (reader,):
+        pace = causal(tracker, footage, reader.at)
+    yield from stage_metrics(f"{size}, causal step with a frame and decoding", pace.wall("frame"))
+
+
+def otherwise(footage: Footage, ways: list) -> Iterator[Metric]:
+    """Frame by frame without smoothing: markers only, and refined by gradients."""
+    for refine in ways:
+        settings = replace(Settings(), refine=refine, smooth=False)
+        tracker = make_tracker(footage.recording, settings)
+        look = footage.images.__getitem__
+        causal(tracker, footage, look)
+        pace = causal(tracker, footage, look)
+        name = "markers only" if refine == "none" else refine
+        yield from stage_metrics(f"640x480, {name}, step", pace.wall("frame"))

@@ -11,6 +11,8 @@ from typing import Literal
 
 import numpy as np
 
+MEDIAN, LATE = ", median", ", 99 %"
+
 
 @dataclass(frozen=True)
 class Metric:
@@ -19,7 +21,7 @@ class Metric:
     Attributes:
         name: what was measured.
         value: in ``unit``.
-        unit: ms, s, 1/s, cm, % or x (a ratio).
+        unit: ms, s, 1/s, cm, MiB, % or x (a ratio).
         direction: whether lower or higher is better.
         tolerance: relative change against a baseline that may be chance.
     """
@@ -35,8 +37,8 @@ def stage_metrics(name: str, milliseconds: Sequence[float] | np.ndarray) -> list
     """Median and 99th percentile; chance moves the latter further."""
     median, p99 = np.percentile(milliseconds, [50, 99])
     return [
-        Metric(f"{name}, median", float(median), "ms"),
-        Metric(f"{name}, 99 %", float(p99), "ms", tolerance=1.0),
+        Metric(f"{name}{MEDIAN}", float(median), "ms"),
+        Metric(f"{name}{LATE}", float(p99), "ms", tolerance=1.0),
     ]
 
 
@@ -45,6 +47,27 @@ def write_json(metrics: Iterable[Metric], path: str | Path) -> None:
     entries = [asdict(metric) for metric in metrics]
     text = json.dumps({"metrics": entries}, indent=2, allow_nan=False)
     Path(path).write_text(text + "\n", encoding="utf-8")
+
+
+def read_json(path: str | Path) -> list[Metric]:
+    """Metrics that were written."""
+    entries = json.loads(Path(path).read_text(encoding="utf-8"))["metrics"]
+    return [Metric(**entry) for entry in entries]
+
+
+def table(metrics: Iterable[Metric], baseline: Iterable[Metric] = ()) -> str:
+    """One row for each figure, with its 99th percentile and the committed value beside it."""
+    found, committed = list(metrics), {metric.name: metric for metric in baseline}
+    late = {m.name.removesuffix(LATE): m for m in found if m.name.endswith(LATE)}
+    rows = [["", "median", "99 %", "unit", "baseline"]]
+    for metric in found:
+        if metric.name.endswith(LATE):
+            continue
+        name = metric.name.removesuffix(MEDIAN)
+        cells = [metric, late.get(name), committed.get(metric.name)]
+        value, p99, before = (f"{cell.value:.3g}" if cell else "" for cell in cells)
+        rows.append([name, value, p99, metric.unit, before])
+    return aligned(rows)
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> str:
