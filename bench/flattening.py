@@ -17,8 +17,10 @@ from jaxmocap.capture.video import FrameSource
 from jaxmocap.formats.recording import Recording
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.hybrid.appearance import ROWS, Drawing, learn_appearance
+from jaxmocap.hybrid.residuals import feet_free
 from jaxmocap.images.background import Background, as_learned, spread
 from jaxmocap.images.foreground import shrink
+from jaxmocap.run.recording import marker_sites
 from jaxmocap.run.smoothing import FirstPass, Look
 
 # Differences, in deviations of the sensor's noise, from which a pixel begins to differ, and does.
@@ -58,7 +60,8 @@ def learned(
     look, chosen = Look(camera, events, column[events]), spread(len(events))
     poses = jax.tree.map(lambda part: np.asarray(part)[events], first_pass.refined)
     drawing = Drawing.of(recording.skeleton, lens, video.size, poses)
-    appearance = learn_appearance(drawing, chosen, look.frames(video, chosen))
+    astray = feet_free(recording.skeleton, marker_sites(recording.skeleton, recording.places)) > 0
+    appearance = learn_appearance(drawing, chosen, look.frames(video, chosen), astray)
     return None if appearance is None else appearance.background
 
 
