@@ -91,7 +91,7 @@ def problems(monkeypatch):
     """What is to be smoothed, round by round, instead of smoothing it."""
     kept: list[Problem] = []
 
-    def keep(problem, start, _):
+    def keep(problem, start, *_):
         kept.append(problem)
         return SmoothedPoses(start, 0.0, Status.CONVERGED)
 

@@ -41,7 +41,7 @@ from jaxmocap.hybrid.trajectory import (
 from jaxmocap.images.silhouette import blurred
 from jaxmocap.solvers.smoothness import Smoothness, smoothness
 from jaxmocap.solvers.status import Status
-from jaxmocap.solvers.trajectory import Linearised, smooth
+from jaxmocap.solvers.trajectory import DEFAULTS, Linearised, smooth
 from jaxmocap.solvers.trajectory import Settings as Solve
 
 # Frames and sights per call: shapes that every recording shares, so that they compile once.
@@ -99,15 +99,22 @@ class SmoothedPoses(NamedTuple):
     status: Status
 
 
-def smooth_poses(problem: Problem, start: Trajectory, softness: tuple[float, ...]) -> SmoothedPoses:
+def smooth_poses(
+    problem: Problem,
+    start: Trajectory,
+    softness: tuple[float, ...],
+    relative: float = DEFAULTS.relative,
+) -> SmoothedPoses:
     """Minimise all residuals from a start (T, ...), with silhouettes ever sharper.
 
     Args:
         problem: what is known.
         start: poses and what they share; the cameras turn where it brings turns.
         softness: of the silhouettes' borders, cells, one solve after the other.
+        relative: a solve ends where the cost falls by no more than this share.
     """
-    prior, solve = landmark_prior(problem), Solve(iterations=problem.settings.iterations)
+    prior = landmark_prior(problem)
+    solve = Solve(iterations=problem.settings.iterations, relative=relative)
     trajectory, ended = start, None
     with two_workers() as workers:
         for soft in softness:

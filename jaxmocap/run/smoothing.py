@@ -42,6 +42,8 @@ from jaxmocap.run.judging import Judged, judge
 
 # Cells over which silhouettes fade, from solve to solve: roughly first, in the end as seen.
 ROUGHLY, DECIDING, FINELY = (3.0, 1.5), (1.5,), (1.5, 0.8)
+# A solve that only prepares the next look ends where the cost falls by no more than this share.
+PREPARED = 1e-3
 # So many times candidates decide where the elbows are.
 DECISIONS = 2
 # Over so many seconds the markers' facing is averaged: a person turns more slowly than it errs.
@@ -144,12 +146,12 @@ def smooth_recording(
     def decided(problem: Problem, found: Trajectory) -> Trajectory:
         goals = elbow_goals(problem, found, tracker.grips)
         hoped = replace(problem, known=known._replace(goals=goals))
-        return smooth_poses(hoped, found, DECIDING).trajectory
+        return smooth_poses(hoped, found, DECIDING, PREPARED).trajectory
 
     no_change = np.zeros(len(PROPORTIONS), tracker.dtype)
     found = Trajectory(first_pass.refined, no_change, _as_calibrated(tracker))
     problem = looked(found)
-    found = smooth_poses(problem, found, ROUGHLY).trajectory
+    found = smooth_poses(problem, found, ROUGHLY, PREPARED).trajectory
     show(0.3)
     for turn in range(DECISIONS):
         found = decided(problem, found)
