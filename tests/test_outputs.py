@@ -18,10 +18,10 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.formats.errors import InputError
 from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.solids import limb_solid
 from jaxmocap.outputs.overlay import Artist, confidence_colour, write_overlay
 from jaxmocap.outputs.report import write_report
 from jaxmocap.outputs.scene import limb_outlines, make_scene, pixels
-from jaxmocap.outputs.solids import limb_solid
 from jaxmocap.outputs.viewer import Footage, write_rerun
 
 SAMPLES, RATE, START = 40, 90.0, 12.5

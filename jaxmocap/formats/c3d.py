@@ -34,13 +34,7 @@ def read_c3d(path: str | Path) -> Markers:
         InputError: no such file, not C3D or cut off, without points, or of an unknown unit.
     """
     content = read_bytes(path)
-    try:
-        import ezc3d
-
-        file = ezc3d.c3d(str(path))
-    # ezc3d raises whatever its parser met: OSError, RuntimeError, ValueError, IndexError, ...
-    except Exception:
-        raise InputError(path, "not a C3D file, or cut off within its parameters") from None
+    file = _opened(path)
     points, group = file["data"]["points"], file["parameters"]["POINT"]
     if not points.shape[1] or not points.shape[2]:
         raise InputError(path, "found no points")
@@ -62,6 +56,31 @@ def read_c3d(path: str | Path) -> Markers:
     return Markers(markers.times, markers.names, markers.positions, residuals)
 
 
+def _opened(path: str | Path) -> Any:
+    try:
+        import ezc3d
+
+        return ezc3d.c3d(str(path))
+    # ezc3d raises whatever its parser met: OSError, RuntimeError, ValueError, IndexError, ...
+    except Exception:
+        raise InputError(path, "not a C3D file, or cut off within its parameters") from None
+
+
+def left_in_c3d(path: str | Path) -> list[str]:
+    """What a file that can be read holds besides its points, in words."""
+    file = _opened(path)
+    parameters, left = file["parameters"], []
+    if count := file["data"]["analogs"].shape[1]:
+        left.append(f"{count} analog channels")
+    if "EVENT" in parameters and len(parameters["EVENT"].get("TIMES", {}).get("value", ())):
+        left.append("events")
+    count = file["data"]["points"].shape[1]
+    given, kept = _stored_labels(parameters["POINT"], count), _labels(parameters["POINT"], count)
+    if given != kept:
+        left.append(f"the labels' prefix {given[0].rpartition(':')[0]}:")
+    return left
+
+
 def _declared_frames(content: bytes) -> int:
     """How many frames the header says there are; ezc3d tells only those that it found."""
     processor = content[(content[0] - 1) * 512 + 3]
@@ -79,12 +98,17 @@ def _scale(path: str | Path, group: Any) -> float:
     return _UNITS[unit.lower()]
 
 
-def _labels(group: Any, count: int) -> list[str]:
+def _stored_labels(group: Any, count: int) -> list[str]:
     """A name for every point; beyond 255 they go on in LABELS2, LABELS3, ..."""
     keys = ["LABELS", *(f"LABELS{i}" for i in range(2, 2 + count // 255))]
     found = [str(name).strip() for key in keys if key in group for name in group[key]["value"]]
     names = [name or f"point{i}" for i, name in enumerate(found[:count], 1)]
-    names += [f"point{i}" for i in range(len(names) + 1, count + 1)]
+    return names + [f"point{i}" for i in range(len(names) + 1, count + 1)]
+
+
+def _labels(group: Any, count: int) -> list[str]:
+    """The names without a prefix that all share."""
+    names = _stored_labels(group, count)
     prefixes = {name.rpartition(":")[0] for name in names if ":" in name}
     short = [name.rpartition(":")[2] for name in names]
     alone = len(prefixes) == 1 and all(short) and len(set(short)) == count

@@ -19,10 +19,10 @@ from rerun.blueprint import Blueprint
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import quaternion_from_matrix
+from jaxmocap.geometry.solids import limb_solid
 from jaxmocap.outputs.layout import TIMELINE, entity_path
 from jaxmocap.outputs.overlay import encode_jpeg
 from jaxmocap.outputs.scene import Scene, limb_outlines, pixels
-from jaxmocap.outputs.solids import limb_solid
 
 # RGB; middle, left and right of the body. The skeleton shines through the limbs.
 COLOURS = {"": (190, 190, 200), "l": (70, 170, 255), "r": (255, 160, 60)}

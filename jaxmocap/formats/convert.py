@@ -1,0 +1,229 @@
+"""One file made into another, between formats that carry the same thing.
+
+INPUTS: a file of markers (.c3d, .trc, .csv) or of a motion (.npz, .bvh, .glb, .mot).
+OUTPUTS: another of the same kind, or the joints of a motion as markers; what was left out or added
+on the way, as sentences.
+
+Markers keep the axes of their file. Motions are Y up in .bvh and .glb and Z up elsewhere, and are
+turned; joints made from them are Z up, as ``joints.trc`` is.
+"""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from jaxmocap.body.motion import Motion
+from jaxmocap.formats.armature import Armature, joint_positions, settled, turned
+from jaxmocap.formats.axes import UP
+from jaxmocap.formats.body_armature import armature_of, motion_of
+from jaxmocap.formats.bvh import read_bvh, write_bvh
+from jaxmocap.formats.c3d import left_in_c3d, write_c3d
+from jaxmocap.formats.csv import write_csv
+from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.gltf import write_gltf
+from jaxmocap.formats.gltf_in import read_gltf
+from jaxmocap.formats.joint_names import CONVENTIONS, landmark_names, recognised
+from jaxmocap.formats.markers import read_markers
+from jaxmocap.formats.mot import motion_from_angles, read_mot, write_mot
+from jaxmocap.formats.npz import load_motion, save_motion
+from jaxmocap.formats.resampling import even_times, resampled, resampled_markers
+from jaxmocap.formats.tables import Markers
+from jaxmocap.formats.trc import write_trc
+
+MARKERS = (".c3d", ".trc", ".csv")
+MOTIONS = (".npz", ".bvh", ".glb", ".mot")
+# What names joints have in an animation file if nothing else is asked for.
+CUSTOMARY = {".bvh": "humanik", ".glb": "vrm"}
+R_file_world = UP["y"].T
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to convert.
+
+    Attributes:
+        names: convention of the joints' names, one of ``CONVENTIONS``; None is customary for the
+            target, or what the source says.
+        unit: of a BVH file; None is metres when written, told by its size when read.
+        rate: samples per second of the target; None keeps the source's times.
+        body: file whose skeleton the angles of a .mot are of; None where the source has one.
+    """
+
+    names: str | None = None
+    unit: str | None = None
+    rate: float | None = None
+    body: Path | None = None
+
+
+@dataclass
+class _Work:
+    """A conversion under way, and what it has to say."""
+
+    source: Path
+    target: Path
+    options: Options
+    notes: list[str] = field(default_factory=list)
+
+
+def convert(source: str | Path, target: str | Path, options: Options | None = None) -> list[str]:
+    """Make one file into another, by their suffixes.
+
+    Returns:
+        Sentences: what the target cannot hold, and what was put in that the source does not say.
+
+    Raises:
+        InputError: an unknown suffix, a source that cannot be used, or a target that cannot hold
+            what it should.
+    """
+    work = _Work(Path(source), Path(target), options or Options())
+    kinds = [path.suffix.lower() for path in (work.source, work.target)]
+    for path, kind in zip((work.source, work.target), kinds, strict=True):
+        if kind not in (*MARKERS, *MOTIONS):
+            expected = ", ".join((*MARKERS, *MOTIONS))
+            raise InputError(path, f"unknown suffix {kind!r}, expected one of {expected}")
+    if kinds[0] in MARKERS and kinds[1] in MOTIONS:
+        problem = f"cannot be made from {work.source}: places of markers are not turns of bones"
+        raise InputError(target, f"{problem} (jaxmocap track finds those)")
+    _check_options(work, *kinds)
+    if kinds[0] in MARKERS:
+        _write_markers(work, _read_markers(work))
+    elif kinds[1] in MARKERS:
+        _write_markers(work, _joints(work, _read_motion(work)))
+    elif kinds[1] in CUSTOMARY:
+        _write_armature(work, _as_armature(work, _read_motion(work)))
+    else:
+        _write_motion(work, _as_motion(work, _read_motion(work)))
+    return work.notes
+
+
+def _check_options(work: _Work, source: str, target: str) -> None:
+    """InputError for an option that would not do anything."""
+    options = work.options
+    useless = {
+        "--unit": options.unit and ".bvh" not in (source, target),
+        "--body": options.body and source != ".mot",
+        "--names": options.names and (source in MARKERS or target in (".npz", ".mot")),
+    }
+    for option, given in useless.items():
+        if given:
+            raise InputError(work.source, f"{option} says nothing about {source} to {target}")
+    if source == ".mot" and options.body is None:
+        problem = "holds angles without bones: name a file with the same body"
+        raise InputError(work.source, f"{problem} (--body motion.npz)")
+
+
+def _read_markers(work: _Work) -> Markers:
+    markers = read_markers(work.source)
+    if work.source.suffix.lower() == ".c3d":
+        work.notes += [f"left out: {left}" for left in left_in_c3d(work.source)]
+    return markers
+
+
+def _write_markers(work: _Work, markers: Markers) -> None:
+    kind = work.target.suffix.lower()
+    if work.options.rate is not None:
+        times = even_times(markers.times, work.options.rate)
+        markers = resampled_markers(markers, times)
+    try:
+        if kind == ".c3d":
+            write_c3d(work.target, markers)
+            return
+        write = write_trc if kind == ".trc" else write_csv
+        write(work.target, markers.times, markers.points())
+    except ValueError as error:
+        # Names that a format cannot hold.
+        raise (
+            error if isinstance(error, InputError) else InputError(work.target, str(error))
+        ) from None
+    if markers.residuals is not None and np.nan_to_num(markers.residuals).any():
+        work.notes.append(f"left out: the markers' residuals, which {kind} does not hold")
+
+
+def _read_motion(work: _Work) -> Motion | Armature:
+    """What the source holds, in the world's axes."""
+    path, kind = work.source, work.source.suffix.lower()
+    if kind == ".npz":
+        return load_motion(path)
+    if kind == ".mot":
+        times, columns = read_mot(path)
+        return motion_from_angles(path, times, columns, _body(work).skeleton)
+    armature = read_bvh(path, work.options.unit) if kind == ".bvh" else read_gltf(path)
+    return turned(armature, R_file_world.T)
+
+
+def _body(work: _Work) -> Motion:
+    """A motion of the body whose angles a .mot holds."""
+    body = work.options.body
+    if body is None or body.suffix.lower() not in (".npz", ".bvh", ".glb"):
+        raise InputError(
+            body or work.source, "expected a .npz, .bvh or .glb file, which holds a body"
+        )
+    lender = _Work(body, work.target, replace(work.options, body=None))
+    motion = _read_motion(lender)
+    return motion if isinstance(motion, Motion) else motion_of(motion, body)
+
+
+def _as_armature(work: _Work, motion: Motion | Armature) -> Armature:
+    kind, names = work.target.suffix.lower(), work.options.names
+    if isinstance(motion, Motion):
+        work.notes.append("left out: masses, limits, and the report where there is one")
+        return armature_of(motion, names or CUSTOMARY[kind])
+    return replace(motion, names=_renamed(work, motion.names))
+
+
+def _renamed(work: _Work, joints: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of joints in the convention asked for; joints that it does not know keep theirs."""
+    if work.options.names is None:
+        return joints
+    ours, convention = recognised(joints), CONVENTIONS[work.options.names]
+    if ours is None:
+        raise InputError(work.source, f"joints of no known convention: {', '.join(joints)}")
+    return tuple(convention[ours[name]] if name in ours else name for name in joints)
+
+
+def _write_armature(work: _Work, armature: Armature) -> None:
+    if not armature.known.any():
+        raise InputError(work.source, "no pose is known in any sample")
+    if work.options.rate is not None:
+        armature = resampled(armature, even_times(armature.times, work.options.rate))
+    armature = turned(armature, R_file_world)
+    if work.target.suffix.lower() == ".glb":
+        write_gltf(work.target, armature)
+        return
+    if unknown := int((~armature.known).sum()):
+        work.notes.append(f"added: {unknown} samples without a pose hold that of the nearest")
+    if armature.times[0] != 0:
+        work.notes.append(f"left out: that the first sample is at {armature.times[0]:g} s, not 0")
+    write_bvh(work.target, settled(armature), work.options.unit or "m")
+
+
+def _as_motion(work: _Work, motion: Motion | Armature) -> Motion:
+    if isinstance(motion, Motion):
+        return motion
+    found = motion_of(motion, work.source)
+    if work.target.suffix.lower() == ".npz":
+        work.notes.append("added: masses, girths and limits of a person with bones as long")
+    return found
+
+
+def _write_motion(work: _Work, motion: Motion) -> None:
+    if work.options.rate is not None:
+        even = even_times(motion.times, work.options.rate)
+        armature = resampled(armature_of(motion), even)
+        poses = motion_of(armature, work.source).poses
+        motion = Motion(motion.skeleton, even, poses)
+    if work.target.suffix.lower() == ".npz":
+        save_motion(work.target, motion)
+    else:
+        write_mot(work.target, motion)
+        work.notes.append("left out: the body, and the report where there is one")
+
+
+def _joints(work: _Work, motion: Motion | Armature) -> Markers:
+    """Where the joints are, as markers: landmarks of a motion of ours, else all joints."""
+    work.notes.append("left out: how the bones are turned")
+    if isinstance(motion, Motion):
+        names, points = tuple(landmark_names(work.options.names).values()), motion.joints()
+        return Markers(motion.times, names, np.stack(list(points.values()), 1).astype(float))
+    return Markers(motion.times, _renamed(work, motion.names), joint_positions(motion))

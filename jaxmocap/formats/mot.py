@@ -1,0 +1,104 @@
+"""MOT: joint angles over time, in the table that OpenSim reads and writes.
+
+INPUTS: a Motion; or a .mot (or .sto) file and the skeleton it is of.
+OUTPUTS: a .mot file; or its columns, or a Motion.
+
+A file written here has the pelvis' place (``pelvis_tx``, ``_ty``, ``_tz``: metres, world, Z up),
+its turns (``pelvis_yaw`` about the world's vertical, then ``pelvis_pitch`` about its own left axis,
+then ``pelvis_roll`` about its own forward axis) and every joint's angle by its name, in degrees,
+without jumps at ±180°. Bones are not in it.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.formats.atomic import replacing
+from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.tables import check_times, parse_rows, read_lines
+
+PLACES = ("pelvis_tx", "pelvis_ty", "pelvis_tz")
+TURNS = ("pelvis_yaw", "pelvis_pitch", "pelvis_roll")
+_AXES = "ZYX"
+
+
+def write_mot(path: str | Path, motion: Motion) -> None:
+    """Write the angles of a motion; NaN where a pose is unknown."""
+    names = (*PLACES, *TURNS, *motion.skeleton.tree.joints)
+    quaternion = np.asarray(motion.poses.quaternion, float)
+    known = np.isfinite(quaternion.sum(-1))
+    turns = np.full((len(known), 3), np.nan)
+    if known.any():
+        R_world_pelvis = Rotation.from_quat(quaternion[known], scalar_first=True)
+        turns[known] = np.unwrap(R_world_pelvis.as_euler(_AXES), axis=0)
+    angles = np.degrees(np.concatenate([turns, np.asarray(motion.poses.angles, float)], 1))
+    table = np.concatenate([np.asarray(motion.poses.position, float), angles], 1)
+    head = [Path(path).stem, "version=1", f"nRows={len(table)}", f"nColumns={len(names) + 1}"]
+    lines = [*head, "inDegrees=yes", "endheader", "\t".join(["time", *names])]
+    for time, row in zip(motion.times, table, strict=True):
+        cells = ("NaN" if np.isnan(value) else f"{value:.8f}" for value in row)
+        lines.append("\t".join([f"{time:.9f}", *cells]))
+    with replacing(path) as beside:
+        beside.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+
+
+def read_mot(path: str | Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Times (T,) in seconds and columns (T,) by name, as they stand in the file but in radians.
+
+    Columns that end in ``_tx``, ``_ty`` or ``_tz`` are places and keep their metres.
+
+    Raises:
+        InputError: no such file, or the line that does not fit.
+    """
+    lines = read_lines(path)
+    stripped = [line.strip().lower() for line in lines]
+    if "endheader" not in stripped:
+        raise InputError(path, "found no line 'endheader', which ends a MOT file's header")
+    end = stripped.index("endheader")
+    header = dict(line.split("=", 1) for line in stripped[:end] if "=" in line)
+    if header.get("indegrees") not in ("yes", "no"):
+        raise InputError(path, "the header says neither inDegrees=yes nor inDegrees=no")
+    names = lines[end + 1].split() if len(lines) > end + 1 else []
+    if len(names) < 2 or names[0].lower() != "time":
+        raise InputError(path, f"line {end + 2}: found no 'time' and names of columns")
+    rows = ((i, line.split()) for i, line in enumerate(lines, 1) if i > end + 2)
+    table, numbers = parse_rows(path, rows, len(names))
+    check_times(path, table[:, 0], [f"line {line}" for line in numbers])
+    declared = header.get("nrows", "")
+    if declared.isdecimal() and int(declared) > len(table):
+        raise InputError(path, f"nRows is {declared}, but the file ends after {len(table)}")
+    columns = dict(zip(names[1:], table[:, 1:].T, strict=True))
+    if header["indegrees"] == "yes":
+        columns = {name: _radians(name, column) for name, column in columns.items()}
+    return table[:, 0], columns
+
+
+def _radians(name: str, column: np.ndarray) -> np.ndarray:
+    return column if name.endswith(("_tx", "_ty", "_tz")) else np.radians(column)
+
+
+def motion_from_angles(
+    path: str | Path, times: np.ndarray, columns: Mapping[str, np.ndarray], skeleton: Skeleton
+) -> Motion:
+    """The motion of a skeleton that a file written by ``write_mot`` tells.
+
+    Raises:
+        InputError: a column is missing.
+    """
+    names = (*PLACES, *TURNS, *skeleton.tree.joints)
+    missing = [name for name in names if name not in columns]
+    if missing:
+        raise InputError(path, f"no column {missing[0]!r}, found {', '.join(columns)}")
+    table = np.stack([columns[name] for name in names], 1)
+    known = np.isfinite(table.sum(-1))
+    R_world_pelvis = Rotation.from_euler(_AXES, np.where(known[:, None], table[:, 3:6], 0.0))
+    quaternion = R_world_pelvis.as_quat(scalar_first=True)
+    quaternion = np.where(known[:, None], quaternion, np.nan)
+    parts: list[Any] = [table[:, :3], quaternion, table[:, 6:]]
+    return Motion(skeleton, times, Pose(*parts))
