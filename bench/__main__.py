@@ -26,6 +26,7 @@ def parser() -> argparse.ArgumentParser:
     add("--gate", action="store_true", help="exit 1 where a ratio is worse than the baseline's")
     add("--only", choices=("frame rate", "rivals", "growth"), help="one part; not with --gate")
     add("--all-cores", action="store_true", help="do not keep to one core")
+    add("--samples", type=int, metavar="N", help="of the long run; 100000 takes minutes")
     return whole
 
 
@@ -44,6 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         keep_to_one_core()
     # XLA counts the cores when it is loaded.
     from bench.gate import failures, read_baseline
+    from bench.growth import SAMPLES
     from bench.metrics import table, write_json
     from bench.parts import run
     from jaxmocap.run.compilation import keep_compiled
@@ -53,7 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     cores = "all cores" if options.all_cores else "one core"
     print(f"{mode}, {cores} of {os.cpu_count()}, {platform.machine()}", flush=True)
     with tempfile.TemporaryDirectory() as folder:
-        metrics, skipped = run(Path(folder), options.quick, options.only)
+        metrics, skipped = run(
+            Path(folder), options.quick, options.only, options.samples or SAMPLES
+        )
     baseline = read_baseline(mode)
     print(table(metrics, baseline))
     if options.json:

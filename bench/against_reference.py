@@ -1,16 +1,16 @@
 """The same work by the NumPy/SciPy reference: inverse kinematics, and a whole frame.
 
-INPUTS: the clip that ``frame_rate`` has left in a folder. OUTPUTS: Metrics.
+INPUTS: a clip. OUTPUTS: Metrics.
 """
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from bench.clock import Span, ratio, timed
+from bench.footage import Footage
 from bench.metrics import Metric, stage_metrics
 from jaxmocap.capture.video import open_video
 from jaxmocap.formats.recording import Recording
@@ -25,9 +25,9 @@ from jaxmocap.run.recording import make_tracker, settled
 SOLVES, FRAMES = {True: 30, False: 120}, 4
 
 
-def measure(folder: Path, quick: bool) -> Iterator[Metric]:
+def measure(footage: Footage, quick: bool) -> Iterator[Metric]:
     """Ours and the reference's, from the same start to the same goals."""
-    recording = Recording.load(folder / "recording.toml")
+    recording = footage.recording
     yield from inverse_kinematics(recording, SOLVES[quick])
     if not quick:
         yield from whole_frames(recording)

@@ -1,19 +1,17 @@
 """How long a frame takes, stage by stage, at three sizes and in several ways of working.
 
-INPUTS: a synthetic table-tennis clip, 30 Hz, markers at 90 Hz, made on the spot.
+INPUTS: a synthetic table-tennis clip, 30 Hz, markers at 90 Hz.
 OUTPUTS: Metrics. Frames are decoded beforehand but where the name says otherwise.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
-import cv2
 import jax
 import numpy as np
 
 from bench.clock import BusyClock, Span, Stopwatch, peak_mib, ratio, start_up, timed
-from bench.footage import SIZES, Footage, at_size, film
+from bench.footage import SIZES, Footage, at_size
 from bench.image_chain import both_arms, image_chain
 from bench.metrics import Metric, stage_metrics
 from jaxmocap.capture.markers import interpolate
@@ -112,16 +110,13 @@ def causal(
     return pace
 
 
-def measure(folder: Path, seconds: float, quick: bool) -> Iterator[Metric]:
+def measure(footage: Footage, quick: bool) -> Iterator[Metric]:
     """All figures of this part.
 
     Args:
-        folder: to put the clip in.
-        seconds: of the clip.
-        quick: the smallest size, markers with and without video, and no second pass.
+        footage: of 640 x 480 pixels.
+        quick: this size alone, markers with and without video, and no second pass.
     """
-    cv2.setNumThreads(1)
-    footage = film(folder, seconds)
     crops = both_arms(footage.recording, footage.camera, footage.times, footage.images)
 
     def chain(frame: int) -> object:
