@@ -27,7 +27,7 @@ from jaxmocap.hybrid.batches import in_batches
 from jaxmocap.hybrid.silhouette import FOREARMS, Legs, Sight
 from jaxmocap.images.background import Background
 from jaxmocap.images.colours import Colours, learn_colours
-from jaxmocap.images.foreground import learn_foreground, log_odds, person_grid, shrunk_size
+from jaxmocap.images.foreground import Window, learn_foreground, log_odds, person_grid, shrunk_size
 from jaxmocap.images.hulls import draw_hulls
 from jaxmocap.images.parts import part_odds
 from jaxmocap.images.regions import Region
@@ -36,6 +36,8 @@ from jaxmocap.images.silhouette import Grid
 # Rows of the images that silhouettes are learned from; cells of the grids around the upper half and
 # around the legs.
 ROWS, CELLS, LEG_CELLS = 360, 64, 32
+# What blurring reaches beyond the grids, pixels of the shrunk image.
+AROUND_PX = 4
 # Poses per call, so that they compile once.
 POSES_A_CALL = 64
 # Around the person's upper half and around the legs, as a share of their extent.
@@ -251,17 +253,42 @@ def body_sight(
     image: np.ndarray, known: Appearance, drawing: Drawing, frame: int, regions: Regions
 ) -> tuple[np.ndarray, Sight]:
     """Log-odds (h, w) that pixels of a shrunk image show the person; what that is on the grids."""
-    odds = log_odds(image, known.background, known.person)
-    head = drawing.mask(frame, GROWN, only=HEAD)
-    forearms = part_odds(image, odds, known.forearms, head)
-    told = np.where(drawing.unlike(frame), np.float32(0), odds)
-    whole, part = (_grid(drawing, each, regions.upper, CELLS) for each in (told, forearms))
-    lower = _grid(drawing, told, regions.lower, LEG_CELLS)
-    return odds, Sight(regions.upper, whole, part, Legs(regions.lower, lower))
+    upper = _shrunk(drawing, regions.upper, CELLS)
+    lower = _shrunk(drawing, regions.lower, LEG_CELLS)
+    window, corner = _window(image, (upper, lower))
+    odds = np.zeros(image.shape[:2], np.float32)
+    odds[window] = log_odds(image, known.background, known.person, window=window)
+    head = drawing.mask(frame, GROWN, only=HEAD)[window]
+    forearms = part_odds(image[window], odds[window], known.forearms, head)
+    told = np.where(drawing.unlike(frame)[window], np.float32(0), odds[window])
+
+    def grid(odds: np.ndarray, place: _Place) -> Grid:
+        return Grid(*person_grid(odds, place.origin - corner, place.cell, place.cells))
+
+    legs = Legs(regions.lower, grid(told, lower))
+    return odds, Sight(regions.upper, grid(told, upper), grid(forearms, upper), legs)
 
 
-def _grid(drawing: Drawing, odds: np.ndarray, region: Region, cells: int) -> Grid:
-    """Log-odds (h, w) of a shrunk image on the grid of a region of the full one."""
-    # Edges map onto edges.
+class _Place(NamedTuple):
+    """A grid in a shrunk image: its left upper corner (2,), pixels per cell, cells to a side."""
+
+    origin: np.ndarray
+    cell: float
+    cells: int
+
+
+def _shrunk(drawing: Drawing, region: Region, cells: int) -> _Place:
+    """Edges map onto edges."""
     origin = (np.asarray(region.origin) + 0.5) * drawing.ratio - 0.5
-    return Grid(*person_grid(odds, origin, float(region.scale) * drawing.ratio[0], cells))
+    return _Place(origin, float(region.scale) * drawing.ratio[0], cells)
+
+
+def _window(image: np.ndarray, places: Sequence[_Place]) -> tuple[Window, np.ndarray]:
+    """The part of a shrunk image that some grids lie in, and its corner (x, y)."""
+    size = np.array([image.shape[1], image.shape[0]])
+    low = np.min([place.origin for place in places], 0) - AROUND_PX
+    high = np.max([place.origin + place.cells * place.cell for place in places], 0) + AROUND_PX
+    # Of a body that is nowhere in the image a pixel is left.
+    start = np.clip(np.floor(low), 0, size - 1).astype(int)
+    end = np.maximum(np.clip(np.ceil(high), 0, size).astype(int), start + 1)
+    return (slice(start[1], end[1]), slice(start[0], end[0])), start

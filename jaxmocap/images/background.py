@@ -8,7 +8,7 @@ INPUTS: frames (N, h, w, 3) uint8, masks (N, h, w) bool of where the body may be
 Background; or, for a live run, a RunningBackground, which knows the past alone.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import cv2
 import numpy as np
@@ -47,6 +47,10 @@ class Background:
     colour: np.ndarray
     noise: np.ndarray
     known: np.ndarray
+
+    def part(self, rows_columns: tuple[slice, slice]) -> "Background":
+        """Some rows and columns of it."""
+        return Background(*(getattr(self, f.name)[rows_columns] for f in fields(self)))
 
 
 def spread(count: int, most: int = MOST_FRAMES) -> np.ndarray:
@@ -166,9 +170,7 @@ def as_learned(frame: np.ndarray, background: Background) -> tuple[np.ndarray, f
     A black frame, a moved camera or a cut to something else agrees with the background hardly
     anywhere: nothing then follows from a difference.
     """
-    some = sampled(frame)
-    few = Background(background.colour[some], background.noise[some], background.known[some])
-    return _exposed(frame, few)
+    return _exposed(frame, background.part(sampled(frame)))
 
 
 def _exposed(frame: np.ndarray, few: Background) -> tuple[np.ndarray, float]:

@@ -14,6 +14,9 @@ import numpy as np
 from jaxmocap.images.background import Background, as_learned, learn_background, spread
 from jaxmocap.images.colours import Colours, colour_bins, learn_colours
 
+# Rows and columns of an image.
+Window = tuple[slice, slice]
+EVERYWHERE = (slice(None), slice(None))
 # Log-odds are cut off here: no pixel is surer than 98 %.
 MOST_ODDS = 4.0
 # Of the background's pixels, how many show something else: passers-by, reflections, screens.
@@ -57,7 +60,11 @@ def shrunk_pixels(pixels_xy: np.ndarray, size: tuple[int, int], rows: int) -> np
 
 
 def log_odds(
-    frame: np.ndarray, background: Background, colours: Colours, alone: float = COLOURS_ALONE
+    frame: np.ndarray,
+    background: Background,
+    colours: Colours,
+    alone: float = COLOURS_ALONE,
+    window: Window = EVERYWHERE,
 ) -> np.ndarray:
     """How much more likely each pixel of a frame (h, w, 3) uint8 is under the person.
 
@@ -70,11 +77,13 @@ def log_odds(
         background: learned.
         colours: learned.
         alone: weight of the colours where no background is known; 0 says nothing there.
+        window: the part of the frame that is asked for.
 
     Returns:
-        (h, w) float32, slightly blurred; 0 where nothing is known.
+        (h, w) of the window, float32, slightly blurred; 0 where nothing is known.
     """
     frame, trust = as_learned(frame, background)
+    frame, background = frame[window], background.part(window)
     if trust == 0:
         return np.zeros(frame.shape[:2], np.float32)
     bins, unlike = colour_bins(frame), colours.rest / colours.body

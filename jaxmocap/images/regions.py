@@ -58,8 +58,8 @@ def discs_in_region(region: Region, discs: Discs) -> Discs:
 def in_other_region(discs: Discs, here: Region, there: Region) -> Discs:
     """Limbs (K) in samples of one region, in those of another one of the same image."""
     ratio, shift = here.scale / there.scale, (here.origin - there.origin) / there.scale
-    ends = ((end + 0.5) * ratio + shift - 0.5 for end in (discs.near, discs.far))
-    return Discs(*ends, discs.radii * ratio)
+    near, far = ((end + 0.5) * ratio + shift - 0.5 for end in (discs.near, discs.far))
+    return Discs(near, far, discs.radii * ratio)
 
 
 def crop(image: np.ndarray, origin: np.ndarray, scale: float, size: int) -> np.ndarray:
