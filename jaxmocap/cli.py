@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 
 from jaxmocap import __version__
 from jaxmocap.formats.errors import InputError
+from jaxmocap.run import arguments as run_arguments
 from jaxmocap.setup import arguments as setup_arguments
 from jaxmocap.setup.arguments import positive, with_signs
 
@@ -18,6 +19,7 @@ EXAMPLES = {
     "track": "jaxmocap track recording.toml --out tracked",
     "evaluate": "jaxmocap evaluate tracked truth.trc --match elbow_l=LElbow elbow_r=RElbow",
     "view": "jaxmocap view tracked",
+    "convert": "jaxmocap convert tracked/motion.npz motion.bvh --unit cm",
     "calibrate": "jaxmocap calibrate intrinsics --help",
     "intrinsics": "jaxmocap calibrate intrinsics board*.jpg --board 4x7 --square 0.06 "
     "--camera cam_01 --out calibration.toml --pictures checked",
@@ -72,6 +74,9 @@ def make_parser() -> Parser:
     )
     view_parser = _command(commands, "view", view, "show what track wrote in the rerun viewer")
     view_parser.add_argument("directory", metavar="DIR", help="what track --out was given")
+    run_arguments.add_convert(
+        _command(commands, "convert", convert, "make a file into another that carries the same")
+    )
     calibrate = _command(commands, "calibrate", None, "calibrate a camera by a chessboard")
     kinds = calibrate.add_subparsers(dest="kind", required=True, metavar="KIND")
     inside = _command(kinds, "intrinsics", calibrate_intrinsics, "find focal length and lens")
@@ -150,7 +155,7 @@ def _add_track(parser: Parser) -> None:
 
 def _add_evaluate(parser: Parser) -> None:
     parser.add_argument("directory", metavar="DIR", help="what track --out was given")
-    parser.add_argument("truth", metavar="TRUTH.trc", help="reference, .trc or .csv")
+    parser.add_argument("truth", metavar="TRUTH.trc", help="reference: .trc .csv .c3d .bvh .glb")
     parser.add_argument(
         "--match",
         metavar="JOINT=MARKER",
@@ -159,7 +164,12 @@ def _add_evaluate(parser: Parser) -> None:
         required=True,
         help="a joint and its marker in the reference",
     )
-    parser.add_argument("--up", choices=("y", "z"), default="z", help="the reference's vertical")
+    parser.add_argument(
+        "--up", choices=("y", "z"), help="the reference's vertical; default: y of .bvh .glb, else z"
+    )
+    parser.add_argument(
+        "--offset", metavar="S", type=float, default=0.0, help="add to the reference's times"
+    )
     _add_json(parser)
 
 
@@ -212,8 +222,19 @@ def evaluate(options: argparse.Namespace) -> None:
     from jaxmocap.evaluation.errors import evaluate_directory
     from jaxmocap.evaluation.tables import format_table
 
-    errors = evaluate_directory(options.directory, options.truth, dict(options.match), options.up)
+    errors = evaluate_directory(
+        options.directory, options.truth, dict(options.match), options.up, options.offset
+    )
     _report(options, format_table(errors), errors.as_dict())
+
+
+def convert(options: argparse.Namespace) -> None:
+    """Make one file into another."""
+    from jaxmocap.formats.convert import Options, convert
+
+    wanted = Options(options.names, options.unit, options.rate, options.body)
+    notes = convert(options.source, options.target, wanted)
+    print("\n".join([*notes, f"written: {options.target}"]))
 
 
 def calibrate_intrinsics(options: argparse.Namespace) -> None:

@@ -15,7 +15,8 @@ from jaxmocap.formats.trc import write_trc
 from jaxmocap.run import viewing
 from jaxmocap.run.compilation import cache_folder
 
-OUTPUTS = {"joints.trc", "motion.npz", "report.json", "overlay.mp4", "recording.rrd"}
+OUTPUTS = {"joints.trc", "angles.mot", "motion.npz", "motion.bvh", "motion.glb"}
+OUTPUTS |= {"report.json", "overlay.mp4", "recording.rrd"}
 
 
 @pytest.fixture(scope="module", autouse=True)

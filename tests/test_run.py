@@ -268,7 +268,10 @@ def written(tracked, tmp_path_factory):
     files = write_outputs(tracked.motion, small_recording(), folder, compiled().settings)
     assert [path.name for path in files] == [
         "joints.trc",
+        "angles.mot",
         "motion.npz",
+        "motion.bvh",
+        "motion.glb",
         "report.json",
         "overlay.mp4",
         "recording.rrd",
@@ -277,7 +280,8 @@ def written(tracked, tmp_path_factory):
 
 
 def test_everything_is_written_and_nothing_else(written):
-    names = {"joints.trc", "motion.npz", "report.json", "overlay.mp4", "recording.rrd"}
+    names = {"joints.trc", "angles.mot", "motion.npz", "motion.bvh", "motion.glb"}
+    names |= {"report.json", "overlay.mp4", "recording.rrd"}
     assert {path.name for path in written.iterdir()} == names
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxmocap.evaluation.series import HIGH_PASS_HZ, high_pass, match, second_difference
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.markers import read_markers
+from jaxmocap.formats.markers import read_markers, usual_up
 from jaxmocap.formats.tables import Markers
 
 # Vertical axis of a file -> which of its axes are the world's x, y, z.
@@ -164,15 +164,21 @@ def turned_up(reference: Markers, up: str) -> dict[str, np.ndarray]:
 
 
 def evaluate_directory(
-    directory: str | Path, truth_path: str | Path, pairs: Mapping[str, str], up: str = "z"
+    directory: str | Path,
+    truth_path: str | Path,
+    pairs: Mapping[str, str],
+    up: str | None = None,
+    offset: float = 0.0,
 ) -> Errors:
-    """Errors of the ``joints.trc`` that ``track`` wrote, against a reference TRC or CSV.
+    """Errors of the ``joints.trc`` that ``track`` wrote, against a reference.
 
     Args:
         directory: what ``track --out`` was given.
-        truth_path: the reference's file.
+        truth_path: the reference's file: markers, or a .bvh or .glb whose joints are compared.
         pairs: joint name -> the name of its marker in the reference.
-        up: the reference's vertical axis, "z" or "y" (world = (z, x, y) of the file).
+        up: the reference's vertical axis, "z" or "y" (world = (z, x, y) of the file); None is "y"
+            for .bvh and .glb, else "z".
+        offset: seconds to add to the reference's times; a .bvh always begins at 0.
 
     Raises:
         InputError: a file that is missing or no marker file, an unknown name, no common time.
@@ -180,11 +186,11 @@ def evaluate_directory(
     """
     path = Path(directory) / "joints.trc"
     tracked, truth = read_markers(path), read_markers(truth_path)
-    truth_world = turned_up(truth, up)
+    truth_world = turned_up(truth, up or usual_up(truth_path))
     return position_errors(
         tracked.times,
         tracked.points(),
-        truth.times,
+        truth.times + offset,
         truth_world,
         pairs,
         sources=(path, truth_path),

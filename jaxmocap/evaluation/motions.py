@@ -8,20 +8,21 @@ from pathlib import Path
 
 from jaxmocap.body.motion import Motion
 from jaxmocap.evaluation.errors import Errors, position_errors, turned_up
-from jaxmocap.formats.markers import read_markers
+from jaxmocap.formats.markers import read_markers, usual_up
 from jaxmocap.formats.tables import Markers
 
 
 def evaluate(
-    motion: Motion, truth: str | Path | Markers, pairs: Mapping[str, str], up: str = "z"
+    motion: Motion, truth: str | Path | Markers, pairs: Mapping[str, str], up: str | None = None
 ) -> Errors:
     """Errors of a motion's joints against a reference, matched by time stamp.
 
     Args:
         motion: what was tracked.
-        truth: a TRC or CSV file, or Markers.
+        truth: a file of markers, a .bvh or .glb whose joints are compared, or Markers.
         pairs: joint name -> the name of its marker in the reference.
-        up: the reference's vertical axis, "z" or "y" (world = (z, x, y) of the file).
+        up: the reference's vertical axis, "z" or "y" (world = (z, x, y) of the file); None is "y"
+            for .bvh and .glb, else "z".
 
     Raises:
         InputError: a file that is missing or no marker file, an unknown name, no common time.
@@ -33,7 +34,7 @@ def evaluate(
         motion.times,
         motion.joints(),
         markers.times,
-        turned_up(markers, up),
+        turned_up(markers, up or ("z" if in_memory else usual_up(truth))),
         pairs,
         sources=("motion", "reference" if in_memory else truth),
     )

@@ -5,8 +5,11 @@ OUTPUTS: an Armature, in other axes; where its joints are.
 """
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
+
+from jaxmocap.formats.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -65,15 +68,15 @@ def turned(armature: Armature, R_new_old: np.ndarray) -> Armature:
     )
 
 
-def settled(armature: Armature) -> Armature:
+def settled(armature: Armature, path: str | Path) -> Armature:
     """Where the pose is unknown, that of the nearest sample where it is known.
 
     Raises:
-        ValueError: it is known nowhere.
+        InputError: it is known nowhere; ``path`` is what the message names.
     """
     known = np.flatnonzero(armature.known)
     if not len(known):
-        raise ValueError("no pose is known")
+        raise InputError(path, "no pose is known in any sample")
     after = np.clip(np.searchsorted(known, np.arange(len(armature.times))), 0, len(known) - 1)
     before = np.maximum(after - 1, 0)
     t = armature.times

@@ -56,7 +56,7 @@ def write_bvh(path: str | Path, armature: Armature, unit: str = "m") -> None:
         [armature.positions * scale, np.degrees(angles).reshape(len(angles), -1)], 1
     )
     lines += ["MOTION", f"Frames: {len(values)}", f"Frame Time: {1 / rate:.10f}"]
-    lines += [" ".join(row) for row in np.char.mod("%.6f", values)]
+    lines += [" ".join(row) for row in np.char.mod("%.6f", values.round(6) + 0.0)]
     with replacing(path) as beside:
         beside.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
@@ -84,7 +84,8 @@ def _joint_lines(
 
 
 def _numbers(values: np.ndarray) -> str:
-    return " ".join(f"{value:.6f}" for value in values)
+    # A zero has no sign.
+    return " ".join(f"{round(value, 6) + 0.0:.6f}" for value in values)
 
 
 @dataclass

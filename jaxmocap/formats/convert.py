@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.body.motion import Motion
+from jaxmocap.formats.animation import CUSTOMARY, R_file_world
 from jaxmocap.formats.armature import Armature, joint_positions, settled, turned
-from jaxmocap.formats.axes import UP
 from jaxmocap.formats.body_armature import armature_of, motion_of
 from jaxmocap.formats.bvh import read_bvh, write_bvh
 from jaxmocap.formats.c3d import left_in_c3d, write_c3d
@@ -27,15 +27,17 @@ from jaxmocap.formats.joint_names import CONVENTIONS, landmark_names, recognised
 from jaxmocap.formats.markers import read_markers
 from jaxmocap.formats.mot import motion_from_angles, read_mot, write_mot
 from jaxmocap.formats.npz import load_motion, save_motion
-from jaxmocap.formats.resampling import even_times, resampled, resampled_markers
+from jaxmocap.formats.resampling import (
+    even_times,
+    resampled,
+    resampled_markers,
+    resampled_motion,
+)
 from jaxmocap.formats.tables import Markers
 from jaxmocap.formats.trc import write_trc
 
 MARKERS = (".c3d", ".trc", ".csv")
 MOTIONS = (".npz", ".bvh", ".glb", ".mot")
-# What names joints have in an animation file if nothing else is asked for.
-CUSTOMARY = {".bvh": "humanik", ".glb": "vrm"}
-R_file_world = UP["y"].T
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,8 @@ class Options:
     Attributes:
         names: convention of the joints' names, one of ``CONVENTIONS``; None is customary for the
             target, or what the source says.
-        unit: of a BVH file; None is metres when written, told by its size when read.
+        unit: of the BVH file, of the one written if both are; None is metres when written, told
+            by the body's size when read.
         rate: samples per second of the target; None keeps the source's times.
         body: file whose skeleton the angles of a .mot are of; None where the source has one.
     """
@@ -148,7 +151,8 @@ def _read_motion(work: _Work) -> Motion | Armature:
     if kind == ".mot":
         times, columns = read_mot(path)
         return motion_from_angles(path, times, columns, _body(work).skeleton)
-    armature = read_bvh(path, work.options.unit) if kind == ".bvh" else read_gltf(path)
+    unit = None if work.target.suffix.lower() == ".bvh" else work.options.unit
+    armature = read_bvh(path, unit) if kind == ".bvh" else read_gltf(path)
     return turned(armature, R_file_world.T)
 
 
@@ -183,8 +187,6 @@ def _renamed(work: _Work, joints: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _write_armature(work: _Work, armature: Armature) -> None:
-    if not armature.known.any():
-        raise InputError(work.source, "no pose is known in any sample")
     if work.options.rate is not None:
         armature = resampled(armature, even_times(armature.times, work.options.rate))
     armature = turned(armature, R_file_world)
@@ -195,7 +197,7 @@ def _write_armature(work: _Work, armature: Armature) -> None:
         work.notes.append(f"added: {unknown} samples without a pose hold that of the nearest")
     if armature.times[0] != 0:
         work.notes.append(f"left out: that the first sample is at {armature.times[0]:g} s, not 0")
-    write_bvh(work.target, settled(armature), work.options.unit or "m")
+    write_bvh(work.target, settled(armature, work.source), work.options.unit or "m")
 
 
 def _as_motion(work: _Work, motion: Motion | Armature) -> Motion:
@@ -209,10 +211,7 @@ def _as_motion(work: _Work, motion: Motion | Armature) -> Motion:
 
 def _write_motion(work: _Work, motion: Motion) -> None:
     if work.options.rate is not None:
-        even = even_times(motion.times, work.options.rate)
-        armature = resampled(armature_of(motion), even)
-        poses = motion_of(armature, work.source).poses
-        motion = Motion(motion.skeleton, even, poses)
+        motion = resampled_motion(motion, even_times(motion.times, work.options.rate))
     if work.target.suffix.lower() == ".npz":
         save_motion(work.target, motion)
     else:

@@ -34,7 +34,7 @@ def write_gltf(path: str | Path, armature: Armature) -> None:
         InputError: no pose is known.
     """
     if not armature.known.any():
-        raise InputError(path, "no pose is known, there is nothing to show")
+        raise InputError(path, "no pose is known in any sample")
     binary, joints = Binary(), list(range(len(armature.names)))
     rest = joint_positions(_resting(armature))[0]
     bind = np.tile(np.eye(4), (len(joints), 1, 1))

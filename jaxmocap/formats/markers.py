@@ -1,18 +1,37 @@
 """Marker files of any kind, told by their suffix.
 
-INPUTS: a .trc, .csv or .c3d file.
+INPUTS: a .trc, .csv or .c3d file; or a .bvh or .glb file, whose joints are the markers.
 OUTPUTS: Markers in metres, in the file's own axes.
 """
 
 from pathlib import Path
 
+from jaxmocap.formats.armature import Armature, joint_positions
+from jaxmocap.formats.bvh import read_bvh
 from jaxmocap.formats.c3d import read_c3d
 from jaxmocap.formats.csv import read_csv
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.gltf_in import read_gltf
 from jaxmocap.formats.tables import Markers
 from jaxmocap.formats.trc import read_trc
 
-_READERS = {".trc": read_trc, ".csv": read_csv, ".c3d": read_c3d}
+
+def _joints(armature: Armature) -> Markers:
+    return Markers(armature.times, armature.names, joint_positions(armature))
+
+
+_READERS = {
+    ".trc": read_trc,
+    ".csv": read_csv,
+    ".c3d": read_c3d,
+    ".bvh": lambda path: _joints(read_bvh(path)),
+    ".glb": lambda path: _joints(read_gltf(path)),
+}
+
+
+def usual_up(path: str | Path) -> str:
+    """The vertical axis, "y" or "z", that files of a suffix have if nobody says otherwise."""
+    return "y" if Path(path).suffix.lower() in (".bvh", ".glb") else "z"
 
 
 def read_markers(path: str | Path) -> Markers:

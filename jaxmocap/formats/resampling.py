@@ -1,15 +1,17 @@
-"""The same at other times: markers and armatures at an even rate.
+"""The same at other times: markers, armatures and motions at an even rate.
 
-INPUTS: Markers or an Armature, times or a rate. OUTPUTS: the same kind of thing, straight lines
+INPUTS: Markers, an Armature or a Motion, and times. OUTPUTS: the same kind of thing, straight lines
 and shortest turns between its samples; missing where one of the two samples is.
 """
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.pose import Pose
 from jaxmocap.formats.armature import Armature
 from jaxmocap.formats.tables import Markers
 
@@ -51,24 +53,43 @@ def between(times: np.ndarray, wanted: np.ndarray) -> Between:
 def resampled_markers(markers: Markers, times: np.ndarray) -> Markers:
     """Markers at (N,) other times; their residuals are let go."""
     at = between(markers.times, times)
-    first, second = markers.positions[at.before], markers.positions[at.after]
-    return Markers(times, markers.names, first + at.part[:, None, None] * (second - first))
+    return Markers(times, markers.names, straight(markers.positions, at))
+
+
+def straight(values: np.ndarray, at: Between) -> np.ndarray:
+    """(N, ...) values on the straight lines between (T, ...)."""
+    first, second = values[at.before], values[at.after]
+    return first + at.part.reshape(-1, *[1] * (values.ndim - 1)) * (second - first)
+
+
+def shortest(R: np.ndarray, at: Between) -> np.ndarray:
+    """(N, ..., 3, 3) rotations on the shortest turns between (T, ..., 3, 3); NaN where one is."""
+    known = np.isfinite(R.sum((-2, -1), keepdims=True))
+    safe = np.where(known, R, np.eye(3))
+    first = Rotation.from_matrix(safe[at.before].reshape(-1, 3, 3))
+    turn = (first.inv() * Rotation.from_matrix(safe[at.after].reshape(-1, 3, 3))).as_rotvec()
+    share = np.repeat(at.part, int(np.prod(R.shape[1:-2], dtype=int)))[:, None]
+    found = (first * Rotation.from_rotvec(share * turn)).as_matrix().reshape(-1, *R.shape[1:])
+    return np.where(known[at.before] & known[at.after], found, np.nan)
 
 
 def resampled(armature: Armature, times: np.ndarray) -> Armature:
     """An armature at (N,) other times."""
     at = between(armature.times, times)
-    known = armature.known[at.before] & armature.known[at.after]
-    safe = np.where(armature.known[:, None, None, None], armature.rotations, np.eye(3))
-    shape = (len(times), len(armature.names), 3, 3)
-    start = Rotation.from_matrix(safe[at.before].reshape(-1, 3, 3))
-    end = Rotation.from_matrix(safe[at.after].reshape(-1, 3, 3))
-    share = np.repeat(at.part, len(armature.names))[:, None]
-    R = (start * Rotation.from_rotvec(share * (start.inv() * end).as_rotvec())).as_matrix()
-    first, second = armature.positions[at.before], armature.positions[at.after]
-    return replace(
-        armature,
-        times=times,
-        positions=first + at.part[:, None] * (second - first),
-        rotations=np.where(known[:, None, None, None], R.reshape(shape), np.nan),
-    )
+    positions, rotations = straight(armature.positions, at), shortest(armature.rotations, at)
+    return replace(armature, times=times, positions=positions, rotations=rotations)
+
+
+def resampled_motion(motion: Motion, times: np.ndarray) -> Motion:
+    """A motion at (N,) other times; its report is let go."""
+    at = between(motion.times, times)
+    position, quaternion, angles = (np.asarray(part, float) for part in motion.poses)
+    known = np.isfinite(quaternion.sum(-1, keepdims=True))
+    safe = np.where(known, quaternion, [1.0, 0, 0, 0])
+    R = np.where(known[..., None], Rotation.from_quat(safe, scalar_first=True).as_matrix(), np.nan)
+    R_then = shortest(R, at)
+    known = np.isfinite(R_then.sum((-2, -1)))[:, None]
+    turned = Rotation.from_matrix(np.where(known[..., None], R_then, np.eye(3)))
+    quaternion = np.where(known, turned.as_quat(scalar_first=True), np.nan)
+    parts: list[Any] = [straight(position, at), quaternion, straight(angles, at)]
+    return Motion(motion.skeleton, times, Pose(*parts))

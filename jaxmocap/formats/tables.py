@@ -147,17 +147,27 @@ def check_times(path: str | Path, times: np.ndarray, places: Sequence[str]) -> N
         )
 
 
+def is_even(times: np.ndarray) -> bool:
+    """Does no step of (T,) times differ from their mean by more than a hundredth of it?
+
+    Two microseconds are always allowed, since text files round.
+    """
+    steps = np.diff(times)
+    return not len(steps) or bool(
+        np.abs(steps - steps.mean()).max() <= max(0.01 * steps.mean(), 2e-6)
+    )
+
+
 def even_rate(path: str | Path, times: np.ndarray) -> float:
     """Samples per second of (T,) evenly spaced times; 1 for a single one.
 
     Raises:
-        InputError: a step that differs from the mean by more than a hundredth of it, and by more
-            than the microsecond to which text files round.
+        InputError: they are not evenly spaced.
     """
     if len(times) == 1:
         return 1.0
     steps, step = np.diff(times), (times[-1] - times[0]) / (len(times) - 1)
-    if np.abs(steps - step).max() > max(0.01 * step, 2e-6):
+    if not is_even(times):
         found = f"samples are {1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms apart"
         raise InputError(path, f"{found}, the format holds one rate only (give --rate)")
     # 60.000024 is what is left of 60 after rounding.

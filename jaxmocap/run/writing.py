@@ -1,7 +1,8 @@
 """Everything that ``track`` writes, each file moved into place when it is whole.
 
 INPUTS: a Motion, its Recording, a folder.
-OUTPUTS: joints.trc, motion.npz, report.json, recording.rrd, and overlay.mp4 where there is video.
+OUTPUTS: joints.trc, angles.mot, motion.npz, motion.bvh, motion.glb, report.json, recording.rrd, and
+overlay.mp4 where there is video.
 """
 
 import os
@@ -15,7 +16,9 @@ import numpy as np
 
 from jaxmocap.body.motion import Motion
 from jaxmocap.capture.video import Frame, FrameSource
+from jaxmocap.formats.animation import write_animation
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.mot import write_mot
 from jaxmocap.formats.npz import save_motion
 from jaxmocap.formats.recording import Recording, VideoSource
 from jaxmocap.formats.trc import write_trc
@@ -77,11 +80,10 @@ def write_outputs(
     folder = make_folder(directory)
     videos, warnings = open_footage(recording)
     recording = as_found(recording, motion)
-    files = [folder / name for name in ("joints.trc", "motion.npz", "report.json")]
-    write_trc(files[0], motion.times, motion.joints())
-    save_motion(files[1], motion)
+    files = _write_motion(motion, folder)
+    files.append(folder / "report.json")
     extra = {"recording": recording.path or recording.name, "warnings": warnings}
-    write_report(files[2], motion, extra)
+    write_report(files[-1], motion, extra)
     targets = marker_tracks(recording)
     with progress_bar("drawing", progress) as show:
         total = sum(len(video) + viewed(video) for video in videos)
@@ -97,6 +99,18 @@ def write_outputs(
             for source, video in zip(recording.videos, videos, strict=True)
         }
         write_rerun(files[-1], motion, footage, targets)
+    return files
+
+
+def _write_motion(motion: Motion, folder: Path) -> list[Path]:
+    """The motion in every format that others read."""
+    names = ("joints.trc", "angles.mot", "motion.npz", "motion.bvh", "motion.glb")
+    files = [folder / name for name in names]
+    write_trc(files[0], motion.times, motion.joints())
+    write_mot(files[1], motion)
+    save_motion(files[2], motion)
+    for path in files[3:]:
+        write_animation(path, motion)
     return files
 
 
