@@ -3,10 +3,11 @@
 INPUTS: a folder for what is made on the way. OUTPUTS: Metrics, and which rivals are missing.
 """
 
-import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
+from tqdm import tqdm
 
 from bench import against_reference, frame_rate, growth, rivals
 from bench.footage import film
@@ -35,18 +36,19 @@ def run(
     skipped: list[str] = []
     footage = film(folder, CLIP_S[quick])
     if only in (None, "frame rate"):
-        _say("frame rate")
-        metrics += frame_rate.measure(footage, quick)
-        metrics += against_reference.measure(footage, quick)
+        metrics += shown("frame rate", frame_rate.measure(footage, quick))
+        metrics += shown("against the reference", against_reference.measure(footage, quick))
     if only in (None, "rivals"):
-        _say("rivals")
         skipped = rivals.missing()
-        metrics += rivals.measure(quick, skipped)
+        metrics += shown("rivals", rivals.measure(quick, skipped))
     if only == "growth" or (only is None and not quick):
-        _say("growth")
-        metrics += growth.measure(footage, samples)
+        metrics += shown("growth", growth.measure(footage, samples))
     return metrics, skipped
 
 
-def _say(part: str) -> None:
-    print(f"measuring {part}", file=sys.stderr, flush=True)
+def shown(part: str, metrics: Iterator[Metric]) -> Iterator[Metric]:
+    """The same, with how far it has come on stderr."""
+    with tqdm(metrics, desc=part, unit=" figures") as bar:
+        for metric in bar:
+            bar.set_postfix_str(metric.name)
+            yield metric
