@@ -1,6 +1,13 @@
 """What all tests share: strict promotion, double precision, bodies, poses, real recordings."""
 
+import os
 from pathlib import Path
+
+# Before JAX is imported: what one process, or one run, compiles helps the others.
+os.environ.setdefault(
+    "JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "compiled")
+)
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 import jax
 import jax.numpy as jnp
