@@ -36,9 +36,10 @@ FORBIDDEN_MODULES = {"synthetic": {"jaxmocap.body.flesh"}}
 DOORS = {
     "optimistix": ("solvers/least_squares.py",),
     "rerun": ("outputs/",),
+    "ezc3d": ("formats/c3d.py",),
     "cv2": ("images/", "capture/", "setup/", "synthetic/", "outputs/overlay.py"),
 }
-HEAVY = ("cv2", "rerun", "matplotlib", "av", "optimistix")
+HEAVY = ("cv2", "rerun", "matplotlib", "av", "optimistix", "ezc3d")
 TOP_LEVEL = {*MAY_IMPORT, "__init__.py", "cli.py", "py.typed"} - {"cli"}
 LONGEST_FILE = 350
 DRAWERS = ("utils", "util", "common", "helpers", "helper", "misc", "tools", "shared")
