@@ -49,7 +49,7 @@ def failures(
     Args:
         found: in the run.
         baseline: committed.
-        skipped: rivals that are not installed; ratios that are named after them may be missing.
+        skipped: parts of the names of ratios that may be missing, such as rivals not installed.
     """
     by_name = {metric.name: metric for metric in found}
     said = []

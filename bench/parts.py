@@ -29,7 +29,7 @@ def run(
         samples: of the long run.
 
     Returns:
-        The figures, and the rivals that are not installed.
+        The figures, and parts of the names of ratios that rivals not installed leave out.
     """
     cv2.setNumThreads(1)
     metrics: list[Metric] = []
@@ -39,8 +39,9 @@ def run(
         metrics += shown("frame rate", frame_rate.measure(footage, quick))
         metrics += shown("against the reference", against_reference.measure(footage, quick))
     if only in (None, "rivals"):
-        skipped = rivals.missing()
-        metrics += shown("rivals", rivals.measure(quick, skipped))
+        absent = rivals.missing()
+        skipped = rivals.unmeasured(absent)
+        metrics += shown("rivals", rivals.measure(quick, absent))
     if only == "growth" or (only is None and not quick):
         metrics += shown("growth", growth.measure(footage, samples))
     return metrics, skipped

@@ -24,6 +24,12 @@ def missing() -> list[str]:
     return absent
 
 
+def unmeasured(absent: list[str]) -> list[str]:
+    """Parts of the names of ratios that are not measured without them."""
+    # The bodies of all of these begin with MuJoCo's.
+    return [*absent, *(("ik_", "kinematics_pinocchio") if "mujoco" in absent else ())]
+
+
 def measure(quick: bool, without: list[str]) -> Iterator[Metric]:
     """Everybody who is there."""
     yield from rival_simplex.measure(quick)

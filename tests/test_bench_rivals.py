@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from bench import growth, rival_ik, rival_kinematics, rival_simplex, rivals
+from bench.gate import failures, read_baseline
 from bench.rival_bodies import PinocchioBody
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
@@ -80,6 +81,9 @@ def test_who_is_missing_is_said_and_left_out(monkeypatch, capsys):
     said = capsys.readouterr().err.splitlines()
     assert said[1] == "mink is not installed: left out of IK"
     assert list(rivals.measure(True, absent)) == []
+    committed = [m for m in read_baseline("quick") if m.name.startswith(("ik_", "kinematics_"))]
+    assert committed and failures([], committed, rivals.unmeasured(absent)) == []
+    assert len(failures([], committed, rivals.unmeasured(["mink"]))) == len(committed) - 2
 
 
 # The simplex -------------------------------------------------------------------------------------
