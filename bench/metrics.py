@@ -30,7 +30,7 @@ class Metric:
     value: float
     unit: str
     direction: Literal["lower", "higher"] = "lower"
-    tolerance: float = 0.25
+    tolerance: float = 0.5
 
 
 def stage_metrics(name: str, milliseconds: Sequence[float] | np.ndarray) -> list[Metric]:
