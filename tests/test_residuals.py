@@ -52,8 +52,8 @@ def test_the_derivative_is_that_of_going_through_everything(kind):
         return r, landmarks(person, there).ravel()
 
     still = jnp.zeros(dofs + len(PROPORTIONS))
-    (r, at), (J, by) = moved(still), jax.jacfwd(moved)(still)
-    found = linearised_residuals(PERSON, LOGARITHMS, MARKERS, SETTINGS, pose, one)
+    (r, at), (J, by) = jax.jit(lambda step: (moved(step), jax.jacfwd(moved)(step)))(still)
+    found = jax.jit(linearised_residuals)(PERSON, LOGARITHMS, MARKERS, SETTINGS, pose, one)
     assert found[1].shape == (r.size, still.size)
     for ours, theirs in zip(found, (r, J, at, by), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=2e-5, atol=2e-5 * np.abs(theirs).max())
