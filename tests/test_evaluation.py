@@ -19,7 +19,6 @@ from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.trc import write_trc
 
 TIMES = np.arange(120) / 60
-RECORDINGS = Path(__file__).parents[2] / "shared" / "recordings"
 
 
 def circle(times: np.ndarray) -> np.ndarray:
@@ -180,9 +179,8 @@ def test_a_directory_without_joints_is_an_input_error(tmp_path):
         evaluate_directory(tmp_path, tmp_path / "truth.trc", {"elbow_l": "LElbow"})
 
 
-@pytest.mark.skipif(not RECORDINGS.is_dir(), reason="../shared/recordings is not there")
-def test_the_reference_of_the_real_recording_matches_its_own_markers(tmp_path):
-    truth = RECORDINGS / "balancing" / "truth.trc"
+def test_the_reference_of_the_real_recording_matches_its_own_markers(recordings, tmp_path):
+    truth = recordings / "balancing" / "truth.trc"
     (tmp_path / "joints.trc").write_bytes(truth.read_bytes())
     errors = evaluate_directory(tmp_path, truth, {"LElbow": "LElbow", "RElbow": "RElbow"})
     assert len(errors.times) == 60

@@ -262,7 +262,10 @@ def test_a_solid_is_closed_and_its_faces_look_outwards(direction, length, near, 
 
 def read_recording(path) -> tuple[dict[str, list], dict[str, list]]:
     """Entity -> record batches with time, and entity -> static ones."""
-    chunks = pytest.importorskip("rerun.chunk", reason="this rerun cannot read its files back")
+    chunks = pytest.importorskip(
+        "rerun.chunk",
+        reason="the installed rerun-sdk cannot read .rrd files (no rerun.chunk); a newer one can",
+    )
     reader = chunks.RrdReader(path)
     assert len(reader.recordings()) == 1 and len(reader.blueprints()) == 1
     timed, static = {}, {}

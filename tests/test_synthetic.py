@@ -5,6 +5,7 @@ from pathlib import Path
 
 import av
 import cv2
+import ezc3d
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -276,7 +277,6 @@ def test_reaching_is_written_too(tmp_path):
 @pytest.fixture(scope="module")
 def server(recordings):
     """The rigged mesh, serving as the tennis player of the C3D file does."""
-    ezc3d = pytest.importorskip("ezc3d", reason="reading the C3D file needs ezc3d")
     file = ezc3d.c3d(str(recordings / "motions" / "tennis_serve.c3d"))
     labels = [name.split(":")[-1] for name in file["parameters"]["POINT"]["LABELS"]["value"]]
     positions = dict(zip(labels, file["data"]["points"][:3].transpose(1, 2, 0), strict=True))

@@ -321,7 +321,7 @@ def test_frame_by_frame_float32_is_within_a_millimetre_of_the_reference(paper_tr
 def test_over_100_frames_the_references_elbow_error_is_the_same(paper_tracker, request):
     """A simplex may take another branch now and then; over the sequence it evens out."""
     if "slow" not in request.config.option.markexpr:
-        pytest.skip("takes minutes: pytest -m slow")
+        pytest.skip("takes minutes, so it runs by name only: python -m pytest -m slow")
     tracker, errors = paper_tracker, []
     state = tracker.init(markers_of(waving(0)))
     start, last = state.pose, state.belief.pose

@@ -6,7 +6,7 @@
 INPUTS: poses of the person, frames. OUTPUTS: an Appearance; a Sight of every frame.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -30,7 +30,7 @@ from jaxmocap.images.colours import Colours, learn_colours
 from jaxmocap.images.foreground import Window, learn_foreground, log_odds, person_grid, shrunk_size
 from jaxmocap.images.hulls import draw_hulls
 from jaxmocap.images.parts import part_odds
-from jaxmocap.images.regions import Region
+from jaxmocap.images.regions import Region, region_of_side
 from jaxmocap.images.silhouette import Grid
 
 # Rows of the images that silhouettes are learned from; cells of the grids around the upper half and
@@ -186,10 +186,8 @@ class Regions(NamedTuple):
 
 def _region(pixels: np.ndarray, cells: int, margin: float) -> Region:
     low, high = pixels.min(1), pixels.max(1)
-    side = np.percentile((high - low).max(1), 95) * (1 + 2 * margin)
-    origin = np.round((low + high) / 2 - side / 2) - 0.5
-    dtype = pixels.dtype
-    return Region(origin.astype(dtype), np.full(len(origin), side / cells, dtype))
+    side = float(np.percentile((high - low).max(1), 95)) * (1 + 2 * margin)
+    return region_of_side(low, high, side, cells)
 
 
 def learn_appearance(
@@ -253,41 +251,36 @@ def body_sight(
     image: np.ndarray, known: Appearance, drawing: Drawing, frame: int, regions: Regions
 ) -> tuple[np.ndarray, Sight]:
     """Log-odds (h, w) that pixels of a shrunk image show the person; what that is on the grids."""
-    upper = _shrunk(drawing, regions.upper, CELLS)
-    lower = _shrunk(drawing, regions.lower, LEG_CELLS)
-    window, corner = _window(image, (upper, lower))
+    upper = _in_shrunk(drawing, regions.upper)
+    lower = _in_shrunk(drawing, regions.lower)
+    window, corner = _window(image, {CELLS: upper, LEG_CELLS: lower})
     odds = np.zeros(image.shape[:2], np.float32)
     odds[window] = log_odds(image, known.background, known.person, window=window)
     head = drawing.mask(frame, GROWN, only=HEAD)[window]
     forearms = part_odds(image[window], odds[window], known.forearms, head)
     told = np.where(drawing.unlike(frame)[window], np.float32(0), odds[window])
 
-    def grid(odds: np.ndarray, place: _Place) -> Grid:
-        return Grid(*person_grid(odds, place.origin - corner, place.cell, place.cells))
+    def grid(odds: np.ndarray, region: Region, cells: int) -> Grid:
+        origin = np.asarray(region.origin) - corner
+        return Grid(*person_grid(odds, origin, float(region.scale), cells))
 
-    legs = Legs(regions.lower, grid(told, lower))
-    return odds, Sight(regions.upper, grid(told, upper), grid(forearms, upper), legs)
-
-
-class _Place(NamedTuple):
-    """A grid in a shrunk image: its left upper corner (2,), pixels per cell, cells to a side."""
-
-    origin: np.ndarray
-    cell: float
-    cells: int
+    whole, part = (grid(each, upper, CELLS) for each in (told, forearms))
+    legs = Legs(regions.lower, grid(told, lower, LEG_CELLS))
+    return odds, Sight(regions.upper, whole, part, legs)
 
 
-def _shrunk(drawing: Drawing, region: Region, cells: int) -> _Place:
-    """Edges map onto edges."""
+def _in_shrunk(drawing: Drawing, region: Region) -> Region:
+    """A region of the full image in the shrunk one; edges map onto edges."""
     origin = (np.asarray(region.origin) + 0.5) * drawing.ratio - 0.5
-    return _Place(origin, float(region.scale) * drawing.ratio[0], cells)
+    return Region(origin, np.asarray(region.scale * drawing.ratio[0]))
 
 
-def _window(image: np.ndarray, places: Sequence[_Place]) -> tuple[Window, np.ndarray]:
-    """The part of a shrunk image that some grids lie in, and its corner (x, y)."""
+def _window(image: np.ndarray, grids: Mapping[int, Region]) -> tuple[Window, np.ndarray]:
+    """The part of a shrunk image that grids of so many cells lie in, and its corner (x, y)."""
     size = np.array([image.shape[1], image.shape[0]])
-    low = np.min([place.origin for place in places], 0) - AROUND_PX
-    high = np.max([place.origin + place.cells * place.cell for place in places], 0) + AROUND_PX
+    low = np.min([each.origin for each in grids.values()], 0) - AROUND_PX
+    ends = [each.origin + cells * each.scale for cells, each in grids.items()]
+    high = np.max(ends, 0) + AROUND_PX
     # Of a body that is nowhere in the image a pixel is left.
     start = np.clip(np.floor(low), 0, size - 1).astype(int)
     end = np.maximum(np.clip(np.ceil(high), 0, size).astype(int), start + 1)

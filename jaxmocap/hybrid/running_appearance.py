@@ -42,7 +42,7 @@ from jaxmocap.hybrid.silhouette import FOREARMS, Sight
 from jaxmocap.images.background import RunningBackground
 from jaxmocap.images.colours import RunningColours
 from jaxmocap.images.foreground import SURE_ODDS, shrink
-from jaxmocap.images.regions import Region
+from jaxmocap.images.regions import Region, region_of_side
 from jaxmocap.images.silhouette import Grid, blurred
 
 # Rows of the images that silhouettes are learned from, fewer than for a whole recording.
@@ -99,9 +99,7 @@ class _Window:
         extent = float((high - low).max()) * (1 + 2 * self.margin)
         if not LEAST_FILLED * self.side <= extent <= self.side:
             self.side = extent
-        origin = np.round((low + high) / 2 - self.side / 2) - 0.5
-        dtype = pixels.dtype
-        return Region(origin.astype(dtype), np.asarray(self.side / self.cells, dtype))
+        return region_of_side(low, high, self.side, self.cells)
 
 
 class RunningAppearance:

@@ -39,8 +39,18 @@ def region_around(
     low, high = jnp.min(pixels_xy, -2), jnp.max(pixels_xy, -2)
     extent = jnp.max(high - low, -1) * (1 + 2 * margin)
     scale = jnp.maximum(extent / size, finest)
-    origin = jnp.round((low + high) / 2 - scale[..., None] * size / 2) - 0.5
-    return Region(origin, scale)
+    return Region(_corner((low + high) / 2, scale[..., None] * size), scale)
+
+
+def region_of_side(low: np.ndarray, high: np.ndarray, side: float, size: int) -> Region:
+    """The window of a given side, pixels, about boxes (..., 2) from ``low`` to ``high``."""
+    scale = np.full(low.shape[:-1], side / size, low.dtype)
+    return Region(np.asarray(_corner((low + high) / 2, side), low.dtype), scale)
+
+
+def _corner(middle: Array | np.ndarray, side: Array | float) -> Array | np.ndarray:
+    """A pixel's edge."""
+    return (middle - side / 2).round() - 0.5
 
 
 def to_region(region: Region, pixels_xy: Array) -> Array:

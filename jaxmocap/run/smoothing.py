@@ -226,10 +226,10 @@ def _all_sights(
     assert tracker.cameras is not None
     person, sights = scaled(tracker.skeleton, jnp.asarray(found.proportions)), []
     cameras = all_turned(tracker.cameras, found.turns_cam)
+    astray = feet_free(person, tracker.markers) > 0
     for look in looks:
         camera = jax.tree.map(lambda part, c=look.camera: part[c], cameras)
         there = jax.tree.map(lambda part, e=look.events: np.asarray(part)[e], found.poses)
-        astray = feet_free(person, tracker.markers) > 0
         sights.append(_sights(person, camera, look, videos[look.camera], there, astray))
     return jax.tree.map(lambda *parts: np.concatenate(parts), *sights)
 
