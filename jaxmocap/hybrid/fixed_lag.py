@@ -27,9 +27,9 @@ from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
 from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.geometry.rotations import quaternion_to_matrix
-from jaxmocap.hybrid.newest import SOFTNESS, Event, Newest, Solved, offsets
+from jaxmocap.hybrid.newest import SOFTNESS, Event, Newest, Solved, offsets, sight_on_device
 from jaxmocap.hybrid.residuals import GROUND, NO_GOALS, Known, feet_free
-from jaxmocap.hybrid.running_appearance import RunningAppearance
+from jaxmocap.hybrid.running_appearance import RunningAppearance, Seen
 from jaxmocap.hybrid.tracker import HybridTracker, StepReport
 from jaxmocap.hybrid.trust import trusted
 from jaxmocap.solvers.fading import Fading
@@ -176,13 +176,18 @@ class FixedLagSmoother:
         known = Known(markers_world, R[:2, 2], facing, ankles, self._feet_free, NO_GOALS)
         known = jax.tree.map(lambda part: np.asarray(part, dtype), known)
         looks = [
-            (camera, view.see(image, there, SOFTNESS), (image.shape[1], image.shape[0]))
+            (camera, self._seen(view, image, there), (image.shape[1], image.shape[0]))
             for camera, (view, image) in enumerate(zip(self._views, images or (), strict=False))
             if image is not None
         ]
         self._count += 1
         spread = np.asarray(report.spread, float)
         return Event(self._count - 1, float(time), known, there, first, spread, looks)
+
+    def _seen(self, view: RunningAppearance, image: np.ndarray, pose: Pose) -> Seen:
+        """What a camera saw about a pose, ready to be drawn over."""
+        seen = view.see(image, pose, SOFTNESS)
+        return seen._replace(sight=sight_on_device(seen.sight, self.tracker.settings.over_time))
 
     def _facing(self, ahead: np.ndarray, elapsed: float) -> np.ndarray:
         """Where the markers' pose has faced of late, (3,) unit and horizontal."""

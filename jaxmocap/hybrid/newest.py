@@ -1,31 +1,42 @@
 """The newest events of a live run as one small problem: their poses together, the past condensed.
 
+What the silhouettes tell of an event is a quadratic about the pose where it was drawn; while the
+event stays near by it holds, and nothing is drawn anew.
+
 INPUTS: events with what is known of them and what the cameras saw.
 OUTPUTS: their poses, variances of their landmarks.
 """
 
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
-from jaxmocap.body.kinematics import landmarks
+from jaxmocap.body.kinematics import Sites, landmarks
 from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.proportions import PROPORTIONS
-from jaxmocap.body.skeleton import ELBOWS, LANDMARKS
+from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
+from jaxmocap.geometry.cameras import Camera
 from jaxmocap.hybrid.batches import in_batches
 from jaxmocap.hybrid.residuals import Known
 from jaxmocap.hybrid.running_appearance import Seen
-from jaxmocap.hybrid.silhouette import weighed
-from jaxmocap.hybrid.smoothing import frames_fit, sights_fit
+from jaxmocap.hybrid.silhouette import Sight, silhouette_fit, weighed
+from jaxmocap.hybrid.smoothing import frames_fit
+from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.solvers.smoothness import REACH, Smoothness, smoothness
 from jaxmocap.solvers.trajectory import Linearised, Settings
-from jaxmocap.solvers.window import Improved, Past, condensed, improve, window_variances
+from jaxmocap.solvers.window import (
+    Improved,
+    Past,
+    condensed,
+    first_frames,
+    improve,
+    window_variances,
+)
 
 # Cells over which silhouettes fade.
 SOFTNESS = 1.0
@@ -35,7 +46,33 @@ RIVAL_M, RIVAL_SPREAD_M, RIVAL_GAIN, RIVAL_EVERY = 0.1, 0.06, 5.0, 2
 STEP = Settings(iterations=1, attempts=4, relative=1e-3)
 SEVERAL = STEP._replace(iterations=3)
 # Events per call, so that they compile once.
-EVENTS_A_CALL = 8
+EVENTS_A_CALL = 16
+# A silhouette's quadratic holds while no landmark moves farther than this, metres: a fraction of a
+# cell, over which its borders fade.
+NEAR_M = 0.004
+
+
+class Drawn(NamedTuple):
+    """What an event's silhouettes tell, about a pose where they were drawn.
+
+    Attributes:
+        points: (3 L,) the landmarks there, world, metres.
+        cost: () of it there.
+        hessian: (N, N) of half the cost, by the pose's tangent vector.
+        gradient: (N,) likewise.
+        offset: (N,) of the present pose.
+    """
+
+    points: np.ndarray
+    cost: float
+    hessian: np.ndarray
+    gradient: np.ndarray
+    offset: np.ndarray
+
+    def here(self) -> tuple[float, np.ndarray]:
+        """Cost and gradient at the present pose."""
+        turn = self.hessian @ self.offset
+        return self.cost + self.offset @ (2 * self.gradient + turn), self.gradient + turn
 
 
 @dataclass
@@ -50,6 +87,7 @@ class Event:
         first: as the tracker found it.
         spread: (2,) the tracker's, of the elbows, metres.
         looks: camera, what it saw, width and height of its frame.
+        drawn: what the looks told when they were last drawn; None before.
         learned: whether the looks were learned from.
     """
 
@@ -60,14 +98,32 @@ class Event:
     first: Pose
     spread: np.ndarray
     looks: list[tuple[int, Seen, tuple[int, int]]]
+    drawn: Drawn | None = None
     learned: bool = False
+
+
+@dataclass
+class Standing:
+    """The window's events in certain poses.
+
+    Attributes:
+        poses: (T, ...) of which each is moved by
+        steps: (T, N), until linearising has done so.
+        drawn: of each event, at poses near by.
+        linear: the events there, once it was asked for.
+    """
+
+    poses: Pose
+    steps: np.ndarray
+    drawn: list[Drawn | None]
+    linear: Linearised | None = field(default=None)
 
 
 class Solved(NamedTuple):
     """Where a solve led.
 
     Attributes:
-        better: poses, and the events linearised about them.
+        better: the events, linearised about their poses.
         seen: (T, N, N) the sights' share of the Hessian.
     """
 
@@ -81,14 +137,42 @@ class Solved(NamedTuple):
         return linear._replace(hessian=hessian)
 
 
-_retracted = jax.jit(jax.vmap(retract))
 _differences = jax.jit(jax.vmap(difference))
 _landmarks = jax.jit(jax.vmap(landmarks, (None, 0)))
 
 
+@jax.jit
+def _events_fit(
+    skeleton: Skeleton,
+    sites: Sites,
+    settings: SmoothingSettings,
+    poses: Pose,
+    steps: Array,
+    known: Known,
+) -> tuple[Array, ...]:
+    """Poses (T, ...) moved by steps (T, N), and there what ``frames_fit`` tells of them."""
+    moved, usual = jax.vmap(retract)(poses, steps), jnp.zeros(len(PROPORTIONS), steps.dtype)
+    found = frames_fit(skeleton, usual, sites, settings, moved, known)
+    cost, hessian, gradient, points, jacobian = found
+    n = steps.shape[1]
+    return *moved, cost, hessian[:, :n, :n], gradient[:, :n], points, jacobian[:, :, :n]
+
+
+@jax.jit
+def _sight_fit(
+    skeleton: Skeleton, camera: Camera, settings: SmoothingSettings, pose: Pose, sight: Sight
+) -> tuple[Array, Array, Array]:
+    """What one camera's silhouettes tell of a pose: cost, J^T J (N, N) and J^T r (N,)."""
+    usual = jnp.zeros(len(PROPORTIONS), pose.angles.dtype)
+    softness = jnp.asarray(SOFTNESS, pose.angles.dtype)
+    cost, hessian, gradient = silhouette_fit(skeleton, usual, pose, camera, sight, softness)
+    n, weight = 6 + pose.angles.size, 1 / settings.silhouette**2
+    return weight * cost, weight * hessian[:n, :n], weight * gradient[:n]
+
+
 def stacked(poses: list[Pose]) -> Pose:
     """Poses (T, ...) of single ones."""
-    return jax.tree.map(lambda *parts: np.stack(parts), *poses)
+    return Pose(*(np.stack(parts) for parts in zip(*poses, strict=True)))
 
 
 def offsets(poses: list[Pose], origins: list[Pose]) -> np.ndarray:
@@ -114,7 +198,6 @@ class Newest:
         # Of the sights, in what poses follow from; and, for deviations, with cells that err alike,
         # and blindly.
         self._weights = (1.0, 1 / float(tracker.settings.over_time.redundancy), 0.0)
-        self._pool = ThreadPoolExecutor(2, thread_name_prefix="newest")
         self.begin()
 
     def begin(self) -> None:
@@ -129,9 +212,10 @@ class Newest:
 
     def solve(self) -> Solved:
         """Move all events' poses a step on, or to where the tracker's own opinion leads."""
-        solved = self._rival() or self._steps(self._poses(), self._pasts[0], STEP)
+        solved = self._rival() or self._steps(self._standing(), self._pasts[0], STEP)
         for i, event in enumerate(self.events):
-            event.pose = jax.tree.map(lambda part, i=i: part[i], solved.better.x)
+            event.pose = pose_at(solved.better.x.poses, i)
+            event.drawn = solved.better.x.drawn[i]
         return solved
 
     def variances(self, solved: Solved, chosen: list[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -145,24 +229,23 @@ class Newest:
 
     def drop(self, solved: Solved, count: int) -> list[Event]:
         """Condense the oldest events, at least three being left, and hand them back."""
-        linears = [solved.linear(weight) for weight in self._weights]
-        dropped = []
-        for _ in range(count):
-            offset, prior = self._offset(self._poses()), self._prior(REACH + 1)
-            self._pasts = tuple(
-                condensed(linear, prior, past, offset)
-                for linear, past in zip(linears, self._pasts, strict=True)
-            )
-            linears = [
-                Linearised(*(np.asarray(part)[1:] for part in linear[:5])) for linear in linears
-            ]
-            dropped.append(self.events.pop(0))
-            self._origin = [event.pose for event in self.events[:REACH]]
+        if not count:
+            return []
+        offset, prior = self._offset(solved.better.x), self._prior(count + REACH)
+        self._pasts = tuple(
+            condensed(first_frames(solved.linear(weight), count + REACH), prior, past, offset)
+            for weight, past in zip(self._weights, self._pasts, strict=True)
+        )
+        dropped, self.events = self.events[:count], self.events[count:]
+        self._origin = [event.pose for event in self.events[:REACH]]
         return dropped
 
-    def _poses(self, which: str = "pose") -> Pose:
-        """(T, ...) as they are now, or as the tracker found them (``first``)."""
-        return stacked([getattr(event, which) for event in self.events])
+    def _standing(self, which: str = "pose") -> Standing:
+        """As the events stand now, or as the tracker found them (``first``)."""
+        poses = stacked([getattr(event, which) for event in self.events])
+        own = which == "pose"
+        drawn = [event.drawn if own else None for event in self.events]
+        return Standing(poses, np.zeros((len(drawn), 6 + poses.angles.shape[1])), drawn)
 
     def _prior(self, count: int | None = None) -> Smoothness:
         """Of the first so many events."""
@@ -170,59 +253,67 @@ class Newest:
         density = float(self._tracker.settings.over_time.acceleration)
         return smoothness(times, np.full(3 * len(LANDMARKS), density))
 
-    def _offset(self, poses: Pose) -> np.ndarray:
+    def _offset(self, standing: Standing) -> np.ndarray:
         """Of the first two poses from where the past was made."""
         if self._origin is None:
             return np.zeros(0)
-        first = [jax.tree.map(lambda part, i=i: part[i], poses) for i in range(REACH)]
-        return offsets(first, self._origin).ravel()
+        return offsets([pose_at(standing.poses, i) for i in range(REACH)], self._origin).ravel()
 
-    def _steps(self, start: Pose, past: Past | None, settings: Settings) -> Solved:
-        """Some steps from poses (T, ...)."""
-        parts: list[tuple[Linearised, np.ndarray]] = []
+    def _steps(self, start: Standing, past: Past | None, settings: Settings) -> Solved:
+        """Some steps from where the events stand."""
+        improved = improve(
+            self._linearised, _moved, self._offset, start, self._prior(), past, settings
+        )
+        nothing = np.zeros(np.shape(improved.linear.hessian)[1:])
+        return Solved(
+            improved,
+            np.stack([nothing if each is None else each.hessian for each in improved.x.drawn]),
+        )
 
-        def linearise(poses: Pose) -> Linearised:
-            parts.append(self._linearised(poses))
-            return parts[-1][0]
-
-        better = improve(linearise, self._moved, self._offset, start, self._prior(), past, settings)
-        return Solved(better, next(seen for linear, seen in parts if linear is better.linear))
-
-    def _moved(self, poses: Pose, steps: np.ndarray) -> Pose:
-        dtype = self._tracker.dtype
-        moved = in_batches(_retracted, (poses, steps.astype(dtype)), EVENTS_A_CALL)
-        return jax.tree.unflatten(jax.tree.structure(poses), [part.astype(dtype) for part in moved])
-
-    def _linearised(self, poses: Pose) -> tuple[Linearised, np.ndarray]:
-        """All events about their poses, and the sights' share of the Hessian."""
-        tracker, over_time = self._tracker, self._tracker.settings.over_time
-        usual = jnp.zeros(len(PROPORTIONS), tracker.dtype)
-        known = jax.tree.map(lambda *parts: np.stack(parts), *(e.known for e in self.events))
-        fit = partial(frames_fit, tracker.skeleton, usual, tracker.markers, over_time)
-        found = in_batches(fit, (poses, known), EVENTS_A_CALL, self._pool)
-        cost, hessian, gradient, points, jacobian = found
-        size = hessian.shape[1] - len(PROPORTIONS)
-        seen = np.zeros((len(cost), size, size))
-        looks = [(i, *look[:2]) for i, e in enumerate(self.events) for look in e.looks]
-        if looks:
-            rows, cameras, sights = zip(*looks, strict=True)
-            rows = np.array(rows)
-            each = (
-                jax.tree.map(lambda part: part[rows], poses),
-                jax.tree.map(lambda *parts: np.stack(parts), *(self.cameras[c] for c in cameras)),
-                weighed(
-                    jax.tree.map(lambda *parts: np.stack(parts), *(s.sight for s in sights)),
-                    over_time,
-                ),
+    def _linearised(self, standing: Standing) -> Linearised:
+        """All events about their poses."""
+        if standing.linear is not None:
+            return standing.linear
+        tracker, shared = self._tracker, self._tracker.settings.over_time
+        known = Known(
+            *(
+                None if part[0] is None else np.stack(part)
+                for part in zip(*(event.known for event in self.events), strict=True)
             )
-            fit = partial(sights_fit, tracker.skeleton, usual, jnp.asarray(SOFTNESS, float))
-            told = in_batches(fit, each, 1, self._pool)
-            weight = 1 / float(over_time.silhouette) ** 2
-            np.add.at(cost, rows, weight * told[0])
-            np.add.at(seen, rows, weight * told[1][:, :size, :size])
-            np.add.at(gradient, rows, weight * told[2][:, : gradient.shape[1]])
-        own = hessian[:, :size, :size] + seen
-        return Linearised(cost, own, gradient[:, :size], points, jacobian[:, :, :size]), seen
+        )
+        each = standing.poses, standing.steps.astype(tracker.dtype), known
+        found = in_batches(
+            lambda *batch: _events_fit(tracker.skeleton, tracker.markers, shared, *batch),
+            each,
+            EVENTS_A_CALL,
+        )
+        *poses, cost, hessian, gradient, points, jacobian = found
+        standing.poses = Pose(*(part.astype(tracker.dtype) for part in poses))
+        standing.steps = np.zeros_like(standing.steps)
+        for i, event in enumerate(self.events):
+            if event.looks:
+                drawn = self._drawn(event, pose_at(standing.poses, i), points[i], standing.drawn[i])
+                price, pull = drawn.here()
+                cost[i] += price
+                hessian[i] += drawn.hessian
+                gradient[i] += pull
+                standing.drawn[i] = drawn
+        standing.linear = Linearised(cost, hessian, gradient, points, jacobian)
+        return standing.linear
+
+    def _drawn(self, event: Event, pose: Pose, points: np.ndarray, last: Drawn | None) -> Drawn:
+        """What an event's looks tell about a pose with these landmarks: drawn anew if it is far."""
+        if last is not None and np.abs(points - last.points).max() < NEAR_M:
+            return last
+        skeleton, settings = self._tracker.skeleton, self._tracker.settings.over_time
+        told = [
+            _sight_fit(skeleton, self.cameras[camera], settings, pose, seen.sight)
+            for camera, seen, _ in event.looks
+        ]
+        cost, hessian, gradient = (
+            sum(np.asarray(part, float) for part in parts) for parts in zip(*told, strict=True)
+        )
+        return Drawn(points, float(cost), hessian, gradient, np.zeros(len(gradient)))
 
     def _rival(self) -> Solved | None:
         """The better of two: the window as it is, and one that starts from the tracker's poses.
@@ -238,10 +329,29 @@ class Newest:
         if not newest.looks or not other or self._since_rival < RIVAL_EVERY:
             return None
         self._since_rival, past = 0, self._pasts[0]
-        own = self._steps(self._poses(), past, SEVERAL)
-        rival = self._steps(self._poses("first"), None, SEVERAL)
+        own = self._steps(self._standing(), past, SEVERAL)
+        rival = self._steps(self._standing("first"), None, SEVERAL)
         believed = 0.0 if past is None else past.cost(self._offset(own.better.x))
         if rival.better.cost > own.better.cost - believed - RIVAL_GAIN:
             return own
         self._forget()
         return rival
+
+
+def pose_at(poses: Pose, i: int) -> Pose:
+    """One of poses (T, ...)."""
+    return Pose(*(part[i] for part in poses))
+
+
+def sight_on_device(sight: Sight, settings: SmoothingSettings) -> Sight:
+    """Where it is looked at again and again, its pictures counting as the settings say."""
+    return jax.tree.map(jnp.asarray, weighed(sight, settings))
+
+
+def _moved(standing: Standing, steps: np.ndarray) -> Standing:
+    """The same events some steps (T, N) on; what was drawn of them is left where it was."""
+    drawn = [
+        None if each is None else each._replace(offset=each.offset + step)
+        for each, step in zip(standing.drawn, steps, strict=True)
+    ]
+    return Standing(standing.poses, steps, drawn)

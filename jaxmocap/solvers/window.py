@@ -66,6 +66,11 @@ def with_past(equations: Equations, past: Past | None, offset: np.ndarray) -> Eq
     return equations._replace(rows=rows, gradient=gradient)
 
 
+def first_frames(linear: Linearised, count: int) -> Linearised:
+    """The first frames of a window, which shares nothing."""
+    return Linearised(*(np.asarray(part)[:count] for part in linear[:5]))
+
+
 def condensed(
     linear: Linearised,
     prior: Smoothness,
@@ -73,36 +78,36 @@ def condensed(
     offset: np.ndarray,
     settings: Settings = DEFAULTS,
 ) -> Past:
-    """The past of a window without its first frame, about where its next two stand.
+    """The past of a window without all but the last two of its frames, about where those stand.
 
     Args:
-        linear: three frames or more about their present states.
-        prior: of the first three.
+        linear: three frames or more, the first of the window, about their present states.
+        prior: of the same.
         past: of the window as it is.
         offset: (2 N,) of its first two frames from where that was made.
         settings: of the solve.
     """
-    first = REACH + 1
-    hessian, gradient = (
-        np.array(part, float)[:first] for part in (linear.hessian, linear.gradient)
-    )
-    # The other two frames' own terms stay in the window.
-    hessian[1:], gradient[1:] = 0, 0
-    points, jacobian = (np.asarray(part)[:first] for part in (linear.points, linear.jacobian))
-    alone = Linearised(np.zeros(first), hessian, gradient, points, jacobian)
+    hessian, gradient = (np.array(part, float) for part in (linear.hessian, linear.gradient))
+    # The last two frames' own terms stay in the window.
+    hessian[-REACH:], gradient[-REACH:] = 0, 0
+    alone = linear._replace(hessian=hessian, gradient=gradient)
     equations = with_past(normal_equations(alone, prior), past, offset)
-    size = gradient.shape[1]
-    whole = np.zeros((first * size, first * size))
-    for row in range(first):
-        block = equations.rows[row, :, : (first - row) * size]
-        whole[row * size : (row + 1) * size, row * size :] = block
-    whole = np.triu(whole) + np.triu(whole, 1).T
-    own = whole[:size, :size] + settings.floor * np.eye(size)
-    right = np.column_stack([whole[:size, size:], equations.gradient[0]])
-    solved = np.linalg.solve(own, right)
-    rest = whole[size:, size:] - whole[size:, :size] @ solved[:, :-1]
-    pull = equations.gradient[1:].ravel() - whole[size:, :size] @ solved[:, -1]
-    return Past((rest + rest.T) / 2, pull)
+    frames, size = gradient.shape
+    whole = np.zeros((frames * size, (frames + REACH) * size))
+    for row, block in enumerate(equations.rows):
+        whole[row * size : (row + 1) * size, row * size : (row + REACH + 1) * size] = block
+    whole = np.triu(whole[:, : frames * size])
+    gone = (frames - REACH) * size
+    left, pull = whole[gone:, gone:], equations.gradient.ravel()
+    right = np.column_stack([whole[:gone, gone:], pull[:gone]])
+    own = _mirrored(whole[:gone, :gone]) + settings.floor * np.eye(gone)
+    tied = right[:, :-1].T @ np.linalg.solve(own, right)
+    return Past(_mirrored(left) - (tied[:, :-1] + tied[:, :-1].T) / 2, pull[gone:] - tied[:, -1])
+
+
+def _mirrored(upper: np.ndarray) -> np.ndarray:
+    """A symmetric matrix by its upper triangle."""
+    return upper + np.triu(upper, 1).T
 
 
 def improve(
@@ -172,18 +177,11 @@ def window_variances(
     """
     jacobian = np.asarray(linear.jacobian, float)
     equations = normal_equations(linear, prior)
-    size = jacobian.shape[2]
-    equations = with_past(equations, past, np.zeros(REACH * size))
-    right = np.zeros((len(jacobian), size, len(frames) * size))
-    for column, frame in enumerate(frames):
-        right[frame, :, column * size : (column + 1) * size] = np.eye(size)
+    equations = with_past(equations, past, np.zeros(REACH * jacobian.shape[2]))
     try:
         factor = banded.factorise(equations.rows, settings.floor)
     except banded.NotPositiveDefinite:
         return np.full((len(frames), jacobian.shape[1]), np.inf)
-    solved = banded.solve(factor, right)
-    found = []
-    for column, frame in enumerate(frames):
-        covariance = solved[frame, :, column * size : (column + 1) * size]
-        found.append(np.einsum("mi,ij,mj->m", jacobian[frame], covariance, jacobian[frame]))
-    return np.maximum(np.array(found), 0.0)
+    covariances = banded.inverse_blocks(factor)[frames]
+    chosen = jacobian[frames]
+    return np.maximum(np.sum(chosen @ covariances * chosen, 2), 0.0)
