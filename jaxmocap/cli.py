@@ -16,6 +16,7 @@ from jaxmocap.setup.arguments import positive, with_signs
 
 EXAMPLES = {
     "demo": "jaxmocap demo --out jaxmocap-demo",
+    "check": "jaxmocap check recording.toml",
     "track": "jaxmocap track recording.toml --out tracked",
     "evaluate": "jaxmocap evaluate tracked truth.trc --match elbow_l=LElbow elbow_r=RElbow",
     "view": "jaxmocap view tracked",
@@ -68,6 +69,9 @@ def make_parser() -> Parser:
     parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_demo(_command(commands, "demo", demo, "make a synthetic recording and track it"))
+    check_parser = _command(commands, "check", check, "look for mistakes in a recording's file")
+    check_parser.add_argument("recording", metavar="RECORDING.toml")
+    _add_json(check_parser)
     _add_track(_command(commands, "track", track, "track a recording"))
     _add_evaluate(
         _command(commands, "evaluate", evaluate, "compare tracked joints with a reference")
@@ -193,6 +197,16 @@ def demo(options: argparse.Namespace) -> None:
     shown = demonstrate(options.out, options.seconds, options.seed, progress=True)
     files = "\n".join(f"written  {path}" for path in shown.files)
     _report(options, f"{shown.table()}\n\n{files}", shown.as_dict())
+
+
+def check(options: argparse.Namespace) -> None:
+    """Look for mistakes in a recording's file, as ``track`` does before it begins."""
+    from jaxmocap.formats.recording import load_recording
+    from jaxmocap.run.checking import check
+
+    checked = check(load_recording(options.recording))
+    _report(options, checked.text(), checked.figures())
+    checked.refuse()
 
 
 def track(options: argparse.Namespace) -> None:

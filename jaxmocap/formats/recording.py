@@ -21,7 +21,7 @@ from jaxmocap.formats.keypoint_models import MODELS
 from jaxmocap.formats.keypoints import Detections
 from jaxmocap.formats.markers import read_markers
 from jaxmocap.formats.subject import DEFAULT_HEIGHT, read_subject
-from jaxmocap.formats.tables import check_times
+from jaxmocap.formats.tables import Markers, check_times
 from jaxmocap.formats.toml import Fields, read_toml, write_toml
 from jaxmocap.geometry.cameras import Camera
 
@@ -84,6 +84,8 @@ class Recording:
         name: of the recording.
         path: the file it came from, or None.
         warnings: sentences that a user should see.
+        markers_file: the file that the markers came from, or None.
+        stated_rate: samples per second as that file states them, or None.
     """
 
     skeleton: Skeleton
@@ -94,6 +96,8 @@ class Recording:
     name: str = "recording"
     path: Path | None = None
     warnings: tuple[str, ...] = ()
+    markers_file: Path | None = None
+    stated_rate: float | None = None
 
     def __post_init__(self):
         """Check that the parts fit, wherever they came from."""
@@ -139,8 +143,8 @@ def load_recording(path: str | Path) -> Recording:
     else:
         skeleton = Skeleton.human(DEFAULT_HEIGHT)
         warnings.append(f"{path}: no [subject], a height of {DEFAULT_HEIGHT} m is assumed")
-    times, positions_world, places = _read_marked(top)
-    seen = np.isfinite(positions_world.sum(-1))
+    markers, places = _read_marked(top)
+    seen = np.isfinite(markers.positions.sum(-1))
     warnings += [
         f"{path}: marker {place.name!r} is never seen"
         for place, samples in zip(places, seen.T, strict=True)
@@ -148,18 +152,20 @@ def load_recording(path: str | Path) -> Recording:
     ]
     return Recording(
         skeleton,
-        times,
-        positions_world,
+        markers.times,
+        markers.positions,
         places,
         _read_videos(top),
         path.stem,
         path,
         tuple(warnings),
+        top.path.parent / top.table["markers"]["file"],
+        markers.rate,
     )
 
 
-def _read_marked(top: Fields) -> tuple[np.ndarray, np.ndarray, tuple[MarkerPlace, ...]]:
-    """Times, positions in the world and places of the markers of [markers.on]."""
+def _read_marked(top: Fields) -> tuple[Markers, tuple[MarkerPlace, ...]]:
+    """The markers of [markers.on], their positions in the world's axes, and their places."""
     fields = Fields(
         top.path, "[markers]", top.required("markers"), ("file", "up", "to_world", "on")
     )
@@ -168,7 +174,7 @@ def _read_marked(top: Fields) -> tuple[np.ndarray, np.ndarray, tuple[MarkerPlace
     on = Fields(top.path, "[markers.on]", fields.required("on"))
     if not on.table:
         raise on.error("", "names no marker, expected entries such as Head = { bone = 'head' }")
-    places = tuple(_place(top.path, name, entry) for name, entry in on.table.items())
+    places = tuple(read_place(top.path, name, entry) for name, entry in on.table.items())
     markers = read_markers(file)
     for place in places:
         if place.name not in markers.names:
@@ -176,10 +182,13 @@ def _read_marked(top: Fields) -> tuple[np.ndarray, np.ndarray, tuple[MarkerPlace
                 place.name, f"no such marker in {file}, found {', '.join(markers.names)}"
             )
     columns = [markers.names.index(place.name) for place in places]
-    return markers.times, to_world(R_world_file, markers.positions[:, columns]), places
+    names = tuple(place.name for place in places)
+    positions_world = to_world(R_world_file, markers.positions[:, columns])
+    return Markers(markers.times, names, positions_world, rate=markers.rate), places
 
 
-def _place(path: Path, name: str, entry: Any) -> MarkerPlace:
+def read_place(path: Path, name: str, entry: Any) -> MarkerPlace:
+    """Where one marker of [markers.on] sits."""
     fields = Fields(path, f"[markers.on] {name}", entry, ("bone", "at", "offset"))
     at = fields.number("at", 1.0)
     if not 0.0 <= at <= 1.0:

@@ -24,12 +24,15 @@ class Markers:
         positions: (T, M, 3) metres, float64, in the file's own axes; all three NaN where missing.
         residuals: (T, M) metres, how far apart the rays of each point were, NaN where it is
             missing; or None where the file says nothing of them (only C3D does).
+        rate: samples per second as the file's header states them, whatever its time stamps say;
+            or None where it has no such field (only TRC has both).
     """
 
     times: np.ndarray
     names: tuple[str, ...]
     positions: np.ndarray
     residuals: np.ndarray | None = None
+    rate: float | None = None
 
     def points(self) -> dict[str, np.ndarray]:
         """Name -> (T, 3) positions."""

@@ -4,6 +4,7 @@ INPUTS: a .trc file, its unit in the header (m, cm or mm); or times and points i
 OUTPUTS: Markers in metres, in the file's own axes; or a .trc file in metres.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -49,7 +50,8 @@ def read_trc(path: str | Path) -> Markers:
     table, numbers = parse_rows(path, data, 2 + 3 * len(names))
     _check_count(path, header.get("NumFrames", ""), len(table))
     table[:, 2:] *= scale
-    return make_markers(path, table[:, 1:], numbers, names, "line 4")
+    markers = make_markers(path, table[:, 1:], numbers, names, "line 4")
+    return replace(markers, rate=_rate(header))
 
 
 def _cells(line: str) -> list[str]:
@@ -66,6 +68,15 @@ def _scale(path: str | Path, header: dict[str, str]) -> float:
             path, f"line 3: unknown unit {unit!r}, expected one of {', '.join(METRES)}"
         )
     return METRES[unit.lower()]
+
+
+def _rate(header: dict[str, str]) -> float | None:
+    """DataRate, where it is a positive number."""
+    try:
+        rate = float(header.get("DataRate", ""))
+    except ValueError:
+        return None
+    return rate if 0 < rate < float("inf") else None
 
 
 def _names(path: str | Path, name_line: str, axis_line: str) -> list[str]:

@@ -9,8 +9,10 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from jaxmocap.capture.camera_checks import check_recording
 from jaxmocap.capture.timeline import check_overlap
 from jaxmocap.capture.video import FrameSource, check_size, open_video
+from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.recording import Recording
 
 
@@ -19,8 +21,18 @@ def open_footage(recording: Recording) -> tuple[list[FrameSource], tuple[str, ..
 
     Raises:
         InputError: what is not a video, does not fit its calibration, or shares no time with the
-            markers.
+            markers; or a recording that cannot be what its file says (see ``capture.checks``).
     """
+    videos, warnings = footage(recording)
+    where = recording.path or recording.name
+    findings = check_recording(recording, [video.times for video in videos])
+    if findings and findings[0].fatal:
+        raise InputError(where, findings[0].sentence)
+    return videos, (*warnings, *(f"{where}: {finding.sentence}" for finding in findings))
+
+
+def footage(recording: Recording) -> tuple[list[FrameSource], tuple[str, ...]]:
+    """The same, the recording itself unchecked."""
     videos, warnings = [], list(recording.warnings)
     for source in recording.videos:
         video = open_video(source)
