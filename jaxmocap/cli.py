@@ -246,7 +246,7 @@ def convert(options: argparse.Namespace) -> None:
     """Make one file into another."""
     from jaxmocap.formats.convert import Options, convert
 
-    wanted = Options(options.names, options.unit, options.rate, options.body)
+    wanted = Options(options.names, options.unit, options.rate, options.body, options.angles)
     notes = convert(options.source, options.target, wanted)
     print("\n".join([*notes, f"written: {options.target}"]))
 

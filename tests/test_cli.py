@@ -16,7 +16,7 @@ from jaxmocap.run import viewing
 from jaxmocap.run.compilation import cache_folder
 
 OUTPUTS = {"joints.trc", "angles.mot", "motion.npz", "motion.bvh", "motion.glb"}
-OUTPUTS |= {"report.json", "overlay.mp4", "recording.rrd"}
+OUTPUTS |= {"angles_isb.mot", "report.json", "overlay.mp4", "recording.rrd"}
 
 
 @pytest.fixture(scope="module", autouse=True)

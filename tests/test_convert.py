@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.turns import local_turns
 from jaxmocap.cli import main
 from jaxmocap.evaluation.errors import evaluate_directory
 from jaxmocap.evaluation.motions import evaluate
-from jaxmocap.formats.body_armature import local_turns
 from jaxmocap.formats.bvh import read_bvh
 from jaxmocap.formats.convert import Options, convert
 from jaxmocap.formats.errors import InputError

@@ -269,6 +269,7 @@ def written(tracked, tmp_path_factory):
     assert [path.name for path in files] == [
         "joints.trc",
         "angles.mot",
+        "angles_isb.mot",
         "motion.npz",
         "motion.bvh",
         "motion.glb",
@@ -281,7 +282,7 @@ def written(tracked, tmp_path_factory):
 
 def test_everything_is_written_and_nothing_else(written):
     names = {"joints.trc", "angles.mot", "motion.npz", "motion.bvh", "motion.glb"}
-    names |= {"report.json", "overlay.mp4", "recording.rrd"}
+    names |= {"angles_isb.mot", "report.json", "overlay.mp4", "recording.rrd"}
     assert {path.name for path in written.iterdir()} == names
 
 

@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.turns import body_turns, local_turns, matrices
 from jaxmocap.formats.armature import Armature
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.joint_names import CONVENTIONS, ENDED, PELVIS, end_of, recognised
@@ -47,7 +48,7 @@ def armature_of(motion: Motion, convention: str = "jaxmocap") -> Armature:
     reach = np.asarray(skeleton.lengths, float)[:, None] * np.asarray(skeleton.directions, float)
     offsets, radii = np.zeros((len(joints), 3)), np.zeros((len(joints), 2))
     R = np.tile(np.eye(3), (len(angles), len(joints), 1, 1))
-    R[:, 0] = _matrices(np.asarray(motion.poses.quaternion, float))
+    R[:, 0] = matrices(np.asarray(motion.poses.quaternion, float))
     for j, joint in enumerate(joints[1:], 1):
         across = carrier(skeleton, joint)
         if across is not None:
@@ -101,38 +102,10 @@ def carrier(skeleton: Skeleton, joint: str) -> int | None:
     return parent if parent >= 0 else None
 
 
-def local_turns(skeleton: Skeleton, angles: np.ndarray) -> np.ndarray:
-    """Rotations (T, B, 3, 3) of bones in their parents' frames, of (T, D) radians."""
-    axes = np.asarray(skeleton.axes, float)
-    R = np.tile(np.eye(3), (len(angles), len(skeleton.tree.bones), 1, 1))
-    for dof, bone in enumerate(skeleton.tree.dof_bones):
-        R[:, bone] = R[:, bone] @ about(axes[dof], angles[:, dof])
-    return R
-
-
-def about(axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Rotations (T, 3, 3) by (T,) radians about a unit axis; NaN where an angle is."""
-    known = np.isfinite(angles)
-    turn = np.where(known, angles, 0.0)[:, None] * axis
-    return np.where(known[:, None, None], Rotation.from_rotvec(turn).as_matrix(), np.nan)
-
-
 def rest_turns(skeleton: Skeleton) -> np.ndarray:
     """Orientations (B, 3, 3) in the body's frame of the bones in the T pose."""
     angles = [np.radians(T_POSE.get(joint, 0.0)) for joint in skeleton.tree.joints]
-    R = local_turns(skeleton, np.array([angles]))[0]
-    for bone, parent in enumerate(skeleton.tree.parents):
-        if parent >= 0:
-            R[bone] = R[parent] @ R[bone]
-    return R
-
-
-def _matrices(quaternions: np.ndarray) -> np.ndarray:
-    """Rotations (T, 3, 3) of (T, 4) wxyz; NaN where unknown."""
-    known = np.isfinite(quaternions.sum(-1))[:, None]
-    safe = np.where(known, quaternions, [1.0, 0, 0, 0])
-    R = Rotation.from_quat(safe, scalar_first=True).as_matrix()
-    return np.where(known[..., None], R, np.nan)
+    return body_turns(skeleton, np.array([angles]))[0]
 
 
 def motion_of(armature: Armature, path: str | Path) -> Motion:

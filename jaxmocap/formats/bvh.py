@@ -20,9 +20,9 @@ from scipy.spatial.transform import Rotation
 from jaxmocap.formats.armature import Armature
 from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.euler import continuous_euler
 from jaxmocap.formats.joint_names import end_of
 from jaxmocap.formats.tables import even_rate, parse_rows, read_lines
+from jaxmocap.geometry.euler import continuous_euler
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 # From pelvis to finger tips (or toes) an adult measures so much, metres; inches then fit no other.

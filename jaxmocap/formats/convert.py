@@ -25,7 +25,7 @@ from jaxmocap.formats.gltf import write_gltf
 from jaxmocap.formats.gltf_in import read_gltf
 from jaxmocap.formats.joint_names import CONVENTIONS, landmark_names, recognised
 from jaxmocap.formats.markers import read_markers
-from jaxmocap.formats.mot import motion_from_angles, read_mot, write_mot
+from jaxmocap.formats.mot import motion_from_angles, read_mot, write_isb, write_mot
 from jaxmocap.formats.npz import load_motion, save_motion
 from jaxmocap.formats.resampling import (
     even_times,
@@ -51,12 +51,14 @@ class Options:
             by the body's size when read.
         rate: samples per second of the target; None keeps the source's times.
         body: file whose skeleton the angles of a .mot are of; None where the source has one.
+        angles: of the .mot written, ``hinges`` or ``isb``; None is hinges.
     """
 
     names: str | None = None
     unit: str | None = None
     rate: float | None = None
     body: Path | None = None
+    angles: str | None = None
 
 
 @dataclass
@@ -107,6 +109,7 @@ def _check_options(work: _Work, source: str, target: str) -> None:
         "--unit": options.unit and ".bvh" not in (source, target),
         "--body": options.body and source != ".mot",
         "--names": options.names and (source in MARKERS or target in (".npz", ".mot")),
+        "--angles": options.angles and target != ".mot",
     }
     for option, given in useless.items():
         if given:
@@ -215,7 +218,10 @@ def _write_motion(work: _Work, motion: Motion) -> None:
     if work.target.suffix.lower() == ".npz":
         save_motion(work.target, motion)
     else:
-        write_mot(work.target, motion)
+        isb = work.options.angles == "isb"
+        (write_isb if isb else write_mot)(work.target, motion)
+        if isb:
+            work.notes.append("left out: where the pelvis is, and what ISB's angles do not tell")
         work.notes.append("left out: the body, and the report where there is one")
 
 

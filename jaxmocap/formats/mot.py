@@ -1,12 +1,13 @@
 """MOT: joint angles over time, in the table that OpenSim reads and writes.
 
 INPUTS: a Motion; or a .mot (or .sto) file and the skeleton it is of.
-OUTPUTS: a .mot file; or its columns, or a Motion.
+OUTPUTS: a .mot file of hinges or of ISB's angles; or its columns, or a Motion.
 
-A file written here has the pelvis' place (``pelvis_tx``, ``_ty``, ``_tz``: metres, world, Z up),
+A file of hinges has the pelvis' place (``pelvis_tx``, ``_ty``, ``_tz``: metres, world, Z up),
 its turns (``pelvis_yaw`` about the world's vertical, then ``pelvis_pitch`` about its own left axis,
 then ``pelvis_roll`` about its own forward axis) and every joint's angle by its name, in degrees,
-without jumps at ±180°. Bones are not in it.
+without jumps at ±180°. Bones are not in it. A file of ISB's angles has those of ``body.isb``, from
+which no motion can be read.
 """
 
 from collections.abc import Mapping
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from jaxmocap.body.isb import isb_angles
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
@@ -39,9 +41,20 @@ def write_mot(path: str | Path, motion: Motion) -> None:
         turns[known] = np.unwrap(R_world_pelvis.as_euler(_AXES), axis=0)
     angles = np.degrees(np.concatenate([turns, np.asarray(motion.poses.angles, float)], 1))
     table = np.concatenate([np.asarray(motion.poses.position, float), angles], 1)
-    head = [Path(path).stem, "version=1", f"nRows={len(table)}", f"nColumns={len(names) + 1}"]
-    lines = [*head, "inDegrees=yes", "endheader", "\t".join(["time", *names])]
-    for time, row in zip(motion.times, table, strict=True):
+    _write_table(Path(path), motion.times, dict(zip(names, table.T, strict=True)))
+
+
+def write_isb(path: str | Path, motion: Motion) -> None:
+    """Write the angles of ISB's joint coordinate systems; NaN where a pose is unknown."""
+    columns = {name: np.degrees(angle) for name, angle in isb_angles(motion).items()}
+    _write_table(Path(path), motion.times, columns)
+
+
+def _write_table(path: Path, times: np.ndarray, columns: Mapping[str, np.ndarray]) -> None:
+    """Write columns (T,), degrees but for places."""
+    head = [path.stem, "version=1", f"nRows={len(times)}", f"nColumns={len(columns) + 1}"]
+    lines = [*head, "inDegrees=yes", "endheader", "\t".join(["time", *columns])]
+    for time, row in zip(times, zip(*columns.values(), strict=True), strict=True):
         cells = ("NaN" if np.isnan(value) else f"{value:.8f}" for value in row)
         lines.append("\t".join([f"{time:.9f}", *cells]))
     with replacing(path) as beside:
@@ -94,6 +107,9 @@ def motion_from_angles(
     names = (*PLACES, *TURNS, *skeleton.tree.joints)
     missing = [name for name in names if name not in columns]
     if missing:
+        if "pelvis_tilt" in columns:
+            problem = "holds ISB's angles, which hinges cannot be read from"
+            raise InputError(path, problem)
         raise InputError(path, f"no column {missing[0]!r}, found {', '.join(columns)}")
     table = np.stack([columns[name] for name in names], 1)
     known = np.isfinite(table.sum(-1))

@@ -36,3 +36,9 @@ def add_convert(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--body", metavar="FILE", type=Path, help=".npz, .bvh or .glb of the body that a .mot is of"
     )
+    parser.add_argument(
+        "--angles",
+        choices=("hinges", "isb"),
+        help="of the .mot written: the skeleton's hinges, from which the motion can be read again, "
+        "or joint angles by ISB's conventions; default: hinges",
+    )

@@ -1,8 +1,8 @@
 """Everything that ``track`` writes, each file moved into place when it is whole.
 
 INPUTS: a Motion, its Recording, a folder.
-OUTPUTS: joints.trc, angles.mot, motion.npz, motion.bvh, motion.glb, report.json, recording.rrd, and
-overlay.mp4 where there is video.
+OUTPUTS: joints.trc, angles.mot, angles_isb.mot, motion.npz, motion.bvh, motion.glb, report.json,
+recording.rrd, and overlay.mp4 where there is video.
 """
 
 import os
@@ -18,7 +18,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.capture.video import Frame, FrameSource
 from jaxmocap.formats.animation import write_animation
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.mot import write_mot
+from jaxmocap.formats.mot import write_isb, write_mot
 from jaxmocap.formats.npz import save_motion
 from jaxmocap.formats.recording import Recording, VideoSource
 from jaxmocap.formats.trc import write_trc
@@ -104,12 +104,13 @@ def write_outputs(
 
 def _write_motion(motion: Motion, folder: Path) -> list[Path]:
     """The motion in every format that others read."""
-    names = ("joints.trc", "angles.mot", "motion.npz", "motion.bvh", "motion.glb")
+    names = ("joints.trc", "angles.mot", "angles_isb.mot", "motion.npz", "motion.bvh", "motion.glb")
     files = [folder / name for name in names]
     write_trc(files[0], motion.times, motion.joints())
     write_mot(files[1], motion)
-    save_motion(files[2], motion)
-    for path in files[3:]:
+    write_isb(files[2], motion)
+    save_motion(files[3], motion)
+    for path in files[4:]:
         write_animation(path, motion)
     return files
 

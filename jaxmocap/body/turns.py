@@ -1,0 +1,44 @@
+"""How bones are turned over time, in double precision on the host.
+
+INPUTS: a Skeleton and angles (T, D) in radians, or quaternions (T, 4).
+OUTPUTS: rotations (T, ..., 3, 3), NaN where the pose is unknown; to be written to files, where
+``kinematics`` is for what is traced.
+"""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from jaxmocap.body.skeleton import Skeleton
+
+
+def local_turns(skeleton: Skeleton, angles: np.ndarray) -> np.ndarray:
+    """Rotations (T, B, 3, 3) of bones in their parents' frames, of (T, D) radians."""
+    axes = np.asarray(skeleton.axes, float)
+    R = np.tile(np.eye(3), (len(angles), len(skeleton.tree.bones), 1, 1))
+    for dof, bone in enumerate(skeleton.tree.dof_bones):
+        R[:, bone] = R[:, bone] @ about(axes[dof], angles[:, dof])
+    return R
+
+
+def body_turns(skeleton: Skeleton, angles: np.ndarray) -> np.ndarray:
+    """Rotations (T, B, 3, 3) of bones in the pelvis' frame, of (T, D) radians."""
+    R = local_turns(skeleton, angles)
+    for bone, parent in enumerate(skeleton.tree.parents):
+        if parent >= 0:
+            R[:, bone] = R[:, parent] @ R[:, bone]
+    return R
+
+
+def about(axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Rotations (T, 3, 3) by (T,) radians about a unit axis; NaN where an angle is."""
+    known = np.isfinite(angles)
+    turn = np.where(known, angles, 0.0)[:, None] * axis
+    return np.where(known[:, None, None], Rotation.from_rotvec(turn).as_matrix(), np.nan)
+
+
+def matrices(quaternions: np.ndarray) -> np.ndarray:
+    """Rotations (T, 3, 3) of (T, 4) wxyz; NaN where unknown."""
+    known = np.isfinite(quaternions.sum(-1))[:, None]
+    safe = np.where(known, quaternions, [1.0, 0, 0, 0])
+    R = Rotation.from_quat(safe, scalar_first=True).as_matrix()
+    return np.where(known[..., None], R, np.nan)
