@@ -23,11 +23,12 @@ from jaxmocap.hybrid.settings import Settings, SmoothingSettings
 from jaxmocap.hybrid.silhouette import Sight
 from jaxmocap.hybrid.smoothing import Problem, Sights, Trajectory, smooth_poses
 from jaxmocap.hybrid.tracker import HybridTracker, StepReport
+from jaxmocap.solvers.arrow import Equations
 from jaxmocap.solvers.fading import Fading
-from jaxmocap.solvers.smoothness import Smoothness, smoothness
-from jaxmocap.solvers.trajectory import Linearised, covariances, smooth
+from jaxmocap.solvers.smoothness import smoothness
+from jaxmocap.solvers.trajectory import Linearised, covariances, normal_equations, smooth
 from jaxmocap.solvers.trajectory import Settings as Solve
-from jaxmocap.solvers.window import condensed, first_frames, improve, window_variances
+from jaxmocap.solvers.window import condensed, improve, leaving, window_variances
 
 COUNT = 24
 TIMES = np.arange(COUNT) / RATE
@@ -293,13 +294,14 @@ def test_a_window_with_a_condensed_past_knows_what_the_whole_chain_knows(seed):
         if first + 4 == T:
             break
         three = smoothness(times[first : first + 3], deviations)
-        past = condensed(first_frames(better.linear, 3), three, past, offset(better.x), exact)
+        past = condensed(leaving(better.linear, three), past, offset(better.x), exact)
         first, origin = first + 1, better.x[1:3]
         x = np.concatenate([better.x[1:], np.zeros((1, N))])
     np.testing.assert_allclose(better.x, full.x[-4:], atol=1e-6)
     jacobian = np.asarray(better.linear.jacobian)
     expected = np.einsum("tmi,tij,tmj->tm", jacobian, spread[-4:], jacobian)
-    found = window_variances(better.linear, window, past, np.arange(4), exact)
+    equations = normal_equations(better.linear, window)
+    found = window_variances(equations, jacobian, past, np.arange(4), exact)
     np.testing.assert_allclose(found, expected, rtol=1e-4)
 
 
@@ -311,14 +313,13 @@ def test_several_frames_are_condensed_at_once_as_one_after_the_other(seed):
     x, floor = rng.normal(size=(T, N)), Solve(floor=0.0)
     linear, deviations = linearise(slice(None))(x), np.full(2, 3.0)
 
-    def some(rows: slice) -> tuple[Linearised, Smoothness]:
+    def some(rows: slice) -> Equations:
         parts = Linearised(*(np.asarray(part)[rows] for part in linear[:5]))
-        return parts, smoothness(times[rows], deviations)
+        return leaving(parts, smoothness(times[rows], deviations))
 
-    one, two = some(slice(0, 3)), some(slice(1, 4))
-    first = condensed(*one, None, np.zeros(0), floor)
-    second = condensed(*two, first, np.zeros(2 * N), floor)
-    both = condensed(*some(slice(0, 4)), None, np.zeros(0), floor)
+    first = condensed(some(slice(0, 3)), None, np.zeros(0), floor)
+    second = condensed(some(slice(1, 4)), first, np.zeros(2 * N), floor)
+    both = condensed(some(slice(0, 4)), None, np.zeros(0), floor)
     for together, apart in zip(both, second, strict=True):
         np.testing.assert_allclose(together, apart, rtol=1e-8, atol=1e-8 * np.abs(apart).max())
 
@@ -327,7 +328,8 @@ def test_what_nothing_determines_has_no_finite_variance():
     nothing = np.zeros((1, 2, 2))
     linear = Linearised(np.zeros(1), nothing, nothing[:, 0], nothing[:, 0], np.eye(2)[None])
     prior = smoothness(np.zeros(1), np.full(2, 3.0))
-    found = window_variances(linear, prior, None, np.arange(1), Solve(floor=0.0))
+    equations = normal_equations(linear, prior)
+    found = window_variances(equations, linear.jacobian, None, np.arange(1), Solve(floor=0.0))
     assert np.isinf(found).all()
 
 

@@ -28,13 +28,14 @@ from jaxmocap.hybrid.smoothing import frames_fit
 from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.solvers.smoothness import REACH, Smoothness, smoothness
-from jaxmocap.solvers.trajectory import Linearised, Settings
+from jaxmocap.solvers.trajectory import Linearised, Settings, normal_equations
 from jaxmocap.solvers.window import (
     Improved,
     Past,
     condensed,
-    first_frames,
     improve,
+    leaving,
+    weakened,
     window_variances,
 )
 
@@ -130,12 +131,6 @@ class Solved(NamedTuple):
     better: Improved
     seen: np.ndarray
 
-    def linear(self, weight: float) -> Linearised:
-        """The events with sights of that weight; the gradient stays as it is."""
-        linear = self.better.linear
-        hessian = np.asarray(linear.hessian) - (1 - weight) * self.seen
-        return linear._replace(hessian=hessian)
-
 
 _differences = jax.jit(jax.vmap(difference))
 _landmarks = jax.jit(jax.vmap(landmarks, (None, 0)))
@@ -220,8 +215,12 @@ class Newest:
 
     def variances(self, solved: Solved, chosen: list[int]) -> tuple[np.ndarray, np.ndarray]:
         """(F, L, 3) of the landmarks of some events: given all, and without the sights."""
+        linear = solved.better.linear
+        whole, frames = normal_equations(linear, self._prior()), np.array(chosen)
         told, guessed = (
-            window_variances(solved.linear(weight), self._prior(), past, np.array(chosen))
+            window_variances(
+                weakened(whole, (1 - weight) * solved.seen), linear.jacobian, past, frames
+            )
             for weight, past in list(zip(self._weights, self._pasts, strict=True))[1:]
         )
         shape = len(chosen), len(LANDMARKS), 3
@@ -231,9 +230,10 @@ class Newest:
         """Condense the oldest events, at least three being left, and hand them back."""
         if not count:
             return []
-        offset, prior = self._offset(solved.better.x), self._prior(count + REACH)
+        offset = self._offset(solved.better.x)
+        gone = leaving(solved.better.linear, self._prior(count + REACH))
         self._pasts = tuple(
-            condensed(first_frames(solved.linear(weight), count + REACH), prior, past, offset)
+            condensed(weakened(gone, (1 - weight) * solved.seen[:count]), past, offset)
             for weight, past in zip(self._weights, self._pasts, strict=True)
         )
         dropped, self.events = self.events[:count], self.events[count:]
@@ -329,7 +329,7 @@ class Newest:
         if not newest.looks or not other or self._since_rival < RIVAL_EVERY:
             return None
         self._since_rival, past = 0, self._pasts[0]
-        own = self._steps(self._standing(), past, SEVERAL)
+        own = self._steps(self._standing(), past, STEP)
         rival = self._steps(self._standing("first"), None, SEVERAL)
         believed = 0.0 if past is None else past.cost(self._offset(own.better.x))
         if rival.better.cost > own.better.cost - believed - RIVAL_GAIN:

@@ -8,8 +8,9 @@ import numpy as np
 
 from jaxmocap.geometry.outlines import Discs
 
-CORNERS = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-CIRCLE = np.stack([np.cos(CORNERS), np.sin(CORNERS)], 1)
+# Directions in which a hull's corners lie.
+ANGLES = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+WAYS = np.stack([np.cos(ANGLES), np.sin(ANGLES)], 1)
 # Pixels farther out than this are no longer whole numbers that OpenCV takes.
 FARTHEST_PX = 1e5
 
@@ -23,10 +24,13 @@ def draw_hulls(discs: Discs, size: tuple[int, int]) -> np.ndarray:
     """
     mask = np.zeros((size[1], size[0]), np.uint8)
     near, far, radii = (np.asarray(part, float) for part in discs)
-    for a, b, r in zip(near, far, radii, strict=True):
-        # What is not a number is not less either.
-        if (np.abs([*a, *b, *r]) < FARTHEST_PX).all():
-            corners = np.concatenate([a + r[0] * CIRCLE, b + r[1] * CIRCLE])
-            hull = cv2.convexHull(np.round(corners).astype(np.int32))
-            cv2.fillConvexPoly(mask, hull, 1)
-    return mask.astype(bool)
+    ends = np.stack([near, far], 1)
+    # What is not a number is not less either.
+    kept = (np.abs(np.concatenate([near, far, radii], 1)) < FARTHEST_PX).all(1)
+    ends, radii = ends[kept, :, None], radii[kept, :, None]
+    # In each direction the hull reaches as far as the disc that reaches farther.
+    farther = np.argmax(np.sum(ends * WAYS, -1) + radii, 1)[:, None, :, None]
+    corners = np.take_along_axis(ends + radii[..., None] * WAYS, farther, 1)[:, 0]
+    for polygon in np.round(corners).astype(np.int32):
+        cv2.fillConvexPoly(mask, polygon, 1)
+    return mask.view(bool)

@@ -72,26 +72,32 @@ def solve(factor: Factor, right: np.ndarray) -> np.ndarray:
     return cho_solve_banded(band, flat, overwrite_b=True, check_finite=False).reshape(right.shape)
 
 
-def inverse_blocks(factor: Factor) -> np.ndarray:
+def inverse_blocks(factor: Factor, first: int = 0) -> np.ndarray:
     """Diagonal blocks (T, N, N) of the inverse, from the last frame to the first (Takahashi).
 
     Given what follows it, a frame is U times the next r frames plus noise that is independent of
     them; each block is a sum of positive parts, so that no variance can turn negative.
+
+    Args:
+        factor: of the matrix.
+        first: frames before it are not asked for; their blocks are 0.
     """
     upper = unpack(factor.columns, factor.frames)
     size, width = upper.shape[1:]
-    own = np.linalg.inv(upper[:, :, :size])
+    own = np.zeros((factor.frames, size, size))
+    own[first:] = np.linalg.inv(upper[first:, :, :size])
     U = own @ upper[:, :, size:]
     noise = own @ own.swapaxes(1, 2)
-    blocks = np.empty_like(noise)
-    following = np.zeros((width - size, width - size))
-    for frame in reversed(range(factor.frames)):
-        across = -U[frame] @ following
+    blocks, reach = np.zeros_like(noise), width - size
+    # Of a frame and what follows it.
+    joint = np.zeros((width, width))
+    for frame in reversed(range(first, factor.frames)):
+        joint[size:, size:] = joint[:reach, :reach].copy()
+        across = -U[frame] @ joint[size:, size:]
         own_block = noise[frame] - across @ U[frame].T
         # What rounding leaves unsymmetric would grow threefold from frame to frame.
-        blocks[frame] = (own_block + own_block.T) / 2
-        joint = np.block([[blocks[frame], across], [across.T, following]])
-        following = joint[: width - size, : width - size]
+        blocks[frame] = joint[:size, :size] = (own_block + own_block.T) / 2
+        joint[:size, size:], joint[size:, :size] = across, across.T
     return blocks
 
 

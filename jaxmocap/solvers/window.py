@@ -66,33 +66,19 @@ def with_past(equations: Equations, past: Past | None, offset: np.ndarray) -> Eq
     return equations._replace(rows=rows, gradient=gradient)
 
 
-def first_frames(linear: Linearised, count: int) -> Linearised:
-    """The first frames of a window, which shares nothing."""
-    return Linearised(*(np.asarray(part)[:count] for part in linear[:5]))
-
-
 def condensed(
-    linear: Linearised,
-    prior: Smoothness,
-    past: Past | None,
-    offset: np.ndarray,
-    settings: Settings = DEFAULTS,
+    equations: Equations, past: Past | None, offset: np.ndarray, settings: Settings = DEFAULTS
 ) -> Past:
     """The past of a window without all but the last two of its frames, about where those stand.
 
     Args:
-        linear: three frames or more, the first of the window, about their present states.
-        prior: of the same.
+        equations: of three frames or more, the first of the window (``leaving``).
         past: of the window as it is.
         offset: (2 N,) of its first two frames from where that was made.
         settings: of the solve.
     """
-    hessian, gradient = (np.array(part, float) for part in (linear.hessian, linear.gradient))
-    # The last two frames' own terms stay in the window.
-    hessian[-REACH:], gradient[-REACH:] = 0, 0
-    alone = linear._replace(hessian=hessian, gradient=gradient)
-    equations = with_past(normal_equations(alone, prior), past, offset)
-    frames, size = gradient.shape
+    equations = with_past(equations, past, offset)
+    frames, size = equations.gradient.shape
     whole = np.zeros((frames * size, (frames + REACH) * size))
     for row, block in enumerate(equations.rows):
         whole[row * size : (row + 1) * size, row * size : (row + REACH + 1) * size] = block
@@ -103,6 +89,28 @@ def condensed(
     own = _mirrored(whole[:gone, :gone]) + settings.floor * np.eye(gone)
     tied = right[:, :-1].T @ np.linalg.solve(own, right)
     return Past(_mirrored(left) - (tied[:, :-1] + tied[:, :-1].T) / 2, pull[gone:] - tied[:, -1])
+
+
+def leaving(linear: Linearised, prior: Smoothness) -> Equations:
+    """What a window's first frames tell that leaves it with all of them but the last two.
+
+    Args:
+        linear: of the window, about its present states.
+        prior: of those first frames.
+    """
+    parts = [np.array(part, float)[: prior.frames] for part in linear[:5]]
+    # The last two frames' own terms stay in the window.
+    for own in parts[1:3]:
+        own[-REACH:] = 0
+    return normal_equations(Linearised(*parts), prior)
+
+
+def weakened(equations: Equations, hessian: np.ndarray) -> Equations:
+    """The same with the first frames' own terms less by (T, N, N) of their Hessians."""
+    rows = equations.rows.copy()
+    size = rows.shape[1]
+    rows[: len(hessian), :, :size] -= hessian
+    return equations._replace(rows=rows)
 
 
 def _mirrored(upper: np.ndarray) -> np.ndarray:
@@ -165,8 +173,8 @@ def improve(
 
 
 def window_variances(
-    linear: Linearised,
-    prior: Smoothness,
+    equations: Equations,
+    jacobian: np.ndarray,
     past: Past | None,
     frames: np.ndarray,
     settings: Settings = DEFAULTS,
@@ -174,14 +182,19 @@ def window_variances(
     """Variances (F, M) of the points of some of a window's frames, given window and past.
 
     Infinite where the equations do not determine them.
+
+    Args:
+        equations: of the window.
+        jacobian: (T, M, N) of the points.
+        past: what earlier frames told.
+        frames: which.
+        settings: of the solve.
     """
-    jacobian = np.asarray(linear.jacobian, float)
-    equations = normal_equations(linear, prior)
-    equations = with_past(equations, past, np.zeros(REACH * jacobian.shape[2]))
+    chosen = np.asarray(jacobian, float)[frames]
+    equations = with_past(equations, past, np.zeros(REACH * chosen.shape[2]))
     try:
         factor = banded.factorise(equations.rows, settings.floor)
     except banded.NotPositiveDefinite:
-        return np.full((len(frames), jacobian.shape[1]), np.inf)
-    covariances = banded.inverse_blocks(factor)[frames]
-    chosen = jacobian[frames]
+        return np.full(chosen.shape[:2], np.inf)
+    covariances = banded.inverse_blocks(factor, int(np.min(frames)))[frames]
     return np.maximum(np.sum(chosen @ covariances * chosen, 2), 0.0)
