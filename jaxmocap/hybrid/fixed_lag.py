@@ -19,12 +19,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from threadpoolctl import ThreadpoolController
 
 from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
-from jaxmocap.body.pose import Pose, difference, retract
+from jaxmocap.body.pose import Pose, difference, pack, retract, unpack
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.hybrid.newest import SOFTNESS, Event, Newest, Solved, offsets, sight_on_device
@@ -71,13 +72,23 @@ _retract = jax.jit(retract)
 
 
 @jax.jit
-def _expected(
-    skeleton: Skeleton, last: Pose, before: Pose, alone: Pose
-) -> tuple[Pose, Array, Array]:
-    """The last pose moved as the markers' pose moved; its rotation and its ankles."""
+def _expected(skeleton: Skeleton, packed: Array) -> Array:
+    """The last pose moved as the markers' pose moved; where that faces and leans; its ankles.
+
+    One vector in and one out: a crossing costs by the number of arrays.
+
+    Args:
+        skeleton: D degrees of freedom.
+        packed: (3, 7 + D) the last pose, the markers' pose there, and their pose now.
+
+    Returns:
+        The packed pose; the horizontal parts of x and z of the markers' pelvis; (2, 3) raveled.
+    """
+    last, before, alone = (unpack(each) for each in packed)
     ankles = site_positions(skeleton, forward(skeleton, alone), landmark_sites(skeleton, GROUND))
     moved = retract(last, difference(alone, before))
-    return moved, quaternion_to_matrix(alone.quaternion), ankles
+    R = quaternion_to_matrix(alone.quaternion)
+    return jnp.concatenate([pack(moved), R[:2, 0], R[:2, 2], ankles.ravel()])
 
 
 class FixedLagSmoother:
@@ -97,7 +108,8 @@ class FixedLagSmoother:
         self._views = [
             RunningAppearance(tracker.skeleton, camera, free > 0) for camera in self._newest.cameras
         ]
-        self._feet_free = np.array(free)
+        self._feet_free = np.asarray(free, tracker.dtype)
+        self._no_goals = NO_GOALS.astype(tracker.dtype)
         self._blas = ThreadpoolController()
         self._count = self._given = 0
         self._begin()
@@ -162,19 +174,17 @@ class FixedLagSmoother:
         report: StepReport,
     ) -> Event:
         """A step with the pose that is expected there, and what the cameras saw about it."""
-        tracker, dtype = self.tracker, self.tracker.dtype
-        first, alone = (
-            jax.tree.map(lambda part: np.asarray(part, dtype), each) for each in (pose, report.pose)
-        )
+        dtype = self.tracker.dtype
+        first, alone = (Pose(*(np.asarray(p, dtype) for p in each)) for each in (pose, report.pose))
         last = self._newest.events[-1] if self._newest.events else None
         before = alone if last is None or self._alone is None else self._alone
-        there, R, ankles = jax.device_get(
-            _expected(tracker.skeleton, first if last is None else last.pose, before, alone)
-        )
+        three = [np.concatenate(each) for each in (last.pose if last else first, before, alone)]
+        told = np.asarray(_expected(self.tracker.skeleton, np.stack(three)))
+        there, (ahead, up, ankles) = unpack(told[:-10]), np.split(told[-10:], (2, 4))
         self._alone = alone
-        facing = self._facing(R[:2, 0], 0.0 if last is None else time - last.time)
-        known = Known(markers_world, R[:2, 2], facing, ankles, self._feet_free, NO_GOALS)
-        known = jax.tree.map(lambda part: np.asarray(part, dtype), known)
+        facing = self._facing(ahead, 0.0 if last is None else time - last.time)
+        targets, facing = np.asarray(markers_world, dtype), facing.astype(dtype)
+        known = Known(targets, up, facing, ankles.reshape(2, 3), self._feet_free, self._no_goals)
         looks = [
             (camera, self._seen(view, image, there), (image.shape[1], image.shape[0]))
             for camera, (view, image) in enumerate(zip(self._views, images or (), strict=False))

@@ -50,7 +50,7 @@ SEVERAL = STEP._replace(iterations=3)
 EVENTS_A_CALL = 16
 # A silhouette's quadratic holds while no landmark moves farther than this, metres: a fraction of a
 # cell, over which its borders fade.
-NEAR_M = 0.004
+NEAR_M = 0.008
 
 
 class Drawn(NamedTuple):

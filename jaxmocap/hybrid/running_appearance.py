@@ -18,7 +18,7 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import landmarks
-from jaxmocap.body.pose import Pose
+from jaxmocap.body.pose import Pose, unpack
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.geometry.outlines import Discs
@@ -70,10 +70,15 @@ class Seen(NamedTuple):
 
 
 @jax.jit
-def _expected(skeleton: Skeleton, camera: Camera, pose: Pose) -> tuple[Discs, Array, Array]:
-    """What ``in_image`` tells, and all landmarks, pixels of the full image."""
+def _expected(skeleton: Skeleton, camera: Camera, packed: Array) -> Array:
+    """Of a packed pose: all that ``in_image`` tells, and all landmarks, pixels of the full image.
+
+    One vector in and one out: a crossing costs by the number of arrays.
+    """
+    pose = unpack(packed)
+    limbs, per_metre = in_image(skeleton, camera, pose)
     pixels = project(camera, landmarks(skeleton, pose))
-    return *in_image(skeleton, camera, pose), pixels
+    return jnp.concatenate([part.ravel() for part in (*limbs, pixels, per_metre)])
 
 
 @dataclass
@@ -149,10 +154,13 @@ class RunningAppearance:
 
     def _drawing(self, size: tuple[int, int], pose: Pose) -> tuple[Drawing, np.ndarray]:
         """The body in the shrunk image, and its landmarks in the full one."""
-        there = jax.tree.map(lambda part: jnp.asarray(part, float), pose)
-        limbs, per_metre, pixels = jax.device_get(_expected(self._skeleton, self._camera, there))
-        alone = Discs(*(part[None] for part in limbs)), per_metre[None]
-        return Drawing.shrunk(self._skeleton, *alone, size, ROWS), pixels
+        told = np.asarray(_expected(self._skeleton, self._camera, np.concatenate(pose)))
+        count = len(self._skeleton.tree.bones)
+        limbs, pixels, per_metre = np.split(told, (6 * count, -1))
+        near, far, radii = limbs.reshape(3, count, 2)
+        alone = Discs(near[None], far[None], radii[None])
+        drawing = Drawing.shrunk(self._skeleton, alone, per_metre, size, ROWS)
+        return drawing, pixels.reshape(-1, 2)
 
     def _learn(
         self, image: np.ndarray, drawing: Drawing, odds: np.ndarray | None, known: np.ndarray | None
