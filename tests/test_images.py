@@ -264,3 +264,19 @@ def test_colour_becomes_grey_and_grey_stays():
     np.testing.assert_array_equal(edges.to_grey(colour), np.full((4, 5), 59, np.uint8))
     grey = np.arange(20, dtype=np.uint8).reshape(4, 5)
     assert edges.to_grey(grey) is grey
+
+
+def test_fields_of_fewer_samples_tell_the_same_distances_to_a_sample():
+    grey = bar(70)
+    fine, _ = edges.distance_fields(grey, EdgeSettings(), Thresholds(), 6)
+    coarse, _ = edges.distance_fields(grey, EdgeSettings(), Thresholds(), 6, spacing=2)
+    assert coarse.shape == (6, SIZE // 2, SIZE // 2)
+    middles = fine.reshape(6, SIZE // 2, 2, SIZE // 2, 2).mean((2, 4))
+    assert np.abs(2 * coarse - middles).max() <= 2
+
+
+@pytest.mark.parametrize("count", [1, 2, 50])
+def test_percentiles_are_numpys(count):
+    values = np.random.default_rng(count).integers(0, 900, count).astype(np.int16)
+    found = edges.percentiles(values, (75.0, 90.0))
+    np.testing.assert_allclose(found, np.percentile(values, (75.0, 90.0)))

@@ -87,6 +87,7 @@ def picture_of(arms) -> np.ndarray:
 def observed(images, cameras, arms, settings: Settings | None = None):
     """What a fresh observer tells of images, in the regions where ``arms`` are."""
     settings = settings or Settings(region=SIZE)
-    observer = Observer(len(images), settings.region, settings.directions, settings.edges)
-    regions = arm_regions(cameras, arms, settings.region, settings.margin)
+    samples, spacing = settings.samples, settings.spacing
+    observer = Observer(len(images), samples, settings.directions, settings.edges, spacing)
+    regions = arm_regions(cameras, arms, samples, settings.margin, spacing)
     return observer.observe(images, regions)

@@ -14,7 +14,7 @@ from jax import Array
 
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.hybrid.arms import Arms
-from jaxmocap.images.edges import FARTHEST_PX, EdgeSettings, Thresholds, distance_fields, to_grey
+from jaxmocap.images.edges import FARTHEST_PX, EdgeSettings, Thresholds, distance_fields
 from jaxmocap.images.regions import Region, crop, region_around
 
 
@@ -36,12 +36,14 @@ class Observation(NamedTuple):
         return jax.tree.map(lambda part: jnp.swapaxes(jnp.asarray(part), 0, 1), self)
 
 
-def arm_regions(cameras: Camera, arms: Arms, size: int, margin: Array) -> Region:
+def arm_regions(
+    cameras: Camera, arms: Arms, size: int, margin: Array, finest: float = 1.0
+) -> Region:
     """Regions (C, 2) around each arm's shoulder, elbow and hand as C stacked cameras see them."""
 
     def of_camera(camera: Camera) -> Region:
         limbs = jnp.stack([arms.shoulder, arms.elbow, arms.tip], 1)
-        return region_around(project(camera, limbs), size, margin)
+        return region_around(project(camera, limbs), size, margin, finest)
 
     return jax.vmap(of_camera)(cameras)
 
@@ -49,44 +51,49 @@ def arm_regions(cameras: Camera, arms: Arms, size: int, margin: Array) -> Region
 class Observer:
     """The image chain of C cameras; remembers each region's thresholds from frame to frame."""
 
-    def __init__(self, cameras: int, size: int, channels: int, edges: EdgeSettings):
+    def __init__(
+        self, cameras: int, size: int, channels: int, edges: EdgeSettings, spacing: int = 1
+    ):
         """Prepare for ``cameras`` cameras and regions of ``size`` samples.
 
         Args:
             cameras: how many.
-            size: of the square regions, samples.
+            size: of the square regions, samples of the fields.
             channels: directions into which edges are sorted; 1 is the paper's plain field.
             edges: how edges are found.
+            spacing: pixels of the crop, in which edges are found, per sample of the fields.
         """
-        self.size, self.channels, self.edges = size, channels, edges
+        self.size, self.channels, self.edges, self.spacing = size, channels, edges, spacing
         self.thresholds = [[Thresholds(), Thresholds()] for _ in range(cameras)]
-        shape = (cameras, 2, channels, size, size)
-        self._blank = np.full(shape, FARTHEST_PX, np.float32)
-        self._pool = ThreadPoolExecutor(max_workers=2, thread_name_prefix="observe")
+        self._shape = (cameras, 2, channels, size, size)
+        # OpenCV lets go of the interpreter, so several cameras take several cores; two arms of one
+        # would mostly wait for each other.
+        self._pool = ThreadPoolExecutor(cameras, "observe") if cameras > 1 else None
         # Already where jit wants it: a sample without an image costs no transfer.
-        self._nothing = jnp.asarray(self._blank)
+        self._nothing = jnp.full(self._shape, FARTHEST_PX / spacing, jnp.float32)
+        self._unseen = jnp.zeros(self._shape[:2], bool)
 
     def observe(self, images: Sequence[np.ndarray | None] | None, region: Region) -> Observation:
         """Fields of both arms in every camera that has an image, BGR or grey uint8."""
         if images is None or all(image is None for image in images):
-            return Observation(region, self._nothing, np.zeros(self._blank.shape[:2], bool))
+            return Observation(region, self._nothing, self._unseen)
         origins, scales = np.asarray(region.origin), np.asarray(region.scale)
-        fields, seen = self._blank.copy(), np.zeros(self._blank.shape[:2], bool)
+        fields, seen = np.empty(self._shape, np.float32), np.zeros(self._shape[:2], bool)
 
-        def look(camera: int, arm: int, image: np.ndarray) -> None:
-            grey = to_grey(crop(image, origins[camera, arm], scales[camera, arm], self.size))
-            fields[camera, arm], edges = distance_fields(
-                grey, self.edges, self.thresholds[camera][arm], self.channels
-            )
-            # A black or featureless image is no evidence.
-            seen[camera, arm] = bool(edges.any())
+        def look(camera: int, image: np.ndarray | None) -> None:
+            if image is None:
+                fields[camera] = FARTHEST_PX / self.spacing
+                return
+            for arm in range(2):
+                finer = scales[camera, arm] / self.spacing
+                grey = crop(image, origins[camera, arm], finer, self.size * self.spacing, True)
+                _, edges = distance_fields(
+                    grey, self.edges, self.thresholds[camera][arm], self.channels, self.spacing,
+                    fields[camera, arm],
+                )  # fmt: skip
+                # A black or featureless image is no evidence.
+                seen[camera, arm] = bool(edges.any())
 
-        jobs = [
-            (camera, arm, image)
-            for camera, image in enumerate(images)
-            if image is not None
-            for arm in range(2)
-        ]
-        # OpenCV lets go of the interpreter, so two regions take two cores.
-        list(self._pool.map(lambda job: look(*job), jobs))
+        every = map if self._pool is None else self._pool.map
+        list(every(look, range(len(images)), images))
         return Observation(region, fields, seen)

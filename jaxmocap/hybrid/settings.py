@@ -242,7 +242,7 @@ def _static(default: object) -> Any:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Settings:
-    """How the tracker works. The first seven are static; the rest are traced.
+    """How the tracker works. The first eight are static; the rest are traced.
 
     Attributes:
         refine: "simplex" (each arm by itself, the paper's way), "gradient" (the whole body by
@@ -251,7 +251,8 @@ class Settings:
             markers' pose in every frame, as in the paper.
         evidence: "outline" (mean distance along it) or "raster" (the paper's sum, (13)).
         balance: bow the spine in a squat.
-        region: samples along a side of a region of interest.
+        region: pixels along a side of a region of interest, in which edges are found.
+        spacing: of them per sample of the distance fields.
         directions: channels into which edges are sorted; 1 is the paper's plain field.
         edges: how edges are found.
         margin: around a region, as a fraction of the arm's extent.
@@ -269,6 +270,7 @@ class Settings:
     evidence: Literal["outline", "raster"] = _static("outline")
     balance: bool = _static(True)
     region: int = _static(160)
+    spacing: int = _static(2)
     directions: int = _static(6)
     edges: EdgeSettings = field(default=EdgeSettings(), metadata={"static": True})
     margin: Array = field(default_factory=lambda: jnp.asarray(0.35, float))
@@ -283,5 +285,12 @@ class Settings:
     @classmethod
     def paper(cls) -> "Settings":
         """The first paper's own way: plain edges, its sum, the simplex, one pass, no memory."""
-        edges = EdgeSettings(equalise=True)
-        return cls(search=False, evidence="raster", directions=1, edges=edges, smooth=False)
+        return cls(
+            search=False, evidence="raster", directions=1, spacing=1,
+            edges=EdgeSettings(equalise=True), smooth=False,
+        )  # fmt: skip
+
+    @property
+    def samples(self) -> int:
+        """Along a side of a distance field."""
+        return self.region // self.spacing

@@ -132,7 +132,9 @@ class HybridTracker:
         self.held = effectors(skeleton, self.markers)
         self.skeleton = on_held_feet(skeleton, self.held.held)
         self.grips = grips(skeleton, self.markers)
-        self.observer = Observer(len(listed), chosen.region, chosen.directions, chosen.edges)
+        self.observer = Observer(
+            len(listed), chosen.samples, chosen.directions, chosen.edges, chosen.spacing
+        )
         balancing = chosen.balance
         no_bow = jnp.zeros(3, skeleton.lengths.dtype)
         self.factors = jax.jit(bow_factors)(self.skeleton, chosen.ik) if balancing else no_bow
@@ -203,7 +205,10 @@ class HybridTracker:
         if cameras is None:
             return Solved(ik, placed, None)
         arms = arms_of(skeleton, forward(skeleton, ik.pose), self.grips)
-        return Solved(ik, placed, arm_regions(cameras, arms, settings.region, settings.margin))
+        return Solved(
+            ik, placed,
+            arm_regions(cameras, arms, settings.samples, settings.margin, settings.spacing),
+        )  # fmt: skip
 
     def _refine(
         self,

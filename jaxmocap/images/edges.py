@@ -13,6 +13,8 @@ import numpy as np
 
 # Distances are cut off here (pixels of the crop): farther edges are some other thing's.
 FARTHEST_PX = 20.0
+# Of a Gaussian of this standard deviation 99 % lie within five pixels.
+WIDEST_OF_FIVE = 1.0
 
 
 @dataclass(frozen=True)
@@ -50,10 +52,14 @@ def to_grey(image: np.ndarray) -> np.ndarray:
 def gradients(grey: np.ndarray, settings: EdgeSettings) -> tuple[np.ndarray, np.ndarray]:
     """Sobel's derivatives (H, W), int16, by x and by y, of the smoothed image."""
     if settings.blur > 0:
-        grey = cv2.GaussianBlur(grey, (0, 0), settings.blur)
+        # For 5 x 5 OpenCV has a way of its own, three times as fast as for 7 x 7; equalising would
+        # raise what that leaves.
+        narrow = settings.blur <= WIDEST_OF_FIVE and not settings.equalise
+        grey = cv2.GaussianBlur(grey, (5, 5) if narrow else (0, 0), settings.blur)
     if settings.equalise:
         grey = cv2.equalizeHist(grey)
-    return cv2.Sobel(grey, cv2.CV_16S, 1, 0), cv2.Sobel(grey, cv2.CV_16S, 0, 1)
+    dx, dy = cv2.spatialGradient(grey)
+    return dx, dy
 
 
 def edge_image(
@@ -61,8 +67,8 @@ def edge_image(
 ) -> np.ndarray:
     """Canny's edges (H, W) uint8, 255 on edges; updates ``thresholds``."""
     # Every third row and column is enough for a percentile.
-    sample = np.abs(dx[::3, ::3]).astype(np.float32) + np.abs(dy[::3, ::3])
-    now = np.percentile(sample, settings.percentiles)
+    sample = np.abs(dx[::3, ::3]) + np.abs(dy[::3, ::3])
+    now = np.array(percentiles(sample.ravel(), settings.percentiles))
     now = np.maximum(now, (settings.floor / 2, settings.floor))
     last = thresholds.low_high
     mixed = now if last is None else settings.memory * last + (1 - settings.memory) * now
@@ -70,40 +76,81 @@ def edge_image(
     return cv2.Canny(dx, dy, float(mixed[0]), float(mixed[1]))
 
 
-def by_direction(edges: np.ndarray, dx: np.ndarray, dy: np.ndarray, channels: int) -> np.ndarray:
-    """Sort edges (H, W) by the direction of their normal into (channels, H, W), uint8.
+def percentiles(values: np.ndarray, percents: tuple[float, ...]) -> list[float]:
+    """``np.percentile`` of (N,) values, a tenth of its time: it sorts no more than it must."""
+    places = [(len(values) - 1) * percent / 100 for percent in percents]
+    below = [min(int(place), max(len(values) - 2, 0)) for place in places]
+    ends = [end for low in below for end in (low, min(low + 1, len(values) - 1))]
+    ordered = np.partition(values, ends)
+    pairs = ordered[ends].astype(float).reshape(-1, 2).tolist()
+    return [
+        low + (high - low) * (place - at)
+        for (low, high), place, at in zip(pairs, places, below, strict=True)
+    ]
+
+
+def by_direction(
+    edges: np.ndarray, dx: np.ndarray, dy: np.ndarray, channels: int, spacing: int = 1
+) -> np.ndarray:
+    """Sort edges (H, W) by the direction of their normal into (channels, H', W'), uint8.
 
     Channel k takes normals within pi / channels of (k + 1/2) pi / channels: neighbours overlap by
-    half, so that no outline falls between two of them.
+    half, so that no outline falls between two of them. A sample of the result stands for
+    ``spacing`` x ``spacing`` pixels and is an edge where one of them is.
     """
-    if channels == 1:
-        return edges[None]
-    rows, columns = np.nonzero(edges)
-    normal = np.arctan2(dy[rows, columns], dx[rows, columns]) % np.pi
-    below = np.floor(normal / np.pi * channels - 0.5).astype(int)
-    sorted_edges = np.zeros((channels, *edges.shape), np.uint8)
-    own = np.minimum((normal / np.pi * channels).astype(int), channels - 1)
-    neighbour = np.where(below == own, own + 1, below) % channels
-    sorted_edges[own, rows, columns] = 255
-    sorted_edges[neighbour, rows, columns] = 255
-    return sorted_edges
+    rows, columns = (-(-side // spacing) for side in edges.shape)
+    sorted_edges = np.zeros((channels, rows * columns), np.uint8)
+    points = cv2.findNonZero(edges)
+    if points is not None:
+        x, y = points.reshape(-1, 2).T
+        sample, pixel = y // spacing * columns + x // spacing, y * edges.shape[1] + x
+        normals = (part.ravel()[pixel].astype(np.float32) for part in (dx, dy))
+        # Even and odd halves of a channel's own share lie towards its two neighbours.
+        halves = (cv2.phase(*normals).ravel() * (2 * channels / np.pi)).astype(np.int32)
+        own, odd = halves // 2, halves % 2
+        sorted_edges[own % channels, sample] = 255
+        sorted_edges[(own + 2 * odd - 1) % channels, sample] = 255
+    return sorted_edges.reshape(channels, rows, columns)
 
 
-def distance_field(edges: np.ndarray, farthest: float = FARTHEST_PX) -> np.ndarray:
+def distance_field(
+    edges: np.ndarray, farthest: float = FARTHEST_PX, out: np.ndarray | None = None
+) -> np.ndarray:
     """Distances (H, W), float32, pixels, to the nearest edge, cut off at ``farthest``.
 
     The distance transform of the inverted edge image, equation (10). Without any edge all is
     ``farthest`` (OpenCV itself answers 3.4e38).
     """
-    field = cv2.distanceTransform(cv2.bitwise_not(edges), cv2.DIST_L2, 5)
+    field = cv2.distanceTransform(cv2.bitwise_not(edges), cv2.DIST_L2, 5, dst=out)
     return np.minimum(field, np.float32(farthest), out=field)
 
 
 def distance_fields(
-    grey: np.ndarray, settings: EdgeSettings, thresholds: Thresholds, channels: int
+    grey: np.ndarray,
+    settings: EdgeSettings,
+    thresholds: Thresholds,
+    channels: int,
+    spacing: int = 1,
+    out: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Fields (channels, H, W) of an 8-bit grey crop, pixels of the crop, and its edges (H, W)."""
+    """Distance fields of an 8-bit grey crop (H, W).
+
+    Args:
+        grey: the crop.
+        settings: how edges are found.
+        thresholds: of this region; updated.
+        channels: directions.
+        spacing: pixels of the crop per sample of the fields.
+        out: (channels, H / spacing, W / spacing) float32 to write the fields to.
+
+    Returns:
+        The fields, in samples of theirs, cut off at ``FARTHEST_PX`` pixels of the crop; the crop's
+        edges (H, W).
+    """
     dx, dy = gradients(grey, settings)
     edges = edge_image(dx, dy, settings, thresholds)
-    fields = [distance_field(channel) for channel in by_direction(edges, dx, dy, channels)]
-    return np.stack(fields), edges
+    channel_edges = by_direction(edges, dx, dy, channels, spacing)
+    fields = np.empty(channel_edges.shape, np.float32) if out is None else out
+    for channel, field in zip(channel_edges, fields, strict=True):
+        distance_field(channel, FARTHEST_PX / spacing, field)
+    return fields, edges

@@ -46,7 +46,9 @@ def timed_stages(tracker: HybridTracker, clock: Clock) -> HybridTracker:
     The image chain remembers thresholds from frame to frame; a new recording starts afresh.
     """
     settings, old = tracker.settings, tracker.observer
-    observer = Observer(len(old.thresholds), settings.region, settings.directions, settings.edges)
+    observer = Observer(
+        len(old.thresholds), old.size, settings.directions, settings.edges, settings.spacing
+    )
     observer.observe = clock.timed("observe", observer.observe)
     timed = copy.copy(tracker)
     vars(timed).update(
