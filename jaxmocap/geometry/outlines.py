@@ -126,6 +126,54 @@ class Touch(NamedTuple):
     normal_y: Array
 
 
+class Swept(NamedTuple):
+    """What touching a limb takes; once for all points, since a raster has thousands of them.
+
+    Attributes:
+        x: (...) centre of the near disc.
+        y: (...).
+        axis_x: (...) of the unit vector from there to the far disc.
+        axis_y: (...).
+        length: (...) of the axis.
+        per_length: (...) 1 / length.
+        lag: (...) by how much of the axis a touch stays behind for each unit aside of it.
+        first: (...) where on the axis touches begin, a fraction: 0; end-on that of the larger disc.
+        last: (...) where they end: 1; end-on likewise.
+        radius: (...) of the near disc.
+        gap: (...) by which it is larger than the far one's.
+    """
+
+    x: Array
+    y: Array
+    axis_x: Array
+    axis_y: Array
+    length: Array
+    per_length: Array
+    lag: Array
+    first: Array
+    last: Array
+    radius: Array
+    gap: Array
+
+
+def swept(discs: Discs) -> Swept:
+    """Limbs (...) ready to be touched."""
+    u, _, sine, cosine = _tangents(discs)
+    length = jnp.sqrt(jnp.sum((discs.far - discs.near) ** 2, -1) + 1e-12)
+    gap = discs.radii[..., 0] - discs.radii[..., 1]
+    # End-on, the larger disc holds the other and is the hull.
+    end_on = length <= jnp.abs(gap)
+    first, last = (
+        jnp.asarray(end, length.dtype) for end in (end_on & (gap <= 0), ~(end_on & (gap > 0)))
+    )
+    lag = sine[..., 0] / cosine[..., 0] / length
+    near, radius = discs.near, discs.radii[..., 0]
+    return Swept(
+        near[..., 0], near[..., 1], u[..., 0], u[..., 1], length, 1 / length, lag, first, last,
+        radius, gap,
+    )  # fmt: skip
+
+
 def touch(discs: Discs, x: Array, y: Array) -> Touch:
     """The hull as the union of the discs along its axis, and the one nearest to each point.
 
@@ -139,21 +187,20 @@ def touch(discs: Discs, x: Array, y: Array) -> Touch:
             its own over a raster.
         y: (...).
     """
-    u, _, sine, cosine = _tangents(discs)
-    s, c = sine[..., 0], cosine[..., 0]
-    length = jnp.sqrt(jnp.sum((discs.far - discs.near) ** 2, -1) + 1e-12)
-    right, down = x - discs.near[..., 0], y - discs.near[..., 1]
-    ahead = right * u[..., 0] + down * u[..., 1]
-    aside = jnp.abs(down * u[..., 0] - right * u[..., 1])
-    along = jnp.clip((ahead - aside * s / c) / length, 0.0, 1.0)
-    # End-on, the larger disc holds the other and is the hull.
-    gap = discs.radii[..., 0] - discs.radii[..., 1]
-    along = jnp.where(length <= jnp.abs(gap), jnp.where(gap > 0, 0.0, 1.0), along)
-    away_x = right - along * length * u[..., 0]
-    away_y = down - along * length * u[..., 1]
+    return touch_swept(swept(discs), x, y)
+
+
+def touch_swept(limb: Swept, x: Array, y: Array) -> Touch:
+    """The same of limbs that are ready for it."""
+    right, down = x - limb.x, y - limb.y
+    ahead = right * limb.axis_x + down * limb.axis_y
+    aside = jnp.abs(down * limb.axis_x - right * limb.axis_y)
+    along = jnp.clip(ahead * limb.per_length - aside * limb.lag, limb.first, limb.last)
+    there = along * limb.length
+    away_x, away_y = right - there * limb.axis_x, down - there * limb.axis_y
     away = jnp.sqrt(jnp.maximum(away_x**2 + away_y**2, 1e-12))
-    radius = (1 - along) * discs.radii[..., 0] + along * discs.radii[..., 1]
-    return Touch(along, away - radius, away_x / away, away_y / away)
+    distance = away - (limb.radius - along * limb.gap)
+    return Touch(along, distance, away_x / away, away_y / away)
 
 
 def depth_along(at: Touch, near: Array, far: Array) -> Array:

@@ -22,16 +22,16 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.proportions import scaled
 from jaxmocap.body.skeleton import Skeleton, Tree
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, to_camera, turned
-from jaxmocap.geometry.outlines import Discs, depth_along, touch
+from jaxmocap.geometry.outlines import Discs, depth_along
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
 from jaxmocap.images.regions import Region, discs_in_region, in_other_region
 from jaxmocap.images.silhouette import (
     CoverageFit,
     Grid,
-    cells,
     coverage_cost,
     coverage_fit,
+    distances,
     frontmost,
 )
 
@@ -192,9 +192,8 @@ def _visible(tree: Tree, camera: Camera, flesh: Cones, discs: Discs, grid: Grid)
     size = grid.probability.shape[-1]
     which, at = frontmost(Discs(*(part[fore] for part in discs)), size)
     ends = (to_camera(camera, end)[fore][which, 2] for end in (flesh.near, flesh.far))
-    others = Discs(*(part[~fore][:, None] for part in discs))
-    away = touch(others, *cells(size, discs.near.dtype)).distance
-    surface = nearest_surface(camera, Cones(*(part[~fore] for part in flesh)), away)
+    others = Cones(*(part[~fore] for part in flesh))
+    surface = nearest_surface(camera, others, distances(discs, size)[~fore])
     return jax.lax.stop_gradient(unhidden(surface, depth_along(at, *ends)))
 
 
