@@ -279,11 +279,7 @@ def test_a_window_with_a_condensed_past_knows_what_the_whole_chain_knows(seed):
     deviations, every = np.full(2, 3.0), linearise(slice(None))
     prior = smoothness(times, deviations)
 
-    def evaluate(x):
-        linear = every(x)
-        return linear.cost, linear.points
-
-    full = smooth(every, evaluate, lambda x, s, _: x + s, np.zeros((T, N)), prior, exact)
+    full = smooth(every, lambda x, s, _: x + s, np.zeros((T, N)), prior, exact)
     spread = covariances(every(full.x), prior, exact).frames
     x, past, origin, first = np.zeros((4, N)), None, None, 0
     while True:

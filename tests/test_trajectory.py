@@ -1,7 +1,5 @@
 """The trajectory solver against dense oracles, and its promises."""
 
-from operator import attrgetter
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -40,7 +38,6 @@ EXACT = Settings(iterations=400, relative=1e-13, step=1e-12, floor=0.0)
 def solve(start: Arm, seen: Watched, prior, settings: Settings = EXACT, held: int = 0):
     return smooth(
         lambda x: linearise(x, seen),
-        lambda x: evaluate(x, seen),
         move,
         start,
         prior,
@@ -101,18 +98,14 @@ def test_covariances_are_blocks_of_the_dense_inverse(shared, held):
 
 
 def line(seen: np.ndarray, weights: np.ndarray):
-    """One coordinate observed directly: ``linearise``, ``evaluate`` and ``move``."""
+    """One coordinate observed directly: ``linearise`` and ``move``."""
 
     def linear(x: np.ndarray) -> Linearised:
         r = (x - seen) * weights
         J = np.ones((len(x), 1, 1))
         return Linearised(r**2, (weights**2)[:, None, None], (r * weights)[:, None], x[:, None], J)
 
-    return (
-        linear,
-        lambda x: (((x - seen) * weights) ** 2, x[:, None]),
-        lambda x, steps, _: x + steps[:, 0],
-    )
+    return linear, lambda x, steps, _: x + steps[:, 0]
 
 
 def test_the_result_does_not_depend_on_the_sampling_rate():
@@ -125,8 +118,8 @@ def test_the_result_does_not_depend_on_the_sampling_rate():
         assert prior.cost(wave(3 * times)[:, None]) == pytest.approx(
             81 / 25 * (2 - np.sin(24) / 12), rel=0.02
         )
-        linear, *others = line(wave(3 * times) + 0.2 * wave(40 * times), weights)
-        solved = smooth(linear, *others, np.zeros(len(times)), prior, EXACT)
+        linear, moved = line(wave(3 * times) + 0.2 * wave(40 * times), weights)
+        solved = smooth(linear, moved, np.zeros(len(times)), prior, EXACT)
         found.append(solved.x[:: rate // 60])
         spread.append(covariances(linear(solved.x), prior, EXACT).frames[:: rate // 60, 0, 0])
     np.testing.assert_allclose(found[0][20:-20], found[1][20:-20], atol=0.003)
@@ -136,9 +129,9 @@ def test_the_result_does_not_depend_on_the_sampling_rate():
 def test_absent_frames_are_bridged_by_the_calmest_curve():
     times = np.arange(40) / 100
     weights = np.where((times > 0.145) & (times < 0.255), 0.0, 100.0)
-    linear, *others = line(np.sin(8 * times), weights)
+    linear, moved = line(np.sin(8 * times), weights)
     prior = smoothness(times, np.array([3.0]))
-    solved = smooth(linear, *others, np.zeros(40), prior, EXACT)
+    solved = smooth(linear, moved, np.zeros(40), prior, EXACT)
     # Least squares of second differences: a cubic.
     np.testing.assert_allclose(np.diff(solved.x, 4)[13:22], 0, atol=1e-9)
     np.testing.assert_allclose(solved.x, np.sin(8 * times), atol=0.01)
@@ -153,7 +146,7 @@ def test_what_nothing_determines_stays_and_the_status_says_so(share, frames):
     # Two unknowns of which frames and prior see one sum only.
     keep = np.array([1.0, share])
     times = np.arange(frames) / 10
-    linear, cost, _ = line(np.cos(times), np.ones(frames))
+    linear, _ = line(np.cos(times), np.ones(frames))
 
     def both(x: np.ndarray) -> Linearised:
         seen = linear(x @ keep)
@@ -165,10 +158,10 @@ def test_what_nothing_determines_stays_and_the_status_says_so(share, frames):
 
     prior = smoothness(times, np.array([1.0]))
     start = np.tile([0.0, 7.0], (frames, 1))
-    solved = smooth(both, lambda x: cost(x @ keep), lambda x, s, _: x + s, start, prior)
+    solved = smooth(both, lambda x, s, _: x + s, start, prior)
     assert solved.status == Status.UNDETERMINED
     assert "nothing determines" in SENTENCES[solved.status]
-    alone = smooth(linear, cost, lambda x, s, _: x + s[:, 0], np.zeros(frames), prior, EXACT)
+    alone = smooth(linear, lambda x, s, _: x + s[:, 0], np.zeros(frames), prior, EXACT)
     np.testing.assert_allclose(solved.x @ keep, alone.x, atol=1e-3)
     if share == 0:
         np.testing.assert_array_equal(solved.x[:, 1], 7.0)
@@ -180,12 +173,12 @@ def test_what_nothing_determines_stays_and_the_status_says_so(share, frames):
 
 def test_slow_movements_under_a_stiff_prior_take_few_linearisations():
     times = np.arange(480) / 120
-    linear, *others = line(np.sin(3 * times), np.full(480, 100.0))
+    linear, moved = line(np.sin(3 * times), np.full(480, 100.0))
     prior = smoothness(times, np.array([0.5]))
-    solved = smooth(linear, *others, np.zeros(480), prior)
+    solved = smooth(linear, moved, np.zeros(480), prior)
     assert solved.status == Status.CONVERGED
     assert solved.iterations <= 4
-    exact = smooth(linear, *others, np.zeros(480), prior, EXACT)
+    exact = smooth(linear, moved, np.zeros(480), prior, EXACT)
     np.testing.assert_allclose(solved.x, exact.x, atol=1e-4)
 
 
@@ -201,17 +194,17 @@ def test_negative_curvature_from_rounding_leaves_covariances_sound():
 
 
 def test_terms_that_are_not_finite_leave_the_start_as_it_was():
-    linear, *others = line(np.full(5, np.nan), np.ones(5))
+    linear, moved = line(np.full(5, np.nan), np.ones(5))
     start = np.zeros(5)
-    solved = smooth(linear, *others, start, smoothness(np.arange(5.0), np.ones(1)))
+    solved = smooth(linear, moved, start, smoothness(np.arange(5.0), np.ones(1)))
     assert solved.status == Status.BROKEN
     assert solved.x is start
 
 
 def test_a_wrong_gradient_stalls():
-    linear, *others = line(np.ones(5), np.ones(5))
+    linear, moved = line(np.ones(5), np.ones(5))
     wrong = lambda x: linear(x)._replace(gradient=-np.asarray(linear(x).gradient))  # noqa: E731
-    solved = smooth(wrong, *others, np.zeros(5), smoothness(np.arange(5.0), np.ones(1)))
+    solved = smooth(wrong, moved, np.zeros(5), smoothness(np.arange(5.0), np.ones(1)))
     assert solved.status == Status.STALLED
     np.testing.assert_array_equal(solved.x, 0)
 
@@ -225,8 +218,8 @@ def test_a_solve_says_when_it_ran_out_of_steps():
 @pytest.mark.parametrize("frames", [1, 2])
 def test_frames_too_few_to_accelerate_are_solved_by_themselves(frames):
     seen = np.arange(1.0, frames + 1)
-    linear, *others = line(seen, np.full(frames, 10.0))
-    solved = smooth(linear, *others, np.zeros(frames), smoothness(seen, np.ones(1)), EXACT)
+    linear, moved = line(seen, np.full(frames, 10.0))
+    solved = smooth(linear, moved, np.zeros(frames), smoothness(seen, np.ones(1)), EXACT)
     np.testing.assert_allclose(solved.x, seen, atol=1e-12)
 
 
@@ -270,7 +263,6 @@ def pendulum_seen_from_the_side(dtype):
     linearise = jax.jit(lambda x: jax.vmap(terms)(x, seen))
     found = smooth(
         linearise,
-        jax.jit(lambda x: attrgetter("cost", "points")(jax.vmap(terms)(x, seen))),
         jax.jit(lambda x, steps, _: jax.vmap(turn)(x, steps.astype(dtype))),
         jax.vmap(turn)(truth, on(np.full((120, 2), 0.2))),
         smoothness(times, np.full(4, 1.0)),

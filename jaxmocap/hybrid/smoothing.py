@@ -20,15 +20,15 @@ import numpy as np
 from jax import Array
 from threadpoolctl import threadpool_limits
 
-from jaxmocap.body.kinematics import Sites, forward, landmarks
+from jaxmocap.body.kinematics import Sites
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.proportions import PROPORTIONS, scaled
+from jaxmocap.body.proportions import PROPORTIONS
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.hybrid.batches import in_batches
-from jaxmocap.hybrid.residuals import Known, linearised_residuals, residuals
-from jaxmocap.hybrid.silhouette import Sight, silhouette_cost, silhouette_fit, weighed
+from jaxmocap.hybrid.residuals import Known, linearised_residuals
+from jaxmocap.hybrid.silhouette import Sight, silhouette_fit, weighed
 from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
 from jaxmocap.hybrid.trajectory import (
     TURN,
@@ -120,8 +120,7 @@ def smooth_poses(
         for soft in softness:
             seen = softened(problem, soft)
             linearise = partial(linearise_poses, seen, soft, workers)
-            evaluate = partial(_evaluate, seen, soft, workers)
-            ended = smooth(linearise, evaluate, moved_by, trajectory, prior, solve)
+            ended = smooth(linearise, moved_by, trajectory, prior, solve)
             trajectory = ended.x
     assert ended is not None
     return SmoothedPoses(trajectory, ended.cost, ended.status)
@@ -174,25 +173,6 @@ def frames_fit(
 
 
 @jax.jit
-def _frames_cost(
-    skeleton: Skeleton,
-    proportions: Array,
-    sites: Sites,
-    settings: SmoothingSettings,
-    poses: Pose,
-    known: Known,
-) -> tuple[Array, Array]:
-    """Costs and landmarks of a batch of frames."""
-    person = scaled(skeleton, proportions)
-
-    def of_frame(pose: Pose, one: Known) -> tuple[Array, Array]:
-        r = residuals(person, sites, settings, pose, one)
-        return jnp.sum(r**2), landmarks(person, pose).ravel()
-
-    return jax.vmap(of_frame)(poses, known)
-
-
-@jax.jit
 def sights_fit(
     skeleton: Skeleton,
     proportions: Array,
@@ -207,25 +187,6 @@ def sights_fit(
         return silhouette_fit(skeleton, proportions, *each, softness)
 
     # One after the other: a picture of the body fits the cache, a batch of them does not.
-    return jax.lax.map(of_sight, (poses, cameras, sights))
-
-
-@jax.jit
-def _sights_cost(
-    skeleton: Skeleton,
-    proportions: Array,
-    softness: Array,
-    poses: Pose,
-    cameras: Camera,
-    sights: Sight,
-) -> Array:
-    """Costs of a batch of sights."""
-    person = scaled(skeleton, proportions)
-
-    def of_sight(each: tuple[Pose, Camera, Sight]) -> Array:
-        pose, camera, sight = each
-        return silhouette_cost(person, forward(person, pose), camera, sight, softness)
-
     return jax.lax.map(of_sight, (poses, cameras, sights))
 
 
@@ -250,17 +211,6 @@ def linearise_poses(
         cost + price, hessian[:, :n, :n], gradient[:, :n], points, by[:, :, :n],
         hessian[:, :n, n:], hessian[:, n:, n:] + curvature, gradient[:, n:] + pull, by[:, :, n:],
     )  # fmt: skip
-
-
-def _evaluate(
-    problem: Problem, softness: float, workers: ThreadPoolExecutor, trajectory: Trajectory
-) -> tuple[np.ndarray, np.ndarray]:
-    """Costs and landmarks of all frames."""
-    cost, points = _over_frames(_frames_cost, problem, workers, trajectory)
-    if len(problem.sights.frame):
-        (seen,) = _over_sights(_sights_cost, problem, softness, workers, trajectory)
-        np.add.at(cost, problem.sights.frame, seen * sights_weight(problem))
-    return cost + shared_prior(problem.settings, problem.sights.camera, trajectory)[2], points
 
 
 def sights_weight(problem: Problem) -> float:

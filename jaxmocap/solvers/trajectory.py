@@ -30,6 +30,8 @@ PRIORS_SHARE = 1e-4
 LEAST_DAMPING = 1e-9
 # With more of it, a small step or gain does not mean that the minimum is near.
 LIGHT_DAMPING = 1.0
+# A step that promises less than this part of what is small is not tried.
+PROMISED = 0.5
 
 
 class Linearised(NamedTuple):
@@ -65,10 +67,10 @@ class Settings(NamedTuple):
     """How a trajectory is solved.
 
     Attributes:
-        iterations: most linearisations.
-        attempts: most steps tried from one of them.
+        iterations: most steps.
+        attempts: most tries of one of them.
         damping: the first, as a share of the frames' mean curvature.
-        relative: converged when the cost falls by no more than this share, or
+        relative: converged when the cost falls by no more than this share, or would, or
         step: when no tangent component moves by more than this.
         floor: curvature that every unknown has about its present value, so that what nothing
             determines stays where it is; it then has the variance 1 / floor.
@@ -91,8 +93,8 @@ class Smoothed(NamedTuple):
     Attributes:
         x: the trajectory.
         cost: there, the prior's included.
-        iterations: linearisations made.
-        evaluations: of the cost alone.
+        iterations: times that a step was solved for.
+        linearisations: made.
         damping: to start with where the solve goes on.
         status: why it ended.
     """
@@ -100,19 +102,17 @@ class Smoothed(NamedTuple):
     x: Any
     cost: float
     iterations: int
-    evaluations: int
+    linearisations: int
     damping: float
     status: Status
 
 
 Linearise = Callable[[Any], Linearised]
-Evaluate = Callable[[Any], tuple[ArrayLike, ArrayLike]]
 Move = Callable[[Any, np.ndarray, np.ndarray], Any]
 
 
 def smooth(
     linearise: Linearise,
-    evaluate: Evaluate,
     move: Move,
     start: Any,
     prior: Smoothness,
@@ -122,35 +122,36 @@ def smooth(
     """Minimise the frames' costs plus the prior over a whole trajectory.
 
     A stiff prior turns a far start into a narrow bent valley: there, solve with several times the
-    prior's deviations first.
+    prior's deviations first. Where a step led is linearised at once: mostly it was right, and the
+    next one begins there.
 
     Args:
-        linearise: trajectory to its ``Linearised``.
-        evaluate: trajectory to costs (T,), with that of the prior on p in any of them, and points
-            (T, M); a cost that is not finite refuses a step.
+        linearise: trajectory to its ``Linearised``; a cost that is not finite refuses a step.
         move: trajectory, steps (T, N) and shared step (P,), float64 arrays both, to trajectory.
-        start: a trajectory: anything that the three of them understand.
+        start: a trajectory: anything that the two of them understand.
         prior: of the points' motion.
         settings: of the solve.
         held: so many first frames stay as they are.
     """
 
-    def attempt(x: Any, step: Step) -> tuple[Any, float]:
-        moved = move(x, _padded(step.frames, held), step.shared)
-        return moved, _total(prior, *evaluate(moved))
+    def moved_by(x: Any, step: Step) -> _Place:
+        return place(move(x, _padded(step.frames, held), step.shared))
 
-    state = Smoothed(start, np.inf, 0, 0, settings.damping, Status.OUT_OF_STEPS)
+    def place(x: Any) -> _Place:
+        linear = linearise(x)
+        return _Place(x, linear, _total(prior, linear.cost, linear.points))
+
+    here = place(start)
+    state = Smoothed(start, here.cost, 0, 1, settings.damping, Status.OUT_OF_STEPS)
     while state.status == Status.OUT_OF_STEPS and state.iterations < settings.iterations:
-        linear = linearise(state.x)
-        equations = normal_equations(linear, prior, held)
-        cost = _total(prior, linear.cost, linear.points)
-        state = state._replace(cost=cost, iterations=state.iterations + 1)
-        if not (np.isfinite(cost) and equations.finite()):
+        equations = normal_equations(here.linear, prior, held)
+        state = state._replace(iterations=state.iterations + 1)
+        if not (np.isfinite(here.cost) and equations.finite()):
             return state._replace(x=start, status=Status.BROKEN)
-        state = _descend(attempt, state, equations, settings)
+        here, state = _descend(moved_by, here, state, equations, settings)
         if state.status == Status.CONVERGED and not equations.determined():
             state = state._replace(status=Status.UNDETERMINED)
-    return state
+    return state._replace(x=here.x, cost=here.cost)
 
 
 def covariances(
@@ -203,34 +204,54 @@ def normal_equations(linearised: Linearised, prior: Smoothness, held: int = 0) -
     )
 
 
+class _Place(NamedTuple):
+    """Where a solve is.
+
+    Attributes:
+        x: the trajectory.
+        linear: about it.
+        cost: the prior's included.
+    """
+
+    x: Any
+    linear: Linearised
+    cost: float
+
+
 def _descend(
-    attempt: Callable[[Any, Step], tuple[Any, float]],
+    moved_by: Callable[[Any, Step], _Place],
+    here: _Place,
     state: Smoothed,
     equations: Equations,
     settings: Settings,
-) -> Smoothed:
+) -> tuple[_Place, Smoothed]:
     """One step downhill; the damping follows the gain as Nielsen (1999) has it."""
     damping, growth = state.damping, 2.0
+    enough = settings.relative * here.cost
+    converged = state._replace(status=Status.CONVERGED)
     for _ in range(settings.attempts):
         try:
             step = equations.step(damping, settings.floor)
         except NotPositiveDefinite:
             damping, growth = damping * growth, 2 * growth
             continue
-        moved, cost = attempt(state.x, step)
-        lower = cost < state.cost
-        fall = state.cost - cost if lower else step.decrease
-        small = fall <= settings.relative * state.cost or step.largest() <= settings.step
-        ended = Status.CONVERGED if small and damping <= LIGHT_DAMPING else Status.OUT_OF_STEPS
-        state = state._replace(evaluations=state.evaluations + 1, status=ended)
+        light = damping <= LIGHT_DAMPING
+        if light and step.decrease <= enough * PROMISED:
+            return here, converged
+        there = moved_by(here.x, step)
+        state = state._replace(linearisations=state.linearisations + 1)
+        converged = converged._replace(linearisations=state.linearisations)
+        lower = there.cost < here.cost
+        fall = here.cost - there.cost if lower else step.decrease
+        small = light and (fall <= enough or step.largest() <= settings.step)
         if lower:
             gain = fall / step.decrease
             eased = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), LEAST_DAMPING)
-            return state._replace(x=moved, cost=cost, damping=eased)
-        if ended == Status.CONVERGED:
-            return state
+            return there, (converged if small else state)._replace(damping=eased)
+        if small:
+            return here, converged
         damping, growth = damping * growth, 2 * growth
-    return state._replace(status=Status.STALLED)
+    return here, state._replace(status=Status.STALLED)
 
 
 def _total(prior: Smoothness, cost: ArrayLike, points: ArrayLike) -> float:
