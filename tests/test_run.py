@@ -21,6 +21,7 @@ from small_recording import (
 from jaxmocap.body.motion import Motion
 from jaxmocap.capture.video import open_video
 from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.formats.filters import Filters
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.markers import read_markers
 from jaxmocap.formats.npz import load_motion
@@ -65,6 +66,22 @@ def test_every_marker_sample_has_a_pose_on_its_markers(tracked):
         away = np.linalg.norm(joints[landmark] - recording.positions_world[:, i], axis=1)
         assert away.max() < 0.02, name
         np.testing.assert_allclose(motion.report.marker_errors[:, i], away, atol=1e-4)
+
+
+def test_filters_are_reported():
+    recording = small_recording()
+    positions = recording.positions_world.copy()
+    positions[5, 1] += 0.4
+    positions[10:13, 2] = np.nan
+    wanted = Filters(hampel=True, gaps=0.06)
+    spoilt = replace(recording, positions_world=positions, filters=wanted)
+    motion = track(spoilt, tracker=compiled())
+    assert motion.report.settings["filters"]["on"] == {"hampel": True, "gaps": 0.06}
+    assert said(motion, "marker LWrist was an outlier") == [5]
+    assert said(motion, "marker RWrist was filled in") == [10, 11, 12]
+    assert not said(motion, "marker RWrist is missing")
+    assert "hampel = True, gaps = 0.06" in summary(motion)
+    assert motion.report.marker_errors.max() < 0.03, "nothing followed the outlier"
 
 
 def test_the_first_row_is_settled_already(tracked):

@@ -7,7 +7,7 @@ bones, video sources with their cameras, a scaled skeleton.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,8 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.formats.axes import read_axes, to_world
 from jaxmocap.formats.calibration import pick_camera, read_calibration
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.filters import KEYS as FILTERS
+from jaxmocap.formats.filters import Filters, read_filters
 from jaxmocap.formats.keypoint_models import MODELS
 from jaxmocap.formats.keypoints import Detections
 from jaxmocap.formats.markers import read_markers
@@ -86,6 +88,7 @@ class Recording:
         warnings: sentences that a user should see.
         markers_file: the file that the markers came from, or None.
         stated_rate: samples per second as that file states them, or None.
+        filters: that the markers are to go through before they are tracked.
     """
 
     skeleton: Skeleton
@@ -98,6 +101,7 @@ class Recording:
     warnings: tuple[str, ...] = ()
     markers_file: Path | None = None
     stated_rate: float | None = None
+    filters: Filters = field(default_factory=Filters)
 
     def __post_init__(self):
         """Check that the parts fit, wherever they came from."""
@@ -143,7 +147,7 @@ def load_recording(path: str | Path) -> Recording:
     else:
         skeleton = Skeleton.human(DEFAULT_HEIGHT)
         warnings.append(f"{path}: no [subject], a height of {DEFAULT_HEIGHT} m is assumed")
-    markers, places = _read_marked(top)
+    markers, places, filters = _read_marked(top)
     seen = np.isfinite(markers.positions.sum(-1))
     warnings += [
         f"{path}: marker {place.name!r} is never seen"
@@ -161,14 +165,14 @@ def load_recording(path: str | Path) -> Recording:
         tuple(warnings),
         top.path.parent / top.table["markers"]["file"],
         markers.rate,
+        filters,
     )
 
 
-def _read_marked(top: Fields) -> tuple[Markers, tuple[MarkerPlace, ...]]:
-    """The markers of [markers.on], their positions in the world's axes, and their places."""
-    fields = Fields(
-        top.path, "[markers]", top.required("markers"), ("file", "up", "to_world", "on")
-    )
+def _read_marked(top: Fields) -> tuple[Markers, tuple[MarkerPlace, ...], Filters]:
+    """The markers of [markers.on] in the world's axes, their places, and their filters."""
+    keys = ("file", "up", "to_world", "on", "filters")
+    fields = Fields(top.path, "[markers]", top.required("markers"), keys)
     file = fields.file("file")
     R_world_file = read_axes(fields)
     on = Fields(top.path, "[markers.on]", fields.required("on"))
@@ -184,7 +188,9 @@ def _read_marked(top: Fields) -> tuple[Markers, tuple[MarkerPlace, ...]]:
     columns = [markers.names.index(place.name) for place in places]
     names = tuple(place.name for place in places)
     positions_world = to_world(R_world_file, markers.positions[:, columns])
-    return Markers(markers.times, names, positions_world, rate=markers.rate), places
+    marked = Markers(markers.times, names, positions_world, rate=markers.rate)
+    wanted = Fields(top.path, "[markers.filters]", fields.table.get("filters", {}), FILTERS)
+    return marked, places, read_filters(wanted)
 
 
 def read_place(path: Path, name: str, entry: Any) -> MarkerPlace:

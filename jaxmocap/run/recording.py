@@ -19,6 +19,7 @@ from jaxmocap.body.kinematics import Sites
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.capture.filters import Cleaning, cleaned
 from jaxmocap.capture.markers import interpolate
 from jaxmocap.capture.timeline import Mode, Timeline, build_timeline
 from jaxmocap.capture.video import FrameSource
@@ -96,12 +97,14 @@ def track_both(
 ) -> Tracked:
     """Track a recording and keep the markers' own poses as well; see ``track``."""
     videos, warnings = open_footage(recording)
+    recording, cleaning = cleaned(recording, causal=mode == "causal")
+    warnings += cleaning.remarks
     # Read first, so that what is wrong with them is said before anything takes its time.
     keypoints = open_all_keypoints(recording, videos)
     warnings += tuple(said for each in keypoints if each for said in each.warnings)
     tracker = tracker or make_tracker(recording, settings)
     used = [] if tracker.cameras is None else videos
-    run = Run.plan(recording, used, mode)
+    run = Run.plan(recording, used, mode, cleaning)
     smooth, causal = bool(used) and tracker.settings.smooth, mode == "causal"
     smoother = FixedLagSmoother(tracker) if smooth and causal else None
     in_colour = reading(used, colour=smoother is not None)
@@ -124,6 +127,7 @@ def track_both(
         "cameras": [source.camera_name for source in recording.videos],
         "markers": recording.marker_names,
         "warnings": warnings,
+        "filters": cleaning.figures(),
         "tracker": tracker.settings,
         "camera_turns_deg": _turns_deg(recording, smoothed),
         "latency": {"video frames": DELAY_FRAMES, "seconds": DELAY_S} if smoother else {},
@@ -174,6 +178,7 @@ class Run:
         said: sentences of each of these samples.
         milliseconds: stage -> times.
         given: what a smoother behind the tracker gave out, event by event.
+        cleaning: what filters did to the markers, or None.
     """
 
     recording: Recording
@@ -185,9 +190,16 @@ class Run:
     said: list[tuple[str, ...]] = field(default_factory=list)
     milliseconds: dict[str, list[float]] = field(default_factory=dict)
     given: list[Given] = field(default_factory=list)
+    cleaning: Cleaning | None = None
 
     @classmethod
-    def plan(cls, recording: Recording, videos: Sequence[FrameSource], mode: Mode) -> "Run":
+    def plan(
+        cls,
+        recording: Recording,
+        videos: Sequence[FrameSource],
+        mode: Mode,
+        cleaning: Cleaning | None = None,
+    ) -> "Run":
         """The events, and the markers at them."""
         times, causal = recording.times, mode == "causal"
         timeline = build_timeline(times, [video.times for video in videos], mode)
@@ -195,7 +207,7 @@ class Run:
         first = int(np.isfinite(recording.positions_world).all(-1).any(-1).argmax())
         start = int(np.flatnonzero(timeline.sample_index == first)[0])
         unseen = [statuses.without_video(times, video.times, causal) for video in videos]
-        return cls(recording, timeline, markers, unseen, start)
+        return cls(recording, timeline, markers, unseen, start, cleaning=cleaning)
 
     def events(
         self,
@@ -263,6 +275,7 @@ class Run:
     def _about_sample(self, sample: int) -> Iterator[str]:
         positions = self.recording.positions_world[sample]
         yield from statuses.of_markers(self.recording.marker_names, positions)
+        yield from self.cleaning.sentences(sample) if self.cleaning else ()
         for source, unseen in zip(self.recording.videos, self.unseen, strict=False):
             if unseen[sample]:
                 yield f"{source.camera_name}: no video frame near this sample"

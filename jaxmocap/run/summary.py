@@ -38,6 +38,8 @@ def summary(motion: Motion, files: Sequence[Path] = ()) -> str:
         for sentence in (line for lines in report.statuses for line in lines):
             counts[sentence] = counts.get(sentence, 0) + 1
         rows += [("said", f"{sentence} ({n} samples)") for sentence, n in counts.items()]
+        if on := report.settings.get("filters", {}).get("on"):
+            rows.append(("filters", ", ".join(f"{name} = {value}" for name, value in on.items())))
         rows += [("warning", warning) for warning in report.settings.get("warnings", ())]
     rows += [("written", str(path)) for path in files]
     width = max(len(name) for name, _ in rows)

@@ -1,0 +1,251 @@
+"""What may be done to markers before they are tracked: outliers, gaps, low-pass.
+
+INPUTS: a Recording and what its Filters ask for.
+OUTPUTS: the Recording with other positions, and a Cleaning that says where and what.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from jaxmocap.capture.markers import GAP_INTERVALS, median_interval
+from jaxmocap.capture.one_euro import OneEuro
+from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.filters import Filters
+from jaxmocap.formats.recording import Recording
+from jaxmocap.formats.tables import is_even
+
+# Hampel's identifier looks so far to each side; further from the median than three standard
+# deviations, by the median deviation, is an outlier, but never within the floor.
+HAMPEL_S, HAMPEL_SAMPLES, HAMPEL_DEVIATIONS, HAMPEL_FLOOR_M = 0.05, 3, 3.0, 0.02
+NORMAL = 1.4826
+# The slopes at a gap's ends are those of parabolas through so many samples, at least three.
+SLOPE_SAMPLES = 7
+# Second order, forward and backward: of each pass the cut-off is higher, so that both together
+# let pass 1 / sqrt(2) at the one stated (Winter).
+ORDER, TWICE = 2, (2**0.5 - 1) ** 0.25
+
+
+@dataclass(frozen=True)
+class Cleaning:
+    """What filters did to T samples of M markers.
+
+    Attributes:
+        names: of the markers.
+        done: filter -> its parameter, of those that were on.
+        outliers: (T, M) samples taken for missing.
+        filled: (T, M) samples that were filled in.
+        missing: (T, M) samples still missing.
+        remarks: sentences that a user should see.
+    """
+
+    names: tuple[str, ...]
+    done: dict[str, Any]
+    outliers: np.ndarray
+    filled: np.ndarray
+    missing: np.ndarray
+    remarks: tuple[str, ...] = ()
+
+    def figures(self) -> dict[str, Any]:
+        """Filters that were on, and counts for each marker."""
+        counts = {
+            name: {
+                "outliers": int(self.outliers[:, i].sum()),
+                "filled": int(self.filled[:, i].sum()),
+                "missing": int(self.missing[:, i].sum()),
+            }
+            for i, name in enumerate(self.names)
+        }
+        return {"on": self.done, "samples": counts} if self.done else {"on": {}}
+
+    def sentences(self, sample: int) -> tuple[str, ...]:
+        """What was done to one sample."""
+        out = (f"marker {n} was an outlier" for n in _named(self.names, self.outliers[sample]))
+        filled = (f"marker {n} was filled in" for n in _named(self.names, self.filled[sample]))
+        return (*out, *filled)
+
+
+def _named(names: tuple[str, ...], chosen: np.ndarray) -> list[str]:
+    return [name for name, is_it in zip(names, chosen, strict=True) if is_it]
+
+
+def cleaned(recording: Recording, causal: bool = False) -> tuple[Recording, Cleaning]:
+    """Send a recording's markers through its filters.
+
+    Args:
+        recording: with its filters.
+        causal: use no later sample: of the filters One Euro only, which is not used otherwise.
+
+    Raises:
+        InputError: a cut-off that the markers' rate cannot hold.
+    """
+    filters, times, positions = recording.filters, recording.times, recording.positions_world
+    nothing = np.zeros(positions.shape[:2], bool)
+    outliers, filled, remarks = nothing, nothing, []
+    done = filters_used(filters, causal)
+    if "hampel" in done:
+        outliers = find_outliers(times, positions)
+        positions = np.where(outliers[..., None], np.nan, positions)
+    if "gaps" in done:
+        before = _missing(positions)
+        positions = fill_gaps(times, positions, filters.gaps)
+        filled = before & ~_missing(positions)
+    if filters.butterworth is not None and "butterworth" in done:
+        _check_cutoff(recording, filters.butterworth)
+        if not is_even(times):
+            remarks.append("unevenly spaced samples went through the Butterworth filter as if even")
+        positions = low_pass(times, positions, filters.butterworth)
+    if filters.one_euro is not None and "one_euro" in done:
+        positions = one_euro(times, positions, OneEuro(filters.one_euro))
+    if left := _left_out(filters, causal):
+        remarks.append(left)
+    cleaning = Cleaning(
+        recording.marker_names, done, outliers, filled, _missing(positions), tuple(remarks)
+    )
+    return replace(recording, positions_world=positions, filters=Filters()), cleaning
+
+
+def filters_used(filters: Filters, causal: bool) -> dict[str, Any]:
+    """Filter -> parameter, of those that are on and allowed."""
+    if causal:
+        return {"one_euro": filters.one_euro} if filters.one_euro else {}
+    on = {"hampel": filters.hampel, "gaps": filters.gaps, "butterworth": filters.butterworth}
+    return {name: value for name, value in on.items() if value}
+
+
+def _left_out(filters: Filters, causal: bool) -> str:
+    """A sentence on filters that are on but not for this way of tracking."""
+    left = [name for name in filters_used(filters, not causal)]
+    if not left:
+        return ""
+    which = "look ahead, which --causal does not" if causal else "is for live and --causal"
+    return f"[markers.filters] {', '.join(left)}: not used, {which}"
+
+
+def _missing(positions: np.ndarray) -> np.ndarray:
+    return np.asarray(np.isnan(positions).any(-1))
+
+
+def find_outliers(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Hampel's identifier on each coordinate; a marker is an outlier if one of them is.
+
+    Args:
+        times: (T,) seconds.
+        positions: (T, M, 3) metres; NaN where missing.
+
+    Returns:
+        (T, M) booleans.
+    """
+    interval = median_interval(times)
+    half = max(HAMPEL_SAMPLES, round(HAMPEL_S / interval)) if interval else HAMPEL_SAMPLES
+    padded = np.pad(positions, ((half, half), (0, 0), (0, 0)), constant_values=np.nan)
+    outliers = np.zeros(positions.shape[:2], bool)
+    for marker in range(positions.shape[1]):
+        windows = np.lib.stride_tricks.sliding_window_view(padded[:, marker], 2 * half + 1, 0)
+        seen = np.flatnonzero(~_missing(positions[:, marker]))
+        windows, values = windows[seen], positions[seen, marker]
+        middle = np.nanmedian(windows, -1)
+        spread = NORMAL * np.nanmedian(np.abs(windows - middle[..., None]), -1)
+        allowed = np.maximum(HAMPEL_DEVIATIONS * spread, HAMPEL_FLOOR_M)
+        outliers[seen, marker] = (np.abs(values - middle) > allowed).any(-1)
+    return outliers
+
+
+def fill_gaps(times: np.ndarray, positions: np.ndarray, longest: float) -> np.ndarray:
+    """Cubic across gaps, with the slopes of the samples on both sides; NaN where they are longer.
+
+    Args:
+        times: (T,) seconds.
+        positions: (T, M, 3) metres; NaN where missing.
+        longest: seconds that a marker may be missing: from the first sample without it to the
+            first with it again.
+    """
+    filled, allowed = positions.copy(), longest + median_interval(times)
+    for marker in range(positions.shape[1]):
+        seen = np.flatnonzero(~_missing(positions[:, marker]))
+        for before, after in pairwise(seen.tolist()):
+            if after - before > 1 and times[after] - times[before] <= allowed * (1 + 1e-9):
+                inside = slice(before + 1, after)
+                path = positions[:, marker]
+                filled[inside, marker] = _across(times, path, seen, before, after)
+    return filled
+
+
+def _across(
+    times: np.ndarray, path: np.ndarray, seen: np.ndarray, before: int, after: int
+) -> np.ndarray:
+    """(K, 3) Hermite's cubic at the samples between two that are seen; a line where no slope is."""
+    place = int(np.searchsorted(seen, before))
+    ends = (seen[max(0, place + 1 - SLOPE_SAMPLES) : place + 1], seen[place + 1 :][:SLOPE_SAMPLES])
+    span = times[after] - times[before]
+    slopes = (_slope(times, path, rows, at) for rows, at in zip(ends, (before, after), strict=True))
+    first, last = (slope * span for slope in slopes)
+    s = ((times[before + 1 : after] - times[before]) / span)[:, None]
+    a, b = path[before], path[after]
+    if np.isnan(first).any() or np.isnan(last).any():
+        return a + s * (b - a)
+    return (
+        (1 + 2 * s) * (1 - s) ** 2 * a
+        + s * (1 - s) ** 2 * first
+        + s**2 * (3 - 2 * s) * b
+        + s**2 * (s - 1) * last
+    )
+
+
+def _slope(times: np.ndarray, path: np.ndarray, rows: np.ndarray, at: int) -> np.ndarray:
+    """(3,) metres per second at a sample, of the parabola through those near it; NaN without."""
+    since = times[rows] - times[at]
+    near = np.abs(since) <= SLOPE_SAMPLES * median_interval(times)
+    if near.sum() < 3:
+        return np.full(3, np.nan)
+    return np.polynomial.polynomial.polyfit(since[near], path[rows[near]], 2)[1]
+
+
+def low_pass(times: np.ndarray, positions: np.ndarray, cutoff: float) -> np.ndarray:
+    """Butterworth's filter forward and backward: no delay, half the power passes at the cut-off.
+
+    Args:
+        times: (T,) seconds, evenly spaced but for gaps.
+        positions: (T, M, 3) metres; NaN where missing, and between gaps each run by itself.
+        cutoff: Hz.
+    """
+    interval = median_interval(times)
+    sections = butter(ORDER, cutoff / TWICE, fs=1 / interval, output="sos")
+    passed = positions.copy()
+    for marker in range(positions.shape[1]):
+        for run in _runs(times, ~_missing(positions[:, marker])):
+            # The ends are mirrored over one period of the cut-off, or what there is of it.
+            pad = min(len(run) - 1, round(1 / (cutoff * interval)))
+            passed[run, marker] = sosfiltfilt(sections, positions[run, marker], 0, padlen=pad)
+    return passed
+
+
+def _runs(times: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
+    """Rows that are seen and follow one another without a gap, run by run."""
+    rows = np.flatnonzero(seen)
+    breaks = (np.diff(rows) > 1) | (np.diff(times[rows]) > GAP_INTERVALS * median_interval(times))
+    return [run for run in np.split(rows, np.flatnonzero(breaks) + 1) if len(run) > 1]
+
+
+def _check_cutoff(recording: Recording, cutoff: float) -> None:
+    """InputError unless the samples can hold a low-pass's cut-off."""
+    interval = median_interval(recording.times)
+    most = TWICE / (2 * interval) if interval else 0.0
+    if cutoff >= most:
+        raise InputError(
+            recording.path or recording.name,
+            f"[markers.filters] butterworth: found {cutoff:g} Hz, expected less than {most:.3g} Hz "
+            f"for {1 / interval if interval else 0:.3g} samples per second",
+        )
+
+
+def one_euro(times: np.ndarray, positions: np.ndarray, filter_: OneEuro) -> np.ndarray:
+    """(T, M, 3) positions as ``filter_`` gives them out one after the other."""
+    state, given = filter_.init(positions.shape[1]), []
+    for time, sample in zip(times, positions, strict=True):
+        state, filtered = filter_.step(state, float(time), sample)
+        given.append(filtered)
+    return np.stack(given)

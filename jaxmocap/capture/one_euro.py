@@ -1,0 +1,90 @@
+"""The One Euro filter: smooth at rest, prompt in motion, no look-ahead.
+
+After G. Casiez, N. Roussel and D. Vogel, "1 € Filter: A Simple Speed-based Low-pass Filter for
+Noisy Input in Interactive Systems", CHI 2012. The cut-off follows a marker's speed in space, not
+each coordinate's, so that it does not depend on the axes.
+
+INPUTS: sample by sample a time in seconds and positions (M, 3) in metres, NaN where missing.
+OUTPUTS: positions (M, 3), NaN where missing.
+"""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.formats.filters import OneEuroSettings
+
+# The speed is low-passed here, Hz. The paper's 1 Hz lets a stroke run ahead by 13 mm before its
+# speed is believed; so it is 4 mm.
+SPEED_CUTOFF_HZ = 5.0
+# A marker missing for longer begins anew, seconds.
+FORGET_S = 0.2
+
+
+class OneEuroState(NamedTuple):
+    """What the filter remembers of each marker.
+
+    Attributes:
+        times: (M,) seconds when it was last seen; NaN before.
+        positions: (M, 3) metres, filtered, then.
+        velocities: (M, 3) metres per second, low-passed, then.
+    """
+
+    times: np.ndarray
+    positions: np.ndarray
+    velocities: np.ndarray
+
+
+@dataclass(frozen=True)
+class OneEuro:
+    """The filter; it keeps nothing, its state goes in and comes out.
+
+    Attributes:
+        settings: its two parameters.
+    """
+
+    settings: OneEuroSettings = field(default_factory=OneEuroSettings)
+
+    def init(self, count: int) -> OneEuroState:
+        """The state before the first sample of ``count`` markers."""
+        unknown = np.full((count, 3), np.nan)
+        return OneEuroState(np.full(count, np.nan), unknown, np.zeros((count, 3)))
+
+    def step(
+        self, state: OneEuroState, time: float, positions: np.ndarray
+    ) -> tuple[OneEuroState, np.ndarray]:
+        """Filter one sample.
+
+        Args:
+            state: after the sample before.
+            time: seconds; a sample that is not later than the one before is given back unfiltered.
+            positions: (M, 3) metres; NaN where missing.
+
+        Returns:
+            The state after it, and the (M, 3) filtered positions.
+        """
+        positions = np.asarray(positions, float)
+        seen = np.asarray(np.isfinite(positions).all(-1))
+        passed = time - state.times
+        known = seen & (passed > 0) & (passed <= FORGET_S)
+        step = np.where(known, passed, 1.0)[:, None]
+        last = np.where(known[:, None], state.positions, positions)
+        raw_velocities = np.where(known[:, None], (positions - last) / step, 0.0)
+        started = np.where(known[:, None], state.velocities, 0.0)
+        velocities = started + _share(SPEED_CUTOFF_HZ, step) * (raw_velocities - started)
+        speed = np.linalg.norm(velocities, axis=-1, keepdims=True)
+        share = _share(self.settings.cutoff + self.settings.beta * speed, step)
+        filtered = last + share * (positions - last)
+        row = seen[:, None]
+        kept = OneEuroState(
+            np.where(seen, time, state.times),
+            np.where(row, filtered, state.positions),
+            np.where(row, velocities, state.velocities),
+        )
+        return kept, np.where(row, filtered, np.nan)
+
+
+def _share(cutoff: np.ndarray | float, step: np.ndarray) -> np.ndarray:
+    """How far a first-order low-pass goes towards a new value after ``step`` seconds."""
+    return 1.0 / (1.0 + 1.0 / (2 * np.pi * np.asarray(cutoff) * step))
