@@ -20,6 +20,7 @@ EXAMPLES = {
     "track": "jaxmocap track recording.toml --out tracked",
     "evaluate": "jaxmocap evaluate tracked truth.trc --match elbow_l=LElbow elbow_r=RElbow",
     "view": "jaxmocap view tracked",
+    "live": "jaxmocap live live.toml --out session",
     "convert": "jaxmocap convert tracked/motion.npz motion.bvh --unit cm",
     "calibrate": "jaxmocap calibrate intrinsics --help",
     "intrinsics": "jaxmocap calibrate intrinsics board*.jpg --board 4x7 --square 0.06 "
@@ -78,6 +79,9 @@ def make_parser() -> Parser:
     )
     view_parser = _command(commands, "view", view, "show what track wrote in the rerun viewer")
     view_parser.add_argument("directory", metavar="DIR", help="what track --out was given")
+    live_parser = _command(commands, "live", live, "track markers and cameras as they come")
+    run_arguments.add_live(live_parser)
+    _add_json(live_parser)
     run_arguments.add_convert(
         _command(commands, "convert", convert, "make a file into another that carries the same")
     )
@@ -249,6 +253,23 @@ def convert(options: argparse.Namespace) -> None:
     wanted = Options(options.names, options.unit, options.rate, options.body, options.angles)
     notes = convert(options.source, options.target, wanted)
     print("\n".join([*notes, f"written: {options.target}"]))
+
+
+def live(options: argparse.Namespace) -> None:
+    """Track what comes in until Ctrl-C."""
+    from jaxmocap.run.compilation import keep_compiled
+    from jaxmocap.run.live_session import live_summary, run_live
+
+    keep_compiled()
+    figures = run_live(
+        options.setup,
+        out=options.out,
+        smooth=options.smooth,
+        refine=options.refine,
+        seconds=options.seconds,
+        view=options.view,
+    )
+    _report(options, live_summary(figures), figures)
 
 
 def calibrate_intrinsics(options: argparse.Namespace) -> None:

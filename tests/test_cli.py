@@ -86,7 +86,7 @@ def test_view_says_how_to_open_the_recording_where_there_is_no_display(
     assert main(["view", str(tracked[1])]) == 0
     assert capsys.readouterr().out.splitlines() == [
         str(tracked[1] / "recording.rrd"),
-        "no display here; where there is one: rerun recording.rrd",
+        f"no display here; in a browser: jaxmocap view {tracked[1]} --web",
     ]
 
 
@@ -95,7 +95,8 @@ def test_view_opens_the_viewer_where_there_is_a_display(tracked, capsys, monkeyp
     monkeypatch.setattr(viewing, "has_display", lambda: True)
     monkeypatch.setattr(viewing.subprocess, "Popen", lambda line, **_: started.append(line))
     assert main(["view", str(tracked[1])]) == 0
-    assert started[0][1:] == ["-m", "rerun", str(tracked[1] / "recording.rrd")]
+    assert started[0][1:5] == ["-m", "rerun", "--bind", "127.0.0.1"]
+    assert started[0][-1] == str(tracked[1] / "recording.rrd")
     assert "opened" in capsys.readouterr().out
 
 

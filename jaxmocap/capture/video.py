@@ -133,7 +133,7 @@ class Video(FrameSource):
             for missing in range(done, i):
                 yield float(self.times[missing]), None
             done = i + 1
-            yield float(self.times[i]), None if frame.is_corrupt else _image(frame, luma)
+            yield float(self.times[i]), None if frame.is_corrupt else image_of(frame, luma)
         for missing in range(done, len(self.times)):
             yield float(self.times[missing]), None
 
@@ -258,7 +258,7 @@ def _packets(container: InputContainer, stream: VideoStream) -> Iterator[Packet]
             return
 
 
-def _image(frame: VideoFrame, luma: bool) -> np.ndarray:
+def image_of(frame: VideoFrame, luma: bool) -> np.ndarray:
     """A frame as BGR or grey array, upright as its file says that it shall be shown."""
     if luma and frame.format.name in ("yuv420p", "yuvj420p", "nv12", "gray"):
         plane = frame.planes[0]

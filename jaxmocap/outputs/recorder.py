@@ -17,6 +17,7 @@ import rerun as rr
 from rerun.blueprint import Blueprint
 
 from jaxmocap.body.motion import Motion, Report
+from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import quaternion_from_matrix
 from jaxmocap.geometry.solids import limb_solid
@@ -48,14 +49,42 @@ def recording(path: Path, blueprint: Blueprint) -> Iterator[rr.RecordingStream]:
 
 def log_body(stream: rr.RecordingStream, motion: Motion, scene: Scene) -> None:
     """Limbs as solids that their bones' transforms carry, and the skeleton as lines."""
-    stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    reach = np.asarray(motion.skeleton.lengths[:, None] * motion.skeleton.directions)
+    log_limbs(stream, motion.skeleton)
     wxyz = np.asarray(quaternion_from_matrix(jnp.asarray(scene.R_world_bone)))
     for i, bone in enumerate(scene.bones):
-        entity = f"world/body/{bone}"
-        solid = limb_solid(reach[i], scene.radii[i])
+        turns = np.roll(wxyz[:, i], -1, axis=-1)
+        columns = rr.Transform3D.columns(translation=scene.near[:, i], quaternion=turns)
+        stream.send_columns(f"world/body/{bone}", [_at(scene.times)], columns)
+    strips = np.stack([scene.near, scene.far], 2)
+    _send_strips(stream, "world/skeleton", scene.times, strips, rr.LineStrips3D)
+
+
+def log_moment(stream: rr.RecordingStream, scene: Scene) -> None:
+    """Where the body of ``log_limbs`` is at the one time of a scene."""
+    stream.set_time(TIMELINE, duration=float(scene.times[0]))
+    for i, bone in enumerate(scene.bones):
+        placed = rr.Transform3D(translation=scene.near[0, i], mat3x3=scene.R_world_bone[0, i])
+        stream.log(f"world/body/{bone}", placed)
+    strips = np.stack([scene.near[0], scene.far[0]], 1)
+    stream.log("world/skeleton", rr.LineStrips3D.from_fields(strips=strips))
+
+
+def log_values(stream: rr.RecordingStream, root: str, values: Mapping[str, float]) -> None:
+    """One point of each line of a time series, at the stream's present time."""
+    for name, value in values.items():
+        stream.log(entity_path(root, name), rr.Scalars(float(value)))
+
+
+def log_limbs(stream: rr.RecordingStream, skeleton: Skeleton) -> None:
+    """What of a body stays: the limbs' solids, the looks of the skeleton."""
+    stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    bones = skeleton.tree.bones
+    reach = np.asarray(skeleton.lengths[:, None] * skeleton.directions)
+    radii = np.asarray(skeleton.diameters) / 2
+    for i, bone in enumerate(bones):
+        solid = limb_solid(reach[i], radii[i])
         stream.log(
-            entity,
+            f"world/body/{bone}",
             rr.Mesh3D(
                 vertex_positions=solid.vertices,
                 vertex_normals=solid.normals,
@@ -64,16 +93,8 @@ def log_body(stream: rr.RecordingStream, motion: Motion, scene: Scene) -> None:
             ),
             static=True,
         )
-        turns = np.roll(wxyz[:, i], -1, axis=-1)
-        columns = rr.Transform3D.columns(translation=scene.near[:, i], quaternion=turns)
-        stream.send_columns(entity, [_at(scene.times)], columns)
-    strips = np.stack([scene.near, scene.far], 2)
-    stream.log(
-        "world/skeleton",
-        rr.LineStrips3D.from_fields(radii=0.006, colors=[_colour(bone) for bone in scene.bones]),
-        static=True,
-    )
-    _send_strips(stream, "world/skeleton", scene.times, strips, rr.LineStrips3D)
+    style = rr.LineStrips3D.from_fields(radii=0.006, colors=[_colour(bone) for bone in bones])
+    stream.log("world/skeleton", style, static=True)
 
 
 def _colour(bone: str) -> tuple[int, int, int]:

@@ -42,3 +42,35 @@ def add_convert(parser: argparse.ArgumentParser) -> None:
         help="of the .mot written: the skeleton's hinges, from which the motion can be read again, "
         "or joint angles by ISB's conventions; default: hinges",
     )
+
+
+def add_live(parser: argparse.ArgumentParser) -> None:
+    """Options of ``live``."""
+    parser.add_argument("setup", metavar="LIVE.toml", help="what to listen to and where to send")
+    parser.add_argument("--out", metavar="DIR", help="record there what 'track' reads again")
+    parser.add_argument(
+        "--smooth",
+        action="store_true",
+        help="give each pose out once two more video frames were seen, smoothed",
+    )
+    parser.add_argument(
+        "--refine",
+        choices=("simplex", "gradient", "none"),
+        default="simplex",
+        help="how video refines the markers' pose, see 'track'",
+    )
+    parser.add_argument(
+        "--view", choices=("window", "web"), help="show it in rerun's viewer, or in a browser"
+    )
+    parser.add_argument(
+        "--seconds", metavar="S", type=positive, help="how long; default: until Ctrl-C"
+    )
+
+
+def add_view(parser: argparse.ArgumentParser) -> None:
+    """Options of ``view``."""
+    parser.add_argument("directory", metavar="DIR", help="what track --out was given")
+    parser.add_argument("--web", action="store_true", help="serve it to a browser, until Ctrl-C")
+    parser.add_argument(
+        "--port", metavar="N", type=int, default=9090, help="of the page; default: %(default)s"
+    )

@@ -1,14 +1,35 @@
-"""Show what was written, in the rerun viewer.
+"""The rerun viewer: of what was written, or of a live run; in a window or in a browser.
 
-INPUTS: a folder that ``track`` wrote. OUTPUTS: a window, or how to open one elsewhere.
+INPUTS: a folder that ``track`` wrote. OUTPUTS: a viewer, and a sentence about it.
+
+Whatever is opened listens to this machine alone.
 """
 
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import quote
 
 from jaxmocap.formats.errors import InputError
+
+LOOPBACK = "127.0.0.1"
+
+
+class Viewer(NamedTuple):
+    """A viewer that is open.
+
+    Attributes:
+        process: of it.
+        url: where it takes data, ``rerun+http://...``.
+        page: what a browser shows, or None for a window.
+    """
+
+    process: subprocess.Popen
+    url: str
+    page: str | None
 
 
 def recording_in(directory: str | Path) -> Path:
@@ -29,6 +50,38 @@ def has_display() -> bool:
 def open_viewer(path: Path) -> str:
     """Open a recording in a viewer of its own where there is a display; a sentence about it."""
     if not has_display():
-        return f"{path}\nno display here; where there is one: rerun {path.name}"
-    subprocess.Popen([sys.executable, "-m", "rerun", str(path)], start_new_session=True)
+        return f"{path}\nno display here; in a browser: jaxmocap view {path.parent} --web"
+    start_viewer([str(path)])
     return f"{path}\nopened in the rerun viewer"
+
+
+def start_viewer(
+    arguments: list[str], web: bool = False, web_port: int = 0, stay: bool = True
+) -> Viewer:
+    """Start a viewer.
+
+    Args:
+        arguments: files, or options of rerun's.
+        web: serve it to a browser, in place of a window.
+        web_port: of the page; 0 takes a free one.
+        stay: the viewer outlives this process.
+    """
+    port = free_port()
+    options = ["--bind", LOOPBACK, "--port", str(port)]
+    url, page = f"rerun+http://{LOOPBACK}:{port}/proxy", None
+    if web:
+        web_port = web_port or free_port()
+        options += ["--serve-web", "--web-viewer-port", str(web_port)]
+        page = f"http://{LOOPBACK}:{web_port}/?url={quote(url, safe='')}"
+    command = [sys.executable, "-m", "rerun", *options, *arguments]
+    process = subprocess.Popen(
+        command, start_new_session=stay, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    return Viewer(process, url, page)
+
+
+def free_port() -> int:
+    """A port of TCP that nobody listens to on this machine."""
+    with socket.socket() as probe:
+        probe.bind((LOOPBACK, 0))
+        return probe.getsockname()[1]

@@ -1,0 +1,154 @@
+"""OSC datagrams to markers: VMC's devices and VRChat's trackers.
+
+    /VMC/Ext/Hmd/Pos  Con  Tra     serial, place (3), turn (4); .../Pos/Local as tracked
+    /VMC/Ext/T                     the sender's seconds
+    /tracking/trackers/1/position  place (3), by number or "head"
+
+INPUTS: datagrams, whoever sent them. OUTPUTS: Packets; BadPacketError for what is no OSC, is cut
+off or says what cannot be.
+
+Bundles are taken apart here, for python-osc never comes back from one whose element has a negative
+size; messages are read by it.
+"""
+
+import math
+import struct
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from pythonosc.osc_message import OscMessage
+from pythonosc.osc_message import ParseError as MessageError
+from pythonosc.parsing.osc_types import ParseError as TypesError
+
+# Farther from the origin no room is, metres.
+FARTHEST_M = 100.0
+# Bundles within bundles, elements of one, and characters of a name: more is an attack.
+DEEPEST, MOST_MESSAGES, LONGEST_NAME = 3, 256, 64
+_BUNDLE, _HEADER, _NOW = b"#bundle\0", 16, 1
+# OSC counts seconds from 1900, in parts of 2**32.
+_FRACTIONS = 2.0**32
+_DEVICES = (b"/VMC/Ext/Hmd/", b"/VMC/Ext/Con/", b"/VMC/Ext/Tra/")
+_TRACKERS, _POSITION, _TIME = b"/tracking/trackers/", b"/position", b"/VMC/Ext/T"
+
+
+class BadPacketError(Exception):
+    """A datagram that is to be ignored; the message is one word of why."""
+
+
+class Placed(NamedTuple):
+    """One marker of a packet.
+
+    Attributes:
+        names: what it may be called, the first that somebody knows counts.
+        position: (x, y, z) metres, the sender's axes.
+    """
+
+    names: tuple[str, ...]
+    position: tuple[float, float, float]
+
+
+class Packet(NamedTuple):
+    """What one datagram told.
+
+    Attributes:
+        placed: its markers; none where it is about something else.
+        stamp: the sender's seconds, or None where it does not say.
+        whole: whether it is a bundle, which holds all that belongs together.
+    """
+
+    placed: tuple[Placed, ...]
+    stamp: float | None
+    whole: bool
+
+
+def parse(datagram: bytes, raw: bool = False) -> Packet:
+    """Read one datagram.
+
+    Args:
+        datagram: as it came.
+        raw: take VMC's devices as tracked (``Pos/Local``) in place of scaled to an avatar.
+
+    Raises:
+        BadPacketError: "malformed" or "absurd".
+    """
+    placed, stamp = [], None
+    for message in _messages(datagram, DEEPEST):
+        address = message[: max(message.find(b"\0"), 0)]
+        if address == _TIME:
+            stamp = _numbers(message, 1, 0)[0]
+        elif address.startswith(_DEVICES) and address.endswith(b"/Pos/Local" if raw else b"/Pos"):
+            placed.append(_device(message, address))
+        elif address.startswith(_TRACKERS) and address.endswith(_POSITION):
+            name = address[len(_TRACKERS) : -len(_POSITION)].decode("ascii", "replace")
+            placed.append(Placed((name,), _position(_numbers(message, 3, 0))))
+    whole = datagram.startswith(_BUNDLE)
+    return Packet(tuple(placed), _time_tag(datagram) if stamp is None and whole else stamp, whole)
+
+
+def _messages(content: bytes, deepest: int, left: list[int] | None = None) -> Iterator[bytes]:
+    """The messages of a datagram, bundles taken apart."""
+    left = [MOST_MESSAGES] if left is None else left
+    if content.startswith(b"/") and len(content) % 4 == 0:
+        left[0] -= 1
+        if left[0] < 0:
+            raise BadPacketError("malformed")
+        yield content
+        return
+    if not content.startswith(_BUNDLE) or len(content) < _HEADER or not deepest:
+        raise BadPacketError("malformed")
+    place = _HEADER
+    while place < len(content):
+        if len(content) - place < 4:
+            raise BadPacketError("malformed")
+        (size,) = struct.unpack_from(">i", content, place)
+        if size <= 0 or size % 4 or size > len(content) - place - 4:
+            raise BadPacketError("malformed")
+        yield from _messages(content[place + 4 : place + 4 + size], deepest - 1, left)
+        place += 4 + size
+
+
+def _numbers(message: bytes, count: int, texts: int) -> list[float]:
+    """The last ``count`` arguments of a message that has ``texts`` texts before them."""
+    values = _arguments(message)
+    numbers = values[texts:]
+    # VRChat's senders may add more; VMC's later versions do.
+    if len(numbers) < count or not all(isinstance(v, (int, float)) for v in numbers[:count]):
+        raise BadPacketError("malformed")
+    if not all(map(math.isfinite, numbers[:count])):
+        raise BadPacketError("absurd")
+    return [float(value) for value in numbers[:count]]
+
+
+def _arguments(message: bytes) -> list:
+    start = (message.find(b"\0") // 4 + 1) * 4
+    tags = message[start : message.find(b"\0", start)]
+    # python-osc writes to the log about every other tag.
+    if not tags.startswith(b",") or not set(tags[1:]) <= set(b"ifhdsTF"):
+        raise BadPacketError("malformed")
+    try:
+        return OscMessage(message).params
+    except (MessageError, TypesError, ValueError, struct.error, IndexError):
+        raise BadPacketError("malformed") from None
+
+
+def _device(message: bytes, address: bytes) -> Placed:
+    """One of VMC's devices; a headset is called Hmd as well, whatever its serial is."""
+    numbers = _numbers(message, 7, 1)
+    serial = _arguments(message)[0]
+    if not isinstance(serial, str) or len(serial) > LONGEST_NAME:
+        raise BadPacketError("malformed")
+    kind = address.split(b"/")[3].decode()
+    return Placed((serial, kind) if kind == "Hmd" else (serial,), _position(numbers[:3]))
+
+
+def _position(numbers: list[float]) -> tuple[float, float, float]:
+    if max(map(abs, numbers)) > FARTHEST_M:
+        raise BadPacketError("absurd")
+    x, y, z = numbers
+    return x, y, z
+
+
+def _time_tag(bundle: bytes) -> float | None:
+    """A bundle's seconds; None for "at once"."""
+    (tag,) = struct.unpack_from(">Q", bundle, 8)
+    return None if tag == _NOW else tag / _FRACTIONS

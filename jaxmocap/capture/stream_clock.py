@@ -1,0 +1,51 @@
+"""A sender's clock, told from when its packets arrive.
+
+INPUTS: arrivals on this machine's clock, the sender's stamps. OUTPUTS: times on this machine's
+clock that hold the sender's rhythm, not the network's.
+"""
+
+# A step of the sender's clock is no network's delay, seconds.
+JUMP_S = 0.25
+# So many seconds a second the clocks may drift apart.
+DRIFT = 2e-4
+# Packets that come so much later were not sent together, seconds.
+APART_S = 0.005
+
+
+class StreamClock:
+    """One sender.
+
+    Attributes:
+        jumps: how often its clock was set.
+    """
+
+    def __init__(self):
+        self.jumps = 0
+        self._offset: float | None = None
+        self._stamp = self._arrival = 0.0
+
+    def time(self, arrival: float, stamp: float | None) -> float:
+        """When a packet was sent, never after it arrived.
+
+        The packet that was under way the shortest, of late, tells how far the clocks are apart.
+
+        Args:
+            arrival: seconds.
+            stamp: seconds on the sender's clock; None where it has none.
+        """
+        if stamp is None:
+            return arrival
+        apart = arrival - stamp
+        passed = 0.0 if self._offset is None else stamp - self._stamp
+        stands = passed <= 0 and arrival - self._arrival > APART_S
+        self._stamp, self._arrival = stamp, arrival
+        if self._offset is None:
+            self._offset = apart
+        elif abs(apart - self._offset) > JUMP_S:
+            self.jumps += 1
+            self._offset = apart
+        elif stands:
+            # A clock that does not run tells nothing.
+            return arrival
+        self._offset = min(apart, self._offset + DRIFT * max(passed, 0.0))
+        return min(stamp + self._offset, arrival)

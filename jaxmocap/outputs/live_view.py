@@ -1,0 +1,101 @@
+"""A live run in the rerun viewer: the body, what the cameras see, confidence and latency.
+
+INPUTS: a viewer's address; poses and frames. OUTPUTS: none; the viewer shows them.
+
+A thread sends what is newest, as often as eyes see it, so that a slow viewer holds nothing up.
+"""
+
+from collections.abc import Mapping
+from threading import Event, Lock, Thread
+from typing import NamedTuple
+
+import numpy as np
+import rerun as rr
+
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.outputs import layout, recorder
+from jaxmocap.outputs.scene import Scene, make_scene
+
+INTERVAL_S = 1 / 25
+JPEG_QUALITY = 60
+
+
+class Shown(NamedTuple):
+    """What there is to show of one moment.
+
+    Attributes:
+        time: seconds.
+        pose: of the person.
+        confidence: (2,) in the elbows.
+        latency_ms: from the sample to the pose.
+        images: camera -> newest image (H, W, 3) BGR.
+    """
+
+    time: float
+    pose: Pose
+    confidence: np.ndarray
+    latency_ms: float
+    images: Mapping[str, np.ndarray]
+
+
+class LiveView:
+    """Shows one person."""
+
+    def __init__(self, url: str, skeleton: Skeleton, cameras: Mapping[str, Camera], pose: Pose):
+        """Connect and lay out.
+
+        Args:
+            url: of the viewer, ``rerun+http://...``.
+            skeleton: of the person.
+            cameras: name -> calibration.
+            pose: about where the person will stand.
+        """
+        self._skeleton, self._cameras = skeleton, dict(cameras)
+        self._stream = rr.RecordingStream("jaxmocap live")
+        self._stream.connect_grpc(url)
+        blueprint = layout.lay_out({name: [] for name in cameras}, self._scene(0.0, pose))
+        self._stream.send_blueprint(blueprint)
+        recorder.log_limbs(self._stream, skeleton)
+        for name, camera in cameras.items():
+            recorder.log_camera(self._stream, name, camera)
+        self._lock, self._stop, self._newest = Lock(), Event(), None
+        self._thread = Thread(target=self._send, name="viewer", daemon=True)
+        self._thread.start()
+
+    def show(self, shown: Shown) -> None:
+        """Show this soon, unless something newer comes first."""
+        with self._lock:
+            images = {} if self._newest is None else self._newest.images
+            self._newest = shown._replace(images={**images, **shown.images})
+
+    def close(self) -> None:
+        """Send what is left."""
+        self._stop.set()
+        self._thread.join(2.0)
+        self._stream.disconnect()
+
+    def _send(self) -> None:
+        while not self._stop.wait(INTERVAL_S):
+            with self._lock:
+                shown, self._newest = self._newest, None
+            if shown is not None:
+                self._log(shown)
+
+    def _scene(self, time: float, pose: Pose) -> Scene:
+        poses = Pose(*(np.asarray(part)[None] for part in pose))  # type: ignore[arg-type]
+        return make_scene(Motion(self._skeleton, np.array([time]), poses))
+
+    def _log(self, shown: Shown) -> None:
+        scene = self._scene(shown.time, shown.pose)
+        recorder.log_moment(self._stream, scene)
+        for name, image in shown.images.items():
+            recorder.log_images(self._stream, name, [(shown.time, image)], JPEG_QUALITY)
+            recorder.log_outlines(
+                self._stream, name, self._cameras[name], scene, np.array([shown.time])
+            )
+        values = {side: float(c) for side, c in zip(recorder.SIDES, shown.confidence, strict=True)}
+        recorder.log_values(self._stream, "confidence", values)
+        recorder.log_values(self._stream, "milliseconds", {"latency": shown.latency_ms})

@@ -1,0 +1,268 @@
+"""The live loop: markers and cameras in, poses out, as they come.
+
+    socket ──── gathering ─┐                                    ┌── VMC, VRChat
+                           ├─ inbox ── tracking ── Output ──────┤
+    cameras ───────────────┘   (the newest win)                 └── viewer
+        └── recording on disk
+
+Everything that waits for something has a thread; the tracker has this one.
+
+INPUTS: a LiveSetup. OUTPUTS: datagrams, a recording, figures.
+"""
+
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import numpy as np
+
+from jaxmocap.capture.cameras import LiveCamera
+from jaxmocap.capture.gathering import Gathering, Sample
+from jaxmocap.capture.inbox import Frame, Inbox
+from jaxmocap.capture.udp import MarkerSocket
+from jaxmocap.formats.live import LiveSetup
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.outputs.osc import Sender
+from jaxmocap.outputs.vmc import VMC
+from jaxmocap.outputs.vrchat import Trackers
+from jaxmocap.run.live_recording import LiveRecording
+from jaxmocap.run.live_status import LiveStatus
+from jaxmocap.run.live_tracking import LiveTracking, Output
+
+# Samples that may wait: about 0.1 s of a headset's; smoothing takes longer at a time.
+WAITING, WAITING_SMOOTH = 10, 30
+# A stream that was silent for so long is said to be; poses are then no news, seconds.
+SILENT_S = 0.3
+# How often those who receive poses are told that there are none, seconds.
+HEARTBEAT_S = 0.25
+# Threads take turns more often than Python's default of 5 ms, which a sample would notice.
+SWITCH_S = 5e-4
+
+
+class Live:
+    """One live run.
+
+    Attributes:
+        status: what it tells.
+        tracking: the tracker.
+        recording: on disk, or None.
+    """
+
+    def __init__(
+        self,
+        setup: LiveSetup,
+        settings: Settings | None = None,
+        *,
+        smooth: bool = False,
+        out: str | Path | None = None,
+        viewer: Callable[[Output, dict[str, Frame]], None] | None = None,
+        status: LiveStatus | None = None,
+    ):
+        """Open everything and compile; nothing is listened to yet.
+
+        Args:
+            setup: what to listen to, whose body it is, where poses go.
+            settings: of the tracker.
+            smooth: poses wait for two more video frames, 0.1 s at most.
+            out: folder for a recording, or None.
+            viewer: shows poses and frames; must return at once.
+            status: what tells of the run.
+
+        Raises:
+            InputError: what cannot be opened.
+        """
+        self.status = status or LiveStatus()
+        self._setup, self._viewer = setup, viewer
+        self._inbox = Inbox(WAITING_SMOOTH if smooth else WAITING)
+        self._began = monotonic()
+        gathering = Gathering(
+            setup.marker_names, setup.aliases, setup.R_world_source, self._take_sample
+        )
+        self._gathering = gathering
+        self._socket = _source(setup, gathering, self._now)
+        colour = smooth or out is not None or viewer is not None
+        self._cameras = [
+            LiveCamera(video, i, self._take_frame, colour, self._now)
+            for i, video in enumerate(setup.videos)
+        ]
+        self._vmc, self._to_vmc = VMC(setup.skeleton), Sender(setup.vmc)
+        self._to_vrchat = Sender(setup.vrchat) if setup.vrchat else None
+        self._trackers = Trackers(self._vmc.body, setup.trackers) if setup.vrchat else None
+        self.recording = LiveRecording(setup, out) if out is not None else None
+        self.tracking = LiveTracking(setup, settings or Settings(), smooth)
+        self._confidence, self._newest_sample = np.zeros(2), -np.inf
+        self._beat, self._frames_shown = 0.0, {}
+
+    @property
+    def address(self) -> Any:
+        """Where markers are listened for."""
+        return self._socket.address
+
+    def _now(self) -> float:
+        return monotonic() - self._began
+
+    def _take_sample(self, sample: Sample) -> None:
+        self._inbox.put_sample(sample)
+        if self.recording is not None:
+            self.recording.add(sample)
+
+    def _take_frame(self, frame: Frame) -> None:
+        self._inbox.put_frame(frame)
+        if self.recording is not None:
+            self.recording.add(frame)
+
+    def run(self, seconds: float | None = None, stop: threading.Event | None = None) -> dict:
+        """Run until stopped.
+
+        Args:
+            seconds: how long, or None.
+            stop: set by whoever stops it.
+
+        Returns:
+            Figures of the run.
+        """
+        stop = stop or threading.Event()
+        self._began, self._newest_sample = monotonic(), -np.inf
+        with ExitStack() as ending:
+            ending.enter_context(_taking_turns())
+            for each in (self._socket, *self._cameras):
+                ending.callback(each.stop)
+            for each in (self._socket, *self._cameras):
+                each.start()
+            self.status.say(0.0, f"listening at {self.address}, VMC to {self._setup.vmc}")
+            while not stop.is_set() and (seconds is None or self._now() < seconds):
+                self._turn()
+        for output in self.tracking.flush():
+            self._send(output)
+        return self._finish()
+
+    def _turn(self) -> None:
+        """Take one thing that came in, and tell how things are."""
+        taken = self._inbox.take(0.05)
+        if isinstance(taken, Sample):
+            self._newest_sample = taken.arrived
+            outputs = self.tracking.sample(taken)
+        else:
+            outputs = self.tracking.frames(taken) if taken else []
+            if taken and self._viewer is not None:
+                names = [video.camera_name for video in self._setup.videos]
+                self._frames_shown |= {names[frame.camera]: frame for frame in taken}
+        for output in outputs:
+            self._send(output)
+        now = self._now()
+        if now - self._newest_sample > SILENT_S and now - self._beat > HEARTBEAT_S:
+            self._beat = now
+            self._to_vmc.send(self._vmc.lost(now))
+        self._tell(now)
+
+    def _send(self, output: Output) -> None:
+        datagram, joints = self._vmc.frame(output.time, output.pose)
+        self._to_vmc.send(datagram)
+        if self._to_vrchat and self._trackers:
+            self._to_vrchat.send(self._trackers.frame(joints))
+        now = self._now()
+        self.status.output(now, now - output.arrived)
+        self._confidence = output.confidence
+        if self._viewer is not None:
+            self._viewer(output, self._frames_shown)
+            self._frames_shown = {}
+
+    def _tell(self, now: float) -> None:
+        """Say what has changed, and draw the line."""
+        for of, state in _states(self._socket, self._gathering, self._cameras, now):
+            self.status.state(now, of, state)
+        if self.recording is not None and self.recording.problem:
+            self.status.state(now, "recording", self.recording.problem)
+        ages = {"markers": self._socket.heard} | {c.name: c.heard for c in self._cameras}
+        self.status.show(
+            now,
+            {name: None if heard is None else now - heard for name, heard in ages.items()},
+            self._dropped(),
+            self._confidence,
+        )
+
+    def _dropped(self) -> dict[str, int]:
+        return {
+            "samples": self._inbox.dropped_samples,
+            "frames": self._inbox.dropped_frames + self.tracking.late,
+        }
+
+    def _finish(self) -> dict[str, Any]:
+        """Write the recording; the run's figures."""
+        now = self._now()
+        self.status.finish()
+        written = self.recording.close() if self.recording else None
+        self._to_vmc.close()
+        if self._to_vrchat:
+            self._to_vrchat.close()
+        return self.status.figures(now) | {
+            "packets": self._socket.packets,
+            "ignored": {why: count for why, count in self._socket.ignored.items() if count},
+            "clock_jumps": self._socket.clock.jumps,
+            "dropped": self._dropped()
+            | {"not recorded": self.recording.dropped if self.recording else 0},
+            "frames": {camera.name: camera.frames for camera in self._cameras},
+            "placed_anew": self.tracking.placed,
+            "not_sent": self._to_vmc.failed,
+            "recording": None if written is None else str(written),
+        }
+
+
+def _source(setup: LiveSetup, gathering: Gathering, now: Callable[[], float]) -> MarkerSocket:
+    """Where markers come from."""
+    return MarkerSocket(setup.listen, gathering, setup.raw, now)
+
+
+def _states(
+    markers: MarkerSocket, gathering: Gathering, cameras: list[LiveCamera], now: float
+) -> Iterator[tuple[str, str]]:
+    """What there is to say of every stream."""
+    if markers.heard is None:
+        yield "markers", "waiting for the first"
+    else:
+        silent = now - markers.heard > SILENT_S
+        yield "markers", "nothing comes in" if silent else "coming in"
+    missing = gathering.missing(now)
+    yield "missing", ", ".join(missing) if missing else "none"
+    if jumps := markers.clock.jumps:
+        yield "the sender's clock", f"was set, {jumps} times so far"
+    for why, count in markers.ignored.items():
+        if count:
+            # Every tenfold is news, every packet is not.
+            yield f"{why} packets ignored", f"{10 ** (len(str(count)) - 1)} or more"
+    if gathering.unknown:
+        yield "no markers of ours", ", ".join(sorted(gathering.unknown))
+    for camera in cameras:
+        yield camera.name, camera.problem or camera.status
+
+
+@contextmanager
+def _taking_turns() -> Iterator[None]:
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_S)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before)
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[threading.Event]:
+    """An event that Ctrl-C sets, and SIGTERM; a second Ctrl-C interrupts as ever."""
+    stop = threading.Event()
+
+    def set_stop(number: int, frame: Any) -> None:
+        stop.set()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    before = {each: signal.signal(each, set_stop) for each in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)

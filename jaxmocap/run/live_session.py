@@ -1,0 +1,109 @@
+"""A live run from its file to its end, as the command has it.
+
+INPUTS: the file of a live run and what is wanted of it. OUTPUTS: figures, and a text about them.
+"""
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from time import monotonic, sleep
+from typing import Any, Literal
+
+import numpy as np
+
+from jaxmocap.body.pose import relaxed_pose
+from jaxmocap.capture.inbox import Frame
+from jaxmocap.formats.live import LiveSetup, load_live
+from jaxmocap.run.live import Live, stopped_by_signals
+from jaxmocap.run.live_status import LiveStatus
+from jaxmocap.run.live_tracking import Output
+from jaxmocap.run.recording import choose_settings
+from jaxmocap.run.viewing import start_viewer
+
+View = Literal["window", "web"]
+# Until a viewer listens, seconds.
+VIEWER_STARTS_S = 1.5
+
+
+def run_live(
+    path: str | Path,
+    *,
+    out: str | Path | None = None,
+    smooth: bool = False,
+    refine: Literal["simplex", "gradient", "none"] = "simplex",
+    seconds: float | None = None,
+    view: View | None = None,
+    status: LiveStatus | None = None,
+) -> dict[str, Any]:
+    """Run until Ctrl-C, or so many seconds.
+
+    Args:
+        path: of the live run's file.
+        out: folder for a recording, or None.
+        smooth: poses wait for two more video frames.
+        refine: as for ``track``.
+        seconds: how long, or None.
+        view: show it in rerun's window or in a browser.
+        status: what tells of the run.
+
+    Returns:
+        Figures of the run.
+
+    Raises:
+        InputError: what cannot be read or opened.
+    """
+    setup, status = load_live(path), status or LiveStatus()
+    for warning in setup.warnings:
+        status.say(0.0, warning)
+    with ExitStack() as ending:
+        viewer = _viewer(setup, view, status, ending) if view else None
+        live = Live(
+            setup, choose_settings(refine), smooth=smooth, out=out, viewer=viewer, status=status
+        )
+        stop = ending.enter_context(stopped_by_signals())
+        return live.run(seconds, stop)
+
+
+def _viewer(
+    setup: LiveSetup, view: View, status: LiveStatus, ending: ExitStack
+) -> Callable[[Output, dict[str, Frame]], None]:
+    """Open a viewer; what shows it a pose and frames."""
+    from jaxmocap.outputs.live_view import LiveView, Shown
+
+    opened = start_viewer([], view == "web", stay=False)
+    ending.callback(opened.process.terminate)
+    sleep(VIEWER_STARTS_S)
+    cameras = {video.camera_name: video.camera for video in setup.videos}
+    shown = LiveView(opened.url, setup.skeleton, cameras, relaxed_pose(setup.skeleton))
+    ending.callback(shown.close)
+    status.say(0.0, f"viewer at {opened.page}" if opened.page else "viewer in a window")
+    began = monotonic()
+
+    def show(output: Output, frames: dict[str, Frame]) -> None:
+        images = {name: frame.image for name, frame in frames.items()}
+        latency = 1e3 * status.newest_latency
+        shown.show(Shown(monotonic() - began, output.pose, output.confidence, latency, images))
+
+    return show
+
+
+def live_summary(figures: Mapping[str, Any]) -> str:
+    """The figures of a run in a few lines."""
+    latency, dropped = figures["latency_ms"], figures["dropped"]
+    ignored = ", ".join(f"{count} {why}" for why, count in figures["ignored"].items())
+    rows = {
+        "ran": f"{figures['seconds']:.1f} s",
+        "poses": f"{figures['outputs']}, {figures['rate_hz']:.1f} a second",
+        "latency": _latency(latency),
+        "dropped": ", ".join(f"{count} {what}" for what, count in dropped.items()),
+        "packets": f"{figures['packets']}" + (f"; ignored: {ignored}" if ignored else ""),
+        "frames": ", ".join(f"{name} {count}" for name, count in figures["frames"].items()),
+        "written": figures["recording"],
+    }
+    return "\n".join(f"{name.ljust(8)}{text}" for name, text in rows.items() if text)
+
+
+def _latency(latency: Mapping[str, float]) -> str:
+    if not np.isfinite(latency["median"]):
+        return ""
+    return f"{latency['median']:.1f} ms (median), {latency['p99']:.1f} ms (99 %)"
