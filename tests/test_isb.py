@@ -15,6 +15,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.turns import body_turns
+from jaxmocap.body.wrists import with_wrists
 from jaxmocap.cli import main
 from jaxmocap.formats.convert import Options, convert
 from jaxmocap.formats.errors import InputError
@@ -52,7 +53,8 @@ def test_the_skeleton_tells_what_its_hinges_can_and_nothing_else():
     trunk = {"trunk_extension", "neck_extension", "neck_bending"}
     limbs = {f"{name}_{side}" for name in OF_LIMBS for side in "lr"}
     assert set(angles_of({})) == world | trunk | limbs
-    assert {joint.name for joint in LIMBS if not made_by_hinges(SKELETON, joint, "l")} == {"ankle"}
+    unmade = {joint.name for joint in LIMBS if not made_by_hinges(SKELETON, joint, "l")}
+    assert unmade == {"ankle", "wrist"}
 
 
 def test_all_angles_are_0_upright_with_the_arms_hanging():
@@ -79,6 +81,25 @@ def test_a_pose_has_the_angles_that_an_anatomist_reads_off_it(side, hinges, expe
     for name, angle in expected.items():
         assert found[f"{name}_{side}"] == pytest.approx(angle, abs=1e-4), name
         assert found[f"{name}_{other}"] == pytest.approx(0, abs=1e-4)
+
+
+@pytest.mark.parametrize("side", ["l", "r"])
+def test_a_body_with_wrists_has_pronation_from_the_anatomical_position(side):
+    body = with_wrists(SKELETON)
+    hinges = {"elbow_flex": 90, "elbow_twist": -60, "wrist_flex": 40, "wrist_deviate": 15}
+    angles = np.zeros((1, len(body.tree.joints)))
+    for name, angle in (hinges | {"neck_rotation": 35}).items():
+        joint = name if name == "neck_rotation" else f"{name}_{side}"
+        angles[0, body.tree.joint(joint)] = np.radians(angle)
+    held: list[Any] = [np.zeros((1, 3)), np.eye(4)[:1], angles]
+    found = isb_angles(Motion(body, np.zeros(1), Pose(*held)))
+    for name, angle in (("elbow_flexion", 90), ("elbow_pronation", 30), ("wrist_flexion", 40),
+                        ("wrist_deviation", 15)):  # fmt: skip
+        assert np.degrees(found[f"{name}_{side}"][0]) == pytest.approx(angle, abs=1e-4)
+    assert np.degrees(found["neck_rotation"][0]) == pytest.approx(35, abs=1e-4)
+    assert f"wrist_rotation_{side}" not in found and f"elbow_carrying_{side}" not in found
+    # The other hangs with its thumb forward.
+    assert found[f"elbow_pronation_{'r' if side == 'l' else 'l'}"][0] == pytest.approx(np.pi / 2)
 
 
 def test_a_deep_squat_with_a_bow_reads_as_one():

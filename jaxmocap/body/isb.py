@@ -18,6 +18,7 @@ one meaning on both sides.
 | trunk_, neck_ extension, bending, rotation | Z X Y | back, to the right, to the left |
 | shoulder_ plane, elevation, rotation (to the thorax) | Y X Y | forward, *down*, internal |
 | elbow_ flexion, carrying, pronation | Z X Y | flexed, medial, pronated |
+| wrist_ flexion, deviation, rotation | Z X Y | towards the palm, to the ulna, pronated |
 | hip_, knee_ flexion, adduction, rotation | Z X Y | flexed, adducted, internal |
 | ankle_ dorsiflexion, inversion, rotation | Z X Y | toes up, sole inwards, internal |
 
@@ -32,11 +33,15 @@ negatively about z; Grood and Suntay's flexion is positive, and so is ours.
 Pelvis and thorax in the world turn about the vertical first, so that lean and tilt are the
 person's whichever way they face; ISB's thorax (Z X Y) would have them face the world's x.
 
+Pronation and wrist count from the supinated forearm of the anatomical position, as ISB has it; the
+bones' zero pose has the thumbs forward, which is 90 degrees of pronation.
+
 Angles that no hinge of the skeleton makes are left out rather than written as 0. The paper's 21
 degrees of freedom have: trunk extension; neck extension and bending; all of shoulder and hip;
 flexion of elbow and knee. They have no bending or rotation of the trunk, rotation of the neck,
 motion of clavicle and scapula (the shoulder's angles are the humerus' to the thorax), carrying
-angle, pronation, wrist, adduction and rotation of the knee, or ankle.
+angle, pronation, wrist, adduction and rotation of the knee, or ankle. Bodies with wrists have
+rotation of the neck, pronation, flexion and deviation of the wrist as well.
 """
 
 from dataclasses import dataclass
@@ -52,6 +57,8 @@ from jaxmocap.geometry.euler import continuous_euler
 R_BONE_ISB = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 # A mirror at the sagittal plane turns a left limb into a right one.
 MIRROR = np.diag([1.0, 1.0, -1.0])
+# ISB's axes of forearm and hand in those that their bones have by the above: palms turn forward.
+SUPINATED = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
 
 
 @dataclass(frozen=True)
@@ -87,6 +94,7 @@ _LEG = ("flexion", "adduction", "rotation")
 LIMBS = (
     Joint("shoulder", "spine3", "humerus", "YXY", ("plane", "elevation", "rotation")),
     Joint("elbow", "humerus", "radius", "ZXY", ("flexion", "carrying", "pronation")),
+    Joint("wrist", "radius", "hand", "ZXY", ("flexion", "deviation", "rotation")),
     Joint("hip", None, "femur", "ZXY", _LEG),
     Joint("knee", "femur", "tibia", "ZXY", _LEG, (-1, 1, 1)),
     Joint("ankle", "tibia", "foot", "ZXY", ("dorsiflexion", "inversion", "rotation")),
@@ -107,7 +115,7 @@ def isb_angles(motion: Motion) -> dict[str, np.ndarray]:
             near, far = (_sided(skeleton, b, side) for b in (joint.proximal, joint.distal))
             R_near, R_far = (_segment(skeleton, R_pelvis_bone, bone) for bone in (near, far))
             wanted.append((joint, side, kept, R_near.swapaxes(-1, -2) @ R_far))
-    turns = _turns([joint.order for joint, *_ in wanted], [_in_isb(R, s) for _, s, _, R in wanted])
+    turns = _turns([joint.order for joint, *_ in wanted], [_in_isb(*each) for each in wanted])
     return {
         "_".join(filter(None, (joint.name, joint.angles[k], side))): joint.signs[k] * turn[:, k]
         for (joint, side, kept, _), turn in zip(wanted, turns, strict=True)
@@ -115,10 +123,16 @@ def isb_angles(motion: Motion) -> dict[str, np.ndarray]:
     }
 
 
-def _in_isb(R: np.ndarray, side: str) -> np.ndarray:
-    """Turns (T, 3, 3) between frames of ours as turns between ISB's, left limbs mirrored."""
+def _in_isb(joint: Joint, side: str, _: tuple[int, ...], R: np.ndarray) -> np.ndarray:
+    """Turns (T, 3, 3) between a joint's bones as turns between ISB's axes, left ones mirrored."""
     to_isb = R_BONE_ISB @ MIRROR if side == "l" else R_BONE_ISB
-    return to_isb.T @ R @ to_isb
+    near, far = (_posture(bone) for bone in (joint.proximal, joint.distal))
+    return near.T @ to_isb.T @ R @ to_isb @ far
+
+
+def _posture(bone: str | None) -> np.ndarray:
+    """ISB's axes (3, 3) of a segment in those that its bone has."""
+    return SUPINATED if bone in ("radius", "hand") else np.eye(3)
 
 
 def _turns(orders: list[str], R: list[np.ndarray]) -> list[np.ndarray]:
@@ -139,7 +153,8 @@ def made_by_hinges(skeleton: Skeleton, joint: Joint, side: str = "") -> tuple[in
     above, below = (set(tree.chain(bone) if bone else ()) for bone in (near, far))
     between = below - above
     hinges = [d for d, bone in enumerate(tree.dof_bones) if bone in between]
-    about = np.abs(np.asarray(skeleton.axes, float)[hinges] @ R_BONE_ISB).max(0, initial=0.0)
+    to_isb = R_BONE_ISB @ _posture(joint.proximal)
+    about = np.abs(np.asarray(skeleton.axes, float)[hinges] @ to_isb).max(0, initial=0.0)
     return tuple(k for k, axis in enumerate(joint.order) if about["XYZ".index(axis)] > 1e-6)
 
 

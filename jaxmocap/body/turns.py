@@ -37,8 +37,16 @@ def about(axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
 
 
 def matrices(quaternions: np.ndarray) -> np.ndarray:
-    """Rotations (T, 3, 3) of (T, 4) wxyz; NaN where unknown."""
-    known = np.isfinite(quaternions.sum(-1))[:, None]
-    safe = np.where(known, quaternions, [1.0, 0, 0, 0])
+    """Rotations (..., 3, 3) of (..., 4) wxyz; NaN where unknown."""
+    known = np.isfinite(quaternions.sum(-1, keepdims=True))
+    safe = np.where(known, quaternions, [1.0, 0, 0, 0]).reshape(-1, 4)
     R = Rotation.from_quat(safe, scalar_first=True).as_matrix()
-    return np.where(known[..., None], R, np.nan)
+    return np.where(known[..., None], R.reshape(*known.shape[:-1], 3, 3), np.nan)
+
+
+def quaternions(R: np.ndarray) -> np.ndarray:
+    """Quaternions (..., 4), wxyz, w not negative, of (..., 3, 3) rotations; NaN where unknown."""
+    known = np.isfinite(R.sum((-2, -1)))[..., None]
+    safe = np.where(known[..., None], R, np.eye(3)).reshape(-1, 3, 3)
+    found = Rotation.from_matrix(safe).as_quat(canonical=True, scalar_first=True)
+    return np.where(known, found.reshape(*known.shape[:-1], 4), np.nan)

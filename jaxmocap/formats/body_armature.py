@@ -21,6 +21,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.turns import body_turns, local_turns, matrices
+from jaxmocap.body.wrists import with_wrists
 from jaxmocap.formats.armature import Armature
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.joint_names import CONVENTIONS, ENDED, PELVIS, end_of, recognised
@@ -111,7 +112,8 @@ def rest_turns(skeleton: Skeleton) -> np.ndarray:
 def motion_of(armature: Armature, path: str | Path) -> Motion:
     """The motion of our skeleton that an armature in the world's axes shows.
 
-    Masses, diameters, limits and costs are those of a person with bones as long on the whole.
+    Masses, diameters, limits and costs are those of a person with bones as long on the whole. Where
+    the neck turns, a forearm twists or a wrist bends, it is a body with wrists.
 
     Args:
         armature: its joints named by one of the ``CONVENTIONS``, its rest pose our T.
@@ -126,6 +128,25 @@ def motion_of(armature: Armature, path: str | Path) -> Motion:
         raise InputError(path, f"not our skeleton, whatever its joints are called: {names}")
     index = {ours[name]: j for j, name in enumerate(armature.names) if name in ours}
     skeleton = _measured(Skeleton.human(), armature, index, path)
+    try:
+        angles = _angles(skeleton, armature, index, path)
+    except InputError:
+        # A body with wrists turns more; what it cannot turn either is refused in its words.
+        skeleton = with_wrists(skeleton)
+        angles = _angles(skeleton, armature, index, path)
+    known = armature.known[:, None]
+    root = np.where(known[..., None], armature.rotations[:, index[PELVIS]], np.eye(3))
+    quaternion = Rotation.from_matrix(root).as_quat(scalar_first=True)
+    parts = [armature.positions, quaternion, angles]
+    held: list[Any] = [np.where(known, part, np.nan) for part in parts]
+    poses = Pose(*held)
+    return Motion(skeleton, armature.times, poses)
+
+
+def _angles(
+    skeleton: Skeleton, armature: Armature, index: Mapping[str, int], path: str | Path
+) -> np.ndarray:
+    """Angles (T, D), radians, that turn the bones as the armature's joints are turned."""
     angles = np.zeros((len(armature.times), len(skeleton.tree.joints)))
     rest = rest_turns(skeleton)
     for bone, name in enumerate(skeleton.tree.bones):
@@ -136,13 +157,7 @@ def motion_of(armature: Armature, path: str | Path) -> Motion:
             dofs = [d for d, carried in enumerate(skeleton.tree.dof_bones) if carried == bone]
             angles[:, dofs] = hinge_angles(skeleton, dofs, local)
             _check_turns(path, name, armature, local_turns(skeleton, angles)[:, bone], local)
-    known = armature.known[:, None]
-    root = np.where(known[..., None], armature.rotations[:, index[PELVIS]], np.eye(3))
-    quaternion = Rotation.from_matrix(root).as_quat(scalar_first=True)
-    parts = [armature.positions, quaternion, angles]
-    held: list[Any] = [np.where(known, part, np.nan) for part in parts]
-    poses = Pose(*held)
-    return Motion(skeleton, armature.times, poses)
+    return angles
 
 
 def _check_turns(

@@ -131,12 +131,16 @@ def _write_markers(work: _Work, markers: Markers) -> None:
     if work.options.rate is not None:
         times = even_times(markers.times, work.options.rate)
         markers = resampled_markers(markers, times)
+    if markers.turns is not None and kind != ".csv":
+        work.notes.append(f"left out: how the markers are turned, which {kind} does not hold")
     try:
         if kind == ".c3d":
             write_c3d(work.target, markers)
             return
-        write = write_trc if kind == ".trc" else write_csv
-        write(work.target, markers.times, markers.points())
+        if kind == ".csv":
+            write_csv(work.target, markers.times, markers.points(), markers.turned())
+        else:
+            write_trc(work.target, markers.times, markers.points())
     except ValueError as error:
         # Names that a format cannot hold.
         raise (

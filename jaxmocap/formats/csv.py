@@ -1,16 +1,21 @@
 """CSV: markers as any spreadsheet or data frame writes them.
 
 INPUTS: a comma-separated file whose header is ``time,Name.x,Name.y,Name.z,...``: seconds and
-metres, one row per sample, empty cells where a marker is missing.
+metres, one row per sample, empty cells where a marker is missing. A marker that knows how it is
+turned has ``Name.qw,Name.qx,Name.qy,Name.qz`` after its place: a unit quaternion from its own axes
+to the file's.
 OUTPUTS: Markers in the file's own axes; or such a file.
 """
 
 import csv
 import io
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from jaxmocap.body.turns import matrices, quaternions
 from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.tables import (
@@ -22,7 +27,7 @@ from jaxmocap.formats.tables import (
     stack_points,
 )
 
-HEADER = "'time,Name.x,Name.y,Name.z,...'"
+HEADER = "'time,Name.x,Name.y,Name.z,...', with Name.qw,Name.qx,Name.qy,Name.qz after or without"
 
 
 def read_csv(path: str | Path) -> Markers:
@@ -32,45 +37,90 @@ def read_csv(path: str | Path) -> Markers:
         InputError: no such file, or the line that does not fit.
     """
     lines = read_lines(path)
-    names = _names(path, lines[0])
+    names, turned = _names(path, lines[0])
     data = ((i, line.split(",")) for i, line in enumerate(lines, 1) if i > 1)
-    table, numbers = parse_rows(path, data, 1 + 3 * len(names))
-    return make_markers(path, table, numbers, names, "line 1")
+    widths = [7 if turns else 3 for turns in turned]
+    table, numbers = parse_rows(path, data, 1 + sum(widths))
+    starts = 1 + np.concatenate([[0], np.cumsum(widths)[:-1]])
+    places = [0, *(first + axis for first in starts for axis in range(3))]
+    markers = make_markers(path, table[:, places], numbers, names, "line 1")
+    if not any(turned):
+        return markers
+    turns = np.full((len(table), len(names), 3, 3), np.nan)
+    for i, first in enumerate(starts):
+        if turned[i]:
+            found = table[:, first + 3 : first + 7]
+            _check_lengths(path, names[i], found, numbers)
+            turns[:, i] = matrices(found)
+    return replace(markers, turns=turns)
 
 
-def _names(path: str | Path, header: str) -> list[str]:
+def _check_lengths(
+    path: str | Path, name: str, quaternions: np.ndarray, lines: Sequence[int]
+) -> None:
+    """InputError unless every one of (T, 4) quaternions that is known is of length 1."""
+    lengths = np.linalg.norm(quaternions, axis=-1)
+    wrong = np.flatnonzero(np.abs(lengths - 1) > 0.01)
+    if len(wrong):
+        i = int(wrong[0])
+        raise InputError(
+            path,
+            f"line {lines[i]}: the quaternion of {name!r} has length {lengths[i]:.3g}, "
+            "expected 1 (or four empty cells where it is not known)",
+        )
+
+
+def _names(path: str | Path, header: str) -> tuple[list[str], list[bool]]:
+    """Names of the markers, and which of them are followed by a quaternion."""
     try:
         # The reader gives an empty line no cell at all.
         cells = [cell.strip() for cell in next(csv.reader([header]))] or [""]
     except csv.Error as error:
         raise InputError(path, f"line 1: {error}, expected {HEADER}") from None
-    names = [cell[:-2] for cell in cells[1::3]]
-    if cells[0] != "time" or not names:
+    if cells[0] != "time" or len(cells) < 2:
         raise InputError(path, f"line 1: found {header[:40]!r}, expected {HEADER}")
-    expected = [f"{name}.{axis}" for name in names for axis in "xyz"]
-    for i, cell in enumerate(expected):
-        found = cells[i + 1] if i + 1 < len(cells) else "the end of the line"
-        if found != cell or len(cell) == 2:
-            raise InputError(path, f"line 1: found {found!r} where {cell!r} belongs ({HEADER})")
-    return names
+    names, turned, i = [], [], 1
+    while i < len(cells):
+        names.append(cells[i].rpartition(".")[0])
+        turned.append(cells[i + 3 : i + 4] == [f"{names[-1]}.qw"])
+        axes = ("x", "y", "z", *(("qw", "qx", "qy", "qz") if turned[-1] else ()))
+        for axis in axes:
+            expected = f"{names[-1]}.{axis}"
+            found = cells[i] if i < len(cells) else "the end of the line"
+            if found != expected or not names[-1]:
+                problem = f"found {found!r} where {expected!r} belongs ({HEADER})"
+                raise InputError(path, f"line 1: {problem}")
+            i += 1
+    return names, turned
 
 
-def write_csv(path: str | Path, times: np.ndarray, points: dict[str, np.ndarray]) -> None:
+def write_csv(
+    path: str | Path,
+    times: np.ndarray,
+    points: dict[str, np.ndarray],
+    turns: Mapping[str, np.ndarray] | None = None,
+) -> None:
     """Write a CSV file of markers.
 
     Args:
         path: of the file.
         times: (T,) seconds, ascending.
         points: marker -> (T, 3) positions, metres; NaN where missing.
+        turns: marker -> (T, 3, 3) from its own axes to the file's, of those that know it.
 
     Raises:
         ValueError: shapes or names that do not fit.
     """
     times, positions = stack_points(times, points, forbidden="\r\n\0")
-    header = io.StringIO()
-    columns = ["time", *(f"{name}.{axis}" for name in points for axis in "xyz")]
+    header, columns, parts = io.StringIO(), ["time"], []
+    for i, name in enumerate(points):
+        columns += [f"{name}.{axis}" for axis in "xyz"]
+        parts.append(positions[:, 3 * i : 3 * i + 3])
+        if turns and name in turns:
+            columns += [f"{name}.q{axis}" for axis in "wxyz"]
+            parts.append(quaternions(turns[name]))
     csv.writer(header, lineterminator="\n").writerow(columns)
-    rows = zip(times, format_rows(positions), strict=True)
+    rows = zip(times, format_rows(np.concatenate(parts, 1)), strict=True)
     lines = [",".join([f"{t:.9f}", *row]) for t, row in rows]
     with replacing(path) as beside:
         beside.write_text(header.getvalue() + "\n".join(lines) + "\n", "utf-8", newline="\n")

@@ -132,6 +132,9 @@ def load_live(path: str | Path) -> LiveSetup:
             expected = ", ".join(skeleton.tree.bones)
             problem = f"unknown bone {place.bone!r}, expected one of {expected}"
             raise InputError(path, f"[markers.on] {place.name}: {problem}")
+        if place.is_turned:
+            problem = "found offset_in = 'marker' or turn, but live takes no orientations yet"
+            raise InputError(path, f"[markers.on] {place.name}: {problem}")
     calibration, videos = _videos(top)
     return LiveSetup(
         path,

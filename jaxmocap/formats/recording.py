@@ -1,7 +1,7 @@
 """A recording: markers over time, where they sit, videos, and whose body it is.
 
-INPUTS: a TOML file with [markers], [markers.on], [[video]], [calibration] and [subject]; its
-paths are relative to it.
+INPUTS: a TOML file with [markers], [markers.on], [markers.rigid], [[video]], [calibration] and
+[subject]; its paths are relative to it.
 OUTPUTS: a Recording: marker positions in the world (metres, Z up) and float64 seconds, sites on
 bones, video sources with their cameras, a scaled skeleton.
 """
@@ -22,6 +22,8 @@ from jaxmocap.formats.filters import Filters, read_filters
 from jaxmocap.formats.keypoint_models import MODELS
 from jaxmocap.formats.keypoints import Detections
 from jaxmocap.formats.markers import read_markers
+from jaxmocap.formats.places import MarkerPlace, bound_places, bound_positions, read_place
+from jaxmocap.formats.rigid import with_rigid_sets
 from jaxmocap.formats.subject import DEFAULT_HEIGHT, read_subject
 from jaxmocap.formats.tables import Markers, check_times
 from jaxmocap.formats.toml import Fields, read_toml, write_toml
@@ -29,23 +31,6 @@ from jaxmocap.geometry.cameras import Camera
 
 # What [[video]] may say of 2-D detections.
 _KEYPOINTS = ("keypoints", "keypoints_model", "keypoints_first")
-
-
-@dataclass(frozen=True)
-class MarkerPlace:
-    """Where a marker sits on the body.
-
-    Attributes:
-        name: of the marker.
-        bone: name of the bone.
-        at: fraction of the bone's length from its joint.
-        offset: metres, in the bone's frame.
-    """
-
-    name: str
-    bone: str
-    at: float = 1.0
-    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -81,7 +66,7 @@ class Recording:
         skeleton: scaled to the person.
         times: (T,) seconds, float64, ascending.
         positions_world: (T, M, 3) metres, Z up; NaN where a marker is missing.
-        places: of the M markers, in the same order.
+        places: of the M markers, in the same order; their offsets are in the bones' axes.
         videos: any number of them.
         name: of the recording.
         path: the file it came from, or None.
@@ -154,11 +139,12 @@ def load_recording(path: str | Path) -> Recording:
         for place, samples in zip(places, seen.T, strict=True)
         if not samples.any()
     ]
+    positions_world, points = _bound(path, skeleton, places, markers)
     return Recording(
         skeleton,
         markers.times,
-        markers.positions,
-        places,
+        positions_world,
+        points,
         _read_videos(top),
         path.stem,
         path,
@@ -171,7 +157,7 @@ def load_recording(path: str | Path) -> Recording:
 
 def _read_marked(top: Fields) -> tuple[Markers, tuple[MarkerPlace, ...], Filters]:
     """The markers of [markers.on] in the world's axes, their places, and their filters."""
-    keys = ("file", "up", "to_world", "on", "filters")
+    keys = ("file", "up", "to_world", "on", "filters", "rigid")
     fields = Fields(top.path, "[markers]", top.required("markers"), keys)
     file = fields.file("file")
     R_world_file = read_axes(fields)
@@ -179,7 +165,8 @@ def _read_marked(top: Fields) -> tuple[Markers, tuple[MarkerPlace, ...], Filters
     if not on.table:
         raise on.error("", "names no marker, expected entries such as Head = { bone = 'head' }")
     places = tuple(read_place(top.path, name, entry) for name, entry in on.table.items())
-    markers = read_markers(file)
+    sets = Fields(top.path, "[markers.rigid]", fields.table.get("rigid", {}))
+    markers = with_rigid_sets(sets, read_markers(file))
     for place in places:
         if place.name not in markers.names:
             raise on.error(
@@ -188,21 +175,31 @@ def _read_marked(top: Fields) -> tuple[Markers, tuple[MarkerPlace, ...], Filters
     columns = [markers.names.index(place.name) for place in places]
     names = tuple(place.name for place in places)
     positions_world = to_world(R_world_file, markers.positions[:, columns])
-    marked = Markers(markers.times, names, positions_world, rate=markers.rate)
+    turns = None if markers.turns is None else R_world_file @ markers.turns[:, columns]
+    if turns is not None and np.linalg.det(R_world_file) < 0:
+        raise fields.error("to_world", "found a reflection, which leaves no turn of a marker")
+    marked = Markers(markers.times, names, positions_world, rate=markers.rate, turns=turns)
     wanted = Fields(top.path, "[markers.filters]", fields.table.get("filters", {}), FILTERS)
     return marked, places, read_filters(wanted)
 
 
-def read_place(path: Path, name: str, entry: Any) -> MarkerPlace:
-    """Where one marker of [markers.on] sits."""
-    fields = Fields(path, f"[markers.on] {name}", entry, ("bone", "at", "offset"))
-    at = fields.number("at", 1.0)
-    if not 0.0 <= at <= 1.0:
-        raise fields.error("at", f"found {at:g}, expected a fraction between 0 and 1")
-    if "offset" not in fields:
-        return MarkerPlace(name, fields.text("bone"), at)
-    x, y, z = fields.array("offset", [(3,)], "3 numbers in metres").tolist()
-    return MarkerPlace(name, fields.text("bone"), at, (x, y, z))
+def _bound(
+    path: Path, skeleton: Skeleton, places: tuple[MarkerPlace, ...], markers: Markers
+) -> tuple[np.ndarray, tuple[MarkerPlace, ...]]:
+    """Points on bones (T, P, 3), world, metres, that the markers tell of, and their places."""
+    bones = skeleton.tree.bones
+    known = np.full((*markers.positions.shape, 3), np.nan)
+    known = known if markers.turns is None else markers.turns
+    for i, place in enumerate(places):
+        if place.bone not in bones:
+            problem = f"unknown bone {place.bone!r}, expected one of {', '.join(bones)}"
+            raise InputError(path, f"[markers.on] {place.name}: {problem}")
+        if place.is_turned and not np.isfinite(known[:, i]).any():
+            key = "offset_in = 'marker'" if place.turn is None else "turn"
+            problem = f"{key} needs to know how the marker is turned, which the file never says"
+            raise InputError(path, f"[markers.on] {place.name}: {problem}")
+    positions = bound_positions(skeleton, places, markers.positions, known)
+    return positions, bound_places(skeleton, places)
 
 
 def _read_videos(top: Fields) -> tuple[VideoSource, ...]:

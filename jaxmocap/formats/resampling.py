@@ -53,7 +53,8 @@ def between(times: np.ndarray, wanted: np.ndarray) -> Between:
 def resampled_markers(markers: Markers, times: np.ndarray) -> Markers:
     """Markers at (N,) other times; their residuals are let go."""
     at = between(markers.times, times)
-    return Markers(times, markers.names, straight(markers.positions, at))
+    turns = None if markers.turns is None else shortest(markers.turns, at)
+    return Markers(times, markers.names, straight(markers.positions, at), turns=turns)
 
 
 def straight(values: np.ndarray, at: Between) -> np.ndarray:

@@ -1,7 +1,8 @@
 """The [subject] of a recording: whose body it is.
 
 INPUTS: a table with ``height`` (and ``mass``), or ``static`` (a marker file of the person
-standing), ``up`` or ``to_world``, and ``landmarks``; or ``file``, a TOML file of these keys.
+standing), ``up`` or ``to_world``, and ``landmarks``; or ``file``, a TOML file of these keys. With
+``wrists = true`` the body has rotation of the neck, twist of the forearms and wrists as well.
 OUTPUTS: a Skeleton scaled to the person.
 """
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.body.subject import scale_to_height, scale_to_landmarks
+from jaxmocap.body.wrists import with_wrists
 from jaxmocap.formats.axes import read_axes, to_world
 from jaxmocap.formats.markers import read_markers
 from jaxmocap.formats.toml import Fields, read_toml
@@ -33,7 +35,14 @@ def read_subject(path: Path, where: str, table: Any) -> Skeleton:
     Raises:
         InputError: a field that is missing, unknown or does not fit.
     """
-    fields = Fields(path, where, table, ("file", "height", *_STATIC_KEYS))
+    fields = Fields(path, where, table, ("file", "height", *_STATIC_KEYS, "wrists"))
+    wrists = fields.table.get("wrists", False)
+    if not isinstance(wrists, bool):
+        raise fields.error("wrists", f"found {wrists!r}, expected true or false")
+    if "wrists" in fields:
+        rest = {key: value for key, value in fields.table.items() if key != "wrists"}
+        skeleton = read_subject(path, where, rest)
+        return with_wrists(skeleton) if wrists else skeleton
     chosen = [key for key in ("file", "height", "static") if key in fields]
     if len(chosen) != 1:
         found = " and ".join(chosen) or "none"

@@ -26,6 +26,8 @@ class Markers:
             missing; or None where the file says nothing of them (only C3D does).
         rate: samples per second as the file's header states them, whatever its time stamps say;
             or None where it has no such field (only TRC has both).
+        turns: (T, M, 3, 3) rotations from each marker's own axes to the file's, NaN where it is
+            not known how it is turned; or None where that is known of no marker.
     """
 
     times: np.ndarray
@@ -33,10 +35,18 @@ class Markers:
     positions: np.ndarray
     residuals: np.ndarray | None = None
     rate: float | None = None
+    turns: np.ndarray | None = None
 
     def points(self) -> dict[str, np.ndarray]:
         """Name -> (T, 3) positions."""
         return {name: self.positions[:, i] for i, name in enumerate(self.names)}
+
+    def turned(self) -> dict[str, np.ndarray]:
+        """Name -> (T, 3, 3) turns of the markers of which any is known."""
+        if self.turns is None:
+            return {}
+        columns = {name: self.turns[:, i] for i, name in enumerate(self.names)}
+        return {name: R for name, R in columns.items() if np.isfinite(R).any()}
 
 
 def read_bytes(path: str | Path) -> bytes:

@@ -102,9 +102,9 @@ class Hung(NamedTuple):
 
 
 def arm_dofs(tree: Tree) -> np.ndarray:
-    """Indices (2, 4) of each arm's degrees of freedom, shoulder to elbow."""
+    """Indices (2, 4) of each arm's degrees of freedom, shoulder to elbow; no twist, no wrist."""
     bones = limb_bones(tree)
-    rows = [np.flatnonzero(np.isin(tree.dof_bones, arm)) for arm in bones]
+    rows = [np.flatnonzero(np.isin(tree.dof_bones, arm[:2]))[:4] for arm in bones]
     return np.array(rows, np.int32)
 
 
@@ -114,12 +114,20 @@ def hang(skeleton: Skeleton, pose: Pose, grip_sites: Sites) -> Hung:
     frames = forward(skeleton, pose)
     arms = arms_of(skeleton, frames, grip_sites)
     carriers = np.array(skeleton.tree.parents, np.int32)[bones[:, 0]]
-    to_radius = arms.R_world_radius.swapaxes(-1, -2)
+    reaches = skeleton.lengths[bones][..., None] * skeleton.directions[bones]
+    R_world_radius = arms.R_world_radius
+    if np.isin(skeleton.tree.dof_bones, bones).sum() > dofs.size:
+        # Twist and wrists stay as they are: what they turn is carried as the elbow leaves it.
+        hinges = about_axis(skeleton.axes[dofs[:, 3]], pose.angles[dofs[:, 3]])
+        R_world_radius = compose(frames.R_world_bone[bones[:, 0]], hinges)
+        hand = rotate(R_world_radius.swapaxes(-1, -2), arms.tip - arms.wrist)
+        reaches = reaches.at[:, 2].set(hand)
+    to_radius = R_world_radius.swapaxes(-1, -2)
     return Hung(
         pose.angles[dofs],
         frames.R_world_bone[carriers],
         skeleton.axes[dofs],
-        skeleton.lengths[bones][..., None] * skeleton.directions[bones],
+        reaches,
         rotate(to_radius, arms.grip - arms.elbow),
         arms,
     )
@@ -210,17 +218,18 @@ def turn_forearm(arms: Arms, R_turn: Array) -> tuple[Arms, Array]:
 
     Args:
         arms: one arm.
-        R_turn: (3, 3) in the world.
+        R_turn: (..., 3, 3) in the world, one or many.
 
     Returns:
-        The arm, and by how much (metres) the shoulder had to move along the upper arm.
+        The arm (what moves is (..., 3)), and by how much (...) the shoulder had to move along the
+        upper arm, metres.
     """
     elbow, wrist, tip = (
         arms.grip + rotate(R_turn, point - arms.grip)
         for point in (arms.elbow, arms.wrist, arms.tip)
     )
     upper = arms.shoulder - elbow
-    length = jnp.sqrt(jnp.sum(upper**2) + 1e-12)
-    shoulder = elbow + upper * (arms.humerus_length / length)
+    length = jnp.sqrt(jnp.sum(upper**2, -1) + 1e-12)
+    shoulder = elbow + upper * (arms.humerus_length / length)[..., None]
     moved = arms._replace(shoulder=shoulder, elbow=elbow, wrist=wrist, tip=tip)
     return moved, length - arms.humerus_length

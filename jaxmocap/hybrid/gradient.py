@@ -151,6 +151,7 @@ def prior_deviations(skeleton: Skeleton, settings: GradientSettings) -> Array:
     """Standard deviations (6 + D,) about the markers' pose, metres and radians."""
     kinds = {"spine": settings.spine, "neck": settings.neck, "arm": settings.arm}
     kinds |= {"elbow": settings.arm, "hip": settings.leg, "knee": settings.leg}
+    kinds |= {"wrist": settings.arm}
     joints = [kinds[name.split("_")[0].rstrip("0123456789")] for name in skeleton.tree.joints]
     return jnp.stack([settings.shift] * 3 + [settings.turn] * 3 + joints)
 
