@@ -27,7 +27,15 @@ from jaxmocap.hybrid.batches import in_batches
 from jaxmocap.hybrid.silhouette import FOREARMS, Legs, Sight
 from jaxmocap.images.background import Background
 from jaxmocap.images.colours import Colours, learn_colours
-from jaxmocap.images.foreground import Window, learn_foreground, log_odds, person_grid, shrunk_size
+from jaxmocap.images.foreground import (
+    AROUND_PX,
+    Window,
+    learn_foreground,
+    log_odds,
+    log_odds_of,
+    person_grid,
+    shrunk_size,
+)
 from jaxmocap.images.hulls import draw_hulls
 from jaxmocap.images.parts import part_odds
 from jaxmocap.images.regions import Region, region_of_side
@@ -36,8 +44,6 @@ from jaxmocap.images.silhouette import Grid
 # Rows of the images that silhouettes are learned from; cells of the grids around the upper half and
 # around the legs.
 ROWS, CELLS, LEG_CELLS = 360, 64, 32
-# What blurring reaches beyond the grids, pixels of the shrunk image.
-AROUND_PX = 4
 # Poses per call, so that they compile once.
 POSES_A_CALL = 64
 # Around the person's upper half and around the legs, as a share of their extent.
@@ -208,7 +214,12 @@ def learn_appearance(
     cores = np.stack([drawing.core(i) for i in which])
     bodies = np.stack([drawing.wherever(i, astray) for i in which])
     background, person = learn_foreground(frames, cores, bodies)
-    odds = np.stack([log_odds(frame, background, person) for frame in frames])
+    odds = np.stack(
+        [
+            log_odds_of(frame, background, person, body)
+            for frame, body in zip(frames, bodies, strict=True)
+        ]
+    )
     arms = np.stack([drawing.mask(i, CORE, only=FOREARMS[:2], part=BARE) for i in which])
     others = np.stack([drawing.core(i, without=(*FOREARMS, *HEAD)) for i in which])
     near = np.stack([drawing.mask(i, 2.0, only=FOREARMS) for i in which])

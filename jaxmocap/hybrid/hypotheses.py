@@ -47,7 +47,7 @@ from jaxmocap.hybrid.silhouette import (
     nearest_surface,
     unhidden,
 )
-from jaxmocap.hybrid.smoothing import Problem, softened
+from jaxmocap.hybrid.smoothing import Problem, drawn_at, sights_weight
 from jaxmocap.hybrid.trajectory import Trajectory, all_turned
 from jaxmocap.images.regions import Region, discs_in_region
 from jaxmocap.images.silhouette import Grid, cells
@@ -55,8 +55,8 @@ from jaxmocap.images.silhouette import Grid, cells
 ARMS = [f"{limb}_{side}" for side in SIDES for limb in LIMBS]
 # The candidate that leaves an arm where it is.
 STAY = int(np.argmin(np.sum(TURNS**2, -1)))
-# Of the grid's cells every so many to a side are looked at, softened enough to miss nothing.
-STRIDE, SOFTNESS = 2, 1.5
+# Cells over which silhouettes fade, so softly that they are drawn coarsely.
+SOFTNESS = 1.5
 SIGHTS_A_CALL = 16
 # Price of a shoulder that gives way, metres, and of a joint beyond its range, radians.
 SLACK_M, BEYOND_RAD = 0.03, 0.1
@@ -87,7 +87,8 @@ def elbow_goals(problem: Problem, trajectory: Trajectory, grips: Sites) -> np.nd
             lambda pose: _candidates(person, grips, pose), (there,), SIGHTS_A_CALL, workers
         )
         own += _off_lines(problem, seen, elbows)
-        priced = partial(_priced, problem, person, trajectory.poses, grips, own, workers)
+        drawn = drawn_at(problem, SOFTNESS)
+        priced = partial(_priced, *drawn, person, trajectory.poses, grips, own, workers)
         alone = priced(every, stay)[:, :, 0], priced(stay, every)[:, 0]
         paths = [cheapest_path(alone[side], elbows[:, side], times) for side in range(2)]
         pairs = [np.stack([stay[:, 0], path], 1) for path in paths]
@@ -167,6 +168,7 @@ def _candidates(skeleton: Skeleton, grips: Sites, poses: Pose) -> tuple[Array, A
 
 def _priced(
     problem: Problem,
+    softness: float,
     person: Skeleton,
     poses: Pose,
     grips: Sites,
@@ -175,22 +177,24 @@ def _priced(
     left: np.ndarray,
     right: np.ndarray,
 ) -> np.ndarray:
-    """Costs (T, A, B), nats, of candidates (T, A) of the left and (T, B) of the right arm."""
+    """Costs (T, A, B), nats, of candidates (T, A) of the left and (T, B) of the right arm.
+
+    Of a problem that is ``drawn_at`` a softness.
+    """
     frames = np.arange(len(own))[:, None]
     costs = own[frames, 0, left][:, :, None] + own[frames, 1, right][:, None]
-    sights = softened(problem, SOFTNESS).sights
+    sights = problem.sights
     row = np.unique(sights.frame, return_inverse=True)[1]
     cameras = jax.tree.map(lambda part: np.asarray(part)[sights.camera], problem.cameras)
     there = jax.tree.map(lambda part: np.asarray(part)[sights.frame], poses)
     chosen = tuple(each[row].astype(np.int32) for each in (left, right))
 
     def call(*batch: Any) -> Array:
-        return _sight_costs(person, grips, *batch)
+        return _sight_costs(person, grips, jnp.asarray(softness, float), *batch)
 
     each = (there, cameras, sights.sight, chosen)
     (pictures,) = in_batches(call, each, SIGHTS_A_CALL, workers)
-    told = STRIDE**2 / 2 / float(problem.settings.silhouette) ** 2
-    np.add.at(costs, row, told * pictures)
+    np.add.at(costs, row, sights_weight(problem) / 2 * pictures)
     return costs
 
 
@@ -198,6 +202,7 @@ def _priced(
 def _sight_costs(
     skeleton: Skeleton,
     grips: Sites,
+    softness: Array,
     poses: Pose,
     cameras: Camera,
     sights: Sight,
@@ -206,7 +211,7 @@ def _sight_costs(
     """As ``sight_costs``, of a batch of sights, one after the other."""
 
     def of_sight(each: tuple[Pose, Camera, Sight, tuple[Array, Array]]) -> Array:
-        return sight_costs(skeleton, grips, *each)
+        return sight_costs(skeleton, grips, softness, *each)
 
     return jax.lax.map(of_sight, (poses, cameras, sights, chosen))
 
@@ -214,6 +219,7 @@ def _sight_costs(
 def sight_costs(
     skeleton: Skeleton,
     grips: Sites,
+    softness: Array,
     pose: Pose,
     camera: Camera,
     sight: Sight,
@@ -224,6 +230,7 @@ def sight_costs(
     Args:
         skeleton: of the person.
         grips: of both arms.
+        softness: cells.
         pose: of the person.
         camera: that sees it.
         sight: what it saw.
@@ -233,10 +240,13 @@ def sight_costs(
     kept = np.array([skeleton.tree.bones[bone] not in ARMS for bone in bones])
     body = Cones(*(part[kept] for part in cones(skeleton, frames, bones)))
     size = sight.person.probability.shape[-1]
-    x, y = (_thinned(part, size) for part in cells(size, pose.angles.dtype))
+    x, y = cells(size, pose.angles.dtype)
     at = _touched(camera, sight.region, body, x, y)
     rest, surface = jnp.min(at.distance, 0), nearest_surface(camera, body, at.distance)
     moved, _ = _turned(arms_of(skeleton, frames, grips))
+
+    def coverage(away: Array) -> Array:
+        return jax.nn.sigmoid(-away / softness)
 
     def drawn(side: int) -> tuple[Array, Array]:
         """Of one arm's candidates: distances (N, C) to their outlines, what forearms show."""
@@ -247,7 +257,7 @@ def sight_costs(
             ends = (to_camera(camera, end)[:, 2:] for end in (limb.near, limb.far))
             _, radius, hand = depth_along(at, *ends)
             depth = jnp.where(at.distance[1] < at.distance[2], radius, hand)
-            shown = _coverage(jnp.min(at.distance[1:], 0)) * unhidden(surface, depth)
+            shown = coverage(jnp.min(at.distance[1:], 0)) * unhidden(surface, depth)
             return jnp.min(at.distance, 0), shown
 
         return jax.vmap(of_candidate)(chosen[side])
@@ -255,7 +265,7 @@ def sight_costs(
     (left, left_shown), (right, right_shown) = drawn(0), drawn(1)
     away = jnp.minimum(jnp.minimum(left, rest)[:, None], right)
     shown = jnp.maximum(left_shown[:, None], right_shown)
-    return _squares(_coverage(away), sight.person) + _squares(shown, sight.forearms)
+    return _squares(coverage(away), sight.person) + _squares(shown, sight.forearms)
 
 
 def _touched(camera: Camera, region: Region, flesh: Cones, x: Array, y: Array) -> Touch:
@@ -264,16 +274,7 @@ def _touched(camera: Camera, region: Region, flesh: Cones, x: Array, y: Array) -
     return touch(Discs(*(part[:, None] for part in discs)), x, y)
 
 
-def _thinned(values: Array | np.ndarray, size: int) -> Array:
-    """Every ``STRIDE``-th cell of a grid's S * S to either side, as one row."""
-    return jnp.reshape(values, (size, size))[::STRIDE, ::STRIDE].ravel()
-
-
-def _coverage(away: Array) -> Array:
-    return jax.nn.sigmoid(-away / SOFTNESS)
-
-
 def _squares(picture: Array, grid: Grid) -> Array:
-    """Sums of squares (...) of pictures (..., C) against every ``STRIDE``-th cell of a grid."""
-    probability, weight = (_thinned(part, grid.weight.shape[-1]) for part in grid)
+    """Sums of squares (...) of pictures (..., C) against a grid of C cells."""
+    probability, weight = (jnp.ravel(part) for part in grid)
     return jnp.sum((weight * (picture - probability)) ** 2, -1)

@@ -33,6 +33,7 @@ from jaxmocap.images.silhouette import (
     coverage_fit,
     distances,
     frontmost,
+    halved,
 )
 
 # Feet are no cones, and shoes have colours of their own; pictures leave them out, too.
@@ -73,6 +74,16 @@ class Sight(NamedTuple):
         """The same with every grid changed."""
         legs = self.legs and self.legs._replace(person=call(self.legs.person))
         return Sight(self.region, call(self.person), call(self.forearms), legs)
+
+    def halved(self) -> "Sight":
+        """The same on grids of half as many cells to a side."""
+        coarse, legs = self.each_grid(halved), self.legs and _coarser(self.legs.region)
+        coarse = coarse._replace(region=_coarser(self.region))
+        return coarse._replace(legs=coarse.legs and coarse.legs._replace(region=legs))
+
+
+def _coarser(region: Region) -> Region:
+    return Region(region.origin, 2 * region.scale)
 
 
 def weighed(sight: Sight, settings: SmoothingSettings) -> Sight:

@@ -46,6 +46,8 @@ from jaxmocap.solvers.trajectory import Settings as Solve
 
 # Frames and sights per call: shapes that every recording shares, so that they compile once.
 FRAMES_A_CALL, SIGHTS_A_CALL = 64, 16
+# Pictures that fade over so many cells are drawn on cells twice as large, which costs a quarter.
+COARSELY = 1.5
 
 
 class Sights(NamedTuple):
@@ -118,8 +120,7 @@ def smooth_poses(
     trajectory, ended = start, None
     with two_workers() as workers:
         for soft in softness:
-            seen = softened(problem, soft)
-            linearise = partial(linearise_poses, seen, soft, workers)
+            linearise = partial(linearise_poses, *drawn_at(problem, soft), workers)
             ended = smooth(linearise, moved_by, trajectory, prior, solve)
             trajectory = ended.x
     assert ended is not None
@@ -148,6 +149,15 @@ def softened(problem: Problem, softness: float) -> Problem:
     soft = problem.sights.sight.each_grid(lambda grid: blurred(grid, softness))
     counting = weighed(soft, problem.settings)
     return replace(problem, sights=problem.sights._replace(sight=counting))
+
+
+def drawn_at(problem: Problem, softness: float) -> tuple[Problem, float]:
+    """The same, softened, on cells that are as large as that allows, and the softness in those."""
+    seen = softened(problem, softness)
+    if softness < COARSELY:
+        return seen, softness
+    coarse = seen.sights.sight.halved()
+    return replace(seen, sights=seen.sights._replace(sight=coarse)), softness / 2
 
 
 @jax.jit

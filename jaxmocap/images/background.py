@@ -150,10 +150,14 @@ def gain(pixels: np.ndarray, expected: np.ndarray) -> np.ndarray | None:
         if telling.sum() < FEWEST:
             return None
         ratios = a[telling] / b[telling]
-        middle = np.median(ratios)
-        near = np.abs(ratios - middle)
-        gains[channel] = np.median(ratios[near <= 2 * np.median(near)])
+        near = np.abs(ratios - _middle(ratios))
+        gains[channel] = _middle(ratios[near <= 2 * _middle(near)])
     return gains if (gains < MOST_GAIN).all() and (gains > 1 / MOST_GAIN).all() else None
+
+
+def _middle(values: np.ndarray) -> float:
+    """The median of many values, or the one beside it: NumPy's own takes several times as long."""
+    return np.partition(values, len(values) // 2)[len(values) // 2]
 
 
 def regained(frame: np.ndarray, gains: np.ndarray | None) -> np.ndarray:

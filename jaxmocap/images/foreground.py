@@ -31,6 +31,8 @@ COLOURS_ALONE = 0.5
 SURE_ODDS = 1.0
 # Blur of the log-odds, pixels.
 SOFTNESS = 0.8
+# What blurring reaches beyond what is asked for, pixels.
+AROUND_PX = 4
 # Log-odds from which a pixel has its full weight.
 FULL_WEIGHT_ODDS = 2.0
 
@@ -93,6 +95,23 @@ def log_odds(
     return cv2.GaussianBlur(trust * np.clip(odds, -MOST_ODDS, MOST_ODDS), (0, 0), SOFTNESS)
 
 
+def log_odds_of(
+    frame: np.ndarray,
+    background: Background,
+    colours: Colours,
+    body: np.ndarray,
+    alone: float = COLOURS_ALONE,
+) -> np.ndarray:
+    """``log_odds`` (h, w) in the box about a body (h, w) bool, and 0 elsewhere."""
+    odds = np.zeros(body.shape, np.float32)
+    rows, columns = (np.flatnonzero(body.any(axis)) for axis in (1, 0))
+    if len(rows):
+        around = (slice(max(i[0] - AROUND_PX, 0), i[-1] + 1 + AROUND_PX) for i in (rows, columns))
+        window = tuple(around)
+        odds[window] = log_odds(frame, background, colours, alone, window)
+    return odds
+
+
 def _like(frame: np.ndarray, background: Background) -> np.ndarray:
     """Density (h, w), per cubic grey level, of a frame's colours under background, lit or shaded.
 
@@ -137,7 +156,12 @@ def learn_foreground(
     colours, covered = learn_colours(frames, cores, bodies), bodies
     background = learn_background(frames, covered)
     for _ in range(rounds - 1):
-        odds = np.stack([log_odds(frame, background, colours, alone=0) for frame in frames])
+        odds = np.stack(
+            [
+                log_odds_of(frame, background, colours, body, alone=0)
+                for frame, body in zip(frames, bodies, strict=True)
+            ]
+        )
         background = learn_background(frames, cores | (bodies & (odds > -SURE_ODDS)))
         colours = learn_colours(frames, cores & (odds >= 0), bodies)
     return background, colours

@@ -53,6 +53,18 @@ def blurred(grid: Grid, softness: float) -> Grid:
     return Grid(seen / np.maximum(weight, 1e-3), weight)
 
 
+def halved(grid: Grid) -> Grid:
+    """Grids (..., S, S) of half as many cells to a side; each counts as the four that it was."""
+
+    def mean(values: Array | np.ndarray) -> np.ndarray:
+        *batch, size, _ = values.shape
+        return np.reshape(values, (*batch, size // 2, 2, size // 2, 2)).mean((-3, -1))
+
+    weight = mean(grid.weight)
+    seen = mean(grid.probability * grid.weight) / np.maximum(weight, 1e-3)
+    return Grid(seen, 2 * weight)
+
+
 class CoverageFit(NamedTuple):
     """Sum of squared differences over K limbs, about their present places.
 

@@ -39,13 +39,14 @@ from jaxmocap.hybrid.trust import trust_in
 from jaxmocap.images.background import spread
 from jaxmocap.images.foreground import shrink
 from jaxmocap.run.judging import Judged, judge
+from jaxmocap.run.kept_frames import kept
 
 # Cells over which silhouettes fade, from solve to solve: roughly first, in the end as seen.
 ROUGHLY, DECIDING, FINELY = (3.0, 1.5), (1.5,), (1.5, 0.8)
 # A solve that only prepares the next look ends where the cost falls by no more than this share.
-PREPARED = 1e-3
-# So many times candidates decide where the elbows are.
-DECISIONS = 2
+PREPARED = 3e-3
+# So many times candidates decide where the elbows are: a second time moved none.
+DECISIONS = 1
 # Over so many seconds the markers' facing is averaged: a person turns more slowly than it errs.
 TURNING_S = 0.5
 
@@ -134,7 +135,7 @@ def smooth_recording(
     looks = [look for look in _looks(first_pass.timeline) if len(look.events)]
     if not looks:
         return None
-    cameras = tracker.cameras
+    cameras, videos = tracker.cameras, kept(videos, ROWS)
     known, times = _known(tracker, first_pass), first_pass.timeline.event_times
 
     def looked(found: Trajectory) -> Problem:
@@ -200,10 +201,14 @@ def _looks(timeline: Timeline) -> list[Look]:
     ]
 
 
+# As one program: step by step each step would compile for every number of events.
+_turns = jax.jit(jax.vmap(quaternion_to_matrix))
+
+
 def _known(tracker: HybridTracker, first_pass: FirstPass) -> Known:
     """What is known of each event besides its sights."""
     times, alone = first_pass.timeline.event_times, first_pass.alone
-    R = np.asarray(jax.vmap(quaternion_to_matrix)(jnp.asarray(alone.quaternion, float)))
+    R = np.asarray(_turns(jnp.asarray(alone.quaternion, float)))
     ahead = R[:, :2, 0]
     step = np.median(np.diff(times)) if len(times) > 1 else 1.0
     ahead = gaussian_filter1d(ahead, TURNING_S / step, axis=0, mode="nearest")
