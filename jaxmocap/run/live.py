@@ -34,8 +34,8 @@ from jaxmocap.run.live_recording import LiveRecording
 from jaxmocap.run.live_status import LiveStatus
 from jaxmocap.run.live_tracking import LiveTracking, Output
 
-# Samples that may wait: about 0.1 s of a headset's; smoothing takes longer at a time.
-WAITING, WAITING_SMOOTH = 10, 30
+# Samples that may wait: a quarter of a second of a headset's, for the machine may be busy.
+WAITING = 24
 # A stream that was silent for so long is said to be; poses are then no news, seconds.
 SILENT_S = 0.3
 # How often those who receive poses are told that there are none, seconds.
@@ -78,7 +78,7 @@ class Live:
         """
         self.status = status or LiveStatus()
         self._setup, self._viewer = setup, viewer
-        self._inbox = Inbox(WAITING_SMOOTH if smooth else WAITING)
+        self._inbox = Inbox(WAITING)
         self._began = monotonic()
         gathering = Gathering(
             setup.marker_names, setup.aliases, setup.R_world_source, self._take_sample
