@@ -71,6 +71,14 @@ def on_device(tree, dtype=None):
     return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), dtype or float), tree)
 
 
+@pytest.fixture(scope="module")
+def plainly_compiled():
+    """Compile without optimising: worth it where much is compiled and little of it computed."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
 @pytest.fixture(scope="session")
 def skeleton() -> Skeleton:
     """The paper's subject, float32."""

@@ -1,15 +1,10 @@
 """A small recording of somebody who sways before a striped wall: in memory, and as files."""
 
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-import jax
 import numpy as np
-from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
 from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
 from jaxmocap.body.pose import relaxed_pose
@@ -18,7 +13,6 @@ from jaxmocap.formats.calibration import write_calibration
 from jaxmocap.formats.recording import MarkerPlace, Recording, VideoSource, write_recording
 from jaxmocap.formats.trc import write_trc
 from jaxmocap.hybrid.tracker import HybridTracker
-from jaxmocap.run.compilation import keep_compiled
 from jaxmocap.run.recording import make_tracker
 from jaxmocap.synthetic.lens import look_at
 from jaxmocap.synthetic.recording import write_video
@@ -35,33 +29,6 @@ SIZE = (96, 72)
 HEIGHT = 1.75
 SAMPLES, MARKER_RATE, FRAMES, VIDEO_RATE = 24, 60, 12, 30
 CAMERA = look_at((3.0, 0.6, 1.3), (0.0, 0.0, 0.95), size=SIZE, focal=95.0, distortion=())
-
-
-CACHE_OPTIONS = (
-    "jax_compilation_cache_dir",
-    "jax_persistent_cache_min_compile_time_secs",
-    "jax_persistent_cache_min_entry_size_bytes",
-)
-
-
-@contextmanager
-def compiled_kept(folder: Path) -> Iterator[None]:
-    """Keep what compiles in a folder, as the commands do, and afterwards no longer."""
-    before = {name: getattr(jax.config, name) for name in CACHE_OPTIONS}
-    named = os.environ.get("JAX_COMPILATION_CACHE_DIR")
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
-    reset_cache()
-    try:
-        assert keep_compiled() == folder
-        yield
-    finally:
-        for name, value in before.items():
-            jax.config.update(name, value)
-        reset_cache()
-        if named is None:
-            del os.environ["JAX_COMPILATION_CACHE_DIR"]
-        else:
-            os.environ["JAX_COMPILATION_CACHE_DIR"] = named
 
 
 @cache

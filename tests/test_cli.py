@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_recording import SAMPLES, compiled_kept, write_small_recording
+from small_recording import SAMPLES, write_small_recording
 
 from jaxmocap.cli import EXAMPLES, main
 from jaxmocap.formats.trc import write_trc
@@ -17,12 +17,6 @@ from jaxmocap.run.compilation import cache_folder
 
 OUTPUTS = {"joints.trc", "angles.mot", "motion.npz", "motion.bvh", "motion.glb"}
 OUTPUTS |= {"angles_isb.mot", "report.json", "overlay.mp4", "recording.rrd"}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def kept(tmp_path_factory):
-    with compiled_kept(tmp_path_factory.getbasetemp() / "compiled"):
-        yield
 
 
 @pytest.fixture
@@ -38,7 +32,7 @@ def folder(tmp_path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def tracked(tmp_path_factory, kept):
+def tracked(tmp_path_factory):
     """A small recording that the command has tracked, and what it printed on stdout and stderr."""
     folder = tmp_path_factory.mktemp("tracked")
     recording = write_small_recording(folder)

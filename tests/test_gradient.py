@@ -35,6 +35,8 @@ from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.hybrid.trajectory import all_turned
 from jaxmocap.solvers.status import Status
 
+pytestmark = pytest.mark.usefixtures("plainly_compiled")
+
 CAMERAS = stacked(FRONT)
 DOFS = arm_dofs(PERSON.tree)
 HELD = effectors(PERSON, MARKERS)

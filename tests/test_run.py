@@ -12,7 +12,6 @@ from small_recording import (
     SAMPLES,
     VIDEO_RATE,
     compiled,
-    compiled_kept,
     image,
     small_recording,
     with_frames,
@@ -21,8 +20,8 @@ from small_recording import (
 from jaxmocap.body.motion import Motion
 from jaxmocap.capture.video import open_video
 from jaxmocap.evaluation.motions import evaluate
-from jaxmocap.formats.filters import Filters
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.filters import Filters
 from jaxmocap.formats.markers import read_markers
 from jaxmocap.formats.npz import load_motion
 from jaxmocap.formats.recording import Recording
@@ -37,12 +36,6 @@ from jaxmocap.run.summary import frames_per_second, summary
 from jaxmocap.run.writing import arm_edges, thinned, write_outputs
 
 WRISTS = {"wrist_l": "LWrist", "wrist_r": "RWrist"}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def kept(tmp_path_factory):
-    with compiled_kept(tmp_path_factory.getbasetemp() / "compiled"):
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +61,13 @@ def test_every_marker_sample_has_a_pose_on_its_markers(tracked):
         np.testing.assert_allclose(motion.report.marker_errors[:, i], away, atol=1e-4)
 
 
+def test_the_first_row_is_settled_already(tracked):
+    errors = tracked.motion.report.marker_errors
+    assert errors[0].max() < errors.max() + 0.002
+    turned = np.abs(np.diff(tracked.markers_only.poses.angles, axis=0))
+    assert turned[0].max() < 2 * turned.max(1)[1:].max()
+
+
 def test_filters_are_reported():
     recording = small_recording()
     positions = recording.positions_world.copy()
@@ -82,13 +82,6 @@ def test_filters_are_reported():
     assert not said(motion, "marker RWrist is missing")
     assert "hampel = True, gaps = 0.06" in summary(motion)
     assert motion.report.marker_errors.max() < 0.03, "nothing followed the outlier"
-
-
-def test_the_first_row_is_settled_already(tracked):
-    errors = tracked.motion.report.marker_errors
-    assert errors[0].max() < errors.max() + 0.002
-    turned = np.abs(np.diff(tracked.markers_only.poses.angles, axis=0))
-    assert turned[0].max() < 2 * turned.max(1)[1:].max()
 
 
 def test_the_markers_only_motion_has_the_same_times_and_other_elbows(tracked):

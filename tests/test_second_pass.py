@@ -1,5 +1,7 @@
 """The second pass over a recording: what it sees in the frames, what is missing, what it finds."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 
@@ -86,8 +88,8 @@ def second_pass(frames=None, mode="own", start=None, shown=None) -> Smoothed | N
     return smooth_recording(tracker(), [video], done, show)
 
 
-@pytest.fixture
-def problems(monkeypatch):
+@contextmanager
+def unsolved() -> Iterator[list[Problem]]:
     """What is to be smoothed, round by round, instead of smoothing it."""
     kept: list[Problem] = []
 
@@ -99,8 +101,23 @@ def problems(monkeypatch):
         shape = (len(problem.times), len(LANDMARKS))
         return Trust(np.full((*shape, 3), 0.02), np.zeros(shape))
 
-    monkeypatch.setattr(smoothing, "smooth_poses", keep)
-    monkeypatch.setattr(smoothing, "trust_in", trust)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(smoothing, "smooth_poses", keep)
+        patch.setattr(smoothing, "trust_in", trust)
+        yield kept
+
+
+@pytest.fixture
+def problems():
+    with unsolved() as kept:
+        yield kept
+
+
+@cache
+def usual() -> list[Problem]:
+    """All rounds where nothing is missing: seen once, read by many tests."""
+    with unsolved() as kept:
+        second_pass()
     return kept
 
 
@@ -126,9 +143,8 @@ def on_grid(share: np.ndarray, region, i: int, cells: int) -> np.ndarray:
 # What it sees ------------------------------------------------------------------------------------
 
 
-def test_the_grids_show_the_person_and_the_bare_forearms(problems):
-    second_pass()
-    seen = problems[-1].sights
+def test_the_grids_show_the_person_and_the_bare_forearms():
+    seen = usual()[-1].sights
     np.testing.assert_array_equal(seen.frame, np.arange(0, 2 * FRAMES, 2))
     assert not seen.camera.any()
     upper, whole, forearms, legs = seen.sight
@@ -145,9 +161,8 @@ def test_the_grids_show_the_person_and_the_bare_forearms(problems):
             assert (grid.probability[i][outside] < 0.5).mean() > 0.97, part
 
 
-def test_a_head_and_a_pelvis_tell_nothing(problems):
-    second_pass()
-    sight = problems[-1].sights.sight
+def test_a_head_and_a_pelvis_tell_nothing():
+    sight = usual()[-1].sights.sight
     for name in ("head", "pelvis"):
         point = points_of(true_poses())[0, list(LANDMARKS).index(name)]
         pixel = np.asarray(project(CAMERA, jnp.asarray(point, float)))
@@ -179,8 +194,7 @@ def test_no_frame_that_can_be_read_tells_nothing_either(problems):
 
 
 def test_a_video_narrower_than_its_calibration_keeps_its_pixels_in_place(problems):
-    second_pass()
-    whole = problems[-1].sights.sight
+    whole = usual()[-1].sights.sight
     second_pass([image[:, :-9] for image in images()])
     narrow = problems[-1].sights.sight
     np.testing.assert_array_equal(narrow.region.origin, whole.region.origin)
@@ -203,8 +217,7 @@ def test_a_frame_that_serves_several_samples_is_looked_at_for_each(problems):
     assert any(np.quantile(a[b], 0.95) < 1e-6 for a, b in zip(away, both, strict=True))
     own = np.arange(0, 2 * FRAMES, 2)
     assert len(problems) == 2 + smoothing.DECISIONS
-    second_pass()
-    alone = problems[-1].sights.sight.person.probability
+    alone = usual()[-1].sights.sight.person.probability
     np.testing.assert_allclose(seen.sight.person.probability[own].mean(), alone.mean(), atol=0.01)
 
 

@@ -13,6 +13,9 @@ from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 
+# Poses at least in one call of the landmarks' function.
+FEWEST = 64
+
 
 @dataclass(frozen=True)
 class Report:
@@ -73,8 +76,12 @@ class Motion:
 
 def landmarks_over_time(skeleton: Skeleton, poses: Pose) -> np.ndarray:
     """Positions (T, L, 3) of the ``LANDMARKS``, world, metres, of poses (T, ...)."""
-    return np.asarray(_over_time(skeleton, Pose(*(jnp.asarray(part, float) for part in poses))))
+    count = len(poses.angles)
+    # Motions of many lengths share few compilations: the last pose fills up to a power of two.
+    rows = np.minimum(np.arange(max(FEWEST, 1 << (count - 1).bit_length())), count - 1)
+    filled = (jnp.asarray(np.asarray(part, float)[rows], float) for part in poses)
+    return np.asarray(_over_time(skeleton, Pose(*filled)))[:count]
 
 
-# Of the module, so that motions of one length and skeleton share one compilation.
+# Of the module, so that motions of one skeleton share them.
 _over_time = jax.jit(jax.vmap(landmarks, (None, 0)))
