@@ -22,6 +22,7 @@ EXAMPLES = {
     "view": "jaxmocap view tracked",
     "live": "jaxmocap live live.toml --out session",
     "convert": "jaxmocap convert tracked/motion.npz motion.bvh --unit cm",
+    "offsets": "jaxmocap offsets turning.toml --turning 5,20 --still 0,3",
     "calibrate": "jaxmocap calibrate intrinsics --help",
     "intrinsics": "jaxmocap calibrate intrinsics board*.jpg --board 4x7 --square 0.06 "
     "--camera cam_01 --out calibration.toml --pictures checked",
@@ -85,6 +86,9 @@ def make_parser() -> Parser:
     run_arguments.add_convert(
         _command(commands, "convert", convert, "make a file into another that carries the same")
     )
+    offsets_parser = _command(commands, "offsets", offsets, "find where devices sit in the hands")
+    setup_arguments.add_offsets(offsets_parser)
+    _add_json(offsets_parser)
     calibrate = _command(commands, "calibrate", None, "calibrate a camera by a chessboard")
     kinds = calibrate.add_subparsers(dest="kind", required=True, metavar="KIND")
     inside = _command(kinds, "intrinsics", calibrate_intrinsics, "find focal length and lens")
@@ -270,6 +274,16 @@ def live(options: argparse.Namespace) -> None:
         view=options.view,
     )
     _report(options, live_summary(figures), figures)
+
+
+def offsets(options: argparse.Namespace) -> None:
+    """Find where devices sit seen from the joints they turn about."""
+    from jaxmocap.setup.offsets import find_offsets
+    from jaxmocap.setup.offsets_report import offsets_figures, offsets_text
+
+    span = options.turning or (float("-inf"), float("inf"))
+    found = find_offsets(options.recording, options.still, span)
+    _report(options, offsets_text(found), offsets_figures(found))
 
 
 def calibrate_intrinsics(options: argparse.Namespace) -> None:

@@ -155,6 +155,22 @@ def load_recording(path: str | Path) -> Recording:
     )
 
 
+def load_markers(path: str | Path) -> tuple[Markers, tuple[MarkerPlace, ...]]:
+    """The markers of a recording file as measured, in the world's axes, and their places.
+
+    Raises:
+        InputError: see ``load_recording``.
+    """
+    path = Path(path)
+    keys = ("markers", "video", "calibration", "subject")
+    markers, places, _ = _read_marked(Fields(path, "", read_toml(path), keys))
+    bones = Skeleton.human().tree.bones
+    for place in places:
+        if place.bone not in bones:
+            raise InputError(path, f"[markers.on] {place.name}: unknown bone {place.bone!r}")
+    return markers, places
+
+
 def _read_marked(top: Fields) -> tuple[Markers, tuple[MarkerPlace, ...], Filters]:
     """The markers of [markers.on] in the world's axes, their places, and their filters."""
     keys = ("file", "up", "to_world", "on", "filters", "rigid")

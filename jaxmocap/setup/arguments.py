@@ -23,6 +23,12 @@ four on a plane, better six or more that are not."""
 # Options whose value may begin with a minus, which is no option then.
 SIGNED = ("--pose", "--origin")
 
+TURNING = """\
+For every marker that says how it is turned: where it sits seen from its bone's joint, in its own
+axes. Rest the forearms on a table and turn the hands about the wrists for ten seconds or more: up
+and down, to the sides, and twisting; nod, turn and tilt the head. Prints lines for [markers.on]
+(those of a doubtful answer are left out) and their standard deviations."""
+
 
 def add_intrinsics(parser: argparse.ArgumentParser) -> None:
     """Options of ``calibrate intrinsics``."""
@@ -98,6 +104,25 @@ def positive(text: str) -> float:
     if not 0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"found {text}, expected a positive number")
     return value
+
+
+def add_offsets(parser: argparse.ArgumentParser) -> None:
+    """Options of ``offsets``."""
+    parser.description = f"{parser.description}\n\n{TURNING}"
+    parser.add_argument("recording", metavar="RECORDING.toml")
+    parser.add_argument(
+        "--turning",
+        metavar="S,S",
+        type=_numbers(2),
+        help="from when to when the devices turn about resting joints, seconds; default: always",
+    )
+    parser.add_argument(
+        "--still",
+        metavar="S,S",
+        type=_numbers(2),
+        help="from when to when you stand upright, arms hanging, thumbs and nose forward; tells "
+        "how the devices are held",
+    )
 
 
 def _counts(text: str) -> tuple[int, int]:

@@ -98,6 +98,39 @@ def measured(
     return points, turns
 
 
+def pivoting(
+    times: np.ndarray,
+    seed: int = 0,
+    swing_deg: tuple[float, float, float] = (30.0, 25.0, 15.0),
+    stray_m: float = 0.003,
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """What devices tell at (T,) seconds that turn about joints which nearly rest.
+
+    Args:
+        times: seconds.
+        seed: of motion and noise.
+        swing_deg: how far each turns about its bone's left, forward and upright axes.
+        stray_m: how far each joint wanders, metres.
+
+    Returns:
+        (T, 3) places and (T, 3, 3) turns, with noise.
+    """
+    rng = np.random.default_rng([seed, 6])
+    noise = marker_noise(times, len(DEVICES), rng)
+    joints = {"head": (0.0, 0.0, 1.5), "hand_l": (0.3, 0.2, 0.8), "hand_r": (0.3, -0.2, 0.8)}
+    points, turns = {}, {}
+    for i, (name, device) in enumerate(DEVICES.items()):
+        paces, starts = rng.uniform(2.0, 5.0, (2, 3)), rng.uniform(0, 6, (2, 3))
+        swings = np.radians(swing_deg) * np.sin(times[:, None] * paces[0] + starts[0])
+        R = Rotation.from_euler("YXZ", swings).as_matrix() @ device.R_bone_device
+        offset = device.R_bone_device.T @ device.offset_bone
+        joint = joints[device.bone] + stray_m * np.sin(times[:, None] * paces[1] / 3 + starts[1])
+        points[name] = joint + R @ offset + noise[:, i]
+        shake = Rotation.from_rotvec(rng.normal(0, JITTER_RAD, (len(times), 3)))
+        turns[name] = shake.as_matrix() @ R
+    return points, turns
+
+
 def device_places(oriented: bool) -> dict[str, dict[str, Any]]:
     """The table [markers.on] of the devices."""
     places: dict[str, dict[str, Any]] = {}
