@@ -5,14 +5,14 @@ Exit codes: 0 done, 2 bad input (one sentence on stderr), 130 interrupted.
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 from jaxmocap import __version__
 from jaxmocap.formats.errors import InputError
 from jaxmocap.run import arguments as run_arguments
 from jaxmocap.setup import arguments as setup_arguments
-from jaxmocap.setup.arguments import positive, with_signs
+from jaxmocap.setup.arguments import with_signs
 
 EXAMPLES = {
     "demo": "jaxmocap demo --out jaxmocap-demo",
@@ -70,13 +70,17 @@ def make_parser() -> Parser:
     )
     parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    _add_demo(_command(commands, "demo", demo, "make a synthetic recording and track it"))
+    _with_json(
+        run_arguments.add_demo,
+        _command(commands, "demo", demo, "make a synthetic recording and track it"),
+    )
     check_parser = _command(commands, "check", check, "look for mistakes in a recording's file")
     check_parser.add_argument("recording", metavar="RECORDING.toml")
     _add_json(check_parser)
-    _add_track(_command(commands, "track", track, "track a recording"))
-    _add_evaluate(
-        _command(commands, "evaluate", evaluate, "compare tracked joints with a reference")
+    _with_json(run_arguments.add_track, _command(commands, "track", track, "track a recording"))
+    _with_json(
+        run_arguments.add_evaluate,
+        _command(commands, "evaluate", evaluate, "compare tracked joints with a reference"),
     )
     view_parser = _command(commands, "view", view, "show what track wrote in the rerun viewer")
     view_parser.add_argument("directory", metavar="DIR", help="what track --out was given")
@@ -111,89 +115,15 @@ def _command(commands: Any, name: str, run: Any, purpose: str) -> Parser:
     return parser
 
 
+def _with_json(add: Callable[[argparse.ArgumentParser], None], parser: Parser) -> None:
+    add(parser)
+    _add_json(parser)
+
+
 def _add_json(parser: Parser) -> None:
     parser.add_argument(
         "--json", metavar="FILE", help="write the figures as JSON; - for standard output"
     )
-
-
-def _add_demo(parser: Parser) -> None:
-    parser.add_argument(
-        "--out", metavar="DIR", default="jaxmocap-demo", help="default: %(default)s"
-    )
-    parser.add_argument("--seconds", type=positive, default=6.0, help="default: %(default)s")
-    parser.add_argument("--seed", type=int, default=0, help="of person, room, strokes and noise")
-    _add_json(parser)
-
-
-def _add_track(parser: Parser) -> None:
-    parser.add_argument("recording", metavar="RECORDING.toml")
-    parser.add_argument("--out", metavar="DIR", required=True, help="where to write")
-    parser.add_argument(
-        "--refine",
-        choices=("simplex", "gradient", "none"),
-        default="simplex",
-        help="how video refines the markers' pose: each arm by a simplex, the whole body by "
-        "least squares, or not at all (markers only)",
-    )
-    mode = parser.add_mutually_exclusive_group()
-    mode.add_argument(
-        "--causal",
-        dest="mode",
-        action="store_const",
-        const="causal",
-        help="use no later marker or frame than a live run would, which smooths each pose once it "
-        "has seen two more video frames",
-    )
-    mode.add_argument(
-        "--nearest",
-        dest="mode",
-        action="store_const",
-        const="nearest",
-        help="use the frame nearest to each marker sample, as in the paper",
-    )
-    parser.add_argument(
-        "--paper", action="store_true", help="the paper's edges, cost and simplex, no memory"
-    )
-    parser.add_argument(
-        "--cameras", metavar="A,B", type=_names, help="use these of the recording's cameras"
-    )
-    parser.add_argument(
-        "--height", metavar="M", type=positive, help="metres, in place of the [subject]"
-    )
-    parser.set_defaults(mode="own")
-    _add_json(parser)
-
-
-def _add_evaluate(parser: Parser) -> None:
-    parser.add_argument("directory", metavar="DIR", help="what track --out was given")
-    parser.add_argument("truth", metavar="TRUTH.trc", help="reference: .trc .csv .c3d .bvh .glb")
-    parser.add_argument(
-        "--match",
-        metavar="JOINT=MARKER",
-        type=_pair,
-        nargs="+",
-        required=True,
-        help="a joint and its marker in the reference",
-    )
-    parser.add_argument(
-        "--up", choices=("y", "z"), help="the reference's vertical; default: y of .bvh .glb, else z"
-    )
-    parser.add_argument(
-        "--offset", metavar="S", type=float, default=0.0, help="add to the reference's times"
-    )
-    _add_json(parser)
-
-
-def _names(text: str) -> list[str]:
-    return [name.strip() for name in text.split(",")]
-
-
-def _pair(text: str) -> tuple[str, str]:
-    joint, equals, marker = text.partition("=")
-    if not (joint and equals and marker):
-        raise argparse.ArgumentTypeError(f"found {text!r}, expected JOINT=MARKER")
-    return joint, marker
 
 
 def demo(options: argparse.Namespace) -> None:

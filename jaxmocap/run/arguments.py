@@ -1,6 +1,6 @@
-"""What ``convert`` takes on the command line, and the text that explains it.
+"""What commands of this room take on the command line, and texts that explain it.
 
-INPUTS: the command's parser. OUTPUTS: the parser with its options.
+INPUTS: a command's parser. OUTPUTS: the parser with its options.
 """
 
 import argparse
@@ -74,3 +74,82 @@ def add_view(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--port", metavar="N", type=int, default=9090, help="of the page; default: %(default)s"
     )
+
+
+def add_demo(parser: argparse.ArgumentParser) -> None:
+    """Options of ``demo``."""
+    parser.add_argument(
+        "--out", metavar="DIR", default="jaxmocap-demo", help="default: %(default)s"
+    )
+    parser.add_argument("--seconds", type=positive, default=6.0, help="default: %(default)s")
+    parser.add_argument("--seed", type=int, default=0, help="of person, room, strokes and noise")
+
+
+def add_track(parser: argparse.ArgumentParser) -> None:
+    """Options of ``track``."""
+    parser.add_argument("recording", metavar="RECORDING.toml")
+    parser.add_argument("--out", metavar="DIR", required=True, help="where to write")
+    parser.add_argument(
+        "--refine",
+        choices=("simplex", "gradient", "none"),
+        default="simplex",
+        help="how video refines the markers' pose: each arm by a simplex, the whole body by "
+        "least squares, or not at all (markers only)",
+    )
+    mode = parser.add_mutually_exclusive_group()
+    mode.add_argument(
+        "--causal",
+        dest="mode",
+        action="store_const",
+        const="causal",
+        help="use no later marker or frame than a live run would, which smooths each pose once it "
+        "has seen two more video frames",
+    )
+    mode.add_argument(
+        "--nearest",
+        dest="mode",
+        action="store_const",
+        const="nearest",
+        help="use the frame nearest to each marker sample, as in the paper",
+    )
+    parser.add_argument(
+        "--paper", action="store_true", help="the paper's edges, cost and simplex, no memory"
+    )
+    parser.add_argument(
+        "--cameras", metavar="A,B", type=_names, help="use these of the recording's cameras"
+    )
+    parser.add_argument(
+        "--height", metavar="M", type=positive, help="metres, in place of the [subject]"
+    )
+    parser.set_defaults(mode="own")
+
+
+def add_evaluate(parser: argparse.ArgumentParser) -> None:
+    """Options of ``evaluate``."""
+    parser.add_argument("directory", metavar="DIR", help="what track --out was given")
+    parser.add_argument("truth", metavar="TRUTH.trc", help="reference: .trc .csv .c3d .bvh .glb")
+    parser.add_argument(
+        "--match",
+        metavar="JOINT=MARKER",
+        type=_pair,
+        nargs="+",
+        required=True,
+        help="a joint and its marker in the reference",
+    )
+    parser.add_argument(
+        "--up", choices=("y", "z"), help="the reference's vertical; default: y of .bvh .glb, else z"
+    )
+    parser.add_argument(
+        "--offset", metavar="S", type=float, default=0.0, help="add to the reference's times"
+    )
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",")]
+
+
+def _pair(text: str) -> tuple[str, str]:
+    joint, equals, marker = text.partition("=")
+    if not (joint and equals and marker):
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected JOINT=MARKER")
+    return joint, marker
