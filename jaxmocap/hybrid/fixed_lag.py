@@ -28,9 +28,10 @@ from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
 from jaxmocap.body.pose import Pose, difference, pack, retract, unpack
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.geometry.rotations import quaternion_to_matrix
-from jaxmocap.hybrid.newest import SOFTNESS, Event, Newest, Solved, offsets, sight_on_device
+from jaxmocap.hybrid.newest import SOFTNESS, Event, Newest, Solved, offsets, stacked
 from jaxmocap.hybrid.residuals import GROUND, NO_GOALS, Known, feet_free
 from jaxmocap.hybrid.running_appearance import RunningAppearance, Seen
+from jaxmocap.hybrid.silhouette import weighed
 from jaxmocap.hybrid.tracker import HybridTracker, StepReport
 from jaxmocap.hybrid.trust import trusted
 from jaxmocap.solvers.fading import Fading
@@ -68,7 +69,10 @@ class Given(NamedTuple):
     from_prior: np.ndarray
 
 
-_retract = jax.jit(retract)
+@jax.jit
+def _retract(packed: Array, step: Array) -> Array:
+    """A packed pose (7 + D,) moved by a tangent vector."""
+    return pack(retract(unpack(packed), step))
 
 
 @jax.jit
@@ -175,12 +179,15 @@ class FixedLagSmoother:
     ) -> Event:
         """A step with the pose that is expected there, and what the cameras saw about it."""
         dtype = self.tracker.dtype
-        first, alone = (Pose(*(np.asarray(p, dtype) for p in each)) for each in (pose, report.pose))
+        first, alone = (
+            Pose._make(np.asarray(part, dtype) for part in each) for each in (pose, report.pose)
+        )
         last = self._newest.events[-1] if self._newest.events else None
         before = alone if last is None or self._alone is None else self._alone
         three = [np.concatenate(each) for each in (last.pose if last else first, before, alone)]
         told = np.asarray(_expected(self.tracker.skeleton, np.stack(three)))
-        there, (ahead, up, ankles) = unpack(told[:-10]), np.split(told[-10:], (2, 4))
+        there = Pose._make(np.split(told[:-10], (3, 7)))
+        ahead, up, ankles = np.split(told[-10:], (2, 4))
         self._alone = alone
         facing = self._facing(ahead, 0.0 if last is None else time - last.time)
         targets, facing = np.asarray(markers_world, dtype), facing.astype(dtype)
@@ -195,9 +202,9 @@ class FixedLagSmoother:
         return Event(self._count - 1, float(time), known, there, first, spread, looks)
 
     def _seen(self, view: RunningAppearance, image: np.ndarray, pose: Pose) -> Seen:
-        """What a camera saw about a pose, ready to be drawn over."""
+        """What a camera saw about a pose, counting as the settings say."""
         seen = view.see(image, pose, SOFTNESS)
-        return seen._replace(sight=sight_on_device(seen.sight, self.tracker.settings.over_time))
+        return seen._replace(sight=weighed(seen.sight, self.tracker.settings.over_time))
 
     def _facing(self, ahead: np.ndarray, elapsed: float) -> np.ndarray:
         """Where the markers' pose has faced of late, (3,) unit and horizontal."""
@@ -250,7 +257,8 @@ class FixedLagSmoother:
         if self._fading is None or len(known) < 2:
             return
         (_, time, _), (_, beside, _) = known
-        here, there = offsets([pose for *_, pose in known], [now[number] for number, *_ in known])
+        ours = stacked(now[number] for number, *_ in known)
+        here, there = offsets(stacked(pose for *_, pose in known), ours)
         self._fading = self._fading.corrected(here, (there - here) / (beside - time))
 
     def _faded(self, event: Event) -> Pose:
@@ -260,7 +268,8 @@ class FixedLagSmoother:
             self._fading = Fading(nothing, nothing, event.time)
         self._fading = self._fading.at(event.time, FADE_S)
         offset = self._fading.offset.astype(self.tracker.dtype)
-        return jax.device_get(_retract(event.pose, offset))
+        moved = np.asarray(_retract(np.concatenate(event.pose), offset))
+        return Pose._make(np.split(moved, (3, 7)))
 
     def _remember(self, last: int) -> None:
         """The event given out last and one beside it, as they are now."""

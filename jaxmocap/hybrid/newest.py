@@ -7,7 +7,7 @@ INPUTS: events with what is known of them and what the cameras saw.
 OUTPUTS: their poses, variances of their landmarks.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import jax
@@ -16,14 +16,14 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import Sites, landmarks
-from jaxmocap.body.pose import Pose, difference, retract
+from jaxmocap.body.pose import Pose, difference, pack, retract, unpack
 from jaxmocap.body.proportions import PROPORTIONS
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.hybrid.batches import in_batches
+from jaxmocap.hybrid.events import Drawn, Event, Standing
 from jaxmocap.hybrid.residuals import Known
-from jaxmocap.hybrid.running_appearance import Seen
-from jaxmocap.hybrid.silhouette import Sight, silhouette_fit, weighed
+from jaxmocap.hybrid.silhouette import Sight, silhouette_fit
 from jaxmocap.hybrid.smoothing import frames_fit
 from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
 from jaxmocap.hybrid.tracker import HybridTracker
@@ -53,73 +53,6 @@ EVENTS_A_CALL = 16
 NEAR_M = 0.008
 
 
-class Drawn(NamedTuple):
-    """What an event's silhouettes tell, about a pose where they were drawn.
-
-    Attributes:
-        points: (3 L,) the landmarks there, world, metres.
-        cost: () of it there.
-        hessian: (N, N) of half the cost, by the pose's tangent vector.
-        gradient: (N,) likewise.
-        offset: (N,) of the present pose.
-    """
-
-    points: np.ndarray
-    cost: float
-    hessian: np.ndarray
-    gradient: np.ndarray
-    offset: np.ndarray
-
-    def here(self) -> tuple[float, np.ndarray]:
-        """Cost and gradient at the present pose."""
-        turn = self.hessian @ self.offset
-        return self.cost + self.offset @ (2 * self.gradient + turn), self.gradient + turn
-
-
-@dataclass
-class Event:
-    """One step of the tracker, while it can still change.
-
-    Attributes:
-        number: of it, counted from 0.
-        time: seconds.
-        known: what is known of it besides its sights.
-        pose: as it is now.
-        first: as the tracker found it.
-        spread: (2,) the tracker's, of the elbows, metres.
-        looks: camera, what it saw, width and height of its frame.
-        drawn: what the looks told when they were last drawn; None before.
-        learned: whether the looks were learned from.
-    """
-
-    number: int
-    time: float
-    known: Known
-    pose: Pose
-    first: Pose
-    spread: np.ndarray
-    looks: list[tuple[int, Seen, tuple[int, int]]]
-    drawn: Drawn | None = None
-    learned: bool = False
-
-
-@dataclass
-class Standing:
-    """The window's events in certain poses.
-
-    Attributes:
-        poses: (T, ...) of which each is moved by
-        steps: (T, N), until linearising has done so.
-        drawn: of each event, at poses near by.
-        linear: the events there, once it was asked for.
-    """
-
-    poses: Pose
-    steps: np.ndarray
-    drawn: list[Drawn | None]
-    linear: Linearised | None = field(default=None)
-
-
 class Solved(NamedTuple):
     """Where a solve led.
 
@@ -132,8 +65,16 @@ class Solved(NamedTuple):
     seen: np.ndarray
 
 
-_differences = jax.jit(jax.vmap(difference))
-_landmarks = jax.jit(jax.vmap(landmarks, (None, 0)))
+@jax.jit
+def _differences(poses: Array, origins: Array) -> Array:
+    """Tangent vectors (T, 6 + D) from origins to poses, both (T, 7 + D) packed."""
+    return difference(unpack(poses), unpack(origins))
+
+
+@jax.jit
+def _landmarks(skeleton: Skeleton, poses: Array) -> Array:
+    """(T, L, 3) of packed poses (T, 7 + D)."""
+    return jax.vmap(landmarks, (None, 0))(skeleton, unpack(poses))
 
 
 @jax.jit
@@ -141,23 +82,24 @@ def _events_fit(
     skeleton: Skeleton,
     sites: Sites,
     settings: SmoothingSettings,
-    poses: Pose,
+    poses: Array,
     steps: Array,
     known: Known,
 ) -> tuple[Array, ...]:
-    """Poses (T, ...) moved by steps (T, N), and there what ``frames_fit`` tells of them."""
-    moved, usual = jax.vmap(retract)(poses, steps), jnp.zeros(len(PROPORTIONS), steps.dtype)
+    """Packed poses (T, 7 + D) moved by steps (T, N), and what ``frames_fit`` tells of them."""
+    moved, usual = retract(unpack(poses), steps), jnp.zeros(len(PROPORTIONS), steps.dtype)
     found = frames_fit(skeleton, usual, sites, settings, moved, known)
     cost, hessian, gradient, points, jacobian = found
     n = steps.shape[1]
-    return *moved, cost, hessian[:, :n, :n], gradient[:, :n], points, jacobian[:, :, :n]
+    return pack(moved), cost, hessian[:, :n, :n], gradient[:, :n], points, jacobian[:, :, :n]
 
 
 @jax.jit
 def _sight_fit(
-    skeleton: Skeleton, camera: Camera, settings: SmoothingSettings, pose: Pose, sight: Sight
+    skeleton: Skeleton, camera: Camera, settings: SmoothingSettings, packed: Array, sight: Sight
 ) -> tuple[Array, Array, Array]:
-    """What one camera's silhouettes tell of a pose: cost, J^T J (N, N) and J^T r (N,)."""
+    """What one camera's silhouettes tell of a packed pose: cost, J^T J (N, N) and J^T r (N,)."""
+    pose = unpack(packed)
     usual = jnp.zeros(len(PROPORTIONS), pose.angles.dtype)
     softness = jnp.asarray(SOFTNESS, pose.angles.dtype)
     cost, hessian, gradient = silhouette_fit(skeleton, usual, pose, camera, sight, softness)
@@ -165,14 +107,14 @@ def _sight_fit(
     return weight * cost, weight * hessian[:n, :n], weight * gradient[:n]
 
 
-def stacked(poses: list[Pose]) -> Pose:
-    """Poses (T, ...) of single ones."""
-    return Pose(*(np.stack(parts) for parts in zip(*poses, strict=True)))
+def stacked(poses: Iterable[Pose]) -> np.ndarray:
+    """Packed poses (T, 7 + D) of single ones."""
+    return np.stack([np.concatenate(pose) for pose in poses])
 
 
-def offsets(poses: list[Pose], origins: list[Pose]) -> np.ndarray:
-    """Tangent vectors (T, 6 + D) from origins to poses, float64."""
-    return np.asarray(_differences(stacked(poses), stacked(origins)), float)
+def offsets(poses: np.ndarray, origins: np.ndarray) -> np.ndarray:
+    """Tangent vectors (T, 6 + D) from packed origins to packed poses, float64."""
+    return np.asarray(_differences(poses, origins), float)
 
 
 class Newest:
@@ -203,24 +145,22 @@ class Newest:
 
     def _forget(self) -> None:
         self._pasts: tuple[Past | None, ...] = (None,) * len(self._weights)
-        self._origin: list[Pose] | None = None
+        self._origin: np.ndarray | None = None
 
     def solve(self) -> Solved:
         """Move all events' poses a step on, or to where the tracker's own opinion leads."""
         solved = self._rival() or self._steps(self._standing(), self._pasts[0], STEP)
         for i, event in enumerate(self.events):
-            event.pose = pose_at(solved.better.x.poses, i)
+            event.pose = Pose._make(np.split(solved.better.x.poses[i], (3, 7)))
             event.drawn = solved.better.x.drawn[i]
         return solved
 
     def variances(self, solved: Solved, chosen: list[int]) -> tuple[np.ndarray, np.ndarray]:
         """(F, L, 3) of the landmarks of some events: given all, and without the sights."""
-        linear = solved.better.linear
-        whole, frames = normal_equations(linear, self._prior()), np.array(chosen)
+        linear, frames = solved.better.linear, np.array(chosen)
+        whole, jacobian = normal_equations(linear, self._prior()), np.asarray(linear.jacobian)
         told, guessed = (
-            window_variances(
-                weakened(whole, (1 - weight) * solved.seen), linear.jacobian, past, frames
-            )
+            window_variances(weakened(whole, (1 - weight) * solved.seen), jacobian, past, frames)
             for weight, past in list(zip(self._weights, self._pasts, strict=True))[1:]
         )
         shape = len(chosen), len(LANDMARKS), 3
@@ -237,15 +177,15 @@ class Newest:
             for weight, past in zip(self._weights, self._pasts, strict=True)
         )
         dropped, self.events = self.events[:count], self.events[count:]
-        self._origin = [event.pose for event in self.events[:REACH]]
+        self._origin = solved.better.x.poses[count : count + REACH]
         return dropped
 
     def _standing(self, which: str = "pose") -> Standing:
         """As the events stand now, or as the tracker found them (``first``)."""
-        poses = stacked([getattr(event, which) for event in self.events])
+        poses = stacked(getattr(event, which) for event in self.events)
         own = which == "pose"
         drawn = [event.drawn if own else None for event in self.events]
-        return Standing(poses, np.zeros((len(drawn), 6 + poses.angles.shape[1])), drawn)
+        return Standing(poses, np.zeros((len(drawn), poses.shape[1] - 1)), drawn)
 
     def _prior(self, count: int | None = None) -> Smoothness:
         """Of the first so many events."""
@@ -257,12 +197,12 @@ class Newest:
         """Of the first two poses from where the past was made."""
         if self._origin is None:
             return np.zeros(0)
-        return offsets([pose_at(standing.poses, i) for i in range(REACH)], self._origin).ravel()
+        return offsets(standing.poses[:REACH], self._origin).ravel()
 
     def _steps(self, start: Standing, past: Past | None, settings: Settings) -> Solved:
         """Some steps from where the events stand."""
         improved = improve(
-            self._linearised, _moved, self._offset, start, self._prior(), past, settings
+            self._linearised, Standing.moved, self._offset, start, self._prior(), past, settings
         )
         nothing = np.zeros(np.shape(improved.linear.hessian)[1:])
         return Solved(
@@ -275,24 +215,22 @@ class Newest:
         if standing.linear is not None:
             return standing.linear
         tracker, shared = self._tracker, self._tracker.settings.over_time
-        known = Known(
-            *(
-                None if part[0] is None else np.stack(part)
-                for part in zip(*(event.known for event in self.events), strict=True)
-            )
-        )
+        parts = zip(*(event.known for event in self.events), strict=True)
+        known = Known._make(None if part[0] is None else np.stack(part) for part in parts)
         each = standing.poses, standing.steps.astype(tracker.dtype), known
         found = in_batches(
             lambda *batch: _events_fit(tracker.skeleton, tracker.markers, shared, *batch),
             each,
             EVENTS_A_CALL,
         )
-        *poses, cost, hessian, gradient, points, jacobian = found
-        standing.poses = Pose(*(part.astype(tracker.dtype) for part in poses))
+        poses, cost, hessian, gradient, points, jacobian = found
+        standing.poses = poses.astype(tracker.dtype)
         standing.steps = np.zeros_like(standing.steps)
         for i, event in enumerate(self.events):
             if event.looks:
-                drawn = self._drawn(event, pose_at(standing.poses, i), points[i], standing.drawn[i])
+                drawn = standing.drawn[i]
+                if drawn is None or np.abs(points[i] - drawn.points).max() > NEAR_M:
+                    drawn = self._drawn(event, standing.poses[i], points[i])
                 price, pull = drawn.here()
                 cost[i] += price
                 hessian[i] += drawn.hessian
@@ -301,17 +239,16 @@ class Newest:
         standing.linear = Linearised(cost, hessian, gradient, points, jacobian)
         return standing.linear
 
-    def _drawn(self, event: Event, pose: Pose, points: np.ndarray, last: Drawn | None) -> Drawn:
-        """What an event's looks tell about a pose with these landmarks: drawn anew if it is far."""
-        if last is not None and np.abs(points - last.points).max() < NEAR_M:
-            return last
+    def _drawn(self, event: Event, pose: np.ndarray, points: np.ndarray) -> Drawn:
+        """What an event's looks tell about a packed pose with these landmarks."""
         skeleton, settings = self._tracker.skeleton, self._tracker.settings.over_time
         told = [
             _sight_fit(skeleton, self.cameras[camera], settings, pose, seen.sight)
             for camera, seen, _ in event.looks
         ]
         cost, hessian, gradient = (
-            sum(np.asarray(part, float) for part in parts) for parts in zip(*told, strict=True)
+            np.sum([np.asarray(part, float) for part in parts], 0)
+            for parts in zip(*told, strict=True)
         )
         return Drawn(points, float(cost), hessian, gradient, np.zeros(len(gradient)))
 
@@ -336,22 +273,3 @@ class Newest:
             return own
         self._forget()
         return rival
-
-
-def pose_at(poses: Pose, i: int) -> Pose:
-    """One of poses (T, ...)."""
-    return Pose(*(part[i] for part in poses))
-
-
-def sight_on_device(sight: Sight, settings: SmoothingSettings) -> Sight:
-    """Where it is looked at again and again, its pictures counting as the settings say."""
-    return jax.tree.map(jnp.asarray, weighed(sight, settings))
-
-
-def _moved(standing: Standing, steps: np.ndarray) -> Standing:
-    """The same events some steps (T, N) on; what was drawn of them is left where it was."""
-    drawn = [
-        None if each is None else each._replace(offset=each.offset + step)
-        for each, step in zip(standing.drawn, steps, strict=True)
-    ]
-    return Standing(standing.poses, steps, drawn)

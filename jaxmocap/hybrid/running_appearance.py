@@ -47,6 +47,8 @@ from jaxmocap.images.silhouette import Grid, blurred
 
 # Rows of the images that silhouettes are learned from, fewer than for a whole recording.
 ROWS = 240
+# Frames that are all learned from, and of how many later ones one is.
+CURIOUS, EVERY = 60, 3
 # A part's pixels must at least not look like the background.
 UNLIKELY_ODDS = -0.5
 # A region's scale stays as it is while the person fills this much of it, so that cells do not swim.
@@ -129,7 +131,8 @@ class RunningAppearance:
         self._skeleton, self._camera, self._astray = skeleton, camera, astray
         self._upper = _Window(UPPER, CELLS, MARGIN)
         self._lower = _Window(LOWER, LEG_CELLS, LEG_MARGIN)
-        self._ignorant = True
+        self._offered, self._ignorant = 0, True
+        self._learned: Appearance | None = None
 
     def see(self, image: np.ndarray, pose: Pose, softness: float) -> Seen:
         """Look at a frame (H, W[, 3]) uint8 in which the body is expected in a pose.
@@ -142,30 +145,41 @@ class RunningAppearance:
         regions = Regions(self._upper.region(pixels), self._lower.region(pixels))
         if self._ignorant:
             self._learn(small, drawing, None, None)
-        background = self.background.background()
-        known = Appearance(background, self.person.colours(), self.forearms.colours())
+        known = self._known()
         odds, sight = body_sight(small, known, drawing, 0, regions)
         soft = sight.each_grid(lambda grid: _soft(grid, softness))
-        return Seen(small, odds, background.known > 0.5, soft)
+        return Seen(small, odds, known.background.known > 0.5, soft)
 
     def learn(self, seen: Seen, size: tuple[int, int], pose: Pose) -> None:
-        """Learn from a frame, whose full width and height is ``size``, where the body was."""
-        self._learn(seen.image, self._drawing(size, pose)[0], seen.odds, seen.known)
+        """Learn from a frame, whose full width and height is ``size``, where the body was.
+
+        Of a room that was looked at for long every few frames will do.
+        """
+        self._offered += 1
+        if self._offered <= CURIOUS or self._offered % EVERY == 0:
+            self._learn(seen.image, self._drawing(size, pose)[0], seen.odds, seen.known)
+
+    def _known(self) -> Appearance:
+        """All that was learned; asked for more often than it changes."""
+        if self._learned is None:
+            background = self.background.background()
+            colours = self.person.colours(), self.forearms.colours()
+            self._learned = Appearance(background, *colours)
+        return self._learned
 
     def _drawing(self, size: tuple[int, int], pose: Pose) -> tuple[Drawing, np.ndarray]:
         """The body in the shrunk image, and its landmarks in the full one."""
         told = np.asarray(_expected(self._skeleton, self._camera, np.concatenate(pose)))
         count = len(self._skeleton.tree.bones)
         limbs, pixels, per_metre = np.split(told, (6 * count, -1))
-        near, far, radii = limbs.reshape(3, count, 2)
-        alone = Discs(near[None], far[None], radii[None])
+        alone = Discs._make(limbs.reshape(3, 1, count, 2))
         drawing = Drawing.shrunk(self._skeleton, alone, per_metre, size, ROWS)
         return drawing, pixels.reshape(-1, 2)
 
     def _learn(
         self, image: np.ndarray, drawing: Drawing, odds: np.ndarray | None, known: np.ndarray | None
     ) -> None:
-        self._ignorant = False
+        self._ignorant, self._learned = False, None
         core, body = drawing.core(0), drawing.wherever(0, self._astray)
         arms = drawing.mask(0, CORE, only=FOREARMS[:2], part=BARE)
         others = drawing.core(0, without=(*FOREARMS, *HEAD))
