@@ -82,8 +82,9 @@ def make_parser() -> Parser:
         run_arguments.add_evaluate,
         _command(commands, "evaluate", evaluate, "compare tracked joints with a reference"),
     )
-    view_parser = _command(commands, "view", view, "show what track wrote in the rerun viewer")
-    view_parser.add_argument("directory", metavar="DIR", help="what track --out was given")
+    run_arguments.add_view(
+        _command(commands, "view", view, "show what track wrote in the rerun viewer")
+    )
     live_parser = _command(commands, "live", live, "track markers and cameras as they come")
     run_arguments.add_live(live_parser)
     _add_json(live_parser)
@@ -252,10 +253,16 @@ def calibrate_extrinsics(options: argparse.Namespace) -> None:
 
 
 def view(options: argparse.Namespace) -> None:
-    """Open the viewer."""
-    from jaxmocap.run.viewing import open_viewer, recording_in
+    """Open the viewer, or serve it until Ctrl-C."""
+    from jaxmocap.run.viewing import open_viewer, recording_in, serve_page
 
-    print(open_viewer(recording_in(options.directory)))
+    path = recording_in(options.directory)
+    if not options.web:
+        print(open_viewer(path))
+        return
+    served = serve_page(path, options.port)
+    print(f"{path}\nat {served.page}\nuntil Ctrl-C", flush=True)
+    served.until_interrupted()
 
 
 def _report(options: argparse.Namespace, text: str, figures: dict) -> None:

@@ -14,16 +14,16 @@ from jaxmocap.outputs.scene import Scene
 TIMELINE = "time"
 # Entity -> title of its view.
 SERIES = {
+    "confidence": "Elbow confidence",
     "marker_errors": "Marker errors [mm]",
     "arm_costs": "Arm costs [px]",
-    "confidence": "Elbow confidence",
     "swivel": "Swivel by video [°]",
     "milliseconds": "Stage times [ms]",
 }
 
 
 def lay_out(cameras: Mapping[str, list[str]], scene: Scene) -> rrb.Blueprint:
-    """Body to the left, cameras and their fields to the right, time series below.
+    """Body to the left, all cameras and their fields to the right, all time series below.
 
     Args:
         cameras: camera name -> names of its fields.
@@ -44,24 +44,41 @@ def lay_out(cameras: Mapping[str, list[str]], scene: Scene) -> rrb.Blueprint:
             origin=f"/{entity}",
             name=title,
             axis_y=rrb.ScalarAxis(range=(0, 1)) if entity == "confidence" else None,
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
         )
         for entity, title in SERIES.items()
     ]
+    said = rrb.TextLogView(origin="/statuses", name="Statuses")
     top: list[rrb.View | rrb.Container] = [body]
     if fields:
-        top.append(rrb.Vertical(rrb.Tabs(*views), rrb.Grid(*fields), row_shares=[2, 1]))
+        # Of several cameras one's fields are shown at a time, so that the images have room.
+        several = len(cameras) > 1
+        below = rrb.Tabs(*_by_camera(cameras, fields)) if several else rrb.Horizontal(*fields)
+        top.append(rrb.Vertical(rrb.Grid(*views), below, row_shares=[3 if several else 2, 1]))
     elif views:
-        top.append(rrb.Tabs(*views))
+        top.append(rrb.Grid(*views))
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(*top),
-            rrb.Tabs(*series, rrb.TextLogView(origin="/statuses", name="Statuses")),
-            row_shares=[3, 1],
+            rrb.Horizontal(*series[:-1], rrb.Tabs(series[-1], said)),
+            row_shares=[5, 2],
         ),
         rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
     )
+
+
+def _by_camera(
+    cameras: Mapping[str, list[str]], fields: list[rrb.Spatial2DView]
+) -> list[rrb.Horizontal]:
+    """Each camera's fields side by side."""
+    left = iter(fields)
+    return [
+        rrb.Horizontal(*(next(left) for _ in labels), name=name)
+        for name, labels in cameras.items()
+        if labels
+    ]
 
 
 def _eye(scene: Scene) -> rrb.EyeControls3D:

@@ -34,6 +34,10 @@ SPREADS_M = (0.02, 0.06, 0.15)
 SPREAD_COLOURS = ((60, 200, 90), (250, 210, 60), (230, 50, 40))
 GUESSED_COLOUR, TRUST_OPACITY = (140, 140, 140), 90
 SIDES = ("left", "right")
+# RGB of a plot's lines that are of no side.
+LINES = (
+    (200, 60, 120), (60, 150, 90), (230, 170, 30), (110, 90, 200), (40, 160, 190), (140, 110, 80),
+)  # fmt: skip
 
 
 @contextmanager
@@ -243,10 +247,13 @@ def log_report(stream: rr.RecordingStream, times: np.ndarray, report: Report) ->
     _send_series(stream, "arm_costs", times, SIDES, report.arm_costs)
     _send_series(stream, "confidence", times, SIDES, report.confidence)
     _send_series(stream, "swivel", times, SIDES, np.degrees(report.swivels))
-    for stage, spent in report.milliseconds.items():
+    for i, (stage, spent) in enumerate(report.milliseconds.items()):
+        # What is done once would dwarf the rest.
+        if len(spent) == 1 < len(times):
+            continue
         # A stage that does not run at every sample has its calls spread evenly over the time.
         spread = np.linspace(times[0], times[-1], len(spent)) if len(spent) != len(times) else times
-        _send_series(stream, "milliseconds", spread, (stage,), np.asarray(spent)[:, None])
+        _send_series(stream, "milliseconds", spread, (stage,), np.asarray(spent)[:, None], i)
     said = [(time, "; ".join(lines)) for time, lines in zip(times, report.statuses, strict=True)]
     spoken = [(time, text) for time, text in said if text]
     if spoken:
@@ -260,14 +267,16 @@ def _send_series(
     times: np.ndarray,
     names: Iterable[str],
     values: np.ndarray,
+    first: int = 0,
 ) -> None:
     """One line per column of (T, N) values; what is NaN is left out."""
-    for name, column in zip(names, np.asarray(values, float).T, strict=True):
+    for i, (name, column) in enumerate(zip(names, np.asarray(values, float).T, strict=True)):
         seen = np.isfinite(column)
         if not seen.any():
             continue
         entity = entity_path(root, name)
-        stream.log(entity, rr.SeriesLines(names=name), static=True)
+        colour = COLOURS[name[0]] if name in SIDES else LINES[(first + i) % len(LINES)]
+        stream.log(entity, rr.SeriesLines(names=name, colors=colour), static=True)
         columns = rr.Scalars.columns(scalars=column[seen])
         stream.send_columns(entity, [_at(times[seen])], columns)
 

@@ -31,6 +31,14 @@ class Viewer(NamedTuple):
     url: str
     page: str | None
 
+    def until_interrupted(self) -> None:
+        """Wait for Ctrl-C, or for the viewer to end, and end it."""
+        try:
+            self.process.wait()
+        except KeyboardInterrupt:
+            self.process.terminate()
+            self.process.wait()
+
 
 def recording_in(directory: str | Path) -> Path:
     """The folder's recording.rrd; InputError where there is none."""
@@ -53,6 +61,25 @@ def open_viewer(path: Path) -> str:
         return f"{path}\nno display here; in a browser: jaxmocap view {path.parent} --web"
     start_viewer([str(path)])
     return f"{path}\nopened in the rerun viewer"
+
+
+def serve_page(path: Path, port: int) -> Viewer:
+    """Serve a recording to a browser, from a process that ends with this one.
+
+    Args:
+        path: of the .rrd file.
+        port: of the page.
+
+    Raises:
+        InputError: the port is taken.
+    """
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((LOOPBACK, port))
+        except OSError as error:
+            raise InputError(f"port {port}", f"cannot be had ({error.strerror})") from None
+    return start_viewer([str(path)], web=True, web_port=port, stay=False)
 
 
 def start_viewer(
