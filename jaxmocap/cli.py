@@ -18,10 +18,13 @@ EXAMPLES = {
     "demo": "jaxmocap demo --out jaxmocap-demo",
     "check": "jaxmocap check recording.toml",
     "track": "jaxmocap track recording.toml --out tracked",
+    "batch": "jaxmocap batch recordings --out tracked --workers 2",
+    "sync": "jaxmocap sync recording.toml",
     "evaluate": "jaxmocap evaluate tracked truth.trc --match elbow_l=LElbow elbow_r=RElbow",
     "view": "jaxmocap view tracked",
     "live": "jaxmocap live live.toml --out session",
     "convert": "jaxmocap convert tracked/motion.npz motion.bvh --unit cm",
+    "scale": "jaxmocap scale --height 1.80 --mass 75 --out subject.toml",
     "offsets": "jaxmocap offsets turning.toml --turning 5,20 --still 0,3",
     "calibrate": "jaxmocap calibrate intrinsics --help",
     "intrinsics": "jaxmocap calibrate intrinsics board*.jpg --board 4x7 --square 0.06 "
@@ -78,6 +81,13 @@ def make_parser() -> Parser:
     check_parser.add_argument("recording", metavar="RECORDING.toml")
     _add_json(check_parser)
     _with_json(run_arguments.add_track, _command(commands, "track", track, "track a recording"))
+    several = _command(commands, "batch", batch, "track every recording in a folder, side by side")
+    run_arguments.add_batch(several)
+    _add_json(several)
+    _with_json(
+        run_arguments.add_sync,
+        _command(commands, "sync", sync, "find the videos' offsets from the motion itself"),
+    )
     _with_json(
         run_arguments.add_evaluate,
         _command(commands, "evaluate", evaluate, "compare tracked joints with a reference"),
@@ -90,6 +100,10 @@ def make_parser() -> Parser:
     _add_json(live_parser)
     run_arguments.add_convert(
         _command(commands, "convert", convert, "make a file into another that carries the same")
+    )
+    _with_json(
+        setup_arguments.add_scale,
+        _command(commands, "scale", scale, "write a person's body to a file"),
     )
     offsets_parser = _command(commands, "offsets", offsets, "find where devices sit in the hands")
     setup_arguments.add_offsets(offsets_parser)
@@ -170,6 +184,31 @@ def track(options: argparse.Namespace) -> None:
     _report(options, summary(motion, files), figures(motion))
 
 
+def batch(options: argparse.Namespace) -> None:
+    """Track a corpus; what an earlier run has done is kept."""
+    from jaxmocap.run.batch import Wanted, track_corpus
+
+    wanted = Wanted(options.refine, options.mode)
+    where = {"scheduler": options.scheduler, "workers": options.workers}
+    found = track_corpus(options.corpus, options.out, wanted, **where, progress=True)
+    _report(options, found.text(), found.figures())
+
+
+def sync(options: argparse.Namespace) -> None:
+    """Find the videos' offsets; nothing is changed."""
+    from dataclasses import asdict
+
+    from jaxmocap.formats.recording import load_recording
+    from jaxmocap.run import choosing
+    from jaxmocap.setup.sync import sync, text
+
+    recording = load_recording(options.recording)
+    if options.cameras:
+        recording = choosing.select_cameras(recording, options.cameras)
+    found = sync(recording, options.search)
+    _report(options, text(found), {"videos": [asdict(each) for each in found]})
+
+
 def evaluate(options: argparse.Namespace) -> None:
     """Compare joints.trc with a reference."""
     from jaxmocap.evaluation.errors import evaluate_directory
@@ -205,6 +244,24 @@ def live(options: argparse.Namespace) -> None:
         view=options.view,
     )
     _report(options, live_summary(figures), figures)
+
+
+def scale(options: argparse.Namespace) -> None:
+    """Write a person's body."""
+    from jaxmocap.setup.scale import scale_by_height, scale_by_static
+
+    if options.height:
+        scaled = scale_by_height(options.out, options.height, options.mass, options.wrists)
+    else:
+        scaled = scale_by_static(
+            options.out,
+            options.static,
+            dict(options.landmarks),
+            options.up or "z",
+            options.mass,
+            options.wrists,
+        )
+    _report(options, scaled.text(), scaled.figures())
 
 
 def offsets(options: argparse.Namespace) -> None:

@@ -44,6 +44,34 @@ def add_convert(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_batch(parser: argparse.ArgumentParser) -> None:
+    """Options of ``batch``."""
+    parser.add_argument("corpus", metavar="CORPUS_DIR", help="recordings, at any depth")
+    parser.add_argument(
+        "--out", metavar="DIR", required=True, help="gets a folder for each, and corpus.csv"
+    )
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--scheduler", metavar="ADDRESS", help="a Dask cluster's, such as tcp://10.0.0.1:8786"
+    )
+    where.add_argument(
+        "--workers", metavar="N", type=_count, help="processes here; default: one per core"
+    )
+    parser.add_argument(
+        "--refine", choices=("simplex", "gradient", "none"), default="simplex", help="see 'track'"
+    )
+    parser.add_argument(
+        "--causal", dest="mode", action="store_const", const="causal", default="own",
+        help="see 'track'",
+    )  # fmt: skip
+
+
+def _count(text: str) -> int:
+    if not (text.isdigit() and int(text)):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number above 0")
+    return int(text)
+
+
 def add_live(parser: argparse.ArgumentParser) -> None:
     """Options of ``live``."""
     parser.add_argument("setup", metavar="LIVE.toml", help="what to listen to and where to send")
@@ -122,6 +150,21 @@ def add_track(parser: argparse.ArgumentParser) -> None:
         "--height", metavar="M", type=positive, help="metres, in place of the [subject]"
     )
     parser.set_defaults(mode="own")
+
+
+def add_sync(parser: argparse.ArgumentParser) -> None:
+    """Options of ``sync``."""
+    parser.add_argument("recording", metavar="RECORDING.toml")
+    parser.add_argument(
+        "--search",
+        metavar="S",
+        type=positive,
+        default=1.0,
+        help="how far the stated offsets may be off, seconds; default: %(default)s",
+    )
+    parser.add_argument(
+        "--cameras", metavar="A,B", type=_names, help="find those of these cameras only"
+    )
 
 
 def add_evaluate(parser: argparse.ArgumentParser) -> None:

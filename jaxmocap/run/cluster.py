@@ -1,0 +1,102 @@
+"""Processes that work side by side, here or on a cluster: the only door to dask.distributed.
+
+INPUTS: a function, jobs, a scheduler's address or a number of processes.
+OUTPUTS: each job with its result, or with why there is none, as they are done.
+"""
+
+import logging
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import Any, NamedTuple
+
+from jaxmocap.formats.errors import InputError
+
+# Seconds after which a scheduler that does not answer is not there.
+PATIENCE_S = 10
+# A job may end so many processes; none waits where another is done, to be blamed for its end.
+OWN = {"distributed.scheduler.allowed-failures": 2, "distributed.scheduler.worker-saturation": 1.0}
+
+# No page, whose port another cluster may have; nothing but paths goes round, so there is nothing
+# that a limit of memory could spill.
+HERE: dict[str, Any] = {
+    "threads_per_worker": 1,
+    "host": "127.0.0.1",
+    "dashboard_address": None,
+    "silence_logs": logging.CRITICAL,
+    "memory_limit": 0,
+}
+
+
+class Done(NamedTuple):
+    """One job that is done with.
+
+    Attributes:
+        job: as it was given.
+        result: of the function; None where it has none.
+        problem: why it has none; None where it has one.
+    """
+
+    job: Any
+    result: Any
+    problem: str | None
+
+
+@contextmanager
+def connected(scheduler: str | None, workers: int | None) -> Iterator[Any]:
+    """A client of the scheduler at an address, or of processes of this machine's own.
+
+    Args:
+        scheduler: such as ``tcp://10.0.0.1:8786``, or None.
+        workers: processes, where there is no scheduler; defaults to one per core.
+
+    Raises:
+        InputError: no scheduler answers there, or dask.distributed is not installed.
+    """
+    try:
+        import dask.config as dask_config
+        from distributed import Client, LocalCluster
+    except ImportError:
+        problem = "dask.distributed is missing; pip install 'jaxmocap[cluster]'"
+        raise InputError("jaxmocap batch", problem) from None
+    with ExitStack() as stack:
+        if scheduler is None:
+            stack.enter_context(dask_config.set(OWN))
+            cluster = LocalCluster(n_workers=workers or os.cpu_count() or 1, **HERE)
+            stack.enter_context(cluster)
+            yield stack.enter_context(Client(cluster))
+            return
+        try:
+            client = Client(scheduler, timeout=PATIENCE_S)
+        except (OSError, ValueError) as error:
+            raise InputError(scheduler, f"no scheduler answers there ({error})") from None
+        yield stack.enter_context(client)
+
+
+def each_done(client: Any, function: Callable, jobs: Sequence[Any]) -> Iterator[Done]:
+    """Every job, in the order in which they are done with; those left are dropped at the end."""
+    from distributed import as_completed
+
+    futures = client.map(function, jobs, pure=False, retries=0)
+    job_of = {future.key: job for future, job in zip(futures, jobs, strict=True)}
+    try:
+        for future in as_completed(futures, raise_errors=False):
+            job = job_of[future.key]
+            if future.status == "finished":
+                yield Done(job, future.result(), None)
+            else:
+                yield Done(job, None, _why(future))
+            # The scheduler need not remember it.
+            future.release()
+    finally:
+        client.cancel(futures)
+
+
+def _why(future: Any) -> str:
+    """Why a future has no result, in one sentence."""
+    if future.status == "cancelled":
+        return "was cancelled"
+    error = future.exception()
+    if type(error).__name__ == "KilledWorker":
+        return "its process died, perhaps for want of memory"
+    return f"{type(error).__name__}: {error}"
