@@ -248,19 +248,11 @@ def live(options: argparse.Namespace) -> None:
 
 def scale(options: argparse.Namespace) -> None:
     """Write a person's body."""
-    from jaxmocap.setup.scale import scale_by_height, scale_by_static
+    from jaxmocap.setup.scale import scale
 
-    if options.height:
-        scaled = scale_by_height(options.out, options.height, options.mass, options.wrists)
-    else:
-        scaled = scale_by_static(
-            options.out,
-            options.static,
-            dict(options.landmarks),
-            options.up or "z",
-            options.mass,
-            options.wrists,
-        )
+    landmarks = dict(options.landmarks)
+    ways = (options.height, options.static, landmarks, options.up, options.mass, options.wrists)
+    scaled = scale(options.out, *ways)
     _report(options, scaled.text(), scaled.figures())
 
 

@@ -3,13 +3,17 @@
 INPUTS: a table with ``height`` (and ``mass``), or ``static`` (a marker file of the person
 standing), ``up`` or ``to_world``, and ``landmarks``; or ``file``, a TOML file of these keys. With
 ``wrists = true`` the body has rotation of the neck, twist of the forearms and wrists as well.
-OUTPUTS: a Skeleton scaled to the person.
+Beside ``height`` the table ``bones`` may state single bones' ``length`` (metres), ``mass``
+(kilograms), ``diameter`` (metres, near and far end) and ``direction`` (in the upright body's axes).
+OUTPUTS: a Skeleton scaled to the person; or such a file, which ``jaxmocap scale`` writes.
 """
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
@@ -17,11 +21,20 @@ from jaxmocap.body.subject import scale_to_height, scale_to_landmarks
 from jaxmocap.body.wrists import with_wrists
 from jaxmocap.formats.axes import read_axes, to_world
 from jaxmocap.formats.markers import read_markers
-from jaxmocap.formats.toml import Fields, read_toml
+from jaxmocap.formats.toml import Fields, read_toml, write_toml
 
-_HEIGHT_KEYS = ("height", "mass")
+_HEIGHT_KEYS = ("height", "mass", "bones")
+_BONE_KEYS = ("length", "mass", "diameter", "direction")
+# Metres and kilograms that a bone may have.
+LENGTHS_M, MASSES_KG = (0.01, 1.0), (0.01, 100.0)
 _STATIC_KEYS = ("static", "up", "to_world", "landmarks", "mass")
 DEFAULT_HEIGHT = 1.75
+_COLUMNS = {
+    "length": "lengths",
+    "mass": "masses",
+    "diameter": "diameters",
+    "direction": "directions",
+}
 
 
 def read_subject(path: Path, where: str, table: Any) -> Skeleton:
@@ -35,7 +48,8 @@ def read_subject(path: Path, where: str, table: Any) -> Skeleton:
     Raises:
         InputError: a field that is missing, unknown or does not fit.
     """
-    fields = Fields(path, where, table, ("file", "height", *_STATIC_KEYS, "wrists"))
+    keys = ("file", "height", *_STATIC_KEYS, "bones", "wrists")
+    fields = Fields(path, where, table, keys)
     wrists = fields.table.get("wrists", False)
     if not isinstance(wrists, bool):
         raise fields.error("wrists", f"found {wrists!r}, expected true or false")
@@ -62,16 +76,78 @@ def _by_height(fields: Fields) -> Skeleton:
     height = fields.number("height")
     mass = fields.number("mass") if "mass" in fields else None
     try:
-        return Skeleton.human(height, mass)
+        skeleton = Skeleton.human(height, mass)
     except ValueError as error:
         raise fields.error("", str(error)) from None
+    where = " ".join(filter(None, [fields.where, "bones"]))
+    return _with_bones(skeleton, Fields(fields.path, where, fields.table.get("bones", {})))
 
 
-def _by_static_trial(fields: Fields) -> Skeleton:
+def _with_bones(skeleton: Skeleton, bones: Fields) -> Skeleton:
+    """The skeleton with what is stated of single bones."""
+    names = skeleton.tree.bones
+    columns = {key: np.array(getattr(skeleton, column), float) for key, column in _COLUMNS.items()}
+    for name, entry in bones.table.items():
+        if name not in names:
+            raise bones.error(name, f"unknown bone, expected one of {', '.join(names)}")
+        stated = Fields(bones.path, f"{bones.where} {name}", entry, _BONE_KEYS)
+        for key in stated.table:
+            columns[key][names.index(name)] = _stated(stated, key)
+    parts: dict[str, Any] = {
+        column: jnp.asarray(columns[key], float) for key, column in _COLUMNS.items()
+    }
+    return replace(skeleton, **parts)
+
+
+def _stated(fields: Fields, key: str) -> np.ndarray | float:
+    """What a table says of one bone."""
+    if key in ("length", "mass"):
+        low, high = LENGTHS_M if key == "length" else MASSES_KG
+        unit = "metres" if key == "length" else "kilograms"
+        if not low <= (value := fields.number(key)) <= high:
+            raise fields.error(key, f"found {value:g}, expected {unit} from {low:g} to {high:g}")
+        return value
+    if key == "diameter":
+        ends = fields.array(key, [(2,)], "metres at the near and the far end")
+        if not (ends > 0).all():
+            raise fields.error(key, f"found {ends.tolist()}, expected metres above 0")
+        return ends
+    along = fields.array(key, [(3,)], "x, y, z")
+    if not (norm := float(np.linalg.norm(along))) > 1e-6:
+        raise fields.error(key, f"found {along.tolist()}, expected a direction")
+    return along / norm
+
+
+def write_subject(path: str | Path, skeleton: Skeleton, height: float) -> None:
+    """Write a body's bones to a file that [subject] may name.
+
+    Args:
+        path: of the TOML file.
+        skeleton: of the person.
+        height: metres, from which follows what nobody states.
+    """
+    masses = np.asarray(skeleton.masses, float)
+    usual = Skeleton.human(height)
+    entries = {}
+    for i, name in enumerate(skeleton.tree.bones):
+        entry: dict[str, Any] = {"length": round(float(skeleton.lengths[i]), 6)}
+        entry["mass"] = round(float(masses[i]), 5)
+        entry["diameter"] = [round(float(end), 5) for end in skeleton.diameters[i]]
+        if not np.allclose(skeleton.directions[i], usual.directions[i], atol=1e-6):
+            entry["direction"] = [round(float(part), 6) for part in skeleton.directions[i]]
+        entries[name] = entry
+    wrists = skeleton.tree.joints != usual.tree.joints
+    top = {"height": round(height, 4), "mass": round(float(masses.sum()), 3), "wrists": wrists}
+    title = "# Metres and kilograms; what is not stated of a bone follows from height and mass."
+    write_toml(path, [(title, top), ("[bones]", entries)])
+
+
+def static_landmarks(fields: Fields) -> dict[str, np.ndarray]:
+    """Landmark -> (T, 3) of the static trial that a [subject] names, world, metres."""
     path = fields.file("static")
     R_world_file = read_axes(fields)
     markers = read_markers(path).points()
-    named = Fields(fields.path, "[subject.landmarks]", fields.required("landmarks"), LANDMARKS)
+    named = _named(fields)
     landmarks = {}
     for landmark in named.table:
         marker = named.text(landmark)
@@ -80,6 +156,16 @@ def _by_static_trial(fields: Fields) -> Skeleton:
                 landmark, f"marker {marker!r} is not in {path}, found {', '.join(markers)}"
             )
         landmarks[landmark] = to_world(R_world_file, markers[marker])
+    return landmarks
+
+
+def _named(fields: Fields) -> Fields:
+    """The table of landmarks."""
+    return Fields(fields.path, "[subject.landmarks]", fields.required("landmarks"), LANDMARKS)
+
+
+def _by_static_trial(fields: Fields) -> Skeleton:
+    landmarks, named = static_landmarks(fields), _named(fields)
     try:
         # Landmarks that are never seen together show as lengths that are not numbers.
         with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -90,5 +176,6 @@ def _by_static_trial(fields: Fields) -> Skeleton:
     except ValueError as error:
         raise named.error("", str(error)) from None
     if not (np.isfinite(skeleton.lengths).all() and np.isfinite(skeleton.directions).all()):
-        raise named.error("", f"{path} shows neck, hips and shoulders in no common frame")
+        problem = f"{fields.table['static']} shows neck, hips and shoulders in no common frame"
+        raise named.error("", problem)
     return skeleton

@@ -106,6 +106,38 @@ def positive(text: str) -> float:
     return value
 
 
+def add_scale(parser: argparse.ArgumentParser) -> None:
+    """Options of ``scale``."""
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument(
+        "--height", metavar="M", type=positive, help="metres; proportions are Winter's"
+    )
+    source.add_argument("--static", metavar="FILE", help="markers of the person standing upright")
+    parser.add_argument("--mass", metavar="KG", type=positive, help="kilograms; default: 23 kg/m²")
+    parser.add_argument(
+        "--landmarks",
+        metavar="LANDMARK=MARKER",
+        type=landmark_pair,
+        nargs="+",
+        default=[],
+        help="neck, hips, shoulders, and any others of the static trial; without it, those that "
+        "are called as landmarks are",
+    )
+    parser.add_argument("--up", choices=("y", "z"), help="the static file's vertical; default: z")
+    parser.add_argument(
+        "--wrists", action="store_true", help="neck that turns, forearms that twist, wrists"
+    )
+    parser.add_argument("--out", metavar="FILE", required=True, help="subject.toml")
+
+
+def landmark_pair(text: str) -> tuple[str, str]:
+    """LANDMARK=MARKER."""
+    landmark, equals, marker = text.partition("=")
+    if not (landmark and equals and marker):
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected LANDMARK=MARKER")
+    return landmark, marker
+
+
 def add_offsets(parser: argparse.ArgumentParser) -> None:
     """Options of ``offsets``."""
     parser.description = f"{parser.description}\n\n{TURNING}"
