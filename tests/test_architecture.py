@@ -37,6 +37,7 @@ DOORS = {
     "optimistix": ("solvers/least_squares.py",),
     "rerun": ("outputs/",),
     "ezc3d": ("formats/c3d.py",),
+    "pylsl": ("capture/lsl.py",),
     "pythonosc": ("capture/osc.py", "outputs/osc.py"),
     "cv2": ("images/", "capture/", "setup/", "synthetic/", "outputs/overlay.py"),
 }

@@ -31,7 +31,10 @@ class MarkerSocket:
         packets: that came in.
         heard: when a marker came in last, ``monotonic`` seconds; None before.
         clock: the sender's.
+        problem: None; nothing keeps a socket from being used once it is there.
     """
+
+    problem: str | None = None
 
     def __init__(
         self,

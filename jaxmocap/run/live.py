@@ -24,8 +24,10 @@ import numpy as np
 from jaxmocap.capture.cameras import LiveCamera
 from jaxmocap.capture.gathering import Gathering, Sample
 from jaxmocap.capture.inbox import Frame, Inbox
+from jaxmocap.capture.lsl import MarkerStream
 from jaxmocap.capture.udp import MarkerSocket
 from jaxmocap.formats.live import LiveSetup
+from jaxmocap.formats.places import bound_positions
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.outputs.osc import Sender
 from jaxmocap.outputs.vmc import VMC
@@ -80,8 +82,9 @@ class Live:
         self._setup, self._viewer = setup, viewer
         self._inbox = Inbox(WAITING)
         self._began = monotonic()
+        bind = partial(bound_positions, setup.skeleton, setup.places)
         gathering = Gathering(
-            setup.marker_names, setup.aliases, setup.R_world_source, self._take_sample
+            setup.marker_names, setup.aliases, setup.R_world_source, self._take_sample, bind
         )
         self._gathering = gathering
         self._socket = _source(setup, gathering, self._now)
@@ -213,16 +216,25 @@ class Live:
         }
 
 
-def _source(setup: LiveSetup, gathering: Gathering, now: Callable[[], float]) -> MarkerSocket:
+def _source(
+    setup: LiveSetup, gathering: Gathering, now: Callable[[], float]
+) -> MarkerSocket | MarkerStream:
     """Where markers come from."""
+    if setup.lsl is not None:
+        return MarkerStream(setup.lsl, gathering, now)
     return MarkerSocket(setup.listen, gathering, setup.raw, now)
 
 
 def _states(
-    markers: MarkerSocket, gathering: Gathering, cameras: list[LiveCamera], now: float
+    markers: MarkerSocket | MarkerStream,
+    gathering: Gathering,
+    cameras: list[LiveCamera],
+    now: float,
 ) -> Iterator[tuple[str, str]]:
     """What there is to say of every stream."""
-    if markers.heard is None:
+    if markers.problem is not None:
+        yield "markers", markers.problem
+    elif markers.heard is None:
         yield "markers", "waiting for the first"
     else:
         silent = now - markers.heard > SILENT_S

@@ -1,0 +1,124 @@
+"""Markers of a Lab Streaming Layer stream, in a thread of its own.
+
+INPUTS: the name of a stream whose channels are labelled ``Name.x``, ``Name.y``, ``Name.z``, in
+metres unless a channel's unit says millimetres. OUTPUTS: samples, as ``MarkerSocket`` gives them.
+
+pylsl is loaded when a stream is asked for; it is the extra ``lsl``.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from threading import Event, Thread
+from time import monotonic
+from typing import Any
+
+from jaxmocap.capture.gathering import Gathering
+from jaxmocap.capture.osc import FARTHEST_M, Placed
+from jaxmocap.capture.stream_clock import StreamClock
+from jaxmocap.formats.errors import InputError
+
+# A stream that is not there is looked for again and again, so many seconds at a time.
+LOOKING_S, WAITING_S = 1.0, 0.2
+UNITS = {"": 1.0, "m": 1.0, "meters": 1.0, "metres": 1.0, "mm": 1e-3, "millimeters": 1e-3}
+AXES = (".x", ".y", ".z")
+
+
+class MarkerStream:
+    """Listens to a stream.
+
+    Attributes:
+        ignored: why -> how many samples: "absurd" (a place that no room has).
+        packets: samples that came in.
+        heard: when a marker came in last, ``monotonic`` seconds; None before.
+        clock: the sender's.
+        address: what is listened to.
+        problem: why the stream cannot be used, or None.
+    """
+
+    def __init__(self, name: str, gathering: Gathering, now: Callable[[], float] = monotonic):
+        """Prepare.
+
+        Args:
+            name: of the stream.
+            gathering: takes the markers.
+            now: seconds.
+
+        Raises:
+            InputError: pylsl is not installed.
+        """
+        try:
+            import pylsl
+        except (ImportError, RuntimeError):
+            problem = "needs pylsl, which pip install 'jaxmocap[lsl]' brings"
+            raise InputError("[lsl]", problem) from None
+        self._lsl: Any = pylsl
+        self.ignored: Counter[str] = Counter()
+        self.packets, self.heard, self.problem = 0, None, None
+        self.clock, self.address = StreamClock(), f"the LSL stream {name!r}"
+        self._name, self._gathering, self._now = name, gathering, now
+        self._stop = Event()
+        self._thread = Thread(target=self._listen, name="markers", daemon=True)
+
+    def start(self) -> None:
+        """Listen from now on."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Listen no more."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join(LOOKING_S + 1.0)
+
+    def _listen(self) -> None:
+        while not self._stop.is_set() and self.problem is None:
+            found = self._lsl.resolve_byprop("name", self._name, timeout=LOOKING_S)
+            if not found:
+                continue
+            inlet = self._lsl.StreamInlet(found[0], max_buflen=1, recover=False)
+            try:
+                self._take(inlet)
+            except (self._lsl.LostError, self._lsl.util.TimeoutError):
+                # Who sent has gone; maybe somebody comes back.
+                continue
+            finally:
+                inlet.close_stream()
+
+    def _take(self, inlet: Any) -> None:
+        """All samples of a stream, until it is lost."""
+        columns, scales = self._columns(inlet.info(timeout=LOOKING_S))
+        while not self._stop.is_set() and self.problem is None:
+            values, stamp = inlet.pull_sample(timeout=WAITING_S)
+            if values is None:
+                continue
+            arrived = self._now()
+            self.packets += 1
+            placed = []
+            for name, first in columns.items():
+                x, y, z = (values[first + axis] * scales[first + axis] for axis in range(3))
+                if max(abs(x), abs(y), abs(z)) > FARTHEST_M:
+                    self.ignored["absurd"] += 1
+                elif math.isfinite(x + y + z):
+                    placed.append(Placed((name,), (x, y, z)))
+            if placed:
+                self.heard = arrived
+                time = self.clock.time(arrived, stamp)
+                self._gathering.add(placed, time, arrived, True)
+
+    def _columns(self, info: Any) -> tuple[dict[str, int], list[float]]:
+        """Marker -> its first channel, and what makes metres of each channel."""
+        labels, units = [], []
+        channel = info.desc().child("channels").child("channel")
+        for _ in range(info.channel_count()):
+            labels.append(channel.child_value("label"))
+            units.append(channel.child_value("unit").lower())
+            channel = channel.next_sibling("channel")
+        found = {}
+        for i, label in enumerate(labels[:-2]):
+            name = label.removesuffix(".x")
+            if labels[i : i + 3] == [name + axis for axis in AXES]:
+                found[name] = i
+        if not found or not set(units) <= set(UNITS):
+            shown = ", ".join(labels[:6]) or "none"
+            self.problem = f"expected channels Name.x, Name.y, Name.z in m or mm, found {shown}"
+        return found, [UNITS.get(unit, math.nan) for unit in units]
