@@ -94,22 +94,29 @@ def normalise(points_cam: Array) -> Array:
 
 def distort(camera: Camera, points_plane: Array) -> Array:
     """OpenCV's rational radial and tangential distortion of (..., 2) points on the plane z = 1."""
+    return jnp.stack(_distorted(camera, points_plane[..., 0], points_plane[..., 1]), -1)
+
+
+def _distorted(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
+    """``distort`` by components."""
     k1, k2, p1, p2, k3, k4, k5, k6 = camera.distortion
-    x, y = points_plane[..., 0], points_plane[..., 1]
     r2 = x * x + y * y
     radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
     dx = 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
     dy = p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-    return jnp.stack([x * radial + dx, y * radial + dy], -1)
+    return x * radial + dx, y * radial + dy
 
 
 def to_pixels(camera: Camera, points_plane: Array) -> Array:
     """Distort (..., 2) points on the plane z = 1 and apply the intrinsic matrix: pixels (x, y)."""
-    points = distort(camera, points_plane)
+    return jnp.stack(pixel_components(camera, points_plane[..., 0], points_plane[..., 1]), -1)
+
+
+def pixel_components(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
+    """``to_pixels`` by components: arrays of two are slow to work through."""
+    x, y = _distorted(camera, x, y)
     M = camera.matrix
-    x = M[0, 0] * points[..., 0] + M[0, 1] * points[..., 1] + M[0, 2]
-    y = M[1, 1] * points[..., 1] + M[1, 2]
-    return jnp.stack([x, y], -1)
+    return M[0, 0] * x + M[0, 1] * y + M[0, 2], M[1, 1] * y + M[1, 2]
 
 
 def project(camera: Camera, points_world: Array) -> Array:

@@ -11,6 +11,7 @@ distances to the hull.
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxmocap.geometry.cameras import NEAREST_M, normalise
@@ -64,6 +65,95 @@ def _tangents(discs: Discs) -> tuple[Array, Array, Array, Array]:
     return u, jnp.stack([-u[..., 1], u[..., 0]], -1), sine, cosine
 
 
+class Pieces(NamedTuple):
+    """Both sides of the hull, or both ends' arcs, by components: the K points of each come first.
+
+    Arrays of two are slow to work through, and those of the hulls are long. So a thousand hulls of
+    a moment are a thousand numbers side by side.
+
+    Attributes:
+        x: (2, K, ...) of the points.
+        y: (2, K, ...).
+        weights: (2, 1, ...) the length of outline that each point stands for.
+        normal_x: (2, 1, ...) or (2, K, ...) unit, outwards.
+        normal_y: the same.
+    """
+
+    x: Array
+    y: Array
+    weights: Array
+    normal_x: Array
+    normal_y: Array
+
+
+def outline_pieces(
+    x: Array, y: Array, radii: Array, along: int, around: int, open_ends: Array
+) -> tuple[Pieces, Pieces]:
+    """The hulls' sides and arcs by components; what ``outline`` tells in rows of points.
+
+    Args:
+        x: (2, ...) of the discs' centres, near and far.
+        y: (2, ...).
+        radii: (2, ...), of as many axes.
+        along: points on each side.
+        around: points on each arc.
+        open_ends: (2, ...) of as many axes, as for ``outline``.
+    """
+
+    def rows(values: Array | np.ndarray) -> Array:
+        """(K) or (2, K) numbers against hulls of any shape."""
+        shape = (*values.shape, *(1,) * (x.ndim - 1))
+        return jnp.asarray(values, x.dtype).reshape(shape)
+
+    ahead_x, ahead_y = x[1] - x[0], y[1] - y[0]
+    squared = ahead_x**2 + ahead_y**2
+    end_on = squared < 1e-12
+    length = jnp.sqrt(jnp.where(end_on, 1e-12, squared))
+    u_x = jnp.where(end_on, 1.0, ahead_x / length)
+    u_y = jnp.where(end_on, 0.0, ahead_y / length)
+    # One disc within the other has no tangents: the hull is the larger disc alone.
+    sine = jnp.clip((radii[0] - radii[1]) / length, -0.999, 0.999)
+    cosine = jnp.sqrt(1 - sine**2)
+    distance = jnp.sqrt(squared + 1e-12)
+
+    aside = rows(np.array([[1.0], [-1.0]])) * cosine
+    n_x, n_y = sine * u_x - aside * u_y, sine * u_y + aside * u_x
+    t = rows((np.arange(along) + 0.5) / along)
+    sides = Pieces(
+        (1 - t) * (x[0] + radii[0] * n_x) + t * (x[1] + radii[1] * n_x),
+        (1 - t) * (y[0] + radii[0] * n_y) + t * (y[1] + radii[1] * n_y),
+        jnp.broadcast_to(distance * cosine / along, n_x.shape),
+        n_x,
+        n_y,
+    )
+    # The far arc spans the directions within pi/2 - taper of the axis, the near one the rest.
+    half = jnp.arccos(sine)
+    span = jnp.stack([jnp.pi - half, half])[:, None]
+    nested = jnp.clip(1 - distance / (radii[0] + radii[1]), 0.0, 1.0)
+    angle = rows((np.arange(around) + 0.5) / around * 2 - 1) * span
+    # A single point of an arc lies on the axis.
+    c, s = (jnp.cos(angle), jnp.sin(angle)) if around > 1 else (1.0, 0.0)
+    way = rows(np.array([[-1.0], [1.0]]))
+    n_x, n_y = way * (c * u_x - s * u_y), way * (c * u_y + s * u_x)
+    r = radii[:, None]
+    share = open_ends + (1 - open_ends) * nested
+    weights = share[:, None] * 2 * span * r / around
+    return sides, Pieces(x[:, None] + r * n_x, y[:, None] + r * n_y, weights, n_x, n_y)
+
+
+def joined(pieces: tuple[Pieces, Pieces]) -> Outline:
+    """The points of sides and arcs in rows, of hulls of any shape (...)."""
+
+    def row(parts: tuple[Array, ...], likes: tuple[Array, ...]) -> Array:
+        shaped = [jnp.broadcast_to(p, q.shape) for p, q in zip(parts, likes, strict=True)]
+        flat = [part.reshape(-1, *part.shape[2:]) for part in shaped]
+        return jnp.moveaxis(jnp.concatenate(flat), 0, -1)
+
+    rows = Pieces(*(row(parts, (pieces[0].x, pieces[1].x)) for parts in zip(*pieces, strict=True)))
+    points = jnp.stack([rows.x, rows.y], -1)
+    return Outline(points, rows.weights, jnp.stack([rows.normal_x, rows.normal_y], -1))
+
+
 def outline(discs: Discs, along: int, around: int, open_ends: Array) -> Outline:
     """Sample the hull: ``along`` points on each tangent line, ``around`` on each end's arc.
 
@@ -76,38 +166,12 @@ def outline(discs: Discs, along: int, around: int, open_ends: Array) -> Outline:
         around: points on each arc.
         open_ends: (..., 2) 1 where the near or far end is free, else 0.
     """
-    u, v, sine, cosine = _tangents(discs)
-    near, far = discs.near[..., None, :], discs.far[..., None, :]
-    r = discs.radii[..., None]
-    t = ((jnp.arange(along, dtype=u.dtype) + 0.5) / along)[:, None]
-    pieces, weights, normals = [], [], []
-    distance = jnp.sqrt(jnp.sum((discs.far - discs.near) ** 2, -1) + 1e-12)
-    for sign in (1.0, -1.0):
-        n = (sine * u + sign * cosine * v)[..., None, :]
-        pieces.append(
-            (1 - t) * (near + r[..., 0, :, None] * n) + t * (far + r[..., 1, :, None] * n)
-        )
-        side = distance * cosine[..., 0] / along
-        weights.append(jnp.broadcast_to(side[..., None], (*side.shape, along)))
-        normals.append(jnp.broadcast_to(n, pieces[-1].shape))
-    # The far arc spans the directions within pi/2 - taper of the axis, the near one the rest.
-    half = jnp.arccos(sine)
-    nested = jnp.clip(1 - distance / jnp.sum(discs.radii, -1), 0.0, 1.0)
-    spread = (jnp.arange(around, dtype=u.dtype) + 0.5) / around * 2 - 1
-    for end, (centre, way, span) in enumerate(((near, -1.0, jnp.pi - half), (far, 1.0, half))):
-        angle = spread * span
-        direction = way * (
-            jnp.cos(angle)[..., None] * u[..., None, :]
-            + jnp.sin(angle)[..., None] * v[..., None, :]
-        )
-        pieces.append(centre + r[..., end, :, None] * direction)
-        share = open_ends[..., end] + (1 - open_ends[..., end]) * nested
-        arc = share * 2 * span[..., 0] * discs.radii[..., end] / around
-        weights.append(jnp.broadcast_to(arc[..., None], (*arc.shape, around)))
-        normals.append(direction)
-    return Outline(
-        jnp.concatenate(pieces, -2), jnp.concatenate(weights, -1), jnp.concatenate(normals, -2)
+    centres = jnp.moveaxis(jnp.stack([discs.near, discs.far]), -1, 0)
+    radii, ends = (
+        jnp.moveaxis(jnp.broadcast_to(part, discs.radii.shape), -1, 0)
+        for part in (discs.radii, open_ends)
     )
+    return joined(outline_pieces(*centres, radii, along, around, ends))
 
 
 class Touch(NamedTuple):

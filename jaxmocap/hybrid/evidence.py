@@ -6,6 +6,7 @@ shrinks. The default is the mean distance along the outline, to edges that run i
 INPUTS: one arm's limbs, a camera, the fields of its region. OUTPUTS: a cost.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -14,14 +15,14 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.flesh import Cones, project_cones
-from jaxmocap.geometry.cameras import Camera, to_camera, to_pixels
-from jaxmocap.geometry.outlines import outline, project_limb
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, pixel_components, to_camera
+from jaxmocap.geometry.outlines import Pieces, joined, outline_pieces
 from jaxmocap.hybrid.arms import Arms, flesh
 from jaxmocap.hybrid.observe import Observation
 from jaxmocap.hybrid.settings import EvidenceSettings
 from jaxmocap.images.raster import soft_coverage
-from jaxmocap.images.regions import Region, discs_in_region, to_region
-from jaxmocap.images.sampling import bilinear
+from jaxmocap.images.regions import Region, discs_in_region
+from jaxmocap.images.sampling import look_up
 
 # Outline points per side and per arc of a limb.
 ALONG, AROUND = 8, 1
@@ -49,6 +50,50 @@ class Traced(NamedTuple):
     weights: Array
 
 
+class _Laid(NamedTuple):
+    """Sides or arcs of limbs (3, ...), laid over the distance fields: (2, K, 3, ...) each."""
+
+    points: Pieces  # on the plane z = 1
+    distances_px: Array
+    weights: Array  # 0 outside the image
+
+
+def _lay(
+    camera: Camera, region: Region, fields: Array, limbs: Cones
+) -> tuple[tuple[_Laid, ...], Array]:
+    """Sides and arcs of limbs (..., 3), laid over the fields; metres per pixel (3, ...) there."""
+    batch = limbs.near.ndim - 2
+    R, t = camera.T_cam_world[:3, :3], camera.T_cam_world[:3, 3]
+    ends = jnp.moveaxis(jnp.stack([limbs.near, limbs.far]), (-1, -2), (0, 2))
+    x, y, depths = (
+        R[i, 0] * ends[0] + R[i, 1] * ends[1] + R[i, 2] * ends[2] + t[i] for i in range(3)
+    )
+    near = 1 / jnp.maximum(depths, NEAREST_M)
+    radii = jnp.broadcast_to(limbs.radii, (*limbs.near.shape[:-1], 2))
+    radii = jnp.moveaxis(radii, (-1, -2), (0, 1)) * near
+    by_limb = (len(LIMB_WEIGHTS), *(1,) * batch)
+    free = jnp.asarray(OPEN_ENDS, x.dtype).T.reshape(2, *by_limb)
+    pieces = outline_pieces(x * near, y * near, radii, ALONG, AROUND, free)
+    front = jnp.minimum(depths[0], depths[1]) > 0
+    shares = jnp.where(front, jnp.asarray(LIMB_WEIGHTS, x.dtype).reshape(by_limb), 0.0)
+    laid = tuple(_look_up(camera, region, fields, piece, shares) for piece in pieces)
+    return laid, (depths[0] + depths[1]) / 2 / camera.matrix[0, 0]
+
+
+def _look_up(camera: Camera, region: Region, fields: Array, points: Pieces, shares: Array) -> _Laid:
+    """Points (2, K, 3, ...) in the fields; weighed by the limbs' (3, ...) shares."""
+    x, y = pixel_components(camera, points.x, points.y)
+    channels = _channels(camera, points.normal_x, points.normal_y, fields.shape[0])
+    samples = (
+        (pixel - corner) / region.scale - 0.5
+        for pixel, corner in ((x, region.origin[0]), (y, region.origin[1]))
+    )
+    distances_px = look_up(fields, channels, *samples) * region.scale
+    right, bottom = camera.size[0] - 1 - BORDER_PX, camera.size[1] - 1 - BORDER_PX
+    inside = (x >= BORDER_PX) & (x <= right) & (y >= BORDER_PX) & (y <= bottom)
+    return _Laid(points, distances_px, jnp.where(inside, points.weights * shares, 0.0))
+
+
 def trace_outline(camera: Camera, region: Region, fields: Array, limbs: Cones) -> Traced:
     """Look an arm's outline up in the fields of its region.
 
@@ -58,61 +103,68 @@ def trace_outline(camera: Camera, region: Region, fields: Array, limbs: Cones) -
         fields: (K, S, S) distances, samples of the region.
         limbs: three cones, world, metres.
     """
-    near, far = to_camera(camera, limbs.near), to_camera(camera, limbs.far)
-    discs = project_limb(near, far, limbs.radii)
-    samples = outline(discs, ALONG, AROUND, jnp.asarray(OPEN_ENDS, near.dtype))
-    pixels = to_pixels(camera, samples.points)
-    channels = _channels(camera, samples.normals, fields.shape[0])
-    distances_px = bilinear(fields, channels, to_region(region, pixels)) * region.scale
-    x, y = pixels[..., 0], pixels[..., 1]
-    right, bottom = camera.size[0] - 1 - BORDER_PX, camera.size[1] - 1 - BORDER_PX
-    inside = (x >= BORDER_PX) & (x <= right) & (y >= BORDER_PX) & (y <= bottom)
-    front = jnp.minimum(near[:, 2], far[:, 2])[:, None] > 0
-    weights = samples.weights * jnp.asarray(LIMB_WEIGHTS, near.dtype)[:, None]
-    metres_per_px = ((near[:, 2] + far[:, 2]) / 2 / camera.matrix[0, 0])[:, None]
-    weights = jnp.where(inside & front, weights, 0.0)
-    return Traced(samples.points, distances_px, metres_per_px, weights)
+    laid, metres_per_px = _lay(camera, region, fields, limbs)
+
+    def rows(parts: list[Array]) -> Array:
+        return jnp.concatenate([part.reshape(-1, *part.shape[2:]) for part in parts]).T
+
+    points = joined(tuple(part.points for part in laid)).points  # type: ignore[arg-type]
+    return Traced(
+        points,
+        rows([part.distances_px for part in laid]),
+        metres_per_px[:, None],
+        rows([part.weights for part in laid]),
+    )
 
 
 def outline_distance(
     camera: Camera, region: Region, fields: Array, limbs: Cones, truncation: Array
 ) -> tuple[Array, Array]:
-    """Mean distance of an arm's outline to the edges of its direction.
+    """Mean distance of arms' outlines to the edges of their direction.
 
     Args:
         camera: that sees the arm.
         region: of the arm in this camera (no batch).
         fields: (K, S, S) distances, samples of the region.
-        limbs: three cones, world, metres.
+        limbs: (..., 3) cones, world, metres: one arm's, in one place or many.
         truncation: metres at the limb's depth.
 
     Returns:
-        The mean in metres at the limbs' depth, and the same in pixels; ``truncation`` where
+        The mean (...) in metres at the limbs' depth, and the same in pixels; ``truncation`` where
         nothing of the arm is within the image.
     """
-    _, distances_px, metres_per_px, weights = trace_outline(camera, region, fields, limbs)
-    distances = jnp.minimum(distances_px * metres_per_px, truncation)
-    total = jnp.sum(weights)
+    laid, metres_per_px = _lay(camera, region, fields, limbs)
+    total, metres, pixels = (
+        sum(
+            jnp.sum(part.weights * values, (0, 1, 2))
+            for part, values in zip(laid, each, strict=True)
+        )
+        for each in (
+            [jnp.ones_like(part.weights) for part in laid],
+            [jnp.minimum(part.distances_px * metres_per_px, truncation) for part in laid],
+            [part.distances_px for part in laid],
+        )
+    )
     visible = total > 1e-6
-    mean = jnp.sum(weights * distances) / jnp.where(visible, total, 1.0)
-    mean_px = jnp.sum(weights * distances_px) / jnp.where(visible, total, 1.0)
-    return jnp.where(visible, mean, truncation), jnp.where(visible, mean_px, jnp.nan)
+    shared = 1 / jnp.where(visible, total, 1.0)
+    return (
+        jnp.where(visible, metres * shared, truncation),
+        jnp.where(visible, pixels * shared, jnp.nan),
+    )
 
 
-def _channels(camera: Camera, normals: Array, count: int) -> Array:
-    """Channel (...) of outline normals (..., 2) on the plane z = 1.
+def _channels(camera: Camera, normal_x: Array, normal_y: Array, count: int) -> Array:
+    """Channel (...) of outline normals on the plane z = 1.
 
-    The lens' distortion hardly turns them. Counting the borders between channels that a normal
-    has passed is cheaper than an arc tangent.
+    The lens' distortion hardly turns them. The arc tangent, dear to XLA, is found once and kept;
+    counting the borders that a normal has passed would be done anew at each of the many look-ups.
     """
-    x = normals[..., 0] * camera.matrix[0, 0]
-    y = normals[..., 1] * camera.matrix[1, 1]
+    x, y = normal_x * camera.matrix[0, 0], normal_y * camera.matrix[1, 1]
     # A normal and its opposite are one direction: turn it to the upper half plane.
     flip = jnp.where((y < 0) | ((y == 0) & (x < 0)), -1.0, 1.0)
-    borders = np.arange(1, count) * np.pi / count
-    passed = [np.cos(b) * y - np.sin(b) * x for b in borders.tolist()]
-    zero = jnp.zeros(x.shape, jnp.int32)
-    return sum(((flip * side >= 0).astype(jnp.int32) for side in passed), start=zero)
+    still = (x == 0) & (y == 0)
+    angle = jnp.arctan2(flip * y, jnp.where(still, 1.0, flip * x))
+    return jnp.minimum(jnp.floor(angle * (count / np.pi)).astype(jnp.int32), count - 1)
 
 
 def chamfer_sum(
@@ -152,16 +204,20 @@ def arm_cost(
         settings: traced.
         cameras: C, stacked.
         observation: of this arm: region (C), fields (C, K, S, S), seen (C,).
-        limbs: three cones, world.
+        limbs: (..., 3) cones, world: the arm in one place, or in many for many costs (...).
     """
 
     def of_camera(camera: Camera, region: Region, fields: Array) -> Array:
-        if kind == "raster":
-            return raster_distance(camera, region, fields, limbs, settings.softness)
-        return outline_distance(camera, region, fields, limbs, settings.truncation)[0]
+        if kind == "outline":
+            return outline_distance(camera, region, fields, limbs, settings.truncation)[0]
+        of_place = partial(raster_distance, camera, region, fields, softness=settings.softness)
+        for _ in range(limbs.near.ndim - 2):
+            of_place = jax.vmap(of_place)
+        return of_place(limbs)
 
     distances = jax.vmap(of_camera)(cameras, observation.region, jnp.asarray(observation.fields))
-    return jnp.sum(jnp.where(observation.seen, distances, 0.0)) / settings.edge_scale
+    seen = jnp.asarray(observation.seen).reshape(-1, *(1,) * (distances.ndim - 1))
+    return jnp.sum(jnp.where(seen, distances, 0.0), 0) / settings.edge_scale
 
 
 def outline_px(

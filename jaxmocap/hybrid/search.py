@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.geometry.cameras import Camera
@@ -62,6 +63,9 @@ def candidate_turns(farthest: float = 75.0, spacing: float = 10.0) -> np.ndarray
 
 
 TURNS = candidate_turns()
+R_TURNS = Rotation.from_rotvec(TURNS).as_matrix()
+# How far apart two candidates' elbows are on a forearm of one metre.
+CHORDS = 2 * np.sin(np.minimum(np.linalg.norm(TURNS[:, None] - TURNS, axis=-1), np.pi) / 2)
 # Without an image, what the last one told is forgotten within a second or so.
 FADES_S = 1.0
 # Elbows keep close to where the markers' pose takes them: the spread grows by this share of the
@@ -119,28 +123,24 @@ def _candidate_costs(
 ) -> tuple[Array, Array]:
     """Costs (K,) in nats of one arm's candidates, and their elbows (K, 3)."""
     R, look = arm.R_world_radius, settings.look
-
-    def of_turn(turn: Array) -> tuple[Array, Array]:
-        moved, slack = turn_forearm(arm, compose(compose(R, exp(turn)), R.T))
-        seen = arm_cost(settings.evidence, settings.fit, cameras, observation, flesh(moved))
-        away = jnp.sum((moved.elbow - arm.elbow) ** 2) / look.elbow_prior**2
-        # Student's t with three degrees of freedom: markers alone may be far off.
-        prior = 2 * jnp.log1p(away / 3)
-        return seen + (slack / look.shoulder_slack) ** 2 / 2 + prior, moved.elbow
-
-    return jax.vmap(of_turn)(jnp.asarray(TURNS, R.dtype))
+    turns = compose(compose(R, jnp.asarray(R_TURNS, R.dtype)), R.T)
+    moved, slack = turn_forearm(arm, turns)
+    seen = arm_cost(settings.evidence, settings.fit, cameras, observation, flesh(moved))
+    away = jnp.sum((moved.elbow - arm.elbow) ** 2, -1) / look.elbow_prior**2
+    # Student's t with three degrees of freedom: markers alone may be far off.
+    prior = 2 * jnp.log1p(away / 3)
+    return seen + (slack / look.shoulder_slack) ** 2 / 2 + prior, moved.elbow
 
 
 def _drift(settings: SearchSettings, arm: Arms, log_weights: Array, elapsed: Array) -> Array:
     """Log-weights (K,) before the image: each candidate's share spreads with the elbow's speed."""
-    turns = jnp.asarray(TURNS, arm.elbow.dtype)
-    between = jnp.sqrt(jnp.sum((turns[:, None] - turns) ** 2, -1))
-    forearm = jnp.sqrt(jnp.sum((arm.elbow - arm.grip) ** 2))
-    moved = 2 * jnp.sin(jnp.minimum(between, np.pi) / 2) * forearm
-    price = jnp.minimum((moved / (settings.elbow_speed * elapsed)) ** 2 / 2, settings.surprise)
-    kernel = jnp.exp(-price)
-    kernel = kernel / jnp.sum(kernel, -1, keepdims=True)
-    spread = jnp.matmul(jax.nn.softmax(log_weights), kernel, precision=HIGHEST)
+    squared = jnp.asarray(CHORDS**2, arm.elbow.dtype)
+    forearm = jnp.sum((arm.elbow - arm.grip) ** 2)
+    price = squared * (forearm / (settings.elbow_speed * elapsed) ** 2 / 2)
+    kernel = jnp.exp(-jnp.minimum(price, settings.surprise))
+    # It is symmetric, and each share is spread whole.
+    whole = jnp.matmul(kernel, jnp.ones_like(log_weights), precision=HIGHEST)
+    spread = jnp.matmul(kernel, jax.nn.softmax(log_weights) / whole, precision=HIGHEST)
     return jnp.log(spread + 1e-20)
 
 

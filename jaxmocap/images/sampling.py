@@ -13,13 +13,23 @@ def bilinear(fields: Array, channels: Array, points_xy: Array) -> Array:
     Outside, the border's value. Differentiable by the points; the derivative is that of the
     bilinear patch.
     """
+    return look_up(fields, channels, points_xy[..., 0], points_xy[..., 1])
+
+
+def look_up(fields: Array, channels: Array, points_x: Array, points_y: Array) -> Array:
+    """``bilinear`` by components; channels may be fewer, to be broadcast."""
     _, height, width = fields.shape
-    x = jnp.clip(points_xy[..., 0], 0, width - 1.001)
-    y = jnp.clip(points_xy[..., 1], 0, height - 1.001)
+    x = jnp.clip(points_x, 0, width - 1.001)
+    y = jnp.clip(points_y, 0, height - 1.001)
     x0, y0 = jnp.floor(x), jnp.floor(y)
     fx, fy = x - x0, y - y0
     corner = (channels * height + y0.astype(jnp.int32)) * width + x0.astype(jnp.int32)
-    flat = fields.ravel()
-    top = flat[corner] * (1 - fx) + flat[corner + 1] * fx
-    bottom = flat[corner + width] * (1 - fx) + flat[corner + width + 1] * fx
+    # Never out of bounds: nothing need be asked at every look-up.
+    flat = fields.ravel().at
+    at, next_to, below, across = (
+        flat[corner + step].get(mode="promise_in_bounds", wrap_negative_indices=False)
+        for step in (0, 1, width, width + 1)
+    )
+    top = at * (1 - fx) + next_to * fx
+    bottom = below * (1 - fx) + across * fx
     return top * (1 - fy) + bottom * fy
