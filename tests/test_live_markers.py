@@ -54,7 +54,8 @@ VALID = bundle(
 
 def test_devices_of_vmc_are_read_from_messages_and_from_bundles():
     single = parse(device("Tra", "waist", 1, 2, 3).dgram)
-    assert single == ((Placed(("waist",), (1.0, 2.0, 3.0)),), None, False)
+    turn = (0.0, 0.0, 0.0, 1.0)
+    assert single == ((Placed(("waist",), (1.0, 2.0, 3.0), turn),), None, False)
     packet = parse(VALID)
     assert packet.stamp == 12.5 and packet.whole
     assert [placed.names for placed in packet.placed] == [("LHR-1", "Hmd"), ("LeftController",)]

@@ -1,6 +1,7 @@
 """Markers that know how they are turned: files, places on the body, wrists, outputs."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pythonosc.osc_message_builder import OscMessageBuilder
 from scipy.spatial.transform import Rotation
 
 from jaxmocap import Recording, Settings
@@ -18,14 +20,18 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.turns import body_turns, quaternions
 from jaxmocap.body.wrists import with_wrists
+from jaxmocap.capture.gathering import Gathering
+from jaxmocap.capture.osc import parse
 from jaxmocap.formats.convert import Options, convert
 from jaxmocap.formats.csv import read_csv, write_csv
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.live import R_WORLD_UNITY, load_live
 from jaxmocap.formats.npz import load_motion, save_motion
 from jaxmocap.formats.places import MarkerPlace, bound_places, bound_positions
-from jaxmocap.formats.recording import write_recording
+from jaxmocap.formats.recording import load_markers, write_recording
 from jaxmocap.formats.trc import read_trc, write_trc
 from jaxmocap.hybrid.arms import arm_dofs, grips, hang, swing
+from jaxmocap.run.live_recording import LiveRecording
 from jaxmocap.run.recording import make_tracker, marker_sites, settled
 from jaxmocap.synthetic import motions
 from jaxmocap.synthetic.controllers import DEVICES, write_controllers
@@ -219,6 +225,72 @@ def test_an_orientation_survives_a_file_with_y_up(tmp_path):
     path.write_text(path.read_text().replace('up = "z"', 'up = "y"'))
     np.testing.assert_allclose(Recording.load(path).positions_world, there.positions_world,
                                atol=5e-6)  # fmt: skip
+
+
+# Live --------------------------------------------------------------------------------------------
+
+LIVE = """
+[markers.on.Left]
+bone = "hand_l"
+at = 0.0
+offset = [0.01, 0.02, 0.1]
+offset_in = "marker"
+turn = [0.6, 0.8, 0.0, 0.0]
+
+[markers.on.Hmd]
+bone = "head"
+"""
+
+
+def sent(name: str, position: np.ndarray, R: np.ndarray) -> bytes:
+    """A device of VMC as Unity has it: left-handed, x right, y up, z forward."""
+    kind = "Hmd" if name == "Hmd" else "Con"
+    built = OscMessageBuilder(f"/VMC/Ext/{kind}/Pos")
+    x, y, z, w = Rotation.from_matrix(R_WORLD_UNITY.T @ R @ R_WORLD_UNITY).as_quat()
+    for value in (name, *(R_WORLD_UNITY.T @ position), x, y, z, w):
+        built.add_arg(float(value) if not isinstance(value, str) else value)
+    return built.build().dgram
+
+
+def test_devices_that_come_over_osc_tell_how_they_are_turned_and_are_recorded_so(tmp_path):
+    (tmp_path / "live.toml").write_text(LIVE)
+    setup, samples = load_live(tmp_path / "live.toml"), []
+    bind = partial(bound_positions, setup.skeleton, setup.places)
+    gathers = Gathering(setup.marker_names, {}, setup.R_world_source, samples.append, bind)
+    R, at = random_turns(7, 4, 2), np.random.default_rng(7).uniform(-1, 1, (4, 2, 3))
+    for i in range(4):
+        packets = (sent(n, at[i, m], R[i, m]) for m, n in enumerate(setup.marker_names))
+        placed = [placed for packet in packets for placed in parse(packet).placed]
+        gathers.add(placed, i / 90, i / 90, whole=True)
+    told = bound_positions(setup.skeleton, setup.places, at, R)
+    found = np.stack([sample.positions_world for sample in samples])
+    np.testing.assert_allclose(found, told, atol=1e-6)
+    written = LiveRecording(setup, tmp_path / "out")
+    for sample in samples:
+        written.add(sample)
+    path = written.close()
+    assert path is not None
+    again = Recording.load(path)
+    np.testing.assert_allclose(again.positions_world, told, atol=3e-6)
+    # As measured it is there too, for jaxmocap offsets.
+    measured, _ = load_markers(path)
+    np.testing.assert_allclose(measured.positions, at, atol=1e-6)
+    assert measured.turns is not None
+    np.testing.assert_allclose(measured.turns, R, atol=3e-6)
+
+
+def test_a_device_that_sends_no_quaternion_is_placed_but_not_turned():
+    built = OscMessageBuilder("/VMC/Ext/Tra/Pos")
+    for value in ("waist", 1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0):
+        built.add_arg(value)
+    (placed,) = parse(built.build().dgram).placed
+    assert placed.position == (1.0, 2.0, 3.0) and placed.turn is None
+
+
+def test_orientations_are_refused_of_a_stream_that_has_none(tmp_path):
+    (tmp_path / "live.toml").write_text('[lsl]\nstream = "a"\n' + LIVE)
+    with pytest.raises(InputError, match="LSL streams bring no orientations"):
+        load_live(tmp_path / "live.toml")
 
 
 # The body ----------------------------------------------------------------------------------------

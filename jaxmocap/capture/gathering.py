@@ -1,6 +1,7 @@
 """Markers that arrive one by one, gathered into samples.
 
-INPUTS: names and positions as a sender has them. OUTPUTS: Samples: all markers of one moment.
+INPUTS: names, positions and turns as a sender has them. OUTPUTS: Samples: all markers of one
+moment, and the points on bones that those tell of which know how they are turned.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -8,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxmocap.body.turns import matrices
 from jaxmocap.capture.osc import Placed
 
 # A marker that was not sent for so long is not waited for, seconds.
@@ -16,18 +18,33 @@ ALIVE_S = 0.25
 TOGETHER_S = 0.005
 
 
+class Measured(NamedTuple):
+    """What the senders said of M markers.
+
+    Attributes:
+        positions_world: (M, 3) metres; NaN where missing.
+        turns_world: (M, 3, 3) from their own axes, which are turned as the sender's are to make
+            the world's; NaN where not known.
+    """
+
+    positions_world: np.ndarray
+    turns_world: np.ndarray
+
+
 class Sample(NamedTuple):
-    """All markers at one time.
+    """All points at one time.
 
     Attributes:
         time: seconds.
-        positions_world: (M, 3) metres; NaN where missing.
+        positions_world: (P, 3) metres of the points on bones; NaN where missing.
         arrived: when its last packet came in, seconds on the same clock.
+        measured: what they were made of; None where markers are the points.
     """
 
     time: float
     positions_world: np.ndarray
     arrived: float
+    measured: Measured | None = None
 
 
 class Gathering:
@@ -45,6 +62,7 @@ class Gathering:
         aliases: Mapping[str, str],
         R_world_source: np.ndarray,
         give: Callable[[Sample], None],
+        bind: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
     ):
         """Begin with no marker.
 
@@ -53,12 +71,15 @@ class Gathering:
             aliases: a sender's name -> marker.
             R_world_source: (3, 3) to the world's axes.
             give: called with every sample.
+            bind: positions (M, 3) and turns (M, 3, 3) to points on bones (P, 3); without it the
+                markers are the points.
         """
         self._index = {name: i for i, name in enumerate(markers)}
         self._index |= {name: self._index[marker] for name, marker in aliases.items()}
         self._names, self._R, self._give = tuple(markers), R_world_source, give
+        self._bind = bind
         self._heard = np.full(len(markers), -np.inf)
-        self._points: dict[int, tuple[float, float, float]] = {}
+        self._points: dict[int, Placed] = {}
         self._time, self._arrived, self._last = 0.0, 0.0, -np.inf
         self.unknown: set[str] = set()
 
@@ -83,7 +104,7 @@ class Gathering:
                 self._flush()
             if not self._points:
                 self._time = time
-            self._points[marker], self._heard[marker] = each.position, arrived
+            self._points[marker], self._heard[marker] = each, arrived
             self._arrived = arrived
         alive = np.flatnonzero(arrived - self._heard < ALIVE_S)
         if self._points and (whole or len(self._points) >= len(alive)):
@@ -96,8 +117,19 @@ class Gathering:
 
     def _flush(self) -> None:
         """Give out what is there, at a time that is later than the last one's."""
-        positions = np.full((len(self._heard), 3), np.nan)
-        positions[list(self._points)] = list(self._points.values())
+        measured = self._measured()
         self._last = max(self._time, self._last + 1e-4)
         self._points = {}
-        self._give(Sample(self._last, positions @ self._R.T, self._arrived))
+        points = measured.positions_world if self._bind is None else self._bind(*measured)
+        self._give(Sample(self._last, points, self._arrived, measured))
+
+    def _measured(self) -> Measured:
+        """The markers in the world's axes."""
+        positions = np.full((len(self._heard), 3), np.nan)
+        quaternions = np.full((len(self._heard), 4), np.nan)
+        for marker, placed in self._points.items():
+            positions[marker] = placed.position
+            if placed.turn is not None:
+                x, y, z, w = placed.turn
+                quaternions[marker] = w, x, y, z
+        return Measured(positions @ self._R.T, self._R @ matrices(quaternions) @ self._R.T)

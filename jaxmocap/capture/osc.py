@@ -41,10 +41,12 @@ class Placed(NamedTuple):
     Attributes:
         names: what it may be called, the first that somebody knows counts.
         position: (x, y, z) metres, the sender's axes.
+        turn: quaternion (x, y, z, w) from its own axes to the sender's, or None.
     """
 
     names: tuple[str, ...]
     position: tuple[float, float, float]
+    turn: tuple[float, float, float, float] | None = None
 
 
 class Packet(NamedTuple):
@@ -138,7 +140,17 @@ def _device(message: bytes, address: bytes) -> Placed:
     if not isinstance(serial, str) or len(serial) > LONGEST_NAME:
         raise BadPacketError("malformed")
     kind = address.split(b"/")[3].decode()
-    return Placed((serial, kind) if kind == "Hmd" else (serial,), _position(numbers[:3]))
+    names = (serial, kind) if kind == "Hmd" else (serial,)
+    return Placed(names, _position(numbers[:3]), _turn(numbers[3:]))
+
+
+def _turn(numbers: list[float]) -> tuple[float, float, float, float] | None:
+    """A quaternion of length 1, or None: senders that know nothing of turns send zeros."""
+    length = math.sqrt(sum(number**2 for number in numbers))
+    if abs(length - 1) > 0.01:
+        return None
+    x, y, z, w = (number / length for number in numbers)
+    return x, y, z, w
 
 
 def _position(numbers: list[float]) -> tuple[float, float, float]:

@@ -21,10 +21,12 @@ import av
 import numpy as np
 from av.error import FFmpegError
 
+from jaxmocap.body.turns import quaternions
 from jaxmocap.capture.gathering import Sample
 from jaxmocap.capture.inbox import Frame
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.live import LiveSetup
+from jaxmocap.formats.places import MarkerPlace
 from jaxmocap.formats.recording import write_recording
 from jaxmocap.formats.tables import format_rows
 
@@ -59,7 +61,8 @@ class LiveRecording:
         self.folder.mkdir(parents=True, exist_ok=True)
         self._setup = setup
         self._markers = (self.folder / "markers.csv").open("w", encoding="utf-8", newline="")
-        columns = [f"{name}.{axis}" for name in setup.marker_names for axis in "xyz"]
+        parts = (*"xyz", "qw", "qx", "qy", "qz") if setup.lsl is None else "xyz"
+        columns = [f"{name}.{part}" for name in setup.marker_names for part in parts]
         csv.writer(self._markers, lineterminator="\n").writerow(["time", *columns])
         self._samples = 0
         self._films: dict[int, _Film] = {}
@@ -115,7 +118,13 @@ class LiveRecording:
             self.dropped += self.problem is not None
 
     def _note(self, sample: Sample) -> None:
-        cells = format_rows(sample.positions_world).ravel()
+        measured = sample.measured
+        known = sample.positions_world if measured is None else measured.positions_world
+        if self._setup.lsl is None:
+            nothing = np.full((len(known), 4), np.nan)
+            turns = nothing if measured is None else quaternions(measured.turns_world)
+            known = np.hstack([known, turns])
+        cells = format_rows(known).ravel()
         self._markers.write(",".join([f"{sample.time:.9f}", *cells]) + "\n")
         self._samples += 1
         if self._samples % FLUSHED == 0:
@@ -143,8 +152,14 @@ class LiveRecording:
         return table
 
 
-def _place(place: Any) -> dict[str, Any]:
-    return {"bone": place.bone, "at": place.at, "offset": list(place.offset)}
+def _place(place: MarkerPlace) -> dict[str, Any]:
+    """The entry of [markers.on], without what is usual."""
+    entry: dict[str, Any] = {"bone": place.bone, "at": place.at, "offset": list(place.offset)}
+    if place.offset_in == "marker":
+        entry["offset_in"] = place.offset_in
+    if place.turn is not None:
+        entry |= {"turn": list(place.turn), "lever": place.lever}
+    return entry
 
 
 def _seen_from(folder: Path, file: Path) -> str:

@@ -22,6 +22,7 @@ from jaxmocap.capture.gathering import Sample
 from jaxmocap.capture.inbox import Frame
 from jaxmocap.capture.trail import Trail
 from jaxmocap.formats.live import LiveSetup
+from jaxmocap.formats.places import bound_places
 from jaxmocap.hybrid.fixed_lag import FixedLagSmoother, Given
 from jaxmocap.hybrid.search import confidence_of
 from jaxmocap.hybrid.settings import Settings
@@ -78,7 +79,8 @@ class LiveTracking:
             tracker: of this person, these markers and cameras, compiled before.
         """
         cameras = [v.camera for v in setup.videos] if settings.refine != "none" else []
-        sites = marker_sites(setup.skeleton, setup.places)
+        places = bound_places(setup.skeleton, setup.places)
+        sites = marker_sites(setup.skeleton, places)
         self.tracker = tracker or HybridTracker(setup.skeleton, cameras, settings, sites)
         self._cameras, self.colour = len(cameras), smooth and bool(cameras)
         self._begin()
