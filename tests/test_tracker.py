@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import LIMITS, on_device
-from drawn_arms import draw, limbs_of
 from watched_arms import FRONT, MARKERS, PERSON, TRUTH, arms_in
+from waving_arms import RATE, frames, image_of, markers_of, waving
 
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose
@@ -23,11 +23,8 @@ from jaxmocap.reference import ik as reference_ik
 from jaxmocap.reference import kinematics as reference
 from jaxmocap.reference import pipeline as reference_pipeline
 
-RATE = 30
 BLACK = np.zeros((480, 640, 3), np.uint8)
 MISSING = np.full((3, 3), np.nan)
-# For the reference, which takes one number at a time: NumPy is much faster at that.
-BODY = jax.tree.map(np.asarray, PERSON)
 
 
 class CountedTracker(HybridTracker):
@@ -52,33 +49,9 @@ def markers_only():
     return CountedTracker(PERSON, settings=Settings(balance=False))
 
 
-def waving(time):
-    """The person's pose at a time: both arms move, each in its own way."""
-    angles, joint = TRUTH.angles.copy(), PERSON.tree.joint
-    for side, sign in (("l", 1), ("r", -1)):
-        angles[joint(f"arm_flex_{side}")] += 0.35 * np.sin(2 * time) * sign
-        angles[joint(f"arm_rot_{side}")] += 0.3 * np.sin(3 * time)
-        angles[joint(f"elbow_flex_{side}")] += 0.25 * np.sin(2.5 * time + sign)
-    return TRUTH._replace(angles=angles)
-
-
-def markers_of(pose):
-    return reference.site_positions(BODY, reference.forward(BODY, pose), MARKERS)
-
-
-def image_of(pose):
-    return draw(FRONT, list(limbs_of(BODY, pose)))
-
-
 def elbow_errors(pose, truth):
     apart = arms_in(pose).elbow - arms_in(on_device(truth)).elbow
     return np.linalg.norm(apart, axis=1)
-
-
-def frames(count, first=0):
-    for i in range(first, first + count):
-        truth = waving(i / RATE)
-        yield i / RATE, truth, markers_of(truth)
 
 
 def followed(tracker, count, state=None, first=0):

@@ -73,6 +73,10 @@ class Observer:
         self._nothing = jnp.full(self._shape, FARTHEST_PX / spacing, jnp.float32)
         self._unseen = jnp.zeros(self._shape[:2], bool)
 
+    def fresh(self) -> "Observer":
+        """The same for another recording: nothing is remembered."""
+        return Observer(len(self.thresholds), self.size, self.channels, self.edges, self.spacing)
+
     def observe(self, images: Sequence[np.ndarray | None] | None, region: Region) -> Observation:
         """Fields of both arms in every camera that has an image, BGR or grey uint8."""
         if images is None or all(image is None for image in images):

@@ -11,7 +11,6 @@ from time import perf_counter
 import jax
 from tqdm import tqdm
 
-from jaxmocap.hybrid.observe import Observer
 from jaxmocap.hybrid.tracker import HybridTracker
 
 # Called with the steps done and their total.
@@ -45,10 +44,7 @@ def timed_stages(tracker: HybridTracker, clock: Clock) -> HybridTracker:
 
     The image chain remembers thresholds from frame to frame; a new recording starts afresh.
     """
-    settings, old = tracker.settings, tracker.observer
-    observer = Observer(
-        len(old.thresholds), old.size, settings.directions, settings.edges, settings.spacing
-    )
+    observer = tracker.observer.fresh()
     observer.observe = clock.timed("observe", observer.observe)
     timed = copy.copy(tracker)
     vars(timed).update(
