@@ -30,7 +30,7 @@ from jaxmocap.formats.npz import load_motion, save_motion
 from jaxmocap.formats.places import MarkerPlace, bound_places, bound_positions
 from jaxmocap.formats.recording import load_markers, write_recording
 from jaxmocap.formats.trc import read_trc, write_trc
-from jaxmocap.hybrid.arms import arm_dofs, grips, hang, swing
+from jaxmocap.hybrid.arms import arm_dofs, grips, hang
 from jaxmocap.run.live_recording import LiveRecording
 from jaxmocap.run.recording import make_tracker, marker_sites, settled
 from jaxmocap.synthetic import motions
@@ -328,12 +328,22 @@ def test_an_arm_that_hangs_ready_to_swing_keeps_its_bent_wrist():
     angles = jnp.asarray(low + 0.8 * (high - low))
     pose = Pose(jnp.zeros(3), jnp.eye(4)[0], angles)
     places = [MarkerPlace(s, f"hand_{s}", 0.5, (0.03, 0.0, 0.0)) for s in "lr"]
-    hung = hang(BODY, pose, grips(BODY, marker_sites(BODY, places)))
+    held = grips(BODY, marker_sites(BODY, places))
+    hung = jax.device_get(jax.jit(lambda pose: hang(BODY, pose, held))(pose))
     names = [BODY.tree.joints[dof] for dof in arm_dofs(BODY.tree)[0]]
     assert names == ["arm_flex_l", "arm_abduct_l", "arm_rot_l", "elbow_flex_l"]
-    arms, _ = swing(hung, jnp.zeros((2, 4)))
-    for part in ("elbow", "wrist", "tip", "grip"):
-        np.testing.assert_allclose(getattr(arms, part), getattr(hung.arms, part), atol=1e-5)
+    for side in range(2):
+        R = hung.R_world_carrier[side]
+        turns = [Rotation.from_rotvec(a * axis).as_matrix()
+                 for a, axis in zip(hung.angles[side], hung.axes[side], strict=True)]  # fmt: skip
+        R_humerus = R @ turns[0] @ turns[1] @ turns[2]
+        elbow = hung.arms.shoulder[side] + R_humerus @ hung.reaches[side, 0]
+        R_radius = R_humerus @ turns[3]
+        np.testing.assert_allclose(elbow, hung.arms.elbow[side], atol=1e-5)
+        np.testing.assert_allclose(elbow + R_radius @ hung.grip[side], hung.arms.grip[side],
+                                   atol=1e-5)  # fmt: skip
+        tip = elbow + R_radius @ (hung.reaches[side, 1] + hung.reaches[side, 2])
+        np.testing.assert_allclose(tip, hung.arms.tip[side], atol=1e-5)
 
 
 def test_subjects_have_wrists_if_they_say_so(tmp_path):
