@@ -125,7 +125,7 @@ def test_compiled_programs_are_kept_where_the_environment_says(monkeypatch, tmp_
     assert cache_folder() == Path.home() / ".cache" / "jaxmocap"
 
 
-@pytest.mark.parametrize("command", ["demo", "check", "track", "evaluate", "view"])
+@pytest.mark.parametrize("command", ["demo", "check", "track", "sync", "evaluate", "view"])
 def test_every_command_has_help_with_an_example(command, capsys):
     with pytest.raises(SystemExit) as done:
         main([command, "--help"])
