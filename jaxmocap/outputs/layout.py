@@ -22,12 +22,15 @@ SERIES = {
 }
 
 
-def lay_out(cameras: Mapping[str, list[str]], scene: Scene) -> rrb.Blueprint:
+def lay_out(
+    cameras: Mapping[str, list[str]], scene: Scene, series: Mapping[str, str] = SERIES
+) -> rrb.Blueprint:
     """Body to the left, all cameras and their fields to the right, all time series below.
 
     Args:
         cameras: camera name -> names of its fields.
         scene: looked at from ahead, half from its left.
+        series: entities of time series and titles of their views.
     """
     body = rrb.Spatial3DView(origin="/world", name="Body", eye_controls=_eye(scene))
     views = [
@@ -39,14 +42,14 @@ def lay_out(cameras: Mapping[str, list[str]], scene: Scene) -> rrb.Blueprint:
         for name, labels in cameras.items()
         for label in labels
     ]
-    series = [
+    curves = [
         rrb.TimeSeriesView(
             origin=f"/{entity}",
             name=title,
             axis_y=rrb.ScalarAxis(range=(0, 1)) if entity == "confidence" else None,
             plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
         )
-        for entity, title in SERIES.items()
+        for entity, title in series.items()
     ]
     said = rrb.TextLogView(origin="/statuses", name="Statuses")
     top: list[rrb.View | rrb.Container] = [body]
@@ -60,7 +63,7 @@ def lay_out(cameras: Mapping[str, list[str]], scene: Scene) -> rrb.Blueprint:
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(*top),
-            rrb.Horizontal(*series[:-1], rrb.Tabs(series[-1], said)),
+            rrb.Horizontal(*curves[:-1], rrb.Tabs(curves[-1], said)),
             row_shares=[5, 2],
         ),
         rrb.TimePanel(timeline=TIMELINE, state="collapsed"),

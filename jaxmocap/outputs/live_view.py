@@ -20,6 +20,8 @@ from jaxmocap.outputs import layout, recorder
 from jaxmocap.outputs.scene import Scene, make_scene
 
 INTERVAL_S = 1 / 25
+LATENCY = "latency"
+SERIES = {"confidence": "Elbow confidence", "milliseconds": "Latency [ms]"}
 JPEG_QUALITY = 60
 
 
@@ -56,9 +58,14 @@ class LiveView:
         self._skeleton, self._cameras = skeleton, dict(cameras)
         self._stream = rr.RecordingStream("jaxmocap live")
         self._stream.connect_grpc(url)
-        blueprint = layout.lay_out({name: [] for name in cameras}, self._scene(0.0, pose))
+        standing = self._scene(0.0, pose)
+        blueprint = layout.lay_out({name: [] for name in cameras}, standing, SERIES)
         self._stream.send_blueprint(blueprint)
         recorder.log_limbs(self._stream, skeleton)
+        recorder.log_moment(self._stream, standing)
+        for i, name in enumerate((*recorder.SIDES, LATENCY)):
+            root = "milliseconds" if name == LATENCY else "confidence"
+            recorder.log_line(self._stream, root, name, i)
         for name, camera in cameras.items():
             recorder.log_camera(self._stream, name, camera)
         self._lock, self._stop, self._newest = Lock(), Event(), None
@@ -98,4 +105,4 @@ class LiveView:
             )
         values = {side: float(c) for side, c in zip(recorder.SIDES, shown.confidence, strict=True)}
         recorder.log_values(self._stream, "confidence", values)
-        recorder.log_values(self._stream, "milliseconds", {"latency": shown.latency_ms})
+        recorder.log_values(self._stream, "milliseconds", {LATENCY: shown.latency_ms})

@@ -274,11 +274,16 @@ def _send_series(
         seen = np.isfinite(column)
         if not seen.any():
             continue
-        entity = entity_path(root, name)
-        colour = COLOURS[name[0]] if name in SIDES else LINES[(first + i) % len(LINES)]
-        stream.log(entity, rr.SeriesLines(names=name, colors=colour), static=True)
+        log_line(stream, root, name, first + i)
         columns = rr.Scalars.columns(scalars=column[seen])
-        stream.send_columns(entity, [_at(times[seen])], columns)
+        stream.send_columns(entity_path(root, name), [_at(times[seen])], columns)
+
+
+def log_line(stream: rr.RecordingStream, root: str, name: str, number: int) -> None:
+    """How the line of a time series looks: a side's is as the body's, others by their number."""
+    colour = COLOURS[name[0]] if name in SIDES else LINES[number % len(LINES)]
+    style = rr.SeriesLines(names=name, colors=colour)
+    stream.log(entity_path(root, name), style, static=True)
 
 
 def _send_strips(

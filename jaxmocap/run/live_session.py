@@ -11,7 +11,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from jaxmocap.body.pose import relaxed_pose
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.pose import Pose, relaxed_pose
+from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.capture.inbox import Frame
 from jaxmocap.formats.live import LiveSetup, load_live
 from jaxmocap.run.live import Live, stopped_by_signals
@@ -74,7 +76,7 @@ def _viewer(
     ending.callback(opened.process.terminate)
     sleep(VIEWER_STARTS_S)
     cameras = {video.camera_name: video.camera for video in setup.videos}
-    shown = LiveView(opened.url, setup.skeleton, cameras, relaxed_pose(setup.skeleton))
+    shown = LiveView(opened.url, setup.skeleton, cameras, standing_pose(setup.skeleton))
     ending.callback(shown.close)
     status.say(0.0, f"viewer at {opened.page}" if opened.page else "viewer in a window")
     began = monotonic()
@@ -85,6 +87,13 @@ def _viewer(
         shown.show(Shown(monotonic() - began, output.pose, output.confidence, latency, images))
 
     return show
+
+
+def standing_pose(skeleton: Skeleton) -> Pose:
+    """At ease, facing x, with the lowest joint on the floor at the world's origin."""
+    pose = relaxed_pose(skeleton)
+    lowest = float(np.asarray(forward(skeleton, pose).joints_world)[:, 2].min())
+    return pose._replace(position=pose.position - np.array([0.0, 0.0, lowest], np.float32))
 
 
 def live_summary(figures: Mapping[str, Any]) -> str:

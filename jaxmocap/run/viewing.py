@@ -5,6 +5,7 @@ INPUTS: a folder that ``track`` wrote. OUTPUTS: a viewer, and a sentence about i
 Whatever is opened listens to this machine alone.
 """
 
+import importlib.util
 import os
 import socket
 import subprocess
@@ -100,11 +101,21 @@ def start_viewer(
         web_port = web_port or free_port()
         options += ["--serve-web", "--web-viewer-port", str(web_port)]
         page = f"http://{LOOPBACK}:{web_port}/?url={quote(url, safe='')}"
-    command = [sys.executable, "-m", "rerun", *options, *arguments]
+    command = [*viewer_command(), *options, *arguments]
     process = subprocess.Popen(
         command, start_new_session=stay, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
     return Viewer(process, url, page)
+
+
+def viewer_command() -> list[str]:
+    """What starts the viewer: its program itself, for what wraps it would end without it."""
+    spec = importlib.util.find_spec("rerun_cli")
+    for folder in (spec.submodule_search_locations or ()) if spec else ():
+        for name in ("Rerun.app/Contents/MacOS/Rerun", "rerun", "rerun.exe"):
+            if (program := Path(folder) / name).is_file():
+                return [str(program)]
+    return [sys.executable, "-m", "rerun"]
 
 
 def free_port() -> int:
