@@ -94,7 +94,8 @@ def causal(
         frame, whole = int(line.frame_index[event, 0]), Stopwatch()
         images = [None if frame < 0 else look(frame)]
         step = Stopwatch()
-        state, pose, report = jax.device_get(stepping.step(state, time, markers[event], images))
+        state, pose, report = stepping.step(state, time, markers[event], images)
+        pose, report = jax.tree.map(np.asarray, (pose, report))
         clock.spans["step"] = step.read()
         if smoother is not None:
             # Between the samples markers are extrapolated, which the smoother does better.

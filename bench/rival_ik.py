@@ -111,7 +111,7 @@ def ours(skeleton: Skeleton, start: Pose) -> Follower:
 
     def follow(targets: np.ndarray) -> np.ndarray:
         last[0], points = solve(skeleton, settings, last[0], np.asarray(targets, np.float32))
-        return jax.device_get((last[0], points))[1]
+        return np.asarray(points)
 
     return follow
 
