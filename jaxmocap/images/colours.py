@@ -56,8 +56,9 @@ class RunningColours:
 
 def colour_bins(image: np.ndarray) -> np.ndarray:
     """Histogram bin (...) of every pixel of an image (..., 3) uint8."""
-    a, b, c = np.moveaxis((image // (256 // LEVELS)).astype(np.int32), -1, 0)
-    return (a * LEVELS + b) * LEVELS + c
+    levels = (image.reshape(-1, 1, 3) // (256 // LEVELS)).astype(np.uint16)
+    places = np.array([[LEVELS**2, LEVELS, 1.0]])
+    return cv2.transform(levels, places).reshape(image.shape[:-1])
 
 
 def learn_colours(frames: np.ndarray, cores: np.ndarray, bodies: np.ndarray) -> Colours:
