@@ -290,6 +290,7 @@ def text(found: Sequence[Synced]) -> str:
         if np.isfinite(each.drift):
             lines.append(
                 f"{each.camera}: the markers' clock gains {1e6 * each.drift:.0f} ± "
-                f"{1e6 * each.drift_std:.0f} µs a second on the video's, for which no field is"
+                f"{1e6 * each.drift_std:.0f} µs a second on the video's; the offset is "
+                "that of the middle, and no field corrects a drift"
             )
     return "\n".join(lines)
