@@ -20,6 +20,7 @@ EXAMPLES = {
     "track": "jaxmocap track recording.toml --out tracked",
     "batch": "jaxmocap batch recordings --out tracked --workers 2",
     "sync": "jaxmocap sync recording.toml",
+    "warmup": "jaxmocap warmup recording.toml",
     "evaluate": "jaxmocap evaluate tracked truth.trc --match elbow_l=LElbow elbow_r=RElbow",
     "view": "jaxmocap view tracked",
     "live": "jaxmocap live live.toml --out session",
@@ -81,9 +82,14 @@ def make_parser() -> Parser:
     check_parser.add_argument("recording", metavar="RECORDING.toml")
     _add_json(check_parser)
     _with_json(run_arguments.add_track, _command(commands, "track", track, "track a recording"))
-    several = _command(commands, "batch", batch, "track every recording in a folder, side by side")
-    run_arguments.add_batch(several)
-    _add_json(several)
+    _with_json(
+        run_arguments.add_batch,
+        _command(commands, "batch", batch, "track every recording in a folder, side by side"),
+    )
+    _with_json(
+        run_arguments.add_warmup,
+        _command(commands, "warmup", warmup, "compile what tracking and a live run will need"),
+    )
     _with_json(
         run_arguments.add_sync,
         _command(commands, "sync", sync, "find the videos' offsets from the motion itself"),
@@ -207,6 +213,17 @@ def sync(options: argparse.Namespace) -> None:
         recording = choosing.select_cameras(recording, options.cameras)
     found = sync(recording, options.search)
     _report(options, text(found), {"videos": [asdict(each) for each in found]})
+
+
+def warmup(options: argparse.Namespace) -> None:
+    """Compile ahead, and say what it took."""
+    from jaxmocap.run import recording as offline
+    from jaxmocap.run import warmup
+
+    ways = warmup.warm_up(
+        warmup.asked_for(options.recording), offline.choose_settings(options.refine)
+    )
+    _report(options, warmup.text(ways), warmup.figures(ways))
 
 
 def evaluate(options: argparse.Namespace) -> None:

@@ -60,13 +60,11 @@ class Camera:
         if given.size > 8:
             raise ValueError(f"at most 8 distortion coefficients, found {given.size}")
         coefficients[: given.size] = given
-        R = jnp.asarray(rotation, float)
-        T = jnp.eye(4).at[:3, :3].set(exp(R) if R.shape == (3,) else R)
         return cls(
             jnp.asarray(size, float),
             jnp.asarray(matrix, float),
             jnp.asarray(coefficients, float),
-            T.at[:3, 3].set(jnp.asarray(translation, float)),
+            _transform(jnp.asarray(rotation, float), jnp.asarray(translation, float)),
         )
 
     @property
@@ -74,6 +72,14 @@ class Camera:
         """(3,) the centre of projection in the world, metres."""
         R, t = self.T_cam_world[:3, :3], self.T_cam_world[:3, 3]
         return -jnp.matmul(R.T, t, precision=HIGHEST)
+
+
+# As one program: step by step each step of ``exp`` would compile by itself.
+@jax.jit
+def _transform(rotation: Array, translation: Array) -> Array:
+    """(4, 4) from a Rodrigues vector (3,) or a matrix (3, 3), and a translation (3,)."""
+    R = exp(rotation) if rotation.shape == (3,) else rotation
+    return jnp.eye(4, dtype=R.dtype).at[:3, :3].set(R).at[:3, 3].set(translation)
 
 
 def turned(camera: Camera, turn_cam: Array) -> Camera:

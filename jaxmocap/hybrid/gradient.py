@@ -42,7 +42,6 @@ from jaxmocap.hybrid.observe import Observation
 from jaxmocap.hybrid.occlusion import blockers, hidden
 from jaxmocap.hybrid.settings import GradientSettings, Settings
 from jaxmocap.images.regions import Region
-from jaxmocap.solvers.least_squares import least_squares
 from jaxmocap.solvers.status import Status
 
 # Degrees of freedom of Student's t, by which a searched elbow may be wrong.
@@ -103,6 +102,9 @@ def refine_body(
         grip_sites: the two points that the markers hold.
         aims: what else is to be met.
     """
+    # Here, since optimistix takes half a second to import, which the simplex does not need.
+    from jaxmocap.solvers.least_squares import least_squares
+
     descent = settings.descent
     start, centre = jax.lax.stop_gradient((start, aims.centre))
     aims = aims._replace(centre=centre)

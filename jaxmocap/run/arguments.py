@@ -14,6 +14,17 @@ format cannot hold is left out and said. .bvh and .glb are Y up, facing Z, their
 the arms out to the sides; joints made of them are Z up. Markers keep their file's axes."""
 
 
+def add_warmup(parser: argparse.ArgumentParser) -> None:
+    """Options of ``warmup``."""
+    parser.add_argument(
+        "recording", metavar="RECORDING.toml", nargs="?",
+        help="whose markers and cameras; default: the demo's, headset and controllers, one camera",
+    )  # fmt: skip
+    parser.add_argument(
+        "--refine", choices=("simplex", "gradient", "none"), default="simplex", help="see 'track'"
+    )
+
+
 def add_convert(parser: argparse.ArgumentParser) -> None:
     """Options of ``convert``."""
     parser.description = f"{parser.description}\n\n{CARRIED}"

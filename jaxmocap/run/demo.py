@@ -24,7 +24,13 @@ from jaxmocap.run.recording import make_tracker, marker_sites, track, track_both
 from jaxmocap.run.summary import frames_per_second
 from jaxmocap.run.timing import progress_bar
 from jaxmocap.run.writing import make_folder, write_outputs
-from jaxmocap.synthetic.recording import CAMERA, marker_places, webcam, write_table_tennis
+from jaxmocap.synthetic.recording import (
+    CAMERA,
+    VIDEO_RATE,
+    marker_places,
+    webcam,
+    write_table_tennis,
+)
 
 ELBOWS = {"elbow_l": "elbow_l", "elbow_r": "elbow_r"}
 HEIGHT = 1.75
@@ -108,17 +114,24 @@ def demonstrate(
 
 def compiled_tracker() -> HybridTracker:
     """The demo's tracker, compiled by a step on somebody who stands still before a grey wall."""
+    recording = standing(1)
+    tracker = make_tracker(recording)
+    track(recording, tracker=tracker)
+    return tracker
+
+
+def standing(count: int) -> Recording:
+    """Somebody with the demo's markers who stands still before a grey wall, for so many frames."""
     skeleton, camera = Skeleton.human(HEIGHT), webcam()
     places = tuple(MarkerPlace(name, **place) for name, place in marker_places().items())
     sites = marker_sites(skeleton, places)
     points = site_positions(skeleton, forward(skeleton, relaxed_pose(skeleton)), sites)
     width, height = np.asarray(camera.size, int)
-    wall = (np.zeros(1), [np.full((height, width), 128, np.uint8)])
+    times = np.arange(count) / VIDEO_RATE
+    wall = (times, [np.full((height, width), 128, np.uint8)] * count)
     video = VideoSource(CAMERA, camera, frames=wall)
-    standing = Recording(skeleton, np.zeros(1), np.asarray(points)[None], places, (video,))
-    tracker = make_tracker(standing)
-    track(standing, tracker=tracker)
-    return tracker
+    positions_world = np.tile(np.asarray(points), (count, 1, 1))
+    return Recording(skeleton, times, positions_world, places, (video,), "standing")
 
 
 def _by_joint(errors: Errors) -> dict[str, np.ndarray]:
