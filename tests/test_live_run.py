@@ -24,6 +24,7 @@ from jaxmocap.capture.gathering import Sample
 from jaxmocap.capture.inbox import Frame
 from jaxmocap.capture.video import open_video
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.filters import OneEuroSettings
 from jaxmocap.formats.live import (
     LISTEN,
     R_WORLD_UNITY,
@@ -117,7 +118,12 @@ def test_what_is_not_said_is_loopback_and_unitys_axes(tmp_path):
     setup = load_live(path)
     assert setup.listen == LISTEN and setup.listen.host == setup.vmc.host == "127.0.0.1"
     assert setup.vrchat is None and "no [subject]" in setup.warnings[0]
-    y_up = write_file(tmp_path, "[markers]\nup = 'y'\n[markers.on]\nHmd = { bone = 'head' }\n")
+    assert setup.one_euro is None
+    text = (
+        "[markers]\nup = 'y'\nfilters = { one_euro = true }\n[markers.on]\nHmd = { bone = 'head' }"
+    )
+    y_up = write_file(tmp_path, text)
+    assert load_live(y_up).one_euro == OneEuroSettings()
     assert np.linalg.det(load_live(y_up).R_world_source) > 0
 
 
@@ -132,6 +138,7 @@ def test_what_is_not_said_is_loopback_and_unitys_axes(tmp_path):
         ('["hip", "foot_l"]', '["hip", "nose"]', "trackers"),
         ('bone = "head"', 'bone = "skull"', "unknown bone 'skull'"),
         ('camera = "other"', 'camera = "cam"', "one camera"),
+        ("[osc]", "[markers.filters]\nbutterworth = 6.0\n[osc]", "expected one_euro"),
         ("[osc]", "[lsl]\nstream = 'mocap'\n[osc]", "one source"),
     ],
 )

@@ -3,6 +3,7 @@
 Both are stand-ins that note what they are asked; the real ones have tests of their own.
 """
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.capture.gathering import Sample
 from jaxmocap.capture.inbox import Frame
+from jaxmocap.formats.filters import OneEuroSettings
 from jaxmocap.formats.live import LiveSetup, LiveVideo
 from jaxmocap.formats.recording import MarkerPlace
 from jaxmocap.hybrid.fixed_lag import Given
@@ -73,7 +75,7 @@ class Smoother:
 def tracking(monkeypatch):
     """Makes a LiveTracking on stand-ins."""
 
-    def make(smooth: bool = False, cameras: int = 1) -> LiveTracking:
+    def make(smooth: bool = False, cameras: int = 1, one_euro=None) -> LiveTracking:
         monkeypatch.setattr(LiveTracking, "_warm_up", lambda self: None)
         monkeypatch.setattr(
             live_tracking, "settled", lambda tracker, points: State(Belief(np.float32(0)))
@@ -81,7 +83,8 @@ def tracking(monkeypatch):
         monkeypatch.setattr(live_tracking, "FixedLagSmoother", Smoother)
         video = LiveVideo("cam", SimpleNamespace(), 0)  # type: ignore[arg-type]
         places = tuple(MarkerPlace(name, "head") for name in "abc")
-        setup = LiveSetup("live.toml", SKELETON, places, np.eye(3), (video,) * cameras)  # type: ignore[arg-type]
+        cams = (video,) * cameras
+        setup = LiveSetup(Path("live.toml"), SKELETON, places, np.eye(3), cams, one_euro=one_euro)
         return LiveTracking(setup, Settings(), smooth, Tracker(cameras))  # type: ignore[arg-type]
 
     return make
@@ -177,3 +180,15 @@ def test_smoothing_waits_for_frames_no_longer_than_a_moment(tracking):
     assert outputs[-1].time >= 59 / 90 - 0.12
     live.frames([frame(0.1, delay=0.5)])
     assert live.late == 1
+
+
+def test_markers_go_through_the_one_euro_filter_where_that_is_asked_for(tracking):
+    rng = np.random.default_rng(0)
+    jitter = rng.normal(0, 0.002, (90, 3, 3))
+    spreads = []
+    for one_euro in (None, OneEuroSettings(cutoff=1.0)):
+        live = tracking(one_euro=one_euro)
+        for i, points in enumerate(jitter):
+            live.sample(Sample(i / 90, points, i / 90))
+        spreads.append(np.std([markers for _, markers, _ in live.tracker.steps[45:]]))
+    assert spreads[0] == pytest.approx(0.002, rel=0.1) and spreads[1] < 0.6 * spreads[0]

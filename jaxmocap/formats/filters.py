@@ -38,8 +38,8 @@ class Filters:
         hampel: take outliers for missing.
         gaps: fill in what is missing for up to so many seconds; 0 fills nothing.
         butterworth: cut-off of the zero-phase low-pass, Hz, or None.
-        one_euro: of the filter without look-ahead, which is for ``--causal`` only, as the three
-            above are for all else; or None.
+        one_euro: of the filter without look-ahead, which is for ``--causal`` and ``live`` only,
+            as the three above are for all else; or None.
     """
 
     hampel: bool = False

@@ -16,6 +16,7 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.formats.axes import UP, read_axes
 from jaxmocap.formats.calibration import pick_camera, read_calibration
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.filters import OneEuroSettings, read_filters
 from jaxmocap.formats.recording import MarkerPlace, read_place
 from jaxmocap.formats.subject import DEFAULT_HEIGHT, read_subject
 from jaxmocap.formats.toml import Fields, read_toml
@@ -85,6 +86,7 @@ class LiveSetup:
         trackers: which of ``TRACKED`` go there.
         calibration: the calibration file, or None.
         subject: the table [subject] as it stands, or None.
+        one_euro: of the filter that the markers go through, or None.
         warnings: sentences that a user should see.
     """
 
@@ -102,6 +104,7 @@ class LiveSetup:
     trackers: tuple[str, ...] = USUALLY_TRACKED
     calibration: Path | None = None
     subject: Mapping[str, Any] | None = None
+    one_euro: OneEuroSettings | None = None
     warnings: tuple[str, ...] = ()
 
     @property
@@ -144,6 +147,7 @@ def load_live(path: str | Path) -> LiveSetup:
         videos,
         calibration=calibration,
         subject=top.table.get("subject"),
+        one_euro=_one_euro(top),
         warnings=warnings,
         **_source(top, places),
         **_sinks(top),
@@ -151,12 +155,18 @@ def load_live(path: str | Path) -> LiveSetup:
 
 
 def _places(top: Fields) -> tuple[MarkerPlace, ...]:
-    keys = ("up", "to_world", "on")
+    keys = ("up", "to_world", "on", "filters")
     fields = Fields(top.path, "[markers]", top.required("markers"), keys)
     on = Fields(top.path, "[markers.on]", fields.required("on"))
     if not on.table:
         raise on.error("", "names no marker, expected entries such as Hmd = { bone = 'head' }")
     return tuple(read_place(top.path, name, entry) for name, entry in on.table.items())
+
+
+def _one_euro(top: Fields) -> OneEuroSettings | None:
+    """The one filter that does not look ahead."""
+    table = top.table["markers"].get("filters", {})
+    return read_filters(Fields(top.path, "[markers.filters]", table, ("one_euro",))).one_euro
 
 
 def _axes(top: Fields) -> np.ndarray:

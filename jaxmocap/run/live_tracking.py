@@ -20,6 +20,7 @@ from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.capture.gathering import Sample
 from jaxmocap.capture.inbox import Frame
+from jaxmocap.capture.one_euro import OneEuro
 from jaxmocap.capture.trail import Trail
 from jaxmocap.formats.live import LiveSetup
 from jaxmocap.formats.places import bound_places
@@ -83,6 +84,7 @@ class LiveTracking:
         sites = marker_sites(setup.skeleton, places)
         self.tracker = tracker or HybridTracker(setup.skeleton, cameras, settings, sites)
         self._cameras, self.colour = len(cameras), smooth and bool(cameras)
+        self._filter = None if setup.one_euro is None else OneEuro(setup.one_euro)
         self._begin()
         self._warm_up()
         self._begin()
@@ -92,7 +94,9 @@ class LiveTracking:
         self.placed = self.late = 0
         self._state: State | None = None
         self._zero, self._waited, self._last = 0.0, 0, -np.inf
-        self._trail = Trail(len(self.tracker.markers.bones))
+        points = len(self.tracker.markers.bones)
+        self._trail = Trail(points)
+        self._filtered = None if self._filter is None else self._filter.init(points)
         self._smoother = FixedLagSmoother(self.tracker) if self.colour else None
         self._held: list[Sample | Frame] = []
         # Of each event behind the smoother: its sample's arrival, or None.
@@ -114,6 +118,10 @@ class LiveTracking:
 
     def sample(self, sample: Sample) -> list[Output]:
         """Take a sample; the poses that go out now."""
+        if self._filter is not None and self._filtered is not None:
+            points = sample.positions_world
+            self._filtered, points = self._filter.step(self._filtered, sample.time, points)
+            sample = sample._replace(positions_world=points)
         self._trail.add(sample.time, sample.positions_world)
         if self._state is None:
             known = np.isfinite(sample.positions_world).all(-1)
