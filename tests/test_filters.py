@@ -350,7 +350,7 @@ def test_what_looks_ahead_is_left_out_where_nothing_later_may_be_used():
         cleaned(cut, causal=True)[0].positions_world, after.positions_world[:9]
     )
     _, cleaning = cleaned(recording)
-    assert "one_euro: not used, is for --causal" in cleaning.remarks[0]
+    assert "one_euro: not used, is for live and --causal" in cleaning.remarks[0]
 
 
 def test_unevenly_spaced_samples_are_told(monkeypatch):

@@ -121,7 +121,7 @@ def _left_out(filters: Filters, causal: bool) -> str:
     left = [name for name in filters_used(filters, not causal)]
     if not left:
         return ""
-    which = "look ahead, which --causal does not" if causal else "is for --causal"
+    which = "look ahead, which --causal does not" if causal else "is for live and --causal"
     return f"[markers.filters] {', '.join(left)}: not used, {which}"
 
 
