@@ -12,7 +12,7 @@ import numpy as np
 from bench.clock import interleaved, ratio
 from bench.metrics import Metric, stage_metrics
 from bench.rival_bodies import PinocchioBody, limited_mujoco, mujoco_points, mujoco_vector
-from jaxmocap.body.kinematics import forward
+from jaxmocap.body.kinematics import forward_many
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 
@@ -36,9 +36,7 @@ def measure(quick: bool, without: set[str]) -> Iterator[Metric]:
     """Ours batched, MuJoCo and Pinocchio in a loop; to the same positions, else it raises."""
     skeleton = Skeleton.human(1.75)
     poses = random_poses(skeleton, POSES)
-    batched = jax.jit(
-        jax.vmap(lambda skeleton, pose: forward(skeleton, pose).joints_world, (None, 0))
-    )
+    batched = jax.jit(lambda skeleton, poses: forward_many(skeleton, poses).joints_world)
     ways: dict[str, Callable] = {
         "ours": lambda: np.asarray(batched(skeleton, poses)),
         "mujoco": in_mujoco(skeleton, poses),
