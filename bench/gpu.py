@@ -1,0 +1,196 @@
+"""``python -m bench.gpu [--json FILE] [--most 4096]``: the same code on an accelerator and the CPU.
+
+Nothing in the package asks what it runs on. Both devices are measured in one run, and what they
+find is held against each other and, for kinematics, against float64.
+
+    kinematics   poses in a batch -> joints
+    tracking     recordings side by side, all events in one scan: solve, then refine
+    rasters      silhouettes' Gauss-Newton terms, the body drawn on 64 x 64 cells
+
+INPUTS: what JAX finds. OUTPUTS: one table, and Metrics.
+"""
+
+import argparse
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from bench.clock import interleaved
+from bench.footage import Footage, film
+from bench.metrics import Metric, table, write_json
+from bench.rival_kinematics import random_poses
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.silhouette import Legs, Sight
+from jaxmocap.hybrid.smoothing import sights_fit
+from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.hybrid.whole import WholeTracker
+from jaxmocap.images.regions import Region
+from jaxmocap.images.silhouette import Grid
+from jaxmocap.reference import kinematics as reference
+from jaxmocap.run.compilation import keep_compiled
+from jaxmocap.run.recording import make_tracker, settled
+
+# Poses, recordings and pictures at a time; events of a recording, every third with a frame.
+BATCHES, EVENTS, ROUNDS = (1, 16, 256, 4096), 24, 5
+# Poses whose joints are checked one by one against float64.
+CHECKED = 64
+
+# What to run on a device, by the size of a batch; the arguments there.
+Work = tuple[Callable[..., Any], tuple[Any, ...]]
+
+
+def measure(footage: Footage, most: int) -> Iterator[Metric]:
+    """All parts on the CPU and, if there is one, on the accelerator."""
+    sizes = [size for size in BATCHES if size <= most]
+    for name, work in parts(footage, sizes):
+        devices = {"cpu": jax.devices("cpu")[0]}
+        if jax.default_backend() != "cpu":
+            devices[jax.default_backend()] = jax.devices()[0]
+        yield from compared(name, work, devices)
+    yield from against_float64()
+
+
+def parts(footage: Footage, sizes: Sequence[int]) -> Iterator[tuple[str, Work]]:
+    """Everything that is measured."""
+    skeleton = Skeleton.human(1.75)
+    for size in sizes:
+        yield f"kinematics of {size} poses", kinematics(skeleton, size)
+    tracker = make_tracker(footage.recording, Settings(smooth=False))
+    for size in sizes:
+        yield f"solve, {size} recordings of {EVENTS} events", solving(tracker, footage, size)
+    for size in sizes:
+        yield f"refine, {size} recordings of {EVENTS} events", refining(tracker, footage, size)
+    for size in sizes:
+        yield f"rasters of {size} bodies", rasters(footage, size)
+
+
+def kinematics(skeleton: Skeleton, size: int) -> Work:
+    """Joints of a batch of poses."""
+    batched = jax.vmap(lambda body, pose: forward(body, pose).joints_world, (None, 0))
+    return batched, (skeleton, random_poses(skeleton, size))
+
+
+def solving(tracker: HybridTracker, footage: Footage, size: int) -> Work:
+    """Markers of all events to poses, of recordings side by side."""
+    state, markers, _ = _clip(tracker, footage)
+    many = np.broadcast_to(markers, (size, *markers.shape))
+    # No two alike: some millimetres apart.
+    moved = many + np.random.default_rng(0).normal(0, 0.003, (size, 1, 1, 3)).astype(many.dtype)
+    over = jax.vmap(WholeTracker(tracker).solved_over_time, (None, None, None, None, 0))
+    shared = tracker.skeleton, tracker.cameras, tracker.settings
+    call = lambda *given: over(*given)[1].ik.pose  # noqa: E731
+    return call, (*shared, (state.pose, state.stance), moved)
+
+
+def refining(tracker: HybridTracker, footage: Footage, size: int) -> Work:
+    """What was seen of all events to refined poses; all look at the same pictures."""
+    whole = WholeTracker(tracker)
+    state, markers, images = _clip(tracker, footage)
+    shared = tracker.skeleton, tracker.cameras, tracker.settings
+    _, solved = whole.solve_all(*shared, (state.pose, state.stance), markers)
+    views = whole.observe_all(images, solved.region)
+    times = np.arange(EVENTS, dtype=markers.dtype) / 90
+    many = np.broadcast_to(markers, (size, *markers.shape))
+    axes = (None, None, None, None, None, 0, None, None, None)
+    over = jax.vmap(whole.refined_over_time, axes)
+    call = lambda *given: over(*given)[1]  # noqa: E731
+    return call, (*shared, tracker.factors, solved, many, views, state.belief, times)
+
+
+def rasters(footage: Footage, size: int) -> Work:
+    """One body drawn over pictures of noise, in so many poses."""
+    tracker = make_tracker(footage.recording)
+    state = settled(tracker, footage.recording.positions_world[0])
+    rng = np.random.default_rng(0)
+
+    def grid(cells: int) -> Grid:
+        noise = rng.uniform(size=(1, cells, cells)).astype(np.float32)
+        return Grid(np.repeat(noise, size, 0), np.ones((size, cells, cells), np.float32))
+
+    def region(x: float, y: float, scale: float) -> Region:
+        corner = np.tile(np.array([x, y], np.float32), (size, 1))
+        return Region(corner, np.full(size, scale, np.float32))
+
+    upper, lower = region(180, 60, 4.0), region(180, 240, 6.0)
+    sights = Sight(upper, grid(64), grid(64), Legs(lower, grid(32)))
+    repeated = lambda part: np.repeat(np.asarray(part)[None], size, 0)  # noqa: E731
+    poses = jax.tree.map(repeated, state.pose)
+    assert tracker.cameras is not None
+    cameras = jax.tree.map(lambda part: np.repeat(np.asarray(part), size, 0), tracker.cameras)
+    softness, usual = jnp.asarray(1.5, jnp.float32), jnp.zeros(2, jnp.float32)
+    return sights_fit, (tracker.skeleton, usual, softness, poses, cameras, sights)
+
+
+def _clip(tracker: HybridTracker, footage: Footage) -> tuple:
+    """The state before the first samples, their markers, and an image for every third."""
+    markers = np.asarray(footage.recording.positions_world[:EVENTS], tracker.dtype)
+    images = [[footage.images[i // 3]] if i % 3 == 0 else None for i in range(EVENTS)]
+    return settled(tracker, markers[0]), markers, images
+
+
+def compared(name: str, work: Work, devices: dict[str, Any]) -> Iterator[Metric]:
+    """The same call on each device, in turn: milliseconds, their ratio, and how far they differ."""
+    call, arguments = work
+    jitted, ways, found = jax.jit(call), {}, {}
+    for device, where in devices.items():
+        there = jax.device_put(arguments, where)
+        ways[device] = lambda given=there: jitted(*given)
+        found[device] = jax.device_get(ways[device]())
+    spans = interleaved(ways, ROUNDS, warm=1)
+    for device, times in spans.items():
+        yield Metric(f"{name}, {device}", float(np.median(times[:, 0])), "ms")
+    for device in list(devices)[1:]:
+        own, cpu = (float(np.median(spans[d][:, 0])) for d in (device, "cpu"))
+        yield Metric(f"{name}, cpu over {device}", cpu / own, "x", "higher")
+        apart = jax.tree.map(lambda a, b: float(np.nanmax(np.abs(a - b))), *found.values())
+        most = max(jax.tree.leaves(apart))
+        yield Metric(f"{name}, {device} from cpu at most", most, "of its unit")
+
+
+def against_float64() -> Iterator[Metric]:
+    """Joints of random poses by the default device against NumPy's float64."""
+    skeleton = Skeleton.human(1.75)
+    poses = random_poses(skeleton, CHECKED)
+    call, arguments = kinematics(skeleton, CHECKED)
+    found = np.asarray(jax.jit(call)(*arguments))
+    body = jax.tree.map(np.asarray, skeleton)
+    each = (Pose._make(np.asarray(p, float) for p in pose) for pose in zip(*poses, strict=True))
+    expected = np.stack([reference.forward(body, pose).joints_world for pose in each])
+    apart = 1e6 * float(np.abs(found - expected).max())
+    yield Metric(f"joints from float64 at most, {jax.default_backend()}", apart, "µm")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m bench.gpu",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--json", metavar="FILE", help="write the metrics")
+    parser.add_argument("--most", type=int, default=BATCHES[-1], help="the largest batch")
+    options = parser.parse_args()
+    keep_compiled()
+    device = jax.devices()[0]
+    print(f"{device.platform}: {device.device_kind}", flush=True)
+    if device.platform == "cpu":
+        print("JAX finds no accelerator here: the CPU alone", flush=True)
+    with tempfile.TemporaryDirectory() as folder:
+        metrics = []
+        for metric in measure(film(Path(folder), 1.0), options.most):
+            print(f"{metric.name}: {metric.value:.4g} {metric.unit}", flush=True)
+            metrics.append(metric)
+    print(table(metrics))
+    if options.json:
+        write_json(metrics, options.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,77 @@
+"""``python -m bench.where FOUND.json --out FILE.png``: where the time of a causal step goes.
+
+A bar for each way of working, stage upon stage, as multiples of OpenCV's bare image chain; the line
+is what was aimed at.
+
+INPUTS: what ``python -m bench --json`` wrote. OUTPUTS: a picture.
+"""
+
+import argparse
+
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+
+from bench.metrics import read_json
+
+# Stage -> what it is called in the picture, from the ground up.
+STAGES = {
+    "observe": "observe: edges, distance fields",
+    "solve": "solve: inverse kinematics",
+    "refine": "refine: search, simplex, balance",
+    "smooth": "smooth: silhouettes, the newest frames together",
+}
+REST, LIMIT = "the rest: crossings, reports", 2.0
+COLOURS = {"observe": "C0", "solve": "C2", "refine": "C1", "smooth": "C3", "rest": "0.7"}
+
+
+def stages_over_chain(found: dict[str, float]) -> dict[str, dict[str, float]]:
+    """Bar -> stage -> multiples of the image chain."""
+
+    def bar(names: list[str], whole: str) -> dict[str, float]:
+        parts = {name: found[f"{name}_over_image_chain"] for name in names}
+        return parts | {"rest": max(found[whole] - sum(parts.values()), 0.0)}
+
+    frame = ["observe", "solve", "refine"]
+    return {
+        "frame by frame": bar(frame, "tracker_step_over_image_chain"),
+        "causal, smoothed": bar([*frame, "smooth"], "step_over_image_chain"),
+    }
+
+
+def draw(axes: Axes, bars: dict[str, dict[str, float]]) -> None:
+    """Stacked bars with their sums, and the limit."""
+    said = STAGES | {"rest": REST}
+    for row, (name, parts) in enumerate(bars.items()):
+        left = 0.0
+        for stage, size in parts.items():
+            label = said[stage] if name == list(bars)[-1] else None
+            axes.barh(row, size, left=left, color=COLOURS[stage], label=label)
+            if size > 0.7:
+                axes.text(left + size / 2, row, f"{size:.1f}", ha="center", va="center")
+            left += size
+        axes.text(left + 0.2, row, f"{left:.1f}", va="center", weight="bold")
+    axes.axvline(LIMIT, color="k", linestyle="--", label=f"aimed at: {LIMIT:g}")
+    axes.set_yticks(range(len(bars)), list(bars))
+    axes.set_xlabel("processor time of a step with a video frame / OpenCV's bare image chain")
+    axes.legend(loc="lower right", fontsize=8)
+    axes.set_ylim(-1.6, len(bars) - 0.4)
+    axes.margins(x=0.08)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m bench.where",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("found", help="JSON of python -m bench")
+    parser.add_argument("--out", required=True, help="picture to write")
+    options = parser.parse_args()
+    found = {metric.name: metric.value for metric in read_json(options.found)}
+    figure, axes = plt.subplots(figsize=(9, 3.6), layout="constrained")
+    draw(axes, stages_over_chain(found))
+    figure.savefig(options.out, dpi=110)
+
+
+if __name__ == "__main__":
+    main()
