@@ -269,6 +269,15 @@ def test_frames_keep_their_turn_though_newer_ones_replace_them():
     assert inbox.take(0.0).time == 0.01
 
 
+def test_for_smoothing_things_come_in_the_order_in_which_they_came_in():
+    inbox = Inbox(most_samples=4, keep_turns=False)
+    inbox.put_frame(frame_at(0.0))
+    inbox.put_sample(sample_at(0.01))
+    inbox.put_frame(frame_at(0.02))
+    assert inbox.take(0.0).time == 0.01
+    assert [frame.time for frame in inbox.take(0.0)] == [0.02]
+
+
 # Sockets -----------------------------------------------------------------------------------------
 
 

@@ -36,10 +36,17 @@ class Inbox:
         dropped_frames: likewise.
     """
 
-    def __init__(self, most_samples: int):
-        """With room for so many samples."""
+    def __init__(self, most_samples: int, keep_turns: bool = True):
+        """Begin empty.
+
+        Args:
+            most_samples: that may wait.
+            keep_turns: a frame that replaces another has its turn, so that frames are looked at
+                however many samples come; else things are given out in the order in which they
+                came in, which smoothing needs.
+        """
         self._samples: deque[Sample] = deque()
-        self._most = most_samples
+        self._most, self._keep_turns = most_samples, keep_turns
         self._frames: dict[int, Frame] = {}
         # Since when a camera's frames wait: the turn of one that is replaced is kept.
         self._since: dict[int, float] = {}
@@ -60,7 +67,8 @@ class Inbox:
         with self._something:
             self.dropped_frames += frame.camera in self._frames
             self._frames[frame.camera] = frame
-            self._since.setdefault(frame.camera, frame.arrived)
+            if not self._keep_turns or frame.camera not in self._since:
+                self._since[frame.camera] = frame.arrived
             self._something.notify()
 
     def take(self, timeout: float) -> Sample | list[Frame] | None:

@@ -81,7 +81,7 @@ class Live:
         """
         self.status = status or LiveStatus()
         self._setup, self._viewer = setup, viewer
-        self._inbox = Inbox(WAITING)
+        self._inbox = Inbox(WAITING, keep_turns=not smooth)
         self._began = monotonic()
         bind = partial(bound_positions, setup.skeleton, setup.places)
         gathering = Gathering(
@@ -193,7 +193,8 @@ class Live:
     def _dropped(self) -> dict[str, int]:
         return {
             "samples": self._inbox.dropped_samples,
-            "frames": self._inbox.dropped_frames + self.tracking.late,
+            "frames": self._inbox.dropped_frames,
+            **({"late": self.tracking.late} if self.tracking.late else {}),
         }
 
     def _finish(self) -> dict[str, Any]:

@@ -61,7 +61,7 @@ class LiveTracking:
         tracker: compiled.
         colour: whether frames are wanted in BGR.
         placed: how often the body was placed anew.
-        late: frames that came too late for the smoothing.
+        late: samples and frames that came too late for the smoothing.
     """
 
     def __init__(
@@ -196,7 +196,6 @@ class LiveTracking:
         """One event through tracker and smoother."""
         assert self._smoother is not None
         if event.time <= self._last:
-            # Only a frame can be: samples come in order, each later than the one before.
             self.late += 1
             return []
         self._last = event.time
