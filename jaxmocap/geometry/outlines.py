@@ -144,14 +144,15 @@ def outline_pieces(
 def joined(pieces: tuple[Pieces, Pieces]) -> Outline:
     """The points of sides and arcs in rows, of hulls of any shape (...)."""
 
-    def row(parts: tuple[Array, ...], likes: tuple[Array, ...]) -> Array:
-        shaped = [jnp.broadcast_to(p, q.shape) for p, q in zip(parts, likes, strict=True)]
-        flat = [part.reshape(-1, *part.shape[2:]) for part in shaped]
+    def row(name: str) -> Array:
+        parts = [jnp.broadcast_to(getattr(part, name), part.x.shape) for part in pieces]
+        flat = [part.reshape(-1, *part.shape[2:]) for part in parts]
         return jnp.moveaxis(jnp.concatenate(flat), 0, -1)
 
-    rows = Pieces(*(row(parts, (pieces[0].x, pieces[1].x)) for parts in zip(*pieces, strict=True)))
-    points = jnp.stack([rows.x, rows.y], -1)
-    return Outline(points, rows.weights, jnp.stack([rows.normal_x, rows.normal_y], -1))
+    points, normals = (
+        jnp.stack([row(x), row(y)], -1) for x, y in (("x", "y"), ("normal_x", "normal_y"))
+    )
+    return Outline(points, row("weights"), normals)
 
 
 def outline(discs: Discs, along: int, around: int, open_ends: Array) -> Outline:
@@ -171,7 +172,7 @@ def outline(discs: Discs, along: int, around: int, open_ends: Array) -> Outline:
         jnp.moveaxis(jnp.broadcast_to(part, discs.radii.shape), -1, 0)
         for part in (discs.radii, open_ends)
     )
-    return joined(outline_pieces(*centres, radii, along, around, ends))
+    return joined(outline_pieces(centres[0], centres[1], radii, along, around, ends))
 
 
 class Touch(NamedTuple):

@@ -60,7 +60,7 @@ class _Laid(NamedTuple):
 
 def _lay(
     camera: Camera, region: Region, fields: Array, limbs: Cones
-) -> tuple[tuple[_Laid, ...], Array]:
+) -> tuple[tuple[_Laid, _Laid], Array]:
     """Sides and arcs of limbs (..., 3), laid over the fields; metres per pixel (3, ...) there."""
     batch = limbs.near.ndim - 2
     R, t = camera.T_cam_world[:3, :3], camera.T_cam_world[:3, 3]
@@ -76,8 +76,8 @@ def _lay(
     pieces = outline_pieces(x * near, y * near, radii, ALONG, AROUND, free)
     front = jnp.minimum(depths[0], depths[1]) > 0
     shares = jnp.where(front, jnp.asarray(LIMB_WEIGHTS, x.dtype).reshape(by_limb), 0.0)
-    laid = tuple(_look_up(camera, region, fields, piece, shares) for piece in pieces)
-    return laid, (depths[0] + depths[1]) / 2 / camera.matrix[0, 0]
+    sides, arcs = (_look_up(camera, region, fields, piece, shares) for piece in pieces)
+    return (sides, arcs), (depths[0] + depths[1]) / 2 / camera.matrix[0, 0]
 
 
 def _look_up(camera: Camera, region: Region, fields: Array, points: Pieces, shares: Array) -> _Laid:
@@ -108,9 +108,9 @@ def trace_outline(camera: Camera, region: Region, fields: Array, limbs: Cones) -
     def rows(parts: list[Array]) -> Array:
         return jnp.concatenate([part.reshape(-1, *part.shape[2:]) for part in parts]).T
 
-    points = joined(tuple(part.points for part in laid)).points  # type: ignore[arg-type]
+    sides, arcs = laid
     return Traced(
-        points,
+        joined((sides.points, arcs.points)).points,
         rows([part.distances_px for part in laid]),
         metres_per_px[:, None],
         rows([part.weights for part in laid]),

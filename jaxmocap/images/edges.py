@@ -104,9 +104,10 @@ def by_direction(
     if points is not None:
         x, y = points.reshape(-1, 2).T
         sample, pixel = y // spacing * columns + x // spacing, y * edges.shape[1] + x
-        normals = (part.ravel()[pixel].astype(np.float32) for part in (dx, dy))
+        normal_x, normal_y = (part.ravel()[pixel].astype(np.float32) for part in (dx, dy))
         # Even and odd halves of a channel's own share lie towards its two neighbours.
-        halves = (cv2.phase(*normals).ravel() * (2 * channels / np.pi)).astype(np.int32)
+        turned = cv2.phase(normal_x, normal_y).ravel() * np.float32(2 * channels / np.pi)
+        halves = turned.astype(np.int32)
         own, odd = halves // 2, halves % 2
         sorted_edges[own % channels, sample] = 255
         sorted_edges[(own + 2 * odd - 1) % channels, sample] = 255
