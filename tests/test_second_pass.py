@@ -93,7 +93,7 @@ def unsolved() -> Iterator[list[Problem]]:
     """What is to be smoothed, round by round, instead of smoothing it."""
     kept: list[Problem] = []
 
-    def keep(problem, start, *_):
+    def keep(problem, start, *_, **__):
         kept.append(problem)
         return SmoothedPoses(start, 0.0, Status.CONVERGED)
 
@@ -216,7 +216,7 @@ def test_a_frame_that_serves_several_samples_is_looked_at_for_each(problems):
     away = [np.abs(told.probability[i] - told.probability[i + 1]) for i in pairs]
     assert any(np.quantile(a[b], 0.95) < 1e-6 for a, b in zip(away, both, strict=True))
     own = np.arange(0, 2 * FRAMES, 2)
-    assert len(problems) == 1 + smoothing.DECISIONS + len(smoothing.FINELY)
+    assert len(problems) == 2 + smoothing.DECISIONS
     alone = usual()[-1].sights.sight.person.probability
     np.testing.assert_allclose(seen.sight.person.probability[own].mean(), alone.mean(), atol=0.01)
 

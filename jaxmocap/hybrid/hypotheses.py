@@ -47,7 +47,7 @@ from jaxmocap.hybrid.silhouette import (
     nearest_surface,
     unhidden,
 )
-from jaxmocap.hybrid.smoothing import Problem, drawn_at, sights_weight
+from jaxmocap.hybrid.smoothing import Problem, coarsely, sights_weight
 from jaxmocap.hybrid.trajectory import Trajectory, all_turned
 from jaxmocap.images.regions import Region, discs_in_region
 from jaxmocap.images.silhouette import Grid, cells
@@ -55,7 +55,7 @@ from jaxmocap.images.silhouette import Grid, cells
 ARMS = [f"{limb}_{side}" for side in SIDES for limb in LIMBS]
 # The candidate that leaves an arm where it is.
 STAY = int(np.argmin(np.sum(TURNS**2, -1)))
-# Cells over which silhouettes fade, so softly that they are drawn coarsely.
+# Cells over which silhouettes fade, so softly that larger ones tell as much.
 SOFTNESS = 1.5
 SIGHTS_A_CALL = 16
 # Price of a shoulder that gives way, metres, and of a joint beyond its range, radians.
@@ -87,7 +87,7 @@ def elbow_goals(problem: Problem, trajectory: Trajectory, grips: Sites) -> np.nd
             lambda pose: _candidates(person, grips, pose), (there,), SIGHTS_A_CALL, workers
         )
         own += _off_lines(problem, seen, elbows)
-        drawn = drawn_at(problem, SOFTNESS)
+        drawn = coarsely(problem, SOFTNESS)
         priced = partial(_priced, *drawn, person, trajectory.poses, grips, own, workers)
         alone = priced(every, stay)[:, :, 0], priced(stay, every)[:, 0]
         paths = [cheapest_path(alone[side], elbows[:, side], times) for side in range(2)]
@@ -179,7 +179,7 @@ def _priced(
 ) -> np.ndarray:
     """Costs (T, A, B), nats, of candidates (T, A) of the left and (T, B) of the right arm.
 
-    Of a problem that is ``drawn_at`` a softness.
+    Of a problem that is drawn at a softness, cells.
     """
     frames = np.arange(len(own))[:, None]
     costs = own[frames, 0, left][:, :, None] + own[frames, 1, right][:, None]

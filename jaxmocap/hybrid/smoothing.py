@@ -46,8 +46,6 @@ from jaxmocap.solvers.trajectory import Settings as Solve
 
 # Frames and sights per call: shapes that every recording shares, so that they compile once.
 FRAMES_A_CALL, SIGHTS_A_CALL = 64, 16
-# Pictures that fade over so many cells are drawn on cells twice as large, which costs a quarter.
-COARSELY = 1.5
 
 
 class Sights(NamedTuple):
@@ -106,6 +104,7 @@ def smooth_poses(
     start: Trajectory,
     softness: tuple[float, ...],
     relative: float = DEFAULTS.relative,
+    coarse: bool = False,
 ) -> SmoothedPoses:
     """Minimise all residuals from a start (T, ...), with silhouettes ever sharper.
 
@@ -114,13 +113,16 @@ def smooth_poses(
         start: poses and what they share; the cameras turn where it brings turns.
         softness: of the silhouettes' borders, cells, one solve after the other.
         relative: a solve ends where the cost falls by no more than this share.
+        coarse: draws on larger cells; only for where it is all still rough, since an arm may
+            settle in another valley.
     """
     prior = landmark_prior(problem)
     solve = Solve(iterations=problem.settings.iterations, relative=relative)
     trajectory, ended = start, None
     with two_workers() as workers:
         for soft in softness:
-            linearise = partial(linearise_poses, *drawn_at(problem, soft), workers)
+            drawn = coarsely(problem, soft) if coarse else (softened(problem, soft), soft)
+            linearise = partial(linearise_poses, *drawn, workers)
             ended = smooth(linearise, moved_by, trajectory, prior, solve)
             trajectory = ended.x
     assert ended is not None
@@ -151,13 +153,11 @@ def softened(problem: Problem, softness: float) -> Problem:
     return replace(problem, sights=problem.sights._replace(sight=counting))
 
 
-def drawn_at(problem: Problem, softness: float) -> tuple[Problem, float]:
-    """The same, softened, on cells that are as large as that allows, and the softness in those."""
+def coarsely(problem: Problem, softness: float) -> tuple[Problem, float]:
+    """The same, softened, on cells twice as large, a quarter of them; and the softness there."""
     seen = softened(problem, softness)
-    if softness < COARSELY:
-        return seen, softness
-    coarse = seen.sights.sight.halved()
-    return replace(seen, sights=seen.sights._replace(sight=coarse)), softness / 2
+    sight = seen.sights.sight.halved()
+    return replace(seen, sights=seen.sights._replace(sight=sight)), softness / 2
 
 
 @jax.jit

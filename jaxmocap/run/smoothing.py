@@ -5,8 +5,7 @@
     smooth   markers, grids -> poses, roughly
     decide   every frame's candidates for the elbows -> the cheapest path, which the poses follow
 
-of some of the events, which stand for all. What the better poses teach is then seen in every frame,
-and all poses are solved as finely as that.
+and again with what the better poses taught, the last solve as finely as was seen.
 
 INPUTS: a recording, its events, the poses of the first pass. OUTPUTS: poses, their deviations.
 """
@@ -34,23 +33,18 @@ from jaxmocap.hybrid.hypotheses import elbow_goals
 from jaxmocap.hybrid.keypoints import Lines
 from jaxmocap.hybrid.residuals import GROUND, NO_GOALS, Known, feet_free
 from jaxmocap.hybrid.smoothing import Problem, Sights, smooth_poses
-from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.hybrid.trajectory import TURN, UNTURNED, Trajectory, all_turned
 from jaxmocap.hybrid.trust import trust_in
-from jaxmocap.images.background import MOST_FRAMES, spread
+from jaxmocap.images.background import spread
 from jaxmocap.images.foreground import shrink
 from jaxmocap.run.judging import Judged, judge
 from jaxmocap.run.kept_frames import kept
-from jaxmocap.run.thinning import at_all_events, some_events, standing_for_all
-from jaxmocap.solvers.trajectory import DEFAULTS
 
-# A solve that only prepares the next one ends where the cost falls by no more than this share.
-PREPARED = 3e-3
 # Cells over which silhouettes fade, from solve to solve: roughly first, in the end as seen.
-ROUGHLY, DECIDING, FINELY = (3.0, 1.5), (1.5,), ((1.5, PREPARED), (0.8, DEFAULTS.relative))
-# Frames that appearance is learned from roughly: a background's median takes its time.
-LEARNED = 30
+ROUGHLY, DECIDING, FINELY = (3.0, 1.5), (1.5,), (1.5, 0.8)
+# A solve that only prepares the next look ends where the cost falls by no more than this share.
+PREPARED = 1e-3
 # So many times candidates decide where the elbows are.
 DECISIONS = 2
 # Over so many seconds the markers' facing is averaged: a person turns more slowly than it errs.
@@ -120,48 +114,6 @@ class Smoothed(NamedTuple):
     turns_cam: np.ndarray = UNTURNED
 
 
-@dataclass(frozen=True)
-class Watched:
-    """Events that are smoothed together, and the videos of them.
-
-    Attributes:
-        tracker: its person, cameras and markers.
-        videos: one per camera.
-        timeline: E events.
-        known: (E, ...) of them besides their sights.
-        settings: of the smoothing.
-        learned: frames of each camera that appearance is learned from.
-    """
-
-    tracker: HybridTracker
-    videos: Sequence[FrameSource]
-    timeline: Timeline
-    known: Known
-    settings: SmoothingSettings
-    learned: int = MOST_FRAMES
-
-    def problem(self, found: Trajectory) -> Problem:
-        """What is to be solved, seen by what the poses (E, ...) found so far teach."""
-        tracker, looks = self.tracker, [look for look in _looks(self.timeline) if len(look.events)]
-        assert tracker.cameras is not None
-        sights = _all_sights(tracker, looks, self.videos, found, self.learned)
-        times = self.timeline.event_times
-        return Problem(
-            tracker.skeleton, tracker.cameras, tracker.markers, self.settings, times, self.known,
-            sights,
-        )  # fmt: skip
-
-    def some(self, rows: np.ndarray) -> "Watched":
-        """Some of the events, which stand for all."""
-        line = self.timeline
-        parts = (line.event_times, line.sample_index, line.frame_index)
-        fewer = Timeline(*(part[rows] for part in parts))
-        looks = np.sum(fewer.frame_index >= 0) / np.sum(line.frame_index >= 0)
-        settings = standing_for_all(self.settings, len(rows) / len(line.event_times), float(looks))
-        known = jax.tree.map(lambda part: part[rows], self.known)
-        return replace(self, timeline=fewer, known=known, settings=settings, learned=LEARNED)
-
-
 def smooth_recording(
     tracker: HybridTracker,
     videos: Sequence[FrameSource],
@@ -179,47 +131,40 @@ def smooth_recording(
     Returns:
         None where no camera has a frame.
     """
-    every = Watched(
-        tracker, kept(videos, ROWS), first_pass.timeline, _known(tracker, first_pass),
-        tracker.settings.over_time,
-    )  # fmt: skip
-    times, seen = first_pass.timeline.event_times, first_pass.timeline.frame_index >= 0
-    if not seen.any():
+    assert tracker.cameras is not None
+    looks = [look for look in _looks(first_pass.timeline) if len(look.events)]
+    if not looks:
         return None
-    rows = some_events(times, seen)
-    found = _roughly(
-        every.some(rows),
-        jax.tree.map(lambda part: np.asarray(part)[rows], first_pass.refined),
-        show,
-    )
-    found = at_all_events(times, rows, found)
-    problem = every.problem(found)
-    for soft, enough in FINELY:
-        found = smooth_poses(problem, found, (soft,), enough).trajectory
-    trust = trust_in(problem, found, FINELY[-1][0])
+    cameras, videos = tracker.cameras, kept(videos, ROWS)
+    known, times = _known(tracker, first_pass), first_pass.timeline.event_times
+
+    def looked(found: Trajectory) -> Problem:
+        return Problem(
+            tracker.skeleton, cameras, tracker.markers, tracker.settings.over_time,
+            times, known, _all_sights(tracker, looks, videos, found),
+        )  # fmt: skip
+
+    def decided(problem: Problem, found: Trajectory) -> Trajectory:
+        goals = elbow_goals(problem, found, tracker.grips)
+        hoped = replace(problem, known=known._replace(goals=goals))
+        return smooth_poses(hoped, found, DECIDING, PREPARED).trajectory
+
+    no_change = np.zeros(len(PROPORTIONS), tracker.dtype)
+    found = Trajectory(first_pass.refined, no_change, _as_calibrated(tracker))
+    problem = looked(found)
+    found = smooth_poses(problem, found, ROUGHLY, PREPARED, coarse=True).trajectory
+    show(0.3)
+    for turn in range(DECISIONS):
+        found = decided(problem, found)
+        # Better poses teach better what the person looks like.
+        problem = looked(found)
+        show(0.3 + 0.4 * (turn + 1) / DECISIONS)
+    found = smooth_poses(problem, found, FINELY).trajectory
+    trust = trust_in(problem, found, FINELY[-1])
     show(1.0)
     person = scaled(tracker.skeleton, jnp.asarray(found.proportions))
     smoothed = _judged(tracker, person, found.poses, trust, first_pass)
     return smoothed._replace(turns_cam=np.asarray(found.turns_cam))
-
-
-def _roughly(watched: Watched, start: Pose, show: Callable[[float], None]) -> Trajectory:
-    """From a start (e, ...) to about where the body is, with the elbows decided."""
-    tracker = watched.tracker
-    no_change = np.zeros(len(PROPORTIONS), tracker.dtype)
-    found = Trajectory(start, no_change, _as_calibrated(tracker))
-    problem = watched.problem(found)
-    found = smooth_poses(problem, found, ROUGHLY, PREPARED).trajectory
-    show(0.3)
-    for turn in range(DECISIONS):
-        if turn:
-            # Better poses teach better what the person looks like.
-            problem = watched.problem(found)
-        goals = elbow_goals(problem, found, tracker.grips)
-        hoped = replace(problem, known=problem.known._replace(goals=goals))
-        found = smooth_poses(hoped, found, DECIDING, PREPARED).trajectory
-        show(0.3 + 0.3 * (turn + 1) / DECISIONS)
-    return found
 
 
 def _as_calibrated(tracker: HybridTracker) -> np.ndarray:
@@ -280,11 +225,7 @@ def _known(tracker: HybridTracker, first_pass: FirstPass) -> Known:
 
 
 def _all_sights(
-    tracker: HybridTracker,
-    looks: Sequence[Look],
-    videos: Sequence[FrameSource],
-    found: Trajectory,
-    learned: int = MOST_FRAMES,
+    tracker: HybridTracker, looks: Sequence[Look], videos: Sequence[FrameSource], found: Trajectory
 ) -> Sights:
     """What all cameras see, by what the poses found so far teach."""
     assert tracker.cameras is not None
@@ -294,23 +235,16 @@ def _all_sights(
     for look in looks:
         camera = jax.tree.map(lambda part, c=look.camera: part[c], cameras)
         there = jax.tree.map(lambda part, e=look.events: np.asarray(part)[e], found.poses)
-        chosen = spread(len(look.events), learned)
-        sights.append(_sights(person, camera, look, videos[look.camera], there, chosen, astray))
+        sights.append(_sights(person, camera, look, videos[look.camera], there, astray))
     return jax.tree.map(lambda *parts: np.concatenate(parts), *sights)
 
 
 def _sights(
-    skeleton: Skeleton,
-    camera: Camera,
-    look: Look,
-    video: FrameSource,
-    poses: Pose,
-    chosen: np.ndarray,
-    astray: bool,
+    skeleton: Skeleton, camera: Camera, look: Look, video: FrameSource, poses: Pose, astray: bool
 ) -> Sights:
-    """Grids of all of one camera's frames, of a background learned from the ``chosen`` ones."""
+    """Grids of all of one camera's frames, of a background learned from some of them."""
     # The frames' own size: a video may be cropped against its calibration.
-    drawing = Drawing.of(skeleton, camera, video.size, poses)
+    drawing, chosen = Drawing.of(skeleton, camera, video.size, poses), spread(len(look.events))
     appearance = learn_appearance(drawing, chosen, look.frames(video, chosen), astray)
     every = look.frames(video, np.arange(len(look.events)))
     sight = see(every, appearance, drawing, Regions.around(skeleton, camera, poses))
