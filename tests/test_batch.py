@@ -5,28 +5,30 @@ import json
 import os
 import shutil
 import signal
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import asdict, replace
-from functools import cache
+from io import StringIO
 from pathlib import Path
+from typing import NamedTuple
 
 import dask
 import distributed
 import numpy as np
 import pytest
-from small_recording import SAMPLES, small_recording, write_small_recording
+from small_recording import SAMPLES, write_small_recording
 
 from jaxmocap.body.motion import Motion
 from jaxmocap.cli import main
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.npz import load_motion
 from jaxmocap.outputs.report import write_report
 from jaxmocap.run import batch, cluster, corpus
 from jaxmocap.run.batch import Job, Wanted, jobs_of, row_of, track_corpus, track_one
 from jaxmocap.run.corpus import find_recordings, fingerprint, inputs_of
-from jaxmocap.run.recording import track
 
 MARKERS_ONLY = Wanted(refine="none")
 BROKEN = "broken/recording.toml"
-OUTPUTS = {"joints.trc", "motion.npz", "report.json", "overlay.mp4", "recording.rrd", "batch.json"}
+OUTPUTS = {"joints.trc", "motion.npz", "report.json", "recording.rrd", "batch.json"}
 
 
 @pytest.fixture(scope="module")
@@ -46,13 +48,38 @@ def whole(recording, tmp_path) -> Path:
     return tmp_path / "corpus"
 
 
-@cache
-def tracked() -> Motion:
-    return track(replace(small_recording(), videos=()))
+class Ran(NamedTuple):
+    """What the command left and said."""
+
+    out: Path
+    code: int
+    printed: str
+    said: str
+
+
+@pytest.fixture(scope="module")
+def ran(recording, tmp_path_factory) -> Ran:
+    """The command, with one process, on one recording without video and on a broken one."""
+    folder = tmp_path_factory.mktemp("ran")
+    for name in ("one", "broken"):
+        shutil.copytree(recording, folder / "corpus" / name)
+    text = (recording / "recording.toml").read_text()
+    video = text[text.index("[[video]]") : text.index("[calibration]")]
+    (folder / "corpus" / "one" / "recording.toml").write_text(text.replace(video, ""))
+    (folder / "corpus" / "broken" / "markers.trc").write_text("nothing")
+    arguments = ["batch", str(folder / "corpus"), "--out", str(folder / "out")]
+    with redirect_stdout(StringIO()) as printed, redirect_stderr(StringIO()) as said:
+        code = main([*arguments, "--refine", "none", "--workers", "1", "--json", "-"])
+    return Ran(folder / "out", code, printed.getvalue(), said.getvalue())
+
+
+@pytest.fixture(scope="module")
+def tracked(ran) -> Motion:
+    return load_motion(ran.out / "one/recording/motion.npz")
 
 
 @pytest.fixture
-def here(monkeypatch):
+def here(monkeypatch, tracked):
     """Jobs are done in this process, by a tracker that tells the same of all."""
 
     def each_done(client, function, jobs):
@@ -69,7 +96,7 @@ def here(monkeypatch):
 
     monkeypatch.setattr(batch, "connected", Nobody)
     monkeypatch.setattr(batch, "each_done", each_done)
-    monkeypatch.setattr(batch, "track", lambda recording, settings, mode: tracked())
+    monkeypatch.setattr(batch, "track", lambda recording, settings, mode: tracked)
     monkeypatch.setattr(batch, "write_outputs", written)
 
 
@@ -92,20 +119,15 @@ def dies_or_answers(number: int) -> int:
     return 2 * number
 
 
-def test_one_failure_leaves_the_others_and_is_told(whole, tmp_path, capsys):
-    out = tmp_path / "out"
-    shutil.rmtree(whole / "deeper")
-    arguments = ["batch", str(whole), "--out", str(out), "--refine", "none", "--workers", "1"]
-    assert main([*arguments, "--json", "-"]) == 0
-    printed = capsys.readouterr()
-    assert list(failures(out)) == ["broken/recording.toml"]
-    assert "markers.trc" in failures(out)["broken/recording.toml"]
-    assert [row["recording"] for row in table(out)] == ["one/recording.toml"]
-    figures = json.loads(printed.out)
+def test_one_failure_leaves_the_others_and_is_told(ran):
+    assert ran.code == 0
+    assert list(failures(ran.out)) == [BROKEN] and "markers.trc" in failures(ran.out)[BROKEN]
+    assert [row["recording"] for row in table(ran.out)] == ["one/recording.toml"]
+    figures = json.loads(ran.printed)
     assert figures["tracked"] == 1 and figures["earlier"] == 0
-    assert "recordings: 100%" in printed.err and "broken/recording.toml: " in printed.err
-    assert {path.name for path in (out / "one/recording").iterdir()} >= OUTPUTS
-    assert not (out / "broken" / "recording").exists()
+    assert "recordings: 100%" in ran.said and f"{BROKEN}: " in ran.said
+    assert {path.name for path in (ran.out / "one/recording").iterdir()} >= OUTPUTS
+    assert [path.name for path in ran.out.iterdir() if path.is_dir()] == ["one"]
 
 
 def test_a_cluster_is_used_by_its_address_and_goes_on_when_a_process_dies(whole, tmp_path):
@@ -161,20 +183,20 @@ def test_interrupted_it_tells_what_is_done_and_goes_on_there(whole, tmp_path, he
     assert track_corpus(whole, tmp_path, MARKERS_ONLY).earlier == 1
 
 
-def test_a_row_says_how_long_how_good_and_what_is_missing(tmp_path):
-    report = tracked().report
+def test_a_row_says_how_long_how_good_and_what_is_missing(tmp_path, tracked):
+    report = tracked.report
     errors, confidence = report.marker_errors.copy(), np.full((SAMPLES, 2), np.nan)
     errors[3, 1], confidence[4:7] = np.nan, [[0.2, 0.5], [0.3, 0.6], [0.9, 0.7]]
     # Frames of which only some fall on a sample.
     spent = report.milliseconds | {"observe": np.ones(5), "frame": np.array([2.0, 4.0, 9.0])}
     told = replace(report, marker_errors=errors, confidence=confidence, milliseconds=spent)
     job = Job("a/b.toml", tmp_path / "a/b.toml", tmp_path / "out/a/b", MARKERS_ONLY)
-    row = row_of(job, replace(tracked(), report=told), 1.5)
+    row = row_of(job, replace(tracked, report=told), 1.5)
     expected = corpus.Row(
         "a/b.toml", SAMPLES, 0.383333, 4.0, 1.5, 0.3, 0.6, round(1 / SAMPLES / 5, 6), "a/b"
     )
     assert row == expected
-    unseen = row_of(job, tracked(), 1.5)
+    unseen = row_of(job, tracked, 1.5)
     assert unseen.confidence_left is unseen.confidence_right is None and unseen.missing == 0
     corpus.write_rows(tmp_path / "corpus.csv", [unseen, row])
     first, second = table(tmp_path)
