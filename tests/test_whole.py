@@ -20,6 +20,16 @@ def tracker():
     return HybridTracker(PERSON, [FRONT], Settings(region=64), MARKERS)
 
 
+@pytest.fixture(scope="module")
+def whole(tracker):
+    return WholeTracker(tracker)
+
+
+@pytest.fixture(scope="module")
+def markers_only():
+    return WholeTracker(HybridTracker(PERSON, settings=Settings(balance=False), markers=MARKERS))
+
+
 def clip(first=0):
     """Markers, of which one is lost for two frames, and images at two of three events."""
     markers, images = [], []
@@ -49,10 +59,10 @@ def assert_same(found, expected):
         np.testing.assert_allclose(own, other, atol=2e-3, rtol=2e-3)
 
 
-def test_two_scans_find_what_the_steps_find(tracker):
+def test_two_scans_find_what_the_steps_find(tracker, whole):
     last, expected = stepped(tracker)
     state = tracker.init(markers_of(waving(0)))
-    end, poses, reports = WholeTracker(tracker).run(state, TIMES, *clip())
+    end, poses, reports = whole.run(state, TIMES, *clip())
     assert_same((poses, reports), expected)
     assert_same(end, last)
     # Lost markers are told, and what video found is carried to events without a frame.
@@ -60,31 +70,29 @@ def test_two_scans_find_what_the_steps_find(tracker):
     assert np.isnan(reports.arm_costs[2]).all() and np.abs(reports.swivels[2]).max() > 0.01
 
 
-def test_recordings_side_by_side_are_solved_as_each_by_itself(tracker):
-    whole, starts = WholeTracker(tracker), (0, 7)
-    shared = tracker.skeleton, tracker.cameras, tracker.settings
+def test_recordings_side_by_side_are_solved_as_each_by_itself(markers_only):
+    tracker, starts = markers_only.tracker, (0, 7)
+    shared = tracker.skeleton, None, tracker.settings
     states = [tracker.init(markers_of(waving(first / RATE))) for first in starts]
     begun = jax.tree.map(lambda *parts: jnp.stack(parts), *[(s.pose, s.stance) for s in states])
     markers = np.stack([clip(first)[0] for first in starts]).astype(np.float32)
-    over = jax.jit(jax.vmap(whole.solved_over_time, (None, None, None, 0, 0)))
+    over = jax.jit(jax.vmap(markers_only.solved_over_time, (None, None, None, 0, 0)))
     _, together = over(*shared, begun, markers)
     for row, (state, own) in enumerate(zip(states, markers, strict=True)):
-        _, alone = whole.solve_all(*shared, (state.pose, state.stance), own)
+        _, alone = markers_only.solve_all(*shared, (state.pose, state.stance), own)
         assert_same(jax.tree.map(lambda part, r=row: part[r], together), alone)
 
 
-def test_without_cameras_there_is_nothing_to_observe():
-    plain = HybridTracker(PERSON, settings=Settings(balance=False))
-    state, markers = plain.init(markers_of(waving(0))), clip()[0]
-    _, poses, reports = WholeTracker(plain).run(state, TIMES, markers)
+def test_without_cameras_there_is_nothing_to_observe(markers_only):
+    state, markers = markers_only.tracker.init(markers_of(waving(0))), clip()[0]
+    _, poses, reports = markers_only.run(state, TIMES, markers)
     assert poses.angles.shape[0] == EVENTS
     assert np.nanmax(reports.distances) < 0.02
 
 
-def test_what_is_seen_is_kept_once(tracker):
+def test_what_is_seen_is_kept_once(tracker, whole):
     state = tracker.init(markers_of(waving(0)))
     markers, images = clip()
-    whole = WholeTracker(tracker)
     shared = tracker.skeleton, tracker.cameras, tracker.settings
     _, solved = whole.solve_all(*shared, (state.pose, state.stance), markers.astype(np.float32))
     views = whole.observe_all(images, solved.region)
