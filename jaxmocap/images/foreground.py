@@ -106,8 +106,10 @@ def log_odds_of(
     odds = np.zeros(body.shape, np.float32)
     rows, columns = (np.flatnonzero(body.any(axis)) for axis in (1, 0))
     if len(rows):
-        around = (slice(max(i[0] - AROUND_PX, 0), i[-1] + 1 + AROUND_PX) for i in (rows, columns))
-        window = tuple(around)
+        tall, wide = (
+            slice(max(i[0] - AROUND_PX, 0), i[-1] + 1 + AROUND_PX) for i in (rows, columns)
+        )
+        window = tall, wide
         odds[window] = log_odds(frame, background, colours, alone, window)
     return odds
 
