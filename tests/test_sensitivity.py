@@ -203,7 +203,7 @@ def test_backwards_is_the_transpose_of_forwards(seed):
 def test_newtons_steps_square_the_distance_to_the_minimum():
     with double():
         sizes, here = [], Sensitivity.at(*recording(), SOFTNESS)
-        for _ in range(4):
+        for _ in range(5):
             sizes.append(here.slopes.equations.step(0.0, 0.0).largest())
             here = here.settled()
     assert sizes[0] > 1e-6 and sizes[-1] < 1e-10
