@@ -7,6 +7,7 @@ hold on a busy machine too. On one core, alone, the two clocks agree.
 INPUTS: functions. OUTPUTS: milliseconds, MiB.
 """
 
+import gc
 import resource
 from collections.abc import Callable, Mapping
 from time import perf_counter, process_time
@@ -97,6 +98,12 @@ def start_up(name: str, jitted: Any, *arguments) -> list[Metric]:
 def ratio(one: np.ndarray, other: np.ndarray) -> float:
     """Of Spans (N, 2) and (M, 2): median over median of the processor's time."""
     return float(np.median(one[:, 1]) / np.median(other[:, 1]))
+
+
+def settle_garbage() -> None:
+    """Collect what tracing left, and never look at it again: a pass over it takes milliseconds."""
+    gc.collect()
+    gc.freeze()
 
 
 def peak_mib() -> float:
