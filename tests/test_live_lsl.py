@@ -12,7 +12,7 @@ from jaxmocap.formats.live import load_live
 try:
     import pylsl
 except (ImportError, RuntimeError):
-    pytest.skip("pylsl is not installed: pip install 'jaxmocap[lsl]'", allow_module_level=True)
+    pytest.skip('pylsl is not installed: pip install ".[lsl]" brings it', allow_module_level=True)
 
 MARKERS = ("Head", "LWrist")
 
@@ -26,7 +26,7 @@ def outlet(name: str, labels: list[str], unit: str = "millimeters"):
         channel.append_child_value("label", label).append_child_value("unit", unit)
     sends = pylsl.StreamOutlet(info)
     if not pylsl.resolve_byprop("name", name, timeout=10.0):
-        pytest.skip("no LSL stream can be found on this machine: no multicast, maybe")
+        pytest.skip("an LSL stream of this very machine is not found: it lets no multicast through")
     return sends
 
 

@@ -20,9 +20,7 @@ def add_warmup(parser: argparse.ArgumentParser) -> None:
         "recording", metavar="RECORDING.toml", nargs="?",
         help="whose markers and cameras; default: the demo's, headset and controllers, one camera",
     )  # fmt: skip
-    parser.add_argument(
-        "--refine", choices=("simplex", "gradient", "none"), default="simplex", help="see 'track'"
-    )
+    _add_refine(parser, "see 'track'")
 
 
 def add_convert(parser: argparse.ArgumentParser) -> None:
@@ -68,9 +66,7 @@ def add_batch(parser: argparse.ArgumentParser) -> None:
     where.add_argument(
         "--workers", metavar="N", type=_count, help="processes here; default: one per core"
     )
-    parser.add_argument(
-        "--refine", choices=("simplex", "gradient", "none"), default="simplex", help="see 'track'"
-    )
+    _add_refine(parser, "see 'track'")
     parser.add_argument(
         "--causal", dest="mode", action="store_const", const="causal", default="own",
         help="see 'track'",
@@ -92,12 +88,7 @@ def add_live(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="give each pose out once two more video frames were seen, smoothed",
     )
-    parser.add_argument(
-        "--refine",
-        choices=("simplex", "gradient", "none"),
-        default="simplex",
-        help="how video refines the markers' pose, see 'track'",
-    )
+    _add_refine(parser, "how video refines the markers' pose, see 'track'")
     parser.add_argument(
         "--view", choices=("window", "web"), help="show it in rerun's viewer, or in a browser"
     )
@@ -128,11 +119,9 @@ def add_track(parser: argparse.ArgumentParser) -> None:
     """Options of ``track``."""
     parser.add_argument("recording", metavar="RECORDING.toml")
     parser.add_argument("--out", metavar="DIR", required=True, help="where to write")
-    parser.add_argument(
-        "--refine",
-        choices=("simplex", "gradient", "none"),
-        default="simplex",
-        help="how video refines the markers' pose: each arm by a simplex, the whole body by "
+    _add_refine(
+        parser,
+        "how video refines the markers' pose: each arm by a simplex, the whole body by "
         "least squares, or not at all (markers only)",
     )
     mode = parser.add_mutually_exclusive_group()
@@ -207,3 +196,9 @@ def _pair(text: str) -> tuple[str, str]:
     if not (joint and equals and marker):
         raise argparse.ArgumentTypeError(f"found {text!r}, expected JOINT=MARKER")
     return joint, marker
+
+
+def _add_refine(parser: argparse.ArgumentParser, said: str) -> None:
+    parser.add_argument(
+        "--refine", choices=("simplex", "gradient", "none"), default="simplex", help=said
+    )
