@@ -184,7 +184,7 @@ def over_chain(pace: Pace) -> Iterator[Metric]:
         yield Metric(f"{stage}_over_image_chain", ratio(pace.of(stage), chain), "x")
     for stage, name in (("step", "tracker_step"), ("frame", "step")):
         late = float(np.percentile(busy := pace.of(stage)[:, 1], 99) / np.median(busy))
-        yield Metric(f"{name}_p99_over_median", late, "x", tolerance=2.0)
+        yield Metric(f"{name}_p99_over_median", late, "x", tolerance=1.0)
 
 
 def offline(tracker: HybridTracker, footage: Footage, pace: Pace) -> Iterator[Metric]:
