@@ -246,8 +246,9 @@ def test_a_view_of_nonsense_spoils_nothing():
     clean = calibrate(given, SIZE)
     found = calibrate([*given, View("nonsense", BOARD.points_board, nonsense)], SIZE)
     assert found.used == (*clean.used, False)
-    # OpenCV sums in parallel, in no fixed order.
-    np.testing.assert_allclose(found.values, clean.values, rtol=1e-6)
+    # OpenCV sums in parallel, in no fixed order, and stops a little elsewhere each time: a
+    # thousandth of what a value is known to is far more than that and far less than the spoilt one.
+    assert (np.abs(found.values - clean.values) <= 1e-3 * clean.std).all()
 
 
 def test_a_false_detection_is_named_with_its_error(photographs, tmp_path, capsys):
