@@ -1,0 +1,55 @@
+"""Lines of space in Pluecker form (second paper, section 3.1.1): pixels become rays in the world.
+
+INPUTS: points and directions, or pixels of a Camera; world, metres.
+OUTPUTS: lines (n, m), and how far points are from them.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxmocap.geometry.cameras import Camera, pixel_rays
+
+
+class Lines(NamedTuple):
+    """Lines, unique up to sign.
+
+    Attributes:
+        directions: (..., 3) n, of length 1.
+        moments: (..., 3) m = x x n for any point x on the line, metres.
+    """
+
+    directions: Array
+    moments: Array
+
+
+def lines_through(points: Array, directions: Array) -> Lines:
+    """Lines through points (..., 3) along unit directions (..., 3)."""
+    return Lines(directions, jnp.cross(points, directions))
+
+
+def camera_lines(camera: Camera, pixels_xy: Array) -> Lines:
+    """The rays in the world that pixels (..., 2) see; the lens' distortion is undone."""
+    directions = pixel_rays(camera, pixels_xy)
+    return lines_through(jnp.broadcast_to(camera.position_world, directions.shape), directions)
+
+
+def incidence(lines: Lines, points: Array) -> Array:
+    """The residual x x n - m (..., 3), metres: 0 for a point on its line, equation (3.2).
+
+    Elsewhere the perpendicular from the line to the point, turned by a quarter about the line.
+    """
+    return jnp.cross(points, lines.directions) - lines.moments
+
+
+def perpendiculars(lines: Lines, points: Array) -> Array:
+    """From each line to its point (..., 3), at right angles to the line, metres."""
+    return jnp.cross(lines.directions, incidence(lines, points))
+
+
+def distances(lines: Lines, points: Array) -> Array:
+    """(...) of points from their lines, metres: equations (3.3) and (3.4); derivative 0 at 0."""
+    squared = jnp.sum(incidence(lines, points) ** 2, -1)
+    off = squared > 0
+    return jnp.where(off, jnp.sqrt(jnp.where(off, squared, 1.0)), 0.0)
