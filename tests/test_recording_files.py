@@ -17,6 +17,10 @@ from jaxmocap.formats.recording import (
 )
 from jaxmocap.formats.trc import write_trc
 from jaxmocap.geometry.cameras import Camera
+from jaxmocap.run.checking import check
+from jaxmocap.run.recording import track
+from jaxmocap.run.warmup import warm_up
+from jaxmocap.setup.sync import sync
 
 MARKERS = '[markers]\nfile = "m.trc"\n'
 ON = '[markers.on]\nHead = { bone = "head" }\n'
@@ -196,6 +200,24 @@ def test_bad_recordings_are_refused_with_file_and_field(folder, text, says):
     message = str(caught.value)
     assert says in message and "\n" not in message
     assert message.startswith(str(folder))
+
+
+def test_videos_alone_make_a_recording_which_no_marker_tracker_takes(folder):
+    recording = load(folder, VIDEO + CALIBRATION + SUBJECT)
+    assert recording.marker_names == () and recording.positions_world.shape == (0, 0, 3)
+    assert recording.times.shape == (0,) and recording.videos[0].camera_name == "cam"
+    for user in (Recording.marked, track, check, sync, warm_up):
+        with pytest.raises(InputError, match=r"r\.toml: \[markers\] is missing"):
+            user(recording)
+    marked = load(folder, WHOLE)
+    assert marked.marked() is marked
+
+
+def test_a_recording_without_markers_is_written_without_them(folder):
+    videos = [{"file": "v.mp4", "camera": "cam"}]
+    path = write_recording(folder, None, {}, videos, "c.toml", {"height": 1.7})
+    assert "markers" not in path.read_text(encoding="utf-8")
+    assert load_recording(path).videos[0].path == folder / "v.mp4"
 
 
 def test_a_missing_recording_is_refused(tmp_path):

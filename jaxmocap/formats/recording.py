@@ -1,7 +1,7 @@
 """A recording: markers over time, where they sit, videos, and whose body it is.
 
 INPUTS: a TOML file with [markers], [markers.on], [markers.rigid], [[video]], [calibration] and
-[subject]; its paths are relative to it.
+[subject]; its paths are relative to it. Of markers and videos, one is enough.
 OUTPUTS: a Recording: marker positions in the world (metres, Z up) and float64 seconds, sites on
 bones, video sources with their cameras, a scaled skeleton.
 """
@@ -64,7 +64,7 @@ class Recording:
 
     Attributes:
         skeleton: scaled to the person.
-        times: (T,) seconds, float64, ascending.
+        times: (T,) seconds of the markers, float64, ascending; none without markers.
         positions_world: (T, M, 3) metres, Z up; NaN where a marker is missing.
         places: of the M markers, in the same order; their offsets are in the bones' axes.
         videos: any number of them.
@@ -95,7 +95,7 @@ class Recording:
             found = np.shape(self.positions_world)
             raise InputError(where, f"marker positions: found shape {found}, expected {expected}")
         check_times(where, self.times, [f"marker sample {i}" for i in range(len(self.times))])
-        if not np.isfinite(self.positions_world).all(-1).any():
+        if self.places and not np.isfinite(self.positions_world).all(-1).any():
             raise InputError(where, "no marker is seen in any sample, all positions are NaN")
         bones = self.skeleton.tree.bones
         for place in self.places:
@@ -110,6 +110,18 @@ class Recording:
     def marker_names(self) -> tuple[str, ...]:
         """Names of the M markers."""
         return tuple(place.name for place in self.places)
+
+    def marked(self) -> "Recording":
+        """The recording itself, for whoever cannot do without markers.
+
+        Raises:
+            InputError: it has none.
+        """
+        if not self.places:
+            raise InputError(
+                self.path or self.name, "[markers] is missing, which is needed to follow markers"
+            )
+        return self
 
     @classmethod
     def load(cls, path: str | Path) -> "Recording":
@@ -132,6 +144,17 @@ def load_recording(path: str | Path) -> Recording:
     else:
         skeleton = Skeleton.human(DEFAULT_HEIGHT)
         warnings.append(f"{path}: no [subject], a height of {DEFAULT_HEIGHT} m is assumed")
+    if "markers" not in top and top.table.get("video"):
+        return Recording(
+            skeleton,
+            np.zeros(0),
+            np.zeros((0, 0, 3)),
+            (),
+            _read_videos(top),
+            path.stem,
+            path,
+            tuple(warnings),
+        )
     markers, places, filters = _read_marked(top)
     seen = np.isfinite(markers.positions.sum(-1))
     warnings += [
@@ -271,7 +294,7 @@ def _keypoints(fields: Fields) -> dict[str, Any]:
 
 def write_recording(
     path: str | Path,
-    markers_file: str | Path,
+    markers_file: str | Path | None,
     on: Mapping[str, Mapping[str, Any]],
     videos: Sequence[Mapping[str, Any]] = (),
     calibration_file: str | Path | None = None,
@@ -282,7 +305,7 @@ def write_recording(
 
     Args:
         path: of the .toml file, or a folder, in which it is then called ``recording.toml``.
-        markers_file: relative to it, as are all others.
+        markers_file: relative to it, as are all others; None where there are no markers.
         on: marker -> ``bone``, and ``at`` and ``offset`` where they differ from the defaults.
         videos: ``file``, ``camera``, and ``offset`` and ``keypoints`` (with ``keypoints_model``
             and ``keypoints_first``) where there are any.
@@ -296,11 +319,11 @@ def write_recording(
     path = Path(path)
     if path.suffix != ".toml":
         path = path / "recording.toml"
-    tables: list[tuple[str, dict[str, Any]]] = [
-        ("[markers]", {"file": markers_file, "up": up}),
-        ("[markers.on]", {name: dict(place) for name, place in on.items()}),
-        *(("[[video]]", dict(video)) for video in videos),
-    ]
+    tables: list[tuple[str, dict[str, Any]]] = []
+    if markers_file is not None:
+        tables.append(("[markers]", {"file": markers_file, "up": up}))
+        tables.append(("[markers.on]", {name: dict(place) for name, place in on.items()}))
+    tables += [("[[video]]", dict(video)) for video in videos]
     if calibration_file is not None:
         tables.append(("[calibration]", {"file": calibration_file}))
     if subject is not None:

@@ -76,7 +76,7 @@ def _line(seen: View) -> str:
 
 def check(recording: Recording) -> Checked:
     """Look at a recording as ``track`` does before it begins."""
-    videos, warnings = footage(recording)
+    videos, warnings = footage(recording.marked())
     times = [video.times for video in videos]
     views = [view(recording, *each) for each in zip(recording.videos, times, strict=True)]
     return Checked(recording, check_recording(recording, times), views, warnings)

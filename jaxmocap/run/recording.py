@@ -96,7 +96,7 @@ def track_both(
     tracker: HybridTracker | None = None,
 ) -> Tracked:
     """Track a recording and keep the markers' own poses as well; see ``track``."""
-    videos, warnings = open_footage(recording)
+    videos, warnings = open_footage(recording.marked())
     recording, cleaning = cleaned(recording, causal=mode == "causal")
     warnings += cleaning.remarks
     # Read first, so that what is wrong with them is said before anything takes its time.

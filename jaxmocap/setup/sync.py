@@ -99,7 +99,7 @@ def sync(recording: Recording, search: float = 1.0) -> list[Synced]:
     where = recording.path or recording.name
     if not recording.videos:
         raise InputError(where, "[[video]] is missing, there is nothing to align with the markers")
-    paths = hand_paths(recording)
+    paths = hand_paths(recording.marked())
     if not paths:
         raise InputError(where, "[markers.on]: no marker is seen in four samples or more")
     return [_sync_video(recording, source, paths, search) for source in recording.videos]
