@@ -1,0 +1,213 @@
+"""A body mesh with a rig of its own, however it is moved: its skin, its clothes, its landmarks.
+
+The rest faces -y, left is +x, the feet stand on z = 0. The body is not of our making: the truth is
+the rig's own joints.
+
+INPUTS: people as rigged meshes (.npz: vertices, quads, skin weights, joints); turns of the joints.
+OUTPUTS: a RiggedMesh: vertices and landmarks at any time.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.synthetic.meshes import Mesh
+
+# Landmark -> joint of the rig, for one side and for the middle.
+_PAIRED = {
+    **{"shoulder": "Arm", "elbow": "ForeArm", "wrist": "Hand", "hand": "HandFinger1"},
+    **{"hip": "UpLeg", "knee": "Leg", "ankle": "Foot", "toe": "ToeBase"},
+}
+_SIDES = {"l": "Left", "r": "Right"}
+RIG_LANDMARKS: dict[str, str] = {
+    "head": "Head",
+    **{
+        f"{name}_{s}": side + joint for name, joint in _PAIRED.items() for s, side in _SIDES.items()
+    },
+}
+SHIRT, TROUSERS, SKIN, HAIR, SHOES = (
+    np.array(colour)
+    for colour in (
+        *((0.24, 0.30, 0.66), (0.36, 0.30, 0.24), (0.50, 0.60, 0.82)),
+        *((0.10, 0.14, 0.20), (0.70, 0.70, 0.70)),
+    )
+)
+
+
+class Rig(NamedTuple):
+    """A mesh and its J joints at rest.
+
+    Attributes:
+        mesh: at rest, metres.
+        names: of the joints.
+        parents: (J,) indices, -1 at the root.
+        rest: (J, 3) joints at rest, metres: facing -y, left is +x.
+    """
+
+    mesh: Mesh
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    rest: np.ndarray
+
+
+@dataclass(frozen=True)
+class RiggedMesh(ABC):
+    """A rigged mesh; what moves it is said by those that derive from it.
+
+    Attributes:
+        body: mesh and joints at rest.
+    """
+
+    body: Rig
+
+    @property
+    def mesh(self) -> Mesh:
+        """At rest: its faces and colours."""
+        return self.body.mesh
+
+    @abstractmethod
+    def rig(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Turns (T, J, 3, 3) from rest, and positions (T, J, 3), of the joints."""
+
+    def vertices(self, times: np.ndarray) -> np.ndarray:
+        """(T, V, 3) in the world, metres, at (T,) times, seconds."""
+        R, joints = self.rig(times)
+        return self.mesh.posed(R, joints - np.einsum("tjab,jb->tja", R, self.body.rest))
+
+    def chained(
+        self, turned: dict[str, np.ndarray], legs: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """``rig`` by turns (T, 3, 3) of some joints, and the hips' middle (T, 3).
+
+        A joint without a turn follows its parent.
+        """
+        turned, placed, names = dict(turned), {}, self.body.names
+        for name in self._from_root:
+            parent = self.body.parents[names.index(name)]
+            if parent < 0:
+                rest = (self.at("LeftUpLeg") + self.at("RightUpLeg")) / 2 - self.at(name)
+                placed[name] = legs - turned[name] @ rest
+                continue
+            above = names[parent]
+            turned.setdefault(name, turned[above])
+            placed[name] = placed[above] + turned[above] @ (self.at(name) - self.at(above))
+        R = np.stack([turned[name] for name in names], 1)
+        return R, np.stack([placed[name] for name in names], 1)
+
+    def landmarks(self, times: np.ndarray) -> dict[str, np.ndarray]:
+        """Landmark name -> (T, 3), world, metres: the rig's joints, and the top of the head."""
+        return self._landmarks(*self.rig(times))
+
+    def standing(self) -> dict[str, np.ndarray]:
+        """The same landmarks (1, 3) at rest: a static trial."""
+        return self._landmarks(
+            np.broadcast_to(np.eye(3), (1, len(self.body.names), 3, 3)), self.body.rest[None]
+        )
+
+    def _landmarks(self, R: np.ndarray, joints: np.ndarray) -> dict[str, np.ndarray]:
+        points = {
+            name: joints[:, self.body.names.index(rig)] for name, rig in RIG_LANDMARKS.items()
+        }
+        head = self.body.names.index("Head")
+        vertex = joints[:, head] + R[:, head] @ (self.crown - self.body.rest[head])
+        neck = (points["shoulder_l"] + points["shoulder_r"]) / 2
+        above = joints[:, self.body.names.index("Neck")] - neck
+        pelvis = (points["hip_l"] + points["hip_r"]) / 2
+        # The base of the neck, a little above the line of the shoulders.
+        return {"pelvis": pelvis, "neck": neck + 0.5 * above, "vertex": vertex} | points
+
+    @cached_property
+    def crown(self) -> np.ndarray:
+        """(3,) the highest point of the head, straight above its joint, at rest, metres."""
+        return np.append(
+            self.body.rest[self.body.names.index("Head"), :2], self.mesh.vertices[:, 2].max()
+        )
+
+    @cached_property
+    def _from_root(self) -> list[str]:
+        """Joint names, parents first."""
+        order = [i for i, parent in enumerate(self.body.parents) if parent < 0]
+        for i in order:
+            order += [child for child, parent in enumerate(self.body.parents) if parent == i]
+        return [self.body.names[i] for i in order]
+
+    def at(self, name: str) -> np.ndarray:
+        """(3,) a joint at rest, metres."""
+        return self.body.rest[self.body.names.index(name)]
+
+
+def load_rig(file: str | Path, who: str = "man", seed: int = 0) -> Rig:
+    """One of the people of a file, in clothes worn as the seed says.
+
+    Raises:
+        ValueError: no such person.
+    """
+    with np.load(file) as data:
+        people = data["people"].tolist()
+        if who not in people:
+            raise ValueError(f"unknown person {who!r}; expected one of {', '.join(people)}")
+        i = people.index(who)
+        mesh = Mesh(
+            data["vertices"][i].astype(float),
+            data["quads"],
+            np.zeros((len(data["quads"]), 3)),
+            data["skin_joint"].astype(int),
+            data["skin_weight"].astype(float),
+        )
+        names = tuple(data["joint_names"].tolist())
+        parents = tuple(data["joint_parents"].tolist())
+        rest = data["joints"][i].astype(float)
+    mesh = replace(mesh, colours=_colours(mesh, names, rest, np.random.default_rng([seed, 5])))
+    return Rig(mesh, names, parents, rest)
+
+
+def _colours(
+    mesh: Mesh, names: tuple[str, ...], rest: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """(F, 3) clothes by the bone that carries a face most: shirt, trousers, shoes, bare skin."""
+    carrier = mesh.bones[np.arange(len(mesh.bones)), mesh.weights.argmax(-1)][mesh.faces[:, 0]]
+    middle = mesh.vertices[mesh.faces].mean(1)
+    worn = np.broadcast_to(SKIN, (len(mesh.faces), 3)).copy()
+    kinds = {
+        "shirt": ("Spine", "LowerBack", "Shoulder", "LeftArm", "RightArm"),
+        "trousers": ("Hip", "UpLeg", "LeftLeg", "RightLeg"),
+        "shoes": ("Foot", "Toe"),
+    }
+    tones = {"shirt": SHIRT, "trousers": TROUSERS, "shoes": SHOES}
+    for kind, parts in kinds.items():
+        of_kind = [i for i, name in enumerate(names) if any(part in name for part in parts)]
+        worn[np.isin(carrier, of_kind)] = tones[kind]
+    head = rest[names.index("Head")]
+    on_head = carrier == names.index("Head")
+    worn[on_head & ((middle[:, 2] > head[2] + 0.13) | (middle[:, 1] > head[1] + 0.03))] = HAIR
+    stripes = 1 + 0.12 * np.sign(np.sin(middle[:, 2] * 130)) * (worn == SHIRT).all(-1)
+    return np.clip(worn * (stripes * rng.normal(1, 0.06, len(worn)))[:, None], 0.02, 1)
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors (..., 3) of length 1."""
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def basis(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) orthonormal columns: along ``first``, and across it towards ``second``."""
+    x = unit(first)
+    z = unit(np.cross(x, second))
+    return np.stack([x, np.cross(z, x), z], -1)
+
+
+def turn(
+    seen: np.ndarray, beside: np.ndarray, rest: np.ndarray, rest_beside: np.ndarray
+) -> np.ndarray:
+    """Turns (..., 3, 3) of one pair of directions (3,), at rest, onto another (..., 3)."""
+    return basis(seen, beside) @ basis(rest, rest_beside).T
+
+
+def between(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
+    """A turn (T, 3, 3) between two that are not far apart."""
+    mixed = (1 - share) * a + share * b
+    return basis(mixed[..., 0], mixed[..., 1])
