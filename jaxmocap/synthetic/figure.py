@@ -192,7 +192,7 @@ class Figure:
             raise ValueError(
                 "the pelvis is out of reach of the planted feet: lower the key posture"
             )
-        knee = _middle(start, ankle, lengths, forward)
+        knee = middle_joint(start, ankle, lengths, forward)
         frames[femur] = (start, _frame(start - knee, forward))
         frames[tibia] = (knee, _frame(knee - ankle, forward))
         frames[foot] = (ankle, np.broadcast_to(R_foot, (len(start), 3, 3)))
@@ -218,7 +218,7 @@ class Figure:
         axis, distance = _saturated(towards, sum(lengths))
         bend = np.einsum("tij,tj->ti", R_chest, _elbow_side(_into(R_chest, axis), out * swivel))
         end = shoulder + distance * axis
-        elbow = _middle(shoulder, end, lengths, bend)
+        elbow = middle_joint(shoulder, end, lengths, bend)
         R_radius = _frame(elbow - end, -bend)
         frames[clavicle] = (neck, R_clavicle)
         frames[humerus] = (shoulder, _frame(shoulder - elbow, -bend))
@@ -264,7 +264,7 @@ def _frame(up: np.ndarray, ahead: np.ndarray) -> np.ndarray:
     return np.stack([np.cross(y, z), y, z], -1)
 
 
-def _middle(
+def middle_joint(
     start: np.ndarray, end: np.ndarray, lengths: tuple[float, float], towards: np.ndarray
 ) -> np.ndarray:
     """The middle joint (T, 3) of a two-bone chain, bent ``towards`` a direction."""

@@ -75,6 +75,10 @@ class Actor:
         joints, R = self.performance.bones(times)
         return self.mesh.posed(R, joints - np.einsum("tbij,bj->tbi", R, self.rest))
 
+    def landmarks(self, times: np.ndarray) -> dict[str, np.ndarray]:
+        """Landmark name -> (T, 3), world, metres."""
+        return self.performance.landmarks(times)
+
 
 def dressed(performance: Performance, seed: int = 0) -> Actor:
     """The performer with a body, clothes, a headset, and a racket in the right hand."""

@@ -111,6 +111,23 @@ def light(scene: Scene, lens: Lens, time: float) -> np.ndarray:
     return image
 
 
+def silhouette(mesh: Mesh, lens: Lens, vertices: np.ndarray) -> np.ndarray:
+    """Pixels (H, W) bool of which at least half shows the mesh, its vertices at (V, 3)."""
+    pixels = lens.pixels(vertices)
+    mask = np.zeros(lens.size[::-1], bool)
+    box = _box(pixels[None], lens.size)
+    if box is None:
+        return mask
+    order, _ = _shaded(mesh, lens, vertices)
+    corners = np.ascontiguousarray(to_fixed(pixels - box[0])[mesh.faces[order]])
+    (left, top), (right, bottom) = box
+    canvas = np.zeros(((bottom - top) * OVERSAMPLING, (right - left) * OVERSAMPLING), np.uint8)
+    drawn = _painted(canvas, corners, [(255.0,)] * len(corners))
+    small = cv2.resize(drawn, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
+    mask[top:bottom, left:right] = small >= 128
+    return mask
+
+
 def _blurred(pixels: np.ndarray) -> np.ndarray:
     """Pixels (N, V, 2) at instants evenly within the exposure, from its start, middle and end."""
     start, middle, end = pixels

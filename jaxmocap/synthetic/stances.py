@@ -1,0 +1,94 @@
+"""Stances of a whole body: the angles of its joints, where it is and how high.
+
+INPUTS: angles in degrees, places in metres. OUTPUTS: a Stance, and its channels for a spline.
+"""
+
+from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
+
+import numpy as np
+
+# Channels of which one error turns together, of so many degrees in all.
+_JOINTS = ((3, 3), (6, 3), (9, 1), *((i, n) for s in (10, 14) for i, n in ((s, 3), (s + 3, 1))))
+_JOINTS += tuple((i, n) for s in (18, 23) for i, n in ((s, 3), (s + 3, 1), (s + 4, 1)))
+CHANNELS = 28
+
+
+class Curves(NamedTuple):
+    """A stance over time: the channels of ``Stance`` as (T, n), degrees and metres."""
+
+    place: np.ndarray
+    lift: np.ndarray
+    turn: np.ndarray
+    back: np.ndarray
+    neck: np.ndarray
+    arm_l: tuple[np.ndarray, np.ndarray]
+    arm_r: tuple[np.ndarray, np.ndarray]
+    leg_l: tuple[np.ndarray, np.ndarray, np.ndarray]
+    leg_r: tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Stance:
+    """How a body stands: degrees, metres.
+
+    Attributes:
+        place: of the hips' middle on the floor, x (ahead) and y (left).
+        lift: of the lowest part of the body above the floor.
+        turn: of the hips: left about the vertical, then bowed, then towards the right.
+        back: of the chest against the hips: bowed, towards the right, turned left.
+        neck: bowed.
+        arm_l: flexion, abduction and inward rotation of the upper arm, and of the elbow, flexion.
+        arm_r: the same on the right.
+        leg_l: flexion, abduction and inward rotation of the thigh, flexion of the knee, and of
+            the ankle, how far the toes point down.
+        leg_r: the same on the right.
+    """
+
+    place: tuple[float, float] = (0.0, 0.0)
+    lift: float = 0.0
+    turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    back: tuple[float, float, float] = (2.0, 0.0, 0.0)
+    neck: float = 0.0
+    arm_l: tuple[float, float, float, float] = (4.0, 9.0, 0.0, 14.0)
+    arm_r: tuple[float, float, float, float] = (4.0, 9.0, 0.0, 14.0)
+    leg_l: tuple[float, float, float, float, float] = (2.0, 4.0, -6.0, 4.0, 2.0)
+    leg_r: tuple[float, float, float, float, float] = (2.0, 4.0, -6.0, 4.0, 2.0)
+
+    def channels(self) -> np.ndarray:
+        """(28,) all of it."""
+        return np.concatenate([np.ravel(getattr(self, field.name)) for field in fields(self)])
+
+    def mirrored(self) -> "Stance":
+        """Left and right in each other's place."""
+        (x, y), (yaw, pitch, roll), (bow, side, twist) = self.place, self.turn, self.back
+        return replace(
+            self,
+            place=(x, -y),
+            turn=(-yaw, pitch, -roll),
+            back=(bow, -side, -twist),
+            arm_l=self.arm_r,
+            arm_r=self.arm_l,
+            leg_l=self.leg_r,
+            leg_r=self.leg_l,
+        )
+
+    @staticmethod
+    def split(values: np.ndarray) -> Curves:
+        """Channels (T, 28) by their names."""
+        v = values.T
+        place, lift, turn, back, neck = (
+            v[a:b].T for a, b in ((0, 2), (2, 3), (3, 6), (6, 9), (9, 10))
+        )
+        arm_l, arm_r = ((v[i : i + 3].T, v[i + 3 : i + 4].T) for i in (10, 14))
+        leg_l, leg_r = ((v[i : i + 3].T, v[i + 3 : i + 4].T, v[i + 4 : i + 5].T) for i in (18, 23))
+        return Curves(place, lift, turn, back, neck, arm_l, arm_r, leg_l, leg_r)
+
+    @staticmethod
+    def error(rng: np.random.Generator, degrees: float) -> np.ndarray:
+        """(28,) an error of every joint by so many degrees, in some direction each."""
+        error = np.zeros(CHANNELS)
+        for first, count in _JOINTS:
+            direction = rng.standard_normal(count)
+            error[first : first + count] = degrees * direction / np.linalg.norm(direction)
+        return error
