@@ -1,0 +1,105 @@
+"""Points of the body on rays of the cameras, joint after joint by the product of exponentials.
+
+INPUTS: a skeleton, a pose, pairs of points and lines (anything with the originals' attributes).
+OUTPUTS: the paper's system, three equations to a pair, and the pose that solves it; float64.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg import expm
+
+from jaxmocap.reference.kinematics import forward
+
+
+class Pose(NamedTuple):
+    """A configuration: position (3,), quaternion (4,) wxyz, angles (D,)."""
+
+    position: np.ndarray
+    quaternion: np.ndarray
+    angles: np.ndarray
+
+
+def hat(twist: np.ndarray) -> np.ndarray:
+    """The matrix (4, 4) of a twist (v, omega): equations (3.6) and (3.7)."""
+    x, y, z = twist[3:]
+    return np.array([[0, -z, y, twist[0]], [z, 0, -x, twist[1]], [-y, x, 0, twist[2]], [0.0] * 4])
+
+
+def joint_screws(skeleton: Any, frames: Any) -> list[np.ndarray]:
+    """Each degree of freedom's twist (6,) at the present pose: (o x omega, omega)."""
+    joints = frames.joints_world[list(skeleton.tree.dof_bones)]
+    axes = zip(joints, frames.axes_world, strict=True)
+    return [np.concatenate([np.cross(joint, axis), axis]) for joint, axis in axes]
+
+
+def posed(frames: Any, points: Any) -> np.ndarray:
+    """Points (N, 3) in the world, metres."""
+    found = []
+    for bones, places, shares in zip(*(np.asarray(part) for part in points), strict=True):
+        carried = [
+            frames.joints_world[b] + frames.R_world_bone[b] @ x
+            for b, x in zip(bones, places, strict=True)
+        ]
+        found.append(shares @ np.array(carried))
+    return np.array(found)
+
+
+def linearised(skeleton: Any, frames: Any, pairs: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Equation (3.12) for all pairs: x x n - m (N, 3) and its derivatives (N, 3, 6 + D).
+
+    The root's columns are twists about the pelvis.
+    """
+    root = [np.concatenate([axis, np.zeros(3)]) for axis in np.eye(3)]
+    root += [np.concatenate([np.cross(frames.root, axis), axis]) for axis in np.eye(3)]
+    twists = root + joint_screws(skeleton, frames)
+    tree = skeleton.tree
+    n = np.asarray(pairs.lines.directions, float)
+    residuals = np.cross(posed(frames, pairs.points), n) - np.asarray(pairs.lines.moments, float)
+    rows = np.zeros((len(n), 3, len(twists)))
+    points = [np.asarray(part) for part in pairs.points]
+    for i, (bones, places, shares) in enumerate(zip(*points, strict=True)):
+        for bone, place, share in zip(bones, places, shares, strict=True):
+            chain = tree.chain(tree.bones[bone])
+            x = frames.joints_world[bone] + frames.R_world_bone[bone] @ place
+            for j, twist in enumerate(twists):
+                if j < 6 or tree.dof_bones[j - 6] in chain:
+                    moved = (hat(twist) @ np.append(x, 1.0))[:3]
+                    rows[i, :, j] += share * np.cross(moved, n[i])
+    return residuals, rows
+
+
+def solve_pose(skeleton: Any, pose: Any, pairs: Any, iterations: int = 20) -> Pose:
+    """Section 3.1.3 as printed: linearise, solve by least squares, transform, again.
+
+    Without priors, limits or outliers; all pairs count alike.
+    """
+    now = Pose(*(np.asarray(part, float) for part in pose))
+    for _ in range(iterations):
+        residuals, rows = linearised(skeleton, forward(skeleton, now), pairs)
+        A, b = rows.reshape(-1, rows.shape[-1]), -residuals.ravel()
+        step = np.linalg.lstsq(A, b, rcond=None)[0]
+        # About the pelvis: the twist's shift moves it, its turn turns it.
+        T = expm(hat(np.concatenate([np.zeros(3), step[3:6]])))
+        turned = T[:3, :3] @ _matrix(now.quaternion)
+        now = Pose(now.position + step[:3], _quaternion(turned), now.angles + step[6:])
+    return now
+
+
+def _matrix(q: np.ndarray) -> np.ndarray:
+    """(3, 3) of a unit quaternion, wxyz."""
+    K = hat(np.concatenate([np.zeros(3), q[1:]]))[:3, :3]
+    return np.eye(3) + 2 * q[0] * K + 2 * K @ K
+
+
+def _quaternion(R: np.ndarray) -> np.ndarray:
+    """Unit quaternion, wxyz: the null direction of how it turns."""
+    K = np.array(
+        [
+            [np.trace(R), R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
+            [R[2, 1] - R[1, 2], *(R[0] + R[:, 0] - np.trace(R) * np.eye(3)[0])],
+            [R[0, 2] - R[2, 0], *(R[1] + R[:, 1] - np.trace(R) * np.eye(3)[1])],
+            [R[1, 0] - R[0, 1], *(R[2] + R[:, 2] - np.trace(R) * np.eye(3)[2])],
+        ]
+    )
+    return np.linalg.eigh(K)[1][:, -1]

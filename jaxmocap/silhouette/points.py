@@ -1,0 +1,113 @@
+"""Points of the body's surface on rays of the cameras: the rows of section 3.2's system.
+
+INPUTS: a Skeleton and its Frames, points fixed to bones, lines in the world (metres).
+OUTPUTS: how far the points are off their lines, and how that changes with the pose.
+
+A point on a kinematic chain is moved by exp(theta xi) exp(theta_1 xi_1) ... exp(theta_n xi_n), the
+joints being screws without pitch. Its derivative by a joint's angle at the present pose is that
+joint's screw, carried along (4.21), applied to the point: the column of the geometric Jacobian.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.kinematics import Frames, jacobian
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.geometry.plucker import Lines, perpendiculars
+from jaxmocap.geometry.rotations import rotate
+
+
+class BodyPoints(NamedTuple):
+    """N points that up to K bones carry, as skin does over a joint; indices are traced.
+
+    Attributes:
+        bones: (N, K) int32 indices.
+        points_bone: (N, K, 3) the point in each bone's frame, from its joint, metres.
+        shares: (N, K) of each bone, together 1.
+    """
+
+    bones: Array | np.ndarray
+    points_bone: Array | np.ndarray
+    shares: Array | np.ndarray
+
+
+class PointRays(NamedTuple):
+    """N points and the rays that they should lie on, of any number of cameras.
+
+    Where the ray belongs to a contour, its point is known across the contour and not along it:
+    ``across`` is the contour's normal in space and ``grips`` how firmly the other direction holds.
+    With grips of 1 this is the incidence of (3.11), whatever ``across``.
+
+    Attributes:
+        points: of the body.
+        lines: in the world, (N).
+        across: (N, 3) unit vectors at right angles to their lines.
+        weights: (N,) 0 where there is no pair, whatever the other fields then hold.
+        grips: (N,) from 0 to 1.
+    """
+
+    points: BodyPoints
+    lines: Lines
+    across: Array
+    weights: Array
+    grips: Array
+
+
+def on_rays(points: BodyPoints, lines: Lines, weights: Array | None = None) -> PointRays:
+    """Points on rays in full, as in (3.11): known in both directions across the ray."""
+    n = lines.directions
+    weights = jnp.ones_like(n[..., 0]) if weights is None else weights
+    return PointRays(points, lines, any_normals(n), weights, jnp.ones_like(weights))
+
+
+def any_normals(directions: Array) -> Array:
+    """Some unit vectors (..., 3) at right angles to unit directions (..., 3)."""
+    upright = jnp.abs(directions[..., 2:]) > 0.8
+    beside = jnp.where(upright, jnp.eye(3)[0], jnp.eye(3)[2]).astype(directions.dtype)
+    across = jnp.cross(directions, beside)
+    return across / jnp.linalg.norm(across, axis=-1, keepdims=True)
+
+
+def posed(frames: Frames, points: BodyPoints) -> Array:
+    """Points (N, 3) in the world, metres: linear blend skinning."""
+    return jnp.sum(jnp.asarray(points.shares)[..., None] * _carried(frames, points), -2)
+
+
+def _carried(frames: Frames, points: BodyPoints) -> Array:
+    """(N, K, 3) where each bone alone would carry its points."""
+    R, joints = frames.R_world_bone[points.bones], frames.joints_world[points.bones]
+    return joints + rotate(R, jnp.asarray(points.points_bone))
+
+
+def slopes(skeleton: Skeleton, frames: Frames, points: BodyPoints) -> Array:
+    """Derivatives (N, 3, 6 + D) of the posed points by the tangent vector of ``retract``."""
+    carried, shares = _carried(frames, points), jnp.asarray(points.shares)
+    total = jnp.zeros(())
+    for k in range(carried.shape[1]):
+        J = jacobian(skeleton, frames, points.bones[:, k], carried[:, k])
+        total = total + shares[:, k, None, None] * J
+    return total
+
+
+def linearised(skeleton: Skeleton, frames: Frames, pairs: PointRays) -> tuple[Array, Array]:
+    """The system of (3.12) for all pairs: residuals (N, 2), metres, and their (N, 2, 6 + D).
+
+    x x n - m has three rows of rank two; here are its two components at right angles to the ray,
+    across the contour and along it, unweighted but for the grip. Pairs of no weight give 0.
+    """
+    real = pairs.weights > 0
+    along = jnp.cross(pairs.lines.directions, pairs.across)
+    ways = jnp.stack([pairs.across, pairs.grips[:, None] * along], 1)
+    ways = jnp.where(real[:, None, None], ways, 0.0)
+    lines = Lines(*(jnp.where(real[:, None], part, 0.0) for part in pairs.lines))
+    off = perpendiculars(lines, posed(frames, pairs.points))
+    J = slopes(skeleton, frames, pairs.points)
+    residuals = ways[..., 0] * off[:, None, 0]
+    rows = ways[..., 0, None] * J[:, None, 0]
+    for axis in (1, 2):
+        residuals = residuals + ways[..., axis] * off[:, None, axis]
+        rows = rows + ways[..., axis, None] * J[:, None, axis]
+    return residuals, rows

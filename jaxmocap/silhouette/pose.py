@@ -1,0 +1,241 @@
+"""Pose from points on rays (second paper, sections 3.1.3 and 3.2).
+
+INPUTS: a Skeleton, a pose to start from, pairs of body points and rays of any number of cameras.
+OUTPUTS: the pose that brings the points to their rays, what was taken for outliers, and how well
+each degree of freedom is determined.
+
+The system is linearised, solved and iterated (Gauss-Newton). Unknown are the twist of the whole
+body, taken about the pelvis, and the joints' angles. Points far off in space, by the spread of all
+of them, lose their weight (Tukey's biweight); a joint at its limit leaves the system, and what is
+left is solved again.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.pose import Pose, difference, retract
+from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
+from jaxmocap.geometry.rotations import HIGHEST
+from jaxmocap.silhouette.points import PointRays, linearised
+from jaxmocap.solvers.status import Status
+
+# Between the median length of a normal error in a plane and the deviation of its components.
+MEDIAN_OF_LENGTHS = 1.1774
+# A joint this near to its limit is at it, radians.
+AT_LIMIT = 1e-4
+
+
+class PoseSettings(NamedTuple):
+    """What a user may tune; traced.
+
+    Attributes:
+        deviation: least standard deviation of a point about its ray, metres: rejection never takes
+            a spread smaller than this for the truth.
+        reach: points farther off than this many deviations are outliers (Tukey's constant).
+        damping: deviation of one step, radians and metres, where nothing else determines it.
+        largest_step: no iteration turns or shifts anything farther, radians and metres.
+        rest: a step smaller than this ends the iteration, radians and metres.
+        iterations: at most.
+    """
+
+    deviation: Array | float = 0.002
+    reach: Array | float = 4.685
+    damping: Array | float = 1.0
+    largest_step: Array | float = 0.3
+    rest: Array | float = 1e-5
+    iterations: Array | int = 20
+
+
+class Prior(NamedTuple):
+    """What is known beforehand of the 6 + D degrees of freedom.
+
+    Attributes:
+        pose: expected.
+        deviations: (6 + D,) metres and radians; infinite where nothing is expected.
+    """
+
+    pose: Pose
+    deviations: Array
+
+
+class PoseResult(NamedTuple):
+    """How a solve ended.
+
+    Attributes:
+        pose: that was found.
+        distances: (N,) of the points from their rays, metres; 0 for pairs of no weight.
+        shares: (N,) from 0, an outlier, to 1: what robust weighting leaves of a pair's weight.
+        spread: () deviation of the points about their rays, metres.
+        information: (6 + D, 6 + D) Hessian of half the weighted squares in deviations, without
+            prior or damping: its inverse is the covariance of what the rays tell.
+        iterations: () made.
+        status: () a Status.
+    """
+
+    pose: Pose
+    distances: Array
+    shares: Array
+    spread: Array
+    information: Array
+    iterations: Array
+    status: Array
+
+
+class _Normal(NamedTuple):
+    """Normal equations at a pose, and what they were made of."""
+
+    information: Array
+    slope: Array
+    distances: Array
+    shares: Array
+    spread: Array
+
+
+def solve_pose(
+    skeleton: Skeleton,
+    pose: Pose,
+    pairs: PointRays,
+    settings: PoseSettings,
+    prior: Prior | None = None,
+    free: Array | None = None,
+) -> PoseResult:
+    """Iterate from ``pose`` until the points lie on their rays, or rest.
+
+    Args:
+        skeleton: D degrees of freedom.
+        pose: to start from.
+        pairs: N, padded; those of no weight count for nothing.
+        settings: traced.
+        prior: what is expected, beside the rays.
+        free: (6 + D,) degrees of freedom that may move; all without it.
+    """
+    moving = jnp.ones(skeleton.costs.shape, bool) if free is None else free
+
+    def unfinished(carry: tuple[Array, Pose, Array]) -> Array:
+        count, _, moved = carry
+        return (count < settings.iterations) & (moved > settings.rest)
+
+    def iterate(carry: tuple[Array, Pose, Array]) -> tuple[Array, Pose, Array]:
+        count, pose, _ = carry
+        normal = _normal_equations(skeleton, pose, pairs, settings)
+        step = _step(skeleton, pose, normal, settings, prior, moving)
+        return count + 1, retract(pose, step), jnp.max(jnp.abs(step))
+
+    far = jnp.asarray(jnp.inf, pose.angles.dtype)
+    count, found, moved = jax.lax.while_loop(
+        unfinished, iterate, (jnp.zeros((), jnp.int32), pose, far)
+    )
+    broken = ~jnp.isfinite(moved) | ~jnp.any(pairs.weights > 0)
+    found = jax.tree.map(lambda new, old: jnp.where(broken, old, new), found, pose)
+    end = _normal_equations(skeleton, found, pairs, settings)
+    status = jnp.where(moved > settings.rest, Status.OUT_OF_STEPS, Status.CONVERGED)
+    status = jnp.where(broken, Status.BROKEN, status).astype(jnp.int32)
+    kept = end.distances, end.shares, end.spread, end.information
+    return PoseResult(found, *kept, count, status)
+
+
+def _normal_equations(
+    skeleton: Skeleton, pose: Pose, pairs: PointRays, settings: PoseSettings
+) -> _Normal:
+    """Hessian and slope of half the squares of all pairs, in their robust deviations."""
+    residuals, rows = linearised(skeleton, forward(skeleton, pose), pairs)
+    squared = jnp.sum(residuals**2, -1)
+    off = squared > 0
+    distances = jnp.where(off, jnp.sqrt(jnp.where(off, squared, 1.0)), 0.0)
+    spread = jnp.maximum(
+        _median(distances, pairs.weights > 0) / MEDIAN_OF_LENGTHS, settings.deviation
+    )
+    ratio = jnp.minimum(squared / (settings.reach * spread) ** 2, 1.0)
+    shares = (1 - ratio) ** 2
+    weights = jnp.where(pairs.weights > 0, shares * pairs.weights, 0.0) / spread**2
+    rows = rows.reshape(-1, rows.shape[-1])
+    weighted = jnp.repeat(weights, 2)[:, None] * rows
+    information = jnp.matmul(weighted.T, rows, precision=HIGHEST)
+    slope = jnp.matmul(weighted.T, residuals.ravel(), precision=HIGHEST)
+    return _Normal(information, slope, distances, shares, spread)
+
+
+def _median(values: Array, real: Array) -> Array:
+    """() of those of (N,) values that are real; 0 where none is."""
+    ordered = jnp.sort(jnp.where(real, values, jnp.inf))
+    middle = ordered[jnp.maximum(jnp.sum(real.astype(jnp.int32)) - 1, 0) // 2]
+    return jnp.where(jnp.isfinite(middle), middle, 0.0)
+
+
+def _step(
+    skeleton: Skeleton,
+    pose: Pose,
+    normal: _Normal,
+    settings: PoseSettings,
+    prior: Prior | None,
+    free: Array,
+) -> Array:
+    """The step (6 + D,) that solves the normal equations within the joints' limits."""
+    diagonal = jnp.full(free.shape, 1 / settings.damping**2, normal.slope.dtype)
+    slope = normal.slope
+    if prior is not None:
+        precision = 1 / prior.deviations**2
+        diagonal = diagonal + precision
+        slope = slope + precision * difference(pose, prior.pose)
+    H = normal.information + jnp.diag(diagonal)
+    low, high = _room(skeleton, pose)
+
+    def unsolved(carry: tuple[Array, Array, Array]) -> Array:
+        count, _, leaving = carry
+        return (count == 0) | ((count < 3) & jnp.any(leaving))
+
+    def solve(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        count, _, gone = carry
+        stays = free & ~gone
+        step = -_solved(H, slope, stays)
+        onwards = ((step < low) & (low > -AT_LIMIT)) | ((step > high) & (high < AT_LIMIT))
+        leaving = onwards & stays
+        # Only who leaves now calls for another solve.
+        return jnp.where(jnp.any(leaving), count + 1, 3), step, gone | leaving
+
+    start = (jnp.zeros((), jnp.int32), jnp.zeros_like(slope), jnp.zeros(free.shape, bool))
+    _, step, _ = jax.lax.while_loop(unsolved, solve, start)
+    largest = jnp.max(jnp.abs(step))
+    step = step * jnp.minimum(1.0, settings.largest_step / jnp.maximum(largest, 1e-12))
+    return jnp.clip(step, low, high)
+
+
+def _solved(H: Array, slope: Array, stays: Array) -> Array:
+    """H^-1 slope among what stays, 0 elsewhere; scaled to a unit diagonal for float32's sake."""
+    scale = jnp.where(stays, jax.lax.rsqrt(jnp.diagonal(H)), 0.0)
+    scaled = scale[:, None] * H * scale + jnp.diag(jnp.where(stays, 0.0, 1.0).astype(H.dtype))
+    factor = jax.scipy.linalg.cho_factor(scaled)
+    return scale * jax.scipy.linalg.cho_solve(factor, scale * slope)
+
+
+def _room(skeleton: Skeleton, pose: Pose) -> tuple[Array, Array]:
+    """How far each degree of freedom (6 + D,) may still go down and up."""
+    endless = jnp.full(ROOT_DOF, jnp.inf, pose.angles.dtype)
+    low = jnp.minimum(skeleton.limits[:, 0] - pose.angles, 0.0)
+    high = jnp.maximum(skeleton.limits[:, 1] - pose.angles, 0.0)
+    return jnp.concatenate([-endless, low]), jnp.concatenate([endless, high])
+
+
+def standard_deviations(
+    information: Array | np.ndarray, beforehand: np.ndarray | float = np.pi
+) -> np.ndarray:
+    """Of each degree of freedom (6 + D,), metres and radians, by the Hessian's inverse.
+
+    In double precision on the host. What the rays leave open keeps the deviation from before.
+
+    Args:
+        information: (6 + D, 6 + D) of a ``PoseResult``.
+        beforehand: (6 + D,) or one number: deviations before anything is seen.
+    """
+    H = np.asarray(information, float)
+    H = (H + H.T) / 2
+    known = np.broadcast_to(1 / np.asarray(beforehand, float) ** 2, len(H))
+    values, vectors = np.linalg.eigh(H / np.sqrt(np.outer(known, known)))
+    # float32 sums cannot tell a small eigenvalue from none.
+    values = np.where(values > 1e-6 * values.max(), values, 0.0)
+    return np.sqrt(np.sum(vectors**2 / (1 + values), 1) / known)
