@@ -7,7 +7,7 @@ gradients reach lengths, masses, diameters, costs and limits.
 
 import tomllib
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from importlib import resources
 
@@ -185,34 +185,54 @@ class Skeleton:
 
 def load_skeleton(name: str) -> Skeleton:
     """Read a model file from ``body/data``."""
-    tree, data = _read_model(name)
-    bones, joints = data["bone"], data["joint"]
-
-    def column(rows: list[dict], key: str, scale: float = 1.0) -> Array:
-        return jnp.asarray(np.array([row[key] for row in rows], float) * scale, float)
-
+    tree, bones, joints, root = _read_model(name)
     degree = np.pi / 180
     return Skeleton(
         tree=tree,
-        lengths=column(bones, "length"),
-        directions=column(bones, "direction"),
-        masses=column(bones, "mass"),
-        centres=column(bones, "centre"),
-        diameters=column(bones, "diameter"),
-        axes=column(joints, "axis"),
-        limits=column(joints, "range", degree),
-        costs=jnp.concatenate([jnp.asarray(data["root"]["cost"], float), column(joints, "cost")]),
-        relaxed=column(joints, "relaxed", degree),
+        lengths=_column(bones, "length"),
+        directions=_column(bones, "direction"),
+        masses=_column(bones, "mass"),
+        centres=_column(bones, "centre"),
+        diameters=_column(bones, "diameter"),
+        axes=_column(joints, "axis"),
+        limits=_column(joints, "range", degree),
+        costs=jnp.concatenate([jnp.asarray(root["cost"], float), _column(joints, "cost")]),
+        relaxed=_column(joints, "relaxed", degree),
     )
+
+
+def with_joints(skeleton: Skeleton, name: str) -> Skeleton:
+    """The same bones, moved by the joints of a model file: ``torso.toml`` for the upper body.
+
+    ``legs.toml`` has hip and legs, ``whole.toml`` both, ``human.toml`` the first paper's.
+
+    Raises:
+        KeyError: a joint turns a bone that the skeleton does not have.
+    """
+    model, tree = load_skeleton(name), skeleton.tree
+    carried = tuple(tree.bone(model.tree.bones[bone]) for bone in model.tree.dof_bones)
+    return replace(
+        skeleton,
+        tree=replace(tree, joints=model.tree.joints, dof_bones=carried),
+        **{
+            key: getattr(model, key).astype(skeleton.lengths.dtype)
+            for key in ("axes", "limits", "costs", "relaxed")
+        },
+    )
+
+
+def _column(rows: list[dict], key: str, scale: float = 1.0) -> Array:
+    """One number, or one vector, of each row."""
+    return jnp.asarray(np.array([row[key] for row in rows], float) * scale, float)
 
 
 # The file is kept, not its arrays: those would outlive a trace or a change of precision.
 @lru_cache
-def _read_model(name: str) -> tuple[Tree, dict]:
-    """The tree and the rows of a model file."""
-    text = resources.files("jaxmocap.body").joinpath("data", name).read_text(encoding="utf-8")
-    data = tomllib.loads(text)
-    bones, joints = data["bone"], data["joint"]
+def _read_model(name: str) -> tuple[Tree, list[dict], list[dict], dict]:
+    """The tree, the rows of bones and of joints, and the root, of a model file."""
+    data = _data(name)
+    source = _data(data["bones_of"]) if "bones_of" in data else data
+    bones, joints = source["bone"], _joint_rows(name)
     names = [bone["name"] for bone in bones]
     tree = Tree(
         tuple(names),
@@ -220,4 +240,19 @@ def _read_model(name: str) -> tuple[Tree, dict]:
         tuple(joint["name"] for joint in joints),
         tuple(names.index(joint["bone"]) for joint in joints),
     )
-    return tree, data
+    return tree, bones, joints, source["root"]
+
+
+def _joint_rows(name: str) -> list[dict]:
+    """A model file's joints: those that it takes from other files, all or some, then its own."""
+    data, taken = _data(name), []
+    for source in data.get("joints_of", []):
+        rows = {row["name"]: row for row in _joint_rows(source["file"])}
+        taken += [rows[joint] for joint in source.get("names", rows)]
+    return taken + data.get("joint", [])
+
+
+def _data(name: str) -> dict:
+    """What a model file holds."""
+    text = resources.files("jaxmocap.body").joinpath("data", name).read_text(encoding="utf-8")
+    return tomllib.loads(text)
