@@ -1,0 +1,158 @@
+"""Programs: functions of arrays that are traced once, for this start and for later ones.
+
+JAX keeps on disk what the compiler made, but asks for it by the lowered program: every start would
+trace and lower anew, which takes seconds for a tracker. So what tracing made (StableHLO, by
+``jax.export``) is kept beside it, and is asked for by the function's name, all of this package's
+code, the versions of what it is built on, and the shapes of the arguments.
+
+INPUTS: a function of arrays, a folder. OUTPUTS: the same function, jitted.
+"""
+
+import hashlib
+import os
+import pickle
+import tempfile
+from collections.abc import Callable
+from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+from jax import Array, export
+from jax.core import Tracer
+
+# What has a hand in tracing, beside this package.
+BUILT_ON = ("jax", "jaxlib", "numpy", "equinox", "lineax", "optimistix")
+
+
+class _Kept(NamedTuple):
+    """What tracing made, for one kind of arguments."""
+
+    exported: export.Exported
+    structure: Any  # of the result
+
+
+class Program:
+    """A jitted function; once a folder is chosen (``keep_in``), what tracing it makes stays there.
+
+    Differentiated, mapped or called by another function that is being traced, it is the function.
+
+    Attributes:
+        name: of the function, and of its files.
+        jitted: the function by itself.
+    """
+
+    def __init__(self, function: Callable, name: str, static: Any = ()):
+        """Nothing is traced yet.
+
+        Args:
+            function: of pytrees of arrays; it may close over nothing else but what follows from
+                this package's code and from ``static``.
+            name: tells it from others.
+            static: what else it depends on; its ``repr`` tells it from others.
+        """
+        self.name, self.jitted = name, jax.jit(function)
+        self._static = repr(static)
+
+        def restored(*arguments: Any) -> Any:
+            leaves, structure = jax.tree.flatten(arguments)
+            kept = self._look_up(leaves, structure)
+            return jax.tree.unflatten(kept.structure, kept.exported.call(*leaves))
+
+        restored.__name__ = name
+        self._restored = jax.jit(restored)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """The function's result."""
+        if _folder is None or _is_traced(arguments):
+            return self.jitted(*arguments)
+        return self._restored(*arguments)
+
+    def shapes(self, *like: Any) -> Any:
+        """Shapes of the result, from arguments or from what has their shapes."""
+        return jax.eval_shape(self._chosen(), *like)
+
+    def lower(self, *like: Any) -> jax.stages.Lowered:
+        """Ready for the compiler, for arguments such as these."""
+        return self._chosen().lower(*like)
+
+    def _chosen(self) -> Any:
+        return self.jitted if _folder is None else self._restored
+
+    def _look_up(self, leaves: list[Array], structure: Any) -> _Kept:
+        """What an earlier start kept, or what this one makes of it."""
+        like = [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=x.weak_type) for x in leaves]
+        told = repr((self.name, self._static, str(structure), like, _surroundings()))
+        path = Path(_folder or "") / f"{self.name}-{_digest(told)}.program"
+        try:
+            blob, result = pickle.loads(path.read_bytes())
+            return _Kept(export.deserialize(bytearray(blob)), result)
+        # Not there yet, or not what it should be, whatever the reason: it is made anew.
+        except Exception:
+            return self._make(like, structure, path)
+
+    def _make(self, like: list[jax.ShapeDtypeStruct], structure: Any, path: Path) -> _Kept:
+        result = None
+
+        def flat(*leaves: Array) -> list[Array]:
+            nonlocal result
+            found, result = jax.tree.flatten(self.jitted(*jax.tree.unflatten(structure, leaves)))
+            return found
+
+        blob = bytes(export.export(jax.jit(flat))(*like).serialize())
+        _write(path, pickle.dumps((blob, result)))
+        # Read back, so that this start compiles what later ones will ask for.
+        return _Kept(export.deserialize(bytearray(blob)), result)
+
+
+_folder: Path | None = None
+
+
+def keep_in(folder: Path | None) -> None:
+    """Keep what tracing makes from now on in a folder of the user's own; None keeps nothing.
+
+    As with JAX's own cache, what lies there is trusted.
+    """
+    global _folder
+    _folder = folder
+
+
+def program(function: Callable) -> Program:
+    """Decorates a function of arrays that closes over nothing."""
+    return Program(function, f"{function.__module__}.{function.__qualname__}")
+
+
+def _is_traced(arguments: Any) -> bool:
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(arguments))
+
+
+def _surroundings() -> tuple:
+    """What tracing depends on beside function and arguments."""
+    names = "jax_enable_x64", "jax_default_matmul_precision"
+    return _code(), jax.default_backend(), [getattr(jax.config, name) for name in names]
+
+
+@lru_cache
+def _code() -> str:
+    """Of all of this package, and of what it is built on."""
+    root = Path(__file__).parents[1]
+    texts = [path.read_bytes() for path in sorted(root.rglob("*.py"))]
+    return _digest(repr([version(name) for name in BUILT_ON])) + _digest(b"\0".join(texts))
+
+
+def _digest(told: str | bytes) -> str:
+    told = told.encode() if isinstance(told, str) else told
+    return hashlib.sha256(told).hexdigest()[:24]
+
+
+def _write(path: Path, blob: bytes) -> None:
+    """Beside its name first: two starts at once do not read half a file."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+            file.write(blob)
+        os.replace(file.name, path)
+    # A folder that cannot be written to keeps nothing.
+    except OSError:
+        pass

@@ -1,0 +1,134 @@
+"""Programs kept on disk: what a start traced, a later one only reads."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import Array
+
+from jaxmocap.solvers import programs
+from jaxmocap.solvers.programs import Program, keep_in
+
+
+class Turned(NamedTuple):
+    """A result with a structure of its own."""
+
+    point: Array
+    rest: None
+    parts: dict[str, Array]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Iterator[Path]:
+    """Where programs are kept during a test."""
+    keep_in(tmp_path / "programs")
+    yield tmp_path / "programs"
+    keep_in(None)
+
+
+def counted(traced: list[int], name: str = "turn", static: object = ()) -> Program:
+    """A program, new as after a start; each trace of its function appends to ``traced``."""
+
+    def turn(angle: Array, point: Array) -> Turned:
+        traced.append(1)
+        s, c = jnp.sin(angle), jnp.cos(angle)
+        moved = jnp.stack([c * point[0] - s * point[1], s * point[0] + c * point[1]])
+        return Turned(moved, None, {"length": jnp.sqrt(jnp.sum(moved**2))})
+
+    return Program(turn, name, static)
+
+
+ANGLE, POINT = np.float32(0.5), np.array([3.0, 4.0], np.float32)
+
+
+def test_a_later_start_reads_what_an_earlier_one_traced(folder: Path) -> None:
+    traced: list[int] = []
+    first = counted(traced)(ANGLE, POINT)
+    assert len(traced) == 1 and len(list(folder.iterdir())) == 1
+    later = counted(traced)(ANGLE, POINT)
+    assert len(traced) == 1
+    assert isinstance(later, Turned) and later.rest is None
+    np.testing.assert_array_equal(later.point, first.point)
+    assert float(later.parts["length"]) == pytest.approx(5.0, rel=1e-5)
+
+
+def test_it_tells_what_the_function_tells(folder: Path) -> None:
+    kept = counted([])
+    np.testing.assert_allclose(kept(ANGLE, POINT).point, kept.jitted(ANGLE, POINT).point, 1e-6)
+
+
+def test_nothing_is_kept_where_no_folder_was_chosen(tmp_path: Path) -> None:
+    traced: list[int] = []
+    counted(traced)(ANGLE, POINT)
+    counted(traced)(ANGLE, POINT)
+    assert len(traced) == 2 and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        lambda traced: counted(traced)(ANGLE, np.append(POINT, POINT)),
+        lambda traced: counted(traced)(ANGLE, POINT.astype(np.float16)),
+        lambda traced: counted(traced, static="another body")(ANGLE, POINT),
+        lambda traced: counted(traced, name="another turn")(ANGLE, POINT),
+    ],
+    ids=["shape", "type", "static", "name"],
+)
+def test_what_is_asked_for_otherwise_is_traced_by_itself(folder: Path, other) -> None:
+    traced: list[int] = []
+    counted(traced)(ANGLE, POINT)
+    with jax.numpy_dtype_promotion("standard"):
+        other(traced)
+    assert len(traced) == 2
+
+
+def test_other_code_of_the_package_is_traced_by_itself(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    traced: list[int] = []
+    counted(traced)(ANGLE, POINT)
+    monkeypatch.setattr(programs, "_code", lambda: "changed")
+    counted(traced)(ANGLE, POINT)
+    assert len(traced) == 2
+
+
+def test_a_file_that_is_broken_is_made_anew(folder: Path) -> None:
+    traced: list[int] = []
+    counted(traced)(ANGLE, POINT)
+    (file,) = folder.iterdir()
+    file.write_bytes(file.read_bytes()[:100])
+    counted(traced)(ANGLE, POINT)
+    counted(traced)(ANGLE, POINT)
+    assert len(traced) == 2
+
+
+def test_a_folder_that_cannot_be_made_is_no_hindrance(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    keep_in(tmp_path / "file")
+    try:
+        assert np.isfinite(counted([])(ANGLE, POINT).point).all()
+    finally:
+        keep_in(None)
+
+
+def test_within_what_is_traced_it_is_the_function(folder: Path) -> None:
+    kept = counted([])
+    many = jax.vmap(lambda angle: kept(angle, POINT).point)(jnp.array([0.0, np.pi], jnp.float32))
+    np.testing.assert_allclose(many, [POINT, -POINT], atol=1e-5)
+    slope = jax.grad(lambda angle: kept(angle, POINT).point[0])(jnp.zeros(()))
+    assert float(slope) == pytest.approx(-4.0, rel=1e-5)
+    assert not folder.exists()
+
+
+def test_shapes_are_known_before_anything_is_compiled(folder: Path) -> None:
+    traced: list[int] = []
+    like = jax.ShapeDtypeStruct((), np.float32), jax.ShapeDtypeStruct((2,), np.float32)
+    program = counted(traced)
+    assert program.shapes(*like).point.shape == (2,)
+    compiled = program.lower(*like).compile()
+    np.testing.assert_allclose(compiled(ANGLE, POINT).parts["length"], 5.0, rtol=1e-5)
+    assert len(traced) == 1
