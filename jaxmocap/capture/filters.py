@@ -9,7 +9,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from jaxmocap.capture.markers import GAP_INTERVALS, median_interval
 from jaxmocap.capture.one_euro import OneEuro
@@ -212,6 +211,9 @@ def low_pass(times: np.ndarray, positions: np.ndarray, cutoff: float) -> np.ndar
         positions: (T, M, 3) metres; NaN where missing, and between gaps each run by itself.
         cutoff: Hz.
     """
+    # Half a second of imports, and few recordings ask for it.
+    from scipy.signal import butter, sosfiltfilt
+
     interval = median_interval(times)
     sections = butter(ORDER, cutoff / TWICE, fs=1 / interval, output="sos")
     passed = positions.copy()
