@@ -39,45 +39,53 @@ class Exerciser(RiggedMesh):
     Attributes:
         curves: channels of ``Stance`` over time.
         hands: (2, 3) where left and right wrist are planted, world, metres; None: nowhere.
-        shift: (3,) off the place that stances and floor give, metres.
+        error: (28,) off the stances' channels, which leaves the place that stances and floor give.
+        shift: (3,) off that place, metres.
     """
 
     curves: Spline
     hands: np.ndarray | None = None
+    error: np.ndarray | None = None
     shift: np.ndarray | None = None
 
     def rig(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Turns (T, J, 3, 3) from rest, and positions (T, J, 3), of the joints."""
-        stance = Stance.split(self.curves(np.atleast_1d(times)))
-        turned = self._trunk(stance)
-        for side, out in (("Left", 1.0), ("Right", -1.0)):
-            turned |= self._leg(stance, turned["Hips"], side, out)
-            turned |= self._arm(stance, turned["Spine1"], side, out)
-        R, joints = self.chained(turned, np.zeros((len(stance.place), 3)))
+        channels = self.curves(np.atleast_1d(times))
+        stance = Stance.split(channels)
+        turned = self._turned(stance)
+        R, joints = self.chained(turned, np.zeros((len(channels), 3)))
         place = np.append(stance.place, stance.lift - self._lowest(joints), -1)
         place = place if self.shift is None else place + self.shift
+        if self.error is not None:
+            turned = self._turned(Stance.split(channels + self.error))
+            R, joints = self.chained(turned, np.zeros((len(channels), 3)))
         if self.hands is None:
             return R, joints + place[:, None]
         for side, out, hand in (("Left", 1.0, self.hands[0]), ("Right", -1.0, self.hands[1])):
             shoulder = joints[:, self.body.names.index(side + "Arm")] + place
             turned |= self._planted(turned["Hips"], shoulder, hand, side, out)
-        R, joints = self.chained(turned, place)
-        return R, joints
+        return self.chained(turned, place)
 
     def off(
         self, rng: np.random.Generator, degrees: float = 5.0, metres: float = 0.03
     ) -> "Exerciser":
         """The same, every joint turned by so much in some direction, and the body moved."""
-        error = Stance.error(rng, degrees)
-        aside = metres * unit(rng.standard_normal(3))
-        curves = replace(self.curves, values=self.curves.values + error)
+        error, aside = Stance.error(rng, degrees), metres * unit(rng.standard_normal(3))
         hands = None if self.hands is None else self.hands + aside
-        return replace(self, curves=curves, shift=aside, hands=hands)
+        return replace(self, error=error, shift=aside, hands=hands)
 
     def _lowest(self, joints: np.ndarray) -> np.ndarray:
         """(T, 1) height of the skin's lowest place, smooth in time."""
         soles = [joints[:, self.body.names.index(name), 2] - r for name, r in SOLES.items()]
         return -GIVE_M * np.logaddexp.reduce(-np.array(soles) / GIVE_M, 0)[:, None]
+
+    def _turned(self, stance: Curves) -> dict[str, np.ndarray]:
+        """Joint -> its turn (T, 3, 3) from rest, where it differs from its parent's."""
+        turned = self._trunk(stance)
+        for side, out in (("Left", 1.0), ("Right", -1.0)):
+            turned |= self._leg(stance, turned["Hips"], side, out)
+            turned |= self._arm(stance, turned["Spine1"], side, out)
+        return turned
 
     def _trunk(self, stance: Curves) -> dict[str, np.ndarray]:
         hips = Rotation.from_euler("ZYX", stance.turn, degrees=True).as_matrix()
