@@ -1,8 +1,9 @@
 """The downhill simplex method (Nelder and Mead 1965), over a batch of problems at once.
 
-All problems (the arms) go side by side: the reflected points of a step are evaluated together, and
-the rarer second points and shrinks only where some problem wants one (one scalar ``cond`` for
-all). A problem that has converged is frozen.
+All problems (the arms) go side by side, each at its own stage: with every evaluation one of them
+learns a vertex of its simplex, another its reflected point, a third the point beyond or before
+that. So the cost, which may be a long program, stands in one place only. A problem that has
+converged is frozen.
 
 INPUTS: a cost of a batch of points, a simplex for each problem. OUTPUTS: the best points.
 """
@@ -12,6 +13,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 # Reflection, expansion, contraction and shrink as Nelder and Mead give them.
@@ -35,10 +37,26 @@ class SimplexResult(NamedTuple):
 
 
 class _State(NamedTuple):
-    vertices: Array  # (B, n + 1, n), by ascending cost
-    costs: Array  # (B, n + 1)
-    iterations: Array  # (B,)
-    done: Array  # (B,)
+    """Of B problems.
+
+    Attributes:
+        vertices: (B, n + 1, n), by ascending cost unless some are still to be evaluated.
+        costs: (B, n + 1); infinite of vertices that are still to be evaluated.
+        point: (B, n) to be evaluated next.
+        stage: (B,) what that is: vertex 0 to n; n + 1 the worst vertex reflected; n + 2 a second
+            try, beyond that or before it.
+        reflected: (B,) cost of the reflected point.
+        iterations: (B,) begun by a reflection and ended.
+        done: (B,) whether converged.
+    """
+
+    vertices: Array
+    costs: Array
+    point: Array
+    stage: Array
+    reflected: Array
+    iterations: Array
+    done: Array
 
 
 def initial_simplex(starts: Array, edges: Array) -> Array:
@@ -66,70 +84,89 @@ def downhill_simplex(
             variable, and
         cost_tolerance: no cost is higher than the best by more than this (SciPy's rule).
     """
-    batch = simplices.shape[0]
-    # One vertex after the other: traced once, however many there are.
-    costs = jax.lax.map(cost, simplices.swapaxes(0, 1)).T
+    batch, vertices, _ = simplices.shape
+    unknown = jnp.full((batch, vertices), jnp.inf, simplices.dtype)
     zero = jnp.zeros(batch, jnp.int32)
-    start = _settle(_State(simplices, costs, zero, zero > 0), point_tolerance, cost_tolerance)
+    start = _State(simplices, unknown, simplices[:, 0], zero, unknown[:, 0], zero, zero > 0)
 
-    def unfinished(carry: tuple[Array, _State]) -> Array:
-        return (carry[0] < iterations) & ~jnp.all(carry[1].done)
+    def going(state: _State) -> Array:
+        """(B,) a simplex that was begun is evaluated whole, whatever the limits say."""
+        more = ~state.done & (state.iterations < iterations)
+        return more | (state.stage != vertices)
 
-    def step(carry: tuple[Array, _State]) -> tuple[Array, _State]:
-        moved = _settle(_move(cost, carry[1]), point_tolerance, cost_tolerance)
-        return carry[0] + 1, moved
+    def step(state: _State) -> _State:
+        moved = _learn(state, cost(state.point), point_tolerance, cost_tolerance)
+        goes = going(state)
+        return jax.tree.map(lambda new, old: _where(goes, new, old), moved, state)
 
-    _, state = jax.lax.while_loop(unfinished, step, (jnp.zeros((), jnp.int32), start))
-    return SimplexResult(state.vertices[:, 0], state.costs[:, 0], state.iterations, state.done)
+    end = jax.lax.while_loop(lambda state: jnp.any(going(state)), step, start)
+    return SimplexResult(end.vertices[:, 0], end.costs[:, 0], end.iterations, end.done)
 
 
-def _settle(state: _State, point_tolerance: float, cost_tolerance: float) -> _State:
-    """Order the vertices by cost and mark the problems that are done."""
-    order = jnp.argsort(state.costs, axis=1)
-    costs = jnp.take_along_axis(state.costs, order, 1)
-    vertices = jnp.take_along_axis(state.vertices, order[..., None], 1)
+def _where(chosen: Array, yes: Array, no: Array) -> Array:
+    """Of each of B problems, (B,) ``chosen``, the one or the other (B, ...)."""
+    return jnp.where(chosen.reshape(-1, *(1,) * (yes.ndim - 1)), yes, no)
+
+
+def _learn(state: _State, values: Array, point_tolerance: float, cost_tolerance: float) -> _State:
+    """What follows from the (B,) costs of the present points, and the next points."""
+    vertices, costs, stage = state.vertices, state.costs, state.stage
+    last = vertices.shape[1] - 1
+    rows = np.arange(last + 1, dtype=np.int32)
+    vertex, reflects, tries = stage <= last, stage == last + 1, stage == last + 2
+    best, second, worst = costs[:, 0], costs[:, -2], costs[:, -1]
+
+    f_reflected = jnp.where(tries, state.reflected, values)
+    expands, contracts, outside = f_reflected < best, f_reflected >= second, f_reflected < worst
+    reach = jnp.where(expands, EXPAND, jnp.where(outside, CONTRACT, -CONTRACT))
+    bar = jnp.where(expands | outside, f_reflected, worst)
+    better = jnp.where(outside & ~expands, values <= bar, values < bar)
+    seconds = reflects & (expands | contracts)
+    shrinks = tries & contracts & ~better
+    ends = (reflects & ~seconds) | (tries & ~shrinks)
+
+    centroid, away = _across(vertices)
+    tried = centroid + reach[:, None] * away
+    reflected = centroid + REFLECT * away
+    found = _where(tries & better, tried, reflected)
+    replaced = vertices.at[:, -1].set(_where(ends, found, vertices[:, -1]))
+    drawn = vertices[:, :1] + SHRINK * (vertices - vertices[:, :1])
+    vertices = _where(shrinks, drawn, replaced)
+
+    learned = rows == jnp.where(vertex, stage, jnp.where(ends, last, -1))[:, None]
+    told = jnp.where(tries & ~better, f_reflected, values)
+    # Of a shrunk simplex only the best vertex is known.
+    forgotten = shrinks[:, None] & (rows > 0)
+    costs = jnp.where(learned, told[:, None], jnp.where(forgotten, jnp.inf, costs))
+
+    whole = ends | (stage == last)
+    vertices, costs = (
+        _where(whole, new, old)
+        for new, old in zip(_ordered(vertices, costs), (vertices, costs), strict=True)
+    )
     near = jnp.max(jnp.abs(vertices[:, 1:] - vertices[:, :1]), (1, 2)) <= point_tolerance
     flat = costs[:, -1] - costs[:, 0] <= cost_tolerance
-    return _State(vertices, costs, state.iterations, state.done | (near & flat))
+
+    following = jnp.where(whole, last + 1, jnp.where(seconds, last + 2, stage + 1))
+    following = jnp.where(shrinks, 1, following)
+    centroid, away = _across(vertices)
+    chosen = rows == following[:, None]
+    point = jnp.sum(jnp.where(chosen[..., None], vertices, 0.0), 1)
+    point = _where(whole, centroid + REFLECT * away, _where(seconds, tried, point))
+    counted = state.iterations + (ends | shrinks).astype(jnp.int32)
+    return _State(vertices, costs, point, following, f_reflected, counted, whole & near & flat)
 
 
-def _move(cost: Callable[[Array], Array], state: _State) -> _State:
-    """One step of every problem that is not done."""
-    vertices, costs, done = state.vertices, state.costs, state.done
-    best, second, worst = costs[:, 0], costs[:, -2], costs[:, -1]
+def _across(vertices: Array) -> tuple[Array, Array]:
+    """The middle (B, n) of all vertices but the worst, and the way (B, n) there from the worst."""
     centroid = jnp.mean(vertices[:, :-1], 1)
-    away = centroid - vertices[:, -1]
-    reflected = centroid + REFLECT * away
-    f_reflected = cost(reflected)
+    return centroid, centroid - vertices[:, -1]
 
-    expands = f_reflected < best
-    contracts = f_reflected >= second
-    outside = f_reflected < worst
-    reach = jnp.where(expands, EXPAND, jnp.where(outside, CONTRACT, -CONTRACT))
-    wanted = (expands | contracts) & ~done
-    tried = centroid + reach[:, None] * away
-    f_tried = jax.lax.cond(
-        jnp.any(wanted), lambda: cost(tried), lambda: jnp.full_like(f_reflected, jnp.inf)
+
+def _ordered(vertices: Array, costs: Array) -> tuple[Array, Array]:
+    """By ascending cost."""
+    order = jnp.argsort(costs, axis=1)
+    return (
+        jnp.take_along_axis(vertices, order[..., None], 1),
+        jnp.take_along_axis(costs, order, 1),
     )
-    bar = jnp.where(expands, f_reflected, jnp.where(outside, f_reflected, worst))
-    accepted = wanted & jnp.where(expands | ~outside, f_tried < bar, f_tried <= bar)
-    shrinks = contracts & ~accepted & ~done
-    point = jnp.where(accepted[:, None], tried, reflected)
-    value = jnp.where(accepted, f_tried, f_reflected)
-    moves = ~(done | shrinks)
-    vertices = vertices.at[:, -1].set(jnp.where(moves[:, None], point, vertices[:, -1]))
-    costs = costs.at[:, -1].set(jnp.where(moves, value, costs[:, -1]))
-    vertices, costs = jax.lax.cond(
-        jnp.any(shrinks), lambda: _shrink(cost, vertices, costs, shrinks), lambda: (vertices, costs)
-    )
-    return _State(vertices, costs, state.iterations + (~done).astype(jnp.int32), done)
-
-
-def _shrink(
-    cost: Callable[[Array], Array], vertices: Array, costs: Array, shrinks: Array
-) -> tuple[Array, Array]:
-    """Draw the vertices of the problems that shrink towards their best."""
-    drawn = vertices[:, :1] + SHRINK * (vertices - vertices[:, :1])
-    values = jax.lax.map(cost, drawn[:, 1:].swapaxes(0, 1)).T
-    vertices = jnp.where(shrinks[:, None, None], drawn, vertices)
-    return vertices, costs.at[:, 1:].set(jnp.where(shrinks[:, None], values, costs[:, 1:]))
