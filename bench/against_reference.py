@@ -17,10 +17,11 @@ from jaxmocap.capture.video import open_video
 from jaxmocap.formats.recording import Recording
 from jaxmocap.hybrid import ik
 from jaxmocap.hybrid.settings import RefineSettings, Settings
+from jaxmocap.hybrid.settling import settled
 from jaxmocap.hybrid.tracker import HybridTracker, Solved, State
 from jaxmocap.reference import ik as reference_ik
 from jaxmocap.reference import pipeline
-from jaxmocap.run.recording import make_tracker, settled
+from jaxmocap.run.recording import make_tracker
 
 # Solves by the reference, quickly and in full. Its raster goes pixel by pixel: minutes for a frame
 # as users have it, so both get small regions and few steps of the simplex.

@@ -38,8 +38,11 @@ from jaxmocap.hybrid.settings import EvidenceSettings, Settings
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.run.compilation import keep_compiled
 from jaxmocap.run.key_points import lines_at_events, open_all_keypoints
+from jaxmocap.run.passed import Passed
+from jaxmocap.run.plan import Plan
 from jaxmocap.run.reading import open_footage, reading
-from jaxmocap.run.recording import Run, make_tracker, track
+from jaxmocap.run.recording import make_tracker, track
+from jaxmocap.run.scanning import scanned
 from jaxmocap.run.smoothing import smooth_recording
 from jaxmocap.run.timing import Progress, progress_bar
 
@@ -89,21 +92,20 @@ class FirstRun:
     recording: Recording
     tracker: HybridTracker
     videos: list[FrameSource]
-    run: Run
+    passed: Passed
 
     @classmethod
     def through(cls, recording: Recording) -> "FirstRun":
         """Track it."""
         videos, _ = open_footage(recording)
-        tracker, run = make_tracker(recording), Run.plan(recording, videos, "own")
+        tracker, plan = make_tracker(recording), Plan.of(recording, videos, "own")
         with reading(videos) as readers:
-            for _ in run.events(tracker, readers):
-                pass
-        return cls(recording, tracker, videos, run)
+            passed = scanned(plan, tracker, readers, lambda done, total: None)
+        return cls(recording, tracker, videos, passed)
 
     def smoothed(self, kind: Kind) -> Motion:
         """What the second pass makes of some kind of evidence."""
-        first = self.run.first_pass()
+        first = self.passed.first_pass()
         if kind.points:
             points = open_all_keypoints(self.recording, self.videos)
             lines = lines_at_events(self.recording, points, first.timeline, first.alone)
@@ -112,7 +114,7 @@ class FirstRun:
         over_time = replace(self.tracker.settings.over_time, **weights)
         tracker = make_tracker(self.recording, replace(Settings(), over_time=over_time))
         found = smooth_recording(tracker, self.videos, first, lambda _: None)
-        return self.run.tracked(self.tracker.skeleton, {}, found).motion
+        return self.passed.tracked(self.tracker.skeleton, {}, found).motion
 
 
 def measure(clip: Clip, quick: bool, folder: Path) -> Iterator[tuple[str, np.ndarray]]:
@@ -129,13 +131,13 @@ def measure(clip: Clip, quick: bool, folder: Path) -> Iterator[tuple[str, np.nda
 
     recording = with_keypoints(clip, folder)
     own = FirstRun.through(recording)
-    both = own.run.tracked(own.tracker.skeleton, {}, None)
+    both = own.passed.tracked(own.tracker.skeleton, {}, None)
     yield "markers alone", errors(both.markers_only)
     for name, settings in {} if quick else FRAME_BY_FRAME.items():
         yield name, errors(track(recording, settings))
     yield USUAL, errors(both.motion)
     if not quick:
-        before = flattened(recording, own.videos, own.run.first_pass())
+        before = flattened(recording, own.videos, own.passed.first_pass())
         yield BEFORE, errors(track(before, replace(Settings(), smooth=False)))
     for name, kind in OVER_TIME.items():
         if (quick and name not in QUICK) or (kind.points and not has_keypoints(recording)):

@@ -28,9 +28,10 @@ from jaxmocap.capture.timeline import build_timeline
 from jaxmocap.capture.video import open_video
 from jaxmocap.hybrid.fixed_lag import FixedLagSmoother
 from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.settling import settled
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.run.reading import open_footage, reading
-from jaxmocap.run.recording import make_tracker, settled, track
+from jaxmocap.run.recording import make_tracker, track
 from jaxmocap.run.timing import timed_stages
 
 Look = Callable[[int], np.ndarray | None]

@@ -13,6 +13,7 @@ INPUTS: what JAX finds. OUTPUTS: one table, and Metrics.
 import argparse
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,15 +29,16 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.settling import settled
 from jaxmocap.hybrid.silhouette import Legs, Sight
 from jaxmocap.hybrid.smoothing import sights_fit
 from jaxmocap.hybrid.tracker import HybridTracker
-from jaxmocap.hybrid.whole import WholeTracker
+from jaxmocap.hybrid.whole import Views, refined_over_time, solved_over_time
 from jaxmocap.images.regions import Region
 from jaxmocap.images.silhouette import Grid
 from jaxmocap.reference import kinematics as reference
 from jaxmocap.run.compilation import keep_compiled
-from jaxmocap.run.recording import make_tracker, settled
+from jaxmocap.run.recording import make_tracker
 
 # Poses, recordings and pictures at a time; events of a recording, every third with a frame.
 BATCHES, EVENTS, ROUNDS = (1, 16, 256, 4096), 24, 5
@@ -84,7 +86,8 @@ def solving(tracker: HybridTracker, footage: Footage, size: int) -> Work:
     many = np.broadcast_to(markers, (size, *markers.shape))
     # No two alike: some millimetres apart.
     moved = many + np.random.default_rng(0).normal(0, 0.003, (size, 1, 1, 3)).astype(many.dtype)
-    over = jax.vmap(WholeTracker(tracker).solved_over_time, (None, None, None, None, 0))
+    scan = partial(solved_over_time, tracker.solve)
+    over = jax.vmap(scan, (None, None, None, None, 0))
     shared = tracker.skeleton, tracker.cameras, tracker.settings
     call = lambda *given: over(*given)[1].ik.pose  # noqa: E731
     return call, (*shared, (state.pose, state.stance), moved)
@@ -92,15 +95,14 @@ def solving(tracker: HybridTracker, footage: Footage, size: int) -> Work:
 
 def refining(tracker: HybridTracker, footage: Footage, size: int) -> Work:
     """What was seen of all events to refined poses; all look at the same pictures."""
-    whole = WholeTracker(tracker)
     state, markers, images = _clip(tracker, footage)
     shared = tracker.skeleton, tracker.cameras, tracker.settings
-    _, solved = whole.solve_all(*shared, (state.pose, state.stance), markers)
-    views = whole.observe_all(images, solved.region)
+    _, solved = tracker.scans.solve_all(*shared, (state.pose, state.stance), markers)
+    views = _views(tracker, images, jax.tree.map(np.asarray, solved.region))
     times = np.arange(EVENTS, dtype=markers.dtype) / 90
     many = np.broadcast_to(markers, (size, *markers.shape))
     axes = (None, None, None, None, None, 0, None, None, None)
-    over = jax.vmap(whole.refined_over_time, axes)
+    over = jax.vmap(partial(refined_over_time, tracker.refine), axes)
     call = lambda *given: over(*given)[1]  # noqa: E731
     return call, (*shared, tracker.factors, solved, many, views, state.belief, times)
 
@@ -134,6 +136,16 @@ def _clip(tracker: HybridTracker, footage: Footage) -> tuple:
     markers = np.asarray(footage.recording.positions_world[:EVENTS], tracker.dtype)
     images = [[footage.images[i // 3]] if i % 3 == 0 else None for i in range(EVENTS)]
     return settled(tracker, markers[0]), markers, images
+
+
+def _views(tracker: HybridTracker, images: list, regions: Region) -> Views:
+    """The images in their regions."""
+    each = [jax.tree.map(lambda part, e=event: part[e], regions) for event in range(EVENTS)]
+    seen = [
+        None if frames is None else tracker.observer.observe(frames, region)
+        for frames, region in zip(images, each, strict=True)
+    ]
+    return Views.of(tracker.observer.observe(None, each[0]), seen)
 
 
 def compared(name: str, work: Work, devices: dict[str, Any]) -> Iterator[Metric]:

@@ -34,8 +34,10 @@ from jaxmocap.hybrid.observe import Observation
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.run.compilation import keep_compiled
+from jaxmocap.run.plan import Plan
 from jaxmocap.run.reading import open_footage, reading
-from jaxmocap.run.recording import Run, make_tracker
+from jaxmocap.run.recording import make_tracker
+from jaxmocap.run.stepping import stepped
 from jaxmocap.solvers.status import Status
 
 GRADIENTS = {
@@ -113,7 +115,7 @@ def error_cells(errors: np.ndarray) -> list[str]:
 def frames(recording: Recording, tracker: HybridTracker, truth: Path) -> Iterator[Frame]:
     """Track a recording with the simplex, and keep what each of its refinements was given."""
     videos, _ = open_footage(recording)
-    run, given, times = Run.plan(recording, videos, "own"), [], []
+    plan, given, times = Plan.of(recording, videos, "own"), [], []
     kept = tracker.refine
 
     def keep(*arguments):
@@ -123,9 +125,8 @@ def frames(recording: Recording, tracker: HybridTracker, truth: Path) -> Iterato
         return kept(*arguments)
 
     with mock.patch.object(tracker, "refine", keep), reading(videos) as readers:
-        for _ in run.events(tracker, readers):
-            pass
-    began = run.timeline.event_times[run.start]
+        stepped(plan, tracker, readers, None, lambda done, total: None)
+    began = plan.timeline.event_times[0]
     elbows = _true_elbows(truth, np.array(times) + began)
     prepare = jax.jit(lambda *arguments: _prepare(tracker, *arguments))
     for arguments, at in zip(given, elbows, strict=True):

@@ -31,8 +31,9 @@ from jaxmocap.formats.places import MarkerPlace, bound_places, bound_positions
 from jaxmocap.formats.recording import load_markers, write_recording
 from jaxmocap.formats.trc import read_trc, write_trc
 from jaxmocap.hybrid.arms import arm_dofs, grips, hang
+from jaxmocap.hybrid.settling import settled
 from jaxmocap.run.live_recording import LiveRecording
-from jaxmocap.run.recording import make_tracker, marker_sites, settled
+from jaxmocap.run.recording import make_tracker, marker_sites
 from jaxmocap.synthetic import motions
 from jaxmocap.synthetic.controllers import DEVICES, write_controllers
 

@@ -29,6 +29,7 @@ from jaxmocap.formats.tables import Markers
 from jaxmocap.geometry.cameras import turned
 from jaxmocap.hybrid.fixed_lag import DELAY_S
 from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.whole import EVENTS
 from jaxmocap.run import statuses
 from jaxmocap.run.choosing import select_cameras, with_height
 from jaxmocap.run.recording import choose_settings, make_tracker, track, track_both
@@ -97,13 +98,23 @@ def test_stages_are_timed_apart_and_the_first_call_by_itself(tracked):
     assert len(times["first_call"]) == 1
     # The last frame lies after the last sample; the first event is a sample without a frame.
     frames = int((small_recording().videos[0].frames[0] + 0.004 <= 23 / 60).sum())
-    assert {len(times[s]) for s in ("decode", "observe", "refine", "frame")} == {frames}
-    assert len(times["sample"]) == len(times["carry"]) == SAMPLES - 1
-    assert len(times["solve"]) == SAMPLES - 1 + frames
-    parts = times["decode"] + times["observe"] + times["refine"] + times["solve"].min()
-    assert (times["frame"] >= parts).all()
+    assert {len(times[stage]) for stage in ("decode", "observe")} == {frames}
+    # Chunk by chunk; a frame has every stage, or waits for those beside it.
+    chunks = -(-(SAMPLES + frames) // EVENTS)
+    assert {len(times[stage]) for stage in ("solve", "refine", "frame")} == {chunks}
+    assert times["frame"].max() > max(times["observe"].min(), times["refine"].min())
     rate = frames_per_second(tracked.motion.report)
     assert rate == pytest.approx(1e3 / np.median(times["frame"]))
+
+
+def test_the_stages_of_live_steps_are_timed_event_by_event():
+    times = track(small_recording(), mode="causal", tracker=compiled()).report.milliseconds
+    frames = len(times["frame"])
+    assert len(times["first_call"]) == 1
+    assert {len(times[stage]) for stage in ("decode", "observe", "refine", "smooth")} == {frames}
+    assert len(times["sample"]) == len(times["carry"]) == len(times["solve"]) - frames
+    parts = times["decode"] + times["observe"] + times["refine"] + times["solve"].min()
+    assert (times["frame"] >= parts).all()
 
 
 def test_the_report_holds_what_the_tracker_was_told(tracked):
@@ -118,22 +129,31 @@ def test_tracking_twice_with_one_tracker_gives_the_same(tracked):
     np.testing.assert_array_equal(again.poses.angles, tracked.motion.poses.angles)
 
 
-def test_progress_is_told_event_by_event():
+def test_progress_is_told_chunk_by_chunk():
     calls = []
     track(small_recording(), tracker=compiled(), progress=lambda *call: calls.append(call))
     total = calls[0][1]
     assert SAMPLES < total <= SAMPLES + FRAMES
-    assert calls[:total] == [(i, total) for i in range(1, total + 1)]
+    chunks = -(-total // EVENTS)
+    ends = [min(EVENTS * (i + 1), total) for i in range(chunks)]
+    assert calls[:chunks] == [(end, total) for end in ends]
     # The second pass counts for itself, in percent.
-    percents = [done for done, _ in calls[total:]]
-    assert {whole for _, whole in calls[total:]} == {100}
+    percents = [done for done, _ in calls[chunks:]]
+    assert {whole for _, whole in calls[chunks:]} == {100}
     assert percents == sorted(percents) and percents[-1] == 100
+
+
+def test_progress_of_live_steps_is_told_event_by_event():
+    calls = []
+    told = lambda *call: calls.append(call)  # noqa: E731
+    track(small_recording(), mode="causal", tracker=compiled(), progress=told)
+    assert calls == [(i, calls[0][1]) for i in range(1, calls[0][1] + 1)]
 
 
 def test_nearest_looks_at_a_frame_at_every_sample():
     motion = track(small_recording(), mode="nearest", tracker=compiled())
     assert "sample" not in motion.report.milliseconds
-    assert len(motion.report.milliseconds["frame"]) == SAMPLES - 1
+    assert len(motion.report.milliseconds["observe"]) == SAMPLES
     assert motion.report.settings["mode"] == "nearest"
 
 
@@ -159,7 +179,7 @@ def test_without_video_the_markers_are_tracked_alone():
     motion = track(recording, Settings())
     assert np.isnan(motion.report.arm_costs).all()
     assert motion.report.marker_errors.max() < 0.02
-    assert set(motion.report.milliseconds) == {"first_call", "solve", "carry", "sample"}
+    assert set(motion.report.milliseconds) == {"first_call", "solve", "refine", "sample"}
     assert motion.report.statuses == ((),) * SAMPLES
 
 

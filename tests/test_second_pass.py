@@ -334,15 +334,12 @@ def test_the_share_done_grows_to_one(found):
 
 
 def test_steps_tell_of_the_elbows_only():
-    spread, nothing = np.array([[0.01, 0.02], [0.05, 0.4]]), np.zeros(())
+    spread, nothing = np.array([[0.01, 0.02], [0.05, 0.4]]), np.zeros((2, 2))
     still = Pose(*(part[0] for part in true_poses()))
-    reports = [
-        StepReport(still, np.zeros(3), np.zeros(2), np.zeros(2), each, *[nothing] * 5)
-        for each in spread
-    ]
+    reports = StepReport(still, np.zeros((2, 3)), nothing, nothing, spread, *[nothing] * 5)
     judged = judge_steps(reports)
     np.testing.assert_allclose(np.linalg.norm(judged.deviations[:, ELBOWS], axis=-1), spread)
-    np.testing.assert_allclose(judged.confidence, [each.confidence for each in reports])
+    np.testing.assert_allclose(judged.confidence, reports.confidence)
     assert judged.confidence[1, 0] == pytest.approx(0.5)
     others = np.delete(judged.deviations, ELBOWS, axis=1)
     assert np.isnan(others).all() and np.isnan(judged.from_prior).all()

@@ -33,6 +33,7 @@ from jaxmocap.hybrid.refine import elbow_wishes, look_for_elbows, refine_arms, r
 from jaxmocap.hybrid.search import Belief, carried, confidence_of, no_belief
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.stance import Stance, effectors, on_held_feet, place
+from jaxmocap.hybrid.whole import Scans
 from jaxmocap.images.regions import Region
 from jaxmocap.solvers.status import Status
 
@@ -97,7 +98,7 @@ class Solved(NamedTuple):
 
 
 class HybridTracker:
-    """Tracks one person. The two jitted functions trace once for a shape of input.
+    """Tracks one person. The jitted functions trace once for a shape of input.
 
     Attributes:
         skeleton: of the person, as the inverse kinematics takes it.
@@ -105,6 +106,7 @@ class HybridTracker:
         markers: M points on bones that the markers hold.
         settings: how to work.
         factors: (3,) p_i of the balance heuristic.
+        scans: the same steps over many events at once.
     """
 
     def __init__(
@@ -141,6 +143,7 @@ class HybridTracker:
         self._begin = jax.jit(self._start)
         self.solve = jax.jit(self._solve)
         self.refine = jax.jit(self._refine)
+        self.scans = Scans(self._solve, self._refine)
 
     def init(self, markers_world: np.ndarray | Array) -> State:
         """The state before the first sample, placed by its (M, 3) markers; NaN where missing."""

@@ -3,7 +3,6 @@
 INPUTS: poses and what their solve or their steps tell of them. OUTPUTS: Judged.
 """
 
-from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -88,12 +87,10 @@ def _distances(
     return jax.vmap(of_event)(poses, alone, targets)
 
 
-def judge_steps(reports: Sequence[StepReport]) -> Judged:
-    """Of E steps, which tell of the elbows' deviations only."""
-    distances, turned, spread = (
-        np.stack([np.asarray(getattr(report, name)) for report in reports])
-        for name in ("distances", "swivels", "spread")
-    )
+def judge_steps(reports: StepReport) -> Judged:
+    """Of E steps (E, ...), which tell of the elbows' deviations only."""
+    spread = np.asarray(reports.spread)
     deviations = np.full((len(spread), len(LANDMARKS), 3), np.nan)
     deviations[:, ELBOWS] = spread[..., None] / np.sqrt(3)
-    return Judged(distances, turned, deviations, np.full(deviations.shape[:2], np.nan))
+    unknown = np.full(deviations.shape[:2], np.nan)
+    return Judged(np.asarray(reports.distances), np.asarray(reports.swivels), deviations, unknown)

@@ -27,8 +27,9 @@ from jaxmocap.formats.places import bound_places
 from jaxmocap.hybrid.fixed_lag import FixedLagSmoother, Given
 from jaxmocap.hybrid.search import confidence_of
 from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.settling import settled
 from jaxmocap.hybrid.tracker import HybridTracker, State, StepReport
-from jaxmocap.run.recording import marker_sites, settled
+from jaxmocap.run.recording import marker_sites
 
 # The tracker counts seconds in single precision: from time to time it begins anew.
 COUNTED_S = 600.0

@@ -39,6 +39,34 @@ class Clock:
         return run
 
 
+class Tally:
+    """Milliseconds of stages, kept call by call; each stage belongs to one thread.
+
+    Attributes:
+        milliseconds: stage -> times.
+    """
+
+    def __init__(self):
+        self.milliseconds: dict[str, list[float]] = {}
+
+    def keep(self, stage: str, began: float, among: int = 1) -> float:
+        """Keep the time since ``began``, of each of so many; the time now."""
+        now = perf_counter()
+        self.milliseconds.setdefault(stage, []).append(1e3 * (now - began) / among)
+        return now
+
+    def timed(self, stage: str, function: Callable, among: int = 1) -> Callable:
+        """The function, whose times are kept; it returns when its result is there."""
+
+        def run(*arguments):
+            began = perf_counter()
+            result = jax.block_until_ready(function(*arguments))
+            self.keep(stage, began, among)
+            return result
+
+        return run
+
+
 def timed_stages(tracker: HybridTracker, clock: Clock) -> HybridTracker:
     """The same tracker, compiled parts shared, with timed stages and an image chain of its own.
 
