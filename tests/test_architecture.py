@@ -32,7 +32,9 @@ MAY_IMPORT = {
 }
 MAY_IMPORT["run"] = {*MAY_IMPORT, "run"} - {"reference", "cli"}
 # The renderer must not draw with the tracker's own flesh.
-FORBIDDEN_MODULES = {"synthetic": {"jaxmocap.body.flesh"}}
+FORBIDDEN_MODULES = {
+    "synthetic": {"jaxmocap.body.flesh", "jaxmocap.body.surface", "jaxmocap.body.loft"}
+}
 DOORS = {
     "optimistix": ("solvers/least_squares.py",),
     "rerun": ("outputs/",),

@@ -10,13 +10,14 @@ from hypothesis import given, settings
 
 from jaxmocap.body.kinematics import forward, jacobian
 from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
+from jaxmocap.body.surface import BodyPoints, posed
 from jaxmocap.geometry import twists
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.geometry.plucker import Lines, camera_lines
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.reference import kinematics as naive_kinematics
 from jaxmocap.reference import points as naive
-from jaxmocap.silhouette.points import BodyPoints, linearised, on_rays, posed
+from jaxmocap.silhouette.points import linearised, on_rays
 from jaxmocap.silhouette.pose import PoseSettings, Prior, solve_pose, standard_deviations
 from jaxmocap.solvers.status import Status
 

@@ -11,27 +11,12 @@ joint's screw, carried along (4.21), applied to the point: the column of the geo
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import Frames, jacobian
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.surface import BodyPoints, carried, posed
 from jaxmocap.geometry.plucker import Lines, perpendiculars
-from jaxmocap.geometry.rotations import rotate
-
-
-class BodyPoints(NamedTuple):
-    """N points that up to K bones carry, as skin does over a joint; indices are traced.
-
-    Attributes:
-        bones: (N, K) int32 indices.
-        points_bone: (N, K, 3) the point in each bone's frame, from its joint, metres.
-        shares: (N, K) of each bone, together 1.
-    """
-
-    bones: Array | np.ndarray
-    points_bone: Array | np.ndarray
-    shares: Array | np.ndarray
 
 
 class PointRays(NamedTuple):
@@ -71,23 +56,12 @@ def any_normals(directions: Array) -> Array:
     return across / jnp.linalg.norm(across, axis=-1, keepdims=True)
 
 
-def posed(frames: Frames, points: BodyPoints) -> Array:
-    """Points (N, 3) in the world, metres: linear blend skinning."""
-    return jnp.sum(jnp.asarray(points.shares)[..., None] * _carried(frames, points), -2)
-
-
-def _carried(frames: Frames, points: BodyPoints) -> Array:
-    """(N, K, 3) where each bone alone would carry its points."""
-    R, joints = frames.R_world_bone[points.bones], frames.joints_world[points.bones]
-    return joints + rotate(R, jnp.asarray(points.points_bone))
-
-
 def slopes(skeleton: Skeleton, frames: Frames, points: BodyPoints) -> Array:
     """Derivatives (N, 3, 6 + D) of the posed points by the tangent vector of ``retract``."""
-    carried, shares = _carried(frames, points), jnp.asarray(points.shares)
+    alone, shares = carried(frames, points), jnp.asarray(points.shares)
     total = jnp.zeros(())
-    for k in range(carried.shape[1]):
-        J = jacobian(skeleton, frames, points.bones[:, k], carried[:, k])
+    for k in range(alone.shape[1]):
+        J = jacobian(skeleton, frames, points.bones[:, k], alone[:, k])
         total = total + shares[:, k, None, None] * J
     return total
 

@@ -1,0 +1,178 @@
+"""The body's surface: patches of a grid of nodes that bones carry (second paper, 3.1.5 and 3.2).
+
+INPUTS: nodes in bones' frames with their shares; the frames of a pose.
+OUTPUTS: nodes in the world; the same surface denser, or smoother.
+
+A patch is a two-parametric surface F(phi1, phi2): phi1 runs around a limb and is periodic, phi2
+along it. Every node's list of joints, in order, is the chain of the bones that carry it. Nothing
+here knows where the nodes come from: from ``loft``, or from scans of a person.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.kinematics import Frames
+from jaxmocap.body.skeleton import Tree
+from jaxmocap.geometry.fourier import cosine_matrix, fourier_matrix, linear_matrix
+from jaxmocap.geometry.rotations import rotate
+
+
+class BodyPoints(NamedTuple):
+    """N points that up to K bones carry, as skin does over a joint; indices may be traced.
+
+    Attributes:
+        bones: (N, K) int32 indices.
+        points_bone: (N, K, 3) the point in each bone's frame, from its joint, metres.
+        shares: (N, K) of each bone, together 1.
+    """
+
+    bones: Array | np.ndarray
+    points_bone: Array | np.ndarray
+    shares: Array | np.ndarray
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A grid of nodes: rings of ``around`` nodes, ``along`` of them from the near end to the far.
+
+    Attributes:
+        name: of the limb.
+        around: nodes of a ring.
+        along: rings.
+        start: index of its first node in the surface; node (ring v, place u) is
+            ``start + v * around + u``.
+    """
+
+    name: str
+    around: int
+    along: int
+    start: int
+
+    @property
+    def nodes(self) -> slice:
+        """Its nodes in the surface."""
+        return slice(self.start, self.start + self.around * self.along)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Surface:
+    """A body's surface of N nodes.
+
+    Attributes:
+        patches: in the order of their nodes (static).
+        points: the nodes on their bones.
+    """
+
+    patches: tuple[Patch, ...] = field(metadata={"static": True})
+    points: BodyPoints
+
+    def patch_of(self) -> np.ndarray:
+        """(N,) index of every node's patch."""
+        sizes = [patch.around * patch.along for patch in self.patches]
+        return np.repeat(np.arange(len(sizes), dtype=np.int32), sizes)
+
+
+def posed(frames: Frames, points: BodyPoints) -> Array:
+    """Points (N, 3) in the world, metres: linear blend skinning."""
+    return jnp.sum(jnp.asarray(points.shares)[..., None] * carried(frames, points), -2)
+
+
+def carried(frames: Frames, points: BodyPoints) -> Array:
+    """(N, K, 3) where each bone alone would carry its points."""
+    R, joints = frames.R_world_bone[points.bones], frames.joints_world[points.bones]
+    return joints + rotate(R, jnp.asarray(points.points_bone))
+
+
+def joint_list(tree: Tree, bones: np.ndarray) -> tuple[str, ...]:
+    """The joints that move a node which these bones carry, root first: J(phi1, phi2) of 3.2."""
+    moving = {bone for each in bones for bone in tree.chain(tree.bones[each])}
+    return tuple(
+        name for name, bone in zip(tree.joints, tree.dof_bones, strict=True) if bone in moving
+    )
+
+
+def surface_from_rest(
+    grids: dict[str, np.ndarray], shares: dict[str, np.ndarray], joints: np.ndarray
+) -> Surface:
+    """A surface from nodes in the pose of all angles 0, where bones' frames are the world's.
+
+    Args:
+        grids: patch -> (along, around, 3) nodes, metres.
+        shares: patch -> (along, around, B) of every bone; the two largest are kept.
+        joints: (B, 3) of the bones at rest, metres.
+    """
+    patches, start = [], 0
+    for name, grid in grids.items():
+        patches.append(Patch(name, grid.shape[1], grid.shape[0], start))
+        start += grid.shape[0] * grid.shape[1]
+    nodes = np.concatenate([grid.reshape(-1, 3) for grid in grids.values()])
+    weights = np.concatenate([shares[name].reshape(-1, len(joints)) for name in grids])
+    bones = np.argsort(-weights, 1, kind="stable")[:, :2].astype(np.int32)
+    kept = np.take_along_axis(weights, bones, 1)
+    kept = kept / kept.sum(1, keepdims=True)
+    places = nodes[:, None] - joints[bones]
+    points = BodyPoints(bones, jnp.asarray(places, float), jnp.asarray(kept, float))
+    return Surface(tuple(patches), points)
+
+
+def rest_nodes(surface: Surface, joints: np.ndarray) -> np.ndarray:
+    """Nodes (N, 3) with all angles 0, metres, given the bones' joints (B, 3) there."""
+    carried_at = joints[np.asarray(surface.points.bones)] + np.asarray(surface.points.points_bone)
+    return np.sum(np.asarray(surface.points.shares)[..., None] * carried_at, 1)
+
+
+def resampled(surface: Surface, joints: np.ndarray, spacing: float) -> Surface:
+    """The same surface with nodes at most ``spacing`` metres apart: for its index image.
+
+    Around, by the Fourier series of (3.17), evaluated at more places; along, linearly.
+    """
+    nodes, bones = rest_nodes(surface, joints), np.asarray(surface.points.bones)
+    grids, shares = {}, {}
+    full = np.zeros((len(nodes), len(joints)))
+    np.put_along_axis(full, bones, np.asarray(surface.points.shares), 1)
+    for patch in surface.patches:
+        grid = nodes[patch.nodes].reshape(patch.along, patch.around, 3)
+        rows = full[patch.nodes].reshape(patch.along, patch.around, -1)
+        around, along = _places(grid, spacing)
+        across = fourier_matrix(patch.around, around)
+        onto = linear_matrix(patch.along, along)
+        grids[patch.name] = np.einsum("av,vuc,bu->abc", onto, grid, across)
+        turn = linear_matrix(patch.around, around, periodic=True)
+        shares[patch.name] = np.einsum("av,vuc,bu->abc", onto, rows, turn)
+    return surface_from_rest(grids, shares, joints)
+
+
+def _places(grid: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    """Places around and along a grid, in its nodes, that lie no farther apart than ``spacing``."""
+    girth = np.linalg.norm(np.roll(grid, -1, 1) - grid, axis=-1).sum(1).max()
+    # At least as many as there were: a series cut short would be another surface.
+    around = max(int(np.ceil(girth / spacing)), grid.shape[1])
+    gaps = np.linalg.norm(np.diff(grid, axis=0), axis=-1).max(1)
+    steps = [
+        ring + np.arange(count) / count
+        for ring, count in enumerate(np.maximum(np.ceil(gaps / spacing), 1).astype(int))
+    ]
+    along = np.append(np.concatenate(steps), grid.shape[0] - 1.0)
+    return np.arange(around) * grid.shape[1] / around, along
+
+
+def low_pass(surface: Surface, joints: np.ndarray, harmonics: int, along: int) -> Surface:
+    """The surface with the lowest frequencies of (3.18) only: coarse, for a pose far off.
+
+    Around, the lowest ``harmonics`` of the periodic transform; along the limb, which has ends and
+    no period, the lowest ``along`` of the cosine transform, its mirrored continuation's series.
+    """
+    nodes, bones = rest_nodes(surface, joints), np.asarray(surface.points.bones)
+    for patch in surface.patches:
+        grid = nodes[patch.nodes].reshape(patch.along, patch.around, 3)
+        across = fourier_matrix(patch.around, np.arange(patch.around), harmonics)
+        smooth = np.einsum("av,vuc,bu->abc", cosine_matrix(patch.along, along), grid, across)
+        nodes[patch.nodes] = smooth.reshape(-1, 3)
+    places = jnp.asarray(nodes[:, None] - joints[bones], float)
+    return replace(surface, points=surface.points._replace(points_bone=places))
