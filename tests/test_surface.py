@@ -120,8 +120,8 @@ def test_a_denser_surface_is_the_same_surface(surface):
     nodes, coarse = rest_nodes(dense, joints), rest_nodes(surface, joints)
     for patch in dense.patches:
         grid_ = grid(dense, nodes, patch.name)
-        assert np.linalg.norm(np.roll(grid_, 1, 1) - grid_, axis=-1).max() < 0.013
-        assert np.linalg.norm(np.diff(grid_, axis=0), axis=-1).max() < 0.013
+        assert np.linalg.norm(np.roll(grid_, 1, 1) - grid_, axis=-1).max() < 0.024
+        assert np.linalg.norm(np.diff(grid_, axis=0), axis=-1).max() < 0.024
     # Every old node lies by a new one.
     for node in coarse[:: len(coarse) // 40]:
         assert np.linalg.norm(nodes - node, axis=1).min() < 0.012

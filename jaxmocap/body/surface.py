@@ -128,7 +128,7 @@ def rest_nodes(surface: Surface, joints: np.ndarray) -> np.ndarray:
 
 
 def resampled(surface: Surface, joints: np.ndarray, spacing: float) -> Surface:
-    """The same surface with nodes at most ``spacing`` metres apart: for its index image.
+    """The same surface with nodes about ``spacing`` metres apart: for its index image.
 
     Around, by the Fourier series of (3.17), evaluated at more places; along, linearly.
     """
@@ -149,7 +149,7 @@ def resampled(surface: Surface, joints: np.ndarray, spacing: float) -> Surface:
 
 
 def _places(grid: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
-    """Places around and along a grid, in its nodes, that lie no farther apart than ``spacing``."""
+    """Places around (on average) and along (at most) ``spacing`` apart, in nodes of a grid."""
     girth = np.linalg.norm(np.roll(grid, -1, 1) - grid, axis=-1).sum(1).max()
     # At least as many as there were: a series cut short would be another surface.
     around = max(int(np.ceil(girth / spacing)), grid.shape[1])
