@@ -11,7 +11,7 @@ the frames' times, world, metres, Z up; ``truth_angles.npz`` with elbows and kne
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -34,7 +34,9 @@ HINGES = {
 }
 # Azimuths about the person who faces +x, degrees, positive to the person's left; and heights.
 AROUND_DEG, HEIGHTS_M = (6.0, 82.0, 171.0, 262.0), (1.25, 1.75, 1.1, 1.95)
-DISTANCE_M, TARGET_M, FOCAL_PX = 3.7, 0.98, 690.0
+DISTANCE_M = 3.7
+# How much of half an image the movement fills, looked at so often.
+FILLED, LOOK_S = 0.94, 0.1
 
 
 class Performer(Mover, Protocol):
@@ -50,37 +52,60 @@ class View:
     """One of the cameras, and the room that it looks into.
 
     Attributes:
-        name: of the camera.
+        number: of the camera, from 1.
         azimuth: degrees.
         height: metres.
+        target: (3,) what it looks at, world, metres.
+        focal: pixels.
     """
 
-    name: str
+    number: int
     azimuth: float
     height: float
+    target: np.ndarray
+    focal: float
 
-    def camera(self, turned: bool = False) -> Camera:
-        """In the world; or, turned to azimuth 0, in its room."""
-        turn = 0.0 if turned else np.deg2rad(self.azimuth)
-        position = (DISTANCE_M * np.cos(turn), DISTANCE_M * np.sin(turn), self.height)
-        return look_at(position, (0.0, 0.0, TARGET_M), focal=FOCAL_PX)
+    @property
+    def name(self) -> str:
+        """In the calibration file."""
+        return f"cam_{self.number}"
+
+    @property
+    def camera(self) -> Camera:
+        """In the world."""
+        return self._at(self.azimuth, self.target)
 
     def scene(self, mover: Mover, seed: int) -> Scene:
-        """What it sees of someone."""
-        number = [view.name for view in VIEWS].index(self.name)
-        camera = self.camera(turned=True)
-        return Scene.in_room(camera, Turned(mover, self.azimuth), 10 * seed + number)
+        """What it sees of someone, turned to where its room is."""
+        turned = Turned(mover, self.azimuth)
+        camera = self._at(0.0, turned.turn @ self.target)
+        return Scene.in_room(camera, turned, 10 * seed + self.number)
 
     def mask(self, mover: Mover, time: float) -> np.ndarray:
         """(H, W) bool, where it sees someone at a time."""
         vertices = mover.vertices(np.array([time]))[0]
-        return silhouette(mover.mesh, Lens.of(self.camera()), vertices)
+        return silhouette(mover.mesh, Lens.of(self.camera), vertices)
+
+    def _at(self, azimuth: float, target: np.ndarray) -> Camera:
+        turn = np.deg2rad(azimuth)
+        position = (DISTANCE_M * np.cos(turn), DISTANCE_M * np.sin(turn), self.height)
+        return look_at(position, (target[0], target[1], target[2]), focal=self.focal)
 
 
-VIEWS = tuple(
-    View(f"cam_{i}", azimuth, height)
-    for i, (azimuth, height) in enumerate(zip(AROUND_DEG, HEIGHTS_M, strict=True), 1)
-)
+def framed(mover: Mover, seconds: float) -> tuple[View, ...]:
+    """The four cameras, each as near as lets the whole movement fit into its image."""
+    seen = [mover.vertices(np.array([time]))[0] for time in np.arange(0, seconds, LOOK_S)]
+    low, high = (pick([pick(v, axis=0) for v in seen], axis=0) for pick in (np.min, np.max))
+    found = []
+    for number, (azimuth, height) in enumerate(zip(AROUND_DEG, HEIGHTS_M, strict=True), 1):
+        view = View(number, azimuth, height, (low + high) / 2, 1000.0)
+        lens = Lens.of(view.camera)
+        reach = max(
+            np.max(np.abs(lens.pixels(v) - lens.matrix[:2, 2]) / np.divide(lens.size, 2))
+            for v in seen
+        )
+        found.append(replace(view, focal=FILLED * view.focal / reach))
+    return tuple(found)
 
 
 def write_four_cameras(
@@ -91,7 +116,7 @@ def write_four_cameras(
     height: float = 1.75,
     progress: Progress | None = None,
 ) -> Path:
-    """Write the recording of someone seen by ``VIEWS``.
+    """Write the recording of someone seen by the cameras of ``framed``.
 
     Args:
         directory: is made where missing.
@@ -106,14 +131,14 @@ def write_four_cameras(
     """
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
-    times = frame_times(seconds)
-    for i, view in enumerate(VIEWS):
+    times, views = frame_times(seconds), framed(performer, seconds)
+    for i, view in enumerate(views):
         frames = render_frames(view.scene(performer, seed), times)
-        counted = _counted(frames, progress, i * len(times), len(VIEWS) * len(times))
+        counted = _counted(frames, progress, i * len(times), len(views) * len(times))
         write_video(directory / f"{view.name}.mp4", counted)
-    write_truth(directory, performer, times)
-    write_calibration(directory / "calibration.toml", {view.name: view.camera() for view in VIEWS})
-    videos = [{"file": f"{view.name}.mp4", "camera": view.name} for view in VIEWS]
+    write_truth(directory, performer, times, views)
+    write_calibration(directory / "calibration.toml", {view.name: view.camera for view in views})
+    videos = [{"file": f"{view.name}.mp4", "camera": view.name} for view in views]
     subject = {"height": height}
     return write_recording(directory, None, {}, videos, "calibration.toml", subject)
 
@@ -123,14 +148,16 @@ def frame_times(seconds: float) -> np.ndarray:
     return np.arange(round(seconds * VIDEO_RATE)) / VIDEO_RATE
 
 
-def write_truth(directory: Path, performer: Performer, times: np.ndarray) -> None:
+def write_truth(
+    directory: Path, performer: Performer, times: np.ndarray, views: tuple[View, ...]
+) -> None:
     """Write where someone was, and was seen."""
     landmarks = performer.landmarks(times)
     write_trc(directory / "truth.trc", times, landmarks, rate=VIDEO_RATE)
     np.savez(directory / "truth_angles.npz", times=times, **bends(landmarks))  # type: ignore[arg-type]
     masks = {
         view.name: np.packbits([view.mask(performer, float(time)) for time in times], axis=-1)
-        for view in VIEWS
+        for view in views
     }
     np.savez_compressed(directory / "truth_masks.npz", **masks)  # type: ignore[arg-type]
 

@@ -46,6 +46,10 @@ class Turned:
 
     def vertices(self, times: np.ndarray) -> np.ndarray:
         """(T, V, 3) where the camera at azimuth 0 sees what the turned one sees, metres."""
+        return self.mover.vertices(times) @ self.turn.T
+
+    @property
+    def turn(self) -> np.ndarray:
+        """(3, 3) from the world to the room before the camera at azimuth 0."""
         cosine, sine = np.cos(np.deg2rad(self.azimuth)), np.sin(np.deg2rad(self.azimuth))
-        R_room_world = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-        return self.mover.vertices(times) @ R_room_world.T
+        return np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
