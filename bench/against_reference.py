@@ -18,7 +18,8 @@ from jaxmocap.formats.recording import Recording
 from jaxmocap.hybrid import ik
 from jaxmocap.hybrid.settings import RefineSettings, Settings
 from jaxmocap.hybrid.settling import settled
-from jaxmocap.hybrid.tracker import HybridTracker, Solved, State
+from jaxmocap.hybrid.steps import Solved, State
+from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.reference import ik as reference_ik
 from jaxmocap.reference import pipeline
 from jaxmocap.run.recording import make_tracker

@@ -129,6 +129,17 @@ def test_shapes_are_known_before_anything_is_compiled(folder: Path) -> None:
     like = jax.ShapeDtypeStruct((), np.float32), jax.ShapeDtypeStruct((2,), np.float32)
     program = counted(traced)
     assert program.shapes(*like).point.shape == (2,)
-    compiled = program.lower(*like).compile()
+    compiled = program.lowered(*like)()
     np.testing.assert_allclose(compiled(ANGLE, POINT).parts["length"], 5.0, rtol=1e-5)
     assert len(traced) == 1
+
+
+def test_arguments_that_come_first_are_numbers_and_no_part_of_the_program(folder: Path) -> None:
+    traced: list[int] = []
+    program = counted(traced)
+    still, turned = program.after(np.float32(0.0)), program.after(np.float32(np.pi))
+    assert still.lowered(POINT)()(POINT).parts["length"] == pytest.approx(5.0, rel=1e-5)
+    np.testing.assert_allclose(still(POINT).point, POINT, atol=1e-5)
+    np.testing.assert_allclose(turned(POINT).point, -POINT, atol=1e-5)
+    np.testing.assert_allclose(turned.lowered(POINT)()(POINT).point, -POINT, atol=1e-5)
+    assert len(traced) == 1 and len(list(folder.iterdir())) == 1

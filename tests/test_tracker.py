@@ -2,6 +2,7 @@
 
 import copy
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +15,7 @@ from waving_arms import RATE, frames, image_of, markers_of, waving
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.hybrid import steps
 from jaxmocap.hybrid.arms import grips
 from jaxmocap.hybrid.balance import spine_dofs, squat_goals
 from jaxmocap.hybrid.ik import goals_of
@@ -28,15 +30,30 @@ MISSING = np.full((3, 3), np.nan)
 
 
 class CountedTracker(HybridTracker):
-    """Counts how often each of the two jitted functions is traced."""
+    """Counts how often each of the two functions is traced, with its cameras or without."""
 
-    def _solve(self, *arguments):
-        self.__dict__.setdefault("traced", []).append("solve")
-        return super()._solve(*arguments)
+    def __init__(self, *arguments, **options):
+        steps._programs.cache_clear()
+        super().__init__(*arguments, **options)
+        self.traced = TRACED[self.cameras is not None]
 
-    def _refine(self, *arguments):
-        self.__dict__.setdefault("traced", []).append("refine")
-        return super()._refine(*arguments)
+
+TRACED: dict[bool, list[str]] = {True: [], False: []}
+
+
+def telling(name, function, held, skeleton, cameras, *rest):
+    TRACED[cameras is not None].append(name)
+    return function(held, skeleton, cameras, *rest)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def counted():
+    """What both functions are from now on tells when it is traced."""
+    with pytest.MonkeyPatch.context() as patched:
+        for name in ("solve", "refine"):
+            patched.setattr(steps, name, partial(telling, name, getattr(steps, name)))
+        yield
+    steps._programs.cache_clear()
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,6 @@ would find.
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -29,6 +28,7 @@ from jaxmocap.hybrid.observe import Observation
 from jaxmocap.hybrid.search import Belief
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.stance import Stance
+from jaxmocap.solvers.programs import Program
 
 # Events of a scan: few enough that their pictures take little memory, and that the next chunk can
 # be solved while this one is looked at.
@@ -138,14 +138,13 @@ class Scans:
     """Both scans of a tracker, compiled once for their shapes, at the same time.
 
     Attributes:
-        solve_all: ``solved_over_time`` of the tracker, jitted.
-        refine_all: ``refined_over_time`` of the tracker, jitted.
+        solve_all: ``solved_over_time`` of the tracker.
+        refine_all: ``refined_over_time`` of the tracker.
     """
 
-    def __init__(self, solve: Callable, refine: Callable):
-        """Of a tracker's two functions; nothing is compiled yet."""
-        self.solve_all = jax.jit(partial(solved_over_time, solve))
-        self.refine_all = jax.jit(partial(refined_over_time, refine))
+    def __init__(self, solve_all: Program, refine_all: Program):
+        """Nothing is compiled yet."""
+        self.solve_all, self.refine_all = solve_all, refine_all
         self._compiled: tuple[Callable, Callable] | None = None
 
     def compiled(
@@ -160,8 +159,8 @@ class Scans:
         if self._compiled is None:
             # Only the compiler runs beside: what is traced belongs to this thread's precision.
             with ThreadPoolExecutor(1, "compile") as beside:
-                _, solved = jax.eval_shape(self.solve_all, *solve_like)
-                solve = beside.submit(self.solve_all.lower(*solve_like).compile)
-                refine = self.refine_all.lower(*refine_like(solved)).compile()
+                solve = beside.submit(self.solve_all.lowered(*solve_like))
+                _, solved = self.solve_all.shapes(*solve_like)
+                refine = self.refine_all.lowered(*refine_like(solved))()
                 self._compiled = solve.result(), refine
         return self._compiled

@@ -1,12 +1,14 @@
 """Compiled programs, kept on disk from one run to the next.
 
-INPUTS: the environment. OUTPUTS: JAX's persistent compilation cache, turned on.
+INPUTS: the environment. OUTPUTS: JAX's persistent compilation cache and our own, turned on.
 """
 
 import os
 from pathlib import Path
 
 import jax
+
+from jaxmocap.solvers.programs import keep_in
 
 
 def cache_folder() -> Path:
@@ -18,9 +20,10 @@ def cache_folder() -> Path:
 
 
 def keep_compiled() -> Path:
-    """Turn the persistent cache on, for everything that compiles from now on; its folder."""
+    """Turn both caches on, for everything that compiles from now on; its folder."""
     folder = cache_folder()
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    keep_in(folder / "programs")
     return folder

@@ -18,7 +18,8 @@ import numpy as np
 
 from jaxmocap.hybrid.observe import Observer
 from jaxmocap.hybrid.settling import settled_at_once
-from jaxmocap.hybrid.tracker import HybridTracker, Solved, State
+from jaxmocap.hybrid.steps import Solved, State
+from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.hybrid.whole import EVENTS, Views
 from jaxmocap.images.regions import Region
 from jaxmocap.run import statuses

@@ -8,17 +8,19 @@ code, the versions of what it is built on, and the shapes of the arguments.
 INPUTS: a function of arrays, a folder. OUTPUTS: the same function, jitted.
 """
 
+import copy
 import hashlib
 import os
 import pickle
 import tempfile
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import numpy as np
 from jax import Array, export
 from jax.core import Tracer
 
@@ -62,20 +64,50 @@ class Program:
 
         restored.__name__ = name
         self._restored = jax.jit(restored)
+        self._first: tuple = ()
+        self._compiled: dict[tuple, Callable] = {}
+
+    def after(self, *first: Any) -> "Program":
+        """The same with these arguments before all others."""
+        other = copy.copy(self)
+        other._first = (*self._first, *first)
+        return other
 
     def __call__(self, *arguments: Any) -> Any:
         """The function's result."""
+        arguments = (*self._first, *arguments)
         if _folder is None or _is_traced(arguments):
             return self.jitted(*arguments)
         return self._restored(*arguments)
 
     def shapes(self, *like: Any) -> Any:
         """Shapes of the result, from arguments or from what has their shapes."""
-        return jax.eval_shape(self._chosen(), *like)
+        return jax.eval_shape(self._chosen(), *self._first, *like)
 
-    def lower(self, *like: Any) -> jax.stages.Lowered:
-        """Ready for the compiler, for arguments such as these."""
-        return self._chosen().lower(*like)
+    def lowered(self, *like: Any) -> Callable[[], Callable]:
+        """Traced and lowered for arguments such as these; what is returned compiles it.
+
+        Another thread may do that, since the compiler lets go of the interpreter. What it returns
+        takes such arguments and no others. It is compiled once, for all programs with other
+        arguments before.
+        """
+        arguments = (*self._first, *like)
+        leaves, structure = jax.tree.flatten(arguments)
+        kind = structure, tuple((np.shape(leaf), np.dtype(leaf.dtype)) for leaf in leaves)
+        made = self._compiled
+        if kind in made:
+            return lambda: partial(made[kind], *self._first)
+        lowered = self._chosen().lower(*arguments)
+
+        def finish() -> Callable:
+            made[kind] = lowered.compile()
+            return partial(made[kind], *self._first)
+
+        return finish
+
+    def trace(self, *like: Any) -> jax.stages.Traced:
+        """Traced for arguments such as these."""
+        return self._chosen().trace(*self._first, *like)
 
     def _chosen(self) -> Any:
         return self.jitted if _folder is None else self._restored
