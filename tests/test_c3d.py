@@ -118,6 +118,15 @@ def test_bad_files_are_refused_in_one_sentence(tmp_path):
     assert "the header says 400 frames, the file ends after" in complaint(path)
 
 
+def test_a_damaged_file_does_not_end_the_process(tmp_path):
+    path = foreign(tmp_path / "a.c3d", np.ones((4, 3, 4)))
+    content = bytearray(path.read_bytes())
+    # How many dimensions the labels have; ezc3d alone dies of it.
+    content[content.index(b"LABELS") + 9] = 255
+    path.write_bytes(content)
+    assert complaint(path) == "not a C3D file, or damaged or cut off within its parameters"
+
+
 def test_what_the_format_cannot_hold_is_refused(tmp_path):
     def refusal(times, names=("A",)):
         with pytest.raises(InputError) as caught:

@@ -10,6 +10,8 @@ Analog channels, events and what else a C3D file may hold are not read.
 """
 
 import struct
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,8 @@ _UNITS = METRES | {"dm": 0.1, "in": 0.0254, "inch": 0.0254, "inches": 0.0254}
 # Frames are counted by 16 bits; residuals are held in steps of a scale, 255 at most.
 MOST_FRAMES, RESIDUAL_STEPS = 65535, 255
 _BIG_ENDIAN = 86
+# How a file is tried out, and how long that may take.
+TRIAL, LONGEST_S = "import sys, ezc3d; ezc3d.c3d(sys.argv[1])", 120
 _MM, _SMALLEST_MM = 1e-3, 1e-6
 
 
@@ -57,13 +61,31 @@ def read_c3d(path: str | Path) -> Markers:
 
 
 def _opened(path: str | Path) -> Any:
+    damaged = "not a C3D file, or damaged or cut off within its parameters"
+    if not _survives(path):
+        raise InputError(path, damaged)
     try:
         import ezc3d
 
         return ezc3d.c3d(str(path))
     # ezc3d raises whatever its parser met: OSError, RuntimeError, ValueError, IndexError, ...
     except Exception:
-        raise InputError(path, "not a C3D file, or cut off within its parameters") from None
+        raise InputError(path, damaged) from None
+
+
+def _survives(path: str | Path) -> bool:
+    """Whether ezc3d comes through a file alive.
+
+    It follows a damaged file's lengths wherever they lead, and may take its process along (one of
+    60 files with some bytes changed); so the first attempt is another process's.
+    """
+    attempt = [sys.executable, "-I", "-c", TRIAL, str(path)]
+    try:
+        done = subprocess.run(attempt, capture_output=True, timeout=LONGEST_S)
+    except subprocess.TimeoutExpired:
+        return False
+    # What it raises is told when it is raised here; below 0 is the signal that ended it.
+    return done.returncode >= 0
 
 
 def left_in_c3d(path: str | Path) -> list[str]:
