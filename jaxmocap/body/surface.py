@@ -19,7 +19,7 @@ from jax import Array
 from jaxmocap.body.kinematics import Frames
 from jaxmocap.body.skeleton import Tree
 from jaxmocap.geometry.fourier import cosine_matrix, fourier_matrix, linear_matrix
-from jaxmocap.geometry.rotations import rotate
+from jaxmocap.geometry.rotations import HIGHEST, rotate
 
 
 class BodyPoints(NamedTuple):
@@ -176,3 +176,40 @@ def low_pass(surface: Surface, joints: np.ndarray, harmonics: int, along: int) -
         nodes[patch.nodes] = smooth.reshape(-1, 3)
     places = jnp.asarray(nodes[:, None] - joints[bones], float)
     return replace(surface, points=surface.points._replace(points_bone=places))
+
+
+class Skin(NamedTuple):
+    """A surface as one product: for tens of thousands of nodes ten times as fast as ``posed``.
+
+    Attributes:
+        weights: (B, N) share of every bone.
+        rest: (3, N) nodes with all angles 0, from the pelvis, metres.
+        joints: (B, 3) of the bones there.
+    """
+
+    weights: Array
+    rest: Array
+    joints: Array
+
+
+def skin_of(surface: Surface, joints: np.ndarray) -> Skin:
+    """A surface around bones with these joints (B, 3) at rest, for ``skinned``."""
+    points, dtype = surface.points, jnp.asarray(surface.points.points_bone).dtype
+    weights = np.zeros((len(points.bones), len(joints)))
+    np.put_along_axis(weights, np.asarray(points.bones), np.asarray(points.shares), 1)
+    rest = rest_nodes(surface, joints)
+    return Skin(*(jnp.asarray(part, dtype) for part in (weights.T, rest.T, joints)))
+
+
+def skinned(frames: Frames, skin: Skin) -> tuple[Array, Array, Array]:
+    """Nodes in the world by components, each (N,), metres; arrays of three are slow to go through.
+
+    Every node is moved by its bones' blended transform.
+    """
+    R = frames.R_world_bone
+    shifts = frames.joints_world - rotate(R, skin.joints)
+    transforms = jnp.concatenate([R, shifts[..., None]], -1).reshape(len(shifts), 12)
+    T = jnp.matmul(transforms.T, skin.weights, precision=HIGHEST)
+    x, y, z = skin.rest
+    rows = [T[i] * x + T[i + 1] * y + T[i + 2] * z + T[i + 3] for i in (0, 4, 8)]
+    return rows[0], rows[1], rows[2]

@@ -16,7 +16,8 @@ from jax import Array
 from jaxmocap.body.kinematics import Frames, jacobian
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surface import BodyPoints, carried, posed
-from jaxmocap.geometry.plucker import Lines, perpendiculars
+from jaxmocap.geometry.cameras import Camera, pixel_rays
+from jaxmocap.geometry.plucker import Lines, camera_lines, perpendiculars
 
 
 class PointRays(NamedTuple):
@@ -54,6 +55,20 @@ def any_normals(directions: Array) -> Array:
     beside = jnp.where(upright, jnp.eye(3)[0], jnp.eye(3)[2]).astype(directions.dtype)
     across = jnp.cross(directions, beside)
     return across / jnp.linalg.norm(across, axis=-1, keepdims=True)
+
+
+def contour_rays(camera: Camera, pixels_xy: Array, normals: Array) -> tuple[Lines, Array]:
+    """Rays through a contour's pixels (N, 2), and (N, 3) its unit normals (N, 2) in space.
+
+    Points on the ray's plane along the contour are all seen on its tangent.
+    """
+    lines = camera_lines(camera, pixels_xy)
+    beside = pixel_rays(camera, pixels_xy + normals) - lines.directions
+    along = jnp.sum(beside * lines.directions, -1, keepdims=True) * lines.directions
+    across = beside - along
+    squared = jnp.sum(across**2, -1, keepdims=True)
+    known = squared > 0
+    return lines, jnp.where(known, across / jnp.sqrt(jnp.where(known, squared, 1.0)), 0.0)
 
 
 def slopes(skeleton: Skeleton, frames: Frames, points: BodyPoints) -> Array:

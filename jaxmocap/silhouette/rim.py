@@ -1,0 +1,204 @@
+"""The rim of the surface as each camera sees it: what its silhouette is made of (3.1.5, 3.2).
+
+INPUTS: a Surface around a Skeleton, a pose, C cameras.
+OUTPUTS: for each camera nodes of the surface on its occluding boundary, with the pixel where they
+are seen and the direction out of the body; boundaries between limbs, flagged, as well.
+
+The surface is made denser than the canvas, projected, and its index image traced; so limbs before
+the trunk hide it. A cell's node is the nearest in it, not the outermost: the node is then moved
+along the surface to where it stands out farthest. The rim is found anew in every cycle.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.loft import rest_joints
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.surface import BodyPoints, Surface, resampled, skin_of, skinned
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, pixel_components
+from jaxmocap.images.index_image import (
+    Boundary,
+    body_mask,
+    index_image,
+    inner_boundary,
+    node_keys,
+    outer_boundary,
+    thinned,
+)
+from jaxmocap.images.regions import Region, region_around
+
+# How often a node may move on to a neighbour that stands out farther.
+CLIMBS = 3
+
+
+@dataclass(frozen=True)
+class RimSettings:
+    """Sizes; static.
+
+    Attributes:
+        size: of the canvas, cells.
+        outer: rim points kept of each camera, evenly along the outline.
+        inner: those kept of boundaries between limbs.
+        spacing: of the denser surface's nodes, metres.
+        jump: in depth that makes a boundary between limbs, metres.
+        margin: around the person, as a fraction of its extent.
+        finest: image pixels to a cell, at least.
+    """
+
+    size: int = 192
+    outer: int = 256
+    inner: int = 64
+    spacing: float = 0.009
+    jump: float = 0.06
+    margin: float = 0.03
+    finest: float = 0.25
+
+
+class Rim(NamedTuple):
+    """R points of each of C cameras, padded.
+
+    Attributes:
+        nodes: (C, R) of the denser surface.
+        pixels_xy: (C, R, 2) where they are seen, in the whole image.
+        normals: (C, R, 2) unit vectors in the image, out of the body.
+        inner: (C, R) is it a boundary between limbs, which no mask shows?
+        real: (C, R) False for padding.
+        masks: (C, size, size) uint8 of the body on the canvases.
+        region: the canvases' places in the images.
+    """
+
+    nodes: np.ndarray
+    pixels_xy: np.ndarray
+    normals: np.ndarray
+    inner: np.ndarray
+    real: np.ndarray
+    masks: np.ndarray
+    region: Region
+
+
+class Drawn(NamedTuple):
+    """M nodes as C cameras see them.
+
+    Attributes:
+        u: (C, M) pixel's column in the whole image.
+        v: (C, M) its row.
+        depth: (C, M) metres.
+        places: (C, M) on the canvas.
+        keys: (C, M) for ``index_image``.
+        region: of the canvases.
+    """
+
+    u: Any
+    v: Any
+    depth: Any
+    places: Any
+    keys: Any
+    region: Region
+
+
+def stacked(cameras: list[Camera]) -> Camera:
+    """C cameras as one, each of its arrays with a new first axis."""
+    return jax.tree.map(lambda *parts: jnp.stack(parts), *cameras)
+
+
+class RimFinder:
+    """Finds rims of one person's surface.
+
+    Attributes:
+        surface: the denser one, whose nodes rims consist of.
+        settings: static.
+    """
+
+    def __init__(self, skeleton: Skeleton, surface: Surface, settings: RimSettings | None = None):
+        """Prepare for a surface around a skeleton; traces once for a number of cameras."""
+        self.settings = settings or RimSettings()
+        joints = rest_joints(skeleton)
+        self.surface = resampled(surface, joints, self.settings.spacing)
+        self._skin = skin_of(self.surface, joints)
+        self._beside = neighbours(self.surface)
+        self._draw = jax.jit(self._drawn)
+
+    def _drawn(self, skeleton: Skeleton, pose: Pose, cameras: Camera) -> Drawn:
+        """What C cameras see of all nodes; their places on canvases about the person."""
+        x, y, z = skinned(forward(skeleton, pose), self._skin)
+        s = self.settings
+
+        def seen(camera: Camera) -> Drawn:
+            T = camera.T_cam_world
+            at_cam = [T[i, 0] * x + T[i, 1] * y + T[i, 2] * z + T[i, 3] for i in range(3)]
+            depth = jnp.maximum(at_cam[2], NEAREST_M)
+            u, v = pixel_components(camera, at_cam[0] / depth, at_cam[1] / depth)
+            corners = jnp.stack([jnp.stack([jnp.min(u), jnp.min(v)]),
+                                 jnp.stack([jnp.max(u), jnp.max(v)])])  # fmt: skip
+            region = region_around(corners, s.size, s.margin, s.finest)
+            column = (u - region.origin[0]) / region.scale - 0.5
+            row = (v - region.origin[1]) / region.scale - 0.5
+            places, keys = node_keys(column, row, depth, s.size)
+            return Drawn(u, v, depth, places, keys, region)
+
+        return jax.vmap(seen)(cameras)
+
+    def find(self, skeleton: Skeleton, pose: Pose, cameras: Camera) -> Rim:
+        """The rims as C cameras (``stacked``) see them."""
+        drawn = jax.tree.map(np.asarray, self._draw(skeleton, pose, cameras))
+        views = [jax.tree.map(lambda part, c=c: part[c], drawn) for c in range(len(drawn.u))]
+        rows = zip(*(self._of_camera(view) for view in views), strict=True)
+        nodes, pixels, normals, inner, real, masks = (np.stack(parts) for parts in rows)
+        return Rim(nodes, pixels, normals, inner, real, masks, drawn.region)
+
+    def _of_camera(self, drawn: Drawn) -> tuple[np.ndarray, ...]:
+        """One camera's row of all fields but the region."""
+        s = self.settings
+        keys = index_image(drawn.places, drawn.keys, s.size)
+        mask = body_mask(keys)
+        outer = thinned(outer_boundary(keys, mask), s.outer)
+        inner = thinned(inner_boundary(keys, drawn.depth, s.jump), s.inner)
+        parts = [_padded(outer, s.outer), _padded(inner, s.inner)]
+        both = Boundary(*(np.concatenate(field) for field in zip(*parts, strict=True)))
+        lengths = zip((outer, inner), (s.outer, s.inner), strict=True)
+        real = np.concatenate([np.arange(size) < len(part.nodes) for part, size in lengths])
+        nodes = self._standing_out(both.nodes, both.normals, drawn)
+        pixels = np.stack([drawn.u[nodes], drawn.v[nodes]], 1)
+        is_inner = np.arange(s.outer + s.inner) >= s.outer
+        return nodes, pixels, both.normals.astype(pixels.dtype), is_inner, real, mask
+
+    def _standing_out(self, nodes: np.ndarray, normals: np.ndarray, drawn: Drawn) -> np.ndarray:
+        """Nodes (R,) moved to neighbours that are seen farthest along the normals."""
+        for _ in range(CLIMBS):
+            options = self._beside[nodes]
+            outwards = drawn.u[options] * normals[:, :1] + drawn.v[options] * normals[:, 1:]
+            nodes = options[np.arange(len(nodes)), outwards.argmax(1)]
+        return nodes
+
+    def points(self, nodes: np.ndarray) -> BodyPoints:
+        """Nodes of the denser surface as points on bones, for ``solve_pose``."""
+        every = self.surface.points
+        chosen = nodes.ravel()
+        return BodyPoints(*(np.asarray(part)[chosen] for part in every))
+
+
+def _padded(boundary: Boundary, count: int) -> Boundary:
+    """The boundary with rows of zeros up to ``count``."""
+    missing = count - len(boundary.nodes)
+    widths = [(0, missing)]
+    return Boundary(*(np.pad(part, widths + [(0, 0)] * (part.ndim - 1)) for part in boundary))
+
+
+def neighbours(surface: Surface) -> np.ndarray:
+    """(M, 9) every node and its eight neighbours on the patch; itself past a limb's ends."""
+    rows = []
+    for patch in surface.patches:
+        v, u = np.meshgrid(np.arange(patch.along), np.arange(patch.around), indexing="ij")
+        near = [
+            patch.start + np.clip(v + dv, 0, patch.along - 1) * patch.around
+            + (u + du) % patch.around
+            for dv in (0, -1, 1) for du in (0, -1, 1)
+        ]  # fmt: skip
+        rows.append(np.stack(near, -1).reshape(-1, 9))
+    return np.concatenate(rows).astype(np.int32)
