@@ -12,6 +12,7 @@ carried to the marker samples between two video frames.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import jax
 import jax.numpy as jnp
@@ -42,7 +43,6 @@ class HybridTracker:
         cameras: C cameras, stacked; None without video.
         markers: M points on bones that the markers hold.
         settings: how to work.
-        factors: (3,) p_i of the balance heuristic.
         scans: the same steps over many events at once.
     """
 
@@ -74,17 +74,31 @@ class HybridTracker:
         self.observer = Observer(
             len(listed), chosen.samples, chosen.directions, chosen.edges, chosen.spacing
         )
-        balancing = chosen.balance
-        no_bow = jnp.zeros(3, skeleton.lengths.dtype)
-        self.factors = _bow_factors(self.skeleton, chosen.ik) if balancing else no_bow
+        person = self.skeleton, chosen.ik
+        self._bow = (_bow_factors.beside(*person), person) if chosen.balance else None
         own = programs_of(Held(self.held, self.grips))
         self._begin, self.solve, self.refine = own.start, own.solve, own.refine
         self.scans = Scans(own.solve_all, own.refine_all)
 
+    @cached_property
+    def factors(self) -> Array:
+        """(3,) p_i of the balance heuristic; their program compiles while others are traced."""
+        if self._bow is None:
+            return jnp.zeros(3, self.dtype)
+        compiled, person = self._bow
+        return compiled()(*person)
+
     def init(self, markers_world: np.ndarray | Array) -> State:
         """The state before the first sample, placed by its (M, 3) markers; NaN where missing."""
-        targets = np.asarray(markers_world, self.dtype)
-        return self._begin(self.skeleton, self.settings, targets)
+        first = self.skeleton, self.settings, np.asarray(markers_world, self.dtype)
+        return self._begin.lowered(*first)()(*first)
+
+    def init_like(self, count: int) -> State:
+        """Shapes of a state by so many markers; what places it compiles beside from now on."""
+        markers = jax.ShapeDtypeStruct((count, 3), self.dtype)
+        like = self.skeleton, self.settings, markers
+        self._begin.beside(*like)
+        return self._begin.shapes(*like)
 
     def step(
         self,

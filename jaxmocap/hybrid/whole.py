@@ -13,7 +13,6 @@ would find.
 """
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
@@ -158,9 +157,8 @@ class Scans:
         """
         if self._compiled is None:
             # Only the compiler runs beside: what is traced belongs to this thread's precision.
-            with ThreadPoolExecutor(1, "compile") as beside:
-                solve = beside.submit(self.solve_all.lowered(*solve_like))
-                _, solved = self.solve_all.shapes(*solve_like)
-                refine = self.refine_all.lowered(*refine_like(solved))()
-                self._compiled = solve.result(), refine
+            solve = self.solve_all.beside(*solve_like)
+            _, solved = self.solve_all.shapes(*solve_like)
+            refine = self.refine_all.lowered(*refine_like(solved))()
+            self._compiled = solve(), refine
         return self._compiled

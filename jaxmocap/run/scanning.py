@@ -106,7 +106,7 @@ def scanned(
 def _compiled(tracker: HybridTracker, plan: Plan) -> tuple[Callable, Callable]:
     """Both scans, for the shapes of the plan."""
     shared = tracker.skeleton, tracker.cameras, tracker.settings
-    state = tracker.init(plan.markers_world[0])
+    state = tracker.init_like(plan.markers_world.shape[1])
     markers = np.zeros((EVENTS, *plan.markers_world.shape[1:]), tracker.dtype)
     times = np.zeros(EVENTS, tracker.dtype)
 
@@ -115,7 +115,9 @@ def _compiled(tracker: HybridTracker, plan: Plan) -> tuple[Callable, Callable]:
         if solved.region is not None:
             first = jax.tree.map(lambda part: np.zeros(part.shape[1:], part.dtype), solved.region)
             views = Views.of(tracker.observer.observe(None, first), [None] * EVENTS)
-        return *shared, tracker.factors, solved, markers, views, state.belief, times
+        # Not the factors themselves, which are still waited for.
+        factors = jax.ShapeDtypeStruct((3,), tracker.dtype)
+        return *shared, factors, solved, markers, views, state.belief, times
 
     start = state.pose, state.stance
     return tracker.scans.compiled((*shared, start, markers), refine_like)
