@@ -66,6 +66,25 @@ def test_markers_of_a_real_stream_come_in_with_its_rhythm_and_its_gaps():
     assert (np.diff([sample.time for sample in samples]) > 0).all()
 
 
+def test_a_marker_of_a_stream_may_say_how_it_is_turned():
+    name = f"jaxmocap test {time.time_ns()}"
+    parts = [*"xyz", *(f"q{part}" for part in "xyzw")]
+    sends = outlet(name, [f"Head.{part}" for part in parts] + [f"LWrist.{axis}" for axis in "xyz"])
+    stream, samples = listening(name)
+    quarter = [0.0, 0.0, 0.5**0.5, 0.5**0.5]
+    try:
+        assert sends.wait_for_consumers(15.0)
+        for turn in (quarter, [0.0] * 4, [np.nan] * 4):
+            sends.push_sample([0.0, 0.0, 1700.0, *turn, 300.0, 400.0, 1000.0])
+        assert wait_for(lambda: len(samples) == 3)
+    finally:
+        stream.stop()
+    turns = np.stack([sample.measured.turns_world for sample in samples])
+    np.testing.assert_allclose(turns[0, 0] @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-6)
+    assert np.isnan(turns[:, 1]).all()
+    np.testing.assert_allclose([s.positions_world[1, 0] for s in samples], 0.3, atol=1e-6)
+
+
 def test_a_stream_without_such_channels_is_said():
     name = f"jaxmocap test {time.time_ns()}"
     _sends = outlet(name, ["EEG1", "EEG2", "EEG3"], "microvolts")

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pythonosc.osc_bundle_builder import OscBundleBuilder
 from pythonosc.osc_message_builder import OscMessageBuilder
+from scipy.spatial.transform import Rotation
 
 from jaxmocap.capture.gathering import ALIVE_S, Gathering, Sample
 from jaxmocap.capture.inbox import Frame, Inbox
@@ -68,13 +69,22 @@ def test_places_as_tracked_are_taken_in_place_of_scaled_ones_where_that_is_asked
     assert [placed.position[1] for placed in parse(both, raw=True).placed] == [2.0]
 
 
-def test_trackers_of_vrchat_are_read_and_turns_are_left():
+def test_trackers_of_vrchat_are_read():
     placed = parse(message("/tracking/trackers/head/position", 0.0, 1.6, 0.5).dgram).placed
     assert placed == (Placed(("head",), (0.0, 1.6000000238418579, 0.5)),)
     assert parse(message("/tracking/trackers/3/position", 1.0, 2.0, 3.0).dgram).placed[0].names == (
         "3",
     )
-    assert not parse(message("/tracking/trackers/3/rotation", 1.0, 2.0, 3.0).dgram).placed
+
+
+@given(st.lists(st.floats(-400, 400), min_size=3, max_size=3))
+def test_turns_of_vrchats_trackers_are_unitys_euler_angles(degrees):
+    (placed,) = parse(message("/tracking/trackers/3/rotation", *degrees).dgram).placed
+    assert placed.position is None and placed.turn is not None
+    # About its own axes y, x, z in turn, which is about fixed axes z, x, y.
+    expected = Rotation.from_euler("YXZ", np.array(degrees)[[1, 0, 2]], degrees=True)
+    away = Rotation.from_quat(placed.turn) * expected.inv()
+    assert away.magnitude() < 1e-4
 
 
 def test_a_bundles_time_tag_is_a_stamp_unless_it_says_at_once():
@@ -200,6 +210,26 @@ def test_a_marker_that_is_lost_is_missing_and_not_waited_for_long():
     assert all(np.isnan(sample.positions_world[2]).all() for sample in late)
     assert all(sample.arrived - sample.time < 1e-3 for sample in late)
     assert gathers.missing(89 / 90) == ["RightController"]
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_a_tracker_is_turned_by_its_own_message(together):
+    """In one bundle, or in messages one by one, where the last turn is a sample old."""
+    gathers, out = gathering()
+    about_up = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))
+    for i in range(3):
+        place = Placed(("Hmd",), (0.0, 1.0, 0.0))
+        turned = Placed(("Hmd",), None, about_up)
+        packets = [[place, turned]] if together else [[place], [turned]]
+        for packet in packets:
+            gathers.add(packet, i / 90, i / 90, together)
+    assert len(out) == 3
+    # A quarter to the right in Unity's frame is one in ours, where it counts as negative.
+    R = out[-1].measured.turns_world[0]
+    np.testing.assert_allclose(R @ [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], atol=1e-6)
+    assert np.isnan(out[-1].measured.turns_world[1]).all()
+    gathers.add([Placed(("Hmd",), (0.0, 1.0, 0.0))], 1.0, 1.0, True)
+    assert np.isnan(out[-1].measured.turns_world[0]).all()
 
 
 def test_a_bundle_is_a_sample_though_not_every_marker_is_in_it():

@@ -288,12 +288,6 @@ def test_a_device_that_sends_no_quaternion_is_placed_but_not_turned():
     assert placed.position == (1.0, 2.0, 3.0) and placed.turn is None
 
 
-def test_orientations_are_refused_of_a_stream_that_has_none(tmp_path):
-    (tmp_path / "live.toml").write_text('[lsl]\nstream = "a"\n' + LIVE)
-    with pytest.raises(InputError, match="LSL streams bring no orientations"):
-        load_live(tmp_path / "live.toml")
-
-
 # The body ----------------------------------------------------------------------------------------
 
 

@@ -16,6 +16,8 @@ from jaxmocap.capture.osc import Placed
 ALIVE_S = 0.25
 # Of one moment are markers that come within so many seconds.
 TOGETHER_S = 0.005
+# Where turns come in messages of their own, the last one counts for so many seconds.
+TURNED_S = 0.05
 
 
 class Measured(NamedTuple):
@@ -80,6 +82,7 @@ class Gathering:
         self._bind = bind
         self._heard = np.full(len(markers), -np.inf)
         self._points: dict[int, Placed] = {}
+        self._turns: dict[int, tuple[float, Placed]] = {}
         self._time, self._arrived, self._last = 0.0, 0.0, -np.inf
         self.unknown: set[str] = set()
 
@@ -99,6 +102,10 @@ class Gathering:
             if marker is None:
                 if len(self.unknown) < self.MOST_UNKNOWN:
                     self.unknown.add(each.names[0])
+                continue
+            if each.turn is not None:
+                self._turns[marker] = arrived, each
+            if each.position is None:
                 continue
             if marker in self._points:
                 self._flush()
@@ -129,7 +136,8 @@ class Gathering:
         quaternions = np.full((len(self._heard), 4), np.nan)
         for marker, placed in self._points.items():
             positions[marker] = placed.position
-            if placed.turn is not None:
-                x, y, z, w = placed.turn
+            arrived, turned = self._turns.get(marker, (-np.inf, placed))
+            if turned.turn is not None and self._arrived - arrived < TURNED_S:
+                x, y, z, w = turned.turn
                 quaternions[marker] = w, x, y, z
         return Measured(positions @ self._R.T, self._R @ matrices(quaternions) @ self._R.T)

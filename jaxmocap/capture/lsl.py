@@ -1,7 +1,9 @@
 """Markers of a Lab Streaming Layer stream, in a thread of its own.
 
 INPUTS: the name of a stream whose channels are labelled ``Name.x``, ``Name.y``, ``Name.z``, in
-metres unless a channel's unit says millimetres. OUTPUTS: samples, as ``MarkerSocket`` gives them.
+metres unless a channel's unit says millimetres, and after them, where a marker knows how it is
+turned, ``Name.qx``, ``Name.qy``, ``Name.qz``, ``Name.qw``, a quaternion from its axes to the
+stream's. OUTPUTS: samples, as ``MarkerSocket`` gives them.
 
 pylsl is loaded when a stream is asked for; it is the extra ``lsl``.
 """
@@ -11,17 +13,31 @@ from collections import Counter
 from collections.abc import Callable
 from threading import Event, Thread
 from time import monotonic
-from typing import Any
+from typing import Any, NamedTuple
 
 from jaxmocap.capture.gathering import Gathering
-from jaxmocap.capture.osc import FARTHEST_M, Placed
+from jaxmocap.capture.osc import FARTHEST_M, Placed, unit_quaternion
 from jaxmocap.capture.stream_clock import StreamClock
 from jaxmocap.formats.errors import InputError
 
 # A stream that is not there is looked for again and again, so many seconds at a time.
 LOOKING_S, WAITING_S = 1.0, 0.2
 UNITS = {"": 1.0, "m": 1.0, "meters": 1.0, "metres": 1.0, "mm": 1e-3, "millimeters": 1e-3}
-AXES = (".x", ".y", ".z")
+AXES, TURN = (".x", ".y", ".z"), (".qx", ".qy", ".qz", ".qw")
+
+
+class Channels(NamedTuple):
+    """Where a marker is among a sample's values.
+
+    Attributes:
+        first: index of its x.
+        scales: metres per unit of x, y, z.
+        turned: whether its quaternion follows.
+    """
+
+    first: int
+    scales: tuple[float, ...]
+    turned: bool
 
 
 class MarkerStream:
@@ -86,7 +102,7 @@ class MarkerStream:
 
     def _take(self, inlet: Any) -> None:
         """All samples of a stream, until it is lost."""
-        columns, scales = self._columns(inlet.info(timeout=LOOKING_S))
+        channels = self._channels(inlet.info(timeout=LOOKING_S))
         while not self._stop.is_set() and self.problem is None:
             values, stamp = inlet.pull_sample(timeout=WAITING_S)
             if values is None:
@@ -94,19 +110,20 @@ class MarkerStream:
             arrived = self._now()
             self.packets += 1
             placed = []
-            for name, first in columns.items():
-                x, y, z = (values[first + axis] * scales[first + axis] for axis in range(3))
+            for name, (first, scales, turned) in channels.items():
+                x, y, z = (values[first + axis] * scale for axis, scale in enumerate(scales))
                 if max(abs(x), abs(y), abs(z)) > FARTHEST_M:
                     self.ignored["absurd"] += 1
                 elif math.isfinite(x + y + z):
-                    placed.append(Placed((name,), (x, y, z)))
+                    turn = unit_quaternion(values[first + 3 : first + 7]) if turned else None
+                    placed.append(Placed((name,), (x, y, z), turn))
             if placed:
                 self.heard = arrived
                 time = self.clock.time(arrived, stamp)
                 self._gathering.add(placed, time, arrived, True)
 
-    def _columns(self, info: Any) -> tuple[dict[str, int], list[float]]:
-        """Marker -> its first channel, and what makes metres of each channel."""
+    def _channels(self, info: Any) -> dict[str, Channels]:
+        """Marker -> where it is."""
         labels, units = [], []
         channel = info.desc().child("channels").child("channel")
         for _ in range(info.channel_count()):
@@ -114,11 +131,13 @@ class MarkerStream:
             units.append(channel.child_value("unit").lower())
             channel = channel.next_sibling("channel")
         found = {}
-        for i, label in enumerate(labels[:-2]):
+        for i, label in enumerate(labels):
             name = label.removesuffix(".x")
             if labels[i : i + 3] == [name + axis for axis in AXES]:
-                found[name] = i
-        if not found or not set(units) <= set(UNITS):
+                scales = tuple(UNITS.get(unit, math.nan) for unit in units[i : i + 3])
+                turned = labels[i + 3 : i + 7] == [name + part for part in TURN]
+                found[name] = Channels(i, scales, turned)
+        if not found or any(math.isnan(scale) for each in found.values() for scale in each.scales):
             shown = ", ".join(labels[:6]) or "none"
             self.problem = f"expected channels Name.x, Name.y, Name.z in m or mm, found {shown}"
-        return found, [UNITS.get(unit, math.nan) for unit in units]
+        return found

@@ -3,6 +3,7 @@
     /VMC/Ext/Hmd/Pos  Con  Tra     serial, place (3), turn (4); .../Pos/Local as tracked
     /VMC/Ext/T                     the sender's seconds
     /tracking/trackers/1/position  place (3), by number or "head"
+    /tracking/trackers/1/rotation  degrees (3) about x, y, z; about z first, then x, then y
 
 INPUTS: datagrams, whoever sent them. OUTPUTS: Packets; BadPacketError for what is no OSC, is cut
 off or says what cannot be.
@@ -13,7 +14,7 @@ size; messages are read by it.
 
 import math
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from pythonosc.osc_message import OscMessage
@@ -28,7 +29,8 @@ _BUNDLE, _HEADER, _NOW = b"#bundle\0", 16, 1
 # OSC counts seconds from 1900, in parts of 2**32.
 _FRACTIONS = 2.0**32
 _DEVICES = (b"/VMC/Ext/Hmd/", b"/VMC/Ext/Con/", b"/VMC/Ext/Tra/")
-_TRACKERS, _POSITION, _TIME = b"/tracking/trackers/", b"/position", b"/VMC/Ext/T"
+_TRACKERS, _POSITION, _ROTATION = b"/tracking/trackers/", b"/position", b"/rotation"
+_TIME = b"/VMC/Ext/T"
 
 
 class BadPacketError(Exception):
@@ -40,12 +42,12 @@ class Placed(NamedTuple):
 
     Attributes:
         names: what it may be called, the first that somebody knows counts.
-        position: (x, y, z) metres, the sender's axes.
+        position: (x, y, z) metres, the sender's axes; None where only its turn is told.
         turn: quaternion (x, y, z, w) from its own axes to the sender's, or None.
     """
 
     names: tuple[str, ...]
-    position: tuple[float, float, float]
+    position: tuple[float, float, float] | None
     turn: tuple[float, float, float, float] | None = None
 
 
@@ -80,9 +82,8 @@ def parse(datagram: bytes, raw: bool = False) -> Packet:
             stamp = _numbers(message, 1, 0)[0]
         elif address.startswith(_DEVICES) and address.endswith(b"/Pos/Local" if raw else b"/Pos"):
             placed.append(_device(message, address))
-        elif address.startswith(_TRACKERS) and address.endswith(_POSITION):
-            name = address[len(_TRACKERS) : -len(_POSITION)].decode("ascii", "replace")
-            placed.append(Placed((name,), _position(_numbers(message, 3, 0))))
+        elif address.startswith(_TRACKERS) and address.endswith((_POSITION, _ROTATION)):
+            placed.append(_tracker(message, address))
     whole = datagram.startswith(_BUNDLE)
     return Packet(tuple(placed), _time_tag(datagram) if stamp is None and whole else stamp, whole)
 
@@ -141,13 +142,37 @@ def _device(message: bytes, address: bytes) -> Placed:
         raise BadPacketError("malformed")
     kind = address.split(b"/")[3].decode()
     names = (serial, kind) if kind == "Hmd" else (serial,)
-    return Placed(names, _position(numbers[:3]), _turn(numbers[3:]))
+    return Placed(names, _position(numbers[:3]), unit_quaternion(numbers[3:]))
 
 
-def _turn(numbers: list[float]) -> tuple[float, float, float, float] | None:
-    """A quaternion of length 1, or None: senders that know nothing of turns send zeros."""
+def _tracker(message: bytes, address: bytes) -> Placed:
+    """One of VRChat's trackers: where it is, or how it is turned."""
+    number, _, kind = address[len(_TRACKERS) :].rpartition(b"/")
+    name, values = number.decode("ascii", "replace"), _numbers(message, 3, 0)
+    if b"/" + kind == _POSITION:
+        return Placed((name,), _position(values))
+    return Placed((name,), None, _euler(values))
+
+
+def _euler(degrees: list[float]) -> tuple[float, float, float, float]:
+    """The quaternion of Unity's Euler angles."""
+    halves = [math.radians(math.remainder(angle, 720.0)) / 2 for angle in degrees]
+    (sx, sy, sz), (cx, cy, cz) = map(math.sin, halves), map(math.cos, halves)
+    return (
+        cy * sx * cz + sy * cx * sz,
+        sy * cx * cz - cy * sx * sz,
+        cy * cx * sz - sy * sx * cz,
+        cy * cx * cz + sy * sx * sz,
+    )
+
+
+def unit_quaternion(numbers: Sequence[float]) -> tuple[float, float, float, float] | None:
+    """A quaternion (x, y, z, w) of length 1, or None for anything else.
+
+    Senders that know nothing of turns send zeros.
+    """
     length = math.sqrt(sum(number**2 for number in numbers))
-    if abs(length - 1) > 0.01:
+    if not abs(length - 1) <= 0.01:
         return None
     x, y, z, w = (number / length for number in numbers)
     return x, y, z, w

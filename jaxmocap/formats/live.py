@@ -135,9 +135,6 @@ def load_live(path: str | Path) -> LiveSetup:
             expected = ", ".join(skeleton.tree.bones)
             problem = f"unknown bone {place.bone!r}, expected one of {expected}"
             raise InputError(path, f"[markers.on] {place.name}: {problem}")
-        if place.is_turned and "lsl" in top:
-            problem = "found offset_in = 'marker' or turn, but LSL streams bring no orientations"
-            raise InputError(path, f"[markers.on] {place.name}: {problem}")
     calibration, videos = _videos(top)
     return LiveSetup(
         path,
