@@ -31,6 +31,7 @@ from jaxmocap.silhouette.points import PointRays, contour_rays
 from jaxmocap.silhouette.pose import PoseSettings, solve_pose
 from jaxmocap.silhouette.rim import Rim, RimFinder, RimSettings, stacked
 
+pytestmark = pytest.mark.usefixtures("plainly_compiled")
 BODY = with_joints(Skeleton.human(1.75), "whole.toml")
 CAMERAS = stacked(ring(4))
 SETTINGS = RimSettings(size=128, outer=200, inner=40, spacing=0.012)
