@@ -18,7 +18,6 @@ INPUTS: what the tracker's steps had and found. OUTPUTS: their poses, a little l
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -35,6 +34,7 @@ from jaxmocap.hybrid.silhouette import weighed
 from jaxmocap.hybrid.tracker import HybridTracker, StepReport
 from jaxmocap.hybrid.trust import trusted
 from jaxmocap.solvers.fading import Fading
+from jaxmocap.solvers.programs import program
 
 # A pose is given out once so many later video frames were seen, and so many seconds later at most.
 DELAY_FRAMES, DELAY_S = 2, 0.1
@@ -69,13 +69,13 @@ class Given(NamedTuple):
     from_prior: np.ndarray
 
 
-@jax.jit
+@program("quick")
 def _retract(packed: Array, step: Array) -> Array:
     """A packed pose (7 + D,) moved by a tangent vector."""
     return pack(retract(unpack(packed), step))
 
 
-@jax.jit
+@program("quick")
 def _expected(skeleton: Skeleton, packed: Array) -> Array:
     """The last pose moved as the markers' pose moved; where that faces and leans; its ankles.
 

@@ -27,6 +27,7 @@ from jaxmocap.hybrid.silhouette import Sight, silhouette_fit
 from jaxmocap.hybrid.smoothing import frames_fit
 from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
 from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.solvers.programs import program
 from jaxmocap.solvers.smoothness import REACH, Smoothness, smoothness
 from jaxmocap.solvers.trajectory import Linearised, Settings, normal_equations
 from jaxmocap.solvers.window import (
@@ -65,19 +66,19 @@ class Solved(NamedTuple):
     seen: np.ndarray
 
 
-@jax.jit
+@program("quick")
 def _differences(poses: Array, origins: Array) -> Array:
     """Tangent vectors (T, 6 + D) from origins to poses, both (T, 7 + D) packed."""
     return difference(unpack(poses), unpack(origins))
 
 
-@jax.jit
+@program("quick")
 def _landmarks(skeleton: Skeleton, poses: Array) -> Array:
     """(T, L, 3) of packed poses (T, 7 + D)."""
     return jax.vmap(landmarks, (None, 0))(skeleton, unpack(poses))
 
 
-@jax.jit
+@program("quick")
 def _events_fit(
     skeleton: Skeleton,
     sites: Sites,
@@ -94,7 +95,7 @@ def _events_fit(
     return pack(moved), cost, hessian[:, :n, :n], gradient[:, :n], points, jacobian[:, :, :n]
 
 
-@jax.jit
+@program("full")
 def _sight_fit(
     skeleton: Skeleton, camera: Camera, settings: SmoothingSettings, packed: Array, sight: Sight
 ) -> tuple[Array, Array, Array]:

@@ -12,7 +12,6 @@ INPUTS: frames, poses. OUTPUTS: a Sight of each frame.
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -44,6 +43,7 @@ from jaxmocap.images.colours import RunningColours
 from jaxmocap.images.foreground import SURE_ODDS, shrink
 from jaxmocap.images.regions import Region, region_of_side
 from jaxmocap.images.silhouette import Grid, blurred
+from jaxmocap.solvers.programs import program
 
 # Rows of the images that silhouettes are learned from, fewer than for a whole recording.
 ROWS = 240
@@ -71,7 +71,7 @@ class Seen(NamedTuple):
     sight: Sight
 
 
-@jax.jit
+@program("quick")
 def _expected(skeleton: Skeleton, camera: Camera, packed: Array) -> Array:
     """Of a packed pose: all that ``in_image`` tells, and all landmarks, pixels of the full image.
 

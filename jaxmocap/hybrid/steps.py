@@ -33,7 +33,7 @@ from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.stance import Effectors, Stance, place
 from jaxmocap.hybrid.whole import refined_over_time, solved_over_time
 from jaxmocap.images.regions import Region
-from jaxmocap.solvers.programs import Program
+from jaxmocap.solvers.programs import Effort, Program
 from jaxmocap.solvers.status import Status
 
 # Markers farther than this from the last pose's points: the body is placed anew, metres.
@@ -148,8 +148,12 @@ def _programs(
             partial(refine, held_at(places)), *rest
         ),
     }
+    # Live, the tenth that an image's refinement would take longer counts; offline the first start.
+    efforts: dict[str, Effort] = {"start": "once", "refine": "full"}
     static = held_bones, grip_bones, feet
-    return Programs(*(Program(run, name, static) for name, run in functions.items()))
+    return Programs(
+        *(Program(run, name, static, efforts.get(name, "quick")) for name, run in functions.items())
+    )
 
 
 def start(held: Held, skeleton: Skeleton, settings: Settings, targets: Array) -> State:

@@ -30,9 +30,9 @@ from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.stance import effectors, on_held_feet
 from jaxmocap.hybrid.steps import Held, State, StepReport, programs_of
 from jaxmocap.hybrid.whole import Scans
-from jaxmocap.solvers.programs import program
+from jaxmocap.solvers.programs import Program
 
-_bow_factors = program(bow_factors)
+_bow_factors = Program(bow_factors, "bow_factors", effort="once")
 
 
 class HybridTracker:

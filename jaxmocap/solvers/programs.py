@@ -20,7 +20,7 @@ from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from threading import Lock
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -29,6 +29,17 @@ from jax.core import Tracer
 
 # What has a hand in tracing, beside this package.
 BUILT_ON = ("jax", "jaxlib", "numpy", "equinox", "lineax", "optimistix")
+
+# How hard XLA tries for a CPU. Its older emitters take two thirds of the time (33 s of a first
+# start came to 20), and what they make is as fast but for loops over pictures and many candidates,
+# which take 8 to 20 % longer. Without optimisation it takes a quarter of the time, and what it
+# makes is slower by half: for what runs once.
+Effort = Literal["full", "quick", "once"]
+EFFORTS: dict[str, dict[str, bool | int]] = {
+    "full": {},
+    "quick": {"xla_cpu_use_fusion_emitters": False},
+    "once": {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0},
+}
 
 
 class _Kept(NamedTuple):
@@ -74,7 +85,7 @@ class Program:
         jitted: the function by itself.
     """
 
-    def __init__(self, function: Callable, name: str, static: Any = ()):
+    def __init__(self, function: Callable, name: str, static: Any = (), effort: Effort = "quick"):
         """Nothing is traced yet.
 
         Args:
@@ -82,8 +93,9 @@ class Program:
                 this package's code and from ``static``.
             name: tells it from others.
             static: what else it depends on; its ``repr`` tells it from others.
+            effort: of the compiler.
         """
-        self.name, self.jitted = name, jax.jit(function)
+        self.name, self.jitted, self._effort = name, jax.jit(function), effort
         self._static, self._first, self._made = repr(static), (), _Made({})
 
     def after(self, *first: Any) -> "Program":
@@ -139,7 +151,9 @@ class Program:
                 return jax.tree.unflatten(kept.structure, kept.exported.call(*leaves))
 
             restored.__name__ = self.name
-            self._made.restored = jax.jit(restored, compiler_options=_quick_compiler())
+            self._made.restored = jax.jit(
+                restored, compiler_options=_compiler_options(self._effort)
+            )
         return self._made.restored
 
     def _look_up(self, leaves: list[Array], structure: Any) -> _Kept:
@@ -180,9 +194,14 @@ def keep_in(folder: Path | None) -> None:
     _folder = folder
 
 
-def program(function: Callable) -> Program:
+def program(effort: Effort) -> Callable[[Callable], Program]:
     """Decorates a function of arrays that closes over nothing."""
-    return Program(function, f"{function.__module__}.{function.__qualname__}")
+
+    def made(function: Callable) -> Program:
+        file = function.__module__.rpartition(".")[2]
+        return Program(function, f"{file}.{function.__name__.lstrip('_')}", effort=effort)
+
+    return made
 
 
 @lru_cache
@@ -192,13 +211,10 @@ def _compiler() -> ThreadPoolExecutor:
 
 
 @lru_cache
-def _quick_compiler() -> dict[str, bool] | None:
-    """Options with which the compiler takes two thirds of its time, where it knows them.
-
-    What it makes was as quick for markers alone, and 3 to 8 % slower for an image's refinement.
-    """
-    options = {"xla_cpu_use_fusion_emitters": False}
-    if jax.default_backend() != "cpu":
+def _compiler_options(effort: Effort) -> dict[str, bool | int] | None:
+    """Of an effort, where this compiler knows them."""
+    options = EFFORTS[effort]
+    if not options or jax.default_backend() != "cpu":
         return None
     try:
         jax.jit(lambda: 0, compiler_options=options).lower().compile()
