@@ -265,11 +265,10 @@ def live(options: argparse.Namespace) -> None:
 
 def scale(options: argparse.Namespace) -> None:
     """Write a person's body."""
-    from jaxmocap.setup.scale import scale
+    from jaxmocap.run.scaling import scale
 
-    landmarks = dict(options.landmarks)
-    ways = (options.height, options.static, landmarks, options.up, options.mass, options.wrists)
-    scaled = scale(options.out, *ways)
+    stated = options.height, options.static, options.recording, dict(options.landmarks), options.up
+    scaled = scale(options.out, *stated, options.mass, options.wrists, progress=True)
     _report(options, scaled.text(), scaled.figures())
 
 

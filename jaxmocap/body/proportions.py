@@ -1,6 +1,6 @@
-"""Proportions of a person that a whole recording may correct: lengths by a few factors.
+"""Proportions of a person that a recording may correct: lengths, and girths, by a few factors.
 
-INPUTS: a Skeleton, logarithms of factors. OUTPUTS: the skeleton scaled.
+INPUTS: a Skeleton, logarithms of factors. OUTPUTS: the skeleton scaled; how factors vary.
 """
 
 from dataclasses import replace
@@ -14,7 +14,7 @@ from jaxmocap.body.skeleton import Skeleton
 
 
 class Proportion(NamedTuple):
-    """A factor on some bones' lengths.
+    """A factor on some bones' lengths or diameters.
 
     Attributes:
         name: of it.
@@ -27,16 +27,61 @@ class Proportion(NamedTuple):
     deviation: float
 
 
+# What every recording corrects.
 # A trunk that bends is shorter than one that stands, and shoulders move on the ribs.
 PROPORTIONS = (
     Proportion("trunk length", ("spine",), 0.08),
     Proportion("shoulder breadth", ("clavicle",), 0.08),
 )
+# All that a clip made for it may correct. Lengths vary less among people of one stature than where
+# joints are said to lie among authors; both are in these deviations.
+LENGTHS = (
+    *PROPORTIONS,
+    Proportion("neck and head", ("neck", "head"), 0.05),
+    Proportion("upper arm", ("humerus",), 0.05),
+    Proportion("forearm", ("radius",), 0.05),
+    Proportion("hand", ("hand",), 0.05),
+    Proportion("hip breadth", ("hip_",), 0.08),
+    Proportion("thigh", ("femur",), 0.05),
+    Proportion("shank", ("tibia",), 0.05),
+)
+# Clothes and muscle: held to be as stated, they would pass for lengths.
+GIRTHS = (
+    Proportion("head's girth", ("neck", "head"), 0.15),
+    Proportion("trunk's girth", ("spine", "clavicle", "hip_"), 0.15),
+    Proportion("upper arm's girth", ("humerus",), 0.15),
+    Proportion("forearm's girth", ("radius", "hand"), 0.15),
+    Proportion("leg's girth", ("femur", "tibia"), 0.15),
+)
+# By which a stature that somebody stated is wrong, and all lengths with it.
+STATURE = 0.02
 
 
 def scaled(skeleton: Skeleton, logarithms: Array) -> Skeleton:
-    """The skeleton with ``PROPORTIONS`` multiplied by the exponentials of (P,) ``logarithms``."""
+    """The skeleton with lengths, then girths, multiplied by the exponentials of logarithms (P,).
+
+    Fewer than all are of the first: two are ``PROPORTIONS``.
+    """
+    count = min(logarithms.shape[0], len(LENGTHS))
+    lengths = skeleton.lengths * _factors(skeleton, LENGTHS[:count], logarithms[:count])
+    if logarithms.shape[0] == count:
+        return replace(skeleton, lengths=lengths)
+    girths = _factors(skeleton, GIRTHS, logarithms[count:])
+    return replace(skeleton, lengths=lengths, diameters=skeleton.diameters * girths[:, None])
+
+
+def _factors(skeleton: Skeleton, proportions: tuple[Proportion, ...], logarithms: Array) -> Array:
+    """One for each bone."""
     bones = skeleton.tree.bones
-    scales = np.array([[bone.startswith(p.bones) for p in PROPORTIONS] for bone in bones])
-    factors = jnp.exp(jnp.asarray(scales, skeleton.lengths.dtype) @ logarithms)
-    return replace(skeleton, lengths=skeleton.lengths * factors)
+    scales = np.array([[bone.startswith(p.bones) for p in proportions] for bone in bones])
+    return jnp.exp(jnp.asarray(scales, skeleton.lengths.dtype) @ logarithms)
+
+
+def covariance_among_people(count: int) -> np.ndarray:
+    """Of logarithms (P,), (P, P); all lengths but the two of every recording share a stature."""
+    known = (*LENGTHS, *GIRTHS)[:count]
+    independent = np.diag([proportion.deviation**2 for proportion in known])
+    if count <= len(PROPORTIONS):
+        return independent
+    of_lengths = np.arange(count) < len(LENGTHS)
+    return independent + STATURE**2 * np.outer(of_lengths, of_lengths)

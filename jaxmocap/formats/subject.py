@@ -9,6 +9,7 @@ OUTPUTS: a Skeleton scaled to the person; or such a file, which ``jaxmocap scale
 """
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -118,13 +119,16 @@ def _stated(fields: Fields, key: str) -> np.ndarray | float:
     return along / norm
 
 
-def write_subject(path: str | Path, skeleton: Skeleton, height: float) -> None:
+def write_subject(
+    path: str | Path, skeleton: Skeleton, height: float, said: Sequence[str] = ()
+) -> None:
     """Write a body's bones to a file that [subject] may name.
 
     Args:
         path: of the TOML file.
         skeleton: of the person.
         height: metres, from which follows what nobody states.
+        said: lines of what the lengths rest on, to be read above them.
     """
     masses = np.asarray(skeleton.masses, float)
     usual = Skeleton.human(height)
@@ -139,6 +143,7 @@ def write_subject(path: str | Path, skeleton: Skeleton, height: float) -> None:
     wrists = skeleton.tree.joints != usual.tree.joints
     top = {"height": round(height, 4), "mass": round(float(masses.sum()), 3), "wrists": wrists}
     title = "# Metres and kilograms; what is not stated of a bone follows from height and mass."
+    title = "\n".join([title, *(f"# {line}" for line in said)])
     write_toml(path, [(title, top), ("[bones]", entries)])
 
 

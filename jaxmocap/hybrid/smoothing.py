@@ -22,7 +22,6 @@ from threadpoolctl import threadpool_limits
 
 from jaxmocap.body.kinematics import Sites
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.proportions import PROPORTIONS
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
@@ -206,7 +205,7 @@ def linearise_poses(
     """All frames about their poses, and what they share."""
     found = _over_frames(frames_fit, problem, workers, trajectory)
     cost, hessian, gradient, points, by = found
-    cameras, n = len(trajectory.turns_cam), by.shape[2] - len(PROPORTIONS)
+    cameras, n = len(trajectory.turns_cam), by.shape[2] - trajectory.proportions.size
     # Frames know nothing of cameras.
     wider = (0, TURN * cameras)
     hessian = np.pad(hessian, ((0, 0), wider, wider))

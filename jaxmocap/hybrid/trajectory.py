@@ -13,9 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from scipy.linalg import block_diag
 
 from jaxmocap.body.pose import Pose, retract
-from jaxmocap.body.proportions import PROPORTIONS
+from jaxmocap.body.proportions import covariance_among_people
 from jaxmocap.geometry.cameras import Camera, turned
 from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
 
@@ -76,14 +77,13 @@ def shared_prior(
         trajectory: of T frames, over which the prior is spread.
     """
     (_, proportions, turns_cam), cameras = trajectory, len(trajectory.turns_cam)
-    weights = max(len(camera), 1) / np.array([p.deviation for p in PROPORTIONS]) ** 2
-    if cameras:
-        seen = np.maximum(np.bincount(camera, minlength=cameras), 1)
-        turns = np.repeat(seen, TURN) / float(settings.camera) ** 2
-        weights = np.concatenate([weights, turns])
-    weights = weights * (float(settings.proportions) / len(trajectory.poses.angles))
+    own = np.linalg.inv(covariance_among_people(proportions.size)) * max(len(camera), 1)
+    seen = np.maximum(np.bincount(camera, minlength=cameras)[:cameras], 1)
+    turns = np.diag(np.repeat(seen, TURN)) / np.square(float(settings.camera))
+    share = float(settings.proportions) / len(trajectory.poses.angles)
+    weights = np.asarray(block_diag(own, turns)) * share
     x = np.concatenate([np.ravel(proportions), np.ravel(turns_cam)]).astype(float)
-    return np.diag(weights), weights * x, float(np.sum(weights * x**2))
+    return weights, weights @ x, float(x @ weights @ x)
 
 
 def among_cameras(

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.hybrid.smoothing import (
@@ -96,12 +97,18 @@ def _variances(
 
 def _alike(problem: Problem) -> Problem:
     """The same with errors that are alike counted once: those of cells, those of habits."""
+    settings = problem.settings
+    cells = settings.silhouette * jnp.sqrt(settings.redundancy)
+    changed = lasting_habits(problem) | {"silhouette": cells}
+    return replace(problem, settings=replace(settings, **changed))
+
+
+def lasting_habits(problem: Problem) -> dict[str, Array]:
+    """Deviations of ``HABITS`` with which all frames of a while together count once."""
     settings, times = problem.settings, problem.times
     step = np.median(np.diff(times)) if len(times) > 1 else 1.0
     for_long = jnp.sqrt(jnp.maximum(settings.habit / float(step), 1.0))
-    loose = {name: getattr(settings, name) * for_long for name in HABITS}
-    cells = settings.silhouette * jnp.sqrt(settings.redundancy)
-    return replace(problem, settings=replace(settings, silhouette=cells, **loose))
+    return {name: getattr(settings, name) * for_long for name in HABITS}
 
 
 def _unseen(problem: Problem) -> Problem:

@@ -114,13 +114,43 @@ class Smoothed(NamedTuple):
     turns_cam: np.ndarray = UNTURNED
 
 
+class Solved(NamedTuple):
+    """How the poses of all events were found.
+
+    Attributes:
+        problem: what was known of them, by the last look.
+        trajectory: that solves it, seen with the last softness of ``FINELY``.
+    """
+
+    problem: Problem
+    trajectory: Trajectory
+
+
 def smooth_recording(
     tracker: HybridTracker,
     videos: Sequence[FrameSource],
     first_pass: FirstPass,
     show: Callable[[float], None],
 ) -> Smoothed | None:
-    """Smooth the poses of all events.
+    """Smooth the poses of all events; see ``solve_recording``."""
+    solved = solve_recording(tracker, videos, first_pass, show)
+    if solved is None:
+        return None
+    problem, found = solved
+    trust = trust_in(problem, found, FINELY[-1])
+    show(1.0)
+    person = scaled(tracker.skeleton, jnp.asarray(found.proportions))
+    smoothed = _judged(tracker, person, found.poses, trust, first_pass)
+    return smoothed._replace(turns_cam=np.asarray(found.turns_cam))
+
+
+def solve_recording(
+    tracker: HybridTracker,
+    videos: Sequence[FrameSource],
+    first_pass: FirstPass,
+    show: Callable[[float], None],
+) -> Solved | None:
+    """Look at all frames and find the poses of all events.
 
     Args:
         tracker: its person, cameras, markers and settings.
@@ -159,12 +189,7 @@ def smooth_recording(
         # Better poses teach better what the person looks like.
         problem = looked(found)
         show(0.3 + 0.4 * (turn + 1) / DECISIONS)
-    found = smooth_poses(problem, found, FINELY).trajectory
-    trust = trust_in(problem, found, FINELY[-1])
-    show(1.0)
-    person = scaled(tracker.skeleton, jnp.asarray(found.proportions))
-    smoothed = _judged(tracker, person, found.poses, trust, first_pass)
-    return smoothed._replace(turns_cam=np.asarray(found.turns_cam))
+    return Solved(problem, smooth_poses(problem, found, FINELY).trajectory)
 
 
 def _as_calibrated(tracker: HybridTracker) -> np.ndarray:

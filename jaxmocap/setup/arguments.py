@@ -29,6 +29,13 @@ axes. Rest the forearms on a table and turn the hands about the wrists for ten s
 and down, to the sides, and twisting; nod, turn and tilt the head. Prints lines for [markers.on]
 (those of a doubtful answer are left out) and their standard deviations."""
 
+LENGTHS = """\
+One of --height, --static and --recording says whose body it is. From a recording every length is
+found that makes its motion fit best, markers and video, with how far lengths vary among people
+beside it; each is said to be determined, partly, or not. Stretch both arms and swing them to the
+side, to shoulder height and down, bend and stretch the elbows with the upper arms hanging, swing
+the arms ahead, bend them before the chest, then bend the knees: 6 to 10 s, facing the camera."""
+
 
 def add_intrinsics(parser: argparse.ArgumentParser) -> None:
     """Options of ``calibrate intrinsics``."""
@@ -108,11 +115,20 @@ def positive(text: str) -> float:
 
 def add_scale(parser: argparse.ArgumentParser) -> None:
     """Options of ``scale``."""
-    source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument(
-        "--height", metavar="M", type=positive, help="metres; proportions are Winter's"
+    parser.description = f"{parser.description}\n\n{LENGTHS}"
+    parser.add_argument(
+        "--height",
+        metavar="M",
+        type=positive,
+        help="metres; proportions are Winter's, and with --recording where its lengths start from",
     )
+    source = parser.add_mutually_exclusive_group()
     source.add_argument("--static", metavar="FILE", help="markers of the person standing upright")
+    source.add_argument(
+        "--recording",
+        metavar="RECORDING.toml",
+        help="markers on head and hands, and video, of the arms stretched, swung and bent",
+    )
     parser.add_argument("--mass", metavar="KG", type=positive, help="kilograms; default: 23 kg/m²")
     parser.add_argument(
         "--landmarks",

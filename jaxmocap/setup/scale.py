@@ -103,9 +103,13 @@ def scale(
 ) -> Scaled:
     """Write a body by either way, one of height and static trial given; see the two below."""
     if static is not None:
+        if height is not None:
+            raise InputError(out, "--height and --static exclude each other")
         return scale_by_static(out, static, landmarks or {}, up or "z", mass, wrists)
-    if landmarks or up or height is None:
+    if landmarks or up:
         raise InputError(out, "--landmarks and --up are about a static trial (--static)")
+    if height is None:
+        raise InputError(out, "expected one of --height, --static, --recording")
     return scale_by_height(out, height, mass, wrists)
 
 
