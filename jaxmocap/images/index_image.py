@@ -85,16 +85,23 @@ def outer_boundary(keys: np.ndarray, mask: np.ndarray) -> Boundary:
         keys: (S, S) of ``index_image``.
         mask: (S, S) of ``body_mask``.
     """
+    return _with_nodes(keys, *traced(mask))
+
+
+def traced(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The cells (K, 2) along the inside of a mask's outlines, column and row, and their normals.
+
+    Cells at the canvas' edge, which is no edge of what is seen, are left out, and so are specks.
+    """
     found, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     chains = [chain[:, 0] for chain in found if len(chain) > 2 * TANGENT]
     if not chains:
-        return Boundary(np.zeros((0, 2), int), np.zeros(0, int), np.zeros((0, 2)))
-    normals = np.concatenate([_chain_normals(chain) for chain in chains])
+        return np.zeros((0, 2), int), np.zeros((0, 2))
     cells = np.concatenate(chains)
-    # The canvas' edge is no edge of the body.
-    inside = ((cells > 0) & (cells < len(mask) - 1)).all(1)
-    cells, normals = cells[inside], normals[inside]
-    return _with_nodes(keys, cells, normals)
+    normals = np.concatenate([_chain_normals(chain) for chain in chains])
+    # Where a chain turns back on itself it has no tangent.
+    kept = ((cells > 0) & (cells < len(mask) - 1)).all(1) & normals.any(1)
+    return cells[kept], normals[kept]
 
 
 def _chain_normals(chain: np.ndarray) -> np.ndarray:
@@ -114,7 +121,7 @@ def _with_nodes(keys: np.ndarray, cells: np.ndarray, normals: np.ndarray) -> Bou
     here = padded[y + 1, x + 1]
     beside = np.min([padded[y + dy, x + dx] for dy in range(3) for dx in range(3)], 0)
     nodes = nodes_at(np.where(here == EMPTY, beside, here))
-    known = (nodes >= 0) & (np.abs(normals).sum(1) > 0)
+    known = nodes >= 0
     return Boundary(cells[known], nodes[known], normals[known])
 
 
@@ -152,9 +159,10 @@ def _steps_back(depth: np.ndarray, jump: float, axis: int) -> np.ndarray:
     return steps
 
 
-def thinned(boundary: Boundary, count: int) -> Boundary:
-    """At most ``count`` of the cells, evenly along the boundary."""
-    if len(boundary.nodes) <= count:
-        return boundary
-    kept = np.linspace(0, len(boundary.nodes), count, endpoint=False).astype(int)
-    return Boundary(*(part[kept] for part in boundary))
+def thinned(parts: tuple[np.ndarray, ...], count: int) -> tuple[np.ndarray, ...]:
+    """At most ``count`` of the rows that all parts have, evenly along them."""
+    rows = len(parts[0])
+    if rows <= count:
+        return tuple(parts)
+    kept = np.linspace(0, rows, count, endpoint=False).astype(int)
+    return tuple(part[kept] for part in parts)

@@ -157,8 +157,8 @@ class RimFinder:
         s = self.settings
         keys = index_image(drawn.places, drawn.keys, s.size)
         mask = body_mask(keys)
-        outer = thinned(outer_boundary(keys, mask), s.outer)
-        inner = thinned(inner_boundary(keys, drawn.depth, s.jump), s.inner)
+        outer = Boundary(*thinned(outer_boundary(keys, mask), s.outer))
+        inner = Boundary(*thinned(inner_boundary(keys, drawn.depth, s.jump), s.inner))
         parts = [_padded(outer, s.outer), _padded(inner, s.inner)]
         both = Boundary(*(np.concatenate(field) for field in zip(*parts, strict=True)))
         lengths = zip((outer, inner), (s.outer, s.inner), strict=True)

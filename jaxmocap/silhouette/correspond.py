@@ -1,0 +1,171 @@
+"""Correspondences: the seen contour's pixels and the points of the surface's rim (3.1.4, 3.2).
+
+INPUTS: level sets of C cameras on canvases, the rims at the present pose.
+OUTPUTS: pairs of body points and rays, for ``solve_pose``.
+
+A rim point goes with the nearest pixel of the contour, and a pixel of the contour with the nearest
+rim point: one way alone, what sticks out of the other would go unmatched. Near means near in place
+and in direction: the two sides of an arm are close to each other and face apart.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from scipy.spatial import KDTree
+
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.plucker import Lines
+from jaxmocap.images.index_image import thinned, traced
+from jaxmocap.images.regions import Region
+from jaxmocap.silhouette.points import BodyPoints, PointRays, contour_rays
+from jaxmocap.silhouette.rim import Rim
+
+
+class MatchSettings(NamedTuple):
+    """What makes a pair.
+
+    Attributes:
+        pixels: kept of each camera's contour, evenly along it; static.
+        turn: cells that a difference of normals by one radian, nearly, is worth.
+        facing: least cosine between the normals of a pair.
+        farthest: cells between the two of a pair, at most.
+        grip: how firmly a pair holds along the contour, by how it holds across.
+    """
+
+    pixels: int = 256
+    turn: float = 20.0
+    facing: float = 0.5
+    farthest: float = 40.0
+    grip: float = 0.1
+
+
+class Contour(NamedTuple):
+    """K pixels of one camera's contour.
+
+    Attributes:
+        pixels_xy: (K, 2) in the whole image.
+        normals: (K, 2) unit vectors out of the person.
+    """
+
+    pixels_xy: np.ndarray
+    normals: np.ndarray
+
+
+class Matches(NamedTuple):
+    """N pairs of each of C cameras, padded.
+
+    Attributes:
+        nodes: (C, N) of the rim's surface.
+        pixels_xy: (C, N, 2) where the contour is seen.
+        normals: (C, N, 2) of the contour there.
+        distances: (C, N) between them, pixels; 0 for padding.
+        real: (C, N) False for padding, and where nothing fits.
+    """
+
+    nodes: np.ndarray
+    pixels_xy: np.ndarray
+    normals: np.ndarray
+    distances: np.ndarray
+    real: np.ndarray
+
+
+def contour_of(phi: np.ndarray, origin: np.ndarray, scale: float) -> Contour:
+    """The zero line of a level set, to a fraction of a cell.
+
+    Args:
+        phi: (S, S) cells, positive within the person.
+        origin: (2,) of the canvas' region.
+        scale: of the region, pixels to a cell.
+    """
+    cells, normals = traced((phi > 0).astype(np.uint8))
+    x, y = cells.T
+    # The traced cells are the last within; the line lies beyond them by what phi says.
+    slope_x, slope_y = (phi[y, x + 1] - phi[y, x - 1]) / 2, (phi[y + 1, x] - phi[y - 1, x]) / 2
+    steepness = np.maximum(np.hypot(slope_x, slope_y), 0.2)
+    beyond = np.clip(phi[y, x] / steepness, 0.0, 1.5)
+    places = cells + beyond[:, None] * normals
+    return Contour(origin + (places + 0.5) * scale, normals)
+
+
+def matched(rim: Rim, phi: np.ndarray, region: Region, settings: MatchSettings) -> Matches:
+    """Pairs of the rims' outer points and the contours of level sets (C, S, S) on ``region``."""
+    rows = []
+    for camera, level in enumerate(phi):
+        scale = float(region.scale[camera])
+        seen = contour_of(level, np.asarray(region.origin[camera]), scale)
+        # What no mask shows has no pair.
+        outline = ~rim.inner[camera]
+        own = (part[camera][outline] for part in (rim.nodes, rim.pixels_xy, rim.normals, rim.real))
+        rows.append(_matched(*own, seen, scale, settings))
+    return Matches(*(np.stack(parts) for parts in zip(*rows, strict=True)))
+
+
+def _matched(
+    nodes: np.ndarray,
+    pixels: np.ndarray,
+    normals: np.ndarray,
+    kept: np.ndarray,
+    seen: Contour,
+    scale: float,
+    settings: MatchSettings,
+) -> Matches:
+    """One camera's pairs: first from every rim point, then from pixels of the contour."""
+    width = len(nodes) + settings.pixels
+    if not kept.any() or not len(seen.pixels_xy):
+        empty = np.zeros(width, np.float32)
+        places = np.zeros((width, 2), np.float32)
+        return Matches(np.zeros(width, nodes.dtype), places, places, empty, np.zeros(width, bool))
+    chosen = Contour(*thinned(seen, settings.pixels))
+    rims = np.flatnonzero(kept)
+    turn = settings.turn * scale
+    to_seen = KDTree(_places(*seen, turn)).query(_places(pixels, normals, turn))[1]
+    to_rim = rims[
+        KDTree(_places(pixels[rims], normals[rims], turn)).query(_places(*chosen, turn))[1]
+    ]
+    which = np.concatenate([np.arange(len(nodes)), to_rim])
+    there = np.concatenate([seen.pixels_xy[to_seen], chosen.pixels_xy])
+    ways = np.concatenate([seen.normals[to_seen], chosen.normals])
+    real = np.concatenate([kept, np.ones(len(to_rim), bool)])
+    away = np.linalg.norm(there - pixels[which], axis=1)
+    real &= np.sum(ways * normals[which], 1) > settings.facing
+    real &= away < settings.farthest * scale
+    found = Matches(nodes[which], there, ways, np.where(real, away, 0.0), real)
+    return Matches(*(_filled(part, width) for part in found))
+
+
+def _places(pixels: np.ndarray, normals: np.ndarray, turn: float) -> np.ndarray:
+    """Place and direction as one point (N, 4)."""
+    return np.concatenate([pixels, turn * normals], 1)
+
+
+def _filled(part: np.ndarray, width: int) -> np.ndarray:
+    """A field up to its static length, in single precision where it has any."""
+    padded = np.pad(part, [(0, width - len(part))] + [(0, 0)] * (part.ndim - 1))
+    return padded.astype(np.float32) if padded.dtype == np.float64 else padded
+
+
+def pairs_of(
+    cameras: Camera,
+    points: BodyPoints,
+    pixels_xy: Array,
+    normals: Array,
+    weights: Array,
+    grip: Array | float,
+) -> PointRays:
+    """Pairs (C * N) for ``solve_pose``.
+
+    Args:
+        cameras: C, ``stacked``.
+        points: C * N, of the ``Matches``' nodes.
+        pixels_xy: (C, N, 2) of the contours.
+        normals: (C, N, 2) there.
+        weights: (C, N), 0 for no pair.
+        grip: how firmly all hold along the contour.
+    """
+    lines, across = jax.vmap(contour_rays)(cameras, pixels_xy, normals)
+    flat = Lines(*(part.reshape(-1, 3) for part in lines))
+    firm = jnp.broadcast_to(jnp.asarray(grip, weights.dtype), weights.size)
+    return PointRays(points, flat, across.reshape(-1, 3), weights.ravel(), firm)

@@ -1,0 +1,91 @@
+"""Contours to rims, and the pose that follows: from silhouettes that OpenCV drew."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_rim import BODY, CAMERAS, FORWARD, SETTINGS, bent, filled, finder  # noqa: F401
+
+from jaxmocap.body.pose import difference, retract
+from jaxmocap.body.skeleton import ROOT_DOF
+from jaxmocap.images.regions import Region
+from jaxmocap.silhouette.correspond import MatchSettings, contour_of, matched, pairs_of
+from jaxmocap.silhouette.pose import PoseSettings, Prior, solve_pose
+
+cv2 = pytest.importorskip("cv2")
+SETTINGS_OF_PAIRS = MatchSettings()
+PAIRS, SOLVE = jax.jit(pairs_of), jax.jit(solve_pose)
+
+
+def level_set(finder, pose, camera: int, region: Region) -> np.ndarray:  # noqa: F811
+    """Signed distances, cells, of OpenCV's drawing of the body four times as fine."""
+    origin, scale = np.asarray(region.origin)[camera], float(region.scale[camera])
+    fine = filled(finder, pose, camera, scale / 4, origin, 4 * SETTINGS.size)
+    within, without = (cv2.distanceTransform(part, cv2.DIST_L2, 5) for part in (fine, 1 - fine))
+    signed = np.where(fine > 0, within - 0.5, 0.5 - without) / 4
+    size = (SETTINGS.size, SETTINGS.size)
+    return cv2.resize(signed.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+
+
+def test_a_discs_contour_is_found_to_a_tenth_of_a_cell():
+    y, x = np.mgrid[:64, :64]
+    for middle, radius in (((30.3, 33.8), 20.0), ((31.0, 31.0), 12.4)):
+        phi = radius - np.hypot(x - middle[0], y - middle[1])
+        found = contour_of(phi.astype(np.float32), np.array([100.0, 50.0]), 2.0)
+        places = (found.pixels_xy - [100.0, 50.0]) / 2.0 - 0.5 - middle
+        assert np.abs(np.linalg.norm(places, axis=1) - radius).max() < 0.25
+        assert np.abs(np.linalg.norm(places, axis=1) - radius).mean() < 0.1
+        outwards = places / np.linalg.norm(places, axis=1, keepdims=True)
+        assert np.sum(outwards * found.normals, 1).min() > 0.9
+
+
+def test_nothing_seen_matches_nothing(finder):  # noqa: F811
+    rim = finder.find(BODY, bent(), CAMERAS)
+    phi = np.full((4, SETTINGS.size, SETTINGS.size), -5.0, np.float32)
+    none = matched(rim, phi, rim.region, SETTINGS_OF_PAIRS)
+    assert not none.real.any()
+    phi[0, 20:100, 50:70] = 5.0
+    some = matched(rim, phi, rim.region, SETTINGS_OF_PAIRS)
+    assert some.nodes.shape == none.nodes.shape
+    assert some.real[0].any() and not some.real[1:].any()
+
+
+def test_pairs_face_the_same_way_and_are_near(finder):  # noqa: F811
+    truth = bent(arm_abduct_l=60)
+    start = retract(truth, jnp.full(BODY.costs.shape, 0.02))
+    rim = finder.find(BODY, start, CAMERAS)
+    phi = np.stack([level_set(finder, truth, c, rim.region) for c in range(4)])
+    pairs = matched(rim, phi, rim.region, SETTINGS_OF_PAIRS)
+    assert pairs.real.mean() > 0.7
+    assert pairs.distances[pairs.real].max() < 40 * rim.region.scale.max()
+    assert np.median(pairs.distances[pairs.real]) < 15
+    assert np.isfinite(pairs.pixels_xy).all()
+
+
+@pytest.mark.parametrize("degrees", [5, 2])
+def test_a_pose_is_found_from_four_silhouettes(finder, degrees):  # noqa: F811
+    """Rims, pairs and twist equations, cycle by cycle, from 3 cm and some degrees off."""
+    rng = np.random.default_rng(4)
+    truth = bent(arm_abduct_l=60, elbow_flex_l=50, arm_flex_r=50, elbow_flex_r=40, arm_abduct_r=30)
+    off = rng.choice([-1, 1], BODY.costs.shape) * np.radians(degrees)
+    off[:3] = 0.03 / np.sqrt(3)
+    start = pose = retract(truth, jnp.asarray(off.astype(np.float32)))
+    # A little must be known of what outlines hardly tell: how a forearm is twisted.
+    prior = Prior(start, jnp.full(BODY.costs.shape, 0.5))
+    region = finder.find(BODY, start, CAMERAS).region
+    phi = np.stack([level_set(finder, truth, c, region) for c in range(4)])
+    for _ in range(10):
+        found = matched(finder.find(BODY, pose, CAMERAS), phi, region, SETTINGS_OF_PAIRS)
+        weights = jnp.asarray(found.real, jnp.float32)
+        rays = PAIRS(CAMERAS, finder.points(found.nodes), found.pixels_xy, found.normals, weights,
+                     SETTINGS_OF_PAIRS.grip)  # fmt: skip
+        pose = SOLVE(BODY, pose, rays, PoseSettings(iterations=3, deviation=0.005), prior).pose
+    wrong = np.abs(np.asarray(difference(pose, truth)))
+    hinges = [
+        ROOT_DOF + BODY.tree.joint(f"{name}_{side}")
+        for name in ("elbow_flex", "knee_flexion")
+        for side in "lr"
+    ]
+    joints = FORWARD(BODY, pose).joints_world - FORWARD(BODY, truth).joints_world
+    assert np.degrees(wrong[hinges]).mean() < 3
+    assert np.linalg.norm(joints, axis=1).mean() < 0.015
