@@ -98,8 +98,8 @@ def matched(rim: Rim, phi: np.ndarray, region: Region, settings: MatchSettings) 
         seen = contour_of(level, np.asarray(region.origin[camera]), scale)
         # What no mask shows has no pair.
         outline = ~rim.inner[camera]
-        own = (part[camera][outline] for part in (rim.nodes, rim.pixels_xy, rim.normals, rim.real))
-        rows.append(_matched(*own, seen, scale, settings))
+        nodes, pixels, normals, real = (part[camera][outline] for part in rim[:3] + rim[4:5])
+        rows.append(_matched(nodes, pixels, normals, real, seen, scale, settings))
     return Matches(*(np.stack(parts) for parts in zip(*rows, strict=True)))
 
 
