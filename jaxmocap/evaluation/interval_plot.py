@@ -69,12 +69,13 @@ def plot_intervals(
     axes.axvline(0, color="#888888", linewidth=0.8)
     axes.set_yticks(rows, [interval.name for interval in intervals])
     axes.invert_yaxis()
-    axes.use_sticky_edges = False
+    reach = 108 * max(max(each.before, abs(each.found) + each.after) for each in intervals)
+    axes.set_xlim(-reach, reach)
     axes.set_xlabel("change against what was stated [%], ± 2 standard deviations")
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(axis="x", color="#dddddd", linewidth=0.6)
     axes.set_axisbelow(True)
-    figure.legend(loc="outside lower center", frameon=False, ncols=4)
+    figure.legend(loc="outside lower center", frameon=False, ncols=4, fontsize="small")
     if title:
         figure.suptitle(title)
     with replacing(path) as beside:
