@@ -173,8 +173,9 @@ def jacobian(
 def landmark_sites(skeleton: Skeleton, names: tuple[str, ...] = tuple(LANDMARKS)) -> Sites:
     """The named landmarks as sites."""
     bones = np.array([skeleton.tree.bone(LANDMARKS[name][0]) for name in names], np.int32)
-    at = jnp.asarray([LANDMARKS[name][1] for name in names], skeleton.lengths.dtype)
-    return Sites(bones, at, jnp.zeros((len(names), 3), at.dtype))
+    at = np.array([LANDMARKS[name][1] for name in names], skeleton.lengths.dtype)
+    offsets = np.zeros((len(names), 3), at.dtype)
+    return Sites(bones, jnp.asarray(at, at.dtype), jnp.asarray(offsets, at.dtype))
 
 
 def joined_sites(first: Sites, second: Sites) -> Sites:

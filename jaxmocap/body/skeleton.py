@@ -196,7 +196,7 @@ def load_skeleton(name: str) -> Skeleton:
         diameters=_column(bones, "diameter"),
         axes=_column(joints, "axis"),
         limits=_column(joints, "range", degree),
-        costs=jnp.concatenate([jnp.asarray(root["cost"], float), _column(joints, "cost")]),
+        costs=_numbers([*root["cost"], *(joint["cost"] for joint in joints)]),
         relaxed=_column(joints, "relaxed", degree),
     )
 
@@ -223,7 +223,13 @@ def with_joints(skeleton: Skeleton, name: str) -> Skeleton:
 
 def _column(rows: list[dict], key: str, scale: float = 1.0) -> Array:
     """One number, or one vector, of each row."""
-    return jnp.asarray(np.array([row[key] for row in rows], float) * scale, float)
+    return _numbers([row[key] for row in rows], scale)
+
+
+def _numbers(values: list, scale: float = 1.0) -> Array:
+    """Converted on the host: on the device that would be a program for each shape."""
+    dtype = jax.dtypes.canonicalize_dtype(float)
+    return jnp.asarray((np.array(values, float) * scale).astype(dtype), dtype)
 
 
 # The file is kept, not its arrays: those would outlive a trace or a change of precision.

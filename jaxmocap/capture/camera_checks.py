@@ -120,7 +120,7 @@ def _camera(
             fatal=True,
         )
         return
-    height, floor = float(source.camera.position_world[2]), _floor(recording)
+    height, floor = float(np.asarray(source.camera.position_world)[2]), _floor(recording)
     if height < floor - BELOW_M:
         yield Finding(
             "camera below the floor",

@@ -60,25 +60,32 @@ class Camera:
         if given.size > 8:
             raise ValueError(f"at most 8 distortion coefficients, found {given.size}")
         coefficients[: given.size] = given
+        # Converted on the host: on the device that would be a program for each shape.
+        dtype = jax.dtypes.canonicalize_dtype(float)
         return cls(
-            jnp.asarray(size, float),
-            jnp.asarray(matrix, float),
-            jnp.asarray(coefficients, float),
-            _transform(jnp.asarray(rotation, float), jnp.asarray(translation, float)),
+            jnp.asarray(np.asarray(size, dtype), dtype),
+            jnp.asarray(np.asarray(matrix, dtype), dtype),
+            jnp.asarray(coefficients.astype(dtype), dtype),
+            _transform(np.asarray(rotation, dtype), np.asarray(translation, dtype)),
         )
 
     @property
     def position_world(self) -> Array:
         """(3,) the centre of projection in the world, metres."""
-        R, t = self.T_cam_world[:3, :3], self.T_cam_world[:3, 3]
-        return -jnp.matmul(R.T, t, precision=HIGHEST)
+        return _centre(self.T_cam_world)
 
 
-# As one program: step by step each step of ``exp`` would compile by itself.
+# As one program each: step by step each step would compile by itself.
 @jax.jit
-def _transform(rotation: Array, translation: Array) -> Array:
+def _centre(T_cam_world: Array) -> Array:
+    return -jnp.matmul(T_cam_world[:3, :3].T, T_cam_world[:3, 3], precision=HIGHEST)
+
+
+@jax.jit
+def _transform(rotation: Array | np.ndarray, translation: Array | np.ndarray) -> Array:
     """(4, 4) from a Rodrigues vector (3,) or a matrix (3, 3), and a translation (3,)."""
-    R = exp(rotation) if rotation.shape == (3,) else rotation
+    R = jnp.asarray(rotation)
+    R = exp(R) if R.shape == (3,) else R
     return jnp.eye(4, dtype=R.dtype).at[:3, :3].set(R).at[:3, 3].set(translation)
 
 

@@ -52,15 +52,17 @@ def limb_bones(tree: Tree) -> np.ndarray:
 def grips(skeleton: Skeleton, markers: Sites) -> Sites:
     """The point of each arm that its first marker on forearm or hand holds, else the wrist."""
     bones = limb_bones(skeleton.tree)
-    wrists = Sites(bones[:, 2], jnp.zeros(2, markers.at.dtype), jnp.zeros((2, 3), markers.at.dtype))
-    chosen = list(zip(*wrists, strict=True))
+    # On the host: step by step, each step on the device would be a program of its own.
+    own_at, own_offsets = np.asarray(markers.at), np.asarray(markers.offsets)
+    chosen = [(bone, own_at.dtype.type(0), np.zeros(3, own_at.dtype)) for bone in bones[:, 2]]
     for side in range(2):
         carried = np.flatnonzero(np.isin(markers.bones, bones[side, 1:]))
         if carried.size:
             i = int(carried[0])
-            chosen[side] = (markers.bones[i], markers.at[i], markers.offsets[i])
+            chosen[side] = (markers.bones[i], own_at[i], own_offsets[i])
     on, at, offsets = zip(*chosen, strict=True)
-    return Sites(np.array(on), jnp.stack(at), jnp.stack(offsets))
+    placed = (jnp.asarray(np.stack(part), own_at.dtype) for part in (at, offsets))
+    return Sites(np.array(on), *placed)
 
 
 def arms_of(skeleton: Skeleton, frames: Frames, grip_sites: Sites) -> Arms:

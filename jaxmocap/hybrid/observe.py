@@ -70,8 +70,9 @@ class Observer:
         # would mostly wait for each other.
         self._pool = ThreadPoolExecutor(cameras, "observe") if cameras > 1 else None
         # Already where jit wants it: a sample without an image costs no transfer.
-        self._nothing = jnp.full(self._shape, FARTHEST_PX / spacing, jnp.float32)
-        self._unseen = jnp.zeros(self._shape[:2], bool)
+        nothing = np.full(self._shape, FARTHEST_PX / spacing, np.float32)
+        self._nothing = jnp.asarray(nothing, jnp.float32)
+        self._unseen = jnp.asarray(np.zeros(self._shape[:2], bool), bool)
 
     def fresh(self) -> "Observer":
         """The same for another recording: nothing is remembered."""

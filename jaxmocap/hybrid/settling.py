@@ -46,5 +46,5 @@ def settled_at_once(
     angles = np.concatenate([np.asarray(state.pose.angles)[None], np.asarray(ik.pose.angles)])
     rests = np.abs(np.diff(angles, axis=0)).max(1) < SETTLED_RAD
     rests[MOST_SETTLING - 1] = True
-    pose, stance = jax.tree.map(lambda part: part[rests.argmax()], (ik.pose, ik.stance))
+    pose, stance = jax.tree.map(lambda part: np.asarray(part)[rests.argmax()], (ik.pose, ik.stance))
     return state._replace(pose=pose, stance=stance)

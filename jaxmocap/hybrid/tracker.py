@@ -35,6 +35,11 @@ from jaxmocap.solvers.programs import Program
 _bow_factors = Program(bow_factors, "bow_factors", effort="once")
 
 
+def _stacked(*leaves: Array) -> Array:
+    """Stacked on the host: on the device that would be a program for each shape."""
+    return jnp.asarray(np.stack([np.asarray(leaf) for leaf in leaves]), leaves[0].dtype)
+
+
 class HybridTracker:
     """Tracks one person. The jitted functions trace once for a shape of input.
 
@@ -65,7 +70,7 @@ class HybridTracker:
         chosen = settings or Settings()
         self.dtype = skeleton.lengths.dtype
         self.settings = chosen if listed else replace(chosen, refine="none")
-        self.cameras = jax.tree.map(lambda *leaves: jnp.stack(leaves), *listed) if listed else None
+        self.cameras = jax.tree.map(_stacked, *listed) if listed else None
         names = ("vertex", "wrist_l", "wrist_r")
         self.markers = landmark_sites(skeleton, names) if markers is None else markers
         self.held = effectors(skeleton, self.markers)
