@@ -35,7 +35,8 @@ class PoseSettings(NamedTuple):
 
     Attributes:
         deviation: least standard deviation of a point about its ray, metres: rejection never takes
-            a spread smaller than this for the truth.
+            a spread smaller than this for the truth. While a pose is far off, let it be large: a
+            limb that moved fast is an outlier to the rest, and would be left behind.
         reach: points farther off than this many deviations are outliers (Tukey's constant).
         damping: deviation of one step, radians and metres, where nothing else determines it.
         largest_step: no iteration turns or shifts anything farther, radians and metres.
@@ -43,7 +44,7 @@ class PoseSettings(NamedTuple):
         iterations: at most.
     """
 
-    deviation: Array | float = 0.002
+    deviation: Array | float = 0.01
     reach: Array | float = 4.685
     damping: Array | float = 1.0
     largest_step: Array | float = 0.3
