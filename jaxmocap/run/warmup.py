@@ -58,8 +58,8 @@ def warm_up(recording: Recording, settings: Settings | None = None) -> list[Warm
     """Compile what tracking the recording needs, offline and causally.
 
     Args:
-        recording: with or without videos; other recordings with the same markers, places and
-            number of cameras need the same programs.
+        recording: with or without videos; other recordings with as many markers on the same bones
+            and as many cameras need the same programs.
         settings: of the tracker.
     """
     keep_compiled()
