@@ -44,7 +44,7 @@ DOORS = {
     "cv2": ("images/", "capture/", "setup/", "synthetic/", "outputs/overlay.py"),
 }
 HEAVY = ("cv2", "rerun", "matplotlib", "av", "optimistix", "ezc3d")
-TOP_LEVEL = {*MAY_IMPORT, "__init__.py", "cli.py", "py.typed"} - {"cli"}
+TOP_LEVEL = {*MAY_IMPORT, "__init__.py", "py.typed"}
 LONGEST_FILE = 350
 DRAWERS = ("utils", "util", "common", "helpers", "helper", "misc", "tools", "shared")
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from small_recording import SAMPLES, write_small_recording
 
-from jaxmocap.cli import EXAMPLES, main
+from jaxmocap.cli import COMMANDS, GROUPS, main
 from jaxmocap.formats.trc import write_trc
 from jaxmocap.run import viewing
 from jaxmocap.run.compilation import cache_folder
@@ -125,12 +125,22 @@ def test_compiled_programs_are_kept_where_the_environment_says(monkeypatch, tmp_
     assert cache_folder() == Path.home() / ".cache" / "jaxmocap"
 
 
-@pytest.mark.parametrize("command", ["demo", "check", "track", "sync", "evaluate", "view"])
-def test_every_command_has_help_with_an_example(command, capsys):
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.name)
+def test_every_command_helps_with_an_example(command, capsys):
     with pytest.raises(SystemExit) as done:
-        main([command, "--help"])
+        main([command.name, "--help"])
     assert done.value.code == 0
-    assert f"example: {EXAMPLES[command]}" in capsys.readouterr().out
+    assert f"example: {command.example}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("group", "kind"), [(name, kind) for name, (_, kinds) in GROUPS.items() for kind in kinds]
+)
+def test_every_kind_of_a_command_helps_with_an_example(group, kind, capsys):
+    with pytest.raises(SystemExit) as done:
+        main([group, kind.name, "--help"])
+    assert done.value.code == 0
+    assert f"example: {kind.example}" in capsys.readouterr().out
 
 
 def test_help_loads_neither_jax_nor_opencv():

@@ -14,6 +14,11 @@ format cannot hold is left out and said. .bvh and .glb are Y up, facing Z, their
 the arms out to the sides; joints made of them are Z up. Markers keep their file's axes."""
 
 
+def add_check(parser: argparse.ArgumentParser) -> None:
+    """Options of ``check``."""
+    parser.add_argument("recording", metavar="RECORDING.toml")
+
+
 def add_warmup(parser: argparse.ArgumentParser) -> None:
     """Options of ``warmup``."""
     parser.add_argument(

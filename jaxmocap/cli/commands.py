@@ -1,150 +1,12 @@
-"""The commands: parse, call, print.
+"""What the commands do: call what does it, print what it found.
 
-Exit codes: 0 done, 2 bad input (one sentence on stderr), 130 interrupted.
+INPUTS: parsed options. OUTPUTS: text; figures where --json says.
+
+Each imports what it needs when it runs, so that ``--help`` is quick.
 """
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
-from typing import Any, NoReturn
-
-from jaxmocap import __version__
-from jaxmocap.formats.errors import InputError
-from jaxmocap.run import arguments as run_arguments
-from jaxmocap.setup import arguments as setup_arguments
-from jaxmocap.setup.arguments import with_signs
-
-EXAMPLES = {
-    "demo": "jaxmocap demo --out jaxmocap-demo",
-    "check": "jaxmocap check recording.toml",
-    "track": "jaxmocap track recording.toml --out tracked",
-    "batch": "jaxmocap batch recordings --out tracked --workers 2",
-    "sync": "jaxmocap sync recording.toml",
-    "warmup": "jaxmocap warmup recording.toml",
-    "evaluate": "jaxmocap evaluate tracked truth.trc --match elbow_l=LElbow elbow_r=RElbow",
-    "view": "jaxmocap view tracked",
-    "live": "jaxmocap live live.toml --out session",
-    "convert": "jaxmocap convert tracked/motion.npz motion.bvh --unit cm",
-    "scale": "jaxmocap scale --height 1.80 --mass 75 --out subject.toml",
-    "offsets": "jaxmocap offsets turning.toml --turning 5,20 --still 0,3",
-    "calibrate": "jaxmocap calibrate intrinsics --help",
-    "intrinsics": "jaxmocap calibrate intrinsics board*.jpg --board 4x7 --square 0.06 "
-    "--camera cam_01 --out calibration.toml --pictures checked",
-    "extrinsics": "jaxmocap calibrate extrinsics floor.jpg --board 4x7 --square 0.06 "
-    "--pose 0.5,1.2,0,0,0,90 --camera cam_01 --out calibration.toml --pictures checked",
-}
-
-
-class Parser(argparse.ArgumentParser):
-    """Says in one line what is wrong, and leaves examples in theirs."""
-
-    def __init__(self, **options: Any):
-        super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **options)
-
-    def error(self, message: str) -> NoReturn:
-        """Print one sentence and leave with 2."""
-        self.exit(2, f"{self.prog}: {message}\n")
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; its exit code."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    options = make_parser().parse_args(with_signs(given))
-    try:
-        options.run(options)
-    except InputError as error:
-        print(f"jaxmocap {options.command}: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        problem = error.strerror or str(error)
-        print(f"jaxmocap {options.command}: {error.filename}: {problem}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"jaxmocap {options.command}: interrupted", file=sys.stderr)
-        return 130
-    return 0
-
-
-def make_parser() -> Parser:
-    """All commands and their options."""
-    parser = Parser(
-        prog="jaxmocap",
-        description="Human motion capture from three tracked points and one ordinary camera.",
-        epilog=f"example: {EXAMPLES['demo']}",
-    )
-    parser.add_argument("--version", action="version", version=__version__)
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    _with_json(
-        run_arguments.add_demo,
-        _command(commands, "demo", demo, "make a synthetic recording and track it"),
-    )
-    check_parser = _command(commands, "check", check, "look for mistakes in a recording's file")
-    check_parser.add_argument("recording", metavar="RECORDING.toml")
-    _add_json(check_parser)
-    _with_json(run_arguments.add_track, _command(commands, "track", track, "track a recording"))
-    _with_json(
-        run_arguments.add_batch,
-        _command(commands, "batch", batch, "track every recording in a folder, side by side"),
-    )
-    _with_json(
-        run_arguments.add_warmup,
-        _command(commands, "warmup", warmup, "compile what tracking and a live run will need"),
-    )
-    _with_json(
-        run_arguments.add_sync,
-        _command(commands, "sync", sync, "find the videos' offsets from the motion itself"),
-    )
-    _with_json(
-        run_arguments.add_evaluate,
-        _command(commands, "evaluate", evaluate, "compare tracked joints with a reference"),
-    )
-    run_arguments.add_view(
-        _command(commands, "view", view, "show what track wrote in the rerun viewer")
-    )
-    live_parser = _command(commands, "live", live, "track markers and cameras as they come")
-    run_arguments.add_live(live_parser)
-    _add_json(live_parser)
-    run_arguments.add_convert(
-        _command(commands, "convert", convert, "make a file into another that carries the same")
-    )
-    _with_json(
-        setup_arguments.add_scale,
-        _command(commands, "scale", scale, "write a person's body to a file"),
-    )
-    offsets_parser = _command(commands, "offsets", offsets, "find where devices sit in the hands")
-    setup_arguments.add_offsets(offsets_parser)
-    _add_json(offsets_parser)
-    calibrate = _command(commands, "calibrate", None, "calibrate a camera by a chessboard")
-    kinds = calibrate.add_subparsers(dest="kind", required=True, metavar="KIND")
-    inside = _command(kinds, "intrinsics", calibrate_intrinsics, "find focal length and lens")
-    outside = _command(kinds, "extrinsics", calibrate_extrinsics, "find where a camera stands")
-    setup_arguments.add_intrinsics(inside)
-    setup_arguments.add_extrinsics(outside)
-    _add_json(inside)
-    _add_json(outside)
-    return parser
-
-
-def _command(commands: Any, name: str, run: Any, purpose: str) -> Parser:
-    parser = commands.add_parser(
-        name,
-        help=purpose,
-        description=f"{purpose}.".capitalize(),
-        epilog=f"example: {EXAMPLES[name]}",
-    )
-    parser.set_defaults(run=run)
-    return parser
-
-
-def _with_json(add: Callable[[argparse.ArgumentParser], None], parser: Parser) -> None:
-    add(parser)
-    _add_json(parser)
-
-
-def _add_json(parser: Parser) -> None:
-    parser.add_argument(
-        "--json", metavar="FILE", help="write the figures as JSON; - for standard output"
-    )
 
 
 def demo(options: argparse.Namespace) -> None:
@@ -341,7 +203,3 @@ def _report(options: argparse.Namespace, text: str, figures: dict) -> None:
     print(text)
     if options.json:
         write_figures(figures, options.json)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,0 +1,171 @@
+"""The command line: parse, and leave with an exit code; ``commands`` calls and prints.
+
+Exit codes: 0 done, 2 bad input (one sentence on stderr), 130 interrupted.
+"""
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, NoReturn
+
+from jaxmocap import __version__
+from jaxmocap.cli import commands
+from jaxmocap.formats.errors import InputError
+from jaxmocap.run import arguments as run_arguments
+from jaxmocap.setup import arguments as setup_arguments
+from jaxmocap.setup.arguments import with_signs
+
+
+class Command(NamedTuple):
+    """One command.
+
+    Attributes:
+        name: of it.
+        purpose: in a line.
+        run: what it does.
+        add: adds its options to a parser.
+        example: how it is called.
+        figures: whether it reports some, which --json writes.
+    """
+
+    name: str
+    purpose: str
+    run: Callable[[argparse.Namespace], None]
+    add: Callable[[argparse.ArgumentParser], None]
+    example: str
+    figures: bool = True
+
+
+COMMANDS = (
+    Command(
+        "demo", "make a synthetic recording and track it", commands.demo, run_arguments.add_demo,
+        "jaxmocap demo --out jaxmocap-demo",
+    ),
+    Command(
+        "check", "look for mistakes in a recording's file", commands.check,
+        run_arguments.add_check, "jaxmocap check recording.toml",
+    ),
+    Command(
+        "track", "track a recording", commands.track, run_arguments.add_track,
+        "jaxmocap track recording.toml --out tracked",
+    ),
+    Command(
+        "batch", "track every recording in a folder, side by side", commands.batch,
+        run_arguments.add_batch, "jaxmocap batch recordings --out tracked --workers 2",
+    ),
+    Command(
+        "warmup", "compile what tracking and a live run will need", commands.warmup,
+        run_arguments.add_warmup, "jaxmocap warmup recording.toml",
+    ),
+    Command(
+        "sync", "find the videos' offsets from the motion itself", commands.sync,
+        run_arguments.add_sync, "jaxmocap sync recording.toml",
+    ),
+    Command(
+        "evaluate", "compare tracked joints with a reference", commands.evaluate,
+        run_arguments.add_evaluate,
+        "jaxmocap evaluate tracked truth.trc --match elbow_l=LElbow elbow_r=RElbow",
+    ),
+    Command(
+        "view", "show what track wrote in the rerun viewer", commands.view,
+        run_arguments.add_view, "jaxmocap view tracked", figures=False,
+    ),
+    Command(
+        "live", "track markers and cameras as they come", commands.live, run_arguments.add_live,
+        "jaxmocap live live.toml --out session",
+    ),
+    Command(
+        "convert", "make a file into another that carries the same", commands.convert,
+        run_arguments.add_convert, "jaxmocap convert tracked/motion.npz motion.bvh --unit cm",
+        figures=False,
+    ),
+    Command(
+        "scale", "write a person's body to a file", commands.scale, setup_arguments.add_scale,
+        "jaxmocap scale --height 1.80 --mass 75 --out subject.toml",
+    ),
+    Command(
+        "offsets", "find where devices sit in the hands", commands.offsets,
+        setup_arguments.add_offsets, "jaxmocap offsets turning.toml --turning 5,20 --still 0,3",
+    ),
+)  # fmt: skip
+# A command that is several, and what it is about.
+CALIBRATE = "calibrate a camera by a chessboard", (
+    Command(
+        "intrinsics", "find focal length and lens", commands.calibrate_intrinsics,
+        setup_arguments.add_intrinsics,
+        "jaxmocap calibrate intrinsics board*.jpg --board 4x7 --square 0.06 "
+        "--camera cam_01 --out calibration.toml --pictures checked",
+    ),
+    Command(
+        "extrinsics", "find where a camera stands", commands.calibrate_extrinsics,
+        setup_arguments.add_extrinsics,
+        "jaxmocap calibrate extrinsics floor.jpg --board 4x7 --square 0.06 "
+        "--pose 0.5,1.2,0,0,0,90 --camera cam_01 --out calibration.toml --pictures checked",
+    ),
+)  # fmt: skip
+GROUPS = {"calibrate": CALIBRATE}
+
+
+class Parser(argparse.ArgumentParser):
+    """Says in one line what is wrong, and leaves examples in theirs."""
+
+    def __init__(self, **options: Any):
+        super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **options)
+
+    def error(self, message: str) -> NoReturn:
+        """Print one sentence and leave with 2."""
+        self.exit(2, f"{self.prog}: {message}\n")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; its exit code."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    options = make_parser().parse_args(with_signs(given))
+    try:
+        options.run(options)
+    except InputError as error:
+        print(f"jaxmocap {options.command}: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        problem = error.strerror or str(error)
+        print(f"jaxmocap {options.command}: {error.filename}: {problem}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"jaxmocap {options.command}: interrupted", file=sys.stderr)
+        return 130
+    return 0
+
+
+def make_parser() -> Parser:
+    """All commands and their options."""
+    parser = Parser(
+        prog="jaxmocap",
+        description="Human motion capture from three tracked points and one ordinary camera.",
+        epilog=f"example: {COMMANDS[0].example}",
+    )
+    parser.add_argument("--version", action="version", version=__version__)
+    known = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for command in COMMANDS:
+        _add(known, command)
+    for name, (purpose, kinds) in GROUPS.items():
+        group = _described(known, name, purpose, f"jaxmocap {name} {kinds[0].name} --help")
+        inside = group.add_subparsers(dest="kind", required=True, metavar="KIND")
+        for command in kinds:
+            _add(inside, command)
+    return parser
+
+
+def _add(known: Any, command: Command) -> None:
+    """A command among others."""
+    parser = _described(known, command.name, command.purpose, command.example)
+    parser.set_defaults(run=command.run)
+    command.add(parser)
+    if command.figures:
+        parser.add_argument(
+            "--json", metavar="FILE", help="write the figures as JSON; - for standard output"
+        )
+
+
+def _described(known: Any, name: str, purpose: str, example: str) -> Parser:
+    described = f"{purpose}.".capitalize()
+    return known.add_parser(name, help=purpose, description=described, epilog=f"example: {example}")

@@ -1,0 +1,7 @@
+"""``python -m jaxmocap.cli``: the command itself."""
+
+import sys
+
+from jaxmocap.cli import main
+
+sys.exit(main())
