@@ -1,0 +1,138 @@
+"""Canvases: the part of an image about the person, on square cells of one static number.
+
+A canvas follows the person at a traced scale, so that another place or distance compiles nothing
+anew. Positions on it are ``images.regions``'.
+
+INPUTS: images uint8, masks of where the person is expected, a Background.
+OUTPUTS: what a segmentation sees; Φ of a mask; masks at full resolution from Φ.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from jaxmocap.images.background import Background
+from jaxmocap.images.regions import Region
+
+# Around the expected silhouette, pixels, and as a share of its extent.
+MARGIN_PX, MARGIN = 12.0, 0.08
+# Signed distances are cut off here, cells.
+FARTHEST = 32.0
+
+
+class Canvas(NamedTuple):
+    """What one camera, or (V, ...) of several, show on S x S cells.
+
+    Attributes:
+        colour: (S, S, 3) uint8, BGR.
+        inside: (S, S) float32, 0 to 1, how far the cell lies within the image.
+        room: (S, S, 3) uint8, the background's colour.
+        noise: (S, S) float32, its deviation.
+        known: (S, S) float32, 0 to 1.
+    """
+
+    colour: np.ndarray
+    inside: np.ndarray
+    room: np.ndarray
+    noise: np.ndarray
+    known: np.ndarray
+
+
+def follow(mask: np.ndarray, size: int, finest: float = 1.0) -> Region:
+    """The window of ``size`` cells about a mask (H, W) bool; about the whole image if it is empty.
+
+    Args:
+        mask: where the person is expected.
+        size: cells to a side.
+        finest: pixels per cell at least.
+    """
+    rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
+    if not len(rows):
+        rows, columns = (np.array([0, n - 1]) for n in mask.shape)
+    low = np.array([columns[0], rows[0]], float)
+    high = np.array([columns[-1], rows[-1]], float)
+    extent = float((high - low).max()) + 1
+    # Of whole pixels, as ``crop`` takes it.
+    side = float(np.ceil(max(extent * (1 + 2 * MARGIN) + 2 * MARGIN_PX, finest * size)))
+    origin = np.round((low + high) / 2 - side / 2) - 0.5
+    return Region(origin.astype(np.float32), np.array(side / size, np.float32))
+
+
+def canvas(
+    image: np.ndarray, region: Region, size: int, background: Background | None = None
+) -> Canvas:
+    """An image (H, W, 3) uint8, and what is known of the room, on a region's cells."""
+
+    def part(values: np.ndarray) -> np.ndarray:
+        return sampled(values, region, size)
+
+    inside = _inside(image.shape[:2], region, size)
+    if background is None:
+        nothing = np.zeros((size, size), np.float32)
+        room = np.zeros((size, size, 3), np.uint8)
+        return Canvas(part(image), inside, room, nothing + 1, nothing)
+    known = part(background.known) * (inside > 0.5)
+    return Canvas(
+        part(image),
+        inside,
+        np.rint(part(background.colour)).astype(np.uint8),
+        part(background.noise),
+        known,
+    )
+
+
+def stacked(canvases: Sequence[Canvas]) -> Canvas:
+    """Several as one with a leading axis."""
+    return Canvas(*(np.stack(parts) for parts in zip(*canvases, strict=True)))
+
+
+def signed_distance(mask: np.ndarray, region: Region, size: int) -> np.ndarray:
+    """Φ (S, S) float32 of a mask (H, W) bool: cells from its border, positive within."""
+    within = (mask_canvas(mask, region, size) > 0.5).astype(np.uint8)
+    if not within.any() or within.all():
+        return np.full((size, size), FARTHEST if within.any() else -FARTHEST, np.float32)
+    inner = cv2.distanceTransform(within, cv2.DIST_L2, 5)
+    outer = cv2.distanceTransform(1 - within, cv2.DIST_L2, 5)
+    # From the border between cells, which lies half a cell from their middles.
+    distance = np.where(within > 0, inner - 0.5, 0.5 - outer)
+    return np.clip(distance, -FARTHEST, FARTHEST).astype(np.float32)
+
+
+def mask_canvas(mask: np.ndarray, region: Region, size: int) -> np.ndarray:
+    """How far (S, S) float32, 0 to 1, each cell is covered; nothing is beyond the image."""
+    covered = sampled(mask.astype(np.float32), region, size)
+    return covered * (_inside(mask.shape, region, size) > 0.5)
+
+
+def full_mask(phi: np.ndarray, region: Region, shape: tuple[int, int]) -> np.ndarray:
+    """(H, W) bool, where Φ (S, S) is positive at the pixels of an image of that shape."""
+    scale, middle = float(region.scale), np.asarray(region.origin) + region.scale / 2
+    to_pixels = np.array([[scale, 0.0, middle[0]], [0.0, scale, middle[1]]])
+    far = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": -FARTHEST}
+    values = cv2.warpAffine(np.asarray(phi), to_pixels, shape[::-1], flags=cv2.INTER_LINEAR, **far)
+    return values > 0
+
+
+def sampled(values: np.ndarray, region: Region, size: int) -> np.ndarray:
+    """Values (H, W, ...) between pixels at the middles of a region's cells (S, S, ...).
+
+    Not averaged over cells, which takes ten times as long; beyond the border it is replicated.
+    """
+    scale, middle = float(region.scale), np.asarray(region.origin) + region.scale / 2
+    to_pixels = np.array([[scale, 0.0, middle[0]], [0.0, scale, middle[1]]])
+    how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return cv2.warpAffine(
+        values, to_pixels, (size, size), flags=how, borderMode=cv2.BORDER_REPLICATE
+    )
+
+
+def _inside(shape: tuple[int, ...], region: Region, size: int) -> np.ndarray:
+    """(S, S) float32: the share of each row and column's cells that the image holds."""
+    scale = float(region.scale)
+    shares = []
+    for start, count in zip(np.asarray(region.origin) + 0.5, (shape[1], shape[0]), strict=True):
+        edges = np.clip(start + scale * np.arange(size + 1), 0, count)
+        shares.append(np.diff(edges) / scale)
+    return np.outer(shares[1], shares[0]).astype(np.float32)

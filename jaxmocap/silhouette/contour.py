@@ -1,0 +1,125 @@
+"""Contours: points on the zero level of Φ, below a pixel, with outward normals.
+
+Where Φ changes its sign between two neighbouring cells, linear interpolation gives a point. Of all
+of them a static number is taken, evenly over the canvas's rows with a jitter within each share, so
+that no limb is left out by a stride that happens to fit.
+
+INPUTS: Φ (V, S, S) and log-ratios on canvases, and where these lie in the images.
+OUTPUTS: Contours, in image pixels.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.images.regions import Region
+from jaxmocap.images.sampling import look_up
+
+# Where the contrast is taken, cells to either side.
+ASIDE = 2.0
+# An irrational step: where within its share of the crossings a point lies.
+GOLDEN = 0.6180339887498949
+
+
+class Contours(NamedTuple):
+    """N points on the silhouette in each of V images.
+
+    Attributes:
+        points_xy: (V, N, 2) pixels.
+        normals: (V, N, 2) unit vectors, out of the person.
+        lengths: (V, N) pixels of contour for which a point stands; they add up to all of it.
+        contrast: (V, N) 0 to 1: how clearly the image tells its two sides from each other.
+        valid: (V, N) bool; false where there is no point, or only the image's border.
+    """
+
+    points_xy: Array
+    normals: Array
+    lengths: Array
+    contrast: Array
+    valid: Array
+
+
+@partial(jax.jit, static_argnames="count")
+def contours(
+    phi: Array, log_ratio: Array, inside: Array, region: Region, count: int, most: float = 3.0
+) -> Contours:
+    """The zero levels of V canvases.
+
+    Args:
+        phi: (V, S, S), positive within the person.
+        log_ratio: (V, S, S) of ``Segmented``.
+        inside: (V, S, S) share of each cell within the image.
+        region: where the canvases lie: origins (V, 2), scales (V,).
+        count: N, static.
+        most: where log-ratios were cut off.
+    """
+    one = partial(_one, count=count, most=most)
+    return jax.vmap(one)(phi, log_ratio, jnp.asarray(inside), Region(*map(jnp.asarray, region)))
+
+
+def _one(
+    phi: Array, log_ratio: Array, inside: Array, region: Region, count: int, most: float
+) -> Contours:
+    chosen, total = _crossings(phi, count)
+    origin, scale = jnp.asarray(region.origin), jnp.asarray(region.scale)
+    row, column, downward = chosen
+    here, there = phi[row, column], phi[row + downward, column + 1 - downward]
+    share = here / jnp.where(here == there, 1.0, here - there)
+    down = downward.astype(phi.dtype)
+    y = row.astype(phi.dtype) + share * down
+    x = column.astype(phi.dtype) + share * (1 - down)
+    slope_x, slope_y = _slopes(phi, x, y)
+    steepness = jnp.sqrt(slope_x**2 + slope_y**2 + 1e-12)
+    out_x, out_y = -slope_x / steepness, -slope_y / steepness
+    # A crossing on every row and one on every column: a slanting contour has more of them.
+    length = scale / (jnp.abs(out_x) + jnp.abs(out_y))
+    jump = _sampled(log_ratio, x - ASIDE * out_x, y - ASIDE * out_y)
+    jump -= _sampled(log_ratio, x + ASIDE * out_x, y + ASIDE * out_y)
+    within = _sampled(inside, x + ASIDE * out_x, y + ASIDE * out_y) > 0.99
+    cells = jnp.stack([x, y], -1)
+    return Contours(
+        origin + (cells + 0.5) * scale,
+        jnp.stack([out_x, out_y], -1),
+        length * jnp.maximum(total.astype(phi.dtype) / count, 1.0),
+        jnp.clip(jump / (2 * most), 0.0, 1.0),
+        (jnp.arange(count) < total) & within,
+    )
+
+
+def _crossings(phi: Array, count: int) -> tuple[tuple[Array, Array, Array], Array]:
+    """Row, column and direction (N,) (1: down, 0: right) of some sign changes; and of how many."""
+    positive = phi > 0
+    across = jnp.pad(positive[:, :-1] != positive[:, 1:], ((0, 0), (0, 1)))
+    down = jnp.pad(positive[:-1] != positive[1:], ((0, 1), (0, 0)))
+    both = jnp.concatenate([across, down], 1).astype(jnp.int32)
+    by_row = jnp.sum(both, 1)
+    ends = jnp.cumsum(by_row)
+    total = ends[-1]
+    step = jnp.maximum(total.astype(phi.dtype) / count, 1.0)
+    numbers = np.arange(count, dtype=np.float32)
+    jitter = jnp.where(step > 1, jnp.asarray(numbers * np.float32(GOLDEN) % 1), 0.5)
+    rank = jnp.floor((jnp.asarray(numbers) + jitter) * step)
+    rank = jnp.minimum(rank.astype(jnp.int32), total - 1)
+    row = jnp.minimum(jnp.searchsorted(ends, rank, side="right"), len(phi) - 1)
+    within_row = rank - (ends - by_row)[row]
+    reached = jnp.cumsum(both[row], 1) > within_row[:, None]
+    place = jnp.argmax(reached, 1)
+    size = phi.shape[1]
+    return (row, place % size, (place >= size).astype(row.dtype)), total
+
+
+def _slopes(phi: Array, x: Array, y: Array) -> tuple[Array, Array]:
+    """Derivatives of Φ by x and y at places (N,)."""
+    return (
+        (_sampled(phi, x + 1, y) - _sampled(phi, x - 1, y)) / 2,
+        (_sampled(phi, x, y + 1) - _sampled(phi, x, y - 1)) / 2,
+    )
+
+
+def _sampled(values: Array, x: Array, y: Array) -> Array:
+    """Values (S, S) between cells at places (N,); beyond the border they are replicated."""
+    return look_up(values[None], jnp.zeros((), jnp.int32), x, y)

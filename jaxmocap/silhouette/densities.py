@@ -1,0 +1,102 @@
+"""How likely a region's pixels are: histograms, a known room, normals about local means.
+
+INPUTS: colours on a canvas, how far each cell belongs to a region. OUTPUTS: densities, per grey
+level or cubic grey level.
+"""
+
+from functools import lru_cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+# Grey levels in a histogram; levels of each of three channels in a joint one; and the deviation of
+# the Gaussian kernel that smooths them, bins.
+GREYS, LEVELS = 64, 16
+GREY_BLUR, COLOUR_BLUR = 1.5, 0.5
+# Every colour has this share of the even distribution: what was never seen is not impossible.
+EVEN_SHARE = 1e-3
+# OpenCV's weights of blue, green and red.
+LUMINANCE = (0.114, 0.587, 0.299)
+# Histograms are counted on every other cell of every other row.
+EVERY = 2
+# Of the room, how much lies in shadow, and how much light is left there at least.
+SHADED, DARKEST = 0.05, 0.6
+# Beyond this exponent a normal density is none at all.
+FARTHEST = 60.0
+
+
+def grey_bins(colour: Array) -> Array:
+    """Histogram bin (...) of BGR colours (V, 3, S, S)."""
+    blue, green, red = (share * colour[:, i] for i, share in enumerate(LUMINANCE))
+    return ((blue + green + red) * (GREYS / 256)).astype(jnp.int32)
+
+
+def colour_bins(colour: Array) -> Array:
+    """Joint histogram bin (...) of BGR colours (V, 3, S, S)."""
+    levels = (colour * (LEVELS / 256)).astype(jnp.int32)
+    return (levels[:, 0] * LEVELS + levels[:, 1]) * LEVELS + levels[:, 2]
+
+
+def counted(bins: Array, weights: Array, count: int) -> Array:
+    """Histograms (V, count), not smoothed, of weighted bins (V, S, S)."""
+
+    def one(bins: Array, weights: Array) -> Array:
+        return jnp.zeros(count, weights.dtype).at[bins.ravel()].add(weights.ravel())
+
+    return jax.vmap(one)(bins[:, ::EVERY, ::EVERY], weights[:, ::EVERY, ::EVERY])
+
+
+def grey_density(counts: Array) -> Array:
+    """Counts (V, GREYS) as densities per grey level, smoothed."""
+    smoothed = counts @ jnp.asarray(_kernel(GREYS, GREY_BLUR))
+    return _share(smoothed) * (GREYS / 256)
+
+
+def colour_density(counts: Array) -> Array:
+    """Counts (V, LEVELS³) as densities per cubic grey level, smoothed along each channel."""
+    kernel = jnp.asarray(_kernel(LEVELS, COLOUR_BLUR))
+    cube = counts.reshape(-1, LEVELS, LEVELS, LEVELS)
+    smoothed = jnp.einsum("vabc,ai,bj,ck->vijk", cube, kernel, kernel, kernel)
+    return _share(smoothed.reshape(counts.shape)) * (LEVELS / 256) ** 3
+
+
+def _share(smoothed: Array) -> Array:
+    total = jnp.sum(smoothed, -1, keepdims=True)
+    bins = smoothed.shape[-1]
+    share = jnp.where(total > 0, smoothed / jnp.where(total > 0, total, 1.0), 1 / bins)
+    return (1 - EVEN_SHARE) * share + EVEN_SHARE / bins
+
+
+def looked_up(density: Array, bins: Array) -> Array:
+    """Density (V, B) of the bin of every cell (V, S, S)."""
+    return jax.vmap(lambda table, places: table[places])(density, bins)
+
+
+def room_density(colour: Array, room: Array, noise: Array) -> Array:
+    """Density (V, S, S), per cubic grey level, of colours (V, 3, S, S) before an empty room.
+
+    The room is lit or in shadow.
+    Normal about the room's colour; or, in shadow, evenly on the way from there towards black as far
+    as ``DARKEST``, and normal across it: what ``images.foreground`` does on the host.
+    """
+    room_room, seen_room = jnp.sum(room * room, 1) + 1, jnp.sum(colour * room, 1)
+    seen_seen = jnp.sum(colour * colour, 1)
+    lit = jnp.clip(seen_room / room_room, DARKEST, 1)
+    across = seen_seen - lit * (2 * seen_room - lit * room_room)
+    away = seen_seen - 2 * seen_room + room_room
+    precision = 0.5 / noise**2
+    planar = precision / jnp.pi
+    plain = planar * jnp.sqrt(planar) * jnp.exp(-jnp.minimum(away * precision, FARTHEST))
+    length = (1 - DARKEST) * jnp.sqrt(room_room)
+    shaded = planar / length * jnp.exp(-jnp.minimum(across * precision, FARTHEST))
+    return (1 - SHADED) * plain + SHADED * shaded
+
+
+@lru_cache
+def _kernel(bins: int, sigma: float) -> np.ndarray:
+    """(bins, bins) Gaussian smoothing of a histogram; what would leave it stays in it."""
+    i = np.arange(bins)
+    kernel = np.exp(-0.5 * ((i[:, None] - i) / sigma) ** 2)
+    return (kernel / kernel.sum(1, keepdims=True)).astype(np.float32)

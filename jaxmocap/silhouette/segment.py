@@ -1,0 +1,299 @@
+"""Segmentation: where the person is in each camera's image (section 4.1).
+
+A level set starts from the silhouette of the predicted pose and moves to where the densities of
+person and rest explain the image best (4.19). Densities are estimated as the contour moves: first
+histograms, of grey levels or of colours, and, for a camera that stands still, what is known of the
+room behind every single cell; at last, next to the contour, normals of one deviation about the
+colours on its two sides. These put it where half of a cell is covered: a histogram against a
+sharply known room would put it where a cell begins to differ.
+
+INPUTS: images of V cameras on canvases of one static size; Φ of the predicted silhouettes.
+OUTPUTS: Φ, the log-ratio of the densities, histograms to begin the next frame with.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.silhouette import densities
+from jaxmocap.silhouette.level_set import BAND, FLAT, Motion, coarser, evolve, finer, heaviside
+
+# Light on the room may fall to, or rise to, so much of what is known of it.
+DIMMEST, BRIGHTEST = 0.5, 1.3
+# Width of H where it weighs pixels of the two regions, cells.
+SOFT = 1.5
+LEAST = 1e-30
+
+
+class Seen(NamedTuple):
+    """V cameras' images on canvases of S x S cells.
+
+    Attributes:
+        colour: (V, S, S, 3) uint8, BGR.
+        inside: (V, S, S) 0 to 1, how far the cell lies within the image.
+        room: (V, S, S, 3) uint8, what the cell shows where nobody stands.
+        noise: (V, S, S) float32, its deviation, grey levels.
+        known: (V, S, S) float32, 0 to 1, how surely that is known.
+    """
+
+    colour: Array | np.ndarray
+    inside: Array | np.ndarray
+    room: Array | np.ndarray
+    noise: Array | np.ndarray
+    known: Array | np.ndarray
+
+
+class Stage(NamedTuple):
+    """Some steps between two estimates of the densities; static.
+
+    Attributes:
+        steps: how many.
+        width: of H' in cells, of twice the size where ``coarse``.
+        coarse: whether on cells of twice the size.
+        gap: cells about the contour that histograms leave out.
+        sides: whether, next to the contour, normals about the colours of both sides decide.
+    """
+
+    steps: int
+    width: float
+    coarse: bool = False
+    gap: float = 0.0
+    sides: bool = False
+
+
+class Plan(NamedTuple):
+    """What is computed; static.
+
+    Attributes:
+        colour: joint histograms of colours rather than of grey levels.
+        room: whether anything is known of the rooms; their densities are of colours.
+        stages: in turn.
+    """
+
+    colour: bool = True
+    room: bool = True
+    stages: tuple[Stage, ...] = (
+        Stage(8, 4.0, coarse=True, gap=2.0),
+        Stage(8, 2.0, coarse=True, gap=1.0),
+        Stage(6, 1.5, gap=0.5),
+        Stage(8, 1.5, sides=True),
+    )
+
+
+class Settings(NamedTuple):
+    """Traced numbers.
+
+    Attributes:
+        motion: of the level set.
+        most: log-ratios are cut off here.
+        strange: share of the room that does not look as it is known.
+        noise: deviation of the colours of one side, grey levels.
+        contrast: of the two sides, in squared deviations, from which they decide rather than
+            histograms.
+        depth: cells from the contour to where its sides' colours are taken.
+        shape: log-ratio by which a cell far from the predicted silhouette must do better.
+        reach: how far that is, cells.
+        fade: weight of the histograms before in those of the next frame.
+    """
+
+    motion: Motion = Motion()
+    most: Array | float = 3.0
+    strange: Array | float = 0.02
+    noise: Array | float = 4.0
+    contrast: Array | float = 3.0
+    depth: Array | float = 3.5
+    shape: Array | float = 0.0
+    reach: Array | float = 12.0
+    fade: Array | float = 0.9
+
+
+class Histograms(NamedTuple):
+    """Counts (V, B) of grey levels or colours, of person and rest, neither smoothed."""
+
+    person: Array
+    rest: Array
+
+    @classmethod
+    def empty(cls, views: int, plan: Plan) -> "Histograms":
+        """Before the first frame."""
+        bins = densities.LEVELS**3 if plan.colour else densities.GREYS
+        zero = jnp.zeros((views, bins), jnp.float32)
+        return cls(zero, zero)
+
+
+class Segmented(NamedTuple):
+    """What V cameras see of the person.
+
+    Attributes:
+        phi: (V, S, S) cells, positive within the person.
+        log_ratio: (V, S, S) how much likelier a cell is the person than the rest.
+        histograms: to begin the next frame with.
+    """
+
+    phi: Array
+    log_ratio: Array
+    histograms: Histograms
+
+
+@partial(jax.jit, static_argnames="plan")
+def segment(
+    seen: Seen, start: Array, before: Histograms, settings: Settings, plan: Plan
+) -> Segmented:
+    """Segment V images.
+
+    Args:
+        seen: the images.
+        start: (V, S, S) signed distance to the predicted silhouette, cells, positive within.
+        before: of the frames before; ``Histograms.empty`` at first.
+        settings: traced numbers.
+        plan: static choices; another one compiles anew.
+    """
+    if plan.room and not plan.colour:
+        raise ValueError("plan.room without plan.colour: expected plan.colour = True too")
+    fine = _Pixels.of(seen, plan)
+    coarse = fine.halved(plan)
+    phi, ratio, now = jnp.clip(start, -BAND, BAND), jnp.zeros_like(start), before
+    beyond = jnp.clip(start + settings.reach, -settings.reach, 0.0)
+    prior = settings.shape * beyond / settings.reach
+    for stage in plan.stages:
+        pixels = coarse if stage.coarse else fine
+        here = coarser(phi) / 2 if stage.coarse else phi
+        now = _histograms(here, pixels, before.person.shape[-1], stage)
+        mixed = Histograms(*(a + b for a, b in zip(now, before, strict=True)))
+        ratio = _log_ratio(mixed, pixels, settings, plan)
+        if stage.sides:
+            ratio = _by_both_sides(ratio, here, pixels, settings, plan)
+        ratio = ratio * pixels.inside
+        force = ratio + (coarser(prior) if stage.coarse else prior)
+        moved = evolve(here, force, settings.motion, stage.width, stage.steps)
+        phi = jnp.clip(finer(moved), -BAND, BAND) if stage.coarse else moved
+    kept = Histograms(*(settings.fade * (a + b) for a, b in zip(before, now, strict=True)))
+    return Segmented(phi, ratio, kept)
+
+
+class _Pixels(NamedTuple):
+    """What stays as it is while the contour moves: channels (V, 3, S, S) and cells (V, S, S)."""
+
+    colour: Array
+    inside: Array
+    room: Array
+    noise: Array
+    known: Array
+    bins: Array
+    empty: Array
+
+    @classmethod
+    def of(cls, seen: Seen, plan: Plan) -> "_Pixels":
+        colour, room = (
+            jnp.moveaxis(jnp.asarray(image).astype(jnp.float32), -1, 1)
+            for image in (seen.colour, seen.room)
+        )
+        inside, noise, known = (jnp.asarray(a) for a in (seen.inside, seen.noise, seen.known))
+        return cls._with(plan, colour, inside, room, noise, known)
+
+    @classmethod
+    def _with(cls, plan: Plan, colour: Array, *rest: Array) -> "_Pixels":
+        """With what follows from the rest: bins, and the density of the room."""
+        inside, room, noise, known = rest
+        bins = (densities.colour_bins if plan.colour else densities.grey_bins)(colour)
+        empty = densities.room_density(colour, room, noise) if plan.room else jnp.zeros(())
+        return cls(colour, inside, room, noise, known, bins, empty)
+
+    def halved(self, plan: Plan) -> "_Pixels":
+        """On cells of twice the size."""
+        return self._with(plan, *(coarser(part) for part in self[:5]))
+
+
+def _histograms(phi: Array, pixels: _Pixels, count: int, stage: Stage) -> Histograms:
+    """Counts of both sides, but for the cells next to the contour that the stage leaves out."""
+    # A coarse cell counts as the four that it is, so that histograms can be added.
+    weight = 4.0 if stage.coarse else 1.0
+    sides = (
+        weight * heaviside(sign * phi - stage.gap, SOFT) * pixels.inside for sign in (1.0, -1.0)
+    )
+    return Histograms(*(densities.counted(pixels.bins, side, count) for side in sides))
+
+
+def _log_ratio(histograms: Histograms, pixels: _Pixels, settings: Settings, plan: Plan) -> Array:
+    """Log p1 - log p2 (V, S, S), by histograms and the room."""
+    density = densities.colour_density if plan.colour else densities.grey_density
+    person, rest = (densities.looked_up(density(each), pixels.bins) for each in histograms)
+    if plan.room:
+        empty = (1 - settings.strange) * pixels.empty + settings.strange * rest
+        rest = pixels.known * empty + (1 - pixels.known) * rest
+    ratio = jnp.log(person + LEAST) - jnp.log(rest + LEAST)
+    return jnp.clip(ratio, -settings.most, settings.most)
+
+
+def _by_both_sides(
+    ratio: Array, phi: Array, pixels: _Pixels, settings: Settings, plan: Plan
+) -> Array:
+    """Next to the contour, the log-ratio of normals about the colours on both sides of it.
+
+    These are found some cells farther in and out, where the log-ratio so far says that the cell
+    belongs to its side. Elsewhere, and where both sides look alike, that log-ratio stays.
+    """
+    inward, outward = (_places(phi, depth) for depth in (settings.depth, -settings.depth))
+    image = _packed(_averaged(pixels.colour), ratio)
+    person, sure = _unpacked(_taken(image, inward))
+    other, positive = _unpacked(_taken(image, outward))
+    sure_not = ~positive
+    if plan.room:
+        beside, _ = _unpacked(_taken(_packed(pixels.room, ratio), outward))
+        light = jnp.sum(other, 1, keepdims=True) / (jnp.sum(beside, 1, keepdims=True) + 1)
+        known = pixels.known[:, None]
+        gain = jnp.where(sure_not[:, None], jnp.clip(light, DIMMEST, BRIGHTEST), 1.0)
+        other = known * pixels.room * gain + (1 - known) * other
+        sure_not = sure_not | (pixels.known > 0.5)
+    variance = settings.noise**2
+    closer = jnp.sum((pixels.colour - other) ** 2 - (pixels.colour - person) ** 2, 1)
+    differ = jnp.sum((person - other) ** 2, 1)
+    near = jnp.exp(-((phi / settings.depth) ** 2))
+    trust = jnp.where(sure & sure_not, near * differ / (differ + settings.contrast * variance), 0.0)
+    clipped = jnp.clip(closer / (2 * variance), -settings.most, settings.most)
+    return trust * clipped + (1 - trust) * ratio
+
+
+def _places(phi: Array, depth: Array | float) -> Array:
+    """Cells (V, S * S), numbered row by row, where, down the nearest way, Φ is ``depth``."""
+    wide = jnp.pad(phi, ((0, 0), (1, 1), (1, 1)), mode="edge")
+    x, y = wide[:, 1:-1, 2:] - wide[:, 1:-1, :-2], wide[:, 2:, 1:-1] - wide[:, :-2, 1:-1]
+    far = (depth - phi) * jax.lax.rsqrt(x * x + y * y + FLAT)
+    size = phi.shape[-1]
+    row, column = jnp.meshgrid(jnp.arange(size), jnp.arange(size), indexing="ij")
+    rows, columns = (
+        jnp.clip(at + jnp.rint(far * way).astype(jnp.int32), 0, size - 1)
+        for at, way in ((row, y), (column, x))
+    )
+    return (rows * size + columns).reshape(len(phi), -1)
+
+
+def _packed(colour: Array, ratio: Array) -> Array:
+    """Colours (V, 3, S, S) and whether the ratio is positive in one number for one look-up."""
+    levels = jnp.rint(colour).astype(jnp.int32)
+    return (
+        levels[:, 0] | levels[:, 1] << 8 | levels[:, 2] << 16 | (ratio > 0).astype(jnp.int32) << 24
+    )
+
+
+def _unpacked(packed: Array) -> tuple[Array, Array]:
+    """The same as colours and flags again."""
+    levels = jnp.stack([packed & 255, packed >> 8 & 255, packed >> 16 & 255], 1)
+    return levels.astype(jnp.float32), packed >> 24 > 0
+
+
+def _taken(values: Array, places: Array) -> Array:
+    """Values (V, S, S) at other places."""
+    flat = values.reshape(len(values), -1)
+    return jax.vmap(lambda a, at: a[at])(flat, places).reshape(values.shape)
+
+
+def _averaged(colour: Array) -> Array:
+    """Means (V, 3, S, S) of three by three cells."""
+    wide = jnp.pad(colour, ((0, 0), (0, 0), (1, 1), (1, 1)), mode="edge")
+    rows = wide[:, :, :-2] + wide[:, :, 1:-1] + wide[:, :, 2:]
+    return (rows[..., :-2] + rows[..., 1:-1] + rows[..., 2:]) / 9
