@@ -9,7 +9,7 @@ from test_rim import BODY, CAMERAS, FORWARD, SETTINGS, bent, filled, finder  # n
 from jaxmocap.body.pose import difference, retract
 from jaxmocap.body.skeleton import ROOT_DOF
 from jaxmocap.images.regions import Region
-from jaxmocap.silhouette.correspond import MatchSettings, contour_of, matched, pairs_of
+from jaxmocap.silhouette.correspond import Contour, MatchSettings, contour_of, matched, pairs_of
 from jaxmocap.silhouette.pose import PoseSettings, Prior, solve_pose
 
 cv2 = pytest.importorskip("cv2")
@@ -27,6 +27,11 @@ def level_set(finder, pose, camera: int, region: Region) -> np.ndarray:  # noqa:
     return cv2.resize(signed.astype(np.float32), size, interpolation=cv2.INTER_AREA)
 
 
+def contours(phi: np.ndarray, region: Region) -> list[Contour]:
+    origins, scales = np.asarray(region.origin), np.asarray(region.scale)
+    return [contour_of(*each) for each in zip(phi, origins, scales, strict=True)]
+
+
 def test_a_discs_contour_is_found_to_a_tenth_of_a_cell():
     y, x = np.mgrid[:64, :64]
     for middle, radius in (((30.3, 33.8), 20.0), ((31.0, 31.0), 12.4)):
@@ -42,10 +47,10 @@ def test_a_discs_contour_is_found_to_a_tenth_of_a_cell():
 def test_nothing_seen_matches_nothing(finder):  # noqa: F811
     rim = finder.find(BODY, bent(), CAMERAS)
     phi = np.full((4, SETTINGS.size, SETTINGS.size), -5.0, np.float32)
-    none = matched(rim, phi, rim.region, SETTINGS_OF_PAIRS)
+    none = matched(rim, contours(phi, rim.region), SETTINGS_OF_PAIRS)
     assert not none.real.any()
     phi[0, 20:100, 50:70] = 5.0
-    some = matched(rim, phi, rim.region, SETTINGS_OF_PAIRS)
+    some = matched(rim, contours(phi, rim.region), SETTINGS_OF_PAIRS)
     assert some.nodes.shape == none.nodes.shape
     assert some.real[0].any() and not some.real[1:].any()
 
@@ -55,7 +60,7 @@ def test_pairs_face_the_same_way_and_are_near(finder):  # noqa: F811
     start = retract(truth, jnp.full(BODY.costs.shape, 0.02))
     rim = finder.find(BODY, start, CAMERAS)
     phi = np.stack([level_set(finder, truth, c, rim.region) for c in range(4)])
-    pairs = matched(rim, phi, rim.region, SETTINGS_OF_PAIRS)
+    pairs = matched(rim, contours(phi, rim.region), SETTINGS_OF_PAIRS)
     assert pairs.real.mean() > 0.7
     assert pairs.distances[pairs.real].max() < 40 * rim.region.scale.max()
     assert np.median(pairs.distances[pairs.real]) < 15
@@ -74,8 +79,9 @@ def test_a_pose_is_found_from_four_silhouettes(finder, degrees):  # noqa: F811
     prior = Prior(start, jnp.full(BODY.costs.shape, 0.5))
     region = finder.find(BODY, start, CAMERAS).region
     phi = np.stack([level_set(finder, truth, c, region) for c in range(4)])
+    outlines = contours(phi, region)
     for _ in range(10):
-        found = matched(finder.find(BODY, pose, CAMERAS), phi, region, SETTINGS_OF_PAIRS)
+        found = matched(finder.find(BODY, pose, CAMERAS), outlines, SETTINGS_OF_PAIRS)
         weights = jnp.asarray(found.real, jnp.float32)
         rays = PAIRS(CAMERAS, finder.points(found.nodes), found.pixels_xy, found.normals, weights,
                      SETTINGS_OF_PAIRS.grip)  # fmt: skip

@@ -1,6 +1,6 @@
 """Correspondences: the seen contour's pixels and the points of the surface's rim (3.1.4, 3.2).
 
-INPUTS: level sets of C cameras on canvases, the rims at the present pose.
+INPUTS: contours of C cameras, for example of level sets; the rims at the present pose.
 OUTPUTS: pairs of body points and rays, for ``solve_pose``.
 
 A rim point goes with the nearest pixel of the contour, and a pixel of the contour with the nearest
@@ -8,6 +8,7 @@ rim point: one way alone, what sticks out of the other would go unmatched. Near 
 and in direction: the two sides of an arm are close to each other and face apart.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -19,7 +20,6 @@ from scipy.spatial import KDTree
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.plucker import Lines
 from jaxmocap.images.index_image import thinned, traced
-from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.points import BodyPoints, PointRays, contour_rays
 from jaxmocap.silhouette.rim import Rim
 
@@ -29,7 +29,7 @@ class MatchSettings(NamedTuple):
 
     Attributes:
         pixels: kept of each camera's contour, evenly along it; static.
-        turn: cells that a difference of normals by one radian, nearly, is worth.
+        turn: cells of the rim's canvas that a difference of normals by one radian, nearly, is worth.
         facing: least cosine between the normals of a pair.
         farthest: cells between the two of a pair, at most.
         grip: how firmly a pair holds along the contour, by how it holds across.
@@ -90,16 +90,15 @@ def contour_of(phi: np.ndarray, origin: np.ndarray, scale: float) -> Contour:
     return Contour(origin + (places + 0.5) * scale, normals)
 
 
-def matched(rim: Rim, phi: np.ndarray, region: Region, settings: MatchSettings) -> Matches:
-    """Pairs of the rims' outer points and the contours of level sets (C, S, S) on ``region``."""
+def matched(rim: Rim, seen: Sequence[Contour], settings: MatchSettings) -> Matches:
+    """Pairs of the rims' outer points and the contours of C cameras, however those were found."""
     rows = []
-    for camera, level in enumerate(phi):
-        scale = float(region.scale[camera])
-        seen = contour_of(level, np.asarray(region.origin[camera]), scale)
+    for camera, contour in enumerate(seen):
         # What no mask shows has no pair.
         outline = ~rim.inner[camera]
         nodes, pixels, normals, real = (part[camera][outline] for part in rim[:3] + rim[4:5])
-        rows.append(_matched(nodes, pixels, normals, real, seen, scale, settings))
+        scale = float(rim.region.scale[camera])
+        rows.append(_matched(nodes, pixels, normals, real, contour, scale, settings))
     return Matches(*(np.stack(parts) for parts in zip(*rows, strict=True)))
 
 
