@@ -29,7 +29,7 @@ class MatchSettings(NamedTuple):
 
     Attributes:
         pixels: kept of each camera's contour, evenly along it; static.
-        turn: cells of the rim's canvas that a difference of normals by one radian, nearly, is worth.
+        turn: cells of the rim's canvas that a radian between normals is worth, nearly.
         facing: least cosine between the normals of a pair.
         farthest: cells between the two of a pair, at most.
         grip: how firmly a pair holds along the contour, by how it holds across.
