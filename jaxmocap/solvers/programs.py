@@ -107,7 +107,7 @@ class Program:
     def __call__(self, *arguments: Any) -> Any:
         """The function's result."""
         arguments = (*self._first, *arguments)
-        if _is_traced(arguments):
+        if _folder is None or _is_traced(arguments):
             return self.jitted(*arguments)
         return self._chosen()(*arguments)
 
