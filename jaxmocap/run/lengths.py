@@ -13,7 +13,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmocap.body.proportions import scaled
+from jaxmocap.body.proportions import LENGTHS, scaled
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.subject import scale_to_height
 from jaxmocap.body.wrists import with_wrists
@@ -65,7 +65,9 @@ def scale_by_recording(
     recording = _of_person(load_recording(path), height, mass)
     fit = fit_recording(recording, progress)
     stated = recording.skeleton
-    person = scaled(stated, jnp.asarray(fit.logarithms, stated.lengths.dtype))
+    # The girths found are those of clothes and headset, which the file is not to keep.
+    lengths = fit.logarithms[: len(LENGTHS)]
+    person = scaled(stated, jnp.asarray(lengths, stated.lengths.dtype))
     tall = stature(stated) if height is None else height
     report = LengthsReport.of(stated, person, tall, fit, Path(out))
     write_subject(out, person, tall, report.lines())

@@ -15,7 +15,7 @@ from jaxmocap.hybrid.lengths import LengthsFit
 
 # A length is determined where the recording leaves less than the first share of the deviation that
 # it had among people of the stated body, partly where it leaves less than the second.
-DETERMINED, PARTLY = 0.5, 0.8
+DETERMINED, PARTLY = 0.5, 0.7
 VERDICTS = YES, HALF, NO = (
     "determined", "partly determined", "not determined by this recording",
 )  # fmt: skip
@@ -76,7 +76,7 @@ class LengthsReport:
         skeleton: of the person.
         height: as stated, metres.
         lengths: in the order of ``LENGTHS``.
-        girths: name -> factor.
+        girths: name -> factor, clothes included; not in the file.
         correlation: (L, L) between the lengths' errors.
         path: of the body's file.
     """
