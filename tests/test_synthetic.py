@@ -24,6 +24,7 @@ from jaxmocap.synthetic.mesh_person import mesh_person
 from jaxmocap.synthetic.person import MARKERS, dressed
 from jaxmocap.synthetic.renderer import Scene, render_frames
 from jaxmocap.synthetic.splines import Spline
+from jaxmocap.synthetic.stretching import UPRIGHT, stretching
 
 RECORDINGS = Path(__file__).parents[2] / "shared" / "recordings"
 
@@ -147,6 +148,27 @@ def test_the_squat_goes_down_by_thirty_centimetres_and_stays_over_the_feet():
         x = float(centre_of_gravity(skeleton, frames)[0])
         # Heels reach some 5 cm behind the ankles.
         assert points["ankle_r"][i, 0] - 0.05 < x < points["toe_l"][i, 0]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_stretching_bends_the_elbows_all_the_way_by_somebody_of_unusual_arms(seed):
+    performance, usual = stretching(SECONDS, seed), Skeleton.human(1.75)
+    points = performance.landmarks(TIMES)
+    upper = points["elbow_l"] - points["shoulder_l"]
+    fore = points["wrist_l"] - points["elbow_l"]
+    lengths = [np.linalg.norm(part, axis=-1) for part in (upper, fore)]
+    bend = np.degrees(np.arccos(np.sum(upper * fore, -1) / np.prod(lengths, 0)))
+    assert bend.min() < 35 and bend.max() > 110
+    rises = points["wrist_l"][:, 2] - points["shoulder_l"][:, 2]
+    assert rises.min() < -0.4 and rises.max() > -0.15
+    person, bones = performance.figure.skeleton, usual.tree.bones
+    ratio = np.asarray(person.lengths) / np.asarray(usual.lengths)
+    assert abs(ratio[bones.index("humerus_l")] - 1) > 1e-4
+    np.testing.assert_array_equal(ratio[bones.index("radius_l")], ratio[bones.index("radius_r")])
+    for body in (person, usual):
+        upright = [bone.startswith(UPRIGHT) for bone in bones]
+        tall = float(np.asarray(body.lengths)[upright].sum())
+        assert tall == pytest.approx(float(np.asarray(usual.lengths)[upright].sum()), rel=1e-5)
 
 
 def test_an_unknown_stroke_is_refused_with_the_valid_ones():

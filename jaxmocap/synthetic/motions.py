@@ -192,7 +192,7 @@ def table_tennis(
             keys.append((now + pace * after, _lifted(_varied(posture, rng), rng, first + number)))
         now = keys[-1][0] + RECOVERY_S
         keys.append((now, _eased(READY, rng)))
-    return Performance(figure, _through(keys), np.array(starts))
+    return Performance(figure, through(keys), np.array(starts))
 
 
 def squat(seconds: float = 5.0, seed: int = 0, height: float = 1.75) -> Performance:
@@ -212,7 +212,7 @@ def squat(seconds: float = 5.0, seed: int = 0, height: float = 1.75) -> Performa
     shares = (0.0, 0.12, 0.42, 0.56, 0.88, 1.0)
     postures = (upright, upright, down, replace(down, swivel_l=54), upright, upright)
     keys = [(share * seconds, posture) for share, posture in zip(shares, postures, strict=True)]
-    return Performance(person(height, rng), _through(keys), np.array([shares[1] * seconds]))
+    return Performance(person(height, rng), through(keys), np.array([shares[1] * seconds]))
 
 
 def reaching(seconds: float = 6.0, seed: int = 0, height: float = 1.75) -> Performance:
@@ -233,7 +233,7 @@ def reaching(seconds: float = 6.0, seed: int = 0, height: float = 1.75) -> Perfo
         keys += [(now + 0.8, posture), (now + 1.1, posture)]
         starts.append(now)
         now += 1.1
-    return Performance(figure, _through(keys), np.array(starts))
+    return Performance(figure, through(keys), np.array(starts))
 
 
 def thrust(
@@ -262,7 +262,7 @@ def thrust(
         keys += [(now + 0.30, struck), (now + 0.40, struck), (now + 0.75, _eased(guard, rng))]
         starts.append(now)
         now += 0.85
-    return Performance(figure, _through(keys), np.array(starts))
+    return Performance(figure, through(keys), np.array(starts))
 
 
 def _aimed(posture: Posture, azimuth: float, left: float, right: float) -> Posture:
@@ -304,8 +304,8 @@ def _varied(posture: Posture, rng: np.random.Generator) -> Posture:
     return replace(posture, twist=posture.twist + rng.uniform(-4, 4), **around)
 
 
-def _through(keys: list[tuple[float, Posture]]) -> Spline:
-    """The spline through key postures."""
+def through(keys: list[tuple[float, Posture]]) -> Spline:
+    """The spline through key postures at times in seconds."""
     return Spline.through(
         np.array([time for time, _ in keys]), np.stack([key.channels() for _, key in keys])
     )
