@@ -79,7 +79,7 @@ class Passed:
         report = Report(
             markers=plan.recording.marker_names,
             marker_errors=column(judged.distances),
-            arm_costs=column(self.reports.arm_costs),
+            arm_costs=column(np.asarray(self.reports.arm_costs)),
             swivels=column(judged.swivels),
             confidence=column(judged.confidence),
             landmarks_std=column(judged.deviations),

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxmocap.hybrid.observe import Observer
+from jaxmocap.hybrid.observe import Observation, Observer
 from jaxmocap.hybrid.settling import settled_at_once
 from jaxmocap.hybrid.steps import Solved, State
 from jaxmocap.hybrid.tracker import HybridTracker
@@ -163,7 +163,7 @@ def _look(
     if regions is None or not readers:
         return Looked(None, [[] for _ in events], 0)
     host, said = jax.tree.map(np.asarray, regions), []
-    found = [None] * EVENTS
+    found: list[Observation | None] = [None] * EVENTS
     for row, event in enumerate(events):
         began = perf_counter()
         frames = plan.timeline.frame_index[event]
