@@ -12,6 +12,7 @@ from jaxmocap import __version__
 from jaxmocap.cli import commands
 from jaxmocap.formats.errors import InputError
 from jaxmocap.run import arguments as run_arguments
+from jaxmocap.run import silhouette_arguments
 from jaxmocap.setup import arguments as setup_arguments
 from jaxmocap.setup.arguments import with_signs
 
@@ -103,7 +104,19 @@ CALIBRATE = "calibrate a camera by a chessboard", (
         "--pose 0.5,1.2,0,0,0,90 --camera cam_01 --out calibration.toml --pictures checked",
     ),
 )  # fmt: skip
-GROUPS = {"calibrate": CALIBRATE}
+SILHOUETTE = "track a person without markers, by silhouettes", (
+    Command(
+        "track", "track a recording of one to four cameras", commands.silhouette_track,
+        silhouette_arguments.add_silhouette_track,
+        "jaxmocap silhouette track recording.toml --out tracked --at 0,0,90",
+    ),
+    Command(
+        "demo", "make a synthetic recording by four cameras and track it",
+        commands.silhouette_demo, silhouette_arguments.add_silhouette_demo,
+        "jaxmocap silhouette demo --out jaxmocap-silhouettes",
+    ),
+)  # fmt: skip
+GROUPS = {"calibrate": CALIBRATE, "silhouette": SILHOUETTE}
 
 
 class Parser(argparse.ArgumentParser):

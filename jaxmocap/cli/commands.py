@@ -179,6 +179,40 @@ def calibrate_extrinsics(options: argparse.Namespace) -> None:
     _report(options, text(found), figures(found))
 
 
+def silhouette_track(options: argparse.Namespace) -> None:
+    """Track a recording without markers and write everything."""
+    from jaxmocap.formats.recording import load_recording
+    from jaxmocap.run import choosing
+    from jaxmocap.run.compilation import keep_compiled
+    from jaxmocap.run.silhouette import follow
+    from jaxmocap.run.silhouette_start import start_pose
+    from jaxmocap.run.silhouette_writing import write_followed
+    from jaxmocap.run.summary import figures, summary
+    from jaxmocap.run.writing import check_folder
+
+    keep_compiled()
+    recording = load_recording(options.recording)
+    if options.cameras:
+        recording = choosing.select_cameras(recording, options.cameras)
+    check_folder(options.out)
+    start = start_pose(recording, options.at)
+    followed = follow(recording, start, passes=options.passes, progress=True)
+    files = write_followed(followed, recording, options.out, progress=True)
+    _report(options, summary(followed.motion, files), figures(followed.motion))
+
+
+def silhouette_demo(options: argparse.Namespace) -> None:
+    """Make a synthetic recording by four cameras, track it and compare it with the truth."""
+    from jaxmocap.run.compilation import keep_compiled
+    from jaxmocap.run.silhouette_demo import demonstrate
+
+    keep_compiled()
+    chosen = options.seconds, options.seed, options.person, options.exercise
+    shown = demonstrate(options.out, *chosen, progress=True)
+    files = "\n".join(f"written  {path}" for path in shown.files)
+    _report(options, f"{shown.text()}\n\n{files}", shown.as_dict())
+
+
 def view(options: argparse.Namespace) -> None:
     """Open the viewer, or serve it until Ctrl-C."""
     from jaxmocap.run.viewing import open_viewer, recording_in, serve_page

@@ -54,7 +54,8 @@ def _figures(report: Report) -> list[tuple[str, str]]:
         else:
             rows.append((stage, f"{np.median(times):.2f} ms (median of {len(times)})"))
     errors = [f"{name} {_centimetres(column)}" for name, column in _columns(report)]
-    rows.append(("off the markers", f"{', '.join(errors)} (95 %)"))
+    if errors:
+        rows.append(("off the markers", f"{', '.join(errors)} (95 %)"))
     # Frames need not fall on a sample to have been looked at.
     if "observe" in report.milliseconds:
         means = [f"{np.nanmean(column):.2f}" for column in report.confidence.T]

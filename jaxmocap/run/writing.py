@@ -80,7 +80,7 @@ def write_outputs(
     folder = make_folder(directory)
     videos, warnings = open_footage(recording)
     recording = as_found(recording, motion)
-    files = _write_motion(motion, folder)
+    files = write_motion(motion, folder)
     files.append(folder / "report.json")
     extra = {"recording": recording.path or recording.name, "warnings": warnings}
     write_report(files[-1], motion, extra)
@@ -88,7 +88,7 @@ def write_outputs(
     with progress_bar("drawing", progress) as show:
         total = sum(len(video) + viewed(video) for video in videos)
         counter = Counter(show, total)
-        files += _write_overlays(motion, recording, videos, folder, targets, counter)
+        files += write_overlays(motion, recording, videos, folder, targets, counter)
         files.append(folder / "recording.rrd")
         footage = {
             source.camera_name: Footage(
@@ -102,7 +102,7 @@ def write_outputs(
     return files
 
 
-def _write_motion(motion: Motion, folder: Path) -> list[Path]:
+def write_motion(motion: Motion, folder: Path) -> list[Path]:
     """The motion in every format that others read."""
     names = ("joints.trc", "angles.mot", "angles_isb.mot", "motion.npz", "motion.bvh", "motion.glb")
     files = [folder / name for name in names]
@@ -129,7 +129,7 @@ def as_found(recording: Recording, motion: Motion) -> Recording:
     return replace(recording, videos=tuple(map(found, recording.videos)))
 
 
-def _write_overlays(
+def write_overlays(
     motion: Motion,
     recording: Recording,
     videos: list[FrameSource],

@@ -21,7 +21,7 @@ stands upright with y up and its print towards the world's -y has 90,0,0. --poin
 file of columns x,y,z,u,v (or name,x,y,z,u,v): metres in the world, pixels in the picture; at least
 four on a plane, better six or more that are not."""
 # Options whose value may begin with a minus, which is no option then.
-SIGNED = ("--pose", "--origin")
+SIGNED = ("--pose", "--origin", "--at")
 
 TURNING = """\
 For every marker that says how it is turned: where it sits seen from its bone's joint, in its own

@@ -1,0 +1,49 @@
+"""What a camera shows of a room, learned while a person is followed through it.
+
+INPUTS: frames, and for each where the person is, as level sets on canvases. OUTPUTS: a Background.
+"""
+
+import cv2
+import numpy as np
+
+from jaxmocap.images.background import MOST_FRAMES, Background, learn_background
+from jaxmocap.images.canvases import full_mask
+from jaxmocap.images.foreground import shrink
+from jaxmocap.images.regions import Region
+
+# Rows at which a room is learned, and cells about the person that count as the person.
+ROWS, AROUND = 720, 4.0
+
+
+class RoomLearner:
+    """Collects some frames of one camera and where the person was in them.
+
+    Attributes:
+        every: of so many frames one is kept.
+    """
+
+    def __init__(self, frames: int):
+        """Prepare for a recording of so many frames."""
+        self.every = max(1, -(-frames // MOST_FRAMES))
+        self._told, self._frames, self._bodies = 0, [], []
+        self._size = (0, 0)
+
+    def tell(self, image: np.ndarray, phi: np.ndarray, region: Region) -> None:
+        """Look at a frame (H, W, 3) uint8 in which the person is where Φ (S, S) is positive."""
+        self._told += 1
+        if (self._told - 1) % self.every:
+            return
+        self._size = image.shape[1], image.shape[0]
+        body = full_mask(phi + AROUND, region, image.shape[:2])
+        small = shrink(image, ROWS)
+        self._frames.append(small)
+        self._bodies.append(shrink(body.astype(np.uint8), ROWS) > 0)
+
+    def learned(self) -> Background | None:
+        """The room, as large as the frames; None without any frame."""
+        if not self._frames:
+            return None
+        small = learn_background(np.stack(self._frames), np.stack(self._bodies))
+        return Background(
+            *(cv2.resize(part, self._size) for part in (small.colour, small.noise, small.known))
+        )

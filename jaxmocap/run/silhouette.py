@@ -1,0 +1,231 @@
+"""A recording to a motion by silhouettes: no markers, one to four cameras.
+
+A first pass learns the rooms, frame by frame, where the person is not; the second knows them.
+
+INPUTS: a Recording, where the person is at first. OUTPUTS: a Motion, and the level sets.
+"""
+
+from collections.abc import Callable, Sequence
+from time import perf_counter
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jaxmocap.body.motion import Motion, Report
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton, with_joints
+from jaxmocap.capture.timeline import bundle_frames
+from jaxmocap.capture.video import FrameSource, check_size, open_video
+from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.recording import Recording
+from jaxmocap.hybrid.search import confidence_of
+from jaxmocap.images.regions import Region
+from jaxmocap.images.rooms import RoomLearner
+from jaxmocap.outputs.report import plain
+from jaxmocap.run.reading import reading
+from jaxmocap.run.timing import Progress, progress_bar
+from jaxmocap.silhouette.settings import Settings
+from jaxmocap.silhouette.steps import landmark_slopes
+from jaxmocap.silhouette.tracker import SilhouetteTracker, State, StepReport
+
+MODEL = "whole.toml"
+
+
+class Masks(NamedTuple):
+    """Level sets of one camera over F frames.
+
+    Attributes:
+        times: (F,) seconds.
+        phi: (F, S, S) int8, positive within the person.
+        origins: (F, 2) of the canvases' regions.
+        scales: (F,) of them.
+    """
+
+    times: np.ndarray
+    phi: np.ndarray
+    origins: np.ndarray
+    scales: np.ndarray
+
+
+class Followed(NamedTuple):
+    """What silhouettes tell.
+
+    Attributes:
+        motion: with a report.
+        masks: camera -> what was segmented.
+    """
+
+    motion: Motion
+    masks: dict[str, Masks]
+
+
+class _Frames(NamedTuple):
+    """F instants: their times and the frames (F, C) of the cameras' videos, -1 for none."""
+
+    videos: list[FrameSource]
+    times: np.ndarray
+    indices: np.ndarray
+
+
+def whole_body(skeleton: Skeleton) -> Skeleton:
+    """The person, moved by the joints of the second paper's whole body."""
+    return with_joints(skeleton, MODEL)
+
+
+def make_tracker(recording: Recording, settings: Settings | None = None) -> SilhouetteTracker:
+    """The tracker of a recording's person by its cameras.
+
+    Raises:
+        InputError: it has no video.
+    """
+    if not recording.videos:
+        raise InputError(recording.path or recording.name, "no [[video]]: expected one or several")
+    cameras = [source.camera for source in recording.videos]
+    return SilhouetteTracker(whole_body(recording.skeleton), cameras, settings)
+
+
+def follow(
+    recording: Recording,
+    start: Pose,
+    settings: Settings | None = None,
+    *,
+    passes: int = 2,
+    progress: Progress | bool | None = None,
+) -> Followed:
+    """Track the person in a recording's videos.
+
+    Args:
+        recording: with one or several videos; markers are not looked at.
+        start: where the person is in the first frames, a pose of ``whole_body``.
+        settings: of the tracker.
+        passes: 2 learns the rooms first; 1 knows nothing of them.
+        progress: called with the frames done and their total; True shows a bar on stderr.
+
+    Returns:
+        One pose per instant of the videos, and the level sets.
+    """
+    tracker = make_tracker(recording, settings)
+    frames, warnings = _open(recording)
+    run = _Pass(tracker, frames, learn=passes > 1)
+    with progress_bar("tracking", progress) as show:
+        for number in range(passes):
+            if number:
+                tracker.rooms = [learner.learned() for learner in run.learners]
+                run = _Pass(tracker, frames, learn=number + 1 < passes)
+            run.through(start, _shifted(show, number * run.count, passes * run.count))
+    names = [source.camera_name for source in recording.videos]
+    told = {
+        "recording": recording.path or recording.name,
+        "cameras": names,
+        "warnings": warnings,
+        "tracker": tracker.settings,
+    }
+    motion = Motion(tracker.skeleton, frames.times, run.poses(), run.report(names, plain(told)))
+    return Followed(motion, run.masks(names))
+
+
+def _open(recording: Recording) -> tuple[_Frames, tuple[str, ...]]:
+    """The videos and which of their frames belong together."""
+    videos, warnings = [open_video(source) for source in recording.videos], list(recording.warnings)
+    for video, source in zip(videos, recording.videos, strict=True):
+        warning = check_size(video, source.camera, video.name)
+        warnings += [warning] if warning else []
+    times, indices = bundle_frames([video.times for video in videos])
+    return _Frames(videos, times, indices), tuple(warnings)
+
+
+def _shifted(show: Progress, before: int, total: int) -> Callable[[int], None]:
+    """What to call with the frames of a pass done."""
+    return lambda done: show(before + done, total)
+
+
+class _Pass:
+    """One pass over all frames."""
+
+    def __init__(self, tracker: SilhouetteTracker, frames: _Frames, learn: bool):
+        self.tracker, self.frames, self.count = tracker, frames, len(frames.times)
+        count = self.count
+        self.learners = [RoomLearner(count) for _ in frames.videos] if learn else []
+        self.milliseconds: dict[str, list[float]] = {}
+        self._poses: list[Pose] = []
+        self._reports: list[StepReport] = []
+        self._phi: list[np.ndarray] = []
+
+    def through(self, start: Pose, show: Callable[[int], None]) -> None:
+        """All frames, from a pose; the first is looked at until the pose rests."""
+        state = self.tracker.init(start)
+        with reading(self.frames.videos, colour=True) as readers:
+            for i, (time, row) in enumerate(
+                zip(self.frames.times, self.frames.indices, strict=True)
+            ):
+                images = [reader.at(int(k)) for reader, k in zip(readers, row, strict=True)]
+                if not i:
+                    state = self._settled(state, float(time), images)
+                began = perf_counter()
+                state, pose, report = self.tracker.step(state, float(time), images)
+                self.milliseconds.setdefault("frame", []).append(1e3 * (perf_counter() - began))
+                self._keep(pose, report, images)
+                show(i + 1)
+
+    def _settled(self, state: State, time: float, images: Sequence[np.ndarray | None]) -> State:
+        for _ in range(self.tracker.settings.settling):
+            state = self.tracker.step(state, time, images)[0]._replace(time=None)
+        return state
+
+    def _keep(self, pose: Pose, report: StepReport, images: Sequence[np.ndarray | None]) -> None:
+        self._poses.append(jax.tree.map(np.asarray, pose))
+        phi, region = np.asarray(report.outlines.segmented.phi), report.outlines.region
+        for camera, learner in enumerate(self.learners):
+            image = images[camera]
+            if image is not None and report.used[camera]:
+                learner.tell(image, phi[camera], Region(*(part[camera] for part in region)))
+        self._phi.append(np.clip(np.round(8 * phi), -127, 127).astype(np.int8))
+        # What is large is kept once.
+        outlines = report.outlines._replace(segmented=None, contours=())  # type: ignore[arg-type]
+        self._reports.append(report._replace(outlines=outlines))
+
+    def poses(self) -> Pose:
+        """(T, ...) as they were found."""
+        return jax.tree.map(lambda *parts: np.stack(parts), *self._poses)
+
+    def masks(self, names: Sequence[str]) -> dict[str, Masks]:
+        """Camera -> level sets."""
+        origins, scales = (
+            np.stack([report.outlines.region[k] for report in self._reports]) for k in (0, 1)
+        )
+        phi = np.stack(self._phi)
+        return {
+            name: Masks(self.frames.times, phi[:, c], origins[:, c], scales[:, c])
+            for c, name in enumerate(names)
+        }
+
+    def report(self, names: Sequence[str], settings: dict) -> Report:
+        """How far to trust each frame."""
+        count, none = self.count, np.full((self.count, 2), np.nan)
+        deviations = np.stack([self._landmarks_std(i) for i in range(count)])
+        spread = np.sqrt(np.sum(deviations[:, ELBOWS] ** 2, -1))
+        confidence = np.asarray(confidence_of(spread))
+        unsaid = np.full((count, len(LANDMARKS)), np.nan)
+        statuses = tuple(self._said(report, names) for report in self._reports)
+        return Report(
+            (), np.zeros((count, 0)), none, none, confidence, deviations, unsaid, statuses,
+            {stage: np.array(spent) for stage, spent in self.milliseconds.items()}, settings,
+        )  # fmt: skip
+
+    def _landmarks_std(self, frame: int) -> np.ndarray:
+        """(L, 3) metres, by the covariance of what the rays and the prediction tell."""
+        report, expected = self._reports[frame], self.tracker.settings.expected
+        H = np.asarray(report.information, float)
+        covariance = np.linalg.inv((H + H.T) / 2 + np.eye(len(H)) / expected**2)
+        J = np.asarray(landmark_slopes(self.tracker.skeleton, self._poses[frame]), float)
+        return np.sqrt(np.einsum("lai,ij,laj->la", J, covariance, J))
+
+    def _said(self, report: StepReport, names: Sequence[str]) -> tuple[str, ...]:
+        """What a user should know of a frame."""
+        left_out = (f"{name}: left out" for name, used in zip(names, report.used, strict=True)
+                    if not used)  # fmt: skip
+        joints = self.tracker.skeleton.tree.joints
+        unseen = [joint for joint, seen in zip(joints, report.seen[6:], strict=True) if not seen]
+        held = [f"held, not seen: {joint}" for joint in unseen]
+        return (*left_out, *held)

@@ -1,0 +1,63 @@
+"""What the commands of ``silhouette`` take on the command line.
+
+INPUTS: a command's parser. OUTPUTS: the parser with its options.
+"""
+
+import argparse
+
+from jaxmocap.setup.arguments import positive
+
+EXERCISES = ("push_ups", "sit_ups", "arm_raises", "turn", "walking", "jumping", "scissors")
+
+
+def add_silhouette_track(parser: argparse.ArgumentParser) -> None:
+    """Options of ``silhouette track``."""
+    parser.add_argument("recording", metavar="RECORDING.toml")
+    parser.add_argument("--out", metavar="DIR", required=True, help="where to write")
+    parser.add_argument(
+        "--cameras", metavar="A,B", type=_names, help="use these of the recording's cameras"
+    )
+    parser.add_argument(
+        "--at",
+        metavar="X,Y,FACING",
+        type=_place,
+        help="where the person stands upright at first, metres, and faces, degrees from x towards "
+        "y; default: as the recording's markers say",
+    )
+    parser.add_argument(
+        "--once",
+        dest="passes",
+        action="store_const",
+        const=1,
+        default=2,
+        help="one pass, without knowing the rooms; default: a first pass learns them",
+    )
+
+
+def add_silhouette_demo(parser: argparse.ArgumentParser) -> None:
+    """Options of ``silhouette demo``."""
+    parser.add_argument(
+        "--out", metavar="DIR", default="jaxmocap-silhouettes", help="default: %(default)s"
+    )
+    parser.add_argument("--seconds", type=positive, default=2.0, help="default: %(default)s")
+    parser.add_argument("--seed", type=int, default=0, help="of the rooms, the movement and noise")
+    parser.add_argument(
+        "--person",
+        metavar="PERSON.npz",
+        help="a rigged mesh that moves; default: a simple person made here, who squats",
+    )
+    parser.add_argument(
+        "--exercise", choices=EXERCISES, default="arm_raises", help="of the mesh; %(default)s"
+    )
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",")]
+
+
+def _place(text: str) -> tuple[float, float, float]:
+    try:
+        x, y, facing = map(float, text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected X,Y,FACING") from None
+    return x, y, facing

@@ -1,0 +1,98 @@
+"""Everything that ``silhouette track`` writes: what ``track`` does, and what was segmented.
+
+INPUTS: what silhouettes told, the Recording, a folder.
+OUTPUTS: joints.trc, angles.mot and the motion's other files, report.json, recording.rrd, overlay
+videos; and segmentation.mp4, segmentation_NAME.mp4 of the other cameras.
+"""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from jaxmocap.capture.video import Frame, FrameSource, open_video
+from jaxmocap.formats.recording import Recording
+from jaxmocap.images.canvases import full_mask
+from jaxmocap.images.regions import Region
+from jaxmocap.outputs.overlay import write_overlay
+from jaxmocap.outputs.report import write_report
+from jaxmocap.outputs.viewer import Footage, write_rerun
+from jaxmocap.run.silhouette import Followed, Masks
+from jaxmocap.run.timing import Progress, progress_bar
+from jaxmocap.run.writing import (
+    Counter,
+    make_folder,
+    thinned,
+    viewed,
+    write_motion,
+    write_overlays,
+)
+
+# BGR, and how much of it lies over the person.
+TINT, COVER = np.array([60, 220, 60]), 0.45
+
+
+def write_followed(
+    followed: Followed,
+    recording: Recording,
+    directory: str | Path,
+    progress: Progress | bool | None = None,
+) -> list[Path]:
+    """Write all files.
+
+    Args:
+        followed: from the recording.
+        recording: with its videos.
+        directory: is made where missing.
+        progress: called with the frames drawn and their total; True shows a bar on stderr.
+
+    Returns:
+        The files, in the order in which they were written.
+    """
+    folder, motion = make_folder(directory), followed.motion
+    files = write_motion(motion, folder)
+    files.append(folder / "report.json")
+    write_report(files[-1], motion, {"recording": recording.path or recording.name})
+    videos = [open_video(source) for source in recording.videos]
+    with progress_bar("drawing", progress) as show:
+        counter = Counter(show, sum(2 * len(video) + viewed(video) for video in videos))
+        files += write_overlays(motion, recording, videos, folder, {}, counter)
+        files += _write_segmentations(followed, recording, videos, folder, counter)
+        files.append(folder / "recording.rrd")
+        footage = {
+            source.camera_name: Footage(source.camera, counter.over(thinned(video)))
+            for source, video in zip(recording.videos, videos, strict=True)
+        }
+        write_rerun(files[-1], motion, footage, {})
+    return files
+
+
+def _write_segmentations(
+    followed: Followed,
+    recording: Recording,
+    videos: list[FrameSource],
+    folder: Path,
+    counter: Counter,
+) -> list[Path]:
+    """The frames with the person tinted as segmented, and the body over them."""
+    files = []
+    for i, (source, video) in enumerate(zip(recording.videos, videos, strict=True)):
+        name = source.camera_name
+        files.append(folder / (f"segmentation_{name}.mp4" if i else "segmentation.mp4"))
+        frames = tinted(counter.over(video.frames()), followed.masks[name])
+        write_overlay(files[-1], frames, source.camera, followed.motion, rate=video.fps or 30.0)
+    return files
+
+
+def tinted(frames: Iterable[Frame], masks: Masks) -> Iterator[Frame]:
+    """The frames, the person's pixels in another colour; as they are where nothing was seen."""
+    for time, image in frames:
+        k = int(np.argmin(np.abs(masks.times - time)))
+        if image is None:
+            yield time, None
+            continue
+        region = Region(masks.origins[k], masks.scales[k])
+        mask = full_mask(masks.phi[k].astype(np.float32), region, image.shape[:2])
+        shown = image.copy()
+        shown[mask] = ((1 - COVER) * image[mask] + COVER * TINT).astype(np.uint8)
+        yield time, shown

@@ -1,0 +1,90 @@
+"""Looking: what C cameras show of the person, as contours, or that a camera shows nothing of use.
+
+INPUTS: images of C cameras, rims of the predicted pose. OUTPUTS: contours, and the level sets.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.images.background import Background
+from jaxmocap.images.canvases import Canvas, canvas, signed_distance, stacked
+from jaxmocap.images.regions import Region
+from jaxmocap.silhouette.contour import contours
+from jaxmocap.silhouette.correspond import Contour
+from jaxmocap.silhouette.rim import Rim
+from jaxmocap.silhouette.segment import Histograms, Plan, Segmented, segment
+from jaxmocap.silhouette.segment import Seen as Canvases
+from jaxmocap.silhouette.settings import Settings
+
+# Fewer points of a contour are none.
+FEWEST = 16
+
+
+class Outlines(NamedTuple):
+    """What C cameras show.
+
+    Attributes:
+        contours: one a camera; without points where it shows nothing.
+        segmented: level sets (C, S, S), on the canvases of ``region``.
+        region: the canvases' places.
+        valid: (C,) share of the contour's points that the image tells.
+    """
+
+    contours: tuple[Contour, ...]
+    segmented: Segmented
+    region: Region
+    valid: np.ndarray
+
+
+def look(
+    images: Sequence[np.ndarray | None],
+    rooms: Sequence[Background | None],
+    rim: Rim,
+    before: Histograms,
+    settings: Settings,
+    plan: Plan,
+) -> Outlines:
+    """Segment the images from the silhouettes that are predicted.
+
+    Args:
+        images: (H, W, 3) BGR uint8 of each camera, or None.
+        rooms: what is known of each camera's room, or None.
+        rim: at the predicted pose.
+        before: histograms of the frames before.
+        settings: of the tracker.
+        plan: static choices of the segmentation.
+    """
+    size, region = settings.rim.size, Region(*map(np.asarray, rim.region))
+    views = [Region(*each) for each in zip(*region, strict=True)]
+    taken = [_canvas(*each, size) for each in zip(images, views, rooms, strict=True)]
+    start = np.stack([silhouette_distance(mask) for mask in rim.masks])
+    seen = Canvases(*stacked(taken))
+    found = segment(seen, start, before, settings.level_set, plan)
+    points = contours(
+        found.phi, found.log_ratio, seen.inside, region, settings.points, settings.level_set.most
+    )
+    places, normals, _, contrast, valid = map(np.asarray, points)
+    told = valid & (contrast > settings.contrast)
+    lines = []
+    for camera, image in enumerate(images):
+        kept = told[camera] & (image is not None)
+        kept = kept & (kept.sum() >= FEWEST)
+        lines.append(Contour(places[camera][kept], normals[camera][kept]))
+    share = told.sum(1) / np.maximum(valid.sum(1), 1)
+    return Outlines(tuple(lines), found, region, share)
+
+
+def silhouette_distance(mask: np.ndarray) -> np.ndarray:
+    """Signed distance (S, S) of a mask on its own canvas, cells, positive within."""
+    whole = Region(np.full(2, -0.5, np.float32), np.array(1.0, np.float32))
+    return signed_distance(mask > 0, whole, len(mask))
+
+
+def _canvas(image: np.ndarray | None, region: Region, room: Background | None, size: int) -> Canvas:
+    if image is None:
+        nothing = np.zeros((size, size), np.float32)
+        black = np.zeros((size, size, 3), np.uint8)
+        return Canvas(black, nothing, black, nothing + 1, nothing)
+    return canvas(image, region, size, room)

@@ -1,0 +1,54 @@
+"""What a user may tune of the silhouette tracker.
+
+INPUTS: nothing. OUTPUTS: Settings, whose defaults were chosen on rendered exercises.
+"""
+
+from dataclasses import dataclass, field
+
+from jaxmocap.silhouette import segment
+from jaxmocap.silhouette.correspond import MatchSettings
+from jaxmocap.silhouette.rim import RimSettings
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to work.
+
+    Attributes:
+        rim: sizes; its canvases are the level sets' too, so that its margin holds a step's error.
+        match: what makes a pair of rim and contour.
+        level_set: of the segmentation, traced.
+        points: of each camera's contour, static.
+        contrast: least of a contour's point, 0 to 1: below, the image does not tell its two sides.
+        deviations: of points about their rays, metres, one cycle each. The first must be large: a
+            limb that moved fast is an outlier to the rest, and would be left behind.
+        looks: cycles that begin with a segmentation; the first does in any case.
+        iterations: of the pose in each cycle.
+        expected: deviation of every degree of freedom about its prediction, metres and radians.
+        held: the same of one that no camera has told of lately.
+        told: a degree of freedom is seen where its deviation is below this share of ``expected``.
+        damping: share of the velocity that the next frame is predicted with.
+        newest: weight of a frame's own velocity.
+        share: of a camera's rim and contour that must find each other.
+        apart: a camera whose pairs lie so many times as far apart as all is left out.
+        near: unless they are within this, metres.
+        settling: times that the first frame is looked at before tracking begins.
+    """
+
+    rim: RimSettings = field(default_factory=lambda: RimSettings(margin=0.1))
+    match: MatchSettings = field(default_factory=MatchSettings)
+    level_set: segment.Settings = field(default_factory=segment.Settings)
+    points: int = 512
+    contrast: float = 0.1
+    deviations: tuple[float, ...] = (0.04, 0.02, 0.008)
+    looks: tuple[int, ...] = (0,)
+    iterations: int = 3
+    expected: float = 0.25
+    held: float = 0.05
+    told: float = 0.5
+    damping: float = 0.8
+    newest: float = 0.7
+    share: float = 0.4
+    apart: float = 3.0
+    near: float = 0.03
+    settling: int = 4

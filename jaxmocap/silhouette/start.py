@@ -1,0 +1,109 @@
+"""The first pose: the one whose landmarks lie nearest to where some are known to be.
+
+INPUTS: a Skeleton, landmarks' positions in the world (metres), NaN where unknown.
+OUTPUTS: a Pose.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.kinematics import landmarks
+from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+
+# Deviations of a landmark and of a degree of freedom about the relaxed pose.
+NEAR_M, RELAXED = 0.02, 1.0
+STEPS = 40
+landmark_points = jax.jit(landmarks)
+
+
+def pose_at(skeleton: Skeleton, points_world: np.ndarray) -> Pose:
+    """The pose nearest to landmarks.
+
+    Args:
+        skeleton: of the person.
+        points_world: (L, 3) metres, in the order of ``LANDMARKS``; NaN where unknown. Both hips
+            or both shoulders must be known, they say where the person faces.
+
+    Raises:
+        ValueError: neither is.
+    """
+    points = np.asarray(points_world, float)
+    start = _placed(skeleton, points)
+    return _fitted(skeleton, start, jnp.asarray(points, skeleton.lengths.dtype))
+
+
+def standing_pose(skeleton: Skeleton, x: float, y: float, facing: float) -> Pose:
+    """A relaxed person standing on the floor at a place, metres, facing so, radians from +x."""
+    pose = relaxed_pose(skeleton)
+    lowest = np.asarray(landmark_points(skeleton, pose))[:, 2].min()
+    dtype = pose.position.dtype
+    turned = jnp.asarray([np.cos(facing / 2), 0.0, 0.0, np.sin(facing / 2)], dtype)
+    return pose._replace(position=jnp.asarray([x, y, -lowest], dtype), quaternion=turned)
+
+
+def _placed(skeleton: Skeleton, points: np.ndarray) -> Pose:
+    """The relaxed pose, upright as the trunk is, where and how the landmarks say."""
+    at = {name: points[i] for i, name in enumerate(LANDMARKS)}
+    for pair in ("hip", "shoulder"):
+        left = at[f"{pair}_l"] - at[f"{pair}_r"]
+        if np.isfinite(left).all():
+            break
+    else:
+        raise ValueError("neither both hips nor both shoulders are known: no facing")
+    hips = _middle(at, "hip")
+    trunk = _middle(at, "shoulder") - hips
+    up = trunk if np.isfinite(trunk).all() else np.array([0.0, 0.0, 1.0])
+    y = left / np.linalg.norm(left)
+    x = np.cross(y, up)
+    x /= max(np.linalg.norm(x), 1e-9)
+    R = np.stack([x, y, np.cross(x, y)], 1)
+    place = hips if np.isfinite(hips).all() else np.nanmean(points, 0)
+    dtype = skeleton.lengths.dtype
+    pose = relaxed_pose(skeleton)
+    return pose._replace(
+        position=jnp.asarray(place, dtype), quaternion=jnp.asarray(_quaternion(R), dtype)
+    )
+
+
+def _middle(at: dict[str, np.ndarray], pair: str) -> np.ndarray:
+    return (at[f"{pair}_l"] + at[f"{pair}_r"]) / 2
+
+
+def _quaternion(R: np.ndarray) -> np.ndarray:
+    """Unit, wxyz, of a turn (3, 3): the eigenvector of the largest eigenvalue (Bar-Itzhack)."""
+    (a, b, c), (d, e, f), (g, h, i) = R
+    K = np.array(
+        [
+            [a + e + i, h - f, c - g, d - b],
+            [h - f, a - e - i, b + d, c + g],
+            [c - g, b + d, e - a - i, f + h],
+            [d - b, c + g, f + h, i - a - e],
+        ]
+    )
+    return np.linalg.eigh(K)[1][:, -1]
+
+
+@jax.jit
+def _fitted(skeleton: Skeleton, start: Pose, points: Array) -> Pose:
+    """Gauss-Newton from a placed pose, within the limits."""
+    known = jnp.isfinite(points)
+    targets = jnp.where(known, points, 0.0)
+    rest = jnp.concatenate([jnp.zeros(6, points.dtype), jnp.ones_like(start.angles) / RELAXED**2])
+
+    def off(pose: Pose, step: Array) -> Array:
+        there = landmarks(skeleton, retract(pose, step))
+        return (jnp.where(known, there - targets, 0.0) / NEAR_M).ravel()
+
+    def once(_: int, pose: Pose) -> Pose:
+        none = jnp.zeros_like(rest)
+        r, J = off(pose, none), jax.jacfwd(lambda step: off(pose, step))(none)
+        slope = J.T @ r + rest * difference(pose, start)
+        step = -jnp.linalg.solve(J.T @ J + jnp.diag(rest + 1.0), slope)
+        moved = retract(pose, jnp.clip(step, -0.3, 0.3))
+        low, high = skeleton.limits[:, 0], skeleton.limits[:, 1]
+        return moved._replace(angles=jnp.clip(moved.angles, low, high))
+
+    return jax.lax.fori_loop(0, STEPS, once, start)

@@ -1,0 +1,219 @@
+"""The silhouette tracker: images of one or several cameras to a pose, frame by frame (section 5).
+
+    predict   the last pose moves on at its velocity
+    rim       of the surface at that pose, as each camera sees it (3.1.5)
+    look      level sets from the predicted silhouettes, their contours (4.1)
+    fit       rim -> contour, twist equations of all cameras in one system (3.2); again with the
+              rim of the pose that was found, and a narrower view of what is an outlier
+
+Cameras that show nothing of the person, or what the others deny, are left out frame by frame;
+joints that no camera tells of stay where they are expected, and the report says so.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmocap.body.loft import generic_surface
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.surface import Surface
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.images.background import Background
+from jaxmocap.silhouette.correspond import Matches, matched
+from jaxmocap.silhouette.looking import Outlines, look
+from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, standard_deviations
+from jaxmocap.silhouette.rim import Rim, RimFinder, stacked
+from jaxmocap.silhouette.segment import Histograms, Plan
+from jaxmocap.silhouette.settings import Settings
+from jaxmocap.silhouette.steps import Seen, fit, predict, velocity_of
+
+
+class State(NamedTuple):
+    """What a tracker remembers.
+
+    Attributes:
+        pose: at ``time``.
+        velocity: (6 + D,) metres and radians per second.
+        time: seconds; None before the first frame.
+        histograms: of C cameras' images.
+        seen: (6 + D,) bool: degrees of freedom that the last frame told of.
+    """
+
+    pose: Pose
+    velocity: np.ndarray
+    time: float | None
+    histograms: Histograms
+    seen: np.ndarray
+
+
+class StepReport(NamedTuple):
+    """How far to trust a step.
+
+    Attributes:
+        used: (C,) bool: cameras that counted.
+        shares: (C,) of rim and contour that found each other.
+        spread: deviation of the pairs, metres.
+        deviations: (6 + D,) of the degrees of freedom, metres and radians.
+        seen: (6 + D,) bool: those that the images told of; the others are held.
+        information: (6 + D, 6 + D), see ``PoseResult``.
+        outlines: what was segmented.
+    """
+
+    used: np.ndarray
+    shares: np.ndarray
+    spread: float
+    deviations: np.ndarray
+    seen: np.ndarray
+    information: np.ndarray
+    outlines: Outlines
+
+
+class _Fitted(NamedTuple):
+    """What the last cycle found, from which cameras, by what they show."""
+
+    result: PoseResult
+    used: np.ndarray
+    shares: np.ndarray
+    outlines: Outlines
+
+
+class SilhouetteTracker:
+    """Tracks one person without markers. Its jitted parts trace once.
+
+    Attributes:
+        skeleton: of the person, moved by the joints of ``whole.toml`` or of another model.
+        cameras: C, stacked.
+        settings: how to work.
+        finder: of the rims.
+        rooms: what each camera shows where nobody stands, or None; may be set between frames.
+    """
+
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        cameras: Camera | Sequence[Camera],
+        settings: Settings | None = None,
+        surface: Surface | None = None,
+        rooms: Sequence[Background | None] | None = None,
+    ):
+        """Prepare a tracker.
+
+        Args:
+            skeleton: of the person.
+            cameras: one or several.
+            settings: defaults to ``Settings()``.
+            surface: of the person; a generic one of the skeleton's proportions without it.
+            rooms: what is known of each camera's room.
+        """
+        listed = [cameras] if isinstance(cameras, Camera) else list(cameras)
+        self.skeleton, self.settings = skeleton, settings or Settings()
+        dtype = skeleton.lengths.dtype
+        self.cameras = jax.tree.map(lambda part: jnp.asarray(part, dtype), stacked(listed))
+        skin = generic_surface(skeleton) if surface is None else surface
+        self.finder = RimFinder(skeleton, skin, self.settings.rim)
+        self.rooms = [None] * len(listed) if rooms is None else list(rooms)
+        self.plan = Plan()
+
+    def init(self, pose: Pose) -> State:
+        """The state before the first frame, the person about there."""
+        width = self.skeleton.costs.shape
+        empty = Histograms.empty(len(self.rooms), self.plan)
+        return State(pose, np.zeros(width, np.float32), None, empty, np.ones(width, bool))
+
+    def step(
+        self, state: State, time: float, images: Sequence[np.ndarray | None]
+    ) -> tuple[State, Pose, StepReport]:
+        """One frame of all cameras.
+
+        Args:
+            state: after the last frame.
+            time: of this one, seconds.
+            images: (H, W, 3) BGR uint8 of each camera, None where there is none.
+
+        Returns:
+            The state, the pose and a report.
+        """
+        s = self.settings
+        ahead = 0.0 if state.time is None else max(time - state.time, 1e-3)
+        expected = predict(self.skeleton, state.pose, s.damping * state.velocity, np.float32(ahead))
+        beforehand = np.where(state.seen, s.expected, s.held).astype(np.float32)
+        result, used, shares, outlines = self._fitted(state, images, expected, beforehand)
+        deviations = standard_deviations(result.information, s.expected)
+        seen = deviations < s.told * s.expected
+        velocity = self._velocity(state, result.pose, ahead) * seen
+        histograms = _chosen(used, outlines.segmented.histograms, state.histograms)
+        report = StepReport(
+            used, shares, float(result.spread), deviations, seen,
+            np.asarray(result.information), outlines,
+        )  # fmt: skip
+        return State(result.pose, velocity, time, histograms, seen), result.pose, report
+
+    def _fitted(
+        self,
+        state: State,
+        images: Sequence[np.ndarray | None],
+        expected: Pose,
+        beforehand: np.ndarray,
+    ) -> _Fitted:
+        """Cycle by cycle from the predicted pose."""
+        s, pose, fitted = self.settings, expected, None
+        prior, used, outlines = Prior(expected, jnp.asarray(beforehand)), np.zeros(0, bool), None
+        for cycle, deviation in enumerate(s.deviations):
+            rim = self.finder.find(self.skeleton, pose, self.cameras)
+            if outlines is None or cycle in s.looks:
+                outlines = look(images, self.rooms, rim, state.histograms, s, self.plan)
+                used = np.ones(len(self.rooms), bool)
+            pairs = matched(rim, outlines.contours, s.match)
+            shares = shares_found(rim, pairs, [len(each.pixels_xy) for each in outlines.contours])
+            used = used & (shares >= s.share)
+            weights = (pairs.real & used[:, None]).astype(np.float32)
+            seen = Seen(self.finder.points(pairs.nodes), pairs.pixels_xy, pairs.normals, weights)
+            how = PoseSettings(deviation=deviation, iterations=s.iterations)
+            result = fit(self.skeleton, self.cameras, pose, seen, how, prior, s.match.grip)
+            apart = np.asarray(result.distances).reshape(weights.shape)
+            pose, used = result.pose, used & ~_denied(apart, weights > 0, s)
+            fitted = _Fitted(result, used, shares, outlines)
+        assert fitted is not None
+        return fitted
+
+    def _velocity(self, state: State, pose: Pose, ahead: float) -> np.ndarray:
+        """The velocity (6 + D,) as it is carried on."""
+        if state.time is None:
+            return state.velocity
+        now = np.asarray(velocity_of(state.pose, pose, np.float32(ahead)))
+        newest = self.settings.newest
+        return (newest * now + (1 - newest) * state.velocity).astype(np.float32)
+
+
+def shares_found(rim: Rim, pairs: Matches, points: Sequence[int]) -> np.ndarray:
+    """(C,) the smaller of the shares of rim points and of contour points that found a partner."""
+    outline = rim.real & ~rim.inner
+    shares = []
+    for camera, count in enumerate(points):
+        width = int((~rim.inner[camera]).sum())
+        of_rim = pairs.real[camera, :width].sum() / max(outline[camera].sum(), 1)
+        taken = min(count, pairs.real.shape[1] - width)
+        of_contour = pairs.real[camera, width:].sum() / max(taken, 1)
+        shares.append(min(of_rim, of_contour))
+    return np.array(shares)
+
+
+def _denied(distances: np.ndarray, real: np.ndarray, settings: Settings) -> np.ndarray:
+    """(C,) cameras whose pairs (C, N) lie much farther apart than all cameras' together."""
+    if real.any(1).sum() < 2:
+        return np.zeros(len(real), bool)
+    each = np.array(
+        [np.median(d[r]) if r.any() else 0.0 for d, r in zip(distances, real, strict=True)]
+    )
+    usual = np.median(each[real.any(1)])
+    return each > max(settings.near, settings.apart * usual)
+
+
+def _chosen(used: np.ndarray, new: Histograms, old: Histograms) -> Histograms:
+    """The new histograms of cameras that were used, the old ones of the others."""
+    mask = jnp.asarray(used)[:, None]
+    return Histograms(*(jnp.where(mask, a, b) for a, b in zip(new, old, strict=True)))

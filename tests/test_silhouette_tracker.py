@@ -1,0 +1,135 @@
+"""The silhouette tracker: a painted person before plain walls, seen by four cameras."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_rim import BODY, ring
+
+from jaxmocap.body.pose import relaxed_pose, retract
+from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton
+from jaxmocap.cli import main
+from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.recording import Recording
+from jaxmocap.images.canvases import full_mask
+from jaxmocap.images.regions import Region
+from jaxmocap.images.rooms import RoomLearner
+from jaxmocap.run.silhouette_start import start_pose
+from jaxmocap.silhouette.looking import silhouette_distance
+from jaxmocap.silhouette.rim import RimSettings
+from jaxmocap.silhouette.settings import Settings
+from jaxmocap.silhouette.start import landmark_points, pose_at, standing_pose
+from jaxmocap.silhouette.steps import fit
+from jaxmocap.silhouette.tracker import SilhouetteTracker
+
+pytestmark = pytest.mark.usefixtures("plainly_compiled")
+SMALL = Settings(rim=RimSettings(size=128, outer=128, inner=32, spacing=0.012, margin=0.1))
+PERSON, WALL = (40, 60, 150), (190, 180, 170)
+POINTS = landmark_points
+
+
+@pytest.fixture(scope="module")
+def tracker() -> SilhouetteTracker:
+    return SilhouetteTracker(BODY, ring(4), SMALL)
+
+
+@pytest.fixture(scope="module")
+def truth():
+    off = np.zeros(BODY.costs.shape, np.float32)
+    off[ROOT_DOF + BODY.tree.joint("arm_abduct_l")] = 0.9
+    off[ROOT_DOF + BODY.tree.joint("elbow_flex_l")] = 0.8
+    return retract(relaxed_pose(BODY), jnp.asarray(off))
+
+
+@pytest.fixture(scope="module")
+def images(tracker, truth) -> list[np.ndarray]:
+    """The body itself, painted on walls with noise."""
+    rim = tracker.finder.find(BODY, truth, tracker.cameras)
+    rng, painted = np.random.default_rng(0), []
+    for camera, mask in enumerate(rim.masks):
+        width, height = np.asarray(tracker.cameras.size[camera], int)
+        region = Region(*(np.asarray(part)[camera] for part in rim.region))
+        body = full_mask(silhouette_distance(mask), region, (height, width))
+        image = np.where(body[..., None], PERSON, WALL) + rng.normal(0, 5, (height, width, 3))
+        painted.append(np.clip(image, 0, 255).astype(np.uint8))
+    return painted
+
+
+def off_by(pose, truth) -> np.ndarray:
+    """Distances (L,) of the landmarks, metres."""
+    return np.linalg.norm(np.asarray(POINTS(BODY, pose) - POINTS(BODY, truth)), axis=1)
+
+
+def started(tracker, truth):
+    """A state whose limbs are all a little off."""
+    step = np.random.default_rng(1).choice([-0.06, 0.06], BODY.costs.shape)
+    step[:3] = 0.02
+    return tracker.init(retract(truth, jnp.asarray(step, jnp.float32)))
+
+
+def test_a_person_is_found_and_then_kept_without_the_cameras_that_fail(tracker, truth, images):
+    state = started(tracker, truth)
+    before = off_by(state.pose, truth).mean()
+    state, _, _ = tracker.step(state, 0.0, images)
+    state, _, _ = tracker.step(state, 1 / 30, images)
+    state, pose, report = tracker.step(state, 2 / 30, images)
+    assert report.used.all() and report.shares.min() > 0.7
+    found = off_by(pose, truth)
+    assert found.mean() < 0.5 * before and found.mean() < 0.03
+    compiled = fit._cache_size()  # type: ignore[attr-defined]
+    black = [np.zeros_like(images[0]), None, *images[2:]]
+    state, pose, report = tracker.step(state, 0.1, black)
+    np.testing.assert_array_equal(report.used, [False, False, True, True])
+    assert off_by(pose, truth).mean() < 0.04
+    assert fit._cache_size() == compiled  # type: ignore[attr-defined]
+
+
+def test_without_any_image_the_pose_is_held_and_every_joint_said_to_be_unseen(tracker, truth):
+    state = tracker.init(truth)
+    state, _, _ = tracker.step(state, 0.0, [None] * 4)
+    state, pose, report = tracker.step(state, 1 / 30, [None] * 4)
+    assert not report.used.any() and not report.seen.any() and not state.velocity.any()
+    assert off_by(pose, truth).max() < 1e-3
+
+
+def test_a_pose_is_placed_at_known_landmarks(truth):
+    points = np.array(POINTS(BODY, truth))
+    assert off_by(pose_at(BODY, points), truth).mean() < 0.01
+    few = np.where(np.isin(list(LANDMARKS), ["head", "wrist_l"])[:, None], np.nan, points)
+    assert off_by(pose_at(BODY, few), truth).mean() < 0.05
+    with pytest.raises(ValueError, match="neither both hips"):
+        pose_at(BODY, np.full_like(points, np.nan))
+
+
+def test_a_person_stands_on_the_floor_where_it_was_said():
+    pose = standing_pose(BODY, 1.0, -2.0, np.pi / 2)
+    points = dict(zip(LANDMARKS, np.asarray(POINTS(BODY, pose)), strict=True))
+    assert min(point[2] for point in points.values()) == pytest.approx(0, abs=1e-4)
+    np.testing.assert_allclose(points["pelvis"][:2], [1.0, -2.0], atol=1e-4)
+    left = points["hip_l"] - points["hip_r"]
+    assert left[0] < 0 and abs(left[1]) < 1e-4
+
+
+def test_a_room_is_learned_where_the_person_was_not():
+    learner, room = RoomLearner(8), np.full((60, 80, 3), 120, np.uint8)
+    region = Region(np.full(2, -0.5, np.float32), np.array(2.0, np.float32))
+    for i in range(8):
+        image, phi = room.copy(), np.full((40, 40), -8.0, np.float32)
+        left = 4 + 6 * i
+        image[20:40, left : left + 8] = 10
+        phi[10:20, left // 2 : left // 2 + 4] = 8.0
+        learner.tell(image, phi, region)
+    learned = learner.learned()
+    assert learned is not None and learned.colour.shape == room.shape
+    assert np.abs(learned.colour[learned.known > 0.5] - 120).max() < 2
+    assert (learned.known > 0.5).mean() > 0.9
+    assert RoomLearner(8).learned() is None
+
+
+def test_a_start_needs_markers_or_a_place(tmp_path, capsys):
+    with pytest.raises(SystemExit) as left:
+        main(["silhouette", "track", "r.toml", "--out", str(tmp_path), "--at", "-1,2"])
+    assert left.value.code == 2 and "expected X,Y,FACING" in capsys.readouterr().err
+    empty = Recording(Skeleton.human(1.75), np.zeros(0), np.zeros((0, 0, 3)), ())
+    with pytest.raises(InputError, match="expected --at X,Y,FACING"):
+        start_pose(empty)
+    assert np.asarray(start_pose(empty, (1.0, 2.0, 0.0)).position)[0] == pytest.approx(1.0)
