@@ -214,10 +214,10 @@ class _Pass:
         )  # fmt: skip
 
     def _landmarks_std(self, frame: int) -> np.ndarray:
-        """(L, 3) metres, by the covariance of what the rays and the prediction tell."""
-        report, expected = self._reports[frame], self.tracker.settings.expected
+        """(L, 3) metres, by the covariance of what the rays tell."""
+        report, blind = self._reports[frame], self.tracker.settings.blind
         H = np.asarray(report.information, float)
-        covariance = np.linalg.inv((H + H.T) / 2 + np.eye(len(H)) / expected**2)
+        covariance = np.linalg.inv((H + H.T) / 2 + np.eye(len(H)) / blind**2)
         J = np.asarray(landmark_slopes(self.tracker.skeleton, self._poses[frame]), float)
         return np.sqrt(np.einsum("lai,ij,laj->la", J, covariance, J))
 

@@ -25,8 +25,12 @@ class Settings:
         looks: cycles that begin with a segmentation; the first does in any case.
         iterations: of the pose in each cycle.
         expected: deviation of every degree of freedom about its prediction, metres and radians.
-        held: the same of one that no camera has told of lately.
-        told: a degree of freedom is seen where its deviation is below this share of ``expected``.
+            Pairs of one outline err alike, and count as if they did not: more freedom than this
+            lets a stretched arm turn over.
+        held: the same of one of which the last frame told little.
+        blind: deviation of a degree of freedom of which nothing is known.
+        told: it is told of where its deviation falls below this share of ``expected``, and seen
+            where below this share of ``blind``.
         damping: share of the velocity that the next frame is predicted with.
         newest: weight of a frame's own velocity.
         share: of a camera's rim and contour that must find each other.
@@ -43,8 +47,9 @@ class Settings:
     deviations: tuple[float, ...] = (0.04, 0.02, 0.008)
     looks: tuple[int, ...] = (0,)
     iterations: int = 3
-    expected: float = 0.25
-    held: float = 0.05
+    expected: float = 0.08
+    held: float = 0.02
+    blind: float = 0.25
     told: float = 0.5
     damping: float = 0.8
     newest: float = 0.7

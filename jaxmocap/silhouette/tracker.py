@@ -40,14 +40,14 @@ class State(NamedTuple):
         velocity: (6 + D,) metres and radians per second.
         time: seconds; None before the first frame.
         histograms: of C cameras' images.
-        seen: (6 + D,) bool: degrees of freedom that the last frame told of.
+        told: (6 + D,) bool: degrees of freedom that the last frame told much of.
     """
 
     pose: Pose
     velocity: np.ndarray
     time: float | None
     histograms: Histograms
-    seen: np.ndarray
+    told: np.ndarray
 
 
 class StepReport(NamedTuple):
@@ -140,17 +140,18 @@ class SilhouetteTracker:
         s = self.settings
         ahead = 0.0 if state.time is None else max(time - state.time, 1e-3)
         expected = predict(self.skeleton, state.pose, s.damping * state.velocity, np.float32(ahead))
-        beforehand = np.where(state.seen, s.expected, s.held).astype(np.float32)
+        beforehand = np.where(state.told, s.expected, s.held).astype(np.float32)
         result, used, shares, outlines = self._fitted(state, images, expected, beforehand)
-        deviations = standard_deviations(result.information, s.expected)
-        seen = deviations < s.told * s.expected
-        velocity = self._velocity(state, result.pose, ahead) * seen
+        deviations = standard_deviations(result.information, s.blind)
+        seen = deviations < s.told * s.blind
+        told = standard_deviations(result.information, s.expected) < s.told * s.expected
+        velocity = self._velocity(state, result.pose, ahead) * told
         histograms = _chosen(used, outlines.segmented.histograms, state.histograms)
         report = StepReport(
             used, shares, float(result.spread), deviations, seen,
             np.asarray(result.information), outlines,
         )  # fmt: skip
-        return State(result.pose, velocity, time, histograms, seen), result.pose, report
+        return State(result.pose, velocity, time, histograms, told), result.pose, report
 
     def _fitted(
         self,
