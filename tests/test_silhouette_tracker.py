@@ -16,6 +16,7 @@ from jaxmocap.images.rooms import RoomLearner
 from jaxmocap.run.silhouette_start import start_pose
 from jaxmocap.silhouette.looking import silhouette_distance
 from jaxmocap.silhouette.rim import RimSettings
+from jaxmocap.silhouette.segment import Plan, Stage
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.start import landmark_points, pose_at, standing_pose
 from jaxmocap.silhouette.steps import fit
@@ -29,7 +30,10 @@ POINTS = landmark_points
 
 @pytest.fixture(scope="module")
 def tracker() -> SilhouetteTracker:
-    return SilhouetteTracker(BODY, ring(4), SMALL)
+    made = SilhouetteTracker(BODY, ring(4), SMALL)
+    # Plain walls need few steps, which compile sooner.
+    made.plan = Plan(room=False, stages=(Stage(10, 2.0, gap=1.0),))
+    return made
 
 
 @pytest.fixture(scope="module")

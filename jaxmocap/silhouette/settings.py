@@ -23,6 +23,8 @@ class Settings:
         deviations: of points about their rays, metres, one cycle each. The first must be large: a
             limb that moved fast is an outlier to the rest, and would be left behind.
         looks: cycles that begin with a segmentation; the first does in any case.
+        hands: weight of their pairs. No joint of ``whole.toml`` bends a wrist, so that hands on the
+            floor take the forearms along; but without hands a fast arm is lost sooner.
         iterations: of the pose in each cycle.
         expected: deviation of every degree of freedom about its prediction, metres and radians.
             Pairs of one outline err alike, and count as if they did not: more freedom than this
@@ -46,6 +48,7 @@ class Settings:
     contrast: float = 0.1
     deviations: tuple[float, ...] = (0.04, 0.02, 0.008)
     looks: tuple[int, ...] = (0,)
+    hands: float = 1.0
     iterations: int = 3
     expected: float = 0.08
     held: float = 0.02

@@ -115,6 +115,7 @@ class SilhouetteTracker:
         self.cameras = jax.tree.map(lambda part: jnp.asarray(part, dtype), stacked(listed))
         skin = generic_surface(skeleton) if surface is None else surface
         self.finder = RimFinder(skeleton, skin, self.settings.rim)
+        self._weights = node_weights(skeleton, self.finder.surface, self.settings.hands)
         self.rooms = [None] * len(listed) if rooms is None else list(rooms)
         self.plan = Plan()
 
@@ -171,7 +172,7 @@ class SilhouetteTracker:
             pairs = matched(rim, outlines.contours, s.match)
             shares = shares_found(rim, pairs, [len(each.pixels_xy) for each in outlines.contours])
             used = used & (shares >= s.share)
-            weights = (pairs.real & used[:, None]).astype(np.float32)
+            weights = self._weights[pairs.nodes] * (pairs.real & used[:, None])
             seen = Seen(self.finder.points(pairs.nodes), pairs.pixels_xy, pairs.normals, weights)
             how = PoseSettings(deviation=deviation, iterations=s.iterations)
             result = fit(self.skeleton, self.cameras, pose, seen, how, prior, s.match.grip)
@@ -188,6 +189,14 @@ class SilhouetteTracker:
         now = np.asarray(velocity_of(state.pose, pose, np.float32(ahead)))
         newest = self.settings.newest
         return (newest * now + (1 - newest) * state.velocity).astype(np.float32)
+
+
+def node_weights(skeleton: Skeleton, surface: Surface, hands: float) -> np.ndarray:
+    """(M,) float32 of a surface's nodes: 1, or that of the hands where these carry most of one."""
+    bones, shares = np.asarray(surface.points.bones), np.asarray(surface.points.shares)
+    carrier = bones[np.arange(len(bones)), shares.argmax(1)]
+    hand = np.isin(carrier, [skeleton.tree.bone(f"hand_{side}") for side in "lr"])
+    return np.where(hand, hands, 1.0).astype(np.float32)
 
 
 def shares_found(rim: Rim, pairs: Matches, points: Sequence[int]) -> np.ndarray:
