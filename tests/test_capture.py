@@ -112,6 +112,17 @@ def test_gaps_and_the_outside_are_unknown():
     np.testing.assert_allclose(causal, [np.nan, 0.25, np.nan, np.nan, 0.89], atol=1e-12)
 
 
+@pytest.mark.parametrize("causal", [False, True])
+def test_a_leap_is_no_motion_to_be_followed(causal):
+    times = np.arange(6) / 60
+    positions = np.zeros((6, 2, 3))
+    positions[3:, 0] += [1.5, 0.0, 0.0]
+    at = np.array([3.3, 4.3]) / 60 if causal else np.array([2.3, 3.3]) / 60
+    found = interpolate(times, positions, at, causal)
+    assert np.isnan(found[0, 0]).all() and np.isfinite(found[0, 1]).all()
+    np.testing.assert_allclose(found[1, 0], [1.5, 0.0, 0.0])
+
+
 def test_a_single_sample_is_known_at_its_time_only():
     found = interpolate(np.array([1.0]), np.ones((1, 1, 3)), np.array([0.9, 1.0, 1.1]))
     assert np.isfinite(found).all((1, 2)).tolist() == [False, True, False]

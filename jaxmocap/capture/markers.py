@@ -8,6 +8,8 @@ import numpy as np
 
 # Neighbouring samples further apart than this many median intervals are a gap, not a motion.
 GAP_INTERVALS = 3.0
+# So is a step that would be faster than this, metres per second: no hand is.
+FASTEST = 50.0
 
 
 def median_interval(times: np.ndarray) -> float:
@@ -21,9 +23,9 @@ def interpolate(
     """Linear in time between neighbouring samples; at a sample's own time that sample.
 
     Unknown, and NaN, where either neighbour is missing, where the neighbours lie further apart
-    than three median intervals, and further than half an interval outside the samples. With
-    ``causal`` the line goes through the newest two samples that are not later and is followed for
-    one interval at most.
+    than three median intervals or than a marker can go meanwhile, and further than half an
+    interval outside the samples. With ``causal`` the line goes through the newest two samples that
+    are not later and is followed for one interval at most.
 
     Args:
         times: (T,) seconds, ascending.
@@ -47,7 +49,8 @@ def interpolate(
     else:
         known = (at - times[-1] <= interval / 2) & (times[0] - at <= interval / 2)
     known &= end - start <= GAP_INTERVALS * interval
-    weight = ((at - start) / (end - start))[:, None, None]
-    line = positions[first] + weight * (positions[first + 1] - positions[first])
-    line = np.where(known[:, None, None], line, np.nan)
+    weight, step = (at - start) / (end - start), positions[first + 1] - positions[first]
+    known = known[:, None] & (np.linalg.norm(step, axis=-1) <= FASTEST * (end - start)[:, None])
+    line = positions[first] + weight[:, None, None] * step
+    line = np.where(known[..., None], line, np.nan)
     return np.where(exact[:, None, None], positions[newest], line)
