@@ -37,8 +37,9 @@ from jaxmocap.run.live_recording import LiveRecording
 from jaxmocap.run.live_status import LiveStatus
 from jaxmocap.run.live_tracking import LiveTracking, Output
 
-# Samples that may wait: a quarter of a second of a headset's, for the machine may be busy.
-WAITING = 24
+# Samples that may wait: a tenth of a second of a headset's. Where more come than can be tracked, a
+# longer queue would only make all poses later.
+WAITING = 8
 # A stream that was silent for so long is said to be; poses are then no news, seconds.
 SILENT_S = 0.3
 # How often those who receive poses are told that there are none, seconds.
