@@ -15,7 +15,14 @@ from jaxmocap.formats.errors import InputError
 # Seconds after which a scheduler that does not answer is not there.
 PATIENCE_S = 10
 # A job may end so many processes; none waits where another is done, to be blamed for its end.
-OWN = {"distributed.scheduler.allowed-failures": 2, "distributed.scheduler.worker-saturation": 1.0}
+# Dask's own also has a process give memory back at once, only to ask for it anew: half of a
+# recording's time went there.
+ENVIRONMENT = {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
+OWN = {
+    "distributed.scheduler.allowed-failures": 2,
+    "distributed.scheduler.worker-saturation": 1.0,
+    "distributed.nanny.pre-spawn-environ": ENVIRONMENT,
+}
 
 # No page, whose port another cluster may have; nothing but paths goes round, so there is nothing
 # that a limit of memory could spill.
