@@ -143,3 +143,17 @@ def test_arguments_that_come_first_are_numbers_and_no_part_of_the_program(folder
     np.testing.assert_allclose(turned(POINT).point, -POINT, atol=1e-5)
     np.testing.assert_allclose(turned.lowered(POINT)()(POINT).point, -POINT, atol=1e-5)
     assert len(traced) == 1 and len(list(folder.iterdir())) == 1
+
+
+def test_what_cannot_be_kept_runs_all_the_same(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As what calls LAPACK by a name that JAX may change."""
+
+    def refused(*_: object, **__: object) -> None:
+        raise ValueError("custom calls without compatibility guarantees")
+
+    monkeypatch.setattr(programs.export, "export", refused)
+    found = counted([])(ANGLE, POINT)
+    assert float(found.parts["length"]) == pytest.approx(5.0, rel=1e-5)
+    assert not any(folder.glob("*"))

@@ -148,6 +148,8 @@ class Program:
             def restored(*arguments: Any) -> Any:
                 leaves, structure = jax.tree.flatten(arguments)
                 kept = self._look_up(leaves, structure)
+                if kept is None:
+                    return self.jitted(*arguments)
                 return jax.tree.unflatten(kept.structure, kept.exported.call(*leaves))
 
             restored.__name__ = self.name
@@ -156,8 +158,8 @@ class Program:
             )
         return self._made.restored
 
-    def _look_up(self, leaves: list[Array], structure: Any) -> _Kept:
-        """What an earlier start kept, or what this one makes of it."""
+    def _look_up(self, leaves: list[Array], structure: Any) -> _Kept | None:
+        """What an earlier start kept, or what this one makes of it; None if it cannot be kept."""
         like = [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=x.weak_type) for x in leaves]
         told = repr((self.name, self._static, str(structure), like, _surroundings()))
         path = Path(_folder or "") / f"{self.name}-{_digest(told)}.program"
@@ -168,7 +170,7 @@ class Program:
         except Exception:
             return self._make(like, structure, path)
 
-    def _make(self, like: list[jax.ShapeDtypeStruct], structure: Any, path: Path) -> _Kept:
+    def _make(self, like: list[jax.ShapeDtypeStruct], structure: Any, path: Path) -> _Kept | None:
         result = None
 
         def flat(*leaves: Array) -> list[Array]:
@@ -176,7 +178,11 @@ class Program:
             found, result = jax.tree.flatten(self.jitted(*jax.tree.unflatten(structure, leaves)))
             return found
 
-        blob = bytes(export.export(jax.jit(flat))(*like).serialize())
+        try:
+            blob = bytes(export.export(jax.jit(flat))(*like).serialize())
+        # It calls a library by a name that JAX may change (LAPACK's products with a QR's Q).
+        except ValueError:
+            return None
         _write(path, pickle.dumps((blob, result)))
         # Read back, so that this start compiles what later ones will ask for.
         return _Kept(export.deserialize(bytearray(blob)), result)
