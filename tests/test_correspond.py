@@ -1,5 +1,6 @@
 """Contours to rims, and the pose that follows: from silhouettes that OpenCV drew."""
 
+import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +13,6 @@ from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.correspond import Contour, MatchSettings, contour_of, matched, pairs_of
 from jaxmocap.silhouette.pose import PoseSettings, Prior, solve_pose
 
-cv2 = pytest.importorskip("cv2")
 SETTINGS_OF_PAIRS = MatchSettings()
 PAIRS, SOLVE = jax.jit(pairs_of), jax.jit(solve_pose)
 

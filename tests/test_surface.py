@@ -189,7 +189,7 @@ def test_bad_surface_files_are_refused_in_one_sentence(surface, tmp_path, change
 def test_an_independent_persons_silhouette_is_covered_by_the_generic_one(who):
     """Legs and trunk, which stand alike at rest; arms are posed by their joints elsewhere."""
     if not PEOPLE.is_file():
-        pytest.skip("the rigged people are not here (shared/recordings/person)")
+        pytest.skip("the rigged people are not here (shared/recordings/person beside the checkout)")
     with np.load(PEOPLE) as data:
         i = data["people"].tolist().index(who)
         turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
