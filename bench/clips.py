@@ -1,20 +1,26 @@
 """The recordings that the protocol tracks: real ones, and synthetic ones rendered once.
 
-INPUTS: the folder of real recordings; seeds, azimuths and a folder to keep what is rendered in.
+INPUTS: the folder of real recordings and of people as rigged meshes; seeds, azimuths, names of
+exercises and a folder to keep what is rendered in.
 OUTPUTS: Clips.
 """
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.run.timing import progress_bar
+from jaxmocap.synthetic.exercises import exercise
+from jaxmocap.synthetic.four_cameras import write_four_cameras
 from jaxmocap.synthetic.recording import (
     write_reaching,
     write_squat,
     write_table_tennis,
     write_thrust,
 )
+from jaxmocap.synthetic.rigged_mesh import load_rig
 
 WRITERS = {
     "tennis": write_table_tennis,
@@ -93,4 +99,35 @@ def synthetic(
         if not path.is_file():
             WRITERS[motion](path.parent, seconds, seed, azimuth=azimuth)
         clips.append(Clip(motion, name, path, {mark: mark for mark in LANDMARKS}, seed, azimuth))
+    return clips
+
+
+def exercises(
+    file: Path,
+    names: Iterable[str],
+    seeds: Iterable[int],
+    people: Sequence[str],
+    seconds: float,
+    keep: Path,
+) -> list[Clip]:
+    """Rigged meshes at exercises, seen by four cameras, rendered where ``keep`` has them not yet.
+
+    Args:
+        file: of the people, ``person.npz``.
+        names: of the exercises.
+        seeds: each of its own clothes, rooms and movement.
+        people: of the file.
+        seconds: of each recording.
+        keep: holds a folder for each, such as ``push_ups_000_man_3s``.
+    """
+    clips = []
+    for kind, who, seed in product(names, people, seeds):
+        name = f"{kind}_{seed:03d}_{who}_{seconds:g}s"
+        path = keep / name / "recording.toml"
+        # Written last: where it is, all is.
+        if not path.is_file():
+            performer = exercise(load_rig(file, who, seed), kind, seconds, seed)
+            with progress_bar(f"rendering {name}", True) as show:
+                write_four_cameras(path.parent, performer, seconds, seed, progress=show)
+        clips.append(Clip(kind, name, path, {mark: mark for mark in LANDMARKS}, seed))
     return clips

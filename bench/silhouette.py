@@ -1,0 +1,267 @@
+"""``python -m bench.silhouette [RECORDINGS]``: how well and how fast the silhouette tracker is.
+
+Rendered exercises by four, three, two cameras and one: how far elbows and knees are bent, against
+the truth, and where the joints are. The real recording by all its cameras. And what a frame takes,
+stage by stage. Bones have the lengths of the truth's landmarks; the first pose is the truth's.
+
+INPUTS: the folder of recordings, with ``person/person.npz`` and
+``balancing/recording_all_cameras.toml`` in it; without one a painted person squats.
+OUTPUTS: tables, and Metrics as JSON.
+"""
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from bench.accuracy import seeds
+from bench.clips import REAL_LANDMARKS, Clip, exercises
+from bench.metrics import Metric, aligned, stage_metrics, table, write_json
+from bench.stages import STAGES, WHOLE, stages_timed
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.subject import scale_to_landmarks
+from jaxmocap.evaluation.errors import Errors, position_errors
+from jaxmocap.evaluation.series import match
+from jaxmocap.formats.recording import Recording
+from jaxmocap.formats.trc import read_trc
+from jaxmocap.run.compilation import keep_compiled
+from jaxmocap.run.silhouette import follow, whole_body
+from jaxmocap.run.silhouette_demo import JOINTS, performing
+from jaxmocap.run.silhouette_start import start_pose
+from jaxmocap.run.timing import progress_bar
+from jaxmocap.silhouette.start import pose_at
+from jaxmocap.synthetic.exercises import EXERCISES
+from jaxmocap.synthetic.four_cameras import bends, write_four_cameras
+
+KINDS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+# What the real recording is judged by.
+REAL_KINDS = ("elbow", "shoulder", "hip", "knee")
+REAL, PAINTED = "balancing", "squat"
+
+
+@dataclass(frozen=True)
+class Result:
+    """A recording tracked by some of its cameras.
+
+    Attributes:
+        name: of the recording.
+        cameras: how many.
+        errors: of the joints' places.
+        bends_off: hinge -> (N,) absolute errors of how far it is bent, radians.
+    """
+
+    name: str
+    cameras: int
+    errors: Errors
+    bends_off: dict[str, np.ndarray]
+
+    def angle(self, kind: str) -> float:
+        """Mean error of both elbows or both knees, degrees."""
+        both = [off for hinge, off in self.bends_off.items() if hinge.startswith(kind)]
+        return float(np.degrees(np.nanmean(both)))
+
+    def place(self, *kinds: str) -> float:
+        """Mean error over joints of such kinds, left and right, centimetres."""
+        of_kind = [name.split("_")[0] in kinds for name in self.errors.joints]
+        return float(100 * self.errors.statistics()["mean"][of_kind].mean())
+
+
+def track_exercise(clip: Clip, cameras: int) -> Result:
+    """A rendered recording by the first of its cameras, bones and first pose from the truth."""
+    truth = read_trc(clip.truth).points()
+    recording = Recording.load(clip.path)
+    recording = replace(
+        recording,
+        skeleton=scale_to_landmarks(recording.skeleton, truth),
+        videos=recording.videos[:cameras],
+    )
+    missing = np.full(3, np.nan)
+    first = np.array([truth[name][0] if name in truth else missing for name in LANDMARKS])
+    start = pose_at(whole_body(recording.skeleton), first)
+    return judged(clip, recording, start)
+
+
+def track_real(clip: Clip) -> Result:
+    """The real recording by all its cameras, begun where the markers say."""
+    recording = Recording.load(clip.path)
+    return judged(clip, recording, start_pose(recording))
+
+
+def judged(clip: Clip, recording: Recording, start: Pose) -> Result:
+    """Track and compare with the clip's truth."""
+    motion = follow(recording, start, progress=True).motion
+    truth, joints = read_trc(clip.truth), motion.joints()
+    points = {mark: truth.points()[name] for mark, name in clip.landmarks.items() if mark in JOINTS}
+    pairs = {name: name for name in JOINTS}
+    errors = position_errors(motion.times, joints, truth.times, points, pairs)
+    ours, theirs = match(motion.times, truth.times)
+    found, expected = bends(joints), bends(points)
+    off = {hinge: np.abs(found[hinge][ours] - expected[hinge][theirs]) for hinge in found}
+    return Result(clip.name, len(recording.videos), errors, off)
+
+
+def exercise_rows(results: Sequence[Result]) -> list[list[str]]:
+    """A row for each exercise by as many cameras, and their means."""
+    rows = [["exercise", "elbows", "knees", "joints", *(f"{kind}s" for kind in KINDS)]]
+    rows.append(["", "deg", "deg", "cm", *("cm" for _ in KINDS)])
+    figures = np.array([_figures(result) for result in results])
+    for name, row in zip([r.name for r in results], figures, strict=True):
+        rows.append([name, *(f"{value:.1f}" for value in row)])
+    return [*rows, ["mean", *(f"{value:.1f}" for value in figures.mean(0))]]
+
+
+def _figures(result: Result) -> list[float]:
+    angles = [result.angle(kind) for kind in ("elbow", "knee")]
+    return [*angles, result.place(*KINDS), *(result.place(kind) for kind in KINDS)]
+
+
+def camera_rows(results: Sequence[Result]) -> list[list[str]]:
+    """A row for each exercise, with columns for each number of cameras."""
+    counts = sorted({result.cameras for result in results}, reverse=True)
+    rows = [["exercise", *(f"{n} cam." for n in counts), *(f"{n} cam." for n in counts)]]
+    rows.append(["", *("deg" for _ in counts), *("cm" for _ in counts)])
+    names, by = (
+        list(dict.fromkeys(r.name for r in results)),
+        {(r.name, r.cameras): r for r in results},
+    )
+    figures = np.array(
+        [
+            [(r.angle("elbow") + r.angle("knee")) / 2 for r in (by[name, n] for n in counts)]
+            + [by[name, n].place(*KINDS) for n in counts]
+            for name in names
+        ]
+    )
+    rows += [[n, *(f"{v:.1f}" for v in row)] for n, row in zip(names, figures, strict=True)]
+    return [*rows, ["mean", *(f"{value:.1f}" for value in figures.mean(0))]]
+
+
+def real_rows(result: Result) -> list[list[str]]:
+    """The real recording, joint kind by joint kind."""
+    rows = [["real, four cameras", *(f"{kind}s" for kind in KINDS), "judged by", "elbows"]]
+    rows.append(["", *("cm" for _ in KINDS), "cm", "deg"])
+    places = [result.place(kind) for kind in KINDS] + [result.place(*REAL_KINDS)]
+    angles = [result.angle("elbow")]
+    return [*rows, [result.name, *(f"{value:.1f}" for value in (*places, *angles))]]
+
+
+def metrics(result: Result) -> Iterator[Metric]:
+    """The figures that a baseline holds."""
+    name = f"{result.name}, {result.cameras} cameras"
+    yield Metric(f"{name}, joints", result.place(*KINDS), "cm", tolerance=0.1)
+    if result.name == REAL:
+        yield Metric(f"{name}, judged by", result.place(*REAL_KINDS), "cm", tolerance=0.05)
+    for kind in ("elbow", "knee"):
+        yield Metric(f"{name}, {kind}s bent", result.angle(kind), "deg", tolerance=0.1)
+
+
+def speed(name: str, frames: Sequence[dict[str, float]]) -> list[Metric]:
+    """What a frame takes, stage by stage; the very first, which compiles, apart."""
+    first, usual = frames[0], frames[1:]
+    found = [Metric(f"{name}, first call", first[WHOLE] / 1e3, "s")]
+    # A stage that a frame does without takes no time.
+    for stage in dict.fromkeys([*STAGES, *first]):
+        found += stage_metrics(f"{name}, {stage}", [frame.get(stage, 0.0) for frame in usual])
+    rate = 1e3 / np.median([frame[WHOLE] for frame in usual])
+    return [*found, Metric(f"{name}, frames per second", float(rate), "1/s", "higher")]
+
+
+def chosen(options: argparse.Namespace, keep: Path) -> list[Clip]:
+    """The exercises asked for, rendered where they are not there yet."""
+    names = [name for name in options.only if name != REAL]
+    if options.recordings:
+        file = Path(options.recordings) / "person" / "person.npz"
+        people = options.people.split(",")
+        return exercises(file, names, options.seeds, people, options.seconds, keep)
+    clips = []
+    for seed in options.seeds if names else ():
+        name = f"{PAINTED}_{seed:03d}_{options.seconds:g}s"
+        path = keep / name / "recording.toml"
+        if not path.is_file():
+            painted = performing(options.seconds, seed, None, PAINTED)
+            with progress_bar(f"rendering {name}", True) as show:
+                write_four_cameras(path.parent, painted, options.seconds, seed, progress=show)
+        clips.append(Clip(PAINTED, name, path, {mark: mark for mark in LANDMARKS}, seed))
+    return clips
+
+
+def kinds(text: str) -> list[str]:
+    """Such as ``push_ups,balancing``."""
+    found = text.split(",")
+    if unknown := [kind for kind in found if kind not in (*EXERCISES, REAL)]:
+        known = ", ".join((*EXERCISES, REAL))
+        raise argparse.ArgumentTypeError(f"{unknown[0]!r}: expected of {known}")
+    return found
+
+
+def counts(text: str) -> list[int]:
+    """Such as ``4,2``."""
+    found = text.split(",")
+    if not set(found) <= set("1234"):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected of 4,3,2,1")
+    return [int(part) for part in found]
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    whole = argparse.ArgumentParser(
+        prog="python -m bench.silhouette",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = whole.add_argument
+    add("recordings", nargs="?", help="folder of the real recording and of the rigged meshes")
+    known = (*EXERCISES, REAL)
+    add(
+        "--only", type=kinds, default=list(known), metavar="NAME,...", help=f"of {', '.join(known)}"
+    )
+    add("--cameras", type=counts, default=counts("4,3,2,1"), metavar="4,3,...", help="how many")
+    add("--seeds", type=seeds, default=seeds("0"), metavar="0-2", help="of each exercise")
+    add("--people", default="man", metavar="WHO,...", help="of person.npz; default: %(default)s")
+    add("--seconds", type=float, default=3.0, help="of a rendered recording; default: %(default)s")
+    add("--keep", metavar="DIR", help="keep rendered recordings here, rendered once")
+    add("--json", metavar="FILE", help="write the metrics")
+    return whole
+
+
+def main() -> None:
+    """Render, track, compare, print."""
+    options = parser().parse_args()
+    keep_compiled()
+    with tempfile.TemporaryDirectory() as folder:
+        found, timed = measured(options, Path(options.keep or folder))
+    rendered = [result for result in found if result.name != REAL]
+    most = [r for r in rendered if r.cameras == max(options.cameras)]
+    parts = [exercise_rows(most)] if rendered else []
+    parts += [camera_rows(rendered)] if len(options.cameras) > 1 and rendered else []
+    parts += [real_rows(result) for result in found if result.name == REAL]
+    print("\n\n".join([*map(aligned, parts), table(timed)]))
+    if options.json:
+        write_json([*(m for result in found for m in metrics(result)), *timed], options.json)
+
+
+def measured(options: argparse.Namespace, keep: Path) -> tuple[list[Result], list[Metric]]:
+    """Everything that was asked for, and what a frame took by each number of cameras."""
+    found: list[Result] = []
+    timed: list[Metric] = []
+    clips = chosen(options, keep)
+    for number in options.cameras if clips else ():
+        with stages_timed() as clock:
+            for clip in clips:
+                print(f"tracking {clip.name} by {number}", file=sys.stderr, flush=True)
+                found.append(track_exercise(clip, number))
+        timed += speed(f"{number} cameras" if number > 1 else "1 camera", clock.frames)
+    if REAL in options.only and options.recordings:
+        path = Path(options.recordings) / REAL / "recording_all_cameras.toml"
+        with stages_timed() as clock:
+            found.append(track_real(Clip(REAL, REAL, path, REAL_LANDMARKS)))
+        timed += speed("real, 4 cameras", clock.frames)
+    return found, timed
+
+
+if __name__ == "__main__":
+    main()

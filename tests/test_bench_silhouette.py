@@ -1,0 +1,73 @@
+"""The silhouette tracker's benchmark: its tables, and stages that make up the frame."""
+
+from time import sleep
+
+import numpy as np
+import pytest
+
+from bench.silhouette import Result, camera_rows, exercise_rows, metrics, real_rows, speed
+from bench.stages import REST, STAGES, WHOLE, StageClock, stages_timed
+from jaxmocap.evaluation.errors import Errors
+from jaxmocap.run.silhouette_demo import JOINTS
+from jaxmocap.silhouette import tracker
+
+
+def result(name: str, cameras: int, off_m: float, bend_deg: float) -> Result:
+    """All joints so far off along x; elbows bent off by so much, knees by half of it."""
+    offsets = np.zeros((3, len(JOINTS), 3))
+    offsets[..., 0] = off_m
+    bend = np.radians(bend_deg)
+    off = {f"{h}_{s}": np.full(3, bend / k) for h, k in (("elbow", 1), ("knee", 2)) for s in "lr"}
+    return Result(name, cameras, Errors(tuple(JOINTS), np.arange(3.0), offsets), off)
+
+
+def test_tables_show_degrees_and_centimetres_and_their_means():
+    results = [result("walking", 4, 0.01, 2.0), result("turn", 4, 0.03, 4.0)]
+    rows = exercise_rows(results)
+    assert rows[2][:4] == ["walking", "2.0", "1.0", "1.0"]
+    assert rows[-1] == ["mean", "3.0", "1.5", *["2.0"] * 7]
+    fewer = [result("walking", 1, 0.05, 8.0), result("turn", 1, 0.05, 8.0)]
+    rows = camera_rows([*results, *fewer])
+    assert rows[0][1:] == ["4 cam.", "1 cam."] * 2
+    assert rows[-1] == ["mean", "2.2", "6.0", "2.0", "5.0"]
+
+
+def test_the_real_recording_is_judged_by_eight_joints():
+    real = result("balancing", 4, 0.02, 5.0)
+    places = [name.split("_")[0] in ("wrist", "ankle") for name in real.errors.joints]
+    real.errors.offsets[:, places] = 1.0
+    assert real_rows(real)[-1][-2:] == ["2.0", "5.0"]
+    named = {metric.name: metric.value for metric in metrics(real)}
+    assert named["balancing, 4 cameras, judged by"] == pytest.approx(2.0)
+    assert named["balancing, 4 cameras, joints"] > 30
+
+
+def test_stages_and_the_rest_make_up_the_frame():
+    clock = StageClock()
+    decode, fit = (clock.timed(stage, sleep) for stage in ("decode", "fit"))
+
+    def frame():
+        fit(0.004)
+        fit(0.004)
+        sleep(0.004)
+
+    step = clock.step(frame)
+    for _ in range(3):
+        decode(0.004)
+        step()
+    for spent in clock.frames:
+        assert spent["fit"] >= 8 and spent["decode"] >= 4 and spent[REST] >= 4
+        parts = sum(spent[stage] for stage in ("decode", "fit", REST))
+        assert spent[WHOLE] == pytest.approx(parts)
+    found = {metric.name: metric.value for metric in speed("x", clock.frames)}
+    assert found["x, rim, median"] == 0 and found["x, fit, 99 %"] >= 8
+    assert found["x, frames per second"] == pytest.approx(1e3 / found["x, whole frame, median"])
+
+
+def test_every_stage_is_there_to_be_timed_and_is_itself_again_afterwards():
+    before = tracker.fit, tracker.SilhouetteTracker.step
+    with stages_timed() as clock:
+        assert tracker.fit is not before[0]
+        assert tracker.SilhouetteTracker.step is not before[1]
+    assert (tracker.fit, tracker.SilhouetteTracker.step) == before
+    assert clock.frames == [] and len(STAGES) == 8
