@@ -129,8 +129,11 @@ def test_shapes_are_known_before_anything_is_compiled(folder: Path) -> None:
     like = jax.ShapeDtypeStruct((), np.float32), jax.ShapeDtypeStruct((2,), np.float32)
     program = counted(traced)
     assert program.shapes(*like).point.shape == (2,)
+    assert not folder.exists()
     compiled = program.lowered(*like)()
     np.testing.assert_allclose(compiled(ANGLE, POINT).parts["length"], 5.0, rtol=1e-5)
+    later = counted(traced).shapes(*like)
+    assert later == program.shapes(*like) and later.rest is None
     assert len(traced) == 1
 
 

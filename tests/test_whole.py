@@ -90,8 +90,8 @@ def test_two_scans_say_what_the_steps_say(both_ways):
 def test_the_body_rests_on_its_first_markers_either_way(recording, tracker, both_ways):
     first = recording.positions_world[0]
     shared = tracker.skeleton, tracker.cameras, tracker.settings
-    solve_all, _ = tracker.scans.compiled((), lambda solved: ())
-    found = settled_at_once(tracker, solve_all, first)
+    solving, _ = tracker.scans.compiling((), lambda solved: ())
+    found = settled_at_once(tracker, solving(), first)
     assert_same(found, settled(tracker, first))
     again = tracker.solve(*shared, found.pose, found.stance, first.astype(np.float32))
     assert np.abs(again.ik.pose.angles - found.pose.angles).max() < 0.01

@@ -79,19 +79,17 @@ class HybridTracker:
         self.observer = Observer(
             len(listed), chosen.samples, chosen.directions, chosen.edges, chosen.spacing
         )
-        person = self.skeleton, chosen.ik
-        self._bow = (_bow_factors.beside(*person), person) if chosen.balance else None
         own = programs_of(Held(self.held, self.grips))
         self._begin, self.solve, self.refine = own.start, own.solve, own.refine
         self.scans = Scans(own.solve_all, own.refine_all)
 
     @cached_property
     def factors(self) -> Array:
-        """(3,) p_i of the balance heuristic; their program compiles while others are traced."""
-        if self._bow is None:
+        """(3,) p_i of the balance heuristic."""
+        if not self.settings.balance:
             return jnp.zeros(3, self.dtype)
-        compiled, person = self._bow
-        return compiled()(*person)
+        person = self.skeleton, self.settings.ik
+        return _bow_factors.lowered(*person)()(*person)
 
     def init(self, markers_world: np.ndarray | Array) -> State:
         """The state before the first sample, placed by its (M, 3) markers; NaN where missing."""
@@ -99,11 +97,16 @@ class HybridTracker:
         return self._begin.lowered(*first)()(*first)
 
     def init_like(self, count: int) -> State:
-        """Shapes of a state by so many markers; what places it compiles beside from now on."""
+        """Shapes of a state by so many markers."""
         markers = jax.ShapeDtypeStruct((count, 3), self.dtype)
-        like = self.skeleton, self.settings, markers
-        self._begin.beside(*like)
-        return self._begin.shapes(*like)
+        return self._begin.shapes(self.skeleton, self.settings, markers)
+
+    def prepare(self, count: int) -> None:
+        """What comes before a first step by so many markers compiles beside from now on."""
+        markers = jax.ShapeDtypeStruct((count, 3), self.dtype)
+        self._begin.beside(self.skeleton, self.settings, markers)
+        if self.settings.balance:
+            _bow_factors.beside(self.skeleton, self.settings.ik)
 
     def step(
         self,

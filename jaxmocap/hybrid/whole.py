@@ -134,7 +134,7 @@ def refined_over_time(
 
 
 class Scans:
-    """Both scans of a tracker, compiled once for their shapes, at the same time.
+    """Both scans of a tracker, compiled once for their shapes, beside the calling thread.
 
     Attributes:
         solve_all: ``solved_over_time`` of the tracker.
@@ -144,21 +144,20 @@ class Scans:
     def __init__(self, solve_all: Program, refine_all: Program):
         """Nothing is compiled yet."""
         self.solve_all, self.refine_all = solve_all, refine_all
-        self._compiled: tuple[Callable, Callable] | None = None
+        self._compiling: tuple[Callable, Callable] | None = None
 
-    def compiled(
+    def compiling(
         self, solve_like: Sequence, refine_like: Callable[[Any], Sequence]
-    ) -> tuple[Callable, Callable]:
-        """Both for ever the same shapes; the compiler takes a second core for the first of them.
+    ) -> tuple[Callable[[], Callable], Callable[[], Callable]]:
+        """What waits for either, for ever the same shapes.
 
         Args:
             solve_like: arguments of ``solve_all``, or what has their shapes.
             refine_like: arguments of ``refine_all``, from what ``solve_all`` finds.
         """
-        if self._compiled is None:
+        if self._compiling is None:
             # Only the compiler runs beside: what is traced belongs to this thread's precision.
             solve = self.solve_all.beside(*solve_like)
             _, solved = self.solve_all.shapes(*solve_like)
-            refine = self.refine_all.lowered(*refine_like(solved))()
-            self._compiled = solve(), refine
-        return self._compiled
+            self._compiling = solve, self.refine_all.beside(*refine_like(solved))
+        return self._compiling

@@ -76,18 +76,20 @@ def scanned(
         show: called with the events done and their total, chunk by chunk.
     """
     tally, began = Tally(), perf_counter()
-    solve, refine = _compiled(tracker, plan)
+    solving, refining = _compiling(tracker, plan)
+    solve = solving()
     state = settled_at_once(tracker, solve, plan.markers_world[0])
-    tally.keep("first_call", began)
+    solve = tally.timed("solve", solve, EVENTS)
     look = partial(_look, plan, tracker.observer.fresh(), readers, tally)
-    solve, refine = (tally.timed(name, call, EVENTS) for name, call in
-                     (("solve", solve), ("refine", refine)))  # fmt: skip
     shared = tracker.skeleton, tracker.cameras, tracker.settings
     parts, said, belief = [], [], state.belief
     with ThreadPoolExecutor(1, "look") as beside:
         submit = partial(beside.submit, look)
-        began = perf_counter()
-        for chunk in _one_ahead(_chunks(plan, tracker, solve, state, submit)):
+        # The first is looked at while its refinement may still be compiling.
+        chunks = _one_ahead(_chunks(plan, tracker, solve, state, submit))
+        refine = tally.timed("refine", refining(), EVENTS)
+        began = tally.keep("first_call", began)
+        for chunk in chunks:
             looked, count = chunk.looked.result(), len(chunk.events)
             belief, found = refine(
                 *shared, tracker.factors, chunk.solved, chunk.markers, looked.views, belief,
@@ -103,10 +105,13 @@ def scanned(
     return Passed(plan, refined, reports, said, tally.milliseconds)
 
 
-def _compiled(tracker: HybridTracker, plan: Plan) -> tuple[Callable, Callable]:
-    """Both scans, for the shapes of the plan."""
+def _compiling(
+    tracker: HybridTracker, plan: Plan
+) -> tuple[Callable[[], Callable], Callable[[], Callable]]:
+    """What waits for either scan, for the shapes of the plan; the rest compiles beside as well."""
     shared = tracker.skeleton, tracker.cameras, tracker.settings
-    state = tracker.init_like(plan.markers_world.shape[1])
+    count = plan.markers_world.shape[1]
+    state = tracker.init_like(count)
     markers = np.zeros((EVENTS, *plan.markers_world.shape[1:]), tracker.dtype)
     times = np.zeros(EVENTS, tracker.dtype)
 
@@ -115,12 +120,14 @@ def _compiled(tracker: HybridTracker, plan: Plan) -> tuple[Callable, Callable]:
         if solved.region is not None:
             first = jax.tree.map(lambda part: np.zeros(part.shape[1:], part.dtype), solved.region)
             views = Views.of(tracker.observer.observe(None, first), [None] * EVENTS)
-        # Not the factors themselves, which are still waited for.
+        # Not the factors themselves, which take a program of their own.
         factors = jax.ShapeDtypeStruct((3,), tracker.dtype)
         return *shared, factors, solved, markers, views, state.belief, times
 
     start = state.pose, state.stance
-    return tracker.scans.compiled((*shared, start, markers), refine_like)
+    compiling = tracker.scans.compiling((*shared, start, markers), refine_like)
+    tracker.prepare(count)
+    return compiling
 
 
 def _chunks(
@@ -143,12 +150,15 @@ def _chunks(
 
 
 def _one_ahead(chunks: Iterator[Chunk]) -> Iterator[Chunk]:
-    """Each only when the next one is on its way too."""
-    waiting = next(chunks)
-    for chunk in chunks:
+    """The first is on its way at once, and is given out when the next one is too, and so on."""
+
+    def given(waiting: Chunk) -> Iterator[Chunk]:
+        for chunk in chunks:
+            yield waiting
+            waiting = chunk
         yield waiting
-        waiting = chunk
-    yield waiting
+
+    return given(next(chunks))
 
 
 def _look(

@@ -113,7 +113,14 @@ class Program:
 
     def shapes(self, *like: Any) -> Any:
         """Shapes of the result, from arguments or from what has their shapes."""
-        return jax.eval_shape(self._chosen(), *self._first, *like)
+        arguments = (*self._first, *like)
+        leaves, structure = jax.tree.flatten(arguments)
+        kept = _read(self._path(leaves, structure)) if _folder else None
+        if kept is None:
+            # Not exported for this alone: it can wait until it is compiled.
+            return jax.eval_shape(self.jitted, *arguments)
+        shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in kept.exported.out_avals]
+        return jax.tree.unflatten(kept.structure, shapes)
 
     def lowered(self, *like: Any) -> Callable[[], Callable]:
         """Traced and lowered for arguments such as these; what is returned compiles it.
@@ -160,17 +167,16 @@ class Program:
 
     def _look_up(self, leaves: list[Array], structure: Any) -> _Kept | None:
         """What an earlier start kept, or what this one makes of it; None if it cannot be kept."""
-        like = [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=x.weak_type) for x in leaves]
-        told = repr((self.name, self._static, str(structure), like, _surroundings()))
-        path = Path(_folder or "") / f"{self.name}-{_digest(told)}.program"
-        try:
-            blob, result = pickle.loads(path.read_bytes())
-            return _Kept(export.deserialize(bytearray(blob)), result)
-        # Not there yet, or not what it should be, whatever the reason: it is made anew.
-        except Exception:
-            return self._make(like, structure, path)
+        path = self._path(leaves, structure)
+        return _read(path) or self._make(_like(leaves), structure, path)
+
+    def _path(self, leaves: list[Array], structure: Any) -> Path:
+        """Where it is kept for such arguments."""
+        told = repr((self.name, self._static, str(structure), _like(leaves), _surroundings()))
+        return Path(_folder or "") / f"{self.name}-{_digest(told)}.program"
 
     def _make(self, like: list[jax.ShapeDtypeStruct], structure: Any, path: Path) -> _Kept | None:
+        """What tracing makes, written there; None if JAX cannot export it."""
         result = None
 
         def flat(*leaves: Array) -> list[Array]:
@@ -227,6 +233,25 @@ def _compiler_options(effort: Effort) -> dict[str, bool | int] | None:
     except jax.errors.JaxRuntimeError:
         return None
     return options
+
+
+def _like(leaves: list[Array]) -> list[jax.ShapeDtypeStruct]:
+    """Shapes and types of arrays, or of what has them."""
+    weak = (getattr(leaf, "weak_type", False) for leaf in leaves)
+    return [
+        jax.ShapeDtypeStruct(np.shape(leaf), leaf.dtype, weak_type=each)
+        for leaf, each in zip(leaves, weak, strict=True)
+    ]
+
+
+def _read(path: Path) -> _Kept | None:
+    """What was kept there; None if it is not there, or not what it should be."""
+    try:
+        blob, result = pickle.loads(path.read_bytes())
+        return _Kept(export.deserialize(bytearray(blob)), result)
+    # Whatever the reason, it is made anew.
+    except Exception:
+        return None
 
 
 def _is_traced(arguments: Any) -> bool:
