@@ -17,6 +17,7 @@ SETTLED_RAD, MOST_SETTLING = 1e-3, 10
 
 def settled(tracker: HybridTracker, markers_world: np.ndarray) -> State:
     """By the tracker's own steps, on (M, 3) markers in metres; NaN where missing."""
+    tracker.prepare(len(markers_world))
     state, targets = tracker.init(markers_world), np.asarray(markers_world, tracker.dtype)
     for _ in range(MOST_SETTLING):
         ik = tracker.solve(
