@@ -78,14 +78,16 @@ def body_mask(keys: np.ndarray) -> np.ndarray:
     return cv2.morphologyEx((keys != EMPTY).astype(np.uint8), cv2.MORPH_CLOSE, SQUARE)
 
 
-def outer_boundary(keys: np.ndarray, mask: np.ndarray) -> Boundary:
+def outer_boundary(keys: np.ndarray, mask: np.ndarray, count: int | None = None) -> Boundary:
     """The body's outline, holes between its limbs too, as a mask can show it.
 
     Args:
         keys: (S, S) of ``index_image``.
         mask: (S, S) of ``body_mask``.
+        count: of cells, at most, evenly along it; all without it.
     """
-    return _with_nodes(keys, *traced(mask))
+    found = traced(mask)
+    return _with_nodes(keys, *(found if count is None else thinned(found, count)))
 
 
 def traced(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

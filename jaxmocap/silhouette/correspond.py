@@ -142,8 +142,10 @@ def _places(pixels: np.ndarray, normals: np.ndarray, turn: float) -> np.ndarray:
 
 def _filled(part: np.ndarray, width: int) -> np.ndarray:
     """A field up to its static length, in single precision where it has any."""
-    padded = np.pad(part, [(0, width - len(part))] + [(0, 0)] * (part.ndim - 1))
-    return padded.astype(np.float32) if padded.dtype == np.float64 else padded
+    kind = np.float32 if part.dtype == np.float64 else part.dtype
+    padded = np.zeros((width, *part.shape[1:]), kind)
+    padded[: len(part)] = part
+    return padded
 
 
 def pairs_of(

@@ -10,12 +10,14 @@ of them, lose their weight (Tukey's biweight); a joint at its limit leaves the s
 left is solved again.
 """
 
+from functools import cache
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from threadpoolctl import ThreadpoolController
 
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose, difference, retract
@@ -236,7 +238,14 @@ def standard_deviations(
     H = np.asarray(information, float)
     H = (H + H.T) / 2
     known = np.broadcast_to(1 / np.asarray(beforehand, float) ** 2, len(H))
-    values, vectors = np.linalg.eigh(H / np.sqrt(np.outer(known, known)))
+    # So few rows: BLAS's threads would only wait for one another, for tens of milliseconds.
+    with _blas().limit(limits=1, user_api="blas"):
+        values, vectors = np.linalg.eigh(H / np.sqrt(np.outer(known, known)))
     # float32 sums cannot tell a small eigenvalue from none.
     values = np.where(values > 1e-6 * values.max(), values, 0.0)
     return np.sqrt(np.sum(vectors**2 / (1 + values), 1) / known)
+
+
+@cache
+def _blas() -> ThreadpoolController:
+    return ThreadpoolController()

@@ -44,7 +44,7 @@ class RimSettings:
     Attributes:
         size: of the canvas, cells.
         outer: rim points kept of each camera, evenly along the outline.
-        inner: those kept of boundaries between limbs.
+        inner: those kept of boundaries between limbs; 0 does not look for them.
         spacing: of the denser surface's nodes, metres.
         jump: in depth that makes a boundary between limbs, metres.
         margin: around the person, as a fraction of its extent.
@@ -157,16 +157,18 @@ class RimFinder:
         s = self.settings
         keys = index_image(drawn.places, drawn.keys, s.size)
         mask = body_mask(keys)
-        outer = Boundary(*thinned(outer_boundary(keys, mask), s.outer))
-        inner = Boundary(*thinned(inner_boundary(keys, drawn.depth, s.jump), s.inner))
-        parts = [_padded(outer, s.outer), _padded(inner, s.inner)]
-        both = Boundary(*(np.concatenate(field) for field in zip(*parts, strict=True)))
-        lengths = zip((outer, inner), (s.outer, s.inner), strict=True)
-        real = np.concatenate([np.arange(size) < len(part.nodes) for part, size in lengths])
-        nodes = self._standing_out(both.nodes, both.normals, drawn)
+        found = [outer_boundary(keys, mask, s.outer)]
+        if s.inner:
+            found.append(Boundary(*thinned(inner_boundary(keys, drawn.depth, s.jump), s.inner)))
+        nodes, normals = np.zeros(s.outer + s.inner, int), np.zeros((s.outer + s.inner, 2))
+        real = np.zeros(len(nodes), bool)
+        for part, start in zip(found, (0, s.outer), strict=False):
+            rows = np.s_[start : start + len(part.nodes)]
+            nodes[rows], normals[rows], real[rows] = part.nodes, part.normals, True
+        nodes = self._standing_out(nodes, normals, drawn)
         pixels = np.stack([drawn.u[nodes], drawn.v[nodes]], 1)
-        is_inner = np.arange(s.outer + s.inner) >= s.outer
-        return nodes, pixels, both.normals.astype(pixels.dtype), is_inner, real, mask
+        is_inner = np.arange(len(nodes)) >= s.outer
+        return nodes, pixels, normals.astype(pixels.dtype), is_inner, real, mask
 
     def _standing_out(self, nodes: np.ndarray, normals: np.ndarray, drawn: Drawn) -> np.ndarray:
         """Nodes (R,) moved to neighbours that are seen farthest along the normals."""
@@ -181,13 +183,6 @@ class RimFinder:
         every = self.surface.points
         chosen = nodes.ravel()
         return BodyPoints(*(np.asarray(part)[chosen] for part in every))
-
-
-def _padded(boundary: Boundary, count: int) -> Boundary:
-    """The boundary with rows of zeros up to ``count``."""
-    missing = count - len(boundary.nodes)
-    widths = [(0, missing)]
-    return Boundary(*(np.pad(part, widths + [(0, 0)] * (part.ndim - 1)) for part in boundary))
 
 
 def neighbours(surface: Surface) -> np.ndarray:
