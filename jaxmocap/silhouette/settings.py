@@ -35,13 +35,16 @@ class Settings:
             where below this share of ``blind``.
         damping: share of the velocity that the next frame is predicted with.
         newest: weight of a frame's own velocity.
+        changed: an image that differs from the last of its camera in more than this share of it is
+            torn, black or another camera's, and not looked at.
+        patience: frames of a camera, one after the other, that may be passed over so.
         share: of a camera's rim and contour that must find each other.
         apart: a camera whose pairs lie so many times as far apart as all is left out.
         near: unless they are within this, metres.
         settling: times that the first frame is looked at before tracking begins.
     """
 
-    rim: RimSettings = field(default_factory=lambda: RimSettings(margin=0.1))
+    rim: RimSettings = field(default_factory=lambda: RimSettings(inner=0, margin=0.1))
     match: MatchSettings = field(default_factory=MatchSettings)
     level_set: segment.Settings = field(default_factory=segment.Settings)
     points: int = 512
@@ -56,6 +59,8 @@ class Settings:
     told: float = 0.5
     damping: float = 0.8
     newest: float = 0.7
+    changed: float = 0.25
+    patience: int = 15
     share: float = 0.4
     apart: float = 3.0
     near: float = 0.03

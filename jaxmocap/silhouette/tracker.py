@@ -23,6 +23,7 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surface import Surface
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.background import Background
+from jaxmocap.images.glances import Glances
 from jaxmocap.silhouette.correspond import Matches, matched
 from jaxmocap.silhouette.looking import Outlines, look
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, standard_deviations
@@ -41,6 +42,7 @@ class State(NamedTuple):
         time: seconds; None before the first frame.
         histograms: of C cameras' images.
         told: (6 + D,) bool: degrees of freedom that the last frame told much of.
+        glances: at what the cameras showed last.
     """
 
     pose: Pose
@@ -48,6 +50,7 @@ class State(NamedTuple):
     time: float | None
     histograms: Histograms
     told: np.ndarray
+    glances: Glances
 
 
 class StepReport(NamedTuple):
@@ -122,8 +125,9 @@ class SilhouetteTracker:
     def init(self, pose: Pose) -> State:
         """The state before the first frame, the person about there."""
         width = self.skeleton.costs.shape
-        empty = Histograms.empty(len(self.rooms), self.plan)
-        return State(pose, np.zeros(width, np.float32), None, empty, np.ones(width, bool))
+        cameras, still = len(self.rooms), np.zeros(width, np.float32)
+        empty, told = Histograms.empty(cameras, self.plan), np.ones(width, bool)
+        return State(pose, still, None, empty, told, Glances.none(cameras))
 
     def step(
         self, state: State, time: float, images: Sequence[np.ndarray | None]
@@ -139,6 +143,7 @@ class SilhouetteTracker:
             The state, the pose and a report.
         """
         s = self.settings
+        images, glances = state.glances.believed(images, s.changed, s.patience)
         ahead = 0.0 if state.time is None else max(time - state.time, 1e-3)
         expected = predict(self.skeleton, state.pose, s.damping * state.velocity, np.float32(ahead))
         beforehand = np.where(state.told, s.expected, s.held).astype(np.float32)
@@ -152,7 +157,8 @@ class SilhouetteTracker:
             used, shares, float(result.spread), deviations, seen,
             np.asarray(result.information), outlines,
         )  # fmt: skip
-        return State(result.pose, velocity, time, histograms, told), result.pose, report
+        after = State(result.pose, velocity, time, histograms, told, glances)
+        return after, result.pose, report
 
     def _fitted(
         self,

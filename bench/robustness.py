@@ -1,0 +1,210 @@
+"""``python -m bench.robustness FOLDER...``: silhouettes through corrupted and missing images.
+
+Each folder holds ``recording.toml`` and ``truth.trc`` of an exercise that was rendered, such as
+the folder ``recording`` in what ``jaxmocap silhouette demo`` writes. Joints are back to their usual
+error where none of twelve is farther off than a centimetre more than in 95 % of the frames without
+the fault; of a camera that stays away the usual is that of the cameras left.
+
+INPUTS: folders. OUTPUTS: a table, and Metrics as JSON.
+"""
+
+import argparse
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.metrics import Metric, aligned, write_json
+from bench.silhouette_faults import FAULTS, Faulty, Span, Truth, in_memory
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.subject import scale_to_landmarks
+from jaxmocap.formats.recording import Recording, load_recording
+from jaxmocap.formats.trc import read_trc
+from jaxmocap.run.choosing import select_cameras
+from jaxmocap.run.compilation import keep_compiled
+from jaxmocap.run.silhouette import follow, whole_body
+from jaxmocap.silhouette.settings import Settings
+from jaxmocap.silhouette.start import pose_at
+
+JOINTS = tuple(
+    f"{joint}_{side}"
+    for joint in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+    for side in "lr"
+)
+# Back is who stays within this much more than usual for so many frames; and how soon is asked.
+MORE_M, STAYS, ASKED_S = 0.01, 3, 0.5
+
+
+class Outcome(NamedTuple):
+    """What became of one recording with one kind of fault.
+
+    Attributes:
+        name: exercise and fault.
+        usual: mean error of the joints without it, metres.
+        worst: the largest mean error while it lasts and until the joints are back, metres.
+        back: seconds of each fault from its end until they are.
+        said: share of the frames with a fault of which the report says what was not seen.
+        false: share of the other frames of which it says so.
+    """
+
+    name: str
+    usual: float
+    worst: float
+    back: np.ndarray
+    said: float
+    false: float
+
+    def row(self) -> list[str]:
+        """Of the table."""
+        late = np.max(self.back)
+        return [
+            self.name,
+            f"{100 * self.usual:.1f}",
+            f"{100 * self.worst:.1f}",
+            f"{np.median(self.back):.2f}",
+            f"{late:.2f}" if math.isfinite(late) else "never",
+            f"{np.mean(self.back <= ASKED_S):.0%}",
+            f"{self.said:.0%}",
+            f"{self.false:.0%}",
+        ]
+
+    def metrics(self) -> list[Metric]:
+        """Figures for JSON; what never came back is left out of the worst time."""
+        late = self.back[np.isfinite(self.back)]
+        found = [
+            Metric(f"{self.name}, worst error", 100 * self.worst, "cm"),
+            Metric(
+                f"{self.name}, back in time", 100 * np.mean(self.back <= ASKED_S), "%", "higher"
+            ),
+            Metric(f"{self.name}, said", 100 * self.said, "%", "higher"),
+            Metric(f"{self.name}, said falsely", 100 * self.false, "%"),
+        ]
+        return found + ([Metric(f"{self.name}, back after", late.max(), "s")] if len(late) else [])
+
+
+HEADINGS = [
+    ["exercise and fault", "usual", "worst", "back after", "", "in 0.5 s", "said", "falsely"],
+    ["", "cm", "cm", "median s", "at most s", "", "", ""],
+]
+
+
+def measured(folder: Path, faults: Sequence[str], settings: Settings) -> list[Outcome]:
+    """All outcomes of a recording."""
+    recording, truth = loaded(folder)
+    clean = errors(tracked(recording, truth, settings), truth)
+    found = []
+    for name in faults:
+        faulty = FAULTS[name](recording.videos, truth)
+        if faulty is None:
+            continue
+        usual = clean
+        if faulty.fewer:
+            fewer = tracked(select_cameras(recording, faulty.fewer), truth, settings)
+            usual = np.maximum(clean, errors(fewer, truth))
+        motion = tracked(replace(recording, videos=faulty.videos), truth, settings)
+        found.append(judged(f"{folder.name}, {name}", motion, errors(motion, truth), usual, faulty))
+        print(aligned([found[-1].row()]), flush=True)
+    return found
+
+
+def loaded(folder: Path) -> tuple[Recording, Truth]:
+    """A recording, its frames in memory and its person of the true lengths; and the truth."""
+    recording, known = load_recording(folder / "recording.toml"), read_trc(folder / "truth.trc")
+    truth = dict(zip(known.names, np.moveaxis(known.positions, 1, 0), strict=True))
+    skeleton = scale_to_landmarks(recording.skeleton, truth)
+    videos = tuple(in_memory(video) for video in recording.videos)
+    return replace(recording, skeleton=skeleton, videos=videos), truth
+
+
+def tracked(recording: Recording, truth: Truth, settings: Settings) -> Motion:
+    """The motion that silhouettes tell, from the true place of the first frame."""
+    first = np.array([truth[n][0] if n in truth else np.full(3, np.nan) for n in LANDMARKS])
+    return follow(recording, pose_at(whole_body(recording.skeleton), first), settings).motion
+
+
+def errors(motion: Motion, truth: Truth) -> np.ndarray:
+    """(T, J) metres."""
+    found, count = motion.joints(), len(motion.times)
+    off = [np.linalg.norm(found[name] - truth[name][:count], axis=1) for name in JOINTS]
+    return np.stack(off, 1)
+
+
+def judged(
+    name: str, motion: Motion, off: np.ndarray, usual: np.ndarray, faulty: Faulty
+) -> Outcome:
+    """Compare errors (T, J) with the usual ones."""
+    within = (off <= np.maximum(np.percentile(usual, 95, 0), usual) + MORE_M).all(1)
+    ends = [span.start for span in faulty.spans[1:]] + [len(off)]
+    frames = [back_at(within, span.stop, end) for span, end in zip(faulty.spans, ends, strict=True)]
+    times = np.append(motion.times, np.inf)
+    after = [times[min(b, len(off))] - times[s.stop - 1] for b, s in zip(frames, faulty.spans)]
+    troubled = [
+        off[span.start : max(min(b, end), span.stop)].mean(1).max()
+        for span, b, end in zip(faulty.spans, frames, ends, strict=True)
+    ]
+    said, false = reported(motion, faulty)
+    return Outcome(name, usual.mean(), max(troubled), np.array(after), said, false)
+
+
+def back_at(within: np.ndarray, start: int, end: int) -> int:
+    """The first frame from ``start`` from which on all is well for some time; a far one if none."""
+    for frame in range(start, end):
+        if within[frame : min(frame + STAYS, end)].all():
+            return frame
+    return 10**9
+
+
+def reported(motion: Motion, faulty: Faulty) -> tuple[float, float]:
+    """Shares of frames with, and without, a fault of which the report says what was not seen."""
+    assert motion.report is not None
+    told = motion.report.statuses
+    stays, named = bool(faulty.fewer), [set[str]() for _ in told]
+    for span in faulty.spans:
+        for frame in range(span.start, len(told) if stays else span.stop):
+            named[frame] |= unseen(span)
+    expected = set[str]().union(*named)
+    during = [names <= set(said) for names, said in zip(named, told, strict=True) if names]
+    other = [
+        bool(expected & set(said)) for names, said in zip(named, told, strict=True) if not names
+    ]
+    return float(np.mean(during)), float(np.mean(other or [False]))
+
+
+def unseen(span: Span) -> set[str]:
+    """The sentences that a report should have."""
+    cameras = {f"{name}: left out" for name in span.cameras}
+    return cameras | {f"held, not seen: {joint}" for joint in span.joints}
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    whole = argparse.ArgumentParser(
+        prog="python -m bench.robustness",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="example: python -m bench.robustness demo/recording --only 'a limb hidden'",
+    )
+    add = whole.add_argument
+    add("folders", nargs="+", type=Path, metavar="FOLDER", help="of a rendered exercise")
+    add("--only", action="append", choices=tuple(FAULTS), help="this fault; may be repeated")
+    add("--json", metavar="FILE", help="write the metrics")
+    return whole
+
+
+def main(arguments: Sequence[str] | None = None, settings: Settings | None = None) -> None:
+    options = parser().parse_args(arguments)
+    keep_compiled()
+    faults, found = options.only or list(FAULTS), []
+    for folder in options.folders:
+        found += measured(folder, faults, settings or Settings())
+    print(aligned([*HEADINGS, *(outcome.row() for outcome in found)]))
+    if options.json:
+        write_json([metric for outcome in found for metric in outcome.metrics()], options.json)
+
+
+if __name__ == "__main__":
+    main()
