@@ -30,13 +30,10 @@ class Clock:
     def timed(self, stage: str, function: Callable) -> Callable:
         """The function, whose time is kept; it returns when its result is there."""
 
-        def run(*arguments):
-            began = perf_counter()
-            result = jax.block_until_ready(function(*arguments))
+        def keep(began: float) -> None:
             self.spent[stage] = 1e3 * (perf_counter() - began)
-            return result
 
-        return run
+        return _timed(function, keep)
 
 
 class Tally:
@@ -57,14 +54,19 @@ class Tally:
 
     def timed(self, stage: str, function: Callable, among: int = 1) -> Callable:
         """The function, whose times are kept; it returns when its result is there."""
+        return _timed(function, lambda began: self.keep(stage, began, among))
 
-        def run(*arguments):
-            began = perf_counter()
-            result = jax.block_until_ready(function(*arguments))
-            self.keep(stage, began, among)
-            return result
 
-        return run
+def _timed(function: Callable, keep: Callable[[float], object]) -> Callable:
+    """The function; once its result is there ``keep`` is called with the time that it began."""
+
+    def run(*arguments):
+        began = perf_counter()
+        result = jax.block_until_ready(function(*arguments))
+        keep(began)
+        return result
+
+    return run
 
 
 def timed_stages(tracker: HybridTracker, clock: Clock) -> HybridTracker:
