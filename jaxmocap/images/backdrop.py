@@ -1,0 +1,211 @@
+"""A person before a backdrop of one colour: which pixels show the person (second paper, 2.1).
+
+The backdrop's colour over the image is a smooth surface through samples at the image's sides and
+top. A pixel differs from it in brightness and in chromaticity, after Horprasert: by the factor that
+brings the backdrop's colour nearest to the pixel's, and by what is left then. Both thresholds come
+from the samples: what they scatter, the backdrop does. A shadow is darker, but of the same
+chromaticity, and stays with the backdrop.
+
+INPUTS: a photograph (H, W, 3), BGR uint8.
+OUTPUTS: the person's mask; a PhotographError, with a picture that shows why, where there is none.
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+# Samples: this share of width and height at the left, right and upper side; every so many pixels.
+BORDER, STRIDE = 0.06, 2
+# Noise is judged on images blurred by so many pixels.
+BLUR_PX = 0.8
+# At least so many of the samples must lie within so many deviations of the smooth surface, and
+# these may deviate by so much of the colour itself.
+LEAST_LIKE, FAR, MOST_UNEVEN = 0.93, 3.5, 0.06
+# A threshold is so many times what the samples reach, but at least so much of the colour.
+MARGIN, LEAST_CHROMA, LEAST_DARKER, SHADOW = 1.3, 0.045, 0.12, 0.42
+# The person covers at least and at most so much of the image.
+LEAST_AREA, MOST_AREA = 0.02, 0.7
+# From its rim so many pixels inwards the person surely covers a pixel.
+RIM_PX = 3
+# Holes smaller than this share of the person are noise.
+HOLE = 0.002
+
+
+class PhotographError(ValueError):
+    """A photograph that shows no person before an even backdrop.
+
+    Attributes:
+        problem: one sentence.
+        picture: (H, W, 3) BGR uint8 that shows why.
+    """
+
+    def __init__(self, problem: str, picture: np.ndarray):
+        super().__init__(problem, picture)
+        self.problem, self.picture = problem, picture
+
+    def __str__(self) -> str:
+        return self.problem
+
+
+class Difference(NamedTuple):
+    """How an image differs from its backdrop.
+
+    Attributes:
+        brightness: (H, W) factor by which it is brighter.
+        chromaticity: (H, W) what is left then, as a share of the backdrop's colour.
+    """
+
+    brightness: np.ndarray
+    chromaticity: np.ndarray
+
+
+def person_mask(photograph: np.ndarray) -> np.ndarray:
+    """(H, W) bool, the pixels that show the person.
+
+    Raises:
+        PhotographError: the backdrop is not uniform, nobody is there, or the person is cut off
+            anywhere but below.
+    """
+    image = cv2.GaussianBlur(photograph, (0, 0), BLUR_PX).astype(np.float32)
+    samples = border(image.shape[:2])
+    surface = smooth_surface(image, samples)
+    different = difference(image, surface)
+    dark, bright, chroma = thresholds(different, samples, photograph)
+    shown = (different.chromaticity > chroma) | (different.brightness > bright)
+    shown |= different.brightness < dark
+    mask = cleaned(shown)
+    _check(mask, photograph)
+    return cleaned(half_covered(mask, image, surface))
+
+
+def border(shape: tuple[int, int]) -> np.ndarray:
+    """(H, W) bool, pixels at the left, right and upper side."""
+    rows, columns = (max(2, int(BORDER * n)) for n in shape)
+    samples = np.ones(shape, bool)
+    samples[rows:, columns:-columns] = False
+    return samples
+
+
+def smooth_surface(image: np.ndarray, samples: np.ndarray) -> np.ndarray:
+    """(H, W, 3) float32, quadratic in x and y, through most of the samples' colours."""
+    height, width = samples.shape
+    rows, columns = np.nonzero(samples[::STRIDE, ::STRIDE])
+    basis = _quadratic(columns * STRIDE / width, rows * STRIDE / height)
+    colours = image[::STRIDE, ::STRIDE][rows, columns]
+    weights, fit = np.ones(len(colours)), np.zeros((basis.shape[1], 3))
+    for _ in range(8):
+        root = np.sqrt(weights)[:, None]
+        fit = np.linalg.lstsq(basis * root, colours * root, rcond=None)[0]
+        off = np.linalg.norm(colours - basis @ fit, axis=1)
+        # Those far off count ever less: a hand may reach into the border.
+        weights = 1 / (1 + (off / (2 * np.median(off) + 0.5)) ** 4)
+    y, x = np.mgrid[0:height, 0:width]
+    surface = _quadratic(x.ravel() / width, y.ravel() / height).astype(np.float32)
+    return np.maximum(surface @ fit.astype(np.float32), 4.0).reshape(image.shape)
+
+
+def _quadratic(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    x, y = 2 * x - 1, 2 * y - 1
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], -1)
+
+
+def difference(image: np.ndarray, surface: np.ndarray) -> Difference:
+    """An image against the backdrop's colours (H, W, 3)."""
+    square = np.sum(surface * surface, -1)
+    factor = np.sum(image * surface, -1) / square
+    left = np.linalg.norm(image - factor[..., None] * surface, axis=-1)
+    return Difference(factor, left / np.sqrt(square))
+
+
+def thresholds(
+    different: Difference, samples: np.ndarray, photograph: np.ndarray
+) -> tuple[float, float, float]:
+    """Darkest and brightest factor, and largest chromaticity, of the backdrop.
+
+    Raises:
+        PhotographError: the samples differ too much among themselves.
+    """
+    off, left = np.abs(different.brightness - 1), different.chromaticity
+    # Either is about one deviation of what most samples do.
+    spread = np.array([1.48 * np.median(v[samples]) for v in (off, left)])
+    odd = (off > FAR * max(spread[0], 0.01)) | (left > FAR * max(spread[1], 0.008))
+    like = 1 - np.mean(odd[samples])
+    if like < LEAST_LIKE or spread.max() > MOST_UNEVEN:
+        raise PhotographError(
+            f"the background is not uniform: of its samples at the image's sides and top "
+            f"{100 * like:.0f} % follow one smooth colour, expected at least "
+            f"{100 * LEAST_LIKE:.0f} %, and these vary by {100 * spread.max():.1f} %, expected at "
+            f"most {100 * MOST_UNEVEN:.0f} %",
+            _marked(photograph, samples & odd, samples),
+        )
+    usual = samples & ~odd
+    far_off, far_left = (float(np.quantile(v[usual], 0.999)) for v in (off, left))
+    bright = 1 + max(MARGIN * far_off, LEAST_DARKER)
+    return 1 - max(MARGIN * far_off, SHADOW), bright, max(MARGIN * far_left, LEAST_CHROMA)
+
+
+def cleaned(shown: np.ndarray) -> np.ndarray:
+    """(H, W) bool: the largest piece, smoothed, without small holes."""
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
+    mask = cv2.morphologyEx(shown.astype(np.uint8), cv2.MORPH_OPEN, disc)
+    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, disc)
+    count, pieces, stats, _ = cv2.connectedComponentsWithStats(mask)
+    if count < 2:
+        return np.zeros(shown.shape, bool)
+    person = pieces == 1 + np.argmax(stats[1:, cv2.CC_STAT_AREA])
+    _, holes, stats, _ = cv2.connectedComponentsWithStats((~person).astype(np.uint8))
+    small = stats[:, cv2.CC_STAT_AREA] < HOLE * person.sum()
+    # Label 0 is the person itself.
+    small[0] = False
+    return person | small[holes]
+
+
+def half_covered(mask: np.ndarray, image: np.ndarray, surface: np.ndarray) -> np.ndarray:
+    """The mask (H, W), at its rim only where a pixel is nearer to the person than the backdrop.
+
+    A pixel that the person covers by a tenth differs from the backdrop already.
+    """
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * RIM_PX + 1, 2 * RIM_PX + 1))
+    solid = cv2.erode(mask.astype(np.uint8), disc)
+    # What the person looks like nearby: the mean over what is surely theirs.
+    weight = cv2.GaussianBlur(solid.astype(np.float32), (0, 0), RIM_PX)[..., None]
+    inside = cv2.GaussianBlur(image * solid[..., None], (0, 0), RIM_PX) / np.maximum(weight, 1e-3)
+    towards = inside - surface
+    share = np.sum((image - surface) * towards, -1) / np.maximum(np.sum(towards**2, -1), 1.0)
+    # Limbs as thin as a finger have nothing solid to compare with.
+    known = weight[..., 0] > 1e-2
+    return mask & ((share >= 0.5) | ~known)
+
+
+def _check(mask: np.ndarray, photograph: np.ndarray) -> None:
+    """PhotographError where the mask cannot be a whole person."""
+    area, none = mask.mean(), np.zeros_like(mask)
+    if area < LEAST_AREA:
+        raise PhotographError(
+            f"found nobody: {100 * area:.1f} % of the image differ from its background, expected "
+            f"at least {100 * LEAST_AREA:.0f} %",
+            _marked(photograph, mask, none),
+        )
+    if area > MOST_AREA:
+        raise PhotographError(
+            f"{100 * area:.0f} % of the image differ from its background, expected at most "
+            f"{100 * MOST_AREA:.0f} %: the person is too near or the background not uniform",
+            _marked(photograph, mask, none),
+        )
+    sides = {"left": mask[:, 0], "right": mask[:, -1], "upper": mask[0]}
+    cut = [name for name, line in sides.items() if line.any()]
+    if cut:
+        raise PhotographError(
+            f"the person is cut off at the {' and the '.join(cut)} side of the image, expected "
+            "head, arms and hands within it",
+            _marked(photograph, mask, none),
+        )
+
+
+def _marked(photograph: np.ndarray, red: np.ndarray, blue: np.ndarray) -> np.ndarray:
+    """The photograph, paler, with pixels (H, W) bool in red, and others in blue."""
+    picture = (photograph // 2 + 90).astype(np.uint8)
+    picture[blue] = (picture[blue] // 2 + np.array([110, 40, 0])).astype(np.uint8)
+    picture[red] = (40, 40, 230)
+    return picture

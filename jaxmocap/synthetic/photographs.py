@@ -1,0 +1,129 @@
+"""The four photographs of a person from which a model is made, before a plain backdrop.
+
+The person stands with arms slightly lifted for the front and the side view; holds the upper arms
+level and the forearms up for the joint view; and spreads the arms, thumbs up, for the arms' side
+view. Two cameras, far away and nearly at right angles, saw them.
+
+INPUTS: a rig, a photograph's name, a seed.
+OUTPUTS: images (H, W, 3), BGR uint8; their cameras; who stood there; four ``.png`` and a
+``calibration.toml`` with a section for each photograph.
+"""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from jaxmocap.formats.calibration import write_calibration
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.synthetic.exerciser import Exerciser
+from jaxmocap.synthetic.lens import Lens, look_at
+from jaxmocap.synthetic.placement import Turned
+from jaxmocap.synthetic.renderer import Scene, Sensor, light, silhouette
+from jaxmocap.synthetic.rigged_mesh import Rig
+from jaxmocap.synthetic.splines import Spline
+from jaxmocap.synthetic.stances import Stance
+
+_LEG = (0.0, 7.0, -4.0, 0.0, 0.0)
+_LIFTED, _BENT, _SPREAD = (
+    *((-3.0, 36.0, 0.0, 6.0), (0.0, 84.0, -90.0, 80.0), (0.0, 88.0, 0.0, 6.0)),
+)
+# Photograph -> left and right arm of the stance, and the camera's azimuth, degrees.
+PHOTOGRAPHS: dict[str, tuple[tuple[float, float, float, float], float]] = {
+    "front": (_LIFTED, 3.0),
+    "side": (_LIFTED, 88.0),
+    "joint": (_BENT, 3.0),
+    "arm_side": (_SPREAD, 3.0),
+}
+SIZE = (960, 720)
+DISTANCE_M = 8.0
+# Of the stature: where the camera looks, and how much of it fits into the image's height.
+LOOK_AT, SEEN = 0.75, 0.84
+BACKDROP_BGR = np.array([118.0, 146.0, 92.0])
+# How much darker the backdrop is at its sides, its grain and its slow unevenness, grey levels.
+DARKER, GRAIN, UNEVEN = 0.16, 1.5, 2.5
+
+
+def stature(rig: Rig) -> float:
+    """Height of a person at rest, metres."""
+    return float(np.ptp(rig.mesh.vertices[:, 2]))
+
+
+def standing(rig: Rig, photograph: str) -> Exerciser:
+    """A person as they stand for a photograph: facing +x, hips above the origin."""
+    arm, _ = PHOTOGRAPHS[photograph]
+    stance = Stance(back=(0.0, 0.0, 0.0), arm_l=arm, arm_r=arm, leg_l=_LEG, leg_r=_LEG)
+    times = np.linspace(-1.0, 1.0, 5)
+    return Exerciser(rig, Spline.through(times, np.tile(stance.channels(), (5, 1))))
+
+
+def camera_of(rig: Rig, photograph: str) -> Camera:
+    """The camera that took a photograph of a person."""
+    return _camera(stature(rig), PHOTOGRAPHS[photograph][1])
+
+
+def _camera(height: float, azimuth: float) -> Camera:
+    """At an azimuth about the origin, degrees."""
+    turn = np.deg2rad(azimuth)
+    position = (DISTANCE_M * np.cos(turn), DISTANCE_M * np.sin(turn), 0.8 * height)
+    focal = SIZE[1] * DISTANCE_M / (SEEN * height)
+    distortion = (-0.05, 0.02, 0.0003, -0.0002)
+    return look_at(position, (0.0, 0.0, LOOK_AT * height), SIZE, focal, distortion)
+
+
+def photograph(rig: Rig, name: str, seed: int = 0, background: np.ndarray | None = None):
+    """One photograph (H, W, 3), BGR uint8, of a person.
+
+    Args:
+        rig: the person.
+        name: front, side, joint or arm_side.
+        seed: of the backdrop and the sensor's noise.
+        background: (H, W, 3) uint8 in the backdrop's place.
+    """
+    rng = np.random.default_rng([seed, list(PHOTOGRAPHS).index(name)])
+    background = backdrop(rng) if background is None else background
+    # The backdrop stands behind the person as the camera sees it.
+    turned = Turned(standing(rig, name), PHOTOGRAPHS[name][1])
+    camera = _camera(stature(rig), 0.0)
+    scene = Scene(camera, background, turned)
+    return Sensor.create(SIZE, rng).exposed(light(scene, Lens.of(camera), 0.0))
+
+
+def true_mask(rig: Rig, name: str) -> np.ndarray:
+    """(H, W) bool, the pixels that show the person."""
+    person = standing(rig, name)
+    vertices = person.vertices(np.zeros(1))[0]
+    return silhouette(person.mesh, Lens.of(camera_of(rig, name)), vertices)
+
+
+def backdrop(rng: np.random.Generator) -> np.ndarray:
+    """(H, W, 3) uint8, a sheet of one colour, lit unevenly, hanging in slight waves."""
+    width, height = SIZE
+    x, y = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
+    shade = 1 - DARKER * (0.7 * x**2 + 0.3 * (y - 0.2) ** 2)
+    waves = sum(
+        np.cos(rng.uniform(2, 9) * x + rng.uniform(-1, 1) * y + rng.uniform(0, 2 * np.pi))
+        for _ in range(4)
+    )
+    sheet = (BACKDROP_BGR + UNEVEN * np.asarray(waves)[..., None] / 2) * shade[..., None]
+    return np.clip(sheet + GRAIN * rng.standard_normal(sheet.shape), 0, 255).astype(np.uint8)
+
+
+def write_photographs(directory: str | Path, rig: Rig, seed: int = 0) -> Path:
+    """Write a person's four photographs and their calibration.
+
+    Args:
+        directory: is made where missing.
+        rig: the person.
+        seed: of backdrop and noise.
+
+    Returns:
+        The path of ``calibration.toml``.
+    """
+    directory = Path(directory)
+    directory.mkdir(parents=True, exist_ok=True)
+    for name in PHOTOGRAPHS:
+        cv2.imwrite(str(directory / f"{name}.png"), photograph(rig, name, seed))
+    cameras = {name: camera_of(rig, name) for name in PHOTOGRAPHS}
+    write_calibration(directory / "calibration.toml", cameras)
+    return directory / "calibration.toml"
