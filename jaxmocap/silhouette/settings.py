@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from jaxmocap.silhouette import segment
 from jaxmocap.silhouette.correspond import MatchSettings
+from jaxmocap.silhouette.hypotheses import SearchSettings
 from jaxmocap.silhouette.rim import RimSettings
 
 
@@ -38,6 +39,8 @@ class Settings:
         changed: an image that differs from the last of its camera in more than this share of it is
             torn, black or another camera's, and not looked at.
         patience: frames of a camera, one after the other, that may be passed over so.
+        hypotheses: of where a limb is that may be lost, static; 1 for the pose found alone.
+        search: among them.
         share: of a camera's rim and contour that must find each other.
         apart: a camera whose pairs lie so many times as far apart as all is left out.
         near: unless they are within this, metres.
@@ -61,6 +64,8 @@ class Settings:
     newest: float = 0.7
     changed: float = 0.25
     patience: int = 15
+    hypotheses: int = 128
+    search: SearchSettings = SearchSettings()
     share: float = 0.4
     apart: float = 3.0
     near: float = 0.03

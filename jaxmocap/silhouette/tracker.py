@@ -19,12 +19,13 @@ import numpy as np
 
 from jaxmocap.body.loft import generic_surface
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.body.surface import Surface
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.background import Background
 from jaxmocap.images.glances import Glances
 from jaxmocap.silhouette.correspond import Matches, matched
+from jaxmocap.silhouette.doubt import Doubter, Doubts, freed
 from jaxmocap.silhouette.looking import Outlines, look
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, standard_deviations
 from jaxmocap.silhouette.rim import Rim, RimFinder, stacked
@@ -43,6 +44,7 @@ class State(NamedTuple):
         histograms: of C cameras' images.
         told: (6 + D,) bool: degrees of freedom that the last frame told much of.
         glances: at what the cameras showed last.
+        doubts: limbs that may be elsewhere.
     """
 
     pose: Pose
@@ -51,6 +53,7 @@ class State(NamedTuple):
     histograms: Histograms
     told: np.ndarray
     glances: Glances
+    doubts: Doubts
 
 
 class StepReport(NamedTuple):
@@ -64,6 +67,7 @@ class StepReport(NamedTuple):
         seen: (6 + D,) bool: those that the images told of; the others are held.
         information: (6 + D, 6 + D), see ``PoseResult``.
         outlines: what was segmented.
+        moved: (D,) bool: joints that one of several hypotheses put elsewhere.
     """
 
     used: np.ndarray
@@ -73,6 +77,7 @@ class StepReport(NamedTuple):
     seen: np.ndarray
     information: np.ndarray
     outlines: Outlines
+    moved: np.ndarray
 
 
 class _Fitted(NamedTuple):
@@ -121,13 +126,16 @@ class SilhouetteTracker:
         self._weights = node_weights(skeleton, self.finder.surface, self.settings.hands)
         self.rooms = [None] * len(listed) if rooms is None else list(rooms)
         self.plan = Plan()
+        count = self.settings.hypotheses
+        self._doubter = Doubter(skeleton, self.finder.surface, self.cameras, count)
 
     def init(self, pose: Pose) -> State:
         """The state before the first frame, the person about there."""
         width = self.skeleton.costs.shape
         cameras, still = len(self.rooms), np.zeros(width, np.float32)
         empty, told = Histograms.empty(cameras, self.plan), np.ones(width, bool)
-        return State(pose, still, None, empty, told, Glances.none(cameras))
+        glances, doubts = Glances.none(cameras), self._doubter.none()
+        return State(pose, still, None, empty, told, glances, doubts)
 
     def step(
         self, state: State, time: float, images: Sequence[np.ndarray | None]
@@ -147,17 +155,23 @@ class SilhouetteTracker:
         ahead = 0.0 if state.time is None else max(time - state.time, 1e-3)
         expected = predict(self.skeleton, state.pose, s.damping * state.velocity, np.float32(ahead))
         beforehand = np.where(state.told, s.expected, s.held).astype(np.float32)
-        result, used, shares, outlines = self._fitted(state, images, expected, beforehand)
+        fitted = self._fitted(state, images, expected, beforehand)
+        fitted, moved, doubts = self._reconsidered(state, images, fitted, beforehand)
+        result, used, shares, outlines = fitted
         deviations = standard_deviations(result.information, s.blind)
         seen = deviations < s.told * s.blind
         told = standard_deviations(result.information, s.expected) < s.told * s.expected
         velocity = self._velocity(state, result.pose, ahead) * told
+        velocity[ROOT_DOF:][moved] = 0
+        if not used.any():
+            # Who is not seen for an instant moves on; for longer, comes to rest.
+            told, velocity = state.told, s.damping * state.velocity
         histograms = _chosen(used, outlines.segmented.histograms, state.histograms)
         report = StepReport(
             used, shares, float(result.spread), deviations, seen,
-            np.asarray(result.information), outlines,
+            np.asarray(result.information), outlines, moved,
         )  # fmt: skip
-        after = State(result.pose, velocity, time, histograms, told, glances)
+        after = State(result.pose, velocity, time, histograms, told, glances, doubts)
         return after, result.pose, report
 
     def _fitted(
@@ -187,6 +201,29 @@ class SilhouetteTracker:
             fitted = _Fitted(result, used, shares, outlines)
         assert fitted is not None
         return fitted
+
+    def _reconsidered(
+        self,
+        state: State,
+        images: Sequence[np.ndarray | None],
+        fitted: _Fitted,
+        beforehand: np.ndarray,
+    ) -> tuple[_Fitted, np.ndarray, Doubts]:
+        """What was found, or what is found from elsewhere if that explains more; which joints."""
+        s, still = self.settings, np.zeros(len(self.skeleton.tree.joints), bool)
+        if s.hypotheses < 2 or not fitted.used.any():
+            return fitted, still, state.doubts
+        found = fitted.result.pose, fitted.outlines, fitted.used
+        better, doubts = self._doubter.better(state.doubts, *found, s.search)
+        if better is None:
+            return fitted, still, doubts
+        wide = freed(beforehand, better.joints, s.expected)
+        again = self._fitted(state, images, better.pose, wide)
+        poses = fitted.result.pose, again.result.pose
+        before, after = (
+            self._doubter.gain(better.limbs, pose, again.outlines, again.used) for pose in poses
+        )
+        return (again, better.joints, doubts) if after > before else (fitted, still, doubts)
 
     def _velocity(self, state: State, pose: Pose, ahead: float) -> np.ndarray:
         """The velocity (6 + D,) as it is carried on."""
