@@ -2,7 +2,8 @@
 
 Head, wrists and ankles (five bones' joints) follow a moving body at 30 Hz. Everybody starts each
 frame from its own last pose and iterates until the farthest target is met within a millimetre, or
-for a while. Ours minds limits and draws the body to a relaxed pose on the way.
+for a while. Ours minds limits and draws the body to a relaxed pose on the way; the tracker makes
+some steps in any case, so that this goes on while a person stands: that is "ours_settling".
 
 INPUTS: a skeleton, a made-up motion. OUTPUTS: Metrics.
 """
@@ -84,7 +85,8 @@ def measure(quick: bool, without: set[str]) -> Iterator[Metric]:
 def everybody(skeleton: Skeleton, start: Pose, without: set[str]) -> Mapping[str, Follower]:
     """Name -> who follows, each with limits minded and not, where it can do both."""
     followers = {
-        "ours": ours(skeleton, start),
+        "ours": ours(skeleton, start, settle=1),
+        "ours_settling": ours(skeleton, start),
         "mujoco_and_numpy": damped_steps(skeleton, start),
         "scipy": by_scipy(skeleton, start, limits=False),
         "scipy_limits": by_scipy(skeleton, start, limits=True),
@@ -96,8 +98,11 @@ def everybody(skeleton: Skeleton, start: Pose, without: set[str]) -> Mapping[str
     return followers
 
 
-def ours(skeleton: Skeleton, start: Pose) -> Follower:
-    """Algorithm 1 with limits and secondary task; NumPy in, NumPy out."""
+def ours(skeleton: Skeleton, start: Pose, **steps: int) -> Follower:
+    """Algorithm 1 with limits and secondary task, the tracker's ``steps`` or others.
+
+    NumPy in, NumPy out.
+    """
     bones = np.array([skeleton.tree.bone(name) for name in REACHING], np.int32)
     sites = Sites(bones, jnp.zeros(len(bones)), jnp.zeros((len(bones), 3)))
     weights = jnp.ones(len(bones))
@@ -107,7 +112,7 @@ def ours(skeleton: Skeleton, start: Pose) -> Follower:
         pose, _ = ik.reach(skeleton, ik.Goals(sites, targets, weights), settings, pose)
         return pose, forward(skeleton, pose).joints_world[bones]
 
-    settings, last = IKSettings.create(tolerance=TOLERANCE_M), [start]
+    settings, last = IKSettings.create(tolerance=TOLERANCE_M, **steps), [start]
 
     def follow(targets: np.ndarray) -> np.ndarray:
         last[0], points = solve(skeleton, settings, last[0], np.asarray(targets, np.float32))
