@@ -138,7 +138,7 @@ def test_a_subject_may_have_a_file_with_paths_of_its_own(folder):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "r.toml: 'markers' is missing"),
+        ("", "r.toml: neither [markers] nor [[video]]"),
         ("[markers", "not TOML"),
         (WHOLE + "[extra]\n", "unknown key 'extra', expected markers, video, calibration, subject"),
         (WHOLE.replace("m.trc", "n.trc"), "[markers] file: no such file: "),

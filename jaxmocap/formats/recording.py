@@ -144,7 +144,9 @@ def load_recording(path: str | Path) -> Recording:
     else:
         skeleton = Skeleton.human(DEFAULT_HEIGHT)
         warnings.append(f"{path}: no [subject], a height of {DEFAULT_HEIGHT} m is assumed")
-    if "markers" not in top and top.table.get("video"):
+    if "markers" not in top and not top.table.get("video"):
+        raise top.error("", "neither [markers] nor [[video]], expected one of them")
+    if "markers" not in top:
         return Recording(
             skeleton,
             np.zeros(0),

@@ -6,7 +6,7 @@ INPUTS: a command's parser. OUTPUTS: the parser with its options.
 import argparse
 from pathlib import Path
 
-from jaxmocap.setup.arguments import positive
+from jaxmocap.setup.arguments import natural, positive
 
 CARRIED = """\
 Markers: .c3d .trc .csv. Motions: .npz .bvh .glb .mot; their joints can become markers. What a
@@ -117,7 +117,9 @@ def add_demo(parser: argparse.ArgumentParser) -> None:
         "--out", metavar="DIR", default="jaxmocap-demo", help="default: %(default)s"
     )
     parser.add_argument("--seconds", type=positive, default=6.0, help="default: %(default)s")
-    parser.add_argument("--seed", type=int, default=0, help="of person, room, strokes and noise")
+    parser.add_argument(
+        "--seed", type=natural, default=0, help="of person, room, strokes and noise"
+    )
 
 
 def add_track(parser: argparse.ArgumentParser) -> None:

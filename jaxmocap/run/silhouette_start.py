@@ -3,18 +3,17 @@
 INPUTS: a Recording; a place. OUTPUTS: a Pose of the whole body.
 """
 
-import jax
 import numpy as np
 
-from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.recording import Recording
+from jaxmocap.geometry.cameras import project, to_camera
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.run.recording import marker_sites
 from jaxmocap.run.silhouette import whole_body
-from jaxmocap.silhouette.start import pose_at, standing_pose
+from jaxmocap.silhouette.start import landmark_points, pose_at, standing_pose
 
 # Solves of one and the same sample, until it rests.
 SOLVES = 5
@@ -29,16 +28,34 @@ def start_pose(recording: Recording, at: tuple[float, float, float] | None = Non
             for somebody who stands upright; without it the markers say.
 
     Raises:
-        InputError: neither a place nor markers.
+        InputError: neither a place nor markers, or a place at which no camera looks.
     """
+    where = recording.path or recording.name
     if at is not None:
-        return standing_pose(whole_body(recording.skeleton), at[0], at[1], np.radians(at[2]))
-    if not recording.places:
-        raise InputError(
-            recording.path or recording.name,
-            "no [markers] to begin from, expected --at X,Y,FACING of a person who stands upright",
-        )
-    return _by_markers(recording)
+        pose = standing_pose(whole_body(recording.skeleton), at[0], at[1], np.radians(at[2]))
+    elif not recording.places:
+        problem = "no [markers] to begin from, expected --at X,Y,FACING of a person who stands"
+        raise InputError(where, f"{problem} upright")
+    else:
+        pose = _by_markers(recording)
+    if recording.videos and not in_view(recording, pose):
+        x, y, _ = np.asarray(pose.position)
+        names = ", ".join(source.camera_name for source in recording.videos)
+        problem = f"the person begins at x = {x:.2f}, y = {y:.2f} m, where no camera looks"
+        raise InputError(where, f"{problem}, expected a place that one of {names} sees")
+    return pose
+
+
+def in_view(recording: Recording, pose: Pose) -> bool:
+    """Whether any camera sees any landmark of the pose."""
+    points = landmark_points(whole_body(recording.skeleton), pose)
+    for source in recording.videos:
+        depth = np.asarray(to_camera(source.camera, points))[:, 2]
+        pixels = np.asarray(project(source.camera, points))
+        within = ((pixels >= 0) & (pixels < np.asarray(source.camera.size))).all(1)
+        if (within & (depth > 0)).any():
+            return True
+    return False
 
 
 def _by_markers(recording: Recording) -> Pose:
@@ -51,5 +68,5 @@ def _by_markers(recording: Recording) -> Pose:
     state = tracker.init(first)
     for _ in range(SOLVES):
         state = tracker.step(state, 0.0, first)[0]
-    points = jax.jit(landmarks)(tracker.skeleton, state.pose)
+    points = landmark_points(tracker.skeleton, state.pose)
     return pose_at(whole_body(skeleton), np.asarray(points))

@@ -113,6 +113,13 @@ def positive(text: str) -> float:
     return value
 
 
+def natural(text: str) -> int:
+    """A whole number from 0 on."""
+    if not text.strip().isdecimal():
+        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number from 0 on")
+    return int(text)
+
+
 def add_scale(parser: argparse.ArgumentParser) -> None:
     """Options of ``scale``."""
     parser.description = f"{parser.description}\n\n{LENGTHS}"

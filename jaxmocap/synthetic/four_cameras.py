@@ -18,6 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from jaxmocap.formats.calibration import write_calibration
+from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.recording import write_recording
 from jaxmocap.formats.trc import write_trc
 from jaxmocap.geometry.cameras import Camera
@@ -128,10 +129,16 @@ def write_four_cameras(
 
     Returns:
         The path of ``recording.toml``.
+
+    Raises:
+        InputError: a duration of less than a frame.
     """
-    directory = Path(directory)
+    directory, times = Path(directory), frame_times(seconds)
+    if not len(times):
+        problem = f"{seconds:g} s hold no frame, expected at least {1 / VIDEO_RATE:.2g} s"
+        raise InputError(directory, problem)
     directory.mkdir(parents=True, exist_ok=True)
-    times, views = frame_times(seconds), framed(performer, seconds)
+    views = framed(performer, seconds)
     for i, view in enumerate(views):
         frames = render_frames(view.scene(performer, seed), times)
         counted = _counted(frames, progress, i * len(times), len(views) * len(times))

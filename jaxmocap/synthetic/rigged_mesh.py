@@ -12,11 +12,18 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
+from zipfile import BadZipFile
 
 import numpy as np
 
+from jaxmocap.formats.errors import InputError
 from jaxmocap.synthetic.meshes import Mesh
 
+# Of a file of people.
+ARRAYS = (
+    *("people", "vertices", "quads", "skin_joint", "skin_weight"),
+    *("joint_names", "joint_parents", "joints"),
+)
 # Landmark -> joint of the rig, for one side and for the middle.
 _PAIRED = {
     **{"shoulder": "Arm", "elbow": "ForeArm", "wrist": "Hand", "hand": "HandFinger1"},
@@ -144,25 +151,39 @@ def load_rig(file: str | Path, who: str = "man", seed: int = 0) -> Rig:
     """One of the people of a file, in clothes worn as the seed says.
 
     Raises:
+        InputError: no such file, or another kind of file.
         ValueError: no such person.
     """
-    with np.load(file) as data:
-        people = data["people"].tolist()
-        if who not in people:
-            raise ValueError(f"unknown person {who!r}; expected one of {', '.join(people)}")
-        i = people.index(who)
-        mesh = Mesh(
-            data["vertices"][i].astype(float),
-            data["quads"],
-            np.zeros((len(data["quads"]), 3)),
-            data["skin_joint"].astype(int),
-            data["skin_weight"].astype(float),
-        )
-        names = tuple(data["joint_names"].tolist())
-        parents = tuple(data["joint_parents"].tolist())
-        rest = data["joints"][i].astype(float)
+    data = _read(file)
+    people = data["people"].tolist()
+    if who not in people:
+        raise ValueError(f"unknown person {who!r}; expected one of {', '.join(people)}")
+    i = people.index(who)
+    mesh = Mesh(
+        data["vertices"][i].astype(float),
+        data["quads"],
+        np.zeros((len(data["quads"]), 3)),
+        data["skin_joint"].astype(int),
+        data["skin_weight"].astype(float),
+    )
+    names = tuple(data["joint_names"].tolist())
+    parents = tuple(data["joint_parents"].tolist())
+    rest = data["joints"][i].astype(float)
     mesh = replace(mesh, colours=_colours(mesh, names, rest, np.random.default_rng([seed, 5])))
     return Rig(mesh, names, parents, rest)
+
+
+def _read(file: str | Path) -> dict[str, np.ndarray]:
+    """The arrays of a file of people."""
+    try:
+        with np.load(file) as data:
+            return {name: data[name] for name in ARRAYS}
+    except OSError as error:
+        raise InputError(file, f"cannot be read ({error.strerror or error})") from None
+    # Another kind of file, something that is no array, an array that is not there.
+    except (ValueError, AttributeError, BadZipFile, KeyError):
+        expected = f"expected an .npz with {', '.join(ARRAYS)}"
+        raise InputError(file, f"holds no rigged meshes, {expected}") from None
 
 
 def _colours(
