@@ -15,6 +15,7 @@ import numpy as np
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton, with_joints
+from jaxmocap.capture.markers import interpolate
 from jaxmocap.capture.timeline import bundle_frames
 from jaxmocap.capture.video import FrameSource, check_size, open_video
 from jaxmocap.formats.errors import InputError
@@ -24,12 +25,14 @@ from jaxmocap.images.regions import Region
 from jaxmocap.images.rooms import RoomLearner
 from jaxmocap.outputs.report import plain
 from jaxmocap.run.reading import reading
+from jaxmocap.run.recording import marker_sites
 from jaxmocap.run.timing import Progress, progress_bar
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.steps import landmark_slopes
 from jaxmocap.silhouette.tracker import SilhouetteTracker, State, StepReport
 
 MODEL = "whole.toml"
+ELSEWHERE = "expected somebody where the markers' first samples, or --at, put the person"
 
 
 class Masks(NamedTuple):
@@ -61,11 +64,12 @@ class Followed(NamedTuple):
 
 
 class _Frames(NamedTuple):
-    """F instants: their times and the frames (F, C) of the cameras' videos, -1 for none."""
+    """F instants: times, frames (F, C) of the cameras' videos, -1 for none; markers (F, M, 3)."""
 
     videos: list[FrameSource]
     times: np.ndarray
     indices: np.ndarray
+    positions_world: np.ndarray
 
 
 def whole_body(skeleton: Skeleton) -> Skeleton:
@@ -73,16 +77,20 @@ def whole_body(skeleton: Skeleton) -> Skeleton:
     return with_joints(skeleton, MODEL)
 
 
-def make_tracker(recording: Recording, settings: Settings | None = None) -> SilhouetteTracker:
-    """The tracker of a recording's person by its cameras.
+def make_tracker(
+    recording: Recording, settings: Settings | None = None, markers: bool = False
+) -> SilhouetteTracker:
+    """The tracker of a recording's person by its cameras, and by its markers where they are asked for.
 
     Raises:
-        InputError: it has no video.
+        InputError: it has no video, or not the markers.
     """
     if not recording.videos:
         raise InputError(recording.path or recording.name, "no [[video]]: expected one or several")
     cameras = [source.camera for source in recording.videos]
-    return SilhouetteTracker(whole_body(recording.skeleton), cameras, settings)
+    skeleton = whole_body(recording.skeleton)
+    sites = marker_sites(skeleton, recording.marked().places) if markers else None
+    return SilhouetteTracker(skeleton, cameras, settings, sites=sites)
 
 
 def follow(
@@ -91,22 +99,27 @@ def follow(
     settings: Settings | None = None,
     *,
     passes: int = 2,
+    markers: bool = False,
     progress: Progress | bool | None = None,
 ) -> Followed:
     """Track the person in a recording's videos.
 
     Args:
-        recording: with one or several videos; markers are not looked at.
+        recording: with one or several videos.
         start: where the person is in the first frames, a pose of ``whole_body``.
         settings: of the tracker.
         passes: 2 learns the rooms first; 1 knows nothing of them.
+        markers: follow them too; without it they are not looked at.
         progress: called with the frames done and their total; True shows a bar on stderr.
 
     Returns:
         One pose per instant of the videos, and the level sets.
+
+    Raises:
+        InputError: no video, or nobody in any frame.
     """
-    tracker = make_tracker(recording, settings)
-    frames, warnings = _open(recording)
+    tracker = make_tracker(recording, settings, markers)
+    frames, warnings = _open(recording, markers)
     run = _Pass(tracker, frames, learn=passes > 1)
     with progress_bar("tracking", progress) as show:
         for number in range(passes):
@@ -114,10 +127,14 @@ def follow(
                 tracker.rooms = [learner.learned() for learner in run.learners]
                 run = _Pass(tracker, frames, learn=number + 1 < passes)
             run.through(start, _shifted(show, number * run.count, passes * run.count))
+            if not run.seen:
+                where = recording.path or recording.name
+                raise InputError(where, f"no camera shows the person in any frame, {ELSEWHERE}")
     names = [source.camera_name for source in recording.videos]
     told = {
         "recording": recording.path or recording.name,
         "cameras": names,
+        "markers": recording.marker_names if markers else (),
         "warnings": warnings,
         "tracker": tracker.settings,
     }
@@ -125,14 +142,17 @@ def follow(
     return Followed(motion, run.masks(names))
 
 
-def _open(recording: Recording) -> tuple[_Frames, tuple[str, ...]]:
+def _open(recording: Recording, markers: bool) -> tuple[_Frames, tuple[str, ...]]:
     """The videos and which of their frames belong together."""
     videos, warnings = [open_video(source) for source in recording.videos], list(recording.warnings)
     for video, source in zip(videos, recording.videos, strict=True):
         warning = check_size(video, source.camera, video.name)
         warnings += [warning] if warning else []
     times, indices = bundle_frames([video.times for video in videos])
-    return _Frames(videos, times, indices), tuple(warnings)
+    places = np.empty((len(times), 0, 3))
+    if markers:
+        places = interpolate(recording.times, recording.positions_world, times)
+    return _Frames(videos, times, indices, places), tuple(warnings)
 
 
 def _shifted(show: Progress, before: int, total: int) -> Callable[[int], None]:
@@ -160,17 +180,24 @@ class _Pass:
                 zip(self.frames.times, self.frames.indices, strict=True)
             ):
                 images = [reader.at(int(k)) for reader, k in zip(readers, row, strict=True)]
+                shown = float(time), images, self.frames.positions_world[i]
                 if not i:
-                    state = self._settled(state, float(time), images)
+                    state = self._settled(state, *shown)
                 began = perf_counter()
-                state, pose, report = self.tracker.step(state, float(time), images)
+                state, pose, report = self.tracker.step(state, *shown)
                 self.milliseconds.setdefault("frame", []).append(1e3 * (perf_counter() - began))
                 self._keep(pose, report, images)
                 show(i + 1)
 
-    def _settled(self, state: State, time: float, images: Sequence[np.ndarray | None]) -> State:
+    def _settled(
+        self,
+        state: State,
+        time: float,
+        images: Sequence[np.ndarray | None],
+        positions_world: np.ndarray,
+    ) -> State:
         for _ in range(self.tracker.settings.settling):
-            state = self.tracker.step(state, time, images)[0]._replace(time=None)
+            state = self.tracker.step(state, time, images, positions_world)[0]._replace(time=None)
         return state
 
     def _keep(self, pose: Pose, report: StepReport, images: Sequence[np.ndarray | None]) -> None:
@@ -184,6 +211,11 @@ class _Pass:
         # What is large is kept once.
         outlines = report.outlines._replace(segmented=None, contours=())  # type: ignore[arg-type]
         self._reports.append(report._replace(outlines=outlines))
+
+    @property
+    def seen(self) -> bool:
+        """Whether any camera counted in any frame."""
+        return any(report.used.any() for report in self._reports)
 
     def poses(self) -> Pose:
         """(T, ...) as they were found."""

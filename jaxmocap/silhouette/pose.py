@@ -23,6 +23,7 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.geometry.rotations import HIGHEST
+from jaxmocap.silhouette.markers import MarkerRows, marker_equations
 from jaxmocap.silhouette.points import PointRays, linearised
 from jaxmocap.solvers.status import Status
 
@@ -106,6 +107,7 @@ def solve_pose(
     settings: PoseSettings,
     prior: Prior | None = None,
     free: Array | None = None,
+    markers: MarkerRows | None = None,
 ) -> PoseResult:
     """Iterate from ``pose`` until the points lie on their rays, or rest.
 
@@ -116,6 +118,7 @@ def solve_pose(
         settings: traced.
         prior: what is expected, beside the rays.
         free: (6 + D,) degrees of freedom that may move; all without it.
+        markers: further rows, where there are any.
     """
     moving = jnp.ones(skeleton.costs.shape, bool) if free is None else free
 
@@ -125,7 +128,7 @@ def solve_pose(
 
     def iterate(carry: tuple[Array, Pose, Array]) -> tuple[Array, Pose, Array]:
         count, pose, _ = carry
-        normal = _normal_equations(skeleton, pose, pairs, settings)
+        normal = _normal_equations(skeleton, pose, pairs, settings, markers)
         step = _step(skeleton, pose, normal, settings, prior, moving)
         return count + 1, retract(pose, step), jnp.max(jnp.abs(step))
 
@@ -133,9 +136,12 @@ def solve_pose(
     count, found, moved = jax.lax.while_loop(
         unfinished, iterate, (jnp.zeros((), jnp.int32), pose, far)
     )
-    broken = ~jnp.isfinite(moved) | ~jnp.any(pairs.weights > 0)
+    told = jnp.any(pairs.weights > 0)
+    if markers is not None:
+        told = told | jnp.any(jnp.isfinite(jnp.asarray(markers.positions_world)))
+    broken = ~jnp.isfinite(moved) | ~told
     found = jax.tree.map(lambda new, old: jnp.where(broken, old, new), found, pose)
-    end = _normal_equations(skeleton, found, pairs, settings)
+    end = _normal_equations(skeleton, found, pairs, settings, markers)
     status = jnp.where(moved > settings.rest, Status.OUT_OF_STEPS, Status.CONVERGED)
     status = jnp.where(broken, Status.BROKEN, status).astype(jnp.int32)
     kept = end.distances, end.shares, end.spread, end.information
@@ -143,10 +149,15 @@ def solve_pose(
 
 
 def _normal_equations(
-    skeleton: Skeleton, pose: Pose, pairs: PointRays, settings: PoseSettings
+    skeleton: Skeleton,
+    pose: Pose,
+    pairs: PointRays,
+    settings: PoseSettings,
+    markers: MarkerRows | None,
 ) -> _Normal:
     """Hessian and slope of half the squares of all pairs, in their robust deviations."""
-    residuals, rows = linearised(skeleton, forward(skeleton, pose), pairs)
+    frames = forward(skeleton, pose)
+    residuals, rows = linearised(skeleton, frames, pairs)
     squared = jnp.sum(residuals**2, -1)
     off = squared > 0
     distances = jnp.where(off, jnp.sqrt(jnp.where(off, squared, 1.0)), 0.0)
@@ -160,6 +171,9 @@ def _normal_equations(
     weighted = jnp.repeat(weights, 2)[:, None] * rows
     information = jnp.matmul(weighted.T, rows, precision=HIGHEST)
     slope = jnp.matmul(weighted.T, residuals.ravel(), precision=HIGHEST)
+    if markers is not None:
+        known, downhill = marker_equations(skeleton, frames, markers)
+        information, slope = information + known, slope + downhill
     return _Normal(information, slope, distances, shares, spread)
 
 

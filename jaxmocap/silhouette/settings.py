@@ -41,6 +41,8 @@ class Settings:
         patience: frames of a camera, one after the other, that may be passed over so.
         hypotheses: of where a limb is that may be lost, static; 1 for the pose found alone.
         search: among them.
+        marked: deviation of markers, metres, where they are followed too. Hundreds of pairs that
+            err alike stand against each.
         share: of a camera's rim and contour that must find each other.
         apart: a camera whose pairs lie so many times as far apart as all is left out.
         near: unless they are within this, metres.
@@ -65,7 +67,8 @@ class Settings:
     changed: float = 0.25
     patience: int = 15
     hypotheses: int = 128
-    search: SearchSettings = SearchSettings()
+    search: SearchSettings = field(default_factory=SearchSettings)
+    marked: float = 0.003
     share: float = 0.4
     apart: float = 3.0
     near: float = 0.03

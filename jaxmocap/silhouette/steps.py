@@ -15,6 +15,7 @@ from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.silhouette.correspond import pairs_of
+from jaxmocap.silhouette.markers import MarkerRows
 from jaxmocap.silhouette.points import BodyPoints
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, solve_pose
 
@@ -52,11 +53,12 @@ def fit(
     settings: PoseSettings,
     prior: Prior,
     grip: Array | float,
+    markers: MarkerRows | None = None,
 ) -> PoseResult:
     """The pose that brings the rims' points to the contours' rays; see ``solve_pose``."""
     pixels_xy, normals, weights = (jnp.asarray(part) for part in seen[1:])
     pairs = pairs_of(cameras, seen.points, pixels_xy, normals, weights, grip)
-    return solve_pose(skeleton, pose, pairs, settings, prior)
+    return solve_pose(skeleton, pose, pairs, settings, prior, markers=markers)
 
 
 @jax.jit

@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxmocap.body.kinematics import Sites
 from jaxmocap.body.loft import generic_surface
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
@@ -27,6 +28,7 @@ from jaxmocap.images.glances import Glances
 from jaxmocap.silhouette.correspond import Matches, matched
 from jaxmocap.silhouette.doubt import Doubter, Doubts, freed
 from jaxmocap.silhouette.looking import Outlines, look
+from jaxmocap.silhouette.markers import MarkerRows, points_at
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, standard_deviations
 from jaxmocap.silhouette.rim import Rim, RimFinder, stacked
 from jaxmocap.silhouette.segment import Histograms, Plan
@@ -80,6 +82,14 @@ class StepReport(NamedTuple):
     moved: np.ndarray
 
 
+class _Shown(NamedTuple):
+    """What is known of a frame before it is looked at."""
+
+    images: Sequence[np.ndarray | None]
+    histograms: Histograms
+    markers: MarkerRows | None
+
+
 class _Fitted(NamedTuple):
     """What the last cycle found, from which cameras, by what they show."""
 
@@ -107,6 +117,7 @@ class SilhouetteTracker:
         settings: Settings | None = None,
         surface: Surface | None = None,
         rooms: Sequence[Background | None] | None = None,
+        sites: Sites | None = None,
     ):
         """Prepare a tracker.
 
@@ -116,6 +127,7 @@ class SilhouetteTracker:
             settings: defaults to ``Settings()``.
             surface: of the person; a generic one of the skeleton's proportions without it.
             rooms: what is known of each camera's room.
+            sites: of markers that are to be followed too.
         """
         listed = [cameras] if isinstance(cameras, Camera) else list(cameras)
         self.skeleton, self.settings = skeleton, settings or Settings()
@@ -126,6 +138,7 @@ class SilhouetteTracker:
         self._weights = node_weights(skeleton, self.finder.surface, self.settings.hands)
         self.rooms = [None] * len(listed) if rooms is None else list(rooms)
         self.plan = Plan()
+        self._points = None if sites is None else points_at(skeleton, sites)
         count = self.settings.hypotheses
         self._doubter = Doubter(skeleton, self.finder.surface, self.cameras, count)
 
@@ -138,7 +151,11 @@ class SilhouetteTracker:
         return State(pose, still, None, empty, told, glances, doubts)
 
     def step(
-        self, state: State, time: float, images: Sequence[np.ndarray | None]
+        self,
+        state: State,
+        time: float,
+        images: Sequence[np.ndarray | None],
+        positions_world: np.ndarray | None = None,
     ) -> tuple[State, Pose, StepReport]:
         """One frame of all cameras.
 
@@ -146,6 +163,7 @@ class SilhouetteTracker:
             state: after the last frame.
             time: of this one, seconds.
             images: (H, W, 3) BGR uint8 of each camera, None where there is none.
+            positions_world: (M, 3) of the markers, metres; NaN where one is missing.
 
         Returns:
             The state, the pose and a report.
@@ -155,15 +173,16 @@ class SilhouetteTracker:
         ahead = 0.0 if state.time is None else max(time - state.time, 1e-3)
         expected = predict(self.skeleton, state.pose, s.damping * state.velocity, np.float32(ahead))
         beforehand = np.where(state.told, s.expected, s.held).astype(np.float32)
-        fitted = self._fitted(state, images, expected, beforehand)
-        fitted, moved, doubts = self._reconsidered(state, images, fitted, beforehand)
+        shown = _Shown(images, state.histograms, self._markers(positions_world))
+        fitted = self._fitted(shown, expected, beforehand)
+        fitted, moved, doubts = self._reconsidered(state.doubts, shown, fitted, beforehand)
         result, used, shares, outlines = fitted
         deviations = standard_deviations(result.information, s.blind)
         seen = deviations < s.told * s.blind
         told = standard_deviations(result.information, s.expected) < s.told * s.expected
         velocity = self._velocity(state, result.pose, ahead) * told
         velocity[ROOT_DOF:][moved] = 0
-        if not used.any():
+        if not told.any():
             # Who is not seen for an instant moves on; for longer, comes to rest.
             told, velocity = state.told, s.damping * state.velocity
         histograms = _chosen(used, outlines.segmented.histograms, state.histograms)
@@ -174,20 +193,24 @@ class SilhouetteTracker:
         after = State(result.pose, velocity, time, histograms, told, glances, doubts)
         return after, result.pose, report
 
-    def _fitted(
-        self,
-        state: State,
-        images: Sequence[np.ndarray | None],
-        expected: Pose,
-        beforehand: np.ndarray,
-    ) -> _Fitted:
+    def _markers(self, positions_world: np.ndarray | None) -> MarkerRows | None:
+        """Rows of the markers, where any are followed."""
+        if self._points is None:
+            return None
+        count = len(self._points.bones)
+        nowhere = np.full((count, 3), np.nan)
+        there = nowhere if positions_world is None else positions_world
+        firm = np.full(count, self.settings.marked, np.float32)
+        return MarkerRows(self._points, np.asarray(there, np.float32), firm)
+
+    def _fitted(self, shown: _Shown, expected: Pose, beforehand: np.ndarray) -> _Fitted:
         """Cycle by cycle from the predicted pose."""
         s, pose, fitted = self.settings, expected, None
         prior, used, outlines = Prior(expected, jnp.asarray(beforehand)), np.zeros(0, bool), None
         for cycle, deviation in enumerate(s.deviations):
             rim = self.finder.find(self.skeleton, pose, self.cameras)
             if outlines is None or cycle in s.looks:
-                outlines = look(images, self.rooms, rim, state.histograms, s, self.plan)
+                outlines = look(shown.images, self.rooms, rim, shown.histograms, s, self.plan)
                 used = np.ones(len(self.rooms), bool)
             pairs = matched(rim, outlines.contours, s.match)
             shares = shares_found(rim, pairs, [len(each.pixels_xy) for each in outlines.contours])
@@ -195,7 +218,9 @@ class SilhouetteTracker:
             weights = self._weights[pairs.nodes] * (pairs.real & used[:, None])
             seen = Seen(self.finder.points(pairs.nodes), pairs.pixels_xy, pairs.normals, weights)
             how = PoseSettings(deviation=deviation, iterations=s.iterations)
-            result = fit(self.skeleton, self.cameras, pose, seen, how, prior, s.match.grip)
+            result = fit(
+                self.skeleton, self.cameras, pose, seen, how, prior, s.match.grip, shown.markers
+            )
             apart = np.asarray(result.distances).reshape(weights.shape)
             pose, used = result.pose, used & ~_denied(apart, weights > 0, s)
             fitted = _Fitted(result, used, shares, outlines)
@@ -203,22 +228,18 @@ class SilhouetteTracker:
         return fitted
 
     def _reconsidered(
-        self,
-        state: State,
-        images: Sequence[np.ndarray | None],
-        fitted: _Fitted,
-        beforehand: np.ndarray,
+        self, doubts: Doubts, shown: _Shown, fitted: _Fitted, beforehand: np.ndarray
     ) -> tuple[_Fitted, np.ndarray, Doubts]:
         """What was found, or what is found from elsewhere if that explains more; which joints."""
         s, still = self.settings, np.zeros(len(self.skeleton.tree.joints), bool)
         if s.hypotheses < 2 or not fitted.used.any():
-            return fitted, still, state.doubts
+            return fitted, still, doubts
         found = fitted.result.pose, fitted.outlines, fitted.used
-        better, doubts = self._doubter.better(state.doubts, *found, s.search)
+        better, doubts = self._doubter.better(doubts, *found, s.search)
         if better is None:
             return fitted, still, doubts
         wide = freed(beforehand, better.joints, s.expected)
-        again = self._fitted(state, images, better.pose, wide)
+        again = self._fitted(shown, better.pose, wide)
         poses = fitted.result.pose, again.result.pose
         before, after = (
             self._doubter.gain(better.limbs, pose, again.outlines, again.used) for pose in poses
