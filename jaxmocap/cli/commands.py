@@ -196,7 +196,8 @@ def silhouette_track(options: argparse.Namespace) -> None:
         recording = choosing.select_cameras(recording, options.cameras)
     check_folder(options.out)
     start = start_pose(recording, options.at)
-    followed = follow(recording, start, passes=options.passes, progress=True)
+    asked = {"passes": options.passes, "markers": options.markers}
+    followed = follow(recording, start, **asked, progress=True)
     files = write_followed(followed, recording, options.out, progress=True)
     _report(options, summary(followed.motion, files), figures(followed.motion))
 

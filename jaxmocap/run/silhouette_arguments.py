@@ -32,6 +32,7 @@ def add_silhouette_track(parser: argparse.ArgumentParser) -> None:
         default=2,
         help="one pass, without knowing the rooms; default: a first pass learns them",
     )
+    parser.add_argument("--markers", action="store_true", help="follow the recording's markers too")
 
 
 def add_silhouette_demo(parser: argparse.ArgumentParser) -> None:
