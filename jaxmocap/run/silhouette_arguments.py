@@ -4,8 +4,9 @@ INPUTS: a command's parser. OUTPUTS: the parser with its options.
 """
 
 import argparse
+import math
 
-from jaxmocap.setup.arguments import positive
+from jaxmocap.setup.arguments import natural, positive
 
 EXERCISES = ("push_ups", "sit_ups", "arm_raises", "turn", "walking", "jumping", "scissors")
 
@@ -41,7 +42,9 @@ def add_silhouette_demo(parser: argparse.ArgumentParser) -> None:
         "--out", metavar="DIR", default="jaxmocap-silhouettes", help="default: %(default)s"
     )
     parser.add_argument("--seconds", type=positive, default=2.0, help="default: %(default)s")
-    parser.add_argument("--seed", type=int, default=0, help="of the rooms, the movement and noise")
+    parser.add_argument(
+        "--seed", type=natural, default=0, help="of the rooms, the movement and noise"
+    )
     parser.add_argument(
         "--person",
         metavar="PERSON.npz",
@@ -59,6 +62,8 @@ def _names(text: str) -> list[str]:
 def _place(text: str) -> tuple[float, float, float]:
     try:
         x, y, facing = map(float, text.split(","))
+        if not all(map(math.isfinite, (x, y, facing))):
+            raise ValueError
     except ValueError:
         raise argparse.ArgumentTypeError(f"found {text!r}, expected X,Y,FACING") from None
     return x, y, facing
