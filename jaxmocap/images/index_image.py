@@ -127,22 +127,35 @@ def _with_nodes(keys: np.ndarray, cells: np.ndarray, normals: np.ndarray) -> Bou
     return Boundary(cells[known], nodes[known], normals[known])
 
 
-def inner_boundary(keys: np.ndarray, depths: np.ndarray, jump: float) -> Boundary:
+def inner_boundary(
+    keys: np.ndarray, depths: np.ndarray, jump: float, parts: np.ndarray | None = None
+) -> Boundary:
     """Where one part of the body ends before another: no mask shows it, colours may.
 
     Args:
         keys: (S, S) of ``index_image``.
         depths: (M,) of the nodes, metres.
         jump: metres from the limb in front to what is behind it, at least.
+        parts: (M,) whose boundaries with one another alone count: where one and the same is seen
+            at a glancing angle it recedes as fast. All without it.
     """
     nodes = nodes_at(keys)
     depth = np.where(nodes >= 0, depths[nodes], np.float32(np.inf)).astype(np.float32)
     # Single cells through which the far side shows take the depth of those about them.
     depth = cv2.morphologyEx(depth, cv2.MORPH_OPEN, SQUARE)
     x, y = _steps_back(depth, jump, 1), _steps_back(depth, jump, 0)
+    if parts is not None:
+        part = np.where(nodes >= 0, parts[nodes] + 1, 0).astype(np.uint8)
+        least = cv2.erode(np.where(nodes >= 0, part, np.uint8(255)), SQUARE)
+        same = least == cv2.dilate(part, SQUARE)
+        x[same], y[same] = 0, 0
     rows, columns = np.nonzero(((x != 0) | (y != 0)) & (nodes >= 0))
+    # Cells have but eight directions: those about them tell it better.
+    x, y = (cv2.blur(part.astype(np.float32), (5, 5)) for part in (x, y))
     ways = np.stack([x[rows, columns], y[rows, columns]], 1).astype(float)
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    lengths = np.linalg.norm(ways, axis=1, keepdims=True)
+    kept = lengths[:, 0] > 1e-3
+    rows, columns, ways = rows[kept], columns[kept], ways[kept] / lengths[kept]
     return Boundary(np.stack([columns, rows], 1), nodes[rows, columns], ways)
 
 

@@ -53,9 +53,9 @@ class RimSettings:
 
     size: int = 192
     outer: int = 256
-    inner: int = 64
+    inner: int = 96
     spacing: float = 0.009
-    jump: float = 0.06
+    jump: float = 0.04
     margin: float = 0.03
     finest: float = 0.25
 
@@ -122,6 +122,7 @@ class RimFinder:
         self.surface = resampled(surface, joints, self.settings.spacing)
         self._skin = skin_of(self.surface, joints)
         self._beside = neighbours(self.surface)
+        self._limbs = limbs_of(self.surface)
         self._draw = jax.jit(self._drawn)
 
     def _drawn(self, skeleton: Skeleton, pose: Pose, cameras: Camera) -> Drawn:
@@ -159,7 +160,7 @@ class RimFinder:
         mask = body_mask(keys)
         found = [outer_boundary(keys, mask, s.outer)]
         if s.inner:
-            found.append(Boundary(*thinned(inner_boundary(keys, drawn.depth, s.jump), s.inner)))
+            found.append(Boundary(*thinned(inner_boundary(keys, drawn.depth, s.jump, self._limbs), s.inner)))
         nodes, normals = np.zeros(s.outer + s.inner, int), np.zeros((s.outer + s.inner, 2))
         real = np.zeros(len(nodes), bool)
         for part, start in zip(found, (0, s.outer), strict=False):
@@ -183,6 +184,12 @@ class RimFinder:
         every = self.surface.points
         chosen = nodes.ravel()
         return BodyPoints(*(np.asarray(part)[chosen] for part in every))
+
+
+def limbs_of(surface: Surface) -> np.ndarray:
+    """(M,) number of every node's limb; a foot and its leg are one."""
+    names = [patch.name.replace("foot", "leg") for patch in surface.patches]
+    return np.array([names.index(name) for name in names])[surface.patch_of()]
 
 
 def neighbours(surface: Surface) -> np.ndarray:

@@ -1,0 +1,58 @@
+"""Profiles of colour across lines, and where one plain colour gives way to another.
+
+INPUTS: an image, places in it with their normals. OUTPUTS: colours across them; where they change.
+"""
+
+import cv2
+import numpy as np
+
+# Colours are averaged over so many places along the line, this far apart, pixels.
+ALONG = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
+# Samples next to the line, of either side, that tell nothing of the sides' colours.
+BETWEEN = 3
+
+
+def colour_profiles(
+    image: np.ndarray, pixels_xy: np.ndarray, normals: np.ndarray, offsets: np.ndarray
+) -> np.ndarray:
+    """(R, K, 3) colours across lines.
+
+    Args:
+        image: (H, W, 3) uint8.
+        pixels_xy: (R, 2) on the lines.
+        normals: (R, 2) unit vectors across them.
+        offsets: (K,) along the normals, pixels.
+    """
+    across = pixels_xy[:, None] + offsets[:, None] * normals[:, None]
+    beside = np.stack([-normals[:, 1], normals[:, 0]], 1)
+    places = across[:, :, None] + ALONG[:, None] * beside[:, None, None]
+    flat = places.reshape(len(pixels_xy), -1, 2).astype(np.float32)
+    taken = cv2.remap(
+        image, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return taken.reshape(*places.shape[:3], 3).mean(2, dtype=np.float32)
+
+
+def boundary(profiles: np.ndarray) -> tuple[np.ndarray, float]:
+    """Where profiles (R, K, 3) of one line go over from the colour before to the one behind.
+
+    Returns:
+        (R,) places between samples, NaN where a profile stays on one side; how far apart the two
+        colours are, by the deviations about them.
+    """
+    half = profiles.shape[1] // 2
+    sides = [part.reshape(-1, 3) for part in (profiles[:, : half - BETWEEN + 1],
+                                              profiles[:, half + BETWEEN :])]  # fmt: skip
+    first, second = (side.mean(0) for side in sides)
+    way = first - second
+    apart = float(way @ way)
+    spread = sum(np.mean((side - side.mean(0)) @ way) ** 2 + np.var((side - side.mean(0)) @ way)
+                 for side in sides) / max(apart, 1e-6)  # fmt: skip
+    # 1 before the line and 0 behind it.
+    share = (profiles - second) @ way / max(apart, 1e-6)
+    gain = np.cumsum(np.clip(share, -0.5, 1.5) - 0.5, 1)
+    best = gain.argmax(1)
+    lasting = (gain.max(1) > 0.5) & (best < profiles.shape[1] - 1)
+    after = gain[:, -1] < gain.max(1) - 0.5
+    place = np.where(lasting & after, best + 0.5, np.nan)
+    return place, float(np.sqrt(apart / max(spread, 1e-6)))

@@ -1,0 +1,45 @@
+"""What is expected of a pose beside the last frame's: joints that outlines tell little of, at rest.
+
+Which way a shoulder blade moved and what bent the arm behind it look nearly alike, and an outline's
+points err together: without a hold the least error of the surface bends such joints. The two
+expectations, of the motion and of rest, are one normal each, and so is their product.
+
+INPUTS: a predicted pose, deviations. OUTPUTS: a Prior.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
+from jaxmocap.silhouette.pose import Prior
+
+
+def resting(skeleton: Skeleton, held: dict[str, float]) -> np.ndarray:
+    """(D,) deviations of the joints about 0, radians; infinite for those that are not held.
+
+    Args:
+        skeleton: D degrees of freedom.
+        held: how joints' names begin -> their deviation.
+    """
+    found = np.full(len(skeleton.tree.joints), np.inf)
+    for i, joint in enumerate(skeleton.tree.joints):
+        for beginning, deviation in held.items():
+            if joint.startswith(beginning):
+                found[i] = deviation
+    return found
+
+
+def expectation(expected: Pose, deviations: np.ndarray, rest: np.ndarray) -> Prior:
+    """What is known of a pose before it is looked at.
+
+    Args:
+        expected: by the motion.
+        deviations: (6 + D,) about it, metres and radians.
+        rest: (D,) of ``resting``.
+    """
+    moving, still = deviations[ROOT_DOF:] ** -2.0, rest**-2.0
+    both = moving + still
+    angles = (moving / both * np.asarray(expected.angles)).astype(np.float32)
+    joined = np.concatenate([deviations[:ROOT_DOF], both**-0.5]).astype(np.float32)
+    return Prior(expected._replace(angles=jnp.asarray(angles)), jnp.asarray(joined))
