@@ -157,6 +157,24 @@ def test_a_whole_solve_is_the_references_in_double_precision(skeleton64, seed):
         np.testing.assert_allclose(part, theirs, rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_the_pose_that_is_returned_is_the_one_that_met_its_goals(skeleton64, seed):
+    # Near the limits a step that is cut short there may lead away from goals that were met.
+    rng, (low, high) = np.random.default_rng(seed), LIMITS.T
+    with double():
+        pose = plain(relaxed_pose(skeleton64))
+    near = pose.angles + rng.normal(size=len(low)) * (high - low)
+    near = np.clip(near, low + 0.005, high - 0.005)
+    moved = np.clip(near + 0.02 * rng.normal(size=len(low)), low, high)
+    with double():
+        chosen = IKSettings.create(settle=1, rest=0.0)
+        targets = points_of(skeleton64, on_device(pose._replace(angles=moved)))
+        start, weights = on_device(pose._replace(angles=near)), on_device(np.ones(5))
+        found, count = solved(skeleton64, chosen, start, targets, weights)
+        missed = np.linalg.norm(points_of(skeleton64, found) - targets, axis=1).max()
+    assert missed <= float(chosen.tolerance) or int(count) == int(chosen.iterations)
+
+
 @given(pose=poses(), seed=st.integers(0, 2**20))
 def test_a_step_in_float32_stays_within_its_tolerance(skeleton, skeleton64, pose, seed):
     inner = pose._replace(angles=0.8 * pose.angles + 0.2 * np.asarray(skeleton64.relaxed))

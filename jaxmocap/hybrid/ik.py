@@ -62,6 +62,22 @@ class IKResult(NamedTuple):
     planted: Array
 
 
+class _Linear(NamedTuple):
+    """M goals about a pose.
+
+    Attributes:
+        frames: at the pose.
+        J: (3M, 6 + D) weighted Jacobian of their points.
+        error: (3M,) clamped and weighted, metres.
+        missed: () by how much the farthest is missed, metres.
+    """
+
+    frames: Frames
+    J: Array
+    error: Array
+    missed: Array
+
+
 def secondary_task(skeleton: Skeleton, frames: Frames, pose: Pose, settings: IKSettings) -> Array:
     """The step (6 + D,), unweighted, towards the relaxed pose: equation (9), and to the upright.
 
@@ -100,8 +116,21 @@ def ik_step(
         wishes: goals of a second rank: approached as far as the first hold.
         ardour: factor on all that is not of the first rank.
     """
-    frames = forward(skeleton, pose)
-    J, error, missed = _linearised(skeleton, frames, goals)
+    here = _linearised(skeleton, forward(skeleton, pose), goals)
+    return *_stepped(skeleton, here, settings, pose, free, wishes, ardour), here.missed
+
+
+def _stepped(
+    skeleton: Skeleton,
+    here: _Linear,
+    settings: IKSettings,
+    pose: Pose,
+    free: Array,
+    wishes: Goals | None,
+    ardour: Array | float,
+) -> tuple[Pose, Array]:
+    """The pose after a step from where it was linearised, and the largest weighted angle of it."""
+    frames, J, error, _ = here
     wanted = ardour * skeleton.costs * secondary_task(skeleton, frames, pose, settings)
     low, high = _room(skeleton, pose)
 
@@ -110,9 +139,9 @@ def ik_step(
         solved = sdls_step(jnp.where(free, J, 0.0), error, settings.largest_step)
         secondary = project_secondary(solved.row_space, jnp.where(free, wanted, 0.0))
         if wishes is not None:
-            A, ask, _ = _linearised(skeleton, frames, wishes)
-            A = project_secondary(solved.row_space, jnp.where(free, A, 0.0))
-            rest = ardour * ask - jnp.matmul(A, secondary, precision=HIGHEST)
+            wished = _linearised(skeleton, frames, wishes)
+            A = project_secondary(solved.row_space, jnp.where(free, wished.J, 0.0))
+            rest = ardour * wished.error - jnp.matmul(A, secondary, precision=HIGHEST)
             secondary = secondary + damped_step(A, rest, settings.wish_damping)
         return solved.primary + clamp_max_abs(secondary, settings.largest_step)
 
@@ -133,18 +162,18 @@ def ik_step(
     start = (jnp.zeros((), jnp.int32), jnp.zeros_like(low), jnp.zeros(low.shape, bool))
     _, psi, _ = jax.lax.while_loop(unsolved, solve, start)
     psi = jnp.where(free, jnp.clip(psi, low, high), 0.0)
-    return retract(pose, psi / skeleton.costs), jnp.max(jnp.abs(psi)), missed
+    return retract(pose, psi / skeleton.costs), jnp.max(jnp.abs(psi))
 
 
-def _linearised(skeleton: Skeleton, frames: Frames, goals: Goals) -> tuple[Array, Array, Array]:
-    """Weighted Jacobian (3M, 6 + D) of the goals' points, (3M,) clamped errors, farthest miss."""
+def _linearised(skeleton: Skeleton, frames: Frames, goals: Goals) -> _Linear:
+    """The goals' points about a pose."""
     points = site_positions(skeleton, frames, goals.sites)
     weights = goals.weights[:, None]
     away = jnp.where(weights > 0, goals.targets - points, 0.0)
     error = weights * clamp_lengths(away, 0.1 * _arm_length(skeleton))
     J = jacobian(skeleton, frames, goals.sites.bones, points) / skeleton.costs
     J = (weights[..., None] * J).reshape(-1, J.shape[-1])
-    return J, error.ravel(), jnp.sqrt(jnp.max(jnp.sum(away**2, -1)))
+    return _Linear(frames, J, error.ravel(), jnp.sqrt(jnp.max(jnp.sum(away**2, -1))))
 
 
 def reach(
@@ -170,20 +199,28 @@ def reach(
         The pose and the number of iterations.
     """
     moving = jnp.ones(skeleton.costs.shape, bool) if free is None else free
+    least = settings.settle if wishes is None else settings.following
 
     def unfinished(carry: tuple[Array, Pose, Array, Array]) -> Array:
-        count, _, moved, missed = carry
-        away = (missed > settings.tolerance) & (moved > settings.rest)
-        least = settings.settle if wishes is None else settings.following
-        return (count < least) | (away & (count < settings.iterations))
+        count, _, moved, met = carry
+        moves = (moved > settings.rest) & (count < settings.iterations)
+        return (count < least) | (moves & ~met)
 
     def iterate(carry: tuple[Array, Pose, Array, Array]) -> tuple[Array, Pose, Array, Array]:
-        count, pose, _, _ = carry
+        # Whether a step has met the goals is seen where the next one would begin.
+        count, pose, moved, _ = carry
+        here = _linearised(skeleton, forward(skeleton, pose), goals)
+        met = (count >= least) & (here.missed <= settings.tolerance)
         ardour = 1.0 if wishes is None else jnp.where(count < settings.following, 1.0, 0.0)
-        return count + 1, *ik_step(skeleton, goals, settings, pose, moving, wishes, ardour)
+
+        def step() -> tuple[Pose, Array]:
+            return _stepped(skeleton, here, settings, pose, moving, wishes, ardour)
+
+        pose, moved = jax.lax.cond(met, lambda: (pose, moved), step)
+        return count + jnp.where(met, 0, 1), pose, moved, met
 
     far = jnp.asarray(jnp.inf, pose.angles.dtype)
-    start = (jnp.zeros((), jnp.int32), pose, far, far)
+    start = (jnp.zeros((), jnp.int32), pose, far, jnp.zeros((), bool))
     count, pose, _, _ = jax.lax.while_loop(unfinished, iterate, start)
     return pose, count
 

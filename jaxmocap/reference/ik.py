@@ -162,14 +162,12 @@ def reach(
     moving = np.ones(len(skeleton.costs), bool) if free is None else np.asarray(free, bool)
     following = int(settings.following)
     least = int(settings.settle) if wishes is None else following
-    count, moved, missed = 0, np.inf, np.inf
-    pose = as_pose(pose)
-    while count < least or (
-        missed > float(settings.tolerance)
-        and moved > float(settings.rest)
-        and count < int(settings.iterations)
-    ):
+    count, moved, pose = 0, np.inf, as_pose(pose)
+    while count < least or (moved > float(settings.rest) and count < int(settings.iterations)):
+        missed = linearised(skeleton, forward(skeleton, pose), as_goals(goals))[2]
+        if count >= least and missed <= float(settings.tolerance):
+            break
         ardour = 1.0 if wishes is None or count < following else 0.0
-        pose, moved, missed = ik_step(skeleton, goals, settings, pose, moving, wishes, ardour)
+        pose, moved, _ = ik_step(skeleton, goals, settings, pose, moving, wishes, ardour)
         count += 1
     return pose, count
