@@ -17,6 +17,7 @@ from jaxmocap.geometry.plucker import Lines, camera_lines
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.reference import kinematics as naive_kinematics
 from jaxmocap.reference import points as naive
+from jaxmocap.reference import pose as naive_pose
 from jaxmocap.silhouette.points import linearised, on_rays
 from jaxmocap.silhouette.pose import PoseSettings, Prior, solve_pose, standard_deviations
 from jaxmocap.solvers.status import Status
@@ -238,6 +239,40 @@ def test_the_reference_finds_the_same_pose(skeleton64):
         found = solved(skeleton64, start, pairs, ALIKE).pose
         theirs = naive.solve_pose(skeleton64, start, pairs, iterations=8)
         assert np.abs(difference(Pose(*on_device(theirs)), found)).max() < 1e-6
+
+
+def test_contours_outliers_a_prior_and_limits_lead_to_the_references_pose(skeleton64):
+    """An elbow that would bend backwards, a sixth of wrong pairs, little grip along contours."""
+    rng = np.random.default_rng(14)
+    elbow = skeleton64.tree.joint("elbow_flex_l")
+    with double():
+        truth = bent(skeleton64, rng)
+        truth = truth._replace(angles=truth.angles.at[elbow].set(-0.1))
+        points = some_points(skeleton64, rng)
+        x = np.array(POSED(FORWARD(skeleton64, truth), points))
+        x[::6] += rng.normal(0, 0.3, (len(x[::6]), 3))
+        pairs = on_rays(points, seen(ring(4), on_device(x), 1.0, rng))
+        turn = on_device(rng.uniform(0, np.pi, (PAIRS, 1)))
+        along = jnp.cross(pairs.lines.directions, pairs.across)
+        across = jnp.cos(turn) * pairs.across + jnp.sin(turn) * along
+        weights = on_device(rng.uniform(0.2, 1.0, PAIRS) * (np.arange(PAIRS) % 7 > 0))
+        pairs = pairs._replace(across=across, weights=weights, grips=on_device(np.full(PAIRS, 0.1)))
+        start = moved(truth._replace(angles=truth.angles.at[elbow].set(0.1)), rng, 0.02)
+        deviations = on_device(rng.uniform(0.1, 0.5, skeleton64.costs.shape))
+        prior = Prior(moved(truth, rng, 0.05), deviations)
+        how = PATIENT._replace(rest=1e-9)
+        found = solved(skeleton64, start, pairs, how, prior)
+        theirs = naive_pose.solve_pose(skeleton64, start, pairs, how._replace(iterations=15), prior)
+        residuals, _ = naive_pose.contour_rows(
+            skeleton64, naive_kinematics.forward(skeleton64, theirs), pairs
+        )
+        share, spread = naive_pose.shares(residuals, np.asarray(weights), how)
+        assert np.abs(difference(Pose(*on_device(theirs)), found.pose)).max() < 1e-5
+    assert theirs.angles[elbow] == pytest.approx(0.0, abs=1e-9)
+    assert found.spread == pytest.approx(spread, rel=1e-4)
+    counting = np.asarray(weights) > 0
+    np.testing.assert_allclose(np.asarray(found.shares)[counting], share[counting], atol=1e-4)
+    assert np.mean(share[::6] == 0) > 0.5
 
 
 def test_a_fifth_of_wrong_pairs_is_told_by_its_distance_in_space(skeleton):

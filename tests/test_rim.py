@@ -25,6 +25,7 @@ from jaxmocap.images.index_image import (
     outer_boundary,
 )
 from jaxmocap.reference import index_image as naive
+from jaxmocap.reference import rim as naive_rim
 from jaxmocap.silhouette.contours import even_contour, low_pass, normals
 from jaxmocap.silhouette.points import contour_rays
 from jaxmocap.silhouette.rim import Rim, RimFinder, RimSettings, stacked
@@ -145,6 +146,45 @@ def test_rim_points_lie_on_the_outline_within_a_fraction_of_a_cell(finder, rim):
         assert outer.sum() > 150
         assert np.median(away) < 0.35 * scale
         assert np.mean(away < scale) > 0.97
+
+
+def drawn_by(finder, pose, camera: int):
+    """Columns, rows, depths, places and keys of all nodes, and the whole picture, of a camera."""
+    drawn = jax.tree.map(lambda part: np.asarray(part)[camera], finder._draw(BODY, pose, CAMERAS))
+    cells = (np.stack([drawn.u, drawn.v], 1) - drawn.region.origin) / drawn.region.scale - 0.5
+    return cells, drawn
+
+
+def test_a_bodys_outline_and_its_nodes_are_the_naive_ones(finder):
+    cells, drawn = drawn_by(finder, bent(**FOLDED), 1)
+    keys = index_image(drawn.places, drawn.keys, SETTINGS.size)
+    ours = outer_boundary(keys, body_mask(keys))
+    theirs = naive_rim.outline(cells[:, 0], cells[:, 1], drawn.depth, SETTINGS.size)
+    assert len(ours.cells) > 0.95 * len(theirs) > 300
+    nodes = np.array([theirs[tuple(cell)] for cell in ours.cells.tolist()])
+    # A node may be another one where both are as near, to a step in depth, or on a cell's edge.
+    apart = np.abs(drawn.depth[nodes] - drawn.depth[ours.nodes])
+    assert np.mean(nodes == ours.nodes) > 0.9
+    assert np.mean(apart < 1e-3) > 0.98
+
+
+def test_what_the_rim_shows_no_limb_hides(finder, rim):
+    """By rays against every triangle of the surface: self-occlusion, limbs before the trunk."""
+    nodes = np.asarray(POSED(FORWARD(BODY, bent(**FOLDED)), finder.surface.points), float)
+    triangles = []
+    for patch in finder.surface.patches:
+        grid = nodes[patch.nodes].reshape(patch.along, patch.around, 3)
+        beside = np.roll(grid, -1, 1)
+        for corners in ((grid[:-1], beside[:-1], beside[1:]), (grid[:-1], beside[1:], grid[1:])):
+            triangles.append(np.stack(corners, 2).reshape(-1, 3, 3))
+    faces = np.concatenate(triangles)
+    for camera in (0, 2):
+        T = np.linalg.inv(np.asarray(CAMERAS.T_cam_world[camera], float))
+        shown = rim.nodes[camera][rim.real[camera]][::8]
+        covered = naive_rim.hidden(T[:3, 3], nodes[shown], faces, 0.03)
+        assert np.mean(covered) < 0.05
+        every = naive_rim.hidden(T[:3, 3], nodes[:: len(nodes) // 24], faces, 0.03)
+        assert 0.1 < np.mean(every) < 0.9
 
 
 def test_normals_point_out_of_the_body(rim):

@@ -7,7 +7,7 @@ OUTPUTS: the paper's system, three equations to a pair, and the pose that solves
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
+from scipy.linalg import expm, logm
 
 from jaxmocap.reference.kinematics import forward
 
@@ -45,45 +45,56 @@ def posed(frames: Any, points: Any) -> np.ndarray:
     return np.array(found)
 
 
-def linearised(skeleton: Any, frames: Any, pairs: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Equation (3.12) for all pairs: x x n - m (N, 3) and its derivatives (N, 3, 6 + D).
-
-    The root's columns are twists about the pelvis.
-    """
+def slopes(skeleton: Any, frames: Any, points: Any) -> np.ndarray:
+    """Derivatives (N, 3, 6 + D) of the points; the root's columns are twists about the pelvis."""
     root = [np.concatenate([axis, np.zeros(3)]) for axis in np.eye(3)]
     root += [np.concatenate([np.cross(frames.root, axis), axis]) for axis in np.eye(3)]
     twists = root + joint_screws(skeleton, frames)
-    tree = skeleton.tree
-    n = np.asarray(pairs.lines.directions, float)
-    residuals = np.cross(posed(frames, pairs.points), n) - np.asarray(pairs.lines.moments, float)
-    rows = np.zeros((len(n), 3, len(twists)))
-    points = [np.asarray(part) for part in pairs.points]
-    for i, (bones, places, shares) in enumerate(zip(*points, strict=True)):
+    tree, parts = skeleton.tree, [np.asarray(part) for part in points]
+    found = np.zeros((len(parts[0]), 3, len(twists)))
+    for i, (bones, places, shares) in enumerate(zip(*parts, strict=True)):
         for bone, place, share in zip(bones, places, shares, strict=True):
             chain = tree.chain(tree.bones[bone])
             x = frames.joints_world[bone] + frames.R_world_bone[bone] @ place
             for j, twist in enumerate(twists):
                 if j < 6 or tree.dof_bones[j - 6] in chain:
-                    moved = (hat(twist) @ np.append(x, 1.0))[:3]
-                    rows[i, :, j] += share * np.cross(moved, n[i])
+                    found[i, :, j] += share * (hat(twist) @ np.append(x, 1.0))[:3]
+    return found
+
+
+def linearised(skeleton: Any, frames: Any, pairs: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Equation (3.12) for all pairs: x x n - m (N, 3) and its derivatives (N, 3, 6 + D)."""
+    n = np.asarray(pairs.lines.directions, float)
+    residuals = np.cross(posed(frames, pairs.points), n) - np.asarray(pairs.lines.moments, float)
+    rows = np.cross(slopes(skeleton, frames, pairs.points), n[:, :, None], axis=1)
     return residuals, rows
 
 
 def solve_pose(skeleton: Any, pose: Any, pairs: Any, iterations: int = 20) -> Pose:
     """Section 3.1.3 as printed: linearise, solve by least squares, transform, again.
 
-    Without priors, limits or outliers; all pairs count alike.
+    Without priors, limits or outliers; all pairs count alike. ``reference.pose`` has them.
     """
     now = Pose(*(np.asarray(part, float) for part in pose))
     for _ in range(iterations):
         residuals, rows = linearised(skeleton, forward(skeleton, now), pairs)
         A, b = rows.reshape(-1, rows.shape[-1]), -residuals.ravel()
-        step = np.linalg.lstsq(A, b, rcond=None)[0]
-        # About the pelvis: the twist's shift moves it, its turn turns it.
-        T = expm(hat(np.concatenate([np.zeros(3), step[3:6]])))
-        turned = T[:3, :3] @ _matrix(now.quaternion)
-        now = Pose(now.position + step[:3], _quaternion(turned), now.angles + step[6:])
+        now = moved(now, np.linalg.lstsq(A, b, rcond=None)[0])
     return now
+
+
+def moved(pose: Pose, step: np.ndarray) -> Pose:
+    """The pose after a step (6 + D,): the twist's shift moves the pelvis, its turn turns it."""
+    T = expm(hat(np.concatenate([np.zeros(3), step[3:6]])))
+    turned = T[:3, :3] @ _matrix(pose.quaternion)
+    return Pose(pose.position + step[:3], _quaternion(turned), pose.angles + step[6:])
+
+
+def difference(pose: Pose, other: Pose) -> np.ndarray:
+    """The step (6 + D,) from the other pose to this one."""
+    turn = np.real(logm(_matrix(pose.quaternion) @ _matrix(other.quaternion).T))
+    twist = [turn[2, 1], turn[0, 2], turn[1, 0]]
+    return np.concatenate([pose.position - other.position, twist, pose.angles - other.angles])
 
 
 def _matrix(q: np.ndarray) -> np.ndarray:
