@@ -20,7 +20,7 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.loft import rest_joints
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.surface import BodyPoints, Surface, resampled, skin_of, skinned
+from jaxmocap.body.surface import BodyPoints, Skin, Surface, resampled, skin_of, skinned
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, pixel_components
 from jaxmocap.images.index_image import (
     Boundary,
@@ -119,15 +119,19 @@ class RimFinder:
         """Prepare for a surface around a skeleton; traces once for a number of cameras."""
         self.settings = settings or RimSettings()
         joints = rest_joints(skeleton)
-        self.surface = resampled(surface, joints, self.settings.spacing)
-        self._skin = skin_of(self.surface, joints)
+        self._joints = joints
+        self.wear(resampled(surface, joints, self.settings.spacing))
         self._beside = neighbours(self.surface)
         self._limbs = limbs_of(self.surface)
         self._draw = jax.jit(self._drawn)
 
-    def _drawn(self, skeleton: Skeleton, pose: Pose, cameras: Camera) -> Drawn:
+    def wear(self, surface: Surface) -> None:
+        """Take another surface of as many nodes, to be seen from now on."""
+        self.surface, self._skin = surface, skin_of(surface, self._joints)
+
+    def _drawn(self, skin: Skin, skeleton: Skeleton, pose: Pose, cameras: Camera) -> Drawn:
         """What C cameras see of all nodes; their places on canvases about the person."""
-        x, y, z = skinned(forward(skeleton, pose), self._skin)
+        x, y, z = skinned(forward(skeleton, pose), skin)
         s = self.settings
 
         def seen(camera: Camera) -> Drawn:
@@ -147,7 +151,7 @@ class RimFinder:
 
     def find(self, skeleton: Skeleton, pose: Pose, cameras: Camera) -> Rim:
         """The rims as C cameras (``stacked``) see them."""
-        drawn = jax.tree.map(np.asarray, self._draw(skeleton, pose, cameras))
+        drawn = jax.tree.map(np.asarray, self._draw(self._skin, skeleton, pose, cameras))
         views = [jax.tree.map(lambda part, c=c: part[c], drawn) for c in range(len(drawn.u))]
         rows = zip(*(self._of_camera(view) for view in views), strict=True)
         nodes, pixels, normals, inner, real, masks = (np.stack(parts) for parts in rows)
@@ -160,7 +164,9 @@ class RimFinder:
         mask = body_mask(keys)
         found = [outer_boundary(keys, mask, s.outer)]
         if s.inner:
-            found.append(Boundary(*thinned(inner_boundary(keys, drawn.depth, s.jump, self._limbs), s.inner)))
+            found.append(
+                Boundary(*thinned(inner_boundary(keys, drawn.depth, s.jump, self._limbs), s.inner))
+            )
         nodes, normals = np.zeros(s.outer + s.inner, int), np.zeros((s.outer + s.inner, 2))
         real = np.zeros(len(nodes), bool)
         for part, start in zip(found, (0, s.outer), strict=False):

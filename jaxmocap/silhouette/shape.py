@@ -1,0 +1,115 @@
+"""A person's shape by what a whole recording's contours tell of it.
+
+Every frame's pairs tell of its pose and of the shape, both linearly where the pose was found. A
+frame's pose is eliminated from its normal equations (Schur's complement): what it may explain tells
+nothing of the shape. The rest adds up over the frames, and is solved with what is known of people.
+
+INPUTS: pairs of frames and their poses; the fields of a surface. OUTPUTS: the surface that suits.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.girths import fields_of, reshaped
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.surface import Surface
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.rotations import HIGHEST
+from jaxmocap.silhouette.correspond import pairs_of
+from jaxmocap.silhouette.points import linearised
+from jaxmocap.silhouette.steps import Seen
+
+# Deviation of a pair, metres, such that a whole recording's pairs count as what they are worth:
+# neighbours on a contour err alike, and so does one place of the body in all frames.
+DEVIATION_M = 0.15
+# Deviation of every degree of freedom about the pose found, metres and radians, by one pair's.
+FREEDOM = 10.0
+
+
+class Paired(NamedTuple):
+    """The pairs that a pose was found with.
+
+    Attributes:
+        nodes: (C, N) of the surface.
+        seen: the same pairs, with what robust weighting leaves of their weights.
+    """
+
+    nodes: np.ndarray
+    seen: Seen
+
+
+@jax.jit
+def told(
+    skeleton: Skeleton, cameras: Camera, pose: Pose, seen: Seen, moves: Array
+) -> tuple[Array, Array]:
+    """What a frame tells of pose and shape: their Hessian and slope, metres squared.
+
+    Args:
+        skeleton: of the person.
+        cameras: C, ``stacked``.
+        pose: that was found.
+        seen: its pairs, with what robust weighting leaves of their weights.
+        moves: (C * N, 3, P) of the pairs' nodes.
+    """
+    pixels_xy, normals, weights = (jnp.asarray(part) for part in seen[1:])
+    pairs = pairs_of(cameras, seen.points, pixels_xy, normals, weights, 0.0)
+    frames = forward(skeleton, pose)
+    residuals, rows = linearised(skeleton, frames, pairs)
+    shares = jnp.asarray(seen.points.shares)[..., None, None]
+    R = jnp.sum(shares * frames.R_world_bone[seen.points.bones], 1)
+    across = jnp.einsum("na,nab->nb", pairs.across, R, precision=HIGHEST)
+    shape = jnp.einsum("nb,nbp->np", across, moves, precision=HIGHEST)
+    both = jnp.concatenate([rows[:, 0], shape], 1)
+    weighted = weights.ravel()[:, None] * both
+    H = jnp.matmul(weighted.T, both, precision=HIGHEST)
+    return H, jnp.matmul(weighted.T, residuals[:, 0], precision=HIGHEST)
+
+
+class ShapeFinder:
+    """Adds up what the frames of a recording tell of a person's shape.
+
+    Attributes:
+        fields: of the surface.
+        amounts: (P,) of them that are worn now, metres.
+    """
+
+    def __init__(self, surface: Surface, joints: np.ndarray):
+        """Begin with a generic surface around bones with these joints (B, 3) at rest."""
+        self._generic = surface
+        self.fields = fields_of(surface, joints)
+        self.amounts = np.zeros(len(self.fields.names))
+        self._forget()
+
+    def _forget(self) -> None:
+        count = len(self.amounts)
+        self._information, self._slope = np.zeros((count, count)), np.zeros(count)
+
+    def tell(self, skeleton: Skeleton, cameras: Camera, pose: Pose, pairs: Paired) -> None:
+        """A frame: C cameras (``stacked``) and the pose that was found by its pairs."""
+        moves = self.fields.moves[pairs.nodes.ravel()]
+        self.add(*told(skeleton, cameras, pose, pairs.seen, moves))
+
+    def add(self, H: Array | np.ndarray, slope: Array | np.ndarray) -> None:
+        """Normal equations (6 + D + P) of a frame's pose and the shape; the pose is eliminated."""
+        H, slope = np.asarray(H, float), np.asarray(slope, float)
+        first = len(slope) - len(self.amounts)
+        pose = H[:first, :first] + np.eye(first) / FREEDOM**2
+        both = np.column_stack([H[:first, first:], slope[:first]])
+        explained = H[first:, :first] @ np.linalg.solve(pose, both)
+        self._information += H[first:, first:] - explained[:, :-1]
+        self._slope += slope[first:] - explained[:, -1]
+
+    def fitted(self) -> Surface:
+        """The surface that suits all frames told of, and people; then those are forgotten."""
+        known = self.fields.deviations**-2.0
+        H = self._information / DEVIATION_M**2 + np.diag(known)
+        slope = self._slope / DEVIATION_M**2 + known * self.amounts
+        self.amounts = self.amounts - np.linalg.solve(H, slope)
+        self._forget()
+        return reshaped(self._generic, self.fields, self.amounts)

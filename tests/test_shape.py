@@ -1,0 +1,106 @@
+"""A person's shape by contours: fields of a surface, and what frames tell of their amounts."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_rim import BODY
+
+from jaxmocap.body.girths import KINDS, fields_of, reshaped
+from jaxmocap.body.loft import generic_surface, rest_joints
+from jaxmocap.body.surface import rest_nodes
+from jaxmocap.silhouette.shape import DEVIATION_M, ShapeFinder
+
+SURFACE, JOINTS = generic_surface(BODY), rest_joints(BODY)
+FIELDS = fields_of(SURFACE, JOINTS)
+
+
+def moved(*name) -> np.ndarray:
+    """(N, 3) how 1 cm of one field moves the nodes at rest."""
+    amounts = np.where([each == name for each in FIELDS.names], 0.01, 0.0)
+    assert amounts.any()
+    return rest_nodes(reshaped(SURFACE, FIELDS, amounts), JOINTS) - rest_nodes(SURFACE, JOINTS)
+
+
+def patch(name: str) -> slice:
+    return next(each.nodes for each in SURFACE.patches if each.name == name)
+
+
+def test_no_amounts_are_the_generic_body():
+    same = reshaped(SURFACE, FIELDS, np.zeros(len(FIELDS.names)))
+    np.testing.assert_array_equal(same.points.points_bone, SURFACE.points.points_bone)
+
+
+def test_a_girth_moves_its_stretch_of_both_limbs_outwards_and_nothing_else():
+    off = moved("leg", "girth", 3)
+    far = np.linalg.norm(off, axis=1)
+    assert far[patch("leg_l")].max() == pytest.approx(0.01, rel=0.1)
+    np.testing.assert_allclose(far[patch("leg_l")], far[patch("leg_r")], atol=1e-6)
+    np.testing.assert_allclose(off[:, 2], 0, atol=1e-6)
+    others = [far[patch(name)] for name in ("torso", "arm_l", "arm_r", "foot_l", "foot_r")]
+    np.testing.assert_array_equal(np.concatenate(others), 0)
+
+
+def test_both_sides_are_moved_as_in_a_mirror():
+    for kind in KINDS:
+        left, right = (moved("arm", kind, 2)[patch(f"arm_{side}")] for side in "lr")
+        np.testing.assert_allclose(left, right * [1, -1, 1], atol=1e-6)
+
+
+def test_a_trunk_is_the_same_on_both_sides():
+    assert {kind for limb, kind, _ in FIELDS.names if limb == "torso"} == {"girth", "ahead", "flat"}
+
+
+def test_the_fields_of_a_denser_surface_move_it_as_much():
+    from jaxmocap.body.surface import resampled
+
+    dense = resampled(SURFACE, JOINTS, 0.03)
+    fields = fields_of(dense, JOINTS)
+    assert fields.names == FIELDS.names
+    girth = [name[1] == "girth" for name in fields.names]
+    # All stretches together are the whole limb.
+    far = np.linalg.norm(fields.moves[:, :, girth].sum(-1), axis=1)
+    np.testing.assert_allclose(far, 1, atol=1e-5)
+
+
+def equations(rng, rows: np.ndarray, shape: np.ndarray, pose: np.ndarray):
+    """A frame's normal equations where pose and shape are off by so much."""
+    off = rows @ np.concatenate([pose, shape])
+    return rows.T @ rows, -rows.T @ off
+
+
+def test_a_shape_is_found_whatever_the_poses_and_only_what_they_do_not_explain():
+    rng, finder = np.random.default_rng(0), ShapeFinder(SURFACE, JOINTS)
+    count = len(finder.amounts)
+    truth = 0.01 * rng.standard_normal(count)
+    truth[1] = 0.0
+    for _ in range(6):
+        rows = rng.standard_normal((3 * count, 4 + count)) * [*[1] * 4, *[1] * count]
+        # What this field does a pose does as well.
+        rows[:, 5] = rows[:, 0]
+        H, slope = equations(rng, 30 * rows, truth, 0.02 * rng.standard_normal(4))
+        finder.add(H, slope)
+    finder.fitted()
+    rest = np.arange(count) != 1
+    np.testing.assert_allclose(finder.amounts[rest], truth[rest], atol=5e-4)
+    assert abs(finder.amounts[1]) < 2e-3
+
+
+def test_without_frames_a_shape_is_peoples_mean():
+    finder = ShapeFinder(SURFACE, JOINTS)
+    finder.amounts = np.full(len(finder.amounts), 0.02)
+    worn = finder.fitted()
+    np.testing.assert_allclose(finder.amounts, 0, atol=1e-12)
+    np.testing.assert_allclose(worn.points.points_bone, SURFACE.points.points_bone, atol=1e-6)
+
+
+def test_one_weak_frame_counts_by_how_people_differ():
+    finder = ShapeFinder(SURFACE, JOINTS)
+    count = len(finder.amounts)
+    known = np.asarray(finder.fields.deviations) ** -2.0
+    H = np.zeros((6 + count, 6 + count))
+    # As sure as what is known of people: half-way.
+    H[6:, 6:] = DEVIATION_M**2 * np.diag(known)
+    finder.add(H, -H @ np.append(np.zeros(6), np.full(count, 0.01)))
+    finder.fitted()
+    np.testing.assert_allclose(finder.amounts, 0.005, rtol=1e-6)
+    assert jnp.asarray(finder.amounts).shape == (count,)
