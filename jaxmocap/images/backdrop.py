@@ -162,7 +162,7 @@ def cleaned(shown: np.ndarray) -> np.ndarray:
 
 
 def half_covered(mask: np.ndarray, image: np.ndarray, surface: np.ndarray) -> np.ndarray:
-    """The mask (H, W), at its rim only where a pixel is nearer to the person than the backdrop.
+    """The mask (H, W), at its rim only where a pixel is half-way to the person's colour nearby.
 
     A pixel that the person covers by a tenth differs from the backdrop already.
     """
@@ -171,8 +171,8 @@ def half_covered(mask: np.ndarray, image: np.ndarray, surface: np.ndarray) -> np
     # What the person looks like nearby: the mean over what is surely theirs.
     weight = cv2.GaussianBlur(solid.astype(np.float32), (0, 0), RIM_PX)[..., None]
     inside = cv2.GaussianBlur(image * solid[..., None], (0, 0), RIM_PX) / np.maximum(weight, 1e-3)
-    towards = inside - surface
-    share = np.sum((image - surface) * towards, -1) / np.maximum(np.sum(towards**2, -1), 1.0)
+    share = np.linalg.norm(image - surface, axis=-1)
+    share /= np.maximum(np.linalg.norm(inside - surface, axis=-1), 1.0)
     # Limbs as thin as a finger have nothing solid to compare with.
     known = weight[..., 0] > 1e-2
     return mask & ((share >= 0.5) | ~known)

@@ -1,8 +1,9 @@
 """The four photographs of a person from which a model is made, before a plain backdrop.
 
-The person stands with arms slightly lifted for the front and the side view; holds the upper arms
-level and the forearms up for the joint view; and spreads the arms, thumbs up, for the arms' side
-view. Two cameras, far away and nearly at right angles, saw them.
+The person stands with arms slightly lifted for the front view; holds the upper arms level and the
+forearms up for the joint view; and spreads the arms, thumbs up, for the arms' side view and for the
+side view, in which they then hide nothing of the trunk. Two cameras, far away and nearly at right
+angles, saw them.
 
 INPUTS: a rig, a photograph's name, a seed.
 OUTPUTS: images (H, W, 3), BGR uint8; their cameras; who stood there; four ``.png`` and a
@@ -31,7 +32,7 @@ _LIFTED, _BENT, _SPREAD = (
 # Photograph -> left and right arm of the stance, and the camera's azimuth, degrees.
 PHOTOGRAPHS: dict[str, tuple[tuple[float, float, float, float], float]] = {
     "front": (_LIFTED, 3.0),
-    "side": (_LIFTED, 88.0),
+    "side": (_SPREAD, 88.0),
     "joint": (_BENT, 3.0),
     "arm_side": (_SPREAD, 3.0),
 }

@@ -1,0 +1,1 @@
+"""A person's own model from four photographs (second paper, section 2)."""

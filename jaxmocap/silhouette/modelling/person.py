@@ -1,0 +1,210 @@
+"""A person's own model from four silhouettes: the story of section 2 of the second paper.
+
+INPUTS: masks and calibrated cameras of the front, side, joint and arms' side view. The person faces
++x of the calibration's world, whose z is up, and stands upright.
+OUTPUTS: a PersonModel: joints, bone lengths and surface, metres.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.images.medial import chamfer, skeleton
+from jaxmocap.silhouette.modelling.arm_joints import Arm, arm_axis, arm_joints
+from jaxmocap.silhouette.modelling.arm_surface import Bones, arm_rings, thickness
+from jaxmocap.silhouette.modelling.separation import Landmarks, narrowest, separate
+from jaxmocap.silhouette.modelling.trunk import Trunk, trunk
+from jaxmocap.silhouette.modelling.views import View
+
+AHEAD, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+SIDES = (("l", 1.0), ("r", -1.0))
+# Of two people whose joints are known, and on whom nothing is tested, all by the stature: from
+# bottom line to vertex; the shoulder's joint from the middle, from the arm pit outwards and
+# upwards, from the shoulder's upper rim downwards with the arm held level, and from the middle
+# ahead.
+UPPER_BODY = 0.532
+ASIDE, OUTWARDS, ABOVE_PIT, BELOW_RIM, BEFORE_MIDDLE = 0.102, 0.0053, 0.041, 0.0247, 0.005
+# Of a stretched arm's length, from the shoulder to the tip in a straight line.
+LEAST_STRAIGHT = 0.93
+
+
+class StanceError(ValueError):
+    """A view shows another stance than it should.
+
+    Attributes:
+        view: its name.
+        problem: one sentence.
+    """
+
+    def __init__(self, view: str, problem: str):
+        super().__init__(view, problem)
+        self.view, self.problem = view, problem
+
+    def __str__(self) -> str:
+        return f"{self.view}: {self.problem}"
+
+
+class PersonModel(NamedTuple):
+    """A person as measured, world, metres.
+
+    Attributes:
+        front: landmarks of the front view.
+        trunk: rings from the bottom line to the top of the head.
+        seen: the arms in the joint view, left and right: pixels.
+        bent: their joints there.
+        stretched: their joints in the arms' side view.
+        arms: (K, N, 3) each: rings, stretched out level to the side from the shoulder, thumb up.
+    """
+
+    front: Landmarks
+    trunk: Trunk
+    seen: tuple[Arm, ...]
+    bent: tuple[Bones, ...]
+    stretched: tuple[Bones, ...]
+    arms: tuple[np.ndarray, ...]
+
+    def lengths(self) -> dict[str, float]:
+        """Bone -> length, metres; ``shoulders`` is from the one joint to the other."""
+        found = {}
+        for (name, _), bones in zip(SIDES, self.bent, strict=True):
+            for bone, length in zip(("humerus", "radius", "hand"), bones.lengths, strict=True):
+                found[f"{bone}_{name}"] = float(length)
+        across = self.bent[0].shoulder - self.bent[1].shoulder
+        return found | {"shoulders": float(np.linalg.norm(across))}
+
+
+def person_model(views: dict[str, View], bottom: int | None = None) -> PersonModel:
+    """A model from the views ``front``, ``side``, ``joint`` and ``arm_side``.
+
+    Args:
+        views: the four of them.
+        bottom: row of the trunk's bottom line in the front view; found where the legs part.
+
+    Raises:
+        ValueError: what a view shows is not the stance that is asked for.
+    """
+    with _of("front"):
+        landmarks = separate(views["front"].mask, bottom)
+    with _of("side"):
+        body = trunk(views["front"], views["side"], landmarks)
+    with _of("joint"):
+        joint = aligned(views["joint"], views["front"], landmarks, body)
+        seen, bent = bent_arms(joint, body)
+    with _of("arm_side"):
+        arm_side = aligned(views["arm_side"], views["front"], landmarks, body)
+        stretched = stretched_arms(arm_side, body, bent)
+    arms = tuple(
+        arm_rings(
+            thickness(joint, bones, bones.shoulder + bones.wrist - 2 * bones.elbow),
+            thickness(arm_side, straight, UP),
+            bones.shoulder,
+            bones.lengths,
+        )
+        for bones, straight in zip(bent, stretched, strict=True)
+    )
+    return PersonModel(landmarks, body, seen, bent, stretched, arms)
+
+
+@contextmanager
+def _of(view: str) -> Iterator[None]:
+    """What is wrong within is wrong with this view."""
+    try:
+        yield
+    except ValueError as error:
+        raise StanceError(view, str(error)) from None
+
+
+def bent_arms(joint: View, body: Trunk) -> tuple[tuple[Arm, ...], tuple[Bones, ...]]:
+    """Left and right arm in the joint view, in pixels and in metres."""
+    shoulders, distance = shoulder_joints(body, joint), chamfer(joint.mask)
+    seen = tuple(
+        arm_joints(way, distance, joint.pixels(shoulder))
+        for way, shoulder in zip(arm_ways(joint, body), shoulders, strict=True)
+    )
+    ends = [np.array([arm.elbow, arm.wrist, arm.tip]) for arm in seen]
+    bent = tuple(
+        Bones(shoulder, *joint.on_plane(pixels, shoulder, AHEAD))
+        for pixels, shoulder in zip(ends, shoulders, strict=True)
+    )
+    return seen, bent
+
+
+def stretched_arms(arm_side: View, body: Trunk, bent: tuple[Bones, ...]) -> tuple[Bones, ...]:
+    """Left and right arm in their side view: the bones as long as in the joint view."""
+    return tuple(
+        laid_out(arm_side.on_plane(way, bones.shoulder, AHEAD), bones)
+        for way, bones in zip(arm_ways(arm_side, body), bent, strict=True)
+    )
+
+
+def aligned(view: View, front: View, landmarks: Landmarks, body: Trunk) -> View:
+    """A view in which the person may have moved aside or up since the front view.
+
+    Told by the neck's middle and the top of the head.
+    """
+    middle = body.middles[-1]
+    there = view.pixels(np.append(middle[:2], body.pits[:, 2].min()))
+    # Hands may be higher than the head.
+    column = np.flatnonzero(view.mask[:, round(float(np.clip(there[0], 0, len(view.mask.T) - 1)))])
+    if len(column) == 0 or column[0] >= there[1]:
+        raise ValueError("found no head where the front view has it, expected the same place")
+    top = int(column[0])
+    _, neck_x = narrowest(view.mask, top, int(there[1]), float(there[0]))
+    before, now = (
+        seen.on_plane(np.array([x, row]), middle, AHEAD)
+        for seen, x, row in ((front, landmarks.neck_x, landmarks.top), (view, neck_x, top))
+    )
+    return replace(view, moved=now - before)
+
+
+def shoulder_joints(body: Trunk, joint: View) -> np.ndarray:
+    """(2, 3) left and right shoulder.
+
+    Aside, half-way between where the arm pit and where the stature would have it: muscles carry
+    the arm pits outwards. In height, by the shoulder's rim in the joint view.
+    """
+    stature = np.ptp(body.rings[:, 0, 2]) / UPPER_BODY
+    found = body.pits + stature * np.array([[0.0, s * OUTWARDS, ABOVE_PIT] for _, s in SIDES])
+    middle = middle_at(body, found[:, 2].mean())
+    usual = middle[1] + stature * ASIDE * np.array([s for _, s in SIDES])
+    found[:, 1] = (found[:, 1] + usual) / 2
+    found[:, 0] = middle[0] + stature * BEFORE_MIDDLE
+    found[:, 2] += joint.reach(found, UP, stature / 4) - stature * BELOW_RIM
+    return found
+
+
+def middle_at(body: Trunk, height: float) -> np.ndarray:
+    """(3,) the trunk's middle at a height."""
+    levels = body.middles[:, 2]
+    return np.array([np.interp(height, levels, line) for line in body.middles.T])
+
+
+def arm_ways(view: View, body: Trunk) -> list[np.ndarray]:
+    """(K, 2) pixels each: the axes of left and right arm, from the trunk to the fingertip."""
+    axis = skeleton(view.mask)
+    start = view.pixels(middle_at(body, body.pits[:, 2].mean()))
+    lowest = view.pixels(body.middles[0])[1]
+    return [arm_axis(axis, start, pit, lowest) for pit in view.pixels(body.pits)]
+
+
+def laid_out(way: np.ndarray, bones: Bones) -> Bones:
+    """A stretched arm's joints on its axis (K, 3), the bones as long as they are."""
+    first = int(np.argmin(np.sum((way - bones.shoulder) ** 2, 1)))
+    passed = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way[first:], axis=0), axis=1)))
+    straight = float(np.linalg.norm(way[-1] - way[first]) / passed[-1])
+    if straight < LEAST_STRAIGHT:
+        raise ValueError(
+            f"found an arm whose ends are {100 * straight:.0f} % of its length apart, expected "
+            f"stretched arms, at least {100 * LEAST_STRAIGHT:.0f} %"
+        )
+    upper, lower, _ = bones.lengths
+    at = [int(np.searchsorted(passed, far)) for far in (upper, upper + lower)]
+    if at[1] >= len(passed) - 1:
+        raise ValueError(
+            f"the arm in the arms' side view is {100 * passed[-1]:.0f} cm long, shorter than its "
+            f"{100 * (upper + lower):.0f} cm from shoulder to wrist in the joint view"
+        )
+    return Bones(way[first], way[first + at[0]], way[first + at[1]], way[-1])
