@@ -78,7 +78,10 @@ class Outcome(NamedTuple):
         found = [
             Metric(f"{self.name}, worst error", 100 * self.worst, "cm"),
             Metric(
-                f"{self.name}, back in time", 100 * np.mean(self.back <= ASKED_S), "%", "higher"
+                f"{self.name}, back in time",
+                100 * float(np.mean(self.back <= ASKED_S)),
+                "%",
+                "higher",
             ),
             Metric(f"{self.name}, said", 100 * self.said, "%", "higher"),
             Metric(f"{self.name}, said falsely", 100 * self.false, "%"),
@@ -137,11 +140,15 @@ def judged(
     name: str, motion: Motion, off: np.ndarray, usual: np.ndarray, faulty: Faulty
 ) -> Outcome:
     """Compare errors (T, J) with the usual ones."""
-    within = (off <= np.maximum(np.percentile(usual, 95, 0), usual) + MORE_M).all(1)
+    most = np.maximum(np.percentile(usual, 95, 0), usual) + MORE_M
+    within = np.all(off <= most, 1)
     ends = [span.start for span in faulty.spans[1:]] + [len(off)]
     frames = [back_at(within, span.stop, end) for span, end in zip(faulty.spans, ends, strict=True)]
     times = np.append(motion.times, np.inf)
-    after = [times[min(b, len(off))] - times[s.stop - 1] for b, s in zip(frames, faulty.spans)]
+    after = [
+        times[min(b, len(off))] - times[s.stop - 1]
+        for b, s in zip(frames, faulty.spans, strict=True)
+    ]
     troubled = [
         off[span.start : max(min(b, end), span.stop)].mean(1).max()
         for span, b, end in zip(faulty.spans, frames, ends, strict=True)

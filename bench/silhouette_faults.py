@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.capture.video import open_video
@@ -183,7 +184,7 @@ def _width(points_world: np.ndarray, camera: Camera) -> float:
 
 
 def _pixels(camera: Camera, points_world: np.ndarray) -> np.ndarray:
-    return np.asarray(project(camera, np.asarray(points_world, np.float32)))
+    return np.asarray(project(camera, jnp.asarray(points_world, camera.matrix.dtype)))
 
 
 def _times(video: VideoSource) -> np.ndarray:

@@ -44,18 +44,22 @@ def truth():
     return retract(relaxed_pose(BODY), jnp.asarray(off))
 
 
-@pytest.fixture(scope="module")
-def images(tracker, truth) -> list[np.ndarray]:
+def painted(tracker, pose) -> list[np.ndarray]:
     """The body itself, painted on walls with noise."""
-    rim = tracker.finder.find(BODY, truth, tracker.cameras)
-    rng, painted = np.random.default_rng(0), []
+    rim = tracker.finder.find(BODY, pose, tracker.cameras)
+    rng, shown = np.random.default_rng(0), []
     for camera, mask in enumerate(rim.masks):
         width, height = np.asarray(tracker.cameras.size[camera], int)
         region = Region(*(np.asarray(part)[camera] for part in rim.region))
         body = full_mask(silhouette_distance(mask), region, (height, width))
         image = np.where(body[..., None], PERSON, WALL) + rng.normal(0, 5, (height, width, 3))
-        painted.append(np.clip(image, 0, 255).astype(np.uint8))
-    return painted
+        shown.append(np.clip(image, 0, 255).astype(np.uint8))
+    return shown
+
+
+@pytest.fixture(scope="module")
+def images(tracker, truth) -> list[np.ndarray]:
+    return painted(tracker, truth)
 
 
 def off_by(pose, truth) -> np.ndarray:

@@ -1,9 +1,10 @@
-"""Doubt: where the images show person that the pose does not explain, and what might.
+"""Doubt: which parts of the limbs the images deny, and where the limbs might be instead.
 
-INPUTS: a pose that was found, and what was segmented. OUTPUTS: a better pose to fit from, if there
-is one; what to remember for the next frame.
+INPUTS: a pose that was found, and what was segmented. OUTPUTS: parts that are not seen where they
+are thought to be; a better pose to fit from, if there is one; what to remember.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -16,25 +17,25 @@ from jaxmocap.body.surface import BodyPoints, Surface
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.coverage import covered
 from jaxmocap.images.regions import Region
-from jaxmocap.silhouette.hypotheses import (
-    Evidence,
-    Limb,
-    SearchSettings,
-    explained,
-    limbs_of,
-    search,
-    seen_at,
-)
+from jaxmocap.silhouette import hypotheses
+from jaxmocap.silhouette.appearance import Appearance
+from jaxmocap.silhouette.hypotheses import Evidence, Limb, SearchSettings
 from jaxmocap.silhouette.looking import Outlines
 
 # Of the surface's nodes one in so many says what the body covers, with so many cells about it.
 NODES, AROUND = 4, 4
-# A limb is in doubt where person is unexplained within its reach by this share of its own size,
-# whose cells are so much likelier person than not; and a better place must explain so much more.
-UNEXPLAINED, SURELY, BETTER = 0.15, 1.5, 0.2
+# A limb is in doubt where within its reach (by its length) person is unexplained by this share of
+# its own size, whose cells are so much likelier person than not; and a better place must explain so
+# much more.
+REACH, UNEXPLAINED, SURELY, BETTER = 1.6, 0.15, 1.5, 0.2
+# A part is denied where its cells are likelier not person.
+DENIED = 0.0
 # Frames to wait after a search that found nothing, at most; twice as long each time.
-LONGEST = 8
-_explained = jax.jit(explained)
+LONGEST = 4
+_explained = jax.jit(hypotheses.explained)
+_likenesses = jax.jit(
+    jax.vmap(hypotheses.likeness, (None, None, None, Limb(0, None, 0), None))  # type: ignore[arg-type]
+)
 
 
 class Doubts(NamedTuple):
@@ -42,15 +43,17 @@ class Doubts(NamedTuple):
 
     Attributes:
         particles: of each limb (P, K) angles, or None where there was no doubt.
-        waits: frames until each may be searched for again.
-        failures: searches of each, one after the other, that found nothing.
+        waits: (L,) frames until each may be searched for again.
+        failures: (L,) searches of each, one after the other, that found nothing.
+        appearance: of the near and the far half of each limb.
         frame: of how many frames; the seed of the pseudo-random numbers.
     """
 
     particles: tuple[np.ndarray | None, ...]
-    waits: tuple[int, ...]
-    failures: tuple[int, ...]
-    frame: int = 0
+    waits: np.ndarray
+    failures: np.ndarray
+    appearance: Appearance
+    frame: int
 
 
 class Better(NamedTuple):
@@ -58,141 +61,200 @@ class Better(NamedTuple):
 
     Attributes:
         pose: to fit from.
-        joints: (D,) bool: those that differ.
         limbs: numbers of those that were moved.
     """
 
     pose: Pose
-    joints: np.ndarray
     limbs: tuple[int, ...]
 
 
-class Doubter:
-    """Looks for limbs of one person.
+class Sight(NamedTuple):
+    """A pose and what the cameras show, laid over each other.
 
     Attributes:
-        limbs: name -> Limb.
+        pose: that was found.
+        pixels: (C, N, 2) of the body's points.
+        ratios: (C, S, S) log-ratios of person and rest.
+        regions: of each camera's canvas.
+        region: the same as one.
+        used: (C,) bool.
+    """
+
+    pose: Pose
+    pixels: np.ndarray
+    ratios: np.ndarray
+    regions: tuple[Region, ...]
+    region: Region
+    used: np.ndarray
+
+
+class Doubter:
+    """Looks after the limbs of one person.
+
+    Attributes:
+        names: of the limbs.
+        limbs: in that order.
+        joints: (2 * L, D) bool: those that move the near and the far half of each limb.
+        nodes: (2 * L, M) bool: the surface's nodes on each.
         count: of particles.
     """
 
     def __init__(self, skeleton: Skeleton, surface: Surface, cameras: Camera, count: int):
         """Prepare for C cameras (stacked); traces once."""
         self.skeleton, self.cameras, self.count = skeleton, cameras, count
-        self.limbs = limbs_of(skeleton, surface)
+        found = hypotheses.limbs_of(skeleton, surface)
+        self.names, self.limbs = tuple(found), tuple(found.values())
+        halves = [half for limb in self.limbs for half in hypotheses.halves_of(limb)]
+        self._halves = Limb(*(np.stack(part) for part in zip(*halves, strict=True)))
+        bones = [half.bones[half.radii > 0] for half in halves]
+        moved = np.array(skeleton.tree.dof_bones)
+        carrier = carriers(surface.points)
+        self.joints = np.array([np.isin(moved, each) for each in bones])
+        self.nodes = np.array([np.isin(carrier, each) for each in bones])
         self._points = BodyPoints(*(np.asarray(part)[::NODES] for part in surface.points))
-        shares, bones = np.asarray(self._points.shares), np.asarray(self._points.bones)
-        carrier = bones[np.arange(len(bones)), shares.argmax(1)]
-        self._on = [np.isin(carrier, limb.bones) for limb in self.limbs.values()]
 
     def none(self) -> Doubts:
         """Before the first frame."""
-        empty, zeros = (None,) * len(self.limbs), (0,) * len(self.limbs)
-        return Doubts(empty, zeros, zeros)
+        zeros = np.zeros(len(self.limbs), int)
+        looks = Appearance.none(2 * len(self.limbs), len(self.cameras.size))
+        return Doubts((None,) * len(self.limbs), zeros, zeros, looks, 0)
+
+    def sight(self, pose: Pose, seen: Outlines, used: np.ndarray) -> Sight:
+        """A pose over what was segmented, of cameras (C,) that count."""
+        pixels = hypotheses.seen_at(self.skeleton, pose, self.cameras, self._points)
+        region = Region(*map(np.asarray, seen.region))
+        regions = tuple(Region(*each) for each in zip(*region, strict=True))
+        ratios = np.asarray(seen.segmented.log_ratio)
+        return Sight(pose, np.asarray(pixels), ratios, regions, region, used)
+
+    def hidden(
+        self, doubts: Doubts, sight: Sight, images: Sequence[np.ndarray | None]
+    ) -> tuple[np.ndarray, Doubts]:
+        """(D,) bool: joints of halves of limbs where the images show something else; what is kept.
+
+        That is no person by the densities, or not the hue that the part had.
+        """
+        evidence = Evidence(sight.ratios, sight.region, sight.used)
+        found = _likenesses(self.skeleton, self.cameras, sight.pose, self._halves, evidence)
+        shown = [image if used else None for image, used in zip(images, sight.used, strict=True)]
+        parts = self.nodes[:, ::NODES]
+        other, looks = doubts.appearance.judged(shown, sight.pixels, parts)
+        elsewhere = (np.asarray(found) < DENIED) | other
+        return np.any(self.joints[elsewhere], 0), doubts._replace(appearance=looks)
 
     def better(
-        self, doubts: Doubts, pose: Pose, seen: Outlines, used: np.ndarray, how: SearchSettings
+        self, doubts: Doubts, sight: Sight, how: SearchSettings
     ) -> tuple[Better | None, Doubts]:
-        """A pose that explains more of what is seen than the one found, if there is one.
-
-        Args:
-            doubts: of the frame before.
-            pose: that was found.
-            seen: what was segmented.
-            used: (C,) cameras that count.
-            how: of the search.
-        """
-        pixels = np.asarray(seen_at(self.skeleton, pose, self.cameras, self._points))
-        ratios = np.asarray(seen.segmented.log_ratio)
-        short = self._short(pose, ratios, pixels, seen.region, used)
-        angles, moved = np.array(pose.angles), []
-        particles, waits, failures = (list(part) for part in doubts[:3])
-        for number, (limb, lack) in enumerate(zip(self.limbs.values(), short, strict=True)):
-            waits[number] = max(waits[number] - 1, 0)
-            if lack < UNEXPLAINED:
+        """A pose that explains more of what is seen than the one found, if there is one."""
+        missing = self._unexplained(sight)
+        particles, waits, failures = list(doubts.particles), doubts.waits - 1, +doubts.failures
+        pose, moved = sight.pose, []
+        for number, limb in enumerate(self.limbs):
+            if missing[number] < UNEXPLAINED:
                 particles[number], failures[number] = None, 0
                 continue
-            if waits[number]:
+            if waits[number] > 0:
                 continue
-            old = particles[number]
-            if old is None:
-                old = np.tile(angles[limb.joints], (self.count, 1))
-            key = jax.random.fold_in(jax.random.PRNGKey(doubts.frame), number)
-            evidence = self._evidence(number, ratios, pixels, seen.region, used)
-            there = pose._replace(angles=jnp.asarray(angles))
-            found = search(
-                self.skeleton, self.cameras, there, limb, evidence, jnp.asarray(old), key, how
-            )
+            found = self._search(number, particles[number], pose, sight, doubts.frame, how)
             particles[number] = np.asarray(found.particles)
             if float(found.gain) > float(found.before) + BETTER:
-                angles[limb.joints] = np.asarray(found.best)
+                pose = pose._replace(angles=pose.angles.at[limb.joints].set(found.best))
                 moved.append(number)
             else:
-                waits[number] = min(2 ** failures[number], LONGEST)
+                waits[number] = min(2 ** failures[number], LONGEST) + 1
                 failures[number] += 1
-        after = Doubts(tuple(particles), tuple(waits), tuple(failures), doubts.frame + 1)
-        if not moved:
-            return None, after
-        joints = np.zeros(len(angles), bool)
-        joints[np.concatenate([self._limb(number).joints for number in moved])] = True
-        return Better(pose._replace(angles=jnp.asarray(angles)), joints, tuple(moved)), after
+        waits = np.maximum(waits, 0)
+        after = Doubts(tuple(particles), waits, failures, doubts.appearance, doubts.frame + 1)
+        return (Better(pose, tuple(moved)) if moved else None), after
 
-    def gain(self, limbs: tuple[int, ...], pose: Pose, seen: Outlines, used: np.ndarray) -> float:
-        """What some limbs of a pose explain of what is seen, together."""
-        pixels = np.asarray(seen_at(self.skeleton, pose, self.cameras, self._points))
-        ratios = np.asarray(seen.segmented.log_ratio)
-        total = 0.0
-        for number in limbs:
-            evidence = self._evidence(number, ratios, pixels, seen.region, used)
-            limb = self._limb(number)
-            total += float(_explained(self.skeleton, self.cameras, pose, limb, evidence))
-        return total
-
-    def _limb(self, number: int) -> Limb:
-        return list(self.limbs.values())[number]
-
-    def _evidence(
-        self, number: int, ratios: np.ndarray, pixels: np.ndarray, region: Region, used: np.ndarray
-    ) -> Evidence:
-        """What is left for a limb to explain: beside the rest of the body."""
-        rest = self._covered(pixels[:, ~self._on[number]], region, ratios.shape[-1])
-        return Evidence(np.where(rest, np.float32(0), ratios), region, used)
-
-    def _covered(self, pixels: np.ndarray, region: Region, size: int) -> np.ndarray:
-        """(C, S, S) bool, what of the canvases points (C, N, 2) of the body cover."""
-        places = (Region(*part) for part in zip(*map(np.asarray, region), strict=True))
-        return np.stack(
-            [covered(at, place, size, AROUND) for at, place in zip(pixels, places, strict=True)]
+    def _search(
+        self,
+        number: int,
+        old: np.ndarray | None,
+        pose: Pose,
+        sight: Sight,
+        frame: int,
+        how: SearchSettings,
+    ) -> hypotheses.Found:
+        """Of one limb, from the particles of the frame before or from where it is."""
+        limb = self.limbs[number]
+        if old is None:
+            old = np.tile(np.asarray(pose.angles)[limb.joints], (self.count, 1))
+        key = jax.random.fold_in(jax.random.PRNGKey(frame), number)
+        evidence = self._left_for(number, sight)
+        return hypotheses.search(
+            self.skeleton, self.cameras, pose, limb, evidence, jnp.asarray(old), key, how
         )
 
-    def _short(
-        self, pose: Pose, ratios: np.ndarray, pixels: np.ndarray, region: Region, used: np.ndarray
-    ) -> np.ndarray:
+    def gain(self, limbs: tuple[int, ...], sight: Sight) -> float:
+        """What some limbs of a pose explain of what is seen, together."""
+        return sum(
+            float(
+                _explained(
+                    self.skeleton, self.cameras, sight.pose, self.limbs[number],
+                    self._left_for(number, sight),
+                )
+            )
+            for number in limbs
+        )  # fmt: skip
+
+    def joints_of(self, limbs: tuple[int, ...]) -> np.ndarray:
+        """(D,) bool: the joints of some limbs."""
+        found = np.zeros(self.joints.shape[1], bool)
+        for number in limbs:
+            found[self.limbs[number].joints] = True
+        return found
+
+    def _on(self, number: int) -> np.ndarray:
+        """(N,) bool: the points of a limb."""
+        return np.any(self.nodes[2 * number : 2 * number + 2, ::NODES], 0)
+
+    def _left_for(self, number: int, sight: Sight) -> Evidence:
+        """What is left for a limb to explain: beside the rest of the body."""
+        rest = _covered(sight, ~self._on(number))
+        return Evidence(np.where(rest, np.float32(0), sight.ratios), sight.region, sight.used)
+
+    def _unexplained(self, sight: Sight) -> np.ndarray:
         """(L,) how much person nothing explains within each limb's reach, by the limb's size."""
-        whole = self._covered(pixels, region, ratios.shape[-1])
-        left = (ratios > SURELY) & ~whole & np.asarray(used)[:, None, None]
-        lengths = np.asarray(self.skeleton.lengths)
-        found = []
-        for number, limb in enumerate(self.limbs.values()):
-            nodes = pixels[:, self._on[number]]
-            root, length = nodes.mean(1), 0.0
-            area = total = 0.0
-            for camera in np.flatnonzero(used):
-                scale = float(np.asarray(region.scale)[camera])
-                metre = _pixels_to_a_metre(self.cameras, camera, pose) / scale
-                at = (root[camera] - np.asarray(region.origin)[camera]) / scale
-                rows, columns = np.nonzero(left[camera])
-                length = 1.6 * metre * lengths[limb.bones].sum()
-                area += np.sum(np.hypot(columns - at[0], rows - at[1]) < length)
-                total += np.sum(2 * limb.radii * lengths[limb.bones]) * metre**2
-            found.append(area / max(total, 1.0))
-        return np.array(found)
+        every = np.ones(sight.pixels.shape[1], bool)
+        left = (sight.ratios > SURELY) & ~_covered(sight, every)
+        lengths, area, size = np.asarray(self.skeleton.lengths), 0.0, 1e-9
+        found = np.zeros((2, len(self.limbs)))
+        for camera in np.flatnonzero(sight.used):
+            region, metre = sight.regions[camera], self._cells_to_a_metre(camera, sight)
+            rows, columns = np.nonzero(left[camera])
+            for number, limb in enumerate(self.limbs):
+                middle = sight.pixels[camera, self._on(number)].mean(0)
+                x, y = (middle - region.origin) / region.scale
+                reach = REACH * metre * lengths[limb.bones].sum()
+                area = np.sum(np.hypot(columns - x, rows - y) < reach)
+                size = np.sum(2 * limb.radii * lengths[limb.bones]) * metre**2
+                found[:, number] += area, size
+        return found[0] / np.maximum(found[1], 1.0)
+
+    def _cells_to_a_metre(self, camera: np.intp, sight: Sight) -> float:
+        """At the pelvis' depth."""
+        T = np.asarray(self.cameras.T_cam_world)[camera]
+        depth = T[2, :3] @ np.asarray(sight.pose.position) + T[2, 3]
+        focal = np.asarray(self.cameras.matrix)[camera, 0, 0]
+        return float(focal / max(depth, 0.3) / sight.regions[camera].scale)
 
 
-def _pixels_to_a_metre(cameras: Camera, camera: int, pose: Pose) -> float:
-    """At the pelvis' depth."""
-    T = np.asarray(cameras.T_cam_world)[camera]
-    depth = T[2, :3] @ np.asarray(pose.position) + T[2, 3]
-    return float(np.asarray(cameras.matrix)[camera, 0, 0] / max(depth, 0.3))
+def _covered(sight: Sight, points: np.ndarray) -> np.ndarray:
+    """(C, S, S) bool, what of the canvases some points (N,) bool of the body cover."""
+    size = sight.ratios.shape[-1]
+    return np.stack(
+        [
+            covered(at[points], region, size, AROUND)
+            for at, region in zip(sight.pixels, sight.regions, strict=True)
+        ]
+    )
+
+
+def carriers(points: BodyPoints) -> np.ndarray:
+    """(N,) the bone that carries most of each point."""
+    bones, shares = np.asarray(points.bones), np.asarray(points.shares)
+    return bones[np.arange(len(bones)), shares.argmax(1)]
 
 
 def freed(beforehand: np.ndarray, joints: np.ndarray, deviation: float) -> np.ndarray:

@@ -111,6 +111,12 @@ def limbs_of(skeleton: Skeleton, surface: Surface) -> dict[str, Limb]:
     return found
 
 
+def halves_of(limb: Limb) -> tuple[Limb, Limb]:
+    """The limb's first bone, and what follows it: what is left out is given no thickness."""
+    first = np.arange(len(limb.bones)) < 1
+    return tuple(limb._replace(radii=np.where(of, limb.radii, 0)) for of in (first, ~first))  # type: ignore[return-value]
+
+
 def radii(skeleton: Skeleton, surface: Surface, bones: np.ndarray) -> np.ndarray:
     """(B,) metres from bones to the surface's nodes that they carry alone or most."""
     points = surface.points
@@ -137,24 +143,41 @@ def seen_at(skeleton: Skeleton, pose: Pose, cameras: Camera, points: BodyPoints)
 def explained(
     skeleton: Skeleton, cameras: Camera, pose: Pose, limb: Limb, evidence: Evidence
 ) -> Array:
-    """() mean log-ratio of where the limb would be seen, as a share of its size seen in full."""
+    """() mean log-ratio of where the limb would be seen, by its size if it were seen in full."""
+    gained, _, full = _summed(skeleton, cameras, pose, limb, evidence)
+    return gained / jnp.maximum(full, 1.0)
+
+
+def likeness(
+    skeleton: Skeleton, cameras: Camera, pose: Pose, limb: Limb, evidence: Evidence
+) -> Array:
+    """() mean log-ratio of where the limb is seen; 0 where no camera looks."""
+    gained, seen, _ = _summed(skeleton, cameras, pose, limb, evidence)
+    return gained / jnp.maximum(seen, 1.0)
+
+
+def _summed(
+    skeleton: Skeleton, cameras: Camera, pose: Pose, limb: Limb, evidence: Evidence
+) -> tuple[Array, Array, Array]:
+    """Over the cameras that count: log-ratios of the limb's cells, how many, how many in full."""
     frames = forward(skeleton, pose)
     near = frames.joints_world[limb.bones]
     reach = (skeleton.lengths[:, None] * skeleton.directions)[limb.bones]
     far = near + jnp.sum(frames.R_world_bone[limb.bones] * reach[:, None], -1)
-    gained, size = jax.vmap(_explained, (0, None, None, None, None, 0, 0))(
+    sums = jax.vmap(_explained, (0, None, None, None, None, 0, 0))(
         cameras, near, far, jnp.asarray(limb.radii), skeleton.lengths[limb.bones],
         jnp.asarray(evidence.gains), Region(*map(jnp.asarray, evidence.region)),
     )  # fmt: skip
-    used = jnp.asarray(evidence.used).astype(size.dtype)
-    return jnp.sum(used * gained) / jnp.maximum(jnp.sum(used * size), 1.0)
+    used = jnp.asarray(evidence.used)
+    gained, seen, full = (jnp.sum(jnp.where(used, part, 0.0)) for part in sums)
+    return gained, seen, full
 
 
 def _explained(
     camera: Camera, near: Array, far: Array, radii: Array, lengths: Array, gains: Array,
     region: Region,
-) -> tuple[Array, Array]:  # fmt: skip
-    """Of one camera: the sum of log-ratios over the limb's cells; its cells if seen in full."""
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """Of one camera: the sum of log-ratios over the limb's cells, how many, how many in full."""
     depth = camera.T_cam_world[2, :3] @ near[0] + camera.T_cam_world[2, 3]
     cells = camera.matrix[0, 0] / jnp.maximum(depth, 0.3) / region.scale
     ends = [(project(camera, end) - region.origin) / region.scale - 0.5 for end in (near, far)]
@@ -171,7 +194,9 @@ def _explained(
     within = (x >= 0) & (x <= edge) & (y >= 0) & (y <= edge)
     there = jnp.where(within, look_up(gains[None], jnp.zeros((), jnp.int32), x, y), 0.0)
     width = 2 * cells * radii
-    return jnp.sum(jnp.mean(there, (1, 2)) * length * width), jnp.sum(cells * lengths * width)
+    gained = jnp.sum(jnp.mean(there, (1, 2)) * length * width)
+    seen = jnp.sum(jnp.mean(within.astype(x.dtype), (1, 2)) * length * width)
+    return gained, seen, jnp.sum(cells * lengths * width)
 
 
 @jax.jit

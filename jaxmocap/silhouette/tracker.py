@@ -26,7 +26,7 @@ from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.background import Background
 from jaxmocap.images.glances import Glances
 from jaxmocap.silhouette.correspond import Matches, matched
-from jaxmocap.silhouette.doubt import Doubter, Doubts, freed
+from jaxmocap.silhouette.doubt import BETTER, Doubter, Doubts, freed
 from jaxmocap.silhouette.looking import Outlines, look
 from jaxmocap.silhouette.markers import MarkerRows, points_at
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, standard_deviations
@@ -175,11 +175,12 @@ class SilhouetteTracker:
         beforehand = np.where(state.told, s.expected, s.held).astype(np.float32)
         shown = _Shown(images, state.histograms, self._markers(positions_world))
         fitted = self._fitted(shown, expected, beforehand)
-        fitted, moved, doubts = self._reconsidered(state.doubts, shown, fitted, beforehand)
+        fitted, moved, hidden, doubts = self._reconsidered(state.doubts, shown, fitted, beforehand)
         result, used, shares, outlines = fitted
         deviations = standard_deviations(result.information, s.blind)
         seen = deviations < s.told * s.blind
         told = standard_deviations(result.information, s.expected) < s.told * s.expected
+        seen[ROOT_DOF:][hidden] = False
         velocity = self._velocity(state, result.pose, ahead) * told
         velocity[ROOT_DOF:][moved] = 0
         if not told.any():
@@ -229,22 +230,32 @@ class SilhouetteTracker:
 
     def _reconsidered(
         self, doubts: Doubts, shown: _Shown, fitted: _Fitted, beforehand: np.ndarray
-    ) -> tuple[_Fitted, np.ndarray, Doubts]:
-        """What was found, or what is found from elsewhere if that explains more; which joints."""
-        s, still = self.settings, np.zeros(len(self.skeleton.tree.joints), bool)
-        if s.hypotheses < 2 or not fitted.used.any():
-            return fitted, still, doubts
-        found = fitted.result.pose, fitted.outlines, fitted.used
-        better, doubts = self._doubter.better(doubts, *found, s.search)
-        if better is None:
-            return fitted, still, doubts
-        wide = freed(beforehand, better.joints, s.expected)
-        again = self._fitted(shown, better.pose, wide)
-        poses = fitted.result.pose, again.result.pose
-        before, after = (
-            self._doubter.gain(better.limbs, pose, again.outlines, again.used) for pose in poses
-        )
-        return (again, better.joints, doubts) if after > before else (fitted, still, doubts)
+    ) -> tuple[_Fitted, np.ndarray, np.ndarray, Doubts]:
+        """What was found, or what is found from elsewhere if that explains more.
+
+        And (D,) bool, joints that were moved elsewhere, and those whose part is not seen.
+        """
+        s, doubter = self.settings, self._doubter
+        moved = doubter.joints_of(())
+        if not fitted.used.any():
+            return fitted, moved, ~moved, doubts
+        sight = doubter.sight(fitted.result.pose, fitted.outlines, fitted.used)
+        better = None
+        # Who does not know the rooms takes what looks like a person for one, and learns it as none.
+        known = all(room is not None for room in self.rooms)
+        if s.hypotheses > 1 and known:
+            better, doubts = doubter.better(doubts, sight, s.search)
+        if better is not None:
+            joints = doubter.joints_of(better.limbs)
+            again = self._fitted(shown, better.pose, freed(beforehand, joints, s.expected))
+            before, after = (
+                doubter.sight(each.result.pose, again.outlines, again.used)
+                for each in (fitted, again)
+            )
+            if doubter.gain(better.limbs, after) > doubter.gain(better.limbs, before) + BETTER:
+                fitted, moved, sight = again, joints, after
+        hidden, doubts = doubter.hidden(doubts, sight, shown.images)
+        return fitted, moved, hidden, doubts
 
     def _velocity(self, state: State, pose: Pose, ahead: float) -> np.ndarray:
         """The velocity (6 + D,) as it is carried on."""
