@@ -1,0 +1,118 @@
+"""Several hypotheses: a limb that one hypothesis loses for good is found again by many."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from test_rim import BODY, ring
+from test_silhouette_tracker import SMALL, WALL, painted
+
+from jaxmocap.body.pose import relaxed_pose, retract
+from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF
+from jaxmocap.images.background import Background
+from jaxmocap.images.coverage import covered
+from jaxmocap.images.glances import Glances
+from jaxmocap.images.regions import Region
+from jaxmocap.silhouette.appearance import YOUNG, Appearance
+from jaxmocap.silhouette.hypotheses import systematic
+from jaxmocap.silhouette.segment import Plan, Stage
+from jaxmocap.silhouette.start import landmark_points
+from jaxmocap.silhouette.tracker import SilhouetteTracker
+
+pytestmark = pytest.mark.usefixtures("plainly_compiled")
+WRIST = list(LANDMARKS).index("wrist_l")
+DRAWN = jax.jit(systematic)
+
+
+def lifted(degrees: float):
+    """The relaxed pose, the left arm so far away from the body."""
+    step = np.zeros(BODY.costs.shape, np.float32)
+    step[ROOT_DOF + BODY.tree.joint("arm_abduct_l")] = np.radians(degrees)
+    return retract(relaxed_pose(BODY), jnp.asarray(step))
+
+
+@pytest.fixture(scope="module")
+def tracker() -> SilhouetteTracker:
+    made = SilhouetteTracker(BODY, ring(4), SMALL)
+    made.plan = Plan(room=False, stages=(Stage(10, 2.0, gap=1.0),))
+    width, height = np.asarray(made.cameras.size[0], int)
+    flat, plain = np.ones((height, width), np.float32), np.ones((height, width, 3), np.float32)
+    made.rooms = 4 * [Background(plain * np.float32(WALL), 5 * flat, flat)]
+    return made
+
+
+def wrist_off(tracker, count: int) -> float:
+    """Metres, after an arm that hung down is suddenly stretched out and stays there for some frames."""
+    tracker.settings = replace(SMALL, hypotheses=count)
+    hanging, up = lifted(10.0), lifted(95.0)
+    state = tracker.init(hanging)
+    shown = [painted(tracker, hanging)] + 4 * [painted(tracker, up)]
+    for frame, images in enumerate(shown):
+        state, pose, _ = tracker.step(state, frame / 30, images)
+    found, true = (landmark_points(BODY, each)[WRIST] for each in (pose, up))
+    return float(np.linalg.norm(np.asarray(found - true)))
+
+
+def test_an_arm_that_one_hypothesis_loses_many_find_again(tracker):
+    assert wrist_off(tracker, 1) > 0.4
+    assert wrist_off(tracker, 128) < 0.1
+
+
+@given(st.integers(0, 2**31 - 1), st.lists(st.floats(0.01, 1.0), min_size=8, max_size=8))
+def test_systematic_resampling_draws_each_as_often_as_it_weighs(seed, weights):
+    shares = np.array(weights, np.float32) / np.sum(weights, dtype=np.float32)
+    drawn = np.asarray(DRAWN(jax.random.PRNGKey(seed), jnp.asarray(shares)))
+    often = np.bincount(drawn, minlength=8)
+    assert len(drawn) == 8 and (np.abs(often - 8 * shares) < 1 + 1e-3).all()
+    again = DRAWN(jax.random.PRNGKey(seed), jnp.asarray(shares))
+    np.testing.assert_array_equal(drawn, again)
+
+
+def test_a_body_covers_the_cells_about_its_points_and_no_others():
+    region = Region(np.array([9.5, -0.5], np.float32), np.array(2.0, np.float32))
+    # The middle of cell (3, 5) and a point beside the canvas.
+    mask = covered(np.array([[16.5, 10.5], [500.0, 3.0]]), region, 12, 1)
+    expected = np.zeros((12, 12), bool)
+    expected[4:7, 2:5] = True
+    np.testing.assert_array_equal(mask, expected)
+
+
+def test_torn_black_and_exchanged_frames_are_passed_over_until_patience_ends():
+    rng = np.random.default_rng(0)
+    room, other = rng.integers(0, 255, (2, 48, 64, 3)).astype(np.uint8)
+    room, other = (np.repeat(np.repeat(image, 8, 0), 8, 1) for image in (room, other))
+    walked = room.copy()
+    walked[100:300, 200:260] = 0
+    glances = Glances.none(1)
+    for image, believed in ((room, True), (walked, True), (room, True), (other, False)):
+        kept, glances = glances.believed([image], 0.25, 3)
+        assert (kept[0] is not None) == believed
+    torn = np.concatenate([room[:150], np.roll(room[150:], 200, 1)])
+    for image, believed in ((torn, False), (np.zeros_like(room), False), (other, True)):
+        kept, glances = glances.believed([image], 0.25, 3)
+        assert (kept[0] is not None) == believed
+    assert glances.believed([None], 0.25, 3)[0] == [None]
+
+
+def test_a_box_before_a_part_is_told_by_its_hue_and_shade_is_not():
+    image = np.full((40, 60, 3), (60, 90, 140), np.uint8)
+    rows, columns = np.mgrid[10:20, 10:20]
+    pixels = np.stack([columns.ravel(), rows.ravel()], 1)[None].repeat(2, 0)
+    parts = np.ones((1, 100), bool)
+    looks = Appearance.none(1, 2)
+    for frame in range(YOUNG):
+        darker = np.uint8(image * (1 - 0.1 * frame))
+        other, looks = looks.judged([darker, darker], pixels, parts)
+        assert not other.any()
+    box = image.copy()
+    box[8:22, 8:22] = 200
+    assert not looks.judged([image, image], pixels, parts)[0].any()
+    # One of two cameras is not enough.
+    assert not looks.judged([box, image], pixels, parts)[0].any()
+    hidden, after = looks.judged([box, box], pixels, parts)
+    assert hidden.all() and (after.mean == looks.mean).all()
+    assert not looks.judged([None, None], pixels, parts)[0].any()
