@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from jaxmocap.images.background import Background, learn_background
 from jaxmocap.images.canvases import canvas, follow, full_mask, signed_distance, stacked
 from jaxmocap.images.regions import Region
+from jaxmocap.images.sharpen import sharpened
 from jaxmocap.reference import level_set as reference
 from jaxmocap.silhouette import densities
 from jaxmocap.silhouette.contour import contours
@@ -147,6 +148,49 @@ def test_a_known_room_finds_whom_colours_cannot():
     by_room = np.asarray(segmented(seen(image, room.astype(np.uint8)), start, Plan()).phi[0]) > 0
     assert overlap(by_room, truth) > 0.7
     assert overlap(by_room, truth) > overlap(by_colour, truth) + 0.1
+
+
+def test_a_limb_beside_the_predicted_one_does_not_change_places_with_the_floor():
+    trunk, limb, predicted = disc(20, 20, 10), disc(46, 44, 7), disc(32, 50, 7)
+    truth, start = np.maximum(trunk, limb)[0] > 0, np.maximum(trunk, predicted)
+    room = np.random.default_rng(2).integers(60, 200, (SIZE, SIZE, 3)).astype(np.uint8)
+    # All of the room lies in shadow; the limb's colour shows nowhere in the predicted silhouette.
+    image = np.where(truth[..., None], np.array([60, 60, 230]), 0.7 * room)
+    image[limb[0] > 0] = (230, 90, 40)
+    found = np.asarray(segmented(seen(image.astype(np.uint8), room), start, Plan()).phi[0]) > 0
+    assert overlap(start[0] > 0, truth) < 0.6
+    assert overlap(found, truth) > 0.9
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["room", "no room"])
+@pytest.mark.parametrize("larger", [1, 4])
+def test_pixels_say_where_a_contour_lies_that_is_known_to_some(known, larger):
+    y, x = np.mgrid[: 200 * larger, : 240 * larger] / larger
+    truth = np.hypot(x - 110.3, y - 90.6) < 50.2
+    room = np.stack([120 + 0.3 * x, 150 - 0.2 * y, 90 + 0 * x], -1)
+    sharp = np.where(truth[..., None], np.array([60.0, 60.0, 200.0]), 0.8 * room)
+    image = cv2.GaussianBlur(sharp, (0, 0), larger) + np.random.default_rng(0).normal(
+        0, 3, sharp.shape
+    )
+    behind = Background(room.astype(np.float32), 3 + 0 * x, known * np.ones_like(x, np.float32))
+    region = Region(np.array([29.5, 19.5], np.float32) * larger, np.array(2.5 * larger, np.float32))
+    middle = (np.array([110.3, 90.6]) + 0.5) / 2.5 - np.array([29.5, 19.5]) / 2.5 - 0.5
+    off = np.clip(50.2 / 2.5 + 0.8 * np.cos(3 * np.arctan2(Y - middle[1], X - middle[0]))
+                  - np.hypot(X - middle[0], Y - middle[1]), -8, 8).astype(np.float32)  # fmt: skip
+    found = sharpened(np.clip(image, 0, 255).astype(np.uint8), off, region, behind)
+    before = full_mask(off, region, truth.shape)
+    assert overlap(before, truth) < 0.96
+    assert overlap(found.full(truth.shape), truth) > 0.985
+    again = full_mask(found.phi(region, SIZE), region, truth.shape)
+    assert overlap(again, truth) > 0.98
+
+
+def test_nothing_and_what_lies_beyond_the_image_has_no_pixels():
+    image = np.full((40, 60, 3), 90, np.uint8)
+    region = Region(np.array([-200.5, -0.5], np.float32), np.array(1, np.float32))
+    for phi in (np.full((SIZE, SIZE), -8, np.float32), disc()[0]):
+        patch = sharpened(image, phi, region)
+        assert not patch.full((40, 60)).any() and (patch.phi(region, SIZE) < 0).all()
 
 
 def test_a_room_without_colours_is_refused():

@@ -30,7 +30,7 @@ class Motion(NamedTuple):
         smoothing: of Φ along its gradient; stable below 0.25.
     """
 
-    length: Array | float = 0.5
+    length: Array | float = 0.25
     speed: Array | float = 0.33
     distance: Array | float = 0.4
     smoothing: Array | float = 0.2
@@ -41,12 +41,12 @@ def heaviside(phi: Array, width: Array | float) -> Array:
     return 0.5 * (1 + jax.lax.erf(phi / width))
 
 
-def evolve(phi: Array, log_ratio: Array, motion: Motion, width: float, steps: int) -> Array:
+def evolve(phi: Array, log_ratio: Array, motion: Motion, width: Array | float, steps: int) -> Array:
     """Φ (V, S, S) after a static number of steps."""
     return jax.lax.fori_loop(0, steps, lambda _, now: step(now, log_ratio, motion, width), phi)
 
 
-def step(phi: Array, log_ratio: Array, motion: Motion, width: float) -> Array:
+def step(phi: Array, log_ratio: Array, motion: Motion, width: Array | float) -> Array:
     """One step of (4.20) for V level sets.
 
     H' is taken relative to its peak, so that ``speed`` is that of the contour, in cells per unit of
@@ -56,7 +56,7 @@ def step(phi: Array, log_ratio: Array, motion: Motion, width: float) -> Array:
         phi: (V, S, S) cells.
         log_ratio: (V, S, S) log p1 - log p2.
         motion: weights and time step.
-        width: of H, cells: how far off the contour cells are moved as well.
+        width: of H, cells: how far off the contour cells are moved as well; may be (V, S, S).
     """
     wide = jnp.pad(phi, ((0, 0), (1, 1), (1, 1)), mode="edge")
     up, down = wide[:, :-2], wide[:, 2:]

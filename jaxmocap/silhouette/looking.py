@@ -4,6 +4,7 @@ INPUTS: images of C cameras, rims of the predicted pose. OUTPUTS: contours, and 
 """
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from jaxmocap.images.background import Background
 from jaxmocap.images.canvases import Canvas, canvas, signed_distance, stacked
 from jaxmocap.images.regions import Region
+from jaxmocap.images.sharpen import sharpened
 from jaxmocap.silhouette.contour import contours
 from jaxmocap.silhouette.correspond import Contour
 from jaxmocap.silhouette.rim import Rim
@@ -20,6 +22,8 @@ from jaxmocap.silhouette.settings import Settings
 
 # Fewer points of a contour are none.
 FEWEST = 16
+# OpenCV lets other threads work meanwhile.
+_THREADS = ThreadPoolExecutor(2, "looking")
 
 
 class Outlines(NamedTuple):
@@ -62,6 +66,8 @@ def look(
     start = np.stack([silhouette_distance(mask) for mask in rim.masks])
     seen = Canvases(*stacked(taken))
     found = segment(seen, start, before, settings.level_set, plan)
+    if settings.sharpen:
+        found = found._replace(phi=_sharpened(images, rooms, np.asarray(found.phi), views))
     points = contours(
         found.phi, found.log_ratio, seen.inside, region, settings.points, settings.level_set.most
     )
@@ -74,6 +80,23 @@ def look(
         lines.append(Contour(places[camera][kept], normals[camera][kept]))
     share = told.sum(1) / np.maximum(valid.sum(1), 1)
     return Outlines(tuple(lines), found, region, share)
+
+
+def _sharpened(
+    images: Sequence[np.ndarray | None],
+    rooms: Sequence[Background | None],
+    phi: np.ndarray,
+    views: Sequence[Region],
+) -> np.ndarray:
+    """Φ (C, S, S), its contours where pixels say they are; all cameras at once."""
+
+    def one(camera: int) -> np.ndarray:
+        image, now, view = images[camera], phi[camera], views[camera]
+        if image is None or not (now > 0).any():
+            return now
+        return sharpened(image, now, view, rooms[camera]).phi(view, len(now))
+
+    return np.stack(list(_THREADS.map(one, range(len(phi)))))
 
 
 def silhouette_distance(mask: np.ndarray) -> np.ndarray:

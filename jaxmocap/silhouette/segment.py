@@ -1,11 +1,11 @@
 """Segmentation: where the person is in each camera's image (section 4.1).
 
 A level set starts from the silhouette of the predicted pose and moves to where the densities of
-person and rest explain the image best (4.19). Densities are estimated as the contour moves: first
+person and rest explain the image best (4.19). Densities are estimated as the contour moves:
 histograms, of grey levels or of colours, and, for a camera that stands still, what is known of the
-room behind every single cell; at last, next to the contour, normals of one deviation about the
-colours on its two sides. These put it where half of a cell is covered: a histogram against a
-sharply known room would put it where a cell begins to differ.
+room behind every single cell. What looks like the room tells nothing of the person, and what does
+not tells nothing of the rest: so a predicted limb that lies beside the true one does not make floor
+and limb change places. Where exactly the contour lies is for ``images.sharpen`` to say.
 
 INPUTS: images of V cameras on canvases of one static size; Φ of the predicted silhouettes.
 OUTPUTS: Φ, the log-ratio of the densities, histograms to begin the next frame with.
@@ -20,10 +20,10 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.silhouette import densities
-from jaxmocap.silhouette.level_set import BAND, FLAT, Motion, coarser, evolve, finer, heaviside
+from jaxmocap.silhouette.level_set import BAND, Motion, coarser, evolve, finer, heaviside
 
-# Light on the room may fall to, or rise to, so much of what is known of it.
-DIMMEST, BRIGHTEST = 0.5, 1.3
+# A cell is the room's as far as this is likelier than such a density, per cubic grey level.
+ANYTHING = 1e-5
 # Width of H where it weighs pixels of the two regions, cells.
 SOFT = 1.5
 LEAST = 1e-30
@@ -53,16 +53,16 @@ class Stage(NamedTuple):
     Attributes:
         steps: how many.
         width: of H' in cells, of twice the size where ``coarse``.
+        known: the same where the room is known: a limb beside the predicted one is seen from afar.
         coarse: whether on cells of twice the size.
         gap: cells about the contour that histograms leave out.
-        sides: whether, next to the contour, normals about the colours of both sides decide.
     """
 
     steps: int
     width: float
+    known: float
     coarse: bool = False
     gap: float = 0.0
-    sides: bool = False
 
 
 class Plan(NamedTuple):
@@ -77,10 +77,9 @@ class Plan(NamedTuple):
     colour: bool = True
     room: bool = True
     stages: tuple[Stage, ...] = (
-        Stage(8, 4.0, coarse=True, gap=2.0),
-        Stage(8, 2.0, coarse=True, gap=1.0),
-        Stage(6, 1.5, gap=0.5),
-        Stage(8, 1.5, sides=True),
+        Stage(8, 4.0, 8.0, coarse=True, gap=2.0),
+        Stage(8, 2.0, 2.0, coarse=True, gap=1.0),
+        Stage(10, 1.5, 1.5, gap=0.5),
     )
 
 
@@ -91,10 +90,6 @@ class Settings(NamedTuple):
         motion: of the level set.
         most: log-ratios are cut off here.
         strange: share of the room that does not look as it is known.
-        noise: deviation of the colours of one side, grey levels.
-        contrast: of the two sides, in squared deviations, from which they decide rather than
-            histograms.
-        depth: cells from the contour to where its sides' colours are taken.
         shape: log-ratio by which a cell far from the predicted silhouette must do better.
         reach: how far that is, cells.
         fade: weight of the histograms before in those of the next frame.
@@ -102,10 +97,7 @@ class Settings(NamedTuple):
 
     motion: Motion = Motion()
     most: Array | float = 3.0
-    strange: Array | float = 0.02
-    noise: Array | float = 4.0
-    contrast: Array | float = 3.0
-    depth: Array | float = 3.5
+    strange: Array | float = 0.005
     shape: Array | float = 0.0
     reach: Array | float = 12.0
     fade: Array | float = 0.9
@@ -162,14 +154,15 @@ def segment(
     for stage in plan.stages:
         pixels = coarse if stage.coarse else fine
         here = coarser(phi) / 2 if stage.coarse else phi
-        now = _histograms(here, pixels, before.person.shape[-1], stage)
+        now = _histograms(here, pixels, before.person.shape[-1], stage, plan)
         mixed = Histograms(*(a + b for a, b in zip(now, before, strict=True)))
         ratio = _log_ratio(mixed, pixels, settings, plan)
-        if stage.sides:
-            ratio = _by_both_sides(ratio, here, pixels, settings, plan)
         ratio = ratio * pixels.inside
         force = ratio + (coarser(prior) if stage.coarse else prior)
-        moved = evolve(here, force, settings.motion, stage.width, stage.steps)
+        width = (
+            stage.width + (stage.known - stage.width) * pixels.known if plan.room else stage.width
+        )
+        moved = evolve(here, force, settings.motion, width, stage.steps)
         phi = jnp.clip(finer(moved), -BAND, BAND) if stage.coarse else moved
     kept = Histograms(*(settings.fade * (a + b) for a, b in zip(before, now, strict=True)))
     return Segmented(phi, ratio, kept)
@@ -208,14 +201,17 @@ class _Pixels(NamedTuple):
         return self._with(plan, *(coarser(part) for part in self[:5]))
 
 
-def _histograms(phi: Array, pixels: _Pixels, count: int, stage: Stage) -> Histograms:
+def _histograms(phi: Array, pixels: _Pixels, count: int, stage: Stage, plan: Plan) -> Histograms:
     """Counts of both sides, but for the cells next to the contour that the stage leaves out."""
     # A coarse cell counts as the four that it is, so that histograms can be added.
     weight = 4.0 if stage.coarse else 1.0
-    sides = (
+    person, rest = (
         weight * heaviside(sign * phi - stage.gap, SOFT) * pixels.inside for sign in (1.0, -1.0)
     )
-    return Histograms(*(densities.counted(pixels.bins, side, count) for side in sides))
+    if plan.room:
+        room = pixels.empty / (pixels.empty + ANYTHING)
+        person, rest = person * (1 - pixels.known * room), rest * (1 - pixels.known * (1 - room))
+    return Histograms(*(densities.counted(pixels.bins, side, count) for side in (person, rest)))
 
 
 def _log_ratio(histograms: Histograms, pixels: _Pixels, settings: Settings, plan: Plan) -> Array:
@@ -227,73 +223,3 @@ def _log_ratio(histograms: Histograms, pixels: _Pixels, settings: Settings, plan
         rest = pixels.known * empty + (1 - pixels.known) * rest
     ratio = jnp.log(person + LEAST) - jnp.log(rest + LEAST)
     return jnp.clip(ratio, -settings.most, settings.most)
-
-
-def _by_both_sides(
-    ratio: Array, phi: Array, pixels: _Pixels, settings: Settings, plan: Plan
-) -> Array:
-    """Next to the contour, the log-ratio of normals about the colours on both sides of it.
-
-    These are found some cells farther in and out, where the log-ratio so far says that the cell
-    belongs to its side. Elsewhere, and where both sides look alike, that log-ratio stays.
-    """
-    inward, outward = (_places(phi, depth) for depth in (settings.depth, -settings.depth))
-    image = _packed(_averaged(pixels.colour), ratio)
-    person, sure = _unpacked(_taken(image, inward))
-    other, positive = _unpacked(_taken(image, outward))
-    sure_not = ~positive
-    if plan.room:
-        beside, _ = _unpacked(_taken(_packed(pixels.room, ratio), outward))
-        light = jnp.sum(other, 1, keepdims=True) / (jnp.sum(beside, 1, keepdims=True) + 1)
-        known = pixels.known[:, None]
-        gain = jnp.where(sure_not[:, None], jnp.clip(light, DIMMEST, BRIGHTEST), 1.0)
-        other = known * pixels.room * gain + (1 - known) * other
-        sure_not = sure_not | (pixels.known > 0.5)
-    variance = settings.noise**2
-    closer = jnp.sum((pixels.colour - other) ** 2 - (pixels.colour - person) ** 2, 1)
-    differ = jnp.sum((person - other) ** 2, 1)
-    near = jnp.exp(-((phi / settings.depth) ** 2))
-    trust = jnp.where(sure & sure_not, near * differ / (differ + settings.contrast * variance), 0.0)
-    clipped = jnp.clip(closer / (2 * variance), -settings.most, settings.most)
-    return trust * clipped + (1 - trust) * ratio
-
-
-def _places(phi: Array, depth: Array | float) -> Array:
-    """Cells (V, S * S), numbered row by row, where, down the nearest way, Φ is ``depth``."""
-    wide = jnp.pad(phi, ((0, 0), (1, 1), (1, 1)), mode="edge")
-    x, y = wide[:, 1:-1, 2:] - wide[:, 1:-1, :-2], wide[:, 2:, 1:-1] - wide[:, :-2, 1:-1]
-    far = (depth - phi) * jax.lax.rsqrt(x * x + y * y + FLAT)
-    size = phi.shape[-1]
-    row, column = jnp.meshgrid(jnp.arange(size), jnp.arange(size), indexing="ij")
-    rows, columns = (
-        jnp.clip(at + jnp.rint(far * way).astype(jnp.int32), 0, size - 1)
-        for at, way in ((row, y), (column, x))
-    )
-    return (rows * size + columns).reshape(len(phi), -1)
-
-
-def _packed(colour: Array, ratio: Array) -> Array:
-    """Colours (V, 3, S, S) and whether the ratio is positive in one number for one look-up."""
-    levels = jnp.rint(colour).astype(jnp.int32)
-    return (
-        levels[:, 0] | levels[:, 1] << 8 | levels[:, 2] << 16 | (ratio > 0).astype(jnp.int32) << 24
-    )
-
-
-def _unpacked(packed: Array) -> tuple[Array, Array]:
-    """The same as colours and flags again."""
-    levels = jnp.stack([packed & 255, packed >> 8 & 255, packed >> 16 & 255], 1)
-    return levels.astype(jnp.float32), packed >> 24 > 0
-
-
-def _taken(values: Array, places: Array) -> Array:
-    """Values (V, S, S) at other places."""
-    flat = values.reshape(len(values), -1)
-    return jax.vmap(lambda a, at: a[at])(flat, places).reshape(values.shape)
-
-
-def _averaged(colour: Array) -> Array:
-    """Means (V, 3, S, S) of three by three cells."""
-    wide = jnp.pad(colour, ((0, 0), (0, 0), (1, 1), (1, 1)), mode="edge")
-    rows = wide[:, :, :-2] + wide[:, :, 1:-1] + wide[:, :, 2:]
-    return (rows[..., :-2] + rows[..., 1:-1] + rows[..., 2:]) / 9

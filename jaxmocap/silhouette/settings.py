@@ -19,6 +19,7 @@ class Settings:
         rim: sizes; its canvases are the level sets' too, so that its margin holds a step's error.
         match: what makes a pair of rim and contour.
         level_set: of the segmentation, traced.
+        sharpen: whether pixels then say where exactly its contours are.
         points: of each camera's contour, static.
         contrast: least of a contour's point, 0 to 1: below, the image does not tell its two sides.
         deviations: of points about their rays, metres, one cycle each. The first must be large: a
@@ -52,6 +53,7 @@ class Settings:
     rim: RimSettings = field(default_factory=lambda: RimSettings(inner=0, margin=0.1))
     match: MatchSettings = field(default_factory=MatchSettings)
     level_set: segment.Settings = field(default_factory=segment.Settings)
+    sharpen: bool = True
     points: int = 512
     contrast: float = 0.1
     deviations: tuple[float, ...] = (0.04, 0.02, 0.008)
