@@ -17,7 +17,7 @@ from jaxmocap.formats.mot import read_mot, write_isb, write_mot
 from jaxmocap.formats.npz import load_motion, save_motion
 from jaxmocap.formats.trc import read_trc, write_trc
 
-DEGREES = {"torso.toml": 21, "legs.toml": 6 + 12, "whole.toml": 33}
+DEGREES = {"torso.toml": 21, "legs.toml": 6 + 12, "whole.toml": 33, "supple.toml": 40}
 
 
 def moving(model: str, samples: int = 9) -> Motion:

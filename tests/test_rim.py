@@ -125,6 +125,18 @@ def test_steps_in_depth_are_found_cell_by_cell():
     np.testing.assert_array_equal(found.normals[:, 0], np.where(found.cells[:, 0] == 12, -1, 1))
 
 
+def test_a_surface_that_recedes_is_no_boundary_and_another_limb_is():
+    """Two limbs side by side; the left one recedes steeply in its middle."""
+    size = 32
+    y, x = (part.ravel() for part in np.mgrid[4:28, 4:28])
+    depths = np.where(x < 10, 2.0, np.where(x < 18, 3.0, 4.0)).astype(np.float32)
+    places, keys = (np.asarray(p) for p in KEYS(np.float32(x), np.float32(y), depths, size))
+    limb = (x >= 18).astype(int)
+    found = inner_boundary(index_image(places, keys, size), depths, 0.5, limb)
+    assert set(found.cells[:, 0].tolist()) == {17}
+    assert len(found.cells) == 24
+
+
 def test_the_mask_is_what_opencv_fills(finder, rim):
     for camera in range(4):
         origin, scale = rim.region.origin[camera], rim.region.scale[camera]
@@ -218,7 +230,9 @@ def test_moving_bodies_and_cameras_are_traced_once(finder):
         step = rng.normal(0, 0.1, BODY.costs.shape).astype(np.float32)
         found = finder.find(BODY, retract(relaxed_pose(BODY), jnp.asarray(step)), CAMERAS)
         assert found.real[:, : SETTINGS.outer].mean() > 0.9
-    assert finder._draw._cache_size() == 1
+    finder.wear(finder.surface)
+    assert finder.find(BODY, relaxed_pose(BODY), CAMERAS).real.any()
+    assert finder._drawing._cache_size() == 1
 
 
 def test_a_contours_low_pass_is_its_series_cut_short():

@@ -123,11 +123,14 @@ class RimFinder:
         self.wear(resampled(surface, joints, self.settings.spacing))
         self._beside = neighbours(self.surface)
         self._limbs = limbs_of(self.surface)
-        self._draw = jax.jit(self._drawn)
+        self._drawing = jax.jit(self._drawn)
 
     def wear(self, surface: Surface) -> None:
         """Take another surface of as many nodes, to be seen from now on."""
         self.surface, self._skin = surface, skin_of(surface, self._joints)
+
+    def _draw(self, skeleton: Skeleton, pose: Pose, cameras: Camera) -> Drawn:
+        return self._drawing(self._skin, skeleton, pose, cameras)
 
     def _drawn(self, skin: Skin, skeleton: Skeleton, pose: Pose, cameras: Camera) -> Drawn:
         """What C cameras see of all nodes; their places on canvases about the person."""
@@ -151,7 +154,7 @@ class RimFinder:
 
     def find(self, skeleton: Skeleton, pose: Pose, cameras: Camera) -> Rim:
         """The rims as C cameras (``stacked``) see them."""
-        drawn = jax.tree.map(np.asarray, self._draw(self._skin, skeleton, pose, cameras))
+        drawn = jax.tree.map(np.asarray, self._draw(skeleton, pose, cameras))
         views = [jax.tree.map(lambda part, c=c: part[c], drawn) for c in range(len(drawn.u))]
         rows = zip(*(self._of_camera(view) for view in views), strict=True)
         nodes, pixels, normals, inner, real, masks = (np.stack(parts) for parts in rows)
