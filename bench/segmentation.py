@@ -1,0 +1,313 @@
+"""``python -m bench.segmentation RECORDINGS [--quick] [--json FILE]``: silhouettes by a look.
+
+Rendered exercises by four cameras before clutter. Each look starts from the person's own silhouette
+in a pose whose joints are all off by 5 degrees, and which stands off by 3 cm. Level sets know
+nothing of the room, or what was learned of it over the whole recording from such looks, or a
+picture of it without the person. GrabCut starts from the same silhouette, certain of nothing but
+what is farther off than so many pixels; MOG2 follows the video, or has seen the empty room.
+
+INPUTS: the folder of recordings, with ``person/person.npz`` in it. OUTPUTS: a table, and Metrics.
+"""
+
+import argparse
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from bench.accuracy import seeds
+from bench.clips import Clip, exercises
+from bench.metrics import Metric, aligned, write_json
+from jaxmocap.capture.video import open_video
+from jaxmocap.formats.recording import Recording
+from jaxmocap.images.background import Background, learn_background
+from jaxmocap.images.canvases import follow, full_mask, mask_canvas
+from jaxmocap.images.regions import Region
+from jaxmocap.images.rooms import RoomLearner
+from jaxmocap.run.compilation import keep_compiled
+from jaxmocap.run.reading import reading
+from jaxmocap.silhouette.looking import look
+from jaxmocap.silhouette.rim import Rim
+from jaxmocap.silhouette.segment import Histograms, Plan
+from jaxmocap.silhouette.settings import Settings
+from jaxmocap.synthetic.exercises import EXERCISES, exercise
+from jaxmocap.synthetic.four_cameras import View, framed, read_masks
+from jaxmocap.synthetic.renderer import Sensor
+from jaxmocap.synthetic.rigged_mesh import load_rig
+
+# Frames of a recording that are judged; exposures of an empty room; every so many frames a room is
+# learned from.
+JUDGED, EXPOSURES, LEARNED_EVERY = 3, 8, 3
+# What GrabCut may call the person lies this near to where it starts, pixels; and its rounds.
+GRABBED_PX, GRABS = 24, 4
+MOG2 = {"history": 60, "varThreshold": 16, "detectShadows": True}
+PERSON = 255
+# Name of a row -> plan and which rooms are known.
+LEVEL_SETS = {
+    "level set, grey": (Plan(colour=False, room=False), "none"),
+    "level set, colour": (Plan(room=False), "none"),
+    "+ learned room": (Plan(), "learned"),
+    "+ picture of the empty room": (Plan(), "empty"),
+}
+START, GRABCUT = "starting silhouette", "GrabCut"
+MOG2_VIDEO, MOG2_EMPTY = "MOG2, of the video", "MOG2, of the empty room"
+
+
+class Look(NamedTuple):
+    """One instant: images, where someone is, and would be in a pose that is off; C cameras.
+
+    Attributes:
+        images: (H, W, 3) uint8 each.
+        truths: (H, W) bool.
+        starts: (H, W) bool.
+    """
+
+    images: list[np.ndarray]
+    truths: list[np.ndarray]
+    starts: list[np.ndarray]
+
+
+class Scored(NamedTuple):
+    """Of one image.
+
+    Attributes:
+        overlap: intersection over union.
+        apart: mean distance between both outlines, pixels.
+        milliseconds: it took, of the four images' time.
+    """
+
+    overlap: float
+    apart: float
+    milliseconds: float
+
+
+Found = Callable[[Look], list[np.ndarray]]
+
+
+def overlap(found: np.ndarray, truth: np.ndarray) -> float:
+    """Intersection over union."""
+    return float((found & truth).sum() / max((found | truth).sum(), 1))
+
+
+def contour_distance(found: np.ndarray, truth: np.ndarray) -> float:
+    """Mean distance between two outlines, from each to the other, pixels; NaN if one has none."""
+    edges = [outline(mask) for mask in (found, truth)]
+    if not all(edge.any() for edge in edges):
+        return np.nan
+    away = [cv2.distanceTransform((~edge).astype(np.uint8), cv2.DIST_L2, 5) for edge in edges]
+    return float((away[0][edges[1]].mean() + away[1][edges[0]].mean()) / 2)
+
+
+def outline(mask: np.ndarray) -> np.ndarray:
+    """(H, W) bool: a mask's pixels with a neighbour outside."""
+    whole = mask.astype(np.uint8)
+    return mask & (cv2.erode(whole, np.ones((3, 3), np.uint8), borderValue=1) == 0)
+
+
+def scored(finder: Found, looks: Sequence[Look]) -> list[Scored]:
+    """Every image of every look."""
+    found = []
+    for seen in looks:
+        began = perf_counter()
+        masks = finder(seen)
+        spent = 1e3 * (perf_counter() - began)
+        for mask, truth in zip(masks, seen.truths, strict=True):
+            found.append(Scored(overlap(mask, truth), contour_distance(mask, truth), spent))
+    return found
+
+
+def level_set(seen: Look, plan: Plan, rooms: Sequence[Background | None]) -> list[np.ndarray]:
+    """Masks by one look of the tracker."""
+    phi, region = looked(seen, plan, rooms)
+    views = [Region(*each) for each in zip(*region, strict=True)]
+    shape = seen.images[0].shape[:2]
+    return [full_mask(each, view, shape) for each, view in zip(phi, views, strict=True)]
+
+
+def looked(seen: Look, plan: Plan, rooms: Sequence[Background | None]) -> tuple[np.ndarray, Region]:
+    """Φ (C, S, S) and where the canvases are, by one look of the tracker."""
+    settings = Settings()
+    size, none = settings.rim.size, np.zeros(0)
+    views = [follow(start, size) for start in seen.starts]
+    masks = [
+        mask_canvas(start, view, size) > 0.5 for start, view in zip(seen.starts, views, strict=True)
+    ]
+    region = Region(*(np.stack(parts) for parts in zip(*views, strict=True)))
+    rim = Rim(none, none, none, none, none, np.stack(masks).astype(np.uint8), region)
+    before = Histograms.empty(len(views), plan)
+    outlines = look(seen.images, rooms, rim, before, settings, plan)
+    return np.asarray(outlines.segmented.phi), region
+
+
+def grabbed(seen: Look) -> list[np.ndarray]:
+    """Masks by GrabCut."""
+    found = []
+    for image, start in zip(seen.images, seen.starts, strict=True):
+        near = np.ones((2 * GRABBED_PX + 1,) * 2, np.uint8)
+        marks = np.where(cv2.dilate(start.astype(np.uint8), near), cv2.GC_PR_BGD, cv2.GC_BGD)
+        marks = np.where(start, cv2.GC_PR_FGD, marks).astype(np.uint8)
+        models = np.zeros((2, 1, 65))
+        cv2.grabCut(image, marks, None, *models, GRABS, cv2.GC_INIT_WITH_MASK)  # type: ignore[call-overload]
+        found.append((marks == cv2.GC_FGD) | (marks == cv2.GC_PR_FGD))
+    return found
+
+
+class Case:
+    """A rendered recording, what is known of its rooms, and its looks.
+
+    Attributes:
+        looks: those that are judged.
+    """
+
+    def __init__(self, clip: Clip, people: Path, who: str, seconds: float):
+        """Render what is missing: poses that are off, empty rooms."""
+        performer = exercise(load_rig(people, who, clip.seed), clip.group, seconds, clip.seed)
+        self._views = framed(performer, seconds)
+        self._rng, self._performer = np.random.default_rng([clip.seed, 9]), performer
+        truths = read_masks(clip.path.with_name("truth_masks.npz"))
+        videos = [open_video(source) for source in Recording.load(clip.path).videos]
+        with reading(videos, colour=True) as readers:
+            self._images = [
+                [np.array(reader.at(i)) for reader in readers] for i in range(len(videos[0].times))
+            ]
+        self._times = videos[0].times
+        judged = np.linspace(0, len(self._times) - 1, JUDGED + 2).round().astype(int)[1:-1]
+        self.looks = [self._look(i, truths) for i in judged]
+        self._judged, self._seed = judged, clip.seed
+        self._exposed = [self._empty(view) for view in self._views]
+
+    def _look(self, i: int, truths: dict[str, np.ndarray]) -> Look:
+        off = self._performer.off(self._rng)
+        starts = [view.mask(off, float(self._times[i])) for view in self._views]
+        return Look(self._images[i], [truths[view.name][i] for view in self._views], starts)
+
+    def _empty(self, view: View) -> np.ndarray:
+        """(N, H, W, 3) uint8, exposures of the empty room."""
+        room = view.scene(self._performer, self._seed).background
+        sensor = Sensor.create(room.shape[1::-1], np.random.default_rng([self._seed, 10]))
+        return np.stack([sensor.exposed(room) for _ in range(EXPOSURES)])
+
+    def rooms(self, which: str) -> Sequence[Background | None]:
+        """What is known of them: ``none``, ``learned`` or ``empty``."""
+        if which == "empty":
+            return [learn_background(exposed) for exposed in self._exposed]
+        return self._learned() if which == "learned" else [None] * len(self._views)
+
+    def _learned(self) -> list[Background | None]:
+        chosen = range(0, len(self._times), LEARNED_EVERY)
+        learners = [RoomLearner(len(chosen)) for _ in self._views]
+        plan, nothing = Plan(), [None] * len(self._views)
+        for i in chosen:
+            off = self._performer.off(self._rng)
+            starts = [view.mask(off, float(self._times[i])) for view in self._views]
+            phi, region = looked(Look(self._images[i], [], starts), plan, nothing)
+            for learner, image, camera, *where in zip(
+                learners, self._images[i], phi, *region, strict=True
+            ):
+                learner.tell(image, camera, Region(*where))
+        return [learner.learned() for learner in learners]
+
+    def subtracted(self, empty: bool) -> list[Scored]:
+        """By MOG2 as it has followed the video, or seen the empty room."""
+        makers = [cv2.createBackgroundSubtractorMOG2(**MOG2) for _ in self._views]
+        if empty:
+            for maker, exposed in zip(makers, self._exposed, strict=True):
+                for image in exposed:
+                    maker.apply(image)
+            rate = 0.0
+        else:
+            rate = -1.0
+        found = []
+        for i, images in enumerate(self._images):
+            if empty and i not in self._judged:
+                continue
+
+            def masks(seen: Look, images: list[np.ndarray] = images) -> list[np.ndarray]:
+                pairs = zip(makers, images, strict=True)
+                return [maker.apply(image, None, rate) == PERSON for maker, image in pairs]
+
+            if i in self._judged:
+                found += scored(masks, [self.looks[int(np.flatnonzero(self._judged == i)[0])]])
+            else:
+                masks(self.looks[0])
+        return found
+
+    def results(self) -> dict[str, list[Scored]]:
+        """Name of a row -> every image."""
+        found = {START: scored(lambda seen: seen.starts, self.looks)}
+        for name, (plan, which) in LEVEL_SETS.items():
+            rooms = self.rooms(which)
+            level_set(self.looks[0], plan, rooms)
+            found[name] = scored(lambda seen, p=plan, r=rooms: level_set(seen, p, r), self.looks)
+        found[GRABCUT] = scored(grabbed, self.looks)
+        return found | {
+            MOG2_VIDEO: self.subtracted(False), MOG2_EMPTY: self.subtracted(True)
+        }  # fmt: skip
+
+
+def text(rows: dict[str, list[Scored]]) -> str:
+    """A line for each way."""
+    lines = [["", "overlap, median", "mean", "10 %", "outlines, median", "mean", "time, median"]]
+    for name, every in rows.items():
+        over, apart, spent = np.array(every).T
+        known = apart[np.isfinite(apart)]
+        figures = [np.median(over), over.mean(), np.percentile(over, 10)]
+        cells = [f"{value:.3f}" for value in figures]
+        cells += [f"{np.median(known):.2f} px", f"{known.mean():.2f} px"]
+        lines.append([name, *cells, f"{np.median(spent):.0f} ms" if name != START else ""])
+    return aligned(lines)
+
+
+def metrics(rows: dict[str, list[Scored]]) -> Iterator[Metric]:
+    """Medians of the table."""
+    for name, every in rows.items():
+        over, apart, spent = np.array(every).T
+        yield Metric(f"overlap, {name}", 100 * float(np.median(over)), "%", "higher", 0.05)
+        yield Metric(f"outlines apart, {name}", float(np.nanmedian(apart)), "px")
+        if name != START:
+            yield Metric(f"four images, {name}", float(np.median(spent)), "ms")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    whole = argparse.ArgumentParser(
+        prog="python -m bench.segmentation",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = whole.add_argument
+    add("recordings", help="folder with person/person.npz")
+    add("--exercises", default=",".join(EXERCISES), metavar="A,B", help="default: %(default)s")
+    add("--quick", action="store_true", help="two exercises of a second each")
+    add("--seeds", type=seeds, default=seeds("0"), metavar="0-2", help="default: 0")
+    add("--people", default="man", metavar="WHO,...", help="of person.npz; default: %(default)s")
+    add("--seconds", type=float, default=3.0, help="of a rendered recording; default: %(default)s")
+    add("--keep", metavar="DIR", help="keep rendered recordings here, rendered once")
+    add("--json", metavar="FILE", help="write the metrics")
+    return whole
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Parse, measure, print."""
+    options = parser().parse_args(arguments)
+    names = ["arm_raises", "push_ups"] if options.quick else options.exercises.split(",")
+    seconds = 1.0 if options.quick else options.seconds
+    people, rows = Path(options.recordings) / "person" / "person.npz", {}
+    keep_compiled()
+    with tempfile.TemporaryDirectory() as scratch:
+        keep = Path(options.keep or scratch)
+        for who in options.people.split(","):
+            for clip in exercises(people, names, options.seeds, [who], seconds, keep):
+                for name, found in Case(clip, people, who, seconds).results().items():
+                    rows.setdefault(name, []).extend(found)
+    print(text(rows))
+    if options.json:
+        write_json(list(metrics(rows)), options.json)
+
+
+if __name__ == "__main__":
+    main()
