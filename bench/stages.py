@@ -21,15 +21,19 @@ STAGES: dict[str, tuple[tuple[object, str], ...]] = {
     "rim": ((rim.RimFinder, "find"),),
     "canvases": ((looking, "canvas"), (looking, "silhouette_distance")),
     "segmentation": ((looking, "segment"),),
+    "sharpening": ((looking, "_sharpened"),),
     "contours": ((looking, "contours"),),
     "matching": ((tracker, "matched"),),
     "fit": ((tracker, "fit"),),
+    "hypotheses": ((tracker.SilhouetteTracker, "_reconsidered"),),
 }
 REST, WHOLE = "the rest", "whole frame"
 
 
 class StageClock:
     """Adds up what the stages of one frame take, frame after frame.
+
+    A stage that calls another one does not count what that one takes.
 
     Attributes:
         frames: stage -> milliseconds, one dictionary a frame; the rest and the whole too.
@@ -43,9 +47,11 @@ class StageClock:
         """The function, whose times count for a stage; it returns when its result is there."""
 
         def run(*arguments, **named):
-            began = perf_counter()
+            began, before = perf_counter(), sum(self._now.values())
             result = jax.block_until_ready(function(*arguments, **named))
-            self._now[stage] = self._now.get(stage, 0.0) + 1e3 * (perf_counter() - began)
+            others = sum(self._now.values()) - before
+            spent = 1e3 * (perf_counter() - began) - others
+            self._now[stage] = self._now.get(stage, 0.0) + spent
             return result
 
         return run
