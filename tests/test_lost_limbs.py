@@ -46,9 +46,9 @@ def tracker() -> SilhouetteTracker:
 
 
 def wrist_off(tracker, count: int) -> float:
-    """Metres, after an arm that hung down is suddenly stretched out and stays there for some frames."""
+    """Metres, some frames after an arm that hung down is suddenly up, beyond what was looked at."""
     tracker.settings = replace(SMALL, hypotheses=count)
-    hanging, up = lifted(10.0), lifted(95.0)
+    hanging, up = lifted(10.0), lifted(150.0)
     state = tracker.init(hanging)
     shown = [painted(tracker, hanging)] + 4 * [painted(tracker, up)]
     for frame, images in enumerate(shown):

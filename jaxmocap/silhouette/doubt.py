@@ -15,7 +15,8 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.body.surface import BodyPoints, Surface
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.images.coverage import covered
+from jaxmocap.images.background import Background
+from jaxmocap.images.coverage import covered, widened
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette import hypotheses
 from jaxmocap.silhouette.appearance import Appearance
@@ -23,11 +24,17 @@ from jaxmocap.silhouette.hypotheses import Evidence, Limb, SearchSettings
 from jaxmocap.silhouette.looking import Outlines
 
 # Of the surface's nodes one in so many says what the body covers, with so many cells about it.
-NODES, AROUND = 4, 4
+NODES, AROUND = 4, 1
+# The canvas that limbs are looked for on: cells, and how many times as wide as the segmentation's.
+CELLS, WIDER = 96, 1.5
 # A limb is in doubt where within its reach (by its length) person is unexplained by this share of
 # its own size, whose cells are so much likelier person than not; and a better place must explain so
 # much more.
 REACH, UNEXPLAINED, SURELY, BETTER = 1.6, 0.15, 1.5, 0.2
+# Log-ratio of what surely is no room, beyond the segmentation.
+MOST = 2.0
+# Half of a limb in the right place is a beginning: the other half's log-ratios count so little.
+LENIENT = 0.7
 # A part is denied where its cells are likelier not person.
 DENIED = 0.0
 # Frames to wait after a search that found nothing, at most; twice as long each time.
@@ -119,12 +126,25 @@ class Doubter:
         looks = Appearance.none(2 * len(self.limbs), len(self.cameras.size))
         return Doubts((None,) * len(self.limbs), zeros, zeros, looks, 0)
 
-    def sight(self, pose: Pose, seen: Outlines, used: np.ndarray) -> Sight:
-        """A pose over what was segmented, of cameras (C,) that count."""
+    def sight(
+        self,
+        pose: Pose,
+        seen: Outlines,
+        used: np.ndarray,
+        images: Sequence[np.ndarray | None],
+        rooms: Sequence[Background | None],
+    ) -> Sight:
+        """A pose over what was segmented, and what lies about that, of cameras (C,) that count."""
         pixels = hypotheses.seen_at(self.skeleton, pose, self.cameras, self._points)
-        region = Region(*map(np.asarray, seen.region))
-        regions = tuple(Region(*each) for each in zip(*region, strict=True))
+        narrow = zip(*map(np.asarray, seen.region), strict=True)
         ratios = np.asarray(seen.segmented.log_ratio)
+        parts = [
+            widened(ratio, Region(*region), image, room, CELLS, WIDER, MOST)
+            for ratio, region, image, room in zip(ratios, narrow, images, rooms, strict=True)
+        ]
+        regions = tuple(region for _, region in parts)
+        region = Region(*(np.stack(part) for part in zip(*regions, strict=True)))
+        ratios = np.stack([ratio for ratio, _ in parts])
         return Sight(pose, np.asarray(pixels), ratios, regions, region, used)
 
     def hidden(
@@ -212,7 +232,8 @@ class Doubter:
     def _left_for(self, number: int, sight: Sight) -> Evidence:
         """What is left for a limb to explain: beside the rest of the body."""
         rest = _covered(sight, ~self._on(number))
-        return Evidence(np.where(rest, np.float32(0), sight.ratios), sight.region, sight.used)
+        gains = np.where(rest, np.float32(0), np.maximum(sight.ratios, np.float32(-LENIENT)))
+        return Evidence(gains, sight.region, sight.used)
 
     def _unexplained(self, sight: Sight) -> np.ndarray:
         """(L,) how much person nothing explains within each limb's reach, by the limb's size."""

@@ -239,7 +239,9 @@ class SilhouetteTracker:
         moved = doubter.joints_of(())
         if not fitted.used.any():
             return fitted, moved, ~moved, doubts
-        sight = doubter.sight(fitted.result.pose, fitted.outlines, fitted.used)
+        sight = doubter.sight(
+            fitted.result.pose, fitted.outlines, fitted.used, shown.images, self.rooms
+        )
         better = None
         # Who does not know the rooms takes what looks like a person for one, and learns it as none.
         known = all(room is not None for room in self.rooms)
@@ -249,7 +251,9 @@ class SilhouetteTracker:
             joints = doubter.joints_of(better.limbs)
             again = self._fitted(shown, better.pose, freed(beforehand, joints, s.expected))
             before, after = (
-                doubter.sight(each.result.pose, again.outlines, again.used)
+                doubter.sight(
+                    each.result.pose, again.outlines, again.used, shown.images, self.rooms
+                )
                 for each in (fitted, again)
             )
             if doubter.gain(better.limbs, after) > doubter.gain(better.limbs, before) + BETTER:
