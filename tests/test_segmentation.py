@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxmocap.images.background import Background, learn_background
-from jaxmocap.images.canvases import canvas, follow, full_mask, signed_distance, stacked
+from jaxmocap.images.canvases import attached, canvas, follow, full_mask, signed_distance, stacked
 from jaxmocap.images.regions import Region
 from jaxmocap.images.sharpen import sharpened
 from jaxmocap.reference import level_set as reference
@@ -183,6 +183,13 @@ def test_pixels_say_where_a_contour_lies_that_is_known_to_some(known, larger):
     assert overlap(found.full(truth.shape), truth) > 0.985
     again = full_mask(found.phi(region, SIZE), region, truth.shape)
     assert overlap(again, truth) > 0.98
+
+
+def test_pieces_that_lie_nowhere_near_the_prediction_are_not_the_person():
+    person, hand, stranger = disc(20, 20, 10)[0], disc(40, 20, 4)[0], disc(45, 50, 8)[0]
+    found = attached(np.maximum(np.maximum(person, hand), stranger), disc(30, 20, 9)[0])
+    np.testing.assert_array_equal(found > 0, (person > 0) | (hand > 0))
+    np.testing.assert_array_equal(attached(person, -np.ones_like(person)), person)
 
 
 def test_nothing_and_what_lies_beyond_the_image_has_no_pixels():

@@ -106,6 +106,18 @@ def mask_canvas(mask: np.ndarray, region: Region, size: int) -> np.ndarray:
     return covered * (_inside(mask.shape, region, size) > 0.5)
 
 
+def attached(phi: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Φ (S, S) without the pieces of which nothing lies where the person was predicted.
+
+    What else differs from the room are other people, reflections and shadows.
+    """
+    count, pieces = cv2.connectedComponents((phi > 0).astype(np.uint8))
+    if count <= 2:
+        return phi
+    meant = np.bincount(np.asarray(pieces)[start > 0], minlength=count) > 0
+    return np.where((phi > 0) & ~meant[pieces], np.float32(-1), phi)
+
+
 def full_mask(phi: np.ndarray, region: Region, shape: tuple[int, int]) -> np.ndarray:
     """(H, W) bool, where Φ (S, S) is positive at the pixels of an image of that shape."""
     scale, middle = float(region.scale), np.asarray(region.origin) + region.scale / 2

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.images.background import Background
-from jaxmocap.images.canvases import Canvas, canvas, signed_distance, stacked
+from jaxmocap.images.canvases import Canvas, attached, canvas, signed_distance, stacked
 from jaxmocap.images.regions import Region
 from jaxmocap.images.sharpen import sharpened
 from jaxmocap.silhouette.contour import contours
@@ -66,8 +66,10 @@ def look(
     start = np.stack([silhouette_distance(mask) for mask in rim.masks])
     seen = Canvases(*stacked(taken))
     found = segment(seen, start, before, settings.level_set, plan)
+    phi = np.stack([attached(*each) for each in zip(np.asarray(found.phi), start, strict=True)])
     if settings.sharpen:
-        found = found._replace(phi=_sharpened(images, rooms, np.asarray(found.phi), views))
+        phi = _sharpened(images, rooms, phi, views)
+    found = found._replace(phi=phi)
     points = contours(
         found.phi, found.log_ratio, seen.inside, region, settings.points, settings.level_set.most
     )
