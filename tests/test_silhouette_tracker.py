@@ -32,7 +32,7 @@ POINTS = landmark_points
 def tracker() -> SilhouetteTracker:
     made = SilhouetteTracker(BODY, ring(4), SMALL)
     # Plain walls need few steps, which compile sooner.
-    made.plan = Plan(room=False, stages=(Stage(10, 2.0, gap=1.0),))
+    made.plan = Plan(room=False, stages=(Stage(10, 2.0, 2.0, gap=1.0),))
     return made
 
 

@@ -1,6 +1,7 @@
 """A recording to a motion by silhouettes: no markers, one to four cameras.
 
-A first pass learns the rooms, frame by frame, where the person is not; the second knows them.
+A first pass learns the rooms, frame by frame, where the person is not, and the person's shape; the
+second knows them.
 
 INPUTS: a Recording, where the person is at first. OUTPUTS: a Motion, and the level sets.
 """
@@ -12,6 +13,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from jaxmocap.body.loft import rest_joints
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton, with_joints
@@ -28,10 +30,11 @@ from jaxmocap.run.reading import reading
 from jaxmocap.run.recording import marker_sites
 from jaxmocap.run.timing import Progress, progress_bar
 from jaxmocap.silhouette.settings import Settings
+from jaxmocap.silhouette.shape import ShapeFinder
 from jaxmocap.silhouette.steps import landmark_slopes
 from jaxmocap.silhouette.tracker import SilhouetteTracker, State, StepReport
 
-MODEL = "whole.toml"
+MODEL = "supple.toml"
 ELSEWHERE = "expected somebody where the markers' first samples, or --at, put the person"
 
 
@@ -73,14 +76,14 @@ class _Frames(NamedTuple):
 
 
 def whole_body(skeleton: Skeleton) -> Skeleton:
-    """The person, moved by the joints of the second paper's whole body."""
+    """The person, moved by the second paper's joints, and by wrists and neck beyond them."""
     return with_joints(skeleton, MODEL)
 
 
 def make_tracker(
     recording: Recording, settings: Settings | None = None, markers: bool = False
 ) -> SilhouetteTracker:
-    """The tracker of a recording's person by its cameras, and by its markers where they are asked for.
+    """The tracker of a recording's person by its cameras, and by its markers where asked for.
 
     Raises:
         InputError: it has no video, or not the markers.
@@ -108,7 +111,8 @@ def follow(
         recording: with one or several videos.
         start: where the person is in the first frames, a pose of ``whole_body``.
         settings: of the tracker.
-        passes: 2 learns the rooms first; 1 knows nothing of them.
+        passes: 2 learns the rooms and the person's shape first; 1 knows nothing of them; 3 learns
+            the shape once more, where the rooms are known.
         markers: follow them too; without it they are not looked at.
         progress: called with the frames done and their total; True shows a bar on stderr.
 
@@ -120,12 +124,14 @@ def follow(
     """
     tracker = make_tracker(recording, settings, markers)
     frames, warnings = _open(recording, markers)
-    run = _Pass(tracker, frames, learn=passes > 1)
+    shape = ShapeFinder(tracker.finder.surface, rest_joints(tracker.skeleton))
+    run = _Pass(tracker, frames, shape if passes > 1 else None)
     with progress_bar("tracking", progress) as show:
         for number in range(passes):
             if number:
                 tracker.rooms = [learner.learned() for learner in run.learners]
-                run = _Pass(tracker, frames, learn=number + 1 < passes)
+                tracker.finder.wear(shape.fitted())
+                run = _Pass(tracker, frames, shape if number + 1 < passes else None)
             run.through(start, _shifted(show, number * run.count, passes * run.count))
             if not run.seen:
                 where = recording.path or recording.name
@@ -161,12 +167,15 @@ def _shifted(show: Progress, before: int, total: int) -> Callable[[int], None]:
 
 
 class _Pass:
-    """One pass over all frames."""
+    """One pass over all frames; with a shape to tell of, it learns the rooms as well."""
 
-    def __init__(self, tracker: SilhouetteTracker, frames: _Frames, learn: bool):
+    def __init__(
+        self, tracker: SilhouetteTracker, frames: _Frames, shape: ShapeFinder | None = None
+    ):
         self.tracker, self.frames, self.count = tracker, frames, len(frames.times)
         count = self.count
-        self.learners = [RoomLearner(count) for _ in frames.videos] if learn else []
+        self.shape = shape
+        self.learners = [RoomLearner(count) for _ in frames.videos] if shape else []
         self.milliseconds: dict[str, list[float]] = {}
         self._poses: list[Pose] = []
         self._reports: list[StepReport] = []
@@ -210,7 +219,9 @@ class _Pass:
         self._phi.append(np.clip(np.round(8 * phi), -127, 127).astype(np.int8))
         # What is large is kept once.
         outlines = report.outlines._replace(segmented=None, contours=())  # type: ignore[arg-type]
-        self._reports.append(report._replace(outlines=outlines))
+        if self.shape is not None:
+            self.shape.tell(self.tracker.skeleton, self.tracker.cameras, pose, report.pairs)
+        self._reports.append(report._replace(outlines=outlines, pairs=None))  # type: ignore[arg-type]
 
     @property
     def seen(self) -> bool:

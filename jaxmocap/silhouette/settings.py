@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from jaxmocap.silhouette import segment
 from jaxmocap.silhouette.correspond import MatchSettings
+from jaxmocap.silhouette.edges import EdgeSettings
 from jaxmocap.silhouette.hypotheses import SearchSettings
 from jaxmocap.silhouette.rim import RimSettings
 
@@ -25,13 +26,14 @@ class Settings:
         deviations: of points about their rays, metres, one cycle each. The first must be large: a
             limb that moved fast is an outlier to the rest, and would be left behind.
         looks: cycles that begin with a segmentation; the first does in any case.
-        hands: weight of their pairs. No joint of ``whole.toml`` bends a wrist, so that hands on the
-            floor take the forearms along; but without hands a fast arm is lost sooner.
+        edges: what shows one limb before another.
         iterations: of the pose in each cycle.
         expected: deviation of every degree of freedom about its prediction, metres and radians.
             Pairs of one outline err alike, and count as if they did not: more freedom than this
             lets a stretched arm turn over.
         held: the same of one of which the last frame told little.
+        held_at_rest: how joints' names begin, of which outlines tell little, and their deviations
+            about 0, radians; see ``posture``.
         blind: deviation of a degree of freedom of which nothing is known.
         told: it is told of where its deviation falls below this share of ``expected``, and seen
             where below this share of ``blind``.
@@ -50,7 +52,7 @@ class Settings:
         settling: times that the first frame is looked at before tracking begins.
     """
 
-    rim: RimSettings = field(default_factory=lambda: RimSettings(inner=0, margin=0.1))
+    rim: RimSettings = field(default_factory=lambda: RimSettings(margin=0.1))
     match: MatchSettings = field(default_factory=MatchSettings)
     level_set: segment.Settings = field(default_factory=segment.Settings)
     sharpen: bool = True
@@ -58,10 +60,14 @@ class Settings:
     contrast: float = 0.1
     deviations: tuple[float, ...] = (0.04, 0.02, 0.008)
     looks: tuple[int, ...] = (0,)
-    hands: float = 1.0
+    edges: EdgeSettings = field(default_factory=EdgeSettings)
     iterations: int = 3
     expected: float = 0.08
     held: float = 0.02
+    held_at_rest: tuple[tuple[str, float], ...] = (
+        ("clavicle", 0.026), ("elbow_twist", 0.14), ("wrist_deviate", 0.1), ("neck", 0.05),
+        ("ankle_invert", 0.07),
+    )  # fmt: skip
     blind: float = 0.25
     told: float = 0.5
     damping: float = 0.8

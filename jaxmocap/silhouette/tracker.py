@@ -26,13 +26,16 @@ from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.background import Background
 from jaxmocap.images.glances import Glances
 from jaxmocap.silhouette.correspond import Matches, matched
-from jaxmocap.silhouette.doubt import BETTER, Doubter, Doubts, freed
+from jaxmocap.silhouette.doubt import BETTER, Doubter, Doubts, carriers, freed
+from jaxmocap.silhouette.edges import edge_pairs, joined
 from jaxmocap.silhouette.looking import Outlines, look
 from jaxmocap.silhouette.markers import MarkerRows, points_at
-from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, standard_deviations
+from jaxmocap.silhouette.pose import PoseResult, PoseSettings, standard_deviations
+from jaxmocap.silhouette.posture import expectation, resting
 from jaxmocap.silhouette.rim import Rim, RimFinder, stacked
 from jaxmocap.silhouette.segment import Histograms, Plan
 from jaxmocap.silhouette.settings import Settings
+from jaxmocap.silhouette.shape import Paired
 from jaxmocap.silhouette.steps import Seen, fit, predict, velocity_of
 
 
@@ -70,6 +73,7 @@ class StepReport(NamedTuple):
         information: (6 + D, 6 + D), see ``PoseResult``.
         outlines: what was segmented.
         moved: (D,) bool: joints that one of several hypotheses put elsewhere.
+        pairs: that the pose was found by.
     """
 
     used: np.ndarray
@@ -80,6 +84,7 @@ class StepReport(NamedTuple):
     information: np.ndarray
     outlines: Outlines
     moved: np.ndarray
+    pairs: Paired
 
 
 class _Shown(NamedTuple):
@@ -97,13 +102,14 @@ class _Fitted(NamedTuple):
     used: np.ndarray
     shares: np.ndarray
     outlines: Outlines
+    pairs: Paired
 
 
 class SilhouetteTracker:
     """Tracks one person without markers. Its jitted parts trace once.
 
     Attributes:
-        skeleton: of the person, moved by the joints of ``whole.toml`` or of another model.
+        skeleton: of the person, moved by the joints of ``supple.toml`` or of another model.
         cameras: C, stacked.
         settings: how to work.
         finder: of the rims.
@@ -135,7 +141,8 @@ class SilhouetteTracker:
         self.cameras = jax.tree.map(lambda part: jnp.asarray(part, dtype), stacked(listed))
         skin = generic_surface(skeleton) if surface is None else surface
         self.finder = RimFinder(skeleton, skin, self.settings.rim)
-        self._weights = node_weights(skeleton, self.finder.surface, self.settings.hands)
+        self._bones = carriers(self.finder.surface.points)
+        self._rest = resting(skeleton, dict(self.settings.held_at_rest))
         self.rooms = [None] * len(listed) if rooms is None else list(rooms)
         self.plan = Plan()
         self._points = None if sites is None else points_at(skeleton, sites)
@@ -176,7 +183,7 @@ class SilhouetteTracker:
         shown = _Shown(images, state.histograms, self._markers(positions_world))
         fitted = self._fitted(shown, expected, beforehand)
         fitted, moved, hidden, doubts = self._reconsidered(state.doubts, shown, fitted, beforehand)
-        result, used, shares, outlines = fitted
+        result, used, shares, outlines, pairs = fitted
         deviations = standard_deviations(result.information, s.blind)
         seen = deviations < s.told * s.blind
         told = standard_deviations(result.information, s.expected) < s.told * s.expected
@@ -189,7 +196,7 @@ class SilhouetteTracker:
         histograms = _chosen(used, outlines.segmented.histograms, state.histograms)
         report = StepReport(
             used, shares, float(result.spread), deviations, seen,
-            np.asarray(result.information), outlines, moved,
+            np.asarray(result.information), outlines, moved, pairs,
         )  # fmt: skip
         after = State(result.pose, velocity, time, histograms, told, glances, doubts)
         return after, result.pose, report
@@ -207,7 +214,8 @@ class SilhouetteTracker:
     def _fitted(self, shown: _Shown, expected: Pose, beforehand: np.ndarray) -> _Fitted:
         """Cycle by cycle from the predicted pose."""
         s, pose, fitted = self.settings, expected, None
-        prior, used, outlines = Prior(expected, jnp.asarray(beforehand)), np.zeros(0, bool), None
+        prior = expectation(expected, beforehand, self._rest)
+        used, outlines = np.zeros(0, bool), None
         for cycle, deviation in enumerate(s.deviations):
             rim = self.finder.find(self.skeleton, pose, self.cameras)
             if outlines is None or cycle in s.looks:
@@ -216,7 +224,10 @@ class SilhouetteTracker:
             pairs = matched(rim, outlines.contours, s.match)
             shares = shares_found(rim, pairs, [len(each.pixels_xy) for each in outlines.contours])
             used = used & (shares >= s.share)
-            weights = self._weights[pairs.nodes] * (pairs.real & used[:, None])
+            edges = edge_pairs(shown.images, rim, self._bones, s.edges)
+            weights = np.concatenate([pairs.real, s.edges.weight * edges.real], 1)
+            pairs = joined(pairs, edges)
+            weights = (weights * used[:, None]).astype(np.float32)
             seen = Seen(self.finder.points(pairs.nodes), pairs.pixels_xy, pairs.normals, weights)
             how = PoseSettings(deviation=deviation, iterations=s.iterations)
             result = fit(
@@ -224,7 +235,9 @@ class SilhouetteTracker:
             )
             apart = np.asarray(result.distances).reshape(weights.shape)
             pose, used = result.pose, used & ~_denied(apart, weights > 0, s)
-            fitted = _Fitted(result, used, shares, outlines)
+            robust = np.asarray(result.shares).reshape(weights.shape)
+            left = Paired(pairs.nodes, seen._replace(weights=robust * weights))
+            fitted = _Fitted(result, used, shares, outlines, left)
         assert fitted is not None
         return fitted
 
@@ -268,14 +281,6 @@ class SilhouetteTracker:
         now = np.asarray(velocity_of(state.pose, pose, np.float32(ahead)))
         newest = self.settings.newest
         return (newest * now + (1 - newest) * state.velocity).astype(np.float32)
-
-
-def node_weights(skeleton: Skeleton, surface: Surface, hands: float) -> np.ndarray:
-    """(M,) float32 of a surface's nodes: 1, or that of the hands where these carry most of one."""
-    bones, shares = np.asarray(surface.points.bones), np.asarray(surface.points.shares)
-    carrier = bones[np.arange(len(bones)), shares.argmax(1)]
-    hand = np.isin(carrier, [skeleton.tree.bone(f"hand_{side}") for side in "lr"])
-    return np.where(hand, hands, 1.0).astype(np.float32)
 
 
 def shares_found(rim: Rim, pairs: Matches, points: Sequence[int]) -> np.ndarray:
