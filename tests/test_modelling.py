@@ -10,7 +10,7 @@ from scipy.spatial import Delaunay
 
 from jaxmocap.geometry.cameras import project
 from jaxmocap.images.medial import chamfer, path, skeleton
-from jaxmocap.silhouette.modelling.arm_surface import SLICES
+from jaxmocap.silhouette.modelling.arm_surface import INNER, SLICES
 from jaxmocap.silhouette.modelling.closing import closed_mesh, joined_meshes, volume
 from jaxmocap.silhouette.modelling.corners import bends, even
 from jaxmocap.silhouette.modelling.person import StanceError, person_model
@@ -20,8 +20,6 @@ from jaxmocap.silhouette.modelling.views import View
 from jaxmocap.synthetic.anthropometry import Body, measured
 from jaxmocap.synthetic.photographs import PHOTOGRAPHS, camera_of, standing, true_mask
 from jaxmocap.synthetic.rigged_mesh import load_rig
-
-INNER_RINGS = 4
 
 
 def blank():
@@ -192,7 +190,7 @@ def test_arms_are_as_thick_as_they_are(subject):
     for rings, side in zip(model.arms, "lr", strict=True):
         for bone, first in (("humerus", 0), ("radius", SLICES[0])):
             for share in (0.5, 0.75):
-                k = INNER_RINGS + first + round(share * SLICES[0])
+                k = INNER + first + round(share * SLICES[0])
                 truth, found = body.arm(bone, side, share), measured(rings[k][:, [2, 0]])
                 off.append([found.width - truth.width, found.depth - truth.depth,
                             found.girth / truth.girth - 1])  # fmt: skip

@@ -115,6 +115,12 @@ SILHOUETTE = "track a person without markers, by silhouettes", (
         commands.silhouette_demo, silhouette_arguments.add_silhouette_demo,
         "jaxmocap silhouette demo --out jaxmocap-silhouettes",
     ),
+    Command(
+        "model", "make a person's own model of four photographs", commands.silhouette_model,
+        silhouette_arguments.add_silhouette_model,
+        "jaxmocap silhouette model --front front.png --side side.png --joint joint.png "
+        "--arm-side arm_side.png --calibration calibration.toml --out model",
+    ),
 )  # fmt: skip
 GROUPS = {"calibrate": CALIBRATE, "silhouette": SILHOUETTE}
 

@@ -214,6 +214,18 @@ def silhouette_demo(options: argparse.Namespace) -> None:
     _report(options, f"{shown.text()}\n\n{files}", shown.as_dict())
 
 
+def silhouette_model(options: argparse.Namespace) -> None:
+    """Make a person's own model of four photographs, with pictures of every step."""
+    from jaxmocap.run import silhouette_model as modelling
+    from jaxmocap.run.writing import check_folder
+
+    check_folder(options.out)
+    files = {name: getattr(options, name) for name in modelling.PHOTOGRAPHS}
+    made = modelling.model_from(files, options.calibration, options.out, options.bottom)
+    written = modelling.write_model(made, options.out)
+    _report(options, modelling.model_text(made, written), made.figures())
+
+
 def view(options: argparse.Namespace) -> None:
     """Open the viewer, or serve it until Ctrl-C."""
     from jaxmocap.run.viewing import open_viewer, recording_in, serve_page

@@ -71,8 +71,8 @@ def closed(pixels_xy: np.ndarray) -> csr_array:
     members = [np.flatnonzero(piece == k) for k in range(count)]
     trees = [KDTree(pixels_xy[mine]) for mine in members]
     gaps, links = np.zeros((count, count)), {}
-    for a, b in combinations(range(count), 2):
-        far, near = trees[b].query(pixels_xy[members[a]])
+    for a, b in combinations(range(len(trees)), 2):
+        far, near = map(np.asarray, trees[b].query(pixels_xy[members[a]]))
         best = int(np.argmin(far))
         gaps[a, b], links[a, b] = far[best], (members[a][best], members[b][near[best]])
     chosen = np.sort(np.stack(minimum_spanning_tree(csr_array(gaps)).nonzero(), 1), 1)

@@ -55,6 +55,31 @@ def add_silhouette_demo(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_silhouette_model(parser: argparse.ArgumentParser) -> None:
+    """Options of ``silhouette model``."""
+    for name, stance in (
+        ("front", "arms lifted off the trunk"),
+        ("side", "from the left, arms spread towards and away from the camera"),
+        ("joint", "from the front, upper arms level, forearms up, hands flat"),
+        ("arm-side", "from the front, arms spread level, thumbs up"),
+    ):
+        parser.add_argument(f"--{name}", metavar="IMAGE", required=True, help=stance)
+    parser.add_argument(
+        "--calibration",
+        metavar="FILE.toml",
+        required=True,
+        help="sections front and side, and joint and arm_side where it was another camera; in its "
+        "world z is up and the person faces +x",
+    )
+    parser.add_argument("--out", metavar="DIR", required=True, help="where to write")
+    parser.add_argument(
+        "--bottom",
+        metavar="ROW",
+        type=natural,
+        help="row of the front photograph where the trunk ends; default: where the legs part",
+    )
+
+
 def _names(text: str) -> list[str]:
     return [name.strip() for name in text.split(",")]
 

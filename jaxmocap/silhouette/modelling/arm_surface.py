@@ -11,8 +11,9 @@ OUTPUTS: closed rings from within the trunk to the fingertip, world, metres.
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
-from jaxmocap.silhouette.modelling.trunk import ring
+from jaxmocap.silhouette.modelling.trunk import SMOOTH, ring
 from jaxmocap.silhouette.modelling.views import View
 
 # Slices of upper arm, forearm and hand; nodes of each; how full they are, as two people, on whom
@@ -25,8 +26,8 @@ FREE, THICKER = 0.35, 1.12
 TURNS_IN = 0.25
 # No arm reaches farther from its bones, metres.
 FARTHEST_M = 0.14
-# The arm goes on into the trunk as far as this share of the way to the middle.
-INTO_TRUNK = 0.45
+# The arm goes on into the trunk as far as this share of the way to the middle, by so many rings.
+INTO_TRUNK, INNER = 0.45, 4
 
 
 class Bones(NamedTuple):
@@ -85,7 +86,7 @@ def thickness(view: View, bones: Bones, towards: np.ndarray) -> np.ndarray:
     reach *= square[:, None]
     free = int(FREE * SLICES[0])
     reach[:free] = np.minimum(reach[:free], THICKER * reach[free])
-    return reach
+    return gaussian_filter1d(reach, SMOOTH, axis=0, mode="nearest")
 
 
 def arm_rings(
@@ -110,8 +111,8 @@ def arm_rings(
     fullness = np.repeat(FULLNESS, [*SLICES[:2], SLICES[2] + 1])
     rings = np.stack([_ring(*three) for three in zip(bend, hinge, fullness, strict=True)])
     # Inwards it goes on as it begins, somewhat slimmer, so that it ends within the trunk.
-    inner = np.linspace(-INTO_TRUNK * abs(shoulder[1]), 0, 5)[:-1]
-    slim = np.linspace(0.7, 1.0, 5)[:-1, None, None]
+    inner = np.linspace(-INTO_TRUNK * abs(shoulder[1]), 0, INNER + 1)[:-1]
+    slim = np.linspace(0.7, 1.0, INNER + 1)[:-1, None, None]
     rings = np.concatenate([slim * rings[:1], rings])
     y = np.broadcast_to(side * np.append(inner, places)[:, None], rings.shape[:2])
     return shoulder + np.stack([rings[..., 0], y, rings[..., 1]], -1)

@@ -66,6 +66,12 @@ class PersonModel(NamedTuple):
     stretched: tuple[Bones, ...]
     arms: tuple[np.ndarray, ...]
 
+    def neck_height(self) -> float:
+        """Height of the neck's narrowest slice, metres."""
+        top, bottom = self.trunk.middles[[-1, 0], 2]
+        share = (self.front.bottom - self.front.neck) / (self.front.bottom - self.front.top)
+        return float(bottom + share * (top - bottom))
+
     def lengths(self) -> dict[str, float]:
         """Bone -> length, metres; ``shoulders`` is from the one joint to the other."""
         found = {}

@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 # Over an arm the trunk's run leaps out by so much of its half; an arm's gap reaches down at least
-# so much of the way to the bottom line.
-LEAP, LEAST_GAP = 0.3, 0.2
+# so much of the way to the bottom line, and an arm pit lies at least so far above that line, of the
+# way to the head's top.
+LEAP, LEAST_GAP, LEAST_HEIGHT = 0.3, 0.2, 0.25
 # Legs are apart where the gap between them is at least so many pixels wide and so many high.
 LEG_GAP_PX = 2, 6
 # The neck begins where a slice is so much narrower than the head's widest, and ends where one is
@@ -117,7 +118,8 @@ def _pit(mask: np.ndarray, runs: np.ndarray, top: int, bottom: int, side: int) -
         row = top + int(np.flatnonzero(leaps[top:bottom])[-1])
         # In this row the run is trunk and arm; below it the gap must stay open.
         below = range(row + 1, min(bottom, row + 2 + int(LEAST_GAP * (bottom - row))))
-        if all(_beyond(mask, r, edges[r], side) for r in below):
+        high = bottom - row > LEAST_HEIGHT * (bottom - top)
+        if high and all(_beyond(mask, r, edges[r], side) for r in below):
             return int(edges[row + 1]) + side, row + 1
     name = "left" if side > 0 else "right"
     raise ValueError(

@@ -12,12 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
+from scipy.ndimage import gaussian_filter1d
 
 from jaxmocap.silhouette.modelling.separation import Landmarks
 from jaxmocap.silhouette.modelling.views import View
 
 # Rings, and nodes of each; control points of a ring's spline.
 RINGS, AROUND, CONTROL = 72, 48, 16
+# Deviation of the smoothing along a limb, slices.
+SMOOTH = 0.8
 # How full a slice is, the power of its superellipse (2 for an ellipse), by the height above the
 # bottom line as a share of the arm pits': what two people, on whom nothing is tested, need.
 FULLNESS = (
@@ -56,6 +59,8 @@ def trunk(front: View, side: View, landmarks: Landmarks) -> Trunk:
         corners.append(quadrilateral(front, side, middle, pits))
         middle = np.append(corners[-1].mean(0), height)
         middles.append(middle)
+    # A silhouette's rim is known to a pixel; over a few slices its steps cancel out.
+    corners = np.array(gaussian_filter1d(np.array(corners), SMOOTH, axis=0, mode="nearest"))
     shares = (heights - low) / (pits[:, 2].mean() - low)
     fullness = np.interp(shares, *FULLNESS)
     rings = np.stack([ring(c, full) for c, full in zip(corners, fullness, strict=True)])

@@ -1,0 +1,169 @@
+"""Four photographs to a person's own model, with pictures of every step.
+
+INPUTS: photographs from the front, the side, of bent arms and of stretched arms; a calibration
+with sections ``front``, ``side`` and, where another camera took them, ``joint`` and ``arm_side``:
+in its world z is up and the person faces +x.
+OUTPUTS: a Modelled; ``model.npz`` (rings, mesh, joints), ``report.json`` and pictures in a folder.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.capture.photographs import read_photograph, write_picture
+from jaxmocap.formats.atomic import replacing
+from jaxmocap.formats.calibration import pick_camera, read_calibration
+from jaxmocap.formats.errors import InputError
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.images import drawing
+from jaxmocap.images.backdrop import PhotographError, person_mask
+from jaxmocap.images.medial import skeleton
+from jaxmocap.silhouette.modelling.closing import joined_meshes
+from jaxmocap.silhouette.modelling.girths import girths
+from jaxmocap.silhouette.modelling.person import PersonModel, StanceError, person_model
+from jaxmocap.silhouette.modelling.views import View
+
+PHOTOGRAPHS = ("front", "side", "joint", "arm_side")
+# Of the rings, every so many are drawn.
+DRAWN = 3
+
+
+class Modelled(NamedTuple):
+    """What four photographs told.
+
+    Attributes:
+        model: of the person.
+        images: photograph -> (H, W, 3) BGR uint8.
+        views: photograph -> mask and camera.
+        seconds: from the files to the model.
+    """
+
+    model: PersonModel
+    images: dict[str, np.ndarray]
+    views: dict[str, View]
+    seconds: float
+
+    def figures(self) -> dict:
+        """Lengths, girths and joints, metres, and how long it took, seconds."""
+        joints = {
+            f"{name}_{side}": np.round(getattr(bones, name), 4).tolist()
+            for bones, side in zip(self.model.bent, "lr", strict=True)
+            for name in bones._fields
+        }
+        lengths = {name: round(length, 4) for name, length in self.model.lengths().items()}
+        around = {name: section.rounded() for name, section in girths(self.model).items()}
+        seconds = round(self.seconds, 2)
+        return {"lengths": lengths, "girths": around, "joints": joints, "seconds": seconds}
+
+
+def model_from(
+    files: Mapping[str, str | Path],
+    calibration: str | Path,
+    out: str | Path,
+    bottom: int | None = None,
+) -> Modelled:
+    """Make a model of photographs.
+
+    Args:
+        files: the four ``PHOTOGRAPHS``.
+        calibration: a .toml file.
+        out: a folder, where a refused photograph's picture goes.
+        bottom: row of the trunk's bottom line in the front photograph; by default found.
+
+    Raises:
+        InputError: a photograph or the calibration cannot be used.
+    """
+    start = perf_counter()
+    cameras = _cameras(calibration)
+    images = {name: read_photograph(files[name], cameras[name]) for name in PHOTOGRAPHS}
+    views = {}
+    for name, image in images.items():
+        try:
+            views[name] = View(person_mask(image), cameras[name])
+        except PhotographError as error:
+            shown = write_picture(Path(out) / f"{name}_refused.png", error.picture)
+            raise InputError(files[name], f"{error.problem} (see {shown})") from None
+    try:
+        model = person_model(views, bottom)
+    except StanceError as error:
+        raise InputError(files[error.view], error.problem) from None
+    return Modelled(model, images, views, perf_counter() - start)
+
+
+def _cameras(calibration: str | Path) -> dict[str, Camera]:
+    """Photograph -> camera; the front's also took the arms where they have no section."""
+    found = read_calibration(calibration)
+    for name in ("front", "side"):
+        pick_camera(calibration, found, name)
+    return {"joint": found["front"], "arm_side": found["front"]} | found
+
+
+def write_model(modelled: Modelled, directory: str | Path) -> list[Path]:
+    """Write model, report and pictures.
+
+    Returns:
+        What was written.
+    """
+    directory, model = Path(directory), modelled.model
+    vertices, faces = joined_meshes([model.trunk.rings, *model.arms])
+    files = [directory / "model.npz", directory / "report.json"]
+    with replacing(files[0]) as beside, beside.open("wb") as file:
+        np.savez_compressed(
+            file,
+            trunk=model.trunk.rings,
+            arm_l=model.arms[0],
+            arm_r=model.arms[1],
+            joints=np.array(model.bent),
+            joint_names=np.array(model.bent[0]._fields),
+            vertices=vertices,
+            faces=faces,
+        )
+    with replacing(files[1]) as beside:
+        beside.write_text(json.dumps(modelled.figures(), indent=2) + "\n", encoding="utf-8")
+    for name, picture in pictures(modelled).items():
+        files.append(write_picture(directory / f"{name}.png", picture))
+    views = [drawing.shaded(vertices, faces, turn) for turn in (0.0, 0.8)]
+    tall = max(len(view) for view in views)
+    views = [np.pad(v, ((0, tall - len(v)), (0, 0), (0, 0)), constant_values=245) for v in views]
+    return [*files, write_picture(directory / "model.png", np.hstack(views))]
+
+
+def pictures(modelled: Modelled) -> dict[str, np.ndarray]:
+    """Photograph -> what was found in it: rim, skeletons, joints, slices."""
+    model, views = modelled.model, modelled.views
+    shown = {
+        name: drawing.outlined(image, views[name].mask) for name, image in modelled.images.items()
+    }
+    for name in ("front", "side"):
+        rings = [views[name].pixels(ring) for ring in model.trunk.rings[::DRAWN]]
+        shown[name] = drawing.with_lines(shown[name], rings, drawing.RING, closed=True)
+    marks = model.front
+    width = shown["front"].shape[1]
+    levels = [np.array([[0.0, row], [width, row]]) for row in (marks.neck, marks.bottom)]
+    shown["front"] = drawing.with_lines(shown["front"], levels, drawing.POINT, closed=False)
+    shown["front"] = drawing.with_points(shown["front"], marks.pits)
+    for name in ("joint", "arm_side"):
+        axis = skeleton(views[name].mask).pixels_xy
+        shown[name][axis[:, 1], axis[:, 0]] = drawing.AXIS
+    bent = np.concatenate([[arm.shoulder, arm.elbow, arm.wrist, arm.tip] for arm in model.seen])
+    shown["joint"] = drawing.with_points(shown["joint"], bent)
+    straight = views["arm_side"].pixels(np.concatenate([np.array(b) for b in model.stretched]))
+    shown["arm_side"] = drawing.with_points(shown["arm_side"], straight)
+    return shown
+
+
+def model_text(modelled: Modelled, files: list[Path]) -> str:
+    """For the terminal."""
+    figures = modelled.figures()
+    lines = [f"{name:12} {100 * length:6.1f} cm" for name, length in figures["lengths"].items()]
+    lines += [""] + [
+        f"{name:12} {100 * s['girth']:6.1f} cm around, {100 * s['width']:5.1f} cm wide, "
+        f"{100 * s['depth']:5.1f} cm deep"
+        for name, s in figures["girths"].items()
+    ]
+    lines += ["", f"made in {modelled.seconds:.1f} s", *(f"written  {path}" for path in files)]
+    return "\n".join(lines)
