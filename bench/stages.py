@@ -24,6 +24,7 @@ STAGES: dict[str, tuple[tuple[object, str], ...]] = {
     "sharpening": ((looking, "_sharpened"),),
     "contours": ((looking, "contours"),),
     "matching": ((tracker, "matched"),),
+    "edges": ((tracker, "edge_pairs"),),
     "fit": ((tracker, "fit"),),
     "hypotheses": ((tracker.SilhouetteTracker, "_reconsidered"),),
 }
