@@ -3,12 +3,18 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_rim import BODY
+from test_point_rays import ring
+from test_rim import BODY, FORWARD, POSED, PROJECT
 
 from jaxmocap.body.girths import KINDS, fields_of, reshaped
 from jaxmocap.body.loft import generic_surface, rest_joints
-from jaxmocap.body.surface import rest_nodes
-from jaxmocap.silhouette.shape import DEVIATION_M, ShapeFinder
+from jaxmocap.body.pose import relaxed_pose
+from jaxmocap.body.surface import BodyPoints, resampled, rest_nodes
+from jaxmocap.silhouette.rim import stacked
+from jaxmocap.silhouette.shape import DEVIATION_M, ShapeFinder, told
+from jaxmocap.silhouette.steps import Seen
+
+pytestmark = pytest.mark.usefixtures("plainly_compiled")
 
 SURFACE, JOINTS = generic_surface(BODY), rest_joints(BODY)
 FIELDS = fields_of(SURFACE, JOINTS)
@@ -51,8 +57,6 @@ def test_a_trunk_is_the_same_on_both_sides():
 
 
 def test_the_fields_of_a_denser_surface_move_it_as_much():
-    from jaxmocap.body.surface import resampled
-
     dense = resampled(SURFACE, JOINTS, 0.03)
     fields = fields_of(dense, JOINTS)
     assert fields.names == FIELDS.names
@@ -60,6 +64,34 @@ def test_the_fields_of_a_denser_surface_move_it_as_much():
     # All stretches together are the whole limb.
     far = np.linalg.norm(fields.moves[:, :, girth].sum(-1), axis=1)
     np.testing.assert_allclose(far, 1, atol=1e-5)
+
+
+def test_contours_of_a_stouter_body_tell_how_much_stouter(camera_pairs):
+    H, slope, amounts = camera_pairs
+    poses = len(slope) - len(amounts)
+    # At the true pose all that is off is the shape.
+    expected = -H @ np.append(np.zeros(poses), amounts)
+    np.testing.assert_allclose(slope, expected, atol=0.02 * np.abs(expected).max())
+
+
+@pytest.fixture(scope="module")
+def camera_pairs():
+    """What one frame tells: nodes of a body in a bent pose, and where a stouter one's are seen."""
+    rng = np.random.default_rng(2)
+    cameras, pose = stacked(ring(2)), relaxed_pose(BODY)
+    angles = np.asarray(pose.angles) + rng.uniform(-0.1, 0.1, len(pose.angles))
+    pose = pose._replace(angles=jnp.asarray(angles, jnp.float32))
+    amounts = 0.002 * rng.standard_normal(len(FIELDS.names))
+    stout = reshaped(SURFACE, FIELDS, amounts)
+    nodes = rng.integers(0, len(FIELDS.moves), (2, 300))
+    every = PROJECT(cameras, POSED(FORWARD(BODY, pose), stout.points))
+    pixels = np.stack([np.asarray(every)[camera, nodes[camera]] for camera in range(2)])
+    turns = rng.uniform(0, 2 * np.pi, nodes.shape)
+    normals = np.stack([np.cos(turns), np.sin(turns)], -1).astype(np.float32)
+    points = BodyPoints(*(np.asarray(part)[nodes.ravel()] for part in SURFACE.points))
+    seen = Seen(points, pixels, normals, np.ones(nodes.shape, np.float32))
+    H, slope = told(BODY, cameras, pose, seen, FIELDS.moves[nodes.ravel()])
+    return np.asarray(H, float), np.asarray(slope, float), amounts
 
 
 def equations(rng, rows: np.ndarray, shape: np.ndarray, pose: np.ndarray):
@@ -103,4 +135,3 @@ def test_one_weak_frame_counts_by_how_people_differ():
     finder.add(H, -H @ np.append(np.zeros(6), np.full(count, 0.01)))
     finder.fitted()
     np.testing.assert_allclose(finder.amounts, 0.005, rtol=1e-6)
-    assert jnp.asarray(finder.amounts).shape == (count,)
