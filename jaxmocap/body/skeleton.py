@@ -204,7 +204,8 @@ def load_skeleton(name: str) -> Skeleton:
 def with_joints(skeleton: Skeleton, name: str) -> Skeleton:
     """The same bones, moved by the joints of a model file: ``torso.toml`` for the upper body.
 
-    ``legs.toml`` has hip and legs, ``whole.toml`` both, ``human.toml`` the first paper's.
+    ``legs.toml`` has hip and legs, ``whole.toml`` both, ``supple.toml`` wrists and neck as well,
+    ``human.toml`` the first paper's.
 
     Raises:
         KeyError: a joint turns a bone that the skeleton does not have.
