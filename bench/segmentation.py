@@ -24,10 +24,10 @@ from bench.clips import Clip, exercises
 from bench.metrics import Metric, aligned, write_json
 from jaxmocap.capture.video import open_video
 from jaxmocap.formats.recording import Recording
-from jaxmocap.images.background import Background, learn_background
+from jaxmocap.images.background import Background
 from jaxmocap.images.canvases import follow, full_mask, mask_canvas
 from jaxmocap.images.regions import Region
-from jaxmocap.images.rooms import RoomLearner
+from jaxmocap.images.rooms import RoomLearner, pictured
 from jaxmocap.run.compilation import keep_compiled
 from jaxmocap.run.reading import reading
 from jaxmocap.silhouette.looking import look
@@ -194,7 +194,7 @@ class Case:
     def rooms(self, which: str) -> Sequence[Background | None]:
         """What is known of them: ``none``, ``learned`` or ``empty``."""
         if which == "empty":
-            return [learn_background(exposed) for exposed in self._exposed]
+            return [pictured(exposed[0]) for exposed in self._exposed]
         return self._learned() if which == "learned" else [None] * len(self._views)
 
     def _learned(self) -> list[Background | None]:

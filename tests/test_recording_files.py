@@ -64,7 +64,7 @@ def load(folder: Path, text: str) -> Recording:
 
 def test_a_recording_holds_what_its_file_says(folder):
     on = '[markers.on]\nHead = { bone = "radius_l", at = 0.5, offset = [0.1, 0, 0] }\n'
-    video = VIDEO + 'offset = -0.5\nkeypoints = "keys"\n'
+    video = VIDEO + 'offset = -0.5\nkeypoints = "keys"\nbackground = "v.mp4"\n'
     recording = load(folder, MARKERS + on + video + VIDEO + CALIBRATION + SUBJECT)
     assert recording.places == (MarkerPlace("Head", "radius_l", 0.5, (0.1, 0.0, 0.0)),)
     assert recording.marker_names == ("Head",) and recording.name == "r"
@@ -74,6 +74,7 @@ def test_a_recording_holds_what_its_file_says(folder):
     assert (first.offset, first.keypoints) == (-0.5, folder / "keys")
     assert (second.offset, second.keypoints) == (0.0, None)
     assert (first.keypoints_model, first.keypoints_first) == (None, None)
+    assert (first.background, second.background) == (folder / "v.mp4", None)
     assert first.path == folder / "v.mp4" and first.camera_name == "cam"
     assert np.asarray(first.camera.size).tolist() == [640, 480]
     np.testing.assert_array_equal(recording.skeleton.lengths, Skeleton.human(1.7).lengths)

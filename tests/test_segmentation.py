@@ -10,9 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from jaxmocap.capture.empty_rooms import read_empty_room
+from jaxmocap.formats.errors import InputError
 from jaxmocap.images.background import Background, learn_background
 from jaxmocap.images.canvases import attached, canvas, follow, full_mask, signed_distance, stacked
 from jaxmocap.images.regions import Region
+from jaxmocap.images.rooms import pictured
 from jaxmocap.images.sharpen import sharpened
 from jaxmocap.reference import level_set as reference
 from jaxmocap.silhouette import densities
@@ -190,6 +193,19 @@ def test_pieces_that_lie_nowhere_near_the_prediction_are_not_the_person():
     found = attached(np.maximum(np.maximum(person, hand), stranger), disc(30, 20, 9)[0])
     np.testing.assert_array_equal(found > 0, (person > 0) | (hand > 0))
     np.testing.assert_array_equal(attached(person, -np.ones_like(person)), person)
+
+
+def test_an_empty_room_is_read_from_a_picture_of_the_videos_size(tmp_path):
+    picture = np.random.default_rng(0).integers(0, 256, (12, 16, 3), np.uint8)
+    cv2.imwrite(str(tmp_path / "empty.png"), picture)
+    found = pictured(read_empty_room(tmp_path / "empty.png", (16, 12)))
+    np.testing.assert_array_equal(found.colour, picture)
+    assert found.known.min() == 1 and found.noise.min() > 1
+    with pytest.raises(InputError, match=r"found 16 × 12 pixels, expected 640 × 480"):
+        read_empty_room(tmp_path / "empty.png", (640, 480))
+    (tmp_path / "no.png").write_text("nothing")
+    with pytest.raises(InputError, match=r"no\.png.*expected \.png or \.jpg"):
+        read_empty_room(tmp_path / "no.png", (16, 12))
 
 
 def test_nothing_and_what_lies_beyond_the_image_has_no_pixels():

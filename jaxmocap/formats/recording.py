@@ -46,6 +46,7 @@ class VideoSource:
         keypoints_model: whose points they are, or None to tell it from them.
         keypoints_first: number that they give the video's first frame, or None to tell it.
         frames: video times (F,) in seconds and images (F, H, W, 3) BGR uint8, or None.
+        background: image file of what the camera sees without the person, or None.
     """
 
     camera_name: str
@@ -56,6 +57,7 @@ class VideoSource:
     keypoints_model: str | None = None
     keypoints_first: int | None = None
     frames: tuple[np.ndarray, Sequence[np.ndarray] | np.ndarray] | None = None
+    background: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -260,7 +262,7 @@ def _read_videos(top: Fields) -> tuple[VideoSource, ...]:
 def _video(
     path: Path, number: int, table: Any, calibration: Path, cameras: dict[str, Camera]
 ) -> VideoSource:
-    keys = ("file", "camera", "offset", *_KEYPOINTS)
+    keys = ("file", "camera", "offset", "background", *_KEYPOINTS)
     fields = Fields(path, f"[[video]] number {number}", table, keys)
     name = fields.text("camera")
     return VideoSource(
@@ -268,6 +270,7 @@ def _video(
         camera=pick_camera(calibration, cameras, name),
         path=fields.file("file"),
         offset=fields.number("offset", 0.0),
+        background=fields.file("background") if "background" in fields else None,
         **_keypoints(fields),
     )
 
@@ -309,8 +312,8 @@ def write_recording(
         path: of the .toml file, or a folder, in which it is then called ``recording.toml``.
         markers_file: relative to it, as are all others; None where there are no markers.
         on: marker -> ``bone``, and ``at`` and ``offset`` where they differ from the defaults.
-        videos: ``file``, ``camera``, and ``offset`` and ``keypoints`` (with ``keypoints_model``
-            and ``keypoints_first``) where there are any.
+        videos: ``file``, ``camera``, and ``offset``, ``background`` and ``keypoints`` (with
+            ``keypoints_model`` and ``keypoints_first``) where there are any.
         calibration_file: needed with videos.
         subject: the keys of [subject], or None.
         up: the marker file's axis that points up.

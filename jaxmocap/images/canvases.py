@@ -111,10 +111,11 @@ def attached(phi: np.ndarray, start: np.ndarray) -> np.ndarray:
 
     What else differs from the room are other people, reflections and shadows.
     """
-    count, pieces = cv2.connectedComponents((phi > 0).astype(np.uint8))
+    count, labels = cv2.connectedComponents((phi > 0).astype(np.uint8))
+    pieces = np.asarray(labels, np.intp)
     if count <= 2:
         return phi
-    meant = np.bincount(np.asarray(pieces)[start > 0], minlength=count) > 0
+    meant = np.bincount(pieces[start > 0], minlength=count) > 0
     return np.where((phi > 0) & ~meant[pieces], np.float32(-1), phi)
 
 

@@ -1,6 +1,7 @@
-"""What a camera shows of a room, learned while a person is followed through it.
+"""What a camera shows of a room, by a picture, or learned while a person is followed through it.
 
-INPUTS: frames, and for each where the person is, as level sets on canvases. OUTPUTS: a Background.
+INPUTS: a picture of the empty room; or frames, and for each where the person is, as level sets on
+canvases. OUTPUTS: a Background.
 """
 
 import cv2
@@ -13,6 +14,14 @@ from jaxmocap.images.regions import Region
 
 # Rows at which a room is learned, and cells about the person that count as the person.
 ROWS, AROUND = 720, 4.0
+# Deviation of a frame from a picture of the same room, grey levels: that of two frames.
+PICTURE_NOISE = 4.0
+
+
+def pictured(picture: np.ndarray) -> Background:
+    """The room by one picture (H, W, 3) uint8 without the person."""
+    ones = np.ones(picture.shape[:2], np.float32)
+    return Background(picture.astype(np.float32), PICTURE_NOISE * ones, ones)
 
 
 class RoomLearner:

@@ -17,14 +17,16 @@ from jaxmocap.body.loft import rest_joints
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton, with_joints
+from jaxmocap.capture.empty_rooms import read_empty_room
 from jaxmocap.capture.markers import interpolate
 from jaxmocap.capture.timeline import bundle_frames
 from jaxmocap.capture.video import FrameSource, check_size, open_video
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.recording import Recording
 from jaxmocap.hybrid.search import confidence_of
+from jaxmocap.images.background import Background
 from jaxmocap.images.regions import Region
-from jaxmocap.images.rooms import RoomLearner
+from jaxmocap.images.rooms import RoomLearner, pictured
 from jaxmocap.outputs.report import plain
 from jaxmocap.run.reading import reading
 from jaxmocap.run.recording import marker_sites
@@ -93,7 +95,17 @@ def make_tracker(
     cameras = [source.camera for source in recording.videos]
     skeleton = whole_body(recording.skeleton)
     sites = marker_sites(skeleton, recording.marked().places) if markers else None
-    return SilhouetteTracker(skeleton, cameras, settings, sites=sites)
+    return SilhouetteTracker(skeleton, cameras, settings, rooms=empty_rooms(recording), sites=sites)
+
+
+def empty_rooms(recording: Recording) -> list[Background | None]:
+    """What the recording's pictures of empty rooms show, for each video; None without one."""
+    return [
+        pictured(read_empty_room(source.background, open_video(source).size))
+        if source.background
+        else None
+        for source in recording.videos
+    ]
 
 
 def follow(
@@ -124,12 +136,14 @@ def follow(
     """
     tracker = make_tracker(recording, settings, markers)
     frames, warnings = _open(recording, markers)
+    empty = tracker.rooms
     shape = ShapeFinder(tracker.finder.surface, rest_joints(tracker.skeleton))
     run = _Pass(tracker, frames, shape if passes > 1 else None)
     with progress_bar("tracking", progress) as show:
         for number in range(passes):
             if number:
-                tracker.rooms = [learner.learned() for learner in run.learners]
+                learned = zip(empty, run.learners, strict=True)
+                tracker.rooms = [room or learner.learned() for room, learner in learned]
                 tracker.finder.wear(shape.fitted())
                 run = _Pass(tracker, frames, shape if number + 1 < passes else None)
             run.through(start, _shifted(show, number * run.count, passes * run.count))
