@@ -1,0 +1,168 @@
+"""``python -m bench.modelling RECORDINGS [--json FILE]``: models of four photographs each.
+
+Photographs of people of the independent mesh, of known joints, lengths and girths. What the method
+knows of people's proportions it has from ``man`` and ``woman``, who therefore are not among those
+that count.
+
+INPUTS: the folder of recordings, with ``person/person.npz`` in it. OUTPUTS: a table, and Metrics.
+"""
+
+import argparse
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from bench.metrics import Metric, aligned, write_json
+from jaxmocap.run.silhouette_model import PHOTOGRAPHS, Modelled, model_from
+from jaxmocap.silhouette.modelling.arm_surface import INNER, SLICES
+from jaxmocap.synthetic.anthropometry import Body, measured
+from jaxmocap.synthetic.photographs import standing, write_photographs
+from jaxmocap.synthetic.rigged_mesh import Rig, load_rig
+
+PEOPLE = ("tall_man", "short_woman", "broad_man", "slim_woman")
+# Where the trunk is measured, of the way from the bottom line to the arm pits; and the arms, of
+# each bone.
+TRUNK_AT = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)
+ARMS_AT = {"humerus": (0.375, 0.5, 0.625, 0.75), "radius": (0.125, 0.25, 0.5, 0.75)}
+# Points along each side of a quadrilateral of the mesh, between which distances are told.
+DENSE = 4
+
+
+class Errors(NamedTuple):
+    """What is off, absolute: (N,) arrays.
+
+    Attributes:
+        joints: shoulders, elbows and wrists, metres.
+        lengths: upper arms, forearms, from shoulder to shoulder, metres.
+        sizes: widths and depths of trunk and arms, metres.
+        girths: of trunk and arms, as a share.
+        surface: the trunk's nodes below the arm pits, to the mesh, metres.
+        seconds: from files to the model.
+    """
+
+    joints: np.ndarray
+    lengths: np.ndarray
+    sizes: np.ndarray
+    girths: np.ndarray
+    surface: np.ndarray
+    seconds: np.ndarray
+
+
+def errors(rig: Rig, folder: Path, seed: int = 0) -> Errors:
+    """Photograph a person, make the model and compare."""
+    calibration = write_photographs(folder, rig, seed)
+    files = {name: folder / f"{name}.png" for name in PHOTOGRAPHS}
+    made = model_from(files, calibration, folder / "model")
+    body = Body.of(standing(rig, "front"))
+    sizes, girths = sections(made, body)
+    return Errors(
+        joints(made, rig), lengths(made, body), sizes, girths, surface(made, body),
+        np.array([made.seconds]),
+    )  # fmt: skip
+
+
+def joints(made: Modelled, rig: Rig) -> np.ndarray:
+    """(6,) metres, in the joint view's stance."""
+    truth = Body.of(standing(rig, "joint")).landmarks()
+    found = zip(made.model.bent, "lr", strict=True)
+    names = ("shoulder", "elbow", "wrist")
+    off = [getattr(b, name) - truth[f"{name}_{s}"] for b, s in found for name in names]
+    return np.linalg.norm(off, axis=1)
+
+
+def lengths(made: Modelled, body: Body) -> np.ndarray:
+    """(5,) metres."""
+    at, found = body.landmarks(), made.model.lengths()
+    ends = {"shoulders": ("shoulder_l", "shoulder_r")}
+    for s in "lr":
+        ends |= {f"humerus_{s}": (f"shoulder_{s}", f"elbow_{s}")}
+        ends |= {f"radius_{s}": (f"elbow_{s}", f"wrist_{s}")}
+    return np.abs([found[k] - np.linalg.norm(at[a] - at[b]) for k, (a, b) in ends.items()])
+
+
+def sections(made: Modelled, body: Body) -> tuple[np.ndarray, np.ndarray]:
+    """Widths and depths, metres, and girths, as a share."""
+    trunk, pairs = made.model.trunk, []
+    levels = trunk.rings[:, 0, 2]
+    for share in TRUNK_AT:
+        height = levels[0] + share * (trunk.pits[:, 2].mean() - levels[0])
+        k = int(np.argmin(np.abs(levels - height)))
+        pairs.append((measured(trunk.rings[k][:, [1, 0]]), body.trunk(levels[k])))
+    for arm, side in zip(made.model.arms, "lr", strict=True):
+        for first, (bone, shares) in zip((0, SLICES[0]), ARMS_AT.items(), strict=True):
+            for share in shares:
+                outline = arm[INNER + first + round(share * SLICES[0])][:, [2, 0]]
+                pairs.append((measured(outline), body.arm(bone, side, share)))
+    found, truth = np.array(pairs).swapaxes(0, 1)
+    return np.abs(found - truth)[:, :2].ravel(), np.abs(found / truth - 1)[:, 2]
+
+
+def surface(made: Modelled, body: Body) -> np.ndarray:
+    """(N,) metres from the trunk's nodes below the arm pits to the nearest point of the mesh."""
+    u, v = (a.ravel()[:, None, None] for a in np.meshgrid(*[np.linspace(0, 1, DENSE)] * 2))
+    a, b, c, d = np.moveaxis(body.vertices[body.person.mesh.faces], 1, 0)
+    dense = (1 - u) * ((1 - v) * a + v * d) + u * ((1 - v) * b + v * c)
+    trunk = made.model.trunk
+    nodes = trunk.rings[trunk.rings[:, 0, 2] < trunk.pits[:, 2].min()].reshape(-1, 3)
+    return np.asarray(KDTree(dense.reshape(-1, 3)).query(nodes)[0])
+
+
+def text(rows: dict[str, Errors]) -> str:
+    """The table: mean and largest, centimetres and per cent."""
+    head = [
+        "",
+        "joints cm",
+        "lengths cm",
+        "widths, depths cm",
+        "girths %",
+        "trunk's surface cm",
+        "s",
+    ]
+    cells = [head]
+    for name, row in rows.items():
+        told = [f"{100 * e.mean():.1f} ({100 * e.max():.1f})" for e in row[:5]]
+        cells.append([name, *told, f"{row.seconds.mean():.1f}"])
+    return aligned(cells)
+
+
+def together(rows: Sequence[Errors]) -> Errors:
+    """Of several people."""
+    return Errors(*(np.concatenate(parts) for parts in zip(*rows, strict=True)))
+
+
+def metrics(every: Errors) -> list[Metric]:
+    """Means and largest of everybody."""
+    found = []
+    for name, off in zip(Errors._fields[:5], every, strict=False):
+        unit, factor = ("%", 100) if name == "girths" else ("cm", 100)
+        found.append(Metric(f"model {name} mean", float(factor * off.mean()), unit))
+        found.append(Metric(f"model {name} largest", float(factor * off.max()), unit))
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Parse, measure, print."""
+    whole = argparse.ArgumentParser(prog="python -m bench.modelling", description=__doc__)
+    whole.add_argument("recordings", metavar="RECORDINGS")
+    whole.add_argument("--people", default=",".join(PEOPLE), help="default: %(default)s")
+    whole.add_argument("--seed", type=int, default=0, help="of backdrops and noise")
+    whole.add_argument("--keep", metavar="DIR", help="keep photographs here")
+    whole.add_argument("--json", metavar="FILE", help="write the metrics")
+    options = whole.parse_args(arguments)
+    people, rows = Path(options.recordings) / "person" / "person.npz", {}
+    with tempfile.TemporaryDirectory() as scratch:
+        for who in options.people.split(","):
+            folder = Path(options.keep or scratch) / who
+            rows[who] = errors(load_rig(people, who), folder, options.seed)
+    every = together(list(rows.values()))
+    print(text(rows | {"all": every}))
+    if options.json:
+        write_json(metrics(every), options.json)
+
+
+if __name__ == "__main__":
+    main()
