@@ -21,6 +21,8 @@ EMPTY = np.int32(2**31 - 1)
 # The tangent is taken between the cells so many to either side along the boundary.
 TANGENT = 3
 SQUARE = np.ones((3, 3), np.uint8)
+# Cells that windows of five and of twice three reach to either side.
+REACH = 3
 
 
 class Boundary(NamedTuple):
@@ -139,39 +141,57 @@ def inner_boundary(
         parts: (M,) whose boundaries with one another alone count: where one and the same is seen
             at a glancing angle it recedes as fast. All without it.
     """
-    nodes = nodes_at(keys)
+    there = keys != EMPTY
+    if not there.any():
+        return Boundary(np.zeros((0, 2), int), np.zeros(0, int), np.zeros((0, 2)))
+    # The body is narrower than the canvas.
+    box = tuple(_extent(there.any(axis)) for axis in (1, 0))
+    nodes = nodes_at(keys[box])
     depth = np.where(nodes >= 0, depths[nodes], np.float32(np.inf)).astype(np.float32)
     # Single cells through which the far side shows take the depth of those about them.
     depth = cv2.morphologyEx(depth, cv2.MORPH_OPEN, SQUARE)
-    x, y = _steps_back(depth, jump, 1), _steps_back(depth, jump, 0)
+    seen = np.isfinite(depth)
     if parts is not None:
         part = np.where(nodes >= 0, parts[nodes] + 1, 0).astype(np.uint8)
         least = cv2.erode(np.where(nodes >= 0, part, np.uint8(255)), SQUARE)
-        same = least == cv2.dilate(part, SQUARE)
-        x[same], y[same] = 0, 0
+        seen &= least != cv2.dilate(part, SQUARE)
+    x, y = _steps_back(depth, jump, *np.nonzero(seen))
     rows, columns = np.nonzero(((x != 0) | (y != 0)) & (nodes >= 0))
     # Cells have but eight directions: those about them tell it better.
-    x, y = (cv2.blur(part.astype(np.float32), (5, 5)) for part in (x, y))
+    x, y = (cv2.blur(steps, (5, 5)) for steps in (x, y))
     ways = np.stack([x[rows, columns], y[rows, columns]], 1).astype(float)
     lengths = np.linalg.norm(ways, axis=1, keepdims=True)
     kept = lengths[:, 0] > 1e-3
     rows, columns, ways = rows[kept], columns[kept], ways[kept] / lengths[kept]
-    return Boundary(np.stack([columns, rows], 1), nodes[rows, columns], ways)
+    cells = np.stack([columns + box[1].start, rows + box[0].start], 1)
+    return Boundary(cells, nodes[rows, columns], ways)
 
 
-def _steps_back(depth: np.ndarray, jump: float, axis: int) -> np.ndarray:
-    """(S, S) int8: 1 where the next cell along the axis lies farther back, -1 where the last does.
+def _extent(there: np.ndarray) -> slice:
+    """Where a row of cells is not empty, with what the windows about a cell reach besides."""
+    filled = np.flatnonzero(there)
+    return slice(max(int(filled[0]) - REACH, 0), int(filled[-1]) + REACH + 1)
 
-    Beside nothing there is no step: that is the outline.
+
+def _steps_back(
+    depth: np.ndarray, jump: float, rows: np.ndarray, columns: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Steps of some cells along x and along y, (S, S) float32.
+
+    1 where the next cell lies farther back, -1 where the last one does, 0 where both do. Beside
+    nothing there is no step: that is the outline.
     """
-    before, after = (depth[:, :-1], depth[:, 1:]) if axis else (depth[:-1], depth[1:])
-    both = np.isfinite(before) & np.isfinite(after)
-    rise = np.subtract(after, before, out=np.zeros_like(before), where=both)
-    steps = np.zeros(depth.shape, np.int8)
-    first, second = (steps[:, :-1], steps[:, 1:]) if axis else (steps[:-1], steps[1:])
-    first += rise > jump
-    second -= (rise < -jump).astype(np.int8)
-    return steps
+    wide = np.pad(depth, 1, constant_values=np.inf)
+    here = depth[rows, columns] + np.float32(jump)
+
+    def farther(down: int, right: int) -> np.ndarray:
+        there = wide[rows + 1 + down, columns + 1 + right]
+        return (np.isfinite(there) & (there > here)).astype(np.float32)
+
+    x, y = np.zeros_like(depth), np.zeros_like(depth)
+    x[rows, columns] = farther(0, 1) - farther(0, -1)
+    y[rows, columns] = farther(1, 0) - farther(-1, 0)
+    return x, y
 
 
 def thinned(parts: tuple[np.ndarray, ...], count: int) -> tuple[np.ndarray, ...]:

@@ -57,12 +57,12 @@ def _of_camera(
     if image is not None and real.any():
         reach = settings.reach * float(rim.region.scale[camera])
         offsets = np.linspace(-reach, reach, 2 * settings.samples + 1)
+        profiles = colour_profiles(image, pixels, normals, offsets)
         for bone in np.unique(bones[nodes[real]]):
             one = np.flatnonzero(real & (bones[nodes] == bone))
             if len(one) < settings.fewest:
                 continue
-            profiles = colour_profiles(image, pixels[one], normals[one], offsets)
-            place, apart = boundary(profiles)
+            place, apart = boundary(profiles[one])
             if apart > settings.clear:
                 offset[one] = np.interp(place, np.arange(len(offsets)), offsets)
     found = np.isfinite(offset)

@@ -196,9 +196,9 @@ class RimFinder:
 
 
 def limbs_of(surface: Surface) -> np.ndarray:
-    """(M,) number of every node's limb; a foot and its leg are one."""
+    """(M,) uint8 number of every node's limb; a foot and its leg are one."""
     names = [patch.name.replace("foot", "leg") for patch in surface.patches]
-    return np.array([names.index(name) for name in names])[surface.patch_of()]
+    return np.array([names.index(name) for name in names], np.uint8)[surface.patch_of()]
 
 
 def neighbours(surface: Surface) -> np.ndarray:
