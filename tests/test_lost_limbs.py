@@ -38,7 +38,7 @@ def lifted(degrees: float):
 @pytest.fixture(scope="module")
 def tracker() -> SilhouetteTracker:
     made = SilhouetteTracker(BODY, ring(4), SMALL)
-    made.plan = Plan(room=False, stages=(Stage(10, 2.0, gap=1.0),))
+    made.plan = Plan(room=False, stages=(Stage(10, 2.0, 2.0, gap=1.0),))
     width, height = np.asarray(made.cameras.size[0], int)
     flat, plain = np.ones((height, width), np.float32), np.ones((height, width, 3), np.float32)
     made.rooms = 4 * [Background(plain * np.float32(WALL), 5 * flat, flat)]
@@ -101,18 +101,18 @@ def test_torn_black_and_exchanged_frames_are_passed_over_until_patience_ends():
 def test_a_box_before_a_part_is_told_by_its_hue_and_shade_is_not():
     image = np.full((40, 60, 3), (60, 90, 140), np.uint8)
     rows, columns = np.mgrid[10:20, 10:20]
-    pixels = np.stack([columns.ravel(), rows.ravel()], 1)[None].repeat(2, 0)
+    pixels = np.stack([columns.ravel(), rows.ravel()], 1)[None].repeat(3, 0)
     parts = np.ones((1, 100), bool)
-    looks = Appearance.none(1, 2)
+    looks = Appearance.none(1, 3)
     for frame in range(YOUNG):
         darker = np.uint8(image * (1 - 0.1 * frame))
-        other, looks = looks.judged([darker, darker], pixels, parts)
+        other, looks = looks.judged(3 * [darker], pixels, parts)
         assert not other.any()
     box = image.copy()
     box[8:22, 8:22] = 200
-    assert not looks.judged([image, image], pixels, parts)[0].any()
-    # One of two cameras is not enough.
-    assert not looks.judged([box, image], pixels, parts)[0].any()
-    hidden, after = looks.judged([box, box], pixels, parts)
-    assert hidden.all() and (after.mean == looks.mean).all()
-    assert not looks.judged([None, None], pixels, parts)[0].any()
+    assert not looks.judged(3 * [image], pixels, parts)[0].any()
+    # One of three cameras is not enough.
+    assert not looks.judged([box, image, image], pixels, parts)[0].any()
+    hidden, after = looks.judged([box, box, image], pixels, parts)
+    assert hidden.all() and (after.mean[:, :2] == looks.mean[:, :2]).all()
+    assert not looks.judged(3 * [None], pixels, parts)[0].any()

@@ -1,8 +1,8 @@
 """What parts of the body look like: is that still a forearm, or something before it?
 
 A level set takes a box before an arm for the arm; but for its colour. Each camera's mean hue of
-each part is remembered, and how much it varies; a part that most cameras show in another hue is not
-seen. Brightness, which changes with every turn of an arm, tells nothing.
+each part is remembered, and how much it varies; a part that half of the cameras show in another hue
+is not seen. Brightness, which changes with every turn of an arm, tells nothing.
 
 INPUTS: images, the pixels of points on parts of the body. OUTPUTS: which parts look otherwise.
 """
@@ -59,9 +59,9 @@ class Appearance(NamedTuple):
         off = np.where(there, np.abs(seen - self.mean).max(-1), 0.0)
         known = there & (self.age >= YOUNG)
         strange = known & (off > SHARE + DEVIATIONS * np.sqrt(self.variance))
-        other = 2 * strange.sum(1) > known.sum(1)
+        other = strange.any(1) & (2 * strange.sum(1) >= known.sum(1))
         lasting = np.where(other, self.other + 1, 0)
-        learn = there & (~other | (lasting > LONGEST))[:, None]
+        learn = there & (~strange | (lasting > LONGEST)[:, None])
         weight = np.where(learn, np.maximum(NEWEST, 1 / (self.age + 1)), 0.0)
         step = np.where(there[..., None], seen - self.mean, 0.0)
         mean = self.mean + weight[..., None] * step

@@ -24,13 +24,13 @@ from jaxmocap.silhouette.hypotheses import Evidence, Limb, SearchSettings
 from jaxmocap.silhouette.looking import Outlines
 
 # Of the surface's nodes one in so many says what the body covers, with so many cells about it.
-NODES, AROUND = 4, 1
+NODES, AROUND = 8, 1
 # The canvas that limbs are looked for on: cells, and how many times as wide as the segmentation's.
 CELLS, WIDER = 96, 1.5
 # A limb is in doubt where within its reach (by its length) person is unexplained by this share of
 # its own size, whose cells are so much likelier person than not; and a better place must explain so
 # much more.
-REACH, UNEXPLAINED, SURELY, BETTER = 1.6, 0.15, 1.5, 0.2
+REACH, UNEXPLAINED, SURELY, BETTER = 1.6, 0.08, 1.5, 0.15
 # Log-ratio of what surely is no room, beyond the segmentation.
 MOST = 2.0
 # Half of a limb in the right place is a beginning: the other half's log-ratios count so little.
@@ -38,7 +38,7 @@ LENIENT = 0.7
 # A part is denied where its cells are likelier not person.
 DENIED = 0.0
 # Frames to wait after a search that found nothing, at most; twice as long each time.
-LONGEST = 4
+LONGEST = 2
 _explained = jax.jit(hypotheses.explained)
 _likenesses = jax.jit(
     jax.vmap(hypotheses.likeness, (None, None, None, Limb(0, None, 0), None))  # type: ignore[arg-type]
@@ -119,6 +119,13 @@ class Doubter:
         self.joints = np.array([np.isin(moved, each) for each in bones])
         self.nodes = np.array([np.isin(carrier, each) for each in bones])
         self._points = BodyPoints(*(np.asarray(part)[::NODES] for part in surface.points))
+        self._depths = np.asarray(cameras.T_cam_world)[:, 2]
+        self._focals = np.asarray(cameras.matrix)[:, 0, 0]
+        lengths = np.asarray(skeleton.lengths)
+        self._reaches = np.array([REACH * lengths[limb.bones].sum() for limb in self.limbs])
+        self._sizes = np.array(
+            [2 * (limb.radii * lengths[limb.bones]).sum() for limb in self.limbs]
+        )
 
     def none(self) -> Doubts:
         """Before the first frame."""
@@ -239,26 +246,26 @@ class Doubter:
         """(L,) how much person nothing explains within each limb's reach, by the limb's size."""
         every = np.ones(sight.pixels.shape[1], bool)
         left = (sight.ratios > SURELY) & ~_covered(sight, every)
-        lengths, area, size = np.asarray(self.skeleton.lengths), 0.0, 1e-9
-        found = np.zeros((2, len(self.limbs)))
+        area, size = np.zeros((2, len(self.limbs)))
         for camera in np.flatnonzero(sight.used):
             region, metre = sight.regions[camera], self._cells_to_a_metre(camera, sight)
             rows, columns = np.nonzero(left[camera])
-            for number, limb in enumerate(self.limbs):
+            size += self._sizes * metre**2
+            if not len(rows):
+                continue
+            for number in range(len(self.limbs)):
                 middle = sight.pixels[camera, self._on(number)].mean(0)
                 x, y = (middle - region.origin) / region.scale
-                reach = REACH * metre * lengths[limb.bones].sum()
-                area = np.sum(np.hypot(columns - x, rows - y) < reach)
-                size = np.sum(2 * limb.radii * lengths[limb.bones]) * metre**2
-                found[:, number] += area, size
-        return found[0] / np.maximum(found[1], 1.0)
+                area[number] += np.sum(
+                    np.hypot(columns - x, rows - y) < metre * self._reaches[number]
+                )
+        return area / np.maximum(size, 1.0)
 
     def _cells_to_a_metre(self, camera: np.intp, sight: Sight) -> float:
         """At the pelvis' depth."""
-        T = np.asarray(self.cameras.T_cam_world)[camera]
-        depth = T[2, :3] @ np.asarray(sight.pose.position) + T[2, 3]
-        focal = np.asarray(self.cameras.matrix)[camera, 0, 0]
-        return float(focal / max(depth, 0.3) / sight.regions[camera].scale)
+        ahead = self._depths[camera]
+        depth = ahead[:3] @ np.asarray(sight.pose.position) + ahead[3]
+        return float(self._focals[camera] / max(depth, 0.3) / sight.regions[camera].scale)
 
 
 def _covered(sight: Sight, points: np.ndarray) -> np.ndarray:
