@@ -17,6 +17,8 @@ import numpy as np
 
 # Samples: this share of width and height at the left, right and upper side; every so many pixels.
 BORDER, STRIDE = 0.06, 2
+# Which term of the surface is x y.
+XY = 4
 # Noise is judged on images blurred by so many pixels.
 BLUR_PX = 0.8
 # At least so many of the samples must lie within so many deviations of the smooth surface, and
@@ -95,17 +97,22 @@ def smooth_surface(image: np.ndarray, samples: np.ndarray) -> np.ndarray:
     colours = image[::STRIDE, ::STRIDE][rows, columns]
     weights, fit = np.ones(len(colours)), np.zeros((basis.shape[1], 3))
     for _ in range(8):
-        root = np.sqrt(weights)[:, None]
-        fit = np.linalg.lstsq(basis * root, colours * root, rcond=None)[0]
+        weighted = basis * weights[:, None]
+        fit = np.linalg.solve(basis.T @ weighted, weighted.T @ colours)
         off = np.linalg.norm(colours - basis @ fit, axis=1)
         # Those far off count ever less: a hand may reach into the border.
         weights = 1 / (1 + (off / (2 * np.median(off) + 0.5)) ** 4)
-    y, x = np.mgrid[0:height, 0:width]
-    surface = _quadratic(x.ravel() / width, y.ravel() / height).astype(np.float32)
-    return np.maximum(surface @ fit.astype(np.float32), 4.0).reshape(image.shape)
+    x, y = np.arange(width, dtype=np.float32) / width, np.arange(height, dtype=np.float32) / height
+    # Terms of x alone, of y alone, and x y: one row and one column make the whole image.
+    across, down = _quadratic(x, np.full_like(x, 0.5)), _quadratic(np.full_like(y, 0.5), y)
+    fit = fit.astype(np.float32)
+    surface = (across @ fit)[None] + (down @ fit)[:, None] - fit[0]
+    surface += ((2 * y - 1)[:, None] * (2 * x - 1))[..., None] * fit[XY]
+    return np.maximum(surface, 4.0)
 
 
 def _quadratic(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """(N, 6) terms of a quadratic surface; x and y are 0 to 1, and 0.5 leaves out theirs."""
     x, y = 2 * x - 1, 2 * y - 1
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], -1)
 
