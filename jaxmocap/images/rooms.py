@@ -13,7 +13,7 @@ from jaxmocap.images.foreground import shrink
 from jaxmocap.images.regions import Region
 
 # Rows at which a room is learned, and cells about the person that count as the person.
-ROWS, AROUND = 720, 4.0
+ROWS, AROUND = 720, 2.0
 # Deviation of a frame from a picture of the same room, grey levels: that of two frames.
 PICTURE_NOISE = 4.0
 

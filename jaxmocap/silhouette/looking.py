@@ -96,7 +96,7 @@ def _sharpened(
         image, now, view = images[camera], phi[camera], views[camera]
         if image is None or not (now > 0).any():
             return now
-        return sharpened(image, now, view, rooms[camera]).phi(view, len(now))
+        return attached(sharpened(image, now, view, rooms[camera]).phi(view, len(now)), now)
 
     return np.stack(list(_THREADS.map(one, range(len(phi)))))
 
