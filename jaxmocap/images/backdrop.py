@@ -21,9 +21,9 @@ BORDER, STRIDE = 0.06, 2
 XY = 4
 # Noise is judged on images blurred by so many pixels.
 BLUR_PX = 0.8
-# At least so many of the samples must lie within so many deviations of the smooth surface, and
-# these may deviate by so much of the colour itself.
-LEAST_LIKE, FAR, MOST_UNEVEN = 0.93, 3.5, 0.06
+# At least so many of the samples must lie within so many deviations of the smooth surface; these
+# are taken for at least and at most so much of the colour.
+LEAST_LIKE, FAR, LEAST_UNEVEN, MOST_UNEVEN = 0.93, 3.5, 0.01, 0.03
 # A threshold is so many times what the samples reach, but at least so much of the colour.
 MARGIN, LEAST_CHROMA, LEAST_DARKER, SHADOW = 1.3, 0.045, 0.12, 0.42
 # The person covers at least and at most so much of the image.
@@ -135,15 +135,14 @@ def thresholds(
     """
     off, left = np.abs(different.brightness - 1), different.chromaticity
     # Either is about one deviation of what most samples do.
-    spread = np.array([1.48 * np.median(v[samples]) for v in (off, left)])
-    odd = (off > FAR * max(spread[0], 0.01)) | (left > FAR * max(spread[1], 0.008))
+    spread = [1.48 * float(np.median(v[samples])) for v in (off, left)]
+    near_off, near_left = np.clip(spread, LEAST_UNEVEN, MOST_UNEVEN)
+    odd = (off > FAR * near_off) | (left > FAR * near_left)
     like = 1 - np.mean(odd[samples])
-    if like < LEAST_LIKE or spread.max() > MOST_UNEVEN:
+    if like < LEAST_LIKE:
         raise PhotographError(
-            f"the background is not uniform: of its samples at the image's sides and top "
-            f"{100 * like:.0f} % follow one smooth colour, expected at least "
-            f"{100 * LEAST_LIKE:.0f} %, and these vary by {100 * spread.max():.1f} %, expected at "
-            f"most {100 * MOST_UNEVEN:.0f} %",
+            f"the background is not uniform: {100 * like:.0f} % of its samples at the image's "
+            f"sides and top follow one smooth colour, expected at least {100 * LEAST_LIKE:.0f} %",
             _marked(photograph, samples & odd, samples),
         )
     usual = samples & ~odd
