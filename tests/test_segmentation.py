@@ -339,6 +339,8 @@ def test_a_rendered_person_before_clutter_is_found_from_a_pose_that_is_off(recor
     phi = np.stack([signed_distance(m, r, 192) for m, r in zip(starts, regions, strict=True)])
     found = segmented(Seen(*canvases), phi, Plan())
     for view, truth in enumerate(truths):
-        mask = full_mask(np.asarray(found.phi[view]), regions[view], truth.shape)
-        assert overlap(starts[view], truth) < 0.85
-        assert overlap(mask, truth) > 0.9
+        region, level_set = regions[view], np.asarray(found.phi[view])
+        cells = overlap(full_mask(level_set, region, truth.shape), truth)
+        sharp = sharpened(frames[view], level_set, region, rooms[view]).full(truth.shape)
+        assert overlap(starts[view], truth) < 0.85 and cells > 0.88
+        assert overlap(sharp, truth) > max(0.94, cells + 0.01)
