@@ -23,7 +23,7 @@ from jaxmocap.silhouette import densities
 from jaxmocap.silhouette.level_set import BAND, Motion, coarser, evolve, finer, heaviside
 
 # A cell is the room's as far as this is likelier than such a density, per cubic grey level.
-ANYTHING = 1e-5
+ANYTHING = 1e-6
 # Width of H where it weighs pixels of the two regions, cells.
 SOFT = 1.5
 LEAST = 1e-30
