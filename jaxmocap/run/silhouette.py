@@ -113,7 +113,7 @@ def follow(
     start: Pose,
     settings: Settings | None = None,
     *,
-    passes: int = 2,
+    passes: int = 3,
     markers: bool = False,
     progress: Progress | bool | None = None,
 ) -> Followed:
@@ -123,8 +123,8 @@ def follow(
         recording: with one or several videos.
         start: where the person is in the first frames, a pose of ``whole_body``.
         settings: of the tracker.
-        passes: 2 learns the rooms and the person's shape first; 1 knows nothing of them; 3 learns
-            the shape once more, where the rooms are known.
+        passes: 1 knows nothing of the rooms and of the person's shape; 2 learns both first; 3
+            learns them once more, the shape where the rooms are known.
         markers: follow them too; without it they are not looked at.
         progress: called with the frames done and their total; True shows a bar on stderr.
 

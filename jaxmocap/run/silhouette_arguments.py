@@ -30,8 +30,8 @@ def add_silhouette_track(parser: argparse.ArgumentParser) -> None:
         dest="passes",
         action="store_const",
         const=1,
-        default=2,
-        help="one pass, without knowing the rooms; default: a first pass learns them",
+        default=3,
+        help="one pass, without knowing rooms and girths; default: two passes learn them",
     )
     parser.add_argument("--markers", action="store_true", help="follow the recording's markers too")
 
