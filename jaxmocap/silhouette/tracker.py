@@ -5,7 +5,7 @@
     look      level sets from the predicted silhouettes, their contours (4.1)
     fit       rim -> contour, twist equations of all cameras in one system (3.2); again with the
               rim of the pose that was found, and a narrower view of what is an outlier
-    doubt     person that the pose does not explain: many hypotheses of a limb, the best fitted again;
+    doubt     person that no limb explains: many hypotheses of a limb, the best is fitted again;
               parts that look otherwise than before are not seen
 
 Cameras that show nothing of the person, or what the others deny, are left out frame by frame;
