@@ -58,10 +58,10 @@ class Settings:
     sharpen: bool = True
     points: int = 512
     contrast: float = 0.1
-    deviations: tuple[float, ...] = (0.04, 0.02, 0.008)
+    deviations: tuple[float, ...] = (0.03, 0.008)
     looks: tuple[int, ...] = (0,)
     edges: EdgeSettings = field(default_factory=EdgeSettings)
-    iterations: int = 3
+    iterations: int = 4
     expected: float = 0.08
     held: float = 0.02
     held_at_rest: tuple[tuple[str, float], ...] = (
