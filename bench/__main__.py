@@ -12,14 +12,12 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from bench.command_line import command
+
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    whole = argparse.ArgumentParser(
-        prog="python -m bench",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    whole = command("bench", __doc__)
     add = whole.add_argument
     add("--quick", action="store_true", help="less than a minute: what the gate needs")
     add("--json", metavar="FILE", help="write the metrics")

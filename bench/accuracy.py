@@ -20,6 +20,7 @@ from typing import get_args, get_type_hints
 import numpy as np
 
 from bench.clips import WRITERS, Clip, real, synthetic
+from bench.command_line import command, numbers, seeds
 from bench.criteria import covered, criteria, pool, table
 from bench.judging import Result, judge
 from bench.metrics import Metric, aligned, write_json
@@ -137,20 +138,6 @@ def chosen_clips(options: argparse.Namespace, keep: Path) -> dict[str, list[Clip
     return groups
 
 
-def seeds(text: str) -> list[int]:
-    """Such as ``0-9`` or ``3`` or ``0,4-6``."""
-    found: list[int] = []
-    for part in text.split(","):
-        first, _, last = part.partition("-")
-        found += range(int(first), int(last or first) + 1)
-    return found
-
-
-def numbers(text: str) -> list[float]:
-    """Such as ``0,-60,60``."""
-    return [float(part) for part in text.split(",")]
-
-
 def kinds(text: str) -> list[str]:
     """Such as ``real,tennis``."""
     found = text.split(",")
@@ -161,11 +148,7 @@ def kinds(text: str) -> list[str]:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    whole = argparse.ArgumentParser(
-        prog="python -m bench.accuracy",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    whole = command("bench.accuracy", __doc__)
     add = whole.add_argument
     add("recordings", nargs="?", help="folder of the real recordings")
     add(

@@ -22,8 +22,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from bench.accuracy import seeds
 from bench.clips import Clip, real, synthetic
+from bench.command_line import command, seeds
 from bench.flattening import flattened
 from bench.metrics import Metric, aligned, write_json
 from jaxmocap.body.motion import Motion
@@ -238,11 +238,7 @@ def measure_all(
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    whole = argparse.ArgumentParser(
-        prog="python -m bench.evidence",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    whole = command("bench.evidence", __doc__)
     add = whole.add_argument
     add("recordings", nargs="?", help="folder of the real recordings")
     add("--seeds", type=seeds, default=seeds("0-2"), metavar="0-2", help="of table tennis")

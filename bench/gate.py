@@ -12,7 +12,6 @@ INPUTS: Metrics of a run; ``baseline.json``, which has ``quick`` and ``full`` li
 OUTPUTS: sentences on what is worse.
 """
 
-import argparse
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, replace
@@ -21,6 +20,7 @@ from typing import Literal
 
 import numpy as np
 
+from bench.command_line import command
 from bench.metrics import Metric, aligned, read_json
 
 BASELINE = Path(__file__).with_name("baseline.json")
@@ -96,11 +96,7 @@ def write_baseline(mode: Mode, metrics: Iterable[Metric], path: Path = BASELINE)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(
-        prog="python -m bench.gate",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command("bench.gate", __doc__)
     parser.add_argument("runs", nargs="+", metavar="RUN.json")
     parser.add_argument("--mode", choices=("quick", "full"), required=True)
     parser.add_argument("--write", action="store_true", help="medians to the baseline")

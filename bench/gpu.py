@@ -10,7 +10,6 @@ find is held against each other and, for kinematics, against float64.
 INPUTS: what JAX finds. OUTPUTS: one table, and Metrics.
 """
 
-import argparse
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -22,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bench.clock import interleaved
+from bench.command_line import command
 from bench.footage import Footage, film
 from bench.metrics import Metric, table, write_json
 from bench.rival_kinematics import random_poses
@@ -181,11 +181,7 @@ def against_float64() -> Iterator[Metric]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        prog="python -m bench.gpu",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command("bench.gpu", __doc__)
     parser.add_argument("--json", metavar="FILE", help="write the metrics")
     parser.add_argument("--most", type=int, default=BATCHES[-1], help="the largest batch")
     options = parser.parse_args()

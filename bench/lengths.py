@@ -7,7 +7,6 @@ recording is tracked with the body as stated, as found and as it is.
 INPUTS: seeds. OUTPUTS: a table, and Metrics.
 """
 
-import argparse
 import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,8 +16,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from bench.accuracy import seeds
 from bench.clips import ELBOWS
+from bench.command_line import command, seeds
 from bench.metrics import Metric, aligned, write_json
 from jaxmocap.body.proportions import LENGTHS, scaled
 from jaxmocap.body.skeleton import Skeleton
@@ -125,7 +124,7 @@ def metrics(people: dict[int, Found]) -> Iterator[Metric]:
 
 def main() -> None:
     """Parse, measure, print."""
-    parser = argparse.ArgumentParser(prog="python -m bench.lengths", description=__doc__)
+    parser = command("bench.lengths", __doc__)
     parser.add_argument("--seeds", type=seeds, default=range(3), help="people; default: 0-2")
     parser.add_argument("--keep", metavar="DIR", help="where rendered recordings stay")
     parser.add_argument("--json", metavar="FILE", help="write the metrics")

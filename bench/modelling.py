@@ -7,7 +7,6 @@ that count.
 INPUTS: the folder of recordings, with ``person/person.npz`` in it. OUTPUTS: a table, and Metrics.
 """
 
-import argparse
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
+from bench.command_line import command
 from bench.metrics import Metric, aligned, write_json
 from jaxmocap.run.silhouette_model import PHOTOGRAPHS, Modelled, model_from
 from jaxmocap.silhouette.modelling.arm_surface import INNER, SLICES
@@ -146,7 +146,7 @@ def metrics(every: Errors) -> list[Metric]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Parse, measure, print."""
-    whole = argparse.ArgumentParser(prog="python -m bench.modelling", description=__doc__)
+    whole = command("bench.modelling", __doc__)
     whole.add_argument("recordings", metavar="RECORDINGS")
     whole.add_argument("--people", default=",".join(PEOPLE), help="default: %(default)s")
     whole.add_argument("--seed", type=int, default=0, help="of backdrops and noise")

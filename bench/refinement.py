@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bench.command_line import command
 from bench.metrics import aligned
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
@@ -262,11 +263,7 @@ def compare(tracker: HybridTracker, given: list[Frame], budget: float) -> str:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    whole = argparse.ArgumentParser(
-        prog="python -m bench.refinement",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    whole = command("bench.refinement", __doc__)
     whole.add_argument("recordings", nargs="+", metavar="RECORDING.toml")
     whole.add_argument("--every", type=int, default=1, help="one frame in so many")
     whole.add_argument("--budget", type=float, default=1.5, help="milliseconds that each may take")

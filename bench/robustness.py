@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bench.command_line import command
 from bench.metrics import Metric, aligned, write_json
 from bench.silhouette_faults import FAULTS, Faulty, Span, Truth, in_memory
 from jaxmocap.body.motion import Motion
@@ -189,10 +190,9 @@ def unseen(span: Span) -> set[str]:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    whole = argparse.ArgumentParser(
-        prog="python -m bench.robustness",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    whole = command(
+        "bench.robustness",
+        __doc__,
         epilog="example: python -m bench.robustness demo/recording --only 'a limb hidden'",
     )
     add = whole.add_argument

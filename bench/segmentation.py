@@ -19,8 +19,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from bench.accuracy import seeds
 from bench.clips import Clip, exercises
+from bench.command_line import add_rendered, command
 from bench.metrics import Metric, aligned, write_json
 from jaxmocap.capture.video import open_video
 from jaxmocap.formats.recording import Recording
@@ -274,20 +274,12 @@ def metrics(rows: dict[str, list[Scored]]) -> Iterator[Metric]:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    whole = argparse.ArgumentParser(
-        prog="python -m bench.segmentation",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    whole = command("bench.segmentation", __doc__)
     add = whole.add_argument
     add("recordings", help="folder with person/person.npz")
     add("--exercises", default=",".join(EXERCISES), metavar="A,B", help="default: %(default)s")
     add("--quick", action="store_true", help="two exercises of a second each")
-    add("--seeds", type=seeds, default=seeds("0"), metavar="0-2", help="default: 0")
-    add("--people", default="man", metavar="WHO,...", help="of person.npz; default: %(default)s")
-    add("--seconds", type=float, default=3.0, help="of a rendered recording; default: %(default)s")
-    add("--keep", metavar="DIR", help="keep rendered recordings here, rendered once")
-    add("--json", metavar="FILE", help="write the metrics")
+    add_rendered(whole)
     return whole
 
 

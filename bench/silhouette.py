@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.accuracy import seeds
 from bench.clips import REAL_LANDMARKS, Clip, exercises
+from bench.command_line import add_rendered, command
 from bench.metrics import Metric, aligned, stage_metrics, table, write_json
 from bench.stages import STAGES, WHOLE, stages_timed
 from jaxmocap.body.pose import Pose
@@ -208,11 +208,7 @@ def counts(text: str) -> list[int]:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    whole = argparse.ArgumentParser(
-        prog="python -m bench.silhouette",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    whole = command("bench.silhouette", __doc__)
     add = whole.add_argument
     add("recordings", nargs="?", help="folder of the real recording and of the rigged meshes")
     known = (*EXERCISES, REAL)
@@ -220,11 +216,7 @@ def parser() -> argparse.ArgumentParser:
         "--only", type=kinds, default=list(known), metavar="NAME,...", help=f"of {', '.join(known)}"
     )
     add("--cameras", type=counts, default=counts("4,3,2,1"), metavar="4,3,...", help="how many")
-    add("--seeds", type=seeds, default=seeds("0"), metavar="0-2", help="of each exercise")
-    add("--people", default="man", metavar="WHO,...", help="of person.npz; default: %(default)s")
-    add("--seconds", type=float, default=3.0, help="of a rendered recording; default: %(default)s")
-    add("--keep", metavar="DIR", help="keep rendered recordings here, rendered once")
-    add("--json", metavar="FILE", help="write the metrics")
+    add_rendered(whole)
     return whole
 
 

@@ -6,11 +6,10 @@ is what was aimed at.
 INPUTS: what ``python -m bench --json`` wrote. OUTPUTS: a picture.
 """
 
-import argparse
-
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
+from bench.command_line import command
 from bench.metrics import read_json
 
 # Stage -> what it is called in the picture, from the ground up.
@@ -59,11 +58,7 @@ def draw(axes: Axes, bars: dict[str, dict[str, float]]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        prog="python -m bench.where",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command("bench.where", __doc__)
     parser.add_argument("found", help="JSON of python -m bench")
     parser.add_argument("--out", required=True, help="picture to write")
     options = parser.parse_args()
