@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.synthetic.figure import middle_joint
+from jaxmocap.synthetic.girdle import Girdle
 from jaxmocap.synthetic.rigged_mesh import RiggedMesh, basis, between, turn, unit
 from jaxmocap.synthetic.splines import Spline
 from jaxmocap.synthetic.stances import Curves, Stance
@@ -41,12 +42,14 @@ class Exerciser(RiggedMesh):
         hands: (2, 3) where left and right wrist are planted, world, metres; None: nowhere.
         error: (28,) off the stances' channels, which leaves the place that stances and floor give.
         shift: (3,) off that place, metres.
+        girdle: how far the shoulders go with raised arms; None: they stay on the chest.
     """
 
     curves: Spline
     hands: np.ndarray | None = None
     error: np.ndarray | None = None
     shift: np.ndarray | None = None
+    girdle: Girdle | None = None
 
     def rig(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Turns (T, J, 3, 3) from rest, and positions (T, J, 3), of the joints."""
@@ -102,7 +105,11 @@ class Exerciser(RiggedMesh):
         R = chest @ AHEAD.T @ _ball(upper, out)
         straight, hinge = np.array([0.0, 0.0, -1.0]), np.array([0.0, -1.0, 0.0])
         lower = Rotation.from_euler("Y", -elbow, degrees=True).as_matrix() @ straight
-        return self._arm_along(side, R @ straight, np.einsum("tij,tj->ti", R, lower), R @ hinge)
+        along = self._arm_along(side, R @ straight, np.einsum("tij,tj->ti", R, lower), R @ hinge)
+        if self.girdle is None:
+            return along
+        carried = self.girdle.turn(_ball(upper, out) @ straight, out)
+        return along | {side + "Shoulder": chest @ AHEAD.T @ carried @ AHEAD}
 
     def _arm_along(
         self, side: str, upper: np.ndarray, lower: np.ndarray, hinge: np.ndarray

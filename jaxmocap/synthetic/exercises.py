@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxmocap.synthetic.exerciser import Exerciser
+from jaxmocap.synthetic.girdle import Girdle
 from jaxmocap.synthetic.rigged_mesh import Rig
 from jaxmocap.synthetic.splines import Spline
 from jaxmocap.synthetic.stances import Stance
@@ -135,7 +136,9 @@ EXERCISES: dict[str, Callable[[float, np.random.Generator], Keys]] = {
 }
 
 
-def exercise(rig: Rig, name: str, seconds: float = 3.0, seed: int = 0) -> Exerciser:
+def exercise(
+    rig: Rig, name: str, seconds: float = 3.0, seed: int = 0, girdle: Girdle | None = None
+) -> Exerciser:
     """Someone at an exercise, facing +x about the world's origin.
 
     Args:
@@ -143,6 +146,7 @@ def exercise(rig: Rig, name: str, seconds: float = 3.0, seed: int = 0) -> Exerci
         name: of the exercise, one of ``EXERCISES``.
         seconds: duration.
         seed: of the variations.
+        girdle: how far the shoulders go with raised arms; without it they stay on the chest.
 
     Raises:
         ValueError: an unknown exercise; the message lists the valid ones.
@@ -152,7 +156,7 @@ def exercise(rig: Rig, name: str, seconds: float = 3.0, seed: int = 0) -> Exerci
     keys = EXERCISES[name](seconds, np.random.default_rng([seed, 6]))
     times, stances = zip(*keys, strict=True)
     curves = Spline.through(np.array(times), np.stack([stance.channels() for stance in stances]))
-    return Exerciser(rig, curves, PLANTED if name == "push_ups" else None)
+    return Exerciser(rig, curves, PLANTED if name == "push_ups" else None, girdle=girdle)
 
 
 def _gait(steps: int) -> list[Stance]:

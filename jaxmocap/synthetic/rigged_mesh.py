@@ -121,11 +121,15 @@ class RiggedMesh(ABC):
         }
         head = self.body.names.index("Head")
         vertex = joints[:, head] + R[:, head] @ (self.crown - self.body.rest[head])
-        neck = (points["shoulder_l"] + points["shoulder_r"]) / 2
-        above = joints[:, self.body.names.index("Neck")] - neck
+        chest = self.body.names.index("Spine1")
+        neck = joints[:, chest] + R[:, chest] @ (self.nape - self.body.rest[chest])
         pelvis = (points["hip_l"] + points["hip_r"]) / 2
-        # The base of the neck, a little above the line of the shoulders.
-        return {"pelvis": pelvis, "neck": neck + 0.5 * above, "vertex": vertex} | points
+        return {"pelvis": pelvis, "neck": neck, "vertex": vertex} | points
+
+    @cached_property
+    def nape(self) -> np.ndarray:
+        """(3,) the base of the neck, a little above the line of the shoulders, at rest, metres."""
+        return (self.at("LeftArm") + self.at("RightArm")) / 4 + self.at("Neck") / 2
 
     @cached_property
     def crown(self) -> np.ndarray:

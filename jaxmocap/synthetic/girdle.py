@@ -1,0 +1,52 @@
+"""The shoulder girdle of a rigged mesh, which goes along with the arm.
+
+Of an arm's elevation beyond the first 30 degrees or so a third is the shoulder blade's, two thirds
+are the arm's against it (Inman, Saunders and Abbott, J. Bone Joint Surg. 26, 1944: 2 to 1). What of
+it moves the shoulder joint on the chest is mostly the collar bone: in a raise of the arm it rises
+by 11 to 15 degrees and goes back by 15 to 29 (Ludewig et al., J. Orthop. Sports Phys. Ther. 34,
+2004), here 15 and 22 at 150 degrees. The rig has one bone for both, from the breast bone to the
+shoulder; it turns as the collar bone does. The shoulder blade's own turn about the collar bone's
+end, the rest of the third, moves no joint of such a rig.
+
+INPUTS: where upper arms point. OUTPUTS: turns of the girdle's bones.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+# Over so many degrees the girdle begins to move.
+SOFT_DEG = 6.0
+
+
+@dataclass(frozen=True)
+class Girdle:
+    """How far a girdle goes with its arm.
+
+    Attributes:
+        setting: elevation of the arm, degrees, from which on it does.
+        raised: degrees up, by the arm's beyond that.
+        drawn_back: degrees back, the same.
+    """
+
+    setting: float = 30.0
+    raised: float = 15 / 120
+    drawn_back: float = 22 / 120
+
+    def angles(self, elevation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far (...) it is up and back, by an arm's elevation (...) from hanging; degrees."""
+        beyond = SOFT_DEG * np.logaddexp(0.0, (elevation - self.setting) / SOFT_DEG)
+        return self.raised * beyond, self.drawn_back * beyond
+
+    def turn(self, upper: np.ndarray, out: float) -> np.ndarray:
+        """Turns (T, 3, 3) from rest, in the chest's frame: x ahead, y left, z up.
+
+        Args:
+            upper: (T, 3) unit vectors along the upper arm, in that frame.
+            out: 1 for the left side, -1 for the right.
+        """
+        up, back = self.angles(np.degrees(np.arccos(np.clip(-upper[:, 2], -1, 1))))
+        return Rotation.from_euler(
+            "ZX", np.stack([out * back, out * up], -1), degrees=True
+        ).as_matrix()
