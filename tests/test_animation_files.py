@@ -2,9 +2,9 @@
 
 import bvhsdk
 import numpy as np
-import pygltflib
 import pytest
 import trimesh
+from gltf_player import Player
 from moving_body import HEIGHT, RATE, SAMPLES, moving_body, with_parts
 from scipy.spatial.transform import Rotation
 
@@ -228,54 +228,9 @@ def test_bad_bvh_files_are_refused_in_one_sentence(tmp_path, old, new, said):
 # glTF --------------------------------------------------------------------------------------------
 
 
-class Viewer:
-    """Plays a .glb file, by pygltflib's reading of it and SciPy's rotations."""
-
-    def __init__(self, path):
-        self.file = pygltflib.GLTF2().load(str(path))
-        self.blob = self.file.binary_blob()
-        self.parents = {c: i for i, n in enumerate(self.file.nodes) for c in n.children or ()}
-        animation = self.file.animations[0]
-        self.curves = {}
-        for channel in animation.channels:
-            sampler = animation.samplers[channel.sampler]
-            assert sampler.interpolation == "LINEAR"
-            keys, values = self.numbers(sampler.input), self.numbers(sampler.output)
-            self.curves[channel.target.node, channel.target.path] = keys, values
-
-    def numbers(self, accessor: int) -> np.ndarray:
-        told = self.file.accessors[accessor]
-        view = self.file.bufferViews[told.bufferView]
-        width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}[told.type]
-        dtype = {5123: np.uint16, 5125: np.uint32, 5126: np.float32}[told.componentType]
-        start, count = (view.byteOffset or 0) + (told.byteOffset or 0), told.count * width
-        return np.frombuffer(self.blob, dtype, count, start).reshape(told.count, width)
-
-    def local(self, node: int, key: int | None) -> np.ndarray:
-        """(4, 4) of a node at a key frame, or as it rests."""
-        told = self.file.nodes[node]
-        place, turn = told.translation or [0, 0, 0], told.rotation or [0, 0, 0, 1]
-        if key is not None:
-            place = self.curves.get((node, "translation"), (0, {key: place}))[1][key]
-            turn = self.curves.get((node, "rotation"), (0, {key: turn}))[1][key]
-        matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = Rotation.from_quat(turn).as_matrix(), place
-        return matrix
-
-    def world(self, node: int, key: int | None) -> np.ndarray:
-        matrix = self.local(node, key)
-        while node in self.parents:
-            node = self.parents[node]
-            matrix = self.local(node, key) @ matrix
-        return matrix
-
-    def node(self, name: str) -> int:
-        return next(i for i, node in enumerate(self.file.nodes) if node.name == name)
-
-
 @pytest.fixture(scope="module")
 def viewer(folder):
-    return Viewer(folder / "motion.glb")
+    return Player(folder / "motion.glb")
 
 
 def test_pygltflib_finds_every_joint_of_every_frame_where_we_have_it(viewer):
@@ -297,14 +252,8 @@ def test_quaternions_of_a_gltf_file_take_the_shorter_way(viewer):
 @pytest.mark.parametrize("key", [None, 0, 37])
 def test_the_skin_keeps_around_the_bones(viewer, key):
     """Every vertex is no farther from its bone than the flesh is thick, at rest and in motion."""
-    skin, primitive = viewer.file.skins[0], viewer.file.meshes[0].primitives[0]
-    binds = viewer.numbers(skin.inverseBindMatrices).reshape(-1, 4, 4).swapaxes(1, 2)
-    carriers = viewer.numbers(primitive.attributes.JOINTS_0)[:, 0]
-    rest = viewer.numbers(primitive.attributes.POSITION)
-    moves = np.array([viewer.world(j, key) @ b for j, b in zip(skin.joints, binds, strict=True)])
-    homogeneous = np.concatenate([rest, np.ones((len(rest), 1))], 1)
-    vertices = np.einsum("vij,vj->vi", moves[carriers], homogeneous)[:, :3]
-    joints = np.array([viewer.world(node, key)[:3, 3] for node in skin.joints])
+    carriers, vertices = viewer.attribute("JOINTS_0")[:, 0], viewer.vertices(key)
+    joints = np.array([viewer.world(j, key)[:3, 3] for j in viewer.file.skins[0].joints])
     radii, begin = make_scene(moving_body()).radii, 0
     for child, parent in sorted(viewer.parents.items()):
         a, reach = joints[parent], joints[child] - joints[parent]

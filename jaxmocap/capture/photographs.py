@@ -39,3 +39,8 @@ def write_picture(path: str | Path, picture: np.ndarray) -> Path:
     with replacing(path) as beside:
         cv2.imwrite(str(beside), picture)
     return Path(path)
+
+
+def png_of(picture: np.ndarray) -> bytes:
+    """A PNG file's content of a picture (H, W, 3), BGR uint8."""
+    return cv2.imencode(".png", picture)[1].tobytes()

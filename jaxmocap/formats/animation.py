@@ -1,6 +1,7 @@
-"""A tracked motion as animation files.
+"""A tracked motion, or a person who stands still, as files for programs of animation.
 
-INPUTS: a Motion. OUTPUTS: a .bvh or .glb file, Y up, facing Z, metres, the rest pose a T.
+INPUTS: a Motion, or a Skeleton; by choice the body's surface, and a picture of its colours.
+OUTPUTS: a .bvh or .glb file, Y up, facing Z, metres, the rest pose a T.
 
 Both are written whatever the motion is like: where no pose is known the nearest one is held in
 BVH, and samples that are not evenly spaced are taken anew at their median rate.
@@ -8,15 +9,21 @@ BVH, and samples that are not evenly spaced are taken anew at their median rate.
 
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 
+from jaxmocap.body.loft import rest_joints
 from jaxmocap.body.motion import Motion
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.surface import Surface, rest_nodes
 from jaxmocap.formats.armature import settled, turned
 from jaxmocap.formats.axes import UP
-from jaxmocap.formats.body_armature import armature_of
+from jaxmocap.formats.body_armature import T_POSE, armature_of
 from jaxmocap.formats.bvh import write_bvh
 from jaxmocap.formats.gltf import write_gltf
 from jaxmocap.formats.resampling import even_times, resampled
+from jaxmocap.formats.skin import skin_of
 from jaxmocap.formats.tables import is_even
 
 # What names joints have in a file if nothing else is asked for.
@@ -24,8 +31,19 @@ CUSTOMARY = {".bvh": "humanik", ".glb": "vrm"}
 R_file_world = UP["y"].T
 
 
-def write_animation(path: str | Path, motion: Motion) -> None:
+def write_animation(
+    path: str | Path,
+    motion: Motion,
+    surface: Surface | None = None,
+    picture: bytes | None = None,
+) -> None:
     """Write a motion to a .bvh or .glb file, told by its suffix; its joints have customary names.
+
+    Args:
+        path: of the file.
+        motion: of a body.
+        surface: of that body, a .glb file's skin; the limbs' solids without one.
+        picture: the surface's colours, as for ``skin_of``.
 
     Raises:
         InputError: no pose is known in any sample.
@@ -33,9 +51,32 @@ def write_animation(path: str | Path, motion: Motion) -> None:
     kind = Path(path).suffix
     armature = turned(armature_of(motion, CUSTOMARY[kind]), R_file_world)
     if kind == ".glb":
-        write_gltf(path, armature)
+        skin = None
+        if surface is not None:
+            skin = skin_of(path, motion.skeleton, surface, R_file_world, picture)
+        write_gltf(path, armature, skin)
         return
     if not is_even(armature.times):
         rate = 1 / float(np.median(np.diff(armature.times)))
         armature = resampled(armature, even_times(armature.times, rate))
     write_bvh(path, settled(armature, path))
+
+
+def write_avatar(
+    path: str | Path, skeleton: Skeleton, surface: Surface, picture: bytes | None = None
+) -> None:
+    """Write a person as a .glb file that other programs may move: in a T pose, feet on the ground.
+
+    Args:
+        path: of the file.
+        skeleton: which the surface is around.
+        surface: of the person.
+        picture: the surface's colours, as for ``skin_of``.
+    """
+    angles = [[np.radians(T_POSE.get(joint, 0.0)) for joint in skeleton.tree.joints]]
+    lowest = float(rest_nodes(surface, rest_joints(skeleton))[:, 2].min())
+    place = jnp.array([[0.0, 0.0, -lowest]])
+    pose = Pose(place, jnp.array([[1.0, 0.0, 0.0, 0.0]]), jnp.array(angles))
+    standing = armature_of(Motion(skeleton, np.zeros(1), pose), CUSTOMARY[".glb"])
+    skin = skin_of(path, skeleton, surface, R_file_world, picture)
+    write_gltf(path, turned(standing, R_file_world), skin, still=True)

@@ -17,7 +17,7 @@ from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.tables import read_bytes
 
 _MAGIC, _VERSION, _JSON, _BINARY = b"glTF", 2, b"JSON", b"BIN\0"
-_TYPES = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
+_TYPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 _SHAPES = {name: shape for shape, name in _TYPES.items()}
 _COMPONENTS = {"<i1": 5120, "<u1": 5121, "<i2": 5122, "<u2": 5123, "<u4": 5125, "<f4": 5126}
 _DTYPES = {code: np.dtype(name) for name, code in _COMPONENTS.items()}
@@ -31,27 +31,40 @@ class Binary:
         self.views: list[dict[str, Any]] = []
         self.content = bytearray()
 
-    def add(self, array: np.ndarray, dtype: str = "<f4", bounded: bool = False) -> int:
+    def add(
+        self,
+        array: np.ndarray,
+        dtype: str = "<f4",
+        bounded: bool = False,
+        target: int | None = None,
+    ) -> int:
         """Append (N, ...) numbers; the index of their accessor.
 
         Args:
             array: scalars, vectors or (4, 4) matrices, rows before columns.
             dtype: in which they are held.
             bounded: say their smallest and largest, as positions and times must.
+            target: glTF's number for what they are to a mesh: its vertices or its triangles.
         """
         # Matrices are held column by column.
         stored = np.asarray(array, np.dtype(dtype))
         held = stored.swapaxes(1, 2) if stored.ndim == 3 else stored
-        data = held.tobytes()
-        self.views.append({"buffer": 0, "byteOffset": len(self.content), "byteLength": len(data)})
-        self.content += data + bytes(-len(data) % 4)
-        accessor = {"bufferView": len(self.views) - 1, "componentType": _COMPONENTS[dtype]}
+        view = self.add_bytes(held.tobytes())
+        if target is not None:
+            self.views[view]["target"] = target
+        accessor = {"bufferView": view, "componentType": _COMPONENTS[dtype]}
         accessor |= {"count": len(stored), "type": _TYPES[stored.shape[1:]]}
         if bounded:
             rows = stored.reshape(len(stored), -1).astype(float)
             accessor |= {"min": rows.min(0).tolist(), "max": rows.max(0).tolist()}
         self.accessors.append(accessor)
         return len(self.accessors) - 1
+
+    def add_bytes(self, data: bytes) -> int:
+        """Append a file's content; the index of its view."""
+        self.views.append({"buffer": 0, "byteOffset": len(self.content), "byteLength": len(data)})
+        self.content += data + bytes(-len(data) % 4)
+        return len(self.views) - 1
 
 
 def write_document(path: str | Path, document: dict[str, Any], binary: Binary) -> None:

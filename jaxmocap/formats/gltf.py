@@ -1,8 +1,9 @@
-"""glTF out: a skeleton that moves and the limbs around it, for any 3-D viewer.
+"""glTF out: a skeleton that moves and a mesh around it, for any 3-D viewer.
 
-INPUTS: an Armature, its axes those of glTF: Y up, facing Z, left towards X, metres.
+INPUTS: an Armature, its axes those of glTF: Y up, facing Z, left towards X, metres; by choice a
+mesh that its joints carry, with a picture of its colours.
 OUTPUTS: a .glb file: a node per joint, an animation of the root's place and of every joint's turn,
-and a mesh of the limbs that the joints carry (a skin), its rest pose that of the armature.
+and the mesh (a skin); without one the limbs, as they are in the armature's rest pose.
 
 Samples whose pose is unknown have no key: a viewer moves on from the one before to the one after.
 The animation begins at 0 s; its ``extras`` say when that was (``start``, seconds).
@@ -15,54 +16,57 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import jaxmocap
-from jaxmocap.formats.armature import Armature, joint_positions
+from jaxmocap.formats.armature import Armature
+from jaxmocap.formats.bound_mesh import BoundMesh, limbs_of
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.glb import Binary, write_document
-from jaxmocap.geometry.solids import limb_solid
 
-# Flesh of limbs of which nothing is known: a fraction of their length, and at most so much, metres.
-SLIMNESS, THICKEST_M = 0.12, 0.05
-SHORTEST_M = 1e-4
 SKIN_COLOUR = (0.62, 0.68, 0.76, 1.0)
 _ARRAYS, _INDICES = 34962, 34963
 
 
-def write_gltf(path: str | Path, armature: Armature) -> None:
+def write_gltf(
+    path: str | Path, armature: Armature, mesh: BoundMesh | None = None, still: bool = False
+) -> None:
     """Write an armature as a .glb file.
+
+    Args:
+        path: of the file.
+        armature: its joints.
+        mesh: that they carry; the limbs by default.
+        still: without an animation, as the body stands in the first sample.
 
     Raises:
         InputError: no pose is known.
     """
     if not armature.known.any():
         raise InputError(path, "no pose is known in any sample")
+    mesh = limbs_of(armature) if mesh is None else mesh
     binary, joints = Binary(), list(range(len(armature.names)))
-    rest = joint_positions(_resting(armature))[0]
-    bind = np.tile(np.eye(4), (len(joints), 1, 1))
-    bind[:, :3, 3] = -rest
     body = {"name": "body", "mesh": 0, "skin": 0}
     document = {
         "asset": {"version": "2.0", "generator": f"jaxmocap {jaxmocap.__version__}"},
         "scene": 0,
         "scenes": [{"nodes": [0, len(joints)]}],
         "nodes": [*_nodes(armature), body],
-        "meshes": [{"name": "body", "primitives": [_flesh(binary, armature, rest)]}],
-        "materials": [{"pbrMetallicRoughness": _surface(), "doubleSided": True}],
-        "skins": [{"joints": joints, "skeleton": 0, "inverseBindMatrices": binary.add(bind)}],
-        "animations": [_animation(binary, armature)],
+        "meshes": [{"name": "body", "primitives": [_primitive(binary, mesh)]}],
+        "materials": [{"pbrMetallicRoughness": _surface(mesh), "doubleSided": True}],
+        "skins": [{"joints": joints, "skeleton": 0, "inverseBindMatrices": binary.add(mesh.bind)}],
     }
+    if not still:
+        document["animations"] = [_animation(binary, armature)]
+    if mesh.picture is not None:
+        view = binary.add_bytes(mesh.picture)
+        document["images"] = [{"bufferView": view, "mimeType": "image/png"}]
+        document["textures"] = [{"source": 0}]
     write_document(path, document, binary)
 
 
-def _surface() -> dict[str, Any]:
-    return {"baseColorFactor": SKIN_COLOUR, "metallicFactor": 0.0, "roughnessFactor": 0.8}
-
-
-def _resting(armature: Armature) -> Armature:
-    """One sample of the rest pose, the root at the origin."""
-    count = len(armature.names)
-    still = np.tile(np.eye(3), (1, count, 1, 1))
-    fields = (armature.names, armature.parents, armature.offsets)
-    return Armature(*fields, np.zeros(1), np.zeros((1, 3)), still)
+def _surface(mesh: BoundMesh) -> dict[str, Any]:
+    dull = {"metallicFactor": 0.0, "roughnessFactor": 0.8}
+    if mesh.picture is not None:
+        return {"baseColorTexture": {"index": 0}} | dull
+    return {"baseColorFactor": SKIN_COLOUR} | dull
 
 
 def _nodes(armature: Armature) -> list[dict[str, Any]]:
@@ -77,31 +81,17 @@ def _nodes(armature: Armature) -> list[dict[str, Any]]:
     return nodes
 
 
-def _flesh(binary: Binary, armature: Armature, rest: np.ndarray) -> dict[str, Any]:
-    """The limbs in the rest pose, each carried by the joint where it begins."""
-    vertices, normals, triangles, carriers, count = [], [], [], [], 0
-    for j, parent in enumerate(armature.parents):
-        reach = armature.offsets[j]
-        length = float(np.linalg.norm(reach))
-        if parent < 0 or length < SHORTEST_M:
-            continue
-        slim = np.full(2, min(SLIMNESS * length, THICKEST_M))
-        solid = limb_solid(reach, slim if armature.radii is None else armature.radii[j])
-        vertices.append(rest[parent] + solid.vertices)
-        normals.append(solid.normals)
-        triangles.append(count + solid.triangles)
-        carriers += [[parent, 0, 0, 0]] * len(solid.vertices)
-        count += len(solid.vertices)
+def _primitive(binary: Binary, mesh: BoundMesh) -> dict[str, Any]:
+    """The mesh's arrays."""
     attributes = {
-        "POSITION": binary.add(np.concatenate(vertices), bounded=True),
-        "NORMAL": binary.add(np.concatenate(normals)),
-        "JOINTS_0": binary.add(np.array(carriers), "<u2"),
-        "WEIGHTS_0": binary.add(np.tile([1.0, 0, 0, 0], (count, 1))),
+        "POSITION": binary.add(mesh.vertices, bounded=True, target=_ARRAYS),
+        "NORMAL": binary.add(mesh.normals, target=_ARRAYS),
+        "JOINTS_0": binary.add(mesh.joints, "<u2", target=_ARRAYS),
+        "WEIGHTS_0": binary.add(mesh.weights, target=_ARRAYS),
     }
-    indices = binary.add(np.concatenate(triangles).ravel(), "<u4")
-    for accessor in attributes.values():
-        binary.views[accessor]["target"] = _ARRAYS
-    binary.views[indices]["target"] = _INDICES
+    if mesh.places is not None:
+        attributes["TEXCOORD_0"] = binary.add(mesh.places, target=_ARRAYS)
+    indices = binary.add(mesh.triangles.ravel(), "<u4", target=_INDICES)
     return {"attributes": attributes, "indices": indices, "material": 0}
 
 

@@ -1,0 +1,129 @@
+"""A body's surface as a skin in glTF files, as pygltflib and trimesh see it."""
+
+import io
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+from gltf_player import Player
+from moving_body import moving_body
+from PIL import Image
+
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.loft import generic_surface, rest_joints
+from jaxmocap.body.mesh import atlas_of, mesh_of
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.surface import posed, rest_nodes
+from jaxmocap.capture.photographs import png_of
+from jaxmocap.formats.animation import write_animation, write_avatar
+from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.skin import TEXEL_M
+
+# Our world is Z up, facing X; the files' Y up, facing Z.
+R_FILE_WORLD = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
+TENTH_OF_A_MILLIMETRE = 1e-4
+
+
+@pytest.fixture(scope="module")
+def surface():
+    return generic_surface(moving_body().skeleton)
+
+
+@pytest.fixture(scope="module")
+def atlas(surface):
+    nodes = rest_nodes(surface, rest_joints(moving_body().skeleton))
+    return atlas_of(surface, nodes, TEXEL_M)
+
+
+@pytest.fixture(scope="module")
+def folder(surface, atlas, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("skins")
+    write_animation(folder / "motion.glb", moving_body(), surface)
+    picture = np.zeros((atlas.height, atlas.width, 3), np.uint8)
+    for i, rectangle in enumerate(atlas.rectangles):
+        picture[rectangle.within] = colour(i)[::-1]
+    write_avatar(folder / "person.glb", moving_body().skeleton, surface, png_of(picture))
+    return folder
+
+
+def colour(patch: int) -> tuple[int, int, int]:
+    """RGB by which a patch is told."""
+    return 30 * patch + 10, 200 - 20 * patch, 90
+
+
+@pytest.mark.parametrize("key", [0, 37])
+def test_the_files_own_numbers_put_every_vertex_where_our_skinning_does(folder, surface, key):
+    motion, player = moving_body(), Player(folder / "motion.glb")
+    pose = Pose(*(jnp.asarray(np.asarray(part)[key], jnp.float32) for part in motion.poses))
+    ours = np.asarray(posed(jax.jit(forward)(motion.skeleton, pose), surface.points))
+    nodes = rest_nodes(surface, rest_joints(motion.skeleton))
+    mesh = mesh_of(surface, nodes, atlas_of(surface, nodes, TEXEL_M))
+    seen = player.vertices(key)
+    assert np.abs(seen - ours[mesh.nodes] @ R_FILE_WORLD.T).max() < TENTH_OF_A_MILLIMETRE
+
+
+def test_every_patch_of_a_skin_is_closed_and_faces_outwards(folder, surface):
+    player = Player(folder / "motion.glb")
+    triangles = player.numbers(player.file.meshes[0].primitives[0].indices).reshape(-1, 3)
+    whole = trimesh.Trimesh(player.attribute("POSITION"), triangles, process=False)
+    normals = np.asarray(player.attribute("NORMAL"))
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
+    kept = whole.nondegenerate_faces()
+    towards = np.sum(normals[triangles[:, 0]] * whole.face_normals, 1)[kept]
+    assert np.mean(towards > 0) > 0.99
+    whole.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=5)
+    whole.update_faces(whole.nondegenerate_faces())
+    parts = whole.split()
+    assert len(parts) == len(surface.patches)
+    assert all(part.is_watertight and part.volume > 1e-4 for part in parts)
+
+
+def test_a_person_stands_in_a_t_on_the_ground(folder):
+    player = Player(folder / "person.glb")
+    assert not player.file.animations
+    low, high = player.vertices(None).min(0), player.vertices(None).max(0)
+    assert abs(low[1]) < 0.02 and abs(high[1] - 1.75) < 0.06
+    assert abs((high - low)[0] - 1.75) < 0.25
+    shown = trimesh.load_scene(folder / "person.glb").geometry["body"]
+    assert shown.visual.kind == "texture"
+
+
+def test_every_vertex_has_the_colours_of_its_own_patch(folder, surface):
+    player = Player(folder / "person.glb")
+    view = player.file.bufferViews[player.file.images[0].bufferView]
+    start = view.byteOffset or 0
+    content = player.file.binary_blob()[start : start + view.byteLength]
+    picture = np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
+    height, width, _ = picture.shape
+    places = player.attribute("TEXCOORD_0") * [width, height]
+    seen = picture[places[:, 1].astype(int), places[:, 0].astype(int)]
+    counts = [patch.along * (patch.around + 1) for patch in surface.patches]
+    expected = np.repeat([colour(i) for i in range(len(counts))], counts, axis=0)
+    assert (seen == expected).all()
+
+
+def test_the_seam_lies_at_both_ends_of_a_row(surface, atlas):
+    rng = np.random.default_rng(0)
+    for patch, rectangle in zip(surface.patches, atlas.rectangles, strict=True):
+        texels = rectangle.texels(rng.random((patch.along, patch.around, 3)))
+        np.testing.assert_allclose(texels[:, 0], texels[:, -1], atol=1e-12)
+
+
+def test_rectangles_of_an_atlas_do_not_overlap(atlas):
+    count = np.zeros((atlas.height, atlas.width), int)
+    for rectangle in atlas.rectangles:
+        count[rectangle.within] += 1
+    assert count.max() == 1 and count.mean() > 0.6
+    assert count.sum() == sum(r.width * r.height for r in atlas.rectangles)
+
+
+def test_a_surface_that_gltf_cannot_hold_is_refused_in_one_sentence(surface, tmp_path):
+    moved = np.array(surface.points.points_bone)
+    moved[:, 0, 0] += 0.03
+    torn = replace(surface, points=surface.points._replace(points_bone=jnp.asarray(moved)))
+    with pytest.raises(InputError, match=r"mm apart at rest, expected 1 mm at most"):
+        write_avatar(tmp_path / "torn.glb", moving_body().skeleton, torn)
+    assert not list(tmp_path.iterdir())
