@@ -15,7 +15,9 @@ import numpy as np
 from jaxmocap.images.medial import chamfer, skeleton
 from jaxmocap.silhouette.modelling.arm_joints import Arm, arm_axis, arm_joints
 from jaxmocap.silhouette.modelling.arm_surface import Bones, arm_rings, thickness
+from jaxmocap.silhouette.modelling.lifted_arms import lifted_arms
 from jaxmocap.silhouette.modelling.separation import Landmarks, narrowest, separate
+from jaxmocap.silhouette.modelling.thighs import Thighs, thighs
 from jaxmocap.silhouette.modelling.trunk import Trunk, trunk
 from jaxmocap.silhouette.modelling.views import View
 
@@ -56,7 +58,10 @@ class PersonModel(NamedTuple):
         seen: the arms in the joint view, left and right: pixels.
         bent: their joints there.
         stretched: their joints in the arms' side view.
-        arms: (K, N, 3) each: rings, stretched out level to the side from the shoulder, thumb up.
+        lifted: their joints in the front view.
+        arms: (K, N, 3) each: rings, stretched out level to the side from the shoulder, thumb ahead.
+        legs: thighs of the front and the side view.
+        moved: photograph -> (3,) how far the person has moved since the front view.
     """
 
     front: Landmarks
@@ -64,7 +69,15 @@ class PersonModel(NamedTuple):
     seen: tuple[Arm, ...]
     bent: tuple[Bones, ...]
     stretched: tuple[Bones, ...]
+    lifted: tuple[Bones, ...]
     arms: tuple[np.ndarray, ...]
+    legs: Thighs
+    moved: dict[str, np.ndarray]
+
+    @property
+    def stature(self) -> float:
+        """Body height by that of trunk, neck and head, metres."""
+        return float(np.ptp(self.trunk.rings[:, 0, 2])) / UPPER_BODY
 
     def neck_height(self) -> float:
         """Height of the neck's narrowest slice, metres."""
@@ -111,7 +124,12 @@ def person_model(views: dict[str, View], bottom: int | None = None) -> PersonMod
         )
         for bones, straight in zip(bent, stretched, strict=True)
     )
-    return PersonModel(landmarks, body, seen, bent, stretched, arms)
+    with _of("front"):
+        lifted = lifted_arms(views["front"], landmarks, bent)
+        legs = thighs(views["front"], views["side"], landmarks, body.middles[0])
+    moved = {"front": np.zeros(3), "side": np.zeros(3)}
+    moved |= {"joint": joint.moved, "arm_side": arm_side.moved}
+    return PersonModel(landmarks, body, seen, bent, stretched, lifted, arms, legs, moved)
 
 
 @contextmanager
@@ -213,4 +231,5 @@ def laid_out(way: np.ndarray, bones: Bones) -> Bones:
             f"the arm in the arms' side view is {100 * passed[-1]:.0f} cm long, shorter than its "
             f"{100 * (upper + lower):.0f} cm from shoulder to wrist in the joint view"
         )
-    return Bones(way[first], way[first + at[0]], way[first + at[1]], way[-1])
+    # The shoulder's joint is above the axis of its flesh, where the joint view has it.
+    return Bones(bones.shoulder, way[first + at[0]], way[first + at[1]], way[-1])
