@@ -81,6 +81,10 @@ COMMANDS = (
         figures=False,
     ),
     Command(
+        "retarget", "play a tracked motion with another person's body", commands.retarget,
+        run_arguments.add_retarget, "jaxmocap retarget tracked --onto subject.toml --out played",
+    ),
+    Command(
         "scale", "write a person's body to a file", commands.scale, setup_arguments.add_scale,
         "jaxmocap scale --height 1.80 --mass 75 --out subject.toml",
     ),

@@ -108,6 +108,17 @@ def convert(options: argparse.Namespace) -> None:
     print("\n".join([*notes, f"written: {options.target}"]))
 
 
+def retarget(options: argparse.Namespace) -> None:
+    """Play a motion with another person's body."""
+    from jaxmocap.run.retarget import retarget, write_retargeted
+    from jaxmocap.run.writing import check_folder
+
+    check_folder(options.out)
+    played = retarget(options.source, options.onto)
+    files = write_retargeted(played, options.out)
+    _report(options, played.text(files), played.figures())
+
+
 def live(options: argparse.Namespace) -> None:
     """Track what comes in until Ctrl-C."""
     from jaxmocap.run.compilation import keep_compiled

@@ -40,7 +40,7 @@ def plot_elbow_errors(
         title: above the panels.
     """
     joints = list(errors_markers_only)
-    figure, axes = _panels(3, len(joints), (5.6, 2.2), sharey="row")
+    figure, axes = new_panels(3, len(joints), (5.6, 2.2), sharey="row")
     for column, joint in enumerate(joints):
         before = 100 * np.asarray(errors_markers_only[joint], float)
         after = 100 * np.asarray(errors_with_video[joint], float)
@@ -67,7 +67,7 @@ def plot_elbow_errors(
         row.set_ylabel(label)
     # Once all is drawn: fixing one end of the shared axis stops it from following the curves.
     axes[0, 0].set_ylim(bottom=0)
-    _save(figure, path, title)
+    save_figure(figure, path, title)
 
 
 def _plot_reduction(axes: Axes, times: np.ndarray, reduction: np.ndarray) -> None:
@@ -97,7 +97,7 @@ def plot_joint_tracks(
         title: above the panels.
     """
     reference = reference or {}
-    figure, axes = _panels(3, len(tracks), (4.8, 1.9))
+    figure, axes = new_panels(3, len(tracks), (4.8, 1.9))
     for column, (joint, points) in enumerate(tracks.items()):
         axes[0, column].set_title(joint)
         axes[2, column].set_xlabel("time [s]")
@@ -112,15 +112,19 @@ def plot_joint_tracks(
                 panel.set_ylabel(f"{axis} [m]")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", frameon=False, ncols=2)
-    _save(figure, path, title)
+    save_figure(figure, path, title)
 
 
 def _mean(values: np.ndarray) -> float:
     return float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
 
 
-def _panels(
-    rows: int, columns: int, size: tuple[float, float], sharey: str | bool = False
+def new_panels(
+    rows: int,
+    columns: int,
+    size: tuple[float, float],
+    sharex: str | bool = True,
+    sharey: str | bool = False,
 ) -> tuple[Figure, np.ndarray]:
     """A figure on no display, and its (rows, columns) axes."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -128,7 +132,7 @@ def _panels(
 
     figure = Figure(figsize=(size[0] * columns, size[1] * rows + 0.6), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(rows, columns, sharex=True, sharey=sharey, squeeze=False)  # type: ignore[arg-type]
+    axes = figure.subplots(rows, columns, sharex=sharex, sharey=sharey, squeeze=False)  # type: ignore[arg-type]
     for panel in axes.flat:
         panel.grid(color="#dddddd", linewidth=0.6)
         panel.spines[["top", "right"]].set_visible(False)
@@ -136,7 +140,8 @@ def _panels(
     return figure, axes
 
 
-def _save(figure: Figure, path: str | Path, title: str) -> None:
+def save_figure(figure: Figure, path: str | Path, title: str) -> None:
+    """Write a figure to a picture file, moved into place when it is whole."""
     if title:
         figure.suptitle(title)
     with replacing(path) as beside:

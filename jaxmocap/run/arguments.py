@@ -28,6 +28,18 @@ def add_warmup(parser: argparse.ArgumentParser) -> None:
     _add_refine(parser, "see 'track'")
 
 
+def add_retarget(parser: argparse.ArgumentParser) -> None:
+    """Options of ``retarget``."""
+    parser.add_argument("source", metavar="DIR", help="that 'track' wrote, or a motion.npz")
+    parser.add_argument(
+        "--onto",
+        metavar="PERSON",
+        required=True,
+        help="a subject file, as 'scale' writes, or a folder that 'silhouette model' wrote",
+    )
+    parser.add_argument("--out", metavar="DIR", required=True, help="where to write")
+
+
 def add_convert(parser: argparse.ArgumentParser) -> None:
     """Options of ``convert``."""
     parser.description = f"{parser.description}\n\n{CARRIED}"

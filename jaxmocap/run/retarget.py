@@ -1,0 +1,116 @@
+"""A tracked motion played by another person.
+
+INPUTS: a folder that ``track`` or ``silhouette track`` wrote, or its motion.npz; a subject file, or
+a folder of ``silhouette model``. OUTPUTS: that person's motion in every format, recording.rrd and
+retargeted.png, a picture of both.
+"""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.retarget import FEET, feet, grounded, leg_length, retargeted, scaled
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.evaluation.stick_figures import plot_stick_figures
+from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.npz import load_motion
+from jaxmocap.formats.subject import read_subject
+from jaxmocap.outputs.viewer import write_rerun
+from jaxmocap.run.writing import make_folder, write_motion
+
+MOTION, SUBJECT = "motion.npz", "subject.toml"
+
+
+class Retargeted(NamedTuple):
+    """A motion and what became of it.
+
+    Attributes:
+        before: as it was tracked.
+        after: as the other person plays it.
+    """
+
+    before: Motion
+    after: Motion
+
+    def figures(self) -> dict:
+        """Legs, metres; what feet on the ground do there, metres and metres per second."""
+        before, after = self.before, self.after
+        ours, theirs = (feet(motion.skeleton, motion.poses) for motion in (before, after))
+        low, off = grounded(ours), theirs - scaled(before, after.skeleton, ours)
+        apart = np.linalg.norm(np.diff(off, axis=0), axis=-1) / np.diff(before.times)[:, None]
+        return {
+            "legs_before": round(leg_length(before.skeleton), 4),
+            "legs_after": round(leg_length(after.skeleton), 4),
+            "on_the_ground": dict(zip(FEET, low.mean(0).round(3).tolist(), strict=True)),
+            "slide": _mean(apart[low[1:] & low[:-1]]),
+            "height_off": _mean(np.abs(off[..., 2])[low]),
+        }
+
+    def text(self, files: list[Path]) -> str:
+        """For the terminal."""
+        found = self.figures()
+        slide, height = (_centimetres(found[name]) for name in ("slide", "height_off"))
+        lines = [
+            f"legs           {_centimetres(found['legs_before'])} before, "
+            f"{_centimetres(found['legs_after'])} now",
+            f"on the ground  feet are {height} off their height and slide {slide} a second more",
+        ]
+        return "\n".join([*lines, *(f"written        {path}" for path in files)])
+
+
+def retarget(source: str | Path, onto: str | Path) -> Retargeted:
+    """Play a motion with another person's body.
+
+    Args:
+        source: a motion.npz, or the folder that holds it.
+        onto: a subject file, or the folder that holds a subject.toml.
+
+    Raises:
+        InputError: a file cannot be used, or the bodies have other bones.
+    """
+    before = load_motion(_within(source, MOTION))
+    try:
+        return Retargeted(before, retargeted(before, read_person(onto)))
+    except ValueError as error:
+        raise InputError(source, str(error)) from None
+
+
+def read_person(path: str | Path) -> Skeleton:
+    """The person of a subject file, or of the folder that holds a subject.toml."""
+    file = _within(path, SUBJECT)
+    return read_subject(file, "", {"file": file.name})
+
+
+def write_retargeted(played: Retargeted, directory: str | Path) -> list[Path]:
+    """Write the motion and the picture.
+
+    Returns:
+        What was written.
+    """
+    folder = make_folder(directory)
+    files = [*write_motion(played.after, folder), folder / "recording.rrd"]
+    write_rerun(files[-1], played.after)
+    files.append(folder / "retargeted.png")
+    people = {"as tracked": played.before, "as played": played.after}
+    plot_stick_figures(files[-1], people)
+    return files
+
+
+def _within(path: str | Path, name: str) -> Path:
+    """The path, or the file of this name where it is a folder."""
+    path = Path(path)
+    if path.is_dir():
+        if not (path / name).is_file():
+            raise InputError(path, f"found no {name} in this folder, expected one")
+        return path / name
+    return path
+
+
+def _mean(values: np.ndarray) -> float | None:
+    return round(float(values.mean()), 4) if len(values) else None
+
+
+def _centimetres(metres: float | None) -> str:
+    return "never seen" if metres is None else f"{100 * metres:.1f} cm"
