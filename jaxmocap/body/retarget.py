@@ -43,7 +43,9 @@ def retargeted(motion: Motion, skeleton: Skeleton) -> Motion:
     joints = {key: getattr(mine, key) for key in ("tree", "axes", "limits", "costs", "relaxed")}
     other = replace(other, **joints)
     before = feet(mine, motion.poses)
-    way, feet_way = (scaled(motion, other, at) for at in (motion.poses.position, before))
+    way, feet_way = (
+        scaled(motion, other, at) for at in (np.asarray(motion.poses.position), before)
+    )
     poses = Pose(jnp.zeros_like(motion.poses.position), *motion.poses[1:])
     by_feet = feet_way - feet(other, poses)
     root = jnp.asarray(_way(way, by_feet, grounded(before)), float)

@@ -48,7 +48,7 @@ def _draw_figures(panel, joints: dict[str, np.ndarray], highest: float) -> None:
         ahead = np.cross(joints["hip_l"][row] - joints["hip_r"][row], [0.0, 0.0, 1.0])
         ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-6)
         at = {mark: points[row] - joints["pelvis"][row] for mark, points in joints.items()}
-        chains = [(MIDDLE, "#222222")]
+        chains: list[tuple[tuple[str, ...], str]] = [(MIDDLE, "#222222")]
         for side, colour in COLOURS.items():
             for limb in (ARM, LEG):
                 names = [limb[0], *(f"{name}_{side}" for name in limb[1:])]
