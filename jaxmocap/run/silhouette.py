@@ -17,6 +17,7 @@ from jaxmocap.body.loft import rest_joints
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton, with_joints
+from jaxmocap.body.surface import Surface
 from jaxmocap.capture.empty_rooms import read_empty_room
 from jaxmocap.capture.markers import interpolate
 from jaxmocap.capture.timeline import bundle_frames
@@ -37,6 +38,8 @@ from jaxmocap.silhouette.steps import landmark_slopes
 from jaxmocap.silhouette.tracker import SilhouetteTracker, State, StepReport
 
 MODEL = "supple.toml"
+# A photographed surface's deviations by a generic one's.
+PHOTOGRAPHED = 0.5
 ELSEWHERE = "expected somebody where the markers' first samples, or --at, put the person"
 
 
@@ -83,9 +86,18 @@ def whole_body(skeleton: Skeleton) -> Skeleton:
 
 
 def make_tracker(
-    recording: Recording, settings: Settings | None = None, markers: bool = False
+    recording: Recording,
+    settings: Settings | None = None,
+    markers: bool = False,
+    surface: Surface | None = None,
 ) -> SilhouetteTracker:
     """The tracker of a recording's person by its cameras, and by its markers where asked for.
+
+    Args:
+        recording: with one or several videos.
+        settings: of the tracker.
+        markers: follow them too.
+        surface: of the person, around the recording's skeleton; a generic one without it.
 
     Raises:
         InputError: it has no video, or not the markers.
@@ -95,7 +107,8 @@ def make_tracker(
     cameras = [source.camera for source in recording.videos]
     skeleton = whole_body(recording.skeleton)
     sites = marker_sites(skeleton, recording.marked().places) if markers else None
-    return SilhouetteTracker(skeleton, cameras, settings, rooms=empty_rooms(recording), sites=sites)
+    rooms = empty_rooms(recording)
+    return SilhouetteTracker(skeleton, cameras, settings, surface, rooms, sites)
 
 
 def empty_rooms(recording: Recording) -> list[Background | None]:
@@ -115,6 +128,7 @@ def follow(
     *,
     passes: int = 3,
     markers: bool = False,
+    surface: Surface | None = None,
     progress: Progress | bool | None = None,
 ) -> Followed:
     """Track the person in a recording's videos.
@@ -126,6 +140,8 @@ def follow(
         passes: 1 knows nothing of the rooms and of the person's shape; 2 learns both first; 3
             learns them once more, the shape where the rooms are known.
         markers: follow them too; without it they are not looked at.
+        surface: of the person's own model, around the recording's skeleton; without it a generic
+            one, whose shape the passes correct.
         progress: called with the frames done and their total; True shows a bar on stderr.
 
     Returns:
@@ -134,10 +150,12 @@ def follow(
     Raises:
         InputError: no video, or nobody in any frame.
     """
-    tracker = make_tracker(recording, settings, markers)
+    tracker = make_tracker(recording, settings, markers, surface)
     frames, warnings = _open(recording, markers)
     empty = tracker.rooms
-    shape = ShapeFinder(tracker.finder.surface, rest_joints(tracker.skeleton))
+    # What was photographed needs less correction than what was guessed.
+    unknown = 1.0 if surface is None else PHOTOGRAPHED
+    shape = ShapeFinder(tracker.finder.surface, rest_joints(tracker.skeleton), unknown)
     run = _Pass(tracker, frames, shape if passes > 1 else None)
     with progress_bar("tracking", progress) as show:
         for number in range(passes):

@@ -7,6 +7,7 @@ nothing of the shape. The rest adds up over the frames, and is solved with what 
 INPUTS: pairs of frames and their poses; the fields of a surface. OUTPUTS: the surface that suits.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -79,10 +80,17 @@ class ShapeFinder:
         amounts: (P,) of them that are worn now, metres.
     """
 
-    def __init__(self, surface: Surface, joints: np.ndarray):
-        """Begin with a generic surface around bones with these joints (B, 3) at rest."""
+    def __init__(self, surface: Surface, joints: np.ndarray, unknown: float = 1.0):
+        """Begin with a surface.
+
+        Args:
+            surface: a generic one, or a person's own.
+            joints: (B, 3) of the bones at rest that it lies around.
+            unknown: how far it may be off, by how far a generic one is.
+        """
         self._generic = surface
-        self.fields = fields_of(surface, joints)
+        fields = fields_of(surface, joints)
+        self.fields = replace(fields, deviations=unknown * fields.deviations)
         self.amounts = np.zeros(len(self.fields.names))
         self._forget()
 

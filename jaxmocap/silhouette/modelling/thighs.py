@@ -55,11 +55,12 @@ def thighs(front: View, side: View, landmarks: Landmarks, middle: np.ndarray) ->
             continue
         ends = np.array([[x, row] for run in runs for x in (run[0] - 0.5, run[1] + 0.5)])
         edges = front.on_plane(ends, middle, ahead)
-        at = np.append(middle[:2], edges[:, 2].mean())
-        reach = [side.reach(at[None], sign * ahead, FARTHEST_M)[0] for sign in (-1, 1)]
-        if min(reach) > 0:
-            across = np.sort(edges[:, 1].reshape(2, 2), 1)
-            found.append((at[2], across, middle[0] + np.array([-1, 1]) * reach))
+        across, height = np.sort(edges[:, 1].reshape(2, 2), 1), edges[:, 2].mean()
+        at = np.array([[middle[0], y, height] for y in across.mean(1)])
+        # One thigh hides the other: each reaches as far as the nearer edge at most.
+        back, front_ = (side.reach(at, sign * ahead, FARTHEST_M).min() for sign in (-1, 1))
+        if min(back, front_) > 0:
+            found.append((height, across, middle[0] + np.array([-back, front_])))
     if not found:
         return Thighs(np.zeros(0), np.zeros((0, 2, 2)), np.zeros((0, 2)))
     return Thighs(*(np.array(part) for part in zip(*found, strict=True)))
