@@ -62,6 +62,20 @@ def test_the_folder_holds_model_report_and_a_picture_of_every_step(made):
     assert set(report) == {"lengths", "girths", "joints", "seconds"}
 
 
+def test_the_person_has_their_colours_on(made):
+    body = trimesh.load_scene(made / "model.glb").geometry["body"]
+    colours = body.visual.to_color().vertex_colors[:, :3].astype(float)
+    _, up, ahead = np.asarray(body.vertices).T
+    low, high = up.min(), up.max()
+    tall = (up - low) / (high - low)
+    # A red shirt over blue trousers, seen from ahead.
+    shirt = colours[(tall > 0.65) & (tall < 0.75) & (ahead > 0.02)].mean(0)
+    trousers = colours[(tall > 0.3) & (tall < 0.45) & (ahead > 0.02)].mean(0)
+    assert shirt[0] > 1.8 * shirt[2] and trousers[2] > 1.2 * trousers[0]
+    assert read(made / "texture.png").shape[1] > 300
+    assert read(made / "person.png").std() > 10
+
+
 def test_the_files_hold_the_person(made, rig):
     report = json.loads((made / "report.json").read_text(encoding="utf-8"))
     body = Body.of(standing(rig, "front"))

@@ -12,6 +12,7 @@ from gltf_player import Player
 from moving_body import moving_body
 from PIL import Image
 
+from jaxmocap.body.host_skin import bones_over_time, nodes_over_time
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.loft import generic_surface, rest_joints
 from jaxmocap.body.mesh import atlas_of, mesh_of
@@ -25,6 +26,7 @@ from jaxmocap.formats.skin import TEXEL_M
 # Our world is Z up, facing X; the files' Y up, facing Z.
 R_FILE_WORLD = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
 TENTH_OF_A_MILLIMETRE = 1e-4
+PLACE = jax.jit(forward)
 
 
 @pytest.fixture(scope="module")
@@ -54,15 +56,28 @@ def colour(patch: int) -> tuple[int, int, int]:
     return 30 * patch + 10, 200 - 20 * patch, 90
 
 
-@pytest.mark.parametrize("key", [0, 37])
-def test_the_files_own_numbers_put_every_vertex_where_our_skinning_does(folder, surface, key):
-    motion, player = moving_body(), Player(folder / "motion.glb")
+def traced_nodes(surface, key: int) -> np.ndarray:
+    """(N, 3) of the moving body at a sample, world."""
+    motion = moving_body()
     pose = Pose(*(jnp.asarray(np.asarray(part)[key], jnp.float32) for part in motion.poses))
-    ours = np.asarray(posed(jax.jit(forward)(motion.skeleton, pose), surface.points))
-    nodes = rest_nodes(surface, rest_joints(motion.skeleton))
-    mesh = mesh_of(surface, nodes, atlas_of(surface, nodes, TEXEL_M))
-    seen = player.vertices(key)
+    return np.asarray(posed(PLACE(motion.skeleton, pose), surface.points))
+
+
+@pytest.mark.parametrize("key", [0, 37])
+def test_the_files_own_numbers_put_every_vertex_where_our_skinning_does(
+    folder, surface, atlas, key
+):
+    nodes = rest_nodes(surface, rest_joints(moving_body().skeleton))
+    mesh = mesh_of(surface, nodes, atlas)
+    ours, seen = traced_nodes(surface, key), Player(folder / "motion.glb").vertices(key)
     assert np.abs(seen - ours[mesh.nodes] @ R_FILE_WORLD.T).max() < TENTH_OF_A_MILLIMETRE
+
+
+def test_nodes_over_time_are_where_the_traced_ones_are(surface):
+    motion = moving_body()
+    nodes = nodes_over_time(surface.points, *bones_over_time(motion.skeleton, motion.poses))
+    for key in (0, 37):
+        assert np.abs(nodes[key] - traced_nodes(surface, key)).max() < TENTH_OF_A_MILLIMETRE
 
 
 def test_every_patch_of_a_skin_is_closed_and_faces_outwards(folder, surface):

@@ -42,16 +42,20 @@ class Rectangle(NamedTuple):
         rows = np.interp(np.linspace(0, 1, self.height), self.levels, np.arange(len(grid)))
         around = grid.shape[1]
         columns = np.linspace(0, around, self.width) % around
-        onto = linear_matrix(len(grid), rows)
-        across = linear_matrix(around, columns, periodic=True)
+        onto = linear_matrix(len(grid), rows).astype(grid.dtype)
+        across = linear_matrix(around, columns, periodic=True).astype(grid.dtype)
         return np.einsum("av,vuc,bu->abc", onto, grid, across, optimize=True)
 
     @property
     def within(self) -> tuple[slice, slice]:
         """Its rows and columns of the picture."""
+        return self.framed(0)
+
+    def framed(self, margin: int) -> tuple[slice, slice]:
+        """Rows and columns with a margin about it, texels."""
         return (
-            slice(self.top, self.top + self.height),
-            slice(self.left, self.left + self.width),
+            slice(self.top - margin, self.top + self.height + margin),
+            slice(self.left - margin, self.left + self.width + margin),
         )
 
 

@@ -9,7 +9,6 @@ BVH, and samples that are not evenly spaced are taken anew at their median rate.
 
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.loft import rest_joints
@@ -75,8 +74,8 @@ def write_avatar(
     """
     angles = [[np.radians(T_POSE.get(joint, 0.0)) for joint in skeleton.tree.joints]]
     lowest = float(rest_nodes(surface, rest_joints(skeleton))[:, 2].min())
-    place = jnp.array([[0.0, 0.0, -lowest]])
-    pose = Pose(place, jnp.array([[1.0, 0.0, 0.0, 0.0]]), jnp.array(angles))
+    parts = [[0.0, 0.0, -lowest]], [[1.0, 0.0, 0.0, 0.0]], angles
+    pose = Pose(*map(np.array, parts))  # type: ignore[arg-type]
     standing = armature_of(Motion(skeleton, np.zeros(1), pose), CUSTOMARY[".glb"])
     skin = skin_of(path, skeleton, surface, R_file_world, picture)
     write_gltf(path, turned(standing, R_file_world), skin, still=True)

@@ -21,7 +21,7 @@ from jaxmocap.formats.bound_mesh import BoundMesh
 from jaxmocap.formats.errors import InputError
 
 # Of a picture's texels on the surface, metres; and how far apart bones may put a node at rest.
-TEXEL_M, APART_M = 0.002, 1e-3
+TEXEL_M, APART_M = 0.0025, 1e-3
 CARRIERS = 4
 
 
