@@ -1,5 +1,7 @@
 """The silhouette tracker: a painted person before plain walls, seen by four cameras."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -89,6 +91,23 @@ def test_a_person_is_found_and_then_kept_without_the_cameras_that_fail(tracker, 
     np.testing.assert_array_equal(report.used, [False, False, True, True])
     assert off_by(pose, truth).mean() < 0.04
     assert fit._cache_size() == compiled  # type: ignore[attr-defined]
+
+
+def test_a_start_far_off_is_found_coarse_to_fine_and_not_by_the_full_surface_alone(
+    tracker, truth, images
+):
+    step = np.random.default_rng(0).choice([-0.25, 0.25], BODY.costs.shape)
+    step[:3] = 0.1
+    start, left = retract(truth, jnp.asarray(step, jnp.float32)), {}
+    assert off_by(start, truth).mean() > 0.25
+    for starting in ((), SMALL.starting):
+        tracker.settings = replace(SMALL, starting=starting)
+        state = tracker.init(start)
+        for _ in range(3):
+            state, pose, _ = tracker.step(state, 0.0, images)
+            state = state._replace(time=None)
+        left[starting] = off_by(pose, truth).mean()
+    assert left[SMALL.starting] < 0.04 < 0.08 < left[()]
 
 
 def test_without_any_image_the_pose_is_held_and_every_joint_said_to_be_unseen(tracker, truth):

@@ -20,7 +20,15 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.loft import rest_joints
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.surface import BodyPoints, Skin, Surface, resampled, skin_of, skinned
+from jaxmocap.body.surface import (
+    BodyPoints,
+    Skin,
+    Surface,
+    low_pass,
+    resampled,
+    skin_of,
+    skinned,
+)
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, pixel_components
 from jaxmocap.images.index_image import (
     Boundary,
@@ -49,6 +57,7 @@ class RimSettings:
         jump: in depth that makes a boundary between limbs, metres.
         margin: around the person, as a fraction of its extent.
         finest: image pixels to a cell, at least.
+        coarse: of the surface's low-pass, harmonics around and waves along each limb.
     """
 
     size: int = 192
@@ -58,6 +67,7 @@ class RimSettings:
     jump: float = 0.04
     margin: float = 0.03
     finest: float = 0.25
+    coarse: tuple[int, int] = (1, 4)
 
 
 class Rim(NamedTuple):
@@ -112,6 +122,7 @@ class RimFinder:
 
     Attributes:
         surface: the denser one, whose nodes rims consist of.
+        coarse: its low-pass, node for node.
         settings: static.
     """
 
@@ -127,10 +138,12 @@ class RimFinder:
 
     def wear(self, surface: Surface) -> None:
         """Take another surface of as many nodes, to be seen from now on."""
-        self.surface, self._skin = surface, skin_of(surface, self._joints)
+        coarse = low_pass(surface, self._joints, *self.settings.coarse)
+        self.surface, self.coarse = surface, coarse
+        self._skins = skin_of(surface, self._joints), skin_of(coarse, self._joints)
 
-    def _draw(self, skeleton: Skeleton, pose: Pose, cameras: Camera) -> Drawn:
-        return self._drawing(self._skin, skeleton, pose, cameras)
+    def _draw(self, skeleton: Skeleton, pose: Pose, cameras: Camera, coarse: bool = False) -> Drawn:
+        return self._drawing(self._skins[coarse], skeleton, pose, cameras)
 
     def _drawn(self, skin: Skin, skeleton: Skeleton, pose: Pose, cameras: Camera) -> Drawn:
         """What C cameras see of all nodes; their places on canvases about the person."""
@@ -152,9 +165,9 @@ class RimFinder:
 
         return jax.vmap(seen)(cameras)
 
-    def find(self, skeleton: Skeleton, pose: Pose, cameras: Camera) -> Rim:
-        """The rims as C cameras (``stacked``) see them."""
-        drawn = jax.tree.map(np.asarray, self._draw(skeleton, pose, cameras))
+    def find(self, skeleton: Skeleton, pose: Pose, cameras: Camera, coarse: bool = False) -> Rim:
+        """The rims as C cameras (``stacked``) see them, of the surface or of its low-pass."""
+        drawn = jax.tree.map(np.asarray, self._draw(skeleton, pose, cameras, coarse))
         views = [jax.tree.map(lambda part, c=c: part[c], drawn) for c in range(len(drawn.u))]
         rows = zip(*(self._of_camera(view) for view in views), strict=True)
         nodes, pixels, normals, inner, real, masks = (np.stack(parts) for parts in rows)
@@ -188,9 +201,9 @@ class RimFinder:
             nodes = options[np.arange(len(nodes)), outwards.argmax(1)]
         return nodes
 
-    def points(self, nodes: np.ndarray) -> BodyPoints:
-        """Nodes of the denser surface as points on bones, for ``solve_pose``."""
-        every = self.surface.points
+    def points(self, nodes: np.ndarray, coarse: bool = False) -> BodyPoints:
+        """Nodes of the denser surface, or of its low-pass, on bones, for ``solve_pose``."""
+        every = (self.coarse if coarse else self.surface).points
         chosen = nodes.ravel()
         return BodyPoints(*(np.asarray(part)[chosen] for part in every))
 

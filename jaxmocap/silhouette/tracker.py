@@ -4,7 +4,8 @@
     rim       of the surface at that pose, as each camera sees it (3.1.5)
     look      level sets from the predicted silhouettes, their contours (4.1)
     fit       rim -> contour, twist equations of all cameras in one system (3.2); again with the
-              rim of the pose that was found, and a narrower view of what is an outlier
+              rim of the pose that was found, and a narrower view of what is an outlier; in the
+              first frame begun with the surface's low-pass, coarse to fine
     doubt     person that no limb explains: many hypotheses of a limb, the best is fitted again;
               parts that look otherwise than before are not seen
 
@@ -95,6 +96,7 @@ class _Shown(NamedTuple):
     images: Sequence[np.ndarray | None]
     histograms: Histograms
     markers: MarkerRows | None
+    first: bool
 
 
 class _Fitted(NamedTuple):
@@ -182,7 +184,8 @@ class SilhouetteTracker:
         ahead = 0.0 if state.time is None else max(time - state.time, 1e-3)
         expected = predict(self.skeleton, state.pose, s.damping * state.velocity, np.float32(ahead))
         beforehand = np.where(state.told, s.expected, s.held).astype(np.float32)
-        shown = _Shown(images, state.histograms, self._markers(positions_world))
+        markers, first = self._markers(positions_world), state.time is None
+        shown = _Shown(images, state.histograms, markers, first)
         fitted = self._fitted(shown, expected, beforehand)
         fitted, moved, hidden, doubts = self._reconsidered(state.doubts, shown, fitted, beforehand)
         result, used, shares, outlines, pairs = fitted
@@ -216,11 +219,13 @@ class SilhouetteTracker:
     def _fitted(self, shown: _Shown, expected: Pose, beforehand: np.ndarray) -> _Fitted:
         """Cycle by cycle from the predicted pose."""
         s, pose, fitted = self.settings, expected, None
+        rough = s.starting if shown.first else ()
         prior = expectation(expected, beforehand, self._rest)
         used, outlines = np.zeros(0, bool), None
-        for cycle, deviation in enumerate(s.deviations):
-            rim = self.finder.find(self.skeleton, pose, self.cameras)
-            if outlines is None or cycle in s.looks:
+        for cycle, deviation in enumerate((*rough, *s.deviations)):
+            coarse = cycle < len(rough)
+            rim = self.finder.find(self.skeleton, pose, self.cameras, coarse)
+            if coarse or outlines is None or cycle - len(rough) in s.looks:
                 outlines = look(shown.images, self.rooms, rim, shown.histograms, s, self.plan)
                 used = np.ones(len(self.rooms), bool)
             pairs = matched(rim, outlines.contours, s.match)
@@ -230,7 +235,8 @@ class SilhouetteTracker:
             weights = np.concatenate([pairs.real, s.edges.weight * edges.real], 1)
             pairs = joined(pairs, edges)
             weights = (weights * used[:, None]).astype(np.float32)
-            seen = Seen(self.finder.points(pairs.nodes), pairs.pixels_xy, pairs.normals, weights)
+            points = self.finder.points(pairs.nodes, coarse)
+            seen = Seen(points, pairs.pixels_xy, pairs.normals, weights)
             how = PoseSettings(deviation=deviation, iterations=s.iterations)
             result = fit(
                 self.skeleton, self.cameras, pose, seen, how, prior, s.match.grip, shown.markers
