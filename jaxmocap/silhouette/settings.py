@@ -25,8 +25,8 @@ class Settings:
         contrast: least of a contour's point, 0 to 1: below, the image does not tell its two sides.
         deviations: of points about their rays, metres, one cycle each. The first must be large: a
             limb that moved fast is an outlier to the rest, and would be left behind.
-        starting: the same of cycles before those in the first frame, whose pose may be far off: each
-            looks anew, and matches the surface's low-pass (coarse to fine).
+        starting: the same of cycles before those in the first frame, whose pose may be far off:
+            each looks anew, and matches the surface's low-pass (coarse to fine).
         looks: cycles that begin with a segmentation; the first does in any case.
         edges: what shows one limb before another.
         iterations: of the pose in each cycle.
