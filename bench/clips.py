@@ -14,6 +14,7 @@ from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.run.timing import progress_bar
 from jaxmocap.synthetic.exercises import exercise
 from jaxmocap.synthetic.four_cameras import write_four_cameras
+from jaxmocap.synthetic.girdle import Girdle
 from jaxmocap.synthetic.recording import (
     write_reaching,
     write_squat,
@@ -109,6 +110,7 @@ def exercises(
     people: Sequence[str],
     seconds: float,
     keep: Path,
+    girdle: Girdle | None = None,
 ) -> list[Clip]:
     """Rigged meshes at exercises, seen by four cameras, rendered where ``keep`` has them not yet.
 
@@ -119,14 +121,15 @@ def exercises(
         people: of the file.
         seconds: of each recording.
         keep: holds a folder for each, such as ``push_ups_000_man_3s``.
+        girdle: how far shoulders go with raised arms; without it they stay on the chest.
     """
     clips = []
     for kind, who, seed in product(names, people, seeds):
-        name = f"{kind}_{seed:03d}_{who}_{seconds:g}s"
+        name = f"{kind}_{seed:03d}_{who}_{seconds:g}s" + ("_girdle" if girdle else "")
         path = keep / name / "recording.toml"
         # Written last: where it is, all is.
         if not path.is_file():
-            performer = exercise(load_rig(file, who, seed), kind, seconds, seed)
+            performer = exercise(load_rig(file, who, seed), kind, seconds, seed, girdle)
             with progress_bar(f"rendering {name}", True) as show:
                 write_four_cameras(path.parent, performer, seconds, seed, progress=show)
         clips.append(Clip(kind, name, path, {mark: mark for mark in LANDMARKS}, seed))

@@ -65,10 +65,12 @@ class Followed(NamedTuple):
     Attributes:
         motion: with a report.
         masks: camera -> what was segmented.
+        surface: of the person, as the last pass wore it.
     """
 
     motion: Motion
     masks: dict[str, Masks]
+    surface: Surface
 
 
 class _Frames(NamedTuple):
@@ -177,7 +179,7 @@ def follow(
         "tracker": tracker.settings,
     }
     motion = Motion(tracker.skeleton, frames.times, run.poses(), run.report(names, plain(told)))
-    return Followed(motion, run.masks(names))
+    return Followed(motion, run.masks(names), tracker.finder.surface)
 
 
 def _open(recording: Recording, markers: bool) -> tuple[_Frames, tuple[str, ...]]:
@@ -252,7 +254,9 @@ class _Pass:
         # What is large is kept once.
         outlines = report.outlines._replace(segmented=None, contours=())  # type: ignore[arg-type]
         if self.shape is not None:
-            self.shape.tell(self.tracker.skeleton, self.tracker.cameras, pose, report.pairs)
+            tracker = self.tracker
+            morph = tracker.finder.morph
+            self.shape.tell(tracker.skeleton, tracker.cameras, pose, report.pairs, morph)
         self._reports.append(report._replace(outlines=outlines, pairs=None))  # type: ignore[arg-type]
 
     @property

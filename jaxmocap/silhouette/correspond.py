@@ -155,6 +155,7 @@ def pairs_of(
     normals: Array,
     weights: Array,
     grip: Array | float,
+    moves: Array | np.ndarray | None = None,
 ) -> PointRays:
     """Pairs (C * N) for ``solve_pose``.
 
@@ -165,8 +166,9 @@ def pairs_of(
         normals: (C, N, 2) there.
         weights: (C, N), 0 for no pair.
         grip: how firmly all hold along the contour.
+        moves: (C * N, 3, S) of the points, where anything steers them.
     """
     lines, across = jax.vmap(contour_rays)(cameras, pixels_xy, normals)
     flat = Lines(*(part.reshape(-1, 3) for part in lines))
     firm = jnp.broadcast_to(jnp.asarray(grip, weights.dtype), weights.size)
-    return PointRays(points, flat, across.reshape(-1, 3), weights.ravel(), firm)
+    return PointRays(points, flat, across.reshape(-1, 3), weights.ravel(), firm, moves)

@@ -11,6 +11,7 @@ joint's screw, carried along (4.21), applied to the point: the column of the geo
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import Frames, jacobian
@@ -18,6 +19,7 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surface import BodyPoints, carried, posed
 from jaxmocap.geometry.cameras import Camera, pixel_rays
 from jaxmocap.geometry.plucker import Lines, camera_lines, perpendiculars
+from jaxmocap.geometry.rotations import HIGHEST
 
 
 class PointRays(NamedTuple):
@@ -33,6 +35,8 @@ class PointRays(NamedTuple):
         across: (N, 3) unit vectors at right angles to their lines.
         weights: (N,) 0 where there is no pair, whatever the other fields then hold.
         grips: (N,) from 0 to 1.
+        moves: (N, 3, S) how the points go along with steers (see ``morph``), metres in their bones'
+            frames; None where nothing steers them.
     """
 
     points: BodyPoints
@@ -40,6 +44,7 @@ class PointRays(NamedTuple):
     across: Array
     weights: Array
     grips: Array
+    moves: Array | np.ndarray | None = None
 
 
 def on_rays(points: BodyPoints, lines: Lines, weights: Array | None = None) -> PointRays:
@@ -81,11 +86,19 @@ def slopes(skeleton: Skeleton, frames: Frames, points: BodyPoints) -> Array:
     return total
 
 
+def steered_slopes(frames: Frames, points: BodyPoints, moves: Array | np.ndarray) -> Array:
+    """Derivatives (N, 3, S) of the posed points by the steers of their moves (N, 3, S)."""
+    shares = jnp.asarray(points.shares)[..., None, None]
+    R = jnp.sum(shares * frames.R_world_bone[points.bones], 1)
+    return jnp.einsum("nab,nbs->nas", R, jnp.asarray(moves), precision=HIGHEST)
+
+
 def linearised(skeleton: Skeleton, frames: Frames, pairs: PointRays) -> tuple[Array, Array]:
-    """The system of (3.12) for all pairs: residuals (N, 2), metres, and their (N, 2, 6 + D).
+    """The system of (3.12) for all pairs: residuals (N, 2), metres, and their (N, 2, 6 + D + S).
 
     x x n - m has three rows of rank two; here are its two components at right angles to the ray,
     across the contour and along it, unweighted but for the grip. Pairs of no weight give 0.
+    The last S columns are by what steers the points, where anything does.
     """
     real = pairs.weights > 0
     along = jnp.cross(pairs.lines.directions, pairs.across)
@@ -94,6 +107,8 @@ def linearised(skeleton: Skeleton, frames: Frames, pairs: PointRays) -> tuple[Ar
     lines = Lines(*(jnp.where(real[:, None], part, 0.0) for part in pairs.lines))
     off = perpendiculars(lines, posed(frames, pairs.points))
     J = slopes(skeleton, frames, pairs.points)
+    if pairs.moves is not None:
+        J = jnp.concatenate([J, steered_slopes(frames, pairs.points, pairs.moves)], -1)
     residuals = ways[..., 0] * off[:, None, 0]
     rows = ways[..., 0, None] * J[:, None, 0]
     for axis in (1, 2):

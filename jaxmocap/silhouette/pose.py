@@ -24,6 +24,15 @@ from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.silhouette.markers import MarkerRows, marker_equations
+from jaxmocap.silhouette.morph import (
+    Morph,
+    free_of,
+    moved,
+    slopes_of,
+    steered,
+    whole_by_free,
+    whole_of,
+)
 from jaxmocap.silhouette.points import PointRays, linearised
 from jaxmocap.solvers.status import Status
 
@@ -108,6 +117,7 @@ def solve_pose(
     prior: Prior | None = None,
     free: Array | None = None,
     markers: MarkerRows | None = None,
+    morph: Morph | None = None,
 ) -> PoseResult:
     """Iterate from ``pose`` until the points lie on their rays, or rest.
 
@@ -119,6 +129,8 @@ def solve_pose(
         prior: what is expected, beside the rays.
         free: (6 + D,) degrees of freedom that may move; all without it.
         markers: further rows, where there are any.
+        morph: what goes along with the angles. Steps, damping and the prior are then those of the
+            free pose (``free_of``); the pairs' moves are its steers'.
     """
     moving = jnp.ones(skeleton.costs.shape, bool) if free is None else free
 
@@ -128,9 +140,16 @@ def solve_pose(
 
     def iterate(carry: tuple[Array, Pose, Array]) -> tuple[Array, Pose, Array]:
         count, pose, _ = carry
-        normal = _normal_equations(skeleton, pose, pairs, settings, markers)
-        step = _step(skeleton, pose, normal, settings, prior, moving)
-        return count + 1, retract(pose, step), jnp.max(jnp.abs(step))
+        normal = _normal_equations(skeleton, pose, pairs, settings, markers, morph)
+        room = _room(skeleton, pose)
+        if morph is not None:
+            normal = _by(whole_by_free(morph, pose.angles), normal)
+            pose = free_of(morph, pose)
+        step = _step(pose, room, normal, settings, prior, moving)
+        there = retract(pose, step)
+        if morph is not None:
+            there = whole_of(morph, there, skeleton)
+        return count + 1, there, jnp.max(jnp.abs(step))
 
     far = jnp.asarray(jnp.inf, pose.angles.dtype)
     count, found, moved = jax.lax.while_loop(
@@ -141,7 +160,7 @@ def solve_pose(
         told = told | jnp.any(jnp.isfinite(jnp.asarray(markers.positions_world)))
     broken = ~jnp.isfinite(moved) | ~told
     found = jax.tree.map(lambda new, old: jnp.where(broken, old, new), found, pose)
-    end = _normal_equations(skeleton, found, pairs, settings, markers)
+    end = _normal_equations(skeleton, found, pairs, settings, markers, morph)
     status = jnp.where(moved > settings.rest, Status.OUT_OF_STEPS, Status.CONVERGED)
     status = jnp.where(broken, Status.BROKEN, status).astype(jnp.int32)
     kept = end.distances, end.shares, end.spread, end.information
@@ -154,9 +173,13 @@ def _normal_equations(
     pairs: PointRays,
     settings: PoseSettings,
     markers: MarkerRows | None,
+    morph: Morph | None,
 ) -> _Normal:
     """Hessian and slope of half the squares of all pairs, in their robust deviations."""
     frames = forward(skeleton, pose)
+    if morph is not None and pairs.moves is not None:
+        gone = moved(pairs.points, pairs.moves, steered(morph, pose.angles))
+        pairs = pairs._replace(points=gone)
     residuals, rows = linearised(skeleton, frames, pairs)
     squared = jnp.sum(residuals**2, -1)
     off = squared > 0
@@ -171,10 +194,23 @@ def _normal_equations(
     weighted = jnp.repeat(weights, 2)[:, None] * rows
     information = jnp.matmul(weighted.T, rows, precision=HIGHEST)
     slope = jnp.matmul(weighted.T, residuals.ravel(), precision=HIGHEST)
+    normal = _Normal(information, slope, distances, shares, spread)
+    if morph is not None and pairs.moves is not None:
+        same = jnp.eye(len(skeleton.costs), dtype=slope.dtype)
+        normal = _by(jnp.concatenate([same, slopes_of(morph, pose.angles)]), normal)
     if markers is not None:
         known, downhill = marker_equations(skeleton, frames, markers)
-        information, slope = information + known, slope + downhill
-    return _Normal(information, slope, distances, shares, spread)
+        information, slope = normal.information + known, normal.slope + downhill
+        normal = normal._replace(information=information, slope=slope)
+    return normal
+
+
+def _by(chain: Array, normal: _Normal) -> _Normal:
+    """The equations for what the old unknowns are moved by: ``chain``, their derivatives."""
+    information = jnp.matmul(normal.information, chain, precision=HIGHEST)
+    information = jnp.matmul(chain.T, information, precision=HIGHEST)
+    slope = jnp.matmul(chain.T, normal.slope, precision=HIGHEST)
+    return normal._replace(information=information, slope=slope)
 
 
 def _median(values: Array, real: Array) -> Array:
@@ -185,14 +221,14 @@ def _median(values: Array, real: Array) -> Array:
 
 
 def _step(
-    skeleton: Skeleton,
     pose: Pose,
+    room: tuple[Array, Array],
     normal: _Normal,
     settings: PoseSettings,
     prior: Prior | None,
     free: Array,
 ) -> Array:
-    """The step (6 + D,) that solves the normal equations within the joints' limits."""
+    """The step (6 + D,) that solves the normal equations within the joints' room."""
     diagonal = jnp.full(free.shape, 1 / settings.damping**2, normal.slope.dtype)
     slope = normal.slope
     if prior is not None:
@@ -200,7 +236,7 @@ def _step(
         diagonal = diagonal + precision
         slope = slope + precision * difference(pose, prior.pose)
     H = normal.information + jnp.diag(diagonal)
-    low, high = _room(skeleton, pose)
+    low, high = room
 
     def unsolved(carry: tuple[Array, Array, Array]) -> Array:
         count, _, leaving = carry

@@ -40,6 +40,8 @@ from jaxmocap.images.index_image import (
     thinned,
 )
 from jaxmocap.images.regions import Region, region_around
+from jaxmocap.silhouette.morph import Morph, Morphing, worn
+from jaxmocap.silhouette.swelling import morphed
 
 # How often a node may move on to a neighbour that stands out farther.
 CLIMBS = 3
@@ -124,14 +126,24 @@ class RimFinder:
         surface: the denser one, whose nodes rims consist of.
         coarse: its low-pass, node for node.
         settings: static.
+        morph: what of it goes along with the joints' angles; None if nothing does.
     """
 
-    def __init__(self, skeleton: Skeleton, surface: Surface, settings: RimSettings | None = None):
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        surface: Surface,
+        settings: RimSettings | None = None,
+        morphing: Morphing | None = None,
+    ):
         """Prepare for a surface around a skeleton; traces once for a number of cameras."""
         self.settings = settings or RimSettings()
         joints = rest_joints(skeleton)
         self._joints = joints
         self.wear(resampled(surface, joints, self.settings.spacing))
+        self.morph = None
+        if morphing is not None and morphing.steers:
+            self.morph = morphed(morphing, skeleton.tree, self.surface, joints)
         self._beside = neighbours(self.surface)
         self._limbs = limbs_of(self.surface)
         self._drawing = jax.jit(self._drawn)
@@ -143,10 +155,13 @@ class RimFinder:
         self._skins = skin_of(surface, self._joints), skin_of(coarse, self._joints)
 
     def _draw(self, skeleton: Skeleton, pose: Pose, cameras: Camera, coarse: bool = False) -> Drawn:
-        return self._drawing(self._skins[coarse], skeleton, pose, cameras)
+        return self._drawing(self._skins[coarse], self.morph, skeleton, pose, cameras)
 
-    def _drawn(self, skin: Skin, skeleton: Skeleton, pose: Pose, cameras: Camera) -> Drawn:
+    def _drawn(
+        self, skin: Skin, morph: Morph | None, skeleton: Skeleton, pose: Pose, cameras: Camera
+    ) -> Drawn:
         """What C cameras see of all nodes; their places on canvases about the person."""
+        skin = skin if morph is None else worn(skin, morph, pose.angles)
         x, y, z = skinned(forward(skeleton, pose), skin)
         s = self.settings
 
@@ -206,6 +221,10 @@ class RimFinder:
         every = (self.coarse if coarse else self.surface).points
         chosen = nodes.ravel()
         return BodyPoints(*(np.asarray(part)[chosen] for part in every))
+
+    def moves(self, nodes: np.ndarray) -> np.ndarray | None:
+        """How the same nodes go along with steers, (N, 3, S); None if nothing does."""
+        return None if self.morph is None else np.asarray(self.morph.moves)[nodes.ravel()]
 
 
 def limbs_of(surface: Surface) -> np.ndarray:

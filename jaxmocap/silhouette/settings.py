@@ -9,6 +9,7 @@ from jaxmocap.silhouette import segment
 from jaxmocap.silhouette.correspond import MatchSettings
 from jaxmocap.silhouette.edges import EdgeSettings
 from jaxmocap.silhouette.hypotheses import SearchSettings
+from jaxmocap.silhouette.morph import Morphing
 from jaxmocap.silhouette.rim import RimSettings
 
 
@@ -36,6 +37,8 @@ class Settings:
         held: the same of one of which the last frame told little.
         held_at_rest: how joints' names begin, of which outlines tell little, and their deviations
             about 0, radians; see ``posture``.
+        morphing: what goes along with the joints' angles; ``Morphing()`` for nothing. Joints that
+            do are held at rest about where they go.
         blind: deviation of a degree of freedom of which nothing is known.
         told: it is told of where its deviation falls below this share of ``expected``, and seen
             where below this share of ``blind``.
@@ -71,6 +74,7 @@ class Settings:
         ("clavicle", 0.026), ("elbow_twist", 0.14), ("wrist_deviate", 0.1), ("neck", 0.05),
         ("ankle_invert", 0.07),
     )  # fmt: skip
+    morphing: Morphing = field(default_factory=Morphing)
     blind: float = 0.25
     told: float = 0.5
     damping: float = 0.8

@@ -23,6 +23,7 @@ from jaxmocap.body.surface import Surface
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.silhouette.correspond import pairs_of
+from jaxmocap.silhouette.morph import Morph, moved, steered
 from jaxmocap.silhouette.points import linearised
 from jaxmocap.silhouette.steps import Seen
 
@@ -47,7 +48,12 @@ class Paired(NamedTuple):
 
 @jax.jit
 def told(
-    skeleton: Skeleton, cameras: Camera, pose: Pose, seen: Seen, moves: Array
+    skeleton: Skeleton,
+    cameras: Camera,
+    pose: Pose,
+    seen: Seen,
+    moves: Array,
+    morph: Morph | None = None,
 ) -> tuple[Array, Array]:
     """What a frame tells of pose and shape: their Hessian and slope, metres squared.
 
@@ -57,8 +63,12 @@ def told(
         pose: that was found.
         seen: its pairs, with what robust weighting leaves of their weights.
         moves: (C * N, 3, P) of the pairs' nodes.
+        morph: what goes along with the pose.
     """
-    pixels_xy, normals, weights = (jnp.asarray(part) for part in seen[1:])
+    if morph is not None and seen.moves is not None:
+        gone = moved(seen.points, seen.moves, steered(morph, pose.angles))
+        seen = seen._replace(points=gone)
+    pixels_xy, normals, weights = (jnp.asarray(part) for part in seen[1:4])
     pairs = pairs_of(cameras, seen.points, pixels_xy, normals, weights, 0.0)
     frames = forward(skeleton, pose)
     residuals, rows = linearised(skeleton, frames, pairs)
@@ -98,10 +108,17 @@ class ShapeFinder:
         count = len(self.amounts)
         self._information, self._slope = np.zeros((count, count)), np.zeros(count)
 
-    def tell(self, skeleton: Skeleton, cameras: Camera, pose: Pose, pairs: Paired) -> None:
-        """A frame: C cameras (``stacked``) and the pose that was found by its pairs."""
+    def tell(
+        self,
+        skeleton: Skeleton,
+        cameras: Camera,
+        pose: Pose,
+        pairs: Paired,
+        morph: Morph | None = None,
+    ) -> None:
+        """A frame: C cameras (``stacked``), the pose found by its pairs, what goes along."""
         moves = self.fields.moves[pairs.nodes.ravel()]
-        self.add(*told(skeleton, cameras, pose, pairs.seen, moves))
+        self.add(*told(skeleton, cameras, pose, pairs.seen, moves, morph))
 
     def add(self, H: Array | np.ndarray, slope: Array | np.ndarray) -> None:
         """Normal equations (6 + D + P) of a frame's pose and the shape; the pose is eliminated."""

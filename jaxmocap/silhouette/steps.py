@@ -16,6 +16,7 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.silhouette.correspond import pairs_of
 from jaxmocap.silhouette.markers import MarkerRows
+from jaxmocap.silhouette.morph import Morph, free_of
 from jaxmocap.silhouette.points import BodyPoints
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, solve_pose
 
@@ -28,12 +29,14 @@ class Seen(NamedTuple):
         pixels_xy: (C, N, 2).
         normals: (C, N, 2).
         weights: (C, N), 0 for no pair.
+        moves: (C * N, 3, S) of the points by steers, see ``morph``; None where nothing steers them.
     """
 
     points: BodyPoints
     pixels_xy: Array | np.ndarray
     normals: Array | np.ndarray
     weights: Array | np.ndarray
+    moves: Array | np.ndarray | None = None
 
 
 @jax.jit
@@ -42,6 +45,9 @@ def predict(skeleton: Skeleton, pose: Pose, velocity: Array, ahead: Array) -> Po
     moved = retract(pose, velocity * ahead)
     low, high = skeleton.limits[:, 0], skeleton.limits[:, 1]
     return moved._replace(angles=jnp.clip(moved.angles, low, high))
+
+
+free = jax.jit(free_of)
 
 
 @jax.jit
@@ -54,11 +60,12 @@ def fit(
     prior: Prior,
     grip: Array | float,
     markers: MarkerRows | None = None,
+    morph: Morph | None = None,
 ) -> PoseResult:
     """The pose that brings the rims' points to the contours' rays; see ``solve_pose``."""
-    pixels_xy, normals, weights = (jnp.asarray(part) for part in seen[1:])
-    pairs = pairs_of(cameras, seen.points, pixels_xy, normals, weights, grip)
-    return solve_pose(skeleton, pose, pairs, settings, prior, markers=markers)
+    pixels_xy, normals, weights = (jnp.asarray(part) for part in seen[1:4])
+    pairs = pairs_of(cameras, seen.points, pixels_xy, normals, weights, grip, seen.moves)
+    return solve_pose(skeleton, pose, pairs, settings, prior, markers=markers, morph=morph)
 
 
 @jax.jit

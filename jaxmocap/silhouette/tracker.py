@@ -39,7 +39,7 @@ from jaxmocap.silhouette.rim import Rim, RimFinder, stacked
 from jaxmocap.silhouette.segment import Histograms, Plan
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.shape import Paired
-from jaxmocap.silhouette.steps import Seen, fit, predict, velocity_of
+from jaxmocap.silhouette.steps import Seen, fit, free, predict, velocity_of
 
 
 class State(NamedTuple):
@@ -144,7 +144,7 @@ class SilhouetteTracker:
         dtype = skeleton.lengths.dtype
         self.cameras = jax.tree.map(lambda part: jnp.asarray(part, dtype), stacked(listed))
         skin = generic_surface(skeleton) if surface is None else surface
-        self.finder = RimFinder(skeleton, skin, self.settings.rim)
+        self.finder = RimFinder(skeleton, skin, self.settings.rim, self.settings.morphing)
         self._bones = carriers(self.finder.surface.points)
         self._rest = resting(skeleton, dict(self.settings.held_at_rest))
         self.rooms = [None] * len(listed) if rooms is None else list(rooms)
@@ -220,7 +220,9 @@ class SilhouetteTracker:
         """Cycle by cycle from the predicted pose."""
         s, pose, fitted = self.settings, expected, None
         rough = s.starting if shown.first else ()
-        prior = expectation(expected, beforehand, self._rest)
+        morph = self.finder.morph
+        apart = expected if morph is None else free(morph, expected)
+        prior = expectation(apart, beforehand, self._rest)
         used, outlines = np.zeros(0, bool), None
         for cycle, deviation in enumerate((*rough, *s.deviations)):
             coarse = cycle < len(rough)
@@ -236,11 +238,13 @@ class SilhouetteTracker:
             pairs = joined(pairs, edges)
             weights = (weights * used[:, None]).astype(np.float32)
             points = self.finder.points(pairs.nodes, coarse)
-            seen = Seen(points, pairs.pixels_xy, pairs.normals, weights)
+            moves = self.finder.moves(pairs.nodes)
+            seen = Seen(points, pairs.pixels_xy, pairs.normals, weights, moves)
             how = PoseSettings(deviation=deviation, iterations=s.iterations)
             result = fit(
-                self.skeleton, self.cameras, pose, seen, how, prior, s.match.grip, shown.markers
-            )
+                self.skeleton, self.cameras, pose, seen, how, prior, s.match.grip, shown.markers,
+                morph,
+            )  # fmt: skip
             apart = np.asarray(result.distances).reshape(weights.shape)
             pose, used = result.pose, used & ~_denied(apart, weights > 0, s)
             robust = np.asarray(result.shares).reshape(weights.shape)
