@@ -11,17 +11,21 @@ import trimesh
 from gltf_player import Player
 from moving_body import moving_body
 from PIL import Image
+from scipy.spatial import cKDTree
+from test_outputs import read_recording
 
 from jaxmocap.body.host_skin import bones_over_time, nodes_over_time
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.loft import generic_surface, rest_joints
-from jaxmocap.body.mesh import atlas_of, mesh_of
+from jaxmocap.body.mesh import atlas_of, coarser, mesh_of
+from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.surface import posed, rest_nodes
 from jaxmocap.capture.photographs import png_of
 from jaxmocap.formats.animation import write_animation, write_avatar
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.skin import TEXEL_M
+from jaxmocap.outputs.viewer import write_rerun
 
 # Our world is Z up, facing X; the files' Y up, facing Z.
 R_FILE_WORLD = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
@@ -133,6 +137,40 @@ def test_rectangles_of_an_atlas_do_not_overlap(atlas):
         count[rectangle.within] += 1
     assert count.max() == 1 and count.mean() > 0.6
     assert count.sum() == sum(r.width * r.height for r in atlas.rectangles)
+
+
+def test_a_coarser_surface_is_the_same_body_with_fewer_nodes(surface):
+    joints = rest_joints(moving_body().skeleton)
+    nodes = rest_nodes(surface, joints)
+    thin = coarser(surface, nodes, 0.06)
+    fewer = rest_nodes(thin, joints)
+    assert len(fewer) < 0.5 * len(nodes)
+    assert {tuple(node) for node in fewer.tolist()} <= {tuple(node) for node in nodes.tolist()}
+    for patch, whole in zip(thin.patches, surface.patches, strict=True):
+        extents = [np.ptp(part, axis=0) for part in (fewer[patch.nodes], nodes[whole.nodes])]
+        np.testing.assert_allclose(*extents, atol=0.02)
+    # What is to be finer than it is stays.
+    assert coarser(surface, nodes, 0.001).patches == surface.patches
+
+
+def test_the_viewer_shows_the_skin_where_the_motion_carries_it(surface, tmp_path):
+    whole = moving_body()
+    few = Pose(*(np.asarray(part)[[0, 37]] for part in whole.poses))
+    motion = Motion(whole.skeleton, whole.times[[0, 37]], few)
+    write_rerun(tmp_path / "a.rrd", motion, surface=surface)
+    timed, static = read_recording(tmp_path / "a.rrd")
+    assert "/world/body/humerus_l" not in static
+    (look,) = static["/world/skin"]
+    triangles = np.array(look.column("Mesh3D:triangle_indices").to_pylist()[0])
+    rows = {}
+    for batch in timed["/world/skin"]:
+        stamps = np.asarray(batch.column("time").cast("int64"))
+        rows |= dict(zip(stamps, batch.column("Mesh3D:vertex_positions").to_pylist(), strict=True))
+    assert len(rows) == len(motion.times)
+    vertices = np.array(rows[np.round(motion.times[1] * 1e9).astype(int)])
+    assert triangles.max() < len(vertices)
+    apart, _ = cKDTree(traced_nodes(surface, 37)).query(vertices)
+    assert apart.max() < TENTH_OF_A_MILLIMETRE
 
 
 def test_a_surface_that_gltf_cannot_hold_is_refused_in_one_sentence(surface, tmp_path):

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.body.surface import Patch, Surface
+from jaxmocap.body.surface import BodyPoints, Patch, Surface
 from jaxmocap.geometry.fourier import linear_matrix
 
 # Texels left free around a rectangle, for colours that run over: viewers blend neighbours.
@@ -117,6 +117,27 @@ def _size(nodes: np.ndarray, patch: Patch, texel: float) -> tuple[int, int, np.n
     way = np.append(0.0, np.cumsum(np.maximum(gaps, SAME_M)))
     width, height = (max(int(np.ceil(length / texel)), 2) for length in (girth, way[-1]))
     return width, height, way / way[-1]
+
+
+def coarser(surface: Surface, nodes: np.ndarray, spacing: float) -> Surface:
+    """The surface with fewer of its nodes (N, 3), about ``spacing`` metres apart: for pictures."""
+    patches, kept, start = [], [], 0
+    for patch in surface.patches:
+        width, height, levels = _size(nodes[patch.nodes], patch, spacing)
+        around, along = min(max(width, 8), patch.around), min(max(height, 4), patch.along)
+        columns = np.arange(around) * patch.around // around
+        # The nearest rings to even places; ends, where a ring is a point, stay.
+        even = np.arange(patch.along)
+        if along < patch.along:
+            even = np.interp(np.linspace(0, 1, along), levels, np.arange(patch.along))
+        ends = [0, 1, patch.along - 2, patch.along - 1]
+        rows = np.unique(np.append(np.rint(even), ends)).astype(int)
+        kept.append((patch.start + rows[:, None] * patch.around + columns).ravel())
+        patches.append(Patch(patch.name, around, len(rows), start))
+        start += around * len(rows)
+    chosen = np.concatenate(kept)
+    points = BodyPoints(*(np.asarray(part)[chosen] for part in surface.points))
+    return Surface(tuple(patches), points)
 
 
 def mesh_of(surface: Surface, nodes: np.ndarray, atlas: Atlas) -> Mesh:

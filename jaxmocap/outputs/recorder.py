@@ -1,4 +1,4 @@
-"""The parts of a recording for the rerun viewer. It and ``layout`` alone import rerun.
+"""The parts of a recording for the rerun viewer. It, ``layout`` and ``skin`` alone import rerun.
 
 INPUTS: a recording stream and what to log. OUTPUTS: none; the stream's sink holds the data.
 
@@ -51,9 +51,9 @@ def recording(path: Path, blueprint: Blueprint) -> Iterator[rr.RecordingStream]:
         stream.disconnect()
 
 
-def log_body(stream: rr.RecordingStream, motion: Motion, scene: Scene) -> None:
-    """Limbs as solids that their bones' transforms carry, and the skeleton as lines."""
-    log_limbs(stream, motion.skeleton)
+def log_body(stream: rr.RecordingStream, motion: Motion, scene: Scene, limbs: bool = True) -> None:
+    """Limbs as solids, where wanted, that their bones' transforms carry; the skeleton as lines."""
+    log_limbs(stream, motion.skeleton, limbs)
     wxyz = np.asarray(quaternion_from_matrix(jnp.asarray(scene.R_world_bone)))
     for i, bone in enumerate(scene.bones):
         turns = np.roll(wxyz[:, i], -1, axis=-1)
@@ -79,13 +79,13 @@ def log_values(stream: rr.RecordingStream, root: str, values: Mapping[str, float
         stream.log(entity_path(root, name), rr.Scalars(float(value)))
 
 
-def log_limbs(stream: rr.RecordingStream, skeleton: Skeleton) -> None:
-    """What of a body stays: the limbs' solids, the looks of the skeleton."""
+def log_limbs(stream: rr.RecordingStream, skeleton: Skeleton, solids: bool = True) -> None:
+    """What of a body stays: the limbs' solids, where wanted, the looks of the skeleton."""
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     bones = skeleton.tree.bones
     reach = np.asarray(skeleton.lengths[:, None] * skeleton.directions)
     radii = np.asarray(skeleton.diameters) / 2
-    for i, bone in enumerate(bones):
+    for i, bone in enumerate(bones if solids else ()):
         solid = limb_solid(reach[i], radii[i])
         stream.log(
             f"world/body/{bone}",

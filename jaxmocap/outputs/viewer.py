@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.body.motion import Motion
+from jaxmocap.body.surface import Surface
 from jaxmocap.formats.atomic import replacing
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.outputs.scene import make_scene
@@ -38,6 +39,7 @@ def write_rerun(
     footage: Mapping[str, Footage] | None = None,
     targets: Mapping[str, np.ndarray] | None = None,
     jpeg_quality: int = 75,
+    surface: Surface | None = None,
 ) -> None:
     """Write a recording that ``rerun FILE`` shows, laid out in a prepared blueprint.
 
@@ -50,15 +52,18 @@ def write_rerun(
         footage: camera name -> what it saw.
         targets: marker -> (T, 3) measured positions at the motion's times, world, metres.
         jpeg_quality: of the images, 1 to 100.
+        surface: of the body, shown in the place of the limbs' solids.
     """
-    from jaxmocap.outputs import layout, recorder
+    from jaxmocap.outputs import layout, recorder, skin
 
     footage, targets = dict(footage or {}), dict(targets or {})
     scene = make_scene(motion)
     labels = {name: list(shot.fields) for name, shot in footage.items()}
     blueprint = layout.lay_out(labels, scene)
     with replacing(path) as beside, recorder.recording(beside, blueprint) as stream:
-        recorder.log_body(stream, motion, scene)
+        recorder.log_body(stream, motion, scene, limbs=surface is None)
+        if surface is not None:
+            skin.log_skin(stream, motion, surface)
         recorder.log_trust(stream, motion)
         recorder.log_targets(stream, scene.times, targets)
         if motion.report is not None:

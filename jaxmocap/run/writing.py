@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.motion import Motion
+from jaxmocap.body.surface import Surface
 from jaxmocap.capture.video import Frame, FrameSource
 from jaxmocap.formats.animation import write_animation
 from jaxmocap.formats.errors import InputError
@@ -102,8 +103,8 @@ def write_outputs(
     return files
 
 
-def write_motion(motion: Motion, folder: Path) -> list[Path]:
-    """The motion in every format that others read."""
+def write_motion(motion: Motion, folder: Path, surface: Surface | None = None) -> list[Path]:
+    """The motion in every format that others read; the body's surface is motion.glb's skin."""
     names = ("joints.trc", "angles.mot", "angles_isb.mot", "motion.npz", "motion.bvh", "motion.glb")
     files = [folder / name for name in names]
     write_trc(files[0], motion.times, motion.joints())
@@ -111,7 +112,7 @@ def write_motion(motion: Motion, folder: Path) -> list[Path]:
     write_isb(files[2], motion)
     save_motion(files[3], motion)
     for path in files[4:]:
-        write_animation(path, motion)
+        write_animation(path, motion, surface)
     return files
 
 
