@@ -10,6 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxmocap.body.loft import rest_joints
+from jaxmocap.body.mesh import coarser
+from jaxmocap.body.surface import rest_nodes
 from jaxmocap.capture.video import Frame, FrameSource, open_video
 from jaxmocap.formats.recording import Recording
 from jaxmocap.images.canvases import full_mask
@@ -28,6 +31,8 @@ from jaxmocap.run.writing import (
     write_overlays,
 )
 
+# Metres between the nodes of a skin in files: the tracker's are denser.
+SKIN_M = 0.018
 # BGR, and how much of it lies over the person.
 TINT, COVER = np.array([60, 220, 60]), 0.45
 
@@ -50,7 +55,9 @@ def write_followed(
         The files, in the order in which they were written.
     """
     folder, motion = make_folder(directory), followed.motion
-    files = write_motion(motion, folder)
+    joints = rest_joints(motion.skeleton)
+    skin = coarser(followed.surface, rest_nodes(followed.surface, joints), SKIN_M)
+    files = write_motion(motion, folder, skin)
     files.append(folder / "report.json")
     write_report(files[-1], motion, {"recording": recording.path or recording.name})
     videos = [open_video(source) for source in recording.videos]
@@ -63,7 +70,7 @@ def write_followed(
             source.camera_name: Footage(source.camera, counter.over(thinned(video)))
             for source, video in zip(recording.videos, videos, strict=True)
         }
-        write_rerun(files[-1], motion, footage, {})
+        write_rerun(files[-1], motion, footage, {}, surface=skin)
     return files
 
 
