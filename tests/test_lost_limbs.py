@@ -89,11 +89,11 @@ def test_torn_black_and_exchanged_frames_are_passed_over_until_patience_ends():
     walked[100:300, 200:260] = 0
     glances = Glances.none(1)
     for image, believed in ((room, True), (walked, True), (room, True), (other, False)):
-        kept, glances = glances.believed([image], 0.25, 3)
+        kept, glances = glances.believed([image], SMALL.changed, 3)
         assert (kept[0] is not None) == believed
     torn = np.concatenate([room[:150], np.roll(room[150:], 200, 1)])
     for image, believed in ((torn, False), (np.zeros_like(room), False), (other, True)):
-        kept, glances = glances.believed([image], 0.25, 3)
+        kept, glances = glances.believed([image], SMALL.changed, 3)
         assert (kept[0] is not None) == believed
     assert glances.believed([None], 0.25, 3)[0] == [None]
 

@@ -79,7 +79,7 @@ class Settings:
     told: float = 0.5
     damping: float = 0.8
     newest: float = 0.7
-    changed: float = 0.25
+    changed: float = 0.16
     patience: int = 15
     hypotheses: int = 128
     search: SearchSettings = field(default_factory=SearchSettings)
