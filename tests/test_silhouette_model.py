@@ -7,8 +7,12 @@ import numpy as np
 import pytest
 import trimesh
 
+from jaxmocap.body.loft import rest_joints
+from jaxmocap.body.surface import rest_nodes
 from jaxmocap.cli import main
 from jaxmocap.formats.calibration import read_calibration, write_calibration
+from jaxmocap.formats.errors import InputError
+from jaxmocap.run.silhouette_person import read_person
 from jaxmocap.synthetic.anthropometry import Body
 from jaxmocap.synthetic.photographs import PHOTOGRAPHS, standing, write_photographs
 from jaxmocap.synthetic.rigged_mesh import load_rig
@@ -74,6 +78,18 @@ def test_the_person_has_their_colours_on(made):
     assert shirt[0] > 1.8 * shirt[2] and trousers[2] > 1.2 * trousers[0]
     assert read(made / "texture.png").shape[1] > 300
     assert read(made / "person.png").std() > 10
+
+
+def test_other_commands_find_the_person_in_the_folder(made, tmp_path):
+    person = read_person(made)
+    assert person.picture == (made / "texture.png").read_bytes()
+    report = json.loads((made / "report.json").read_text(encoding="utf-8"))
+    radius = float(person.skeleton.lengths[person.skeleton.tree.bone("radius_l")])
+    assert abs(radius - report["lengths"]["radius_l"]) < 0.02
+    nodes = rest_nodes(person.surface, rest_joints(person.skeleton))
+    assert 1.4 < np.ptp(nodes[:, 2]) < 1.9
+    with pytest.raises(InputError, match=r"found no subject.toml, expected what 'silhouette mod"):
+        read_person(tmp_path)
 
 
 def test_the_files_hold_the_person(made, rig):

@@ -21,6 +21,7 @@ from jaxmocap.body.mesh import atlas_of, coarser, mesh_of
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.surface import posed, rest_nodes
+from jaxmocap.body.thickness import with_thickness
 from jaxmocap.capture.photographs import png_of
 from jaxmocap.formats.animation import write_animation, write_avatar
 from jaxmocap.formats.errors import InputError
@@ -179,4 +180,16 @@ def test_a_surface_that_gltf_cannot_hold_is_refused_in_one_sentence(surface, tmp
     torn = replace(surface, points=surface.points._replace(points_bone=jnp.asarray(moved)))
     with pytest.raises(InputError, match=r"mm apart at rest, expected 1 mm at most"):
         write_avatar(tmp_path / "torn.glb", moving_body().skeleton, torn)
+    other = png_of(np.zeros((30, 40, 3), np.uint8))
+    with pytest.raises(InputError, match=r"a texture of 40 x 30 texels, expected \d+ x \d+"):
+        write_avatar(tmp_path / "torn.glb", moving_body().skeleton, surface, other)
     assert not list(tmp_path.iterdir())
+
+
+def test_limbs_are_as_thick_as_the_surface():
+    skeleton = moving_body().skeleton
+    slim, stout = (generic_surface(skeleton, girth) for girth in (0.8, 1.2))
+    thin, thick = (np.asarray(with_thickness(skeleton, s).diameters) for s in (slim, stout))
+    arm, spine = skeleton.tree.bone("humerus_r"), skeleton.tree.bone("spine1")
+    assert (thick[arm] / thin[arm] > 1.2).all() and 0.05 < thin[arm].mean() < 0.1
+    assert (thick[spine] == np.asarray(skeleton.diameters)[spine]).all()

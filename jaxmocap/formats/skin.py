@@ -42,12 +42,18 @@ def skin_of(
         picture: a PNG file's content, laid out by ``atlas_of`` with texels of ``TEXEL_M``.
 
     Raises:
-        InputError: bones disagree where a node is at rest, or more than four carry it.
+        InputError: bones disagree where a node is at rest, more than four carry it, or the picture
+            is that of another surface.
     """
     joints, points = rest_joints(skeleton), surface.points
     nodes = rest_nodes(surface, joints)
     _check(path, surface, joints, nodes)
-    mesh = mesh_of(surface, nodes, atlas_of(surface, nodes, TEXEL_M))
+    atlas = atlas_of(surface, nodes, TEXEL_M)
+    if picture is not None and _size(picture) != (atlas.width, atlas.height):
+        size = "{} x {}".format(*_size(picture))
+        expected = f"{atlas.width} x {atlas.height}, as this surface is laid out"
+        raise InputError(path, f"a texture of {size} texels, expected {expected}")
+    mesh = mesh_of(surface, nodes, atlas)
     vertices = nodes[mesh.nodes]
     names, _ = joint_tree(skeleton)
     # What the pelvis and the hips, which do not move against it, carry is the root's.
@@ -67,6 +73,11 @@ def skin_of(
         mesh.places,
         picture,
     )
+
+
+def _size(picture: bytes) -> tuple[int, int]:
+    """Width and height that a PNG file's header says."""
+    return int.from_bytes(picture[16:20], "big"), int.from_bytes(picture[20:24], "big")
 
 
 def _bind(

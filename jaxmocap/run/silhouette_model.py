@@ -4,7 +4,7 @@ INPUTS: photographs from the front, the side, of bent arms and of stretched arms
 with sections ``front``, ``side`` and, where another camera took them, ``joint`` and ``arm_side``:
 in its world z is up and the person faces +x.
 OUTPUTS: a Modelled; ``model.npz`` (rings, mesh, joints), ``report.json`` and pictures in a folder;
-``texture.png`` and ``model.glb``, the person with their colours on.
+the person for other commands and programs, as ``silhouette_person`` has it.
 """
 
 import json
@@ -23,7 +23,7 @@ from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images import drawing
 from jaxmocap.images.backdrop import PhotographError, person_mask
 from jaxmocap.images.medial import skeleton
-from jaxmocap.run.silhouette_avatar import write_coloured
+from jaxmocap.run.silhouette_person import write_person
 from jaxmocap.silhouette.modelling.closing import joined_meshes
 from jaxmocap.silhouette.modelling.girths import girths
 from jaxmocap.silhouette.modelling.person import PersonModel, StanceError, person_model
@@ -134,7 +134,7 @@ def write_model(modelled: Modelled, directory: str | Path) -> list[Path]:
     views = [np.pad(v, ((0, tall - len(v)), (0, 0), (0, 0)), constant_values=245) for v in views]
     files.append(write_picture(directory / "model.png", np.hstack(views)))
     person = personal(model)
-    return [*files, *write_coloured(person, modelled.images, modelled.views, directory)]
+    return [*files, *write_person(person, modelled.images, modelled.views, directory)]
 
 
 def pictures(modelled: Modelled) -> dict[str, np.ndarray]:

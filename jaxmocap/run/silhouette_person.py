@@ -1,0 +1,90 @@
+"""A person as ``silhouette model`` leaves them to other commands and other programs.
+
+INPUTS: what four photographs told, and a folder; or such a folder.
+OUTPUTS: ``subject.toml``, the bones, for either tracker; ``surface.npz``, the body around them;
+``texture.png``, its colours; ``model.glb``, all of it with a skeleton and a skin; ``person.png``,
+the person from four sides. Or a Person.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.body.loft import stature_of
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.surface import Surface
+from jaxmocap.body.thickness import with_thickness
+from jaxmocap.capture.photographs import png_of, write_picture
+from jaxmocap.formats.animation import write_avatar
+from jaxmocap.formats.atomic import replacing
+from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.skin import TEXEL_M
+from jaxmocap.formats.subject import read_subject, write_subject
+from jaxmocap.formats.surface import load_surface, save_surface
+from jaxmocap.formats.tables import read_bytes
+from jaxmocap.silhouette.modelling.avatar import avatar_of
+from jaxmocap.silhouette.modelling.personal import Personal
+from jaxmocap.silhouette.modelling.views import View
+
+SUBJECT, SURFACE, TEXTURE = "subject.toml", "surface.npz", "texture.png"
+RESTS_ON = "Lengths and diameters by four photographs; what they do not show, by the stature."
+
+
+class Person(NamedTuple):
+    """Somebody's body.
+
+    Attributes:
+        skeleton: their bones.
+        surface: around them.
+        picture: a PNG file's content, the surface's colours; None without one.
+    """
+
+    skeleton: Skeleton
+    surface: Surface
+    picture: bytes | None
+
+
+def write_person(
+    person: Personal,
+    images: Mapping[str, np.ndarray],
+    views: Mapping[str, View],
+    directory: str | Path,
+) -> list[Path]:
+    """Write the files; their paths.
+
+    Args:
+        person: what the photographs told of the shape.
+        images: photograph -> (H, W, 3) BGR uint8.
+        views: photograph -> mask and camera.
+        directory: where to.
+    """
+    avatar = avatar_of(person, images, views, TEXEL_M)
+    names = (SUBJECT, SURFACE, TEXTURE, "model.glb", "person.png")
+    files = [Path(directory) / name for name in names]
+    thick = with_thickness(person.skeleton, person.surface)
+    write_subject(files[0], thick, stature_of(thick), [RESTS_ON])
+    save_surface(files[1], person.surface, person.skeleton.tree)
+    content = png_of(avatar.picture)
+    with replacing(files[2]) as beside:
+        beside.write_bytes(content)
+    write_avatar(files[3], person.skeleton, person.surface, content)
+    write_picture(files[4], avatar.around())
+    return files
+
+
+def read_person(directory: str | Path) -> Person:
+    """The person of a folder that ``silhouette model`` wrote.
+
+    Raises:
+        InputError: a file is missing or cannot be used.
+    """
+    folder = Path(directory)
+    for name in (SUBJECT, SURFACE):
+        if not (folder / name).is_file():
+            raise InputError(folder, f"found no {name}, expected what 'silhouette model' writes")
+    skeleton = read_subject(folder / SUBJECT, "", {"file": SUBJECT})
+    surface = load_surface(folder / SURFACE, skeleton.tree)
+    picture = folder / TEXTURE
+    return Person(skeleton, surface, read_bytes(picture) if picture.is_file() else None)
