@@ -14,7 +14,13 @@ import numpy as np
 
 from jaxmocap.images.medial import chamfer, skeleton
 from jaxmocap.silhouette.modelling.arm_joints import Arm, arm_axis, arm_joints
-from jaxmocap.silhouette.modelling.arm_surface import Bones, arm_rings, thickness
+from jaxmocap.silhouette.modelling.arm_surface import (
+    Bones,
+    arm_rings,
+    reach_of_hand,
+    thickness,
+    unfolded,
+)
 from jaxmocap.silhouette.modelling.lifted_arms import lifted_arms
 from jaxmocap.silhouette.modelling.separation import Landmarks, narrowest, separate
 from jaxmocap.silhouette.modelling.thighs import Thighs, thighs
@@ -117,10 +123,10 @@ def person_model(views: dict[str, View], bottom: int | None = None) -> PersonMod
         stretched = stretched_arms(arm_side, body, bent)
     arms = tuple(
         arm_rings(
-            thickness(joint, bones, bones.shoulder + bones.wrist - 2 * bones.elbow),
+            unfolded(thickness(joint, bones, bones.shoulder + bones.wrist - 2 * bones.elbow)),
             thickness(arm_side, straight, UP),
             bones.shoulder,
-            bones.lengths,
+            np.append(bones.lengths[:2], reach_of_hand(bones)),
         )
         for bones, straight in zip(bent, stretched, strict=True)
     )

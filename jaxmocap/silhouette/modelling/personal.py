@@ -15,12 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.body.loft import generic_surface, limbs, rest_joints, stature_of
+from jaxmocap.body.loft import generic_surface, rest_joints
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.subject import NECK_HEAD, TRUNK, scale_to_landmarks
 from jaxmocap.body.surface import Surface, rest_nodes
-from jaxmocap.silhouette.modelling.arm_surface import Bones
+from jaxmocap.silhouette.modelling.arm_surface import Bones, reach_of_hand
 from jaxmocap.silhouette.modelling.fleshing import fitted, stoutness
 from jaxmocap.silhouette.modelling.person import SIDES, PersonModel, middle_at
 from jaxmocap.silhouette.modelling.slices import Slices, slices
@@ -59,7 +59,7 @@ def personal(model: PersonModel) -> Personal:
     measured = slices(model, skeleton, marks, spread)
     # What photographs do not show is as stout as what they show.
     stout = generic_surface(skeleton, stoutness(skeleton, measured))
-    nodes = _nodes(stout, skeleton, measured, tuple(bones.lengths[2] for bones in model.bent))
+    nodes = _nodes(stout, skeleton, measured, tuple(map(reach_of_hand, model.bent)))
     places = nodes[:, None] - joints[np.asarray(stout.points.bones)]
     dtype = jnp.asarray(stout.points.points_bone).dtype
     points = stout.points._replace(points_bone=jnp.asarray(places, dtype))
@@ -186,19 +186,16 @@ def _grid(surface: Surface, nodes: np.ndarray, name: str) -> np.ndarray:
 def _nodes(
     surface: Surface, skeleton: Skeleton, measured: dict[str, Slices], hands: tuple[float, ...]
 ) -> np.ndarray:
-    """(N, 3) at rest: a generic surface's, moved to what was measured."""
+    """(N, 3) at rest: a generic surface's, moved to what was measured; hands reach so far."""
     joints = rest_joints(skeleton)
     nodes = rest_nodes(surface, joints)
-    reach = next(limb.reach for limb in limbs() if limb.name == "arm_l") * stature_of(skeleton)
     for patch in surface.patches:
         grid = nodes[patch.nodes].reshape(patch.along, patch.around, 3)
         side = -1.0 if patch.name.endswith("_r") else 1.0
         if patch.name.startswith("arm"):
-            wrist = joints[skeleton.tree.bone(f"hand_{patch.name[-1]}"), 2]
-            longer = hands[0 if side > 0 else 1] / reach
-            grid[..., 2] = np.where(
-                grid[..., 2] < wrist, wrist + longer * (grid[..., 2] - wrist), grid[..., 2]
-            )
+            below = joints[skeleton.tree.bone(f"hand_{patch.name[-1]}"), 2] - grid[..., 2]
+            longer = hands[0 if side > 0 else 1] / below[-1, 0] - 1
+            grid[..., 2] -= longer * np.maximum(below, 0)
         if patch.name in measured:
             grid[:] = fitted(grid, side, measured[patch.name])
     return nodes

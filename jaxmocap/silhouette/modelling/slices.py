@@ -10,18 +10,17 @@ import numpy as np
 
 from jaxmocap.body.loft import rest_joints
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.silhouette.modelling.arm_surface import INNER, SLICES
+from jaxmocap.silhouette.modelling.arm_surface import INNER, places, reach_of_hand
 from jaxmocap.silhouette.modelling.person import SIDES, PersonModel
 from jaxmocap.silhouette.modelling.trunk import ring
 
-# Where on an arm (0 the shoulder, 1 the elbow, 2 the wrist) slices are as they were measured:
-# nearer to the shoulder they run into the trunk, and a hand's fingers are no ring.
-ARM_MEASURED = (0.35, 1.95)
+# From here on along an arm (0 the shoulder, 1 the elbow) slices are as they were measured; nearer
+# to the shoulder they run into the trunk.
+ARM_MEASURED = 0.35
 # Below the hips' joints the thighs are part of the trunk's slices.
 NEVER = np.inf
-# Beyond what was measured its ratio to the generic surface fades to 1 within so much, metres: from
-# the wrist on, and from the lowest slice of a thigh on.
-HAND_FADES_M, THIGH_FADES_M = 0.05, 0.15
+# From the lowest slice of a thigh on its ratio to the generic surface fades to 1 within so much.
+THIGH_FADES_M = 0.15
 THIGH_FULLNESS = 2.0
 # The highest slice of the trunk is worn up to so much above it, metres.
 CROWN_M = 0.01
@@ -77,12 +76,12 @@ def _arm(model: PersonModel, skeleton: Skeleton, k: int) -> Slices:
     """What looks ahead of a stretched arm does so of a hanging one, what looks up, outwards."""
     joints, tree, (side, sign) = rest_joints(skeleton), skeleton.tree, SIDES[k]
     ends = joints[[tree.bone(f"{bone}_{side}") for bone in ("humerus", "radius", "hand")]]
-    at = np.concatenate([k + np.arange(count) / count for k, count in enumerate(SLICES[:2])])
-    rings = model.arms[k][INNER : INNER + len(at)] - model.bent[k].shoulder
-    kept = (at >= ARM_MEASURED[0]) & (at <= ARM_MEASURED[1])
-    levels = np.interp(at, np.arange(3.0), ends[:, 2])
+    hand = reach_of_hand(model.bent[k])
+    at, rings = places(), model.arms[k][INNER:] - model.bent[k].shoulder
+    kept = at >= ARM_MEASURED
+    levels = np.interp(at, np.arange(4.0), np.append(ends[:, 2], ends[2, 2] - hand))
     outlines = rings[..., [0, 2]] + ends[0, :2] * [1.0, sign]
-    return Slices(levels[kept], outlines[kept], (NEVER, HAND_FADES_M))
+    return Slices(levels[kept], outlines[kept], (NEVER, NEVER))
 
 
 def _leg(model: PersonModel, skeleton: Skeleton, hip: np.ndarray, k: int, spread: float) -> Slices:
