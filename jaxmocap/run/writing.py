@@ -103,8 +103,10 @@ def write_outputs(
     return files
 
 
-def write_motion(motion: Motion, folder: Path, surface: Surface | None = None) -> list[Path]:
-    """The motion in every format that others read; the body's surface is motion.glb's skin."""
+def write_motion(
+    motion: Motion, folder: Path, surface: Surface | None = None, picture: bytes | None = None
+) -> list[Path]:
+    """The motion in every format that others read; surface and picture are motion.glb's skin."""
     names = ("joints.trc", "angles.mot", "angles_isb.mot", "motion.npz", "motion.bvh", "motion.glb")
     files = [folder / name for name in names]
     write_trc(files[0], motion.times, motion.joints())
@@ -112,7 +114,7 @@ def write_motion(motion: Motion, folder: Path, surface: Surface | None = None) -
     write_isb(files[2], motion)
     save_motion(files[3], motion)
     for path in files[4:]:
-        write_animation(path, motion, surface)
+        write_animation(path, motion, surface, picture)
     return files
 
 
