@@ -105,7 +105,10 @@ def test_the_command_writes_the_other_persons_motion(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("onto", "problem"),
-    [("nobody.toml", "nobody.toml"), ("", "found no subject.toml in this folder, expected one")],
+    [
+        ("nobody.toml", "nobody.toml"),
+        ("", "found no subject.toml, expected what 'silhouette model' writes"),
+    ],
 )
 def test_who_is_not_there_is_said_in_one_sentence(tmp_path, capsys, onto, problem):
     save_motion(tmp_path / "motion.npz", on_one_foot())

@@ -1,7 +1,8 @@
 """A tracked motion played by another person.
 
 INPUTS: a folder that ``track`` or ``silhouette track`` wrote, or its motion.npz; a subject file, or
-a folder of ``silhouette model``. OUTPUTS: that person's motion in every format, recording.rrd and
+a folder of ``silhouette model``.
+OUTPUTS: that person's motion in every format, with their skin where it is known; recording.rrd;
 retargeted.png, a picture of both.
 """
 
@@ -12,15 +13,17 @@ import numpy as np
 
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.retarget import FEET, feet, grounded, leg_length, retargeted, scaled
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.surface import Surface
+from jaxmocap.capture.photographs import picture_of
 from jaxmocap.evaluation.stick_figures import plot_stick_figures
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.npz import load_motion
 from jaxmocap.formats.subject import read_subject
 from jaxmocap.outputs.viewer import write_rerun
+from jaxmocap.run.silhouette_person import read_person
 from jaxmocap.run.writing import make_folder, write_motion
 
-MOTION, SUBJECT = "motion.npz", "subject.toml"
+MOTION = "motion.npz"
 
 
 class Retargeted(NamedTuple):
@@ -29,10 +32,14 @@ class Retargeted(NamedTuple):
     Attributes:
         before: as it was tracked.
         after: as the other person plays it.
+        surface: of the other person, or None.
+        picture: a PNG file's content, the surface's colours; or None.
     """
 
     before: Motion
     after: Motion
+    surface: Surface | None
+    picture: bytes | None
 
     def figures(self) -> dict:
         """Legs, metres; what feet on the ground do there, metres and metres per second."""
@@ -65,22 +72,21 @@ def retarget(source: str | Path, onto: str | Path) -> Retargeted:
 
     Args:
         source: a motion.npz, or the folder that holds it.
-        onto: a subject file, or the folder that holds a subject.toml.
+        onto: a subject file, or a folder that ``silhouette model`` wrote.
 
     Raises:
         InputError: a file cannot be used, or the bodies have other bones.
     """
-    before = load_motion(_within(source, MOTION))
+    before, onto = load_motion(_motion_file(source)), Path(onto)
+    surface = picture = None
+    if onto.is_dir():
+        skeleton, surface, picture = read_person(onto)
+    else:
+        skeleton = read_subject(onto, "", {"file": onto.name})
     try:
-        return Retargeted(before, retargeted(before, read_person(onto)))
+        return Retargeted(before, retargeted(before, skeleton), surface, picture)
     except ValueError as error:
         raise InputError(source, str(error)) from None
-
-
-def read_person(path: str | Path) -> Skeleton:
-    """The person of a subject file, or of the folder that holds a subject.toml."""
-    file = _within(path, SUBJECT)
-    return read_subject(file, "", {"file": file.name})
 
 
 def write_retargeted(played: Retargeted, directory: str | Path) -> list[Path]:
@@ -90,21 +96,23 @@ def write_retargeted(played: Retargeted, directory: str | Path) -> list[Path]:
         What was written.
     """
     folder = make_folder(directory)
-    files = [*write_motion(played.after, folder), folder / "recording.rrd"]
-    write_rerun(files[-1], played.after)
+    surface, picture = played.surface, played.picture
+    files = [*write_motion(played.after, folder, surface, picture), folder / "recording.rrd"]
+    colours = picture and picture_of(folder, picture)
+    write_rerun(files[-1], played.after, surface=surface, picture=colours)
     files.append(folder / "retargeted.png")
     people = {"as tracked": played.before, "as played": played.after}
     plot_stick_figures(files[-1], people)
     return files
 
 
-def _within(path: str | Path, name: str) -> Path:
-    """The path, or the file of this name where it is a folder."""
-    path = Path(path)
+def _motion_file(source: str | Path) -> Path:
+    """The motion.npz of a folder, or the file itself."""
+    path = Path(source)
     if path.is_dir():
-        if not (path / name).is_file():
-            raise InputError(path, f"found no {name} in this folder, expected one")
-        return path / name
+        path = path / MOTION
+        if not path.is_file():
+            raise InputError(source, f"found no {MOTION} in this folder, expected one")
     return path
 
 
