@@ -174,6 +174,25 @@ def test_the_viewer_shows_the_skin_where_the_motion_carries_it(surface, tmp_path
     assert apart.max() < TENTH_OF_A_MILLIMETRE
 
 
+def test_the_viewer_shows_a_skin_with_its_colours(surface, atlas, tmp_path):
+    whole = moving_body()
+    first = Pose(*(np.asarray(part)[:1] for part in whole.poses))
+    picture = np.full((atlas.height, atlas.width, 3), (10, 20, 30), np.uint8)
+    motion = Motion(whole.skeleton, whole.times[:1], first)
+    write_rerun(tmp_path / "a.rrd", motion, surface=surface, picture=picture)
+    timed, static = read_recording(tmp_path / "a.rrd")
+    (look,) = static["/world/skin"]
+    texture = np.array(look.column("Mesh3D:albedo_texture_buffer").to_pylist()[0], np.uint8)
+    assert (texture.reshape(-1, 3) == [30, 20, 10]).all() and texture.size == picture.size
+    places = np.array(look.column("Mesh3D:vertex_texcoords").to_pylist()[0])
+    (batch,) = timed["/world/skin"]
+    vertices = np.array(batch.column("Mesh3D:vertex_positions").to_pylist()[0])
+    assert len(places) == len(vertices) and places.min() > 0 and places.max() < 1
+    nodes = rest_nodes(surface, rest_joints(whole.skeleton))
+    own = traced_nodes(surface, 0)[mesh_of(surface, nodes, atlas).nodes]
+    assert np.abs(vertices - own).max() < TENTH_OF_A_MILLIMETRE
+
+
 def test_a_surface_that_gltf_cannot_hold_is_refused_in_one_sentence(surface, tmp_path):
     moved = np.array(surface.points.points_bone)
     moved[:, 0, 0] += 0.03

@@ -40,6 +40,7 @@ def write_rerun(
     targets: Mapping[str, np.ndarray] | None = None,
     jpeg_quality: int = 75,
     surface: Surface | None = None,
+    picture: np.ndarray | None = None,
 ) -> None:
     """Write a recording that ``rerun FILE`` shows, laid out in a prepared blueprint.
 
@@ -53,6 +54,7 @@ def write_rerun(
         targets: marker -> (T, 3) measured positions at the motion's times, world, metres.
         jpeg_quality: of the images, 1 to 100.
         surface: of the body, shown in the place of the limbs' solids.
+        picture: the surface's colours, as for ``log_skin``.
     """
     from jaxmocap.outputs import layout, recorder, skin
 
@@ -63,7 +65,7 @@ def write_rerun(
     with replacing(path) as beside, recorder.recording(beside, blueprint) as stream:
         recorder.log_body(stream, motion, scene, limbs=surface is None)
         if surface is not None:
-            skin.log_skin(stream, motion, surface)
+            skin.log_skin(stream, motion, surface, picture)
         recorder.log_trust(stream, motion)
         recorder.log_targets(stream, scene.times, targets)
         if motion.report is not None:

@@ -12,7 +12,8 @@ import numpy as np
 
 from jaxmocap.body.loft import rest_joints
 from jaxmocap.body.mesh import coarser
-from jaxmocap.body.surface import rest_nodes
+from jaxmocap.body.surface import Surface, rest_nodes
+from jaxmocap.capture.photographs import picture_of
 from jaxmocap.capture.video import Frame, FrameSource, open_video
 from jaxmocap.formats.recording import Recording
 from jaxmocap.images.canvases import full_mask
@@ -21,6 +22,7 @@ from jaxmocap.outputs.overlay import write_overlay
 from jaxmocap.outputs.report import write_report
 from jaxmocap.outputs.viewer import Footage, write_rerun
 from jaxmocap.run.silhouette import Followed, Masks
+from jaxmocap.run.silhouette_person import Person
 from jaxmocap.run.timing import Progress, progress_bar
 from jaxmocap.run.writing import (
     Counter,
@@ -42,6 +44,7 @@ def write_followed(
     recording: Recording,
     directory: str | Path,
     progress: Progress | bool | None = None,
+    person: Person | None = None,
 ) -> list[Path]:
     """Write all files.
 
@@ -50,14 +53,14 @@ def write_followed(
         recording: with its videos.
         directory: is made where missing.
         progress: called with the frames drawn and their total; True shows a bar on stderr.
+        person: who was tracked: if their colours are known, their own surface is the skin.
 
     Returns:
         The files, in the order in which they were written.
     """
     folder, motion = make_folder(directory), followed.motion
-    joints = rest_joints(motion.skeleton)
-    skin = coarser(followed.surface, rest_nodes(followed.surface, joints), SKIN_M)
-    files = write_motion(motion, folder, skin)
+    skin, picture = _skin(followed, person)
+    files = write_motion(motion, folder, skin, picture)
     files.append(folder / "report.json")
     write_report(files[-1], motion, {"recording": recording.path or recording.name})
     videos = [open_video(source) for source in recording.videos]
@@ -70,8 +73,17 @@ def write_followed(
             source.camera_name: Footage(source.camera, counter.over(thinned(video)))
             for source, video in zip(recording.videos, videos, strict=True)
         }
-        write_rerun(files[-1], motion, footage, {}, surface=skin)
+        colours = None if picture is None else picture_of(folder, picture)
+        write_rerun(files[-1], motion, footage, {}, surface=skin, picture=colours)
     return files
+
+
+def _skin(followed: Followed, person: Person | None) -> tuple[Surface, bytes | None]:
+    """What the body looks like in files: as photographed, or else as tracked."""
+    if person is not None and person.picture is not None:
+        return person.surface, person.picture
+    nodes = rest_nodes(followed.surface, rest_joints(followed.motion.skeleton))
+    return coarser(followed.surface, nodes, SKIN_M), None
 
 
 def _write_segmentations(
