@@ -15,7 +15,10 @@ INPUTS: a Morphing, of a file or made by hand; a skeleton, its surface; angles.
 OUTPUTS: a Morph, the same as arrays; angles with and without what follows; moved points.
 """
 
+import math
+import tomllib
 from dataclasses import dataclass, field
+from importlib import resources
 from typing import NamedTuple
 
 import jax
@@ -203,3 +206,24 @@ def worn(skin: Skin, morph: Morph, angles: Array) -> Skin:
     """A skin that has gone along with a pose's angles."""
     gone = jnp.einsum("nas,s->an", morph.moves, steered(morph, angles), precision=HIGHEST)
     return skin._replace(rest=skin.rest + gone)
+
+
+def read_morphing(name: str) -> Morphing:
+    """A morphing of ``body/data``, for both sides: ``shoulder.toml`` for raised arms."""
+    text = resources.files("jaxmocap.body").joinpath("data", name).read_text("utf-8")
+    data, followers, swellings = tomllib.loads(text), [], []
+    for side in "lr":
+        for row in data.get("joint", []):
+            followers.append(Follower(f"{row['name']}_{side}", _steer(row, side), row["gain"]))
+        for row in data.get("swelling", []):
+            centre, radii = (
+                (math.radians(row[key][0]), float(row[key][1])) for key in ("centre", "radii")
+            )
+            patch, steer = f"{row['patch']}_{side}", _steer(row, side)
+            swellings.append(Swelling(patch, steer, centre, radii, row["gain"]))
+    return Morphing(tuple(followers), tuple(swellings))
+
+
+def _steer(row: dict, side: str) -> Steer:
+    joints = tuple(f"{joint}_{side}" for joint in row["steered_by"])
+    return Steer(joints, row.get("weighting", "linear"))

@@ -83,6 +83,22 @@ def arm_raises(seconds: float, rng: np.random.Generator) -> Keys:
     return _repeated(stances, seconds, 0.46, rng)
 
 
+def overhead(seconds: float, rng: np.random.Generator) -> Keys:
+    """Arms up to 150 degrees before the shoulder blades and to the front, and down again."""
+    up = (50.0, 100.0, 150.0, 100.0, 50.0)
+    raised = [_raised(elevation, ahead) for ahead in (45.0, 80.0) for elevation in (10.0, *up)]
+    stances = tuple(replace(STANDING, arm_l=arm, arm_r=arm) for arm in raised)
+    return _repeated(stances, seconds, 0.27, rng)
+
+
+def _raised(elevation: float, ahead: float) -> tuple[float, float, float, float]:
+    """An arm so far from hanging, in a plane so far from the side to the front; degrees."""
+    up, turned = np.radians([elevation, ahead])
+    out = np.sin(up) * np.cos(turned)
+    flexion, abduction = np.arcsin(np.sin(up) * np.sin(turned)), np.arctan2(out, np.cos(up))
+    return float(np.degrees(flexion)), float(np.degrees(abduction)), 0.0, 14.0
+
+
 def turn(seconds: float, rng: np.random.Generator) -> Keys:
     """Half a turn on the spot in small steps, then towards the first camera, the arms swinging."""
     keys, steps = [], 10
@@ -134,6 +150,8 @@ EXERCISES: dict[str, Callable[[float, np.random.Generator], Keys]] = {
     each.__name__: each
     for each in (push_ups, sit_ups, arm_raises, turn, walking, jumping, scissors)
 }
+# Beyond those that the tracker's benchmark goes through.
+RAISES = {overhead.__name__: overhead}
 
 
 def exercise(
@@ -143,7 +161,7 @@ def exercise(
 
     Args:
         rig: of the person.
-        name: of the exercise, one of ``EXERCISES``.
+        name: of the exercise, one of ``EXERCISES`` or ``RAISES``.
         seconds: duration.
         seed: of the variations.
         girdle: how far the shoulders go with raised arms; without it they stay on the chest.
@@ -151,9 +169,10 @@ def exercise(
     Raises:
         ValueError: an unknown exercise; the message lists the valid ones.
     """
-    if name not in EXERCISES:
-        raise ValueError(f"unknown exercise {name!r}; expected one of {', '.join(EXERCISES)}")
-    keys = EXERCISES[name](seconds, np.random.default_rng([seed, 6]))
+    known = EXERCISES | RAISES
+    if name not in known:
+        raise ValueError(f"unknown exercise {name!r}; expected one of {', '.join(known)}")
+    keys = known[name](seconds, np.random.default_rng([seed, 6]))
     times, stances = zip(*keys, strict=True)
     curves = Spline.through(np.array(times), np.stack([stance.channels() for stance in stances]))
     return Exerciser(rig, curves, PLANTED if name == "push_ups" else None, girdle=girdle)
