@@ -7,6 +7,7 @@ the person from four sides. Or a Person.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +21,7 @@ from jaxmocap.capture.photographs import png_of, write_picture
 from jaxmocap.formats.animation import write_avatar
 from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.recording import Recording
 from jaxmocap.formats.skin import TEXEL_M
 from jaxmocap.formats.subject import read_subject, write_subject
 from jaxmocap.formats.surface import load_surface, save_surface
@@ -60,18 +62,37 @@ def write_person(
         views: photograph -> mask and camera.
         directory: where to.
     """
-    avatar = avatar_of(person, images, views, TEXEL_M)
     names = (SUBJECT, SURFACE, TEXTURE, "model.glb", "person.png")
     files = [Path(directory) / name for name in names]
     thick = with_thickness(person.skeleton, person.surface)
     write_subject(files[0], thick, stature_of(thick), [RESTS_ON])
     save_surface(files[1], person.surface, person.skeleton.tree)
+    # As others will read them: rounded, so that they lay the picture out to the same texel.
+    skeleton, surface = _read(Path(directory))
+    person = person._replace(skeleton=skeleton, surface=surface)
+    avatar = avatar_of(person, images, views, TEXEL_M)
     content = png_of(avatar.picture)
     with replacing(files[2]) as beside:
         beside.write_bytes(content)
     write_avatar(files[3], person.skeleton, person.surface, content)
     write_picture(files[4], avatar.around())
     return files
+
+
+def modelled(recording: Recording, model: str | Path | None) -> tuple[Recording, Person | None]:
+    """The recording with a model's bones, and the person of the model; as it is without a model.
+
+    Args:
+        recording: of that person.
+        model: a folder that ``silhouette model`` wrote.
+
+    Raises:
+        InputError: a file of the folder is missing or cannot be used.
+    """
+    if model is None:
+        return recording, None
+    person = read_person(model)
+    return replace(recording, skeleton=person.skeleton), person
 
 
 def read_person(directory: str | Path) -> Person:
@@ -84,7 +105,11 @@ def read_person(directory: str | Path) -> Person:
     for name in (SUBJECT, SURFACE):
         if not (folder / name).is_file():
             raise InputError(folder, f"found no {name}, expected what 'silhouette model' writes")
-    skeleton = read_subject(folder / SUBJECT, "", {"file": SUBJECT})
-    surface = load_surface(folder / SURFACE, skeleton.tree)
     picture = folder / TEXTURE
-    return Person(skeleton, surface, read_bytes(picture) if picture.is_file() else None)
+    return Person(*_read(folder), read_bytes(picture) if picture.is_file() else None)
+
+
+def _read(folder: Path) -> tuple[Skeleton, Surface]:
+    """Bones and body of a folder."""
+    skeleton = read_subject(folder / SUBJECT, "", {"file": SUBJECT})
+    return skeleton, load_surface(folder / SURFACE, skeleton.tree)
