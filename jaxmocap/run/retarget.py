@@ -98,7 +98,7 @@ def write_retargeted(played: Retargeted, directory: str | Path) -> list[Path]:
     folder = make_folder(directory)
     surface, picture = played.surface, played.picture
     files = [*write_motion(played.after, folder, surface, picture), folder / "recording.rrd"]
-    colours = picture and picture_of(folder, picture)
+    colours = None if picture is None else picture_of(folder, picture)
     write_rerun(files[-1], played.after, surface=surface, picture=colours)
     files.append(folder / "retargeted.png")
     people = {"as tracked": played.before, "as played": played.after}

@@ -1,7 +1,11 @@
 """A synthetic recording by four cameras, tracked by silhouettes and compared with the truth.
 
+Who has a mesh of their own is photographed first, and tracked without and with the model that the
+photographs give.
+
 INPUTS: a folder, a duration, a seed; somebody's rigged mesh where there is one.
-OUTPUTS: in that folder the recording and everything that ``silhouette track`` writes.
+OUTPUTS: in that folder the recording and everything that ``silhouette track`` writes; of a mesh
+photographs and model as well.
 """
 
 from dataclasses import dataclass
@@ -16,7 +20,9 @@ from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.evaluation.tables import format_table
 from jaxmocap.formats.recording import Recording
 from jaxmocap.formats.trc import read_trc
-from jaxmocap.run.silhouette import follow, whole_body
+from jaxmocap.run.silhouette import Followed, follow, whole_body
+from jaxmocap.run.silhouette_model import PHOTOGRAPHS, model_from, write_model
+from jaxmocap.run.silhouette_person import Person, modelled
 from jaxmocap.run.silhouette_writing import write_followed
 from jaxmocap.run.summary import frames_per_second
 from jaxmocap.run.timing import progress_bar
@@ -26,6 +32,7 @@ from jaxmocap.synthetic import motions
 from jaxmocap.synthetic.exercises import exercise
 from jaxmocap.synthetic.four_cameras import Performer, bends, write_four_cameras
 from jaxmocap.synthetic.person import dressed
+from jaxmocap.synthetic.photographs import write_photographs
 from jaxmocap.synthetic.rigged_mesh import load_rig
 
 HEIGHT = 1.75
@@ -44,12 +51,14 @@ class Shown:
         motion: by silhouettes.
         errors: of the joints' places.
         bend_errors_deg: hinge -> mean error of how far it is bent, degrees.
+        before: both errors without the person's own model, where there is one.
         files: that were written.
     """
 
     motion: Motion
     errors: Errors
     bend_errors_deg: dict[str, float]
+    before: tuple[Errors, dict[str, float]] | None
     files: list[Path]
 
     @property
@@ -60,15 +69,23 @@ class Shown:
 
     def text(self) -> str:
         """Errors, and the rate."""
-        bends = ", ".join(f"{name} {off:.1f}" for name, off in self.bend_errors_deg.items())
+        errors, bent = (None, {}) if self.before is None else self.before
+        table = format_table(self.errors, errors)
+        bends = ", ".join(
+            f"{name} {f'{bent[name]:.1f} -> ' if bent else ''}{off:.1f}"
+            for name, off in self.bend_errors_deg.items()
+        )
         rate = f"{self.frames_per_second:.1f} frames per second of all cameras, once compiled"
-        return f"{format_table(self.errors)}\n\nbent, degrees off: {bends}\n{rate}"
+        with_model = "without -> with the person's own model\n\n" if bent else ""
+        return f"{with_model}{table}\n\nbent, degrees off: {bends}\n{rate}"
 
     def as_dict(self) -> dict:
         """What JSON takes."""
         return {
             "errors": self.errors.as_dict(),
             "bend_errors_deg": self.bend_errors_deg,
+            "without_model": self.before
+            and {"errors": self.before[0].as_dict(), "bend_errors_deg": self.before[1]},
             "frames_per_second": self.frames_per_second,
             "files": [str(path) for path in self.files],
         }
@@ -97,18 +114,43 @@ def demonstrate(
         performer = performing(seconds, seed, person, kind)
         path = write_four_cameras(folder / "recording", performer, seconds, seed, HEIGHT, show)
     recording, truth = Recording.load(path), folder / "recording" / "truth.trc"
-    known = read_trc(truth)
-    places = dict(zip(known.names, np.moveaxis(known.positions, 1, 0), strict=True))
-    first = np.array([places[n][0] if n in places else np.full(3, np.nan) for n in LANDMARKS])
-    start = pose_at(whole_body(recording.skeleton), first)
-    followed = follow(recording, start, progress=progress)
-    files = write_followed(followed, recording, folder, progress)
+    before, files, own = None, [], None
+    if person is not None:
+        motion = followed_from(recording, truth, progress).motion
+        before = evaluate(motion, truth, JOINTS), bend_errors_deg(motion, truth)
+        files += photographed(folder, person, seed)
+        recording, own = modelled(recording, folder / "model")
+    followed = followed_from(recording, truth, progress, own)
+    files += write_followed(followed, recording, folder, progress)
     errors = evaluate(followed.motion, truth, JOINTS)
-    found, expected = bends(followed.motion.joints()), bends(places)
-    off = {
+    off = bend_errors_deg(followed.motion, truth)
+    return Shown(followed.motion, errors, off, before, files)
+
+
+def photographed(folder: Path, person: str, seed: int) -> list[Path]:
+    """Photograph a mesh and make the person's model, in ``photographs`` and ``model``."""
+    taken = folder / "photographs"
+    calibration = write_photographs(taken, load_rig(person, seed=seed), seed)
+    files = {name: taken / f"{name}.png" for name in PHOTOGRAPHS}
+    return write_model(model_from(files, calibration, folder), folder / "model")
+
+
+def followed_from(
+    recording: Recording, truth: Path, progress: bool, own: Person | None = None
+) -> Followed:
+    """Track from the truth's first pose, with the person's own model where there is one."""
+    known = read_trc(truth).points()
+    first = np.array([known[n][0] if n in known else np.full(3, np.nan) for n in LANDMARKS])
+    start = pose_at(whole_body(recording.skeleton), first)
+    return follow(recording, start, surface=own and own.surface, progress=progress)
+
+
+def bend_errors_deg(motion: Motion, truth: Path) -> dict[str, float]:
+    """Hinge -> mean error of how far it is bent, degrees."""
+    found, expected = bends(motion.joints()), bends(read_trc(truth).points())
+    return {
         name: float(np.degrees(np.abs(found[name] - expected[name]).mean())) for name in expected
     }
-    return Shown(followed.motion, errors, off, files)
 
 
 def performing(seconds: float, seed: int, person: str | None, kind: str) -> Performer:
