@@ -196,6 +196,7 @@ def silhouette_track(options: argparse.Namespace) -> None:
     from jaxmocap.run import choosing
     from jaxmocap.run.compilation import keep_compiled
     from jaxmocap.run.silhouette import follow
+    from jaxmocap.run.silhouette_person import modelled
     from jaxmocap.run.silhouette_start import start_pose
     from jaxmocap.run.silhouette_writing import write_followed
     from jaxmocap.run.summary import figures, summary
@@ -205,11 +206,13 @@ def silhouette_track(options: argparse.Namespace) -> None:
     recording = load_recording(options.recording)
     if options.cameras:
         recording = choosing.select_cameras(recording, options.cameras)
+    recording, person = modelled(recording, options.model)
     check_folder(options.out)
     start = start_pose(recording, options.at)
     asked = {"passes": options.passes, "markers": options.markers}
+    asked["surface"] = person and person.surface
     followed = follow(recording, start, **asked, progress=True)
-    files = write_followed(followed, recording, options.out, progress=True)
+    files = write_followed(followed, recording, options.out, True, person)
     _report(options, summary(followed.motion, files), figures(followed.motion))
 
 

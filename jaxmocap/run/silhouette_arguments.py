@@ -34,6 +34,12 @@ def add_silhouette_track(parser: argparse.ArgumentParser) -> None:
         help="one pass, without knowing rooms and girths; default: two passes learn them",
     )
     parser.add_argument("--markers", action="store_true", help="follow the recording's markers too")
+    parser.add_argument(
+        "--model",
+        metavar="DIR",
+        help="the person's own, as 'silhouette model' wrote it; default: a body of people's mean "
+        "proportions around the recording's [subject]",
+    )
 
 
 def add_silhouette_demo(parser: argparse.ArgumentParser) -> None:
@@ -61,7 +67,7 @@ def add_silhouette_model(parser: argparse.ArgumentParser) -> None:
         ("front", "arms lifted off the trunk"),
         ("side", "from the left, arms spread towards and away from the camera"),
         ("joint", "from the front, upper arms level, forearms up, hands flat"),
-        ("arm-side", "from the front, arms spread level, thumbs up"),
+        ("arm-side", "from the front, arms spread level, palms down"),
     ):
         parser.add_argument(f"--{name}", metavar="IMAGE", required=True, help=stance)
     parser.add_argument(

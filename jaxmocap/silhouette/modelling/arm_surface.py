@@ -2,7 +2,7 @@
 
 The joint view shows how thick the arm is in the plane in which it bends, the arms' side view how
 thick it is along the elbow's axis. Slices across the bones take both; the arm is laid out level,
-to the side, thumb up.
+to the side, thumb ahead.
 
 INPUTS: two Views; shoulder, elbow, wrist and fingertip in each, world, metres.
 OUTPUTS: closed rings from within the trunk to the fingertip, world, metres.

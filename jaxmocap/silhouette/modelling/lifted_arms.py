@@ -37,6 +37,8 @@ def _lifted(front: View, pit: np.ndarray, side: int, bones: Bones) -> Bones:
         middles.append(((first + last) / 2, row))
         # The gap beside the trunk widens downwards with the arm.
         outer = max(outer, first - 1) if side > 0 else min(outer, last + 1)
+    if not middles:
+        raise ValueError("found no arm beside the trunk, expected arms lifted off the trunk")
     way = gaussian_filter1d(np.array(middles), SMOOTH_ROWS, axis=0, mode="nearest")
     places = front.on_plane(way, bones.shoulder, AHEAD)
     ends, after = [bones.shoulder], 0

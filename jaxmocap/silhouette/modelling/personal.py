@@ -60,10 +60,10 @@ def personal(model: PersonModel) -> Personal:
     # What photographs do not show is as stout as what they show.
     stout = generic_surface(skeleton, stoutness(skeleton, measured))
     nodes = _nodes(stout, skeleton, measured, tuple(map(reach_of_hand, model.bent)))
-    places = nodes[:, None] - joints[np.asarray(stout.points.bones)]
-    dtype = jnp.asarray(stout.points.points_bone).dtype
-    points = stout.points._replace(points_bone=jnp.asarray(places, dtype))
-    return Personal(skeleton, replace(stout, points=points), poses(model, skeleton, marks, spread))
+    places = nodes[:, None] - joints[np.asarray(usual.points.bones)]
+    dtype = jnp.asarray(usual.points.points_bone).dtype
+    points = usual.points._replace(points_bone=jnp.asarray(places, dtype))
+    return Personal(skeleton, replace(usual, points=points), poses(model, skeleton, marks, spread))
 
 
 def standing(marks: dict[str, np.ndarray]) -> Skeleton:
