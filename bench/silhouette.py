@@ -25,6 +25,7 @@ from bench.stages import STAGES, WHOLE, stages_timed
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.subject import scale_to_landmarks
+from jaxmocap.body.surface import Surface
 from jaxmocap.evaluation.errors import Errors, position_errors
 from jaxmocap.evaluation.series import match
 from jaxmocap.formats.recording import Recording
@@ -92,9 +93,9 @@ def track_real(clip: Clip) -> Result:
     return judged(clip, recording, start_pose(recording))
 
 
-def judged(clip: Clip, recording: Recording, start: Pose) -> Result:
-    """Track and compare with the clip's truth."""
-    motion = follow(recording, start, progress=True).motion
+def judged(clip: Clip, recording: Recording, start: Pose, surface: Surface | None = None) -> Result:
+    """Track, with a surface of the person where there is one, and compare with the truth."""
+    motion = follow(recording, start, surface=surface, progress=True).motion
     truth, joints = read_trc(clip.truth), motion.joints()
     points = {mark: truth.points()[name] for mark, name in clip.landmarks.items() if mark in JOINTS}
     pairs = {name: name for name in JOINTS}

@@ -5,6 +5,7 @@ from time import sleep
 import numpy as np
 import pytest
 
+from bench import personal
 from bench.silhouette import Result, camera_rows, exercise_rows, metrics, real_rows, speed
 from bench.stages import REST, STAGES, WHOLE, StageClock, stages_timed
 from jaxmocap.evaluation.errors import Errors
@@ -81,3 +82,19 @@ def test_every_stage_is_there_to_be_timed_and_is_itself_again_afterwards():
         assert tracker.SilhouetteTracker.step is not before[1]
     assert (tracker.fit, tracker.SilhouetteTracker.step) == before
     assert clock.frames == [] and {"rim", "segmentation", "fit"} < {*STAGES}
+
+
+def test_a_persons_own_model_is_set_against_generic_bodies():
+    off = {"stature": (0.06, 8.0), "bones": (0.04, 4.0), "model": (0.01, 2.0)}
+    rows = [
+        personal.Row(
+            name, {body: result(name, 4, k * m, k * deg) for body, (m, deg) in off.items()}
+        )
+        for name, k in (("walking", 1.0), ("turn", 2.0))
+    ]
+    lines = personal.text(rows).splitlines()
+    assert lines[-2].split()[1:] == ["12.0", "6.0", "3.0", "6.0", "3.0", "1.5", "9.0", "6.0", "1.5"]
+    assert lines[-1].split()[2:4] == ["0.25", "0.50"]
+    named = {metric.name: metric.value for metric in personal.metrics(rows)}
+    assert named["tracked by model, elbows bent"] == pytest.approx(3.0)
+    assert named["tracked by bones, joints"] == pytest.approx(6.0)

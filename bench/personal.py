@@ -1,0 +1,157 @@
+"""``python -m bench.personal RECORDINGS``: what a person's own model is worth to the tracker.
+
+Four photographs of a person of the independent mesh make a model; rendered exercises of the same
+person are then tracked by four cameras with each of
+
+    stature  a generic body of the person's true height: what there is without photographs
+    bones    a generic body with the true lengths of all bones, which nobody has
+    model    the person of the photographs, whose bones and surface are as measured there
+
+All begin at the truth's first pose, and correct the surface while they track. What the method
+knows of people's proportions it has from ``man`` and ``woman``, who therefore are not among those
+that count.
+
+INPUTS: the folder of recordings, with ``person/person.npz`` in it. OUTPUTS: a table, and Metrics.
+"""
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.clips import Clip, exercises
+from bench.command_line import add_rendered, command
+from bench.metrics import Metric, aligned, write_json
+from bench.silhouette import KINDS, Result, judged
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.subject import scale_to_landmarks
+from jaxmocap.body.surface import Surface
+from jaxmocap.formats.recording import Recording
+from jaxmocap.formats.trc import read_trc
+from jaxmocap.run.compilation import keep_compiled
+from jaxmocap.run.silhouette import whole_body
+from jaxmocap.run.silhouette_model import PHOTOGRAPHS, model_from
+from jaxmocap.silhouette.modelling.personal import Personal, personal
+from jaxmocap.silhouette.start import pose_at
+from jaxmocap.synthetic.exercises import EXERCISES
+from jaxmocap.synthetic.photographs import stature, write_photographs
+from jaxmocap.synthetic.rigged_mesh import Rig, load_rig
+
+PEOPLE, EXERCISE = ("slim_woman", "broad_man"), "arm_raises"
+BODIES = ("stature", "bones", "model")
+
+
+class Row(NamedTuple):
+    """One exercise of one person.
+
+    Attributes:
+        name: of both.
+        results: body -> how well it was tracked.
+    """
+
+    name: str
+    results: dict[str, Result]
+
+    def figures(self) -> np.ndarray:
+        """(3, bodies) elbows and knees, degrees, and joints, centimetres."""
+        found = self.results.values()
+        angles = [[result.angle(kind) for result in found] for kind in ("elbow", "knee")]
+        return np.array([*angles, [result.place(*KINDS) for result in found]])
+
+
+def photographed(rig: Rig, folder: Path, seed: int) -> Personal:
+    """The person of four photographs."""
+    calibration = write_photographs(folder, rig, seed)
+    files = {name: folder / f"{name}.png" for name in PHOTOGRAPHS}
+    return personal(model_from(files, calibration, folder / "model").model)
+
+
+def tracked(clip: Clip, rig: Rig, person: Personal, bodies: Sequence[str]) -> Row:
+    """A clip, once with each of some bodies."""
+    truth, results = read_trc(clip.truth).points(), {}
+    points = np.array([truth[n][0] if n in truth else np.full(3, np.nan) for n in LANDMARKS])
+    recording = Recording.load(clip.path)
+    for name in bodies:
+        print(f"tracking {clip.name} by {name}", file=sys.stderr, flush=True)
+        skeleton, surface = built(name, recording, rig, truth, person)
+        start = pose_at(whole_body(skeleton), points)
+        results[name] = judged(clip, replace(recording, skeleton=skeleton), start, surface)
+    return Row(clip.name, results)
+
+
+def built(
+    name: str, recording: Recording, rig: Rig, truth: dict[str, np.ndarray], person: Personal
+) -> tuple[Skeleton, Surface | None]:
+    """One of ``BODIES``; a generic surface is None."""
+    if name == "model":
+        return person.skeleton, person.surface
+    if name == "bones":
+        return scale_to_landmarks(recording.skeleton, truth), None
+    return Skeleton.human(stature(rig)), None
+
+
+def text(rows: Sequence[Row]) -> str:
+    """The table: a line for each exercise, and their means; degrees and centimetres."""
+    bodies = list(rows[0].results)
+    kinds = ("elbows deg", "knees deg", "joints cm")
+    cells = [["exercise", *(f"{kind} {body}" for kind in kinds for body in bodies)]]
+    figures = np.array([row.figures() for row in rows])
+    named = [*(row.name for row in rows), "mean"]
+    for name, row in zip(named, [*figures, figures.mean(0)], strict=True):
+        cells.append([name, *(f"{value:.1f}" for value in row.ravel())])
+    if "model" in bodies:
+        ratios = figures.mean(0)[:, bodies.index("model"), None] / figures.mean(0)
+        cells.append(["model's share", *(f"{ratio:.2f}" for ratio in ratios.ravel())])
+    return aligned(cells)
+
+
+def metrics(rows: Sequence[Row]) -> Iterator[Metric]:
+    """Means over the rows of every body."""
+    figures = np.mean([row.figures() for row in rows], 0)
+    for kind, unit, line in zip(
+        ("elbows bent", "knees bent", "joints"), ("deg", "deg", "cm"), figures, strict=True
+    ):
+        for name, value in zip(rows[0].results, line, strict=True):
+            yield Metric(f"tracked by {name}, {kind}", float(value), unit, tolerance=0.1)
+
+
+def bodies(names: str) -> list[str]:
+    """Such as ``bones,model``."""
+    found = names.split(",")
+    if unknown := [name for name in found if name not in BODIES]:
+        raise argparse.ArgumentTypeError(f"{unknown[0]!r}: expected of {', '.join(BODIES)}")
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Photograph, render, track, compare, print."""
+    whole = command("bench.personal", __doc__)
+    whole.add_argument("recordings", metavar="RECORDINGS")
+    whole.add_argument("--only", default=EXERCISE, help=f"of {', '.join(EXERCISES)}")
+    whole.add_argument("--bodies", type=bodies, default=list(BODIES), help="default: all three")
+    add_rendered(whole)
+    whole.set_defaults(people=",".join(PEOPLE))
+    options = whole.parse_args(arguments)
+    keep_compiled()
+    people, rows = Path(options.recordings) / "person" / "person.npz", []
+    with tempfile.TemporaryDirectory() as scratch:
+        keep = Path(options.keep or scratch)
+        for who in options.people.split(","):
+            rig, seeds = load_rig(people, who), options.seeds
+            person = photographed(rig, keep / f"photographs_{who}", seeds[0])
+            names = options.only.split(",")
+            for clip in exercises(people, names, seeds, [who], options.seconds, keep):
+                rows.append(tracked(clip, rig, person, options.bodies))
+                print(text(rows), file=sys.stderr, flush=True)
+    print(text(rows))
+    if options.json:
+        write_json(list(metrics(rows)), options.json)
+
+
+if __name__ == "__main__":
+    main()
