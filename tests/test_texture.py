@@ -12,7 +12,15 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surface import rest_nodes
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.images.fusion import closed_holes, feather, from_rim, fused, gains
+from jaxmocap.images.fusion import (
+    closed_holes,
+    feather,
+    from_rim,
+    fused,
+    gains,
+    smoothed,
+    wide_blend,
+)
 from jaxmocap.images.splats import NONE, in_sight, nearest_points, splatted
 from jaxmocap.silhouette.modelling.avatar import Avatar, avatar_of
 from jaxmocap.silhouette.modelling.personal import Personal
@@ -134,6 +142,23 @@ def test_a_blend_lies_between_its_pictures_and_nearer_to_the_one_that_counts_mor
     assert weight[0] == max(first, second)
     assert 0 <= blend[0, 0] <= 1
     assert (blend[0, 0] >= 0.5 - 1e-9) == (second >= first - 1e-9)
+
+
+def test_light_that_differs_slowly_is_the_same_where_two_pictures_meet():
+    share = np.tile(np.clip((np.arange(120) - 20) / 80, 0, 1), (9, 1)).astype(np.float32)
+    stripes = np.where(np.arange(120) // 4 % 2, 60.0, 140.0)[None, :, None]
+    dark, bright = (gain * np.broadcast_to(stripes, (9, 120, 3)) for gain in (0.7, 1.3))
+    colours, weights = [dark, bright], [1 - share, share]
+    wide = wide_blend(colours, weights)
+    even = [
+        c * np.exp(smoothed((wide - np.log(c)).astype(np.float32), w, 6.0))
+        for c, w in zip(colours, weights, strict=True)
+    ]
+    # In the middle they agree, details and all; at either end each is as it was.
+    np.testing.assert_allclose(even[0][:, 60], even[1][:, 60], rtol=0.12)
+    np.testing.assert_allclose(even[0][:, 56] / even[0][:, 61], 140 / 60, rtol=0.1)
+    np.testing.assert_allclose(even[0][:, 2], dark[:, 2], rtol=0.02)
+    np.testing.assert_allclose(even[1][:, -2], bright[:, -2], rtol=0.02)
 
 
 def test_holes_are_filled_from_aside_and_across_the_seam():

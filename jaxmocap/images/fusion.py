@@ -76,6 +76,20 @@ def fused(
     return blend / np.maximum(total, 1e-9)[..., None], np.where(best > FAINT, best, 0)
 
 
+def wide_blend(colours: Sequence[np.ndarray], weights: Sequence[np.ndarray]) -> np.ndarray:
+    """(..., 3) logarithms of colours, blended linearly over all that several pictures show."""
+    total = np.maximum(np.sum(weights, 0), 1e-9)
+    parts = zip(colours, weights, strict=True)
+    return np.sum([(w / total)[..., None] * np.log(np.maximum(c, 1)) for c, w in parts], 0)
+
+
+def smoothed(values: np.ndarray, weight: np.ndarray, width: float) -> np.ndarray:
+    """(H, W, 3) weighted means of values about each place, by a Gaussian of so many cells."""
+    both = np.concatenate([values * weight[..., None], weight[..., None]], -1).astype(np.float32)
+    blurred = cv2.GaussianBlur(both, (0, 0), width)
+    return blurred[..., :3] / np.maximum(blurred[..., 3:], 1e-6)
+
+
 def closed_holes(picture: np.ndarray, known: np.ndarray) -> np.ndarray:
     """A picture (H, W, 3) float32 that closes around, its unknown places filled from those about.
 

@@ -24,6 +24,8 @@ from jaxmocap.images.fusion import (
     gains,
     resized,
     sampled,
+    smoothed,
+    wide_blend,
 )
 from jaxmocap.images.splats import in_sight
 from jaxmocap.silhouette.modelling.texels import Shot, Texels, texels_of
@@ -34,6 +36,8 @@ LEAST_FACING = 0.15
 LEFT_OUT_PX, RIM_PX = 2.0, 4.0
 # Over so many texels a photograph's weight goes down to where something hides it.
 FEATHER = 12.0
+# What changes over more texels than this is light.
+SLOW = 10.0
 # What hides a point: within so many cells, what lies so far before it, metres. Hands are not held
 # as the surface has them, so that what lies far before a point hides it from farther aside.
 HIDING, CELL_TEXELS = ((1, 0.015), (14, 0.12)), 2.0
@@ -66,10 +70,11 @@ def baked(surface: Surface, atlas: Atlas, mesh: Mesh, shots: Mapping[str, Shot])
         weights.append(weight * np.array(counts)[texels.patches])
     backdrops = np.array([behind(shot.image, shot.view.mask) for shot in shots.values()])
     factors = gains(colours, weights, backdrops)
-    evened = [c * factor for c, factor in zip(colours, factors, strict=True)]
+    colours = [c * factor for c, factor in zip(colours, factors, strict=True)]
+    at = clouds[0].rows, clouds[0].columns
+    evened = _of_one_light(atlas, at, colours, weights)
     picture = np.zeros((atlas.height, atlas.width, 3), np.float32)
     weight = np.zeros((atlas.height, atlas.width), np.float32)
-    at = clouds[0].rows, clouds[0].columns
     picture[at], weight[at] = fused(evened, weights)
     return np.clip(np.rint(_completed(surface, atlas, picture, weight)), 0, 255).astype(np.uint8)
 
@@ -92,6 +97,29 @@ def _looked_at(texels: Texels, atlas: Atlas, shot: Shot) -> tuple[np.ndarray, np
     soft = feather(hidden, FEATHER)[texels.rows, texels.columns]
     weight = (facing - LEAST_FACING) / (1 - LEAST_FACING) * rim * soft
     return sampled(shot.image, pixels, step), np.where(seen, weight, 0)
+
+
+def _of_one_light(
+    atlas: Atlas,
+    at: tuple[np.ndarray, np.ndarray],
+    colours: list[np.ndarray],
+    weights: list[np.ndarray],
+) -> list[np.ndarray]:
+    """The photographs' colours (K, 3), without the light in which they differ.
+
+    What is seen twice is lit twice, from where the lamp was for each photograph: slow changes are
+    blended over all that both show, and details, which have to be sharp, over less (Burt).
+    """
+    wide, found = wide_blend(colours, weights), []
+    for colour, weight in zip(colours, weights, strict=True):
+        off = np.zeros((atlas.height, atlas.width, 3), np.float32)
+        known = np.zeros((atlas.height, atlas.width), np.float32)
+        off[at], known[at] = wide - np.log(np.maximum(colour, 1)), weight
+        for rectangle in atlas.rectangles:
+            here = rectangle.within
+            off[here] = smoothed(off[here], known[here], SLOW)
+        found.append(colour * np.exp(off[at]))
+    return found
 
 
 def _completed(
