@@ -5,7 +5,7 @@ person are then tracked by four cameras with each of
 
     stature  a generic body of the person's true height: what there is without photographs
     bones    a generic body with the true lengths of all bones, which nobody has
-    model    the person of the photographs, whose bones and surface are as measured there
+    model    the person of the photographs and of the true height
 
 All begin at the truth's first pose, and correct the surface while they track. What the method
 knows of people's proportions it has from ``man`` and ``woman``, who therefore are not among those
@@ -36,7 +36,7 @@ from jaxmocap.formats.trc import read_trc
 from jaxmocap.run.compilation import keep_compiled
 from jaxmocap.run.silhouette import whole_body
 from jaxmocap.run.silhouette_model import PHOTOGRAPHS, model_from
-from jaxmocap.silhouette.modelling.personal import Personal, personal
+from jaxmocap.silhouette.modelling.personal import Personal
 from jaxmocap.silhouette.start import pose_at
 from jaxmocap.synthetic.exercises import EXERCISES
 from jaxmocap.synthetic.photographs import stature, write_photographs
@@ -68,7 +68,7 @@ def photographed(rig: Rig, folder: Path, seed: int) -> Personal:
     """The person of four photographs."""
     calibration = write_photographs(folder, rig, seed)
     files = {name: folder / f"{name}.png" for name in PHOTOGRAPHS}
-    return personal(model_from(files, calibration, folder / "model").model)
+    return model_from(files, calibration, folder / "model", height=stature(rig)).person
 
 
 def tracked(clip: Clip, rig: Rig, person: Personal, bodies: Sequence[str]) -> Row:

@@ -279,3 +279,17 @@ def test_a_folder_without_a_model_is_refused_in_one_sentence(tmp_path, names):
     missing = "surface.npz" if names else "subject.toml"
     with pytest.raises(InputError, match=f"found no {missing}, expected what 'silhouette model'"):
         modelled(Recording.load, tmp_path)  # type: ignore[arg-type]
+
+
+def test_a_height_tells_how_long_the_legs_are():
+    short, tall = (personal(somebody(), height).skeleton for height in (1.7, 1.8))
+    grown = np.asarray(tall.lengths - short.lengths)
+    of_leg = np.array([bone.startswith(("femur", "tibia")) for bone in short.tree.bones])
+    # Ankles are the rest of ten centimetres.
+    assert 0.16 < grown[of_leg].sum() < 0.2
+    np.testing.assert_allclose(grown[~of_leg], 0, atol=1e-6)
+
+
+def test_a_height_that_suits_no_such_trunk_is_refused():
+    with pytest.raises(ValueError, match=r"found a height of 3 m, expected 1\.\d\d to 2\.\d\d m"):
+        personal(somebody(), 3.0)

@@ -235,7 +235,9 @@ def silhouette_model(options: argparse.Namespace) -> None:
 
     check_folder(options.out)
     files = {name: getattr(options, name) for name in modelling.PHOTOGRAPHS}
-    made = modelling.model_from(files, options.calibration, options.out, options.bottom)
+    made = modelling.model_from(
+        files, options.calibration, options.out, options.bottom, options.height
+    )
     written = modelling.write_model(made, options.out)
     _report(options, modelling.model_text(made, written), made.figures())
 

@@ -84,6 +84,12 @@ def add_silhouette_model(parser: argparse.ArgumentParser) -> None:
         type=natural,
         help="row of the front photograph where the trunk ends; default: where the legs part",
     )
+    parser.add_argument(
+        "--height",
+        metavar="METRES",
+        type=positive,
+        help="of the body, which tells how long the legs are; default: as people's of such a trunk",
+    )
 
 
 def _names(text: str) -> list[str]:

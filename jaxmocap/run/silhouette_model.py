@@ -27,7 +27,7 @@ from jaxmocap.run.silhouette_person import write_person
 from jaxmocap.silhouette.modelling.closing import joined_meshes
 from jaxmocap.silhouette.modelling.girths import girths
 from jaxmocap.silhouette.modelling.person import PersonModel, StanceError, person_model
-from jaxmocap.silhouette.modelling.personal import personal
+from jaxmocap.silhouette.modelling.personal import Personal, personal
 from jaxmocap.silhouette.modelling.views import View
 
 PHOTOGRAPHS = ("front", "side", "joint", "arm_side")
@@ -42,12 +42,14 @@ class Modelled(NamedTuple):
         model: of the person.
         images: photograph -> (H, W, 3) BGR uint8.
         views: photograph -> mask and camera.
+        person: the same as the tracker wants it.
         seconds: from the files to the model.
     """
 
     model: PersonModel
     images: dict[str, np.ndarray]
     views: dict[str, View]
+    person: Personal
     seconds: float
 
     def figures(self) -> dict:
@@ -68,6 +70,7 @@ def model_from(
     calibration: str | Path,
     out: str | Path,
     bottom: int | None = None,
+    height: float | None = None,
 ) -> Modelled:
     """Make a model of photographs.
 
@@ -76,6 +79,7 @@ def model_from(
         calibration: a .toml file.
         out: a folder, where a refused photograph's picture goes.
         bottom: row of the trunk's bottom line in the front photograph; by default found.
+        height: of the body, metres, which tells how long the legs are; by default guessed.
 
     Raises:
         InputError: a photograph or the calibration cannot be used.
@@ -94,7 +98,11 @@ def model_from(
         model = person_model(views, bottom)
     except StanceError as error:
         raise InputError(files[error.view], error.problem) from None
-    return Modelled(model, images, views, perf_counter() - start)
+    try:
+        person = personal(model, height)
+    except ValueError as error:
+        raise InputError(files["front"], str(error)) from None
+    return Modelled(model, images, views, person, perf_counter() - start)
 
 
 def _cameras(calibration: str | Path) -> dict[str, Camera]:
@@ -133,8 +141,7 @@ def write_model(modelled: Modelled, directory: str | Path) -> list[Path]:
     tall = max(len(view) for view in views)
     views = [np.pad(v, ((0, tall - len(v)), (0, 0), (0, 0)), constant_values=245) for v in views]
     files.append(write_picture(directory / "model.png", np.hstack(views)))
-    person = personal(model)
-    return [*files, *write_person(person, modelled.images, modelled.views, directory)]
+    return [*files, *write_person(modelled.person, modelled.images, modelled.views, directory)]
 
 
 def pictures(modelled: Modelled) -> dict[str, np.ndarray]:

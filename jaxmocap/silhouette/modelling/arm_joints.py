@@ -24,6 +24,9 @@ LEAST_BEND = 0.5
 # The elbow's joint lies so far from the axis' corner towards the rim: the paper says half-way; two
 # people whose joints are known, and on whom nothing is tested, say 0.37 and 0.14.
 TOWARDS_RIM = 0.25
+# The axis turns before the elbow: by this share of its way from shoulder to tip, by the same
+# two people.
+EARLY = 0.007
 # The wrist is the last place before the palm that is at most so much thicker than the thinnest.
 THICKER = 1.03
 
@@ -88,6 +91,7 @@ def arm_joints(axis: np.ndarray, distance: np.ndarray, shoulder: np.ndarray) -> 
     if turned[middle] < LEAST_BEND:
         degrees = np.degrees(turned[middle])
         raise ValueError(f"found an arm bent by {degrees:.0f} degrees, expected a bent elbow")
+    middle += round(EARLY * (len(axis) - first))
     wrist = _wrist(axis, distance, middle)
     corner = axis[middle]
     elbow = corner + TOWARDS_RIM * _rim(corner, axis[first], axis[wrist], distance)

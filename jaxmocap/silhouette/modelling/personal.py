@@ -27,10 +27,13 @@ from jaxmocap.silhouette.modelling.slices import Slices, slices
 
 # Of two people whose joints are known, and on whom nothing is tested, all by the stature: the hips'
 # joints above the bottom line, from the middle and ahead of it; from the shoulders' middle to the
-# neck's joint and from there to the head's, ahead and up; lengths of what is not photographed.
+# neck's joint and from there to the head's, ahead and up; the foot; how far the hips' joints are
+# above the floor, of which thigh and shank make so much.
 HIP_ABOVE, HIP_ASIDE, HIP_AHEAD = 0.0506, 0.0621, -0.0047
 NECK, HEAD = (-0.0044, 0.0283), (0.0175, 0.0879)
-FEMUR, TIBIA, FOOT = 0.2437, 0.2480, 0.0852
+FOOT, LEG, FEMUR, TIBIA = 0.0852, 0.534, 0.4565, 0.4646
+# A leg is no smaller and no larger share of the body height.
+LEGS = 0.4, 0.62
 # Where in its patch a thigh's middle tells how far the leg is spread: from here on downwards.
 SPREAD_FROM = 0.5
 
@@ -50,9 +53,18 @@ class Personal(NamedTuple):
     poses: dict[str, Pose]
 
 
-def personal(model: PersonModel) -> Personal:
-    """Skeleton, surface and poses of a person."""
-    marks = landmarks(model)
+def personal(model: PersonModel, height: float | None = None) -> Personal:
+    """Skeleton, surface and poses of a person.
+
+    Args:
+        model: of four photographs.
+        height: of the body, metres, which tells how long the legs are; by default as those of
+            people with such a trunk and head.
+
+    Raises:
+        ValueError: a height that does not suit the trunk and head that were seen.
+    """
+    marks = landmarks(model, height)
     skeleton = standing(marks)
     joints, usual = rest_joints(skeleton), generic_surface(skeleton)
     spread = spreads(model, skeleton, usual, marks)
@@ -82,9 +94,27 @@ def standing(marks: dict[str, np.ndarray]) -> Skeleton:
     return replace(skeleton, directions=jnp.asarray(directions, skeleton.directions.dtype))
 
 
-def landmarks(model: PersonModel) -> dict[str, np.ndarray]:
+def leg_length(model: PersonModel, height: float | None) -> float:
+    """From the hips' joints to the floor, metres.
+
+    Raises:
+        ValueError: a height that does not suit the trunk and head that were seen.
+    """
+    if height is None:
+        return LEG * model.stature
+    above = float(np.ptp(model.trunk.rings[:, 0, 2])) - HIP_ABOVE * model.stature
+    if not LEGS[0] < 1 - above / height < LEGS[1]:
+        low, high = (above / (1 - share) for share in LEGS)
+        raise ValueError(
+            f"found a height of {height:g} m, expected {low:.2f} to {high:.2f} m of somebody whose "
+            f"hips are {above:.2f} m below the top of the head"
+        )
+    return height - above
+
+
+def landmarks(model: PersonModel, height: float | None = None) -> dict[str, np.ndarray]:
     """Landmark -> (3,) in the front view's stance, arms hanging, metres."""
-    tall, bent = model.stature, model.bent
+    tall, bent, leg = model.stature, model.bent, leg_length(model, height)
     low, top = model.trunk.rings[0, 0, 2], model.trunk.rings[-1, 0, 2]
     hips = middle_at(model.trunk, low + tall * HIP_ABOVE) + tall * np.array([HIP_AHEAD, 0, 0])
     neck = (bent[0].shoulder + bent[1].shoulder) / 2 + tall * np.array([NECK[0], 0, NECK[1]])
@@ -97,8 +127,8 @@ def landmarks(model: PersonModel) -> dict[str, np.ndarray]:
         for name, length in zip(("elbow", "wrist", "hand"), bones.lengths, strict=True):
             found[f"{name}_{side}"] = at = at + length * down
         found[f"hip_{side}"] = at = hips + sign * tall * HIP_ASIDE * np.eye(3)[1]
-        for name, length in (("knee", FEMUR), ("ankle", TIBIA)):
-            found[f"{name}_{side}"] = at = at + tall * length * down
+        for name, share in (("knee", FEMUR), ("ankle", TIBIA)):
+            found[f"{name}_{side}"] = at = at + leg * share * down
         found[f"toe_{side}"] = at + tall * FOOT * ahead
     return found
 
