@@ -1,6 +1,7 @@
 """Several hypotheses: a limb that one hypothesis loses for good is found again by many."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import jax
 import jax.numpy as jnp
@@ -18,14 +19,14 @@ from jaxmocap.images.coverage import covered
 from jaxmocap.images.glances import Glances
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.appearance import YOUNG, Appearance
-from jaxmocap.silhouette.hypotheses import systematic
+from jaxmocap.silhouette.hypotheses import APART, KEPT, distinct, systematic
 from jaxmocap.silhouette.segment import Plan, Stage
 from jaxmocap.silhouette.start import landmark_points
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
 WRIST = list(LANDMARKS).index("wrist_l")
-DRAWN = jax.jit(systematic)
+DRAWN, DISTINCT = jax.jit(systematic), jax.jit(distinct)
 
 
 def lifted(degrees: float):
@@ -60,6 +61,21 @@ def wrist_off(tracker, count: int) -> float:
 def test_an_arm_that_one_hypothesis_loses_many_find_again(tracker):
     assert wrist_off(tracker, 1) > 0.4
     assert wrist_off(tracker, 128) < 0.1
+
+
+@given(st.integers(0, 2**31 - 1))
+def test_of_the_worthiest_particles_those_are_fitted_that_differ(seed):
+    rng = np.random.default_rng(seed)
+    angles, worth = rng.uniform(-2, 2, (40, 6)), rng.permutation(40).astype(np.float32)
+    chosen = np.asarray(DISTINCT(jnp.asarray(angles, jnp.float32), jnp.asarray(worth)))
+    assert chosen[0] == worth.argmax() and (np.diff(worth[chosen]) < 0).all()
+    for one, other in combinations(chosen, 2):
+        assert np.sqrt(np.mean((angles[one] - angles[other]) ** 2)) > APART - 1e-3
+    skipped = np.setdiff1d(np.flatnonzero(worth > worth[chosen[-1]]), chosen)
+    for index in skipped:
+        away = np.sqrt(np.mean((angles[chosen] - angles[index]) ** 2, 1))
+        assert away.min() < APART + 1e-3
+    assert len(chosen) == KEPT
 
 
 @given(st.integers(0, 2**31 - 1), st.lists(st.floats(0.01, 1.0), min_size=8, max_size=8))

@@ -64,14 +64,14 @@ class Doubts(NamedTuple):
 
 
 class Better(NamedTuple):
-    """A pose that explains more.
+    """Poses that explain more.
 
     Attributes:
-        pose: to fit from.
+        poses: to fit from, the likeliest first.
         limbs: numbers of those that were moved.
     """
 
-    pose: Pose
+    poses: tuple[Pose, ...]
     limbs: tuple[int, ...]
 
 
@@ -172,27 +172,32 @@ class Doubter:
     def better(
         self, doubts: Doubts, sight: Sight, how: SearchSettings
     ) -> tuple[Better | None, Doubts]:
-        """A pose that explains more of what is seen than the one found, if there is one."""
+        """Poses that explain more of what is seen than the one found, if there are any."""
         missing = self._unexplained(sight)
         particles, waits, failures = list(doubts.particles), doubts.waits - 1, +doubts.failures
-        pose, moved = sight.pose, []
+        poses, moved = [sight.pose], []
         for number, limb in enumerate(self.limbs):
             if missing[number] < UNEXPLAINED:
                 particles[number], failures[number] = None, 0
                 continue
             if waits[number] > 0:
                 continue
-            found = self._search(number, particles[number], pose, sight, doubts.frame, how)
+            found = self._search(number, particles[number], poses[0], sight, doubts.frame, how)
             particles[number] = np.asarray(found.particles)
-            if float(found.gain) > float(found.before) + BETTER:
-                pose = pose._replace(angles=pose.angles.at[limb.joints].set(found.best))
+            better = np.asarray(found.gains) > float(found.before) + BETTER
+            if better[0]:
+                count = max(len(poses), int(better.sum()))
+                poses = [
+                    _with(poses[min(k, len(poses) - 1)], limb, found.best[k if better[k] else 0])
+                    for k in range(count)
+                ]
                 moved.append(number)
             else:
                 waits[number] = min(2 ** failures[number], LONGEST) + 1
                 failures[number] += 1
         waits = np.maximum(waits, 0)
         after = Doubts(tuple(particles), waits, failures, doubts.appearance, doubts.frame + 1)
-        return (Better(pose, tuple(moved)) if moved else None), after
+        return (Better(tuple(poses), tuple(moved)) if moved else None), after
 
     def _search(
         self,
@@ -266,6 +271,11 @@ class Doubter:
         ahead = self._depths[camera]
         depth = ahead[:3] @ np.asarray(sight.pose.position) + ahead[3]
         return float(self._focals[camera] / max(depth, 0.3) / sight.regions[camera].scale)
+
+
+def _with(pose: Pose, limb: Limb, angles: jax.Array) -> Pose:
+    """A pose whose limb has other angles (K,)."""
+    return pose._replace(angles=pose.angles.at[limb.joints].set(angles))
 
 
 def _covered(sight: Sight, points: np.ndarray) -> np.ndarray:

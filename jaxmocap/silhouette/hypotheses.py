@@ -3,11 +3,13 @@
 A limb that was hidden, or too fast, may be far from where one hypothesis looks for it: its rim
 finds the contour of something else, and stays there. Where the images show person that no part of
 the body explains, within a limb's reach, its particles are spread, weighed by what they would
-explain, drawn anew in proportion (systematic resampling), and so once more with less spread; the
-best is what a fit then starts from. Particles live on from frame to frame while the doubt lasts.
+explain, drawn anew in proportion (systematic resampling), and so once more with less spread; fits
+then start from the best, and from the best elsewhere. Particles live on from frame to frame while
+the doubt lasts.
 
 INPUTS: a pose, the log-ratios of person and rest on canvases, what the rest of the body covers.
-OUTPUTS: the limb's likeliest angles, what they explain, the particles for the next frame.
+OUTPUTS: the limb's likeliest angles in some places, what they explain, the particles for the next
+frame.
 """
 
 from typing import NamedTuple
@@ -34,6 +36,8 @@ LIMBS = {
             ("hip_flexion", "hip_abduction", "hip_rotation", "knee_flexion", "ankle_dorsiflex",
              "ankle_invert")),
 }  # fmt: skip
+# So many particles are fitted, that differ by so much in their angles' root mean square, radians.
+KEPT, APART = 3, 0.5
 # Where a bone is looked at: along it, and across it in its radii.
 ALONG, ACROSS = np.linspace(0.06, 0.94, 8), np.array([-0.6, 0.0, 0.6])
 
@@ -87,14 +91,14 @@ class Found(NamedTuple):
 
     Attributes:
         particles: (P, K) angles, for the next frame.
-        best: (K,) angles of the best.
-        gain: () what they explain: the mean log-ratio where the limb would be seen.
+        best: (H, K) angles of the best, and of the best that are elsewhere than those before them.
+        gains: (H,) what they explain: the mean log-ratio where the limb would be seen.
         before: () the same of the pose given.
     """
 
     particles: Array
     best: Array
-    gain: Array
+    gains: Array
     before: Array
 
 
@@ -244,9 +248,8 @@ def search(
         angles = jnp.clip(jnp.where(chosen, anywhere, moved), low, high)
         gains, worth = weighed(angles)
         weights = jax.nn.softmax(cold * worth)
-        best = jnp.argmax(worth)
         kept = angles[systematic(drawing, weights)]
-        return (kept, jnp.zeros_like(mixing)), (angles[best], gains[best], worth[best])
+        return (kept, jnp.zeros_like(mixing)), (angles, gains, worth)
 
     spreads, coldness = (jnp.asarray(part, particles.dtype) for part in settings[1:3])
     keys = jax.random.split(key, len(spreads))
@@ -254,8 +257,19 @@ def search(
     (left, _), (angles, gains, worth) = jax.lax.scan(
         layer, (particles, mixing), (keys, spreads, coldness)
     )
-    first = jnp.argmax(worth)
-    return Found(left, angles[first], gains[first], value(here))
+    angles, gains, worth = (jnp.concatenate(part) for part in (angles, gains, worth))
+    best = distinct(angles, worth)
+    return Found(left, angles[best], gains[best], value(here))
+
+
+def distinct(angles: Array, worth: Array) -> Array:
+    """(H,) indices of the worthiest of particles (N, K), each ``APART`` from those before it."""
+    chosen = []
+    for _ in range(KEPT):
+        chosen.append(jnp.argmax(worth))
+        away = jnp.sqrt(jnp.mean((angles - angles[chosen[-1]]) ** 2, -1))
+        worth = jnp.where(away < APART, -jnp.inf, worth)
+    return jnp.stack(chosen)
 
 
 def systematic(key: Array, weights: Array) -> Array:

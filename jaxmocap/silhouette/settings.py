@@ -26,8 +26,9 @@ class Settings:
         contrast: least of a contour's point, 0 to 1: below, the image does not tell its two sides.
         deviations: of points about their rays, metres, one cycle each. The first must be large: a
             limb that moved fast is an outlier to the rest, and would be left behind.
-        starting: the same of cycles before those in the first frame, whose pose may be far off:
-            each looks anew, and matches the surface's low-pass (coarse to fine).
+        starting: the same of cycles before those in the first frame, where its pose may be far
+            off, such as (0.08, 0.08): each looks anew, and matches the surface's low-pass (coarse
+            to fine). From a pose nearly right they lead to no better one.
         looks: cycles that begin with a segmentation; the first does in any case.
         edges: what shows one limb before another.
         iterations: of the pose in each cycle.
@@ -64,7 +65,7 @@ class Settings:
     points: int = 512
     contrast: float = 0.1
     deviations: tuple[float, ...] = (0.03, 0.008)
-    starting: tuple[float, ...] = (0.08, 0.08)
+    starting: tuple[float, ...] = ()
     looks: tuple[int, ...] = (0,)
     edges: EdgeSettings = field(default_factory=EdgeSettings)
     iterations: int = 4

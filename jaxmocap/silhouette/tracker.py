@@ -274,15 +274,17 @@ class SilhouetteTracker:
             better, doubts = doubter.better(doubts, sight, s.search)
         if better is not None:
             joints = doubter.joints_of(better.limbs)
-            again = self._fitted(shown, better.pose, freed(beforehand, joints, s.expected))
-            before, after = (
-                doubter.sight(
-                    each.result.pose, again.outlines, again.used, shown.images, self.rooms
+            wide = freed(beforehand, joints, s.expected)
+            for pose in better.poses:
+                again = self._fitted(shown, pose, wide)
+                before, after = (
+                    doubter.sight(
+                        each.result.pose, again.outlines, again.used, shown.images, self.rooms
+                    )
+                    for each in (fitted, again)
                 )
-                for each in (fitted, again)
-            )
-            if doubter.gain(better.limbs, after) > doubter.gain(better.limbs, before) + BETTER:
-                fitted, moved, sight = again, joints, after
+                if doubter.gain(better.limbs, after) > doubter.gain(better.limbs, before) + BETTER:
+                    fitted, moved, sight = again, joints, after
         hidden, doubts = doubter.hidden(doubts, sight, shown.images)
         return fitted, moved, hidden, doubts
 
