@@ -1,6 +1,7 @@
 """``silhouette model``: photographs become files; bad ones are one sentence and exit code 2."""
 
 import json
+import shutil
 
 import cv2
 import numpy as np
@@ -9,6 +10,7 @@ import trimesh
 
 from jaxmocap.body.loft import rest_joints
 from jaxmocap.body.surface import rest_nodes
+from jaxmocap.capture.photographs import png_of
 from jaxmocap.cli import main
 from jaxmocap.formats.calibration import read_calibration, write_calibration
 from jaxmocap.formats.errors import InputError
@@ -90,6 +92,16 @@ def test_other_commands_find_the_person_in_the_folder(made, tmp_path):
     assert 1.4 < np.ptp(nodes[:, 2]) < 1.9
     with pytest.raises(InputError, match=r"found no subject.toml, expected what 'silhouette mod"):
         read_person(tmp_path)
+    for name in ("subject.toml", "surface.npz"):
+        shutil.copy(made / name, tmp_path)
+    assert read_person(tmp_path).picture is None
+    for content, problem in (
+        (b"no picture", "is not a PNG file"),
+        (png_of(np.zeros((5, 6, 3), np.uint8)), r"a texture of 6 x 5 texels, expected \d+ x \d+"),
+    ):
+        (tmp_path / "texture.png").write_bytes(content)
+        with pytest.raises(InputError, match=problem):
+            read_person(tmp_path)
 
 
 def test_the_files_hold_the_person(made, rig):

@@ -23,6 +23,7 @@ from jaxmocap.formats.errors import InputError
 # Of a picture's texels on the surface, metres; and how far apart bones may put a node at rest.
 TEXEL_M, APART_M = 0.0025, 1e-3
 CARRIERS = 4
+PNG = b"\x89PNG"
 
 
 def skin_of(
@@ -48,12 +49,9 @@ def skin_of(
     joints, points = rest_joints(skeleton), surface.points
     nodes = rest_nodes(surface, joints)
     _check(path, surface, joints, nodes)
-    atlas = atlas_of(surface, nodes, TEXEL_M)
-    if picture is not None and _size(picture) != (atlas.width, atlas.height):
-        size = "{} x {}".format(*_size(picture))
-        expected = f"{atlas.width} x {atlas.height}, as this surface is laid out"
-        raise InputError(path, f"a texture of {size} texels, expected {expected}")
-    mesh = mesh_of(surface, nodes, atlas)
+    if picture is not None:
+        check_texture(path, skeleton, surface, picture)
+    mesh = mesh_of(surface, nodes, atlas_of(surface, nodes, TEXEL_M))
     vertices = nodes[mesh.nodes]
     names, _ = joint_tree(skeleton)
     # What the pelvis and the hips, which do not move against it, carry is the root's.
@@ -75,9 +73,18 @@ def skin_of(
     )
 
 
-def _size(picture: bytes) -> tuple[int, int]:
-    """Width and height that a PNG file's header says."""
-    return int.from_bytes(picture[16:20], "big"), int.from_bytes(picture[20:24], "big")
+def check_texture(path: str | Path, skeleton: Skeleton, surface: Surface, picture: bytes) -> None:
+    """InputError where a file's content is not a PNG laid out for this surface."""
+    if not picture.startswith(PNG):
+        raise InputError(path, "is not a PNG file, which a texture is")
+    atlas = atlas_of(surface, rest_nodes(surface, rest_joints(skeleton)), TEXEL_M)
+    # Width and height, as its header says.
+    found = [int.from_bytes(picture[at : at + 4], "big") for at in (16, 20)]
+    if found != [atlas.width, atlas.height]:
+        size, expected = f"{found[0]} x {found[1]}", f"{atlas.width} x {atlas.height}"
+        raise InputError(
+            path, f"a texture of {size} texels, expected {expected}, as this surface is laid out"
+        )
 
 
 def _bind(

@@ -22,7 +22,7 @@ from jaxmocap.formats.animation import write_avatar
 from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.recording import Recording
-from jaxmocap.formats.skin import TEXEL_M
+from jaxmocap.formats.skin import TEXEL_M, check_texture
 from jaxmocap.formats.subject import read_subject, write_subject
 from jaxmocap.formats.surface import load_surface, save_surface
 from jaxmocap.formats.tables import read_bytes
@@ -105,8 +105,12 @@ def read_person(directory: str | Path) -> Person:
     for name in (SUBJECT, SURFACE):
         if not (folder / name).is_file():
             raise InputError(folder, f"found no {name}, expected what 'silhouette model' writes")
-    picture = folder / TEXTURE
-    return Person(*_read(folder), read_bytes(picture) if picture.is_file() else None)
+    skeleton, surface = _read(folder)
+    if not (folder / TEXTURE).is_file():
+        return Person(skeleton, surface, None)
+    picture = read_bytes(folder / TEXTURE)
+    check_texture(folder / TEXTURE, skeleton, surface, picture)
+    return Person(skeleton, surface, picture)
 
 
 def _read(folder: Path) -> tuple[Skeleton, Surface]:
