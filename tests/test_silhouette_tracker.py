@@ -19,7 +19,7 @@ from jaxmocap.run.silhouette_start import start_pose
 from jaxmocap.silhouette.looking import silhouette_distance
 from jaxmocap.silhouette.rim import RimSettings
 from jaxmocap.silhouette.segment import Plan, Stage
-from jaxmocap.silhouette.settings import Settings
+from jaxmocap.silhouette.settings import FAR_OFF, Settings
 from jaxmocap.silhouette.start import landmark_points, pose_at, standing_pose
 from jaxmocap.silhouette.steps import fit
 from jaxmocap.silhouette.tracker import SilhouetteTracker
@@ -100,14 +100,14 @@ def test_a_start_far_off_is_found_coarse_to_fine_and_not_by_the_full_surface_alo
     step[:3] = 0.1
     start, left = retract(truth, jnp.asarray(step, jnp.float32)), {}
     assert off_by(start, truth).mean() > 0.25
-    for starting in ((0.08, 0.08), ()):
+    for starting in (FAR_OFF, ()):
         tracker.settings = replace(SMALL, starting=starting)
         state = tracker.init(start)
         for _ in range(3):
             state, pose, _ = tracker.step(state, 0.0, images)
             state = state._replace(time=None)
         left[starting] = off_by(pose, truth).mean()
-    assert left[0.08, 0.08] < 0.04 < 0.08 < left[()]
+    assert left[FAR_OFF] < 0.04 < 0.08 < left[()]
 
 
 def test_without_any_image_the_pose_is_held_and_every_joint_said_to_be_unseen(tracker, truth):

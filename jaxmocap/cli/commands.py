@@ -201,6 +201,7 @@ def silhouette_track(options: argparse.Namespace) -> None:
     from jaxmocap.run.silhouette_writing import write_followed
     from jaxmocap.run.summary import figures, summary
     from jaxmocap.run.writing import check_folder
+    from jaxmocap.silhouette.settings import FAR_OFF, Settings
 
     keep_compiled()
     recording = load_recording(options.recording)
@@ -211,6 +212,8 @@ def silhouette_track(options: argparse.Namespace) -> None:
     start = start_pose(recording, options.at)
     asked = {"passes": options.passes, "markers": options.markers}
     asked["surface"] = person and person.surface
+    # Who says by hand where somebody stands says it roughly.
+    asked["settings"] = Settings(starting=FAR_OFF if options.at else ())
     followed = follow(recording, start, **asked, progress=True)
     files = write_followed(followed, recording, options.out, True, person)
     _report(options, summary(followed.motion, files), figures(followed.motion))

@@ -12,6 +12,9 @@ from jaxmocap.silhouette.hypotheses import SearchSettings
 from jaxmocap.silhouette.morph import Morphing
 from jaxmocap.silhouette.rim import RimSettings
 
+# What finds starts that are off by 10 degrees and 6 cm, half of them.
+FAR_OFF = (0.08, 0.08)
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -27,7 +30,7 @@ class Settings:
         deviations: of points about their rays, metres, one cycle each. The first must be large: a
             limb that moved fast is an outlier to the rest, and would be left behind.
         starting: the same of cycles before those in the first frame, where its pose may be far
-            off, such as (0.08, 0.08): each looks anew, and matches the surface's low-pass (coarse
+            off, such as ``FAR_OFF``: each looks anew, and matches the surface's low-pass (coarse
             to fine). From a pose nearly right they lead to no better one.
         looks: cycles that begin with a segmentation; the first does in any case.
         edges: what shows one limb before another.
