@@ -205,7 +205,14 @@ def test_within_the_fold_a_straight_arms_reach_is_between_its_ends():
     reach = np.stack([places(), 2 * places()], 1)
     folded = reach.copy()
     folded[(places() > FOLD[0] + 0.01) & (places() < FOLD[1] - 0.01)] = 9.0
-    np.testing.assert_allclose(unfolded(folded), reach, atol=1e-9)
+    found = unfolded(folded)
+    outside = (places() < FOLD[0]) | (places() > FOLD[1])
+    np.testing.assert_allclose(found[outside], reach[outside], atol=1e-9)
+    # Within, it is fuller on the inner side and flatter behind, and as thick within a tenth.
+    within = ~outside & (np.abs(places() - 0.9) < 0.1)
+    assert (found[within, 0] > reach[within, 0]).all()
+    assert (found[within, 1] < reach[within, 1]).all()
+    np.testing.assert_allclose(found.sum(1), reach.sum(1), rtol=0.1)
 
 
 def test_beyond_what_was_measured_a_ring_keeps_its_ratio_until_it_fades():

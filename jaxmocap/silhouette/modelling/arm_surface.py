@@ -25,6 +25,9 @@ SLICES, AROUND, FULLNESS = (16, 16, 12), 32, (2.15, 1.85, 2.0)
 FREE, THICKER = 0.35, 1.12
 # Between these places a bent elbow is another shape than a straight one: a fold and a tip.
 FOLD = (0.75, 1.2)
+# A straight one is fuller on its inner side there, and flatter behind, most of all here; by these
+# shares of its thickness, as of the two people.
+FULLER_AT, FULLER = 0.93, (0.035, -0.095)
 # No arm reaches farther from its bones, metres.
 FARTHEST_M = 0.14
 # No part of a hand lies farther from the forearm's line, metres.
@@ -108,7 +111,9 @@ def unfolded(reach: np.ndarray) -> np.ndarray:
     """Reaches (K, 2) of a straight arm by a bent one's, whose elbow is folded and has a tip."""
     at = places()
     seen = (at < FOLD[0]) | (at > FOLD[1])
-    return np.stack([np.interp(at, at[seen], side) for side in reach[seen].T], 1)
+    straight = np.stack([np.interp(at, at[seen], side) for side in reach[seen].T], 1)
+    part = np.interp(at, (FOLD[0], FULLER_AT, FOLD[1]), (0, 1, 0))
+    return straight + part[:, None] * straight.sum(1, keepdims=True) * FULLER
 
 
 def _spans(view: View, points: np.ndarray, ways: np.ndarray) -> np.ndarray:

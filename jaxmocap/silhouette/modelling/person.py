@@ -32,8 +32,9 @@ SIDES = (("l", 1.0), ("r", -1.0))
 # Of two people whose joints are known, and on whom nothing is tested, all by the stature: from
 # bottom line to vertex; the shoulder's joint from the middle, from the arm pit outwards and
 # upwards, from the shoulder's upper rim downwards with the arm held level, and from the middle
-# ahead.
+# ahead; the elbow's joint above the axis of a stretched arm, its hinge upright.
 UPPER_BODY = 0.532
+ELBOW_ABOVE = 0.0024
 ASIDE, OUTWARDS, ABOVE_PIT, BELOW_RIM, BEFORE_MIDDLE = 0.102, 0.0053, 0.041, 0.0247, 0.005
 # Of a stretched arm's length, from the shoulder to the tip in a straight line.
 LEAST_STRAIGHT = 0.93
@@ -164,10 +165,11 @@ def bent_arms(joint: View, body: Trunk) -> tuple[tuple[Arm, ...], tuple[Bones, .
 
 def stretched_arms(arm_side: View, body: Trunk, bent: tuple[Bones, ...]) -> tuple[Bones, ...]:
     """Left and right arm in their side view: the bones as long as in the joint view."""
-    return tuple(
-        laid_out(arm_side.on_plane(way, bones.shoulder, AHEAD), bones)
-        for way, bones in zip(arm_ways(arm_side, body), bent, strict=True)
-    )
+    tall, found = np.ptp(body.rings[:, 0, 2]) / UPPER_BODY, []
+    for way, bones in zip(arm_ways(arm_side, body), bent, strict=True):
+        arm = laid_out(arm_side.on_plane(way, bones.shoulder, AHEAD), bones)
+        found.append(arm._replace(elbow=arm.elbow + tall * ELBOW_ABOVE * UP))
+    return tuple(found)
 
 
 def aligned(view: View, front: View, landmarks: Landmarks, body: Trunk) -> View:
