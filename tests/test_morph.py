@@ -228,12 +228,25 @@ def test_several_places_swell_at_once_each_by_its_own_steer():
 
 
 def test_the_shoulders_of_the_package_are_alike_on_both_sides():
-    morphing = m.read_morphing("shoulder.toml")
+    morphing = m.shoulders()
     count = len(morphing.followers) // 2
     for left, right in zip(morphing.followers[:count], morphing.followers[count:], strict=True):
         assert left.gain == right.gain and left.joint[:-1] == right.joint[:-1]
     assert len(morphing.steers) == 2
     s.morphed(morphing, TREE, SURFACE, JOINTS)
+
+
+def test_a_trunk_s_swelling_is_mirrored_on_the_one_patch_that_it_has():
+    row = {"patch": "torso", "single": True, "steered_by": ["arm_flex"], "gain": 0.01}
+    row |= {"centre": [60.0, 0.6], "radii": [45.0, 0.1], "weighting": "squared"}
+    morphing = m.morphing_of({"swelling": [row]})
+    left, right = np.moveaxis(np.asarray(s.morphed(morphing, TREE, SURFACE, JOINTS).moves), 2, 0)
+    at = rest_nodes(SURFACE, JOINTS)
+    high = np.linalg.norm(left, axis=1).argmax()
+    opposite = np.linalg.norm(at - at[high] * [1, -1, 1], axis=1).argmin()
+    assert at[high, 1] > 0.05 > np.linalg.norm(at[opposite] - at[high] * [1, -1, 1])
+    np.testing.assert_allclose(right[opposite], left[high] * [1, -1, 1], atol=1e-4)
+    assert np.linalg.norm(left[high]) > 0.008
 
 
 @pytest.mark.parametrize(

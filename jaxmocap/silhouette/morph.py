@@ -15,7 +15,6 @@ INPUTS: a Morphing, of a file or made by hand; a skeleton, its surface; angles.
 OUTPUTS: a Morph, the same as arrays; angles with and without what follows; moved points.
 """
 
-import math
 import tomllib
 from dataclasses import dataclass, field
 from importlib import resources
@@ -208,19 +207,26 @@ def worn(skin: Skin, morph: Morph, angles: Array) -> Skin:
     return skin._replace(rest=skin.rest + gone)
 
 
-def read_morphing(name: str) -> Morphing:
-    """A morphing of ``body/data``, for both sides: ``shoulder.toml`` for raised arms."""
-    text = resources.files("jaxmocap.body").joinpath("data", name).read_text("utf-8")
-    data, followers, swellings = tomllib.loads(text), [], []
-    for side in "lr":
-        for row in data.get("joint", []):
+def shoulders() -> Morphing:
+    """What goes along with raised arms: ``data/shoulder.toml``."""
+    file = resources.files("jaxmocap.body").joinpath("data", "shoulder.toml")
+    return morphing_of(tomllib.loads(file.read_text("utf-8")))
+
+
+def morphing_of(table: dict) -> Morphing:
+    """A morphing of both sides from a table like ``data/shoulder.toml``'s."""
+    followers, swellings = [], []
+    for side, sign in (("l", 1.0), ("r", -1.0)):
+        for row in table.get("joint", []):
             followers.append(Follower(f"{row['name']}_{side}", _steer(row, side), row["gain"]))
-        for row in data.get("swelling", []):
-            centre, radii = (
-                (math.radians(row[key][0]), float(row[key][1])) for key in ("centre", "radii")
-            )
-            patch, steer = f"{row['patch']}_{side}", _steer(row, side)
-            swellings.append(Swelling(patch, steer, centre, radii, row["gain"]))
+        for row in table.get("swelling", []):
+            # Limbs have a patch on each side, whose angles are counted outwards; a trunk has one.
+            single = row.get("single", False)
+            patch = row["patch"] if single else f"{row['patch']}_{side}"
+            phi, wide = np.radians([row["centre"][0], row["radii"][0]])
+            centre = float(sign * phi if single else phi), row["centre"][1]
+            radii = float(wide), row["radii"][1]
+            swellings.append(Swelling(patch, _steer(row, side), centre, radii, row["gain"]))
     return Morphing(tuple(followers), tuple(swellings))
 
 

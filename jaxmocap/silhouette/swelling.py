@@ -96,7 +96,7 @@ def morphed(morphing: Morphing, tree: Tree, surface: Surface, joints: np.ndarray
 
 
 def between(
-    first: BodyPoints, second: BodyPoints, t: Array, weighting: str = "linear"
+    first: BodyPoints, second: BodyPoints, t: Array | float, weighting: str = "linear"
 ) -> BodyPoints:
     """F_t of (4.26): the second surface's points at t = 0, the first's at t = 1.
 
@@ -106,7 +106,7 @@ def between(
         t: () from 0 to 1.
         weighting: a name of ``WEIGHTINGS``.
     """
-    weight = WEIGHTINGS[weighting](t)
+    weight = WEIGHTINGS[weighting](jnp.asarray(t))
     places, shares = (
         weight * jnp.asarray(a) + (1 - weight) * jnp.asarray(b)
         for a, b in zip(first[1:], second[1:], strict=True)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from jaxmocap.synthetic.exerciser import Exerciser
 from jaxmocap.synthetic.girdle import Girdle
@@ -92,11 +93,15 @@ def overhead(seconds: float, rng: np.random.Generator) -> Keys:
 
 
 def _raised(elevation: float, ahead: float) -> tuple[float, float, float, float]:
-    """An arm so far from hanging, in a plane so far from the side to the front; degrees."""
+    """An arm so far from hanging, in a plane so far from the side to the front; degrees.
+
+    It turns outwards on its way up, as arms do: flexed first and then abducted it is not rotated.
+    """
     up, turned = np.radians([elevation, ahead])
-    out = np.sin(up) * np.cos(turned)
-    flexion, abduction = np.arcsin(np.sin(up) * np.sin(turned)), np.arctan2(out, np.cos(up))
-    return float(np.degrees(flexion)), float(np.degrees(abduction)), 0.0, 14.0
+    out, front = np.sin(up) * np.cos(turned), np.sin(up) * np.sin(turned)
+    swung = Rotation.from_euler("YX", [-np.arctan2(front, np.cos(up)), np.arcsin(out)])
+    abduction, flexion, rotation = swung.as_euler("XYZ", degrees=True) * [1, -1, -1]
+    return float(flexion), float(abduction), float(rotation), 14.0
 
 
 def turn(seconds: float, rng: np.random.Generator) -> Keys:

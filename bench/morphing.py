@@ -1,0 +1,119 @@
+"""``python -m bench.morphing RECORDINGS``: what goes along with raised arms, on and off.
+
+Rendered people raise their arms to 150 degrees before four cameras, and their shoulder girdles go
+along by published angles. They are tracked by the shoulders of ``data/shoulder.toml`` and with
+shoulders that nothing takes along. Those were fitted to the man, who is not among those that count.
+Bones have the lengths of the truth's landmarks as they stand at first; so is the first pose.
+
+INPUTS: the folder of recordings, with ``person/person.npz`` in it. OUTPUTS: a table, and Metrics.
+"""
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from bench.clips import Clip, exercises
+from bench.command_line import add_rendered, command
+from bench.metrics import Metric, aligned, write_json
+from bench.silhouette import Result
+from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.subject import scale_to_landmarks
+from jaxmocap.evaluation.errors import position_errors
+from jaxmocap.evaluation.series import match
+from jaxmocap.formats.recording import Recording
+from jaxmocap.formats.trc import read_trc
+from jaxmocap.run.compilation import keep_compiled
+from jaxmocap.run.silhouette import follow, whole_body
+from jaxmocap.run.silhouette_demo import JOINTS
+from jaxmocap.silhouette.morph import Morphing, shoulders
+from jaxmocap.silhouette.settings import Settings
+from jaxmocap.silhouette.start import pose_at
+from jaxmocap.synthetic.four_cameras import bends
+from jaxmocap.synthetic.girdle import Girdle
+
+EXERCISE = "overhead"
+PEOPLE = ("woman", "broad_man", "tall_man", "slim_woman")
+# What is compared, and how it is taken off a result.
+FIGURES = {
+    "shoulders cm": lambda result: result.place("shoulder"),
+    "elbows cm": lambda result: result.place("elbow"),
+    "elbows deg": lambda result: result.angle("elbow"),
+}
+
+
+def tracked(clip: Clip, morphing: Morphing) -> Result:
+    """A rendered recording, with what goes along."""
+    truth = read_trc(clip.truth)
+    points, recording = truth.points(), Recording.load(clip.path)
+    standing = {name: path[:1] for name, path in points.items()}
+    skeleton = scale_to_landmarks(recording.skeleton, standing)
+    missing = np.full((1, 3), np.nan)
+    first = np.concatenate([standing.get(name, missing) for name in LANDMARKS])
+    start = pose_at(whole_body(skeleton), first)
+    settings = Settings(morphing=morphing)
+    motion = follow(replace(recording, skeleton=skeleton), start, settings, progress=True).motion
+    joints, pairs = motion.joints(), {name: name for name in JOINTS}
+    errors = position_errors(motion.times, joints, truth.times, points, pairs)
+    ours, theirs = match(motion.times, truth.times)
+    found, expected = bends(joints), bends(points)
+    off = {hinge: np.abs(found[hinge][ours] - expected[hinge][theirs]) for hinge in found}
+    return Result(clip.name, len(recording.videos), errors, off)
+
+
+def rows(results: dict[str, tuple[Result, Result]]) -> list[list[str]]:
+    """Person by person, each figure without and with what goes along; then the means."""
+    head, below = [""], [""]
+    for name in FIGURES:
+        head += [name, ""]
+        below += ["off", "on"]
+    values = {who: _figures(pair) for who, pair in results.items()}
+    values["mean"] = np.mean(list(values.values()), axis=0)
+    cells = [[who, *(f"{v:.2f}" for v in row.ravel())] for who, row in values.items()]
+    off, on = values["mean"].T
+    less = [
+        text for a, b in zip(off, on, strict=True) for text in ("", f"{100 * (b / a - 1):+.0f} %")
+    ]
+    return [head, below, *cells, ["", *less]]
+
+
+def _figures(pair: tuple[Result, Result]) -> np.ndarray:
+    """(3, 2): each of ``FIGURES`` off and on."""
+    return np.array([[take(result) for result in pair] for take in FIGURES.values()])
+
+
+def metrics(results: dict[str, tuple[Result, Result]]) -> Iterator[Metric]:
+    """Everybody's means."""
+    mean = np.mean([_figures(pair) for pair in results.values()], axis=0)
+    for name, both in zip(FIGURES, mean, strict=True):
+        kind, unit = name.split()
+        for state, value in zip(("off", "on"), both, strict=True):
+            yield Metric(f"morphing {state}, {kind}", float(value), unit, tolerance=0.1)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Render, track, compare, print."""
+    parser = command("bench.morphing", __doc__)
+    parser.add_argument("recordings", metavar="RECORDINGS")
+    add_rendered(parser)
+    parser.set_defaults(people=",".join(PEOPLE))
+    options = parser.parse_args(arguments)
+    keep_compiled()
+    file = Path(options.recordings) / "person" / "person.npz"
+    results = {}
+    with tempfile.TemporaryDirectory() as scratch:
+        keep = Path(options.keep or scratch)
+        # Everybody in clothes and rooms of their own.
+        for number, who in enumerate(options.people.split(","), 1):
+            own = [seed + number for seed in options.seeds]
+            for clip in exercises(file, [EXERCISE], own, [who], options.seconds, keep, Girdle()):
+                results[clip.name] = tracked(clip, Morphing()), tracked(clip, shoulders())
+    print(aligned(rows(results)))
+    if options.json:
+        write_json(list(metrics(results)), options.json)
+
+
+if __name__ == "__main__":
+    main()
