@@ -201,7 +201,7 @@ def test_a_bent_arms_stations_lie_on_its_bones_but_about_the_elbow():
     assert np.linalg.norm(across[middle]) == pytest.approx(np.cos(np.pi / 4))
 
 
-def test_within_the_fold_a_straight_arms_reach_is_between_its_ends():
+def test_within_the_fold_a_straight_arms_reach_is_by_its_ends_and_flatter_behind():
     reach = np.stack([places(), 2 * places()], 1)
     folded = reach.copy()
     folded[(places() > FOLD[0] + 0.01) & (places() < FOLD[1] - 0.01)] = 9.0
