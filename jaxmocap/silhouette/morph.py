@@ -107,12 +107,12 @@ class Morph:
     Attributes:
         steers: with indices of joints for names (static).
         follows: (D, S) radians by steers of 1; no steer is itself steered.
-        moves: (N, 3, S) metres by steers of 1, in the bones' frames.
+        moves: (N, 3, S) metres by steers of 1, in the bones' frames; None: no skin goes along.
     """
 
     steers: tuple[tuple[tuple[int, ...], str], ...] = field(metadata={"static": True})
     follows: Array
-    moves: Array
+    moves: Array | None
 
 
 def _square_root(t: Array) -> Array:
@@ -125,13 +125,13 @@ def _square_root(t: Array) -> Array:
 WEIGHTINGS = {"linear": lambda t: t, "square_root": _square_root, "squared": lambda t: t * t}
 
 
-def morph_of(morphing: Morphing, tree: Tree, moves: np.ndarray) -> Morph:
+def morph_of(morphing: Morphing, tree: Tree, moves: np.ndarray | None = None) -> Morph:
     """A morphing with arrays for names.
 
     Args:
         morphing: what goes along.
         tree: of the skeleton.
-        moves: (N, 3, S) of the nodes, in the order of ``morphing.steers``.
+        moves: (N, 3, S) of the nodes, in the order of ``morphing.steers``, if skin goes along.
 
     Raises:
         KeyError: no such joint, or no such weighting; the message lists the valid ones.
@@ -147,7 +147,8 @@ def morph_of(morphing: Morphing, tree: Tree, moves: np.ndarray) -> Morph:
     for joint in {joint for joints, _ in rows for joint in joints}:
         if follows[joint].any():
             raise ValueError(f"{tree.joints[joint]} steers and follows: expected one of the two")
-    return Morph(rows, jnp.asarray(follows), jnp.asarray(moves, jnp.float32))
+    skin = None if moves is None else jnp.asarray(moves, jnp.float32)
+    return Morph(rows, jnp.asarray(follows), skin)
 
 
 def steered(morph: Morph, angles: Array) -> Array:
@@ -203,6 +204,8 @@ def moved(points: BodyPoints, moves: Array | np.ndarray, values: Array) -> BodyP
 
 def worn(skin: Skin, morph: Morph, angles: Array) -> Skin:
     """A skin that has gone along with a pose's angles."""
+    if morph.moves is None:
+        return skin
     gone = jnp.einsum("nas,s->an", morph.moves, steered(morph, angles), precision=HIGHEST)
     return skin._replace(rest=skin.rest + gone)
 

@@ -107,11 +107,13 @@ def linearised(skeleton: Skeleton, frames: Frames, pairs: PointRays) -> tuple[Ar
     lines = Lines(*(jnp.where(real[:, None], part, 0.0) for part in pairs.lines))
     off = perpendiculars(lines, posed(frames, pairs.points))
     J = slopes(skeleton, frames, pairs.points)
-    if pairs.moves is not None:
-        J = jnp.concatenate([J, steered_slopes(frames, pairs.points, pairs.moves)], -1)
     residuals = ways[..., 0] * off[:, None, 0]
     rows = ways[..., 0, None] * J[:, None, 0]
     for axis in (1, 2):
         residuals = residuals + ways[..., axis] * off[:, None, axis]
         rows = rows + ways[..., axis, None] * J[:, None, axis]
+    if pairs.moves is not None:
+        steered = steered_slopes(frames, pairs.points, pairs.moves)
+        across = jnp.sum(ways[..., None] * steered[:, None], -2)
+        rows = jnp.concatenate([rows, across], -1)
     return residuals, rows

@@ -224,7 +224,9 @@ class RimFinder:
 
     def moves(self, nodes: np.ndarray) -> np.ndarray | None:
         """How the same nodes go along with steers, (N, 3, S); None if nothing does."""
-        return None if self.morph is None else np.asarray(self.morph.moves)[nodes.ravel()]
+        if self.morph is None or self.morph.moves is None:
+            return None
+        return np.asarray(self.morph.moves)[nodes.ravel()]
 
 
 def limbs_of(surface: Surface) -> np.ndarray:

@@ -92,6 +92,8 @@ def morphed(morphing: Morphing, tree: Tree, surface: Surface, joints: np.ndarray
         KeyError: no such joint, or no such weighting.
         ValueError: no such patch, or a joint steers and follows.
     """
+    if not morphing.swellings:
+        return morph_of(morphing, tree)
     return morph_of(morphing, tree, moves_of(surface, joints, morphing.steers, morphing.swellings))
 
 
