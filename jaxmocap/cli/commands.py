@@ -197,11 +197,10 @@ def silhouette_track(options: argparse.Namespace) -> None:
     from jaxmocap.run.compilation import keep_compiled
     from jaxmocap.run.silhouette import follow
     from jaxmocap.run.silhouette_person import modelled
-    from jaxmocap.run.silhouette_start import start_pose
+    from jaxmocap.run.silhouette_start import BY_HAND, start_pose
     from jaxmocap.run.silhouette_writing import write_followed
     from jaxmocap.run.summary import figures, summary
     from jaxmocap.run.writing import check_folder
-    from jaxmocap.silhouette.settings import FAR_OFF, Settings
 
     keep_compiled()
     recording = load_recording(options.recording)
@@ -212,8 +211,7 @@ def silhouette_track(options: argparse.Namespace) -> None:
     start = start_pose(recording, options.at)
     asked = {"passes": options.passes, "markers": options.markers}
     asked["surface"] = person and person.surface
-    # Who says by hand where somebody stands says it roughly.
-    asked["settings"] = Settings(starting=FAR_OFF if options.at else ())
+    asked["settings"] = BY_HAND if options.at else None
     followed = follow(recording, start, **asked, progress=True)
     files = write_followed(followed, recording, options.out, True, person)
     _report(options, summary(followed.motion, files), figures(followed.motion))
