@@ -44,7 +44,7 @@ def fields_of(surface: Surface, joints: np.ndarray) -> Fields:
     moves = np.zeros((len(surface.points.bones), 3, len(names)), np.float32)
     nodes = rest_nodes(surface, joints)
     for patch in surface.patches:
-        grid = nodes[patch.nodes].reshape(patch.along, patch.around, 3)
+        grid = patch.grid(nodes)
         limb = patch.name.partition("_")[0]
         ways, parts = _ways(patch, grid), _parts(grid, STRETCHES[limb])
         for column, (of, kind, stretch) in enumerate(names):

@@ -95,7 +95,7 @@ def atlas_of(surface: Surface, nodes: np.ndarray, texel: float) -> Atlas:
         nodes: (N, 3) of it at rest, metres.
         texel: size of the picture's texels on the surface, metres.
     """
-    sizes = [_size(nodes[patch.nodes], patch, texel) for patch in surface.patches]
+    sizes = [_size(patch.grid(nodes), texel) for patch in surface.patches]
     area = sum((w + 2 * MARGIN) * (h + 2 * MARGIN) for w, h, _ in sizes)
     wide = max(int(1.1 * area**0.5), *(w + 2 * MARGIN for w, _, _ in sizes))
     found: dict[int, Rectangle] = {}
@@ -109,9 +109,8 @@ def atlas_of(surface: Surface, nodes: np.ndarray, texel: float) -> Atlas:
     return Atlas(wide, top + tall, tuple(found[i] for i in range(len(sizes))))
 
 
-def _size(nodes: np.ndarray, patch: Patch, texel: float) -> tuple[int, int, np.ndarray]:
-    """Width and height of a patch, texels; levels of its rings."""
-    grid = nodes.reshape(patch.along, patch.around, 3)
+def _size(grid: np.ndarray, texel: float) -> tuple[int, int, np.ndarray]:
+    """Width and height of a patch's nodes (along, around, 3), texels; levels of its rings."""
     girth = np.linalg.norm(np.roll(grid, -1, 1) - grid, axis=-1).sum(1).max()
     gaps = np.linalg.norm(np.diff(grid, axis=0), axis=-1).mean(1)
     way = np.append(0.0, np.cumsum(np.maximum(gaps, SAME_M)))
@@ -123,7 +122,7 @@ def coarser(surface: Surface, nodes: np.ndarray, spacing: float) -> Surface:
     """The surface with fewer of its nodes (N, 3), about ``spacing`` metres apart: for pictures."""
     patches, kept, start = [], [], 0
     for patch in surface.patches:
-        width, height, levels = _size(nodes[patch.nodes], patch, spacing)
+        width, height, levels = _size(patch.grid(nodes), spacing)
         around, along = min(max(width, 8), patch.around), min(max(height, 4), patch.along)
         columns = np.arange(around) * patch.around // around
         # The nearest rings to even places; ends, where a ring is a point, stay.

@@ -58,6 +58,10 @@ class Patch:
         """Its nodes in the surface."""
         return slice(self.start, self.start + self.around * self.along)
 
+    def grid(self, nodes: np.ndarray) -> np.ndarray:
+        """(along, around, 3) its own of the surface's nodes (N, 3), ring by ring: a view."""
+        return nodes[self.nodes].reshape(self.along, self.around, 3)
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -137,7 +141,7 @@ def resampled(surface: Surface, joints: np.ndarray, spacing: float) -> Surface:
     full = np.zeros((len(nodes), len(joints)))
     np.put_along_axis(full, bones, np.asarray(surface.points.shares), 1)
     for patch in surface.patches:
-        grid = nodes[patch.nodes].reshape(patch.along, patch.around, 3)
+        grid = patch.grid(nodes)
         rows = full[patch.nodes].reshape(patch.along, patch.around, -1)
         around, along = _places(grid, spacing)
         across = fourier_matrix(patch.around, around)
@@ -170,7 +174,7 @@ def low_pass(surface: Surface, joints: np.ndarray, harmonics: int, along: int) -
     """
     nodes, bones = rest_nodes(surface, joints), np.asarray(surface.points.bones)
     for patch in surface.patches:
-        grid = nodes[patch.nodes].reshape(patch.along, patch.around, 3)
+        grid = patch.grid(nodes)
         across = fourier_matrix(patch.around, np.arange(patch.around), harmonics)
         smooth = np.einsum("av,vuc,bu->abc", cosine_matrix(patch.along, along), grid, across)
         nodes[patch.nodes] = smooth.reshape(-1, 3)

@@ -26,7 +26,7 @@ def with_thickness(skeleton: Skeleton, surface: Surface) -> Skeleton:
     joints, diameters = rest_joints(skeleton), np.array(skeleton.diameters, float)
     nodes = rest_nodes(surface, joints)
     for patch in surface.patches:
-        grid = nodes[patch.nodes].reshape(patch.along, patch.around, 3)
+        grid = patch.grid(nodes)
         middles = grid.mean(1)
         girths = np.linalg.norm(np.roll(grid, -1, 1) - grid, axis=-1).sum(1)
         for name in (

@@ -68,7 +68,7 @@ def moves_of(
         if swelling.patch not in patches:
             raise ValueError(f"no patch {swelling.patch!r}: expected of {', '.join(patches)}")
         patch = patches[swelling.patch]
-        grid = nodes[patch.nodes].reshape(patch.along, patch.around, 3)
+        grid = patch.grid(nodes)
         r = radial(places_of(patch, grid), np.array(swelling.centre), np.array(swelling.radii))  # type: ignore[arg-type]
         ways = normals_of(grid).reshape(-1, 3)
         if swelling.direction is not None:

@@ -39,7 +39,7 @@ def stoutness(skeleton: Skeleton, measured: dict[str, Slices]) -> float:
         if patch.name not in measured:
             continue
         side = -1.0 if patch.name.endswith("_r") else 1.0
-        grids = [n[patch.nodes].reshape(patch.along, patch.around, 3) for n in (nodes, thick)]
+        grids = [patch.grid(n) for n in (nodes, thick)]
         low, high = np.sort(measured[patch.name].levels)[[0, -1]]
         seen = (grids[0][:, 0, 2] > low) & (grids[0][:, 0, 2] < high)
         seen[[0, -1]] = False

@@ -210,7 +210,7 @@ def arm_angles(bones: Bones, sign: float, straight: bool) -> dict[str, float]:
 def _grid(surface: Surface, nodes: np.ndarray, name: str) -> np.ndarray:
     """(along, around, 3) nodes of a patch."""
     patch = next(patch for patch in surface.patches if patch.name == name)
-    return nodes[patch.nodes].reshape(patch.along, patch.around, 3)
+    return patch.grid(nodes)
 
 
 def _nodes(
@@ -220,7 +220,7 @@ def _nodes(
     joints = rest_joints(skeleton)
     nodes = rest_nodes(surface, joints)
     for patch in surface.patches:
-        grid = nodes[patch.nodes].reshape(patch.along, patch.around, 3)
+        grid = patch.grid(nodes)
         side = -1.0 if patch.name.endswith("_r") else 1.0
         if patch.name.startswith("arm"):
             below = joints[skeleton.tree.bone(f"hand_{patch.name[-1]}"), 2] - grid[..., 2]
