@@ -27,8 +27,9 @@ TOWARDS_RIM = 0.25
 # The axis turns before the elbow: by this share of its way from shoulder to tip, by the same
 # two people.
 EARLY = 0.007
-# The wrist is the last place before the palm that is at most so much thicker than the thinnest.
-THICKER = 1.03
+# The wrist's joint lies so far beyond the thinnest place before the palm, by the same share; the
+# silhouette's pixels make no place thin over so many along the axis.
+BEYOND_THINNEST, SMOOTH_RADII_PX = 0.022, 3.0
 
 
 class Arm(NamedTuple):
@@ -91,23 +92,23 @@ def arm_joints(axis: np.ndarray, distance: np.ndarray, shoulder: np.ndarray) -> 
     if turned[middle] < LEAST_BEND:
         degrees = np.degrees(turned[middle])
         raise ValueError(f"found an arm bent by {degrees:.0f} degrees, expected a bent elbow")
-    middle += round(EARLY * (len(axis) - first))
-    wrist = _wrist(axis, distance, middle)
+    long = len(axis) - first
+    middle += round(EARLY * long)
+    wrist = _wrist(axis, distance, middle, round(BEYOND_THINNEST * long))
     corner = axis[middle]
     elbow = corner + TOWARDS_RIM * _rim(corner, axis[first], axis[wrist], distance)
     return Arm(shoulder, elbow, corner, axis[wrist], axis[-1], axis)
 
 
-def _wrist(axis: np.ndarray, distance: np.ndarray, elbow: int) -> int:
-    """Place on the axis of the last slim slice before the palm."""
+def _wrist(axis: np.ndarray, distance: np.ndarray, elbow: int, beyond: int) -> int:
+    """Place on the axis so far beyond the forearm's thinnest slice, and before the palm."""
     radii = map_coordinates(distance, axis[:, ::-1].T, order=1)
     half = elbow + (len(axis) - elbow) // 2
     palm = half + int(np.argmax(radii[half:]))
-    forearm = radii[elbow : palm + 1]
-    slim = elbow + np.flatnonzero(forearm <= THICKER * forearm.min())
+    forearm = gaussian_filter1d(radii, SMOOTH_RADII_PX)[elbow : palm + 1]
     if forearm.min() > 0.9 * radii[palm]:
         raise ValueError("found no wrist slimmer than the palm, expected an open hand seen flat")
-    return int(slim[-1])
+    return min(elbow + int(np.argmin(forearm)) + beyond, palm)
 
 
 def _rim(corner: np.ndarray, near: np.ndarray, far: np.ndarray, distance: np.ndarray) -> np.ndarray:

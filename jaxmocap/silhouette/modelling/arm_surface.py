@@ -23,11 +23,9 @@ SLICES, AROUND, FULLNESS = (16, 16, 12), 32, (2.15, 1.85, 2.0)
 # Nearer to the shoulder than this share of the upper arm a slice would run into the trunk: there
 # it may be so much thicker than here.
 FREE, THICKER = 0.35, 1.12
-# Between these places a bent elbow is another shape than a straight one: a fold and a tip.
-FOLD = (0.75, 1.2)
-# A straight one is fuller on its inner side there, and flatter behind, most of all here; by these
-# shares of its thickness, as of the two people.
-FULLER_AT, FULLER = 0.93, (0.035, -0.095)
+# Between these places a slice may run into the fold of a bent elbow: no elbow reaches so much
+# farther than the arm does beside them.
+FOLD, FARTHER = (0.75, 1.3), 1.3
 # No arm reaches farther from its bones, metres.
 FARTHEST_M = 0.14
 # No part of a hand lies farther from the forearm's line, metres.
@@ -64,11 +62,10 @@ def places() -> np.ndarray:
 
 
 def stations(bones: Bones, towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points (K, 3) along an arm and ways (K, 3) across it, to the side ``towards`` (3,).
+    """Points (K, 3) along an arm and unit ways (K, 3) across it, to the side ``towards`` (3,).
 
     Where a bent elbow carries them: blended as the skin's nodes are, with what the upper arm and
-    what the forearm makes of a straight arm's points and ways. So a surface of these slices looks,
-    bent again, as the arm was seen. Blended ways are shorter than 1. A hand goes on as the forearm,
+    what the forearm makes of a straight arm's points and ways. A hand goes on as the forearm,
     however it is held.
     """
     at, ends = places(), np.array(bones)
@@ -81,7 +78,7 @@ def stations(bones: Bones, towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     across = np.stack([np.zeros(2), -units[:, 2], units[:, 1]], 1)
     across *= np.sign(across @ towards)[:, None]
     way, cross = ((1 - part) * each[0] + part * each[1] for each in (units, across))
-    return ends[1] + passed[:, None] * way, cross
+    return ends[1] + passed[:, None] * way, cross / np.linalg.norm(cross, axis=1, keepdims=True)
 
 
 def reach_of_hand(bones: Bones) -> float:
@@ -93,14 +90,14 @@ def reach_of_hand(bones: Bones) -> float:
 def thickness(view: View, bones: Bones, towards: np.ndarray) -> np.ndarray:
     """(K, 2) how far the arm reaches from its bones, to the side ``towards`` (3,) and away from it.
 
-    Across the bones, in the plane x = constant in which the arm is held; metres. Fingers may be
-    apart, and all on one side of the forearm's line: then what they reach to the other is negative.
+    Across the bones, in the plane x = constant in which the arm is held; metres. A bent elbow is
+    round: along the line that halves its angle it is as thick as a stretched one is across. Fingers
+    may be apart, and all on one side of the forearm's line: then what they reach to the other is
+    negative.
     """
-    points, across = stations(bones, towards)
-    size = np.linalg.norm(across, axis=1, keepdims=True)
-    ways = across / size
+    points, ways = stations(bones, towards)
     hand = places() > 2
-    reach = np.stack([view.reach(points, s * ways, FARTHEST_M) for s in (1, -1)], 1) / size
+    reach = np.stack([view.reach(points, s * ways, FARTHEST_M) for s in (1, -1)], 1)
     reach[hand] = _spans(view, points[hand], ways[hand])
     free = int(FREE * SLICES[0])
     reach[:free] = np.minimum(reach[:free], THICKER * reach[free])
@@ -108,12 +105,11 @@ def thickness(view: View, bones: Bones, towards: np.ndarray) -> np.ndarray:
 
 
 def unfolded(reach: np.ndarray) -> np.ndarray:
-    """Reaches (K, 2) of a straight arm by a bent one's, whose elbow is folded and has a tip."""
+    """Reaches (K, 2) of an arm by a bent one's, which may have run into the fold of its elbow."""
     at = places()
-    seen = (at < FOLD[0]) | (at > FOLD[1])
-    straight = np.stack([np.interp(at, at[seen], side) for side in reach[seen].T], 1)
-    part = np.interp(at, (FOLD[0], FULLER_AT, FOLD[1]), (0, 1, 0))
-    return straight + part[:, None] * straight.sum(1, keepdims=True) * FULLER
+    beside = (at < FOLD[0]) | (at > FOLD[1])
+    usual = np.stack([np.interp(at, at[beside], side) for side in reach[beside].T], 1)
+    return np.where(beside[:, None], reach, np.minimum(reach, FARTHER * usual))
 
 
 def _spans(view: View, points: np.ndarray, ways: np.ndarray) -> np.ndarray:

@@ -36,6 +36,9 @@ SIDES = (("l", 1.0), ("r", -1.0))
 UPPER_BODY = 0.532
 ELBOW_ABOVE = 0.0024
 ASIDE, OUTWARDS, ABOVE_PIT, BELOW_RIM, BEFORE_MIDDLE = 0.102, 0.0053, 0.041, 0.0247, 0.005
+# So far from the shoulder, by the stature, the upper arm is clear of the trunk; and by its
+# thickness there the shoulder's joint lies so far below the rim.
+ALONG_ARM, BELOW_RIM_BY_ARM = 0.07, 0.44
 # Of a stretched arm's length, from the shoulder to the tip in a straight line.
 LEAST_STRAIGHT = 0.93
 
@@ -196,15 +199,21 @@ def shoulder_joints(body: Trunk, joint: View) -> np.ndarray:
     """(2, 3) left and right shoulder.
 
     Aside, half-way between where the arm pit and where the stature would have it: muscles carry
-    the arm pits outwards. In height, by the shoulder's rim in the joint view.
+    the arm pits outwards. In height, below the shoulder's rim in the joint view, half-way between
+    where the stature and where the arm's thickness would have it. Ahead, before the trunk's middle
+    at that height: a heavy chest carries the arm pits down, to where it is itself.
     """
     stature = np.ptp(body.rings[:, 0, 2]) / UPPER_BODY
-    found = body.pits + stature * np.array([[0.0, s * OUTWARDS, ABOVE_PIT] for _, s in SIDES])
-    middle = middle_at(body, found[:, 2].mean())
-    usual = middle[1] + stature * ASIDE * np.array([s for _, s in SIDES])
-    found[:, 1] = (found[:, 1] + usual) / 2
-    found[:, 0] = middle[0] + stature * BEFORE_MIDDLE
-    found[:, 2] += joint.reach(found, UP, stature / 4) - stature * BELOW_RIM
+    out = np.array([[0.0, s, 0.0] for _, s in SIDES])
+    found = body.pits + stature * (OUTWARDS * out + ABOVE_PIT * UP)
+    usual = middle_at(body, found[:, 2].mean()) + stature * ASIDE * out
+    found[:, 1] = (found[:, 1] + usual[:, 1]) / 2
+    found[:, 0] = usual[:, 0]
+    rim = found + joint.reach(found, UP, stature / 4)[:, None] * UP
+    arm = rim + stature * (ALONG_ARM * out - BELOW_RIM * UP)
+    thick = sum(joint.reach(arm, way, stature / 4) for way in (UP, -UP))
+    found[:, 2] = rim[:, 2] - (stature * BELOW_RIM + thick * BELOW_RIM_BY_ARM) / 2
+    found[:, 0] = middle_at(body, found[:, 2].mean())[0] + stature * BEFORE_MIDDLE
     return found
 
 
@@ -232,12 +241,17 @@ def laid_out(way: np.ndarray, bones: Bones) -> Bones:
             f"found an arm whose ends are {100 * straight:.0f} % of its length apart, expected "
             f"stretched arms, at least {100 * LEAST_STRAIGHT:.0f} %"
         )
-    upper, lower, _ = bones.lengths
-    at = [int(np.searchsorted(passed, far)) for far in (upper, upper + lower)]
-    if at[1] >= len(passed) - 1:
-        raise ValueError(
-            f"the arm in the arms' side view is {100 * passed[-1]:.0f} cm long, shorter than its "
-            f"{100 * (upper + lower):.0f} cm from shoulder to wrist in the joint view"
-        )
-    # The shoulder's joint is above the axis of its flesh, where the joint view has it.
-    return Bones(bones.shoulder, way[first + at[0]], way[first + at[1]], way[-1])
+    # The shoulder's joint is above the axis of its flesh, where the joint view has it: bones are
+    # as long as the straight lines between joints, not as the way along that axis.
+    joints, at = [bones.shoulder], first
+    for length in bones.lengths[:2]:
+        beyond = np.linalg.norm(way[at:] - joints[-1], axis=1) >= length
+        if not beyond.any():
+            raise ValueError(
+                f"the arm in the arms' side view is {100 * passed[-1]:.0f} cm long, shorter than "
+                f"its {100 * bones.lengths[:2].sum():.0f} cm from shoulder to wrist in the joint "
+                "view"
+            )
+        at += int(np.argmax(beyond))
+        joints.append(way[at])
+    return Bones(bones.shoulder, joints[1], joints[2], way[-1])
