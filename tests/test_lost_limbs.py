@@ -19,14 +19,24 @@ from jaxmocap.images.coverage import covered
 from jaxmocap.images.glances import Glances
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.appearance import YOUNG, Appearance
-from jaxmocap.silhouette.hypotheses import APART, KEPT, distinct, systematic
+from jaxmocap.silhouette.doubt import carriers
+from jaxmocap.silhouette.hypotheses import (
+    APART,
+    KEPT,
+    Evidence,
+    distinct,
+    explained,
+    limbs_of,
+    seen_at,
+    systematic,
+)
 from jaxmocap.silhouette.segment import Plan, Stage
 from jaxmocap.silhouette.start import landmark_points
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
 WRIST = list(LANDMARKS).index("wrist_l")
-DRAWN, DISTINCT = jax.jit(systematic), jax.jit(distinct)
+DRAWN, DISTINCT, EXPLAINED = jax.jit(systematic), jax.jit(distinct), jax.jit(explained)
 
 
 def lifted(degrees: float):
@@ -34,6 +44,13 @@ def lifted(degrees: float):
     step = np.zeros(BODY.costs.shape, np.float32)
     step[ROOT_DOF + BODY.tree.joint("arm_abduct_l")] = np.radians(degrees)
     return retract(relaxed_pose(BODY), jnp.asarray(step))
+
+
+def bent(degrees: float):
+    """The relaxed pose, the left elbow bent so far."""
+    pose = relaxed_pose(BODY)
+    joint = BODY.tree.joint("elbow_flex_l")
+    return pose._replace(angles=pose.angles.at[joint].set(np.radians(degrees)))
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +78,21 @@ def wrist_off(tracker, count: int) -> float:
 def test_an_arm_that_one_hypothesis_loses_many_find_again(tracker):
     assert wrist_off(tracker, 1) > 0.4
     assert wrist_off(tracker, 128) < 0.1
+
+
+def test_a_forearm_laid_over_its_upper_arm_explains_nothing_twice(tracker):
+    surface = tracker.finder.surface
+    limb = limbs_of(BODY, surface)["arm_l"]
+    upper = carriers(surface.points) == limb.bones[0]
+    region = Region(np.full((4, 2), -0.5, np.float32), np.full(4, 8.0, np.float32))
+    pixels = np.asarray(seen_at(BODY, bent(0.0), tracker.cameras, surface.points))[:, upper]
+    shown = [covered(at, Region(*r), 128, 0) for at, *r in zip(pixels, *region, strict=True)]
+    evidence = Evidence(np.stack(shown).astype(np.float32), region, np.ones(4, bool))
+    straight, folded = (
+        float(EXPLAINED(BODY, tracker.cameras, bent(degrees), limb, evidence))
+        for degrees in (0.0, 150.0)
+    )
+    assert straight > 0.1 and folded < 1.2 * straight
 
 
 @given(st.integers(0, 2**31 - 1))

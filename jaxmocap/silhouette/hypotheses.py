@@ -196,11 +196,24 @@ def _explained(
     )  # fmt: skip
     edge = gains.shape[0] - 1.0
     within = (x >= 0) & (x <= edge) & (y >= 0) & (y <= edge)
-    there = jnp.where(within, look_up(gains[None], jnp.zeros((), jnp.int32), x, y), 0.0)
+    # A forearm laid over its upper arm explains nothing more than that does.
+    fresh = within & ~_on_earlier(jnp.stack([x, y], -1), ends[0], way, cells * radii)
+    there = jnp.where(fresh, look_up(gains[None], jnp.zeros((), jnp.int32), x, y), 0.0)
     width = 2 * cells * radii
     gained = jnp.sum(jnp.mean(there, (1, 2)) * length * width)
-    seen = jnp.sum(jnp.mean(within.astype(x.dtype), (1, 2)) * length * width)
+    seen = jnp.sum(jnp.mean(fresh.astype(x.dtype), (1, 2)) * length * width)
     return gained, seen, jnp.sum(cells * lengths * width)
+
+
+def _on_earlier(points: Array, starts: Array, ways: Array, radii: Array) -> Array:
+    """(B, ...) bool: points (B, ..., 2) of each bone that lie on a bone before it, (B, 2) cells."""
+    away = points[..., None, :] - starts
+    squared = jnp.sum(ways**2, -1) + 1e-6
+    along = jnp.sum(away * ways, -1) / squared
+    aside = jnp.abs(away[..., 0] * ways[:, 1] - away[..., 1] * ways[:, 0])
+    on = (along >= 0) & (along <= 1) & (aside < radii * jnp.sqrt(squared))
+    before = jnp.tril(jnp.ones((len(starts),) * 2, bool), -1)
+    return jnp.any(on & before[:, None, None], -1)
 
 
 @jax.jit
