@@ -14,7 +14,7 @@ from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.recording import Recording
 from jaxmocap.images.canvases import full_mask
 from jaxmocap.images.regions import Region
-from jaxmocap.images.rooms import RoomLearner
+from jaxmocap.images.rooms import RoomLearner, RunningRoom
 from jaxmocap.run.silhouette_start import start_pose
 from jaxmocap.silhouette.looking import silhouette_distance
 from jaxmocap.silhouette.rim import RimSettings
@@ -150,6 +150,36 @@ def test_a_room_is_learned_where_the_person_was_not():
     assert np.abs(learned.colour[learned.known > 0.5] - 120).max() < 2
     assert (learned.known > 0.5).mean() > 0.9
     assert RoomLearner(8).learned() is None
+
+
+def test_a_hand_that_stands_still_is_no_room_where_the_body_has_it_and_segmentation_has_not():
+    region = Region(np.full(2, -0.5, np.float32), np.array(2.0, np.float32))
+    image, phi = np.full((60, 80, 3), 120, np.uint8), np.full((40, 40), -8.0, np.float32)
+    image[20:30, 40:50] = 10
+    rows, columns = np.mgrid[20:30:3, 40:50:3]
+    hand = np.stack([columns.ravel(), rows.ravel()], 1).astype(float)
+    learned = {}
+    for seen in (False, True):
+        learner = RoomLearner(8)
+        for _ in range(8):
+            learner.tell(image, phi, region, hand if seen else None)
+        learned[seen] = learner.learned()
+    assert (learned[False].known > 0.5).all()
+    assert not learned[True].known[20:30, 40:50].any() and learned[True].known[5:15, 5:75].all()
+
+
+def test_a_room_is_known_from_the_first_frames_but_about_the_person_and_there_once_they_have_left():
+    region = Region(np.full(2, -0.5, np.float32), np.array(2.0, np.float32))
+    running, empty = RunningRoom(), np.full((60, 80, 3), 120, np.uint8)
+    for left in (10, 10, 10, 50, 50, 50):
+        image, phi = empty.copy(), np.full((40, 40), -8.0, np.float32)
+        image[20:40, left : left + 8] = 10
+        rows, columns = np.mgrid[20:40:4, left : left + 8 : 4]
+        body = np.stack([columns.ravel(), rows.ravel()], 1).astype(float)
+        room = running.told(image, phi, region, body)
+        assert np.abs(room.colour[room.known > 0] - 120).max() < 2
+        assert room.known[20:40, 10:18].any() == (left == 50) and room.known[20:40, 50:58].any()
+    assert (room.known == 1).all()
 
 
 def test_a_start_needs_markers_or_a_place(tmp_path, capsys):

@@ -27,7 +27,7 @@ from jaxmocap.formats.recording import Recording
 from jaxmocap.hybrid.search import confidence_of
 from jaxmocap.images.background import Background
 from jaxmocap.images.regions import Region
-from jaxmocap.images.rooms import RoomLearner, pictured
+from jaxmocap.images.rooms import RoomLearner, RunningRoom, pictured
 from jaxmocap.outputs.report import plain
 from jaxmocap.run.reading import reading
 from jaxmocap.run.recording import marker_sites
@@ -210,6 +210,8 @@ class _Pass:
         count = self.count
         self.shape = shape
         self.learners = [RoomLearner(count) for _ in frames.videos] if shape else []
+        # Who knows nothing of a room learns it frame by frame.
+        self._running = {c: RunningRoom() for c, room in enumerate(tracker.rooms) if room is None}
         self.milliseconds: dict[str, list[float]] = {}
         self._poses: list[Pose] = []
         self._reports: list[StepReport] = []
@@ -246,10 +248,17 @@ class _Pass:
     def _keep(self, pose: Pose, report: StepReport, images: Sequence[np.ndarray | None]) -> None:
         self._poses.append(jax.tree.map(np.asarray, pose))
         phi, region = np.asarray(report.outlines.segmented.phi), report.outlines.region
-        for camera, learner in enumerate(self.learners):
-            image = images[camera]
-            if image is not None and report.used[camera]:
-                learner.tell(image, phi[camera], Region(*(part[camera] for part in region)))
+        pixels, rooms = self.tracker.covering(pose), list(self.tracker.rooms)
+        for camera, image in enumerate(images):
+            if image is None or not report.used[camera]:
+                continue
+            here = Region(*(part[camera] for part in region))
+            shown = image, phi[camera], here, pixels[camera]
+            if self.learners:
+                self.learners[camera].tell(*shown)
+            if camera in self._running:
+                rooms[camera] = self._running[camera].told(*shown)
+        self.tracker.rooms = rooms
         self._phi.append(np.clip(np.round(8 * phi), -127, 127).astype(np.int8))
         # What is large is kept once.
         outlines = report.outlines._replace(segmented=None, contours=())  # type: ignore[arg-type]

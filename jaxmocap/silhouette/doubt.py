@@ -142,7 +142,6 @@ class Doubter:
         rooms: Sequence[Background | None],
     ) -> Sight:
         """A pose over what was segmented, and what lies about that, of cameras (C,) that count."""
-        pixels = hypotheses.seen_at(self.skeleton, pose, self.cameras, self._points)
         narrow = zip(*map(np.asarray, seen.region), strict=True)
         ratios = np.asarray(seen.segmented.log_ratio)
         parts = [
@@ -152,7 +151,11 @@ class Doubter:
         regions = tuple(region for _, region in parts)
         region = Region(*(np.stack(part) for part in zip(*regions, strict=True)))
         ratios = np.stack([ratio for ratio, _ in parts])
-        return Sight(pose, np.asarray(pixels), ratios, regions, region, used)
+        return Sight(pose, self.covering(pose), ratios, regions, region, used)
+
+    def covering(self, pose: Pose) -> np.ndarray:
+        """(C, N, 2) pixels of points all over the body, hidden or not."""
+        return np.asarray(hypotheses.seen_at(self.skeleton, pose, self.cameras, self._points))
 
     def hidden(
         self, doubts: Doubts, sight: Sight, images: Sequence[np.ndarray | None]

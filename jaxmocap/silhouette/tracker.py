@@ -206,6 +206,10 @@ class SilhouetteTracker:
         after = State(result.pose, velocity, time, histograms, told, glances, doubts)
         return after, result.pose, report
 
+    def covering(self, pose: Pose) -> np.ndarray:
+        """(C, N, 2) pixels of points all over the body, hidden or not."""
+        return self._doubter.covering(pose)
+
     def _markers(self, positions_world: np.ndarray | None) -> MarkerRows | None:
         """Rows of the markers, where any are followed."""
         if self._points is None:
