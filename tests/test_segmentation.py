@@ -188,6 +188,29 @@ def test_pixels_say_where_a_contour_lies_that_is_known_to_some(known, larger):
     assert overlap(again, truth) > 0.98
 
 
+def test_a_contour_is_found_to_a_pixel_in_a_video_whose_colours_are_stored_coarsely():
+    y, x = np.mgrid[:200, :240].astype(float)
+    angle = np.arctan2(y - 90.6, x - 110.3)
+    truth = np.hypot(x - 110.3, y - 90.6) < 50.2 + 2.5 * np.cos(8 * angle)
+    room = np.stack([120 + 0.3 * x, 150 - 0.2 * y, 90 + 0 * x], -1)
+    striped = (np.cos(6 * angle) > 0)[..., None]
+    body = np.where(striped, np.array([60.0, 60.0, 200.0]), np.array([150.0, 130.0, 60.0]))
+    light = cv2.GaussianBlur(np.where(truth[..., None], body, room), (0, 0), 0.6)
+    noise = np.random.default_rng(0).normal(0, 4, light.shape)
+    stored = cv2.cvtColor(np.clip(light + noise, 0, 255).astype(np.uint8), cv2.COLOR_BGR2YCrCb)
+    for channel in (1, 2):
+        half = cv2.resize(stored[..., channel], (120, 100), interpolation=cv2.INTER_AREA)
+        stored[..., channel] = cv2.resize(half, (240, 200), interpolation=cv2.INTER_LINEAR)
+    image = cv2.cvtColor(stored, cv2.COLOR_YCrCb2BGR)
+    known = Background(room.astype(np.float32), *np.float32([3 + 0 * x, 1 + 0 * x]))
+    region = Region(np.array([29.5, 19.5], np.float32), np.array(2.5, np.float32))
+    away = np.hypot(30 + 2.5 * X - 109.05, 20 + 2.5 * Y - 89.35)
+    circle = np.clip((51.7 - away) / 2.5, -8, 8).astype(np.float32)
+    found = sharpened(image, circle, region, known).full(truth.shape)
+    assert overlap(full_mask(circle, region, truth.shape), truth) < 0.94
+    assert overlap(found, truth) > 0.974
+
+
 def test_pieces_that_lie_nowhere_near_the_prediction_are_not_the_person():
     person, hand, stranger = disc(20, 20, 10)[0], disc(40, 20, 4)[0], disc(45, 50, 8)[0]
     found = attached(np.maximum(np.maximum(person, hand), stranger), disc(30, 20, 9)[0])

@@ -17,16 +17,30 @@ from jaxmocap.images.background import Background
 from jaxmocap.images.canvases import FARTHEST, full_mask, sampled
 from jaxmocap.images.regions import Region
 
-# Pixels from the contour to where a side's colours are its own, and to where it may move.
-DEPTH, REACH = 1, 5
-# Windows over which colours, and the light on the room, are averaged, pixels to a side.
-COLOURS_PX, LIGHT_PX = 7, 9
+# Pixels from the contour to where a side's colours are its own; and, round by round, how far it may
+# move inwards and outwards: the first has to find the limbs' ends, the second starts next to them.
+DEPTH, ROUNDS = 1, ((2, 5), (2, 2))
+# Window over which each side's colours, and the light on the room, are averaged, pixels to a side;
+# and that over which the contour is smoothed where pixels tell nothing.
+BESIDE_PX, SMOOTH_PX = 7, 11
 # Light on the room may fall to, or rise to, so much of what is known of it.
 DIMMEST, BRIGHTEST = 0.5, 1.3
+# Brightness, and two chromaticities, by blue, green, red and 1. Videos hold chromaticities at half
+# the resolution, blurred over a silhouette's edge: they count for less.
+BLURRED = 0.6
+CHANNELS = np.array([
+    [0.114, 0.587, 0.299, 0],
+    [BLURRED * 0.5, BLURRED * -0.331, BLURRED * -0.169, 128],
+    [BLURRED * -0.081, BLURRED * -0.419, BLURRED * 0.5, 128],
+], np.float32)  # fmt: skip
+BLACK = np.array([0, 128, 128, 255], np.float32)
+EVERY = np.ones(4, np.float32)
+# Squared difference of two images of the same place by their noise, of those channels.
+NOISE = 40.0
 # A pixel is the person's from this share on: bodies are darker at their rim than the mean beside.
-COVERED = 0.45
-# Contrast of the two sides, squared grey levels, from which they are believed.
-CONTRAST = 300.0
+COVERED = 0.4
+# Contrast of the two sides, squared levels, from which they are believed.
+CONTRAST = 150.0
 # Of the decision, pixels.
 SOFTNESS = 0.7
 # Pixels around the silhouette that are looked at; pixels to a cell of the canvas that suffice.
@@ -83,62 +97,77 @@ def sharpened(
     corner = np.array([columns.start, rows.start], np.float32)
     there = Region(np.asarray(region.origin) - corner, region.scale)
     before = full_mask(phi, there, (rows.stop - rows.start, columns.stop - columns.start))
-    seen = _shrunk(image[rows, columns], step)
+    seen = _channels(_shrunk(image[rows, columns], step))
     behind = None
     if room is not None:
         colour, known = room.colour[rows, columns], room.known[rows, columns]
-        behind = cv2.convertScaleAbs(_shrunk(colour, step)), _shrunk(known, step)
-    found = _moved(seen, _shrunk(255 * before.astype(np.uint8), step) > 127, behind)
+        behind = _channels(cv2.convertScaleAbs(_shrunk(colour, step))), _shrunk(known, step)
+    found = _shrunk(255 * before.astype(np.uint8), step) > 127
+    for inwards, outwards in ROUNDS:
+        found = _moved(seen, found, behind, inwards, outwards)
     return Patch(found, Region(corner - np.float32(0.5), np.array(step, np.float32)))
 
 
+def _channels(image: np.ndarray) -> np.ndarray:
+    """(h, w, 4) uint8: ``CHANNELS``, and 255, which a mask takes away."""
+    return cv2.cvtColor(cv2.transform(image, CHANNELS), cv2.COLOR_BGR2BGRA)
+
+
 def _moved(
-    seen: np.ndarray, mask: np.ndarray, room: tuple[np.ndarray, np.ndarray] | None
+    seen: np.ndarray,
+    mask: np.ndarray,
+    room: tuple[np.ndarray, np.ndarray] | None,
+    inwards: int,
+    outwards: int,
 ) -> np.ndarray:
-    """The mask (h, w) after a look at the pixels (h, w, 3) uint8 next to its border."""
+    """The mask (h, w) after a look at the pixels (h, w, 4) uint8 next to its border.
+
+    How much of a pixel is the person's is told by how far its colour lies from the room's: where
+    the room is known, in any direction, for a body has more colours than their mean beside; else
+    along the way to the person's, for a room has more than one as well.
+    """
     whole = mask.astype(np.uint8)
     inner, outer = cv2.erode(whole, _disc(DEPTH)), 1 - cv2.dilate(whole, _disc(DEPTH))
-    near = cv2.dilate(whole, _disc(REACH)) - cv2.erode(whole, _disc(REACH))
-    at = np.flatnonzero(near)
-    colours = seen.reshape(-1, 3)[at].astype(np.float32)
-    (person, sure), (other, free) = _beside(seen, (inner, outer), at)
+    near = cv2.dilate(whole, _square(outwards)) - cv2.erode(whole, _square(inwards))
+    at = np.flatnonzero(near.view(bool))
+    (person, sure), (other, free) = (_beside(seen, side, at) for side in (inner, outer))
+    known = np.zeros(len(at), np.float32)
     if room is not None:
-        colour, known = room[0].reshape(-1, 3)[at], room[1].ravel()[at, None]
-        light = _summed(seen, outer, at) / np.maximum(_summed(room[0], outer, at), 1.0)
-        lit = np.where(free, np.clip(light, DIMMEST, BRIGHTEST), np.float32(1))
-        other = known * lit[:, None] * colour + (1 - known) * other
-        free = free | (known[:, 0] > 0.5)
-    apart = person - other
-    contrast = np.einsum("ij,ij->i", apart, apart)
-    covered = np.einsum("ij,ij->i", colours - other, apart) / np.maximum(contrast, 1.0)
+        known = _taken(room[1], at)
+        (lit, _), colour = _beside(room[0], outer, at), _taken(room[0], at) - BLACK
+        light = np.clip(other[:, 0] / np.maximum(lit[:, 0], 1.0), DIMMEST, BRIGHTEST)
+        behind = BLACK + np.where(free, light, np.float32(1))[:, None] * colour
+        other += known[:, None] * (behind - other)
+        free = free | (known > 0.5)
+    apart, away = person - other, _taken(seen, at) - other
+    contrast, off = apart**2 @ EVERY, away**2 @ EVERY
+    along = (apart * away) @ EVERY / np.maximum(contrast, 1.0)
+    far = np.sqrt(np.maximum(off - NOISE, 0) / np.maximum(contrast, 1.0))
+    covered = along + known * (far - along)
     trust = contrast / (contrast + CONTRAST) * (sure & free)
-    side = (2 * REACH + 1, 2 * REACH + 1)
-    before = cv2.blur(255 * whole, side).ravel()[at] / np.float32(255)
-    share = np.clip(covered - COVERED + 0.5, 0, 1)
+    before = _taken(cv2.blur(255 * whole, (SMOOTH_PX, SMOOTH_PX)), at)
+    share = 255 * np.clip(covered - COVERED + 0.5, 0, 1)
     decided = 255 * whole
-    decided.ravel()[at] = np.rint(255 * (trust * share + (1 - trust) * before))
+    decided.ravel()[at] = np.rint(before + trust * (share - before))
     return cv2.GaussianBlur(decided, (0, 0), SOFTNESS) > 127
 
 
-def _beside(
-    seen: np.ndarray, sides: tuple[np.ndarray, ...], at: np.ndarray
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Mean colours (N, 3) of each side (h, w) about some pixels, and whether any of it is there."""
-    opaque, window, found = cv2.cvtColor(seen, cv2.COLOR_BGR2BGRA), (COLOURS_PX, COLOURS_PX), []
-    for side in sides:
-        held = cv2.bitwise_and(opaque, opaque, mask=side)
-        sums = cv2.boxFilter(held, cv2.CV_16U, window, normalize=False)
-        chosen = sums.reshape(-1, 4)[at].astype(np.float32)
-        weight = chosen[:, 3:]
-        found.append((255 * chosen[:, :3] / np.maximum(weight, 1.0), weight[:, 0] > 0))
-    return found
+def _beside(seen: np.ndarray, side: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean channels (N, 4) of a side (h, w) about some pixels, and whether any of it is there."""
+    held = cv2.bitwise_and(seen, seen, mask=side)
+    sums = cv2.boxFilter(held, cv2.CV_16U, (BESIDE_PX, BESIDE_PX), normalize=False)
+    chosen = _taken(sums, at)
+    weight = chosen[:, 3:]
+    return chosen * (255 / np.maximum(weight, 1.0)), weight[:, 0] > 0
 
 
-def _summed(image: np.ndarray, side: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """(N,) light about some pixels on one side of the contour."""
-    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) * side
-    sums = cv2.boxFilter(grey, cv2.CV_16U, (LIGHT_PX, LIGHT_PX), normalize=False)
-    return sums.ravel()[at].astype(np.float32)
+def _taken(image: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Some pixels of an image (h, w) or (h, w, 4), as float32 (N) or (N, 4)."""
+    if image.ndim == 2:
+        return image.ravel()[at].astype(np.float32)
+    # Four channels are picked as one number, many times as fast.
+    packed = image.view(f"u{4 * image.itemsize}").ravel()[at]
+    return packed.view(image.dtype).reshape(-1, 4).astype(np.float32)
 
 
 def _box(
@@ -170,6 +199,10 @@ def _shrunk(image: np.ndarray, step: int) -> np.ndarray:
 
 def _disc(radius: int) -> np.ndarray:
     return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+
+
+def _square(radius: int) -> np.ndarray:
+    return np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
 
 
 def _distance(mask: np.ndarray) -> np.ndarray:
