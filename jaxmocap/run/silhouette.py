@@ -34,6 +34,7 @@ from jaxmocap.run.recording import marker_sites
 from jaxmocap.run.timing import Progress, progress_bar
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.shape import ShapeFinder
+from jaxmocap.silhouette.smoothing import Told, smoothed
 from jaxmocap.silhouette.steps import landmark_slopes
 from jaxmocap.silhouette.tracker import SilhouetteTracker, State, StepReport
 
@@ -178,7 +179,7 @@ def follow(
         "warnings": warnings,
         "tracker": tracker.settings,
     }
-    motion = Motion(tracker.skeleton, frames.times, run.poses(), run.report(names, plain(told)))
+    motion = Motion(tracker.skeleton, frames.times, run.smoothed(), run.report(names, plain(told)))
     return Followed(motion, run.masks(names), tracker.finder.surface)
 
 
@@ -276,6 +277,19 @@ class _Pass:
     def poses(self) -> Pose:
         """(T, ...) as they were found."""
         return jax.tree.map(lambda *parts: np.stack(parts), *self._poses)
+
+    def smoothed(self) -> Pose:
+        """(T, ...) as all frames together have them."""
+        tracker = self.tracker
+        if tracker.settings.smoothing is None:
+            return self.poses()
+        told = Told(
+            self.poses(),
+            np.stack([report.information for report in self._reports]),
+            np.stack([report.slope for report in self._reports]),
+        )
+        morph, how = tracker.finder.morph, tracker.settings.smoothing
+        return smoothed(tracker.skeleton, self.frames.times, told, tracker.rest, how, morph)
 
     def masks(self, names: Sequence[str]) -> dict[str, Masks]:
         """Camera -> level sets."""

@@ -86,6 +86,7 @@ class PoseResult(NamedTuple):
         spread: () deviation of the points about their rays, metres.
         information: (6 + D, 6 + D) Hessian of half the weighted squares in deviations, without
             prior or damping: its inverse is the covariance of what the rays tell.
+        slope: (6 + D,) of the same half squares, by the tangent vector of ``retract``.
         iterations: () made.
         status: () a Status.
     """
@@ -95,6 +96,7 @@ class PoseResult(NamedTuple):
     shares: Array
     spread: Array
     information: Array
+    slope: Array
     iterations: Array
     status: Array
 
@@ -163,7 +165,7 @@ def solve_pose(
     end = _normal_equations(skeleton, found, pairs, settings, markers, morph)
     status = jnp.where(moved > settings.rest, Status.OUT_OF_STEPS, Status.CONVERGED)
     status = jnp.where(broken, Status.BROKEN, status).astype(jnp.int32)
-    kept = end.distances, end.shares, end.spread, end.information
+    kept = end.distances, end.shares, end.spread, end.information, end.slope
     return PoseResult(found, *kept, count, status)
 
 

@@ -11,6 +11,7 @@ from jaxmocap.silhouette.edges import EdgeSettings
 from jaxmocap.silhouette.hypotheses import SearchSettings
 from jaxmocap.silhouette.morph import Morphing
 from jaxmocap.silhouette.rim import RimSettings
+from jaxmocap.silhouette.smoothing import SmoothingSettings
 
 # What finds starts that are off by 10 degrees and 6 cm, half of them.
 FAR_OFF = (0.08, 0.08)
@@ -53,6 +54,7 @@ class Settings:
         patience: frames of a camera, one after the other, that may be passed over so.
         hypotheses: of where a limb is that may be lost, static; 1 for the pose found alone.
         search: among them.
+        smoothing: of all frames of a recording together; None leaves them as they were found.
         marked: deviation of markers, metres, where they are followed too. Hundreds of pairs that
             err alike stand against each.
         share: of a camera's rim and contour that must find each other.
@@ -87,6 +89,7 @@ class Settings:
     patience: int = 15
     hypotheses: int = 128
     search: SearchSettings = field(default_factory=SearchSettings)
+    smoothing: SmoothingSettings | None = field(default_factory=SmoothingSettings)
     marked: float = 0.003
     share: float = 0.4
     apart: float = 3.0

@@ -74,6 +74,7 @@ class StepReport(NamedTuple):
         deviations: (6 + D,) of the degrees of freedom, metres and radians.
         seen: (6 + D,) bool: those that the images told of; the others are held.
         information: (6 + D, 6 + D), see ``PoseResult``.
+        slope: (6 + D,), likewise.
         outlines: what was segmented.
         moved: (D,) bool: joints that one of several hypotheses put elsewhere.
         pairs: that the pose was found by.
@@ -85,6 +86,7 @@ class StepReport(NamedTuple):
     deviations: np.ndarray
     seen: np.ndarray
     information: np.ndarray
+    slope: np.ndarray
     outlines: Outlines
     moved: np.ndarray
     pairs: Paired
@@ -118,6 +120,7 @@ class SilhouetteTracker:
         settings: how to work.
         finder: of the rims.
         rooms: what each camera shows where nobody stands, or None; may be set between frames.
+        rest: (D,) deviations of joints held about 0, radians; infinite for the others.
     """
 
     def __init__(
@@ -146,7 +149,7 @@ class SilhouetteTracker:
         skin = generic_surface(skeleton) if surface is None else surface
         self.finder = RimFinder(skeleton, skin, self.settings.rim, self.settings.morphing)
         self._bones = carriers(self.finder.surface.points)
-        self._rest = resting(skeleton, dict(self.settings.held_at_rest))
+        self.rest = resting(skeleton, dict(self.settings.held_at_rest))
         self.rooms = [None] * len(listed) if rooms is None else list(rooms)
         self.plan = Plan()
         self._points = None if sites is None else points_at(skeleton, sites)
@@ -201,7 +204,7 @@ class SilhouetteTracker:
         histograms = _chosen(used, outlines.segmented.histograms, state.histograms)
         report = StepReport(
             used, shares, float(result.spread), deviations, seen,
-            np.asarray(result.information), outlines, moved, pairs,
+            np.asarray(result.information), np.asarray(result.slope), outlines, moved, pairs,
         )  # fmt: skip
         after = State(result.pose, velocity, time, histograms, told, glances, doubts)
         return after, result.pose, report
@@ -226,7 +229,7 @@ class SilhouetteTracker:
         rough = s.starting if shown.first else ()
         morph = self.finder.morph
         apart = expected if morph is None else free(morph, expected)
-        prior = expectation(apart, beforehand, self._rest)
+        prior = expectation(apart, beforehand, self.rest)
         used, outlines = np.zeros(0, bool), None
         for cycle, deviation in enumerate((*rough, *s.deviations)):
             coarse = cycle < len(rough)

@@ -1,0 +1,117 @@
+"""All poses of a recording at once: what each frame's pairs told, and that people move smoothly.
+
+A frame's pairs tell some directions of a pose well and others hardly: an arm's turn about its own
+axis shows only where the elbow is bent. What they leave open, prediction from the frames before
+fills in, and drags behind; the frames before and after together know better. Each frame counts by
+the quadratic that its pairs left about the pose found there, landmarks move with accelerations that
+are white noise, and all of it is solved as one banded system.
+
+INPUTS: poses, Hessians and slopes of all frames. OUTPUTS: the poses that suit them all.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from threadpoolctl import threadpool_limits
+
+from jaxmocap.body.kinematics import landmarks
+from jaxmocap.body.pose import Pose, difference, retract
+from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton
+from jaxmocap.silhouette.morph import Morph, free_of, whole_of
+from jaxmocap.silhouette.steps import landmark_slopes
+from jaxmocap.solvers.smoothness import REACH, smoothness
+from jaxmocap.solvers.trajectory import Linearised, Settings, smooth
+
+# The frames' quadratics hold near the poses found only, so that no more steps are worth it.
+STEPS = 8
+
+
+class Told(NamedTuple):
+    """What the pairs of T frames tell.
+
+    Attributes:
+        poses: (T, ...) that were found.
+        information: (T, 6 + D, 6 + D) of ``PoseResult``; 0 where nothing was seen.
+        slope: (T, 6 + D) likewise.
+    """
+
+    poses: Pose
+    information: np.ndarray
+    slope: np.ndarray
+
+
+class SmoothingSettings(NamedTuple):
+    """What a user may tune.
+
+    Attributes:
+        acceleration: spectral density of the landmarks' accelerations, m / s^2 * sqrt(s). Pairs
+            that err alike count as if they did not: this is less than people's by as much.
+        step: deviation of a pose about the one that was found, metres and radians: farther off the
+            pairs would be others.
+    """
+
+    acceleration: float = 1.0
+    step: float = 0.1
+
+
+def smoothed(
+    skeleton: Skeleton,
+    times: np.ndarray,
+    told: Told,
+    rest: np.ndarray,
+    settings: SmoothingSettings,
+    morph: Morph | None = None,
+) -> Pose:
+    """The poses (T, ...) of a whole recording.
+
+    Args:
+        skeleton: of the person.
+        times: (T,) seconds.
+        told: frame by frame.
+        rest: (D,) deviations of joints that are held about 0, radians; infinite for the others.
+        settings: how smoothly.
+        morph: what goes along with the joints' angles, and does so afterwards.
+    """
+    if len(times) <= REACH:
+        return told.poses
+    accelerations = np.full(3 * len(LANDMARKS), settings.acceleration)
+    held = np.concatenate([np.zeros(ROOT_DOF), rest**-2.0])
+    slope = told.slope.astype(float)
+    H = told.information + np.eye(slope.shape[-1]) / settings.step**2
+
+    def linearise(poses: Pose) -> Linearised:
+        off, points, by = (np.asarray(each, float) for each in _about(skeleton, poses, told.poses))
+        angles = np.pad(np.asarray(poses.angles, float), ((0, 0), (ROOT_DOF, 0)))
+        pulled = np.einsum("tij,tj->ti", H, off)
+        cost = np.sum(off * (pulled + 2 * slope), 1) + angles**2 @ held
+        return Linearised(cost, H + np.diag(held), pulled + slope + held * angles, points, by)
+
+    prior, move = smoothness(times, accelerations), partial(_moved, skeleton)
+    # A band is narrow: BLAS's own threads would only wait for one another.
+    with threadpool_limits(1, user_api="blas"):
+        found = smooth(linearise, move, told.poses, prior, Settings(iterations=STEPS)).x
+    if morph is None:
+        return found
+    whole = jax.vmap(lambda pose: whole_of(morph, free_of(morph, pose), skeleton))(found)
+    return jax.tree.map(np.asarray, whole)
+
+
+@jax.jit
+def _about(skeleton: Skeleton, poses: Pose, found: Pose) -> tuple[Array, Array, Array]:
+    """(T, 6 + D) off the poses found; landmarks (T, 3 L) and their derivatives (T, 3 L, 6 + D)."""
+    places = jax.vmap(partial(landmarks, skeleton))(poses)
+    by = jax.vmap(partial(landmark_slopes, skeleton))(poses)
+    flat = len(places), places[0].size
+    return difference(poses, found), places.reshape(flat), by.reshape(*flat, -1)
+
+
+def _moved(skeleton: Skeleton, poses: Pose, steps: np.ndarray, _: np.ndarray) -> Pose:
+    """Poses moved by steps (T, 6 + D), within the joints' limits."""
+    there = retract(poses, jnp.asarray(steps, poses.angles.dtype))
+    low, high = skeleton.limits[:, 0], skeleton.limits[:, 1]
+    there = there._replace(angles=jnp.clip(there.angles, low, high))
+    return jax.tree.map(np.asarray, there)
