@@ -1,7 +1,7 @@
 """``python -m bench.silhouette [RECORDINGS]``: how well and how fast the silhouette tracker is.
 
 Rendered exercises by four, three, two cameras and one: how far elbows and knees are bent, against
-the truth, and where the joints are. The real recording by all its cameras. And what a frame takes,
+the truth, where the joints are, and how much they shake. The real recording by all its cameras. And what a frame takes,
 stage by stage. Bones have the lengths of the truth's landmarks; the first pose is the truth's.
 
 INPUTS: the folder of recordings, with ``person/person.npz`` and
@@ -26,6 +26,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.body.surface import Surface
+from jaxmocap.evaluation.calm import Calm, calmness
 from jaxmocap.evaluation.errors import Errors, position_errors
 from jaxmocap.evaluation.series import match
 from jaxmocap.formats.recording import Recording
@@ -54,12 +55,14 @@ class Result:
         cameras: how many.
         errors: of the joints' places.
         bends_off: hinge -> (N,) absolute errors of how far it is bent, radians.
+        calm: of the joints.
     """
 
     name: str
     cameras: int
     errors: Errors
     bends_off: dict[str, np.ndarray]
+    calm: Calm
 
     def angle(self, kind: str) -> float:
         """Mean error of both elbows or both knees, degrees."""
@@ -70,6 +73,10 @@ class Result:
         """Mean error over joints of such kinds, left and right, centimetres."""
         of_kind = [name.split("_")[0] in kinds for name in self.errors.joints]
         return float(100 * self.errors.statistics()["mean"][of_kind].mean())
+
+    def shaking(self) -> float:
+        """Root mean square acceleration of all joints, by the truth's."""
+        return float(np.sqrt(np.nanmean(self.calm.track**2) / np.nanmean(self.calm.reference**2)))
 
 
 def track_exercise(clip: Clip, cameras: int) -> Result:
@@ -103,13 +110,18 @@ def judged(clip: Clip, recording: Recording, start: Pose, surface: Surface | Non
     ours, theirs = match(motion.times, truth.times)
     found, expected = bends(joints), bends(points)
     off = {hinge: np.abs(found[hinge][ours] - expected[hinge][theirs]) for hinge in found}
-    return Result(clip.name, len(recording.videos), errors, off)
+    places, expected_at = (
+        np.stack([each[name] for name in JOINTS], 1) for each in (joints, points)
+    )
+    calm = calmness(motion.times, places, truth.times, expected_at)
+    return Result(clip.name, len(recording.videos), errors, off, calm)
 
 
 def exercise_rows(results: Sequence[Result]) -> list[list[str]]:
     """A row for each exercise by as many cameras, and their means."""
-    rows = [["exercise", "elbows", "knees", "joints", *(f"{kind}s" for kind in KINDS)]]
-    rows.append(["", "deg", "deg", "cm", *("cm" for _ in KINDS)])
+    kinds = [f"{kind}s" for kind in KINDS]
+    rows = [["exercise", "elbows", "knees", "joints", *kinds, "acceleration"]]
+    rows.append(["", "deg", "deg", "cm", *("cm" for _ in KINDS), "truth's"])
     figures = np.array([_figures(result) for result in results])
     for name, row in zip([r.name for r in results], figures, strict=True):
         rows.append([name, *(f"{value:.1f}" for value in row)])
@@ -118,7 +130,8 @@ def exercise_rows(results: Sequence[Result]) -> list[list[str]]:
 
 def _figures(result: Result) -> list[float]:
     angles = [result.angle(kind) for kind in ("elbow", "knee")]
-    return [*angles, result.place(*KINDS), *(result.place(kind) for kind in KINDS)]
+    places = [result.place(*KINDS), *(result.place(kind) for kind in KINDS)]
+    return [*angles, *places, result.shaking()]
 
 
 def camera_rows(results: Sequence[Result]) -> list[list[str]]:
@@ -143,11 +156,12 @@ def camera_rows(results: Sequence[Result]) -> list[list[str]]:
 
 def real_rows(result: Result) -> list[list[str]]:
     """The real recording, joint kind by joint kind."""
-    rows = [["real, four cameras", *(f"{kind}s" for kind in KINDS), "judged by", "elbows"]]
-    rows.append(["", *("cm" for _ in KINDS), "cm", "deg"])
+    kinds = [f"{kind}s" for kind in KINDS]
+    rows = [["real, four cameras", *kinds, "judged by", "elbows", "acceleration"]]
+    rows.append(["", *("cm" for _ in KINDS), "cm", "deg", "truth's"])
     places = [result.place(kind) for kind in KINDS] + [result.place(*REAL_KINDS)]
-    angles = [result.angle("elbow")]
-    return [*rows, [result.name, *(f"{value:.1f}" for value in (*places, *angles))]]
+    others = [result.angle("elbow"), result.shaking()]
+    return [*rows, [result.name, *(f"{value:.1f}" for value in (*places, *others))]]
 
 
 def metrics(result: Result) -> Iterator[Metric]:
@@ -156,6 +170,7 @@ def metrics(result: Result) -> Iterator[Metric]:
     yield Metric(f"{name}, joints", result.place(*KINDS), "cm", tolerance=0.1)
     if result.name == REAL:
         yield Metric(f"{name}, judged by", result.place(*REAL_KINDS), "cm", tolerance=0.05)
+    yield Metric(f"{name}, acceleration", result.shaking(), "truth's", tolerance=0.1)
     for kind in ("elbow", "knee"):
         yield Metric(f"{name}, {kind}s bent", result.angle(kind), "deg", tolerance=0.1)
 

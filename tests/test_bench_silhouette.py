@@ -8,6 +8,7 @@ import pytest
 from bench import personal
 from bench.silhouette import Result, camera_rows, exercise_rows, metrics, real_rows, speed
 from bench.stages import REST, STAGES, WHOLE, StageClock, stages_timed
+from jaxmocap.evaluation.calm import Calm
 from jaxmocap.evaluation.errors import Errors
 from jaxmocap.run.silhouette_demo import JOINTS
 from jaxmocap.silhouette import tracker
@@ -19,14 +20,16 @@ def result(name: str, cameras: int, off_m: float, bend_deg: float) -> Result:
     offsets[..., 0] = off_m
     bend = np.radians(bend_deg)
     off = {f"{h}_{s}": np.full(3, bend / k) for h, k in (("elbow", 1), ("knee", 2)) for s in "lr"}
-    return Result(name, cameras, Errors(tuple(JOINTS), np.arange(3.0), offsets), off)
+    truths, still = np.full(len(JOINTS), 2.0), np.zeros(len(JOINTS))
+    calm = Calm(1.5 * truths, truths, still, still)
+    return Result(name, cameras, Errors(tuple(JOINTS), np.arange(3.0), offsets), off, calm)
 
 
 def test_tables_show_degrees_and_centimetres_and_their_means():
     results = [result("walking", 4, 0.01, 2.0), result("turn", 4, 0.03, 4.0)]
     rows = exercise_rows(results)
     assert rows[2][:4] == ["walking", "2.0", "1.0", "1.0"]
-    assert rows[-1] == ["mean", "3.0", "1.5", *["2.0"] * 7]
+    assert rows[-1] == ["mean", "3.0", "1.5", *["2.0"] * 7, "1.5"]
     fewer = [result("walking", 1, 0.05, 8.0), result("turn", 1, 0.05, 8.0)]
     rows = camera_rows([*results, *fewer])
     assert rows[0][1:] == ["4 cam.", "1 cam."] * 2
@@ -37,7 +40,7 @@ def test_the_real_recording_is_judged_by_eight_joints():
     real = result("balancing", 4, 0.02, 5.0)
     places = [name.split("_")[0] in ("wrist", "ankle") for name in real.errors.joints]
     real.errors.offsets[:, places] = 1.0
-    assert real_rows(real)[-1][-2:] == ["2.0", "5.0"]
+    assert real_rows(real)[-1][-3:] == ["2.0", "5.0", "1.5"]
     named = {metric.name: metric.value for metric in metrics(real)}
     assert named["balancing, 4 cameras, judged by"] == pytest.approx(2.0)
     assert named["balancing, 4 cameras, joints"] > 30
