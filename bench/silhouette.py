@@ -1,8 +1,9 @@
 """``python -m bench.silhouette [RECORDINGS]``: how well and how fast the silhouette tracker is.
 
 Rendered exercises by four, three, two cameras and one: how far elbows and knees are bent, against
-the truth, where the joints are, and how much they shake. The real recording by all its cameras. And what a frame takes,
-stage by stage. Bones have the lengths of the truth's landmarks; the first pose is the truth's.
+the truth, where the joints are, and how much they shake. The real recording by all its cameras.
+And what a frame takes, stage by stage. Bones have the lengths of the truth's landmarks; the first
+pose is the truth's.
 
 INPUTS: the folder of recordings, with ``person/person.npz`` and
 ``balancing/recording_all_cameras.toml`` in it; without one a painted person squats.
@@ -110,10 +111,8 @@ def judged(clip: Clip, recording: Recording, start: Pose, surface: Surface | Non
     ours, theirs = match(motion.times, truth.times)
     found, expected = bends(joints), bends(points)
     off = {hinge: np.abs(found[hinge][ours] - expected[hinge][theirs]) for hinge in found}
-    places, expected_at = (
-        np.stack([each[name] for name in JOINTS], 1) for each in (joints, points)
-    )
-    calm = calmness(motion.times, places, truth.times, expected_at)
+    places = [np.stack([each[name] for name in JOINTS], 1) for each in (joints, points)]
+    calm = calmness(motion.times, places[0], truth.times, places[1])
     return Result(clip.name, len(recording.videos), errors, off, calm)
 
 
