@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from jaxmocap.capture.empty_rooms import read_empty_room
 from jaxmocap.formats.errors import InputError
 from jaxmocap.images.background import Background, learn_background
-from jaxmocap.images.canvases import attached, canvas, follow, full_mask, signed_distance, stacked
+from jaxmocap.images.canvases import Canvas, attached, canvas, follow, full_mask, signed_distance
 from jaxmocap.images.regions import Region
 from jaxmocap.images.rooms import pictured
 from jaxmocap.images.sharpen import sharpened
@@ -44,9 +44,9 @@ def overlap(a: np.ndarray, b: np.ndarray) -> float:
 
 def seen(image: np.ndarray, room: np.ndarray | None = None) -> Seen:
     """A picture (SIZE, SIZE, 3) uint8 as a canvas, before a known room."""
-    ones = np.ones((1, SIZE, SIZE), np.float32)
-    known = ones * (room is not None)
-    return Seen(image[None], ones, image[None] if room is None else room[None], 4 * ones, known)
+    ones = np.ones((SIZE, SIZE), np.float32)
+    behind = image if room is None else room
+    return Seen.of([Canvas(image, ones, behind, 4 * ones, ones * (room is not None))])
 
 
 def painted(truth: np.ndarray, person, rest, noise=6.0) -> np.ndarray:
@@ -273,7 +273,8 @@ def test_a_canvas_follows_the_person_and_leads_back_to_the_image():
     image = np.dstack([np.full(mask.shape, 40), 255 * mask, np.indices(mask.shape)[1]])
     room = Background(image.astype(np.float32), np.ones(mask.shape, np.float32), 1.0 * mask)
     taken = canvas(image.astype(np.uint8), region, SIZE, room)
-    assert taken.colour.shape == (SIZE, SIZE, 3) and stacked([taken, taken]).known.shape[0] == 2
+    assert taken.colour.shape == (SIZE, SIZE, 3)
+    assert Seen.of([taken, taken]).colour.shape == (2, 3, SIZE, SIZE)
     columns = region.origin[0] + (np.arange(SIZE) + 0.5) * region.scale
     within = (columns > 1) & (columns < 158)
     np.testing.assert_allclose(taken.colour[30, within, 2], columns[within], atol=0.6)
@@ -302,11 +303,9 @@ def test_a_rendered_person_before_clutter_is_found_from_a_pose_that_is_off(recor
         starts.append(view.mask(off, time))
         truths.append(view.mask(person, time))
     regions = [follow(start, 192) for start in starts]
-    canvases = stacked(
-        [canvas(f, r, 192, b) for f, r, b in zip(frames, regions, rooms, strict=True)]
-    )
+    canvases = [canvas(f, r, 192, b) for f, r, b in zip(frames, regions, rooms, strict=True)]
     phi = np.stack([signed_distance(m, r, 192) for m, r in zip(starts, regions, strict=True)])
-    found = segmented(Seen(*canvases), phi, Plan())
+    found = segmented(Seen.of(canvases), phi, Plan())
     for view, truth in enumerate(truths):
         region, level_set = regions[view], np.asarray(found.phi[view])
         cells = overlap(full_mask(level_set, region, truth.shape), truth)

@@ -7,7 +7,6 @@ INPUTS: images uint8, masks of where the person is expected, a Background.
 OUTPUTS: what a segmentation sees; Φ of a mask; masks at full resolution from Φ.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -23,7 +22,7 @@ FARTHEST = 32.0
 
 
 class Canvas(NamedTuple):
-    """What one camera, or (V, ...) of several, show on S x S cells.
+    """What one camera shows on S x S cells.
 
     Attributes:
         colour: (S, S, 3) uint8, BGR.
@@ -81,11 +80,6 @@ def canvas(
         part(background.noise),
         known,
     )
-
-
-def stacked(canvases: Sequence[Canvas]) -> Canvas:
-    """Several as one with a leading axis."""
-    return Canvas(*(np.stack(parts) for parts in zip(*canvases, strict=True)))
 
 
 def signed_distance(mask: np.ndarray, region: Region, size: int) -> np.ndarray:

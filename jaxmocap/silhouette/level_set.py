@@ -30,7 +30,7 @@ class Motion(NamedTuple):
         smoothing: of Φ along its gradient; stable below 0.25.
     """
 
-    length: Array | float = 0.25
+    length: Array | float = 0.15
     speed: Array | float = 0.33
     distance: Array | float = 0.4
     smoothing: Array | float = 0.2

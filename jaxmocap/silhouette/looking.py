@@ -10,14 +10,13 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.images.background import Background
-from jaxmocap.images.canvases import Canvas, attached, canvas, signed_distance, stacked
+from jaxmocap.images.canvases import Canvas, attached, canvas, signed_distance
 from jaxmocap.images.regions import Region
 from jaxmocap.images.sharpen import sharpened
 from jaxmocap.silhouette.contour import contours
 from jaxmocap.silhouette.correspond import Contour
 from jaxmocap.silhouette.rim import Rim
-from jaxmocap.silhouette.segment import Histograms, Plan, Segmented, segment
-from jaxmocap.silhouette.segment import Seen as Canvases
+from jaxmocap.silhouette.segment import Histograms, Plan, Seen, Segmented, segment
 from jaxmocap.silhouette.settings import Settings
 
 # Fewer points of a contour are none.
@@ -64,7 +63,7 @@ def look(
     views = [Region(*each) for each in zip(*region, strict=True)]
     taken = [_canvas(*each, size) for each in zip(images, views, rooms, strict=True)]
     start = np.stack([silhouette_distance(mask) for mask in rim.masks])
-    seen = Canvases(*stacked(taken))
+    seen = Seen.of(taken)
     found = segment(seen, start, before, settings.level_set, plan)
     phi = np.stack([attached(*each) for each in zip(np.asarray(found.phi), start, strict=True)])
     if settings.sharpen:
