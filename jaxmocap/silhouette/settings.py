@@ -29,7 +29,8 @@ class Settings:
         points: of each camera's contour, static.
         contrast: least of a contour's point, 0 to 1: below, the image does not tell its two sides.
         deviations: of points about their rays, metres, one cycle each. The first must be large: a
-            limb that moved fast is an outlier to the rest, and would be left behind.
+            limb that moved fast is an outlier to the rest, and would be left behind. The last is
+            small: what another limb's outline was taken for is an outlier then.
         starting: the same of cycles before those in the first frame, where its pose may be far
             off, such as ``FAR_OFF``: each looks anew, and matches the surface's low-pass (coarse
             to fine). From a pose nearly right they lead to no better one.
@@ -69,7 +70,7 @@ class Settings:
     sharpen: bool = True
     points: int = 512
     contrast: float = 0.1
-    deviations: tuple[float, ...] = (0.03, 0.008)
+    deviations: tuple[float, ...] = (0.03, 0.008, 0.004)
     starting: tuple[float, ...] = ()
     looks: tuple[int, ...] = (0,)
     edges: EdgeSettings = field(default_factory=EdgeSettings)
