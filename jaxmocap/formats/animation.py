@@ -22,7 +22,7 @@ from jaxmocap.formats.body_armature import T_POSE, armature_of
 from jaxmocap.formats.bvh import write_bvh
 from jaxmocap.formats.gltf import write_gltf
 from jaxmocap.formats.resampling import even_times, resampled
-from jaxmocap.formats.skin import skin_of
+from jaxmocap.formats.skin import exported_skin
 from jaxmocap.formats.tables import is_even
 
 # What names joints have in a file if nothing else is asked for.
@@ -42,7 +42,7 @@ def write_animation(
         path: of the file.
         motion: of a body.
         surface: of that body, a .glb file's skin; the limbs' solids without one.
-        picture: the surface's colours, as for ``skin_of``.
+        picture: the surface's colours, as for ``exported_skin``.
 
     Raises:
         InputError: no pose is known in any sample.
@@ -52,7 +52,7 @@ def write_animation(
     if kind == ".glb":
         skin = None
         if surface is not None:
-            skin = skin_of(path, motion.skeleton, surface, R_file_world, picture)
+            skin = exported_skin(path, motion.skeleton, surface, R_file_world, picture)
         write_gltf(path, armature, skin)
         return
     if not is_even(armature.times):
@@ -70,12 +70,12 @@ def write_avatar(
         path: of the file.
         skeleton: which the surface is around.
         surface: of the person.
-        picture: the surface's colours, as for ``skin_of``.
+        picture: the surface's colours, as for ``exported_skin``.
     """
     angles = [[np.radians(T_POSE.get(joint, 0.0)) for joint in skeleton.tree.joints]]
     lowest = float(rest_nodes(surface, rest_joints(skeleton))[:, 2].min())
     parts = [[0.0, 0.0, -lowest]], [[1.0, 0.0, 0.0, 0.0]], angles
     pose = Pose(*map(np.array, parts))  # type: ignore[arg-type]
     standing = armature_of(Motion(skeleton, np.zeros(1), pose), CUSTOMARY[".glb"])
-    skin = skin_of(path, skeleton, surface, R_file_world, picture)
+    skin = exported_skin(path, skeleton, surface, R_file_world, picture)
     write_gltf(path, turned(standing, R_file_world), skin, still=True)

@@ -26,7 +26,7 @@ CARRIERS = 4
 PNG = b"\x89PNG"
 
 
-def skin_of(
+def exported_skin(
     path: str | Path,
     skeleton: Skeleton,
     surface: Surface,

@@ -39,7 +39,7 @@ def places_of(patch: Patch, grid: np.ndarray) -> np.ndarray:
     return np.stack(np.broadcast_arrays(phi, way[:, None]), -1).reshape(-1, 2)
 
 
-def normals_of(grid: np.ndarray) -> np.ndarray:
+def grid_normals(grid: np.ndarray) -> np.ndarray:
     """Unit normals (along, around, 3), out of the body; 0 at a limb's closed ends."""
     around = np.roll(grid, -1, 1) - np.roll(grid, 1, 1)
     across = np.cross(around, np.gradient(grid, axis=0))
@@ -70,7 +70,7 @@ def moves_of(
         patch = patches[swelling.patch]
         grid = patch.grid(nodes)
         r = radial(places_of(patch, grid), np.array(swelling.centre), np.array(swelling.radii))  # type: ignore[arg-type]
-        ways = normals_of(grid).reshape(-1, 3)
+        ways = grid_normals(grid).reshape(-1, 3)
         if swelling.direction is not None:
             ways = np.broadcast_to(np.array(swelling.direction), ways.shape)
         moves[patch.nodes, :, steers.index(swelling.steer)] += (
