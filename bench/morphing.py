@@ -18,20 +18,16 @@ import numpy as np
 from bench.clips import Clip, exercises
 from bench.command_line import add_rendered, command
 from bench.metrics import Metric, aligned, write_json
-from bench.silhouette import Result
+from bench.silhouette import Result, judged
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.subject import scale_to_landmarks
-from jaxmocap.evaluation.errors import position_errors
-from jaxmocap.evaluation.series import match
 from jaxmocap.formats.recording import Recording
 from jaxmocap.formats.trc import read_trc
 from jaxmocap.run.compilation import keep_compiled
-from jaxmocap.run.silhouette import follow, whole_body
-from jaxmocap.run.silhouette_demo import JOINTS
+from jaxmocap.run.silhouette import whole_body
 from jaxmocap.silhouette.morph import Morphing, shoulders
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.start import pose_at
-from jaxmocap.synthetic.four_cameras import bends
 from jaxmocap.synthetic.girdle import Girdle
 
 EXERCISE = "overhead"
@@ -46,21 +42,14 @@ FIGURES = {
 
 def tracked(clip: Clip, morphing: Morphing) -> Result:
     """A rendered recording, with what goes along."""
-    truth = read_trc(clip.truth)
-    points, recording = truth.points(), Recording.load(clip.path)
+    points, recording = read_trc(clip.truth).points(), Recording.load(clip.path)
     standing = {name: path[:1] for name, path in points.items()}
     skeleton = scale_to_landmarks(recording.skeleton, standing)
     missing = np.full((1, 3), np.nan)
     first = np.concatenate([standing.get(name, missing) for name in LANDMARKS])
     start = pose_at(whole_body(skeleton), first)
     settings = Settings(morphing=morphing)
-    motion = follow(replace(recording, skeleton=skeleton), start, settings, progress=True).motion
-    joints, pairs = motion.joints(), {name: name for name in JOINTS}
-    errors = position_errors(motion.times, joints, truth.times, points, pairs)
-    ours, theirs = match(motion.times, truth.times)
-    found, expected = bends(joints), bends(points)
-    off = {hinge: np.abs(found[hinge][ours] - expected[hinge][theirs]) for hinge in found}
-    return Result(clip.name, len(recording.videos), errors, off)
+    return judged(clip, replace(recording, skeleton=skeleton), start, settings)
 
 
 def rows(results: dict[str, tuple[Result, Result]]) -> list[list[str]]:

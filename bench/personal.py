@@ -80,7 +80,7 @@ def tracked(clip: Clip, rig: Rig, person: Personal, bodies: Sequence[str]) -> Ro
         print(f"tracking {clip.name} by {name}", file=sys.stderr, flush=True)
         skeleton, surface = built(name, recording, rig, truth, person)
         start = pose_at(whole_body(skeleton), points)
-        results[name] = judged(clip, replace(recording, skeleton=skeleton), start, surface)
+        results[name] = judged(clip, replace(recording, skeleton=skeleton), start, surface=surface)
     return Row(clip.name, results)
 
 

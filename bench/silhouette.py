@@ -37,6 +37,7 @@ from jaxmocap.run.silhouette import follow, whole_body
 from jaxmocap.run.silhouette_demo import JOINTS, performing
 from jaxmocap.run.silhouette_start import start_pose
 from jaxmocap.run.timing import progress_bar
+from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.start import pose_at
 from jaxmocap.synthetic.exercises import EXERCISES
 from jaxmocap.synthetic.four_cameras import bends, write_four_cameras
@@ -101,9 +102,15 @@ def track_real(clip: Clip) -> Result:
     return judged(clip, recording, start_pose(recording))
 
 
-def judged(clip: Clip, recording: Recording, start: Pose, surface: Surface | None = None) -> Result:
+def judged(
+    clip: Clip,
+    recording: Recording,
+    start: Pose,
+    settings: Settings | None = None,
+    surface: Surface | None = None,
+) -> Result:
     """Track, with a surface of the person where there is one, and compare with the truth."""
-    motion = follow(recording, start, surface=surface, progress=True).motion
+    motion = follow(recording, start, settings, surface=surface, progress=True).motion
     truth, joints = read_trc(clip.truth), motion.joints()
     points = {mark: truth.points()[name] for mark, name in clip.landmarks.items() if mark in JOINTS}
     pairs = {name: name for name in JOINTS}
