@@ -230,7 +230,7 @@ def test_moving_bodies_and_cameras_are_traced_once(finder):
         step = rng.normal(0, 0.1, BODY.costs.shape).astype(np.float32)
         found = finder.find(BODY, retract(relaxed_pose(BODY), jnp.asarray(step)), CAMERAS)
         assert found.real[:, : SETTINGS.outer].mean() > 0.9
-    finder.wear(finder.surface)
+    finder.wear(finder.surface, rest_joints(BODY))
     assert finder.find(BODY, relaxed_pose(BODY), CAMERAS).real.any()
     assert finder._drawing._cache_size() == 1
 

@@ -1,5 +1,7 @@
 """A person's shape by contours: fields of a surface, and what frames tell of their amounts."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from test_rim import BODY, FORWARD, POSED, PROJECT
 from jaxmocap.body.girths import KINDS, fields_of, reshaped
 from jaxmocap.body.loft import generic_surface, rest_joints
 from jaxmocap.body.pose import relaxed_pose
+from jaxmocap.body.proportions import LENGTHS, scaled, stretched
 from jaxmocap.body.surface import BodyPoints, resampled, rest_nodes
 from jaxmocap.silhouette.rim import stacked
 from jaxmocap.silhouette.shape import DEVIATION_M, ShapeFinder, told
@@ -94,6 +97,75 @@ def camera_pairs():
     return np.asarray(H, float), np.asarray(slope, float), amounts
 
 
+LOGARITHMS = np.linspace(-0.02, 0.03, len(LENGTHS))
+
+
+@pytest.fixture(scope="module")
+def taller():
+    """The same body with other bones' lengths, and its surface."""
+    logarithms = jnp.asarray(LOGARITHMS, jnp.float32)
+    points = stretched(BODY, SURFACE.points, logarithms)
+    return scaled(BODY, logarithms), replace(SURFACE, points=points)
+
+
+def test_a_stretched_body_lies_about_its_longer_bones_as_it_lay_about_the_shorter(taller):
+    skeleton, surface = taller
+    arms = ("humerus_l", "radius_r", "femur_l", "tibia_r")
+    for bone in map(BODY.tree.bone, arms):
+        carried = np.asarray(SURFACE.points.bones) == bone
+        way, length = np.asarray(BODY.directions[bone]), float(BODY.lengths[bone])
+        before, after = (
+            np.asarray(each.points.points_bone)[carried] for each in (SURFACE, surface)
+        )
+        along = before @ way / length
+        within = (along > 0) & (along < 1)
+        assert within.any()
+        longer = float(skeleton.lengths[bone])
+        np.testing.assert_allclose(after[within] @ way / longer, along[within], atol=1e-5)
+        # Across the bone, and before its joint, nothing moves.
+        np.testing.assert_allclose(
+            after - np.outer(after @ way, way), before - np.outer(before @ way, way), atol=1e-6
+        )
+        np.testing.assert_allclose(after[along < 0], before[along < 0], atol=1e-6)
+
+
+def test_contours_of_a_body_with_longer_bones_tell_how_much_longer(taller):
+    rng, cameras, pose = np.random.default_rng(4), stacked(ring(2)), relaxed_pose(BODY)
+    nodes = rng.integers(0, len(FIELDS.moves), (2, 300))
+    every = PROJECT(cameras, POSED(FORWARD(taller[0], pose), taller[1].points))
+    pixels = np.stack([np.asarray(every)[camera, nodes[camera]] for camera in range(2)])
+    turns = rng.uniform(0, 2 * np.pi, nodes.shape)
+    normals = np.stack([np.cos(turns), np.sin(turns)], -1).astype(np.float32)
+    points = BodyPoints(*(np.asarray(part)[nodes.ravel()] for part in SURFACE.points))
+    seen = Seen(points, pixels, normals, np.ones(nodes.shape, np.float32))
+    moves = FIELDS.moves[nodes.ravel()]
+    H, slope = told(BODY, cameras, pose, seen, moves, lengths=len(LENGTHS))
+    H, slope = np.asarray(H, float), np.asarray(slope, float)
+    amounts = np.zeros(len(slope))
+    amounts[-len(LENGTHS) :] = LOGARITHMS
+    expected = -H @ amounts
+    np.testing.assert_allclose(slope, expected, atol=0.04 * np.abs(expected).max())
+
+
+def test_lengths_are_found_beside_the_shape_and_worn():
+    rng, finder = np.random.default_rng(5), ShapeFinder(SURFACE, BODY, lengths=True)
+    count = len(finder.amounts)
+    truth = np.append(0.005 * rng.standard_normal(count - len(LENGTHS)), LOGARITHMS)
+    for _ in range(4):
+        rows = rng.standard_normal((3 * count, 6 + count))
+        finder.add(*equations(rng, 30 * rows, truth, 0.02 * rng.standard_normal(6)))
+    skeleton, surface = finder.fitted()
+    np.testing.assert_allclose(finder.amounts, truth, atol=5e-4)
+    wanted = scaled(BODY, jnp.asarray(LOGARITHMS, jnp.float32)).lengths
+    np.testing.assert_allclose(skeleton.lengths, wanted, rtol=1e-3)
+    assert len(surface.points.bones) == len(SURFACE.points.bones)
+
+
+def test_lengths_of_which_nothing_is_told_stay():
+    skeleton, _ = ShapeFinder(SURFACE, BODY, lengths=True).fitted()
+    np.testing.assert_allclose(skeleton.lengths, BODY.lengths, rtol=1e-6)
+
+
 def equations(rng, rows: np.ndarray, shape: np.ndarray, pose: np.ndarray):
     """A frame's normal equations where pose and shape are off by so much."""
     off = rows @ np.concatenate([pose, shape])
@@ -101,7 +173,7 @@ def equations(rng, rows: np.ndarray, shape: np.ndarray, pose: np.ndarray):
 
 
 def test_a_shape_is_found_whatever_the_poses_and_only_what_they_do_not_explain():
-    rng, finder = np.random.default_rng(0), ShapeFinder(SURFACE, JOINTS)
+    rng, finder = np.random.default_rng(0), ShapeFinder(SURFACE, BODY)
     count = len(finder.amounts)
     truth = 0.01 * rng.standard_normal(count)
     truth[1] = 0.0
@@ -118,15 +190,16 @@ def test_a_shape_is_found_whatever_the_poses_and_only_what_they_do_not_explain()
 
 
 def test_without_frames_a_shape_is_peoples_mean():
-    finder = ShapeFinder(SURFACE, JOINTS)
+    finder = ShapeFinder(SURFACE, BODY)
     finder.amounts = np.full(len(finder.amounts), 0.02)
-    worn = finder.fitted()
+    skeleton, worn = finder.fitted()
+    assert skeleton is BODY
     np.testing.assert_allclose(finder.amounts, 0, atol=1e-12)
     np.testing.assert_allclose(worn.points.points_bone, SURFACE.points.points_bone, atol=1e-6)
 
 
 def test_one_weak_frame_counts_by_how_people_differ():
-    finder = ShapeFinder(SURFACE, JOINTS)
+    finder = ShapeFinder(SURFACE, BODY)
     count = len(finder.amounts)
     known = np.asarray(finder.fields.deviations) ** -2.0
     H = np.zeros((6 + count, 6 + count))

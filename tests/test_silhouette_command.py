@@ -92,6 +92,11 @@ def test_a_place_that_is_none_is_refused(folder, tmp_path, capsys, at):
     assert f"--at: found {at!r}, expected X,Y,FACING" in said(capsys, "track", *given)
 
 
+def test_lengths_are_found_by_more_than_one_pass(folder, tmp_path, capsys):
+    given = [folder / "recording.toml", "--out", tmp_path, "--lengths", "--once"]
+    assert "argument --once: not allowed with argument --lengths" in said(capsys, "track", *given)
+
+
 def test_a_place_at_which_no_camera_looks_is_refused_before_anything_is_tracked(
     folder, tmp_path, capsys
 ):

@@ -11,6 +11,7 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.surface import BodyPoints
 
 
 class Proportion(NamedTuple):
@@ -75,6 +76,19 @@ def _factors(skeleton: Skeleton, proportions: tuple[Proportion, ...], logarithms
     bones = skeleton.tree.bones
     scales = np.array([[bone.startswith(p.bones) for p in proportions] for bone in bones])
     return jnp.exp(jnp.asarray(scales, skeleton.lengths.dtype) @ logarithms)
+
+
+def stretched(skeleton: Skeleton, points: BodyPoints, logarithms: Array) -> BodyPoints:
+    """Points of the skeleton's body on that of ``scaled``: each stays where it was along its bones.
+
+    What lies before a bone's joint, or beyond its end, is moved with it and not stretched.
+    """
+    count = min(logarithms.shape[0], len(LENGTHS))
+    longer = skeleton.lengths * (_factors(skeleton, LENGTHS[:count], logarithms[:count]) - 1)
+    way, places = skeleton.directions[points.bones], jnp.asarray(points.points_bone)
+    share = jnp.sum(places * way, -1) / skeleton.lengths[points.bones]
+    shift = jnp.clip(share, 0, 1) * longer[points.bones]
+    return points._replace(points_bone=places + shift[..., None] * way)
 
 
 def covariance_among_people(count: int) -> np.ndarray:

@@ -209,7 +209,7 @@ def silhouette_track(options: argparse.Namespace) -> None:
     recording, person = modelled(recording, options.model)
     check_folder(options.out)
     start = start_pose(recording, options.at)
-    asked = {"passes": options.passes, "markers": options.markers}
+    asked = {name: getattr(options, name) for name in ("passes", "markers", "lengths")}
     asked["surface"] = person and person.surface
     asked["settings"] = BY_HAND if options.at else None
     followed = follow(recording, start, **asked, progress=True)

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxmocap.body.loft import rest_joints
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton, with_joints
@@ -132,6 +131,7 @@ def follow(
     passes: int = 3,
     markers: bool = False,
     surface: Surface | None = None,
+    lengths: bool = False,
     progress: Progress | bool | None = None,
 ) -> Followed:
     """Track the person in a recording's videos.
@@ -145,6 +145,7 @@ def follow(
         markers: follow them too; without it they are not looked at.
         surface: of the person's own model, around the recording's skeleton; without it a generic
             one, whose shape the passes correct.
+        lengths: whether passes before the last correct the bones' lengths as well.
         progress: called with the frames done and their total; True shows a bar on stderr.
 
     Returns:
@@ -158,14 +159,14 @@ def follow(
     empty = tracker.rooms
     # What was photographed needs less correction than what was guessed.
     unknown = 1.0 if surface is None else PHOTOGRAPHED
-    shape = ShapeFinder(tracker.finder.surface, rest_joints(tracker.skeleton), unknown)
+    shape = ShapeFinder(tracker.finder.surface, tracker.skeleton, unknown, lengths)
     run = _Pass(tracker, frames, shape if passes > 1 else None)
     with progress_bar("tracking", progress) as show:
         for number in range(passes):
             if number:
                 learned = zip(empty, run.learners, strict=True)
                 tracker.rooms = [room or learner.learned() for room, learner in learned]
-                tracker.finder.wear(shape.fitted())
+                tracker.become(*shape.fitted())
                 run = _Pass(tracker, frames, shape if number + 1 < passes else None)
             run.through(start, _shifted(show, number * run.count, passes * run.count))
             if not run.seen:

@@ -25,13 +25,19 @@ def add_silhouette_track(parser: argparse.ArgumentParser) -> None:
         help="where the person stands upright at first, metres, and faces, degrees from x towards "
         "y; default: as the recording's markers say",
     )
-    parser.add_argument(
+    learned = parser.add_mutually_exclusive_group()
+    learned.add_argument(
         "--once",
         dest="passes",
         action="store_const",
         const=1,
         default=3,
         help="one pass, without knowing rooms and girths; default: two passes learn them",
+    )
+    learned.add_argument(
+        "--lengths",
+        action="store_true",
+        help="let these passes correct the bones' lengths too, where no static trial tells them",
     )
     parser.add_argument("--markers", action="store_true", help="follow the recording's markers too")
     parser.add_argument(

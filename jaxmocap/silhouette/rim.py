@@ -139,8 +139,7 @@ class RimFinder:
         """Prepare for a surface around a skeleton; traces once for a number of cameras."""
         self.settings = settings or RimSettings()
         joints = rest_joints(skeleton)
-        self._joints = joints
-        self.wear(resampled(surface, joints, self.settings.spacing))
+        self.wear(resampled(surface, joints, self.settings.spacing), joints)
         self.morph = None
         if morphing is not None and morphing.steers:
             self.morph = morphed(morphing, skeleton.tree, self.surface, joints)
@@ -148,11 +147,10 @@ class RimFinder:
         self._limbs = limbs_of(self.surface)
         self._drawing = jax.jit(self._drawn)
 
-    def wear(self, surface: Surface) -> None:
-        """Take another surface of as many nodes, to be seen from now on."""
-        coarse = low_pass(surface, self._joints, *self.settings.coarse)
-        self.surface, self.coarse = surface, coarse
-        self._skins = skin_of(surface, self._joints), skin_of(coarse, self._joints)
+    def wear(self, surface: Surface, joints: np.ndarray) -> None:
+        """Take another surface of as many nodes, around joints (B, 3) at rest, from now on."""
+        self.surface, self.coarse = surface, low_pass(surface, joints, *self.settings.coarse)
+        self._skins = skin_of(surface, joints), skin_of(self.coarse, joints)
 
     def _draw(self, skeleton: Skeleton, pose: Pose, cameras: Camera, coarse: bool = False) -> Drawn:
         return self._drawing(self._skins[coarse], self.morph, skeleton, pose, cameras)

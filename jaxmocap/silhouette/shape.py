@@ -3,23 +3,29 @@
 Every frame's pairs tell of its pose and of the shape, both linearly where the pose was found. A
 frame's pose is eliminated from its normal equations (Schur's complement): what it may explain tells
 nothing of the shape. The rest adds up over the frames, and is solved with what is known of people.
+Shape are the surface's fields and, where asked for, the lengths of the bones.
 
-INPUTS: pairs of frames and their poses; the fields of a surface. OUTPUTS: the surface that suits.
+INPUTS: pairs of frames and their poses; the fields of a surface. OUTPUTS: the surface that suits,
+and the skeleton.
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from scipy.linalg import block_diag
 
 from jaxmocap.body.girths import fields_of, reshaped
 from jaxmocap.body.kinematics import forward
+from jaxmocap.body.loft import rest_joints
 from jaxmocap.body.pose import Pose
+from jaxmocap.body.proportions import LENGTHS, covariance_among_people, scaled, stretched
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.surface import Surface
+from jaxmocap.body.surface import Surface, posed
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.silhouette.correspond import pairs_of
@@ -46,7 +52,7 @@ class Paired(NamedTuple):
     seen: Seen
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="lengths")
 def told(
     skeleton: Skeleton,
     cameras: Camera,
@@ -54,6 +60,7 @@ def told(
     seen: Seen,
     moves: Array,
     morph: Morph | None = None,
+    lengths: int = 0,
 ) -> tuple[Array, Array]:
     """What a frame tells of pose and shape: their Hessian and slope, metres squared.
 
@@ -64,6 +71,7 @@ def told(
         seen: its pairs, with what robust weighting leaves of their weights.
         moves: (C * N, 3, P) of the pairs' nodes.
         morph: what goes along with the pose.
+        lengths: so many of the ``LENGTHS`` are part of the shape; static.
     """
     if morph is not None and seen.moves is not None:
         gone = moved(seen.points, seen.moves, steered(morph, pose.angles))
@@ -77,9 +85,23 @@ def told(
     across = jnp.einsum("na,nab->nb", pairs.across, R, precision=HIGHEST)
     shape = jnp.einsum("nb,nbp->np", across, moves, precision=HIGHEST)
     both = jnp.concatenate([rows[:, 0], shape], 1)
+    if lengths:
+        longer = _by_lengths(skeleton, pose, seen, lengths)
+        along = jnp.einsum("na,nal->nl", pairs.across, longer, precision=HIGHEST)
+        both = jnp.concatenate([both, along], 1)
     weighted = weights.ravel()[:, None] * both
     H = jnp.matmul(weighted.T, both, precision=HIGHEST)
     return H, jnp.matmul(weighted.T, residuals[:, 0], precision=HIGHEST)
+
+
+def _by_lengths(skeleton: Skeleton, pose: Pose, seen: Seen, count: int) -> Array:
+    """(N, 3, L) derivatives of the pairs' points, world, by logarithms of the bones' lengths."""
+
+    def placed(logarithms: Array) -> Array:
+        points = stretched(skeleton, seen.points, logarithms)
+        return posed(forward(scaled(skeleton, logarithms), pose), points)
+
+    return jax.jacfwd(placed)(jnp.zeros(count, skeleton.lengths.dtype))
 
 
 class ShapeFinder:
@@ -87,21 +109,28 @@ class ShapeFinder:
 
     Attributes:
         fields: of the surface.
-        amounts: (P,) of them that are worn now, metres.
+        amounts: (P + L,) of them that are worn now, metres; then logarithms of lengths.
     """
 
-    def __init__(self, surface: Surface, joints: np.ndarray, unknown: float = 1.0):
+    def __init__(
+        self, surface: Surface, skeleton: Skeleton, unknown: float = 1.0, lengths: bool = False
+    ):
         """Begin with a surface.
 
         Args:
             surface: a generic one, or a person's own.
-            joints: (B, 3) of the bones at rest that it lies around.
+            skeleton: that it lies around.
             unknown: how far it may be off, by how far a generic one is.
+            lengths: whether the bones' lengths are to be found as well.
         """
-        self._generic = surface
-        fields = fields_of(surface, joints)
+        self._generic, self._skeleton = surface, skeleton
+        fields = fields_of(surface, rest_joints(skeleton))
         self.fields = replace(fields, deviations=unknown * fields.deviations)
-        self.amounts = np.zeros(len(self.fields.names))
+        self._lengths = len(LENGTHS) if lengths else 0
+        among_people = np.linalg.inv(covariance_among_people(self._lengths))
+        both = block_diag(np.diag(self.fields.deviations**-2.0), among_people)
+        self._known = np.asarray(both)
+        self.amounts = np.zeros(len(self._known))
         self._forget()
 
     def _forget(self) -> None:
@@ -118,7 +147,7 @@ class ShapeFinder:
     ) -> None:
         """A frame: C cameras (``stacked``), the pose found by its pairs, what goes along."""
         moves = self.fields.moves[pairs.nodes.ravel()]
-        self.add(*told(skeleton, cameras, pose, pairs.seen, moves, morph))
+        self.add(*told(skeleton, cameras, pose, pairs.seen, moves, morph, self._lengths))
 
     def add(self, H: Array | np.ndarray, slope: Array | np.ndarray) -> None:
         """Normal equations (6 + D + P) of a frame's pose and the shape; the pose is eliminated."""
@@ -130,11 +159,16 @@ class ShapeFinder:
         self._information += H[first:, first:] - explained[:, :-1]
         self._slope += slope[first:] - explained[:, -1]
 
-    def fitted(self) -> Surface:
-        """The surface that suits all frames told of, and people; then those are forgotten."""
-        known = self.fields.deviations**-2.0
-        H = self._information / DEVIATION_M**2 + np.diag(known)
-        slope = self._slope / DEVIATION_M**2 + known * self.amounts
+    def fitted(self) -> tuple[Skeleton, Surface]:
+        """What suits all frames told of, and people; then those are forgotten."""
+        H = self._information / DEVIATION_M**2 + self._known
+        slope = self._slope / DEVIATION_M**2 + self._known @ self.amounts
         self.amounts = self.amounts - np.linalg.solve(H, slope)
         self._forget()
-        return reshaped(self._generic, self.fields, self.amounts)
+        amounts, logarithms = np.split(self.amounts, [len(self.fields.names)])
+        surface = reshaped(self._generic, self.fields, amounts)
+        if not self._lengths:
+            return self._skeleton, surface
+        longer = jnp.asarray(logarithms, self._skeleton.lengths.dtype)
+        points = stretched(self._skeleton, surface.points, longer)
+        return scaled(self._skeleton, longer), replace(surface, points=points)

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.kinematics import Sites
-from jaxmocap.body.loft import generic_surface
+from jaxmocap.body.loft import generic_surface, rest_joints
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.body.surface import Surface
@@ -143,7 +143,7 @@ class SilhouetteTracker:
             sites: of markers that are to be followed too.
         """
         listed = [cameras] if isinstance(cameras, Camera) else list(cameras)
-        self.skeleton, self.settings = skeleton, settings or Settings()
+        self.settings = settings or Settings()
         dtype = skeleton.lengths.dtype
         self.cameras = jax.tree.map(lambda part: jnp.asarray(part, dtype), stacked(listed))
         skin = generic_surface(skeleton) if surface is None else surface
@@ -152,7 +152,19 @@ class SilhouetteTracker:
         self.rest = resting(skeleton, dict(self.settings.held_at_rest))
         self.rooms = [None] * len(listed) if rooms is None else list(rooms)
         self.plan = Plan()
-        self._points = None if sites is None else points_at(skeleton, sites)
+        self._sites = sites
+        self._take(skeleton)
+
+    def become(self, skeleton: Skeleton, surface: Surface) -> None:
+        """Take the person for another: bones of other lengths, a surface of as many nodes."""
+        self.finder.wear(surface, rest_joints(skeleton))
+        if skeleton is not self.skeleton:
+            self._take(skeleton)
+
+    def _take(self, skeleton: Skeleton) -> None:
+        """Bones of other lengths: markers sit elsewhere, limbs reach farther."""
+        self.skeleton = skeleton
+        self._points = None if self._sites is None else points_at(skeleton, self._sites)
         count = self.settings.hypotheses
         self._doubter = Doubter(skeleton, self.finder.surface, self.cameras, count)
 
