@@ -289,8 +289,8 @@ class _Pass:
             np.stack([report.information for report in self._reports]),
             np.stack([report.slope for report in self._reports]),
         )
-        morph, how = tracker.finder.morph, tracker.settings.smoothing
-        return smoothed(tracker.skeleton, self.frames.times, told, tracker.rest, how, morph)
+        how = tracker.settings.smoothing
+        return smoothed(tracker.skeleton, self.frames.times, told, tracker.rest, how)
 
     def masks(self, names: Sequence[str]) -> dict[str, Masks]:
         """Camera -> level sets."""

@@ -21,7 +21,6 @@ from threadpoolctl import threadpool_limits
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton
-from jaxmocap.silhouette.morph import Morph, free_of, whole_of
 from jaxmocap.silhouette.steps import landmark_slopes
 from jaxmocap.solvers.smoothness import REACH, smoothness
 from jaxmocap.solvers.trajectory import Linearised, Settings, smooth
@@ -64,7 +63,6 @@ def smoothed(
     told: Told,
     rest: np.ndarray,
     settings: SmoothingSettings,
-    morph: Morph | None = None,
 ) -> Pose:
     """The poses (T, ...) of a whole recording.
 
@@ -74,7 +72,6 @@ def smoothed(
         told: frame by frame.
         rest: (D,) deviations of joints that are held about 0, radians; infinite for the others.
         settings: how smoothly.
-        morph: what goes along with the joints' angles, and does so afterwards.
     """
     if len(times) <= REACH:
         return told.poses
@@ -93,11 +90,7 @@ def smoothed(
     prior, move = smoothness(times, accelerations), partial(_moved, skeleton)
     # A band is narrow: BLAS's own threads would only wait for one another.
     with threadpool_limits(1, user_api="blas"):
-        found = smooth(linearise, move, told.poses, prior, Settings(iterations=STEPS)).x
-    if morph is None:
-        return found
-    whole = jax.vmap(lambda pose: whole_of(morph, free_of(morph, pose), skeleton))(found)
-    return jax.tree.map(np.asarray, whole)
+        return smooth(linearise, move, told.poses, prior, Settings(iterations=STEPS)).x
 
 
 @jax.jit
