@@ -32,7 +32,8 @@ def add_silhouette_track(parser: argparse.ArgumentParser) -> None:
         action="store_const",
         const=1,
         default=3,
-        help="one pass, without knowing rooms and girths; default: two passes learn them",
+        help="one pass, which knows of the rooms what its frames so far showed, and no girths; "
+        "default: two passes learn both",
     )
     learned.add_argument(
         "--lengths",
