@@ -141,7 +141,7 @@ def follow(
         start: where the person is in the first frames, a pose of ``whole_body``.
         settings: of the tracker.
         passes: 1 knows of the rooms what its frames so far showed, and nothing of the person's
-            shape; 2 learns both first; 3 learns them once more, the shape where the rooms are known.
+            shape; 2 learns both first; 3 once more, the shape where the rooms are known.
         markers: follow them too; without it they are not looked at.
         surface: of the person's own model, around the recording's skeleton; without it a generic
             one, whose shape the passes correct.
