@@ -11,6 +11,8 @@ from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, relaxed_pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton, load_skeleton
 from jaxmocap.run.silhouette import MODEL
+from jaxmocap.silhouette.morph import Morphing, morph_of, shoulders, whole_of
+from jaxmocap.silhouette.posture import resting
 from jaxmocap.silhouette.smoothing import SmoothingSettings, Told, smoothed
 
 FRAMES = 40
@@ -146,6 +148,29 @@ def test_joints_held_at_rest_are_drawn_there_where_pairs_say_nothing(skeleton):
     found = smoothed(skeleton, TIMES, told(truth, UNSURE), rest, SmoothingSettings(step=10.0))
     low = float(skeleton.limits[elbow, 0])
     assert np.abs(found.angles[:, elbow] - max(low, 0.0)).max() < 0.02
+
+
+def test_joints_that_go_along_are_held_where_they_go(skeleton):
+    """Arms are raised, and the collar bones with them: nothing draws these back."""
+    morph = morph_of(Morphing(shoulders().followers), skeleton.tree)
+    wave = np.zeros((FRAMES, 6 + len(skeleton.tree.joints)))
+    wave[:, 6 + skeleton.tree.joints.index("arm_flex_l")] = 1 - np.cos(2 * TIMES)
+    alone = moving(skeleton, wave)[0]
+    truth = jax.tree.map(np.asarray, jax.vmap(partial(whole_of, morph, skeleton=skeleton))(alone))
+    rest = resting(skeleton, {"clavicle": 1e-3})
+    followers = morph.follows.any(1) & np.isfinite(rest)
+    went = np.abs(truth.angles - alone.angles)[:, followers].max(0)
+    assert (went > 0.1).any()
+    sureness = 1e2
+    found, without = (
+        smoothed(skeleton, TIMES, told(truth, sureness), rest, SmoothingSettings(), goes)
+        for goes in (morph, None)
+    )
+    off, drawn = (
+        np.abs(each.angles - truth.angles)[:, followers].max() for each in (found, without)
+    )
+    assert off < 0.01
+    assert drawn > 0.1
 
 
 def test_two_frames_have_no_acceleration_and_stay(skeleton):

@@ -290,7 +290,8 @@ class _Pass:
             np.stack([report.slope for report in self._reports]),
         )
         how = tracker.settings.smoothing
-        return smoothed(tracker.skeleton, self.frames.times, told, tracker.rest, how)
+        times, morph = self.frames.times, tracker.finder.morph
+        return smoothed(tracker.skeleton, times, told, tracker.rest, how, morph)
 
     def masks(self, names: Sequence[str]) -> dict[str, Masks]:
         """Camera -> level sets."""

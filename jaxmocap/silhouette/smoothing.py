@@ -6,7 +6,8 @@ fills in, and drags behind; the frames before and after together know better. Ea
 the quadratic that its pairs left about the pose found there, landmarks move with accelerations that
 are white noise, and all of it is solved as one banded system.
 
-INPUTS: poses, Hessians and slopes of all frames. OUTPUTS: the poses that suit them all.
+INPUTS: poses, Hessians and slopes of all frames, a Morph where joints go along.
+OUTPUTS: the poses that suit them all.
 """
 
 from functools import partial
@@ -21,6 +22,7 @@ from threadpoolctl import threadpool_limits
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton
+from jaxmocap.silhouette.morph import Morph, free_of
 from jaxmocap.silhouette.steps import landmark_slopes
 from jaxmocap.solvers.smoothness import REACH, smoothness
 from jaxmocap.solvers.trajectory import Linearised, Settings, smooth
@@ -63,6 +65,7 @@ def smoothed(
     told: Told,
     rest: np.ndarray,
     settings: SmoothingSettings,
+    morph: Morph | None = None,
 ) -> Pose:
     """The poses (T, ...) of a whole recording.
 
@@ -72,20 +75,23 @@ def smoothed(
         told: frame by frame.
         rest: (D,) deviations of joints that are held about 0, radians; infinite for the others.
         settings: how smoothly.
+        morph: what goes along with the joints' angles: such joints are held about where they go.
     """
     if len(times) <= REACH:
         return told.poses
     accelerations = np.full(3 * len(LANDMARKS), settings.acceleration)
-    held = np.concatenate([np.zeros(ROOT_DOF), rest**-2.0])
+    held = rest**-2.0
     slope = told.slope.astype(float)
     H = told.information + np.eye(slope.shape[-1]) / settings.step**2
 
     def linearise(poses: Pose) -> Linearised:
-        off, points, by = (np.asarray(each, float) for each in _about(skeleton, poses, told.poses))
-        angles = np.pad(np.asarray(poses.angles, float), ((0, 0), (ROOT_DOF, 0)))
+        about = _about(skeleton, poses, told.poses, morph)
+        off, angles, bent, points, by = (np.asarray(each, float) for each in about)
         pulled = np.einsum("tij,tj->ti", H, off)
         cost = np.sum(off * (pulled + 2 * slope), 1) + angles**2 @ held
-        return Linearised(cost, H + np.diag(held), pulled + slope + held * angles, points, by)
+        firm = bent.swapaxes(1, 2) * held
+        gradient = pulled + slope + np.einsum("tid,td->ti", firm, angles)
+        return Linearised(cost, H + firm @ bent, gradient, points, by)
 
     prior, move = smoothness(times, accelerations), partial(_moved, skeleton)
     # A band is narrow: BLAS's own threads would only wait for one another.
@@ -94,12 +100,26 @@ def smoothed(
 
 
 @jax.jit
-def _about(skeleton: Skeleton, poses: Pose, found: Pose) -> tuple[Array, Array, Array]:
-    """(T, 6 + D) off the poses found; landmarks (T, 3 L) and their derivatives (T, 3 L, 6 + D)."""
+def _about(
+    skeleton: Skeleton, poses: Pose, found: Pose, morph: Morph | None
+) -> tuple[Array, Array, Array, Array, Array]:
+    """T poses: off those found (T, 6 + D); joints' own angles (T, D), landmarks (T, 3 L).
+
+    Each of the two before its derivatives by the tangent vector of ``retract``.
+    """
+
+    def own(pose: Pose) -> Array:
+        return (pose if morph is None else free_of(morph, pose)).angles
+
+    def bent(pose: Pose) -> Array:
+        still = jnp.zeros(ROOT_DOF + pose.angles.size, pose.angles.dtype)
+        return jax.jacfwd(lambda step: own(retract(pose, step)))(still)
+
     places = jax.vmap(partial(landmarks, skeleton))(poses)
     by = jax.vmap(partial(landmark_slopes, skeleton))(poses)
     flat = len(places), places[0].size
-    return difference(poses, found), places.reshape(flat), by.reshape(*flat, -1)
+    angles, slopes = jax.vmap(own)(poses), jax.vmap(bent)(poses)
+    return difference(poses, found), angles, slopes, places.reshape(flat), by.reshape(*flat, -1)
 
 
 def _moved(skeleton: Skeleton, poses: Pose, steps: np.ndarray, _: np.ndarray) -> Pose:
