@@ -22,7 +22,7 @@ from sliding_arm import (
     problem,
 )
 
-from jaxmocap.solvers.smoothness import smoothness
+from jaxmocap.solvers.smoothness import accelerations_of, smoothness
 from jaxmocap.solvers.status import SENTENCES, Status
 from jaxmocap.solvers.trajectory import (
     Linearised,
@@ -124,6 +124,20 @@ def test_the_result_does_not_depend_on_the_sampling_rate():
         spread.append(covariances(linear(solved.x), prior, EXACT).frames[:: rate // 60, 0, 0])
     np.testing.assert_allclose(found[0][20:-20], found[1][20:-20], atol=0.003)
     np.testing.assert_allclose(spread[0][20:-20], spread[1][20:-20], rtol=0.02)
+
+
+def test_accelerations_are_told_as_the_prior_counts_them():
+    rng = np.random.default_rng(5)
+    times = np.cumsum(rng.uniform(0.5, 1.5, 4000)) / 30
+    steady = accelerations_of(times, (4.0 * times**2)[:, None])[:, 0]
+    np.testing.assert_allclose(steady, 8.0 * np.sqrt((times[2:] - times[:-2]) / 2), rtol=1e-4)
+    # White noise of deviation 3, held over each step, integrated twice.
+    steps = np.diff(times)
+    pushed = rng.normal(0, 3.0, len(steps)) / np.sqrt(steps)
+    speeds = np.append(0.0, np.cumsum(pushed * steps))
+    places = np.append(0.0, np.cumsum(speeds[:-1] * steps))
+    found = accelerations_of(times, places[:, None])
+    assert np.sqrt((found**2).mean()) == pytest.approx(3.0, rel=0.05)
 
 
 def test_absent_frames_are_bridged_by_the_calmest_curve():

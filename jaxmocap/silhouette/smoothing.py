@@ -4,7 +4,9 @@ A frame's pairs tell some directions of a pose well and others hardly: an arm's 
 axis shows only where the elbow is bent. What they leave open, prediction from the frames before
 fills in, and drags behind; the frames before and after together know better. Each frame counts by
 the quadratic that its pairs left about the pose found there, landmarks move with accelerations that
-are white noise, and all of it is solved as one banded system.
+are white noise, and all of it is solved as one banded system. How large a landmark's accelerations
+are the recording tells: a hand on the floor hardly moves, a jumper's does, and who is smoothed as
+the other either shakes or lags.
 
 INPUTS: poses, Hessians and slopes of all frames, a Morph where joints go along.
 OUTPUTS: the poses that suit them all.
@@ -24,7 +26,7 @@ from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton
 from jaxmocap.silhouette.morph import Morph, free_of
 from jaxmocap.silhouette.steps import landmark_slopes
-from jaxmocap.solvers.smoothness import REACH, smoothness
+from jaxmocap.solvers.smoothness import REACH, accelerations_of, smoothness
 from jaxmocap.solvers.trajectory import Linearised, Settings, smooth
 
 # The frames' quadratics hold near the poses found only, so that no more steps are worth it.
@@ -49,13 +51,20 @@ class SmoothingSettings(NamedTuple):
     """What a user may tune.
 
     Attributes:
-        acceleration: spectral density of the landmarks' accelerations, m / s^2 * sqrt(s). Pairs
-            that err alike count as if they did not: this is less than people's by as much.
+        acceleration: deviation of the landmarks' accelerations, m / s^2 * sqrt(s), see
+            ``smoothness``, before the recording has told how each moves, and at most.
+        own: what counts from then on, as a share of each landmark's own. Pairs that err alike
+            count as if they did not: less than 1 by as much.
+        least: of it all the same, m / s^2 * sqrt(s).
+        rounds: times that the recording is asked.
         step: deviation of a pose about the one that was found, metres and radians: farther off the
             pairs would be others.
     """
 
     acceleration: float = 1.0
+    own: float = 0.5
+    least: float = 0.1
+    rounds: int = 3
     step: float = 0.1
 
 
@@ -79,7 +88,6 @@ def smoothed(
     """
     if len(times) <= REACH:
         return told.poses
-    accelerations = np.full(3 * len(LANDMARKS), settings.acceleration)
     held = rest**-2.0
     slope = told.slope.astype(float)
     H = told.information + np.eye(slope.shape[-1]) / settings.step**2
@@ -93,10 +101,32 @@ def smoothed(
         gradient = pulled + slope + np.einsum("tid,td->ti", firm, angles)
         return Linearised(cost, H + firm @ bent, gradient, points, by)
 
-    prior, move = smoothness(times, accelerations), partial(_moved, skeleton)
-    # A band is narrow: BLAS's own threads would only wait for one another.
-    with threadpool_limits(1, user_api="blas"):
-        return smooth(linearise, move, told.poses, prior, Settings(iterations=STEPS)).x
+    def smoothly(poses: Pose, accelerations: np.ndarray) -> Pose:
+        prior, move = smoothness(times, accelerations), partial(_moved, skeleton)
+        # A band is narrow: BLAS's own threads would only wait for one another.
+        with threadpool_limits(1, user_api="blas"):
+            return smooth(linearise, move, poses, prior, Settings(iterations=STEPS)).x
+
+    poses = smoothly(told.poses, np.full(3 * len(LANDMARKS), settings.acceleration))
+    for _ in range(settings.rounds):
+        own = settings.own * _accelerations(skeleton, times, poses)
+        # A limb that was lost and found again has large ones too: never looser than at first.
+        own = np.clip(own, settings.least, settings.acceleration)
+        poses = smoothly(poses, np.repeat(own, 3))
+    return poses
+
+
+def _accelerations(skeleton: Skeleton, times: np.ndarray, poses: Pose) -> np.ndarray:
+    """(L,) each landmark's, m / s^2 * sqrt(s), root mean square."""
+    places = np.asarray(_places(skeleton, poses), float)
+    squares = accelerations_of(times, places.reshape(len(places), -1)) ** 2
+    return np.sqrt(squares.reshape(len(squares), -1, 3).mean((0, 2)))
+
+
+@jax.jit
+def _places(skeleton: Skeleton, poses: Pose) -> Array:
+    """(T, L, 3) landmarks."""
+    return jax.vmap(partial(landmarks, skeleton))(poses)
 
 
 @jax.jit
@@ -115,7 +145,7 @@ def _about(
         still = jnp.zeros(ROOT_DOF + pose.angles.size, pose.angles.dtype)
         return jax.jacfwd(lambda step: own(retract(pose, step)))(still)
 
-    places = jax.vmap(partial(landmarks, skeleton))(poses)
+    places = _places(skeleton, poses)
     by = jax.vmap(partial(landmark_slopes, skeleton))(poses)
     flat = len(places), places[0].size
     angles, slopes = jax.vmap(own)(poses), jax.vmap(bent)(poses)

@@ -4,7 +4,8 @@ M coordinates of points over T frames at any times. The prior is a sum of square
 (acceleration / deviation)^2 over time in its discrete form, so that it does not depend on how often
 the motion was sampled: a point whose acceleration has the spectral density ``deviation``^2.
 
-INPUTS: times, deviations, points over time. OUTPUTS: the prior's cost, precision, block rows.
+INPUTS: times, deviations, points over time. OUTPUTS: the prior's cost, precision, block rows; the
+accelerations of points over time, as it counts them.
 """
 
 from typing import NamedTuple
@@ -110,3 +111,12 @@ def smoothness(
     slow = np.broadcast_to(np.asarray(velocities, float), deviations.shape)
     stencils = Stencil(first, 1 / slow), Stencil(second, 1 / deviations)
     return Smoothness(len(times), tuple(each for each in stencils if each.weights.any()))
+
+
+def accelerations_of(times: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Mean accelerations over h seconds times sqrt(h), (T - 2, M), of points (T, M).
+
+    Their deviation is the sigma that ``smoothness`` asks for.
+    """
+    (stencil,) = smoothness(times, np.ones(points.shape[1])).stencils
+    return stencil.residuals(points[..., None])[..., 0]
