@@ -23,7 +23,6 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera
 from jaxmocap.geometry.outlines import Discs
-from jaxmocap.hybrid.batches import in_batches
 from jaxmocap.hybrid.silhouette import FOREARMS, Legs, Sight
 from jaxmocap.images.background import Background
 from jaxmocap.images.colours import Colours, learn_colours
@@ -40,6 +39,7 @@ from jaxmocap.images.hulls import draw_hulls
 from jaxmocap.images.parts import part_odds
 from jaxmocap.images.regions import Region, region_of_side
 from jaxmocap.images.silhouette import Grid
+from jaxmocap.solvers.batches import in_batches
 
 # Rows of the images that silhouettes are learned from; cells of the grids around the upper half and
 # around the legs.

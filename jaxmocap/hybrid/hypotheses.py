@@ -37,7 +37,6 @@ from jaxmocap.hybrid.arms import (
     hang,
     turn_forearm,
 )
-from jaxmocap.hybrid.batches import in_batches
 from jaxmocap.hybrid.keypoints import Lines, line_residuals
 from jaxmocap.hybrid.residuals import NO_GOALS, ease
 from jaxmocap.hybrid.search import TURNS
@@ -51,6 +50,7 @@ from jaxmocap.hybrid.smoothing import Problem, coarsely, sights_weight
 from jaxmocap.hybrid.trajectory import Trajectory, all_turned
 from jaxmocap.images.regions import Region, discs_in_region
 from jaxmocap.images.silhouette import Grid, cells
+from jaxmocap.solvers.batches import in_batches
 
 ARMS = [f"{limb}_{side}" for side in SIDES for limb in LIMBS]
 # The candidate that leaves an arm where it is.

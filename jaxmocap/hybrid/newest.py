@@ -20,13 +20,13 @@ from jaxmocap.body.pose import Pose, difference, pack, retract, unpack
 from jaxmocap.body.proportions import PROPORTIONS
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.hybrid.batches import in_batches
 from jaxmocap.hybrid.events import Drawn, Event, Standing
 from jaxmocap.hybrid.residuals import Known
 from jaxmocap.hybrid.silhouette import Sight, silhouette_fit
 from jaxmocap.hybrid.smoothing import frames_fit
 from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
 from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.solvers.batches import in_batches
 from jaxmocap.solvers.programs import program
 from jaxmocap.solvers.smoothness import REACH, Smoothness, smoothness
 from jaxmocap.solvers.trajectory import Linearised, Settings, normal_equations

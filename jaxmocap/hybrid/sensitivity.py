@@ -23,7 +23,6 @@ from jax import Array
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.hybrid.batches import in_batches
 from jaxmocap.hybrid.silhouette import Sight
 from jaxmocap.hybrid.slopes import (
     Stated,
@@ -43,6 +42,7 @@ from jaxmocap.hybrid.smoothing import (
 )
 from jaxmocap.hybrid.trajectory import UNTURNED, Trajectory, all_turned, moved_by, shared_prior
 from jaxmocap.solvers.arrow import Equations
+from jaxmocap.solvers.batches import in_batches
 from jaxmocap.solvers.smoothness import Smoothness
 from jaxmocap.solvers.trajectory import Linearised, normal_equations, positive
 

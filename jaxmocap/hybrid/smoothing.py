@@ -25,7 +25,6 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
-from jaxmocap.hybrid.batches import in_batches
 from jaxmocap.hybrid.residuals import Known, linearised_residuals
 from jaxmocap.hybrid.silhouette import Sight, silhouette_fit, weighed
 from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
@@ -38,6 +37,7 @@ from jaxmocap.hybrid.trajectory import (
     shared_prior,
 )
 from jaxmocap.images.silhouette import blurred
+from jaxmocap.solvers.batches import in_batches
 from jaxmocap.solvers.smoothness import Smoothness, smoothness
 from jaxmocap.solvers.status import Status
 from jaxmocap.solvers.trajectory import DEFAULTS, Linearised, smooth

@@ -15,10 +15,10 @@ from jaxmocap.body.kinematics import Sites, forward, site_positions
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.hybrid.arms import arms_of
-from jaxmocap.hybrid.batches import in_batches
 from jaxmocap.hybrid.refine import swivels
 from jaxmocap.hybrid.search import confidence_of
 from jaxmocap.hybrid.tracker import HybridTracker, StepReport
+from jaxmocap.solvers.batches import in_batches
 
 # Events per call, so that they compile once.
 EVENTS_A_CALL = 64

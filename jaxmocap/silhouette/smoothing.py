@@ -26,9 +26,12 @@ from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton
 from jaxmocap.silhouette.morph import Morph, free_of
 from jaxmocap.silhouette.steps import landmark_slopes
+from jaxmocap.solvers.batches import in_batches
 from jaxmocap.solvers.smoothness import REACH, accelerations_of, smoothness
 from jaxmocap.solvers.trajectory import Linearised, Settings, smooth
 
+# Frames that are linearised in one call: any recording's fill some, and compile once.
+FRAMES_A_CALL = 32
 # The frames' quadratics hold near the poses found only, so that no more steps are worth it.
 STEPS = 8
 
@@ -93,8 +96,8 @@ def smoothed(
     H = told.information + np.eye(slope.shape[-1]) / settings.step**2
 
     def linearise(poses: Pose) -> Linearised:
-        about = _about(skeleton, poses, told.poses, morph)
-        off, angles, bent, points, by = (np.asarray(each, float) for each in about)
+        about = partial(_about, skeleton, morph)
+        off, angles, bent, points, by = in_batches(about, (poses, told.poses), FRAMES_A_CALL)
         pulled = np.einsum("tij,tj->ti", H, off)
         cost = np.sum(off * (pulled + 2 * slope), 1) + angles**2 @ held
         firm = bent.swapaxes(1, 2) * held
@@ -118,20 +121,21 @@ def smoothed(
 
 def _accelerations(skeleton: Skeleton, times: np.ndarray, poses: Pose) -> np.ndarray:
     """(L,) each landmark's, m / s^2 * sqrt(s), root mean square."""
-    places = np.asarray(_places(skeleton, poses), float)
-    squares = accelerations_of(times, places.reshape(len(places), -1)) ** 2
+    (places,) = in_batches(partial(_places, skeleton), (poses,), FRAMES_A_CALL)
+    squares = accelerations_of(times, places) ** 2
     return np.sqrt(squares.reshape(len(squares), -1, 3).mean((0, 2)))
 
 
 @jax.jit
 def _places(skeleton: Skeleton, poses: Pose) -> Array:
-    """(T, L, 3) landmarks."""
-    return jax.vmap(partial(landmarks, skeleton))(poses)
+    """(T, 3 L) landmarks."""
+    places = jax.vmap(partial(landmarks, skeleton))(poses)
+    return places.reshape(len(places), -1)
 
 
 @jax.jit
 def _about(
-    skeleton: Skeleton, poses: Pose, found: Pose, morph: Morph | None
+    skeleton: Skeleton, morph: Morph | None, poses: Pose, found: Pose
 ) -> tuple[Array, Array, Array, Array, Array]:
     """T poses: off those found (T, 6 + D); joints' own angles (T, D), landmarks (T, 3 L).
 
@@ -147,9 +151,8 @@ def _about(
 
     places = _places(skeleton, poses)
     by = jax.vmap(partial(landmark_slopes, skeleton))(poses)
-    flat = len(places), places[0].size
     angles, slopes = jax.vmap(own)(poses), jax.vmap(bent)(poses)
-    return difference(poses, found), angles, slopes, places.reshape(flat), by.reshape(*flat, -1)
+    return difference(poses, found), angles, slopes, places, by.reshape(*places.shape, -1)
 
 
 def _moved(skeleton: Skeleton, poses: Pose, steps: np.ndarray, _: np.ndarray) -> Pose:
