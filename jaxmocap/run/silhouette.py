@@ -290,8 +290,10 @@ class _Pass:
             np.stack([report.slope for report in self._reports]),
         )
         how = tracker.settings.smoothing
-        times, morph = self.frames.times, tracker.finder.morph
-        return smoothed(tracker.skeleton, times, told, tracker.rest, how, morph)
+        times, morph, began = self.frames.times, tracker.finder.morph, perf_counter()
+        poses = smoothed(tracker.skeleton, times, told, tracker.rest, how, morph)
+        self.milliseconds["smooth"] = [1e3 * (perf_counter() - began)]
+        return poses
 
     def masks(self, names: Sequence[str]) -> dict[str, Masks]:
         """Camera -> level sets."""
