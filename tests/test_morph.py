@@ -12,7 +12,14 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.loft import generic_surface, rest_joints
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import Skeleton, with_joints
-from jaxmocap.body.surface import BodyPoints, posed, rest_nodes, skin_of, skinned
+from jaxmocap.body.surface import (
+    BodyPoints,
+    posed,
+    resampled,
+    rest_nodes,
+    skin_of,
+    skinned,
+)
 from jaxmocap.geometry import twists
 from jaxmocap.silhouette import morph as m
 from jaxmocap.silhouette import swelling as s
@@ -188,10 +195,41 @@ def test_one_person_becomes_another():
     np.testing.assert_allclose(half, middle, atol=1e-6)
 
 
+@pytest.mark.parametrize("weighting", m.WEIGHTINGS)
+def test_a_body_goes_over_into_another_as_equation_4_26_says(weighting):
+    """Steered by an elbow's angle of 0 to 1 radian, node by node as ``between`` has it."""
+    stouter = generic_surface(BODY, 1.3)
+    steer = m.Steer(("elbow_flex_l",), weighting)
+    morph = s.morphed(
+        m.Morphing(transitions=(m.Transition(steer, stouter),)), TREE, SURFACE, JOINTS
+    )
+    for t in (0.0, 0.3, 1.0):
+        at = np.zeros(len(LOW))
+        at[TREE.joint("elbow_flex_l")] = t
+        gone = m.moved(SURFACE.points, np.asarray(morph.moves), m.steered(morph, at))
+        there = s.between(stouter.points, SURFACE.points, t, weighting)
+        frames = FORWARD(BODY, standing(at))
+        np.testing.assert_allclose(posed(frames, gone), posed(frames, there), atol=2e-6)
+
+
+def test_only_patches_that_are_named_go_over_and_denser_nodes_as_the_others():
+    stouter = generic_surface(BODY, 1.3)
+    over = m.Transition(LIFT, stouter, ("arm_l",))
+    dense = resampled(SURFACE, JOINTS, 0.03)
+    moves = s.gone_over(SURFACE, JOINTS, over, 0.03)
+    arm = next(patch for patch in dense.patches if patch.name == "arm_l")
+    assert len(moves) == len(dense.points.bones)
+    assert np.linalg.norm(moves[arm.nodes], axis=1).max() > 0.01
+    moves[arm.nodes] = 0.0
+    np.testing.assert_array_equal(moves, 0)
+
+
 def test_surfaces_of_other_patches_do_not_correspond():
     fewer = type(SURFACE)(SURFACE.patches[1:], SURFACE.points)
     with pytest.raises(ValueError, match="node for node"):
         s.corresponding(SURFACE, JOINTS, fewer)
+    with pytest.raises(ValueError, match="node for node"):
+        s.gone_over(SURFACE, JOINTS, m.Transition(LIFT, fewer))
 
 
 @given(
@@ -256,6 +294,7 @@ def test_a_trunk_s_swelling_is_mirrored_on_the_one_patch_that_it_has():
         (m.Morphing((m.Follower("wing_l", LIFT, 1.0),)), KeyError, "wing_l"),
         (m.Morphing((m.Follower("arm_flex_l", LIFT, 1.0),)), ValueError, "steers and follows"),
         (m.Morphing((), (TOP._replace(patch="tail"),)), ValueError, "arm_l"),
+        (m.Morphing(transitions=(m.Transition(LIFT, SURFACE, ("tail",)),)), ValueError, "tail"),
         (m.Morphing((), (TOP._replace(steer=m.Steer(("arm_rot_l",), "cubed")),)), KeyError, "sq"),
     ],
 )

@@ -144,12 +144,28 @@ def resampled(surface: Surface, joints: np.ndarray, spacing: float) -> Surface:
         grid = patch.grid(nodes)
         rows = full[patch.nodes].reshape(patch.along, patch.around, -1)
         around, along = _places(grid, spacing)
-        across = fourier_matrix(patch.around, around)
+        grids[patch.name] = _denser(patch, grid, around, along)
         onto = linear_matrix(patch.along, along)
-        grids[patch.name] = np.einsum("av,vuc,bu->abc", onto, grid, across)
         turn = linear_matrix(patch.around, around, periodic=True)
         shares[patch.name] = np.einsum("av,vuc,bu->abc", onto, rows, turn)
     return surface_from_rest(grids, shares, joints)
+
+
+def resampled_moves(
+    surface: Surface, joints: np.ndarray, spacing: float, moves: np.ndarray
+) -> np.ndarray:
+    """Moves (M, 3) of the nodes of ``resampled`` by those of a surface's own, (N, 3)."""
+    nodes, rows = rest_nodes(surface, joints), []
+    for patch in surface.patches:
+        places = _places(patch.grid(nodes), spacing)
+        rows.append(_denser(patch, patch.grid(moves), *places).reshape(-1, 3))
+    return np.concatenate(rows)
+
+
+def _denser(patch: Patch, grid: np.ndarray, around: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """A patch's grid (along, around, 3), or moves of it, at more places."""
+    across, onto = fourier_matrix(patch.around, around), linear_matrix(patch.along, along)
+    return np.einsum("av,vuc,bu->abc", onto, grid, across)
 
 
 def _places(grid: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:

@@ -145,11 +145,15 @@ def _backend() -> dict[str, str]:
 
 
 def plain(value: Any) -> Any:
-    """What JSON can hold: arrays as lists, dataclasses as dictionaries, NaN as None."""
+    """What JSON can hold: arrays as lists, dataclasses as dictionaries, NaN as None.
+
+    Fields that no ``repr`` shows, such as whole surfaces, are left out.
+    """
     if isinstance(value, Mapping):
         return {str(key): plain(entry) for key, entry in value.items()}
     if is_dataclass(value) and not isinstance(value, type):
-        return {entry.name: plain(getattr(value, entry.name)) for entry in fields(value)}
+        shown = [entry.name for entry in fields(value) if entry.repr]
+        return {name: plain(getattr(value, name)) for name in shown}
     if isinstance(value, list | tuple | set | frozenset):
         return [plain(entry) for entry in value]
     if isinstance(value, np.ndarray | np.generic | jax.Array):

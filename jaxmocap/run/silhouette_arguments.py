@@ -42,6 +42,11 @@ def add_silhouette_track(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--markers", action="store_true", help="follow the recording's markers too")
     parser.add_argument(
+        "--shoulders",
+        action="store_true",
+        help="let shoulders go along with raised arms, up and back, as most people's do",
+    )
+    parser.add_argument(
         "--model",
         metavar="DIR",
         help="the person's own, as 'silhouette model' wrote it; default: a body of people's mean "

@@ -13,12 +13,8 @@ from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.run.recording import marker_sites
 from jaxmocap.run.silhouette import whole_body
-from jaxmocap.silhouette.settings import FAR_OFF
-from jaxmocap.silhouette.settings import Settings as Silhouettes
 from jaxmocap.silhouette.start import landmark_points, pose_at, standing_pose
 
-# Who says by hand where somebody stands says it roughly.
-BY_HAND = Silhouettes(starting=FAR_OFF)
 # Solves of one and the same sample, until it rests.
 SOLVES = 5
 

@@ -27,7 +27,7 @@ from jax import Array
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton, Tree
-from jaxmocap.body.surface import BodyPoints, Skin
+from jaxmocap.body.surface import BodyPoints, Skin, Surface
 from jaxmocap.geometry.rotations import HIGHEST
 
 
@@ -81,21 +81,38 @@ class Swelling(NamedTuple):
 
 
 @dataclass(frozen=True)
+class Transition:
+    """Another surface that the body's own goes over into: equation (4.26).
+
+    Attributes:
+        steer: at 0 the body has its own surface, at 1 the other.
+        to: in correspondence, around the same joints: see ``corresponding``.
+        patches: that go over; all of them without any.
+    """
+
+    steer: Steer
+    to: Surface = field(repr=False, compare=False)
+    patches: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Morphing:
     """All that goes along; nothing by default.
 
     Attributes:
         followers: joints.
         swellings: places of the skin.
+        transitions: whole surfaces.
     """
 
     followers: tuple[Follower, ...] = ()
     swellings: tuple[Swelling, ...] = ()
+    transitions: tuple[Transition, ...] = ()
 
     @property
     def steers(self) -> tuple[Steer, ...]:
         """All that steer, each once."""
-        every = [each.steer for each in (*self.followers, *self.swellings)]
+        every = [each.steer for each in (*self.followers, *self.swellings, *self.transitions)]
         return tuple(dict.fromkeys(every))
 
 

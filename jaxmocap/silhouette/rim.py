@@ -142,7 +142,7 @@ class RimFinder:
         self.wear(resampled(surface, joints, self.settings.spacing), joints)
         self.morph = None
         if morphing is not None and morphing.steers:
-            self.morph = morphed(morphing, skeleton.tree, self.surface, joints)
+            self.morph = morphed(morphing, skeleton.tree, surface, joints, self.settings.spacing)
         self._beside = neighbours(self.surface)
         self._limbs = limbs_of(self.surface)
         self._drawing = jax.jit(self._drawn)

@@ -12,8 +12,23 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.skeleton import Tree
-from jaxmocap.body.surface import BodyPoints, Patch, Surface, rest_nodes
-from jaxmocap.silhouette.morph import WEIGHTINGS, Morph, Morphing, Steer, Swelling, morph_of
+from jaxmocap.body.surface import (
+    BodyPoints,
+    Patch,
+    Surface,
+    resampled,
+    resampled_moves,
+    rest_nodes,
+)
+from jaxmocap.silhouette.morph import (
+    WEIGHTINGS,
+    Morph,
+    Morphing,
+    Steer,
+    Swelling,
+    Transition,
+    morph_of,
+)
 
 
 @jax.jit
@@ -79,22 +94,54 @@ def moves_of(
     return moves
 
 
-def morphed(morphing: Morphing, tree: Tree, surface: Surface, joints: np.ndarray) -> Morph:
-    """A morphing of one skeleton and one surface around it.
+def gone_over(
+    surface: Surface, joints: np.ndarray, transition: Transition, spacing: float | None = None
+) -> np.ndarray:
+    """(M, 3) from a surface's nodes, resampled at ``spacing`` where given, to the other's.
+
+    Raises:
+        ValueError: the two have other patches, or there is no such patch.
+    """
+    _check_like(transition.to, surface)
+    known = [patch.name for patch in surface.patches]
+    if strange := [name for name in transition.patches if name not in known]:
+        raise ValueError(f"no patch {strange[0]!r}: expected of {', '.join(known)}")
+    moves = rest_nodes(transition.to, joints) - rest_nodes(surface, joints)
+    for patch in surface.patches:
+        if transition.patches and patch.name not in transition.patches:
+            moves[patch.nodes] = 0.0
+    return moves if spacing is None else resampled_moves(surface, joints, spacing, moves)
+
+
+def morphed(
+    morphing: Morphing,
+    tree: Tree,
+    surface: Surface,
+    joints: np.ndarray,
+    spacing: float | None = None,
+) -> Morph:
+    """A morphing of one skeleton and the surface around it.
 
     Args:
         morphing: what goes along.
         tree: of the skeleton.
-        surface: however dense.
+        surface: N nodes.
         joints: (B, 3) of the bones with all angles 0, metres.
+        spacing: of the nodes that go along, metres, if those are ``resampled``.
 
     Raises:
         KeyError: no such joint, or no such weighting.
-        ValueError: no such patch, or a joint steers and follows.
+        ValueError: no such patch, surfaces of other patches, or a joint steers and follows.
     """
-    if not morphing.swellings:
+    if not (morphing.swellings or morphing.transitions):
         return morph_of(morphing, tree)
-    return morph_of(morphing, tree, moves_of(surface, joints, morphing.steers, morphing.swellings))
+    steers = morphing.steers
+    worn = surface if spacing is None else resampled(surface, joints, spacing)
+    moves = moves_of(worn, joints, steers, morphing.swellings)
+    for transition in morphing.transitions:
+        gone = gone_over(surface, joints, transition, spacing)
+        moves[..., steers.index(transition.steer)] += gone
+    return morph_of(morphing, tree, moves)
 
 
 def between(
@@ -122,8 +169,12 @@ def corresponding(surface: Surface, joints: np.ndarray, like: Surface) -> Surfac
     Raises:
         ValueError: the two have other patches.
     """
-    if surface.patches != like.patches:
-        raise ValueError("two surfaces of other patches: expected the same, node for node")
+    _check_like(surface, like)
     nodes, bones = rest_nodes(surface, joints), like.points.bones
     places = jnp.asarray(nodes[:, None] - joints[np.asarray(bones)], float)
     return Surface(like.patches, BodyPoints(bones, places, like.points.shares))
+
+
+def _check_like(surface: Surface, like: Surface) -> None:
+    if surface.patches != like.patches:
+        raise ValueError("two surfaces of other patches: expected the same, node for node")
