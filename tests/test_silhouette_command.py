@@ -97,6 +97,23 @@ def test_lengths_are_found_by_more_than_one_pass(folder, tmp_path, capsys):
     assert "argument --once: not allowed with argument --lengths" in said(capsys, "track", *given)
 
 
+@pytest.mark.parametrize(("given", "follow_along"), [((), False), (("--shoulders",), True)])
+def test_shoulders_go_along_where_asked_to(folder, tmp_path, monkeypatch, given, follow_along):
+    asked = {}
+
+    def follow(*_, settings, **__):
+        asked["settings"] = settings
+        raise InputError("recording.toml", "enough")
+
+    monkeypatch.setattr(silhouette, "follow", follow)
+    path = str(folder / "recording.toml")
+    out = str(tmp_path / "out")
+    assert main(["silhouette", "track", path, "--at", "0,0,0", "--out", out, *given]) == 2
+    assert bool(asked["settings"].morphing.followers) == follow_along
+    # Who says by hand where somebody stands says it roughly.
+    assert asked["settings"].starting
+
+
 def test_a_place_at_which_no_camera_looks_is_refused_before_anything_is_tracked(
     folder, tmp_path, capsys
 ):

@@ -32,8 +32,8 @@ from jaxmocap.solvers.trajectory import Linearised, Settings, smooth
 
 # Frames that are linearised in one call: any recording's fill some, and compile once.
 FRAMES_A_CALL = 32
-# The frames' quadratics hold near the poses found only, so that no more steps are worth it.
-STEPS = 8
+# In each round. The frames' quadratics hold near the poses found only: more are not worth it.
+STEPS = 3
 
 
 class Told(NamedTuple):
