@@ -93,7 +93,7 @@ def by_hinges() -> Iterator[Metric]:
     for count in HINGES:
         skeleton = chain(count)
         angles = np.linspace(-0.5, 0.5, count, dtype=np.float32)
-        pose = Pose(np.zeros(3, np.float32), np.eye(4, dtype=np.float32)[0], angles)
+        pose = Pose(jnp.zeros(3), jnp.eye(4)[0], jnp.asarray(angles))
         problem = (skeleton, pose, targets)
         steps[f"growth: IK step, hinges {count}"] = lambda given=problem: step(*given)
     yield from medians(steps)
