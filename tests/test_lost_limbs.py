@@ -19,18 +19,17 @@ from jaxmocap.images.coverage import covered
 from jaxmocap.images.glances import Glances
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.appearance import YOUNG, Appearance
-from jaxmocap.silhouette.doubt import carriers
 from jaxmocap.silhouette.hypotheses import (
     APART,
     KEPT,
     Evidence,
     distinct,
     explained,
-    limbs_of,
-    seen_at,
     systematic,
 )
+from jaxmocap.silhouette.limbs import carriers, limbs_of
 from jaxmocap.silhouette.segment import Plan, Stage
+from jaxmocap.silhouette.sight import seen_at
 from jaxmocap.silhouette.start import landmark_points
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
@@ -85,7 +84,7 @@ def test_a_forearm_laid_over_its_upper_arm_explains_nothing_twice(tracker):
     limb = limbs_of(BODY, surface)["arm_l"]
     upper = carriers(surface.points) == limb.bones[0]
     region = Region(np.full((4, 2), -0.5, np.float32), np.full(4, 8.0, np.float32))
-    pixels = np.asarray(seen_at(BODY, bent(0.0), tracker.cameras, surface.points))[:, upper]
+    pixels = np.asarray(seen_at(BODY, bent(0.0), tracker.cameras, surface.points)[0])[:, upper]
     shown = [covered(at, Region(*r), 128, 0) for at, *r in zip(pixels, *region, strict=True)]
     evidence = Evidence(np.stack(shown).astype(np.float32), region, np.ones(4, bool))
     straight, folded = (

@@ -1,5 +1,10 @@
 """Doubt: which parts of the limbs the images deny, and where the limbs might be instead.
 
+A limb is in doubt where somebody is seen whom no limb explains; and where it explains less than
+nothing: before the room, before the rest of the body where that is what is seen, within the rest of
+the body. So is found what no outline tells: an arm that one camera hides, and another sees before
+the trunk, leaves all silhouettes as they are.
+
 INPUTS: a pose that was found, and what was segmented. OUTPUTS: parts that are not seen where they
 are thought to be; a better pose to fit from, if there is one; what to remember.
 """
@@ -11,28 +16,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
-from jaxmocap.body.surface import BodyPoints, Surface
+from jaxmocap.body.surface import BodyPoints, Surface, posed
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.images.background import Background
-from jaxmocap.images.coverage import covered, widened
-from jaxmocap.images.regions import Region
+from jaxmocap.images.hues import BodyHues, hues_at
 from jaxmocap.silhouette import hypotheses
 from jaxmocap.silhouette.appearance import Appearance
-from jaxmocap.silhouette.hypotheses import Evidence, Limb, SearchSettings
-from jaxmocap.silhouette.looking import Outlines
+from jaxmocap.silhouette.hypotheses import ALONG, Evidence, Looks, SearchSettings
+from jaxmocap.silhouette.limbs import Limb, carriers, halves_of, limbs_of, places_along
+from jaxmocap.silhouette.sight import Onlooker, Sight
+from jaxmocap.silhouette.solid import Parts, rings
 
-# Of the surface's nodes one in so many says what the body covers, with so many cells about it.
-NODES, AROUND = 8, 1
-# The canvas that limbs are looked for on: cells, and how many times as wide as the segmentation's.
-CELLS, WIDER = 96, 1.5
 # A limb is in doubt where within its reach (by its length) person is unexplained by this share of
-# its own size, whose cells are so much likelier person than not; and a better place must explain so
-# much more.
-REACH, UNEXPLAINED, SURELY, BETTER = 1.6, 0.08, 1.5, 0.15
-# Log-ratio of what surely is no room, beyond the segmentation.
-MOST = 2.0
+# its own size, whose cells are so much likelier person than not; or where it explains less than
+# nothing, by so much. And a better place must explain so much more.
+REACH, UNEXPLAINED, SURELY, UNLIKE, BETTER = 1.6, 0.08, 1.5, 0.1, 0.15
 # Half of a limb in the right place is a beginning: the other half's log-ratios count so little.
 LENIENT = 0.7
 # A part is denied where its cells are likelier not person.
@@ -53,6 +53,8 @@ class Doubts(NamedTuple):
         waits: (L,) frames until each may be searched for again.
         failures: (L,) searches of each, one after the other, that found nothing.
         appearance: of the near and the far half of each limb.
+        known: hues of the body's points.
+        denied: (L,) bool: what the last frame showed where they were found is something else.
         frame: of how many frames; the seed of the pseudo-random numbers.
     """
 
@@ -60,6 +62,8 @@ class Doubts(NamedTuple):
     waits: np.ndarray
     failures: np.ndarray
     appearance: Appearance
+    known: BodyHues
+    denied: np.ndarray
     frame: int
 
 
@@ -75,26 +79,6 @@ class Better(NamedTuple):
     limbs: tuple[int, ...]
 
 
-class Sight(NamedTuple):
-    """A pose and what the cameras show, laid over each other.
-
-    Attributes:
-        pose: that was found.
-        pixels: (C, N, 2) of the body's points.
-        ratios: (C, S, S) log-ratios of person and rest.
-        regions: of each camera's canvas.
-        region: the same as one.
-        used: (C,) bool.
-    """
-
-    pose: Pose
-    pixels: np.ndarray
-    ratios: np.ndarray
-    regions: tuple[Region, ...]
-    region: Region
-    used: np.ndarray
-
-
 class Doubter:
     """Looks after the limbs of one person.
 
@@ -102,23 +86,29 @@ class Doubter:
         names: of the limbs.
         limbs: in that order.
         joints: (2 * L, D) bool: those that move the near and the far half of each limb.
-        nodes: (2 * L, M) bool: the surface's nodes on each.
+        nodes: (2 * L, N) bool: the onlooker's points on each.
         count: of particles.
+        sight: lays a pose over what the cameras show, see ``Onlooker``.
     """
 
     def __init__(self, skeleton: Skeleton, surface: Surface, cameras: Camera, count: int):
         """Prepare for C cameras (stacked); traces once."""
         self.skeleton, self.cameras, self.count = skeleton, cameras, count
-        found = hypotheses.limbs_of(skeleton, surface)
+        self._onlooker = Onlooker(skeleton, surface, cameras)
+        self.sight = self._onlooker.sight
+        found = limbs_of(skeleton, surface)
         self.names, self.limbs = tuple(found), tuple(found.values())
-        halves = [half for limb in self.limbs for half in hypotheses.halves_of(limb)]
+        halves = [half for limb in self.limbs for half in halves_of(limb)]
         self._halves = Limb(*(np.stack(part) for part in zip(*halves, strict=True)))
         bones = [half.bones[half.radii > 0] for half in halves]
         moved = np.array(skeleton.tree.dof_bones)
-        carrier = carriers(surface.points)
+        carrier = carriers(self._onlooker.points)
         self.joints = np.array([np.isin(moved, each) for each in bones])
         self.nodes = np.array([np.isin(carrier, each) for each in bones])
-        self._points = BodyPoints(*(np.asarray(part)[::NODES] for part in surface.points))
+        self._along = [
+            places_along(skeleton, limb, self._onlooker.points, ALONG) for limb in self.limbs
+        ]
+        self._rings = [rings(surface, name) for name in self.names]
         self._depths = np.asarray(cameras.T_cam_world)[:, 2]
         self._focals = np.asarray(cameras.matrix)[:, 0, 0]
         lengths = np.asarray(skeleton.lengths)
@@ -131,31 +121,12 @@ class Doubter:
         """Before the first frame."""
         zeros = np.zeros(len(self.limbs), int)
         looks = Appearance.none(2 * len(self.limbs), len(self.cameras.size))
-        return Doubts((None,) * len(self.limbs), zeros, zeros, looks, 0)
-
-    def sight(
-        self,
-        pose: Pose,
-        seen: Outlines,
-        used: np.ndarray,
-        images: Sequence[np.ndarray | None],
-        rooms: Sequence[Background | None],
-    ) -> Sight:
-        """A pose over what was segmented, and what lies about that, of cameras (C,) that count."""
-        narrow = zip(*map(np.asarray, seen.region), strict=True)
-        ratios = np.asarray(seen.segmented.log_ratio)
-        parts = [
-            widened(ratio, Region(*region), image, room, CELLS, WIDER, MOST)
-            for ratio, region, image, room in zip(ratios, narrow, images, rooms, strict=True)
-        ]
-        regions = tuple(region for _, region in parts)
-        region = Region(*(np.stack(part) for part in zip(*regions, strict=True)))
-        ratios = np.stack([ratio for ratio, _ in parts])
-        return Sight(pose, self.covering(pose), ratios, regions, region, used)
+        known = BodyHues.none(self.nodes.shape[1])
+        return Doubts((None,) * len(self.limbs), zeros, zeros, looks, known, zeros > 0, 0)
 
     def covering(self, pose: Pose) -> np.ndarray:
         """(C, N, 2) pixels of points all over the body, hidden or not."""
-        return np.asarray(hypotheses.seen_at(self.skeleton, pose, self.cameras, self._points))
+        return self._onlooker.placed(pose)[0]
 
     def hidden(
         self, doubts: Doubts, sight: Sight, images: Sequence[np.ndarray | None]
@@ -167,25 +138,31 @@ class Doubter:
         evidence = Evidence(sight.ratios, sight.region, sight.used)
         found = _likenesses(self.skeleton, self.cameras, sight.pose, self._halves, evidence)
         shown = [image if used else None for image, used in zip(images, sight.used, strict=True)]
-        parts = self.nodes[:, ::NODES]
-        other, looks = doubts.appearance.judged(shown, sight.pixels, parts)
+        other, looks = doubts.appearance.judged(shown, sight.pixels, self.nodes)
         elsewhere = (np.asarray(found) < DENIED) | other
-        return np.any(self.joints[elsewhere], 0), doubts._replace(appearance=looks)
+        seen = sight.places.seen(sight.places.nearest(np.ones(sight.pixels.shape[1], bool)))
+        # Limbs that may be elsewhere have the hues of something else.
+        unsure = np.any(self.nodes[elsewhere | np.repeat(doubts.denied, 2)], 0)
+        known = doubts.known.learned(hues_at(shown, sight.pixels), seen & ~unsure)
+        return np.any(self.joints[elsewhere], 0), doubts._replace(appearance=looks, known=known)
 
     def better(
         self, doubts: Doubts, sight: Sight, how: SearchSettings
     ) -> tuple[Better | None, Doubts]:
         """Poses that explain more of what is seen than the one found, if there are any."""
         missing = self._unexplained(sight)
+        evidence = [self._left_for(k, sight, doubts.known) for k in range(len(self.limbs))]
+        worth = [self._explains(k, each, sight.pose) for k, each in enumerate(evidence)]
+        denied = np.array(worth) < -UNLIKE
         particles, waits, failures = list(doubts.particles), doubts.waits - 1, +doubts.failures
         poses, moved = [sight.pose], []
         for number, limb in enumerate(self.limbs):
-            if missing[number] < UNEXPLAINED:
+            if missing[number] < UNEXPLAINED and not denied[number]:
                 particles[number], failures[number] = None, 0
                 continue
             if waits[number] > 0:
                 continue
-            found = self._search(number, particles[number], poses[0], sight, doubts.frame, how)
+            found = self._search(number, evidence[number], doubts, poses[0], how)
             particles[number] = np.asarray(found.particles)
             better = np.asarray(found.gains) > float(found.before) + BETTER
             if better[0]:
@@ -199,39 +176,38 @@ class Doubter:
                 waits[number] = min(2 ** failures[number], LONGEST) + 1
                 failures[number] += 1
         waits = np.maximum(waits, 0)
-        after = Doubts(tuple(particles), waits, failures, doubts.appearance, doubts.frame + 1)
+        after = doubts._replace(
+            particles=tuple(particles),
+            waits=waits,
+            failures=failures,
+            denied=denied,
+            frame=doubts.frame + 1,
+        )
         return (Better(tuple(poses), tuple(moved)) if moved else None), after
 
     def _search(
-        self,
-        number: int,
-        old: np.ndarray | None,
-        pose: Pose,
-        sight: Sight,
-        frame: int,
-        how: SearchSettings,
+        self, number: int, evidence: Evidence, doubts: Doubts, pose: Pose, how: SearchSettings
     ) -> hypotheses.Found:
         """Of one limb, from the particles of the frame before or from where it is."""
-        limb = self.limbs[number]
+        limb, old = self.limbs[number], doubts.particles[number]
         if old is None:
             old = np.tile(np.asarray(pose.angles)[limb.joints], (self.count, 1))
-        key = jax.random.fold_in(jax.random.PRNGKey(frame), number)
-        evidence = self._left_for(number, sight)
+        key = jax.random.fold_in(jax.random.PRNGKey(doubts.frame), number)
         return hypotheses.search(
             self.skeleton, self.cameras, pose, limb, evidence, jnp.asarray(old), key, how
         )
 
-    def gain(self, limbs: tuple[int, ...], sight: Sight) -> float:
+    def gain(self, limbs: tuple[int, ...], sight: Sight, known: BodyHues) -> float:
         """What some limbs of a pose explain of what is seen, together."""
         return sum(
-            float(
-                _explained(
-                    self.skeleton, self.cameras, sight.pose, self.limbs[number],
-                    self._left_for(number, sight),
-                )
-            )
+            self._explains(number, self._left_for(number, sight, known), sight.pose)
             for number in limbs
-        )  # fmt: skip
+        )
+
+    def _explains(self, number: int, evidence: Evidence, pose: Pose) -> float:
+        """What one limb of a pose explains of what is left for it."""
+        limb = self.limbs[number]
+        return float(_explained(self.skeleton, self.cameras, pose, limb, evidence))
 
     def joints_of(self, limbs: tuple[int, ...]) -> np.ndarray:
         """(D,) bool: the joints of some limbs."""
@@ -242,18 +218,25 @@ class Doubter:
 
     def _on(self, number: int) -> np.ndarray:
         """(N,) bool: the points of a limb."""
-        return np.any(self.nodes[2 * number : 2 * number + 2, ::NODES], 0)
+        return np.any(self.nodes[2 * number : 2 * number + 2], 0)
 
-    def _left_for(self, number: int, sight: Sight) -> Evidence:
-        """What is left for a limb to explain: beside the rest of the body."""
-        rest = _covered(sight, ~self._on(number))
-        gains = np.where(rest, np.float32(0), np.maximum(sight.ratios, np.float32(-LENIENT)))
-        return Evidence(gains, sight.region, sight.used)
+    def _left_for(self, number: int, sight: Sight, known: BodyHues) -> Evidence:
+        """What is left for a limb to explain: beside the rest of the body, or before it by hue."""
+        rest, places = ~self._on(number), sight.places
+        depth = places.nearest(rest)
+        unlike = places.unlike(sight.hues, known, places.seen(depth) & rest)
+        count = len(self.limbs[number].bones)
+        hues = known.means(self._along[number], count * len(ALONG))
+        looks = Looks(sight.hues, unlike, depth, hues.reshape(count, len(ALONG), 3))
+        alone = np.maximum(sight.ratios, np.float32(-LENIENT))
+        gains = np.where(np.isfinite(depth), np.float32(0), alone)
+        others = _parts(self.skeleton, sight.pose, self._rings[number])
+        return Evidence(gains, sight.region, sight.used, looks, others)
 
     def _unexplained(self, sight: Sight) -> np.ndarray:
         """(L,) how much person nothing explains within each limb's reach, by the limb's size."""
         every = np.ones(sight.pixels.shape[1], bool)
-        left = (sight.ratios > SURELY) & ~_covered(sight, every)
+        left = (sight.ratios > SURELY) & ~sight.covered(every)
         area, size = np.zeros((2, len(self.limbs)))
         for camera in np.flatnonzero(sight.used):
             region, metre = sight.regions[camera], self._cells_to_a_metre(camera, sight)
@@ -276,26 +259,15 @@ class Doubter:
         return float(self._focals[camera] / max(depth, 0.3) / sight.regions[camera].scale)
 
 
+@jax.jit
+def _parts(skeleton: Skeleton, pose: Pose, around: BodyPoints) -> Parts:
+    """Parts of a body in a pose."""
+    return Parts.of(posed(forward(skeleton, pose), around))
+
+
 def _with(pose: Pose, limb: Limb, angles: jax.Array) -> Pose:
     """A pose whose limb has other angles (K,)."""
     return pose._replace(angles=pose.angles.at[limb.joints].set(angles))
-
-
-def _covered(sight: Sight, points: np.ndarray) -> np.ndarray:
-    """(C, S, S) bool, what of the canvases some points (N,) bool of the body cover."""
-    size = sight.ratios.shape[-1]
-    return np.stack(
-        [
-            covered(at[points], region, size, AROUND)
-            for at, region in zip(sight.pixels, sight.regions, strict=True)
-        ]
-    )
-
-
-def carriers(points: BodyPoints) -> np.ndarray:
-    """(N,) the bone that carries most of each point."""
-    bones, shares = np.asarray(points.bones), np.asarray(points.shares)
-    return bones[np.arange(len(bones)), shares.argmax(1)]
 
 
 def freed(beforehand: np.ndarray, joints: np.ndarray, deviation: float) -> np.ndarray:

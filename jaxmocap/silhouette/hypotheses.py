@@ -7,7 +7,10 @@ explain, drawn anew in proportion (systematic resampling), and so once more with
 then start from the best, and from the best elsewhere. Particles live on from frame to frame while
 the doubt lasts.
 
-INPUTS: a pose, the log-ratios of person and rest on canvases, what the rest of the body covers.
+Where a limb is before the rest of the body its hues tell, and nowhere can it be within the rest.
+
+INPUTS: a pose, the log-ratios of person and rest on canvases, what the rest of the body covers and
+which hues it has.
 OUTPUTS: the limb's likeliest angles in some places, what they explain, the particles for the next
 frame.
 """
@@ -19,25 +22,21 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.surface import BodyPoints, Surface, posed
 from jaxmocap.geometry.cameras import Camera, project
+from jaxmocap.images.hues import FARTHEST, SPREAD
 from jaxmocap.images.regions import Region
 from jaxmocap.images.sampling import look_up
+from jaxmocap.silhouette.limbs import Limb, ends
+from jaxmocap.silhouette.solid import Parts, within
 
-# Limb -> its bones from the body outwards, and its joints; as many of each.
-LIMBS = {
-    "arm": (("humerus", "radius", "hand"),
-            ("clavicle_raise", "clavicle_protract", "arm_flex", "arm_abduct", "arm_rot",
-             "elbow_flex")),
-    "leg": (("femur", "tibia", "foot"),
-            ("hip_flexion", "hip_abduction", "hip_rotation", "knee_flexion", "ankle_dorsiflex",
-             "ankle_invert")),
-}  # fmt: skip
 # So many particles are fitted, that differ by so much in their angles' root mean square, radians.
 KEPT, APART = 3, 0.5
+# Log-ratio of what surely has the limb's hue and not that of the rest of the body.
+HUE = 2.5
+# What it costs to lie wholly within other parts of the body, as a log-ratio.
+IMPOSSIBLE = 1.0
 # Where a bone is looked at: along it, and across it in its radii.
 ALONG, ACROSS = np.linspace(0.06, 0.94, 8), np.array([-0.6, 0.0, 0.6])
 
@@ -58,18 +57,21 @@ class SearchSettings(NamedTuple):
     usual: Array | float = 2.0
 
 
-class Limb(NamedTuple):
-    """A limb of B bones and K joints.
+class Looks(NamedTuple):
+    """What hues C cameras show, to a limb of B bones with A places on each.
 
     Attributes:
-        bones: (B,) indices.
-        joints: (K,) indices.
-        radii: (B,) metres.
+        hues: (C, S, S, 3) that are seen; NaN where there are none.
+        rest: (C, S, S) half their squared deviations from those of the rest of the body; 0 where
+            nothing is known.
+        depth: (C, S, S) metres, of the rest of the body; infinite beside it.
+        limb: (B, A, 3) hues of the limb; -1 where not known.
     """
 
-    bones: np.ndarray
-    joints: np.ndarray
-    radii: np.ndarray
+    hues: Array | np.ndarray
+    rest: Array | np.ndarray
+    depth: Array | np.ndarray
+    limb: Array | np.ndarray
 
 
 class Evidence(NamedTuple):
@@ -79,11 +81,15 @@ class Evidence(NamedTuple):
         gains: (C, S, S) log-ratio of person and rest; 0 where the rest of the body is seen.
         region: of the canvases.
         used: (C,) cameras that count.
+        looks: hues; None where nothing is known of them.
+        others: parts of the body that the limb cannot be in; None for none.
     """
 
     gains: Array | np.ndarray
     region: Region
     used: Array | np.ndarray
+    looks: Looks | None = None
+    others: Parts | None = None
 
 
 class Found(NamedTuple):
@@ -102,76 +108,39 @@ class Found(NamedTuple):
     before: Array
 
 
-def limbs_of(skeleton: Skeleton, surface: Surface) -> dict[str, Limb]:
-    """``arm_l`` and so on, those that the skeleton's joints move in full."""
-    tree, found = skeleton.tree, {}
-    for kind, (bones, joints) in LIMBS.items():
-        for side in "lr":
-            names = [f"{joint}_{side}" for joint in joints]
-            if set(names) <= set(tree.joints):
-                rows = np.array([tree.bone(f"{bone}_{side}") for bone in bones], np.int32)
-                moved = np.array([tree.joint(name) for name in names], np.int32)
-                found[f"{kind}_{side}"] = Limb(rows, moved, radii(skeleton, surface, rows))
-    return found
-
-
-def halves_of(limb: Limb) -> tuple[Limb, Limb]:
-    """The limb's first bone, and what follows it: what is left out is given no thickness."""
-    first = np.arange(len(limb.bones)) < 1
-    return tuple(limb._replace(radii=np.where(of, limb.radii, 0)) for of in (first, ~first))  # type: ignore[return-value]
-
-
-def radii(skeleton: Skeleton, surface: Surface, bones: np.ndarray) -> np.ndarray:
-    """(B,) metres from bones to the surface's nodes that they carry alone or most."""
-    points = surface.points
-    carriers = np.asarray(points.shares).argmax(1)
-    rows = np.arange(len(carriers))
-    carrier = np.asarray(points.bones)[rows, carriers]
-    places = np.asarray(points.points_bone)[rows, carriers]
-    ways = np.asarray(skeleton.directions)
-    found = []
-    for bone in bones:
-        at = places[carrier == bone]
-        away = np.linalg.norm(np.cross(at, ways[bone]), axis=1)
-        found.append(np.median(away) if len(at) else 0.03)
-    return np.array(found, np.float32)
-
-
-@jax.jit
-def seen_at(skeleton: Skeleton, pose: Pose, cameras: Camera, points: BodyPoints) -> Array:
-    """(C, N, 2) pixels of points of the body, hidden or not."""
-    places = posed(forward(skeleton, pose), points)
-    return jax.vmap(project, (0, None))(cameras, places)
-
-
 def explained(
     skeleton: Skeleton, cameras: Camera, pose: Pose, limb: Limb, evidence: Evidence
 ) -> Array:
-    """() mean log-ratio of where the limb would be seen, by its size if it were seen in full."""
-    gained, _, full = _summed(skeleton, cameras, pose, limb, evidence)
-    return gained / jnp.maximum(full, 1.0)
+    """() mean log-ratio of where the limb would be seen, by its size if it were seen in full.
+
+    Less what of it lies within other parts of the body.
+    """
+    near, far = ends(skeleton, pose, limb)
+    gained, _, full = _summed(skeleton, cameras, near, far, limb, evidence)
+    value = gained / jnp.maximum(full, 1.0)
+    if evidence.others is not None:
+        value -= IMPOSSIBLE * within(near, far, jnp.asarray(limb.radii), evidence.others)
+    return value
 
 
 def likeness(
     skeleton: Skeleton, cameras: Camera, pose: Pose, limb: Limb, evidence: Evidence
 ) -> Array:
     """() mean log-ratio of where the limb is seen; 0 where no camera looks."""
-    gained, seen, _ = _summed(skeleton, cameras, pose, limb, evidence)
+    gained, seen, _ = _summed(skeleton, cameras, *ends(skeleton, pose, limb), limb, evidence)
     return gained / jnp.maximum(seen, 1.0)
 
 
 def _summed(
-    skeleton: Skeleton, cameras: Camera, pose: Pose, limb: Limb, evidence: Evidence
+    skeleton: Skeleton, cameras: Camera, near: Array, far: Array, limb: Limb, evidence: Evidence
 ) -> tuple[Array, Array, Array]:
     """Over the cameras that count: log-ratios of the limb's cells, how many, how many in full."""
-    frames = forward(skeleton, pose)
-    near = frames.joints_world[limb.bones]
-    reach = (skeleton.lengths[:, None] * skeleton.directions)[limb.bones]
-    far = near + jnp.sum(frames.R_world_bone[limb.bones] * reach[:, None], -1)
-    sums = jax.vmap(_explained, (0, None, None, None, None, 0, 0))(
-        cameras, near, far, jnp.asarray(limb.radii), skeleton.lengths[limb.bones],
-        jnp.asarray(evidence.gains), Region(*map(jnp.asarray, evidence.region)),
-    )  # fmt: skip
+    gains, radii = jnp.asarray(evidence.gains), jnp.asarray(limb.radii)
+    region, looks = jax.tree.map(jnp.asarray, (evidence.region, evidence.looks))
+    each = None if looks is None else Looks(0, 0, 0, None)  # type: ignore[arg-type]
+    sums = jax.vmap(_explained, (0, None, None, None, None, 0, 0, each))(
+        cameras, near, far, radii, skeleton.lengths[limb.bones], gains, region, looks
+    )
     used = jnp.asarray(evidence.used)
     gained, seen, full = (jnp.sum(jnp.where(used, part, 0.0)) for part in sums)
     return gained, seen, full
@@ -179,30 +148,62 @@ def _summed(
 
 def _explained(
     camera: Camera, near: Array, far: Array, radii: Array, lengths: Array, gains: Array,
-    region: Region,
+    region: Region, looks: Looks | None,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Of one camera: the sum of log-ratios over the limb's cells, how many, how many in full."""
-    depth = camera.T_cam_world[2, :3] @ near[0] + camera.T_cam_world[2, 3]
-    cells = camera.matrix[0, 0] / jnp.maximum(depth, 0.3) / region.scale
-    ends = [(project(camera, end) - region.origin) / region.scale - 0.5 for end in (near, far)]
-    way = ends[1] - ends[0]
+    depths = depths_of(camera, near), depths_of(camera, far)
+    cells = camera.matrix[0, 0] / jnp.maximum(depths[0][0], 0.3) / region.scale
+    starts, stops = ((project(camera, end) - region.origin) / region.scale - 0.5
+                     for end in (near, far))  # fmt: skip
+    way = stops - starts
     length = jnp.sqrt(jnp.sum(way**2, -1) + 1e-6)
     aside = jnp.stack([-way[:, 1], way[:, 0]], -1) / length[:, None]
     along, across = (jnp.asarray(part, way.dtype) for part in (ALONG, ACROSS))
     x, y = (
-        ends[0][:, None, None, k] + along[:, None] * way[:, None, None, k]
+        starts[:, None, None, k] + along[:, None] * way[:, None, None, k]
         + across * (cells * radii)[:, None, None] * aside[:, None, None, k]
         for k in (0, 1)
     )  # fmt: skip
     edge = gains.shape[0] - 1.0
     within = (x >= 0) & (x <= edge) & (y >= 0) & (y <= edge)
     # A forearm laid over its upper arm explains nothing more than that does.
-    fresh = within & ~_on_earlier(jnp.stack([x, y], -1), ends[0], way, cells * radii)
-    there = jnp.where(fresh, look_up(gains[None], jnp.zeros((), jnp.int32), x, y), 0.0)
+    fresh = within & ~_on_earlier(jnp.stack([x, y], -1), starts, way, cells * radii)
+    there = look_up(gains[None], jnp.zeros((), jnp.int32), x, y)
+    if looks is not None:
+        deep = depths[0][:, None] + along * (depths[1] - depths[0])[:, None] - radii[:, None] / 2
+        there = _by_hue(there, x, y, deep, looks)
+    there = jnp.where(fresh, there, 0.0)
     width = 2 * cells * radii
     gained = jnp.sum(jnp.mean(there, (1, 2)) * length * width)
     seen = jnp.sum(jnp.mean(fresh.astype(x.dtype), (1, 2)) * length * width)
     return gained, seen, jnp.sum(cells * lengths * width)
+
+
+def depths_of(camera: Camera, points: Array) -> Array:
+    """(...,) metres of points (..., 3) in the world."""
+    ahead = camera.T_cam_world[2]
+    return (
+        points[..., 0] * ahead[0] + points[..., 1] * ahead[1] + points[..., 2] * ahead[2] + ahead[3]
+    )
+
+
+def _by_hue(gains: Array, x: Array, y: Array, depths: Array, looks: Looks) -> Array:
+    """Log-ratios (B, A, W) of cells, by their hues too, for a limb whose places (B, A) lie so deep.
+
+    Before the rest of the body it is that or the limb. Beside it, what has another hue is no sign
+    of the limb, though it may hide it.
+    """
+    edge = looks.depth.shape[0] - 1
+    row, column = (jnp.clip(jnp.rint(part), 0, edge).astype(jnp.int32) for part in (y, x))
+    hue, rest, behind = looks.hues[row, column], looks.rest[row, column], looks.depth[row, column]
+    limb = looks.limb[:, :, None]
+    told = (limb[..., 0] >= 0) & jnp.isfinite(hue[..., 0])
+    off = jnp.sum((jnp.nan_to_num(hue) - limb) ** 2, -1) / (2 * SPREAD**2)
+    off = jnp.where(told, jnp.minimum(off, FARTHEST), 0.0)
+    before = told & (rest > 0) & (depths[..., None] < behind)
+    either = jnp.where(before, jnp.clip(rest - off, -HUE, HUE), 0.0)
+    alone = jnp.where(gains > 0, jnp.maximum(gains - off, 0.0), gains)
+    return jnp.where(jnp.isfinite(behind), either, alone)
 
 
 def _on_earlier(points: Array, starts: Array, ways: Array, radii: Array) -> Array:

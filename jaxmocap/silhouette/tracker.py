@@ -29,8 +29,9 @@ from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.background import Background
 from jaxmocap.images.glances import Glances
 from jaxmocap.silhouette.correspond import Matches, matched
-from jaxmocap.silhouette.doubt import BETTER, Doubter, Doubts, carriers, freed
+from jaxmocap.silhouette.doubt import BETTER, Doubter, Doubts, freed
 from jaxmocap.silhouette.edges import edge_pairs, joined
+from jaxmocap.silhouette.limbs import carriers
 from jaxmocap.silhouette.looking import Outlines, look
 from jaxmocap.silhouette.markers import MarkerRows, points_at
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, standard_deviations
@@ -294,16 +295,18 @@ class SilhouetteTracker:
         if better is not None:
             joints = doubter.joints_of(better.limbs)
             wide = freed(beforehand, joints, s.expected)
+            before, least = fitted, BETTER
             for pose in better.poses:
                 again = self._fitted(shown, pose, wide)
-                before, after = (
+                sights = [
                     doubter.sight(
                         each.result.pose, again.outlines, again.used, shown.images, self.rooms
                     )
-                    for each in (fitted, again)
-                )
-                if doubter.gain(better.limbs, after) > doubter.gain(better.limbs, before) + BETTER:
-                    fitted, moved, sight = again, joints, after
+                    for each in (before, again)
+                ]
+                old, new = (doubter.gain(better.limbs, each, doubts.known) for each in sights)
+                if new - old > least:
+                    least, fitted, moved, sight = new - old, again, joints, sights[1]
         hidden, doubts = doubter.hidden(doubts, sight, shown.images)
         return fitted, moved, hidden, doubts
 

@@ -1,0 +1,139 @@
+"""An arm of which no silhouette tells: its hue does, and that it cannot be within the trunk."""
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_rim import BODY, ring
+from test_silhouette_tracker import SMALL, WALL
+
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.loft import generic_surface
+from jaxmocap.body.pose import Pose, relaxed_pose, retract
+from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.surface import posed
+from jaxmocap.images.background import Background
+from jaxmocap.images.hues import BodyHues
+from jaxmocap.silhouette.limbs import carriers, ends, limbs_of
+from jaxmocap.silhouette.looking import look
+from jaxmocap.silhouette.segment import Plan, Stage
+from jaxmocap.silhouette.sight import seen_at
+from jaxmocap.silhouette.solid import Parts, rings, within
+from jaxmocap.silhouette.start import landmark_points
+from jaxmocap.silhouette.tracker import SilhouetteTracker, State
+
+pytestmark = pytest.mark.usefixtures("plainly_compiled")
+WRIST = list(LANDMARKS).index("wrist_l")
+SHIRT, SKIN = (120, 50, 30), (80, 110, 170)
+
+
+def standing(**degrees: float) -> Pose:
+    """Facing the first camera, which sees nothing but hands of arms stretched towards it."""
+    step = np.zeros(BODY.costs.shape, np.float32)
+    step[5] = 0.4
+    pose = retract(relaxed_pose(BODY), jnp.asarray(step))
+    angles = np.array(pose.angles)
+    for name, angle in degrees.items():
+        angles[BODY.tree.joint(name)] = np.radians(angle)
+    return pose._replace(angles=jnp.asarray(angles))
+
+
+HANGING = standing()
+AHEAD = standing(arm_flex_l=90, arm_flex_r=90, arm_abduct_l=0, arm_abduct_r=0)
+LOST = standing(arm_flex_r=90, arm_abduct_r=0, arm_flex_l=0, elbow_flex_l=0)
+SIDES = np.array([False, True, False, True])
+
+
+@pytest.fixture(scope="module")
+def tracker() -> SilhouetteTracker:
+    made = SilhouetteTracker(BODY, ring(4), SMALL)
+    made.plan = Plan(room=False, stages=(Stage(10, 2.0, 2.0, gap=1.0),))
+    width, height = np.asarray(made.cameras.size[0], int)
+    flat, plain = np.ones((height, width), np.float32), np.ones((height, width, 3), np.float32)
+    made.rooms = 4 * [Background(plain * np.float32(WALL), 5 * flat, flat)]
+    return made
+
+
+def dressed(tracker: SilhouetteTracker, pose: Pose) -> list[np.ndarray]:
+    """The body painted point by point, the farthest first; forearms and hands are bare."""
+    points = tracker.finder.surface.points
+    bare = [BODY.tree.bone(f"{bone}_{side}") for bone in ("radius", "hand") for side in "lr"]
+    skin = np.isin(carriers(points), bare)
+    images = []
+    for pixels, depths in zip(*seen_at(BODY, pose, tracker.cameras, points), strict=True):
+        image = np.full((480, 640, 3), WALL, np.uint8)
+        places = np.rint(np.asarray(pixels)).astype(int)
+        for i in np.argsort(-np.asarray(depths)):
+            cv2.circle(image, places[i].tolist(), 2, SKIN if skin[i] else SHIRT, -1)
+        images.append(image)
+    return images
+
+
+def off(poses) -> float:
+    """Metres from the nearest of some left wrists to the true one."""
+    true = np.asarray(landmark_points(BODY, AHEAD))[WRIST]
+    found = [np.asarray(landmark_points(BODY, pose))[WRIST] for pose in poses]
+    return float(np.linalg.norm(np.array(found) - true, axis=1).min())
+
+
+@pytest.fixture(scope="module")
+def state(tracker) -> State:
+    """After some frames that show which hues the body has."""
+    state, hanging = tracker.init(HANGING), dressed(tracker, HANGING)
+    for _ in range(2):
+        state, _, _ = tracker.step(state, 0.0, hanging)
+        state = state._replace(time=None)
+    return state
+
+
+def test_an_arm_that_no_silhouette_misses_is_missed_by_its_hue(tracker, state):
+    doubts, doubter, images = state.doubts, tracker._doubter, dressed(tracker, AHEAD)
+    rim = tracker.finder.find(BODY, LOST, tracker.cameras)
+    seen = look(images, tracker.rooms, rim, state.histograms, SMALL, tracker.plan)
+    left = doubter.names.index("arm_l")
+    # From both sides one arm is before the other, and the lost one before or behind the trunk.
+    aside = doubter.sight(LOST, seen, SIDES, images, tracker.rooms)
+    better, after = doubter.better(doubts, aside, SMALL.search)
+    assert after.denied[left] and better is not None and better.limbs == (left,)
+    assert off(better.poses) < 0.5 < 0.8 < off([LOST])
+    unknown = doubts._replace(known=BodyHues.none(len(doubts.known.age)))
+    better, after = doubter.better(unknown, aside, SMALL.search)
+    assert better is None and not after.denied.any()
+    # From ahead it would be seen before the wall.
+    every = doubter.sight(LOST, seen, np.ones(4, bool), images, tracker.rooms)
+    assert doubter.better(unknown, every, SMALL.search)[1].denied[left]
+
+
+@pytest.mark.parametrize("box", [False, True])
+def test_an_arm_that_is_seen_or_behind_a_box_is_not_in_doubt(tracker, state, box):
+    doubter, images = tracker._doubter, dressed(tracker, AHEAD)
+    points = tracker.finder.surface.points
+    forearm = np.isin(carriers(points), [BODY.tree.bone("radius_l"), BODY.tree.bone("hand_l")])
+    for image, pixels in zip(
+        images if box else (), seen_at(BODY, AHEAD, tracker.cameras, points)[0], strict=False
+    ):
+        at = np.asarray(pixels)[forearm]
+        low, high = at.min(0).astype(int) - 5, at.max(0).astype(int) + 5
+        image[low[1] : high[1], low[0] : high[0]] = 90
+    rim = tracker.finder.find(BODY, AHEAD, tracker.cameras)
+    seen = look(images, tracker.rooms, rim, state.histograms, SMALL, tracker.plan)
+    true = doubter.sight(AHEAD, seen, np.ones(4, bool), images, tracker.rooms)
+    assert not doubter.better(state.doubts, true, SMALL.search)[1].denied.any()
+
+
+@pytest.mark.parametrize(
+    ("pose", "low", "high"),
+    [(HANGING, 0, 0.02), (AHEAD, 0, 0), (standing(arm_abduct_l=-35, elbow_flex_l=20), 0.3, 1)],
+)
+def test_an_arm_can_touch_the_trunk_and_not_be_within_it(pose, low, high):
+    surface = generic_surface(BODY)
+    limb = limbs_of(BODY, surface)["arm_l"]
+    around = rings(surface, "arm_l")
+
+    @jax.jit
+    def share(pose: Pose):
+        others = Parts.of(posed(forward(BODY, pose), around))
+        return within(*ends(BODY, pose, limb), jnp.asarray(limb.radii), others)
+
+    assert low <= float(share(pose)) <= high
