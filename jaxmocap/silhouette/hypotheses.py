@@ -195,7 +195,10 @@ def _by_hue(gains: Array, x: Array, y: Array, depths: Array, looks: Looks) -> Ar
     """
     edge = looks.depth.shape[0] - 1
     row, column = (jnp.clip(jnp.rint(part), 0, edge).astype(jnp.int32) for part in (y, x))
-    hue, rest, behind = looks.hues[row, column], looks.rest[row, column], looks.depth[row, column]
+    # One look-up of all is faster than one of each.
+    whole = jnp.concatenate([looks.hues, looks.rest[..., None], looks.depth[..., None]], -1)
+    there = whole[row, column]
+    hue, rest, behind = there[..., :3], there[..., 3], there[..., 4]
     limb = looks.limb[:, :, None]
     told = (limb[..., 0] >= 0) & jnp.isfinite(hue[..., 0])
     off = jnp.sum((jnp.nan_to_num(hue) - limb) ** 2, -1) / (2 * SPREAD**2)
