@@ -197,12 +197,10 @@ def silhouette_track(options: argparse.Namespace) -> None:
     from jaxmocap.run.compilation import keep_compiled
     from jaxmocap.run.silhouette import follow
     from jaxmocap.run.silhouette_person import modelled
-    from jaxmocap.run.silhouette_start import start_pose
+    from jaxmocap.run.silhouette_start import settings_for, start_pose
     from jaxmocap.run.silhouette_writing import write_followed
     from jaxmocap.run.summary import figures, summary
     from jaxmocap.run.writing import check_folder
-    from jaxmocap.silhouette.morph import Morphing, shoulders
-    from jaxmocap.silhouette.settings import FAR_OFF, Settings
 
     keep_compiled()
     recording = load_recording(options.recording)
@@ -213,11 +211,7 @@ def silhouette_track(options: argparse.Namespace) -> None:
     start = start_pose(recording, options.at)
     asked = {name: getattr(options, name) for name in ("passes", "markers", "lengths")}
     asked["surface"] = person and person.surface
-    asked["settings"] = Settings(
-        # Who says by hand where somebody stands says it roughly.
-        starting=FAR_OFF if options.at else (),
-        morphing=shoulders() if options.shoulders else Morphing(),
-    )
+    asked["settings"] = settings_for(options.at is not None, options.shoulders)
     followed = follow(recording, start, **asked, progress=True)
     files = write_followed(followed, recording, options.out, True, person)
     _report(options, summary(followed.motion, files), figures(followed.motion))

@@ -1,6 +1,6 @@
-"""Where a person is as silhouettes begin: by the markers' first samples, or as somebody says.
+"""How silhouettes begin: where a person is, by the markers' first samples or as somebody says.
 
-INPUTS: a Recording; a place. OUTPUTS: a Pose of the whole body.
+INPUTS: a Recording; a place; what is asked for. OUTPUTS: a Pose of the whole body; Settings.
 """
 
 import numpy as np
@@ -9,14 +9,23 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.recording import Recording
 from jaxmocap.geometry.cameras import project, to_camera
-from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.settings import Settings as Hybrid
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.run.recording import marker_sites
 from jaxmocap.run.silhouette import whole_body
+from jaxmocap.silhouette.morph import Morphing, shoulders
+from jaxmocap.silhouette.settings import FAR_OFF, Settings
 from jaxmocap.silhouette.start import landmark_points, pose_at, standing_pose
 
 # Solves of one and the same sample, until it rests.
 SOLVES = 5
+
+
+def settings_for(by_hand: bool, go_along: bool) -> Settings:
+    """Of the tracker, where the first pose was said by hand, and shoulders go along with arms."""
+    # Who says by hand where somebody stands says it roughly.
+    starting = FAR_OFF if by_hand else ()
+    return Settings(starting=starting, morphing=shoulders() if go_along else Morphing())
 
 
 def start_pose(recording: Recording, at: tuple[float, float, float] | None = None) -> Pose:
@@ -64,7 +73,7 @@ def _by_markers(recording: Recording) -> Pose:
     first = recording.positions_world[int(np.argmax(seen))]
     skeleton = recording.skeleton
     sites = marker_sites(skeleton, recording.places)
-    tracker = HybridTracker(skeleton, None, Settings(), sites)
+    tracker = HybridTracker(skeleton, None, Hybrid(), sites)
     state = tracker.init(first)
     for _ in range(SOLVES):
         state = tracker.step(state, 0.0, first)[0]
