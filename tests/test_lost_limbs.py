@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import combinations
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +20,7 @@ from jaxmocap.images.coverage import covered
 from jaxmocap.images.glances import Glances
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.appearance import YOUNG, Appearance
+from jaxmocap.silhouette.doubt import Better
 from jaxmocap.silhouette.hypotheses import (
     APART,
     KEPT,
@@ -29,6 +31,7 @@ from jaxmocap.silhouette.hypotheses import (
 )
 from jaxmocap.silhouette.limbs import carriers, limbs_of
 from jaxmocap.silhouette.segment import Plan, Stage
+from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.sight import seen_at
 from jaxmocap.silhouette.start import landmark_points
 from jaxmocap.silhouette.tracker import SilhouetteTracker
@@ -77,6 +80,36 @@ def wrist_off(tracker, count: int) -> float:
 def test_an_arm_that_one_hypothesis_loses_many_find_again(tracker):
     assert wrist_off(tracker, 1) > 0.4
     assert wrist_off(tracker, 128) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("gains", "taken"),
+    [({"first": 0.4, "best": 0.9, "last": 0.6}, "best"), ({"first": 0.1, "last": 0.14}, "found")],
+)
+def test_of_several_better_poses_the_best_is_taken_or_none(gains, taken):
+    """Each is fitted and held against what was found, not against the one before it."""
+    told = {"found": 0.0, **gains}
+    chooser = SilhouetteTracker.__new__(SilhouetteTracker)
+    chooser.settings, chooser.rooms = Settings(), [WALL]  # type: ignore[list-item]
+
+    def ended(pose: str, *_):
+        result = SimpleNamespace(pose=pose)
+        return SimpleNamespace(result=result, used=np.ones(1, bool), outlines=None)
+
+    chooser._fitted = lambda shown, pose, _: ended(pose)
+    chooser._doubter = SimpleNamespace(
+        joints_of=lambda limbs: np.full(4, bool(limbs)),
+        sight=lambda pose, *_: pose,
+        better=lambda doubts, *_: (Better(tuple(gains), (0,)), doubts),
+        gain=lambda limbs, sight, known: told[sight],
+        hidden=lambda doubts, sight, images: (np.zeros(4, bool), sight),
+    )
+    nothing = SimpleNamespace(images=[], known=None)
+    found, moved, _, looked_at = chooser._reconsidered(
+        nothing, nothing, ended("found"), np.ones(ROOT_DOF + 4)
+    )
+    assert found.result.pose == looked_at == taken
+    assert moved.all() == (taken != "found")
 
 
 def test_a_forearm_laid_over_its_upper_arm_explains_nothing_twice(tracker):
