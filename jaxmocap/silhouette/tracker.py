@@ -6,8 +6,8 @@
     fit       rim -> contour, twist equations of all cameras in one system (3.2); again with the
               rim of the pose that was found, and a narrower view of what is an outlier; in the
               first frame begun with the surface's low-pass, coarse to fine
-    doubt     person that no limb explains: many hypotheses of a limb, the best is fitted again;
-              parts that look otherwise than before are not seen
+    doubt     person that no limb explains, or a limb that is not there: many hypotheses, the best
+              is fitted again; parts that look otherwise than before are not seen
 
 Cameras that show nothing of the person, or what the others deny, are left out frame by frame;
 joints that no camera tells of stay where they are expected, and the report says so.
