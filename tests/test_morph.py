@@ -198,11 +198,9 @@ def test_one_person_becomes_another():
 @pytest.mark.parametrize("weighting", m.WEIGHTINGS)
 def test_a_body_goes_over_into_another_as_equation_4_26_says(weighting):
     """Steered by an elbow's angle of 0 to 1 radian, node by node as ``between`` has it."""
-    stouter = generic_surface(BODY, 1.3)
-    steer = m.Steer(("elbow_flex_l",), weighting)
-    morph = s.morphed(
-        m.Morphing(transitions=(m.Transition(steer, stouter),)), TREE, SURFACE, JOINTS
-    )
+    stouter = s.corresponding(generic_surface(BODY, 1.3), JOINTS, SURFACE)
+    over = m.Transition(m.Steer(("elbow_flex_l",), weighting), stouter)
+    morph = s.morphed(m.Morphing(transitions=(over,)), TREE, SURFACE, JOINTS)
     for t in (0.0, 0.3, 1.0):
         at = np.zeros(len(LOW))
         at[TREE.joint("elbow_flex_l")] = t
