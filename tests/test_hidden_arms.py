@@ -5,7 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_rim import BODY, ring
+from test_lost_limbs import in_known_rooms
+from test_rim import BODY
 from test_silhouette_tracker import SMALL, WALL
 
 from jaxmocap.body.kinematics import forward
@@ -13,11 +14,9 @@ from jaxmocap.body.loft import generic_surface
 from jaxmocap.body.pose import Pose, relaxed_pose, retract
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.surface import posed
-from jaxmocap.images.background import Background
 from jaxmocap.images.hues import BodyHues
 from jaxmocap.silhouette.limbs import carriers, ends, limbs_of
 from jaxmocap.silhouette.looking import look
-from jaxmocap.silhouette.segment import Plan, Stage
 from jaxmocap.silhouette.sight import seen_at
 from jaxmocap.silhouette.solid import Parts, rings, within
 from jaxmocap.silhouette.start import landmark_points
@@ -47,12 +46,7 @@ SIDES = np.array([False, True, False, True])
 
 @pytest.fixture(scope="module")
 def tracker() -> SilhouetteTracker:
-    made = SilhouetteTracker(BODY, ring(4), SMALL)
-    made.plan = Plan(room=False, stages=(Stage(10, 2.0, 2.0, gap=1.0),))
-    width, height = np.asarray(made.cameras.size[0], int)
-    flat, plain = np.ones((height, width), np.float32), np.ones((height, width, 3), np.float32)
-    made.rooms = 4 * [Background(plain * np.float32(WALL), 5 * flat, flat)]
-    return made
+    return in_known_rooms()
 
 
 def dressed(tracker: SilhouetteTracker, pose: Pose) -> list[np.ndarray]:

@@ -55,14 +55,19 @@ def bent(degrees: float):
     return pose._replace(angles=pose.angles.at[joint].set(np.radians(degrees)))
 
 
-@pytest.fixture(scope="module")
-def tracker() -> SilhouetteTracker:
+def in_known_rooms() -> SilhouetteTracker:
+    """Of four cameras, whose rooms are known to be of one plain colour."""
     made = SilhouetteTracker(BODY, ring(4), SMALL)
     made.plan = Plan(room=False, stages=(Stage(10, 2.0, 2.0, gap=1.0),))
     width, height = np.asarray(made.cameras.size[0], int)
     flat, plain = np.ones((height, width), np.float32), np.ones((height, width, 3), np.float32)
     made.rooms = 4 * [Background(plain * np.float32(WALL), 5 * flat, flat)]
     return made
+
+
+@pytest.fixture(scope="module")
+def tracker() -> SilhouetteTracker:
+    return in_known_rooms()
 
 
 def wrist_off(tracker, count: int) -> float:

@@ -165,9 +165,9 @@ def _explained(
         for k in (0, 1)
     )  # fmt: skip
     edge = gains.shape[0] - 1.0
-    within = (x >= 0) & (x <= edge) & (y >= 0) & (y <= edge)
+    on_canvas = (x >= 0) & (x <= edge) & (y >= 0) & (y <= edge)
     # A forearm laid over its upper arm explains nothing more than that does.
-    fresh = within & ~_on_earlier(jnp.stack([x, y], -1), starts, way, cells * radii)
+    fresh = on_canvas & ~_on_earlier(jnp.stack([x, y], -1), starts, way, cells * radii)
     there = look_up(gains[None], jnp.zeros((), jnp.int32), x, y)
     if looks is not None:
         deep = depths[0][:, None] + along * (depths[1] - depths[0])[:, None] - radii[:, None] / 2
