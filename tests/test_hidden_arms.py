@@ -15,16 +15,20 @@ from jaxmocap.body.pose import Pose, relaxed_pose, retract
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.surface import posed
 from jaxmocap.images.hues import BodyHues
-from jaxmocap.silhouette.limbs import carriers, ends, limbs_of
+from jaxmocap.silhouette.hypotheses import explained
+from jaxmocap.silhouette.limbs import carriers, ends, halves_of, limbs_of
 from jaxmocap.silhouette.looking import look
-from jaxmocap.silhouette.sight import seen_at
+from jaxmocap.silhouette.sight import Sight, seen_at
 from jaxmocap.silhouette.solid import Parts, rings, within
 from jaxmocap.silhouette.start import landmark_points
 from jaxmocap.silhouette.tracker import SilhouetteTracker, State
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
+EXPLAINED = jax.jit(explained)
 WRIST = list(LANDMARKS).index("wrist_l")
 SHIRT, SKIN = (120, 50, 30), (80, 110, 170)
+# Of a hue more like skin than like the shirt, and not that of skin.
+NEITHER = (108, 117, 135)
 
 
 def standing(**degrees: float) -> Pose:
@@ -41,6 +45,8 @@ def standing(**degrees: float) -> Pose:
 HANGING = standing()
 AHEAD = standing(arm_flex_l=90, arm_flex_r=90, arm_abduct_l=0, arm_abduct_r=0)
 LOST = standing(arm_flex_r=90, arm_abduct_r=0, arm_flex_l=0, elbow_flex_l=0)
+ASIDE = standing(arm_abduct_l=90)
+CROSSED = standing(arm_flex_l=35, arm_abduct_l=0, arm_rot_l=70, elbow_flex_l=100)
 SIDES = np.array([False, True, False, True])
 
 
@@ -114,6 +120,39 @@ def test_an_arm_that_is_seen_or_behind_a_box_is_not_in_doubt(tracker, state, box
     seen = look(images, tracker.rooms, rim, state.histograms, SMALL, tracker.plan)
     true = doubter.sight(AHEAD, seen, np.ones(4, bool), images, tracker.rooms)
     assert not doubter.better(state.doubts, true, SMALL.search)[1].denied.any()
+
+
+def sight_of(tracker, state, pose: Pose, images) -> Sight:
+    """A pose laid over what all cameras show."""
+    rim = tracker.finder.find(BODY, pose, tracker.cameras)
+    seen = look(images, tracker.rooms, rim, state.histograms, SMALL, tracker.plan)
+    return tracker._doubter.sight(pose, seen, np.ones(4, bool), images, tracker.rooms)
+
+
+def test_an_arm_that_was_learned_as_room_is_not_better_off_unseen(tracker, state):
+    doubter = tracker._doubter
+    left = doubter.names.index("arm_l")
+    sight = sight_of(tracker, state, ASIDE, dressed(tracker, ASIDE))
+    arms = sight.covered(np.any(doubter.nodes[:4], 0))
+    room = sight._replace(ratios=np.where(arms, np.float32(-2), sight.ratios))
+    better, after = doubter.better(state.doubts, room, SMALL.search)
+    assert after.denied[left] and better is None
+
+
+@pytest.mark.parametrize(("colour", "low", "high"), [(SKIN, 1.0, 2.5), (NEITHER, -0.1, 0.3)])
+def test_what_lies_before_the_trunk_is_the_arm_only_in_its_hue(tracker, state, colour, low, high):
+    doubter, images = tracker._doubter, dressed(tracker, HANGING)
+    points = tracker.finder.surface.points
+    forearm = np.isin(carriers(points), [BODY.tree.bone("radius_l"), BODY.tree.bone("hand_l")])
+    pixels, _ = seen_at(BODY, CROSSED, tracker.cameras, points)
+    for image, at in zip(images, np.asarray(pixels)[:, forearm], strict=True):
+        for place in np.rint(at).astype(int):
+            cv2.circle(image, place.tolist(), 4, colour, -1)
+    sight = sight_of(tracker, state, HANGING, images)._replace(used=np.arange(4) == 0)
+    left = doubter.names.index("arm_l")
+    evidence = doubter._left_for(left, sight, state.doubts.known)
+    below = halves_of(doubter.limbs[left])[1]
+    assert low < float(EXPLAINED(BODY, tracker.cameras, CROSSED, below, evidence)) < high
 
 
 @pytest.mark.parametrize(

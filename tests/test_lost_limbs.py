@@ -106,7 +106,7 @@ def test_of_several_better_poses_the_best_is_taken_or_none(gains, taken):
         joints_of=lambda limbs: np.full(4, bool(limbs)),
         sight=lambda pose, *_: pose,
         better=lambda doubts, *_: (Better(tuple(gains), (0,)), doubts),
-        gain=lambda limbs, sight, known: told[sight],
+        gain=lambda limbs, before, after, known: told[after] - told[before],
         hidden=lambda doubts, sight, images: (np.zeros(4, bool), sight),
     )
     nothing = SimpleNamespace(images=[], known=None)

@@ -9,12 +9,13 @@ INPUTS: a pose that was found, and what was segmented. OUTPUTS: parts that are n
 are thought to be; a better pose to fit from, if there is one; what to remember.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
@@ -39,7 +40,7 @@ LENIENT = 0.7
 DENIED = 0.0
 # Frames to wait after a search that found nothing, at most; twice as long each time.
 LONGEST = 2
-_explained = jax.jit(hypotheses.explained)
+_explained, _upheld = jax.jit(hypotheses.explained), jax.jit(hypotheses.upheld)
 _likenesses = jax.jit(
     jax.vmap(hypotheses.likeness, (None, None, None, Limb(0, None, 0), None))  # type: ignore[arg-type]
 )
@@ -197,17 +198,19 @@ class Doubter:
             self.skeleton, self.cameras, pose, limb, evidence, jnp.asarray(old), key, how
         )
 
-    def gain(self, limbs: tuple[int, ...], sight: Sight, known: BodyHues) -> float:
-        """What some limbs of a pose explain of what is seen, together."""
+    def gain(self, limbs: tuple[int, ...], before: Sight, after: Sight, known: BodyHues) -> float:
+        """What some limbs explain more, together, in one pose than they did in another."""
         return sum(
-            self._explains(number, self._left_for(number, sight, known), sight.pose)
+            self._explains(number, self._left_for(number, after, known), after.pose)
+            - self._explains(number, self._left_for(number, before, known), before.pose, _upheld)
             for number in limbs
         )
 
-    def _explains(self, number: int, evidence: Evidence, pose: Pose) -> float:
+    def _explains(
+        self, number: int, evidence: Evidence, pose: Pose, how: Callable[..., Array] = _explained
+    ) -> float:
         """What one limb of a pose explains of what is left for it."""
-        limb = self.limbs[number]
-        return float(_explained(self.skeleton, self.cameras, pose, limb, evidence))
+        return float(how(self.skeleton, self.cameras, pose, self.limbs[number], evidence))
 
     def joints_of(self, limbs: tuple[int, ...]) -> np.ndarray:
         """(D,) bool: the joints of some limbs."""

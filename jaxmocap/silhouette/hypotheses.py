@@ -35,6 +35,9 @@ from jaxmocap.silhouette.solid import Parts, within
 KEPT, APART = 3, 0.5
 # Log-ratio of what surely has the limb's hue and not that of the rest of the body.
 HUE = 2.5
+# Half the squared deviations from the limb's hue beyond which any hue is likelier: about the log
+# of a hue's density at its mean, SPREAD about it, by one that is the same everywhere.
+THIRD = 4.0
 # What it costs to lie wholly within other parts of the body, as a log-ratio.
 IMPOSSIBLE = 1.0
 # Where a bone is looked at: along it, and across it in its radii.
@@ -99,7 +102,7 @@ class Found(NamedTuple):
         particles: (P, K) angles, for the next frame.
         best: (H, K) angles of the best, and of the best that are elsewhere than those before them.
         gains: (H,) what they explain: the mean log-ratio where the limb would be seen.
-        before: () the same of the pose given.
+        before: () what they must explain more than, see ``upheld``.
     """
 
     particles: Array
@@ -121,6 +124,18 @@ def explained(
     if evidence.others is not None:
         value -= IMPOSSIBLE * within(near, far, jnp.asarray(limb.radii), evidence.others)
     return value
+
+
+def upheld(
+    skeleton: Skeleton, cameras: Camera, pose: Pose, limb: Limb, evidence: Evidence
+) -> Array:
+    """() what another place must explain more than: ``explained``, but no room denies the limb.
+
+    What is taken for room may be a limb that was learned as such; and would else be better off
+    wherever nothing is seen of it.
+    """
+    person = jnp.maximum(jnp.asarray(evidence.gains), 0.0)
+    return explained(skeleton, cameras, pose, limb, evidence._replace(gains=person))
 
 
 def likeness(
@@ -190,8 +205,8 @@ def depths_of(camera: Camera, points: Array) -> Array:
 def _by_hue(gains: Array, x: Array, y: Array, depths: Array, looks: Looks) -> Array:
     """Log-ratios (B, A, W) of cells, by their hues too, for a limb whose places (B, A) lie so deep.
 
-    Before the rest of the body it is that or the limb. Beside it, what has another hue is no sign
-    of the limb, though it may hide it.
+    Before the rest of the body the hue tells that from the limb. What has another hue than the limb
+    is no sign of it, though it may hide it: a third thing may be there.
     """
     edge = looks.depth.shape[0] - 1
     row, column = (jnp.clip(jnp.rint(part), 0, edge).astype(jnp.int32) for part in (y, x))
@@ -204,7 +219,8 @@ def _by_hue(gains: Array, x: Array, y: Array, depths: Array, looks: Looks) -> Ar
     off = jnp.sum((jnp.nan_to_num(hue) - limb) ** 2, -1) / (2 * SPREAD**2)
     off = jnp.where(told, jnp.minimum(off, FARTHEST), 0.0)
     before = told & (rest > 0) & (depths[..., None] < behind)
-    either = jnp.where(before, jnp.clip(rest - off, -HUE, HUE), 0.0)
+    own = jnp.clip(THIRD - off, 0.0, HUE)
+    either = jnp.where(before, jnp.clip(rest - off, -HUE, own), 0.0)
     alone = jnp.where(gains > 0, jnp.maximum(gains - off, 0.0), gains)
     return jnp.where(jnp.isfinite(behind), either, alone)
 
@@ -276,7 +292,8 @@ def search(
     )
     angles, gains, worth = (jnp.concatenate(part) for part in (angles, gains, worth))
     best = distinct(angles, worth)
-    return Found(left, angles[best], gains[best], value(here))
+    before = upheld(skeleton, cameras, pose, limb, evidence)
+    return Found(left, angles[best], gains[best], before)
 
 
 def distinct(angles: Array, worth: Array) -> Array:

@@ -298,15 +298,15 @@ class SilhouetteTracker:
             before, least = fitted, BETTER
             for pose in better.poses:
                 again = self._fitted(shown, pose, wide)
-                sights = [
+                old, new = (
                     doubter.sight(
                         each.result.pose, again.outlines, again.used, shown.images, self.rooms
                     )
                     for each in (before, again)
-                ]
-                old, new = (doubter.gain(better.limbs, each, doubts.known) for each in sights)
-                if new - old > least:
-                    least, fitted, moved, sight = new - old, again, joints, sights[1]
+                )
+                more = doubter.gain(better.limbs, old, new, doubts.known)
+                if more > least:
+                    least, fitted, moved, sight = more, again, joints, new
         hidden, doubts = doubter.hidden(doubts, sight, shown.images)
         return fitted, moved, hidden, doubts
 
