@@ -150,7 +150,7 @@ def test_what_lies_before_the_trunk_is_the_arm_only_in_its_hue(tracker, state, c
             cv2.circle(image, place.tolist(), 4, colour, -1)
     sight = sight_of(tracker, state, HANGING, images)._replace(used=np.arange(4) == 0)
     left = doubter.names.index("arm_l")
-    evidence = doubter._left_for(left, sight, state.doubts.known)
+    evidence = doubter._left_for(left, sight, state.doubts.known, doubter._nearest(sight))
     below = halves_of(doubter.limbs[left])[1]
     assert low < float(EXPLAINED(BODY, tracker.cameras, CROSSED, below, evidence)) < high
 

@@ -111,10 +111,11 @@ class Places(NamedTuple):
             told = on & (known.age > 0)
             sums = _sums(cells[told], known.hues[told], self.size**2 + 1)[:-1]
             sums = cv2.blur(sums.reshape(self.size, self.size, 4), ABOUT)
-            expected = sums[..., :3] / np.maximum(sums[..., 3:], 1e-6)
-            away = np.sum((shown - expected) ** 2, -1) / (2 * SPREAD**2)
-            sure = (sums[..., 3] > 1e-6) & np.isfinite(away)
-            off[sure] = np.minimum(away[sure], FARTHEST)
+            # The body is a small part of the canvas.
+            there = (sums[..., 3] > 1e-6) & np.isfinite(shown[..., 0])
+            expected = sums[there, :3] / sums[there, 3:]
+            away = np.sum((shown[there] - expected) ** 2, -1) / (2 * SPREAD**2)
+            off[there] = np.minimum(away, FARTHEST)
         return found
 
 

@@ -152,7 +152,8 @@ class Doubter:
     ) -> tuple[Better | None, Doubts]:
         """Poses that explain more of what is seen than the one found, if there are any."""
         missing = self._unexplained(sight)
-        evidence = [self._left_for(k, sight, doubts.known) for k in range(len(self.limbs))]
+        depths, known = self._nearest(sight), doubts.known
+        evidence = [self._left_for(k, sight, known, depths) for k in range(len(self.limbs))]
         worth = [self._explains(k, each, sight.pose) for k, each in enumerate(evidence)]
         denied = np.array(worth) < -UNLIKE
         particles, waits, failures = list(doubts.particles), doubts.waits - 1, +doubts.failures
@@ -200,10 +201,11 @@ class Doubter:
 
     def gain(self, limbs: tuple[int, ...], before: Sight, after: Sight, known: BodyHues) -> float:
         """What some limbs explain more, together, in one pose than they did in another."""
+        new, old = self._nearest(after), self._nearest(before)
         return sum(
-            self._explains(number, self._left_for(number, after, known), after.pose)
-            - self._explains(number, self._left_for(number, before, known), before.pose, _upheld)
-            for number in limbs
+            self._explains(k, self._left_for(k, after, known, new), after.pose)
+            - self._explains(k, self._left_for(k, before, known, old), before.pose, _upheld)
+            for k in limbs
         )
 
     def _explains(
@@ -223,10 +225,16 @@ class Doubter:
         """(N,) bool: the points of a limb."""
         return np.any(self.nodes[2 * number : 2 * number + 2], 0)
 
-    def _left_for(self, number: int, sight: Sight, known: BodyHues) -> Evidence:
+    def _nearest(self, sight: Sight) -> np.ndarray:
+        """(L + 1, C, S, S) metres of each limb, and of the rest of the body; infinite beside it."""
+        limbs = [self._on(number) for number in range(len(self.limbs))]
+        parts = [*limbs, ~np.any(limbs, 0)]
+        return np.stack([sight.places.nearest(part) for part in parts])
+
+    def _left_for(self, number: int, sight: Sight, known: BodyHues, depths: np.ndarray) -> Evidence:
         """What is left for a limb to explain: beside the rest of the body, or before it by hue."""
         rest, places = ~self._on(number), sight.places
-        depth = places.nearest(rest)
+        depth = np.delete(depths, number, 0).min(0)
         unlike = places.unlike(sight.hues, known, places.seen(depth) & rest)
         count = len(self.limbs[number].bones)
         hues = known.means(self._along[number], count * len(ALONG))
