@@ -107,7 +107,7 @@ def test_of_several_better_poses_the_best_is_taken_or_none(gains, taken):
         sight=lambda pose, *_: pose,
         better=lambda doubts, *_: (Better(tuple(gains), (0,)), doubts),
         gain=lambda limbs, before, after, known: told[after] - told[before],
-        hidden=lambda doubts, sight, images: (np.zeros(4, bool), sight),
+        hidden=lambda doubts, sight, images, moved: (np.zeros(4, bool), sight),
     )
     nothing = SimpleNamespace(images=[], known=None)
     found, moved, _, looked_at = chooser._reconsidered(

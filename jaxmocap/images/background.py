@@ -58,21 +58,25 @@ def spread(count: int, most: int = MOST_FRAMES) -> np.ndarray:
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
 
 
-def learn_background(frames: np.ndarray, bodies: np.ndarray | None = None) -> Background:
+def learn_background(
+    frames: np.ndarray, bodies: np.ndarray | None = None, share: float = 0.5
+) -> Background:
     """The background of a recording by a camera that stands still.
 
     Args:
         frames: (N, h, w, 3) uint8; of many, ``MOST_FRAMES`` are looked at.
         bodies: (N, h, w) bool, where the person may be, generously; None: nobody was there.
+        share: of what each pixel showed unmasked, that is darker than the background.
 
     Returns:
-        The median of what each pixel showed unmasked, and how far it scatters about it.
+        What lies there in the order of brightness, by default the median, and how far the pixel
+        scatters about it.
     """
     chosen = spread(len(frames))
     frames = frames[chosen]
     free = np.ones(frames.shape[:3], bool) if bodies is None else ~bodies[chosen]
     frames = _equally_exposed(frames, free)
-    colour, noise, seen = _medians(frames, free)
+    colour, noise, seen = _ranked(frames, free, share)
     return Background(colour, *_trusted(noise, seen, KNOWN_SHARE * len(frames)))
 
 
@@ -83,23 +87,25 @@ def _trusted(noise: np.ndarray, seen: np.ndarray, enough: float) -> tuple[np.nda
     return np.clip(noise, LEAST_NOISE, MOST_NOISE).astype(np.float32), known.astype(np.float32)
 
 
-def _medians(frames: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Median colour (h, w, 3), scatter (h, w) and sightings (h, w) of the free pixels."""
+def _ranked(
+    frames: np.ndarray, free: np.ndarray, share: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Colour (h, w, 3) brighter than a share, scatter (h, w), sightings (h, w) of free pixels."""
     colour = np.empty(frames.shape[1:], np.float32)
     noise = np.empty(frames.shape[1:3], np.float32)
     seen = free.sum(0, dtype=np.int32)
     for top in range(0, frames.shape[1], ROWS):
         rows = slice(top, top + ROWS)
         covered = ~free[:, rows, :, None]
-        # Covered pixels sort behind all others: the middle is that of the others.
-        middle = (np.maximum(seen[rows, :, None], 1) - 1) // 2
+        # Covered pixels sort behind all others: the last is that of the others.
+        last = np.maximum(seen[rows, :, None], 1) - 1
         part = np.where(covered, np.uint8(255), frames[:, rows])
-        median = ranked(part, middle)
+        usual = ranked(part, (share * last).astype(last.dtype))
         away = np.where(
-            covered, np.uint8(255), cv2.absdiff(part, np.broadcast_to(median, part.shape))
+            covered, np.uint8(255), cv2.absdiff(part, np.broadcast_to(usual, part.shape))
         )
-        colour[rows] = median
-        noise[rows] = SIGMA_PER_MAD * ranked(away, middle).mean(-1)
+        colour[rows] = usual
+        noise[rows] = SIGMA_PER_MAD * ranked(away, last // 2).mean(-1)
     return colour, np.where(seen > 0, noise, 0), seen
 
 
@@ -131,7 +137,7 @@ def sampled(image: np.ndarray) -> tuple[slice, slice]:
 def _equally_exposed(frames: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Frames brought to the exposure of their median, as far as they show it."""
     few, open_ = frames[:, *sampled(frames[0])], free[:, *sampled(frames[0])]
-    usual, _, seen = _medians(few, open_)
+    usual, _, seen = _ranked(few, open_, 0.5)
     shown = open_ & (seen > 0)
     gains = [gain(few[i][shown[i]], usual[shown[i]]) for i in range(len(frames))]
     return np.stack([regained(frame, g) for frame, g in zip(frames, gains, strict=True)])

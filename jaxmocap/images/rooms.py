@@ -27,6 +27,8 @@ ROWS, RUNNING_ROWS = 720, 480
 # Cells about the person that count as the person; and about the body as the frames go by, when the
 # first poses are hardly known, nor the person's shape.
 AROUND, FARTHER = 2, 6
+# Of what a pixel shows of the room so much is darker: a person's shadow is seen for a while.
+LIT = 0.7
 # Deviation of a frame from a picture of the same room, grey levels: that of two frames.
 PICTURE_NOISE = 4.0
 
@@ -78,7 +80,7 @@ class RoomLearner:
         if not self._frames:
             return None
         return _enlarged(
-            learn_background(np.stack(self._frames), np.stack(self._bodies)), self._size
+            learn_background(np.stack(self._frames), np.stack(self._bodies), LIT), self._size
         )
 
 

@@ -55,7 +55,7 @@ class Doubts(NamedTuple):
         failures: (L,) searches of each, one after the other, that found nothing.
         appearance: of the near and the far half of each limb.
         known: hues of the body's points.
-        denied: (L,) bool: what the last frame showed where they were found is something else.
+        denied: (L,) bool: where they were found the last frame showed nothing, or something else.
         frame: of how many frames; the seed of the pseudo-random numbers.
     """
 
@@ -130,22 +130,33 @@ class Doubter:
         return self._onlooker.placed(pose)[0]
 
     def hidden(
-        self, doubts: Doubts, sight: Sight, images: Sequence[np.ndarray | None]
+        self,
+        doubts: Doubts,
+        sight: Sight,
+        images: Sequence[np.ndarray | None],
+        moved: tuple[int, ...] = (),
     ) -> tuple[np.ndarray, Doubts]:
         """(D,) bool: joints of halves of limbs where the images show something else; what is kept.
 
-        That is no person by the densities, or not the hue that the part had.
+        That is no person by the densities, or not the hue that the part had. Nor are limbs seen
+        that explain nothing; of those that were ``moved`` since it is asked again.
         """
         evidence = Evidence(sight.ratios, sight.region, sight.used)
         found = _likenesses(self.skeleton, self.cameras, sight.pose, self._halves, evidence)
         shown = [image if used else None for image, used in zip(images, sight.used, strict=True)]
         other, looks = doubts.appearance.judged(shown, sight.pixels, self.nodes)
-        elsewhere = (np.asarray(found) < DENIED) | other
+        denied = doubts.denied.copy()
+        depths = self._nearest(sight) if moved else np.zeros(0)
+        for number in moved:
+            evidence = self._left_for(number, sight, doubts.known, depths)
+            denied[number] = self._explains(number, evidence, sight.pose) < UNLIKE
+        elsewhere = (np.asarray(found) < DENIED) | other | np.repeat(denied, 2)
         seen = sight.places.seen(sight.places.nearest(np.ones(sight.pixels.shape[1], bool)))
         # Limbs that may be elsewhere have the hues of something else.
-        unsure = np.any(self.nodes[elsewhere | np.repeat(doubts.denied, 2)], 0)
+        unsure = np.any(self.nodes[elsewhere], 0)
         known = doubts.known.learned(hues_at(shown, sight.pixels), seen & ~unsure)
-        return np.any(self.joints[elsewhere], 0), doubts._replace(appearance=looks, known=known)
+        after = doubts._replace(appearance=looks, known=known, denied=denied)
+        return np.any(self.joints[elsewhere], 0), after
 
     def better(
         self, doubts: Doubts, sight: Sight, how: SearchSettings
@@ -155,7 +166,8 @@ class Doubter:
         depths, known = self._nearest(sight), doubts.known
         evidence = [self._left_for(k, sight, known, depths) for k in range(len(self.limbs))]
         worth = [self._explains(k, each, sight.pose) for k, each in enumerate(evidence)]
-        denied = np.array(worth) < -UNLIKE
+        # Where somebody is seen whom nothing explains, a limb that explains nothing is not there.
+        denied = np.array(worth) < np.where(missing < UNEXPLAINED, -UNLIKE, UNLIKE)
         particles, waits, failures = list(doubts.particles), doubts.waits - 1, +doubts.failures
         poses, moved = [sight.pose], []
         for number, limb in enumerate(self.limbs):

@@ -38,8 +38,12 @@ HUE = 2.5
 # Half the squared deviations from the limb's hue beyond which any hue is likelier: about the log
 # of a hue's density at its mean, SPREAD about it, by one that is the same everywhere.
 THIRD = 4.0
+# Log-ratio of what is neither room nor body, nor has the limb's hue: the limb may be behind it.
+HIDES = 0.1
 # What it costs to lie wholly within other parts of the body, as a log-ratio.
 IMPOSSIBLE = 1.0
+# However little is shown of a limb, another place must show more than by this.
+FAINT = -0.05
 # Where a bone is looked at: along it, and across it in its radii.
 ALONG, ACROSS = np.linspace(0.06, 0.94, 8), np.array([-0.6, 0.0, 0.6])
 
@@ -118,24 +122,32 @@ def explained(
 
     Less what of it lies within other parts of the body.
     """
-    near, far = ends(skeleton, pose, limb)
-    gained, _, full = _summed(skeleton, cameras, near, far, limb, evidence)
-    value = gained / jnp.maximum(full, 1.0)
-    if evidence.others is not None:
-        value -= IMPOSSIBLE * within(near, far, jnp.asarray(limb.radii), evidence.others)
-    return value
+    shown, cost = _judged(skeleton, cameras, pose, limb, evidence)
+    return shown - cost
 
 
 def upheld(
     skeleton: Skeleton, cameras: Camera, pose: Pose, limb: Limb, evidence: Evidence
 ) -> Array:
-    """() what another place must explain more than: ``explained``, but no room denies the limb.
+    """() what another place must explain more than: ``explained``, but ``FAINT`` at least is shown.
 
-    What is taken for room may be a limb that was learned as such; and would else be better off
-    wherever nothing is seen of it.
+    What denies a limb may be a thing before it, or be the limb itself, learned as room. Else it
+    were better off wherever nothing is seen of it.
     """
-    person = jnp.maximum(jnp.asarray(evidence.gains), 0.0)
-    return explained(skeleton, cameras, pose, limb, evidence._replace(gains=person))
+    shown, cost = _judged(skeleton, cameras, pose, limb, evidence)
+    return jnp.maximum(shown, FAINT) - cost
+
+
+def _judged(
+    skeleton: Skeleton, cameras: Camera, pose: Pose, limb: Limb, evidence: Evidence
+) -> tuple[Array, Array]:
+    """What images show of a limb, and what it costs that it lies within other parts."""
+    near, far = ends(skeleton, pose, limb)
+    gained, _, full = _summed(skeleton, cameras, near, far, limb, evidence)
+    cost = jnp.zeros_like(gained)
+    if evidence.others is not None:
+        cost = IMPOSSIBLE * within(near, far, jnp.asarray(limb.radii), evidence.others)
+    return gained / jnp.maximum(full, 1.0), cost
 
 
 def likeness(
@@ -206,7 +218,7 @@ def _by_hue(gains: Array, x: Array, y: Array, depths: Array, looks: Looks) -> Ar
     """Log-ratios (B, A, W) of cells, by their hues too, for a limb whose places (B, A) lie so deep.
 
     Before the rest of the body the hue tells that from the limb. What has another hue than the limb
-    is no sign of it, though it may hide it: a third thing may be there.
+    is a third thing: no sign of the limb there, and a faint one beside the body, as it may hide it.
     """
     edge = looks.depth.shape[0] - 1
     row, column = (jnp.clip(jnp.rint(part), 0, edge).astype(jnp.int32) for part in (y, x))
@@ -221,7 +233,7 @@ def _by_hue(gains: Array, x: Array, y: Array, depths: Array, looks: Looks) -> Ar
     before = told & (rest > 0) & (depths[..., None] < behind)
     own = jnp.clip(THIRD - off, 0.0, HUE)
     either = jnp.where(before, jnp.clip(rest - off, -HUE, own), 0.0)
-    alone = jnp.where(gains > 0, jnp.maximum(gains - off, 0.0), gains)
+    alone = jnp.where(gains > 0, jnp.maximum(gains - off, jnp.minimum(gains, HIDES)), gains)
     return jnp.where(jnp.isfinite(behind), either, alone)
 
 

@@ -281,9 +281,9 @@ class SilhouetteTracker:
         And (D,) bool, joints that were moved elsewhere, and those whose part is not seen.
         """
         s, doubter = self.settings, self._doubter
-        moved = doubter.joints_of(())
+        elsewhere: tuple[int, ...] = ()
         if not fitted.used.any():
-            return fitted, moved, ~moved, doubts
+            return fitted, doubter.joints_of(()), ~doubter.joints_of(()), doubts
         sight = doubter.sight(
             fitted.result.pose, fitted.outlines, fitted.used, shown.images, self.rooms
         )
@@ -293,8 +293,7 @@ class SilhouetteTracker:
         if s.hypotheses > 1 and known:
             better, doubts = doubter.better(doubts, sight, s.search)
         if better is not None:
-            joints = doubter.joints_of(better.limbs)
-            wide = freed(beforehand, joints, s.expected)
+            wide = freed(beforehand, doubter.joints_of(better.limbs), s.expected)
             before, least = fitted, BETTER
             for pose in better.poses:
                 again = self._fitted(shown, pose, wide)
@@ -306,9 +305,9 @@ class SilhouetteTracker:
                 )
                 more = doubter.gain(better.limbs, old, new, doubts.known)
                 if more > least:
-                    least, fitted, moved, sight = more, again, joints, new
-        hidden, doubts = doubter.hidden(doubts, sight, shown.images)
-        return fitted, moved, hidden, doubts
+                    least, fitted, elsewhere, sight = more, again, better.limbs, new
+        hidden, doubts = doubter.hidden(doubts, sight, shown.images, elsewhere)
+        return fitted, doubter.joints_of(elsewhere), hidden, doubts
 
     def _velocity(self, state: State, pose: Pose, ahead: float) -> np.ndarray:
         """The velocity (6 + D,) as it is carried on."""
