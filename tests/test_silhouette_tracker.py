@@ -155,6 +155,18 @@ def test_a_room_is_learned_where_the_person_was_not():
     assert RoomLearner(8).learned() is None
 
 
+def test_what_a_shadow_lay_on_for_most_of_the_time_is_learned_as_it_is_lit():
+    region = Region(np.full(2, -0.5, np.float32), np.array(2.0, np.float32))
+    learner, nobody = RoomLearner(10), np.full((40, 40), -8.0, np.float32)
+    for i in range(10):
+        image = np.full((60, 80, 3), 120, np.uint8)
+        image[40:, : 80 if i < 6 else 40] = 80
+        learner.tell(image, nobody, region)
+    learned = learner.learned()
+    assert learned is not None
+    assert (learned.colour[:, 41:] > 115).all() and (learned.colour[41:, :39] < 85).all()
+
+
 def test_a_hand_that_stands_still_is_no_room_where_the_body_has_it_and_segmentation_has_not():
     region = Region(np.full(2, -0.5, np.float32), np.array(2.0, np.float32))
     image, phi = np.full((60, 80, 3), 120, np.uint8), np.full((40, 40), -8.0, np.float32)
