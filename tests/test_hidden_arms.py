@@ -121,6 +121,9 @@ def test_an_arm_behind_a_box_is_not_seen_and_stays(tracker, state, box):
     true = doubter.sight(AHEAD, seen, np.ones(4, bool), images, tracker.rooms)
     better, after = doubter.better(state.doubts, true, SMALL.search)
     assert after.denied.any() == box and better is None
+    hidden, _ = doubter.hidden(after, true, images)
+    assert hidden[BODY.tree.joint("elbow_flex_l")] == box
+    assert not hidden[BODY.tree.joint("elbow_flex_r")]
 
 
 def sight_of(tracker, state, pose: Pose, images) -> Sight:

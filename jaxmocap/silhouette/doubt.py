@@ -32,7 +32,8 @@ from jaxmocap.silhouette.solid import Parts, rings
 
 # A limb is in doubt where within its reach (by its length) person is unexplained by this share of
 # its own size, whose cells are so much likelier person than not; or where it explains less than
-# nothing, by so much. And a better place must explain so much more.
+# nothing, by so much. It is not seen there if it is, or if it is the first and it does not explain
+# as much. And a better place must explain so much more.
 REACH, UNEXPLAINED, SURELY, UNLIKE, BETTER = 1.6, 0.08, 1.5, 0.1, 0.15
 # Half of a limb in the right place is a beginning: the other half's log-ratios count so little.
 LENIENT = 0.7
