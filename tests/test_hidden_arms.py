@@ -87,6 +87,13 @@ def state(tracker) -> State:
     return state
 
 
+def sight_of(tracker, state, pose: Pose, images) -> Sight:
+    """A pose laid over what all cameras show."""
+    rim = tracker.finder.find(BODY, pose, tracker.cameras)
+    seen = look(images, tracker.rooms, rim, state.histograms, SMALL, tracker.plan)
+    return tracker._doubter.sight(pose, seen, np.ones(4, bool), images, tracker.rooms)
+
+
 def test_an_arm_that_no_silhouette_misses_is_missed_by_its_hue(tracker, state):
     doubts, doubter, images = state.doubts, tracker._doubter, dressed(tracker, AHEAD)
     rim = tracker.finder.find(BODY, LOST, tracker.cameras)
@@ -116,21 +123,12 @@ def test_an_arm_behind_a_box_is_not_seen_and_stays(tracker, state, box):
         at = np.asarray(pixels)[forearm]
         low, high = at.min(0).astype(int) - 5, at.max(0).astype(int) + 5
         image[low[1] : high[1], low[0] : high[0]] = 90
-    rim = tracker.finder.find(BODY, AHEAD, tracker.cameras)
-    seen = look(images, tracker.rooms, rim, state.histograms, SMALL, tracker.plan)
-    true = doubter.sight(AHEAD, seen, np.ones(4, bool), images, tracker.rooms)
+    true = sight_of(tracker, state, AHEAD, images)
     better, after = doubter.better(state.doubts, true, SMALL.search)
     assert after.denied.any() == box and better is None
     hidden, _ = doubter.hidden(after, true, images)
     assert hidden[BODY.tree.joint("elbow_flex_l")] == box
     assert not hidden[BODY.tree.joint("elbow_flex_r")]
-
-
-def sight_of(tracker, state, pose: Pose, images) -> Sight:
-    """A pose laid over what all cameras show."""
-    rim = tracker.finder.find(BODY, pose, tracker.cameras)
-    seen = look(images, tracker.rooms, rim, state.histograms, SMALL, tracker.plan)
-    return tracker._doubter.sight(pose, seen, np.ones(4, bool), images, tracker.rooms)
 
 
 def test_an_arm_that_was_learned_as_room_is_not_better_off_unseen(tracker, state):

@@ -147,12 +147,12 @@ class Doubter:
         shown = [image if used else None for image, used in zip(images, sight.used, strict=True)]
         other, looks = doubts.appearance.judged(shown, sight.pixels, self.nodes)
         denied = doubts.denied.copy()
-        depths = self._nearest(sight) if moved else np.zeros(0)
+        depths = self._nearest(sight)
         for number in moved:
             evidence = self._left_for(number, sight, doubts.known, depths)
             denied[number] = self._explains(number, evidence, sight.pose) < UNLIKE
         elsewhere = (np.asarray(found) < DENIED) | other | np.repeat(denied, 2)
-        seen = sight.places.seen(sight.places.nearest(np.ones(sight.pixels.shape[1], bool)))
+        seen = sight.places.seen(depths.min(0))
         # Limbs that may be elsewhere have the hues of something else.
         unsure = np.any(self.nodes[elsewhere], 0)
         known = doubts.known.learned(hues_at(shown, sight.pixels), seen & ~unsure)
