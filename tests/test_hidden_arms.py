@@ -12,7 +12,7 @@ from test_silhouette_tracker import SMALL, WALL
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.loft import generic_surface
 from jaxmocap.body.pose import Pose, relaxed_pose, retract
-from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF
 from jaxmocap.body.surface import posed
 from jaxmocap.images.hues import BodyHues
 from jaxmocap.silhouette.hypotheses import explained
@@ -21,6 +21,7 @@ from jaxmocap.silhouette.looking import look
 from jaxmocap.silhouette.sight import Sight, seen_at
 from jaxmocap.silhouette.solid import Parts, rings, within
 from jaxmocap.silhouette.start import landmark_points
+from jaxmocap.silhouette.steps import fit
 from jaxmocap.silhouette.tracker import SilhouetteTracker, State
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
@@ -48,6 +49,7 @@ LOST = standing(arm_flex_r=90, arm_abduct_r=0, arm_flex_l=0, elbow_flex_l=0)
 ASIDE = standing(arm_abduct_l=90)
 CROSSED = standing(arm_flex_l=35, arm_abduct_l=0, arm_rot_l=70, elbow_flex_l=100)
 SIDES = np.array([False, True, False, True])
+FOREARM = ("radius_l", "hand_l")
 
 
 @pytest.fixture(scope="module")
@@ -112,23 +114,52 @@ def test_an_arm_that_no_silhouette_misses_is_missed_by_its_hue(tracker, state):
     assert doubter.better(unknown, every, SMALL.search)[1].denied[left]
 
 
-@pytest.mark.parametrize("box", [False, True])
-def test_an_arm_behind_a_box_is_not_seen_and_stays(tracker, state, box):
-    doubter, images = tracker._doubter, dressed(tracker, AHEAD)
-    points = tracker.finder.surface.points
-    forearm = np.isin(carriers(points), [BODY.tree.bone("radius_l"), BODY.tree.bone("hand_l")])
+def boxed(tracker: SilhouetteTracker, *bones: str) -> list[np.ndarray]:
+    """Arms ahead, a box before some bones in all images: from both sides, before both arms."""
+    images, points = dressed(tracker, AHEAD), tracker.finder.surface.points
+    behind = np.isin(carriers(points), [BODY.tree.bone(bone) for bone in bones])
     for image, pixels in zip(
-        images if box else (), seen_at(BODY, AHEAD, tracker.cameras, points)[0], strict=False
+        images if bones else (), seen_at(BODY, AHEAD, tracker.cameras, points)[0], strict=False
     ):
-        at = np.asarray(pixels)[forearm]
+        at = np.asarray(pixels)[behind]
         low, high = at.min(0).astype(int) - 5, at.max(0).astype(int) + 5
         image[low[1] : high[1], low[0] : high[0]] = 90
+    return images
+
+
+@pytest.mark.parametrize("box", [False, True])
+def test_an_arm_behind_a_box_is_not_seen_and_stays(tracker, state, box):
+    doubter, images = tracker._doubter, boxed(tracker, *FOREARM if box else ())
     true = sight_of(tracker, state, AHEAD, images)
     better, after = doubter.better(state.doubts, true, SMALL.search)
     assert after.denied.any() == box and better is None
     hidden, _ = doubter.hidden(after, true, images)
-    assert hidden[BODY.tree.joint("elbow_flex_l")] == box
-    assert not hidden[BODY.tree.joint("elbow_flex_r")]
+    assert hidden[[BODY.tree.joint(f"elbow_flex_{side}") for side in "lr"]].tolist() == [box, box]
+    assert not hidden[BODY.tree.joint("knee_flexion_l")]
+
+
+@pytest.mark.parametrize("box", [False, True])
+def test_the_outlines_of_what_hides_an_arm_tell_nothing_of_it(tracker, state, box):
+    compiled = fit._cache_size()  # type: ignore[attr-defined]
+    before = state._replace(pose=AHEAD)
+    after, _, report = tracker.step(before, 0.0, boxed(tracker, *FOREARM if box else ()))
+    elbow, knee = (ROOT_DOF + BODY.tree.joint(name) for name in ("elbow_flex_l", "knee_flexion_l"))
+    told = np.diagonal(report.information)
+    assert told[knee] > 1e3 and (told[elbow] == 0 if box else told[elbow] > 1e3)
+    # The next frame's pose has it where it is expected.
+    assert after.told[elbow] != box and after.told[knee]
+    assert fit._cache_size() == compiled  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(("half", "unseen"), [(0, {0, 1}), (1, {1})])
+def test_a_forearm_is_not_seen_where_its_upper_arm_is_not(
+    tracker, state, monkeypatch, half, unseen
+):
+    sight, doubter = sight_of(tracker, state, ASIDE, dressed(tracker, ASIDE)), tracker._doubter
+    shown = np.where(np.arange(8) == half, -1.0, 1.0)
+    monkeypatch.setattr("jaxmocap.silhouette.doubt._likenesses", lambda *_: shown)
+    hidden, _ = doubter.hidden(state.doubts, sight, dressed(tracker, ASIDE))
+    np.testing.assert_array_equal(hidden, np.any(doubter.joints[list(unseen)], 0))
 
 
 def test_an_arm_that_was_learned_as_room_is_not_better_off_unseen(tracker, state):

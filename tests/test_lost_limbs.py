@@ -20,11 +20,12 @@ from jaxmocap.images.coverage import covered
 from jaxmocap.images.glances import Glances
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.appearance import YOUNG, Appearance
-from jaxmocap.silhouette.doubt import Better
+from jaxmocap.silhouette.doubt import UNEXPLAINED, Better
 from jaxmocap.silhouette.hypotheses import (
     APART,
     KEPT,
     Evidence,
+    Found,
     distinct,
     explained,
     systematic,
@@ -115,6 +116,40 @@ def test_of_several_better_poses_the_best_is_taken_or_none(gains, taken):
     )
     assert found.result.pose == looked_at == taken
     assert moved.all() == (taken != "found")
+
+
+@pytest.mark.parametrize(("gain", "waits"), [(0.05, True), (0.1, False)])
+def test_a_limb_is_looked_for_again_at_once_where_a_place_was_nearly_better(
+    tracker, monkeypatch, gain, waits
+):
+    doubter = tracker._doubter
+    found = Found(jnp.zeros((1, 6)), jnp.zeros((1, 6)), jnp.array([0.3 + gain]), jnp.array(0.3))
+    monkeypatch.setattr(doubter, "_search", lambda *_: found)
+    better, after = judged(doubter, monkeypatch, worth=0.3, missing=2 * UNEXPLAINED)
+    assert better is None and after.waits.any() == after.failures.any() == waits
+
+
+@pytest.mark.parametrize(
+    ("worth", "missing", "denied"),
+    [(0.15, 0.5, True), (0.25, 0.5, False), (0.15, 0.0, False), (-0.15, 0.0, True)],
+)
+def test_a_limb_that_explains_little_is_not_there_where_somebody_is_unexplained(
+    tracker, monkeypatch, worth, missing, denied
+):
+    doubter = tracker._doubter
+    nothing = Found(jnp.zeros((1, 6)), jnp.zeros((1, 6)), jnp.array([worth]), jnp.array(worth))
+    monkeypatch.setattr(doubter, "_search", lambda *_: nothing)
+    _, after = judged(doubter, monkeypatch, worth, missing)
+    assert (after.denied == denied).all()
+
+
+def judged(doubter, monkeypatch, worth: float, missing: float):
+    """What becomes of limbs that all explain so much, while so much is unexplained."""
+    monkeypatch.setattr(doubter, "_unexplained", lambda sight: np.full(4, missing))
+    monkeypatch.setattr(doubter, "_nearest", lambda sight: None)
+    monkeypatch.setattr(doubter, "_left_for", lambda *_: None)
+    monkeypatch.setattr(doubter, "_explains", lambda *_: worth)
+    return doubter.better(doubter.none(), SimpleNamespace(pose=None), SMALL.search)
 
 
 def test_a_forearm_laid_over_its_upper_arm_explains_nothing_twice(tracker):

@@ -1,6 +1,7 @@
 """A person's shape by contours: fields of a surface, and what frames tell of their amounts."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,9 +14,12 @@ from jaxmocap.body.loft import generic_surface, rest_joints
 from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.proportions import LENGTHS, scaled, stretched
 from jaxmocap.body.surface import BodyPoints, resampled, rest_nodes
+from jaxmocap.run.silhouette import _Pass
+from jaxmocap.silhouette.looking import Outlines
 from jaxmocap.silhouette.rim import stacked
 from jaxmocap.silhouette.shape import DEVIATION_M, ShapeFinder, told
 from jaxmocap.silhouette.steps import Seen
+from jaxmocap.silhouette.tracker import StepReport
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
 
@@ -208,3 +212,24 @@ def test_one_weak_frame_counts_by_how_people_differ():
     finder.add(H, -H @ np.append(np.zeros(6), np.full(count, 0.01)))
     finder.fitted()
     np.testing.assert_allclose(finder.amounts, 0.005, rtol=1e-6)
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+def test_frames_of_which_a_part_is_not_seen_tell_nothing_of_the_shape(hidden):
+    """What hides an arm draws the trunk's outline along."""
+    frames, region = [], SimpleNamespace(origin=np.zeros((0, 2)), scale=np.zeros(0))
+    run = _Pass.__new__(_Pass)
+    run.tracker = SimpleNamespace(  # type: ignore[assignment]
+        covering=lambda pose: (), rooms=[], finder=SimpleNamespace(morph=None), skeleton=None,
+        cameras=None,
+    )  # fmt: skip
+    run.shape = SimpleNamespace(tell=lambda *frame: frames.append(frame))  # type: ignore[assignment]
+    run.learners, run._running, run._poses, run._reports, run._phi = [], {}, [], [], []
+    outlines = Outlines((), SimpleNamespace(phi=np.zeros((0, 8, 8))), region, np.zeros(0))  # type: ignore[arg-type]
+    nothing = np.zeros(0)
+    report = StepReport(
+        nothing, nothing, 0.0, nothing, nothing, nothing, nothing, outlines, nothing,
+        np.array([False, hidden]), None,  # type: ignore[arg-type]
+    )  # fmt: skip
+    run._keep(nothing, report, [])  # type: ignore[arg-type]
+    assert len(frames) == (not hidden) and len(run._reports) == 1

@@ -264,7 +264,8 @@ class _Pass:
         self._phi.append(np.clip(np.round(8 * phi), -127, 127).astype(np.int8))
         # What is large is kept once.
         outlines = report.outlines._replace(segmented=None, contours=())  # type: ignore[arg-type]
-        if self.shape is not None:
+        # What hides a part draws others along.
+        if self.shape is not None and not report.hidden.any():
             tracker = self.tracker
             morph = tracker.finder.morph
             self.shape.tell(tracker.skeleton, tracker.cameras, pose, report.pairs, morph)

@@ -32,15 +32,16 @@ from jaxmocap.silhouette.solid import Parts, rings
 
 # A limb is in doubt where within its reach (by its length) person is unexplained by this share of
 # its own size, whose cells are so much likelier person than not; or where it explains less than
-# nothing, by so much. It is not seen there if it is, or if it is the first and it does not explain
-# as much. And a better place must explain so much more.
-REACH, UNEXPLAINED, SURELY, UNLIKE, BETTER = 1.6, 0.08, 1.5, 0.1, 0.15
+# nothing, by so much. It is not seen there if it is, or if it is the first and it explains little.
+# And a better place must explain so much more.
+REACH, UNEXPLAINED, SURELY, UNLIKE, LITTLE, BETTER = 1.6, 0.08, 1.5, 0.1, 0.2, 0.15
 # Half of a limb in the right place is a beginning: the other half's log-ratios count so little.
 LENIENT = 0.7
 # A part is denied where its cells are likelier not person.
 DENIED = 0.0
-# Frames to wait after a search that found nothing, at most; twice as long each time.
-LONGEST = 2
+# Frames to wait after a search that found nothing, at most; twice as long each time. A place that
+# is better by this share of what it must be is not nothing.
+LONGEST, HOPE = 2, 0.5
 _explained, _upheld = jax.jit(hypotheses.explained), jax.jit(hypotheses.upheld)
 _likenesses = jax.jit(
     jax.vmap(hypotheses.likeness, (None, None, None, Limb(0, None, 0), None))  # type: ignore[arg-type]
@@ -150,8 +151,10 @@ class Doubter:
         depths = self._nearest(sight)
         for number in moved:
             evidence = self._left_for(number, sight, doubts.known, depths)
-            denied[number] = self._explains(number, evidence, sight.pose) < UNLIKE
+            denied[number] = self._explains(number, evidence, sight.pose) < LITTLE
         elsewhere = (np.asarray(found) < DENIED) | other | np.repeat(denied, 2)
+        # Where a far half hangs from, a near one that is not seen does not tell.
+        elsewhere[1::2] |= elsewhere[::2]
         seen = sight.places.seen(depths.min(0))
         # Limbs that may be elsewhere have the hues of something else.
         unsure = np.any(self.nodes[elsewhere], 0)
@@ -167,8 +170,8 @@ class Doubter:
         depths, known = self._nearest(sight), doubts.known
         evidence = [self._left_for(k, sight, known, depths) for k in range(len(self.limbs))]
         worth = [self._explains(k, each, sight.pose) for k, each in enumerate(evidence)]
-        # Where somebody is seen whom nothing explains, a limb that explains nothing is not there.
-        denied = np.array(worth) < np.where(missing < UNEXPLAINED, -UNLIKE, UNLIKE)
+        # Where somebody is seen whom nothing explains, a limb that explains little is not there.
+        denied = np.array(worth) < np.where(missing < UNEXPLAINED, -UNLIKE, LITTLE)
         particles, waits, failures = list(doubts.particles), doubts.waits - 1, +doubts.failures
         poses, moved = [sight.pose], []
         for number, limb in enumerate(self.limbs):
@@ -187,7 +190,7 @@ class Doubter:
                     for k in range(count)
                 ]
                 moved.append(number)
-            else:
+            elif np.max(found.gains) < float(found.before) + HOPE * BETTER:
                 waits[number] = min(2 ** failures[number], LONGEST) + 1
                 failures[number] += 1
         waits = np.maximum(waits, 0)

@@ -28,19 +28,20 @@ from jaxmocap.body.surface import Surface
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.background import Background
 from jaxmocap.images.glances import Glances
-from jaxmocap.silhouette.correspond import Matches, matched
+from jaxmocap.silhouette.correspond import matched
 from jaxmocap.silhouette.doubt import BETTER, Doubter, Doubts, freed
 from jaxmocap.silhouette.edges import edge_pairs, joined
 from jaxmocap.silhouette.limbs import carriers
 from jaxmocap.silhouette.looking import Outlines, look
 from jaxmocap.silhouette.markers import MarkerRows, points_at
-from jaxmocap.silhouette.pose import PoseResult, PoseSettings, standard_deviations
+from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, standard_deviations
 from jaxmocap.silhouette.posture import expectation, resting
-from jaxmocap.silhouette.rim import Rim, RimFinder, stacked
+from jaxmocap.silhouette.rim import RimFinder, stacked
 from jaxmocap.silhouette.segment import Histograms, Plan
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.shape import Paired
 from jaxmocap.silhouette.steps import Seen, fit, free, predict, velocity_of
+from jaxmocap.silhouette.trust import denied, shares_found
 
 
 class State(NamedTuple):
@@ -74,10 +75,11 @@ class StepReport(NamedTuple):
         spread: deviation of the pairs, metres.
         deviations: (6 + D,) of the degrees of freedom, metres and radians.
         seen: (6 + D,) bool: those that the images told of; the others are held.
-        information: (6 + D, 6 + D), see ``PoseResult``.
+        information: (6 + D, 6 + D), see ``PoseResult``; by the pairs of parts that are seen.
         slope: (6 + D,), likewise.
         outlines: what was segmented.
         moved: (D,) bool: joints that one of several hypotheses put elsewhere.
+        hidden: (D,) bool: joints of parts that are not seen where they are thought to be.
         pairs: that the pose was found by.
     """
 
@@ -90,6 +92,7 @@ class StepReport(NamedTuple):
     slope: np.ndarray
     outlines: Outlines
     moved: np.ndarray
+    hidden: np.ndarray
     pairs: Paired
 
 
@@ -110,6 +113,7 @@ class _Fitted(NamedTuple):
     shares: np.ndarray
     outlines: Outlines
     pairs: Paired
+    prior: Prior
 
 
 class SilhouetteTracker:
@@ -204,7 +208,7 @@ class SilhouetteTracker:
         shown = _Shown(images, state.histograms, markers, first)
         fitted = self._fitted(shown, expected, beforehand)
         fitted, moved, hidden, doubts = self._reconsidered(state.doubts, shown, fitted, beforehand)
-        result, used, shares, outlines, pairs = fitted
+        result, used, outlines = self._told(fitted, hidden, markers), fitted.used, fitted.outlines
         deviations = standard_deviations(result.information, s.blind)
         seen = deviations < s.told * s.blind
         told = standard_deviations(result.information, s.expected) < s.told * s.expected
@@ -216,8 +220,9 @@ class SilhouetteTracker:
             told, velocity = state.told, s.damping * state.velocity
         histograms = _chosen(used, outlines.segmented.histograms, state.histograms)
         report = StepReport(
-            used, shares, float(result.spread), deviations, seen,
-            np.asarray(result.information), np.asarray(result.slope), outlines, moved, pairs,
+            used, fitted.shares, float(result.spread), deviations, seen,
+            np.asarray(result.information), np.asarray(result.slope), outlines, moved, hidden,
+            fitted.pairs,
         )  # fmt: skip
         after = State(result.pose, velocity, time, histograms, told, glances, doubts)
         return after, result.pose, report
@@ -261,17 +266,33 @@ class SilhouetteTracker:
             moves = self.finder.moves(pairs.nodes)
             seen = Seen(points, pairs.pixels_xy, pairs.normals, weights, moves)
             how = PoseSettings(deviation=deviation, iterations=s.iterations)
-            result = fit(
-                self.skeleton, self.cameras, pose, seen, how, prior, s.match.grip, shown.markers,
-                morph,
-            )  # fmt: skip
+            result = self._fit(pose, seen, how, prior, shown.markers)
             apart = np.asarray(result.distances).reshape(weights.shape)
-            pose, used = result.pose, used & ~_denied(apart, weights > 0, s)
+            pose, used = result.pose, used & ~denied(apart, weights > 0, s.apart, s.near)
             robust = np.asarray(result.shares).reshape(weights.shape)
             left = Paired(pairs.nodes, seen._replace(weights=robust * weights))
-            fitted = _Fitted(result, used, shares, outlines, left)
+            fitted = _Fitted(result, used, shares, outlines, left, prior)
         assert fitted is not None
         return fitted
+
+    def _fit(
+        self, pose: Pose, seen: Seen, how: PoseSettings, prior: Prior, markers: MarkerRows | None
+    ) -> PoseResult:
+        morph, grip = self.finder.morph, self.settings.match.grip
+        return fit(self.skeleton, self.cameras, pose, seen, how, prior, grip, markers, morph)
+
+    def _told(self, fitted: _Fitted, hidden: np.ndarray, markers: MarkerRows | None) -> PoseResult:
+        """What pairs tell about the pose found, but those of joints' (D,) parts that are hidden.
+
+        For what hides a part has outlines too.
+        """
+        result, (nodes, seen) = fitted.result, fitted.pairs
+        if not hidden.any():
+            return result
+        gone = self.skeleton.tree.carries[ROOT_DOF:][hidden].any(0)[self._bones[nodes]]
+        left = seen._replace(weights=np.where(gone, np.float32(0), seen.weights))
+        how = PoseSettings(deviation=self.settings.deviations[-1], iterations=0)
+        return self._fit(result.pose, left, how, fitted.prior, markers)
 
     def _reconsidered(
         self, doubts: Doubts, shown: _Shown, fitted: _Fitted, beforehand: np.ndarray
@@ -316,30 +337,6 @@ class SilhouetteTracker:
         now = np.asarray(velocity_of(state.pose, pose, np.float32(ahead)))
         newest = self.settings.newest
         return (newest * now + (1 - newest) * state.velocity).astype(np.float32)
-
-
-def shares_found(rim: Rim, pairs: Matches, points: Sequence[int]) -> np.ndarray:
-    """(C,) the smaller of the shares of rim points and of contour points that found a partner."""
-    outline = rim.real & ~rim.inner
-    shares = []
-    for camera, count in enumerate(points):
-        width = int((~rim.inner[camera]).sum())
-        of_rim = pairs.real[camera, :width].sum() / max(outline[camera].sum(), 1)
-        taken = min(count, pairs.real.shape[1] - width)
-        of_contour = pairs.real[camera, width:].sum() / max(taken, 1)
-        shares.append(min(of_rim, of_contour))
-    return np.array(shares)
-
-
-def _denied(distances: np.ndarray, real: np.ndarray, settings: Settings) -> np.ndarray:
-    """(C,) cameras whose pairs (C, N) lie much farther apart than all cameras' together."""
-    if real.any(1).sum() < 2:
-        return np.zeros(len(real), bool)
-    each = np.array(
-        [np.median(d[r]) if r.any() else 0.0 for d, r in zip(distances, real, strict=True)]
-    )
-    usual = np.median(each[real.any(1)])
-    return each > max(settings.near, settings.apart * usual)
 
 
 def _chosen(used: np.ndarray, new: Histograms, old: Histograms) -> Histograms:
