@@ -289,7 +289,8 @@ class SilhouetteTracker:
         result, (nodes, seen) = fitted.result, fitted.pairs
         if not hidden.any():
             return result
-        gone = self.skeleton.tree.carries[ROOT_DOF:][hidden].any(0)[self._bones[nodes]]
+        moved = np.any(self.skeleton.tree.carries[ROOT_DOF:][hidden], 0)
+        gone = moved[self._bones[nodes]]
         left = seen._replace(weights=np.where(gone, np.float32(0), seen.weights))
         how = PoseSettings(deviation=self.settings.deviations[-1], iterations=0)
         return self._fit(result.pose, left, how, fitted.prior, markers)
