@@ -264,7 +264,7 @@ class _Pass:
         self._phi.append(np.clip(np.round(8 * phi), -127, 127).astype(np.int8))
         # What is large is kept once.
         outlines = report.outlines._replace(segmented=None, contours=())  # type: ignore[arg-type]
-        # What hides a part draws others along.
+        # What hides a part draws the outlines of others along.
         if self.shape is not None and not report.hidden.any():
             tracker = self.tracker
             morph = tracker.finder.morph

@@ -153,7 +153,7 @@ class Doubter:
             evidence = self._left_for(number, sight, doubts.known, depths)
             denied[number] = self._explains(number, evidence, sight.pose) < LITTLE
         elsewhere = (np.asarray(found) < DENIED) | other | np.repeat(denied, 2)
-        # Where a far half hangs from, a near one that is not seen does not tell.
+        # A near half that is not seen does not tell where the far one hangs.
         elsewhere[1::2] |= elsewhere[::2]
         seen = sight.places.seen(depths.min(0))
         # Limbs that may be elsewhere have the hues of something else.
