@@ -40,6 +40,8 @@ from jaxmocap.silhouette.tracker import SilhouetteTracker, State, StepReport
 MODEL = "supple.toml"
 # A photographed surface's deviations by a generic one's.
 PHOTOGRAPHED = 0.5
+# Frames before a limb was found elsewhere, that told of it where it was not.
+LOST = 3
 ELSEWHERE = "expected somebody where the markers' first samples, or --at, put the person"
 
 
@@ -217,6 +219,7 @@ class _Pass:
         self.milliseconds: dict[str, list[float]] = {}
         self._poses: list[Pose] = []
         self._reports: list[StepReport] = []
+        self._latest: list[tuple[StepReport, Pose, np.ndarray]] = []
         self._phi: list[np.ndarray] = []
 
     def through(self, start: Pose, show: Callable[[int], None]) -> None:
@@ -233,6 +236,8 @@ class _Pass:
                 began = perf_counter()
                 state, pose, report = self.tracker.step(state, *shown)
                 self.milliseconds.setdefault("frame", []).append(1e3 * (perf_counter() - began))
+                self._withdraw(report.moved)
+                self._latest = [*self._latest[1 - LOST :], (report, pose, shown[2])]
                 self._keep(pose, report, images)
                 show(i + 1)
 
@@ -270,6 +275,13 @@ class _Pass:
             morph = tracker.finder.morph
             self.shape.tell(tracker.skeleton, tracker.cameras, pose, report.pairs, morph)
         self._reports.append(report._replace(outlines=outlines, pairs=None))  # type: ignore[arg-type]
+
+    def _withdraw(self, moved: np.ndarray) -> None:
+        """Of joints (D,) that were moved elsewhere the last frames told nothing."""
+        for back, (was, pose, places) in enumerate(self._latest[::-1] if moved.any() else (), 1):
+            told = self.tracker.told_without(was.hidden | moved, pose, was.pairs, places)
+            left = dict(information=np.asarray(told.information), slope=np.asarray(told.slope))
+            self._reports[-back] = self._reports[-back]._replace(**left)
 
     @property
     def seen(self) -> bool:

@@ -41,7 +41,7 @@ from jaxmocap.silhouette.segment import Histograms, Plan
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.shape import Paired
 from jaxmocap.silhouette.steps import Seen, fit, free, predict, velocity_of
-from jaxmocap.silhouette.trust import denied, shares_found
+from jaxmocap.silhouette.trust import chosen, denied, shares_found
 
 
 class State(NamedTuple):
@@ -113,7 +113,6 @@ class _Fitted(NamedTuple):
     shares: np.ndarray
     outlines: Outlines
     pairs: Paired
-    prior: Prior
 
 
 class SilhouetteTracker:
@@ -208,7 +207,9 @@ class SilhouetteTracker:
         shown = _Shown(images, state.histograms, markers, first)
         fitted = self._fitted(shown, expected, beforehand)
         fitted, moved, hidden, doubts = self._reconsidered(state.doubts, shown, fitted, beforehand)
-        result, used, outlines = self._told(fitted, hidden, markers), fitted.used, fitted.outlines
+        result, used, outlines, pairs = fitted.result, fitted.used, fitted.outlines, fitted.pairs
+        if hidden.any():
+            result = self.told_without(hidden, result.pose, pairs, positions_world)
         deviations = standard_deviations(result.information, s.blind)
         seen = deviations < s.told * s.blind
         told = standard_deviations(result.information, s.expected) < s.told * s.expected
@@ -218,14 +219,29 @@ class SilhouetteTracker:
         if not told.any():
             # Who is not seen for an instant moves on; for longer, comes to rest.
             told, velocity = state.told, s.damping * state.velocity
-        histograms = _chosen(used, outlines.segmented.histograms, state.histograms)
+        histograms = chosen(used, outlines.segmented.histograms, state.histograms)
         report = StepReport(
             used, fitted.shares, float(result.spread), deviations, seen,
             np.asarray(result.information), np.asarray(result.slope), outlines, moved, hidden,
-            fitted.pairs,
+            pairs,
         )  # fmt: skip
         after = State(result.pose, velocity, time, histograms, told, glances, doubts)
         return after, result.pose, report
+
+    def told_without(
+        self, hidden: np.ndarray, pose: Pose, pairs: Paired, positions_world: np.ndarray | None
+    ) -> PoseResult:
+        """What pairs tell about the pose found by them, but those of joints' (D,) parts hidden.
+
+        For what hides a part has outlines too; ``positions_world`` as in ``step``.
+        """
+        s, (nodes, seen) = self.settings, pairs
+        moved = np.any(self.skeleton.tree.carries[ROOT_DOF:][hidden], 0)
+        gone = moved[self._bones[nodes]]
+        left = seen._replace(weights=np.where(gone, np.float32(0), seen.weights))
+        how = PoseSettings(deviation=s.deviations[-1], iterations=0)
+        here = expectation(pose, np.full(self.skeleton.costs.shape, s.expected), self.rest)
+        return self._fit(pose, left, how, here, self._markers(positions_world))
 
     def covering(self, pose: Pose) -> np.ndarray:
         """(C, N, 2) pixels of points all over the body, hidden or not."""
@@ -271,7 +287,7 @@ class SilhouetteTracker:
             pose, used = result.pose, used & ~denied(apart, weights > 0, s.apart, s.near)
             robust = np.asarray(result.shares).reshape(weights.shape)
             left = Paired(pairs.nodes, seen._replace(weights=robust * weights))
-            fitted = _Fitted(result, used, shares, outlines, left, prior)
+            fitted = _Fitted(result, used, shares, outlines, left)
         assert fitted is not None
         return fitted
 
@@ -280,20 +296,6 @@ class SilhouetteTracker:
     ) -> PoseResult:
         morph, grip = self.finder.morph, self.settings.match.grip
         return fit(self.skeleton, self.cameras, pose, seen, how, prior, grip, markers, morph)
-
-    def _told(self, fitted: _Fitted, hidden: np.ndarray, markers: MarkerRows | None) -> PoseResult:
-        """What pairs tell about the pose found, but those of joints' (D,) parts that are hidden.
-
-        For what hides a part has outlines too.
-        """
-        result, (nodes, seen) = fitted.result, fitted.pairs
-        if not hidden.any():
-            return result
-        moved = np.any(self.skeleton.tree.carries[ROOT_DOF:][hidden], 0)
-        gone = moved[self._bones[nodes]]
-        left = seen._replace(weights=np.where(gone, np.float32(0), seen.weights))
-        how = PoseSettings(deviation=self.settings.deviations[-1], iterations=0)
-        return self._fit(result.pose, left, how, fitted.prior, markers)
 
     def _reconsidered(
         self, doubts: Doubts, shown: _Shown, fitted: _Fitted, beforehand: np.ndarray
@@ -338,9 +340,3 @@ class SilhouetteTracker:
         now = np.asarray(velocity_of(state.pose, pose, np.float32(ahead)))
         newest = self.settings.newest
         return (newest * now + (1 - newest) * state.velocity).astype(np.float32)
-
-
-def _chosen(used: np.ndarray, new: Histograms, old: Histograms) -> Histograms:
-    """The new histograms of cameras that were used, the old ones of the others."""
-    mask = jnp.asarray(used)[:, None]
-    return Histograms(*(jnp.where(mask, a, b) for a, b in zip(new, old, strict=True)))

@@ -1,14 +1,16 @@
 """Trust: which cameras count, by how rim and contour found each other and what the others say.
 
-INPUTS: rims, pairs of C cameras. OUTPUTS: shares; cameras that are denied.
+INPUTS: rims, pairs of C cameras. OUTPUTS: shares; cameras that are denied; their histograms.
 """
 
 from collections.abc import Sequence
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.silhouette.correspond import Matches
 from jaxmocap.silhouette.rim import Rim
+from jaxmocap.silhouette.segment import Histograms
 
 
 def shares_found(rim: Rim, pairs: Matches, points: Sequence[int]) -> np.ndarray:
@@ -46,3 +48,9 @@ def denied(distances: np.ndarray, real: np.ndarray, apart: float, near: float) -
     )
     usual = np.median(each[real.any(1)])
     return each > max(near, apart * usual)
+
+
+def chosen(used: np.ndarray, new: Histograms, old: Histograms) -> Histograms:
+    """The new histograms of cameras that were used, the old ones of the others."""
+    mask = jnp.asarray(used)[:, None]
+    return Histograms(*(jnp.where(mask, a, b) for a, b in zip(new, old, strict=True)))
