@@ -231,7 +231,7 @@ class SilhouetteTracker:
     def told_without(
         self, hidden: np.ndarray, pose: Pose, pairs: Paired, positions_world: np.ndarray | None
     ) -> PoseResult:
-        """What pairs tell about the pose found by them, but those of joints' (D,) parts hidden.
+        """What pairs tell about the pose found by them, without those of hidden joints (D,).
 
         For what hides a part has outlines too; ``positions_world`` as in ``step``.
         """
