@@ -14,12 +14,11 @@ from jaxmocap.body.loft import generic_surface, rest_joints
 from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.proportions import LENGTHS, scaled, stretched
 from jaxmocap.body.surface import BodyPoints, resampled, rest_nodes
-from jaxmocap.run.silhouette import LOST, _Pass
+from jaxmocap.run.silhouette import _Pass
 from jaxmocap.silhouette.looking import Outlines
 from jaxmocap.silhouette.rim import stacked
 from jaxmocap.silhouette.shape import DEVIATION_M, ShapeFinder, told
 from jaxmocap.silhouette.steps import Seen
-from jaxmocap.silhouette.tracker import StepReport
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
 
@@ -214,15 +213,6 @@ def test_one_weak_frame_counts_by_how_people_differ():
     np.testing.assert_allclose(finder.amounts, 0.005, rtol=1e-6)
 
 
-def told_by(outlines: Outlines | None, hidden: np.ndarray) -> StepReport:
-    """A report of 2 joints."""
-    nothing = np.zeros(0)
-    return StepReport(
-        nothing, nothing, 0.0, nothing, nothing, np.eye(2), np.ones(2), outlines, nothing, hidden,
-        None,
-    )  # type: ignore[arg-type]  # fmt: skip
-
-
 @pytest.mark.parametrize("hidden", [False, True])
 def test_frames_of_which_a_part_is_not_seen_tell_nothing_of_the_shape(hidden):
     """What hides an arm draws the trunk's outline along."""
@@ -233,23 +223,8 @@ def test_frames_of_which_a_part_is_not_seen_tell_nothing_of_the_shape(hidden):
         cameras=None,
     )  # fmt: skip
     run.shape = SimpleNamespace(tell=lambda *frame: frames.append(frame))  # type: ignore[assignment]
-    run.learners, run._running, run._poses, run._reports, run._phi = [], {}, [], [], []
+    run.learners, run._running, run._poses, run._phi = [], {}, [], []
     outlines = Outlines((), SimpleNamespace(phi=np.zeros((0, 8, 8))), region, np.zeros(0))  # type: ignore[arg-type]
-    nothing, report = np.zeros(0), told_by(outlines, np.array([False, hidden]))
-    run._keep(nothing, report, [])  # type: ignore[arg-type]
-    assert len(frames) == (not hidden) and len(run._reports) == 1
-
-
-@pytest.mark.parametrize("moved", [False, True])
-def test_what_frames_told_of_a_limb_just_before_it_was_found_elsewhere_is_withdrawn(moved):
-    run, hidden = _Pass.__new__(_Pass), np.array([True, False])
-    run._reports = [told_by(None, hidden)] * (LOST + 1)
-    run._latest = [(report, None, None) for report in run._reports[1:]]  # type: ignore[misc]
-    run.tracker = SimpleNamespace(  # type: ignore[assignment]
-        told_without=lambda gone, *_: SimpleNamespace(information=np.diag(~gone), slope=~gone)
-    )
-    run._withdraw(np.array([False, moved]))
-    np.testing.assert_array_equal(run._reports[0].information, np.eye(2))
-    for report in run._reports[1:]:
-        np.testing.assert_array_equal(report.information, (not moved) * np.eye(2))
-        np.testing.assert_array_equal(report.slope, np.full(2, not moved))
+    report = SimpleNamespace(outlines=outlines, hidden=np.array([False, hidden]), pairs=None)
+    run._keep(np.zeros(0), report, [])  # type: ignore[arg-type]
+    assert len(frames) == (not hidden)

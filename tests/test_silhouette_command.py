@@ -145,7 +145,7 @@ def blind(skeleton, cameras: int) -> SimpleNamespace:
         pass
 
     outlines = Outlines(segmented=segmented, region=region)
-    report = Report(used=np.zeros(cameras, bool), outlines=outlines)
+    report = Report(used=np.zeros(cameras, bool), outlines=outlines, moved=np.zeros(0, bool))
     return SimpleNamespace(
         skeleton=skeleton,
         settings=Settings(settling=0),

@@ -30,6 +30,7 @@ from jaxmocap.images.rooms import RoomLearner, RunningRoom, pictured
 from jaxmocap.outputs.report import plain
 from jaxmocap.run.reading import reading
 from jaxmocap.run.recording import marker_sites
+from jaxmocap.run.silhouette_reports import Reports
 from jaxmocap.run.timing import Progress, progress_bar
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.shape import ShapeFinder
@@ -40,8 +41,6 @@ from jaxmocap.silhouette.tracker import SilhouetteTracker, State, StepReport
 MODEL = "supple.toml"
 # A photographed surface's deviations by a generic one's.
 PHOTOGRAPHED = 0.5
-# Frames before a limb was found elsewhere, that told of it where it was not.
-LOST = 3
 ELSEWHERE = "expected somebody where the markers' first samples, or --at, put the person"
 
 
@@ -218,8 +217,7 @@ class _Pass:
         self._running = {c: RunningRoom() for c, room in enumerate(tracker.rooms) if room is None}
         self.milliseconds: dict[str, list[float]] = {}
         self._poses: list[Pose] = []
-        self._reports: list[StepReport] = []
-        self._latest: list[tuple[StepReport, Pose, np.ndarray]] = []
+        self._reports = Reports(tracker)
         self._phi: list[np.ndarray] = []
 
     def through(self, start: Pose, show: Callable[[int], None]) -> None:
@@ -236,8 +234,7 @@ class _Pass:
                 began = perf_counter()
                 state, pose, report = self.tracker.step(state, *shown)
                 self.milliseconds.setdefault("frame", []).append(1e3 * (perf_counter() - began))
-                self._withdraw(report.moved)
-                self._latest = [*self._latest[1 - LOST :], (report, pose, shown[2])]
+                self._reports.add(report, pose, shown[2])
                 self._keep(pose, report, images)
                 show(i + 1)
 
@@ -267,26 +264,16 @@ class _Pass:
                 rooms[camera] = self._running[camera].told(*shown)
         self.tracker.rooms = rooms
         self._phi.append(np.clip(np.round(8 * phi), -127, 127).astype(np.int8))
-        # What is large is kept once.
-        outlines = report.outlines._replace(segmented=None, contours=())  # type: ignore[arg-type]
         # What hides a part draws the outlines of others along.
         if self.shape is not None and not report.hidden.any():
             tracker = self.tracker
             morph = tracker.finder.morph
             self.shape.tell(tracker.skeleton, tracker.cameras, pose, report.pairs, morph)
-        self._reports.append(report._replace(outlines=outlines, pairs=None))  # type: ignore[arg-type]
-
-    def _withdraw(self, moved: np.ndarray) -> None:
-        """Of joints (D,) that were moved elsewhere the last frames told nothing."""
-        for back, (was, pose, places) in enumerate(self._latest[::-1] if moved.any() else (), 1):
-            told = self.tracker.told_without(was.hidden | moved, pose, was.pairs, places)
-            left = dict(information=np.asarray(told.information), slope=np.asarray(told.slope))
-            self._reports[-back] = self._reports[-back]._replace(**left)
 
     @property
     def seen(self) -> bool:
         """Whether any camera counted in any frame."""
-        return any(report.used.any() for report in self._reports)
+        return any(report.used.any() for report in self._reports.kept)
 
     def poses(self) -> Pose:
         """(T, ...) as they were found."""
@@ -299,8 +286,8 @@ class _Pass:
             return self.poses()
         told = Told(
             self.poses(),
-            np.stack([report.information for report in self._reports]),
-            np.stack([report.slope for report in self._reports]),
+            np.stack([report.information for report in self._reports.kept]),
+            np.stack([report.slope for report in self._reports.kept]),
         )
         how = tracker.settings.smoothing
         times, morph, began = self.frames.times, tracker.finder.morph, perf_counter()
@@ -311,7 +298,7 @@ class _Pass:
     def masks(self, names: Sequence[str]) -> dict[str, Masks]:
         """Camera -> level sets."""
         origins, scales = (
-            np.stack([report.outlines.region[k] for report in self._reports]) for k in (0, 1)
+            np.stack([report.outlines.region[k] for report in self._reports.kept]) for k in (0, 1)
         )
         phi = np.stack(self._phi)
         return {
@@ -326,7 +313,7 @@ class _Pass:
         spread = np.sqrt(np.sum(deviations[:, ELBOWS] ** 2, -1))
         confidence = np.asarray(confidence_of(spread))
         unsaid = np.full((count, len(LANDMARKS)), np.nan)
-        statuses = tuple(self._said(report, names) for report in self._reports)
+        statuses = tuple(self._said(report, names) for report in self._reports.kept)
         return Report(
             (), np.zeros((count, 0)), none, none, confidence, deviations, unsaid, statuses,
             {stage: np.array(spent) for stage, spent in self.milliseconds.items()}, settings,
@@ -334,7 +321,7 @@ class _Pass:
 
     def _landmarks_std(self, frame: int) -> np.ndarray:
         """(L, 3) metres, by the covariance of what the rays tell."""
-        report, blind = self._reports[frame], self.tracker.settings.blind
+        report, blind = self._reports.kept[frame], self.tracker.settings.blind
         H = np.asarray(report.information, float)
         covariance = np.linalg.inv((H + H.T) / 2 + np.eye(len(H)) / blind**2)
         J = np.asarray(landmark_slopes(self.tracker.skeleton, self._poses[frame]), float)
