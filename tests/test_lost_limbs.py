@@ -143,13 +143,26 @@ def test_a_limb_that_explains_little_is_not_there_where_somebody_is_unexplained(
     assert (after.denied == denied).all()
 
 
-def judged(doubter, monkeypatch, worth: float, missing: float):
+@pytest.mark.parametrize("denied", [True, False])
+def test_a_limb_whose_denial_ends_is_looked_for_once_more_and_at_once(tracker, monkeypatch, denied):
+    doubter, searched = tracker._doubter, []
+    nothing = Found(jnp.zeros((1, 6)), jnp.zeros((1, 6)), jnp.array([0.5]), jnp.array(0.5))
+    monkeypatch.setattr(doubter, "_search", lambda number, *_: searched.append(number) or nothing)
+    count = len(doubter.limbs)
+    before = doubter.none()._replace(denied=np.full(count, denied), waits=np.full(count, 3))
+    _, after = judged(doubter, monkeypatch, worth=0.5, missing=0.0, before=before)
+    assert len(searched) == count * denied and not after.denied.any()
+    judged(doubter, monkeypatch, worth=0.5, missing=0.0, before=after)
+    assert len(searched) == count * denied
+
+
+def judged(doubter, monkeypatch, worth: float, missing: float, before=None):
     """What becomes of limbs that all explain so much, while so much is unexplained."""
     monkeypatch.setattr(doubter, "_unexplained", lambda sight: np.full(4, missing))
     monkeypatch.setattr(doubter, "_nearest", lambda sight: None)
     monkeypatch.setattr(doubter, "_left_for", lambda *_: None)
     monkeypatch.setattr(doubter, "_explains", lambda *_: worth)
-    return doubter.better(doubter.none(), SimpleNamespace(pose=None), SMALL.search)
+    return doubter.better(before or doubter.none(), SimpleNamespace(pose=None), SMALL.search)
 
 
 def test_a_forearm_laid_over_its_upper_arm_explains_nothing_twice(tracker):

@@ -172,13 +172,16 @@ class Doubter:
         worth = [self._explains(k, each, sight.pose) for k, each in enumerate(evidence)]
         # Where somebody is seen whom nothing explains, a limb that explains little is not there.
         denied = np.array(worth) < np.where(missing < UNEXPLAINED, -UNLIKE, LITTLE)
+        doubtful = (missing >= UNEXPLAINED) | denied
+        # Where what denied a limb is gone it is looked for once more, and at once.
+        back = doubts.denied & ~doubtful
         particles, waits, failures = list(doubts.particles), doubts.waits - 1, +doubts.failures
         poses, moved = [sight.pose], []
         for number, limb in enumerate(self.limbs):
-            if missing[number] < UNEXPLAINED and not denied[number]:
+            if not doubtful[number] and not back[number]:
                 particles[number], failures[number] = None, 0
                 continue
-            if waits[number] > 0:
+            if waits[number] > 0 and not back[number]:
                 continue
             found = self._search(number, evidence[number], doubts, poses[0], how)
             particles[number] = np.asarray(found.particles)
