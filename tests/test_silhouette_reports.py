@@ -19,7 +19,7 @@ def only(joint: int) -> np.ndarray:
 
 
 def step(moved: np.ndarray = NONE, hidden: np.ndarray = NONE) -> StepReport:
-    """A frame that tells of all joints that are not hidden; its pairs are worth one each."""
+    """A frame that tells of all joints that are not hidden, of each as much as 1."""
     told, seen = 1.0 * ~hidden, np.append(np.ones(ROOT_DOF, bool), ~hidden)
     nothing, outlines = np.zeros(0), Outlines(("contour",), "level sets", None, None)  # type: ignore[arg-type]
     return StepReport(
