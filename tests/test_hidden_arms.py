@@ -21,8 +21,9 @@ from jaxmocap.silhouette.looking import look
 from jaxmocap.silhouette.sight import Sight, seen_at
 from jaxmocap.silhouette.solid import Parts, rings, within
 from jaxmocap.silhouette.start import landmark_points
+from jaxmocap.silhouette.states import State
 from jaxmocap.silhouette.steps import fit
-from jaxmocap.silhouette.tracker import SilhouetteTracker, State
+from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
 EXPLAINED = jax.jit(explained)

@@ -111,11 +111,9 @@ def test_of_several_better_poses_the_best_is_taken_or_none(gains, taken):
         hidden=lambda doubts, sight, images, moved: (np.zeros(4, bool), sight),
     )
     nothing = SimpleNamespace(images=[], known=None)
-    found, moved, _, looked_at = chooser._reconsidered(
-        nothing, nothing, ended("found"), np.ones(ROOT_DOF + 4)
-    )
-    assert found.result.pose == looked_at == taken
-    assert moved.all() == (taken != "found")
+    end = chooser._reconsidered(nothing, nothing, ended("found"), np.ones(ROOT_DOF + 4))
+    assert end.fitted.result.pose == end.doubts == taken
+    assert end.moved.all() == (taken != "found") and not end.again.any()
 
 
 @pytest.mark.parametrize(("gain", "waits"), [(0.05, True), (0.1, False)])

@@ -223,7 +223,7 @@ def test_frames_of_which_a_part_is_not_seen_tell_nothing_of_the_shape(hidden):
         cameras=None,
     )  # fmt: skip
     run.shape = SimpleNamespace(tell=lambda *frame: frames.append(frame))  # type: ignore[assignment]
-    run.learners, run._running, run._poses, run._phi = [], {}, [], []
+    run.learners, run._running, run._phi = [], {}, []
     outlines = Outlines((), SimpleNamespace(phi=np.zeros((0, 8, 8))), region, np.zeros(0))  # type: ignore[arg-type]
     report = SimpleNamespace(outlines=outlines, hidden=np.array([False, hidden]), pairs=None)
     run._keep(np.zeros(0), report, [])  # type: ignore[arg-type]

@@ -151,8 +151,8 @@ def blind(skeleton, cameras: int) -> SimpleNamespace:
         settings=Settings(settling=0),
         finder=SimpleNamespace(surface=generic_surface(skeleton)),
         rooms=[None] * cameras,
-        init=lambda pose: pose,
-        step=lambda state, *shown: (state, state, report),
+        init=lambda pose: SimpleNamespace(pose=pose, velocity=np.zeros(skeleton.costs.shape)),
+        step=lambda state, *shown: (state, state.pose, report),
         covering=lambda pose: np.zeros((cameras, 1, 2)),
     )
 

@@ -8,7 +8,7 @@ import pytest
 from jaxmocap.body.skeleton import ROOT_DOF
 from jaxmocap.run.silhouette_reports import LOST, Reports
 from jaxmocap.silhouette.looking import Outlines
-from jaxmocap.silhouette.tracker import StepReport
+from jaxmocap.silhouette.states import StepReport
 
 JOINTS = 3
 NONE = np.zeros(JOINTS, bool)

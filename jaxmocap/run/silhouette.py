@@ -35,8 +35,9 @@ from jaxmocap.run.timing import Progress, progress_bar
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.shape import ShapeFinder
 from jaxmocap.silhouette.smoothing import Told, smoothed
+from jaxmocap.silhouette.states import Moving, State, StepReport
 from jaxmocap.silhouette.steps import landmark_slopes
-from jaxmocap.silhouette.tracker import SilhouetteTracker, State, StepReport
+from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 MODEL = "supple.toml"
 # A photographed surface's deviations by a generic one's.
@@ -142,7 +143,8 @@ def follow(
         start: where the person is in the first frames, a pose of ``whole_body``.
         settings: of the tracker.
         passes: 1 knows of the rooms what its frames so far showed, and nothing of the person's
-            shape; 2 learns both first; 3 once more, the shape where the rooms are known.
+            shape; 2 learns both first; 3 once more, the shape where the rooms are known. Limbs that
+            explain more where the pass before found them are taken from it.
         markers: follow them too; without it they are not looked at.
         surface: of the person's own model, around the recording's skeleton; without it a generic
             one, whose shape the passes correct.
@@ -164,12 +166,13 @@ def follow(
     run = _Pass(tracker, frames, shape if passes > 1 else None)
     with progress_bar("tracking", progress) as show:
         for number in range(passes):
+            earlier = run.found if number else None
             if number:
                 learned = zip(empty, run.learners, strict=True)
                 tracker.rooms = [room or learner.learned() for room, learner in learned]
                 tracker.become(*shape.fitted())
                 run = _Pass(tracker, frames, shape if number + 1 < passes else None)
-            run.through(start, _shifted(show, number * run.count, passes * run.count))
+            run.through(start, _shifted(show, number * run.count, passes * run.count), earlier)
             if not run.seen:
                 where = recording.path or recording.name
                 raise InputError(where, f"no camera shows the person in any frame, {ELSEWHERE}")
@@ -214,14 +217,22 @@ class _Pass:
         self.shape = shape
         self.learners = [RoomLearner(count) for _ in frames.videos] if shape else []
         # Who knows nothing of a room learns it frame by frame.
+        self.found: list[Moving] = []
         self._running = {c: RunningRoom() for c, room in enumerate(tracker.rooms) if room is None}
         self.milliseconds: dict[str, list[float]] = {}
-        self._poses: list[Pose] = []
         self._reports = Reports(tracker)
         self._phi: list[np.ndarray] = []
 
-    def through(self, start: Pose, show: Callable[[int], None]) -> None:
-        """All frames, from a pose; the first is looked at until the pose rests."""
+    def through(
+        self, start: Pose, show: Callable[[int], None], earlier: Sequence[Moving] | None = None
+    ) -> None:
+        """All frames, from a pose; the first is looked at until the pose rests.
+
+        Args:
+            start: in the first frame.
+            show: called with the frames done.
+            earlier: what an earlier pass found, frame by frame.
+        """
         state = self.tracker.init(start)
         with reading(self.frames.videos, colour=True) as readers:
             for i, (time, row) in enumerate(
@@ -232,8 +243,10 @@ class _Pass:
                 if not i:
                     state = self._settled(state, *shown)
                 began = perf_counter()
-                state, pose, report = self.tracker.step(state, *shown)
+                before = None if earlier is None else earlier[i]
+                state, pose, report = self.tracker.step(state, *shown, before)
                 self.milliseconds.setdefault("frame", []).append(1e3 * (perf_counter() - began))
+                self.found.append(Moving(jax.tree.map(np.asarray, pose), state.velocity))
                 self._reports.add(report, pose, shown[2])
                 self._keep(pose, report, images)
                 show(i + 1)
@@ -250,7 +263,6 @@ class _Pass:
         return state
 
     def _keep(self, pose: Pose, report: StepReport, images: Sequence[np.ndarray | None]) -> None:
-        self._poses.append(jax.tree.map(np.asarray, pose))
         phi, region = np.asarray(report.outlines.segmented.phi), report.outlines.region
         pixels, rooms = self.tracker.covering(pose), list(self.tracker.rooms)
         for camera, image in enumerate(images):
@@ -277,7 +289,7 @@ class _Pass:
 
     def poses(self) -> Pose:
         """(T, ...) as they were found."""
-        return jax.tree.map(lambda *parts: np.stack(parts), *self._poses)
+        return jax.tree.map(lambda *parts: np.stack(parts), *(each.pose for each in self.found))
 
     def smoothed(self) -> Pose:
         """(T, ...) as all frames together have them."""
@@ -324,7 +336,7 @@ class _Pass:
         report, blind = self._reports.kept[frame], self.tracker.settings.blind
         H = np.asarray(report.information, float)
         covariance = np.linalg.inv((H + H.T) / 2 + np.eye(len(H)) / blind**2)
-        J = np.asarray(landmark_slopes(self.tracker.skeleton, self._poses[frame]), float)
+        J = np.asarray(landmark_slopes(self.tracker.skeleton, self.found[frame].pose), float)
         return np.sqrt(np.einsum("lai,ij,laj->la", J, covariance, J))
 
     def _said(self, report: StepReport, names: Sequence[str]) -> tuple[str, ...]:

@@ -9,7 +9,8 @@ import numpy as np
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ROOT_DOF
-from jaxmocap.silhouette.tracker import SilhouetteTracker, StepReport
+from jaxmocap.silhouette.states import StepReport
+from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 # Frames before a limb was found elsewhere, that told of it where it was not.
 LOST = 3

@@ -26,7 +26,7 @@ from jaxmocap.images.hues import BodyHues, hues_at
 from jaxmocap.silhouette import hypotheses
 from jaxmocap.silhouette.appearance import Appearance
 from jaxmocap.silhouette.hypotheses import ALONG, Evidence, Looks, SearchSettings
-from jaxmocap.silhouette.limbs import Limb, carriers, halves_of, limbs_of, places_along
+from jaxmocap.silhouette.limbs import Limb, carriers, ends, halves_of, limbs_of, places_along
 from jaxmocap.silhouette.sight import Onlooker, Sight
 from jaxmocap.silhouette.solid import Parts, rings
 
@@ -42,6 +42,8 @@ DENIED = 0.0
 # Frames to wait after a search that found nothing, at most; twice as long each time. A place that
 # is better by this share of what it must be is not nothing.
 LONGEST, HOPE = 2, 0.5
+# Where an earlier pass found a limb, so many metres away, it must explain so much more.
+AWAY, KNOWN = 0.05, 0.08
 _explained, _upheld = jax.jit(hypotheses.explained), jax.jit(hypotheses.upheld)
 _likenesses = jax.jit(
     jax.vmap(hypotheses.likeness, (None, None, None, Limb(0, None, 0), None))  # type: ignore[arg-type]
@@ -76,10 +78,12 @@ class Better(NamedTuple):
     Attributes:
         poses: to fit from, the likeliest first.
         limbs: numbers of those that were moved.
+        least: that they must explain more once they are fitted.
     """
 
     poses: tuple[Pose, ...]
     limbs: tuple[int, ...]
+    least: float = BETTER
 
 
 class Doubter:
@@ -161,6 +165,22 @@ class Doubter:
         known = doubts.known.learned(hues_at(shown, sight.pixels), seen & ~unsure)
         after = doubts._replace(appearance=looks, known=known, denied=denied)
         return np.any(self.joints[elsewhere], 0), after
+
+    def found_earlier(self, doubts: Doubts, sight: Sight, earlier: Pose) -> Better | None:
+        """The pose with those limbs that explain more where an earlier pass found them."""
+        found, moved, depths = sight.pose, [], None
+        for number, limb in enumerate(self.limbs):
+            angles = earlier.angles[limb.joints]
+            there = _with(sight.pose, limb, angles)
+            if float(_apart(self.skeleton, sight.pose, there, limb)) < AWAY:
+                continue
+            depths = self._nearest(sight) if depths is None else depths
+            evidence = self._left_for(number, sight, doubts.known, depths)
+            before = self._explains(number, evidence, sight.pose, _upheld)
+            if self._explains(number, evidence, there) > before + KNOWN:
+                found = _with(found, limb, angles)
+                moved.append(number)
+        return Better((found,), tuple(moved), KNOWN) if moved else None
 
     def better(
         self, doubts: Doubts, sight: Sight, how: SearchSettings
@@ -290,12 +310,19 @@ class Doubter:
 
 
 @jax.jit
+def _apart(skeleton: Skeleton, pose: Pose, other: Pose, limb: Limb) -> Array:
+    """() metres between the ends of a limb's bones in two poses, the most."""
+    here, there = (ends(skeleton, each, limb)[1] for each in (pose, other))
+    return jnp.max(jnp.linalg.norm(here - there, axis=-1))
+
+
+@jax.jit
 def _parts(skeleton: Skeleton, pose: Pose, around: BodyPoints) -> Parts:
     """Parts of a body in a pose."""
     return Parts.of(posed(forward(skeleton, pose), around))
 
 
-def _with(pose: Pose, limb: Limb, angles: jax.Array) -> Pose:
+def _with(pose: Pose, limb: Limb, angles: Array | np.ndarray) -> Pose:
     """A pose whose limb has other angles (K,)."""
     return pose._replace(angles=pose.angles.at[limb.joints].set(angles))
 

@@ -29,7 +29,7 @@ from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.background import Background
 from jaxmocap.images.glances import Glances
 from jaxmocap.silhouette.correspond import matched
-from jaxmocap.silhouette.doubt import BETTER, Doubter, Doubts, freed
+from jaxmocap.silhouette.doubt import Better, Doubter, Doubts, freed
 from jaxmocap.silhouette.edges import edge_pairs, joined
 from jaxmocap.silhouette.limbs import carriers
 from jaxmocap.silhouette.looking import Outlines, look
@@ -40,60 +40,10 @@ from jaxmocap.silhouette.rim import RimFinder, stacked
 from jaxmocap.silhouette.segment import Histograms, Plan
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.shape import Paired
+from jaxmocap.silhouette.sight import Sight
+from jaxmocap.silhouette.states import Moving, State, StepReport
 from jaxmocap.silhouette.steps import Seen, fit, free, predict, velocity_of
 from jaxmocap.silhouette.trust import chosen, denied, shares_found
-
-
-class State(NamedTuple):
-    """What a tracker remembers.
-
-    Attributes:
-        pose: at ``time``.
-        velocity: (6 + D,) metres and radians per second.
-        time: seconds; None before the first frame.
-        histograms: of C cameras' images.
-        told: (6 + D,) bool: degrees of freedom that the last frame told much of.
-        glances: at what the cameras showed last.
-        doubts: limbs that may be elsewhere.
-    """
-
-    pose: Pose
-    velocity: np.ndarray
-    time: float | None
-    histograms: Histograms
-    told: np.ndarray
-    glances: Glances
-    doubts: Doubts
-
-
-class StepReport(NamedTuple):
-    """How far to trust a step.
-
-    Attributes:
-        used: (C,) bool: cameras that counted.
-        shares: (C,) of rim and contour that found each other.
-        spread: deviation of the pairs, metres.
-        deviations: (6 + D,) of the degrees of freedom, metres and radians.
-        seen: (6 + D,) bool: those that the images told of; the others are held.
-        information: (6 + D, 6 + D), see ``PoseResult``; by the pairs of parts that are seen.
-        slope: (6 + D,), likewise.
-        outlines: what was segmented.
-        moved: (D,) bool: joints that one of several hypotheses put elsewhere.
-        hidden: (D,) bool: joints of parts that are not seen where they are thought to be.
-        pairs: that the pose was found by.
-    """
-
-    used: np.ndarray
-    shares: np.ndarray
-    spread: float
-    deviations: np.ndarray
-    seen: np.ndarray
-    information: np.ndarray
-    slope: np.ndarray
-    outlines: Outlines
-    moved: np.ndarray
-    hidden: np.ndarray
-    pairs: Paired
 
 
 class _Shown(NamedTuple):
@@ -113,6 +63,24 @@ class _Fitted(NamedTuple):
     shares: np.ndarray
     outlines: Outlines
     pairs: Paired
+
+
+class _Reconsidered(NamedTuple):
+    """What is left of a frame's result, and what became of the limbs.
+
+    Attributes:
+        fitted: the result.
+        moved: (D,) bool: joints that were moved elsewhere.
+        again: (D,) bool: those of them that are where an earlier pass found them.
+        hidden: (D,) bool: joints of parts that are not seen.
+        doubts: to remember.
+    """
+
+    fitted: _Fitted
+    moved: np.ndarray
+    again: np.ndarray
+    hidden: np.ndarray
+    doubts: Doubts
 
 
 class SilhouetteTracker:
@@ -186,6 +154,7 @@ class SilhouetteTracker:
         time: float,
         images: Sequence[np.ndarray | None],
         positions_world: np.ndarray | None = None,
+        earlier: Moving | None = None,
     ) -> tuple[State, Pose, StepReport]:
         """One frame of all cameras.
 
@@ -194,6 +163,8 @@ class SilhouetteTracker:
             time: of this one, seconds.
             images: (H, W, 3) BGR uint8 of each camera, None where there is none.
             positions_world: (M, 3) of the markers, metres; NaN where one is missing.
+            earlier: what an earlier pass found in this frame; limbs that explain more there are
+                taken from it.
 
         Returns:
             The state, the pose and a report.
@@ -206,7 +177,9 @@ class SilhouetteTracker:
         markers, first = self._markers(positions_world), state.time is None
         shown = _Shown(images, state.histograms, markers, first)
         fitted = self._fitted(shown, expected, beforehand)
-        fitted, moved, hidden, doubts = self._reconsidered(state.doubts, shown, fitted, beforehand)
+        fitted, moved, again, hidden, doubts = self._reconsidered(
+            state.doubts, shown, fitted, beforehand, earlier
+        )
         result, used, outlines, pairs = fitted.result, fitted.used, fitted.outlines, fitted.pairs
         if hidden.any():
             result = self.told_without(hidden, result.pose, pairs, positions_world)
@@ -216,6 +189,8 @@ class SilhouetteTracker:
         seen[ROOT_DOF:][hidden] = False
         velocity = self._velocity(state, result.pose, ahead) * told
         velocity[ROOT_DOF:][moved] = 0
+        if earlier is not None:
+            velocity[ROOT_DOF:][again] = earlier.velocity[ROOT_DOF:][again]
         if not told.any():
             # Who is not seen for an instant moves on; for longer, comes to rest.
             told, velocity = state.told, s.damping * state.velocity
@@ -298,40 +273,59 @@ class SilhouetteTracker:
         return fit(self.skeleton, self.cameras, pose, seen, how, prior, grip, markers, morph)
 
     def _reconsidered(
-        self, doubts: Doubts, shown: _Shown, fitted: _Fitted, beforehand: np.ndarray
-    ) -> tuple[_Fitted, np.ndarray, np.ndarray, Doubts]:
-        """What was found, or what is found from elsewhere if that explains more.
-
-        And (D,) bool, joints that were moved elsewhere, and those whose part is not seen.
-        """
+        self,
+        doubts: Doubts,
+        shown: _Shown,
+        fitted: _Fitted,
+        beforehand: np.ndarray,
+        earlier: Moving | None = None,
+    ) -> _Reconsidered:
+        """What was found, or what is found from elsewhere if that explains more."""
         s, doubter = self.settings, self._doubter
-        elsewhere: tuple[int, ...] = ()
+        none = doubter.joints_of(())
         if not fitted.used.any():
-            return fitted, doubter.joints_of(()), ~doubter.joints_of(()), doubts
-        sight = doubter.sight(
-            fitted.result.pose, fitted.outlines, fitted.used, shown.images, self.rooms
-        )
-        better = None
+            return _Reconsidered(fitted, none, none, ~none, doubts)
+        sight = self._sight(fitted.result.pose, fitted, shown)
+        again, elsewhere = (), ()
         # Who does not know the rooms takes what looks like a person for one, and learns it as none.
         known = all(room is not None for room in self.rooms)
         if s.hypotheses > 1 and known:
+            if earlier is not None:
+                better = doubter.found_earlier(doubts, sight, earlier.pose)
+                fitted, sight, again = self._tried(better, doubts, shown, fitted, sight, beforehand)
             better, doubts = doubter.better(doubts, sight, s.search)
-        if better is not None:
-            wide = freed(beforehand, doubter.joints_of(better.limbs), s.expected)
-            before, least = fitted, BETTER
-            for pose in better.poses:
-                again = self._fitted(shown, pose, wide)
-                old, new = (
-                    doubter.sight(
-                        each.result.pose, again.outlines, again.used, shown.images, self.rooms
-                    )
-                    for each in (before, again)
-                )
-                more = doubter.gain(better.limbs, old, new, doubts.known)
-                if more > least:
-                    least, fitted, elsewhere, sight = more, again, better.limbs, new
-        hidden, doubts = doubter.hidden(doubts, sight, shown.images, elsewhere)
-        return fitted, doubter.joints_of(elsewhere), hidden, doubts
+            fitted, sight, elsewhere = self._tried(better, doubts, shown, fitted, sight, beforehand)
+        moved = tuple({*again, *elsewhere})
+        hidden, doubts = doubter.hidden(doubts, sight, shown.images, moved)
+        again = doubter.joints_of(again) & ~doubter.joints_of(elsewhere)
+        return _Reconsidered(fitted, doubter.joints_of(moved), again, hidden, doubts)
+
+    def _tried(
+        self,
+        better: Better | None,
+        doubts: Doubts,
+        shown: _Shown,
+        fitted: _Fitted,
+        sight: Sight,
+        beforehand: np.ndarray,
+    ) -> tuple[_Fitted, Sight, tuple[int, ...]]:
+        """The best of better poses, each fitted, and its limbs; or what was found, and none."""
+        moved: tuple[int, ...] = ()
+        if better is None:
+            return fitted, sight, moved
+        wide = freed(beforehand, self._doubter.joints_of(better.limbs), self.settings.expected)
+        before, least = fitted, better.least
+        for pose in better.poses:
+            again = self._fitted(shown, pose, wide)
+            old, new = (self._sight(each.result.pose, again, shown) for each in (before, again))
+            more = self._doubter.gain(better.limbs, old, new, doubts.known)
+            if more > least:
+                least, fitted, moved, sight = more, again, better.limbs, new
+        return fitted, sight, moved
+
+    def _sight(self, pose: Pose, by: _Fitted, shown: _Shown) -> Sight:
+        """A pose laid over what was segmented."""
+        return self._doubter.sight(pose, by.outlines, by.used, shown.images, self.rooms)
 
     def _velocity(self, state: State, pose: Pose, ahead: float) -> np.ndarray:
         """The velocity (6 + D,) as it is carried on."""
