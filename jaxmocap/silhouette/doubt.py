@@ -5,8 +5,9 @@ nothing: before the room, before the rest of the body where that is what is seen
 the body. So is found what no outline tells: an arm that one camera hides, and another sees before
 the trunk, leaves all silhouettes as they are.
 
-INPUTS: a pose that was found, and what was segmented. OUTPUTS: parts that are not seen where they
-are thought to be; a better pose to fit from, if there is one; what to remember.
+INPUTS: a pose that was found, and what was segmented; what an earlier pass found, if there was one.
+OUTPUTS: parts that are not seen where they are thought to be; a better pose to fit from, if there
+is one; what to remember.
 """
 
 from collections.abc import Callable, Sequence

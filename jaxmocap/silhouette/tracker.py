@@ -6,8 +6,9 @@
     fit       rim -> contour, twist equations of all cameras in one system (3.2); again with the
               rim of the pose that was found, and a narrower view of what is an outlier; in the
               first frame begun with the surface's low-pass, coarse to fine
-    doubt     person that no limb explains, or a limb that is not there: many hypotheses, the best
-              is fitted again; parts that look otherwise than before are not seen
+    doubt     a limb that explains more where an earlier pass found it is fitted from there; person
+              that no limb explains, or a limb that is not there: many hypotheses, the best is
+              fitted again; parts that look otherwise than before are not seen
 
 Cameras that show nothing of the person, or what the others deny, are left out frame by frame;
 joints that no camera tells of stay where they are expected, and the report says so.
@@ -295,10 +296,9 @@ class SilhouetteTracker:
                 fitted, sight, again = self._tried(better, doubts, shown, fitted, sight, beforehand)
             better, doubts = doubter.better(doubts, sight, s.search)
             fitted, sight, elsewhere = self._tried(better, doubts, shown, fitted, sight, beforehand)
-        moved = tuple({*again, *elsewhere})
-        hidden, doubts = doubter.hidden(doubts, sight, shown.images, moved)
-        again = doubter.joints_of(again) & ~doubter.joints_of(elsewhere)
-        return _Reconsidered(fitted, doubter.joints_of(moved), again, hidden, doubts)
+        hidden, doubts = doubter.hidden(doubts, sight, shown.images, (*again, *elsewhere))
+        there, anew = doubter.joints_of(again), doubter.joints_of(elsewhere)
+        return _Reconsidered(fitted, there | anew, there & ~anew, hidden, doubts)
 
     def _tried(
         self,
