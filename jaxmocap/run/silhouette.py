@@ -217,9 +217,9 @@ class _Pass:
         self.shape = shape
         self.learners = [RoomLearner(count) for _ in frames.videos] if shape else []
         # Who knows nothing of a room learns it frame by frame.
-        self.found: list[Moving] = []
         self._running = {c: RunningRoom() for c, room in enumerate(tracker.rooms) if room is None}
         self.milliseconds: dict[str, list[float]] = {}
+        self.found: list[Moving] = []
         self._reports = Reports(tracker)
         self._phi: list[np.ndarray] = []
 
