@@ -113,7 +113,7 @@ def test_of_several_better_poses_the_best_is_taken_or_none(gains, taken):
     nothing = SimpleNamespace(images=[], known=None)
     end = chooser._reconsidered(nothing, nothing, ended("found"), np.ones(ROOT_DOF + 4))
     assert end.fitted.result.pose == end.doubts == taken
-    assert end.moved.all() == (taken != "found") and not end.again.any()
+    assert end.moved.all() == (taken != "found") and not end.resumed.any()
 
 
 @pytest.mark.parametrize(("gain", "waits"), [(0.05, True), (0.1, False)])

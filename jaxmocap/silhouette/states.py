@@ -49,7 +49,7 @@ class StepReport(NamedTuple):
         information: (6 + D, 6 + D), see ``PoseResult``; by the pairs of parts that are seen.
         slope: (6 + D,), likewise.
         outlines: what was segmented.
-        moved: (D,) bool: joints that one of several hypotheses put elsewhere.
+        moved: (D,) bool: joints that a hypothesis, or an earlier pass, put elsewhere.
         hidden: (D,) bool: joints of parts that are not seen where they are thought to be.
         pairs: that the pose was found by.
     """

@@ -72,14 +72,14 @@ class _Reconsidered(NamedTuple):
     Attributes:
         fitted: the result.
         moved: (D,) bool: joints that were moved elsewhere.
-        again: (D,) bool: those of them that are where an earlier pass found them.
+        resumed: (D,) bool: those of them that are where an earlier pass found them.
         hidden: (D,) bool: joints of parts that are not seen.
         doubts: to remember.
     """
 
     fitted: _Fitted
     moved: np.ndarray
-    again: np.ndarray
+    resumed: np.ndarray
     hidden: np.ndarray
     doubts: Doubts
 
@@ -178,7 +178,7 @@ class SilhouetteTracker:
         markers, first = self._markers(positions_world), state.time is None
         shown = _Shown(images, state.histograms, markers, first)
         fitted = self._fitted(shown, expected, beforehand)
-        fitted, moved, again, hidden, doubts = self._reconsidered(
+        fitted, moved, resumed, hidden, doubts = self._reconsidered(
             state.doubts, shown, fitted, beforehand, earlier
         )
         result, used, outlines, pairs = fitted.result, fitted.used, fitted.outlines, fitted.pairs
@@ -191,7 +191,7 @@ class SilhouetteTracker:
         velocity = self._velocity(state, result.pose, ahead) * told
         velocity[ROOT_DOF:][moved] = 0
         if earlier is not None:
-            velocity[ROOT_DOF:][again] = earlier.velocity[ROOT_DOF:][again]
+            velocity[ROOT_DOF:][resumed] = earlier.velocity[ROOT_DOF:][resumed]
         if not told.any():
             # Who is not seen for an instant moves on; for longer, comes to rest.
             told, velocity = state.told, s.damping * state.velocity
@@ -287,17 +287,19 @@ class SilhouetteTracker:
         if not fitted.used.any():
             return _Reconsidered(fitted, none, none, ~none, doubts)
         sight = self._sight(fitted.result.pose, fitted, shown)
-        again, elsewhere = (), ()
+        resumed, elsewhere = (), ()
         # Who does not know the rooms takes what looks like a person for one, and learns it as none.
         known = all(room is not None for room in self.rooms)
         if s.hypotheses > 1 and known:
             if earlier is not None:
                 better = doubter.found_earlier(doubts, sight, earlier.pose)
-                fitted, sight, again = self._tried(better, doubts, shown, fitted, sight, beforehand)
+                fitted, sight, resumed = self._tried(
+                    better, doubts, shown, fitted, sight, beforehand
+                )
             better, doubts = doubter.better(doubts, sight, s.search)
             fitted, sight, elsewhere = self._tried(better, doubts, shown, fitted, sight, beforehand)
-        hidden, doubts = doubter.hidden(doubts, sight, shown.images, (*again, *elsewhere))
-        there, anew = doubter.joints_of(again), doubter.joints_of(elsewhere)
+        hidden, doubts = doubter.hidden(doubts, sight, shown.images, (*resumed, *elsewhere))
+        there, anew = doubter.joints_of(resumed), doubter.joints_of(elsewhere)
         return _Reconsidered(fitted, there | anew, there & ~anew, hidden, doubts)
 
     def _tried(
