@@ -14,13 +14,13 @@ from hypothesis.extra import numpy as hnp
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.calibration import pick_camera, read_calibration, write_calibration
 from jaxmocap.formats.csv import read_csv, write_csv
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.markers import read_markers
 from jaxmocap.formats.npz import VERSION, load_motion, save_motion
 from jaxmocap.formats.trc import read_trc, write_trc
+from jaxmocap.formats.writing import replacing
 from jaxmocap.geometry.cameras import Camera
 
 # A tmp_path that examples share is fine: each of them overwrites what it reads.
@@ -218,7 +218,7 @@ def test_marker_files_are_told_by_their_suffix(tmp_path):
     assert "unknown suffix '.txt'" in complaint(read_markers, written(tmp_path, TRC, "a.txt"))
     assert complaint(read_markers, tmp_path / "none.trc") == "no such file"
     (tmp_path / "folder.trc").mkdir()
-    assert "cannot be read" in complaint(read_markers, tmp_path / "folder.trc")
+    assert "found a folder" in complaint(read_markers, tmp_path / "folder.trc")
 
 
 @pytest.mark.parametrize(("name", "frames", "markers"), [("markers", 60, 5), ("truth", 60, 21)])

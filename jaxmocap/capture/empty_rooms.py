@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.tables import read_bytes
+from jaxmocap.formats.reading import read_bytes
 
 
 def read_empty_room(path: Path, size: tuple[int, int]) -> np.ndarray:

@@ -8,9 +8,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.tables import read_bytes
+from jaxmocap.formats.reading import read_bytes
+from jaxmocap.formats.writing import replacing
 from jaxmocap.geometry.cameras import Camera
 
 

@@ -18,10 +18,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.formats.armature import Armature
-from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.joint_names import end_of
 from jaxmocap.formats.tables import even_rate, parse_rows, read_lines
+from jaxmocap.formats.writing import replacing
 from jaxmocap.geometry.euler import continuous_euler
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}

@@ -17,10 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.tables import Markers, even_rate, make_markers, read_bytes, stack_points
+from jaxmocap.formats.reading import read_bytes
+from jaxmocap.formats.tables import Markers, even_rate, make_markers, stack_points
 from jaxmocap.formats.trc import METRES
+from jaxmocap.formats.writing import replacing
 
 _UNITS = METRES | {"dm": 0.1, "in": 0.0254, "inch": 0.0254, "inches": 0.0254}
 # Frames are counted by 16 bits; residuals are held in steps of a scale, 255 at most.

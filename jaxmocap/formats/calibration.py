@@ -13,12 +13,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.opencv_yaml import SUFFIXES, read_opencv_yaml
-from jaxmocap.formats.tables import read_bytes
+from jaxmocap.formats.reading import read_bytes
 from jaxmocap.formats.toml import Fields, read_toml, toml_key, write_toml
 from jaxmocap.formats.toml_sections import replace_entries
+from jaxmocap.formats.writing import replacing
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import log
 

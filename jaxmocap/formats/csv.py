@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.body.turns import matrices, quaternions
-from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.tables import (
     Markers,
@@ -26,6 +25,7 @@ from jaxmocap.formats.tables import (
     read_lines,
     stack_points,
 )
+from jaxmocap.formats.writing import replacing
 
 HEADER = "'time,Name.x,Name.y,Name.z,...', with Name.qw,Name.qx,Name.qy,Name.qz after or without"
 

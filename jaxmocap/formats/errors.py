@@ -1,4 +1,4 @@
-"""The one error that bad input raises.
+"""The errors that end a command in one sentence.
 
 INPUTS: the file (or the name of what is only in memory) and what is wrong with it.
 OUTPUTS: an exception whose text is one sentence that starts with the file.
@@ -7,8 +7,8 @@ OUTPUTS: an exception whose text is one sentence that starts with the file.
 from pathlib import Path
 
 
-class InputError(ValueError):
-    """A file, or what a user passed in its place, cannot be used.
+class FileError(ValueError):
+    """A file cannot be used.
 
     Attributes:
         path: the file, or a name where there is no file.
@@ -23,3 +23,14 @@ class InputError(ValueError):
 
     def __str__(self) -> str:
         return f"{self.path}: {self.problem}"
+
+
+class InputError(FileError):
+    """What a user passed cannot be used: a command ends with exit code 2."""
+
+
+class OutputError(FileError):
+    """What was to be written cannot be: a command ends with exit code 1.
+
+    Whatever was there before is as it was.
+    """

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.tables import read_bytes
+from jaxmocap.formats.reading import read_bytes
+from jaxmocap.formats.writing import replacing
 
 _MAGIC, _VERSION, _JSON, _BINARY = b"glTF", 2, b"JSON", b"BIN\0"
 _TYPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.tables import read_bytes
+from jaxmocap.formats.reading import read_bytes
 
 # The last number in a file's name is its frame's: cam_01_000000000123_keypoints.json.
 _NUMBER = re.compile(r"\d+(?!.*\d)")

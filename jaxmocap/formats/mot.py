@@ -21,9 +21,9 @@ from jaxmocap.body.isb import isb_angles
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.tables import check_times, parse_rows, read_lines
+from jaxmocap.formats.writing import replacing
 
 PLACES = ("pelvis_tx", "pelvis_ty", "pelvis_tz")
 TURNS = ("pelvis_yaw", "pelvis_pitch", "pelvis_roll")

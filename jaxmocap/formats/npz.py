@@ -16,8 +16,8 @@ import numpy as np
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, Tree
-from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.writing import replacing
 
 VERSION = 2
 _SKELETON = tuple(field.name for field in fields(Skeleton) if field.name != "tree")

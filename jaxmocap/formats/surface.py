@@ -13,8 +13,8 @@ import numpy as np
 
 from jaxmocap.body.skeleton import Tree
 from jaxmocap.body.surface import BodyPoints, Patch, Surface
-from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.writing import replacing
 
 FIELDS = ("patch_names", "patch_sizes", "bone_names", "bones", "points_bone", "shares")
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.reading import MOST_TEXT_BYTES, read_bytes
 
 
 @dataclass(frozen=True)
@@ -49,19 +50,9 @@ class Markers:
         return {name: R for name, R in columns.items() if np.isfinite(R).any()}
 
 
-def read_bytes(path: str | Path) -> bytes:
-    """The file's content; InputError where it is missing or cannot be read."""
-    try:
-        return Path(path).read_bytes()
-    except FileNotFoundError:
-        raise InputError(path, "no such file") from None
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror})") from None
-
-
 def read_lines(path: str | Path) -> list[str]:
     """Lines of a UTF-8 text file, without byte-order mark and line ends, none empty at the end."""
-    content = read_bytes(path)
+    content = read_bytes(path, MOST_TEXT_BYTES)
     if not content.strip():
         raise InputError(path, "the file is empty")
     if b"\0" in content:

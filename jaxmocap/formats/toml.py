@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.tables import read_bytes
+from jaxmocap.formats.reading import read_bytes
+from jaxmocap.formats.writing import replacing
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.tables import (
     Markers,
@@ -19,6 +18,7 @@ from jaxmocap.formats.tables import (
     read_lines,
     stack_points,
 )
+from jaxmocap.formats.writing import replacing
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _KEYS = (

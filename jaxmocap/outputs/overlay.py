@@ -15,8 +15,8 @@ from av.container import OutputContainer
 from av.video.stream import VideoStream
 
 from jaxmocap.body.motion import Motion
-from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.writing import replacing
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.outputs.scene import Scene, limb_outlines, make_scene, pixels
 

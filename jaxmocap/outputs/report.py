@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.skeleton import LANDMARKS
-from jaxmocap.formats.atomic import replacing
+from jaxmocap.formats.writing import replacing
 
 SIDES = ("left", "right")
 # OpenCV comes under several names, of which one is installed.

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.surface import Surface
-from jaxmocap.formats.atomic import replacing
+from jaxmocap.formats.writing import replacing
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.outputs.scene import make_scene
 

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from jaxmocap import __version__
-from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.toml import read_toml
+from jaxmocap.formats.writing import replacing
 
 # In a tracked recording's folder: what it was tracked from, and its row.
 KEPT = "batch.json"

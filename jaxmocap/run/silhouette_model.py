@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.capture.photographs import read_photograph, write_picture
-from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.calibration import pick_camera, read_calibration
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.writing import replacing
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images import drawing
 from jaxmocap.images.backdrop import PhotographError, person_mask

@@ -19,13 +19,13 @@ from jaxmocap.body.surface import Surface
 from jaxmocap.body.thickness import with_thickness
 from jaxmocap.capture.photographs import png_of, write_picture
 from jaxmocap.formats.animation import write_avatar
-from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.reading import read_bytes
 from jaxmocap.formats.recording import Recording
 from jaxmocap.formats.skin import TEXEL_M, check_texture
 from jaxmocap.formats.subject import read_subject, write_subject
 from jaxmocap.formats.surface import load_surface, save_surface
-from jaxmocap.formats.tables import read_bytes
+from jaxmocap.formats.writing import replacing
 from jaxmocap.silhouette.modelling.avatar import avatar_of
 from jaxmocap.silhouette.modelling.personal import Personal
 from jaxmocap.silhouette.modelling.views import View

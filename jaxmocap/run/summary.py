@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.body.motion import Motion, Report
-from jaxmocap.formats.atomic import replacing
+from jaxmocap.formats.writing import replacing
 from jaxmocap.outputs.report import plain, summarise
 
 # Stages that run once and compile on the way.

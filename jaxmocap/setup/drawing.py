@@ -10,8 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.calibration import Lens
+from jaxmocap.formats.writing import replacing
 
 # BGR.
 SEEN, REPROJECTED, RESIDUAL = (90, 230, 90), (60, 60, 255), (0, 220, 255)

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxmocap.capture.video import Video
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.tables import read_bytes
+from jaxmocap.formats.reading import read_bytes
 from jaxmocap.setup.boards import Board
 from jaxmocap.setup.corners import find_coarsely
 

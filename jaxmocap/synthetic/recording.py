@@ -14,10 +14,10 @@ from typing import Any
 import av
 import numpy as np
 
-from jaxmocap.formats.atomic import replacing
 from jaxmocap.formats.calibration import write_calibration
 from jaxmocap.formats.recording import write_recording
 from jaxmocap.formats.trc import write_trc
+from jaxmocap.formats.writing import replacing
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.synthetic import motions
 from jaxmocap.synthetic.lens import look_at

@@ -1,0 +1,139 @@
+"""The one writer: files that appear whole or not at all.
+
+INPUTS: the path that a file shall have.
+OUTPUTS: a path beside it to write to; the file is checked, flushed to the disk and moved into
+place when the writer is done. OutputError where it cannot be: what was there before is as it was.
+
+A process that is killed leaves its hidden part behind; the next that writes there removes it.
+"""
+
+import hashlib
+import os
+import re
+import shutil
+import socket
+import sys
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from jaxmocap.formats.errors import OutputError
+
+# .jaxmocap-HOST-PROCESS-CHANCE.suffix: hidden, of this machine, and of a process that can be asked
+# for.
+_PART = re.compile(r"\.jaxmocap-([0-9a-f]{8})-(\d+)-[0-9a-f]{8}(\..*)?")
+_HOST = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
+
+
+def part_beside(path: Path) -> Path:
+    """A hidden name in the same folder, so that a move is atomic.
+
+    It keeps the suffix, by which libraries choose a format.
+    """
+    return path.with_name(f".jaxmocap-{_HOST}-{os.getpid()}-{uuid.uuid4().hex[:8]}{path.suffix}")
+
+
+@contextmanager
+def replacing(path: str | Path, check: Callable[[Path], bool] | None = None) -> Iterator[Path]:
+    """Write beside ``path`` and replace it at the end; after an error it is as it was before.
+
+    Missing folders are made.
+
+    Args:
+        path: of the file.
+        check: whether what was written is whole, asked with the hidden path before it is moved;
+            for libraries that do not say that the disk is full.
+
+    Yields:
+        The hidden path to write to.
+
+    Raises:
+        OutputError: the disk is full, the folder cannot be written to, or what was written is not
+            whole.
+    """
+    path = Path(path)
+    with _as_output_error(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        remove_left_parts(path.parent)
+        beside = part_beside(path)
+        try:
+            yield beside
+            flush_to_disk(beside)
+            if check is not None and not check(beside):
+                raise OutputError(path, "cannot be written whole, is the disk full?")
+            os.replace(beside, path)
+        finally:
+            _remove(beside)
+
+
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Write a whole file.
+
+    Raises:
+        OutputError: see ``replacing``.
+    """
+    with replacing(path) as beside:
+        beside.write_bytes(content)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a whole text file: UTF-8, lines end with a line feed on every system.
+
+    Raises:
+        OutputError: see ``replacing``.
+    """
+    write_bytes(path, text.encode())
+
+
+def flush_to_disk(path: Path) -> None:
+    """Wait until a file's content is on the disk: a full one may say so no earlier."""
+    descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def remove_left_parts(folder: Path) -> None:
+    """Remove what processes that were killed left in a folder; what others write stays."""
+    try:
+        entries = list(os.scandir(folder))
+    except OSError:
+        return
+    for entry in entries:
+        found = _PART.fullmatch(entry.name)
+        if found and found[1] == _HOST and not _is_running(int(found[2])):
+            _remove(Path(entry.path))
+
+
+def _is_running(process: int) -> bool:
+    if sys.platform == "win32":
+        # There is no way to ask that would not disturb it.
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+        return
+    # The error that led here is what counts.
+    with suppress(OSError):
+        path.unlink(missing_ok=True)
+
+
+@contextmanager
+def _as_output_error(path: Path) -> Iterator[None]:
+    """The system's errors as one sentence about the file that was to be written."""
+    try:
+        yield
+    except OSError as error:
+        problem = f"cannot be written ({error.strerror or error})"
+        raise OutputError(path, problem) from error
