@@ -10,7 +10,9 @@ OUTPUTS: Frames: a number, and (K, 3) pixels and confidences of everybody in it.
 """
 
 import json
+import os
 import re
+import stat
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +26,10 @@ from jaxmocap.formats.reading import read_bytes
 # The last number in a file's name is its frame's: cam_01_000000000123_keypoints.json.
 _NUMBER = re.compile(r"\d+(?!.*\d)")
 _LARGEST_NUMBER = 10**12
+# An hour at 120 frames a second is 432,000 of them.
+MOST_ENTRIES = 500_000
+# OpenPose takes 2 to 10 KB for a frame.
+MOST_FOLDER_BYTES = 2**30
 
 
 @dataclass(frozen=True)
@@ -41,6 +47,35 @@ class Frame:
     people: list[np.ndarray]
     points: tuple[str, ...] | None
     file: Path
+
+
+def json_files(folder: Path) -> list[Path]:
+    """The .json files that lie in a folder itself, by name.
+
+    What is no regular file is not among them; nor is a name with a dot in front, another system's
+    leaving.
+
+    Raises:
+        InputError: the folder cannot be read, or holds more than any detector writes.
+    """
+    files, total = [], 0
+    try:
+        for count, entry in enumerate(os.scandir(folder), 1):
+            if count > MOST_ENTRIES:
+                problem = f"holds more than {MOST_ENTRIES} files, expected one per frame"
+                raise InputError(folder, problem)
+            if not entry.name.endswith(".json") or entry.name.startswith("."):
+                continue
+            about = entry.stat()
+            if stat.S_ISREG(about.st_mode):
+                files.append(entry.name)
+                total += about.st_size
+    except OSError as error:
+        raise InputError(folder, f"cannot be read ({error.strerror})") from None
+    if total > MOST_FOLDER_BYTES:
+        problem = f"found {total / 2**20:.0f} MB of .json files"
+        raise InputError(folder, f"{problem}, expected at most {MOST_FOLDER_BYTES / 2**20:g} MB")
+    return [folder / name for name in sorted(files)]
 
 
 def read_frames(file: Path) -> Iterator[Frame]:
