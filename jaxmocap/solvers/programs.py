@@ -5,14 +5,11 @@ trace and lower anew, which takes seconds for a tracker. So what tracing made (S
 ``jax.export``) is kept beside it, and is asked for by the function's name, all of this package's
 code, the versions of what it is built on, and the shapes of the arguments.
 
-INPUTS: a function of arrays, a folder. OUTPUTS: the same function, jitted.
+INPUTS: a function of arrays, a store of files. OUTPUTS: the same function, jitted.
 """
 
 import copy
 import hashlib
-import os
-import pickle
-import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -20,12 +17,14 @@ from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from threading import Lock
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol
 
 import jax
 import numpy as np
 from jax import Array, export
 from jax.core import Tracer
+
+from jaxmocap.solvers.structures import from_json, to_json
 
 # What has a hand in tracing, beside this package.
 BUILT_ON = ("jax", "jaxlib", "numpy", "equinox", "lineax", "optimistix")
@@ -40,6 +39,22 @@ EFFORTS: dict[str, dict[str, bool | int]] = {
     "quick": {"xla_cpu_use_fusion_emitters": False},
     "once": {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0},
 }
+
+
+# Bytes that tell how long the description of a result's structure is, which a file begins with.
+LENGTH_BYTES = 4
+
+
+class Store(Protocol):
+    """Where bytes are kept from one start to the next."""
+
+    def read(self, name: str, key: str) -> bytes | None:
+        """What was written by that name and that key; None if it is not there or not whole."""
+        ...
+
+    def write(self, name: str, key: str, content: bytes) -> None:
+        """Keep bytes, in place of whatever has the name."""
+        ...
 
 
 class _Kept(NamedTuple):
@@ -76,7 +91,7 @@ class _Made:
 
 
 class Program:
-    """A jitted function; once a folder is chosen (``keep_in``), what tracing it makes stays there.
+    """A jitted function; once a store is chosen (``keep_in``), what tracing it makes stays there.
 
     Differentiated, mapped or called by another function that is being traced, it is the function.
 
@@ -107,7 +122,7 @@ class Program:
     def __call__(self, *arguments: Any) -> Any:
         """The function's result."""
         arguments = (*self._first, *arguments)
-        if _folder is None or _is_traced(arguments):
+        if _store is None or _is_traced(arguments):
             return self.jitted(*arguments)
         return self._chosen()(*arguments)
 
@@ -115,7 +130,7 @@ class Program:
         """Shapes of the result, from arguments or from what has their shapes."""
         arguments = (*self._first, *like)
         leaves, structure = jax.tree.flatten(arguments)
-        kept = _read(self._path(leaves, structure)) if _folder else None
+        kept = _read(*self._name_and_key(leaves, structure)) if _store else None
         if kept is None:
             # Not exported for this alone: it can wait until it is compiled.
             return jax.eval_shape(self.jitted, *arguments)
@@ -148,7 +163,7 @@ class Program:
 
     def _chosen(self) -> Any:
         """What is jitted: the function, or what looks up what was made of it."""
-        if _folder is None:
+        if _store is None:
             return self.jitted
         if self._made.restored is None:
 
@@ -167,15 +182,17 @@ class Program:
 
     def _look_up(self, leaves: list[Array], structure: Any) -> _Kept | None:
         """What an earlier start kept, or what this one makes of it; None if it cannot be kept."""
-        path = self._path(leaves, structure)
-        return _read(path) or self._make(_like(leaves), structure, path)
+        name, key = self._name_and_key(leaves, structure)
+        return _read(name, key) or self._make(_like(leaves), structure, name, key)
 
-    def _path(self, leaves: list[Array], structure: Any) -> Path:
-        """Where it is kept for such arguments."""
-        told = repr((self.name, self._static, str(structure), _like(leaves), _surroundings()))
-        return Path(_folder or "") / f"{self.name}-{_digest(told)}.program"
+    def _name_and_key(self, leaves: list[Array], structure: Any) -> tuple[str, str]:
+        """Of the file that keeps it for such arguments."""
+        key = repr((self.name, self._static, str(structure), _like(leaves), _surroundings()))
+        return f"{self.name}-{_digest(key)}.program", key
 
-    def _make(self, like: list[jax.ShapeDtypeStruct], structure: Any, path: Path) -> _Kept | None:
+    def _make(
+        self, like: list[jax.ShapeDtypeStruct], structure: Any, name: str, key: str
+    ) -> _Kept | None:
         """What tracing makes, written there; None if JAX cannot export it."""
         result = None
 
@@ -189,21 +206,21 @@ class Program:
         # It calls a library by a name that JAX may change (LAPACK's products with a QR's Q).
         except ValueError:
             return None
-        _write(path, pickle.dumps((blob, result)))
+        _write(name, key, blob, result)
         # Read back, so that this start compiles what later ones will ask for.
         return _Kept(export.deserialize(bytearray(blob)), result)
 
 
-_folder: Path | None = None
+_store: Store | None = None
 
 
-def keep_in(folder: Path | None) -> None:
-    """Keep what tracing makes from now on in a folder of the user's own; None keeps nothing.
+def keep_in(store: Store | None) -> None:
+    """Keep what tracing makes from now on in a store of the user's own; None keeps nothing.
 
-    As with JAX's own cache, what lies there is trusted.
+    What the store returns is trusted: it must be what was written by the same name and key.
     """
-    global _folder
-    _folder = folder
+    global _store
+    _store = store
 
 
 def program(effort: Effort) -> Callable[[Callable], Program]:
@@ -244,14 +261,26 @@ def _like(leaves: list[Array]) -> list[jax.ShapeDtypeStruct]:
     ]
 
 
-def _read(path: Path) -> _Kept | None:
-    """What was kept there; None if it is not there, or not what it should be."""
+def _read(name: str, key: str) -> _Kept | None:
+    """What was kept by that name; None if it is not there, or not what it should be."""
+    content = _store.read(name, key) if _store else None
+    if content is None:
+        return None
+    end = LENGTH_BYTES + int.from_bytes(content[:LENGTH_BYTES], "little")
     try:
-        blob, result = pickle.loads(path.read_bytes())
-        return _Kept(export.deserialize(bytearray(blob)), result)
-    # Whatever the reason, it is made anew.
+        structure = from_json(content[LENGTH_BYTES:end].decode())
+        return _Kept(export.deserialize(bytearray(content[end:])), structure)
+    # Whatever the reason, it is made again.
     except Exception:
         return None
+
+
+def _write(name: str, key: str, blob: bytes, structure: Any) -> None:
+    """Keep a program; nothing where its result has a structure that JSON cannot describe."""
+    if _store is None or (described := to_json(structure)) is None:
+        return
+    text = described.encode()
+    _store.write(name, key, len(text).to_bytes(LENGTH_BYTES, "little") + text + blob)
 
 
 def _is_traced(arguments: Any) -> bool:
@@ -272,18 +301,6 @@ def _code() -> str:
     return _digest(repr([version(name) for name in BUILT_ON])) + _digest(b"\0".join(texts))
 
 
-def _digest(told: str | bytes) -> str:
-    told = told.encode() if isinstance(told, str) else told
-    return hashlib.sha256(told).hexdigest()[:24]
-
-
-def _write(path: Path, blob: bytes) -> None:
-    """Beside its name first: two starts at once do not read half a file."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-            file.write(blob)
-        os.replace(file.name, path)
-    # A folder that cannot be written to keeps nothing.
-    except OSError:
-        pass
+def _digest(content: str | bytes) -> str:
+    content = content.encode() if isinstance(content, str) else content
+    return hashlib.sha256(content).hexdigest()[:24]

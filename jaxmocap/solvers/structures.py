@@ -1,0 +1,91 @@
+"""Structures of results as JSON: which tuples, lists, dicts and NamedTuples hold the arrays.
+
+INPUTS: the structure (PyTreeDef) of a result, or such JSON.
+OUTPUTS: the other. Reading it imports no module and runs no code of a class: a NamedTuple is looked
+up among the modules that are there already.
+"""
+
+import json
+import sys
+from typing import Any
+
+import jax
+
+# An array's place. None stands for itself, a list for a list.
+ARRAY = 0
+TUPLE, DICT = "tuple", "dict"
+
+
+class _UnknownError(Exception):
+    """A container that is none of these, or that is not there."""
+
+
+def to_json(structure: Any) -> str | None:
+    """The structure in JSON; None if it holds containers that cannot be described."""
+    try:
+        return json.dumps(_described(structure))
+    except _UnknownError:
+        return None
+
+
+def from_json(text: str) -> Any:
+    """The structure that ``to_json`` described.
+
+    Raises:
+        ValueError: no such JSON, or a class that is not there any more.
+    """
+    try:
+        return jax.tree.structure(_filled(json.loads(text)))
+    except (_UnknownError, RecursionError):
+        raise ValueError("not a structure that is known here") from None
+
+
+def _described(structure: Any) -> Any:
+    children = [_described(child) for child in structure.children()]
+    if (node := structure.node_data()) is None:
+        return ARRAY
+    kind, keys = node
+    if kind is type(None):
+        return None
+    if kind is list:
+        return children
+    if kind is tuple:
+        return {TUPLE: children}
+    if kind is dict and all(isinstance(key, str) for key in keys):
+        return {DICT: dict(zip(keys, children, strict=True))}
+    name = f"{kind.__module__}:{kind.__qualname__}"
+    if _named_tuple(name) is not kind:
+        raise _UnknownError
+    return {name: children}
+
+
+def _filled(described: Any) -> Any:
+    """The containers, with some object for each array."""
+    if described is None:
+        return None
+    if described == ARRAY:
+        return ARRAY
+    if isinstance(described, list):
+        return [_filled(child) for child in described]
+    if not isinstance(described, dict) or len(described) != 1:
+        raise _UnknownError
+    ((name, children),) = described.items()
+    if name == DICT and isinstance(children, dict):
+        return {key: _filled(child) for key, child in children.items()}
+    if not isinstance(children, list):
+        raise _UnknownError
+    kind = tuple if name == TUPLE else _named_tuple(name)
+    if kind is None or len(getattr(kind, "_fields", children)) != len(children):
+        raise _UnknownError
+    # Not by the class's own constructor, which is code.
+    return tuple.__new__(kind, [_filled(child) for child in children])
+
+
+def _named_tuple(name: str) -> type | None:
+    """The NamedTuple ``module:qualified.name`` if its module is imported, else None."""
+    module, _, path = name.partition(":")
+    found: Any = sys.modules.get(module)
+    for part in path.split("."):
+        found = vars(found).get(part) if hasattr(found, "__dict__") else None
+    is_one = isinstance(found, type) and issubclass(found, tuple) and hasattr(found, "_fields")
+    return found if is_one else None
