@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import signal
+import time
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import asdict, replace
 from io import StringIO
@@ -21,6 +22,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.cli import main
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.npz import load_motion
+from jaxmocap.formats.output_folder import OutputFolder
 from jaxmocap.outputs.report import write_report
 from jaxmocap.run import batch, cluster, corpus
 from jaxmocap.run.batch import Job, Wanted, jobs_of, row_of, track_corpus, track_one
@@ -28,7 +30,7 @@ from jaxmocap.run.corpus import find_recordings, fingerprint, inputs_of
 
 MARKERS_ONLY = Wanted(refine="none")
 BROKEN = "broken/recording.toml"
-OUTPUTS = {"joints.trc", "motion.npz", "report.json", "recording.rrd", "batch.json"}
+OUTPUTS = {"joints.trc", "motion.npz", "report.json", "recording.rrd", "batch.json", "outputs.json"}
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +84,7 @@ def tracked(ran) -> Motion:
 def here(monkeypatch, tracked):
     """Jobs are done in this process, by a tracker that tells the same of all."""
 
-    def each_done(client, function, jobs):
+    def each_done(client, function, jobs, timeout_s):
         for job in jobs:
             yield cluster.Done(job, function(job), None)
 
@@ -97,7 +99,7 @@ def here(monkeypatch, tracked):
     monkeypatch.setattr(batch, "connected", Nobody)
     monkeypatch.setattr(batch, "each_done", each_done)
     monkeypatch.setattr(batch, "track", lambda recording, settings, mode: tracked)
-    monkeypatch.setattr(batch, "write_outputs", written)
+    monkeypatch.setattr(batch, "write_tracked", written)
 
 
 def table(out: Path) -> list[dict[str, str]]:
@@ -120,7 +122,7 @@ def dies_or_answers(number: int) -> int:
 
 
 def test_one_failure_leaves_the_others_and_is_told(ran):
-    assert ran.code == 0
+    assert ran.code == 1 and ran.said.endswith("jaxmocap batch: 1 recordings failed\n")
     assert list(failures(ran.out)) == [BROKEN] and "markers.trc" in failures(ran.out)[BROKEN]
     assert [row["recording"] for row in table(ran.out)] == ["one/recording.toml"]
     figures = json.loads(ran.printed)
@@ -151,6 +153,103 @@ def test_a_scheduler_that_is_not_there_is_bad_input(monkeypatch):
             cluster.connected(address, None).__enter__()
 
 
+def sleeps_or_answers(number: int) -> int:
+    """Does not come back at 0."""
+    if not number:
+        time.sleep(600)
+    return 2 * number
+
+
+def test_a_job_that_does_not_come_back_is_ended_and_the_others_are_done():
+    with cluster.connected(None, 1) as client:
+        done = list(cluster.each_done(client, sleeps_or_answers, range(3), timeout_s=2.0))
+    answers = {each.job: each for each in done}
+    assert answers[0].problem == "took longer than 2 s (--job-timeout)"
+    assert [answers[number].result for number in (1, 2)] == [2, 4]
+
+
+# What is never lost ------------------------------------------------------------------------------
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def refused(arguments: list[str], capsys) -> str:
+    """The one sentence with which a command ends that was given bad input."""
+    assert main(arguments) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    return line
+
+
+def test_a_batch_into_its_own_inputs_is_refused_and_nothing_is_lost(recording, tmp_path, capsys):
+    corpus_folder = tmp_path / "corpus"
+    shutil.copytree(recording, corpus_folder / "walk")
+    (corpus_folder / "walk.toml").write_text(
+        (recording / "recording.toml").read_text().replace('file = "', 'file = "walk/')
+    )
+    (corpus_folder / "walk" / "recording.toml").unlink()
+    before = files_of(tmp_path)
+    for out in (corpus_folder, tmp_path, corpus_folder / "walk"):
+        said = refused(["batch", str(corpus_folder), "--out", str(out)], capsys)
+        assert "which is read; expected a folder of its own" in said
+    assert files_of(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    "names",
+    [("walk.toml", "walk/run.toml"), ("Walk.toml", "walk.toml"), ("corpus.csv.toml",)],
+)
+def test_recordings_whose_outputs_would_lie_in_one_another_are_refused(names, tmp_path, capsys):
+    for name in names:
+        path = tmp_path / "corpus" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("[markers]")
+    said = refused(["batch", str(tmp_path / "corpus"), "--out", str(tmp_path / "out")], capsys)
+    assert "would lie within one another" in said and names[0] in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_foreign_file_in_an_output_folder_stays(whole, tmp_path, here):
+    notes = tmp_path / "out/one/recording/notes.txt"
+    notes.parent.mkdir(parents=True)
+    notes.write_text("mine")
+    track_corpus(whole, tmp_path / "out", MARKERS_ONLY)
+    (whole / "one" / "markers.trc").write_text((whole / "one/markers.trc").read_text() + "\n")
+    assert track_corpus(whole, tmp_path / "out", MARKERS_ONLY).earlier == 1
+    assert notes.read_text() == "mine"
+
+
+def test_an_output_that_was_edited_is_not_replaced_but_told(whole, tmp_path, here):
+    track_corpus(whole, tmp_path / "out", MARKERS_ONLY)
+    edited = tmp_path / "out/one/recording/report.json"
+    edited.write_text("mine")
+    found = track_corpus(whole, tmp_path / "out", MARKERS_ONLY)
+    assert "has changed since an earlier run wrote it" in found.failures["one/recording.toml"]
+    assert edited.read_text() == "mine" and found.earlier == 1
+
+
+def test_what_is_no_file_fails_alone(recording, tmp_path, here):
+    corpus_folder = tmp_path / "corpus"
+    for name in ("good", "pipe", "device", "folder"):
+        shutil.copytree(recording, corpus_folder / name)
+    (corpus_folder / "pipe/cam.mp4").unlink()
+    os.mkfifo(corpus_folder / "pipe/cam.mp4")
+    for name, old, new in (
+        ("device", 'file = "cam.mp4"', 'file = "/dev/zero"'),
+        ("folder", 'camera = "cam"', 'camera = "cam"\nkeypoints = "/"'),
+    ):
+        path = corpus_folder / name / "recording.toml"
+        path.write_text(path.read_text().replace(old, new))
+    found = track_corpus(corpus_folder, tmp_path / "out", Wanted())
+    assert "good/recording.toml" in {row.recording for row in found.rows}
+    assert {"pipe/recording.toml", "device/recording.toml"} <= set(found.failures)
+
+
 # One after the other -----------------------------------------------------------------------------
 
 
@@ -172,15 +271,15 @@ def test_what_an_earlier_run_did_is_not_done_again(whole, tmp_path, here):
 def test_interrupted_it_tells_what_is_done_and_goes_on_there(whole, tmp_path, here, monkeypatch):
     own = batch.each_done
 
-    def interrupted(client, function, jobs):
-        yield next(own(client, function, jobs[1:]))
+    def interrupted(client, function, jobs, timeout_s):
+        yield next(own(client, function, jobs[1:], timeout_s))
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(batch, "each_done", interrupted)
-        track_corpus(whole, tmp_path, MARKERS_ONLY)
-    assert [row["recording"] for row in table(tmp_path)] == ["deeper/two/recording.toml"]
-    assert track_corpus(whole, tmp_path, MARKERS_ONLY).earlier == 1
+        track_corpus(whole, tmp_path / "out", MARKERS_ONLY)
+    assert [row["recording"] for row in table(tmp_path / "out")] == ["deeper/two/recording.toml"]
+    assert track_corpus(whole, tmp_path / "out", MARKERS_ONLY).earlier == 1
 
 
 def test_a_row_says_how_long_how_good_and_what_is_missing(tmp_path, tracked):
@@ -213,8 +312,9 @@ def done_before(folder: Path, mark: str) -> bool:
 
 def test_outputs_that_are_not_whole_or_of_something_else_do_not_count(tmp_path):
     row = corpus.Row("a.toml", 3, 0.1, 2.0, 1.0, None, 0.5, 0.0, "a")
-    (tmp_path / "report.json").write_text("{}")
-    corpus.keep(tmp_path, "mark", row)
+    with OutputFolder(tmp_path, "motion").writing() as stage:
+        (stage / "report.json").write_text("{}")
+        corpus.keep(stage, "mark", row)
     assert corpus.kept(tmp_path, "mark") == row
     assert not done_before(tmp_path, "other")
     (tmp_path / "report.json").write_text('{"frames": 3')
@@ -247,7 +347,7 @@ def test_inputs_are_what_the_files_name_wherever_it_lies(tmp_path):
         '[[video]]\nkeypoints = "points"\nfile = "gone.mp4"\n'
     )
     assert [each.relative_to(tmp_path).as_posix() for each in inputs_of(path)] == [
-        "m.trc", "points/1.json", "recording.toml", "static.trc", "subject.toml",
+        "gone.mp4", "m.trc", "points/1.json", "recording.toml", "static.trc", "subject.toml",
     ]  # fmt: skip
 
 

@@ -1,20 +1,25 @@
 """The command line: parse, and leave with an exit code; ``commands`` calls and prints.
 
-Exit codes: 0 done, 2 bad input (one sentence on stderr), 130 interrupted.
+Exit codes: 0 done, 1 not done or done in part, 2 bad input, 130 interrupted, 143 terminated. But
+for 0 one sentence on stderr says why.
 """
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, NoReturn
 
 from jaxmocap import __version__
 from jaxmocap.cli import commands
-from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.errors import InputError, OutputError, printable, shortened
 from jaxmocap.run import arguments as run_arguments
 from jaxmocap.run import silhouette_arguments
+from jaxmocap.run.signals import Terminated, raised_on_sigterm
 from jaxmocap.setup import arguments as setup_arguments
 from jaxmocap.setup.arguments import with_signs
+
+DONE, NOT_DONE, BAD_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
 
 
 class Command(NamedTuple):
@@ -23,7 +28,7 @@ class Command(NamedTuple):
     Attributes:
         name: of it.
         purpose: in a line.
-        run: what it does.
+        run: what it does; an exit code, or None for 0.
         add: adds its options to a parser.
         example: how it is called.
         figures: whether it reports some, which --json writes.
@@ -31,7 +36,7 @@ class Command(NamedTuple):
 
     name: str
     purpose: str
-    run: Callable[[argparse.Namespace], None]
+    run: Callable[[argparse.Namespace], int | None]
     add: Callable[[argparse.ArgumentParser], None]
     example: str
     figures: bool = True
@@ -137,26 +142,58 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print one sentence and leave with 2."""
-        self.exit(2, f"{self.prog}: {message}\n")
+        self.exit(2, f"{self.prog}: {shortened(printable(message))}\n")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; its exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    options = make_parser().parse_args(with_signs(given))
+    parser = make_parser()
+    if any("\0" in each for each in given):
+        parser.error("an argument holds a NUL, which no file's name does")
+    options = parser.parse_args(with_signs(given))
     try:
-        options.run(options)
-    except InputError as error:
-        print(f"jaxmocap {options.command}: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        problem = error.strerror or str(error)
-        print(f"jaxmocap {options.command}: {error.filename}: {problem}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"jaxmocap {options.command}: interrupted", file=sys.stderr)
-        return 130
-    return 0
+        with raised_on_sigterm():
+            commands.check_report(options)
+            code = options.run(options) or DONE
+            # What cannot be printed is noticed here, not when the process has ended.
+            sys.stdout.flush()
+            return code
+    except (Exception, KeyboardInterrupt, Terminated) as error:
+        code, problem = _ended_by(error)
+        _print_last(f"jaxmocap {options.command}: {problem}")
+        return code
+
+
+def _ended_by(error: BaseException) -> tuple[int, str]:
+    """The exit code and the sentence for whatever ended a command; what is a fault goes on."""
+    match error:
+        case InputError():
+            return BAD_INPUT, str(error)
+        case OutputError():
+            return NOT_DONE, str(error)
+        case KeyboardInterrupt():
+            return INTERRUPTED, "interrupted"
+        case Terminated():
+            return TERMINATED, "terminated"
+        case MemoryError():
+            return NOT_DONE, "there is not enough memory for it"
+        case OSError():
+            named = error.filename or "the system"
+            return NOT_DONE, shortened(printable(f"{named}: {error.strerror or error}"))
+    raise error
+
+
+def _print_last(sentence: str) -> None:
+    """Say how it ended, if anybody can still be told."""
+    try:
+        print(sentence, file=sys.stderr, flush=True)
+        sys.stdout.flush()
+    except OSError:
+        # Python would complain once more when it ends.
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        for stream in (sys.stdout, sys.stderr):
+            os.dup2(nowhere, stream.fileno())
 
 
 def make_parser() -> Parser:

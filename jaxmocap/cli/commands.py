@@ -1,12 +1,20 @@
 """What the commands do: call what does it, print what it found.
 
-INPUTS: parsed options. OUTPUTS: text; figures where --json says.
+INPUTS: parsed options. OUTPUTS: text; figures where --json says; an exit code, None for 0.
 
-Each imports what it needs when it runs, so that ``--help`` is quick.
+Before any work it is looked whether what is to be written can be. Each imports what it needs when
+it runs, so that ``--help`` is quick.
 """
 
 import argparse
 import sys
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import TextIO
+
+# Options that name what is written.
+_OUTPUTS = ("out", "json", "pictures", "target")
 
 
 def demo(options: argparse.Namespace) -> None:
@@ -30,14 +38,14 @@ def check(options: argparse.Namespace) -> None:
     checked.refuse()
 
 
-def track(options: argparse.Namespace) -> None:
-    """Track a recording and write everything."""
+def track(options: argparse.Namespace) -> int | None:
+    """Track a recording and write everything; 1 where the body is far off its markers."""
     from jaxmocap.formats.recording import load_recording
     from jaxmocap.run import choosing
     from jaxmocap.run import recording as offline
     from jaxmocap.run.compilation import keep_compiled
     from jaxmocap.run.summary import figures, summary
-    from jaxmocap.run.writing import check_folder, write_outputs
+    from jaxmocap.run.writing import tracked_folder, write_outputs
 
     keep_compiled()
     recording = load_recording(options.recording)
@@ -46,20 +54,22 @@ def track(options: argparse.Namespace) -> None:
     if options.height:
         recording = choosing.with_height(recording, options.height)
     settings = offline.choose_settings(options.refine, options.paper)
-    check_folder(options.out)
+    tracked_folder(options.out, recording)
     motion = offline.track(recording, settings, mode=options.mode, progress=True)
     files = write_outputs(motion, recording, options.out, settings, progress=True)
     _report(options, summary(motion, files), figures(motion))
 
 
-def batch(options: argparse.Namespace) -> None:
-    """Track a corpus; what an earlier run has done is kept."""
+def batch(options: argparse.Namespace) -> int:
+    """Track a corpus; what an earlier run has done is kept. 1 where a recording failed."""
     from jaxmocap.run.batch import Wanted, track_corpus
 
     wanted = Wanted(options.refine, options.mode)
-    where = {"scheduler": options.scheduler, "workers": options.workers}
-    found = track_corpus(options.corpus, options.out, wanted, **where, progress=True)
+    how = {"scheduler": options.scheduler, "workers": options.workers}
+    how["timeout_s"] = options.job_timeout
+    found = track_corpus(options.corpus, options.out, wanted, **how, progress=True)
     _report(options, found.text(), found.figures())
+    return _done(options, not found.failures, f"{len(found.failures)} recordings failed")
 
 
 def sync(options: argparse.Namespace) -> None:
@@ -102,20 +112,22 @@ def evaluate(options: argparse.Namespace) -> None:
 def convert(options: argparse.Namespace) -> None:
     """Make one file into another."""
     from jaxmocap.formats.convert import Options, convert
+    from jaxmocap.formats.writing import check_target
 
+    body = [] if options.body is None else [options.body]
+    check_target(options.target, [options.source, *body])
     wanted = Options(options.names, options.unit, options.rate, options.body, options.angles)
     notes = convert(options.source, options.target, wanted)
-    print("\n".join([*notes, f"written: {options.target}"]))
+    _print([*notes, f"written: {options.target}"])
 
 
 def retarget(options: argparse.Namespace) -> None:
     """Play a motion with another person's body."""
-    from jaxmocap.run.retarget import retarget, write_retargeted
-    from jaxmocap.run.writing import check_folder
+    from jaxmocap.run.retarget import retarget, retargeted_folder, write_retargeted
 
-    check_folder(options.out)
+    folder = retargeted_folder(options.out, options.source, options.onto)
     played = retarget(options.source, options.onto)
-    files = write_retargeted(played, options.out)
+    files = write_retargeted(played, folder)
     _report(options, played.text(files), played.figures())
 
 
@@ -138,8 +150,12 @@ def live(options: argparse.Namespace) -> None:
 
 def scale(options: argparse.Namespace) -> None:
     """Write a person's body."""
+    from jaxmocap.formats.subject import check_replaceable
+    from jaxmocap.formats.writing import check_target
     from jaxmocap.run.scaling import scale
 
+    check_target(options.out, _inputs(options))
+    check_replaceable(Path(options.out))
     stated = options.height, options.static, options.recording, dict(options.landmarks), options.up
     scaled = scale(options.out, *stated, options.mass, options.wrists, progress=True)
     _report(options, scaled.text(), scaled.figures())
@@ -196,24 +212,24 @@ def silhouette_track(options: argparse.Namespace) -> None:
     from jaxmocap.run import choosing
     from jaxmocap.run.compilation import keep_compiled
     from jaxmocap.run.silhouette import follow
-    from jaxmocap.run.silhouette_person import modelled
+    from jaxmocap.run.silhouette_person import modelled, person_files
     from jaxmocap.run.silhouette_start import settings_for, start_pose
-    from jaxmocap.run.silhouette_writing import write_followed
+    from jaxmocap.run.silhouette_writing import followed_folder, write_followed
     from jaxmocap.run.summary import figures, summary
-    from jaxmocap.run.writing import check_folder
 
     keep_compiled()
     recording = load_recording(options.recording)
     if options.cameras:
         recording = choosing.select_cameras(recording, options.cameras)
     recording, person = modelled(recording, options.model)
-    check_folder(options.out)
+    read = person_files(Path(options.model)) if options.model else []
+    followed_folder(options.out, recording, read)
     start = start_pose(recording, options.at)
     asked = {name: getattr(options, name) for name in ("passes", "markers", "lengths")}
     asked["surface"] = person and person.surface
     asked["settings"] = settings_for(options.at is not None, options.shoulders)
     followed = follow(recording, start, **asked, progress=True)
-    files = write_followed(followed, recording, options.out, True, person)
+    files = write_followed(followed, recording, options.out, True, person, read)
     _report(options, summary(followed.motion, files), figures(followed.motion))
 
 
@@ -232,14 +248,11 @@ def silhouette_demo(options: argparse.Namespace) -> None:
 def silhouette_model(options: argparse.Namespace) -> None:
     """Make a person's own model of four photographs, with pictures of every step."""
     from jaxmocap.run import silhouette_model as modelling
-    from jaxmocap.run.writing import check_folder
 
-    check_folder(options.out)
     files = {name: getattr(options, name) for name in modelling.PHOTOGRAPHS}
-    made = modelling.model_from(
-        files, options.calibration, options.out, options.bottom, options.height
-    )
-    written = modelling.write_model(made, options.out)
+    folder = modelling.model_folder(options.out, [*files.values(), options.calibration])
+    made = modelling.model_from(files, options.calibration, folder, options.bottom, options.height)
+    written = modelling.write_model(made, folder)
     _report(options, modelling.model_text(made, written), made.figures())
 
 
@@ -256,14 +269,67 @@ def view(options: argparse.Namespace) -> None:
     served.until_interrupted()
 
 
+def _inputs(options: argparse.Namespace) -> list[Path]:
+    """Every file that the options name as one to read, with those that a recording names."""
+    from jaxmocap.formats.errors import InputError
+    from jaxmocap.formats.recording_files import input_files
+
+    found: list[Path] = []
+    for text in _texts({k: v for k, v in vars(options).items() if k not in _OUTPUTS}):
+        # Most options are no files.
+        with suppress(OSError, ValueError):
+            if (path := Path(text)).is_file():
+                found.append(path)
+                if path.suffix == ".toml":
+                    with suppress(InputError):
+                        found += input_files(path)
+    return found
+
+
+def _texts(value: object) -> Iterator[str]:
+    """All texts in dicts and lists."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, (list, tuple)):
+        for each in value:
+            yield from _texts(each)
+    elif isinstance(value, (str, Path)):
+        yield str(value)
+
+
+def check_report(options: argparse.Namespace) -> None:
+    """InputError where the file of --json cannot be written, or is read."""
+    from jaxmocap.formats.writing import check_target
+
+    if getattr(options, "json", None) not in (None, "-"):
+        check_target(options.json, _inputs(options))
+
+
 def _report(options: argparse.Namespace, text: str, figures: dict) -> None:
     """Print the text, and write the figures where --json says; - leaves standard output to them."""
     from jaxmocap.run.summary import write_figures
 
     if options.json == "-":
-        print(text, file=sys.stderr)
+        _print(text.split("\n"), sys.stderr)
         print(write_figures(figures))
         return
-    print(text)
+    _print(text.split("\n"))
     if options.json:
         write_figures(figures, options.json)
+
+
+def _print(lines: Iterable[str], stream: TextIO | None = None) -> None:
+    """Print lines; what names in files may hold for a terminal to obey stands as Python has it."""
+    from jaxmocap.formats.errors import printable
+
+    print("\n".join(map(printable, lines)), file=stream)
+
+
+def _done(options: argparse.Namespace, all_is_well: bool, problem: str) -> int:
+    """The exit code; where not all is well the last line says what is not."""
+    from jaxmocap.formats.errors import printable, shortened
+
+    if all_is_well:
+        return 0
+    print(f"jaxmocap {options.command}: {shortened(printable(problem))}", file=sys.stderr)
+    return 1

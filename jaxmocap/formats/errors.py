@@ -1,10 +1,32 @@
 """The errors that end a command in one sentence.
 
 INPUTS: the file (or the name of what is only in memory) and what is wrong with it.
-OUTPUTS: an exception whose text is one sentence that starts with the file.
+OUTPUTS: an exception whose text is one sentence that starts with the file, and that any terminal
+can show.
 """
 
 from pathlib import Path
+
+# A sentence longer than this is cut, characters.
+LONGEST_SENTENCE = 500
+
+
+def printable(text: str) -> str:
+    """Text for a terminal: escapes, line ends and what else does not print stand as Python has it.
+
+    It may hold what a file or a stranger on the network calls things.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
+def shortened(text: str, longest: int = LONGEST_SENTENCE) -> str:
+    """Text of so many characters at most; what is left out in the middle shows as dots."""
+    if len(text) <= longest:
+        return text
+    end = longest // 4
+    return f"{text[: longest - end - 3]}...{text[-end:]}"
 
 
 class FileError(ValueError):
@@ -22,7 +44,7 @@ class FileError(ValueError):
         self.problem = problem
 
     def __str__(self) -> str:
-        return f"{self.path}: {self.problem}"
+        return shortened(printable(f"{self.path}: {self.problem}"))
 
 
 class InputError(FileError):

@@ -21,6 +21,7 @@ from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.body.subject import scale_to_height, scale_to_landmarks
 from jaxmocap.body.wrists import with_wrists
 from jaxmocap.formats.axes import read_axes, to_world
+from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.markers import read_markers
 from jaxmocap.formats.toml import Fields, read_toml, write_toml
 
@@ -117,6 +118,17 @@ def _stated(fields: Fields, key: str) -> np.ndarray | float:
     if not (norm := float(np.linalg.norm(along))) > 1e-6:
         raise fields.error(key, f"found {along.tolist()}, expected a direction")
     return along / norm
+
+
+def check_replaceable(path: Path) -> None:
+    """InputError where a file that is there is no body: it was not meant to be replaced."""
+    if not path.exists():
+        return
+    try:
+        read_subject(path, "", read_toml(path))
+    except InputError:
+        problem = "is there and is no body that 'jaxmocap scale' writes, expected another name"
+        raise InputError(path, problem) from None
 
 
 def write_subject(

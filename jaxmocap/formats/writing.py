@@ -14,11 +14,11 @@ import shutil
 import socket
 import sys
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from jaxmocap.formats.errors import OutputError
+from jaxmocap.formats.errors import InputError, OutputError
 
 # .jaxmocap-HOST-PROCESS-CHANCE.suffix: hidden, of this machine, and of a process that can be asked
 # for.
@@ -38,7 +38,7 @@ def part_beside(path: Path) -> Path:
 def replacing(path: str | Path, check: Callable[[Path], bool] | None = None) -> Iterator[Path]:
     """Write beside ``path`` and replace it at the end; after an error it is as it was before.
 
-    Missing folders are made.
+    Missing folders are made. Where the path is a link, the file that it leads to is replaced.
 
     Args:
         path: of the file.
@@ -52,8 +52,10 @@ def replacing(path: str | Path, check: Callable[[Path], bool] | None = None) -> 
         OutputError: the disk is full, the folder cannot be written to, or what was written is not
             whole.
     """
-    path = Path(path)
-    with _as_output_error(path):
+    with as_output_error(Path(path)):
+        path = Path(os.path.realpath(path))
+        if path.exists() and not path.is_file():
+            raise OutputError(path, "found a folder or a device, expected a file to replace")
         path.parent.mkdir(parents=True, exist_ok=True)
         remove_left_parts(path.parent)
         beside = part_beside(path)
@@ -65,6 +67,54 @@ def replacing(path: str | Path, check: Callable[[Path], bool] | None = None) -> 
             os.replace(beside, path)
         finally:
             _remove(beside)
+
+
+def check_target(path: str | Path, inputs: Iterable[str | Path] = ()) -> Path:
+    """The path of a file to write, looked at before the work begins; nothing is made.
+
+    Args:
+        path: of the file.
+        inputs: files that the work reads, which it must not replace.
+
+    Raises:
+        InputError: it is one of the inputs, a folder or a device, or its folder cannot be made or
+            written to.
+    """
+    path = Path(path)
+    check_name(path)
+    if path.exists() and not path.is_file():
+        raise InputError(path, "found a folder or a device, expected a file's name to write to")
+    for each in inputs:
+        if path.exists() and Path(each).exists() and path.samefile(each):
+            raise InputError(path, "would be replaced while it is read, expected another name")
+    check_writable(path.parent)
+    return path
+
+
+def check_name(path: Path) -> None:
+    """InputError where no file can be called so."""
+    try:
+        path.exists()
+        # A NUL is no error to ``exists`` of every Python.
+        os.fsencode(path).index(0)
+    except OSError as error:
+        raise InputError(path, f"cannot be written to ({error.strerror})") from None
+    except UnicodeEncodeError:
+        raise InputError(ascii(str(path)), "not a file's name on this system") from None
+    except ValueError:
+        return
+    raise InputError(ascii(str(path)), "not a file's name, it holds a NUL")
+
+
+def check_writable(folder: Path) -> None:
+    """InputError where a folder cannot be made or written to; nothing is made."""
+    there = folder
+    while not there.exists() and there != there.parent:
+        there = there.parent
+    if not there.is_dir():
+        raise InputError(folder, f"cannot be a folder, {there} is a file")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise InputError(folder, f"cannot be written to, {there} is read-only")
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:
@@ -130,7 +180,7 @@ def _remove(path: Path) -> None:
 
 
 @contextmanager
-def _as_output_error(path: Path) -> Iterator[None]:
+def as_output_error(path: Path) -> Iterator[None]:
     """The system's errors as one sentence about the file that was to be written."""
     try:
         yield

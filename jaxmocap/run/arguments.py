@@ -83,6 +83,10 @@ def add_batch(parser: argparse.ArgumentParser) -> None:
     where.add_argument(
         "--workers", metavar="N", type=_count, help="processes here; default: one per core"
     )
+    parser.add_argument(
+        "--job-timeout", metavar="SECONDS", type=positive,
+        help="a recording that takes longer fails; default: as long as it takes",
+    )  # fmt: skip
     _add_refine(parser, "see 'track'")
     parser.add_argument(
         "--causal", dest="mode", action="store_const", const="causal", default="own",

@@ -7,7 +7,6 @@ INPUTS: a folder of recordings. OUTPUTS: a folder per recording as ``track`` wri
 all of them, and why those that failed did.
 """
 
-import shutil
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -18,13 +17,16 @@ import numpy as np
 from jaxmocap.body.motion import Motion
 from jaxmocap.capture.timeline import Mode
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.output_folder import LIST, OutputFolder
 from jaxmocap.formats.recording import load_recording
 from jaxmocap.run.cluster import connected, each_done
 from jaxmocap.run.compilation import keep_compiled
 from jaxmocap.run.corpus import (
+    KEPT,
     Row,
     find_recordings,
     fingerprint,
+    inputs_of,
     keep,
     kept,
     write_failures,
@@ -33,7 +35,10 @@ from jaxmocap.run.corpus import (
 from jaxmocap.run.recording import choose_settings, track
 from jaxmocap.run.summary import frames_per_second
 from jaxmocap.run.timing import Progress, progress_bar
-from jaxmocap.run.writing import check_folder, make_folder, write_outputs
+from jaxmocap.run.writing import tracked_folder, write_tracked
+
+# What a batch writes besides the recordings' own folders.
+TABLES = ("corpus.csv", "failures.json")
 
 
 @dataclass(frozen=True)
@@ -54,12 +59,14 @@ class Job:
         recording: its file, an absolute path.
         folder: for its outputs, an absolute path.
         wanted: how.
+        inputs: all files that are read.
     """
 
     name: str
     recording: Path
     folder: Path
     wanted: Wanted
+    inputs: tuple[Path, ...] = ()
 
 
 class Outcome(NamedTuple):
@@ -118,6 +125,7 @@ def track_corpus(
     *,
     scheduler: str | None = None,
     workers: int | None = None,
+    timeout_s: float | None = None,
     progress: Progress | bool | None = None,
 ) -> Batch:
     """Track every recording of a folder; what an earlier run did is not done again.
@@ -130,38 +138,71 @@ def track_corpus(
         scheduler: address of a Dask cluster whose machines reach both folders by the same paths,
             or None for processes here.
         workers: processes here; defaults to one per core.
+        timeout_s: a recording that takes longer fails, seconds; None waits for ever.
         progress: called with the recordings done and their total; True shows a bar on stderr.
 
     Raises:
-        InputError: no recordings, no such folder, no scheduler.
+        InputError: no recordings, no such folder, no scheduler; a folder for outputs that holds
+            inputs, or recordings whose outputs would lie within one another.
+        OutputError: the tables cannot be written.
     """
-    check_folder(out)
     jobs = jobs_of(corpus, out, wanted or Wanted())
-    folder = make_folder(out)
-    batch = Batch([], 0, {}, [folder / "corpus.csv", folder / "failures.json"])
+    folder = OutputFolder(out, "batch", TABLES, [path for job in jobs for path in job.inputs])
+    batch = Batch([], 0, {}, [folder.path / name for name in TABLES])
     most = None if workers is None else min(workers, len(jobs))
-    try:
-        with connected(scheduler, most) as client, progress_bar("recordings", progress) as show:
+    with connected(scheduler, most) as client, progress_bar("recordings", progress) as show:
+        try:
             show(0, len(jobs))
-            for count, done in enumerate(each_done(client, track_one, jobs), 1):
+            for count, done in enumerate(each_done(client, track_one, jobs, timeout_s), 1):
                 outcome = done.result or Outcome(None, problem=done.problem)
                 batch = _with(batch, done.job.name, outcome)
                 show(count, len(jobs))
-    finally:
-        write_rows(batch.files[0], batch.rows)
-        write_failures(batch.files[1], batch.failures)
+        finally:
+            # Before the cluster is closed, which may take its time.
+            _write_tables(folder, batch)
     return batch
 
 
+def _write_tables(folder: OutputFolder, batch: Batch) -> None:
+    with folder.writing() as stage:
+        write_rows(stage / TABLES[0], batch.rows)
+        write_failures(stage / TABLES[1], batch.failures)
+
+
 def jobs_of(corpus: str | Path, out: str | Path, wanted: Wanted) -> list[Job]:
-    """One for each recording."""
+    """One for each recording.
+
+    Raises:
+        InputError: no recordings, or their outputs would lie within one another.
+    """
     root, folder = Path(corpus).resolve(), Path(out).resolve()
-    return [
+    jobs = [
         Job(
-            (name := path.relative_to(root)).as_posix(), path, folder / name.with_suffix(""), wanted
+            (name := path.relative_to(root)).as_posix(),
+            path,
+            folder / name.with_suffix(""),
+            wanted,
+            tuple(inputs_of(path)),
         )
         for path in find_recordings(corpus, out)
     ]
+    _check_apart(Path(corpus), folder, jobs)
+    return jobs
+
+
+def _check_apart(corpus: Path, out: Path, jobs: list[Job]) -> None:
+    """InputError where folders of outputs are the same, or within one another.
+
+    Some file systems do not tell capitals from small letters.
+    """
+    taken: dict[tuple[str, ...], str] = {(name,): name for name in (*TABLES, LIST)}
+    for job in sorted(jobs, key=lambda job: len(job.folder.parts)):
+        parts = tuple(part.casefold() for part in job.folder.relative_to(out).parts)
+        for end in range(1, len(parts) + 1):
+            if (other := taken.get(parts[:end])) is not None:
+                problem = f"the outputs of {other} and {job.name} would lie within one another"
+                raise InputError(corpus, f"{problem}, expected names that differ: rename one")
+        taken[parts] = job.name
 
 
 def _with(batch: Batch, name: str, outcome: Outcome) -> Batch:
@@ -188,19 +229,17 @@ def track_one(job: Job) -> Outcome:
 
 
 def _tracked(job: Job, mark: str) -> Row:
-    """Track and write everything beside the folder, then move it into place."""
+    """Track and write everything."""
     began = perf_counter()
     keep_compiled()
-    beside = job.folder.with_name(f".{job.folder.name}.part")
-    shutil.rmtree(beside, ignore_errors=True)
     recording = load_recording(job.recording)
+    folder = tracked_folder(job.folder, recording, [KEPT])
     settings = choose_settings(job.wanted.refine, job.wanted.paper)
     motion = track(recording, settings, mode=job.wanted.mode)
-    write_outputs(motion, recording, beside, settings)
-    row = row_of(job, motion, perf_counter() - began)
-    keep(beside, mark, row)
-    shutil.rmtree(job.folder, ignore_errors=True)
-    beside.rename(job.folder)
+    with folder.writing() as stage:
+        write_tracked(motion, recording, stage, settings)
+        row = row_of(job, motion, perf_counter() - began)
+        keep(stage, mark, row)
     return row
 
 

@@ -5,15 +5,20 @@ OUTPUTS: each job with its result, or with why there is none, as they are done.
 """
 
 import logging
+import math
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Container, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from time import monotonic, sleep
 from typing import Any, NamedTuple
 
 from jaxmocap.formats.errors import InputError
 
 # Seconds after which a scheduler that does not answer is not there.
 PATIENCE_S = 10
+# How often it is looked whether a job is done, and whether one takes too long, seconds.
+LOOK_S = 0.05
+CLOCK_S = 1.0
 # A job may end so many processes; none waits where another is done, to be blamed for its end.
 # Dask's own also has a process give memory back at once, only to ask for it anew: half of a
 # recording's time went there.
@@ -80,23 +85,70 @@ def connected(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         yield stack.enter_context(client)
 
 
-def each_done(client: Any, function: Callable, jobs: Sequence[Any]) -> Iterator[Done]:
-    """Every job, in the order in which they are done with; those left are dropped at the end."""
+def each_done(
+    client: Any, function: Callable, jobs: Sequence[Any], timeout_s: float | None = None
+) -> Iterator[Done]:
+    """Every job, in the order in which they are done with; those left are dropped at the end.
+
+    Args:
+        client: of the cluster.
+        function: of a job.
+        jobs: to be done.
+        timeout_s: that a job may take once it has begun, seconds; its process is then ended.
+    """
     from distributed import as_completed
 
     futures = client.map(function, jobs, pure=False, retries=0)
-    job_of = {future.key: job for future, job in zip(futures, jobs, strict=True)}
+    left = {future.key: (future, job) for future, job in zip(futures, jobs, strict=True)}
+    completed, clock = as_completed(futures, raise_errors=False), _Clock(client, timeout_s)
     try:
-        for future in as_completed(futures, raise_errors=False):
-            job = job_of[future.key]
-            if future.status == "finished":
-                yield Done(job, future.result(), None)
-            else:
-                yield Done(job, None, _why(future))
-            # The scheduler need not remember it.
-            future.release()
+        while left:
+            for future in completed.next_batch(block=False):
+                if future.key not in left:
+                    continue
+                _, job = left.pop(future.key)
+                if future.status == "finished":
+                    yield Done(job, future.result(), None)
+                else:
+                    yield Done(job, None, _why(future))
+                # The scheduler need not remember it.
+                future.release()
+            for key, worker in clock.overdue(left):
+                future, job = left.pop(key)
+                future.cancel()
+                _end(client, worker)
+                yield Done(job, None, f"took longer than {timeout_s:g} s (--job-timeout)")
+            sleep(LOOK_S)
     finally:
         client.cancel(futures)
+
+
+class _Clock:
+    """Knows since when jobs are being done."""
+
+    def __init__(self, client: Any, timeout_s: float | None):
+        self._client, self._timeout, self._looked = client, timeout_s, -math.inf
+        self._began: dict[tuple[str, str], float] = {}
+
+    def overdue(self, keys: Container[str]) -> list[tuple[str, str]]:
+        """Keys of jobs that take too long, and whose worker does them."""
+        now = monotonic()
+        if self._timeout is None or now - self._looked < CLOCK_S:
+            return []
+        self._looked = now
+        doing = {(key, worker) for worker, ks in self._client.processing().items() for key in ks}
+        self._began = {each: self._began.get(each, now) for each in doing}
+        return [
+            each
+            for each, began in self._began.items()
+            if each[0] in keys and now - began > self._timeout
+        ]
+
+
+def _end(client: Any, worker: str) -> None:
+    """End a worker's process, which is begun again; what cannot be ended is left alone."""
+    with suppress(Exception):
+        client.restart_workers([worker], timeout=PATIENCE_S)
 
 
 def _why(future: Any) -> str:

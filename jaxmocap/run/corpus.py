@@ -8,15 +8,19 @@ import csv
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from jaxmocap import __version__
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.output_folder import OutputFolder
+from jaxmocap.formats.reading import read_bytes
+from jaxmocap.formats.recording_files import input_files
 from jaxmocap.formats.toml import read_toml
-from jaxmocap.formats.writing import replacing
+from jaxmocap.formats.writing import replacing, write_text
+from jaxmocap.run.writing import MOTION
 
 # In a tracked recording's folder: what it was tracked from, and its row.
 KEPT = "batch.json"
@@ -78,34 +82,17 @@ def _is_recording(path: Path) -> bool:
 
 
 def inputs_of(recording: Path) -> list[Path]:
-    """The recording's file and every file that it names, folders with all that is in them."""
-    found = {recording}
-    for name in _texts(read_toml(recording)):
-        named = recording.parent / name
-        if "\0" in name or not named.exists() or named.samefile(recording.parent):
-            continue
-        if named.is_dir():
-            found |= {path for path in named.rglob("*") if path.is_file()}
-        elif named not in found:
-            found |= set(inputs_of(named)) if named.suffix == ".toml" else {named}
-    return sorted(found)
-
-
-def _texts(value: Any) -> Iterator[str]:
-    """All texts in nested tables and lists."""
-    if isinstance(value, Mapping):
-        value = list(value.values())
-    if isinstance(value, list):
-        for entry in value:
-            yield from _texts(entry)
-    elif isinstance(value, str):
-        yield value
+    """The recording's file and every file that its fields name; itself alone if it is broken."""
+    try:
+        return input_files(recording)
+    except InputError:
+        return [recording]
 
 
 def fingerprint(recording: Path, told: Mapping[str, Any]) -> str:
     """Of all that the outputs depend on: the inputs' contents, what was told, the version."""
     whole = hashlib.sha256(json.dumps([__version__, dict(told)], sort_keys=True).encode())
-    for path in inputs_of(recording):
+    for path in filter(Path.is_file, inputs_of(recording)):
         with path.open("rb") as file:
             content = hashlib.file_digest(file, "sha256").hexdigest()
         whole.update(f"{os.path.relpath(path, recording.parent)} {content} ".encode())
@@ -115,16 +102,17 @@ def fingerprint(recording: Path, told: Mapping[str, Any]) -> str:
 def keep(folder: Path, mark: str, row: Row) -> None:
     """Remember in the outputs' folder what they were made from, and their row."""
     text = json.dumps({"fingerprint": mark, "row": asdict(row)}, indent=2, ensure_ascii=False)
-    (folder / KEPT).write_text(text + "\n", encoding="utf-8")
+    write_text(folder / KEPT, text + "\n")
 
 
 def kept(folder: Path, mark: str) -> Row | None:
     """The row of outputs that are whole and were made from the same, or None."""
     try:
-        json.loads((folder / "report.json").read_text(encoding="utf-8"))
-        found = json.loads((folder / KEPT).read_text(encoding="utf-8"))
-        return Row(**found["row"]) if found["fingerprint"] == mark else None
-    except (OSError, ValueError, TypeError, KeyError):
+        found = json.loads(read_bytes(folder / KEPT))
+        if found["fingerprint"] != mark or not OutputFolder(folder, MOTION).is_whole():
+            return None
+        return Row(**found["row"])
+    except (ValueError, TypeError, KeyError, RecursionError):
         return None
 
 
@@ -139,5 +127,4 @@ def write_rows(path: Path, rows: Sequence[Row]) -> None:
 def write_failures(path: Path, failures: Mapping[str, str]) -> None:
     """Write failures.json: recording -> why it could not be tracked; empty where all could."""
     text = json.dumps(dict(sorted(failures.items())), indent=2, ensure_ascii=False)
-    with replacing(path) as beside:
-        beside.write_text(text + "\n", encoding="utf-8")
+    write_text(path, text + "\n")

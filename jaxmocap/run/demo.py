@@ -18,12 +18,13 @@ from jaxmocap.evaluation.errors import Errors
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.evaluation.plots import plot_elbow_errors
 from jaxmocap.evaluation.tables import format_table
+from jaxmocap.formats.output_folder import OutputFolder
 from jaxmocap.formats.recording import MarkerPlace, Recording, VideoSource
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.run.recording import make_tracker, marker_sites, track, track_both
 from jaxmocap.run.summary import frames_per_second
 from jaxmocap.run.timing import progress_bar
-from jaxmocap.run.writing import make_folder, write_outputs
+from jaxmocap.run.writing import MOTION, MOTION_FILES, write_tracked
 from jaxmocap.synthetic.recording import (
     CAMERA,
     VIDEO_RATE,
@@ -34,6 +35,12 @@ from jaxmocap.synthetic.recording import (
 
 ELBOWS = {"elbow_l": "elbow_l", "elbow_r": "elbow_r"}
 HEIGHT = 1.75
+PLOT = "elbow_errors.png"
+FILES = (*MOTION_FILES, "report.json", "recording.rrd", "overlay.mp4", PLOT)
+RECORDING_FILES = (
+    *("recording.toml", "markers.trc", "static.trc", "truth.trc"),
+    *("video.mp4", "calibration.toml"),
+)
 
 
 @dataclass(frozen=True)
@@ -90,26 +97,28 @@ def demonstrate(
         seed: of person, room, strokes and noise.
         progress: show bars on stderr.
     """
-    folder = make_folder(directory)
+    folder = OutputFolder(directory, MOTION, FILES)
+    recording_folder = OutputFolder(folder.path / "recording", "recording", RECORDING_FILES)
     # The tracker compiles while the frames are rendered: they share nothing but the plan.
-    with ThreadPoolExecutor(1) as renderer, progress_bar("rendering", progress) as show:
-        written = renderer.submit(
-            write_table_tennis,
-            folder / "recording",
-            seconds,
-            seed,
-            height=HEIGHT,
-            progress=show,
-        )
+    with (
+        recording_folder.writing() as stage,
+        ThreadPoolExecutor(1) as renderer,
+        progress_bar("rendering", progress) as show,
+    ):
+        person = {"height": HEIGHT, "progress": show}
+        written = renderer.submit(write_table_tennis, stage, seconds, seed, **person)
         tracker = compiled_tracker()
-        recording = Recording.load(written.result())
+        written.result()
+    recording = Recording.load(recording_folder.path / "recording.toml")
     tracked = track_both(recording, progress=progress, tracker=tracker)
-    files = write_outputs(tracked.motion, recording, folder, tracker.settings, progress)
-    truth = folder / "recording" / "truth.trc"
+    truth = recording_folder.path / "truth.trc"
     before, after = (evaluate(motion, truth, ELBOWS) for motion in reversed(tracked))
-    files.append(folder / "elbow_errors.png")
-    plot_elbow_errors(files[-1], after.times, _by_joint(before), _by_joint(after), "Elbow errors")
-    return Demonstration(tracked.motion, before, after, files)
+    with folder.writing() as stage:
+        files = write_tracked(tracked.motion, recording, stage, tracker.settings, progress)
+        files.append(stage / PLOT)
+        curves = after.times, _by_joint(before), _by_joint(after)
+        plot_elbow_errors(files[-1], *curves, "Elbow errors")
+    return Demonstration(tracked.motion, before, after, folder.placed(files, stage))
 
 
 def compiled_tracker() -> HybridTracker:

@@ -18,12 +18,14 @@ from jaxmocap.capture.photographs import picture_of
 from jaxmocap.evaluation.stick_figures import plot_stick_figures
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.npz import load_motion
+from jaxmocap.formats.output_folder import OutputFolder
 from jaxmocap.formats.subject import read_subject
 from jaxmocap.outputs.viewer import write_rerun
-from jaxmocap.run.silhouette_person import read_person
-from jaxmocap.run.writing import make_folder, write_motion
+from jaxmocap.run.silhouette_person import person_files, read_person
+from jaxmocap.run.writing import MOTION, MOTION_FILES, write_motion
 
-MOTION = "motion.npz"
+MOTION_NPZ = "motion.npz"
+RECORDING, PICTURE = "recording.rrd", "retargeted.png"
 
 
 class Retargeted(NamedTuple):
@@ -89,18 +91,34 @@ def retarget(source: str | Path, onto: str | Path) -> Retargeted:
         raise InputError(source, str(error)) from None
 
 
-def write_retargeted(played: Retargeted, directory: str | Path) -> list[Path]:
+def retargeted_folder(directory: str | Path, source: str | Path, onto: str | Path) -> OutputFolder:
+    """The folder for a retargeted motion, looked at before any work; see ``tracked_folder``."""
+    person = Path(onto)
+    inputs = [_motion_file(source), *(person_files(person) if person.is_dir() else [person])]
+    return OutputFolder(directory, MOTION, [*MOTION_FILES, RECORDING, PICTURE], inputs)
+
+
+def write_retargeted(played: Retargeted, folder: OutputFolder) -> list[Path]:
     """Write the motion and the picture.
 
     Returns:
         What was written.
+
+    Raises:
+        OutputError: the disk is full; what was there is as it was.
     """
-    folder = make_folder(directory)
+    with folder.writing() as stage:
+        files = _write(played, stage)
+    return folder.placed(files, stage)
+
+
+def _write(played: Retargeted, folder: Path) -> list[Path]:
+    """All files into a folder that is there."""
     surface, picture = played.surface, played.picture
-    files = [*write_motion(played.after, folder, surface, picture), folder / "recording.rrd"]
+    files = [*write_motion(played.after, folder, surface, picture), folder / RECORDING]
     colours = None if picture is None else picture_of(folder, picture)
     write_rerun(files[-1], played.after, surface=surface, picture=colours)
-    files.append(folder / "retargeted.png")
+    files.append(folder / PICTURE)
     people = {"as tracked": played.before, "as played": played.after}
     plot_stick_figures(files[-1], people)
     return files
@@ -110,9 +128,9 @@ def _motion_file(source: str | Path) -> Path:
     """The motion.npz of a folder, or the file itself."""
     path = Path(source)
     if path.is_dir():
-        path = path / MOTION
+        path = path / MOTION_NPZ
         if not path.is_file():
-            raise InputError(source, f"found no {MOTION} in this folder, expected one")
+            raise InputError(source, f"found no {MOTION_NPZ} in this folder, expected one")
     return path
 
 

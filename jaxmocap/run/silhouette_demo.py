@@ -18,15 +18,16 @@ from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.evaluation.errors import Errors
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.evaluation.tables import format_table
+from jaxmocap.formats.output_folder import OutputFolder
 from jaxmocap.formats.recording import Recording
 from jaxmocap.formats.trc import read_trc
 from jaxmocap.run.silhouette import Followed, follow, whole_body
-from jaxmocap.run.silhouette_model import PHOTOGRAPHS, model_from, write_model
+from jaxmocap.run.silhouette_model import PHOTOGRAPHS, model_folder, model_from, write_model
 from jaxmocap.run.silhouette_person import Person, modelled
-from jaxmocap.run.silhouette_writing import write_followed
+from jaxmocap.run.silhouette_writing import KINDS, write_all
 from jaxmocap.run.summary import frames_per_second
 from jaxmocap.run.timing import progress_bar
-from jaxmocap.run.writing import make_folder
+from jaxmocap.run.writing import MOTION, MOTION_FILES
 from jaxmocap.silhouette.start import pose_at
 from jaxmocap.synthetic import motions
 from jaxmocap.synthetic.exercises import exercise
@@ -36,6 +37,16 @@ from jaxmocap.synthetic.photographs import write_photographs
 from jaxmocap.synthetic.rigged_mesh import load_rig
 
 HEIGHT = 1.75
+CAMERAS = tuple(f"cam_{number}" for number in range(1, 5))
+RECORDING_FILES = (
+    *("recording.toml", "calibration.toml", "truth.trc", "truth_angles.npz", "truth_masks.npz"),
+    *(f"{camera}.mp4" for camera in CAMERAS),
+)
+FILES = (
+    *(*MOTION_FILES, "report.json", "recording.rrd"),
+    *(f"{kind}.mp4" for kind in KINDS),
+    *(f"{kind}_{camera}.mp4" for kind in KINDS for camera in CAMERAS[1:]),
+)
 JOINTS = {
     f"{joint}_{side}": f"{joint}_{side}"
     for joint in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
@@ -109,11 +120,14 @@ def demonstrate(
         kind: the mesh's exercise.
         progress: show bars on stderr.
     """
-    folder = make_folder(directory)
-    with progress_bar("rendering", progress) as show:
+    folder = Path(directory)
+    recording_folder = OutputFolder(folder / "recording", "recording", RECORDING_FILES)
+    outputs = OutputFolder(folder, MOTION, FILES)
+    with recording_folder.writing() as stage, progress_bar("rendering", progress) as show:
         performer = performing(seconds, seed, person, kind)
-        path = write_four_cameras(folder / "recording", performer, seconds, seed, HEIGHT, show)
-    recording, truth = Recording.load(path), folder / "recording" / "truth.trc"
+        write_four_cameras(stage, performer, seconds, seed, HEIGHT, show)
+    recording = Recording.load(recording_folder.path / "recording.toml")
+    truth = recording_folder.path / "truth.trc"
     before, files, own = None, [], None
     if person is not None:
         motion = followed_from(recording, truth, progress).motion
@@ -121,7 +135,9 @@ def demonstrate(
         files += photographed(folder, person, seed)
         recording, own = modelled(recording, folder / "model")
     followed = followed_from(recording, truth, progress, own)
-    files += write_followed(followed, recording, folder, progress)
+    with outputs.writing() as stage:
+        tracked = write_all(followed, recording, stage, progress, own)
+    files += outputs.placed(tracked, stage)
     errors = evaluate(followed.motion, truth, JOINTS)
     off = bend_errors_deg(followed.motion, truth)
     return Shown(followed.motion, errors, off, before, files)
@@ -129,10 +145,13 @@ def demonstrate(
 
 def photographed(folder: Path, person: str, seed: int) -> list[Path]:
     """Photograph a mesh and make the person's model, in ``photographs`` and ``model``."""
-    taken = folder / "photographs"
-    calibration = write_photographs(taken, load_rig(person, seed=seed), seed)
-    files = {name: taken / f"{name}.png" for name in PHOTOGRAPHS}
-    return write_model(model_from(files, calibration, folder), folder / "model")
+    pictures = [f"{name}.png" for name in PHOTOGRAPHS]
+    taken = OutputFolder(folder / "photographs", "photographs", [*pictures, "calibration.toml"])
+    with taken.writing() as stage:
+        write_photographs(stage, load_rig(person, seed=seed), seed)
+    files = {name: taken.path / f"{name}.png" for name in PHOTOGRAPHS}
+    calibration, model = taken.path / "calibration.toml", model_folder(folder / "model")
+    return write_model(model_from(files, calibration, model), model)
 
 
 def followed_from(

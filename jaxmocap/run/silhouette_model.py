@@ -8,7 +8,7 @@ the person for other commands and programs, as ``silhouette_person`` has it.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
@@ -18,12 +18,13 @@ import numpy as np
 from jaxmocap.capture.photographs import read_photograph, write_picture
 from jaxmocap.formats.calibration import pick_camera, read_calibration
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.writing import replacing
+from jaxmocap.formats.output_folder import OutputFolder
+from jaxmocap.formats.writing import replacing, write_text
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images import drawing
 from jaxmocap.images.backdrop import PhotographError, person_mask
 from jaxmocap.images.medial import skeleton
-from jaxmocap.run.silhouette_person import write_person
+from jaxmocap.run.silhouette_person import PERSON_FILES, write_person
 from jaxmocap.silhouette.modelling.closing import joined_meshes
 from jaxmocap.silhouette.modelling.girths import girths
 from jaxmocap.silhouette.modelling.person import PersonModel, StanceError, person_model
@@ -31,6 +32,8 @@ from jaxmocap.silhouette.modelling.personal import Personal, personal
 from jaxmocap.silhouette.modelling.views import View
 
 PHOTOGRAPHS = ("front", "side", "joint", "arm_side")
+FILES = ("model.npz", "report.json", "model.png")
+REFUSED = "_refused"
 # Of the rings, every so many are drawn.
 DRAWN = 3
 
@@ -68,7 +71,7 @@ class Modelled(NamedTuple):
 def model_from(
     files: Mapping[str, str | Path],
     calibration: str | Path,
-    out: str | Path,
+    folder: OutputFolder,
     bottom: int | None = None,
     height: float | None = None,
 ) -> Modelled:
@@ -77,7 +80,7 @@ def model_from(
     Args:
         files: the four ``PHOTOGRAPHS``.
         calibration: a .toml file.
-        out: a folder, where a refused photograph's picture goes.
+        folder: for the outputs, where a refused photograph's picture goes.
         bottom: row of the trunk's bottom line in the front photograph; by default found.
         height: of the body, metres, which tells how long the legs are; by default guessed.
 
@@ -92,7 +95,7 @@ def model_from(
         try:
             views[name] = View(person_mask(image), cameras[name])
         except PhotographError as error:
-            shown = write_picture(Path(out) / f"{name}_refused.png", error.picture)
+            shown = _show_refused(folder, name, error.picture)
             raise InputError(files[name], f"{error.problem} (see {shown})") from None
     try:
         model = person_model(views, bottom)
@@ -113,13 +116,43 @@ def _cameras(calibration: str | Path) -> dict[str, Camera]:
     return {"joint": found["front"], "arm_side": found["front"]} | found
 
 
-def write_model(modelled: Modelled, directory: str | Path) -> list[Path]:
+def model_folder(directory: str | Path, inputs: Iterable[str | Path] = ()) -> OutputFolder:
+    """The folder for a person's model, looked at before any work; see ``OutputFolder``.
+
+    Args:
+        directory: of the outputs.
+        inputs: photographs and calibration.
+    """
+    pictures = [f"{name}{kind}.png" for name in PHOTOGRAPHS for kind in ("", REFUSED)]
+    return OutputFolder(directory, "model", [*FILES, *pictures, *PERSON_FILES], inputs)
+
+
+def _show_refused(folder: OutputFolder, name: str, picture: np.ndarray) -> Path:
+    """What is wrong with a photograph, as a picture beside whatever the folder holds."""
+    shown = f"{name}{REFUSED}.png"
+    refused = OutputFolder(folder.path, "refused photograph", [shown])
+    with refused.writing() as stage:
+        write_picture(stage / shown, picture)
+    return folder.path / shown
+
+
+def write_model(modelled: Modelled, folder: OutputFolder) -> list[Path]:
     """Write model, report and pictures.
 
     Returns:
         What was written.
+
+    Raises:
+        OutputError: the disk is full; what was there is as it was.
     """
-    directory, model = Path(directory), modelled.model
+    with folder.writing() as stage:
+        files = _write(modelled, stage)
+    return folder.placed(files, stage)
+
+
+def _write(modelled: Modelled, directory: Path) -> list[Path]:
+    """All files into a folder that is there."""
+    model = modelled.model
     vertices, faces = joined_meshes([model.trunk.rings, *model.arms])
     files = [directory / "model.npz", directory / "report.json"]
     with replacing(files[0]) as beside, beside.open("wb") as file:
@@ -133,8 +166,7 @@ def write_model(modelled: Modelled, directory: str | Path) -> list[Path]:
             vertices=vertices,
             faces=faces,
         )
-    with replacing(files[1]) as beside:
-        beside.write_text(json.dumps(modelled.figures(), indent=2) + "\n", encoding="utf-8")
+    write_text(files[1], json.dumps(modelled.figures(), indent=2) + "\n")
     for name, picture in pictures(modelled).items():
         files.append(write_picture(directory / f"{name}.png", picture))
     views = [drawing.shaded(vertices, faces, turn) for turn in (0.0, 0.8)]

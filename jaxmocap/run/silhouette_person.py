@@ -31,6 +31,7 @@ from jaxmocap.silhouette.modelling.personal import Personal
 from jaxmocap.silhouette.modelling.views import View
 
 SUBJECT, SURFACE, TEXTURE = "subject.toml", "surface.npz", "texture.png"
+PERSON_FILES = (SUBJECT, SURFACE, TEXTURE, "model.glb", "person.png")
 RESTS_ON = "Lengths and diameters by four photographs; what they do not show, by the stature."
 
 
@@ -62,8 +63,7 @@ def write_person(
         views: photograph -> mask and camera.
         directory: where to.
     """
-    names = (SUBJECT, SURFACE, TEXTURE, "model.glb", "person.png")
-    files = [Path(directory) / name for name in names]
+    files = [Path(directory) / name for name in PERSON_FILES]
     thick = with_thickness(person.skeleton, person.surface)
     write_subject(files[0], thick, stature_of(thick), [RESTS_ON])
     save_surface(files[1], person.surface, person.skeleton.tree)
@@ -93,6 +93,11 @@ def modelled(recording: Recording, model: str | Path | None) -> tuple[Recording,
         return recording, None
     person = read_person(model)
     return replace(recording, skeleton=person.skeleton), person
+
+
+def person_files(folder: Path) -> list[Path]:
+    """The files of a folder that ``read_person`` reads."""
+    return [folder / name for name in (SUBJECT, SURFACE, TEXTURE)]
 
 
 def read_person(directory: str | Path) -> Person:

@@ -15,6 +15,7 @@ from jaxmocap.body.mesh import coarser
 from jaxmocap.body.surface import Surface, rest_nodes
 from jaxmocap.capture.photographs import picture_of
 from jaxmocap.capture.video import Frame, FrameSource, open_video
+from jaxmocap.formats.output_folder import OutputFolder
 from jaxmocap.formats.recording import Recording
 from jaxmocap.images.canvases import full_mask
 from jaxmocap.images.regions import Region
@@ -25,8 +26,11 @@ from jaxmocap.run.silhouette import Followed, Masks
 from jaxmocap.run.silhouette_person import Person
 from jaxmocap.run.timing import Progress, progress_bar
 from jaxmocap.run.writing import (
+    MOTION,
+    MOTION_FILES,
     Counter,
-    make_folder,
+    inputs_of,
+    overlay_names,
     thinned,
     viewed,
     write_motion,
@@ -35,6 +39,8 @@ from jaxmocap.run.writing import (
 
 # Metres between the nodes of a skin in files: the tracker's are denser.
 SKIN_M = 0.018
+# Videos of each camera.
+KINDS = ("overlay", "segmentation")
 # BGR, and how much of it lies over the person.
 TINT, COVER = np.array([60, 220, 60]), 0.45
 
@@ -45,6 +51,7 @@ def write_followed(
     directory: str | Path,
     progress: Progress | bool | None = None,
     person: Person | None = None,
+    inputs: Iterable[Path] = (),
 ) -> list[Path]:
     """Write all files.
 
@@ -54,11 +61,39 @@ def write_followed(
         directory: is made where missing.
         progress: called with the frames drawn and their total; True shows a bar on stderr.
         person: who was tracked: if their colours are known, their own surface is the skin.
+        inputs: files that were read besides the recording's.
 
     Returns:
         The files, in the order in which they were written.
+
+    Raises:
+        InputError: see ``tracked_folder``.
+        OutputError: the disk is full; what was there is as it was.
     """
-    folder, motion = make_folder(directory), followed.motion
+    folder = followed_folder(directory, recording, inputs)
+    with folder.writing() as stage:
+        files = write_all(followed, recording, stage, progress, person)
+    return folder.placed(files, stage)
+
+
+def followed_folder(
+    directory: str | Path, recording: Recording, inputs: Iterable[Path] = ()
+) -> OutputFolder:
+    """The folder for these files, looked at before any work; see ``tracked_folder``."""
+    videos = [name for kind in KINDS for name in overlay_names(recording, kind)]
+    names = [*MOTION_FILES, "report.json", "recording.rrd", *videos]
+    return OutputFolder(directory, MOTION, names, [*inputs_of(recording), *inputs])
+
+
+def write_all(
+    followed: Followed,
+    recording: Recording,
+    folder: Path,
+    progress: Progress | bool | None = None,
+    person: Person | None = None,
+) -> list[Path]:
+    """The same into a folder that is there, of which nothing is asked."""
+    motion = followed.motion
     skin, picture = _skin(followed, person)
     files = write_motion(motion, folder, skin, picture)
     files.append(folder / "report.json")
@@ -95,10 +130,10 @@ def _write_segmentations(
 ) -> list[Path]:
     """The frames with the person tinted as segmented, and the body over them."""
     files = []
-    for i, (source, video) in enumerate(zip(recording.videos, videos, strict=True)):
-        name = source.camera_name
-        files.append(folder / (f"segmentation_{name}.mp4" if i else "segmentation.mp4"))
-        frames = tinted(counter.over(video.frames()), followed.masks[name])
+    names = overlay_names(recording, "segmentation")
+    for name, source, video in zip(names, recording.videos, videos, strict=True):
+        files.append(folder / name)
+        frames = tinted(counter.over(video.frames()), followed.masks[source.camera_name])
         write_overlay(files[-1], frames, source.camera, followed.motion, rate=video.fps or 30.0)
     return files
 

@@ -5,8 +5,7 @@ OUTPUTS: joints.trc, angles.mot, angles_isb.mot, motion.npz, motion.bvh, motion.
 recording.rrd, and overlay.mp4 where there is video.
 """
 
-import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,10 +17,11 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.surface import Surface
 from jaxmocap.capture.video import Frame, FrameSource
 from jaxmocap.formats.animation import write_animation
-from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.mot import write_isb, write_mot
 from jaxmocap.formats.npz import save_motion
+from jaxmocap.formats.output_folder import OutputFolder
 from jaxmocap.formats.recording import Recording, VideoSource
+from jaxmocap.formats.recording_files import input_files
 from jaxmocap.formats.trc import write_trc
 from jaxmocap.geometry.cameras import Camera, turned
 from jaxmocap.hybrid.settings import Settings
@@ -36,27 +36,40 @@ from jaxmocap.run.timing import Progress, progress_bar
 
 # The viewer's recording holds at most so many frames of a camera.
 MOST_VIEWED = 300
+# Runs that write a motion into a folder replace each other's files.
+MOTION = "motion"
+# What holds a motion, in the order in which it is written.
+MOTION_FILES = (
+    "joints.trc",
+    "angles.mot",
+    "angles_isb.mot",
+    "motion.npz",
+    "motion.bvh",
+    "motion.glb",
+)
 
 
-def make_folder(directory: str | Path) -> Path:
-    """The folder to write to, made where missing; InputError where that cannot be."""
-    directory = Path(directory)
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(directory, f"cannot be a folder ({error.strerror})") from None
-    return directory
+def tracked_folder(
+    directory: str | Path, recording: Recording, others: Iterable[str] = ()
+) -> OutputFolder:
+    """The folder for a tracked recording's files, looked at before any work.
+
+    Args:
+        directory: of the outputs.
+        recording: that is tracked.
+        others: names of files that are written besides.
+
+    Raises:
+        InputError: it cannot be written to, holds a file that is read, or a file that no earlier
+            run wrote where one of ours would go.
+    """
+    names = [*MOTION_FILES, "report.json", "recording.rrd", *overlay_names(recording), *others]
+    return OutputFolder(directory, MOTION, names, inputs_of(recording))
 
 
-def check_folder(directory: str | Path) -> None:
-    """InputError where a folder cannot be made or written to; nothing is made."""
-    there = Path(directory)
-    while not there.exists() and there != there.parent:
-        there = there.parent
-    if not there.is_dir():
-        raise InputError(directory, f"cannot be a folder, {there} is a file")
-    if not os.access(there, os.W_OK):
-        raise InputError(directory, f"cannot be written to, {there} is read-only")
+def inputs_of(recording: Recording) -> list[Path]:
+    """The files that a recording was read from; none where it was made in memory."""
+    return [] if recording.path is None else input_files(recording.path)
 
 
 def write_outputs(
@@ -71,14 +84,31 @@ def write_outputs(
     Args:
         motion: tracked from the recording.
         recording: with its videos.
-        directory: is made where missing.
+        directory: is made where missing; it changes when everything is whole.
         settings: of the tracker, for the edges that the viewer shows.
         progress: called with the frames drawn and their total; True shows a bar on stderr.
 
     Returns:
         The files, in the order in which they were written.
+
+    Raises:
+        InputError: see ``tracked_folder``.
+        OutputError: the disk is full; what was there is as it was.
     """
-    folder = make_folder(directory)
+    folder = tracked_folder(directory, recording)
+    with folder.writing() as stage:
+        files = write_tracked(motion, recording, stage, settings, progress)
+    return folder.placed(files, stage)
+
+
+def write_tracked(
+    motion: Motion,
+    recording: Recording,
+    folder: Path,
+    settings: Settings | None = None,
+    progress: Progress | bool | None = None,
+) -> list[Path]:
+    """The same into a folder that is there, of which nothing is asked."""
     videos, warnings = open_footage(recording)
     recording = as_found(recording, motion)
     files = write_motion(motion, folder)
@@ -107,8 +137,7 @@ def write_motion(
     motion: Motion, folder: Path, surface: Surface | None = None, picture: bytes | None = None
 ) -> list[Path]:
     """The motion in every format that others read; surface and picture are motion.glb's skin."""
-    names = ("joints.trc", "angles.mot", "angles_isb.mot", "motion.npz", "motion.bvh", "motion.glb")
-    files = [folder / name for name in names]
+    files = [folder / name for name in MOTION_FILES]
     write_trc(files[0], motion.times, motion.joints())
     write_mot(files[1], motion)
     write_isb(files[2], motion)
@@ -132,6 +161,14 @@ def as_found(recording: Recording, motion: Motion) -> Recording:
     return replace(recording, videos=tuple(map(found, recording.videos)))
 
 
+def overlay_names(recording: Recording, kind: str = "overlay") -> list[str]:
+    """overlay.mp4 of the first camera, overlay_NAME.mp4 of the others."""
+    return [
+        f"{kind}_{source.camera_name}.mp4" if i else f"{kind}.mp4"
+        for i, source in enumerate(recording.videos)
+    ]
+
+
 def write_overlays(
     motion: Motion,
     recording: Recording,
@@ -140,10 +177,11 @@ def write_overlays(
     targets: Mapping[str, np.ndarray],
     counter: "Counter",
 ) -> list[Path]:
-    """overlay.mp4 of the first camera, overlay_NAME.mp4 of the others."""
+    """A video of each camera."""
     files = []
-    for i, (source, video) in enumerate(zip(recording.videos, videos, strict=True)):
-        path = folder / (f"overlay_{source.camera_name}.mp4" if i else "overlay.mp4")
+    names = overlay_names(recording)
+    for name, source, video in zip(names, recording.videos, videos, strict=True):
+        path = folder / name
         frames = counter.over(video.frames())
         write_overlay(path, frames, source.camera, motion, targets, video.fps or 30.0)
         files.append(path)
