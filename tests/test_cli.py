@@ -10,21 +10,24 @@ import numpy as np
 import pytest
 from small_recording import SAMPLES, write_small_recording
 
-from jaxmocap.cli import COMMANDS, GROUPS, main
+from jaxmocap.cli import COMMANDS, GROUPS, commands, main
+from jaxmocap.formats.errors import InputError, OutputError
+from jaxmocap.formats.output_folder import OutputFolder
 from jaxmocap.formats.trc import write_trc
 from jaxmocap.run import viewing
 from jaxmocap.run.compilation import cache_folder
+from jaxmocap.run.signals import Terminated
 
 OUTPUTS = {"joints.trc", "angles.mot", "motion.npz", "motion.bvh", "motion.glb"}
-OUTPUTS |= {"angles_isb.mot", "report.json", "overlay.mp4", "recording.rrd"}
+OUTPUTS |= {"angles_isb.mot", "report.json", "overlay.mp4", "recording.rrd", "outputs.json"}
 
 
 @pytest.fixture
 def folder(tmp_path) -> Path:
     """A small recording's files, and earlier output in ``out``."""
     write_small_recording(tmp_path)
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "joints.trc").write_text("earlier")
+    with OutputFolder(tmp_path / "out", "motion").writing() as stage:
+        (stage / "joints.trc").write_text("earlier")
     return tmp_path
 
 
@@ -163,7 +166,7 @@ def refused(folder: Path, capsys, *options: str) -> str:
     printed = capsys.readouterr()
     assert printed.out == "" and printed.err.count("\n") == 1
     assert printed.err.startswith("jaxmocap track: ")
-    assert [path.name for path in (folder / "out").iterdir()] == ["joints.trc"]
+    assert {path.name for path in (folder / "out").iterdir()} == {"joints.trc", "outputs.json"}
     assert (folder / "out" / "joints.trc").read_text() == "earlier"
     return printed.err
 
@@ -317,3 +320,104 @@ def test_wrong_arguments_are_one_line_too(arguments, says, capsys):
         main(arguments)
     message = capsys.readouterr().err
     assert done.value.code == 2 and says in message and message.count("\n") == 1
+
+
+# How they end -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("raised", "code", "says"),
+    [
+        (InputError("a.trc", "is bad"), 2, "jaxmocap check: a.trc: is bad"),
+        (OutputError("a.trc", "cannot be"), 1, "jaxmocap check: a.trc: cannot be"),
+        (OSError(28, "No space left on device"), 1, "the system: No space left on device"),
+        (OSError(5, "Input/output error", "x.mp4"), 1, "x.mp4: Input/output error"),
+        (MemoryError(), 1, "there is not enough memory for it"),
+        (KeyboardInterrupt(), 130, "jaxmocap check: interrupted"),
+        (Terminated(), 143, "jaxmocap check: terminated"),
+        (InputError("a\n\x1b[2J.trc", "found \u202e"), 2, r"a\n\x1b[2J.trc: found \u202e"),
+        (InputError("a.trc", "x" * 10_000), 2, "xxx...xxx"),
+    ],
+)
+def test_whatever_ends_a_command_is_one_clean_line(raised, code, says, monkeypatch, capsys):
+    def fail(options):
+        raise raised
+
+    monkeypatch.setattr(commands, "check_report", fail)
+    assert main(["check", "recording.toml"]) == code
+    said = capsys.readouterr().err
+    assert says in said and said.count("\n") == 1 and said[:-1].isprintable() and len(said) < 600
+
+
+def test_a_fault_of_ours_is_not_hidden(monkeypatch):
+    def fail(options):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(commands, "check_report", fail)
+    with pytest.raises(ZeroDivisionError):
+        main(["check", "recording.toml"])
+
+
+def test_an_argument_with_a_nul_is_bad_input(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["check", "a\0b.toml"])
+    assert ended.value.code == 2 and "holds a NUL" in capsys.readouterr().err
+
+
+def test_figures_never_replace_what_is_read(folder, capsys):
+    for name in ("recording.toml", "markers.trc", "cam.mp4"):
+        before = (folder / name).read_bytes()
+        given = ["check", str(folder / "recording.toml"), "--json", str(folder / name)]
+        assert main(given) == 2
+        assert "would be replaced while it is read" in capsys.readouterr().err
+        assert (folder / name).read_bytes() == before
+
+
+def test_a_recording_is_not_taken_for_the_body_that_scale_replaces(folder, capsys):
+    before = (folder / "recording.toml").read_bytes()
+    given = ["scale", "--height", "1.8", "--out"]
+    for name in ("recording.toml", "calibration.toml"):
+        assert main([*given, str(folder / name)]) == 2
+        assert "is no body that 'jaxmocap scale' writes" in capsys.readouterr().err
+    assert (folder / "recording.toml").read_bytes() == before
+    for _ in range(2):
+        assert main([*given, str(folder / "subject.toml")]) == 0
+
+
+def test_a_file_is_not_converted_into_itself(folder, capsys):
+    before = (folder / "markers.trc").read_bytes()
+    (folder / "link.trc").symlink_to(folder / "markers.trc")
+    for target in ("markers.trc", "link.trc"):
+        assert main(["convert", str(folder / "markers.trc"), str(folder / target)]) == 2
+        assert "would be replaced while it is read" in capsys.readouterr().err
+    assert (folder / "markers.trc").read_bytes() == before
+
+
+def test_a_reader_that_has_gone_is_no_traceback(folder):
+    command = [sys.executable, "-m", "jaxmocap.cli", "check", str(folder / "recording.toml")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process.stdout.close()
+    said = process.stderr.read()
+    assert process.wait(60) == 1
+    assert said == "jaxmocap check: the system: Broken pipe\n"
+
+
+TERMINATED_WHILE = """
+import os, signal, sys
+from jaxmocap.run import recording
+def track(*_, **__):
+    os.kill(os.getpid(), signal.SIGTERM)
+    raise AssertionError("went on")
+recording.track = track
+from jaxmocap.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_sigterm_is_one_sentence_143_and_outputs_as_they_were(folder):
+    command = ["track", str(folder / "recording.toml"), "--out", str(folder / "out")]
+    run = [sys.executable, "-c", TERMINATED_WHILE, *command]
+    done = subprocess.run(run, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (143, "jaxmocap track: terminated\n")
+    assert (folder / "out" / "joints.trc").read_text() == "earlier"
+    assert not [path for path in (folder / "out").iterdir() if path.name.startswith(".")]

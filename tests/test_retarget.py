@@ -112,7 +112,8 @@ def test_the_command_writes_the_other_persons_motion(tmp_path, capsys):
 )
 def test_who_is_not_there_is_said_in_one_sentence(tmp_path, capsys, onto, problem):
     save_motion(tmp_path / "motion.npz", on_one_foot())
-    asked = ["retarget", str(tmp_path), "--onto", str(tmp_path / onto), "--out", str(tmp_path)]
+    asked = ["retarget", str(tmp_path), "--onto", str(tmp_path / onto), "--out"]
+    asked.append(str(tmp_path / "out"))
     assert main(asked) == 2
     said = capsys.readouterr().err
     assert problem in said and said.count("\n") == 1

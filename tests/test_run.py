@@ -312,7 +312,7 @@ def written(tracked, tmp_path_factory):
 
 def test_everything_is_written_and_nothing_else(written):
     names = {"joints.trc", "angles.mot", "motion.npz", "motion.bvh", "motion.glb"}
-    names |= {"angles_isb.mot", "report.json", "overlay.mp4", "recording.rrd"}
+    names |= {"angles_isb.mot", "report.json", "overlay.mp4", "recording.rrd", "outputs.json"}
     assert {path.name for path in written.iterdir()} == names
 
 
