@@ -21,7 +21,7 @@ from av.video.stream import VideoStream
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.recording import VideoSource
-from jaxmocap.formats.tables import check_times
+from jaxmocap.formats.tables import Places, check_times
 from jaxmocap.geometry.cameras import Camera
 
 Frame = tuple[float, np.ndarray | None]
@@ -185,7 +185,7 @@ class MemoryVideo(FrameSource):
                 f"found {len(images)} images of sizes {sorted(shapes)} for {len(self.times)} "
                 "times, expected one image of the same size for each",
             )
-        check_times(name, self.times, [f"frame {i}" for i in range(len(self.times))])
+        check_times(name, self.times, Places("frame"))
         height, width = shapes.pop()
         self.size = (width, height)
 

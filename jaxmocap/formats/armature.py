@@ -4,12 +4,16 @@ INPUTS: what a BVH or glTF file holds, or a Motion by way of ``body_armature``.
 OUTPUTS: an Armature, in other axes; where its joints are.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from jaxmocap.formats.errors import InputError
+
+# Orientations that are worked on at a time.
+TURNS_AT_ONCE = 250_000
 
 
 @dataclass(frozen=True)
@@ -50,22 +54,33 @@ class Armature:
 def joint_positions(armature: Armature) -> np.ndarray:
     """Positions (T, J, 3) of all joints, metres."""
     points = np.repeat(armature.positions[:, None], len(armature.names), 1)
-    R = np.array(armature.rotations)
-    for j, parent in enumerate(armature.parents):
-        if parent >= 0:
-            points[:, j] = points[:, parent] + R[:, parent] @ armature.offsets[j]
-            R[:, j] = R[:, parent] @ R[:, j]
+    for some in _blocks(armature):
+        R = np.array(armature.rotations[some])
+        for j, parent in enumerate(armature.parents):
+            if parent >= 0:
+                points[some, j] = points[some, parent] + R[:, parent] @ armature.offsets[j]
+                R[:, j] = R[:, parent] @ R[:, j]
     return points
 
 
 def turned(armature: Armature, R_new_old: np.ndarray) -> Armature:
     """The armature in other axes."""
+    rotations = np.empty(armature.rotations.shape)
+    for some in _blocks(armature):
+        rotations[some] = R_new_old @ armature.rotations[some] @ R_new_old.T
     return replace(
         armature,
         offsets=armature.offsets @ R_new_old.T,
         positions=armature.positions @ R_new_old.T,
-        rotations=R_new_old @ armature.rotations @ R_new_old.T,
+        rotations=rotations,
     )
+
+
+def _blocks(armature: Armature) -> Iterator[slice]:
+    """Samples in a row, so few that of a long motion no second copy is in memory."""
+    size = max(1, TURNS_AT_ONCE // len(armature.names))
+    for first in range(0, len(armature.times), size):
+        yield slice(first, first + size)
 
 
 def settled(armature: Armature, path: str | Path) -> Armature:
@@ -77,6 +92,8 @@ def settled(armature: Armature, path: str | Path) -> Armature:
     known = np.flatnonzero(armature.known)
     if not len(known):
         raise InputError(path, "no pose is known in any sample")
+    if len(known) == len(armature.times):
+        return armature
     after = np.clip(np.searchsorted(known, np.arange(len(armature.times))), 0, len(known) - 1)
     before = np.maximum(after - 1, 0)
     t = armature.times

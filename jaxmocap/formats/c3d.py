@@ -151,7 +151,7 @@ def write_c3d(path: str | Path, markers: Markers) -> None:
     """
     import ezc3d
 
-    times, table = stack_points(markers.times, markers.points(), forbidden="\r\n\0")
+    times, table = stack_points(markers.times, markers.points(), "\r\n\0", path)
     rate = even_rate(path, times)
     first = round(times[0] * rate)
     if not 0 <= first <= first + len(times) <= MOST_FRAMES:

@@ -9,7 +9,7 @@ OUTPUTS: Markers in the file's own axes; or such a file.
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,12 +17,13 @@ import numpy as np
 
 from jaxmocap.body.turns import matrices, quaternions
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.lines import numbered_lines
+from jaxmocap.formats.shown import shown
 from jaxmocap.formats.tables import (
     Markers,
-    format_rows,
     make_markers,
     parse_rows,
-    read_lines,
+    row_texts,
     stack_points,
 )
 from jaxmocap.formats.writing import replacing
@@ -36,16 +37,16 @@ def read_csv(path: str | Path) -> Markers:
     Raises:
         InputError: no such file, or the line that does not fit.
     """
-    lines = read_lines(path)
-    names, turned = _names(path, lines[0])
-    data = ((i, line.split(",")) for i, line in enumerate(lines, 1) if i > 1)
+    lines = numbered_lines(path)
+    names, turned = _names(path, next(lines)[1])
+    data = ((number, line.split(",")) for number, line in lines)
     widths = [7 if turns else 3 for turns in turned]
     table, numbers = parse_rows(path, data, 1 + sum(widths))
+    if not any(turned):
+        return make_markers(path, table, numbers, names, "line 1")
     starts = 1 + np.concatenate([[0], np.cumsum(widths)[:-1]])
     places = [0, *(first + axis for first in starts for axis in range(3))]
     markers = make_markers(path, table[:, places], numbers, names, "line 1")
-    if not any(turned):
-        return markers
     turns = np.full((len(table), len(names), 3, 3), np.nan)
     for i, first in enumerate(starts):
         if turned[i]:
@@ -55,9 +56,7 @@ def read_csv(path: str | Path) -> Markers:
     return replace(markers, turns=turns)
 
 
-def _check_lengths(
-    path: str | Path, name: str, quaternions: np.ndarray, lines: Sequence[int]
-) -> None:
+def _check_lengths(path: str | Path, name: str, quaternions: np.ndarray, lines: np.ndarray) -> None:
     """InputError unless every one of (T, 4) quaternions that is known is of length 1."""
     lengths = np.linalg.norm(quaternions, axis=-1)
     wrong = np.flatnonzero(np.abs(lengths - 1) > 0.01)
@@ -65,7 +64,7 @@ def _check_lengths(
         i = int(wrong[0])
         raise InputError(
             path,
-            f"line {lines[i]}: the quaternion of {name!r} has length {lengths[i]:.3g}, "
+            f"line {lines[i]}: the quaternion of {shown(name)} has length {lengths[i]:.3g}, "
             "expected 1 (or four empty cells where it is not known)",
         )
 
@@ -88,7 +87,7 @@ def _names(path: str | Path, header: str) -> tuple[list[str], list[bool]]:
             expected = f"{names[-1]}.{axis}"
             found = cells[i] if i < len(cells) else "the end of the line"
             if found != expected or not names[-1]:
-                problem = f"found {found!r} where {expected!r} belongs ({HEADER})"
+                problem = f"found {shown(found)} where {shown(expected)} belongs ({HEADER})"
                 raise InputError(path, f"line 1: {problem}")
             i += 1
     return names, turned
@@ -111,7 +110,7 @@ def write_csv(
     Raises:
         ValueError: shapes or names that do not fit.
     """
-    times, positions = stack_points(times, points, forbidden="\r\n\0")
+    times, positions = stack_points(times, points, "\r\n\0", path)
     header, columns, parts = io.StringIO(), ["time"], []
     for i, name in enumerate(points):
         columns += [f"{name}.{axis}" for axis in "xyz"]
@@ -120,7 +119,8 @@ def write_csv(
             columns += [f"{name}.q{axis}" for axis in "wxyz"]
             parts.append(quaternions(turns[name]))
     csv.writer(header, lineterminator="\n").writerow(columns)
-    rows = zip(times, format_rows(np.concatenate(parts, 1)), strict=True)
-    lines = [",".join([f"{t:.9f}", *row]) for t, row in rows]
-    with replacing(path) as beside:
-        beside.write_text(header.getvalue() + "\n".join(lines) + "\n", "utf-8", newline="\n")
+    table = np.concatenate(parts, 1) if turns else positions
+    rows = zip(times, row_texts(table, ","), strict=True)
+    with replacing(path) as beside, beside.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(header.getvalue())
+        file.writelines(f"{time:.9f},{row}\n" for time, row in rows)

@@ -10,7 +10,8 @@ without jumps at ±180°. Bones are not in it. A file of ISB's angles has those 
 which no motion can be read.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +23,22 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.tables import check_times, parse_rows, read_lines
+from jaxmocap.formats.lines import numbered_lines
+from jaxmocap.formats.shown import listed, name_shown
+from jaxmocap.formats.tables import (
+    Places,
+    check_names,
+    check_times,
+    declared_count,
+    parse_rows,
+    row_texts,
+)
 from jaxmocap.formats.writing import replacing
 
 PLACES = ("pelvis_tx", "pelvis_ty", "pelvis_tz")
 TURNS = ("pelvis_yaw", "pelvis_pitch", "pelvis_roll")
 _AXES = "ZYX"
+_MOST_HEADER_LINES = 1000
 
 
 def write_mot(path: str | Path, motion: Motion) -> None:
@@ -54,11 +65,11 @@ def _write_table(path: Path, times: np.ndarray, columns: Mapping[str, np.ndarray
     """Write columns (T,), degrees but for places."""
     head = [path.stem, "version=1", f"nRows={len(times)}", f"nColumns={len(columns) + 1}"]
     lines = [*head, "inDegrees=yes", "endheader", "\t".join(["time", *columns])]
-    for time, row in zip(times, zip(*columns.values(), strict=True), strict=True):
-        cells = ("NaN" if np.isnan(value) else f"{value:.8f}" for value in row)
-        lines.append("\t".join([f"{time:.9f}", *cells]))
-    with replacing(path) as beside:
-        beside.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    table = np.stack(list(columns.values()), 1)
+    rows = zip(times, row_texts(table, "\t", decimals=8, nan="NaN"), strict=True)
+    with replacing(path) as beside, beside.open("w", encoding="utf-8", newline="\n") as file:
+        file.writelines(f"{line}\n" for line in lines)
+        file.writelines(f"{time:.9f}\t{row}\n" for time, row in rows)
 
 
 def read_mot(path: str | Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -69,27 +80,37 @@ def read_mot(path: str | Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     Raises:
         InputError: no such file, or the line that does not fit.
     """
-    lines = read_lines(path)
-    stripped = [line.strip().lower() for line in lines]
-    if "endheader" not in stripped:
-        raise InputError(path, "found no line 'endheader', which ends a MOT file's header")
-    end = stripped.index("endheader")
-    header = dict(line.split("=", 1) for line in stripped[:end] if "=" in line)
-    if header.get("indegrees") not in ("yes", "no"):
-        raise InputError(path, "the header says neither inDegrees=yes nor inDegrees=no")
-    names = lines[end + 1].split() if len(lines) > end + 1 else []
+    lines = numbered_lines(path)
+    header, end = _header(path, lines)
+    names = next(lines, (0, ""))[1].split()
     if len(names) < 2 or names[0].lower() != "time":
-        raise InputError(path, f"line {end + 2}: found no 'time' and names of columns")
-    rows = ((i, line.split()) for i, line in enumerate(lines, 1) if i > end + 2)
-    table, numbers = parse_rows(path, rows, len(names))
-    check_times(path, table[:, 0], [f"line {line}" for line in numbers])
-    declared = header.get("nrows", "")
-    if declared.isdecimal() and int(declared) > len(table):
-        raise InputError(path, f"nRows is {declared}, but the file ends after {len(table)}")
+        raise InputError(path, f"line {end + 1}: found no 'time' and names of columns")
+    check_names(path, names, f"line {end + 1}", "column")
+    table, numbers = parse_rows(path, ((i, line.split()) for i, line in lines), len(names))
+    check_times(path, table[:, 0], Places("line", numbers))
+    count = declared_count(declared := header.get("nrows", ""))
+    if count is not None and count > len(table):
+        problem = f"nRows is {name_shown(declared)}, but the file ends after {len(table)}"
+        raise InputError(path, problem)
     columns = dict(zip(names[1:], table[:, 1:].T, strict=True))
     if header["indegrees"] == "yes":
         columns = {name: _radians(name, column) for name, column in columns.items()}
     return table[:, 0], columns
+
+
+def _header(path: str | Path, lines: Iterator[tuple[int, str]]) -> tuple[dict[str, str], int]:
+    """What stands above 'endheader', in small letters, and that line's number."""
+    header = {}
+    for number, line in islice(lines, _MOST_HEADER_LINES):
+        text = line.strip().lower()
+        if text == "endheader":
+            if header.get("indegrees") not in ("yes", "no"):
+                problem = "the header says neither inDegrees=yes nor inDegrees=no"
+                raise InputError(path, problem)
+            return header, number
+        key, equals, value = text.partition("=")
+        header |= {key: value} if equals else {}
+    raise InputError(path, "found no line 'endheader', which ends a MOT file's header")
 
 
 def _radians(name: str, column: np.ndarray) -> np.ndarray:
@@ -110,7 +131,7 @@ def motion_from_angles(
         if "pelvis_tilt" in columns:
             problem = "holds ISB's angles, which hinges cannot be read from"
             raise InputError(path, problem)
-        raise InputError(path, f"no column {missing[0]!r}, found {', '.join(columns)}")
+        raise InputError(path, f"no column {missing[0]!r}, found {listed(columns)}")
     table = np.stack([columns[name] for name in names], 1)
     known = np.isfinite(table.sum(-1))
     R_world_pelvis = Rotation.from_euler(_AXES, np.where(known[:, None], table[:, 3:6], 0.0))

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.tables import read_lines
+from jaxmocap.formats.lines import read_lines
 
 SUFFIXES = (".yml", ".yaml")
 # Field of the TOML layout -> what it is called in such files.

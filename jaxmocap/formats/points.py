@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.tables import parse_rows, read_lines
+from jaxmocap.formats.lines import read_lines
+from jaxmocap.formats.tables import parse_rows
 
 _COLUMNS = ["x", "y", "z", "u", "v"]
 

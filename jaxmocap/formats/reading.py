@@ -8,13 +8,15 @@ waiting for ever, or never end.
 
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from jaxmocap.formats.errors import InputError
 
-# What files may hold, bytes. Text becomes numbers that take several times as much memory.
+# What files that are read whole may hold, bytes.
 MOST_BYTES = 512 * 2**20
-MOST_TEXT_BYTES = 256 * 2**20
 
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -45,6 +47,31 @@ def regular_file(path: str | Path) -> Path:
     return Path(path)
 
 
+@contextmanager
+def opened(path: str | Path, most: int = MOST_BYTES) -> Iterator[BinaryIO]:
+    """A regular file, open to be read from its beginning.
+
+    Args:
+        path: of the file.
+        most: bytes that it may hold; a file of the system may be endless and say that it is empty,
+            so whoever reads counts as well.
+
+    Raises:
+        InputError: it is missing, cannot be read, is no regular file, or is too large.
+    """
+    regular_file(path)
+    try:
+        # What has become something else since then must not block.
+        flags = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
+        descriptor = os.open(path, flags)
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror})") from None
+    with open(descriptor, "rb") as file:
+        if (size := os.fstat(descriptor).st_size) > most:
+            raise _too_large(path, size, most)
+        yield file
+
+
 def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
     """A regular file's content.
 
@@ -55,17 +82,16 @@ def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
     Raises:
         InputError: it is missing, cannot be read, is no regular file, or is too large.
     """
-    regular_file(path)
-    try:
-        # What has become something else since then must not block.
-        flags = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
-        with open(os.open(path, flags), "rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            # A file of the system may be endless and say that it is empty.
-            content = b"" if size > most else file.read(most + 1)
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror})") from None
-    if max(size, len(content)) > most:
-        found = f"{max(size, len(content)) / 2**20:.0f} MB"
-        raise InputError(path, f"found {found}, expected at most {most / 2**20:g} MB")
+    with opened(path, most) as file:
+        try:
+            content = file.read(most + 1)
+        except OSError as error:
+            raise InputError(path, f"cannot be read ({error.strerror})") from None
+    if len(content) > most:
+        raise _too_large(path, len(content), most)
     return content
+
+
+def _too_large(path: str | Path, size: int, most: int) -> InputError:
+    found = f"{size / 2**20:.0f} MB"
+    return InputError(path, f"found {found}, expected at most {most / 2**20:g} MB")

@@ -25,7 +25,7 @@ from jaxmocap.formats.markers import read_markers
 from jaxmocap.formats.places import MarkerPlace, bound_places, bound_positions, read_place
 from jaxmocap.formats.rigid import with_rigid_sets
 from jaxmocap.formats.subject import DEFAULT_HEIGHT, read_subject
-from jaxmocap.formats.tables import Markers, check_times
+from jaxmocap.formats.tables import Markers, Places, check_times
 from jaxmocap.formats.toml import Fields, read_toml, write_toml
 from jaxmocap.geometry.cameras import Camera
 
@@ -96,7 +96,7 @@ class Recording:
         if np.shape(self.positions_world) != expected:
             found = np.shape(self.positions_world)
             raise InputError(where, f"marker positions: found shape {found}, expected {expected}")
-        check_times(where, self.times, [f"marker sample {i}" for i in range(len(self.times))])
+        check_times(where, self.times, Places("marker sample"))
         if self.places and not np.isfinite(self.positions_world).all(-1).any():
             raise InputError(where, "no marker is seen in any sample, all positions are NaN")
         bones = self.skeleton.tree.bones

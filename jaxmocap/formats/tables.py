@@ -5,14 +5,29 @@ OUTPUTS: Markers (seconds, metres); InputError with the line where something is 
 """
 
 import math
-from collections.abc import Iterable, Sequence
+import unicodedata
+from array import array
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.reading import MOST_TEXT_BYTES, read_bytes
+from jaxmocap.formats.shown import shown
+
+# Of one table; half an hour of 60 markers at 200 Hz is 65 million.
+MOST_VALUES = 80_000_000
+# In a file's own unit.
+LARGEST_NUMBER = 1e15
+# Metres from the origin: the earth's centre is nearer from everywhere on it.
+FARTHEST_M = 1e7
+# Seconds from 0: since any calendar's first day.
+LATEST_S = 1e11
+# Characters of a marker's or joint's name.
+LONGEST_NAME = 200
+# Of a count in a header.
+_MOST_DIGITS = 18
 
 
 @dataclass(frozen=True)
@@ -50,66 +65,81 @@ class Markers:
         return {name: R for name, R in columns.items() if np.isfinite(R).any()}
 
 
-def read_lines(path: str | Path) -> list[str]:
-    """Lines of a UTF-8 text file, without byte-order mark and line ends, none empty at the end."""
-    content = read_bytes(path, MOST_TEXT_BYTES)
-    if not content.strip():
-        raise InputError(path, "the file is empty")
-    if b"\0" in content:
-        line = content.count(b"\n", 0, content.index(b"\0")) + 1
-        raise InputError(path, f"line {line}: found binary data, expected text")
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        raise InputError(path, f"line {line}: found bytes that are not UTF-8 text") from None
-    # Not splitlines: it also splits at characters that a name may hold.
-    return text.replace("\r\n", "\n").replace("\r", "\n").rstrip("\n").split("\n")
-
-
 def parse_rows(
-    path: str | Path, rows: Iterable[tuple[int, Sequence[str]]], columns: int
-) -> tuple[np.ndarray, list[int]]:
+    path: str | Path,
+    rows: Iterable[tuple[int, Sequence[str]]],
+    columns: int,
+    most: int = MOST_VALUES,
+) -> tuple[np.ndarray, np.ndarray]:
     """Numbers of a table; empty cells are NaN.
 
     Args:
         path: for the message.
         rows: line number and cells of each row. Cells beyond ``columns`` must be empty.
         columns: how many cells a row has.
+        most: how many numbers there may be.
 
     Returns:
         (T, columns) float64 and the T line numbers.
     """
-    table, numbers = [], []
+    values, numbers = array("d"), array("q")
     for line, cells in rows:
         if not any(map(str.strip, cells)):
             continue
         if len(cells) < columns or any(map(str.strip, cells[columns:])):
             raise InputError(path, f"line {line}: found {len(cells)} columns, expected {columns}")
-        table.append([_number(path, line, cell) for cell in cells[:columns]])
+        if len(values) + columns > most:
+            problem = f"expected at most {most // columns} rows of {columns} numbers"
+            raise InputError(path, f"line {line}: found one row more, {problem}")
+        values.extend(_numbers(path, line, cells[:columns]))
         numbers.append(line)
-    if not table:
+    if not numbers:
         raise InputError(path, "found no frames after the header")
-    return np.array(table), numbers
+    table, lines = np.frombuffer(values).reshape(-1, columns), np.frombuffer(numbers, np.int64)
+    _check_sizes(path, table, lines)
+    return table, lines
+
+
+def _numbers(path: str | Path, line: int, cells: Sequence[str]) -> array:
+    try:
+        return array("d", map(float, cells))
+    except ValueError:
+        return array("d", (_number(path, line, cell) for cell in cells))
 
 
 def _number(path: str | Path, line: int, cell: str) -> float:
     if not (text := cell.strip()):
         return math.nan
     try:
-        value = float(text)
+        return float(text)
     except ValueError:
-        value = math.inf
-    if math.isinf(value):
-        shown = text if len(text) <= 20 else text[:20] + "…"
-        raise InputError(path, f"line {line}: found {shown!r}, expected a number")
-    return value
+        raise InputError(path, f"line {line}: found {shown(text)}, expected a number") from None
+
+
+def _check_sizes(path: str | Path, table: np.ndarray, lines: np.ndarray) -> None:
+    """InputError where a number of (T, C) is beyond any that is measured."""
+    beyond = np.fmax(np.fmax.reduce(table), -np.fmin.reduce(table)) > LARGEST_NUMBER
+    if beyond.any():
+        column = int(beyond.argmax())
+        row = int((np.abs(table[:, column]) > LARGEST_NUMBER).argmax())
+        expected = f"expected a number within {LARGEST_NUMBER:g}"
+        raise InputError(path, f"line {lines[row]}: found '{table[row, column]:g}', {expected}")
+
+
+def declared_count(text: str) -> int | None:
+    """A count that a header states; None where that is no whole number.
+
+    One of more digits than any count has is as large as can be.
+    """
+    if not (text.isascii() and text.isdecimal()):
+        return None
+    return int(text) if len(text) <= _MOST_DIGITS else 10**_MOST_DIGITS
 
 
 def make_markers(
     path: str | Path,
     table: np.ndarray,
-    lines: Sequence[int],
+    lines: Sequence[int] | np.ndarray,
     names: Sequence[str],
     name_place: str,
 ) -> Markers:
@@ -117,37 +147,83 @@ def make_markers(
 
     Args:
         path: for the message.
-        table: see above.
+        table: see above; it becomes the markers' own.
         lines: of the T rows; none where the file is not text.
         names: of the M markers.
         name_place: where in the file they stand.
 
     Raises:
-        InputError: two markers of one name, a time that is missing or does not follow the one
-            before.
+        InputError: two markers of one name, a name that no terminal can show, a time that is
+            missing or does not follow the one before, a position that is nowhere on earth.
     """
-    for i, name in enumerate(names):
-        if name in names[:i]:
-            raise InputError(path, f"{name_place}: marker {name!r} is named twice")
-    times = table[:, 0]
-    places = [f"line {line}" for line in lines] or [f"frame {i}" for i in range(len(times))]
-    check_times(path, times, places)
+    check_names(path, names, name_place)
+    places = Places("line", lines) if len(lines) else Places("frame")
+    check_times(path, table[:, 0], places)
     positions = table[:, 1:].reshape(len(table), -1, 3)
+    _check_positions(path, positions, names, places)
     # A marker of which one coordinate is missing is missing.
-    positions = np.where(np.isnan(positions).any(-1, keepdims=True), np.nan, positions)
-    return Markers(times, tuple(names), positions)
+    positions[np.isnan(positions).any(-1)] = np.nan
+    return Markers(table[:, 0], tuple(names), positions)
 
 
-def check_times(path: str | Path, times: np.ndarray, places: Sequence[str]) -> None:
+def check_names(path: str | Path, names: Sequence[str], place: str, kind: str = "marker") -> None:
+    """InputError where two things have one name, or one has none that can be written down."""
+    known = set()
+    for name in names:
+        if len(name) > LONGEST_NAME or any(unicodedata.category(c) == "Cc" for c in name):
+            expected = f"at most {LONGEST_NAME} characters, none of them for control"
+            raise InputError(path, f"{place}: found {shown(name)} as a name, expected {expected}")
+        if name in known:
+            raise InputError(path, f"{place}: {kind} {shown(name)} is named twice")
+        known.add(name)
+
+
+def _check_positions(
+    path: str | Path, positions: np.ndarray, names: Sequence[str], places: "Places"
+) -> None:
+    """InputError where a coordinate of (T, M, 3) is beyond any place on earth."""
+    highest, lowest = np.fmax.reduce(positions), np.fmin.reduce(positions)
+    beyond = np.fmax(highest, -lowest) > FARTHEST_M
+    if beyond.any():
+        marker, axis = np.argwhere(beyond)[0]
+        column = positions[:, marker, axis]
+        i = int((np.abs(column) > FARTHEST_M).argmax())
+        found = f"{places(i)}: marker {shown(names[marker])} is at {column[i]:g} m"
+        raise InputError(path, f"{found}, expected a position within {FARTHEST_M:g} m")
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where the samples of a file stand, in words.
+
+    Attributes:
+        kind: what they are called.
+        numbers: of the T samples; None counts from 0.
+    """
+
+    kind: str
+    numbers: Sequence[int] | np.ndarray | None = None
+
+    def __call__(self, i: int) -> str:
+        """The place of sample i."""
+        return f"{self.kind} {i if self.numbers is None else self.numbers[i]}"
+
+
+def check_times(path: str | Path, times: np.ndarray, places: Places) -> None:
     """InputError unless every one of (T,) times is a number and later than the one before."""
     if np.isnan(times).any():
-        raise InputError(path, f"{places[int(np.isnan(times).argmax())]}: found no time")
+        raise InputError(path, f"{places(int(np.isnan(times).argmax()))}: found no time")
+    late = np.abs(times) > LATEST_S
+    if late.any():
+        i = int(late.argmax())
+        expected = f"expected one within {LATEST_S:g} s"
+        raise InputError(path, f"{places(i)}: found a time of {times[i]:g} s, {expected}")
     later = np.diff(times) > 0
     if not later.all():
         i = int((~later).argmax())
         raise InputError(
             path,
-            f"{places[i + 1]}: time runs backwards, found {times[i + 1]:g} s after {times[i]:g} s",
+            f"{places(i + 1)}: time runs backwards, found {times[i + 1]:g} s after {times[i]:g} s",
         )
 
 
@@ -184,26 +260,38 @@ def format_rows(values: np.ndarray) -> np.ndarray:
     return np.where(np.isnan(values), "", np.char.mod("%.6f", values))
 
 
+def row_texts(values: np.ndarray, between: str, decimals: int = 6, nan: str = "") -> Iterator[str]:
+    """The cells of each row of (T, C), joined; one row at a time, for tables of any length."""
+    cells = between.join([f"%.{decimals}f"] * values.shape[1])
+    for row in values:
+        text = cells % tuple(row)
+        yield text.replace("nan", nan) if "nan" in text else text
+
+
 def stack_points(
-    times: np.ndarray, points: dict[str, np.ndarray], forbidden: str
+    times: np.ndarray,
+    points: dict[str, np.ndarray],
+    forbidden: str,
+    path: str | Path = "points to write",
 ) -> tuple[np.ndarray, np.ndarray]:
     """Times (T,) and coordinates (T, 3 M) to write, checked.
 
     Raises:
         ValueError: shapes that do not fit, times that do not ascend, or a name that the format
-            cannot hold.
+            cannot hold; ``path`` is what messages name.
     """
     times = np.asarray(times, float)
-    if any(np.isinf(positions).any() for positions in points.values()):
-        raise ValueError("found an infinite position; missing ones are NaN")
     for name, positions in points.items():
         if not name.strip() or name != name.strip() or any(c in name for c in forbidden):
-            raise ValueError(f"marker name {name!r} cannot be written")
+            raise InputError(path, f"marker name {shown(name)} cannot be written")
         if np.shape(positions) != (len(times), 3):
             raise ValueError(
                 f"marker {name!r}: found shape {np.shape(positions)}, expected {(len(times), 3)}"
             )
+        if np.isinf(positions).any():
+            raise ValueError("found an infinite position; missing ones are NaN")
     if not points or not len(times):
-        raise ValueError("expected at least one marker and one sample")
-    check_times("times to write", times, [f"sample {i}" for i in range(len(times))])
+        raise InputError(path, "expected at least one marker and one sample to write")
+    check_times(path, times, Places("sample"))
+    check_names(path, tuple(points), "names to write")
     return times, np.concatenate([np.asarray(p, float) for p in points.values()], axis=1)

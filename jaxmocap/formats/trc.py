@@ -5,17 +5,20 @@ OUTPUTS: Markers in metres, in the file's own axes; or a .trc file in metres.
 """
 
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.lines import numbered_lines
+from jaxmocap.formats.shown import name_shown, shown
 from jaxmocap.formats.tables import (
     Markers,
-    format_rows,
+    declared_count,
     make_markers,
     parse_rows,
-    read_lines,
+    row_texts,
     stack_points,
 )
 from jaxmocap.formats.writing import replacing
@@ -38,15 +41,16 @@ def read_trc(path: str | Path) -> Markers:
         InputError: no such file, or the line that is not TRC, is cut off, has an unknown unit, or
             a time not later than the one before.
     """
-    lines = read_lines(path)
-    if not lines[0].startswith("PathFileType"):
-        raise InputError(path, f"line 1: found {lines[0][:20]!r}, expected 'PathFileType'")
-    if len(lines) < _HEADER_LINES:
-        raise InputError(path, f"line {len(lines)}: the file ends within its header")
-    header = dict(zip(_cells(lines[1]), _cells(lines[2]), strict=False))
+    lines = numbered_lines(path)
+    head = [line for _, line in islice(lines, _HEADER_LINES)]
+    if not head[0].startswith("PathFileType"):
+        raise InputError(path, f"line 1: found {head[0][:20]!r}, expected 'PathFileType'")
+    if len(head) < _HEADER_LINES:
+        raise InputError(path, f"line {len(head)}: the file ends within its header")
+    header = dict(zip(_cells(head[1]), _cells(head[2]), strict=False))
     scale = _scale(path, header)
-    names = _names(path, lines[3], lines[4])
-    data = ((i, line.split("\t")) for i, line in enumerate(lines, 1) if i > _HEADER_LINES)
+    names = _names(path, head[3], head[4])
+    data = ((number, line.split("\t")) for number, line in lines)
     table, numbers = parse_rows(path, data, 2 + 3 * len(names))
     _check_count(path, header.get("NumFrames", ""), len(table))
     table[:, 2:] *= scale
@@ -65,7 +69,7 @@ def _scale(path: str | Path, header: dict[str, str]) -> float:
     unit = header["Units"]
     if unit.lower() not in METRES:
         raise InputError(
-            path, f"line 3: unknown unit {unit!r}, expected one of {', '.join(METRES)}"
+            path, f"line 3: unknown unit {shown(unit)}, expected one of {', '.join(METRES)}"
         )
     return METRES[unit.lower()]
 
@@ -99,10 +103,9 @@ def _names(path: str | Path, name_line: str, axis_line: str) -> list[str]:
 
 def _check_count(path: str | Path, declared: str, rows: int) -> None:
     """A file that was cut off between two lines still says how long it was."""
-    if declared.isdecimal() and int(declared) > rows:
-        raise InputError(
-            path, f"line 3: NumFrames is {declared}, but the file ends after {rows} frames"
-        )
+    if (count := declared_count(declared)) is not None and count > rows:
+        problem = f"NumFrames is {name_shown(declared)}, but the file ends after {rows} frames"
+        raise InputError(path, f"line 3: {problem}")
 
 
 def write_trc(
@@ -122,7 +125,7 @@ def write_trc(
     Raises:
         ValueError: shapes or names that do not fit.
     """
-    times, positions = stack_points(times, points, forbidden="\t\r\n\0")
+    times, positions = stack_points(times, points, "\t\r\n\0", path)
     if rate is None:
         rate = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 1.0
     count, shown = len(times), f"{round(rate, 2):g}"
@@ -136,7 +139,7 @@ def write_trc(
         "\t".join(["", "", *axes]),
         "",
     ]
-    rows = zip(times, format_rows(positions), strict=True)
-    lines += ["\t".join([str(i), f"{t:.9f}", *row]) for i, (t, row) in enumerate(rows, 1)]
-    with replacing(path) as beside:
-        beside.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    rows = zip(times, row_texts(positions, "\t"), strict=True)
+    with replacing(path) as beside, beside.open("w", encoding="utf-8", newline="\n") as file:
+        file.writelines(f"{line}\n" for line in lines)
+        file.writelines(f"{i}\t{time:.9f}\t{row}\n" for i, (time, row) in enumerate(rows, 1))
