@@ -352,7 +352,9 @@ def test_the_real_calibration_puts_the_person_into_every_picture(recordings):
 def some_motion(report: Report | None) -> Motion:
     rng = np.random.default_rng(0)
     skeleton = Skeleton.human(1.68)
-    poses = Pose(rng.normal(size=(4, 3)), rng.normal(size=(4, 4)), rng.normal(size=(4, 21)))
+    turns = rng.normal(size=(4, 4))
+    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+    poses = Pose(rng.normal(size=(4, 3)), turns, rng.normal(size=(4, 21)))
     return Motion(skeleton, np.arange(4) / 90, poses, report)
 
 

@@ -172,8 +172,8 @@ def test_an_empty_room_is_told(folder, monkeypatch):
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
-        (["--person", "gone.npz"], "gone.npz: cannot be read (No such file or directory)"),
-        (["--person", "people.npz"], "people.npz: holds no rigged meshes"),
+        (["--person", "gone.npz"], "gone.npz: no such file"),
+        (["--person", "people.npz"], "people.npz: not an .npz file, or cut off"),
         (["--person", "other.npz"], "other.npz: holds no rigged meshes, expected an .npz with"),
         (["--seconds", "0.01"], "0.01 s hold no frame, expected at least 0.033 s"),
         (["--seconds", "-1"], "expected a positive number"),

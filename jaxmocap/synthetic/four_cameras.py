@@ -17,10 +17,12 @@ from typing import Protocol
 
 import numpy as np
 
+from jaxmocap.formats.arrays import BYTES, Arrays, Stated
 from jaxmocap.formats.calibration import write_calibration
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.recording import write_recording
 from jaxmocap.formats.trc import write_trc
+from jaxmocap.formats.writing import replacing
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.synthetic.lens import Lens, look_at
 from jaxmocap.synthetic.placement import Turned
@@ -161,12 +163,14 @@ def write_truth(
     """Write where someone was, and was seen."""
     landmarks = performer.landmarks(times)
     write_trc(directory / "truth.trc", times, landmarks, rate=VIDEO_RATE)
-    np.savez(directory / "truth_angles.npz", times=times, **bends(landmarks))  # type: ignore[arg-type]
+    with replacing(directory / "truth_angles.npz") as beside:
+        np.savez(beside, times=times, **bends(landmarks))  # type: ignore[arg-type]
     masks = {
         view.name: np.packbits([view.mask(performer, float(time)) for time in times], axis=-1)
         for view in views
     }
-    np.savez_compressed(directory / "truth_masks.npz", **masks)  # type: ignore[arg-type]
+    with replacing(directory / "truth_masks.npz") as beside:
+        np.savez_compressed(beside, **masks)  # type: ignore[arg-type]
 
 
 def bends(landmarks: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -180,11 +184,17 @@ def bends(landmarks: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def read_masks(path: str | Path, size: tuple[int, int] = (640, 480)) -> dict[str, np.ndarray]:
-    """Camera name -> (F, H, W) bool, of a ``truth_masks.npz`` of images of that width, height."""
-    with np.load(path) as data:
-        return {
-            name: np.unpackbits(data[name], axis=-1, count=size[0]).astype(bool) for name in data
-        }
+    """Camera name -> (F, H, W) bool, of a ``truth_masks.npz`` of images of that width, height.
+
+    Raises:
+        InputError: no such file, or not one of masks of that size.
+    """
+    arrays, (width, height) = Arrays(path), size
+    packed = Stated(("F", height, -(-width // 8)), BYTES)
+    return {
+        name: np.unpackbits(mask, axis=-1, count=width).astype(bool)
+        for name, mask in arrays.read(dict.fromkeys(arrays.names, packed)).items()
+    }
 
 
 def _counted(

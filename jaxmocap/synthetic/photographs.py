@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from jaxmocap.formats.calibration import write_calibration
+from jaxmocap.formats.writing import write_bytes
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.synthetic.exerciser import Exerciser
 from jaxmocap.synthetic.lens import Lens, look_at
@@ -124,7 +125,8 @@ def write_photographs(directory: str | Path, rig: Rig, seed: int = 0) -> Path:
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     for name in PHOTOGRAPHS:
-        cv2.imwrite(str(directory / f"{name}.png"), photograph(rig, name, seed))
+        content = cv2.imencode(".png", photograph(rig, name, seed))[1].tobytes()
+        write_bytes(directory / f"{name}.png", content)
     cameras = {name: camera_of(rig, name) for name in PHOTOGRAPHS}
     write_calibration(directory / "calibration.toml", cameras)
     return directory / "calibration.toml"

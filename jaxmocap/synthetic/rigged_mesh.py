@@ -10,20 +10,36 @@ OUTPUTS: a RiggedMesh: vertices and landmarks at any time.
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 
+from jaxmocap.formats.arrays import NAMES, WHOLE, Arrays, Stated
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.shown import listed
 from jaxmocap.synthetic.meshes import Mesh
 
-# Of a file of people.
-ARRAYS = (
-    *("people", "vertices", "quads", "skin_joint", "skin_weight"),
-    *("joint_names", "joint_parents", "joints"),
-)
+# A file of people: P of them, V vertices, F faces, J joints; metres.
+REACH_M = 100.0
+WEIGHTS_OFF = 1e-2
+STATED = {
+    "people": Stated(("P",), NAMES),
+    "vertices": Stated(("P", "V", 3), low=-REACH_M, high=REACH_M),
+    "quads": Stated(("F", 4), WHOLE, low=0),
+    "skin_joint": Stated(("V", "K"), WHOLE, low=0),
+    "skin_weight": Stated(("V", "K"), low=0, high=1 + WEIGHTS_OFF),
+    "joint_names": Stated(("J",), NAMES),
+    "joint_parents": Stated(("J",), WHOLE, low=-1),
+    "joints": Stated(("P", "J", 3), low=-REACH_M, high=REACH_M),
+}
+# Of vertices, faces and joints; a frame is drawn face by face.
+MOST_PARTS = {"vertices": 200_000, "quads": 200_000, "joint_names": 500}
+# How tall a person of a file may be, and how far two joints of a limb are apart, metres.
+SHORTEST_M, TALLEST_M, APART_M = 0.5, 2.5, 0.01
+# Who is taken if nobody is named.
+USUAL = "man"
 # Landmark -> joint of the rig, for one side and for the middle.
 _PAIRED = {
     **{"shoulder": "Arm", "elbow": "ForeArm", "wrist": "Hand", "hand": "HandFinger1"},
@@ -36,6 +52,15 @@ RIG_LANDMARKS: dict[str, str] = {
         f"{name}_{s}": side + joint for name, joint in _PAIRED.items() for s, side in _SIDES.items()
     },
 }
+# Joints that a rig must have.
+ROOT = "Hips"
+JOINTS = (*dict.fromkeys([ROOT, *RIG_LANDMARKS.values(), "Spine1", "Neck"]),)
+LIMBS = [
+    (f"{side}{near}", f"{side}{far}")
+    for side in _SIDES.values()
+    for chain in (("Arm", "ForeArm", "Hand", "HandFinger1"), ("UpLeg", "Leg", "Foot", "ToeBase"))
+    for near, far in pairwise(chain)
+]
 SHIRT, TROUSERS, SKIN, HAIR, SHOES = (
     np.array(colour)
     for colour in (
@@ -151,15 +176,21 @@ class RiggedMesh(ABC):
         return self.body.rest[self.body.names.index(name)]
 
 
-def load_rig(file: str | Path, who: str = "man", seed: int = 0) -> Rig:
+def load_rig(file: str | Path, who: str | None = None, seed: int = 0) -> Rig:
     """One of the people of a file, in clothes worn as the seed says.
 
+    Args:
+        file: .npz of people, see ``STATED``.
+        who: by name; None is the one called man, or else the first.
+        seed: of the clothes.
+
     Raises:
-        InputError: no such file, or another kind of file.
+        InputError: no such file, another kind of file, or one that contradicts itself.
         ValueError: no such person.
     """
     data = _read(file)
     people = data["people"].tolist()
+    who = (USUAL if USUAL in people else people[0]) if who is None else who
     if who not in people:
         raise ValueError(f"unknown person {who!r}; expected one of {', '.join(people)}")
     i = people.index(who)
@@ -178,16 +209,68 @@ def load_rig(file: str | Path, who: str = "man", seed: int = 0) -> Rig:
 
 
 def _read(file: str | Path) -> dict[str, np.ndarray]:
-    """The arrays of a file of people."""
-    try:
-        with np.load(file) as data:
-            return {name: data[name] for name in ARRAYS}
-    except OSError as error:
-        raise InputError(file, f"cannot be read ({error.strerror or error})") from None
-    # Another kind of file, something that is no array, an array that is not there.
-    except (ValueError, AttributeError, BadZipFile, KeyError):
-        expected = f"expected an .npz with {', '.join(ARRAYS)}"
-        raise InputError(file, f"holds no rigged meshes, {expected}") from None
+    """The arrays of a file of people, checked."""
+    arrays = Arrays(file)
+    if not set(STATED) <= set(arrays.names):
+        expected = f"expected an .npz with {', '.join(STATED)}"
+        raise InputError(file, f"holds no rigged meshes, {expected}")
+    data = arrays.read(STATED)
+    for name in STATED:
+        count = max(data[name].shape[:2]) if name == "vertices" else len(data[name])
+        if not data[name].size or count > MOST_PARTS.get(name, count):
+            expected = f"expected 1 to {MOST_PARTS.get(name, count)}"
+            raise InputError(file, f"{name}: found {count}, {expected}")
+    _check_below(file, "quads", data["quads"], data["vertices"].shape[1])
+    _check_below(file, "skin_joint", data["skin_joint"], len(data["joint_names"]))
+    together = data["skin_weight"].sum(-1)
+    if np.abs(together - 1).max() > WEIGHTS_OFF:
+        i = int(np.abs(together - 1).argmax())
+        raise InputError(file, f"skin_weight[{i}]: together {together[i]:.4g}, expected 1")
+    names = data["joint_names"].tolist()
+    _check_tree(file, names, data["joint_parents"].tolist())
+    for who, vertices, joints in zip(
+        data["people"].tolist(), data["vertices"], data["joints"], strict=True
+    ):
+        _check_body(file, who, vertices, dict(zip(names, joints, strict=True)))
+    return data
+
+
+def _check_body(
+    file: str | Path, who: str, vertices: np.ndarray, joints: dict[str, np.ndarray]
+) -> None:
+    """InputError unless somebody is as tall as people are, and their limbs have lengths."""
+    tall = float(np.ptp(vertices[:, 2]))
+    if not SHORTEST_M <= tall <= TALLEST_M:
+        expected = f"expected {SHORTEST_M:g} to {TALLEST_M:g} m"
+        raise InputError(file, f"{who}: found a body {tall:.4g} m tall, {expected}")
+    for near, far in LIMBS:
+        if np.linalg.norm(joints[far] - joints[near]) < APART_M:
+            raise InputError(file, f"{who}: found {near} and {far} at one place")
+
+
+def _check_below(file: str | Path, name: str, indices: np.ndarray, count: int) -> None:
+    if indices.max() >= count:
+        problem = f"found index {indices.max()}, expected one below {count}"
+        raise InputError(file, f"{name}: {problem}")
+
+
+def _check_tree(file: str | Path, names: list[str], parents: list[int]) -> None:
+    """InputError unless the joints that are asked for are there, and all hang on one root."""
+    missing = [name for name in JOINTS if name not in names]
+    if missing or len(set(names)) < len(names):
+        found = f"found no {missing[0]}" if missing else "found a name twice"
+        raise InputError(file, f"joint_names: {found}, expected {', '.join(JOINTS)} and others")
+    roots = [name for name, parent in zip(names, parents, strict=True) if parent < 0]
+    if roots != [ROOT] or max(parents) >= len(parents):
+        found = f"found roots (-1) {listed(roots)} and indices to {max(parents)}"
+        expected = f"expected {ROOT} alone and indices below {len(parents)}"
+        raise InputError(file, f"joint_parents: {found}, {expected}")
+    reached = [i for i, parent in enumerate(parents) if parent < 0]
+    for joint in reached:
+        reached += [i for i, parent in enumerate(parents) if parent == joint]
+    if len(reached) < len(parents):
+        loose = next(i for i in range(len(parents)) if i not in reached)
+        raise InputError(file, f"joint_parents: {names[loose]} hangs on no root, a loop")
 
 
 def _colours(
