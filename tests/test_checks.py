@@ -154,6 +154,59 @@ def test_a_person_upside_down_is_refused(five):
     assert ("up axis", True) in names(spoilt)
 
 
+@pytest.mark.parametrize("marked", ["sound", "five"])
+@pytest.mark.parametrize("height", [1.0, 1.8, 3.0])
+@pytest.mark.parametrize("axes", [[1, -1, -1], [-1, 1, -1], [1, 1, -1]], ids=str)
+def test_a_person_upside_down_above_the_floor_is_refused(request, marked, height, axes):
+    recording = request.getfixturevalue(marked)
+    spoilt = replace(recording, positions_world=recording.positions_world * axes + [0, 0, height])
+    finding = next(f for f in check_recording(spoilt, VIDEO_TIMES) if f.check == "up axis")
+    # Of headset and controllers alone it may be hands that are held up.
+    assert finding.fatal == (marked == "five")
+    assert "[markers] up: the person is upside down" in finding.sentence
+    assert "to_world" in finding.sentence
+
+
+def test_the_command_refuses_a_person_upside_down(tmp_path, capsys):
+    path = write_small_recording(tmp_path)
+    small = small_recording()
+    turned = small.positions_world * [1, -1, -1] + [0, 0, 1.7]
+    points = dict(zip(small.marker_names, np.moveaxis(turned, 1, 0), strict=True))
+    write_trc(tmp_path / "markers.trc", small.times, points)
+    assert main(["track", str(path), "--out", str(tmp_path / "out")]) == 2
+    printed = capsys.readouterr().err
+    assert "the person is upside down" in printed and printed.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_handstand_for_part_of_a_recording_passes(five):
+    handstand = [[0, 0, 0.4], [0, -0.3, 0.05], [0, 0.3, 0.05], [0, -0.1, 1.9], [0, 0.1, 1.9]]
+    positions = five.positions_world.copy()
+    positions[: int(0.4 * len(positions))] = handstand
+    assert names(replace(five, positions_world=positions, videos=())) == []
+
+
+@pytest.mark.parametrize("held", ["above the head", "up, lying on the back"])
+def test_hands_held_up_all_the_time_pass(sound, held):
+    places = {
+        "above the head": [[0, 0, 1.7], [0, 0.2, 2.1], [0, -0.2, 2.1]],
+        "up, lying on the back": [[0, 0, 0.1], [-0.3, 0.2, 0.68], [-0.3, -0.2, 0.68]],
+    }
+    positions = np.tile(np.array(places[held]), (len(sound.times), 1, 1))
+    found = check_recording(replace(sound, positions_world=positions, videos=()), [])
+    assert not any(finding.fatal for finding in found)
+
+
+@pytest.mark.parametrize("value", [1e200, -1e308, 2e7, np.inf])
+@pytest.mark.parametrize("samples", [slice(None), slice(20, 21)], ids=["always", "once"])
+def test_a_place_on_no_map_is_refused(sound, value, samples):
+    positions = sound.positions_world.copy()
+    positions[samples, 1, 0] = value
+    (finding,) = check_recording(replace(sound, positions_world=positions), VIDEO_TIMES)
+    assert finding.fatal and "LeftController is at (" in finding.sentence
+    assert "expected a place within 1e+07 m" in finding.sentence
+
+
 def test_the_real_recording_on_its_side_is_refused(recordings):
     recording = Recording.load(recordings / "balancing" / "recording_cam_01.toml")
     spoilt = replace(recording, positions_world=recording.positions_world[..., [1, 2, 0]])

@@ -34,6 +34,11 @@ RATE_TOLERANCE = 0.02
 # Of a person who stands, heights differ along the vertical as they should (share 1); raised hands
 # leave half of it. Another axis must do so much better, and its level be that of a person.
 UPRIGHT, MUCH_LESS, LEVELS = 0.4, 0.6, (0.6, 1.8)
+# Nobody is tracked who is upside down in most samples. Heights are so for certain if they differ so
+# much the other way round; hands held up as far as they reach make it 0.45, on the back 0.66.
+INVERTED = 0.75
+# A world of a continent's size: no place on the Earth's maps is farther from their origin.
+FARTHEST_M = 1e7
 # Hands this far before (or behind) the head tell where the front is, if they do so most of the
 # time and the recording is long enough for a habit to show.
 BEFORE_M, MOST, HABIT_S = 0.2, 0.8, 3.0
@@ -57,12 +62,31 @@ class Finding:
 
 def check_markers(recording: Recording) -> list[Finding]:
     """What is wrong with body, units, times, axes, sides and places of the markers."""
+    if absurd := list(_places(recording)):
+        return absurd
     found = [*_body(recording), *_times(recording)]
     unit = list(_unit(recording))
     if unit:
         # Whatever else would be said follows from the unit.
         return found + unit
     return [*found, *_up(recording), *_sides(recording), *_reach(recording)]
+
+
+def _places(recording: Recording) -> Iterator[Finding]:
+    positions = recording.positions_world
+    # Missing is NaN; an infinite position is none.
+    wrong = np.argwhere((np.abs(positions) > FARTHEST_M).any(-1))
+    if not len(wrong):
+        return
+    sample, marker = wrong[0]
+    found = ", ".join(f"{value:.4g}" for value in positions[sample, marker])
+    yield Finding(
+        "place",
+        f"[markers] file: {recording.marker_names[marker]} is at ({found}) m at "
+        f"{recording.times[sample]:.4g} s, expected a place within {FARTHEST_M:.0e} m of the "
+        "origin, and NaN where it is missing",
+        fatal=True,
+    )
 
 
 def _body(recording: Recording) -> Iterator[Finding]:
@@ -155,8 +179,9 @@ def _up(recording: Recording) -> Iterator[Finding]:
         if upright and not stands:
             yield _wrong_up(f"{'' if sign > 0 else '-'}{name}", shares[2], abs(shares[axis]))
             return
-    if shares[2] <= -UPRIGHT and -levels[2] >= LEVELS[0]:
-        yield _wrong_up("-z", shares[2], -shares[2])
+    if shares[2] <= -UPRIGHT:
+        sure = shares[2] <= -INVERTED or -levels[2] >= LEVELS[0]
+        yield _upside_down(shares[2], bool(sure))
 
 
 def _wrong_up(axis: str, stated: float, other: float) -> Finding:
@@ -166,6 +191,17 @@ def _wrong_up(axis: str, stated: float, other: float) -> Finding:
         f"[markers] up: the person stands along the world's {axis} ({100 * other:.0f} % of a "
         f"standing person's heights), not along z ({100 * stated:.0f} %); {remedy}",
         fatal=True,
+    )
+
+
+def _upside_down(share: float, sure: bool) -> Finding:
+    rather = "" if sure else "; unless hands are held up all the time"
+    return Finding(
+        "up axis",
+        f"[markers] up: the person is upside down in most samples ({100 * share:.0f} % of a "
+        f"standing person's heights){rather}, the file's axis points down or an axis is mirrored: "
+        "state to_world in place of up",
+        fatal=sure,
     )
 
 
