@@ -15,11 +15,13 @@ from scipy.spatial.transform import Rotation
 from jaxmocap.capture.gathering import ALIVE_S, Gathering, Sample
 from jaxmocap.capture.inbox import Frame, Inbox
 from jaxmocap.capture.osc import BadPacketError, Placed, parse
+from jaxmocap.capture.senders import SENDER_BURST
 from jaxmocap.capture.stream_clock import JUMP_S, StreamClock
 from jaxmocap.capture.trail import Trail
-from jaxmocap.capture.udp import BURST, MarkerSocket
+from jaxmocap.capture.udp import BURST, Datagram, MarkerSocket
+from jaxmocap.formats.addresses import Address
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.live import R_WORLD_UNITY, Address
+from jaxmocap.formats.live import R_WORLD_UNITY
 
 MARKERS = ("Hmd", "LeftController", "RightController")
 
@@ -352,14 +354,22 @@ def test_a_socket_counts_what_it_ignores_and_takes_the_rest():
         }
 
 
+def packet(ahead: float, port: int = 5000, host: str = "127.0.0.1", at: float = 0.0, stamp=None):
+    """One marker so far ahead, from some sender."""
+    parts = [message("/VMC/Ext/T", stamp)] if stamp is not None else []
+    content = bundle(*parts, device("Tra", "Hmd", 0, 0, ahead))
+    return Datagram(at, content, host, port)
+
+
 def test_of_a_flood_the_newest_are_read():
     out: list[Sample] = []
     gathers = Gathering(MARKERS, {}, R_WORLD_UNITY, out.append)
     marker_socket = MarkerSocket(Address(port=0), gathers, now=lambda: 0.0)
-    flood = [(0.0, bundle(device("Tra", "Hmd", 0, 0, i / 100))) for i in range(2 * BURST)]
+    flood = [packet(i / 100) for i in range(2 * BURST)]
     marker_socket.take(flood)
     marker_socket.stop()
-    assert len(out) == BURST and marker_socket.ignored["flood"] == BURST
+    assert len(out) == SENDER_BURST
+    assert marker_socket.ignored["flood"] == 2 * BURST - SENDER_BURST
     assert out[-1].positions_world[0, 0] == pytest.approx((2 * BURST - 1) / 100)
 
 

@@ -23,23 +23,24 @@ from jaxmocap.capture.cameras import LiveCamera
 from jaxmocap.capture.gathering import Sample
 from jaxmocap.capture.inbox import Frame
 from jaxmocap.capture.video import open_video
+from jaxmocap.formats.addresses import Address
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.filters import OneEuroSettings
 from jaxmocap.formats.live import (
     LISTEN,
     R_WORLD_UNITY,
     VMC,
-    Address,
     LiveSetup,
     LiveVideo,
     load_live,
 )
 from jaxmocap.outputs.osc import Bundle
 from jaxmocap.outputs.unity import to_unity
-from jaxmocap.run.live import Live, stopped_by_signals
+from jaxmocap.run.live import Live
 from jaxmocap.run.live_recording import LiveRecording
 from jaxmocap.run.live_session import live_summary
 from jaxmocap.run.live_status import LiveStatus
+from jaxmocap.run.live_stop import stopped_by_signals
 from jaxmocap.run.live_tracking import Output
 
 FILE = """
@@ -49,6 +50,7 @@ Hmd = { bone = "head", at = 0.7, offset = [0.1, 0.0, 0.0] }
 
 [osc]
 listen = "0.0.0.0:5000"
+from = ["192.168.1.0/24", "127.0.0.1"]
 names = { "LHR-1" = "1" }
 
 [[video]]
@@ -174,7 +176,7 @@ def test_what_was_recorded_live_is_read_like_any_recording(tmp_path):
     np.testing.assert_allclose(video.times, moments, atol=1e-4)
     for (_, image), expected in zip(video.frames(), frames[1], strict=True):
         assert image is not None and np.abs(image.astype(float) - expected).mean() < 12
-    with pytest.raises(InputError, match="holds a recording already"):
+    with pytest.raises(InputError, match=r"holds markers\.csv, recording\.toml.* already"):
         LiveRecording(setup, tmp_path / "out")
 
 
@@ -210,7 +212,7 @@ def test_a_device_that_is_not_there_is_said_and_one_that_leaves_is_asked_for_aga
         opened.append(index)
         if len(opened) == 2:
             raise InputError(f"camera {index}", "no such device")
-        return iter([np.zeros((72, 96), np.uint8)] * 3)
+        return (np.zeros((72, 96), np.uint8) for _ in range(3))
 
     monkeypatch.setattr(cameras, "device_frames", device)
     monkeypatch.setattr(cameras, "AGAIN_S", 0.01)
@@ -226,7 +228,8 @@ def test_a_device_that_is_not_there_is_said_and_one_that_leaves_is_asked_for_aga
 
 def test_images_of_another_size_than_calibrated_are_not_used(tmp_path, monkeypatch):
     setup = small_setup(tmp_path)
-    monkeypatch.setattr(cameras, "device_frames", lambda *_: iter([np.zeros((480, 640), np.uint8)]))
+    large = np.zeros((480, 640), np.uint8)
+    monkeypatch.setattr(cameras, "device_frames", lambda *_: (image for image in [large]))
     camera = LiveCamera(replace(setup.videos[0], source=0), 0, lambda _: None, colour=False)
     camera.start()
     camera._thread.join(2.0)

@@ -3,7 +3,9 @@
 INPUTS: a LiveVideo. OUTPUTS: Frames, the newest, from a thread of its own; what became of it.
 """
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Generator
+from contextlib import closing
 from pathlib import Path
 from threading import Event, Thread
 from time import monotonic
@@ -18,7 +20,9 @@ from jaxmocap.capture.inbox import Frame
 from jaxmocap.capture.video import SIZE_TOLERANCE, Video, image_of
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.live import LiveVideo
+from jaxmocap.formats.shown import shown
 
+Images = Generator[np.ndarray, None, None]
 # A camera that went away is asked for again after so many seconds.
 AGAIN_S = 0.5
 # A stream that says nothing for so many seconds is gone.
@@ -35,6 +39,7 @@ class LiveCamera:
         heard: when a frame came in last, ``monotonic`` seconds; None before.
         status: "waiting", "on", "gone" (it is asked for again) or "ended".
         problem: why it is not used, or None.
+        reason: why nothing came in when it was last asked for, or None.
         frames: that came in.
     """
 
@@ -59,19 +64,23 @@ class LiveCamera:
             InputError: a file that is no video, a device that is not there.
         """
         self.name, self.heard, self.status, self.problem = video.camera_name, None, "waiting", None
-        self.frames = 0
+        self.frames, self.reason = 0, None
         self._video, self._index, self._give, self._now = video, index, give, now
         self._stop = Event()
         self._again = not isinstance(video.source, Path)
         self._open = _opener(video, colour, self._stop)
-        self._thread = Thread(target=self._look, name=f"camera {self.name}", daemon=True)
+        self._thread = Thread(target=self._look, name=f"camera {index}", daemon=True)
 
     def start(self) -> None:
         """Look from now on."""
         self._thread.start()
 
+    def ask_to_stop(self) -> None:
+        """Look no more, soon."""
+        self._stop.set()
+
     def stop(self) -> None:
-        """Look no more."""
+        """Look no more; returns within some seconds, though a driver may never let go."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(SILENT_S + 1.0)
@@ -79,13 +88,15 @@ class LiveCamera:
     def _look(self) -> None:
         while not self._stop.is_set():
             try:
-                for image in self._open():
-                    if self._stop.is_set() or not self._fits(image):
-                        return
-                    self._hand_on(image)
-            except (FFmpegError, OSError, InputError):
+                # Closed here, whatever ends it: a device is let go, a stream hung up.
+                with closing(self._open()) as images:
+                    for image in images:
+                        if self._stop.is_set() or not self._fits(image):
+                            return
+                        self._hand_on(image)
+            except (FFmpegError, OSError, InputError) as error:
                 # A camera that is away is asked for again.
-                pass
+                self.reason = _why(error)
             if self.frames:
                 self.status = "gone" if self._again else "ended"
             if not self._again:
@@ -94,7 +105,7 @@ class LiveCamera:
 
     def _hand_on(self, image: np.ndarray) -> None:
         arrived = self._now()
-        self.heard, self.status = arrived, "on"
+        self.heard, self.status, self.reason = arrived, "on", None
         self.frames += 1
         self._give(Frame(self._index, arrived + self._video.offset, image, arrived))
 
@@ -109,20 +120,34 @@ class LiveCamera:
         return self.problem is None
 
 
-def _opener(video: LiveVideo, colour: bool, stop: Event) -> Callable[[], Iterator[np.ndarray]]:
+def _why(error: Exception) -> str:
+    if isinstance(error, InputError):
+        return error.problem
+    return (isinstance(error, OSError) and error.strerror) or type(error).__name__
+
+
+def _opener(video: LiveVideo, colour: bool, stop: Event) -> Callable[[], Images]:
     """What begins to look."""
     if isinstance(video.source, Path):
         file = Video(video.source)
         return lambda: paced(file, colour, stop)
     if isinstance(video.source, str):
-        url = video.source
-        return lambda: stream_frames(url, colour)
+        url, most = video.source, most_pixels(video.camera.size)
+        return lambda: stream_frames(url, colour, most)
     device, size = video.source, np.asarray(video.camera.size, int).tolist()
     opened = [device_frames(device, size, colour)]
     return lambda: opened.pop() if opened else device_frames(device, size, colour)
 
 
-def paced(video: Video, colour: bool, stop: Event) -> Iterator[np.ndarray]:
+def most_pixels(size: Any) -> int:
+    """Of an image that a camera of this calibrated size may send; a larger one is not decoded."""
+    width, height = np.asarray(size, float).tolist()
+    # Decoders work on whole blocks.
+    sides = ((1 + SIZE_TOLERANCE) * side + 128 for side in (width, height))
+    return round(math.prod(sides))
+
+
+def paced(video: Video, colour: bool, stop: Event) -> Images:
     """A file's frames, each at its time since the first."""
     began = monotonic() - video.times[0]
     for time, image in video.frames(luma=not colour):
@@ -133,10 +158,17 @@ def paced(video: Video, colour: bool, stop: Event) -> Iterator[np.ndarray]:
             yield image
 
 
-def stream_frames(url: str, colour: bool) -> Iterator[np.ndarray]:
-    """Frames of a network stream, as they come, until it ends."""
+def stream_frames(url: str, colour: bool, most: int) -> Images:
+    """Frames of at most so many pixels of a network stream, as they come, until it ends."""
     with av.open(url, options=PROMPT, timeout=SILENT_S) as container:
+        if not container.streams.video:
+            raise InputError(shown(url), "has no video stream")
         stream = container.streams.video[0]
+        width, height = stream.codec_context.width, stream.codec_context.height
+        if width * height > most:
+            found = f"images of {width} × {height} pixels"
+            raise InputError(shown(url), f"{found}, far more than it was calibrated for")
+        stream.codec_context.options = {"max_pixels": str(most)}
         stream.codec_context.flags |= Flags.low_delay
         # Threads that share the frames would each hold one back.
         stream.thread_type = "SLICE"
@@ -150,7 +182,7 @@ def stream_frames(url: str, colour: bool) -> Iterator[np.ndarray]:
                     yield image_of(frame, luma=not colour)
 
 
-def device_frames(device: int, size: list[int], colour: bool) -> Iterator[np.ndarray]:
+def device_frames(device: int, size: list[int], colour: bool) -> Images:
     """Frames of a camera at this machine, asked for in the size of its calibration.
 
     Raises:
@@ -167,7 +199,7 @@ def device_frames(device: int, size: list[int], colour: bool) -> Iterator[np.nda
     return _grabbed(capture, colour)
 
 
-def _grabbed(capture: Any, colour: bool) -> Iterator[np.ndarray]:
+def _grabbed(capture: Any, colour: bool) -> Images:
     import cv2
 
     try:

@@ -148,6 +148,8 @@ def _device(message: bytes, address: bytes) -> Placed:
 def _tracker(message: bytes, address: bytes) -> Placed:
     """One of VRChat's trackers: where it is, or how it is turned."""
     number, _, kind = address[len(_TRACKERS) :].rpartition(b"/")
+    if len(number) > LONGEST_NAME:
+        raise BadPacketError("malformed")
     name, values = number.decode("ascii", "replace"), _numbers(message, 3, 0)
     if b"/" + kind == _POSITION:
         return Placed((name,), _position(values))

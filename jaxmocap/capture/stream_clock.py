@@ -10,6 +10,8 @@ JUMP_S = 0.25
 DRIFT = 2e-4
 # Packets that come so much later were not sent together, seconds.
 APART_S = 0.005
+# Stamps beyond (seconds since 1900 are 4e9) are too coarse to tell a rhythm by.
+LARGEST_STAMP_S = 1e10
 
 
 class StreamClock:
@@ -33,7 +35,7 @@ class StreamClock:
             arrival: seconds.
             stamp: seconds on the sender's clock; None where it has none.
         """
-        if stamp is None:
+        if stamp is None or not abs(stamp) <= LARGEST_STAMP_S:
             return arrival
         apart = arrival - stamp
         passed = 0.0 if self._offset is None else stamp - self._stamp

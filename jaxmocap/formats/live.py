@@ -5,21 +5,30 @@ and [vrchat]; its paths are relative to it.
 OUTPUTS: a LiveSetup.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.formats.addresses import (
+    LOOPBACK,
+    Address,
+    Network,
+    read_address,
+    read_senders,
+)
 from jaxmocap.formats.axes import UP, read_axes
 from jaxmocap.formats.calibration import pick_camera, read_calibration
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.filters import OneEuroSettings, read_filters
 from jaxmocap.formats.recording import MarkerPlace, read_place
+from jaxmocap.formats.shown import listed, shown
 from jaxmocap.formats.subject import DEFAULT_HEIGHT, read_subject
-from jaxmocap.formats.toml import Fields, read_toml
+from jaxmocap.formats.toml import Fields, read_toml, same_file_name
 from jaxmocap.geometry.cameras import Camera
 
 # Unity's frame is left-handed: x right, y up, z forward. The matrix is a reflection.
@@ -28,22 +37,18 @@ R_WORLD_UNITY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 TRACKED = ("hip", "chest", "foot_l", "foot_r", "elbow_l", "elbow_r", "knee_l", "knee_r", "head")
 # Knees hide little that feet and hips do not tell.
 USUALLY_TRACKED = tuple(name for name in TRACKED if not name.startswith("knee"))
+# More than any live run has; compiling takes as long as there are markers and cameras.
+MOST_MARKERS = 200
+MOST_CAMERAS = 16
+# No camera is slower, seconds.
+MOST_DELAY_S = 60.0
+# Devices are counted from 0.
+MOST_DEVICE = 999
+# Characters of the name of an LSL stream.
+LONGEST_STREAM = 200
+# The address of a stream; a file has a field of its own.
+_URL = re.compile(r"(?!file:)[a-z][a-z0-9+.-]*://[!-~]+", re.IGNORECASE)
 _TABLES = ("markers", "osc", "lsl", "video", "calibration", "subject", "vmc", "vrchat")
-
-
-class Address(NamedTuple):
-    """Where packets come in or go out.
-
-    Attributes:
-        host: name or number; the loopback interface unless told otherwise.
-        port: of UDP.
-    """
-
-    host: str = "127.0.0.1"
-    port: int = 0
-
-    def __str__(self) -> str:
-        return f"{self.host}:{self.port}"
 
 
 LISTEN, VMC, VRCHAT = (Address(port=port) for port in (39540, 39539, 9000))
@@ -78,6 +83,7 @@ class LiveSetup:
         R_world_source: (3, 3) from the markers' axes to the world's.
         videos: any number of cameras.
         listen: where OSC comes in.
+        senders: networks whose packets count; what others send is counted and ignored.
         aliases: name that a sender uses -> marker.
         raw: whether VMC's devices are taken as tracked (``Pos/Local``), not scaled to an avatar.
         lsl: name of the LSL stream that brings the markers in place of OSC, or None.
@@ -96,6 +102,7 @@ class LiveSetup:
     R_world_source: np.ndarray
     videos: tuple[LiveVideo, ...] = ()
     listen: Address = LISTEN
+    senders: tuple[Network, ...] = LOOPBACK
     aliases: Mapping[str, str] = field(default_factory=dict)
     raw: bool = False
     lsl: str | None = None
@@ -157,6 +164,12 @@ def _places(top: Fields) -> tuple[MarkerPlace, ...]:
     on = Fields(top.path, "[markers.on]", fields.required("on"))
     if not on.table:
         raise on.error("", "names no marker, expected entries such as Hmd = { bone = 'head' }")
+    if len(on.table) > MOST_MARKERS:
+        raise on.error("", f"names {len(on.table)} markers, expected at most {MOST_MARKERS}")
+    for name in on.table:
+        # It becomes part of a line of markers.csv.
+        if not name or name != name.strip() or not name.isprintable():
+            raise on.error("", f"found {shown(name)}, expected a name of printable characters")
     return tuple(read_place(top.path, name, entry) for name, entry in on.table.items())
 
 
@@ -177,46 +190,50 @@ def _axes(top: Fields) -> np.ndarray:
 def _source(top: Fields, places: tuple[MarkerPlace, ...]) -> dict[str, Any]:
     """Where the markers come from."""
     if "lsl" in top:
-        return {"lsl": Fields(top.path, "[lsl]", top.table["lsl"], ("stream",)).text("stream")}
-    fields = Fields(top.path, "[osc]", top.table.get("osc", {}), ("listen", "names", "raw"))
+        return {"lsl": _stream(Fields(top.path, "[lsl]", top.table["lsl"], ("stream",)))}
+    keys = ("listen", "from", "names", "raw")
+    fields = Fields(top.path, "[osc]", top.table.get("osc", {}), keys)
     names = Fields(top.path, "[osc.names]", fields.table.get("names", {}))
     markers = [place.name for place in places]
     for sent in names.table:
         if (marker := names.text(sent)) not in markers:
-            problem = f"no marker {marker!r} in [markers.on], found {', '.join(markers)}"
+            problem = f"no marker {shown(marker)} in [markers.on], found {listed(markers)}"
             raise names.error(sent, problem)
     raw = fields.table.get("raw", False)
     if not isinstance(raw, bool):
-        raise fields.error("raw", f"found {raw!r}, expected true or false")
-    return {"listen": _address(fields, "listen", LISTEN), "aliases": names.table, "raw": raw}
+        raise fields.error("raw", f"found {shown(raw)}, expected true or false")
+    listen = read_address(fields, "listen", LISTEN)
+    senders = read_senders(fields, listen)
+    return {"listen": listen, "senders": senders, "aliases": names.table, "raw": raw}
+
+
+def _stream(fields: Fields) -> str:
+    """The name of an LSL stream, which is looked for by a query with the name in quotes."""
+    name = fields.text("stream")
+    if not name.isprintable() or "'" in name or len(name) > LONGEST_STREAM:
+        expected = f"at most {LONGEST_STREAM} printable characters and no '"
+        raise fields.error("stream", f"found {shown(name)}, expected {expected}")
+    return name
 
 
 def _sinks(top: Fields) -> dict[str, Any]:
     """Where poses go."""
     vmc = Fields(top.path, "[vmc]", top.table.get("vmc", {}), ("send",))
-    found: dict[str, Any] = {"vmc": _address(vmc, "send", VMC)}
+    found: dict[str, Any] = {"vmc": read_address(vmc, "send", VMC)}
     if "vrchat" in top:
         fields = Fields(top.path, "[vrchat]", top.table["vrchat"], ("send", "trackers"))
-        chosen = fields.table.get("trackers", list(USUALLY_TRACKED))
-        if (
-            not isinstance(chosen, list)
-            or not chosen
-            or any(name not in TRACKED for name in chosen)
-        ):
-            expected = f"a list of some of {', '.join(TRACKED)}"
-            raise fields.error("trackers", f"found {chosen!r}, expected {expected}")
-        found |= {"vrchat": _address(fields, "send", VRCHAT), "trackers": tuple(chosen)}
+        found |= {"vrchat": read_address(fields, "send", VRCHAT), "trackers": _trackers(fields)}
     return found
 
 
-def _address(fields: Fields, key: str, default: Address) -> Address:
-    """An address as "host:port" or as a port alone; or the default."""
-    value = fields.table.get(key, default.port)
-    host, _, port = str(value).rpartition(":")
-    if isinstance(value, bool) or not port.isdecimal() or not 0 <= int(port) < 65536:
-        expected = f"an address such as '{default}', or a port"
-        raise fields.error(key, f"found {value!r}, expected {expected}")
-    return Address(host.strip("[]") or default.host, int(port))
+def _trackers(fields: Fields) -> tuple[str, ...]:
+    """Which of ``TRACKED`` are sent, each once."""
+    chosen = fields.table.get("trackers", list(USUALLY_TRACKED))
+    known = isinstance(chosen, list) and all(name in TRACKED for name in chosen)
+    if not known or not 0 < len(chosen) == len(set(chosen)):
+        expected = f"a list of some of {', '.join(TRACKED)}, each once"
+        raise fields.error("trackers", f"found {shown(chosen)}, expected {expected}")
+    return tuple(chosen)
 
 
 def _videos(top: Fields) -> tuple[Path | None, tuple[LiveVideo, ...]]:
@@ -226,6 +243,8 @@ def _videos(top: Fields) -> tuple[Path | None, tuple[LiveVideo, ...]]:
         raise top.error("[video]", "found one table, expected [[video]] in double brackets")
     if not tables:
         return None, ()
+    if len(tables) > MOST_CAMERAS:
+        raise top.error("", f"found {len(tables)} [[video]], expected at most {MOST_CAMERAS}")
     if "calibration" not in top:
         raise top.error("", "[calibration] is missing, which every [[video]] needs")
     calibration = Fields(top.path, "[calibration]", top.table["calibration"], ("file",))
@@ -233,8 +252,9 @@ def _videos(top: Fields) -> tuple[Path | None, tuple[LiveVideo, ...]]:
     cameras = read_calibration(file)
     videos = tuple(_video(top.path, i, table, file, cameras) for i, table in enumerate(tables, 1))
     names = [video.camera_name for video in videos]
-    if len(set(names)) < len(names):
-        raise top.error("", f"found two [[video]] of one camera: {', '.join(names)}")
+    # Their videos are files side by side.
+    if len(set(map(same_file_name, names))) < len(names):
+        raise top.error("", f"found two [[video]] of one camera: {listed(names)}")
     return file, videos
 
 
@@ -247,14 +267,19 @@ def _video(
     if len(given) != 1:
         found = " and ".join(given) or "none"
         raise fields.error("", f"found {found}, expected one of device, file, url")
-    source: int | Path | str
-    if given == ["device"]:
-        device = fields.number("device")
-        if device != int(device) or device < 0:
-            raise fields.error("device", f"found {device:g}, expected 0, 1, 2, ...")
-        source = int(device)
-    else:
-        source = fields.file("file") if given == ["file"] else fields.text("url")
-    name = fields.text("camera")
+    name = fields.file_name("camera")
     camera = pick_camera(calibration, cameras, name)
-    return LiveVideo(name, camera, source, fields.number("offset", 0.0))
+    offset = fields.number("offset", 0.0, -MOST_DELAY_S, MOST_DELAY_S)
+    return LiveVideo(name, camera, _camera_source(fields, given[0]), offset)
+
+
+def _camera_source(fields: Fields, key: str) -> int | Path | str:
+    """A device's number, a file, or the address of a stream."""
+    if key == "device":
+        return fields.whole("device", 0, MOST_DEVICE)
+    if key == "file":
+        return fields.file("file")
+    url = fields.text("url")
+    if not _URL.fullmatch(url):
+        raise fields.error("url", f"found {shown(url)}, expected an address such as rtsp://...")
+    return url

@@ -20,6 +20,8 @@ from jaxmocap.outputs import layout, recorder
 from jaxmocap.outputs.scene import Scene, make_scene
 
 INTERVAL_S = 1 / 25
+# Whoever closes the view waits so long for what is under way, seconds.
+CLOSED_S = 3.0
 LATENCY = "latency"
 SERIES = {"confidence": "Elbow confidence", "milliseconds": "Latency [ms]"}
 JPEG_QUALITY = 60
@@ -44,7 +46,11 @@ class Shown(NamedTuple):
 
 
 class LiveView:
-    """Shows one person."""
+    """Shows one person.
+
+    Attributes:
+        problem: why nothing more is shown, or None.
+    """
 
     def __init__(self, url: str, skeleton: Skeleton, cameras: Mapping[str, Camera], pose: Pose):
         """Connect and lay out.
@@ -56,6 +62,7 @@ class LiveView:
             pose: about where the person will stand.
         """
         self._skeleton, self._cameras = skeleton, dict(cameras)
+        self.problem: str | None = None
         self._stream = rr.RecordingStream("jaxmocap live")
         self._stream.connect_grpc(url)
         standing = self._scene(0.0, pose)
@@ -79,17 +86,22 @@ class LiveView:
             self._newest = shown._replace(images={**images, **shown.images})
 
     def close(self) -> None:
-        """Send what is left."""
+        """Send what is left; returns within some seconds, though a viewer may not answer."""
         self._stop.set()
-        self._thread.join(2.0)
-        self._stream.disconnect()
+        self._thread.join(CLOSED_S)
 
     def _send(self) -> None:
-        while not self._stop.wait(INTERVAL_S):
-            with self._lock:
-                shown, self._newest = self._newest, None
-            if shown is not None:
-                self._log(shown)
+        try:
+            while not self._stop.wait(INTERVAL_S):
+                with self._lock:
+                    shown, self._newest = self._newest, None
+                if shown is not None:
+                    self._log(shown)
+        # Whatever the viewer's library raises, the run goes on without it.
+        except Exception as error:
+            self.problem = f"nothing more is shown ({type(error).__name__})"
+        finally:
+            self._stream.disconnect()
 
     def _scene(self, time: float, pose: Pose) -> Scene:
         poses = Pose(*(np.asarray(part)[None] for part in pose))  # type: ignore[arg-type]

@@ -10,7 +10,7 @@ import numpy as np
 from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 from pythonosc.osc_message_builder import OscMessageBuilder
 
-from jaxmocap.formats.live import Address
+from jaxmocap.formats.addresses import Address, resolved
 
 Argument = str | int | float
 _WORD, _HEADER = 4, 16
@@ -54,9 +54,13 @@ class Sender:
     """
 
     def __init__(self, address: Address):
-        """Open a socket."""
-        self._address = tuple(address)
-        family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
+        """Open a socket.
+
+        Raises:
+            InputError: no such host.
+        """
+        # Asked for once: to look a name up at every frame would hold the frames up.
+        family, self._address = resolved(address)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self.sent = self.failed = 0

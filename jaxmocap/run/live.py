@@ -8,9 +8,11 @@
 Everything that waits for something has a thread; the tracker has this one.
 
 INPUTS: a LiveSetup. OUTPUTS: datagrams, a recording, figures.
+
+Whatever ends it, all threads are asked to stop and waited for, the recording is closed, and only
+then comes the end.
 """
 
-import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -34,14 +36,13 @@ from jaxmocap.outputs.osc import Sender
 from jaxmocap.outputs.vmc import VMC
 from jaxmocap.outputs.vrchat import Trackers
 from jaxmocap.run.live_recording import LiveRecording
+from jaxmocap.run.live_states import SILENT_S, stream_states
 from jaxmocap.run.live_status import LiveStatus
 from jaxmocap.run.live_tracking import LiveTracking, Output
 
 # Samples that may wait: a tenth of a second of a headset's. Where more come than can be tracked, a
 # longer queue would only make all poses later.
 WAITING = 8
-# A stream that was silent for so long is said to be; poses are then no news, seconds.
-SILENT_S = 0.3
 # How often those who receive poses are told that there are none, seconds.
 HEARTBEAT_S = 0.25
 # Threads take turns more often than Python's default of 5 ms, which a sample would notice.
@@ -82,6 +83,19 @@ class Live:
         """
         self.status = status or LiveStatus()
         self._setup, self._viewer = setup, viewer
+        with ExitStack() as ending:
+            self._open(settings or Settings(), smooth, out, ending)
+            self._ending = ending.pop_all()
+
+    def _open(
+        self, settings: Settings, smooth: bool, out: str | Path | None, ending: ExitStack
+    ) -> None:
+        """Open everything; what was opened is closed by ``ending``."""
+        setup = self._setup
+        # First: nothing is opened where it cannot be recorded.
+        self.recording = LiveRecording(setup, out) if out is not None else None
+        if self.recording is not None:
+            ending.callback(self.recording.close)
         self._inbox = Inbox(WAITING, keep_turns=not smooth)
         self._began = monotonic()
         bind = partial(bound_positions, setup.skeleton, setup.places)
@@ -90,18 +104,23 @@ class Live:
         )
         self._gathering = gathering
         self._socket = _source(setup, gathering, self._now)
-        colour = smooth or out is not None or viewer is not None
+        ending.callback(self._socket.stop)
+        colour = smooth or out is not None or self._viewer is not None
         self._cameras = [
             LiveCamera(video, i, self._take_frame, colour, self._now)
             for i, video in enumerate(setup.videos)
         ]
+        for camera in self._cameras:
+            ending.callback(camera.stop)
         self._vmc, self._to_vmc = VMC(setup.skeleton), Sender(setup.vmc)
+        ending.callback(self._to_vmc.close)
         self._to_vrchat = Sender(setup.vrchat) if setup.vrchat else None
+        if self._to_vrchat is not None:
+            ending.callback(self._to_vrchat.close)
         self._trackers = Trackers(self._vmc.body, setup.trackers) if setup.vrchat else None
-        self.recording = LiveRecording(setup, out) if out is not None else None
-        self.tracking = LiveTracking(setup, settings or Settings(), smooth)
+        self.tracking = LiveTracking(setup, settings, smooth)
         self._confidence, self._newest_sample = np.zeros(2), -np.inf
-        self._beat, self._frames_shown = 0.0, {}
+        self._beat, self._ended, self._frames_shown = 0.0, 0.0, {}
 
     @property
     def address(self) -> Any:
@@ -133,18 +152,28 @@ class Live:
         """
         stop = stop or threading.Event()
         self._began, self._newest_sample = monotonic(), -np.inf
-        with ExitStack() as ending:
-            ending.enter_context(_taking_turns())
-            for each in (self._socket, *self._cameras):
-                ending.callback(each.stop)
-            for each in (self._socket, *self._cameras):
-                each.start()
-            self.status.say(0.0, f"listening at {self.address}, VMC to {self._setup.vmc}")
-            while not stop.is_set() and (seconds is None or self._now() < seconds):
-                self._turn()
-        for output in self.tracking.flush():
-            self._send(output)
-        return self._finish()
+        sources = (self._socket, *self._cameras)
+        with self._ending, _taking_turns():
+            try:
+                for each in sources:
+                    each.start()
+                self.status.say(0.0, f"listening at {self.address}, VMC to {self._setup.vmc}")
+                while not stop.is_set() and (seconds is None or self._now() < seconds):
+                    self._turn()
+            finally:
+                self._ended = self._now()
+                # All at once, so that they are waited for together.
+                for each in sources:
+                    each.ask_to_stop()
+            for each in sources:
+                each.stop()
+            for output in self.tracking.flush():
+                self._send(output)
+        return self._figures()
+
+    def close(self) -> None:
+        """Close everything that is still open; ``run`` does so itself."""
+        self._ending.close()
 
     def _turn(self) -> None:
         """Take one thing that came in, and tell how things are."""
@@ -179,7 +208,7 @@ class Live:
 
     def _tell(self, now: float) -> None:
         """Say what has changed, and draw the line."""
-        for of, state in _states(self._socket, self._gathering, self._cameras, now):
+        for of, state in stream_states(self._socket, self._gathering, self._cameras, now):
             self.status.state(now, of, state)
         if self.recording is not None and self.recording.problem:
             self.status.state(now, "recording", self.recording.problem)
@@ -198,25 +227,30 @@ class Live:
             **({"late": self.tracking.late} if self.tracking.late else {}),
         }
 
-    def _finish(self) -> dict[str, Any]:
-        """Write the recording; the run's figures."""
-        now = self._now()
+    def _figures(self) -> dict[str, Any]:
+        """The run's figures, once all is closed."""
+        recording = self.recording
         self.status.finish()
-        written = self.recording.close() if self.recording else None
-        self._to_vmc.close()
-        if self._to_vrchat:
-            self._to_vrchat.close()
-        return self.status.figures(now) | {
+        return self.status.figures(self._ended) | {
             "packets": self._socket.packets,
+            "senders": self._socket.sent(),
             "ignored": {why: count for why, count in self._socket.ignored.items() if count},
-            "clock_jumps": self._socket.clock.jumps,
-            "dropped": self._dropped()
-            | {"not recorded": self.recording.dropped if self.recording else 0},
+            "clock_jumps": self._socket.clock_jumps,
+            "dropped": self._dropped() | {"not recorded": recording.dropped if recording else 0},
             "frames": {camera.name: camera.frames for camera in self._cameras},
             "placed_anew": self.tracking.placed,
             "not_sent": self._to_vmc.failed,
-            "recording": None if written is None else str(written),
+            "recording": str(recording.path) if recording and recording.path else None,
+            "problems": list(self._problems()),
         }
+
+    def _problems(self) -> Iterator[str]:
+        """Why the run did not do what it was to do."""
+        if self._socket.heard is None:
+            reason = f": {self._socket.problem}" if self._socket.problem else ""
+            yield f"no marker came in at {self.address}{reason}"
+        if self.recording is not None and self.recording.problem:
+            yield self.recording.problem
 
 
 def _source(
@@ -225,35 +259,7 @@ def _source(
     """Where markers come from."""
     if setup.lsl is not None:
         return MarkerStream(setup.lsl, gathering, now)
-    return MarkerSocket(setup.listen, gathering, setup.raw, now)
-
-
-def _states(
-    markers: MarkerSocket | MarkerStream,
-    gathering: Gathering,
-    cameras: list[LiveCamera],
-    now: float,
-) -> Iterator[tuple[str, str]]:
-    """What there is to say of every stream."""
-    if markers.problem is not None:
-        yield "markers", markers.problem
-    elif markers.heard is None:
-        yield "markers", "waiting for the first"
-    else:
-        silent = now - markers.heard > SILENT_S
-        yield "markers", "nothing comes in" if silent else "coming in"
-    missing = gathering.missing(now)
-    yield "missing", ", ".join(missing) if missing else "none"
-    if jumps := markers.clock.jumps:
-        yield "the sender's clock", f"was set, {jumps} times so far"
-    for why, count in markers.ignored.items():
-        if count:
-            # Every tenfold is news, every packet is not.
-            yield f"{why} packets ignored", f"{10 ** (len(str(count)) - 1)} or more"
-    if gathering.unknown:
-        yield "no markers of ours", ", ".join(sorted(gathering.unknown))
-    for camera in cameras:
-        yield camera.name, camera.problem or camera.status
+    return MarkerSocket(setup.listen, gathering, setup.raw, now, setup.senders)
 
 
 @contextmanager
@@ -264,20 +270,3 @@ def _taking_turns() -> Iterator[None]:
         yield
     finally:
         sys.setswitchinterval(before)
-
-
-@contextmanager
-def stopped_by_signals() -> Iterator[threading.Event]:
-    """An event that Ctrl-C sets, and SIGTERM; a second Ctrl-C interrupts as ever."""
-    stop = threading.Event()
-
-    def set_stop(number: int, frame: Any) -> None:
-        stop.set()
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-
-    before = {each: signal.signal(each, set_stop) for each in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield stop
-    finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)

@@ -1,23 +1,24 @@
 """A live run on disk, as a recording that ``track`` reads.
 
-INPUTS: samples and frames, as they come. OUTPUTS: markers.csv, CAMERA.mp4, calibration.toml and, at
-the end, recording.toml.
+INPUTS: samples and frames, as they come. OUTPUTS: markers.csv, CAMERA.mp4, copies of the
+calibration and of the subject's static trial, recording.toml.
 
-A thread writes as things come, so that little is lost where a run is killed: of markers nothing but
-the last lines, of videos the last second. Only recording.toml is missing then.
+A thread writes as things come, and recording.toml as soon as there is something to read: a run that
+is killed leaves a recording that lacks its last half second. What is in the folder is never
+overwritten, so that nothing of such a run is lost to the next.
 """
 
 import csv
+import io
 import os
-import shutil
-from collections.abc import Mapping
-from fractions import Fraction
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
-from queue import Full, Queue
-from threading import Thread
+from queue import Empty, Full, Queue
+from threading import Event, Thread
+from time import monotonic
 from typing import Any
 
-import av
 import numpy as np
 from av.error import FFmpegError
 
@@ -27,17 +28,27 @@ from jaxmocap.capture.inbox import Frame
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.live import LiveSetup
 from jaxmocap.formats.places import MarkerPlace
+from jaxmocap.formats.reading import read_bytes
 from jaxmocap.formats.recording import write_recording
+from jaxmocap.formats.shown import listed
 from jaxmocap.formats.tables import format_rows
+from jaxmocap.formats.toml import read_toml
+from jaxmocap.formats.writing import (
+    as_output_error,
+    check_name,
+    check_writable,
+    remove_left_parts,
+    write_bytes,
+)
+from jaxmocap.run.live_files import Film, Rows
 
 # So many things wait to be written, a tenth of them frames; more are dropped and counted.
 MOST_WAITING = 600
-# So many samples are written at a stroke.
-FLUSHED = 90
-CLOCK = 90_000
-# Fragments of so many microseconds: what a killed run loses of its video.
-MP4 = {"movflags": "frag_keyframe+empty_moov+default_base_moof"}
-QUICK = {"preset": "ultrafast", "crf": "20", "g": "30"}
+# Lines wait so long to be written together, seconds.
+FLUSHED_S = 0.2
+# Writing what waits at the end takes no longer, unless the disk has stopped working, seconds.
+MOST_CLOSING_S = 30.0
+MARKERS, LIST = "markers.csv", "recording.toml"
 
 
 class LiveRecording:
@@ -45,30 +56,49 @@ class LiveRecording:
 
     Attributes:
         folder: where.
+        path: of recording.toml, once it is there.
         dropped: samples and frames that could not be written, or not in time.
-        problem: why nothing more is written, or None.
     """
 
     def __init__(self, setup: LiveSetup, folder: str | Path):
         """Make the folder and begin.
 
         Raises:
-            InputError: it holds a recording already.
+            InputError: it holds something that would be overwritten, or cannot be written to.
+            OutputError: the disk is full.
         """
-        self.folder, self.dropped, self.problem = Path(folder), 0, None
-        if (self.folder / "recording.toml").exists():
-            raise InputError(self.folder, "holds a recording already, expected another folder")
-        self.folder.mkdir(parents=True, exist_ok=True)
-        self._setup = setup
-        self._markers = (self.folder / "markers.csv").open("w", encoding="utf-8", newline="")
-        parts = (*"xyz", "qw", "qx", "qy", "qz") if setup.lsl is None else "xyz"
-        columns = [f"{name}.{part}" for name in setup.marker_names for part in parts]
-        csv.writer(self._markers, lineterminator="\n").writerow(["time", *columns])
-        self._samples = 0
-        self._films: dict[int, _Film] = {}
+        self.folder, self.dropped = Path(folder), 0
+        self.path: Path | None = None
+        self._setup, self._copies, self._subject = setup, _copies(setup), _subject(setup)
+        check_free(setup, self.folder)
+        self._made_folder = not self.folder.exists()
+        self._failed: dict[str, str] = {}
+        self._films: dict[int, Film] = {}
+        self._listed: Any = None
+        try:
+            with as_output_error(self.folder):
+                self.folder.mkdir(parents=True, exist_ok=True)
+            for name, source in self._copies.items():
+                write_bytes(self.folder / name, read_bytes(source))
+            self._rows = Rows(self.folder / MARKERS, self._header())
+        except BaseException:
+            self._remove(self._copies)
+            raise
+        self._flushed = monotonic()
         self._queue: Queue[Sample | Frame | None] = Queue(MOST_WAITING)
+        self._ending = Event()
+        self._closed = False
         self._thread = Thread(target=self._write, name="recording", daemon=True)
         self._thread.start()
+
+    @property
+    def problem(self) -> str | None:
+        """What could not be written and why, in a sentence; or None."""
+        if not self._failed:
+            return None
+        first, *rest = self._failed
+        files = ", ".join([str(self.folder / first), *rest])
+        return f"{files}: cannot be written any more ({self._failed[first]})"
 
     def add(self, event: Sample | Frame) -> None:
         """Write a sample or a frame, soon."""
@@ -81,41 +111,68 @@ class LiveRecording:
             self.dropped += 1
 
     def close(self) -> Path | None:
-        """Write what waits, and recording.toml; its path, or None where there was no sample."""
-        self._queue.put(None)
-        self._thread.join()
-        self._markers.close()
-        for film in self._films.values():
-            film.close()
-        if not self._samples:
-            return None
-        videos = [
-            {
-                "file": film.path.name,
-                "camera": self._setup.videos[i].camera_name,
-                "offset": film.first,
-            }
-            for i, film in sorted(self._films.items())
-        ]
-        calibration = self._copied(self._setup.calibration) if videos else None
-        return write_recording(
-            self.folder,
-            "markers.csv",
-            {place.name: _place(place) for place in self._setup.places},
-            videos,
-            calibration,
-            self._subject(),
-        )
+        """Write what waits; the path of recording.toml, or None where nothing came in."""
+        if self._closed:
+            return self.path
+        self._closed = True
+        self._ending.set()
+        with suppress(Full):
+            self._queue.put_nowait(None)
+        self._thread.join(MOST_CLOSING_S)
+        if self._thread.is_alive():
+            self._failed[MARKERS] = "the disk does not answer"
+            return self.path
+        for name, close in self._open_files():
+            try:
+                close()
+            except (OSError, FFmpegError, ValueError) as error:
+                self._failed.setdefault(name, _why(error))
+        self.dropped += self._rows.lost
+        # There may be room for it now.
+        self._failed.pop(LIST, None)
+        self._list(again=True)
+        self._remove(self._empty())
+        return self.path
+
+    def _open_files(self) -> list[tuple[str, Callable[[], None]]]:
+        films = [(film.path.name, film.close) for film in self._films.values()]
+        return [(MARKERS, self._rows.close), *films]
+
+    def _header(self) -> str:
+        parts = (*"xyz", "qw", "qx", "qy", "qz") if self._setup.lsl is None else "xyz"
+        columns = [f"{name}.{part}" for name in self._setup.marker_names for part in parts]
+        text = io.StringIO()
+        csv.writer(text, lineterminator="").writerow(["time", *columns])
+        return text.getvalue()
 
     def _write(self) -> None:
-        while (event := self._queue.get()) is not None:
+        """What the thread does."""
+        while True:
             try:
-                if self.problem is None:
-                    self._film(event) if isinstance(event, Frame) else self._note(event)
-            except (OSError, FFmpegError) as error:
-                # A full disk must not end the run.
-                self.problem = f"cannot be written any more ({error.strerror or error})"
-            self.dropped += self.problem is not None
+                event = self._queue.get(timeout=FLUSHED_S)
+            except Empty:
+                event = None
+            if isinstance(event, Frame):
+                self._attempt(_film_name(self._setup, event.camera), self._film, event)
+            elif event is not None:
+                self._attempt(MARKERS, self._note, event)
+            elif self._ending.is_set() and self._queue.empty():
+                return
+            if monotonic() - self._flushed >= FLUSHED_S:
+                self._flushed = monotonic()
+                self._attempt(MARKERS, self._rows.flush)
+                self._list()
+
+    def _attempt(self, name: str, act: Callable[..., Any], *arguments: Any) -> None:
+        """Write to one file; a full disk must not end the run, and no other file's writing."""
+        if name in self._failed:
+            self.dropped += bool(arguments)
+            return
+        try:
+            act(*arguments)
+        except (OSError, FFmpegError, ValueError) as error:
+            self._failed[name] = _why(error)
+            self.dropped += bool(arguments)
 
     def _note(self, sample: Sample) -> None:
         measured = sample.measured
@@ -124,32 +181,118 @@ class LiveRecording:
             nothing = np.full((len(known), 4), np.nan)
             turns = nothing if measured is None else quaternions(measured.turns_world)
             known = np.hstack([known, turns])
-        cells = format_rows(known).ravel()
-        self._markers.write(",".join([f"{sample.time:.9f}", *cells]) + "\n")
-        self._samples += 1
-        if self._samples % FLUSHED == 0:
-            self._markers.flush()
+        self._rows.add(",".join([f"{sample.time:.9f}", *format_rows(known).ravel()]))
 
     def _film(self, frame: Frame) -> None:
         if frame.camera not in self._films:
-            name = self._setup.videos[frame.camera].camera_name
-            self._films[frame.camera] = _Film(self.folder / f"{name}.mp4", frame)
+            path = self.folder / _film_name(self._setup, frame.camera)
+            self._films[frame.camera] = Film(path, frame)
         self._films[frame.camera].add(frame)
 
-    def _copied(self, file: Path | None) -> str | None:
-        if file is None:
-            return None
-        shutil.copyfile(file, self.folder / file.name)
-        return file.name
+    def _list(self, again: bool = False) -> None:
+        """Write recording.toml, if there is more to read than it says, or once again."""
+        films = [(i, film) for i, film in sorted(self._films.items()) if film.is_readable]
+        there = bool(self._rows.rows), [i for i, _ in films]
+        if there == (False, []) or (there == self._listed and not again):
+            return
+        self._listed = there
+        videos = [
+            {
+                "file": film.path.name,
+                "camera": self._setup.videos[i].camera_name,
+                "offset": film.first,
+            }
+            for i, film in films
+        ]
+        on = {place.name: _place(place) for place in self._setup.places}
+        markers = MARKERS if there[0] else None
+        calibration = next(iter(self._copies)) if videos else None
+        told = markers, on, videos, calibration, self._subject
+        self._attempt(LIST, self._write_list, *told)
 
-    def _subject(self) -> Mapping[str, Any] | None:
-        """The table [subject], its files as seen from the folder."""
-        if self._setup.subject is None:
-            return None
-        table = dict(self._setup.subject)
-        for key in {"file", "static"} & set(table):
-            table[key] = _seen_from(self.folder, self._setup.path.parent / table[key])
-        return table
+    def _write_list(self, *arguments: Any) -> None:
+        self.path = write_recording(self.folder, *arguments)
+
+    def _empty(self) -> Iterator[str]:
+        """Files of the run that hold nothing, so that none refers to them."""
+        empty = [film.path.name for film in self._films.values() if not film.is_readable]
+        if not self._rows.rows:
+            yield MARKERS
+        yield from empty
+        if not self._rows.rows and len(empty) == len(self._films):
+            yield from self._copies
+
+    def _remove(self, names: Iterable[str]) -> None:
+        """Remove files of this run, and the folder where it made it and it is empty."""
+        for name in names:
+            with suppress(OSError):
+                (self.folder / name).unlink(missing_ok=True)
+        if self._made_folder:
+            with suppress(OSError):
+                self.folder.rmdir()
+
+
+def check_free(setup: LiveSetup, folder: str | Path) -> None:
+    """Look whether a run can be recorded in a folder, before anything is opened.
+
+    Raises:
+        InputError: a file that the run would write is there, or none can be.
+    """
+    folder = Path(folder)
+    check_name(folder)
+    check_writable(folder)
+    remove_left_parts(folder)
+    taken = [name for name in _names(setup) if os.path.lexists(folder / name)]
+    if taken:
+        problem = f"holds {listed(taken)} already, which is not overwritten"
+        raise InputError(folder, f"{problem}; expected another folder")
+
+
+def _names(setup: LiveSetup) -> list[str]:
+    """Every file that a run may write."""
+    videos = [_film_name(setup, i) for i in range(len(setup.videos))]
+    return [MARKERS, LIST, *videos, *_copies(setup)]
+
+
+def _film_name(setup: LiveSetup, camera: int) -> str:
+    return f"{setup.videos[camera].camera_name}.mp4"
+
+
+def _copies(setup: LiveSetup) -> dict[str, Path]:
+    """Name in the folder -> file that is copied there, so that it can be moved as a whole.
+
+    With videos the calibration comes first.
+    """
+    found = {}
+    if setup.videos and setup.calibration is not None:
+        found[f"calibration{setup.calibration.suffix.lower()}"] = setup.calibration
+    if static := _static(setup):
+        found[f"static{static.suffix.lower()}"] = static
+    return found
+
+
+def _stated(setup: LiveSetup) -> tuple[Path, dict[str, Any]]:
+    """The table [subject], its own file's in its place; and what its paths are relative to."""
+    table = dict(setup.subject or {})
+    if "file" not in table:
+        return setup.path.parent, table
+    file = setup.path.parent / table.pop("file")
+    content = read_toml(file)
+    wrists = bool(table.get("wrists") or content.get("wrists"))
+    return file.parent, content | ({"wrists": True} if wrists else {})
+
+
+def _static(setup: LiveSetup) -> Path | None:
+    folder, table = _stated(setup)
+    return folder / table["static"] if "static" in table else None
+
+
+def _subject(setup: LiveSetup) -> dict[str, Any] | None:
+    """The table [subject] of the recording, its static trial beside it."""
+    _, table = _stated(setup)
+    if static := _static(setup):
+        table["static"] = f"static{static.suffix.lower()}"
+    return table or None
 
 
 def _place(place: MarkerPlace) -> dict[str, Any]:
@@ -162,40 +305,6 @@ def _place(place: MarkerPlace) -> dict[str, Any]:
     return entry
 
 
-def _seen_from(folder: Path, file: Path) -> str:
-    try:
-        return Path(os.path.relpath(file, folder)).as_posix()
-    except ValueError:
-        # Another drive.
-        return file.resolve().as_posix()
-
-
-class _Film:
-    """One camera's video, each frame at its own time.
-
-    Attributes:
-        path: of the file.
-        first: time of the first frame, seconds.
-    """
-
-    def __init__(self, path: Path, frame: Frame):
-        self.path, self.first, self._last = path, frame.time, -1
-        height, width = frame.image.shape[:2]
-        self._container = av.open(str(path), "w", options=MP4)
-        self._stream: av.VideoStream = self._container.add_stream("libx264", options=QUICK)
-        # Chroma comes by twos; an odd last row or column is left out.
-        self._stream.width, self._stream.height = width - width % 2, height - height % 2
-        self._stream.pix_fmt = "yuv420p"
-        self._stream.codec_context.time_base = self._stream.time_base = Fraction(1, CLOCK)
-
-    def add(self, frame: Frame) -> None:
-        image = frame.image[: self._stream.height, : self._stream.width]
-        colours = "bgr24" if image.ndim == 3 else "gray"
-        picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format=colours)
-        stamp = max(round((frame.time - self.first) * CLOCK), self._last + 1)
-        picture.pts, picture.time_base, self._last = stamp, Fraction(1, CLOCK), stamp
-        self._container.mux(self._stream.encode(picture))
-
-    def close(self) -> None:
-        self._container.mux(self._stream.encode())
-        self._container.close()
+def _why(error: Exception) -> str:
+    strerror = error.strerror if isinstance(error, OSError) else None
+    return strerror or getattr(error, "problem", None) or str(error) or type(error).__name__

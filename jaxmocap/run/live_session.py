@@ -15,9 +15,13 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.capture.inbox import Frame
+from jaxmocap.formats.errors import printable
 from jaxmocap.formats.live import LiveSetup, load_live
-from jaxmocap.run.live import Live, stopped_by_signals
+from jaxmocap.formats.shown import name_shown
+from jaxmocap.run.live import Live
+from jaxmocap.run.live_recording import check_free
 from jaxmocap.run.live_status import LiveStatus
+from jaxmocap.run.live_stop import stopped_by_signals
 from jaxmocap.run.live_tracking import Output
 from jaxmocap.run.recording import choose_settings
 from jaxmocap.run.viewing import start_viewer
@@ -37,7 +41,7 @@ def run_live(
     view: View | None = None,
     status: LiveStatus | None = None,
 ) -> dict[str, Any]:
-    """Run until Ctrl-C, or so many seconds.
+    """Run until Ctrl-C or SIGTERM, or so many seconds.
 
     Args:
         path: of the live run's file.
@@ -49,12 +53,16 @@ def run_live(
         status: what tells of the run.
 
     Returns:
-        Figures of the run.
+        Figures of the run; "problems" are sentences of what it did not do, and "terminated" says
+        whether SIGTERM ended it.
 
     Raises:
         InputError: what cannot be read or opened.
+        OutputError: the disk is full before it begins.
     """
     setup, status = load_live(path), status or LiveStatus()
+    if out is not None:
+        check_free(setup, out)
     for warning in setup.warnings:
         status.say(0.0, warning)
     with ExitStack() as ending:
@@ -62,8 +70,10 @@ def run_live(
         live = Live(
             setup, choose_settings(refine), smooth=smooth, out=out, viewer=viewer, status=status
         )
-        stop = ending.enter_context(stopped_by_signals())
-        return live.run(seconds, stop)
+        ending.callback(live.close)
+        with stopped_by_signals() as stop:
+            figures = live.run(seconds, stop)
+        return figures | {"terminated": stop.terminated}
 
 
 def _viewer(
@@ -73,7 +83,7 @@ def _viewer(
     from jaxmocap.outputs.live_view import LiveView, Shown
 
     opened = start_viewer([], view == "web", stay=False)
-    ending.callback(opened.process.terminate)
+    ending.callback(opened.end)
     sleep(VIEWER_STARTS_S)
     cameras = {video.camera_name: video.camera for video in setup.videos}
     shown = LiveView(opened.url, setup.skeleton, cameras, standing_pose(setup.skeleton))
@@ -82,6 +92,9 @@ def _viewer(
     began = monotonic()
 
     def show(output: Output, frames: dict[str, Frame]) -> None:
+        if not opened.is_open or shown.problem:
+            status.state(monotonic() - began, "viewer", shown.problem or "closed")
+            return
         images = {name: frame.image for name, frame in frames.items()}
         latency = 1e3 * status.newest_latency
         shown.show(Shown(monotonic() - began, output.pose, output.confidence, latency, images))
@@ -106,8 +119,10 @@ def live_summary(figures: Mapping[str, Any]) -> str:
         "latency": _latency(latency),
         "dropped": ", ".join(f"{count} {what}" for what, count in dropped.items()),
         "packets": f"{figures['packets']}" + (f"; ignored: {ignored}" if ignored else ""),
-        "frames": ", ".join(f"{name} {count}" for name, count in figures["frames"].items()),
-        "written": figures["recording"],
+        "frames": ", ".join(
+            f"{name_shown(name)} {count}" for name, count in figures["frames"].items()
+        ),
+        "written": figures["recording"] and printable(figures["recording"]),
     }
     return "\n".join(f"{name.ljust(8)}{text}" for name, text in rows.items() if text)
 

@@ -1,19 +1,45 @@
 """What a live run tells: a line that stays up to date, sentences when something changes, figures.
 
 INPUTS: outputs, counts, ages. OUTPUTS: text on a terminal; a dictionary of figures.
+
+However long the run and whatever comes in, little is kept and little is said: what changes all the
+time is said from time to time, and nothing that a stranger sent reaches the terminal unescaped.
 """
 
 import sys
 from collections import deque
 from collections.abc import Mapping
-from typing import Any, TextIO
+from contextlib import suppress
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 
+from jaxmocap.capture.senders import Share
+from jaxmocap.formats.errors import printable, shortened
+from jaxmocap.formats.shown import name_shown
+
+# Of what was said so many first and so many newest sentences are kept.
+FIRST_KEPT = 500
+NEWEST_KEPT = 500
+# The state of one thing is said at each of so many changes, and then so often a second.
+CHANGES = 20
+CHANGES_A_SECOND = 0.1
 # Latencies are told of so many of the newest outputs, and of these that line speaks of.
 REMEMBERED, RECENT = 20_000, 300
 # A terminal's line is drawn anew so often; elsewhere a line is written more rarely; seconds.
 REDRAWN_S, WRITTEN_S = 0.25, 5.0
+
+
+class Said(NamedTuple):
+    """A sentence.
+
+    Attributes:
+        seconds: of the run.
+        what: the sentence.
+    """
+
+    seconds: float
+    what: str
 
 
 class LiveStatus:
@@ -21,18 +47,20 @@ class LiveStatus:
 
     Attributes:
         outputs: how many poses went out.
-        said: (seconds, sentence) of everything that changed.
+        sentences: that were said.
     """
 
     def __init__(self, out: TextIO | None = None):
         """Write to a stream; standard error by default."""
         self._out = sys.stderr if out is None else out
         self._drawn = self._out.isatty()
-        self.outputs = 0
-        self.said: list[tuple[float, str]] = []
+        self.outputs = self.sentences = 0
+        self._first: list[Said] = []
+        self._newest: deque[Said] = deque(maxlen=NEWEST_KEPT)
         self._latencies: deque[float] = deque(maxlen=REMEMBERED)
         self._times: deque[float] = deque(maxlen=RECENT)
         self._states: dict[str, str] = {}
+        self._shares: dict[str, Share] = {}
         self._next = 0.0
 
     def output(self, now: float, latency: float) -> None:
@@ -46,17 +74,38 @@ class LiveStatus:
         """Of the newest output, seconds; NaN before the first."""
         return self._latencies[-1] / 1e3 if self._latencies else float("nan")
 
+    @property
+    def said(self) -> list[Said]:
+        """What was said, but for what was between the first and the newest sentences."""
+        return [*self._first, *self._newest]
+
     def state(self, now: float, of: str, state: str) -> None:
-        """Say so when the state of something has changed; "" says nothing."""
-        before = self._states.get(of)
+        """Say so when the state of something has changed; "" says nothing.
+
+        What changes more often than ``CHANGES_A_SECOND`` is said later, as it then is. There are
+        to be few things that have a state.
+        """
+        if state == self._states.get(of):
+            return
+        share = self._shares.setdefault(of, Share(CHANGES_A_SECOND, CHANGES, now))
+        if not share.left(now):
+            return
+        share.take(1)
         self._states[of] = state
-        if state and state != before:
+        if state:
             self.say(now, f"{of}: {state}")
 
     def say(self, now: float, sentence: str) -> None:
         """Say a sentence, with its time."""
-        self.said.append((round(now, 3), sentence))
-        print(f"{self._clear()}{now:8.2f} s  {sentence}", file=self._out, flush=True)
+        said = Said(round(now, 3), shortened(printable(sentence)))
+        self.sentences += 1
+        (self._first if len(self._first) < FIRST_KEPT else self._newest).append(said)
+        self._print(f"{self._clear()}{now:8.2f} s  {said.what}\n")
+
+    def _print(self, text: str) -> None:
+        # A terminal that is gone, or a log on a full disk, ends no run.
+        with suppress(OSError, ValueError):
+            print(text, end="", file=self._out, flush=True)
 
     def latency_ms(self, count: int | None = None) -> tuple[float, float]:
         """Median and 99th percentile of the newest outputs; NaN before the first."""
@@ -93,11 +142,11 @@ class LiveStatus:
             f"{self.rate(now):3.0f} /s",
             f"latency {median:.1f} ms, 99 % {most:.1f} ms",
             "dropped " + ", ".join(f"{count} {what}" for what, count in dropped.items()),
-            "age " + ", ".join(f"{name} {_age(age)}" for name, age in ages.items()),
+            "age " + ", ".join(f"{name_shown(name)} {_age(age)}" for name, age in ages.items()),
             "elbows " + " ".join(f"{100 * value:.0f} %" for value in confidence),
         ]
         end = "" if self._drawn else "\n"
-        print(f"{self._clear()}{' | '.join(shown)}", end=end, file=self._out, flush=True)
+        self._print(f"{self._clear()}{' | '.join(shown)}{end}")
 
     def _clear(self) -> str:
         return "\r\x1b[K" if self._drawn else ""
@@ -105,7 +154,7 @@ class LiveStatus:
     def finish(self) -> None:
         """Leave the line."""
         if self._drawn:
-            print(file=self._out)
+            self._print("\n")
 
     def figures(self, seconds: float) -> dict[str, Any]:
         """What the run came to."""
@@ -115,7 +164,8 @@ class LiveStatus:
             "outputs": self.outputs,
             "rate_hz": self.outputs / seconds if seconds > 0 else 0.0,
             "latency_ms": {"median": median, "p99": most, "of": len(self._latencies)},
-            "said": [{"seconds": at, "what": what} for at, what in self.said],
+            "said": [said._asdict() for said in self.said],
+            "sentences": self.sentences,
         }
 
 

@@ -10,6 +10,7 @@ import os
 import socket
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
@@ -17,6 +18,8 @@ from urllib.parse import quote
 from jaxmocap.formats.errors import InputError
 
 LOOPBACK = "127.0.0.1"
+# A viewer that is asked to end has so long to do so, seconds.
+ENDS_S = 5.0
 
 
 class Viewer(NamedTuple):
@@ -33,11 +36,28 @@ class Viewer(NamedTuple):
     page: str | None
 
     def until_interrupted(self) -> None:
-        """Wait for Ctrl-C, or for the viewer to end, and end it."""
+        """Wait for the viewer to end, or for Ctrl-C; whatever comes, the viewer has then ended.
+
+        SIGTERM and what else is raised meanwhile goes on.
+        """
         try:
-            self.process.wait()
-        except KeyboardInterrupt:
-            self.process.terminate()
+            with suppress(KeyboardInterrupt):
+                self.process.wait()
+        finally:
+            self.end()
+
+    @property
+    def is_open(self) -> bool:
+        """Is it still there?"""
+        return self.process.poll() is None
+
+    def end(self) -> None:
+        """End it, and wait until it has ended."""
+        self.process.terminate()
+        try:
+            self.process.wait(ENDS_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
             self.process.wait()
 
 
@@ -103,7 +123,14 @@ def start_viewer(
         page = f"http://{LOOPBACK}:{web_port}/?url={quote(url, safe='')}"
     command = [*viewer_command(), *options, *arguments]
     process = subprocess.Popen(
-        command, start_new_session=stay, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        command,
+        start_new_session=stay,
+        # Ctrl-C is for this process, which then ends the viewer.
+        process_group=None if stay else 0,
+        creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
     )
     return Viewer(process, url, page)
 
