@@ -9,6 +9,7 @@ import pytest
 from drawn_boards import BOARD, CHARUCO, LENS, SIZE, draw
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from jaxmocap.cli import main
 from jaxmocap.formats.calibration import read_calibration, read_lens, write_camera
@@ -167,30 +168,69 @@ def test_only_rotation_and_translation_change(folder):
 # When it cannot be, or could be another ----------------------------------------------------------
 
 
-def test_a_board_told_print_down_puts_the_camera_below_the_floor_and_is_said(folder, capsys):
-    flipped = (*POSE[:3], 180.0, 0.0, 90.0)
-    assert run(folder, *CHESS, "--pose", numbers(flipped)) == 0
-    said = capsys.readouterr().out
-    assert "the camera comes out below the floor, at z = -0.80 m" in said
+def test_a_board_told_print_down_puts_the_camera_below_the_floor(folder, capsys):
+    flipped = ["--pose", numbers((*POSE[:3], 180.0, 0.0, 90.0))]
+    assert run(folder, *CHESS, *flipped) == 2
     assert (
         "turned by 180° about its own x axis the camera would stand at (0.90, -0.50, 0.80) m"
-        in said
+        in capsys.readouterr().err
     )
+    assert run(folder, *CHESS, *flipped, "--upside-down") == 0
+    assert "the camera comes out below the floor, at z = -0.80 m" in capsys.readouterr().out
 
 
-def test_a_board_told_upside_down_turns_the_camera_over_and_is_said(folder, capsys):
-    wall = (0.0, 1.0, 1.2, 90.0, 0.0, 0.0)
+WALL = (0.0, 1.0, 1.2, 90.0, 0.0, 0.0)
+WALL_UPSIDE_DOWN = (*WALL[:3], -90.0, 0.0, 180.0)
+
+
+@pytest.fixture
+def wall(folder):
+    """The same, and a photograph of the board on a wall, by a camera that stands upright."""
     T_cam_world = looking((0.1, 1.0, 1.4), (0.3, 0.1, 1.6))
-    cv2.imwrite(str(folder / "wall.png"), draw(BOARD, T_cam_world @ board_to_world(wall)))
-    assert run(folder, *CHESS, "--pose", numbers(wall), image="wall.png") == 0
-    assert "note:" not in capsys.readouterr().out
-    upside_down = (*wall[:3], -90.0, 0.0, 180.0)
-    assert run(folder, *CHESS, "--pose", numbers(upside_down), image="wall.png") == 0
-    said = capsys.readouterr().out
-    assert "the camera comes out upside down" in said
+    cv2.imwrite(str(folder / "wall.png"), draw(BOARD, T_cam_world @ board_to_world(WALL)))
+    return folder
+
+
+def test_a_camera_that_comes_out_upside_down_is_refused_and_nothing_is_written(wall, capsys):
+    before = (wall / "c.toml").read_bytes()
+    pose = ["--pose", numbers(WALL_UPSIDE_DOWN)]
+    assert run(wall, *CHESS, *pose, image="wall.png") == 2
+    printed = capsys.readouterr()
+    assert "wall.png: the camera comes out upside down" in printed.err and not printed.out
     assert (
-        "turned by 180° about its own z axis the camera would stand at (0.30, 0.10, 1.60)" in said
+        "turned by 180° about its own z axis the camera would stand at (0.30, 0.10, 1.60)"
+        in printed.err
     )
+    assert "--upside-down" in printed.err and printed.err.count("\n") == 1
+    assert (wall / "c.toml").read_bytes() == before
+    assert run(wall, *CHESS, "--pose", numbers(WALL), image="wall.png") == 0
+    assert "note:" not in capsys.readouterr().out
+
+
+def test_a_camera_that_hangs_upside_down_is_written_where_the_user_says_so(wall, capsys):
+    turned = cv2.rotate(cv2.imread(str(wall / "wall.png")), cv2.ROTATE_180)
+    cv2.imwrite(str(wall / "hanging.png"), turned)
+    pose = ["--pose", numbers(WALL), "--origin", "500,500"]
+    assert run(wall, *CHESS, *pose, image="hanging.png") == 2
+    capsys.readouterr()
+    assert run(wall, *CHESS, *pose, "--upside-down", image="hanging.png") == 0
+    assert "note:" not in capsys.readouterr().out
+    camera = read_calibration(wall / "c.toml")["cam"]
+    # The picture was turned about its centre, not about the lens's.
+    np.testing.assert_allclose(camera.position_world, [0.3, 0.1, 1.6], atol=0.05)
+    assert float(camera.T_cam_world[1, 2]) > 0.9
+    assert run(wall, *CHESS, "--pose", numbers(WALL), "--upside-down", image="wall.png") == 2
+    assert "comes out upright" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("roll", [90.0, -90.0])
+def test_a_camera_on_its_side_is_neither(folder, roll):
+    """As a telephone that stands upright."""
+    turn = np.eye(4)
+    turn[:2, :2] = Rotation.from_euler("z", roll, degrees=True).as_matrix()[:2, :2]
+    points = corners_world()
+    points_file(folder, points, pixels_of(points, turn @ T_CAM_WORLD))
+    assert run(folder, "--points", str(folder / "points.csv")) == 0
 
 
 def test_of_two_mirrored_answers_the_one_above_the_floor_is_taken_and_said():

@@ -70,6 +70,12 @@ def add_extrinsics(parser: argparse.ArgumentParser) -> None:
         "--up", choices=("y", "z"), default="z", help="vertical axis of what was measured"
     )
     parser.add_argument(
+        "--upside-down",
+        action="store_true",
+        help="the camera hangs upside down, as from a ceiling; else one that comes out so is "
+        "refused",
+    )
+    parser.add_argument(
         "--intrinsics", metavar="FILE", help=".toml or OpenCV's .yml; default: what --out holds"
     )
 

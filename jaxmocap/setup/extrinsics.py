@@ -22,6 +22,9 @@ AMBIGUOUS = 2.0
 _LINE = 1e-3
 # With at least this many points, one that errs is found: without it the residual falls so far.
 _MANY, _FALLS = 6, 0.25
+# A camera is upside down for certain where the picture's vertical lies within 45° of the world's,
+# unless it looks almost straight up or down: this much of the vertical must show in the picture.
+_VERTICAL = 0.1
 # A place known worse than this is said to be uncertain, metres.
 _ROUGH_M = 0.05
 
@@ -89,11 +92,13 @@ def position(T_cam_world: np.ndarray) -> np.ndarray:
     return -T_cam_world[:3, :3].T @ T_cam_world[:3, 3]
 
 
-def place(points_world: np.ndarray, pixels_xy: np.ndarray, lens: Lens) -> Placement:
+def place(
+    points_world: np.ndarray, pixels_xy: np.ndarray, lens: Lens, upside_down: bool = False
+) -> Placement:
     """Place a camera that sees (N, 3) points at (N, 2) pixels.
 
-    Of two answers that explain the picture alike, the one above the floor and upright is taken
-    where that tells them apart.
+    Of two answers that explain the picture alike, the one above the floor and upright (or upside
+    down, where that is expected) is taken where that tells them apart.
 
     Raises:
         ArithmeticError: fewer than four points, all on one line, or no answer.
@@ -108,8 +113,8 @@ def place(points_world: np.ndarray, pixels_xy: np.ndarray, lens: Lens) -> Placem
     best, others = poses[0], [p for p in poses[1:] if p.rms < AMBIGUOUS * max(poses[0].rms, 0.05)]
     said = []
     if others:
-        best, other = _sensible_first(best, others[0])
-        said.append(_ambiguous(best, other))
+        best, other = _sensible_first(best, others[0], upside_down)
+        said.append(_ambiguous(best, other, upside_down))
     mirrored = next((pose for pose in poses if pose is not best), None)
     std_m, std_deg = _deviations(best, points_world[used], lens)
     return Placement(
@@ -120,7 +125,7 @@ def place(points_world: np.ndarray, pixels_xy: np.ndarray, lens: Lens) -> Placem
         std_deg,
         None if mirrored is None else mirrored.matrix,
         np.inf if mirrored is None else mirrored.rms / max(best.rms, 1e-9),
-        tuple([*said, *_rough(std_m), *_worries(best.matrix)]),
+        tuple([*said, *_rough(std_m), *_worries(best.matrix, upside_down)]),
     )
 
 
@@ -154,15 +159,16 @@ def _without_the_wrong(
     return used, poses
 
 
-def _sensible_first(best: Pose, other: Pose) -> tuple[Pose, Pose]:
-    worries = [len(_worries(pose.matrix)) for pose in (best, other)]
+def _sensible_first(best: Pose, other: Pose, upside_down: bool) -> tuple[Pose, Pose]:
+    worries = [len(_worries(pose.matrix, upside_down)) for pose in (best, other)]
     return (other, best) if worries[1] < worries[0] else (best, other)
 
 
-def _ambiguous(taken: Pose, other: Pose) -> str:
+def _ambiguous(taken: Pose, other: Pose, upside_down: bool) -> str:
     here, there = _at(taken.matrix), _at(other.matrix)
-    why = "the one that is above the floor and upright"
-    if len(_worries(taken.matrix)) == len(_worries(other.matrix)):
+    why = f"the one that is above the floor and {'upside down' if upside_down else 'upright'}"
+    worries = [len(_worries(pose.matrix, upside_down)) for pose in (taken, other)]
+    if worries[0] == worries[1]:
         why = "the one that fits better, which may be wrong"
     return (
         f"two cameras explain the picture alike, at {here} ({taken.rms:.2f} pixels) and at {there} "
@@ -184,27 +190,36 @@ def _rough(std_m: np.ndarray) -> list[str]:
     ]
 
 
-def _worries(T_cam_world: np.ndarray) -> list[str]:
+def _worries(T_cam_world: np.ndarray, upside_down: bool) -> list[str]:
     """What cannot be of a camera in a room."""
     said = []
     if (height := position(T_cam_world)[2]) < 0:
         said.append(f"the camera comes out below the floor, at z = {height:.2f} m")
     # The camera's y points down in its picture.
-    if T_cam_world[1, 2] > 0:
-        said.append("the camera comes out upside down")
+    if (T_cam_world[1, 2] > 0) != upside_down:
+        said.append(f"the camera comes out {'upright' if upside_down else 'upside down'}")
     return said
 
 
-def turned_board(T_cam_world: np.ndarray, T_world_board: np.ndarray) -> str | None:
+def wrong_way_up(T_cam_world: np.ndarray, upside_down: bool) -> bool:
+    """Whether a camera is certainly upside down, or upright where it hangs upside down."""
+    # The world's vertical, as the picture's x and y show it.
+    x, y = T_cam_world[:2, 2] * (-1.0 if upside_down else 1.0)
+    return bool(y >= abs(x) and np.hypot(x, y) > _VERTICAL)
+
+
+def turned_board(
+    T_cam_world: np.ndarray, T_world_board: np.ndarray, upside_down: bool = False
+) -> str | None:
     """Which half turn of the board would put a doubtful camera above the floor and upright."""
-    if not _worries(T_cam_world):
+    if not _worries(T_cam_world, upside_down):
         return None
     T_cam_board = T_cam_world @ T_world_board
     for axis in "zxy":
         half = np.eye(4)
         half[:3, :3] = Rotation.from_euler(axis, 180, degrees=True).as_matrix()
         other = T_cam_board @ np.linalg.inv(T_world_board @ half)
-        if not _worries(other):
+        if not _worries(other, upside_down):
             return (
                 "the board is the other way round than --pose says, or upside down: with it turned "
                 f"by 180° about its own {axis} axis the camera would stand at {_at(other)}; see "

@@ -17,7 +17,7 @@ from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.points import read_points
 from jaxmocap.setup.boards import Board, parse_board
 from jaxmocap.setup.corners import Corners, find_corners
-from jaxmocap.setup.extrinsics import Placement, board_to_world, place, turned_board
+from jaxmocap.setup.extrinsics import Placement, board_to_world, place, turned_board, wrong_way_up
 from jaxmocap.setup.finding import other_counts
 from jaxmocap.setup.pictures import Picture
 from jaxmocap.setup.sheets import draw_placed
@@ -91,6 +91,7 @@ def calibrate_extrinsics(
     out: str | Path,
     intrinsics: str | Path | None = None,
     pictures: str | Path | None = None,
+    upside_down: bool = False,
 ) -> Placed:
     """Place a camera and write its rotation and translation.
 
@@ -100,10 +101,12 @@ def calibrate_extrinsics(
         camera: name of the section.
         out: the calibration file, .toml.
         intrinsics: file with the camera's intrinsics, .toml or OpenCV's .yml; None: ``out``.
-        pictures: folder for what is drawn, or None.
+        pictures: folder for what is drawn, or None. It is drawn even if the place is refused.
+        upside_down: whether the camera hangs upside down, as from a ceiling.
 
     Raises:
-        InputError: files that cannot be used, no board, or one whose origin cannot be told.
+        InputError: files that cannot be used, no board, one whose origin cannot be told, or a
+            camera that comes out the wrong way up; nothing is written then.
     """
     path, out = Path(image), Path(out)
     check_writable(out, camera)
@@ -113,16 +116,23 @@ def calibrate_extrinsics(
     said = _check_size(path, photo, lens)
     T_world_board, names, points_world, pixels_xy = _targets(path, photo, measured)
     try:
-        placement = place(points_world, pixels_xy, lens)
+        placement = place(points_world, pixels_xy, lens, upside_down)
     except ArithmeticError as error:
         raise InputError(measured.points or path, str(error)) from None
-    said += [*placement.remarks, *_advice(placement, T_world_board, names)]
+    advice = None
+    if T_world_board is not None:
+        advice = turned_board(placement.T_cam_world, T_world_board, upside_down)
+    elif placement.remarks:
+        advice = "are the points in the world's axes (Z up, or --up y), and pixels unmirrored?"
+    said += [*placement.remarks, *([advice] if advice else []), *_off(placement, names)]
     drawn = []
     if pictures is not None:
         board = None
         if measured.board is not None and T_world_board is not None:
             board = measured.board, T_world_board
         drawn.append(draw_placed(picture, lens, placement, pixels_xy, board, pictures))
+    if wrong_way_up(placement.T_cam_world, upside_down):
+        raise InputError(measured.points or path, _refusal(upside_down, advice))
     place_entries = {
         "rotation": placement.rotation,
         "translation": placement.T_cam_world[:3, 3],
@@ -183,13 +193,19 @@ def _ordered(path: Path, corners: Corners, origin_xy: tuple[float, float] | None
     return min(orders, key=lambda order: float(np.linalg.norm(order[0] - origin_xy)))
 
 
-def _advice(placement: Placement, T_world_board: np.ndarray | None, names: list[str]) -> list[str]:
+def _refusal(upside_down: bool, advice: str | None) -> str:
+    """Why a camera is not written."""
+    found = "the camera comes out upside down, expected it upright"
+    remedy = "or does it hang upside down (--upside-down)?"
+    if upside_down:
+        found = "the camera comes out upright, expected it upside down as --upside-down states"
+        remedy = "or leave that out"
+    return "; ".join(filter(None, (found, advice, remedy)))
+
+
+def _off(placement: Placement, names: list[str]) -> list[str]:
+    """Sentences about points that do not fit."""
     said = []
-    if T_world_board is not None:
-        advice = turned_board(placement.T_cam_world, T_world_board)
-        said += [advice] if advice else []
-    elif placement.remarks:
-        said.append("are the points in the world's axes (Z up, or --up y), and pixels unmirrored?")
     for i in np.flatnonzero(~placement.used):
         off = np.linalg.norm(placement.residuals_xy[i])
         said.append(f"{names[i]} was left out: {off:.0f} pixels from where the others put it")
