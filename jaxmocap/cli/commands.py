@@ -257,7 +257,8 @@ def silhouette_model(options: argparse.Namespace) -> None:
 
     files = {name: getattr(options, name) for name in modelling.PHOTOGRAPHS}
     folder = modelling.model_folder(options.out, [*files.values(), options.calibration])
-    made = modelling.model_from(files, options.calibration, folder, options.bottom, options.height)
+    asked = options.calibration, options.out, options.bottom, options.height
+    made = modelling.model_from(files, *asked)
     written = modelling.write_model(made, folder)
     _report(options, modelling.model_text(made, written), made.figures())
 

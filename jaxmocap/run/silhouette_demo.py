@@ -151,7 +151,7 @@ def photographed(folder: Path, person: str, seed: int) -> list[Path]:
         write_photographs(stage, load_rig(person, seed=seed), seed)
     files = {name: taken.path / f"{name}.png" for name in PHOTOGRAPHS}
     calibration, model = taken.path / "calibration.toml", model_folder(folder / "model")
-    return write_model(model_from(files, calibration, model), model)
+    return write_model(model_from(files, calibration, model.path), model)
 
 
 def followed_from(

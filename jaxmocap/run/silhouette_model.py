@@ -71,7 +71,7 @@ class Modelled(NamedTuple):
 def model_from(
     files: Mapping[str, str | Path],
     calibration: str | Path,
-    folder: OutputFolder,
+    out: str | Path,
     bottom: int | None = None,
     height: float | None = None,
 ) -> Modelled:
@@ -80,7 +80,7 @@ def model_from(
     Args:
         files: the four ``PHOTOGRAPHS``.
         calibration: a .toml file.
-        folder: for the outputs, where a refused photograph's picture goes.
+        out: a folder, where a refused photograph's picture goes.
         bottom: row of the trunk's bottom line in the front photograph; by default found.
         height: of the body, metres, which tells how long the legs are; by default guessed.
 
@@ -95,7 +95,7 @@ def model_from(
         try:
             views[name] = View(person_mask(image), cameras[name])
         except PhotographError as error:
-            shown = _show_refused(folder, name, error.picture)
+            shown = _show_refused(Path(out), name, error.picture)
             raise InputError(files[name], f"{error.problem} (see {shown})") from None
     try:
         model = person_model(views, bottom)
@@ -127,13 +127,12 @@ def model_folder(directory: str | Path, inputs: Iterable[str | Path] = ()) -> Ou
     return OutputFolder(directory, "model", [*FILES, *pictures, *PERSON_FILES], inputs)
 
 
-def _show_refused(folder: OutputFolder, name: str, picture: np.ndarray) -> Path:
+def _show_refused(folder: Path, name: str, picture: np.ndarray) -> Path:
     """What is wrong with a photograph, as a picture beside whatever the folder holds."""
     shown = f"{name}{REFUSED}.png"
-    refused = OutputFolder(folder.path, "refused photograph", [shown])
-    with refused.writing() as stage:
+    with OutputFolder(folder, "refused photograph", [shown]).writing() as stage:
         write_picture(stage / shown, picture)
-    return folder.path / shown
+    return folder / shown
 
 
 def write_model(modelled: Modelled, folder: OutputFolder) -> list[Path]:
