@@ -6,6 +6,7 @@ library's json and struct write it; the libraries there are would bring seven mo
 """
 
 import json
+import math
 import struct
 from pathlib import Path
 from typing import Any
@@ -13,14 +14,20 @@ from typing import Any
 import numpy as np
 
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.json_parts import Part
+from jaxmocap.formats.json_text import parse_json
 from jaxmocap.formats.reading import read_bytes
-from jaxmocap.formats.writing import replacing
+from jaxmocap.formats.shown import shown
+from jaxmocap.formats.writing import write_bytes
 
 _MAGIC, _VERSION, _JSON, _BINARY = b"glTF", 2, b"JSON", b"BIN\0"
 _TYPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 _SHAPES = {name: shape for shape, name in _TYPES.items()}
 _COMPONENTS = {"<i1": 5120, "<u1": 5121, "<i2": 5122, "<u2": 5123, "<u4": 5125, "<f4": 5126}
 _DTYPES = {code: np.dtype(name) for name, code in _COMPONENTS.items()}
+_CHUNKS = (_JSON, _BINARY)
+# That are read from one file: keys of half an hour at 200 Hz for two dozen joints.
+MOST_NUMBERS = 40_000_000
 
 
 class Binary:
@@ -78,15 +85,14 @@ def write_document(path: str | Path, document: dict[str, Any], binary: Binary) -
     text += b" " * (-len(text) % 4)
     chunks = struct.pack("<I4s", len(text), _JSON) + text
     chunks += struct.pack("<I4s", len(binary.content), _BINARY) + bytes(binary.content)
-    with replacing(path) as beside:
-        beside.write_bytes(struct.pack("<4sII", _MAGIC, _VERSION, 12 + len(chunks)) + chunks)
+    write_bytes(path, struct.pack("<4sII", _MAGIC, _VERSION, 12 + len(chunks)) + chunks)
 
 
-def read_document(path: str | Path) -> tuple[dict[str, Any], bytes]:
+def read_document(path: str | Path) -> tuple[Part, bytes]:
     """The document of a .glb file and its block of numbers.
 
     Raises:
-        InputError: no such file, not glTF 2.0 in binary form, or cut off.
+        InputError: no such file, not glTF 2.0 in binary form, cut off, or not JSON.
     """
     content = read_bytes(path)
     if content[:4] != _MAGIC or len(content) < 20:
@@ -97,36 +103,70 @@ def read_document(path: str | Path) -> tuple[dict[str, Any], bytes]:
     if len(content) < length:
         raise InputError(path, f"cut off, {len(content)} of {length} bytes are there")
     chunks, start = {}, 12
-    while start + 8 <= length:
+    while start + 8 <= length and len(chunks) < len(_CHUNKS):
         size, kind = struct.unpack_from("<I4s", content, start)
-        chunks.setdefault(kind, content[start + 8 : start + 8 + size])
+        if kind in _CHUNKS:
+            chunks.setdefault(kind, content[start + 8 : min(start + 8 + size, length)])
         start += 8 + size
-    try:
-        document = json.loads(chunks[_JSON])
-    except (KeyError, ValueError):
-        raise InputError(path, "holds no readable JSON, which every glTF file needs") from None
+    if _JSON not in chunks:
+        raise InputError(path, "holds no readable JSON, which every glTF file needs")
+    document = Part(path, "", parse_json(path, chunks[_JSON]))
+    if not isinstance(document.value, dict):
+        raise InputError(path, f"found {shown(document.value)}, expected a JSON table")
     return document, chunks.get(_BINARY, b"")
 
 
-def read_array(document: dict[str, Any], content: bytes, accessor: int) -> np.ndarray:
-    """(N, ...) float64 numbers of an accessor.
+class Accessors:
+    """The arrays of a document.
 
-    Raises:
-        ValueError: sparse, outside the file, or otherwise beyond what is read here.
+    However often the same bytes are asked for by other names, what is read has a limit.
     """
-    told = document["accessors"][accessor]
-    view = document["bufferViews"][told["bufferView"]]
-    if "sparse" in told or "uri" in document["buffers"][view["buffer"]]:
-        raise ValueError("numbers that are sparse or in another file")
-    dtype, shape = _DTYPES[told["componentType"]], _SHAPES[told["type"]]
-    size = int(np.prod(shape, dtype=int)) * dtype.itemsize
-    start = view.get("byteOffset", 0) + told.get("byteOffset", 0)
-    stride = view.get("byteStride", size)
-    rows = [content[start + i * stride : start + i * stride + size] for i in range(told["count"])]
-    numbers = np.frombuffer(b"".join(rows), dtype).astype(float)
-    if told.get("normalized"):
-        numbers = np.maximum(numbers / np.iinfo(dtype).max, -1.0)
-    array = numbers.reshape(-1, *shape)
-    if len(array) != told["count"]:
-        raise ValueError("numbers that the file does not hold")
-    return array.swapaxes(1, 2) if len(shape) == 2 else array
+
+    def __init__(self, document: Part, content: bytes):
+        self._document, self._content, self._left = document, content, MOST_NUMBERS
+
+    def read(self, accessor: int, shape: tuple[int, ...]) -> np.ndarray:
+        """(N, *shape) float64 numbers of an accessor.
+
+        Raises:
+            InputError: another shape; sparse, in another file, or outside the block; not finite.
+        """
+        stated = self._document["accessors"][accessor]
+        if stated.has("sparse"):
+            raise stated.error("found sparse numbers, which are not read")
+        dtype = _DTYPES[stated["componentType"].choice(list(_DTYPES))]
+        found = _SHAPES[stated["type"].choice(list(_SHAPES))]
+        if found != shape:
+            raise stated["type"].error(f"found {_TYPES[found]}, expected {_TYPES[shape]}")
+        size = math.prod(shape)
+        count = stated["count"].whole()
+        self._left -= count * size
+        if self._left < 0:
+            most = f"expected at most {MOST_NUMBERS} in one file"
+            raise stated["count"].error(f"found {count * size} numbers more, {most}")
+        array = self._view(stated, dtype, count, size).astype(float)
+        if stated.has("normalized") and stated["normalized"].value is True and dtype.kind != "f":
+            array = np.maximum(array / np.iinfo(dtype).max, -1.0)
+        if not np.isfinite(array).all():
+            raise stated.error("found what is no number")
+        array = array.reshape(count, *shape)
+        return array.swapaxes(1, 2) if len(shape) == 2 else array
+
+    def _view(self, stated: Part, dtype: np.dtype, count: int, size: int) -> np.ndarray:
+        """(count, size) numbers as they stand in the block, nothing copied."""
+        views = self._document["bufferViews"]
+        view = views[stated["bufferView"].index(views)]
+        buffers = self._document["buffers"]
+        if view["buffer"].index(buffers) or buffers[0].has("uri"):
+            raise view["buffer"].error("found numbers in another file, which are not read")
+        at, length = view["byteOffset"].whole(default=0), view["byteLength"].whole()
+        if at + length > len(self._content):
+            there = f"the file holds {len(self._content)}"
+            raise view.error(f"found bytes {at} to {at + length}, {there}")
+        row, start = size * dtype.itemsize, stated["byteOffset"].whole(default=0)
+        stride = view["byteStride"].whole(row, default=row)
+        if count and start + (count - 1) * stride + row > length:
+            problem = f"found {count} times {row} bytes from {start} on, {stride} apart"
+            raise stated.error(f"{problem}, its view has {length}")
+        offset, steps = at + start if count else 0, (stride, dtype.itemsize)
+        return np.ndarray((count, size), dtype, self._content, offset, steps)

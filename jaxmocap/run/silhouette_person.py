@@ -24,7 +24,7 @@ from jaxmocap.formats.reading import read_bytes
 from jaxmocap.formats.recording import Recording
 from jaxmocap.formats.skin import TEXEL_M, check_texture
 from jaxmocap.formats.subject import read_subject, write_subject
-from jaxmocap.formats.surface import load_surface, save_surface
+from jaxmocap.formats.surface import check_extent, load_surface, save_surface
 from jaxmocap.formats.writing import replacing
 from jaxmocap.silhouette.modelling.avatar import avatar_of
 from jaxmocap.silhouette.modelling.personal import Personal
@@ -121,4 +121,6 @@ def read_person(directory: str | Path) -> Person:
 def _read(folder: Path) -> tuple[Skeleton, Surface]:
     """Bones and body of a folder."""
     skeleton = read_subject(folder / SUBJECT, "", {"file": SUBJECT})
-    return skeleton, load_surface(folder / SURFACE, skeleton.tree)
+    surface = load_surface(folder / SURFACE, skeleton.tree)
+    check_extent(folder / SURFACE, surface, skeleton)
+    return skeleton, surface
