@@ -33,7 +33,7 @@ from jaxmocap.hybrid.whole import EVENTS
 from jaxmocap.run import statuses
 from jaxmocap.run.choosing import select_cameras, with_height
 from jaxmocap.run.recording import choose_settings, make_tracker, track, track_both
-from jaxmocap.run.summary import frames_per_second, summary
+from jaxmocap.run.summary import figures, frames_per_second, misfit, summary
 from jaxmocap.run.writing import arm_edges, thinned, write_outputs
 
 WRISTS = {"wrist_l": "LWrist", "wrist_r": "RWrist"}
@@ -401,6 +401,27 @@ def test_the_summary_names_rate_stages_and_files(written, tracked):
     assert f"{frames_per_second(tracked.motion.report):.0f} frames per second" in text
     for word in ("samples", "first_call", "observe", "Head", "left elbow", "joints.trc"):
         assert word in text
+
+
+def off_by(motion: Motion, metres: float, share: float) -> Motion:
+    """The motion, as if its body were so far off the head's marker in a share of the samples."""
+    errors = motion.report.marker_errors.copy()
+    errors[: int(share * len(errors)), 0] = metres
+    return replace(motion, report=replace(motion.report, marker_errors=errors))
+
+
+def test_a_body_far_off_its_markers_is_reported(tracked):
+    lost = off_by(tracked.motion, 1.59, 0.8)
+    sentence = "the body is 159 cm off marker 'Head' in the median, so it was not tracked: check"
+    assert f"warning          {sentence}" in summary(lost)
+    assert misfit(lost) == figures(lost)["misfit"] and misfit(lost).startswith(sentence)
+
+
+@pytest.mark.parametrize(("metres", "share"), [(0.0, 0.0), (0.2, 1.0), (1.59, 0.4), (np.nan, 1.0)])
+def test_a_body_near_its_markers_most_of_the_time_is_not(tracked, metres, share):
+    motion = off_by(tracked.motion, metres, share)
+    assert misfit(motion) is None and figures(motion)["misfit"] is None
+    assert "in the median" not in summary(motion)
 
 
 # Judging -----------------------------------------------------------------------------------------

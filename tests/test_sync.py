@@ -73,7 +73,7 @@ def recorded(hands, offset: float, seed: int = 0, film=None) -> Recording:
 @pytest.mark.parametrize(("seed", "offset"), [(0, 0.5), (1, -0.5), (3, 0.0041)])
 def test_an_offset_is_found_within_five_milliseconds(seed, offset):
     (found,) = sync(recorded(waving(seed), offset, seed), search=0.6)
-    assert found.reason == "" and found.stated == 0.0
+    assert found.is_found and found.reason == "" and found.stated == 0.0
     assert abs(found.offset - offset) < FIVE_MS
     assert abs(found.offset - offset) < 4 * found.std < 4 * FIVE_MS
     assert found.correlation > 0.6 and np.isnan(found.drift)
@@ -86,7 +86,7 @@ def test_an_offset_that_is_stated_is_where_the_search_begins():
     (found,) = sync(recording, search=0.1)
     assert found.stated == 0.35 and abs(found.offset - 0.4) < FIVE_MS
     (found,) = sync(replace(recording, videos=(replace(source, offset=0.2),)), search=0.1)
-    assert np.isnan(found.offset) and found.reason
+    assert np.isnan(found.offset) and found.reason and not found.is_found
 
 
 def test_the_result_does_not_follow_the_markers_sample_clock():

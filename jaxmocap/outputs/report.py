@@ -19,6 +19,9 @@ from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.formats.writing import replacing
 
 SIDES = ("left", "right")
+# A body this far off a marker in the median has not been tracked, metres: noise, clothes and wrong
+# lengths make a few centimetres of it, a wrong axis or a marker on another bone a metre.
+FAR_OFF_M = 0.25
 # OpenCV comes under several names, of which one is installed.
 _OPENCV = ("opencv-python-headless", "opencv-python", "opencv-contrib-python-headless")
 
@@ -42,7 +45,10 @@ def write_report(path: str | Path, motion: Motion, extra: Mapping | None = None)
 
 
 def summarise(motion: Motion) -> dict:
-    """Frames, milliseconds, costs, statuses, confidence, marker errors, settings, versions."""
+    """Frames, milliseconds, costs, statuses, confidence, marker errors, settings, versions.
+
+    Where the body is far off its markers, ``misfit`` says so.
+    """
     times = np.asarray(motion.times, float)
     summary: dict = {
         "frames": len(times),
@@ -50,8 +56,29 @@ def summarise(motion: Motion) -> dict:
         "end_s": times[-1] if len(times) else None,
     }
     if motion.report is not None:
-        summary |= _summarise_report(times, motion.report)
+        summary |= _summarise_report(times, motion.report) | {"misfit": misfit(motion)}
     return summary | {"versions": versions(), "backend": _backend()}
+
+
+def misfit(motion: Motion) -> str | None:
+    """That the body is far off its markers in most samples, whatever the cause; None if it is not.
+
+    Such a motion is not that of the person recorded.
+    """
+    if (report := motion.report) is None:
+        return None
+    medians = [
+        (float(np.median(seen)), name)
+        for name, column in zip(report.markers, np.asarray(report.marker_errors).T, strict=True)
+        if len(seen := column[np.isfinite(column)])
+    ]
+    error, name = max(medians, default=(0.0, ""))
+    if error <= FAR_OFF_M:
+        return None
+    return (
+        f"the body is {100 * error:.0f} cm off marker {name!r} in the median, so it was not "
+        "tracked: check [markers.on], up or to_world, the unit, and [subject] (jaxmocap check)"
+    )
 
 
 def _summarise_report(times: np.ndarray, report: Report) -> dict:

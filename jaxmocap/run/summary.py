@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.formats.writing import replacing
-from jaxmocap.outputs.report import plain, summarise
+from jaxmocap.outputs.report import misfit, plain, summarise
 
 # Stages that run once and compile on the way.
 ONCE = ("first_call", "smooth")
@@ -41,6 +41,8 @@ def summary(motion: Motion, files: Sequence[Path] = ()) -> str:
         if on := report.settings.get("filters", {}).get("on"):
             rows.append(("filters", ", ".join(f"{name} = {value}" for name, value in on.items())))
         rows += [("warning", warning) for warning in report.settings.get("warnings", ())]
+        if (sentence := misfit(motion)) is not None:
+            rows.append(("warning", sentence))
     rows += [("written", str(path)) for path in files]
     width = max(len(name) for name, _ in rows)
     return "\n".join(f"{name.ljust(width)}  {text}" for name, text in rows)

@@ -66,6 +66,11 @@ class Synced:
     drift_std: float = float("nan")
     reason: str = ""
 
+    @property
+    def is_found(self) -> bool:
+        """Whether there is an offset."""
+        return not self.reason
+
 
 @dataclass(frozen=True)
 class Lag:
