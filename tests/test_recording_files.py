@@ -50,7 +50,8 @@ def folder(tmp_path) -> Path:
     write_trc(tmp_path / "m.trc", times, {"Head": head, "Gone": np.full((3, 3), np.nan)})
     write_trc(tmp_path / "static.trc", times, {k: np.tile(v, (3, 1)) for k, v in STANDING.items()})
     matrix = np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]])
-    write_calibration(tmp_path / "c.toml", {"cam": Camera.create((640, 480), matrix)})
+    camera = Camera.create((640, 480), matrix)
+    write_calibration(tmp_path / "c.toml", {"cam": camera, "cam b": camera})
     (tmp_path / "v.mp4").touch()
     (tmp_path / "keys").mkdir()
     return tmp_path
@@ -65,7 +66,8 @@ def load(folder: Path, text: str) -> Recording:
 def test_a_recording_holds_what_its_file_says(folder):
     on = '[markers.on]\nHead = { bone = "radius_l", at = 0.5, offset = [0.1, 0, 0] }\n'
     video = VIDEO + 'offset = -0.5\nkeypoints = "keys"\nbackground = "v.mp4"\n'
-    recording = load(folder, MARKERS + on + video + VIDEO + CALIBRATION + SUBJECT)
+    other = VIDEO.replace('"cam"', '"cam b"')
+    recording = load(folder, MARKERS + on + video + other + CALIBRATION + SUBJECT)
     assert recording.places == (MarkerPlace("Head", "radius_l", 0.5, (0.1, 0.0, 0.0)),)
     assert recording.marker_names == ("Head",) and recording.name == "r"
     np.testing.assert_array_equal(recording.positions_world[:, 0], np.arange(9).reshape(3, 3))
@@ -286,7 +288,7 @@ def test_a_written_recording_is_read_back(folder):
                 **{"file": Path("v.mp4"), "camera": "cam", "offset": 1 / 3, "keypoints": "keys"},
                 **{"keypoints_model": "BODY_25B", "keypoints_first": 1},
             },
-            {"file": "v.mp4", "camera": "cam", "keypoints": Path("cam.json")},
+            {"file": "v.mp4", "camera": "cam b", "keypoints": Path("cam.json")},
         ],
         "c.toml",
         {"static": "static.trc", "landmarks": dict(line.split(' = "') for line in _pairs())},

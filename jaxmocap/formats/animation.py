@@ -3,8 +3,9 @@
 INPUTS: a Motion, or a Skeleton; by choice the body's surface, and a picture of its colours.
 OUTPUTS: a .bvh or .glb file, Y up, facing Z, metres, the rest pose a T.
 
-Both are written whatever the motion is like: where no pose is known the nearest one is held in
-BVH, and samples that are not evenly spaced are taken anew at their median rate.
+BVH has one rate only: samples that are not evenly spaced are resampled at their median rate, and
+where no pose is known the nearest one is held. Where that would take many times as many frames as
+there are samples (a recording with a gap of hours) no .bvh file is written, and the answer says so.
 """
 
 from pathlib import Path
@@ -16,7 +17,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surface import Surface, rest_nodes
-from jaxmocap.formats.armature import settled, turned
+from jaxmocap.formats.armature import Armature, BeyondFormatError, settled, turned
 from jaxmocap.formats.axes import UP
 from jaxmocap.formats.body_armature import T_POSE, armature_of
 from jaxmocap.formats.bvh import write_bvh
@@ -28,6 +29,9 @@ from jaxmocap.formats.tables import is_even
 # What names joints have in a file if nothing else is asked for.
 CUSTOMARY = {".bvh": "humanik", ".glb": "vrm"}
 R_file_world = UP["y"].T
+# Frames that a BVH file may have for each sample where their times are uneven, and in any case.
+MOST_STRETCH = 4
+FEW_FRAMES = 10_000
 
 
 def write_animation(
@@ -35,7 +39,7 @@ def write_animation(
     motion: Motion,
     surface: Surface | None = None,
     picture: bytes | None = None,
-) -> None:
+) -> str | None:
     """Write a motion to a .bvh or .glb file, told by its suffix; its joints have customary names.
 
     Args:
@@ -44,21 +48,44 @@ def write_animation(
         surface: of that body, a .glb file's skin; the limbs' solids without one.
         picture: the surface's colours, as for ``exported_skin``.
 
+    Returns:
+        A sentence where the format cannot hold the motion and nothing is written, else None.
+
     Raises:
         InputError: no pose is known in any sample.
     """
     kind = Path(path).suffix
     armature = turned(armature_of(motion, CUSTOMARY[kind]), R_file_world)
-    if kind == ".glb":
-        skin = None
-        if surface is not None:
-            skin = exported_skin(path, motion.skeleton, surface, R_file_world, picture)
-        write_gltf(path, armature, skin)
-        return
-    if not is_even(armature.times):
-        rate = 1 / float(np.median(np.diff(armature.times)))
-        armature = resampled(armature, even_times(armature.times, rate))
-    write_bvh(path, settled(armature, path))
+    try:
+        if kind == ".glb":
+            skin = None
+            if surface is not None:
+                skin = exported_skin(path, motion.skeleton, surface, R_file_world, picture)
+            write_gltf(path, armature, skin)
+        else:
+            write_bvh(path, settled(_evened(path, armature), path))
+    except BeyondFormatError as error:
+        return f"{Path(path).name} is left out: {error.problem}"
+    return None
+
+
+def _evened(path: str | Path, armature: Armature) -> Armature:
+    """An armature at one rate; nothing is known within its gaps.
+
+    Raises:
+        BeyondFormatError: it would be many times as long.
+    """
+    times = armature.times
+    if is_even(times):
+        return armature
+    steps = np.diff(times)
+    rate = 1 / float(np.median(steps))
+    count, most = (times[-1] - times[0]) * rate, max(FEW_FRAMES, MOST_STRETCH * len(times))
+    if count > most:
+        problem = f"BVH has one rate only, and its {len(times)} samples at {rate:g} Hz would take"
+        gap = f"{count:.6g} frames (up to {steps.max():g} s apart)"
+        raise BeyondFormatError(path, f"{problem} {gap}, expected at most {most}")
+    return resampled(armature, even_times(times, rate, 9 * len(armature.names), path))
 
 
 def write_avatar(

@@ -16,6 +16,10 @@ from jaxmocap.formats.errors import InputError
 TURNS_AT_ONCE = 250_000
 
 
+class BeyondFormatError(InputError):
+    """A format cannot hold a motion, which others can."""
+
+
 @dataclass(frozen=True)
 class Armature:
     """J joints over T samples, in a file's axes or in the world's.

@@ -7,6 +7,7 @@ OUTPUTS: the matrix that takes the file's points to the world.
 import numpy as np
 
 from jaxmocap.formats.calibration import orthonormal
+from jaxmocap.formats.shown import shown
 from jaxmocap.formats.toml import Fields
 
 # "y" is the cyclic permutation that OpenSim and Pose2Sim use: world = (z, x, y) of the file.
@@ -23,7 +24,7 @@ def read_axes(fields: Fields) -> np.ndarray:
     if "to_world" not in fields:
         up = fields.text("up") if "up" in fields else "z"
         if up not in UP:
-            raise fields.error("up", f"found {up!r}, expected 'z' or 'y'")
+            raise fields.error("up", f"found {shown(up)}, expected 'z' or 'y'")
         return UP[up]
     if "up" in fields:
         raise fields.error("", "found both 'up' and 'to_world', expected one of them")
@@ -36,4 +37,6 @@ def read_axes(fields: Fields) -> np.ndarray:
 
 def to_world(R_world_file: np.ndarray, positions_file: np.ndarray) -> np.ndarray:
     """Turn (..., 3) positions of a file into the world's axes; a point with a NaN stays NaN."""
+    if (R_world_file == np.eye(3)).all():
+        return positions_file
     return positions_file @ R_world_file.T

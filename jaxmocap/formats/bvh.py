@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.formats.armature import Armature
+from jaxmocap.formats.armature import Armature, BeyondFormatError
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.joint_names import end_of
 from jaxmocap.formats.lines import numbered_lines
@@ -70,6 +70,8 @@ def write_bvh(path: str | Path, armature: Armature, unit: str = "m") -> None:
     if not armature.known.all():
         missing = int((~armature.known).sum())
         raise InputError(path, f"{missing} samples have no pose, BVH needs one for every frame")
+    if not SHORTEST_STEP_S <= 1 / rate <= LONGEST_STEP_S:
+        raise BeyondFormatError(path, f"BVH holds no {rate:g} frames per second")
     scale = 1 / METRES[unit]
     # The tip of a limb is an end site, unless it turns itself.
     tips = {j for j in armature.ends if armature.parents[j] >= 0 and _is_still(armature, j)}
@@ -123,7 +125,8 @@ def _joint_lines(
             yield from ["\t" * (depth - 1) + "}"] if around else []
             continue
         if depth >= MOST_DEPTH:
-            raise InputError(path, f"joints hang more than {MOST_DEPTH} deep below one another")
+            problem = f"joints hang more than {MOST_DEPTH} deep below one another"
+            raise BeyondFormatError(path, problem)
         if joint in tips:
             yield from _end_lines(indent, armature.offsets[joint] * scale)
             continue

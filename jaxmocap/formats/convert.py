@@ -33,6 +33,7 @@ from jaxmocap.formats.resampling import (
     resampled_markers,
     resampled_motion,
 )
+from jaxmocap.formats.shown import listed
 from jaxmocap.formats.tables import Markers
 from jaxmocap.formats.trc import write_trc
 
@@ -129,7 +130,8 @@ def _read_markers(work: _Work) -> Markers:
 def _write_markers(work: _Work, markers: Markers) -> None:
     kind = work.target.suffix.lower()
     if work.options.rate is not None:
-        times = even_times(markers.times, work.options.rate)
+        columns = (3 if markers.turns is None else 12) * len(markers.names)
+        times = even_times(markers.times, work.options.rate, columns, work.source)
         markers = resampled_markers(markers, times)
     if markers.turns is not None and kind != ".csv":
         work.notes.append(f"left out: how the markers are turned, which {kind} does not hold")
@@ -189,13 +191,15 @@ def _renamed(work: _Work, joints: tuple[str, ...]) -> tuple[str, ...]:
         return joints
     ours, convention = recognised(joints), CONVENTIONS[work.options.names]
     if ours is None:
-        raise InputError(work.source, f"joints of no known convention: {', '.join(joints)}")
+        raise InputError(work.source, f"joints of no known convention: {listed(joints)}")
     return tuple(convention[ours[name]] if name in ours else name for name in joints)
 
 
 def _write_armature(work: _Work, armature: Armature) -> None:
     if work.options.rate is not None:
-        armature = resampled(armature, even_times(armature.times, work.options.rate))
+        columns = 9 * len(armature.names)
+        times = even_times(armature.times, work.options.rate, columns, work.source)
+        armature = resampled(armature, times)
     armature = turned(armature, R_file_world)
     if work.target.suffix.lower() == ".glb":
         write_gltf(work.target, armature)
@@ -218,7 +222,9 @@ def _as_motion(work: _Work, motion: Motion | Armature) -> Motion:
 
 def _write_motion(work: _Work, motion: Motion) -> None:
     if work.options.rate is not None:
-        motion = resampled_motion(motion, even_times(motion.times, work.options.rate))
+        columns = 9 * len(motion.skeleton.tree.bones)
+        times = even_times(motion.times, work.options.rate, columns, work.source)
+        motion = resampled_motion(motion, times)
     if work.target.suffix.lower() == ".npz":
         save_motion(work.target, motion)
     else:

@@ -8,6 +8,7 @@ OUTPUTS: Filters. What is not named is off.
 from dataclasses import dataclass
 from typing import Any
 
+from jaxmocap.formats.shown import shown
 from jaxmocap.formats.toml import Fields
 
 KEYS = ("hampel", "gaps", "butterworth", "one_euro")
@@ -65,7 +66,7 @@ def read_filters(fields: Fields) -> Filters:
 def _switch(fields: Fields, key: str) -> bool:
     value: Any = fields.table.get(key, False)
     if not isinstance(value, bool):
-        raise fields.error(key, f"found {value!r}, expected true or false")
+        raise fields.error(key, f"found {shown(value)}, expected true or false")
     return value
 
 

@@ -25,7 +25,7 @@ from jaxmocap.formats.reading import read_bytes
 
 # The last number in a file's name is its frame's: cam_01_000000000123_keypoints.json.
 _NUMBER = re.compile(r"\d+(?!.*\d)")
-_LARGEST_NUMBER = 10**12
+LARGEST_FRAME_NUMBER = 10**12
 # An hour at 120 frames a second is 432,000 of them.
 MOST_ENTRIES = 500_000
 # OpenPose takes 2 to 10 KB for a frame.
@@ -112,7 +112,7 @@ def read_frames(file: Path) -> Iterator[Frame]:
 
 def _number_in_name(file: Path) -> int:
     found = _NUMBER.search(file.stem)
-    if found is None or int(found[0]) > _LARGEST_NUMBER:
+    if found is None or int(found[0]) > LARGEST_FRAME_NUMBER:
         raise InputError(file, "found no frame number in its name, such as in cam_000123.json")
     return int(found[0])
 

@@ -10,7 +10,7 @@ from itertools import repeat
 from pathlib import Path
 
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.reading import opened
+from jaxmocap.formats.reading import open_regular
 
 # Half an hour of 60 markers at 200 Hz takes 0.6 GB.
 MOST_TABLE_BYTES = 2**30
@@ -33,7 +33,7 @@ def numbered_lines(path: str | Path, most: int = MOST_TABLE_BYTES) -> Iterator[t
         InputError: no such file, nothing in it, or the line that is no text or too long.
     """
     blank = 0
-    with opened(path, most) as file:
+    with open_regular(path, most) as file:
         text = io.TextIOWrapper(file, "utf-8-sig", errors="surrogateescape")
         for number in range(1, MOST_LINES + 1):
             if not (line := _line(path, number, text)):

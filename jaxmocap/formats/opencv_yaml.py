@@ -50,7 +50,9 @@ def read_opencv_yaml(path: str | Path) -> dict[str, dict[str, Any]]:
 def _entries(path: Path) -> dict[str, Any]:
     """Top-level keys: text as it stands, or a dict of text where indented keys follow."""
     entries: dict[str, Any] = {}
-    inside, last = None, None
+    inside: dict[str, Any] | None = None
+    # Where data that goes on belongs: a key's lines, joined at the end.
+    last: list[str] | None = None
     for number, line in enumerate(read_lines(path), 1):
         bare = line.split("#")[0].rstrip()
         if not bare.strip() or bare.startswith(("%", "---", "...")):
@@ -59,19 +61,22 @@ def _entries(path: Path) -> dict[str, Any]:
         if found and not found[1]:
             key, text = found[2], found[3]
             # A matrix, or another map: what is indented belongs to it.
-            inside = {} if text in ("", *_TAGS) else None
-            entries[key] = text if inside is None else inside
-            last = (entries, key)
+            inside, last = ({}, None) if text in ("", *_TAGS) else (None, [text])
+            entries[key] = last if inside is None else inside
         elif found and inside is not None and found[2] in _MATRIX:
-            inside[found[2]] = found[3]
-            last = (inside, found[2])
-        elif bare[0].isspace() and last is not None and isinstance(last[0][last[1]], str):
-            # Data that goes on.
-            last[0][last[1]] += " " + bare.strip()
+            inside[found[2]] = last = [found[3]]
+        elif bare[0].isspace() and last is not None:
+            last.append(bare.strip())
         elif not bare[0].isspace() and not bare.startswith(("-", "]")):
             shown = bare.strip()[:40]
             raise InputError(path, f"line {number}: found {shown!r}, expected OpenCV's YAML")
-    return entries
+    return {key: _joined(value) for key, value in entries.items()}
+
+
+def _joined(value: dict[str, list[str]] | list[str]) -> dict[str, str] | str:
+    if isinstance(value, dict):
+        return {key: " ".join(lines) for key, lines in value.items()}
+    return " ".join(value)
 
 
 def _is_fisheye(entries: dict[str, Any]) -> bool:
@@ -102,7 +107,7 @@ def _matrix(path: Path, name: str, entry: Any, flat: bool) -> list:
         if not (text.startswith("[") and text.endswith("]")):
             raise ValueError
         data = [float(number) for number in text[1:-1].split(",") if number.strip()]
-        if rows * columns != len(data) or not data:
+        if min(rows, columns) < 1 or rows * columns != len(data):
             raise ValueError
     except (KeyError, ValueError, TypeError):
         expected = "expected rows, cols and as many numbers in data"

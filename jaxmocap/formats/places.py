@@ -20,11 +20,14 @@ import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.turns import matrices
+from jaxmocap.formats.shown import shown
 from jaxmocap.formats.toml import Fields
 
 KEYS = ("bone", "at", "offset", "offset_in", "turn", "lever")
 # A degree of orientation weighs as 1.7 mm.
 LEVER_M = 0.1
+# Metres: nothing that is fixed to a bone is further away from it.
+FARTHEST_OFFSET_M = 10.0
 
 
 @dataclass(frozen=True)
@@ -64,17 +67,17 @@ def read_place(path: Path, name: str, entry: Any) -> MarkerPlace:
         raise fields.error("at", f"found {at:g}, expected a fraction between 0 and 1")
     place = MarkerPlace(name, fields.text("bone"), at)
     if "offset" in fields:
-        x, y, z = fields.array("offset", [(3,)], "3 numbers in metres").tolist()
+        x, y, z = fields.array("offset", [(3,)], "3 numbers in metres", FARTHEST_OFFSET_M).tolist()
         place = replace(place, offset=(x, y, z))
     if "offset_in" in fields:
         axes = fields.text("offset_in")
         if axes not in ("bone", "marker"):
-            raise fields.error("offset_in", f"found {axes!r}, expected 'bone' or 'marker'")
+            raise fields.error("offset_in", f"found {shown(axes)}, expected 'bone' or 'marker'")
         place = replace(place, offset_in=axes)
     if "turn" in fields:
         place = replace(place, turn=_quaternion(fields))
     if "lever" in fields:
-        lever = fields.number("lever")
+        lever = fields.number("lever", high=FARTHEST_OFFSET_M)
         if "turn" not in fields or not lever > 0.0:
             raise fields.error("lever", f"found {lever:g}, expected metres above 0 beside 'turn'")
         place = replace(place, lever=lever)

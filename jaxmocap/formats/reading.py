@@ -48,7 +48,7 @@ def regular_file(path: str | Path) -> Path:
 
 
 @contextmanager
-def opened(path: str | Path, most: int = MOST_BYTES) -> Iterator[BinaryIO]:
+def open_regular(path: str | Path, most: int = MOST_BYTES) -> Iterator[BinaryIO]:
     """A regular file, open to be read from its beginning.
 
     Args:
@@ -82,7 +82,7 @@ def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
     Raises:
         InputError: it is missing, cannot be read, is no regular file, or is too large.
     """
-    with opened(path, most) as file:
+    with open_regular(path, most) as file:
         try:
             content = file.read(most + 1)
         except OSError as error:

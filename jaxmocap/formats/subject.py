@@ -23,6 +23,7 @@ from jaxmocap.body.wrists import with_wrists
 from jaxmocap.formats.axes import read_axes, to_world
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.markers import read_markers
+from jaxmocap.formats.shown import listed, name_shown, shown
 from jaxmocap.formats.toml import Fields, read_toml, write_toml
 
 _HEIGHT_KEYS = ("height", "mass", "bones")
@@ -54,7 +55,7 @@ def read_subject(path: Path, where: str, table: Any) -> Skeleton:
     fields = Fields(path, where, table, keys)
     wrists = fields.table.get("wrists", False)
     if not isinstance(wrists, bool):
-        raise fields.error("wrists", f"found {wrists!r}, expected true or false")
+        raise fields.error("wrists", f"found {shown(wrists)}, expected true or false")
     if "wrists" in fields:
         rest = {key: value for key, value in fields.table.items() if key != "wrists"}
         skeleton = read_subject(path, where, rest)
@@ -110,7 +111,7 @@ def _stated(fields: Fields, key: str) -> np.ndarray | float:
             raise fields.error(key, f"found {value:g}, expected {unit} from {low:g} to {high:g}")
         return value
     if key == "diameter":
-        ends = fields.array(key, [(2,)], "metres at the near and the far end")
+        ends = fields.array(key, [(2,)], "metres at the near and the far end", LENGTHS_M[1])
         if not (ends > 0).all():
             raise fields.error(key, f"found {ends.tolist()}, expected metres above 0")
         return ends
@@ -170,7 +171,7 @@ def static_landmarks(fields: Fields) -> dict[str, np.ndarray]:
         marker = named.text(landmark)
         if marker not in markers:
             raise named.error(
-                landmark, f"marker {marker!r} is not in {path}, found {', '.join(markers)}"
+                landmark, f"marker {shown(marker)} is not in {path}, found {listed(markers)}"
             )
         landmarks[landmark] = to_world(R_world_file, markers[marker])
     return landmarks
@@ -193,6 +194,11 @@ def _by_static_trial(fields: Fields) -> Skeleton:
     except ValueError as error:
         raise named.error("", str(error)) from None
     if not (np.isfinite(skeleton.lengths).all() and np.isfinite(skeleton.directions).all()):
-        problem = f"{fields.table['static']} shows neck, hips and shoulders in no common frame"
+        problem = (
+            f"{name_shown(fields.text('static'))} shows neck, hips and shoulders in no common frame"
+        )
         raise named.error("", problem)
+    if (longest := float(np.max(skeleton.lengths))) > LENGTHS_M[1]:
+        problem = f"shows bones of up to {longest:.4g} m, expected at most {LENGTHS_M[1]:g} m"
+        raise named.error("", f"{name_shown(fields.text('static'))} {problem}")
     return skeleton

@@ -16,8 +16,8 @@ import numpy as np
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.shown import shown
 
-# Of one table; half an hour of 60 markers at 200 Hz is 65 million.
-MOST_VALUES = 80_000_000
+# Of one table, 0.5 GB: half an hour of 60 markers at 200 Hz.
+MOST_VALUES = 66_000_000
 # In a file's own unit.
 LARGEST_NUMBER = 1e15
 # Metres from the origin: the earth's centre is nearer from everywhere on it.

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from jaxmocap.formats.toml import toml_key, toml_value
+from jaxmocap.formats.toml_scan import statement_starts
 
 _HEADER = re.compile(r"\s*\[.*\]\s*(#.*)?")
 
@@ -26,7 +27,7 @@ def replace_entries(text: str, section: str, entries: Mapping[str, Any]) -> str:
         ValueError: the section is not written as a ``[section]`` of its own.
     """
     old = tomllib.loads(text)
-    blocks = _split(text, header_only=True)
+    blocks = _sections(text)
     for i, block in enumerate(blocks):
         if _opens(block, section):
             blocks[i] = _with_entries(block, entries)
@@ -44,40 +45,32 @@ def _closed(blocks: list[str]) -> list[str]:
     return [text, "\n\n"] if text else []
 
 
-def _split(text: str, header_only: bool) -> list[str]:
-    """Cut before every header (or before every statement).
-
-    A line begins a statement where the text before it is valid TOML by itself: within an array or
-    a text over several lines it is not.
-    """
-    blocks, start, place = [], 0, 0
-    for line in text.splitlines(keepends=True):
-        candidate = not header_only or _HEADER.fullmatch(line.rstrip("\n"))
-        if candidate and place > start and _valid(text[:place]):
-            blocks.append(text[start:place])
-            start = place
-        place += len(line)
-    return [*blocks, text[start:]]
+def _sections(text: str) -> list[str]:
+    """A text cut before every header."""
+    blocks: list[list[str]] = [[]]
+    for statement in _statements(text):
+        if _HEADER.fullmatch(statement.rstrip("\n")):
+            blocks.append([])
+        blocks[-1].append(statement)
+    return ["".join(block) for block in blocks]
 
 
-def _valid(text: str) -> bool:
-    try:
-        tomllib.loads(text)
-    except tomllib.TOMLDecodeError:
-        return False
-    return True
+def _statements(text: str) -> list[str]:
+    """A valid text cut before every line that is not within a value of several lines."""
+    starts = statement_starts(text)
+    return [text[start:end] for start, end in zip(starts, [*starts[1:], None], strict=True)]
 
 
 def _opens(block: str, section: str) -> bool:
     """Does a block begin with the header of exactly that section?"""
     header = block.lstrip().split("\n")[0]
-    return header.startswith("[") and _valid(header) and tomllib.loads(header) == {section: {}}
+    return header.startswith("[") and tomllib.loads(header) == {section: {}}
 
 
 def _with_entries(block: str, entries: Mapping[str, Any]) -> str:
     """A section's text with each entry in the place of its key, or after the last key."""
     lines = {key: f"{toml_key(key)} = {toml_value(value)}\n" for key, value in entries.items()}
-    header, *statements = _split(block if block.endswith("\n") else block + "\n", False)
+    header, *statements = _statements(block if block.endswith("\n") else block + "\n")
     body = [lines.pop(key, old) if (key := _key(old)) else old for old in statements]
     end = max((i + 1 for i, old in enumerate(body) if _key(old) is not None), default=0)
     return "".join([header, *body[:end], *lines.values(), *body[end:]])
