@@ -102,7 +102,7 @@ def test_every_picture_is_told_with_its_error_and_the_tilt_it_was_held_at(calibr
 
 def test_every_picture_is_drawn_with_what_was_found(calibrated, photographs):
     folder, figures = calibrated
-    drawn = sorted((folder / "drawn").iterdir())
+    drawn = sorted((folder / "drawn").glob("*.jpg"))
     assert len(drawn) == len(photographs) + 1 and drawn[-1].name == "coverage.jpg"
     assert set(map(str, drawn)) < set(figures["files"])
     for path, photograph in zip(drawn, photographs, strict=False):
@@ -213,7 +213,7 @@ def test_files_of_one_name_from_two_folders_are_told_apart(photographs, tmp_path
     found = calibrate_intrinsics(paths, BOARD, "cam", tmp_path / "c.toml", pictures=tmp_path / "d")
     names = [view.name for view in found.found.views]
     assert names[0] == photographs[0] and names[-1].endswith("other/view_1.png")
-    assert len(set(names)) == 5 and len(list((tmp_path / "d").iterdir())) == 6
+    assert len(set(names)) == 5 and len(list((tmp_path / "d").glob("*.jpg"))) == 6
 
 
 def test_coverage_names_the_parts_of_the_image_where_no_board_was():
@@ -304,7 +304,7 @@ def test_what_is_refused_is_drawn_too(photographs, wall, tmp_path, capsys):
     drawn = tmp_path / "drawn"
     given = [*photographs[:2], wall, *BOARD_OPTIONS, "--pictures", str(drawn)]
     refusal(capsys, tmp_path, given)
-    assert [p.name for p in sorted(drawn.iterdir())] == [
+    assert [p.name for p in sorted(drawn.glob("*.jpg"))] == [
         "01_view_1.jpg",
         "02_view_2.jpg",
         "03_wall.jpg",

@@ -15,6 +15,7 @@ from jaxmocap.cli import commands
 from jaxmocap.formats.errors import InputError, OutputError, printable, shortened
 from jaxmocap.run import arguments as run_arguments
 from jaxmocap.run import silhouette_arguments
+from jaxmocap.run.leaving import leave
 from jaxmocap.run.signals import Terminated, raised_on_sigterm
 from jaxmocap.setup import arguments as setup_arguments
 from jaxmocap.setup.arguments import with_signs
@@ -143,6 +144,11 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Print one sentence and leave with 2."""
         self.exit(2, f"{self.prog}: {shortened(printable(message))}\n")
+
+
+def enter() -> NoReturn:
+    """The program: run the command that its arguments name, and end the process."""
+    leave(main())
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

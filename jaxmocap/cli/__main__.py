@@ -1,7 +1,5 @@
 """``python -m jaxmocap.cli``: the command itself."""
 
-import sys
+from jaxmocap.cli import enter
 
-from jaxmocap.cli import main
-
-sys.exit(main())
+enter()

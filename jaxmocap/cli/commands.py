@@ -8,10 +8,12 @@ it runs, so that ``--help`` is quick.
 
 import argparse
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TextIO
+
+from jaxmocap.run.signals import Terminated
 
 # Options that name what is written.
 _OUTPUTS = ("out", "json", "pictures", "target")
@@ -69,7 +71,8 @@ def batch(options: argparse.Namespace) -> int:
     how["timeout_s"] = options.job_timeout
     found = track_corpus(options.corpus, options.out, wanted, **how, progress=True)
     _report(options, found.text(), found.figures())
-    return _done(options, not found.failures, f"{len(found.failures)} recordings failed")
+    count = len(found.failures)
+    return _done(options, [f"{count} recordings failed"] if count else [])
 
 
 def sync(options: argparse.Namespace) -> None:
@@ -131,8 +134,12 @@ def retarget(options: argparse.Namespace) -> None:
     _report(options, played.text(files), played.figures())
 
 
-def live(options: argparse.Namespace) -> None:
-    """Track what comes in until Ctrl-C."""
+def live(options: argparse.Namespace) -> int:
+    """Track what comes in until Ctrl-C; 1 where nothing came in or it was not all recorded.
+
+    Raises:
+        Terminated: after everything, where SIGTERM ended it.
+    """
     from jaxmocap.run.compilation import keep_compiled
     from jaxmocap.run.live_session import live_summary, run_live
 
@@ -146,6 +153,9 @@ def live(options: argparse.Namespace) -> None:
         view=options.view,
     )
     _report(options, live_summary(figures), figures)
+    if figures["terminated"]:
+        raise Terminated
+    return _done(options, figures["problems"])
 
 
 def scale(options: argparse.Namespace) -> None:
@@ -332,11 +342,12 @@ def _print(lines: Iterable[str], stream: TextIO | None = None) -> None:
     print("\n".join(map(printable, lines)), file=stream)
 
 
-def _done(options: argparse.Namespace, all_is_well: bool, problem: str) -> int:
-    """The exit code; where not all is well the last line says what is not."""
+def _done(options: argparse.Namespace, problems: Sequence[str]) -> int:
+    """The exit code; where not all was done the last line says what was not."""
     from jaxmocap.formats.errors import printable, shortened
 
-    if all_is_well:
+    if not problems:
         return 0
-    print(f"jaxmocap {options.command}: {shortened(printable(problem))}", file=sys.stderr)
+    sentence = shortened(printable("; ".join(problems)))
+    print(f"jaxmocap {options.command}: {sentence}", file=sys.stderr)
     return 1

@@ -15,7 +15,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
@@ -110,9 +110,15 @@ class OutputFolder:
                 with suppress(OSError):
                     self.path.rmdir()
 
-    def placed(self, files: Iterable[Path], stage: Path) -> list[Path]:
-        """Files of the hidden folder, as they are called once they are in place."""
-        return [self.path / path.relative_to(stage) for path in files]
+    def write(self, files: Callable[[Path], Iterable[Path]]) -> list[Path]:
+        """The same by a function that writes files into a folder and returns their paths.
+
+        Returns:
+            The files, as they are called once they are in place.
+        """
+        with self.writing() as stage:
+            written = files(stage)
+        return [self.path / path.relative_to(stage) for path in written]
 
     def is_whole(self) -> bool:
         """Is every file of the list there as it was written?"""
@@ -169,9 +175,10 @@ class OutputFolder:
 
 def refuse_inputs(folder: Path, inputs: Iterable[str | Path]) -> None:
     """InputError where a folder for outputs holds, anywhere, one of the files that are read."""
-    resolved = folder.resolve()
+    # Not ``resolve``: a loop of links is no error here.
+    real = Path(os.path.realpath(folder))
     for each in inputs:
-        if Path(each).resolve().is_relative_to(resolved):
+        if Path(os.path.realpath(each)).is_relative_to(real):
             raise InputError(
                 folder, f"holds {each}, which is read; expected a folder of its own for outputs"
             )

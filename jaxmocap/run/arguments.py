@@ -6,7 +6,7 @@ INPUTS: a command's parser. OUTPUTS: the parser with its options.
 import argparse
 from pathlib import Path
 
-from jaxmocap.setup.arguments import natural, positive
+from jaxmocap.setup.arguments import finite, natural, positive
 
 CARRIED = """\
 Markers: .c3d .trc .csv. Motions: .npz .bvh .glb .mot; their joints can become markers. What a
@@ -95,8 +95,14 @@ def add_batch(parser: argparse.ArgumentParser) -> None:
 
 
 def _count(text: str) -> int:
-    if not (text.isdigit() and int(text)):
+    if not (text.isascii() and text.isdecimal() and len(text) < 10 and int(text)):
         raise argparse.ArgumentTypeError(f"found {text}, expected a whole number above 0")
+    return int(text)
+
+
+def _port(text: str) -> int:
+    if not (text.isascii() and text.isdecimal() and len(text) < 6 and int(text) < 65536):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a port, 0 to 65535")
     return int(text)
 
 
@@ -123,7 +129,7 @@ def add_view(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("directory", metavar="DIR", help="what track --out was given")
     parser.add_argument("--web", action="store_true", help="serve it to a browser, until Ctrl-C")
     parser.add_argument(
-        "--port", metavar="N", type=int, default=9090, help="of the page; default: %(default)s"
+        "--port", metavar="N", type=_port, default=9090, help="of the page; default: %(default)s"
     )
 
 
@@ -206,7 +212,7 @@ def add_evaluate(parser: argparse.ArgumentParser) -> None:
         "--up", choices=("y", "z"), help="the reference's vertical; default: y of .bvh .glb, else z"
     )
     parser.add_argument(
-        "--offset", metavar="S", type=float, default=0.0, help="add to the reference's times"
+        "--offset", metavar="S", type=finite, default=0.0, help="add to the reference's times"
     )
 
 

@@ -7,6 +7,7 @@ INPUTS: a folder of recordings. OUTPUTS: a folder per recording as ``track`` wri
 all of them, and why those that failed did.
 """
 
+import os
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -175,7 +176,7 @@ def jobs_of(corpus: str | Path, out: str | Path, wanted: Wanted) -> list[Job]:
     Raises:
         InputError: no recordings, or their outputs would lie within one another.
     """
-    root, folder = Path(corpus).resolve(), Path(out).resolve()
+    root, folder = (Path(os.path.realpath(path)) for path in (corpus, out))
     jobs = [
         Job(
             (name := path.relative_to(root)).as_posix(),

@@ -61,7 +61,7 @@ def find_recordings(corpus: str | Path, out: str | Path) -> list[Path]:
     Raises:
         InputError: no such folder, or no recording in it.
     """
-    corpus, out = Path(corpus).resolve(), Path(out).resolve()
+    corpus, out = (Path(os.path.realpath(path)) for path in (corpus, out))
     if not corpus.is_dir():
         raise InputError(corpus, "no such folder, expected one with recordings")
     there = (path for path in sorted(corpus.rglob("*.toml")) if path.is_file())

@@ -113,12 +113,14 @@ def demonstrate(
     tracked = track_both(recording, progress=progress, tracker=tracker)
     truth = recording_folder.path / "truth.trc"
     before, after = (evaluate(motion, truth, ELBOWS) for motion in reversed(tracked))
-    with folder.writing() as stage:
+
+    def write(stage: Path) -> list[Path]:
         files = write_tracked(tracked.motion, recording, stage, tracker.settings, progress)
-        files.append(stage / PLOT)
         curves = after.times, _by_joint(before), _by_joint(after)
-        plot_elbow_errors(files[-1], *curves, "Elbow errors")
-    return Demonstration(tracked.motion, before, after, folder.placed(files, stage))
+        plot_elbow_errors(stage / PLOT, *curves, "Elbow errors")
+        return [*files, stage / PLOT]
+
+    return Demonstration(tracked.motion, before, after, folder.write(write))
 
 
 def compiled_tracker() -> HybridTracker:

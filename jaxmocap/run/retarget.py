@@ -6,6 +6,7 @@ OUTPUTS: that person's motion in every format, with their skin where it is known
 retargeted.png, a picture of both.
 """
 
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -107,9 +108,7 @@ def write_retargeted(played: Retargeted, folder: OutputFolder) -> list[Path]:
     Raises:
         OutputError: the disk is full; what was there is as it was.
     """
-    with folder.writing() as stage:
-        files = _write(played, stage)
-    return folder.placed(files, stage)
+    return folder.write(partial(_write, played))
 
 
 def _write(played: Retargeted, folder: Path) -> list[Path]:

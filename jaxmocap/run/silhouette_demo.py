@@ -135,9 +135,7 @@ def demonstrate(
         files += photographed(folder, person, seed)
         recording, own = modelled(recording, folder / "model")
     followed = followed_from(recording, truth, progress, own)
-    with outputs.writing() as stage:
-        tracked = write_all(followed, recording, stage, progress, own)
-    files += outputs.placed(tracked, stage)
+    files += outputs.write(lambda stage: write_all(followed, recording, stage, progress, own))
     errors = evaluate(followed.motion, truth, JOINTS)
     off = bend_errors_deg(followed.motion, truth)
     return Shown(followed.motion, errors, off, before, files)

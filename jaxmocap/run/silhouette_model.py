@@ -9,6 +9,7 @@ the person for other commands and programs, as ``silhouette_person`` has it.
 
 import json
 from collections.abc import Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
@@ -130,9 +131,8 @@ def model_folder(directory: str | Path, inputs: Iterable[str | Path] = ()) -> Ou
 def _show_refused(folder: Path, name: str, picture: np.ndarray) -> Path:
     """What is wrong with a photograph, as a picture beside whatever the folder holds."""
     shown = f"{name}{REFUSED}.png"
-    with OutputFolder(folder, "refused photograph", [shown]).writing() as stage:
-        write_picture(stage / shown, picture)
-    return folder / shown
+    refused = OutputFolder(folder, "refused photograph", [shown])
+    return refused.write(lambda stage: [write_picture(stage / shown, picture)])[0]
 
 
 def write_model(modelled: Modelled, folder: OutputFolder) -> list[Path]:
@@ -144,9 +144,7 @@ def write_model(modelled: Modelled, folder: OutputFolder) -> list[Path]:
     Raises:
         OutputError: the disk is full; what was there is as it was.
     """
-    with folder.writing() as stage:
-        files = _write(modelled, stage)
-    return folder.placed(files, stage)
+    return folder.write(partial(_write, modelled))
 
 
 def _write(modelled: Modelled, directory: Path) -> list[Path]:

@@ -70,10 +70,9 @@ def write_followed(
         InputError: see ``tracked_folder``.
         OutputError: the disk is full; what was there is as it was.
     """
-    folder = followed_folder(directory, recording, inputs)
-    with folder.writing() as stage:
-        files = write_all(followed, recording, stage, progress, person)
-    return folder.placed(files, stage)
+    return followed_folder(directory, recording, inputs).write(
+        lambda stage: write_all(followed, recording, stage, progress, person)
+    )
 
 
 def followed_folder(

@@ -95,10 +95,9 @@ def write_outputs(
         InputError: see ``tracked_folder``.
         OutputError: the disk is full; what was there is as it was.
     """
-    folder = tracked_folder(directory, recording)
-    with folder.writing() as stage:
-        files = write_tracked(motion, recording, stage, settings, progress)
-    return folder.placed(files, stage)
+    return tracked_folder(directory, recording).write(
+        lambda stage: write_tracked(motion, recording, stage, settings, progress)
+    )
 
 
 def write_tracked(

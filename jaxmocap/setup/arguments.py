@@ -119,9 +119,16 @@ def positive(text: str) -> float:
     return value
 
 
+def finite(text: str) -> float:
+    """Any number but infinity."""
+    if not abs(value := float(text)) < float("inf"):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a finite number")
+    return value
+
+
 def natural(text: str) -> int:
-    """A whole number from 0 on."""
-    if not text.strip().isdecimal():
+    """A whole number from 0 on, of at most nine digits."""
+    if not (text.isascii() and text.isdecimal() and len(text) < 10):
         raise argparse.ArgumentTypeError(f"found {text}, expected a whole number from 0 on")
     return int(text)
 

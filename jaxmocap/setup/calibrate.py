@@ -7,6 +7,7 @@ was found.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from jaxmocap.setup.coverage import Coverage, covered, remarks, too_alike
 from jaxmocap.setup.finding import FEWEST, Found, find_boards
 from jaxmocap.setup.intrinsics import PARAMETERS, Intrinsics, calibrate
 from jaxmocap.setup.poses import tilt
-from jaxmocap.setup.sheets import draw_calibrated, draw_found
+from jaxmocap.setup.sheets import draw_calibrated, draw_found, picture_folder
 
 
 @dataclass(frozen=True)
@@ -75,19 +76,20 @@ def calibrate_intrinsics(
     """
     out = Path(out)
     check_writable(out, camera)
+    folder = picture_folder(pictures, f"intrinsics of {camera}", paths)
     before, placed = _already(out, camera)
     found = find_boards(paths, board)
     try:
         result = _determined(found, coefficients)
     except InputError:
-        if pictures is not None:
-            draw_found(found, pictures)
+        if folder is not None:
+            folder.write(partial(draw_found, found))
         raise
     coverage = covered(
         [v for v, use in zip(found.views, result.used, strict=True) if use], found.size
     )
     said = [*found.said, *remarks(result, coverage), *_changes(result, before, placed)]
-    drawn = [] if pictures is None else draw_calibrated(found, result, pictures)
+    drawn = [] if folder is None else folder.write(partial(draw_calibrated, found, result))
     write_camera(out, camera, result.lens.entries())
     return Calibrated(camera, found, result, coverage, tuple(said), (out, *drawn))
 

@@ -6,6 +6,7 @@ tells what was found.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from jaxmocap.setup.corners import Corners, find_corners
 from jaxmocap.setup.extrinsics import Placement, board_to_world, place, turned_board, wrong_way_up
 from jaxmocap.setup.finding import other_counts
 from jaxmocap.setup.pictures import Picture
-from jaxmocap.setup.sheets import draw_placed
+from jaxmocap.setup.sheets import draw_placed, picture_folder
 
 
 @dataclass(frozen=True)
@@ -110,6 +111,7 @@ def calibrate_extrinsics(
     """
     path, out = Path(image), Path(out)
     check_writable(out, camera)
+    folder = picture_folder(pictures, f"extrinsics of {camera}", [path])
     lens = read_lens(intrinsics or out, camera)
     picture = Picture(path.name, path)
     photo = picture.image()
@@ -126,11 +128,12 @@ def calibrate_extrinsics(
         advice = "are the points in the world's axes (Z up, or --up y), and pixels unmirrored?"
     said += [*placement.remarks, *([advice] if advice else []), *_off(placement, names)]
     drawn = []
-    if pictures is not None:
+    if folder is not None:
         board = None
         if measured.board is not None and T_world_board is not None:
             board = measured.board, T_world_board
-        drawn.append(draw_placed(picture, lens, placement, pixels_xy, board, pictures))
+        shown = partial(draw_placed, picture, lens, placement, pixels_xy, board)
+        drawn += folder.write(lambda stage: [shown(stage)])
     if wrong_way_up(placement.T_cam_world, upside_down):
         raise InputError(measured.points or path, _refusal(upside_down, advice))
     place_entries = {

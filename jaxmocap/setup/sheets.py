@@ -3,11 +3,13 @@
 INPUTS: Found boards and Intrinsics, or a Placement. OUTPUTS: JPEG files in a folder.
 """
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
 from jaxmocap.formats.calibration import Lens
+from jaxmocap.formats.output_folder import OutputFolder
 from jaxmocap.setup.boards import Board
 from jaxmocap.setup.drawing import LEGEND, Canvas, draw_coverage, magnification, write_canvas
 from jaxmocap.setup.extrinsics import Placement
@@ -18,6 +20,17 @@ from jaxmocap.setup.poses import Pose, tilt
 
 # Axes of the world are drawn this long, metres, and the board's this many squares.
 _WORLD_M, _BOARD_SQUARES = 0.5, 2
+
+
+def picture_folder(
+    directory: str | Path | None, kind: str, inputs: Iterable[str | Path]
+) -> OutputFolder | None:
+    """The folder for a calibration's pictures, looked at before any work; None without one.
+
+    Raises:
+        InputError: it cannot be written to, or holds one of the inputs.
+    """
+    return None if directory is None else OutputFolder(directory, kind, (), inputs)
 
 
 def draw_found(found: Found, folder: str | Path) -> list[Path]:

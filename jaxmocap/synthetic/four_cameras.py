@@ -138,7 +138,7 @@ def write_four_cameras(
     directory, times = Path(directory), frame_times(seconds)
     if not len(times):
         problem = f"{seconds:g} s hold no frame, expected at least {1 / VIDEO_RATE:.2g} s"
-        raise InputError(directory, problem)
+        raise InputError("--seconds", problem)
     directory.mkdir(parents=True, exist_ok=True)
     views = framed(performer, seconds)
     for i, view in enumerate(views):
