@@ -38,7 +38,7 @@ FORBIDDEN_MODULES = {
 DOORS = {
     "optimistix": ("solvers/least_squares.py",),
     "rerun": ("outputs/",),
-    "ezc3d": ("formats/c3d.py",),
+    "ezc3d": ("formats/c3d.py", "formats/c3d_process.py"),
     "pylsl": ("capture/lsl.py",),
     "pythonosc": ("capture/osc.py", "outputs/osc.py"),
     "cv2": ("images/", "capture/", "setup/", "synthetic/", "outputs/overlay.py"),

@@ -1,5 +1,9 @@
 """C3D: what is written is read back, with gaps and residuals; other writers' habits are known."""
 
+import os
+import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import ezc3d
@@ -9,7 +13,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from jaxmocap.formats import c3d
 from jaxmocap.formats.c3d import read_c3d, write_c3d
+from jaxmocap.formats.csv import write_csv
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.recording import load_recording
 from jaxmocap.formats.tables import Markers
@@ -159,3 +165,73 @@ def test_a_recording_may_name_a_c3d_file(recordings, tmp_path):
     text = f'[markers]\nfile = "{serve}"\n[markers.on]\nLFHD = {{ bone = "head" }}\n'
     (tmp_path / "recording.toml").write_text(text)
     assert load_recording(tmp_path / "recording.toml").positions_world.shape == (1092, 1, 3)
+
+
+def test_a_file_without_a_rate_is_refused_in_these_words(tmp_path):
+    content = foreign(tmp_path / "a.c3d", np.ones((4, 1, 4)), rate=100.0).read_bytes()
+    (tmp_path / "a.c3d").write_bytes(content.replace(struct.pack("<f", 100), bytes(4)))
+    said = "POINT:RATE: found 0, expected frames per second, up to 1e+06"
+    assert complaint(tmp_path / "a.c3d") == said
+
+
+def test_sizes_beyond_the_file_are_refused_whatever_the_header_says(tmp_path):
+    path = foreign(tmp_path / "a.c3d", np.ones((4, 3, 4)))
+    content = bytearray(path.read_bytes())
+    used, frames = content.index(b"USED"), content.index(b"FRAMES")
+    content[2:4] = content[used + 8 : used + 10] = struct.pack("<H", 60000)
+    content[8:10] = content[frames + 10 : frames + 12] = struct.pack("<H", 65535)
+    path.write_bytes(content)
+    assert complaint(path) == "not a C3D file, or damaged or cut off within its parameters"
+
+
+@pytest.mark.parametrize(
+    ("most", "said"),
+    [(2**31, "not read within 0.001 s"), (2**28, "damaged"), (4 * 10**8, "takes more than 0.4 GB")],
+)
+def test_a_file_may_take_so_much_time_and_memory_and_no_more(tmp_path, monkeypatch, most, said):
+    pytest.importorskip("resource")
+    path = foreign(tmp_path / "a.c3d", np.ones((4, 40, 40_000)))
+    monkeypatch.setattr(c3d, "MOST_MEMORY", most)
+    monkeypatch.setattr(c3d, "LONGEST_S", 0.001 if "0.001" in said else 60)
+    assert said in complaint(path)
+
+
+@pytest.mark.parametrize("kind", ["pipe", "folder"])
+def test_what_is_no_file_is_refused_before_anything_is_read(tmp_path, kind):
+    path = tmp_path / "a.c3d"
+    if kind == "folder":
+        path.mkdir()
+    else:
+        os.mkfifo(path)
+    assert (
+        complaint(path)
+        == f"found a {'named pipe' if kind == 'pipe' else 'folder'}, expected a file"
+    )
+
+
+# From here on nothing more can be written to a file than so many bytes.
+FULL = """
+import resource, sys
+from jaxmocap.cli import main
+most = int(sys.argv[1])
+resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+sys.exit(main(["convert", *sys.argv[2:]]))
+"""
+
+
+@pytest.mark.parametrize("most", [100, 3000, 30_000])
+def test_a_full_disk_leaves_an_earlier_file_as_it_was(tmp_path, most):
+    """ezc3d itself says nothing of it, and leaves half a file."""
+    pytest.importorskip("resource")
+    markers = Markers(np.arange(400) / 100, tuple("abcde"), np.ones((400, 5, 3)))
+    write_csv(tmp_path / "a.csv", markers.times, markers.points())
+    earlier = foreign(tmp_path / "b.c3d", np.ones((4, 1, 2))).read_bytes()
+    done = subprocess.run(
+        [sys.executable, "-c", FULL, str(most), tmp_path / "a.csv", tmp_path / "b.c3d"],
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 1 and done.stdout == ""
+    problem = "cannot be written whole, is the disk full?"
+    assert done.stderr == f"jaxmocap convert: {tmp_path / 'b.c3d'}: {problem}\n"
+    assert (tmp_path / "b.c3d").read_bytes() == earlier
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.csv", "b.c3d"]

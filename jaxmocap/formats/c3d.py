@@ -9,16 +9,21 @@ of it begins where its header says. Labels lose a prefix that all share (``Derri
 Analog channels, events and what else a C3D file may hold are not read.
 """
 
+import json
+import math
+import os
 import struct
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
+from jaxmocap.formats import c3d_process
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.reading import read_bytes
+from jaxmocap.formats.reading import open_regular, regular_file
+from jaxmocap.formats.shown import name_shown, shown
 from jaxmocap.formats.tables import Markers, even_rate, make_markers, stack_points
 from jaxmocap.formats.trc import METRES
 from jaxmocap.formats.writing import replacing
@@ -27,114 +32,137 @@ _UNITS = METRES | {"dm": 0.1, "in": 0.0254, "inch": 0.0254, "inches": 0.0254}
 # Frames are counted by 16 bits; residuals are held in steps of a scale, 255 at most.
 MOST_FRAMES, RESIDUAL_STEPS = 65535, 255
 _BIG_ENDIAN = 86
-# How a file is tried out, and how long that may take.
-TRIAL, LONGEST_S = "import sys, ezc3d; ezc3d.c3d(sys.argv[1])", 120
+# What the process that reads may take: seconds, and bytes of addresses, some 300 MB of them for
+# Python itself. 65535 frames of 60 markers take 840 MB.
+LONGEST_S, MOST_MEMORY = 60, 2**31
 _MM, _SMALLEST_MM = 1e-3, 1e-6
+_DAMAGED = "not a C3D file, or damaged or cut off within its parameters"
+# 16 bits for each frame's first and last; blocks of 512 bytes; four 32-bit numbers a point.
+_BLOCK, _POINT_BYTES = 512, 16
+# Frames per second.
+_FASTEST_HZ = 1e6
+# Where the parameters are at the latest, bytes.
+_LATEST_PARAMETERS = 2**17
+
+
+class _Content(NamedTuple):
+    """What ezc3d found in a file.
+
+    Attributes:
+        points: (3, M, T) in the file's unit.
+        residuals: (M, T), likewise.
+        rate: frames per second.
+        first: number of the first frame.
+        unit: as the file has it.
+        labels: of the M points, as the file has them.
+        analogs: number of analog channels.
+        events: number of events.
+    """
+
+    points: np.ndarray
+    residuals: np.ndarray
+    rate: float
+    first: int
+    unit: str
+    labels: list[str]
+    analogs: int
+    events: int
 
 
 def read_c3d(path: str | Path) -> Markers:
     """Read the points of a C3D file, with their residuals.
 
     Raises:
-        InputError: no such file, not C3D or cut off, without points, or of an unknown unit.
+        InputError: no such file, not C3D or cut off, without points, of an unknown unit, or
+            without a rate.
     """
-    content = read_bytes(path)
-    file = _opened(path)
-    points, group = file["data"]["points"], file["parameters"]["POINT"]
-    if not points.shape[1] or not points.shape[2]:
+    declared = _declared_frames(path)
+    file = _read(path)
+    if not file.residuals.size:
         raise InputError(path, "found no points")
-    declared = _declared_frames(content)
-    if points.shape[2] < declared:
-        problem = f"the header says {declared} frames, the file ends after {points.shape[2]}"
-        raise InputError(path, problem)
-    scale, header = _scale(path, group), file["header"]["points"]
-    rate = float(header["frame_rate"])
-    if not (np.isfinite(rate) and rate > 0):
-        raise InputError(path, f"POINT:RATE: found {rate:g}, expected frames per second")
-    positions = np.moveaxis(points[:3], 0, 2).swapaxes(0, 1) * scale
-    residuals = file["data"]["meta_points"]["residuals"][0].T * scale
+    count = file.residuals.shape[1]
+    if count < declared:
+        raise InputError(path, f"the header says {declared} frames, the file ends after {count}")
+    scale = _scale(path, file.unit)
+    if not 0 < file.rate <= _FASTEST_HZ:
+        problem = f"found {file.rate:g}, expected frames per second, up to {_FASTEST_HZ:g}"
+        raise InputError(path, f"POINT:RATE: {problem}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        positions, residuals = file.points.transpose(2, 1, 0) * scale, file.residuals.T * scale
     missing = (residuals < 0) | ~np.isfinite(positions).all(-1) | (positions == 0).all(-1)
     positions[missing], residuals[missing] = np.nan, np.nan
-    times = (header["first_frame"] + np.arange(len(positions))) / rate
-    table = np.concatenate([times[:, None], positions.reshape(len(times), -1)], 1)
-    markers = make_markers(path, table, [], _labels(group, points.shape[1]), "POINT:LABELS")
+    times = (file.first + np.arange(count)) / file.rate
+    table = np.concatenate([times[:, None], positions.reshape(count, -1)], 1)
+    markers = make_markers(path, table, [], _labels(file.labels), "POINT:LABELS")
     return Markers(markers.times, markers.names, markers.positions, residuals)
 
 
-def _opened(path: str | Path) -> Any:
-    damaged = "not a C3D file, or damaged or cut off within its parameters"
-    if not _survives(path):
-        raise InputError(path, damaged)
-    try:
-        import ezc3d
-
-        return ezc3d.c3d(str(path))
-    # ezc3d raises whatever its parser met: OSError, RuntimeError, ValueError, IndexError, ...
-    except Exception:
-        raise InputError(path, damaged) from None
-
-
-def _survives(path: str | Path) -> bool:
-    """Whether ezc3d comes through a file alive.
+def _read(path: str | Path) -> _Content:
+    """What ezc3d finds, in a process of its own.
 
     It follows a damaged file's lengths wherever they lead, and may take its process along (one of
-    60 files with some bytes changed); so the first attempt is another process's.
+    60 files with some bytes changed).
     """
-    attempt = [sys.executable, "-I", "-c", TRIAL, str(path)]
+    regular_file(path)
+    command = [sys.executable, "-I", c3d_process.__file__, os.path.abspath(path), str(MOST_MEMORY)]
+    # Each further thread of its libraries would take addresses.
+    alone = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     try:
-        done = subprocess.run(attempt, capture_output=True, timeout=LONGEST_S)
+        done = subprocess.run(command, capture_output=True, timeout=LONGEST_S, env=alone)
     except subprocess.TimeoutExpired:
-        return False
-    # What it raises is told when it is raised here; below 0 is the signal that ended it.
-    return done.returncode >= 0
+        raise InputError(path, f"not read within {LONGEST_S} s, too large or damaged") from None
+    if done.returncode == c3d_process.TOO_LARGE or b"bad_alloc" in done.stderr:
+        most = f"{MOST_MEMORY / 1e9:.2g} GB of memory"
+        raise InputError(path, f"takes more than {most} to read, too large or damaged")
+    if done.returncode:
+        raise InputError(path, _DAMAGED)
+    line, _, values = done.stdout.partition(b"\n")
+    head = json.loads(line)
+    shape = head.pop("shape")
+    numbers = np.frombuffer(values, float)
+    count = 3 * math.prod(shape)
+    return _Content(numbers[:count].reshape(3, *shape), numbers[count:].reshape(shape), **head)
 
 
 def left_in_c3d(path: str | Path) -> list[str]:
     """What a file that can be read holds besides its points, in words."""
-    file = _opened(path)
-    parameters, left = file["parameters"], []
-    if count := file["data"]["analogs"].shape[1]:
-        left.append(f"{count} analog channels")
-    if "EVENT" in parameters and len(parameters["EVENT"].get("TIMES", {}).get("value", ())):
+    file, left = _read(path), []
+    if file.analogs:
+        left.append(f"{file.analogs} analog channels")
+    if file.events:
         left.append("events")
-    count = file["data"]["points"].shape[1]
-    given, kept = _stored_labels(parameters["POINT"], count), _labels(parameters["POINT"], count)
-    if given != kept:
-        left.append(f"the labels' prefix {given[0].rpartition(':')[0]}:")
+    if file.labels != _labels(file.labels):
+        prefix = name_shown(file.labels[0].rpartition(":")[0])
+        left.append(f"the labels' prefix {prefix}:")
     return left
 
 
-def _declared_frames(content: bytes) -> int:
+def _declared_frames(path: str | Path) -> int:
     """How many frames the header says there are; ezc3d tells only those that it found."""
-    processor = content[(content[0] - 1) * 512 + 3]
-    first, last = struct.unpack_from(">HH" if processor == _BIG_ENDIAN else "<HH", content, 6)
+    with open_regular(path) as file:
+        header = file.read(_LATEST_PARAMETERS)
+    try:
+        processor = header[(header[0] - 1) * _BLOCK + 3]
+        order = ">HH" if processor == _BIG_ENDIAN else "<HH"
+        first, last = struct.unpack_from(order, header, 6)
+    except (IndexError, struct.error):
+        raise InputError(path, _DAMAGED) from None
     return last - first + 1
 
 
-def _scale(path: str | Path, group: Any) -> float:
+def _scale(path: str | Path, unit: str) -> float:
     """Metres per unit of the file."""
-    units = group["UNITS"]["value"] if "UNITS" in group else []
-    unit = str(units[0]).strip() if len(units) else ""
     if unit.lower() not in _UNITS:
         expected = ", ".join(_UNITS)
-        raise InputError(path, f"POINT:UNITS: found {unit!r}, expected one of {expected}")
+        raise InputError(path, f"POINT:UNITS: found {shown(unit)}, expected one of {expected}")
     return _UNITS[unit.lower()]
 
 
-def _stored_labels(group: Any, count: int) -> list[str]:
-    """A name for every point; beyond 255 they go on in LABELS2, LABELS3, ..."""
-    keys = ["LABELS", *(f"LABELS{i}" for i in range(2, 2 + count // 255))]
-    found = [str(name).strip() for key in keys if key in group for name in group[key]["value"]]
-    names = [name or f"point{i}" for i, name in enumerate(found[:count], 1)]
-    return names + [f"point{i}" for i in range(len(names) + 1, count + 1)]
-
-
-def _labels(group: Any, count: int) -> list[str]:
+def _labels(names: list[str]) -> list[str]:
     """The names without a prefix that all share."""
-    names = _stored_labels(group, count)
     prefixes = {name.rpartition(":")[0] for name in names if ":" in name}
     short = [name.rpartition(":")[2] for name in names]
-    alone = len(prefixes) == 1 and all(short) and len(set(short)) == count
+    alone = len(prefixes) == 1 and all(short) and len(set(short)) == len(names)
     return short if alone else names
 
 
@@ -172,8 +200,24 @@ def write_c3d(path: str | Path, markers: Markers) -> None:
     file["data"]["points"] = np.concatenate([positions, np.ones((1, *missing.shape))])
     file["data"]["meta_points"]["residuals"] = residuals[None]
     file["header"]["points"]["first_frame"] = first
-    with replacing(path) as beside:
+    frames, points = len(times), len(markers.names)
+    with replacing(path, lambda part: _is_whole(part, frames, points)) as beside:
         file.write(str(beside))
+
+
+def _is_whole(path: Path, frames: int, points: int) -> bool:
+    """Whether a file that was written holds its frames: ezc3d says nothing of a full disk."""
+    with path.open("rb") as file:
+        content = file.read(2 * _BLOCK)
+    if len(content) < 2 * _BLOCK:
+        return False
+    found, _, first, last = struct.unpack_from("<HHHH", content, 2)
+    # Where the points begin is written at the very end: after the blocks of parameters.
+    start, blocks = struct.unpack_from("<H", content, 16)[0], content[_BLOCK + 2]
+    size = (start - 1) * _BLOCK + frames * points * _POINT_BYTES
+    counts = found, last - first + 1, start
+    expected = points, frames, content[0] + blocks
+    return counts == expected and path.stat().st_size >= size
 
 
 def _residuals(markers: Markers, missing: np.ndarray) -> tuple[np.ndarray, float]:

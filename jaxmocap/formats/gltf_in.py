@@ -56,7 +56,8 @@ def read_gltf(path: str | Path) -> Armature:
     offsets, positions, R = _moved(accessors, nodes, joints, parents, curves, times)
     extras = animation["extras"]
     start = extras["start"].number(LATEST_S) if extras.has("start") else 0.0
-    return Armature(names, parents, offsets, times + start, positions, R)
+    origin = extras["origin"].numbers(3, _FARTHEST_M, default=(0.0, 0.0, 0.0))
+    return Armature(names, parents, offsets, times + start, positions + origin, R)
 
 
 def _joints(document: Part) -> tuple[list[int], tuple[int, ...]]:
@@ -263,6 +264,8 @@ def _turns(
     if np.linalg.norm(quaternions, axis=1).min() < _SHORTEST:
         raise curve.part.error("found a quaternion of length 0, expected 1")
     turns = Rotation.from_quat(quaternions)
+    if np.array_equal(curve.times, times):
+        return turns.as_matrix()
     if curve.held or len(curve.times) == 1:
         return turns.as_matrix()[_before(curve.times, times)]
     return Slerp(curve.times, turns)(np.clip(times, *curve.times[[0, -1]])).as_matrix()
