@@ -1,5 +1,9 @@
 """The viewer: what it shows without a click, and the page that it serves."""
 
+import os
+import socket
+import subprocess
+import sys
 import time
 import urllib.request
 
@@ -79,9 +83,23 @@ def test_the_page_is_served_to_this_machine_and_its_data_beside_it(folder):
         urllib.request.urlopen(page, timeout=5)
 
 
-def test_a_port_that_is_taken_is_said(folder, capsys):
-    import socket
+@pytest.mark.skipif(os.name != "posix", reason="SIGTERM is sent as on POSIX")
+def test_sigterm_ends_the_command_and_its_server(folder):
+    port = free_port()
+    line = [sys.executable, "-m", "jaxmocap.cli", "view", folder, "--web", "--port", str(port)]
+    process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    for printed in process.stdout:
+        if "until Ctrl-C" in printed:
+            break
+    process.terminate()
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 143 and said == "jaxmocap view: terminated\n"
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection((LOOPBACK, port), 5.0)
 
+
+def test_a_port_that_is_taken_is_said(folder, capsys):
     with socket.socket() as taken:
         taken.bind((LOOPBACK, 0))
         taken.listen()

@@ -5,6 +5,7 @@ INPUTS: a folder that ``track`` wrote. OUTPUTS: a viewer, and a sentence about i
 Whatever is opened listens to this machine alone.
 """
 
+import atexit
 import importlib.util
 import os
 import socket
@@ -16,6 +17,7 @@ from typing import NamedTuple
 from urllib.parse import quote
 
 from jaxmocap.formats.errors import InputError
+from jaxmocap.run.signals import held_back
 
 LOOPBACK = "127.0.0.1"
 # A viewer that is asked to end has so long to do so, seconds.
@@ -112,7 +114,7 @@ def start_viewer(
         arguments: files, or options of rerun's.
         web: serve it to a browser, in place of a window.
         web_port: of the page; 0 takes a free one.
-        stay: the viewer outlives this process.
+        stay: the viewer outlives this process; else it ends with it, at the latest.
     """
     port = free_port()
     options = ["--bind", LOOPBACK, "--port", str(port)]
@@ -122,17 +124,21 @@ def start_viewer(
         options += ["--serve-web", "--web-viewer-port", str(web_port)]
         page = f"http://{LOOPBACK}:{web_port}/?url={quote(url, safe='')}"
     command = [*viewer_command(), *options, *arguments]
-    process = subprocess.Popen(
-        command,
-        start_new_session=stay,
-        # Ctrl-C is for this process, which then ends the viewer.
-        process_group=None if stay else 0,
-        creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    return Viewer(process, url, page)
+    with held_back():
+        process = subprocess.Popen(
+            command,
+            start_new_session=stay,
+            # Ctrl-C is for this process, which then ends the viewer.
+            process_group=None if stay else 0,
+            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        viewer = Viewer(process, url, page)
+        if not stay:
+            atexit.register(viewer.end)
+    return viewer
 
 
 def viewer_command() -> list[str]:
