@@ -3,13 +3,14 @@
 Plain NumPy arrays and text: nothing here is traced.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.kinematics import landmarks
+from jaxmocap.body.origin import local_origin
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 
@@ -59,19 +60,41 @@ class Motion:
     Attributes:
         skeleton: whose poses these are.
         times: (T,) seconds, float64, marker time.
-        poses: position (T, 3), quaternion (T, 4), angles (T, D).
+        poses: position (T, 3) seen from ``origin_world``, quaternion (T, 4), angles (T, D).
         report: on every sample, or None.
+        origin_world: (3,) metres, float64; not zero where the world's own origin is far away, see
+            ``body.origin``.
     """
 
     skeleton: Skeleton
     times: np.ndarray
     poses: Pose
     report: Report | None = None
+    origin_world: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def positions_world(self) -> np.ndarray:
+        """(T, 3) where the pelvis is, world, Z up, metres."""
+        return _moved(np.asarray(self.poses.position), self.origin_world)
 
     def joints(self) -> dict[str, np.ndarray]:
         """Landmark name -> (T, 3) positions, world, Z up, metres."""
-        points = landmarks_over_time(self.skeleton, self.poses)
+        points = _moved(landmarks_over_time(self.skeleton, self.poses), self.origin_world)
         return {name: points[:, i] for i, name in enumerate(LANDMARKS)}
+
+
+def near_origin(motion: Motion) -> Motion:
+    """A motion whose poses are in the world, seen from a local origin if that is far away."""
+    origin = local_origin(motion.positions_world)
+    if not origin.any():
+        return motion
+    position = motion.positions_world - origin
+    return replace(motion, poses=motion.poses._replace(position=position), origin_world=origin)
+
+
+def _moved(points: np.ndarray, origin_world: np.ndarray) -> np.ndarray:
+    """Points (..., 3) seen from the world's origin; in double precision where it is elsewhere."""
+    return points + np.asarray(origin_world, float) if np.any(origin_world) else points
 
 
 def landmarks_over_time(skeleton: Skeleton, poses: Pose) -> np.ndarray:

@@ -49,7 +49,8 @@ def retargeted(motion: Motion, skeleton: Skeleton) -> Motion:
     poses = Pose(jnp.zeros_like(motion.poses.position), *motion.poses[1:])
     by_feet = feet_way - feet(other, poses)
     root = jnp.asarray(_way(way, by_feet, grounded(before)), float)
-    return Motion(other, motion.times, poses._replace(position=root))
+    poses = poses._replace(position=root)
+    return Motion(other, motion.times, poses, origin_world=motion.origin_world)
 
 
 def scaled(motion: Motion, skeleton: Skeleton, points: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxmocap.body.origin import local_origin
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.capture.reach import reach, standing_points, stature
 from jaxmocap.formats.recording import Recording
@@ -69,7 +70,7 @@ def check_markers(recording: Recording) -> list[Finding]:
     if unit:
         # Whatever else would be said follows from the unit.
         return found + unit
-    return [*found, *_up(recording), *_sides(recording), *_reach(recording)]
+    return [*found, *_far(recording), *_up(recording), *_sides(recording), *_reach(recording)]
 
 
 def _places(recording: Recording) -> Iterator[Finding]:
@@ -86,6 +87,20 @@ def _places(recording: Recording) -> Iterator[Finding]:
         f"{recording.times[sample]:.4g} s, expected a place within {FARTHEST_M:.0e} m of the "
         "origin, and NaN where it is missing",
         fatal=True,
+    )
+
+
+def _far(recording: Recording) -> Iterator[Finding]:
+    """A recording that was made in memory; one that is read has been given a local origin."""
+    origin = local_origin(recording.positions_world)
+    if not origin.any():
+        return
+    away = float(np.linalg.norm(origin))
+    yield Finding(
+        "origin",
+        f"positions_world: the markers are {away / 1e3:.4g} km from the origin, where single "
+        f"precision keeps {1e3 * np.spacing(np.float32(away)):.2g} mm; subtract a place nearby "
+        "from them and from the cameras' places before cameras are made",
     )
 
 

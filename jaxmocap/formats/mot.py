@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.isb import isb_angles
-from jaxmocap.body.motion import Motion
+from jaxmocap.body.motion import Motion, near_origin
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.formats.errors import InputError
@@ -51,7 +51,7 @@ def write_mot(path: str | Path, motion: Motion) -> None:
         R_world_pelvis = Rotation.from_quat(quaternion[known], scalar_first=True)
         turns[known] = np.unwrap(R_world_pelvis.as_euler(_AXES), axis=0)
     angles = np.degrees(np.concatenate([turns, np.asarray(motion.poses.angles, float)], 1))
-    table = np.concatenate([np.asarray(motion.poses.position, float), angles], 1)
+    table = np.concatenate([motion.positions_world, angles], 1)
     _write_table(Path(path), motion.times, dict(zip(names, table.T, strict=True)))
 
 
@@ -138,4 +138,4 @@ def motion_from_angles(
     quaternion = R_world_pelvis.as_quat(scalar_first=True)
     quaternion = np.where(known[:, None], quaternion, np.nan)
     parts: list[Any] = [table[:, :3], quaternion, table[:, 6:]]
-    return Motion(skeleton, times, Pose(*parts))
+    return near_origin(Motion(skeleton, times, Pose(*parts)))

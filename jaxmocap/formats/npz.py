@@ -14,7 +14,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmocap.body.motion import Motion, Report
+from jaxmocap.body.motion import Motion, Report, near_origin
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton, Tree, load_skeleton
 from jaxmocap.body.wrists import with_wrists
@@ -88,6 +88,7 @@ def save_motion(path: str | Path, motion: Motion) -> None:
     tree, skeleton = motion.skeleton.tree, motion.skeleton
     arrays: dict[str, Any] = {"version": VERSION, "times": np.asarray(motion.times, float)}
     arrays |= {f"pose.{name}": part for name, part in motion.poses._asdict().items()}
+    arrays["pose.position"] = motion.positions_world
     arrays |= {f"skeleton.{name}": getattr(skeleton, name) for name in _SKELETON}
     arrays |= {"tree.bones": tree.bones, "tree.parents": tree.parents}
     arrays |= {"tree.joints": tree.joints, "tree.dof_bones": tree.dof_bones}
@@ -129,7 +130,7 @@ def load_motion(path: str | Path) -> Motion:
     _check_units(path, "pose.quaternion", moved["pose.quaternion"])
     parts: list[Any] = [moved[f"pose.{name}"] for name in Pose._fields]
     report = _report(file, len(times)) if "report.markers" in file.names else None
-    return Motion(skeleton, times, Pose(*parts), report)
+    return near_origin(Motion(skeleton, times, Pose(*parts), report))
 
 
 def _skeleton(file: Arrays) -> Skeleton:

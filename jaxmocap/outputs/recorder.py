@@ -16,7 +16,7 @@ import numpy as np
 import rerun as rr
 from rerun.blueprint import Blueprint
 
-from jaxmocap.body.motion import Motion, Report
+from jaxmocap.body.motion import Motion, Report, landmarks_over_time
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import quaternion_from_matrix
@@ -126,7 +126,7 @@ def log_trust(stream: rr.RecordingStream, motion: Motion) -> None:
     report = motion.report
     if report is None:
         return
-    centres = np.stack(list(motion.joints().values()), 1)
+    centres = landmarks_over_time(motion.skeleton, motion.poses)
     deviations = np.asarray(report.landmarks_std, float)
     known = np.isfinite(centres).all(-1) & np.isfinite(deviations).all(-1)
     columns = rr.Ellipsoids3D.columns(
