@@ -56,7 +56,8 @@ def read_gltf(path: str | Path) -> Armature:
     offsets, positions, R = _moved(accessors, nodes, joints, parents, curves, times)
     extras = animation["extras"]
     start = extras["start"].number(LATEST_S) if extras.has("start") else 0.0
-    origin = extras["origin"].numbers(3, _FARTHEST_M, default=(0.0, 0.0, 0.0))
+    far = extras.has("origin")
+    origin = extras["origin"].numbers(3, _FARTHEST_M) if far else np.zeros(3)
     return Armature(names, parents, offsets, times + start, positions + origin, R)
 
 
