@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.body.motion import Motion
+from jaxmocap.body.motion import Motion, near_origin
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.turns import body_turns, local_turns, matrices
@@ -25,6 +25,7 @@ from jaxmocap.body.wrists import with_wrists
 from jaxmocap.formats.armature import Armature
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.joint_names import CONVENTIONS, ENDED, PELVIS, end_of, recognised
+from jaxmocap.formats.shown import listed, name_shown
 
 # Angles of our skeleton in the T pose, degrees; the others are 0.
 T_POSE = {"arm_abduct_l": 90.0, "arm_abduct_r": 90.0}
@@ -64,7 +65,7 @@ def armature_of(motion: Motion, convention: str = "jaxmocap") -> Armature:
         parents,
         offsets,
         np.asarray(motion.times, float),
-        np.asarray(motion.poses.position, float),
+        np.asarray(motion.positions_world, float),
         R,
         radii,
     )
@@ -124,7 +125,7 @@ def motion_of(armature: Armature, path: str | Path) -> Motion:
     """
     ours = recognised(armature.names)
     if ours is None:
-        names = ", ".join(armature.names)
+        names = listed(armature.names)
         raise InputError(path, f"not our skeleton, whatever its joints are called: {names}")
     index = {ours[name]: j for j, name in enumerate(armature.names) if name in ours}
     skeleton = _measured(Skeleton.human(), armature, index, path)
@@ -140,7 +141,7 @@ def motion_of(armature: Armature, path: str | Path) -> Motion:
     parts = [armature.positions, quaternion, angles]
     held: list[Any] = [np.where(known, part, np.nan) for part in parts]
     poses = Pose(*held)
-    return Motion(skeleton, armature.times, poses)
+    return near_origin(Motion(skeleton, armature.times, poses))
 
 
 def _angles(
@@ -186,12 +187,16 @@ def _measured(
     for joint, j in index.items():
         above = armature.parents[j]
         if parents[joint] != (None if above < 0 else _ours(index, above)):
-            raise InputError(path, f"not our skeleton: {armature.names[j]} hangs on another joint")
+            raise InputError(
+                path, f"not our skeleton: {name_shown(armature.names[j])} hangs on another joint"
+            )
         bone = carrier(skeleton, joint)
         reach = armature.offsets[j] if bone is None else rest[bone].T @ armature.offsets[j]
         expected = np.zeros(3) if bone is None else found.setdefault(bone, reach)
         if np.linalg.norm(reach - expected) > NEAR_M:
-            raise InputError(path, f"not our skeleton: {armature.names[j]} starts elsewhere")
+            raise InputError(
+                path, f"not our skeleton: {name_shown(armature.names[j])} starts elsewhere"
+            )
     for bone, reach in found.items():
         if (length := np.linalg.norm(reach)) > 0:
             lengths[bone], directions[bone] = length, reach / length

@@ -12,13 +12,23 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.opencv_yaml import SUFFIXES, read_opencv_yaml
-from jaxmocap.formats.reading import read_bytes
-from jaxmocap.formats.toml import Fields, read_toml, toml_key, write_toml
+from jaxmocap.formats.shown import listed, name_shown, shown
+from jaxmocap.formats.tables import FARTHEST_M
+from jaxmocap.formats.toml import (
+    Fields,
+    file_name_problem,
+    parse_toml,
+    read_toml,
+    read_toml_text,
+    toml_key,
+    write_toml,
+)
 from jaxmocap.formats.toml_sections import replace_entries
-from jaxmocap.formats.writing import replacing
+from jaxmocap.formats.writing import write_text
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import log
 
@@ -26,6 +36,13 @@ from jaxmocap.geometry.rotations import log
 METADATA = "metadata"
 # How far R Rᵀ may be from the identity: files print four digits or more.
 ORTHONORMAL = 1e-3
+# Pixels: of a picture's side; of a focal length (a telescope has some million).
+LARGEST_SIZE = 65_536
+SMALLEST_FOCAL, LARGEST_FOCAL = 1e-3, 1e8
+# Of a real lens none is beyond some hundred.
+LARGEST_DISTORTION = 1e6
+# Radians of a Rodrigues vector, which need not be the shortest.
+LARGEST_ROTATION = 1e3
 _COUNTS = [(n,) for n in range(9)]
 _Section = TypeVar("_Section")
 
@@ -50,8 +67,12 @@ class Lens:
         return fields | {"fisheye": False}
 
 
-def read_calibration(path: str | Path) -> dict[str, Camera]:
+def read_calibration(path: str | Path, origin_world: np.ndarray | None = None) -> dict[str, Camera]:
     """Read every camera of a calibration file.
+
+    Args:
+        path: of the file.
+        origin_world: (3,) metres, that the cameras are seen from; None: the world's.
 
     Raises:
         InputError: no such file, no camera in it, or a field that is missing or does not fit.
@@ -60,7 +81,9 @@ def read_calibration(path: str | Path) -> dict[str, Camera]:
     sections = _sections(path)
     if not sections:
         raise InputError(path, "found no camera section")
-    return {name: _camera(Fields(path, f"[{name}]", table)) for name, table in sections.items()}
+    origin = np.zeros(3) if origin_world is None else origin_world
+    each = {name: Fields(path, f"[{name}]", table) for name, table in sections.items()}
+    return {name: _camera(fields, origin) for name, fields in each.items()}
 
 
 def read_lens(path: str | Path, name: str) -> Lens:
@@ -86,28 +109,33 @@ def _sections(path: Path) -> dict[str, Any]:
 def pick_camera(path: str | Path, cameras: Mapping[str, _Section], name: str) -> _Section:
     """The camera of that section; InputError lists the sections there are."""
     if name not in cameras:
-        found = f"found {', '.join(cameras)}" if cameras else "found no camera section"
-        raise InputError(path, f"section [{name}] is missing, {found}")
+        found = f"found {listed(cameras)}" if cameras else "found no camera section"
+        raise InputError(path, f"section [{name_shown(name)}] is missing, {found}")
     return cameras[name]
 
 
-def _camera(fields: Fields) -> Camera:
+def _camera(fields: Fields, origin_world: np.ndarray) -> Camera:
     lens = _lens(fields)
     for key in ("rotation", "translation"):
         if key not in fields:
             raise fields.error("", f"{key!r} is missing (jaxmocap calibrate extrinsics finds it)")
-    translation = fields.array("translation", [(3,)], "3 numbers in metres")
+    translation = fields.array("translation", [(3,)], "3 numbers in metres", FARTHEST_M)
     size = (lens.size[0], lens.size[1])
-    return Camera.create(size, lens.matrix, lens.distortions, _rotation(fields), translation)
+    rotation = _rotation(fields)
+    # In double precision, before a camera has it in single.
+    R = rotation if rotation.ndim == 2 else Rotation.from_rotvec(rotation).as_matrix()
+    translation = translation + R @ origin_world
+    return Camera.create(size, lens.matrix, lens.distortions, rotation, translation)
 
 
 def _lens(fields: Fields) -> Lens:
     refuse_fisheye(fields)
-    size = fields.array("size", [(2,)], "[width, height] in pixels")
-    if (size <= 0).any():
+    size = fields.array("size", [(2,)], "[width, height] in pixels", LARGEST_SIZE)
+    if (size < 1).any():
         raise fields.error("size", f"found {size.tolist()}, expected two positive numbers")
+    expected = "at most 8 numbers (k1 k2 p1 p2 k3 k4 k5 k6)"
     distortions = (
-        fields.array("distortions", _COUNTS, "at most 8 numbers (k1 k2 p1 p2 k3 k4 k5 k6)")
+        fields.array("distortions", _COUNTS, expected, LARGEST_DISTORTION)
         if "distortions" in fields
         else np.zeros(0)
     )
@@ -121,8 +149,8 @@ def refuse_fisheye(fields: Fields) -> None:
 
 
 def _matrix(fields: Fields) -> np.ndarray:
-    matrix = fields.array("matrix", [(3, 3)], "a 3 × 3 matrix")
-    if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or not np.allclose(matrix[2], [0, 0, 1]):
+    matrix = fields.array("matrix", [(3, 3)], "a 3 × 3 matrix", LARGEST_FOCAL)
+    if min(matrix[0, 0], matrix[1, 1]) < SMALLEST_FOCAL or not np.allclose(matrix[2], [0, 0, 1]):
         raise fields.error(
             "matrix",
             f"found {matrix.tolist()}, expected positive focal lengths and a last row of 0 0 1",
@@ -132,7 +160,7 @@ def _matrix(fields: Fields) -> np.ndarray:
 
 def _rotation(fields: Fields) -> np.ndarray:
     expected = "a Rodrigues vector of 3 numbers or a 3 × 3 rotation matrix"
-    rotation = fields.array("rotation", [(3,), (3, 3)], expected)
+    rotation = fields.array("rotation", [(3,), (3, 3)], expected, LARGEST_ROTATION)
     if rotation.ndim == 2 and (not orthonormal(rotation) or np.linalg.det(rotation) < 0):
         raise fields.error("rotation", "found a 3 × 3 matrix that is not a rotation")
     return rotation
@@ -186,14 +214,12 @@ def write_camera(path: str | Path, name: str, entries: Mapping[str, Any]) -> Non
     check_writable(path, name)
     text = ""
     if path.exists():
-        read_toml(path)
-        text = read_bytes(path).decode("utf-8-sig").replace("\r\n", "\n")
+        parse_toml(path, text := read_toml_text(path))
     try:
         changed = replace_entries(text, name, {"name": name, **entries})
     except ValueError as error:
-        raise InputError(path, f"camera {name!r} {error}") from None
-    with replacing(path) as beside:
-        beside.write_text(changed, encoding="utf-8", newline="\n")
+        raise InputError(path, f"camera {shown(name)} {error}") from None
+    write_text(path, changed)
 
 
 def check_writable(path: Path, name: str) -> None:
@@ -202,6 +228,8 @@ def check_writable(path: Path, name: str) -> None:
         raise InputError(path, "cannot be written to, expected a .toml file")
     if not name or name == METADATA:
         raise InputError(path, f"found {name!r} as a camera's name, expected another")
+    if problem := file_name_problem(name):
+        raise InputError(path, f"found {shown(name)} as a camera's name, {problem}")
     if path.exists():
         table = read_toml(path).get(name, {})
         refuse_fisheye(Fields(path, f"[{name}]", table))

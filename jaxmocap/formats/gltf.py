@@ -6,9 +6,12 @@ OUTPUTS: a .glb file: a node per joint, an animation of the root's place and of 
 and the mesh (a skin); without one the limbs, as they are in the armature's rest pose.
 
 Samples whose pose is unknown have no key: a viewer moves on from the one before to the one after.
-The animation begins at 0 s; its ``extras`` say when that was (``start``, seconds).
+Across gaps (see ``gaps``) the last pose is held. The animation begins at 0 s; its ``extras`` say
+when that was (``start``, seconds). Where the root is far from the world's origin its places are
+seen from a local one, since glTF has single precision: ``extras`` say where (``origin``, metres).
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +19,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import jaxmocap
-from jaxmocap.formats.armature import Armature
+from jaxmocap.body.origin import local_origin
+from jaxmocap.formats.armature import Armature, BeyondFormatError
 from jaxmocap.formats.bound_mesh import BoundMesh, limbs_of
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.gaps import held
 from jaxmocap.formats.glb import Binary, write_document
 
 SKIN_COLOUR = (0.62, 0.68, 0.76, 1.0)
@@ -38,9 +43,14 @@ def write_gltf(
 
     Raises:
         InputError: no pose is known.
+        BeyondFormatError: it lasts too long for its samples to be told apart.
     """
     if not armature.known.any():
         raise InputError(path, "no pose is known in any sample")
+    origin = local_origin(armature.positions)
+    armature = replace(armature, positions=armature.positions - origin)
+    motion = held(armature)
+    _check_keys(path, motion.times)
     mesh = limbs_of(armature) if mesh is None else mesh
     binary, joints = Binary(), list(range(len(armature.names)))
     body = {"name": "body", "mesh": 0, "skin": 0}
@@ -54,12 +64,21 @@ def write_gltf(
         "skins": [{"joints": joints, "skeleton": 0, "inverseBindMatrices": binary.add(mesh.bind)}],
     }
     if not still:
-        document["animations"] = [_animation(binary, armature)]
+        animation = _animation(binary, motion)
+        animation["extras"] |= {"origin": origin.tolist()} if origin.any() else {}
+        document["animations"] = [animation]
     if mesh.picture is not None:
         view = binary.add_bytes(mesh.picture)
         document["images"] = [{"bufferView": view, "mimeType": "image/png"}]
         document["textures"] = [{"source": 0}]
     write_document(path, document, binary)
+
+
+def _check_keys(path: str | Path, times: np.ndarray) -> None:
+    """BeyondFormatError unless each key of (T,) times is later than the one before, as it must."""
+    if not (np.diff((times - times[0]).astype(np.float32)) > 0).all():
+        problem = f"glTF holds times in single precision, in which samples within {np.ptp(times):g}"
+        raise BeyondFormatError(path, f"{problem} s fall together")
 
 
 def _surface(mesh: BoundMesh) -> dict[str, Any]:
@@ -96,9 +115,8 @@ def _primitive(binary: Binary, mesh: BoundMesh) -> dict[str, Any]:
 
 
 def _animation(binary: Binary, armature: Armature) -> dict[str, Any]:
-    """Keys of the known samples: the root's place, and the turns of joints that ever turn."""
-    known = armature.known
-    times, R = armature.times[known], armature.rotations[known]
+    """Keys of the root's place, and of the turns of joints that ever turn."""
+    times = armature.times
     keys = binary.add(times - times[0], bounded=True)
     samplers: list[dict[str, Any]] = []
     channels: list[dict[str, Any]] = []
@@ -107,10 +125,10 @@ def _animation(binary: Binary, armature: Armature) -> dict[str, Any]:
         channels.append({"sampler": len(samplers), "target": {"node": joint, "path": path}})
         samplers.append({"input": keys, "output": binary.add(values), "interpolation": "LINEAR"})
 
-    channel(0, "translation", armature.positions[known])
+    channel(0, "translation", armature.positions)
     for j in range(len(armature.names)):
-        if np.abs(R[:, j] - np.eye(3)).max() > 0:
-            channel(j, "rotation", _quaternions(R[:, j]))
+        if np.abs((R := armature.rotations[:, j]) - np.eye(3)).max() > 0:
+            channel(j, "rotation", _quaternions(R))
     extras = {"start": float(times[0])}
     return {"name": "motion", "channels": channels, "samplers": samplers, "extras": extras}
 

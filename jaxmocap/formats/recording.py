@@ -7,57 +7,26 @@ bones, video sources with their cameras, a scaled skeleton.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from jaxmocap.body.origin import local_origin
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.formats.axes import read_axes, to_world
-from jaxmocap.formats.calibration import pick_camera, read_calibration
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.filters import KEYS as FILTERS
 from jaxmocap.formats.filters import Filters, read_filters
-from jaxmocap.formats.keypoint_models import MODELS
-from jaxmocap.formats.keypoints import Detections
 from jaxmocap.formats.markers import read_markers
 from jaxmocap.formats.places import MarkerPlace, bound_places, bound_positions, read_place
 from jaxmocap.formats.rigid import with_rigid_sets
+from jaxmocap.formats.shown import listed, name_shown, shown
 from jaxmocap.formats.subject import DEFAULT_HEIGHT, read_subject
 from jaxmocap.formats.tables import Markers, Places, check_times
 from jaxmocap.formats.toml import Fields, read_toml, write_toml
-from jaxmocap.geometry.cameras import Camera
-
-# What [[video]] may say of 2-D detections.
-_KEYPOINTS = ("keypoints", "keypoints_model", "keypoints_first")
-
-
-@dataclass(frozen=True)
-class VideoSource:
-    """One video and the camera that took it.
-
-    Attributes:
-        camera_name: of the camera.
-        camera: its calibration.
-        path: of the video file; None where the frames are in memory.
-        offset: seconds to add to video time to get marker time.
-        keypoints: folder (or file) of 2-D detections, what was read from it already, or None.
-        keypoints_model: whose points they are, or None to tell it from them.
-        keypoints_first: number that they give the video's first frame, or None to tell it.
-        frames: video times (F,) in seconds and images (F, H, W, 3) BGR uint8, or None.
-        background: image file of what the camera sees without the person, or None.
-    """
-
-    camera_name: str
-    camera: Camera
-    path: Path | None = None
-    offset: float = 0.0
-    keypoints: Path | Detections | None = None
-    keypoints_model: str | None = None
-    keypoints_first: int | None = None
-    frames: tuple[np.ndarray, Sequence[np.ndarray] | np.ndarray] | None = None
-    background: Path | None = None
+from jaxmocap.formats.video_sources import VideoSource, read_videos
 
 
 @dataclass(frozen=True)
@@ -76,6 +45,8 @@ class Recording:
         markers_file: the file that the markers came from, or None.
         stated_rate: samples per second as that file states them, or None.
         filters: that the markers are to go through before they are tracked.
+        origin_world: (3,) metres, float64: what was subtracted from the world's coordinates of
+            markers and cameras; not zero where they are far from 0, see ``body.origin``.
     """
 
     skeleton: Skeleton
@@ -89,6 +60,7 @@ class Recording:
     markers_file: Path | None = None
     stated_rate: float | None = None
     filters: Filters = field(default_factory=Filters)
+    origin_world: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self):
         """Check that the parts fit, wherever they came from."""
@@ -104,7 +76,7 @@ class Recording:
             if place.bone not in bones:
                 raise InputError(
                     where,
-                    f"[markers.on] {place.name}: unknown bone {place.bone!r}, "
+                    f"[markers.on] {name_shown(place.name)}: unknown bone {shown(place.bone)}, "
                     f"expected one of {', '.join(bones)}",
                 )
 
@@ -149,16 +121,9 @@ def load_recording(path: str | Path) -> Recording:
     if "markers" not in top and not top.table.get("video"):
         raise top.error("", "neither [markers] nor [[video]], expected one of them")
     if "markers" not in top:
-        return Recording(
-            skeleton,
-            np.zeros(0),
-            np.zeros((0, 0, 3)),
-            (),
-            _read_videos(top),
-            path.stem,
-            path,
-            tuple(warnings),
-        )
+        nothing = np.zeros(0), np.zeros((0, 0, 3)), ()
+        videos = read_videos(top)
+        return _near(top, Recording(skeleton, *nothing, videos, path.stem, path, tuple(warnings)))
     markers, places, filters = _read_marked(top)
     seen = np.isfinite(markers.positions.sum(-1))
     warnings += [
@@ -167,18 +132,42 @@ def load_recording(path: str | Path) -> Recording:
         if not samples.any()
     ]
     positions_world, points = _bound(path, skeleton, places, markers)
-    return Recording(
+    recording = Recording(
         skeleton,
         markers.times,
         positions_world,
         points,
-        _read_videos(top),
+        read_videos(top),
         path.stem,
         path,
         tuple(warnings),
         top.path.parent / top.table["markers"]["file"],
         markers.rate,
         filters,
+    )
+    return _near(top, recording)
+
+
+def _near(top: Fields, recording: Recording) -> Recording:
+    """The recording, seen from a local origin where the world's is far from markers or cameras."""
+    places = recording.positions_world
+    if not recording.places:
+        places = np.array([source.camera.position_world for source in recording.videos])
+    origin = local_origin(places)
+    if not origin.any():
+        return recording
+    (x, y, z), away = origin, np.linalg.norm(origin) / 1e3
+    warning = (
+        f"{recording.path}: the world's origin is {away:.4g} km away, where single precision is "
+        f"coarse: tracked from ({x:.0f}, {y:.0f}, {z:.0f}) m, which is added "
+        "again to what is written, but for recording.rrd"
+    )
+    return replace(
+        recording,
+        positions_world=recording.positions_world - origin,
+        videos=read_videos(top, origin),
+        warnings=(*recording.warnings, warning),
+        origin_world=origin,
     )
 
 
@@ -194,7 +183,7 @@ def load_markers(path: str | Path) -> tuple[Markers, tuple[MarkerPlace, ...]]:
     bones = Skeleton.human().tree.bones
     for place in places:
         if place.bone not in bones:
-            raise InputError(path, f"[markers.on] {place.name}: unknown bone {place.bone!r}")
+            raise InputError(path, f"[markers.on] {place.name}: unknown bone {shown(place.bone)}")
     return markers, places
 
 
@@ -209,21 +198,30 @@ def _read_marked(top: Fields) -> tuple[Markers, tuple[MarkerPlace, ...], Filters
         raise on.error("", "names no marker, expected entries such as Head = { bone = 'head' }")
     places = tuple(read_place(top.path, name, entry) for name, entry in on.table.items())
     sets = Fields(top.path, "[markers.rigid]", fields.table.get("rigid", {}))
-    markers = with_rigid_sets(sets, read_markers(file))
-    for place in places:
-        if place.name not in markers.names:
-            raise on.error(
-                place.name, f"no such marker in {file}, found {', '.join(markers.names)}"
-            )
-    columns = [markers.names.index(place.name) for place in places]
-    names = tuple(place.name for place in places)
-    positions_world = to_world(R_world_file, markers.positions[:, columns])
-    turns = None if markers.turns is None else R_world_file @ markers.turns[:, columns]
-    if turns is not None and np.linalg.det(R_world_file) < 0:
-        raise fields.error("to_world", "found a reflection, which leaves no turn of a marker")
-    marked = Markers(markers.times, names, positions_world, rate=markers.rate, turns=turns)
     wanted = Fields(top.path, "[markers.filters]", fields.table.get("filters", {}), FILTERS)
-    return marked, places, read_filters(wanted)
+    filters = read_filters(wanted)
+    found = read_markers(file)
+    there = (*found.names, *sets.table)
+    markers = with_rigid_sets(sets, found, on.table)
+    # A long recording's numbers are not to be in memory thrice.
+    del found
+    for name in on.table.keys() - set(there):
+        raise on.error(name, f"no such marker in {file}, found {listed(there)}")
+    markers = _picked(markers, tuple(on.table))
+    if markers.turns is not None and np.linalg.det(R_world_file) < 0:
+        raise fields.error("to_world", "found a reflection, which leaves no turn of a marker")
+    turns = None if markers.turns is None else R_world_file @ markers.turns
+    positions_world = to_world(R_world_file, markers.positions)
+    return replace(markers, positions=positions_world, turns=turns), places, filters
+
+
+def _picked(markers: Markers, names: tuple[str, ...]) -> Markers:
+    """Those markers only, in that order."""
+    place = {name: i for i, name in enumerate(markers.names)}
+    columns = [place[name] for name in names]
+    turns = None if markers.turns is None else markers.turns[:, columns]
+    positions = markers.positions[:, columns]
+    return Markers(markers.times.copy(), names, positions, rate=markers.rate, turns=turns)
 
 
 def _bound(
@@ -231,70 +229,21 @@ def _bound(
 ) -> tuple[np.ndarray, tuple[MarkerPlace, ...]]:
     """Points on bones (T, P, 3), world, metres, that the markers tell of, and their places."""
     bones = skeleton.tree.bones
-    known = np.full((*markers.positions.shape, 3), np.nan)
+    # Of a long recording without any, a whole array would take as much as three of positions.
+    known = np.broadcast_to(np.nan, (*markers.positions.shape, 3))
     known = known if markers.turns is None else markers.turns
     for i, place in enumerate(places):
         if place.bone not in bones:
-            problem = f"unknown bone {place.bone!r}, expected one of {', '.join(bones)}"
-            raise InputError(path, f"[markers.on] {place.name}: {problem}")
+            problem = f"unknown bone {shown(place.bone)}, expected one of {', '.join(bones)}"
+            raise InputError(path, f"[markers.on] {name_shown(place.name)}: {problem}")
         if place.is_turned and not np.isfinite(known[:, i]).any():
             key = "offset_in = 'marker'" if place.turn is None else "turn"
             problem = f"{key} needs to know how the marker is turned, which the file never says"
-            raise InputError(path, f"[markers.on] {place.name}: {problem}")
+            raise InputError(path, f"[markers.on] {name_shown(place.name)}: {problem}")
+    if not any(place.is_turned for place in places):
+        return markers.positions, bound_places(skeleton, places)
     positions = bound_positions(skeleton, places, markers.positions, known)
     return positions, bound_places(skeleton, places)
-
-
-def _read_videos(top: Fields) -> tuple[VideoSource, ...]:
-    tables = top.table.get("video", [])
-    if not isinstance(tables, list):
-        raise top.error("[video]", "found one table, expected [[video]] in double brackets")
-    if not tables:
-        return ()
-    if "calibration" not in top:
-        raise top.error("", "[calibration] is missing, which every [[video]] needs")
-    calibration = Fields(top.path, "[calibration]", top.table["calibration"], ("file",))
-    file = calibration.file("file")
-    cameras = read_calibration(file)
-    return tuple(_video(top.path, i, table, file, cameras) for i, table in enumerate(tables, 1))
-
-
-def _video(
-    path: Path, number: int, table: Any, calibration: Path, cameras: dict[str, Camera]
-) -> VideoSource:
-    keys = ("file", "camera", "offset", "background", *_KEYPOINTS)
-    fields = Fields(path, f"[[video]] number {number}", table, keys)
-    name = fields.text("camera")
-    return VideoSource(
-        camera_name=name,
-        camera=pick_camera(calibration, cameras, name),
-        path=fields.file("file"),
-        offset=fields.number("offset", 0.0),
-        background=fields.file("background") if "background" in fields else None,
-        **_keypoints(fields),
-    )
-
-
-def _keypoints(fields: Fields) -> dict[str, Any]:
-    """Where a video's 2-D detections are, and what is said of them."""
-    given: dict[str, Any] = {}
-    for key in _KEYPOINTS:
-        if key in fields and "keypoints" not in fields:
-            raise fields.error(key, "found without 'keypoints', which it is about")
-    if "keypoints" in fields:
-        is_file = fields.text("keypoints").lower().endswith(".json")
-        given["keypoints"] = fields.file("keypoints", folder=not is_file)
-    if "keypoints_model" in fields:
-        given["keypoints_model"] = model = fields.text("keypoints_model")
-        if model not in MODELS:
-            expected = ", ".join(MODELS)
-            raise fields.error("keypoints_model", f"found {model!r}, expected one of {expected}")
-    if "keypoints_first" in fields:
-        first = fields.number("keypoints_first")
-        if first != int(first):
-            raise fields.error("keypoints_first", f"found {first:g}, expected a whole number")
-        given["keypoints_first"] = int(first)
-    return given
 
 
 def write_recording(

@@ -9,15 +9,18 @@ fitted by least squares (Kabsch) to those seen, three at least.
 """
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from jaxmocap.formats.shown import listed, shown
 from jaxmocap.formats.tables import Markers
 from jaxmocap.formats.toml import Fields
 
 FEWEST = 3
+# Samples times markers that know how they are turned: 0.4 GB.
+MOST_TURNS = 5_000_000
 # Markers nearer to one line than this, metres, do not tell how a set is turned about it.
 LEAST_WIDTH_M = 0.005
 
@@ -29,38 +32,47 @@ def read_sets(fields: Fields) -> dict[str, list[str]]:
         texts = isinstance(members, list) and all(isinstance(each, str) for each in members)
         if not texts or len(set(members)) < FEWEST or len(set(members)) < len(members):
             expected = "a list of three or more different markers"
-            raise fields.error(name, f"found {members!r}, expected {expected}")
+            raise fields.error(name, f"found {shown(members)}, expected {expected}")
         sets[name] = members
     return sets
 
 
-def with_rigid_sets(fields: Fields, markers: Markers) -> Markers:
-    """The markers and, behind them, the sets of [markers.rigid].
+def with_rigid_sets(fields: Fields, markers: Markers, wanted: Collection[str]) -> Markers:
+    """Those markers that are wanted and, behind them, the sets of [markers.rigid].
+
+    Without sets all markers stay as they are.
 
     Raises:
         InputError: a set's marker that is not in the file, a set called as a marker is, or one
-            that is never seen whole or lies on a line.
+            that is never seen whole or lies on a line; or more orientations than memory holds.
     """
     sets = read_sets(fields)
     if not sets:
         return markers
-    known, count = markers.points(), (len(markers.times), len(markers.names))
-    turns = np.full((*count, 3, 3), np.nan) if markers.turns is None else markers.turns
-    places, rotations = [], []
-    for name, members in sets.items():
+    known, samples = markers.points(), len(markers.times)
+    kept = [i for i, name in enumerate(markers.names) if name in wanted]
+    count = len(kept) + len(sets)
+    if samples * count > MOST_TURNS:
+        most = f"expected at most {MOST_TURNS} orientations"
+        raise fields.error("", f"found {samples} samples of {count} markers and sets, {most}")
+    turns = np.full((samples, count, 3, 3), np.nan)
+    if markers.turns is not None:
+        turns[:, : len(kept)] = markers.turns[:, kept]
+    places = []
+    for i, (name, members) in enumerate(sets.items(), len(kept)):
         missing = [member for member in members if member not in known]
         if missing or name in known:
-            found = f"no marker {missing[0]!r}" if missing else "a marker of that name"
-            raise fields.error(name, f"found {found} in the file, which has {', '.join(known)}")
-        place, R = _fitted(fields, name, np.stack([known[m] for m in members], 1), members)
+            found = f"no marker {shown(missing[0])}" if missing else "a marker of that name"
+            raise fields.error(name, f"found {found} in the file, which has {listed(known)}")
+        points = np.stack([known[m] for m in members], 1)
+        place, turns[:, i] = _fitted(fields, name, points, members)
         places.append(place)
-        rotations.append(R)
     return replace(
         markers,
-        names=(*markers.names, *sets),
-        positions=np.concatenate([markers.positions, np.stack(places, 1)], 1),
+        names=(*(markers.names[i] for i in kept), *sets),
+        positions=np.concatenate([markers.positions[:, kept], np.stack(places, 1)], 1),
         residuals=None,
-        turns=np.concatenate([turns, np.stack(rotations, 1)], 1),
+        turns=turns,
     )
 
 
@@ -70,11 +82,11 @@ def _fitted(
     """Middle (T, 3) and turn (T, 3, 3) of a set's (T, K, 3) markers; NaN where two are seen."""
     whole = np.isfinite(points[:, :FEWEST]).all((1, 2))
     if not whole.any():
-        raise fields.error(name, f"found {', '.join(members[:FEWEST])} in no common sample")
+        raise fields.error(name, f"found {listed(members[:FEWEST])} in no common sample")
     shape = _shape(points[whole])
     unseen = [m for m, at in zip(members, shape, strict=True) if not np.isfinite(at).all()]
     if unseen:
-        raise fields.error(name, f"found {unseen[0]!r} never beside the first three")
+        raise fields.error(name, f"found {shown(unseen[0])} never beside the first three")
     if np.linalg.svd(shape - shape.mean(0), compute_uv=False)[1] < LEAST_WIDTH_M:
         raise fields.error(name, "found all markers on one line, which tells no turn about it")
     seen = np.isfinite(points.sum(-1))

@@ -73,7 +73,8 @@ class Passed:
             return np.concatenate([np.full((before, *kept.shape[1:]), np.nan), kept])
 
         def motion(person: Skeleton, poses: Pose, report: Report | None) -> Motion:
-            return Motion(person, plan.recording.times, jax.tree.map(column, poses), report)
+            poses, recording = jax.tree.map(column, poses), plan.recording
+            return Motion(person, recording.times, poses, report, recording.origin_world)
 
         judged = judge_steps(self.reports) if smoothed is None else smoothed.judged
         report = Report(

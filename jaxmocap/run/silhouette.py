@@ -184,7 +184,8 @@ def follow(
         "warnings": warnings,
         "tracker": tracker.settings,
     }
-    motion = Motion(tracker.skeleton, frames.times, run.smoothed(), run.report(names, plain(told)))
+    report, origin = run.report(names, plain(told)), recording.origin_world
+    motion = Motion(tracker.skeleton, frames.times, run.smoothed(), report, origin)
     return Followed(motion, run.masks(names), tracker.finder.surface)
 
 

@@ -41,14 +41,15 @@ def start_pose(recording: Recording, at: tuple[float, float, float] | None = Non
     """
     where = recording.path or recording.name
     if at is not None:
-        pose = standing_pose(whole_body(recording.skeleton), at[0], at[1], np.radians(at[2]))
+        x, y, _ = np.array([*at[:2], 0.0]) - recording.origin_world
+        pose = standing_pose(whole_body(recording.skeleton), x, y, np.radians(at[2]))
     elif not recording.places:
         problem = "no [markers] to begin from, expected --at X,Y,FACING of a person who stands"
         raise InputError(where, f"{problem} upright")
     else:
         pose = _by_markers(recording)
     if recording.videos and not in_view(recording, pose):
-        x, y, _ = np.asarray(pose.position)
+        x, y, _ = np.asarray(pose.position) + recording.origin_world
         names = ", ".join(source.camera_name for source in recording.videos)
         problem = f"the person begins at x = {x:.2f}, y = {y:.2f} m, where no camera looks"
         raise InputError(where, f"{problem}, expected a place that one of {names} sees")
