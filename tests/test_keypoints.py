@@ -319,9 +319,9 @@ def test_bad_files_are_refused_with_file_and_place(tmp_path, files, model, says)
 @pytest.mark.parametrize("content", [b"", b'{"people": [', b"\xff\xfe\x00", b"[" * 100_000])
 def test_what_is_no_json_is_refused(tmp_path, content):
     (tmp_path / "0.json").write_bytes(content)
-    with pytest.raises(InputError, match=r"0\.json: not JSON"):
+    with pytest.raises(InputError, match=r"0\.json: .*JSON"):
         read_keypoints(tmp_path)
-    with pytest.raises(InputError, match="no such folder"):
+    with pytest.raises(InputError, match="no such file"):
         read_keypoints(tmp_path / "none")
 
 

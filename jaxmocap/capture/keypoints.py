@@ -15,7 +15,7 @@ from jaxmocap.body.skeleton import LANDMARKS, Tree
 from jaxmocap.capture.markers import interpolate
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.keypoints import Detections, read_keypoints
+from jaxmocap.formats.keypoints import Detections, check_size, read_keypoints
 from jaxmocap.formats.recording import MarkerPlace, Recording, VideoSource
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera
 
@@ -89,6 +89,7 @@ def line_up(detections: Detections, frames: int, first: int | None = None) -> Ke
             f"found key points of frames {smallest} to {largest}, but the video has "
             f"frames {first} to {first + frames - 1}; check keypoints_first",
         )
+    check_size(detections.name, frames, *detections.confidences.shape[1:])
     pixels_xy = np.full((frames, *detections.pixels_xy.shape[1:]), np.nan)
     confidences = np.zeros((frames, *detections.confidences.shape[1:]))
     pixels_xy[rows[inside]] = detections.pixels_xy[inside]

@@ -18,7 +18,11 @@ MOST_PARTS = 2_000_000
 
 
 def parse_json(
-    path: str | Path, text: str | bytes, most: int = MOST_JSON_BYTES, constants: bool = False
+    path: str | Path,
+    text: str | bytes,
+    most: int = MOST_JSON_BYTES,
+    constants: bool = False,
+    most_parts: int = MOST_PARTS,
 ) -> Any:
     """What a JSON text stands for.
 
@@ -27,6 +31,7 @@ def parse_json(
         text: the text.
         most: how long it may be.
         constants: whether NaN and Infinity, which are no JSON, may stand in it.
+        most_parts: how many lists and tables there may be.
 
     Raises:
         InputError: it is no JSON, too long, nested too deeply, or of too many parts.
@@ -37,8 +42,8 @@ def parse_json(
         parts = text.count("[") + text.count("{")
     else:
         parts = text.count(b"[") + text.count(b"{")
-    if parts > MOST_PARTS:
-        raise InputError(path, f"found JSON of {parts} parts, expected at most {MOST_PARTS}")
+    if parts > most_parts:
+        raise InputError(path, f"found JSON of {parts} parts, expected at most {most_parts}")
     try:
         value = json.loads(text, parse_constant=None if constants else _refuse)
     except RecursionError:

@@ -9,7 +9,7 @@ INPUTS: one such file.
 OUTPUTS: Frames: a number, and (K, 3) pixels and confidences of everybody in it.
 """
 
-import json
+import codecs
 import os
 import re
 import stat
@@ -21,14 +21,21 @@ from typing import Any
 import numpy as np
 
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.json_text import parse_json
 from jaxmocap.formats.reading import read_bytes
+from jaxmocap.formats.shown import shown
 
 # The last number in a file's name is its frame's: cam_01_000000000123_keypoints.json.
 _NUMBER = re.compile(r"\d+(?!.*\d)")
 LARGEST_FRAME_NUMBER = 10**12
+# Pixels: no picture is so large, and no detector guesses so far out of it.
+LARGEST_PIXEL = 1e7
 # An hour at 120 frames a second is 432,000 of them.
 MOST_ENTRIES = 500_000
-# OpenPose takes 2 to 10 KB for a frame.
+# Of one file: half an hour of two people with 17 points takes 100 MB, 2 million lists. Of all that
+# are in a folder: OpenPose takes 2 to 10 KB for a frame.
+MOST_FILE_BYTES = 128 * 2**20
+MOST_FILE_PARTS = 4_000_000
 MOST_FOLDER_BYTES = 2**30
 
 
@@ -84,11 +91,8 @@ def read_frames(file: Path) -> Iterator[Frame]:
     Raises:
         InputError: not JSON, none of these layouts, or the entry that does not fit.
     """
-    content = read_bytes(file)
-    try:
-        content = json.loads(content.decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(file, f"not JSON: {error}") from None
+    text = read_bytes(file, MOST_FILE_BYTES).removeprefix(codecs.BOM_UTF8)
+    content = parse_json(file, text, MOST_FILE_BYTES, True, MOST_FILE_PARTS)
     if isinstance(content, dict) and "people" in content:
         yield Frame(_number_in_name(file), _people(file, content["people"]), None, file)
         return
@@ -104,8 +108,10 @@ def read_frames(file: Path) -> Iterator[Frame]:
         return
     for i, entry in enumerate(content):
         number, at = _entry(entry, "frame_id"), f"{where}[{i}]"
-        if isinstance(number, bool) or not isinstance(number, int):
-            raise InputError(file, f"{at}.frame_id: found {number!r}, expected a whole number")
+        whole = isinstance(number, int) and not isinstance(number, bool)
+        if not whole or abs(number) > LARGEST_FRAME_NUMBER:
+            expected = f"expected a whole number within {LARGEST_FRAME_NUMBER}"
+            raise InputError(file, f"{at}.frame_id: found {shown(number)}, {expected}")
         people = _instances(file, f"{at}.instances", _entry(entry, "instances"))
         yield Frame(number, people, names, file)
 
@@ -172,7 +178,7 @@ def _entry(entry: Any, key: str) -> Any:
 
 def _list(file: Path, where: str, value: Any) -> list:
     if not isinstance(value, list):
-        raise InputError(file, f"{where}: found {str(value)[:40]}, expected a list".lstrip(": "))
+        raise InputError(file, f"{where}: found {shown(value)}, expected a list".lstrip(": "))
     return value
 
 
@@ -180,6 +186,10 @@ def _array(file: Path, where: str, values: Any) -> np.ndarray:
     values = _list(file, where, values)
     try:
         # A null becomes NaN, which is what it means.
-        return np.asarray(values, float)
+        array = np.asarray(values, float)
     except (TypeError, ValueError, OverflowError):
         raise InputError(file, f"{where}: found other than equally long lists of numbers") from None
+    if (largest := np.abs(array[np.isfinite(array)]).max(initial=0.0)) > LARGEST_PIXEL:
+        problem = f"found {largest:g}, expected pixels within {LARGEST_PIXEL:g}"
+        raise InputError(file, f"{where}: {problem}")
+    return array

@@ -6,7 +6,7 @@ OUTPUTS: Detections: pixels and confidences of the landmarks that the detector's
 everybody in every frame.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -14,13 +14,21 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.keypoint_files import Frame, read_frames
+from jaxmocap.formats.keypoint_files import Frame, json_files, read_frames
 from jaxmocap.formats.keypoint_models import (
     MODELS,
     landmark_indices,
     models_of_count,
     tell_apart,
 )
+from jaxmocap.formats.reading import regular_file
+from jaxmocap.formats.shown import listed, shown
+from jaxmocap.formats.toml import is_folder
+
+# Of everybody in all frames, 0.4 GB: half an hour of four people with 25 points at 60 Hz.
+MOST_POINTS = 16_000_000
+# A frame, or a person in it, takes as much memory as so many points, however few it has.
+_LEAST = 8
 
 
 @dataclass(frozen=True)
@@ -75,10 +83,7 @@ def read_keypoints(path: str | Path, model: str | None = None) -> Detections:
             fit, or cannot be told.
     """
     path = Path(path)
-    frames = sorted(
-        (frame for file in _files(path) for frame in read_frames(file)),
-        key=lambda frame: frame.number,
-    )
+    frames = sorted(_frames(path), key=lambda frame: frame.number)
     for before, after in pairwise(frames):
         if before.number == after.number:
             raise InputError(after.file, f"frame {after.number} is in {before.file.name} as well")
@@ -86,8 +91,10 @@ def read_keypoints(path: str | Path, model: str | None = None) -> Detections:
     names, warnings = _names(path, frames[0], people, model)
     landmarks = landmark_indices(names)
     if not landmarks:
-        raise InputError(path, f"none of the points {', '.join(names)} is a landmark of ours")
-    shape = (len(frames), max(len(frame.people) for frame in frames), len(landmarks), 3)
+        raise InputError(path, f"none of the points {listed(names)} is a landmark of ours")
+    count = max(len(frame.people) for frame in frames)
+    check_size(path, len(frames), count, len(landmarks))
+    shape = (len(frames), count, len(landmarks), 3)
     table = np.full(shape, [np.nan, np.nan, 0.0])
     place = [(i, j) for i, frame in enumerate(frames) for j in range(len(frame.people))]
     table[tuple(np.transpose(place))] = people[:, list(landmarks.values())]
@@ -95,14 +102,29 @@ def read_keypoints(path: str | Path, model: str | None = None) -> Detections:
     return Detections(numbers, tuple(landmarks), table[..., :2], table[..., 2], str(path), warnings)
 
 
+def check_size(path: str | Path, frames: int, people: int, landmarks: int) -> None:
+    """InputError where a table of so many people in every frame is too large to be held."""
+    if frames * people * landmarks > MOST_POINTS:
+        problem = f"found up to {people} people in {frames} frames, {landmarks} points of each"
+        raise InputError(path, f"{problem}, expected at most {MOST_POINTS} points")
+
+
+def _frames(path: Path) -> Iterator[Frame]:
+    """All frames of all files, so many as can be held."""
+    total = 0
+    for file in _files(path):
+        for frame in read_frames(file):
+            total += _LEAST + sum(_LEAST + len(person) for person in frame.people)
+            if total > MOST_POINTS:
+                raise InputError(file, f"found more than {MOST_POINTS} key points so far")
+            yield frame
+
+
 def _files(path: Path) -> list[Path]:
     """The JSON files that a path stands for."""
-    if path.is_file():
-        return [path]
-    if not path.is_dir():
-        raise InputError(path, "no such folder")
-    # A name with a dot in front is another system's leaving.
-    files = sorted(file for file in path.glob("*.json") if not file.name.startswith("."))
+    if not is_folder(path):
+        return [regular_file(path)]
+    files = json_files(path)
     if not files:
         raise InputError(path, "found no .json file, expected one per frame or one for the video")
     return files
@@ -133,7 +155,7 @@ def _names(
     """Names of the K points of (N, K, 3) people, and what a user should know of the choice."""
     count = people.shape[1]
     if model is not None and model not in MODELS:
-        raise InputError(path, f"unknown model {model!r}, expected {', '.join(MODELS)}")
+        raise InputError(path, f"unknown model {shown(model)}, expected {', '.join(MODELS)}")
     names = first.points if model is None else MODELS[model]
     if names is not None:
         if len(names) != count:
