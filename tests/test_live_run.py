@@ -142,6 +142,15 @@ def test_what_is_not_said_is_loopback_and_unitys_axes(tmp_path):
         ('camera = "other"', 'camera = "cam"', "one camera"),
         ("[osc]", "[markers.filters]\nbutterworth = 6.0\n[osc]", "expected one_euro"),
         ("[osc]", "[lsl]\nstream = 'mocap'\n[osc]", "one source"),
+        ("device = 2", "device = 1e300", "device"),
+        ("-0.04", "-1e9", r"offset: found.*from -60 to 60"),
+        ("rtsp://somewhere/stream", "/dev/zero", "url: found.*rtsp"),
+        ("rtsp://somewhere/stream", "file:///dev/zero", "url: found"),
+        ('camera = "other"', 'camera = "CAM"', "one camera|CAM"),
+        ('["hip", "foot_l"]', '["hip", "hip"]', "each once"),
+        ('["hip", "foot_l"]', "[[]]", "each once"),
+        ("Hmd = {", '"a\\nb" = { bone = "head" }\nHmd = {', "printable characters"),
+        ("Hmd = {", '" Hmd" = { bone = "head" }\nHmd = {', "printable characters"),
     ],
 )
 def test_what_does_not_fit_is_said(tmp_path, old, new, said):

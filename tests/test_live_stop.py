@@ -16,12 +16,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from small_recording import PLACES
-from test_live_disk import live_setup
+from test_live_disk import contents, live_setup
 from test_live_run import Standing, small_setup
 
 import jaxmocap.run.live
 from jaxmocap import Recording
 from jaxmocap.capture import cameras
+from jaxmocap.capture.video import open_video
 from jaxmocap.formats.addresses import Address
 from jaxmocap.formats.errors import InputError, OutputError
 from jaxmocap.outputs.osc import Bundle
@@ -328,3 +329,55 @@ def _stopped(path: Path, out: Path, number: int) -> tuple[int, str]:
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", int(page)), 5.0)
     return process.returncode, said
+
+
+@posix
+@pytest.mark.slow
+def test_forty_kills_of_the_command_lose_nothing_and_leave_nothing_hidden(tmp_path):
+    """SIGKILL at any time: while it loads, compiles, listens and records."""
+    port, stop, found = free_port(), threading.Event(), Counter()
+    live_setup(tmp_path)
+    path = tmp_path / "live.toml"
+    path.write_text(f"{path.read_text()}\n[osc]\nlisten = {port}\n")
+    threading.Thread(target=send_markers, args=(Address(port=port), stop), daemon=True).start()
+    listens = _seconds_until_it_listens(path)
+    for i, after in enumerate(np.random.default_rng(0).uniform(0.1, 2.0, 40) * listens):
+        out = tmp_path / f"out {i}"
+        line = [sys.executable, "-m", "jaxmocap.cli", "live", path, "--out", out]
+        process = subprocess.Popen(line, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+        time.sleep(after)
+        process.kill()
+        process.wait()
+        found[_left_by_a_kill(path, out)] += 1
+    stop.set()
+    print(f"it listened after {listens:.1f} s; {dict(found)}")
+    assert sum(found.values()) == 40 and found["a recording"] > 5
+
+
+def _seconds_until_it_listens(path: Path) -> float:
+    """Of a run whose programs have been compiled before."""
+    for _ in range(2):
+        began = time.monotonic()
+        line = [sys.executable, "-m", "jaxmocap.cli", "live", path, "--seconds", "0.1"]
+        subprocess.run(line, capture_output=True, check=False)
+    return time.monotonic() - began
+
+
+def _left_by_a_kill(path: Path, out: Path) -> str:
+    """What a run that was killed has left, in a word; the next run does not touch it."""
+    before = contents(out) if out.exists() else {}
+    seen = {name: data for name, data in before.items() if not name.startswith(".")}
+    if not seen:
+        return "nothing"
+    with pytest.raises(InputError, match="another folder"):
+        run_live(path, out=out)
+    assert contents(out) == seen
+    if "recording.toml" not in seen:
+        # Not a sample had come.
+        assert seen.get("markers.csv", b"").count(b"\n") <= 1
+        return "no sample yet"
+    recording = Recording.load(out / "recording.toml")
+    assert seen["markers.csv"].endswith(b"\n")
+    for video in recording.videos:
+        assert all(image is not None for _, image in open_video(video).frames())
+    return "a recording"

@@ -94,9 +94,10 @@ class LiveRecording:
     @property
     def problem(self) -> str | None:
         """What could not be written and why, in a sentence; or None."""
-        if not self._failed:
+        # The thread that writes may add to it meanwhile.
+        if not (failed := list(self._failed)):
             return None
-        first, *rest = self._failed
+        first, *rest = failed
         files = ", ".join([str(self.folder / first), *rest])
         return f"{files}: cannot be written any more ({self._failed[first]})"
 
@@ -153,9 +154,10 @@ class LiveRecording:
             except Empty:
                 event = None
             if isinstance(event, Frame):
-                self._attempt(_film_name(self._setup, event.camera), self._film, event)
+                name = _film_name(self._setup, event.camera)
+                self.dropped += not self._attempt(name, self._film, event)
             elif event is not None:
-                self._attempt(MARKERS, self._note, event)
+                self.dropped += not self._attempt(MARKERS, self._note, event)
             elif self._ending.is_set() and self._queue.empty():
                 return
             if monotonic() - self._flushed >= FLUSHED_S:
@@ -163,16 +165,19 @@ class LiveRecording:
                 self._attempt(MARKERS, self._rows.flush)
                 self._list()
 
-    def _attempt(self, name: str, act: Callable[..., Any], *arguments: Any) -> None:
-        """Write to one file; a full disk must not end the run, and no other file's writing."""
+    def _attempt(self, name: str, act: Callable[..., Any], *arguments: Any) -> bool:
+        """Write to one file, if that has not failed before; whether it was written.
+
+        A full disk must not end the run, and no other file's writing.
+        """
         if name in self._failed:
-            self.dropped += bool(arguments)
-            return
+            return False
         try:
             act(*arguments)
         except (OSError, FFmpegError, ValueError) as error:
             self._failed[name] = _why(error)
-            self.dropped += bool(arguments)
+            return False
+        return True
 
     def _note(self, sample: Sample) -> None:
         measured = sample.measured
@@ -195,7 +200,6 @@ class LiveRecording:
         there = bool(self._rows.rows), [i for i, _ in films]
         if there == (False, []) or (there == self._listed and not again):
             return
-        self._listed = there
         videos = [
             {
                 "file": film.path.name,
@@ -206,12 +210,10 @@ class LiveRecording:
         ]
         on = {place.name: _place(place) for place in self._setup.places}
         markers = MARKERS if there[0] else None
-        calibration = next(iter(self._copies)) if videos else None
-        told = markers, on, videos, calibration, self._subject
-        self._attempt(LIST, self._write_list, *told)
-
-    def _write_list(self, *arguments: Any) -> None:
-        self.path = write_recording(self.folder, *arguments)
+        calibration = next((name for name in self._copies if name.startswith("calib")), None)
+        content = markers, on, videos, calibration if videos else None, self._subject
+        if self._attempt(LIST, write_recording, self.folder, *content):
+            self.path, self._listed = self.folder / LIST, there
 
     def _empty(self) -> Iterator[str]:
         """Files of the run that hold nothing, so that none refers to them."""
@@ -259,10 +261,7 @@ def _film_name(setup: LiveSetup, camera: int) -> str:
 
 
 def _copies(setup: LiveSetup) -> dict[str, Path]:
-    """Name in the folder -> file that is copied there, so that it can be moved as a whole.
-
-    With videos the calibration comes first.
-    """
+    """Name in the folder -> file that is copied there, so that it can be moved as a whole."""
     found = {}
     if setup.videos and setup.calibration is not None:
         found[f"calibration{setup.calibration.suffix.lower()}"] = setup.calibration
