@@ -7,6 +7,7 @@ import pytest
 
 from jaxmocap.capture.gathering import Gathering, Sample
 from jaxmocap.capture.lsl import MarkerStream
+from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.live import load_live
 
 try:
@@ -17,9 +18,9 @@ except (ImportError, RuntimeError):
 MARKERS = ("Head", "LWrist")
 
 
-def outlet(name: str, labels: list[str], unit: str = "millimeters"):
+def outlet(name: str, labels: list[str], unit: str = "millimeters", kind: str = "float32"):
     """A stream of 90 samples a second."""
-    info = pylsl.StreamInfo(name, "MoCap", len(labels), 90, "float32", f"{name}-1")
+    info = pylsl.StreamInfo(name, "MoCap", len(labels), 90, kind, f"{name}-1")
     channels = info.desc().append_child("channels")
     for label in labels:
         channel = channels.append_child("channel")
@@ -94,6 +95,30 @@ def test_a_stream_without_such_channels_is_said():
     finally:
         stream.stop()
     assert "found EEG1, EEG2, EEG3" in str(stream.problem) and not samples
+
+
+def test_a_stream_of_text_is_refused_and_its_labels_are_no_commands_to_a_terminal():
+    for kind, label, said in (
+        ("string", "Head", "found text"),
+        ("float32", "\x1b[2JHead", "\\x1b[2JHead"),
+    ):
+        name = f"jaxmocap test {time.time_ns()}"
+        _sends = outlet(name, [label] * 3, kind=kind)
+        stream, samples = listening(name)
+        try:
+            assert wait_for(lambda stream=stream: stream.problem is not None)
+        finally:
+            stream.stop()
+        assert said in str(stream.problem) and str(stream.problem).isprintable() and not samples
+
+
+@pytest.mark.parametrize("name", ["it's", "\\u001b[2J", "x" * 300])
+def test_a_name_that_no_stream_has_is_refused(tmp_path, name):
+    path = tmp_path / "live.toml"
+    path.write_text(f'[markers.on]\nHead = {{ bone = "head" }}\n[lsl]\nstream = "{name}"\n')
+    with pytest.raises(InputError, match="stream: found") as refused:
+        load_live(path)
+    assert str(refused.value).isprintable()
 
 
 def test_a_live_runs_file_may_name_a_stream_which_is_z_up(tmp_path):

@@ -245,6 +245,27 @@ def test_images_of_another_size_than_calibrated_are_not_used(tmp_path, monkeypat
     assert camera.frames == 0 and "640 × 480 pixels, calibrated for 96 × 72" in str(camera.problem)
 
 
+def test_a_stream_of_far_larger_images_than_calibrated_is_not_decoded(tmp_path):
+    setup = small_setup(tmp_path)
+    clip = str(setup.videos[0].source)
+    most = cameras.most_pixels(setup.videos[0].camera.size)
+    assert len(list(cameras.stream_frames(clip, False, most))) == 12
+    with pytest.raises(InputError, match="images of 96 × 72 pixels, far more"):
+        list(cameras.stream_frames(clip, False, 1000))
+
+
+def test_why_a_camera_does_not_come_is_said(tmp_path, monkeypatch):
+    monkeypatch.setattr(cameras, "AGAIN_S", 0.01)
+    video = replace(small_setup(tmp_path).videos[0], source="tcp://127.0.0.1:9")
+    camera = LiveCamera(video, 0, lambda _: None, colour=False)
+    camera.start()
+    end = time.monotonic() + 20
+    while camera.reason is None and time.monotonic() < end:
+        time.sleep(0.01)
+    camera.stop()
+    assert camera.status == "waiting" and "refused" in str(camera.reason)
+
+
 # All of it ---------------------------------------------------------------------------------------
 
 
