@@ -1,5 +1,7 @@
 """Streams over time: markers between samples, frames of whole and broken videos, their order."""
 
+import os
+import struct
 from fractions import Fraction
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from jaxmocap.capture import video as video_module
 from jaxmocap.capture.markers import interpolate
 from jaxmocap.capture.timeline import SIMULTANEOUS_S, build_timeline, check_overlap
 from jaxmocap.capture.video import MemoryVideo, Video, check_size, open_video
@@ -32,7 +35,7 @@ def write_video(
 ) -> Path:
     """One picture per stamp, in hundredths of a second."""
     with av.open(str(path), "w", options=options or {}) as container:
-        stream = container.add_stream(CODECS[path.suffix], rate=100)
+        stream = container.add_stream(CODECS.get(path.suffix, "mpeg4"), rate=100)
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
         if path.suffix == ".avi":
             stream.pix_fmt = "yuvj420p"
@@ -399,3 +402,95 @@ def test_the_real_videos_have_60_frames_at_60_hertz(recordings, number):
     assert (said is None) == (number > 2)
     images = [image for _, image in video.frames(luma=True)]
     assert all(image is not None and image.shape == video.size[::-1] for image in images)
+
+
+# Hostile videos ----------------------------------------------------------------------------------
+
+
+def patched(path: Path, box: bytes, at: int, *numbers: int) -> Path:
+    """A video whose box of that kind holds other numbers of 32 bits."""
+    content = bytearray(write_video(path).read_bytes())
+    start = content.index(box) + at
+    content[start : start + 4 * len(numbers)] = struct.pack(f">{len(numbers)}I", *numbers)
+    path.write_bytes(content)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("box", "at", "numbers"),
+    [
+        (b"stts", 8, (1, 20, 2**31 - 1)),
+        (b"stts", 8, (1, 20, 0)),
+        (b"stts", 8, (1, 2**31, 1)),
+        (b"stsz", 8, (1, 2**30)),
+        (b"stsz", 8, (1, 2**28 - 1)),
+        (b"mdhd", 16, (0,)),
+        (b"mdhd", 16, (1,)),
+        (b"mvhd", 16, (0, 2**32 - 1)),
+    ],
+)
+def test_times_and_counts_of_a_video_are_sensible_or_refused(tmp_path, box, at, numbers):
+    try:
+        video = Video(patched(tmp_path / "v.mp4", box, at, *numbers))
+    except InputError as error:
+        assert str(error).startswith(f"{tmp_path / 'v.mp4'}: ")
+        return
+    assert np.isfinite(video.times).all() and (np.diff(video.times) > 0).all()
+    assert 0 <= video.duration < 1e6 and len(list(video)) == len(video.times)
+
+
+def test_stamps_far_apart_are_refused(tmp_path):
+    write_video(tmp_path / "v.mkv", [0, 1, 2, 100 * 86400 * 30])
+    with pytest.raises(InputError, match=r"found frames 0 to 2\.592e\+06 s after its start"):
+        Video(tmp_path / "v.mkv")
+
+
+def test_images_of_any_size_that_a_file_states_are_not_decoded(tmp_path):
+    """JPEG images of 30000 by 30000 pixels, as their headers say, in a small file."""
+    content = bytearray(write_video(tmp_path / "v.avi").read_bytes())
+    places = [i for i in range(len(content)) if content[i : i + 2] == b"\xff\xc0"]
+    for place in places:
+        content[place + 5 : place + 9] = struct.pack(">HH", 30_000, 30_000)
+    (tmp_path / "v.avi").write_bytes(content)
+    with pytest.raises(InputError, match="none of its frames can be decoded"):
+        Video(tmp_path / "v.avi")
+
+
+def test_frames_of_another_size_are_none(tmp_path):
+    images = [cv2.imencode(".jpg", np.full((h, 64, 3), 90, np.uint8))[1] for h in (48, 48, 32)]
+    (tmp_path / "v.mjpeg").write_bytes(b"".join(image.tobytes() for image in images))
+    video = Video(tmp_path / "v.mjpeg")
+    shown = [image is not None for _, image in video]
+    assert video.size == (64, 48) and shown == [True, True, False]
+
+
+def test_more_frames_than_any_recording_has_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(video_module, "MOST_FRAMES", 10)
+    with pytest.raises(InputError, match="expected at most 10 frames"):
+        Video(write_video(tmp_path / "v.mp4"))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nv.mp4\n",
+        "ffconcat version 1.0\nfile 'v.mp4'\n",
+        "v=0\no=- 0 0 IN IP4 127.0.0.1\nc=IN IP4 127.0.0.1\nm=video 9 RTP/AVP 96\n",
+    ],
+)
+def test_lists_of_other_files_and_hosts_are_no_videos(tmp_path, text):
+    write_video(tmp_path / "v.mp4")
+    (tmp_path / "list.mp4").write_text(text)
+    with pytest.raises(InputError, match=r"list\.mp4: is not a video"):
+        Video(tmp_path / "list.mp4")
+
+
+def test_pipes_devices_and_folders_are_refused_before_they_are_opened(tmp_path):
+    with pytest.raises(InputError, match="found a folder, expected a file"):
+        Video(tmp_path)
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(tmp_path / "v.mp4")
+        with pytest.raises(InputError, match="found a named pipe, expected a file"):
+            Video(tmp_path / "v.mp4")
+        with pytest.raises(InputError, match="found a device, expected a file"):
+            Video("/dev/zero")

@@ -181,7 +181,7 @@ def test_an_empty_room_is_read_from_a_picture_of_the_videos_size(tmp_path):
     with pytest.raises(InputError, match=r"found 16 × 12 pixels, expected 640 × 480"):
         read_empty_room(tmp_path / "empty.png", (640, 480))
     (tmp_path / "no.png").write_text("nothing")
-    with pytest.raises(InputError, match=r"no\.png.*expected \.png or \.jpg"):
+    with pytest.raises(InputError, match=r"no\.png.*expected PNG, JPEG"):
         read_empty_room(tmp_path / "no.png", (16, 12))
 
 

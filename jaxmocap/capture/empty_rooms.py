@@ -5,11 +5,10 @@ INPUTS: the files that a recording names. OUTPUTS: images, as large as the video
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 
+from jaxmocap.capture.photographs import read_picture
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.reading import read_bytes
 
 
 def read_empty_room(path: Path, size: tuple[int, int]) -> np.ndarray:
@@ -22,9 +21,7 @@ def read_empty_room(path: Path, size: tuple[int, int]) -> np.ndarray:
     Raises:
         InputError: no image, or one of another size: it must be the video's own picture.
     """
-    found = cv2.imdecode(np.frombuffer(read_bytes(path), np.uint8), cv2.IMREAD_COLOR)
-    if found is None:
-        raise InputError(path, "cannot be read as an image, expected .png or .jpg")
+    found = read_picture(path)
     height, width = found.shape[:2]
     if (width, height) != tuple(size):
         said = f"found {width} × {height} pixels, expected {size[0]} × {size[1]} as the video has"

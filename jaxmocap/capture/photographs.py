@@ -1,17 +1,29 @@
-"""Photographs from files.
+"""Photographs and other pictures from files, and to files.
 
 INPUTS: an image file, the camera that took it. OUTPUTS: (H, W, 3) BGR uint8, of the camera's size.
 """
 
+import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
+from cv2.utils import logging
 
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.reading import read_bytes
-from jaxmocap.formats.writing import replacing
+from jaxmocap.formats.picture_size import (
+    KINDS,
+    TELLING_BYTES,
+    is_damaged,
+    is_picture,
+    picture_size,
+)
+from jaxmocap.formats.reading import open_regular, read_bytes
+from jaxmocap.formats.writing import write_bytes
 from jaxmocap.geometry.cameras import Camera
+
+# The largest sensors of telephones have 108 million; decoding takes some ten bytes for each.
+MOST_PIXELS = 110_000_000
 
 
 def read_photograph(path: str | Path, camera: Camera) -> np.ndarray:
@@ -20,8 +32,7 @@ def read_photograph(path: str | Path, camera: Camera) -> np.ndarray:
     Raises:
         InputError: no such file, not an image, or of another size than the camera's.
     """
-    path = Path(path)
-    image = picture_of(path, read_bytes(path))
+    image = read_picture(path)
     width, height = (int(n) for n in np.asarray(camera.size))
     if image.shape[:2] != (height, width):
         found = f"{image.shape[1]} x {image.shape[0]}"
@@ -31,24 +42,63 @@ def read_photograph(path: str | Path, camera: Camera) -> np.ndarray:
     return image
 
 
-def write_picture(path: str | Path, picture: np.ndarray) -> Path:
-    """Write a picture (H, W, 3), BGR uint8, in the format that the path's suffix names."""
-    with replacing(path) as beside:
-        cv2.imwrite(str(beside), picture)
-    return Path(path)
+def read_picture(path: str | Path) -> np.ndarray:
+    """The picture (H, W, 3), BGR uint8, of an image file.
+
+    Raises:
+        InputError: no such file, not an image, or a larger one than any camera takes.
+    """
+    return picture_of(path, read_bytes(path))
+
+
+def is_picture_file(path: str | Path) -> bool:
+    """Whether a file says by its first bytes that it is a picture."""
+    with open_regular(path, sys.maxsize) as file:
+        return is_picture(file.read(TELLING_BYTES))
 
 
 def picture_of(path: str | Path, content: bytes) -> np.ndarray:
     """The picture (H, W, 3), BGR uint8, in an image file's content.
 
     Raises:
-        InputError: it is not an image; ``path`` is what the message names.
+        InputError: it is not an image, or a larger one than any camera takes; ``path`` is what
+            the message names.
     """
-    data = np.frombuffer(content, np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
+    if not content:
+        raise InputError(path, "is not an image that can be read, it is empty")
+    size = picture_size(content)
+    if size is None:
+        raise InputError(path, f"is not an image that can be read, expected {KINDS}")
+    width, height = size
+    # Before it is decoded: some kilobytes of file may state any size.
+    if not 0 < width * height <= MOST_PIXELS:
+        expected = f"expected up to {MOST_PIXELS / 1e6:g} million"
+        raise InputError(path, f"found an image of {width} x {height} pixels, {expected}")
+    image = None if is_damaged(content) else _decoded(content)
     if image is None:
-        raise InputError(path, "is not an image that can be read")
+        raise InputError(path, "is not an image that can be read, it is damaged")
     return np.asarray(image)
+
+
+def _decoded(content: bytes) -> np.ndarray | None:
+    """The picture, or None; OpenCV would print of what is damaged in its own words."""
+    level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    try:
+        return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+    except cv2.error:
+        return None
+    finally:
+        logging.setLogLevel(level)
+
+
+def write_picture(path: str | Path, picture: np.ndarray) -> Path:
+    """Write a picture (H, W, 3), BGR uint8, in the format that the path's suffix names.
+
+    Raises:
+        OutputError: it cannot be written whole; what was there before is as it was.
+    """
+    write_bytes(path, cv2.imencode(Path(path).suffix, picture)[1].tobytes())
+    return Path(path)
 
 
 def png_of(picture: np.ndarray) -> bytes:

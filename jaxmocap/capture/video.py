@@ -5,9 +5,10 @@ OUTPUTS: frame times in seconds of marker time, known without decoding, and the 
 None where one cannot be decoded.
 """
 
+import os
 from abc import ABC, abstractmethod
+from array import array
 from collections.abc import Iterator, Sequence
-from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -20,6 +21,7 @@ from av.video.stream import VideoStream
 
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.reading import regular_file
 from jaxmocap.formats.recording import VideoSource
 from jaxmocap.formats.tables import Places, check_times
 from jaxmocap.geometry.cameras import Camera
@@ -27,6 +29,26 @@ from jaxmocap.geometry.cameras import Camera
 Frame = tuple[float, np.ndarray | None]
 # A video that differs more than this from its calibration was not taken with it.
 SIZE_TOLERANCE = 0.02
+NO_VIDEO = "is not a video"
+# The size before the first image.
+_UNKNOWN = (0, 0)
+# 8K; a file of some kilobytes may state any size.
+MOST_PIXELS = 2**25
+# 4.6 hours at 120 Hz, and a week.
+MOST_FRAMES, LONGEST_S = 2_000_000, 604_800.0
+# Frames per second of a video without stamps.
+FASTEST_HZ = 100_000.0
+# Files that hold their video themselves. Playlists and scripts, which FFmpeg reads as well, lead to
+# other files, pipes and hosts.
+_HOLDERS = (
+    "mov,mp4,matroska,webm,avi,mpegts,mpeg,mpegvideo,flv,asf,ogg,mxf,nut,dv,ivf,gif,wav,"
+    "h264,hevc,vvc,m4v,mjpeg,obu,av1,cine,ser,gxf,wtv,dhav,yuv4mpegpipe"
+)
+_OPTIONS = {
+    "format_whitelist": _HOLDERS,
+    "protocol_whitelist": "file",
+    "max_pixels": str(MOST_PIXELS),
+}
 
 
 class FrameSource(ABC):
@@ -85,44 +107,67 @@ class Video(FrameSource):
         Raises:
             InputError: no such file, not a video, or no frame in it can be decoded.
         """
-        self.name, self.path = str(path), Path(path)
-        if not self.path.is_file():
-            raise InputError(path, "no such file")
-        stamps, seconds = self._scan()
-        self._index = None if stamps is None else {stamp: i for i, stamp in enumerate(stamps)}
+        self.name, self.path = str(path), regular_file(path)
+        self.size = _UNKNOWN
+        self._stamps, seconds = self._scan()
         self.times = seconds + offset
         height, width = self._first_image().shape
         self.size = (width, height)
 
     def _open(self) -> InputContainer:
         try:
-            container = av.open(str(self.path), metadata_errors="replace")
-        except (FFmpegError, OSError):
-            raise InputError(self.path, "is not a video") from None
+            url = f"file:{os.path.abspath(self.path)}"
+            container = av.open(url, metadata_errors="replace", options=_OPTIONS)
+        except (FFmpegError, OSError, ValueError):
+            raise InputError(self.path, NO_VIDEO) from None
         if not container.streams.video:
             container.close()
-            raise InputError(self.path, "is not a video, it has no video stream")
+            raise InputError(self.path, f"{NO_VIDEO}, it has no video stream")
+        context = container.streams.video[0].codec_context
+        if context is not None and context.width * context.height > MOST_PIXELS:
+            container.close()
+            found = f"found images of {context.width} × {context.height} pixels"
+            raise InputError(self.path, f"{found}, expected up to {MOST_PIXELS / 1e6:.0f} million")
         return container
 
-    def _scan(self) -> tuple[list[int] | None, np.ndarray]:
+    def _scan(self) -> tuple[np.ndarray | None, np.ndarray]:
         """Presentation stamps of all frames in order, and seconds since the stream's start."""
+        stamps, unstamped = array("q"), 0
         with self._open() as container:
             stream = container.streams.video[0]
-            packets = [p for p in _packets(container, stream) if p.size and not p.is_discard]
-            found = {packet.pts for packet in packets if packet.pts is not None}
-            if any(packet.pts is None for packet in packets):
+            for packet in _packets(container, stream):
+                if packet.size and not packet.is_discard:
+                    unstamped += packet.pts is None
+                    stamps.append(packet.pts or 0)
+                if len(stamps) > MOST_FRAMES:
+                    raise InputError(self.path, f"expected at most {MOST_FRAMES} frames")
+            if unstamped:
                 # Without stamps the frames follow one another at the stream's rate.
-                rate = stream.average_rate or stream.guessed_rate or Fraction(30)
-                return None, np.arange(len(packets)) / float(rate)
-            stamps = sorted(found)
-            start = stream.start_time if stream.start_time is not None else min(found, default=0)
-            return stamps, (np.array(stamps) - start) * float(stream.time_base or 1)
+                rate = float(stream.average_rate or stream.guessed_rate or 30)
+                if not 0 < rate <= FASTEST_HZ:
+                    raise InputError(self.path, f"found {rate:g} frames per second")
+                return None, np.arange(len(stamps)) / rate
+            found = np.unique(np.asarray(stamps, np.int64))
+            return found, self._seconds(found, stream)
+
+    def _seconds(self, stamps: np.ndarray, stream: VideoStream) -> np.ndarray:
+        """Since the stream's start, of ascending stamps."""
+        if not len(stamps):
+            return np.zeros(0)
+        tick = float(stream.time_base or 1)
+        start = int(stamps[0]) if stream.start_time is None else stream.start_time
+        # Python's numbers do not overflow.
+        first, last = (tick * (int(stamp) - start) for stamp in stamps[[0, -1]])
+        if not -LONGEST_S <= first <= last <= LONGEST_S:
+            found = f"found frames {first:.4g} to {last:.4g} s after its start"
+            raise InputError(self.path, f"{found}, expected within {LONGEST_S / 86400:g} days")
+        return (stamps - start) * tick
 
     def _first_image(self) -> np.ndarray:
         for _, image in self.frames(luma=True):
             if image is not None:
                 return image
-        raise InputError(self.path, "is not a video, none of its frames can be decoded")
+        raise InputError(self.path, f"{NO_VIDEO}, none of its frames can be decoded")
 
     def frames(self, luma: bool = False) -> Iterator[Frame]:
         """See ``FrameSource.frames``. The end of a truncated file yields None."""
@@ -133,15 +178,26 @@ class Video(FrameSource):
             for missing in range(done, i):
                 yield float(self.times[missing]), None
             done = i + 1
-            yield float(self.times[i]), None if frame.is_corrupt else image_of(frame, luma)
+            yield float(self.times[i]), self._image(frame, luma)
         for missing in range(done, len(self.times)):
             yield float(self.times[missing]), None
+
+    def _image(self, frame: VideoFrame, luma: bool) -> np.ndarray | None:
+        """A frame's image; None of one that is broken, or of another size than the first."""
+        if frame.is_corrupt or frame.width * frame.height > MOST_PIXELS:
+            return None
+        try:
+            image = image_of(frame, luma)
+        except (FFmpegError, OSError, ValueError):
+            return None
+        return image if self.size in (_UNKNOWN, image.shape[1::-1]) else None
 
     def _decoded(self) -> Iterator[tuple[int, VideoFrame]]:
         """Index and frame of all that can be decoded; a broken packet costs only its frames."""
         with self._open() as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
+            stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
             count = 0
             for packet in _packets(container, stream):
                 try:
@@ -149,7 +205,7 @@ class Video(FrameSource):
                 except (FFmpegError, OSError):
                     continue
                 for frame in frames:
-                    i = count if self._index is None else self._index.get(frame.pts, -1)
+                    i = count if self._stamps is None else _place(self._stamps, frame.pts)
                     count += 1
                     if 0 <= i < len(self.times):
                         yield i, frame
@@ -256,6 +312,12 @@ def _packets(container: InputContainer, stream: VideoStream) -> Iterator[Packet]
             flush.stream = stream
             yield flush
             return
+
+
+def _place(stamps: np.ndarray, stamp: int | None) -> int:
+    """Where a stamp is among ascending ones; -1 where it is not."""
+    i = -1 if stamp is None else int(np.searchsorted(stamps, stamp))
+    return i if 0 <= i < len(stamps) and stamps[i] == stamp else -1
 
 
 def image_of(frame: VideoFrame, luma: bool) -> np.ndarray:

@@ -10,9 +10,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from jaxmocap.capture.video import Video
+from jaxmocap.capture.photographs import is_picture_file, read_picture
+from jaxmocap.capture.video import NO_VIDEO, Video
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.reading import read_bytes
 from jaxmocap.setup.boards import Board
 from jaxmocap.setup.corners import find_coarsely
 
@@ -42,10 +42,7 @@ class Picture:
         """(H, W, 3) BGR uint8; InputError where the file is not an image."""
         if self.frame is not None:
             return self.frame
-        image = _decoded(self.path)
-        if image is None:
-            raise InputError(self.path, "is not an image that can be read")
-        return image
+        return read_picture(self.path)
 
 
 def open_pictures(paths: Sequence[str | Path], board: Board) -> tuple[list[Picture], list[str]]:
@@ -61,22 +58,21 @@ def open_pictures(paths: Sequence[str | Path], board: Board) -> tuple[list[Pictu
         alone = len({other for other in files if other.name == path.name}) == 1
         if path.is_dir():
             raise InputError(path, "is a folder, expected images or a video")
-        if _decoded(path) is not None:
+        if is_picture_file(path):
+            # All are looked at before any work begins.
+            read_picture(path)
             pictures.append(Picture(path.name if alone else str(path), path))
             continue
         try:
             video = Video(path)
-        except InputError:
+        except InputError as error:
+            if error.problem != NO_VIDEO:
+                raise
             raise InputError(path, "is neither an image nor a video that can be read") from None
         chosen, sentence = _chosen_frames(video, board)
         pictures += chosen
         said.append(sentence)
     return pictures, said
-
-
-def _decoded(path: Path) -> np.ndarray | None:
-    data = np.frombuffer(read_bytes(path), np.uint8)
-    return cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
 
 
 @dataclass(frozen=True)
