@@ -36,6 +36,7 @@ MOST_ENTRIES = 500_000
 # are in a folder: OpenPose takes 2 to 10 KB for a frame.
 MOST_FILE_BYTES = 128 * 2**20
 MOST_FILE_PARTS = 4_000_000
+MOST_FILE_NUMBERS = 12_000_000
 MOST_FOLDER_BYTES = 2**30
 
 
@@ -92,6 +93,9 @@ def read_frames(file: Path) -> Iterator[Frame]:
         InputError: not JSON, none of these layouts, or the entry that does not fit.
     """
     text = read_bytes(file, MOST_FILE_BYTES).removeprefix(codecs.BOM_UTF8)
+    if (numbers := text.count(b",")) > MOST_FILE_NUMBERS:
+        problem = f"found {numbers} numbers, expected at most {MOST_FILE_NUMBERS} in one file"
+        raise InputError(file, problem)
     content = parse_json(file, text, MOST_FILE_BYTES, True, MOST_FILE_PARTS)
     if isinstance(content, dict) and "people" in content:
         yield Frame(_number_in_name(file), _people(file, content["people"]), None, file)

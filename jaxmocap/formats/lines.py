@@ -1,12 +1,12 @@
-"""Text files line by line: however large, one line at a time is in memory.
+"""Text files line by line: however large, some thousand lines at a time are in memory.
 
 INPUTS: a UTF-8 text file, its lines ended as any system ends them.
 OUTPUTS: numbered lines; InputError where it is no text, or more than any of ours.
 """
 
 import io
+import re
 from collections.abc import Iterator
-from itertools import repeat
 from pathlib import Path
 
 from jaxmocap.formats.errors import InputError
@@ -16,10 +16,14 @@ from jaxmocap.formats.reading import open_regular
 MOST_TABLE_BYTES = 2**30
 # Of files that are read whole.
 MOST_WHOLE_BYTES = 2**20
-# 14 hours at 200 Hz.
-MOST_LINES = 10_000_000
+# 7 hours at 200 Hz.
+MOST_LINES = 5_000_000
 # Characters: 10,000 numbers, far more than any row has.
 LONGEST_LINE = 2**20
+# Characters that are read at a time.
+_AT_ONCE = 2**18
+# What binary data or bytes that are no UTF-8 are decoded to.
+_NO_TEXT = re.compile("[\0\ud800-\udfff]")
 
 
 def numbered_lines(path: str | Path, most: int = MOST_TABLE_BYTES) -> Iterator[tuple[int, str]]:
@@ -32,42 +36,55 @@ def numbered_lines(path: str | Path, most: int = MOST_TABLE_BYTES) -> Iterator[t
     Raises:
         InputError: no such file, nothing in it, or the line that is no text or too long.
     """
-    blank = 0
-    with open_regular(path, most) as file:
-        text = io.TextIOWrapper(file, "utf-8-sig", errors="surrogateescape")
-        for number in range(1, MOST_LINES + 1):
-            if not (line := _line(path, number, text)):
-                break
-            most -= len(line)
-            if most < 0:
-                raise InputError(path, f"line {number}: the file does not end")
-            if blank is not None and not line.strip():
-                blank += 1
-                continue
-            # Those before it, which alone would make no file.
-            yield from zip(range(1, 1 + (blank or 0)), repeat(""), strict=False)
-            blank = None
-            yield number, line.rstrip("\n")
-        else:
+    number, is_empty = 0, True
+    for lines in _blocks(path, most):
+        if number + len(lines) > MOST_LINES:
             raise InputError(path, f"found more than {MOST_LINES} lines")
-    if blank is not None:
+        if is_empty and any(map(str.strip, lines)):
+            is_empty = False
+            # Those before, which alone would make no file.
+            yield from ((blank, "") for blank in range(1, number + 1))
+        if not is_empty:
+            yield from enumerate(lines, number + 1)
+        number += len(lines)
+    if is_empty:
         raise InputError(path, "the file is empty")
 
 
-def _line(path: str | Path, number: int, text: io.TextIOWrapper) -> str:
-    """The next line with its end; empty where there is none."""
+def _blocks(path: str | Path, most: int) -> Iterator[list[str]]:
+    """Some lines at a time, without their ends."""
+    number, rest = 0, ""
+    with open_regular(path, most) as file:
+        text = io.TextIOWrapper(file, "utf-8-sig", errors="surrogateescape")
+        while block := _read(path, text):
+            # A file of the system may be endless and say that it is empty.
+            if (most := most - len(block)) < 0:
+                raise InputError(path, "found a file that does not end")
+            block = rest + block
+            _check(path, number, block)
+            *lines, rest = block.split("\n")
+            if len(rest) > LONGEST_LINE:
+                problem = f"found more than {LONGEST_LINE} characters, expected a line of a table"
+                raise InputError(path, f"line {number + len(lines) + 1}: {problem}")
+            yield lines
+            number += len(lines)
+    yield [rest]
+
+
+def _read(path: str | Path, text: io.TextIOWrapper) -> str:
     try:
-        line = text.readline(LONGEST_LINE + 1)
+        return text.read(_AT_ONCE)
     except OSError as error:
         raise InputError(path, f"cannot be read ({error.strerror})") from None
-    if "\0" in line:
-        raise InputError(path, f"line {number}: found binary data, expected text")
-    if not line.isascii() and any("\ud800" <= c <= "\udfff" for c in line):
-        raise InputError(path, f"line {number}: found bytes that are not UTF-8 text")
-    if len(line) > LONGEST_LINE:
-        problem = f"found more than {LONGEST_LINE} characters, expected a line of a table"
-        raise InputError(path, f"line {number}: {problem}")
-    return line
+
+
+def _check(path: str | Path, number: int, block: str) -> None:
+    """InputError where something is no text; ``number`` lines stand before the block."""
+    if found := _NO_TEXT.search(block):
+        line = number + block.count("\n", 0, found.start()) + 1
+        is_binary = found[0] == "\0"
+        what = "binary data, expected text" if is_binary else "bytes that are not UTF-8 text"
+        raise InputError(path, f"line {line}: found {what}")
 
 
 def read_lines(path: str | Path, most: int = MOST_WHOLE_BYTES) -> list[str]:
