@@ -209,15 +209,8 @@ def calibrate_extrinsics(options: argparse.Namespace) -> None:
         options.points,
         options.up,
     )
-    found = calibrate_extrinsics(
-        options.image,
-        seen,
-        options.camera,
-        options.out,
-        options.intrinsics,
-        options.pictures,
-        options.upside_down,
-    )
+    files = options.out, options.intrinsics, options.pictures
+    found = calibrate_extrinsics(options.image, seen, options.camera, *files, options.upside_down)
     text, figures = calibration_report.extrinsics_text, calibration_report.extrinsics_figures
     _report(options, text(found), figures(found))
 
