@@ -53,7 +53,7 @@ def bundle_of_markers() -> bytes:
 
 
 def send_markers(address: Address, stop: threading.Event) -> None:
-    """Markers at 90 Hz until told to stop."""
+    """Markers at 90 Hz until asked to stop."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         while not stop.wait(1 / 90):
             sender.sendto(bundle_of_markers(), tuple(address))
@@ -312,15 +312,19 @@ def test_live_with_a_viewer_ends_cleanly_every_time(tmp_path, number, times):
 
 def _stopped(path: Path, out: Path, number: int) -> tuple[int, str]:
     """Exit code and standard error of a run that a signal stops at some time."""
-    line = [sys.executable, "-m", "jaxmocap.cli", "live", path, "--view", "web", "--out", out]
+    command = [sys.executable, "-m", "jaxmocap.cli", "live", path, "--view", "web", "--out", out]
     process = subprocess.Popen(
-        line, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True
+        command,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,
     )
     assert process.stderr is not None
     said = ""
-    for told in process.stderr:
-        said += told
-        if "coming in" in told:
+    for line in process.stderr:
+        said += line
+        if "coming in" in line:
             break
     time.sleep(0.5 + np.random.default_rng().uniform(0, 1.5))
     os.killpg(process.pid, number)
@@ -366,18 +370,18 @@ def _seconds_until_it_listens(path: Path) -> float:
 def _left_by_a_kill(path: Path, out: Path) -> str:
     """What a run that was killed has left, in a word; the next run does not touch it."""
     before = contents(out) if out.exists() else {}
-    seen = {name: data for name, data in before.items() if not name.startswith(".")}
-    if not seen:
+    there = {name: data for name, data in before.items() if not name.startswith(".")}
+    if not there:
         return "nothing"
     with pytest.raises(InputError, match="another folder"):
         run_live(path, out=out)
-    assert contents(out) == seen
-    if "recording.toml" not in seen:
+    assert contents(out) == there
+    if "recording.toml" not in there:
         # Not a sample had come.
-        assert seen.get("markers.csv", b"").count(b"\n") <= 1
+        assert there.get("markers.csv", b"").count(b"\n") <= 1
         return "no sample yet"
     recording = Recording.load(out / "recording.toml")
-    assert seen["markers.csv"].endswith(b"\n")
+    assert there["markers.csv"].endswith(b"\n")
     for video in recording.videos:
         assert all(image is not None for _, image in open_video(video).frames())
     return "a recording"

@@ -229,8 +229,8 @@ def _sinks(top: Fields) -> dict[str, Any]:
 def _trackers(fields: Fields) -> tuple[str, ...]:
     """Which of ``TRACKED`` are sent, each once."""
     chosen = fields.table.get("trackers", list(USUALLY_TRACKED))
-    known = isinstance(chosen, list) and all(name in TRACKED for name in chosen)
-    if not known or not 0 < len(chosen) == len(set(chosen)):
+    named = isinstance(chosen, list) and all(name in TRACKED for name in chosen)
+    if not named or not 0 < len(chosen) == len(set(chosen)):
         expected = f"a list of some of {', '.join(TRACKED)}, each once"
         raise fields.error("trackers", f"found {shown(chosen)}, expected {expected}")
     return tuple(chosen)

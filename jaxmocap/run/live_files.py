@@ -116,6 +116,11 @@ class Rows:
             raise
         self._file.complete()
 
+    @property
+    def begun(self) -> bool:
+        """Is any line on disk, or waits to be?"""
+        return bool(self.rows or self._lines)
+
     def add(self, line: str) -> None:
         """Add a line, which ``flush`` writes."""
         self._lines.append(line)

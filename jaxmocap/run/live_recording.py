@@ -162,8 +162,9 @@ class LiveRecording:
                 return
             if monotonic() - self._flushed >= FLUSHED_S:
                 self._flushed = monotonic()
-                self._attempt(MARKERS, self._rows.flush)
+                # In this order: no row is ever on disk without the file that says what it is.
                 self._list()
+                self._attempt(MARKERS, self._rows.flush)
 
     def _attempt(self, name: str, act: Callable[..., Any], *arguments: Any) -> bool:
         """Write to one file, if that has not failed before; whether it was written.
@@ -181,12 +182,12 @@ class LiveRecording:
 
     def _note(self, sample: Sample) -> None:
         measured = sample.measured
-        known = sample.positions_world if measured is None else measured.positions_world
+        columns = sample.positions_world if measured is None else measured.positions_world
         if self._setup.lsl is None:
-            nothing = np.full((len(known), 4), np.nan)
-            turns = nothing if measured is None else quaternions(measured.turns_world)
-            known = np.hstack([known, turns])
-        self._rows.add(",".join([f"{sample.time:.9f}", *format_rows(known).ravel()]))
+            missing = np.full((len(columns), 4), np.nan)
+            turns = missing if measured is None else quaternions(measured.turns_world)
+            columns = np.hstack([columns, turns])
+        self._rows.add(",".join([f"{sample.time:.9f}", *format_rows(columns).ravel()]))
 
     def _film(self, frame: Frame) -> None:
         if frame.camera not in self._films:
@@ -197,7 +198,7 @@ class LiveRecording:
     def _list(self, again: bool = False) -> None:
         """Write recording.toml, if there is more to read than it says, or once again."""
         films = [(i, film) for i, film in sorted(self._films.items()) if film.is_readable]
-        there = bool(self._rows.rows), [i for i, _ in films]
+        there = self._rows.begun, [i for i, _ in films]
         if there == (False, []) or (there == self._listed and not again):
             return
         videos = [
