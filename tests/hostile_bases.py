@@ -13,20 +13,24 @@ from scipy.spatial.transform import Rotation
 from small_recording import HEIGHT, PLACES, small_recording, write_small_recording
 
 from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
-from jaxmocap.body.loft import generic_surface
-from jaxmocap.body.motion import Motion
+from jaxmocap.body.loft import generic_surface, rest_joints
+from jaxmocap.body.mesh import atlas_of
+from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose, relaxed_pose
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.surface import rest_nodes
 from jaxmocap.formats.animation import write_animation
 from jaxmocap.formats.c3d import write_c3d
 from jaxmocap.formats.calibration import write_calibration, write_camera
 from jaxmocap.formats.csv import write_csv
 from jaxmocap.formats.mot import write_mot
 from jaxmocap.formats.npz import save_motion
+from jaxmocap.formats.skin import TEXEL_M
 from jaxmocap.formats.subject import write_subject
 from jaxmocap.formats.surface import save_surface
 from jaxmocap.formats.tables import Markers
 from jaxmocap.formats.trc import write_trc
+from jaxmocap.run.silhouette_person import read_person
 from jaxmocap.synthetic.lens import look_at
 
 STATIC = ("neck", "hip_l", "hip_r", "shoulder_l", "shoulder_r", "elbow_l", "knee_r")
@@ -196,6 +200,11 @@ def _write_subjects(folder: Path) -> None:
     write_subject(folder / "subject.toml", skeleton, HEIGHT, [])
     write_subject(folder / "model" / "subject.toml", skeleton, HEIGHT, [])
     save_surface(folder / "model" / "surface.npz", generic_surface(skeleton), skeleton.tree)
+    person = read_person(folder / "model")
+    nodes = rest_nodes(person.surface, rest_joints(person.skeleton))
+    atlas = atlas_of(person.surface, nodes, TEXEL_M)
+    picture = np.full((atlas.height, atlas.width, 3), 128, np.uint8)
+    cv2.imwrite(str(folder / "model" / "texture.png"), picture)
 
 
 def _write_motions(folder: Path) -> None:
@@ -203,12 +212,22 @@ def _write_motions(folder: Path) -> None:
     skeleton = Skeleton.human(HEIGHT)
     pose = Pose(*(np.repeat(np.asarray(part)[None], POSES, 0) for part in relaxed_pose(skeleton)))
     angles = pose.angles + 0.05 * np.sin(np.arange(POSES))[:, None]
-    motion = Motion(skeleton, np.arange(POSES) / RATE, pose._replace(angles=angles))
+    motion = Motion(skeleton, np.arange(POSES) / RATE, pose._replace(angles=angles), _report())
     save_motion(folder / "motion.npz", motion)
     write_animation(folder / "motion.bvh", motion)
     write_animation(folder / "motion.glb", motion)
     write_mot(folder / "motion.mot", motion)
     write_trc(folder / "joints.trc", motion.times, motion.joints())
+
+
+def _report() -> Report:
+    """What tracking says of every sample."""
+    each, pair = np.full((POSES, len(PLACES)), 0.01), np.full((POSES, 2), 0.5)
+    landmarks = np.full((POSES, len(LANDMARKS), 3), 0.02)
+    return Report(
+        tuple(PLACES), each, pair, pair, pair, landmarks, landmarks[..., 0] * 0,
+        (("said",),) * POSES, {"solve": np.full(POSES, 0.5)}, {"refine": "none"},
+    )  # fmt: skip
 
 
 def _write_pictures(folder: Path) -> None:

@@ -9,6 +9,7 @@ import struct
 import tomllib
 import zlib
 from collections.abc import Callable
+from itertools import islice
 
 import numpy as np
 from hostile_values import (
@@ -25,6 +26,8 @@ Mutated = tuple[bytes, str]
 Mutation = Callable[[np.random.Generator, bytes], Mutated]
 # What counts and sizes in binary headers become.
 WORDS = (0, 1, 2**15, 2**31 - 1, 2**31, 2**32 - 1)
+# What files grow to, bytes; and of how many places in them one is taken.
+MOST, MOST_PLACES, MOST_TOML = 2 * 2**20, 20_000, 15_000
 MAGIC = {
     "png": b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "jpeg": b"\xff\xd8\xff\xe0\0\x10JFIF\0",
     "zip": b"PK\x03\x04\x14\0\0\0\x08\0", "npy": b"\x93NUMPY\x01\0\x76\0{'descr': '<f8'}",
@@ -108,6 +111,11 @@ def recoded(rng: np.random.Generator, content: bytes) -> Mutated:
 BYTES = (truncated, flipped, spliced, word_changed, other_content, emptied)
 
 
+def times(line: bytes, wanted: int) -> int:
+    """How often a line may be repeated."""
+    return max(1, min(wanted, MOST // max(1, len(line))))
+
+
 def lines_changed(rng: np.random.Generator, content: bytes) -> Mutated:
     """Lines doubled, deleted, swapped, moved or repeated."""
     lines = content.split(b"\n")
@@ -122,17 +130,18 @@ def lines_changed(rng: np.random.Generator, content: bytes) -> Mutated:
     elif how == "join":
         lines[i : i + 2] = [b"".join(lines[i : i + 2])]
     elif how == "many":
-        lines[i : i + 1] = [lines[i]] * 3000
+        lines[i : i + 1] = [lines[i]] * times(lines[i], 3000)
     elif how == "rest":
         del lines[i:]
     else:
-        lines[i] = (lines[i] or b"a") * 2000
+        lines[i] = (lines[i] or b"a") * times(lines[i], 2000)
     return b"\n".join(lines), f"{how} lines {i + 1} and {j + 1}"
 
 
 def numbers_changed(rng: np.random.Generator, content: bytes) -> Mutated:
     """One number, or all of a line, become hostile ones."""
-    found = list(re.finditer(rb"-?\d+(\.\d+)?([eE][+-]?\d+)?", content))
+    pattern = rb"-?\d+(\.\d+)?([eE][+-]?\d+)?"
+    found = list(islice(re.finditer(pattern, content), MOST_PLACES))
     if not found:
         return flipped(rng, content)
     # Headers come first and are few: half of the time one of the first.
@@ -149,7 +158,7 @@ def numbers_changed(rng: np.random.Generator, content: bytes) -> Mutated:
 
 def words_changed(rng: np.random.Generator, content: bytes) -> Mutated:
     """A word becomes a hostile text."""
-    found = list(re.finditer(rb"[A-Za-z_][\w.]*", content))
+    found = list(islice(re.finditer(rb"[A-Za-z_][\w.]*", content), MOST_PLACES))
     if not found:
         return flipped(rng, content)
     match, text = found[rng.integers(min(len(found), 60))], hostile_text(rng)
@@ -162,6 +171,9 @@ TEXT = (lines_changed, numbers_changed, numbers_changed, words_changed, recoded)
 
 def toml_changed(rng: np.random.Generator, content: bytes) -> Mutated:
     """Keys and values of other kinds."""
+    if len(content) > MOST_TOML:
+        # Keys of 100,000 parts take Python's own reader gigabytes.
+        raise ValueError("too much to be taken apart")
     tree = tomllib.loads(content.decode())
     done = [change_tree(rng, tree) for _ in range(int(rng.choice([1, 1, 2])))]
     return as_toml(tree), "; ".join(done)

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from hostile_bytes import BYTES, recoded
+from hostile_bytes import BYTES, MOST, recoded
 from hostile_kinds import ARGUMENTS, BY_KIND, KINDS, MORE_COMMANDS, MUTATIONS, Kind
 from hostile_pool import Answer, Pool
 from hostile_values import ODD, brief, hostile_number, hostile_text
@@ -29,6 +29,8 @@ DEEP = Path("a/b/c/d")
 EARLIER = b"what an earlier run left\n"
 # Shares of cases: bytes of any file; things that are no files in place of one; earlier outputs.
 ANY_FILE, NO_FILE, HAS_EARLIER = 0.3, 0.06, 0.5
+# Of the commands that track, where they may be taken.
+COSTLY = 0.1
 
 
 @dataclass
@@ -100,7 +102,7 @@ def make_case(seed: int, number: int, bases: Path, folder: Path, costly: bool = 
     else:
         kind = BY_KIND[name]
         commands = kind.commands
-        if kind.costly and costly and rng.random() < 0.05:
+        if kind.costly and costly and rng.random() < COSTLY:
             commands = kind.costly
         case.arguments = str(rng.choice(commands)).split()
         copy_inputs(kind, bases, case.inside / "in")
@@ -131,7 +133,8 @@ def copy_inputs(kind: Kind, bases: Path, target: Path) -> None:
 
 def change_file(rng: np.random.Generator, case: Case, kind: Kind) -> None:
     """Make one file of a kind hostile."""
-    name = kind.files[rng.integers(len(kind.files))]
+    named = [name for name in kind.files if f"in/{name}" in case.arguments] or kind.files
+    name = named[rng.integers(len(named))]
     path = case.inside / "in" / name
     if rng.random() < NO_FILE:
         odd = str(rng.choice(ODD))
@@ -150,6 +153,9 @@ def change_file(rng: np.random.Generator, case: Case, kind: Kind) -> None:
             # What was hostile already cannot be taken apart any more.
             content, done = recoded(rng, content)
         case.done.append(f"{name}: {done}")
+        # A bomb is not to be taken apart here.
+        if len(content) > MOST:
+            break
     path.write_bytes(content)
 
 

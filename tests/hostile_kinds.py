@@ -56,7 +56,8 @@ class Kind:
 
     Attributes:
         name: of it.
-        files: that become hostile, one of them in each case.
+        files: that become hostile, one of them in each case: one that the command line names, if
+            it names any of them.
         commands: that read it, cheap ones.
         costly: that read it too, for whoever has the time.
         ends: exit code of the commands with the unchanged files.
@@ -74,7 +75,7 @@ class Kind:
 RECORDING = ("recording.toml", "markers.trc", "cam.mp4", "calibration.toml")
 VIEWS = " ".join(f"in/board{i}.png" for i in range(6))
 BOARD = "--board 4x7 --square 0.06 --camera cam --out out/made.toml"
-PLACED = f"calibrate extrinsics in/board0.png {BOARD} --pose 0.5,1.2,0,0,0,90"
+PLACED = f"calibrate extrinsics in/board0.png {BOARD} --pose 0.5,1.2,1,90,0,0"
 POINTS = (
     "calibrate extrinsics in/board0.png --points in/points.csv --camera cam --out out/made.toml"
 )
@@ -98,8 +99,9 @@ KINDS = (
         ("check in/rich.toml", "offsets in/rich.toml --turning 0,9.5"), also=("rich.csv",),
     ),
     Kind(
-        "live", ("live_refused.toml",), ("live in/live_refused.toml --seconds 0.1",),
-        ("live in/live_refused.toml --seconds 0.1 --out out/session",), ends=2,
+        "live", ("live_refused.toml", "live.toml"),
+        ("live in/live_refused.toml --seconds 0.1",),
+        ("live in/live.toml --seconds 0.1 --out out/session",), ends=2,
         also=("notes.txt", "calibration.toml"),
     ),
     Kind(
@@ -138,10 +140,16 @@ KINDS = (
         (TRACK,), also=RECORDING,
     ),
     Kind(
-        "CSV", ("markers.csv", "rich.csv"),
-        ("check in/csv.toml", "check in/rich.toml", "convert in/markers.csv out/made.trc",
-         "convert in/rich.csv out/made.csv --rate 30", "convert in/rich.csv out/made.c3d"),
-        also=("csv.toml", "rich.toml", "markers.csv", "rich.csv", "cam.mp4", "calibration.toml"),
+        "CSV", ("markers.csv",),
+        ("check in/csv.toml", "convert in/markers.csv out/made.trc",
+         "convert in/markers.csv out/made.c3d --rate 30"),
+        also=("csv.toml", "cam.mp4", "calibration.toml"),
+    ),
+    Kind(
+        "CSV of orientations", ("rich.csv",),
+        ("check in/rich.toml", "convert in/rich.csv out/made.csv --rate 30",
+         "convert in/rich.csv out/made.c3d", "offsets in/rich.toml --turning 0,9.5"),
+        also=("rich.toml",),
     ),
     Kind(
         "C3D", ("markers.c3d",),
@@ -191,15 +199,23 @@ KINDS = (
         also=("model", "motion.npz"),
     ),
     Kind(
+        "model", ("model/subject.toml", "model/texture.png"),
+        ("retarget in/motion.npz --onto in/model --out out/played",),
+        also=("model", "motion.npz"),
+    ),
+    Kind(
         "people", ("people.npz",),
         ("silhouette demo --person in/people.npz --seconds 0.01 --out out/demo",), ends=2,
     ),
     Kind(
-        "key points", ("keypoints/cam_000003_keypoints.json", "list.json"),
-        ("track in/keypoints.toml --out out/tracked", "track in/keypoint_list.toml --out out/t"),
-        ends=2,
-        also=("keypoints.toml", "keypoint_list.toml", "list.json", "keypoints", "nobody.json",
-              *RECORDING),
+        "key points", ("keypoints/cam_000003_keypoints.json",),
+        ("track in/keypoints.toml --out out/tracked",), ends=2,
+        also=("keypoints.toml", "keypoints", "nobody.json", *RECORDING),
+    ),
+    Kind(
+        "key points of a video", ("list.json",),
+        ("track in/keypoint_list.toml --out out/tracked",), ends=2,
+        also=("keypoint_list.toml", "nobody.json", *RECORDING),
     ),
     Kind(
         "background", ("room.png",),
@@ -244,6 +260,8 @@ MORE_COMMANDS = (
     "silhouette demo --person in/people.npz --seed 1 --seconds 0.01 --out out/demo",
     f"{MODEL} --bottom 100 --height 1.8",
     "view in",
+    "scale --recording in/recording.toml --height 1.8 --wrists --out out/made.toml",
+    "silhouette track in/background.toml --model in/model --at 0,0,0 --once --out out/tracked",
     "calibrate intrinsics in/board0.png in/board.jpg --board 4x7 --square 0.06 "
     "--charuco 5X5_100,0.045 --camera cam --distortions 2 --out out/made.toml",
 )

@@ -21,7 +21,7 @@ HERE = Path(__file__).parent
 LIMIT_S = 60.0
 MOST_BYTES = 2 * 2**30
 # Before it harms the machine.
-KILLED_AT_BYTES = 4 * 2**30
+KILLED_AT_BYTES = 3 * 2**30
 # A process that has kept so much of what it did is replaced.
 KEPT_BYTES = 2**30
 BUILD_LIMIT_S = 300.0
@@ -115,7 +115,7 @@ def environment(sandbox: Path) -> dict[str, str]:
     kept["PYTHONPATH"] = os.pathsep.join(filter(None, [kept.get("PYTHONPATH"), str(HERE)]))
     kept.setdefault("JAX_COMPILATION_CACHE_DIR", str(sandbox / "compiled"))
     kept.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-    return kept | {"HOME": str(sandbox), "XDG_CACHE_HOME": str(sandbox), "TQDM_ASCII": "1"}
+    return kept | {"HOME": str(sandbox), "XDG_CACHE_HOME": str(sandbox)}
 
 
 class Pool:

@@ -13,6 +13,7 @@ import sys
 import threading
 import traceback
 import warnings
+from concurrent.futures.thread import _threads_queues
 from pathlib import Path
 from time import perf_counter
 
@@ -81,7 +82,7 @@ def _threads_left() -> list[str]:
     for thread in threading.enumerate():
         if thread is not threading.main_thread() and not thread.daemon:
             # Those of pools wait for work and are told to end at the program's end.
-            if "ThreadPoolExecutor" in thread.name or "asyncio" in thread.name:
+            if thread in _threads_queues:
                 continue
             thread.join(max(0.0, until - perf_counter()))
             left += [thread.name] if thread.is_alive() else []
