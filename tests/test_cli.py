@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from small_recording import SAMPLES, write_small_recording
 
-from jaxmocap.cli import COMMANDS, GROUPS, commands, main
+from jaxmocap import cli
+from jaxmocap.cli import COMMANDS, GROUPS, main
 from jaxmocap.formats.errors import InputError, OutputError
 from jaxmocap.formats.output_folder import OutputFolder
 from jaxmocap.formats.trc import write_trc
@@ -343,7 +344,7 @@ def test_whatever_ends_a_command_is_one_clean_line(raised, code, says, monkeypat
     def fail(options):
         raise raised
 
-    monkeypatch.setattr(commands, "check_report", fail)
+    monkeypatch.setattr(cli, "check_report", fail)
     assert main(["check", "recording.toml"]) == code
     said = capsys.readouterr().err
     assert says in said and said.count("\n") == 1 and said[:-1].isprintable() and len(said) < 600
@@ -353,7 +354,7 @@ def test_a_fault_of_ours_is_not_hidden(monkeypatch):
     def fail(options):
         raise ZeroDivisionError
 
-    monkeypatch.setattr(commands, "check_report", fail)
+    monkeypatch.setattr(cli, "check_report", fail)
     with pytest.raises(ZeroDivisionError):
         main(["check", "recording.toml"])
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, NoReturn
 
 from jaxmocap import __version__
 from jaxmocap.cli import commands
+from jaxmocap.cli.reporting import check_report
 from jaxmocap.formats.errors import InputError, OutputError, printable, shortened
 from jaxmocap.run import arguments as run_arguments
 from jaxmocap.run import silhouette_arguments
@@ -160,7 +161,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(with_signs(given))
     try:
         with raised_on_sigterm():
-            commands.check_report(options)
+            check_report(options)
             code = options.run(options) or DONE
             # What cannot be printed is noticed here, not when the process has ended.
             sys.stdout.flush()

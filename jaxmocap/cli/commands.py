@@ -7,16 +7,10 @@ it runs, so that ``--help`` is quick.
 """
 
 import argparse
-import sys
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
 from pathlib import Path
-from typing import TextIO
 
+from jaxmocap.cli.reporting import done, inputs_named, print_lines, report
 from jaxmocap.run.signals import Terminated
-
-# Options that name what is written.
-_OUTPUTS = ("out", "json", "pictures", "target")
 
 
 def demo(options: argparse.Namespace) -> None:
@@ -27,7 +21,7 @@ def demo(options: argparse.Namespace) -> None:
     keep_compiled()
     shown = demonstrate(options.out, options.seconds, options.seed, progress=True)
     files = "\n".join(f"written  {path}" for path in shown.files)
-    _report(options, f"{shown.table()}\n\n{files}", shown.as_dict())
+    report(options, f"{shown.table()}\n\n{files}", shown.as_dict())
 
 
 def check(options: argparse.Namespace) -> None:
@@ -36,17 +30,17 @@ def check(options: argparse.Namespace) -> None:
     from jaxmocap.run.checking import check
 
     checked = check(load_recording(options.recording))
-    _report(options, checked.text(), checked.figures())
+    report(options, checked.text(), checked.figures())
     checked.refuse()
 
 
-def track(options: argparse.Namespace) -> int | None:
+def track(options: argparse.Namespace) -> int:
     """Track a recording and write everything; 1 where the body is far off its markers."""
     from jaxmocap.formats.recording import load_recording
     from jaxmocap.run import choosing
     from jaxmocap.run import recording as offline
     from jaxmocap.run.compilation import keep_compiled
-    from jaxmocap.run.summary import figures, summary
+    from jaxmocap.run.summary import figures, misfit, summary
     from jaxmocap.run.writing import tracked_folder, write_outputs
 
     keep_compiled()
@@ -58,8 +52,11 @@ def track(options: argparse.Namespace) -> int | None:
     settings = offline.choose_settings(options.refine, options.paper)
     tracked_folder(options.out, recording)
     motion = offline.track(recording, settings, mode=options.mode, progress=True)
-    files = write_outputs(motion, recording, options.out, settings, progress=True)
-    _report(options, summary(motion, files), figures(motion))
+    left_out: list[str] = []
+    files = write_outputs(motion, recording, options.out, settings, True, left_out.append)
+    report(options, summary(motion, files, left_out), figures(motion))
+    sentence = misfit(motion)
+    return done(options, [sentence] if sentence else [])
 
 
 def batch(options: argparse.Namespace) -> int:
@@ -70,13 +67,13 @@ def batch(options: argparse.Namespace) -> int:
     how = {"scheduler": options.scheduler, "workers": options.workers}
     how["timeout_s"] = options.job_timeout
     found = track_corpus(options.corpus, options.out, wanted, **how, progress=True)
-    _report(options, found.text(), found.figures())
+    report(options, found.text(), found.figures())
     count = len(found.failures)
-    return _done(options, [f"{count} recordings failed"] if count else [])
+    return done(options, [f"{count} recordings failed"] if count else [])
 
 
-def sync(options: argparse.Namespace) -> None:
-    """Find the videos' offsets; nothing is changed."""
+def sync(options: argparse.Namespace) -> int:
+    """Find the videos' offsets; nothing is changed. 1 where one cannot be told."""
     from dataclasses import asdict
 
     from jaxmocap.formats.recording import load_recording
@@ -87,7 +84,9 @@ def sync(options: argparse.Namespace) -> None:
     if options.cameras:
         recording = choosing.select_cameras(recording, options.cameras)
     found = sync(recording, options.search)
-    _report(options, text(found), {"videos": [asdict(each) for each in found]})
+    report(options, text(found), {"videos": [asdict(each) for each in found]})
+    count = sum(not each.is_found for each in found)
+    return done(options, [f"no offset of {count} of {len(found)} videos"] if count else [])
 
 
 def warmup(options: argparse.Namespace) -> None:
@@ -98,7 +97,7 @@ def warmup(options: argparse.Namespace) -> None:
     ways = warmup.warm_up(
         warmup.asked_for(options.recording), offline.choose_settings(options.refine)
     )
-    _report(options, warmup.text(ways), warmup.figures(ways))
+    report(options, warmup.text(ways), warmup.figures(ways))
 
 
 def evaluate(options: argparse.Namespace) -> None:
@@ -109,7 +108,7 @@ def evaluate(options: argparse.Namespace) -> None:
     errors = evaluate_directory(
         options.directory, options.truth, dict(options.match), options.up, options.offset
     )
-    _report(options, format_table(errors), errors.as_dict())
+    report(options, format_table(errors), errors.as_dict())
 
 
 def convert(options: argparse.Namespace) -> None:
@@ -121,7 +120,7 @@ def convert(options: argparse.Namespace) -> None:
     check_target(options.target, [options.source, *body])
     wanted = Options(options.names, options.unit, options.rate, options.body, options.angles)
     notes = convert(options.source, options.target, wanted)
-    _print([*notes, f"written: {options.target}"])
+    print_lines([*notes, f"written: {options.target}"])
 
 
 def retarget(options: argparse.Namespace) -> None:
@@ -130,8 +129,10 @@ def retarget(options: argparse.Namespace) -> None:
 
     folder = retargeted_folder(options.out, options.source, options.onto)
     played = retarget(options.source, options.onto)
-    files = write_retargeted(played, folder)
-    _report(options, played.text(files), played.figures())
+    left_out: list[str] = []
+    files = write_retargeted(played, folder, left_out.append)
+    lines = [played.text(files), *(f"warning        {sentence}" for sentence in left_out)]
+    report(options, "\n".join(lines), played.figures())
 
 
 def live(options: argparse.Namespace) -> int:
@@ -152,10 +153,10 @@ def live(options: argparse.Namespace) -> int:
         seconds=options.seconds,
         view=options.view,
     )
-    _report(options, live_summary(figures), figures)
+    report(options, live_summary(figures), figures)
     if figures["terminated"]:
         raise Terminated
-    return _done(options, figures["problems"])
+    return done(options, figures["problems"])
 
 
 def scale(options: argparse.Namespace) -> None:
@@ -164,11 +165,11 @@ def scale(options: argparse.Namespace) -> None:
     from jaxmocap.formats.writing import check_target
     from jaxmocap.run.scaling import scale
 
-    check_target(options.out, _inputs(options))
+    check_target(options.out, inputs_named(options))
     check_replaceable(Path(options.out))
     stated = options.height, options.static, options.recording, dict(options.landmarks), options.up
     scaled = scale(options.out, *stated, options.mass, options.wrists, progress=True)
-    _report(options, scaled.text(), scaled.figures())
+    report(options, scaled.text(), scaled.figures())
 
 
 def offsets(options: argparse.Namespace) -> None:
@@ -178,7 +179,7 @@ def offsets(options: argparse.Namespace) -> None:
 
     span = options.turning or (float("-inf"), float("inf"))
     found = find_offsets(options.recording, options.still, span)
-    _report(options, offsets_text(found), offsets_figures(found))
+    report(options, offsets_text(found), offsets_figures(found))
 
 
 def calibrate_intrinsics(options: argparse.Namespace) -> None:
@@ -192,7 +193,7 @@ def calibrate_intrinsics(options: argparse.Namespace) -> None:
         options.paths, board, options.camera, options.out, options.distortions, options.pictures
     )
     text, figures = calibration_report.intrinsics_text, calibration_report.intrinsics_figures
-    _report(options, text(found), figures(found))
+    report(options, text(found), figures(found))
 
 
 def calibrate_extrinsics(options: argparse.Namespace) -> None:
@@ -212,7 +213,7 @@ def calibrate_extrinsics(options: argparse.Namespace) -> None:
     files = options.out, options.intrinsics, options.pictures
     found = calibrate_extrinsics(options.image, seen, options.camera, *files, options.upside_down)
     text, figures = calibration_report.extrinsics_text, calibration_report.extrinsics_figures
-    _report(options, text(found), figures(found))
+    report(options, text(found), figures(found))
 
 
 def silhouette_track(options: argparse.Namespace) -> None:
@@ -238,8 +239,10 @@ def silhouette_track(options: argparse.Namespace) -> None:
     asked["surface"] = person and person.surface
     asked["settings"] = settings_for(options.at is not None, options.shoulders)
     followed = follow(recording, start, **asked, progress=True)
-    files = write_followed(followed, recording, options.out, True, person, read)
-    _report(options, summary(followed.motion, files), figures(followed.motion))
+    left_out: list[str] = []
+    where = recording, options.out, True, person, read, left_out.append
+    files = write_followed(followed, *where)
+    report(options, summary(followed.motion, files, left_out), figures(followed.motion))
 
 
 def silhouette_demo(options: argparse.Namespace) -> None:
@@ -251,7 +254,7 @@ def silhouette_demo(options: argparse.Namespace) -> None:
     chosen = options.seconds, options.seed, options.person, options.exercise
     shown = demonstrate(options.out, *chosen, progress=True)
     files = "\n".join(f"written  {path}" for path in shown.files)
-    _report(options, f"{shown.text()}\n\n{files}", shown.as_dict())
+    report(options, f"{shown.text()}\n\n{files}", shown.as_dict())
 
 
 def silhouette_model(options: argparse.Namespace) -> None:
@@ -263,7 +266,7 @@ def silhouette_model(options: argparse.Namespace) -> None:
     asked = options.calibration, options.out, options.bottom, options.height
     made = modelling.model_from(files, *asked)
     written = modelling.write_model(made, folder)
-    _report(options, modelling.model_text(made, written), made.figures())
+    report(options, modelling.model_text(made, written), made.figures())
 
 
 def view(options: argparse.Namespace) -> None:
@@ -277,70 +280,3 @@ def view(options: argparse.Namespace) -> None:
     served = serve_page(path, options.port)
     print(f"{path}\nat {served.page}\nuntil Ctrl-C", flush=True)
     served.until_interrupted()
-
-
-def _inputs(options: argparse.Namespace) -> list[Path]:
-    """Every file that the options name as one to read, with those that a recording names."""
-    from jaxmocap.formats.errors import InputError
-    from jaxmocap.formats.recording_files import input_files
-
-    found: list[Path] = []
-    for text in _texts({k: v for k, v in vars(options).items() if k not in _OUTPUTS}):
-        # Most options are no files.
-        with suppress(OSError, ValueError):
-            if (path := Path(text)).is_file():
-                found.append(path)
-                if path.suffix == ".toml":
-                    with suppress(InputError):
-                        found += input_files(path)
-    return found
-
-
-def _texts(value: object) -> Iterator[str]:
-    """All texts in dicts and lists."""
-    if isinstance(value, dict):
-        value = list(value.values())
-    if isinstance(value, (list, tuple)):
-        for each in value:
-            yield from _texts(each)
-    elif isinstance(value, (str, Path)):
-        yield str(value)
-
-
-def check_report(options: argparse.Namespace) -> None:
-    """InputError where the file of --json cannot be written, or is read."""
-    from jaxmocap.formats.writing import check_target
-
-    if getattr(options, "json", None) not in (None, "-"):
-        check_target(options.json, _inputs(options))
-
-
-def _report(options: argparse.Namespace, text: str, figures: dict) -> None:
-    """Print the text, and write the figures where --json says; - leaves standard output to them."""
-    from jaxmocap.run.summary import write_figures
-
-    if options.json == "-":
-        _print(text.split("\n"), sys.stderr)
-        print(write_figures(figures))
-        return
-    _print(text.split("\n"))
-    if options.json:
-        write_figures(figures, options.json)
-
-
-def _print(lines: Iterable[str], stream: TextIO | None = None) -> None:
-    """Print lines; what names in files may hold for a terminal to obey stands as Python has it."""
-    from jaxmocap.formats.errors import printable
-
-    print("\n".join(map(printable, lines)), file=stream)
-
-
-def _done(options: argparse.Namespace, problems: Sequence[str]) -> int:
-    """The exit code; where not all was done the last line says what was not."""
-    from jaxmocap.formats.errors import printable, shortened
-
-    if not problems:
-        return 0
-    sentence = shortened(printable("; ".join(problems)))
-    print(f"jaxmocap {options.command}: {sentence}", file=sys.stderr)
-    return 1

@@ -23,7 +23,7 @@ from jaxmocap.formats.output_folder import OutputFolder
 from jaxmocap.formats.subject import read_subject
 from jaxmocap.outputs.viewer import write_rerun
 from jaxmocap.run.silhouette_person import person_files, read_person
-from jaxmocap.run.writing import MOTION, MOTION_FILES, write_motion
+from jaxmocap.run.writing import MOTION, MOTION_FILES, Warn, no_warning, write_motion
 
 MOTION_NPZ = "motion.npz"
 RECORDING, PICTURE = "recording.rrd", "retargeted.png"
@@ -99,8 +99,10 @@ def retargeted_folder(directory: str | Path, source: str | Path, onto: str | Pat
     return OutputFolder(directory, MOTION, [*MOTION_FILES, RECORDING, PICTURE], inputs)
 
 
-def write_retargeted(played: Retargeted, folder: OutputFolder) -> list[Path]:
-    """Write the motion and the picture.
+def write_retargeted(
+    played: Retargeted, folder: OutputFolder, warn: Warn = no_warning
+) -> list[Path]:
+    """Write the motion and the picture; see ``write_outputs``.
 
     Returns:
         What was written.
@@ -108,13 +110,13 @@ def write_retargeted(played: Retargeted, folder: OutputFolder) -> list[Path]:
     Raises:
         OutputError: the disk is full; what was there is as it was.
     """
-    return folder.write(partial(_write, played))
+    return folder.write(partial(_write, played, warn))
 
 
-def _write(played: Retargeted, folder: Path) -> list[Path]:
+def _write(played: Retargeted, warn: Warn, folder: Path) -> list[Path]:
     """All files into a folder that is there."""
     surface, picture = played.surface, played.picture
-    files = [*write_motion(played.after, folder, surface, picture), folder / RECORDING]
+    files = [*write_motion(played.after, folder, surface, picture, warn), folder / RECORDING]
     colours = None if picture is None else picture_of(folder, picture)
     write_rerun(files[-1], played.after, surface=surface, picture=colours)
     files.append(folder / PICTURE)

@@ -29,7 +29,9 @@ from jaxmocap.run.writing import (
     MOTION,
     MOTION_FILES,
     Counter,
+    Warn,
     inputs_of,
+    no_warning,
     overlay_names,
     thinned,
     viewed,
@@ -52,6 +54,7 @@ def write_followed(
     progress: Progress | bool | None = None,
     person: Person | None = None,
     inputs: Iterable[Path] = (),
+    warn: Warn = no_warning,
 ) -> list[Path]:
     """Write all files.
 
@@ -62,6 +65,7 @@ def write_followed(
         progress: called with the frames drawn and their total; True shows a bar on stderr.
         person: who was tracked: if their colours are known, their own surface is the skin.
         inputs: files that were read besides the recording's.
+        warn: called with a sentence for each file that cannot hold the motion and is left out.
 
     Returns:
         The files, in the order in which they were written.
@@ -71,7 +75,7 @@ def write_followed(
         OutputError: the disk is full; what was there is as it was.
     """
     return followed_folder(directory, recording, inputs).write(
-        lambda stage: write_all(followed, recording, stage, progress, person)
+        lambda stage: write_all(followed, recording, stage, progress, person, warn)
     )
 
 
@@ -90,13 +94,18 @@ def write_all(
     folder: Path,
     progress: Progress | bool | None = None,
     person: Person | None = None,
+    warn: Warn = no_warning,
 ) -> list[Path]:
     """The same into a folder that is there, of which nothing is asked."""
     motion = followed.motion
     skin, picture = _skin(followed, person)
-    files = write_motion(motion, folder, skin, picture)
+    left_out: list[str] = []
+    files = write_motion(motion, folder, skin, picture, left_out.append)
     files.append(folder / "report.json")
-    write_report(files[-1], motion, {"recording": recording.path or recording.name})
+    extra = {"recording": recording.path or recording.name, "left out": left_out}
+    write_report(files[-1], motion, extra)
+    for sentence in left_out:
+        warn(sentence)
     videos = [open_video(source) for source in recording.videos]
     with progress_bar("drawing", progress) as show:
         counter = Counter(show, sum(2 * len(video) + viewed(video) for video in videos))

@@ -28,8 +28,14 @@ def frames_per_second(report: Report) -> float:
     return float("nan")
 
 
-def summary(motion: Motion, files: Sequence[Path] = ()) -> str:
-    """Samples, rate, stages, marker errors, confidence, what was said, and the files."""
+def summary(motion: Motion, files: Sequence[Path] = (), warnings: Sequence[str] = ()) -> str:
+    """Samples, rate, stages, marker errors, confidence, warnings, and the files.
+
+    Args:
+        motion: with or without its report.
+        files: that were written.
+        warnings: besides those of the report.
+    """
     report = motion.report
     rows = [("samples", f"{len(motion.times)}, {motion.times[0]:.2f} to {motion.times[-1]:.2f} s")]
     if report is not None:
@@ -43,6 +49,7 @@ def summary(motion: Motion, files: Sequence[Path] = ()) -> str:
         rows += [("warning", warning) for warning in report.settings.get("warnings", ())]
         if (sentence := misfit(motion)) is not None:
             rows.append(("warning", sentence))
+    rows += [("warning", sentence) for sentence in warnings]
     rows += [("written", str(path)) for path in files]
     width = max(len(name) for name, _ in rows)
     return "\n".join(f"{name.ljust(width)}  {text}" for name, text in rows)

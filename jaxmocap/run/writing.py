@@ -5,7 +5,7 @@ OUTPUTS: joints.trc, angles.mot, angles_isb.mot, motion.npz, motion.bvh, motion.
 recording.rrd, and overlay.mp4 where there is video.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -49,6 +49,14 @@ MOTION_FILES = (
 )
 
 
+# Takes a sentence that a user must know.
+Warn = Callable[[str], None]
+
+
+def no_warning(sentence: str) -> None:
+    """Where nobody asks."""
+
+
 def tracked_folder(
     directory: str | Path, recording: Recording, others: Iterable[str] = ()
 ) -> OutputFolder:
@@ -78,6 +86,7 @@ def write_outputs(
     directory: str | Path,
     settings: Settings | None = None,
     progress: Progress | bool | None = None,
+    warn: Warn = no_warning,
 ) -> list[Path]:
     """Write all files of a tracked recording, drawn by its cameras as they were found.
 
@@ -87,6 +96,7 @@ def write_outputs(
         directory: is made where missing; it changes when everything is whole.
         settings: of the tracker, for the edges that the viewer shows.
         progress: called with the frames drawn and their total; True shows a bar on stderr.
+        warn: called with a sentence for each file that cannot hold the motion and is left out.
 
     Returns:
         The files, in the order in which they were written.
@@ -96,7 +106,7 @@ def write_outputs(
         OutputError: the disk is full; what was there is as it was.
     """
     return tracked_folder(directory, recording).write(
-        lambda stage: write_tracked(motion, recording, stage, settings, progress)
+        lambda stage: write_tracked(motion, recording, stage, settings, progress, warn)
     )
 
 
@@ -106,14 +116,19 @@ def write_tracked(
     folder: Path,
     settings: Settings | None = None,
     progress: Progress | bool | None = None,
+    warn: Warn = no_warning,
 ) -> list[Path]:
     """The same into a folder that is there, of which nothing is asked."""
     videos, warnings = open_footage(recording)
     recording = as_found(recording, motion)
-    files = write_motion(motion, folder)
+    left_out: list[str] = []
+    files = write_motion(motion, folder, warn=left_out.append)
     files.append(folder / "report.json")
+    warnings = [*warnings, *left_out]
     extra = {"recording": recording.path or recording.name, "warnings": warnings}
     write_report(files[-1], motion, extra)
+    for sentence in left_out:
+        warn(sentence)
     targets = marker_tracks(recording)
     with progress_bar("drawing", progress) as show:
         total = sum(len(video) + viewed(video) for video in videos)
@@ -133,16 +148,33 @@ def write_tracked(
 
 
 def write_motion(
-    motion: Motion, folder: Path, surface: Surface | None = None, picture: bytes | None = None
+    motion: Motion,
+    folder: Path,
+    surface: Surface | None = None,
+    picture: bytes | None = None,
+    warn: Warn = no_warning,
 ) -> list[Path]:
-    """The motion in every format that others read; surface and picture are motion.glb's skin."""
+    """The motion in every format that others read.
+
+    Args:
+        motion: to be written.
+        folder: that is there.
+        surface: motion.glb's skin.
+        picture: its colours.
+        warn: called with a sentence for each file that cannot hold the motion and is left out.
+
+    Returns:
+        The files that were written.
+    """
     files = [folder / name for name in MOTION_FILES]
     write_trc(files[0], motion.times, motion.joints())
     write_mot(files[1], motion)
     write_isb(files[2], motion)
     save_motion(files[3], motion)
     for path in files[4:]:
-        write_animation(path, motion, surface, picture)
+        if (sentence := write_animation(path, motion, surface, picture)) is not None:
+            warn(sentence)
+            files.remove(path)
     return files
 
 

@@ -1,0 +1,76 @@
+"""What commands print, and where they write their figures.
+
+INPUTS: parsed options, text, figures. OUTPUTS: lines on standard output; JSON; exit codes.
+"""
+
+import argparse
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TextIO
+
+from jaxmocap.formats.errors import InputError, printable, shortened
+from jaxmocap.formats.recording_files import input_files
+from jaxmocap.formats.writing import check_target
+
+# Options that name what is written.
+_OUTPUTS = ("out", "json", "pictures", "target")
+
+
+def inputs_named(options: argparse.Namespace) -> list[Path]:
+    """Every file that the options name as one to read, with those that a recording names."""
+    found: list[Path] = []
+    for text in _texts({k: v for k, v in vars(options).items() if k not in _OUTPUTS}):
+        # Most options are no files.
+        with suppress(OSError, ValueError):
+            if (path := Path(text)).is_file():
+                found.append(path)
+                if path.suffix == ".toml":
+                    with suppress(InputError):
+                        found += input_files(path)
+    return found
+
+
+def _texts(value: object) -> Iterator[str]:
+    """All texts in dicts and lists."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, (list, tuple)):
+        for each in value:
+            yield from _texts(each)
+    elif isinstance(value, (str, Path)):
+        yield str(value)
+
+
+def check_report(options: argparse.Namespace) -> None:
+    """InputError where the file of --json cannot be written, or is read."""
+    if getattr(options, "json", None) not in (None, "-"):
+        check_target(options.json, inputs_named(options))
+
+
+def report(options: argparse.Namespace, text: str, figures: dict) -> None:
+    """Print the text, and write the figures where --json says; - leaves standard output to them."""
+    from jaxmocap.run.summary import write_figures
+
+    if options.json == "-":
+        print_lines(text.split("\n"), sys.stderr)
+        print(write_figures(figures))
+        return
+    print_lines(text.split("\n"))
+    if options.json:
+        write_figures(figures, options.json)
+
+
+def print_lines(lines: Iterable[str], stream: TextIO | None = None) -> None:
+    """Print lines; what names in files may hold for a terminal to obey stands as Python has it."""
+    print("\n".join(map(printable, lines)), file=stream)
+
+
+def done(options: argparse.Namespace, problems: Sequence[str]) -> int:
+    """The exit code; where not all was done the last line says what was not."""
+    if not problems:
+        return 0
+    sentence = shortened(printable("; ".join(problems)))
+    print(f"jaxmocap {options.command}: {sentence}", file=sys.stderr)
+    return 1
