@@ -236,6 +236,16 @@ def test_a_disk_that_is_full_before_it_begins_is_said_at_once(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_disk_on_which_no_line_fits_leaves_nothing_that_looks_like_a_recording(tmp_path):
+    recording = LiveRecording(live_setup(tmp_path), tmp_path / "out")
+    recording._rows._file.write(b"x" * 4000)
+    recording._rows._file.complete()
+    with disk_full_at(4000):
+        recording.add(sample(0.0))
+        assert recording.close() is None
+    assert "markers.csv" in str(recording.problem) and not (tmp_path / "out").exists()
+
+
 def test_lines_that_fit_stay_where_the_others_do_not(tmp_path):
     rows = Rows(tmp_path / "rows.csv", "a,b")
     for i in range(100):

@@ -133,6 +133,7 @@ class LiveRecording:
         self._failed.pop(LIST, None)
         self._list(again=True)
         self._remove(self._empty())
+        self.path = self.path if self.path and self.path.exists() else None
         return self.path
 
     def _open_files(self) -> list[tuple[str, Callable[[], None]]]:
@@ -223,7 +224,7 @@ class LiveRecording:
             yield MARKERS
         yield from empty
         if not self._rows.rows and len(empty) == len(self._films):
-            yield from self._copies
+            yield from (LIST, *self._copies)
 
     def _remove(self, names: Iterable[str]) -> None:
         """Remove files of this run, and the folder where it made it and it is empty."""
