@@ -139,7 +139,7 @@ def change_file(rng: np.random.Generator, case: Case, kind: Kind) -> None:
     if rng.random() < NO_FILE:
         odd = str(rng.choice(ODD))
         path.unlink()
-        os.symlink(case.inside / "odd" / odd, path)
+        os.symlink(os.path.relpath(case.inside / "odd" / odd, path.parent), path)
         case.done.append(f"{name} is {odd}")
         return
     own = MUTATIONS[path.suffix]
