@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import av
 import cv2
@@ -21,6 +22,7 @@ from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.solids import limb_solid
 from jaxmocap.outputs.overlay import Artist, confidence_colour, write_overlay
 from jaxmocap.outputs.report import write_report
+from jaxmocap.outputs.rrd_file import is_whole
 from jaxmocap.outputs.scene import limb_outlines, make_scene, pixels
 from jaxmocap.outputs.viewer import Footage, write_rerun
 
@@ -385,3 +387,66 @@ def test_a_report_without_any_sample_seen_has_nulls_and_counts_of_zero(tmp_path,
     report = write_report(tmp_path / "report.json", replace(motion, report=blind))
     assert report["confidence"]["left"] == {"count": 0, "mean": None, "p5": None, "median": None}
     assert report["statuses"] == {}
+
+
+# A full disk --------------------------------------------------------------------------------------
+
+# From here on nothing more can be written to a file than so many bytes.
+FULL = """
+import resource, sys
+sys.path.insert(0, {tests!r})
+import test_outputs
+from jaxmocap.formats.errors import OutputError
+from jaxmocap.outputs.viewer import write_rerun
+from jaxmocap.outputs.overlay import write_overlay
+motion, camera = test_outputs.make_motion(), test_outputs.make_camera()
+rng = test_outputs.np.random.default_rng(0)
+frames = [
+    (time, rng.integers(0, 255, (240, 320, 3), "uint8"))
+    for time, _ in test_outputs.make_frames(30)
+]
+name, most = sys.argv[1], int(sys.argv[2])
+resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+try:
+    if name.endswith(".rrd"):
+        write_rerun(name, motion, {{"cam": test_outputs.Footage(camera, frames)}})
+    else:
+        write_overlay(name, frames, camera, motion)
+except OutputError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize("name", ["recording.rrd", "overlay.mp4"])
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.99])
+def test_a_full_disk_is_an_error_and_leaves_the_earlier_file(tmp_path, name, share):
+    """The viewer's library says nothing of it, and leaves half a file."""
+    pytest.importorskip("resource")
+    code, path = FULL.format(tests=str(Path(__file__).parent)), tmp_path / name
+
+    def run(most: int) -> tuple[str, str]:
+        command = [sys.executable, "-c", code, str(path), str(most)]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        return done.stdout.strip(), done.stderr
+
+    assert run(2**30) == ("", "")
+    whole = path.read_bytes()
+    said, printed = run(int(share * len(whole)))
+    assert said == f"{path}: cannot be written (File too large)" and printed == ""
+    assert path.read_bytes() == whole and [file.name for file in tmp_path.iterdir()] == [name]
+
+
+def test_a_recording_of_the_viewer_that_lacks_anything_is_noticed(tmp_path, motion):
+    path = tmp_path / "recording.rrd"
+    write_rerun(path, motion)
+    whole = path.read_bytes()
+    assert is_whole(path)
+    for content in (
+        b"",
+        whole[:20],
+        whole[:-1],
+        whole[:1000] + whole[1100:],
+        whole[: -len(whole) // 2],
+    ):
+        path.write_bytes(content)
+        assert not is_whole(path)

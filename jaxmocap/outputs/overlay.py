@@ -16,7 +16,7 @@ from av.video.stream import VideoStream
 
 from jaxmocap.body.motion import Motion
 from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.writing import replacing
+from jaxmocap.formats.video_out import replacing_video
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.outputs.scene import Scene, limb_outlines, make_scene, pixels
 
@@ -27,6 +27,8 @@ TARGETS = (255, 60, 255)
 UNKNOWN = (170, 170, 170)
 # Ticks per second of the file's clock, and the fixed point of OpenCV's drawing.
 CLOCK, SHIFT = 90_000, 4
+# Browsers play what begins with its table of contents.
+_BROWSERS = {"movflags": "faststart"}
 
 
 def write_overlay(
@@ -53,29 +55,26 @@ def write_overlay(
 
     Raises:
         InputError: not one frame to draw on.
+        OutputError: it cannot be written whole; what was there before is as it was.
     """
     artist = Artist(camera, motion, targets)
     count, first, stamp, stream = 0, 0.0, -1, None
-    with replacing(path) as beside, _open(beside) as container:
+    with replacing_video(path, format="mp4", options=_BROWSERS) as file:
         for time, image in frames:
             canvas = artist.canvas(image)
             artist.draw(canvas, time)
             if stream is None:
-                first, stream = time, _add_stream(container, canvas, rate)
+                first, stream = time, _add_stream(file.container, canvas, rate)
             # Two frames of the same time would not be a valid file.
             stamp = max(stamp + 1, round((time - first) * CLOCK))
             frame = av.VideoFrame.from_ndarray(canvas, format="bgr24")
             frame.pts, frame.time_base = stamp, Fraction(1, CLOCK)
-            container.mux(stream.encode(frame))
+            file.write(stream.encode(frame))
             count += 1
         if stream is None:
             raise InputError(path, "found no video frame to draw on")
-        container.mux(stream.encode(None))
+        file.write(stream.encode(None))
     return count
-
-
-def _open(path: Path) -> OutputContainer:
-    return av.open(str(path), "w", format="mp4", options={"movflags": "faststart"})
 
 
 def _add_stream(container: OutputContainer, canvas: np.ndarray, rate: float) -> VideoStream:

@@ -23,6 +23,7 @@ from jaxmocap.geometry.rotations import quaternion_from_matrix
 from jaxmocap.geometry.solids import limb_solid
 from jaxmocap.outputs.layout import TIMELINE, entity_path
 from jaxmocap.outputs.overlay import encode_jpeg
+from jaxmocap.outputs.rrd_file import written
 from jaxmocap.outputs.scene import Scene, limb_outlines, pixels
 
 # RGB; middle, left and right of the body. The skeleton shines through the limbs.
@@ -42,13 +43,17 @@ LINES = (
 
 @contextmanager
 def recording(path: Path, blueprint: Blueprint) -> Iterator[rr.RecordingStream]:
-    """A stream into a file, complete at the end."""
+    """A stream into a file, complete at the end.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
     stream = rr.RecordingStream("jaxmocap")
-    stream.save(path, default_blueprint=blueprint)
-    try:
-        yield stream
-    finally:
-        stream.disconnect()
+    with written(path, lambda target: stream.save(target, default_blueprint=blueprint)):
+        try:
+            yield stream
+        finally:
+            stream.disconnect()
 
 
 def log_body(stream: rr.RecordingStream, motion: Motion, scene: Scene, limbs: bool = True) -> None:

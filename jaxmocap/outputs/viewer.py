@@ -15,6 +15,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.surface import Surface
 from jaxmocap.formats.writing import replacing
 from jaxmocap.geometry.cameras import Camera
+from jaxmocap.outputs.rrd_file import is_whole
 from jaxmocap.outputs.scene import make_scene
 
 
@@ -55,6 +56,9 @@ def write_rerun(
         jpeg_quality: of the images, 1 to 100.
         surface: of the body, shown in the place of the limbs' solids.
         picture: the surface's colours, as for ``log_skin``.
+
+    Raises:
+        OutputError: the disk is full; what was there before is as it was.
     """
     from jaxmocap.outputs import layout, recorder, skin
 
@@ -62,7 +66,7 @@ def write_rerun(
     scene = make_scene(motion)
     labels = {name: list(shot.fields) for name, shot in footage.items()}
     blueprint = layout.lay_out(labels, scene)
-    with replacing(path) as beside, recorder.recording(beside, blueprint) as stream:
+    with replacing(path, is_whole) as beside, recorder.recording(beside, blueprint) as stream:
         recorder.log_body(stream, motion, scene, limbs=surface is None)
         if surface is not None:
             skin.log_skin(stream, motion, surface, picture)

@@ -17,7 +17,7 @@ import numpy as np
 from jaxmocap.formats.calibration import write_calibration
 from jaxmocap.formats.recording import write_recording
 from jaxmocap.formats.trc import write_trc
-from jaxmocap.formats.writing import replacing
+from jaxmocap.formats.video_out import replacing_video
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.synthetic import motions
 from jaxmocap.synthetic.lens import look_at
@@ -254,8 +254,8 @@ def marker_noise(times: np.ndarray, count: int, rng: np.random.Generator) -> np.
 
 def write_video(path: Path, frames: Iterable[np.ndarray], rate: int = VIDEO_RATE) -> None:
     """Encode frames (H, W, 3), BGR uint8, as H.264 that any player plays."""
-    with replacing(path) as beside, av.open(str(beside), "w") as container:
-        stream: av.VideoStream = container.add_stream("libx264", rate=rate)
+    with replacing_video(path) as file:
+        stream: av.VideoStream = file.container.add_stream("libx264", rate=rate)
         stream.pix_fmt = "yuv420p"
         stream.options = {"crf": "18", "preset": "veryfast"}
         for i, image in enumerate(frames):
@@ -263,5 +263,5 @@ def write_video(path: Path, frames: Iterable[np.ndarray], rate: int = VIDEO_RATE
                 stream.height, stream.width = image.shape[:2]
             frame = av.VideoFrame.from_ndarray(image, format="bgr24")
             frame.pts, frame.time_base = i, Fraction(1, rate)
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
+            file.write(stream.encode(frame))
+        file.write(stream.encode())
