@@ -20,7 +20,7 @@ from jaxmocap.formats.body_armature import armature_of, motion_of
 from jaxmocap.formats.bvh import read_bvh, write_bvh
 from jaxmocap.formats.c3d import left_in_c3d, write_c3d
 from jaxmocap.formats.csv import write_csv
-from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.errors import FileError, InputError
 from jaxmocap.formats.gltf import write_gltf
 from jaxmocap.formats.gltf_in import read_gltf
 from jaxmocap.formats.joint_names import CONVENTIONS, landmark_names, recognised
@@ -146,7 +146,7 @@ def _write_markers(work: _Work, markers: Markers) -> None:
     except ValueError as error:
         # Names that a format cannot hold.
         raise (
-            error if isinstance(error, InputError) else InputError(work.target, str(error))
+            error if isinstance(error, FileError) else InputError(work.target, str(error))
         ) from None
     if markers.residuals is not None and np.nan_to_num(markers.residuals).any():
         work.notes.append(f"left out: the markers' residuals, which {kind} does not hold")
