@@ -5,6 +5,7 @@ import struct
 import subprocess
 import sys
 import zlib
+from contextlib import suppress
 from pathlib import Path
 
 import cv2
@@ -67,11 +68,13 @@ def test_a_picture_that_is_cut_off_anywhere_is_refused_or_read(tmp_path, suffix)
             assert "is not an image that can be read" in error.problem
 
 
-def test_a_damaged_picture_is_refused_and_nothing_else_is_printed(tmp_path, capfd):
-    path, whole = tmp_path / "a.png", content("png")
-    for place in (40, 60, 1000, len(whole) - 20, len(whole) - 2):
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_nothing_is_printed_of_damage_whatever_comes_of_it(tmp_path, capfd, suffix):
+    path, whole, rng = tmp_path / f"a.{suffix}", content(suffix), np.random.default_rng(0)
+    for place in rng.integers(0, len(whole), 60):
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x55]) + whole[place + 1 :])
-        assert complaint(path) == "is not an image that can be read, it is damaged"
+        with suppress(InputError):
+            read_picture(path)
     assert capfd.readouterr() == ("", "")
 
 
@@ -117,7 +120,7 @@ def test_a_huge_picture_is_refused_before_it_is_decoded(tmp_path):
         capture_output=True, text=True, timeout=LONGEST_S, check=True,
     )  # fmt: skip
     said, size = done.stdout.splitlines()
-    assert said == "found an image of 30000 x 30000 pixels, expected up to 110 million"
+    assert said == "found an image of 30000 x 30000 pixels, expected up to 50 million"
     assert int(size) < MOST_MB and done.stderr == ""
 
 

@@ -3,18 +3,19 @@
 INPUTS: an image file, the camera that took it. OUTPUTS: (H, W, 3) BGR uint8, of the camera's size.
 """
 
+import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
 import numpy as np
-from cv2.utils import logging
 
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.picture_size import (
     KINDS,
     TELLING_BYTES,
-    is_damaged,
     is_picture,
     picture_size,
 )
@@ -22,8 +23,9 @@ from jaxmocap.formats.reading import open_regular, read_bytes
 from jaxmocap.formats.writing import write_bytes
 from jaxmocap.geometry.cameras import Camera
 
-# The largest sensors of telephones have 108 million; decoding takes some ten bytes for each.
-MOST_PIXELS = 110_000_000
+# More than 8K video has; what looks for a board takes some thirty bytes for each.
+MOST_PIXELS = 50_000_000
+_STANDARD_ERROR = 2
 
 
 def read_photograph(path: str | Path, camera: Camera) -> np.ndarray:
@@ -74,21 +76,37 @@ def picture_of(path: str | Path, content: bytes) -> np.ndarray:
     if not 0 < width * height <= MOST_PIXELS:
         expected = f"expected up to {MOST_PIXELS / 1e6:g} million"
         raise InputError(path, f"found an image of {width} x {height} pixels, {expected}")
-    image = None if is_damaged(content) else _decoded(content)
+    image = _decoded(content)
     if image is None:
         raise InputError(path, "is not an image that can be read, it is damaged")
     return np.asarray(image)
 
 
 def _decoded(content: bytes) -> np.ndarray | None:
-    """The picture, or None; OpenCV would print of what is damaged in its own words."""
-    level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    """The picture, or None."""
     try:
-        return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+        with _nothing_printed():
+            return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
     except cv2.error:
         return None
+
+
+@contextmanager
+def _nothing_printed() -> Iterator[None]:
+    """What decoders print of damage, in words of their own and past Python, goes nowhere."""
+    try:
+        kept = os.dup(_STANDARD_ERROR)
+    except OSError:
+        # There is none that anything could be printed to.
+        yield
+        return
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), _STANDARD_ERROR)
+    try:
+        yield
     finally:
-        logging.setLogLevel(level)
+        os.dup2(kept, _STANDARD_ERROR)
+        os.close(kept)
 
 
 def write_picture(path: str | Path, picture: np.ndarray) -> Path:

@@ -6,7 +6,6 @@ OUTPUTS: width and height in pixels, as the header states them; or that it is no
 
 import re
 import struct
-import zlib
 from collections.abc import Callable
 
 KINDS = "PNG, JPEG, BMP, TIFF, WebP, GIF or PNM"
@@ -16,7 +15,6 @@ TELLING_BYTES = 32
 _MOST_SEGMENTS = 10_000
 # JPEG's markers of frames are these, but for those of tables among them.
 _FRAMES = set(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-_PNG = b"\x89PNG\r\n\x1a\n"
 # TIFF's tags of width and height, and its types of 16 and 32 bits.
 _WIDTH, _HEIGHT, _TYPES = 256, 257, {3: "H", 4: "I"}
 _PNM = re.compile(rb"P[1-6](?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\s")
@@ -38,30 +36,12 @@ def picture_size(content: bytes) -> Size | None:
         return None
 
 
-def is_damaged(content: bytes) -> bool:
-    """Whether a PNG file's checksums, or its end, say that it is; its decoder would print so."""
-    if not content.startswith(_PNG):
-        return False
-    at, kind = len(_PNG), b""
-    while kind != b"IEND":
-        # Length, kind, data and checksum.
-        if at + 12 > len(content):
-            return True
-        length, kind = struct.unpack_from(">I4s", content, at)
-        end = at + 8 + length
-        checksum = zlib.crc32(memoryview(content)[at + 4 : end])
-        if content[end : end + 4] != checksum.to_bytes(4, "big"):
-            return True
-        at = end + 4
-    return False
-
-
 def _reader(start: bytes) -> Callable[[bytes], Size | None] | None:
     """What reads the header of a file that begins so."""
     if start[:4] == b"RIFF" and start[8:12] == b"WEBP":
         return _webp
     beginnings = {
-        _PNG: lambda content: struct.unpack_from(">II", content, 16),
+        b"\x89PNG\r\n\x1a\n": lambda content: struct.unpack_from(">II", content, 16),
         b"\xff\xd8\xff": _jpeg,
         b"BM": _bmp,
         b"II*\0": lambda content: _tiff(content, "<"),

@@ -17,7 +17,7 @@ from jaxmocap.body.loft import stature_of
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surface import Surface
 from jaxmocap.body.thickness import with_thickness
-from jaxmocap.capture.photographs import png_of, write_picture
+from jaxmocap.capture.photographs import picture_of, png_of, write_picture
 from jaxmocap.formats.animation import write_avatar
 from jaxmocap.formats.errors import InputError
 from jaxmocap.formats.reading import read_bytes
@@ -115,6 +115,8 @@ def read_person(directory: str | Path) -> Person:
         return Person(skeleton, surface, None)
     picture = read_bytes(folder / TEXTURE)
     check_texture(folder / TEXTURE, skeleton, surface, picture)
+    # Whoever decodes it later would not know its name.
+    picture_of(folder / TEXTURE, picture)
     return Person(skeleton, surface, picture)
 
 
