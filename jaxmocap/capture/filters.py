@@ -20,6 +20,8 @@ from jaxmocap.formats.tables import is_even
 # Hampel's identifier looks so far to each side; further from the median than three standard
 # deviations, by the median deviation, is an outlier, but never within the floor.
 HAMPEL_S, HAMPEL_SAMPLES, HAMPEL_DEVIATIONS, HAMPEL_FLOOR_M = 0.05, 3, 3.0, 0.02
+# Beyond 1 kHz it looks less far; samples that it looks at together.
+MOST_HAMPEL_SAMPLES, HAMPEL_AT_ONCE = 50, 4096
 NORMAL = 1.4826
 # The slopes at a gap's ends are those of parabolas through so many samples, at least three.
 SLOPE_SAMPLES = 7
@@ -140,17 +142,24 @@ def find_outliers(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """
     interval = median_interval(times)
     half = max(HAMPEL_SAMPLES, round(HAMPEL_S / interval)) if interval else HAMPEL_SAMPLES
-    padded = np.pad(positions, ((half, half), (0, 0), (0, 0)), constant_values=np.nan)
+    half = min(half, MOST_HAMPEL_SAMPLES)
     outliers = np.zeros(positions.shape[:2], bool)
     for marker in range(positions.shape[1]):
-        windows = np.lib.stride_tricks.sliding_window_view(padded[:, marker], 2 * half + 1, 0)
+        path = np.pad(positions[:, marker], ((half, half), (0, 0)), constant_values=np.nan)
+        windows = np.lib.stride_tricks.sliding_window_view(path, 2 * half + 1, 0)
         seen = np.flatnonzero(~_missing(positions[:, marker]))
-        windows, values = windows[seen], positions[seen, marker]
-        middle = np.nanmedian(windows, -1)
-        spread = NORMAL * np.nanmedian(np.abs(windows - middle[..., None]), -1)
-        allowed = np.maximum(HAMPEL_DEVIATIONS * spread, HAMPEL_FLOOR_M)
-        outliers[seen, marker] = (np.abs(values - middle) > allowed).any(-1)
+        for first in range(0, len(seen), HAMPEL_AT_ONCE):
+            rows = seen[first : first + HAMPEL_AT_ONCE]
+            outliers[rows, marker] = _far_off(windows[rows], positions[rows, marker])
     return outliers
+
+
+def _far_off(windows: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """(N,) is one of the coordinates (N, 3) far from the median of its window (N, 3, W)?"""
+    middle = np.nanmedian(windows, -1)
+    spread = NORMAL * np.nanmedian(np.abs(windows - middle[..., None]), -1)
+    allowed = np.maximum(HAMPEL_DEVIATIONS * spread, HAMPEL_FLOOR_M)
+    return np.asarray((np.abs(values - middle) > allowed).any(-1))
 
 
 def fill_gaps(times: np.ndarray, positions: np.ndarray, longest: float) -> np.ndarray:

@@ -28,6 +28,7 @@ from jaxmocap.formats.tables import (
     FARTHEST_M,
     LARGEST_NUMBER,
     LONGEST_NAME,
+    SHORTEST_STEP_S,
     declared_count,
     even_rate,
     parse_rows,
@@ -51,8 +52,7 @@ MOST_DEPTH = 200
 _MOST_HIERARCHY_LINES = 100_000
 # Orientations, joints times frames: half an hour of 25 joints at 200 Hz is 9 million.
 MOST_TURNS = 10_000_000
-# Seconds per frame.
-SHORTEST_STEP_S = 1e-6
+# Seconds per frame, at most.
 LONGEST_STEP_S = 1e4
 # What is in memory at a time while a file is written: orientations, frames.
 TURNS_AT_ONCE = 2_000_000

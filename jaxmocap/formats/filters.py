@@ -11,6 +11,8 @@ from typing import Any
 from jaxmocap.formats.shown import shown
 from jaxmocap.formats.toml import Fields
 
+# Hz and seconds that filters are given.
+SMALLEST, LARGEST = 1e-6, 1e6
 KEYS = ("hampel", "gaps", "butterworth", "one_euro")
 
 
@@ -71,10 +73,9 @@ def _switch(fields: Fields, key: str) -> bool:
 
 
 def _positive(fields: Fields, key: str, default: float | None = None) -> float:
-    value = fields.number(key, default)
-    if value <= 0:
+    if (value := fields.number(key, default)) <= 0:
         raise fields.error(key, f"found {value:g}, expected a positive number")
-    return value
+    return fields.number(key, default, SMALLEST, LARGEST)
 
 
 def _one_euro(fields: Fields) -> OneEuroSettings | None:

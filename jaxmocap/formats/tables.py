@@ -24,6 +24,8 @@ LARGEST_NUMBER = 1e15
 FARTHEST_M = 1e7
 # Seconds from 0: since any calendar's first day.
 LATEST_S = 1e11
+# Seconds between samples, in the median.
+SHORTEST_STEP_S = 1e-5
 # Characters of a marker's or joint's name.
 LONGEST_NAME = 200
 # Of a count in a header.
@@ -210,7 +212,10 @@ class Places:
 
 
 def check_times(path: str | Path, times: np.ndarray, places: Places) -> None:
-    """InputError unless every one of (T,) times is a number and later than the one before."""
+    """InputError unless every one of (T,) times is a number and later than the one before.
+
+    Nor may they follow one another faster than any device measures.
+    """
     if np.isnan(times).any():
         raise InputError(path, f"{places(int(np.isnan(times).argmax()))}: found no time")
     late = np.abs(times) > LATEST_S
@@ -225,6 +230,9 @@ def check_times(path: str | Path, times: np.ndarray, places: Places) -> None:
             path,
             f"{places(i + 1)}: time runs backwards, found {times[i + 1]:g} s after {times[i]:g} s",
         )
+    if len(times) > 1 and (step := float(np.median(np.diff(times)))) < SHORTEST_STEP_S:
+        expected = f"expected at least {SHORTEST_STEP_S:g} s"
+        raise InputError(path, f"found samples {step:.3g} s apart in the median, {expected}")
 
 
 def is_even(times: np.ndarray) -> bool:
