@@ -88,7 +88,7 @@ def of_sentence(sentence: str) -> list[str]:
         f"{len(sentence)} characters": len(sentence) > LONGEST_SENTENCE,
         "holds characters that steer": any(map(_unseen, sentence)),
         "is about the program's inside": INTERNAL.search(sentence) is not None,
-        "says nothing": len(sentence.split()) < 4,
+        "says nothing": len(sentence.split()) < 3,
     }
     return [problem for problem, found in problems.items() if found]
 
