@@ -55,7 +55,7 @@ MOST_TURNS = 10_000_000
 # Seconds per frame, at most.
 LONGEST_STEP_S = 1e4
 # What is in memory at a time while a file is written: orientations, frames.
-TURNS_AT_ONCE = 2_000_000
+TURNS_AT_ONCE = 1_200_000
 FRAMES_AT_ONCE = 4096
 
 
@@ -63,8 +63,8 @@ def write_bvh(path: str | Path, armature: Armature, unit: str = "m") -> None:
     """Write an armature whose axes are those of the file (``axes.UP["y"]`` of the world's).
 
     Raises:
-        InputError: times that are not evenly spaced, a pose that is unknown, or joints too deep
-            below one another: BVH holds none of them.
+        InputError: times that are not evenly spaced, or a pose that is unknown: BVH holds neither.
+        BeyondFormatError: joints too deep below one another, or a rate that no file has.
     """
     rate = even_rate(path, armature.times)
     if not armature.known.all():
