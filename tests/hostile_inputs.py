@@ -11,9 +11,11 @@ import argparse
 import os
 import shutil
 import socket
+import stat
 import sys
 import tempfile
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -29,6 +31,7 @@ DEEP = Path("a/b/c/d")
 EARLIER = b"what an earlier run left\n"
 # Shares of cases: bytes of any file; things that are no files in place of one; earlier outputs.
 ANY_FILE, NO_FILE, HAS_EARLIER = 0.3, 0.06, 0.5
+ENDLESS = {"zero": "zeros", "urandom": "noise"}
 # Of the commands that track, where they may be taken.
 COSTLY = 0.1
 
@@ -191,21 +194,29 @@ def odd_files(folder: Path) -> None:
     (folder / "empty").touch()
     (folder / "locked").write_bytes(b"locked")
     (folder / "locked").chmod(0)
-    links = {"loop": "loop", "gone": "nowhere", "zeros": "/dev/zero", "noise": "/dev/urandom"}
-    for name, target in (links | {"self": "/proc/self"}).items():
+    for name, target in {"loop": "loop", "gone": "nowhere", "self": "/proc/self"}.items():
         os.symlink(target, folder / name)
+    for name, minor in {"zero": 5, "urandom": 9}.items():
+        _device(folder / ENDLESS[name], name, minor)
     if hasattr(os, "mkfifo"):
         os.mkfifo(folder / "pipe")
     if hasattr(socket, "AF_UNIX"):
         with socket.socket(socket.AF_UNIX) as listening:
             here = os.open(folder, os.O_RDONLY)
-            try:
-                # A socket's whole path may have a hundred characters only.
+            # A socket's whole path may have a hundred characters only.
+            with suppress(OSError):
                 listening.bind(f"/proc/self/fd/{here}/socket")
-            except OSError:
-                pass
-            finally:
-                os.close(here)
+            os.close(here)
+
+
+def _device(path: Path, name: str, minor: int) -> None:
+    """An endless device; for root, who could replace the system's own, another one like it."""
+    if sys.platform != "linux" or os.geteuid():
+        os.symlink(f"/dev/{name}", path)
+        return
+    # There is none where containers may not make any.
+    with suppress(OSError):
+        os.mknod(path, stat.S_IFCHR | 0o666, os.makedev(1, minor))
 
 
 def earlier_outputs(rng: np.random.Generator, case: Case, bases: Path) -> None:
@@ -231,8 +242,22 @@ def run_case(case: Case, pool: Pool) -> Case:
     """Run a case in one of the pool's processes and judge it."""
     before = Snapshot.of(case.folder)
     case.answer = pool.run(case.arguments, case.inside, case.folder)
-    case.faults = faults(case.answer, before, Snapshot.of(case.folder), DEEP)
+    case.faults = faults(case.answer, before, Snapshot.of(case.folder), DEEP, named(case))
     return case
+
+
+def named(case: Case) -> set[str]:
+    """What hostile arguments name themselves, and where links among it lead: it may be written."""
+    if case.kind != ARGUMENTS:
+        return set()
+    root, found = os.path.realpath(case.folder), set()
+    for argument in case.arguments:
+        name = argument.rpartition("=")[2]
+        if "\0" in name or len(name) > 255 or not name.isascii():
+            continue
+        path = os.path.join(root, DEEP, name)
+        found |= {os.path.relpath(way, root) for way in (path, os.path.realpath(path))}
+    return found
 
 
 def run_cases(

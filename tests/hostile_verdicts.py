@@ -8,6 +8,7 @@ import os
 import re
 import stat
 import unicodedata
+from collections.abc import Collection
 from pathlib import Path
 
 from hostile_pool import LIMIT_S, MOST_BYTES, Answer
@@ -49,10 +50,22 @@ def _what(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def faults(answer: Answer, before: Snapshot, after: Snapshot, deep: Path) -> list[str]:
-    """What was broken; nothing where all is as promised."""
+def faults(
+    answer: Answer, before: Snapshot, after: Snapshot, deep: Path, named: Collection[str] = ()
+) -> list[str]:
+    """What was broken; nothing where all is as promised.
+
+    Args:
+        answer: of the command.
+        before: what the case's folder held before.
+        after: what it holds now.
+        deep: where in it the command ran.
+        named: what the command line names; these files, and new ones in these folders, are its
+            outputs too.
+    """
+    files = [] if before == after else _of_files(before, after, deep, answer, named)
     if answer.ended:
-        return [answer.ended, *_of_files(before, after, deep, answer)]
+        return [answer.ended, *files]
     found = []
     if answer.seconds > LIMIT_S:
         found.append(f"took {answer.seconds:.0f} s")
@@ -60,7 +73,7 @@ def faults(answer: Answer, before: Snapshot, after: Snapshot, deep: Path) -> lis
         found.append(f"took {answer.memory / 2**30:.1f} GB")
     if answer.left:
         found.append(f"threads that do not end: {', '.join(answer.left)}")
-    return found + _of_texts(answer) + _of_files(before, after, deep, answer)
+    return found + _of_texts(answer) + files
 
 
 def _of_texts(answer: Answer) -> list[str]:
@@ -107,7 +120,9 @@ def printed(text: str) -> list[str]:
     return [line for line in lines if line.strip() and not PROGRESS.search(line)]
 
 
-def _of_files(before: Snapshot, after: Snapshot, deep: Path, answer: Answer) -> list[str]:
+def _of_files(
+    before: Snapshot, after: Snapshot, deep: Path, answer: Answer, named: Collection[str]
+) -> list[str]:
     """Of what became of the files."""
     found, out = [], f"{deep.as_posix()}/out/"
     for path, was in before.items():
@@ -116,11 +131,13 @@ def _of_files(before: Snapshot, after: Snapshot, deep: Path, answer: Answer) -> 
             continue
         what = "is gone" if now is None else "was changed"
         if not path.startswith(out):
-            found.append(f"{path} {what}")
+            if path not in named or answer.code == 2:
+                found.append(f"{path} {what}")
         elif answer.code == 2 or path.endswith("notes.txt"):
             found.append(f"the earlier {path} {what}")
     for path in set(after) - set(before):
-        if not path.startswith(out):
+        above = {path, *(parent.as_posix() for parent in Path(path).parents)}
+        if not path.startswith(out) and not above & set(named):
             found.append(f"{path!a} was written outside")
         elif Path(path).name.startswith(".") and not answer.ended:
             found.append(f"hidden {path!a} was left")
