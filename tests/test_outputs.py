@@ -22,7 +22,6 @@ from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.solids import limb_solid
 from jaxmocap.outputs.overlay import Artist, confidence_colour, write_overlay
 from jaxmocap.outputs.report import write_report
-from jaxmocap.outputs.rrd_file import is_whole
 from jaxmocap.outputs.scene import limb_outlines, make_scene, pixels
 from jaxmocap.outputs.viewer import Footage, write_rerun
 
@@ -434,19 +433,3 @@ def test_a_full_disk_is_an_error_and_leaves_the_earlier_file(tmp_path, name, sha
     said, printed = run(int(share * len(whole)))
     assert said == f"{path}: cannot be written (File too large)" and printed == ""
     assert path.read_bytes() == whole and [file.name for file in tmp_path.iterdir()] == [name]
-
-
-def test_a_recording_of_the_viewer_that_lacks_anything_is_noticed(tmp_path, motion):
-    path = tmp_path / "recording.rrd"
-    write_rerun(path, motion)
-    whole = path.read_bytes()
-    assert is_whole(path)
-    for content in (
-        b"",
-        whole[:20],
-        whole[:-1],
-        whole[:1000] + whole[1100:],
-        whole[: -len(whole) // 2],
-    ):
-        path.write_bytes(content)
-        assert not is_whole(path)

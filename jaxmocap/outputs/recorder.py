@@ -23,7 +23,6 @@ from jaxmocap.geometry.rotations import quaternion_from_matrix
 from jaxmocap.geometry.solids import limb_solid
 from jaxmocap.outputs.layout import TIMELINE, entity_path
 from jaxmocap.outputs.overlay import encode_jpeg
-from jaxmocap.outputs.rrd_file import written
 from jaxmocap.outputs.scene import Scene, limb_outlines, pixels
 
 # RGB; middle, left and right of the body. The skeleton shines through the limbs.
@@ -43,17 +42,23 @@ LINES = (
 
 @contextmanager
 def recording(path: Path, blueprint: Blueprint) -> Iterator[rr.RecordingStream]:
-    """A stream into a file, complete at the end.
+    """A stream into a file, which is written at the end.
+
+    Until then it is in memory, for images and surfaces are few: on a full disk the library's own
+    files stop without a word, or it waits for ever.
 
     Raises:
         OSError: the file cannot be written.
     """
     stream = rr.RecordingStream("jaxmocap")
-    with written(path, lambda target: stream.save(target, default_blueprint=blueprint)):
-        try:
-            yield stream
-        finally:
-            stream.disconnect()
+    content = stream.binary_stream()
+    stream.send_blueprint(blueprint)
+    try:
+        yield stream
+        # Whatever is read begins and ends as a file does, so it is read at once.
+        path.write_bytes(content.read() or b"")
+    finally:
+        stream.disconnect()
 
 
 def log_body(stream: rr.RecordingStream, motion: Motion, scene: Scene, limbs: bool = True) -> None:

@@ -15,7 +15,6 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.surface import Surface
 from jaxmocap.formats.writing import replacing
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.outputs.rrd_file import is_whole
 from jaxmocap.outputs.scene import make_scene
 
 
@@ -66,7 +65,7 @@ def write_rerun(
     scene = make_scene(motion)
     labels = {name: list(shot.fields) for name, shot in footage.items()}
     blueprint = layout.lay_out(labels, scene)
-    with replacing(path, is_whole) as beside, recorder.recording(beside, blueprint) as stream:
+    with replacing(path) as beside, recorder.recording(beside, blueprint) as stream:
         recorder.log_body(stream, motion, scene, limbs=surface is None)
         if surface is not None:
             skin.log_skin(stream, motion, surface, picture)

@@ -1,4 +1,4 @@
-"""SIGTERM as an exception, so that what is open is closed and nothing half-written is left.
+"""SIGTERM and SIGHUP as an exception, so that what is open is closed and nothing half-written is left.
 
 INPUTS: the signal. OUTPUTS: Terminated, raised in the main thread.
 """
@@ -11,25 +11,32 @@ from typing import Any
 
 
 class Terminated(BaseException):
-    """SIGTERM came. Like KeyboardInterrupt it is no error, and nothing goes on after it."""
+    """SIGTERM came, or the terminal was closed. Like KeyboardInterrupt it is no error, and nothing goes on after it."""
 
 
 @contextmanager
 def raised_on_sigterm() -> Iterator[None]:
-    """Within it SIGTERM raises ``Terminated``; a second one does not disturb what closes."""
+    """Within it SIGTERM, or a closed terminal, raises ``Terminated``.
+
+    A second one does not disturb what closes. What is ignored stays so, as ``nohup`` wants it.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
     def end(number: int, frame: Any) -> None:
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        for each in before:
+            signal.signal(each, signal.SIG_IGN)
         raise Terminated
 
-    before = signal.signal(signal.SIGTERM, end)
+    ending = {signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}
+    taken = [each for each in ending if signal.getsignal(each) is not signal.SIG_IGN]
+    before = {each: signal.signal(each, end) for each in taken}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for each, handler in before.items():
+            signal.signal(each, signal.SIG_DFL if handler is None else handler)
 
 
 @contextmanager
