@@ -1,6 +1,6 @@
-"""SIGTERM and SIGHUP as an exception, so that what is open is closed and nothing half-written is left.
+"""SIGTERM and SIGHUP as an exception: what is open is closed, nothing half-written is left.
 
-INPUTS: the signal. OUTPUTS: Terminated, raised in the main thread.
+INPUTS: the signals. OUTPUTS: Terminated, raised in the main thread.
 """
 
 import signal
@@ -11,7 +11,10 @@ from typing import Any
 
 
 class Terminated(BaseException):
-    """SIGTERM came, or the terminal was closed. Like KeyboardInterrupt it is no error, and nothing goes on after it."""
+    """SIGTERM came, or the terminal was closed.
+
+    Like KeyboardInterrupt it is no error, and nothing goes on after it.
+    """
 
 
 @contextmanager
