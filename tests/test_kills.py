@@ -31,8 +31,8 @@ from jaxmocap.synthetic.person import dressed
 pytestmark = pytest.mark.slow
 
 KILLS = 40
-# Every second kill falls into the last part of a run, in which files are written.
-LATE = 0.6
+# Every second kill comes within so many seconds after the first hidden file.
+WRITING_S = 1.5
 READERS = {".trc": read_trc, ".mot": read_mot, ".bvh": read_bvh, ".glb": read_gltf, ".mp4": Video}
 
 
@@ -56,10 +56,16 @@ def command(arguments: Sequence[object]) -> list[str]:
     return [sys.executable, "-m", "jaxmocap.cli", *map(str, arguments)]
 
 
-def killed(arguments: Sequence[object], after_s: float) -> bool:
-    """Kill a command and all its processes after so many seconds; was it still at work?"""
+def killed(arguments: Sequence[object], after_s: float, writing: Path | None) -> bool:
+    """Kill a command and all its processes after so many seconds; was it still at work?
+
+    Where a folder is given, the seconds count from when something hidden is in it.
+    """
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     process = subprocess.Popen(command(arguments), start_new_session=True, **quiet)
+    before = set(hidden_in(writing)) if writing else set()
+    while writing and process.poll() is None and not set(hidden_in(writing)) - before:
+        time.sleep(0.005)
     try:
         process.wait(after_s)
         return False
@@ -69,12 +75,8 @@ def killed(arguments: Sequence[object], after_s: float) -> bool:
         return True
 
 
-def moments(seconds: float) -> np.ndarray:
-    """Seconds after which a run that takes so long is killed."""
-    rng = np.random.default_rng(0)
-    shares = rng.uniform(0.02, 1.0, KILLS)
-    shares[1::2] = LATE + (1 - LATE) * shares[1::2]
-    return seconds * shares
+def hidden_in(folder: Path) -> list[str]:
+    return [str(path) for path in folder.rglob(".jaxmocap-*")]
 
 
 def check(out: Path, earlier: set[str]) -> int:
@@ -105,10 +107,12 @@ def rehearse(inputs: Path, out: Path, arguments: Sequence[object]) -> None:
     earlier = {
         str(p.relative_to(out)) for p in out.rglob("*") if p.is_file() and p.name != LIST
     } - {"notes.txt"}
-    seconds = run(arguments)
+    seconds, rng = run(arguments), np.random.default_rng(0)
     at_work = left = 0
-    for after_s in moments(seconds):
-        at_work += killed(arguments, after_s)
+    for number, share in enumerate(rng.uniform(0.0, 1.0, KILLS)):
+        late = number % 2
+        after_s = share * (WRITING_S if late else seconds)
+        at_work += killed(arguments, after_s, out if late else None)
         left += check(out, earlier) > 0
         assert digests(inputs) == before
     run(arguments)

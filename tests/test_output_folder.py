@@ -76,6 +76,13 @@ def test_after_an_error_the_folder_is_as_it_was(tmp_path):
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.parametrize("kind", [InputError, OutputError])
+def test_an_error_names_the_file_as_it_would_be_called(kind, tmp_path):
+    with pytest.raises(kind) as raised, OutputFolder(tmp_path, "motion").writing() as stage:
+        raise kind(stage / "motion.glb", "holds no such thing")
+    assert str(raised.value) == f"{tmp_path / 'motion.glb'}: holds no such thing"
+
+
 def test_a_folder_that_holds_an_input_at_any_depth_is_refused(tmp_path):
     (tmp_path / "deep/er").mkdir(parents=True)
     (tmp_path / "deep/er/markers.trc").write_text("")

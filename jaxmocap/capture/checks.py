@@ -125,6 +125,9 @@ def _unit(recording: Recording) -> Iterator[Finding]:
         times = np.nanmax(spans) / expected
         if times > TOO_SMALL:
             return
+    if times == 0:
+        yield Finding("unit", "[markers] file: all markers lie at one place", fatal=True)
+        return
     unit = min(UNITS, key=lambda name: abs(np.log(times / UNITS[name])))
     yield Finding(
         "unit",

@@ -124,7 +124,10 @@ class Video(FrameSource):
             container.close()
             raise InputError(self.path, f"{NO_VIDEO}, it has no video stream")
         context = container.streams.video[0].codec_context
-        if context is not None and context.width * context.height > MOST_PIXELS:
+        if context is None:
+            container.close()
+            raise InputError(self.path, f"{NO_VIDEO}, nothing decodes its video stream")
+        if context.width * context.height > MOST_PIXELS:
             container.close()
             found = f"found images of {context.width} × {context.height} pixels"
             raise InputError(self.path, f"{found}, expected up to {MOST_PIXELS / 1e6:.0f} million")

@@ -21,7 +21,7 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from jaxmocap import __version__
-from jaxmocap.formats.errors import InputError, OutputError
+from jaxmocap.formats.errors import FileError, InputError, OutputError
 from jaxmocap.formats.reading import read_bytes
 from jaxmocap.formats.writing import (
     as_output_error,
@@ -100,7 +100,8 @@ class OutputFolder:
             stage = part_beside(self.path / "outputs")
             stage.mkdir()
         try:
-            yield stage
+            with _called_as_in(self.path, stage):
+                yield stage
             with as_output_error(self.path):
                 self._move_into_place(stage)
         finally:
@@ -171,6 +172,18 @@ class OutputFolder:
             if _is_ours(self.path / name, ours[name]):
                 (self.path / name).unlink()
         _write_list(self.path, others | wrote)
+
+
+@contextmanager
+def _called_as_in(folder: Path, stage: Path) -> Iterator[None]:
+    """Errors about a file of the hidden folder name it as it would be called in the end."""
+    try:
+        yield
+    except FileError as error:
+        path, hidden = (Path(os.path.realpath(each)) for each in (error.path, stage))
+        if not path.is_relative_to(hidden):
+            raise
+        raise type(error)(folder / path.relative_to(hidden), error.problem) from None
 
 
 def refuse_inputs(folder: Path, inputs: Iterable[str | Path]) -> None:

@@ -29,12 +29,12 @@ OWN = {
     "distributed.nanny.pre-spawn-environ": ENVIRONMENT,
 }
 
-# No page, whose port another cluster may have; nothing but paths goes round, so there is nothing
-# that a limit of memory could spill.
+# Its page takes a free port, since another cluster may have the usual one; nothing but paths goes
+# round, so there is nothing that a limit of memory could spill.
 HERE: dict[str, Any] = {
     "threads_per_worker": 1,
     "host": "127.0.0.1",
-    "dashboard_address": None,
+    "dashboard_address": "127.0.0.1:0",
     "silence_logs": logging.CRITICAL,
     "memory_limit": 0,
 }

@@ -251,6 +251,9 @@ def _drawn(count: int) -> np.ndarray:
 def together(source: VideoSource, found: Sequence[Lag]) -> Synced:
     """One offset from all stretches, and the drift where they lie far enough apart."""
     good = [each for each in found if not each.reason]
+    if not found:
+        nan, reason = float("nan"), "fewer than two of its frames can be compared"
+        return Synced(source.camera_name, source.offset, nan, nan, nan, reason=reason)
     if not good:
         nan, best = float("nan"), max(found, key=lambda each: each.correlation)
         name, stated = source.camera_name, source.offset
