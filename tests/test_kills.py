@@ -76,7 +76,11 @@ def killed(arguments: Sequence[object], after_s: float, writing: Path | None) ->
 
 
 def hidden_in(folder: Path) -> list[str]:
-    return [str(path) for path in folder.rglob(".jaxmocap-*")]
+    try:
+        return [str(path) for path in folder.rglob(".jaxmocap-*")]
+    except FileNotFoundError:
+        # It has just gone.
+        return []
 
 
 def check(out: Path, earlier: set[str]) -> int:
