@@ -84,7 +84,8 @@ def test_each_pass_is_shown_what_the_one_before_it_found(monkeypatch):
         finder=SimpleNamespace(surface=None), skeleton=None, rooms=(), become=lambda *_: None,
         settings=None,
     )  # fmt: skip
-    recording = SimpleNamespace(path="r", name="r", videos=(), marker_names=())
+    parts = {"path": "r", "name": "r", "videos": (), "marker_names": ()}
+    recording = SimpleNamespace(**parts, origin_world=np.zeros(3))
     monkeypatch.setattr(silhouette, "make_tracker", lambda *_: person)
     monkeypatch.setattr(silhouette, "_open", lambda *_: (SimpleNamespace(times=[]), ()))
     monkeypatch.setattr(silhouette, "_Pass", Pass)
