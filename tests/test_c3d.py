@@ -189,7 +189,7 @@ def test_sizes_beyond_the_file_are_refused_whatever_the_header_says(tmp_path):
     [(2**31, "not read within 0.001 s"), (2**28, "damaged"), (4 * 10**8, "takes more than 0.4 GB")],
 )
 def test_a_file_may_take_so_much_time_and_memory_and_no_more(tmp_path, monkeypatch, most, said):
-    pytest.importorskip("resource")
+    pytest.importorskip("resource", reason="this system has no limits of file sizes")
     path = foreign(tmp_path / "a.c3d", np.ones((4, 40, 40_000)))
     monkeypatch.setattr(c3d, "MOST_MEMORY", most)
     monkeypatch.setattr(c3d, "LONGEST_S", 0.001 if "0.001" in said else 60)
@@ -222,7 +222,7 @@ sys.exit(main(["convert", *sys.argv[2:]]))
 @pytest.mark.parametrize("most", [100, 3000, 30_000])
 def test_a_full_disk_leaves_an_earlier_file_as_it_was(tmp_path, most):
     """ezc3d itself says nothing of it, and leaves half a file."""
-    pytest.importorskip("resource")
+    pytest.importorskip("resource", reason="this system has no limits of file sizes")
     markers = Markers(np.arange(400) / 100, tuple("abcde"), np.ones((400, 5, 3)))
     write_csv(tmp_path / "a.csv", markers.times, markers.points())
     earlier = foreign(tmp_path / "b.c3d", np.ones((4, 1, 2))).read_bytes()

@@ -420,7 +420,7 @@ except OutputError as error:
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.99])
 def test_a_full_disk_is_an_error_and_leaves_the_earlier_file(tmp_path, name, share):
     """The viewer's library says nothing of it, and leaves half a file."""
-    pytest.importorskip("resource")
+    pytest.importorskip("resource", reason="this system has no limits of file sizes")
     code, path = FULL.format(tests=str(Path(__file__).parent)), tmp_path / name
 
     def run(most: int) -> tuple[str, str]:
