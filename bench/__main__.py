@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from bench.growth import SAMPLES
     from bench.metrics import table, write_json
     from bench.parts import run
-    from jaxmocap.run.compilation import keep_compiled
+    from jaxmocap.pipelines.kept_programs import keep_compiled
 
     keep_compiled()
     mode = "quick" if options.quick else "full"

@@ -26,8 +26,8 @@ from bench.judging import Result, judge
 from bench.metrics import Metric, aligned, write_json
 from jaxmocap.evaluation.errors import Errors
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.run.compilation import keep_compiled
-from jaxmocap.run.recording import choose_settings
+from jaxmocap.pipelines.kept_programs import keep_compiled
+from jaxmocap.pipelines.tracking.track import choose_settings
 
 SPREAD = ["mean", "median", "95 %", ">0.3 Hz"]
 ERROR_HEADINGS = [

@@ -14,15 +14,15 @@ from bench.clock import Span, ratio, timed
 from bench.footage import Footage
 from bench.metrics import Metric, stage_metrics
 from jaxmocap.capture.video import open_video
-from jaxmocap.formats.recording import Recording
+from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid import ik
+from jaxmocap.hybrid.first_state import settled
 from jaxmocap.hybrid.settings import RefineSettings, Settings
-from jaxmocap.hybrid.settling import settled
 from jaxmocap.hybrid.steps import Solved, State
 from jaxmocap.hybrid.tracker import HybridTracker
-from jaxmocap.reference import ik as reference_ik
-from jaxmocap.reference import pipeline
-from jaxmocap.run.recording import make_tracker
+from jaxmocap.pipelines.tracking.track import make_tracker
+from jaxmocap.reference.hybrid import ik as reference_ik
+from jaxmocap.reference.hybrid import pipeline
 
 # Solves by the reference, quickly and in full. Its raster goes pixel by pixel: minutes for a frame
 # as users have it, so both get small regions and few steps of the simplex.

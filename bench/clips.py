@@ -11,17 +11,17 @@ from itertools import product
 from pathlib import Path
 
 from jaxmocap.body.skeleton import LANDMARKS
-from jaxmocap.run.timing import progress_bar
-from jaxmocap.synthetic.exercises import exercise
+from jaxmocap.pipelines.progress import progress_bar
 from jaxmocap.synthetic.four_cameras import write_four_cameras
-from jaxmocap.synthetic.girdle import Girdle
+from jaxmocap.synthetic.movements.exercises import exercise
+from jaxmocap.synthetic.people.rigged_mesh import load_rig
+from jaxmocap.synthetic.people.shoulder_girdle import Girdle
 from jaxmocap.synthetic.recording import (
     write_reaching,
     write_squat,
     write_table_tennis,
     write_thrust,
 )
-from jaxmocap.synthetic.rigged_mesh import load_rig
 
 WRITERS = {
     "tennis": write_table_tennis,

@@ -17,7 +17,7 @@ import jax
 import numpy as np
 
 from bench.metrics import Metric
-from jaxmocap.run.timing import Clock
+from jaxmocap.pipelines.progress import Clock
 
 
 class Span(NamedTuple):

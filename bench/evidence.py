@@ -27,24 +27,24 @@ from bench.command_line import command, seeds
 from bench.flattening import flattened
 from bench.metrics import Metric, aligned, write_json
 from jaxmocap.body.motion import Motion
+from jaxmocap.capture.footage import open_footage, reading
 from jaxmocap.capture.markers import interpolate
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.evaluation.motions import evaluate
-from jaxmocap.formats.keypoint_models import LANDMARK_OF, MODELS
-from jaxmocap.formats.markers import read_markers
-from jaxmocap.formats.recording import Recording
+from jaxmocap.formats.recordings.keypoint_models import LANDMARK_OF, MODELS
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.hybrid.settings import EvidenceSettings, Settings
 from jaxmocap.hybrid.tracker import HybridTracker
-from jaxmocap.run.compilation import keep_compiled
-from jaxmocap.run.key_points import lines_at_events, open_all_keypoints
-from jaxmocap.run.passed import Passed
-from jaxmocap.run.plan import Plan
-from jaxmocap.run.reading import open_footage, reading
-from jaxmocap.run.recording import make_tracker, track
-from jaxmocap.run.scanning import scanned
-from jaxmocap.run.smoothing import smooth_recording
-from jaxmocap.run.timing import Progress, progress_bar
+from jaxmocap.pipelines.kept_programs import keep_compiled
+from jaxmocap.pipelines.progress import Progress, progress_bar
+from jaxmocap.pipelines.tracking.events import Plan
+from jaxmocap.pipelines.tracking.first_pass import Passed
+from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events, open_all_keypoints
+from jaxmocap.pipelines.tracking.scan_events import scanned
+from jaxmocap.pipelines.tracking.second_pass import smooth_recording
+from jaxmocap.pipelines.tracking.track import make_tracker, track
 
 AZIMUTHS, SECONDS = (0.0, -60.0, 60.0, -30.0, 30.0), 6.0
 # Of key points made from the truth: pixels; how many are false, how far off; their confidences.

@@ -14,14 +14,14 @@ import jax
 import numpy as np
 
 from jaxmocap.capture.video import FrameSource
-from jaxmocap.formats.recording import Recording
+from jaxmocap.evidence.appearance.learned import ROWS, Drawing, learn_appearance
+from jaxmocap.evidence.residuals import feet_free
+from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.hybrid.appearance import ROWS, Drawing, learn_appearance
-from jaxmocap.hybrid.residuals import feet_free
-from jaxmocap.images.background import Background, as_learned, spread
+from jaxmocap.images.background_model import Background, as_learned, spread
 from jaxmocap.images.foreground import shrink
-from jaxmocap.run.recording import marker_sites
-from jaxmocap.run.smoothing import FirstPass, Look
+from jaxmocap.pipelines.tracking.second_pass import FirstPass, Look
+from jaxmocap.pipelines.tracking.track import marker_sites
 
 # Differences, in deviations of the sensor's noise, from which a pixel begins to differ, and does.
 ALIKE, DIFFERENT = 2.0, 5.0

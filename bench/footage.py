@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.capture.video import open_video
-from jaxmocap.formats.recording import Recording
+from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.synthetic.recording import write_table_tennis, write_video
 

@@ -23,16 +23,16 @@ from bench.clock import (
 from bench.footage import SIZES, Footage, at_size
 from bench.image_chain import both_arms, image_chain
 from bench.metrics import Metric, stage_metrics
+from jaxmocap.capture.footage import open_footage, reading
 from jaxmocap.capture.markers import interpolate
 from jaxmocap.capture.timeline import build_timeline
 from jaxmocap.capture.video import open_video
-from jaxmocap.hybrid.fixed_lag import FixedLagSmoother
+from jaxmocap.hybrid.first_state import settled
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.hybrid.settling import settled
 from jaxmocap.hybrid.tracker import HybridTracker
-from jaxmocap.run.reading import open_footage, reading
-from jaxmocap.run.recording import make_tracker, track
-from jaxmocap.run.timing import timed_stages
+from jaxmocap.pipelines.progress import timed_stages
+from jaxmocap.pipelines.tracking.track import make_tracker, track
+from jaxmocap.smoothing.fixed_lag import FixedLagSmoother
 
 Look = Callable[[int], np.ndarray | None]
 # Stage -> what the table calls it.

@@ -28,17 +28,17 @@ from bench.rival_kinematics import random_poses
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.evidence.silhouettes import Legs, Sight
+from jaxmocap.hybrid.first_state import settled
+from jaxmocap.hybrid.scan import Views, refined_over_time, solved_over_time
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.hybrid.settling import settled
-from jaxmocap.hybrid.silhouette import Legs, Sight
-from jaxmocap.hybrid.smoothing import sights_fit
 from jaxmocap.hybrid.tracker import HybridTracker
-from jaxmocap.hybrid.whole import Views, refined_over_time, solved_over_time
 from jaxmocap.images.regions import Region
-from jaxmocap.images.silhouette import Grid
+from jaxmocap.images.silhouette_grid import Grid
+from jaxmocap.pipelines.kept_programs import keep_compiled
+from jaxmocap.pipelines.tracking.track import make_tracker
 from jaxmocap.reference import kinematics as reference
-from jaxmocap.run.compilation import keep_compiled
-from jaxmocap.run.recording import make_tracker
+from jaxmocap.smoothing.linearise import sights_fit
 
 # Poses, recordings and pictures at a time; events of a recording, every third with a frame.
 BATCHES, EVENTS, ROUNDS = (1, 16, 256, 4096), 24, 5

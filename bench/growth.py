@@ -17,10 +17,10 @@ from jaxmocap.body.kinematics import forward, jacobian
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, Tree
 from jaxmocap.geometry.cameras import Camera
+from jaxmocap.hybrid.first_state import settled
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.hybrid.settling import settled
 from jaxmocap.hybrid.tracker import HybridTracker
-from jaxmocap.run.recording import marker_sites
+from jaxmocap.pipelines.tracking.track import marker_sites
 from jaxmocap.solvers.sdls import sdls_step
 
 REGIONS, CAMERAS = (96, 160, 224), (1, 2, 4)

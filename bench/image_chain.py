@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.capture.markers import interpolate
-from jaxmocap.formats.markers import read_markers
-from jaxmocap.formats.recording import Recording
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.images.regions import crop
 

@@ -11,17 +11,17 @@ import numpy as np
 from bench.clips import Clip
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.skeleton import landmark_rows
+from jaxmocap.capture.footage import open_footage
 from jaxmocap.capture.timeline import Mode
-from jaxmocap.evaluation.calm import Calm, calmness
+from jaxmocap.evaluation.acceleration import Calm, calmness
 from jaxmocap.evaluation.errors import Errors
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.evaluation.series import sample_step
-from jaxmocap.evaluation.turns import WrongTurns, wrong_turns
-from jaxmocap.formats.markers import read_markers
-from jaxmocap.formats.recording import Recording
+from jaxmocap.evaluation.wrong_turns import WrongTurns, wrong_turns
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.run.reading import open_footage
-from jaxmocap.run.recording import choose_settings, track
+from jaxmocap.pipelines.tracking.track import choose_settings, track
 
 FEET = ("ankle", "toe")  # parts of their markers' names
 

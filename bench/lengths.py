@@ -22,13 +22,13 @@ from bench.metrics import Metric, aligned, write_json
 from jaxmocap.body.proportions import LENGTHS, scaled
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.evaluation.motions import evaluate
-from jaxmocap.formats.recording import Recording
-from jaxmocap.run.compilation import keep_compiled
-from jaxmocap.run.lengths import fit_recording
-from jaxmocap.run.recording import make_tracker, track
-from jaxmocap.run.timing import progress_bar
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.pipelines.kept_programs import keep_compiled
+from jaxmocap.pipelines.progress import progress_bar
+from jaxmocap.pipelines.scaling.fit_lengths import fit_recording
+from jaxmocap.pipelines.tracking.track import make_tracker, track
+from jaxmocap.synthetic.movements.stretching import stretching, unusual
 from jaxmocap.synthetic.recording import write_performance
-from jaxmocap.synthetic.stretching import stretching, unusual
 
 HEIGHT, SECONDS = 1.75, 6.0
 AZIMUTHS = (None, -30.0, 30.0, 0.0, 20.0)

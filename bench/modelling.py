@@ -17,11 +17,11 @@ from scipy.spatial import KDTree
 
 from bench.command_line import command
 from bench.metrics import Metric, aligned, write_json
-from jaxmocap.run.silhouette_model import PHOTOGRAPHS, Modelled, model_from
-from jaxmocap.silhouette.modelling.arm_surface import INNER, SLICES
-from jaxmocap.synthetic.anthropometry import Body, measured
+from jaxmocap.modelling.arm_surface import INNER, SLICES
+from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, Modelled, model_from
+from jaxmocap.synthetic.people.anthropometry import Body, measured
+from jaxmocap.synthetic.people.rigged_mesh import Rig, load_rig
 from jaxmocap.synthetic.photographs import standing, write_photographs
-from jaxmocap.synthetic.rigged_mesh import Rig, load_rig
 
 PEOPLE = ("tall_man", "short_woman", "broad_man", "slim_woman")
 # Where the trunk is measured, of the way from the bottom line to the arm pits; and the arms, of

@@ -21,14 +21,14 @@ from bench.metrics import Metric, aligned, write_json
 from bench.silhouette import Result, judged
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.subject import scale_to_landmarks
-from jaxmocap.formats.recording import Recording
-from jaxmocap.formats.trc import read_trc
-from jaxmocap.run.compilation import keep_compiled
-from jaxmocap.run.silhouette import whole_body
-from jaxmocap.silhouette.morph import Morphing, shoulders
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.trc import read_trc
+from jaxmocap.pipelines.kept_programs import keep_compiled
+from jaxmocap.pipelines.silhouettes.track import whole_body
+from jaxmocap.silhouette.first_pose import pose_at
 from jaxmocap.silhouette.settings import Settings
-from jaxmocap.silhouette.start import pose_at
-from jaxmocap.synthetic.girdle import Girdle
+from jaxmocap.silhouette.surfaces.morph import Morphing, shoulders
+from jaxmocap.synthetic.people.shoulder_girdle import Girdle
 
 EXERCISE = "overhead"
 PEOPLE = ("woman", "broad_man", "tall_man", "slim_woman")

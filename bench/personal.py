@@ -30,17 +30,17 @@ from bench.metrics import Metric, aligned, write_json
 from bench.silhouette import KINDS, Result, judged
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.body.subject import scale_to_landmarks
-from jaxmocap.body.surface import Surface
-from jaxmocap.formats.recording import Recording
-from jaxmocap.formats.trc import read_trc
-from jaxmocap.run.compilation import keep_compiled
-from jaxmocap.run.silhouette import whole_body
-from jaxmocap.run.silhouette_model import PHOTOGRAPHS, model_from
-from jaxmocap.silhouette.modelling.personal import Personal
-from jaxmocap.silhouette.start import pose_at
-from jaxmocap.synthetic.exercises import EXERCISES
+from jaxmocap.body.surfaces.surface import Surface
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.trc import read_trc
+from jaxmocap.modelling.personal import Personal
+from jaxmocap.pipelines.kept_programs import keep_compiled
+from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, model_from
+from jaxmocap.pipelines.silhouettes.track import whole_body
+from jaxmocap.silhouette.first_pose import pose_at
+from jaxmocap.synthetic.movements.exercises import EXERCISES
+from jaxmocap.synthetic.people.rigged_mesh import Rig, load_rig
 from jaxmocap.synthetic.photographs import stature, write_photographs
-from jaxmocap.synthetic.rigged_mesh import Rig, load_rig
 
 PEOPLE, EXERCISE = ("slim_woman", "broad_man"), "arm_raises"
 BODIES = ("stature", "bones", "model")

@@ -22,23 +22,23 @@ from jax import Array
 
 from bench.command_line import command
 from bench.metrics import aligned
+from jaxmocap.body.arms import arms_of
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
+from jaxmocap.capture.footage import open_footage, reading
 from jaxmocap.capture.markers import interpolate
-from jaxmocap.formats.markers import read_markers
-from jaxmocap.formats.recording import Recording
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.hybrid import gradient, refine
-from jaxmocap.hybrid.arms import arms_of
 from jaxmocap.hybrid.gradient import Aims
 from jaxmocap.hybrid.ik import goals_of, reach
 from jaxmocap.hybrid.observe import Observation
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker
-from jaxmocap.run.compilation import keep_compiled
-from jaxmocap.run.plan import Plan
-from jaxmocap.run.reading import open_footage, reading
-from jaxmocap.run.recording import make_tracker
-from jaxmocap.run.stepping import stepped
+from jaxmocap.pipelines.kept_programs import keep_compiled
+from jaxmocap.pipelines.tracking.events import Plan
+from jaxmocap.pipelines.tracking.step_events import stepped
+from jaxmocap.pipelines.tracking.track import make_tracker
 from jaxmocap.solvers.status import Status
 
 GRADIENTS = {

@@ -23,13 +23,13 @@ from bench.silhouette_faults import FAULTS, Faulty, Span, Truth, in_memory
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.subject import scale_to_landmarks
-from jaxmocap.formats.recording import Recording, load_recording
-from jaxmocap.formats.trc import read_trc
-from jaxmocap.run.choosing import select_cameras
-from jaxmocap.run.compilation import keep_compiled
-from jaxmocap.run.silhouette import follow, whole_body
+from jaxmocap.cli.choose_recording import select_cameras
+from jaxmocap.formats.recordings.recording import Recording, load_recording
+from jaxmocap.formats.time_series.trc import read_trc
+from jaxmocap.pipelines.kept_programs import keep_compiled
+from jaxmocap.pipelines.silhouettes.track import follow, whole_body
+from jaxmocap.silhouette.first_pose import pose_at
 from jaxmocap.silhouette.settings import Settings
-from jaxmocap.silhouette.start import pose_at
 
 JOINTS = tuple(
     f"{joint}_{side}"

@@ -22,22 +22,22 @@ import numpy as np
 from bench.clips import Clip, exercises
 from bench.command_line import add_rendered, command
 from bench.metrics import Metric, aligned, write_json
+from jaxmocap.capture.footage import reading
 from jaxmocap.capture.video import open_video
-from jaxmocap.formats.recording import Recording
-from jaxmocap.images.background import Background
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.images.background_model import Background
 from jaxmocap.images.canvases import follow, full_mask, mask_canvas
 from jaxmocap.images.regions import Region
-from jaxmocap.images.rooms import RoomLearner, pictured
-from jaxmocap.run.compilation import keep_compiled
-from jaxmocap.run.reading import reading
-from jaxmocap.silhouette.looking import look
-from jaxmocap.silhouette.rim import Rim
-from jaxmocap.silhouette.segment import Histograms, Plan
+from jaxmocap.pipelines.kept_programs import keep_compiled
+from jaxmocap.silhouette.segmentation.outlines import look
+from jaxmocap.silhouette.segmentation.room_models import RoomLearner, pictured
+from jaxmocap.silhouette.segmentation.segment import Histograms, Plan
 from jaxmocap.silhouette.settings import Settings
-from jaxmocap.synthetic.exercises import EXERCISES, exercise
+from jaxmocap.silhouette.surfaces.rim import Rim
 from jaxmocap.synthetic.four_cameras import View, framed, read_masks
+from jaxmocap.synthetic.movements.exercises import EXERCISES, exercise
+from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.renderer import Sensor
-from jaxmocap.synthetic.rigged_mesh import load_rig
 
 # Frames of a recording that are judged; exposures of an empty room; every so many frames a room is
 # learned from.

@@ -26,21 +26,21 @@ from bench.stages import STAGES, WHOLE, stages_timed
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.subject import scale_to_landmarks
-from jaxmocap.body.surface import Surface
-from jaxmocap.evaluation.calm import Calm, calmness
+from jaxmocap.body.surfaces.surface import Surface
+from jaxmocap.evaluation.acceleration import Calm, calmness
 from jaxmocap.evaluation.errors import Errors, position_errors
 from jaxmocap.evaluation.series import match
-from jaxmocap.formats.recording import Recording
-from jaxmocap.formats.trc import read_trc
-from jaxmocap.run.compilation import keep_compiled
-from jaxmocap.run.silhouette import follow, whole_body
-from jaxmocap.run.silhouette_demo import JOINTS, performing
-from jaxmocap.run.silhouette_start import start_pose
-from jaxmocap.run.timing import progress_bar
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.trc import read_trc
+from jaxmocap.pipelines.kept_programs import keep_compiled
+from jaxmocap.pipelines.progress import progress_bar
+from jaxmocap.pipelines.silhouettes.demo import JOINTS, performing
+from jaxmocap.pipelines.silhouettes.first_pose import start_pose
+from jaxmocap.pipelines.silhouettes.track import follow, whole_body
+from jaxmocap.silhouette.first_pose import pose_at
 from jaxmocap.silhouette.settings import Settings
-from jaxmocap.silhouette.start import pose_at
-from jaxmocap.synthetic.exercises import EXERCISES
 from jaxmocap.synthetic.four_cameras import bends, write_four_cameras
+from jaxmocap.synthetic.movements.exercises import EXERCISES
 
 KINDS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 # What the real recording is judged by.

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.capture.video import open_video
-from jaxmocap.formats.recording import VideoSource
+from jaxmocap.formats.recordings.recording import VideoSource
 from jaxmocap.geometry.cameras import Camera, project
 
 # One frame of so many is corrupted, and which of a second's frames a limb is hidden from.

@@ -10,19 +10,21 @@ from unittest.mock import patch
 
 import jax
 
-from jaxmocap.run import reading
-from jaxmocap.silhouette import looking, rim, tracker
+from jaxmocap.capture import footage
+from jaxmocap.silhouette import tracker
+from jaxmocap.silhouette.segmentation import outlines
+from jaxmocap.silhouette.surfaces import rim
 
 # Stage -> whose attributes do its work, in the order of a frame. ``decode`` is what a frame waits
 # for the decoders, which work ahead on threads of their own.
 STAGES: dict[str, tuple[tuple[object, str], ...]] = {
-    "decode": ((reading.ForwardReader, "at"),),
+    "decode": ((footage.ForwardReader, "at"),),
     "predict": ((tracker, "predict"),),
     "rim": ((rim.RimFinder, "find"),),
-    "canvases": ((looking, "canvas"), (looking, "silhouette_distance")),
-    "segmentation": ((looking, "segment"),),
-    "sharpening": ((looking, "_sharpened"),),
-    "contours": ((looking, "contours"),),
+    "canvases": ((outlines, "canvas"), (outlines, "silhouette_distance")),
+    "segmentation": ((outlines, "segment"),),
+    "sharpening": ((outlines, "_sharpened"),),
+    "contours": ((outlines, "contours"),),
     "matching": ((tracker, "matched"),),
     "edges": ((tracker, "edge_pairs"),),
     "fit": ((tracker, "fit"),),

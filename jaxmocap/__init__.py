@@ -11,12 +11,12 @@ if TYPE_CHECKING:
     from jaxmocap.body.pose import Pose
     from jaxmocap.body.skeleton import Skeleton
     from jaxmocap.evaluation.motions import evaluate
-    from jaxmocap.formats.errors import InputError
-    from jaxmocap.formats.recording import Recording
+    from jaxmocap.formats.files.errors import InputError
+    from jaxmocap.formats.recordings.recording import Recording
     from jaxmocap.geometry.cameras import Camera
     from jaxmocap.hybrid.settings import Settings
     from jaxmocap.hybrid.tracker import HybridTracker, State
-    from jaxmocap.run.recording import track
+    from jaxmocap.pipelines.tracking.track import track
 
 __version__ = "0.1.0"
 __all__ = [
@@ -38,16 +38,16 @@ __all__ = [
 _HOMES = {
     "Camera": "geometry.cameras",
     "HybridTracker": "hybrid.tracker",
-    "InputError": "formats.errors",
+    "InputError": "formats.files.errors",
     "Motion": "body.motion",
     "Pose": "body.pose",
-    "Recording": "formats.recording",
+    "Recording": "formats.recordings.recording",
     "Report": "body.motion",
     "Settings": "hybrid.settings",
     "Skeleton": "body.skeleton",
     "State": "hybrid.tracker",
     "evaluate": "evaluation.motions",
-    "track": "run.recording",
+    "track": "pipelines.tracking.track",
 }
 
 

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 from jaxmocap.capture.video import Video
 from jaxmocap.evaluation.plots import MARKERS_ONLY, WITH_VIDEO
-from jaxmocap.run.compilation import keep_compiled
-from jaxmocap.run.demo import Demonstration, demonstrate
+from jaxmocap.pipelines.demo import Demonstration, demonstrate
+from jaxmocap.pipelines.kept_programs import keep_compiled
 
 PICTURE = Path(__file__).parent / "images" / "demo.png"
 RIGHT = 1

@@ -47,7 +47,7 @@ def test_the_public_names_are_these_and_no_others():
 
 def test_every_public_name_is_what_its_home_defines():
     from jaxmocap.hybrid.tracker import HybridTracker
-    from jaxmocap.run.recording import track
+    from jaxmocap.pipelines.tracking.track import track
 
     assert jaxmocap.HybridTracker is HybridTracker and jaxmocap.track is track
 

@@ -11,7 +11,7 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.surface import BodyPoints
+from jaxmocap.body.surfaces.surface import BodyPoints
 
 
 class Proportion(NamedTuple):

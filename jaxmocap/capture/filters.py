@@ -12,10 +12,10 @@ import numpy as np
 
 from jaxmocap.capture.markers import GAP_INTERVALS, median_interval
 from jaxmocap.capture.one_euro import OneEuro
-from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.filters import Filters
-from jaxmocap.formats.recording import Recording
-from jaxmocap.formats.tables import is_even
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.recordings.filters import Filters
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.tables import is_even
 
 # Hampel's identifier looks so far to each side; further from the median than three standard
 # deviations, by the median deviation, is an outlier, but never within the floor.

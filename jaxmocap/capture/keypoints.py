@@ -14,9 +14,9 @@ import numpy as np
 from jaxmocap.body.skeleton import LANDMARKS, Tree
 from jaxmocap.capture.markers import interpolate
 from jaxmocap.capture.video import FrameSource
-from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.keypoints import Detections, check_size, read_keypoints
-from jaxmocap.formats.recording import MarkerPlace, Recording, VideoSource
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.recordings.keypoints import Detections, check_size, read_keypoints
+from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera
 
 # A detection further than this from where a landmark is known to be is not of that landmark.

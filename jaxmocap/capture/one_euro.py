@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.formats.filters import OneEuroSettings
+from jaxmocap.formats.recordings.filters import OneEuroSettings
 
 # The speed is low-passed here, Hz. The paper's 1 Hz lets a stroke run ahead by 13 mm before its
 # speed is believed; so it is 4 mm.

@@ -12,15 +12,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.picture_size import (
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.picture_size import (
     KINDS,
     TELLING_BYTES,
     is_picture,
     picture_size,
 )
-from jaxmocap.formats.reading import open_regular, read_bytes
-from jaxmocap.formats.writing import write_bytes
+from jaxmocap.formats.files.reading import open_regular, read_bytes
+from jaxmocap.formats.files.writing import write_bytes
 from jaxmocap.geometry.cameras import Camera
 
 # More than 8K video has; what looks for a board takes some thirty bytes for each.

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from jaxmocap.capture.markers import median_interval
-from jaxmocap.formats.errors import InputError
+from jaxmocap.formats.files.errors import InputError
 
 Mode = Literal["own", "nearest", "causal"]
 # Time stamps in files are rounded to a millisecond at worst: within it, things are simultaneous.

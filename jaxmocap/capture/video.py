@@ -20,10 +20,10 @@ from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
 from jaxmocap.capture.markers import median_interval
-from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.reading import regular_file
-from jaxmocap.formats.recording import VideoSource
-from jaxmocap.formats.tables import Places, check_times
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.reading import regular_file
+from jaxmocap.formats.recordings.recording import VideoSource
+from jaxmocap.formats.time_series.tables import Places, check_times
 from jaxmocap.geometry.cameras import Camera
 
 Frame = tuple[float, np.ndarray | None]

@@ -11,15 +11,13 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, NoReturn
 
 from jaxmocap import __version__
-from jaxmocap.cli import commands
+from jaxmocap.cli import arguments as run_arguments
+from jaxmocap.cli import commands, setup_arguments, silhouette_arguments
+from jaxmocap.cli.process_exit import leave
 from jaxmocap.cli.reporting import check_report
-from jaxmocap.formats.errors import InputError, OutputError, printable, shortened
-from jaxmocap.run import arguments as run_arguments
-from jaxmocap.run import silhouette_arguments
-from jaxmocap.run.leaving import leave
-from jaxmocap.run.signals import Terminated, raised_on_sigterm
-from jaxmocap.setup import arguments as setup_arguments
-from jaxmocap.setup.arguments import with_signs
+from jaxmocap.cli.setup_arguments import with_signs
+from jaxmocap.formats.files.errors import InputError, OutputError, printable, shortened
+from jaxmocap.pipelines.signals import Terminated, raised_on_sigterm
 
 DONE, NOT_DONE, BAD_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
 

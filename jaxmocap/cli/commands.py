@@ -10,13 +10,13 @@ import argparse
 from pathlib import Path
 
 from jaxmocap.cli.reporting import done, inputs_named, print_lines, report
-from jaxmocap.run.signals import Terminated
+from jaxmocap.pipelines.signals import Terminated
 
 
 def demo(options: argparse.Namespace) -> None:
     """Make a synthetic recording, track it and show what video brings."""
-    from jaxmocap.run.compilation import keep_compiled
-    from jaxmocap.run.demo import demonstrate
+    from jaxmocap.pipelines.demo import demonstrate
+    from jaxmocap.pipelines.kept_programs import keep_compiled
 
     keep_compiled()
     shown = demonstrate(options.out, options.seconds, options.seed, progress=True)
@@ -26,8 +26,8 @@ def demo(options: argparse.Namespace) -> None:
 
 def check(options: argparse.Namespace) -> None:
     """Look for mistakes in a recording's file, as ``track`` does before it begins."""
-    from jaxmocap.formats.recording import load_recording
-    from jaxmocap.run.checking import check
+    from jaxmocap.formats.recordings.recording import load_recording
+    from jaxmocap.pipelines.check import check
 
     checked = check(load_recording(options.recording))
     report(options, checked.text(), checked.figures())
@@ -36,19 +36,19 @@ def check(options: argparse.Namespace) -> None:
 
 def track(options: argparse.Namespace) -> int:
     """Track a recording and write everything; 1 where the body is far off its markers."""
-    from jaxmocap.formats.recording import load_recording
-    from jaxmocap.run import choosing
-    from jaxmocap.run import recording as offline
-    from jaxmocap.run.compilation import keep_compiled
-    from jaxmocap.run.summary import figures, misfit, summary
-    from jaxmocap.run.writing import tracked_folder, write_outputs
+    from jaxmocap.cli import choose_recording
+    from jaxmocap.formats.recordings.recording import load_recording
+    from jaxmocap.pipelines.kept_programs import keep_compiled
+    from jaxmocap.pipelines.summary import figures, misfit, summary
+    from jaxmocap.pipelines.tracking import track as offline
+    from jaxmocap.pipelines.writing import tracked_folder, write_outputs
 
     keep_compiled()
     recording = load_recording(options.recording)
     if options.cameras:
-        recording = choosing.select_cameras(recording, options.cameras)
+        recording = choose_recording.select_cameras(recording, options.cameras)
     if options.height:
-        recording = choosing.with_height(recording, options.height)
+        recording = choose_recording.with_height(recording, options.height)
     settings = offline.choose_settings(options.refine, options.paper)
     tracked_folder(options.out, recording)
     motion = offline.track(recording, settings, mode=options.mode, progress=True)
@@ -61,7 +61,7 @@ def track(options: argparse.Namespace) -> int:
 
 def batch(options: argparse.Namespace) -> int:
     """Track a corpus; what an earlier run has done is kept. 1 where a recording failed."""
-    from jaxmocap.run.batch import Wanted, track_corpus
+    from jaxmocap.pipelines.batch.batch import Wanted, track_corpus
 
     wanted = Wanted(options.refine, options.mode)
     how = {"scheduler": options.scheduler, "workers": options.workers}
@@ -76,13 +76,13 @@ def sync(options: argparse.Namespace) -> int:
     """Find the videos' offsets; nothing is changed. 1 where one cannot be told."""
     from dataclasses import asdict
 
-    from jaxmocap.formats.recording import load_recording
-    from jaxmocap.run import choosing
-    from jaxmocap.setup.sync import sync, text
+    from jaxmocap.calibration.sync import sync, text
+    from jaxmocap.cli import choose_recording
+    from jaxmocap.formats.recordings.recording import load_recording
 
     recording = load_recording(options.recording)
     if options.cameras:
-        recording = choosing.select_cameras(recording, options.cameras)
+        recording = choose_recording.select_cameras(recording, options.cameras)
     found = sync(recording, options.search)
     report(options, text(found), {"videos": [asdict(each) for each in found]})
     count = sum(not each.is_found for each in found)
@@ -91,8 +91,8 @@ def sync(options: argparse.Namespace) -> int:
 
 def warmup(options: argparse.Namespace) -> None:
     """Compile ahead, and say what it took."""
-    from jaxmocap.run import recording as offline
-    from jaxmocap.run import warmup
+    from jaxmocap.pipelines import warmup
+    from jaxmocap.pipelines.tracking import track as offline
 
     ways = warmup.warm_up(
         warmup.asked_for(options.recording), offline.choose_settings(options.refine)
@@ -114,7 +114,7 @@ def evaluate(options: argparse.Namespace) -> None:
 def convert(options: argparse.Namespace) -> None:
     """Make one file into another."""
     from jaxmocap.formats.convert import Options, convert
-    from jaxmocap.formats.writing import check_target
+    from jaxmocap.formats.files.writing import check_target
 
     body = [] if options.body is None else [options.body]
     check_target(options.target, [options.source, *body])
@@ -125,7 +125,7 @@ def convert(options: argparse.Namespace) -> None:
 
 def retarget(options: argparse.Namespace) -> None:
     """Play a motion with another person's body."""
-    from jaxmocap.run.retarget import retarget, retargeted_folder, write_retargeted
+    from jaxmocap.pipelines.retarget import retarget, retargeted_folder, write_retargeted
 
     folder = retargeted_folder(options.out, options.source, options.onto)
     played = retarget(options.source, options.onto)
@@ -141,8 +141,8 @@ def live(options: argparse.Namespace) -> int:
     Raises:
         Terminated: after everything, where SIGTERM ended it.
     """
-    from jaxmocap.run.compilation import keep_compiled
-    from jaxmocap.run.live_session import live_summary, run_live
+    from jaxmocap.pipelines.kept_programs import keep_compiled
+    from jaxmocap.pipelines.live.session import live_summary, run_live
 
     keep_compiled()
     figures = run_live(
@@ -161,9 +161,9 @@ def live(options: argparse.Namespace) -> int:
 
 def scale(options: argparse.Namespace) -> None:
     """Write a person's body."""
-    from jaxmocap.formats.subject import check_replaceable
-    from jaxmocap.formats.writing import check_target
-    from jaxmocap.run.scaling import scale
+    from jaxmocap.formats.files.writing import check_target
+    from jaxmocap.formats.recordings.subject import check_replaceable
+    from jaxmocap.pipelines.scaling.scale import scale
 
     check_target(options.out, inputs_named(options))
     check_replaceable(Path(options.out))
@@ -174,8 +174,8 @@ def scale(options: argparse.Namespace) -> None:
 
 def offsets(options: argparse.Namespace) -> None:
     """Find where devices sit seen from the joints they turn about."""
-    from jaxmocap.setup.offsets import find_offsets
-    from jaxmocap.setup.offsets_report import offsets_figures, offsets_text
+    from jaxmocap.calibration.offsets import find_offsets
+    from jaxmocap.calibration.offsets_report import offsets_figures, offsets_text
 
     span = options.turning or (float("-inf"), float("inf"))
     found = find_offsets(options.recording, options.still, span)
@@ -184,9 +184,9 @@ def offsets(options: argparse.Namespace) -> None:
 
 def calibrate_intrinsics(options: argparse.Namespace) -> None:
     """Find a camera's intrinsics."""
-    from jaxmocap.setup import calibration_report
-    from jaxmocap.setup.boards import parse_board
-    from jaxmocap.setup.calibrate import calibrate_intrinsics
+    from jaxmocap.calibration import calibration_report
+    from jaxmocap.calibration.board.boards import parse_board
+    from jaxmocap.calibration.calibrate import calibrate_intrinsics
 
     board = parse_board(options.board, options.square, options.charuco)
     found = calibrate_intrinsics(
@@ -198,8 +198,8 @@ def calibrate_intrinsics(options: argparse.Namespace) -> None:
 
 def calibrate_extrinsics(options: argparse.Namespace) -> None:
     """Find where a camera stands."""
-    from jaxmocap.setup import calibration_report
-    from jaxmocap.setup.placing import calibrate_extrinsics, measured
+    from jaxmocap.calibration import calibration_report
+    from jaxmocap.calibration.place_camera import calibrate_extrinsics, measured
 
     seen = measured(
         options.board,
@@ -218,19 +218,19 @@ def calibrate_extrinsics(options: argparse.Namespace) -> None:
 
 def silhouette_track(options: argparse.Namespace) -> None:
     """Track a recording without markers and write everything."""
-    from jaxmocap.formats.recording import load_recording
-    from jaxmocap.run import choosing
-    from jaxmocap.run.compilation import keep_compiled
-    from jaxmocap.run.silhouette import follow
-    from jaxmocap.run.silhouette_person import modelled, person_files
-    from jaxmocap.run.silhouette_start import settings_for, start_pose
-    from jaxmocap.run.silhouette_writing import followed_folder, write_followed
-    from jaxmocap.run.summary import figures, summary
+    from jaxmocap.cli import choose_recording
+    from jaxmocap.formats.recordings.recording import load_recording
+    from jaxmocap.pipelines.kept_programs import keep_compiled
+    from jaxmocap.pipelines.silhouettes.first_pose import settings_for, start_pose
+    from jaxmocap.pipelines.silhouettes.person import modelled, person_files
+    from jaxmocap.pipelines.silhouettes.track import follow
+    from jaxmocap.pipelines.silhouettes.writing import followed_folder, write_followed
+    from jaxmocap.pipelines.summary import figures, summary
 
     keep_compiled()
     recording = load_recording(options.recording)
     if options.cameras:
-        recording = choosing.select_cameras(recording, options.cameras)
+        recording = choose_recording.select_cameras(recording, options.cameras)
     recording, person = modelled(recording, options.model)
     read = person_files(Path(options.model)) if options.model else []
     followed_folder(options.out, recording, read)
@@ -247,8 +247,8 @@ def silhouette_track(options: argparse.Namespace) -> None:
 
 def silhouette_demo(options: argparse.Namespace) -> None:
     """Make a synthetic recording by four cameras, track it and compare it with the truth."""
-    from jaxmocap.run.compilation import keep_compiled
-    from jaxmocap.run.silhouette_demo import demonstrate
+    from jaxmocap.pipelines.kept_programs import keep_compiled
+    from jaxmocap.pipelines.silhouettes.demo import demonstrate
 
     keep_compiled()
     chosen = options.seconds, options.seed, options.person, options.exercise
@@ -259,7 +259,7 @@ def silhouette_demo(options: argparse.Namespace) -> None:
 
 def silhouette_model(options: argparse.Namespace) -> None:
     """Make a person's own model of four photographs, with pictures of every step."""
-    from jaxmocap.run import silhouette_model as modelling
+    from jaxmocap.pipelines.silhouettes import model as modelling
 
     files = {name: getattr(options, name) for name in modelling.PHOTOGRAPHS}
     folder = modelling.model_folder(options.out, [*files.values(), options.calibration])
@@ -271,7 +271,7 @@ def silhouette_model(options: argparse.Namespace) -> None:
 
 def view(options: argparse.Namespace) -> None:
     """Open the viewer, or serve it until Ctrl-C."""
-    from jaxmocap.run.viewing import open_viewer, recording_in, serve_page
+    from jaxmocap.pipelines.view import open_viewer, recording_in, serve_page
 
     path = recording_in(options.directory)
     if not options.web:

@@ -10,9 +10,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TextIO
 
-from jaxmocap.formats.errors import InputError, printable, shortened
-from jaxmocap.formats.recording_files import input_files
-from jaxmocap.formats.writing import check_target
+from jaxmocap.formats.files.errors import InputError, printable, shortened
+from jaxmocap.formats.files.writing import check_target
+from jaxmocap.formats.recordings.recording_files import input_files
 
 # Options that name what is written.
 _OUTPUTS = ("out", "json", "pictures", "target")
@@ -51,7 +51,7 @@ def check_report(options: argparse.Namespace) -> None:
 
 def report(options: argparse.Namespace, text: str, figures: dict) -> None:
     """Print the text, and write the figures where --json says; - leaves standard output to them."""
-    from jaxmocap.run.summary import write_figures
+    from jaxmocap.pipelines.summary import write_figures
 
     if options.json == "-":
         print_lines(text.split("\n"), sys.stderr)

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.evaluation.series import HIGH_PASS_HZ, high_pass, match, second_difference
-from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.markers import read_markers, usual_up
-from jaxmocap.formats.tables import Markers
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.time_series.markers import read_markers, usual_up
+from jaxmocap.formats.time_series.tables import Markers
 
 # Vertical axis of a file -> which of its axes are the world's x, y, z.
 TO_WORLD = {"z": [0, 1, 2], "y": [2, 0, 1]}

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxmocap.formats.writing import replacing
+from jaxmocap.formats.files.writing import replacing
 
 COLOURS = ("#1557b0", "#ef8e19", "#9e9e9e")
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from jaxmocap.body.motion import Motion
 from jaxmocap.evaluation.errors import Errors, position_errors, turned_up
-from jaxmocap.formats.markers import read_markers, usual_up
-from jaxmocap.formats.tables import Markers
+from jaxmocap.formats.time_series.markers import read_markers, usual_up
+from jaxmocap.formats.time_series.tables import Markers
 
 
 def evaluate(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxmocap.evaluation.series import HIGH_PASS_HZ, high_pass
-from jaxmocap.formats.writing import replacing
+from jaxmocap.formats.files.writing import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,28 +14,28 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.body.motion import Motion
-from jaxmocap.formats.animation import CUSTOMARY, R_file_world
-from jaxmocap.formats.armature import Armature, joint_positions, settled, turned
-from jaxmocap.formats.body_armature import armature_of, motion_of
-from jaxmocap.formats.bvh import read_bvh, write_bvh
-from jaxmocap.formats.c3d import left_in_c3d, write_c3d
-from jaxmocap.formats.csv import write_csv
-from jaxmocap.formats.errors import FileError, InputError
-from jaxmocap.formats.gltf import write_gltf
-from jaxmocap.formats.gltf_in import read_gltf
-from jaxmocap.formats.joint_names import CONVENTIONS, landmark_names, recognised
-from jaxmocap.formats.markers import read_markers
-from jaxmocap.formats.mot import motion_from_angles, read_mot, write_isb, write_mot
-from jaxmocap.formats.npz import load_motion, save_motion
-from jaxmocap.formats.resampling import (
+from jaxmocap.formats.animation.armature import Armature, joint_positions, settled, turned
+from jaxmocap.formats.animation.body_armature import armature_of, motion_of
+from jaxmocap.formats.animation.bvh import read_bvh, write_bvh
+from jaxmocap.formats.animation.export import CUSTOMARY, R_file_world
+from jaxmocap.formats.animation.gltf import write_gltf
+from jaxmocap.formats.animation.gltf_in import read_gltf
+from jaxmocap.formats.animation.joint_names import CONVENTIONS, landmark_names, recognised
+from jaxmocap.formats.files.errors import FileError, InputError
+from jaxmocap.formats.files.shortened import listed
+from jaxmocap.formats.motion_npz import load_motion, save_motion
+from jaxmocap.formats.time_series.c3d import left_in_c3d, write_c3d
+from jaxmocap.formats.time_series.csv import write_csv
+from jaxmocap.formats.time_series.markers import read_markers
+from jaxmocap.formats.time_series.mot import motion_from_angles, read_mot, write_isb, write_mot
+from jaxmocap.formats.time_series.resampling import (
     even_times,
     resampled,
     resampled_markers,
     resampled_motion,
 )
-from jaxmocap.formats.shown import listed
-from jaxmocap.formats.tables import Markers
-from jaxmocap.formats.trc import write_trc
+from jaxmocap.formats.time_series.tables import Markers
+from jaxmocap.formats.time_series.trc import write_trc
 
 MARKERS = (".c3d", ".trc", ".csv")
 MOTIONS = (".npz", ".bvh", ".glb", ".mot")

@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array
 from jax.custom_derivatives import SymbolicZero
 
-from jaxmocap.body.flesh import Cones
+from jaxmocap.body.arms import SIDES, arms_of, flesh, limb_bones
 from jaxmocap.body.kinematics import (
     Sites,
     forward,
@@ -28,6 +28,9 @@ from jaxmocap.body.kinematics import (
 )
 from jaxmocap.body.pose import Pose, beyond_limits, retract
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.surfaces.cones import Cones
+from jaxmocap.evidence.edges import trace_outline
+from jaxmocap.evidence.occlusion import blockers, hidden
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import (
     HIGHEST,
@@ -35,11 +38,8 @@ from jaxmocap.geometry.rotations import (
     quaternion_multiply,
     quaternion_to_matrix,
 )
-from jaxmocap.hybrid.arms import SIDES, arms_of, flesh, limb_bones
-from jaxmocap.hybrid.evidence import trace_outline
 from jaxmocap.hybrid.ik import Goals
 from jaxmocap.hybrid.observe import Observation
-from jaxmocap.hybrid.occlusion import blockers, hidden
 from jaxmocap.hybrid.settings import GradientSettings, Settings
 from jaxmocap.images.regions import Region
 from jaxmocap.solvers.status import Status

@@ -16,8 +16,8 @@ from jaxmocap.body.mass import augmented_bodies
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix
+from jaxmocap.hybrid.feet import SIDES, Effectors, Stance, replant
 from jaxmocap.hybrid.settings import IKSettings
-from jaxmocap.hybrid.stance import SIDES, Effectors, Stance, replant
 from jaxmocap.solvers.sdls import (
     clamp_lengths,
     clamp_max_abs,

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxmocap.body.arms import Arms
 from jaxmocap.geometry.cameras import Camera, project
-from jaxmocap.hybrid.arms import Arms
 from jaxmocap.images.edges import FARTHEST_PX, EdgeSettings, Thresholds, distance_fields
 from jaxmocap.images.regions import Region, crop, region_around
 

@@ -14,21 +14,21 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxmocap.body.arms import SIDES, Arms, arm_dofs, flesh, hang, swing
 from jaxmocap.body.kinematics import Sites
 from jaxmocap.body.pose import Pose, beyond_limits
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.evidence.edges import arm_cost
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import quaternion_log, rotate
-from jaxmocap.hybrid.arms import SIDES, Arms, arm_dofs, flesh, hang, swing
-from jaxmocap.hybrid.evidence import arm_cost
-from jaxmocap.hybrid.ik import Goals
-from jaxmocap.hybrid.observe import Observation
-from jaxmocap.hybrid.search import (
+from jaxmocap.hybrid.elbow_search import (
     Belief,
     believed_elbows,
     carried,
     search,
 )
+from jaxmocap.hybrid.ik import Goals
+from jaxmocap.hybrid.observe import Observation
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.solvers.simplex import downhill_simplex, initial_simplex
 

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.hybrid.smoothing_settings import SmoothingSettings
 from jaxmocap.images.edges import EdgeSettings
+from jaxmocap.smoothing.settings import SmoothingSettings
 
 
 @jax.tree_util.register_dataclass

@@ -17,23 +17,23 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxmocap.body.arms import arms_of
 from jaxmocap.body.kinematics import Sites, forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.compilation.programs import Effort, Program
+from jaxmocap.evidence.edges import outline_px
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.hybrid.arms import arms_of
 from jaxmocap.hybrid.balance import bow_on_feet
-from jaxmocap.hybrid.evidence import outline_px
+from jaxmocap.hybrid.elbow_search import Belief, carried, confidence_of, no_belief
+from jaxmocap.hybrid.feet import Effectors, Stance, place
 from jaxmocap.hybrid.gradient import Aims, refine_body
 from jaxmocap.hybrid.ik import IKResult, goal_distances, goals_of, reach, solve_ik
 from jaxmocap.hybrid.observe import Observation, arm_regions
 from jaxmocap.hybrid.refine import elbow_wishes, look_for_elbows, refine_arms, remember, swivels
-from jaxmocap.hybrid.search import Belief, carried, confidence_of, no_belief
+from jaxmocap.hybrid.scan import refined_over_time, solved_over_time
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.hybrid.stance import Effectors, Stance, place
-from jaxmocap.hybrid.whole import refined_over_time, solved_over_time
 from jaxmocap.images.regions import Region
-from jaxmocap.solvers.programs import Effort, Program
 from jaxmocap.solvers.status import Status
 
 # Markers farther than this from the last pose's points: the body is placed anew, metres.

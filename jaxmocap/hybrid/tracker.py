@@ -19,18 +19,18 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxmocap.body.arms import grips
 from jaxmocap.body.kinematics import Sites, landmark_sites
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.compilation.programs import Program
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.hybrid.arms import grips
 from jaxmocap.hybrid.balance import bow_factors
+from jaxmocap.hybrid.feet import effectors, on_held_feet
 from jaxmocap.hybrid.observe import Observer
+from jaxmocap.hybrid.scan import Scans
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.hybrid.stance import effectors, on_held_feet
 from jaxmocap.hybrid.steps import Held, State, StepReport, programs_of
-from jaxmocap.hybrid.whole import Scans
-from jaxmocap.solvers.programs import Program
 
 _bow_factors = Program(bow_factors, "bow_factors", effort="once")
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from jaxmocap.images.background import Background
+from jaxmocap.images.background_model import Background
 from jaxmocap.images.regions import Region
 
 # Around the expected silhouette, pixels, and as a share of its extent.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from jaxmocap.images.background import spread
+from jaxmocap.images.background_model import spread
 
 # Levels of each channel in a histogram, and the blur between neighbouring bins.
 LEVELS, BIN_BLUR = 16, 0.7

@@ -11,7 +11,7 @@ OUTPUTS: log-odds (h, w) float32, positive where the person is; grids of probabi
 import cv2
 import numpy as np
 
-from jaxmocap.images.background import Background, as_learned, learn_background, spread
+from jaxmocap.images.background_model import Background, as_learned, learn_background, spread
 from jaxmocap.images.colours import Colours, colour_bins, learn_colours
 
 # Rows and columns of an image.

@@ -10,7 +10,7 @@ import numpy as np
 from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 from pythonosc.osc_message_builder import OscMessageBuilder
 
-from jaxmocap.formats.addresses import Address, resolved
+from jaxmocap.formats.files.addresses import Address, resolved
 
 Argument = str | int | float
 _WORD, _HEADER = 4, 16

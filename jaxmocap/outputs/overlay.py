@@ -15,8 +15,8 @@ from av.container import OutputContainer
 from av.video.stream import VideoStream
 
 from jaxmocap.body.motion import Motion
-from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.video_out import replacing_video
+from jaxmocap.formats.cameras.video_out import replacing_video
+from jaxmocap.formats.files.errors import InputError
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.outputs.scene import Scene, limb_outlines, make_scene, pixels
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.skeleton import LANDMARKS
-from jaxmocap.formats.writing import replacing
+from jaxmocap.formats.files.writing import replacing
 
 SIDES = ("left", "right")
 # A body this far off a marker in the median has not been tracked, metres: noise, clothes and wrong

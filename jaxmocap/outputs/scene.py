@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.flesh import cones
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.surfaces.cones import cones
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera, to_pixels
 from jaxmocap.geometry.outlines import outline, project_limb
 

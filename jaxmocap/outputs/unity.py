@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.formats.body_armature import armature_of, rest_turns
-from jaxmocap.formats.joint_names import PELVIS
-from jaxmocap.formats.live import R_WORLD_UNITY
+from jaxmocap.formats.animation.body_armature import armature_of, rest_turns
+from jaxmocap.formats.animation.joint_names import PELVIS
+from jaxmocap.formats.recordings.live import R_WORLD_UNITY
 
 
 class Joints(NamedTuple):

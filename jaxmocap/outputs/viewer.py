@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.body.motion import Motion
-from jaxmocap.body.surface import Surface
-from jaxmocap.formats.writing import replacing
+from jaxmocap.body.surfaces.surface import Surface
+from jaxmocap.formats.files.writing import replacing
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.outputs.scene import make_scene
 
@@ -59,7 +59,7 @@ def write_rerun(
     Raises:
         OutputError: the disk is full; what was there before is as it was.
     """
-    from jaxmocap.outputs import layout, recorder, skin
+    from jaxmocap.outputs import layout, recorder, viewer_skin
 
     footage, targets = dict(footage or {}), dict(targets or {})
     scene = make_scene(motion)
@@ -68,7 +68,7 @@ def write_rerun(
     with replacing(path) as beside, recorder.recording(beside, blueprint) as stream:
         recorder.log_body(stream, motion, scene, limbs=surface is None)
         if surface is not None:
-            skin.log_skin(stream, motion, surface, picture)
+            viewer_skin.log_skin(stream, motion, surface, picture)
         recorder.log_trust(stream, motion)
         recorder.log_targets(stream, scene.times, targets)
         if motion.report is not None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.formats.joint_names import CONVENTIONS
+from jaxmocap.formats.animation.joint_names import CONVENTIONS
 from jaxmocap.outputs.osc import Bundle
 from jaxmocap.outputs.unity import Joints, UnityBody
 

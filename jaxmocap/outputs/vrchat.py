@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxmocap.formats.joint_names import PELVIS
+from jaxmocap.formats.animation.joint_names import PELVIS
 from jaxmocap.outputs.osc import Bundle
 from jaxmocap.outputs.unity import Joints, UnityBody, euler_degrees
 

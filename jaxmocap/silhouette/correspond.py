@@ -18,10 +18,10 @@ from jax import Array
 from scipy.spatial import KDTree
 
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.geometry.plucker import Lines
-from jaxmocap.images.index_image import thinned, traced
+from jaxmocap.geometry.lines import Lines
 from jaxmocap.silhouette.points import BodyPoints, PointRays, contour_rays
-from jaxmocap.silhouette.rim import Rim
+from jaxmocap.silhouette.surfaces.index_image import thinned, traced
+from jaxmocap.silhouette.surfaces.rim import Rim
 
 
 class MatchSettings(NamedTuple):

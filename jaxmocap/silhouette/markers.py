@@ -15,7 +15,7 @@ from jax import Array
 
 from jaxmocap.body.kinematics import Frames, Sites
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.surface import BodyPoints, posed
+from jaxmocap.body.surfaces.surface import BodyPoints, posed
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.silhouette.points import slopes
 

@@ -16,9 +16,9 @@ from jax import Array
 
 from jaxmocap.body.kinematics import Frames, jacobian
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.surface import BodyPoints, carried, posed
+from jaxmocap.body.surfaces.surface import BodyPoints, carried, posed
 from jaxmocap.geometry.cameras import Camera, pixel_rays
-from jaxmocap.geometry.plucker import Lines, camera_lines, perpendiculars
+from jaxmocap.geometry.lines import Lines, camera_lines, perpendiculars
 from jaxmocap.geometry.rotations import HIGHEST
 
 

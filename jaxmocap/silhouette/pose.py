@@ -24,7 +24,8 @@ from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.silhouette.markers import MarkerRows, marker_equations
-from jaxmocap.silhouette.morph import (
+from jaxmocap.silhouette.points import PointRays, linearised
+from jaxmocap.silhouette.surfaces.morph import (
     Morph,
     free_of,
     moved,
@@ -33,7 +34,6 @@ from jaxmocap.silhouette.morph import (
     whole_by_free,
     whole_of,
 )
-from jaxmocap.silhouette.points import PointRays, linearised
 from jaxmocap.solvers.status import Status
 
 # Between the median length of a normal error in a plane and the deviation of its components.

@@ -5,13 +5,13 @@ INPUTS: nothing. OUTPUTS: Settings, whose defaults were chosen on rendered exerc
 
 from dataclasses import dataclass, field
 
-from jaxmocap.silhouette import segment
 from jaxmocap.silhouette.correspond import MatchSettings
-from jaxmocap.silhouette.edges import EdgeSettings
-from jaxmocap.silhouette.hypotheses import SearchSettings
-from jaxmocap.silhouette.morph import Morphing
-from jaxmocap.silhouette.rim import RimSettings
+from jaxmocap.silhouette.recovery.limb_particle_filter import SearchSettings
+from jaxmocap.silhouette.segmentation import segment
+from jaxmocap.silhouette.segmentation.inner_edges import EdgeSettings
 from jaxmocap.silhouette.smoothing import SmoothingSettings
+from jaxmocap.silhouette.surfaces.morph import Morphing
+from jaxmocap.silhouette.surfaces.rim import RimSettings
 
 # What finds starts that are off by 10 degrees and 6 cm, half of them.
 FAR_OFF = (0.08, 0.08)

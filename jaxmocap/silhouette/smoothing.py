@@ -24,11 +24,11 @@ from threadpoolctl import threadpool_limits
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton
-from jaxmocap.silhouette.morph import Morph, free_of
-from jaxmocap.silhouette.steps import landmark_slopes
-from jaxmocap.solvers.batches import in_batches
-from jaxmocap.solvers.smoothness import REACH, accelerations_of, smoothness
-from jaxmocap.solvers.trajectory import Linearised, Settings, smooth
+from jaxmocap.compilation.batches import in_batches
+from jaxmocap.evidence.smoothness import REACH, accelerations_of, smoothness
+from jaxmocap.silhouette.device_functions import landmark_slopes
+from jaxmocap.silhouette.surfaces.morph import Morph, free_of
+from jaxmocap.smoothing.levenberg_marquardt import Linearised, Settings, smooth
 
 # Frames that are linearised in one call: any recording's fill some, and compile once.
 FRAMES_A_CALL = 32

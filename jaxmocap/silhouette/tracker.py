@@ -22,29 +22,29 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.kinematics import Sites
-from jaxmocap.body.loft import generic_surface, rest_joints
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
-from jaxmocap.body.surface import Surface
+from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
+from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.images.background import Background
-from jaxmocap.images.glances import Glances
+from jaxmocap.images.background_model import Background
+from jaxmocap.silhouette.camera_agreement import chosen, denied, shares_found
 from jaxmocap.silhouette.correspond import matched
-from jaxmocap.silhouette.doubt import Better, Doubter, Doubts, freed
-from jaxmocap.silhouette.edges import edge_pairs, joined
-from jaxmocap.silhouette.limbs import carriers
-from jaxmocap.silhouette.looking import Outlines, look
+from jaxmocap.silhouette.device_functions import Seen, fit, free, predict, velocity_of
+from jaxmocap.silhouette.expected_pose import expectation, resting
 from jaxmocap.silhouette.markers import MarkerRows, points_at
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, standard_deviations
-from jaxmocap.silhouette.posture import expectation, resting
-from jaxmocap.silhouette.rim import RimFinder, stacked
-from jaxmocap.silhouette.segment import Histograms, Plan
+from jaxmocap.silhouette.recovery.limbs import carriers
+from jaxmocap.silhouette.recovery.lost_limbs import Better, Doubter, Doubts, freed
+from jaxmocap.silhouette.recovery.projected_body import Sight
+from jaxmocap.silhouette.segmentation.image_changes import Glances
+from jaxmocap.silhouette.segmentation.inner_edges import edge_pairs, joined
+from jaxmocap.silhouette.segmentation.outlines import Outlines, look
+from jaxmocap.silhouette.segmentation.segment import Histograms, Plan
 from jaxmocap.silhouette.settings import Settings
-from jaxmocap.silhouette.shape import Paired
-from jaxmocap.silhouette.sight import Sight
-from jaxmocap.silhouette.states import Moving, State, StepReport
-from jaxmocap.silhouette.steps import Seen, fit, free, predict, velocity_of
-from jaxmocap.silhouette.trust import chosen, denied, shares_found
+from jaxmocap.silhouette.state import Moving, State, StepReport
+from jaxmocap.silhouette.surfaces.rim import RimFinder, stacked
+from jaxmocap.silhouette.surfaces.shape import Paired
 
 
 class _Shown(NamedTuple):

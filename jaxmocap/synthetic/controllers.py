@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.formats.csv import write_csv
-from jaxmocap.formats.recording import write_recording
-from jaxmocap.formats.trc import write_trc
-from jaxmocap.synthetic.motions import Performance
+from jaxmocap.formats.recordings.recording import write_recording
+from jaxmocap.formats.time_series.csv import write_csv
+from jaxmocap.formats.time_series.trc import write_trc
+from jaxmocap.synthetic.movements.motions import Performance
 from jaxmocap.synthetic.recording import MARKER_RATE, marker_noise
 
 # White noise of a device's orientation, radians about each axis.

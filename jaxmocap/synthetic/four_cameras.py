@@ -17,12 +17,12 @@ from typing import Protocol
 
 import numpy as np
 
-from jaxmocap.formats.arrays import BYTES, Arrays, Stated
-from jaxmocap.formats.calibration import write_calibration
-from jaxmocap.formats.errors import InputError
-from jaxmocap.formats.recording import write_recording
-from jaxmocap.formats.trc import write_trc
-from jaxmocap.formats.writing import replacing
+from jaxmocap.formats.cameras.calibration import write_calibration
+from jaxmocap.formats.files.arrays import BYTES, Arrays, Stated
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.writing import replacing
+from jaxmocap.formats.recordings.recording import write_recording
+from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.synthetic.lens import Lens, look_at
 from jaxmocap.synthetic.placement import Turned

@@ -15,16 +15,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from jaxmocap.formats.calibration import write_calibration
-from jaxmocap.formats.writing import write_bytes
+from jaxmocap.formats.cameras.calibration import write_calibration
+from jaxmocap.formats.files.writing import write_bytes
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.synthetic.exerciser import Exerciser
 from jaxmocap.synthetic.lens import Lens, look_at
+from jaxmocap.synthetic.movements.exerciser import Exerciser
+from jaxmocap.synthetic.movements.splines import Spline
+from jaxmocap.synthetic.movements.stances import Stance
+from jaxmocap.synthetic.people.rigged_mesh import Rig
 from jaxmocap.synthetic.placement import Turned
 from jaxmocap.synthetic.renderer import Scene, Sensor, light, silhouette
-from jaxmocap.synthetic.rigged_mesh import Rig
-from jaxmocap.synthetic.splines import Spline
-from jaxmocap.synthetic.stances import Stance
 
 _LEG = (0.0, 7.0, -4.0, 0.0, 0.0)
 _LIFTED, _BENT, _SPREAD = (

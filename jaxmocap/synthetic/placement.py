@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.synthetic.lens import look_at
-from jaxmocap.synthetic.meshes import Mesh
+from jaxmocap.synthetic.people.meshes import Mesh
 from jaxmocap.synthetic.renderer import Mover
 
 # Far enough for the whole person, from shoes to a raised hand, wherever the arms point.

@@ -14,16 +14,16 @@ from typing import Any
 import av
 import numpy as np
 
-from jaxmocap.formats.calibration import write_calibration
-from jaxmocap.formats.recording import write_recording
-from jaxmocap.formats.trc import write_trc
-from jaxmocap.formats.video_out import replacing_video
+from jaxmocap.formats.cameras.calibration import write_calibration
+from jaxmocap.formats.cameras.video_out import replacing_video
+from jaxmocap.formats.recordings.recording import write_recording
+from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.synthetic import motions
 from jaxmocap.synthetic.lens import look_at
-from jaxmocap.synthetic.mesh_person import MeshPerson
-from jaxmocap.synthetic.motions import Performance
-from jaxmocap.synthetic.person import MARKERS, dressed
+from jaxmocap.synthetic.movements import motions
+from jaxmocap.synthetic.movements.motions import Performance
+from jaxmocap.synthetic.people.clothed_person import MARKERS, dressed
+from jaxmocap.synthetic.people.mesh_person import MeshPerson
 from jaxmocap.synthetic.placement import Turned, camera_at
 from jaxmocap.synthetic.renderer import Progress, Scene, render_frames
 

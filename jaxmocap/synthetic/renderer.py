@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.synthetic.lens import Lens
-from jaxmocap.synthetic.meshes import Mesh
+from jaxmocap.synthetic.people.meshes import Mesh
 from jaxmocap.synthetic.room import FRACTION_BITS, OVERSAMPLING, WALL_X, Room, to_fixed
 
 EXPOSURE_S = 0.010

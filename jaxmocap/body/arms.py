@@ -1,0 +1,237 @@
+"""The two arms as the video step sees them: three limbs each, hung on a shoulder, held by a grip.
+
+INPUTS: a Skeleton and its Frames. OUTPUTS: Arms, left then right, and their flesh.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.kinematics import Frames, Sites, forward, site_positions
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton, Tree
+from jaxmocap.body.surfaces.cones import Cones
+from jaxmocap.geometry.rotations import about_axis, compose, hinges_from_matrix, rotate
+
+SIDES = ("l", "r")
+LIMBS = ("humerus", "radius", "hand")
+
+
+class Arms(NamedTuple):
+    """Left and right arm, world, metres. The forearm and the hand are one rigid piece.
+
+    Attributes:
+        shoulder: (2, 3).
+        elbow: (2, 3).
+        wrist: (2, 3).
+        tip: (2, 3) far end of the hand.
+        grip: (2, 3) the point that the arm's marker holds; the wrist where it carries none.
+        R_world_radius: (2, 3, 3) orientation of the forearm.
+        humerus_length: (2,).
+        radii: (2, 3, 2) of humerus, radius and hand at their two ends.
+    """
+
+    shoulder: Array
+    elbow: Array
+    wrist: Array
+    tip: Array
+    grip: Array
+    R_world_radius: Array
+    humerus_length: Array
+    radii: Array
+
+
+def limb_bones(tree: Tree) -> np.ndarray:
+    """Indices (2, 3) of humerus, radius and hand, left and right."""
+    return np.array([[tree.bone(f"{limb}_{side}") for limb in LIMBS] for side in SIDES], np.int32)
+
+
+def grips(skeleton: Skeleton, markers: Sites) -> Sites:
+    """The point of each arm that its first marker on forearm or hand holds, else the wrist."""
+    bones = limb_bones(skeleton.tree)
+    # On the host: step by step, each step on the device would be a program of its own.
+    own_at, own_offsets = np.asarray(markers.at), np.asarray(markers.offsets)
+    chosen = [(bone, own_at.dtype.type(0), np.zeros(3, own_at.dtype)) for bone in bones[:, 2]]
+    for side in range(2):
+        carried = np.flatnonzero(np.isin(markers.bones, bones[side, 1:]))
+        if carried.size:
+            i = int(carried[0])
+            chosen[side] = (markers.bones[i], own_at[i], own_offsets[i])
+    on, at, offsets = zip(*chosen, strict=True)
+    placed = (jnp.asarray(np.stack(part), own_at.dtype) for part in (at, offsets))
+    return Sites(np.array(on), *placed)
+
+
+def arms_of(skeleton: Skeleton, frames: Frames, grip_sites: Sites) -> Arms:
+    """The arms of a pose."""
+    bones = limb_bones(skeleton.tree)
+    joints, R = frames.joints_world[bones], frames.R_world_bone[bones]
+    hands = bones[:, 2]
+    reach = skeleton.lengths[hands, None] * skeleton.directions[hands]
+    return Arms(
+        joints[:, 0],
+        joints[:, 1],
+        joints[:, 2],
+        joints[:, 2] + rotate(R[:, 2], reach),
+        site_positions(skeleton, frames, grip_sites),
+        R[:, 1],
+        skeleton.lengths[bones[:, 0]],
+        skeleton.diameters[bones] / 2,
+    )
+
+
+class Hung(NamedTuple):
+    """Arms hung on a fixed trunk, to be moved by their own joints alone (left, right).
+
+    Attributes:
+        angles: (2, 4) of the pose, shoulder to elbow, radians.
+        R_world_carrier: (2, 3, 3) orientations of the clavicles.
+        axes: (2, 4, 3) hinge axes, shoulder to elbow, each in the frame its predecessors leave.
+        reaches: (2, 3, 3) vectors along humerus, radius and hand, each in its bone's frame.
+        grip: (2, 3) in the forearm's frame, from the elbow.
+        arms: at the pose that the trunk was taken from.
+    """
+
+    angles: Array
+    R_world_carrier: Array
+    axes: Array
+    reaches: Array
+    grip: Array
+    arms: Arms
+
+
+def arm_dofs(tree: Tree) -> np.ndarray:
+    """Indices (2, 4) of each arm's degrees of freedom, shoulder to elbow; no twist, no wrist."""
+    bones = limb_bones(tree)
+    rows = [np.flatnonzero(np.isin(tree.dof_bones, arm[:2]))[:4] for arm in bones]
+    return np.array(rows, np.int32)
+
+
+def hang(skeleton: Skeleton, pose: Pose, grip_sites: Sites) -> Hung:
+    """The arms of a pose, ready to be moved by their own joints alone."""
+    bones, dofs = limb_bones(skeleton.tree), arm_dofs(skeleton.tree)
+    frames = forward(skeleton, pose)
+    arms = arms_of(skeleton, frames, grip_sites)
+    carriers = np.array(skeleton.tree.parents, np.int32)[bones[:, 0]]
+    reaches = skeleton.lengths[bones][..., None] * skeleton.directions[bones]
+    R_world_radius = arms.R_world_radius
+    if np.isin(skeleton.tree.dof_bones, bones).sum() > dofs.size:
+        # Twist and wrists stay as they are: what they turn is carried as the elbow leaves it.
+        hinges = about_axis(skeleton.axes[dofs[:, 3]], pose.angles[dofs[:, 3]])
+        R_world_radius = compose(frames.R_world_bone[bones[:, 0]], hinges)
+        hand = rotate(R_world_radius.swapaxes(-1, -2), arms.tip - arms.wrist)
+        reaches = reaches.at[:, 2].set(hand)
+    to_radius = R_world_radius.swapaxes(-1, -2)
+    return Hung(
+        pose.angles[dofs],
+        frames.R_world_bone[carriers],
+        skeleton.axes[dofs],
+        reaches,
+        rotate(to_radius, arms.grip - arms.elbow),
+        arms,
+    )
+
+
+def swing(hung: Hung, moves: Array) -> tuple[Arms, Array]:
+    """The arms (2) bent, and then swung about the axis from shoulder to grip.
+
+    The swing, an arm's swivel, moves no grip however far it goes; along the joints' angles the same
+    way is curved, and a simplex would hardly slide along it.
+
+    Args:
+        hung: arms of a pose.
+        moves: (2, 4) the swivel, then what is added to the shoulder's first two angles and to the
+            elbow's, radians.
+
+    Returns:
+        The arms, and their (2, 4) joint angles, radians.
+    """
+    added = jnp.zeros_like(moves).at[:, np.array([0, 1, 3])].set(moves[:, 1:])
+    angles = hung.angles + added
+    hinges = about_axis(hung.axes, angles)
+    R_humerus = compose(compose(hinges[:, 0], hinges[:, 1]), hinges[:, 2])
+    R_world_humerus = compose(hung.R_world_carrier, R_humerus)
+    R_world_radius = compose(R_world_humerus, hinges[:, 3])
+    elbow = rotate(R_world_humerus, hung.reaches[:, 0])
+    wrist = elbow + rotate(R_world_radius, hung.reaches[:, 1])
+    grip = elbow + rotate(R_world_radius, hung.grip)
+    axis = grip / jnp.sqrt(jnp.sum(grip**2, -1, keepdims=True) + 1e-12)
+    R_swing = about_axis(axis, moves[:, 0])
+    tip = wrist + rotate(R_world_radius, hung.reaches[:, 2])
+    shoulder = hung.arms.shoulder
+    arms = hung.arms._replace(
+        elbow=shoulder + rotate(R_swing, elbow),
+        wrist=shoulder + rotate(R_swing, wrist),
+        tip=shoulder + rotate(R_swing, tip),
+        grip=shoulder + grip,
+        R_world_radius=compose(R_swing, R_world_radius),
+    )
+    R_local = compose(hung.R_world_carrier.swapaxes(-1, -2), compose(R_swing, R_world_humerus))
+    turned = jax.vmap(nearest_hinges)(R_local, hung.axes[:, :3], angles[:, :3])
+    return arms, jnp.concatenate([turned, angles[:, 3:]], -1)
+
+
+def nearest_hinges(R: Array, axes: Array, near: Array) -> Array:
+    """Angles (3,) of the hinges that make up ``R``, of both answers the one nearer to ``near``."""
+    one = hinges_from_matrix(R, axes)
+    other = jnp.stack([one[0] + jnp.pi, jnp.pi - one[1], one[2] + jnp.pi])
+    wrapped = [near + (answer - near + jnp.pi) % (2 * jnp.pi) - jnp.pi for answer in (one, other)]
+    first, second = (jnp.sum((answer - near) ** 2) for answer in wrapped)
+    return jnp.where(first <= second, wrapped[0], wrapped[1])
+
+
+def bent(hung: Hung, side: int, arm: Arms) -> Array:
+    """Joint angles (4,), shoulder to elbow, that bring one arm (no batch) to where it is.
+
+    The elbow's hinge is across the plane of upper arm and forearm; of a straight arm it is open.
+    Its shoulder's place does not count.
+    """
+    upper, fore = arm.elbow - arm.shoulder, arm.wrist - arm.elbow
+    local_upper, axis = hung.reaches[side, 0], hung.axes[side, 3]
+    across = jnp.cross(upper, fore)
+    # As much across as along: the angle between the two.
+    elbow = jnp.arctan2(jnp.sqrt(jnp.sum(across**2) + 1e-12), jnp.sum(upper * fore))
+    local = _upright(local_upper, axis)
+    R_world_humerus = compose(_upright(upper, across).T, local)
+    R = compose(hung.R_world_carrier[side].T, R_world_humerus)
+    return jnp.append(nearest_hinges(R, hung.axes[side, :3], hung.angles[side, :3]), elbow)
+
+
+def _upright(along: Array, across: Array) -> Array:
+    """Rows (3, 3) of the frame whose first axis is along one vector, the second across it."""
+    x = along / jnp.sqrt(jnp.sum(along**2) + 1e-12)
+    y = across - x * jnp.sum(x * across)
+    y = y / jnp.sqrt(jnp.sum(y**2) + 1e-12)
+    return jnp.stack([x, y, jnp.cross(x, y)])
+
+
+def flesh(arms: Arms) -> Cones:
+    """Sphere-swept cones (2, 3) of the arms."""
+    near = jnp.stack([arms.shoulder, arms.elbow, arms.wrist], -2)
+    far = jnp.stack([arms.elbow, arms.wrist, arms.tip], -2)
+    return Cones(near, far, arms.radii)
+
+
+def turn_forearm(arms: Arms, R_turn: Array) -> tuple[Arms, Array]:
+    """Turn one forearm (no batch) about its grip; the upper arm follows, the shoulder gives way.
+
+    Args:
+        arms: one arm.
+        R_turn: (..., 3, 3) in the world, one or many.
+
+    Returns:
+        The arm (what moves is (..., 3)), and by how much (...) the shoulder had to move along the
+        upper arm, metres.
+    """
+    elbow, wrist, tip = (
+        arms.grip + rotate(R_turn, point - arms.grip)
+        for point in (arms.elbow, arms.wrist, arms.tip)
+    )
+    upper = arms.shoulder - elbow
+    length = jnp.sqrt(jnp.sum(upper**2, -1) + 1e-12)
+    shoulder = elbow + upper * (arms.humerus_length / length)[..., None]
+    moved = arms._replace(shoulder=shoulder, elbow=elbow, wrist=wrist, tip=tip)
+    return moved, length - arms.humerus_length

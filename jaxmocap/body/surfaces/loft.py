@@ -1,0 +1,220 @@
+"""A generic body's surface, lofted around a skeleton: any subject can be tracked without a scan.
+
+INPUTS: a Skeleton, scaled to the person; the table of cross-sections ``data/surface.toml``.
+OUTPUTS: a Surface: trunk with neck and head, arms with hands, legs, feet.
+
+A ring of the table is a closed contour about the bone's axis, its radius a short Fourier series of
+the angle, in units of the stature. Stature follows from the skeleton's lengths.
+"""
+
+import tomllib
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from jaxmocap.body.skeleton import Skeleton, Tree
+from jaxmocap.body.surfaces.surface import Surface, surface_from_rest
+
+# Of the stature, by Winter's proportions: trunk, neck and head, thigh and shank together.
+UPRIGHT = 0.340 + 0.130 + 0.245 + 0.246
+# How far along a bone the skin goes over from one bone to the next, as a share of the bone.
+BLEND = 0.3
+
+
+@dataclass(frozen=True)
+class Limb:
+    """One limb of the table.
+
+    Attributes:
+        name: of the patch, with its side.
+        side: 1 left or middle, -1 right.
+        bones: along which it lies, end to end; names.
+        above: the bone that carries its beginning, or "".
+        reach: length of its last bone as a fraction of the stature, or 0 for the skeleton's own.
+        around: nodes of a ring.
+        along: rings.
+        at: (R,) place of each ring of the table: whole numbers are bones' joints.
+        shifts: (R, 2) of the rings' centres by the stature, towards phi = 0 and 90 degrees.
+        stout: (R,) power of the girth by which they grow.
+        waves: (R, 2, H) cosine and sine coefficients of the radius by the stature.
+    """
+
+    name: str
+    side: int
+    bones: tuple[str, ...]
+    above: str
+    reach: float
+    around: int
+    along: int
+    at: np.ndarray
+    shifts: np.ndarray
+    stout: np.ndarray
+    waves: np.ndarray
+
+
+def generic_surface(skeleton: Skeleton, girth: float = 1.0) -> Surface:
+    """A surface of people's mean proportions around a skeleton.
+
+    Args:
+        skeleton: scaled to the person, with any joints.
+        girth: of trunk and limbs by the mean person's: a stout one's is above 1.
+    """
+    joints, stature = rest_joints(skeleton), stature_of(skeleton)
+    grids, shares = {}, {}
+    for limb in limbs():
+        places = places_along(skeleton, limb, stature)
+        phi = 2 * np.pi * np.arange(limb.around) / limb.around
+        size = stature * girth ** PchipInterpolator(limb.at, limb.stout)(places)[:, None]
+        radii = size * radii_at(limb, places, phi)
+        centres, cosine, sine = ring_frames(skeleton, limb, places, stature)
+        shifts = size * PchipInterpolator(limb.at, limb.shifts)(places)
+        ahead = radii * np.cos(phi) + shifts[:, :1]
+        outwards = radii * np.sin(phi) + shifts[:, 1:]
+        grid = centres[:, None] + ahead[..., None] * cosine + outwards[..., None] * sine
+        grids[limb.name] = grid
+        shares[limb.name] = bone_shares(skeleton.tree, limb, places, grids[limb.name], joints)
+    return surface_from_rest(grids, shares, joints)
+
+
+def rest_joints(skeleton: Skeleton) -> np.ndarray:
+    """Joints (B, 3) of all bones from the pelvis, with all angles 0, metres."""
+    lengths = np.asarray(skeleton.lengths, float)
+    reach = lengths[:, None] * np.asarray(skeleton.directions, float)
+    joints = np.zeros_like(reach)
+    for bone, parent in enumerate(skeleton.tree.parents):
+        if parent >= 0:
+            joints[bone] = joints[parent] + reach[parent]
+    return joints
+
+
+def stature_of(skeleton: Skeleton) -> float:
+    """Body height by the lengths of trunk, head and legs, metres."""
+    lengths, tree = np.asarray(skeleton.lengths, float), skeleton.tree
+    middle = sum(lengths[tree.bone(bone)] for bone in tree.bones[: tree.bones.index("head") + 1])
+    legs = [lengths[tree.bone(f"{bone}_{s}")] for bone in ("femur", "tibia") for s in "lr"]
+    return (middle + sum(legs) / 2) / UPRIGHT
+
+
+def ring_frames(
+    skeleton: Skeleton, limb: Limb, places: np.ndarray, stature: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centres (R, 3) of rings with all angles 0, and the directions (3,) of phi = 0 and 90 degrees.
+
+    Rings lie level, phi = 0 ahead and 90 degrees outwards; a foot's stand upright, phi = 0 up.
+    """
+    joints, tree = rest_joints(skeleton), skeleton.tree
+    bones = [tree.bone(bone) for bone in limb.bones]
+    reach = np.asarray(skeleton.lengths, float)[:, None] * np.asarray(skeleton.directions, float)
+    reach = reach[bones]
+    if limb.reach:
+        reach[-1] *= limb.reach * stature / np.linalg.norm(reach[-1])
+    which = np.clip(np.floor(places).astype(int), 0, len(bones) - 1)
+    centres = joints[bones][which] + (places - which)[:, None] * reach[which]
+    upright = abs(reach[0, 2]) > abs(reach[0, 0])
+    return centres, np.eye(3)[0 if upright else 2], limb.side * np.eye(3)[1]
+
+
+def places_along(skeleton: Skeleton, limb: Limb, stature: float) -> np.ndarray:
+    """(along,) places of rings, evenly spaced from the table's first ring to its last.
+
+    The first and the last are there twice: once more without a radius, so that ends are closed.
+    """
+    fine = np.linspace(limb.at[0], limb.at[-1], 400)
+    centres, _, _ = ring_frames(skeleton, limb, fine, stature)
+    way = np.append(0, np.cumsum(np.linalg.norm(np.diff(centres, axis=0), axis=1)))
+    even = np.linspace(0, way[-1], limb.along - 2)
+    return np.interp(np.concatenate([[0], even, [way[-1]]]), way, fine)
+
+
+def radii_at(limb: Limb, places: np.ndarray, phi: np.ndarray) -> np.ndarray:
+    """Radii (R, U) by the stature at places (R,) and angles (U,); the ends are closed."""
+    waves = PchipInterpolator(limb.at, limb.waves)(places)
+    orders = np.arange(waves.shape[-1])[:, None] * phi
+    radii = waves[:, 0] @ np.cos(orders) + waves[:, 1] @ np.sin(orders)
+    radii[[0, -1]] = 0.0
+    return np.maximum(radii, 0.0)
+
+
+def bone_shares(
+    tree: Tree, limb: Limb, places: np.ndarray, grid: np.ndarray, joints: np.ndarray
+) -> np.ndarray:
+    """(R, U, B) of each bone at the nodes: one going over into the next about their joint."""
+    bones = [tree.bone(bone) for bone in limb.bones]
+    chain = ([tree.bone(limb.above)] if limb.above else []) + bones
+    first = 0 if limb.above else 1
+    shares = np.zeros((*grid.shape[:2], len(tree.bones)))
+    shares[..., chain[0]] = 1.0
+    for k, bone in enumerate(chain[1:]):
+        part = _smooth((places - (first + k)) / (2 * BLEND) + 0.5)[:, None]
+        shares *= 1 - part[..., None]
+        shares[..., bone] += part
+    if limb.name == "torso":
+        for side, sign in (("l", 1), ("r", -1)):
+            _give_shoulder(tree, side, sign, shares, grid, joints)
+    return shares
+
+
+def _give_shoulder(
+    tree: Tree, side: str, sign: int, shares: np.ndarray, grid: np.ndarray, joints: np.ndarray
+) -> None:
+    """What lies by a shoulder follows its clavicle, more so farther out; changes ``shares``."""
+    breadth = abs(joints[tree.bone(f"humerus_{side}"), 1])
+    outwards = _smooth((sign * grid[..., 1] / breadth - 0.3) / 0.6)
+    bottom, top = joints[tree.bone("spine3"), 2], joints[tree.bone("neck"), 2]
+    upwards = _smooth((grid[..., 2] - bottom) / (top - bottom) * 1.5 - 0.3)
+    part = (outwards * upwards)[..., None] * shares[..., [tree.bone("spine3")]]
+    shares[..., [tree.bone(f"clavicle_{side}")]] += part
+    shares[..., [tree.bone("spine3")]] -= part
+
+
+def _smooth(x: np.ndarray) -> np.ndarray:
+    """From 0 to 1 as x does, without corners."""
+    x = np.clip(x, 0, 1)
+    return x * x * (3 - 2 * x)
+
+
+def limbs() -> tuple[Limb, ...]:
+    """All limbs of the table, the paired ones left and right."""
+    found = []
+    for row in _table()["patch"]:
+        at = np.array([ring["at"] for ring in row["ring"]])
+        shifts = np.array([ring["shift"] for ring in row["ring"]]) / 1000
+        stout = np.array([ring["stout"] for ring in row["ring"]])
+        waves = np.array([_waves(ring) for ring in row["ring"]]) / 1000
+        sides = (("", 1),) if row.get("single", False) else (("_l", 1), ("_r", -1))
+        for end, side in sides:
+            bones = tuple(bone + end for bone in row["bones"])
+            above = row["above"] + end if row["above"] else ""
+            size = row["around"], row["along"]
+            found.append(
+                Limb(
+                    row["name"] + end,
+                    side,
+                    bones,
+                    above,
+                    row["reach"],
+                    *size,
+                    at,
+                    shifts,
+                    stout,
+                    waves,
+                )
+            )
+    return tuple(found)
+
+
+def _waves(ring: dict) -> list[list[float]]:
+    """(2, H) cosine and sine coefficients; without the latter a ring is the same on both sides."""
+    cosine = ring["cos"]
+    return [cosine, [0.0, *ring.get("sin", [0.0] * (len(cosine) - 1))]]
+
+
+# Plain numbers, read once.
+@lru_cache
+def _table() -> dict:
+    """What the table of cross-sections holds."""
+    text = resources.files("jaxmocap.body").joinpath("data", "surface.toml").read_text("utf-8")
+    return tomllib.loads(text)

@@ -1,0 +1,4 @@
+"""Calibration boards in pictures: found, drawn, printed.
+
+Begin with ``finding``.
+"""

@@ -1,0 +1,133 @@
+"""Looking for a board in many pictures.
+
+INPUTS: photographs or videos, a Board. OUTPUTS: Found: views that differ, and which pictures show
+no board or nothing new.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from jaxmocap.calibration.board.boards import Board
+from jaxmocap.calibration.board.corners import find_coarsely, find_corners
+from jaxmocap.calibration.board.pictures import Picture, open_pictures
+from jaxmocap.calibration.intrinsics import View
+from jaxmocap.formats.files.errors import InputError
+
+# Fewer views than this are refused.
+FEWEST = 5
+# Two pictures whose corners differ less than this on average show the same, pixels.
+SAME_PX = 1.0
+# How many pictures without a board are looked through for a board of other counts, and how many
+# are named in a message at most.
+_HINTS, _NAMED = 3, 8
+
+
+@dataclass(frozen=True)
+class Found:
+    """A board in pictures.
+
+    Attributes:
+        where: the pictures in a few words, for messages.
+        board: that was looked for.
+        pictures: all that were looked at.
+        size: width and height that all have, pixels.
+        views: the board's corners, each different view once.
+        not_found: names of the pictures without a board.
+        repeated: names of the pictures that show the same as an earlier one.
+        said: what is to be said of videos.
+    """
+
+    where: str
+    board: Board
+    pictures: tuple[Picture, ...]
+    size: tuple[int, int]
+    views: tuple[View, ...]
+    not_found: tuple[str, ...]
+    repeated: tuple[str, ...]
+    said: tuple[str, ...]
+
+    def too_few(self) -> str | None:
+        """In how few pictures the board was found, and in which it was not; None where enough."""
+        if len(self.views) >= FEWEST:
+            return None
+        count = f"{len(self.views)} different pictures of {len(self.pictures)}"
+        parts = [f"found the {self.board.label} board in {count}", *self.said]
+        for names, what in (
+            (self.not_found, "no board in"),
+            (self.repeated, "the same as an earlier one:"),
+        ):
+            if names:
+                more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+                parts.append(f"{what} {', '.join(names[:_NAMED])}{more}")
+        without = [picture for picture in self.pictures if picture.name in self.not_found]
+        hint = other_counts(without[:_HINTS], self.board)
+        return "; ".join([*parts, f"expected {FEWEST} or more"]) + hint
+
+
+def find_boards(paths: Sequence[str | Path], board: Board) -> Found:
+    """Look for a board in photographs, and in frames of videos that are chosen for it.
+
+    Raises:
+        InputError: a file that is missing or neither image nor video, or pictures that differ in
+            size.
+    """
+    where = str(paths[0]) if len(paths) == 1 else f"{paths[0]} and {len(paths) - 1} more"
+    pictures, said = open_pictures(paths, board)
+    views: list[View] = []
+    missing, repeated = [], []
+    sizes: dict[tuple[int, int], str] = {}
+    for picture in pictures:
+        image = picture.image()
+        sizes.setdefault((image.shape[1], image.shape[0]), picture.name)
+        corners = find_corners(image, board)
+        if corners is None:
+            missing.append(picture.name)
+            continue
+        view = View(picture.name, corners.points_board, corners.pixels_xy)
+        if any(_same(view, other) for other in views):
+            repeated.append(view.name)
+        else:
+            views.append(view)
+    if len(sizes) > 1:
+        differing = ", ".join(f"{name} {w} × {h}" for (w, h), name in sizes.items())
+        raise InputError(where, f"pictures differ in size, expected one camera's: {differing}")
+    return Found(
+        where,
+        board,
+        tuple(pictures),
+        next(iter(sizes), (0, 0)),
+        tuple(views),
+        tuple(missing),
+        tuple(repeated),
+        tuple(said),
+    )
+
+
+def _same(a: View, b: View) -> bool:
+    if len(a.pixels_xy) != len(b.pixels_xy) or (a.points_board != b.points_board).any():
+        return False
+    return float(np.linalg.norm(a.pixels_xy - b.pixels_xy, axis=-1).mean()) < SAME_PX
+
+
+def other_counts(pictures: Sequence[Picture], board: Board) -> str:
+    """A hint where the pictures show a board of other counts; nothing where they do not."""
+    c, r = board.columns, board.rows
+    tried = {
+        (c - 1, r - 1): "inner corners are counted, where four squares meet, not squares",
+        (c + 1, r + 1): "all inner corners are counted, where four squares meet",
+    }
+    if board.dictionary is not None:
+        tried = {(r, c): "the first number runs along the markers' upper edges"} | tried
+    for (columns, rows), why in tried.items():
+        if min(columns, rows) < 3:
+            continue
+        other = board.resized(columns, rows)
+        for picture in pictures:
+            grey = cv2.cvtColor(picture.image(), cv2.COLOR_BGR2GRAY)
+            if find_coarsely(grey, other) is not None:
+                return f"; {picture.name} shows a {other.label} board: {why}"
+    return ""

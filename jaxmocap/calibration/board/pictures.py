@@ -1,0 +1,152 @@
+"""Photographs of a board, and the frames of a video that show it best.
+
+INPUTS: image and video files, a Board. OUTPUTS: Pictures, whose images are read when asked for.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from jaxmocap.calibration.board.boards import Board
+from jaxmocap.calibration.board.corners import find_coarsely
+from jaxmocap.capture.photographs import is_picture_file, read_picture
+from jaxmocap.capture.video import NO_VIDEO, Video
+from jaxmocap.formats.files.errors import InputError
+
+# Frames of a video: how many are looked at, and how many are chosen at most.
+LOOKED_AT, CHOSEN = 150, 20
+# A frame is blurred where its board has less than this part of the median board's sharpness.
+SHARP = 0.5
+# Views that differ less than this (in units of the image) show nothing new.
+NEW = 0.02
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One photograph, or one frame of a video.
+
+    Attributes:
+        name: for reports: the file's name, with the frame's number for a video.
+        path: of the file.
+        frame: (H, W, 3) BGR of a video's frame; None for a photograph.
+    """
+
+    name: str
+    path: Path
+    frame: np.ndarray | None = None
+
+    def image(self) -> np.ndarray:
+        """(H, W, 3) BGR uint8; InputError where the file is not an image."""
+        if self.frame is not None:
+            return self.frame
+        return read_picture(self.path)
+
+
+def open_pictures(paths: Sequence[str | Path], board: Board) -> tuple[list[Picture], list[str]]:
+    """Pictures of files in their order, and what is to be said of videos.
+
+    Raises:
+        InputError: a file that is missing, or neither an image nor a video.
+    """
+    pictures: list[Picture] = []
+    said: list[str] = []
+    files = [Path(path) for path in paths]
+    for path in files:
+        alone = len({other for other in files if other.name == path.name}) == 1
+        if path.is_dir():
+            raise InputError(path, "is a folder, expected images or a video")
+        if is_picture_file(path):
+            # All are looked at before any work begins.
+            read_picture(path)
+            pictures.append(Picture(path.name if alone else str(path), path))
+            continue
+        try:
+            video = Video(path)
+        except InputError as error:
+            if error.problem != NO_VIDEO:
+                raise
+            raise InputError(path, "is neither an image nor a video that can be read") from None
+        chosen, sentence = _chosen_frames(video, board)
+        pictures += chosen
+        said.append(sentence)
+    return pictures, said
+
+
+@dataclass(frozen=True)
+class _Seen:
+    number: int
+    sharpness: float
+    features: np.ndarray
+
+
+def _chosen_frames(video: Video, board: Board) -> tuple[list[Picture], str]:
+    """Sharp frames that differ from one another in the board's place, size and tilt."""
+    step = max(1, -(-len(video) // LOOKED_AT))
+    seen = []
+    for number, (_, grey) in enumerate(video.frames(luma=True)):
+        if grey is not None and number % step == 0:
+            pixels = find_coarsely(grey, board)
+            if pixels is not None:
+                seen.append(_Seen(number, _sharpness(grey, pixels), _features(pixels, board, grey)))
+    looked = -(-len(video) // step)
+    sentence = f"{video.path.name}: board seen in {len(seen)} of {looked} frames looked at"
+    if not seen:
+        return [], sentence
+    limit = SHARP * float(np.median([view.sharpness for view in seen]))
+    sharp = [view for view in seen if view.sharpness >= limit]
+    numbers = sorted(view.number for view in spread(sharp, CHOSEN))
+    images = {
+        i: image
+        for i, (_, image) in enumerate(video.frames())
+        if i in numbers and image is not None
+    }
+    chosen = [
+        Picture(f"{video.path.name} frame {i}", video.path, image) for i, image in images.items()
+    ]
+    blurred = len(seen) - len(sharp)
+    return chosen, f"{sentence}, {blurred} blurred, {len(chosen)} chosen for their spread"
+
+
+def spread(views: Sequence[_Seen], count: int) -> list[_Seen]:
+    """Up to ``count`` views, each as far as can be from those chosen before it.
+
+    The first is the sharpest; those that show nothing new are not chosen.
+    """
+    chosen = [max(views, key=lambda view: view.sharpness)]
+    features = np.array([view.features for view in views])
+    distances = np.full(len(views), np.inf)
+    while len(chosen) < count:
+        distances = np.minimum(distances, np.linalg.norm(features - chosen[-1].features, axis=-1))
+        if distances.max() < NEW:
+            break
+        chosen.append(views[int(distances.argmax())])
+    return chosen
+
+
+def _sharpness(grey: np.ndarray, pixels_xy: np.ndarray) -> float:
+    """Steepness of the edges about the corners, relative to the board's contrast."""
+    left, top = np.maximum(pixels_xy.min(0), 0).astype(int)
+    right, bottom = pixels_xy.max(0).astype(int) + 1
+    crop = grey[top:bottom, left:right].astype(np.float32)
+    dx, dy = cv2.Sobel(crop, cv2.CV_32F, 1, 0), cv2.Sobel(crop, cv2.CV_32F, 0, 1)
+    return float(np.percentile(np.hypot(dx, dy), 95) / (crop.std() + 1.0))
+
+
+def _features(pixels_xy: np.ndarray, board: Board, grey: np.ndarray) -> np.ndarray:
+    """(7,) where the board is, how large, how turned, how foreshortened along x and y.
+
+    In units of the image; foreshortening (opposite sides that differ in length) is what tells the
+    focal length, so it counts double.
+    """
+    grid = pixels_xy.reshape(board.rows, board.columns, 2)
+    sides = [grid[0, -1] - grid[0, 0], grid[-1, -1] - grid[-1, 0]]
+    sides += [grid[-1, 0] - grid[0, 0], grid[-1, -1] - grid[0, -1]]
+    bottom, top, left, right = (float(np.linalg.norm(side)) for side in sides)
+    centre = pixels_xy.mean(0) / grey.shape[::-1]
+    size = np.sqrt((bottom + top) * (left + right)) / 2 / max(grey.shape)
+    direction = (sides[0] + sides[1]) / (np.linalg.norm(sides[0] + sides[1]) + 1e-9)
+    tilt = 2 * np.log([bottom / top, left / right])
+    return np.array([*centre, size, *(direction / 4), *tilt])

@@ -1,0 +1,236 @@
+"""Where a device sits seen from the joint that it turns about: a grip from the wrist, for example.
+
+INPUTS: a clip of markers that know how they are turned, each about a joint that stays where it is:
+the forearm rests on a table and the hand turns, up and down, to the sides, and twisting.
+OUTPUTS: for each marker its offset from that joint in its own axes, with covariance; and how it is
+held, by a while in which the person stands upright.
+
+A marker at p, turned by R, whose joint lies at w has the offset o with p = w + R o (pivot
+calibration). In every second of the clip w is an unknown of its own, so that the arm may shift and
+devices wander; all seconds share o, by least squares, those in which the joint strays more counting
+less. Three devices with six degrees of freedom know nothing of joints: what is found is the point
+that stayed, and that this is the wrist is the clip's making. When the whole arm moves it is an
+elbow, a shoulder, or nothing; the offset's length and the joint's straying tell.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.recordings.marker_places import MarkerPlace
+from jaxmocap.formats.recordings.recording import load_markers
+from jaxmocap.formats.time_series.tables import Markers
+
+WINDOW_S = 1.0
+# Fewer seconds than these, and their scatter tells no uncertainty.
+FEWEST_WINDOWS, FEWEST_SAMPLES = 8, 5
+# A joint that strays less within a second, metres, is not weighed down for it.
+STEADY_M = 0.001
+ROUNDS = 10
+# Beyond these the clip was none of turning about a joint that rests.
+MOST_STD_M, MOST_STRAY_M, MOST_LENGTH_M = 0.01, 0.01, 0.25
+
+
+@dataclass(frozen=True)
+class Held:
+    """How one device sits on its bone.
+
+    Attributes:
+        place: of the marker; its bone's joint is what it turned about.
+        offset: (3,) metres, from the joint to the marker, in the marker's axes.
+        covariance: (3, 3) of it, by the scatter between the clip's seconds.
+        stray: metres (RMS) that the joint moved within a second, noise included.
+        swing: degrees (RMS) that the marker turned within a second.
+        windows: seconds that were used.
+        turn: (3, 3) from the marker's axes to the bone's, or None where nobody stood still.
+        turn_spread: degrees (RMS) that it varied by while standing.
+    """
+
+    place: MarkerPlace
+    offset: np.ndarray
+    covariance: np.ndarray
+    stray: float
+    swing: float
+    windows: int
+    turn: np.ndarray | None = None
+    turn_spread: float = float("nan")
+
+    @property
+    def deviations(self) -> np.ndarray:
+        """(3,) standard deviations of the offset, metres."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why not to use it; empty where nothing speaks against it."""
+        values, vectors = np.linalg.eigh(self.covariance)
+        said, length = [], float(np.linalg.norm(self.offset))
+        if values[-1] > MOST_STD_M**2:
+            x, y, z = vectors[:, -1]
+            said.append(
+                f"not determined along [{x:.2f}, {y:.2f}, {z:.2f}] of the marker's axes, about "
+                "which alone it turned: turn it about the others too"
+            )
+        if self.stray > MOST_STRAY_M:
+            said.append(f"its joint moved by {1e3 * self.stray:.0f} mm a second: rest it")
+        if length > MOST_LENGTH_M:
+            said.append(
+                f"{100 * length:.0f} cm from what it turned about, which is hardly the joint of "
+                f"{self.place.bone}: rest what carries it"
+            )
+        return tuple(said)
+
+
+def estimate_offsets(
+    markers: Markers,
+    places: Sequence[MarkerPlace],
+    still: tuple[float, float] | None = None,
+    span: tuple[float, float] = (-np.inf, np.inf),
+) -> list[Held]:
+    """How every marker that knows how it is turned sits on its bone.
+
+    Args:
+        markers: in the world's axes, metres, with turns.
+        places: of the markers, in the same order; only their bones count.
+        still: seconds between which the person stands upright, arms hanging, thumbs and nose
+            forward; None asks nothing of how the devices are held.
+        span: seconds between which the devices turn about their joints.
+
+    Raises:
+        ValueError: no marker knows how it is turned, the clip is too short, or nobody can be told
+            from markers on both hands to stand at those times.
+    """
+    if markers.turns is None or not np.isfinite(markers.turns).any():
+        raise ValueError("no marker says how it is turned")
+    turns, found = markers.turns, []
+    yaw = None if still is None else _heading(markers, places, still)
+    for i, place in enumerate(places):
+        if not np.isfinite(turns[:, i]).any():
+            continue
+        held = _pivot(markers.times, markers.positions[:, i], turns[:, i], place, span)
+        if still is not None and yaw is not None:
+            held = _mounted(held, turns[_within(markers.times, still), i], yaw)
+        found.append(held)
+    return found
+
+
+def _within(times: np.ndarray, span: tuple[float, float]) -> np.ndarray:
+    return (times >= span[0]) & (times <= span[1])
+
+
+def _pivot(
+    times: np.ndarray,
+    positions: np.ndarray,
+    turns: np.ndarray,
+    place: MarkerPlace,
+    span: tuple[float, float],
+) -> Held:
+    """The offset of one marker (T, 3), (T, 3, 3)."""
+    usable = np.isfinite(positions.sum(-1) + turns.sum((1, 2))) & _within(times, span)
+    seconds = np.floor((times - times[0]) / WINDOW_S).astype(int)
+    windows = [np.flatnonzero(usable & (seconds == k)) for k in np.unique(seconds)]
+    windows = [window for window in windows if len(window) >= FEWEST_SAMPLES]
+    if len(windows) < FEWEST_WINDOWS:
+        raise ValueError(
+            f"{place.name}: found {len(windows)} seconds with places and turns, expected "
+            f"{FEWEST_WINDOWS} or more"
+        )
+    A = [turns[w] - turns[w].mean(0) for w in windows]
+    b = [positions[w] - positions[w].mean(0) for w in windows]
+    offset, weights, strays = _solved(A, b)
+    swing = [Rotation.from_matrix(turns[w]) for w in windows]
+    angles = [(R.mean().inv() * R).magnitude() for R in swing]
+    return Held(
+        place,
+        offset,
+        _covariance(A, b, offset, weights),
+        float(np.sqrt(np.average(strays**2, weights=weights))),
+        float(np.degrees(np.sqrt(np.mean(np.concatenate(angles) ** 2)))),
+        len(windows),
+    )
+
+
+def _solved(
+    A: Sequence[np.ndarray], b: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Offset (3,), and weight and straying (K,) of each second, reweighted till they settle."""
+    weights, offset, strays = np.ones(len(A)), np.zeros(3), np.zeros(len(A))
+    for _ in range(ROUNDS):
+        rows = np.concatenate(
+            [np.sqrt(w) * a.reshape(-1, 3) for w, a in zip(weights, A, strict=True)]
+        )
+        told = np.concatenate([np.sqrt(w) * c.ravel() for w, c in zip(weights, b, strict=True)])
+        offset = np.linalg.lstsq(rows, told, rcond=None)[0]
+        strays = np.array([np.sqrt(np.mean(np.sum((c - a @ offset) ** 2, -1)))
+                           for a, c in zip(A, b, strict=True)])  # fmt: skip
+        usual = max(float(np.median(strays)), STEADY_M)
+        weights = 1 / (1 + (strays / usual) ** 2)
+    return offset, weights, strays
+
+
+def _covariance(
+    A: Sequence[np.ndarray], b: Sequence[np.ndarray], offset: np.ndarray, weights: np.ndarray
+) -> np.ndarray:
+    """Of the offset (3, 3), metres^2, by how much the seconds disagree (a sandwich by seconds).
+
+    Within a second errors are anything but independent: the joint strays, devices wander.
+    """
+    normal, pulls = np.zeros((3, 3)), np.zeros((len(A), 3))
+    for k, (w, a, c) in enumerate(zip(weights, A, b, strict=True)):
+        normal += w * np.einsum("tki,tkj->ij", a, a)
+        pulls[k] = w * np.einsum("tki,tk->i", a, c - a @ offset)
+    inverse = np.linalg.pinv(normal)
+    # Three unknowns have made the residuals smaller than the errors are.
+    few = len(A) / (len(A) - 3)
+    return few * inverse @ pulls.T @ pulls @ inverse + _open(normal)
+
+
+def _open(normal: np.ndarray) -> np.ndarray:
+    """Covariance (3, 3), metres^2, of what the turns leave open: a device is within a metre."""
+    values, vectors = np.linalg.eigh(normal)
+    # About an axis that turned a thirtieth of the others or less the noise outweighs it.
+    share = values / max(float(values[-1]), 1e-12)
+    return vectors @ np.diag(np.where(share < 1e-3, 1.0, 0.0)) @ vectors.T
+
+
+def _heading(
+    markers: Markers, places: Sequence[MarkerPlace], still: tuple[float, float]
+) -> np.ndarray:
+    """(3, 3) from the body's axes to the world's of who stands, by the line between the hands."""
+    sides = [[i for i, p in enumerate(places) if p.bone == f"hand_{side}"] for side in "lr"]
+    during = markers.positions[_within(markers.times, still)]
+    if not all(sides) or not len(during):
+        raise ValueError("standing still needs a marker on hand_l and one on hand_r at those times")
+    left, right = (np.nanmean(during[:, side], axis=(0, 1)) for side in sides)
+    y = (left - right) * [1, 1, 0]
+    if not np.linalg.norm(y) > 0.1:
+        raise ValueError("standing still needs hands apart, to both sides of the body")
+    y /= np.linalg.norm(y)
+    return np.stack([np.cross(y, [0.0, 0, 1]), y, [0.0, 0, 1]], -1)
+
+
+def _mounted(held: Held, turns: np.ndarray, R_world_body: np.ndarray) -> Held:
+    """With how the device is held, from turns (T, 3, 3) while the bones are upright."""
+    known = turns[np.isfinite(turns.sum((1, 2)))]
+    if not len(known):
+        raise ValueError(f"{held.place.name}: says nothing of how it is turned while standing")
+    R = Rotation.from_matrix(R_world_body.T @ known)
+    spread = float(np.degrees(np.sqrt(np.mean((R.mean().inv() * R).magnitude() ** 2))))
+    return replace(held, turn=R.mean().as_matrix(), turn_spread=spread)
+
+
+def find_offsets(
+    path: str | Path,
+    still: tuple[float, float] | None = None,
+    span: tuple[float, float] = (-np.inf, np.inf),
+) -> list[Held]:
+    """``estimate_offsets`` of a recording's file; what does not fit is an InputError."""
+    markers, places = load_markers(path)
+    try:
+        return estimate_offsets(markers, places, still, span)
+    except ValueError as error:
+        raise InputError(path, str(error)) from None

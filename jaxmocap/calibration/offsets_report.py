@@ -1,0 +1,56 @@
+"""What the calibration of devices found, for people and for programs.
+
+INPUTS: Held devices. OUTPUTS: text with lines for [markers.on]; figures for JSON.
+"""
+
+from collections.abc import Sequence
+
+from jaxmocap.body.orientations import quaternions
+from jaxmocap.calibration.offsets import Held
+
+
+def offsets_text(found: Sequence[Held]) -> str:
+    """What was found, and lines for [markers.on]."""
+    lines = []
+    for held in found:
+        mm, std = 1e3 * held.offset, 1e3 * held.deviations
+        told = ", ".join(f"{a:.1f} ± {b:.1f}" for a, b in zip(mm, std, strict=True))
+        lines.append(
+            f"{held.place.name}: {told} mm from the joint of {held.place.bone}, which strayed by "
+            f"{1e3 * held.stray:.1f} mm a second while it turned by {held.swing:.0f}°"
+        )
+        if held.turn is not None:
+            lines.append(f"  held within {held.turn_spread:.1f}° while standing (how straight the "
+                         "person stood is not in that)")  # fmt: skip
+        lines += [f"  doubtful: {doubt}" for doubt in held.doubts]
+    lines += ["", "[markers.on]", *(toml_line(held) for held in found if not held.doubts)]
+    return "\n".join(lines)
+
+
+def toml_line(held: Held) -> str:
+    """The entry of [markers.on]."""
+    x, y, z = held.offset
+    entry = f'bone = "{held.place.bone}", at = 0.0, offset = [{x:.4f}, {y:.4f}, {z:.4f}]'
+    if held.turn is not None:
+        turn = ", ".join(f"{part:.4f}" for part in quaternions(held.turn))
+        return f'{held.place.name} = {{ {entry}, offset_in = "marker", turn = [{turn}] }}'
+    return f'{held.place.name} = {{ {entry}, offset_in = "marker" }}'
+
+
+def offsets_figures(found: Sequence[Held]) -> dict:
+    """The same as figures."""
+    return {
+        held.place.name: {
+            "bone": held.place.bone,
+            "offset_m": held.offset.tolist(),
+            "std_m": held.deviations.tolist(),
+            "covariance_m2": held.covariance.tolist(),
+            "stray_m": held.stray,
+            "swing_deg": held.swing,
+            "seconds": held.windows,
+            "turn_wxyz": None if held.turn is None else quaternions(held.turn).tolist(),
+            "turn_spread_deg": None if held.turn is None else held.turn_spread,
+            "doubts": list(held.doubts),
+        }
+        for held in found
+    }

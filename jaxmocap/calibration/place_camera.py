@@ -1,0 +1,223 @@
+"""Placing a camera in the world: the story of the command, from one photograph to a file.
+
+INPUTS: a photograph; a board and where it stands, or listed points; the calibration file.
+OUTPUTS: rotation and translation in the camera's section, a picture to look at, and a Placed that
+tells what was found.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from jaxmocap.calibration.board.boards import Board, parse_board
+from jaxmocap.calibration.board.corners import Corners, find_corners
+from jaxmocap.calibration.board.finding import other_counts
+from jaxmocap.calibration.board.pictures import Picture
+from jaxmocap.calibration.board.sheets import draw_placed, picture_folder
+from jaxmocap.calibration.extrinsics import (
+    Placement,
+    board_to_world,
+    place,
+    turned_board,
+    wrong_way_up,
+)
+from jaxmocap.capture.video import SIZE_TOLERANCE
+from jaxmocap.formats.cameras.calibration import Lens, check_writable, read_lens, write_camera
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.time_series.axes import UP
+from jaxmocap.formats.time_series.points import read_points
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Where the board stands, or which points were listed: what the user measured.
+
+    Attributes:
+        board: in the photograph; None with points.
+        pose: of the board in the world: x, y, z in metres, rx, ry, rz in degrees.
+        origin_xy: pixel near the board's origin, for boards that look the same when turned.
+        points: file of points.
+        up: the axis that points up where these were measured, "z" or "y".
+    """
+
+    board: Board | None = None
+    pose: tuple[float, ...] | None = None
+    origin_xy: tuple[float, float] | None = None
+    points: str | Path | None = None
+    up: str = "z"
+
+
+def measured(
+    counts: tuple[int, int] | None,
+    square: float | None,
+    charuco: tuple[str, float] | None,
+    pose: tuple[float, ...] | None,
+    origin_xy: tuple[float, float] | None,
+    points: str | Path | None,
+    up: str = "z",
+) -> Measured:
+    """What the command line holds, checked: either a board with its pose, or points.
+
+    Raises:
+        InputError: a pose without the board that it is of.
+    """
+    if points is not None:
+        return Measured(points=points, up=up)
+    if counts is None or square is None:
+        raise InputError("--pose", "is of a board, expected --board and --square too")
+    return Measured(parse_board(counts, square, charuco), pose, origin_xy, up=up)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """What ``calibrate_extrinsics`` found.
+
+    Attributes:
+        camera: name of its section.
+        image: the photograph's name.
+        names: of the N points or corners.
+        placement: the camera in the world, and residuals.
+        remarks: sentences that a user should see.
+        files: written.
+    """
+
+    camera: str
+    image: str
+    names: tuple[str, ...]
+    placement: Placement
+    remarks: tuple[str, ...]
+    files: tuple[Path, ...]
+
+
+def calibrate_extrinsics(
+    image: str | Path,
+    measured: Measured,
+    camera: str,
+    out: str | Path,
+    intrinsics: str | Path | None = None,
+    pictures: str | Path | None = None,
+    upside_down: bool = False,
+) -> Placed:
+    """Place a camera and write its rotation and translation.
+
+    Args:
+        image: a photograph.
+        measured: the board's place, or points.
+        camera: name of the section.
+        out: the calibration file, .toml.
+        intrinsics: file with the camera's intrinsics, .toml or OpenCV's .yml; None: ``out``.
+        pictures: folder for what is drawn, or None. It is drawn even if the place is refused.
+        upside_down: whether the camera hangs upside down, as from a ceiling.
+
+    Raises:
+        InputError: files that cannot be used, no board, one whose origin cannot be told, or a
+            camera that comes out the wrong way up; nothing is written then.
+    """
+    path, out = Path(image), Path(out)
+    check_writable(out, camera)
+    folder = picture_folder(pictures, f"extrinsics of {camera}", [path])
+    lens = read_lens(intrinsics or out, camera)
+    picture = Picture(path.name, path)
+    photo = picture.image()
+    said = _check_size(path, photo, lens)
+    T_world_board, names, points_world, pixels_xy = _targets(path, photo, measured)
+    try:
+        placement = place(points_world, pixels_xy, lens, upside_down)
+    except ArithmeticError as error:
+        raise InputError(measured.points or path, str(error)) from None
+    advice = None
+    if T_world_board is not None:
+        advice = turned_board(placement.T_cam_world, T_world_board, upside_down)
+    elif placement.remarks:
+        advice = "are the points in the world's axes (Z up, or --up y), and pixels unmirrored?"
+    said += [*placement.remarks, *([advice] if advice else []), *_off(placement, names)]
+    drawn = []
+    if folder is not None:
+        board = None
+        if measured.board is not None and T_world_board is not None:
+            board = measured.board, T_world_board
+        shown = partial(draw_placed, picture, lens, placement, pixels_xy, board)
+        drawn += folder.write(lambda stage: [shown(stage)])
+    if wrong_way_up(placement.T_cam_world, upside_down):
+        raise InputError(measured.points or path, _refusal(upside_down, advice))
+    place_entries = {
+        "rotation": placement.rotation,
+        "translation": placement.T_cam_world[:3, 3],
+    }
+    given = lens.entries() if intrinsics is not None else {}
+    write_camera(out, camera, given | place_entries)
+    return Placed(camera, path.name, tuple(names), placement, tuple(said), (out, *drawn))
+
+
+def _check_size(path: Path, photo: np.ndarray, lens: Lens) -> list[str]:
+    """A remark where the photograph is a little narrower than the calibration, as for videos."""
+    size, expected = np.array(photo.shape[1::-1]), lens.size
+    if (size == expected).all():
+        return []
+    found = f"is {size[0]} × {size[1]}, the calibration {expected[0]:g} × {expected[1]:g} pixels"
+    if (np.abs(size - expected) > SIZE_TOLERANCE * expected).any():
+        raise InputError(path, f"{found}, expected the same camera and the same resolution")
+    return [f"{path.name} {found}: taken as cropped on the right and at the bottom"]
+
+
+def _targets(
+    path: Path, photo: np.ndarray, measured: Measured
+) -> tuple[np.ndarray | None, list[str], np.ndarray, np.ndarray]:
+    """T_world_board (None with points), names, (N, 3) points in the world, (N, 2) pixels."""
+    R_world_file = UP[measured.up]
+    if measured.points is not None:
+        names, points, pixels_xy = read_points(measured.points)
+        return None, names, points @ R_world_file.T, pixels_xy
+    board = measured.board
+    if board is None or measured.pose is None:
+        raise InputError(path, "needs a board and its pose, or a file of points")
+    corners = find_corners(photo, board)
+    if corners is None:
+        hint = other_counts([Picture(path.name, path)], board)
+        raise InputError(path, f"found no {board.label} board{hint}")
+    pixels_xy = _ordered(path, corners, measured.origin_xy)
+    T_file_board = board_to_world(measured.pose)
+    T_world_file = np.eye(4)
+    T_world_file[:3, :3] = R_world_file
+    T_world_board = T_world_file @ T_file_board
+    points_world = corners.points_board @ T_world_board[:3, :3].T + T_world_board[:3, 3]
+    names = [f"corner {i}" for i in range(1, len(points_world) + 1)]
+    return T_world_board, names, points_world, pixels_xy
+
+
+def _ordered(path: Path, corners: Corners, origin_xy: tuple[float, float] | None) -> np.ndarray:
+    """Pixels in the board's order; with a board that looks the same turned, the user tells."""
+    orders = [corners.pixels_xy, *corners.orders]
+    if len(orders) == 1:
+        return orders[0]
+    if origin_xy is None:
+        places = " or ".join(f"--origin {x:.0f},{y:.0f}" for x, y in (o[0] for o in orders))
+        raise InputError(
+            path,
+            "the board looks the same when it is turned (both counts even, or both odd), so its "
+            f"origin cannot be told: say where in the picture it is, {places}",
+        )
+    return min(orders, key=lambda order: float(np.linalg.norm(order[0] - origin_xy)))
+
+
+def _refusal(upside_down: bool, advice: str | None) -> str:
+    """Why a camera is not written."""
+    found = "the camera comes out upside down, expected it upright"
+    remedy = "or does it hang upside down (--upside-down)?"
+    if upside_down:
+        found = "the camera comes out upright, expected it upside down as --upside-down states"
+        remedy = "or leave that out"
+    return "; ".join(filter(None, (found, advice, remedy)))
+
+
+def _off(placement: Placement, names: list[str]) -> list[str]:
+    """Sentences about points that do not fit."""
+    said = []
+    for i in np.flatnonzero(~placement.used):
+        off = np.linalg.norm(placement.residuals_xy[i])
+        said.append(f"{names[i]} was left out: {off:.0f} pixels from where the others put it")
+    if placement.rms > 3:
+        said.append(f"{placement.rms:.1f} pixels are a lot: the picture shows which points are off")
+    return said

@@ -1,0 +1,176 @@
+"""A person's body, from height and mass or from a static trial, into a file to read and edit.
+
+INPUTS: height and mass; or markers of the person standing, and which landmarks they are.
+OUTPUTS: subject.toml, which a recording's [subject] names; what each bone's length rests on.
+"""
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.subject import NECK_HEAD, TRUNK
+from jaxmocap.capture.checks.body_reach import stature
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.toml import Fields
+from jaxmocap.formats.recordings.subject import read_subject, static_landmarks, write_subject
+from jaxmocap.formats.time_series.markers import read_markers
+
+BY_HEIGHT = "by height (Winter)"
+# Bones -> landmarks between which they are measured, "hips" being the middle of the hips.
+_BETWEEN: dict[str, tuple[str, str]] = {
+    "spine1": ("hips", "neck"),
+    "spine2": ("hips", "neck"),
+    "spine3": ("hips", "neck"),
+    "neck": ("neck", "vertex"),
+    "head": ("neck", "vertex"),
+}
+_SIDED = {
+    "clavicle": ("neck", "shoulder_{}"),
+    "humerus": ("shoulder_{}", "elbow_{}"),
+    "radius": ("elbow_{}", "wrist_{}"),
+    "hand": ("wrist_{}", "hand_{}"),
+    "hip": ("hips", "hip_{}"),
+    "femur": ("hip_{}", "knee_{}"),
+    "tibia": ("knee_{}", "ankle_{}"),
+    "foot": ("ankle_{}", "toe_{}"),
+}
+_BETWEEN |= {
+    f"{bone}_{side}": (near.format(side), far.format(side))
+    for bone, (near, far) in _SIDED.items()
+    for side in "lr"
+}
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """A person's body.
+
+    Attributes:
+        skeleton: of the person.
+        height: metres.
+        measured: bone -> standard deviation over the frames of the distance that its length was
+            taken from, metres, and their number; bones that nothing was measured of are not there.
+        path: of the file written.
+    """
+
+    skeleton: Skeleton
+    height: float
+    measured: Mapping[str, tuple[float, int]]
+    path: Path
+
+    def text(self) -> str:
+        """What each bone's length rests on."""
+        lines = [f"{self.height:.3f} m, {float(self.skeleton.masses.sum()):.1f} kg"]
+        for bone, length in zip(self.skeleton.tree.bones, self.skeleton.lengths, strict=True):
+            said = BY_HEIGHT
+            if bone in self.measured:
+                spread, frames = self.measured[bone]
+                said = f"measured, ± {1e3 * spread:.1f} mm over {frames} frames"
+                said += ", split as in Table 1" if bone in (*TRUNK, *NECK_HEAD) else ""
+            lines.append(f"{bone.ljust(11)} {float(length):.4f} m  {said}")
+        return "\n".join([*lines, f"written: {self.path}"])
+
+    def figures(self) -> dict:
+        """The same for programs."""
+        bones, lengths = self.skeleton.tree.bones, np.asarray(self.skeleton.lengths, float)
+        return {
+            "height_m": self.height,
+            "mass_kg": float(self.skeleton.masses.sum()),
+            "bones": {
+                bone: {
+                    "length_m": float(length),
+                    "measured": bone in self.measured,
+                    "std_m": self.measured[bone][0] if bone in self.measured else None,
+                }
+                for bone, length in zip(bones, lengths, strict=True)
+            },
+        }
+
+
+def scale(
+    out: str | Path,
+    height: float | None = None,
+    static: str | Path | None = None,
+    landmarks: Mapping[str, str] | None = None,
+    up: str | None = None,
+    mass: float | None = None,
+    wrists: bool = False,
+) -> Scaled:
+    """Write a body by either way, one of height and static trial given; see the two below."""
+    if static is not None:
+        if height is not None:
+            raise InputError(out, "--height and --static exclude each other")
+        return scale_by_static(out, static, landmarks or {}, up or "z", mass, wrists)
+    if landmarks or up:
+        raise InputError(out, "--landmarks and --up are about a static trial (--static)")
+    if height is None:
+        raise InputError(out, "expected one of --height, --static, --recording")
+    return scale_by_height(out, height, mass, wrists)
+
+
+def scale_by_height(
+    out: str | Path, height: float, mass: float | None = None, wrists: bool = False
+) -> Scaled:
+    """Write the body of a person of that height (metres) and mass (kilograms)."""
+    table = {"height": height, "wrists": wrists} | ({} if mass is None else {"mass": mass})
+    skeleton = read_subject(Path(out), "scale", table)
+    write_subject(out, skeleton, height)
+    return Scaled(skeleton, height, {}, Path(out))
+
+
+def scale_by_static(
+    out: str | Path,
+    static: str | Path,
+    landmarks: Mapping[str, str],
+    up: str = "z",
+    mass: float | None = None,
+    wrists: bool = False,
+) -> Scaled:
+    """Write the body of a person who stands in a static trial.
+
+    Args:
+        out: subject.toml.
+        static: file of markers.
+        landmarks: landmark -> marker; empty takes markers that are called as landmarks are.
+        up: the file's vertical axis.
+        mass: kilograms.
+        wrists: whether the body has them.
+    """
+    static = Path(static)
+    named = dict(landmarks) or {n: n for n in read_markers(static).names if n in LANDMARKS}
+    if not named:
+        raise InputError(static, "has no marker called as a landmark is, name them (--landmarks)")
+    table: dict[str, Any] = {"static": static.name, "up": up, "landmarks": named}
+    fields = Fields(static, "", table)
+    skeleton = read_subject(
+        static, "", table | {"wrists": wrists} | ({} if mass is None else {"mass": mass})
+    )
+    measured = lengths_measured(static_landmarks(fields))
+    height = stature(skeleton)
+    write_subject(out, skeleton, height)
+    return Scaled(skeleton, height, measured, Path(out))
+
+
+def lengths_measured(landmarks: Mapping[str, np.ndarray]) -> dict[str, tuple[float, int]]:
+    """Bone -> standard deviation (metres) over the frames of its ends' distance, and their number.
+
+    Args:
+        landmarks: name -> (T, 3) world, metres; NaN where missing.
+    """
+    points = dict(landmarks)
+    if "hip_l" in points and "hip_r" in points:
+        points["hips"] = (points["hip_l"] + points["hip_r"]) / 2
+    found = {}
+    for bone, (near, far) in _BETWEEN.items():
+        if near in points and far in points:
+            distance = np.linalg.norm(points[near] - points[far], axis=-1)
+            if frames := int(np.isfinite(distance).sum()):
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", RuntimeWarning)
+                    found[bone] = float(np.nanstd(distance)), frames
+    return found

@@ -1,0 +1,4 @@
+"""Whether a recording is what its file says; looked at before anything is tracked.
+
+Begin with ``markers``.
+"""

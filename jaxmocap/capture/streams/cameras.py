@@ -1,0 +1,212 @@
+"""Cameras that are on: a device, a network stream, or a file at its own pace.
+
+INPUTS: a LiveVideo. OUTPUTS: Frames, the newest, from a thread of its own; what became of it.
+"""
+
+import math
+from collections.abc import Callable, Generator
+from contextlib import closing
+from pathlib import Path
+from threading import Event, Thread
+from time import monotonic
+from typing import Any
+
+import av
+import numpy as np
+from av.codec.context import Flags
+from av.error import FFmpegError
+
+from jaxmocap.capture.streams.inbox import Frame
+from jaxmocap.capture.video import SIZE_TOLERANCE, Video, image_of
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.recordings.live import LiveVideo
+
+Images = Generator[np.ndarray, None, None]
+# A camera that went away is asked for again after so many seconds.
+AGAIN_S = 0.5
+# A stream that says nothing for so many seconds is gone.
+SILENT_S = 2.0
+# What keeps FFmpeg from gathering frames before it gives the first.
+PROMPT = {"fflags": "nobuffer", "flags": "low_delay", "probesize": "32768", "analyzeduration": "0"}
+
+
+class LiveCamera:
+    """One camera and its thread.
+
+    Attributes:
+        name: of the camera.
+        heard: when a frame came in last, ``monotonic`` seconds; None before.
+        status: "waiting", "on", "gone" (it is asked for again) or "ended".
+        problem: why it is not used, or None.
+        reason: why nothing came in when it was last asked for, or None.
+        frames: that came in.
+    """
+
+    def __init__(
+        self,
+        video: LiveVideo,
+        index: int,
+        give: Callable[[Frame], None],
+        colour: bool,
+        now: Callable[[], float] = monotonic,
+    ):
+        """Prepare.
+
+        Args:
+            video: what to look at.
+            index: among the cameras.
+            give: called with every frame.
+            colour: BGR images in place of grey ones.
+            now: seconds.
+
+        Raises:
+            InputError: a file that is no video, a device that is not there.
+        """
+        self.name, self.heard, self.status, self.problem = video.camera_name, None, "waiting", None
+        self.frames, self.reason = 0, None
+        self._video, self._index, self._give, self._now = video, index, give, now
+        self._stop = Event()
+        self._again = not isinstance(video.source, Path)
+        self._open = _opener(video, colour, self._stop)
+        self._thread = Thread(target=self._look, name=f"camera {index}", daemon=True)
+
+    def start(self) -> None:
+        """Look from now on."""
+        self._thread.start()
+
+    def ask_to_stop(self) -> None:
+        """Look no more, soon."""
+        self._stop.set()
+
+    def stop(self) -> None:
+        """Look no more; returns within some seconds, though a driver may never let go."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join(SILENT_S + 1.0)
+
+    def _look(self) -> None:
+        while not self._stop.is_set():
+            try:
+                # Closed here, whatever ends it: a device is let go, a stream hung up.
+                with closing(self._open()) as images:
+                    for image in images:
+                        if self._stop.is_set() or not self._fits(image):
+                            return
+                        self._hand_on(image)
+            except (FFmpegError, OSError, InputError) as error:
+                # A camera that is away is asked for again.
+                self.reason = _why(error)
+            if self.frames:
+                self.status = "gone" if self._again else "ended"
+            if not self._again:
+                return
+            self._stop.wait(AGAIN_S)
+
+    def _hand_on(self, image: np.ndarray) -> None:
+        arrived = self._now()
+        self.heard, self.status, self.reason = arrived, "on", None
+        self.frames += 1
+        self._give(Frame(self._index, arrived + self._video.offset, image, arrived))
+
+    def _fits(self, image: np.ndarray) -> bool:
+        """Whether an image can be of the camera that was calibrated."""
+        expected = np.asarray(self._video.camera.size, float)
+        height, width = image.shape[:2]
+        if (np.abs(np.array([width, height]) - expected) > SIZE_TOLERANCE * expected).any():
+            expected = " × ".join(f"{side:g}" for side in expected)
+            self.problem = f"images of {width} × {height} pixels, calibrated for {expected}"
+            self.status = "ended"
+        return self.problem is None
+
+
+def _why(error: Exception) -> str:
+    if isinstance(error, InputError):
+        return error.problem
+    return (isinstance(error, OSError) and error.strerror) or type(error).__name__
+
+
+def _opener(video: LiveVideo, colour: bool, stop: Event) -> Callable[[], Images]:
+    """What begins to look."""
+    if isinstance(video.source, Path):
+        file = Video(video.source)
+        return lambda: paced(file, colour, stop)
+    if isinstance(video.source, str):
+        url, most = video.source, most_pixels(video.camera.size)
+        return lambda: stream_frames(url, colour, most)
+    device, size = video.source, np.asarray(video.camera.size, int).tolist()
+    opened = [device_frames(device, size, colour)]
+    return lambda: opened.pop() if opened else device_frames(device, size, colour)
+
+
+def most_pixels(size: Any) -> int:
+    """Of an image that a camera of this calibrated size may send; a larger one is not decoded."""
+    width, height = np.asarray(size, float).tolist()
+    # Decoders work on whole blocks.
+    sides = ((1 + SIZE_TOLERANCE) * side + 128 for side in (width, height))
+    return round(math.prod(sides))
+
+
+def paced(video: Video, colour: bool, stop: Event) -> Images:
+    """A file's frames, each at its time since the first."""
+    began = monotonic() - video.times[0]
+    for time, image in video.frames(luma=not colour):
+        stop.wait(max(began + time - monotonic(), 0.0))
+        if stop.is_set():
+            return
+        if image is not None:
+            yield image
+
+
+def stream_frames(url: str, colour: bool, most: int) -> Images:
+    """Frames of at most so many pixels of a network stream, as they come, until it ends."""
+    with av.open(url, options=PROMPT, timeout=SILENT_S) as container:
+        if not container.streams.video:
+            raise InputError(shown(url), "has no video stream")
+        stream = container.streams.video[0]
+        width, height = stream.codec_context.width, stream.codec_context.height
+        if width * height > most:
+            found = f"images of {width} × {height} pixels"
+            raise InputError(shown(url), f"{found}, far more than it was calibrated for")
+        stream.codec_context.options = {"max_pixels": str(most)}
+        stream.codec_context.flags |= Flags.low_delay
+        # Threads that share the frames would each hold one back.
+        stream.thread_type = "SLICE"
+        for packet in container.demux(stream):
+            try:
+                decoded = packet.decode()
+            except FFmpegError:
+                continue
+            for frame in decoded:
+                if not frame.is_corrupt:
+                    yield image_of(frame, luma=not colour)
+
+
+def device_frames(device: int, size: list[int], colour: bool) -> Images:
+    """Frames of a camera at this machine, asked for in the size of its calibration.
+
+    Raises:
+        InputError: no such camera.
+    """
+    import cv2
+
+    capture = cv2.VideoCapture(device)
+    if not capture.isOpened():
+        raise InputError(f"camera {device}", "no such device, or another program has it")
+    capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
+    capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
+    capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+    return _grabbed(capture, colour)
+
+
+def _grabbed(capture: Any, colour: bool) -> Images:
+    import cv2
+
+    try:
+        while True:
+            there, image = capture.read()
+            if not there:
+                return
+            yield image if colour else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    finally:
+        capture.release()

@@ -1,0 +1,194 @@
+"""A socket that listens: OSC packets to marker samples, in a thread of its own.
+
+INPUTS: an address, whatever is sent there, by whomever; the networks that may send.
+OUTPUTS: samples; counts of what was ignored and why.
+"""
+
+import select
+import socket
+from collections import Counter
+from collections.abc import Callable, Sequence
+from threading import Event, Thread
+from time import monotonic
+from typing import NamedTuple
+
+from jaxmocap.capture.streams.osc import BadPacketError, parse
+from jaxmocap.capture.streams.sample_gathering import Gathering
+from jaxmocap.capture.streams.senders import Sender, Senders, Share, shared_out
+from jaxmocap.formats.files.addresses import LOOPBACK, Address, Network, resolved
+from jaxmocap.formats.files.errors import InputError
+
+# So many packets a second are read, so many of them at a stroke; older ones beyond are dropped.
+MOST_A_SECOND, BURST = 4000, 400
+# Larger than what UDP carries.
+LARGEST = 65536
+
+
+class Datagram(NamedTuple):
+    """What came in.
+
+    Attributes:
+        arrived: when it was fetched, seconds.
+        content: of it.
+        host: number of the machine that it says it comes from.
+        port: there.
+    """
+
+    arrived: float
+    content: bytes
+    host: str
+    port: int
+
+
+class MarkerSocket:
+    """Listens for markers.
+
+    Attributes:
+        ignored: why -> how many packets: "malformed", "absurd" (no number, or a place that no room
+            has), "flood" (more than can be read), "foreign" (nothing about markers), "stranger"
+            (from a host that may not send).
+        packets: that came in.
+        heard: when a marker came in last, ``monotonic`` seconds; None before.
+        senders: who sends, and their clocks.
+        problem: None; nothing keeps a socket from being used once it is there.
+    """
+
+    problem: str | None = None
+
+    def __init__(
+        self,
+        address: Address,
+        gathering: Gathering,
+        raw: bool = False,
+        now: Callable[[], float] = monotonic,
+        allowed: Sequence[Network] = LOOPBACK,
+    ):
+        """Open the socket.
+
+        Args:
+            address: where to listen; port 0 takes a free one.
+            gathering: takes the markers.
+            raw: see ``osc.parse``.
+            now: seconds.
+            allowed: networks that may send.
+
+        Raises:
+            InputError: the address cannot be had.
+        """
+        self.ignored: Counter[str] = Counter()
+        self.packets, self.heard = 0, None
+        self.senders = Senders(allowed)
+        self._gathering, self._raw, self._now = gathering, raw, now
+        self._share = Share(MOST_A_SECOND, BURST, now())
+        self._stop = Event()
+        self._socket = _bound(address)
+        self.address = Address(address.host, self._socket.getsockname()[1])
+        self._thread = Thread(target=self._listen, name="markers", daemon=True)
+
+    @property
+    def clock_jumps(self) -> int:
+        """How often a sender's clock was set."""
+        return self.senders.clock_jumps
+
+    @property
+    def strangers(self) -> set[str]:
+        """Hosts that sent and may not, the first of them."""
+        return self.senders.strangers
+
+    def sent(self) -> dict[str, int]:
+        """Sender -> packets that came in from there, of the present ones."""
+        return self.senders.packets()
+
+    def start(self) -> None:
+        """Listen from now on; what came before is old."""
+        self._waiting()
+        self._share = Share(MOST_A_SECOND, BURST, self._now())
+        self._thread.start()
+
+    def ask_to_stop(self) -> None:
+        """Listen no more, soon."""
+        self._stop.set()
+
+    def stop(self) -> None:
+        """Listen no more; returns within about a second."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join(1.0)
+        self._socket.close()
+
+    def _listen(self) -> None:
+        while not self._stop.is_set():
+            try:
+                if select.select([self._socket], [], [], 0.1)[0]:
+                    self.take(self._waiting())
+            except (OSError, ValueError):
+                # The socket was closed meanwhile.
+                return
+
+    def _waiting(self) -> list[Datagram]:
+        """All datagrams that wait, a second's at most."""
+        waiting = []
+        for _ in range(MOST_A_SECOND):
+            try:
+                content, source = self._socket.recvfrom(LARGEST)
+            except BlockingIOError:
+                break
+            except OSError:
+                # What some systems say where an answer of ours found nobody.
+                continue
+            waiting.append(Datagram(self._now(), content, source[0], source[1]))
+        return waiting
+
+    def take(self, datagrams: Sequence[Datagram]) -> None:
+        """Read datagrams: of each sender, and of all together, the newest where there are too many.
+
+        Args:
+            datagrams: in the order in which they came in.
+        """
+        now = self._now()
+        self.packets += len(datagrams)
+        waiting: dict[Sender, list[Datagram]] = {}
+        for datagram in datagrams:
+            if self.senders.admits(datagram.host):
+                sender = self.senders.of(datagram.host, datagram.port, now)
+                waiting.setdefault(sender, []).append(datagram)
+            else:
+                self.ignored["stranger"] += 1
+        counts = {sender: min(len(of), sender.share.left(now)) for sender, of in waiting.items()}
+        counts = shared_out(counts, self._share.left(now))
+        chosen = []
+        for sender, of in waiting.items():
+            sender.share.take(counts[sender])
+            chosen += [(datagram, sender) for datagram in of[len(of) - counts[sender] :]]
+            self.ignored["flood"] += len(of) - counts[sender]
+        self._share.take(len(chosen))
+        for datagram, sender in sorted(chosen, key=lambda pair: pair[0].arrived):
+            self._read(datagram, sender)
+
+    def _read(self, datagram: Datagram, sender: Sender) -> None:
+        try:
+            packet = parse(datagram.content, self._raw)
+        except BadPacketError as why:
+            self.ignored[str(why)] += 1
+            return
+        if not packet.placed:
+            self.ignored["foreign"] += 1
+            return
+        self.heard = datagram.arrived
+        time = sender.time(datagram.arrived, packet.stamp)
+        self._gathering.add(packet.placed, time, datagram.arrived, packet.whole)
+
+
+def _bound(address: Address) -> socket.socket:
+    family, place = resolved(address)
+    try:
+        listening = socket.socket(family, socket.SOCK_DGRAM)
+    except OSError as error:
+        raise InputError(str(address), f"cannot listen there ({error.strerror})") from None
+    try:
+        listening.bind(place)
+    except OSError as error:
+        listening.close()
+        raise InputError(str(address), f"cannot listen there ({error.strerror})") from None
+    listening.setblocking(False)
+    return listening

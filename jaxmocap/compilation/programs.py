@@ -1,0 +1,306 @@
+"""Programs: functions of arrays that are traced once, for this start and for later ones.
+
+JAX keeps on disk what the compiler made, but asks for it by the lowered program: every start would
+trace and lower anew, which takes seconds for a tracker. So what tracing made (StableHLO, by
+``jax.export``) is kept beside it, and is asked for by the function's name, all of this package's
+code, the versions of what it is built on, and the shapes of the arguments.
+
+INPUTS: a function of arrays, a store of files. OUTPUTS: the same function, jitted.
+"""
+
+import copy
+import hashlib
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from importlib.metadata import version
+from pathlib import Path
+from threading import Lock
+from typing import Any, Literal, NamedTuple, Protocol
+
+import jax
+import numpy as np
+from jax import Array, export
+from jax.core import Tracer
+
+from jaxmocap.compilation.structures import from_json, to_json
+
+# What has a hand in tracing, beside this package.
+BUILT_ON = ("jax", "jaxlib", "numpy", "equinox", "lineax", "optimistix")
+
+# How hard XLA tries for a CPU. Its older emitters take two thirds of the time (33 s of a first
+# start came to 20), and what they make is as fast but for loops over pictures and many candidates,
+# which take 8 to 20 % longer. Without optimisation it takes a quarter of the time, and what it
+# makes is slower by half: for what runs once.
+Effort = Literal["full", "quick", "once"]
+EFFORTS: dict[str, dict[str, bool | int]] = {
+    "full": {},
+    "quick": {"xla_cpu_use_fusion_emitters": False},
+    "once": {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0},
+}
+
+
+# Bytes that tell how long the description of a result's structure is, which a file begins with.
+LENGTH_BYTES = 4
+
+
+class Store(Protocol):
+    """Where bytes are kept from one start to the next."""
+
+    def read(self, name: str, key: str) -> bytes | None:
+        """What was written by that name and that key; None if it is not there or not whole."""
+        ...
+
+    def write(self, name: str, key: str, content: bytes) -> None:
+        """Keep bytes, in place of whatever has the name."""
+        ...
+
+
+class _Kept(NamedTuple):
+    """What tracing made, for one kind of arguments."""
+
+    exported: export.Exported
+    structure: Any  # of the result
+
+
+class _Once:
+    """Makes something once, whichever thread asks first; others wait for it."""
+
+    def __init__(self, make: Callable[[], Any]):
+        self._make, self._lock, self._made = make, Lock(), None
+
+    def __call__(self) -> Any:
+        with self._lock:
+            if self._made is None:
+                self._made = self._make()
+        return self._made
+
+
+@dataclass
+class _Made:
+    """What programs share that differ only in what comes first.
+
+    Attributes:
+        compiled: structure, shapes and types of the arguments -> what compiles them.
+        restored: the jitted function that looks up what was kept.
+    """
+
+    compiled: dict[tuple, _Once]
+    restored: Any = None
+
+
+class Program:
+    """A jitted function; once a store is chosen (``keep_in``), what tracing it makes stays there.
+
+    Differentiated, mapped or called by another function that is being traced, it is the function.
+
+    Attributes:
+        name: of the function, and of its files.
+        jitted: the function by itself.
+    """
+
+    def __init__(self, function: Callable, name: str, static: Any = (), effort: Effort = "quick"):
+        """Nothing is traced yet.
+
+        Args:
+            function: of pytrees of arrays; it may close over nothing else but what follows from
+                this package's code and from ``static``.
+            name: tells it from others.
+            static: what else it depends on; its ``repr`` tells it from others.
+            effort: of the compiler.
+        """
+        self.name, self.jitted, self._effort = name, jax.jit(function), effort
+        self._static, self._first, self._made = repr(static), (), _Made({})
+
+    def after(self, *first: Any) -> "Program":
+        """The same with these arguments before all others."""
+        other = copy.copy(self)
+        other._first = (*self._first, *first)
+        return other
+
+    def __call__(self, *arguments: Any) -> Any:
+        """The function's result."""
+        arguments = (*self._first, *arguments)
+        if _store is None or _is_traced(arguments):
+            return self.jitted(*arguments)
+        return self._chosen()(*arguments)
+
+    def shapes(self, *like: Any) -> Any:
+        """Shapes of the result, from arguments or from what has their shapes."""
+        arguments = (*self._first, *like)
+        leaves, structure = jax.tree.flatten(arguments)
+        kept = _read(*self._name_and_key(leaves, structure)) if _store else None
+        if kept is None:
+            # Not exported for this alone: it can wait until it is compiled.
+            return jax.eval_shape(self.jitted, *arguments)
+        shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in kept.exported.out_avals]
+        return jax.tree.unflatten(kept.structure, shapes)
+
+    def lowered(self, *like: Any) -> Callable[[], Callable]:
+        """Traced and lowered for arguments such as these; what is returned compiles it.
+
+        Another thread may do that, since the compiler lets go of the interpreter. What it returns
+        takes such arguments and no others. It is compiled once, for all programs with other
+        arguments before.
+        """
+        arguments = (*self._first, *like)
+        leaves, structure = jax.tree.flatten(arguments)
+        kind = structure, tuple((np.shape(leaf), np.dtype(leaf.dtype)) for leaf in leaves)
+        if kind not in self._made.compiled:
+            lowered = self._chosen().lower(*arguments)
+            self._made.compiled[kind] = _Once(lowered.compile)
+        once = self._made.compiled[kind]
+        return lambda: partial(once(), *self._first)
+
+    def beside(self, *like: Any) -> Callable[[], Callable]:
+        """The same, and another thread begins to compile it; what is returned waits for that."""
+        return _compiler().submit(self.lowered(*like)).result
+
+    def trace(self, *like: Any) -> jax.stages.Traced:
+        """Traced for arguments such as these."""
+        return self._chosen().trace(*self._first, *like)
+
+    def _chosen(self) -> Any:
+        """What is jitted: the function, or what looks up what was made of it."""
+        if _store is None:
+            return self.jitted
+        if self._made.restored is None:
+
+            def restored(*arguments: Any) -> Any:
+                leaves, structure = jax.tree.flatten(arguments)
+                kept = self._look_up(leaves, structure)
+                if kept is None:
+                    return self.jitted(*arguments)
+                return jax.tree.unflatten(kept.structure, kept.exported.call(*leaves))
+
+            restored.__name__ = self.name
+            self._made.restored = jax.jit(
+                restored, compiler_options=_compiler_options(self._effort)
+            )
+        return self._made.restored
+
+    def _look_up(self, leaves: list[Array], structure: Any) -> _Kept | None:
+        """What an earlier start kept, or what this one makes of it; None if it cannot be kept."""
+        name, key = self._name_and_key(leaves, structure)
+        return _read(name, key) or self._make(_like(leaves), structure, name, key)
+
+    def _name_and_key(self, leaves: list[Array], structure: Any) -> tuple[str, str]:
+        """Of the file that keeps it for such arguments."""
+        key = repr((self.name, self._static, str(structure), _like(leaves), _surroundings()))
+        return f"{self.name}-{_digest(key)}.program", key
+
+    def _make(
+        self, like: list[jax.ShapeDtypeStruct], structure: Any, name: str, key: str
+    ) -> _Kept | None:
+        """What tracing makes, written there; None if JAX cannot export it."""
+        result = None
+
+        def flat(*leaves: Array) -> list[Array]:
+            nonlocal result
+            found, result = jax.tree.flatten(self.jitted(*jax.tree.unflatten(structure, leaves)))
+            return found
+
+        try:
+            blob = bytes(export.export(jax.jit(flat))(*like).serialize())
+        # It calls a library by a name that JAX may change (LAPACK's products with a QR's Q).
+        except ValueError:
+            return None
+        _write(name, key, blob, result)
+        # Read back, so that this start compiles what later ones will ask for.
+        return _Kept(export.deserialize(bytearray(blob)), result)
+
+
+_store: Store | None = None
+
+
+def keep_in(store: Store | None) -> None:
+    """Keep what tracing makes from now on in a store of the user's own; None keeps nothing.
+
+    What the store returns is trusted: it must be what was written by the same name and key.
+    """
+    global _store
+    _store = store
+
+
+def program(effort: Effort) -> Callable[[Callable], Program]:
+    """Decorates a function of arrays that closes over nothing."""
+
+    def made(function: Callable) -> Program:
+        file = function.__module__.rpartition(".")[2]
+        return Program(function, f"{file}.{function.__name__.lstrip('_')}", effort=effort)
+
+    return made
+
+
+@lru_cache
+def _compiler() -> ThreadPoolExecutor:
+    """Threads that compile while others are traced."""
+    return ThreadPoolExecutor(2, "compile")
+
+
+@lru_cache
+def _compiler_options(effort: Effort) -> dict[str, bool | int] | None:
+    """Of an effort, where this compiler knows them."""
+    options = EFFORTS[effort]
+    if not options or jax.default_backend() != "cpu":
+        return None
+    try:
+        jax.jit(lambda: 0, compiler_options=options).lower().compile()
+    except jax.errors.JaxRuntimeError:
+        return None
+    return options
+
+
+def _like(leaves: list[Array]) -> list[jax.ShapeDtypeStruct]:
+    """Shapes and types of arrays, or of what has them."""
+    weak = (getattr(leaf, "weak_type", False) for leaf in leaves)
+    return [
+        jax.ShapeDtypeStruct(np.shape(leaf), leaf.dtype, weak_type=each)
+        for leaf, each in zip(leaves, weak, strict=True)
+    ]
+
+
+def _read(name: str, key: str) -> _Kept | None:
+    """What was kept by that name; None if it is not there, or not what it should be."""
+    content = _store.read(name, key) if _store else None
+    if content is None:
+        return None
+    end = LENGTH_BYTES + int.from_bytes(content[:LENGTH_BYTES], "little")
+    try:
+        structure = from_json(content[LENGTH_BYTES:end].decode())
+        return _Kept(export.deserialize(bytearray(content[end:])), structure)
+    # Whatever the reason, it is made again.
+    except Exception:
+        return None
+
+
+def _write(name: str, key: str, blob: bytes, structure: Any) -> None:
+    """Keep a program; nothing where its result has a structure that JSON cannot describe."""
+    if _store is None or (described := to_json(structure)) is None:
+        return
+    text = described.encode()
+    _store.write(name, key, len(text).to_bytes(LENGTH_BYTES, "little") + text + blob)
+
+
+def _is_traced(arguments: Any) -> bool:
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(arguments))
+
+
+def _surroundings() -> tuple:
+    """What tracing depends on beside function and arguments."""
+    names = "jax_enable_x64", "jax_default_matmul_precision"
+    return _code(), jax.default_backend(), [getattr(jax.config, name) for name in names]
+
+
+@lru_cache
+def _code() -> str:
+    """Of all of this package, and of what it is built on."""
+    root = Path(__file__).parents[1]
+    texts = [path.read_bytes() for path in sorted(root.rglob("*.py"))]
+    return _digest(repr([version(name) for name in BUILT_ON])) + _digest(b"\0".join(texts))
+
+
+def _digest(content: str | bytes) -> str:
+    content = content.encode() if isinstance(content, str) else content
+    return hashlib.sha256(content).hexdigest()[:24]

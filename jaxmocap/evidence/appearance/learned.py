@@ -1,0 +1,298 @@
+"""What a person looks like to one camera, and where that is to be seen in its frames.
+
+    learn    some frames + where the poses put the body -> background, colours
+    see      every frame -> grids: the person, the forearms; the legs
+
+INPUTS: poses of the person, frames. OUTPUTS: an Appearance; a Sight of every frame.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.motion import landmarks_over_time
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.surfaces.cones import cones, project_cones
+from jaxmocap.compilation.batches import in_batches
+from jaxmocap.evidence.appearance.hulls import draw_hulls
+from jaxmocap.evidence.appearance.part_mask import part_odds
+from jaxmocap.evidence.silhouettes import FOREARMS, Legs, Sight
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera
+from jaxmocap.geometry.outlines import Discs
+from jaxmocap.images.background_model import Background
+from jaxmocap.images.colours import Colours, learn_colours
+from jaxmocap.images.foreground import (
+    AROUND_PX,
+    Window,
+    learn_foreground,
+    log_odds,
+    log_odds_of,
+    person_grid,
+    shrunk_size,
+)
+from jaxmocap.images.regions import Region, region_of_side
+from jaxmocap.images.silhouette_grid import Grid
+
+# Rows of the images that silhouettes are learned from; cells of the grids around the upper half and
+# around the legs.
+ROWS, CELLS, LEG_CELLS = 360, 64, 32
+# Poses per call, so that they compile once.
+POSES_A_CALL = 64
+# Around the person's upper half and around the legs, as a share of their extent.
+MARGIN, LEG_MARGIN = 0.12, 0.15
+# Of a limb's thickness: its core, and wherever it may be; the pose errs by some centimetres.
+CORE, WHEREVER, ERRING_M = 0.7, 1.4, 0.03
+# By how much legs err that no marker holds, metres. Somebody who stands still would be learned as
+# furniture if legs were drawn aside of where they are.
+ASTRAY_M = {"femur": 0.12, "tibia": 0.2, "foot": 0.2}
+# Along the forearm: skin, whatever the sleeve; the markers hold its far half best.
+BARE = (0.5, 0.95)
+LEGS = ("femur_l", "femur_r", "tibia_l", "tibia_r")
+HEAD, PELVIS, FEET = ("head", "neck"), ("hip_l", "hip_r"), ("foot_l", "foot_r")
+# What no cone is like, a head with its head-set, a pelvis, shoes: so many times as thick, or so
+# many metres about it, silhouettes tell nothing.
+GROWN, SHOE_M = 1.6, 0.06
+BELOW = ("knee", "ankle", "toe")
+UPPER = [i for i, name in enumerate(LANDMARKS) if not name.startswith(BELOW)]
+LOWER = [i for i, name in enumerate(LANDMARKS) if name.startswith(("hip", *BELOW))]
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """What one camera's frames taught.
+
+    Attributes:
+        background: without the person.
+        person: colours against the rest.
+        forearms: colours against the rest of the body.
+    """
+
+    background: Background
+    person: Colours
+    forearms: Colours
+
+
+def in_image(skeleton: Skeleton, camera: Camera, pose: Pose) -> tuple[Discs, Array]:
+    """All limbs (K), pixels of the full image, and how many of them make a metre at the person."""
+    every = np.arange(len(skeleton.tree.bones))
+    flesh = cones(skeleton, forward(skeleton, pose), every)
+    depth = jnp.maximum(jnp.mean(to_camera(camera, flesh.near)[:, 2]), NEAREST_M)
+    return project_cones(camera, flesh), camera.matrix[0, 0] / depth
+
+
+_all_in_image = jax.jit(jax.vmap(in_image, (None, None, 0)))
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """The body as poses put it into the shrunk images.
+
+    Attributes:
+        discs: (F, K) limbs, pixels of the shrunk images; the radii of all the limbs' ends.
+        per_metre: (F,) pixels of a metre at the person.
+        size: width and height of the shrunk images.
+        ratio: (2,) their size over that of the full ones.
+        names: of the K bones.
+    """
+
+    discs: Discs
+    per_metre: np.ndarray
+    size: tuple[int, int]
+    ratio: np.ndarray
+    names: list[str]
+
+    @classmethod
+    def of(
+        cls, skeleton: Skeleton, camera: Camera, size: tuple[int, int], poses: Pose
+    ) -> "Drawing":
+        """The poses (F, ...) in a camera's frames, whose width and height is ``size``."""
+        there = jax.tree.map(lambda part: np.asarray(part, skeleton.lengths.dtype), poses)
+        call = partial(_all_in_image, skeleton, camera)
+        *limbs, per_metre = in_batches(call, (there,), POSES_A_CALL)
+        return cls.shrunk(skeleton, Discs._make(limbs), per_metre, size)
+
+    @classmethod
+    def shrunk(
+        cls, skeleton: Skeleton, limbs: Discs, per_metre: np.ndarray, size: tuple[int, int],
+        rows: int = ROWS,
+    ) -> "Drawing":  # fmt: skip
+        """Of what ``in_image`` found in full images (F, ...) of that width and height."""
+        small = shrunk_size(size, rows)
+        ratio = np.divide(small, size)
+        near, far = ((end + 0.5) * ratio - 0.5 for end in (limbs.near, limbs.far))
+        discs = Discs(near, far, limbs.radii * ratio[0])
+        return cls(discs, per_metre * ratio[0], small, ratio, list(skeleton.tree.bones))
+
+    def mask(
+        self,
+        frame: int,
+        share: float,
+        more_px: float = 0.0,
+        only: Sequence[str] | None = None,
+        without: Sequence[str] = (),
+        part: tuple[float, float] = (0.0, 1.0),
+    ) -> np.ndarray:
+        """Limbs (h, w) bool with their radii scaled and enlarged, or a part of their length."""
+        kept = [n not in without and (only is None or n in only) for n in self.names]
+        near, far, radii = (each[frame][kept] for each in self.discs)
+        ends = [near + at * (far - near) for at in part]
+        widths = radii[:, :1] + np.array(part) * (radii[:, 1:] - radii[:, :1])
+        return draw_hulls(Discs(ends[0], ends[1], widths * share + more_px), self.size)
+
+    def core(self, frame: int, without: Sequence[str] = ()) -> np.ndarray:
+        """Where (h, w) the person surely is."""
+        return self.mask(frame, CORE, without=(*FEET, *without))
+
+    def wherever(self, frame: int, astray: bool) -> np.ndarray:
+        """Where (h, w) the person may be; ``astray`` where no marker holds the feet."""
+        metre = float(self.per_metre[frame])
+        found = self.mask(frame, WHEREVER, ERRING_M * metre)
+        for start, metres in ASTRAY_M.items() if astray else ():
+            legs = [name for name in (*LEGS, *FEET) if name.startswith(start)]
+            found |= self.mask(frame, WHEREVER, metres * metre, only=legs)
+        return found
+
+    def unlike(self, frame: int) -> np.ndarray:
+        """Where (h, w) the person is not like what is drawn."""
+        shoes = self.mask(frame, 1.0, SHOE_M * float(self.per_metre[frame]), only=FEET)
+        return self.mask(frame, GROWN, only=(*HEAD, *PELVIS)) | shoes
+
+
+class Regions(NamedTuple):
+    """Where F frames, or one, are looked at.
+
+    Attributes:
+        upper: around the upper half.
+        lower: around the legs.
+    """
+
+    upper: Region
+    lower: Region
+
+    @classmethod
+    def around(cls, skeleton: Skeleton, camera: Camera, poses: Pose) -> "Regions":
+        """Those of poses (F, ...), all at one scale."""
+        points = landmarks_over_time(skeleton, poses)
+        pixels = np.asarray(project(camera, jnp.asarray(points)))
+        upper = _region(pixels[:, UPPER], CELLS, MARGIN)
+        return cls(upper, _region(pixels[:, LOWER], LEG_CELLS, LEG_MARGIN))
+
+    def of(self, frame: int) -> "Regions":
+        """Of one frame."""
+        return jax.tree.map(lambda part: part[frame], self)
+
+
+def _region(pixels: np.ndarray, cells: int, margin: float) -> Region:
+    low, high = pixels.min(1), pixels.max(1)
+    side = float(np.percentile((high - low).max(1), 95)) * (1 + 2 * margin)
+    return region_of_side(low, high, side, cells)
+
+
+def learn_appearance(
+    drawing: Drawing, chosen: np.ndarray, images: Iterable[np.ndarray | None], astray: bool
+) -> Appearance | None:
+    """Background and colours from some frames; None if none of them can be read.
+
+    Args:
+        drawing: the body in F frames.
+        chosen: which of them.
+        images: these, shrunk, BGR; None where one cannot be read.
+        astray: whether no marker holds the feet.
+    """
+    read = [(i, image) for i, image in zip(chosen, images, strict=True) if image is not None]
+    if not read:
+        return None
+    which, frames = [i for i, _ in read], np.stack([image for _, image in read])
+    cores = np.stack([drawing.core(i) for i in which])
+    bodies = np.stack([drawing.wherever(i, astray) for i in which])
+    background, person = learn_foreground(frames, cores, bodies)
+    odds = np.stack(
+        [
+            log_odds_of(frame, background, person, body)
+            for frame, body in zip(frames, bodies, strict=True)
+        ]
+    )
+    arms = np.stack([drawing.mask(i, CORE, only=FOREARMS[:2], part=BARE) for i in which])
+    others = np.stack([drawing.core(i, without=(*FOREARMS, *HEAD)) for i in which])
+    near = np.stack([drawing.mask(i, 2.0, only=FOREARMS) for i in which])
+    rest = others & ~near & (odds > -0.5)
+    rest = rest if rest.any() else others
+    forearms = learn_colours(frames, arms & (odds > -0.5), ~rest)
+    return Appearance(background, person, forearms)
+
+
+def see(
+    images: Iterable[np.ndarray | None],
+    known: Appearance | None,
+    drawing: Drawing,
+    regions: Regions,
+) -> Sight:
+    """The person (F, ...) on the grids of F frames.
+
+    Args:
+        images: F, shrunk, BGR; None where one cannot be read.
+        known: of the person; None where nothing is.
+        drawing: the body in the frames.
+        regions: where the grids lie, in pixels of the full images.
+    """
+    sights = [
+        _unseen(regions.of(i))
+        if image is None or known is None
+        else body_sight(image, known, drawing, i, regions.of(i))[1]
+        for i, image in enumerate(images)
+    ]
+    return jax.tree.map(lambda *parts: np.stack(parts), *sights)
+
+
+def _unseen(regions: Regions) -> Sight:
+    """Nothing is known where there is no image."""
+    upper, lower = (Grid(*np.zeros((2, cells, cells), np.float32)) for cells in (CELLS, LEG_CELLS))
+    return Sight(regions.upper, upper, upper, Legs(regions.lower, lower))
+
+
+def body_sight(
+    image: np.ndarray, known: Appearance, drawing: Drawing, frame: int, regions: Regions
+) -> tuple[np.ndarray, Sight]:
+    """Log-odds (h, w) that pixels of a shrunk image show the person; what that is on the grids."""
+    upper = _in_shrunk(drawing, regions.upper)
+    lower = _in_shrunk(drawing, regions.lower)
+    window, corner = _window(image, {CELLS: upper, LEG_CELLS: lower})
+    odds = np.zeros(image.shape[:2], np.float32)
+    odds[window] = log_odds(image, known.background, known.person, window=window)
+    head = drawing.mask(frame, GROWN, only=HEAD)[window]
+    forearms = part_odds(image[window], odds[window], known.forearms, head)
+    told = np.where(drawing.unlike(frame)[window], np.float32(0), odds[window])
+
+    def grid(odds: np.ndarray, region: Region, cells: int) -> Grid:
+        origin = np.asarray(region.origin) - corner
+        return Grid(*person_grid(odds, origin, float(region.scale), cells))
+
+    whole, part = (grid(each, upper, CELLS) for each in (told, forearms))
+    legs = Legs(regions.lower, grid(told, lower, LEG_CELLS))
+    return odds, Sight(regions.upper, whole, part, legs)
+
+
+def _in_shrunk(drawing: Drawing, region: Region) -> Region:
+    """A region of the full image in the shrunk one; edges map onto edges."""
+    origin = (np.asarray(region.origin) + 0.5) * drawing.ratio - 0.5
+    return Region(origin, np.asarray(region.scale * drawing.ratio[0]))
+
+
+def _window(image: np.ndarray, grids: Mapping[int, Region]) -> tuple[Window, np.ndarray]:
+    """The part of a shrunk image that grids of so many cells lie in, and its corner (x, y)."""
+    size = np.array([image.shape[1], image.shape[0]])
+    low = np.min([each.origin for each in grids.values()], 0) - AROUND_PX
+    ends = [each.origin + cells * each.scale for cells, each in grids.items()]
+    high = np.max(ends, 0) + AROUND_PX
+    # Of a body that is nowhere in the image a pixel is left.
+    start = np.clip(np.floor(low), 0, size - 1).astype(int)
+    end = np.maximum(np.clip(np.ceil(high), 0, size).astype(int), start + 1)
+    return (slice(start[1], end[1]), slice(start[0], end[0])), start

@@ -1,0 +1,206 @@
+"""What a person looks like to one camera, learned while looking: the past alone, for a live run.
+
+    see      a frame + where the body is expected -> grids: the person, the forearms; the legs
+    learn    the same frame, once it is known better where the body was -> background, colours
+
+Where the person stood from the start the background is unknown; there only colours tell, until the
+person has moved.
+
+INPUTS: frames, poses. OUTPUTS: a Sight of each frame.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.kinematics import landmarks
+from jaxmocap.body.pose import Pose, unpack
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.compilation.programs import program
+from jaxmocap.evidence.appearance.learned import (
+    BARE,
+    CELLS,
+    CORE,
+    HEAD,
+    LEG_CELLS,
+    LEG_MARGIN,
+    LOWER,
+    MARGIN,
+    UPPER,
+    Appearance,
+    Drawing,
+    Regions,
+    body_sight,
+    in_image,
+)  # fmt: skip
+from jaxmocap.evidence.silhouettes import FOREARMS, Sight
+from jaxmocap.geometry.cameras import Camera, project
+from jaxmocap.geometry.outlines import Discs
+from jaxmocap.images.background_model import RunningBackground
+from jaxmocap.images.colours import RunningColours
+from jaxmocap.images.foreground import SURE_ODDS, shrink
+from jaxmocap.images.regions import Region, region_of_side
+from jaxmocap.images.silhouette_grid import Grid, blurred
+
+# Rows of the images that silhouettes are learned from, fewer than for a whole recording.
+ROWS = 240
+# Frames that are all learned from, and of how many later ones one is.
+CURIOUS, EVERY = 60, 3
+# A part's pixels must at least not look like the background.
+UNLIKELY_ODDS = -0.5
+# A region's scale stays as it is while the person fills this much of it, so that cells do not swim.
+LEAST_FILLED = 0.6
+
+
+class Seen(NamedTuple):
+    """A frame that has been looked at, to be learned from later.
+
+    Attributes:
+        image: (h, w, 3) BGR, shrunk.
+        odds: (h, w) that a pixel shows the person.
+        known: (h, w) whether the background there was known.
+        sight: what it told.
+    """
+
+    image: np.ndarray
+    odds: np.ndarray
+    known: np.ndarray
+    sight: Sight
+
+
+@program("quick")
+def _expected(skeleton: Skeleton, camera: Camera, packed: Array) -> Array:
+    """Of a packed pose: all that ``in_image`` tells, and all landmarks, pixels of the full image.
+
+    One vector in and one out: a crossing costs by the number of arrays.
+    """
+    pose = unpack(packed)
+    limbs, per_metre = in_image(skeleton, camera, pose)
+    pixels = project(camera, landmarks(skeleton, pose))
+    return jnp.concatenate([part.ravel() for part in (*limbs, pixels, per_metre)])
+
+
+@dataclass
+class _Window:
+    """A region that follows some landmarks at a scale that hardly changes.
+
+    Attributes:
+        landmarks: which.
+        cells: to a side.
+        margin: around them, as a share of their extent.
+        side: of the region so far, pixels.
+    """
+
+    landmarks: list[int]
+    cells: int
+    margin: float
+    side: float = 0.0
+
+    def region(self, pixels: np.ndarray) -> Region:
+        """The region about these of all landmarks (L, 2)."""
+        own = pixels[self.landmarks]
+        low, high = own.min(0), own.max(0)
+        extent = float((high - low).max()) * (1 + 2 * self.margin)
+        if not LEAST_FILLED * self.side <= extent <= self.side:
+            self.side = extent
+        return region_of_side(low, high, self.side, self.cells)
+
+
+class RunningAppearance:
+    """One camera's view of one person.
+
+    Attributes:
+        background: without the person, so far.
+        person: colours against the rest, so far.
+        forearms: colours against the rest of the body, so far.
+    """
+
+    def __init__(self, skeleton: Skeleton, camera: Camera, astray: bool):
+        """Prepare for the person; the size of the frames is that of the first.
+
+        Args:
+            skeleton: of the person.
+            camera: that looks.
+            astray: whether no marker holds the feet.
+        """
+        self.background, self.person = RunningBackground(), RunningColours()
+        self.forearms = RunningColours()
+        self._skeleton, self._camera, self._astray = skeleton, camera, astray
+        self._upper = _Window(UPPER, CELLS, MARGIN)
+        self._lower = _Window(LOWER, LEG_CELLS, LEG_MARGIN)
+        self._offered, self._ignorant = 0, True
+        self._learned: Appearance | None = None
+
+    def see(self, image: np.ndarray, pose: Pose, softness: float) -> Seen:
+        """Look at a frame (H, W[, 3]) uint8 in which the body is expected in a pose.
+
+        The first frame is learned from beforehand: colours are known at once.
+        """
+        size = image.shape[1], image.shape[0]
+        small = shrink(_coloured(image), ROWS)
+        drawing, pixels = self._drawing(size, pose)
+        regions = Regions(self._upper.region(pixels), self._lower.region(pixels))
+        if self._ignorant:
+            self._learn(small, drawing, None, None)
+        known = self._known()
+        odds, sight = body_sight(small, known, drawing, 0, regions)
+        soft = sight.each_grid(lambda grid: _soft(grid, softness))
+        return Seen(small, odds, known.background.known > 0.5, soft)
+
+    def learn(self, seen: Seen, size: tuple[int, int], pose: Pose) -> None:
+        """Learn from a frame, whose full width and height is ``size``, where the body was.
+
+        Of a room that was looked at for long every few frames will do.
+        """
+        self._offered += 1
+        if self._offered <= CURIOUS or self._offered % EVERY == 0:
+            self._learn(seen.image, self._drawing(size, pose)[0], seen.odds, seen.known)
+
+    def _known(self) -> Appearance:
+        """All that was learned; asked for more often than it changes."""
+        if self._learned is None:
+            background = self.background.background()
+            colours = self.person.colours(), self.forearms.colours()
+            self._learned = Appearance(background, *colours)
+        return self._learned
+
+    def _drawing(self, size: tuple[int, int], pose: Pose) -> tuple[Drawing, np.ndarray]:
+        """The body in the shrunk image, and its landmarks in the full one."""
+        told = np.asarray(_expected(self._skeleton, self._camera, np.concatenate(pose)))
+        count = len(self._skeleton.tree.bones)
+        limbs, pixels, per_metre = np.split(told, (6 * count, -1))
+        alone = Discs._make(limbs.reshape(3, 1, count, 2))
+        drawing = Drawing.shrunk(self._skeleton, alone, per_metre, size, ROWS)
+        return drawing, pixels.reshape(-1, 2)
+
+    def _learn(
+        self, image: np.ndarray, drawing: Drawing, odds: np.ndarray | None, known: np.ndarray | None
+    ) -> None:
+        self._ignorant, self._learned = False, None
+        core, body = drawing.core(0), drawing.wherever(0, self._astray)
+        arms = drawing.mask(0, CORE, only=FOREARMS[:2], part=BARE)
+        others = drawing.core(0, without=(*FOREARMS, *HEAD))
+        others &= ~drawing.mask(0, 2.0, only=FOREARMS)
+        hidden = body
+        if odds is not None and known is not None:
+            # What looks like the background that is known there is background, body or not.
+            hidden = core | (body & ~(known & (odds <= -SURE_ODDS)))
+            core, likely = core & (odds >= 0), odds > UNLIKELY_ODDS
+            arms, others = arms & likely, others & likely
+        self.background.update(image, hidden)
+        self.person.update(image, core, body)
+        self.forearms.update(image, arms, ~others)
+
+
+def _coloured(image: np.ndarray) -> np.ndarray:
+    """(H, W, 3), of a grey image (H, W) too."""
+    return image if image.ndim == 3 else np.repeat(image[..., None], 3, 2)
+
+
+def _soft(grid: Grid, softness: float) -> Grid:
+    """One grid seen as softly as it is drawn, float32."""
+    stacked = blurred(Grid(*(np.asarray(part)[None] for part in grid)), softness)
+    return Grid(*(np.asarray(part[0], np.float32) for part in stacked))

@@ -1,0 +1,252 @@
+"""The body's silhouette: how far the drawn body covers what the cameras saw of it.
+
+Two pictures of the same grid round the upper half: the whole person against the background, and the
+forearms against all else, so that an arm before the torso is seen as well. A coarser grid round the
+legs shows where the person stands.
+
+INPUTS: a skeleton, a pose, a camera, what was seen on a grid.
+OUTPUTS: a cost, and its Gauss-Newton terms by the pose's tangent vector.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.kinematics import Frames, forward, jacobian
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.proportions import scaled
+from jaxmocap.body.skeleton import Skeleton, Tree
+from jaxmocap.body.surfaces.cones import Cones, cones, project_cones
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, to_camera, turned
+from jaxmocap.geometry.outlines import Discs, depth_along
+from jaxmocap.geometry.rotations import HIGHEST
+from jaxmocap.images.regions import Region, discs_in_region, in_other_region
+from jaxmocap.images.silhouette_grid import (
+    CoverageFit,
+    Grid,
+    coverage_cost,
+    coverage_fit,
+    distances,
+    frontmost,
+    halved,
+)
+from jaxmocap.smoothing.settings import SmoothingSettings
+
+# Feet are no cones, and shoes have colours of their own; pictures leave them out, too.
+UNDRAWN = ("foot_l", "foot_r")
+FOREARMS = ("radius_l", "radius_r", "hand_l", "hand_r")
+# A limb is hidden by what lies in front of its axis by more than this, metres, give or take.
+HIDDEN_BEYOND_M, HIDDEN_SOFTLY_M = 0.06, 0.03
+
+
+class Legs(NamedTuple):
+    """What one camera saw of the person's lower half.
+
+    Attributes:
+        region: where the grid lies in the image.
+        person: the whole person, as far as it is there.
+    """
+
+    region: Region
+    person: Grid
+
+
+class Sight(NamedTuple):
+    """What one camera saw of the person at one time.
+
+    Attributes:
+        region: where the grid round the upper half lies in the image (no batch).
+        person: the whole person.
+        forearms: forearms and hands alone.
+        legs: the lower half; None where nobody looked.
+    """
+
+    region: Region
+    person: Grid
+    forearms: Grid
+    legs: Legs | None = None
+
+    def each_grid(self, call: Callable[[Grid], Grid]) -> "Sight":
+        """The same with every grid changed."""
+        legs = self.legs and self.legs._replace(person=call(self.legs.person))
+        return Sight(self.region, call(self.person), call(self.forearms), legs)
+
+    def halved(self) -> "Sight":
+        """The same on grids of half as many cells to a side."""
+        coarse, legs = self.each_grid(halved), self.legs and _coarser(self.legs.region)
+        coarse = coarse._replace(region=_coarser(self.region))
+        return coarse._replace(legs=coarse.legs and coarse.legs._replace(region=legs))
+
+
+def _coarser(region: Region) -> Region:
+    return Region(region.origin, 2 * region.scale)
+
+
+def weighed(sight: Sight, settings: SmoothingSettings) -> Sight:
+    """Sights (...) on the host, whose pictures count as the settings say."""
+
+    def by(weight: Array) -> Callable[[Grid], Grid]:
+        return lambda grid: Grid(grid.probability, float(weight) * grid.weight)
+
+    person = sight.each_grid(by(settings.person))
+    return person._replace(forearms=by(settings.forearms)(sight.forearms))
+
+
+def drawn_bones(tree: Tree) -> np.ndarray:
+    """Indices of the bones whose flesh is drawn."""
+    return np.array([tree.bone(name) for name in tree.bones if name not in UNDRAWN], np.int32)
+
+
+def silhouette_cost(
+    skeleton: Skeleton, frames: Frames, camera: Camera, sight: Sight, softness: Array
+) -> Array:
+    """Sum of squares of all pictures; ``softness`` in cells."""
+    discs, visible = drawn(skeleton, frames, camera, sight)
+    arms = Discs(*(part[forearms(skeleton.tree)] for part in discs))
+    cost = coverage_cost(discs, sight.person, softness)
+    cost += coverage_cost(arms, sight.forearms, softness, visible)
+    if sight.legs is not None:
+        below = in_other_region(discs, sight.region, sight.legs.region)
+        cost += coverage_cost(below, sight.legs.person, softness)
+    return cost
+
+
+def drawn(skeleton: Skeleton, frames: Frames, camera: Camera, sight: Sight) -> tuple[Discs, Array]:
+    """The body's limbs (K) in cells, and how much (S * S,) of a forearm is to be seen."""
+    flesh = cones(skeleton, frames, drawn_bones(skeleton.tree))
+    discs = discs_in_region(sight.region, project_cones(camera, flesh))
+    return discs, _visible(skeleton.tree, camera, flesh, discs, sight.person)
+
+
+def drawn_fit(
+    tree: Tree, discs: Discs, visible: Array, sight: Sight, softness: Array
+) -> CoverageFit:
+    """Gauss-Newton terms of all pictures, by limbs (K) that are ``drawn``."""
+    fore = forearms(tree)
+    arms = Discs(*(part[fore] for part in discs))
+    whole = coverage_fit(discs, sight.person, softness)
+    part = coverage_fit(arms, sight.forearms, softness, visible)
+    both = CoverageFit(
+        whole.cost + part.cost,
+        whole.hessian.at[fore].add(part.hessian),
+        whole.gradient.at[fore].add(part.gradient),
+    )
+    if sight.legs is None:
+        return both
+    # By samples of the upper grid, as all else.
+    ratio = jnp.asarray(sight.region.scale / sight.legs.region.scale)
+    below = in_other_region(discs, sight.region, sight.legs.region)
+    below = coverage_fit(below, sight.legs.person, softness)
+    own = CoverageFit(below.cost, ratio**2 * below.hessian, ratio * below.gradient)
+    return jax.tree.map(jnp.add, both, own)
+
+
+def silhouette_fit(
+    skeleton: Skeleton,
+    proportions: Array,
+    pose: Pose,
+    camera: Camera,
+    sight: Sight,
+    softness: Array,
+) -> tuple[Array, Array, Array]:
+    """The same cost (), with J^T J (N, N) and J^T r (N,), N = 6 + D + P + 3.
+
+    By the pose, then the proportions, then a turn of the camera in its own frame.
+
+    Args:
+        skeleton: unscaled.
+        proportions: (P,) of ``scaled``.
+        pose: of the person.
+        camera: that sees it.
+        sight: what it saw.
+        softness: cells.
+    """
+
+    def limbs(shared: Array) -> Discs:
+        person = scaled(skeleton, shared[:-3])
+        body = cones(person, forward(person, pose), bones)
+        return discs_in_region(sight.region, project_cones(turned(camera, shared[-3:]), body))
+
+    bones = drawn_bones(skeleton.tree)
+    by_shared = jax.jacfwd(limbs)(jnp.pad(proportions, (0, 3)))
+    skeleton = scaled(skeleton, proportions)
+    frames = forward(skeleton, pose)
+    flesh = cones(skeleton, frames, bones)
+    discs = discs_in_region(sight.region, project_cones(camera, flesh))
+    visible = _visible(skeleton.tree, camera, flesh, discs, sight.person)
+    by_pose = _leverage(skeleton, frames, camera, flesh, discs, sight.region, bones)
+    ends = by_shared.near, by_shared.far, by_shared.radii
+    leverage = jnp.concatenate([by_pose, jnp.concatenate(ends, 1)], 2)
+    fit = drawn_fit(skeleton.tree, discs, visible, sight, softness)
+    return (
+        fit.cost,
+        jnp.einsum("kia,kij,kjb->ab", leverage, fit.hessian, leverage, precision=HIGHEST),
+        jnp.einsum("kia,ki->a", leverage, fit.gradient, precision=HIGHEST),
+    )
+
+
+def forearms(tree: Tree) -> np.ndarray:
+    """Which of the drawn limbs are forearms and hands."""
+    return np.flatnonzero([tree.bones[bone] in FOREARMS for bone in drawn_bones(tree)])
+
+
+def _visible(tree: Tree, camera: Camera, flesh: Cones, discs: Discs, grid: Grid) -> Array:
+    """How much (S * S,) of the frontmost forearm is to be seen.
+
+    Seen as it is: what hides a limb has no derivative.
+    """
+    fore = np.isin(np.arange(len(discs.near)), forearms(tree))
+    size = grid.probability.shape[-1]
+    which, at = frontmost(Discs(*(part[fore] for part in discs)), size)
+    ends = (to_camera(camera, end)[fore][which, 2] for end in (flesh.near, flesh.far))
+    others = Cones(*(part[~fore] for part in flesh))
+    surface = nearest_surface(camera, others, distances(discs, size)[~fore])
+    return jax.lax.stop_gradient(unhidden(surface, depth_along(at, *ends)))
+
+
+def nearest_surface(camera: Camera, flesh: Cones, away: Array) -> Array:
+    """Depth (C,) of the nearest limb over each cell, metres; infinite where none is.
+
+    Args:
+        camera: that sees them.
+        flesh: K limbs.
+        away: (K, C) distances of the cells from the limbs' outlines, negative inside.
+    """
+    depths = jnp.stack([to_camera(camera, end)[:, 2] for end in (flesh.near, flesh.far)], 1)
+    surfaces = jnp.mean(depths - flesh.radii, 1)[:, None]
+    return jnp.min(jnp.where(away < 0, surfaces, jnp.inf), 0)
+
+
+def unhidden(surface: Array, depth: Array) -> Array:
+    """Share (C,) of a limb at a depth (C,) that a surface before or behind it leaves to be seen."""
+    return jax.nn.sigmoid((surface + HIDDEN_BEYOND_M - depth) / HIDDEN_SOFTLY_M)
+
+
+def _leverage(
+    skeleton: Skeleton,
+    frames: Frames,
+    camera: Camera,
+    flesh: Cones,
+    discs: Discs,
+    region: Region,
+    bones: np.ndarray,
+) -> Array:
+    """Derivatives (K, 6, 6 + D) of the limbs' discs in cells; the lens' distortion hardly turns."""
+    focal = (camera.matrix[0, 0] + camera.matrix[1, 1]) / 2 / region.scale
+    R_cam_world = camera.T_cam_world[:3, :3]
+
+    def of_end(points_world: Array, radii: Array) -> tuple[Array, Array]:
+        J_world = jacobian(skeleton, frames, bones, points_world)
+        J = jnp.einsum("ij,kjd->kid", R_cam_world, J_world, precision=HIGHEST)
+        point = to_camera(camera, points_world)
+        depth = jnp.maximum(point[:, 2], NEAREST_M)[:, None, None]
+        centre = focal * (J[:, :2] - point[:, :2, None] / depth * J[:, 2:]) / depth
+        return centre, -radii[:, None, None] / depth * J[:, 2:]
+
+    near, near_radius = of_end(flesh.near, discs.radii[:, 0])
+    far, far_radius = of_end(flesh.far, discs.radii[:, 1])
+    return jnp.concatenate([near, far, near_radius, far_radius], 1)

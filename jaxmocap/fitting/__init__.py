@@ -1,0 +1,4 @@
+"""What follows from a smoothed recording: a person's lengths, and sensitivities.
+
+Begin with ``lengths``.
+"""

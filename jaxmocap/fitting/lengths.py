@@ -1,0 +1,112 @@
+"""Bone lengths and girths with which a whole recording's motion costs least, and how sure they are.
+
+For given lengths the second pass finds the poses of least cost. How this least cost changes with
+the lengths is the gradient through the tracker: at the minimum the poses' own share of it vanishes
+(the envelope theorem), and eliminating them from the Gauss-Newton equations leaves the Hessian, a
+Schur complement. Poses and lengths are found together, which is the same descent. The inverse of
+that Hessian, of the prior as well, is what remains uncertain of the lengths.
+
+What a silhouette gets wrong it gets wrong in every frame: a recording, however long, weighs as much
+as a few of its frames. Habits last, and count once for as long: in every frame anew they would
+shorten limbs until their joints are at ease. Girths are free as well, since clothes would pass for
+lengths. Where a forearm begins is not taken from its own picture: the end of a sleeve moves that by
+more than people differ.
+
+INPUTS: a recording's problem, a trajectory that solves it for the lengths stated.
+OUTPUTS: logarithms of factors on lengths and girths, their covariances before and after.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmocap.body.proportions import GIRTHS, LENGTHS, covariance_among_people
+from jaxmocap.smoothing.levenberg_marquardt import covariances
+from jaxmocap.smoothing.linearise import (
+    Problem,
+    landmark_prior,
+    linearise_poses,
+    smooth_poses,
+    softened,
+    two_workers,
+)
+from jaxmocap.smoothing.trajectory import Trajectory
+from jaxmocap.smoothing.uncertainty import lasting_habits
+from jaxmocap.solvers.status import Status
+
+# So many sights at face value are worth as much as all of a recording's, whose errors are alike: on
+# synthetic people with clothes the lengths' errors are then about as large as their deviations.
+FRAMES_WORTH = 6.0
+
+
+class LengthsFit(NamedTuple):
+    """Lengths, then girths (P): ``LENGTHS`` and ``GIRTHS``.
+
+    Attributes:
+        logarithms: (P,) of the factors on what was stated.
+        covariance: (P, P) of them, given the recording.
+        among_people: (P, P) before.
+        trajectory: the motion with them.
+        status: why the solve ended.
+    """
+
+    logarithms: np.ndarray
+    covariance: np.ndarray
+    among_people: np.ndarray
+    trajectory: Trajectory
+    status: Status
+
+    @property
+    def before(self) -> np.ndarray:
+        """(P,) standard deviations of the logarithms among people."""
+        return np.sqrt(np.diag(self.among_people))
+
+    @property
+    def after(self) -> np.ndarray:
+        """(P,) the same, given the recording."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def fit_lengths(
+    problem: Problem, start: Trajectory, softness: tuple[float, ...], worth: float = FRAMES_WORTH
+) -> LengthsFit:
+    """Find poses and lengths of least cost.
+
+    Args:
+        problem: the recording.
+        start: that solves it, or nearly, with fewer proportions free.
+        softness: of the silhouettes' borders, cells, one solve after the other.
+        worth: so many sights at face value weigh as much as all of them.
+
+    Raises:
+        NotPositiveDefinite: where nothing determines the poses.
+    """
+    weighed = _weighed(problem, worth)
+    solved = smooth_poses(weighed, _freed(start), softness)
+    found, count = solved.trajectory, len(LENGTHS) + len(GIRTHS)
+    prior, seen = landmark_prior(weighed), softened(weighed, softness[-1])
+    with two_workers() as workers:
+        linear = linearise_poses(seen, softness[-1], workers, found)
+    # The prior weighs in as many sights as there are: undone, it is the prior that people have.
+    sights = max(len(problem.sights.camera), 1) / worth
+    shared = sights * covariances(linear, prior).shared[:count, :count]
+    logarithms = np.asarray(found.proportions, float)
+    people = covariance_among_people(count)
+    return LengthsFit(logarithms, shared, people, found, solved.status)
+
+
+def _weighed(problem: Problem, worth: float) -> Problem:
+    """The same as lengths are judged by."""
+    changed = lasting_habits(problem)
+    for name, value in (("proportions", 1 / worth), ("forearms", 0.0)):
+        changed[name] = jnp.asarray(value, float)
+    return replace(problem, settings=replace(problem.settings, **changed))
+
+
+def _freed(trajectory: Trajectory) -> Trajectory:
+    """The same with all lengths and girths free."""
+    given = np.asarray(trajectory.proportions)
+    missing = len(LENGTHS) + len(GIRTHS) - given.size
+    return trajectory._replace(proportions=np.pad(given, (0, missing)))

@@ -1,0 +1,4 @@
+"""Skeletal animation: BVH and glTF, read and written.
+
+Begin with ``export``.
+"""

@@ -1,0 +1,108 @@
+"""Armatures: trees of joints that turn, as animation files hold them.
+
+INPUTS: what a BVH or glTF file holds, or a Motion by way of ``body_armature``.
+OUTPUTS: an Armature, in other axes; where its joints are.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from jaxmocap.formats.files.errors import InputError
+
+# Orientations that are worked on at a time.
+TURNS_AT_ONCE = 250_000
+
+
+class BeyondFormatError(InputError):
+    """A format cannot hold a motion, which others can."""
+
+
+@dataclass(frozen=True)
+class Armature:
+    """J joints over T samples, in a file's axes or in the world's.
+
+    Attributes:
+        names: of the joints, parents before children. Ends of limbs are joints too.
+        parents: index of each one's parent; −1 for the first, the root, and for it only.
+        offsets: (J, 3) metres, from the parent's joint in the rest pose; the root's is 0.
+        times: (T,) seconds, ascending.
+        positions: (T, 3) of the root, metres; NaN where the pose is unknown.
+        rotations: (T, J, 3, 3) of each joint in its parent's frame, the root's in the file's;
+            identity in the rest pose; NaN where the pose is unknown.
+        radii: (J, 2) of the flesh from the parent's joint to this one, at both ends, metres; or
+            None where nothing is known of it.
+    """
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    offsets: np.ndarray
+    times: np.ndarray
+    positions: np.ndarray
+    rotations: np.ndarray
+    radii: np.ndarray | None = None
+
+    @property
+    def ends(self) -> tuple[int, ...]:
+        """Joints that carry no other."""
+        return tuple(j for j in range(len(self.names)) if j not in self.parents)
+
+    @property
+    def known(self) -> np.ndarray:
+        """(T,) is the pose known?"""
+        return np.isfinite(self.positions.sum(-1) + self.rotations.sum((1, 2, 3)))
+
+
+def joint_positions(armature: Armature) -> np.ndarray:
+    """Positions (T, J, 3) of all joints, metres."""
+    points = np.repeat(armature.positions[:, None], len(armature.names), 1)
+    for some in _blocks(armature):
+        R = np.array(armature.rotations[some])
+        for j, parent in enumerate(armature.parents):
+            if parent >= 0:
+                points[some, j] = points[some, parent] + R[:, parent] @ armature.offsets[j]
+                R[:, j] = R[:, parent] @ R[:, j]
+    return points
+
+
+def turned(armature: Armature, R_new_old: np.ndarray) -> Armature:
+    """The armature in other axes."""
+    rotations = np.empty(armature.rotations.shape)
+    for some in _blocks(armature):
+        rotations[some] = R_new_old @ armature.rotations[some] @ R_new_old.T
+    return replace(
+        armature,
+        offsets=armature.offsets @ R_new_old.T,
+        positions=armature.positions @ R_new_old.T,
+        rotations=rotations,
+    )
+
+
+def _blocks(armature: Armature) -> Iterator[slice]:
+    """Samples in a row, so few that of a long motion no second copy is in memory."""
+    size = max(1, TURNS_AT_ONCE // len(armature.names))
+    for first in range(0, len(armature.times), size):
+        yield slice(first, first + size)
+
+
+def settled(armature: Armature, path: str | Path) -> Armature:
+    """Where the pose is unknown, that of the nearest sample where it is known.
+
+    Raises:
+        InputError: it is known nowhere; ``path`` is what the message names.
+    """
+    known = np.flatnonzero(armature.known)
+    if not len(known):
+        raise InputError(path, "no pose is known in any sample")
+    if len(known) == len(armature.times):
+        return armature
+    after = np.clip(np.searchsorted(known, np.arange(len(armature.times))), 0, len(known) - 1)
+    before = np.maximum(after - 1, 0)
+    t = armature.times
+    earlier = np.abs(t - t[known[before]]) < np.abs(t - t[known[after]])
+    nearest = known[np.where(earlier, before, after)]
+    return replace(
+        armature, positions=armature.positions[nearest], rotations=armature.rotations[nearest]
+    )

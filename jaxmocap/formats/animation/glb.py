@@ -1,0 +1,172 @@
+"""glTF 2.0 in its binary form: JSON and one block of numbers, in one file.
+
+INPUTS: a .glb file; or a glTF document and the arrays that its accessors stand for.
+OUTPUTS: the other. The container is 12 bytes of header and two chunks, so that the standard
+library's json and struct write it; the libraries there are would bring seven more packages.
+"""
+
+import json
+import math
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxmocap.formats.animation.json_parts import Part
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.json_text import parse_json
+from jaxmocap.formats.files.reading import read_bytes
+from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.writing import write_bytes
+
+_MAGIC, _VERSION, _JSON, _BINARY = b"glTF", 2, b"JSON", b"BIN\0"
+_TYPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
+_SHAPES = {name: shape for shape, name in _TYPES.items()}
+_COMPONENTS = {"<i1": 5120, "<u1": 5121, "<i2": 5122, "<u2": 5123, "<u4": 5125, "<f4": 5126}
+_DTYPES = {code: np.dtype(name) for name, code in _COMPONENTS.items()}
+_CHUNKS = (_JSON, _BINARY)
+# That are read from one file: keys of half an hour at 200 Hz for two dozen joints.
+MOST_NUMBERS = 40_000_000
+
+
+class Binary:
+    """Arrays of a document, one after the other in one block."""
+
+    def __init__(self):
+        self.accessors: list[dict[str, Any]] = []
+        self.views: list[dict[str, Any]] = []
+        self.content = bytearray()
+
+    def add(
+        self,
+        array: np.ndarray,
+        dtype: str = "<f4",
+        bounded: bool = False,
+        target: int | None = None,
+    ) -> int:
+        """Append (N, ...) numbers; the index of their accessor.
+
+        Args:
+            array: scalars, vectors or (4, 4) matrices, rows before columns.
+            dtype: in which they are held.
+            bounded: say their smallest and largest, as positions and times must.
+            target: glTF's number for what they are to a mesh: its vertices or its triangles.
+        """
+        # Matrices are held column by column.
+        stored = np.asarray(array, np.dtype(dtype))
+        held = stored.swapaxes(1, 2) if stored.ndim == 3 else stored
+        view = self.add_bytes(held.tobytes())
+        if target is not None:
+            self.views[view]["target"] = target
+        accessor = {"bufferView": view, "componentType": _COMPONENTS[dtype]}
+        accessor |= {"count": len(stored), "type": _TYPES[stored.shape[1:]]}
+        if bounded:
+            rows = stored.reshape(len(stored), -1).astype(float)
+            accessor |= {"min": rows.min(0).tolist(), "max": rows.max(0).tolist()}
+        self.accessors.append(accessor)
+        return len(self.accessors) - 1
+
+    def add_bytes(self, data: bytes) -> int:
+        """Append a file's content; the index of its view."""
+        self.views.append({"buffer": 0, "byteOffset": len(self.content), "byteLength": len(data)})
+        self.content += data + bytes(-len(data) % 4)
+        return len(self.views) - 1
+
+
+def write_document(path: str | Path, document: dict[str, Any], binary: Binary) -> None:
+    """Write a document with the arrays that it refers to."""
+    whole = document | {
+        "accessors": binary.accessors,
+        "bufferViews": binary.views,
+        "buffers": [{"byteLength": len(binary.content)}],
+    }
+    text = json.dumps(whole, separators=(",", ":"), allow_nan=False).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), _JSON) + text
+    chunks += struct.pack("<I4s", len(binary.content), _BINARY) + bytes(binary.content)
+    write_bytes(path, struct.pack("<4sII", _MAGIC, _VERSION, 12 + len(chunks)) + chunks)
+
+
+def read_document(path: str | Path) -> tuple[Part, bytes]:
+    """The document of a .glb file and its block of numbers.
+
+    Raises:
+        InputError: no such file, not glTF 2.0 in binary form, cut off, or not JSON.
+    """
+    content = read_bytes(path)
+    if content[:4] != _MAGIC or len(content) < 20:
+        raise InputError(path, "not a binary glTF file, which begins with 'glTF'")
+    _, version, length = struct.unpack_from("<4sII", content)
+    if version != _VERSION:
+        raise InputError(path, f"glTF version {version}, expected {_VERSION}")
+    if len(content) < length:
+        raise InputError(path, f"cut off, {len(content)} of {length} bytes are there")
+    chunks, start = {}, 12
+    while start + 8 <= length and len(chunks) < len(_CHUNKS):
+        size, kind = struct.unpack_from("<I4s", content, start)
+        if kind in _CHUNKS:
+            chunks.setdefault(kind, content[start + 8 : min(start + 8 + size, length)])
+        start += 8 + size
+    if _JSON not in chunks:
+        raise InputError(path, "holds no readable JSON, which every glTF file needs")
+    document = Part(path, "", parse_json(path, chunks[_JSON]))
+    if not isinstance(document.value, dict):
+        raise InputError(path, f"found {shown(document.value)}, expected a JSON table")
+    return document, chunks.get(_BINARY, b"")
+
+
+class Accessors:
+    """The arrays of a document.
+
+    However often the same bytes are asked for by other names, what is read has a limit.
+    """
+
+    def __init__(self, document: Part, content: bytes):
+        self._document, self._content, self._left = document, content, MOST_NUMBERS
+
+    def read(self, accessor: int, shape: tuple[int, ...]) -> np.ndarray:
+        """(N, *shape) float64 numbers of an accessor.
+
+        Raises:
+            InputError: another shape; sparse, in another file, or outside the block; not finite.
+        """
+        stated = self._document["accessors"][accessor]
+        if stated.has("sparse"):
+            raise stated.error("found sparse numbers, which are not read")
+        dtype = _DTYPES[stated["componentType"].choice(list(_DTYPES))]
+        found = _SHAPES[stated["type"].choice(list(_SHAPES))]
+        if found != shape:
+            raise stated["type"].error(f"found {_TYPES[found]}, expected {_TYPES[shape]}")
+        size = math.prod(shape)
+        count = stated["count"].whole()
+        self._left -= count * size
+        if self._left < 0:
+            most = f"expected at most {MOST_NUMBERS} in one file"
+            raise stated["count"].error(f"found {count * size} numbers more, {most}")
+        array = self._view(stated, dtype, count, size).astype(float)
+        if stated.has("normalized") and stated["normalized"].value is True and dtype.kind != "f":
+            array = np.maximum(array / np.iinfo(dtype).max, -1.0)
+        if not np.isfinite(array).all():
+            raise stated.error("found what is no number")
+        array = array.reshape(count, *shape)
+        return array.swapaxes(1, 2) if len(shape) == 2 else array
+
+    def _view(self, stated: Part, dtype: np.dtype, count: int, size: int) -> np.ndarray:
+        """(count, size) numbers as they stand in the block, nothing copied."""
+        views = self._document["bufferViews"]
+        view = views[stated["bufferView"].index(views)]
+        buffers = self._document["buffers"]
+        if view["buffer"].index(buffers) or buffers[0].has("uri"):
+            raise view["buffer"].error("found numbers in another file, which are not read")
+        at, length = view["byteOffset"].whole(default=0), view["byteLength"].whole()
+        if at + length > len(self._content):
+            there = f"the file holds {len(self._content)}"
+            raise view.error(f"found bytes {at} to {at + length}, {there}")
+        row, start = size * dtype.itemsize, stated["byteOffset"].whole(default=0)
+        stride = view["byteStride"].whole(row, default=row)
+        if count and start + (count - 1) * stride + row > length:
+            problem = f"found {count} times {row} bytes from {start} on, {stride} apart"
+            raise stated.error(f"{problem}, its view has {length}")
+        offset, steps = at + start if count else 0, (stride, dtype.itemsize)
+        return np.ndarray((count, size), dtype, self._content, offset, steps)

@@ -1,0 +1,141 @@
+"""glTF out: a skeleton that moves and a mesh around it, for any 3-D viewer.
+
+INPUTS: an Armature, its axes those of glTF: Y up, facing Z, left towards X, metres; by choice a
+mesh that its joints carry, with a picture of its colours.
+OUTPUTS: a .glb file: a node per joint, an animation of the root's place and of every joint's turn,
+and the mesh (a skin); without one the limbs, as they are in the armature's rest pose.
+
+Samples whose pose is unknown have no key: a viewer moves on from the one before to the one after.
+Across gaps (see ``gaps``) the last pose is held. The animation begins at 0 s; its ``extras`` say
+when that was (``start``, seconds). Where the root is far from the world's origin its places are
+seen from a local one, since glTF has single precision: ``extras`` say where (``origin``, metres).
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import jaxmocap
+from jaxmocap.body.origin import local_origin
+from jaxmocap.formats.animation.armature import Armature, BeyondFormatError
+from jaxmocap.formats.animation.bound_mesh import BoundMesh, limbs_of
+from jaxmocap.formats.animation.glb import Binary, write_document
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.time_series.gaps import held
+
+SKIN_COLOUR = (0.62, 0.68, 0.76, 1.0)
+_ARRAYS, _INDICES = 34962, 34963
+
+
+def write_gltf(
+    path: str | Path, armature: Armature, mesh: BoundMesh | None = None, still: bool = False
+) -> None:
+    """Write an armature as a .glb file.
+
+    Args:
+        path: of the file.
+        armature: its joints.
+        mesh: that they carry; the limbs by default.
+        still: without an animation, as the body stands in the first sample.
+
+    Raises:
+        InputError: no pose is known.
+        BeyondFormatError: it lasts too long for its samples to be told apart.
+    """
+    if not armature.known.any():
+        raise InputError(path, "no pose is known in any sample")
+    origin = local_origin(armature.positions)
+    armature = replace(armature, positions=armature.positions - origin)
+    motion = held(armature)
+    _check_keys(path, motion.times)
+    mesh = limbs_of(armature) if mesh is None else mesh
+    binary, joints = Binary(), list(range(len(armature.names)))
+    body = {"name": "body", "mesh": 0, "skin": 0}
+    document = {
+        "asset": {"version": "2.0", "generator": f"jaxmocap {jaxmocap.__version__}"},
+        "scene": 0,
+        "scenes": [{"nodes": [0, len(joints)]}],
+        "nodes": [*_nodes(armature), body],
+        "meshes": [{"name": "body", "primitives": [_primitive(binary, mesh)]}],
+        "materials": [{"pbrMetallicRoughness": _surface(mesh), "doubleSided": True}],
+        "skins": [{"joints": joints, "skeleton": 0, "inverseBindMatrices": binary.add(mesh.bind)}],
+    }
+    if not still:
+        animation = _animation(binary, motion)
+        animation["extras"] |= {"origin": origin.tolist()} if origin.any() else {}
+        document["animations"] = [animation]
+    if mesh.picture is not None:
+        view = binary.add_bytes(mesh.picture)
+        document["images"] = [{"bufferView": view, "mimeType": "image/png"}]
+        document["textures"] = [{"source": 0}]
+    write_document(path, document, binary)
+
+
+def _check_keys(path: str | Path, times: np.ndarray) -> None:
+    """BeyondFormatError unless each key of (T,) times is later than the one before, as it must."""
+    if not (np.diff((times - times[0]).astype(np.float32)) > 0).all():
+        problem = f"glTF holds times in single precision, in which samples within {np.ptp(times):g}"
+        raise BeyondFormatError(path, f"{problem} s fall together")
+
+
+def _surface(mesh: BoundMesh) -> dict[str, Any]:
+    dull = {"metallicFactor": 0.0, "roughnessFactor": 0.8}
+    if mesh.picture is not None:
+        return {"baseColorTexture": {"index": 0}} | dull
+    return {"baseColorFactor": SKIN_COLOUR} | dull
+
+
+def _nodes(armature: Armature) -> list[dict[str, Any]]:
+    nodes = []
+    for j, name in enumerate(armature.names):
+        node = {"name": name, "translation": armature.offsets[j].tolist()}
+        children = [i for i, parent in enumerate(armature.parents) if parent == j]
+        nodes.append(node | ({"children": children} if children else {}))
+    # Until the animation plays, the body stands where it begins.
+    first = armature.positions[np.flatnonzero(armature.known)[0]]
+    nodes[0]["translation"] = first.tolist()
+    return nodes
+
+
+def _primitive(binary: Binary, mesh: BoundMesh) -> dict[str, Any]:
+    """The mesh's arrays."""
+    attributes = {
+        "POSITION": binary.add(mesh.vertices, bounded=True, target=_ARRAYS),
+        "NORMAL": binary.add(mesh.normals, target=_ARRAYS),
+        "JOINTS_0": binary.add(mesh.joints, "<u2", target=_ARRAYS),
+        "WEIGHTS_0": binary.add(mesh.weights, target=_ARRAYS),
+    }
+    if mesh.places is not None:
+        attributes["TEXCOORD_0"] = binary.add(mesh.places, target=_ARRAYS)
+    indices = binary.add(mesh.triangles.ravel(), "<u4", target=_INDICES)
+    return {"attributes": attributes, "indices": indices, "material": 0}
+
+
+def _animation(binary: Binary, armature: Armature) -> dict[str, Any]:
+    """Keys of the root's place, and of the turns of joints that ever turn."""
+    times = armature.times
+    keys = binary.add(times - times[0], bounded=True)
+    samplers: list[dict[str, Any]] = []
+    channels: list[dict[str, Any]] = []
+
+    def channel(joint: int, path: str, values: np.ndarray) -> None:
+        channels.append({"sampler": len(samplers), "target": {"node": joint, "path": path}})
+        samplers.append({"input": keys, "output": binary.add(values), "interpolation": "LINEAR"})
+
+    channel(0, "translation", armature.positions)
+    for j in range(len(armature.names)):
+        if np.abs((R := armature.rotations[:, j]) - np.eye(3)).max() > 0:
+            channel(j, "rotation", _quaternions(R))
+    extras = {"start": float(times[0])}
+    return {"name": "motion", "channels": channels, "samplers": samplers, "extras": extras}
+
+
+def _quaternions(R: np.ndarray) -> np.ndarray:
+    """(T, 4) xyzw of (T, 3, 3), each on the side of the one before, as players interpolate."""
+    found = Rotation.from_matrix(R).as_quat()
+    turned = np.sign(np.sum(found[1:] * found[:-1], -1))
+    signs = np.cumprod(np.concatenate([[1.0], np.where(turned < 0, -1.0, 1.0)]))
+    return found * signs[:, None]

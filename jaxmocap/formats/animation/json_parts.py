@@ -1,0 +1,124 @@
+"""Parts of a JSON document, asked for by what they must be.
+
+INPUTS: what ``parse_json`` returned. OUTPUTS: tables, lists, indices, numbers and texts;
+InputError in one sentence that names the part, what was found there, and what was expected.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.shortened import listed, shown
+
+LONGEST_TEXT = 200
+_LARGEST = 2**53
+
+
+@dataclass(frozen=True)
+class Part:
+    """One value of a document.
+
+    Attributes:
+        path: of the file.
+        place: where it stands, such as ``nodes[3].rotation``; empty for the document.
+        value: as parsed.
+    """
+
+    path: str | Path
+    place: str
+    value: Any
+
+    def error(self, problem: str) -> InputError:
+        """An error about this part."""
+        return InputError(self.path, f"{self.place}: {problem}" if self.place else problem)
+
+    def _expected(self, what: str) -> InputError:
+        return self.error(f"found {shown(self.value)}, expected {what}")
+
+    def has(self, key: str) -> bool:
+        """Whether a table has an entry."""
+        return isinstance(self.value, dict) and key in self.value
+
+    def __getitem__(self, key: str | int) -> "Part":
+        """An entry of a table or a list; None where a table has none."""
+        if isinstance(key, int):
+            return Part(self.path, f"{self.place}[{key}]", self.value[key])
+        if not isinstance(self.value, dict):
+            raise self._expected("a JSON table")
+        place = f"{self.place}.{key}" if self.place else key
+        return Part(self.path, place, self.value.get(key))
+
+    def items(self, optional: bool = False) -> Sequence[Any]:
+        """A list's values; none where it is left out and may be."""
+        if optional and self.value is None:
+            return ()
+        if not isinstance(self.value, list):
+            raise self._expected("a JSON list")
+        return self.value
+
+    def parts(self, optional: bool = False) -> Iterator["Part"]:
+        """A list's entries."""
+        return (self[i] for i in range(len(self.items(optional))))
+
+    def whole(self, low: int = 0, high: int = _LARGEST, default: int | None = None) -> int:
+        """A whole number from ``low`` to ``high``."""
+        if default is not None and self.value is None:
+            return default
+        value = self.value
+        if isinstance(value, float) and value.is_integer():
+            value = int(value)
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            bound = f"{low} to {high}" if high < _LARGEST else f"{low} or more"
+            raise self._expected(f"a whole number, {bound}")
+        return value
+
+    def index(self, of: "Part") -> int:
+        """The index of an entry of a list."""
+        count = len(of.items(optional=True))
+        if isinstance(self.value, bool) or not isinstance(self.value, int):
+            raise self._expected(f"an index of {of.place}")
+        if not 0 <= self.value < count:
+            raise self._expected(f"an index of {of.place}, which has {count}")
+        return self.value
+
+    def number(self, most: float, default: float | None = None) -> float:
+        """A number from ``-most`` to ``most``."""
+        if default is not None and self.value is None:
+            return default
+        value = self.value
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self._expected("a number")
+        # A whole number may be too large to be a float.
+        if not -most <= value <= most or not math.isfinite(value):
+            raise self._expected(f"a number from {-most:g} to {most:g}")
+        return float(value)
+
+    def numbers(self, count: int, most: float, default: Sequence[float] = ()) -> np.ndarray:
+        """(count,) numbers from ``-most`` to ``most``."""
+        if default and self.value is None:
+            return np.array(default, float)
+        if len(self.items()) != count:
+            raise self._expected(f"{count} numbers")
+        return np.array([part.number(most) for part in self.parts()])
+
+    def text(self, default: str | None = None) -> str:
+        """A text that prints, of at most ``LONGEST_TEXT`` characters."""
+        if default is not None and self.value is None:
+            return default
+        value = self.value
+        if not isinstance(value, str) or not value.isprintable() or len(value) > LONGEST_TEXT:
+            raise self._expected(f"a text that prints, of at most {LONGEST_TEXT} characters")
+        return value
+
+    def choice(self, options: Sequence[Any], default: Any = None) -> Any:
+        """One of some values."""
+        if default is not None and self.value is None:
+            return default
+        if isinstance(self.value, list | dict) or self.value not in options:
+            raise self._expected(f"one of {listed(map(str, options))}")
+        return self.value

@@ -1,0 +1,114 @@
+"""A body's surface as a skin on its armature's joints.
+
+INPUTS: a Surface around a Skeleton, by choice with a picture of its colours.
+OUTPUTS: a BoundMesh in a file's axes.
+
+The skin is bound where all angles are 0, the arms hanging: there the bones' frames are the body's,
+and there alone a node lies at one place, whichever of its bones is asked. A joint's frame, the
+body's own in the T pose, is turned there as the bone is between the two.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.surfaces.loft import rest_joints
+from jaxmocap.body.surfaces.mesh import atlas_of, mesh_of, normals_of
+from jaxmocap.body.surfaces.surface import Surface, rest_nodes
+from jaxmocap.formats.animation.body_armature import joint_tree, rest_turns
+from jaxmocap.formats.animation.bound_mesh import BoundMesh
+from jaxmocap.formats.files.errors import InputError
+
+# Of a picture's texels on the surface, metres; and how far apart bones may put a node at rest.
+TEXEL_M, APART_M = 0.0025, 1e-3
+CARRIERS = 4
+PNG = b"\x89PNG"
+
+
+def exported_skin(
+    path: str | Path,
+    skeleton: Skeleton,
+    surface: Surface,
+    R_file_world: np.ndarray,
+    picture: bytes | None = None,
+) -> BoundMesh:
+    """The surface on the joints of ``armature_of``.
+
+    Args:
+        path: the file to write, for messages.
+        skeleton: which the surface is around.
+        surface: of the body.
+        R_file_world: (3, 3) the file's axes.
+        picture: a PNG file's content, laid out by ``atlas_of`` with texels of ``TEXEL_M``.
+
+    Raises:
+        InputError: bones disagree where a node is at rest, more than four carry it, or the picture
+            is that of another surface.
+    """
+    joints, points = rest_joints(skeleton), surface.points
+    nodes = rest_nodes(surface, joints)
+    _check(path, surface, joints, nodes)
+    if picture is not None:
+        check_texture(path, skeleton, surface, picture)
+    mesh = mesh_of(surface, nodes, atlas_of(surface, nodes, TEXEL_M))
+    vertices = nodes[mesh.nodes]
+    names, _ = joint_tree(skeleton)
+    # What the pelvis and the hips, which do not move against it, carry is the root's.
+    carrying = [names.index(b) if b in names else 0 for b in skeleton.tree.bones]
+    spare = CARRIERS - points.bones.shape[1]
+    weights = np.pad(np.asarray(points.shares, float)[mesh.nodes], [(0, 0), (0, spare)])
+    carriers = np.pad(
+        np.array(carrying)[np.asarray(points.bones)[mesh.nodes]], [(0, 0), (0, spare)]
+    )
+    return BoundMesh(
+        vertices @ R_file_world.T,
+        normals_of(vertices, mesh.triangles) @ R_file_world.T,
+        mesh.triangles,
+        np.where(weights > 0, carriers, 0),
+        weights / weights.sum(1, keepdims=True),
+        _bind(skeleton, names, joints, R_file_world),
+        mesh.places,
+        picture,
+    )
+
+
+def check_texture(path: str | Path, skeleton: Skeleton, surface: Surface, picture: bytes) -> None:
+    """InputError where a file's content is not a PNG laid out for this surface."""
+    if not picture.startswith(PNG):
+        raise InputError(path, "is not a PNG file, which a texture is")
+    atlas = atlas_of(surface, rest_nodes(surface, rest_joints(skeleton)), TEXEL_M)
+    # Width and height, as its header says.
+    found = [int.from_bytes(picture[at : at + 4], "big") for at in (16, 20)]
+    if found != [atlas.width, atlas.height]:
+        size, expected = f"{found[0]} x {found[1]}", f"{atlas.width} x {atlas.height}"
+        raise InputError(
+            path, f"a texture of {size} texels, expected {expected}, as this surface is laid out"
+        )
+
+
+def _bind(
+    skeleton: Skeleton, names: tuple[str, ...], joints: np.ndarray, R_file_world: np.ndarray
+) -> np.ndarray:
+    """(J, 4, 4) from the body with all angles 0 to the frames that its joints have there."""
+    rest, bind = rest_turns(skeleton), np.tile(np.eye(4), (len(names), 1, 1))
+    for j, name in enumerate(names):
+        if name in skeleton.tree.bones:
+            bone = skeleton.tree.bone(name)
+            R = R_file_world @ rest[bone] @ R_file_world.T
+            bind[j, :3, :3], bind[j, :3, 3] = R, -R @ R_file_world @ joints[bone]
+    return bind
+
+
+def _check(path: str | Path, surface: Surface, joints: np.ndarray, nodes: np.ndarray) -> None:
+    """InputError where glTF cannot hold the surface."""
+    bones, shares = np.asarray(surface.points.bones), np.asarray(surface.points.shares)
+    if bones.shape[1] > CARRIERS:
+        raise InputError(path, f"{bones.shape[1]} bones carry a node, expected {CARRIERS} at most")
+    apart = np.linalg.norm(joints[bones] + surface.points.points_bone - nodes[:, None], axis=-1)
+    worst = float(np.where(shares > 0, apart, 0).max())
+    if worst > APART_M:
+        raise InputError(
+            path, f"a surface whose bones put a node {1e3 * worst:.0f} mm apart at rest, "
+            f"expected {1e3 * APART_M:.0f} mm at most"
+        )  # fmt: skip

@@ -1,0 +1,4 @@
+"""Calibration files, and videos as a recording names them.
+
+Begin with ``calibration``.
+"""

@@ -1,0 +1,235 @@
+"""Camera calibrations in the TOML layout that anipose and Pose2Sim share, or in OpenCV's YAML.
+
+INPUTS: a .toml file with one section per camera: size, matrix, distortions, rotation (Rodrigues
+vector, world to camera), translation (metres, world to camera), fisheye; or a .yml file.
+OUTPUTS: Cameras by the name of their section, or one camera's Lens; such a .toml file, or one
+section of it replaced.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from jaxmocap.formats.cameras.opencv_yaml import SUFFIXES, read_opencv_yaml
+from jaxmocap.formats.cameras.toml_sections import replace_entries
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.shortened import listed, name_shown, shown
+from jaxmocap.formats.files.toml import (
+    Fields,
+    file_name_problem,
+    parse_toml,
+    read_toml,
+    read_toml_text,
+    toml_key,
+    write_toml,
+)
+from jaxmocap.formats.files.writing import write_text
+from jaxmocap.formats.time_series.tables import FARTHEST_M
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.rotations import log
+
+# A section of this name tells about the calibration, not of a camera.
+METADATA = "metadata"
+# How far R Rᵀ may be from the identity: files print four digits or more.
+ORTHONORMAL = 1e-3
+# Pixels: of a picture's side; of a focal length (a telescope has some million).
+LARGEST_SIZE = 65_536
+SMALLEST_FOCAL, LARGEST_FOCAL = 1e-3, 1e8
+# Of a real lens none is beyond some hundred.
+LARGEST_DISTORTION = 1e6
+# Radians of a Rodrigues vector, which need not be the shortest.
+LARGEST_ROTATION = 1e3
+_COUNTS = [(n,) for n in range(9)]
+_Section = TypeVar("_Section")
+
+
+@dataclass(frozen=True)
+class Lens:
+    """What a camera is, wherever it stands: in double precision, as files hold it.
+
+    Attributes:
+        size: (2,) width and height, pixels.
+        matrix: (3, 3) intrinsic matrix, pixels.
+        distortions: up to 8 of OpenCV's k1 k2 p1 p2 k3 k4 k5 k6.
+    """
+
+    size: np.ndarray
+    matrix: np.ndarray
+    distortions: np.ndarray
+
+    def entries(self) -> dict[str, Any]:
+        """Its fields in a section of the file."""
+        fields = {"size": self.size, "matrix": self.matrix, "distortions": self.distortions}
+        return fields | {"fisheye": False}
+
+
+def read_calibration(path: str | Path, origin_world: np.ndarray | None = None) -> dict[str, Camera]:
+    """Read every camera of a calibration file.
+
+    Args:
+        path: of the file.
+        origin_world: (3,) metres, that the cameras are seen from; None: the world's.
+
+    Raises:
+        InputError: no such file, no camera in it, or a field that is missing or does not fit.
+    """
+    path = Path(path)
+    sections = _sections(path)
+    if not sections:
+        raise InputError(path, "found no camera section")
+    origin = np.zeros(3) if origin_world is None else origin_world
+    each = {name: Fields(path, f"[{name}]", table) for name, table in sections.items()}
+    return {name: _camera(fields, origin) for name, fields in each.items()}
+
+
+def read_lens(path: str | Path, name: str) -> Lens:
+    """Read the intrinsics of one camera, which need not have been placed yet.
+
+    Raises:
+        InputError: as above; in an OpenCV file, which holds one camera, the name is not asked for.
+    """
+    path = Path(path)
+    sections = _sections(path)
+    if path.suffix.lower() in SUFFIXES:
+        return _lens(Fields(path, "", next(iter(sections.values()))))
+    table = pick_camera(path, sections, name)
+    return _lens(Fields(path, f"[{name}]", table))
+
+
+def _sections(path: Path) -> dict[str, Any]:
+    if path.suffix.lower() in SUFFIXES:
+        return read_opencv_yaml(path)
+    return {name: table for name, table in read_toml(path).items() if name != METADATA}
+
+
+def pick_camera(path: str | Path, cameras: Mapping[str, _Section], name: str) -> _Section:
+    """The camera of that section; InputError lists the sections there are."""
+    if name not in cameras:
+        found = f"found {listed(cameras)}" if cameras else "found no camera section"
+        raise InputError(path, f"section [{name_shown(name)}] is missing, {found}")
+    return cameras[name]
+
+
+def _camera(fields: Fields, origin_world: np.ndarray) -> Camera:
+    lens = _lens(fields)
+    for key in ("rotation", "translation"):
+        if key not in fields:
+            raise fields.error("", f"{key!r} is missing (jaxmocap calibrate extrinsics finds it)")
+    translation = fields.array("translation", [(3,)], "3 numbers in metres", FARTHEST_M)
+    size = (lens.size[0], lens.size[1])
+    rotation = _rotation(fields)
+    # In double precision, before a camera has it in single.
+    R = rotation if rotation.ndim == 2 else Rotation.from_rotvec(rotation).as_matrix()
+    translation = translation + R @ origin_world
+    return Camera.create(size, lens.matrix, lens.distortions, rotation, translation)
+
+
+def _lens(fields: Fields) -> Lens:
+    refuse_fisheye(fields)
+    size = fields.array("size", [(2,)], "[width, height] in pixels", LARGEST_SIZE)
+    if (size < 1).any():
+        raise fields.error("size", f"found {size.tolist()}, expected two positive numbers")
+    expected = "at most 8 numbers (k1 k2 p1 p2 k3 k4 k5 k6)"
+    distortions = (
+        fields.array("distortions", _COUNTS, expected, LARGEST_DISTORTION)
+        if "distortions" in fields
+        else np.zeros(0)
+    )
+    return Lens(size, _matrix(fields), distortions)
+
+
+def refuse_fisheye(fields: Fields) -> None:
+    """InputError where a camera's section says that its lens is a fisheye."""
+    if fields.table.get("fisheye", False):
+        raise fields.error("fisheye", "fisheye lenses are not supported yet, expected false")
+
+
+def _matrix(fields: Fields) -> np.ndarray:
+    matrix = fields.array("matrix", [(3, 3)], "a 3 × 3 matrix", LARGEST_FOCAL)
+    if min(matrix[0, 0], matrix[1, 1]) < SMALLEST_FOCAL or not np.allclose(matrix[2], [0, 0, 1]):
+        raise fields.error(
+            "matrix",
+            f"found {matrix.tolist()}, expected positive focal lengths and a last row of 0 0 1",
+        )
+    return matrix
+
+
+def _rotation(fields: Fields) -> np.ndarray:
+    expected = "a Rodrigues vector of 3 numbers or a 3 × 3 rotation matrix"
+    rotation = fields.array("rotation", [(3,), (3, 3)], expected, LARGEST_ROTATION)
+    if rotation.ndim == 2 and (not orthonormal(rotation) or np.linalg.det(rotation) < 0):
+        raise fields.error("rotation", "found a 3 × 3 matrix that is not a rotation")
+    return rotation
+
+
+def orthonormal(matrix: np.ndarray) -> bool:
+    """Are the rows of a (3, 3) matrix unit vectors at right angles, as far as files print them?"""
+    return bool(np.abs(matrix @ matrix.T - np.eye(3)).max() <= ORTHONORMAL)
+
+
+def write_calibration(path: str | Path, cameras: dict[str, Camera]) -> None:
+    """Write a calibration file with one section per camera.
+
+    Args:
+        path: of the file.
+        cameras: section -> Camera.
+    """
+    tables = []
+    for name, camera in cameras.items():
+        distortion = np.asarray(camera.distortion, float)
+        # Four coefficients where that is all, as most readers expect them.
+        count = 4 if not distortion[4:].any() else 5 if not distortion[5:].any() else 8
+        T_cam_world = np.asarray(camera.T_cam_world, float)
+        entries = {
+            "name": name,
+            "size": np.asarray(camera.size, float),
+            "matrix": np.asarray(camera.matrix, float),
+            "distortions": distortion[:count],
+            "rotation": np.asarray(log(camera.T_cam_world[:3, :3]), float),
+            "translation": T_cam_world[:3, 3],
+            "fisheye": False,
+        }
+        tables.append((f"[{toml_key(name)}]", entries))
+    write_toml(path, tables)
+
+
+def write_camera(path: str | Path, name: str, entries: Mapping[str, Any]) -> None:
+    """Add one camera's section to a calibration file, or replace these entries of it.
+
+    All else in the file stays as it is: other sections, unknown keys, comments.
+
+    Args:
+        path: of the .toml file; it is made where there is none.
+        name: of the section.
+        entries: such as ``Lens.entries()``, or rotation and translation.
+
+    Raises:
+        InputError: the file is there and no TOML, or the name is not a camera's.
+    """
+    path = Path(path)
+    check_writable(path, name)
+    text = ""
+    if path.exists():
+        parse_toml(path, text := read_toml_text(path))
+    try:
+        changed = replace_entries(text, name, {"name": name, **entries})
+    except ValueError as error:
+        raise InputError(path, f"camera {shown(name)} {error}") from None
+    write_text(path, changed)
+
+
+def check_writable(path: Path, name: str) -> None:
+    """InputError where ``write_camera`` could not write this camera: known before any work."""
+    if path.suffix.lower() != ".toml":
+        raise InputError(path, "cannot be written to, expected a .toml file")
+    if not name or name == METADATA:
+        raise InputError(path, f"found {name!r} as a camera's name, expected another")
+    if problem := file_name_problem(name):
+        raise InputError(path, f"found {shown(name)} as a camera's name, {problem}")
+    if path.exists():
+        table = read_toml(path).get(name, {})
+        refuse_fisheye(Fields(path, f"[{name}]", table))

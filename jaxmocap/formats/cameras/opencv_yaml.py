@@ -1,0 +1,120 @@
+"""Camera calibrations in YAML, as OpenCV's FileStorage and ROS write them.
+
+INPUTS: a .yml or .yaml file with camera_matrix, distortion_coefficients, image_width and
+image_height; rvec (or R) and tvec (or T), world to camera, where the camera was placed.
+OUTPUTS: the camera as a table of the TOML layout, by its name (``camera_name``, or the file's).
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.lines import read_lines
+
+SUFFIXES = (".yml", ".yaml")
+# Field of the TOML layout -> what it is called in such files.
+_NAMES = {
+    "matrix": ("camera_matrix", "cameraMatrix", "Camera_Matrix"),
+    "distortions": ("distortion_coefficients", "distCoeffs", "dist_coeffs"),
+    "rotation": ("rvec", "R", "rotation"),
+    "translation": ("tvec", "T", "translation"),
+}
+_ENTRY = re.compile(r"(\s*)([\w.]+)\s*:\s*(.*)")
+_TAGS = ("!!opencv-matrix", "!!opencv-nd-matrix")
+_MATRIX = ("rows", "cols", "sizes", "dt", "data")
+
+
+def read_opencv_yaml(path: str | Path) -> dict[str, dict[str, Any]]:
+    """Read a camera: name -> size, matrix, distortions, and rotation and translation if told.
+
+    Raises:
+        InputError: no such file, not of this kind, or a matrix whose numbers do not fit.
+    """
+    path = Path(path)
+    entries = _entries(path)
+    table: dict[str, Any] = {"fisheye": _is_fisheye(entries)}
+    if "image_width" in entries and "image_height" in entries:
+        table["size"] = [_plain(entries["image_width"]), _plain(entries["image_height"])]
+    for field, names in _NAMES.items():
+        for name in names:
+            if name in entries:
+                table[field] = _matrix(path, name, entries[name], flat=field != "matrix")
+                break
+    if "matrix" not in table:
+        raise InputError(path, "found no camera_matrix, expected a calibration in OpenCV's YAML")
+    name = entries.get("camera_name", "")
+    return {(name.strip("\"'") if isinstance(name, str) else "") or path.stem: table}
+
+
+def _entries(path: Path) -> dict[str, Any]:
+    """Top-level keys: text as it stands, or a dict of text where indented keys follow."""
+    entries: dict[str, Any] = {}
+    inside: dict[str, Any] | None = None
+    # Where data that goes on belongs: a key's lines, joined at the end.
+    last: list[str] | None = None
+    for number, line in enumerate(read_lines(path), 1):
+        bare = line.split("#")[0].rstrip()
+        if not bare.strip() or bare.startswith(("%", "---", "...")):
+            continue
+        found = _ENTRY.fullmatch(bare)
+        if found and not found[1]:
+            key, text = found[2], found[3]
+            # A matrix, or another map: what is indented belongs to it.
+            inside, last = ({}, None) if text in ("", *_TAGS) else (None, [text])
+            entries[key] = last if inside is None else inside
+        elif found and inside is not None and found[2] in _MATRIX:
+            inside[found[2]] = last = [found[3]]
+        elif bare[0].isspace() and last is not None:
+            last.append(bare.strip())
+        elif not bare[0].isspace() and not bare.startswith(("-", "]")):
+            shown = bare.strip()[:40]
+            raise InputError(path, f"line {number}: found {shown!r}, expected OpenCV's YAML")
+    return {key: _joined(value) for key, value in entries.items()}
+
+
+def _joined(value: dict[str, list[str]] | list[str]) -> dict[str, str] | str:
+    if isinstance(value, dict):
+        return {key: " ".join(lines) for key, lines in value.items()}
+    return " ".join(value)
+
+
+def _is_fisheye(entries: dict[str, Any]) -> bool:
+    """Does the file say so, as OpenCV's calibration sample and ROS do?"""
+    model = str(entries.get("distortion_model", "")).strip("\"'").lower()
+    flag = str(entries.get("fisheye_model", entries.get("fisheye", "0"))).lower()
+    return model in ("equidistant", "fisheye", "kannala_brandt") or flag in ("1", "true")
+
+
+def _plain(text: Any) -> Any:
+    try:
+        return float(text)
+    except (TypeError, ValueError):
+        return text
+
+
+def _matrix(path: Path, name: str, entry: Any, flat: bool) -> list:
+    """Numbers of a matrix: rows of them, or flat where it is a vector by its nature."""
+    fields = entry if isinstance(entry, dict) else {}
+    text = fields.get("data", "").strip()
+    try:
+        # OpenCV 5 writes a vector with its sizes only.
+        rows, columns = (
+            (1, int(fields["sizes"].strip("[] ")))
+            if "sizes" in fields
+            else (int(fields["rows"]), int(fields["cols"]))
+        )
+        if not (text.startswith("[") and text.endswith("]")):
+            raise ValueError
+        data = [float(number) for number in text[1:-1].split(",") if number.strip()]
+        if min(rows, columns) < 1 or rows * columns != len(data):
+            raise ValueError
+    except (KeyError, ValueError, TypeError):
+        expected = "expected rows, cols and as many numbers in data"
+        raise InputError(path, f"{name}: is not a whole matrix, {expected}") from None
+    if flat and 1 in (rows, columns):
+        # Later coefficients that are all zero tell nothing (OpenCV writes up to 14).
+        while len(data) > 8 and data[-1] == 0:
+            data.pop()
+        return data
+    return [data[i * columns : (i + 1) * columns] for i in range(rows)]

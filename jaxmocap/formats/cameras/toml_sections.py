@@ -1,0 +1,81 @@
+"""Changing one section of a TOML file and nothing else: comments and unknown keys stay.
+
+INPUTS: the text of a TOML file, the name of a section, its new entries.
+OUTPUTS: the text with that section's entries replaced or added.
+"""
+
+import re
+import tomllib
+from collections.abc import Mapping
+from typing import Any
+
+from jaxmocap.formats.files.toml import toml_key, toml_value
+from jaxmocap.formats.files.toml_scan import statement_starts
+
+_HEADER = re.compile(r"\s*\[.*\]\s*(#.*)?")
+
+
+def replace_entries(text: str, section: str, entries: Mapping[str, Any]) -> str:
+    """Put entries into ``[section]``; its other keys, and all other sections, stay as they are.
+
+    Args:
+        text: of a TOML file, valid.
+        section: name of a top-level table; it is added at the end where there is none.
+        entries: key -> text, number, boolean or list.
+
+    Raises:
+        ValueError: the section is not written as a ``[section]`` of its own.
+    """
+    old = tomllib.loads(text)
+    blocks = _sections(text)
+    for i, block in enumerate(blocks):
+        if _opens(block, section):
+            blocks[i] = _with_entries(block, entries)
+            break
+    else:
+        if section in old:
+            raise ValueError(f"is not written as [{section}] on a line of its own")
+        blocks = [*_closed(blocks), _with_entries(f"[{toml_key(section)}]\n", entries)]
+    return "".join(blocks)
+
+
+def _closed(blocks: list[str]) -> list[str]:
+    """Blocks that end with an empty line, so that a section can follow."""
+    text = "".join(blocks).rstrip("\n")
+    return [text, "\n\n"] if text else []
+
+
+def _sections(text: str) -> list[str]:
+    """A text cut before every header."""
+    blocks: list[list[str]] = [[]]
+    for statement in _statements(text):
+        if _HEADER.fullmatch(statement.rstrip("\n")):
+            blocks.append([])
+        blocks[-1].append(statement)
+    return ["".join(block) for block in blocks]
+
+
+def _statements(text: str) -> list[str]:
+    """A valid text cut before every line that is not within a value of several lines."""
+    starts = statement_starts(text)
+    return [text[start:end] for start, end in zip(starts, [*starts[1:], None], strict=True)]
+
+
+def _opens(block: str, section: str) -> bool:
+    """Does a block begin with the header of exactly that section?"""
+    header = block.lstrip().split("\n")[0]
+    return header.startswith("[") and tomllib.loads(header) == {section: {}}
+
+
+def _with_entries(block: str, entries: Mapping[str, Any]) -> str:
+    """A section's text with each entry in the place of its key, or after the last key."""
+    lines = {key: f"{toml_key(key)} = {toml_value(value)}\n" for key, value in entries.items()}
+    header, *statements = _statements(block if block.endswith("\n") else block + "\n")
+    body = [lines.pop(key, old) if (key := _key(old)) else old for old in statements]
+    end = max((i + 1 for i, old in enumerate(body) if _key(old) is not None), default=0)
+    return "".join([header, *body[:end], *lines.values(), *body[end:]])
+
+
+def _key(statement: str) -> str | None:
+    """The key that a statement sets; None for an empty line or a comment."""
+    return next(iter(tomllib.loads(statement)), None)

@@ -1,0 +1,153 @@
+"""Addresses of UDP in a TOML file: where packets come in and go out, and whose packets count.
+
+INPUTS: fields such as ``listen = "127.0.0.1:39540"``, ``send = 9000``, ``from = ["10.0.0.0/24"]``.
+OUTPUTS: Addresses; networks of senders.
+"""
+
+import re
+import socket
+from collections.abc import Sequence
+from ipaddress import IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
+from typing import Any, NamedTuple
+
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.toml import Fields
+
+Network = IPv4Network | IPv6Network
+# This machine alone.
+LOOPBACK: tuple[Network, ...] = (ip_network("127.0.0.0/8"), ip_network("::1/128"))
+# No list of senders is longer.
+MOST_NETWORKS = 64
+# Digits of the first ten alone: Python's own int() takes those of every script.
+_PORT = re.compile(r"[0-9]{1,5}")
+MOST_PORT = 65535
+# Names of hosts, as far as any resolver takes them.
+_HOST = re.compile(r"(?:[A-Za-z0-9_-]{1,63}\.)*[A-Za-z0-9_-]{1,63}\.?")
+LONGEST_HOST = 253
+
+
+class Address(NamedTuple):
+    """Where packets come in or go out.
+
+    Attributes:
+        host: name or number; the loopback interface unless stated otherwise.
+        port: of UDP.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 0
+
+    def __str__(self) -> str:
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{host}:{self.port}"
+
+    @property
+    def is_loopback(self) -> bool:
+        """Is it reached from this machine alone?"""
+        try:
+            return ip_address(self.host).is_loopback
+        except ValueError:
+            return self.host == "localhost"
+
+
+def read_address(fields: Fields, key: str, default: Address) -> Address:
+    """An address as "host:port" or as a port alone; or the default.
+
+    Raises:
+        InputError: it is neither.
+    """
+    if key not in fields:
+        return default
+    value = fields.table[key]
+    host, port = _host(value), _port(value)
+    if host is None or port is None:
+        expected = f"an address such as '{default}', or a port from 1 to {MOST_PORT}"
+        raise fields.error(key, f"found {shown(value)}, expected {expected}")
+    return Address(host or default.host, port)
+
+
+def _host(value: Any) -> str | None:
+    """What stands before the port, "" where nothing does; None where it is no host."""
+    if not isinstance(value, str):
+        return ""
+    host = value.rpartition(":")[0]
+    if host.startswith("[") and host.endswith("]"):
+        host = host[1:-1]
+    named = len(host) <= LONGEST_HOST and _HOST.fullmatch(host)
+    return host if not host or named or _is_number(host) else None
+
+
+def _is_number(host: str) -> bool:
+    try:
+        ip_address(host)
+    except ValueError:
+        return False
+    return host.isprintable()
+
+
+def _port(value: Any) -> int | None:
+    """The port of a number or of "host:port"; None where it is none."""
+    if isinstance(value, str):
+        port = value.rpartition(":")[2]
+        value = int(port) if _PORT.fullmatch(port) else None
+    if isinstance(value, bool) or not isinstance(value, int):
+        return None
+    return value if 1 <= value <= MOST_PORT else None
+
+
+def resolved(address: Address) -> tuple[socket.AddressFamily, Any]:
+    """Family and place of an address, as sockets take them; IPv4 where there are both.
+
+    Raises:
+        InputError: no such host.
+    """
+    try:
+        found = socket.getaddrinfo(*address, type=socket.SOCK_DGRAM)
+    except (OSError, UnicodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else "not a host's name"
+        raise InputError(str(address), f"no such address ({why})") from None
+    best = min(found, key=lambda each: each[0] != socket.AF_INET)
+    return best[0], best[4]
+
+
+def read_senders(fields: Fields, listen: Address) -> tuple[Network, ...]:
+    """The networks whose packets count: ``from``, or this machine where no other is listened to.
+
+    Raises:
+        InputError: it is no list of addresses, or is missing where other machines can send.
+    """
+    example = "['192.168.1.20'] or ['192.168.1.0/24']"
+    if "from" not in fields:
+        if listen.is_loopback:
+            return LOOPBACK
+        problem = f"'from' is missing, which lists who may send to {listen}, such as {example}"
+        raise fields.error("", problem)
+    value = fields.table["from"]
+    texts: Sequence[Any] = value if isinstance(value, list) else ()
+    networks = [_network(text) for text in texts[: MOST_NETWORKS + 1]]
+    found = [network for network in networks if network is not None]
+    if not 0 < len(networks) <= MOST_NETWORKS or len(found) < len(networks):
+        wrong = next((t for t, n in zip(texts, networks, strict=False) if n is None), value)
+        expected = f"1 to {MOST_NETWORKS} addresses or networks such as {example}"
+        raise fields.error("from", f"found {shown(wrong)}, expected {expected}")
+    return tuple(found)
+
+
+def _network(text: Any) -> Network | None:
+    try:
+        return ip_network(text, strict=False) if isinstance(text, str) else None
+    except ValueError:
+        return None
+
+
+def is_among(host: str, networks: Sequence[Network]) -> bool:
+    """Is a host, by its number, in one of the networks?"""
+    try:
+        address = ip_address(host)
+    except ValueError:
+        return False
+    # What listens to both kinds sees one kind's numbers within the other's.
+    if isinstance(address, IPv6Address) and address.ipv4_mapped is not None:
+        address = address.ipv4_mapped
+    return any(address in network for network in networks)

@@ -1,0 +1,83 @@
+"""JSON from files of others: bounded in size, in depth and in the number of its parts.
+
+INPUTS: text, or bytes of UTF-8. OUTPUTS: what it stands for; InputError in one sentence.
+
+Python's objects take up to twenty-four times as much memory as the text that they come from.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from jaxmocap.formats.files.errors import InputError
+
+MOST_JSON_BYTES = 16 * 2**20
+MOST_LEVELS = 64
+# Lists and tables.
+MOST_PARTS = 2_000_000
+
+
+def parse_json(
+    path: str | Path,
+    text: str | bytes,
+    most: int = MOST_JSON_BYTES,
+    constants: bool = False,
+    most_parts: int = MOST_PARTS,
+) -> Any:
+    """What a JSON text stands for.
+
+    Args:
+        path: of the file, for messages.
+        text: the text.
+        most: how long it may be.
+        constants: whether NaN and Infinity, which are no JSON, may stand in it.
+        most_parts: how many lists and tables there may be.
+
+    Raises:
+        InputError: it is no JSON, too long, nested too deeply, or of too many parts.
+    """
+    if len(text) > most:
+        raise InputError(path, f"found {len(text)} bytes of JSON, expected at most {most}")
+    if isinstance(text, str):
+        parts = text.count("[") + text.count("{")
+    else:
+        parts = text.count(b"[") + text.count(b"{")
+    if parts > most_parts:
+        raise InputError(path, f"found JSON of {parts} parts, expected at most {most_parts}")
+    try:
+        value = json.loads(text, parse_constant=None if constants else _refuse)
+    except RecursionError:
+        raise InputError(path, _too_deep()) from None
+    except ValueError as error:
+        raise InputError(path, f"holds no readable JSON ({_reason(error)})") from None
+    _check_depth(path, value)
+    return value
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(f"found {constant}, expected a number")
+
+
+def _reason(error: ValueError) -> str:
+    if isinstance(error, json.JSONDecodeError):
+        return f"line {error.lineno}, column {error.colno}: {error.msg}"
+    if isinstance(error, UnicodeDecodeError):
+        return "found bytes that are not UTF-8 text"
+    text = str(error)
+    return "a number of thousands of digits" if "integer string conversion" in text else text
+
+
+def _check_depth(path: str | Path, value: Any) -> None:
+    """Level by level: a loop that calls itself would end where Python's calls do."""
+    level, depth = [value], 0
+    while level:
+        depth += 1
+        if depth > MOST_LEVELS:
+            raise InputError(path, _too_deep())
+        inside = (each.values() if isinstance(each, dict) else each for each in level
+                  if isinstance(each, dict | list))  # fmt: skip
+        level = [each for values in inside for each in values if isinstance(each, dict | list)]
+
+
+def _too_deep() -> str:
+    return f"JSON nested too deeply, expected at most {MOST_LEVELS} levels"

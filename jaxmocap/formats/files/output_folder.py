@@ -1,0 +1,256 @@
+"""Folders that a command writes: a run owns a list of its files, and replaces nothing else.
+
+    out/
+      outputs.json            the list: every file, its SHA-256, and what kind of run wrote it
+      joints.trc, ...
+      .jaxmocap-...           while a run goes on: everything that it has written so far
+
+INPUTS: the folder, the names that will be written, the files that are read.
+OUTPUTS: a hidden folder to write to; when all is whole it is moved into place at once, and what an
+earlier run of the kind wrote and this one did not is removed. A file that the list does not name,
+or that has changed since, is never touched.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
+
+from jaxmocap import __version__
+from jaxmocap.formats.files.errors import FileError, InputError, OutputError
+from jaxmocap.formats.files.reading import read_bytes
+from jaxmocap.formats.files.writing import (
+    as_output_error,
+    check_name,
+    check_writable,
+    flush_to_disk,
+    part_beside,
+    remove_left_parts,
+    write_text,
+)
+
+LIST = "outputs.json"
+# A list of so many bytes at most is read.
+MOST_LIST_BYTES = 16 * 2**20
+
+
+class Listed(NamedTuple):
+    """What the list says of a file.
+
+    Attributes:
+        kind: of run that wrote it.
+        digests: SHA-256 that it may have: two while one version replaces the other.
+    """
+
+    kind: str
+    digests: tuple[str, ...]
+
+
+class OutputFolder:
+    """One folder for one run.
+
+    Attributes:
+        path: of the folder.
+        kind: of run; runs of one kind replace each other's files.
+    """
+
+    def __init__(
+        self,
+        directory: str | Path,
+        kind: str,
+        names: Iterable[str] = (),
+        inputs: Iterable[str | Path] = (),
+    ):
+        """Look whether the folder can be used, before any work; nothing is made.
+
+        Args:
+            directory: of the outputs.
+            kind: of run.
+            names: files that the run may write there; where it does not, earlier ones go.
+            inputs: files that it reads.
+
+        Raises:
+            InputError: it cannot be written to, holds an input, or holds a file of one of the
+                names that no earlier run wrote.
+        """
+        self.path, self.kind, self._names = Path(directory), kind, tuple(names)
+        check_name(self.path)
+        check_writable(self.path)
+        refuse_inputs(self.path, inputs)
+        self._check_free(self._names)
+
+    @contextmanager
+    def writing(self) -> Iterator[Path]:
+        """Write everything, then move it into place; after an error nothing has changed.
+
+        Yields:
+            A hidden folder within this one: what is written there is this run's.
+
+        Raises:
+            OutputError: the disk is full, or a file that is not ours has appeared in between.
+        """
+        there = self.path.is_dir()
+        with as_output_error(self.path):
+            self.path.mkdir(parents=True, exist_ok=True)
+            remove_left_parts(self.path)
+            stage = part_beside(self.path / "outputs")
+            stage.mkdir()
+        try:
+            with _called_as_in(self.path, stage):
+                yield stage
+            with as_output_error(self.path):
+                self._move_into_place(stage)
+        finally:
+            shutil.rmtree(stage, ignore_errors=True)
+            if not there:
+                # Only where nothing was written does it go again.
+                with suppress(OSError):
+                    self.path.rmdir()
+
+    def write(self, files: Callable[[Path], Iterable[Path]]) -> list[Path]:
+        """The same by a function that writes files into a folder and returns their paths.
+
+        Returns:
+            The files, as they are called once they are in place.
+        """
+        with self.writing() as stage:
+            written = files(stage)
+        return [self.path / path.relative_to(stage) for path in written]
+
+    def is_whole(self) -> bool:
+        """Is every file of the list there as it was written?"""
+        try:
+            listed = read_list(self.path)
+            return bool(listed) and all(
+                _is_ours(self.path / name, entry) for name, entry in listed.items()
+            )
+        except (InputError, OSError):
+            return False
+
+    def _check_free(self, names: Iterable[str]) -> None:
+        """InputError where one of the names is a file that no earlier run wrote as it is."""
+        listed = read_list(self.path)
+        for name in names:
+            path = self.path / name
+            if not os.path.lexists(path) or (name in listed and _is_ours(path, listed[name])):
+                continue
+            problem = "has changed since an earlier run wrote it"
+            if name not in listed:
+                problem = "is there and no earlier run wrote it"
+            raise InputError(path, f"{problem}; move it away, or write to another folder")
+
+    def _move_into_place(self, stage: Path) -> None:
+        """Replace what the list names, then remove what is left of it.
+
+        Whenever this is cut off, every file is whole and in the list.
+        """
+        staged = sorted(path for path in stage.rglob("*") if path.is_file())
+        new = {path.relative_to(stage).as_posix(): path for path in staged}
+        for path in staged:
+            flush_to_disk(path)
+        try:
+            self._check_free(new)
+            listed = read_list(self.path)
+        except InputError as error:
+            raise OutputError(error.path, error.problem) from None
+        wrote = {name: Listed(self.kind, (_digest(path),)) for name, path in new.items()}
+        ours = {
+            name: entry
+            for name, entry in listed.items()
+            if entry.kind == self.kind or name in self._names
+        }
+        others = {name: entry for name, entry in listed.items() if name not in ours}
+        _write_list(self.path, _together(listed, wrote))
+        for name, path in new.items():
+            (self.path / name).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(path, self.path / name)
+        for name in set(ours) - set(new):
+            if _is_ours(self.path / name, ours[name]):
+                (self.path / name).unlink()
+        _write_list(self.path, others | wrote)
+
+
+@contextmanager
+def _called_as_in(folder: Path, stage: Path) -> Iterator[None]:
+    """Errors about a file of the hidden folder name it as it would be called in the end."""
+    try:
+        yield
+    except FileError as error:
+        path, hidden = (Path(os.path.realpath(each)) for each in (error.path, stage))
+        if not path.is_relative_to(hidden):
+            raise
+        raise type(error)(folder / path.relative_to(hidden), error.problem) from None
+
+
+def refuse_inputs(folder: Path, inputs: Iterable[str | Path]) -> None:
+    """InputError where a folder for outputs holds, anywhere, one of the files that are read."""
+    # Not ``resolve``: a loop of links is no error here.
+    real = Path(os.path.realpath(folder))
+    for each in inputs:
+        if Path(os.path.realpath(each)).is_relative_to(real):
+            raise InputError(
+                folder, f"holds {each}, which is read; expected a folder of its own for outputs"
+            )
+
+
+def read_list(folder: Path) -> dict[str, Listed]:
+    """Name within a folder -> what its list says of it; nothing where there is no list.
+
+    Raises:
+        InputError: there is a file of its name that is no such list.
+    """
+    path = folder / LIST
+    if not os.path.lexists(path):
+        return {}
+    try:
+        files = json.loads(read_bytes(path, MOST_LIST_BYTES))["files"]
+        return {_within(name): _listed(**files[name]) for name in files}
+    except InputError:
+        raise
+    except (ValueError, TypeError, KeyError, RecursionError):
+        problem = "is no list of files that jaxmocap wrote, expected another folder"
+        raise InputError(path, problem) from None
+
+
+def _listed(kind: str, sha256: list[str]) -> Listed:
+    return Listed(str(kind), tuple(map(str, sha256)))
+
+
+def _write_list(folder: Path, entries: Mapping[str, Listed]) -> None:
+    files = {
+        name: {"kind": entry.kind, "sha256": list(entry.digests)}
+        for name, entry in sorted(entries.items())
+    }
+    told = {"written by": f"jaxmocap {__version__}", "files": files}
+    write_text(folder / LIST, json.dumps(told, indent=2, ensure_ascii=False) + "\n")
+
+
+def _together(earlier: Mapping[str, Listed], new: Mapping[str, Listed]) -> dict[str, Listed]:
+    """Both lists, each file as either of them has it."""
+    both = dict(earlier)
+    for name, entry in new.items():
+        before = earlier[name].digests if name in earlier else ()
+        both[name] = Listed(entry.kind, (*before, *entry.digests))
+    return both
+
+
+def _within(name: str) -> str:
+    """A name of a list; ValueError where it leads out of the folder."""
+    path = PurePosixPath(name)
+    if path.is_absolute() or ".." in path.parts or not path.parts or "\0" in name:
+        raise ValueError(name)
+    return str(path)
+
+
+def _is_ours(path: Path, entry: Listed) -> bool:
+    """Is there a file as a run wrote it?"""
+    return path.is_file() and not path.is_symlink() and _digest(path) in entry.digests
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,232 @@
+"""TOML files: read with errors that name the field, and written as far as we need it.
+
+INPUTS: a .toml file; or nested dicts of text, numbers, booleans, lists and dicts.
+OUTPUTS: a dict; or a .toml file.
+"""
+
+import json
+import math
+import tomllib
+import unicodedata
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxmocap.formats.files.errors import InputError, printable, shortened
+from jaxmocap.formats.files.reading import read_bytes, regular_file
+from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.toml_scan import problem_in
+from jaxmocap.formats.files.writing import write_text
+
+# A recording or calibration takes some kilobytes.
+MOST_TOML_BYTES = 2**20
+# Metres, pixels, seconds (since 1970 as well), Hz: no number of ours is larger, and its square is
+# a number in single precision.
+LARGEST = 1e12
+# What a camera's name may take as a part of a file's name, characters and bytes.
+LONGEST_FILE_NAME, MOST_FILE_NAME_BYTES = 100, 200
+_NO_FILE_NAME = frozenset('<>:"/\\|?*')
+_DEVICES = {"con", "prn", "aux", "nul"} | {
+    f"{kind}{i}" for kind in ("com", "lpt") for i in range(10)
+}
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Raises:
+        InputError: no such file, larger than any of ours, not TOML (with line and column), or
+            nested too deeply.
+    """
+    return parse_toml(path, read_toml_text(path))
+
+
+def read_toml_text(path: str | Path) -> str:
+    """The text of a TOML file; its lines end with a line feed."""
+    try:
+        text = read_bytes(path, MOST_TOML_BYTES).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(path, "found bytes that are not UTF-8 text, expected TOML") from None
+    return text.replace("\r\n", "\n")
+
+
+def parse_toml(path: str | Path, text: str) -> dict[str, Any]:
+    """What a text says; ``path`` is what messages name."""
+    if problem := problem_in(text):
+        raise InputError(path, problem)
+    try:
+        return tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, ValueError) as error:
+        raise InputError(path, f"not TOML: {error}") from None
+
+
+def file_name_problem(name: str) -> str | None:
+    """Why a name cannot be a part of a file's name on every system, or None where it can."""
+    if not name.isprintable() or _NO_FILE_NAME & set(name):
+        forbidden = " ".join(sorted(_NO_FILE_NAME))
+        return f"expected a name without {forbidden} and control characters, since files get it"
+    if not 0 < len(name) <= LONGEST_FILE_NAME or len(name.encode()) > MOST_FILE_NAME_BYTES:
+        return f"expected 1 to {LONGEST_FILE_NAME} characters, since files are named after it"
+    if name.startswith(".") or name.split(".")[0].strip().lower() in _DEVICES:
+        return "expected another name, since files are named after it"
+    return None
+
+
+def same_file_name(name: str) -> str:
+    """What two names have in common that some file systems take for one."""
+    return unicodedata.normalize("NFC", name).casefold()
+
+
+class Fields:
+    """One table of a TOML file, whose entries are asked for by name and kind.
+
+    Every complaint is an InputError that names the file, the table and the field.
+    """
+
+    def __init__(self, path: Path, where: str, table: Any, keys: Collection[str] | None = None):
+        """Check that it is a table with no other than the given keys (None: any)."""
+        self.path, self.where = path, shortened(printable(where), 100)
+        if not isinstance(table, dict):
+            raise self.error("", f"found {shown(table)}, expected a table")
+        for key in table:
+            if keys is not None and key not in keys:
+                raise self.error("", f"unknown key {shown(key)}, expected {', '.join(keys)}")
+        self.table: dict[str, Any] = table
+
+    def error(self, key: str, problem: str) -> InputError:
+        """The error to raise about one field, or with ``""`` about the table."""
+        place = " ".join(filter(None, [self.where, shortened(printable(key), 60)]))
+        return InputError(self.path, f"{place}: {problem}" if place else problem)
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.table
+
+    def required(self, key: str) -> Any:
+        """An entry as it is; InputError where it is missing."""
+        if key not in self.table:
+            raise self.error("", f"{key!r} is missing")
+        return self.table[key]
+
+    def text(self, key: str) -> str:
+        """A required text that is not empty."""
+        value = self.required(key)
+        if not isinstance(value, str) or not value:
+            raise self.error(key, f"found {shown(value)}, expected text in quotes")
+        return value
+
+    def file_name(self, key: str) -> str:
+        """A required text that files may be named after: it leads into no other folder."""
+        name = self.text(key)
+        if problem := file_name_problem(name):
+            raise self.error(key, f"found {shown(name)}, {problem}")
+        return name
+
+    def number(
+        self, key: str, default: float | None = None, low: float = -LARGEST, high: float = LARGEST
+    ) -> float:
+        """A number from ``low`` to ``high``; required where there is no default."""
+        value = self.required(key) if default is None else self.table.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not _finite(value):
+            raise self.error(key, f"found {shown(value)}, expected a number")
+        if not low <= value <= high:
+            expected = f"expected a number from {low:g} to {high:g}"
+            raise self.error(key, f"found {shown(value)}, {expected}")
+        return float(value)
+
+    def whole(self, key: str, low: int, high: int) -> int:
+        """A required whole number from ``low`` to ``high``."""
+        value = self.number(key, None, low, high)
+        if value != int(value):
+            raise self.error(key, f"found {value:g}, expected a whole number")
+        return int(value)
+
+    def array(
+        self,
+        key: str,
+        shapes: Collection[tuple[int, ...]],
+        expected: str,
+        largest: float = LARGEST,
+    ) -> np.ndarray:
+        """A required array of numbers, of one of the shapes; none beyond ``largest``, or minus."""
+        value = self.required(key)
+        try:
+            array = np.array(value, float)
+        except (TypeError, ValueError, OverflowError):
+            array = np.array(np.nan)
+        if array.shape not in shapes or not np.isfinite(array).all():
+            raise self.error(key, f"found {shown(value)}, expected {expected}")
+        if array.size and np.abs(array).max() > largest:
+            raise self.error(key, f"found {shown(value)}, expected none beyond {largest:g}")
+        return array
+
+    def file(self, key: str, folder: bool = False) -> Path:
+        """A required path, relative to the TOML file, of a file (or folder) that is there."""
+        path = self.path.parent / self.text(key)
+        if folder:
+            if not is_folder(path):
+                raise self.error(key, f"no such folder: {path}")
+            return path
+        try:
+            return regular_file(path)
+        except InputError as error:
+            raise self.error(key, f"{error.problem}: {path}") from None
+
+
+def is_folder(path: Path) -> bool:
+    """Is there a folder of that name? Of a name that none can have there is not."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
+
+
+def _finite(value: float) -> bool:
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False
+
+
+def toml_value(value: Any) -> str:
+    """One value as TOML: text, number, boolean, list, or a dict as an inline table."""
+    if isinstance(value, dict):
+        inside = ", ".join(f"{toml_key(key)} = {toml_value(item)}" for key, item in value.items())
+        return f"{{ {inside} }}"
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return f"[{', '.join(map(toml_value, value))}]"
+    if isinstance(value, (bool, np.bool_)):
+        return "true" if value else "false"
+    if isinstance(value, (int, np.integer)):
+        return str(int(value))
+    if isinstance(value, (float, np.floating)):
+        return repr(float(value))
+    if isinstance(value, Path):
+        return toml_value(value.as_posix())
+    if isinstance(value, str):
+        # JSON's escapes are TOML's too; the one control character that JSON leaves is escaped here.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    raise TypeError(f"{type(value).__name__} cannot be written to TOML")
+
+
+def toml_key(key: str) -> str:
+    """A key, quoted where it must be."""
+    bare = key.isascii() and key.replace("_", "").replace("-", "").isalnum()
+    return key if bare else toml_value(key)
+
+
+def write_toml(path: str | Path, tables: list[tuple[str, dict[str, Any]]]) -> None:
+    """Write tables in order.
+
+    Args:
+        path: of the file.
+        tables: header line, such as ``[markers]`` or ``[[video]]``, and entries of each.
+    """
+    blocks = [
+        "\n".join(
+            [header, *(f"{toml_key(key)} = {toml_value(item)}" for key, item in table.items())]
+        )
+        for header, table in tables
+    ]
+    write_text(path, "\n\n".join(blocks) + "\n")

@@ -1,0 +1,189 @@
+"""The one writer: files that appear whole or not at all.
+
+INPUTS: the path that a file shall have.
+OUTPUTS: a path beside it to write to; the file is checked, flushed to the disk and moved into
+place when the writer is done. OutputError where it cannot be: what was there before is as it was.
+
+A process that is killed leaves its hidden part behind; the next that writes there removes it.
+"""
+
+import hashlib
+import os
+import re
+import shutil
+import socket
+import sys
+import uuid
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from jaxmocap.formats.files.errors import InputError, OutputError
+
+# .jaxmocap-HOST-PROCESS-CHANCE.suffix: hidden, of this machine, and of a process that can be asked
+# for.
+_PART = re.compile(r"\.jaxmocap-([0-9a-f]{8})-(\d+)-[0-9a-f]{8}(\..*)?")
+_HOST = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
+
+
+def part_beside(path: Path) -> Path:
+    """A hidden name in the same folder, so that a move is atomic.
+
+    It keeps the suffix, by which libraries choose a format.
+    """
+    return path.with_name(f".jaxmocap-{_HOST}-{os.getpid()}-{uuid.uuid4().hex[:8]}{path.suffix}")
+
+
+@contextmanager
+def replacing(path: str | Path, check: Callable[[Path], bool] | None = None) -> Iterator[Path]:
+    """Write beside ``path`` and replace it at the end; after an error it is as it was before.
+
+    Missing folders are made. Where the path is a link, the file that it leads to is replaced.
+
+    Args:
+        path: of the file.
+        check: whether what was written is whole, asked with the hidden path before it is moved;
+            for libraries that do not say that the disk is full.
+
+    Yields:
+        The hidden path to write to.
+
+    Raises:
+        OutputError: the disk is full, the folder cannot be written to, or what was written is not
+            whole.
+    """
+    with as_output_error(Path(path)):
+        path = Path(os.path.realpath(path))
+        if path.exists() and not path.is_file():
+            raise OutputError(path, "found a folder or a device, expected a file to replace")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        remove_left_parts(path.parent)
+        beside = part_beside(path)
+        try:
+            yield beside
+            flush_to_disk(beside)
+            if check is not None and not check(beside):
+                raise OutputError(path, "cannot be written whole, is the disk full?")
+            os.replace(beside, path)
+        finally:
+            _remove(beside)
+
+
+def check_target(path: str | Path, inputs: Iterable[str | Path] = ()) -> Path:
+    """The path of a file to write, looked at before the work begins; nothing is made.
+
+    Args:
+        path: of the file.
+        inputs: files that the work reads, which it must not replace.
+
+    Raises:
+        InputError: it is one of the inputs, a folder or a device, or its folder cannot be made or
+            written to.
+    """
+    path = Path(path)
+    check_name(path)
+    if path.exists() and not path.is_file():
+        raise InputError(path, "found a folder or a device, expected a file's name to write to")
+    for each in inputs:
+        if path.exists() and Path(each).exists() and path.samefile(each):
+            raise InputError(path, "would be replaced while it is read, expected another name")
+    check_writable(path.parent)
+    return path
+
+
+def check_name(path: Path) -> None:
+    """InputError where no file can be called so."""
+    try:
+        path.exists()
+        # A NUL is no error to ``exists`` of every Python.
+        os.fsencode(path).index(0)
+    except OSError as error:
+        raise InputError(path, f"cannot be written to ({error.strerror})") from None
+    except UnicodeEncodeError:
+        raise InputError(ascii(str(path)), "not a file's name on this system") from None
+    except ValueError:
+        return
+    raise InputError(ascii(str(path)), "not a file's name, it holds a NUL")
+
+
+def check_writable(folder: Path) -> None:
+    """InputError where a folder cannot be made or written to; nothing is made."""
+    there = folder
+    while not there.exists() and there != there.parent:
+        there = there.parent
+    if not there.is_dir():
+        raise InputError(folder, f"cannot be a folder, {there} is a file")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise InputError(folder, f"cannot be written to, {there} is read-only")
+
+
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Write a whole file.
+
+    Raises:
+        OutputError: see ``replacing``.
+    """
+    with replacing(path) as beside:
+        beside.write_bytes(content)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a whole text file: UTF-8, lines end with a line feed on every system.
+
+    Raises:
+        OutputError: see ``replacing``.
+    """
+    write_bytes(path, text.encode())
+
+
+def flush_to_disk(path: Path) -> None:
+    """Wait until a file's content is on the disk: a full one may say so no earlier."""
+    descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def remove_left_parts(folder: Path) -> None:
+    """Remove what processes that were killed left in a folder; what others write stays."""
+    try:
+        entries = list(os.scandir(folder))
+    except OSError:
+        return
+    for entry in entries:
+        found = _PART.fullmatch(entry.name)
+        if found and found[1] == _HOST and not _is_running(int(found[2])):
+            _remove(Path(entry.path))
+
+
+def _is_running(process: int) -> bool:
+    if sys.platform == "win32":
+        # There is no way to ask that would not disturb it.
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+        return
+    # The error that led here is what counts.
+    with suppress(OSError):
+        path.unlink(missing_ok=True)
+
+
+@contextmanager
+def as_output_error(path: Path) -> Iterator[None]:
+    """The system's errors as one sentence about the file that was to be written."""
+    try:
+        yield
+    except OSError as error:
+        problem = f"cannot be written ({error.strerror or error})"
+        raise OutputError(path, problem) from error

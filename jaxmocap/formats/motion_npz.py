@@ -1,0 +1,236 @@
+"""NPZ: a Motion as NumPy arrays, readable without this package and without pickle.
+
+INPUTS: a Motion; or a .npz file that was written here.
+OUTPUTS: a .npz file whose arrays are named ``times``, ``pose.position``, ``skeleton.lengths``,
+``tree.bones``, ``report.confidence`` and so on; or the Motion.
+"""
+
+import json
+from dataclasses import fields
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmocap.body.motion import Motion, Report, near_origin
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton, Tree, load_skeleton
+from jaxmocap.body.wrists import with_wrists
+from jaxmocap.formats.files.arrays import NAMES, TEXT, WHOLE, Arrays, Stated
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.json_text import parse_json
+from jaxmocap.formats.files.shortened import listed, shown
+from jaxmocap.formats.files.writing import replacing
+from jaxmocap.formats.time_series.tables import Places, check_times
+
+VERSION = 2
+_SKELETON = tuple(field.name for field in fields(Skeleton) if field.name != "tree")
+_REPORT = ("marker_errors", "arm_costs", "swivels", "confidence", "landmarks_std", "from_prior")
+_STAGE = "milliseconds."
+# Model files whose joints a motion's skeleton may have.
+_MODELS = ("human.toml", "torso.toml", "legs.toml", "whole.toml", "supple.toml")
+
+# Beyond these no number is a person's: metres from the origin, metres of a bone, kilograms,
+# radians, seconds.
+_FARTHEST_M = 1e7
+_LONGEST_M = 10.0
+_HEAVIEST_KG = 1e4
+_MOST_RAD = 1e6
+_LATEST_S = 1e12
+# Quaternions and axes may differ from length 1 by this: single precision, rounded a few times.
+_UNIT = 1e-3
+# Characters of the sentences of all samples, and of the settings.
+_LONGEST_STATUSES, _LONGEST_SETTINGS = 2**25, 2**22
+
+_BODY = {
+    "skeleton.lengths": Stated(("B",), low=0, high=_LONGEST_M),
+    "skeleton.directions": Stated(("B", 3), low=-1 - _UNIT, high=1 + _UNIT),
+    "skeleton.masses": Stated(("B",), low=0, high=_HEAVIEST_KG),
+    "skeleton.centres": Stated(("B",), low=-1, high=2),
+    "skeleton.diameters": Stated(("B", 2), low=0, high=_LONGEST_M),
+    "skeleton.axes": Stated(("D", 3), low=-1 - _UNIT, high=1 + _UNIT),
+    "skeleton.limits": Stated(("D", 2), low=-_MOST_RAD, high=_MOST_RAD),
+    "skeleton.costs": Stated(("C",), low=0, high=1e9),
+    "skeleton.relaxed": Stated(("D",), low=-_MOST_RAD, high=_MOST_RAD),
+}
+_TREE = {
+    "tree.bones": Stated(("B",), NAMES),
+    "tree.parents": Stated(("B",), WHOLE),
+    "tree.joints": Stated(("D",), NAMES),
+    "tree.dof_bones": Stated(("D",), WHOLE),
+}
+_POSES = {
+    "times": Stated(("T",), low=-_LATEST_S, high=_LATEST_S),
+    "pose.position": Stated(("T", 3), low=-_FARTHEST_M, high=_FARTHEST_M, gaps=True),
+    "pose.quaternion": Stated(("T", 4), low=-1 - _UNIT, high=1 + _UNIT, gaps=True),
+    "pose.angles": Stated(("T", "D"), low=-_MOST_RAD, high=_MOST_RAD, gaps=True),
+}
+_REPORTED = {
+    "report.markers": Stated(("M",), NAMES),
+    "report.marker_errors": Stated(("T", "M"), low=-1e9, high=1e9, gaps=True, infinite=True),
+    "report.arm_costs": Stated(("T", 2), low=-1e9, high=1e9, gaps=True, infinite=True),
+    "report.swivels": Stated(("T", 2), low=-_MOST_RAD, high=_MOST_RAD, gaps=True, infinite=True),
+    "report.confidence": Stated(("T", 2), low=0, high=1, gaps=True),
+    "report.landmarks_std": Stated(
+        ("T", len(LANDMARKS), 3), low=-1e9, high=1e9, gaps=True, infinite=True
+    ),
+    "report.from_prior": Stated(("T", len(LANDMARKS)), low=0, high=1, gaps=True),
+    "report.statuses": Stated((), TEXT, longest=_LONGEST_STATUSES),
+    "report.settings": Stated((), TEXT, longest=_LONGEST_SETTINGS),
+}
+_SPENT = Stated(("*",), low=-1e12, high=1e12, gaps=True)
+
+
+def save_motion(path: str | Path, motion: Motion) -> None:
+    """Write a motion with its skeleton and report."""
+    tree, skeleton = motion.skeleton.tree, motion.skeleton
+    arrays: dict[str, Any] = {"version": VERSION, "times": np.asarray(motion.times, float)}
+    arrays |= {f"pose.{name}": part for name, part in motion.poses._asdict().items()}
+    arrays["pose.position"] = motion.positions_world
+    arrays |= {f"skeleton.{name}": getattr(skeleton, name) for name in _SKELETON}
+    arrays |= {"tree.bones": tree.bones, "tree.parents": tree.parents}
+    arrays |= {"tree.joints": tree.joints, "tree.dof_bones": tree.dof_bones}
+    if (report := motion.report) is not None:
+        arrays |= {f"report.{name}": getattr(report, name) for name in _REPORT}
+        arrays |= {f"{_STAGE}{stage}": times for stage, times in report.milliseconds.items()}
+        arrays["report.markers"] = np.array(report.markers, str)
+        arrays["report.statuses"] = json.dumps(report.statuses)
+        arrays["report.settings"] = json.dumps(report.settings, default=_plain)
+    with replacing(path) as beside, beside.open("wb") as file:
+        plain = {name: np.asarray(value) for name, value in arrays.items()}
+        np.savez_compressed(file, **plain)  # type: ignore[arg-type]
+
+
+def _plain(value: Any) -> Any:
+    """Arrays as lists; what else JSON has no word for as text."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)
+
+
+def load_motion(path: str | Path) -> Motion:
+    """Read a motion.
+
+    Raises:
+        InputError: no such file, not a motion, or one that contradicts itself: every array is
+            checked.
+    """
+    file = Arrays(path)
+    if "version" not in file.names:
+        raise InputError(path, f"version: found none, expected {VERSION}")
+    version = int(file.read({"version": Stated((), WHOLE)})["version"])
+    if version != VERSION:
+        raise InputError(path, f"version: found {version}, expected {VERSION}")
+    skeleton = _skeleton(file)
+    moved = file.read(_POSES)
+    times = np.asarray(moved["times"], float)
+    if not len(times):
+        raise InputError(path, "times: found no sample, expected at least one")
+    check_times(path, times, Places("sample"))
+    _check_units(path, "pose.quaternion", moved["pose.quaternion"])
+    parts: list[Any] = [moved[f"pose.{name}"] for name in Pose._fields]
+    report = _report(file, len(times)) if "report.markers" in file.names else None
+    return near_origin(Motion(skeleton, times, Pose(*parts), report))
+
+
+def _skeleton(file: Arrays) -> Skeleton:
+    """The body: our bones, with any of the joints that our models have."""
+    arrays = file.read(_TREE)
+    tree = Tree(*(tuple(arrays[f"tree.{field.name}"].tolist()) for field in fields(Tree)))
+    bones, parents, carriers = _known_tree()
+    for name, found, expected in (
+        ("tree.bones", tree.bones, bones),
+        ("tree.parents", tree.parents, parents),
+    ):
+        if found != expected:
+            problem = f"found {listed(map(str, found))}, expected {', '.join(map(str, expected))}"
+            raise InputError(file.path, f"{name}: {problem}")
+    _check_joints(file.path, tree, carriers)
+    body = file.read(_BODY)
+    _check_body(file.path, body)
+    parts = {name: jnp.asarray(body[f"skeleton.{name}"], float) for name in _SKELETON}
+    return Skeleton(tree=tree, **parts)
+
+
+@cache
+def _known_tree() -> tuple[tuple[str, ...], tuple[int, ...], dict[str, str]]:
+    """The bones and parents of all our models, and joint -> bone that it turns."""
+    trees = [with_wrists(load_skeleton(name)).tree for name in _MODELS]
+    carriers = {
+        joint: tree.bones[bone]
+        for tree in trees
+        for joint, bone in zip(tree.joints, tree.dof_bones, strict=True)
+    }
+    return trees[0].bones, trees[0].parents, carriers
+
+
+def _check_joints(path: str | Path, tree: Tree, carriers: dict[str, str]) -> None:
+    """InputError where a joint is none of ours, there twice, or turns another bone."""
+    for i, (joint, bone) in enumerate(zip(tree.joints, tree.dof_bones, strict=True)):
+        if joint not in carriers or joint in tree.joints[:i]:
+            problem = "is there twice" if joint in carriers else "is no joint of ours"
+            raise InputError(path, f"tree.joints: {shown(joint)} {problem}")
+        expected = tree.bones.index(carriers[joint])
+        if bone != expected:
+            problem = f"found bone {bone} for {joint}, expected {expected}"
+            raise InputError(path, f"tree.dof_bones: {problem} ({carriers[joint]})")
+
+
+def _check_body(path: str | Path, body: dict[str, np.ndarray]) -> None:
+    for name in ("skeleton.directions", "skeleton.axes"):
+        _check_units(path, name, body[name])
+    if not (body["skeleton.lengths"] > 0).all():
+        raise InputError(path, "skeleton.lengths: found 0, expected metres above 0")
+    found, expected = len(body["skeleton.costs"]), ROOT_DOF + len(body["skeleton.axes"])
+    if found != expected:
+        raise InputError(path, f"skeleton.costs: found {found} numbers, expected {expected}")
+    low, high = body["skeleton.limits"].T
+    if (low > high).any():
+        i = int((low > high).argmax())
+        problem = f"found {low[i]:g} to {high[i]:g}, expected the smaller angle first"
+        raise InputError(path, f"skeleton.limits[{i}]: {problem}")
+
+
+def _check_units(path: str | Path, name: str, vectors: np.ndarray) -> None:
+    """InputError unless every vector (N, K) that is known is of length 1."""
+    lengths = np.linalg.norm(vectors, axis=-1)
+    off = np.abs(lengths - 1) > _UNIT
+    if off.any():
+        i = int(off.argmax())
+        raise InputError(path, f"{name}[{i}]: found length {lengths[i]:.4g}, expected 1")
+
+
+def _report(file: Arrays, count: int) -> Report:
+    """How far to trust each of so many samples."""
+    arrays = file.read(_REPORTED)
+    stages = [name for name in file.names if name.startswith(_STAGE)]
+    spent = file.read(dict.fromkeys(stages, _SPENT))
+    for name in stages:
+        if not name.isprintable() or name == _STAGE:
+            raise InputError(file.path, f"{shown(name)}: expected a stage's name after the point")
+    return Report(
+        markers=tuple(arrays["report.markers"].tolist()),
+        **{name: arrays[f"report.{name}"] for name in _REPORT},
+        statuses=_statuses(file.path, str(arrays["report.statuses"]), count),
+        milliseconds={name.removeprefix(_STAGE): array for name, array in spent.items()},
+        settings=_settings(file.path, str(arrays["report.settings"])),
+    )
+
+
+def _statuses(path: str | Path, text: str, count: int) -> tuple[tuple[str, ...], ...]:
+    """The sentences of each sample."""
+    lists = parse_json(path, text, _LONGEST_STATUSES)
+    if not isinstance(lists, list) or len(lists) != count:
+        raise InputError(path, f"report.statuses: expected a JSON list of {count} lists")
+    for i, sentences in enumerate(lists):
+        if not isinstance(sentences, list) or not all(isinstance(s, str) for s in sentences):
+            found = shown(sentences)
+            raise InputError(path, f"report.statuses[{i}]: found {found}, expected sentences")
+    return tuple(map(tuple, lists))
+
+
+def _settings(path: str | Path, text: str) -> dict[str, Any]:
+    settings = parse_json(path, text, _LONGEST_SETTINGS, constants=True)
+    if not isinstance(settings, dict):
+        raise InputError(path, f"report.settings: found {shown(settings)}, expected a JSON table")
+    return settings

@@ -1,0 +1,4 @@
+"""A recording's TOML file, and what it refers to.
+
+Begin with ``recording``.
+"""

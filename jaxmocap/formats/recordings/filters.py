@@ -1,0 +1,88 @@
+"""[markers.filters] of a recording: what is done to the markers before they are tracked.
+
+INPUTS: a table with ``hampel`` (true or false), ``gaps`` (seconds), ``butterworth`` (Hz) and
+``one_euro`` (true, or ``{ cutoff = Hz, beta = Hz per m/s }``).
+OUTPUTS: Filters. What is not named is off.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.toml import Fields
+
+# Hz and seconds that filters are given.
+SMALLEST, LARGEST = 1e-6, 1e6
+KEYS = ("hampel", "gaps", "butterworth", "one_euro")
+
+
+@dataclass(frozen=True)
+class OneEuroSettings:
+    """The One Euro filter's two parameters.
+
+    At rest it lags by 1 / (2 pi cutoff) seconds; at any steady speed it stays behind by less than
+    1 / (2 pi beta) metres. As they are, a hand at rest keeps 0.44 of its jitter, and one that
+    strikes at 5 m/s stays behind by 4 mm at most.
+
+    Attributes:
+        cutoff: Hz, of a marker at rest.
+        beta: Hz that the cut-off rises by for every metre per second.
+    """
+
+    cutoff: float = 3.0
+    beta: float = 60.0
+
+
+@dataclass(frozen=True)
+class Filters:
+    """Which filters markers go through, in this order; nothing by default.
+
+    Attributes:
+        hampel: take outliers for missing.
+        gaps: fill in what is missing for up to so many seconds; 0 fills nothing.
+        butterworth: cut-off of the zero-phase low-pass, Hz, or None.
+        one_euro: of the filter without look-ahead, which is for ``--causal`` and ``live`` only,
+            as the three above are for all else; or None.
+    """
+
+    hampel: bool = False
+    gaps: float = 0.0
+    butterworth: float | None = None
+    one_euro: OneEuroSettings | None = None
+
+
+def read_filters(fields: Fields) -> Filters:
+    """Filters of the table.
+
+    Raises:
+        InputError: a field of the wrong kind, or a length or frequency that is not positive.
+    """
+    return Filters(
+        hampel=_switch(fields, "hampel"),
+        gaps=_positive(fields, "gaps") if "gaps" in fields else 0.0,
+        butterworth=_positive(fields, "butterworth") if "butterworth" in fields else None,
+        one_euro=_one_euro(fields) if "one_euro" in fields else None,
+    )
+
+
+def _switch(fields: Fields, key: str) -> bool:
+    value: Any = fields.table.get(key, False)
+    if not isinstance(value, bool):
+        raise fields.error(key, f"found {shown(value)}, expected true or false")
+    return value
+
+
+def _positive(fields: Fields, key: str, default: float | None = None) -> float:
+    if (value := fields.number(key, default)) <= 0:
+        raise fields.error(key, f"found {value:g}, expected a positive number")
+    return fields.number(key, default, SMALLEST, LARGEST)
+
+
+def _one_euro(fields: Fields) -> OneEuroSettings | None:
+    value, default = fields.required("one_euro"), OneEuroSettings()
+    if isinstance(value, bool):
+        return default if value else None
+    table = Fields(fields.path, f"{fields.where} one_euro", value, ("cutoff", "beta"))
+    return OneEuroSettings(
+        _positive(table, "cutoff", default.cutoff), _positive(table, "beta", default.beta)
+    )

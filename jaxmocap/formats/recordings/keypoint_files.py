@@ -1,0 +1,199 @@
+"""The JSON layouts of 2-D pose detectors, frame by frame.
+
+    {"people": [{"pose_keypoints_2d": [x, y, c, ...]}, ...]}     OpenPose, Pose2Sim: one per frame
+    [{"keypoints": [[x, y], ...], "keypoint_scores": [...]}, ...]   MMPose: one per image
+    [{"frame_id": 0, "instances": [as above]}, ...]                 MMPose: one per video
+    {"meta_info": {...}, "instance_info": one of the two lists}     MMPose's demo scripts
+
+INPUTS: one such file.
+OUTPUTS: Frames: a number, and (K, 3) pixels and confidences of everybody in it.
+"""
+
+import codecs
+import os
+import re
+import stat
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.json_text import parse_json
+from jaxmocap.formats.files.reading import read_bytes
+from jaxmocap.formats.files.shortened import shown
+
+# The last number in a file's name is its frame's: cam_01_000000000123_keypoints.json.
+_NUMBER = re.compile(r"\d+(?!.*\d)")
+LARGEST_FRAME_NUMBER = 10**12
+# Pixels: no picture is so large, and no detector guesses so far out of it.
+LARGEST_PIXEL = 1e7
+# An hour at 120 frames a second is 432,000 of them.
+MOST_ENTRIES = 500_000
+# Of one file: half an hour of two people with 17 points takes 100 MB, 2 million lists. Of all that
+# are in a folder: OpenPose takes 2 to 10 KB for a frame.
+MOST_FILE_BYTES = 128 * 2**20
+MOST_FILE_PARTS = 4_000_000
+MOST_FILE_NUMBERS = 12_000_000
+MOST_FOLDER_BYTES = 2**30
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Everybody in one frame.
+
+    Attributes:
+        number: of the frame, as its file counts.
+        people: (K, 3) pixels x, y and confidence of each; NaN, NaN, 0 where missing.
+        points: names of the K points where the file gives them.
+        file: that it is in.
+    """
+
+    number: int
+    people: list[np.ndarray]
+    points: tuple[str, ...] | None
+    file: Path
+
+
+def json_files(folder: Path) -> list[Path]:
+    """The .json files that lie in a folder itself, by name.
+
+    What is no regular file is not among them; nor is a name with a dot in front, another system's
+    leaving.
+
+    Raises:
+        InputError: the folder cannot be read, or holds more than any detector writes.
+    """
+    files, total = [], 0
+    try:
+        for count, entry in enumerate(os.scandir(folder), 1):
+            if count > MOST_ENTRIES:
+                problem = f"holds more than {MOST_ENTRIES} files, expected one per frame"
+                raise InputError(folder, problem)
+            if not entry.name.endswith(".json") or entry.name.startswith("."):
+                continue
+            about = entry.stat()
+            if stat.S_ISREG(about.st_mode):
+                files.append(entry.name)
+                total += about.st_size
+    except OSError as error:
+        raise InputError(folder, f"cannot be read ({error.strerror})") from None
+    if total > MOST_FOLDER_BYTES:
+        problem = f"found {total / 2**20:.0f} MB of .json files"
+        raise InputError(folder, f"{problem}, expected at most {MOST_FOLDER_BYTES / 2**20:g} MB")
+    return [folder / name for name in sorted(files)]
+
+
+def read_frames(file: Path) -> Iterator[Frame]:
+    """The frames of one file, whose layout its keys tell.
+
+    Raises:
+        InputError: not JSON, none of these layouts, or the entry that does not fit.
+    """
+    text = read_bytes(file, MOST_FILE_BYTES).removeprefix(codecs.BOM_UTF8)
+    if (numbers := text.count(b",")) > MOST_FILE_NUMBERS:
+        problem = f"found {numbers} numbers, expected at most {MOST_FILE_NUMBERS} in one file"
+        raise InputError(file, problem)
+    content = parse_json(file, text, MOST_FILE_BYTES, True, MOST_FILE_PARTS)
+    if isinstance(content, dict) and "people" in content:
+        yield Frame(_number_in_name(file), _people(file, content["people"]), None, file)
+        return
+    names, where = None, ""
+    if isinstance(content, dict) and "instance_info" in content:
+        names, where = _names(content.get("meta_info")), "instance_info"
+        content = content["instance_info"]
+    if not isinstance(content, list):
+        expected = "'people' (OpenPose), 'instance_info' or a list (MMPose)"
+        raise InputError(file, f"found no key points, expected {expected}")
+    if not any(_entry(entry, "instances") is not None for entry in content):
+        yield Frame(_number_in_name(file), _instances(file, where, content), names, file)
+        return
+    for i, entry in enumerate(content):
+        number, at = _entry(entry, "frame_id"), f"{where}[{i}]"
+        whole = isinstance(number, int) and not isinstance(number, bool)
+        if not whole or abs(number) > LARGEST_FRAME_NUMBER:
+            expected = f"expected a whole number within {LARGEST_FRAME_NUMBER}"
+            raise InputError(file, f"{at}.frame_id: found {shown(number)}, {expected}")
+        people = _instances(file, f"{at}.instances", _entry(entry, "instances"))
+        yield Frame(number, people, names, file)
+
+
+def _number_in_name(file: Path) -> int:
+    found = _NUMBER.search(file.stem)
+    if found is None or int(found[0]) > LARGEST_FRAME_NUMBER:
+        raise InputError(file, "found no frame number in its name, such as in cam_000123.json")
+    return int(found[0])
+
+
+def _names(meta: Any) -> tuple[str, ...] | None:
+    """The points' names in MMPose's description of its model, where there is one."""
+    by_id = _entry(meta, "keypoint_id2name")
+    if not isinstance(by_id, dict) or not by_id:
+        return None
+    return tuple(str(by_id.get(str(i), "")) for i in range(len(by_id)))
+
+
+def _people(file: Path, people: Any) -> list[np.ndarray]:
+    """(K, 3) of each of OpenPose's people; whoever has but a face or hands is left out."""
+    found = []
+    for i, person in enumerate(_list(file, "people", people)):
+        where = f"people[{i}].pose_keypoints_2d"
+        array = _array(file, where, _entry(person, "pose_keypoints_2d"))
+        if array.size % 3:
+            raise InputError(file, f"{where}: found {array.size} numbers, expected x, y, c of each")
+        if array.size:
+            found.append(_missing_marked(array.reshape(-1, 3)))
+    return found
+
+
+def _instances(file: Path, where: str, instances: Any) -> list[np.ndarray]:
+    """(K, 3) of each of MMPose's instances."""
+    found = []
+    for i, instance in enumerate(_list(file, where, instances)):
+        at = f"{where}[{i}]"
+        points = _array(file, f"{at}.keypoints", _entry(instance, "keypoints"))
+        scores = _entry(instance, "keypoint_scores")
+        if scores is not None and points.shape[1:] == (2,):
+            scores = _array(file, f"{at}.keypoint_scores", scores)
+            if scores.shape != points.shape[:1]:
+                problem = f"found shape {scores.shape}, expected one score for each key point"
+                raise InputError(file, f"{at}.keypoint_scores: {problem} ({len(points)})")
+            points = np.column_stack([points, scores])
+        if points.shape[1:] != (3,):
+            expected = "[x, y] of each with 'keypoint_scores', or [x, y, score]"
+            raise InputError(
+                file, f"{at}.keypoints: found shape {points.shape}, expected {expected}"
+            )
+        found.append(_missing_marked(points))
+    return found
+
+
+def _missing_marked(points: np.ndarray) -> np.ndarray:
+    """(K, 3) with NaN, NaN, 0 where there is no point, and no confidence above 1."""
+    seen = np.isfinite(points).all(-1, keepdims=True) & (points[:, 2:] > 0)
+    return np.minimum(np.where(seen, points, [np.nan, np.nan, 0.0]), [np.inf, np.inf, 1.0])
+
+
+def _entry(entry: Any, key: str) -> Any:
+    return entry.get(key) if isinstance(entry, dict) else None
+
+
+def _list(file: Path, where: str, value: Any) -> list:
+    if not isinstance(value, list):
+        raise InputError(file, f"{where}: found {shown(value)}, expected a list".lstrip(": "))
+    return value
+
+
+def _array(file: Path, where: str, values: Any) -> np.ndarray:
+    values = _list(file, where, values)
+    try:
+        # A null becomes NaN, which is what it means.
+        array = np.asarray(values, float)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(file, f"{where}: found other than equally long lists of numbers") from None
+    if (largest := np.abs(array[np.isfinite(array)]).max(initial=0.0)) > LARGEST_PIXEL:
+        problem = f"found {largest:g}, expected pixels within {LARGEST_PIXEL:g}"
+        raise InputError(file, f"{where}: {problem}")
+    return array

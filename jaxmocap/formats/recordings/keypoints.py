@@ -1,0 +1,177 @@
+"""2-D key points of a video, as pose detectors write them.
+
+INPUTS: a folder with one JSON file per frame (OpenPose, Pose2Sim, MMPose from images), or one file
+for the whole video (MMPose), in a folder or by itself.
+OUTPUTS: Detections: pixels and confidences of the landmarks that the detector's model knows, of
+everybody in every frame.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.reading import regular_file
+from jaxmocap.formats.files.shortened import listed, shown
+from jaxmocap.formats.files.toml import is_folder
+from jaxmocap.formats.recordings.keypoint_files import Frame, json_files, read_frames
+from jaxmocap.formats.recordings.keypoint_models import (
+    MODELS,
+    landmark_indices,
+    models_of_count,
+    tell_apart,
+)
+
+# Of everybody in all frames, 0.4 GB: half an hour of four people with 25 points at 60 Hz.
+MOST_POINTS = 16_000_000
+# A frame, or a person in it, takes as much memory as so many points, however few it has.
+_LEAST = 8
+
+
+@dataclass(frozen=True)
+class Detections:
+    """What a detector saw in F frames, of at most N people in each.
+
+    Attributes:
+        numbers: (F,) frame numbers as the files count them, ascending.
+        landmarks: names of the P points, landmarks of ours.
+        pixels_xy: (F, N, P, 2) pixels of the video; NaN where missing.
+        confidences: (F, N, P) between 0 and 1; 0 where missing.
+        name: the folder or file, for messages.
+        warnings: sentences that a user should see.
+    """
+
+    numbers: np.ndarray
+    landmarks: tuple[str, ...]
+    pixels_xy: np.ndarray
+    confidences: np.ndarray
+    name: str = "key points in memory"
+    warnings: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        """Check that the parts fit, wherever they came from."""
+        pixels, confidences = np.shape(self.pixels_xy), np.shape(self.confidences)
+        ends = (len(self.numbers), len(self.landmarks))
+        if len(pixels) != 4 or pixels != (*confidences, 2) or (pixels[0], pixels[2]) != ends:
+            raise InputError(
+                self.name,
+                f"key points: found pixels of shape {pixels} and confidences of shape "
+                f"{confidences} for {ends[0]} frames and {ends[1]} landmarks",
+            )
+        if (np.diff(self.numbers) <= 0).any():
+            raise InputError(self.name, "key points: the frame numbers do not ascend")
+
+
+def read_keypoints(path: str | Path, model: str | None = None) -> Detections:
+    """Read the key points of one video.
+
+    A confidence of 0, or a coordinate that is no number, is a missing point. RTMPose's
+    confidences can exceed 1 and are cut off there.
+
+    Args:
+        path: folder of .json files, or one such file.
+        model: whose points they are, a name in ``MODELS``. None takes the names that the file
+            gives, or tells the model by the number of points. BODY_25 and BODY_25B both have 25:
+            they are told apart by the faces where that is safe.
+
+    Raises:
+        InputError: no such folder, a file that is no JSON of a known layout, a frame without a
+            number or with two files, nobody in any frame, or a model that is unknown, does not
+            fit, or cannot be told.
+    """
+    path = Path(path)
+    frames = sorted(_frames(path), key=lambda frame: frame.number)
+    for before, after in pairwise(frames):
+        if before.number == after.number:
+            raise InputError(after.file, f"frame {after.number} is in {before.file.name} as well")
+    people = _everybody(path, frames)
+    names, warnings = _names(path, frames[0], people, model)
+    landmarks = landmark_indices(names)
+    if not landmarks:
+        raise InputError(path, f"none of the points {listed(names)} is a landmark of ours")
+    count = max(len(frame.people) for frame in frames)
+    check_size(path, len(frames), count, len(landmarks))
+    shape = (len(frames), count, len(landmarks), 3)
+    table = np.full(shape, [np.nan, np.nan, 0.0])
+    place = [(i, j) for i, frame in enumerate(frames) for j in range(len(frame.people))]
+    table[tuple(np.transpose(place))] = people[:, list(landmarks.values())]
+    numbers = np.array([frame.number for frame in frames])
+    return Detections(numbers, tuple(landmarks), table[..., :2], table[..., 2], str(path), warnings)
+
+
+def check_size(path: str | Path, frames: int, people: int, landmarks: int) -> None:
+    """InputError where a table of so many people in every frame is too large to be held."""
+    if frames * people * landmarks > MOST_POINTS:
+        problem = f"found up to {people} people in {frames} frames, {landmarks} points of each"
+        raise InputError(path, f"{problem}, expected at most {MOST_POINTS} points")
+
+
+def _frames(path: Path) -> Iterator[Frame]:
+    """All frames of all files, so many as can be held."""
+    total = 0
+    for file in _files(path):
+        for frame in read_frames(file):
+            total += _LEAST + sum(_LEAST + len(person) for person in frame.people)
+            if total > MOST_POINTS:
+                raise InputError(file, f"found more than {MOST_POINTS} key points so far")
+            yield frame
+
+
+def _files(path: Path) -> list[Path]:
+    """The JSON files that a path stands for."""
+    if not is_folder(path):
+        return [regular_file(path)]
+    files = json_files(path)
+    if not files:
+        raise InputError(path, "found no .json file, expected one per frame or one for the video")
+    return files
+
+
+def _everybody(path: Path, frames: Sequence[Frame]) -> np.ndarray:
+    """(N, K, 3) the people of all frames one after the other."""
+    files = [frame.file for frame in frames for _ in frame.people]
+    people = [person for frame in frames for person in frame.people]
+    if not people:
+        raise InputError(path, "found nobody in any frame")
+    for file, person in zip(files, people, strict=True):
+        if len(person) != len(people[0]):
+            problem = f"found {len(person)} points, but {len(people[0])} in {files[0].name}"
+            raise InputError(file, problem)
+    stacked = np.stack(people)
+    seen = stacked[stacked[..., 2] > 0, :2]
+    # OpenPose can be told to write fractions of the image.
+    if seen.size and np.abs(seen).max() <= 1.0:
+        problem = "found no coordinate beyond -1 to 1, expected pixels (--keypoint_scale 0)"
+        raise InputError(path, problem)
+    return stacked
+
+
+def _names(
+    path: Path, first: Frame, people: np.ndarray, model: str | None
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of the K points of (N, K, 3) people, and what a user should know of the choice."""
+    count = people.shape[1]
+    if model is not None and model not in MODELS:
+        raise InputError(path, f"unknown model {shown(model)}, expected {', '.join(MODELS)}")
+    names = first.points if model is None else MODELS[model]
+    if names is not None:
+        if len(names) != count:
+            problem = f"found {count} points, but {model or 'meta_info'} names {len(names)}"
+            raise InputError(path, problem)
+        return names, ()
+    fitting = models_of_count(count)
+    if not fitting:
+        known = ", ".join(f"{name} ({len(points)})" for name, points in MODELS.items())
+        raise InputError(path, f"found {count} points, expected those of {known}")
+    if len(fitting) == 1:
+        return MODELS[fitting[0]], ()
+    told = tell_apart(people[..., :2], fitting)
+    if told is None:
+        choice = " or ".join(f'"{name}"' for name in fitting)
+        problem = f"{count} points may be of {' or '.join(fitting)}, and the faces do not tell"
+        raise InputError(path, f"{problem}; state keypoints_model = {choice} in [[video]]")
+    taken = f"{path}: {count} points, taken as {told} by where the faces are"
+    return MODELS[told], (f'{taken}; keypoints_model = "{told}" in [[video]] states it',)

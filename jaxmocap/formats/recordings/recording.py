@@ -1,0 +1,291 @@
+"""A recording: markers over time, where they sit, videos, and whose body it is.
+
+INPUTS: a TOML file with [markers], [markers.on], [markers.rigid], [[video]], [calibration] and
+[subject]; its paths are relative to it. Of markers and videos, one is enough.
+OUTPUTS: a Recording: marker positions in the world (metres, Z up) and float64 seconds, sites on
+bones, video sources with their cameras, a scaled skeleton.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxmocap.body.origin import local_origin
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.formats.cameras.video_sources import VideoSource, read_videos
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.shortened import listed, name_shown, shown
+from jaxmocap.formats.files.toml import Fields, read_toml, write_toml
+from jaxmocap.formats.recordings.filters import KEYS as FILTERS
+from jaxmocap.formats.recordings.filters import Filters, read_filters
+from jaxmocap.formats.recordings.marker_places import (
+    MarkerPlace,
+    bound_places,
+    bound_positions,
+    read_place,
+)
+from jaxmocap.formats.recordings.rigid_bodies import with_rigid_sets
+from jaxmocap.formats.recordings.subject import DEFAULT_HEIGHT, read_subject
+from jaxmocap.formats.time_series.axes import read_axes, to_world
+from jaxmocap.formats.time_series.markers import read_markers
+from jaxmocap.formats.time_series.tables import Markers, Places, check_times
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What there is to track.
+
+    Attributes:
+        skeleton: scaled to the person.
+        times: (T,) seconds of the markers, float64, ascending; none without markers.
+        positions_world: (T, M, 3) metres, Z up; NaN where a marker is missing.
+        places: of the M markers, in the same order; their offsets are in the bones' axes.
+        videos: any number of them.
+        name: of the recording.
+        path: the file it came from, or None.
+        warnings: sentences that a user should see.
+        markers_file: the file that the markers came from, or None.
+        stated_rate: samples per second as that file states them, or None.
+        filters: that the markers are to go through before they are tracked.
+        origin_world: (3,) metres, float64: what was subtracted from the world's coordinates of
+            markers and cameras; not zero where they are far from 0, see ``body.origin``.
+    """
+
+    skeleton: Skeleton
+    times: np.ndarray
+    positions_world: np.ndarray
+    places: tuple[MarkerPlace, ...]
+    videos: tuple[VideoSource, ...] = ()
+    name: str = "recording"
+    path: Path | None = None
+    warnings: tuple[str, ...] = ()
+    markers_file: Path | None = None
+    stated_rate: float | None = None
+    filters: Filters = field(default_factory=Filters)
+    origin_world: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    def __post_init__(self):
+        """Check that the parts fit, wherever they came from."""
+        where, expected = self.path or self.name, (len(self.times), len(self.places), 3)
+        if np.shape(self.positions_world) != expected:
+            found = np.shape(self.positions_world)
+            raise InputError(where, f"marker positions: found shape {found}, expected {expected}")
+        check_times(where, self.times, Places("marker sample"))
+        if self.places and not np.isfinite(self.positions_world).all(-1).any():
+            raise InputError(where, "no marker is seen in any sample, all positions are NaN")
+        bones = self.skeleton.tree.bones
+        for place in self.places:
+            if place.bone not in bones:
+                raise InputError(
+                    where,
+                    f"[markers.on] {name_shown(place.name)}: unknown bone {shown(place.bone)}, "
+                    f"expected one of {', '.join(bones)}",
+                )
+
+    @property
+    def marker_names(self) -> tuple[str, ...]:
+        """Names of the M markers."""
+        return tuple(place.name for place in self.places)
+
+    def marked(self) -> "Recording":
+        """The recording itself, for whoever cannot do without markers.
+
+        Raises:
+            InputError: it has none.
+        """
+        if not self.places:
+            raise InputError(
+                self.path or self.name, "[markers] is missing, which is needed to follow markers"
+            )
+        return self
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Recording":
+        """Read a recording file; see ``load_recording``."""
+        return load_recording(path)
+
+
+def load_recording(path: str | Path) -> Recording:
+    """Read a recording file and all that it names but the video's frames.
+
+    Raises:
+        InputError: a file that is missing or cannot be used, or a field that is missing, unknown
+            or does not fit.
+    """
+    path = Path(path)
+    top = Fields(path, "", read_toml(path), ("markers", "video", "calibration", "subject"))
+    warnings = []
+    if "subject" in top:
+        skeleton = read_subject(path, "[subject]", top.table["subject"])
+    else:
+        skeleton = Skeleton.human(DEFAULT_HEIGHT)
+        warnings.append(f"{path}: no [subject], a height of {DEFAULT_HEIGHT} m is assumed")
+    if "markers" not in top and not top.table.get("video"):
+        raise top.error("", "neither [markers] nor [[video]], expected one of them")
+    if "markers" not in top:
+        nothing = np.zeros(0), np.zeros((0, 0, 3)), ()
+        videos = read_videos(top)
+        return _near(top, Recording(skeleton, *nothing, videos, path.stem, path, tuple(warnings)))
+    markers, places, filters = _read_marked(top)
+    seen = np.isfinite(markers.positions.sum(-1))
+    warnings += [
+        f"{path}: marker {place.name!r} is never seen"
+        for place, samples in zip(places, seen.T, strict=True)
+        if not samples.any()
+    ]
+    positions_world, points = _bound(path, skeleton, places, markers)
+    recording = Recording(
+        skeleton,
+        markers.times,
+        positions_world,
+        points,
+        read_videos(top),
+        path.stem,
+        path,
+        tuple(warnings),
+        top.path.parent / top.table["markers"]["file"],
+        markers.rate,
+        filters,
+    )
+    return _near(top, recording)
+
+
+def _near(top: Fields, recording: Recording) -> Recording:
+    """The recording, seen from a local origin where the world's is far from markers or cameras."""
+    places = recording.positions_world
+    if not recording.places:
+        places = np.array([source.camera.position_world for source in recording.videos])
+    origin = local_origin(places)
+    if not origin.any():
+        return recording
+    (x, y, z), away = origin, np.linalg.norm(origin) / 1e3
+    warning = (
+        f"{recording.path}: the world's origin is {away:.4g} km away, where single precision is "
+        f"coarse: tracked from ({x:.0f}, {y:.0f}, {z:.0f}) m, which is added "
+        "again to what is written, but for recording.rrd"
+    )
+    return replace(
+        recording,
+        positions_world=recording.positions_world - origin,
+        videos=read_videos(top, origin),
+        warnings=(*recording.warnings, warning),
+        origin_world=origin,
+    )
+
+
+def load_markers(path: str | Path) -> tuple[Markers, tuple[MarkerPlace, ...]]:
+    """The markers of a recording file as measured, in the world's axes, and their places.
+
+    Raises:
+        InputError: see ``load_recording``.
+    """
+    path = Path(path)
+    keys = ("markers", "video", "calibration", "subject")
+    markers, places, _ = _read_marked(Fields(path, "", read_toml(path), keys))
+    bones = Skeleton.human().tree.bones
+    for place in places:
+        if place.bone not in bones:
+            raise InputError(path, f"[markers.on] {place.name}: unknown bone {shown(place.bone)}")
+    return markers, places
+
+
+def _read_marked(top: Fields) -> tuple[Markers, tuple[MarkerPlace, ...], Filters]:
+    """The markers of [markers.on] in the world's axes, their places, and their filters."""
+    keys = ("file", "up", "to_world", "on", "filters", "rigid")
+    fields = Fields(top.path, "[markers]", top.required("markers"), keys)
+    file = fields.file("file")
+    R_world_file = read_axes(fields)
+    on = Fields(top.path, "[markers.on]", fields.required("on"))
+    if not on.table:
+        raise on.error("", "names no marker, expected entries such as Head = { bone = 'head' }")
+    places = tuple(read_place(top.path, name, entry) for name, entry in on.table.items())
+    sets = Fields(top.path, "[markers.rigid]", fields.table.get("rigid", {}))
+    wanted = Fields(top.path, "[markers.filters]", fields.table.get("filters", {}), FILTERS)
+    filters = read_filters(wanted)
+    found = read_markers(file)
+    there = (*found.names, *sets.table)
+    markers = with_rigid_sets(sets, found, on.table)
+    # A long recording's numbers are not to be in memory thrice.
+    del found
+    for name in on.table.keys() - set(there):
+        raise on.error(name, f"no such marker in {file}, found {listed(there)}")
+    markers = _picked(markers, tuple(on.table))
+    if markers.turns is not None and np.linalg.det(R_world_file) < 0:
+        raise fields.error("to_world", "found a reflection, which leaves no turn of a marker")
+    turns = None if markers.turns is None else R_world_file @ markers.turns
+    positions_world = to_world(R_world_file, markers.positions)
+    return replace(markers, positions=positions_world, turns=turns), places, filters
+
+
+def _picked(markers: Markers, names: tuple[str, ...]) -> Markers:
+    """Those markers only, in that order."""
+    place = {name: i for i, name in enumerate(markers.names)}
+    columns = [place[name] for name in names]
+    turns = None if markers.turns is None else markers.turns[:, columns]
+    positions = markers.positions[:, columns]
+    return Markers(markers.times.copy(), names, positions, rate=markers.rate, turns=turns)
+
+
+def _bound(
+    path: Path, skeleton: Skeleton, places: tuple[MarkerPlace, ...], markers: Markers
+) -> tuple[np.ndarray, tuple[MarkerPlace, ...]]:
+    """Points on bones (T, P, 3), world, metres, that the markers tell of, and their places."""
+    bones = skeleton.tree.bones
+    # Of a long recording without any, a whole array would take as much as three of positions.
+    known = np.broadcast_to(np.nan, (*markers.positions.shape, 3))
+    known = known if markers.turns is None else markers.turns
+    for i, place in enumerate(places):
+        if place.bone not in bones:
+            problem = f"unknown bone {shown(place.bone)}, expected one of {', '.join(bones)}"
+            raise InputError(path, f"[markers.on] {name_shown(place.name)}: {problem}")
+        if place.is_turned and not np.isfinite(known[:, i]).any():
+            key = "offset_in = 'marker'" if place.turn is None else "turn"
+            problem = f"{key} needs to know how the marker is turned, which the file never says"
+            raise InputError(path, f"[markers.on] {name_shown(place.name)}: {problem}")
+    if not any(place.is_turned for place in places):
+        return markers.positions, bound_places(skeleton, places)
+    positions = bound_positions(skeleton, places, markers.positions, known)
+    return positions, bound_places(skeleton, places)
+
+
+def write_recording(
+    path: str | Path,
+    markers_file: str | Path | None,
+    on: Mapping[str, Mapping[str, Any]],
+    videos: Sequence[Mapping[str, Any]] = (),
+    calibration_file: str | Path | None = None,
+    subject: Mapping[str, Any] | None = None,
+    up: str = "z",
+) -> Path:
+    """Write a recording file; the files that it names are written by others.
+
+    Args:
+        path: of the .toml file, or a folder, in which it is then called ``recording.toml``.
+        markers_file: relative to it, as are all others; None where there are no markers.
+        on: marker -> ``bone``, and ``at`` and ``offset`` where they differ from the defaults.
+        videos: ``file``, ``camera``, and ``offset``, ``background`` and ``keypoints`` (with
+            ``keypoints_model`` and ``keypoints_first``) where there are any.
+        calibration_file: needed with videos.
+        subject: the keys of [subject], or None.
+        up: the marker file's axis that points up.
+
+    Returns:
+        The path of the file.
+    """
+    path = Path(path)
+    if path.suffix != ".toml":
+        path = path / "recording.toml"
+    tables: list[tuple[str, dict[str, Any]]] = []
+    if markers_file is not None:
+        tables.append(("[markers]", {"file": markers_file, "up": up}))
+        tables.append(("[markers.on]", {name: dict(place) for name, place in on.items()}))
+    tables += [("[[video]]", dict(video)) for video in videos]
+    if calibration_file is not None:
+        tables.append(("[calibration]", {"file": calibration_file}))
+    if subject is not None:
+        tables.append(("[subject]", dict(subject)))
+    write_toml(path, tables)
+    return path

@@ -1,0 +1,204 @@
+"""The [subject] of a recording: whose body it is.
+
+INPUTS: a table with ``height`` (and ``mass``), or ``static`` (a marker file of the person
+standing), ``up`` or ``to_world``, and ``landmarks``; or ``file``, a TOML file of these keys. With
+``wrists = true`` the body has rotation of the neck, twist of the forearms and wrists as well.
+Beside ``height`` the table ``bones`` may state single bones' ``length`` (metres), ``mass``
+(kilograms), ``diameter`` (metres, near and far end) and ``direction`` (in the upright body's axes).
+OUTPUTS: a Skeleton scaled to the person; or such a file, which ``jaxmocap scale`` writes.
+"""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.subject import scale_to_height, scale_to_landmarks
+from jaxmocap.body.wrists import with_wrists
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.shortened import listed, name_shown, shown
+from jaxmocap.formats.files.toml import Fields, read_toml, write_toml
+from jaxmocap.formats.time_series.axes import read_axes, to_world
+from jaxmocap.formats.time_series.markers import read_markers
+
+_HEIGHT_KEYS = ("height", "mass", "bones")
+_BONE_KEYS = ("length", "mass", "diameter", "direction")
+# Metres and kilograms that a bone may have.
+LENGTHS_M, MASSES_KG = (0.01, 1.0), (0.01, 100.0)
+_STATIC_KEYS = ("static", "up", "to_world", "landmarks", "mass")
+DEFAULT_HEIGHT = 1.75
+_COLUMNS = {
+    "length": "lengths",
+    "mass": "masses",
+    "diameter": "diameters",
+    "direction": "directions",
+}
+
+
+def read_subject(path: Path, where: str, table: Any) -> Skeleton:
+    """The skeleton of a [subject] table.
+
+    Args:
+        path: the file that holds the table; paths in it are relative to it.
+        where: how to call the table in messages.
+        table: the table.
+
+    Raises:
+        InputError: a field that is missing, unknown or does not fit.
+    """
+    keys = ("file", "height", *_STATIC_KEYS, "bones", "wrists")
+    fields = Fields(path, where, table, keys)
+    wrists = fields.table.get("wrists", False)
+    if not isinstance(wrists, bool):
+        raise fields.error("wrists", f"found {shown(wrists)}, expected true or false")
+    if "wrists" in fields:
+        rest = {key: value for key, value in fields.table.items() if key != "wrists"}
+        skeleton = read_subject(path, where, rest)
+        return with_wrists(skeleton) if wrists else skeleton
+    chosen = [key for key in ("file", "height", "static") if key in fields]
+    if len(chosen) != 1:
+        found = " and ".join(chosen) or "none"
+        raise fields.error("", f"found {found}, expected one of file, height, static")
+    if chosen == ["height"]:
+        return _by_height(Fields(path, where, table, _HEIGHT_KEYS))
+    if chosen == ["static"]:
+        return _by_static_trial(Fields(path, where, table, _STATIC_KEYS))
+    other = Fields(path, where, table, ("file",)).file("file")
+    content = read_toml(other)
+    if "file" in content:
+        raise fields.error("file", f"{other} names yet another file, expected height or static")
+    return read_subject(other, "", content)
+
+
+def _by_height(fields: Fields) -> Skeleton:
+    height = fields.number("height")
+    mass = fields.number("mass") if "mass" in fields else None
+    try:
+        skeleton = Skeleton.human(height, mass)
+    except ValueError as error:
+        raise fields.error("", str(error)) from None
+    where = " ".join(filter(None, [fields.where, "bones"]))
+    return _with_bones(skeleton, Fields(fields.path, where, fields.table.get("bones", {})))
+
+
+def _with_bones(skeleton: Skeleton, bones: Fields) -> Skeleton:
+    """The skeleton with what is stated of single bones."""
+    names = skeleton.tree.bones
+    columns = {key: np.array(getattr(skeleton, column), float) for key, column in _COLUMNS.items()}
+    for name, entry in bones.table.items():
+        if name not in names:
+            raise bones.error(name, f"unknown bone, expected one of {', '.join(names)}")
+        stated = Fields(bones.path, f"{bones.where} {name}", entry, _BONE_KEYS)
+        for key in stated.table:
+            columns[key][names.index(name)] = _stated(stated, key)
+    parts: dict[str, Any] = {
+        column: jnp.asarray(columns[key], float) for key, column in _COLUMNS.items()
+    }
+    return replace(skeleton, **parts)
+
+
+def _stated(fields: Fields, key: str) -> np.ndarray | float:
+    """What a table says of one bone."""
+    if key in ("length", "mass"):
+        low, high = LENGTHS_M if key == "length" else MASSES_KG
+        unit = "metres" if key == "length" else "kilograms"
+        if not low <= (value := fields.number(key)) <= high:
+            raise fields.error(key, f"found {value:g}, expected {unit} from {low:g} to {high:g}")
+        return value
+    if key == "diameter":
+        ends = fields.array(key, [(2,)], "metres at the near and the far end", LENGTHS_M[1])
+        if not (ends > 0).all():
+            raise fields.error(key, f"found {ends.tolist()}, expected metres above 0")
+        return ends
+    along = fields.array(key, [(3,)], "x, y, z")
+    if not (norm := float(np.linalg.norm(along))) > 1e-6:
+        raise fields.error(key, f"found {along.tolist()}, expected a direction")
+    return along / norm
+
+
+def check_replaceable(path: Path) -> None:
+    """InputError where a file that is there is no body: it was not meant to be replaced."""
+    if not path.exists():
+        return
+    try:
+        read_subject(path, "", read_toml(path))
+    except InputError:
+        problem = "is there and is no body that 'jaxmocap scale' writes, expected another name"
+        raise InputError(path, problem) from None
+
+
+def write_subject(
+    path: str | Path, skeleton: Skeleton, height: float, said: Sequence[str] = ()
+) -> None:
+    """Write a body's bones to a file that [subject] may name.
+
+    Args:
+        path: of the TOML file.
+        skeleton: of the person.
+        height: metres, from which follows what nobody states.
+        said: lines of what the lengths rest on, to be read above them.
+    """
+    masses = np.asarray(skeleton.masses, float)
+    usual = Skeleton.human(height)
+    entries = {}
+    for i, name in enumerate(skeleton.tree.bones):
+        entry: dict[str, Any] = {"length": round(float(skeleton.lengths[i]), 6)}
+        entry["mass"] = round(float(masses[i]), 5)
+        entry["diameter"] = [round(float(end), 5) for end in skeleton.diameters[i]]
+        if not np.allclose(skeleton.directions[i], usual.directions[i], atol=1e-6):
+            entry["direction"] = [round(float(part), 6) for part in skeleton.directions[i]]
+        entries[name] = entry
+    wrists = skeleton.tree.joints != usual.tree.joints
+    top = {"height": round(height, 4), "mass": round(float(masses.sum()), 3), "wrists": wrists}
+    title = "# Metres and kilograms; what is not stated of a bone follows from height and mass."
+    title = "\n".join([title, *(f"# {line}" for line in said)])
+    write_toml(path, [(title, top), ("[bones]", entries)])
+
+
+def static_landmarks(fields: Fields) -> dict[str, np.ndarray]:
+    """Landmark -> (T, 3) of the static trial that a [subject] names, world, metres."""
+    path = fields.file("static")
+    R_world_file = read_axes(fields)
+    markers = read_markers(path).points()
+    named = _named(fields)
+    landmarks = {}
+    for landmark in named.table:
+        marker = named.text(landmark)
+        if marker not in markers:
+            raise named.error(
+                landmark, f"marker {shown(marker)} is not in {path}, found {listed(markers)}"
+            )
+        landmarks[landmark] = to_world(R_world_file, markers[marker])
+    return landmarks
+
+
+def _named(fields: Fields) -> Fields:
+    """The table of landmarks."""
+    return Fields(fields.path, "[subject.landmarks]", fields.required("landmarks"), LANDMARKS)
+
+
+def _by_static_trial(fields: Fields) -> Skeleton:
+    landmarks, named = static_landmarks(fields), _named(fields)
+    try:
+        # Landmarks that are never seen together show as lengths that are not numbers.
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore", RuntimeWarning)
+            skeleton = scale_to_landmarks(Skeleton.human(), landmarks)
+        if "mass" in fields:
+            skeleton = scale_to_height(skeleton, None, fields.number("mass"))
+    except ValueError as error:
+        raise named.error("", str(error)) from None
+    if not (np.isfinite(skeleton.lengths).all() and np.isfinite(skeleton.directions).all()):
+        problem = (
+            f"{name_shown(fields.text('static'))} shows neck, hips and shoulders in no common frame"
+        )
+        raise named.error("", problem)
+    if (longest := float(np.max(skeleton.lengths))) > LENGTHS_M[1]:
+        problem = f"shows bones of up to {longest:.4g} m, expected at most {LENGTHS_M[1]:g} m"
+        raise named.error("", f"{name_shown(fields.text('static'))} {problem}")
+    return skeleton

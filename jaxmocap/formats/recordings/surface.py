@@ -1,0 +1,126 @@
+"""A person's surface as a file: plain arrays, so that any program can write one.
+
+INPUTS: .npz with ``patch_names`` (P), ``patch_sizes`` (P, 2: along, around), ``bone_names`` (B),
+``bones`` (N, K: indices of the names), ``points_bone`` (N, K, 3: metres, in bones' frames) and
+``shares`` (N, K). Nodes come patch by patch, ring by ring. OUTPUTS: a Surface; and the other way.
+"""
+
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmocap.body.skeleton import Skeleton, Tree
+from jaxmocap.body.surfaces.loft import rest_joints
+from jaxmocap.body.surfaces.surface import BodyPoints, Patch, Surface, rest_nodes
+from jaxmocap.formats.files.arrays import NAMES, WHOLE, Arrays, Stated
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.shortened import listed, shown
+from jaxmocap.formats.files.writing import replacing
+
+PATCHES = ("torso", "arm_l", "arm_r", "leg_l", "leg_r", "foot_l", "foot_r")
+# Rings of a patch, and nodes of a ring; bones that carry one node.
+FEWEST_NODES, MOST_NODES = 2, 512
+MOST_CARRIERS = 8
+# Together, the shares of a node's bones may differ from 1 by this.
+_SHARES = 1e-3
+# No body is larger: from a bone's joint to a node that it carries, around a ring, and along a
+# patch; nor is a patch shorter; metres.
+_FARTHEST_M = 3.0
+_LONGEST_RING_M, _LONGEST_PATCH_M, _SHORTEST_PATCH_M = 5.0, 8.0, 1e-3
+
+_STATED = {
+    "patch_names": Stated(("P",), NAMES),
+    "patch_sizes": Stated(("P", 2), WHOLE, low=FEWEST_NODES, high=MOST_NODES),
+    "bone_names": Stated(("B",), NAMES),
+    "bones": Stated(("N", "K"), WHOLE, low=0),
+    "points_bone": Stated(("N", "K", 3), low=-_FARTHEST_M, high=_FARTHEST_M),
+    "shares": Stated(("N", "K"), low=-_SHARES, high=1 + _SHARES),
+}
+
+
+def save_surface(path: str | Path, surface: Surface, tree: Tree) -> None:
+    """Write a surface to a .npz file."""
+    arrays = dict(zip(("bones", "points_bone", "shares"), surface.points, strict=True))
+    sizes = [(patch.along, patch.around) for patch in surface.patches]
+    with replacing(path) as part, part.open("wb") as file:
+        np.savez(
+            file,
+            patch_names=np.array([patch.name for patch in surface.patches]),
+            patch_sizes=np.array(sizes),
+            bone_names=np.array(tree.bones),
+            **{name: np.asarray(array) for name, array in arrays.items()},  # type: ignore[arg-type]
+        )
+
+
+def load_surface(path: str | Path, tree: Tree) -> Surface:
+    """Read a surface for a body with this tree.
+
+    Raises:
+        InputError: no such file, not one of arrays, a field missing, of another shape or out of
+            its range, or a bone that the body does not have.
+    """
+    arrays = Arrays(path).read(_STATED)
+    sizes, bones, shares = (arrays[name] for name in ("patch_sizes", "bones", "shares"))
+    _check_nodes(path, sizes, bones.shape)
+    together = np.abs(shares.sum(-1) - 1)
+    if together.max() > _SHARES:
+        i = int(together.argmax())
+        raise InputError(path, f"shares[{i}]: together {shares[i].sum():.4g}, expected 1")
+    index = _bones(path, arrays["bone_names"].tolist(), tree)
+    if bones.max() >= len(index):
+        found = f"found {bones.max()}, expected an index below {len(index)}"
+        raise InputError(path, f"bones: {found}, of bone_names")
+    patches = _patches(path, arrays["patch_names"].tolist(), sizes)
+    places = jnp.asarray(arrays["points_bone"], float)
+    return Surface(patches, BodyPoints(index[bones], places, jnp.asarray(shares, float)))
+
+
+def check_extent(path: str | Path, surface: Surface, skeleton: Skeleton) -> None:
+    """InputError where a patch is larger than any body's: what samples it would never end."""
+    nodes = rest_nodes(surface, rest_joints(skeleton))
+    for patch in surface.patches:
+        grid = patch.grid(nodes)
+        around = np.linalg.norm(np.roll(grid, -1, 1) - grid, axis=-1).sum(1).max()
+        along = np.linalg.norm(np.diff(grid, axis=0), axis=-1).max(1).sum()
+        middle = np.linalg.norm(np.diff(grid.mean(1), axis=0), axis=-1).sum()
+        if around > _LONGEST_RING_M or along > _LONGEST_PATCH_M:
+            found = f"{around:.3g} m around and {along:.3g} m along"
+            expected = f"at most {_LONGEST_RING_M:g} m and {_LONGEST_PATCH_M:g} m"
+            raise InputError(path, f"patch {patch.name}: {found}, expected {expected}")
+        if middle < _SHORTEST_PATCH_M:
+            raise InputError(path, f"patch {patch.name}: all rings lie at one place")
+
+
+def _check_nodes(path: str | Path, sizes: np.ndarray, shape: tuple[int, ...]) -> None:
+    nodes = sum(along * around for along, around in sizes.tolist())
+    if nodes != shape[0]:
+        found = f"found bones of {shape[0]} nodes"
+        raise InputError(path, f"{found}, expected {nodes} nodes by patch_sizes")
+    if not nodes:
+        raise InputError(path, "patch_sizes: found no patch, expected at least one")
+    if not 0 < shape[1] <= MOST_CARRIERS:
+        found = f"found {shape[1]} bones for each node"
+        raise InputError(path, f"bones: {found}, expected 1 to {MOST_CARRIERS}")
+
+
+def _bones(path: str | Path, names: list[str], tree: Tree) -> np.ndarray:
+    """(B,) where the named bones are in the tree."""
+    unknown = [name for name in names if name not in tree.bones]
+    if unknown:
+        expected = listed(tree.bones)
+        raise InputError(path, f"bone_names: unknown bone {shown(unknown[0])}, expected {expected}")
+    return np.array([tree.bone(name) for name in names], np.int32)
+
+
+def _patches(path: str | Path, names: list[str], sizes: np.ndarray) -> tuple[Patch, ...]:
+    patches, start = [], 0
+    for i, (name, (along, around)) in enumerate(zip(names, sizes.tolist(), strict=True)):
+        if name not in PATCHES:
+            problem = f"unknown patch {shown(name)}, expected {', '.join(PATCHES)}"
+            raise InputError(path, f"patch_names: {problem}")
+        if name in names[:i]:
+            raise InputError(path, f"patch_names: {shown(name)} is there twice")
+        patches.append(Patch(name, around, along, start))
+        start += along * around
+    return tuple(patches)

@@ -1,0 +1,42 @@
+"""From a file's axes to the world's, Z up.
+
+INPUTS: ``up`` ("z" or "y") or ``to_world`` (3 × 3) of a table in a recording.
+OUTPUTS: the matrix that takes the file's points to the world.
+"""
+
+import numpy as np
+
+from jaxmocap.formats.cameras.calibration import orthonormal
+from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.toml import Fields
+
+# "y" is the cyclic permutation that OpenSim and Pose2Sim use: world = (z, x, y) of the file.
+UP = {"z": np.eye(3), "y": np.eye(3)[[2, 0, 1]]}
+
+
+def read_axes(fields: Fields) -> np.ndarray:
+    """(3, 3) R_world_file; Z up where the table says nothing.
+
+    Raises:
+        InputError: both fields at once, an unknown ``up``, or a matrix with other than unit rows
+            at right angles. A reflection is allowed: some files are left-handed.
+    """
+    if "to_world" not in fields:
+        up = fields.text("up") if "up" in fields else "z"
+        if up not in UP:
+            raise fields.error("up", f"found {shown(up)}, expected 'z' or 'y'")
+        return UP[up]
+    if "up" in fields:
+        raise fields.error("", "found both 'up' and 'to_world', expected one of them")
+    expected = "a 3 × 3 matrix with unit rows at right angles"
+    matrix = fields.array("to_world", [(3, 3)], expected)
+    if not orthonormal(matrix):
+        raise fields.error("to_world", f"found {matrix.tolist()}, expected {expected}")
+    return matrix
+
+
+def to_world(R_world_file: np.ndarray, positions_file: np.ndarray) -> np.ndarray:
+    """Turn (..., 3) positions of a file into the world's axes; a point with a NaN stays NaN."""
+    if (R_world_file == np.eye(3)).all():
+        return positions_file
+    return positions_file @ R_world_file.T

@@ -1,0 +1,231 @@
+"""C3D: the marker files of optical systems, through ezc3d.
+
+INPUTS: a .c3d file, its unit in POINT:UNITS; or Markers.
+OUTPUTS: Markers in metres, in the file's own axes; or a .c3d file in millimetres.
+
+A point is missing where its residual is negative, a coordinate is not a number, or all three are
+exactly 0, as some writers have it. Times count from the capture's first frame: a trial cut out
+of it begins where its header says. Labels lose a prefix that all share (``Derrick:LFHD``).
+Analog channels, events and what else a C3D file may hold are not read.
+"""
+
+import json
+import math
+import os
+import struct
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.reading import open_regular, regular_file
+from jaxmocap.formats.files.shortened import name_shown, shown
+from jaxmocap.formats.files.writing import replacing
+from jaxmocap.formats.time_series import c3d_process
+from jaxmocap.formats.time_series.tables import Markers, even_rate, make_markers, stack_points
+from jaxmocap.formats.time_series.trc import METRES
+
+_UNITS = METRES | {"dm": 0.1, "in": 0.0254, "inch": 0.0254, "inches": 0.0254}
+# Frames are counted by 16 bits; residuals are held in steps of a scale, 255 at most.
+MOST_FRAMES, RESIDUAL_STEPS = 65535, 255
+_BIG_ENDIAN = 86
+# What the process that reads may take: seconds, and bytes of addresses, some 300 MB of them for
+# Python itself. 65535 frames of 60 markers take 840 MB.
+LONGEST_S, MOST_MEMORY = 60, 2**31
+_MM, _SMALLEST_MM = 1e-3, 1e-6
+_DAMAGED = "not a C3D file, or damaged or cut off within its parameters"
+# 16 bits for each frame's first and last; blocks of 512 bytes; four 32-bit numbers a point.
+_BLOCK, _POINT_BYTES = 512, 16
+# Frames per second.
+_FASTEST_HZ = 1e6
+# Where the parameters are at the latest, bytes.
+_LATEST_PARAMETERS = 2**17
+
+
+class _Content(NamedTuple):
+    """What ezc3d found in a file.
+
+    Attributes:
+        points: (3, M, T) in the file's unit.
+        residuals: (M, T), likewise.
+        rate: frames per second.
+        first: number of the first frame.
+        unit: as the file has it.
+        labels: of the M points, as the file has them.
+        analogs: number of analog channels.
+        events: number of events.
+    """
+
+    points: np.ndarray
+    residuals: np.ndarray
+    rate: float
+    first: int
+    unit: str
+    labels: list[str]
+    analogs: int
+    events: int
+
+
+def read_c3d(path: str | Path) -> Markers:
+    """Read the points of a C3D file, with their residuals.
+
+    Raises:
+        InputError: no such file, not C3D or cut off, without points, of an unknown unit, or
+            without a rate.
+    """
+    declared = _declared_frames(path)
+    file = _read(path)
+    if not file.residuals.size:
+        raise InputError(path, "found no points")
+    count = file.residuals.shape[1]
+    if count < declared:
+        raise InputError(path, f"the header says {declared} frames, the file ends after {count}")
+    scale = _scale(path, file.unit)
+    if not 0 < file.rate <= _FASTEST_HZ:
+        problem = f"found {file.rate:g}, expected frames per second, up to {_FASTEST_HZ:g}"
+        raise InputError(path, f"POINT:RATE: {problem}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        positions, residuals = file.points.transpose(2, 1, 0) * scale, file.residuals.T * scale
+    missing = (residuals < 0) | ~np.isfinite(positions).all(-1) | (positions == 0).all(-1)
+    positions[missing], residuals[missing] = np.nan, np.nan
+    times = (file.first + np.arange(count)) / file.rate
+    table = np.concatenate([times[:, None], positions.reshape(count, -1)], 1)
+    markers = make_markers(path, table, [], _labels(file.labels), "POINT:LABELS")
+    return Markers(markers.times, markers.names, markers.positions, residuals)
+
+
+def _read(path: str | Path) -> _Content:
+    """What ezc3d finds, in a process of its own.
+
+    It follows a damaged file's lengths wherever they lead, and may take its process along (one of
+    60 files with some bytes changed).
+    """
+    regular_file(path)
+    command = [sys.executable, "-I", c3d_process.__file__, os.path.abspath(path), str(MOST_MEMORY)]
+    # Each further thread of its libraries would take addresses.
+    alone = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=LONGEST_S, env=alone)
+    except subprocess.TimeoutExpired:
+        raise InputError(path, f"not read within {LONGEST_S} s, too large or damaged") from None
+    if done.returncode == c3d_process.TOO_LARGE or b"bad_alloc" in done.stderr:
+        most = f"{MOST_MEMORY / 1e9:.2g} GB of memory"
+        raise InputError(path, f"takes more than {most} to read, too large or damaged")
+    if done.returncode:
+        raise InputError(path, _DAMAGED)
+    line, _, values = done.stdout.partition(b"\n")
+    head = json.loads(line)
+    shape = head.pop("shape")
+    numbers = np.frombuffer(values, float)
+    count = 3 * math.prod(shape)
+    return _Content(numbers[:count].reshape(3, *shape), numbers[count:].reshape(shape), **head)
+
+
+def left_in_c3d(path: str | Path) -> list[str]:
+    """What a file that can be read holds besides its points, in words."""
+    file, left = _read(path), []
+    if file.analogs:
+        left.append(f"{file.analogs} analog channels")
+    if file.events:
+        left.append("events")
+    if file.labels != _labels(file.labels):
+        prefix = name_shown(file.labels[0].rpartition(":")[0])
+        left.append(f"the labels' prefix {prefix}:")
+    return left
+
+
+def _declared_frames(path: str | Path) -> int:
+    """How many frames the header says there are; ezc3d tells only those that it found."""
+    with open_regular(path) as file:
+        header = file.read(_LATEST_PARAMETERS)
+    try:
+        processor = header[(header[0] - 1) * _BLOCK + 3]
+        order = ">HH" if processor == _BIG_ENDIAN else "<HH"
+        first, last = struct.unpack_from(order, header, 6)
+    except (IndexError, struct.error):
+        raise InputError(path, _DAMAGED) from None
+    return last - first + 1
+
+
+def _scale(path: str | Path, unit: str) -> float:
+    """Metres per unit of the file."""
+    if unit.lower() not in _UNITS:
+        expected = ", ".join(_UNITS)
+        raise InputError(path, f"POINT:UNITS: found {shown(unit)}, expected one of {expected}")
+    return _UNITS[unit.lower()]
+
+
+def _labels(names: list[str]) -> list[str]:
+    """The names without a prefix that all share."""
+    prefixes = {name.rpartition(":")[0] for name in names if ":" in name}
+    short = [name.rpartition(":")[2] for name in names]
+    alone = len(prefixes) == 1 and all(short) and len(set(short)) == len(names)
+    return short if alone else names
+
+
+def write_c3d(path: str | Path, markers: Markers) -> None:
+    """Write a C3D file in millimetres, as 32-bit numbers, missing points with residual −1.
+
+    The first sample becomes the frame nearest to its time. A point exactly at the origin moves by
+    a nanometre, since zeros mean missing.
+
+    Raises:
+        InputError: times that are not evenly spaced or begin before 0, or more frames or longer
+            names than the format can hold.
+        ValueError: shapes or names that do not fit.
+    """
+    import ezc3d
+
+    times, table = stack_points(markers.times, markers.points(), "\r\n\0", path)
+    rate = even_rate(path, times)
+    first = round(times[0] * rate)
+    if not 0 <= first <= first + len(times) <= MOST_FRAMES:
+        problem = f"frames {first} to {first + len(times)} at {rate:g} Hz: C3D holds 0 to"
+        raise InputError(path, f"{problem} {MOST_FRAMES}")
+    long = [name for name in markers.names if len(name.encode()) > 127]
+    if long or len(markers.names) > 255:
+        found = f"the name {long[0]!r}" if long else f"{len(markers.names)} markers"
+        raise InputError(path, f"{found}: C3D holds 255 markers, names of 127 bytes")
+    positions = np.moveaxis(table.reshape(len(times), -1, 3), 2, 0).swapaxes(1, 2) / _MM
+    missing = np.asarray(np.isnan(positions).any(0))
+    positions = np.where((np.abs(positions) < _SMALLEST_MM).all(0), _SMALLEST_MM, positions)
+    residuals, step = _residuals(markers, missing)
+    file = ezc3d.c3d()
+    group = file["parameters"]["POINT"]
+    group["RATE"]["value"], group["UNITS"]["value"] = [rate], ["mm"]
+    group["LABELS"]["value"], group["SCALE"]["value"] = list(markers.names), [-step]
+    file["data"]["points"] = np.concatenate([positions, np.ones((1, *missing.shape))])
+    file["data"]["meta_points"]["residuals"] = residuals[None]
+    file["header"]["points"]["first_frame"] = first
+    frames, points = len(times), len(markers.names)
+    with replacing(path, lambda part: _is_whole(part, frames, points)) as beside:
+        file.write(str(beside))
+
+
+def _is_whole(path: Path, frames: int, points: int) -> bool:
+    """Whether a file that was written holds its frames: ezc3d says nothing of a full disk."""
+    with path.open("rb") as file:
+        content = file.read(2 * _BLOCK)
+    if len(content) < 2 * _BLOCK:
+        return False
+    found, _, first, last = struct.unpack_from("<HHHH", content, 2)
+    # Where the points begin is written at the very end: after the blocks of parameters.
+    start, blocks = struct.unpack_from("<H", content, 16)[0], content[_BLOCK + 2]
+    size = (start - 1) * _BLOCK + frames * points * _POINT_BYTES
+    counts = found, last - first + 1, start
+    expected = points, frames, content[0] + blocks
+    return counts == expected and path.stat().st_size >= size
+
+
+def _residuals(markers: Markers, missing: np.ndarray) -> tuple[np.ndarray, float]:
+    """Residuals (M, T) in millimetres, −1 where missing, and the step in which they are held."""
+    if markers.residuals is None:
+        return np.where(missing, -1.0, 0.0), 1.0
+    residuals = np.nan_to_num(markers.residuals.T / _MM)
+    largest = float(np.where(missing, 0.0, residuals).max(initial=0.0))
+    step = max(largest / RESIDUAL_STEPS, _SMALLEST_MM)
+    # ezc3d cuts off what is less than a step: half a step more rounds.
+    return np.where(missing, -1.0, residuals + step / 2), step

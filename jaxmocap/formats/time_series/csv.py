@@ -1,0 +1,131 @@
+"""CSV: markers as any spreadsheet or data frame writes them.
+
+INPUTS: a comma-separated file whose header is ``time,Name.x,Name.y,Name.z,...``: seconds and
+metres, one row per sample, empty cells where a marker is missing. A marker that knows how it is
+turned has ``Name.qw,Name.qx,Name.qy,Name.qz`` after its place: a unit quaternion from its own axes
+to the file's.
+OUTPUTS: Markers in the file's own axes; or such a file.
+"""
+
+import csv
+import io
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from jaxmocap.body.orientations import matrices, quaternions
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.lines import numbered_lines
+from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.writing import replacing
+from jaxmocap.formats.time_series.tables import (
+    MOST_VALUES,
+    Markers,
+    make_markers,
+    parse_rows,
+    row_texts,
+    stack_points,
+)
+
+HEADER = "'time,Name.x,Name.y,Name.z,...', with Name.qw,Name.qx,Name.qy,Name.qz after or without"
+
+# Numbers of a file with quaternions, each of which becomes nine: 0.4 GB.
+MOST_WITH_TURNS = 35_000_000
+
+
+def read_csv(path: str | Path) -> Markers:
+    """Read a CSV file of markers.
+
+    Raises:
+        InputError: no such file, or the line that does not fit.
+    """
+    lines = numbered_lines(path)
+    names, turned = _names(path, next(lines)[1])
+    data = ((number, line.split(",")) for number, line in lines)
+    widths = [7 if turns else 3 for turns in turned]
+    most = MOST_WITH_TURNS if any(turned) else MOST_VALUES
+    table, numbers = parse_rows(path, data, 1 + sum(widths), most)
+    if not any(turned):
+        return make_markers(path, table, numbers, names, "line 1")
+    starts = 1 + np.concatenate([[0], np.cumsum(widths)[:-1]])
+    places = [0, *(first + axis for first in starts for axis in range(3))]
+    markers = make_markers(path, table[:, places], numbers, names, "line 1")
+    turns = np.full((len(table), len(names), 3, 3), np.nan)
+    for i, first in enumerate(starts):
+        if turned[i]:
+            found = table[:, first + 3 : first + 7]
+            _check_lengths(path, names[i], found, numbers)
+            turns[:, i] = matrices(found)
+    return replace(markers, turns=turns)
+
+
+def _check_lengths(path: str | Path, name: str, quaternions: np.ndarray, lines: np.ndarray) -> None:
+    """InputError unless every one of (T, 4) quaternions that is known is of length 1."""
+    lengths = np.linalg.norm(quaternions, axis=-1)
+    wrong = np.flatnonzero(np.abs(lengths - 1) > 0.01)
+    if len(wrong):
+        i = int(wrong[0])
+        raise InputError(
+            path,
+            f"line {lines[i]}: the quaternion of {shown(name)} has length {lengths[i]:.3g}, "
+            "expected 1 (or four empty cells where it is not known)",
+        )
+
+
+def _names(path: str | Path, header: str) -> tuple[list[str], list[bool]]:
+    """Names of the markers, and which of them are followed by a quaternion."""
+    try:
+        # The reader gives an empty line no cell at all.
+        cells = [cell.strip() for cell in next(csv.reader([header]))] or [""]
+    except csv.Error as error:
+        raise InputError(path, f"line 1: {error}, expected {HEADER}") from None
+    if cells[0] != "time" or len(cells) < 2:
+        raise InputError(path, f"line 1: found {header[:40]!r}, expected {HEADER}")
+    names, turned, i = [], [], 1
+    while i < len(cells):
+        names.append(cells[i].rpartition(".")[0])
+        turned.append(cells[i + 3 : i + 4] == [f"{names[-1]}.qw"])
+        axes = ("x", "y", "z", *(("qw", "qx", "qy", "qz") if turned[-1] else ()))
+        for axis in axes:
+            expected = f"{names[-1]}.{axis}"
+            found = cells[i] if i < len(cells) else "the end of the line"
+            if found != expected or not names[-1]:
+                problem = f"found {shown(found)} where {shown(expected)} belongs ({HEADER})"
+                raise InputError(path, f"line 1: {problem}")
+            i += 1
+    return names, turned
+
+
+def write_csv(
+    path: str | Path,
+    times: np.ndarray,
+    points: dict[str, np.ndarray],
+    turns: Mapping[str, np.ndarray] | None = None,
+) -> None:
+    """Write a CSV file of markers.
+
+    Args:
+        path: of the file.
+        times: (T,) seconds, ascending.
+        points: marker -> (T, 3) positions, metres; NaN where missing.
+        turns: marker -> (T, 3, 3) from its own axes to the file's, of those that know it.
+
+    Raises:
+        ValueError: shapes or names that do not fit.
+    """
+    times, positions = stack_points(times, points, "\r\n\0", path)
+    header, columns, parts = io.StringIO(), ["time"], []
+    for i, name in enumerate(points):
+        columns += [f"{name}.{axis}" for axis in "xyz"]
+        parts.append(positions[:, 3 * i : 3 * i + 3])
+        if turns and name in turns:
+            columns += [f"{name}.q{axis}" for axis in "wxyz"]
+            parts.append(quaternions(turns[name]))
+    csv.writer(header, lineterminator="\n").writerow(columns)
+    table = np.concatenate(parts, 1) if turns else positions
+    rows = zip(times, row_texts(table, ","), strict=True)
+    with replacing(path) as beside, beside.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(header.getvalue())
+        file.writelines(f"{time:.9f},{row}\n" for time, row in rows)

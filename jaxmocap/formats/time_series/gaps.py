@@ -1,0 +1,50 @@
+"""Gaps: spans of time in which a recording holds nothing.
+
+INPUTS: times of samples; an Armature. OUTPUTS: which intervals are gaps; the armature with its
+poses held across them.
+
+A gap is no motion: nothing is drawn through it. Where a format must say something, the last pose
+before it is held, and the first one after it follows at once.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from jaxmocap.formats.animation.armature import Armature
+
+# Seconds: a hand moves by half a metre in less, so that a straight line would show another motion.
+LONGEST_BRIDGED_S = 0.5
+# Slow recordings are bridged over so many of their own intervals.
+MOST_INTERVALS_BRIDGED = 5
+
+
+def gaps(times: np.ndarray) -> np.ndarray:
+    """(T - 1,) is what lies between each of (T,) times and the next one a gap?"""
+    steps = np.diff(times)
+    if not len(steps):
+        return np.zeros(0, bool)
+    return steps > max(LONGEST_BRIDGED_S, MOST_INTERVALS_BRIDGED * float(np.median(steps)))
+
+
+def held(armature: Armature) -> Armature:
+    """The samples whose pose is known, and the pose before each gap once more at its end."""
+    known = np.flatnonzero(armature.known)
+    times = armature.times[known]
+    before = np.flatnonzero(gaps(times))
+    if not len(before) and len(known) == len(armature.times):
+        return armature
+    order, later = known, times
+    if len(before):
+        # One interval before the first pose after the gap, as if a sample were there.
+        last = times[before + 1] - float(np.median(np.diff(times)))
+        order, later = (
+            np.insert(known, before + 1, known[before]),
+            np.insert(times, before + 1, last),
+        )
+    return replace(
+        armature,
+        times=later,
+        positions=armature.positions[order],
+        rotations=armature.rotations[order],
+    )

@@ -1,0 +1,172 @@
+"""Joint angles by ISB's joint coordinate systems, as far as the skeleton's hinges go.
+
+INPUTS: a Motion. OUTPUTS: angles over time by name, radians, continuous.
+
+G. Wu et al., "ISB recommendation on definitions of joint coordinate systems", J. Biomech. 35
+(2002) 543-548 (ankle, hip, spine) and 38 (2005) 981-992 (shoulder, elbow, wrist); E. S. Grood and
+W. J. Suntay, J. Biomech. Eng. 105 (1983) 136-144 (knee); R. Baker, Hum. Mov. Sci. 20 (2001)
+(pelvis in the world).
+
+Every segment's axes are x forward, y up along the segment, z to the right, upright with the arms
+hanging: bones have them by the skeleton's zero pose, not by palpated landmarks, so that an angle
+is 0 there. Left limbs are mirrored at the sagittal plane first, as ISB has it, so that a name has
+one meaning on both sides.
+
+| angles | order | positive |
+|---|---|---|
+| pelvis_, thorax_ rotation, lean, tilt (in the world) | Y X Z | to the left, to the right, back |
+| trunk_, neck_ extension, bending, rotation | Z X Y | back, to the right, to the left |
+| shoulder_ plane, elevation, rotation (to the thorax) | Y X Y | forward, *down*, internal |
+| elbow_ flexion, carrying, pronation | Z X Y | flexed, medial, pronated |
+| wrist_ flexion, deviation, rotation | Z X Y | towards the palm, to the ulna, pronated |
+| hip_, knee_ flexion, adduction, rotation | Z X Y | flexed, adducted, internal |
+| ankle_ dorsiflexion, inversion, rotation | Z X Y | toes up, sole inwards, internal |
+
+The shoulder's plane of elevation is 0 for an arm raised sideways and 90 degrees for one raised
+forwards; the elevation is negative when raised (ISB's sign): -90 degrees is level. Hanging or
+straight up, the arm has no plane, and only the plane and the rotation together mean something:
+there the plane is kept. An arm that swings through goes on continuously to the other side, where
+the elevation is positive: (plane, elevation, rotation) and (plane + 180, -elevation, rotation
++ 180) are the same turn; an arm that circles gathers whole turns. A knee that flexes turns
+negatively about z; Grood and Suntay's flexion is positive, and so is ours.
+
+Pelvis and thorax in the world turn about the vertical first, so that lean and tilt are the
+person's whichever way they face; ISB's thorax (Z X Y) would have them face the world's x.
+
+Pronation and wrist count from the supinated forearm of the anatomical position, as ISB has it; the
+bones' zero pose has the thumbs forward, which is 90 degrees of pronation.
+
+Angles that no hinge of the skeleton makes are left out rather than written as 0. The paper's 21
+degrees of freedom have: trunk extension; neck extension and bending; all of shoulder and hip;
+flexion of elbow and knee. They have no bending or rotation of the trunk, rotation of the neck,
+motion of clavicle and scapula (the shoulder's angles are the humerus' to the thorax), carrying
+angle, pronation, wrist, adduction and rotation of the knee, or ankle. Bodies with wrists have
+rotation of the neck, pronation, flexion and deviation of the wrist as well.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.orientations import body_turns, matrices
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.geometry.euler import continuous_euler
+
+# Our axes (x forward, y left, z up) hold ISB's x, y, z in these columns; the world's alike.
+R_BONE_ISB = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+# A mirror at the sagittal plane turns a left limb into a right one.
+MIRROR = np.diag([1.0, 1.0, -1.0])
+# ISB's axes of forearm and hand in those that their bones have by the above: palms turn forward.
+SUPINATED = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint coordinate system.
+
+    Attributes:
+        name: of the joint, without side.
+        proximal: bone of the segment that is held; None is the pelvis.
+        distal: bone of the segment that turns; None is the pelvis.
+        order: of the three turns, about the axes that the earlier ones leave.
+        angles: their names.
+        signs: what a positive angle is multiplied with.
+    """
+
+    name: str
+    proximal: str | None
+    distal: str | None
+    order: str
+    angles: tuple[str, str, str]
+    signs: tuple[int, int, int] = (1, 1, 1)
+
+
+WORLD = (
+    Joint("pelvis", None, None, "YXZ", ("rotation", "lean", "tilt")),
+    Joint("thorax", None, "spine3", "YXZ", ("rotation", "lean", "tilt")),
+)
+TRUNK = (
+    Joint("trunk", None, "spine3", "ZXY", ("extension", "bending", "rotation")),
+    Joint("neck", "spine3", "head", "ZXY", ("extension", "bending", "rotation")),
+)
+_LEG = ("flexion", "adduction", "rotation")
+LIMBS = (
+    Joint("shoulder", "spine3", "humerus", "YXY", ("plane", "elevation", "rotation")),
+    Joint("elbow", "humerus", "radius", "ZXY", ("flexion", "carrying", "pronation")),
+    Joint("wrist", "radius", "hand", "ZXY", ("flexion", "deviation", "rotation")),
+    Joint("hip", None, "femur", "ZXY", _LEG),
+    Joint("knee", "femur", "tibia", "ZXY", _LEG, (-1, 1, 1)),
+    Joint("ankle", "tibia", "foot", "ZXY", ("dorsiflexion", "inversion", "rotation")),
+)
+
+
+def isb_angles(motion: Motion) -> dict[str, np.ndarray]:
+    """Name -> (T,) radians, continuous; NaN where the pose is unknown."""
+    skeleton = motion.skeleton
+    R_pelvis_bone = body_turns(skeleton, np.asarray(motion.poses.angles, float))
+    R_world_pelvis = matrices(np.asarray(motion.poses.quaternion, float))
+    wanted: list[tuple[Joint, str, tuple[int, ...], np.ndarray]] = []
+    for joint in WORLD:
+        R = R_world_pelvis @ _segment(skeleton, R_pelvis_bone, joint.distal)
+        wanted.append((joint, "", (0, 1, 2), R))
+    for joint, side in [(joint, "") for joint in TRUNK] + [(j, s) for s in "rl" for j in LIMBS]:
+        if kept := made_by_hinges(skeleton, joint, side):
+            near, far = (_sided(skeleton, b, side) for b in (joint.proximal, joint.distal))
+            R_near, R_far = (_segment(skeleton, R_pelvis_bone, bone) for bone in (near, far))
+            wanted.append((joint, side, kept, R_near.swapaxes(-1, -2) @ R_far))
+    turns = _turns([joint.order for joint, *_ in wanted], [_in_isb(*each) for each in wanted])
+    return {
+        "_".join(filter(None, (joint.name, joint.angles[k], side))): joint.signs[k] * turn[:, k]
+        for (joint, side, kept, _), turn in zip(wanted, turns, strict=True)
+        for k in kept
+    }
+
+
+def _in_isb(joint: Joint, side: str, _: tuple[int, ...], R: np.ndarray) -> np.ndarray:
+    """Turns (T, 3, 3) between a joint's bones as turns between ISB's axes, left ones mirrored."""
+    to_isb = R_BONE_ISB @ MIRROR if side == "l" else R_BONE_ISB
+    near, far = (_posture(bone) for bone in (joint.proximal, joint.distal))
+    return near.T @ to_isb.T @ R @ to_isb @ far
+
+
+def _posture(bone: str | None) -> np.ndarray:
+    """ISB's axes (3, 3) of a segment in those that its bone has."""
+    return SUPINATED if bone in ("radius", "hand") else np.eye(3)
+
+
+def _turns(orders: list[str], R: list[np.ndarray]) -> list[np.ndarray]:
+    """Angles (T, 3) of each joint's turns (T, 3, 3); joints of one order go together."""
+    turns = [np.empty(0)] * len(orders)
+    for order in set(orders):
+        alike = [i for i, found in enumerate(orders) if found == order]
+        angles = continuous_euler(np.stack([R[i] for i in alike], 1), order)
+        for column, i in enumerate(alike):
+            turns[i] = angles[:, column]
+    return turns
+
+
+def made_by_hinges(skeleton: Skeleton, joint: Joint, side: str = "") -> tuple[int, ...]:
+    """Which of a joint's three angles the skeleton's hinges can make."""
+    tree = skeleton.tree
+    near, far = (_sided(skeleton, bone, side) for bone in (joint.proximal, joint.distal))
+    above, below = (set(tree.chain(bone) if bone else ()) for bone in (near, far))
+    between = below - above
+    hinges = [d for d, bone in enumerate(tree.dof_bones) if bone in between]
+    to_isb = R_BONE_ISB @ _posture(joint.proximal)
+    about = np.abs(np.asarray(skeleton.axes, float)[hinges] @ to_isb).max(0, initial=0.0)
+    return tuple(k for k, axis in enumerate(joint.order) if about["XYZ".index(axis)] > 1e-6)
+
+
+def _sided(skeleton: Skeleton, bone: str | None, side: str) -> str | None:
+    """A segment's bone: that of a side where there are two."""
+    if bone is None or bone in skeleton.tree.bones:
+        return bone
+    return f"{bone}_{side}"
+
+
+def _segment(skeleton: Skeleton, R_pelvis_bone: np.ndarray, bone: str | None) -> np.ndarray:
+    """Rotations (T, 3, 3) of a segment in the pelvis' frame."""
+    if bone is None:
+        return np.broadcast_to(np.eye(3), (len(R_pelvis_bone), 3, 3))
+    return R_pelvis_bone[:, skeleton.tree.bone(bone)]

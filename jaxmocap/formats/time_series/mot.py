@@ -1,0 +1,141 @@
+"""MOT: joint angles over time, in the table that OpenSim reads and writes.
+
+INPUTS: a Motion; or a .mot (or .sto) file and the skeleton it is of.
+OUTPUTS: a .mot file of hinges or of ISB's angles; or its columns, or a Motion.
+
+A file of hinges has the pelvis' place (``pelvis_tx``, ``_ty``, ``_tz``: metres, world, Z up),
+its turns (``pelvis_yaw`` about the world's vertical, then ``pelvis_pitch`` about its own left axis,
+then ``pelvis_roll`` about its own forward axis) and every joint's angle by its name, in degrees,
+without jumps at ±180°. Bones are not in it. A file of ISB's angles has those of ``body.isb``, from
+which no motion can be read.
+"""
+
+from collections.abc import Iterator, Mapping
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from jaxmocap.body.motion import Motion, near_origin
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.lines import numbered_lines
+from jaxmocap.formats.files.shortened import listed, name_shown
+from jaxmocap.formats.files.writing import replacing
+from jaxmocap.formats.time_series.isb import isb_angles
+from jaxmocap.formats.time_series.tables import (
+    Places,
+    check_names,
+    check_times,
+    declared_count,
+    parse_rows,
+    row_texts,
+)
+
+PLACES = ("pelvis_tx", "pelvis_ty", "pelvis_tz")
+TURNS = ("pelvis_yaw", "pelvis_pitch", "pelvis_roll")
+_AXES = "ZYX"
+_MOST_HEADER_LINES = 1000
+
+
+def write_mot(path: str | Path, motion: Motion) -> None:
+    """Write the angles of a motion; NaN where a pose is unknown."""
+    names = (*PLACES, *TURNS, *motion.skeleton.tree.joints)
+    quaternion = np.asarray(motion.poses.quaternion, float)
+    known = np.isfinite(quaternion.sum(-1))
+    turns = np.full((len(known), 3), np.nan)
+    if known.any():
+        R_world_pelvis = Rotation.from_quat(quaternion[known], scalar_first=True)
+        turns[known] = np.unwrap(R_world_pelvis.as_euler(_AXES), axis=0)
+    angles = np.degrees(np.concatenate([turns, np.asarray(motion.poses.angles, float)], 1))
+    table = np.concatenate([motion.positions_world, angles], 1)
+    _write_table(Path(path), motion.times, dict(zip(names, table.T, strict=True)))
+
+
+def write_isb(path: str | Path, motion: Motion) -> None:
+    """Write the angles of ISB's joint coordinate systems; NaN where a pose is unknown."""
+    columns = {name: np.degrees(angle) for name, angle in isb_angles(motion).items()}
+    _write_table(Path(path), motion.times, columns)
+
+
+def _write_table(path: Path, times: np.ndarray, columns: Mapping[str, np.ndarray]) -> None:
+    """Write columns (T,), degrees but for places."""
+    head = [path.stem, "version=1", f"nRows={len(times)}", f"nColumns={len(columns) + 1}"]
+    lines = [*head, "inDegrees=yes", "endheader", "\t".join(["time", *columns])]
+    table = np.stack(list(columns.values()), 1)
+    rows = zip(times, row_texts(table, "\t", decimals=8, nan="NaN"), strict=True)
+    with replacing(path) as beside, beside.open("w", encoding="utf-8", newline="\n") as file:
+        file.writelines(f"{line}\n" for line in lines)
+        file.writelines(f"{time:.9f}\t{row}\n" for time, row in rows)
+
+
+def read_mot(path: str | Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Times (T,) in seconds and columns (T,) by name, as they stand in the file but in radians.
+
+    Columns that end in ``_tx``, ``_ty`` or ``_tz`` are places and keep their metres.
+
+    Raises:
+        InputError: no such file, or the line that does not fit.
+    """
+    lines = numbered_lines(path)
+    header, end = _header(path, lines)
+    names = next(lines, (0, ""))[1].split()
+    if len(names) < 2 or names[0].lower() != "time":
+        raise InputError(path, f"line {end + 1}: found no 'time' and names of columns")
+    check_names(path, names, f"line {end + 1}", "column")
+    table, numbers = parse_rows(path, ((i, line.split()) for i, line in lines), len(names))
+    check_times(path, table[:, 0], Places("line", numbers))
+    count = declared_count(declared := header.get("nrows", ""))
+    if count is not None and count > len(table):
+        problem = f"nRows is {name_shown(declared)}, but the file ends after {len(table)}"
+        raise InputError(path, problem)
+    columns = dict(zip(names[1:], table[:, 1:].T, strict=True))
+    if header["indegrees"] == "yes":
+        columns = {name: _radians(name, column) for name, column in columns.items()}
+    return table[:, 0], columns
+
+
+def _header(path: str | Path, lines: Iterator[tuple[int, str]]) -> tuple[dict[str, str], int]:
+    """What stands above 'endheader', in small letters, and that line's number."""
+    header = {}
+    for number, line in islice(lines, _MOST_HEADER_LINES):
+        text = line.strip().lower()
+        if text == "endheader":
+            if header.get("indegrees") not in ("yes", "no"):
+                problem = "the header says neither inDegrees=yes nor inDegrees=no"
+                raise InputError(path, problem)
+            return header, number
+        key, equals, value = text.partition("=")
+        header |= {key: value} if equals else {}
+    raise InputError(path, "found no line 'endheader', which ends a MOT file's header")
+
+
+def _radians(name: str, column: np.ndarray) -> np.ndarray:
+    return column if name.endswith(("_tx", "_ty", "_tz")) else np.radians(column)
+
+
+def motion_from_angles(
+    path: str | Path, times: np.ndarray, columns: Mapping[str, np.ndarray], skeleton: Skeleton
+) -> Motion:
+    """The motion of a skeleton that a file written by ``write_mot`` tells.
+
+    Raises:
+        InputError: a column is missing.
+    """
+    names = (*PLACES, *TURNS, *skeleton.tree.joints)
+    missing = [name for name in names if name not in columns]
+    if missing:
+        if "pelvis_tilt" in columns:
+            problem = "holds ISB's angles, which hinges cannot be read from"
+            raise InputError(path, problem)
+        raise InputError(path, f"no column {missing[0]!r}, found {listed(columns)}")
+    table = np.stack([columns[name] for name in names], 1)
+    known = np.isfinite(table.sum(-1))
+    R_world_pelvis = Rotation.from_euler(_AXES, np.where(known[:, None], table[:, 3:6], 0.0))
+    quaternion = R_world_pelvis.as_quat(scalar_first=True)
+    quaternion = np.where(known[:, None], quaternion, np.nan)
+    parts: list[Any] = [table[:, :3], quaternion, table[:, 6:]]
+    return near_origin(Motion(skeleton, times, Pose(*parts)))

@@ -1,0 +1,305 @@
+"""What TRC and CSV share: Markers, text lines, tables of numbers.
+
+INPUTS: a text file; lines of cells.
+OUTPUTS: Markers (seconds, metres); InputError with the line where something is wrong.
+"""
+
+import math
+import unicodedata
+from array import array
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.shortened import shown
+
+# Of one table, 0.5 GB: half an hour of 60 markers at 200 Hz.
+MOST_VALUES = 66_000_000
+# In a file's own unit.
+LARGEST_NUMBER = 1e15
+# Metres from the origin: the earth's centre is nearer from everywhere on it.
+FARTHEST_M = 1e7
+# Seconds from 0: since any calendar's first day.
+LATEST_S = 1e11
+# Seconds between samples, in the median.
+SHORTEST_STEP_S = 1e-5
+# Characters of a marker's or joint's name.
+LONGEST_NAME = 200
+# Of a count in a header.
+_MOST_DIGITS = 18
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Labelled points over T samples.
+
+    Attributes:
+        times: (T,) seconds, float64, ascending.
+        names: of the M markers.
+        positions: (T, M, 3) metres, float64, in the file's own axes; all three NaN where missing.
+        residuals: (T, M) metres, how far apart the rays of each point were, NaN where it is
+            missing; or None where the file says nothing of them (only C3D does).
+        rate: samples per second as the file's header states them, whatever its time stamps say;
+            or None where it has no such field (only TRC has both).
+        turns: (T, M, 3, 3) rotations from each marker's own axes to the file's, NaN where it is
+            not known how it is turned; or None where that is known of no marker.
+    """
+
+    times: np.ndarray
+    names: tuple[str, ...]
+    positions: np.ndarray
+    residuals: np.ndarray | None = None
+    rate: float | None = None
+    turns: np.ndarray | None = None
+
+    def points(self) -> dict[str, np.ndarray]:
+        """Name -> (T, 3) positions."""
+        return {name: self.positions[:, i] for i, name in enumerate(self.names)}
+
+    def turned(self) -> dict[str, np.ndarray]:
+        """Name -> (T, 3, 3) turns of the markers of which any is known."""
+        if self.turns is None:
+            return {}
+        columns = {name: self.turns[:, i] for i, name in enumerate(self.names)}
+        return {name: R for name, R in columns.items() if np.isfinite(R).any()}
+
+
+def parse_rows(
+    path: str | Path,
+    rows: Iterable[tuple[int, Sequence[str]]],
+    columns: int,
+    most: int = MOST_VALUES,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of a table; empty cells are NaN.
+
+    Args:
+        path: for the message.
+        rows: line number and cells of each row. Cells beyond ``columns`` must be empty.
+        columns: how many cells a row has.
+        most: how many numbers there may be.
+
+    Returns:
+        (T, columns) float64 and the T line numbers.
+    """
+    values, numbers = array("d"), array("q")
+    for line, cells in rows:
+        if not any(map(str.strip, cells)):
+            continue
+        if len(cells) < columns or any(map(str.strip, cells[columns:])):
+            raise InputError(path, f"line {line}: found {len(cells)} columns, expected {columns}")
+        if len(values) + columns > most:
+            problem = f"expected at most {most // columns} rows of {columns} numbers"
+            raise InputError(path, f"line {line}: found one row more, {problem}")
+        values.extend(_numbers(path, line, cells[:columns]))
+        numbers.append(line)
+    if not numbers:
+        raise InputError(path, "found no frames after the header")
+    table, lines = np.frombuffer(values).reshape(-1, columns), np.frombuffer(numbers, np.int64)
+    _check_sizes(path, table, lines)
+    return table, lines
+
+
+def _numbers(path: str | Path, line: int, cells: Sequence[str]) -> array:
+    try:
+        return array("d", map(float, cells))
+    except ValueError:
+        return array("d", (_number(path, line, cell) for cell in cells))
+
+
+def _number(path: str | Path, line: int, cell: str) -> float:
+    if not (text := cell.strip()):
+        return math.nan
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(path, f"line {line}: found {shown(text)}, expected a number") from None
+
+
+def _check_sizes(path: str | Path, table: np.ndarray, lines: np.ndarray) -> None:
+    """InputError where a number of (T, C) is beyond any that is measured."""
+    beyond = np.fmax(np.fmax.reduce(table), -np.fmin.reduce(table)) > LARGEST_NUMBER
+    if beyond.any():
+        column = int(beyond.argmax())
+        row = int((np.abs(table[:, column]) > LARGEST_NUMBER).argmax())
+        expected = f"expected a number within {LARGEST_NUMBER:g}"
+        raise InputError(path, f"line {lines[row]}: found '{table[row, column]:g}', {expected}")
+
+
+def declared_count(text: str) -> int | None:
+    """A count that a header states; None where that is no whole number.
+
+    One of more digits than any count has is as large as can be.
+    """
+    if not (text.isascii() and text.isdecimal()):
+        return None
+    return int(text) if len(text) <= _MOST_DIGITS else 10**_MOST_DIGITS
+
+
+def make_markers(
+    path: str | Path,
+    table: np.ndarray,
+    lines: Sequence[int] | np.ndarray,
+    names: Sequence[str],
+    name_place: str,
+) -> Markers:
+    """Markers from a table (T, 1 + 3 M) of times and coordinates, in metres.
+
+    Args:
+        path: for the message.
+        table: see above; it becomes the markers' own.
+        lines: of the T rows; none where the file is not text.
+        names: of the M markers.
+        name_place: where in the file they stand.
+
+    Raises:
+        InputError: two markers of one name, a name that no terminal can show, a time that is
+            missing or does not follow the one before, a position that is nowhere on earth.
+    """
+    check_names(path, names, name_place)
+    places = Places("line", lines) if len(lines) else Places("frame")
+    check_times(path, table[:, 0], places)
+    positions = table[:, 1:].reshape(len(table), -1, 3)
+    _check_positions(path, positions, names, places)
+    # A marker of which one coordinate is missing is missing.
+    positions[np.isnan(positions).any(-1)] = np.nan
+    return Markers(table[:, 0], tuple(names), positions)
+
+
+def check_names(path: str | Path, names: Sequence[str], place: str, kind: str = "marker") -> None:
+    """InputError where two things have one name, or one has none that can be written down."""
+    known = set()
+    for name in names:
+        if len(name) > LONGEST_NAME or any(unicodedata.category(c) == "Cc" for c in name):
+            expected = f"at most {LONGEST_NAME} characters, none of them for control"
+            raise InputError(path, f"{place}: found {shown(name)} as a name, expected {expected}")
+        if name in known:
+            raise InputError(path, f"{place}: {kind} {shown(name)} is named twice")
+        known.add(name)
+
+
+def _check_positions(
+    path: str | Path, positions: np.ndarray, names: Sequence[str], places: "Places"
+) -> None:
+    """InputError where a coordinate of (T, M, 3) is beyond any place on earth."""
+    highest, lowest = np.fmax.reduce(positions), np.fmin.reduce(positions)
+    beyond = np.fmax(highest, -lowest) > FARTHEST_M
+    if beyond.any():
+        marker, axis = np.argwhere(beyond)[0]
+        column = positions[:, marker, axis]
+        i = int((np.abs(column) > FARTHEST_M).argmax())
+        found = f"{places(i)}: marker {shown(names[marker])} is at {column[i]:g} m"
+        raise InputError(path, f"{found}, expected a position within {FARTHEST_M:g} m")
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where the samples of a file stand, in words.
+
+    Attributes:
+        kind: what they are called.
+        numbers: of the T samples; None counts from 0.
+    """
+
+    kind: str
+    numbers: Sequence[int] | np.ndarray | None = None
+
+    def __call__(self, i: int) -> str:
+        """The place of sample i."""
+        return f"{self.kind} {i if self.numbers is None else self.numbers[i]}"
+
+
+def check_times(path: str | Path, times: np.ndarray, places: Places) -> None:
+    """InputError unless every one of (T,) times is a number and later than the one before.
+
+    Nor may they follow one another faster than any device measures.
+    """
+    if np.isnan(times).any():
+        raise InputError(path, f"{places(int(np.isnan(times).argmax()))}: found no time")
+    late = np.abs(times) > LATEST_S
+    if late.any():
+        i = int(late.argmax())
+        expected = f"expected one within {LATEST_S:g} s"
+        raise InputError(path, f"{places(i)}: found a time of {times[i]:g} s, {expected}")
+    later = np.diff(times) > 0
+    if not later.all():
+        i = int((~later).argmax())
+        raise InputError(
+            path,
+            f"{places(i + 1)}: time runs backwards, found {times[i + 1]:g} s after {times[i]:g} s",
+        )
+    if len(times) > 1 and (step := float(np.median(np.diff(times)))) < SHORTEST_STEP_S:
+        expected = f"expected at least {SHORTEST_STEP_S:g} s"
+        raise InputError(path, f"found samples {step:.3g} s apart in the median, {expected}")
+
+
+def is_even(times: np.ndarray) -> bool:
+    """Does no step of (T,) times differ from their mean by more than a hundredth of it?
+
+    Two microseconds are always allowed, since text files round.
+    """
+    steps = np.diff(times)
+    return not len(steps) or bool(
+        np.abs(steps - steps.mean()).max() <= max(0.01 * steps.mean(), 2e-6)
+    )
+
+
+def even_rate(path: str | Path, times: np.ndarray) -> float:
+    """Samples per second of (T,) evenly spaced times; 1 for a single one.
+
+    Raises:
+        InputError: they are not evenly spaced.
+    """
+    if len(times) == 1:
+        return 1.0
+    steps, step = np.diff(times), (times[-1] - times[0]) / (len(times) - 1)
+    if not is_even(times):
+        found = f"samples are {1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms apart"
+        raise InputError(path, f"{found}, the format holds one rate only (give --rate)")
+    # 60.000024 is what is left of 60 after rounding.
+    rate = round(1 / step, 3)
+    return rate if abs(rate * step - 1) * len(times) < 1e-3 else 1 / step
+
+
+def format_rows(values: np.ndarray) -> np.ndarray:
+    """Text cells of a float array, to the micrometre; empty where NaN."""
+    return np.where(np.isnan(values), "", np.char.mod("%.6f", values))
+
+
+def row_texts(values: np.ndarray, between: str, decimals: int = 6, nan: str = "") -> Iterator[str]:
+    """The cells of each row of (T, C), joined; one row at a time, for tables of any length."""
+    cells = between.join([f"%.{decimals}f"] * values.shape[1])
+    for row in values:
+        text = cells % tuple(row)
+        yield text.replace("nan", nan) if "nan" in text else text
+
+
+def stack_points(
+    times: np.ndarray,
+    points: dict[str, np.ndarray],
+    forbidden: str,
+    path: str | Path = "points to write",
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times (T,) and coordinates (T, 3 M) to write, checked.
+
+    Raises:
+        ValueError: shapes that do not fit, times that do not ascend, or a name that the format
+            cannot hold; ``path`` is what messages name.
+    """
+    times = np.asarray(times, float)
+    for name, positions in points.items():
+        if not name.strip() or name != name.strip() or any(c in name for c in forbidden):
+            raise InputError(path, f"marker name {shown(name)} cannot be written")
+        if np.shape(positions) != (len(times), 3):
+            raise ValueError(
+                f"marker {name!r}: found shape {np.shape(positions)}, expected {(len(times), 3)}"
+            )
+        if np.isinf(positions).any():
+            raise ValueError("found an infinite position; missing ones are NaN")
+    if not points or not len(times):
+        raise InputError(path, "expected at least one marker and one sample to write")
+    check_times(path, times, Places("sample"))
+    check_names(path, tuple(points), "names to write")
+    return times, np.concatenate([np.asarray(p, float) for p in points.values()], axis=1)

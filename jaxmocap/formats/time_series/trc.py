@@ -1,0 +1,145 @@
+"""TRC: the marker files of OpenSim, Pose2Sim and Cortex.
+
+INPUTS: a .trc file, its unit in the header (m, cm or mm); or times and points in metres.
+OUTPUTS: Markers in metres, in the file's own axes; or a .trc file in metres.
+"""
+
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.lines import numbered_lines
+from jaxmocap.formats.files.shortened import name_shown, shown
+from jaxmocap.formats.files.writing import replacing
+from jaxmocap.formats.time_series.tables import (
+    Markers,
+    declared_count,
+    make_markers,
+    parse_rows,
+    row_texts,
+    stack_points,
+)
+
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+_KEYS = (
+    *("DataRate", "CameraRate", "NumFrames", "NumMarkers"),
+    *("Units", "OrigDataRate", "OrigDataStartFrame", "OrigNumFrames"),
+)
+_HEADER_LINES = 5
+
+
+def read_trc(path: str | Path) -> Markers:
+    """Read a TRC file.
+
+    Empty cells and ``NaN`` are missing markers. The names in line 4 say how many markers there
+    are; the header's NumMarkers, which exporters often get wrong, is not needed.
+
+    Raises:
+        InputError: no such file, or the line that is not TRC, is cut off, has an unknown unit, or
+            a time not later than the one before.
+    """
+    lines = numbered_lines(path)
+    head = [line for _, line in islice(lines, _HEADER_LINES)]
+    if not head[0].startswith("PathFileType"):
+        raise InputError(path, f"line 1: found {head[0][:20]!r}, expected 'PathFileType'")
+    if len(head) < _HEADER_LINES:
+        raise InputError(path, f"line {len(head)}: the file ends within its header")
+    header = dict(zip(_cells(head[1]), _cells(head[2]), strict=False))
+    scale = _scale(path, header)
+    names = _names(path, head[3], head[4])
+    data = ((number, line.split("\t")) for number, line in lines)
+    table, numbers = parse_rows(path, data, 2 + 3 * len(names))
+    _check_count(path, header.get("NumFrames", ""), len(table))
+    table[:, 2:] *= scale
+    markers = make_markers(path, table[:, 1:], numbers, names, "line 4")
+    return replace(markers, rate=_rate(header))
+
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.split("\t")]
+
+
+def _scale(path: str | Path, header: dict[str, str]) -> float:
+    """Metres per unit of the file."""
+    if "Units" not in header:
+        raise InputError(path, "line 2: found no 'Units' in the header")
+    unit = header["Units"]
+    if unit.lower() not in METRES:
+        raise InputError(
+            path, f"line 3: unknown unit {shown(unit)}, expected one of {', '.join(METRES)}"
+        )
+    return METRES[unit.lower()]
+
+
+def _rate(header: dict[str, str]) -> float | None:
+    """DataRate, where it is a positive number."""
+    try:
+        rate = float(header.get("DataRate", ""))
+    except ValueError:
+        return None
+    return rate if 0 < rate < float("inf") else None
+
+
+def _names(path: str | Path, name_line: str, axis_line: str) -> list[str]:
+    cells = _cells(name_line)
+    if not cells[0].lower().startswith("frame") or cells[1:2] not in (["Time"], ["time"]):
+        found = repr(name_line[:20])
+        raise InputError(path, f"line 4: found {found}, expected 'Frame#', 'Time' and names")
+    names = [cell for cell in cells[2:] if cell]
+    axes = [cell for cell in _cells(axis_line) if cell]
+    if not names:
+        raise InputError(path, "line 4: names no marker")
+    if len(axes) != 3 * len(names):
+        raise InputError(
+            path,
+            f"line 5: found {len(axes)} coordinates, expected {3 * len(names)} "
+            f"for the {len(names)} markers of line 4",
+        )
+    return names
+
+
+def _check_count(path: str | Path, declared: str, rows: int) -> None:
+    """A file that was cut off between two lines still says how long it was."""
+    if (count := declared_count(declared)) is not None and count > rows:
+        problem = f"NumFrames is {name_shown(declared)}, but the file ends after {rows} frames"
+        raise InputError(path, f"line 3: {problem}")
+
+
+def write_trc(
+    path: str | Path,
+    times: np.ndarray,
+    points: dict[str, np.ndarray],
+    rate: float | None = None,
+) -> None:
+    """Write a TRC file in metres; missing markers are empty cells.
+
+    Args:
+        path: of the file.
+        times: (T,) seconds, ascending.
+        points: marker -> (T, 3) positions, metres.
+        rate: samples per second for the header; None takes it from the times.
+
+    Raises:
+        ValueError: shapes or names that do not fit.
+    """
+    times, positions = stack_points(times, points, "\t\r\n\0", path)
+    if rate is None:
+        rate = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 1.0
+    count, shown = len(times), f"{round(rate, 2):g}"
+    values = [shown, shown, count, len(points), "m", shown, 1, count]
+    axes = [f"{axis}{i}" for i in range(1, len(points) + 1) for axis in "XYZ"]
+    lines = [
+        f"PathFileType\t4\t(X/Y/Z)\t{Path(path).name}",
+        "\t".join(_KEYS),
+        "\t".join(map(str, values)),
+        "\t".join(["Frame#", "Time", *(f"{name}\t\t" for name in points)]),
+        "\t".join(["", "", *axes]),
+        "",
+    ]
+    rows = zip(times, row_texts(positions, "\t"), strict=True)
+    with replacing(path) as beside, beside.open("w", encoding="utf-8", newline="\n") as file:
+        file.writelines(f"{line}\n" for line in lines)
+        file.writelines(f"{i}\t{time:.9f}\t{row}\n" for i, (time, row) in enumerate(rows, 1))

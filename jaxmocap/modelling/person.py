@@ -1,0 +1,257 @@
+"""A person's own model from four silhouettes: the story of section 2 of the second paper.
+
+INPUTS: masks and calibrated cameras of the front, side, joint and arms' side view. The person faces
++x of the calibration's world, whose z is up, and stands upright.
+OUTPUTS: a PersonModel: joints, bone lengths and surface, metres.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.modelling.arm_joints import Arm, arm_axis, arm_joints
+from jaxmocap.modelling.arm_surface import (
+    Bones,
+    arm_rings,
+    reach_of_hand,
+    thickness,
+    unfolded,
+)
+from jaxmocap.modelling.lifted_arms import lifted_arms
+from jaxmocap.modelling.pictures.medial_axis import chamfer, skeleton
+from jaxmocap.modelling.separation import Landmarks, narrowest, separate
+from jaxmocap.modelling.thighs import Thighs, thighs
+from jaxmocap.modelling.trunk import Trunk, trunk
+from jaxmocap.modelling.views import View
+
+AHEAD, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+SIDES = (("l", 1.0), ("r", -1.0))
+# Of two people whose joints are known, and on whom nothing is tested, all by the stature: from
+# bottom line to vertex; the shoulder's joint from the middle, from the arm pit outwards and
+# upwards, from the shoulder's upper rim downwards with the arm held level, and from the middle
+# ahead; the elbow's joint above the axis of a stretched arm, its hinge upright.
+UPPER_BODY = 0.532
+ELBOW_ABOVE = 0.0024
+ASIDE, OUTWARDS, ABOVE_PIT, BELOW_RIM, BEFORE_MIDDLE = 0.102, 0.0053, 0.041, 0.0247, 0.005
+# So far from the shoulder, by the stature, the upper arm is clear of the trunk; and by its
+# thickness there the shoulder's joint lies so far below the rim.
+ALONG_ARM, BELOW_RIM_BY_ARM = 0.07, 0.44
+# Of a stretched arm's length, from the shoulder to the tip in a straight line.
+LEAST_STRAIGHT = 0.93
+
+
+class StanceError(ValueError):
+    """A view shows another stance than it should.
+
+    Attributes:
+        view: its name.
+        problem: one sentence.
+    """
+
+    def __init__(self, view: str, problem: str):
+        super().__init__(view, problem)
+        self.view, self.problem = view, problem
+
+    def __str__(self) -> str:
+        return f"{self.view}: {self.problem}"
+
+
+class PersonModel(NamedTuple):
+    """A person as measured, world, metres.
+
+    Attributes:
+        front: landmarks of the front view.
+        trunk: rings from the bottom line to the top of the head.
+        seen: the arms in the joint view, left and right: pixels.
+        bent: their joints there.
+        stretched: their joints in the arms' side view.
+        lifted: their joints in the front view.
+        arms: (K, N, 3) each: rings, stretched out level to the side from the shoulder, thumb ahead.
+        legs: thighs of the front and the side view.
+        moved: photograph -> (3,) how far the person has moved since the front view.
+    """
+
+    front: Landmarks
+    trunk: Trunk
+    seen: tuple[Arm, ...]
+    bent: tuple[Bones, ...]
+    stretched: tuple[Bones, ...]
+    lifted: tuple[Bones, ...]
+    arms: tuple[np.ndarray, ...]
+    legs: Thighs
+    moved: dict[str, np.ndarray]
+
+    @property
+    def stature(self) -> float:
+        """Body height by that of trunk, neck and head, metres."""
+        return float(np.ptp(self.trunk.rings[:, 0, 2])) / UPPER_BODY
+
+    def neck_height(self) -> float:
+        """Height of the neck's narrowest slice, metres."""
+        top, bottom = self.trunk.middles[[-1, 0], 2]
+        share = (self.front.bottom - self.front.neck) / (self.front.bottom - self.front.top)
+        return float(bottom + share * (top - bottom))
+
+    def lengths(self) -> dict[str, float]:
+        """Bone -> length, metres; ``shoulders`` is from the one joint to the other."""
+        found = {}
+        for (name, _), bones in zip(SIDES, self.bent, strict=True):
+            for bone, length in zip(("humerus", "radius", "hand"), bones.lengths, strict=True):
+                found[f"{bone}_{name}"] = float(length)
+        across = self.bent[0].shoulder - self.bent[1].shoulder
+        return found | {"shoulders": float(np.linalg.norm(across))}
+
+
+def person_model(views: dict[str, View], bottom: int | None = None) -> PersonModel:
+    """A model from the views ``front``, ``side``, ``joint`` and ``arm_side``.
+
+    Args:
+        views: the four of them.
+        bottom: row of the trunk's bottom line in the front view; found where the legs part.
+
+    Raises:
+        ValueError: what a view shows is not the stance that is asked for.
+    """
+    with _of("front"):
+        landmarks = separate(views["front"].mask, bottom)
+    with _of("side"):
+        body = trunk(views["front"], views["side"], landmarks)
+    with _of("joint"):
+        joint = aligned(views["joint"], views["front"], landmarks, body)
+        seen, bent = bent_arms(joint, body)
+    with _of("arm_side"):
+        arm_side = aligned(views["arm_side"], views["front"], landmarks, body)
+        stretched = stretched_arms(arm_side, body, bent)
+    arms = tuple(
+        arm_rings(
+            unfolded(thickness(joint, bones, bones.shoulder + bones.wrist - 2 * bones.elbow)),
+            thickness(arm_side, straight, UP),
+            bones.shoulder,
+            np.append(bones.lengths[:2], reach_of_hand(bones)),
+        )
+        for bones, straight in zip(bent, stretched, strict=True)
+    )
+    with _of("front"):
+        lifted = lifted_arms(views["front"], landmarks, bent)
+        legs = thighs(views["front"], views["side"], landmarks, body.middles[0])
+    moved = {"front": np.zeros(3), "side": np.zeros(3)}
+    moved |= {"joint": joint.moved, "arm_side": arm_side.moved}
+    return PersonModel(landmarks, body, seen, bent, stretched, lifted, arms, legs, moved)
+
+
+@contextmanager
+def _of(view: str) -> Iterator[None]:
+    """What is wrong within is wrong with this view."""
+    try:
+        yield
+    except ValueError as error:
+        raise StanceError(view, str(error)) from None
+
+
+def bent_arms(joint: View, body: Trunk) -> tuple[tuple[Arm, ...], tuple[Bones, ...]]:
+    """Left and right arm in the joint view, in pixels and in metres."""
+    shoulders, distance = shoulder_joints(body, joint), chamfer(joint.mask)
+    seen = tuple(
+        arm_joints(way, distance, joint.pixels(shoulder))
+        for way, shoulder in zip(arm_ways(joint, body), shoulders, strict=True)
+    )
+    ends = [np.array([arm.elbow, arm.wrist, arm.tip]) for arm in seen]
+    bent = tuple(
+        Bones(shoulder, *joint.on_plane(pixels, shoulder, AHEAD))
+        for pixels, shoulder in zip(ends, shoulders, strict=True)
+    )
+    return seen, bent
+
+
+def stretched_arms(arm_side: View, body: Trunk, bent: tuple[Bones, ...]) -> tuple[Bones, ...]:
+    """Left and right arm in their side view: the bones as long as in the joint view."""
+    tall, found = np.ptp(body.rings[:, 0, 2]) / UPPER_BODY, []
+    for way, bones in zip(arm_ways(arm_side, body), bent, strict=True):
+        arm = laid_out(arm_side.on_plane(way, bones.shoulder, AHEAD), bones)
+        found.append(arm._replace(elbow=arm.elbow + tall * ELBOW_ABOVE * UP))
+    return tuple(found)
+
+
+def aligned(view: View, front: View, landmarks: Landmarks, body: Trunk) -> View:
+    """A view in which the person may have moved aside or up since the front view.
+
+    Told by the neck's middle and the top of the head.
+    """
+    middle = body.middles[-1]
+    there = view.pixels(np.append(middle[:2], body.pits[:, 2].min()))
+    # Hands may be higher than the head.
+    column = np.flatnonzero(view.mask[:, round(float(np.clip(there[0], 0, len(view.mask.T) - 1)))])
+    if len(column) == 0 or column[0] >= there[1]:
+        raise ValueError("found no head where the front view has it, expected the same place")
+    top = int(column[0])
+    _, neck_x = narrowest(view.mask, top, int(there[1]), float(there[0]))
+    before, now = (
+        seen.on_plane(np.array([x, row]), middle, AHEAD)
+        for seen, x, row in ((front, landmarks.neck_x, landmarks.top), (view, neck_x, top))
+    )
+    return replace(view, moved=now - before)
+
+
+def shoulder_joints(body: Trunk, joint: View) -> np.ndarray:
+    """(2, 3) left and right shoulder.
+
+    Aside, half-way between where the arm pit and where the stature would have it: muscles carry
+    the arm pits outwards. In height, below the shoulder's rim in the joint view, half-way between
+    where the stature and where the arm's thickness would have it. Ahead, before the trunk's middle
+    at that height: a heavy chest carries the arm pits down, to where it is itself.
+    """
+    stature = np.ptp(body.rings[:, 0, 2]) / UPPER_BODY
+    out = np.array([[0.0, s, 0.0] for _, s in SIDES])
+    found = body.pits + stature * (OUTWARDS * out + ABOVE_PIT * UP)
+    usual = middle_at(body, found[:, 2].mean()) + stature * ASIDE * out
+    found[:, 1] = (found[:, 1] + usual[:, 1]) / 2
+    found[:, 0] = usual[:, 0]
+    rim = found + joint.reach(found, UP, stature / 4)[:, None] * UP
+    arm = rim + stature * (ALONG_ARM * out - BELOW_RIM * UP)
+    thick = sum(joint.reach(arm, way, stature / 4) for way in (UP, -UP))
+    found[:, 2] = rim[:, 2] - (stature * BELOW_RIM + thick * BELOW_RIM_BY_ARM) / 2
+    found[:, 0] = middle_at(body, found[:, 2].mean())[0] + stature * BEFORE_MIDDLE
+    return found
+
+
+def middle_at(body: Trunk, height: float) -> np.ndarray:
+    """(3,) the trunk's middle at a height."""
+    levels = body.middles[:, 2]
+    return np.array([np.interp(height, levels, line) for line in body.middles.T])
+
+
+def arm_ways(view: View, body: Trunk) -> list[np.ndarray]:
+    """(K, 2) pixels each: the axes of left and right arm, from the trunk to the fingertip."""
+    axis = skeleton(view.mask)
+    start = view.pixels(middle_at(body, body.pits[:, 2].mean()))
+    lowest = view.pixels(body.middles[0])[1]
+    return [arm_axis(axis, start, pit, lowest) for pit in view.pixels(body.pits)]
+
+
+def laid_out(way: np.ndarray, bones: Bones) -> Bones:
+    """A stretched arm's joints on its axis (K, 3), the bones as long as they are."""
+    first = int(np.argmin(np.sum((way - bones.shoulder) ** 2, 1)))
+    passed = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way[first:], axis=0), axis=1)))
+    straight = float(np.linalg.norm(way[-1] - way[first]) / passed[-1])
+    if straight < LEAST_STRAIGHT:
+        raise ValueError(
+            f"found an arm whose ends are {100 * straight:.0f} % of its length apart, expected "
+            f"stretched arms, at least {100 * LEAST_STRAIGHT:.0f} %"
+        )
+    # The shoulder's joint is above the axis of its flesh, where the joint view has it: bones are
+    # as long as the straight lines between joints, not as the way along that axis.
+    joints, at = [bones.shoulder], first
+    for length in bones.lengths[:2]:
+        beyond = np.linalg.norm(way[at:] - joints[-1], axis=1) >= length
+        if not beyond.any():
+            raise ValueError(
+                f"the arm in the arms' side view is {100 * passed[-1]:.0f} cm long, shorter than "
+                f"its {100 * bones.lengths[:2].sum():.0f} cm from shoulder to wrist in the joint "
+                "view"
+            )
+        at += int(np.argmax(beyond))
+        joints.append(way[at])
+    return Bones(bones.shoulder, joints[1], joints[2], way[-1])

@@ -1,0 +1,4 @@
+"""The colours of a person's surface: photographs fused into one picture.
+
+Begin with ``fused``.
+"""

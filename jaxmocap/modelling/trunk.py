@@ -1,0 +1,129 @@
+"""Trunk, neck and head from the front and the side silhouette (second paper, 2.1).
+
+A level slice is cut by four lines: through each camera and the two edges of its silhouette. The
+body's contour touches all four; a closed B-spline, about a superellipse within their quadrilateral,
+is what two silhouettes tell of it.
+
+INPUTS: two Views nearly at right angles; the landmarks of the front view.
+OUTPUTS: a grid of closed rings from the bottom line to the top of the head, world, metres.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import gaussian_filter1d
+
+from jaxmocap.modelling.separation import Landmarks
+from jaxmocap.modelling.views import View
+
+# Rings, and nodes of each; control points of a ring's spline.
+RINGS, AROUND, CONTROL = 72, 48, 16
+# Deviation of the smoothing along a limb, slices.
+SMOOTH = 0.8
+# How full a slice is, the power of its superellipse (2 for an ellipse), by the height above the
+# bottom line as a share of the arm pits': what two people, on whom nothing is tested, need.
+FULLNESS = (
+    (0.05, 0.20, 0.37, 0.47, 0.58, 0.68, 0.78, 0.90, 1.20, 1.35, 1.45),
+    (2.40, 2.35, 2.25, 2.15, 2.35, 2.55, 2.50, 2.95, 2.90, 2.00, 1.90),
+)
+# Nothing of the trunk reaches farther from its middle than so much, metres.
+FARTHEST_M = 0.35
+
+
+class Trunk(NamedTuple):
+    """Closed rings of R times N nodes, world, metres.
+
+    Attributes:
+        rings: (R, N, 3) from the bottom line upwards, from the person's front to their left.
+        middles: (R, 3) middles of the slices.
+        pits: (2, 3) left and right arm pit.
+    """
+
+    rings: np.ndarray
+    middles: np.ndarray
+    pits: np.ndarray
+
+
+def trunk(front: View, side: View, landmarks: Landmarks) -> Trunk:
+    """Everything but the arms, from the bottom line to the top of the head."""
+    middle = met(front, side, landmarks)
+    ahead = np.array([1.0, 0.0, 0.0])
+    pits = front.on_plane(landmarks.pits, middle, ahead)
+    rows = np.array([[landmarks.middle_x, landmarks.bottom], [landmarks.neck_x, landmarks.top]])
+    low, high = front.on_plane(rows, middle, ahead)[:, 2]
+    heights = np.linspace(low, high - 0.004, RINGS)
+    corners, middles = [], []
+    for height in heights:
+        middle = np.append(middle[:2], height)
+        corners.append(quadrilateral(front, side, middle, pits))
+        middle = np.append(corners[-1].mean(0), height)
+        middles.append(middle)
+    # A silhouette's rim is known to a pixel; over a few slices its steps cancel out.
+    corners = np.array(gaussian_filter1d(np.array(corners), SMOOTH, axis=0, mode="nearest"))
+    shares = (heights - low) / (pits[:, 2].mean() - low)
+    fullness = np.interp(shares, *FULLNESS)
+    rings = np.stack([ring(c, full) for c, full in zip(corners, fullness, strict=True)])
+    level = np.broadcast_to(heights[:, None, None], (*rings.shape[:2], 1))
+    return Trunk(np.concatenate([rings, level], -1), np.array(middles), pits)
+
+
+def met(front: View, side: View, landmarks: Landmarks) -> np.ndarray:
+    """(3,) where the front's ray through the trunk's middle passes the middle of the side view."""
+    row = (landmarks.pits[:, 1].mean() + landmarks.bottom) / 2
+    ray = front.rays(np.array([landmarks.middle_x, row]))
+    along = np.linspace(0, 2 * np.linalg.norm(front.centre - side.centre), 4000)
+    seen = side.shows(front.centre + along[:, None] * ray)
+    if not seen.any():
+        raise ValueError("the side view shows nobody where the front view does, expected both "
+                         "photographs of one stance and their own cameras")  # fmt: skip
+    return front.centre + along[seen].mean() * ray
+
+
+def quadrilateral(front: View, side: View, middle: np.ndarray, pits: np.ndarray) -> np.ndarray:
+    """(4, 2) corners of a slice: front left, back left, back right, front right; metres.
+
+    Args:
+        front: the view from the front.
+        side: the view from the side.
+        middle: (3,) a point within the slice.
+        pits: (2, 3) arm pits: above them what lies farther out is arm.
+    """
+    left, ahead = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    across = [front.reach(middle[None], s * left, FARTHEST_M)[0] for s in (1, -1)]
+    deep = [side.reach(middle[None], s * ahead, FARTHEST_M)[0] for s in (1, -1)]
+    if middle[2] > pits[:, 2].min():
+        across = [min(a, abs(pit[1] - middle[1])) for a, pit in zip(across, pits, strict=True)]
+    lines_front = [
+        _line(front, middle + s * a * left) for s, a in zip((1, -1), across, strict=True)
+    ]
+    lines_side = [_line(side, middle + s * d * ahead) for s, d in zip((1, -1), deep, strict=True)]
+    order = ((0, 0), (0, 1), (1, 1), (1, 0))
+    return np.stack([_crossing(lines_front[f], lines_side[s]) for f, s in order])
+
+
+def _line(view: View, edge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Seen from above: a point, and the direction from the camera through it."""
+    return edge[:2], (edge - view.centre)[:2]
+
+
+def _crossing(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    share = np.linalg.solve(np.stack([a[1], -b[1]], 1), b[0] - a[0])[0]
+    return a[0] + share * a[1]
+
+
+def ring(corners: np.ndarray, fullness: float, nodes: int = AROUND) -> np.ndarray:
+    """(N, 2) a closed cubic B-spline within a quadrilateral (4, 2), which it touches on all sides.
+
+    From the middle of the front to the left; ``fullness`` is 2 for an ellipse, more is boxier.
+    """
+    angle = 2 * np.pi * np.arange(CONTROL) / CONTROL
+    c, s = np.cos(angle), np.sin(angle)
+    u, v = (np.sign(t) * np.abs(t) ** (2 / fullness) for t in (c, s))
+    u, v = (1 + u)[:, None] / 2, (1 + v)[:, None] / 2
+    front_left, back_left, back_right, front_right = corners
+    places = v * (u * front_left + (1 - u) * back_left)
+    places = places + (1 - v) * (u * front_right + (1 - u) * back_right)
+    closed = np.concatenate([places, places[:1]])
+    spline = make_interp_spline(np.linspace(0, 1, CONTROL + 1), closed, k=3, bc_type="periodic")
+    return spline(np.arange(nodes) / nodes)

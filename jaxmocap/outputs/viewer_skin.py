@@ -1,0 +1,70 @@
+"""A body's surface in a recording for the rerun viewer, which itself carries no skin on bones.
+
+INPUTS: a recording stream, a Motion, the body's Surface, by choice its colours.
+OUTPUTS: none; entity ``world/skin``.
+
+Vertices are logged pose by pose, of so many poses at most: of a surface with fewer nodes, or, where
+its colours are known, of the surface itself, without shades.
+"""
+
+import numpy as np
+import rerun as rr
+
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.surfaces.host_skin import bones_over_time, nodes_over_time
+from jaxmocap.body.surfaces.loft import rest_joints
+from jaxmocap.body.surfaces.mesh import Mesh, atlas_of, coarser, mesh_of, normals_of
+from jaxmocap.body.surfaces.surface import Surface, rest_nodes
+from jaxmocap.formats.animation.skin import TEXEL_M
+from jaxmocap.outputs.layout import TIMELINE
+
+# Metres between nodes, and poses in a recording: about six megabytes together.
+SPACING_M, MOST_POSES = 0.045, 150
+# RGBA: what lies within shines through.
+COLOUR = (205, 175, 150, 150)
+
+
+def log_skin(
+    stream: rr.RecordingStream,
+    motion: Motion,
+    surface: Surface,
+    picture: np.ndarray | None = None,
+) -> None:
+    """The surface as the motion moves it; nothing where the pose is unknown.
+
+    Args:
+        stream: of the recording.
+        motion: of the body.
+        surface: of it.
+        picture: (H, W, 3) BGR uint8, its colours, laid out by ``atlas_of``.
+    """
+    joints = rest_joints(motion.skeleton)
+    if picture is None:
+        surface = coarser(surface, rest_nodes(surface, joints), SPACING_M)
+    rest = rest_nodes(surface, joints)
+    mesh = mesh_of(surface, rest, atlas_of(surface, rest, TEXEL_M))
+    _log_look(stream, mesh, picture)
+    R, places = bones_over_time(motion.skeleton, motion.poses)
+    for i in range(0, len(motion.times), -(-len(motion.times) // MOST_POSES)):
+        (nodes,) = nodes_over_time(surface.points, R[i : i + 1], places[i : i + 1])
+        stream.set_time(TIMELINE, duration=float(motion.times[i]))
+        vertices = np.nan_to_num(nodes)[mesh.nodes]
+        normals = None if picture is not None else normals_of(vertices, mesh.triangles)
+        posed = rr.Mesh3D.from_fields(vertex_positions=vertices, vertex_normals=normals)
+        stream.log("world/skin", posed)
+
+
+def _log_look(stream: rr.RecordingStream, mesh: Mesh, picture: np.ndarray | None) -> None:
+    """What of the skin stays."""
+    look = rr.Mesh3D.from_fields(triangle_indices=mesh.triangles, albedo_factor=COLOUR)
+    if picture is not None:
+        height, width = picture.shape[:2]
+        look = rr.Mesh3D.from_fields(
+            triangle_indices=mesh.triangles,
+            vertex_texcoords=mesh.places,
+            albedo_texture_buffer=np.ascontiguousarray(picture[..., ::-1]).tobytes(),
+            albedo_texture_format=rr.components.ImageFormat(
+                width=width, height=height, color_model="RGB", channel_datatype="U8"
+            ),
+        )
+    stream.log("world/skin", look, static=True)

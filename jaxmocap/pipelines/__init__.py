@@ -1,0 +1,4 @@
+"""What a command does from end to end.
+
+Begin with ``tracking.track``.
+"""

@@ -1,0 +1,4 @@
+"""Many recordings, side by side.
+
+Begin with ``batch``.
+"""

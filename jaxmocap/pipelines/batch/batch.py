@@ -1,0 +1,270 @@
+"""Many recordings, side by side: each is tracked by a process of its own, from its path alone.
+
+    find_recordings ── jobs ── each_done(track_one) ── corpus.csv, failures.json
+                               on any machine that reaches the files by the same paths
+
+INPUTS: a folder of recordings. OUTPUTS: a folder per recording as ``track`` writes it, a table of
+all of them, and why those that failed did.
+"""
+
+import os
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from jaxmocap.body.motion import Motion
+from jaxmocap.capture.timeline import Mode
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.output_folder import LIST, OutputFolder
+from jaxmocap.formats.recordings.recording import load_recording
+from jaxmocap.pipelines.batch.cluster import connected, each_done
+from jaxmocap.pipelines.batch.corpus import (
+    KEPT,
+    Row,
+    find_recordings,
+    fingerprint,
+    inputs_of,
+    keep,
+    kept,
+    write_failures,
+    write_rows,
+)
+from jaxmocap.pipelines.kept_programs import keep_compiled
+from jaxmocap.pipelines.progress import Progress, progress_bar
+from jaxmocap.pipelines.summary import frames_per_second
+from jaxmocap.pipelines.tracking.track import choose_settings, track
+from jaxmocap.pipelines.writing import tracked_folder, write_tracked
+
+# What a batch writes besides the recordings' own folders.
+TABLES = ("corpus.csv", "failures.json")
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """How recordings are to be tracked, in the words of ``track``."""
+
+    refine: Literal["simplex", "gradient", "none"] = "simplex"
+    mode: Mode = "own"
+    paper: bool = False
+
+
+@dataclass(frozen=True)
+class Job:
+    """One recording to be tracked; all that is sent to whoever does it.
+
+    Attributes:
+        name: of the recording within the corpus.
+        recording: its file, an absolute path.
+        folder: for its outputs, an absolute path.
+        wanted: how.
+        inputs: all files that are read.
+    """
+
+    name: str
+    recording: Path
+    folder: Path
+    wanted: Wanted
+    inputs: tuple[Path, ...] = ()
+
+
+class Outcome(NamedTuple):
+    """What came of a job.
+
+    Attributes:
+        row: of the table, or None.
+        earlier: whether an earlier run had done it already.
+        problem: why there is no row, or None.
+    """
+
+    row: Row | None
+    earlier: bool = False
+    problem: str | None = None
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What came of a corpus.
+
+    Attributes:
+        rows: of the recordings tracked.
+        earlier: how many of them an earlier run had tracked.
+        failures: recording -> reason.
+        files: that were written besides the recordings' own.
+    """
+
+    rows: list[Row]
+    earlier: int
+    failures: dict[str, str]
+    files: list[Path]
+
+    def text(self) -> str:
+        """A few lines to read."""
+        lines = [
+            f"tracked  {len(self.rows)} recordings, {self.earlier} of them by an earlier run",
+            f"failed   {len(self.failures)}",
+            *(f"         {name}: {why}" for name, why in sorted(self.failures.items())),
+        ]
+        return "\n".join([*lines, *(f"written  {path}" for path in self.files)])
+
+    def figures(self) -> dict:
+        """What JSON takes."""
+        return {
+            "tracked": len(self.rows),
+            "earlier": self.earlier,
+            "failures": self.failures,
+            "recordings": [asdict(row) for row in self.rows],
+        }
+
+
+def track_corpus(
+    corpus: str | Path,
+    out: str | Path,
+    wanted: Wanted | None = None,
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    timeout_s: float | None = None,
+    progress: Progress | bool | None = None,
+) -> Batch:
+    """Track every recording of a folder; what an earlier run did is not done again.
+
+    Args:
+        corpus: folder; recordings are found at any depth.
+        out: gets a folder for each, named as the recording is, and both tables; these are written
+            when all are done, or when it is interrupted.
+        wanted: how to track; defaults to ``track``'s way.
+        scheduler: address of a Dask cluster whose machines reach both folders by the same paths,
+            or None for processes here.
+        workers: processes here; defaults to one per core.
+        timeout_s: a recording that takes longer fails, seconds; None waits for ever.
+        progress: called with the recordings done and their total; True shows a bar on stderr.
+
+    Raises:
+        InputError: no recordings, no such folder, no scheduler; a folder for outputs that holds
+            inputs, or recordings whose outputs would lie within one another.
+        OutputError: the tables cannot be written.
+    """
+    jobs = jobs_of(corpus, out, wanted or Wanted())
+    folder = OutputFolder(out, "batch", TABLES, [path for job in jobs for path in job.inputs])
+    batch = Batch([], 0, {}, [folder.path / name for name in TABLES])
+    most = None if workers is None else min(workers, len(jobs))
+    with connected(scheduler, most) as client, progress_bar("recordings", progress) as show:
+        try:
+            show(0, len(jobs))
+            for count, done in enumerate(each_done(client, track_one, jobs, timeout_s), 1):
+                outcome = done.result or Outcome(None, problem=done.problem)
+                batch = _with(batch, done.job.name, outcome)
+                show(count, len(jobs))
+        finally:
+            # Before the cluster is closed, which may take its time.
+            _write_tables(folder, batch)
+    return batch
+
+
+def _write_tables(folder: OutputFolder, batch: Batch) -> None:
+    with folder.writing() as stage:
+        write_rows(stage / TABLES[0], batch.rows)
+        write_failures(stage / TABLES[1], batch.failures)
+
+
+def jobs_of(corpus: str | Path, out: str | Path, wanted: Wanted) -> list[Job]:
+    """One for each recording.
+
+    Raises:
+        InputError: no recordings, or their outputs would lie within one another.
+    """
+    root, folder = (Path(os.path.realpath(path)) for path in (corpus, out))
+    jobs = [
+        Job(
+            (name := path.relative_to(root)).as_posix(),
+            path,
+            folder / name.with_suffix(""),
+            wanted,
+            tuple(inputs_of(path)),
+        )
+        for path in find_recordings(corpus, out)
+    ]
+    _check_apart(Path(corpus), folder, jobs)
+    return jobs
+
+
+def _check_apart(corpus: Path, out: Path, jobs: list[Job]) -> None:
+    """InputError where folders of outputs are the same, or within one another.
+
+    Some file systems do not tell capitals from small letters.
+    """
+    taken: dict[tuple[str, ...], str] = {(name,): name for name in (*TABLES, LIST)}
+    for job in sorted(jobs, key=lambda job: len(job.folder.parts)):
+        parts = tuple(part.casefold() for part in job.folder.relative_to(out).parts)
+        for end in range(1, len(parts) + 1):
+            if (other := taken.get(parts[:end])) is not None:
+                problem = f"the outputs of {other} and {job.name} would lie within one another"
+                raise InputError(corpus, f"{problem}, expected names that differ: rename one")
+        taken[parts] = job.name
+
+
+def _with(batch: Batch, name: str, outcome: Outcome) -> Batch:
+    if outcome.row is None:
+        return replace(batch, failures=batch.failures | {name: str(outcome.problem)})
+    rows, earlier = [*batch.rows, outcome.row], batch.earlier + outcome.earlier
+    return replace(batch, rows=rows, earlier=earlier)
+
+
+def track_one(job: Job) -> Outcome:
+    """Track one recording, unless its outputs are there already; says so where it cannot.
+
+    The outputs' folder appears whole or not at all.
+    """
+    try:
+        mark = fingerprint(job.recording, asdict(job.wanted))
+        if earlier := kept(job.folder, mark):
+            return Outcome(replace(earlier, recording=job.name), earlier=True)
+        return Outcome(_tracked(job, mark))
+    except (InputError, OSError) as error:
+        return Outcome(None, problem=str(error))
+    except Exception as error:  # whatever it is, the others are to go on
+        return Outcome(None, problem=f"{type(error).__name__}: {error}")
+
+
+def _tracked(job: Job, mark: str) -> Row:
+    """Track and write everything."""
+    began = perf_counter()
+    keep_compiled()
+    recording = load_recording(job.recording)
+    folder = tracked_folder(job.folder, recording, [KEPT])
+    settings = choose_settings(job.wanted.refine, job.wanted.paper)
+    motion = track(recording, settings, mode=job.wanted.mode)
+    with folder.writing() as stage:
+        write_tracked(motion, recording, stage, settings)
+        row = row_of(job, motion, perf_counter() - began)
+        keep(stage, mark, row)
+    return row
+
+
+def row_of(job: Job, motion: Motion, took_s: float) -> Row:
+    """A tracked recording's line of the table."""
+    report = motion.report
+    assert report is not None
+    # Frames need not fall on a sample to have been looked at.
+    told = report.confidence if "observe" in report.milliseconds else np.full((1, 2), np.nan)
+    known = told[np.isfinite(told).all(1)]
+    left, right = np.median(known, axis=0) if len(known) else (np.nan, np.nan)
+    return Row(
+        recording=job.name,
+        frames=len(motion.times),
+        seconds=round(float(motion.times[-1] - motion.times[0]), 6),
+        ms_per_frame=_figure(1e3 / frames_per_second(report)),
+        took_s=round(took_s, 3),
+        confidence_left=_figure(left),
+        confidence_right=_figure(right),
+        missing=round(float(np.isnan(report.marker_errors).mean()), 6),
+        outputs=Path(job.name).with_suffix("").as_posix(),
+    )
+
+
+def _figure(value: Any) -> float | None:
+    """To four digits after the point; None for NaN."""
+    return round(float(value), 4) if np.isfinite(value) else None

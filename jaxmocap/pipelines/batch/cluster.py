@@ -1,0 +1,161 @@
+"""Processes that work side by side, here or on a cluster: the only door to dask.distributed.
+
+INPUTS: a function, jobs, a scheduler's address or a number of processes.
+OUTPUTS: each job with its result, or with why there is none, as they are done.
+"""
+
+import logging
+import math
+import os
+from collections.abc import Callable, Container, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from time import monotonic, sleep
+from typing import Any, NamedTuple
+
+from jaxmocap.formats.files.errors import InputError
+
+# Seconds after which a scheduler that does not answer is not there.
+PATIENCE_S = 10
+# How often it is looked whether a job is done, and whether one takes too long, seconds.
+LOOK_S = 0.05
+CLOCK_S = 1.0
+# A job may end so many processes; none waits where another is done, to be blamed for its end.
+# Dask's own also has a process give memory back at once, only to ask for it anew: half of a
+# recording's time went there.
+ENVIRONMENT = {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
+OWN = {
+    "distributed.scheduler.allowed-failures": 2,
+    "distributed.scheduler.worker-saturation": 1.0,
+    "distributed.nanny.pre-spawn-environ": ENVIRONMENT,
+}
+
+# Its page takes a free port, since another cluster may have the usual one; nothing but paths goes
+# round, so there is nothing that a limit of memory could spill.
+HERE: dict[str, Any] = {
+    "threads_per_worker": 1,
+    "host": "127.0.0.1",
+    "dashboard_address": "127.0.0.1:0",
+    "silence_logs": logging.CRITICAL,
+    "memory_limit": 0,
+}
+
+
+class Done(NamedTuple):
+    """One job that is done with.
+
+    Attributes:
+        job: as it was given.
+        result: of the function; None where it has none.
+        problem: why it has none; None where it has one.
+    """
+
+    job: Any
+    result: Any
+    problem: str | None
+
+
+@contextmanager
+def connected(scheduler: str | None, workers: int | None) -> Iterator[Any]:
+    """A client of the scheduler at an address, or of processes of this machine's own.
+
+    Args:
+        scheduler: such as ``tcp://10.0.0.1:8786``, or None.
+        workers: processes, where there is no scheduler; defaults to one per core.
+
+    Raises:
+        InputError: no scheduler answers there, or dask.distributed is not installed.
+    """
+    try:
+        import dask.config as dask_config
+        from distributed import Client, LocalCluster
+    except ImportError:
+        problem = "dask.distributed is missing; pip install 'jaxmocap[cluster]'"
+        raise InputError("jaxmocap batch", problem) from None
+    with ExitStack() as stack:
+        if scheduler is None:
+            stack.enter_context(dask_config.set(OWN))
+            cluster = LocalCluster(n_workers=workers or os.cpu_count() or 1, **HERE)
+            stack.enter_context(cluster)
+            yield stack.enter_context(Client(cluster))
+            return
+        try:
+            client = Client(scheduler, timeout=PATIENCE_S)
+        except (OSError, ValueError) as error:
+            raise InputError(scheduler, f"no scheduler answers there ({error})") from None
+        yield stack.enter_context(client)
+
+
+def each_done(
+    client: Any, function: Callable, jobs: Sequence[Any], timeout_s: float | None = None
+) -> Iterator[Done]:
+    """Every job, in the order in which they are done with; those left are dropped at the end.
+
+    Args:
+        client: of the cluster.
+        function: of a job.
+        jobs: to be done.
+        timeout_s: that a job may take once it has begun, seconds; its process is then ended.
+    """
+    from distributed import as_completed
+
+    futures = client.map(function, jobs, pure=False, retries=0)
+    left = {future.key: (future, job) for future, job in zip(futures, jobs, strict=True)}
+    completed, clock = as_completed(futures, raise_errors=False), _Clock(client, timeout_s)
+    try:
+        while left:
+            for future in completed.next_batch(block=False):
+                if future.key not in left:
+                    continue
+                _, job = left.pop(future.key)
+                if future.status == "finished":
+                    yield Done(job, future.result(), None)
+                else:
+                    yield Done(job, None, _why(future))
+                # The scheduler need not remember it.
+                future.release()
+            for key, worker in clock.overdue(left):
+                future, job = left.pop(key)
+                future.cancel()
+                _end(client, worker)
+                yield Done(job, None, f"took longer than {timeout_s:g} s (--job-timeout)")
+            sleep(LOOK_S)
+    finally:
+        client.cancel(futures)
+
+
+class _Clock:
+    """Knows since when jobs are being done."""
+
+    def __init__(self, client: Any, timeout_s: float | None):
+        self._client, self._timeout, self._looked = client, timeout_s, -math.inf
+        self._began: dict[tuple[str, str], float] = {}
+
+    def overdue(self, keys: Container[str]) -> list[tuple[str, str]]:
+        """Keys of jobs that take too long, and whose worker does them."""
+        now = monotonic()
+        if self._timeout is None or now - self._looked < CLOCK_S:
+            return []
+        self._looked = now
+        doing = {(key, worker) for worker, ks in self._client.processing().items() for key in ks}
+        self._began = {each: self._began.get(each, now) for each in doing}
+        return [
+            each
+            for each, began in self._began.items()
+            if each[0] in keys and now - began > self._timeout
+        ]
+
+
+def _end(client: Any, worker: str) -> None:
+    """End a worker's process, which is begun again; what cannot be ended is left alone."""
+    with suppress(Exception):
+        client.restart_workers([worker], timeout=PATIENCE_S)
+
+
+def _why(future: Any) -> str:
+    """Why a future has no result, in one sentence."""
+    if future.status == "cancelled":
+        return "was cancelled"
+    error = future.exception()
+    if type(error).__name__ == "KilledWorker":
+        return "its process died, perhaps for want of memory"
+    return f"{type(error).__name__}: {error}"

@@ -1,0 +1,130 @@
+"""A corpus: the recordings in a folder, what each was tracked from, and what came of it.
+
+INPUTS: a folder; the files that recordings name.
+OUTPUTS: paths of recordings; fingerprints; corpus.csv and failures.json, each whole or not at all.
+"""
+
+import csv
+import hashlib
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from jaxmocap import __version__
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.output_folder import OutputFolder
+from jaxmocap.formats.files.reading import read_bytes
+from jaxmocap.formats.files.toml import read_toml
+from jaxmocap.formats.files.writing import replacing, write_text
+from jaxmocap.formats.recordings.recording_files import input_files
+from jaxmocap.pipelines.writing import MOTION
+
+# In a tracked recording's folder: what it was tracked from, and its row.
+KEPT = "batch.json"
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one recording came to.
+
+    Attributes:
+        recording: its path within the corpus.
+        frames: marker samples.
+        seconds: from the first sample to the last.
+        ms_per_frame: median of all stages together, once compiled.
+        took_s: from reading its file to the last output.
+        confidence_left: median, of the left elbow; None without video.
+        confidence_right: of the right elbow.
+        missing: share of the markers' positions.
+        outputs: their folder, within the folder of the batch.
+    """
+
+    recording: str
+    frames: int
+    seconds: float
+    ms_per_frame: float | None
+    took_s: float
+    confidence_left: float | None
+    confidence_right: float | None
+    missing: float
+    outputs: str
+
+
+def find_recordings(corpus: str | Path, out: str | Path) -> list[Path]:
+    """All TOML files with [markers] in a folder and below, but for those of the outputs.
+
+    What is not TOML at all is taken for a recording, whose tracking then says what is wrong.
+
+    Raises:
+        InputError: no such folder, or no recording in it.
+    """
+    corpus, out = (Path(os.path.realpath(path)) for path in (corpus, out))
+    if not corpus.is_dir():
+        raise InputError(corpus, "no such folder, expected one with recordings")
+    there = (path for path in sorted(corpus.rglob("*.toml")) if path.is_file())
+    below = out != corpus and out.is_relative_to(corpus)
+    found = [
+        path for path in there if not (below and path.is_relative_to(out)) and _is_recording(path)
+    ]
+    if not found:
+        raise InputError(corpus, "found no recording, expected .toml files with [markers]")
+    return found
+
+
+def _is_recording(path: Path) -> bool:
+    try:
+        return "markers" in read_toml(path)
+    except InputError:
+        return True
+
+
+def inputs_of(recording: Path) -> list[Path]:
+    """The recording's file and every file that its fields name; itself alone if it is broken."""
+    try:
+        return input_files(recording)
+    except InputError:
+        return [recording]
+
+
+def fingerprint(recording: Path, told: Mapping[str, Any]) -> str:
+    """Of all that the outputs depend on: the inputs' contents, what was told, the version."""
+    whole = hashlib.sha256(json.dumps([__version__, dict(told)], sort_keys=True).encode())
+    for path in filter(Path.is_file, inputs_of(recording)):
+        with path.open("rb") as file:
+            content = hashlib.file_digest(file, "sha256").hexdigest()
+        whole.update(f"{os.path.relpath(path, recording.parent)} {content} ".encode())
+    return whole.hexdigest()
+
+
+def keep(folder: Path, mark: str, row: Row) -> None:
+    """Remember in the outputs' folder what they were made from, and their row."""
+    text = json.dumps({"fingerprint": mark, "row": asdict(row)}, indent=2, ensure_ascii=False)
+    write_text(folder / KEPT, text + "\n")
+
+
+def kept(folder: Path, mark: str) -> Row | None:
+    """The row of outputs that are whole and were made from the same, or None."""
+    try:
+        found = json.loads(read_bytes(folder / KEPT))
+        if found["fingerprint"] != mark or not OutputFolder(folder, MOTION).is_whole():
+            return None
+        return Row(**found["row"])
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return None
+
+
+def write_rows(path: Path, rows: Sequence[Row]) -> None:
+    """Write corpus.csv: a line of names, and one line per recording, by path."""
+    with replacing(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
+        table = csv.DictWriter(file, [field.name for field in fields(Row)])
+        table.writeheader()
+        table.writerows(asdict(row) for row in sorted(rows, key=lambda row: row.recording))
+
+
+def write_failures(path: Path, failures: Mapping[str, str]) -> None:
+    """Write failures.json: recording -> why it could not be tracked; empty where all could."""
+    text = json.dumps(dict(sorted(failures.items())), indent=2, ensure_ascii=False)
+    write_text(path, text + "\n")

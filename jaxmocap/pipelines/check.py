@@ -1,0 +1,82 @@
+"""What ``check`` tells of a recording: who moves, how often it was sampled, who sees it.
+
+INPUTS: a Recording. OUTPUTS: plain text; a dict for JSON; InputError where tracking is hopeless.
+"""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from jaxmocap.capture.checks.body_reach import stature
+from jaxmocap.capture.checks.cameras import View, check_recording, view
+from jaxmocap.capture.checks.markers import Finding
+from jaxmocap.capture.footage import footage
+from jaxmocap.capture.markers import median_interval
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.recordings.recording import Recording
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A recording that was looked at.
+
+    Attributes:
+        recording: with its markers.
+        findings: what is wrong, what is fatal first.
+        views: what each camera has of the markers.
+        warnings: what reading it said.
+    """
+
+    recording: Recording
+    findings: list[Finding]
+    views: list[View]
+    warnings: tuple[str, ...]
+
+    def figures(self) -> dict[str, Any]:
+        """Plain figures: metres, seconds, samples per second."""
+        times, interval = self.recording.times, median_interval(self.recording.times)
+        return {
+            "stature_m": stature(self.recording.skeleton),
+            "samples": len(times),
+            "start_s": float(times[0]),
+            "end_s": float(times[-1]),
+            "rate_hz": 1 / interval if interval else None,
+            "markers": list(self.recording.marker_names),
+            "cameras": [asdict(seen) for seen in self.views],
+            "findings": [asdict(finding) for finding in self.findings],
+            "warnings": list(self.warnings),
+        }
+
+    def text(self) -> str:
+        """The same in lines to read."""
+        told = self.figures()
+        rate = f" at {told['rate_hz']:.4g} Hz" if told["rate_hz"] else ""
+        lines = [
+            f"person   {told['stature_m']:.2f} m tall",
+            f"markers  {', '.join(told['markers'])}: {told['samples']} samples{rate}, "
+            f"{told['start_s']:.2f} to {told['end_s']:.2f} s",
+            *map(_line, self.views),
+            *(f"warning  {sentence}" for sentence in self.warnings),
+            *(f"{'error' if f.fatal else 'warning':7}  {f.sentence}" for f in self.findings),
+        ]
+        return "\n".join(lines if self.findings else [*lines, "nothing wrong was found"])
+
+    def refuse(self) -> None:
+        """InputError by the first finding, if it is fatal."""
+        if self.findings and self.findings[0].fatal:
+            where = self.recording.path or self.recording.name
+            raise InputError(where, self.findings[0].sentence)
+
+
+def _line(seen: View) -> str:
+    return (
+        f"camera   {seen.camera}: {seen.distance:.2f} m from the markers, of which it shows "
+        f"{100 * seen.shown:.0f} %, during {100 * seen.covered:.0f} % of the samples"
+    )
+
+
+def check(recording: Recording) -> Checked:
+    """Look at a recording as ``track`` does before it begins."""
+    videos, warnings = footage(recording.marked())
+    times = [video.times for video in videos]
+    views = [view(recording, *each) for each in zip(recording.videos, times, strict=True)]
+    return Checked(recording, check_recording(recording, times), views, warnings)

@@ -1,0 +1,149 @@
+"""A synthetic table-tennis recording, tracked with markers only and with video.
+
+INPUTS: a folder, a duration, a seed.
+OUTPUTS: in that folder the recording, everything that ``track`` writes, and elbow_errors.png.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from jaxmocap.body.kinematics import forward, site_positions
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.pose import relaxed_pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.evaluation.errors import Errors
+from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.plots import plot_elbow_errors
+from jaxmocap.evaluation.tables import format_table
+from jaxmocap.formats.files.output_folder import OutputFolder
+from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
+from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.pipelines.progress import progress_bar
+from jaxmocap.pipelines.summary import frames_per_second
+from jaxmocap.pipelines.tracking.track import make_tracker, marker_sites, track, track_both
+from jaxmocap.pipelines.writing import MOTION, MOTION_FILES, write_tracked
+from jaxmocap.synthetic.recording import (
+    CAMERA,
+    VIDEO_RATE,
+    marker_places,
+    webcam,
+    write_table_tennis,
+)
+
+ELBOWS = {"elbow_l": "elbow_l", "elbow_r": "elbow_r"}
+HEIGHT = 1.75
+PLOT = "elbow_errors.png"
+FILES = (*MOTION_FILES, "report.json", "recording.rrd", "overlay.mp4", PLOT)
+RECORDING_FILES = (
+    *("recording.toml", "markers.trc", "static.trc", "truth.trc"),
+    *("video.mp4", "calibration.toml"),
+)
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """What the demo shows.
+
+    Attributes:
+        motion: by markers and video.
+        markers_only: errors of the elbows without video.
+        with_video: errors of the elbows with it.
+        files: that were written.
+    """
+
+    motion: Motion
+    markers_only: Errors
+    with_video: Errors
+    files: list[Path]
+
+    @property
+    def frames_per_second(self) -> float:
+        """Of the steps with a video frame, once compiled; NaN if there was none."""
+        report = self.motion.report
+        return float("nan") if report is None else frames_per_second(report)
+
+    @property
+    def improvement(self) -> float:
+        """By which share video lowers the mean error."""
+        return 1 - self.with_video.mean / self.markers_only.mean
+
+    def table(self) -> str:
+        """Elbow errors with video, those before, and the rate."""
+        rate = f"{self.frames_per_second:.0f} frames per second, once compiled"
+        return f"{format_table(self.with_video, self.markers_only)}\n\n{rate}"
+
+    def as_dict(self) -> dict:
+        """What JSON takes."""
+        return {
+            "markers_only": self.markers_only.as_dict(),
+            "with_video": self.with_video.as_dict(),
+            "improvement": self.improvement,
+            "frames_per_second": self.frames_per_second,
+            "files": [str(path) for path in self.files],
+        }
+
+
+def demonstrate(
+    directory: str | Path, seconds: float = 6.0, seed: int = 0, progress: bool = False
+) -> Demonstration:
+    """Make a recording, track it, compare both elbows with the truth, and write it all down.
+
+    Args:
+        directory: is made where missing; the recording goes to ``recording`` in it.
+        seconds: duration.
+        seed: of person, room, strokes and noise.
+        progress: show bars on stderr.
+    """
+    folder = OutputFolder(directory, MOTION, FILES)
+    recording_folder = OutputFolder(folder.path / "recording", "recording", RECORDING_FILES)
+    # The tracker compiles while the frames are rendered: they share nothing but the plan.
+    with (
+        recording_folder.writing() as stage,
+        ThreadPoolExecutor(1) as renderer,
+        progress_bar("rendering", progress) as show,
+    ):
+        person = {"height": HEIGHT, "progress": show}
+        written = renderer.submit(write_table_tennis, stage, seconds, seed, **person)
+        tracker = compiled_tracker()
+        written.result()
+    recording = Recording.load(recording_folder.path / "recording.toml")
+    tracked = track_both(recording, progress=progress, tracker=tracker)
+    truth = recording_folder.path / "truth.trc"
+    before, after = (evaluate(motion, truth, ELBOWS) for motion in reversed(tracked))
+
+    def write(stage: Path) -> list[Path]:
+        files = write_tracked(tracked.motion, recording, stage, tracker.settings, progress)
+        curves = after.times, _by_joint(before), _by_joint(after)
+        plot_elbow_errors(stage / PLOT, *curves, "Elbow errors")
+        return [*files, stage / PLOT]
+
+    return Demonstration(tracked.motion, before, after, folder.write(write))
+
+
+def compiled_tracker() -> HybridTracker:
+    """The demo's tracker, compiled by a step on somebody who stands still before a grey wall."""
+    recording = standing(1)
+    tracker = make_tracker(recording)
+    track(recording, tracker=tracker)
+    return tracker
+
+
+def standing(count: int) -> Recording:
+    """Somebody with the demo's markers who stands still before a grey wall, for so many frames."""
+    skeleton, camera = Skeleton.human(HEIGHT), webcam()
+    places = tuple(MarkerPlace(name, **place) for name, place in marker_places().items())
+    sites = marker_sites(skeleton, places)
+    points = site_positions(skeleton, forward(skeleton, relaxed_pose(skeleton)), sites)
+    width, height = np.asarray(camera.size, int)
+    times = np.arange(count) / VIDEO_RATE
+    wall = (times, [np.full((height, width), 128, np.uint8)] * count)
+    video = VideoSource(CAMERA, camera, frames=wall)
+    positions_world = np.tile(np.asarray(points), (count, 1, 1))
+    return Recording(skeleton, times, positions_world, places, (video,), "standing")
+
+
+def _by_joint(errors: Errors) -> dict[str, np.ndarray]:
+    return dict(zip(errors.joints, errors.distances.T, strict=True))

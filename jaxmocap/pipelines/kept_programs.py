@@ -1,0 +1,101 @@
+"""Compiled programs, kept on disk from one run to the next.
+
+INPUTS: the environment. OUTPUTS: JAX's persistent compilation cache and our own, turned on, in a
+folder that only its user can write to; else a warning on stderr.
+"""
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from jaxmocap.compilation.programs import keep_in
+from jaxmocap.formats.program_files import KeptFiles, others_may_write
+
+# Folders in the cache's folder: what tracing made, and what the compiler made.
+TRACED, COMPILED = "programs", "compiled"
+SUFFIX = ".executable"
+_warned: set[str] = set()
+
+
+def cache_folder() -> Path:
+    """JAX_COMPILATION_CACHE_DIR where it is set, else "jaxmocap" in the user's cache folder."""
+    if chosen := os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        return Path(chosen)
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "jaxmocap"
+
+
+def keep_compiled() -> Path:
+    """Turn both caches on, for everything that compiles from now on; their folder.
+
+    Neither is on where another user can write to the folder.
+    """
+    folder = cache_folder()
+    folders = folder, folder / TRACED, folder / COMPILED
+    problems = [(path, others_may_write(path)) for path in folders]
+    if found := [(path, problem) for path, problem in problems if problem]:
+        _warn("{}: {}".format(*found[0]))
+        keep_in(None)
+        _keep_executables(None)
+        return folder
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    keep_in(KeptFiles(folder, TRACED, _warn))
+    _keep_executables(KeptFiles(folder, COMPILED, _warn))
+    return folder
+
+
+def _keep_executables(files: KeptFiles | None) -> None:
+    """Let JAX keep what it compiles in these files; None keeps nothing.
+
+    Its own cache would load whatever lies under an entry's name.
+    """
+    try:
+        _reset_cache()
+        if files is not None:
+            # Before XLA makes it, with what it tuned for a GPU.
+            files.make_folder()
+            _install(files)
+    # JAX promises no place for another cache than its own.
+    except (ImportError, AttributeError, TypeError) as error:
+        files = None
+        _warn(f"this release of JAX takes no cache but its own, so nothing is kept ({error})")
+    jax.config.update("jax_compilation_cache_dir", None if files is None else str(files.folder))
+
+
+def _reset_cache() -> None:
+    from jax.experimental.compilation_cache import compilation_cache
+
+    compilation_cache.reset_cache()
+
+
+def _install(files: KeptFiles) -> None:
+    from jax._src import compilation_cache
+    from jax._src.compilation_cache_interface import CacheInterface
+
+    class Checked(CacheInterface):
+        """Entries with a checksum over key and value: exchanged files are noticed."""
+
+        _path = files.folder
+
+        def get(self, key: str) -> Any:
+            return files.read(f"{key}{SUFFIX}", key)
+
+        def put(self, key: str, value: bytes) -> None:
+            files.write(f"{key}{SUFFIX}", key, value)
+
+    with compilation_cache._cache_initialized_mutex:
+        # Asked for first: where one is missing, to set it would have no effect.
+        _ = compilation_cache._cache, compilation_cache._cache_initialized
+        compilation_cache._cache = Checked()
+        compilation_cache._cache_initialized = True
+
+
+def _warn(sentence: str) -> None:
+    """Once on stderr."""
+    if sentence not in _warned:
+        _warned.add(sentence)
+        print(f"warning: {sentence}", file=sys.stderr)

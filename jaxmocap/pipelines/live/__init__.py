@@ -1,0 +1,4 @@
+"""Devices to poses as they come.
+
+Begin with ``session``, then ``loop``.
+"""

@@ -1,0 +1,272 @@
+"""The live loop: markers and cameras in, poses out, as they come.
+
+    socket ──── gathering ─┐                                    ┌── VMC, VRChat
+                           ├─ inbox ── tracking ── Output ──────┤
+    cameras ───────────────┘   (the newest win)                 └── viewer
+        └── recording on disk
+
+Everything that waits for something has a thread; the tracker has this one.
+
+INPUTS: a LiveSetup. OUTPUTS: datagrams, a recording, figures.
+
+Whatever ends it, all threads are asked to stop and waited for, the recording is closed, and only
+then comes the end.
+"""
+
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import numpy as np
+
+from jaxmocap.capture.streams.cameras import LiveCamera
+from jaxmocap.capture.streams.inbox import Frame, Inbox
+from jaxmocap.capture.streams.lsl import MarkerStream
+from jaxmocap.capture.streams.sample_gathering import Gathering, Sample
+from jaxmocap.capture.streams.udp import MarkerSocket
+from jaxmocap.formats.recordings.live import LiveSetup
+from jaxmocap.formats.recordings.marker_places import bound_positions
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.outputs.osc import Sender
+from jaxmocap.outputs.vmc import VMC
+from jaxmocap.outputs.vrchat import Trackers
+from jaxmocap.pipelines.live.recording import LiveRecording
+from jaxmocap.pipelines.live.status import LiveStatus
+from jaxmocap.pipelines.live.stream_states import SILENT_S, stream_states
+from jaxmocap.pipelines.live.tracking import LiveTracking, Output
+
+# Samples that may wait: a tenth of a second of a headset's. Where more come than can be tracked, a
+# longer queue would only make all poses later.
+WAITING = 8
+# How often those who receive poses are told that there are none, seconds.
+HEARTBEAT_S = 0.25
+# Threads take turns more often than Python's default of 5 ms, which a sample would notice.
+SWITCH_S = 5e-4
+
+
+class Live:
+    """One live run.
+
+    Attributes:
+        status: what it tells.
+        tracking: the tracker.
+        recording: on disk, or None.
+    """
+
+    def __init__(
+        self,
+        setup: LiveSetup,
+        settings: Settings | None = None,
+        *,
+        smooth: bool = False,
+        out: str | Path | None = None,
+        viewer: Callable[[Output, dict[str, Frame]], None] | None = None,
+        status: LiveStatus | None = None,
+    ):
+        """Open everything and compile; nothing is listened to yet.
+
+        Args:
+            setup: what to listen to, whose body it is, where poses go.
+            settings: of the tracker.
+            smooth: poses wait for two more video frames, 0.1 s at most.
+            out: folder for a recording, or None.
+            viewer: shows poses and frames; must return at once.
+            status: what tells of the run.
+
+        Raises:
+            InputError: what cannot be opened.
+        """
+        self.status = status or LiveStatus()
+        self._setup, self._viewer = setup, viewer
+        with ExitStack() as ending:
+            self._open(settings or Settings(), smooth, out, ending)
+            self._ending = ending.pop_all()
+
+    def _open(
+        self, settings: Settings, smooth: bool, out: str | Path | None, ending: ExitStack
+    ) -> None:
+        """Open everything; what was opened is closed by ``ending``."""
+        setup = self._setup
+        # First: nothing is opened where it cannot be recorded.
+        self.recording = LiveRecording(setup, out) if out is not None else None
+        if self.recording is not None:
+            ending.callback(self.recording.close)
+        self._inbox = Inbox(WAITING, keep_turns=not smooth)
+        self._began = monotonic()
+        bind = partial(bound_positions, setup.skeleton, setup.places)
+        gathering = Gathering(
+            setup.marker_names, setup.aliases, setup.R_world_source, self._take_sample, bind
+        )
+        self._gathering = gathering
+        self._socket = _source(setup, gathering, self._now)
+        ending.callback(self._socket.stop)
+        colour = smooth or out is not None or self._viewer is not None
+        self._cameras = [
+            LiveCamera(video, i, self._take_frame, colour, self._now)
+            for i, video in enumerate(setup.videos)
+        ]
+        for camera in self._cameras:
+            ending.callback(camera.stop)
+        self._vmc, self._to_vmc = VMC(setup.skeleton), Sender(setup.vmc)
+        ending.callback(self._to_vmc.close)
+        self._to_vrchat = Sender(setup.vrchat) if setup.vrchat else None
+        if self._to_vrchat is not None:
+            ending.callback(self._to_vrchat.close)
+        self._trackers = Trackers(self._vmc.body, setup.trackers) if setup.vrchat else None
+        self.tracking = LiveTracking(setup, settings, smooth)
+        self._confidence, self._newest_sample = np.zeros(2), -np.inf
+        self._beat, self._ended, self._frames_shown = 0.0, 0.0, {}
+
+    @property
+    def address(self) -> Any:
+        """Where markers are listened for."""
+        return self._socket.address
+
+    def _now(self) -> float:
+        return monotonic() - self._began
+
+    def _take_sample(self, sample: Sample) -> None:
+        self._inbox.put_sample(sample)
+        if self.recording is not None:
+            self.recording.add(sample)
+
+    def _take_frame(self, frame: Frame) -> None:
+        self._inbox.put_frame(frame)
+        if self.recording is not None:
+            self.recording.add(frame)
+
+    def run(self, seconds: float | None = None, stop: threading.Event | None = None) -> dict:
+        """Run until stopped.
+
+        Args:
+            seconds: how long, or None.
+            stop: set by whoever stops it.
+
+        Returns:
+            Figures of the run.
+        """
+        stop = stop or threading.Event()
+        self._began, self._newest_sample = monotonic(), -np.inf
+        sources = (self._socket, *self._cameras)
+        with self._ending, _taking_turns():
+            try:
+                for each in sources:
+                    each.start()
+                self.status.say(0.0, f"listening at {self.address}, VMC to {self._setup.vmc}")
+                while not stop.is_set() and (seconds is None or self._now() < seconds):
+                    self._turn()
+            finally:
+                self._ended = self._now()
+                # All at once, so that they are waited for together.
+                for each in sources:
+                    each.ask_to_stop()
+            for each in sources:
+                each.stop()
+            for output in self.tracking.flush():
+                self._send(output)
+        return self._figures()
+
+    def close(self) -> None:
+        """Close everything that is still open; ``run`` does so itself."""
+        self._ending.close()
+
+    def _turn(self) -> None:
+        """Take one thing that came in, and tell how things are."""
+        taken = self._inbox.take(0.05)
+        if isinstance(taken, Sample):
+            self._newest_sample = taken.arrived
+            outputs = self.tracking.sample(taken)
+        else:
+            outputs = self.tracking.frames(taken) if taken else []
+            if taken and self._viewer is not None:
+                names = [video.camera_name for video in self._setup.videos]
+                self._frames_shown |= {names[frame.camera]: frame for frame in taken}
+        for output in outputs:
+            self._send(output)
+        now = self._now()
+        if now - self._newest_sample > SILENT_S and now - self._beat > HEARTBEAT_S:
+            self._beat = now
+            self._to_vmc.send(self._vmc.lost(now))
+        self._tell(now)
+
+    def _send(self, output: Output) -> None:
+        datagram, joints = self._vmc.frame(output.time, output.pose)
+        self._to_vmc.send(datagram)
+        if self._to_vrchat and self._trackers:
+            self._to_vrchat.send(self._trackers.frame(joints))
+        now = self._now()
+        self.status.output(now, now - output.arrived)
+        self._confidence = output.confidence
+        if self._viewer is not None:
+            self._viewer(output, self._frames_shown)
+            self._frames_shown = {}
+
+    def _tell(self, now: float) -> None:
+        """Say what has changed, and draw the line."""
+        for of, state in stream_states(self._socket, self._gathering, self._cameras, now):
+            self.status.state(now, of, state)
+        if self.recording is not None and self.recording.problem:
+            self.status.state(now, "recording", self.recording.problem)
+        ages = {"markers": self._socket.heard} | {c.name: c.heard for c in self._cameras}
+        self.status.show(
+            now,
+            {name: None if heard is None else now - heard for name, heard in ages.items()},
+            self._dropped(),
+            self._confidence,
+        )
+
+    def _dropped(self) -> dict[str, int]:
+        return {
+            "samples": self._inbox.dropped_samples,
+            "frames": self._inbox.dropped_frames,
+            **({"late": self.tracking.late} if self.tracking.late else {}),
+        }
+
+    def _figures(self) -> dict[str, Any]:
+        """The run's figures, once all is closed."""
+        recording = self.recording
+        self.status.finish()
+        return self.status.figures(self._ended) | {
+            "packets": self._socket.packets,
+            "senders": self._socket.sent(),
+            "ignored": {why: count for why, count in self._socket.ignored.items() if count},
+            "clock_jumps": self._socket.clock_jumps,
+            "dropped": self._dropped() | {"not recorded": recording.dropped if recording else 0},
+            "frames": {camera.name: camera.frames for camera in self._cameras},
+            "placed_anew": self.tracking.placed,
+            "not_sent": self._to_vmc.failed,
+            "recording": str(recording.path) if recording and recording.path else None,
+            "problems": list(self._problems()),
+        }
+
+    def _problems(self) -> Iterator[str]:
+        """Why the run did not do what it was to do."""
+        if self._socket.heard is None:
+            reason = f": {self._socket.problem}" if self._socket.problem else ""
+            yield f"no marker came in at {self.address}{reason}"
+        if self.recording is not None and self.recording.problem:
+            yield self.recording.problem
+
+
+def _source(
+    setup: LiveSetup, gathering: Gathering, now: Callable[[], float]
+) -> MarkerSocket | MarkerStream:
+    """Where markers come from."""
+    if setup.lsl is not None:
+        return MarkerStream(setup.lsl, gathering, now)
+    return MarkerSocket(setup.listen, gathering, setup.raw, now, setup.senders)
+
+
+@contextmanager
+def _taking_turns() -> Iterator[None]:
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_S)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before)

@@ -1,0 +1,311 @@
+"""A live run on disk, as a recording that ``track`` reads.
+
+INPUTS: samples and frames, as they come. OUTPUTS: markers.csv, CAMERA.mp4, copies of the
+calibration and of the subject's static trial, recording.toml.
+
+A thread writes as things come, and recording.toml as soon as there is something to read: a run that
+is killed leaves a recording that lacks its last half second. What is in the folder is never
+overwritten, so that nothing of such a run is lost to the next.
+"""
+
+import csv
+import io
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from queue import Empty, Full, Queue
+from threading import Event, Thread
+from time import monotonic
+from typing import Any
+
+import numpy as np
+from av.error import FFmpegError
+
+from jaxmocap.body.orientations import quaternions
+from jaxmocap.capture.streams.inbox import Frame
+from jaxmocap.capture.streams.sample_gathering import Sample
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.reading import read_bytes
+from jaxmocap.formats.files.shortened import listed
+from jaxmocap.formats.files.toml import read_toml
+from jaxmocap.formats.files.writing import (
+    as_output_error,
+    check_name,
+    check_writable,
+    remove_left_parts,
+    write_bytes,
+)
+from jaxmocap.formats.recordings.live import LiveSetup
+from jaxmocap.formats.recordings.marker_places import MarkerPlace
+from jaxmocap.formats.recordings.recording import write_recording
+from jaxmocap.formats.time_series.tables import format_rows
+from jaxmocap.pipelines.live.files import Film, Rows
+
+# So many things wait to be written, a tenth of them frames; more are dropped and counted.
+MOST_WAITING = 600
+# Lines wait so long to be written together, seconds.
+FLUSHED_S = 0.2
+# Writing what waits at the end takes no longer, unless the disk has stopped working, seconds.
+MOST_CLOSING_S = 30.0
+MARKERS, LIST = "markers.csv", "recording.toml"
+
+
+class LiveRecording:
+    """Writes one run.
+
+    Attributes:
+        folder: where.
+        path: of recording.toml, once it is there.
+        dropped: samples and frames that could not be written, or not in time.
+    """
+
+    def __init__(self, setup: LiveSetup, folder: str | Path):
+        """Make the folder and begin.
+
+        Raises:
+            InputError: it holds something that would be overwritten, or cannot be written to.
+            OutputError: the disk is full.
+        """
+        self.folder, self.dropped = Path(folder), 0
+        self.path: Path | None = None
+        self._setup, self._copies, self._subject = setup, _copies(setup), _subject(setup)
+        check_free(setup, self.folder)
+        self._made_folder = not self.folder.exists()
+        self._failed: dict[str, str] = {}
+        self._films: dict[int, Film] = {}
+        self._listed: Any = None
+        try:
+            with as_output_error(self.folder):
+                self.folder.mkdir(parents=True, exist_ok=True)
+            for name, source in self._copies.items():
+                write_bytes(self.folder / name, read_bytes(source))
+            self._rows = Rows(self.folder / MARKERS, self._header())
+        except BaseException:
+            self._remove(self._copies)
+            raise
+        self._flushed = monotonic()
+        self._queue: Queue[Sample | Frame | None] = Queue(MOST_WAITING)
+        self._ending = Event()
+        self._closed = False
+        self._thread = Thread(target=self._write, name="recording", daemon=True)
+        self._thread.start()
+
+    @property
+    def problem(self) -> str | None:
+        """What could not be written and why, in a sentence; or None."""
+        # The thread that writes may add to it meanwhile.
+        if not (failed := list(self._failed)):
+            return None
+        first, *rest = failed
+        files = ", ".join([str(self.folder / first), *rest])
+        return f"{files}: cannot be written any more ({self._failed[first]})"
+
+    def add(self, event: Sample | Frame) -> None:
+        """Write a sample or a frame, soon."""
+        full = self._queue.qsize() > MOST_WAITING // 10 and isinstance(event, Frame)
+        try:
+            if full:
+                raise Full
+            self._queue.put_nowait(event)
+        except Full:
+            self.dropped += 1
+
+    def close(self) -> Path | None:
+        """Write what waits; the path of recording.toml, or None where nothing came in."""
+        if self._closed:
+            return self.path
+        self._closed = True
+        self._ending.set()
+        with suppress(Full):
+            self._queue.put_nowait(None)
+        self._thread.join(MOST_CLOSING_S)
+        if self._thread.is_alive():
+            self._failed[MARKERS] = "the disk does not answer"
+            return self.path
+        for name, close in self._open_files():
+            try:
+                close()
+            except (OSError, FFmpegError, ValueError) as error:
+                self._failed.setdefault(name, _why(error))
+        self.dropped += self._rows.lost
+        # There may be room for it now.
+        self._failed.pop(LIST, None)
+        self._list(again=True)
+        self._remove(self._empty())
+        self.path = self.path if self.path and self.path.exists() else None
+        return self.path
+
+    def _open_files(self) -> list[tuple[str, Callable[[], None]]]:
+        films = [(film.path.name, film.close) for film in self._films.values()]
+        return [(MARKERS, self._rows.close), *films]
+
+    def _header(self) -> str:
+        parts = (*"xyz", "qw", "qx", "qy", "qz") if self._setup.lsl is None else "xyz"
+        columns = [f"{name}.{part}" for name in self._setup.marker_names for part in parts]
+        text = io.StringIO()
+        csv.writer(text, lineterminator="").writerow(["time", *columns])
+        return text.getvalue()
+
+    def _write(self) -> None:
+        """What the thread does."""
+        while True:
+            try:
+                event = self._queue.get(timeout=FLUSHED_S)
+            except Empty:
+                event = None
+            if isinstance(event, Frame):
+                name = _film_name(self._setup, event.camera)
+                self.dropped += not self._attempt(name, self._film, event)
+            elif event is not None:
+                self.dropped += not self._attempt(MARKERS, self._note, event)
+            elif self._ending.is_set() and self._queue.empty():
+                return
+            if monotonic() - self._flushed >= FLUSHED_S:
+                self._flushed = monotonic()
+                # In this order: no row is ever on disk without the file that says what it is.
+                self._list()
+                self._attempt(MARKERS, self._rows.flush)
+
+    def _attempt(self, name: str, act: Callable[..., Any], *arguments: Any) -> bool:
+        """Write to one file, if that has not failed before; whether it was written.
+
+        A full disk must not end the run, and no other file's writing.
+        """
+        if name in self._failed:
+            return False
+        try:
+            act(*arguments)
+        except (OSError, FFmpegError, ValueError) as error:
+            self._failed[name] = _why(error)
+            return False
+        return True
+
+    def _note(self, sample: Sample) -> None:
+        measured = sample.measured
+        columns = sample.positions_world if measured is None else measured.positions_world
+        if self._setup.lsl is None:
+            missing = np.full((len(columns), 4), np.nan)
+            turns = missing if measured is None else quaternions(measured.turns_world)
+            columns = np.hstack([columns, turns])
+        self._rows.add(",".join([f"{sample.time:.9f}", *format_rows(columns).ravel()]))
+
+    def _film(self, frame: Frame) -> None:
+        if frame.camera not in self._films:
+            path = self.folder / _film_name(self._setup, frame.camera)
+            self._films[frame.camera] = Film(path, frame)
+        self._films[frame.camera].add(frame)
+
+    def _list(self, again: bool = False) -> None:
+        """Write recording.toml, if there is more to read than it says, or once again."""
+        films = [(i, film) for i, film in sorted(self._films.items()) if film.is_readable]
+        there = self._rows.begun, [i for i, _ in films]
+        if there == (False, []) or (there == self._listed and not again):
+            return
+        videos = [
+            {
+                "file": film.path.name,
+                "camera": self._setup.videos[i].camera_name,
+                "offset": film.first,
+            }
+            for i, film in films
+        ]
+        on = {place.name: _place(place) for place in self._setup.places}
+        markers = MARKERS if there[0] else None
+        calibration = next((name for name in self._copies if name.startswith("calib")), None)
+        content = markers, on, videos, calibration if videos else None, self._subject
+        if self._attempt(LIST, write_recording, self.folder, *content):
+            self.path, self._listed = self.folder / LIST, there
+
+    def _empty(self) -> Iterator[str]:
+        """Files of the run that hold nothing, so that none refers to them."""
+        empty = [film.path.name for film in self._films.values() if not film.is_readable]
+        if not self._rows.rows:
+            yield MARKERS
+        yield from empty
+        if not self._rows.rows and len(empty) == len(self._films):
+            yield from (LIST, *self._copies)
+
+    def _remove(self, names: Iterable[str]) -> None:
+        """Remove files of this run, and the folder where it made it and it is empty."""
+        for name in names:
+            with suppress(OSError):
+                (self.folder / name).unlink(missing_ok=True)
+        if self._made_folder:
+            with suppress(OSError):
+                self.folder.rmdir()
+
+
+def check_free(setup: LiveSetup, folder: str | Path) -> None:
+    """Look whether a run can be recorded in a folder, before anything is opened.
+
+    Raises:
+        InputError: a file that the run would write is there, or none can be.
+    """
+    folder = Path(folder)
+    check_name(folder)
+    check_writable(folder)
+    remove_left_parts(folder)
+    taken = [name for name in _names(setup) if os.path.lexists(folder / name)]
+    if taken:
+        problem = f"holds {listed(taken)} already, which is not overwritten"
+        raise InputError(folder, f"{problem}; expected another folder")
+
+
+def _names(setup: LiveSetup) -> list[str]:
+    """Every file that a run may write."""
+    videos = [_film_name(setup, i) for i in range(len(setup.videos))]
+    return [MARKERS, LIST, *videos, *_copies(setup)]
+
+
+def _film_name(setup: LiveSetup, camera: int) -> str:
+    return f"{setup.videos[camera].camera_name}.mp4"
+
+
+def _copies(setup: LiveSetup) -> dict[str, Path]:
+    """Name in the folder -> file that is copied there, so that it can be moved as a whole."""
+    found = {}
+    if setup.videos and setup.calibration is not None:
+        found[f"calibration{setup.calibration.suffix.lower()}"] = setup.calibration
+    if static := _static(setup):
+        found[f"static{static.suffix.lower()}"] = static
+    return found
+
+
+def _stated(setup: LiveSetup) -> tuple[Path, dict[str, Any]]:
+    """The table [subject], its own file's in its place; and what its paths are relative to."""
+    table = dict(setup.subject or {})
+    if "file" not in table:
+        return setup.path.parent, table
+    file = setup.path.parent / table.pop("file")
+    content = read_toml(file)
+    wrists = bool(table.get("wrists") or content.get("wrists"))
+    return file.parent, content | ({"wrists": True} if wrists else {})
+
+
+def _static(setup: LiveSetup) -> Path | None:
+    folder, table = _stated(setup)
+    return folder / table["static"] if "static" in table else None
+
+
+def _subject(setup: LiveSetup) -> dict[str, Any] | None:
+    """The table [subject] of the recording, its static trial beside it."""
+    _, table = _stated(setup)
+    if static := _static(setup):
+        table["static"] = f"static{static.suffix.lower()}"
+    return table or None
+
+
+def _place(place: MarkerPlace) -> dict[str, Any]:
+    """The entry of [markers.on], without what is usual."""
+    entry: dict[str, Any] = {"bone": place.bone, "at": place.at, "offset": list(place.offset)}
+    if place.offset_in == "marker":
+        entry["offset_in"] = place.offset_in
+    if place.turn is not None:
+        entry |= {"turn": list(place.turn), "lever": place.lever}
+    return entry
+
+
+def _why(error: Exception) -> str:
+    strerror = error.strerror if isinstance(error, OSError) else None
+    return strerror or getattr(error, "problem", None) or str(error) or type(error).__name__

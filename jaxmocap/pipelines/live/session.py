@@ -1,0 +1,133 @@
+"""A live run from its file to its end, as the command has it.
+
+INPUTS: the file of a live run and what is wanted of it. OUTPUTS: figures, and a text about them.
+"""
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from time import monotonic, sleep
+from typing import Any, Literal
+
+import numpy as np
+
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.pose import Pose, relaxed_pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.capture.streams.inbox import Frame
+from jaxmocap.formats.files.errors import printable
+from jaxmocap.formats.files.shortened import name_shown
+from jaxmocap.formats.recordings.live import LiveSetup, load_live
+from jaxmocap.pipelines.live.loop import Live
+from jaxmocap.pipelines.live.recording import check_free
+from jaxmocap.pipelines.live.status import LiveStatus
+from jaxmocap.pipelines.live.stop import stopped_by_signals
+from jaxmocap.pipelines.live.tracking import Output
+from jaxmocap.pipelines.tracking.track import choose_settings
+from jaxmocap.pipelines.view import start_viewer
+
+View = Literal["window", "web"]
+# Until a viewer listens, seconds.
+VIEWER_STARTS_S = 1.5
+
+
+def run_live(
+    path: str | Path,
+    *,
+    out: str | Path | None = None,
+    smooth: bool = False,
+    refine: Literal["simplex", "gradient", "none"] = "simplex",
+    seconds: float | None = None,
+    view: View | None = None,
+    status: LiveStatus | None = None,
+) -> dict[str, Any]:
+    """Run until Ctrl-C or SIGTERM, or so many seconds.
+
+    Args:
+        path: of the live run's file.
+        out: folder for a recording, or None.
+        smooth: poses wait for two more video frames.
+        refine: as for ``track``.
+        seconds: how long, or None.
+        view: show it in rerun's window or in a browser.
+        status: what tells of the run.
+
+    Returns:
+        Figures of the run; "problems" are sentences of what it did not do, and "terminated" says
+        whether SIGTERM ended it.
+
+    Raises:
+        InputError: what cannot be read or opened.
+        OutputError: the disk is full before it begins.
+    """
+    setup, status = load_live(path), status or LiveStatus()
+    if out is not None:
+        check_free(setup, out)
+    for warning in setup.warnings:
+        status.say(0.0, warning)
+    with ExitStack() as ending:
+        viewer = _viewer(setup, view, status, ending) if view else None
+        live = Live(
+            setup, choose_settings(refine), smooth=smooth, out=out, viewer=viewer, status=status
+        )
+        ending.callback(live.close)
+        with stopped_by_signals() as stop:
+            figures = live.run(seconds, stop)
+        return figures | {"terminated": stop.terminated}
+
+
+def _viewer(
+    setup: LiveSetup, view: View, status: LiveStatus, ending: ExitStack
+) -> Callable[[Output, dict[str, Frame]], None]:
+    """Open a viewer; what shows it a pose and frames."""
+    from jaxmocap.outputs.live_view import LiveView, Shown
+
+    opened = start_viewer([], view == "web", stay=False)
+    ending.callback(opened.end)
+    sleep(VIEWER_STARTS_S)
+    cameras = {video.camera_name: video.camera for video in setup.videos}
+    shown = LiveView(opened.url, setup.skeleton, cameras, standing_pose(setup.skeleton))
+    ending.callback(shown.close)
+    status.say(0.0, f"viewer at {opened.page}" if opened.page else "viewer in a window")
+    began = monotonic()
+
+    def show(output: Output, frames: dict[str, Frame]) -> None:
+        if not opened.is_open or shown.problem:
+            status.state(monotonic() - began, "viewer", shown.problem or "closed")
+            return
+        images = {name: frame.image for name, frame in frames.items()}
+        latency = 1e3 * status.newest_latency
+        shown.show(Shown(monotonic() - began, output.pose, output.confidence, latency, images))
+
+    return show
+
+
+def standing_pose(skeleton: Skeleton) -> Pose:
+    """At ease, facing x, with the lowest joint on the floor at the world's origin."""
+    pose = relaxed_pose(skeleton)
+    lowest = float(np.asarray(forward(skeleton, pose).joints_world)[:, 2].min())
+    return pose._replace(position=pose.position - np.array([0.0, 0.0, lowest], np.float32))
+
+
+def live_summary(figures: Mapping[str, Any]) -> str:
+    """The figures of a run in a few lines."""
+    latency, dropped = figures["latency_ms"], figures["dropped"]
+    ignored = ", ".join(f"{count} {why}" for why, count in figures["ignored"].items())
+    rows = {
+        "ran": f"{figures['seconds']:.1f} s",
+        "poses": f"{figures['outputs']}, {figures['rate_hz']:.1f} a second",
+        "latency": _latency(latency),
+        "dropped": ", ".join(f"{count} {what}" for what, count in dropped.items()),
+        "packets": f"{figures['packets']}" + (f"; ignored: {ignored}" if ignored else ""),
+        "frames": ", ".join(
+            f"{name_shown(name)} {count}" for name, count in figures["frames"].items()
+        ),
+        "written": figures["recording"] and printable(figures["recording"]),
+    }
+    return "\n".join(f"{name.ljust(8)}{text}" for name, text in rows.items() if text)
+
+
+def _latency(latency: Mapping[str, float]) -> str:
+    if not np.isfinite(latency["median"]):
+        return ""
+    return f"{latency['median']:.1f} ms (median), {latency['p99']:.1f} ms (99 %)"

@@ -1,0 +1,226 @@
+"""The tracker, fed by what comes in: samples and frames in, poses out.
+
+    sample ── trail ── step ──────────────────────────── Output
+    frame ─── trail, at the frame's own time ── step ─── (the elbows that the next samples have)
+
+and with smoothing both in the order of their times, each Output once two more frames were seen.
+
+INPUTS: Samples, Frames. OUTPUTS: Outputs.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jaxmocap.body.kinematics import forward, site_positions
+from jaxmocap.body.pose import Pose, relaxed_pose
+from jaxmocap.body.skeleton import ELBOWS
+from jaxmocap.capture.one_euro import OneEuro
+from jaxmocap.capture.streams.inbox import Frame
+from jaxmocap.capture.streams.recent_markers import Trail
+from jaxmocap.capture.streams.sample_gathering import Sample
+from jaxmocap.formats.recordings.live import LiveSetup
+from jaxmocap.formats.recordings.marker_places import bound_places
+from jaxmocap.hybrid.elbow_search import confidence_of
+from jaxmocap.hybrid.first_state import settled
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.tracker import HybridTracker, State, StepReport
+from jaxmocap.pipelines.tracking.track import marker_sites
+from jaxmocap.smoothing.fixed_lag import FixedLagSmoother, Given
+
+# The tracker counts seconds in single precision: from time to time it begins anew.
+COUNTED_S = 600.0
+# Smoothing waits so long for a frame that may be older than a sample, seconds.
+WAIT_S = 0.1
+# A tracker begins with all its markers, or after so many samples with what there is.
+PATIENCE = 45
+
+
+class Output(NamedTuple):
+    """A pose that goes out.
+
+    Attributes:
+        time: of its sample, seconds.
+        pose: of the person.
+        confidence: (2,) in the elbows, 0 to 1.
+        arrived: when its sample came in, seconds on the same clock.
+    """
+
+    time: float
+    pose: Pose
+    confidence: np.ndarray
+    arrived: float
+
+
+class LiveTracking:
+    """One person, tracked as it happens.
+
+    Attributes:
+        tracker: compiled.
+        colour: whether frames are wanted in BGR.
+        placed: how often the body was placed anew.
+        late: samples and frames that came too late for the smoothing.
+    """
+
+    def __init__(
+        self,
+        setup: LiveSetup,
+        settings: Settings,
+        smooth: bool,
+        tracker: HybridTracker | None = None,
+    ):
+        """Prepare and compile.
+
+        Args:
+            setup: person, markers, cameras.
+            settings: of the tracker.
+            smooth: poses wait for two more frames.
+            tracker: of this person, these markers and cameras, compiled before.
+        """
+        cameras = [v.camera for v in setup.videos] if settings.refine != "none" else []
+        places = bound_places(setup.skeleton, setup.places)
+        sites = marker_sites(setup.skeleton, places)
+        self.tracker = tracker or HybridTracker(setup.skeleton, cameras, settings, sites)
+        self._cameras, self.colour = len(cameras), smooth and bool(cameras)
+        self._filter = None if setup.one_euro is None else OneEuro(setup.one_euro)
+        self._begin()
+        self._warm_up()
+        self._begin()
+
+    def _begin(self) -> None:
+        """Nobody is tracked."""
+        self.placed = self.late = 0
+        self._state: State | None = None
+        self._zero, self._waited, self._last = 0.0, 0, -np.inf
+        points = len(self.tracker.markers.bones)
+        self._trail = Trail(points)
+        self._filtered = None if self._filter is None else self._filter.init(points)
+        self._smoother = FixedLagSmoother(self.tracker) if self.colour else None
+        self._held: list[Sample | Frame] = []
+        # Of each event behind the smoother: its sample's arrival, or None.
+        self._arrivals: deque[tuple[int, float | None]] = deque()
+        self._events = 0
+
+    def _warm_up(self) -> None:
+        """Compile, by somebody who stands still before a grey wall."""
+        skeleton = self.tracker.skeleton
+        frames = forward(skeleton, relaxed_pose(skeleton))
+        points = np.asarray(site_positions(skeleton, frames, self.tracker.markers), float)
+        sizes = [] if self.tracker.cameras is None else np.asarray(self.tracker.cameras.size, int)
+        for i in range(12 if self.colour else 2):
+            time = i / 30
+            self.sample(Sample(time, points, time))
+            for camera, (width, height) in enumerate(sizes):
+                wall = np.full((height, width, 3)[: 3 if self.colour else 2], 128, np.uint8)
+                self.frames([Frame(camera, time + 0.01, wall, time + 0.01)])
+
+    def sample(self, sample: Sample) -> list[Output]:
+        """Take a sample; the poses that go out now."""
+        if self._filter is not None and self._filtered is not None:
+            points = sample.positions_world
+            self._filtered, points = self._filter.step(self._filtered, sample.time, points)
+            sample = sample._replace(positions_world=points)
+        self._trail.add(sample.time, sample.positions_world)
+        if self._state is None:
+            known = np.isfinite(sample.positions_world).all(-1)
+            self._waited += 1
+            if not known.all() and (self._waited < PATIENCE or not known.any()):
+                return []
+            self._zero = sample.time
+            self._state = settled(self.tracker, sample.positions_world)
+        if self._smoother is not None:
+            return self._in_order([sample])
+        pose, report = self._step(sample.time, self._filled(sample), None)
+        return [Output(sample.time, pose, np.asarray(report.confidence), sample.arrived)]
+
+    def frames(self, frames: Sequence[Frame]) -> list[Output]:
+        """Take frames, the newest of their cameras; the poses that go out now."""
+        if self._state is None or self.tracker.cameras is None:
+            return []
+        if self._smoother is not None:
+            return self._in_order(frames)
+        for frame in frames:
+            self._step(frame.time, self._trail.at(frame.time), self._images(frame))
+        return []
+
+    def flush(self) -> list[Output]:
+        """The poses that still wait."""
+        if self._smoother is None:
+            return []
+        outputs = self._release(np.inf)
+        return [*outputs, *self._given(self._smoother.flush())]
+
+    def _filled(self, sample: Sample) -> np.ndarray:
+        """The sample, its missing markers carried on as far as that goes."""
+        seen = np.isfinite(sample.positions_world).all(-1, keepdims=True)
+        if seen.all():
+            return sample.positions_world
+        return np.where(seen, sample.positions_world, self._trail.at(sample.time))
+
+    def _images(self, frame: Frame) -> list[np.ndarray | None]:
+        images: list[np.ndarray | None] = [None] * self._cameras
+        images[frame.camera] = frame.image
+        return images
+
+    def _step(
+        self, time: float, markers_world: np.ndarray, images: list[np.ndarray | None] | None
+    ) -> tuple[Pose, StepReport]:
+        """One step of the tracker, on its own clock."""
+        assert self._state is not None
+        if time - self._zero > COUNTED_S:
+            shift, belief = time - self._zero, self._state.belief
+            earlier = np.asarray(belief.time - shift, self.tracker.dtype)
+            self._state = self._state._replace(belief=belief._replace(time=earlier))
+            self._zero = time
+        step = self.tracker.step(self._state, time - self._zero, markers_world, images)
+        self._state, pose, report = jax.device_get(step)
+        self.placed += bool(report.placed)
+        return pose, report
+
+    def _in_order(self, new: Sequence[Sample | Frame]) -> list[Output]:
+        """Hold events until no older one is expected, and smooth what is let go."""
+        self._held = sorted([*self._held, *new], key=lambda event: event.time)
+        newest = max(event.arrived for event in self._held)
+        seen = [event.time for event in self._held if isinstance(event, Frame)]
+        return self._release(max([newest - WAIT_S, *seen]))
+
+    def _release(self, until: float) -> list[Output]:
+        outputs = []
+        while self._held and self._held[0].time <= until:
+            outputs += self._smoothed(self._held.pop(0))
+        return outputs
+
+    def _smoothed(self, event: Sample | Frame) -> list[Output]:
+        """One event through tracker and smoother."""
+        assert self._smoother is not None
+        if event.time <= self._last:
+            self.late += 1
+            return []
+        self._last = event.time
+        if isinstance(event, Sample):
+            images, arrived = None, event.arrived
+            here, there = self._filled(event), event.positions_world
+        else:
+            images, arrived = self._images(event), None
+            here = self._trail.at(event.time)
+            there = np.full_like(here, np.nan)
+        pose, report = self._step(event.time, here, images)
+        self._arrivals.append((self._events, arrived))
+        self._events += 1
+        return self._given(self._smoother.step(event.time, there, images, pose, report))
+
+    def _given(self, given: Sequence[Given]) -> list[Output]:
+        """Of what is final, the samples' poses."""
+        outputs = []
+        for each in given:
+            while self._arrivals and self._arrivals[0][0] < each.number:
+                self._arrivals.popleft()
+            arrived = self._arrivals.popleft()[1]
+            if arrived is not None:
+                spread = np.sqrt(np.sum(each.deviations[ELBOWS] ** 2, -1))
+                confidence = np.asarray(confidence_of(spread))
+                outputs.append(Output(each.time, each.pose, confidence, arrived))
+        return outputs

@@ -1,0 +1,143 @@
+"""A tracked motion played by another person.
+
+INPUTS: a folder that ``track`` or ``silhouette track`` wrote, or its motion.npz; a subject file, or
+a folder of ``silhouette model``.
+OUTPUTS: that person's motion in every format, with their skin where it is known; recording.rrd;
+retargeted.png, a picture of both.
+"""
+
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.retarget import FEET, feet, grounded, leg_length, retargeted, scaled
+from jaxmocap.body.surfaces.surface import Surface
+from jaxmocap.capture.photographs import picture_of
+from jaxmocap.evaluation.stick_figures import plot_stick_figures
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.output_folder import OutputFolder
+from jaxmocap.formats.motion_npz import load_motion
+from jaxmocap.formats.recordings.subject import read_subject
+from jaxmocap.outputs.viewer import write_rerun
+from jaxmocap.pipelines.silhouettes.person import person_files, read_person
+from jaxmocap.pipelines.writing import MOTION, MOTION_FILES, Warn, no_warning, write_motion
+
+MOTION_NPZ = "motion.npz"
+RECORDING, PICTURE = "recording.rrd", "retargeted.png"
+
+
+class Retargeted(NamedTuple):
+    """A motion and what became of it.
+
+    Attributes:
+        before: as it was tracked.
+        after: as the other person plays it.
+        surface: of the other person, or None.
+        picture: a PNG file's content, the surface's colours; or None.
+    """
+
+    before: Motion
+    after: Motion
+    surface: Surface | None
+    picture: bytes | None
+
+    def figures(self) -> dict:
+        """Legs, metres; what feet on the ground do there, metres and metres per second."""
+        before, after = self.before, self.after
+        ours, theirs = (feet(motion.skeleton, motion.poses) for motion in (before, after))
+        low, off = grounded(ours), theirs - scaled(before, after.skeleton, ours)
+        apart = np.linalg.norm(np.diff(off, axis=0), axis=-1) / np.diff(before.times)[:, None]
+        return {
+            "legs_before": round(leg_length(before.skeleton), 4),
+            "legs_after": round(leg_length(after.skeleton), 4),
+            "on_the_ground": dict(zip(FEET, low.mean(0).round(3).tolist(), strict=True)),
+            "slide": _mean(apart[low[1:] & low[:-1]]),
+            "height_off": _mean(np.abs(off[..., 2])[low]),
+        }
+
+    def text(self, files: list[Path]) -> str:
+        """For the terminal."""
+        found = self.figures()
+        slide, height = (_centimetres(found[name]) for name in ("slide", "height_off"))
+        lines = [
+            f"legs           {_centimetres(found['legs_before'])} before, "
+            f"{_centimetres(found['legs_after'])} now",
+            f"on the ground  feet are {height} off their height and slide {slide} a second more",
+        ]
+        return "\n".join([*lines, *(f"written        {path}" for path in files)])
+
+
+def retarget(source: str | Path, onto: str | Path) -> Retargeted:
+    """Play a motion with another person's body.
+
+    Args:
+        source: a motion.npz, or the folder that holds it.
+        onto: a subject file, or a folder that ``silhouette model`` wrote.
+
+    Raises:
+        InputError: a file cannot be used, or the bodies have other bones.
+    """
+    before, onto = load_motion(_motion_file(source)), Path(onto)
+    surface = picture = None
+    if onto.is_dir():
+        skeleton, surface, picture = read_person(onto)
+    else:
+        skeleton = read_subject(onto, "", {"file": onto.name})
+    try:
+        return Retargeted(before, retargeted(before, skeleton), surface, picture)
+    except ValueError as error:
+        raise InputError(source, str(error)) from None
+
+
+def retargeted_folder(directory: str | Path, source: str | Path, onto: str | Path) -> OutputFolder:
+    """The folder for a retargeted motion, looked at before any work; see ``tracked_folder``."""
+    person = Path(onto)
+    inputs = [_motion_file(source), *(person_files(person) if person.is_dir() else [person])]
+    return OutputFolder(directory, MOTION, [*MOTION_FILES, RECORDING, PICTURE], inputs)
+
+
+def write_retargeted(
+    played: Retargeted, folder: OutputFolder, warn: Warn = no_warning
+) -> list[Path]:
+    """Write the motion and the picture; see ``write_outputs``.
+
+    Returns:
+        What was written.
+
+    Raises:
+        OutputError: the disk is full; what was there is as it was.
+    """
+    return folder.write(partial(_write, played, warn))
+
+
+def _write(played: Retargeted, warn: Warn, folder: Path) -> list[Path]:
+    """All files into a folder that is there."""
+    surface, picture = played.surface, played.picture
+    files = [*write_motion(played.after, folder, surface, picture, warn), folder / RECORDING]
+    colours = None if picture is None else picture_of(folder, picture)
+    write_rerun(files[-1], played.after, surface=surface, picture=colours)
+    files.append(folder / PICTURE)
+    people = {"as tracked": played.before, "as played": played.after}
+    plot_stick_figures(files[-1], people)
+    return files
+
+
+def _motion_file(source: str | Path) -> Path:
+    """The motion.npz of a folder, or the file itself."""
+    path = Path(source)
+    if path.is_dir():
+        path = path / MOTION_NPZ
+        if not path.is_file():
+            raise InputError(source, f"found no {MOTION_NPZ} in this folder, expected one")
+    return path
+
+
+def _mean(values: np.ndarray) -> float | None:
+    return round(float(values.mean()), 4) if len(values) else None
+
+
+def _centimetres(metres: float | None) -> str:
+    return "never seen" if metres is None else f"{100 * metres:.1f} cm"

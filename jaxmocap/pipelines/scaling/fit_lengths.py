@@ -1,0 +1,162 @@
+"""A person's bone lengths from a clip of movement: markers on head and hands, and video.
+
+    recording ── first pass ── second pass ── lengths and girths free as well ── subject.toml
+
+INPUTS: a recording of somebody who stretches, swings and bends the arms.
+OUTPUTS: a body in a file, and for each length whether the recording determines it.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmocap.body.proportions import LENGTHS, scaled
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.subject import scale_to_height
+from jaxmocap.body.wrists import with_wrists
+from jaxmocap.capture.checks.body_reach import stature
+from jaxmocap.capture.filters import cleaned
+from jaxmocap.capture.footage import open_footage, reading
+from jaxmocap.evaluation.interval_plot import plot_intervals
+from jaxmocap.fitting.lengths import LengthsFit, fit_lengths
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.recordings.marker_places import MarkerPlace
+from jaxmocap.formats.recordings.recording import Recording, load_recording
+from jaxmocap.formats.recordings.subject import write_subject
+from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.pipelines.progress import Progress, progress_bar
+from jaxmocap.pipelines.scaling.lengths_report import VERDICTS, LengthsReport
+from jaxmocap.pipelines.tracking.events import Plan
+from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events, open_all_keypoints
+from jaxmocap.pipelines.tracking.scan_events import scanned
+from jaxmocap.pipelines.tracking.second_pass import FINELY, Solved, solve_recording
+from jaxmocap.pipelines.tracking.track import make_tracker
+
+# Whose markers say where head and hands are.
+HEAD, HANDS = ("head", "neck"), ("radius", "hand")
+# Hands that keep to less than this about the head (RMS, metres), and clips of fewer seconds of
+# video than this, show too few postures.
+LEAST_MOVEMENT_M, LEAST_SECONDS = 0.10, 1.0
+HOW = "film 5 to 10 s of stretching, swinging and bending both arms"
+
+
+def scale_by_recording(
+    out: str | Path,
+    path: str | Path,
+    height: float | None = None,
+    mass: float | None = None,
+    progress: Progress | bool | None = None,
+) -> LengthsReport:
+    """Write the body of the person in a recording, and beside it a picture of what it rests on.
+
+    Args:
+        out: subject.toml; the picture has its name, and ends in .png.
+        path: of the recording; its [subject] is where the lengths start from.
+        height: metres, in place of that subject.
+        mass: kilograms.
+        progress: see ``track``.
+
+    Raises:
+        InputError: a recording that cannot tell lengths; what ``track`` would refuse.
+    """
+    recording = _of_person(load_recording(path), height, mass)
+    fit = fit_recording(recording, progress)
+    stated = recording.skeleton
+    # The girths found are those of clothes and headset, which the file is not to keep.
+    lengths = fit.logarithms[: len(LENGTHS)]
+    person = scaled(stated, jnp.asarray(lengths, stated.lengths.dtype))
+    tall = stature(stated) if height is None else height
+    report = LengthsReport.of(stated, person, tall, fit, Path(out))
+    write_subject(out, person, tall, report.lines())
+    title = f"Lengths from {Path(path).name}"
+    plot_intervals(report.picture, report.intervals(), VERDICTS, title)
+    return report
+
+
+def fit_recording(recording: Recording, progress: Progress | bool | None = None) -> LengthsFit:
+    """Lengths and girths with which a recording's motion costs least; see ``hybrid.lengths``."""
+    _refuse(recording)
+    tracker = make_tracker(recording)
+    with progress_bar("fitting lengths", progress) as show:
+        solved = _solved(recording, tracker, lambda share: show(round(90 * share), 100))
+        if solved is None:
+            raise InputError(_name(recording), "no video frame lies within the markers' time")
+        fit = fit_lengths(solved.problem, solved.trajectory, FINELY)
+        show(100, 100)
+    return fit
+
+
+def _solved(
+    recording: Recording, tracker: HybridTracker, show: Callable[[float], None]
+) -> Solved | None:
+    """Both passes over the recording."""
+    videos, _ = open_footage(recording)
+    recording, cleaning = cleaned(recording)
+    keypoints = open_all_keypoints(recording, videos)
+    plan = Plan.of(recording, videos, "own", cleaning)
+    with reading(videos) as readers:
+        passed = scanned(plan, tracker, readers, lambda done, total: show(0.4 * done / total))
+    first = passed.first_pass()
+    lines = lines_at_events(recording, keypoints, first.timeline, first.alone)
+    first = first._replace(lines=lines)
+    return solve_recording(tracker, videos, first, lambda share: show(0.4 + 0.6 * share))
+
+
+def _of_person(recording: Recording, height: float | None, mass: float | None) -> Recording:
+    """The recording of a person of that height and mass, where they are given."""
+    skeleton = recording.skeleton
+    try:
+        if height is not None:
+            usual = Skeleton.human(height, mass)
+            wrists = usual.tree.joints != skeleton.tree.joints
+            skeleton = with_wrists(usual) if wrists else usual
+        elif mass is not None:
+            skeleton = scale_to_height(skeleton, None, mass)
+    except ValueError as error:
+        raise InputError(_name(recording), str(error)) from None
+    return replace(recording, skeleton=skeleton)
+
+
+def _refuse(recording: Recording) -> None:
+    """Say of a recording that cannot tell lengths what it lacks.
+
+    Raises:
+        InputError: it cannot.
+    """
+    where = _name(recording)
+    if not recording.videos:
+        problem = "no [[video]]: three markers alone do not determine bone lengths, film the"
+        raise InputError(where, f"{problem} movement as well")
+    head = _rows(recording.places, HEAD)
+    hands = [_rows(recording.places, tuple(f"{bone}_{side}" for bone in HANDS)) for side in "lr"]
+    if not head or not all(hands):
+        found = ", ".join(f"{p.name} on {p.bone}" for p in recording.places) or "no marker"
+        problem = f"[markers.on]: found {found}, expected markers at the head and at both hands"
+        raise InputError(where, problem)
+    seconds = float(np.ptp(recording.times))
+    if seconds < LEAST_SECONDS:
+        raise InputError(where, f"{seconds:.2f} s of markers are too few, {HOW}")
+    moved = max(_movement(recording.positions_world, head[0], hand[0]) for hand in hands)
+    if moved < LEAST_MOVEMENT_M:
+        problem = f"the hands keep within {100 * moved:.0f} cm (RMS) of one place before the head"
+        raise InputError(where, f"{problem}, too little to tell lengths: {HOW}")
+
+
+def _rows(places: tuple[MarkerPlace, ...], bones: tuple[str, ...]) -> list[int]:
+    return [i for i, place in enumerate(places) if place.bone in bones]
+
+
+def _movement(positions_world: np.ndarray, head: int, hand: int) -> float:
+    """How far (RMS, metres) a hand goes from where it is on average, seen from the head."""
+    away = positions_world[:, hand] - positions_world[:, head]
+    away = away[np.isfinite(away).all(-1)]
+    if not len(away):
+        return 0.0
+    return float(np.sqrt(np.mean(np.sum((away - away.mean(0)) ** 2, -1))))
+
+
+def _name(recording: Recording) -> str | Path:
+    return recording.path or recording.name

@@ -1,0 +1,164 @@
+"""What a recording told of a person's bone lengths, for readers, programs and pictures.
+
+INPUTS: a body before and after, the fit of its lengths. OUTPUTS: text, figures, intervals.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from jaxmocap.body.proportions import GIRTHS, LENGTHS
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.evaluation.interval_plot import Interval
+from jaxmocap.fitting.lengths import LengthsFit
+
+# A length is determined where the recording leaves less than the first share of the deviation that
+# it had among people of the stated body, partly where it leaves less than the second.
+DETERMINED, PARTLY = 0.5, 0.7
+VERDICTS = YES, HALF, NO = (
+    "determined", "partly determined", "not determined by this recording",
+)  # fmt: skip
+RULE = (
+    "Of one side each, breadths from the middle; ± is one standard deviation.",
+    f"Determined: ± is at most {DETERMINED:.0%} of what it was before; partly: at most "
+    f"{PARTLY:.0%};",
+    "otherwise the length is hardly more than the guess that it was.",
+)
+
+
+def verdict(before: float, after: float) -> str:
+    """Whether a recording determines a length, by the deviations before and after it."""
+    share = after / before
+    return YES if share <= DETERMINED else HALF if share <= PARTLY else NO
+
+
+@dataclass(frozen=True)
+class Length:
+    """What is known of one length.
+
+    Attributes:
+        name: of the proportion.
+        bones: that it is the length of, in sum, those of one side.
+        metres: as found.
+        stated: as it was, metres.
+        before: standard deviation among people, a share of the length.
+        after: given the recording.
+    """
+
+    name: str
+    bones: tuple[str, ...]
+    metres: float
+    stated: float
+    before: float
+    after: float
+
+    @property
+    def said(self) -> str:
+        """Whether the recording determines it."""
+        return verdict(self.before, self.after)
+
+    @property
+    def line(self) -> str:
+        """All of it."""
+        change = self.metres / self.stated - 1
+        return (
+            f"{self.name.ljust(16)} {self.metres:.4f} m ({change:+.1%})  "
+            f"± {self.after:.1%}, before ± {self.before:.1%}  {self.said}"
+        )
+
+
+@dataclass(frozen=True)
+class LengthsReport:
+    """A person's lengths from a recording.
+
+    Attributes:
+        skeleton: of the person.
+        height: as stated, metres.
+        lengths: in the order of ``LENGTHS``.
+        girths: name -> factor, clothes included; not in the file.
+        correlation: (L, L) between the lengths' errors.
+        path: of the body's file.
+    """
+
+    skeleton: Skeleton
+    height: float
+    lengths: tuple[Length, ...]
+    girths: dict[str, float]
+    correlation: np.ndarray
+    path: Path
+
+    @classmethod
+    def of(
+        cls, stated: Skeleton, person: Skeleton, height: float, fit: LengthsFit, path: Path
+    ) -> "LengthsReport":
+        """Of a body as stated, as found, and the fit that changed it."""
+        lengths = []
+        for row, proportion in enumerate(LENGTHS):
+            bones = [
+                bone
+                for bone in stated.tree.bones
+                if bone.startswith(proportion.bones) and not bone.endswith("_r")
+            ]
+            before, after = (_sum(body, bones) for body in (stated, person))
+            deviations = float(fit.before[row]), float(fit.after[row])
+            lengths.append(Length(proportion.name, tuple(bones), after, before, *deviations))
+        count = len(LENGTHS)
+        spread = fit.after[:count]
+        correlation = fit.covariance[:count, :count] / np.outer(spread, spread)
+        factors = np.exp(fit.logarithms[count:]).tolist()
+        girths = {girth.name: factor for girth, factor in zip(GIRTHS, factors, strict=True)}
+        return cls(person, height, tuple(lengths), girths, correlation, path)
+
+    @property
+    def picture(self) -> Path:
+        """Where the picture of the lengths lies."""
+        return self.path.with_suffix(".png")
+
+    def lines(self) -> list[str]:
+        """What each length rests on."""
+        return [*(length.line for length in self.lengths), *RULE]
+
+    def text(self) -> str:
+        """The same with what was written."""
+        mass = float(self.skeleton.masses.sum())
+        written = [f"written: {self.path}", f"written: {self.picture}"]
+        return "\n".join([f"{self.height:.3f} m, {mass:.1f} kg", *self.lines(), *written])
+
+    def intervals(self) -> list[Interval]:
+        """Two deviations about each length, before and after, shares of the length as stated."""
+        return [
+            Interval(
+                f"{length.name}\n{length.metres:.3f} m",
+                length.metres / length.stated - 1,
+                2 * length.before,
+                2 * length.after,
+                length.said,
+            )
+            for length in self.lengths
+        ]
+
+    def figures(self) -> dict:
+        """The same for programs."""
+        return {
+            "height_m": self.height,
+            "mass_kg": float(self.skeleton.masses.sum()),
+            "rule": " ".join(RULE),
+            "lengths": {
+                length.name: {
+                    "bones": list(length.bones),
+                    "length_m": length.metres,
+                    "stated_m": length.stated,
+                    "deviation_before": length.before,
+                    "deviation_after": length.after,
+                    "said": length.said,
+                }
+                for length in self.lengths
+            },
+            "correlation": self.correlation.tolist(),
+            "girth_factors": self.girths,
+        }
+
+
+def _sum(skeleton: Skeleton, bones: list[str]) -> float:
+    return float(sum(skeleton.lengths[skeleton.tree.bone(bone)] for bone in bones))

@@ -1,0 +1,177 @@
+"""A synthetic recording by four cameras, tracked by silhouettes and compared with the truth.
+
+Who has a mesh of their own is photographed first, and tracked without and with the model that the
+photographs give.
+
+INPUTS: a folder, a duration, a seed; somebody's rigged mesh where there is one.
+OUTPUTS: in that folder the recording and everything that ``silhouette track`` writes; of a mesh
+photographs and model as well.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.evaluation.errors import Errors
+from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evaluation.tables import format_table
+from jaxmocap.formats.files.output_folder import OutputFolder
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.trc import read_trc
+from jaxmocap.pipelines.progress import progress_bar
+from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, model_folder, model_from, write_model
+from jaxmocap.pipelines.silhouettes.person import Person, modelled
+from jaxmocap.pipelines.silhouettes.track import Followed, follow, whole_body
+from jaxmocap.pipelines.silhouettes.writing import KINDS, write_all
+from jaxmocap.pipelines.summary import frames_per_second
+from jaxmocap.pipelines.writing import MOTION, MOTION_FILES
+from jaxmocap.silhouette.first_pose import pose_at
+from jaxmocap.synthetic.four_cameras import Performer, bends, write_four_cameras
+from jaxmocap.synthetic.movements import motions
+from jaxmocap.synthetic.movements.exercises import exercise
+from jaxmocap.synthetic.people.clothed_person import dressed
+from jaxmocap.synthetic.people.rigged_mesh import load_rig
+from jaxmocap.synthetic.photographs import write_photographs
+
+HEIGHT = 1.75
+CAMERAS = tuple(f"cam_{number}" for number in range(1, 5))
+RECORDING_FILES = (
+    *("recording.toml", "calibration.toml", "truth.trc", "truth_angles.npz", "truth_masks.npz"),
+    *(f"{camera}.mp4" for camera in CAMERAS),
+)
+FILES = (
+    *(*MOTION_FILES, "report.json", "recording.rrd"),
+    *(f"{kind}.mp4" for kind in KINDS),
+    *(f"{kind}_{camera}.mp4" for kind in KINDS for camera in CAMERAS[1:]),
+)
+JOINTS = {
+    f"{joint}_{side}": f"{joint}_{side}"
+    for joint in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+    for side in "lr"
+}
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the demo shows.
+
+    Attributes:
+        motion: by silhouettes.
+        errors: of the joints' places.
+        bend_errors_deg: hinge -> mean error of how far it is bent, degrees.
+        before: both errors without the person's own model, where there is one.
+        files: that were written.
+    """
+
+    motion: Motion
+    errors: Errors
+    bend_errors_deg: dict[str, float]
+    before: tuple[Errors, dict[str, float]] | None
+    files: list[Path]
+
+    @property
+    def frames_per_second(self) -> float:
+        """Once compiled; NaN if nothing was timed."""
+        report = self.motion.report
+        return float("nan") if report is None else frames_per_second(report)
+
+    def text(self) -> str:
+        """Errors, and the rate."""
+        errors, bent = (None, {}) if self.before is None else self.before
+        table = format_table(self.errors, errors)
+        bends = ", ".join(
+            f"{name} {f'{bent[name]:.1f} -> ' if bent else ''}{off:.1f}"
+            for name, off in self.bend_errors_deg.items()
+        )
+        rate = f"{self.frames_per_second:.1f} frames per second of all cameras, once compiled"
+        with_model = "without -> with the person's own model\n\n" if bent else ""
+        return f"{with_model}{table}\n\nbent, degrees off: {bends}\n{rate}"
+
+    def as_dict(self) -> dict:
+        """What JSON takes."""
+        return {
+            "errors": self.errors.as_dict(),
+            "bend_errors_deg": self.bend_errors_deg,
+            "without_model": self.before
+            and {"errors": self.before[0].as_dict(), "bend_errors_deg": self.before[1]},
+            "frames_per_second": self.frames_per_second,
+            "files": [str(path) for path in self.files],
+        }
+
+
+def demonstrate(
+    directory: str | Path,
+    seconds: float = 2.0,
+    seed: int = 0,
+    person: str | None = None,
+    kind: str = "arm_raises",
+    progress: bool = False,
+) -> Shown:
+    """Make a recording, track it, compare it with the truth, and write it all down.
+
+    Args:
+        directory: is made where missing; the recording goes to ``recording`` in it.
+        seconds: duration.
+        seed: of rooms, movement and noise.
+        person: file of a rigged mesh; a simple person made here squats without it.
+        kind: the mesh's exercise.
+        progress: show bars on stderr.
+    """
+    folder = Path(directory)
+    recording_folder = OutputFolder(folder / "recording", "recording", RECORDING_FILES)
+    outputs = OutputFolder(folder, MOTION, FILES)
+    with recording_folder.writing() as stage, progress_bar("rendering", progress) as show:
+        performer = performing(seconds, seed, person, kind)
+        write_four_cameras(stage, performer, seconds, seed, HEIGHT, show)
+    recording = Recording.load(recording_folder.path / "recording.toml")
+    truth = recording_folder.path / "truth.trc"
+    before, files, own = None, [], None
+    if person is not None:
+        motion = followed_from(recording, truth, progress).motion
+        before = evaluate(motion, truth, JOINTS), bend_errors_deg(motion, truth)
+        files += photographed(folder, person, seed)
+        recording, own = modelled(recording, folder / "model")
+    followed = followed_from(recording, truth, progress, own)
+    files += outputs.write(lambda stage: write_all(followed, recording, stage, progress, own))
+    errors = evaluate(followed.motion, truth, JOINTS)
+    off = bend_errors_deg(followed.motion, truth)
+    return Shown(followed.motion, errors, off, before, files)
+
+
+def photographed(folder: Path, person: str, seed: int) -> list[Path]:
+    """Photograph a mesh and make the person's model, in ``photographs`` and ``model``."""
+    pictures = [f"{name}.png" for name in PHOTOGRAPHS]
+    taken = OutputFolder(folder / "photographs", "photographs", [*pictures, "calibration.toml"])
+    with taken.writing() as stage:
+        write_photographs(stage, load_rig(person, seed=seed), seed)
+    files = {name: taken.path / f"{name}.png" for name in PHOTOGRAPHS}
+    calibration, model = taken.path / "calibration.toml", model_folder(folder / "model")
+    return write_model(model_from(files, calibration, model.path), model)
+
+
+def followed_from(
+    recording: Recording, truth: Path, progress: bool, own: Person | None = None
+) -> Followed:
+    """Track from the truth's first pose, with the person's own model where there is one."""
+    known = read_trc(truth).points()
+    first = np.array([known[n][0] if n in known else np.full(3, np.nan) for n in LANDMARKS])
+    start = pose_at(whole_body(recording.skeleton), first)
+    return follow(recording, start, surface=own and own.surface, progress=progress)
+
+
+def bend_errors_deg(motion: Motion, truth: Path) -> dict[str, float]:
+    """Hinge -> mean error of how far it is bent, degrees."""
+    found, expected = bends(motion.joints()), bends(read_trc(truth).points())
+    return {
+        name: float(np.degrees(np.abs(found[name] - expected[name]).mean())) for name in expected
+    }
+
+
+def performing(seconds: float, seed: int, person: str | None, kind: str) -> Performer:
+    """Who moves."""
+    if person is None:
+        return dressed(motions.squat(seconds, seed, HEIGHT), seed)
+    return exercise(load_rig(person, seed=seed), kind, seconds, seed)

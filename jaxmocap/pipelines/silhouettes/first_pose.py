@@ -1,0 +1,82 @@
+"""How silhouettes begin: where a person is, by the markers' first samples or as somebody says.
+
+INPUTS: a Recording; a place; what is asked for. OUTPUTS: a Pose of the whole body; Settings.
+"""
+
+import numpy as np
+
+from jaxmocap.body.pose import Pose
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.geometry.cameras import project, to_camera
+from jaxmocap.hybrid.settings import Settings as Hybrid
+from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.pipelines.silhouettes.track import whole_body
+from jaxmocap.pipelines.tracking.track import marker_sites
+from jaxmocap.silhouette.first_pose import landmark_points, pose_at, standing_pose
+from jaxmocap.silhouette.settings import FAR_OFF, Settings
+from jaxmocap.silhouette.surfaces.morph import Morphing, shoulders
+
+# Solves of one and the same sample, until it rests.
+SOLVES = 5
+
+
+def settings_for(by_hand: bool, go_along: bool) -> Settings:
+    """Of the tracker, where the first pose was said by hand, and shoulders go along with arms."""
+    # Who says by hand where somebody stands says it roughly.
+    starting = FAR_OFF if by_hand else ()
+    return Settings(starting=starting, morphing=shoulders() if go_along else Morphing())
+
+
+def start_pose(recording: Recording, at: tuple[float, float, float] | None = None) -> Pose:
+    """The first pose.
+
+    Args:
+        recording: with or without markers.
+        at: x and y in metres and the direction that the person faces, degrees from x towards y,
+            for somebody who stands upright; without it the markers say.
+
+    Raises:
+        InputError: neither a place nor markers, or a place at which no camera looks.
+    """
+    where = recording.path or recording.name
+    if at is not None:
+        x, y, _ = np.array([*at[:2], 0.0]) - recording.origin_world
+        pose = standing_pose(whole_body(recording.skeleton), x, y, np.radians(at[2]))
+    elif not recording.places:
+        problem = "no [markers] to begin from, expected --at X,Y,FACING of a person who stands"
+        raise InputError(where, f"{problem} upright")
+    else:
+        pose = _by_markers(recording)
+    if recording.videos and not in_view(recording, pose):
+        x, y, _ = np.asarray(pose.position) + recording.origin_world
+        names = ", ".join(source.camera_name for source in recording.videos)
+        problem = f"the person begins at x = {x:.2f}, y = {y:.2f} m, where no camera looks"
+        raise InputError(where, f"{problem}, expected a place that one of {names} sees")
+    return pose
+
+
+def in_view(recording: Recording, pose: Pose) -> bool:
+    """Whether any camera sees any landmark of the pose."""
+    points = landmark_points(whole_body(recording.skeleton), pose)
+    for source in recording.videos:
+        depth = np.asarray(to_camera(source.camera, points))[:, 2]
+        pixels = np.asarray(project(source.camera, points))
+        within = ((pixels >= 0) & (pixels < np.asarray(source.camera.size))).all(1)
+        if (within & (depth > 0)).any():
+            return True
+    return False
+
+
+def _by_markers(recording: Recording) -> Pose:
+    """The pose that the markers' inverse kinematics finds in the first sample that has most."""
+    seen = np.isfinite(recording.positions_world).all(-1).sum(1)
+    first = recording.positions_world[int(np.argmax(seen))]
+    skeleton = recording.skeleton
+    sites = marker_sites(skeleton, recording.places)
+    tracker = HybridTracker(skeleton, None, Hybrid(), sites)
+    state = tracker.init(first)
+    for _ in range(SOLVES):
+        state = tracker.step(state, 0.0, first)[0]
+    points = landmark_points(tracker.skeleton, state.pose)
+    return pose_at(whole_body(skeleton), np.asarray(points))

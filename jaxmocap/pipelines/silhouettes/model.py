@@ -1,0 +1,210 @@
+"""Four photographs to a person's own model, with pictures of every step.
+
+INPUTS: photographs from the front, the side, of bent arms and of stretched arms; a calibration
+with sections ``front``, ``side`` and, where another camera took them, ``joint`` and ``arm_side``:
+in its world z is up and the person faces +x.
+OUTPUTS: a Modelled; ``model.npz`` (rings, mesh, joints), ``report.json`` and pictures in a folder;
+the person for other commands and programs, as ``silhouette_person`` has it.
+"""
+
+import json
+from collections.abc import Iterable, Mapping
+from functools import partial
+from pathlib import Path
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.capture.photographs import read_photograph, write_picture
+from jaxmocap.formats.cameras.calibration import pick_camera, read_calibration
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.output_folder import OutputFolder
+from jaxmocap.formats.files.writing import replacing, write_text
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.modelling.measurements import girths
+from jaxmocap.modelling.person import PersonModel, StanceError, person_model
+from jaxmocap.modelling.personal import Personal, personal
+from jaxmocap.modelling.pictures import drawing
+from jaxmocap.modelling.pictures.backdrop import PhotographError, person_mask
+from jaxmocap.modelling.pictures.closed_mesh import joined_meshes
+from jaxmocap.modelling.pictures.medial_axis import skeleton
+from jaxmocap.modelling.views import View
+from jaxmocap.pipelines.silhouettes.person import PERSON_FILES, write_person
+
+PHOTOGRAPHS = ("front", "side", "joint", "arm_side")
+FILES = ("model.npz", "report.json", "model.png")
+REFUSED = "_refused"
+# Of the rings, every so many are drawn.
+DRAWN = 3
+
+
+class Modelled(NamedTuple):
+    """What four photographs told.
+
+    Attributes:
+        model: of the person.
+        images: photograph -> (H, W, 3) BGR uint8.
+        views: photograph -> mask and camera.
+        person: the same as the tracker wants it.
+        seconds: from the files to the model.
+    """
+
+    model: PersonModel
+    images: dict[str, np.ndarray]
+    views: dict[str, View]
+    person: Personal
+    seconds: float
+
+    def figures(self) -> dict:
+        """Lengths, girths and joints, metres, and how long it took, seconds."""
+        joints = {
+            f"{name}_{side}": np.round(getattr(bones, name), 4).tolist()
+            for bones, side in zip(self.model.bent, "lr", strict=True)
+            for name in bones._fields
+        }
+        lengths = {name: round(length, 4) for name, length in self.model.lengths().items()}
+        around = {name: section.rounded() for name, section in girths(self.model).items()}
+        seconds = round(self.seconds, 2)
+        return {"lengths": lengths, "girths": around, "joints": joints, "seconds": seconds}
+
+
+def model_from(
+    files: Mapping[str, str | Path],
+    calibration: str | Path,
+    out: str | Path,
+    bottom: int | None = None,
+    height: float | None = None,
+) -> Modelled:
+    """Make a model of photographs.
+
+    Args:
+        files: the four ``PHOTOGRAPHS``.
+        calibration: a .toml file.
+        out: a folder, where a refused photograph's picture goes.
+        bottom: row of the trunk's bottom line in the front photograph; by default found.
+        height: of the body, metres, which tells how long the legs are; by default guessed.
+
+    Raises:
+        InputError: a photograph or the calibration cannot be used.
+    """
+    start = perf_counter()
+    cameras = _cameras(calibration)
+    images = {name: read_photograph(files[name], cameras[name]) for name in PHOTOGRAPHS}
+    views = {}
+    for name, image in images.items():
+        try:
+            views[name] = View(person_mask(image), cameras[name])
+        except PhotographError as error:
+            shown = _show_refused(Path(out), name, error.picture)
+            raise InputError(files[name], f"{error.problem} (see {shown})") from None
+    try:
+        model = person_model(views, bottom)
+    except StanceError as error:
+        raise InputError(files[error.view], error.problem) from None
+    try:
+        person = personal(model, height)
+    except ValueError as error:
+        raise InputError(files["front"], str(error)) from None
+    return Modelled(model, images, views, person, perf_counter() - start)
+
+
+def _cameras(calibration: str | Path) -> dict[str, Camera]:
+    """Photograph -> camera; the front's also took the arms where they have no section."""
+    found = read_calibration(calibration)
+    for name in ("front", "side"):
+        pick_camera(calibration, found, name)
+    return {"joint": found["front"], "arm_side": found["front"]} | found
+
+
+def model_folder(directory: str | Path, inputs: Iterable[str | Path] = ()) -> OutputFolder:
+    """The folder for a person's model, looked at before any work; see ``OutputFolder``.
+
+    Args:
+        directory: of the outputs.
+        inputs: photographs and calibration.
+    """
+    pictures = [f"{name}{kind}.png" for name in PHOTOGRAPHS for kind in ("", REFUSED)]
+    return OutputFolder(directory, "model", [*FILES, *pictures, *PERSON_FILES], inputs)
+
+
+def _show_refused(folder: Path, name: str, picture: np.ndarray) -> Path:
+    """What is wrong with a photograph, as a picture beside whatever the folder holds."""
+    shown = f"{name}{REFUSED}.png"
+    refused = OutputFolder(folder, "refused photograph", [shown])
+    return refused.write(lambda stage: [write_picture(stage / shown, picture)])[0]
+
+
+def write_model(modelled: Modelled, folder: OutputFolder) -> list[Path]:
+    """Write model, report and pictures.
+
+    Returns:
+        What was written.
+
+    Raises:
+        OutputError: the disk is full; what was there is as it was.
+    """
+    return folder.write(partial(_write, modelled))
+
+
+def _write(modelled: Modelled, directory: Path) -> list[Path]:
+    """All files into a folder that is there."""
+    model = modelled.model
+    vertices, faces = joined_meshes([model.trunk.rings, *model.arms])
+    files = [directory / "model.npz", directory / "report.json"]
+    with replacing(files[0]) as beside, beside.open("wb") as file:
+        np.savez_compressed(
+            file,
+            trunk=model.trunk.rings,
+            arm_l=model.arms[0],
+            arm_r=model.arms[1],
+            joints=np.array(model.bent),
+            joint_names=np.array(model.bent[0]._fields),
+            vertices=vertices,
+            faces=faces,
+        )
+    write_text(files[1], json.dumps(modelled.figures(), indent=2) + "\n")
+    for name, picture in pictures(modelled).items():
+        files.append(write_picture(directory / f"{name}.png", picture))
+    views = [drawing.shaded(vertices, faces, turn) for turn in (0.0, 0.8)]
+    tall = max(len(view) for view in views)
+    views = [np.pad(v, ((0, tall - len(v)), (0, 0), (0, 0)), constant_values=245) for v in views]
+    files.append(write_picture(directory / "model.png", np.hstack(views)))
+    return [*files, *write_person(modelled.person, modelled.images, modelled.views, directory)]
+
+
+def pictures(modelled: Modelled) -> dict[str, np.ndarray]:
+    """Photograph -> what was found in it: rim, skeletons, joints, slices."""
+    model, views = modelled.model, modelled.views
+    shown = {
+        name: drawing.outlined(image, views[name].mask) for name, image in modelled.images.items()
+    }
+    for name in ("front", "side"):
+        rings = [views[name].pixels(ring) for ring in model.trunk.rings[::DRAWN]]
+        shown[name] = drawing.with_lines(shown[name], rings, drawing.RING, closed=True)
+    marks = model.front
+    width = shown["front"].shape[1]
+    levels = [np.array([[0.0, row], [width, row]]) for row in (marks.neck, marks.bottom)]
+    shown["front"] = drawing.with_lines(shown["front"], levels, drawing.POINT, closed=False)
+    shown["front"] = drawing.with_points(shown["front"], marks.pits)
+    for name in ("joint", "arm_side"):
+        axis = skeleton(views[name].mask).pixels_xy
+        shown[name][axis[:, 1], axis[:, 0]] = drawing.AXIS
+    bent = np.concatenate([[arm.shoulder, arm.elbow, arm.wrist, arm.tip] for arm in model.seen])
+    shown["joint"] = drawing.with_points(shown["joint"], bent)
+    straight = views["arm_side"].pixels(np.concatenate([np.array(b) for b in model.stretched]))
+    shown["arm_side"] = drawing.with_points(shown["arm_side"], straight)
+    return shown
+
+
+def model_text(modelled: Modelled, files: list[Path]) -> str:
+    """For the terminal."""
+    figures = modelled.figures()
+    lines = [f"{name:12} {100 * length:6.1f} cm" for name, length in figures["lengths"].items()]
+    lines += [""] + [
+        f"{name:12} {100 * s['girth']:6.1f} cm around, {100 * s['width']:5.1f} cm wide, "
+        f"{100 * s['depth']:5.1f} cm deep"
+        for name, s in figures["girths"].items()
+    ]
+    lines += ["", f"made in {modelled.seconds:.1f} s", *(f"written  {path}" for path in files)]
+    return "\n".join(lines)

@@ -1,0 +1,4 @@
+"""A recording to a motion by the hybrid tracker.
+
+Begin with ``track``.
+"""

@@ -1,0 +1,86 @@
+"""Where a recording's key points put the tracked person, at the events of a run.
+
+INPUTS: a recording, its videos; the poses that markers alone gave.
+OUTPUTS: key points, read and checked; lines of sight of every event.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import jax
+import numpy as np
+
+from jaxmocap.body.motion import landmarks_over_time
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import landmark_rows
+from jaxmocap.capture.keypoints import (
+    Keypoints,
+    follow_person,
+    marked_landmarks,
+    open_keypoints,
+)
+from jaxmocap.capture.timeline import Timeline
+from jaxmocap.capture.video import FrameSource
+from jaxmocap.evidence.keypoints import Lines, lines_of_sight
+from jaxmocap.formats.recordings.recording import Recording, VideoSource
+
+
+def open_all_keypoints(
+    recording: Recording, videos: Sequence[FrameSource]
+) -> tuple[Keypoints | None, ...]:
+    """The key points of each video, None where it has none.
+
+    Raises:
+        InputError: what cannot be read, or not be lined up with its video.
+    """
+    return tuple(map(open_keypoints, recording.videos, videos))
+
+
+def lines_at_events(
+    recording: Recording,
+    keypoints: Sequence[Keypoints | None],
+    timeline: Timeline,
+    alone: Pose,
+) -> Lines | None:
+    """What the cameras with key points tell of the tracked person.
+
+    Args:
+        recording: that the videos are of.
+        keypoints: of each video.
+        timeline: E events.
+        alone: (E, ...) poses of the markers alone, which tell the person from others.
+
+    Returns:
+        (E, ...) of all these cameras; None where there is none.
+    """
+    points_world = landmarks_over_time(recording.skeleton, alone)
+    found = [
+        _lines(recording, source, each, timeline, frames, points_world)
+        for source, each, frames in zip(
+            recording.videos, keypoints, timeline.frame_index.T, strict=True
+        )
+        if each is not None
+    ]
+    return jax.tree.map(lambda *parts: np.concatenate(parts, 1), *found) if found else None
+
+
+def _lines(
+    recording: Recording,
+    source: VideoSource,
+    keypoints: Keypoints,
+    timeline: Timeline,
+    frames: np.ndarray,
+    points_world: np.ndarray,
+) -> Lines:
+    """One camera's lines (E, 1, ...), of its frames (E,) or -1."""
+    names = keypoints.landmarks
+    marked = marked_landmarks(recording, names, timeline.event_times)
+    # Markers tell the person more surely than a pose, where they sit on enough of the landmarks.
+    enough = np.isfinite(marked).all(-1).sum(1) >= 2
+    posed = points_world[:, landmark_rows(names)]
+    known = np.where(enough[:, None, None], marked, posed)
+    known[frames < 0] = np.nan
+    at_events = replace(
+        keypoints, pixels_xy=keypoints.pixels_xy[frames], confidences=keypoints.confidences[frames]
+    )
+    return lines_of_sight(source.camera, names, *follow_person(at_events, source.camera, known))

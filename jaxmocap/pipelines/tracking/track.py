@@ -1,0 +1,153 @@
+"""A recording to a motion.
+
+    recording ── Plan ── scanned, or stepped as if live ── Passed ── smoothed ── Motion
+                 (a marker sample, a video frame, or both at every event)
+
+INPUTS: a Recording. OUTPUTS: a Motion with one row per marker sample, and its Report.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from time import perf_counter
+from typing import Literal
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmocap.body.kinematics import Sites
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.capture.filters import cleaned
+from jaxmocap.capture.footage import open_footage, reading
+from jaxmocap.capture.timeline import Mode
+from jaxmocap.formats.recordings.recording import MarkerPlace, Recording
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.outputs.report import plain
+from jaxmocap.pipelines.progress import Progress, progress_bar
+from jaxmocap.pipelines.tracking.events import Plan
+from jaxmocap.pipelines.tracking.first_pass import Tracked
+from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events, open_all_keypoints
+from jaxmocap.pipelines.tracking.scan_events import scanned
+from jaxmocap.pipelines.tracking.second_pass import Smoothed, gathered, smooth_recording
+from jaxmocap.pipelines.tracking.step_events import stepped
+from jaxmocap.smoothing.fixed_lag import DELAY_FRAMES, DELAY_S, FixedLagSmoother
+
+
+def track(
+    recording: Recording,
+    settings: Settings | None = None,
+    *,
+    mode: Mode = "own",
+    progress: Progress | bool | None = None,
+    tracker: HybridTracker | None = None,
+) -> Motion:
+    """Track a recording.
+
+    Args:
+        recording: markers, and any number of videos.
+        settings: of the tracker; defaults to ``Settings()``.
+        mode: ``own`` looks at each video frame at its own time, with the markers interpolated
+            there; ``nearest`` looks at the frame nearest to each marker sample, as in the paper;
+            ``causal`` is ``own`` without any later marker or frame than a live run would have:
+            poses are smoothed by what came before and by at most two more video frames.
+        progress: called with the events done and their total, then with the percent of the second
+            pass done and 100; True shows a bar on stderr.
+        tracker: of ``make_tracker`` for this recording, so that it compiles once for several
+            runs; its settings hold.
+
+    Returns:
+        One pose per marker sample, NaN before the first sample with a marker, and a report: what
+        was missing and how long each stage took. ``milliseconds`` has ``decode`` and ``observe``
+        of each event with a video frame, ``solve`` and ``refine`` of an event in each chunk of
+        them, ``frame`` for all that a chunk took by each of its frames (``sample``: by each of its
+        events, where there is none), ``first_call`` for what comes before the first event, and
+        ``smooth`` for the second pass, compilation included. Causally they are the steps' own:
+        ``carry`` is the second call and ``sample`` all of them at events without a frame,
+        ``first_call`` has the first event, ``smooth`` is of each event with a frame.
+
+    Raises:
+        InputError: a video or key points that cannot be used with the recording.
+    """
+    return track_both(recording, settings, mode=mode, progress=progress, tracker=tracker).motion
+
+
+def track_both(
+    recording: Recording,
+    settings: Settings | None = None,
+    *,
+    mode: Mode = "own",
+    progress: Progress | bool | None = None,
+    tracker: HybridTracker | None = None,
+) -> Tracked:
+    """Track a recording and keep the markers' own poses as well; see ``track``."""
+    videos, warnings = open_footage(recording.marked())
+    recording, cleaning = cleaned(recording, causal=mode == "causal")
+    warnings += cleaning.remarks
+    # Read first, so that what is wrong with them is said before anything takes its time.
+    keypoints = open_all_keypoints(recording, videos)
+    warnings += tuple(said for each in keypoints if each for said in each.warnings)
+    tracker = tracker or make_tracker(recording, settings)
+    used = [] if tracker.cameras is None else videos
+    plan, causal = Plan.of(recording, used, mode, cleaning), mode == "causal"
+    smooth = bool(used) and tracker.settings.smooth
+    smoother = FixedLagSmoother(tracker) if smooth and causal else None
+    in_colour = reading(used, colour=smoother is not None)
+    with progress_bar("tracking", progress) as show, in_colour as readers:
+        if causal:
+            passed = stepped(plan, tracker, readers, smoother, show)
+        else:
+            passed = scanned(plan, tracker, readers, show)
+    smoothed = gathered(tracker, passed.given, passed.first_pass()) if smoother else None
+    if smooth and not causal:
+        began, first = perf_counter(), passed.first_pass()
+        lines = lines_at_events(recording, keypoints, first.timeline, first.alone)
+        with progress_bar("smoothing", progress) as show:
+            smoothed = smooth_recording(
+                tracker,
+                used,
+                first._replace(lines=lines),
+                lambda share: show(round(100 * share), 100),
+            )
+        passed.milliseconds["smooth"] = [1e3 * (perf_counter() - began)]
+    told = {
+        "recording": recording.path or recording.name,
+        "mode": mode,
+        "cameras": [source.camera_name for source in recording.videos],
+        "markers": recording.marker_names,
+        "warnings": warnings,
+        "filters": cleaning.figures(),
+        "tracker": tracker.settings,
+        "camera_turns_deg": _turns_deg(recording, smoothed),
+        "latency": {"video frames": DELAY_FRAMES, "seconds": DELAY_S} if smoother else {},
+    }
+    return passed.tracked(tracker.skeleton, plain(told), smoothed)
+
+
+def _turns_deg(recording: Recording, smoothed: Smoothed | None) -> dict[str, list[float]]:
+    """Camera -> how it was found turned against its calibration, a vector in its frame, degrees."""
+    turns = [] if smoothed is None else np.degrees(smoothed.turns_cam).tolist()
+    return dict(zip((source.camera_name for source in recording.videos), turns, strict=False))
+
+
+def make_tracker(recording: Recording, settings: Settings | None = None) -> HybridTracker:
+    """The tracker for a recording's person, markers and cameras."""
+    settings = settings or Settings()
+    cameras = [source.camera for source in recording.videos] if settings.refine != "none" else None
+    sites = marker_sites(recording.skeleton, recording.places)
+    return HybridTracker(recording.skeleton, cameras, settings, sites)
+
+
+def marker_sites(skeleton: Skeleton, places: Sequence[MarkerPlace]) -> Sites:
+    """The markers' points on the bones."""
+    bones = np.array([skeleton.tree.bone(place.bone) for place in places], np.int32)
+    at = np.array([place.at for place in places], float)
+    offsets = np.array([place.offset for place in places], float).reshape(-1, 3)
+    return Sites(bones, jnp.asarray(at, float), jnp.asarray(offsets, float))
+
+
+def choose_settings(
+    refine: Literal["simplex", "gradient", "none"] = "simplex", paper: bool = False
+) -> Settings:
+    """The tracker's defaults, or the first paper's own way."""
+    return replace(Settings.paper() if paper else Settings(), refine=refine)

@@ -1,0 +1,4 @@
+"""The first paper's equations in NumPy.
+
+Begin with ``pipeline``.
+"""

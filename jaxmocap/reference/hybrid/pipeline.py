@@ -1,0 +1,195 @@
+"""A frame of the first paper's way: IK (4), balance (5.3), a simplex over each arm by (13), (14).
+
+The arms swing about the axis from shoulder to grip, and bend at shoulder and elbow, as in the
+tracker; the search and its memory are not mirrored.
+
+INPUTS: a skeleton, one camera, settings, goals, the fields of both arms. OUTPUTS: poses; float64.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from jaxmocap.reference import cameras
+from jaxmocap.reference.hybrid import balance, ik, raster, simplex
+from jaxmocap.reference.kinematics import bone_vector, forward, site_positions, turned
+
+LIMBS = ("humerus", "radius", "hand")
+# Markers farther than this from the last pose's points: it starts from the markers' pose, metres.
+LOST_M = 0.6
+
+
+class ArmView(NamedTuple):
+    """What is seen of one arm: origin (2,) and scale of its region, its plain field (S, S)."""
+
+    origin: np.ndarray
+    scale: float
+    field: np.ndarray
+
+
+class Points(NamedTuple):
+    """Points on bones."""
+
+    bones: list[int]
+    at: np.ndarray
+    offsets: np.ndarray
+
+
+def grips_of(skeleton: Any, pose: Any, grip_sites: Any) -> np.ndarray:
+    """The two points (2, 3) that the markers hold, world, metres."""
+    return site_positions(skeleton, forward(skeleton, pose), grip_sites)
+
+
+def elbow_points(skeleton: Any) -> Points:
+    """Both elbows as points on the forearms."""
+    bones = [skeleton.tree.bone(f"radius_{side}") for side in "lr"]
+    return Points(bones, np.zeros(2), np.zeros((2, 3)))
+
+
+def refine(
+    skeleton: Any,
+    camera: Any,
+    settings: Any,
+    factors: np.ndarray,
+    goals: Any,
+    markers_pose: Any,
+    last_pose: Any,
+    views: list[ArmView | None],
+    grip_sites: Any,
+) -> ik.Pose:
+    """The markers' pose after balance and video.
+
+    Args:
+        skeleton: D degrees of freedom.
+        camera: that sees the arms.
+        settings: a Settings' attributes.
+        factors: (3,) of balance.
+        goals: markers and feet.
+        markers_pose: of inverse kinematics.
+        last_pose: the last refined one.
+        views: left and right; None where an arm is not seen.
+        grip_sites: the points that the markers hold.
+    """
+    hands = grips_of(skeleton, markers_pose, grip_sites)
+    elbows = site_positions(skeleton, forward(skeleton, markers_pose), elbow_points(skeleton))
+    start = ik.as_pose(markers_pose if lost(skeleton, goals, last_pose) else last_pose)
+    bowed, free, balanced = balance.bow_on_feet(skeleton, settings.ik, markers_pose, factors)
+    wishes = ik.Goals(elbow_points(skeleton), elbows, np.ones(2))
+    first = bowed if balanced else start
+    pose, _ = ik.reach(skeleton, goals, settings.ik, first, free, wishes)
+    angles = pose.angles.copy()
+    for arm, view in enumerate(views):
+        if view is not None:
+            dofs, found = refine_arm(
+                skeleton, camera, settings, pose, "lr"[arm], view, grip_sites, hands[arm]
+            )
+            angles[dofs] = found
+    return ik.Pose(pose.position, pose.quaternion, angles)
+
+
+def lost(skeleton: Any, goals: Any, pose: Any) -> bool:
+    """Whether a marker on the upper body is far from where the pose has it."""
+    points = site_positions(skeleton, forward(skeleton, pose), goals.sites)
+    apart = np.linalg.norm(np.asarray(goals.targets) - points, axis=1)
+    feet = [skeleton.tree.bone(f"foot_{side}") for side in "lr"]
+    return any(
+        distance > LOST_M
+        for distance, bone, weight in zip(apart, goals.sites.bones, goals.weights, strict=True)
+        if weight > 0 and bone not in feet
+    )
+
+
+def arm_dofs(skeleton: Any, side: str) -> list[int]:
+    """Degrees of freedom of one arm, shoulder to elbow."""
+    bones = [skeleton.tree.bone(f"{limb}_{side}") for limb in LIMBS]
+    return [d for d, bone in enumerate(skeleton.tree.dof_bones) if bone in bones]
+
+
+def swing(
+    skeleton: Any, pose: Any, side: str, grip_sites: Any, moves: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """An arm's joints (4, 3) from shoulder to fingertip, its grip (3,) and its angles (4,).
+
+    Args:
+        skeleton: D degrees of freedom.
+        pose: to start from.
+        side: "l" or "r".
+        grip_sites: of both arms.
+        moves: (4,) the swivel, then additions to two angles of the shoulder and to the elbow's.
+    """
+    dofs = arm_dofs(skeleton, side)
+    added = np.array([moves[1], moves[2], 0.0, moves[3]])
+    angles = np.array(pose.angles, float)
+    angles[dofs] += added
+    frames = forward(skeleton, ik.Pose(pose.position, pose.quaternion, angles))
+    bones = [skeleton.tree.bone(f"{limb}_{side}") for limb in LIMBS]
+    tip = frames.joints_world[bones[2]] + frames.R_world_bone[bones[2]] @ bone_vector(
+        skeleton, bones[2]
+    )
+    joints = np.array([*frames.joints_world[bones], tip])
+    grip = site_positions(skeleton, frames, grip_sites)["lr".index(side)]
+    axis = (grip - joints[0]) / np.linalg.norm(grip - joints[0])
+    swung = np.array([joints[0] + turned(joint - joints[0], axis, moves[0]) for joint in joints])
+    R_humerus = np.stack([turned(v, axis, moves[0]) for v in frames.R_world_bone[bones[0]].T], 1)
+    carrier = skeleton.tree.parents[bones[0]]
+    R_local = frames.R_world_bone[carrier].T @ R_humerus
+    shoulder = hinge_angles(R_local, np.asarray(skeleton.axes, float)[dofs[:3]], angles[dofs[:3]])
+    return swung, grip, np.append(shoulder, angles[dofs[3]])
+
+
+def hinge_angles(R: np.ndarray, axes: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """Angles (3,) of three hinges whose product is ``R``, of both answers the nearer one."""
+    handed = np.linalg.det(axes)
+    one = handed * Rotation.from_matrix(axes @ R @ axes.T).as_euler("XYZ")
+    other = np.array([one[0] + np.pi, np.pi - one[1], one[2] + np.pi])
+    answers = [near + (answer - near + np.pi) % (2 * np.pi) - np.pi for answer in (one, other)]
+    return min(answers, key=lambda answer: float(np.sum((answer - near) ** 2)))
+
+
+def refine_arm(
+    skeleton: Any,
+    camera: Any,
+    settings: Any,
+    pose: Any,
+    side: str,
+    view: ArmView,
+    grip_sites: Any,
+    hand: np.ndarray,
+) -> tuple[list[int], np.ndarray]:
+    """The degrees of freedom of one arm and their angles where (14) is least."""
+    dofs, polish = arm_dofs(skeleton, side), settings.polish
+    limits = np.asarray(skeleton.limits, float)[dofs]
+
+    def cost(moves: np.ndarray) -> float:
+        joints, grip, angles = swing(skeleton, pose, side, grip_sites, moves)
+        beyond = np.maximum(limits[:, 0] - angles, 0) + np.maximum(angles - limits[:, 1], 0)
+        seen = raster_distance(skeleton, camera, settings, side, view, joints)
+        held = float(settings.fit.hold) * float(np.linalg.norm(hand - grip))
+        return seen / float(settings.fit.edge_scale) + held + float(polish.limit) * beyond.sum()
+
+    edges = np.diag([float(polish.swivel_edge)] + 3 * [float(polish.other_edge)])
+    first = np.vstack([np.zeros(4), edges])
+    found = simplex.minimise(cost, first, int(polish.iterations))
+    angles = swing(skeleton, pose, side, grip_sites, found.point)[2]
+    return dofs, np.clip(angles, limits[:, 0], limits[:, 1])
+
+
+def raster_distance(
+    skeleton: Any, camera: Any, settings: Any, side: str, view: ArmView, joints: np.ndarray
+) -> float:
+    """Equation (13) over the area of the arm seen from the side, metres."""
+    bones = [skeleton.tree.bone(f"{limb}_{side}") for limb in LIMBS]
+    radii = np.asarray(skeleton.diameters, float)[bones] / 2
+    in_region = (cameras.project(camera, joints) - view.origin) / view.scale - 0.5
+    depths = np.maximum(cameras.to_camera(camera, joints)[:, 2], cameras.NEAREST_M)
+    matrix = np.asarray(camera.matrix, float)
+    focal = (matrix[0, 0] + matrix[1, 1]) / 2 / view.scale
+    seen = focal * radii / np.stack([depths[:-1], depths[1:]], 1)
+    covered = raster.coverage(
+        view.field.shape, in_region[:-1], in_region[1:], seen, float(settings.fit.softness)
+    )
+    samples_per_metre = matrix[0, 0] / max(np.mean(depths[:-1]), 0.1) / view.scale
+    lengths = np.linalg.norm(np.diff(joints, axis=0), axis=1)
+    area = np.sum(lengths * radii.sum(1)) * samples_per_metre**2
+    return raster.chamfer(covered, view.field) / area / samples_per_metre

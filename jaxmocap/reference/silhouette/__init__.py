@@ -1,0 +1,4 @@
+"""The second paper's equations in NumPy.
+
+Begin with ``pose``.
+"""

@@ -1,1 +1,0 @@
-"""Before tracking: what must be known of cameras, clocks and people."""

@@ -1,0 +1,111 @@
+"""Limbs: which bones and joints an arm or a leg has, and how thick it is.
+
+INPUTS: a skeleton and a surface around it; poses. OUTPUTS: Limbs; where their bones are.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.surfaces.surface import BodyPoints, Surface
+
+# Limb -> its bones from the body outwards, and its joints; as many of each.
+LIMBS = {
+    "arm": (("humerus", "radius", "hand"),
+            ("clavicle_raise", "clavicle_protract", "arm_flex", "arm_abduct", "arm_rot",
+             "elbow_flex")),
+    "leg": (("femur", "tibia", "foot"),
+            ("hip_flexion", "hip_abduction", "hip_rotation", "knee_flexion", "ankle_dorsiflex",
+             "ankle_invert")),
+}  # fmt: skip
+
+
+class Limb(NamedTuple):
+    """A limb of B bones and K joints.
+
+    Attributes:
+        bones: (B,) indices.
+        joints: (K,) indices.
+        radii: (B,) metres.
+    """
+
+    bones: np.ndarray
+    joints: np.ndarray
+    radii: np.ndarray
+
+
+def limbs_of(skeleton: Skeleton, surface: Surface) -> dict[str, Limb]:
+    """``arm_l`` and so on, those that the skeleton's joints move in full."""
+    tree, found = skeleton.tree, {}
+    for kind, (bones, joints) in LIMBS.items():
+        for side in "lr":
+            names = [f"{joint}_{side}" for joint in joints]
+            if set(names) <= set(tree.joints):
+                rows = np.array([tree.bone(f"{bone}_{side}") for bone in bones], np.int32)
+                moved = np.array([tree.joint(name) for name in names], np.int32)
+                found[f"{kind}_{side}"] = Limb(rows, moved, radii(skeleton, surface, rows))
+    return found
+
+
+def halves_of(limb: Limb) -> tuple[Limb, Limb]:
+    """The limb's first bone, and what follows it: what is left out is given no thickness."""
+    first = np.arange(len(limb.bones)) < 1
+    return tuple(limb._replace(radii=np.where(of, limb.radii, 0)) for of in (first, ~first))  # type: ignore[return-value]
+
+
+def ends(skeleton: Skeleton, pose: Pose, limb: Limb) -> tuple[Array, Array]:
+    """(B, 3) near and far ends of a limb's bones in the world, metres."""
+    frames = forward(skeleton, pose)
+    near = frames.joints_world[limb.bones]
+    reach = (skeleton.lengths[:, None] * skeleton.directions)[limb.bones]
+    return near, near + jnp.sum(frames.R_world_bone[limb.bones] * reach[:, None], -1)
+
+
+def radii(skeleton: Skeleton, surface: Surface, bones: np.ndarray) -> np.ndarray:
+    """(B,) metres from bones to the surface's nodes that they carry alone or most."""
+    carrier, places = carried_most(surface.points)
+    ways = np.asarray(skeleton.directions)
+    found = []
+    for bone in bones:
+        at = places[carrier == bone]
+        away = np.linalg.norm(np.cross(at, ways[bone]), axis=1)
+        found.append(np.median(away) if len(at) else 0.03)
+    return np.array(found, np.float32)
+
+
+def carriers(points: BodyPoints) -> np.ndarray:
+    """(N,) the bone that carries most of each point."""
+    return carried_most(points)[0]
+
+
+def carried_most(points: BodyPoints) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) the bone that carries most of each point, and (N, 3) the point in its frame."""
+    bones, shares = np.asarray(points.bones), np.asarray(points.shares)
+    rows, most = np.arange(len(bones)), shares.argmax(1)
+    return bones[rows, most], np.asarray(points.points_bone)[rows, most]
+
+
+def places_along(
+    skeleton: Skeleton, limb: Limb, points: BodyPoints, shares: np.ndarray
+) -> np.ndarray:
+    """(N,) numbers of the places, A of each bone one after the other, that points lie nearest to.
+
+    Args:
+        skeleton: of the person.
+        limb: of B bones.
+        points: N; of those elsewhere the number is -1.
+        shares: (A,) where the places lie, of a bone's length.
+    """
+    carrier, places = carried_most(points)
+    numbers = np.full(len(carrier), -1)
+    for row, bone in enumerate(limb.bones):
+        on = carrier == bone
+        length = max(float(skeleton.lengths[bone]), 1e-6)
+        at = places[on] @ np.asarray(skeleton.directions)[bone] / length
+        numbers[on] = row * len(shares) + np.abs(at[:, None] - shares).argmin(1)
+    return numbers

@@ -1,0 +1,70 @@
+"""What of a canvas points of a body cover, and what lies about it that is not the room.
+
+INPUTS: pixels of many points, where a canvas lies; log-ratios on it, an image, its Background.
+OUTPUTS: a mask of its cells; log-ratios on a wider canvas.
+"""
+
+import cv2
+import numpy as np
+
+from jaxmocap.images.background_model import Background
+from jaxmocap.images.canvases import canvas, sampled
+from jaxmocap.images.regions import Region
+
+# What is not the room differs from it by so many deviations and grey levels.
+DEVIATIONS, LEVELS = 6.0, 30.0
+
+
+def covered(pixels_xy: np.ndarray, region: Region, size: int, around: int) -> np.ndarray:
+    """(S, S) bool: cells within ``around`` cells of a point, by rows or columns.
+
+    Args:
+        pixels_xy: (N, 2) in the whole image.
+        region: of the canvas.
+        size: S.
+        around: at least half of what lies between neighbouring points, or gaps stay open.
+    """
+    cells = np.rint((pixels_xy - region.origin) / region.scale - 0.5).astype(int)
+    column, row = cells[((cells >= 0) & (cells < size)).all(1)].T
+    mask = np.zeros((size, size), np.uint8)
+    mask[row, column] = 1
+    return cv2.dilate(mask, np.ones((2 * around + 1,) * 2, np.uint8)) > 0
+
+
+def widened(
+    ratios: np.ndarray,
+    region: Region,
+    image: np.ndarray | None,
+    room: Background | None,
+    size: int,
+    share: float,
+    most: float,
+) -> tuple[np.ndarray, Region]:
+    """Log-ratios on a canvas about another, and beyond that one by what differs from the room.
+
+    Args:
+        ratios: (S, S) on the canvas of ``region``.
+        region: of that canvas.
+        image: (H, W, 3) uint8.
+        room: what is known of it where nobody stands; without it, or an image, there is nothing.
+        size: of the wider canvas, cells.
+        share: how many times as wide it is.
+        most: log-ratio of what surely is, or is not, the room.
+
+    Returns:
+        (size, size) and where they lie.
+    """
+    cells, origin, scale = len(ratios), np.asarray(region.origin), float(region.scale)
+    wide_scale = share * cells / size * scale
+    wide = origin - (share - 1) / 2 * cells * scale
+    around = Region(wide.astype(np.float32), np.array(wide_scale, np.float32))
+    inner = Region((wide - origin) / scale - 0.5, np.array(wide_scale / scale))
+    within = sampled(cv2.blur(ratios, (3, 3)), inner, size)
+    places = inner.origin[:, None] + (np.arange(size) + 0.5) * inner.scale
+    x, y = (places >= 0) & (places <= cells - 1)
+    if image is None or room is None:
+        return np.where(y[:, None] & x, within, 0).astype(np.float32), around
+    seen = canvas(image, around, size, room)
+    off = np.abs(seen.colour.astype(np.float32) - seen.room).max(-1)
+    other = np.where(off > DEVIATIONS * seen.noise + LEVELS, most, -most)
+    return np.where(y[:, None] & x, within, seen.known * other).astype(np.float32), around

@@ -1,0 +1,114 @@
+"""Looking: what C cameras show of the person, as contours, or that a camera shows nothing of use.
+
+INPUTS: images of C cameras, rims of the predicted pose. OUTPUTS: contours, and the level sets.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.images.background_model import Background
+from jaxmocap.images.canvases import Canvas, attached, canvas, signed_distance
+from jaxmocap.images.regions import Region
+from jaxmocap.silhouette.correspond import Contour
+from jaxmocap.silhouette.segmentation.contour import contours
+from jaxmocap.silhouette.segmentation.segment import Histograms, Plan, Seen, Segmented, segment
+from jaxmocap.silhouette.segmentation.sharpen import sharpened
+from jaxmocap.silhouette.settings import Settings
+from jaxmocap.silhouette.surfaces.rim import Rim
+
+# Fewer points of a contour are none.
+FEWEST = 16
+# OpenCV lets other threads work meanwhile.
+_THREADS = ThreadPoolExecutor(2, "looking")
+
+
+class Outlines(NamedTuple):
+    """What C cameras show.
+
+    Attributes:
+        contours: one a camera; without points where it shows nothing.
+        segmented: level sets (C, S, S), on the canvases of ``region``.
+        region: the canvases' places.
+        valid: (C,) share of the contour's points that the image tells.
+    """
+
+    contours: tuple[Contour, ...]
+    segmented: Segmented
+    region: Region
+    valid: np.ndarray
+
+
+def look(
+    images: Sequence[np.ndarray | None],
+    rooms: Sequence[Background | None],
+    rim: Rim,
+    before: Histograms,
+    settings: Settings,
+    plan: Plan,
+) -> Outlines:
+    """Segment the images from the silhouettes that are predicted.
+
+    Args:
+        images: (H, W, 3) BGR uint8 of each camera, or None.
+        rooms: what is known of each camera's room, or None.
+        rim: at the predicted pose.
+        before: histograms of the frames before.
+        settings: of the tracker.
+        plan: static choices of the segmentation.
+    """
+    size, region = settings.rim.size, Region(*map(np.asarray, rim.region))
+    views = [Region(*each) for each in zip(*region, strict=True)]
+    taken = [_canvas(*each, size) for each in zip(images, views, rooms, strict=True)]
+    start = np.stack([silhouette_distance(mask) for mask in rim.masks])
+    seen = Seen.of(taken)
+    found = segment(seen, start, before, settings.level_set, plan)
+    phi = np.stack([attached(*each) for each in zip(np.asarray(found.phi), start, strict=True)])
+    if settings.sharpen:
+        phi = _sharpened(images, rooms, phi, views)
+    found = found._replace(phi=phi)
+    points = contours(
+        found.phi, found.log_ratio, seen.inside, region, settings.points, settings.level_set.most
+    )
+    places, normals, _, contrast, valid = map(np.asarray, points)
+    told = valid & (contrast > settings.contrast)
+    lines = []
+    for camera, image in enumerate(images):
+        kept = told[camera] & (image is not None)
+        kept = kept & (kept.sum() >= FEWEST)
+        lines.append(Contour(places[camera][kept], normals[camera][kept]))
+    share = told.sum(1) / np.maximum(valid.sum(1), 1)
+    return Outlines(tuple(lines), found, region, share)
+
+
+def _sharpened(
+    images: Sequence[np.ndarray | None],
+    rooms: Sequence[Background | None],
+    phi: np.ndarray,
+    views: Sequence[Region],
+) -> np.ndarray:
+    """Φ (C, S, S), its contours where pixels say they are; all cameras at once."""
+
+    def one(camera: int) -> np.ndarray:
+        image, now, view = images[camera], phi[camera], views[camera]
+        if image is None or not (now > 0).any():
+            return now
+        return attached(sharpened(image, now, view, rooms[camera]).phi(view, len(now)), now)
+
+    return np.stack(list(_THREADS.map(one, range(len(phi)))))
+
+
+def silhouette_distance(mask: np.ndarray) -> np.ndarray:
+    """Signed distance (S, S) of a mask on its own canvas, cells, positive within."""
+    whole = Region(np.full(2, -0.5, np.float32), np.array(1.0, np.float32))
+    return signed_distance(mask > 0, whole, len(mask))
+
+
+def _canvas(image: np.ndarray | None, region: Region, room: Background | None, size: int) -> Canvas:
+    if image is None:
+        nothing = np.zeros((size, size), np.float32)
+        black = np.zeros((size, size, 3), np.uint8)
+        return Canvas(black, nothing, black, nothing + 1, nothing)
+    return canvas(image, region, size, room)

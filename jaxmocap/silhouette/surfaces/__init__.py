@@ -1,0 +1,4 @@
+"""The surface as the silhouette tracker moves it: its rim in each image, morphing, shape.
+
+Begin with ``rim``.
+"""

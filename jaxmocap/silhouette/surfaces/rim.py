@@ -1,0 +1,247 @@
+"""The rim of the surface as each camera sees it: what its silhouette is made of (3.1.5, 3.2).
+
+INPUTS: a Surface around a Skeleton, a pose, C cameras.
+OUTPUTS: for each camera nodes of the surface on its occluding boundary, with the pixel where they
+are seen and the direction out of the body; boundaries between limbs, flagged, as well.
+
+The surface is made denser than the canvas, projected, and its index image traced; so limbs before
+the trunk hide it. A cell's node is the nearest in it, not the outermost: the node is then moved
+along the surface to where it stands out farthest. The rim is found anew in every cycle.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.surfaces.loft import rest_joints
+from jaxmocap.body.surfaces.surface import (
+    BodyPoints,
+    Skin,
+    Surface,
+    low_pass,
+    resampled,
+    skin_of,
+    skinned,
+)
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, pixel_components
+from jaxmocap.images.regions import Region, region_around
+from jaxmocap.silhouette.surfaces.index_image import (
+    Boundary,
+    body_mask,
+    index_image,
+    inner_boundary,
+    node_keys,
+    outer_boundary,
+    thinned,
+)
+from jaxmocap.silhouette.surfaces.morph import Morph, Morphing, worn
+from jaxmocap.silhouette.surfaces.swelling import morphed
+
+# How often a node may move on to a neighbour that stands out farther.
+CLIMBS = 3
+
+
+@dataclass(frozen=True)
+class RimSettings:
+    """Sizes; static.
+
+    Attributes:
+        size: of the canvas, cells.
+        outer: rim points kept of each camera, evenly along the outline.
+        inner: those kept of boundaries between limbs; 0 does not look for them.
+        spacing: of the denser surface's nodes, metres.
+        jump: in depth that makes a boundary between limbs, metres.
+        margin: around the person, as a fraction of its extent.
+        finest: image pixels to a cell, at least.
+        coarse: of the surface's low-pass, harmonics around and waves along each limb.
+    """
+
+    size: int = 192
+    outer: int = 256
+    inner: int = 96
+    spacing: float = 0.009
+    jump: float = 0.04
+    margin: float = 0.03
+    finest: float = 0.25
+    coarse: tuple[int, int] = (1, 4)
+
+
+class Rim(NamedTuple):
+    """R points of each of C cameras, padded.
+
+    Attributes:
+        nodes: (C, R) of the denser surface.
+        pixels_xy: (C, R, 2) where they are seen, in the whole image.
+        normals: (C, R, 2) unit vectors in the image, out of the body.
+        inner: (C, R) is it a boundary between limbs, which no mask shows?
+        real: (C, R) False for padding.
+        masks: (C, size, size) uint8 of the body on the canvases.
+        region: the canvases' places in the images.
+    """
+
+    nodes: np.ndarray
+    pixels_xy: np.ndarray
+    normals: np.ndarray
+    inner: np.ndarray
+    real: np.ndarray
+    masks: np.ndarray
+    region: Region
+
+
+class Drawn(NamedTuple):
+    """M nodes as C cameras see them.
+
+    Attributes:
+        u: (C, M) pixel's column in the whole image.
+        v: (C, M) its row.
+        depth: (C, M) metres.
+        places: (C, M) on the canvas.
+        keys: (C, M) for ``index_image``.
+        region: of the canvases.
+    """
+
+    u: Any
+    v: Any
+    depth: Any
+    places: Any
+    keys: Any
+    region: Region
+
+
+def stacked(cameras: list[Camera]) -> Camera:
+    """C cameras as one, each of its arrays with a new first axis."""
+    return jax.tree.map(lambda *parts: jnp.stack(parts), *cameras)
+
+
+class RimFinder:
+    """Finds rims of one person's surface.
+
+    Attributes:
+        surface: the denser one, whose nodes rims consist of.
+        coarse: its low-pass, node for node.
+        settings: static.
+        morph: what of it goes along with the joints' angles; None if nothing does.
+    """
+
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        surface: Surface,
+        settings: RimSettings | None = None,
+        morphing: Morphing | None = None,
+    ):
+        """Prepare for a surface around a skeleton; traces once for a number of cameras."""
+        self.settings = settings or RimSettings()
+        joints = rest_joints(skeleton)
+        self.wear(resampled(surface, joints, self.settings.spacing), joints)
+        self.morph = None
+        if morphing is not None and morphing.steers:
+            self.morph = morphed(morphing, skeleton.tree, surface, joints, self.settings.spacing)
+        self._beside = neighbours(self.surface)
+        self._limbs = limbs_of(self.surface)
+        self._drawing = jax.jit(self._drawn)
+
+    def wear(self, surface: Surface, joints: np.ndarray) -> None:
+        """Take another surface of as many nodes, around joints (B, 3) at rest, from now on."""
+        self.surface, self.coarse = surface, low_pass(surface, joints, *self.settings.coarse)
+        self._skins = skin_of(surface, joints), skin_of(self.coarse, joints)
+
+    def _draw(self, skeleton: Skeleton, pose: Pose, cameras: Camera, coarse: bool = False) -> Drawn:
+        return self._drawing(self._skins[coarse], self.morph, skeleton, pose, cameras)
+
+    def _drawn(
+        self, skin: Skin, morph: Morph | None, skeleton: Skeleton, pose: Pose, cameras: Camera
+    ) -> Drawn:
+        """What C cameras see of all nodes; their places on canvases about the person."""
+        skin = skin if morph is None else worn(skin, morph, pose.angles)
+        x, y, z = skinned(forward(skeleton, pose), skin)
+        s = self.settings
+
+        def seen(camera: Camera) -> Drawn:
+            T = camera.T_cam_world
+            at_cam = [T[i, 0] * x + T[i, 1] * y + T[i, 2] * z + T[i, 3] for i in range(3)]
+            depth = jnp.maximum(at_cam[2], NEAREST_M)
+            u, v = pixel_components(camera, at_cam[0] / depth, at_cam[1] / depth)
+            corners = jnp.stack([jnp.stack([jnp.min(u), jnp.min(v)]),
+                                 jnp.stack([jnp.max(u), jnp.max(v)])])  # fmt: skip
+            region = region_around(corners, s.size, s.margin, s.finest)
+            column = (u - region.origin[0]) / region.scale - 0.5
+            row = (v - region.origin[1]) / region.scale - 0.5
+            places, keys = node_keys(column, row, depth, s.size)
+            return Drawn(u, v, depth, places, keys, region)
+
+        return jax.vmap(seen)(cameras)
+
+    def find(self, skeleton: Skeleton, pose: Pose, cameras: Camera, coarse: bool = False) -> Rim:
+        """The rims as C cameras (``stacked``) see them, of the surface or of its low-pass."""
+        drawn = jax.tree.map(np.asarray, self._draw(skeleton, pose, cameras, coarse))
+        views = [jax.tree.map(lambda part, c=c: part[c], drawn) for c in range(len(drawn.u))]
+        rows = zip(*(self._of_camera(view) for view in views), strict=True)
+        nodes, pixels, normals, inner, real, masks = (np.stack(parts) for parts in rows)
+        return Rim(nodes, pixels, normals, inner, real, masks, drawn.region)
+
+    def _of_camera(self, drawn: Drawn) -> tuple[np.ndarray, ...]:
+        """One camera's row of all fields but the region."""
+        s = self.settings
+        keys = index_image(drawn.places, drawn.keys, s.size)
+        mask = body_mask(keys)
+        found = [outer_boundary(keys, mask, s.outer)]
+        if s.inner:
+            found.append(
+                Boundary(*thinned(inner_boundary(keys, drawn.depth, s.jump, self._limbs), s.inner))
+            )
+        nodes, normals = np.zeros(s.outer + s.inner, int), np.zeros((s.outer + s.inner, 2))
+        real = np.zeros(len(nodes), bool)
+        for part, start in zip(found, (0, s.outer), strict=False):
+            rows = np.s_[start : start + len(part.nodes)]
+            nodes[rows], normals[rows], real[rows] = part.nodes, part.normals, True
+        nodes = self._standing_out(nodes, normals, drawn)
+        pixels = np.stack([drawn.u[nodes], drawn.v[nodes]], 1)
+        is_inner = np.arange(len(nodes)) >= s.outer
+        return nodes, pixels, normals.astype(pixels.dtype), is_inner, real, mask
+
+    def _standing_out(self, nodes: np.ndarray, normals: np.ndarray, drawn: Drawn) -> np.ndarray:
+        """Nodes (R,) moved to neighbours that are seen farthest along the normals."""
+        for _ in range(CLIMBS):
+            options = self._beside[nodes]
+            outwards = drawn.u[options] * normals[:, :1] + drawn.v[options] * normals[:, 1:]
+            nodes = options[np.arange(len(nodes)), outwards.argmax(1)]
+        return nodes
+
+    def points(self, nodes: np.ndarray, coarse: bool = False) -> BodyPoints:
+        """Nodes of the denser surface, or of its low-pass, on bones, for ``solve_pose``."""
+        every = (self.coarse if coarse else self.surface).points
+        chosen = nodes.ravel()
+        return BodyPoints(*(np.asarray(part)[chosen] for part in every))
+
+    def moves(self, nodes: np.ndarray) -> np.ndarray | None:
+        """How the same nodes go along with steers, (N, 3, S); None if nothing does."""
+        if self.morph is None or self.morph.moves is None:
+            return None
+        return np.asarray(self.morph.moves)[nodes.ravel()]
+
+
+def limbs_of(surface: Surface) -> np.ndarray:
+    """(M,) uint8 number of every node's limb; a foot and its leg are one."""
+    names = [patch.name.replace("foot", "leg") for patch in surface.patches]
+    return np.array([names.index(name) for name in names], np.uint8)[surface.patch_of()]
+
+
+def neighbours(surface: Surface) -> np.ndarray:
+    """(M, 9) every node and its eight neighbours on the patch; itself past a limb's ends."""
+    rows = []
+    for patch in surface.patches:
+        v, u = np.meshgrid(np.arange(patch.along), np.arange(patch.around), indexing="ij")
+        near = [
+            patch.start + np.clip(v + dv, 0, patch.along - 1) * patch.around
+            + (u + du) % patch.around
+            for dv in (0, -1, 1) for du in (0, -1, 1)
+        ]  # fmt: skip
+        rows.append(np.stack(near, -1).reshape(-1, 9))
+    return np.concatenate(rows).astype(np.int32)

@@ -1,0 +1,174 @@
+"""A person's shape by what a whole recording's contours tell of it.
+
+Every frame's pairs tell of its pose and of the shape, both linearly where the pose was found. A
+frame's pose is eliminated from its normal equations (Schur's complement): what it may explain tells
+nothing of the shape. The rest adds up over the frames, and is solved with what is known of people.
+Shape are the surface's fields and, where asked for, the lengths of the bones.
+
+INPUTS: pairs of frames and their poses; the fields of a surface. OUTPUTS: the surface that suits,
+and the skeleton.
+"""
+
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from scipy.linalg import block_diag
+
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.proportions import LENGTHS, covariance_among_people, scaled, stretched
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.surfaces.loft import rest_joints
+from jaxmocap.body.surfaces.surface import Surface, posed
+from jaxmocap.body.surfaces.swelling_fields import fields_of, reshaped
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.rotations import HIGHEST
+from jaxmocap.silhouette.correspond import pairs_of
+from jaxmocap.silhouette.device_functions import Seen
+from jaxmocap.silhouette.points import linearised
+from jaxmocap.silhouette.surfaces.morph import Morph, moved, steered
+
+# Deviation of a pair, metres, such that a whole recording's pairs count as what they are worth:
+# neighbours on a contour err alike, and so does one place of the body in all frames.
+DEVIATION_M = 0.15
+# Deviation of every degree of freedom about the pose found, metres and radians, by one pair's.
+FREEDOM = 10.0
+
+
+class Paired(NamedTuple):
+    """The pairs that a pose was found with.
+
+    Attributes:
+        nodes: (C, N) of the surface.
+        seen: the same pairs, with what robust weighting leaves of their weights.
+    """
+
+    nodes: np.ndarray
+    seen: Seen
+
+
+@partial(jax.jit, static_argnames="lengths")
+def told(
+    skeleton: Skeleton,
+    cameras: Camera,
+    pose: Pose,
+    seen: Seen,
+    moves: Array,
+    morph: Morph | None = None,
+    lengths: int = 0,
+) -> tuple[Array, Array]:
+    """What a frame tells of pose and shape: their Hessian and slope, metres squared.
+
+    Args:
+        skeleton: of the person.
+        cameras: C, ``stacked``.
+        pose: that was found.
+        seen: its pairs, with what robust weighting leaves of their weights.
+        moves: (C * N, 3, P) of the pairs' nodes.
+        morph: what goes along with the pose.
+        lengths: so many of the ``LENGTHS`` are part of the shape; static.
+    """
+    if morph is not None and seen.moves is not None:
+        gone = moved(seen.points, seen.moves, steered(morph, pose.angles))
+        seen = seen._replace(points=gone)
+    pixels_xy, normals, weights = (jnp.asarray(part) for part in seen[1:4])
+    pairs = pairs_of(cameras, seen.points, pixels_xy, normals, weights, 0.0)
+    frames = forward(skeleton, pose)
+    residuals, rows = linearised(skeleton, frames, pairs)
+    shares = jnp.asarray(seen.points.shares)[..., None, None]
+    R = jnp.sum(shares * frames.R_world_bone[seen.points.bones], 1)
+    across = jnp.einsum("na,nab->nb", pairs.across, R, precision=HIGHEST)
+    shape = jnp.einsum("nb,nbp->np", across, moves, precision=HIGHEST)
+    both = jnp.concatenate([rows[:, 0], shape], 1)
+    if lengths:
+        longer = _by_lengths(skeleton, pose, seen, lengths)
+        along = jnp.einsum("na,nal->nl", pairs.across, longer, precision=HIGHEST)
+        both = jnp.concatenate([both, along], 1)
+    weighted = weights.ravel()[:, None] * both
+    H = jnp.matmul(weighted.T, both, precision=HIGHEST)
+    return H, jnp.matmul(weighted.T, residuals[:, 0], precision=HIGHEST)
+
+
+def _by_lengths(skeleton: Skeleton, pose: Pose, seen: Seen, count: int) -> Array:
+    """(N, 3, L) derivatives of the pairs' points, world, by logarithms of the bones' lengths."""
+
+    def placed(logarithms: Array) -> Array:
+        points = stretched(skeleton, seen.points, logarithms)
+        return posed(forward(scaled(skeleton, logarithms), pose), points)
+
+    return jax.jacfwd(placed)(jnp.zeros(count, skeleton.lengths.dtype))
+
+
+class ShapeFinder:
+    """Adds up what the frames of a recording tell of a person's shape.
+
+    Attributes:
+        fields: of the surface.
+        amounts: (P + L,) of them that are worn now, metres; then logarithms of lengths.
+    """
+
+    def __init__(
+        self, surface: Surface, skeleton: Skeleton, unknown: float = 1.0, lengths: bool = False
+    ):
+        """Begin with a surface.
+
+        Args:
+            surface: a generic one, or a person's own.
+            skeleton: that it lies around.
+            unknown: how far it may be off, by how far a generic one is.
+            lengths: whether the bones' lengths are to be found as well.
+        """
+        self._generic, self._skeleton = surface, skeleton
+        fields = fields_of(surface, rest_joints(skeleton))
+        self.fields = replace(fields, deviations=unknown * fields.deviations)
+        self._lengths = len(LENGTHS) if lengths else 0
+        among_people = np.linalg.inv(covariance_among_people(self._lengths))
+        both = block_diag(np.diag(self.fields.deviations**-2.0), among_people)
+        self._known = np.asarray(both)
+        self.amounts = np.zeros(len(self._known))
+        self._forget()
+
+    def _forget(self) -> None:
+        count = len(self.amounts)
+        self._information, self._slope = np.zeros((count, count)), np.zeros(count)
+
+    def tell(
+        self,
+        skeleton: Skeleton,
+        cameras: Camera,
+        pose: Pose,
+        pairs: Paired,
+        morph: Morph | None = None,
+    ) -> None:
+        """A frame: C cameras (``stacked``), the pose found by its pairs, what goes along."""
+        moves = self.fields.moves[pairs.nodes.ravel()]
+        self.add(*told(skeleton, cameras, pose, pairs.seen, moves, morph, self._lengths))
+
+    def add(self, H: Array | np.ndarray, slope: Array | np.ndarray) -> None:
+        """Normal equations (6 + D + P) of a frame's pose and the shape; the pose is eliminated."""
+        H, slope = np.asarray(H, float), np.asarray(slope, float)
+        first = len(slope) - len(self.amounts)
+        pose = H[:first, :first] + np.eye(first) / FREEDOM**2
+        both = np.column_stack([H[:first, first:], slope[:first]])
+        explained = H[first:, :first] @ np.linalg.solve(pose, both)
+        self._information += H[first:, first:] - explained[:, :-1]
+        self._slope += slope[first:] - explained[:, -1]
+
+    def fitted(self) -> tuple[Skeleton, Surface]:
+        """What suits all frames told of, and people; then those are forgotten."""
+        H = self._information / DEVIATION_M**2 + self._known
+        slope = self._slope / DEVIATION_M**2 + self._known @ self.amounts
+        self.amounts = self.amounts - np.linalg.solve(H, slope)
+        self._forget()
+        amounts, logarithms = np.split(self.amounts, [len(self.fields.names)])
+        surface = reshaped(self._generic, self.fields, amounts)
+        if not self._lengths:
+            return self._skeleton, surface
+        longer = jnp.asarray(logarithms, self._skeleton.lengths.dtype)
+        points = stretched(self._skeleton, surface.points, longer)
+        return scaled(self._skeleton, longer), replace(surface, points=points)

@@ -1,0 +1,180 @@
+"""Surfaces between surfaces, and places that swell (second paper, 4.2.2 and 4.2.3).
+
+INPUTS: Surfaces in correspondence, node for node; places of their patches.
+OUTPUTS: what lies between them; moves of the nodes.
+"""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.skeleton import Tree
+from jaxmocap.body.surfaces.surface import (
+    BodyPoints,
+    Patch,
+    Surface,
+    resampled,
+    resampled_moves,
+    rest_nodes,
+)
+from jaxmocap.silhouette.surfaces.morph import (
+    WEIGHTINGS,
+    Morph,
+    Morphing,
+    Steer,
+    Swelling,
+    Transition,
+    morph_of,
+)
+
+
+@jax.jit
+def radial(places: Array, centre: Array, radii: Array) -> Array:
+    """r(phi1, phi2) of (4.27), (N,), 1 at the centre.
+
+    Args:
+        places: (N, 2) phi1, radians and periodic, and phi2.
+        centre: (2,) the same.
+        radii: (2,) where r falls to 1/e: the roots of the paper's r_x and r_y.
+    """
+    around = places[:, 0] - centre[0]
+    around = around - 2 * jnp.pi * jnp.round(around / (2 * jnp.pi))
+    along = places[:, 1] - centre[1]
+    return jnp.exp(-((around / radii[0]) ** 2)) * jnp.exp(-((along / radii[1]) ** 2))
+
+
+def places_of(patch: Patch, grid: np.ndarray) -> np.ndarray:
+    """(along * around, 2) phi1, radians, and phi2, share of the way along, of a patch's nodes."""
+    steps = np.linalg.norm(np.diff(grid.mean(1), axis=0), axis=1)
+    way = np.append(0.0, np.cumsum(steps)) / steps.sum()
+    phi = 2 * np.pi * np.arange(patch.around) / patch.around
+    return np.stack(np.broadcast_arrays(phi, way[:, None]), -1).reshape(-1, 2)
+
+
+def grid_normals(grid: np.ndarray) -> np.ndarray:
+    """Unit normals (along, around, 3), out of the body; 0 at a limb's closed ends."""
+    around = np.roll(grid, -1, 1) - np.roll(grid, 1, 1)
+    across = np.cross(around, np.gradient(grid, axis=0))
+    outwards = np.sum(across * (grid - grid.mean(1, keepdims=True)))
+    length = np.linalg.norm(across, axis=-1, keepdims=True)
+    return np.sign(outwards) * across / np.where(length > 1e-12, length, np.inf)
+
+
+def moves_of(
+    surface: Surface, joints: np.ndarray, steers: Sequence[Steer], swellings: Sequence[Swelling]
+) -> np.ndarray:
+    """(N, 3, S) what each steer moves of a surface, lambda e r of (4.28), all places together.
+
+    Args:
+        surface: N nodes, however dense.
+        joints: (B, 3) of the bones with all angles 0, metres.
+        steers: S of them.
+        swellings: each by one of these.
+
+    Raises:
+        ValueError: no such patch.
+    """
+    moves = np.zeros((len(surface.points.bones), 3, len(steers)), np.float32)
+    nodes, patches = rest_nodes(surface, joints), {each.name: each for each in surface.patches}
+    for swelling in swellings:
+        if swelling.patch not in patches:
+            raise ValueError(f"no patch {swelling.patch!r}: expected of {', '.join(patches)}")
+        patch = patches[swelling.patch]
+        grid = patch.grid(nodes)
+        r = radial(places_of(patch, grid), np.array(swelling.centre), np.array(swelling.radii))  # type: ignore[arg-type]
+        ways = grid_normals(grid).reshape(-1, 3)
+        if swelling.direction is not None:
+            ways = np.broadcast_to(np.array(swelling.direction), ways.shape)
+        moves[patch.nodes, :, steers.index(swelling.steer)] += (
+            swelling.gain * np.asarray(r)[:, None] * ways
+        )
+    return moves
+
+
+def gone_over(
+    surface: Surface, joints: np.ndarray, transition: Transition, spacing: float | None = None
+) -> np.ndarray:
+    """(M, 3) from a surface's nodes, resampled at ``spacing`` where given, to the other's.
+
+    Raises:
+        ValueError: the two have other patches, or there is no such patch.
+    """
+    _check_like(transition.to, surface)
+    known = [patch.name for patch in surface.patches]
+    if strange := [name for name in transition.patches if name not in known]:
+        raise ValueError(f"no patch {strange[0]!r}: expected of {', '.join(known)}")
+    moves = rest_nodes(transition.to, joints) - rest_nodes(surface, joints)
+    for patch in surface.patches:
+        if transition.patches and patch.name not in transition.patches:
+            moves[patch.nodes] = 0.0
+    return moves if spacing is None else resampled_moves(surface, joints, spacing, moves)
+
+
+def morphed(
+    morphing: Morphing,
+    tree: Tree,
+    surface: Surface,
+    joints: np.ndarray,
+    spacing: float | None = None,
+) -> Morph:
+    """A morphing of one skeleton and the surface around it.
+
+    Args:
+        morphing: what goes along.
+        tree: of the skeleton.
+        surface: N nodes.
+        joints: (B, 3) of the bones with all angles 0, metres.
+        spacing: of the nodes that go along, metres, if those are ``resampled``.
+
+    Raises:
+        KeyError: no such joint, or no such weighting.
+        ValueError: no such patch, surfaces of other patches, or a joint steers and follows.
+    """
+    if not (morphing.swellings or morphing.transitions):
+        return morph_of(morphing, tree)
+    steers = morphing.steers
+    worn = surface if spacing is None else resampled(surface, joints, spacing)
+    moves = moves_of(worn, joints, steers, morphing.swellings)
+    for transition in morphing.transitions:
+        gone = gone_over(surface, joints, transition, spacing)
+        moves[..., steers.index(transition.steer)] += gone
+    return morph_of(morphing, tree, moves)
+
+
+def between(
+    first: BodyPoints, second: BodyPoints, t: Array | float, weighting: str = "linear"
+) -> BodyPoints:
+    """F_t of (4.26): the second surface's points at t = 0, the first's at t = 1.
+
+    Args:
+        first: of one surface.
+        second: of another in correspondence, on the same bones: see ``corresponding``.
+        t: () from 0 to 1.
+        weighting: a name of ``WEIGHTINGS``.
+    """
+    weight = WEIGHTINGS[weighting](jnp.asarray(t))
+    places, shares = (
+        weight * jnp.asarray(a) + (1 - weight) * jnp.asarray(b)
+        for a, b in zip(first[1:], second[1:], strict=True)
+    )
+    return BodyPoints(first.bones, places, shares)
+
+
+def corresponding(surface: Surface, joints: np.ndarray, like: Surface) -> Surface:
+    """A surface carried by the same bones as another, node for node; at rest it stays as it is.
+
+    Raises:
+        ValueError: the two have other patches.
+    """
+    _check_like(surface, like)
+    nodes, bones = rest_nodes(surface, joints), like.points.bones
+    places = jnp.asarray(nodes[:, None] - joints[np.asarray(bones)], float)
+    return Surface(like.patches, BodyPoints(bones, places, like.points.shares))
+
+
+def _check_like(surface: Surface, like: Surface) -> None:
+    if surface.patches != like.patches:
+        raise ValueError("two surfaces of other patches: expected the same, node for node")

@@ -1,0 +1,272 @@
+"""A whole trajectory at once: Levenberg-Marquardt whose Hessian is block-banded in time.
+
+Minimises the frames' own costs f_t(x_t, p) plus a prior over how points of theirs move
+(``smoothness``), over the states x_t of all frames and, if any, parameters p that all frames share.
+The states live on any manifold: steps are taken in the tangent space. The frames' terms may come
+from the device in float32; the sums over time are float64 on the host, since the squares of second
+differences at 120 Hz weigh 1e7 times those of positions.
+
+INPUTS: the frames' terms as functions of the trajectory, a start, the prior.
+OUTPUTS: the trajectory, how the solve ended, covariances.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxmocap.evidence.smoothness import Smoothness
+from jaxmocap.solvers.arrow import Covariances, Equations, Step
+from jaxmocap.solvers.banded import NotPositiveDefinite
+from jaxmocap.solvers.status import Status
+
+# The derivative of anything, in any frame, by no shared parameters.
+UNSHARED = np.zeros((1, 0))
+# Damping is by the frames' own curvature: by the prior's, a million times as stiff from frame to
+# frame, slow movements, in which the prior is soft, would hardly start. This share of the prior's
+# still holds unknowns that no frame sees.
+PRIORS_SHARE = 1e-4
+LEAST_DAMPING = 1e-9
+# With more of it, a small step or gain does not mean that the minimum is near.
+LIGHT_DAMPING = 1.0
+# A step that promises less than this part of what is small is not tried.
+PROMISED = 0.5
+
+
+class Linearised(NamedTuple):
+    """T frames about their present states: N tangent directions each, M coordinates, P shared.
+
+    Costs are sums of squares of whitened residuals r. All entries are finite; an absent frame has
+    zeros (its points and their derivative aside), and the prior bridges it.
+
+    Attributes:
+        cost: (T,) r^T r.
+        hessian: (T, N, N) J^T J.
+        gradient: (T, N) J^T r, half the cost's derivative.
+        points: (T, M) the coordinates whose motion the prior judges.
+        jacobian: (T, M, N) their derivative.
+        cross: (T, N, P) J^T J_p; without shared parameters this and the rest are left out.
+        shared_hessian: (T, P, P) J_p^T J_p; a prior on p belongs to one frame, or a T-th to each.
+        shared_gradient: (T, P) J_p^T r.
+        shared_jacobian: (T, M, P) the points' derivative by p.
+    """
+
+    cost: ArrayLike
+    hessian: ArrayLike
+    gradient: ArrayLike
+    points: ArrayLike
+    jacobian: ArrayLike
+    cross: ArrayLike = UNSHARED
+    shared_hessian: ArrayLike = UNSHARED.T @ UNSHARED
+    shared_gradient: ArrayLike = UNSHARED[0]
+    shared_jacobian: ArrayLike = UNSHARED
+
+
+class Settings(NamedTuple):
+    """How a trajectory is solved.
+
+    Attributes:
+        iterations: most steps.
+        attempts: most tries of one of them.
+        damping: the first, as a share of the frames' mean curvature.
+        relative: converged when the cost falls by no more than this share, or would, or
+        step: when no tangent component moves by more than this.
+        floor: curvature that every unknown has about its present value, so that what nothing
+            determines stays where it is; it then has the variance 1 / floor.
+    """
+
+    iterations: int = 20
+    attempts: int = 8
+    damping: float = 1e-3
+    relative: float = 1e-4
+    step: float = 1e-5
+    floor: float = 1e-6
+
+
+DEFAULTS = Settings()
+
+
+class Smoothed(NamedTuple):
+    """How a solve ended.
+
+    Attributes:
+        x: the trajectory.
+        cost: there, the prior's included.
+        iterations: times that a step was solved for.
+        linearisations: made.
+        damping: to start with where the solve goes on.
+        status: why it ended.
+    """
+
+    x: Any
+    cost: float
+    iterations: int
+    linearisations: int
+    damping: float
+    status: Status
+
+
+Linearise = Callable[[Any], Linearised]
+Move = Callable[[Any, np.ndarray, np.ndarray], Any]
+
+
+def smooth(
+    linearise: Linearise,
+    move: Move,
+    start: Any,
+    prior: Smoothness,
+    settings: Settings = DEFAULTS,
+    held: int = 0,
+) -> Smoothed:
+    """Minimise the frames' costs plus the prior over a whole trajectory.
+
+    A stiff prior turns a far start into a narrow bent valley: there, solve with several times the
+    prior's deviations first. Where a step led is linearised at once: mostly it was right, and the
+    next one begins there.
+
+    Args:
+        linearise: trajectory to its ``Linearised``; a cost that is not finite refuses a step.
+        move: trajectory, steps (T, N) and shared step (P,), float64 arrays both, to trajectory.
+        start: a trajectory: anything that the two of them understand.
+        prior: of the points' motion.
+        settings: of the solve.
+        held: so many first frames stay as they are.
+    """
+
+    def moved_by(x: Any, step: Step) -> _Place:
+        return place(move(x, _padded(step.frames, held), step.shared))
+
+    def place(x: Any) -> _Place:
+        linear = linearise(x)
+        return _Place(x, linear, _total(prior, linear.cost, linear.points))
+
+    here = place(start)
+    state = Smoothed(start, here.cost, 0, 1, settings.damping, Status.OUT_OF_STEPS)
+    while state.status == Status.OUT_OF_STEPS and state.iterations < settings.iterations:
+        equations = normal_equations(here.linear, prior, held)
+        state = state._replace(iterations=state.iterations + 1)
+        if not (np.isfinite(here.cost) and equations.finite()):
+            return state._replace(x=start, status=Status.BROKEN)
+        here, state = _descend(moved_by, here, state, equations, settings)
+        if state.status == Status.CONVERGED and not equations.determined():
+            state = state._replace(status=Status.UNDETERMINED)
+    return state._replace(x=here.x, cost=here.cost)
+
+
+def covariances(
+    linearised: Linearised, prior: Smoothness, settings: Settings = DEFAULTS, held: int = 0
+) -> Covariances:
+    """How uncertain the states about which ``linearised`` was taken are, given everything.
+
+    Diagonal blocks of the inverse Hessian of half the cost: covariances, if the residuals have
+    unit variance. Those of held frames are 0.
+    """
+    frames = positive(_double(linearised.hessian))
+    equations = normal_equations(linearised._replace(hessian=frames), prior, held)
+    found = equations.covariances(settings.floor)
+    return found._replace(frames=_padded(found.frames, held), cross=_padded(found.cross, held))
+
+
+def point_variances(
+    jacobian: ArrayLike, found: Covariances, shared_jacobian: ArrayLike = UNSHARED
+) -> np.ndarray:
+    """Variances (T, M) of coordinates, by their derivatives (T, M, N) and (T, M, P)."""
+    own, common = _double(jacobian), _double(shared_jacobian)
+    common = np.broadcast_to(common, (*own.shape[:2], common.shape[-1]))
+    spread = own @ found.frames + common @ found.cross.swapaxes(1, 2)
+    across = own @ found.cross + common @ found.shared
+    return np.sum(spread * own, 2) + np.sum(across * common, 2)
+
+
+def normal_equations(linearised: Linearised, prior: Smoothness, held: int = 0) -> Equations:
+    """The equations of all frames but the first ``held``, the prior's terms included."""
+    _, hessian, gradient, points, jacobian, *border = (_double(each) for each in linearised)
+    cross, shared_hessian, shared_gradient, shared_jacobian = border
+    (frames, size), width = gradient.shape, shared_gradient.shape[-1]
+    common = np.broadcast_to(shared_jacobian, (*points.shape, width))
+    shared = np.broadcast_to(shared_hessian, (frames, width, width)).sum(0)
+    rows = prior.block_rows(jacobian)
+    stiffness = np.einsum("tii->i", rows[:, :, :size]) / frames
+    rows[:, :, :size] += hessian
+    # The points and their leverage on the shared parameters pass through the prior together.
+    pulled = prior.precision(np.concatenate([points[..., None], common], 2))
+    own = jacobian.swapaxes(1, 2) @ pulled
+    corner = np.einsum("tmp,tmq->pq", common, pulled)
+    return Equations(
+        rows[held:],
+        (gradient + own[..., 0])[held:],
+        (cross + own[..., 1:])[held:],
+        shared + corner[:, 1:],
+        np.broadcast_to(shared_gradient, (frames, width)).sum(0) + corner[:, 0],
+        np.einsum("tii->i", hessian) / frames + PRIORS_SHARE * stiffness,
+        np.diag(shared) + PRIORS_SHARE * np.diag(corner[:, 1:]),
+    )
+
+
+class _Place(NamedTuple):
+    """Where a solve is.
+
+    Attributes:
+        x: the trajectory.
+        linear: about it.
+        cost: the prior's included.
+    """
+
+    x: Any
+    linear: Linearised
+    cost: float
+
+
+def _descend(
+    moved_by: Callable[[Any, Step], _Place],
+    here: _Place,
+    state: Smoothed,
+    equations: Equations,
+    settings: Settings,
+) -> tuple[_Place, Smoothed]:
+    """One step downhill; the damping follows the gain as Nielsen (1999) has it."""
+    damping, growth = state.damping, 2.0
+    enough = settings.relative * here.cost
+    converged = state._replace(status=Status.CONVERGED)
+    for _ in range(settings.attempts):
+        try:
+            step = equations.step(damping, settings.floor)
+        except NotPositiveDefinite:
+            damping, growth = damping * growth, 2 * growth
+            continue
+        light = damping <= LIGHT_DAMPING
+        if light and step.decrease <= enough * PROMISED:
+            return here, converged
+        there = moved_by(here.x, step)
+        state = state._replace(linearisations=state.linearisations + 1)
+        converged = converged._replace(linearisations=state.linearisations)
+        lower = there.cost < here.cost
+        fall = here.cost - there.cost if lower else step.decrease
+        small = light and (fall <= enough or step.largest() <= settings.step)
+        if lower:
+            gain = fall / step.decrease
+            eased = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), LEAST_DAMPING)
+            return there, (converged if small else state)._replace(damping=eased)
+        if small:
+            return here, converged
+        damping, growth = damping * growth, 2 * growth
+    return here, state._replace(status=Status.STALLED)
+
+
+def _total(prior: Smoothness, cost: ArrayLike, points: ArrayLike) -> float:
+    return float(_double(cost).sum()) + prior.cost(_double(points))
+
+
+def positive(hessians: np.ndarray) -> np.ndarray:
+    """The nearest (T, N, N) without the negative curvature that float32's rounding leaves."""
+    values, vectors = np.linalg.eigh(hessians)
+    return (vectors * np.maximum(values, 0)[:, None]) @ vectors.swapaxes(1, 2)
+
+
+def _padded(values: np.ndarray, held: int) -> np.ndarray:
+    return np.concatenate([np.zeros((held, *values.shape[1:])), values])
+
+
+def _double(values: ArrayLike) -> np.ndarray:
+    return np.asarray(values, float)

@@ -1,0 +1,4 @@
+"""Movements of synthetic people.
+
+Begin with ``motions``.
+"""

@@ -1,0 +1,4 @@
+"""Synthetic people: bodies of blocks, rigged meshes, clothes.
+
+Begin with ``clothed_person``.
+"""

@@ -1,0 +1,321 @@
+"""A body mesh with a rig of its own, however it is moved: its skin, its clothes, its landmarks.
+
+The rest faces -y, left is +x, the feet stand on z = 0. The body is not of our making: the truth is
+the rig's own joints.
+
+INPUTS: people as rigged meshes (.npz: vertices, quads, skin weights, joints); turns of the joints.
+OUTPUTS: a RiggedMesh: vertices and landmarks at any time.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.formats.files.arrays import NAMES, WHOLE, Arrays, Stated
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.shortened import listed
+from jaxmocap.synthetic.people.meshes import Mesh
+
+# A file of people: P of them, V vertices, F faces, J joints; metres.
+REACH_M = 100.0
+WEIGHTS_OFF = 1e-2
+STATED = {
+    "people": Stated(("P",), NAMES),
+    "vertices": Stated(("P", "V", 3), low=-REACH_M, high=REACH_M),
+    "quads": Stated(("F", 4), WHOLE, low=0),
+    "skin_joint": Stated(("V", "K"), WHOLE, low=0),
+    "skin_weight": Stated(("V", "K"), low=0, high=1 + WEIGHTS_OFF),
+    "joint_names": Stated(("J",), NAMES),
+    "joint_parents": Stated(("J",), WHOLE, low=-1),
+    "joints": Stated(("P", "J", 3), low=-REACH_M, high=REACH_M),
+}
+# Of vertices, faces and joints; a frame is drawn face by face.
+MOST_PARTS = {"vertices": 200_000, "quads": 200_000, "joint_names": 500}
+# How tall a person of a file may be, and how far two joints of a limb are apart, metres.
+SHORTEST_M, TALLEST_M, APART_M = 0.5, 2.5, 0.01
+# Who is taken if nobody is named.
+USUAL = "man"
+# Landmark -> joint of the rig, for one side and for the middle.
+_PAIRED = {
+    **{"shoulder": "Arm", "elbow": "ForeArm", "wrist": "Hand", "hand": "HandFinger1"},
+    **{"hip": "UpLeg", "knee": "Leg", "ankle": "Foot", "toe": "ToeBase"},
+}
+_SIDES = {"l": "Left", "r": "Right"}
+RIG_LANDMARKS: dict[str, str] = {
+    "head": "Head",
+    **{
+        f"{name}_{s}": side + joint for name, joint in _PAIRED.items() for s, side in _SIDES.items()
+    },
+}
+# Joints that a rig must have.
+ROOT = "Hips"
+JOINTS = (*dict.fromkeys([ROOT, *RIG_LANDMARKS.values(), "Spine1", "Neck"]),)
+LIMBS = [
+    (f"{side}{near}", f"{side}{far}")
+    for side in _SIDES.values()
+    for chain in (("Arm", "ForeArm", "Hand", "HandFinger1"), ("UpLeg", "Leg", "Foot", "ToeBase"))
+    for near, far in pairwise(chain)
+]
+SHIRT, TROUSERS, SKIN, HAIR, SHOES = (
+    np.array(colour)
+    for colour in (
+        *((0.24, 0.30, 0.66), (0.36, 0.30, 0.24), (0.50, 0.60, 0.82)),
+        *((0.10, 0.14, 0.20), (0.70, 0.70, 0.70)),
+    )
+)
+
+
+class Rig(NamedTuple):
+    """A mesh and its J joints at rest.
+
+    Attributes:
+        mesh: at rest, metres.
+        names: of the joints.
+        parents: (J,) indices, -1 at the root.
+        rest: (J, 3) joints at rest, metres: facing -y, left is +x.
+    """
+
+    mesh: Mesh
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    rest: np.ndarray
+
+
+@dataclass(frozen=True)
+class RiggedMesh(ABC):
+    """A rigged mesh; what moves it is said by those that derive from it.
+
+    Attributes:
+        body: mesh and joints at rest.
+    """
+
+    body: Rig
+
+    @property
+    def mesh(self) -> Mesh:
+        """At rest: its faces and colours."""
+        return self.body.mesh
+
+    @abstractmethod
+    def rig(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Turns (T, J, 3, 3) from rest, and positions (T, J, 3), of the joints."""
+
+    def vertices(self, times: np.ndarray) -> np.ndarray:
+        """(T, V, 3) in the world, metres, at (T,) times, seconds."""
+        R, joints = self.rig(times)
+        return self.mesh.posed(R, joints - np.einsum("tjab,jb->tja", R, self.body.rest))
+
+    def chained(
+        self, turned: dict[str, np.ndarray], legs: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """``rig`` by turns (T, 3, 3) of some joints, and the hips' middle (T, 3).
+
+        A joint without a turn follows its parent.
+        """
+        turned, placed, names = dict(turned), {}, self.body.names
+        for name in self._from_root:
+            parent = self.body.parents[names.index(name)]
+            if parent < 0:
+                rest = (self.at("LeftUpLeg") + self.at("RightUpLeg")) / 2 - self.at(name)
+                placed[name] = legs - turned[name] @ rest
+                continue
+            above = names[parent]
+            turned.setdefault(name, turned[above])
+            placed[name] = placed[above] + turned[above] @ (self.at(name) - self.at(above))
+        R = np.stack([turned[name] for name in names], 1)
+        return R, np.stack([placed[name] for name in names], 1)
+
+    def landmarks(self, times: np.ndarray) -> dict[str, np.ndarray]:
+        """Landmark name -> (T, 3), world, metres: the rig's joints, and the top of the head."""
+        return self._landmarks(*self.rig(times))
+
+    def standing(self) -> dict[str, np.ndarray]:
+        """The same landmarks (1, 3) at rest: a static trial."""
+        return self._landmarks(
+            np.broadcast_to(np.eye(3), (1, len(self.body.names), 3, 3)), self.body.rest[None]
+        )
+
+    def _landmarks(self, R: np.ndarray, joints: np.ndarray) -> dict[str, np.ndarray]:
+        points = {
+            name: joints[:, self.body.names.index(rig)] for name, rig in RIG_LANDMARKS.items()
+        }
+        head = self.body.names.index("Head")
+        vertex = joints[:, head] + R[:, head] @ (self.crown - self.body.rest[head])
+        chest = self.body.names.index("Spine1")
+        neck = joints[:, chest] + R[:, chest] @ (self.nape - self.body.rest[chest])
+        pelvis = (points["hip_l"] + points["hip_r"]) / 2
+        return {"pelvis": pelvis, "neck": neck, "vertex": vertex} | points
+
+    @cached_property
+    def nape(self) -> np.ndarray:
+        """(3,) the base of the neck, a little above the line of the shoulders, at rest, metres."""
+        return (self.at("LeftArm") + self.at("RightArm")) / 4 + self.at("Neck") / 2
+
+    @cached_property
+    def crown(self) -> np.ndarray:
+        """(3,) the highest point of the head, straight above its joint, at rest, metres."""
+        return np.append(
+            self.body.rest[self.body.names.index("Head"), :2], self.mesh.vertices[:, 2].max()
+        )
+
+    @cached_property
+    def _from_root(self) -> list[str]:
+        """Joint names, parents first."""
+        order = [i for i, parent in enumerate(self.body.parents) if parent < 0]
+        for i in order:
+            order += [child for child, parent in enumerate(self.body.parents) if parent == i]
+        return [self.body.names[i] for i in order]
+
+    def at(self, name: str) -> np.ndarray:
+        """(3,) a joint at rest, metres."""
+        return self.body.rest[self.body.names.index(name)]
+
+
+def load_rig(file: str | Path, who: str | None = None, seed: int = 0) -> Rig:
+    """One of the people of a file, in clothes worn as the seed says.
+
+    Args:
+        file: .npz of people, see ``STATED``.
+        who: by name; None is the one called man, or else the first.
+        seed: of the clothes.
+
+    Raises:
+        InputError: no such file, another kind of file, or one that contradicts itself.
+        ValueError: no such person.
+    """
+    data = _read(file)
+    people = data["people"].tolist()
+    who = (USUAL if USUAL in people else people[0]) if who is None else who
+    if who not in people:
+        raise ValueError(f"unknown person {who!r}; expected one of {', '.join(people)}")
+    i = people.index(who)
+    mesh = Mesh(
+        data["vertices"][i].astype(float),
+        data["quads"],
+        np.zeros((len(data["quads"]), 3)),
+        data["skin_joint"].astype(int),
+        data["skin_weight"].astype(float),
+    )
+    names = tuple(data["joint_names"].tolist())
+    parents = tuple(data["joint_parents"].tolist())
+    rest = data["joints"][i].astype(float)
+    mesh = replace(mesh, colours=_colours(mesh, names, rest, np.random.default_rng([seed, 5])))
+    return Rig(mesh, names, parents, rest)
+
+
+def _read(file: str | Path) -> dict[str, np.ndarray]:
+    """The arrays of a file of people, checked."""
+    arrays = Arrays(file)
+    if not set(STATED) <= set(arrays.names):
+        expected = f"expected an .npz with {', '.join(STATED)}"
+        raise InputError(file, f"holds no rigged meshes, {expected}")
+    data = arrays.read(STATED)
+    for name in STATED:
+        count = max(data[name].shape[:2]) if name == "vertices" else len(data[name])
+        if not data[name].size or count > MOST_PARTS.get(name, count):
+            expected = f"expected 1 to {MOST_PARTS.get(name, count)}"
+            raise InputError(file, f"{name}: found {count}, {expected}")
+    _check_below(file, "quads", data["quads"], data["vertices"].shape[1])
+    _check_below(file, "skin_joint", data["skin_joint"], len(data["joint_names"]))
+    together = data["skin_weight"].sum(-1)
+    if np.abs(together - 1).max() > WEIGHTS_OFF:
+        i = int(np.abs(together - 1).argmax())
+        raise InputError(file, f"skin_weight[{i}]: together {together[i]:.4g}, expected 1")
+    names = data["joint_names"].tolist()
+    _check_tree(file, names, data["joint_parents"].tolist())
+    for who, vertices, joints in zip(
+        data["people"].tolist(), data["vertices"], data["joints"], strict=True
+    ):
+        _check_body(file, who, vertices, dict(zip(names, joints, strict=True)))
+    return data
+
+
+def _check_body(
+    file: str | Path, who: str, vertices: np.ndarray, joints: dict[str, np.ndarray]
+) -> None:
+    """InputError unless somebody is as tall as people are, and their limbs have lengths."""
+    tall = float(np.ptp(vertices[:, 2]))
+    if not SHORTEST_M <= tall <= TALLEST_M:
+        expected = f"expected {SHORTEST_M:g} to {TALLEST_M:g} m"
+        raise InputError(file, f"{who}: found a body {tall:.4g} m tall, {expected}")
+    for near, far in LIMBS:
+        if np.linalg.norm(joints[far] - joints[near]) < APART_M:
+            raise InputError(file, f"{who}: found {near} and {far} at one place")
+
+
+def _check_below(file: str | Path, name: str, indices: np.ndarray, count: int) -> None:
+    if indices.max() >= count:
+        problem = f"found index {indices.max()}, expected one below {count}"
+        raise InputError(file, f"{name}: {problem}")
+
+
+def _check_tree(file: str | Path, names: list[str], parents: list[int]) -> None:
+    """InputError unless the joints that are asked for are there, and all hang on one root."""
+    missing = [name for name in JOINTS if name not in names]
+    if missing or len(set(names)) < len(names):
+        found = f"found no {missing[0]}" if missing else "found a name twice"
+        raise InputError(file, f"joint_names: {found}, expected {', '.join(JOINTS)} and others")
+    roots = [name for name, parent in zip(names, parents, strict=True) if parent < 0]
+    if roots != [ROOT] or max(parents) >= len(parents):
+        found = f"found roots (-1) {listed(roots)} and indices to {max(parents)}"
+        expected = f"expected {ROOT} alone and indices below {len(parents)}"
+        raise InputError(file, f"joint_parents: {found}, {expected}")
+    reached = [i for i, parent in enumerate(parents) if parent < 0]
+    for joint in reached:
+        reached += [i for i, parent in enumerate(parents) if parent == joint]
+    if len(reached) < len(parents):
+        loose = next(i for i in range(len(parents)) if i not in reached)
+        raise InputError(file, f"joint_parents: {names[loose]} hangs on no root, a loop")
+
+
+def _colours(
+    mesh: Mesh, names: tuple[str, ...], rest: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """(F, 3) clothes by the bone that carries a face most: shirt, trousers, shoes, bare skin."""
+    carrier = mesh.bones[np.arange(len(mesh.bones)), mesh.weights.argmax(-1)][mesh.faces[:, 0]]
+    middle = mesh.vertices[mesh.faces].mean(1)
+    worn = np.broadcast_to(SKIN, (len(mesh.faces), 3)).copy()
+    kinds = {
+        "shirt": ("Spine", "LowerBack", "Shoulder", "LeftArm", "RightArm"),
+        "trousers": ("Hip", "UpLeg", "LeftLeg", "RightLeg"),
+        "shoes": ("Foot", "Toe"),
+    }
+    tones = {"shirt": SHIRT, "trousers": TROUSERS, "shoes": SHOES}
+    for kind, parts in kinds.items():
+        of_kind = [i for i, name in enumerate(names) if any(part in name for part in parts)]
+        worn[np.isin(carrier, of_kind)] = tones[kind]
+    head = rest[names.index("Head")]
+    on_head = carrier == names.index("Head")
+    worn[on_head & ((middle[:, 2] > head[2] + 0.13) | (middle[:, 1] > head[1] + 0.03))] = HAIR
+    stripes = 1 + 0.12 * np.sign(np.sin(middle[:, 2] * 130)) * (worn == SHIRT).all(-1)
+    return np.clip(worn * (stripes * rng.normal(1, 0.06, len(worn)))[:, None], 0.02, 1)
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors (..., 3) of length 1."""
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def basis(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) orthonormal columns: along ``first``, and across it towards ``second``."""
+    x = unit(first)
+    z = unit(np.cross(x, second))
+    return np.stack([x, np.cross(z, x), z], -1)
+
+
+def turn(
+    seen: np.ndarray, beside: np.ndarray, rest: np.ndarray, rest_beside: np.ndarray
+) -> np.ndarray:
+    """Turns (..., 3, 3) of one pair of directions (3,), at rest, onto another (..., 3)."""
+    return basis(seen, beside) @ basis(rest, rest_beside).T
+
+
+def between(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
+    """A turn (T, 3, 3) between two that are not far apart."""
+    mixed = (1 - share) * a + share * b
+    return basis(mixed[..., 0], mixed[..., 1])

@@ -1,0 +1,103 @@
+"""The silhouette tracker's benchmark: its tables, and stages that make up the frame."""
+
+from time import sleep
+
+import numpy as np
+import pytest
+
+from bench import personal
+from bench.silhouette import Result, camera_rows, exercise_rows, metrics, real_rows, speed
+from bench.stages import REST, STAGES, WHOLE, StageClock, stages_timed
+from jaxmocap.evaluation.acceleration import Calm
+from jaxmocap.evaluation.errors import Errors
+from jaxmocap.pipelines.silhouettes.demo import JOINTS
+from jaxmocap.silhouette import tracker
+
+
+def result(name: str, cameras: int, off_m: float, bend_deg: float) -> Result:
+    """All joints so far off along x; elbows bent off by so much, knees by half of it."""
+    offsets = np.zeros((3, len(JOINTS), 3))
+    offsets[..., 0] = off_m
+    bend = np.radians(bend_deg)
+    off = {f"{h}_{s}": np.full(3, bend / k) for h, k in (("elbow", 1), ("knee", 2)) for s in "lr"}
+    truths, still = np.full(len(JOINTS), 2.0), np.zeros(len(JOINTS))
+    calm = Calm(1.5 * truths, truths, still, still)
+    return Result(name, cameras, Errors(tuple(JOINTS), np.arange(3.0), offsets), off, calm)
+
+
+def test_tables_show_degrees_and_centimetres_and_their_means():
+    results = [result("walking", 4, 0.01, 2.0), result("turn", 4, 0.03, 4.0)]
+    rows = exercise_rows(results)
+    assert rows[2][:4] == ["walking", "2.0", "1.0", "1.0"]
+    assert rows[-1] == ["mean", "3.0", "1.5", *["2.0"] * 7, "1.5"]
+    fewer = [result("walking", 1, 0.05, 8.0), result("turn", 1, 0.05, 8.0)]
+    rows = camera_rows([*results, *fewer])
+    assert rows[0][1:] == ["4 cam.", "1 cam."] * 2
+    assert rows[-1] == ["mean", "2.2", "6.0", "2.0", "5.0"]
+
+
+def test_the_real_recording_is_judged_by_eight_joints():
+    real = result("balancing", 4, 0.02, 5.0)
+    places = [name.split("_")[0] in ("wrist", "ankle") for name in real.errors.joints]
+    real.errors.offsets[:, places] = 1.0
+    assert real_rows(real)[-1][-3:] == ["2.0", "5.0", "1.5"]
+    named = {metric.name: metric.value for metric in metrics(real)}
+    assert named["balancing, 4 cameras, judged by"] == pytest.approx(2.0)
+    assert named["balancing, 4 cameras, joints"] > 30
+
+
+def test_stages_and_the_rest_make_up_the_frame():
+    clock = StageClock()
+    decode, fit = (clock.timed(stage, sleep) for stage in ("decode", "fit"))
+
+    def frame():
+        fit(0.004)
+        fit(0.004)
+        sleep(0.004)
+
+    step = clock.step(frame)
+    for _ in range(3):
+        decode(0.004)
+        step()
+    for spent in clock.frames:
+        assert spent["fit"] >= 8 and spent["decode"] >= 4 and spent[REST] >= 4
+        parts = sum(spent[stage] for stage in ("decode", "fit", REST))
+        assert spent[WHOLE] == pytest.approx(parts)
+    found = {metric.name: metric.value for metric in speed("x", clock.frames)}
+    assert found["x, rim, median"] == 0 and found["x, fit, 99 %"] >= 8
+    assert found["x, frames per second"] == pytest.approx(1e3 / found["x, whole frame, median"])
+
+
+def test_a_stage_does_not_count_those_that_it_calls():
+    clock = StageClock()
+    fit = clock.timed("fit", sleep)
+    again = clock.timed("hypotheses", lambda: (sleep(0.002), fit(0.01)))
+    clock.step(again)()
+    (spent,) = clock.frames
+    assert spent["fit"] >= 10 and spent["hypotheses"] >= 2
+    assert spent[WHOLE] == pytest.approx(sum(spent[k] for k in ("fit", "hypotheses", REST)))
+
+
+def test_every_stage_is_there_to_be_timed_and_is_itself_again_afterwards():
+    before = tracker.fit, tracker.SilhouetteTracker.step
+    with stages_timed() as clock:
+        assert tracker.fit is not before[0]
+        assert tracker.SilhouetteTracker.step is not before[1]
+    assert (tracker.fit, tracker.SilhouetteTracker.step) == before
+    assert clock.frames == [] and {"rim", "segmentation", "fit"} < {*STAGES}
+
+
+def test_a_persons_own_model_is_set_against_generic_bodies():
+    off = {"stature": (0.06, 8.0), "bones": (0.04, 4.0), "model": (0.01, 2.0)}
+    rows = [
+        personal.Row(
+            name, {body: result(name, 4, k * m, k * deg) for body, (m, deg) in off.items()}
+        )
+        for name, k in (("walking", 1.0), ("turn", 2.0))
+    ]
+    lines = personal.text(rows).splitlines()
+    assert lines[-2].split()[1:] == ["12.0", "6.0", "3.0", "6.0", "3.0", "1.5", "9.0", "6.0", "1.5"]
+    assert lines[-1].split()[2:4] == ["0.25", "0.50"]
+    named = {metric.name: metric.value for metric in personal.metrics(rows)}
+    assert named["tracked by model, elbows bent"] == pytest.approx(3.0)
+    assert named["tracked by bones, joints"] == pytest.approx(6.0)

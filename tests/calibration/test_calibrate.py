@@ -1,0 +1,436 @@
+"""Intrinsics from photographs of a board: what is found, what is left out, what is refused."""
+
+import json
+import tomllib
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from drawn_boards import BOARD, CHARUCO, LENS, SIZE, WALL, draw, held, views, write_views
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jaxmocap.calibration.board.boards import Board
+from jaxmocap.calibration.board.corners import find_corners
+from jaxmocap.calibration.calibrate import calibrate_intrinsics
+from jaxmocap.calibration.intrinsics import PARAMETERS, View, calibrate
+from jaxmocap.calibration.view_coverage import covered, remarks
+from jaxmocap.cli import main
+from jaxmocap.formats.cameras.calibration import Lens, read_lens
+
+BOARD_OPTIONS = ["--board", "4x7", "--square", "0.06", "--camera", "cam"]
+TRUTH = np.array([620.0, 615, 335, 228, -0.12, 0.05, 0.001, -0.0005, 0])
+OTHER = """# measured on Monday
+[other]   # the other camera
+size = [ 640.0, 480.0]
+matrix = [
+  [600.0, 0.0, 320.0],
+  [0.0, 600.0, 240.0],
+  [0.0, 0.0, 1.0]
+]
+serial = "12-A"
+
+[cam]
+name = "cam"
+fisheye = false
+owner = 'me'   # unknown to us
+date = 2024-05-01
+rotation = [0.1, 0.2, 0.3]
+
+# says how it was made
+[metadata]
+adjusted = false
+error = 0.0
+"""
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory):
+    """Seven photographs of the chessboard; their paths."""
+    return write_views(tmp_path_factory.mktemp("photographs"))
+
+
+@pytest.fixture(scope="module")
+def calibrated(photographs, tmp_path_factory):
+    """Folder in which the command has written all that it can, and its figures."""
+    folder = tmp_path_factory.mktemp("calibrated")
+    (folder / "c.toml").write_text(OTHER)
+    written = ["--out", str(folder / "c.toml"), "--pictures", str(folder / "drawn")]
+    figures = folder / "figures.json"
+    given = [*photographs, *BOARD_OPTIONS, *written, "--json", str(figures)]
+    assert main(["calibrate", "intrinsics", *given]) == 0
+    return folder, json.loads(figures.read_text())
+
+
+def seen(T_cam_board, noise: float = 0.1, board: Board = BOARD, seed: int = 0) -> np.ndarray:
+    """Corners (N, 2) as the lens shows them, with noise in pixels."""
+    rvec, _ = cv2.Rodrigues(T_cam_board[:3, :3])
+    points, tvec = board.points_board, T_cam_board[:3, 3]
+    pixels, _ = cv2.projectPoints(points, rvec, tvec, LENS.matrix, LENS.distortions)
+    pixels = pixels.reshape(-1, 2)
+    return pixels + np.random.default_rng(seed).normal(0, noise, pixels.shape)
+
+
+def noisy_views(noise: float = 0.1) -> list[View]:
+    placed = enumerate(views())
+    return [View(f"view {i}", BOARD.points_board, seen(T, noise, seed=i)) for i, T in placed]
+
+
+# What is found -----------------------------------------------------------------------------------
+
+
+def test_known_intrinsics_are_recovered_within_their_deviations(calibrated):
+    _, figures = calibrated
+    found = figures["parameters"]
+    values = np.array([found[name]["value"] for name in PARAMETERS])
+    doubt = np.array([max(found[n]["std"], found[n]["jackknife_std"]) for n in PARAMETERS])
+    assert np.abs(values[:2] / TRUTH[:2] - 1).max() < 0.002
+    assert np.abs(values[2:4] - TRUTH[2:4]).max() < 2.0
+    # Four standard deviations; k3 is not asked for and has none.
+    assert (np.abs(values - TRUTH)[:8] < 4 * doubt[:8]).all()
+    assert values[8] == 0 and figures["rms_px"] < 0.1 and figures["used"] == 7
+
+
+def test_every_picture_is_told_with_its_error_and_the_tilt_it_was_held_at(calibrated):
+    _, figures = calibrated
+    truth = [np.degrees(np.arccos(-T[2, 2])) for T in views()]
+    found = [picture["tilt_deg"] for picture in figures["pictures"]]
+    np.testing.assert_allclose(found, truth, atol=0.5)
+    assert all(picture["rms_px"] < 0.1 for picture in figures["pictures"])
+
+
+def test_every_picture_is_drawn_with_what_was_found(calibrated, photographs):
+    folder, figures = calibrated
+    drawn = sorted((folder / "drawn").glob("*.jpg"))
+    assert len(drawn) == len(photographs) + 1 and drawn[-1].name == "coverage.jpg"
+    assert set(map(str, drawn)) < set(figures["files"])
+    for path, photograph in zip(drawn, photographs, strict=False):
+        picture, plain = cv2.imread(str(path)), cv2.imread(photograph)
+        assert picture.shape == plain.shape
+        # Corners, axes and words: some, and not the whole picture.
+        assert 0.005 < (np.abs(picture.astype(int) - plain).max(-1) > 60).mean() < 0.2
+
+
+def test_only_the_cameras_own_entries_change(calibrated):
+    folder, _ = calibrated
+    text = (folder / "c.toml").read_text()
+    before, after = tomllib.loads(OTHER), tomllib.loads(text)
+    changed = {"name", "size", "matrix", "distortions", "fisheye"}
+    assert after["cam"].keys() == before["cam"].keys() | changed
+    for key in changed | {"name"}:
+        before["cam"].pop(key, None)
+        after["cam"].pop(key)
+    assert after == before
+    for comment in ("# measured on Monday", "# the other camera", "# unknown to us", "# says how"):
+        assert comment in text
+
+
+def test_what_was_found_with_other_intrinsics_is_said_to_be_old(calibrated):
+    _, figures = calibrated
+    assert any("rotation and translation were kept" in said for said in figures["remarks"])
+
+
+def test_a_calibration_that_differs_from_the_files_by_more_than_chance_is_said_to(
+    photographs, tmp_path, capsys
+):
+    out = tmp_path / "c.toml"
+    entries = LENS.entries() | {"matrix": np.array([[620.0, 0, 305], [0, 615, 228], [0, 0, 1]])}
+    lines = [f"{key} = {np.asarray(value).tolist()}".lower() for key, value in entries.items()]
+    out.write_text("\n".join(["[cam]", *lines]))
+    assert main(["calibrate", "intrinsics", *photographs, *BOARD_OPTIONS, "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "differs from the calibration that the file held, cx by +2" in said
+    assert "fx by" not in said and "systematically" in said
+    assert main(["calibrate", "intrinsics", *photographs, *BOARD_OPTIONS, "--out", str(out)]) == 0
+    assert "differs from" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("board", [BOARD, Board(7, 4, 0.05), Board(4, 5, 0.07)], ids=str)
+@pytest.mark.parametrize("turn", [0, 90, 180, 270])
+def test_the_origin_is_found_however_the_board_is_turned(board, turn):
+    T_cam_board = held(board, 20, -15, turn)
+    corners = find_corners(draw(board, T_cam_board), board)
+    assert corners is not None and not corners.orders
+    np.testing.assert_allclose(corners.pixels_xy, seen(T_cam_board, 0, board), atol=0.3)
+
+
+def test_a_board_that_looks_the_same_turned_is_told_in_every_reading():
+    for board, count in ((Board(5, 7, 0.05), 2), (Board(5, 5, 0.06), 4)):
+        T_cam_board = held(board, 20, -15, 100)
+        corners = find_corners(draw(board, T_cam_board), board)
+        assert corners is not None and len(corners.orders) + 1 == count
+        truth = seen(T_cam_board, 0, board)
+        errors = [np.abs(o - truth).max() for o in (corners.pixels_xy, *corners.orders)]
+        assert sorted(errors)[0] < 0.3 and sorted(errors)[1] > 50
+
+
+def test_a_charuco_board_calibrates_though_parts_of_it_are_hidden(tmp_path):
+    paths = write_views(tmp_path, CHARUCO)
+    for path, T_cam_board in zip(paths[:3], views(CHARUCO), strict=False):
+        image = cv2.imread(path)
+        image[int(seen(T_cam_board, 0, CHARUCO)[:, 1].mean()) + 20 :] = WALL
+        cv2.imwrite(path, image)
+    out = tmp_path / "c.toml"
+    found = calibrate_intrinsics(paths, CHARUCO, "cam", out)
+    assert (
+        min(len(view.pixels_xy) for view in found.found.views) < 28 and len(found.found.views) == 7
+    )
+    np.testing.assert_allclose(found.result.values[:2], TRUTH[:2], rtol=0.004)
+    np.testing.assert_allclose(read_lens(out, "cam").matrix, found.result.lens.matrix)
+
+
+def test_of_a_video_sharp_frames_that_differ_are_chosen(tmp_path):
+    path = str(tmp_path / "board.avi")
+    writer = cv2.VideoWriter(path, cv2.VideoWriter_fourcc(*"MJPG"), 30, SIZE)
+    for i, T in enumerate(views()):
+        sharp = draw(BOARD, T, seed=i)
+        # Blurred while it moves, then held still for two frames, then gone.
+        for frame in (cv2.blur(sharp, (7, 7)), sharp, sharp, np.full_like(sharp, int(WALL))):
+            writer.write(frame)
+    writer.release()
+    found = calibrate_intrinsics([path], BOARD, "cam", tmp_path / "c.toml")
+    numbers = [int(view.name.split()[-1]) for view in found.found.views]
+    assert sorted(n // 4 for n in numbers) == list(range(7))
+    assert all(n % 4 in (1, 2) for n in numbers)
+    np.testing.assert_allclose(found.result.values[:2], TRUTH[:2], rtol=0.005)
+    assert "board seen in 21 of 28 frames looked at, 7 blurred, 7 chosen" in found.remarks[0]
+
+
+def test_distortion_that_turns_back_within_the_image_is_said():
+    found = calibrate(noisy_views(), SIZE)
+    coverage = covered(noisy_views(), SIZE)
+    assert not any("turns back" in said for said in remarks(found, coverage))
+    folded = Lens(LENS.size, LENS.matrix, np.array([-0.9, 0.0, 0.0, 0.0]))
+    assert any("turns back" in said for said in remarks(replace(found, lens=folded), coverage))
+
+
+def test_files_of_one_name_from_two_folders_are_told_apart(photographs, tmp_path):
+    (tmp_path / "other").mkdir()
+    image = cv2.imread(photographs[6])
+    cv2.imwrite(str(tmp_path / "other" / "view_1.png"), image)
+    paths = [*photographs[:4], tmp_path / "other" / "view_1.png"]
+    found = calibrate_intrinsics(paths, BOARD, "cam", tmp_path / "c.toml", pictures=tmp_path / "d")
+    names = [view.name for view in found.found.views]
+    assert names[0] == photographs[0] and names[-1].endswith("other/view_1.png")
+    assert len(set(names)) == 5 and len(list((tmp_path / "d").glob("*.jpg"))) == 6
+
+
+def test_coverage_names_the_parts_of_the_image_where_no_board_was():
+    left = [View("a", BOARD.points_board, seen(held(BOARD, 0, 0, 0, (-0.35, 0.0, 1.2))))]
+    coverage = covered(left, SIZE)
+    assert coverage.empty and all("left" not in name for name in coverage.empty if "right" in name)
+    assert {"top right", "middle right", "bottom right"} <= set(coverage.empty)
+    width, height = np.ptp(left[0].pixels_xy, axis=0) / SIZE
+    assert coverage.share == pytest.approx(width * height, rel=0.1)
+
+
+# What is left out --------------------------------------------------------------------------------
+
+
+@settings(max_examples=8)
+@given(st.integers(0, 6), st.integers(0, 27), st.floats(0, 6.2), st.floats(8, 200))
+def test_one_wrong_corner_leaves_its_view_out_and_nothing_else(view, corner, direction, pixels):
+    given = noisy_views()
+    wrong = given[view].pixels_xy.copy()
+    wrong[corner] += pixels * np.array([np.cos(direction), np.sin(direction)])
+    given[view] = View("wrong", BOARD.points_board, wrong)
+    found = calibrate(given, SIZE)
+    assert [i for i, used in enumerate(found.used) if not used] == [view]
+    np.testing.assert_allclose(found.values[:2], TRUTH[:2], rtol=0.01)
+
+
+def test_a_view_of_nonsense_spoils_nothing():
+    given = noisy_views()
+    nonsense = np.random.default_rng(1).uniform(0, 400, (28, 2))
+    clean = calibrate(given, SIZE)
+    found = calibrate([*given, View("nonsense", BOARD.points_board, nonsense)], SIZE)
+    assert found.used == (*clean.used, False)
+    # OpenCV sums in parallel, in no fixed order, and stops a little elsewhere each time: a
+    # thousandth of what a value is known to is far more than that and far less than the spoilt one.
+    assert (np.abs(found.values - clean.values) <= 1e-3 * clean.std).all()
+
+
+def test_a_false_detection_is_named_with_its_error(photographs, tmp_path, capsys):
+    y, x = np.indices(SIZE[::-1], np.float32)
+    # A board that is bent like a wave: its corners are found, and are no plane's.
+    bent = cv2.remap(cv2.imread(photographs[0]), x + 8 * np.sin(y / 40), y, cv2.INTER_LINEAR)
+    cv2.imwrite(str(tmp_path / "bent.png"), bent)
+    given = [*photographs, str(tmp_path / "bent.png"), *BOARD_OPTIONS]
+    assert main(["calibrate", "intrinsics", *given, "--out", str(tmp_path / "c.toml")]) == 0
+    said = capsys.readouterr().out
+    line = next(line for line in said.splitlines() if line.startswith("  bent.png"))
+    assert "LEFT OUT: its corners do not fit" in line and "7 of 8 pictures used" in said
+    matrix = read_lens(tmp_path / "c.toml", "cam").matrix
+    np.testing.assert_allclose([matrix[0, 0], matrix[1, 1]], TRUTH[:2], rtol=0.003)
+
+
+def test_the_jackknife_sees_what_views_have_in_common():
+    exact = calibrate(noisy_views(0.0), SIZE)
+    noisy = calibrate(noisy_views(0.2), SIZE)
+    assert exact.jackknife[:4].max() < 0.05 < noisy.jackknife[:4].min()
+    assert (noisy.jackknife[:4] / noisy.std[:4] > 0.2).all()
+    assert noisy.left_out.shape == (7, 9)
+
+
+# What is refused ---------------------------------------------------------------------------------
+
+
+def refusal(capsys, tmp_path, given: list[str], out: str = "c.toml") -> str:
+    """The one sentence that a command leaves with 2 for; nothing is written."""
+    before = (tmp_path / out).read_bytes() if (tmp_path / out).exists() else None
+    code = main(["calibrate", "intrinsics", *given, "--out", str(tmp_path / out)])
+    printed = capsys.readouterr()
+    assert code == 2 and printed.out == "" and printed.err.count("\n") == 1
+    assert ((tmp_path / out).read_bytes() if (tmp_path / out).exists() else None) == before
+    return printed.err
+
+
+@pytest.fixture
+def wall(tmp_path) -> str:
+    """A photograph without a board."""
+    cv2.imwrite(str(tmp_path / "wall.png"), np.full((480, 640, 3), 120, np.uint8))
+    return str(tmp_path / "wall.png")
+
+
+def test_too_few_boards_are_refused_with_the_files_that_show_none(
+    photographs, wall, tmp_path, capsys
+):
+    said = refusal(capsys, tmp_path, [*photographs[:3], wall, *BOARD_OPTIONS])
+    assert "in 3 different pictures of 4; no board in wall.png; expected 5 or more" in said
+
+
+def test_what_is_refused_is_drawn_too(photographs, wall, tmp_path, capsys):
+    drawn = tmp_path / "drawn"
+    given = [*photographs[:2], wall, *BOARD_OPTIONS, "--pictures", str(drawn)]
+    refusal(capsys, tmp_path, given)
+    assert [p.name for p in sorted(drawn.glob("*.jpg"))] == [
+        "01_view_1.jpg",
+        "02_view_2.jpg",
+        "03_wall.jpg",
+    ]
+
+
+def test_counts_of_a_charuco_board_that_are_exchanged_get_a_hint(tmp_path, capsys):
+    paths = write_views(tmp_path, CHARUCO)[:2]
+    exchanged = ["--board", "7x4", *BOARD_OPTIONS[2:], "--charuco", "5X5_100,0.045"]
+    said = refusal(capsys, tmp_path, [*paths, *exchanged])
+    assert "shows a 4x7 board: the first number runs along the markers' upper edges" in said
+
+
+def test_a_video_without_a_board_is_refused_with_what_was_looked_at(tmp_path, capsys):
+    path = str(tmp_path / "empty.avi")
+    writer = cv2.VideoWriter(path, cv2.VideoWriter_fourcc(*"MJPG"), 30, SIZE)
+    for _ in range(4):
+        writer.write(np.full((*SIZE[::-1], 3), int(WALL), np.uint8))
+    writer.release()
+    said = refusal(capsys, tmp_path, [path, *BOARD_OPTIONS])
+    assert "0 different pictures of 0; empty.avi: board seen in 0 of 4 frames looked at" in said
+
+
+def test_the_same_picture_again_is_no_other_view(photographs, tmp_path, capsys):
+    again = [*photographs[:4], photographs[0], photographs[1]]
+    said = refusal(capsys, tmp_path, [*again, *BOARD_OPTIONS])
+    assert "4 different pictures of 6; the same as an earlier one: view_1.png, view_2.png" in said
+
+
+def test_squares_in_place_of_corners_get_a_hint(photographs, tmp_path, capsys):
+    squares = ["--board", "5x8", *BOARD_OPTIONS[2:]]
+    said = refusal(capsys, tmp_path, [*photographs[:2], *squares])
+    assert "view_1.png shows a 4x7 board: inner corners are counted" in said
+
+
+def test_boards_that_are_all_parallel_are_refused(tmp_path, capsys):
+    paths = []
+    for i, at in enumerate(
+        [(-0.2, 0, 0.9), (0.2, 0, 0.9), (0, -0.05, 0.8), (0, 0, 1), (0.1, 0, 1)]
+    ):
+        paths.append(str(tmp_path / f"{i}.png"))
+        cv2.imwrite(paths[-1], draw(BOARD, held(BOARD, 20, 0, 0, at), seed=i))
+    said = refusal(capsys, tmp_path, [*paths, *BOARD_OPTIONS])
+    assert "the views are too alike: they leave the focal length open by" in said
+
+
+def test_pictures_of_another_size_are_refused_by_name(photographs, tmp_path, capsys):
+    cv2.imwrite(str(tmp_path / "small.png"), np.zeros((240, 320, 3), np.uint8))
+    given = [*photographs, str(tmp_path / "small.png"), *BOARD_OPTIONS]
+    said = refusal(capsys, tmp_path, given)
+    assert "differ in size" in said and "view_1.png 640 × 480, small.png 320 × 240" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("notes.jpg", b"no picture", "notes.jpg: is neither an image nor a video"),
+        ("empty.png", b"", "empty.png: is neither an image nor a video"),
+        ("missing.png", None, "missing.png: no such file"),
+        (".", None, "is a folder, expected images or a video"),
+    ],
+)
+def test_what_is_no_picture_is_refused(tmp_path, capsys, name, content, says):
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    assert says in refusal(capsys, tmp_path, [str(tmp_path / name), *BOARD_OPTIONS])
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--board", "4x7", "--square", "60", "--camera", "cam"], "expected metres (60 mm is 0.06"),
+        (["--board", "2x7", "--square", "0.06", "--camera", "cam"], "at least 3 x 3 inner corners"),
+        ([*BOARD_OPTIONS[:-1], "metadata"], "'metadata' as a camera's name"),
+        ([*BOARD_OPTIONS, "--charuco", "5X5_100,0.07"], "expected less than its square (0.06 m)"),
+        ([*BOARD_OPTIONS, "--charuco", "9X9,0.04"], "unknown, expected 4X4_100, "),
+    ],
+)
+def test_senseless_boards_and_names_are_refused(wall, tmp_path, capsys, options, says):
+    assert says in refusal(capsys, tmp_path, [wall, *options])
+
+
+@pytest.mark.parametrize(
+    ("out", "text", "says"),
+    [
+        ("c.yml", None, "c.yml: cannot be written to, expected a .toml file"),
+        ("c.toml", "[cam]\nfisheye = true\n", "[cam] fisheye: fisheye lenses are not supported"),
+        ("c.toml", "[cam\n", "c.toml: not TOML"),
+        ("c.toml", "cam = 3\n", "[cam]: found 3, expected a table"),
+    ],
+)
+def test_files_that_cannot_take_the_camera_are_refused(wall, tmp_path, capsys, out, text, says):
+    if text is not None:
+        (tmp_path / out).write_text(text)
+    assert says in refusal(capsys, tmp_path, [wall, *BOARD_OPTIONS], out)
+
+
+@pytest.mark.parametrize("value", ["4", "4x", "x7", "axb", "4x7x2"])
+def test_a_board_that_is_no_pair_of_counts_is_refused_by_the_parser(value, capsys):
+    with pytest.raises(SystemExit) as done:
+        main(["calibrate", "intrinsics", "a.jpg", "--board", value, *BOARD_OPTIONS[2:]])
+    assert done.value.code == 2 and "expected inner corners such as 4x7" in capsys.readouterr().err
+
+
+# Real photographs --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("camera", "found_in"), [(1, 7), (2, 6)])
+def test_real_photographs_agree_with_the_optical_systems_calibration(
+    recordings, tmp_path, camera, found_in
+):
+    paths = sorted((recordings / "calibration").glob(f"cam0{camera}_*.jpg"))
+    out = tmp_path / "c.toml"
+    given = recordings / "balancing" / "calibration.toml"
+    out.write_bytes(given.read_bytes())
+    found = calibrate_intrinsics(paths, BOARD, f"cam_0{camera}", out)
+    result = found.result
+    assert sum(result.used) >= 6 and len(found.found.views) == found_in and result.rms < 0.2
+    truth = read_lens(given, f"cam_0{camera}").matrix
+    focal = np.array([truth[0, 0], truth[1, 1]])
+    np.testing.assert_allclose(result.values[:2], focal, rtol=0.01)
+    assert (result.doubt[:2] < 5).all() and (result.doubt[2:4] < 5).all()
+    # The principal points do differ, by far more than either deviation: systematically.
+    centre = np.array([truth[0, 2], truth[1, 2]])
+    assert 20 < np.linalg.norm(result.values[2:4] - centre) < 45
+    said = " ".join(found.remarks)
+    assert "cx by +2" in said and "differ systematically" in said
+    assert "determine the principal point poorly" in said
+    assert tomllib.loads(out.read_text())["cam_03"] == tomllib.loads(given.read_text())["cam_03"]

@@ -1,0 +1,420 @@
+"""Where a camera stands: by a board or by listed points, and when that cannot be told."""
+
+import json
+import tomllib
+
+import cv2
+import numpy as np
+import pytest
+from drawn_boards import BOARD, CHARUCO, LENS, SIZE, draw
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from jaxmocap.calibration.board.boards import Board
+from jaxmocap.calibration.extrinsics import board_to_world, place, position
+from jaxmocap.cli import main
+from jaxmocap.formats.cameras.calibration import read_calibration, read_lens, write_camera
+
+CAMERA = ["--camera", "cam"]
+CHESS = ["--board", "4x7", "--square", "0.06"]
+# The board on the floor, its y along the world's -x.
+POSE = (0.4, -0.2, 0.0, 0.0, 0.0, 90.0)
+
+
+def looking(at_world, from_world) -> np.ndarray:
+    """T_cam_world of a camera at a place, upright, that looks at another."""
+    z = np.subtract(at_world, from_world)
+    z = z / np.linalg.norm(z)
+    x = np.cross(z, [0, 0, 1.0])
+    x = x / np.linalg.norm(x)
+    R = np.stack([x, np.cross(z, x), z])
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, -R @ from_world
+    return T
+
+
+T_CAM_WORLD = looking((0.22, -0.1, 0.0), (0.9, -0.5, 0.8))
+
+
+def pixels_of(points_world, T_cam_world=T_CAM_WORLD, noise: float = 0.0) -> np.ndarray:
+    """Pixels (N, 2) of points (N, 3) in the world."""
+    rvec, _ = cv2.Rodrigues(T_cam_world[:3, :3])
+    pixels, _ = cv2.projectPoints(
+        np.asarray(points_world, float), rvec, T_cam_world[:3, 3], LENS.matrix, LENS.distortions
+    )
+    pixels = pixels.reshape(-1, 2)
+    return pixels + np.random.default_rng(0).normal(0, noise, pixels.shape)
+
+
+def corners_world(pose=POSE, board: Board = BOARD) -> np.ndarray:
+    T = board_to_world(pose)
+    return board.points_board @ T[:3, :3].T + T[:3, 3]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Intrinsics of a camera that has not been placed, and a photograph of the board."""
+    write_camera(tmp_path / "c.toml", "cam", LENS.entries())
+    image = draw(BOARD, T_CAM_WORLD @ board_to_world(POSE))
+    cv2.imwrite(str(tmp_path / "floor.png"), image)
+    return tmp_path
+
+
+def run(folder, *given: str, image: str = "floor.png") -> int:
+    out = [*CAMERA, "--out", str(folder / "c.toml")]
+    return main(["calibrate", "extrinsics", str(folder / image), *given, *out])
+
+
+def numbers(pose) -> str:
+    return ",".join(map(repr, map(float, pose)))
+
+
+def points_file(folder, points_world, pixels_xy, header="x,y,z,u,v") -> str:
+    rows = np.concatenate([points_world, pixels_xy], axis=1)
+    lines = [header, *(",".join(f"{value:.6f}" for value in row) for row in rows)]
+    (folder / "points.csv").write_text("\n".join(lines) + "\n")
+    return str(folder / "points.csv")
+
+
+# By a board --------------------------------------------------------------------------------------
+
+
+def test_a_board_at_a_measured_place_places_the_camera(folder, capsys):
+    figures, drawn = folder / "figures.json", folder / "drawn"
+    options = ["--pose", numbers(POSE), "--pictures", str(drawn), "--json", str(figures)]
+    assert run(folder, *CHESS, *options) == 0
+    camera = read_calibration(folder / "c.toml")["cam"]
+    np.testing.assert_allclose(camera.position_world, [0.9, -0.5, 0.8], atol=0.004)
+    np.testing.assert_allclose(camera.T_cam_world[:3, :3], T_CAM_WORLD[:3, :3], atol=0.005)
+    np.testing.assert_allclose(camera.matrix, LENS.matrix, rtol=1e-6)
+    found = json.loads(figures.read_text())
+    assert found["rms_px"] < 0.2 and len(found["points"]) == 28 and found["remarks"] == []
+    error = np.subtract(found["position"], [0.9, -0.5, 0.8])
+    assert (np.abs(error) < 5 * np.array(found["position_std_m"])).all()
+    assert "stands at (0.9" in capsys.readouterr().out
+    picture = cv2.imread(str(drawn / "floor_placed.jpg"))
+    plain = cv2.imread(str(folder / "floor.png"))
+    assert 0.005 < (np.abs(picture.astype(int) - plain).max(-1) > 60).mean() < 0.2
+
+
+def test_a_charuco_board_places_the_camera_though_half_is_hidden(folder):
+    image = draw(CHARUCO, T_CAM_WORLD @ board_to_world(POSE))
+    hidden = int(pixels_of(corners_world())[:, 0].mean())
+    image[:, hidden + 20 :] = 120
+    cv2.imwrite(str(folder / "floor.png"), image)
+    charuco = ["--charuco", "DICT_5X5_100,0.045"]
+    assert run(folder, *CHESS, *charuco, "--pose", numbers(POSE)) == 0
+    camera = read_calibration(folder / "c.toml")["cam"]
+    np.testing.assert_allclose(camera.position_world, [0.9, -0.5, 0.8], atol=0.015)
+
+
+def test_what_was_measured_with_y_up_is_turned_to_z_up(folder):
+    # The same board told in a system of y up: world = (z, x, y) of the file.
+    from_world = np.eye(3)[[1, 2, 0]]
+    T = board_to_world(POSE)
+    from scipy.spatial.transform import Rotation
+
+    turns = Rotation.from_matrix(from_world @ T[:3, :3]).as_euler("xyz", degrees=True)
+    pose = numbers([*(from_world @ T[:3, 3]), *turns])
+    assert run(folder, *CHESS, "--pose", pose, "--up", "y") == 0
+    camera = read_calibration(folder / "c.toml")["cam"]
+    np.testing.assert_allclose(camera.position_world, [0.9, -0.5, 0.8], atol=0.004)
+
+
+@given(*[st.floats(-180, 180)] * 3)
+def test_the_pose_turns_about_the_worlds_x_then_y_then_z(rx, ry, rz):
+    x, y, z = np.radians([rx, ry, rz])
+    Rx = [[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]]
+    Ry = [[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]]
+    Rz = [[np.cos(z), -np.sin(z), 0], [np.sin(z), np.cos(z), 0], [0, 0, 1]]
+    T = board_to_world((1, 2, 3, rx, ry, rz))
+    np.testing.assert_allclose(T[:3, :3], np.array(Rz) @ Ry @ Rx, atol=1e-12)
+    np.testing.assert_array_equal(T[:3, 3], [1, 2, 3])
+
+
+def test_a_pose_may_begin_with_a_minus(folder):
+    moved = (-0.6, *POSE[1:])
+    assert run(folder, *CHESS, "--pose", numbers(moved)) == 0
+    camera = read_calibration(folder / "c.toml")["cam"]
+    np.testing.assert_allclose(camera.position_world, [-0.1, -0.5, 0.8], atol=0.004)
+
+
+def test_intrinsics_may_come_from_opencvs_yaml(folder):
+    file = cv2.FileStorage(str(folder / "lens.yml"), cv2.FILE_STORAGE_WRITE)
+    for name, value in (("image_width", SIZE[0]), ("image_height", SIZE[1])):
+        file.write(name, value)
+    file.write("camera_matrix", LENS.matrix)
+    file.write("distortion_coefficients", LENS.distortions.reshape(1, -1))
+    file.release()
+    (folder / "c.toml").unlink()
+    options = ["--pose", numbers(POSE), "--intrinsics", str(folder / "lens.yml")]
+    assert run(folder, *CHESS, *options) == 0
+    camera = read_calibration(folder / "c.toml")["cam"]
+    np.testing.assert_allclose(camera.position_world, [0.9, -0.5, 0.8], atol=0.004)
+    np.testing.assert_allclose(read_lens(folder / "c.toml", "cam").matrix, LENS.matrix)
+
+
+def test_only_rotation_and_translation_change(folder):
+    text = (folder / "c.toml").read_text()
+    (folder / "c.toml").write_text(text + "owner = 'me'\n\n[metadata]\nerror = 0.0\n")
+    before = tomllib.loads((folder / "c.toml").read_text())
+    assert run(folder, *CHESS, "--pose", numbers(POSE)) == 0
+    after = tomllib.loads((folder / "c.toml").read_text())
+    assert after["cam"].pop("rotation") and after["cam"].pop("translation")
+    assert after == before
+
+
+# When it cannot be, or could be another ----------------------------------------------------------
+
+
+def test_a_board_told_print_down_puts_the_camera_below_the_floor(folder, capsys):
+    flipped = ["--pose", numbers((*POSE[:3], 180.0, 0.0, 90.0))]
+    assert run(folder, *CHESS, *flipped) == 2
+    assert (
+        "turned by 180° about its own x axis the camera would stand at (0.90, -0.50, 0.80) m"
+        in capsys.readouterr().err
+    )
+    assert run(folder, *CHESS, *flipped, "--upside-down") == 0
+    assert "the camera comes out below the floor, at z = -0.80 m" in capsys.readouterr().out
+
+
+WALL = (0.0, 1.0, 1.2, 90.0, 0.0, 0.0)
+WALL_UPSIDE_DOWN = (*WALL[:3], -90.0, 0.0, 180.0)
+
+
+@pytest.fixture
+def wall(folder):
+    """The same, and a photograph of the board on a wall, by a camera that stands upright."""
+    T_cam_world = looking((0.1, 1.0, 1.4), (0.3, 0.1, 1.6))
+    cv2.imwrite(str(folder / "wall.png"), draw(BOARD, T_cam_world @ board_to_world(WALL)))
+    return folder
+
+
+def test_a_camera_that_comes_out_upside_down_is_refused_and_nothing_is_written(wall, capsys):
+    before = (wall / "c.toml").read_bytes()
+    pose = ["--pose", numbers(WALL_UPSIDE_DOWN)]
+    assert run(wall, *CHESS, *pose, image="wall.png") == 2
+    printed = capsys.readouterr()
+    assert "wall.png: the camera comes out upside down" in printed.err and not printed.out
+    assert (
+        "turned by 180° about its own z axis the camera would stand at (0.30, 0.10, 1.60)"
+        in printed.err
+    )
+    assert "--upside-down" in printed.err and printed.err.count("\n") == 1
+    assert (wall / "c.toml").read_bytes() == before
+    assert run(wall, *CHESS, "--pose", numbers(WALL), image="wall.png") == 0
+    assert "note:" not in capsys.readouterr().out
+
+
+def test_a_camera_that_hangs_upside_down_is_written_where_the_user_says_so(wall, capsys):
+    turned = cv2.rotate(cv2.imread(str(wall / "wall.png")), cv2.ROTATE_180)
+    cv2.imwrite(str(wall / "hanging.png"), turned)
+    pose = ["--pose", numbers(WALL), "--origin", "500,500"]
+    assert run(wall, *CHESS, *pose, image="hanging.png") == 2
+    capsys.readouterr()
+    assert run(wall, *CHESS, *pose, "--upside-down", image="hanging.png") == 0
+    assert "note:" not in capsys.readouterr().out
+    camera = read_calibration(wall / "c.toml")["cam"]
+    # The picture was turned about its centre, not about the lens's.
+    np.testing.assert_allclose(camera.position_world, [0.3, 0.1, 1.6], atol=0.05)
+    assert float(camera.T_cam_world[1, 2]) > 0.9
+    assert run(wall, *CHESS, "--pose", numbers(WALL), "--upside-down", image="wall.png") == 2
+    assert "comes out upright" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("roll", [90.0, -90.0])
+def test_a_camera_on_its_side_is_neither(folder, roll):
+    """As a telephone that stands upright."""
+    turn = np.eye(4)
+    turn[:2, :2] = Rotation.from_euler("z", roll, degrees=True).as_matrix()[:2, :2]
+    points = corners_world()
+    points_file(folder, points, pixels_of(points, turn @ T_CAM_WORLD))
+    assert run(folder, "--points", str(folder / "points.csv")) == 0
+
+
+def test_of_two_mirrored_answers_the_one_above_the_floor_is_taken_and_said():
+    # Small, far off, upright on the floor, seen from above: mirrored it is seen from below.
+    points = 0.3 * corners_world((0, 0, 0.0, 90, 0, 0))
+    T = looking((0, 0, 0), (0.3, -3.0, 1.2))
+    rises = 0
+    for seed in range(6):
+        noise = np.random.default_rng(seed).normal(0, 0.3, (28, 2))
+        found = place(points, pixels_of(points, T) + noise, LENS)
+        assert found.mirrored is not None
+        below = position(found.mirrored)[2]
+        if below < 0:
+            rises += 1
+            assert found.position_world[2] > 0
+            assert "two cameras explain the picture alike" in found.remarks[0]
+            assert "taken is the one that is above the floor" in found.remarks[0]
+    assert rises >= 3
+
+
+def test_a_mirrored_answer_that_nothing_rules_out_is_said_to_be_one():
+    # At a wall, seen from the right: mirrored it is seen from the left.
+    points = 0.3 * corners_world((0, 0, 0.0, 90, 0, 0)) + (0, 0, 1)
+    T = looking((0, 0, 1), (1.2, -3.0, 1.0))
+    found = place(points, pixels_of(points, T, noise=0.2), LENS)
+    assert found.mirrored is not None
+    np.testing.assert_allclose(position(found.mirrored), [-1.2, -3, 1], atol=0.3)
+    assert found.mirrored_times < 2 and "which may be wrong" in found.remarks[0]
+    assert "bring it nearer" in found.remarks[0]
+
+
+def test_a_camera_that_is_only_roughly_placed_is_said_to_be():
+    points = 0.25 * corners_world((0, 0, 1.0, 0, 0, 0))
+    T = looking((0, 0, 1), (0.05, 0.3, 4.0))
+    found = place(points, pixels_of(points, T, noise=0.2), LENS)
+    assert found.std_m.max() > 0.2 and "only roughly known" in " ".join(found.remarks)
+
+
+def test_a_board_seen_well_leaves_no_doubt():
+    found = place(corners_world(), pixels_of(corners_world(), noise=0.2), LENS)
+    assert found.mirrored_times > 4 and found.remarks == ()
+    error = found.position_world - position(T_CAM_WORLD)
+    assert (np.abs(error) < 4 * found.std_m).all() and found.std_m.max() < 0.01
+
+
+def test_deviations_are_as_large_as_errors_are():
+    errors, claimed = [], []
+    for seed in range(40):
+        noise = np.random.default_rng(seed).normal(0, 0.5, (28, 2))
+        found = place(corners_world(), pixels_of(corners_world()) + noise, LENS)
+        errors.append(found.position_world - position(T_CAM_WORLD))
+        claimed.append(found.std_m)
+    ratio = np.std(errors, axis=0) / np.mean(claimed, axis=0)
+    assert (ratio > 0.7).all() and (ratio < 1.4).all()
+
+
+def test_a_board_that_looks_the_same_turned_needs_to_be_told_its_origin(folder, capsys):
+    board = Board(5, 7, 0.05)
+    cv2.imwrite(str(folder / "floor.png"), draw(board, T_CAM_WORLD @ board_to_world(POSE)))
+    given = ["--board", "5x7", "--square", "0.05", "--pose", numbers(POSE)]
+    assert run(folder, *given) == 2
+    said = capsys.readouterr().err
+    origin = pixels_of([POSE[:3]])[0]
+    here = f"--origin {origin[0]:.0f},{origin[1]:.0f}"
+    assert "looks the same when it is turned" in said and here in said
+    assert run(folder, *given, *here.split()) == 0
+    camera = read_calibration(folder / "c.toml")["cam"]
+    np.testing.assert_allclose(camera.position_world, [0.9, -0.5, 0.8], atol=0.004)
+
+
+# By points ---------------------------------------------------------------------------------------
+
+SPREAD = np.array(
+    [[0, 0, 0], [0.6, 0, 0], [0.5, -0.4, 0.1], [0, -0.4, 0.2], [0.3, -0.1, 0.3], [0.1, 0.1, 0.1]]
+)
+SPREAD = np.vstack([SPREAD, [[0.4, 0.1, 0.05], [0.2, -0.3, 0.0]]])
+
+
+def test_listed_points_place_the_camera(folder):
+    points = points_file(folder, SPREAD, pixels_of(SPREAD, noise=0.3))
+    assert run(folder, "--points", points) == 0
+    camera = read_calibration(folder / "c.toml")["cam"]
+    np.testing.assert_allclose(camera.position_world, [0.9, -0.5, 0.8], atol=0.01)
+
+
+def test_four_points_on_the_floor_are_enough(folder):
+    corners = np.array([[0, 0, 0], [0.5, 0, 0], [0.5, -0.4, 0], [0, -0.4, 0.0]])
+    assert run(folder, "--points", points_file(folder, corners, pixels_of(corners))) == 0
+    camera = read_calibration(folder / "c.toml")["cam"]
+    np.testing.assert_allclose(camera.position_world, [0.9, -0.5, 0.8], atol=0.001)
+
+
+def test_a_point_at_the_wrong_pixel_is_left_out_and_named(folder, capsys):
+    pixels = pixels_of(SPREAD, noise=0.3)
+    pixels[4] += (60, -25)
+    points = points_file(folder, SPREAD, pixels)
+    assert run(folder, "--points", points) == 0
+    said = capsys.readouterr().out
+    assert "line 6 was left out: 6" in said and "over 7 of 8 points" in said
+    camera = read_calibration(folder / "c.toml")["cam"]
+    np.testing.assert_allclose(camera.position_world, [0.9, -0.5, 0.8], atol=0.015)
+
+
+def test_points_may_have_names(folder, capsys):
+    rows = np.concatenate([SPREAD, pixels_of(SPREAD)], axis=1)
+    rows[3, 3] += 90
+    lines = [f"tip {i}," + ",".join(f"{v:.6f}" for v in row) for i, row in enumerate(rows)]
+    (folder / "points.csv").write_text("\n".join(["name,x,y,z,u,v", *lines]))
+    assert run(folder, "--points", str(folder / "points.csv")) == 0
+    assert "tip 3 was left out" in capsys.readouterr().out
+
+
+# What is refused ---------------------------------------------------------------------------------
+
+
+def refusal(folder, capsys, *given: str, **options) -> str:
+    before = (folder / "c.toml").read_bytes()
+    assert run(folder, *given, **options) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "" and printed.err.count("\n") == 1
+    assert (folder / "c.toml").read_bytes() == before
+    return printed.err
+
+
+@pytest.mark.parametrize(
+    ("points", "says"),
+    [
+        (SPREAD[:3], "found 3 points, expected at least 4"),
+        (SPREAD[:5], "5 points that are not on a plane, expected at least 6"),
+        (np.linspace([0, 0, 0], [0.5, -0.2, 0.1], 6), "all points lie on one line"),
+    ],
+)
+def test_points_that_do_not_determine_a_camera_are_refused(folder, capsys, points, says):
+    file = points_file(folder, points, pixels_of(points))
+    said = refusal(folder, capsys, "--points", file)
+    assert "points.csv: " in said and says in said
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("a,b\n1,2\n", "line 1: found 'a,b', expected 'x,y,z,u,v'"),
+        ("x,y,z,u,v\n1,2,3,4\n", "line 2: found 4 columns, expected 5"),
+        ("x,y,z,u,v\n1,2,3,4,\n", "line 2: a number is missing"),
+        ("x,y,z,u,v\n1,2,3,4,five\n", "line 2: found 'five', expected a number"),
+    ],
+)
+def test_bad_files_of_points_are_refused_with_the_line(folder, capsys, text, says):
+    (folder / "points.csv").write_text(text)
+    assert says in refusal(folder, capsys, "--points", str(folder / "points.csv"))
+
+
+def test_a_photograph_without_the_board_is_refused(folder, capsys):
+    squares = ["--board", "5x8", "--square", "0.06", "--pose", numbers(POSE)]
+    said = refusal(folder, capsys, *squares)
+    assert "found no 5x8 board; floor.png shows a 4x7 board" in said
+
+
+def test_a_photograph_of_another_resolution_is_refused(folder, capsys):
+    image = cv2.imread(str(folder / "floor.png"))
+    cv2.imwrite(str(folder / "floor.png"), cv2.resize(image, (1280, 960)))
+    said = refusal(folder, capsys, *CHESS, "--pose", numbers(POSE))
+    assert "is 1280 × 960, the calibration 640 × 480 pixels" in said
+
+
+def test_a_photograph_a_little_narrower_is_taken_as_cropped_and_said(folder, capsys):
+    image = cv2.imread(str(folder / "floor.png"))
+    cv2.imwrite(str(folder / "floor.png"), image[:, :-6])
+    assert run(folder, *CHESS, "--pose", numbers(POSE)) == 0
+    assert "taken as cropped on the right" in capsys.readouterr().out
+
+
+def test_a_pose_needs_its_board_and_a_camera_its_intrinsics(folder, capsys):
+    assert "expected --board and --square too" in refusal(folder, capsys, "--pose", numbers(POSE))
+    (folder / "c.toml").write_text("[other]\nfisheye = false\n")
+    said = refusal(folder, capsys, *CHESS, "--pose", numbers(POSE))
+    assert "section [cam] is missing, found other" in said
+    (folder / "c.toml").write_text("[cam]\nfisheye = true\n")
+    said = refusal(folder, capsys, *CHESS, "--pose", numbers(POSE))
+    assert "[cam] fisheye: fisheye lenses are not supported" in said
+
+
+@pytest.mark.parametrize("pose", ["1,2,3", "1,2,3,4,5,x", "1,2,3,4,5,nan", ""])
+def test_a_pose_that_is_no_six_numbers_is_refused_by_the_parser(folder, capsys, pose):
+    with pytest.raises(SystemExit) as done:
+        run(folder, *CHESS, "--pose", pose)
+    assert done.value.code == 2 and "expected 6 numbers" in capsys.readouterr().err

@@ -1,0 +1,140 @@
+"""A person's body in a file: written, read back, edited, and what each length rests on."""
+
+import json
+import tomllib
+
+import numpy as np
+import pytest
+
+from jaxmocap import Recording
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.wrists import with_wrists
+from jaxmocap.calibration.static_trial import scale_by_static
+from jaxmocap.cli import main
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.recordings.recording import write_recording
+from jaxmocap.formats.recordings.subject import read_subject, write_subject
+from jaxmocap.formats.time_series.trc import write_trc
+
+NUMBERS = ("lengths", "masses", "diameters", "directions")
+
+
+def standing(skeleton: Skeleton) -> dict[str, np.ndarray]:
+    """Landmarks (3,) of a skeleton with all angles 0."""
+    reach = np.asarray(skeleton.lengths)[:, None] * np.asarray(skeleton.directions)
+    joints = np.zeros_like(reach)
+    for bone, parent in enumerate(skeleton.tree.parents):
+        if parent >= 0:
+            joints[bone] = joints[parent] + reach[parent]
+    return {
+        name: joints[skeleton.tree.bone(bone)] + at * reach[skeleton.tree.bone(bone)]
+        for name, (bone, at) in LANDMARKS.items()
+    }
+
+
+def read_back(path) -> Skeleton:
+    return read_subject(path, "", {"file": path.name})
+
+
+@pytest.mark.parametrize("wrists", [False, True])
+def test_a_body_survives_its_file(tmp_path, wrists):
+    body = Skeleton.human(1.83, 64.0)
+    body = with_wrists(body) if wrists else body
+    write_subject(tmp_path / "subject.toml", body, 1.83)
+    back = read_back(tmp_path / "subject.toml")
+    assert back.tree == body.tree
+    for name in NUMBERS:
+        np.testing.assert_allclose(getattr(back, name), getattr(body, name), atol=2e-5)
+
+
+def test_a_recording_takes_a_file_in_which_one_bone_was_edited(tmp_path):
+    out = tmp_path / "subject.toml"
+    assert main(["scale", "--height", "1.80", "--mass", "75", "--out", str(out)]) == 0
+    table = tomllib.loads(out.read_text())
+    assert table["height"] == 1.8 and table["mass"] == 75
+    length = table["bones"]["humerus_l"]["length"]
+    out.write_text(out.read_text().replace(f"length = {length}", "length = 0.4", 1))
+    out.write_text(
+        out.read_text().replace("humerus_r = { length = 0.3348", "humerus_r = { length = 0.31")
+    )
+    write_trc(tmp_path / "markers.trc", np.zeros(1), {"Head": np.ones((1, 3))})
+    path = write_recording(tmp_path, "markers.trc", {"Head": {"bone": "head"}},
+                           subject={"file": "subject.toml"})  # fmt: skip
+    body = Recording.load(path).skeleton
+    changed = np.abs(np.asarray(body.lengths) - np.asarray(Skeleton.human(1.8, 75).lengths)) > 1e-5
+    assert [n for n, c in zip(body.tree.bones, changed, strict=True) if c] == [
+        "humerus_l",
+        "humerus_r",
+    ]
+
+
+def test_a_static_trial_says_what_each_length_rests_on(tmp_path, capsys):
+    """Arms and trunk are measured, legs follow from the height that those suggest."""
+    person = Skeleton.human(1.70)
+    rng, frames = np.random.default_rng(0), 50
+    seen = {name: at for name, at in standing(person).items()
+            if not name.startswith(("knee", "ankle", "toe", "head"))}  # fmt: skip
+    noisy = {n: at + rng.normal(0, 0.002, (frames, 3)) for n, at in seen.items()}
+    write_trc(tmp_path / "static.trc", np.arange(frames) / 100, noisy)
+    out = tmp_path / "subject.toml"
+    given = ["scale", "--static", str(tmp_path / "static.trc"), "--out", str(out), "--json", "-"]
+    assert main(given) == 0
+    printed = capsys.readouterr()
+    figures, body = json.loads(printed.out), read_back(out)
+    for bone, length in zip(body.tree.bones, np.asarray(body.lengths), strict=True):
+        told = figures["bones"][bone]
+        assert told["length_m"] == pytest.approx(length, abs=1e-5)
+        assert told["measured"] == (not bone.startswith(("femur", "tibia", "foot"))), bone
+        if told["measured"]:
+            assert 0.5e-3 < told["std_m"] < 5e-3
+    i = body.tree.bone("humerus_l")
+    assert float(body.lengths[i]) == pytest.approx(float(person.lengths[i]), abs=2e-3)
+    assert "femur_l     " in printed.err and "by height (Winter)" in printed.err
+    assert "split as in Table 1" in printed.err
+
+
+def test_a_real_static_trial_becomes_a_file(recordings, tmp_path):
+    table = tomllib.loads((recordings / "balancing" / "recording_cam_01.toml").read_text())
+    subject = table["subject"]
+    static = recordings / "balancing" / subject["static"]
+    scaled = scale_by_static(tmp_path / "a.toml", static, subject["landmarks"], subject["up"])
+    there = read_subject(recordings / "balancing" / "a.toml", "", subject)
+    back = read_back(tmp_path / "a.toml")
+    for name in NUMBERS:
+        np.testing.assert_allclose(getattr(back, name), getattr(there, name), atol=2e-5)
+    assert 1.4 < scaled.height < 2.1
+
+
+@pytest.mark.parametrize(
+    ("bones", "said"),
+    [
+        ({"wing": {"length": 0.3}}, "bones wing: unknown bone, expected one of spine1"),
+        ({"hand_l": {"length": 30}}, "length: found 30, expected metres from 0.01 to 1"),
+        ({"hand_l": {"size": 0.1}}, "unknown key 'size', expected length, mass"),
+        ({"hand_l": {"diameter": [0.1, 0]}}, "expected metres above 0"),
+        ({"hand_l": {"direction": [0, 0, 0]}}, "expected a direction"),
+        ({"hand_l": 0.2}, "expected a table"),
+    ],
+)
+def test_what_no_bone_can_be_is_refused_by_field(tmp_path, bones, said):
+    with pytest.raises(InputError) as caught:
+        read_subject(tmp_path / "a.toml", "[subject]", {"height": 1.8, "bones": bones})
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_the_command_refuses_in_one_sentence(tmp_path, capsys):
+    write_trc(tmp_path / "a.trc", np.zeros(1), {"Head": np.ones((1, 3))})
+    out = ["--out", str(tmp_path / "b.toml")]
+    for given, said in (
+        (["--height", "1.8", "--up", "y"], "--landmarks and --up are about a static trial"),
+        ([], "expected one of --height, --static, --recording"),
+        (["--height", "1.8", "--static", "a.trc"], "--height and --static exclude each other"),
+        (["--recording", "a.toml", "--up", "y"], "do not go with --recording"),
+        (["--height", "3"], "expected metres between 0.5 and 2.5"),
+        (["--static", str(tmp_path / "none.trc")], "no such file"),
+        (["--static", str(tmp_path / "a.trc")], "no marker called as a landmark is"),
+        (["--static", str(tmp_path / "a.trc"), "--landmarks", "neck=Head"], "needs the landmark"),
+    ):
+        assert main(["scale", *given, *out]) == 2
+        assert said in capsys.readouterr().err
+    assert not (tmp_path / "b.toml").exists()

@@ -1,0 +1,400 @@
+"""Load checks: sound recordings pass, and every way of spoiling one is found and named."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_recording import small_recording, write_small_recording
+
+from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.capture.checks.body_reach import reach, standing_points, stature
+from jaxmocap.capture.checks.cameras import check_recording, pixels_of
+from jaxmocap.capture.footage import open_footage
+from jaxmocap.cli import main
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
+from jaxmocap.formats.time_series.markers import read_markers
+from jaxmocap.formats.time_series.trc import write_trc
+from jaxmocap.geometry.cameras import Camera, project
+from jaxmocap.synthetic.movements import motions
+from jaxmocap.synthetic.people.clothed_person import MARKERS
+from jaxmocap.synthetic.placement import camera_at
+from jaxmocap.synthetic.recording import BODY_MARKERS, marker_noise
+
+PLACES = tuple(MarkerPlace(name, *on) for name, on in MARKERS.items())
+FIVE = tuple(MarkerPlace(name, bone) for name, bone in BODY_MARKERS.items())
+SECONDS, RATE = 5.0, 30
+VIDEO_TIMES = [np.arange(SECONDS * 30) / 30]
+
+
+def performed(performance: motions.Performance, azimuth: float = 30.0, five=False) -> Recording:
+    """A synthetic recording without pictures, with a headset's noise."""
+    times = np.arange(SECONDS * RATE) / RATE
+    bones, figure = performance.bones(times), performance.figure
+    if five:
+        landmarks = figure.landmarks(bones)
+        points = np.stack([landmarks[name] for name in BODY_MARKERS], 1)
+    else:
+        points = np.stack([figure.points(bones, *on) for on in MARKERS.values()], 1)
+    points = points + marker_noise(times, points.shape[1], np.random.default_rng(0))
+    video = VideoSource("webcam", camera_at(azimuth))
+    places = FIVE if five else PLACES
+    return Recording(Skeleton.human(1.75), times, points, places, (video,), "performed")
+
+
+@pytest.fixture(scope="module")
+def sound() -> Recording:
+    """Table tennis with head and hands."""
+    return performed(motions.table_tennis(SECONDS, 3))
+
+
+@pytest.fixture(scope="module")
+def five() -> Recording:
+    """Table tennis with ankles too."""
+    return performed(motions.table_tennis(SECONDS, 3), five=True)
+
+
+def names(recording: Recording, video_times=VIDEO_TIMES) -> list[tuple[str, bool]]:
+    found = check_recording(recording, video_times[: len(recording.videos)])
+    return [(finding.check, finding.fatal) for finding in found]
+
+
+def seen_by(recording: Recording, camera: Camera) -> Recording:
+    return replace(recording, videos=(VideoSource("webcam", camera),))
+
+
+def moved(camera: Camera, T_world: np.ndarray) -> Camera:
+    """The camera as a calibration by other axes of the world has it."""
+    T = jnp.asarray(np.asarray(camera.T_cam_world) @ T_world, camera.T_cam_world.dtype)
+    return replace(camera, T_cam_world=T)
+
+
+# No false alarm ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("azimuth", [-60.0, 0.0, 60.0])
+@pytest.mark.parametrize("five", [False, True])
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("kind", ["table_tennis", "squat", "reaching", "thrust"])
+def test_every_synthetic_movement_passes(kind, seed, azimuth, five):
+    assert names(performed(getattr(motions, kind)(SECONDS, seed), azimuth, five)) == []
+
+
+@pytest.mark.parametrize("which", ["all_cameras", "cam_01", "cam_02", "cam_03", "cam_04"])
+def test_the_real_recording_passes(recordings, which):
+    recording = Recording.load(recordings / "balancing" / f"recording_{which}.toml")
+    assert names(recording, [recording.times] * 4) == []
+
+
+def test_a_recorded_tennis_serve_passes(recordings):
+    markers = read_markers(recordings / "motions" / "tennis_serve.c3d")
+    on = {"LFHD": "head", "LWRA": "radius_l", "RWRA": "radius_r", "LANK": "tibia_l"}
+    columns = [markers.names.index(name) for name in on]
+    places = tuple(MarkerPlace(*pair) for pair in on.items())
+    recording = Recording(Skeleton.human(1.8), markers.times, markers.positions[:, columns], places)
+    assert names(recording) == []
+
+
+def test_the_small_recording_passes():
+    assert open_footage(small_recording())[1] == ()
+
+
+# Spoilt ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"),
+    [(1000, "like millimetres"), (100, "like centimetres"), (0.001, "metres, not millimetres")],
+)
+def test_markers_in_another_unit_are_refused(sound, factor, unit):
+    spoilt = replace(sound, positions_world=sound.positions_world * factor)
+    (finding,) = check_recording(spoilt, VIDEO_TIMES)
+    assert finding.check == "unit" and finding.fatal and unit in finding.sentence
+    assert "[markers] file" in finding.sentence and "which must be metres" in finding.sentence
+    trc = replace(spoilt, markers_file=Path("m.trc"))
+    assert "change Units in its third line" in check_recording(trc, VIDEO_TIMES)[0].sentence
+    if factor == 1000:
+        told = float(finding.sentence.split("person of ")[1].split(" m")[0])
+        assert 1200 < told < 2000
+
+
+def test_a_static_trial_in_millimetres_is_refused(sound):
+    giant = replace(sound.skeleton, lengths=sound.skeleton.lengths * 1000)
+    finding = check_recording(replace(sound, skeleton=giant), VIDEO_TIMES)[0]
+    assert finding.fatal and "[subject]: the person is 17" in finding.sentence
+
+
+def test_a_calibration_in_millimetres_is_refused(sound):
+    camera = sound.videos[0].camera
+    T = camera.T_cam_world.at[:3, 3].multiply(1000)
+    (finding,) = check_recording(seen_by(sound, replace(camera, T_cam_world=T)), VIDEO_TIMES)
+    assert finding.fatal and "translation must be in metres" in finding.sentence
+
+
+@pytest.mark.parametrize("marked", ["sound", "five"])
+@pytest.mark.parametrize(
+    ("axes", "said"),
+    [([2, 0, 1], "world's x"), ([1, 2, 0], "world's y"), ([0, 2, 1], "world's y")],
+)
+def test_another_axis_upwards_is_refused(request, marked, axes, said):
+    recording = request.getfixturevalue(marked)
+    spoilt = replace(recording, positions_world=recording.positions_world[..., axes])
+    finding = check_recording(spoilt, VIDEO_TIMES)[0]
+    assert finding.check == "up axis" and finding.fatal
+    assert said in finding.sentence and "change [markers] up" in finding.sentence
+
+
+def test_a_person_upside_down_is_refused(five):
+    spoilt = replace(five, positions_world=five.positions_world * [1, -1, -1])
+    assert ("up axis", True) in names(spoilt)
+
+
+@pytest.mark.parametrize("marked", ["sound", "five"])
+@pytest.mark.parametrize("height", [1.0, 1.8, 3.0])
+@pytest.mark.parametrize("axes", [[1, -1, -1], [-1, 1, -1], [1, 1, -1]], ids=str)
+def test_a_person_upside_down_above_the_floor_is_refused(request, marked, height, axes):
+    recording = request.getfixturevalue(marked)
+    spoilt = replace(recording, positions_world=recording.positions_world * axes + [0, 0, height])
+    finding = next(f for f in check_recording(spoilt, VIDEO_TIMES) if f.check == "up axis")
+    # Of headset and controllers alone it may be hands that are held up.
+    assert finding.fatal == (marked == "five")
+    assert "[markers] up: the person is upside down" in finding.sentence
+    assert "to_world" in finding.sentence
+
+
+def test_the_command_refuses_a_person_upside_down(tmp_path, capsys):
+    path = write_small_recording(tmp_path)
+    small = small_recording()
+    turned = small.positions_world * [1, -1, -1] + [0, 0, 1.7]
+    points = dict(zip(small.marker_names, np.moveaxis(turned, 1, 0), strict=True))
+    write_trc(tmp_path / "markers.trc", small.times, points)
+    assert main(["track", str(path), "--out", str(tmp_path / "out")]) == 2
+    printed = capsys.readouterr().err
+    assert "the person is upside down" in printed and printed.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_handstand_for_part_of_a_recording_passes(five):
+    handstand = [[0, 0, 0.4], [0, -0.3, 0.05], [0, 0.3, 0.05], [0, -0.1, 1.9], [0, 0.1, 1.9]]
+    positions = five.positions_world.copy()
+    positions[: int(0.4 * len(positions))] = handstand
+    assert names(replace(five, positions_world=positions, videos=())) == []
+
+
+@pytest.mark.parametrize("held", ["above the head", "up, lying on the back"])
+def test_hands_held_up_all_the_time_pass(sound, held):
+    places = {
+        "above the head": [[0, 0, 1.7], [0, 0.2, 2.1], [0, -0.2, 2.1]],
+        "up, lying on the back": [[0, 0, 0.1], [-0.3, 0.2, 0.68], [-0.3, -0.2, 0.68]],
+    }
+    positions = np.tile(np.array(places[held]), (len(sound.times), 1, 1))
+    found = check_recording(replace(sound, positions_world=positions, videos=()), [])
+    assert not any(finding.fatal for finding in found)
+
+
+@pytest.mark.parametrize("value", [1e200, -1e308, 2e7, np.inf])
+@pytest.mark.parametrize("samples", [slice(None), slice(20, 21)], ids=["always", "once"])
+def test_a_place_on_no_map_is_refused(sound, value, samples):
+    positions = sound.positions_world.copy()
+    positions[samples, 1, 0] = value
+    (finding,) = check_recording(replace(sound, positions_world=positions), VIDEO_TIMES)
+    assert finding.fatal and "LeftController is at (" in finding.sentence
+    assert "expected a place within 1e+07 m" in finding.sentence
+
+
+def test_the_real_recording_on_its_side_is_refused(recordings):
+    recording = Recording.load(recordings / "balancing" / "recording_cam_01.toml")
+    spoilt = replace(recording, positions_world=recording.positions_world[..., [1, 2, 0]])
+    assert names(spoilt, [recording.times]) == [("up axis", True)]
+
+
+def exchanged(recording: Recording, *pairs: tuple[int, int]) -> Recording:
+    order = list(range(len(recording.places)))
+    for left, right in pairs:
+        order[left], order[right] = right, left
+    return replace(recording, positions_world=recording.positions_world[:, order])
+
+
+def test_left_and_right_exchanged_is_a_warning(sound, five):
+    (finding,) = check_recording(exchanged(sound, (1, 2)), VIDEO_TIMES)
+    assert finding.check == "left and right" and not finding.fatal
+    assert "[markers.on] LeftController and RightController" in finding.sentence
+    assert "left-handed" in finding.sentence
+    (finding,) = check_recording(exchanged(five, (1, 2)), VIDEO_TIMES)
+    assert "wrist_l and wrist_r" in finding.sentence and "ankle" not in finding.sentence
+    assert "left-handed" not in finding.sentence, "the ankles are not"
+    (finding,) = check_recording(exchanged(five, (1, 2), (3, 4)), VIDEO_TIMES)
+    assert "ankle_l and ankle_r" in finding.sentence and "left-handed" in finding.sentence
+
+
+def test_a_mirror_image_that_leaves_the_picture_is_known_as_one(sound):
+    away = np.array([0.0, 3.0, 0.0])
+    there = replace(sound, positions_world=sound.positions_world + away)
+    T_away = np.eye(4)
+    T_away[:3, 3] = -away
+    there = seen_by(there, moved(sound.videos[0].camera, T_away))
+    assert names(there) == []
+    spoilt = replace(there, positions_world=there.positions_world * [1, -1, 1])
+    found = {finding.check: finding for finding in check_recording(spoilt, VIDEO_TIMES)}
+    assert set(found) == {"handedness", "left and right"}
+    assert "x, -y, z in place of x, y, z (a mirror image, left-handed)" in (
+        found["handedness"].sentence
+    )
+    assert found["handedness"].fatal, "no camera sees anything of the person"
+
+
+@pytest.mark.parametrize(("share", "fatal"), [(0.02, False), (0.6, True)])
+def test_a_marker_out_of_reach_is_told(sound, share, fatal):
+    spoilt = sound.positions_world.copy()
+    rows = np.arange(len(spoilt)) < share * len(spoilt)
+    spoilt[rows, 2] += [0, 1.0, 3.0]
+    found = {
+        f.check: f for f in check_recording(replace(sound, positions_world=spoilt), VIDEO_TIMES)
+    }
+    assert found["reach"].fatal is fatal
+    told = f"in {rows.sum()} of {len(rows)} samples farther than"
+    assert "[markers.on] RightController" in found["reach"].sentence
+    assert told in found["reach"].sentence
+
+
+@pytest.mark.parametrize("factor", [1000.0, RATE])
+def test_times_that_are_not_seconds_are_refused(sound, factor):
+    spoilt = replace(sound, times=sound.times * factor, videos=())
+    (finding,) = check_recording(spoilt, [])
+    assert finding.check == "rate" and finding.fatal
+    assert "the column of times must be seconds" in finding.sentence
+
+
+def test_a_stated_rate_that_its_time_stamps_contradict_is_a_warning(tmp_path, sound):
+    path = tmp_path / "m.trc"
+    points = dict(zip(MARKERS, np.moveaxis(sound.positions_world, 1, 0), strict=True))
+    write_trc(path, sound.times, points, rate=60.0)
+    spoilt = replace(sound, stated_rate=read_markers(path).rate)
+    (finding,) = check_recording(spoilt, VIDEO_TIMES)
+    assert not finding.fatal
+    assert "states 60 samples per second (DataRate), its time stamps say 30" in finding.sentence
+    write_trc(path, sound.times, points)
+    assert names(replace(sound, stated_rate=read_markers(path).rate)) == []
+
+
+def test_a_video_at_the_wrong_frame_rate_covers_too_little(sound):
+    (finding,) = check_recording(sound, [VIDEO_TIMES[0] / 4])
+    assert not finding.fatal and "lasts during 25 % of the marker samples" in finding.sentence
+
+
+def test_a_camera_below_the_floor_is_a_warning(sound):
+    camera = sound.videos[0].camera
+    below = np.diag([1.0, 1.0, 1.0, 1.0])
+    below[2, 3] = 1.7
+    found = check_recording(seen_by(sound, moved(camera, below)), VIDEO_TIMES)
+    (finding,) = [finding for finding in found if finding.check == "camera below the floor"]
+    assert not finding.fatal and "stands at z = -0.40 m" in finding.sentence
+
+
+def test_an_inverted_calibration_shows_nobody_and_is_refused(sound):
+    camera = sound.videos[0].camera
+    T = jnp.asarray(np.linalg.inv(np.asarray(camera.T_cam_world)), camera.T_cam_world.dtype)
+    found = check_recording(seen_by(sound, replace(camera, T_cam_world=T)), VIDEO_TIMES)
+    assert (found[0].check, found[0].fatal) == ("person out of the image", True)
+    assert "[webcam] of the calibration" in found[0].sentence
+
+
+def test_a_person_out_of_one_of_two_images_is_a_warning(sound):
+    camera = sound.videos[0].camera
+    turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    turn[0, 3] = 8.0
+    other = VideoSource("other", moved(camera, turn))
+    both = replace(sound, videos=(sound.videos[0], other))
+    found = check_recording(both, [*VIDEO_TIMES, *VIDEO_TIMES])
+    assert [(f.check, f.fatal) for f in found] == [("person out of the image", False)]
+    assert "[other] of the calibration" in found[0].sentence
+
+
+def test_missing_markers_are_no_mistake(sound):
+    spoilt = sound.positions_world.copy()
+    spoilt[::2, 0] = np.nan
+    spoilt[5:40] = np.nan
+    spoilt[:, 1] = np.nan
+    assert names(replace(sound, positions_world=spoilt)) == []
+
+
+# What the checks stand on ------------------------------------------------------------------------
+
+
+def test_the_standing_body_is_the_one_of_the_kinematics(sound):
+    skeleton = Skeleton.human(1.75)
+    landmarks = ("vertex", "wrist_l", "wrist_r", "ankle_l", "ankle_r")
+    pose = Pose(jnp.zeros(3), jnp.array([1.0, 0, 0, 0]), jnp.zeros(len(skeleton.tree.joints)))
+    expected = site_positions(
+        skeleton, forward(skeleton, pose), landmark_sites(skeleton, landmarks)
+    )
+    points = standing_points(skeleton, FIVE)
+    np.testing.assert_allclose(np.ptp(points - np.asarray(expected), axis=0), 0, atol=1e-6)
+    assert stature(skeleton) == pytest.approx(1.75, abs=0.06)
+    assert points[0, 2] == pytest.approx(stature(skeleton))
+
+
+def test_reach_is_the_length_of_the_stretched_body():
+    skeleton = Skeleton.human(1.75)
+    length = dict(zip(skeleton.tree.bones, np.asarray(skeleton.lengths, float), strict=True))
+    places = (
+        MarkerPlace("a", "humerus_l", 0.5),
+        MarkerPlace("b", "hand_l", 0.25, (0.0, 0.03, 0.04)),
+        MarkerPlace("c", "humerus_l", 0.9),
+        MarkerPlace("d", "femur_r", 0.5),
+    )
+    found = reach(skeleton, places)
+    arm = length["humerus_l"] / 2 + length["radius_l"] + length["hand_l"] / 4 + 0.05
+    assert found[0, 1] == found[1, 0] == pytest.approx(arm)
+    assert found[0, 2] == pytest.approx(0.4 * length["humerus_l"])
+    trunk = sum(length[f"spine{i}"] for i in (1, 2, 3)) + length["clavicle_l"]
+    leg = length["hip_r"] + length["femur_r"] / 2
+    assert found[0, 3] == pytest.approx(trunk + length["humerus_l"] / 2 + leg)
+
+
+def test_pixels_are_those_of_the_camera_model(sound):
+    camera, points = sound.videos[0].camera, sound.positions_world[::10].reshape(-1, 3)
+    expected = np.asarray(project(camera, jnp.asarray(points, jnp.float32)))
+    np.testing.assert_allclose(pixels_of(camera, points), expected, atol=0.01)
+    behind = np.asarray(camera.position_world)[None] * 2
+    assert np.isnan(pixels_of(camera, behind)).all()
+
+
+# The commands ------------------------------------------------------------------------------------
+
+
+def test_check_tells_what_it_looked_at(tmp_path, capsys):
+    path = write_small_recording(tmp_path)
+    assert main(["check", str(path), "--json", str(tmp_path / "c.json")]) == 0
+    printed = capsys.readouterr().out
+    assert "nothing wrong was found" in printed and "24 samples at 60 Hz" in printed
+    figures = json.loads((tmp_path / "c.json").read_text())
+    assert figures["findings"] == [] and figures["cameras"][0]["shown"] == 1.0
+
+
+def test_check_and_track_refuse_what_is_in_millimetres(tmp_path, capsys):
+    path = write_small_recording(tmp_path)
+    markers = tmp_path / "markers.trc"
+    recording = small_recording()
+    points = np.moveaxis(1000 * recording.positions_world, 1, 0)
+    write_trc(markers, recording.times, dict(zip(recording.marker_names, points, strict=True)))
+    assert main(["check", str(path)]) == 2
+    printed = capsys.readouterr()
+    assert "error    [markers] file" in printed.out
+    assert printed.err.startswith(f"jaxmocap check: {path}: [markers] file: the markers span")
+    assert main(["track", str(path), "--out", str(tmp_path / "out")]) == 2
+    assert "change Units in its third line" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_warning_reaches_whoever_opens_the_recording():
+    recording = replace(small_recording(), stated_rate=30.0)
+    _, (warning,) = open_footage(recording)
+    assert warning.startswith("small: [markers] file: its header states 30 samples per second")
+    with pytest.raises(InputError, match="the column of times must be seconds"):
+        open_footage(replace(recording, times=recording.times * 1000, videos=()))

@@ -1,0 +1,575 @@
+"""2-D key points: every layout of their files, whose model, which frame, and which person."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from small_recording import CAMERA, PLACES, small_recording, standing
+
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.capture.keypoints import (
+    Keypoints,
+    choose_person,
+    follow_person,
+    line_up,
+    marked_landmarks,
+    open_keypoints,
+)
+from jaxmocap.capture.video import open_video
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.recordings.keypoint_models import (
+    LANDMARK_OF,
+    MODELS,
+    landmark_indices,
+    tell_apart,
+)
+from jaxmocap.formats.recordings.keypoints import Detections, read_keypoints
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.trc import read_trc
+from jaxmocap.geometry.cameras import project
+
+# A standing person seen from the front, pixels. The middle of the shoulders is no landmark.
+FRONT = {
+    "nose": (320, 100),
+    "left_eye": (328, 92),
+    "right_eye": (312, 92),
+    "left_ear": (340, 96),
+    "right_ear": (300, 96),
+    "head": (320, 60),
+    "neck": (320, 130),
+    "mid_shoulder": (320, 150),
+    "hip": (320, 320),
+}
+FRONT |= {
+    f"{side}_{joint}": (320 + sign * across, down)
+    for side, sign in (("left", 1), ("right", -1))
+    for joint, across, down in (
+        *(("shoulder", 50, 150), ("elbow", 70, 230), ("wrist", 75, 300), ("hip", 25, 320)),
+        *(("knee", 28, 440), ("ankle", 30, 550), ("heel", 30, 560)),
+        *(("big_toe", 40, 570), ("small_toe", 50, 570)),
+    )
+}
+
+
+def points(model: str, shift: float = 0.0, score: float = 0.5) -> np.ndarray:
+    """(K, 3) the person as a model's points, some pixels to the right."""
+    found = [(*np.add(FRONT.get(name, (0, 0)), (shift, 0)), score) for name in MODELS[model]]
+    return np.array(found, float)
+
+
+def pixel(landmark: str, shift: float = 0.0) -> list[float]:
+    """Where the person's landmark is."""
+    (name,) = (n for n in FRONT if LANDMARK_OF.get(n) == landmark)
+    return [FRONT[name][0] + shift, FRONT[name][1]]
+
+
+def openpose(*people: np.ndarray) -> dict:
+    return {
+        "version": 1.3,
+        "people": [
+            {"person_id": [-1], "pose_keypoints_2d": person.ravel().tolist()} for person in people
+        ],
+    }
+
+
+def instance(person: np.ndarray) -> dict:
+    """As MMPose writes somebody."""
+    return {
+        "keypoints": person[:, :2].tolist(),
+        "keypoint_scores": person[:, 2].tolist(),
+        "bbox": [[0, 0, 9, 9]],
+        "bbox_score": 0.9,
+    }
+
+
+def write(folder: Path, files: Mapping[str, object]) -> Path:
+    folder.mkdir(exist_ok=True)
+    for name, content in files.items():
+        (folder / name).write_text(json.dumps(content), encoding="utf-8")
+    return folder
+
+
+def assert_the_person(detections: Detections, frame: int, person: int, shift: float) -> None:
+    for i, landmark in enumerate(detections.landmarks):
+        found = detections.pixels_xy[frame, person, i].tolist()
+        assert found == pixel(landmark, shift), landmark
+
+
+# Models ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_every_model_knows_both_sides_of_the_joints_of_arms_and_legs(model):
+    indices = landmark_indices(MODELS[model])
+    assert set(indices) <= set(LANDMARKS)
+    for joint in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle"):
+        assert {f"{joint}_l", f"{joint}_r"} <= set(indices)
+    named = [name for name in MODELS[model] if name]
+    assert len(set(named)) == len(named)
+
+
+@pytest.mark.parametrize(
+    ("model", "count", "indices"),
+    [
+        ("BODY_25", 25, {"shoulder_r": 2, "wrist_l": 7, "pelvis": 8, "ankle_r": 11, "toe_l": 19}),
+        ("BODY_25B", 25, {"shoulder_l": 5, "elbow_r": 8, "neck": 17, "vertex": 18, "toe_r": 22}),
+        ("COCO_18", 18, {"elbow_r": 3, "elbow_l": 6, "hip_r": 8, "hip_l": 11, "ankle_l": 13}),
+        ("COCO_17", 17, {"shoulder_l": 5, "wrist_r": 10, "knee_l": 13, "ankle_r": 16}),
+        ("HALPE_26", 26, {"elbow_l": 7, "vertex": 17, "neck": 18, "pelvis": 19, "toe_r": 21}),
+        ("COCO_133", 133, {"elbow_l": 7, "ankle_r": 16, "toe_l": 17, "toe_r": 20}),
+    ],
+)
+def test_points_are_counted_as_their_makers_count_them(model, count, indices):
+    assert len(MODELS[model]) == count
+    assert {name: landmark_indices(MODELS[model])[name] for name in indices} == indices
+
+
+@pytest.mark.parametrize("model", ["BODY_25", "BODY_25B"])
+def test_the_faces_tell_the_two_models_of_25_points_apart(tmp_path, model):
+    write(tmp_path, {f"{i}.json": openpose(points(model, i)) for i in range(3)})
+    found = read_keypoints(tmp_path)
+    assert f'keypoints_model = "{model}"' in found.warnings[0]
+    assert_the_person(found, 2, 0, 2)
+    assert read_keypoints(tmp_path, model).warnings == ()
+
+
+def test_where_no_face_is_seen_the_model_must_be_stated(tmp_path):
+    person = points("BODY_25B")
+    person[:5] = 0
+    write(tmp_path, {"0.json": openpose(person)})
+    with pytest.raises(InputError, match=r"state keypoints_model = \"BODY_25\" or \"BODY_25B\""):
+        read_keypoints(tmp_path)
+    found = read_keypoints(tmp_path, "BODY_25B")
+    assert found.pixels_xy[0, 0, found.landmarks.index("elbow_l")].tolist() == pixel("elbow_l")
+
+
+def test_people_who_disagree_do_not_tell_a_model():
+    pair = np.stack([points("BODY_25")[:, :2], points("BODY_25B")[:, :2]])
+    models = ("BODY_25", "BODY_25B")
+    assert tell_apart(pair, models) is None
+    assert tell_apart(np.repeat(pair, [30, 10], axis=0), models) is None
+    assert tell_apart(np.repeat(pair, [30, 1], axis=0), models) == "BODY_25"
+    assert tell_apart(np.repeat(pair, [1, 30], axis=0), models) == "BODY_25B"
+
+
+@pytest.mark.parametrize(
+    ("times_larger", "told"),
+    [(3.0, "BODY_25B"), (1.5, None), (1 / 1.5, None), (1 / 3, "BODY_25")],
+)
+def test_a_face_must_be_clearly_smaller_to_tell_the_model(times_larger, told):
+    person = points("BODY_25B")[None, :, :2]
+    # Nose, eyes and ears are 0 to 4 in the one reading, 0 and 15 to 18 in the other.
+    person[:, 15:19] = person[:, :1] + times_larger * (person[:, 1:5] - person[:, :1])
+    assert tell_apart(person, ("BODY_25", "BODY_25B")) == told
+
+
+# Files -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", ["COCO_17", "COCO_18", "HALPE_26", "COCO_133"])
+def test_openpose_files_of_every_other_count_need_no_model(tmp_path, model):
+    names = [f"cam_01_{i:012d}_keypoints.json" for i in range(8, 12)]
+    write(tmp_path, {name: openpose(points(model, i)) for i, name in enumerate(names)})
+    found = read_keypoints(tmp_path)
+    assert found.numbers.tolist() == [8, 9, 10, 11] and found.warnings == ()
+    assert found.landmarks == tuple(landmark_indices(MODELS[model]))
+    assert (found.confidences == 0.5).all()
+    for i in range(4):
+        assert_the_person(found, i, 0, i)
+
+
+def test_frames_may_hold_many_people_one_or_none(tmp_path):
+    some, other = points("COCO_17"), points("COCO_17", 200)
+    faceless = {"pose_keypoints_2d": [], "face_keypoints_2d": [1, 2, 0.5]}
+    nobody = {"people": [faceless]}
+    write(tmp_path, {"a_2.json": openpose(other), "a_0.json": openpose(some, other)})
+    write(tmp_path, {"a_1.json": nobody, "a_3.json": {"people": []}, ".a_4.json": "leavings"})
+    found = read_keypoints(tmp_path)
+    assert found.pixels_xy.shape == (4, 2, 12, 2)
+    assert_the_person(found, 0, 0, 0)
+    assert_the_person(found, 0, 1, 200)
+    assert_the_person(found, 2, 0, 200)
+    missing = np.isnan(found.pixels_xy).all((2, 3))
+    assert missing.tolist() == [[False, False], [True, True], [False, True], [True, True]]
+    np.testing.assert_array_equal(found.confidences == 0, np.isnan(found.pixels_xy[..., 0]))
+
+
+@given(
+    st.lists(st.sampled_from(["whole", "zero", "null", "nan", "large"]), min_size=17, max_size=17)
+)
+def test_what_is_missing_is_nan_with_no_confidence(tmp_path_factory, kinds):
+    folder = tmp_path_factory.mktemp("keys")
+    person = points("COCO_17").tolist()
+    for point, kind in zip(person, kinds, strict=True):
+        if kind == "zero":
+            point[:] = [0, 0, 0]
+        elif kind == "null":
+            point[0] = None
+        elif kind == "nan":
+            point[1] = float("nan")
+        elif kind == "large":
+            point[2] = 1.3
+    scores = {"keypoints": [p[:2] for p in person], "keypoint_scores": [p[2] for p in person]}
+    found = read_keypoints(write(folder, {"0.json": [scores], "1.json": [{"keypoints": person}]}))
+    expected = {"whole": 0.5, "large": 1.0}
+    for landmark, index in landmark_indices(MODELS["COCO_17"]).items():
+        i = found.landmarks.index(landmark)
+        confidence = expected.get(kinds[index], 0.0)
+        assert found.confidences[:, 0, i].tolist() == [confidence] * 2
+        seen = np.isfinite(found.pixels_xy[:, 0, i])
+        assert (seen == (confidence > 0)).all()
+
+
+def test_mmpose_writes_one_file_for_a_whole_video(tmp_path):
+    frames = [
+        {"frame_id": i, "instances": [instance(points("HALPE_26", i))] * (i != 2)} for i in range(4)
+    ]
+    for folder in (write(tmp_path / "a", {"cam.json": frames}), tmp_path / "a" / "cam.json"):
+        found = read_keypoints(folder)
+        assert found.numbers.tolist() == [0, 1, 2, 3]
+        assert_the_person(found, 3, 0, 3)
+        assert np.isnan(found.pixels_xy[2]).all()
+        assert found.name == str(folder)
+
+
+def test_mmpose_writes_one_file_per_image(tmp_path):
+    write(tmp_path, {f"img{i}.json": [instance(points("COCO_17", i))] for i in (9, 10)})
+    write(tmp_path, {"img11.json": []})
+    found = read_keypoints(tmp_path)
+    assert found.numbers.tolist() == [9, 10, 11]
+    assert_the_person(found, 0, 0, 9)
+    assert_the_person(found, 1, 0, 10)
+
+
+def test_names_in_the_file_come_before_the_count(tmp_path):
+    # 17 points as well, but of another order than COCO's.
+    names = ["root", *reversed(MODELS["COCO_17"][1:])]
+    person = np.array([(*FRONT.get(name, FRONT["hip"]), 0.5) for name in names])
+    meta = {"keypoint_id2name": {str(i): name for i, name in enumerate(names)}}
+    frames = [{"frame_id": 1, "instances": [instance(person)]}]
+    write(tmp_path, {"results_cam.json": {"meta_info": meta, "instance_info": frames}})
+    found = read_keypoints(tmp_path)
+    assert found.landmarks[0] == "pelvis" and len(found.landmarks) == 13
+    assert_the_person(found, 0, 0, 0)
+    write(tmp_path, {"results_cam.json": {"meta_info": {}, "instance_info": [instance(person)]}})
+    with pytest.raises(InputError, match="no frame number in its name"):
+        read_keypoints(tmp_path)
+
+
+WHOLE = points("COCO_17")
+
+
+@pytest.mark.parametrize(
+    ("files", "model", "says"),
+    [
+        ({}, None, "found no .json file"),
+        ({"0.json": {"people": []}}, None, "found nobody in any frame"),
+        ({"0.json": {"bodies": []}}, None, "0.json: found no key points, expected 'people'"),
+        ({"0.json": {"people": {}}}, None, "0.json: people: found {}, expected a list"),
+        ({"0.json": {"people": [3]}}, None, "people[0].pose_keypoints_2d: found None, expected a"),
+        ({"0.json": openpose(WHOLE.ravel()[:-1])}, None, "found 50 numbers, expected x, y, c"),
+        ({"0.json": openpose(WHOLE[:14])}, None, "found 14 points, expected those of BODY_25 (25)"),
+        ({"0.json": openpose(WHOLE), "1.json": openpose(WHOLE[1:])}, None, "1.json: found 16 poi"),
+        ({"0.json": openpose(WHOLE)}, "HALPE_26", "found 17 points, but HALPE_26 names 26"),
+        ({"0.json": openpose(WHOLE)}, "BODY_26", "unknown model 'BODY_26', expected BODY_25, "),
+        ({"0.json": openpose(WHOLE / 640)}, None, "expected pixels (--keypoint_scale 0)"),
+        ({"a.json": openpose(WHOLE)}, None, "a.json: found no frame number in its name"),
+        ({f"{9**30}.json": openpose(WHOLE)}, None, "found no frame number in its name"),
+        ({"a_7.json": openpose(WHOLE), "b_7.json": openpose(WHOLE)}, None, "frame 7 is in a_7"),
+        ({"0.json": [{"keypoints": [["x", 1]]}]}, None, "[0].keypoints: found other than equally"),
+        ({"0.json": [{"keypoints": [[1, 2], [3]]}]}, None, "[0].keypoints: found other than equal"),
+        ({"0.json": [{"keypoints": [[1, 2]]}]}, None, "[0].keypoints: found shape (1, 2)"),
+        (
+            {"0.json": [instance(WHOLE) | {"keypoint_scores": [1.0]}]},
+            None,
+            "[0].keypoint_scores: found shape (1,), expected one score for each key point (17)",
+        ),
+        ({"0.json": [{"instances": []}]}, None, "[0].frame_id: found None, expected a whole"),
+        ({"0.json": {"instance_info": [4]}}, None, "instance_info[0].keypoints: found None"),
+        (
+            {
+                "0.json": {
+                    "meta_info": {"keypoint_id2name": {"0": "left_elbow"}},
+                    "instance_info": [instance(WHOLE)],
+                }
+            },
+            None,
+            "found 17 points, but meta_info names 1",
+        ),
+        (
+            {
+                "0.json": {
+                    "meta_info": {"keypoint_id2name": {"0": "tail"}},
+                    "instance_info": [instance(WHOLE[:1])],
+                }
+            },
+            None,
+            "none of the points tail is a landmark of ours",
+        ),
+    ],
+)
+def test_bad_files_are_refused_with_file_and_place(tmp_path, files, model, says):
+    with pytest.raises(InputError) as caught:
+        read_keypoints(write(tmp_path, files), model)
+    message = str(caught.value)
+    assert says in message and "\n" not in message and message.startswith(str(tmp_path))
+
+
+@pytest.mark.parametrize("content", [b"", b'{"people": [', b"\xff\xfe\x00", b"[" * 100_000])
+def test_what_is_no_json_is_refused(tmp_path, content):
+    (tmp_path / "0.json").write_bytes(content)
+    with pytest.raises(InputError, match=r"0\.json: .*JSON"):
+        read_keypoints(tmp_path)
+    with pytest.raises(InputError, match="no such file"):
+        read_keypoints(tmp_path / "none")
+
+
+def test_detections_in_memory_are_checked_as_well():
+    pixels, confidences = np.zeros((2, 1, 3, 2)), np.ones((2, 1, 3))
+    names = ("wrist_l", "wrist_r", "vertex")
+    assert Detections(np.array([4, 5]), names, pixels, confidences).name == "key points in memory"
+    with pytest.raises(InputError, match="do not ascend"):
+        Detections(np.array([5, 5]), names, pixels, confidences)
+    with pytest.raises(InputError, match="2 frames and 2 landmarks"):
+        Detections(np.array([4, 5]), names[:2], pixels, confidences)
+    with pytest.raises(InputError, match="for 2 frames"):
+        Detections(np.array([4, 5]), names, pixels[..., 0], confidences)
+
+
+# Frames ------------------------------------------------------------------------------------------
+
+
+def detections(numbers) -> Detections:
+    """One landmark, whose pixel is its frame's number."""
+    numbers = np.array(numbers)
+    pixels = np.repeat(numbers[:, None, None, None].astype(float), 2, -1)
+    return Detections(numbers, ("wrist_l",), pixels, np.ones((len(numbers), 1, 1)), "keys")
+
+
+@pytest.mark.parametrize(
+    ("numbers", "frames", "stated", "first"),
+    [
+        (range(6), 6, None, 0),
+        (range(1, 7), 6, None, 1),
+        (range(100, 106), 6, None, 100),
+        ([100, 103, 105], 6, None, 100),
+        (range(3), 6, None, 0),
+        (range(1, 4), 6, None, 1),
+        ([1, 2, 6], 6, None, 1),
+        (range(100, 103), 6, 98, 98),
+        (range(10), 6, 3, 3),
+        (range(2, 5), 6, 0, 0),
+    ],
+)
+def test_the_first_frames_number_follows_the_rule_or_is_stated(numbers, frames, stated, first):
+    found = line_up(detections(numbers), frames, stated)
+    expected = [n if n in set(numbers) else np.nan for n in range(first, first + frames)]
+    np.testing.assert_array_equal(found.pixels_xy[:, 0, 0, 0], expected)
+    np.testing.assert_array_equal(found.confidences[:, 0, 0], np.isfinite(expected))
+    count = int(np.isfinite(expected).sum())
+    told = f"keys: key points of {count} of the video's {frames} frames"
+    assert found.warnings == ((told,) if count < frames else ())
+
+
+@pytest.mark.parametrize(
+    ("numbers", "stated", "says"),
+    [
+        (range(7), None, "frames 0 to 6 for a video of 6 frames; state keypoints_first"),
+        (range(2, 5), None, "frames 2 to 4 for a video of 6 frames; state keypoints_first"),
+        ([1, 7], None, "frames 1 to 7 for a video of 6 frames; state keypoints_first"),
+        (range(3), 3, "frames 0 to 2, but the video has frames 3 to 8; check keypoints_first"),
+    ],
+)
+def test_numbers_that_do_not_tell_the_first_frame_are_refused(numbers, stated, says):
+    with pytest.raises(InputError) as caught:
+        line_up(detections(numbers), 6, stated)
+    assert says in str(caught.value)
+
+
+def test_a_recordings_video_opens_its_key_points(tmp_path):
+    source = small_recording().videos[0]
+    video = open_video(source)
+    assert open_keypoints(source, video) is None
+    files = {f"{i:04d}.json": openpose(points("BODY_25", i)) for i in range(1, len(video) + 1)}
+    folder = write(tmp_path, files)
+    found = open_keypoints(replace(source, keypoints=folder, keypoints_model="BODY_25"), video)
+    assert found is not None and found.warnings == ()
+    elbow = found.landmarks.index("elbow_l")
+    assert found.pixels_xy[0, 0, elbow].tolist() == pixel("elbow_l", 1)
+    read = read_keypoints(folder, "BODY_25")
+    again = open_keypoints(replace(source, keypoints=read, keypoints_first=2), video)
+    assert again is not None
+    assert again.pixels_xy[0, 0, elbow].tolist() == pixel("elbow_l", 2)
+    assert np.isnan(again.pixels_xy[-1]).all()
+
+
+# People ------------------------------------------------------------------------------------------
+
+NEAR, GATE = points("COCO_17")[:, :2], 60.0
+
+
+@given(st.permutations(range(4)), st.integers(0, 99), st.floats(0.0, 0.6))
+def test_the_person_nearest_to_the_prediction_is_chosen_in_any_order(order, seed, lost):
+    rng = np.random.default_rng(seed)
+    people = np.stack([NEAR + np.array([shift, 0]) for shift in (0, 200, -300, 900)])
+    people += rng.normal(scale=4.0, size=people.shape)
+    people[rng.random(people.shape[:2]) < lost] = np.nan
+    predicted = np.where(rng.random((17, 1)) < 0.7, NEAR, np.nan)
+    chosen = choose_person(people[list(order)], predicted, GATE)
+    shared = np.isfinite(people[0] + predicted).all(-1).sum()
+    known = np.isfinite(predicted).all(-1).sum()
+    expected = order.index(0) if shared >= max(1, min(2, known)) else -1
+    assert chosen == expected
+
+
+def test_neither_a_stray_wrist_nor_a_fragment_decides():
+    whole, fragment = NEAR + 10.0, np.full_like(NEAR, np.nan)
+    whole[9] = [5000, 5000]
+    fragment[5:7] = NEAR[5:7]
+    assert choose_person(np.stack([fragment, whole]), NEAR, GATE) == 1
+    assert choose_person(np.stack([whole, fragment]), NEAR, GATE) == 0
+    assert choose_person(fragment[None], NEAR, GATE) == 0
+
+
+def test_nobody_is_chosen_where_nobody_or_nothing_is_known():
+    nothing = np.full_like(NEAR, np.nan)
+    assert choose_person(NEAR[None], nothing, GATE) == -1
+    assert choose_person(nothing[None], NEAR, GATE) == -1
+    assert choose_person(np.empty((0, 17, 2)), NEAR, GATE) == -1
+    assert choose_person(NEAR[None] + [GATE + 1, 0], NEAR, GATE) == -1
+    assert choose_person(NEAR[None] + [GATE - 1, 0], NEAR, GATE) == 0
+    once = np.where(np.arange(17)[:, None] == 3, NEAR, np.nan)
+    assert choose_person(NEAR[None], once, GATE) == 0
+    assert choose_person(once[None], NEAR, GATE) == -1
+
+
+def test_markers_on_landmarks_say_who_is_tracked():
+    recording = small_recording()
+    landmarks = ("elbow_l", *(landmark for _, landmark in PLACES.values()))
+    times = recording.times[:3]
+    known = marked_landmarks(recording, landmarks, times)
+    assert np.isnan(known[:, 0]).all()
+    np.testing.assert_array_equal(known[:, 1:], recording.positions_world[:3])
+    # A second person stands a metre further, and is listed first in the second frame.
+    places = [known + np.array([0, y, 0]) for y in (0, 1)]
+    seen = [np.asarray(project(CAMERA, jnp.asarray(place, float))) for place in places]
+    seen = np.stack(seen, 1)
+    seen[:, :, 0] = seen[:, :, 1]
+    seen[1] = seen[1, ::-1]
+    seen[2, 0] = np.nan
+    keypoints = Keypoints(landmarks, seen, np.where(np.isnan(seen[..., 0]), 0.0, 0.8))
+    pixels, confidences = follow_person(keypoints, CAMERA, known)
+    np.testing.assert_array_equal(pixels[0], seen[0, 0])
+    np.testing.assert_array_equal(pixels[1], seen[1, 1])
+    assert np.isnan(pixels[2]).all()
+    assert confidences.tolist() == [[0.8] * 6, [0.8] * 6, [0.0] * 6]
+
+
+def test_what_lies_behind_the_camera_predicts_nothing():
+    # Both wrists behind the camera, then the left one only: the right one is all that is known.
+    known = np.tile(np.array([6.0, 1.2, 1.3]), (2, 2, 1))
+    known[1, 1] = [0.0, 0.0, 1.0]
+    pixels = np.asarray(project(CAMERA, jnp.asarray(known, float)))[:, None]
+    only_right = np.where([[[[False], [True]]]], pixels, np.nan)
+    keypoints = Keypoints(("wrist_l", "wrist_r"), only_right, np.ones((2, 1, 2)))
+    found, _ = follow_person(keypoints, CAMERA, known)
+    assert np.isnan(found[0]).all()
+    np.testing.assert_array_equal(found[1], only_right[1, 0])
+
+
+@pytest.mark.parametrize(
+    ("bone", "at", "landmark"),
+    [
+        *(("radius_l", 1.0, "wrist_l"), ("hand_l", 0.0, "wrist_l"), ("head", 1.0, "vertex")),
+        *(("tibia_r", 1.0, "ankle_r"), ("humerus_r", 1.0, "elbow_r"), ("hand_r", 1.0, "hand_r")),
+        *(("radius_l", 0.5, None), ("head", 0.9, None), ("spine1", 0.0, "pelvis")),
+    ],
+)
+def test_a_bones_far_end_is_the_next_ones_landmark(bone, at, landmark):
+    recording = small_recording()
+    places = (replace(recording.places[0], bone=bone, at=at),)
+    only = Recording(
+        Skeleton.human(), recording.times, recording.positions_world[:, :1], places, name="x"
+    )
+    known = marked_landmarks(only, tuple(LANDMARKS), recording.times[:1])
+    there = [name for name, point in zip(LANDMARKS, known[0], strict=True) if np.isfinite(point[0])]
+    assert there == ([landmark] if landmark else [])
+    assert landmark is None or known[0, list(LANDMARKS).index(landmark)].tolist() == pytest.approx(
+        standing()[0].tolist()
+    )
+
+
+# The real recording ------------------------------------------------------------------------------
+
+TRUTH = {
+    f"{joint}_{side}": f"{side.upper()}{joint.capitalize()}"
+    for joint in ("elbow", "shoulder", "wrist", "hip", "knee", "ankle")
+    for side in "lr"
+}
+# The reference was triangulated from these detections with about so many pixels of error.
+REAL = [("cam_01", 25), ("cam_02", 25), ("cam_03", 60), ("cam_04", 25)]
+
+
+@pytest.fixture(scope="module")
+def balancing(recordings) -> Recording:
+    return Recording.load(recordings / "balancing" / "recording_all_cameras.toml")
+
+
+@pytest.fixture(scope="module")
+def reference(recordings) -> np.ndarray:
+    """(60, 12, 3) the joints of TRUTH in the world, metres."""
+    truth = read_trc(recordings / "balancing" / "truth.trc").points()
+    return np.stack([truth[name] for name in TRUTH.values()], 1)
+
+
+@pytest.mark.parametrize(("camera_name", "farthest"), REAL)
+def test_the_tracked_persons_elbows_lie_on_the_projected_reference(
+    balancing, reference, recordings, camera_name, farthest
+):
+    (source,) = (video for video in balancing.videos if video.camera_name == camera_name)
+    folder = recordings / "balancing" / "keypoints" / camera_name
+    video = open_video(source)
+    keypoints = open_keypoints(replace(source, keypoints=folder), video)
+    assert keypoints is not None and len(keypoints.pixels_xy) == len(video) == 60
+    assert "taken as BODY_25B" in keypoints.warnings[0]
+    known = marked_landmarks(balancing, keypoints.landmarks, video.times)
+    pixels, confidences = follow_person(keypoints, source.camera, known)
+    index = [keypoints.landmarks.index(name) for name in TRUTH]
+    expected = np.asarray(project(source.camera, jnp.asarray(reference, float)))
+    distances = np.linalg.norm(pixels[:, index] - expected, axis=-1)
+    assert (confidences[:, index] > 0).mean() > 0.95
+    assert np.nanmedian(distances[:, :2], axis=0).max() < farthest
+
+    def without_bias(lag: int) -> float:
+        """Mean distance where the detections come some frames late, a constant left out."""
+        late = slice(max(lag, 0), 60 + min(lag, 0))
+        early = slice(max(-lag, 0), 60 + min(-lag, 0))
+        error = pixels[late][:, index] - expected[early]
+        error -= np.nanmedian(error, axis=0)
+        return float(np.nanmean(np.linalg.norm(error, axis=-1)))
+
+    assert min(range(-3, 4), key=without_bias) == 0
+
+
+def test_a_bystander_is_never_taken_for_the_tracked_person(balancing, recordings):
+    found = read_keypoints(recordings / "balancing" / "keypoints" / "cam_01", "BODY_25B")
+    keypoints = line_up(found, 60)
+    known = marked_landmarks(balancing, keypoints.landmarks, balancing.times)
+    camera = balancing.videos[0].camera
+    pixels, _ = follow_person(keypoints, camera, known)
+    taken = (keypoints.pixels_xy == pixels[:, None]).any((2, 3))
+    assert (taken.sum(1) == 1).all()
+    others = replace(
+        keypoints, pixels_xy=np.where(taken[..., None, None], np.nan, keypoints.pixels_xy)
+    )
+    assert np.isfinite(others.pixels_xy).any((1, 2, 3)).all()
+    left, _ = follow_person(others, camera, known)
+    # In one frame the detector tore the tracked person in two, and the other half is found.
+    assert np.flatnonzero(np.isfinite(left).any((1, 2))).tolist() == [37]
+    assert np.nanmedian(others.pixels_xy[..., 0]) < 100 < 400 < np.nanmedian(left[37, :, 0])

@@ -1,0 +1,424 @@
+"""The commands: what they write and print, and how they refuse bad input."""
+
+import json
+import subprocess
+import sys
+import wave
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_recording import SAMPLES, write_small_recording
+
+from jaxmocap import cli
+from jaxmocap.cli import COMMANDS, GROUPS, main
+from jaxmocap.formats.files.errors import InputError, OutputError
+from jaxmocap.formats.files.output_folder import OutputFolder
+from jaxmocap.formats.time_series.trc import write_trc
+from jaxmocap.pipelines import view
+from jaxmocap.pipelines.kept_programs import cache_folder
+from jaxmocap.pipelines.signals import Terminated
+
+OUTPUTS = {"joints.trc", "angles.mot", "motion.npz", "motion.bvh", "motion.glb"}
+OUTPUTS |= {"angles_isb.mot", "report.json", "overlay.mp4", "recording.rrd", "outputs.json"}
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    """A small recording's files, and earlier output in ``out``."""
+    write_small_recording(tmp_path)
+    with OutputFolder(tmp_path / "out", "motion").writing() as stage:
+        (stage / "joints.trc").write_text("earlier")
+    return tmp_path
+
+
+# What they do ------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def tracked(tmp_path_factory):
+    """A small recording that the command has tracked, and what it printed on stdout and stderr."""
+    folder = tmp_path_factory.mktemp("tracked")
+    recording = write_small_recording(folder)
+    with pytest.MonkeyPatch.context() as patch:
+        printed, said = (folder / "stdout").open("w"), (folder / "stderr").open("w")
+        patch.setattr(sys, "stdout", printed)
+        patch.setattr(sys, "stderr", said)
+        code = main(["track", str(recording), "--out", str(folder / "out"), "--json", "-"])
+        printed.close()
+        said.close()
+    return code, folder / "out", (folder / "stdout").read_text(), (folder / "stderr").read_text()
+
+
+def test_track_writes_every_file_and_leaves_nothing_half_written(tracked):
+    code, out, _, _ = tracked
+    assert code == 0
+    assert {path.name for path in out.iterdir()} == OUTPUTS
+
+
+def test_track_prints_figures_as_json_and_the_summary_beside_them(tracked):
+    _, out, printed, said = tracked
+    figures = json.loads(printed)
+    assert figures["frames"] == SAMPLES and figures["frames_per_second"] > 0
+    assert figures["settings"]["recording"].endswith("recording.toml")
+    assert "tracking" in said and "frames per second" in said and str(out / "joints.trc") in said
+
+
+def test_evaluate_compares_with_a_reference_by_time_stamp(tracked, capsys, tmp_path):
+    _, out, _, _ = tracked
+    truth, file = str(out.parent / "markers.trc"), tmp_path / "errors.json"
+    wrists = ["--match", "wrist_l=LWrist", "wrist_r=RWrist"]
+    assert main(["evaluate", str(out), truth, *wrists, "--json", str(file)]) == 0
+    assert "wrist_l" in capsys.readouterr().out
+    figures = json.loads(file.read_text())
+    assert figures["joints"]["wrist_r"]["samples"] == SAMPLES
+    assert figures["mean_over_joints"]["mean"] < 0.02
+    assert main(["evaluate", str(out), truth, *wrists, "--up", "y", "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out)["mean_over_joints"]["mean"] > 0.5
+
+
+def test_view_says_how_to_open_the_recording_where_there_is_no_display(
+    tracked, capsys, monkeypatch
+):
+    monkeypatch.setattr(view, "has_display", lambda: False)
+    assert main(["view", str(tracked[1])]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        str(tracked[1] / "recording.rrd"),
+        f"no display here; in a browser: jaxmocap view {tracked[1]} --web",
+    ]
+
+
+def test_view_opens_the_viewer_where_there_is_a_display(tracked, capsys, monkeypatch):
+    started = []
+    monkeypatch.setattr(view, "has_display", lambda: True)
+    monkeypatch.setattr(view.subprocess, "Popen", lambda line, **_: started.append(line))
+    assert main(["view", str(tracked[1])]) == 0
+    assert "rerun" in started[0][0] and started[0][1:3] == ["--bind", "127.0.0.1"]
+    assert started[0][-1] == str(tracked[1] / "recording.rrd")
+    assert "opened" in capsys.readouterr().out
+
+
+def test_a_display_is_what_the_environment_names(monkeypatch):
+    monkeypatch.setattr(view.sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    assert not view.has_display()
+    monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")
+    assert view.has_display()
+
+
+def test_the_demo_shows_that_video_helps(tmp_path, capsys):
+    out = tmp_path / "demo"
+    assert main(["demo", "--out", str(out), "--seconds", "0.5", "--json", "-"]) == 0
+    printed = capsys.readouterr()
+    figures = json.loads(printed.out)
+    assert figures["markers_only"]["joints"]["elbow_r"]["samples"] == 45
+    before, after = (figures[k]["mean_over_joints"]["mean"] for k in ("markers_only", "with_video"))
+    assert 0 < after < before and figures["improvement"] == pytest.approx(1 - after / before)
+    assert "before  improved" in printed.err and "frames per second" in printed.err
+    assert {p.name for p in out.iterdir()} == OUTPUTS | {"elbow_errors.png", "recording"}
+    assert (out / "recording" / "recording.toml").is_file()
+
+
+def test_compiled_programs_are_kept_where_the_environment_says(monkeypatch, tmp_path):
+    assert any((cache_folder()).iterdir())
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache_folder() == tmp_path / "jaxmocap"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    assert cache_folder() == Path.home() / ".cache" / "jaxmocap"
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.name)
+def test_every_command_helps_with_an_example(command, capsys):
+    with pytest.raises(SystemExit) as done:
+        main([command.name, "--help"])
+    assert done.value.code == 0
+    assert f"example: {command.example}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("group", "kind"), [(name, kind) for name, (_, kinds) in GROUPS.items() for kind in kinds]
+)
+def test_every_kind_of_a_command_helps_with_an_example(group, kind, capsys):
+    with pytest.raises(SystemExit) as done:
+        main([group, kind.name, "--help"])
+    assert done.value.code == 0
+    assert f"example: {kind.example}" in capsys.readouterr().out
+
+
+def test_help_loads_neither_jax_nor_opencv():
+    check = (
+        "import sys\nfrom jaxmocap.cli import main\n"
+        "try: main(['--help'])\nexcept SystemExit: pass\n"
+        "print([m for m in ('jax', 'cv2', 'av', 'rerun') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+# Bad input ---------------------------------------------------------------------------------------
+
+
+def refused(folder: Path, capsys, *options: str) -> str:
+    """Track what is wrong: exit code 2, one line on stderr, earlier output as it was."""
+    arguments = ["track", str(folder / "recording.toml"), "--out", str(folder / "out"), *options]
+    assert main(arguments) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "" and printed.err.count("\n") == 1
+    assert printed.err.startswith("jaxmocap track: ")
+    assert {path.name for path in (folder / "out").iterdir()} == {"joints.trc", "outputs.json"}
+    assert (folder / "out" / "joints.trc").read_text() == "earlier"
+    return printed.err
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+@pytest.mark.parametrize("name", ["recording.toml", "markers.trc", "cam.mp4", "calibration.toml"])
+def test_a_missing_file_is_named(folder, capsys, name):
+    (folder / name).unlink()
+    message = refused(folder, capsys)
+    assert "no such file" in message and str(folder / name) in message
+
+
+@pytest.mark.parametrize("content", [b"", b"this is not a video", bytes(range(256)) * 40])
+def test_what_is_not_a_video_is_refused(folder, capsys, content):
+    (folder / "cam.mp4").write_bytes(content)
+    assert f"{folder / 'cam.mp4'}: is not a video" in refused(folder, capsys)
+
+
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (lambda content: b"", "the file is empty"),
+        (lambda content: content[: len(content) // 2], "line 1"),
+        (lambda content: b"\0\1\2" * 100, "line 1: found binary data"),
+        (lambda content: content.replace(b"\tm\t", b"\tparsec\t"), "line 3: unknown unit 'parsec'"),
+        (
+            lambda content: content.replace(b"0.100000000", b"0.000000001"),
+            "line 13: time runs backwards",
+        ),
+    ],
+    ids=["empty", "truncated", "binary", "unit", "backwards"],
+)
+def test_a_damaged_marker_file_is_named_with_its_line(folder, capsys, damage, says):
+    path = folder / "markers.trc"
+    path.write_bytes(damage(path.read_bytes()))
+    message = refused(folder, capsys)
+    assert str(path) in message and says in message
+
+
+def test_nan_everywhere_is_refused(folder, capsys):
+    times, names = np.arange(SAMPLES) / 60, ("Head", "LWrist", "RWrist", "LAnkle", "RAnkle")
+    nothing = np.full((SAMPLES, 3), np.nan)
+    write_trc(folder / "markers.trc", times, {name: nothing for name in names})
+    message = refused(folder, capsys)
+    assert str(folder / "recording.toml") in message and "all positions are NaN" in message
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "says"),
+    [
+        ("recording.toml", "Head =", "Nose =", "[markers.on] Nose: no such marker"),
+        ("recording.toml", "Head =", "Nose =", "found Head, LWrist, RWrist, LAnkle, RAnkle"),
+        ("recording.toml", '"tibia_l"', '"shank"', "[markers.on] LAnkle: unknown bone 'shank'"),
+        ("recording.toml", '"tibia_l"', '"shank"', "expected one of spine1, spine2"),
+        ("calibration.toml", "[cam]", "[other]", "section [cam] is missing, found other"),
+        ("calibration.toml", "matrix = [[", "matrix = [[0, 0, 1], [", "[cam] matrix: found [["),
+        ("calibration.toml", "rotation = [", "rotation = [7.0, ", "[cam] rotation: found ["),
+        ("calibration.toml", "size = [96.0", "size = [99.0", "the video is 96 × 72"),
+        ("recording.toml", "offset = 0.004", "offset = 100.0", "no overlap: the video lasts from"),
+        ("recording.toml", "height = 1.75", "height = 'tall'", "[subject] height: found 'tall'"),
+    ],
+)
+def test_a_field_that_does_not_fit_is_named_with_its_file(folder, capsys, file, old, new, says):
+    edit(folder / file, old, new)
+    message = refused(folder, capsys)
+    video = says.startswith(("the video", "no overlap"))
+    assert says in message and str(folder / ("cam.mp4" if video else file)) in message
+
+
+def test_a_rotation_that_is_none_is_refused(folder, capsys):
+    text = (folder / "calibration.toml").read_text().splitlines()
+    stretched = "rotation = [[2.0, 0, 0], [0, 1, 0], [0, 0, 1]]"
+    lines = [stretched if line.startswith("rotation") else line for line in text]
+    (folder / "calibration.toml").write_text("\n".join(lines))
+    assert "rotation: found a 3 × 3 matrix that is not a rotation" in refused(folder, capsys)
+
+
+def test_a_camera_that_the_recording_does_not_have_is_refused(folder, capsys):
+    assert "no [[video]] of camera 'side', found cam" in refused(
+        folder, capsys, "--cameras", "cam,side"
+    )
+
+
+def test_nobodys_height_is_refused(folder, capsys):
+    assert "height" in refused(folder, capsys, "--height", "40")
+
+
+def test_an_output_that_is_a_file_is_refused_before_tracking(folder, capsys):
+    arguments = ["track", str(folder / "recording.toml"), "--out", str(folder / "cam.mp4" / "x")]
+    assert main(arguments) == 2
+    assert "cam.mp4 is a file" in capsys.readouterr().err
+
+
+def test_a_video_a_little_narrower_than_its_calibration_is_a_warning(folder):
+    from jaxmocap.capture.footage import open_footage
+    from jaxmocap.formats.recordings.recording import load_recording
+
+    edit(folder / "calibration.toml", "size = [96.0", "size = [97.0")
+    _, warnings = open_footage(load_recording(folder / "recording.toml"))
+    assert len(warnings) == 1 and "taken as cropped on the right" in warnings[0]
+
+
+def test_sound_without_pictures_is_refused(folder, capsys):
+    with wave.open(str(folder / "cam.mp4"), "wb") as sound:
+        sound.setparams((1, 2, 8000, 0, "NONE", ""))
+        sound.writeframes(bytes(16000))
+    assert "is not a video, it has no video stream" in refused(folder, capsys)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["evaluate", "nowhere", "truth.trc", "--match", "elbow_l=LElbow"], "no such file"),
+        (["view", "nowhere"], "no such file, expected a folder that 'jaxmocap track' wrote"),
+    ],
+)
+def test_folders_that_track_did_not_write_are_refused(arguments, says, capsys):
+    assert main(arguments) == 2
+    message = capsys.readouterr().err
+    assert says in message and "nowhere" in message and message.count("\n") == 1
+
+
+def test_an_unknown_joint_or_marker_is_refused_with_a_list(tracked, capsys):
+    _, out, _, _ = tracked
+    truth = str(out.parent / "markers.trc")
+    assert main(["evaluate", str(out), truth, "--match", "elbow=LWrist"]) == 2
+    assert "no joint 'elbow', expected one of" in capsys.readouterr().err
+    assert main(["evaluate", str(out), truth, "--match", "elbow_l=Elbow"]) == 2
+    assert "no marker 'Elbow', expected one of Head, LWrist" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["track", "r.toml"], "jaxmocap track: the following arguments are required: --out"),
+        (["track", "r.toml", "--out", "o", "--causal", "--nearest"], "not allowed with"),
+        (["track", "r.toml", "--out", "o", "--refine", "magic"], "invalid choice: 'magic'"),
+        (["evaluate", "d", "t", "--match", "elbow_l"], "found 'elbow_l', expected JOINT=MARKER"),
+        (["demo", "--seconds", "-1"], "found -1, expected a positive number"),
+        (["fly"], "invalid choice: 'fly'"),
+        ([], "required: COMMAND"),
+    ],
+)
+def test_wrong_arguments_are_one_line_too(arguments, says, capsys):
+    with pytest.raises(SystemExit) as done:
+        main(arguments)
+    message = capsys.readouterr().err
+    assert done.value.code == 2 and says in message and message.count("\n") == 1
+
+
+# How they end -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("raised", "code", "says"),
+    [
+        (InputError("a.trc", "is bad"), 2, "jaxmocap check: a.trc: is bad"),
+        (OutputError("a.trc", "cannot be"), 1, "jaxmocap check: a.trc: cannot be"),
+        (OSError(28, "No space left on device"), 1, "the system: No space left on device"),
+        (OSError(5, "Input/output error", "x.mp4"), 1, "x.mp4: Input/output error"),
+        (MemoryError(), 1, "there is not enough memory for it"),
+        (KeyboardInterrupt(), 130, "jaxmocap check: interrupted"),
+        (Terminated(), 143, "jaxmocap check: terminated"),
+        (InputError("a\n\x1b[2J.trc", "found \u202e"), 2, r"a\n\x1b[2J.trc: found \u202e"),
+        (InputError("a.trc", "x" * 10_000), 2, "xxx...xxx"),
+    ],
+)
+def test_whatever_ends_a_command_is_one_clean_line(raised, code, says, monkeypatch, capsys):
+    def fail(options):
+        raise raised
+
+    monkeypatch.setattr(cli, "check_report", fail)
+    assert main(["check", "recording.toml"]) == code
+    said = capsys.readouterr().err
+    assert says in said and said.count("\n") == 1 and said[:-1].isprintable() and len(said) < 600
+
+
+def test_a_fault_of_ours_is_not_hidden(monkeypatch):
+    def fail(options):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(cli, "check_report", fail)
+    with pytest.raises(ZeroDivisionError):
+        main(["check", "recording.toml"])
+
+
+def test_an_argument_with_a_nul_is_bad_input(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["check", "a\0b.toml"])
+    assert ended.value.code == 2 and "holds a NUL" in capsys.readouterr().err
+
+
+def test_figures_never_replace_what_is_read(folder, capsys):
+    for name in ("recording.toml", "markers.trc", "cam.mp4"):
+        before = (folder / name).read_bytes()
+        given = ["check", str(folder / "recording.toml"), "--json", str(folder / name)]
+        assert main(given) == 2
+        assert "would be replaced while it is read" in capsys.readouterr().err
+        assert (folder / name).read_bytes() == before
+
+
+def test_a_recording_is_not_taken_for_the_body_that_scale_replaces(folder, capsys):
+    before = (folder / "recording.toml").read_bytes()
+    given = ["scale", "--height", "1.8", "--out"]
+    for name in ("recording.toml", "calibration.toml"):
+        assert main([*given, str(folder / name)]) == 2
+        assert "is no body that 'jaxmocap scale' writes" in capsys.readouterr().err
+    assert (folder / "recording.toml").read_bytes() == before
+    for _ in range(2):
+        assert main([*given, str(folder / "subject.toml")]) == 0
+
+
+def test_a_file_is_not_converted_into_itself(folder, capsys):
+    before = (folder / "markers.trc").read_bytes()
+    (folder / "link.trc").symlink_to(folder / "markers.trc")
+    for target in ("markers.trc", "link.trc"):
+        assert main(["convert", str(folder / "markers.trc"), str(folder / target)]) == 2
+        assert "would be replaced while it is read" in capsys.readouterr().err
+    assert (folder / "markers.trc").read_bytes() == before
+
+
+def test_a_reader_that_has_gone_is_no_traceback(folder):
+    command = [sys.executable, "-m", "jaxmocap.cli", "check", str(folder / "recording.toml")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process.stdout.close()
+    said = process.stderr.read()
+    assert process.wait(60) == 1
+    assert said == "jaxmocap check: the system: Broken pipe\n"
+
+
+TERMINATED_WHILE = """
+import os, signal, sys
+from jaxmocap.pipelines.tracking import track as recording
+def track(*_, **__):
+    os.kill(os.getpid(), signal.SIGTERM)
+    raise AssertionError("went on")
+recording.track = track
+from jaxmocap.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_sigterm_is_one_sentence_143_and_outputs_as_they_were(folder):
+    command = ["track", str(folder / "recording.toml"), "--out", str(folder / "out")]
+    run = [sys.executable, "-c", TERMINATED_WHILE, *command]
+    done = subprocess.run(run, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (143, "jaxmocap track: terminated\n")
+    assert (folder / "out" / "joints.trc").read_text() == "earlier"
+    assert not [path for path in (folder / "out").iterdir() if path.name.startswith(".")]

@@ -1,0 +1,147 @@
+"""The viewer: what it shows without a click, and the page that it serves."""
+
+import os
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+
+import numpy as np
+import pytest
+import rerun as rr
+import rerun.blueprint as rrb
+
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.cli import main
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.outputs import live_view
+from jaxmocap.outputs.layout import SERIES, lay_out
+from jaxmocap.outputs.live_view import LiveView, Shown
+from jaxmocap.outputs.scene import Scene
+from jaxmocap.pipelines.live.session import standing_pose
+from jaxmocap.pipelines.view import LOOPBACK, free_port, serve_page
+from jaxmocap.synthetic.lens import look_at
+
+CAMERA = look_at((3.0, 0.6, 1.3), (0.0, 0.0, 0.95), size=(96, 72), focal=95.0, distortion=())
+SCENE = Scene(
+    ("head",),
+    np.zeros(1),
+    np.eye(3)[None, None],
+    np.zeros((1, 1, 3)),
+    np.ones((1, 1, 3)),
+    np.ones((1, 2)),
+)
+
+
+def shown(part) -> set[str]:
+    """Names of the views that are seen: of tabs only the first."""
+    if isinstance(part, rrb.Container):
+        contents = list(part.contents)
+        if isinstance(part, rrb.Tabs):
+            contents = contents[:1]
+        return set().union(*(shown(each) for each in contents))
+    return {part.name}
+
+
+@pytest.mark.parametrize("cameras", [0, 1, 4])
+def test_body_cameras_and_curves_are_shown_without_a_click(cameras):
+    labels = {f"cam {i}": ["edges, left", "edges, right"] for i in range(cameras)}
+    visible = shown(lay_out(labels, SCENE).root_container)
+    assert visible >= {"Body", *labels, *SERIES.values()}
+    assert len([name for name in visible if "edges" in name]) == min(2 * cameras, 2)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder with something that the viewer reads."""
+    stream = rr.RecordingStream("test")
+    stream.save(tmp_path / "recording.rrd")
+    stream.log("points", rr.Points3D([[0.0, 0.0, 0.0]]))
+    stream.disconnect()
+    return tmp_path
+
+
+def test_the_page_is_served_to_this_machine_and_its_data_beside_it(folder):
+    served = serve_page(folder / "recording.rrd", free_port())
+    try:
+        page = str(served.page)
+        assert page.startswith(f"http://{LOOPBACK}:") and LOOPBACK in served.url
+        end = time.monotonic() + 60
+        while True:
+            try:
+                text = urllib.request.urlopen(page, timeout=5).read().decode()
+                break
+            except OSError:
+                assert time.monotonic() < end and served.process.poll() is None
+                time.sleep(0.1)
+        assert "<html" in text.lower() and "rerun" in text.lower()
+    finally:
+        served.process.terminate()
+        served.process.wait()
+    with pytest.raises(OSError, match="refused"):
+        urllib.request.urlopen(page, timeout=5)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="SIGTERM is sent as on POSIX")
+def test_sigterm_ends_the_command_and_its_server(folder):
+    port = free_port()
+    line = [sys.executable, "-m", "jaxmocap.cli", "view", folder, "--web", "--port", str(port)]
+    process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    for printed in process.stdout:
+        if "until Ctrl-C" in printed:
+            break
+    process.terminate()
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 143 and said == "jaxmocap view: terminated\n"
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection((LOOPBACK, port), 5.0)
+
+
+def test_a_port_that_is_taken_is_said(folder, capsys):
+    with socket.socket() as taken:
+        taken.bind((LOOPBACK, 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(InputError, match=f"port {port}"):
+            serve_page(folder / "recording.rrd", port)
+        assert main(["view", str(folder), "--web", "--port", str(port)]) == 2
+    assert f"port {port}" in capsys.readouterr().err
+
+
+def test_a_live_view_shows_the_newest_pose_and_image_and_keeps_up(tmp_path, monkeypatch):
+    chunks = pytest.importorskip(
+        "rerun.chunk",
+        reason="the installed rerun-sdk cannot read .rrd files (no rerun.chunk); a newer one can",
+    )
+    path = tmp_path / "live.rrd"
+    monkeypatch.setattr(rr.RecordingStream, "connect_grpc", lambda self, url: self.save(path))
+    skeleton = Skeleton.human(1.75)
+    pose = standing_pose(skeleton)
+    sent = []
+    monkeypatch.setattr(live_view, "INTERVAL_S", 0.02)
+    view = LiveView("nowhere", skeleton, {"cam": CAMERA}, pose)
+    log = view._log
+    view._log = lambda shown: (sent.append(shown), log(shown))  # type: ignore[method-assign]
+    images = [np.full((72, 96, 3), i, np.uint8) for i in range(100)]
+    for i, image in enumerate(images):
+        view.show(Shown(i / 100, pose, np.array([0.2, 0.9]), 5.0, {"cam": image}))
+        view.show(Shown(i / 100 + 0.005, pose, np.array([0.2, 0.9]), 5.0, {}))
+    end = time.monotonic() + 20
+    while (not sent or sent[-1].time < 0.995) and time.monotonic() < end:
+        time.sleep(0.01)
+    view.close()
+    # What is not shown in time is passed over, but an image waits for the next pose.
+    assert len(sent) < 100 and sent[-1].time == 0.995
+    assert any(shown.images and (shown.images["cam"] == 99).all() for shown in sent)
+    entities = {chunk.entity_path for chunk in chunks.RrdReader(path).stream()}
+    assert entities >= {"/world/cameras/cam/image", "/confidence/left", "/world/body/head"}
+
+
+def test_who_stands_has_the_feet_on_the_floor():
+    from jaxmocap.body.kinematics import forward
+
+    skeleton = Skeleton.human(1.75)
+    joints = np.asarray(forward(skeleton, standing_pose(skeleton)).joints_world)
+    assert abs(joints[:, 2].min()) < 1e-5 and joints[:, 2].max() > 1.3

@@ -1,0 +1,187 @@
+"""Files kept for later starts: only what this user wrote is read, and JAX's entries are checked."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from jax.experimental.compilation_cache import compilation_cache
+
+from jaxmocap.compilation.programs import Program, keep_in
+from jaxmocap.formats.program_files import KeptFiles
+from jaxmocap.pipelines import kept_programs
+from jaxmocap.pipelines.kept_programs import keep_compiled
+from jaxmocap.pipelines.warmup import Warmed, counted
+
+NUMBERS = np.arange(7, dtype=np.float32)
+ON_POSIX = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="Windows has no such owners")
+
+
+@pytest.fixture
+def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The cache's folder during a test; afterwards this process keeps what it kept before."""
+    before = jax.config.jax_compilation_cache_dir
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr(kept_programs, "_warned", set())
+    yield tmp_path / "cache"
+    keep_in(None)
+    jax.config.update("jax_compilation_cache_dir", before)
+    compilation_cache.reset_cache()
+
+
+def compiled(factor: float) -> tuple[list[float], int, int]:
+    """What a program that is new to this process returns; programs compiled, and those found."""
+    with counted(warmed := Warmed("")):
+        found = jax.jit(lambda x: x * factor)(NUMBERS)
+    return np.asarray(found).tolist(), warmed.programs, warmed.found
+
+
+def tripled() -> Program:
+    """A program, new as after a start."""
+    return Program(lambda x: 3 * x, "tripled")
+
+
+def entries(root: Path) -> list[Path]:
+    return sorted((root / "compiled").iterdir())
+
+
+def test_what_one_key_wrote_is_read_by_it_alone(tmp_path: Path) -> None:
+    files = KeptFiles(tmp_path, "kept")
+    files.write("name", "key", b"content")
+    assert files.read("name", "key") == b"content"
+    assert files.read("name", "other key") is None
+    assert files.read("other name", "key") is None
+    files.write("name", "key", b"")
+    assert files.read("name", "key") == b""
+
+
+def test_an_executable_is_found_by_the_next_start(root: Path) -> None:
+    keep_compiled()
+    assert compiled(3.0) == ((3 * NUMBERS).tolist(), 1, 0)
+    assert compiled(3.0) == ((3 * NUMBERS).tolist(), 1, 1)
+    assert len(entries(root)) == 1
+
+
+@pytest.mark.parametrize(
+    "spoilt",
+    [
+        lambda whole: whole[:-9] + bytes([whole[-9] ^ 4]) + whole[-8:],
+        lambda whole: bytes([whole[0] ^ 1]) + whole[1:],
+        lambda whole: whole[: len(whole) // 2],
+        lambda whole: b"",
+        lambda whole: b"\x80\x04N.",
+    ],
+    ids=["flipped", "flipped at the start", "cut off", "empty", "a pickle"],
+)
+def test_an_executable_that_is_broken_is_made_again(root: Path, spoilt) -> None:
+    keep_compiled()
+    compiled(3.0)
+    (file,) = entries(root)
+    whole = file.read_bytes()
+    file.write_bytes(spoilt(whole))
+    assert compiled(3.0) == ((3 * NUMBERS).tolist(), 1, 0)
+    assert compiled(3.0) == ((3 * NUMBERS).tolist(), 1, 1)
+    assert entries(root) == [file]
+
+
+def test_executables_that_were_exchanged_are_made_again(root: Path) -> None:
+    keep_compiled()
+    compiled(3.0)
+    compiled(5.0)
+    first, second = entries(root)
+    contents = first.read_bytes(), second.read_bytes()
+    first.write_bytes(contents[1])
+    second.write_bytes(contents[0])
+    for found in (0, 1):
+        assert compiled(3.0) == ((3 * NUMBERS).tolist(), 1, found)
+        assert compiled(5.0) == ((5 * NUMBERS).tolist(), 1, found)
+
+
+@ON_POSIX
+def test_what_is_kept_is_its_users_alone(root: Path) -> None:
+    before = os.umask(0)
+    try:
+        keep_compiled()
+        compiled(3.0)
+        tripled()(NUMBERS)
+    finally:
+        os.umask(before)
+    folders = root, root / "compiled", root / "programs"
+    assert [path.stat().st_mode & 0o777 for path in folders] == [0o700] * 3
+    files = [*entries(root), *(root / "programs").iterdir()]
+    assert len(files) > 1 and {path.stat().st_mode & 0o777 for path in files} == {0o600}
+
+
+def given_away(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make a file or folder another user's."""
+    if os.geteuid() == 0:
+        os.chown(path, 12345, 12345)
+        return
+    stat = os.stat
+
+    def with_other_owner(asked, *args, **kwargs):
+        found = stat(asked, *args, **kwargs)
+        is_it = os.fspath(asked) == os.fspath(path)
+        return os.stat_result([*found[:4], 12345, *found[5:]]) if is_it else found
+
+    monkeypatch.setattr(os, "stat", with_other_owner)
+
+
+@ON_POSIX
+@pytest.mark.parametrize("name", [".", "programs", "compiled"])
+@pytest.mark.parametrize("way", ["writable by others", "of another user"])
+def test_a_folder_that_others_can_write_to_is_neither_read_nor_written(
+    root: Path, name: str, way: str, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    keep_compiled()
+    compiled(3.0)
+    tripled()(NUMBERS)
+    kept = {path: path.read_bytes() for path in root.rglob("*") if path.is_file()}
+    if way == "of another user":
+        given_away(root / name, monkeypatch)
+    else:
+        (root / name).chmod(0o777)
+    assert not capsys.readouterr().err
+    keep_compiled()
+    keep_compiled()
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1 and f"warning: {root / name}: " in printed
+    assert "JAX_COMPILATION_CACHE_DIR" in printed
+    assert ("chmod go-w" in printed) == (way == "writable by others")
+    assert compiled(3.0) == ((3 * NUMBERS).tolist(), 1, 0)
+    assert compiled(7.0)[1:] == (1, 0)
+    np.testing.assert_array_equal(tripled()(NUMBERS), 3 * NUMBERS)
+    assert {path: path.read_bytes() for path in root.rglob("*") if path.is_file()} == kept
+
+
+@ON_POSIX
+@pytest.mark.parametrize("way", ["writable by others", "of another user"])
+def test_a_file_that_others_could_write_is_made_again_and_this_is_printed(
+    root: Path, way: str, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    keep_compiled()
+    compiled(3.0)
+    (file,) = entries(root)
+    if way == "of another user":
+        given_away(file, monkeypatch)
+    else:
+        file.chmod(0o666)
+    assert compiled(3.0) == ((3 * NUMBERS).tolist(), 1, 0)
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1 and f"warning: {file}: " in printed
+    monkeypatch.undo()
+    assert KeptFiles(root, "compiled").read(file.name, file.stem) is not None
+
+
+def test_a_jax_that_takes_no_other_cache_keeps_nothing(
+    root: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    monkeypatch.delattr("jax._src.compilation_cache_interface.CacheInterface")
+    keep_compiled()
+    monkeypatch.undo()
+    assert "takes no cache but its own" in capsys.readouterr().err
+    assert jax.config.jax_compilation_cache_dir is None
+    assert compiled(3.0) == ((3 * NUMBERS).tolist(), 1, 0)
+    assert not entries(root)

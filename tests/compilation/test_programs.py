@@ -1,0 +1,249 @@
+"""Programs kept on disk: what a start traced, a later one only reads."""
+
+import pickle
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import Array
+
+from jaxmocap.compilation import programs
+from jaxmocap.compilation.programs import Program, keep_in
+from jaxmocap.compilation.structures import from_json, to_json
+from jaxmocap.formats.program_files import KeptFiles
+
+
+class Turned(NamedTuple):
+    """A result with a structure of its own."""
+
+    point: Array
+    rest: None
+    parts: dict[str, Array]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Iterator[Path]:
+    """Where programs are kept during a test."""
+    keep_in(KeptFiles(tmp_path, "programs"))
+    yield tmp_path / "programs"
+    keep_in(None)
+
+
+def counted(traced: list[int], name: str = "turn", static: object = ()) -> Program:
+    """A program, new as after a start; each trace of its function appends to ``traced``."""
+
+    def turn(angle: Array, point: Array) -> Turned:
+        traced.append(1)
+        s, c = jnp.sin(angle), jnp.cos(angle)
+        moved = jnp.stack([c * point[0] - s * point[1], s * point[0] + c * point[1]])
+        return Turned(moved, None, {"length": jnp.sqrt(jnp.sum(moved**2))})
+
+    return Program(turn, name, static)
+
+
+ANGLE, POINT = np.float32(0.5), np.array([3.0, 4.0], np.float32)
+
+
+def test_a_later_start_reads_what_an_earlier_one_traced(folder: Path) -> None:
+    traced: list[int] = []
+    first = counted(traced)(ANGLE, POINT)
+    assert len(traced) == 1 and len(list(folder.iterdir())) == 1
+    later = counted(traced)(ANGLE, POINT)
+    assert len(traced) == 1
+    assert isinstance(later, Turned) and later.rest is None
+    np.testing.assert_array_equal(later.point, first.point)
+    assert float(later.parts["length"]) == pytest.approx(5.0, rel=1e-5)
+
+
+def test_it_tells_what_the_function_tells(folder: Path) -> None:
+    kept = counted([])
+    np.testing.assert_allclose(kept(ANGLE, POINT).point, kept.jitted(ANGLE, POINT).point, 1e-6)
+
+
+def test_nothing_is_kept_where_no_folder_was_chosen(tmp_path: Path) -> None:
+    traced: list[int] = []
+    counted(traced)(ANGLE, POINT)
+    counted(traced)(ANGLE, POINT)
+    assert len(traced) == 2 and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        lambda traced: counted(traced)(ANGLE, np.append(POINT, POINT)),
+        lambda traced: counted(traced)(ANGLE, POINT.astype(np.float16)),
+        lambda traced: counted(traced, static="another body")(ANGLE, POINT),
+        lambda traced: counted(traced, name="another turn")(ANGLE, POINT),
+    ],
+    ids=["shape", "type", "static", "name"],
+)
+def test_what_is_asked_for_otherwise_is_traced_by_itself(folder: Path, other) -> None:
+    traced: list[int] = []
+    counted(traced)(ANGLE, POINT)
+    with jax.numpy_dtype_promotion("standard"):
+        other(traced)
+    assert len(traced) == 2
+
+
+def test_other_code_of_the_package_is_traced_by_itself(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    traced: list[int] = []
+    counted(traced)(ANGLE, POINT)
+    monkeypatch.setattr(programs, "_code", lambda: "changed")
+    counted(traced)(ANGLE, POINT)
+    assert len(traced) == 2
+
+
+@pytest.mark.parametrize("share", [0.0, 0.005, 0.01, 0.5, 0.99])
+def test_a_file_with_a_flipped_byte_is_made_again(folder: Path, share: float) -> None:
+    traced: list[int] = []
+    counted(traced)(ANGLE, POINT)
+    (file,) = folder.iterdir()
+    whole = file.read_bytes()
+    broken = bytearray(whole)
+    broken[int(share * len(whole))] ^= 1
+    file.write_bytes(broken)
+    assert float(counted(traced)(ANGLE, POINT).parts["length"]) == pytest.approx(5.0, rel=1e-5)
+    assert len(traced) == 2
+    counted(traced)(ANGLE, POINT)
+    assert len(traced) == 2 and list(folder.iterdir()) == [file]
+
+
+@pytest.mark.parametrize("size", [0, 10, 40, 100, -1])
+def test_a_file_that_was_cut_off_is_made_again(folder: Path, size: int) -> None:
+    traced: list[int] = []
+    counted(traced)(ANGLE, POINT)
+    (file,) = folder.iterdir()
+    file.write_bytes(file.read_bytes()[:size])
+    counted(traced)(ANGLE, POINT)
+    counted(traced)(ANGLE, POINT)
+    assert len(traced) == 2
+
+
+def test_files_that_were_exchanged_are_made_again(folder: Path) -> None:
+    """Both take an angle and a point, and return the same structure."""
+    traced: list[int] = []
+    kept = counted(traced), Program(lambda angle, point: counted([]).jitted(-angle, point), "back")
+    right = [np.asarray(each(ANGLE, POINT).point) for each in kept]
+    first, second = folder.iterdir()
+    contents = first.read_bytes(), second.read_bytes()
+    first.write_bytes(contents[1])
+    second.write_bytes(contents[0])
+    later = counted(traced), Program(lambda angle, point: counted([]).jitted(-angle, point), "back")
+    for each, expected in zip(later, right, strict=True):
+        np.testing.assert_allclose(each(ANGLE, POINT).point, expected, rtol=1e-6)
+    assert len(traced) == 2
+    assert sorted(path.stat().st_size for path in (first, second)) == sorted(map(len, contents))
+
+
+class Planted:
+    """A pickle of it writes a file when it is read."""
+
+    def __init__(self, path: Path):
+        self.path = path
+
+    def __reduce__(self) -> tuple:
+        return Path.touch, (self.path,)
+
+
+def test_a_pickle_that_was_planted_is_never_run(folder: Path, tmp_path: Path) -> None:
+    traced: list[int] = []
+    counted(traced)(ANGLE, POINT)
+    (file,) = folder.iterdir()
+    file.write_bytes(pickle.dumps(Planted(tmp_path / "it ran")))
+    assert float(counted(traced)(ANGLE, POINT).parts["length"]) == pytest.approx(5.0, rel=1e-5)
+    assert len(traced) == 2 and not (tmp_path / "it ran").exists()
+
+
+def test_a_result_that_json_cannot_describe_is_traced_by_each_start(folder: Path) -> None:
+    class Local(NamedTuple):
+        doubled: Array
+
+    def double(x: Array) -> Local:
+        return Local(2 * x)
+
+    assert float(Program(double, "double")(ANGLE).doubled) == 1.0
+    assert not folder.exists()
+
+
+def test_containers_come_back_as_they_were() -> None:
+    result = {"a": (1, [2, None], Turned(3, None, {})), "b": [], "c": ()}
+    structure = jax.tree.structure(result)
+    assert from_json(to_json(structure)) == structure
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[" * 100_000,
+        '{"os:system": [0]}',
+        '{"builtins:tuple": [0]}',
+        '{"tuple": {"a": 0}}',
+        "7",
+    ],
+)
+def test_what_describes_no_structure_is_refused(text: str) -> None:
+    with pytest.raises(ValueError):
+        from_json(text)
+
+
+def test_a_folder_that_cannot_be_made_is_no_hindrance(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    keep_in(KeptFiles(tmp_path / "file", "programs"))
+    try:
+        assert np.isfinite(counted([])(ANGLE, POINT).point).all()
+    finally:
+        keep_in(None)
+
+
+def test_within_what_is_traced_it_is_the_function(folder: Path) -> None:
+    kept = counted([])
+    many = jax.vmap(lambda angle: kept(angle, POINT).point)(jnp.array([0.0, np.pi], jnp.float32))
+    np.testing.assert_allclose(many, [POINT, -POINT], atol=1e-5)
+    slope = jax.grad(lambda angle: kept(angle, POINT).point[0])(jnp.zeros(()))
+    assert float(slope) == pytest.approx(-4.0, rel=1e-5)
+    assert not folder.exists()
+
+
+def test_shapes_are_known_before_anything_is_compiled(folder: Path) -> None:
+    traced: list[int] = []
+    like = jax.ShapeDtypeStruct((), np.float32), jax.ShapeDtypeStruct((2,), np.float32)
+    program = counted(traced)
+    assert program.shapes(*like).point.shape == (2,)
+    assert not folder.exists()
+    compiled = program.lowered(*like)()
+    np.testing.assert_allclose(compiled(ANGLE, POINT).parts["length"], 5.0, rtol=1e-5)
+    later = counted(traced).shapes(*like)
+    assert later == program.shapes(*like) and later.rest is None
+    assert len(traced) == 1
+
+
+def test_arguments_that_come_first_are_numbers_and_no_part_of_the_program(folder: Path) -> None:
+    traced: list[int] = []
+    program = counted(traced)
+    still, turned = program.after(np.float32(0.0)), program.after(np.float32(np.pi))
+    assert still.lowered(POINT)()(POINT).parts["length"] == pytest.approx(5.0, rel=1e-5)
+    np.testing.assert_allclose(still(POINT).point, POINT, atol=1e-5)
+    np.testing.assert_allclose(turned(POINT).point, -POINT, atol=1e-5)
+    np.testing.assert_allclose(turned.lowered(POINT)()(POINT).point, -POINT, atol=1e-5)
+    assert len(traced) == 1 and len(list(folder.iterdir())) == 1
+
+
+def test_what_cannot_be_kept_runs_all_the_same(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As what calls LAPACK by a name that JAX may change."""
+
+    def refused(*_: object, **__: object) -> None:
+        raise ValueError("custom calls without compatibility guarantees")
+
+    monkeypatch.setattr(programs.export, "export", refused)
+    found = counted([])(ANGLE, POINT)
+    assert float(found.parts["length"]) == pytest.approx(5.0, rel=1e-5)
+    assert not any(folder.glob("*"))

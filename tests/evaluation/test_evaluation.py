@@ -1,0 +1,232 @@
+"""Errors against a reference: what the figures mean, and what bad input is told."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jaxmocap.evaluation.errors import Errors, evaluate_directory, position_errors
+from jaxmocap.evaluation.plots import plot_elbow_errors, plot_joint_tracks
+from jaxmocap.evaluation.series import high_pass, match
+from jaxmocap.evaluation.tables import format_table
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.time_series.trc import write_trc
+
+TIMES = np.arange(120) / 60
+
+
+def circle(times: np.ndarray) -> np.ndarray:
+    """(T, 3) a point that circles at 1 Hz, radius 0.3 m, 1.2 m above the ground."""
+    turn = 2 * np.pi * times
+    return np.stack([0.3 * np.cos(turn), 0.3 * np.sin(turn), np.full_like(times, 1.2)], -1)
+
+
+def shifted_by(offset: np.ndarray, times: np.ndarray = TIMES) -> Errors:
+    joints = {"elbow_l": circle(times) + offset}
+    return position_errors(times, joints, times, {"LElbow": circle(times)}, {"elbow_l": "LElbow"})
+
+
+def test_a_constant_offset_is_the_whole_error_and_does_not_shake():
+    errors = shifted_by(np.array([0.03, 0.0, 0.04]))
+    figures = errors.statistics()
+    for name in ("mean", "median", "p95", "rms"):
+        np.testing.assert_allclose(figures[name], [0.05], atol=1e-12)
+    assert figures["high_pass_rms"][0] < 1e-12
+    assert figures["jitter"][0] < 1e-8
+    assert errors.mean == pytest.approx(0.05)
+
+
+def test_statistics_are_those_of_a_known_row_of_distances():
+    offsets = np.zeros((101, 1, 3))
+    offsets[:, 0, 1] = np.arange(101) / 100
+    figures = Errors(("elbow_r",), np.arange(101) / 50, offsets).statistics()
+    assert figures["mean"][0] == pytest.approx(0.5)
+    assert figures["median"][0] == pytest.approx(0.5)
+    assert figures["p95"][0] == pytest.approx(0.95)
+    assert figures["rms"][0] == pytest.approx(np.sqrt(np.mean(np.linspace(0, 1, 101) ** 2)))
+
+
+def test_a_millimetre_of_white_noise_at_60_hertz_shakes_by_fifteen_metres_per_second_squared():
+    times = np.arange(6000) / 60
+    noise = np.random.default_rng(0).normal(scale=1e-3, size=(6000, 3))
+    assert shifted_by(noise, times).statistics()["jitter"][0] == pytest.approx(15.3, rel=0.03)
+
+
+def test_jitter_leaves_out_differences_across_a_gap():
+    times = np.concatenate([TIMES[:40], TIMES[80:]])
+    ramp = 0.1 * times[:, None] * np.array([1.0, 0.0, 0.0])
+    assert shifted_by(ramp, times).statistics()["jitter"][0] < 1e-8
+
+
+def test_missing_samples_are_left_out_and_a_joint_without_data_has_no_figure():
+    offsets = np.full((10, 2, 3), 0.1)
+    offsets[3:5, 0] = np.nan
+    offsets[:, 1] = np.nan
+    errors = Errors(("elbow_l", "elbow_r"), np.arange(10) / 60, offsets)
+    figures = errors.as_dict()
+    assert figures["joints"]["elbow_l"]["samples"] == 8
+    assert figures["joints"]["elbow_l"]["mean"] == pytest.approx(0.1 * np.sqrt(3))
+    assert figures["joints"]["elbow_r"]["mean"] is None
+    assert figures["mean_over_joints"]["mean"] == pytest.approx(0.1 * np.sqrt(3))
+    assert json.loads(json.dumps(figures, allow_nan=False)) == figures
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.floats(0, 3), min_size=1, max_size=30, unique=True),
+    st.lists(st.floats(0, 3), min_size=1, max_size=30, unique=True),
+    st.floats(0.001, 0.5),
+)
+def test_matched_samples_are_near_and_each_the_others_nearest(first, second, tolerance):
+    a, b = np.sort(first), np.sort(second)
+    i, j = match(a, b, tolerance)
+    gaps = np.abs(a[:, None] - b[None])
+    assert (gaps[i, j] <= tolerance + 2e-6).all()
+    assert (gaps[i, j] == gaps[i].min(1)).all()
+    assert (gaps[i, j] == gaps[:, j].min(0)).all()
+    assert len(set(i)) == len(i) and len(set(j)) == len(j)
+    if gaps.min() <= tolerance:
+        assert len(i)
+
+
+def test_a_shifted_series_of_another_rate_is_matched_by_time_and_not_by_row():
+    reference_times = 0.5 + np.arange(200) / 100
+    errors = position_errors(
+        TIMES,
+        {"elbow_r": circle(TIMES)},
+        reference_times,
+        {"R": circle(reference_times)},
+        {"elbow_r": "R"},
+    )
+    assert errors.times[0] == pytest.approx(0.5)
+    # At 1.9 m/s half a sample of the finer series, 5 ms, is one centimetre.
+    assert errors.distances.max() < 0.0095
+
+
+def test_high_pass_keeps_fast_changes_and_drops_slow_ones():
+    times = np.arange(60 * 60) / 60
+    slow, fast = np.sin(2 * np.pi * 0.03 * times), np.sin(2 * np.pi * 3.0 * times)
+    filtered = high_pass(times, 5 + slow + 0.2 * fast)
+    inner = slice(300, -300)
+    np.testing.assert_allclose(filtered[inner], 0.2 * fast[inner], atol=2e-3)
+
+
+def test_high_pass_halves_the_amplitude_at_its_cut_off():
+    times = np.arange(100 * 60) / 60
+    wave = np.cos(2 * np.pi * 0.3 * times)
+    inner = slice(300, -300)
+    np.testing.assert_allclose(high_pass(times, wave)[inner], wave[inner] / 2, atol=1e-3)
+
+
+def test_high_pass_bridges_gaps_and_leaves_them_missing():
+    wave = np.sin(2 * np.pi * 2.0 * TIMES)
+    wave[10:13] = np.nan
+    filtered = high_pass(TIMES, wave)
+    assert np.isnan(filtered[10:13]).all()
+    assert np.isfinite(np.delete(filtered, [10, 11, 12])).all()
+
+
+def write_directory(folder: Path, times: np.ndarray = TIMES) -> Path:
+    write_trc(folder / "joints.trc", times, {"elbow_l": circle(times), "head": circle(times) + 0.4})
+    return folder
+
+
+def test_a_reference_with_y_up_is_turned_into_the_world(tmp_path):
+    write_directory(tmp_path)
+    # The file's axes are the world's y, z, x.
+    write_trc(tmp_path / "truth.trc", TIMES, {"LElbow": circle(TIMES)[:, [1, 2, 0]]})
+    errors = evaluate_directory(tmp_path, tmp_path / "truth.trc", {"elbow_l": "LElbow"}, up="y")
+    assert errors.distances.max() < 2e-6
+    turned = evaluate_directory(tmp_path, tmp_path / "truth.trc", {"elbow_l": "LElbow"})
+    assert turned.distances.min() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("pairs", "found", "listed"),
+    [
+        ({"elbow": "LElbow"}, "elbow", "elbow_l, head"),
+        ({"elbow_l": "LElbo"}, "LElbo", "LElbow"),
+        ({}, "nothing", "elbow_r=RElbow"),
+    ],
+)
+def test_an_unknown_name_is_told_with_the_file_and_the_names_that_are_there(
+    tmp_path, pairs, found, listed
+):
+    write_directory(tmp_path)
+    write_trc(tmp_path / "truth.trc", TIMES, {"LElbow": circle(TIMES)})
+    with pytest.raises(InputError) as caught:
+        evaluate_directory(tmp_path, tmp_path / "truth.trc", pairs)
+    assert found in str(caught.value) and listed in str(caught.value)
+    assert ".trc" in str(caught.value)
+
+
+def test_no_common_time_is_an_input_error_with_both_spans(tmp_path):
+    write_directory(tmp_path)
+    write_trc(tmp_path / "truth.trc", TIMES + 100, {"LElbow": circle(TIMES)})
+    with pytest.raises(InputError, match=r"0\.000 to 1\.983 s .* 100\.000 to 101\.983 s"):
+        evaluate_directory(tmp_path, tmp_path / "truth.trc", {"elbow_l": "LElbow"})
+
+
+def test_a_directory_without_joints_is_an_input_error(tmp_path):
+    write_trc(tmp_path / "truth.trc", TIMES, {"LElbow": circle(TIMES)})
+    with pytest.raises(InputError, match=r"joints\.trc"):
+        evaluate_directory(tmp_path, tmp_path / "truth.trc", {"elbow_l": "LElbow"})
+
+
+def test_the_reference_of_the_real_recording_matches_its_own_markers(recordings, tmp_path):
+    truth = recordings / "balancing" / "truth.trc"
+    (tmp_path / "joints.trc").write_bytes(truth.read_bytes())
+    errors = evaluate_directory(tmp_path, truth, {"LElbow": "LElbow", "RElbow": "RElbow"})
+    assert len(errors.times) == 60
+    assert errors.mean == 0.0
+    apart = evaluate_directory(tmp_path, truth, {"LElbow": "LWrist"})
+    assert 0.15 < apart.mean < 0.4
+
+
+def test_the_table_has_a_row_per_joint_and_one_for_their_mean():
+    after, before = shifted_by(np.array([0.03, 0.0, 0.0])), shifted_by(np.array([0.06, 0.0, 0.0]))
+    head, units, elbow, mean = (line.split() for line in format_table(after, before).splitlines())
+    assert head[0] == "joint" and head[-1] == "improved"
+    assert units[-2:] == ["cm", "%"]
+    assert elbow[:3] == ["elbow_l", "120", "3.00"]
+    assert mean[0] == "mean" and mean[-2:] == ["6.00", "50"]
+
+
+def test_the_table_leaves_a_dash_where_there_is_no_figure():
+    table = format_table(shifted_by(np.full(3, np.nan)))
+    assert table.splitlines()[2].split() == ["elbow_l", "0", "-", "-", "-", "-", "-", "-"]
+
+
+def test_the_plot_of_errors_shows_both_curves_in_their_colours(tmp_path):
+    wave = 0.1 + 0.05 * np.sin(2 * np.pi * TIMES)
+    both = {"elbow_l": wave, "elbow_r": wave}
+    plot_elbow_errors(tmp_path / "a.png", TIMES, both, {k: v / 2 for k, v in both.items()}, "Serve")
+    image = cv2.imread(str(tmp_path / "a.png"))
+    assert image is not None and min(image.shape[:2]) > 500
+    red = (image == np.array([0x28, 0x28, 0xC6])).all(-1).sum()
+    blue = (image == np.array([0xB0, 0x57, 0x15])).all(-1).sum()
+    assert red > 500 and blue > 200
+
+
+def test_the_plot_of_tracks_is_written_whole_with_gaps_in_the_data(tmp_path):
+    points = circle(TIMES)
+    points[20:30] = np.nan
+    plot_joint_tracks(
+        tmp_path / "b.png", TIMES, {"elbow_l": points}, TIMES, {"elbow_l": circle(TIMES)}
+    )
+    assert cv2.imread(str(tmp_path / "b.png")) is not None
+    assert [file.name for file in tmp_path.iterdir()] == ["b.png"]
+
+
+def test_evaluation_loads_matplotlib_only_to_plot():
+    code = (
+        "import sys, jaxmocap.evaluation.plots, jaxmocap.evaluation.errors;"
+        "sys.exit('matplotlib' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,300 @@
+"""Equations (12) to (14) against the reference, and where the outline's distance is least."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import double, on_device
+from drawn_arms import camera_at
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from watched_arms import (
+    FRONT,
+    GRIPS,
+    PERSON,
+    SIDE,
+    SIZE,
+    TRUTH,
+    arms_in,
+    observed,
+    pictures,
+    stacked,
+    true_arms,
+    turned_by,
+)
+
+from jaxmocap.body.arms import arms_of, flesh
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.surfaces.cones import Cones
+from jaxmocap.evidence import edges
+from jaxmocap.geometry.outlines import Discs
+from jaxmocap.hybrid.observe import Observation
+from jaxmocap.hybrid.settings import EvidenceSettings, Settings
+from jaxmocap.images.raster import soft_coverage
+from jaxmocap.images.regions import Region
+from jaxmocap.reference import cameras as reference_cameras
+from jaxmocap.reference.hybrid import raster as reference
+
+GRID = 20
+COVERAGE = jax.jit(soft_coverage, static_argnums=1)
+CHAMFER = jax.jit(edges.chamfer_sum)
+RASTER = jax.jit(edges.raster_distance)
+OUTLINE = jax.jit(edges.outline_distance)
+# Of coverage, 0 to 1, and of costs, relative.
+FLOAT32_COVERAGE, FLOAT32_COST = 2e-4, 1e-4
+
+
+def random_discs(seed, count=3):
+    rng = np.random.default_rng(seed)
+    return Discs(*rng.uniform(2, GRID - 2, (2, count, 2)), rng.uniform(1, 4, (count, 2)))
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 2**20), st.floats(0.3, 2.0))
+def test_the_soft_silhouette_is_the_references(seed, softness):
+    limbs = random_discs(seed)
+    expected = reference.coverage((GRID, GRID), *limbs, softness)
+    with double():
+        np.testing.assert_allclose(
+            COVERAGE(on_device(limbs), GRID, softness), expected, rtol=1e-9, atol=1e-9
+        )
+    single = COVERAGE(on_device(limbs), GRID, softness)
+    assert single.dtype == jnp.float32
+    assert np.abs(single - expected).max() < FLOAT32_COVERAGE
+
+
+def test_a_hard_silhouette_is_the_binary_image():
+    """Equation (12): b_ij is 1 inside of the limb and 0 outside."""
+    limb = Discs(np.array([[5.0, 6]]), np.array([[14.0, 12]]), np.array([[3.0, 2]]))
+    image = np.asarray(COVERAGE(on_device(limb), GRID, 1e-3))
+    rows, columns = np.indices(image.shape)
+    inside = np.vectorize(
+        lambda x, y: reference.signed_distance(np.array([x, y]), *(part[0] for part in limb))
+    )(columns, rows)
+    np.testing.assert_array_equal(image[inside < -0.01], 1)
+    np.testing.assert_array_equal(image[inside > 0.01], 0)
+
+
+def scene(seed):
+    """Three limbs before a distorting camera, and the fields of their region."""
+    rng = np.random.default_rng(seed)
+    camera = camera_at((2.0, 0.2, 1.2), distortion=(-0.1, 0.05, 1e-3, -1e-3))
+    joints = rng.uniform(-0.25, 0.25, (4, 3)) + np.array([0, 0, 1.1])
+    limbs = Cones(joints[:3], joints[1:], rng.uniform(0.03, 0.06, (3, 2)))
+    fields = rng.uniform(0, 20, (2, GRID, GRID))
+    region = Region(np.array([200.5, 120.5]), np.array(11.0))
+    return camera, region, fields, limbs
+
+
+def reference_chamfer(camera, region, fields, limbs, softness):
+    """(13) by the reference's own projection; also the coverage and the plain field."""
+
+    def placed(points):
+        return (reference_cameras.project(camera, points) - region.origin) / region.scale - 0.5
+
+    depths = [reference_cameras.to_camera(camera, end)[:, 2] for end in (limbs.near, limbs.far)]
+    focal = (float(camera.matrix[0, 0]) + float(camera.matrix[1, 1])) / 2
+    radii = limbs.radii / np.stack(depths, -1) * focal / region.scale
+    coverage = reference.coverage(
+        (GRID, GRID), placed(limbs.near), placed(limbs.far), radii, softness
+    )
+    return coverage, fields.min(0)
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 2**20))
+def test_the_chamfer_sum_is_equation_13(seed):
+    with double():
+        camera, region, fields, limbs = scene(seed)
+        expected = reference.chamfer(*reference_chamfer(camera, region, fields, limbs, 0.8))
+        arguments = (on_device(region), on_device(fields), on_device(limbs), 0.8)
+        assert float(CHAMFER(camera, *arguments)) == pytest.approx(expected, rel=1e-9)
+    camera, region, fields, limbs = scene(seed)
+    single = CHAMFER(camera, on_device(region), on_device(fields), on_device(limbs), 0.8)
+    assert single.dtype == jnp.float32
+    assert float(single) == pytest.approx(expected, rel=FLOAT32_COST)
+
+
+@settings(max_examples=5)
+@given(st.integers(0, 2**20))
+def test_the_raster_cost_with_its_hold_is_equation_14_in_another_unit(seed):
+    """Both divided by the area and the resolution: lambda in pixels per metre follows from it."""
+    rng = np.random.default_rng(seed)
+    targets, positions = rng.normal(size=(2, 1, 3))
+    with double():
+        camera, region, fields, limbs = scene(seed)
+        chosen = EvidenceSettings.create(softness=0.8)
+        one = Observation(
+            jax.tree.map(lambda part: on_device(part)[None], region),
+            on_device(fields)[None],
+            np.array([True]),
+        )
+        seen = float(edges.arm_cost("raster", chosen, stacked(camera), one, on_device(limbs)))
+        depth = np.mean(reference_cameras.to_camera(camera, limbs.near)[:, 2])
+        samples_per_metre = 560.0 / depth / float(region.scale)
+        lengths = np.linalg.norm(limbs.far - limbs.near, axis=1)
+        area = np.sum(lengths * limbs.radii.sum(1)) * samples_per_metre**2
+        unit = area * samples_per_metre * float(chosen.edge_scale)
+        hold = float(chosen.hold) * np.linalg.norm(targets - positions)
+        coverage, field = reference_chamfer(camera, region, fields, limbs, 0.8)
+    weight = float(chosen.hold) * unit
+    expected = reference.cost(coverage, field, weight, targets, positions)
+    assert (seen + hold) * unit == pytest.approx(expected, rel=1e-9)
+
+
+CAMERAS = stacked(FRONT)
+CHOSEN = Settings(region=SIZE)
+
+
+@jax.jit
+def outline_costs(cameras, seen, arms):
+    def of_arm(observation, limbs):
+        return edges.arm_cost("outline", CHOSEN.fit, cameras, observation, limbs)
+
+    return jax.vmap(of_arm)(seen.by_arm(), flesh(arms))
+
+
+def test_the_outline_fits_best_where_the_arm_was_drawn():
+    seen = observed(pictures(FRONT), CAMERAS, true_arms())
+    costs = np.array(
+        [outline_costs(CAMERAS, seen, turned_by(t, t)) for t in np.linspace(-0.4, 0.4, 9)]
+    )
+    np.testing.assert_array_equal(np.argmin(costs, 0), [4, 4])
+    # Either way the elbow swivels, it rises; and at the truth it is within a pixel's worth.
+    assert (np.diff(costs[4:], axis=0) > 0).all() and (np.diff(costs[:5], axis=0) < 0).all()
+    depth_m_per_px = 2.2 / 560
+    assert (costs[4] * float(CHOSEN.fit.edge_scale) < 1.2 * depth_m_per_px).all()
+
+
+def test_edges_that_run_another_way_do_not_count():
+    """Of the six fields only those of the outline's own direction are looked at."""
+    seen = observed(pictures(FRONT), CAMERAS, true_arms())
+    by_normal = np.asarray(outline_costs(CAMERAS, seen, true_arms()))
+    turned = seen._replace(fields=np.roll(np.asarray(seen.fields), 3, axis=2))
+    across = np.asarray(outline_costs(CAMERAS, turned, true_arms()))
+    assert (across > 3 * by_normal).all()
+
+
+@pytest.mark.parametrize("angle", [0, 20, 45, 80, 90, 120, 160])
+def test_an_outline_looks_into_the_channel_of_its_normal(angle):
+    """One field after the other is set to 0: the limb's two sides find theirs, and no other."""
+    way = np.array([0, np.cos(np.radians(angle)), -np.sin(np.radians(angle))]) * 0.25
+    camera, middle = camera_at((2.0, 0, 1.1)), np.array([0, 0, 1.1])
+    limb = Cones(*(jnp.asarray(np.tile(p, (3, 1)), float) for p in (middle - way, middle + way)),
+                 jnp.full((3, 2), 0.03))  # fmt: skip
+    region = Region(jnp.array([200.0, 120.0]), jnp.array(240 / SIZE))
+    found = []
+    for channel in range(6):
+        fields = np.full((6, SIZE, SIZE), 20.0)
+        fields[channel] = 0
+        found.append(float(OUTLINE(camera, region, on_device(fields), limb, 0.05)[0]))
+    normal = (angle + 90) % 180
+    # A normal on the border of two channels may take either.
+    own = {int(normal // 30), int((normal - 1) % 180 // 30), int((normal + 1) % 180 // 30)}
+    assert int(np.argmin(found)) in own
+    assert sorted(found)[0] < 0.02 < sorted(found)[1]
+
+
+def shifted(arms, offset):
+    return arms._replace(
+        **{
+            name: getattr(arms, name) + jnp.asarray(offset, jnp.float32)
+            for name in ("shoulder", "elbow", "wrist", "tip", "grip")
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    "offset",
+    [(0, 5.0, 0), (0, 0, -3.0), (4.0, 0, 0), (2.2, 0.3, 0.2), (2.1, 0, 0), (-500.0, 0, 0)],
+    ids=["beside", "below", "behind", "around the lens", "before the lens", "far"],
+)
+def test_an_arm_out_of_the_picture_costs_something_finite(offset):
+    seen = observed(pictures(FRONT), CAMERAS, true_arms())
+    moved = shifted(true_arms(), offset)
+    costs = np.asarray(outline_costs(CAMERAS, seen, moved))
+    assert np.isfinite(costs).all() and (costs >= 0).all()
+    limit = float(CHOSEN.fit.truncation / CHOSEN.fit.edge_scale)
+    assert (costs <= limit + 1e-3).all()
+    gradient = GRADIENT(CAMERAS, seen, moved)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
+
+
+GRADIENT = jax.jit(
+    jax.grad(lambda cameras, seen, arms: jnp.sum(outline_costs(cameras, seen, arms)), 2)
+)
+PIXELS = jax.jit(lambda cameras, seen, arms: edges.outline_px(CHOSEN.fit, cameras, seen, arms))
+
+
+def test_pixels_are_reported_where_an_arm_is_seen_and_nan_where_not():
+    seen = observed(pictures(FRONT), CAMERAS, true_arms())
+    distances = np.asarray(PIXELS(CAMERAS, seen, true_arms()))
+    assert (distances < 1.5).all() and (distances > 0).all()
+    left_only = seen._replace(seen=np.array([[True, False]]))
+    np.testing.assert_array_equal(
+        np.isfinite(PIXELS(CAMERAS, left_only, true_arms())), [True, False]
+    )
+    beside = shifted(true_arms(), (0, 5.0, 0))
+    assert np.isnan(PIXELS(CAMERAS, seen, beside)).all()
+
+
+def test_the_costs_of_two_cameras_add_and_an_unseen_one_tells_nothing():
+    both = stacked(FRONT, SIDE)
+    arms = turned_by(0.2, -0.2)
+    seen = observed(pictures(FRONT, SIDE), both, true_arms())
+
+    def costs(*flags):
+        return np.asarray(outline_costs(both, seen._replace(seen=np.array(flags)), arms))
+
+    yes, no = [True, True], [False, False]
+    together, front, side = costs(yes, yes), costs(yes, no), costs(no, yes)
+    np.testing.assert_allclose(together, front + side, rtol=1e-5)
+    assert (front > 0.1).all() and (side > 0.1).all()
+    np.testing.assert_array_equal(costs(no, no), 0)
+    crossed = costs([True, False], [False, True])
+    np.testing.assert_allclose(crossed, [front[0], side[1]], rtol=1e-5)
+
+
+def test_gradients_reach_lengths_and_angles():
+    seen = observed(pictures(FRONT), CAMERAS, true_arms())
+
+    def cost(skeleton, pose):
+        return jnp.sum(
+            outline_costs(CAMERAS, seen, arms_of(skeleton, forward(skeleton, pose), GRIPS))
+        )
+
+    tilted = on_device(TRUTH._replace(angles=TRUTH.angles + 0.05))
+    by_body, by_pose = jax.jit(jax.grad(cost, (0, 1)))(PERSON, tilted)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((by_body, by_pose)))
+    bones, joints = PERSON.tree.bone, PERSON.tree.joint
+    for side in "lr":
+        assert by_body.lengths[bones(f"humerus_{side}")] != 0
+        assert by_body.lengths[bones(f"radius_{side}")] != 0
+        assert np.abs(by_body.diameters[bones(f"radius_{side}")]).max() > 0
+        assert by_pose.angles[joints(f"arm_rot_{side}")] != 0
+        assert by_pose.angles[joints(f"elbow_flex_{side}")] != 0
+        assert by_pose.angles[joints(f"knee_flexion_{side}")] == 0
+
+
+def test_the_gradient_is_the_difference_of_the_costs():
+    with double():
+        camera, region, fields, limbs = scene(4)
+        chosen = (on_device(region), on_device(fields), on_device(limbs), jnp.asarray(9.0))
+        slope = jax.jit(jax.grad(lambda *a: edges.outline_distance(*a)[0], 3))(camera, *chosen)
+        rng, h = np.random.default_rng(0), 1e-7
+        for part, name in zip(slope, limbs._fields, strict=True):
+            way = rng.normal(size=part.shape)
+            moved = [limbs._replace(**{name: getattr(limbs, name) + s * way}) for s in (h, -h)]
+            ahead, behind = (
+                float(OUTLINE(camera, *chosen[:2], on_device(each), chosen[3])[0]) for each in moved
+            )
+            along = np.sum(np.asarray(part) * way)
+            assert along == pytest.approx((ahead - behind) / 2 / h, rel=1e-3)
+
+
+def test_the_true_pose_of_the_drawing_is_the_bodys_own():
+    """The drawing's kinematics are the reference's; the arms' are the tracker's."""
+    arms = arms_in(on_device(TRUTH))
+    assert float(jnp.linalg.norm(arms.grip - arms.wrist)) < 1e-5
+    reach = np.linalg.norm(np.asarray(arms.elbow - arms.shoulder), axis=1)
+    np.testing.assert_allclose(reach, arms.humerus_length, atol=1e-5)

@@ -1,0 +1,323 @@
+"""2-D key points as evidence: lines of sight that decide where nothing else is to be seen."""
+
+from dataclasses import replace
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import on_device
+from hypothesis import given
+from hypothesis import strategies as st
+from painted_motion import (
+    CAMERAS,
+    ELBOWS,
+    MARKERS,
+    PERSON,
+    SETTINGS,
+    disturbed,
+    elbow_errors,
+    known,
+    points_of,
+    problem,
+    sights,
+    truth,
+)
+from small_recording import CAMERA, PLACES, small_recording
+
+from jaxmocap.body.motion import landmarks_over_time
+from jaxmocap.body.pose import Pose, retract
+from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF
+from jaxmocap.capture.keypoints import Keypoints
+from jaxmocap.capture.timeline import build_timeline
+from jaxmocap.capture.video import MemoryVideo
+from jaxmocap.evidence.keypoints import TAILS, Lines, line_residuals, lines_of_sight
+from jaxmocap.evidence.residuals import residuals
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.recordings.keypoints import Detections
+from jaxmocap.geometry.cameras import project
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events
+from jaxmocap.pipelines.tracking.second_pass import FirstPass, smooth_recording
+from jaxmocap.pipelines.tracking.track import track
+from jaxmocap.smoothing.elbow_viterbi import elbow_goals
+from jaxmocap.smoothing.linearise import SmoothedPoses, smooth_poses
+from jaxmocap.smoothing.uncertainty import trust_in
+
+COUNT, SOFTNESS, NOISE_PX = 17, (0.8,), 3.0
+NAMES = tuple(name for name in LANDMARKS if name.rstrip("lr_") not in ("hand", "toe"))
+SIGMA = float(SETTINGS.keypoints)
+
+
+@cache
+def detected(camera: int = 0, wrong: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (T, P, 2) and confidences (T, P) of the true landmarks, a share of them wrong."""
+    rng = np.random.default_rng(camera)
+    points = points_of(truth(COUNT))[:, [list(LANDMARKS).index(name) for name in NAMES]]
+    pixels = np.asarray(project(CAMERAS[camera], jnp.asarray(points)), float)
+    pixels += rng.normal(0, NOISE_PX, pixels.shape)
+    astray = rng.random(pixels.shape[:2]) < wrong
+    pixels[astray] += rng.uniform(-150, 150, (astray.sum(), 2))
+    return pixels, rng.uniform(0.6, 1.0, pixels.shape[:2])
+
+
+def lines(camera: int = 0, wrong: float = 0.0) -> Lines:
+    return lines_of_sight(CAMERAS[camera], NAMES, *detected(camera, wrong))
+
+
+def blind():
+    """Sights that show nothing."""
+    seen = sights(COUNT)
+    blind = seen.sight.each_grid(lambda grid: grid._replace(weight=0 * grid.weight))
+    return seen._replace(sight=blind)
+
+
+def smoothed(told: Lines | None) -> SmoothedPoses:
+    """The disturbed motion, from markers and lines alone."""
+    frames = known(COUNT)._replace(lines=told)
+    return smooth_poses(problem(COUNT, blind(), frames), disturbed(COUNT), SOFTNESS)
+
+
+def errors(found: SmoothedPoses) -> np.ndarray:
+    return elbow_errors(found.trajectory.poses)
+
+
+# One line ----------------------------------------------------------------------------------------
+
+
+def one_line(confidence: float = 1.0) -> Lines:
+    """Of one camera at the origin that looks at one landmark along x."""
+    way = np.array([[[1.0, 0.0, 0.0]]], np.float32)
+    return Lines(np.zeros((1, 3), np.float32), way, np.full((1, 1), confidence, np.float32))
+
+
+def cost(off: float, confidence: float = 1.0, along: float = 3.0) -> float:
+    point = jnp.asarray([[along, off, 0.0]])
+    return float(jnp.sum(line_residuals(point, one_line(confidence), jnp.asarray(SIGMA)) ** 2))
+
+
+def test_a_landmark_on_its_line_costs_nothing_however_far():
+    assert cost(0.0) == cost(0.0, along=8.0) == 0.0
+
+
+@given(st.floats(0.0, 30.0), st.floats(0.05, 1.0))
+def test_a_landmark_off_its_line_costs_by_its_deviation_and_confidence(times, confidence):
+    expected = TAILS * np.log1p((times * confidence) ** 2 / TAILS)
+    assert cost(times * SIGMA, confidence) == pytest.approx(expected, rel=1e-3, abs=1e-5)
+
+
+def test_a_point_far_off_hardly_pulls():
+    pull = jax.grad(
+        lambda y: jnp.sum(line_residuals(y * jnp.eye(3)[1:2], one_line(), jnp.asarray(SIGMA)) ** 2)
+    )
+    near, far = (float(pull(jnp.float32(y))) for y in (SIGMA, 30 * SIGMA))
+    assert 0 < far < 0.25 * near
+
+
+@pytest.mark.parametrize("lost", ["confidence", "way"])
+def test_what_was_not_detected_tells_nothing(lost):
+    line = one_line()
+    if lost == "confidence":
+        line = line._replace(confidences=0 * line.confidences)
+    else:
+        line = line._replace(ways=np.nan * line.ways)
+    point = jnp.asarray([[3.0, 0.5, 0.2]])
+
+    def off(point):
+        return line_residuals(point, line, jnp.asarray(SIGMA))
+
+    assert not np.asarray(off(point)).any()
+    assert not np.asarray(jax.jacfwd(off)(point)).any()
+    assert not np.asarray(jax.hessian(lambda p: jnp.sum(off(p) ** 2))(point)).any()
+
+
+def test_lines_run_through_what_they_were_detected_of():
+    points = points_of(truth(COUNT))
+    pixels = np.asarray(project(CAMERAS[1], jnp.asarray(points)), float)
+    pixels[3, 4] = np.nan
+    told = lines_of_sight(CAMERAS[1], tuple(LANDMARKS), pixels, np.ones(pixels.shape[:2]))
+    off = np.asarray(line_residuals(jnp.asarray(points), told, jnp.asarray(1.0)))
+    assert np.abs(off).max() < 1e-3
+    assert told.confidences[3, 0, 4] == 0 and told.confidences.sum() == pixels[..., 0].size - 1
+
+
+# A frame -----------------------------------------------------------------------------------------
+
+
+@jax.jit
+def moved(step, pose, frame):
+    return residuals(PERSON, MARKERS, SETTINGS, retract(pose, step), frame)
+
+
+def a_frame():
+    pose = Pose(*(jnp.asarray(part[3], float) for part in disturbed(COUNT).poses))
+    frames = known(COUNT)._replace(lines=lines(wrong=0.2))
+    return pose, on_device(jax.tree.map(lambda part: part[3], frames))
+
+
+def test_slopes_are_those_of_finite_differences():
+    pose, frame = a_frame()
+    still = np.zeros(ROOT_DOF + len(PERSON.tree.joints), np.float32)
+    count = 3 * len(LANDMARKS)
+    slopes = np.asarray(jax.jacfwd(moved)(still, pose, frame))[-count:]
+    h = 2e-3
+    for i in range(still.size):
+        step = np.eye(still.size, dtype=np.float32)[i] * h
+        rise = np.asarray(moved(step, pose, frame)) - np.asarray(moved(-step, pose, frame))
+        np.testing.assert_allclose(slopes[:, i], rise[-count:] / (2 * h), atol=0.05)
+    assert np.abs(slopes).max() > 5
+
+
+def test_a_frame_without_any_point_costs_what_it_does_without_lines():
+    pose, frame = a_frame()
+    still = np.zeros(ROOT_DOF + len(PERSON.tree.joints), np.float32)
+    nothing = frame._replace(lines=frame.lines._replace(ways=np.nan * frame.lines.ways))
+    costs = [
+        float(jnp.sum(moved(still, pose, each) ** 2))
+        for each in (nothing, frame._replace(lines=None))
+    ]
+    assert costs[0] == pytest.approx(costs[1])
+
+
+# A motion ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def by_lines() -> SmoothedPoses:
+    return smoothed(lines())
+
+
+def test_elbows_that_no_silhouette_shows_are_found_by_key_points(by_lines):
+    assert errors(smoothed(None)).mean() > 0.05
+    assert errors(by_lines).mean() < 0.025
+
+
+def test_wrong_points_and_points_of_no_confidence_do_not_drag(by_lines):
+    assert errors(smoothed(lines(wrong=0.05))).mean() < 1.5 * errors(by_lines).mean()
+    assert errors(smoothed(lines(wrong=0.2))).mean() < 0.025
+    told, astray = lines(), lines(wrong=1.0)
+    unsure = np.random.default_rng(5).random(told.confidences.shape) < 0.3
+    sure = np.where(unsure, 0.0, told.confidences).astype(np.float32)
+    mixed = told._replace(
+        ways=np.where(unsure[..., None], astray.ways, told.ways), confidences=sure
+    )
+    missing = told._replace(ways=np.where(unsure[..., None], np.nan, told.ways))
+    np.testing.assert_allclose(errors(smoothed(mixed)), errors(smoothed(missing)), atol=1e-5)
+
+
+def test_frames_without_points_are_bridged(by_lines):
+    told = lines()
+    ways = told.ways.copy()
+    ways[6:9], ways[12] = np.nan, np.nan
+    found = errors(smoothed(told._replace(ways=ways)))
+    assert np.isfinite(found).all() and found.max() < 0.05
+    assert found.mean() < 2 * errors(by_lines).mean()
+
+
+def test_two_cameras_tell_more_than_one(by_lines):
+    both = jax.tree.map(lambda *parts: np.concatenate(parts, 1), lines(0), lines(1))
+    assert errors(smoothed(both)).mean() < errors(by_lines).mean()
+
+
+def test_key_points_make_elbows_sure(by_lines):
+    def trust(told):
+        frames = known(COUNT)._replace(lines=told)
+        return trust_in(problem(COUNT, blind(), frames), by_lines.trajectory, SOFTNESS[-1])
+
+    sure, unsure = trust(lines()), trust(None)
+    assert (sure.deviations[:, ELBOWS] < unsure.deviations[:, ELBOWS]).all()
+    assert not sure.from_prior[:, ELBOWS].any() and unsure.from_prior[:, ELBOWS].all()
+
+
+def test_candidates_for_the_elbows_are_priced_by_key_points_too():
+    start, expected = disturbed(COUNT, -25.0), points_of(truth(COUNT))[:, ELBOWS]
+    grips = HybridTracker(PERSON, [CAMERAS[0]], Settings(), MARKERS).grips
+
+    def goals(told):
+        frames = known(COUNT)._replace(lines=told)
+        return elbow_goals(problem(COUNT, blind(), frames), start, grips)
+
+    without, with_points = (
+        np.linalg.norm(goals(told) - expected, axis=-1).mean() for told in (None, lines())
+    )
+    assert with_points < 0.6 * without
+
+
+# A recording -------------------------------------------------------------------------------------
+
+
+def person_and_bystander(recording, frames: int) -> tuple[Keypoints, np.ndarray]:
+    """Both in every frame, the bystander first; and the person's pixels (P, 2)."""
+    names = tuple(landmark for _, landmark in PLACES.values())
+    there = np.asarray(project(CAMERA, jnp.asarray(recording.positions_world[0], float)))
+    both = np.stack([there + np.array([30, 0]), there])
+    pixels = np.tile(both, (frames, 1, 1, 1))
+    return Keypoints(names, pixels, np.full(pixels.shape[:3], 0.9)), there
+
+
+def standing_poses(count: int) -> Pose:
+    return jax.tree.map(lambda part: np.repeat(np.asarray(part), count, 0), disturbed(1).poses)
+
+
+def test_the_persons_lines_are_those_of_the_events_frames():
+    recording = small_recording()
+    recording = replace(
+        recording, positions_world=np.tile(recording.positions_world[0], (24, 1, 1))
+    )
+    timeline = build_timeline(recording.times, [np.arange(12) / 30])
+    keypoints, there = person_and_bystander(recording, 12)
+    keypoints.pixels_xy[5] = np.nan
+    alone = standing_poses(len(timeline.event_times))
+    told = lines_at_events(recording, [keypoints], timeline, alone)
+    assert told is not None and told.ways.shape == (24, 1, len(LANDMARKS), 3)
+    has_frame = timeline.frame_index[:, 0] >= 0
+    seen = np.asarray(np.isfinite(told.ways).all(-1))[:, 0].any(-1)
+    np.testing.assert_array_equal(seen, has_frame & (timeline.frame_index[:, 0] != 5))
+    expected = lines_of_sight(CAMERA, keypoints.landmarks, there[None], np.full((1, 5), 0.9))
+    np.testing.assert_allclose(told.ways[0], expected.ways[0], atol=1e-5)
+    np.testing.assert_allclose(told.confidences[0], expected.confidences[0])
+    assert lines_at_events(recording, [None], timeline, alone) is None
+
+
+def test_where_no_marker_sits_on_a_landmark_the_poses_tell_the_person():
+    recording = small_recording()
+    timeline = build_timeline(recording.times, [np.arange(12) / 30])
+    poses = standing_poses(len(timeline.event_times))
+    where = landmarks_over_time(recording.skeleton, poses)[0]
+    pixels = np.asarray(project(CAMERA, jnp.asarray(where, float)))
+    people = np.tile(np.stack([pixels + np.array([40, 0]), pixels]), (12, 1, 1, 1))
+    keypoints = Keypoints(tuple(LANDMARKS), people, np.ones(people.shape[:3]))
+    places = tuple(replace(place, at=0.5) for place in recording.places)
+    told = lines_at_events(replace(recording, places=places), [keypoints], timeline, poses)
+    assert told is not None
+    expected = lines_of_sight(CAMERA, keypoints.landmarks, pixels[None], np.ones((1, len(pixels))))
+    np.testing.assert_allclose(told.ways[0], expected.ways[0], atol=1e-5)
+
+
+def test_a_camera_whose_frames_cannot_be_read_still_tells_by_its_key_points():
+    times = np.arange(COUNT) / 30
+    video = MemoryVideo(
+        np.append(times, COUNT / 30), [*[None] * COUNT, np.zeros((90, 120, 3), np.uint8)]
+    )
+    frames, start = known(COUNT), disturbed(COUNT).poses
+    first = FirstPass(
+        build_timeline(times, [times]),
+        np.asarray(frames.targets),
+        truth(COUNT),
+        start,
+        lines(wrong=0.05),
+    )
+    tracker = HybridTracker(PERSON, [CAMERAS[0]], Settings(), MARKERS)
+    found = smooth_recording(tracker, [video], first, lambda share: None)
+    assert found is not None
+    assert elbow_errors(start).mean() > 0.05 and elbow_errors(found.poses).mean() < 0.03
+
+
+def test_key_points_that_do_not_fit_the_video_are_refused_before_anything_is_tracked():
+    recording = small_recording()
+    wrong = Detections(np.arange(3, 40), ("elbow_l",), np.ones((37, 1, 1, 2)), np.ones((37, 1, 1)))
+    source = replace(recording.videos[0], keypoints=wrong)
+    with pytest.raises(InputError, match="keypoints_first"):
+        track(replace(recording, videos=(source,)), tracker=None)

@@ -1,0 +1,387 @@
+"""Silhouettes: soft coverage against what was seen, its derivatives, drawn hulls, parts."""
+
+from functools import partial
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import double, on_device
+from drawn_arms import SIZE, arm_pose, camera_at
+from drawn_body import SHIRT, SKIN, paint, room
+from hypothesis import given
+from hypothesis import strategies as st
+from watched_arms import FRONT, PERSON, TRUTH
+
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.pose import retract
+from jaxmocap.body.proportions import PROPORTIONS, scaled
+from jaxmocap.body.skeleton import ROOT_DOF
+from jaxmocap.evidence.appearance.hulls import draw_hulls
+from jaxmocap.evidence.appearance.part_mask import BENEFIT, part_odds
+from jaxmocap.evidence.silhouettes import Legs, Sight, silhouette_cost, silhouette_fit
+from jaxmocap.geometry.cameras import turned
+from jaxmocap.geometry.outlines import Discs, signed_distance
+from jaxmocap.images.colours import Colours, colour_bins, learn_colours
+from jaxmocap.images.regions import Region
+from jaxmocap.images.silhouette_grid import Grid, blurred, cells, coverage_cost, coverage_fit
+from jaxmocap.reference.hybrid import silhouette as reference
+
+CELLS, LIMBS, SOFTNESS = 16, 4, 1.3
+# Silhouettes of the whole body.
+BODY_CELLS, BODY_REGION = 32, Region(np.array([111.5, 31.5]), np.array(13.0))
+LEGS_REGION = Region(np.array([190.5, 330.5]), np.array(17.0))
+COST, FIT = jax.jit(coverage_cost), jax.jit(coverage_fit)
+
+
+def random_limbs(rng: np.random.Generator) -> Discs:
+    """Limbs about a grid, the first of them seen end-on."""
+    near = rng.uniform(0, CELLS, (LIMBS, 2))
+    turn, length = rng.uniform(0, 2 * np.pi, LIMBS), rng.uniform(4, 12, LIMBS)
+    length[0] = 0.3
+    far = near + length[:, None] * np.stack([np.cos(turn), np.sin(turn)], 1)
+    radii = rng.uniform(1, 3, (LIMBS, 2))
+    radii[0] = [3.0, 1.5]
+    return Discs(near, far, radii)
+
+
+def random_grid(rng: np.random.Generator, size: int) -> Grid:
+    """Probabilities, and weights of which a third is zero."""
+    weight = np.maximum(rng.uniform(-0.5, 1, (size, size)), 0)
+    return Grid(rng.uniform(0, 1, (size, size)), weight)
+
+
+def example(seed: int) -> tuple[Discs, Grid, np.ndarray]:
+    """Limbs, a grid, and how visible they are."""
+    rng = np.random.default_rng(seed)
+    return random_limbs(rng), random_grid(rng, CELLS), rng.uniform(0, 1, CELLS**2)
+
+
+# Coverage ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_cost_is_the_references_cell_by_cell(seed):
+    limbs, grid, visible = example(seed)
+    covered = reference.coverage(CELLS, *limbs, SOFTNESS)
+    expected = reference.coverage_cost(covered, *grid, visible.reshape(CELLS, CELLS))
+    with double():
+        arguments = on_device((limbs, grid, SOFTNESS, visible))
+        assert float(COST(*arguments)) == pytest.approx(expected, rel=1e-9)
+        assert float(FIT(*arguments).cost) == pytest.approx(expected, rel=1e-9)
+    single = on_device((limbs, grid, SOFTNESS, visible), jnp.float32)
+    assert float(FIT(*single).cost) == pytest.approx(expected, rel=1e-4)
+
+
+def residuals(limbs: Discs, grid: Grid, softness, visible):
+    """Of all cells, each owned by the limb that reaches farthest over it."""
+    points = jnp.stack(cells(CELLS, limbs.near.dtype), -1)
+    each = Discs(*(part[:, None] for part in limbs))
+    covered = jax.nn.sigmoid(-jnp.min(signed_distance(each, points), 0) / softness)
+    return grid.weight.ravel() * (covered * visible - grid.probability.ravel())
+
+
+def by_limb(derivatives: Discs) -> np.ndarray:
+    """Derivatives (..., K, 6) by near x, y; far x, y; near and far radius."""
+    return np.concatenate([np.asarray(part) for part in derivatives], -1)
+
+
+GRADIENT, ROWS = jax.jit(jax.grad(coverage_cost)), jax.jit(jax.jacfwd(residuals))
+
+
+@given(st.integers(0, 10_000))
+def test_the_fits_gradient_is_half_the_costs(seed):
+    with double():
+        arguments = on_device((*example(seed)[:2], SOFTNESS, example(seed)[2]))
+        found, expected = FIT(*arguments).gradient, by_limb(GRADIENT(*arguments)) / 2
+    np.testing.assert_allclose(found, expected, atol=1e-9 * max(1, np.abs(expected).max()))
+    assert np.abs(expected).max() > 0.01
+
+
+@given(st.integers(0, 10_000))
+def test_the_fits_hessian_is_that_of_the_rows_of_each_limb(seed):
+    with double():
+        arguments = on_device((*example(seed)[:2], SOFTNESS, example(seed)[2]))
+        found, rows = np.asarray(FIT(*arguments).hessian), by_limb(ROWS(*arguments))
+    np.testing.assert_allclose(found, np.einsum("cki,ckj->kij", rows, rows), atol=1e-9)
+    # Limbs do not share cells.
+    between = np.einsum("cki,clj->klij", rows, rows)
+    assert not between[~np.eye(LIMBS, dtype=bool)].any()
+
+
+def test_cells_without_weight_do_not_count():
+    limbs, grid, visible = example(0)
+    blind = grid._replace(weight=np.zeros_like(grid.weight))
+    fit = FIT(*on_device((limbs, blind, SOFTNESS, visible)))
+    assert not any(np.asarray(part).any() for part in fit)
+
+
+# What is seen ------------------------------------------------------------------------------------
+
+
+def test_blurring_keeps_what_is_unknown_without_weight():
+    rng = np.random.default_rng(3)
+    probability, weight = rng.uniform(0, 1, (2, 2, 40, 40)).astype(np.float32)
+    weight[:, :, :20] = 0
+    soft = blurred(Grid(probability, weight), 1.0)
+    # The blur reaches a few cells into the unknown half.
+    assert not soft.weight[:, :, :14].any() and not soft.probability[:, :, :14].any()
+    assert (soft.weight[:, :, 26:] > 0.05).all()
+    assert (soft.probability >= 0).all() and (soft.probability <= 1).all()
+
+
+def test_blurring_averages_by_weight():
+    ones = np.ones((1, 30, 30), np.float32)
+    left = np.arange(30) < 15
+    # Where nothing is known a wild guess stands; it must not spread.
+    grid = Grid(np.where(left, ones, 0.3 * ones), np.where(left, 0 * ones, ones))
+    soft = blurred(grid, 2.0)
+    seen = soft.weight > 0.01
+    np.testing.assert_allclose(soft.probability[seen], 0.3, atol=0.03)
+    even = blurred(Grid(ones * left, ones), 2.0)
+    expected = cv2.GaussianBlur((ones * left)[0], (0, 0), 2.0, borderType=cv2.BORDER_REPLICATE)
+    np.testing.assert_allclose(even.probability[0], expected, atol=2e-3)
+    np.testing.assert_allclose(even.weight, 1, atol=1e-6)
+
+
+def test_each_grid_of_a_batch_is_blurred_by_itself():
+    rng = np.random.default_rng(4)
+    probability, weight = rng.uniform(0, 1, (2, 3, 20, 20)).astype(np.float32)
+    together = blurred(Grid(probability, weight), 1.5)
+    alone = blurred(Grid(probability[1:2], weight[1:2]), 1.5)
+    np.testing.assert_array_equal(together.probability[1:2], alone.probability)
+    np.testing.assert_array_equal(together.weight[1:2], alone.weight)
+
+
+# Drawn hulls -------------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 10_000))
+def test_drawn_hulls_are_where_the_signed_distance_is_negative(seed):
+    rng = np.random.default_rng(seed)
+    near, far = rng.uniform(-20, 100, (2, 3, 2))
+    limbs = Discs(near, far, rng.uniform(3, 25, (3, 2)))
+    mask = draw_hulls(limbs, (80, 60))
+    assert mask.shape == (60, 80) and mask.dtype == bool
+    points = np.stack(np.meshgrid(np.arange(80.0), np.arange(60.0)), -1)
+    with double():
+        each = on_device(Discs(*(part[:, None, None] for part in limbs)))
+        distance = np.asarray(signed_distance(each, on_device(points))).min(0)
+    # Corners lie on whole pixels, and 24 of them make a circle.
+    assert mask[distance < -1.5].all() and not mask[distance > 1.5].any()
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e9])
+def test_hulls_that_are_nowhere_are_left_out(value):
+    good = Discs(np.array([[20.0, 20]]), np.array([[40.0, 30]]), np.array([[6.0, 4]]))
+    for field in range(3):
+        bad = [part.copy() for part in good]
+        bad[field][0, 0] = value
+        both = Discs(*(np.concatenate(pair) for pair in zip(good, bad, strict=True)))
+        np.testing.assert_array_equal(draw_hulls(both, (64, 48)), draw_hulls(good, (64, 48)))
+        assert not draw_hulls(Discs(*bad), (64, 48)).any()
+
+
+def test_hulls_outside_the_image_draw_nothing():
+    beside = Discs(np.array([[-90.0, 20]]), np.array([[-40.0, 30]]), np.array([[6.0, 4]]))
+    assert not draw_hulls(beside, (64, 48)).any()
+
+
+# Parts by colour ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def painted():
+    """The body as it is painted, and colours of its forearms against the rest of it."""
+    seen = paint(FRONT, PERSON, TRUTH, room(SIZE))
+    fore, body = seen.forearms > 0.9, seen.person > 0.9
+    return seen, learn_colours(seen.image[None], fore[None], ~(body & ~fore)[None])
+
+
+def test_a_part_is_found_by_its_colours_on_the_person(painted):
+    seen, colours = painted
+    person = np.where(seen.person > 0.5, np.float32(3), np.float32(-3))
+    nowhere = np.zeros(person.shape, bool)
+    odds = part_odds(seen.image, person, colours, nowhere)
+    inner = cv2.erode((seen.forearms > 0.9).astype(np.uint8), np.ones((5, 5))) > 0
+    # Half-covered pixels at the border of trousers and wall have colours of their own.
+    shirt = (np.abs(seen.image.astype(int) - SHIRT).max(-1) < 2) & (seen.person == 1)
+    shirt = cv2.erode(shirt.astype(np.uint8), np.ones((7, 7))) > 0
+    assert inner.sum() > 100 and shirt.sum() > 1000
+    assert (odds[inner] > 1).all() and (odds[shirt] < -1).all()
+    away = cv2.dilate((seen.person > 0).astype(np.uint8), np.ones((9, 9))) == 0
+    assert (odds[away] < 0).all()
+
+
+def test_a_part_is_hardly_surer_than_the_person_and_unknown_elsewhere(painted):
+    seen, colours = painted
+    elsewhere = np.zeros(seen.person.shape, bool)
+    elsewhere[:100] = True
+    for doubt in (-2.0, 0.0):
+        odds = part_odds(
+            seen.image, np.full(elsewhere.shape, np.float32(doubt)), colours, elsewhere
+        )
+        assert odds[100:].max() <= doubt + BENEFIT + 1e-4
+        assert not odds[:100].any() and odds[100:].any()
+
+
+def test_the_parts_colours_are_told_from_the_rest_of_the_body(painted):
+    _, colours = painted
+    assert isinstance(colours, Colours)
+    bins = colour_bins(np.array([[SKIN, SHIRT]], np.uint8))[0]
+    ratio = colours.body[bins] / colours.rest[bins]
+    assert ratio[0] > 5 and ratio[1] < 0.2
+
+
+# The body's silhouette ---------------------------------------------------------------------------
+
+
+def moved_cost(step, skeleton, proportions, pose, camera, sight, softness):
+    """The silhouette's cost of pose, proportions and camera moved by a tangent vector."""
+    count = step.shape[0] - proportions.shape[0] - 3
+    of_pose, lengths, turn = jnp.split(step, [count, step.shape[0] - 3])
+    person = scaled(skeleton, proportions + lengths)
+    frames = forward(person, retract(pose, of_pose))
+    return silhouette_cost(person, frames, turned(camera, turn), sight, softness)
+
+
+FITTED, COSTED = jax.jit(silhouette_fit), jax.jit(moved_cost)
+STEPPED = jax.jit(jax.grad(moved_cost))
+AT_REST = np.zeros(ROOT_DOF + len(PERSON.tree.joints) + len(PROPORTIONS) + 3)
+
+
+def a_sight(seed: int, of_forearms: float = 1.0, legs: bool = False) -> Sight:
+    """A random sight of the body; smooth, as what is seen."""
+    rng = np.random.default_rng(seed)
+    blur = partial(cv2.GaussianBlur, ksize=(0, 0), sigmaX=2.0)
+    probability, weight = (
+        [blur(rng.uniform(low, 1, (BODY_CELLS, BODY_CELLS))) for _ in range(2)] for low in (0, 0.5)
+    )
+    below = Grid(blur(rng.uniform(0, 1, (16, 16))), blur(rng.uniform(0.5, 1, (16, 16))))
+    return Sight(
+        BODY_REGION,
+        Grid(probability[0], weight[0]),
+        Grid(probability[1], of_forearms * weight[1]),
+        Legs(LEGS_REGION, below) if legs else None,
+    )
+
+
+def body_arguments(sight: Sight, camera=FRONT, pose=TRUTH, softness: float = 1.0):
+    proportions = np.linspace(-0.1, 0.05, len(PROPORTIONS))
+    return on_device((PERSON, proportions, pose, camera, sight, softness), float)
+
+
+@pytest.mark.parametrize("legs", [False, True])
+def test_the_silhouettes_gradient_is_half_its_costs_without_distortion(legs):
+    """What hides a forearm has no derivative, in either."""
+    with double():
+        arguments = body_arguments(a_sight(1, legs=legs))
+        cost, _, gradient = FITTED(*arguments)
+        still = on_device(AT_REST)
+        expected = np.asarray(STEPPED(still, *arguments)) / 2
+        assert float(cost) == pytest.approx(float(COSTED(still, *arguments)), rel=1e-9)
+    np.testing.assert_allclose(gradient, expected, atol=1e-6 * np.abs(expected).max())
+    assert (np.abs(expected[-len(PROPORTIONS) - 3 :]) > 0.01).all()
+
+
+def test_the_whole_persons_gradient_is_that_of_finite_differences():
+    with double():
+        arguments = body_arguments(a_sight(2, of_forearms=0.0))
+        _, _, gradient = FITTED(*arguments)
+        up, down = (
+            np.array([COSTED(on_device(step), *arguments) for step in sign * np.eye(len(AT_REST))])
+            for sign in (1e-6, -1e-6)
+        )
+    expected = (up - down) / 2e-6 / 2
+    # A cell that changes its limb within the step errs a little.
+    np.testing.assert_allclose(gradient, expected, atol=1e-3 * np.abs(expected).max())
+
+
+def test_a_mild_distortion_hardly_turns_the_gradient():
+    camera = camera_at((2.2, 0.3, 1.35), (0.0, 0.0, 1.15), distortion=(-0.08, 0.02))
+    with double():
+        arguments = body_arguments(a_sight(3), camera)
+        gradient = np.asarray(FITTED(*arguments)[2])
+        expected = np.asarray(STEPPED(on_device(AT_REST), *arguments)) / 2
+    cosine = gradient @ expected / np.linalg.norm(gradient) / np.linalg.norm(expected)
+    assert cosine > 0.99
+
+
+def test_the_silhouettes_hessian_is_symmetric_and_nowhere_negative():
+    cost, hessian, gradient = FITTED(*body_arguments(a_sight(4)))
+    hessian = np.asarray(hessian, float)
+    np.testing.assert_allclose(hessian, hessian.T, atol=1e-5 * np.abs(hessian).max())
+    values = np.linalg.eigvalsh(hessian)
+    assert values.min() > -1e-5 * values.max()
+    assert float(cost) > 0 and np.isfinite(np.asarray(gradient)).all()
+
+
+def test_the_silhouettes_hessian_is_the_costs_where_all_is_as_drawn():
+    """Where nothing differs the residuals vanish, and J^T J is half of the cost's Hessian."""
+    with double():
+        empty = a_sight(5, of_forearms=0.0)
+        skeleton, proportions, pose, camera, sight, softness = body_arguments(empty)
+        ones = on_device(np.ones((BODY_CELLS, BODY_CELLS)))
+
+        def covered(probability):
+            seen = sight._replace(person=Grid(probability, ones))
+            return silhouette_cost(
+                scaled(skeleton, proportions),
+                forward(scaled(skeleton, proportions), pose),
+                camera, seen, softness,
+            )  # fmt: skip
+
+        # Of the sum of (c - p)^2 about p = 0 the derivative by p is -2 c.
+        as_drawn = jax.jit(jax.grad(covered))(0 * ones) / -2
+        drawn = sight._replace(person=Grid(as_drawn, ones))
+        arguments = (skeleton, proportions, pose, camera, drawn, softness)
+        cost, hessian, gradient = (np.asarray(part) for part in FITTED(*arguments))
+        assert cost < 1e-20 and np.abs(gradient).max() < 1e-9
+        direction = np.random.default_rng(6).normal(size=len(AT_REST))
+        there = 1e-5 * direction
+        pulls = [np.asarray(STEPPED(on_device(s * there), *arguments)) / 2 for s in (1, -1)]
+    expected = (pulls[0] - pulls[1]) / 2e-5
+    found = hessian @ direction
+    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(found).max())
+
+
+ACROSS = {"arm_flex": (25, 25), "arm_rot": (80, 80), "elbow_flex": (100, 100)}
+
+
+def forearms_cost(forearms, skeleton, pose, camera, sight, softness):
+    """The cost of a sight with other forearms (S, S)."""
+    seen = sight._replace(forearms=sight.forearms._replace(probability=forearms))
+    return silhouette_cost(skeleton, forward(skeleton, pose), camera, seen, softness)
+
+
+def expected_forearms(camera, pose) -> np.ndarray:
+    """What (S, S) of forearms is to be seen: of (c - p)^2 about p = 0 the derivative is -2 c."""
+    nothing = np.zeros((BODY_CELLS, BODY_CELLS))
+    sight = Sight(BODY_REGION, Grid(nothing, nothing), Grid(nothing, nothing + 1))
+    skeleton, _, *rest = body_arguments(sight, camera, pose, 0.3)
+    slope = jax.jit(jax.grad(forearms_cost))(jnp.asarray(nothing, float), skeleton, *rest)
+    return np.asarray(slope) / -2
+
+
+def painted_forearms(camera, pose) -> np.ndarray:
+    """The same as it is painted; the region's corner lies on the pixels' edges."""
+    share = paint(camera, PERSON, pose, room(SIZE)).forearms
+    x, y = (int(value + 0.5) for value in BODY_REGION.origin)
+    side = BODY_CELLS * int(BODY_REGION.scale)
+    return cv2.resize(
+        share[y:, x : x + side][:side], (BODY_CELLS,) * 2, interpolation=cv2.INTER_AREA
+    )
+
+
+def test_forearms_before_the_torso_are_expected_and_behind_it_they_are_not():
+    pose, torso = arm_pose(PERSON, ACROSS), np.s_[:, 14:18]
+    before, behind = (camera_at((x, 0.0, 1.3), (0.0, 0.0, 1.1)) for x in (2.2, -2.2))
+    crossing = painted_forearms(before, pose)[torso].sum()
+    assert crossing > 3 and painted_forearms(behind, pose)[torso].sum() == 0
+    assert expected_forearms(before, pose)[torso].sum() == pytest.approx(crossing, rel=0.2)
+    assert expected_forearms(behind, pose)[torso].sum() < 0.05 * crossing
+    # Beside the torso they are seen from behind as well.
+    beside = painted_forearms(behind, pose).sum()
+    assert beside > 3 and expected_forearms(behind, pose).sum() == pytest.approx(beside, rel=0.5)

@@ -1,0 +1,210 @@
+"""The smoothed trajectory's derivative: by lengths, cameras and marker offsets, as differences say.
+
+In double precision, on a painted recording; each difference is taken between two minima, solved
+anew. The cells in which limbs meet are left out: they change hands in jumps.
+"""
+
+from dataclasses import replace
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import double, on_device
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from painted_motion import (
+    CAMERAS,
+    CELLS,
+    PERSON,
+    disturbed,
+    points_of,
+    problem,
+    sights,
+    truth,
+)
+
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.pose import Pose
+from jaxmocap.evidence.silhouettes import drawn
+from jaxmocap.fitting.sensitivity import Sensitivity
+from jaxmocap.fitting.sensitivity_batches import Stated
+from jaxmocap.geometry.outlines import Discs, touch
+from jaxmocap.geometry.rotations import exp
+from jaxmocap.images.silhouette_grid import cells
+from jaxmocap.smoothing.linearise import Problem, Sights, smooth_poses
+from jaxmocap.smoothing.trajectory import Trajectory, all_turned
+
+COUNT, SOFTNESS = 4, 0.6
+# Cells by which the second nearest limb is away where no two limbs meet, blurred as they are.
+APART = 3.0
+STEP = 1e-5
+
+
+@jax.jit
+def second_nearest(pose, camera, sight):
+    """Distance (S, S) of each cell to the limb that is second nearest to it."""
+    discs, _ = drawn(PERSON, forward(PERSON, pose), camera, sight)
+    each = Discs(*(part[:, None] for part in discs))
+    distances = touch(each, *cells(CELLS, discs.near.dtype)).distance
+    return jnp.sort(distances, 0)[1].reshape(CELLS, CELLS)
+
+
+def untied(seen: Sights) -> Sights:
+    """Sights without the cells in which limbs meet."""
+    poses, kept = truth(COUNT), []
+    for row, (frame, camera) in enumerate(zip(seen.frame, seen.camera, strict=True)):
+        sight = on_device(jax.tree.map(lambda part, row=row: part[row], seen.sight))
+        pose = on_device(Pose(*(part[frame] for part in poses)))
+        kept.append(np.asarray(second_nearest(pose, CAMERAS[camera], sight)) > APART)
+    weight = np.stack(kept).astype(np.float32)
+    return seen._replace(sight=seen.sight.each_grid(lambda grid: grid._replace(weight=weight)))
+
+
+def in_double(tree):
+    """Floats in double precision, indices as they are."""
+
+    def wide(leaf):
+        whole = np.asarray(leaf).dtype.kind in "iu"
+        return leaf if whole else np.asarray(leaf, np.float64)
+
+    return jax.tree.map(wide, tree)
+
+
+@cache
+def recording(blind: bool = False) -> tuple[Problem, Trajectory]:
+    """A painted recording, or one without any sight, and, nearly, its solution."""
+    with jax.enable_x64(False):
+        seen = untied(sights(COUNT, (0, 1)))
+        seen = jax.tree.map(lambda part: part[:0], seen) if blind else seen
+        single = problem(COUNT, seen)
+        found = smooth_poses(single, disturbed(COUNT, 5.0), (SOFTNESS,))
+    parts = {
+        name: in_double(getattr(single, name))
+        for name in ("skeleton", "cameras", "markers", "settings", "known", "sights")
+    }
+    return replace(single, **parts), in_double(found.trajectory)
+
+
+@cache
+def solution() -> Sensitivity:
+    return Sensitivity.at(*recording(), SOFTNESS).settled(4)
+
+
+NUMBERS = (
+    "upper arm", "trunk", "camera turned", "camera moved", "focal length", "marker moved",
+)  # fmt: skip
+
+
+def state(numbers: jax.Array) -> Stated:
+    """What is stated by ``NUMBERS``: camera 0, turned about a slanted axis; the left wrist's."""
+    stated = Stated.of(recording()[0])
+    skeleton, cameras = jax.tree.map(jnp.asarray, (stated.skeleton, stated.cameras))
+    arm, trunk = (PERSON.tree.bone(name) for name in ("humerus_l", "spine2"))
+    lengths = skeleton.lengths.at[arm].add(numbers[0]).at[trunk].add(numbers[1])
+    T, slanted = cameras.T_cam_world, jnp.array([0.5, 0.6, 0.4])
+    T = T.at[0, :3].set(exp(numbers[2] * slanted) @ T[0, :3]).at[0, 0, 3].add(numbers[3])
+    matrix = cameras.matrix.at[0, :2, :2].multiply(1 + numbers[4], unique_indices=True)
+    offsets = jnp.asarray(stated.offsets).at[1, 0].add(numbers[5])
+    return Stated(
+        replace(skeleton, lengths=lengths),
+        replace(cameras, T_cam_world=T, matrix=matrix),
+        offsets,
+    )
+
+
+def resolved(numbers: np.ndarray) -> np.ndarray:
+    """Landmarks (T, L, 3) of the minimum with this stated."""
+    problem, there = state(jnp.asarray(numbers)).put_into(recording()[0]), solution().trajectory
+    return Sensitivity.at(problem, there, SOFTNESS).settled(2).landmarks
+
+
+@pytest.mark.parametrize("number", range(len(NUMBERS)), ids=NUMBERS)
+def test_landmarks_follow_as_differences_between_minima_say(number):
+    with double():
+        still, way = jnp.zeros(len(NUMBERS)), jnp.zeros(len(NUMBERS)).at[number].set(1.0)
+        change = jax.jvp(state, (still,), (way,))[1]
+        ahead, behind = (resolved(sign * STEP * np.asarray(way)) for sign in (1, -1))
+        expected = (ahead - behind) / (2 * STEP)
+        found = solution().forwards(change)
+    assert np.abs(expected).max() > 0.01
+    np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_cameras_that_were_found_turned_are_stated_so():
+    with double():
+        given, there = recording()
+        turns = np.array([[2e-3, -5e-3, 1e-3], [0.0, 4e-3, -2e-3]])
+        wrong = replace(given, cameras=in_double(all_turned(given.cameras, turns)))
+        back = np.asarray(all_turned(wrong.cameras, -turns).T_cam_world)
+        np.testing.assert_allclose(back, given.cameras.T_cam_world, atol=1e-12)
+        found = Sensitivity.at(wrong, there._replace(turns_cam=-turns), SOFTNESS)
+        expected = Sensitivity.at(given, there, SOFTNESS).slopes.equations.gradient
+        unaware = Sensitivity.at(wrong, there, SOFTNESS).slopes.equations.gradient
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(found.slopes.equations.gradient, expected, atol=1e-9 * scale)
+    assert np.abs(unaware - expected).max() > 0.01 * scale
+
+
+def test_without_anything_seen_the_markers_alone_move_the_body():
+    with double():
+        blind, there = recording(blind=True)
+        here = Sensitivity.at(blind, there, SOFTNESS).settled(4)
+        assert here.slopes.exact and here.slopes.equations.step(0.0, 0.0).largest() < 1e-9
+        still = jnp.zeros(len(NUMBERS))
+        ways = {name: jnp.eye(len(NUMBERS))[i] for i, name in enumerate(NUMBERS)}
+        found = {
+            name: here.forwards(jax.jvp(state, (still,), (way,))[1]) for name, way in ways.items()
+        }
+        moved = STEP * ways["marker moved"]
+        ahead, behind = (
+            Sensitivity.at(state(at).put_into(blind), here.trajectory, SOFTNESS).settled(3)
+            for at in (moved, -moved)
+        )
+    expected = (ahead.landmarks - behind.landmarks) / (2 * STEP)
+    assert np.abs(expected).max() > 0.5
+    np.testing.assert_allclose(found["marker moved"], expected, atol=1e-5)
+    # Nobody looked through the camera.
+    assert not found["camera turned"].any() and not found["focal length"].any()
+
+
+def test_a_losss_gradient_is_what_the_landmarks_pass_back():
+    """Any loss: here the squared distance from where the landmarks really were."""
+    really = points_of(truth(COUNT)).astype(float)
+    with double():
+        away = solution().landmarks - really
+        _, pull = jax.vjp(state, jnp.zeros(len(NUMBERS)))
+        (found,) = pull(solution().backwards(2 * away))
+        ways = jnp.eye(len(NUMBERS))
+        changes = [jax.jvp(state, (0 * way,), (way,))[1] for way in ways]
+        expected = [np.sum(2 * away * solution().forwards(change)) for change in changes]
+    np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-10)
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 2**31))
+def test_backwards_is_the_transpose_of_forwards(seed):
+    """By everything that is stated, whatever the direction and whatever the loss."""
+    rng = np.random.default_rng(seed)
+    with double():
+        here = solution()
+        change = jax.tree.map(
+            lambda part: jnp.asarray(rng.normal(size=np.shape(part))), Stated.of(here.problem)
+        )
+        by_landmarks = rng.normal(size=here.landmarks.shape)
+        passed = jax.tree.leaves(here.backwards(by_landmarks))
+        expected = np.sum(here.forwards(change) * by_landmarks)
+        pairs = zip(passed, jax.tree.leaves(change), strict=True)
+        found = sum(float(jnp.sum(own * way)) for own, way in pairs)
+    assert found == pytest.approx(expected, rel=1e-7, abs=1e-6)
+
+
+def test_newtons_steps_square_the_distance_to_the_minimum():
+    with double():
+        sizes, here = [], Sensitivity.at(*recording(), SOFTNESS)
+        for _ in range(5):
+            sizes.append(here.slopes.equations.step(0.0, 0.0).largest())
+            here = here.settled()
+    assert sizes[0] > 1e-6 and sizes[-1] < 1e-10
+    assert here.slopes.exact

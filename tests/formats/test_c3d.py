@@ -1,0 +1,237 @@
+"""C3D: what is written is read back, with gaps and residuals; other writers' habits are known."""
+
+import os
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import ezc3d
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.recordings.recording import load_recording
+from jaxmocap.formats.time_series import c3d
+from jaxmocap.formats.time_series.c3d import read_c3d, write_c3d
+from jaxmocap.formats.time_series.csv import write_csv
+from jaxmocap.formats.time_series.tables import Markers
+
+shared_folder = settings(
+    deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+
+
+@st.composite
+def marked(draw) -> Markers:
+    """Markers at an even rate, with gaps and residuals."""
+    count = draw(st.integers(2, 9))
+    rate = draw(st.sampled_from([25.0, 29.97, 60.0, 90.0, 1000.0]))
+    letters = st.text(st.characters(codec="ascii", categories=["L", "N"]), min_size=1, max_size=9)
+    names = tuple(draw(st.lists(letters, min_size=1, max_size=4, unique=True)))
+    shape = (count, len(names))
+    positions = draw(hnp.arrays(float, (*shape, 3), elements=st.floats(-50, 50)))
+    residuals = draw(hnp.arrays(float, shape, elements=st.floats(0, 0.02)))
+    missing = draw(hnp.arrays(bool, shape))
+    positions[missing], residuals[missing] = np.nan, np.nan
+    times = (draw(st.integers(0, 900)) + np.arange(count)) / rate
+    return Markers(times, names, positions, residuals)
+
+
+def foreign(path: Path, points: np.ndarray, unit: str | None = "mm", labels=None, rate=100.0):
+    """A file (4, M, T) as some other program writes it."""
+    file = ezc3d.c3d()
+    group = file["parameters"]["POINT"]
+    group["RATE"]["value"] = [rate]
+    group["LABELS"]["value"] = labels or [f"M{i}" for i in range(points.shape[1])]
+    if unit is not None:
+        group["UNITS"]["value"] = [unit]
+    file["data"]["points"] = points
+    file.write(str(path))
+    return path
+
+
+def complaint(path: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        read_c3d(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    return caught.value.problem
+
+
+@shared_folder
+@given(marked())
+def test_markers_survive_a_round_trip_with_gaps_times_and_residuals(tmp_path, markers):
+    write_c3d(tmp_path / "a.c3d", markers)
+    back = read_c3d(tmp_path / "a.c3d")
+    assert back.names == markers.names
+    np.testing.assert_allclose(back.times, markers.times, rtol=1e-6)
+    # 32-bit numbers hold 50 m to 4 micrometres.
+    np.testing.assert_allclose(back.positions, markers.positions, rtol=2e-7, atol=2e-9)
+    # Residuals are bytes of the largest.
+    step = np.nanmax(np.nan_to_num(markers.residuals)) / 255
+    np.testing.assert_allclose(back.residuals, markers.residuals, atol=0.51 * step + 1e-9)
+
+
+def test_a_marker_at_the_origin_is_not_taken_for_a_missing_one(tmp_path):
+    write_c3d(tmp_path / "a.c3d", Markers(np.zeros(1), ("O",), np.zeros((1, 1, 3))))
+    np.testing.assert_allclose(read_c3d(tmp_path / "a.c3d").positions, 0, atol=2e-9)
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("m", 1), ("MM", 1e-3), ("cm", 0.01), ("in", 0.0254)])
+def test_the_files_unit_is_converted(tmp_path, unit, metres):
+    path = foreign(tmp_path / "a.c3d", np.full((4, 1, 2), 7.0), unit)
+    np.testing.assert_allclose(read_c3d(path).positions, 7 * metres, rtol=1e-6)
+
+
+def test_points_that_are_zero_or_no_number_are_missing(tmp_path):
+    points = np.ones((4, 2, 3))
+    points[:3, 0, 1], points[0, 1, 2] = 0.0, np.nan
+    markers = read_c3d(foreign(tmp_path / "a.c3d", points))
+    expected = [[False, False], [True, False], [False, True]]
+    assert markers.residuals is not None
+    np.testing.assert_array_equal(np.isnan(markers.positions).all(-1), expected)
+    np.testing.assert_array_equal(np.isnan(markers.residuals), expected)
+
+
+@pytest.mark.parametrize(
+    ("labels", "names"),
+    [
+        (["Ann:HEAD", "Ann:HAND", "*110"], ("HEAD", "HAND", "*110")),
+        (["Ann:HEAD", "Bob:HEAD", "Bob:HAND"], ("Ann:HEAD", "Bob:HEAD", "Bob:HAND")),
+        (["Ann:HEAD", "HEAD", "HAND"], ("Ann:HEAD", "HEAD", "HAND")),
+    ],
+)
+def test_a_prefix_that_all_labels_share_goes_and_others_stay(tmp_path, labels, names):
+    assert read_c3d(foreign(tmp_path / "a.c3d", np.ones((4, 3, 1)), labels=labels)).names == names
+
+
+def test_bad_files_are_refused_in_one_sentence(tmp_path):
+    path = tmp_path / "a.c3d"
+    assert complaint(path) == "no such file"
+    path.write_text("PathFileType\t4\n" * 60)
+    assert "not a C3D file" in complaint(path)
+    path.write_bytes(b"")
+    assert "not a C3D file" in complaint(path)
+    assert "found 'furlong', expected one of m, cm" in complaint(
+        foreign(path, np.ones((4, 1, 1)), "furlong")
+    )
+    assert "'A' is named twice" in complaint(foreign(path, np.ones((4, 2, 1)), labels=["A", "A"]))
+    whole = foreign(path, np.ones((4, 3, 400))).read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    assert "the header says 400 frames, the file ends after" in complaint(path)
+
+
+def test_a_damaged_file_does_not_end_the_process(tmp_path):
+    path = foreign(tmp_path / "a.c3d", np.ones((4, 3, 4)))
+    content = bytearray(path.read_bytes())
+    # How many dimensions the labels have; ezc3d alone dies of it.
+    content[content.index(b"LABELS") + 9] = 255
+    path.write_bytes(content)
+    assert complaint(path) == "not a C3D file, or damaged or cut off within its parameters"
+
+
+def test_what_the_format_cannot_hold_is_refused(tmp_path):
+    def refusal(times, names=("A",)):
+        with pytest.raises(InputError) as caught:
+            points = np.ones((len(times), len(names), 3))
+            write_c3d(tmp_path / "a.c3d", Markers(np.array(times), names, points))
+        assert not (tmp_path / "a.c3d").exists()
+        return caught.value.problem
+
+    assert "10 to 30 ms apart" in refusal([0.0, 0.01, 0.04])
+    assert "C3D holds 0 to 65535" in refusal([-1.0, -0.9])
+    assert "C3D holds 0 to 65535" in refusal(np.arange(65536) / 100)
+    assert "names of 127 bytes" in refusal([0.0], ("x" * 128,))
+    assert "256 markers" in refusal([0.0], tuple(map(str, range(256))))
+
+
+def test_a_real_serve_is_read_and_written(recordings, tmp_path):
+    serve = read_c3d(recordings / "motions" / "tennis_serve.c3d")
+    assert len(serve.times) == 1092 and len(serve.names) == 39 and "LFHD" in serve.names
+    assert serve.times[0] == 0 and serve.times[-1] == pytest.approx(1091 / 50)
+    # A standing person's head, metres.
+    assert 1.4 < serve.points()["LFHD"][0, 2] < 1.9
+    write_c3d(tmp_path / "again.c3d", serve)
+    again = read_c3d(tmp_path / "again.c3d")
+    np.testing.assert_allclose(again.positions, serve.positions, atol=1e-6)
+    np.testing.assert_allclose(again.residuals, serve.residuals, atol=1e-9)
+
+
+def test_a_recording_may_name_a_c3d_file(recordings, tmp_path):
+    serve = (recordings / "motions" / "tennis_serve.c3d").as_posix()
+    text = f'[markers]\nfile = "{serve}"\n[markers.on]\nLFHD = {{ bone = "head" }}\n'
+    (tmp_path / "recording.toml").write_text(text)
+    assert load_recording(tmp_path / "recording.toml").positions_world.shape == (1092, 1, 3)
+
+
+def test_a_file_without_a_rate_is_refused_in_these_words(tmp_path):
+    content = foreign(tmp_path / "a.c3d", np.ones((4, 1, 4)), rate=100.0).read_bytes()
+    (tmp_path / "a.c3d").write_bytes(content.replace(struct.pack("<f", 100), bytes(4)))
+    said = "POINT:RATE: found 0, expected frames per second, up to 1e+06"
+    assert complaint(tmp_path / "a.c3d") == said
+
+
+def test_sizes_beyond_the_file_are_refused_whatever_the_header_says(tmp_path):
+    path = foreign(tmp_path / "a.c3d", np.ones((4, 3, 4)))
+    content = bytearray(path.read_bytes())
+    used, frames = content.index(b"USED"), content.index(b"FRAMES")
+    content[2:4] = content[used + 8 : used + 10] = struct.pack("<H", 60000)
+    content[8:10] = content[frames + 10 : frames + 12] = struct.pack("<H", 65535)
+    path.write_bytes(content)
+    assert complaint(path) == "not a C3D file, or damaged or cut off within its parameters"
+
+
+@pytest.mark.parametrize(
+    ("most", "said"),
+    [(2**31, "not read within 0.001 s"), (2**28, "damaged"), (4 * 10**8, "takes more than 0.4 GB")],
+)
+def test_a_file_may_take_so_much_time_and_memory_and_no_more(tmp_path, monkeypatch, most, said):
+    pytest.importorskip("resource", reason="this system has no limits of file sizes")
+    path = foreign(tmp_path / "a.c3d", np.ones((4, 40, 40_000)))
+    monkeypatch.setattr(c3d, "MOST_MEMORY", most)
+    monkeypatch.setattr(c3d, "LONGEST_S", 0.001 if "0.001" in said else 60)
+    assert said in complaint(path)
+
+
+@pytest.mark.parametrize("kind", ["pipe", "folder"])
+def test_what_is_no_file_is_refused_before_anything_is_read(tmp_path, kind):
+    path = tmp_path / "a.c3d"
+    if kind == "folder":
+        path.mkdir()
+    else:
+        os.mkfifo(path)
+    assert (
+        complaint(path)
+        == f"found a {'named pipe' if kind == 'pipe' else 'folder'}, expected a file"
+    )
+
+
+# From here on nothing more can be written to a file than so many bytes.
+FULL = """
+import resource, sys
+from jaxmocap.cli import main
+most = int(sys.argv[1])
+resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+sys.exit(main(["convert", *sys.argv[2:]]))
+"""
+
+
+@pytest.mark.parametrize("most", [100, 3000, 30_000])
+def test_a_full_disk_leaves_an_earlier_file_as_it_was(tmp_path, most):
+    """ezc3d itself says nothing of it, and leaves half a file."""
+    pytest.importorskip("resource", reason="this system has no limits of file sizes")
+    markers = Markers(np.arange(400) / 100, tuple("abcde"), np.ones((400, 5, 3)))
+    write_csv(tmp_path / "a.csv", markers.times, markers.points())
+    earlier = foreign(tmp_path / "b.c3d", np.ones((4, 1, 2))).read_bytes()
+    done = subprocess.run(
+        [sys.executable, "-c", FULL, str(most), tmp_path / "a.csv", tmp_path / "b.c3d"],
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 1 and done.stdout == ""
+    problem = "cannot be written whole, is the disk full?"
+    assert done.stderr == f"jaxmocap convert: {tmp_path / 'b.c3d'}: {problem}\n"
+    assert (tmp_path / "b.c3d").read_bytes() == earlier
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.csv", "b.c3d"]

@@ -1,0 +1,264 @@
+"""Converting: what both formats hold survives, what one does not hold is said or refused."""
+
+import numpy as np
+import pytest
+from conftest import poses
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from moving_body import SAMPLES, moving_body, with_parts
+from scipy.spatial.transform import Rotation
+
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.orientations import local_turns
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.cli import main
+from jaxmocap.evaluation.errors import evaluate_directory
+from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.formats.animation.bvh import read_bvh
+from jaxmocap.formats.convert import Options, convert
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.motion_npz import load_motion, save_motion
+from jaxmocap.formats.time_series.markers import read_markers
+from jaxmocap.formats.time_series.mot import read_mot
+from jaxmocap.formats.time_series.trc import write_trc
+
+shared_folder = settings(
+    deadline=None, max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    save_motion(tmp_path / "motion.npz", moving_body())
+    return tmp_path
+
+
+def options(suffix: str, folder) -> Options:
+    return Options(body=folder / "motion.npz") if suffix == "mot" else Options()
+
+
+@pytest.mark.parametrize("suffix", ["bvh", "glb", "mot"])
+@shared_folder
+@given(st.lists(poses(), min_size=3, max_size=3))
+def test_a_motion_survives_the_way_there_and_back(tmp_path, suffix, drawn):
+    """Joints, turns and bone lengths; of angles in the hinges' lock only the turn is one."""
+    held = Pose(*(np.stack(parts) for parts in zip(*drawn, strict=True)))
+    motion = Motion(Skeleton.human(1.8), np.arange(len(drawn)) / 50, held)
+    save_motion(tmp_path / "motion.npz", motion)
+    convert(tmp_path / "motion.npz", tmp_path / f"there.{suffix}")
+    convert(tmp_path / f"there.{suffix}", tmp_path / "back.npz", options(suffix, tmp_path))
+    back = load_motion(tmp_path / "back.npz")
+    np.testing.assert_allclose(back.times, motion.times, atol=1e-7)
+    np.testing.assert_allclose(back.skeleton.lengths, motion.skeleton.lengths, atol=2e-6)
+    for name, points in motion.joints().items():
+        np.testing.assert_allclose(back.joints()[name], points, atol=1e-5)
+    turns = local_turns(motion.skeleton, np.asarray(held.angles))
+    again = local_turns(back.skeleton, np.asarray(back.poses.angles))
+    np.testing.assert_allclose(again, turns, atol=1e-5)
+
+
+@pytest.mark.parametrize("suffix", ["bvh", "glb", "mot"])
+def test_angles_within_their_limits_come_back_as_they_were(folder, suffix):
+    """Of the two ways in which three hinges make a turn, the one within the limits is taken."""
+    convert(folder / "motion.npz", folder / f"there.{suffix}")
+    convert(folder / f"there.{suffix}", folder / "back.npz", options(suffix, folder))
+    back = load_motion(folder / "back.npz")
+    np.testing.assert_allclose(back.poses.angles, moving_body().poses.angles, atol=1e-5)
+
+
+@pytest.mark.parametrize("names", ["jaxmocap", "vrm", "humanik", "smpl", "isb"])
+def test_joints_by_any_convention_are_recognised(folder, names):
+    convert(folder / "motion.npz", folder / "a.bvh", Options(names=names))
+    convert(folder / "a.bvh", folder / "b.glb", Options(names="vrm"))
+    convert(folder / "b.glb", folder / "back.npz")
+    convert(folder / "a.bvh", folder / "joints.trc", Options(names=names))
+    joints = moving_body().joints()
+    for name, points in load_motion(folder / "back.npz").joints().items():
+        np.testing.assert_allclose(points, joints[name], atol=1e-5)
+    elbow = {"vrm": "leftLowerArm", "humanik": "LeftForeArm", "smpl": "left_elbow",
+             "isb": "forearm_l", "jaxmocap": "radius_l"}[names]  # fmt: skip
+    found = read_markers(folder / "joints.trc").points()[elbow]
+    np.testing.assert_allclose(found, joints["elbow_l"], atol=1e-5)
+
+
+@pytest.mark.parametrize("source", ["npz", "bvh", "glb"])
+@pytest.mark.parametrize("target", ["trc", "csv", "c3d"])
+def test_joints_of_any_motion_become_markers_with_z_up(folder, source, target):
+    if source != "npz":
+        convert(folder / "motion.npz", folder / f"motion.{source}", Options(names="smpl"))
+    wanted = Options(names="smpl")
+    notes = convert(folder / f"motion.{source}", folder / f"joints.{target}", wanted)
+    assert notes == ["left out: how the bones are turned"]
+    markers, joints = read_markers(folder / f"joints.{target}").points(), moving_body().joints()
+    for ours, theirs in (("elbow_l", "left_elbow"), ("hip_r", "right_hip"), ("neck", "neck")):
+        np.testing.assert_allclose(markers[theirs], joints[ours], atol=1e-5)
+
+
+@pytest.mark.parametrize("source", ["trc", "csv", "c3d"])
+@pytest.mark.parametrize("target", ["trc", "csv", "c3d"])
+def test_markers_survive_any_way(tmp_path, source, target):
+    points = {"A": np.arange(12.0).reshape(4, 3) / 7, "B b": np.full((4, 3), np.nan)}
+    points["B b"][2] = [0.1, -0.2, 0.3]
+    write_trc(tmp_path / "first.trc", np.arange(4) / 100 + 0.05, points)
+    convert(tmp_path / "first.trc", tmp_path / f"a.{source}")
+    assert convert(tmp_path / f"a.{source}", tmp_path / f"b.{target}") == []
+    markers = read_markers(tmp_path / f"b.{target}")
+    np.testing.assert_allclose(markers.times, np.arange(4) / 100 + 0.05, atol=1e-6)
+    for name, positions in points.items():
+        np.testing.assert_allclose(markers.points()[name], positions, atol=1e-6)
+
+
+def test_another_rate_draws_straight_lines_and_keeps_gaps(tmp_path):
+    points = np.array([[0.0, 0, 1], [1, 0, 1], [np.nan] * 3, [3, 0, 1], [4, 0, 1]])
+    write_trc(tmp_path / "a.trc", np.array([0, 0.1, 0.2, 0.3, 0.5]), {"A": points})
+    with pytest.raises(InputError, match=r"100 to 200 ms apart.*--rate"):
+        convert(tmp_path / "a.trc", tmp_path / "a.c3d")
+    convert(tmp_path / "a.trc", tmp_path / "a.c3d", Options(rate=20))
+    markers = read_markers(tmp_path / "a.c3d")
+    x = [0, 0.5, 1, np.nan, np.nan, np.nan, 3, 3.25, 3.5, 3.75, 4]
+    np.testing.assert_allclose(markers.positions[:, 0, 0], x, atol=1e-6)
+
+
+def test_a_motion_at_another_rate_turns_the_shortest_way(folder):
+    convert(folder / "motion.npz", folder / "fast.npz", Options(rate=240))
+    fast, motion = load_motion(folder / "fast.npz"), moving_body()
+    assert len(fast.times) == 4 * (SAMPLES - 1) + 1
+    np.testing.assert_allclose(fast.poses.angles[::4], motion.poses.angles, atol=1e-5)
+    halves = (motion.poses.angles[1:] + motion.poses.angles[:-1]) / 2
+    np.testing.assert_allclose(fast.poses.angles[2::4], halves, atol=1e-5)
+    a, b = (Rotation.from_quat(q, scalar_first=True) for q in
+            (motion.poses.quaternion[:-1], motion.poses.quaternion[1:]))  # fmt: skip
+    middle = Rotation.from_quat(fast.poses.quaternion[2::4], scalar_first=True)
+    np.testing.assert_allclose((middle.inv() * a).magnitude(), (b.inv() * middle).magnitude(),
+                               atol=1e-6)  # fmt: skip
+    assert ((middle.inv() * a).magnitude() < (b.inv() * a).magnitude() * 0.51).all()
+
+
+def test_bvh_files_say_what_they_leave_out(folder):
+    motion = moving_body()
+    position = np.array(motion.poses.position)
+    position[4] = np.nan
+    save_motion(folder / "a.npz", with_parts(motion, motion.times + 2.5, position))
+    notes = " ".join(convert(folder / "a.npz", folder / "a.bvh"))
+    assert "masses" in notes and "1 samples without a pose" in notes and "2.5 s, not 0" in notes
+
+
+def test_what_cannot_be_converted_is_refused_in_one_sentence(folder, recordings):
+    def complaint(source, target, **given) -> str:
+        with pytest.raises(InputError) as caught:
+            convert(folder / source, folder / target, Options(**given))
+        assert "\n" not in str(caught.value) and not (folder / target).exists()
+        return str(caught.value)
+
+    convert(folder / "motion.npz", folder / "a.trc")
+    convert(folder / "motion.npz", folder / "a.mot")
+    convert(folder / "motion.npz", folder / "a.bvh", Options(names="smpl"))
+    assert "places of markers are not turns of bones" in complaint("a.trc", "b.bvh")
+    assert "unknown suffix '.fbx', expected one of .c3d, .trc" in complaint("a.trc", "b.fbx")
+    assert "angles without bones" in complaint("a.mot", "b.bvh")
+    assert "expected a .npz, .bvh or .glb" in complaint("a.mot", "b.bvh", body=folder / "a.trc")
+    assert "--unit says nothing about .npz to .glb" in complaint("motion.npz", "b.glb", unit="cm")
+    assert "--names says nothing about .trc to .csv" in complaint("a.trc", "b.csv", names="smpl")
+    assert "no such file" in complaint("none.npz", "b.bvh")
+    text = (folder / "a.bvh").read_text()
+    (folder / "c.bvh").write_text(text.replace("left_elbow", "Ellbogen"))
+    assert "not our skeleton, whatever its joints" in complaint("c.bvh", "b.npz")
+    assert "no known convention" in complaint("c.bvh", "b.glb", names="vrm")
+    # The left wrist turned by 50 degrees, which ours cannot.
+    lines = text.splitlines()
+    values = lines[-1].split()
+    armature = read_bvh(folder / "a.bvh")
+    turning = [n for n in armature.names if not n.endswith("_end")]
+    values[3 + 3 * turning.index("left_wrist") + 1] = "50"
+    (folder / "d.bvh").write_text("\n".join([*lines[:-1], " ".join(values)]))
+    assert "hand_l at 0.983333 s: turned" in complaint("d.bvh", "b.npz")
+    shifted = text.replace("JOINT left_shoulder\n", "JOINT left_shoulder\n", 1)
+    i = shifted.index("OFFSET", shifted.index("JOINT left_collar"))
+    shifted = shifted[:i] + "OFFSET 0.05 0.2 0.0" + shifted[shifted.index("\n", i) :]
+    (folder / "e.bvh").write_text(shifted)
+    assert "left_collar starts elsewhere" in complaint("e.bvh", "b.npz")
+
+
+def test_angles_are_written_in_degrees_without_jumps(folder):
+    motion = moving_body()
+    convert(folder / "motion.npz", folder / "a.mot")
+    text = (folder / "a.mot").read_text().splitlines()
+    assert text[:6] == ["a", "version=1", f"nRows={SAMPLES}", "nColumns=28", "inDegrees=yes",
+                        "endheader"]  # fmt: skip
+    times, columns = read_mot(folder / "a.mot")
+    np.testing.assert_allclose(times, motion.times, atol=1e-9)
+    joint = motion.skeleton.tree.joints.index("elbow_flex_r")
+    np.testing.assert_allclose(
+        columns["elbow_flex_r"], np.asarray(motion.poses.angles)[:, joint], atol=1e-9
+    )
+    written = float(text[-1].split("\t")[text[6].split("\t").index("elbow_flex_r")])
+    assert written == pytest.approx(np.degrees(np.asarray(motion.poses.angles)[-1, joint]))
+    np.testing.assert_allclose(columns["pelvis_tx"], 1.5 * motion.times, atol=1e-8)
+    # It yaws from -2 to 1.93 radians.
+    np.testing.assert_allclose(columns["pelvis_yaw"], 4 * motion.times - 2, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("endheader", "", "no line 'endheader'"),
+        ("inDegrees=yes", "", "neither inDegrees=yes"),
+        ("time\t", "zeit\t", "line 7: found no 'time'"),
+        ("nRows=60", "nRows=61", "nRows is 61, but the file ends after 60"),
+        ("\tneck_flexion", "\tneck", "no column 'neck_flexion'"),
+        ("0.016666667\t", "0.016666667\tx\t", "line 9: found 29 columns, expected 28"),
+    ],
+)
+def test_bad_mot_files_are_refused_in_one_sentence(folder, old, new, said):
+    convert(folder / "motion.npz", folder / "a.mot")
+    text = (folder / "a.mot").read_text()
+    assert old in text
+    (folder / "a.mot").write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        convert(folder / "a.mot", folder / "b.npz", Options(body=folder / "motion.npz"))
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+# Comparing with ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("suffix", "elbow"), [("bvh", "LeftForeArm"), ("glb", "leftLowerArm")])
+def test_a_motion_is_compared_with_an_animation_file(folder, suffix, elbow):
+    motion = moving_body()
+    convert(folder / "motion.npz", folder / f"truth.{suffix}")
+    assert evaluate(motion, folder / f"truth.{suffix}", {"elbow_l": elbow}).mean < 1e-5
+    late = {name: points + np.array([0.03, 0, 0]) for name, points in motion.joints().items()}
+    write_trc(folder / "joints.trc", motion.times + 4, late)
+    arguments = ["evaluate", str(folder), str(folder / f"truth.{suffix}")]
+    arguments += ["--match", f"elbow_l={elbow}", "--json", str(folder / "errors.json")]
+    assert main([*arguments, "--offset", "4"]) == 0
+    errors = evaluate_directory(folder, folder / f"truth.{suffix}", {"elbow_l": elbow}, offset=4)
+    np.testing.assert_allclose(errors.offsets, np.broadcast_to([0.03, 0, 0], errors.offsets.shape),
+                               atol=1e-5)  # fmt: skip
+    assert main(arguments) == 2
+
+
+# The command -------------------------------------------------------------------------------------
+
+
+def test_the_command_converts_and_says_what_it_left_out(recordings, tmp_path, capsys):
+    serve, out = recordings / "motions" / "tennis_serve.c3d", tmp_path / "serve.trc"
+    assert main(["convert", str(serve), str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "left out: the labels' prefix Derrick:" in said and f"written: {out}" in said
+    there, back = read_markers(serve), read_markers(out)
+    assert back.names == there.names
+    np.testing.assert_allclose(back.positions, there.positions, atol=1e-6)
+
+
+def test_the_command_refuses_in_one_sentence_with_exit_code_2(folder, capsys):
+    assert main(["convert", str(folder / "motion.npz"), str(folder / "a.xyz")]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "unknown suffix '.xyz'" in said
+    with pytest.raises(SystemExit) as left:
+        main(["convert", "a.npz", "b.bvh", "--unit", "ell"])
+    assert left.value.code == 2
+    with pytest.raises(SystemExit):
+        main(["convert", "--help"])
+    assert "example: jaxmocap convert" in capsys.readouterr().out

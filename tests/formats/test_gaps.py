@@ -1,0 +1,126 @@
+"""Gaps are gaps: no file slides through them, and none grows by them."""
+
+import numpy as np
+import pytest
+from moving_body import RATE, SAMPLES, moving_body, with_parts
+
+from jaxmocap.formats.animation.export import write_animation
+from jaxmocap.formats.animation.gltf_in import read_gltf
+from jaxmocap.formats.convert import Options, convert
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.motion_npz import save_motion
+from jaxmocap.formats.time_series.gaps import LONGEST_BRIDGED_S, gaps
+from jaxmocap.formats.time_series.markers import read_markers
+from jaxmocap.formats.time_series.resampling import even_times
+from jaxmocap.formats.time_series.trc import write_trc
+
+HOURS = 7200.0
+MIDDLE = SAMPLES // 2
+
+
+def with_gap(seconds: float):
+    """The moving body, its second half later by so much."""
+    times = moving_body().times.copy()
+    times[MIDDLE:] += seconds
+    return with_parts(moving_body(), times=times)
+
+
+@pytest.mark.parametrize(
+    ("times", "expected"),
+    [
+        ([0.0], []),
+        ([0.0, 100.0], [False]),
+        ([0.0, 0.1, 0.2, 0.2 + LONGEST_BRIDGED_S, 1.2], [False, False, False, False]),
+        ([0.0, 0.1, 0.2, 0.8, 0.9], [False, False, True, False]),
+        ([0.0, 1.0, 2.0, 6.5, 7.5], [False, False, False, False]),
+        ([0.0, 1.0, 2.0, 7.5, 8.5], [False, False, True, False]),
+    ],
+)
+def test_a_gap_is_longer_than_half_a_second_and_five_samples(times, expected):
+    assert gaps(np.array(times)).tolist() == expected
+
+
+def test_a_viewer_stands_still_through_two_hours_and_then_jumps(tmp_path):
+    motion = with_gap(HOURS)
+    assert write_animation(tmp_path / "a.glb", motion) is None
+    back = read_gltf(tmp_path / "a.glb")
+    before, after = motion.times[MIDDLE - 1], motion.times[MIDDLE]
+    held = (back.times > before) & (back.times < after)
+    assert held.sum() == 1 and after - back.times[held][0] < 2 / RATE + 1e-3
+    last = back.positions[back.times <= before][-1]
+    np.testing.assert_array_equal(back.positions[held][0], last)
+    np.testing.assert_array_equal(back.rotations[held][0], back.rotations[MIDDLE - 1])
+    assert len(back.times) == SAMPLES + 1
+
+
+def test_a_pose_that_is_unknown_for_long_is_held_as_well(tmp_path):
+    position = np.array(moving_body().poses.position)
+    position[10 : SAMPLES - 5] = np.nan
+    write_animation(tmp_path / "a.glb", with_parts(moving_body(), position=position))
+    back = read_gltf(tmp_path / "a.glb")
+    assert len(back.times) == 15 + 1
+    np.testing.assert_array_equal(back.positions[10], back.positions[9])
+
+
+def test_samples_that_single_precision_throws_together_leave_the_glb_file_out(tmp_path):
+    said = write_animation(tmp_path / "a.glb", with_gap(1e9))
+    assert said and said.startswith("a.glb is left out: glTF holds times in single precision")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_bvh_file_with_a_gap_of_hours_is_left_out_and_says_why(tmp_path):
+    said = write_animation(tmp_path / "motion.bvh", with_gap(HOURS))
+    assert said and said.startswith("motion.bvh is left out: BVH has one rate only, and its 60")
+    assert "432" in said and "7200" in said and "\n" not in said
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_bvh_file_holds_its_poses_through_a_short_gap(tmp_path):
+    assert write_animation(tmp_path / "a.bvh", with_gap(2.0)) is None
+    back = read_markers(tmp_path / "a.bvh").positions
+    whole = tmp_path / "whole.bvh"
+    write_animation(whole, moving_body())
+    known = read_markers(whole).positions
+    within = back[MIDDLE:-MIDDLE]
+    assert len(within) == 2 * RATE
+    near = [np.abs(within - known[i]).max((1, 2)) < 2e-6 for i in (MIDDLE - 1, MIDDLE)]
+    assert (near[0] | near[1]).all() and near[0][0] and near[1][-1]
+
+
+@pytest.mark.parametrize("target", ["b.trc", "b.csv"])
+def test_markers_at_another_rate_are_missing_within_gaps(tmp_path, target):
+    times = np.array([0.0, 0.1, 0.2, 2.0, 2.1])
+    write_trc(tmp_path / "a.trc", times, {"Head": np.outer(times, [1, 2, 3])})
+    convert(tmp_path / "a.trc", tmp_path / target, Options(rate=20))
+    back = read_markers(tmp_path / target)
+    missing = np.isnan(back.positions).all((1, 2))
+    assert missing.tolist() == [bool(0.21 < t < 1.99) for t in back.times]
+    np.testing.assert_allclose(back.positions[~missing, 0, 0], back.times[~missing], atol=1e-6)
+
+
+@pytest.mark.parametrize("target", ["b.bvh", "b.glb", "b.npz", "b.mot", "b.trc"])
+@pytest.mark.parametrize(("rate", "gap"), [(1e9, 0.0), (60.0, 1e9), (1e300, 1e9)])
+def test_more_samples_than_any_recording_are_refused_before_they_are_made(
+    tmp_path, target, rate, gap
+):
+    save_motion(tmp_path / "a.npz", with_gap(gap))
+    with pytest.raises(InputError) as error:
+        convert(tmp_path / "a.npz", tmp_path / target, Options(rate=rate))
+    said = str(error.value)
+    assert f"a.npz: {rate:g} samples per second would be" in said and "expected at most" in said
+    assert not (tmp_path / target).exists()
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, np.nan, np.inf])
+def test_a_rate_that_is_none_is_refused(rate):
+    with pytest.raises(ValueError, match="expected a positive number"):
+        even_times(np.arange(3.0), rate)
+
+
+def test_a_motion_that_a_target_cannot_hold_is_refused_in_one_sentence(tmp_path):
+    save_motion(tmp_path / "a.npz", with_gap(1e9))
+    for target, said in (("b.glb", "single precision"), ("b.bvh", "one rate only")):
+        with pytest.raises(InputError) as error:
+            convert(tmp_path / "a.npz", tmp_path / target)
+        assert said in str(error.value) and "\n" not in str(error.value)
+        assert not (tmp_path / target).exists()

@@ -1,0 +1,135 @@
+"""Pictures from files: their size is known before they are decoded, whatever the file states."""
+
+import os
+import struct
+import subprocess
+import sys
+import zlib
+from contextlib import suppress
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from jaxmocap.capture.background_pictures import read_empty_room
+from jaxmocap.capture.photographs import is_picture_file, read_picture, write_picture
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.files.picture_size import picture_size
+
+PICTURE = np.random.default_rng(0).integers(0, 255, (30, 50, 3), np.uint8)
+SUFFIXES = ("png", "jpg", "bmp", "tiff", "webp", "ppm", "gif")
+# Generous: a decoded picture of 30000 x 30000 pixels takes 2700.
+LONGEST_S, MOST_MB = 60, 500
+
+
+def content(suffix: str) -> bytes:
+    return cv2.imencode(f".{suffix}", PICTURE)[1].tobytes()
+
+
+def chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def huge_png(side: int = 30_000) -> bytes:
+    """A valid picture, all black, of some kilobytes."""
+    rows = zlib.compressobj(9)
+    row = bytes(1 + side // 8)
+    data = b"".join(rows.compress(row) for _ in range(side)) + rows.flush()
+    header = struct.pack(">IIBBBBB", side, side, 1, 0, 0, 0, 0)
+    parts = chunk(b"IHDR", header) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + parts
+
+
+def complaint(path: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        read_picture(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    return caught.value.problem
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_the_header_tells_the_size_that_the_decoder_finds(tmp_path, suffix):
+    path = tmp_path / f"a.{suffix}"
+    path.write_bytes(content(suffix))
+    assert picture_size(content(suffix)) == (50, 30) and is_picture_file(path)
+    assert read_picture(path).shape == (30, 50, 3)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_picture_that_is_cut_off_anywhere_is_refused_or_read(tmp_path, suffix):
+    """A decoder may make up what is missing at the end; nothing else may happen."""
+    path, whole = tmp_path / f"a.{suffix}", content(suffix)
+    for end in (0, 1, 4, 11, 17, 25, 30, len(whole) // 2, len(whole) - 1):
+        path.write_bytes(whole[:end])
+        try:
+            assert read_picture(path).shape == (30, 50, 3)
+        except InputError as error:
+            assert "is not an image that can be read" in error.problem
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_nothing_is_printed_of_damage_whatever_comes_of_it(tmp_path, capfd, suffix):
+    path, whole, rng = tmp_path / f"a.{suffix}", content(suffix), np.random.default_rng(0)
+    for place in rng.integers(0, len(whole), 60):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x55]) + whole[place + 1 :])
+        with suppress(InputError):
+            read_picture(path)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_what_is_no_picture_is_refused(tmp_path):
+    path = tmp_path / "a.png"
+    assert complaint(path) == "no such file"
+    path.write_bytes(b"")
+    assert complaint(path) == "is not an image that can be read, it is empty"
+    path.write_bytes(b"text")
+    assert "expected PNG, JPEG, BMP, TIFF" in complaint(path)
+    path.write_bytes(b"\xff\xd8" + b"\xff" * 100_000)
+    assert "is not an image that can be read" in complaint(path)
+    path.unlink()
+    path.mkdir()
+    assert complaint(path) == "found a folder, expected a file"
+
+
+def test_a_pipe_is_refused_before_anything_is_read(tmp_path):
+    pytest.importorskip("resource", reason="this system has no limits of file sizes")
+    os.mkfifo(tmp_path / "a.png")
+    assert complaint(tmp_path / "a.png") == "found a named pipe, expected a file"
+
+
+MEASURED = """
+import resource, sys
+from pathlib import Path
+from jaxmocap.capture.background_pictures import read_empty_room
+from jaxmocap.formats.files.errors import InputError
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+try:
+    read_empty_room(Path(sys.argv[1]), (640, 480))
+except InputError as error:
+    print(error.problem)
+print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
+"""
+
+
+def test_a_huge_picture_is_refused_before_it_is_decoded(tmp_path):
+    pytest.importorskip("resource", reason="this system has no limits of file sizes")
+    (tmp_path / "room.png").write_bytes(huge_png())
+    done = subprocess.run(
+        [sys.executable, "-c", MEASURED, tmp_path / "room.png"],
+        capture_output=True, text=True, timeout=LONGEST_S, check=True,
+    )  # fmt: skip
+    said, size = done.stdout.splitlines()
+    assert said == "found an image of 30000 x 30000 pixels, expected up to 50 million"
+    assert int(size) < MOST_MB and done.stderr == ""
+
+
+def test_an_empty_room_of_another_size_is_refused(tmp_path):
+    (tmp_path / "room.png").write_bytes(content("png"))
+    with pytest.raises(InputError, match="found 50 × 30 pixels, expected 640 × 480"):
+        read_empty_room(tmp_path / "room.png", (640, 480))
+
+
+def test_a_picture_that_is_written_is_read_back(tmp_path):
+    path = write_picture(tmp_path / "a.png", PICTURE)
+    np.testing.assert_array_equal(read_picture(path), PICTURE)

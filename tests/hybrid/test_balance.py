@@ -1,0 +1,218 @@
+"""Balance in a squat: where the centre of gravity goes, and when the heuristic keeps still."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import double, on_device, poses
+from hypothesis import given
+
+from jaxmocap.body.kinematics import forward, landmarks
+from jaxmocap.body.mass import base_of_support, centre_of_gravity
+from jaxmocap.body.pose import relaxed_pose
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.hybrid import balance, ik
+from jaxmocap.hybrid.feet import on_held_feet
+from jaxmocap.hybrid.settings import IKSettings
+from jaxmocap.reference.hybrid import balance as reference
+
+FACTORS = jax.jit(balance.bow_factors)
+LANDMARKS_OF = jax.jit(landmarks)
+# Body heights in metres; None is the paper's subject.
+HEIGHTS = [None, 1.55, 1.75, 1.95]
+
+
+def body(height, held):
+    skeleton = Skeleton.human(height)
+    return on_held_feet(skeleton, ("l", "r")) if held else skeleton
+
+
+@jax.jit
+def squat(skeleton, start, depth, factors):
+    """One depth of a squat as the tracker goes through it: solve, bow, solve again."""
+    settings, goals = IKSettings.create(), balance.squat_goals(skeleton, depth)
+    foot = skeleton.diameters[skeleton.tree.bone("foot_l"), 0]
+    lift = foot - goals.targets[3, 2]
+    goals = goals._replace(targets=goals.targets.at[:, 2].add(lift))
+    pose, _ = ik.reach(skeleton, goals, settings, start)
+    bowed, free, bows = balance.bow_on_feet(skeleton, settings, pose, factors)
+    balanced, _ = ik.reach(skeleton, goals, settings, bowed, free)
+    return pose, balanced, bows, ik.goal_distances(skeleton, goals, balanced)
+
+
+def outside(skeleton, pose):
+    """By how much (metres) the centre of gravity is out of the box of ankles and toes."""
+    gravity = np.asarray(centre_of_gravity(skeleton, forward(skeleton, pose)))[:2]
+    points = dict(zip(LANDMARKS, np.asarray(LANDMARKS_OF(skeleton, pose)), strict=True))
+    feet = np.array([points[f"{name}_{side}"] for name in ("ankle", "toe") for side in "lr"])
+    low, high = base_of_support(feet)
+    return np.maximum(np.maximum(low - gravity, gravity - high), 0).max()
+
+
+def through_a_squat(skeleton, factors, depths=np.linspace(0, 0.3, 7)):  # noqa: B008
+    pose = relaxed_pose(skeleton)
+    for depth in depths:
+        pose, balanced, bows, distances = squat(skeleton, pose, jnp.asarray(depth, float), factors)
+        yield depth, pose, balanced, bool(bows), np.asarray(distances)
+
+
+@pytest.mark.parametrize("held", [False, True])
+@pytest.mark.parametrize("height", HEIGHTS)
+def test_the_centre_of_gravity_stays_above_the_feet_at_every_depth(height, held):
+    skeleton = body(height, held)
+    factors = FACTORS(skeleton, IKSettings.create())
+    for depth, _, balanced, bows, distances in through_a_squat(skeleton, factors):
+        assert outside(skeleton, balanced) < 1e-6, depth
+        assert distances.max() < 0.02, depth
+        assert bows == (depth > 0)
+
+
+@pytest.mark.parametrize("height", HEIGHTS)
+def test_without_the_bow_it_leaves_them(height):
+    """With markers on all five, what balance is there for happens."""
+    skeleton = body(height, held=False)
+    *_, (_, pose, _, _, _) = through_a_squat(skeleton, jnp.zeros(3))
+    assert outside(skeleton, pose) > 0.05
+
+
+def test_the_factors_follow_the_bodys_proportions():
+    settings = IKSettings.create()
+    paper = Skeleton.human()
+    bodies = [paper, Skeleton.human(1.55), Skeleton.human(1.95)]
+    long_femurs = np.array(paper.lengths)
+    long_femurs[[paper.tree.bone(f"femur_{side}") for side in "lr"]] *= 1.15
+    heavy_head = np.array(paper.masses)
+    heavy_head[paper.tree.bone("head")] *= 3
+    bodies.append(replace(paper, lengths=on_device(long_femurs)))
+    bodies.append(replace(paper, masses=on_device(heavy_head)))
+    found = np.array([FACTORS(each, settings) for each in bodies])
+    assert (found > 0).all()
+    assert np.ptp(found[:, 0]) > 0.1
+    gaps = np.abs(found[:, None, 0] - found[None, :, 0])[~np.eye(len(bodies), dtype=bool)]
+    assert gaps.min() > 1e-3
+    # The three bones share the bow in proportion to their ranges.
+    dofs = balance.spine_dofs(paper)
+    ranges = np.asarray(paper.limits)[dofs, 1] - np.asarray(paper.relaxed)[dofs]
+    np.testing.assert_allclose(found[0] / found[0, 0], ranges / ranges[0], rtol=1e-5)
+
+
+@jax.jit
+def bowed(skeleton, pose, factors):
+    return balance.bow_on_feet(skeleton, IKSettings.create(), pose, factors)
+
+
+@jax.jit
+def sunk_pose(skeleton, depth):
+    """The relaxed body with bent knees, its head ``depth`` metres lower, feet on the ground."""
+    goals = balance.squat_goals(skeleton, depth)
+    pose, _ = ik.reach(skeleton, goals, IKSettings.create(), relaxed_pose(skeleton))
+    ankle = landmarks(skeleton, pose)[list(LANDMARKS).index("ankle_l"), 2]
+    lift = skeleton.diameters[skeleton.tree.bone("foot_l"), 0] - ankle
+    return pose._replace(position=pose.position.at[2].add(lift))
+
+
+def test_the_bow_is_in_proportion_to_the_sinking_and_bends_forward(skeleton):
+    dofs = balance.spine_dofs(skeleton)
+    factors = jnp.array([0.3, 0.2, 0.1])
+    for depth in (0.1, 0.2, 0.3):
+        pose = sunk_pose(skeleton, depth)
+        after, free, bows = bowed(skeleton, pose, factors)
+        sunk = float(balance.sinking(skeleton, pose))
+        assert bool(bows) and sunk > 0.03
+        turned = np.asarray(after.angles - pose.angles)
+        np.testing.assert_allclose(turned[dofs], np.asarray(factors) * sunk, atol=1e-6)
+        np.testing.assert_array_equal(np.delete(turned, dofs), 0)
+        np.testing.assert_array_equal(np.flatnonzero(~np.asarray(free)), [3, 4, *(6 + dofs)])
+        # Positive is forward: the head goes ahead (+x).
+        head = list(LANDMARKS).index("vertex")
+        ahead = LANDMARKS_OF(skeleton, after)[head, 0] - LANDMARKS_OF(skeleton, pose)[head, 0]
+        assert ahead > 0.005
+
+
+def test_the_spine_bows_no_farther_than_it_can(skeleton):
+    after, _, _ = bowed(skeleton, sunk_pose(skeleton, 0.3), jnp.full(3, 100.0))
+    dofs = balance.spine_dofs(skeleton)
+    np.testing.assert_allclose(after.angles[dofs], np.asarray(skeleton.limits)[dofs, 1], atol=1e-6)
+
+
+def feet_at(skeleton, left, right):
+    """Ankles that much (metres) above where they stand."""
+    height = float(skeleton.diameters[skeleton.tree.bone("foot_l"), 0])
+    return jnp.array([[0.0, 0.1, height + left], [0.0, -0.1, height + right]]), height
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "stands"),
+    [
+        (0.0, 0.0, True),
+        (0.02, 0.0, True),
+        (0.06, 0.0, False),  # the left foot lifted
+        (0.0, 0.3, False),  # the right foot lifted
+        (0.2, 0.2, False),  # in flight
+    ],
+)
+def test_balance_is_for_those_who_stand_on_both_feet(skeleton, left, right, stands):
+    ankles, height = feet_at(skeleton, left, right)
+    for floor in (0.0, 1.5):
+        raised = ankles.at[:, 2].add(floor)
+        assert bool(balance.on_both_feet(raised, jnp.asarray(floor), height)) is stands
+        assert bool(reference.on_both_feet(np.asarray(raised), floor, height)) is stands
+
+
+def test_with_a_foot_lifted_the_pose_stays_as_it_is(skeleton):
+    pose = sunk_pose(skeleton, 0.2)
+    knee = skeleton.tree.joint("knee_flexion_l")
+    lifted = pose._replace(angles=pose.angles.at[knee].add(0.5))
+    after, free, bows = bowed(skeleton, lifted, jnp.ones(3))
+    assert not bows and bool(free.all())
+    np.testing.assert_array_equal(after.angles, lifted.angles)
+    flying = pose._replace(position=pose.position.at[2].add(0.3))
+    assert not bowed(skeleton, flying, jnp.ones(3))[2]
+
+
+def test_who_stands_upright_is_left_alone(skeleton):
+    pose = sunk_pose(skeleton, 0.0)
+    after, free, bows = bowed(skeleton, pose, jnp.ones(3))
+    assert not bows and bool(free.all())
+    np.testing.assert_array_equal(after.angles, pose.angles)
+
+
+@jax.jit
+def measured(skeleton, settings, pose, factors):
+    bow = balance.bow_on_feet(skeleton, settings, pose, factors)
+    return bow, balance.sinking(skeleton, pose), balance.imbalance(skeleton, pose)
+
+
+def with_bent_legs(skeleton, pose):
+    """The same trunk and arms on two feet, side by side, knees bent."""
+    angles, bend = pose.angles.copy(), 0.3 + 0.5 * abs(pose.quaternion[0])
+    for side in "lr":
+        for name, share in (("flexion", 0.6), ("abduction", 0.1), ("rotation", 0.0)):
+            angles[skeleton.tree.joint(f"hip_{name}_{side}")] = share * bend
+        angles[skeleton.tree.joint(f"knee_flexion_{side}")] = bend
+    half = pose.position[2]
+    return pose._replace(angles=angles, quaternion=np.array([np.cos(half), 0, 0, np.sin(half)]))
+
+
+@given(pose=poses())
+def test_double_precision_agrees_with_the_reference(skeleton64, pose):
+    factors, body64 = np.array([0.7, 1.1, 0.4]), jax.tree.map(np.asarray, skeleton64)
+    foot = float(skeleton64.diameters[skeleton64.tree.bone("foot_l"), 0])
+    for tried, on_feet in ((pose, False), (with_bent_legs(skeleton64, pose), True)):
+        with double():
+            floor = reference.ankles(body64, tried)[0, 2] - foot
+            settings = IKSettings.create(floor=floor)
+            ours, sunk, (ahead, out) = measured(
+                skeleton64, settings, on_device(tried), on_device(factors)
+            )
+        theirs = reference.bow_on_feet(body64, settings, tried, factors)
+        assert bool(ours[2]) == theirs[2]
+        assert theirs[2] or not on_feet
+        np.testing.assert_allclose(ours[0].angles, theirs[0].angles, rtol=1e-9, atol=1e-12)
+        np.testing.assert_array_equal(ours[1], theirs[1])
+        assert float(sunk) == pytest.approx(reference.sinking(body64, tried), abs=1e-12)
+        expected = reference.imbalance(body64, tried)
+        assert float(ahead) == pytest.approx(expected[0], abs=1e-9)
+        assert float(out) == pytest.approx(expected[1], abs=2e-9)

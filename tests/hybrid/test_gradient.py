@@ -1,0 +1,304 @@
+"""Gradient refinement: finds displaced elbows, holds markers and limits, is differentiable."""
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import LIMITS, double, on_device
+from drawn_arms import arm_pose
+from watched_arms import (
+    FRONT,
+    GRIPS,
+    MARKERS,
+    PERSON,
+    SIZE,
+    TRUTH,
+    arms_in,
+    elbow_errors,
+    observed,
+    pictures,
+    stacked,
+    true_arms,
+)
+
+from jaxmocap.body.arms import arm_dofs, hang, swing
+from jaxmocap.body.kinematics import Sites, forward, site_positions
+from jaxmocap.body.pose import Pose, retract
+from jaxmocap.hybrid import gradient, steps
+from jaxmocap.hybrid.feet import Stance, effectors
+from jaxmocap.hybrid.ik import Goals, goals_of
+from jaxmocap.hybrid.settings import GradientSettings, IKSettings, Settings
+from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.smoothing.trajectory import all_turned
+from jaxmocap.solvers.status import Status
+
+pytestmark = pytest.mark.usefixtures("plainly_compiled")
+
+CAMERAS = stacked(FRONT)
+DOFS = arm_dofs(PERSON.tree)
+HELD = effectors(PERSON, MARKERS)
+ANKLES = [PERSON.tree.bone(f"foot_{side}") for side in "lr"]
+FREE = jnp.ones(PERSON.costs.shape, bool)
+# No search: the edges and the markers alone must do it.
+ALONE = Settings(region=SIZE, search=False, descent=GradientSettings.create(steps=40))
+
+
+def markers_of(pose) -> np.ndarray:
+    return np.asarray(site_positions(PERSON, forward(PERSON, on_device(pose)), MARKERS))
+
+
+def goals_for(pose, mask=(True, True, True)) -> Goals:
+    """The markers and feet of a pose."""
+    frames = forward(PERSON, on_device(pose))
+    stance = Stance(frames.joints_world[np.array(ANKLES)], jnp.zeros((), bool))
+    targets = jnp.where(jnp.array(mask)[:, None], jnp.asarray(markers_of(pose)), jnp.nan)
+    return goals_of(PERSON, HELD, IKSettings.create(), stance, targets, jnp.array(mask))
+
+
+@jax.jit
+def _refined(chosen, cameras, seen, start, targets, weights, elbows, centre):
+    goals = Goals(HELD.sites, targets, weights)
+    aims = gradient.Aims(goals, elbows, centre, FREE)
+    return gradient.refine_body(chosen, PERSON, cameras, seen, start, GRIPS, aims)
+
+
+def refined(start, seen=None, goals=None, chosen=ALONE, elbows=None):
+    """From a start, which is the priors' centre too."""
+    seen = observed(pictures(FRONT), CAMERAS, arms_in(start)) if seen is None else seen
+    goals = goals_for(TRUTH) if goals is None else goals
+    elbows = arms_in(start).elbow if elbows is None else elbows
+    return _refined(chosen, CAMERAS, seen, start, goals.targets, goals.weights, elbows, start)
+
+
+@jax.jit
+def _swung(pose, moves):
+    return swing(hang(PERSON, pose, GRIPS), moves)[1]
+
+
+def pose_off_by(left: float, right: float) -> Pose:
+    """The true pose, its elbows swivelled away."""
+    start = on_device(TRUTH)
+    moves = jnp.zeros((2, 4)).at[:, 0].set(jnp.array([left, right], jnp.float32))
+    return start._replace(angles=start.angles.at[DOFS].set(_swung(start, moves)))
+
+
+@pytest.mark.parametrize("off", [(0.45, 0.0), (-0.3, -0.3), (0.25, -0.25)])
+def test_elbows_that_were_moved_away_come_back_to_their_edges(off):
+    start = pose_off_by(*off)
+    moved = np.array(off) != 0
+    before = elbow_errors(arms_in(start).elbow)
+    assert (before[moved] > 0.035).all()
+    found = refined(start)
+    assert int(found.status) == Status.CONVERGED
+    assert (elbow_errors(arms_in(found.pose).elbow) < 0.02).all()
+
+
+def test_an_elbow_eight_centimetres_away_comes_back():
+    start = pose_off_by(0.6, 0.0)
+    assert elbow_errors(arms_in(start).elbow)[0] > 0.08
+    assert elbow_errors(arms_in(refined(start).pose).elbow)[0] < 0.02
+
+
+def test_markers_are_held_while_the_edges_pull():
+    found = refined(pose_off_by(-0.3, 0.25)).pose
+    assert np.linalg.norm(markers_of(found) - markers_of(TRUTH), axis=1).max() < 0.01
+
+
+def test_a_trunk_that_leans_wrongly_is_set_right_by_both_arms():
+    """Three markers leave the shoulders uncertain: their place comes from the arms' outlines."""
+    start = on_device(TRUTH)
+    spine = PERSON.tree.joint("spine2_flexion")
+    start = start._replace(angles=start.angles.at[spine].add(0.12))
+    apart = lambda pose: np.linalg.norm(  # noqa: E731
+        np.asarray(arms_in(pose).shoulder) - np.asarray(true_arms().shoulder), axis=1
+    )
+    assert apart(start).min() > 0.03
+    assert (apart(refined(start).pose) < 0.6 * apart(start)).all()
+
+
+@pytest.mark.parametrize("off", [(1.2, -1.2), (-1.2, 1.2)])
+def test_joints_stay_within_their_range_however_the_start_lies(off):
+    angles = np.asarray(refined(pose_off_by(*off)).pose.angles)
+    assert (angles >= LIMITS[:, 0] - 1e-6).all() and (angles <= LIMITS[:, 1] + 1e-6).all()
+
+
+@pytest.mark.parametrize("lost", range(3))
+def test_a_missing_marker_leaves_the_others_held(lost):
+    mask = [i != lost for i in range(3)]
+    found = refined(pose_off_by(0.25, -0.25), goals=goals_for(TRUTH, mask))
+    missed = np.linalg.norm(markers_of(found.pose) - markers_of(TRUTH), axis=1)
+    assert np.isfinite(missed).all()
+    assert missed[mask].max() < 0.01
+    assert (elbow_errors(arms_in(found.pose).elbow) < 0.06).all()
+
+
+def test_a_black_image_leaves_the_pose_as_it_was():
+    start = pose_off_by(0.25, -0.25)
+    black = [np.zeros((480, 640), np.uint8)]
+    found = refined(start, seen=observed(black, CAMERAS, arms_in(start)))
+    assert int(found.status) == Status.CONVERGED and int(found.steps) == 0
+    for part, same in zip(found.pose, start, strict=True):
+        np.testing.assert_array_equal(part, same)
+
+
+def test_an_arm_that_is_not_seen_stays_within_its_prior():
+    start = pose_off_by(-0.3, -0.3)
+    seen = observed(pictures(FRONT), CAMERAS, arms_in(start))
+    found = refined(start, seen=seen._replace(seen=np.array([[True, False]])))
+    after = elbow_errors(arms_in(found.pose).elbow)
+    assert after[0] < 0.02
+    moved = np.linalg.norm(np.asarray(arms_in(found.pose).elbow - arms_in(start).elbow), axis=1)
+    assert moved[1] < 0.02
+
+
+def test_a_searched_elbow_draws_and_a_wild_one_hardly_more():
+    """Long tails: an elbow half a metre off must not tear the hands from their markers."""
+    start = pose_off_by(-0.3, 0.0)
+    seen = observed(pictures(FRONT), CAMERAS, arms_in(start))
+    seen = seen._replace(fields=np.full_like(np.asarray(seen.fields), 10.0))
+    chosen = replace(ALONE, search=True)
+    told = refined(start, seen=seen, chosen=chosen, elbows=true_arms().elbow)
+    assert elbow_errors(arms_in(told.pose).elbow)[0] < 0.03
+    wild = true_arms().elbow + jnp.array([0.0, 0.0, 0.5])
+    torn = refined(start, seen=seen, chosen=chosen, elbows=wild)
+    assert np.linalg.norm(markers_of(torn.pose) - markers_of(TRUTH), axis=1).max() < 0.02
+
+
+def test_running_out_of_steps_is_told():
+    few = replace(ALONE, descent=GradientSettings.create(steps=2))
+    assert int(refined(pose_off_by(0.45, -0.45), chosen=few).status) == Status.OUT_OF_STEPS
+
+
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.4, -0.3, 0.2)])
+def test_the_points_derivative_is_that_of_the_tree(turn):
+    """By the pose the geometric Jacobian, by lengths and marker offsets the plain one."""
+    with double():
+        body = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), float), PERSON)
+        pose = on_device(TRUTH)
+        sites = Sites(HELD.sites.bones, on_device(HELD.sites.at), on_device(HELD.sites.offsets))
+        bones = tuple(sites.bones.tolist())
+        step = jnp.zeros(27).at[3:6].set(jnp.array(turn))
+
+        def ours(step, lengths, offsets):
+            moved = retract(pose, step)
+            person = replace(body, lengths=lengths)
+            return gradient.points_on(bones, person, moved, sites.at, offsets)
+
+        def plain(step, lengths, offsets):
+            frames = forward(replace(body, lengths=lengths), retract(pose, step))
+            person = replace(body, lengths=lengths)
+            return site_positions(person, frames, sites._replace(offsets=offsets))
+
+        arguments = (step, body.lengths, sites.offsets)
+        expected = jax.jit(jax.jacfwd(plain, (0, 1, 2)))(*arguments)
+        for way in (jax.jacfwd, jax.jacrev):
+            for a, b in zip(jax.jit(way(ours, (0, 1, 2)))(*arguments), expected, strict=True):
+                np.testing.assert_allclose(a, b, atol=1e-9)
+
+
+STRAIGHT = arm_pose(
+    PERSON,
+    {"arm_flex": (0, 0), "arm_abduct": (90, 90), "arm_rot": (0, 0), "elbow_flex": (0, 0)},
+)
+END_ON = arm_pose(
+    PERSON,
+    {"arm_flex": (90, 90), "arm_abduct": (0, 0), "arm_rot": (0, 0), "elbow_flex": (0, 0)},
+)
+
+
+@jax.jit
+@partial(jax.grad, argnums=3)
+def _by_targets(start, seen, elbows, targets, weights):
+    aims = gradient.Aims(Goals(HELD.sites, targets, weights), elbows, start, FREE)
+    found = gradient.refine_body(ALONE, PERSON, CAMERAS, seen, start, GRIPS, aims)
+    return jnp.sum(found.pose.angles**2)
+
+
+@pytest.mark.parametrize("pose", [STRAIGHT, END_ON, TRUTH], ids=["stretched", "end-on", "bent"])
+def test_derivatives_are_finite_at_stretched_arms(pose):
+    start, goals = on_device(pose), goals_for(pose)
+    seen = observed(pictures(FRONT), CAMERAS, arms_in(start))
+    found = _by_targets(start, seen, arms_in(start).elbow, goals.targets, goals.weights)
+    assert np.isfinite(found).all() and np.abs(found).max() > 0
+
+
+def test_the_tracked_pose_moves_with_lengths_camera_and_offsets_as_finite_differences_say():
+    """A camera that is moved, turned and zooms; on plain fields, in double precision."""
+    single, goals = observed(pictures(FRONT), CAMERAS, true_arms()), goals_for(TRUTH)
+    with double():
+        body = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), float), PERSON)
+        camera = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), float), CAMERAS)
+        start = on_device(TRUTH)
+        grip = Sites(GRIPS.bones, on_device(GRIPS.at), on_device(GRIPS.offsets))
+        rows, columns = np.indices((SIZE, SIZE))
+        # Interpolation leaves out a field's curvature: on a slope there is none.
+        slope = 6 + 0.05 * columns + 0.08 * rows
+        fields = np.broadcast_to(slope, (1, 2, 1, SIZE, SIZE)).astype(float)
+        seen = single._replace(
+            region=jax.tree.map(lambda part: jnp.asarray(np.asarray(part), float), single.region),
+            fields=jnp.asarray(fields),
+        )
+        targets, weights = (
+            jnp.asarray(np.asarray(part), float) for part in (goals.targets, goals.weights)
+        )
+        chosen = Settings(
+            region=SIZE, search=False, directions=1,
+            descent=GradientSettings.create(steps=300, tolerance=1e-9),
+        )  # fmt: skip
+
+        def elbows(parameters):
+            longer, shifted, offset, turn, zoom = parameters
+            person = replace(body, lengths=body.lengths * (1 + longer))
+            moved = replace(
+                all_turned(camera, turn * jnp.array([[0.5, 0.6, 0.4]])),
+                matrix=camera.matrix.at[:, :2, :2].multiply(1 + zoom, unique_indices=True),
+            )
+            moved = replace(moved, T_cam_world=moved.T_cam_world.at[0, 0, 3].add(shifted))
+            sites = Sites(
+                HELD.sites.bones, jnp.asarray(np.asarray(HELD.sites.at), float),
+                jnp.zeros((5, 3)).at[1, 0].set(offset),
+            )  # fmt: skip
+            aims = gradient.Aims(
+                Goals(sites, targets, weights), jnp.zeros((2, 3)), start, FREE,
+            )  # fmt: skip
+            pose = gradient.refine_body(chosen, person, moved, seen, start, grip, aims).pose
+            frames = forward(person, pose)
+            return frames.joints_world[np.array([person.tree.bone("radius_l")])][0]
+
+        # Elbow and derivative along a parameter, in one compilation.
+        along = jax.jit(lambda at, way: jax.jvp(elbows, (at,), (way,)))
+        # Plain fields tell little of a camera's turn and of its focal length.
+        for way in jnp.diag(jnp.array([1e-5, 1e-5, 1e-5, 1e-4, 1e-4])):
+            ahead, behind = (along(at, way)[0] for at in (way, -way))
+            found = np.asarray(along(0 * way, way)[1])
+            assert np.abs(found).max() > 2e-8
+            np.testing.assert_allclose(found, (ahead - behind) / 2, atol=1e-3 * np.abs(found).max())
+
+
+def test_one_trace_over_twenty_frames_whatever_comes(monkeypatch):
+    traced, refine = [], steps.refine
+
+    def telling(*arguments):
+        traced.append("refine")
+        return refine(*arguments)
+
+    monkeypatch.setattr(steps, "refine", telling)
+    steps._programs.cache_clear()
+    tracker = HybridTracker(PERSON, [FRONT], Settings(refine="gradient", region=64), MARKERS)
+    steps._programs.cache_clear()
+    (picture,) = pictures(FRONT)
+    state, elbows = tracker.init(markers_of(TRUTH)), np.zeros((2, 3))
+    for i in range(20):
+        markers = markers_of(TRUTH) + 0.01 * np.sin(i)
+        if i in (5, 6):
+            markers[i - 5] = np.nan
+        image = {3: np.zeros_like(picture), 7: None}.get(i, picture)
+        state, pose, report = tracker.step(state, i / 30, markers, [image])
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((state, pose)))
+        assert int(report.ending) in set(Status)
+        elbows = arms_in(pose).elbow
+    assert traced == ["refine"]
+    assert (elbow_errors(elbows) < 0.05).all()

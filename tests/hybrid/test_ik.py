@@ -1,0 +1,494 @@
+"""Inverse kinematics: the equations against the reference, and what it promises of bodies."""
+
+from functools import partial
+from itertools import product
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import LIMITS, double, on_device, poses, vectors
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jaxmocap.body.kinematics import Sites, forward, jacobian, landmark_sites, landmarks
+from jaxmocap.body.kinematics import site_positions as positions
+from jaxmocap.body.pose import Pose, relaxed_pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.geometry.rotations import quaternion_to_matrix
+from jaxmocap.hybrid import feet, ik
+from jaxmocap.hybrid.settings import IKSettings
+from jaxmocap.reference import kinematics as reference_kinematics
+from jaxmocap.reference.hybrid import ik as reference
+
+NAMES = ("vertex", "wrist_l", "wrist_r", "ankle_l", "ankle_r")
+# A step in float32 may lie this far from double precision, weighted radians: the singular
+# directions of a nearly stretched limb are known no better.
+FLOAT32_STEP = 2e-3
+
+
+def five(skeleton: Skeleton) -> Sites:
+    """The paper's end effectors: head, hands, feet."""
+    return landmark_sites(skeleton, NAMES)
+
+
+@jax.jit
+def step(skeleton, chosen, pose, targets, weights, free):
+    return ik.ik_step(skeleton, ik.Goals(five(skeleton), targets, weights), chosen, pose, free)
+
+
+@jax.jit
+def step_with_wishes(skeleton, chosen, pose, targets, weights, free, elbows):
+    sites = landmark_sites(skeleton, ("elbow_l", "elbow_r"))
+    wishes = ik.Goals(sites, elbows, jnp.ones_like(elbows[:, 0]))
+    goals = ik.Goals(five(skeleton), targets, weights)
+    return ik.ik_step(skeleton, goals, chosen, pose, free, wishes, 0.8)
+
+
+@jax.jit
+def points_of(skeleton, pose):
+    return positions(skeleton, forward(skeleton, pose), five(skeleton))
+
+
+@jax.jit
+def solve(skeleton, chosen, pose, feet, targets, mask):
+    held = feet.effectors(skeleton, landmark_sites(skeleton, NAMES[:3]))
+    return ik.solve_ik(skeleton, held, chosen, pose, feet, targets, mask)
+
+
+@jax.jit
+def place(skeleton, chosen, targets, mask):
+    held = feet.effectors(skeleton, landmark_sites(skeleton, NAMES[:3]))
+    return feet.place(skeleton, held, chosen, targets, mask)
+
+
+@jax.jit
+def secondary(skeleton, pose, chosen):
+    return ik.secondary_task(skeleton, forward(skeleton, pose), pose, chosen)
+
+
+LANDMARKS_OF = jax.jit(landmarks)
+EVERYTHING = np.ones(27, bool)
+
+
+def goals_near(skeleton, pose, seed, size=0.1):
+    """Random targets around the effectors of a pose, weights with an absent one now and then."""
+    rng = np.random.default_rng(seed)
+    with double():
+        body, sites = plain(skeleton), plain(five(skeleton))
+        frames = reference_kinematics.forward(body, pose)
+        points = reference_kinematics.site_positions(body, frames, sites)
+    targets = points + rng.normal(size=(5, 3)) * size
+    return targets, np.array([1, 1, 1, 0.5, 0.5]) * (rng.uniform(size=5) < 0.8)
+
+
+def plain(tree):
+    """The same in NumPy: the reference takes one number at a time."""
+    return jax.tree.map(np.asarray, tree)
+
+
+def reference_step(skeleton, chosen, pose, targets, weights, free=EVERYTHING, *wishes):
+    """One step by the reference, of the paper's five."""
+    goals = reference.Goals(plain(five(skeleton)), targets, weights)
+    return reference.ik_step(plain(skeleton), goals, chosen, pose, free, *wishes)
+
+
+def compared(ours, theirs, tolerance):
+    for part, expected in zip(ours[0], theirs[0], strict=True):
+        np.testing.assert_allclose(part, expected, rtol=tolerance, atol=tolerance)
+    np.testing.assert_allclose(ours[1:], theirs[1:], rtol=tolerance, atol=tolerance)
+
+
+@given(pose=poses(), seed=st.integers(0, 2**20), size=st.floats(0.001, 0.3))
+def test_a_step_is_the_references_in_double_precision(skeleton64, pose, seed, size):
+    targets, weights = goals_near(skeleton64, pose, seed, size)
+    free = np.random.default_rng(seed).uniform(size=27) < 0.9
+    with double():
+        chosen = IKSettings.create()
+        arguments = (on_device(targets), on_device(weights), jnp.asarray(free))
+        ours = step(skeleton64, chosen, on_device(pose), *arguments)
+        theirs = reference.ik_step(
+            plain(skeleton64),
+            reference.Goals(plain(five(skeleton64)), targets, weights),
+            chosen,
+            pose,
+            free,
+        )
+    compared(ours, theirs, 1e-9)
+
+
+@given(pose=poses(), seed=st.integers(0, 2**20))
+def test_a_step_with_wishes_is_the_references(skeleton64, pose, seed):
+    targets, weights = goals_near(skeleton64, pose, seed)
+    elbows = np.random.default_rng(seed).normal(size=(2, 3)) * 0.3
+    with double():
+        chosen = IKSettings.create()
+        sites = landmark_sites(skeleton64, ("elbow_l", "elbow_r"))
+        ours = step_with_wishes(
+            skeleton64, chosen, on_device(pose), on_device(targets), on_device(weights),
+            jnp.asarray(EVERYTHING), on_device(elbows),
+        )  # fmt: skip
+        theirs = reference_step(
+            skeleton64, chosen, pose, targets, weights, EVERYTHING,
+            reference.Goals(plain(sites), elbows, np.ones(2)), 0.8,
+        )  # fmt: skip
+    compared(ours, theirs, 1e-8)
+
+
+@jax.jit
+def solved(skeleton, chosen, pose, targets, weights):
+    return ik.reach(skeleton, ik.Goals(five(skeleton), targets, weights), chosen, pose)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_whole_solve_is_the_references_in_double_precision(skeleton64, seed):
+    with double():
+        start = plain(relaxed_pose(skeleton64))
+    targets, weights = goals_near(skeleton64, start, seed, 0.15)
+    with double():
+        chosen = IKSettings.create()
+        arguments = (on_device(start), on_device(targets), on_device(weights))
+        pose, count = solved(skeleton64, chosen, *arguments)
+        goals = reference.Goals(plain(five(skeleton64)), targets, weights)
+        expected, steps = reference.reach(plain(skeleton64), goals, chosen, start)
+    assert int(count) == steps
+    # Rounding grows along some tens of steps.
+    for part, theirs in zip(pose, expected, strict=True):
+        np.testing.assert_allclose(part, theirs, rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_pose_that_is_returned_is_the_one_that_met_its_goals(skeleton64, seed):
+    # Near the limits a step that is cut short there may lead away from goals that were met.
+    rng, (low, high) = np.random.default_rng(seed), LIMITS.T
+    with double():
+        pose = plain(relaxed_pose(skeleton64))
+    near = pose.angles + rng.normal(size=len(low)) * (high - low)
+    near = np.clip(near, low + 0.005, high - 0.005)
+    moved = np.clip(near + 0.02 * rng.normal(size=len(low)), low, high)
+    with double():
+        chosen = IKSettings.create(settle=1, rest=0.0)
+        targets = points_of(skeleton64, on_device(pose._replace(angles=moved)))
+        start, weights = on_device(pose._replace(angles=near)), on_device(np.ones(5))
+        found, count = solved(skeleton64, chosen, start, targets, weights)
+        missed = np.linalg.norm(points_of(skeleton64, found) - targets, axis=1).max()
+    assert missed <= float(chosen.tolerance) or int(count) == int(chosen.iterations)
+
+
+@given(pose=poses(), seed=st.integers(0, 2**20))
+def test_a_step_in_float32_stays_within_its_tolerance(skeleton, skeleton64, pose, seed):
+    inner = pose._replace(angles=0.8 * pose.angles + 0.2 * np.asarray(skeleton64.relaxed))
+    targets, weights = goals_near(skeleton64, inner, seed)
+    with double():
+        chosen = IKSettings.create()
+        theirs = reference_step(skeleton64, chosen, inner, targets, weights)
+    arguments = (on_device(targets), on_device(weights), jnp.asarray(EVERYTHING))
+    ours = step(skeleton, IKSettings.create(), on_device(inner), *arguments)
+    assert ours[0].angles.dtype == jnp.float32
+    assert np.abs(ours[0].angles - theirs[0].angles).max() < FLOAT32_STEP
+    assert np.abs(ours[0].position - theirs[0].position).max() < FLOAT32_STEP
+    assert float(ours[2]) == pytest.approx(theirs[2], abs=1e-5)
+
+
+@given(pose=poses(beyond=0.3))
+def test_the_secondary_task_is_the_references(skeleton64, pose):
+    with double():
+        chosen = IKSettings.create()
+        start = on_device(pose)
+        task = secondary(skeleton64, start, chosen)
+    body = plain(skeleton64)
+    expected = reference.secondary_task(
+        body, reference_kinematics.forward(body, pose), pose, chosen
+    )
+    np.testing.assert_allclose(task, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_the_secondary_task_relaxes_and_rights_the_body(skeleton):
+    relaxed = relaxed_pose(skeleton)
+    chosen = IKSettings.create()
+    np.testing.assert_allclose(secondary(skeleton, relaxed, chosen), 0, atol=1e-7)
+    bent = relaxed._replace(
+        angles=relaxed.angles + 0.2, quaternion=jnp.array([1.0, 0.1, 0, 0]) / np.sqrt(1.01)
+    )
+    step_back = np.asarray(secondary(skeleton, bent, chosen))
+    assert (step_back[6:] <= 0).all() and step_back[6:].min() < -1e-3
+    # Leaning about +x, it is turned back about -x, and about nothing else.
+    assert step_back[3] < -1e-3
+    np.testing.assert_allclose(step_back[[0, 1, 2, 4, 5]], 0, atol=1e-7)
+
+
+@given(pose=poses(), gain=st.floats(1e-5, 1e-4))
+def test_the_secondary_task_moves_no_end_effector(skeleton64, pose, gain):
+    inner = pose._replace(angles=0.8 * pose.angles + 0.1)
+    with double():
+        chosen = IKSettings.create(relaxation=gain, uprightness=gain)
+        start = on_device(inner)
+        points = points_of(skeleton64, start)
+        moved, largest, _ = step(
+            skeleton64, chosen, start, points, jnp.ones(5), jnp.asarray(EVERYTHING)
+        )
+        apart = np.abs(np.asarray(points_of(skeleton64, moved)) - np.asarray(points)).max()
+    # To first order nothing; what is left falls with the square of the step.
+    assert apart < 30 * float(largest) ** 2 + 1e-12
+    assert float(largest) > 1e-4 * gain
+
+
+@given(pose=poses(), seed=st.integers(0, 2**20))
+def test_a_small_step_is_the_cheapest_that_reaches(skeleton64, pose, seed):
+    """Equation (4): of all steps that reach, the one with the least sum of (mu_j theta_j)^2."""
+    inner = pose._replace(angles=0.6 * pose.angles + 0.4 * np.asarray(skeleton64.relaxed))
+    rng = np.random.default_rng(seed)
+    with double():
+        chosen = IKSettings.create(relaxation=0.0, uprightness=0.0)
+        start = on_device(inner)
+        points = np.asarray(points_of(skeleton64, start))
+        error = rng.normal(size=(5, 3)) * 1e-7
+        moved, _, _ = step(
+            skeleton64, chosen, start, on_device(points + error), jnp.ones(5),
+            jnp.asarray(EVERYTHING),
+        )  # fmt: skip
+        frames = forward(skeleton64, start)
+        J = np.asarray(jacobian(skeleton64, frames, five(skeleton64).bones, on_device(points)))
+    mu = np.asarray(skeleton64.costs)
+    cheapest = np.linalg.pinv(J.reshape(15, 27) / mu) @ error.ravel() / mu
+    low, high = LIMITS.T
+    clear = (inner.angles > low + 1e-3) & (inner.angles < high - 1e-3)
+    if clear.all():
+        taken = np.asarray(moved.angles) - inner.angles
+        np.testing.assert_allclose(taken, cheapest[6:], rtol=1e-3, atol=1e-10)
+
+
+def random_pose(skeleton: Skeleton, seed: int, share: float = 0.6) -> Pose:
+    """A standing pose, arms ``share`` of the way to anywhere in their range, turned anywhere."""
+    rng = np.random.default_rng(seed)
+    angles = np.array(skeleton.relaxed, float)
+    low, high = LIMITS.T
+    for i, name in enumerate(skeleton.tree.joints):
+        if name.startswith(("arm", "elbow")):
+            angles[i] += share * (rng.uniform(low[i], high[i]) - angles[i])
+        elif name.startswith(("spine", "neck")):
+            angles[i] += 0.3 * (rng.uniform(low[i], high[i]) - angles[i])
+    half = rng.uniform(-np.pi, np.pi) / 2
+    turned = np.array([np.cos(half), 0, 0, np.sin(half)])
+    pose = on_device(Pose(np.append(rng.uniform(-1, 1, 2), 0.0), turned, angles))
+    ground = float(skeleton.diameters[skeleton.tree.bone("foot_l"), 0])
+    lift = ground - float(points_of(skeleton, pose)[3:, 2].min())
+    return pose._replace(position=pose.position.at[2].add(lift))
+
+
+def settled(skeleton, targets, frames=8, mask=None):
+    """The answer after some frames of the same markers, from the relaxed pose."""
+    mask = jnp.ones(3, bool) if mask is None else mask
+    chosen = IKSettings.create()
+    pose, feet = place(skeleton, chosen, targets, mask)
+    for _ in range(frames):
+        result = solve(skeleton, chosen, pose, feet, targets, mask)
+        pose, feet = result.pose, result.stance
+    return result
+
+
+def misses(skeleton, pose, targets):
+    apart = np.asarray(points_of(skeleton, pose))[: len(targets)] - np.asarray(targets)
+    return np.linalg.norm(apart, axis=1)
+
+
+@settings(max_examples=60)
+@given(seed=st.integers(0, 2**20), share=st.floats(0, 0.8))
+def test_from_the_relaxed_pose_it_finds_any_reachable_pose_without_help(skeleton, seed, share):
+    targets = points_of(skeleton, random_pose(skeleton, seed, share))[:3]
+    found = settled(skeleton, targets)
+    assert misses(skeleton, found.pose, targets).max() < 0.005
+
+
+@given(seed=st.integers(0, 2**20), yaw=st.floats(-np.pi, np.pi))
+def test_turned_markers_give_the_same_answer_turned(skeleton, seed, yaw):
+    targets = np.asarray(points_of(skeleton, random_pose(skeleton, seed, 0.5)))[:3]
+    c, s = np.cos(yaw), np.sin(yaw)
+    R, shift = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), np.array([1.0, -2.0, 0.0])
+    here = settled(skeleton, on_device(targets), 6).pose
+    there = settled(skeleton, on_device(targets @ R.T + shift), 6).pose
+    turned = np.asarray(LANDMARKS_OF(skeleton, here)) @ R.T + shift
+    # The clamps (7) are by component, and the root's are the world's: the ways differ a little.
+    apart = np.linalg.norm(turned - np.asarray(LANDMARKS_OF(skeleton, there)), axis=1)
+    assert apart.max() < 0.01
+
+
+@given(values=vectors(15, 1.5), pose=poses())
+def test_limits_are_respected_whatever_is_asked(skeleton, values, pose):
+    targets = on_device(values.reshape(5, 3)[:3] + np.array([0, 0, 1.0]))
+    stance = feet.Stance(on_device(values.reshape(5, 3)[3:]), jnp.zeros((), bool))
+    now = on_device(pose)
+    for _ in range(4):
+        result = solve(skeleton, IKSettings.create(), now, stance, targets, jnp.ones(3, bool))
+        now, stance = result.pose, result.stance
+        angles = np.asarray(now.angles)
+        assert np.isfinite(np.concatenate([*map(np.ravel, now)])).all()
+        assert (angles >= LIMITS[:, 0] - 1e-5).all() and (angles <= LIMITS[:, 1] + 1e-5).all()
+
+
+@pytest.mark.parametrize("seen", list(product([False, True], repeat=3)))
+def test_any_marker_may_be_missing(skeleton, seen):
+    mask = jnp.array(seen)
+    targets = np.array(points_of(skeleton, random_pose(skeleton, 5)))[:3]
+    targets[~np.array(seen)] = np.nan
+    found = settled(skeleton, on_device(targets), 4, mask)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found))
+    assert np.linalg.norm(found.pose.quaternion) == pytest.approx(1, abs=1e-5)
+    missed = misses(skeleton, found.pose, np.nan_to_num(targets))[np.array(seen)]
+    assert missed.max(initial=0) < 0.005
+
+
+def test_lost_markers_leave_the_pose_where_it_was(skeleton):
+    targets = points_of(skeleton, random_pose(skeleton, 7))[:3]
+    found = settled(skeleton, targets)
+    lost = solve(
+        skeleton, IKSettings.create(), found.pose, found.stance, jnp.full((3, 3), jnp.nan),
+        jnp.zeros(3, bool),
+    )  # fmt: skip
+    moved = LANDMARKS_OF(skeleton, lost.pose) - LANDMARKS_OF(skeleton, found.pose)
+    # It may relax, but it does not run away.
+    assert np.abs(moved).max() < 0.5
+    feet = [3, 4]
+    assert misses(skeleton, lost.pose, points_of(skeleton, found.pose))[feet].max() < 0.02
+
+
+def test_the_default_effectors_are_the_papers_five(skeleton):
+    held = feet.effectors(skeleton, landmark_sites(skeleton, NAMES[:3]))
+    bones = [skeleton.tree.bones[bone] for bone in held.sites.bones]
+    assert bones == ["head", "hand_l", "hand_r", "foot_l", "foot_r"]
+    np.testing.assert_allclose(held.sites.at, [1, 0, 0, 0, 0])
+    assert held.held == ("l", "r")
+
+
+@pytest.mark.parametrize("bone", ["tibia_l", "foot_l"])
+def test_a_leg_with_a_marker_is_not_held(skeleton, bone):
+    index = np.array([skeleton.tree.bone(bone), skeleton.tree.bone("femur_r")], np.int32)
+    held = feet.effectors(skeleton, Sites(index, jnp.zeros(2), jnp.zeros((2, 3))))
+    assert held.held == ("r",)
+    assert held.sites.bones.tolist() == [*index, skeleton.tree.bone("foot_r")]
+
+
+MARKER_SETS = {
+    "tracked tools in both hands": (
+        ["head", "hand_l", "hand_r"], [1.0, 0.6, 0.6],
+        [[0.09, 0, 0.02], [0.05, 0.02, -0.04], [-0.03, 0, -0.1]],
+    ),
+    "trunk, upper arm and shank": (
+        ["spine2", "neck", "humerus_l", "radius_r", "tibia_l", "femur_r"],
+        [0.5, 0.9, 0.3, 0.8, 0.7, 0.4],
+        [[0.12, 0.01, 0], [0, 0, 0.05], [0, 0.04, 0], [0.03, 0, 0], [0, 0, 0], [0.07, 0, 0]],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MARKER_SETS)
+def test_markers_may_sit_anywhere_on_any_bone(skeleton, name):
+    bones, at, offsets = MARKER_SETS[name]
+    indices = np.array([skeleton.tree.bone(bone) for bone in bones], np.int32)
+    markers = Sites(indices, on_device(np.array(at)), on_device(np.array(offsets)))
+    held, chosen = feet.effectors(skeleton, markers), IKSettings.create()
+    mask = jnp.ones(len(bones), bool)
+    targets = positions(skeleton, forward(skeleton, random_pose(skeleton, 3, 0.4)), markers)
+    pose, stance = feet.place(skeleton, held, chosen, targets, mask)
+    go = jax.jit(partial(ik.solve_ik, skeleton, held))
+    for _ in range(10):
+        result = go(chosen, pose, stance, targets, mask)
+        pose, stance = result.pose, result.stance
+    assert float(result.distances[: len(bones)].max()) < 0.005
+    reached = positions(skeleton, forward(skeleton, pose), markers)
+    np.testing.assert_allclose(reached, targets, atol=0.005)
+
+
+def test_the_closed_form_placement_turns_the_relaxed_pose_to_the_markers(skeleton):
+    for yaw in np.linspace(-3, 3, 7):
+        quaternion = jnp.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)], jnp.float32)
+        truth = Pose(jnp.array([0.4, -2.0, 1.0]), quaternion, skeleton.relaxed)
+        targets = points_of(skeleton, truth)[:3]
+        placed, feet = place(skeleton, IKSettings.create(), targets, jnp.ones(3, bool))
+        np.testing.assert_allclose(placed.position, truth.position, atol=1e-5)
+        np.testing.assert_allclose(
+            quaternion_to_matrix(placed.quaternion), quaternion_to_matrix(quaternion), atol=1e-5
+        )
+        np.testing.assert_array_equal(placed.angles, skeleton.relaxed)
+        left = np.asarray(feet.ankles[0] - feet.ankles[1])
+        np.testing.assert_allclose(
+            left[:2], 0.17 * np.array([-np.sin(yaw), np.cos(yaw)]), atol=1e-5
+        )
+
+
+def standing(skeleton):
+    """The relaxed body on its feet, its markers, and the state that holds it."""
+    targets = points_of(skeleton, random_pose(skeleton, 0, 0.0))[:3]
+    return targets, settled(skeleton, targets)
+
+
+def test_feet_stay_where_they_stand_while_the_head_sways(skeleton):
+    targets, found = standing(skeleton)
+    pose, feet = found.pose, found.stance
+    for sway in np.sin(np.linspace(0, 2 * np.pi, 12)):
+        moved = targets + on_device(np.array([0.1 * sway, 0.1 * sway, -0.05 * abs(sway)]))
+        result = solve(skeleton, IKSettings.create(), pose, feet, moved, jnp.ones(3, bool))
+        pose, feet = result.pose, result.stance
+        assert not result.planted
+        np.testing.assert_array_equal(feet.ankles, found.stance.ankles)
+        assert misses(skeleton, pose, moved).max() < 0.01
+        assert np.abs(points_of(skeleton, pose)[3:] - feet.ankles).max() < 0.03
+
+
+def test_feet_are_planted_anew_when_the_head_leaves_the_stance(skeleton):
+    targets, found = standing(skeleton)
+    away = targets + jnp.array([0.8, 0.0, 0.0])
+    result = solve(skeleton, IKSettings.create(), found.pose, found.stance, away, jnp.ones(3, bool))
+    assert bool(result.planted)
+    middle = np.asarray(result.stance.ankles).mean(0)
+    np.testing.assert_allclose(middle[:2], away[0, :2], atol=1e-5)
+    again = solve(
+        skeleton, IKSettings.create(), result.pose, result.stance, away, jnp.ones(3, bool)
+    )
+    assert not again.planted
+    assert misses(skeleton, again.pose, away).max() < 0.01
+
+
+def test_feet_are_planted_anew_when_a_leg_was_overstretched(skeleton):
+    targets, found = standing(skeleton)
+    # Out to the side as far as the stance allows, and up on the toes.
+    away = targets + jnp.array([0.35, 0.0, 0.06])
+    chosen = IKSettings.create()
+    first = solve(skeleton, chosen, found.pose, found.stance, away, jnp.ones(3, bool))
+    assert bool(first.stance.overstretched) and not first.planted
+    second = solve(skeleton, chosen, first.pose, first.stance, away, jnp.ones(3, bool))
+    assert bool(second.planted)
+    middle = np.asarray(second.stance.ankles).mean(0)
+    np.testing.assert_allclose(middle[:2], away[0, :2], atol=1e-5)
+
+
+def test_without_a_marker_on_the_head_feet_are_never_planted_anew(skeleton):
+    targets, found = standing(skeleton)
+    mask = jnp.array([False, True, True])
+    away = targets + jnp.array([0.8, 0.0, 0.0])
+    result = solve(skeleton, IKSettings.create(), found.pose, found.stance, away, mask)
+    assert not result.planted
+
+
+def test_it_stops_when_it_rests_and_never_goes_on_for_ever(skeleton):
+    targets, found = standing(skeleton)
+    chosen = IKSettings.create(iterations=12, settle=3)
+    mask = jnp.ones(3, bool)
+    assert solve(skeleton, chosen, found.pose, found.stance, targets, mask).iterations == 3
+    hopeless = targets + jnp.array([0.0, 0.0, 5.0])
+    assert solve(skeleton, chosen, found.pose, found.stance, hopeless, mask).iterations <= 12
+
+
+def test_what_may_not_move_does_not(skeleton):
+    pose = random_pose(skeleton, 11)
+    free = np.random.default_rng(0).uniform(size=27) < 0.5
+    targets, weights = goals_near(skeleton, pose, 3)
+    moved, _, _ = step(
+        skeleton, IKSettings.create(), pose, on_device(targets), on_device(weights),
+        jnp.asarray(free),
+    )  # fmt: skip
+    change = np.asarray(moved.angles - pose.angles)
+    np.testing.assert_array_equal(change[~free[6:]], 0)
+    assert np.abs(change[free[6:]]).max() > 1e-3
+    fixed = np.flatnonzero(~free[:3])
+    np.testing.assert_array_equal(moved.position[fixed], pose.position[fixed])

@@ -1,0 +1,394 @@
+"""Markers that know how they are turned: files, places on the body, wrists, outputs."""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pythonosc.osc_message_builder import OscMessageBuilder
+from scipy.spatial.transform import Rotation
+
+from jaxmocap import Recording, Settings
+from jaxmocap.body.arms import arm_dofs, grips, hang
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.orientations import body_turns, quaternions
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.wrists import with_wrists
+from jaxmocap.capture.streams.osc import parse
+from jaxmocap.capture.streams.sample_gathering import Gathering
+from jaxmocap.formats.convert import Options, convert
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.motion_npz import load_motion, save_motion
+from jaxmocap.formats.recordings.live import R_WORLD_UNITY, load_live
+from jaxmocap.formats.recordings.marker_places import MarkerPlace, bound_places, bound_positions
+from jaxmocap.formats.recordings.recording import load_markers, write_recording
+from jaxmocap.formats.time_series.csv import read_csv, write_csv
+from jaxmocap.formats.time_series.trc import read_trc, write_trc
+from jaxmocap.hybrid.first_state import settled
+from jaxmocap.pipelines.live.recording import LiveRecording
+from jaxmocap.pipelines.tracking.track import make_tracker, marker_sites
+from jaxmocap.synthetic.controllers import DEVICES, write_controllers
+from jaxmocap.synthetic.movements import motions
+
+BODY = with_wrists(Skeleton.human(1.75))
+TIMES = np.arange(5) / 10
+
+
+def random_turns(seed: int, *shape: int) -> np.ndarray:
+    R = Rotation.random(int(np.prod(shape)), rng=np.random.default_rng(seed)).as_matrix()
+    return R.reshape(*shape, 3, 3)
+
+
+# Files -------------------------------------------------------------------------------------------
+
+
+def test_a_csv_file_keeps_turns_and_what_is_not_known_of_them(tmp_path):
+    points = {"A": np.ones((5, 3)), "B": np.arange(15.0).reshape(5, 3), "C": np.zeros((5, 3))}
+    turns = {"A": random_turns(0, 5), "C": random_turns(1, 5)}
+    turns["A"][2] = np.nan
+    write_csv(tmp_path / "a.csv", TIMES, points, turns)
+    header = (tmp_path / "a.csv").read_text().splitlines()[0]
+    assert header == ("time,A.x,A.y,A.z,A.qw,A.qx,A.qy,A.qz,B.x,B.y,B.z,"
+                      "C.x,C.y,C.z,C.qw,C.qx,C.qy,C.qz")  # fmt: skip
+    found = read_csv(tmp_path / "a.csv")
+    assert set(found.turned()) == {"A", "C"} and np.isnan(found.turned()["A"][2]).all()
+    for name, R in turns.items():
+        np.testing.assert_allclose(found.turned()[name], R, atol=3e-6)
+    for name, positions in points.items():
+        np.testing.assert_allclose(found.points()[name], positions, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("time,A.x,A.y,A.z,A.qw,A.qx,A.qy\n0,1,2,3,1,0,0\n", "found 'the end of the line' where"),
+        ("time,A.x,A.y,A.z,A.qw,A.qx,A.qy,A.qz\n0,1,2,3,0,0,0,0\n", "line 2: the quaternion of"),
+        ("time,A.x,A.y,A.z,A.qw,A.qx,A.qy,A.qz\n0,1,2,3,2,0,0,0\n", "has length 2, expected 1"),
+        ("time,A.x,A.y,A.z,A.qx,A.qy,A.qz,A.qw\n0,1,2,3,0,0,0,1\n", "found 'A.qx' where 'A.x' bel"),
+        ("time,A.x,A.y,A.z,A.qw,A.qx,A.qy,A.qz\n0,1,2,3,1,0,0\n", "line 2: found 7 columns"),
+    ],
+)  # fmt: skip
+def test_bad_quaternions_are_refused_in_one_sentence(tmp_path, text, said):
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_csv(tmp_path / "a.csv")
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_converting_keeps_turns_or_says_that_it_does_not(tmp_path):
+    turns = {"A": Rotation.from_euler("z", [[0], [10], [20], [30], [40]], degrees=True).as_matrix()}
+    write_csv(tmp_path / "a.csv", TIMES, {"A": np.ones((5, 3))}, turns)
+    assert convert(tmp_path / "a.csv", tmp_path / "b.csv", Options(rate=20)) == []
+    yaw = np.degrees(Rotation.from_matrix(read_csv(tmp_path / "b.csv").turned()["A"]).as_rotvec())
+    np.testing.assert_allclose(yaw[:, 2], np.arange(0, 41, 5), atol=1e-3)
+    assert "how the markers are turned" in convert(tmp_path / "a.csv", tmp_path / "b.trc")[0]
+
+
+# Rigid sets --------------------------------------------------------------------------------------
+
+CLUSTER = np.array([[0.0, 0, 0], [0.08, 0, 0], [0.02, 0.06, 0], [0.03, 0.02, 0.05]])
+
+
+def write_cluster(folder: Path, members: int = 4, spoil: Any = None, **place: Any) -> Path:
+    """A recording of a set on the left hand, moved and turned; (T, K, 3) ``spoil`` is added."""
+    R = random_turns(3, len(TIMES))
+    places = np.stack([TIMES, 1 + TIMES, 0 * TIMES], 1)
+    points = places[:, None] + CLUSTER[:members] @ R.swapaxes(-1, -2)
+    points = points if spoil is None else points + spoil
+    columns = {f"W{i}": points[:, i] for i in range(members)}
+    columns["Head"] = np.tile([0.0, 0, 1.7], (len(TIMES), 1))
+    write_trc(folder / "markers.trc", TIMES, columns)
+    on = {"Head": {"bone": "head"}, "Set": {"bone": "hand_l", "at": 0.0} | place}
+    path = write_recording(folder, "markers.trc", on)
+    names = [f"W{i}" for i in range(members)]
+    path.write_text(path.read_text() + f"\n[markers.rigid]\nSet = {names}\n".replace("'", '"'))
+    return path
+
+
+def test_a_rigid_set_is_one_marker_that_knows_how_it_is_turned(tmp_path):
+    """Its axes: x to the second marker, z upright on the first three, origin in the middle."""
+    offset = [0.0, 0.0, 0.1]
+    spoil = np.zeros((5, 4, 3))
+    spoil[1, 3], spoil[3, 2:] = np.nan, np.nan  # three are enough, two are not
+    path = write_cluster(tmp_path, spoil=spoil, offset=offset, offset_in="marker")
+    recording = Recording.load(path)
+    assert recording.marker_names == ("Head", "Set")
+    R, places = random_turns(3, 5), np.stack([TIMES, 1 + TIMES, 0 * TIMES], 1)
+    wrist = places + R @ (CLUSTER.mean(0) - offset)
+    expected = np.where(np.arange(5)[:, None] == 3, np.nan, wrist)
+    np.testing.assert_allclose(recording.positions_world[:, 1], expected, atol=3e-6)
+
+
+@pytest.mark.parametrize(
+    ("members", "spoil", "line", "said"),
+    [
+        (4, 0, 'Set = ["W0", "W1"]', "expected a list of three or more different markers"),
+        (4, 0, 'Set = ["W0", "W1", "W9"]', "found no marker 'W9' in the file"),
+        (4, 0, 'W0 = ["W0", "W1", "W2"]', "found a marker of that name in the file"),
+        (3, "line", None, "found all markers on one line"),
+        (3, "apart", None, "found W0, W1, W2 in no common sample"),
+    ],
+)
+def test_sets_that_are_none_are_refused(tmp_path, members, spoil, line, said):
+    moved = None
+    if spoil == "line":
+        moved = np.array([0, 0, -0.06])[:, None] * random_turns(3, 5)[:, None, :, 1]
+    if spoil == "apart":
+        moved = np.where(np.arange(3)[None, :, None] == (np.arange(5) % 3)[:, None, None], np.nan,
+                         np.zeros((5, 3, 3)))  # fmt: skip
+    path = write_cluster(tmp_path, members, moved)
+    if line:
+        path.write_text(path.read_text().replace('Set = ["W0", "W1", "W2", "W3"]', line))
+    with pytest.raises(InputError) as caught:
+        Recording.load(path)
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+# Places on the body ------------------------------------------------------------------------------
+
+
+def frames_of(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Joints (B, 3) and turns (B, 3, 3) of the bones, pelvis at the origin: the naive way."""
+    R = body_turns(BODY, angles[None])[0]
+    reach = np.asarray(BODY.lengths)[:, None] * np.asarray(BODY.directions)
+    joints = np.zeros((len(R), 3))
+    for bone, parent in enumerate(BODY.tree.parents):
+        if parent >= 0:
+            joints[bone] = joints[parent] + R[parent] @ reach[parent]
+    return joints, R
+
+
+@given(st.integers(0, 10**6))
+def test_points_of_a_turned_marker_lie_where_its_bone_has_them(seed):
+    """Whatever the pose, the points asked for are the body's own, so that it meets them exactly."""
+    rng = np.random.default_rng(seed)
+    low, high = np.asarray(BODY.limits, float).T
+    joints, turned = frames_of(rng.uniform(low, high))
+    for bone, offset_in in (("head", "marker"), ("hand_r", "marker"), ("foot_l", "bone")):
+        i, held, offset = BODY.tree.bone(bone), random_turns(seed, 1)[0], rng.uniform(-0.1, 0.1, 3)
+        along = 0.4 * float(BODY.lengths[i]) * np.asarray(BODY.directions[i])
+        there = along + (held @ offset if offset_in == "marker" else offset)
+        x, y, z = offset.tolist()
+        place = MarkerPlace(bone, bone, 0.4, (x, y, z), offset_in, tuple(quaternions(held)))
+        wanted = bound_positions(BODY, [place], (joints[i] + turned[i] @ there)[None],
+                                 (turned[i] @ held)[None])  # fmt: skip
+        points = bound_places(BODY, [place])
+        assert len(points) == 3 and {point.bone for point in points} == {bone}
+        found = [joints[i] + turned[i] @ (along + np.array(point.offset)) for point in points]
+        np.testing.assert_allclose(wanted, found, atol=1e-6)
+
+
+def test_where_it_is_not_known_how_a_marker_is_turned_its_point_is_missing():
+    place = MarkerPlace("C", "hand_l", 0.0, (0.0, 0.0, 0.1), "marker")
+    R = np.full((1, 3, 3), np.nan)
+    assert np.isnan(bound_positions(BODY, [place], np.ones((1, 3)), R)).all()
+    plain = replace(place, offset_in="bone")
+    np.testing.assert_array_equal(bound_positions(BODY, [plain], np.ones((1, 3)), R), 1)
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        ({"offset_in": "hand"}, "found 'hand', expected 'bone' or 'marker'"),
+        ({"turn": [0, 0, 0, 0]}, "turn: found a quaternion of length 0, expected 1"),
+        ({"turn": [1, 0, 0]}, "expected a quaternion w, x, y, z"),
+        ({"lever": 0.2}, "expected metres above 0 beside 'turn'"),
+        ({"turn": [1.0, 0, 0, 0]}, "turn needs to know how the marker is turned"),
+        ({"offset_in": "marker"}, "offset_in = 'marker' needs to know how the marker is turned"),
+        ({"bone": "wing"}, "unknown bone 'wing'"),
+    ],
+)
+def test_places_that_cannot_be_are_refused_by_field(tmp_path, entry, said):
+    write_trc(tmp_path / "markers.trc", TIMES, {"C": np.ones((5, 3))})
+    path = write_recording(tmp_path, "markers.trc", {"C": {"bone": "hand_l"} | entry})
+    with pytest.raises(InputError) as caught:
+        Recording.load(path)
+    assert said in str(caught.value) and "[markers.on] C" in str(caught.value)
+
+
+def test_an_orientation_survives_a_file_with_y_up(tmp_path):
+    """The same devices, written in the axes of a file with y up, ask for the same points."""
+    write_controllers(tmp_path, motions.reaching(0.2, 0, 1.75), 0.2)
+    there = Recording.load(tmp_path / "recording.toml")
+    markers = read_csv(tmp_path / "markers.csv")
+    R_file_world = np.eye(3)[[1, 2, 0]]
+    write_csv(tmp_path / "markers.csv", markers.times,
+              {n: p @ R_file_world.T for n, p in markers.points().items()},
+              {n: R_file_world @ R for n, R in markers.turned().items()})  # fmt: skip
+    path = tmp_path / "recording.toml"
+    path.write_text(path.read_text().replace('up = "z"', 'up = "y"'))
+    np.testing.assert_allclose(Recording.load(path).positions_world, there.positions_world,
+                               atol=5e-6)  # fmt: skip
+
+
+# Live --------------------------------------------------------------------------------------------
+
+LIVE = """
+[markers.on.Left]
+bone = "hand_l"
+at = 0.0
+offset = [0.01, 0.02, 0.1]
+offset_in = "marker"
+turn = [0.6, 0.8, 0.0, 0.0]
+
+[markers.on.Hmd]
+bone = "head"
+"""
+
+
+def sent(name: str, position: np.ndarray, R: np.ndarray) -> bytes:
+    """A device of VMC as Unity has it: left-handed, x right, y up, z forward."""
+    kind = "Hmd" if name == "Hmd" else "Con"
+    built = OscMessageBuilder(f"/VMC/Ext/{kind}/Pos")
+    x, y, z, w = Rotation.from_matrix(R_WORLD_UNITY.T @ R @ R_WORLD_UNITY).as_quat()
+    for value in (name, *(R_WORLD_UNITY.T @ position), x, y, z, w):
+        built.add_arg(float(value) if not isinstance(value, str) else value)
+    return built.build().dgram
+
+
+def test_devices_that_come_over_osc_tell_how_they_are_turned_and_are_recorded_so(tmp_path):
+    (tmp_path / "live.toml").write_text(LIVE)
+    setup, samples = load_live(tmp_path / "live.toml"), []
+    bind = partial(bound_positions, setup.skeleton, setup.places)
+    gathers = Gathering(setup.marker_names, {}, setup.R_world_source, samples.append, bind)
+    R, at = random_turns(7, 4, 2), np.random.default_rng(7).uniform(-1, 1, (4, 2, 3))
+    for i in range(4):
+        packets = (sent(n, at[i, m], R[i, m]) for m, n in enumerate(setup.marker_names))
+        placed = [placed for packet in packets for placed in parse(packet).placed]
+        gathers.add(placed, i / 90, i / 90, whole=True)
+    told = bound_positions(setup.skeleton, setup.places, at, R)
+    found = np.stack([sample.positions_world for sample in samples])
+    np.testing.assert_allclose(found, told, atol=1e-6)
+    written = LiveRecording(setup, tmp_path / "out")
+    for sample in samples:
+        written.add(sample)
+    path = written.close()
+    assert path is not None
+    again = Recording.load(path)
+    np.testing.assert_allclose(again.positions_world, told, atol=3e-6)
+    # As measured it is there too, for jaxmocap offsets.
+    measured, _ = load_markers(path)
+    np.testing.assert_allclose(measured.positions, at, atol=1e-6)
+    assert measured.turns is not None
+    np.testing.assert_allclose(measured.turns, R, atol=3e-6)
+
+
+def test_a_device_that_sends_no_quaternion_is_placed_but_not_turned():
+    built = OscMessageBuilder("/VMC/Ext/Tra/Pos")
+    for value in ("waist", 1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0):
+        built.add_arg(value)
+    (placed,) = parse(built.build().dgram).placed
+    assert placed.position == (1.0, 2.0, 3.0) and placed.turn is None
+
+
+# The body ----------------------------------------------------------------------------------------
+
+
+def test_wrists_come_on_top_and_leave_all_else_as_it_was():
+    plain = Skeleton.human(1.75)
+    assert BODY.tree.joints[:21] == plain.tree.joints and len(BODY.tree.joints) == 28
+    assert with_wrists(BODY) is BODY
+    angles = np.asarray(plain.relaxed, float)[None]
+    more = np.concatenate([angles, np.zeros((1, 7))], 1)
+    np.testing.assert_array_equal(body_turns(plain, angles), body_turns(BODY, more))
+
+
+@pytest.mark.parametrize("side", ["l", "r"])
+@pytest.mark.parametrize(
+    ("joint", "axis", "moved"),
+    [
+        # Of the right hand: where the fingers, or the thumb's side, go.
+        ("wrist_flex", [0.0, 0, -1], [0, 1, 0]),
+        ("wrist_deviate", [0.0, 0, -1], [-1, 0, 0]),
+        ("elbow_twist", [1.0, 0, 0], [0, 1, 0]),
+    ],
+)
+def test_wrists_bend_towards_palm_and_ulna_and_twist_inwards(side, joint, axis, moved):
+    angles = np.zeros((1, 28))
+    angles[0, BODY.tree.joint(f"{joint}_{side}")] = np.pi / 2
+    R = body_turns(BODY, angles)[0, BODY.tree.bone(f"hand_{side}")]
+    mirror = [1, -1 if side == "l" else 1, 1]
+    np.testing.assert_allclose(R @ axis, np.array(moved) * mirror, atol=1e-6)
+
+
+def test_an_arm_that_hangs_ready_to_swing_keeps_its_bent_wrist():
+    low, high = np.asarray(BODY.limits).T
+    angles = jnp.asarray(low + 0.8 * (high - low))
+    pose = Pose(jnp.zeros(3), jnp.eye(4)[0], angles)
+    places = [MarkerPlace(s, f"hand_{s}", 0.5, (0.03, 0.0, 0.0)) for s in "lr"]
+    held = grips(BODY, marker_sites(BODY, places))
+    hung = jax.device_get(jax.jit(lambda pose: hang(BODY, pose, held))(pose))
+    names = [BODY.tree.joints[dof] for dof in arm_dofs(BODY.tree)[0]]
+    assert names == ["arm_flex_l", "arm_abduct_l", "arm_rot_l", "elbow_flex_l"]
+    for side in range(2):
+        R = hung.R_world_carrier[side]
+        turns = [Rotation.from_rotvec(a * axis).as_matrix()
+                 for a, axis in zip(hung.angles[side], hung.axes[side], strict=True)]  # fmt: skip
+        R_humerus = R @ turns[0] @ turns[1] @ turns[2]
+        elbow = hung.arms.shoulder[side] + R_humerus @ hung.reaches[side, 0]
+        R_radius = R_humerus @ turns[3]
+        np.testing.assert_allclose(elbow, hung.arms.elbow[side], atol=1e-5)
+        np.testing.assert_allclose(elbow + R_radius @ hung.grip[side], hung.arms.grip[side],
+                                   atol=1e-5)  # fmt: skip
+        tip = elbow + R_radius @ (hung.reaches[side, 1] + hung.reaches[side, 2])
+        np.testing.assert_allclose(tip, hung.arms.tip[side], atol=1e-5)
+
+
+def test_subjects_have_wrists_if_they_say_so(tmp_path):
+    write_trc(tmp_path / "markers.trc", TIMES, {"C": np.ones((5, 3))})
+    for wrists, joints in ((True, 28), (False, 21)):
+        path = write_recording(tmp_path, "markers.trc", {"C": {"bone": "head"}},
+                               subject={"height": 1.7, "wrists": wrists})  # fmt: skip
+        assert len(Recording.load(path).skeleton.tree.joints) == joints
+    path.write_text(path.read_text().replace("wrists = false", 'wrists = "both"'))
+    with pytest.raises(InputError, match="wrists: found 'both', expected true or false"):
+        Recording.load(path)
+
+
+# End to end --------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory) -> tuple[Motion, Path]:
+    """Half a second of table tennis by head-set and controllers, solved sample by sample."""
+    folder = tmp_path_factory.mktemp("played")
+    recording = Recording.load(write_controllers(folder, motions.table_tennis(0.5, 1), 0.5, 1))
+    tracker = make_tracker(recording, Settings(refine="none", balance=False))
+    state, poses = settled(tracker, recording.positions_world[0]), []
+    for markers in recording.positions_world:
+        told = jnp.asarray(markers, float)
+        solved = tracker.solve(tracker.skeleton, None, tracker.settings, *state[:2], told)
+        state = state._replace(pose=solved.ik.pose, stance=solved.ik.stance)
+        poses.append(jax.device_get(solved.ik.pose))
+    held: list[Any] = [np.stack(parts) for parts in zip(*poses, strict=True)]
+    return Motion(tracker.skeleton, recording.times, Pose(*held)), folder
+
+
+@pytest.mark.parametrize("wrist", ["wrist_l", "wrist_r"])
+def test_a_controllers_orientation_tells_where_the_wrist_is(played, wrist):
+    """Its grip lies 10 cm from there, and the wrist bends by up to 27 degrees."""
+    motion, folder = played
+    truth = read_trc(folder / "truth.trc").points()
+    assert np.linalg.norm(motion.joints()[wrist] - truth[wrist], axis=-1).mean() < 0.012
+
+
+def test_how_head_and_hands_are_turned_reaches_the_outputs(played, tmp_path):
+    motion, folder = played
+    save_motion(tmp_path / "motion.npz", motion)
+    convert(tmp_path / "motion.npz", tmp_path / "motion.bvh")
+    convert(tmp_path / "motion.bvh", tmp_path / "back.npz")
+    markers = read_csv(folder / "markers.csv")
+    for there in (motion, load_motion(tmp_path / "back.npz")):
+        R_body = body_turns(there.skeleton, np.asarray(there.poses.angles, float))
+        root = Rotation.from_quat(np.asarray(there.poses.quaternion), scalar_first=True).as_matrix()
+        for name, device in DEVICES.items():
+            R = root @ R_body[:, there.skeleton.tree.bone(device.bone)] @ device.R_bone_device
+            off = Rotation.from_matrix(R.swapaxes(-1, -2) @ markers.turned()[name]).magnitude()
+            assert np.degrees(off).max() < 4, name

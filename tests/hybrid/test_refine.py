@@ -1,0 +1,246 @@
+"""Refinement: each arm goes to its own edges, hands stay, and what is not seen is left alone."""
+
+from dataclasses import replace
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import LIMITS, double, on_device
+from drawn_arms import camera_at, draw, limbs_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from watched_arms import (
+    FRONT,
+    GRIPS,
+    PERSON,
+    SIDE,
+    SIZE,
+    TRUTH,
+    arms_in,
+    elbow_errors,
+    observed,
+    pictures,
+    stacked,
+    true_arms,
+    turned_by,
+)
+
+from jaxmocap.body.arms import arm_dofs, arms_of, hang, swing
+from jaxmocap.body.kinematics import Sites, forward
+from jaxmocap.geometry.cameras import project
+from jaxmocap.hybrid import refine
+from jaxmocap.hybrid.observe import Observation, arm_regions
+from jaxmocap.hybrid.settings import RefineSettings, Settings
+from jaxmocap.images.regions import to_region
+from jaxmocap.reference.hybrid import pipeline as reference
+
+CAMERAS, BOTH = stacked(FRONT), stacked(FRONT, SIDE)
+ALONE = Settings(region=SIZE, search=False)
+DOFS = arm_dofs(PERSON.tree)
+
+
+@jax.jit
+def swung(pose, moves):
+    """Arms of a pose, bent and swung, and their joint angles."""
+    return swing(hang(PERSON, pose, GRIPS), moves)
+
+
+@jax.jit
+def alone(cameras, seen, pose, targets, elbows):
+    """By the edges alone, as in the paper."""
+    return refine.refine_arms(ALONE, PERSON, cameras, seen, pose, GRIPS, targets, elbows)
+
+
+@jax.jit
+def trusting(cameras, seen, pose, targets, elbows):
+    """Near the elbows that a search has told."""
+    chosen = Settings(region=SIZE)
+    return refine.refine_arms(chosen, PERSON, cameras, seen, pose, GRIPS, targets, elbows)
+
+
+def pose_off_by(left: float, right: float):
+    """The true pose, its elbows swivelled away by joint angles."""
+    moves = jnp.zeros((2, 4)).at[:, 0].set(jnp.array([left, right]))
+    start = on_device(TRUTH)
+    return start._replace(angles=start.angles.at[DOFS].set(swung(start, moves)[1]))
+
+
+def refined(pose, images=None, cameras=CAMERAS, way=alone, seen=None):
+    arms = arms_in(pose)
+    seen = observed(images or pictures(FRONT), cameras, arms) if seen is None else seen
+    return way(cameras, seen, pose, true_arms().grip, arms.elbow)
+
+
+moves_of_arms = arrays(float, (2, 4), elements=st.floats(-0.6, 0.6))
+
+
+@settings(max_examples=40)
+@given(moves=moves_of_arms)
+def test_a_swung_arm_is_the_one_of_its_joint_angles(moves):
+    start = on_device(TRUTH)
+    arms, angles = swung(start, on_device(moves))
+    same = arms_in(start._replace(angles=start.angles.at[DOFS].set(angles)))
+    for part in ("shoulder", "elbow", "wrist", "tip", "grip", "R_world_radius"):
+        np.testing.assert_allclose(getattr(arms, part), getattr(same, part), atol=2e-5)
+    # The elbow's angle is the pose's own and what was added.
+    expected = np.asarray(start.angles)[DOFS[:, 3]] + moves[:, 3]
+    np.testing.assert_allclose(angles[:, 3], expected, atol=1e-5)
+
+
+@given(left=st.floats(-1.5, 1.5), right=st.floats(-1.5, 1.5))
+def test_the_swivel_moves_no_hand(left, right):
+    moves = on_device(np.array([[left, 0, 0, 0], [right, 0, 0, 0]]))
+    arms, angles = swung(on_device(TRUTH), moves)
+    np.testing.assert_allclose(arms.grip, true_arms().grip, atol=1e-5)
+    np.testing.assert_allclose(arms.elbow, turned_by(left, right).elbow, atol=1e-5)
+    assert np.abs(angles).max() < 2 * np.pi
+
+
+def test_the_papers_simplex_over_each_arm_is_the_references_in_double_precision():
+    small = 16
+    rng = np.random.default_rng(0)
+    with double():
+        body = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), float), PERSON)
+        camera = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), float), FRONT)
+        sites = Sites(GRIPS.bones, on_device(GRIPS.at), on_device(GRIPS.offsets))
+        chosen = replace(
+            Settings.paper(), region=small, polish=RefineSettings.create(iterations=10)
+        )
+        start = on_device(TRUTH)
+        arms = arms_of(body, forward(body, start), sites)
+        region = arm_regions(stacked(camera), arms, small, chosen.margin)
+        fields = cv2.GaussianBlur(rng.uniform(0, 20, (small, small, 2)), (0, 0), 2)
+        seen = Observation(
+            region, on_device(fields.transpose(2, 0, 1))[None, :, None], np.ones((1, 2), bool)
+        )
+        targets = arms.grip + 0.01
+        ours = jax.jit(refine.refine_arms)(
+            chosen, body, stacked(camera), seen, start, sites, targets, arms.elbow
+        )
+    plain_body, plain_camera = jax.tree.map(np.asarray, (body, camera))
+    for i, side in enumerate("lr"):
+        origin, scale = np.asarray(region.origin)[0, i], float(region.scale[0, i])
+        view = reference.ArmView(origin, scale, fields[..., i])
+        dofs, angles = reference.refine_arm(
+            plain_body, plain_camera, chosen, TRUTH, side, view, jax.tree.map(np.asarray, sites),
+            np.asarray(targets)[i],
+        )  # fmt: skip
+        assert dofs == DOFS[i].tolist()
+        assert np.abs(angles - TRUTH.angles[dofs]).max() > 1e-3
+        np.testing.assert_allclose(np.asarray(ours.angles)[dofs], angles, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("off", [(0.25, -0.25), (-0.3, -0.3), (0.2, 0.0)])
+def test_each_arm_goes_to_its_own_edges(off):
+    start = pose_off_by(*off)
+    before = elbow_errors(arms_in(start).elbow)
+    found = arms_in(refined(start))
+    after = elbow_errors(found.elbow)
+    moved = np.array(off) != 0
+    assert (before[moved] > 0.035).all()
+    assert (after < 0.02).all()
+    assert np.linalg.norm(found.grip - true_arms().grip, axis=1).max() < 0.02
+
+
+def test_swapped_regions_would_be_noticed():
+    """The right arm's edges in the left arm's place lead astray: nothing here is symmetric."""
+    start = pose_off_by(-0.3, -0.3)
+    seen = observed(pictures(FRONT), CAMERAS, arms_in(start))
+    crossed = jax.tree.map(lambda part: np.asarray(part)[:, ::-1], seen)
+    for wrong in (seen._replace(fields=crossed.fields), seen._replace(region=crossed.region)):
+        after = elbow_errors(arms_in(refined(start, seen=wrong)).elbow)
+        assert (after > 0.03).any()
+
+
+def test_the_region_of_an_arm_is_around_that_arm():
+    arms = true_arms()
+    regions = arm_regions(BOTH, arms, SIZE, jnp.asarray(0.35))
+    assert regions.origin.shape == (2, 2, 2) and regions.scale.shape == (2, 2)
+    for c, camera in enumerate((FRONT, SIDE)):
+        for arm in range(2):
+            own = jax.tree.map(lambda part, at=(c, arm): part[at], regions)
+            ends = jnp.stack([part[arm] for part in (arms.shoulder, arms.elbow, arms.tip)])
+            inside = np.asarray(to_region(own, project(camera, ends)))
+            assert (inside > 0).all() and (inside < SIZE - 1).all()
+            middle = (inside.min(0) + inside.max(0)) / 2
+            np.testing.assert_allclose(middle, (SIZE - 1) / 2, atol=1.5)
+
+
+def test_the_fields_of_an_arm_hold_that_arms_edges():
+    """Only the left arm is in the picture: its own region sees it, the right one's does not."""
+    left_only = [draw(FRONT, list(limbs_of(PERSON, TRUTH))[:3])]
+    near = observed(left_only, CAMERAS, true_arms())
+    assert near.seen.tolist() == [[True, False]]
+    assert (np.asarray(near.fields)[0, 0] == 0).any()
+    right_only = [draw(FRONT, list(limbs_of(PERSON, TRUTH))[3:])]
+    assert observed(right_only, CAMERAS, true_arms()).seen.tolist() == [[False, True]]
+
+
+def test_each_camera_looks_into_its_own_picture():
+    front, side = pictures(FRONT, SIDE)
+    black = np.zeros_like(front)
+    assert observed([front, black], BOTH, true_arms()).seen.tolist() == [[True] * 2, [False] * 2]
+    assert observed([None, side], BOTH, true_arms()).seen.tolist() == [[False] * 2, [True] * 2]
+    colour = np.repeat(front[..., None], 3, -1)
+    by_colour = observed([colour, None], BOTH, true_arms())
+    by_grey = observed([front, None], BOTH, true_arms())
+    np.testing.assert_array_equal(by_colour.fields, by_grey.fields)
+
+
+@pytest.mark.parametrize("flags", [(False, False), (True, False), (False, True)])
+def test_an_arm_that_is_not_seen_stays_as_it_is(flags):
+    start = pose_off_by(0.25, -0.25)
+    seen = observed(pictures(FRONT), CAMERAS, arms_in(start))._replace(seen=np.array([flags]))
+    after = refined(start, seen=seen)
+    change = np.abs(np.asarray(after.angles - start.angles))
+    for arm, watched in enumerate(flags):
+        assert (change[DOFS[arm]].max() > 0.01) == watched
+    np.testing.assert_array_equal(np.delete(change, DOFS.ravel()), 0)
+    np.testing.assert_array_equal(after.position, start.position)
+    np.testing.assert_array_equal(after.quaternion, start.quaternion)
+
+
+@pytest.mark.parametrize("way", [alone, trusting])
+def test_hands_stay_and_limits_hold_whatever_the_picture(way):
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 255, (480, 640)).astype(np.uint8)
+    start = pose_off_by(0.1, 0.1)
+    after = refined(start, [noise], way=way)
+    assert np.isfinite(after.angles).all()
+    angles = np.asarray(after.angles)
+    assert (angles >= LIMITS[:, 0] - 1e-5).all() and (angles <= LIMITS[:, 1] + 1e-5).all()
+    assert np.linalg.norm(arms_in(after).grip - true_arms().grip, axis=1).max() < 0.02
+
+
+def test_hands_come_back_to_their_markers():
+    """A hand that is off its marker by 3 cm is drawn to it."""
+    start = pose_off_by(0.0, 0.0)
+    bent = start._replace(angles=start.angles.at[DOFS[:, 3]].add(0.1))
+    assert np.linalg.norm(arms_in(bent).grip - true_arms().grip, axis=1).min() > 0.02
+    after = arms_in(refined(bent))
+    assert np.linalg.norm(after.grip - true_arms().grip, axis=1).max() < 0.01
+
+
+def test_the_searched_elbow_holds_where_edges_tell_nothing():
+    """A picture of somebody far away: the elbows that the search believes in decide."""
+    start = pose_off_by(0.0, 0.0)
+    far = camera_at((2.2, 0.3, 1.35), (0.0, 6.0, 1.15))
+    seen = observed(pictures(FRONT), CAMERAS, true_arms())
+    blind = seen._replace(fields=np.full_like(np.asarray(seen.fields), 20.0))
+    wanted = turned_by(0.2, -0.2)
+    after = arms_in(trusting(stacked(far), blind, start, true_arms().grip, wanted.elbow))
+    missed = np.linalg.norm(after.elbow - wanted.elbow, axis=1)
+    assert missed.max() < 0.01
+    assert np.linalg.norm(after.grip - true_arms().grip, axis=1).max() < 0.01
+
+
+def test_two_cameras_see_more_than_one():
+    start = pose_off_by(-0.3, 0.35)
+    images = pictures(FRONT, SIDE)
+    one = elbow_errors(arms_in(refined(start, images[:1])).elbow)
+    two = elbow_errors(arms_in(refined(start, images, BOTH)).elbow)
+    assert (two < 0.02).all()
+    assert two[1] < one[1] + 0.002

@@ -1,0 +1,248 @@
+"""The search finds elbows that markers put elsewhere, doubts, remembers and forgets."""
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import on_device
+from watched_arms import (
+    FRONT,
+    SIDE,
+    SIZE,
+    TRUTH,
+    elbow_errors,
+    observed,
+    picture_of,
+    pictures,
+    stacked,
+    swivelled,
+    true_arms,
+    turned_by,
+)
+
+from jaxmocap.body.arms import turn_forearm
+from jaxmocap.hybrid import elbow_search
+from jaxmocap.hybrid.observe import Observation
+from jaxmocap.hybrid.refine import look_for_elbows, swivels, turn_between
+from jaxmocap.hybrid.settings import Settings
+
+SETTINGS = Settings(region=SIZE)
+LOOK = SETTINGS.look
+ONE, BOTH = stacked(FRONT), stacked(FRONT, SIDE)
+FRAME_S = 1 / 30
+
+
+@jax.jit
+def step(cameras, seen, arms, belief, time):
+    return elbow_search.search(SETTINGS, cameras, seen, arms, belief, time)
+
+
+@jax.jit
+def elbows_of(arms, turn):
+    return elbow_search.believed_elbows(arms, turn)
+
+
+@jax.jit
+def look(cameras, arms, seen, belief, time):
+    return look_for_elbows(SETTINGS, cameras, arms, seen, belief, time)
+
+
+def unknowing():
+    return elbow_search.no_belief(LOOK, on_device(TRUTH))
+
+
+def watched(images, cameras, arms, frames=5, belief=None, start=0.0):
+    """The belief after some frames of the same pictures."""
+    belief = unknowing() if belief is None else belief
+    seen = observed(images, cameras, arms)
+    for i in range(frames):
+        belief = step(cameras, seen, arms, belief, jnp.asarray(start + (i + 1) * FRAME_S, float))
+    return belief
+
+
+@pytest.mark.parametrize("turn", [(0.9, -0.9), (-0.9, -0.9)])
+def test_it_finds_elbows_that_the_markers_miss_by_15_cm(turn):
+    arms = turned_by(*turn)
+    assert (elbow_errors(arms.elbow) > 0.145).all()
+    belief = watched(pictures(FRONT), ONE, arms)
+    assert (elbow_errors(elbows_of(arms, belief.turn)) < 0.03).all()
+    assert (np.asarray(belief.spread) < 0.05).all()
+
+
+def test_where_markers_are_right_it_leaves_them_alone():
+    belief = watched(pictures(FRONT), ONE, true_arms())
+    assert (elbow_errors(elbows_of(true_arms(), belief.turn)) < 0.02).all()
+
+
+def test_a_second_camera_sees_what_one_cannot():
+    """From the front the right elbow swivels along the line of sight."""
+    arms = turned_by(-0.9, 1.0)
+    alone = watched(pictures(FRONT), ONE, arms)
+    together = watched(pictures(FRONT, SIDE), BOTH, arms)
+    error = elbow_errors(elbows_of(arms, alone.turn))
+    error_of_both = elbow_errors(elbows_of(arms, together.turn))
+    assert error[1] > 0.05 > error_of_both[1]
+    assert together.spread[1] < alone.spread[1]
+    certain, unsure = (elbow_search.confidence_of(each.spread) for each in (together, alone))
+    assert certain[1] > unsure[1]
+
+
+def stripes() -> np.ndarray:
+    """Edges everywhere and in all directions: they fit any arm."""
+    noise = np.random.default_rng(0).integers(0, 255, (160, 214)).astype(np.uint8)
+    return cv2.resize(noise, (640, 480), interpolation=cv2.INTER_NEAREST)
+
+
+def test_an_image_that_fits_everything_leaves_the_doubt():
+    arms = turned_by(0.6, -0.6)
+    clear = watched(pictures(FRONT), ONE, arms, 3)
+    vague = watched([stripes()], ONE, arms, 3)
+    assert (np.asarray(vague.spread) > 2 * np.asarray(clear.spread)).all()
+    assert (np.asarray(vague.spread) > 0.08).all()
+    assert (np.asarray(elbow_search.confidence_of(vague.spread)) < 0.3).all()
+
+
+def test_two_answers_stay_alive_until_a_clear_image_decides():
+    """The arm and its double, drawn into one picture."""
+    arms = true_arms()
+    other = picture_of(turned_by(-0.9, -0.9))
+    double = np.maximum(pictures(FRONT)[0], other)
+    middle = swivelled(arms, jnp.full(2, -0.45, jnp.float32))
+    torn = watched([double], ONE, middle, 3)
+    sure = watched(pictures(FRONT), ONE, middle, 3)
+    assert (np.asarray(torn.spread) > 1.3 * np.asarray(sure.spread)).all()
+    decided = watched(pictures(FRONT), ONE, middle, 4, torn, 3 * FRAME_S)
+    assert (elbow_errors(elbows_of(middle, decided.turn)) < 0.04).all()
+
+
+def test_the_picture_of_arms_is_the_picture_of_their_pose():
+    apart = picture_of(true_arms()).astype(int) - pictures(FRONT)[0]
+    assert np.abs(apart).max() < 60
+
+
+def test_memory_outlives_a_bad_image():
+    arms = turned_by(0.8, -0.8)
+    found = watched(pictures(FRONT), ONE, arms)
+    after = watched([stripes()], ONE, arms, 1, found, 5 * FRAME_S)
+    assert (elbow_errors(elbows_of(arms, after.turn)) < 0.06).all()
+    assert (np.asarray(after.spread) > np.asarray(found.spread)).all()
+
+
+def test_a_blind_arm_drifts_back_to_the_markers():
+    arms = turned_by(0.8, -0.8)
+    found = watched(pictures(FRONT), ONE, arms)
+    seen = observed(pictures(FRONT), ONE, arms)
+    left_only = seen._replace(seen=np.array([[True, False]]))
+    belief = found
+    for i in range(20):
+        belief = step(ONE, left_only, arms, belief, jnp.asarray((6 + i) * FRAME_S, float))
+    left, right = elbow_errors(elbows_of(arms, belief.turn))
+    assert left < 0.03
+    assert right > 0.08
+    assert belief.spread[1] > 2 * found.spread[1]
+
+
+def test_without_images_the_turn_fades_and_the_doubt_grows():
+    arms = turned_by(0.8, -0.8)
+    found = watched(pictures(FRONT), ONE, arms)
+    ages = [0.0, 0.1, 0.3, 0.6, 1.0, 2.0, 10.0]
+    turns, spreads, certain = [], [], []
+    for age in ages:
+        turn, spread = elbow_search.carried(LOOK, found, found.time + age)
+        turns.append(np.linalg.norm(turn, axis=1))
+        spreads.append(np.asarray(spread))
+        certain.append(np.asarray(elbow_search.confidence_of(spread)))
+    np.testing.assert_allclose(turns[0], np.linalg.norm(found.turn, axis=1), rtol=1e-5)
+    assert (np.diff(turns, axis=0) < 0).all() and (turns[-1] < 1e-3).all()
+    assert (np.diff(spreads, axis=0) >= 0).all()
+    np.testing.assert_allclose(spreads[-1], LOOK.elbow_prior, rtol=1e-5)
+    assert (np.diff(certain, axis=0) <= 0).all()
+    assert ((np.array(certain) > 0) & (np.array(certain) <= 1)).all()
+
+
+def test_a_frame_without_an_image_changes_no_belief():
+    arms = turned_by(0.5, -0.5)
+    found = watched(pictures(FRONT), ONE, arms)
+    nothing = observed([None], ONE, arms)
+    later = found.time + jnp.asarray(0.1, jnp.float32)
+    kept, elbows = look(ONE, arms, nothing, found, later)
+    for part, before in zip(jax.tree.leaves(kept), jax.tree.leaves(found), strict=True):
+        np.testing.assert_array_equal(part, before)
+    carried = elbow_search.carried(LOOK, found, later)[0]
+    np.testing.assert_allclose(elbows, elbows_of(arms, carried), atol=1e-6)
+
+
+@pytest.mark.parametrize("grey", [0, 255])
+def test_a_black_or_white_image_is_no_image(grey):
+    nothing = observed([np.full((480, 640, 3), grey, np.uint8)], ONE, true_arms())
+    assert not nothing.seen.any()
+    assert np.isfinite(nothing.fields).all()
+
+
+def test_before_the_first_image_the_markers_pose_is_believed():
+    belief = unknowing()
+    np.testing.assert_allclose(elbows_of(true_arms(), belief.turn), true_arms().elbow, atol=1e-6)
+    np.testing.assert_allclose(belief.spread, LOOK.elbow_prior)
+    assert (elbow_search.confidence_of(belief.spread) < 0.2).all()
+
+
+def test_confidence_falls_with_the_elbows_deviation():
+    confidence = elbow_search.confidence_of(np.array([0.0, 0.02, elbow_search.HALF_AT_M, 0.4]))
+    assert confidence[0] == 1 and confidence[2] == pytest.approx(0.5)
+    assert (np.diff(confidence) < 0).all()
+
+
+def test_fields_of_an_unseen_camera_may_hold_anything():
+    arms = turned_by(0.5, -0.5)
+    seen = observed(pictures(FRONT, SIDE), BOTH, arms)
+    spoilt = np.array(seen.fields)
+    spoilt[1] = np.nan
+    half = Observation(seen.region, spoilt, np.array([[True, True], [False, False]]))
+    belief = step(BOTH, half, arms, unknowing(), jnp.asarray(FRAME_S, float))
+    alone = step(ONE, observed(pictures(FRONT), ONE, arms), arms, unknowing(), belief.time)
+    np.testing.assert_allclose(belief.turn, alone.turn, atol=1e-5)
+
+
+def test_candidates_surround_the_markers_forearm_evenly():
+    turns = np.degrees(elbow_search.TURNS)
+    assert (np.linalg.norm(turns, axis=1) <= 75).all()
+    assert np.linalg.norm(turns, axis=1).min() == 0
+    np.testing.assert_array_equal(turns[:, 2], 0)
+    apart = np.linalg.norm(turns[:, None] - turns, axis=-1) + 1e9 * np.eye(len(turns))
+    np.testing.assert_allclose(apart.min(0), apart.min(), rtol=1e-6)
+    np.testing.assert_allclose(turns.mean(0), 0, atol=1e-6)
+
+
+def test_a_turned_forearm_keeps_its_grip_and_its_lengths():
+    arm = jax.tree.map(lambda part: part[0], true_arms())
+    same, slack = turn_forearm(arm, jnp.eye(3))
+    np.testing.assert_allclose(same.elbow, arm.elbow, atol=1e-6)
+    assert abs(float(slack)) < 1e-6
+    angle = 0.4
+    R = jnp.array(
+        [[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]]
+    )
+    moved, slack = turn_forearm(arm, R.astype(jnp.float32))
+    np.testing.assert_array_equal(moved.grip, arm.grip)
+
+    def length(a, b):
+        return np.linalg.norm(np.asarray(a) - np.asarray(b))
+
+    assert length(moved.elbow, moved.grip) == pytest.approx(length(arm.elbow, arm.grip), abs=1e-6)
+    assert length(moved.elbow, moved.shoulder) == pytest.approx(float(arm.humerus_length), abs=1e-6)
+    assert length(moved.elbow, arm.shoulder) - float(arm.humerus_length) == pytest.approx(
+        float(slack), abs=1e-6
+    )
+
+
+@pytest.mark.parametrize("angle", [-1.0, -0.2, 0.0, 0.7])
+def test_the_reported_swivel_is_the_turn_about_shoulder_and_hand(angle):
+    arms = turned_by(angle, -angle)
+    np.testing.assert_allclose(swivels(true_arms(), arms), [angle, -angle], atol=1e-5)
+
+
+def test_the_turn_between_two_arms_takes_one_elbow_to_the_other():
+    arms, other = true_arms(), turned_by(0.7, -0.5)
+    reached = elbows_of(arms, turn_between(arms, other))
+    np.testing.assert_allclose(reached, other.elbow, atol=1e-5)

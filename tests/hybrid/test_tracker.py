@@ -1,0 +1,325 @@
+"""The tracker over many frames: one trace, what is lost and found, and the reference's answers."""
+
+import copy
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import LIMITS, on_device
+from watched_arms import FRONT, MARKERS, PERSON, TRUTH, arms_in
+from waving_arms import RATE, frames, image_of, markers_of, waving
+
+from jaxmocap.body.arms import grips
+from jaxmocap.body.kinematics import landmarks
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.hybrid import steps
+from jaxmocap.hybrid.balance import spine_dofs, squat_goals
+from jaxmocap.hybrid.ik import goals_of
+from jaxmocap.hybrid.settings import IKSettings, RefineSettings, Settings
+from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.reference import kinematics as reference
+from jaxmocap.reference.hybrid import ik as reference_ik
+from jaxmocap.reference.hybrid import pipeline as reference_pipeline
+
+BLACK = np.zeros((480, 640, 3), np.uint8)
+MISSING = np.full((3, 3), np.nan)
+
+
+class CountedTracker(HybridTracker):
+    """Counts how often each of the two functions is traced, with its cameras or without."""
+
+    def __init__(self, *arguments, **options):
+        steps._programs.cache_clear()
+        super().__init__(*arguments, **options)
+        self.traced = TRACED[self.cameras is not None]
+
+
+TRACED: dict[bool, list[str]] = {True: [], False: []}
+
+
+def telling(name, function, held, skeleton, cameras, *rest):
+    TRACED[cameras is not None].append(name)
+    return function(held, skeleton, cameras, *rest)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def counted():
+    """What both functions are from now on tells when it is traced."""
+    with pytest.MonkeyPatch.context() as patched:
+        for name in ("solve", "refine"):
+            patched.setattr(steps, name, partial(telling, name, getattr(steps, name)))
+        yield
+    steps._programs.cache_clear()
+
+
+@pytest.fixture(scope="module")
+def tracker():
+    return CountedTracker(PERSON, [FRONT], Settings(region=64), MARKERS)
+
+
+@pytest.fixture(scope="module")
+def markers_only():
+    return CountedTracker(PERSON, settings=Settings(balance=False))
+
+
+def elbow_errors(pose, truth):
+    apart = arms_in(pose).elbow - arms_in(on_device(truth)).elbow
+    return np.linalg.norm(apart, axis=1)
+
+
+def followed(tracker, count, state=None, first=0):
+    """The state after some frames with video, and each frame's poses and report."""
+    state = tracker.init(markers_of(waving(first / RATE))) if state is None else state
+    seen = []
+    for time, truth, markers in frames(count, first):
+        state, pose, report = tracker.step(state, time, markers, [image_of(truth)])
+        seen.append((truth, pose, report))
+    return state, seen
+
+
+def test_both_functions_are_traced_once_whatever_comes(tracker):
+    """Moving regions, lost markers, black and missing images, a leap: 20 frames, one trace each."""
+    state = tracker.init(markers_of(waving(0)))
+    regions = []
+    for i, (time, truth, markers) in enumerate(frames(20)):
+        image = {3: BLACK, 4: BLACK[..., 0], 7: None, 12: None}.get(i, image_of(truth))
+        if i in (5, 6, 7):
+            markers[i - 5] = np.nan
+        if i == 9:
+            markers[:] = np.nan
+        if i > 15:
+            markers = markers + np.array([0, 1.5, 0])
+        images = None if i == 13 else [image]
+        state, pose, report = tracker.step(state, time, markers, images)
+        regions.append(np.asarray(tracker.solve(
+            tracker.skeleton, tracker.cameras, tracker.settings, state.pose, state.stance,
+            np.asarray(markers, np.float32),
+        ).region.origin))  # fmt: skip
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((state, pose)))
+        np.testing.assert_array_equal(np.isnan(report.distances), np.isnan(markers).any(1))
+        assert bool(report.placed) == (i == 16)
+    assert tracker.traced == ["solve", "refine"]
+    assert len(np.unique(np.array(regions).reshape(20, -1), axis=0)) > 10
+
+
+def test_other_numbers_do_not_trace_anew(tracker):
+    """Another person, other settings: arrays all of them."""
+    state = tracker.init(markers_of(TRUTH))
+    tracker.step(state, 0.0, markers_of(TRUTH), [image_of(TRUTH)])
+    before = len(tracker.traced)
+    person, held = tracker.skeleton, tracker.settings
+    try:
+        tracker.skeleton = Skeleton.human(1.6, 50.0)
+        tracker.settings = replace(held, ik=IKSettings.create(iterations=12, floor=0.1))
+        state, _, _ = tracker.step(state, 0.1, markers_of(TRUTH), [image_of(TRUTH)])
+    finally:
+        tracker.skeleton, tracker.settings = person, held
+    assert len(tracker.traced) == before
+
+
+def test_video_finds_the_elbows_that_markers_alone_miss(tracker):
+    _, seen = followed(tracker, 16)
+    errors = np.array([elbow_errors(pose, truth) for truth, pose, _ in seen])
+    without = np.array([elbow_errors(report.pose, truth) for truth, _, report in seen])
+    assert without.max(1).min() > 0.15
+    assert errors[4:].max() < 0.03
+    assert errors[4:].mean() < 0.3 * without.mean()
+    for _, _, report in seen[4:]:
+        assert (np.asarray(report.arm_costs) < 3).all()
+        assert (np.asarray(report.confidence) > 0.5).all()
+        assert np.abs(report.swivels).max() > 0.5
+
+
+def test_markers_are_met_within_2_cm_in_every_frame(tracker):
+    _, seen = followed(tracker, 16)
+    for truth, pose, report in seen:
+        assert np.asarray(report.distances).max() < 0.02
+        apart = np.linalg.norm(markers_in(pose) - markers_of(truth), axis=1)
+        np.testing.assert_allclose(report.distances, apart, atol=1e-4)
+        angles = np.asarray(pose.angles)
+        assert (angles >= LIMITS[:, 0] - 1e-4).all() and (angles <= LIMITS[:, 1] + 1e-4).all()
+
+
+def markers_in(pose):
+    return markers_of(jax.tree.map(np.asarray, pose))
+
+
+def test_what_video_found_is_carried_to_samples_without_a_frame(tracker):
+    state, _ = followed(tracker, 8)
+    for time, truth, markers in frames(6, 8):
+        state, pose, report = tracker.step(state, time, markers, None)
+        assert elbow_errors(pose, truth).max() < 0.06
+        assert elbow_errors(report.pose, truth).max() > 0.15
+        assert np.isnan(report.arm_costs).all()
+        assert np.asarray(report.distances).max() < 0.02
+
+
+def test_without_images_it_ends_at_the_markers_pose_and_says_so(tracker):
+    state, seen = followed(tracker, 8)
+    certain = np.asarray(seen[-1][2].confidence)
+    for i in range(8, 8 + 4 * RATE, 6):
+        truth = waving(8 / RATE)
+        state, pose, report = tracker.step(state, i / RATE, markers_of(truth), [BLACK])
+        assert (np.asarray(report.confidence) <= certain + 1e-6).all()
+        certain = np.asarray(report.confidence)
+    assert (certain < 0.2).all()
+    np.testing.assert_allclose(arms_in(pose).elbow, arms_in(report.pose).elbow, atol=0.05)
+
+
+def test_elbows_come_back_after_a_gap(tracker):
+    state, _ = followed(tracker, 6)
+    for i in range(6, 12):
+        state, pose, _ = tracker.step(state, i / RATE, MISSING, [BLACK])
+        assert all(np.isfinite(leaf).all() for leaf in pose)
+    _, seen = followed(tracker, 8, state, 12)
+    assert elbow_errors(seen[-1][1], seen[-1][0]).max() < 0.03
+    assert np.asarray(seen[-1][2].distances).max() < 0.02
+
+
+def test_a_leap_places_the_body_anew(tracker):
+    state, _ = followed(tracker, 4)
+    truth = waving(4 / RATE)
+    away = markers_of(truth) + np.array([3.0, -2.0, 0.0])
+    state, pose, report = tracker.step(state, 4 / RATE, away, None)
+    assert bool(report.placed)
+    np.testing.assert_allclose(pose.position[:2], truth.position[:2] + np.array([3, -2]), atol=0.3)
+    for i in range(5, 8):
+        state, pose, report = tracker.step(state, i / RATE, away, None)
+        assert not report.placed
+    assert np.asarray(report.distances).max() < 0.02
+
+
+def test_solve_knows_nothing_of_what_refine_found(tracker, markers_only):
+    """The markers' poses are the same with and without video."""
+    _, seen = followed(tracker, 5)
+    state = markers_only.init(markers_of(waving(0)))
+    for (time, _, markers), (_, _, report) in zip(frames(5), seen, strict=True):
+        state, _, alone = markers_only.step(state, time, markers)
+        for part, other in zip(alone.pose, report.pose, strict=True):
+            np.testing.assert_allclose(part, other, atol=1e-5)
+
+
+def test_markers_alone_are_tracked_without_a_camera(markers_only):
+    state = markers_only.init(markers_of(waving(0)))
+    for time, _, markers in frames(10):
+        state, pose, report = markers_only.step(state, time, markers)
+        assert np.asarray(report.distances).max() < (0.02 if time > 0.1 else 1)
+        assert np.isnan(report.arm_costs).all()
+        for part, other in zip(pose, report.pose, strict=True):
+            np.testing.assert_array_equal(part, other)
+    assert markers_only.traced == ["solve", "refine"]
+
+
+def test_the_papers_markers_are_the_default(markers_only):
+    for ours, theirs in zip(markers_only.markers, MARKERS, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert markers_only.held.held == ("l", "r")
+
+
+def squatting(depth):
+    """The markers of a squat, on the ground."""
+    targets = np.asarray(squat_goals(PERSON, depth).targets)
+    foot = float(PERSON.diameters[PERSON.tree.bone("foot_l"), 0])
+    return targets[:3] + np.array([0, 0, foot - targets[3, 2]])
+
+
+@pytest.mark.parametrize("images", [None, [BLACK]])
+def test_a_squat_is_balanced_and_its_bow_does_not_pile_up(tracker, images):
+    state = tracker.init(squatting(0.0))
+    depths = np.concatenate([np.linspace(0, 0.3, 12), np.full(20, 0.3)])
+    dofs, spines = spine_dofs(PERSON), []
+    for i, depth in enumerate(depths):
+        state, pose, report = tracker.step(state, i / RATE, squatting(depth), images)
+        spines.append(np.asarray(pose.angles)[dofs])
+        assert np.asarray(report.distances).max() < 0.02 or i < 2
+    assert bool(report.balanced)
+    change = np.degrees(np.abs(np.array(spines[-1]) - spines[13]))
+    assert change.max() < 1.5
+
+
+def test_balance_can_be_switched_off(markers_only):
+    state = markers_only.init(squatting(0.0))
+    for i in range(6):
+        state, _, report = markers_only.step(state, i / RATE, squatting(0.05 * i))
+        assert not report.balanced
+
+
+# The reference takes its time: small regions, few steps.
+SMALL = 16
+LANDMARKS_OF = jax.jit(landmarks)
+
+
+@pytest.fixture(scope="module")
+def paper_tracker():
+    """The paper's way: plain edges, its sum, the simplex alone, no memory."""
+    chosen = replace(Settings.paper(), region=SMALL, polish=RefineSettings.create(iterations=8))
+    return HybridTracker(PERSON, [FRONT], chosen, MARKERS)
+
+
+def of_reference(tracker, state, markers, image, start, last):
+    """One frame by the reference from its own two poses; regions and stance are the tracker's."""
+    skeleton, settings = tracker.skeleton, tracker.settings
+    targets = np.asarray(markers, np.float32)
+    solved = tracker.solve(skeleton, tracker.cameras, settings, state.pose, state.stance, targets)
+    mask = jnp.ones(3, bool)
+    goals = goals_of(skeleton, tracker.held, settings.ik, solved.ik.stance, targets, mask)
+    body, camera = jax.tree.map(np.asarray, (skeleton, FRONT))
+    by_markers, _ = reference_ik.reach(body, goals, settings.ik, start)
+    # The observer remembers its thresholds; this look must leave no trace.
+    observer = copy.copy(tracker.observer)
+    observer.thresholds = copy.deepcopy(observer.thresholds)
+    seen = observer.observe([image], solved.region)
+    origin, scale = (np.asarray(part, float)[0] for part in solved.region)
+    views = [
+        reference_pipeline.ArmView(origin[arm], scale[arm], np.asarray(seen.fields)[0, arm, 0])
+        for arm in range(2)
+    ]
+    refined = reference_pipeline.refine(
+        body, camera, settings, tracker.factors, goals, by_markers, last, views,
+        jax.tree.map(np.asarray, grips(skeleton, MARKERS)),
+    )  # fmt: skip
+    return by_markers, refined
+
+
+def apart(tracker, pose, expected):
+    ours = np.asarray(LANDMARKS_OF(tracker.skeleton, pose))
+    return np.linalg.norm(
+        ours - reference.landmarks(jax.tree.map(np.asarray, tracker.skeleton), expected), axis=1
+    ).max()
+
+
+def test_frame_by_frame_float32_is_within_a_millimetre_of_the_reference(paper_tracker):
+    tracker = paper_tracker
+    state = tracker.init(markers_of(waving(0)))
+    for i, (time, truth, markers) in enumerate(frames(6)):
+        image = image_of(truth)
+        if i >= 3:
+            start, last = state.pose, state.belief.pose
+            by_markers, refined = of_reference(tracker, state, markers, image, start, last)
+        state, pose, report = tracker.step(state, time, markers, [image])
+        if i >= 3:
+            assert apart(tracker, report.pose, by_markers) < 1e-3
+            assert apart(tracker, pose, refined) < 1e-3
+            assert apart(tracker, pose, by_markers) > 2e-3
+
+
+@pytest.mark.slow
+def test_over_100_frames_the_references_elbow_error_is_the_same(paper_tracker, request):
+    """A simplex may take another branch now and then; over the sequence it evens out."""
+    if "slow" not in request.config.option.markexpr:
+        pytest.skip("takes minutes, so it runs by name only: python -m pytest -m slow")
+    tracker, errors = paper_tracker, []
+    state = tracker.init(markers_of(waving(0)))
+    start, last = state.pose, state.belief.pose
+    for time, truth, markers in frames(100):
+        image = image_of(truth)
+        start, last = of_reference(tracker, state, markers, image, start, last)
+        state, pose, _ = tracker.step(state, time, markers, [image])
+        theirs = elbow_errors(on_device(Pose(*last)), truth)
+        errors.append([elbow_errors(pose, truth), theirs])
+    ours, theirs = np.mean(errors, (0, 2))
+    assert abs(ours - theirs) < 0.002

@@ -1,0 +1,272 @@
+"""Who may send to a live run, how much, and by which clock; and what of it is said and kept."""
+
+from io import StringIO
+
+import numpy as np
+import pytest
+from test_live_markers import MARKERS, bundle, device, gathering, listening, packet, wait_for
+
+from jaxmocap.capture.streams.sample_gathering import Gathering
+from jaxmocap.capture.streams.senders import (
+    MOST_SENDERS,
+    MOST_STRANGERS,
+    SENDER_A_SECOND,
+    shared_out,
+)
+from jaxmocap.capture.streams.stream_clock import StreamClock
+from jaxmocap.capture.streams.udp import MOST_A_SECOND, MarkerSocket
+from jaxmocap.formats.files.addresses import LOOPBACK, Address
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.recordings.live import load_live
+from jaxmocap.outputs.osc import Sender
+from jaxmocap.pipelines.live.status import FIRST_KEPT, NEWEST_KEPT, LiveStatus
+from jaxmocap.pipelines.live.stream_states import stream_states
+
+LIVE = "[markers.on]\nHmd = { bone = 'head' }\n"
+
+
+class Line:
+    """A socket that nobody sends to, and a clock that is set by hand."""
+
+    def __init__(self, allowed=LOOPBACK):
+        self.at = 0.0
+        self.gathers, self.samples = gathering()
+        self.socket = MarkerSocket(
+            Address(port=0), self.gathers, now=lambda: self.at, allowed=allowed
+        )
+        self.socket.stop()
+
+    def bring(self, *packets):
+        self.at = packets[-1].arrived
+        self.socket.take(packets)
+
+
+@pytest.fixture
+def line():
+    return Line()
+
+
+# Clocks ------------------------------------------------------------------------------------------
+
+
+def test_two_senders_with_two_clocks_are_no_clock_that_jumps(line):
+    """One clock for both said 54 lines a second."""
+    status = LiveStatus(StringIO())
+    for i in range(900):
+        at = i / 90
+        line.bring(packet(0.0, 5000, at=at, stamp=at + 1000), packet(0.0, 5001, at=at, stamp=at))
+        for of, state in stream_states(line.socket, line.gathers, [], at):
+            status.state(at, of, state)
+    assert line.socket.clock_jumps == 0
+    assert line.socket.sent() == {"127.0.0.1:5000": 900, "127.0.0.1:5001": 900}
+    assert not [each for each in status.said if "clock" in each.what]
+
+
+def test_each_of_two_senders_keeps_its_own_rhythm(line):
+    rng = np.random.default_rng(0)
+    for i in range(300):
+        late = np.minimum(rng.exponential(0.002, 2), 0.004)
+        first = packet(0.0, 5000, at=i / 90 + late[0], stamp=500 + i / 90)
+        second = packet(0.0, 5001, at=i / 90 + 0.005 + late[1], stamp=i / 90 + 0.005)
+        line.bring(*sorted([first, second], key=lambda each: each.arrived))
+    times = np.array([sample.time for sample in line.samples])
+    assert np.diff(times[::2])[100:].std() < 3e-4
+
+
+def test_a_clock_that_is_set_at_every_packet_is_said_at_every_tenfold(line):
+    said = StringIO()
+    status = LiveStatus(said)
+    for i in range(20_000):
+        at = i / 1000
+        line.bring(packet(0.0, at=at, stamp=float(i % 7) * 100))
+        for of, state in stream_states(line.socket, line.gathers, [], at):
+            status.state(at, of, state)
+    assert line.socket.clock_jumps > 10_000
+    lines = [each.what for each in status.said if "clock" in each.what]
+    assert lines == [
+        f"the sender's clock: was set, {10**digits} or more times" for digits in range(5)
+    ]
+
+
+@pytest.mark.parametrize("stamp", [1e300, -1e300, 1e17])
+def test_stamps_too_large_for_a_rhythm_are_left_out(stamp):
+    clock = StreamClock()
+    assert [clock.time(at, stamp) for at in (1.0, 2.0, 3.0)] == [1.0, 2.0, 3.0]
+
+
+# Who may send ------------------------------------------------------------------------------------
+
+
+def test_strangers_are_counted_named_and_otherwise_ignored(line):
+    line.bring(*(packet(1.0, host=f"10.0.0.{i}") for i in range(200)), packet(2.0))
+    assert line.socket.ignored["stranger"] == 200 and len(line.samples) == 1
+    assert len(line.socket.strangers) == MOST_STRANGERS
+    states = dict(stream_states(line.socket, line.gathers, [], 0.0))
+    assert states["stranger packets ignored"] == "100 or more"
+    assert "10.0.0.0" in states["strangers"] and "[osc] from" in states["strangers"]
+
+
+def test_the_hosts_and_networks_that_may_send_are_stated(tmp_path):
+    path = tmp_path / "live.toml"
+    path.write_text(LIVE + "[osc]\nlisten = '0.0.0.0:5000'\nfrom = ['10.0.0.7', '192.168.1.0/24']")
+    line = Line(load_live(path).senders)
+    hosts = ("10.0.0.7", "::ffff:10.0.0.7", "192.168.1.99", "10.0.0.8", "127.0.0.1", "::1", "who")
+    line.bring(*(packet(0.0, host=host) for host in hosts))
+    assert len(line.samples) == 3 and line.socket.ignored["stranger"] == 4
+
+
+@pytest.mark.parametrize("listen", ["127.0.0.1:5000", "[::1]:5000", "localhost:5000", "5000", ""])
+def test_where_this_machine_alone_can_send_nobody_needs_to_be_stated(tmp_path, listen):
+    path = tmp_path / "live.toml"
+    path.write_text(LIVE + (f"[osc]\nlisten = '{listen}'" if listen else ""))
+    assert load_live(path).senders == LOOPBACK
+
+
+@pytest.mark.parametrize("listen", ["0.0.0.0:5000", "[::]:5000", "192.168.1.2:5000", "studio:5000"])
+def test_where_others_can_send_it_must_be_stated_who_may(tmp_path, listen):
+    path = tmp_path / "live.toml"
+    path.write_text(f"{LIVE}[osc]\nlisten = '{listen}'")
+    with pytest.raises(InputError, match=r"'from' is missing.*\['192\.168\.1\.20'\]"):
+        load_live(path)
+
+
+@pytest.mark.parametrize(
+    "stated", ["'127.0.0.1'", "[]", "['studio']", "[5]", "['10.0.0.1/99']", "['\\u001b[2J']"]
+)
+def test_senders_that_are_no_addresses_are_refused(tmp_path, stated):
+    path = tmp_path / "live.toml"
+    path.write_text(f"{LIVE}[osc]\nfrom = {stated.replace(chr(39), chr(34))}")
+    with pytest.raises(InputError, match="from: found") as refused:
+        load_live(path)
+    assert str(refused.value).isprintable()
+
+
+def test_packets_of_this_machine_come_in_over_a_real_socket():
+    out = []
+    with listening(out.append) as (marker_socket, send):
+        send(bundle(*(device("Tra", name, 0, 1, 0) for name in MARKERS)))
+        wait_for(lambda: out)
+        ((name, count),) = marker_socket.sent().items()
+    assert name.startswith("127.0.0.1:") and count == 1
+
+
+# Addresses ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "port",
+    [
+        *("0", "65536", "-1", "1.5", "true", "[1]", "{}", "9" * 4300),
+        *("'9" + "9" * 4299 + "'", "'٤٠٠٠'", "'host:٤'", "'0'", "':'", "'x:1:2'"),
+        *("'a b:80'", "'a\\u0000b:80'", f"'{'h' * 300}:80'"),
+    ],
+)
+@pytest.mark.parametrize("table", ["osc]\nlisten", "vmc]\nsend", "vrchat]\nsend"])
+def test_what_is_no_port_is_refused_in_one_sentence(tmp_path, table, port):
+    path = tmp_path / "live.toml"
+    path.write_text(f"{LIVE}[{table} = {port.replace(chr(39), chr(34))}\n")
+    with pytest.raises(InputError) as refused:
+        load_live(path)
+    sentence = str(refused.value)
+    assert sentence.isprintable() and len(sentence) <= 500 and "found" in sentence
+
+
+def test_a_host_that_is_not_there_is_refused_before_the_run_begins():
+    for opens in (lambda at: MarkerSocket(at, gathering()[0]), Sender):
+        with pytest.raises(InputError, match="no such address"):
+            opens(Address("no.such.host.invalid", 5000))
+
+
+# Shares ------------------------------------------------------------------------------------------
+
+
+def test_one_sender_does_not_crowd_out_another(line):
+    heard = 0
+    for i in range(90):
+        at = i / 90
+        flood = [packet(1.0, 6666, at=at) for _ in range(1000)]
+        line.bring(*flood[:500], packet(2.0, 5000, at=at), *flood[500:])
+        heard += sum(sample.positions_world[0, 0] == 2.0 for sample in line.samples)
+        line.samples.clear()
+    assert heard == 90
+    read = line.socket.packets - line.socket.ignored["flood"]
+    assert read <= MOST_A_SECOND + 400 and read - 90 <= SENDER_A_SECOND + 300
+
+
+def test_of_what_may_be_read_who_sends_little_gets_all():
+    assert shared_out({"a": 1000, "b": 3, "c": 1000}, 103) == {"b": 3, "a": 50, "c": 50}
+    assert shared_out({"a": 5, "b": 5}, 1) == {"a": 1, "b": 0}
+    assert shared_out({}, 5) == {} and shared_out({"a": 2}, 0) == {"a": 0}
+
+
+def test_many_senders_share_what_few_have_alone(line):
+    """A sender that opens a port for every packet is heard as well, without a clock."""
+    for i in range(1000):
+        line.bring(packet(float(i % 7), 1024 + i, at=i / 90, stamp=1e4 - i))
+    assert len(line.samples) == 1000 and line.socket.clock_jumps == 0
+    sent = line.socket.sent()
+    assert len(sent) <= MOST_SENDERS + 1 and sent["others"] > 900
+    # Who falls silent makes room for somebody new.
+    line.bring(packet(0.0, 9999, at=1000.0))
+    assert "127.0.0.1:9999" in line.socket.sent()
+
+
+# What is said ------------------------------------------------------------------------------------
+
+
+def test_names_that_come_in_are_no_commands_to_a_terminal(line):
+    said = StringIO()
+    status = LiveStatus(said)
+    for name in ("\x1b[2J\x1b]0;owned\x07", "a\nb", "\u202egnp.exe"):
+        line.gathers.unknown.add(name)
+    for of, state in stream_states(line.socket, line.gathers, [], 0.0):
+        status.state(0.0, of, state)
+    status.say(0.0, "\x1b[2J" + "x" * 10_000)
+    status.show(0.0, {"\x1b[2Jcam": 0.1}, {}, np.zeros(2))
+    text = said.getvalue()
+    assert all(each.isprintable() for each in text.split("\n"))
+    assert "\\x1b[2J" in text and "'a\\nb'" in text and max(map(len, text.split("\n"))) < 600
+
+
+def test_what_changes_all_the_time_is_said_from_time_to_time_and_as_it_then_is():
+    said = StringIO()
+    status = LiveStatus(said)
+    for i in range(100_000):
+        status.state(i / 100, "markers", "coming in" if i % 2 else "nothing comes in")
+    assert 100 < len(status.said) < 200
+    status.state(2000.0, "markers", "waiting")
+    assert status.said[-1].what == "markers: waiting"
+
+
+def test_of_what_was_said_the_first_and_the_newest_are_kept():
+    status = LiveStatus(StringIO())
+    for i in range(5000):
+        status.say(float(i), f"sentence {i}")
+    kept = [said.what for said in status.said]
+    assert len(kept) == FIRST_KEPT + NEWEST_KEPT
+    assert kept[0] == "sentence 0" and kept[-1] == "sentence 4999"
+    figures = status.figures(1.0)
+    assert len(figures["said"]) == len(kept) and figures["sentences"] == 5000
+
+
+def test_a_log_on_a_full_disk_ends_no_run():
+    class Full(StringIO):
+        def write(self, text):
+            raise OSError(28, "No space left on device")
+
+    status = LiveStatus(Full())
+    status.say(0.0, "goes on")
+    status.show(0.0, {}, {}, np.zeros(2))
+    assert status.said[0].what == "goes on"
+
+
+def test_a_name_of_thousands_of_letters_is_no_marker():
+    given_out = []
+    gathers = Gathering(MARKERS, {}, np.eye(3), given_out.append)
+    from jaxmocap.capture.streams.osc import BadPacketError, parse
+
+    address = b"/tracking/trackers/" + b"x" * 5000 + b"/position"
+    datagram = address + b"\0" * (4 - len(address) % 4) + b",fff\0\0\0\0" + b"\0" * 12
+    with pytest.raises(BadPacketError, match="malformed"):
+        parse(datagram)
+    assert not gathers.unknown

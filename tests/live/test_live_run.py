@@ -1,0 +1,350 @@
+"""A live run: its file, its recording on disk, cameras, and the whole of it over real sockets."""
+
+import json
+import os
+import signal
+import socket
+import threading
+import time
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from pythonosc.osc_packet import OscPacket
+from small_recording import small_recording, write_small_recording
+
+import jaxmocap.pipelines.live.loop
+from jaxmocap import Recording
+from jaxmocap.body.pose import Pose, relaxed_pose
+from jaxmocap.capture.streams import cameras
+from jaxmocap.capture.streams.cameras import LiveCamera
+from jaxmocap.capture.streams.inbox import Frame
+from jaxmocap.capture.streams.sample_gathering import Sample
+from jaxmocap.capture.video import open_video
+from jaxmocap.formats.files.addresses import Address
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.recordings.filters import OneEuroSettings
+from jaxmocap.formats.recordings.live import (
+    LISTEN,
+    R_WORLD_UNITY,
+    VMC,
+    LiveSetup,
+    LiveVideo,
+    load_live,
+)
+from jaxmocap.outputs.osc import Bundle
+from jaxmocap.outputs.unity import to_unity
+from jaxmocap.pipelines.live.loop import Live
+from jaxmocap.pipelines.live.recording import LiveRecording
+from jaxmocap.pipelines.live.session import live_summary
+from jaxmocap.pipelines.live.status import LiveStatus
+from jaxmocap.pipelines.live.stop import stopped_by_signals
+from jaxmocap.pipelines.live.tracking import Output
+
+FILE = """
+[markers.on]
+Hmd = { bone = "head", at = 0.7, offset = [0.1, 0.0, 0.0] }
+1 = { bone = "hand_l", at = 0.6 }
+
+[osc]
+listen = "0.0.0.0:5000"
+from = ["192.168.1.0/24", "127.0.0.1"]
+names = { "LHR-1" = "1" }
+
+[[video]]
+device = 2
+camera = "cam"
+offset = -0.04
+
+[[video]]
+url = "rtsp://somewhere/stream"
+camera = "other"
+
+[calibration]
+file = "two.toml"
+
+[subject]
+height = 1.6
+
+[vrchat]
+trackers = ["hip", "foot_l"]
+"""
+
+
+def write_file(folder: Path, text: str = FILE) -> Path:
+    write_small_recording(folder)
+    camera = (folder / "calibration.toml").read_text()
+    (folder / "two.toml").write_text(camera + camera.replace("[cam]", "[other]"))
+    path = folder / "live.toml"
+    path.write_text(text)
+    return path
+
+
+def small_setup(folder: Path, vmc: Address = VMC) -> LiveSetup:
+    """The small recording as a live run, its video played from a file."""
+    toml = write_small_recording(folder)
+    recording = Recording.load(toml)
+    source = recording.videos[0]
+    assert source.path is not None
+    return LiveSetup(
+        toml,
+        recording.skeleton,
+        recording.places,
+        R_WORLD_UNITY,
+        (LiveVideo("cam", source.camera, source.path),),
+        listen=Address(port=0),
+        vmc=vmc,
+        vrchat=vmc,
+        calibration=folder / "calibration.toml",
+        subject={"height": 1.75},
+    )
+
+
+# The file ----------------------------------------------------------------------------------------
+
+
+def test_the_file_of_a_live_run_is_read(tmp_path):
+    setup = load_live(write_file(tmp_path))
+    assert setup.marker_names == ("Hmd", "1") and setup.aliases == {"LHR-1": "1"}
+    assert (setup.listen, setup.vmc) == (Address("0.0.0.0", 5000), VMC)
+    assert setup.vrchat == Address("127.0.0.1", 9000) and setup.trackers == ("hip", "foot_l")
+    assert [video.source for video in setup.videos] == [2, "rtsp://somewhere/stream"]
+    assert setup.videos[0].offset == -0.04
+    np.testing.assert_array_equal(setup.R_world_source, R_WORLD_UNITY)
+
+
+def test_what_is_not_said_is_loopback_and_unitys_axes(tmp_path):
+    path = write_file(tmp_path, "[markers.on]\nHmd = { bone = 'head' }\n")
+    setup = load_live(path)
+    assert setup.listen == LISTEN and setup.listen.host == setup.vmc.host == "127.0.0.1"
+    assert setup.vrchat is None and "no [subject]" in setup.warnings[0]
+    assert setup.one_euro is None
+    text = (
+        "[markers]\nup = 'y'\nfilters = { one_euro = true }\n[markers.on]\nHmd = { bone = 'head' }"
+    )
+    y_up = write_file(tmp_path, text)
+    assert load_live(y_up).one_euro == OneEuroSettings()
+    assert np.linalg.det(load_live(y_up).R_world_source) > 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("device = 2", "device = 1.5", "device"),
+        ("device = 2", "device = 2\nfile = 'cam.mp4'", "device and file"),
+        ("device = 2\n", "", "one of device, file, url"),
+        ('"0.0.0.0:5000"', '"0.0.0.0:x"', r"\[osc\] listen"),
+        ('= "1" }', '= "3" }', "no marker '3'"),
+        ('["hip", "foot_l"]', '["hip", "nose"]', "trackers"),
+        ('bone = "head"', 'bone = "skull"', "unknown bone 'skull'"),
+        ('camera = "other"', 'camera = "cam"', "one camera"),
+        ("[osc]", "[markers.filters]\nbutterworth = 6.0\n[osc]", "expected one_euro"),
+        ("[osc]", "[lsl]\nstream = 'mocap'\n[osc]", "one source"),
+        ("device = 2", "device = 1e300", "device"),
+        ("-0.04", "-1e9", r"offset: found.*from -60 to 60"),
+        ("rtsp://somewhere/stream", "/dev/zero", "url: found.*rtsp"),
+        ("rtsp://somewhere/stream", "file:///dev/zero", "url: found"),
+        ('camera = "other"', 'camera = "CAM"', "one camera|CAM"),
+        ('["hip", "foot_l"]', '["hip", "hip"]', "each once"),
+        ('["hip", "foot_l"]', "[[]]", "each once"),
+        ("Hmd = {", '"a\\nb" = { bone = "head" }\nHmd = {', "printable characters"),
+        ("Hmd = {", '" Hmd" = { bone = "head" }\nHmd = {', "printable characters"),
+    ],
+)
+def test_what_does_not_fit_is_said(tmp_path, old, new, said):
+    assert old in FILE
+    with pytest.raises(InputError, match=said):
+        load_live(write_file(tmp_path, FILE.replace(old, new)))
+
+
+# On disk -----------------------------------------------------------------------------------------
+
+
+def test_what_was_recorded_live_is_read_like_any_recording(tmp_path):
+    recording = small_recording()
+    setup = small_setup(tmp_path)
+    written = LiveRecording(setup, tmp_path / "out")
+    positions = recording.positions_world.copy()
+    positions[5, 2] = np.nan
+    for time_s, points in zip(recording.times + 3.0, positions, strict=True):
+        written.add(Sample(time_s, points, time_s))
+    frames = recording.videos[0].frames
+    assert frames is not None
+    moments = 3.1 + np.cumsum(np.linspace(0.03, 0.05, len(frames[1])))
+    for at, image in zip(moments, frames[1], strict=True):
+        written.add(Frame(0, at, image, at))
+    again = Recording.load(written.close())
+    assert written.dropped == 0
+    np.testing.assert_allclose(again.times, recording.times + 3.0, atol=1e-8)
+    np.testing.assert_allclose(again.positions_world, positions, atol=1e-6)
+    assert again.places == recording.places
+    np.testing.assert_allclose(again.skeleton.lengths, recording.skeleton.lengths, rtol=1e-6)
+    video = open_video(again.videos[0])
+    np.testing.assert_allclose(video.times, moments, atol=1e-4)
+    for (_, image), expected in zip(video.frames(), frames[1], strict=True):
+        assert image is not None and np.abs(image.astype(float) - expected).mean() < 12
+    with pytest.raises(InputError, match=r"holds markers\.csv, recording\.toml.* already"):
+        LiveRecording(setup, tmp_path / "out")
+
+
+def test_a_run_without_a_sample_leaves_no_recording_to_track(tmp_path):
+    assert LiveRecording(small_setup(tmp_path), tmp_path / "out").close() is None
+
+
+# Cameras -----------------------------------------------------------------------------------------
+
+
+def test_a_file_is_played_at_its_own_pace_and_then_ends(tmp_path):
+    setup = small_setup(tmp_path)
+    frames: list[Frame] = []
+    camera = LiveCamera(setup.videos[0], 0, frames.append, colour=True)
+    began = time.monotonic()
+    camera.start()
+    end = began + 10
+    while camera.status != "ended" and time.monotonic() < end:
+        time.sleep(0.01)
+    assert len(frames) == camera.frames == 12 and frames[0].image.shape == (72, 96, 3)
+    # 11 intervals of 1/30 s; a busy machine may deliver late, the first frame too, never early.
+    assert frames[-1].time - began > 11 / 30 - 0.05
+
+
+def test_a_device_that_is_not_there_is_said_and_one_that_leaves_is_asked_for_again(
+    tmp_path, monkeypatch
+):
+    setup = small_setup(tmp_path)
+    video = replace(setup.videos[0], source=0)
+    opened: list[int] = []
+
+    def device(index, size, colour):
+        opened.append(index)
+        if len(opened) == 2:
+            raise InputError(f"camera {index}", "no such device")
+        return (np.zeros((72, 96), np.uint8) for _ in range(3))
+
+    monkeypatch.setattr(cameras, "device_frames", device)
+    monkeypatch.setattr(cameras, "AGAIN_S", 0.01)
+    frames: list[Frame] = []
+    camera = LiveCamera(video, 0, frames.append, colour=False)
+    camera.start()
+    end = time.monotonic() + 5
+    while len(frames) < 6 and time.monotonic() < end:
+        time.sleep(0.005)
+    camera.stop()
+    assert len(opened) >= 3 and len(frames) >= 6
+
+
+def test_images_of_another_size_than_calibrated_are_not_used(tmp_path, monkeypatch):
+    setup = small_setup(tmp_path)
+    large = np.zeros((480, 640), np.uint8)
+    monkeypatch.setattr(cameras, "device_frames", lambda *_: (image for image in [large]))
+    camera = LiveCamera(replace(setup.videos[0], source=0), 0, lambda _: None, colour=False)
+    camera.start()
+    camera._thread.join(2.0)
+    assert camera.frames == 0 and "640 × 480 pixels, calibrated for 96 × 72" in str(camera.problem)
+
+
+def test_a_stream_of_far_larger_images_than_calibrated_is_not_decoded(tmp_path):
+    clip, most = str(tmp_path / "clip.ts"), cameras.most_pixels((96, 72))
+    with av.open(clip, "w", format="mpegts") as container:
+        stream = container.add_stream("libx264", rate=30, options={"tune": "zerolatency"})
+        stream.width, stream.height, stream.pix_fmt = 96, 72, "yuv420p"
+        for _ in range(30):
+            picture = av.VideoFrame.from_ndarray(np.zeros((72, 96), np.uint8), format="gray")
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode())
+    frames = list(cameras.stream_frames(clip, False, most))
+    assert len(frames) >= 20 and frames[0].shape == (72, 96)
+    with pytest.raises(InputError, match="images of 96 × 72 pixels, far more"):
+        list(cameras.stream_frames(clip, False, 1000))
+
+
+def test_why_a_camera_does_not_come_is_said(tmp_path, monkeypatch):
+    monkeypatch.setattr(cameras, "AGAIN_S", 0.01)
+    video = replace(small_setup(tmp_path).videos[0], source="tcp://127.0.0.1:9")
+    camera = LiveCamera(video, 0, lambda _: None, colour=False)
+    camera.start()
+    end = time.monotonic() + 20
+    while camera.reason is None and time.monotonic() < end:
+        time.sleep(0.01)
+    camera.stop()
+    assert camera.status == "waiting" and "refused" in str(camera.reason)
+
+
+# All of it ---------------------------------------------------------------------------------------
+
+
+class Standing:
+    """Stands in for the tracker: every sample finds somebody who stands still."""
+
+    colour, placed, late = False, 0, 0
+
+    def __init__(self, setup, settings, smooth):
+        pose = relaxed_pose(setup.skeleton)
+        self.pose = Pose(*(np.asarray(part) for part in pose))  # type: ignore[arg-type]
+
+    def sample(self, sample: Sample) -> list[Output]:
+        return [Output(sample.time, self.pose, np.ones(2), sample.arrived)]
+
+    def frames(self, frames) -> list[Output]:
+        return []
+
+    def flush(self) -> list[Output]:
+        return []
+
+
+def test_markers_in_poses_out_and_a_recording_until_ctrl_c(tmp_path, monkeypatch):
+    monkeypatch.setattr(jaxmocap.pipelines.live.loop, "LiveTracking", Standing)
+    receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    receiver.bind(("127.0.0.1", 0))
+    receiver.settimeout(0.3)
+    vmc = Address(port=receiver.getsockname()[1])
+    setup, said = small_setup(tmp_path, vmc), StringIO()
+    status = LiveStatus(said)
+    live = Live(setup, out=tmp_path / "out", status=status)
+    recording = small_recording()
+    names = recording.marker_names
+    bundle = Bundle([("/VMC/Ext/Tra/Pos", [name, *[0.0] * 7]) for name in names])
+    turns = np.tile([0.0, 0, 0, 1], (len(names), 1))
+
+    def play() -> None:
+        sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        time.sleep(0.2)
+        for _ in range(2):
+            for points in recording.positions_world:
+                sender.sendto(b"garbage", tuple(live.address))
+                sender.sendto(
+                    bundle.filled(np.hstack([to_unity(points), turns])), tuple(live.address)
+                )
+                time.sleep(1 / 60)
+            # One hand is lost, then all markers are.
+            recording.positions_world[:, 1] = 1e6
+            time.sleep(0.5)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    player = threading.Thread(target=play)
+    with stopped_by_signals() as stop:
+        player.start()
+        figures = live.run(seconds=30.0, stop=stop)
+    player.join()
+    assert stop.is_set() and figures["seconds"] < 25
+    poses, trackers, lost = 0, 0, 0
+    try:
+        while True:
+            messages = [timed.message for timed in OscPacket(receiver.recv(65536)).messages]
+            poses += messages[-1].address == "/VMC/Ext/Bone/Pos"
+            trackers += messages[0].address.startswith("/tracking/trackers")
+            lost += messages[0].params == [1, 3, 0, 0]
+    except TimeoutError:
+        receiver.close()
+    assert poses == trackers == figures["outputs"] >= 20 and lost >= 1
+    assert figures["ignored"]["malformed"] == 48 and figures["frames"]["cam"] == 12
+    assert figures["ignored"]["absurd"] == 24
+    assert "markers: coming in" in said.getvalue()
+    assert "markers: nothing comes in" in said.getvalue() and "cam: ended" in said.getvalue()
+    again = Recording.load(figures["recording"])
+    assert len(again.times) == 24 and len(open_video(again.videos[0])) == 12
+    json.dumps(figures)
+    assert f"{figures['outputs']}" in live_summary(figures)

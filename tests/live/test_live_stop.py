@@ -1,0 +1,389 @@
+"""How a live run ends: whole, soon, and with every thread and process that it began."""
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_recording import PLACES
+from test_live_disk import contents, live_setup
+from test_live_run import Standing, small_setup
+
+import jaxmocap.pipelines.live.loop
+from jaxmocap import Recording
+from jaxmocap.capture.streams import cameras
+from jaxmocap.capture.video import open_video
+from jaxmocap.formats.files.addresses import Address
+from jaxmocap.formats.files.errors import InputError, OutputError
+from jaxmocap.outputs.osc import Bundle
+from jaxmocap.pipelines import view
+from jaxmocap.pipelines.live import session
+from jaxmocap.pipelines.live.loop import Live
+from jaxmocap.pipelines.live.session import live_summary, run_live
+from jaxmocap.pipelines.live.status import LiveStatus
+from jaxmocap.pipelines.live.stop import stopped_by_signals
+from jaxmocap.pipelines.signals import Terminated, held_back, raised_on_sigterm
+
+posix = pytest.mark.skipif(os.name != "posix", reason="signals are sent as on POSIX")
+OURS = ("markers", "camera", "recording", "viewer")
+
+
+@pytest.fixture(autouse=True)
+def standing_in(monkeypatch):
+    """No tracker: every sample finds somebody who stands still."""
+    monkeypatch.setattr(jaxmocap.pipelines.live.loop, "LiveTracking", Standing)
+
+
+def threads() -> list[str]:
+    return [t.name for t in threading.enumerate() if t.name.startswith(OURS)]
+
+
+def bundle_of_markers() -> bytes:
+    bundle = Bundle([("/VMC/Ext/Tra/Pos", [name, *[0.0] * 7]) for name in PLACES])
+    return bundle.filled(np.tile([0.1, 1.0, 0.2, 0, 0, 0, 1], (len(PLACES), 1)))
+
+
+def send_markers(address: Address, stop: threading.Event) -> None:
+    """Markers at 90 Hz until asked to stop."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        while not stop.wait(1 / 90):
+            sender.sendto(bundle_of_markers(), tuple(address))
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+# Signals -----------------------------------------------------------------------------------------
+
+
+@posix
+@pytest.mark.parametrize(
+    ("number", "terminated"),
+    [(signal.SIGINT, False), (signal.SIGTERM, True), (signal.SIGHUP, True)],
+)
+def test_a_run_that_a_signal_ends_is_whole_and_knows_which(tmp_path, number, terminated):
+    live_setup(tmp_path)
+    port = free_port()
+    path = tmp_path / "live.toml"
+    path.write_text(f"{path.read_text()}\n[osc]\nlisten = {port}\n")
+    stop = threading.Event()
+
+    def play() -> None:
+        threading.Thread(target=send_markers, args=(Address(port=port), stop), daemon=True).start()
+        time.sleep(1.5)
+        os.kill(os.getpid(), number)
+
+    player = threading.Thread(target=play)
+    player.start()
+    out = tmp_path / "out"
+    figures = run_live(path, out=out, seconds=30.0, status=LiveStatus(StringIO()))
+    stop.set()
+    player.join()
+    assert figures["seconds"] < 20 and figures["terminated"] is terminated
+    assert figures["problems"] == [] and figures["outputs"] > 20
+    assert len(Recording.load(out / "recording.toml").times) > 20
+    assert not threads() and "poses" in live_summary(figures)
+
+
+@posix
+def test_signals_that_are_ignored_stay_so_and_all_handlers_come_back():
+    before = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
+    ignored = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with stopped_by_signals() as stop:
+            os.kill(os.getpid(), signal.SIGHUP)
+            time.sleep(0.05)
+            assert not stop.is_set()
+            os.kill(os.getpid(), signal.SIGTERM)
+            assert stop.wait(5.0) and stop.terminated
+    finally:
+        signal.signal(signal.SIGHUP, ignored)
+    assert before == [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
+
+
+@posix
+def test_a_signal_waits_until_what_was_begun_can_be_ended():
+    done = []
+    with pytest.raises(Terminated), raised_on_sigterm():
+        with held_back():
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(0.05)
+            done.append("begun")
+        done.append("never")
+    assert done == ["begun"]
+
+
+def test_a_run_outside_the_main_thread_has_no_signals():
+    found = []
+
+    def run() -> None:
+        with stopped_by_signals() as stop:
+            found.append(stop.is_set())
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    assert found == [False]
+
+
+# Runs that come to nothing -----------------------------------------------------------------------
+
+
+def test_a_run_that_received_nothing_says_so_and_leaves_nothing(tmp_path):
+    setup = replace(small_setup(tmp_path), videos=())
+    live = Live(setup, out=tmp_path / "out", status=LiveStatus(StringIO()))
+    figures = live.run(seconds=0.3)
+    (problem,) = figures["problems"]
+    assert problem.startswith("no marker came in at 127.0.0.1:")
+    assert figures["recording"] is None and not (tmp_path / "out").exists() and not threads()
+
+
+def test_a_run_whose_recording_fails_goes_on_and_says_so_once(tmp_path, monkeypatch):
+    setup, said = replace(small_setup(tmp_path), videos=()), StringIO()
+    live = Live(setup, out=tmp_path / "out", status=LiveStatus(said))
+    assert live.recording is not None
+
+    def full(sample) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(live.recording, "_note", full)
+    stop = threading.Event()
+    threading.Thread(target=send_markers, args=(live.address, stop), daemon=True).start()
+    figures = live.run(seconds=1.0)
+    stop.set()
+    assert figures["outputs"] > 20 and figures["latency_ms"]["of"] > 20
+    (problem,) = figures["problems"]
+    assert problem == (
+        f"{tmp_path / 'out' / 'markers.csv'}: cannot be written any more (No space left on device)"
+    )
+    assert said.getvalue().count("cannot be written any more") == 1
+
+
+def test_a_fault_within_the_run_closes_the_recording_all_the_same(tmp_path, monkeypatch):
+    setup = replace(small_setup(tmp_path), videos=())
+    live = Live(setup, out=tmp_path / "out", status=LiveStatus(StringIO()))
+    taken = []
+
+    def breaks(sample):
+        taken.append(sample)
+        if len(taken) > 30:
+            raise RuntimeError("a fault")
+        return []
+
+    monkeypatch.setattr(live.tracking, "sample", breaks, raising=False)
+    stop = threading.Event()
+    threading.Thread(target=send_markers, args=(live.address, stop), daemon=True).start()
+    with pytest.raises(RuntimeError, match="a fault"):
+        live.run(seconds=20.0)
+    stop.set()
+    assert len(Recording.load(tmp_path / "out" / "recording.toml").times) >= 30
+    assert not threads()
+
+
+def test_what_cannot_be_opened_leaves_no_recording_behind(tmp_path):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        setup = replace(small_setup(tmp_path), listen=Address(port=taken.getsockname()[1]))
+        with pytest.raises(InputError, match="cannot listen there"):
+            Live(setup, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists() and not threads()
+
+
+def test_a_folder_that_is_taken_is_refused_before_a_viewer_is_opened(tmp_path, monkeypatch):
+    live_setup(tmp_path)
+    monkeypatch.setattr(session, "start_viewer", lambda *_: pytest.fail("a viewer was opened"))
+    with pytest.raises(InputError, match=r"cam\.mp4.*another folder"):
+        run_live(tmp_path / "live.toml", out=tmp_path, view="web")
+
+
+def test_a_camera_that_never_lets_go_does_not_keep_the_run_from_ending(tmp_path, monkeypatch):
+    setup = small_setup(tmp_path)
+    setup = replace(setup, videos=(replace(setup.videos[0], source=0),))
+    let_go = threading.Event()
+
+    def stuck(*_):
+        let_go.wait(60.0)
+        yield np.zeros((72, 96), np.uint8)
+
+    monkeypatch.setattr(cameras, "device_frames", stuck)
+    live = Live(setup, status=LiveStatus(StringIO()))
+    began = time.monotonic()
+    live.run(seconds=0.2)
+    assert time.monotonic() - began < 20 and threads() == ["camera 0"]
+    let_go.set()
+
+
+# Viewers -----------------------------------------------------------------------------------------
+
+
+@posix
+@pytest.mark.parametrize("raised", [KeyboardInterrupt, Terminated, OutputError])
+def test_a_viewer_has_ended_whatever_ended_the_wait_for_it(monkeypatch, raised):
+    sleeps = [sys.executable, "-c", "import time; time.sleep(600)"]
+    monkeypatch.setattr(view, "viewer_command", lambda: sleeps)
+    viewer = view.start_viewer([], web=True, stay=False)
+    wait = viewer.process.wait
+
+    def interrupted(timeout=None):
+        monkeypatch.setattr(viewer.process, "wait", wait)
+        raise raised("x", "y") if raised is OutputError else raised
+
+    monkeypatch.setattr(viewer.process, "wait", interrupted)
+    if raised is KeyboardInterrupt:
+        viewer.until_interrupted()
+    else:
+        with pytest.raises(raised):
+            viewer.until_interrupted()
+    assert viewer.process.returncode == -signal.SIGTERM and not viewer.is_open
+
+
+@posix
+def test_a_viewer_that_does_not_listen_is_killed(monkeypatch):
+    deaf = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print(); "
+    deaf += "time.sleep(600)"
+    monkeypatch.setattr(view, "viewer_command", lambda: [sys.executable, "-c", deaf])
+    monkeypatch.setattr(view, "ENDS_S", 0.5)
+    viewer = view.start_viewer([], web=True, stay=False)
+    time.sleep(1.0)
+    viewer.end()
+    assert viewer.process.returncode is not None
+
+
+# Processes ---------------------------------------------------------------------------------------
+
+
+def left(script: str, **options) -> subprocess.CompletedProcess:
+    imported = "import atexit, sys, threading, time\nfrom jaxmocap.cli.process_exit import leave"
+    code = f"{imported}\n{script}"
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, **options
+    )
+
+
+def test_a_process_whose_thread_cannot_be_ended_leaves_all_the_same():
+    done = left(
+        "threading.Thread(target=time.sleep, args=(600,), daemon=True).start()\n"
+        "sys.stdout.write('figures')\nleave(3)"
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (3, "figures", "")
+
+
+def test_a_process_that_was_stopped_does_not_wait_for_what_still_compiles():
+    done = left("threading.Thread(target=time.sleep, args=(600,)).start()\nleave(143)")
+    assert done.returncode == 143
+
+
+def test_a_process_without_threads_ends_as_ever():
+    done = left("atexit.register(print, 'at exit')\nleave(0)")
+    assert (done.returncode, done.stdout) == (0, "at exit\n")
+
+
+@posix
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "times"), [(signal.SIGINT, 20), (signal.SIGTERM, 5)])
+def test_live_with_a_viewer_ends_cleanly_every_time(tmp_path, number, times):
+    """The whole command: Ctrl-C goes to its process group, as a terminal sends it."""
+    port, stop, codes = free_port(), threading.Event(), Counter()
+    live_setup(tmp_path)
+    places = "\n".join(f'{name} = {{ bone = "{bone}" }}' for name, (bone, _) in PLACES.items())
+    path = tmp_path / "live.toml"
+    path.write_text(f"[markers.on]\n{places}\n[osc]\nlisten = {port}\n[subject]\nheight = 1.75\n")
+    threading.Thread(target=send_markers, args=(Address(port=port), stop), daemon=True).start()
+    for i in range(times):
+        code, said = _stopped(path, tmp_path / str(i), number)
+        codes[code] += 1
+        assert "FATAL" not in said and "Traceback" not in said, said
+        assert len(Recording.load(tmp_path / str(i) / "recording.toml").times) > 10
+    stop.set()
+    print(codes)
+    assert set(codes) == {143 if number == signal.SIGTERM else 0}
+
+
+def _stopped(path: Path, out: Path, number: int) -> tuple[int, str]:
+    """Exit code and standard error of a run that a signal stops at some time."""
+    command = [sys.executable, "-m", "jaxmocap.cli", "live", path, "--view", "web", "--out", out]
+    process = subprocess.Popen(
+        command,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stderr is not None
+    said = ""
+    for line in process.stderr:
+        said += line
+        if "coming in" in line:
+            break
+    time.sleep(0.5 + np.random.default_rng().uniform(0, 1.5))
+    os.killpg(process.pid, number)
+    said += process.communicate(timeout=60)[1]
+    (page,) = re.findall(r"viewer at http://127\.0\.0\.1:(\d+)/", said)
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", int(page)), 5.0)
+    return process.returncode, said
+
+
+@posix
+@pytest.mark.slow
+def test_forty_kills_of_the_command_lose_nothing_and_leave_nothing_hidden(tmp_path):
+    """SIGKILL at any time: while it loads, compiles, listens and records."""
+    port, stop, found = free_port(), threading.Event(), Counter()
+    live_setup(tmp_path)
+    path = tmp_path / "live.toml"
+    path.write_text(f"{path.read_text()}\n[osc]\nlisten = {port}\n")
+    threading.Thread(target=send_markers, args=(Address(port=port), stop), daemon=True).start()
+    listens = _seconds_until_it_listens(path)
+    for i, after in enumerate(np.random.default_rng(0).uniform(0.1, 2.0, 40) * listens):
+        out = tmp_path / f"out {i}"
+        line = [sys.executable, "-m", "jaxmocap.cli", "live", path, "--out", out]
+        process = subprocess.Popen(line, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+        time.sleep(after)
+        process.kill()
+        process.wait()
+        found[_left_by_a_kill(path, out)] += 1
+    stop.set()
+    print(f"it listened after {listens:.1f} s; {dict(found)}")
+    assert sum(found.values()) == 40 and found["a recording"] > 5
+
+
+def _seconds_until_it_listens(path: Path) -> float:
+    """Of a run whose programs have been compiled before."""
+    for _ in range(2):
+        began = time.monotonic()
+        line = [sys.executable, "-m", "jaxmocap.cli", "live", path, "--seconds", "0.1"]
+        subprocess.run(line, capture_output=True, check=False)
+    return time.monotonic() - began
+
+
+def _left_by_a_kill(path: Path, out: Path) -> str:
+    """What a run that was killed has left, in a word; the next run does not touch it."""
+    before = contents(out) if out.exists() else {}
+    there = {name: data for name, data in before.items() if not name.startswith(".")}
+    if not there:
+        return "nothing"
+    with pytest.raises(InputError, match="another folder"):
+        run_live(path, out=out)
+    assert contents(out) == there
+    if "recording.toml" not in there:
+        # Not a sample had come.
+        assert there.get("markers.csv", b"").count(b"\n") <= 1
+        return "no sample yet"
+    recording = Recording.load(out / "recording.toml")
+    assert there["markers.csv"].endswith(b"\n")
+    for video in recording.videos:
+        assert all(image is not None for _, image in open_video(video).frames())
+    return "a recording"

@@ -1,0 +1,194 @@
+"""What a live run asks of tracker and smoother: when, with which markers, in which order.
+
+Both are stand-ins that note what they are asked; the real ones have tests of their own.
+"""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.capture.streams.inbox import Frame
+from jaxmocap.capture.streams.sample_gathering import Sample
+from jaxmocap.formats.recordings.filters import OneEuroSettings
+from jaxmocap.formats.recordings.live import LiveSetup, LiveVideo
+from jaxmocap.formats.recordings.recording import MarkerPlace
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.pipelines.live import tracking as live_tracking
+from jaxmocap.pipelines.live.tracking import COUNTED_S, LiveTracking
+from jaxmocap.smoothing.fixed_lag import Given
+
+SKELETON = Skeleton.human(1.75)
+POSE = Pose(np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(len(SKELETON.tree.joints)))
+IMAGE = np.zeros((4, 4), np.uint8)
+
+
+class Belief(NamedTuple):
+    time: np.ndarray
+
+
+class State(NamedTuple):
+    belief: Belief
+
+
+class Tracker:
+    """Notes its steps; believes in the time of its last image."""
+
+    dtype = np.float32
+
+    def __init__(self, cameras: int = 1):
+        self.skeleton = SKELETON
+        self.markers = SimpleNamespace(bones=np.zeros(3, int))
+        self.cameras = SimpleNamespace(size=np.full((cameras, 2), 4)) if cameras else None
+        self.steps: list[tuple[float, np.ndarray, object]] = []
+
+    def step(self, state, time, markers_world, images):
+        self.steps.append((time, markers_world, images))
+        self.elapsed = time - float(state.belief.time)
+        if images is not None:
+            state = State(Belief(np.float32(time)))
+        return state, POSE, SimpleNamespace(placed=False, confidence=np.array([0.25, 0.75]))
+
+
+class Smoother:
+    """Gives every event out at once."""
+
+    def __init__(self, tracker):
+        self.times: list[float] = []
+        self.markers: list[np.ndarray] = []
+
+    def step(self, time, markers_world, images, pose, report):
+        self.times.append(time)
+        self.markers.append(markers_world)
+        deviations = np.zeros((len(LANDMARKS), 3))
+        return [Given(len(self.times) - 1, time, pose, deviations, np.zeros(len(LANDMARKS)))]
+
+    def flush(self):
+        return []
+
+
+@pytest.fixture
+def tracking(monkeypatch):
+    """Makes a LiveTracking on stand-ins."""
+
+    def make(smooth: bool = False, cameras: int = 1, one_euro=None) -> LiveTracking:
+        monkeypatch.setattr(LiveTracking, "_warm_up", lambda self: None)
+        monkeypatch.setattr(
+            live_tracking, "settled", lambda tracker, points: State(Belief(np.float32(0)))
+        )
+        monkeypatch.setattr(live_tracking, "FixedLagSmoother", Smoother)
+        video = LiveVideo("cam", SimpleNamespace(), 0)  # type: ignore[arg-type]
+        places = tuple(MarkerPlace(name, "head") for name in "abc")
+        cams = (video,) * cameras
+        setup = LiveSetup(Path("live.toml"), SKELETON, places, np.eye(3), cams, one_euro=one_euro)
+        return LiveTracking(setup, Settings(), smooth, Tracker(cameras))  # type: ignore[arg-type]
+
+    return make
+
+
+def sample(time: float, missing: tuple[int, ...] = (), late: float = 0.0) -> Sample:
+    """Three markers that move along x with 1 m/s."""
+    points = np.array([[time, i, 0.0] for i in range(3)])
+    points[list(missing)] = np.nan
+    return Sample(time, points, time + late)
+
+
+def frame(time: float, delay: float = 0.0, camera: int = 0) -> Frame:
+    return Frame(camera, time, IMAGE, time + delay)
+
+
+def test_every_sample_gives_a_pose_at_once_and_frames_give_none(tracking):
+    live = tracking()
+    for i in range(6):
+        outputs = live.sample(sample(i / 90, late=0.002))
+        assert [output.time for output in outputs] == [i / 90]
+        assert outputs[0].arrived == i / 90 + 0.002
+        assert not live.frames([frame(i / 90 + 0.003)])
+    assert outputs[0].confidence.tolist() == [0.25, 0.75]
+
+
+def test_a_frame_is_looked_at_with_the_markers_of_its_own_time(tracking):
+    live = tracking(cameras=2)
+    for i in range(6):
+        live.sample(sample(i / 90))
+    live.frames([frame(2.5 / 90, delay=0.05, camera=1)])
+    time, markers, images = live.tracker.steps[-1]
+    assert time == pytest.approx(2.5 / 90) and images == [None, IMAGE]
+    np.testing.assert_allclose(markers[:, 0], 2.5 / 90, atol=1e-9)
+
+
+def test_a_missing_marker_is_carried_on_for_a_moment_and_then_missing(tracking):
+    live = tracking()
+    for i in range(4):
+        live.sample(sample(i / 90))
+    found = []
+    for i in range(4, 8):
+        live.sample(sample(i / 90, missing=(1,)))
+        found.append(live.tracker.steps[-1][1][1])
+    np.testing.assert_allclose(found[0], [4 / 90, 1, 0], atol=1e-6)
+    assert np.isnan(found[1:]).all()
+
+
+def test_tracking_begins_with_all_markers_or_after_a_while_with_some(tracking):
+    live = tracking()
+    assert not live.sample(sample(0.0, missing=(2,))) and not live.frames([frame(0.0)])
+    assert live.sample(sample(0.1))
+    patient = tracking()
+    outputs = [patient.sample(sample(i / 90, missing=(2,))) for i in range(60)]
+    assert not outputs[0] and outputs[-1]
+    blind = tracking()
+    assert not any(blind.sample(sample(i / 90, missing=(0, 1, 2))) for i in range(60))
+
+
+def test_in_a_long_run_the_trackers_seconds_stay_small_and_pass_as_they_do(tracking):
+    live = tracking()
+    for i in range(5):
+        time = 100.0 + 0.4 * COUNTED_S * i
+        live.sample(sample(time))
+        live.frames([frame(time + 0.01)])
+        live.sample(sample(time + 0.02))
+        assert live.tracker.elapsed == pytest.approx(0.01, abs=1e-4)
+    assert max(time for time, *_ in live.tracker.steps) < 1.1 * COUNTED_S
+
+
+def test_smoothing_has_samples_and_frames_in_the_order_of_their_times(tracking):
+    live = tracking(smooth=True)
+    outputs = []
+    for i in range(60):
+        outputs += live.sample(sample(i / 90))
+        if i % 3 == 2:
+            # Exposed two samples ago.
+            outputs += live.frames([frame((i - 1.5) / 90, delay=1.5 / 90)])
+    outputs += live.flush()
+    times = live._smoother.times
+    assert (np.diff(times) > 0).all() and live.late == 0
+    assert [output.time for output in outputs] == [i / 90 for i in range(60)]
+    assert all(output.time == output.arrived for output in outputs)
+    at_frames = [
+        m for t, m in zip(times, live._smoother.markers, strict=True) if abs(t * 90 % 1 - 0.5) < 0.1
+    ]
+    assert len(at_frames) == 20 and np.isnan(at_frames).all()
+
+
+def test_smoothing_waits_for_frames_no_longer_than_a_moment(tracking):
+    live = tracking(smooth=True)
+    outputs = [output for i in range(60) for output in live.sample(sample(i / 90))]
+    assert outputs[-1].time >= 59 / 90 - 0.12
+    live.frames([frame(0.1, delay=0.5)])
+    assert live.late == 1
+
+
+def test_markers_go_through_the_one_euro_filter_where_that_is_asked_for(tracking):
+    rng = np.random.default_rng(0)
+    jitter = rng.normal(0, 0.002, (90, 3, 3))
+    spreads = []
+    for one_euro in (None, OneEuroSettings(cutoff=1.0)):
+        live = tracking(one_euro=one_euro)
+        for i, points in enumerate(jitter):
+            live.sample(Sample(i / 90, points, i / 90))
+        spreads.append(np.std([markers for _, markers, _ in live.tracker.steps[45:]]))
+    assert spreads[0] == pytest.approx(0.002, rel=0.1) and spreads[1] < 0.6 * spreads[0]

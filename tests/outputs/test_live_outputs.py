@@ -1,0 +1,143 @@
+"""Poses as Unity, VMC and VRChat have them, next to what is worked out by hand and by SciPy."""
+
+import numpy as np
+import pytest
+from conftest import poses
+from hypothesis import given
+from hypothesis import strategies as st
+from pythonosc.osc_bundle import OscBundle
+from pythonosc.osc_packet import OscPacket
+from scipy.spatial.transform import Rotation
+
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.formats.animation.armature import joint_positions
+from jaxmocap.formats.animation.body_armature import T_POSE, armature_of
+from jaxmocap.formats.recordings.live import TRACKED, USUALLY_TRACKED
+from jaxmocap.outputs.osc import Bundle
+from jaxmocap.outputs.unity import UnityBody, euler_degrees
+from jaxmocap.outputs.vmc import VMC
+from jaxmocap.outputs.vrchat import Trackers
+
+SKELETON = Skeleton.human(1.75)
+HALF = np.sqrt(0.5)
+# The mirror between the world (x ahead, y left, z up) and Unity (x right, y up, z ahead).
+MIRROR = np.array([[0.0, -1, 0], [0, 0, 1], [1, 0, 0]])
+
+
+def t_pose(position=(0.0, 0.0, 0.0), quaternion=(1.0, 0.0, 0.0, 0.0), **degrees: float) -> Pose:
+    """Upright, arms out to the sides, but for some joints."""
+    angles = [np.radians({**T_POSE, **degrees}.get(j, 0.0)) for j in SKELETON.tree.joints]
+    return Pose(np.array(position), np.array(quaternion), np.array(angles))
+
+
+def bones_of(datagram: bytes) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Bone -> place and turn (xyzw), as python-osc reads the bundle."""
+    bones = {}
+    for timed in OscPacket(datagram).messages:
+        if timed.message.address == "/VMC/Ext/Bone/Pos":
+            name, *numbers = timed.message.params
+            bones[name] = np.array(numbers[:3]), np.array(numbers[3:])
+    return bones
+
+
+def test_in_the_t_pose_no_bone_is_turned():
+    datagram, _ = VMC(SKELETON).frame(0.0, t_pose())
+    for _, turn in bones_of(datagram).values():
+        np.testing.assert_allclose(turn * np.sign(turn[3]), [0, 0, 0, 1], atol=1e-6)
+
+
+def test_who_turns_left_and_bends_an_elbow_does_so_in_unity():
+    # A quarter turn to the left is by -90 degrees about Unity's y, for there angles run clockwise
+    # seen from above; the left forearm, along -x in the T pose, swings ahead by +90 degrees.
+    pose = t_pose((1.0, 2.0, 3.0), (HALF, 0.0, 0.0, HALF), elbow_flex_l=90.0)
+    bones = bones_of(VMC(SKELETON).frame(0.0, pose)[0])
+    np.testing.assert_allclose(bones["Hips"][0], [-2.0, 3.0, 1.0], atol=1e-6)
+    np.testing.assert_allclose(bones["Hips"][1], [0, -HALF, 0, HALF], atol=1e-6)
+    np.testing.assert_allclose(bones["LeftLowerArm"][1], [0, HALF, 0, HALF], atol=1e-6)
+    # The left elbow lies on the left, which is -x, of the shoulder.
+    assert bones["LeftLowerArm"][0][0] < -0.2 and bones["RightLowerArm"][0][0] > 0.2
+    assert bones["Head"][0][1] > 0 and abs(bones["Head"][0][0]) < 1e-6
+
+
+@given(poses())
+def test_unitys_joints_lie_where_the_mirrored_armature_has_them(pose):
+    body = UnityBody(SKELETON)
+    world = body.in_world(body.local(pose))
+    one = Pose(*(np.asarray(part)[None] for part in pose))
+    armature = armature_of(Motion(SKELETON, np.zeros(1), one))
+    rows = [armature.names.index(name) for name in body.joints]
+    expected = joint_positions(armature)[0][rows] @ MIRROR.T
+    np.testing.assert_allclose(world.positions, expected, atol=2e-6)
+    R = np.einsum("ij,njk,lk->nil", MIRROR, armature.rotations[0][rows], MIRROR)
+    found = Rotation.from_quat(body.local(pose).quaternions).as_matrix()
+    np.testing.assert_allclose(found, R, atol=2e-6)
+
+
+def test_a_frame_of_vmc_is_one_bundle_of_what_its_receivers_ask_for():
+    vmc = VMC(SKELETON)
+    datagram, _ = vmc.frame(2.5, t_pose())
+    assert OscBundle.dgram_is_bundle(datagram)
+    messages = [timed.message for timed in OscPacket(datagram).messages]
+    assert [m.address for m in messages[:3]] == ["/VMC/Ext/OK", "/VMC/Ext/T", "/VMC/Ext/Root/Pos"]
+    assert messages[0].params == [1, 3, 0, 1] and messages[1].params == [2.5]
+    assert messages[2].params == ["root", 0, 0, 0, 0, 0, 0, 1]
+    names = {m.params[0] for m in messages[3:]}
+    sides = ("Shoulder", "UpperArm", "LowerArm", "Hand", "UpperLeg", "LowerLeg", "Foot")
+    assert names == {
+        *("Hips", "Spine", "Chest", "UpperChest", "Neck", "Head"),
+        *(f"{side}{bone}" for side in ("Left", "Right") for bone in sides),
+    }
+    assert [m.params for m in (t.message for t in OscPacket(vmc.lost(3.0)).messages)] == [
+        [1, 3, 0, 0],
+        [3.0],
+    ]
+
+
+def test_a_bundle_is_filled_without_changing_its_texts():
+    bundle = Bundle([("/a", ["name", 7, 1.0]), ("/b", [3.0, 4.0])])
+    messages = [t.message for t in OscPacket(bundle.filled(0.5, np.array([1.5, 2.5]))).messages]
+    assert [(m.address, m.params) for m in messages] == [
+        ("/a", ["name", 7, 0.5]),
+        ("/b", [1.5, 2.5]),
+    ]
+
+
+def test_trackers_are_numbered_and_turned_as_unity_says_it():
+    pose = t_pose((1.0, 2.0, 3.0), (HALF, 0.0, 0.0, HALF))
+    vmc = VMC(SKELETON)
+    _, local = vmc.frame(0.0, pose)
+    datagram = Trackers(vmc.body, USUALLY_TRACKED).frame(local)
+    told = {m.message.address: m.message.params for m in OscPacket(datagram).messages}
+    assert len(told) == 2 * len(USUALLY_TRACKED)
+    np.testing.assert_allclose(told["/tracking/trackers/1/position"], [-2, 3, 1], atol=1e-5)
+    np.testing.assert_allclose(told["/tracking/trackers/1/rotation"], [0, -90, 0], atol=1e-3)
+    elbow = np.array(told[f"/tracking/trackers/{USUALLY_TRACKED.index('elbow_l') + 1}/position"])
+    # Facing left, which is -x, the left arm points back, to -z.
+    assert elbow[2] < 1 - 0.4 and elbow[1] > 3
+    assert told["/tracking/trackers/head/position"][1] > 3.4
+    everything = Trackers(vmc.body, TRACKED).frame(local)
+    assert "/tracking/trackers/8/rotation" in {
+        m.message.address for m in OscPacket(everything).messages
+    }
+
+
+@given(st.lists(st.floats(-1, 1), min_size=4, max_size=4))
+def test_unitys_angles_turn_about_z_then_x_then_y(parts):
+    xyzw = np.array(parts)
+    if np.linalg.norm(xyzw) < 0.1:
+        xyzw = np.array([0, 0, 0, 1.0])
+    xyzw /= np.linalg.norm(xyzw)
+    x, y, z = euler_degrees(xyzw)
+    again = Rotation.from_euler("zxy", [z, x, y], degrees=True)
+    apart = np.degrees((again * Rotation.from_quat(xyzw).inv()).magnitude())
+    assert apart < 1e-3
+
+
+@pytest.mark.parametrize("up", [90.0, -90.0])
+def test_unitys_angles_are_right_looking_straight_up_and_down(up):
+    turn = Rotation.from_euler("zxy", [20.0, up, 50.0], degrees=True)
+    x, y, z = euler_degrees(turn.as_quat())
+    again = Rotation.from_euler("zxy", [z, x, y], degrees=True)
+    assert np.degrees((again * turn.inv()).magnitude()) < 1e-3

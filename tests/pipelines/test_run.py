@@ -1,0 +1,464 @@
+"""The offline loop: every sample gets its pose, whatever is missing, and the report says so."""
+
+import json
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_recording import (
+    FRAMES,
+    PLACES,
+    SAMPLES,
+    VIDEO_RATE,
+    compiled,
+    image,
+    small_recording,
+    with_frames,
+)
+
+from jaxmocap.body.motion import Motion
+from jaxmocap.capture.video import open_video
+from jaxmocap.cli.choose_recording import select_cameras, with_height
+from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.motion_npz import load_motion
+from jaxmocap.formats.recordings.filters import Filters
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.formats.time_series.markers import read_markers
+from jaxmocap.formats.time_series.tables import Markers
+from jaxmocap.geometry.cameras import turned
+from jaxmocap.hybrid.scan import EVENTS
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.pipelines.summary import figures, frames_per_second, misfit, summary
+from jaxmocap.pipelines.tracking import warnings
+from jaxmocap.pipelines.tracking.track import choose_settings, make_tracker, track, track_both
+from jaxmocap.pipelines.writing import arm_edges, thinned, write_outputs
+from jaxmocap.smoothing.fixed_lag import DELAY_S
+
+WRISTS = {"wrist_l": "LWrist", "wrist_r": "RWrist"}
+
+
+@pytest.fixture(scope="module")
+def tracked():
+    """The small recording, tracked with markers only and with video."""
+    return track_both(small_recording(), tracker=compiled())
+
+
+def said(motion, sentence: str) -> list[int]:
+    return [i for i, lines in enumerate(motion.report.statuses) if sentence in lines]
+
+
+# What comes out ----------------------------------------------------------------------------------
+
+
+def test_every_marker_sample_has_a_pose_on_its_markers(tracked):
+    motion, recording = tracked.motion, small_recording()
+    np.testing.assert_array_equal(motion.times, recording.times)
+    joints = motion.joints()
+    for i, (name, (_, landmark)) in enumerate(PLACES.items()):
+        away = np.linalg.norm(joints[landmark] - recording.positions_world[:, i], axis=1)
+        assert away.max() < 0.02, name
+        np.testing.assert_allclose(motion.report.marker_errors[:, i], away, atol=1e-4)
+
+
+def test_the_first_row_is_settled_already(tracked):
+    errors = tracked.motion.report.marker_errors
+    assert errors[0].max() < errors.max() + 0.002
+    turned = np.abs(np.diff(tracked.markers_only.poses.angles, axis=0))
+    assert turned[0].max() < 2 * turned.max(1)[1:].max()
+
+
+def test_filters_are_reported():
+    recording = small_recording()
+    positions = recording.positions_world.copy()
+    positions[5, 1] += 0.4
+    positions[10:13, 2] = np.nan
+    wanted = Filters(hampel=True, gaps=0.06)
+    spoilt = replace(recording, positions_world=positions, filters=wanted)
+    motion = track(spoilt, tracker=compiled())
+    assert motion.report.settings["filters"]["on"] == {"hampel": True, "gaps": 0.06}
+    assert said(motion, "marker LWrist was an outlier") == [5]
+    assert said(motion, "marker RWrist was filled in") == [10, 11, 12]
+    assert not said(motion, "marker RWrist is missing")
+    assert "hampel = True, gaps = 0.06" in summary(motion)
+    assert motion.report.marker_errors.max() < 0.03, "nothing followed the outlier"
+
+
+def test_the_markers_only_motion_has_the_same_times_and_other_elbows(tracked):
+    motion, before = tracked
+    np.testing.assert_array_equal(before.times, motion.times)
+    moved = np.linalg.norm(motion.joints()["elbow_l"] - before.joints()["elbow_l"], axis=1)
+    assert 0.001 < moved.max() < 0.5
+    assert before.report is None
+
+
+def test_stages_are_timed_apart_and_the_first_call_by_itself(tracked):
+    times = tracked.motion.report.milliseconds
+    assert len(times["first_call"]) == 1
+    # The last frame lies after the last sample; the first event is a sample without a frame.
+    frames = int((small_recording().videos[0].frames[0] + 0.004 <= 23 / 60).sum())
+    assert {len(times[stage]) for stage in ("decode", "observe")} == {frames}
+    # Chunk by chunk; a frame has every stage, or waits for those beside it.
+    chunks = -(-(SAMPLES + frames) // EVENTS)
+    assert {len(times[stage]) for stage in ("solve", "refine", "frame")} == {chunks}
+    assert times["frame"].max() > max(times["observe"].min(), times["refine"].min())
+    rate = frames_per_second(tracked.motion.report)
+    assert rate == pytest.approx(1e3 / np.median(times["frame"]))
+
+
+def test_the_stages_of_live_steps_are_timed_event_by_event():
+    times = track(small_recording(), mode="causal", tracker=compiled()).report.milliseconds
+    frames = len(times["frame"])
+    assert len(times["first_call"]) == 1
+    assert {len(times[stage]) for stage in ("decode", "observe", "refine", "smooth")} == {frames}
+    assert len(times["sample"]) == len(times["carry"]) == len(times["solve"]) - frames
+    parts = times["decode"] + times["observe"] + times["refine"] + times["solve"].min()
+    assert (times["frame"] >= parts).all()
+
+
+def test_the_report_holds_what_the_tracker_was_told(tracked):
+    told = tracked.motion.report.settings
+    assert told["recording"] == "small" and told["mode"] == "own" and told["cameras"] == ["cam"]
+    assert told["markers"] == list(PLACES) and told["warnings"] == []
+    assert told["tracker"]["refine"] == "simplex" and told["tracker"]["polish"]["iterations"] > 0
+
+
+def test_tracking_twice_with_one_tracker_gives_the_same(tracked):
+    again = track(small_recording(), tracker=compiled())
+    np.testing.assert_array_equal(again.poses.angles, tracked.motion.poses.angles)
+
+
+def test_progress_is_told_chunk_by_chunk():
+    calls = []
+    track(small_recording(), tracker=compiled(), progress=lambda *call: calls.append(call))
+    total = calls[0][1]
+    assert SAMPLES < total <= SAMPLES + FRAMES
+    chunks = -(-total // EVENTS)
+    ends = [min(EVENTS * (i + 1), total) for i in range(chunks)]
+    assert calls[:chunks] == [(end, total) for end in ends]
+    # The second pass counts for itself, in percent.
+    percents = [done for done, _ in calls[chunks:]]
+    assert {whole for _, whole in calls[chunks:]} == {100}
+    assert percents == sorted(percents) and percents[-1] == 100
+
+
+def test_progress_of_live_steps_is_told_event_by_event():
+    calls = []
+    told = lambda *call: calls.append(call)  # noqa: E731
+    track(small_recording(), mode="causal", tracker=compiled(), progress=told)
+    assert calls == [(i, calls[0][1]) for i in range(1, calls[0][1] + 1)]
+
+
+def test_nearest_looks_at_a_frame_at_every_sample():
+    motion = track(small_recording(), mode="nearest", tracker=compiled())
+    assert "sample" not in motion.report.milliseconds
+    assert len(motion.report.milliseconds["observe"]) == SAMPLES
+    assert motion.report.settings["mode"] == "nearest"
+
+
+def test_causal_rows_do_not_depend_on_what_comes_later():
+    recording = small_recording()
+    half = SAMPLES // 2
+    positions = recording.positions_world.copy()
+    positions[half:] += 0.05
+    times, images = recording.videos[0].frames
+    seen_before = np.array(times) + 0.004 < recording.times[half]
+    later = [im if early else im[::-1] for early, im in zip(seen_before, images, strict=True)]
+    other = with_frames(replace(recording, positions_world=positions), times, later)
+    motions = [track(r, mode="causal", tracker=compiled()) for r in (recording, other)]
+    first, second = (motion.poses.angles for motion in motions)
+    # What waits for two more frames, or a tenth of a second, may still change.
+    final = int(np.flatnonzero(recording.times <= recording.times[half - 1] - DELAY_S)[-1])
+    np.testing.assert_array_equal(first[:final], second[:final])
+    assert np.abs(first[half:] - second[half:]).max() > 1e-3
+
+
+def test_without_video_the_markers_are_tracked_alone():
+    recording = replace(small_recording(), videos=())
+    motion = track(recording, Settings())
+    assert np.isnan(motion.report.arm_costs).all()
+    assert motion.report.marker_errors.max() < 0.02
+    assert set(motion.report.milliseconds) == {"first_call", "solve", "refine", "sample"}
+    assert motion.report.statuses == ((),) * SAMPLES
+
+
+# What is missing ---------------------------------------------------------------------------------
+
+
+def test_gaps_in_the_markers_are_tracked_through_and_said():
+    recording = small_recording()
+    positions = recording.positions_world.copy()
+    positions[5:9, 1] = np.nan
+    positions[12, :] = np.nan
+    motion = track(replace(recording, positions_world=positions), tracker=compiled())
+    assert all(np.isfinite(part).all() for part in motion.poses)
+    assert said(motion, "marker LWrist is missing") == [5, 6, 7, 8, 12]
+    assert said(motion, "marker Head is missing") == [12]
+    missing = np.isnan(motion.report.marker_errors)
+    np.testing.assert_array_equal(missing, np.isnan(positions).any(-1))
+    wrist = motion.joints()["wrist_l"]
+    assert np.linalg.norm(wrist - recording.positions_world[:, 1], axis=1).max() < 0.15
+
+
+def test_samples_before_the_first_marker_are_unknown_and_said():
+    recording = small_recording()
+    positions = recording.positions_world.copy()
+    positions[:3] = np.nan
+    motion = track(replace(recording, positions_world=positions), tracker=compiled())
+    assert np.isnan(motion.poses.position[:3]).all() and np.isnan(motion.joints()["head"][:3]).all()
+    assert all(np.isfinite(part[3:]).all() for part in motion.poses)
+    assert said(motion, "no marker has been seen yet") == [0, 1, 2]
+
+
+def test_a_video_that_ends_early_is_tracked_through_and_said():
+    recording = small_recording()
+    short = with_frames(recording, np.arange(4) / VIDEO_RATE, [image(i) for i in range(4)])
+    motion = track(short, tracker=compiled())
+    assert all(np.isfinite(part).all() for part in motion.poses)
+    last = 3 / VIDEO_RATE + 0.004
+    late = np.flatnonzero(motion.times > last + 1.5 / VIDEO_RATE).tolist()
+    assert said(motion, "cam: no video frame near this sample") == late
+    assert (motion.report.confidence[-1] < motion.report.confidence[6]).all()
+
+
+def test_black_and_unreadable_frames_are_tracked_through_and_said():
+    recording = small_recording()
+    times, images = recording.videos[0].frames
+    broken = list(images)
+    broken[3], broken[6] = np.full_like(image(0), 2), None
+    motion = track(with_frames(recording, times, broken), tracker=compiled())
+    assert all(np.isfinite(part).all() for part in motion.poses)
+    # The sentence goes to the first sample after the frame.
+    after = np.searchsorted(motion.times, np.array(times) + 0.004)
+    assert said(motion, "cam: the video frame is black or blank") == [after[3]]
+    assert said(motion, "cam: the video frame cannot be read") == [after[6]]
+
+
+def test_a_jump_of_the_body_is_said():
+    recording = small_recording()
+    positions = recording.positions_world.copy()
+    positions[10:] += [1.5, 0.0, 0.0]
+    motion = track(replace(recording, positions_world=positions), tracker=compiled())
+    placed = said(motion, "the body was placed anew")
+    # The frame between the samples 9 and 10 may see the body half-way.
+    assert placed and set(placed) <= {10, 11}
+    errors = np.nanmax(motion.report.marker_errors, axis=1)
+    # Smoothing joins what lies before and after: a tenth of a second pays for it.
+    assert errors[:5].max() < 0.03 and errors[16:].max() < 0.03
+    causal = track(replace(recording, positions_world=positions), mode="causal", tracker=compiled())
+    assert np.nanmax(causal.report.marker_errors[10:]) < 0.02
+
+
+def test_sentences_about_samples_and_video_times():
+    times, video = np.arange(10) / 10, np.array([0.2, 0.3, 0.4])
+    assert np.flatnonzero(~warnings.without_video(times, video)).tolist() == [1, 2, 3, 4, 5]
+    causal = warnings.without_video(times, video, causal=True)
+    assert np.flatnonzero(~causal).tolist() == [2, 3, 4, 5]
+    assert list(warnings.of_confidence(np.array([0.9, 0.05]))) == ["right elbow: low confidence"]
+
+
+# Choices -----------------------------------------------------------------------------------------
+
+
+def test_cameras_are_chosen_by_name_and_a_wrong_name_lists_them():
+    recording = small_recording()
+    two = replace(
+        recording, videos=(*recording.videos, replace(recording.videos[0], camera_name="b"))
+    )
+    assert [v.camera_name for v in select_cameras(two, ["b"]).videos] == ["b"]
+    with pytest.raises(InputError, match=r"small: no \[\[video\]\] of camera 'c', found cam, b"):
+        select_cameras(two, ["c"])
+
+
+def test_a_height_replaces_the_skeleton_and_a_wrong_one_is_refused():
+    taller = with_height(small_recording(), 1.9).skeleton
+    assert float(taller.lengths.sum()) > float(small_recording().skeleton.lengths.sum())
+    with pytest.raises(InputError, match=r"small: .*height"):
+        with_height(small_recording(), 40.0)
+
+
+def test_settings_are_chosen_by_words():
+    assert choose_settings("none").refine == "none" and choose_settings().search
+    assert choose_settings(paper=True).evidence == "raster"
+    assert make_tracker(small_recording(), choose_settings("none")).cameras is None
+
+
+def test_the_papers_own_way_knows_no_second_pass():
+    assert choose_settings().smooth and not choose_settings(paper=True).smooth
+
+
+# Files -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def written(tracked, tmp_path_factory):
+    """The folder that the small recording's outputs are written to."""
+    folder = tmp_path_factory.mktemp("written")
+    files = write_outputs(tracked.motion, small_recording(), folder, compiled().settings)
+    assert [path.name for path in files] == [
+        "joints.trc",
+        "angles.mot",
+        "angles_isb.mot",
+        "motion.npz",
+        "motion.bvh",
+        "motion.glb",
+        "report.json",
+        "overlay.mp4",
+        "recording.rrd",
+    ]
+    return folder
+
+
+def test_everything_is_written_and_nothing_else(written):
+    names = {"joints.trc", "angles.mot", "motion.npz", "motion.bvh", "motion.glb"}
+    names |= {"angles_isb.mot", "report.json", "overlay.mp4", "recording.rrd", "outputs.json"}
+    assert {path.name for path in written.iterdir()} == names
+
+
+def test_joints_and_motion_read_back_as_they_were(written, tracked):
+    joints, markers = tracked.motion.joints(), read_markers(written / "joints.trc")
+    assert set(markers.names) == set(joints)
+    np.testing.assert_allclose(markers.times, tracked.motion.times, atol=1e-8)
+    for name, positions in markers.points().items():
+        np.testing.assert_allclose(positions, joints[name], atol=1e-6)
+    loaded = load_motion(written / "motion.npz")
+    np.testing.assert_array_equal(loaded.poses.angles, tracked.motion.poses.angles)
+    assert loaded.report.statuses == tracked.motion.report.statuses
+
+
+def test_the_report_counts_what_was_said(written, tmp_path):
+    report = json.loads((written / "report.json").read_text())
+    assert report["frames"] == SAMPLES and report["recording"] == "small"
+    assert report["milliseconds"]["frame"]["count"] > 0
+    recording = small_recording()
+    positions = recording.positions_world.copy()
+    positions[:2], positions[5:9, 1] = np.nan, np.nan
+    gaps = replace(recording, positions_world=positions)
+    write_outputs(track(gaps, tracker=compiled()), gaps, tmp_path)
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["statuses"]["marker LWrist is missing"]["count"] == 4
+    assert report["statuses"]["no marker has been seen yet"]["count"] == 2
+    assert np.isnan(read_markers(tmp_path / "joints.trc").points()["head"][:2]).all()
+
+
+def test_the_overlay_has_every_frame(written):
+    import av
+
+    with av.open(str(written / "overlay.mp4")) as video:
+        stream = video.streams.video[0]
+        assert sum(1 for _ in video.decode(stream)) == FRAMES
+        assert (stream.width, stream.height) == (96, 72)
+
+
+def test_the_overlay_is_drawn_by_the_camera_as_it_was_found(written, tracked, tmp_path):
+    """As by a camera that is calibrated there: eight pixels beside where this one is."""
+    import av
+
+    def drawn(folder) -> np.ndarray:
+        with av.open(str(folder / "overlay.mp4")) as video:
+            return np.stack([frame.to_ndarray(format="gray") for frame in video.decode(video=0)])
+
+    def told(turns) -> Motion:
+        settings = {**tracked.motion.report.settings, "camera_turns_deg": turns}
+        return replace(tracked.motion, report=replace(tracked.motion.report, settings=settings))
+
+    turn, recording = [0.0, 5.0, 0.0], small_recording()
+    (source,) = recording.videos
+    away = turned(source.camera, jnp.radians(jnp.array(turn)))
+    elsewhere = replace(recording, videos=(replace(source, camera=away),))
+    write_outputs(told({"cam": turn}), recording, tmp_path / "found")
+    write_outputs(told({}), elsewhere, tmp_path / "calibrated")
+    expected = drawn(tmp_path / "calibrated")
+    np.testing.assert_array_equal(drawn(tmp_path / "found"), expected)
+    assert (np.abs(drawn(written).astype(int) - expected) > 50).any(0).sum() > 200
+
+
+def test_with_two_cameras_each_has_its_overlay(tracked, tmp_path):
+    recording = small_recording()
+    second = replace(recording.videos[0], camera_name="side")
+    two = replace(recording, videos=(*recording.videos, second))
+    write_outputs(tracked.motion, two, tmp_path)
+    assert {path.name for path in tmp_path.glob("*.mp4")} == {"overlay.mp4", "overlay_side.mp4"}
+
+
+def test_the_viewer_gets_edges_of_both_arms_and_no_more_frames_than_it_can_hold(tracked):
+    video, settings = open_video(small_recording().videos[0]), compiled().settings
+    edges = arm_edges(video, small_recording().videos[0].camera, tracked.motion, settings)
+    assert list(edges) == ["edges, left arm", "edges, right arm"]
+    shape = (settings.region, settings.region)
+    for images in edges.values():
+        assert len(images) == FRAMES
+        assert all(set(np.unique(im)) <= {0, 255} and im.shape == shape for _, im in images)
+    assert any(im.any() for _, im in edges["edges, left arm"])
+    many = with_frames(small_recording(), np.arange(700) / 30, [image(0)] * 700)
+    kept = [time for time, _ in thinned(open_video(many.videos[0]))]
+    assert len(kept) == 234 and np.ptp(np.diff(kept)) < 1e-9
+
+
+def test_the_summary_names_rate_stages_and_files(written, tracked):
+    text = summary(tracked.motion, [written / "joints.trc"])
+    assert f"{frames_per_second(tracked.motion.report):.0f} frames per second" in text
+    for word in ("samples", "first_call", "observe", "Head", "left elbow", "joints.trc"):
+        assert word in text
+
+
+def off_by(motion: Motion, metres: float, share: float) -> Motion:
+    """The motion, as if its body were so far off the head's marker in a share of the samples."""
+    errors = motion.report.marker_errors.copy()
+    errors[: int(share * len(errors)), 0] = metres
+    return replace(motion, report=replace(motion.report, marker_errors=errors))
+
+
+def test_a_body_far_off_its_markers_is_reported(tracked):
+    lost = off_by(tracked.motion, 1.59, 0.8)
+    sentence = "the body is 159 cm off marker 'Head' in the median, so it was not tracked: check"
+    assert f"warning          {sentence}" in summary(lost)
+    assert misfit(lost) == figures(lost)["misfit"] and misfit(lost).startswith(sentence)
+
+
+@pytest.mark.parametrize(("metres", "share"), [(0.0, 0.0), (0.2, 1.0), (1.59, 0.4), (np.nan, 1.0)])
+def test_a_body_near_its_markers_most_of_the_time_is_not(tracked, metres, share):
+    motion = off_by(tracked.motion, metres, share)
+    assert misfit(motion) is None and figures(motion)["misfit"] is None
+    assert "in the median" not in summary(motion)
+
+
+# Judging -----------------------------------------------------------------------------------------
+
+
+def test_a_motion_is_evaluated_against_points_in_memory_and_in_a_file(written, tracked):
+    recording = small_recording()
+    truth = Markers(recording.times, tuple(PLACES), recording.positions_world)
+    errors = evaluate(tracked.motion, truth, WRISTS)
+    assert len(errors.times) == SAMPLES and errors.mean < 0.02
+    turned = Markers(recording.times, tuple(PLACES), recording.positions_world[..., [1, 2, 0]])
+    assert evaluate(tracked.motion, turned, WRISTS, up="y").mean == pytest.approx(errors.mean)
+    own = evaluate(tracked.motion, written / "joints.trc", {"wrist_l": "wrist_l"})
+    assert own.mean < 1e-5
+    with pytest.raises(InputError, match="no marker 'Nose', expected one of Head"):
+        evaluate(tracked.motion, truth, {"wrist_l": "Nose"})
+    with pytest.raises(ValueError, match="up = 'x'"):
+        evaluate(tracked.motion, truth, WRISTS, up="x")
+
+
+def test_a_real_recording_is_tracked_from_memory(recordings):
+    whole = Recording.load(recordings / "balancing" / "recording_cam_01.toml")
+    video, count = open_video(whole.videos[0]), 12
+    images = [frame for _, (_, frame) in zip(range(count), video.frames(), strict=False)]
+    source = replace(whole.videos[0], path=None, frames=(video.times[:count], images))
+    recording = replace(
+        whole,
+        times=whole.times[:count],
+        positions_world=whole.positions_world[:count],
+        videos=(source,),
+    )
+    motion = track(recording)
+    assert "calibration 1088" in motion.report.settings["warnings"][0]
+    truth = read_markers(recordings / "balancing" / "truth.trc")
+    pairs = WRISTS | {"vertex": "Head"}
+    distances = evaluate(motion, truth, pairs).distances
+    assert distances.shape == (count, 3) and distances.max() < 0.02
+    elbows = evaluate(motion, truth, {"elbow_l": "LElbow", "elbow_r": "RElbow"})
+    assert elbows.mean < 0.2
+    assert np.isfinite(motion.report.arm_costs).all()

@@ -1,0 +1,188 @@
+"""``silhouette track`` and ``silhouette demo``: bad input is one clear sentence and exit code 2."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from test_point_rays import ring
+
+from jaxmocap.body.pose import relaxed_pose
+from jaxmocap.body.surfaces.loft import generic_surface
+from jaxmocap.cli import main
+from jaxmocap.formats.cameras.calibration import write_calibration
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.recordings.recording import Recording, write_recording
+from jaxmocap.images.regions import Region
+from jaxmocap.pipelines.silhouettes import track
+from jaxmocap.silhouette.settings import Settings
+from jaxmocap.synthetic.recording import write_video
+
+pytestmark = pytest.mark.usefixtures("plainly_compiled")
+VIDEOS = [{"file": f"{name}.mp4", "camera": name} for name in ("left", "right")]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """An empty room, seen by two cameras for three frames."""
+    made = tmp_path_factory.mktemp("empty")
+    for video in VIDEOS:
+        write_video(made / video["file"], [np.full((480, 640, 3), 120, np.uint8)] * 3)
+    cameras = {str(video["camera"]): seen for video, seen in zip(VIDEOS, ring(2), strict=True)}
+    write_calibration(made / "calibration.toml", cameras)
+    write_recording(made, None, {}, VIDEOS, "calibration.toml", {"height": 1.75})
+    (made / "noise.mp4").write_bytes(bytes(range(256)) * 20)
+    (made / "people.npz").write_text("no people")
+    np.savez(made / "other.npz", vertices=np.zeros(3))
+    return made
+
+
+def changed(folder, old: str, new: str):
+    """The recording's file with something else in it."""
+    text = (folder / "recording.toml").read_text()
+    assert old in text
+    path = folder / "changed.toml"
+    path.write_text(text.replace(old, new))
+    return path
+
+
+def said(capsys, *arguments: str) -> str:
+    """The one sentence on stderr of a command that must end with 2."""
+    try:
+        code = main(["silhouette", *map(str, arguments)])
+    except SystemExit as left:
+        code = left.code
+    error = capsys.readouterr().err
+    assert code == 2 and "Traceback" not in error
+    return error.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("right.mp4", "noise.mp4", "noise.mp4: is not a video"),
+        ("right.mp4", "gone.mp4", "no such file"),
+        ('camera = "right"', 'camera = "behind"', "[behind] is missing, found left, right"),
+        ("[[video]]", "[[vide]]", "'vide'"),
+    ],
+)
+def test_a_recording_whose_videos_do_not_fit_is_refused(
+    folder, tmp_path, capsys, old, new, expected
+):
+    path = changed(folder, old, new)
+    assert expected in said(capsys, "track", path, "--out", tmp_path, "--at", "0,0,0")
+
+
+def test_a_recording_without_markers_and_video_is_none(folder, tmp_path, capsys):
+    path = folder / "none.toml"
+    path.write_text("[subject]\nheight = 1.75\n")
+    sentence = said(capsys, "track", path, "--out", tmp_path, "--at", "0,0,0")
+    assert "none.toml: neither [markers] nor [[video]]" in sentence
+
+
+def test_a_camera_that_the_recording_does_not_have_is_named_with_those_that_it_has(
+    folder, tmp_path, capsys
+):
+    given = [folder / "recording.toml", "--out", tmp_path, "--cameras", "left,top"]
+    assert "no [[video]] of camera 'top', found left, right" in said(capsys, "track", *given)
+
+
+@pytest.mark.parametrize("at", ["here", "1,2", "1,2,nan", "1,inf,0", "1,2,3,4", ""])
+def test_a_place_that_is_none_is_refused(folder, tmp_path, capsys, at):
+    given = [folder / "recording.toml", "--out", tmp_path, f"--at={at}"]
+    assert f"--at: found {at!r}, expected X,Y,FACING" in said(capsys, "track", *given)
+
+
+def test_lengths_are_found_by_more_than_one_pass(folder, tmp_path, capsys):
+    given = [folder / "recording.toml", "--out", tmp_path, "--lengths", "--once"]
+    assert "argument --once: not allowed with argument --lengths" in said(capsys, "track", *given)
+
+
+@pytest.mark.parametrize(("given", "follow_along"), [((), False), (("--shoulders",), True)])
+def test_shoulders_go_along_where_asked_to(folder, tmp_path, monkeypatch, given, follow_along):
+    asked = {}
+
+    def follow(*_, settings, **__):
+        asked["settings"] = settings
+        raise InputError("recording.toml", "enough")
+
+    monkeypatch.setattr(track, "follow", follow)
+    path = str(folder / "recording.toml")
+    out = str(tmp_path / "out")
+    assert main(["silhouette", "track", path, "--at", "0,0,0", "--out", out, *given]) == 2
+    assert bool(asked["settings"].morphing.followers) == follow_along
+    # Who says by hand where somebody stands says it roughly.
+    assert asked["settings"].starting
+
+
+def test_a_place_at_which_no_camera_looks_is_refused_before_anything_is_tracked(
+    folder, tmp_path, capsys
+):
+    given = [folder / "recording.toml", "--out", tmp_path, "--at", "-80,30,0"]
+    sentence = said(capsys, "track", *given)
+    assert "x = -80.00, y = 30.00 m, where no camera looks" in sentence
+    assert "left, right" in sentence
+
+
+def test_nothing_is_written_into_a_file(folder, tmp_path, capsys):
+    taken = tmp_path / "taken"
+    taken.write_text("mine")
+    given = [folder / "recording.toml", "--out", taken, "--at", "0,0,0"]
+    assert "is a file" in said(capsys, "track", *given)
+    assert taken.read_text() == "mine"
+
+
+def blind(skeleton, cameras: int) -> SimpleNamespace:
+    """A tracker to whom no camera shows anything."""
+    size = 8
+    region = Region(np.zeros((cameras, 2)), np.ones(cameras))
+    segmented = SimpleNamespace(phi=-np.ones((cameras, size, size)))
+
+    class Outlines(SimpleNamespace):
+        def _replace(self, **_):
+            return self
+
+    class Report(Outlines):
+        pass
+
+    outlines = Outlines(segmented=segmented, region=region)
+    report = Report(used=np.zeros(cameras, bool), outlines=outlines, moved=np.zeros(0, bool))
+    return SimpleNamespace(
+        skeleton=skeleton,
+        settings=Settings(settling=0),
+        finder=SimpleNamespace(surface=generic_surface(skeleton)),
+        rooms=[None] * cameras,
+        init=lambda pose: SimpleNamespace(pose=pose, velocity=np.zeros(skeleton.costs.shape)),
+        step=lambda state, *shown: (state, state.pose, report),
+        covering=lambda pose: np.zeros((cameras, 1, 2)),
+    )
+
+
+def test_an_empty_room_is_told(folder, monkeypatch):
+    recording = Recording.load(folder / "recording.toml")
+    seen = []
+    body = recording.skeleton
+    monkeypatch.setattr(track, "make_tracker", lambda *_: blind(body, 2))
+    with pytest.raises(InputError, match="no camera shows the person in any frame"):
+        track.follow(
+            recording, relaxed_pose(body), passes=1, progress=lambda n, of: seen.append((n, of))
+        )
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        (["--person", "gone.npz"], "gone.npz: no such file"),
+        (["--person", "people.npz"], "people.npz: not an .npz file, or cut off"),
+        (["--person", "other.npz"], "other.npz: holds no rigged meshes, expected an .npz with"),
+        (["--seconds", "0.01"], "0.01 s hold no frame, expected at least 0.033 s"),
+        (["--seconds", "-1"], "expected a positive number"),
+        (["--seed", "-1"], "expected a whole number from 0 on"),
+        (["--exercise", "dancing"], "invalid choice: 'dancing'"),
+    ],
+)
+def test_a_demo_of_nobody_or_no_time_is_refused(
+    folder, tmp_path, monkeypatch, capsys, given, expected
+):
+    monkeypatch.chdir(folder)
+    assert expected in said(capsys, "demo", "--out", tmp_path / "demo", *given)

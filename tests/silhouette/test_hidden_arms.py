@@ -1,0 +1,206 @@
+"""An arm of which no silhouette tells: its hue does, and that it cannot be within the trunk."""
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_lost_limbs import in_known_rooms
+from test_rim import BODY
+from test_silhouette_tracker import SMALL, WALL
+
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.pose import Pose, relaxed_pose, retract
+from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF
+from jaxmocap.body.surfaces.loft import generic_surface
+from jaxmocap.body.surfaces.surface import posed
+from jaxmocap.silhouette.device_functions import fit
+from jaxmocap.silhouette.first_pose import landmark_points
+from jaxmocap.silhouette.recovery.hues import BodyHues
+from jaxmocap.silhouette.recovery.limb_particle_filter import explained
+from jaxmocap.silhouette.recovery.limbs import carriers, ends, halves_of, limbs_of
+from jaxmocap.silhouette.recovery.penetration import Parts, rings, within
+from jaxmocap.silhouette.recovery.projected_body import Sight, seen_at
+from jaxmocap.silhouette.segmentation.outlines import look
+from jaxmocap.silhouette.state import State
+from jaxmocap.silhouette.tracker import SilhouetteTracker
+
+pytestmark = pytest.mark.usefixtures("plainly_compiled")
+EXPLAINED = jax.jit(explained)
+WRIST = list(LANDMARKS).index("wrist_l")
+SHIRT, SKIN = (120, 50, 30), (80, 110, 170)
+# Of a hue more like skin than like the shirt, and not that of skin.
+NEITHER = (108, 117, 135)
+
+
+def standing(**degrees: float) -> Pose:
+    """Facing the first camera, which sees nothing but hands of arms stretched towards it."""
+    step = np.zeros(BODY.costs.shape, np.float32)
+    step[5] = 0.4
+    pose = retract(relaxed_pose(BODY), jnp.asarray(step))
+    angles = np.array(pose.angles)
+    for name, angle in degrees.items():
+        angles[BODY.tree.joint(name)] = np.radians(angle)
+    return pose._replace(angles=jnp.asarray(angles))
+
+
+HANGING = standing()
+AHEAD = standing(arm_flex_l=90, arm_flex_r=90, arm_abduct_l=0, arm_abduct_r=0)
+LOST = standing(arm_flex_r=90, arm_abduct_r=0, arm_flex_l=0, elbow_flex_l=0)
+ASIDE = standing(arm_abduct_l=90)
+CROSSED = standing(arm_flex_l=35, arm_abduct_l=0, arm_rot_l=70, elbow_flex_l=100)
+SIDES = np.array([False, True, False, True])
+FOREARM = ("radius_l", "hand_l")
+
+
+@pytest.fixture(scope="module")
+def tracker() -> SilhouetteTracker:
+    return in_known_rooms()
+
+
+def dressed(tracker: SilhouetteTracker, pose: Pose) -> list[np.ndarray]:
+    """The body painted point by point, the farthest first; forearms and hands are bare."""
+    points = tracker.finder.surface.points
+    bare = [BODY.tree.bone(f"{bone}_{side}") for bone in ("radius", "hand") for side in "lr"]
+    skin = np.isin(carriers(points), bare)
+    images = []
+    for pixels, depths in zip(*seen_at(BODY, pose, tracker.cameras, points), strict=True):
+        image = np.full((480, 640, 3), WALL, np.uint8)
+        places = np.rint(np.asarray(pixels)).astype(int)
+        for i in np.argsort(-np.asarray(depths)):
+            cv2.circle(image, places[i].tolist(), 2, SKIN if skin[i] else SHIRT, -1)
+        images.append(image)
+    return images
+
+
+def off(poses) -> float:
+    """Metres from the nearest of some left wrists to the true one."""
+    true = np.asarray(landmark_points(BODY, AHEAD))[WRIST]
+    found = [np.asarray(landmark_points(BODY, pose))[WRIST] for pose in poses]
+    return float(np.linalg.norm(np.array(found) - true, axis=1).min())
+
+
+@pytest.fixture(scope="module")
+def state(tracker) -> State:
+    """After some frames that show which hues the body has."""
+    state, hanging = tracker.init(HANGING), dressed(tracker, HANGING)
+    for _ in range(2):
+        state, _, _ = tracker.step(state, 0.0, hanging)
+        state = state._replace(time=None)
+    return state
+
+
+def sight_of(tracker, state, pose: Pose, images) -> Sight:
+    """A pose laid over what all cameras show."""
+    rim = tracker.finder.find(BODY, pose, tracker.cameras)
+    seen = look(images, tracker.rooms, rim, state.histograms, SMALL, tracker.plan)
+    return tracker._doubter.sight(pose, seen, np.ones(4, bool), images, tracker.rooms)
+
+
+def test_an_arm_that_no_silhouette_misses_is_missed_by_its_hue(tracker, state):
+    doubts, doubter, images = state.doubts, tracker._doubter, dressed(tracker, AHEAD)
+    rim = tracker.finder.find(BODY, LOST, tracker.cameras)
+    seen = look(images, tracker.rooms, rim, state.histograms, SMALL, tracker.plan)
+    left = doubter.names.index("arm_l")
+    # From both sides one arm is before the other, and the lost one before or behind the trunk.
+    aside = doubter.sight(LOST, seen, SIDES, images, tracker.rooms)
+    better, after = doubter.better(doubts, aside, SMALL.search)
+    assert after.denied[left] and better is not None and better.limbs == (left,)
+    assert off(better.poses) < 0.5 < 0.8 < off([LOST])
+    unknown = doubts._replace(known=BodyHues.none(len(doubts.known.age)))
+    better, after = doubter.better(unknown, aside, SMALL.search)
+    assert better is None and not after.denied.any()
+    # From ahead it would be seen before the wall.
+    every = doubter.sight(LOST, seen, np.ones(4, bool), images, tracker.rooms)
+    assert doubter.better(unknown, every, SMALL.search)[1].denied[left]
+
+
+def boxed(tracker: SilhouetteTracker, *bones: str) -> list[np.ndarray]:
+    """Arms ahead, a box before some bones in all images: from both sides, before both arms."""
+    images, points = dressed(tracker, AHEAD), tracker.finder.surface.points
+    behind = np.isin(carriers(points), [BODY.tree.bone(bone) for bone in bones])
+    for image, pixels in zip(
+        images if bones else (), seen_at(BODY, AHEAD, tracker.cameras, points)[0], strict=False
+    ):
+        at = np.asarray(pixels)[behind]
+        low, high = at.min(0).astype(int) - 5, at.max(0).astype(int) + 5
+        image[low[1] : high[1], low[0] : high[0]] = 90
+    return images
+
+
+@pytest.mark.parametrize("box", [False, True])
+def test_an_arm_behind_a_box_is_not_seen_and_stays(tracker, state, box):
+    doubter, images = tracker._doubter, boxed(tracker, *FOREARM if box else ())
+    true = sight_of(tracker, state, AHEAD, images)
+    better, after = doubter.better(state.doubts, true, SMALL.search)
+    assert after.denied.any() == box and better is None
+    hidden, _ = doubter.hidden(after, true, images)
+    assert hidden[[BODY.tree.joint(f"elbow_flex_{side}") for side in "lr"]].tolist() == [box, box]
+    assert not hidden[BODY.tree.joint("knee_flexion_l")]
+
+
+@pytest.mark.parametrize("box", [False, True])
+def test_the_outlines_of_what_hides_an_arm_tell_nothing_of_it(tracker, state, box):
+    compiled = fit._cache_size()  # type: ignore[attr-defined]
+    before = state._replace(pose=AHEAD)
+    after, _, report = tracker.step(before, 0.0, boxed(tracker, *FOREARM if box else ()))
+    elbow, knee = (ROOT_DOF + BODY.tree.joint(name) for name in ("elbow_flex_l", "knee_flexion_l"))
+    told = np.diagonal(report.information)
+    assert told[knee] > 1e3 and (told[elbow] == 0 if box else told[elbow] > 1e3)
+    # The next frame's pose has it where it is expected.
+    assert after.told[elbow] != box and after.told[knee]
+    assert fit._cache_size() == compiled  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(("half", "unseen"), [(0, {0, 1}), (1, {1})])
+def test_a_forearm_is_not_seen_where_its_upper_arm_is_not(
+    tracker, state, monkeypatch, half, unseen
+):
+    sight, doubter = sight_of(tracker, state, ASIDE, dressed(tracker, ASIDE)), tracker._doubter
+    shown = np.where(np.arange(8) == half, -1.0, 1.0)
+    monkeypatch.setattr("jaxmocap.silhouette.recovery.lost_limbs._likenesses", lambda *_: shown)
+    hidden, _ = doubter.hidden(state.doubts, sight, dressed(tracker, ASIDE))
+    np.testing.assert_array_equal(hidden, np.any(doubter.joints[list(unseen)], 0))
+
+
+def test_an_arm_that_was_learned_as_room_is_not_better_off_unseen(tracker, state):
+    doubter = tracker._doubter
+    left = doubter.names.index("arm_l")
+    sight = sight_of(tracker, state, ASIDE, dressed(tracker, ASIDE))
+    arms = sight.covered(np.any(doubter.nodes[:4], 0))
+    room = sight._replace(ratios=np.where(arms, np.float32(-2), sight.ratios))
+    better, after = doubter.better(state.doubts, room, SMALL.search)
+    assert after.denied[left] and better is None
+
+
+@pytest.mark.parametrize(("colour", "low", "high"), [(SKIN, 1.0, 2.5), (NEITHER, -0.1, 0.3)])
+def test_what_lies_before_the_trunk_is_the_arm_only_in_its_hue(tracker, state, colour, low, high):
+    doubter, images = tracker._doubter, dressed(tracker, HANGING)
+    points = tracker.finder.surface.points
+    forearm = np.isin(carriers(points), [BODY.tree.bone("radius_l"), BODY.tree.bone("hand_l")])
+    pixels, _ = seen_at(BODY, CROSSED, tracker.cameras, points)
+    for image, at in zip(images, np.asarray(pixels)[:, forearm], strict=True):
+        for place in np.rint(at).astype(int):
+            cv2.circle(image, place.tolist(), 4, colour, -1)
+    sight = sight_of(tracker, state, HANGING, images)._replace(used=np.arange(4) == 0)
+    left = doubter.names.index("arm_l")
+    evidence = doubter._left_for(left, sight, state.doubts.known, doubter._nearest(sight))
+    below = halves_of(doubter.limbs[left])[1]
+    assert low < float(EXPLAINED(BODY, tracker.cameras, CROSSED, below, evidence)) < high
+
+
+@pytest.mark.parametrize(
+    ("pose", "low", "high"),
+    [(HANGING, 0, 0.02), (AHEAD, 0, 0), (standing(arm_abduct_l=-35, elbow_flex_l=20), 0.3, 1)],
+)
+def test_an_arm_can_touch_the_trunk_and_not_be_within_it(pose, low, high):
+    surface = generic_surface(BODY)
+    limb = limbs_of(BODY, surface)["arm_l"]
+    around = rings(surface, "arm_l")
+
+    @jax.jit
+    def share(pose: Pose):
+        others = Parts.of(posed(forward(BODY, pose), around))
+        return within(*ends(BODY, pose, limb), jnp.asarray(limb.radii), others)
+
+    assert low <= float(share(pose)) <= high

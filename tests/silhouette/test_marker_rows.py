@@ -1,0 +1,101 @@
+"""Markers beside silhouettes: rows of the same system that say where a point of the body is."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_rim import BODY
+
+from jaxmocap.body.kinematics import Sites, forward, site_positions
+from jaxmocap.body.pose import relaxed_pose, retract
+from jaxmocap.body.skeleton import ROOT_DOF
+from jaxmocap.body.surfaces.surface import posed
+from jaxmocap.formats.files.errors import InputError
+from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.geometry.lines import Lines
+from jaxmocap.pipelines.silhouettes.track import make_tracker
+from jaxmocap.silhouette.markers import MarkerRows, marker_equations, points_at
+from jaxmocap.silhouette.points import on_rays
+from jaxmocap.silhouette.pose import PoseSettings, solve_pose
+
+pytestmark = pytest.mark.usefixtures("plainly_compiled")
+SITES = Sites(
+    np.array([BODY.tree.bone(name) for name in ("head", "radius_l", "radius_r")], np.int32),
+    jnp.asarray([1.0, 1.0, 0.8]),
+    jnp.asarray([[0.0, 0.0, 0.0], [0.0, 0.02, 0.0], [0.01, 0.0, 0.03]]),
+)
+SOLVE = jax.jit(solve_pose)
+EQUATIONS = jax.jit(lambda pose, rows: marker_equations(BODY, forward(BODY, pose), rows))
+MOVED = jax.jit(retract)
+PLACES = jax.jit(lambda pose: site_positions(BODY, forward(BODY, pose), SITES))
+POINTS = points_at(BODY, SITES)
+START = relaxed_pose(BODY)
+
+
+def rows(positions, deviation=0.01) -> MarkerRows:
+    return MarkerRows(POINTS, np.asarray(positions, np.float32), np.full(3, deviation, np.float32))
+
+
+def raised():
+    step = np.zeros(BODY.costs.shape, np.float32)
+    step[:3] = 0.03, -0.02, 0.01
+    step[ROOT_DOF + BODY.tree.joint("arm_abduct_l")] = 0.4
+    step[ROOT_DOF + BODY.tree.joint("elbow_flex_r")] = 0.5
+    return retract(START, jnp.asarray(step))
+
+
+def alone(positions):
+    """Solved by markers; the only ray weighs nothing."""
+    nothing = jnp.zeros((1, 3))
+    first = jax.tree.map(lambda part: part[:1], POINTS)
+    rays = on_rays(first, Lines(nothing + jnp.eye(3)[0], nothing), jnp.zeros(1))
+    settings = PoseSettings(iterations=30, damping=10.0)
+    return SOLVE(BODY, START, rays, settings, None, None, rows(positions))
+
+
+def test_points_of_markers_are_the_markers_sites():
+    points = jax.jit(lambda pose: posed(forward(BODY, pose), POINTS))(raised())
+    np.testing.assert_allclose(points, PLACES(raised()), atol=1e-5)
+
+
+def test_markers_alone_are_reached_and_a_missing_one_asks_for_nothing():
+    there = np.array(PLACES(raised()))
+    found = alone(there)
+    np.testing.assert_allclose(PLACES(found.pose), there, atol=1e-3)
+    there[1] = np.nan
+    found = alone(there)
+    np.testing.assert_allclose(np.asarray(PLACES(found.pose))[[0, 2]], there[[0, 2]], atol=1e-3)
+    assert np.isfinite(np.asarray(found.information)).all()
+    arm = ROOT_DOF + BODY.tree.joint("arm_abduct_l")
+    assert found.information[arm, arm] == 0
+
+
+def test_without_any_marker_and_any_ray_nothing_moves():
+    found = alone(np.full((3, 3), np.nan))
+    np.testing.assert_array_equal(found.pose.angles, START.angles)
+    assert not np.asarray(found.information).any()
+
+
+def test_the_rows_are_the_slope_and_hessian_of_half_the_squares():
+    there = np.asarray(PLACES(raised()))
+    information, slope = EQUATIONS(START, rows(there, 0.02))
+
+    def half_squares(step) -> float:
+        off = (np.asarray(PLACES(MOVED(START, jnp.asarray(step))), float) - there) / 0.02
+        return float(np.sum(off**2) / 2)
+
+    for dof in (0, 5, ROOT_DOF + BODY.tree.joint("arm_abduct_l")):
+        step = np.zeros(BODY.costs.shape, np.float32)
+        step[dof] = 0.01
+        numeric = (half_squares(step) - half_squares(-step)) / 0.02
+        assert slope[dof] == pytest.approx(numeric, rel=0.02, abs=0.5)
+    at_truth, _ = EQUATIONS(raised(), rows(there, 0.02))
+    exact, _ = EQUATIONS(raised(), rows(there, 0.01))
+    np.testing.assert_allclose(exact, 4 * np.asarray(at_truth), rtol=1e-4)
+    assert np.linalg.eigvalsh(np.asarray(information, float)).min() > -1
+
+
+def test_markers_are_asked_of_a_recording_that_has_them():
+    bare = Recording(BODY, np.zeros(0), np.zeros((0, 0, 3)), ())
+    with pytest.raises(InputError, match=r"no \[\[video\]\]"):
+        make_tracker(bare, markers=True)

@@ -1,0 +1,266 @@
+"""The rim of the surface: index image, outlines, limbs before the trunk."""
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import KDTree
+from test_point_rays import ring
+
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.pose import relaxed_pose, retract
+from jaxmocap.body.skeleton import Skeleton, with_joints
+from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
+from jaxmocap.body.surfaces.surface import posed, skin_of, skinned
+from jaxmocap.geometry.cameras import project
+from jaxmocap.reference.hybrid.silhouette import index_image as naive
+from jaxmocap.reference.hybrid.silhouette import rim as naive_rim
+from jaxmocap.silhouette.points import contour_rays
+from jaxmocap.silhouette.segmentation.contours import even_contour, low_pass, normals
+from jaxmocap.silhouette.surfaces.index_image import (
+    body_mask,
+    index_image,
+    inner_boundary,
+    node_keys,
+    nodes_at,
+    outer_boundary,
+)
+from jaxmocap.silhouette.surfaces.rim import Rim, RimFinder, RimSettings, stacked
+
+pytestmark = pytest.mark.usefixtures("plainly_compiled")
+BODY = with_joints(Skeleton.human(1.75), "whole.toml")
+CAMERAS = stacked(ring(4))
+SETTINGS = RimSettings(size=128, outer=200, inner=40, spacing=0.012, margin=0.06)
+# An arm before the chest for one of the cameras, and behind it for another.
+FOLDED = {"arm_flex_l": 60, "elbow_flex_l": 100, "arm_rot_l": 60, "arm_abduct_r": 60}
+POSED, PROJECT = jax.jit(posed), jax.jit(jax.vmap(project, (0, None)))
+FORWARD, SKINNED, KEYS = jax.jit(forward), jax.jit(skinned), jax.jit(node_keys, static_argnums=3)
+RAYS = jax.jit(contour_rays)
+
+
+def bent(**degrees: float):
+    pose = relaxed_pose(BODY)
+    angles = np.array(pose.angles)
+    for name, angle in degrees.items():
+        angles[BODY.tree.joint(name)] = np.radians(angle)
+    return pose._replace(angles=jnp.asarray(angles))
+
+
+@pytest.fixture(scope="module")
+def finder() -> RimFinder:
+    return RimFinder(BODY, generic_surface(BODY), SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def rim(finder) -> Rim:
+    return finder.find(BODY, bent(**FOLDED), CAMERAS)
+
+
+def filled(finder, pose, camera: int, scale: float, origin, size: int) -> np.ndarray:
+    """OpenCV's drawing of all faces of the surface on a canvas: an independent rasteriser."""
+    nodes = POSED(FORWARD(BODY, pose), finder.surface.points)
+    pixels = np.asarray(PROJECT(CAMERAS, nodes))[camera]
+    cells = ((pixels - origin) / scale - 0.5) * 16
+    mask = np.zeros((size, size), np.uint8)
+    for patch in finder.surface.patches:
+        grid = cells[patch.nodes].reshape(patch.along, patch.around, 2)
+        beside = np.roll(grid, -1, 1)
+        faces = np.stack([grid[:-1], beside[:-1], beside[1:], grid[1:]], 2).reshape(-1, 4, 2)
+        for face in np.round(faces).astype(np.int32):
+            cv2.fillConvexPoly(mask, face, 1, shift=4)
+    return mask
+
+
+def test_many_nodes_are_posed_as_few_are(finder):
+    skin = skin_of(finder.surface, rest_joints(BODY))
+    frames = FORWARD(BODY, bent(**FOLDED))
+    nodes = np.stack(SKINNED(frames, skin), -1)
+    np.testing.assert_allclose(nodes, POSED(frames, finder.surface.points), atol=2e-5)
+
+
+@given(seed=st.integers(0, 99))
+def test_the_index_image_and_its_boundaries_are_the_naive_ones(seed):
+    """A near and a far blob of nodes, with open cells between them, partly off the canvas."""
+    rng = np.random.default_rng(seed)
+    size = 24
+    middles = rng.uniform(2, size - 2, (2, 2))
+    x, y = (middles[:, i].repeat(150) + rng.normal(0, 3.5, 300) for i in range(2))
+    depths = np.repeat([2.0, 3.0], 150) + rng.uniform(0, 0.01, 300)
+    x, y, depths = (part.astype(np.float32) for part in (x, y, depths))
+    places, keys = (np.asarray(part) for part in KEYS(x, y, depths, size))
+    image = index_image(places, keys, size)
+    nodes = naive.nearest_nodes(x, y, depths, size)
+    # Nodes less than a depth step apart may change places.
+    off = nodes_at(image) != nodes
+    assert np.array_equal(nodes < 0, nodes_at(image) < 0)
+    assert np.all(np.abs(depths[nodes_at(image)[off]] - depths[nodes[off]]) < 1e-3)
+    mask = body_mask(image)
+    inside = slice(1, -1)
+    np.testing.assert_array_equal(mask[inside, inside], naive.body_mask(nodes)[inside, inside])
+    outer = outer_boundary(image, mask)
+    # Specks too small to have a tangent are left out, and cells all of whose tangents cancel.
+    assert {tuple(cell) for cell in outer.cells.tolist()} <= naive.boundary_cells(mask)
+    large = cv2.connectedComponentsWithStats(mask, connectivity=8)[2][1:, cv2.CC_STAT_AREA].max()
+    if large > 60:
+        assert len(outer.cells) > 0.5 * len(naive.boundary_cells(mask))
+
+
+def test_steps_in_depth_are_found_cell_by_cell():
+    """A near bar before a far square: the bar's long sides are inner boundaries."""
+    size = 32
+    y, x = (part.ravel() for part in np.mgrid[4:28, 4:28])
+    bar = (x >= 12) & (x < 18)
+    depths = np.where(bar, 2.0, 3.0).astype(np.float32)
+    places, keys = (np.asarray(p) for p in KEYS(np.float32(x), np.float32(y), depths, size))
+    image = index_image(places, keys, size)
+    found = inner_boundary(image, depths, 0.5)
+    depth = np.full((size, size), np.inf)
+    depth[y, x] = depths
+    assert {tuple(cell) for cell in found.cells.tolist()} == naive.step_cells(depth, 0.5)
+    assert set(found.cells[:, 0].tolist()) == {12, 17}
+    assert np.all(bar[found.nodes])
+    np.testing.assert_array_equal(found.normals[:, 0], np.where(found.cells[:, 0] == 12, -1, 1))
+
+
+def test_a_surface_that_recedes_is_no_boundary_and_another_limb_is():
+    """Two limbs side by side; the left one recedes steeply in its middle."""
+    size = 32
+    y, x = (part.ravel() for part in np.mgrid[4:28, 4:28])
+    depths = np.where(x < 10, 2.0, np.where(x < 18, 3.0, 4.0)).astype(np.float32)
+    places, keys = (np.asarray(p) for p in KEYS(np.float32(x), np.float32(y), depths, size))
+    limb = (x >= 18).astype(int)
+    found = inner_boundary(index_image(places, keys, size), depths, 0.5, limb)
+    assert set(found.cells[:, 0].tolist()) == {17}
+    assert len(found.cells) == 24
+
+
+def test_the_mask_is_what_opencv_fills(finder, rim):
+    for camera in range(4):
+        origin, scale = rim.region.origin[camera], rim.region.scale[camera]
+        theirs = filled(finder, bent(**FOLDED), camera, scale, origin, SETTINGS.size).astype(bool)
+        ours = rim.masks[camera].astype(bool)
+        assert (ours & theirs).sum() / (ours | theirs).sum() > 0.97
+
+
+def test_rim_points_lie_on_the_outline_within_a_fraction_of_a_cell(finder, rim):
+    """Against OpenCV's outline of the same faces, four times as fine."""
+    for camera in (0, 2):
+        origin, scale = rim.region.origin[camera], rim.region.scale[camera]
+        size = 4 * SETTINGS.size
+        fine = filled(finder, bent(**FOLDED), camera, scale / 4, origin, size)
+        chains = cv2.findContours(fine, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)[0]
+        outline = (np.concatenate(chains)[:, 0] + 0.5) * (scale / 4) + origin
+        outer = rim.real[camera] & ~rim.inner[camera]
+        away = KDTree(outline).query(rim.pixels_xy[camera][outer])[0]
+        assert outer.sum() > 150
+        assert np.median(away) < 0.35 * scale
+        assert np.mean(away < scale) > 0.97
+
+
+def drawn_by(finder, pose, camera: int):
+    """Columns, rows, depths, places and keys of all nodes, and the whole picture, of a camera."""
+    drawn = jax.tree.map(lambda part: np.asarray(part)[camera], finder._draw(BODY, pose, CAMERAS))
+    cells = (np.stack([drawn.u, drawn.v], 1) - drawn.region.origin) / drawn.region.scale - 0.5
+    return cells, drawn
+
+
+def test_a_bodys_outline_and_its_nodes_are_the_naive_ones(finder):
+    cells, drawn = drawn_by(finder, bent(**FOLDED), 1)
+    keys = index_image(drawn.places, drawn.keys, SETTINGS.size)
+    ours = outer_boundary(keys, body_mask(keys))
+    theirs = naive_rim.outline(cells[:, 0], cells[:, 1], drawn.depth, SETTINGS.size)
+    assert len(ours.cells) > 0.95 * len(theirs) > 300
+    nodes = np.array([theirs[tuple(cell)] for cell in ours.cells.tolist()])
+    # A node may be another one where both are as near, to a step in depth, or on a cell's edge.
+    apart = np.abs(drawn.depth[nodes] - drawn.depth[ours.nodes])
+    assert np.mean(nodes == ours.nodes) > 0.9
+    assert np.mean(apart < 1e-3) > 0.98
+
+
+def test_what_the_rim_shows_no_limb_hides(finder, rim):
+    """By rays against every triangle of the surface: self-occlusion, limbs before the trunk."""
+    nodes = np.asarray(POSED(FORWARD(BODY, bent(**FOLDED)), finder.surface.points), float)
+    triangles = []
+    for patch in finder.surface.patches:
+        grid = nodes[patch.nodes].reshape(patch.along, patch.around, 3)
+        beside = np.roll(grid, -1, 1)
+        for corners in ((grid[:-1], beside[:-1], beside[1:]), (grid[:-1], beside[1:], grid[1:])):
+            triangles.append(np.stack(corners, 2).reshape(-1, 3, 3))
+    faces = np.concatenate(triangles)
+    for camera in (0, 2):
+        T = np.linalg.inv(np.asarray(CAMERAS.T_cam_world[camera], float))
+        shown = rim.nodes[camera][rim.real[camera]][::8]
+        covered = naive_rim.hidden(T[:3, 3], nodes[shown], faces, 0.03)
+        assert np.mean(covered) < 0.05
+        every = naive_rim.hidden(T[:3, 3], nodes[:: len(nodes) // 24], faces, 0.03)
+        assert 0.1 < np.mean(every) < 0.9
+
+
+def test_normals_point_out_of_the_body(rim):
+    for camera in range(4):
+        outer = rim.real[camera] & ~rim.inner[camera]
+        cells = (rim.pixels_xy[camera] - rim.region.origin[camera]) / rim.region.scale[camera] - 0.5
+        normals_ = rim.normals[camera]
+        np.testing.assert_allclose(np.linalg.norm(normals_[outer], axis=1), 1, atol=1e-5)
+        for way, value in ((2.5, 0), (-2.5, 1)):
+            column, row = np.round(cells + way * normals_)[outer].astype(int).T
+            assert np.mean(rim.masks[camera][row, column] == value) > 0.9
+
+
+def test_a_limb_before_the_trunk_has_an_inner_rim_and_one_behind_it_none(finder, rim):
+    patches = finder.surface.patch_of()
+    names = np.array([patch.name for patch in finder.surface.patches])
+    arms = [
+        (rim.real[c] & rim.inner[c] & (names[patches[rim.nodes[c]]] == "arm_l")).sum()
+        for c in range(4)
+    ]
+    # The camera ahead sees the forearm before the chest; to the one behind it is hidden.
+    assert max(arms) > 15
+    hidden = int(np.argmin(arms))
+    assert arms[hidden] <= 3
+    assert not rim.inner[:, : SETTINGS.outer].any()
+
+
+def test_moving_bodies_and_cameras_are_traced_once(finder):
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        step = rng.normal(0, 0.1, BODY.costs.shape).astype(np.float32)
+        found = finder.find(BODY, retract(relaxed_pose(BODY), jnp.asarray(step)), CAMERAS)
+        assert found.real[:, : SETTINGS.outer].mean() > 0.9
+    finder.wear(finder.surface, rest_joints(BODY))
+    assert finder.find(BODY, relaxed_pose(BODY), CAMERAS).real.any()
+    assert finder._drawing._cache_size() == 1
+
+
+def test_a_contours_low_pass_is_its_series_cut_short():
+    phi = 2 * np.pi * np.arange(64) / 64
+    coarse = np.stack([3 * np.cos(phi) + 1, 2 * np.sin(phi)], 1)
+    fine = coarse + 0.3 * np.stack([np.cos(7 * phi), np.sin(9 * phi)], 1)
+    np.testing.assert_allclose(low_pass(fine, 3), coarse, atol=1e-12)
+    np.testing.assert_allclose(low_pass(fine, 32), fine, atol=1e-12)
+    np.testing.assert_allclose(low_pass(fine, 9, 128)[::2], fine, atol=1e-12)
+    np.testing.assert_allclose(low_pass(fine, 0), np.tile([1.0, 0.0], (64, 1)), atol=1e-12)
+
+
+def test_a_square_is_walked_evenly_and_its_normals_stand_on_its_sides():
+    even = even_contour(np.array([[0.0, 0], [4, 0], [4, 4], [0, 4]]), 32)
+    np.testing.assert_allclose(np.linalg.norm(np.diff(even, axis=0), axis=1), 0.5, atol=1e-12)
+    phi = 2 * np.pi * np.arange(40) / 40
+    circle = np.stack([np.cos(phi), np.sin(phi)], 1)
+    np.testing.assert_allclose(normals(5 * circle + 2), circle, atol=1e-12)
+
+
+def test_contour_normals_in_space_are_seen_as_in_the_image():
+    (camera,) = ring(1)
+    pixels = jnp.asarray([[100.0, 80.0], [320, 240], [500, 400]])
+    ways = jnp.asarray([[1.0, 0.0], [0.6, 0.8], [0.0, -1.0]])
+    lines, across = RAYS(camera, pixels, ways)
+    np.testing.assert_allclose(jnp.sum(across * lines.directions, -1), 0, atol=1e-6)
+    point = camera.position_world + 4 * lines.directions
+    both = jnp.stack([point, point + 0.01 * across])
+    moved = np.diff(np.asarray(PROJECT(stacked([camera]), both))[0], axis=0)[0]
+    moved = moved / np.linalg.norm(moved, axis=1, keepdims=True)
+    assert np.all(np.sum(moved * np.asarray(ways), 1) > 0.99)

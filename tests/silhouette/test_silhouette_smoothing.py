@@ -1,0 +1,203 @@
+"""All poses of a recording at once, against dense solves and motions that are known."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxmocap.body.kinematics import landmarks
+from jaxmocap.body.pose import Pose, relaxed_pose, retract
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton, load_skeleton
+from jaxmocap.pipelines.silhouettes.track import MODEL
+from jaxmocap.silhouette.expected_pose import resting
+from jaxmocap.silhouette.smoothing import SmoothingSettings, Told, smoothed
+from jaxmocap.silhouette.surfaces.morph import Morphing, morph_of, shoulders, whole_of
+
+FRAMES = 40
+TIMES = np.arange(FRAMES) / 30
+# Of a pose that is known well, and of none at all.
+SURE, UNSURE = 1e8, 1e-6
+
+
+@pytest.fixture(scope="module")
+def skeleton() -> Skeleton:
+    return load_skeleton(MODEL)
+
+
+def moving(skeleton: Skeleton, wave: np.ndarray) -> tuple[Pose, np.ndarray]:
+    """The relaxed pose moved by tangent vectors (T, 6 + D), and those."""
+    rest = jax.tree.map(lambda part: jnp.stack([part] * len(wave)), relaxed_pose(skeleton))
+    return jax.tree.map(np.asarray, retract(rest, jnp.asarray(wave, jnp.float32))), wave
+
+
+def swinging(skeleton: Skeleton) -> Pose:
+    """The body goes ahead while arms and a knee swing slowly."""
+    wave = np.zeros((FRAMES, 6 + len(skeleton.tree.joints)))
+    wave[:, 0] = 0.8 * TIMES
+    for joint, amount in (("arm_flex_l", 0.5), ("elbow_flex_l", 0.4), ("knee_flexion_r", 0.3)):
+        wave[:, 6 + skeleton.tree.joints.index(joint)] = amount * (1 - np.cos(4 * TIMES))
+    return moving(skeleton, wave)[0]
+
+
+def told(poses: Pose, sureness: np.ndarray | float) -> Told:
+    """Frames of which each tells all directions alike; (T,) how surely."""
+    size = 6 + poses.angles.shape[1]
+    each = np.broadcast_to(sureness, len(poses.angles))
+    return Told(poses, each[:, None, None] * np.eye(size), np.zeros((len(each), size)))
+
+
+def free(skeleton: Skeleton) -> np.ndarray:
+    return np.full(len(skeleton.tree.joints), np.inf)
+
+
+def places(skeleton: Skeleton, poses: Pose) -> np.ndarray:
+    return np.asarray(jax.vmap(partial(landmarks, skeleton))(poses))
+
+
+def test_what_frames_are_sure_of_stays(skeleton):
+    truth = swinging(skeleton)
+    found = smoothed(skeleton, TIMES, told(truth, SURE), free(skeleton), SmoothingSettings())
+    np.testing.assert_allclose(places(skeleton, found), places(skeleton, truth), atol=1e-3)
+
+
+def test_frames_that_show_nothing_lie_between_the_others(skeleton):
+    """Their own poses are those of the last one seen, as the tracker leaves them."""
+    truth, unseen = swinging(skeleton), np.arange(15, 20)
+    found = jax.tree.map(np.copy, truth)
+    for part in found:
+        part[unseen] = part[14]
+    sureness = np.full(FRAMES, SURE)
+    sureness[unseen] = 0.0
+    wide = SmoothingSettings(step=10.0)
+    bridged = smoothed(skeleton, TIMES, told(found, sureness), free(skeleton), wide)
+    before, after = (
+        np.linalg.norm(places(skeleton, each) - places(skeleton, truth), axis=-1)[unseen].max()
+        for each in (found, bridged)
+    )
+    assert before > 0.1
+    assert after < 0.02
+
+
+def test_noise_is_taken_out_and_the_motion_left(skeleton):
+    rng, truth = np.random.default_rng(3), swinging(skeleton)
+    noise = rng.normal(0, 0.02, (FRAMES, 6 + truth.angles.shape[1])).astype(np.float32)
+    shaken = jax.tree.map(np.asarray, retract(truth, jnp.asarray(noise)))
+    calm = smoothed(skeleton, TIMES, told(shaken, 1 / 0.02**2), free(skeleton), SmoothingSettings())
+    exact = places(skeleton, truth)
+    before, after = (
+        np.linalg.norm(places(skeleton, each) - exact, axis=-1).mean() for each in (shaken, calm)
+    )
+    assert after < 0.6 * before
+
+    def accelerations(poses: Pose) -> float:
+        return float(np.linalg.norm(np.diff(places(skeleton, poses), 2, axis=0), axis=-1).mean())
+
+    assert accelerations(calm) < 0.2 * accelerations(shaken)
+
+
+def test_who_stands_still_does_so_beside_what_swings(skeleton):
+    """Accelerations are a landmark's own: one number for all lets feet shake, or arms lag."""
+    rng, truth = np.random.default_rng(3), swinging(skeleton)
+    truth = jax.tree.map(np.copy, truth)
+    truth.position[:] = truth.position[0]
+    noise = rng.normal(0, 0.01, (FRAMES, 6 + truth.angles.shape[1])).astype(np.float32)
+    shaken = jax.tree.map(np.asarray, retract(truth, jnp.asarray(noise)))
+    seen, exact = told(shaken, 1 / 0.01**2), places(skeleton, truth)
+    foot, hand = (list(LANDMARKS).index(name) for name in ("ankle_l", "wrist_l"))
+    alike, own = (
+        places(skeleton, smoothed(skeleton, TIMES, seen, free(skeleton), settings))
+        for settings in (SmoothingSettings(rounds=0), SmoothingSettings(own=1.0))
+    )
+
+    def shaking(found: np.ndarray) -> float:
+        return float(np.linalg.norm(np.diff(found[:, foot], 2, axis=0), axis=-1).mean())
+
+    def off(found: np.ndarray) -> float:
+        return float(np.linalg.norm(found - exact, axis=-1)[:, hand].mean())
+
+    assert shaking(own) < 0.3 * shaking(alike)
+    assert off(own) < 1.1 * off(alike)
+
+
+def test_slopes_lead_from_where_prediction_dragged(skeleton):
+    """Poses lag by 5 cm; their pairs say by how much."""
+    truth = swinging(skeleton)
+    behind = np.zeros((FRAMES, 6 + truth.angles.shape[1]), np.float32)
+    behind[:, 0] = -0.05
+    lagging = jax.tree.map(np.asarray, retract(truth, jnp.asarray(behind)))
+    size = behind.shape[1]
+    seen = Told(lagging, np.broadcast_to(SURE * np.eye(size), (FRAMES, size, size)), SURE * behind)
+    found = smoothed(skeleton, TIMES, seen, free(skeleton), SmoothingSettings())
+    np.testing.assert_allclose(places(skeleton, found), places(skeleton, truth), atol=1e-3)
+
+
+def test_a_body_that_is_only_shifted_is_smoothed_as_a_dense_solve_says(skeleton):
+    """All landmarks go along with the pelvis: second differences of its place alone."""
+    rng, size = np.random.default_rng(0), 6 + len(skeleton.tree.joints)
+    wave = np.zeros((FRAMES, size))
+    wave[:, :3] = rng.normal(0, 0.03, (FRAMES, 3))
+    shaken, _ = moving(skeleton, wave)
+    weights = np.full(size, 1e9)
+    weights[:3] = 400.0
+    settings = SmoothingSettings(acceleration=2.0, rounds=0, step=1e3)
+    seen = Told(shaken, np.stack([np.diag(weights)] * FRAMES), np.zeros((FRAMES, size)))
+    found = smoothed(skeleton, TIMES, seen, free(skeleton), settings)
+    h = TIMES[1]
+    second = (np.eye(FRAMES)[:-2] - 2 * np.eye(FRAMES)[1:-1] + np.eye(FRAMES)[2:]) / h**1.5
+    stiff = len(LANDMARKS) / settings.acceleration**2 * second.T @ second
+    dense = np.linalg.solve(400.0 * np.eye(FRAMES) + stiff, 400.0 * shaken.position)
+    np.testing.assert_allclose(found.position, dense, atol=2e-4)
+
+
+def test_no_joint_leaves_its_range(skeleton):
+    truth = swinging(skeleton)
+    elbow = skeleton.tree.joints.index("elbow_flex_l")
+    slope = np.zeros((FRAMES, 6 + truth.angles.shape[1]))
+    # Pairs that would stretch it beyond.
+    slope[:, 6 + elbow] = 10 * 400.0
+    seen = told(truth, 400.0)._replace(slope=slope)
+    found = smoothed(skeleton, TIMES, seen, free(skeleton), SmoothingSettings(step=10.0))
+    low, high = np.asarray(skeleton.limits, float).T
+    assert (found.angles >= low - 1e-6).all()
+    assert (found.angles <= high + 1e-6).all()
+    assert (found.angles[:, elbow] < truth.angles[:, elbow] - 0.05).any()
+
+
+def test_joints_held_at_rest_are_drawn_there_where_pairs_say_nothing(skeleton):
+    truth, rest = swinging(skeleton), free(skeleton)
+    elbow = skeleton.tree.joints.index("elbow_flex_l")
+    rest[elbow] = 1e-3
+    found = smoothed(skeleton, TIMES, told(truth, UNSURE), rest, SmoothingSettings(step=10.0))
+    low = float(skeleton.limits[elbow, 0])
+    assert np.abs(found.angles[:, elbow] - max(low, 0.0)).max() < 0.02
+
+
+def test_joints_that_go_along_are_held_where_they_go(skeleton):
+    """Arms are raised, and the collar bones with them: nothing draws these back."""
+    morph = morph_of(Morphing(shoulders().followers), skeleton.tree)
+    wave = np.zeros((FRAMES, 6 + len(skeleton.tree.joints)))
+    wave[:, 6 + skeleton.tree.joints.index("arm_flex_l")] = 1 - np.cos(2 * TIMES)
+    alone = moving(skeleton, wave)[0]
+    truth = jax.tree.map(np.asarray, jax.vmap(partial(whole_of, morph, skeleton=skeleton))(alone))
+    rest = resting(skeleton, {"clavicle": 1e-3})
+    followers = morph.follows.any(1) & np.isfinite(rest)
+    went = np.abs(truth.angles - alone.angles)[:, followers].max(0)
+    assert (went > 0.1).any()
+    sureness = 1e4
+    found, without = (
+        smoothed(skeleton, TIMES, told(truth, sureness), rest, SmoothingSettings(), goes)
+        for goes in (morph, None)
+    )
+    off, drawn = (
+        np.abs(each.angles - truth.angles)[:, followers].max() for each in (found, without)
+    )
+    assert off < 0.01
+    assert drawn > 0.1
+
+
+def test_two_frames_have_no_acceleration_and_stay(skeleton):
+    two = jax.tree.map(lambda part: part[:2], swinging(skeleton))
+    found = smoothed(skeleton, TIMES[:2], told(two, SURE), free(skeleton), SmoothingSettings())
+    np.testing.assert_array_equal(found.angles, two.angles)

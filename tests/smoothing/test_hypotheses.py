@@ -1,0 +1,133 @@
+"""Candidates for the elbows: their prices, the cheapest path, valleys that a solve does not leave.
+
+A painted person moves both arms before the body; one arm is then put where a solve would never
+find back from.
+"""
+
+from dataclasses import replace
+from itertools import product
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from painted_motion import ELBOWS, MARKERS, PERSON, known, points_of, problem, sights, truth
+
+from jaxmocap.body.arms import arm_dofs, bent, grips, hang, swing
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.proportions import PROPORTIONS
+from jaxmocap.smoothing.elbow_viterbi import SPEED_M_S, SURPRISE, cheapest_path, elbow_goals
+from jaxmocap.smoothing.linearise import Trajectory, smooth_poses
+
+COUNT = 12
+GRIPS = grips(PERSON, MARKERS)
+NO_CHANGE = np.zeros(len(PROPORTIONS), np.float32)
+
+
+def swivelled(degrees: tuple[float, float]) -> Pose:
+    """The true motion with each arm swung about its axis from shoulder to grip."""
+    moves = jnp.zeros((2, 4)).at[:, 0].set(jnp.radians(jnp.array(degrees)))
+    poses = []
+    for each in zip(*truth(COUNT), strict=True):
+        pose = Pose(*(jnp.asarray(part, jnp.float32) for part in each))
+        _, angles = swing(hang(PERSON, pose, GRIPS), moves.astype(jnp.float32))
+        moved = pose.angles.at[arm_dofs(PERSON.tree)].set(angles)
+        poses.append(pose._replace(angles=moved))
+    return Pose(*(np.stack(part) for part in zip(*poses, strict=True)))
+
+
+def goals_from(poses: Pose, seen=None) -> np.ndarray:
+    """Where the cheapest paths take the elbows, (T, 2, 3)."""
+    given = problem(COUNT, sights(COUNT) if seen is None else seen)
+    return elbow_goals(given, Trajectory(poses, NO_CHANGE), GRIPS)
+
+
+def off(elbows: np.ndarray) -> np.ndarray:
+    """Distances (T, 2) from the true elbows, metres."""
+    return np.linalg.norm(elbows - points_of(truth(COUNT))[:, ELBOWS], axis=-1)
+
+
+# The path ----------------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 10_000), st.integers(1, 5), st.integers(1, 3))
+def test_no_other_path_is_cheaper(seed, times, candidates):
+    rng = np.random.default_rng(seed)
+    costs = rng.uniform(0, 5, (times, candidates))
+    places = rng.normal(0, 0.1, (times, candidates, 3))
+    at = np.cumsum(rng.uniform(0.01, 0.1, times))
+
+    def price(path) -> float:
+        spent = costs[np.arange(times), path].sum()
+        for t in range(1, times):
+            way = places[t, path[t]] - places[t - 1, path[t - 1]]
+            reach = SPEED_M_S * (at[t] - at[t - 1])
+            spent += min(np.sum(way**2) / reach**2 / 2, SURPRISE)
+        return spent
+
+    best = min(price(path) for path in product(range(candidates), repeat=times))
+    assert price(cheapest_path(costs, places, at)) == pytest.approx(best)
+
+
+def test_one_clear_frame_decides_for_the_ambiguous_ones_beside_it():
+    places = np.broadcast_to([[0.0, 0, 0], [0.4, 0, 0]], (9, 2, 3))
+    costs = np.zeros((9, 2))
+    costs[4, 0] = 8.0
+    assert (cheapest_path(costs, places, np.arange(9) / 30) == 1).all()
+
+
+# Joint angles of candidates ----------------------------------------------------------------------
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.integers(0, COUNT - 1), st.floats(-60, 60))
+def test_an_arms_places_tell_its_joint_angles(frame, degrees):
+    poses = swivelled((degrees, -degrees))
+    pose = Pose(*(jnp.asarray(part[frame], jnp.float32) for part in poses))
+    hung = hang(PERSON, pose, GRIPS)
+    for side in range(2):
+        arm = type(hung.arms)(*(part[side] for part in hung.arms))
+        angles = np.asarray(bent(hung, side, arm))
+        again = pose.angles.at[arm_dofs(PERSON.tree)[side]].set(angles)
+        was, now = forward(PERSON, pose), forward(PERSON, pose._replace(angles=again))
+        np.testing.assert_allclose(now.joints_world, was.joints_world, atol=2e-5)
+
+
+# Decisions ---------------------------------------------------------------------------------------
+
+
+def test_arms_that_are_where_they_are_seen_stay_there_give_or_take_a_candidate():
+    assert off(goals_from(truth(COUNT))).max() < 0.1
+
+
+@pytest.mark.parametrize("degrees", [(60.0, 0.0), (0.0, -60.0), (-50.0, 50.0)])
+def test_an_arm_in_the_wrong_place_is_called_back(degrees):
+    start, moved = swivelled(degrees), np.array(degrees) != 0
+    wrong = off(points_of(start)[:, ELBOWS]).mean(0)[moved]
+    right = off(goals_from(start)).mean(0)[moved]
+    assert (wrong > 0.1).all() and (right < 0.6 * wrong).all()
+
+
+def test_goals_lead_a_solve_out_of_a_valley_that_it_would_not_leave_alone():
+    start, seen = Trajectory(swivelled((0.0, 110.0)), NO_CHANGE), problem(COUNT, sights(COUNT))
+    alone = smooth_poses(seen, start, (1.5, 0.8))
+    hoped = replace(seen, known=known(COUNT)._replace(goals=goals_from(start.poses)))
+    found = smooth_poses(seen, smooth_poses(hoped, start, (1.5,)).trajectory, (1.5, 0.8))
+    left, led = (off(points_of(each.trajectory.poses)[:, ELBOWS]) for each in (alone, found))
+    assert left[:, 1].max() > 0.3 and led.max() < 0.03
+    assert found.cost < 0.8 * alone.cost
+
+
+def test_frames_that_no_camera_saw_have_no_goals():
+    there = np.array([0, 1, 5, 6])
+    goals = goals_from(truth(COUNT), sights(COUNT, frames=there))
+    assert np.isfinite(goals[there]).all()
+    assert np.isnan(np.delete(goals, there, 0)).all()
+
+
+def test_two_cameras_decide_at_least_as_well_as_one():
+    start = swivelled((-50.0, 50.0))
+    one, two = (off(goals_from(start, sights(COUNT, cameras=c))).mean() for c in ((0,), (0, 1)))
+    assert two < one + 0.01

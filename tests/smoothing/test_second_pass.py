@@ -1,0 +1,418 @@
+"""The second pass over a recording: what it sees in the frames, what is missing, what it finds."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import cache
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import on_device
+from drawn_arms import SIZE
+from drawn_body import Painted, paint, room
+from painted_motion import CAMERAS, ELBOWS, MARKERS, PERSON, disturbed, points_of, pose_at
+
+from jaxmocap.body.kinematics import forward, site_positions
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.capture.timeline import build_timeline
+from jaxmocap.capture.video import MemoryVideo
+from jaxmocap.evidence.appearance.hulls import draw_hulls
+from jaxmocap.evidence.appearance.learned import ROWS, Drawing
+from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
+from jaxmocap.geometry.cameras import project
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.tracker import HybridTracker, StepReport
+from jaxmocap.images.silhouette_grid import Grid
+from jaxmocap.pipelines.tracking import second_pass as offline
+from jaxmocap.pipelines.tracking.report_figures import judge_steps
+from jaxmocap.pipelines.tracking.second_pass import FirstPass, Look, Smoothed, smooth_recording
+from jaxmocap.pipelines.tracking.track import make_tracker, track_both
+from jaxmocap.smoothing.fixed_lag import DELAY_FRAMES
+from jaxmocap.smoothing.linearise import Problem, SmoothedPoses
+from jaxmocap.smoothing.uncertainty import Trust
+from jaxmocap.solvers.status import Status
+
+# Seconds apart: frames, and the marker samples of which every other has a frame.
+FRAMES, FRAME_S, SAMPLE_S = 20, 1 / 30, 1 / 60
+CAMERA = CAMERAS[0]
+TIMES = np.arange(2 * FRAMES) * SAMPLE_S
+
+
+@cache
+def painted() -> list[Painted]:
+    """The frames, with the little noise of a sensor."""
+    wall, rng = room(SIZE), np.random.default_rng(1)
+    frames = [paint(CAMERA, PERSON, pose_at(i * FRAME_S), wall) for i in range(FRAMES)]
+    noise = [np.rint(rng.normal(0, 2, frame.image.shape)) for frame in frames]
+    return [
+        frame._replace(image=np.clip(frame.image + each, 0, 255).astype(np.uint8))
+        for frame, each in zip(frames, noise, strict=True)
+    ]
+
+
+def images() -> list[np.ndarray | None]:
+    return [frame.image for frame in painted()]
+
+
+@cache
+def true_poses() -> Pose:
+    """Of all samples."""
+    poses = [pose_at(time) for time in TIMES]
+    return Pose(*(np.stack(part).astype(np.float32) for part in zip(*poses, strict=True)))
+
+
+@cache
+def markers_world() -> np.ndarray:
+    """(E, M, 3) of head and wrists."""
+    over = jax.vmap(lambda pose: site_positions(PERSON, forward(PERSON, pose), MARKERS))
+    return np.asarray(over(on_device(true_poses())), float)
+
+
+@cache
+def tracker() -> HybridTracker:
+    """Of the person and the camera; nothing of it is compiled here."""
+    return HybridTracker(PERSON, [CAMERA], Settings(), MARKERS)
+
+
+def second_pass(frames=None, mode="own", start=None, shown=None) -> Smoothed | None:
+    """The second pass, from the true poses by default."""
+    video = MemoryVideo(np.arange(FRAMES) * FRAME_S, frames or images())
+    timeline = build_timeline(TIMES, [video.times], mode)
+    start = true_poses() if start is None else start
+    show = (lambda share: None) if shown is None else shown.append
+    done = FirstPass(timeline, markers_world(), true_poses(), start)
+    return smooth_recording(tracker(), [video], done, show)
+
+
+@contextmanager
+def unsolved() -> Iterator[list[Problem]]:
+    """What is to be smoothed, round by round, instead of smoothing it."""
+    kept: list[Problem] = []
+
+    def keep(problem, start, *_, **__):
+        kept.append(problem)
+        return SmoothedPoses(start, 0.0, Status.CONVERGED)
+
+    def trust(problem, found, softness):
+        shape = (len(problem.times), len(LANDMARKS))
+        return Trust(np.full((*shape, 3), 0.02), np.zeros(shape))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(offline, "smooth_poses", keep)
+        patch.setattr(offline, "trust_in", trust)
+        yield kept
+
+
+@pytest.fixture
+def problems():
+    with unsolved() as kept:
+        yield kept
+
+
+@cache
+def usual() -> list[Problem]:
+    """All rounds where nothing is missing: seen once, read by many tests."""
+    with unsolved() as kept:
+        second_pass()
+    return kept
+
+
+def grids(problem: Problem) -> list[Grid]:
+    """All that was seen."""
+    _, person, forearms, legs = problem.sights.sight
+    return [person, forearms, legs.person]
+
+
+def on_grid(share: np.ndarray, region, i: int, cells: int) -> np.ndarray:
+    """A painted share (h, w) averaged over the cells of the i-th grid."""
+    side, scale = 4 * cells, float(region.scale[i]) / 4
+    x, y = np.asarray(region.origin[i], float) + scale / 2
+    fine = cv2.warpAffine(
+        share,
+        np.array([[scale, 0, x], [0, scale, y]]),
+        (side, side),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+    )
+    return cv2.resize(fine, (cells, cells), interpolation=cv2.INTER_AREA)
+
+
+# What it sees ------------------------------------------------------------------------------------
+
+
+def test_the_grids_show_the_person_and_the_bare_forearms():
+    seen = usual()[-1].sights
+    np.testing.assert_array_equal(seen.frame, np.arange(0, 2 * FRAMES, 2))
+    assert not seen.camera.any()
+    upper, whole, forearms, legs = seen.sight
+    for region, grid, part in (
+        (upper, whole, "person"), (upper, forearms, "forearms"), (*legs, "person"),
+    ):  # fmt: skip
+        cells = grid.probability.shape[-1]
+        for i in range(FRAMES):
+            truth = on_grid(getattr(painted()[i], part), region, i, cells)
+            sure_of = grid.weight[i] > 0.5
+            inside, outside = sure_of & (truth > 0.95), sure_of & (truth < 0.05)
+            assert inside.sum() > 10 and outside.sum() > 0.3 * truth.size
+            assert (grid.probability[i][inside] > 0.5).mean() > 0.9, part
+            assert (grid.probability[i][outside] < 0.5).mean() > 0.97, part
+
+
+def test_a_head_and_a_pelvis_tell_nothing():
+    sight = usual()[-1].sights.sight
+    for name in ("head", "pelvis"):
+        point = points_of(true_poses())[0, list(LANDMARKS).index(name)]
+        pixel = np.asarray(project(CAMERA, jnp.asarray(point, float)))
+        scale, origin = sight.region.scale[0], sight.region.origin[0]
+        column, row = np.round((pixel - origin) / scale - 0.5).astype(int)
+        assert sight.person.weight[0, row, column] < 0.05
+        assert sight.forearms.weight[0, row, column] < 0.05 or name == "pelvis"
+
+
+def test_a_frame_that_cannot_be_read_tells_nothing(problems):
+    broken = images()
+    broken[0], broken[7] = None, None
+    second_pass(broken)
+    for grid in grids(problems[-1]):
+        told = grid.weight.reshape(FRAMES, -1).max(1)
+        assert not told[[0, 7]].any() and (np.delete(told, [0, 7]) > 0.5).all()
+        assert np.isfinite(grid.probability).all()
+
+
+def test_no_frame_that_can_be_read_tells_nothing_either(problems):
+    later = np.arange(FRAMES + 1) * FRAME_S
+    video = MemoryVideo(later, [*[None] * FRAMES, painted()[0].image])
+    timeline = build_timeline(TIMES, [video.times[:-1]], "own")
+    done = FirstPass(timeline, markers_world(), true_poses(), true_poses())
+    found = smooth_recording(tracker(), [video], done, lambda share: None)
+    assert found is not None
+    for grid in grids(problems[-1]):
+        assert grid.weight.shape[0] == FRAMES and not grid.weight.any()
+
+
+def test_a_video_narrower_than_its_calibration_keeps_its_pixels_in_place(problems):
+    whole = usual()[-1].sights.sight
+    second_pass([image[:, :-9] for image in images()])
+    narrow = problems[-1].sights.sight
+    np.testing.assert_array_equal(narrow.region.origin, whole.region.origin)
+    for grid, other in zip(narrow[1:3], whole[1:3], strict=True):
+        both = (grid.weight > 0.5) & (other.weight > 0.5)
+        assert both.mean() > 0.2
+        difference = np.abs(grid.probability - other.probability)[both]
+        assert difference.mean() < 0.01 and np.percentile(difference, 99) < 0.2
+
+
+def test_a_frame_that_serves_several_samples_is_looked_at_for_each(problems):
+    second_pass(mode="nearest")
+    seen = problems[-1].sights
+    np.testing.assert_array_equal(seen.frame, np.arange(2 * FRAMES))
+    # The last sample of each pair has the frame of the first or of the next.
+    region, told = seen.sight.region, seen.sight.person
+    pairs = np.flatnonzero((np.diff(region.origin, axis=0) == 0).all(1))
+    both = [(told.weight[i] > 0.5) & (told.weight[i + 1] > 0.5) for i in pairs]
+    away = [np.abs(told.probability[i] - told.probability[i + 1]) for i in pairs]
+    assert any(np.quantile(a[b], 0.95) < 1e-6 for a, b in zip(away, both, strict=True))
+    own = np.arange(0, 2 * FRAMES, 2)
+    assert len(problems) == 2 + offline.DECISIONS
+    alone = usual()[-1].sights.sight.person.probability
+    np.testing.assert_allclose(seen.sight.person.probability[own].mean(), alone.mean(), atol=0.01)
+
+
+def test_frames_are_chosen_by_index_shrunk_and_repeated():
+    tagged = [np.full((720, 960, 3), 10 * i, np.uint8) for i in range(6)]
+    video = MemoryVideo(np.arange(6) / 30, [*tagged[:4], None, tagged[5]])
+    look = Look(0, np.arange(7), np.array([0, 0, 1, 3, 3, 4, 5]))
+    read = list(look.frames(video, np.arange(7)))
+    assert [None if im is None else int(im[0, 0, 0]) for im in read] == [0, 0, 10, 30, 30, None, 50]
+    assert all(im is None or im.shape == (ROWS, 480, 3) for im in read)
+    few = list(look.frames(video, np.array([1, 3, 4])))
+    assert [int(im[0, 0, 0]) for im in few if im is not None] == [0, 30, 30]
+
+
+def test_frames_beyond_the_videos_end_cannot_be_read():
+    video = MemoryVideo(np.arange(3) / 30, [np.zeros((72, 96, 3), np.uint8)] * 3)
+    read = list(Look(0, np.arange(4), np.array([1, 2, 3, 4])).frames(video, np.arange(4)))
+    assert [image is None for image in read] == [False, False, True, True]
+
+
+def test_without_any_frame_there_is_nothing_to_do():
+    video = MemoryVideo(100 + np.arange(FRAMES) * FRAME_S, images())
+    index = np.full((len(TIMES), 1), -1)
+    timeline = replace(build_timeline(TIMES, [np.zeros(0)], "own"), frame_index=index)
+    done = FirstPass(timeline, markers_world(), true_poses(), true_poses())
+    assert smooth_recording(tracker(), [video], done, lambda share: None) is None
+
+
+# The body in the frames --------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def drawing() -> Drawing:
+    poses = jax.tree.map(lambda part: part[::2], true_poses())
+    return Drawing.of(PERSON, CAMERA, SIZE, poses)
+
+
+def test_the_drawn_body_covers_the_painted_one(drawing):
+    assert drawing.size == (480, 360)
+    for i in (0, 10):
+        share = cv2.resize(painted()[i].person, drawing.size, interpolation=cv2.INTER_AREA)
+        mask = drawing.mask(i, 1.0)
+        assert mask[share > 0.99].mean() > 0.97 and not mask[share == 0].mean() > 0.005
+        wide = drawing.mask(i, 1.4, 5.0)
+        assert wide[share > 0].all() and wide.sum() > 1.2 * mask.sum()
+
+
+def test_parts_of_limbs_and_limbs_by_name_are_drawn(drawing):
+    whole = drawing.mask(3, 1.0)
+    forearm = drawing.mask(3, 1.0, only=("radius_l",))
+    rest = drawing.mask(3, 1.0, without=("radius_l",))
+    half = drawing.mask(3, 1.0, only=("radius_l",), part=(0.5, 0.95))
+    np.testing.assert_array_equal(whole, forearm | rest)
+    assert 0 < half.sum() < 0.8 * forearm.sum()
+    # The half's hull is rounded to pixels by itself.
+    assert (half & ~forearm).sum() <= 0.05 * half.sum()
+    near, far, radii = (part[3][drawing.names.index("radius_l")][None] for part in drawing.discs)
+    np.testing.assert_array_equal(
+        forearm, draw_hulls(type(drawing.discs)(near, far, radii), drawing.size)
+    )
+
+
+# What it finds -----------------------------------------------------------------------------------
+
+
+def errors_of(poses: Pose) -> np.ndarray:
+    """Distances (E, 2) of the elbows from the truth, metres."""
+    off = points_of(poses) - points_of(true_poses())
+    return np.linalg.norm(off, axis=-1)[:, ELBOWS]
+
+
+@pytest.fixture(scope="module")
+def found():
+    """The second pass from arms that are turned away, some frames unreadable; the shares shown."""
+    angles, frames, shown = true_poses().angles.copy(), images(), []
+    wrong = disturbed(1).poses.angles[0] - pose_at(0.0).angles
+    frames[5] = None
+    start = true_poses()._replace(angles=(angles + wrong).astype(np.float32))
+    return second_pass(frames, start=start, shown=shown), start, shown
+
+
+def test_elbows_that_the_frames_show_are_found(found):
+    smoothed, start, _ = found
+    before, after = errors_of(start), errors_of(smoothed.poses)
+    assert before.mean() > 0.06
+    assert after.mean() < 0.04 and after.mean() < 0.5 * before.mean()
+
+
+def test_a_camera_whose_calibration_is_true_hardly_turns(found):
+    assert found[0].turns_cam.shape == (1, 3)
+    assert 0 < np.degrees(np.linalg.norm(found[0].turns_cam)) < 0.2
+
+
+def test_calibrations_hold_where_the_settings_say_so(problems, monkeypatch):
+    own = tracker()
+    over_time = replace(own.settings.over_time, camera=np.float32(0.0))
+    monkeypatch.setattr(own, "settings", replace(own.settings, over_time=over_time))
+    smoothed = second_pass()
+    assert problems and smoothed is not None and smoothed.turns_cam.shape == (0, 3)
+
+
+def test_every_event_is_judged(found):
+    judged, events = found[0].judged, len(TIMES)
+    assert judged.distances.shape == (events, 3) and judged.distances.max() < 0.03
+    assert judged.swivels.shape == judged.confidence.shape == (events, 2)
+    assert ((judged.confidence > 0) & (judged.confidence < 1)).all()
+    assert judged.deviations.shape == (events, len(LANDMARKS), 3) and (judged.deviations > 0).all()
+    assert judged.from_prior.shape == (events, len(LANDMARKS))
+
+
+def test_the_share_done_grows_to_one(found):
+    shown = found[2]
+    assert shown == sorted(shown) and shown[0] > 0 and shown[-1] == pytest.approx(1)
+
+
+def test_steps_tell_of_the_elbows_only():
+    spread, nothing = np.array([[0.01, 0.02], [0.05, 0.4]]), np.zeros((2, 2))
+    still = Pose(*(part[0] for part in true_poses()))
+    reports = StepReport(still, np.zeros((2, 3)), nothing, nothing, spread, *[nothing] * 5)
+    judged = judge_steps(reports)
+    np.testing.assert_allclose(np.linalg.norm(judged.deviations[:, ELBOWS], axis=-1), spread)
+    np.testing.assert_allclose(judged.confidence, reports.confidence)
+    assert judged.confidence[1, 0] == pytest.approx(0.5)
+    others = np.delete(judged.deviations, ELBOWS, axis=1)
+    assert np.isnan(others).all() and np.isnan(judged.from_prior).all()
+
+
+# The whole way -----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    places = tuple(
+        MarkerPlace(name, bone)
+        for name, bone in (("Head", "head"), ("LWrist", "radius_l"), ("RWrist", "radius_r"))
+    )
+    frames = (np.arange(FRAMES) * FRAME_S, images())
+    video = VideoSource("cam", CAMERA, offset=0.0, frames=frames)
+    return Recording(PERSON, TIMES, markers_world(), places, (video,), "painted")
+
+
+@pytest.fixture(scope="module")
+def whole_way(recording):
+    own = make_tracker(recording)
+    return [track_both(recording, mode=mode, tracker=own) for mode in ("own", "causal")]
+
+
+def test_a_recording_is_smoothed_to_better_elbows_than_the_markers_alone(whole_way):
+    tracked, _ = whole_way
+    alone, smoothed = (errors_of(motion.poses) for motion in (tracked.markers_only, tracked.motion))
+    assert smoothed.mean() < 0.6 * alone.mean() and smoothed.mean() < 0.05
+    assert tracked.motion.report.milliseconds["smooth"].shape == (1,)
+    assert np.isfinite(tracked.motion.report.landmarks_std).all()
+    assert np.isin(tracked.motion.report.from_prior, [0, 1]).all()
+
+
+def test_the_report_says_how_the_camera_was_found_turned(whole_way):
+    over_all, causal = (tracked.motion.report.settings for tracked in whole_way)
+    (turn,) = over_all["camera_turns_deg"].values()
+    assert list(over_all["camera_turns_deg"]) == ["cam"] and len(turn) == 3
+    assert 0 < np.linalg.norm(turn) < 0.2
+    assert causal["camera_turns_deg"] == {}
+
+
+def test_causally_each_pose_waits_for_two_frames_and_says_so(whole_way):
+    motion = whole_way[1].motion
+    report = motion.report
+    assert report.settings["latency"]["video frames"] == DELAY_FRAMES
+    # At every frame but the first.
+    assert report.milliseconds["smooth"].shape == (FRAMES - 1,)
+    assert len(motion.times) == len(TIMES)
+    assert all(np.isfinite(part).all() for part in motion.poses)
+    assert np.isfinite(report.landmarks_std).all()
+    alone = errors_of(whole_way[1].markers_only.poses)
+    assert errors_of(motion.poses).mean() < 0.8 * alone.mean()
+
+
+def test_who_does_not_want_it_gets_no_second_pass(recording, problems):
+    settings = replace(Settings(), smooth=False)
+    few = replace(recording, times=TIMES[:3], positions_world=markers_world()[:3])
+    motion = track_both(few, tracker=make_tracker(few, settings)).motion
+    assert not problems and np.isnan(motion.report.from_prior).all()
+
+
+def test_legs_that_no_marker_holds_are_found_where_they_stand():
+    """Whoever stands still would be furniture if the body were believed to be elsewhere."""
+    kneeling = np.zeros(len(PERSON.tree.joints), np.float32)
+    for name in ("hip_flexion_l", "hip_flexion_r"):
+        kneeling[PERSON.tree.joints.index(name)] = 0.35
+    start = true_poses()
+    start = start._replace(angles=start.angles + kneeling)
+    found = second_pass(start=start)
+    assert found is not None
+    ankles = [list(LANDMARKS).index(f"ankle_{side}") for side in "lr"]
+    truth = points_of(true_poses())[:, ankles]
+    before = np.linalg.norm(points_of(start)[:, ankles] - truth, axis=-1)
+    after = np.linalg.norm(points_of(found.poses)[:, ankles] - truth, axis=-1)
+    assert before.min() > 0.29 and after.max() < 0.15

@@ -1,0 +1,93 @@
+"""Arms as the video step sees them, before drawn pictures: shared by its tests."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from conftest import on_device
+from drawn_arms import arm_pose, camera_at, draw, limbs_of
+
+from jaxmocap.body import arms as arms_module
+from jaxmocap.body.kinematics import forward, landmark_sites
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.geometry.rotations import about_axis, compose, rotate
+from jaxmocap.hybrid.observe import Observer, arm_regions
+from jaxmocap.hybrid.settings import Settings
+
+SIZE = 96
+# Left: the forearm across the belly, outlined from the front; right: raised to the side.
+DEGREES = {
+    "arm_flex": (15, 20),
+    "arm_abduct": (40, 50),
+    "arm_rot": (60, -30),
+    "elbow_flex": (80, 75),
+}
+PERSON = Skeleton.human(1.75)
+TRUTH = arm_pose(PERSON, DEGREES)
+FRONT = camera_at((2.2, 0.3, 1.35), (0.0, 0.0, 1.15))
+SIDE = camera_at((0.7, -2.2, 1.4), (0.0, 0.0, 1.15))
+MARKERS = landmark_sites(PERSON, ("vertex", "wrist_l", "wrist_r"))
+GRIPS = arms_module.grips(PERSON, MARKERS)
+
+
+def stacked(*cameras):
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *cameras)
+
+
+@jax.jit
+def arms_in(pose):
+    """Both arms of a pose."""
+    return arms_module.arms_of(PERSON, forward(PERSON, pose), GRIPS)
+
+
+@jax.jit
+def swivelled(arms, angles):
+    """Both arms turned by (2,) angles, radians, about the axis from shoulder to grip."""
+    axis = arms.grip - arms.shoulder
+    R = about_axis(axis / jnp.linalg.norm(axis, axis=-1, keepdims=True), angles)
+
+    def moved(points):
+        return arms.shoulder + rotate(R, points - arms.shoulder)
+
+    return arms._replace(
+        elbow=moved(arms.elbow),
+        wrist=moved(arms.wrist),
+        tip=moved(arms.tip),
+        R_world_radius=compose(R, arms.R_world_radius),
+    )
+
+
+def true_arms():
+    return arms_in(on_device(TRUTH))
+
+
+def turned_by(left, right):
+    """The true arms, elbows swivelled away."""
+    return swivelled(true_arms(), jnp.array([left, right], jnp.float32))
+
+
+def elbow_errors(elbows) -> np.ndarray:
+    """Distances (2,) of elbows from the truth, metres."""
+    return np.linalg.norm(np.asarray(elbows) - np.asarray(true_arms().elbow), axis=-1)
+
+
+def pictures(*cameras) -> list[np.ndarray]:
+    """What each camera sees of the true arms."""
+    limbs = list(limbs_of(PERSON, TRUTH))
+    return [draw(camera, limbs) for camera in cameras]
+
+
+def picture_of(arms) -> np.ndarray:
+    """What the front camera sees of other arms."""
+    ends = [np.asarray(part, float) for part in (arms.shoulder, arms.elbow, arms.wrist, arms.tip)]
+    radii = np.asarray(arms.radii, float)
+    limbs = [(ends[i][arm], ends[i + 1][arm], radii[arm, i]) for arm in range(2) for i in range(3)]
+    return draw(FRONT, limbs)
+
+
+def observed(images, cameras, arms, settings: Settings | None = None):
+    """What a fresh observer tells of images, in the regions where ``arms`` are."""
+    settings = settings or Settings(region=SIZE)
+    samples, spacing = settings.samples, settings.spacing
+    observer = Observer(len(images), samples, settings.directions, settings.edges, spacing)
+    regions = arm_regions(cameras, arms, samples, settings.margin, spacing)
+    return observer.observe(images, regions)

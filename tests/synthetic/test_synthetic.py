@@ -1,0 +1,364 @@
+"""Synthetic recordings: hard for a tracker, true to their own figures, the same for a seed."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import av
+import cv2
+import ezc3d
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jaxmocap.body.kinematics import Frames
+from jaxmocap.body.mass import centre_of_gravity
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.formats.recordings.recording import load_recording
+from jaxmocap.formats.time_series.trc import read_trc
+from jaxmocap.geometry.cameras import project
+from jaxmocap.synthetic import recording, renderer
+from jaxmocap.synthetic.lens import Lens
+from jaxmocap.synthetic.movements import motions
+from jaxmocap.synthetic.movements.splines import Spline
+from jaxmocap.synthetic.movements.stretching import UPRIGHT, stretching
+from jaxmocap.synthetic.people.clothed_person import MARKERS, dressed
+from jaxmocap.synthetic.people.mesh_person import MARKERS as GAIT_MARKERS
+from jaxmocap.synthetic.people.mesh_person import mesh_person
+from jaxmocap.synthetic.renderer import Scene, render_frames
+
+RECORDINGS = Path(__file__).parents[3] / "shared" / "recordings"
+
+SECONDS = 6.0
+TIMES = np.arange(0, SECONDS, 1 / 90)
+BONES = (
+    *(("shoulder", "elbow", "humerus"), ("elbow", "wrist", "radius"), ("wrist", "hand", "hand")),
+    *(("hip", "knee", "femur"), ("knee", "ankle", "tibia"), ("ankle", "toe", "foot")),
+)
+PERFORMANCES = {
+    "table tennis": lambda seed: motions.table_tennis(SECONDS, seed),
+    "squat": lambda seed: motions.squat(SECONDS, seed),
+    "reaching": lambda seed: motions.reaching(SECONDS, seed),
+    "thrust": lambda seed: motions.thrust(SECONDS, seed, azimuth=40.0),
+}
+
+
+@pytest.fixture(scope="module", params=PERFORMANCES)
+def performance(request):
+    return PERFORMANCES[request.param](0)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    camera = recording.webcam()
+    return Scene.in_room(camera, dressed(motions.table_tennis(SECONDS, 0), 0), 0)
+
+
+def test_bones_keep_their_lengths(performance):
+    points = performance.landmarks(TIMES)
+    for near, far, bone in BONES:
+        for side in "lr":
+            lengths = np.linalg.norm(points[f"{far}_{side}"] - points[f"{near}_{side}"], axis=1)
+            np.testing.assert_allclose(
+                lengths, performance.figure.length(f"{bone}_{side}"), atol=1e-9
+            )
+
+
+def test_frames_are_rotations_and_joints_hang_together(performance):
+    joints, R = performance.bones(TIMES)
+    np.testing.assert_allclose(
+        R @ R.swapaxes(-1, -2), np.broadcast_to(np.eye(3), R.shape), atol=1e-9
+    )
+    np.testing.assert_allclose(np.linalg.det(R), 1.0, atol=1e-9)
+    far = joints + np.einsum("tbij,bj->tbi", R, performance.figure.reaches)
+    for i, parent in enumerate(performance.figure.skeleton.tree.parents):
+        if parent >= 0:
+            np.testing.assert_allclose(joints[:, i], far[:, parent], atol=1e-9)
+
+
+def test_feet_stay_planted(performance):
+    points = performance.landmarks(TIMES)
+    for name in ("ankle_l", "ankle_r", "toe_l", "toe_r"):
+        assert np.ptp(points[name], axis=0).max() < 1e-9
+
+
+def test_limbs_differ_from_the_tables_by_up_to_three_percent(performance):
+    figure = performance.figure
+    ratio = np.asarray(figure.skeleton.lengths / Skeleton.human(figure.height).lengths)
+    assert np.abs(ratio - 1).max() <= motions.LIMB_SPREAD + 1e-6
+    assert np.ptp(ratio) > 0.02
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_elbows_swivel_by_forty_degrees_either_way_between_strokes(seed):
+    performance = motions.table_tennis(SECONDS, seed)
+    assert len(performance.starts) >= 4
+    strikes = np.rad2deg(performance.swivels(performance.starts[:4] + 0.8))
+    for earlier, later in pairwise(strikes):
+        assert (np.abs(later - earlier) >= 80).all()
+
+
+def test_elbows_are_never_where_the_relaxed_pose_has_them(performance):
+    # The relaxed pose's swivel is 0 by the definition of swivel.
+    assert np.rad2deg(performance.swivels(TIMES)).min() > 8
+
+
+def test_the_elbow_lies_at_its_swivel_about_the_arm():
+    figure = motions.table_tennis(1.0).figure
+    still = motions.Posture(reach_l=(0.0, 0.0, -0.8), reach_r=(0.0, 0.0, -0.8))
+    for swivel, expected_l in ((0.0, (-1, 0)), (90.0, (0, 1)), (-90.0, (0, -1))):
+        posture = motions.replace(still, swivel_l=swivel, swivel_r=swivel)
+        curve = Spline.through(np.array([0.0, 1.0]), np.stack([posture.channels()] * 2))
+        performance = motions.Performance(figure, curve, np.zeros(1))
+        points, bones = performance.landmarks(np.zeros(1)), performance.bones(np.zeros(1))
+        R_chest = bones.R_world_bone[0, figure.skeleton.tree.bone("spine3")]
+        for side, mirror in (("l", 1), ("r", -1)):
+            shoulder, elbow, wrist = (
+                points[f"{n}_{side}"][0] for n in ("shoulder", "elbow", "wrist")
+            )
+            axis = (wrist - shoulder) / np.linalg.norm(wrist - shoulder)
+            bend = elbow - shoulder - (elbow - shoulder) @ axis * axis
+            bend = R_chest.T @ bend / np.linalg.norm(bend)
+            np.testing.assert_allclose(bend[:2], np.multiply(expected_l, (1, mirror)), atol=0.06)
+
+
+def test_strokes_are_as_fast_as_a_players():
+    points = motions.table_tennis(SECONDS, 0).landmarks(TIMES)
+    speeds = {
+        name: np.linalg.norm(np.diff(points[name], axis=0), axis=1).max() * 90
+        for name in ("wrist_r", "elbow_r")
+    }
+    assert 3.0 < speeds["wrist_r"] < 6.0
+    assert 1.5 < speeds["elbow_r"] < 4.0
+
+
+def test_the_squat_goes_down_by_thirty_centimetres_and_stays_over_the_feet():
+    performance = motions.squat(SECONDS)
+    points, bones = performance.landmarks(TIMES), performance.bones(TIMES)
+    assert 0.28 < np.ptp(points["pelvis"][:, 2]) < 0.36
+    skeleton = performance.figure.skeleton
+    for i in range(0, len(TIMES), 45):
+        frames = Frames(
+            *(
+                np.asarray(part, np.float32)
+                for part in (points["pelvis"][i], bones.R_world_bone[i])
+            ),
+            np.asarray(bones.joints_world[i], np.float32),
+            np.zeros((len(skeleton.tree.joints), 3), np.float32),
+        )
+        x = float(centre_of_gravity(skeleton, frames)[0])
+        # Heels reach some 5 cm behind the ankles.
+        assert points["ankle_r"][i, 0] - 0.05 < x < points["toe_l"][i, 0]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_stretching_bends_the_elbows_all_the_way_by_somebody_of_unusual_arms(seed):
+    performance, usual = stretching(SECONDS, seed), Skeleton.human(1.75)
+    points = performance.landmarks(TIMES)
+    upper = points["elbow_l"] - points["shoulder_l"]
+    fore = points["wrist_l"] - points["elbow_l"]
+    lengths = [np.linalg.norm(part, axis=-1) for part in (upper, fore)]
+    bend = np.degrees(np.arccos(np.sum(upper * fore, -1) / np.prod(lengths, 0)))
+    assert bend.min() < 35 and bend.max() > 110
+    rises = points["wrist_l"][:, 2] - points["shoulder_l"][:, 2]
+    assert rises.min() < -0.4 and rises.max() > -0.15
+    person, bones = performance.figure.skeleton, usual.tree.bones
+    ratio = np.asarray(person.lengths) / np.asarray(usual.lengths)
+    assert abs(ratio[bones.index("humerus_l")] - 1) > 1e-4
+    np.testing.assert_array_equal(ratio[bones.index("radius_l")], ratio[bones.index("radius_r")])
+    for body in (person, usual):
+        upright = [bone.startswith(UPRIGHT) for bone in bones]
+        tall = float(np.asarray(body.lengths)[upright].sum())
+        assert tall == pytest.approx(float(np.asarray(usual.lengths)[upright].sum()), rel=1e-5)
+
+
+def test_an_unknown_stroke_is_refused_with_the_valid_ones():
+    with pytest.raises(ValueError, match=r"smash.*forehand, backhand, serve"):
+        motions.table_tennis(1.0, strokes=("smash",))
+
+
+@given(st.lists(st.floats(-1, 1), min_size=3, max_size=8), st.integers(0, 2**32 - 1))
+@settings(max_examples=30, deadline=None)
+def test_splines_pass_through_their_keys_and_are_twice_smooth(values, seed):
+    steps = np.random.default_rng(seed).uniform(0.2, 1.0, len(values) - 1)
+    times = np.concatenate([[0.0], np.cumsum(steps)])
+    curve = Spline.through(times, np.array(values)[:, None])
+    np.testing.assert_allclose(curve(times)[:, 0], values, atol=1e-9)
+    h = 1e-4
+    for t in times[1:-1]:
+        y = curve(t + h * np.arange(-2, 3))[:, 0]
+        before, after = (y[0] - 2 * y[1] + y[2]) / h**2, (y[2] - 2 * y[3] + y[4]) / h**2
+        assert abs(after - before) < 1e-2 * (1 + np.abs(curve.bends).max())
+    ends = np.array([times[0], times[0] + h, times[-1] - h, times[-1]])
+    first, last = np.diff(curve(ends)[:, 0])[[0, 2]] / h
+    assert max(abs(first), abs(last)) < 2 * h * (1 + np.abs(curve.bends).max())
+
+
+def test_the_lens_projects_as_opencv_and_the_package_do():
+    camera = recording.webcam()
+    lens = Lens.of(camera)
+    points = np.random.default_rng(0).uniform((-1, -1.2, 0.3), (1, 1.2, 2.0), (50, 3))
+    rotation = cv2.Rodrigues(lens.R_cam_world)[0]
+    expected = cv2.projectPoints(points, rotation, lens.shift_cam, lens.matrix, lens.distortion)[0]
+    np.testing.assert_allclose(lens.pixels(points), expected[:, 0], atol=1e-3)
+    np.testing.assert_allclose(
+        lens.pixels(points), project(camera, points.astype(np.float32)), atol=1e-2
+    )
+
+
+def test_marker_noise_stays_within_a_consumer_headsets():
+    times = np.arange(0, 60, 1 / 90)
+    error = recording.marker_noise(times, 3, np.random.default_rng(0))
+    size = np.linalg.norm(error, axis=-1)
+    assert size.max() <= recording.WORST_M + 1e-12
+    assert 0.003 < size.mean() < 0.007
+    jitter = np.diff(error, axis=0).std() / np.sqrt(2)
+    assert 0.0008 < jitter < 0.0013
+
+
+def test_a_person_stands_where_the_truth_says(scene):
+    times = np.linspace(0.2, 5.8, 12)
+    lens = Lens.of(scene.camera)
+    points = scene.mover.performance.landmarks(times)
+    hits = []
+    for i, frame in enumerate(render_frames(scene, times)):
+        away = cv2.absdiff(
+            cv2.GaussianBlur(frame, (0, 0), 2), cv2.GaussianBlur(scene.background, (0, 0), 2)
+        )
+        person = away.max(-1) > 22
+        for name in ("wrist_l", "wrist_r", "elbow_l", "elbow_r", "shoulder_l", "shoulder_r"):
+            x, y = np.rint(lens.pixels(points[name][i])).astype(int)
+            # A few pixels of grace: arms are thin, and some are of the colour behind them.
+            hits.append(person[max(y - 3, 0) : y + 4, max(x - 3, 0) : x + 4].any())
+        assert 0.03 < person.mean() < 0.5
+    assert np.mean(hits) > 0.9
+
+
+def test_fast_hands_are_blurred_and_slow_ones_are_not(scene, monkeypatch):
+    points = scene.mover.performance.landmarks(TIMES)["wrist_r"]
+    speed = np.linalg.norm(np.gradient(points, 1 / 90, axis=0), axis=1)[20:-20]
+    chosen = np.array([speed.argmax(), speed.argmin()]) + 20
+    pixels = np.rint(Lens.of(scene.camera).pixels(points[chosen])).astype(int)
+    blurred = list(render_frames(scene, TIMES[chosen]))
+    monkeypatch.setattr(renderer, "EXPOSURE_S", 1e-6)
+    sharp = list(render_frames(scene, TIMES[chosen]))
+    fast, slow = (
+        np.abs(cv2.absdiff(a, b)[y - 25 : y + 25, x - 25 : x + 25]).mean()
+        for a, b, (x, y) in zip(blurred, sharp, pixels, strict=True)
+    )
+    assert fast > 3 * slow
+    assert slow < 3
+
+
+def test_the_same_seed_gives_the_same_frames_and_another_does_not():
+    def frame(seed):
+        mover = dressed(motions.table_tennis(2.0, seed), seed)
+        return next(render_frames(Scene.in_room(recording.webcam(), mover, seed), np.array([1.1])))
+
+    first = frame(5)
+    np.testing.assert_array_equal(first, frame(5))
+    assert np.abs(first.astype(int) - frame(6)).mean() > 5
+
+
+def test_a_recording_is_written_whole_and_read_like_any_other(tmp_path):
+    done = []
+    path = recording.write_table_tennis(
+        tmp_path, seconds=0.4, seed=1, progress=lambda *counts: done.append(counts)
+    )
+    loaded = load_recording(path)
+    assert done[-1] == (12, 12)
+    assert loaded.marker_names == tuple(MARKERS)
+    assert loaded.positions_world.shape == (36, 3, 3)
+    assert loaded.videos[0].offset == recording.VIDEO_OFFSET_S
+    with av.open(str(loaded.videos[0].path)) as container:
+        frames = [frame.to_ndarray(format="bgr24") for frame in container.decode(video=0)]
+    assert len(frames) == 12 and frames[0].shape == (480, 640, 3)
+    performance = motions.table_tennis(0.4, 1)
+    mover = dressed(performance, 1)
+    scene = Scene.in_room(recording.webcam(), mover, 1)
+    (drawn,) = render_frames(scene, recording.video_times(0.4)[:1])
+    assert np.abs(frames[0].astype(int) - drawn).mean() < 6
+
+
+def test_the_files_truth_is_the_performers(tmp_path):
+    path = recording.write_squat(tmp_path, seconds=0.2, seed=2)
+    truth = read_trc(path.with_name("truth.trc"))
+    points = motions.squat(0.2, 2).landmarks(truth.times)
+    for i, name in enumerate(truth.names):
+        np.testing.assert_allclose(truth.positions[:, i], points[name], atol=2e-6)
+    measured = load_recording(path).positions_world
+    figure, bones = motions.squat(0.2, 2).figure, motions.squat(0.2, 2).bones(truth.times)
+    for i, on in enumerate(MARKERS.values()):
+        error = np.linalg.norm(measured[:, i] - figure.points(bones, *on), axis=-1)
+        assert 0 < error.max() <= recording.WORST_M + 1e-5
+
+
+def test_reaching_is_written_too(tmp_path):
+    assert load_recording(recording.write_reaching(tmp_path, seconds=0.1)).videos
+
+
+@pytest.fixture(scope="module")
+def server(recordings):
+    """The rigged mesh, serving as the tennis player of the C3D file does."""
+    file = ezc3d.c3d(str(recordings / "motions" / "tennis_serve.c3d"))
+    labels = [name.split(":")[-1] for name in file["parameters"]["POINT"]["LABELS"]["value"]]
+    positions = dict(zip(labels, file["data"]["points"][:3].transpose(1, 2, 0), strict=True))
+    rate = float(file["header"]["points"]["frame_rate"])
+    return positions, mesh_person(
+        recordings / "person" / "person.npz", positions, rate, start=2.6, seconds=3.0
+    )
+
+
+def test_a_rigged_mesh_keeps_its_bones_and_follows_the_markers(server):
+    positions, person = server
+    times = np.arange(0, 2.9, 0.02)
+    points = person.landmarks(times)
+    for near, far, _ in BONES:
+        for side in "lr":
+            lengths = np.linalg.norm(points[f"{far}_{side}"] - points[f"{near}_{side}"], axis=1)
+            assert np.ptp(lengths) < 1e-9
+    at = GAIT_MARKERS.index
+    markers = person.markers(times).reshape(len(times), -1, 3)
+    for side, s in (("l", "L"), ("r", "R")):
+        upper = points[f"elbow_{side}"] - points[f"shoulder_{side}"]
+        measured = markers[:, at(s + "ELB")] - markers[:, at(s + "SHO")]
+        cosine = np.sum(upper * measured, -1) / np.linalg.norm(upper, axis=-1)
+        # Markers lie on the skin, centres some centimetres below it.
+        assert np.rad2deg(np.arccos(cosine / np.linalg.norm(measured, axis=-1))).max() < 20
+    hips = (points["hip_l"] + points["hip_r"]) / 2
+    pelvis = markers[:, [at(n) for n in ("LASI", "RASI", "LPSI", "RPSI")]].mean(1)
+    assert np.linalg.norm(hips - pelvis, axis=-1).max() < 0.15
+    with pytest.raises(ValueError, match="unknown person 'nobody'"):
+        mesh_person_of(positions, who="nobody")
+    with pytest.raises(ValueError, match="the markers end"):
+        mesh_person_of(positions, start=1e3)
+
+
+def mesh_person_of(positions, **changed):
+    return mesh_person(RECORDINGS / "person" / "person.npz", positions, 50.0, **changed)
+
+
+def test_joints_of_a_rigged_mesh_lie_within_its_skin(server):
+    _, person = server
+    times = np.array([0.3, 1.2, 2.5])
+    points, vertices = person.landmarks(times), person.vertices(times)
+    directions = np.random.default_rng(0).normal(size=(60, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    for name in ("elbow_l", "elbow_r", "wrist_l", "knee_r", "shoulder_l"):
+        for i in range(len(times)):
+            away = vertices[i] - points[name][i]
+            near = away[np.linalg.norm(away, axis=-1) < 0.12]
+            # Skin on every side, and none of it at the joint itself.
+            assert (near @ directions.T).max(0).min() > 0.01
+            assert np.linalg.norm(near, axis=-1).min() > 0.01
+
+
+def test_a_recording_of_a_rigged_mesh_is_read_like_any_other(server, tmp_path):
+    _, person = server
+    loaded = load_recording(recording.write_person_recording(tmp_path, person, seconds=0.1))
+    assert loaded.marker_names == tuple(recording.BODY_MARKERS)
+    tree = loaded.skeleton.tree
+    points = person.landmarks(np.zeros(1))
+    for near, far, bone in BONES[:2]:
+        length = np.linalg.norm(points[f"{far}_l"] - points[f"{near}_l"])
+        assert abs(float(loaded.skeleton.lengths[tree.bone(f"{bone}_l")]) - length) < 1e-3
