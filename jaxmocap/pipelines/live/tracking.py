@@ -25,8 +25,8 @@ from jaxmocap.capture.streams.sample_gathering import Sample
 from jaxmocap.formats.recordings.live import LiveSetup
 from jaxmocap.formats.recordings.marker_places import bound_places
 from jaxmocap.hybrid.elbow_search import confidence_of
-from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.refine import StepReport
+from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker, State
 from jaxmocap.pipelines.tracking.track import marker_sites
 from jaxmocap.smoothing.fixed_lag import FixedLagSmoother, SmoothedPose
