@@ -32,11 +32,11 @@ from jaxmocap.evidence.appearance.running import MeasuredFrame, RunningAppearanc
 from jaxmocap.evidence.ground import ANKLES
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.smoothing.facing import RunningFacing
-from jaxmocap.smoothing.fading import Fading
 from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.uncertainty import landmark_deviations
 from jaxmocap.smoothing.window import SOFTNESS, SolvedWindow, Window, offsets, stacked
 from jaxmocap.smoothing.window_events import WindowEvent
+from jaxmocap.solvers.fading import Fading
 
 # A pose is given out once so many later video frames came,
 DELAY_FRAMES = 2

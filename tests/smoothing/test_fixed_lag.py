@@ -21,7 +21,7 @@ from jaxmocap.evidence.smoothness import smoothness
 from jaxmocap.hybrid.settings import Settings, SmoothingSettings
 from jaxmocap.hybrid.tracker import HybridTracker, StepReport
 from jaxmocap.smoothing import fixed_lag, window
-from jaxmocap.smoothing.fading import Fading
+from jaxmocap.solvers.fading import Fading
 from jaxmocap.smoothing.fixed_lag import DELAY_FRAMES, FixedLagSmoother
 from jaxmocap.smoothing.fixed_lag import Given as GivenOut
 from jaxmocap.smoothing.levenberg_marquardt import Linearised, covariances, normal_equations, smooth
