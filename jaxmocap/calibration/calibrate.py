@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxmocap.calibration.board.boards import Board
 from jaxmocap.calibration.board.finding import FEWEST, Found, find_boards
-from jaxmocap.calibration.board.sheets import draw_calibrated, draw_found, picture_folder
+from jaxmocap.calibration.board.result_pictures import draw_calibrated, draw_found, picture_folder
 from jaxmocap.calibration.intrinsics import PARAMETERS, Intrinsics, calibrate
 from jaxmocap.calibration.planar_poses import tilt
 from jaxmocap.calibration.view_coverage import Coverage, covered, remarks, too_alike

@@ -15,7 +15,7 @@ from jaxmocap.calibration.board.boards import Board, parse_board
 from jaxmocap.calibration.board.corners import Corners, find_corners
 from jaxmocap.calibration.board.finding import other_counts
 from jaxmocap.calibration.board.pictures import Picture
-from jaxmocap.calibration.board.sheets import draw_placed, picture_folder
+from jaxmocap.calibration.board.result_pictures import draw_placed, picture_folder
 from jaxmocap.calibration.extrinsics import (
     Placement,
     board_to_world,

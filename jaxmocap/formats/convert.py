@@ -22,7 +22,7 @@ from jaxmocap.formats.animation.gltf import write_gltf
 from jaxmocap.formats.animation.gltf_in import read_gltf
 from jaxmocap.formats.animation.joint_names import CONVENTIONS, landmark_names, recognised
 from jaxmocap.formats.files.errors import FileError, InputError
-from jaxmocap.formats.files.shortened import listed
+from jaxmocap.formats.files.short_repr import listed
 from jaxmocap.formats.motion_npz import load_motion, save_motion
 from jaxmocap.formats.time_series.c3d import left_in_c3d, write_c3d
 from jaxmocap.formats.time_series.csv import write_csv

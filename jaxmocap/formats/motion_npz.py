@@ -21,7 +21,7 @@ from jaxmocap.body.wrists import with_wrists
 from jaxmocap.formats.files.arrays import NAMES, TEXT, WHOLE, Arrays, Stated
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.json_text import parse_json
-from jaxmocap.formats.files.shortened import listed, shown
+from jaxmocap.formats.files.short_repr import listed, shown
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series.tables import Places, check_times
 

@@ -12,7 +12,7 @@ from typing import Any
 import jax
 
 from jaxmocap.compilation.programs import keep_in
-from jaxmocap.formats.program_files import KeptFiles, others_may_write
+from jaxmocap.formats.private_cache import KeptFiles, others_may_write
 
 # Folders in the cache's folder: what tracing made, and what the compiler made.
 TRACED, COMPILED = "programs", "compiled"

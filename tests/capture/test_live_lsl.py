@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxmocap.capture.streams.lsl import MarkerStream
-from jaxmocap.capture.streams.sample_gathering import Gathering, Sample
+from jaxmocap.capture.streams.sample_assembly import Gathering, Sample
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.live import load_live
 

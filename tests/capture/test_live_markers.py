@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from jaxmocap.capture.streams.inbox import Frame, Inbox
 from jaxmocap.capture.streams.osc import BadPacketError, Placed, parse
 from jaxmocap.capture.streams.recent_markers import Trail
-from jaxmocap.capture.streams.sample_gathering import ALIVE_S, Gathering, Sample
+from jaxmocap.capture.streams.sample_assembly import ALIVE_S, Gathering, Sample
 from jaxmocap.capture.streams.senders import SENDER_BURST
 from jaxmocap.capture.streams.stream_clock import JUMP_S, StreamClock
 from jaxmocap.capture.streams.udp import BURST, Datagram, MarkerSocket

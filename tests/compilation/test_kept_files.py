@@ -10,7 +10,7 @@ import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
 from jaxmocap.compilation.programs import Program, keep_in
-from jaxmocap.formats.program_files import KeptFiles
+from jaxmocap.formats.private_cache import KeptFiles
 from jaxmocap.pipelines import kept_programs
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.warmup import Warmed, counted

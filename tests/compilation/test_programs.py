@@ -14,7 +14,7 @@ from jax import Array
 from jaxmocap.compilation import programs
 from jaxmocap.compilation.programs import Program, keep_in
 from jaxmocap.compilation.structures import from_json, to_json
-from jaxmocap.formats.program_files import KeptFiles
+from jaxmocap.formats.private_cache import KeptFiles
 
 
 class Turned(NamedTuple):

@@ -22,7 +22,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.wrists import with_wrists
 from jaxmocap.capture.streams.osc import parse
-from jaxmocap.capture.streams.sample_gathering import Gathering
+from jaxmocap.capture.streams.sample_assembly import Gathering
 from jaxmocap.formats.convert import Options, convert
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.motion_npz import load_motion, save_motion

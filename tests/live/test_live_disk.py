@@ -18,7 +18,7 @@ from small_recording import HEIGHT, PLACES, small_recording, standing, write_sma
 
 from jaxmocap import Recording
 from jaxmocap.capture.streams.inbox import Frame
-from jaxmocap.capture.streams.sample_gathering import Sample
+from jaxmocap.capture.streams.sample_assembly import Sample
 from jaxmocap.capture.video import Video, open_video
 from jaxmocap.formats.files.errors import InputError, OutputError
 from jaxmocap.formats.recordings.live import LiveSetup, load_live

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_live_markers import MARKERS, bundle, device, gathering, listening, packet, wait_for
 
-from jaxmocap.capture.streams.sample_gathering import Gathering
+from jaxmocap.capture.streams.sample_assembly import Gathering
 from jaxmocap.capture.streams.senders import (
     MOST_SENDERS,
     MOST_STRANGERS,

@@ -22,7 +22,7 @@ from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.capture.streams import cameras
 from jaxmocap.capture.streams.cameras import LiveCamera
 from jaxmocap.capture.streams.inbox import Frame
-from jaxmocap.capture.streams.sample_gathering import Sample
+from jaxmocap.capture.streams.sample_assembly import Sample
 from jaxmocap.capture.video import open_video
 from jaxmocap.formats.files.addresses import Address
 from jaxmocap.formats.files.errors import InputError

@@ -9,7 +9,7 @@ from test_live_markers import bundle, device, message
 
 from jaxmocap import Recording
 from jaxmocap.capture.streams.inbox import Inbox
-from jaxmocap.capture.streams.sample_gathering import Gathering, Sample
+from jaxmocap.capture.streams.sample_assembly import Gathering, Sample
 from jaxmocap.capture.streams.udp import Datagram, MarkerSocket
 from jaxmocap.formats.files.addresses import Address
 from jaxmocap.formats.recordings.live import LiveSetup, load_live

@@ -13,7 +13,7 @@ import pytest
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.capture.streams.inbox import Frame
-from jaxmocap.capture.streams.sample_gathering import Sample
+from jaxmocap.capture.streams.sample_assembly import Sample
 from jaxmocap.formats.recordings.filters import OneEuroSettings
 from jaxmocap.formats.recordings.live import LiveSetup, LiveVideo
 from jaxmocap.formats.recordings.recording import MarkerPlace

@@ -19,7 +19,7 @@ from av.error import FFmpegError
 from jaxmocap.capture.streams.inbox import Frame
 from jaxmocap.capture.video import SIZE_TOLERANCE, Video, image_of
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.short_repr import shown
 from jaxmocap.formats.recordings.live import LiveVideo
 
 Images = Generator[np.ndarray, None, None]

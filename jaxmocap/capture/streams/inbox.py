@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.capture.streams.sample_gathering import Sample
+from jaxmocap.capture.streams.sample_assembly import Sample
 
 
 class Frame(NamedTuple):

@@ -16,10 +16,10 @@ from time import monotonic
 from typing import Any, NamedTuple
 
 from jaxmocap.capture.streams.osc import FARTHEST_M, Placed, unit_quaternion
-from jaxmocap.capture.streams.sample_gathering import Gathering
+from jaxmocap.capture.streams.sample_assembly import Gathering
 from jaxmocap.capture.streams.stream_clock import StreamClock
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import listed, shown
+from jaxmocap.formats.files.short_repr import listed, shown
 
 # A stream that is not there is looked for again and again, so many seconds at a time.
 LOOKING_S, WAITING_S = 1.0, 0.2

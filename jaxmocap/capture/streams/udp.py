@@ -13,7 +13,7 @@ from time import monotonic
 from typing import NamedTuple
 
 from jaxmocap.capture.streams.osc import BadPacketError, parse
-from jaxmocap.capture.streams.sample_gathering import Gathering
+from jaxmocap.capture.streams.sample_assembly import Gathering
 from jaxmocap.capture.streams.senders import Sender, Senders, Share, shared_out
 from jaxmocap.formats.files.addresses import LOOPBACK, Address, Network, resolved
 from jaxmocap.formats.files.errors import InputError

@@ -25,7 +25,7 @@ from jaxmocap.body.wrists import with_wrists
 from jaxmocap.formats.animation.armature import Armature
 from jaxmocap.formats.animation.joint_names import CONVENTIONS, ENDED, PELVIS, end_of, recognised
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import listed, name_shown
+from jaxmocap.formats.files.short_repr import listed, name_shown
 
 # Angles of our skeleton in the T pose, degrees; the others are 0.
 T_POSE = {"arm_abduct_l": 90.0, "arm_abduct_r": 90.0}

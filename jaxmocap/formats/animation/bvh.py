@@ -23,7 +23,7 @@ from jaxmocap.formats.animation.armature import Armature, BeyondFormatError
 from jaxmocap.formats.animation.joint_names import end_of
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.lines import numbered_lines
-from jaxmocap.formats.files.shortened import name_shown, shown
+from jaxmocap.formats.files.short_repr import name_shown, shown
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series.tables import (
     FARTHEST_M,

@@ -17,7 +17,7 @@ from jaxmocap.formats.animation.json_parts import Part
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.json_text import parse_json
 from jaxmocap.formats.files.reading import read_bytes
-from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.short_repr import shown
 from jaxmocap.formats.files.writing import write_bytes
 
 _MAGIC, _VERSION, _JSON, _BINARY = b"glTF", 2, b"JSON", b"BIN\0"

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 import jaxmocap
 from jaxmocap.body.origin import local_origin
 from jaxmocap.formats.animation.armature import Armature, BeyondFormatError
-from jaxmocap.formats.animation.bound_mesh import BoundMesh, limbs_of
+from jaxmocap.formats.animation.skinned_mesh import BoundMesh, limbs_of
 from jaxmocap.formats.animation.glb import Binary, write_document
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.time_series.gaps import held

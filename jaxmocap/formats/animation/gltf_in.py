@@ -17,7 +17,7 @@ from jaxmocap.formats.animation.bvh import MOST_DEPTH, MOST_JOINTS, MOST_TURNS
 from jaxmocap.formats.animation.glb import Accessors, read_document
 from jaxmocap.formats.animation.json_parts import Part
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import listed, name_shown
+from jaxmocap.formats.files.short_repr import listed, name_shown
 from jaxmocap.formats.time_series.tables import LATEST_S
 
 # Joints may not slide or grow by more than this: metres, and a factor's difference from 1.

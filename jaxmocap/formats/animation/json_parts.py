@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import listed, shown
+from jaxmocap.formats.files.short_repr import listed, shown
 
 LONGEST_TEXT = 200
 _LARGEST = 2**53

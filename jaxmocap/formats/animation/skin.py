@@ -17,7 +17,7 @@ from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.mesh import atlas_of, mesh_of, normals_of
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
 from jaxmocap.formats.animation.body_armature import joint_tree, rest_turns
-from jaxmocap.formats.animation.bound_mesh import BoundMesh
+from jaxmocap.formats.animation.skinned_mesh import BoundMesh
 from jaxmocap.formats.files.errors import InputError
 
 # Of a picture's texels on the surface, metres; and how far apart bones may put a node at rest.

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from jaxmocap.formats.cameras.opencv_yaml import SUFFIXES, read_opencv_yaml
 from jaxmocap.formats.cameras.toml_sections import replace_entries
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import listed, name_shown, shown
+from jaxmocap.formats.files.short_repr import listed, name_shown, shown
 from jaxmocap.formats.files.toml import (
     Fields,
     file_name_problem,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxmocap.formats.cameras.calibration import pick_camera, read_calibration
-from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.short_repr import shown
 from jaxmocap.formats.files.toml import Fields, same_file_name
 from jaxmocap.formats.recordings.keypoint_files import LARGEST_FRAME_NUMBER
 from jaxmocap.formats.recordings.keypoint_models import MODELS

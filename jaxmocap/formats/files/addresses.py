@@ -11,7 +11,7 @@ from ipaddress import IPv4Network, IPv6Address, IPv6Network, ip_address, ip_netw
 from typing import Any, NamedTuple
 
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.short_repr import shown
 from jaxmocap.formats.files.toml import Fields
 
 Network = IPv4Network | IPv6Network

@@ -20,7 +20,7 @@ import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import read_bytes
-from jaxmocap.formats.files.shortened import name_shown, shown
+from jaxmocap.formats.files.short_repr import name_shown, shown
 
 # All arrays that are read from one file, in memory, bytes: half an hour at 200 Hz takes 500 MB.
 MOST_ARRAY_BYTES = 768 * 2**20

@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxmocap.formats.files.errors import InputError, printable, shortened
 from jaxmocap.formats.files.reading import read_bytes, regular_file
-from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.short_repr import shown
 from jaxmocap.formats.files.toml_scan import problem_in
 from jaxmocap.formats.files.writing import write_text
 

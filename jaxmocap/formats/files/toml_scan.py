@@ -10,7 +10,7 @@ every level of a value.
 import re
 from collections.abc import Iterator
 
-from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.short_repr import shown
 
 # Levels of brackets, parts of a dotted key, characters of a number or a bare key.
 MOST_LEVELS = 32

@@ -8,7 +8,7 @@ OUTPUTS: Filters. What is not named is off.
 from dataclasses import dataclass
 from typing import Any
 
-from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.short_repr import shown
 from jaxmocap.formats.files.toml import Fields
 
 # Hz and seconds that filters are given.

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import regular_file
-from jaxmocap.formats.files.shortened import listed, shown
+from jaxmocap.formats.files.short_repr import listed, shown
 from jaxmocap.formats.files.toml import is_folder
 from jaxmocap.formats.recordings.keypoint_files import Frame, json_files, read_frames
 from jaxmocap.formats.recordings.keypoint_models import (

@@ -23,7 +23,7 @@ from jaxmocap.formats.files.addresses import (
     read_senders,
 )
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import listed, shown
+from jaxmocap.formats.files.short_repr import listed, shown
 from jaxmocap.formats.files.toml import Fields, read_toml, same_file_name
 from jaxmocap.formats.recordings.filters import OneEuroSettings, read_filters
 from jaxmocap.formats.recordings.recording import MarkerPlace, read_place

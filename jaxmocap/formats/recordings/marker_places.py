@@ -20,7 +20,7 @@ import numpy as np
 
 from jaxmocap.body.orientations import matrices
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.short_repr import shown
 from jaxmocap.formats.files.toml import Fields
 
 KEYS = ("bone", "at", "offset", "offset_in", "turn", "lever")

@@ -17,7 +17,7 @@ from jaxmocap.body.origin import local_origin
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.formats.cameras.video_sources import VideoSource, read_videos
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import listed, name_shown, shown
+from jaxmocap.formats.files.short_repr import listed, name_shown, shown
 from jaxmocap.formats.files.toml import Fields, read_toml, write_toml
 from jaxmocap.formats.recordings.filters import KEYS as FILTERS
 from jaxmocap.formats.recordings.filters import Filters, read_filters

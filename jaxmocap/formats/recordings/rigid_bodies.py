@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxmocap.formats.files.shortened import listed, shown
+from jaxmocap.formats.files.short_repr import listed, shown
 from jaxmocap.formats.files.toml import Fields
 from jaxmocap.formats.time_series.tables import Markers
 

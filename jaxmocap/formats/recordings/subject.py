@@ -21,7 +21,7 @@ from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.body.subject import scale_to_height, scale_to_landmarks
 from jaxmocap.body.wrists import with_wrists
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import listed, name_shown, shown
+from jaxmocap.formats.files.short_repr import listed, name_shown, shown
 from jaxmocap.formats.files.toml import Fields, read_toml, write_toml
 from jaxmocap.formats.time_series.axes import read_axes, to_world
 from jaxmocap.formats.time_series.markers import read_markers

@@ -15,7 +15,7 @@ from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.surface import BodyPoints, Patch, Surface, rest_nodes
 from jaxmocap.formats.files.arrays import NAMES, WHOLE, Arrays, Stated
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import listed, shown
+from jaxmocap.formats.files.short_repr import listed, shown
 from jaxmocap.formats.files.writing import replacing
 
 PATCHES = ("torso", "arm_l", "arm_r", "leg_l", "leg_r", "foot_l", "foot_r")

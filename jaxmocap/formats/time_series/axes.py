@@ -7,7 +7,7 @@ OUTPUTS: the matrix that takes the file's points to the world.
 import numpy as np
 
 from jaxmocap.formats.cameras.calibration import orthonormal
-from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.short_repr import shown
 from jaxmocap.formats.files.toml import Fields
 
 # "y" is the cyclic permutation that OpenSim and Pose2Sim use: world = (z, x, y) of the file.

@@ -22,7 +22,7 @@ import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import open_regular, regular_file
-from jaxmocap.formats.files.shortened import name_shown, shown
+from jaxmocap.formats.files.short_repr import name_shown, shown
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series import c3d_process
 from jaxmocap.formats.time_series.tables import Markers, even_rate, make_markers, stack_points

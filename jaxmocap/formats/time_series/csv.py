@@ -18,7 +18,7 @@ import numpy as np
 from jaxmocap.body.orientations import matrices, quaternions
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.lines import numbered_lines
-from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.short_repr import shown
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series.tables import (
     MOST_VALUES,

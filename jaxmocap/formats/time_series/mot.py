@@ -23,7 +23,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.lines import numbered_lines
-from jaxmocap.formats.files.shortened import listed, name_shown
+from jaxmocap.formats.files.short_repr import listed, name_shown
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series.isb import isb_angles
 from jaxmocap.formats.time_series.tables import (

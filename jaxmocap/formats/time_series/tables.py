@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.short_repr import shown
 
 # Of one table, 0.5 GB: half an hour of 60 markers at 200 Hz.
 MOST_VALUES = 66_000_000

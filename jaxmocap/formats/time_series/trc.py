@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.lines import numbered_lines
-from jaxmocap.formats.files.shortened import name_shown, shown
+from jaxmocap.formats.files.short_repr import name_shown, shown
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series.tables import (
     Markers,

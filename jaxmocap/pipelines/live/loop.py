@@ -27,7 +27,7 @@ import numpy as np
 from jaxmocap.capture.streams.cameras import LiveCamera
 from jaxmocap.capture.streams.inbox import Frame, Inbox
 from jaxmocap.capture.streams.lsl import MarkerStream
-from jaxmocap.capture.streams.sample_gathering import Gathering, Sample
+from jaxmocap.capture.streams.sample_assembly import Gathering, Sample
 from jaxmocap.capture.streams.udp import MarkerSocket
 from jaxmocap.formats.recordings.live import LiveSetup
 from jaxmocap.formats.recordings.marker_places import bound_positions

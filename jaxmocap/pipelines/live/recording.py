@@ -24,10 +24,10 @@ from av.error import FFmpegError
 
 from jaxmocap.body.orientations import quaternions
 from jaxmocap.capture.streams.inbox import Frame
-from jaxmocap.capture.streams.sample_gathering import Sample
+from jaxmocap.capture.streams.sample_assembly import Sample
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import read_bytes
-from jaxmocap.formats.files.shortened import listed
+from jaxmocap.formats.files.short_repr import listed
 from jaxmocap.formats.files.toml import read_toml
 from jaxmocap.formats.files.writing import (
     as_output_error,

@@ -16,7 +16,7 @@ from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.capture.streams.inbox import Frame
 from jaxmocap.formats.files.errors import printable
-from jaxmocap.formats.files.shortened import name_shown
+from jaxmocap.formats.files.short_repr import name_shown
 from jaxmocap.formats.recordings.live import LiveSetup, load_live
 from jaxmocap.pipelines.live.loop import Live
 from jaxmocap.pipelines.live.recording import check_free

@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxmocap.capture.streams.senders import Share
 from jaxmocap.formats.files.errors import printable, shortened
-from jaxmocap.formats.files.shortened import name_shown
+from jaxmocap.formats.files.short_repr import name_shown
 
 # Of what was said so many first and so many newest sentences are kept.
 FIRST_KEPT = 500

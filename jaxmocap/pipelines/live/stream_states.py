@@ -9,9 +9,9 @@ from collections.abc import Iterator, Sequence
 
 from jaxmocap.capture.streams.cameras import LiveCamera
 from jaxmocap.capture.streams.lsl import MarkerStream
-from jaxmocap.capture.streams.sample_gathering import Gathering
+from jaxmocap.capture.streams.sample_assembly import Gathering
 from jaxmocap.capture.streams.udp import MarkerSocket
-from jaxmocap.formats.files.shortened import listed, name_shown
+from jaxmocap.formats.files.short_repr import listed, name_shown
 
 # A stream that was silent for so long is said to be; poses are then no news, seconds.
 SILENT_S = 0.3

@@ -21,7 +21,7 @@ from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.capture.one_euro import OneEuro
 from jaxmocap.capture.streams.inbox import Frame
 from jaxmocap.capture.streams.recent_markers import Trail
-from jaxmocap.capture.streams.sample_gathering import Sample
+from jaxmocap.capture.streams.sample_assembly import Sample
 from jaxmocap.formats.recordings.live import LiveSetup
 from jaxmocap.formats.recordings.marker_places import bound_places
 from jaxmocap.hybrid.elbow_search import confidence_of

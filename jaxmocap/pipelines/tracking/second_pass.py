@@ -23,7 +23,7 @@ from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.proportions import PROPORTIONS, scaled
 from jaxmocap.body.skeleton import Skeleton, landmark_rows
-from jaxmocap.capture.kept_frames import kept
+from jaxmocap.capture.frame_cache import kept
 from jaxmocap.capture.timeline import Timeline
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.evidence.appearance.learned import ROWS, Drawing, Regions, learn_appearance, see

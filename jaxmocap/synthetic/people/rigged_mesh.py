@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxmocap.formats.files.arrays import NAMES, WHOLE, Arrays, Stated
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import listed
+from jaxmocap.formats.files.short_repr import listed
 from jaxmocap.synthetic.people.meshes import Mesh
 
 # A file of people: P of them, V vertices, F faces, J joints; metres.
