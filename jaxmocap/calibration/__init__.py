@@ -1,4 +1,4 @@
 """Before tracking: cameras, clocks, devices and bodies.
 
-Begin with ``calibrate`` (intrinsics) and ``place_camera`` (extrinsics).
+Begin with ``estimate_intrinsics`` (intrinsics) and ``place_camera`` (extrinsics).
 """

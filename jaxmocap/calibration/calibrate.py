@@ -13,54 +13,68 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.calibration.board.boards import Board
-from jaxmocap.calibration.board.finding import FEWEST, Found, find_boards
-from jaxmocap.calibration.board.result_pictures import draw_calibrated, draw_found, picture_folder
-from jaxmocap.calibration.intrinsics import PARAMETERS, Intrinsics, calibrate
-from jaxmocap.calibration.planar_poses import tilt
-from jaxmocap.calibration.view_coverage import Coverage, covered, remarks, too_alike
-from jaxmocap.formats.cameras.calibration import Lens, check_writable, read_lens, write_camera
+from jaxmocap.calibration.board.finding import MIN_VIEWS, BoardDetections, find_boards
+from jaxmocap.calibration.board.result_pictures import (
+    draw_detections,
+    draw_intrinsics,
+    picture_folder,
+)
+from jaxmocap.calibration.intrinsics import PARAMETERS, IntrinsicsEstimate, estimate_intrinsics
+from jaxmocap.calibration.planar_poses import tilt_degrees
+from jaxmocap.calibration.view_coverage import (
+    ImageCoverage,
+    image_coverage,
+    intrinsics_warnings,
+    why_undetermined,
+)
+from jaxmocap.formats.cameras.calibration import (
+    Lens,
+    check_camera_writable,
+    read_lens,
+    write_camera,
+)
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.toml import read_toml
 
 
 @dataclass(frozen=True)
-class Calibrated:
-    """What ``calibrate_intrinsics`` found.
+class IntrinsicsResult:
+    """What ``calibrate_camera`` found.
 
     Attributes:
         camera: name of its section.
-        found: the board in pictures; ``result.used`` says on which views the result rests.
-        result: the calibration.
+        detections: the board in pictures; ``result.used`` says on which views the result rests.
+        estimate: the calibration.
         coverage: of the image by the views used.
-        remarks: sentences that a user should see.
+        warnings: sentences that a user should see.
         files: written.
     """
 
     camera: str
-    found: Found
-    result: Intrinsics
-    coverage: Coverage
-    remarks: tuple[str, ...]
+    detections: BoardDetections
+    estimate: IntrinsicsEstimate
+    coverage: ImageCoverage
+    warnings: tuple[str, ...]
     files: tuple[Path, ...]
 
     def rows(self) -> list[tuple[str, float, float, bool]]:
         """Name, residual (pixels, RMS), tilt (degrees) and whether it was used, of each view."""
-        both = zip(self.found.views, self.result.poses, self.result.used, strict=True)
+        both = zip(self.detections.views, self.estimate.poses, self.estimate.used, strict=True)
         nothing = float("inf"), float("nan")
         return [
-            (view.name, *((pose.rms, tilt(pose)) if pose else nothing), use)
+            (view.name, *((pose.rms, tilt_degrees(pose)) if pose else nothing), use)
             for view, pose, use in both
         ]
 
 
-def calibrate_intrinsics(
+def calibrate_camera(
     paths: Sequence[str | Path],
     board: Board,
     camera: str,
     out: str | Path,
     coefficients: int = 4,
     pictures: str | Path | None = None,
-) -> Calibrated:
+) -> IntrinsicsResult:
     """Calibrate a camera and write its section.
 
     Args:
@@ -75,57 +89,61 @@ def calibrate_intrinsics(
         InputError: files that cannot be used, or views that do not determine the camera.
     """
     out = Path(out)
-    check_writable(out, camera)
+    check_camera_writable(out, camera)
     folder = picture_folder(pictures, f"intrinsics of {camera}", paths)
-    before, placed = _already(out, camera)
+    before, placed = _existing_section(out, camera)
     found = find_boards(paths, board)
     try:
-        result = _determined(found, coefficients)
+        result = _checked_estimate(found, coefficients)
     except InputError:
         if folder is not None:
-            folder.write(partial(draw_found, found))
+            folder.write(partial(draw_detections, found))
         raise
-    coverage = covered(
+    coverage = image_coverage(
         [v for v, use in zip(found.views, result.used, strict=True) if use], found.size
     )
-    said = [*found.said, *remarks(result, coverage), *_changes(result, before, placed)]
-    drawn = [] if folder is None else folder.write(partial(draw_calibrated, found, result))
+    said = [
+        *found.warnings,
+        *intrinsics_warnings(result, coverage),
+        *_change_warnings(result, before, placed),
+    ]
+    drawn = [] if folder is None else folder.write(partial(draw_intrinsics, found, result))
     write_camera(out, camera, result.lens.entries())
-    return Calibrated(camera, found, result, coverage, tuple(said), (out, *drawn))
+    return IntrinsicsResult(camera, found, result, coverage, tuple(said), (out, *drawn))
 
 
-def _already(out: Path, camera: str) -> tuple[Lens | None, bool]:
+def _existing_section(out: Path, camera: str) -> tuple[Lens | None, bool]:
     """The lens that the file holds of this camera, and whether it holds its place too."""
     table = read_toml(out).get(camera, {}) if out.exists() else {}
     lens = read_lens(out, camera) if "matrix" in table and "size" in table else None
     return lens, "rotation" in table
 
 
-def _determined(found: Found, coefficients: int) -> Intrinsics:
+def _checked_estimate(found: BoardDetections, coefficients: int) -> IntrinsicsEstimate:
     """The calibration; InputError with the reason where the views do not determine it."""
     if (why := found.too_few()) is not None:
         raise InputError(found.where, why)
     try:
-        result = calibrate(found.views, found.size, coefficients)
+        result = estimate_intrinsics(found.views, found.size, coefficients)
     except ArithmeticError as error:
         raise InputError(found.where, f"the views determine no camera: {error}") from None
-    if (why := too_alike(result)) is not None:
+    if (why := why_undetermined(result)) is not None:
         raise InputError(found.where, why)
-    if (count := sum(result.used)) < FEWEST:
+    if (count := sum(result.used)) < MIN_VIEWS:
         both = zip(found.views, result.used, strict=True)
         others = ", ".join(view.name for view, use in both if not use)
-        problem = f"only {count} views agree, expected {FEWEST} or more; not with them: {others}"
+        problem = f"only {count} views agree, expected {MIN_VIEWS} or more; not with them: {others}"
         raise InputError(found.where, problem)
     return result
 
 
-def _changes(result: Intrinsics, before: Lens | None, placed: bool) -> list[str]:
+def _change_warnings(result: IntrinsicsEstimate, before: Lens | None, placed: bool) -> list[str]:
     """What is to be said of the calibration that the file held already."""
     said = []
     if before is not None:
         K = before.matrix
         old = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])
-        change, doubt = result.values[:4] - old, result.doubt[:4]
+        change, doubt = result.values[:4] - old, result.max_std[:4]
         far = [
             f"{name} by {step:+.1f} pixels ({abs(step) / sure:.0f} standard deviations)"
             for name, step, sure in zip(PARAMETERS, change, doubt, strict=False)

@@ -8,32 +8,32 @@ from typing import Any
 
 import numpy as np
 
-from jaxmocap.calibration.calibrate import Calibrated
-from jaxmocap.calibration.extrinsics import position
+from jaxmocap.calibration.calibrate import IntrinsicsResult
+from jaxmocap.calibration.extrinsics import position_world_of
 from jaxmocap.calibration.intrinsics import PARAMETERS
-from jaxmocap.calibration.place_camera import Placed
+from jaxmocap.calibration.place_camera import ExtrinsicsResult
 
 _PIXELS = ("fx", "fy", "cx", "cy")
 
 
-def intrinsics_text(found: Calibrated) -> str:
+def intrinsics_text(found: IntrinsicsResult) -> str:
     """Pictures with their errors, parameters with their deviations, remarks, files."""
-    width, height = found.result.lens.size
-    used = sum(found.result.used)
-    total = len(found.found.pictures)
+    width, height = found.estimate.lens.size
+    used = sum(found.estimate.used)
+    total = len(found.detections.pictures)
     lines = [
         f"[{found.camera}] {width:g} × {height:g} pixels, {used} of {total} pictures used, "
-        f"{found.result.rms:.3f} pixels RMS",
+        f"{found.estimate.rms:.3f} pixels RMS",
         "",
         "picture: reprojection, tilt of the board",
         *(_picture(*row) for row in found.rows()),
-        *(f"  {name}: no board found" for name in found.found.not_found),
-        *(f"  {name}: the same as an earlier one" for name in found.found.repeated),
+        *(f"  {name}: no board found" for name in found.detections.not_found),
+        *(f"  {name}: the same as an earlier one" for name in found.detections.duplicates),
         "",
         *_parameters(found),
         "",
         f"coverage: {100 * found.coverage.share:.0f} % of the image",
-        *(f"note: {sentence}" for sentence in found.remarks),
+        *(f"note: {sentence}" for sentence in found.warnings),
         *(f"written: {path}" for path in found.files),
     ]
     return "\n".join(lines)
@@ -45,12 +45,12 @@ def _picture(name: str, error: float, tilt: float, used: bool) -> str:
     return f"  {name}: {error:.2f} px, {tilt:.0f}°"
 
 
-def _parameters(found: Calibrated) -> list[str]:
-    result = found.result
+def _parameters(found: IntrinsicsResult) -> list[str]:
+    result = found.estimate
     rows = [["", "value", "std", "one view left out", "jackknife std"]]
-    ranges = np.stack([result.left_out.min(0), result.left_out.max(0)], -1)
+    ranges = np.stack([result.leave_one_out.min(0), result.leave_one_out.max(0)], -1)
     for name, value, std, (low, high), jackknife in zip(
-        PARAMETERS, result.values, result.std, ranges, result.jackknife, strict=True
+        PARAMETERS, result.values, result.std, ranges, result.jackknife_std, strict=True
     ):
         if value == 0 and std == 0:
             continue
@@ -61,16 +61,16 @@ def _parameters(found: Calibrated) -> list[str]:
     return ["  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows]
 
 
-def intrinsics_figures(found: Calibrated) -> dict[str, Any]:
+def intrinsics_figures(found: IntrinsicsResult) -> dict[str, Any]:
     """The same as plain figures: pixels, degrees."""
-    result = found.result
+    result = found.estimate
     parameters = {
         name: {
             "value": float(result.values[i]),
             "std": float(result.std[i]),
-            "jackknife_std": float(result.jackknife[i]),
-            "left_out_min": float(result.left_out[:, i].min()),
-            "left_out_max": float(result.left_out[:, i].max()),
+            "jackknife_std": float(result.jackknife_std[i]),
+            "left_out_min": float(result.leave_one_out[:, i].min()),
+            "left_out_max": float(result.leave_one_out[:, i].max()),
         }
         for i, name in enumerate(PARAMETERS)
     }
@@ -81,22 +81,22 @@ def intrinsics_figures(found: Calibrated) -> dict[str, Any]:
     return {
         "camera": found.camera,
         "size": [int(n) for n in result.lens.size],
-        "board": found.found.board.label,
+        "board": found.detections.board.label,
         "rms_px": result.rms,
         "pictures": pictures,
         "used": sum(result.used),
         "left_out": [name for name, _, _, use in found.rows() if not use],
-        "not_found": list(found.found.not_found),
-        "repeated": list(found.found.repeated),
+        "not_found": list(found.detections.not_found),
+        "repeated": list(found.detections.duplicates),
         "parameters": parameters,
         "coverage": found.coverage.share,
         "empty": list(found.coverage.empty),
-        "remarks": list(found.remarks),
+        "remarks": list(found.warnings),
         "files": [str(path) for path in found.files],
     }
 
 
-def extrinsics_text(found: Placed) -> str:
+def extrinsics_text(found: ExtrinsicsResult) -> str:
     """The camera's place, how sure it is, remarks, files."""
     placement = found.placement
     x, y, z = placement.position_world
@@ -111,17 +111,19 @@ def extrinsics_text(found: Placed) -> str:
     if placement.mirrored is not None:
         lines.append(
             f"  the mirrored answer that a flat target has, at "
-            f"{_vector(position(placement.mirrored))} m, fits {placement.mirrored_times:.1f} times "
+            f"{_vector(position_world_of(placement.mirrored))} m, fits {placement.mirrored_ratio:.1f} times "
             "as badly"
         )
-    lines += [f"note: {sentence}" for sentence in found.remarks]
+    lines += [f"note: {sentence}" for sentence in found.warnings]
     return "\n".join([*lines, *(f"written: {path}" for path in found.files)])
 
 
-def extrinsics_figures(found: Placed) -> dict[str, Any]:
+def extrinsics_figures(found: ExtrinsicsResult) -> dict[str, Any]:
     """The same as plain figures: metres, degrees, pixels."""
     placement = found.placement
-    mirrored = None if placement.mirrored is None else position(placement.mirrored).tolist()
+    mirrored = (
+        None if placement.mirrored is None else position_world_of(placement.mirrored).tolist()
+    )
     return {
         "camera": found.camera,
         "position": placement.position_world.tolist(),
@@ -138,8 +140,8 @@ def extrinsics_figures(found: Placed) -> dict[str, Any]:
             )
         ],
         "mirrored_position": mirrored,
-        "mirrored_times": _finite(placement.mirrored_times),
-        "remarks": list(found.remarks),
+        "mirrored_times": _finite(placement.mirrored_ratio),
+        "remarks": list(found.warnings),
         "files": [str(path) for path in found.files],
     }
 

@@ -12,21 +12,26 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.calibration.planar_poses import FLAT, Pose, find_poses, thickness
+from jaxmocap.calibration.planar_poses import (
+    FLAT_THICKNESS,
+    CameraPose,
+    candidate_poses,
+    relative_thickness,
+)
 from jaxmocap.formats.cameras.calibration import Lens
 from jaxmocap.geometry.cameras import Camera
 
 # The mirrored answer is not told from the right one where its residual is less than this times.
-AMBIGUOUS = 2.0
+AMBIGUOUS_RATIO = 2.0
 # Points are on one line where their breadth is less than this part of their length.
-_LINE = 1e-3
+_LINE_BREADTH = 1e-3
 # With at least this many points, one that errs is found: without it the residual falls so far.
 _MANY, _FALLS = 6, 0.25
 # A camera is upside down for certain where the picture's vertical lies within 45° of the world's,
 # unless it looks almost straight up or down: this much of the vertical must show in the picture.
-_VERTICAL = 0.1
+_MIN_VERTICAL_SHOWN = 0.1
 # A place known worse than this is said to be uncertain, metres.
-_ROUGH_M = 0.05
+_UNCERTAIN_M = 0.05
 
 
 @dataclass(frozen=True)
@@ -40,8 +45,8 @@ class Placement:
         std_m: (3,) standard deviation of the camera's place, metres, by the corners' noise alone.
         std_deg: of its direction, the largest of the three axes, degrees.
         mirrored: the other answer that a flat target leaves, T_cam_world, or None.
-        mirrored_times: its residual over that of the one taken.
-        remarks: sentences that a user should see.
+        mirrored_ratio: its residual over that of the one taken.
+        warnings: sentences that a user should see.
     """
 
     T_cam_world: np.ndarray
@@ -50,8 +55,8 @@ class Placement:
     std_m: np.ndarray
     std_deg: float
     mirrored: np.ndarray | None = None
-    mirrored_times: float = np.inf
-    remarks: tuple[str, ...] = field(default=())
+    mirrored_ratio: float = np.inf
+    warnings: tuple[str, ...] = field(default=())
 
     @property
     def rms(self) -> float:
@@ -61,7 +66,7 @@ class Placement:
     @property
     def position_world(self) -> np.ndarray:
         """(3,) metres."""
-        return position(self.T_cam_world)
+        return position_world_of(self.T_cam_world)
 
     @property
     def rotation(self) -> np.ndarray:
@@ -87,12 +92,12 @@ def board_to_world(pose: tuple[float, ...]) -> np.ndarray:
     return T
 
 
-def position(T_cam_world: np.ndarray) -> np.ndarray:
+def position_world_of(T_cam_world: np.ndarray) -> np.ndarray:
     """(3,) the camera's place in the world, metres."""
     return -T_cam_world[:3, :3].T @ T_cam_world[:3, 3]
 
 
-def place(
+def estimate_placement(
     points_world: np.ndarray, pixels_xy: np.ndarray, lens: Lens, upside_down: bool = False
 ) -> Placement:
     """Place a camera that sees (N, 3) points at (N, 2) pixels.
@@ -103,18 +108,21 @@ def place(
     Raises:
         ArithmeticError: fewer than four points, all on one line, or no answer.
     """
-    _check(points_world)
+    _check_points(points_world)
     used = np.ones(len(points_world), bool)
-    poses = find_poses(points_world, pixels_xy, lens)
+    poses = candidate_poses(points_world, pixels_xy, lens)
     if poses and len(points_world) >= _MANY:
-        used, poses = _without_the_wrong(points_world, pixels_xy, lens, poses)
+        used, poses = _without_outlier(points_world, pixels_xy, lens, poses)
     if not poses:
         raise ArithmeticError("no camera sees these points there: pixels or places are exchanged")
-    best, others = poses[0], [p for p in poses[1:] if p.rms < AMBIGUOUS * max(poses[0].rms, 0.05)]
+    best, others = (
+        poses[0],
+        [p for p in poses[1:] if p.rms < AMBIGUOUS_RATIO * max(poses[0].rms, 0.05)],
+    )
     said = []
     if others:
-        best, other = _sensible_first(best, others[0], upside_down)
-        said.append(_ambiguous(best, other, upside_down))
+        best, other = _plausible_first(best, others[0], upside_down)
+        said.append(_ambiguity_warning(best, other, upside_down))
     mirrored = next((pose for pose in poses if pose is not best), None)
     std_m, std_deg = _deviations(best, points_world[used], lens)
     return Placement(
@@ -125,32 +133,38 @@ def place(
         std_deg,
         None if mirrored is None else mirrored.matrix,
         np.inf if mirrored is None else mirrored.rms / max(best.rms, 1e-9),
-        tuple([*said, *_rough(std_m), *_worries(best.matrix, upside_down)]),
+        tuple(
+            [
+                *said,
+                *_uncertainty_warnings(std_m),
+                *_implausibility_warnings(best.matrix, upside_down),
+            ]
+        ),
     )
 
 
-def _check(points_world: np.ndarray) -> None:
+def _check_points(points_world: np.ndarray) -> None:
     if len(points_world) < 4:
         raise ArithmeticError(f"found {len(points_world)} points, expected at least 4")
     extents = np.linalg.svd(points_world - points_world.mean(0), compute_uv=False)
-    if extents[1] < _LINE * extents[0]:
+    if extents[1] < _LINE_BREADTH * extents[0]:
         raise ArithmeticError("all points lie on one line, expected them spread in two directions")
-    if len(points_world) < _MANY and thickness(points_world) >= FLAT:
+    if len(points_world) < _MANY and relative_thickness(points_world) >= FLAT_THICKNESS:
         # Four or five points in space fit too many cameras to tell a wrong one.
         raise ArithmeticError(
             f"found {len(points_world)} points that are not on a plane, expected at least {_MANY}"
         )
 
 
-def _without_the_wrong(
-    points_world: np.ndarray, pixels_xy: np.ndarray, lens: Lens, poses: list[Pose]
-) -> tuple[np.ndarray, list[Pose]]:
+def _without_outlier(
+    points_world: np.ndarray, pixels_xy: np.ndarray, lens: Lens, poses: list[CameraPose]
+) -> tuple[np.ndarray, list[CameraPose]]:
     """Leave out the one point without which the rest fits far better, if there is one."""
     used = np.ones(len(points_world), bool)
     without = []
     for i in range(len(points_world)):
         rest = np.arange(len(points_world)) != i
-        without.append(find_poses(points_world[rest], pixels_xy[rest], lens))
+        without.append(candidate_poses(points_world[rest], pixels_xy[rest], lens))
     errors = [found[0].rms if found else np.inf for found in without]
     i = int(np.argmin(errors))
     if poses[0].rms > 1.0 and errors[i] < _FALLS * poses[0].rms:
@@ -159,15 +173,15 @@ def _without_the_wrong(
     return used, poses
 
 
-def _sensible_first(best: Pose, other: Pose, upside_down: bool) -> tuple[Pose, Pose]:
-    worries = [len(_worries(pose.matrix, upside_down)) for pose in (best, other)]
+def _plausible_first(best: CameraPose, other: CameraPose, upside_down: bool) -> tuple[CameraPose, CameraPose]:
+    worries = [len(_implausibility_warnings(pose.matrix, upside_down)) for pose in (best, other)]
     return (other, best) if worries[1] < worries[0] else (best, other)
 
 
-def _ambiguous(taken: Pose, other: Pose, upside_down: bool) -> str:
-    here, there = _at(taken.matrix), _at(other.matrix)
+def _ambiguity_warning(taken: CameraPose, other: CameraPose, upside_down: bool) -> str:
+    here, there = _position_text(taken.matrix), _position_text(other.matrix)
     why = f"the one that is above the floor and {'upside down' if upside_down else 'upright'}"
-    worries = [len(_worries(pose.matrix, upside_down)) for pose in (taken, other)]
+    worries = [len(_implausibility_warnings(pose.matrix, upside_down)) for pose in (taken, other)]
     if worries[0] == worries[1]:
         why = "the one that fits better, which may be wrong"
     return (
@@ -177,12 +191,12 @@ def _ambiguous(taken: Pose, other: Pose, upside_down: bool) -> str:
     )
 
 
-def _at(T_cam_world: np.ndarray) -> str:
-    return "({:.2f}, {:.2f}, {:.2f}) m".format(*position(T_cam_world))
+def _position_text(T_cam_world: np.ndarray) -> str:
+    return "({:.2f}, {:.2f}, {:.2f}) m".format(*position_world_of(T_cam_world))
 
 
-def _rough(std_m: np.ndarray) -> list[str]:
-    if std_m.max() < _ROUGH_M:
+def _uncertainty_warnings(std_m: np.ndarray) -> list[str]:
+    if std_m.max() < _UNCERTAIN_M:
         return []
     return [
         f"the camera's place is only roughly known, ± {100 * std_m.max():.0f} cm: the board or the "
@@ -190,10 +204,10 @@ def _rough(std_m: np.ndarray) -> list[str]:
     ]
 
 
-def _worries(T_cam_world: np.ndarray, upside_down: bool) -> list[str]:
+def _implausibility_warnings(T_cam_world: np.ndarray, upside_down: bool) -> list[str]:
     """What cannot be of a camera in a room."""
     said = []
-    if (height := position(T_cam_world)[2]) < 0:
+    if (height := position_world_of(T_cam_world)[2]) < 0:
         said.append(f"the camera comes out below the floor, at z = {height:.2f} m")
     # The camera's y points down in its picture.
     if (T_cam_world[1, 2] > 0) != upside_down:
@@ -201,41 +215,41 @@ def _worries(T_cam_world: np.ndarray, upside_down: bool) -> list[str]:
     return said
 
 
-def wrong_way_up(T_cam_world: np.ndarray, upside_down: bool) -> bool:
+def is_wrong_way_up(T_cam_world: np.ndarray, upside_down: bool) -> bool:
     """Whether a camera is certainly upside down, or upright where it hangs upside down."""
     # The world's vertical, as the picture's x and y show it.
     x, y = T_cam_world[:2, 2] * (-1.0 if upside_down else 1.0)
-    return bool(y >= abs(x) and np.hypot(x, y) > _VERTICAL)
+    return bool(y >= abs(x) and np.hypot(x, y) > _MIN_VERTICAL_SHOWN)
 
 
-def turned_board(
+def advice_on_board_pose(
     T_cam_world: np.ndarray, T_world_board: np.ndarray, upside_down: bool = False
 ) -> str | None:
     """Which half turn of the board would put a doubtful camera above the floor and upright."""
-    if not _worries(T_cam_world, upside_down):
+    if not _implausibility_warnings(T_cam_world, upside_down):
         return None
     T_cam_board = T_cam_world @ T_world_board
     for axis in "zxy":
         half = np.eye(4)
         half[:3, :3] = Rotation.from_euler(axis, 180, degrees=True).as_matrix()
         other = T_cam_board @ np.linalg.inv(T_world_board @ half)
-        if not _worries(other, upside_down):
+        if not _implausibility_warnings(other, upside_down):
             return (
                 "the board is the other way round than --pose says, or upside down: with it turned "
-                f"by 180° about its own {axis} axis the camera would stand at {_at(other)}; see "
+                f"by 180° about its own {axis} axis the camera would stand at {_position_text(other)}; see "
                 "the axes in the picture"
             )
     return "see the axes in the picture: --pose does not fit it, or the world's z is not up"
 
 
 def _residuals(
-    pose: Pose, points_world: np.ndarray, pixels_xy: np.ndarray, lens: Lens
+    pose: CameraPose, points_world: np.ndarray, pixels_xy: np.ndarray, lens: Lens
 ) -> np.ndarray:
     seen, _ = cv2.projectPoints(points_world, pose.rvec, pose.tvec, lens.matrix, lens.distortions)
     return seen.reshape(-1, 2) - pixels_xy
 
 
-def _deviations(pose: Pose, points_world: np.ndarray, lens: Lens) -> tuple[np.ndarray, float]:
+def _deviations(pose: CameraPose, points_world: np.ndarray, lens: Lens) -> tuple[np.ndarray, float]:
     """Standard deviations of place (3,), metres, and direction, degrees, from the residuals."""
     _, J = cv2.projectPoints(points_world, pose.rvec, pose.tvec, lens.matrix, lens.distortions)
     J = J[:, :6]
@@ -257,4 +271,4 @@ def _matrix(vector: np.ndarray) -> np.ndarray:
 def _change(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(6,) by how much the place moves, metres, and the camera turns, radians."""
     turn = Rotation.from_matrix(b[:3, :3] @ a[:3, :3].T).as_rotvec()
-    return np.concatenate([position(b) - position(a), turn])
+    return np.concatenate([position_world_of(b) - position_world_of(a), turn])

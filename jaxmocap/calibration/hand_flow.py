@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from jaxmocap.capture.checks.cameras import pixels_of
-from jaxmocap.capture.filters import low_pass
+from jaxmocap.capture.checks.cameras import project_to_pixels
+from jaxmocap.capture.filters import butterworth_low_pass
 from jaxmocap.capture.markers import GAP_INTERVALS, median_interval
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.geometry.cameras import Camera
@@ -29,20 +29,20 @@ HAND_M, POINTS = 0.03, 5
 SMOOTH_HZ, SMOOTH_SHARE = 8.0, 0.25
 
 
-class Terms(NamedTuple):
+class FlowPair(NamedTuple):
     """What is compared at one lag, for K frames and H hands.
 
     Attributes:
-        seen: (K, H, 2) flow at the hands, pixels of the image, to the next frame.
-        told: (K, H, 2) the same by the markers. Both are NaN where one is not known.
+        measured: (K, H, 2) flow at the hands, pixels of the image, to the next frame.
+        predicted: (K, H, 2) the same by the markers. Both are NaN where one is not known.
     """
 
-    seen: np.ndarray
-    told: np.ndarray
+    measured: np.ndarray
+    predicted: np.ndarray
 
 
 @dataclass(frozen=True)
-class Path:
+class MarkerPath:
     """A marker over time, between its samples as well.
 
     Attributes:
@@ -56,7 +56,7 @@ class Path:
     longest: float
 
     @classmethod
-    def through(cls, times: np.ndarray, positions: np.ndarray) -> "Path | None":
+    def through(cls, times: np.ndarray, positions: np.ndarray) -> "MarkerPath | None":
         """Through (T, 3) positions at (T,) seconds, NaN where missing; None through too few.
 
         They are low-passed: a millimetre of jitter from sample to sample would outweigh the hand's
@@ -67,7 +67,7 @@ class Path:
             return None
         interval = median_interval(times)
         cutoff = min(SMOOTH_HZ, SMOOTH_SHARE / interval)
-        calm = low_pass(times, positions[:, None], cutoff)[seen, 0]
+        calm = butterworth_low_pass(times, positions[:, None], cutoff)[seen, 0]
         return cls(CubicSpline(times[seen], calm), times[seen], GAP_INTERVALS * interval)
 
     def at(self, times: np.ndarray) -> np.ndarray:
@@ -94,9 +94,9 @@ class HandFlow:
     fields: np.ndarray
     spacing: float
     camera: Camera
-    paths: Sequence[Path]
+    paths: Sequence[MarkerPath]
 
-    def terms(self, lag: float, place_lag: float | None = None) -> Terms:
+    def flow_pair(self, lag: float, place_lag: float | None = None) -> FlowPair:
         """Flow and markers' motion if the video ran ``lag`` seconds later than stated.
 
         Args:
@@ -109,17 +109,17 @@ class HandFlow:
             at_xy, radius = self._projected(path, lag if place_lag is None else place_lag)
             seen.append(self._around(at_xy[:-1], radius[:-1]))
             told.append(np.diff(xy, axis=0))
-        terms = Terms(np.stack(seen, 1), np.stack(told, 1))
-        known = np.isfinite(terms.seen + terms.told).all(-1, keepdims=True)
-        return Terms(*(np.where(known, part, np.nan) for part in terms))
+        terms = FlowPair(np.stack(seen, 1), np.stack(told, 1))
+        known = np.isfinite(terms.measured + terms.predicted).all(-1, keepdims=True)
+        return FlowPair(*(np.where(known, part, np.nan) for part in terms))
 
-    def _projected(self, path: Path, lag: float) -> tuple[np.ndarray, np.ndarray]:
+    def _projected(self, path: MarkerPath, lag: float) -> tuple[np.ndarray, np.ndarray]:
         """(K + 1, 2) pixels of a hand, and (K + 1,) half the side of the square about it."""
         points = path.at(self.times + lag)
         known = np.isfinite(points).all(-1)
         xy = np.full((len(points), 2), np.nan)
         if known.any():
-            xy[known] = pixels_of(self.camera, points[known])
+            xy[known] = project_to_pixels(self.camera, points[known])
         T = np.asarray(self.camera.T_cam_world, float)
         return xy, HAND_M * float(self.camera.matrix[0, 0]) / (points @ T[2, :3] + T[2, 3])
 
@@ -147,7 +147,7 @@ def flow_fields(video: FrameSource, first: int, count: int) -> tuple[np.ndarray,
     scale = min(1.0, LARGEST_SIDE / max(video.size))
     width, height = (round(side * scale) for side in video.size)
     solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    images, fields = _small(video, first, count, (width, height)), []
+    images, fields = _scaled_frames(video, first, count, (width, height)), []
     for last, image in pairwise(images):
         if last is None or image is None:
             flow = np.full((height, width, 2), np.nan)
@@ -157,7 +157,7 @@ def flow_fields(video: FrameSource, first: int, count: int) -> tuple[np.ndarray,
     return np.stack(fields), STRIDE / scale
 
 
-def _small(
+def _scaled_frames(
     video: FrameSource, first: int, count: int, size: tuple[int, int]
 ) -> Iterator[np.ndarray | None]:
     """Grey frames of that width and height, None where one cannot be read."""

@@ -15,13 +15,13 @@ import numpy as np
 from jaxmocap.formats.cameras.calibration import Lens
 
 # Points are flat where their thickness is less than this part of their breadth.
-FLAT = 1e-3
+FLAT_THICKNESS = 1e-3
 # Two refined poses are one where they differ less than this, radians.
-SAME = 1e-3
+SAME_POSE_RAD = 1e-3
 
 
 @dataclass(frozen=True)
-class Pose:
+class CameraPose:
     """From the points' frame to the camera's.
 
     Attributes:
@@ -37,7 +37,7 @@ class Pose:
     @property
     def rms(self) -> float:
         """Root mean square length of the residuals, pixels."""
-        return rms(self.residuals_xy)
+        return rms_length(self.residuals_xy)
 
     @property
     def matrix(self) -> np.ndarray:
@@ -47,27 +47,31 @@ class Pose:
         return T
 
 
-def rms(residuals_xy: np.ndarray) -> float:
+def rms_length(residuals_xy: np.ndarray) -> float:
     """Root mean square length of (N, 2) residuals, pixels, as OpenCV counts it."""
     return float(np.sqrt((residuals_xy**2).sum(-1).mean()))
 
 
-def find_poses(points: np.ndarray, pixels_xy: np.ndarray, lens: Lens) -> list[Pose]:
+def candidate_poses(points: np.ndarray, pixels_xy: np.ndarray, lens: Lens) -> list[CameraPose]:
     """The poses of a camera that sees (N, 3) points at (N, 2) pixels: one, or two for flat ones.
 
     Each is refined by Levenberg-Marquardt; a second that slides into the first is none. Empty where
     OpenCV finds none, which happens with senseless intrinsics.
     """
-    method = cv2.SOLVEPNP_IPPE if thickness(points) < FLAT else cv2.SOLVEPNP_SQPNP
+    method = (
+        cv2.SOLVEPNP_IPPE if relative_thickness(points) < FLAT_THICKNESS else cv2.SOLVEPNP_SQPNP
+    )
     K, d = lens.matrix, lens.distortions
     points, pixels_xy = np.ascontiguousarray(points), np.ascontiguousarray(pixels_xy)
-    poses: list[Pose] = []
+    poses: list[CameraPose] = []
     try:
         _, rvecs, tvecs, _ = cv2.solvePnPGeneric(points, pixels_xy, K, d, flags=method)
         for r, t in zip(rvecs, tvecs, strict=True):
             rvec, tvec = cv2.solvePnPRefineLM(points, pixels_xy, K, d, r.copy(), t.copy())
             poses.append(
-                Pose(rvec.ravel(), tvec.ravel(), _residuals(points, pixels_xy, lens, rvec, tvec))
+                CameraPose(
+                    rvec.ravel(), tvec.ravel(), _residuals(points, pixels_xy, lens, rvec, tvec)
+                )
             )
     except cv2.error:
         return []
@@ -76,13 +80,13 @@ def find_poses(points: np.ndarray, pixels_xy: np.ndarray, lens: Lens) -> list[Po
     return [pose for i, pose in enumerate(whole) if all(_differ(pose, q) for q in whole[:i])]
 
 
-def thickness(points: np.ndarray) -> float:
+def relative_thickness(points: np.ndarray) -> float:
     """Smallest over largest extent of (N, 3) points: 0 for a plane."""
     extents = np.linalg.svd(points - points.mean(0), compute_uv=False)
     return float(extents[2] / extents[0])
 
 
-def tilt(pose: Pose) -> float:
+def tilt_degrees(pose: CameraPose) -> float:
     """Angle between a board's normal and the camera's axis, degrees, 0 to 90."""
     return float(np.degrees(np.arccos(np.clip(abs(pose.matrix[2, 2]), 0, 1))))
 
@@ -94,10 +98,10 @@ def _residuals(
     return seen.reshape(-1, 2) - pixels_xy
 
 
-def _in_front(pose: Pose, points: np.ndarray) -> bool:
+def _in_front(pose: CameraPose, points: np.ndarray) -> bool:
     return bool(((points @ pose.matrix[2, :3]) + pose.tvec[2] > 0).all())
 
 
-def _differ(a: Pose, b: Pose) -> bool:
+def _differ(a: CameraPose, b: CameraPose) -> bool:
     turn, _ = cv2.Rodrigues(a.matrix[:3, :3] @ b.matrix[:3, :3].T)
-    return float(np.linalg.norm(turn)) > SAME
+    return float(np.linalg.norm(turn)) > SAME_POSE_RAD

@@ -15,12 +15,12 @@ from itertools import pairwise
 import jax
 import numpy as np
 
-from jaxmocap.calibration.hand_flow import HandFlow, Path, Terms, flow_fields
+from jaxmocap.calibration.hand_flow import FlowPair, HandFlow, MarkerPath, flow_fields
 from jaxmocap.capture.video import FrameSource, open_video
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
 
-HANDS = ("hand", "radius")
+HAND_BONES = ("hand", "radius")
 # A stretch of video that is looked at: seconds and frames at most; how many of them at most.
 STRETCH_S, STRETCH_FRAMES, STRETCHES = 10.0, 450, 6
 # Lags that are tried, seconds: coarse steps over the range, fine ones about the best.
@@ -36,18 +36,18 @@ WORST_S, WORST_NEAR_S, BEST_S = 0.005, 0.008, 0.001
 # Blocks of so many seconds are drawn so many times.
 BLOCK_S, DRAWS = 0.25, 200
 # A drift is told where stretches are this far apart, seconds.
-LONG_S = 60.0
+MIN_DRIFT_SPAN_S = 60.0
 # Hands slower than this, pixels per frame, tell nothing.
-SLOW_PX = 0.5
+MIN_SPEED_PX = 0.5
 
 
 @dataclass(frozen=True)
-class Synced:
+class VideoOffset:
     """One video's clock.
 
     Attributes:
         camera: its name.
-        stated: the offset in the recording, seconds.
+        stated_offset: the offset in the recording, seconds.
         offset: seconds to add to video time to get marker time; NaN where it is not identifiable.
         std: its standard deviation, seconds; NaN likewise.
         correlation: of image and markers at the best lag.
@@ -58,7 +58,7 @@ class Synced:
     """
 
     camera: str
-    stated: float
+    stated_offset: float
     offset: float
     std: float
     correlation: float
@@ -73,7 +73,7 @@ class Synced:
 
 
 @dataclass(frozen=True)
-class Lag:
+class StretchLag:
     """What one stretch of a video says.
 
     Attributes:
@@ -91,7 +91,7 @@ class Lag:
     reason: str = ""
 
 
-def sync(recording: Recording, search: float = 1.0) -> list[Synced]:
+def estimate_video_offsets(recording: Recording, search: float = 1.0) -> list[VideoOffset]:
     """Find every video's offset.
 
     Args:
@@ -104,36 +104,36 @@ def sync(recording: Recording, search: float = 1.0) -> list[Synced]:
     where = recording.path or recording.name
     if not recording.videos:
         raise InputError(where, "[[video]] is missing, there is nothing to align with the markers")
-    paths = hand_paths(recording.marked())
+    paths = hand_paths(recording.require_markers())
     if not paths:
         raise InputError(where, "[markers.on]: no marker is seen in four samples or more")
     return [_sync_video(recording, source, paths, search) for source in recording.videos]
 
 
-def hand_paths(recording: Recording) -> list[Path]:
+def hand_paths(recording: Recording) -> list[MarkerPath]:
     """Paths of the markers on hands and forearms; of all markers where there are none."""
-    columns = [i for i, place in enumerate(recording.places) if place.bone[:-2] in HANDS]
+    columns = [i for i, place in enumerate(recording.places) if place.bone[:-2] in HAND_BONES]
     paths = [
-        Path.through(recording.times, recording.positions_world[:, i])
+        MarkerPath.through(recording.times, recording.positions_world[:, i])
         for i in columns or range(len(recording.places))
     ]
     return [path for path in paths if path is not None]
 
 
 def _sync_video(
-    recording: Recording, source: VideoSource, paths: Sequence[Path], search: float
-) -> Synced:
+    recording: Recording, source: VideoSource, paths: Sequence[MarkerPath], search: float
+) -> VideoOffset:
     video, found = open_video(source), []
     # On the host: what follows projects a few points thousands of times.
     camera = jax.tree.map(np.asarray, source.camera)
     for first, count in _stretches(video, paths):
         fields, spacing = flow_fields(video, first, count)
         times = video.times[first : first + count]
-        found.append(_lag(HandFlow(times, fields, spacing, camera, paths), search))
-    return together(source, found)
+        found.append(_estimate_lag(HandFlow(times, fields, spacing, camera, paths), search))
+    return combine_lags(source, found)
 
 
-def _stretches(video: FrameSource, paths: Sequence[Path]) -> list[tuple[int, int]]:
+def _stretches(video: FrameSource, paths: Sequence[MarkerPath]) -> list[tuple[int, int]]:
     """First frame and number of frames of the liveliest stretch in each equal part of a video."""
     frames, fps = len(video), video.fps or 1.0
     longest = max(2, min(frames, round(STRETCH_S * fps), STRETCH_FRAMES))
@@ -151,41 +151,41 @@ def _stretches(video: FrameSource, paths: Sequence[Path]) -> list[tuple[int, int
     return [stretch for stretch in stretches if stretch[1] > 1]
 
 
-def _lag(flow: HandFlow, search: float) -> Lag:
+def _estimate_lag(flow: HandFlow, search: float) -> StretchLag:
     """The lag of one stretch."""
     middle = float(flow.times.mean())
     lags = np.arange(-search, search + COARSE_S / 2, COARSE_S)
-    scores = np.array([correlation(flow.terms(lag)) for lag in lags])
+    scores = np.array([correlation(flow.flow_pair(lag)) for lag in lags])
     best = int(np.nanargmax(np.nan_to_num(scores, nan=-1.0)))
-    if reason := _doubtful(flow, lags, scores, best, search):
-        return Lag(middle, np.nan, np.nan, float(scores[best]), reason)
+    if reason := _why_unidentifiable(flow, lags, scores, best, search):
+        return StretchLag(middle, np.nan, np.nan, float(scores[best]), reason)
     near = lags[best] + np.arange(-NEAR_S, NEAR_S + FINE_S / 2, FINE_S)
-    costs = np.array([_distances(flow.terms(lag)) for lag in near])
+    costs = np.array([_distances(flow.flow_pair(lag)) for lag in near])
     lag, std = _least_squares(flow, float(near[np.nanmean(costs, (1, 2)).argmin()]))
-    spread = _spread(near, costs, flow.times)
+    spread = _bootstrap_std(near, costs, flow.times)
     if std > WORST_S or spread > WORST_NEAR_S or abs(lag - lags[best]) > NEAR_S:
         least = 1e3 * max(std, spread)
         reason = f"not identifiable, to {least:.0f} ms at best: move the hands faster or longer"
-        return Lag(middle, np.nan, np.nan, float(scores[best]), reason)
-    return Lag(middle, lag, float(np.hypot(std, BEST_S)), float(scores[best]))
+        return StretchLag(middle, np.nan, np.nan, float(scores[best]), reason)
+    return StretchLag(middle, lag, float(np.hypot(std, BEST_S)), float(scores[best]))
 
 
-def correlation(terms: Terms) -> float:
+def correlation(terms: FlowPair) -> float:
     """Of flow and markers' motion, as vectors about zero; NaN where neither moves."""
     seen, told = (np.nan_to_num(part) for part in terms)
     size = np.sqrt((seen**2).sum() * (told**2).sum())
     return float((seen * told).sum() / size) if size > 0 else float("nan")
 
 
-def _doubtful(
+def _why_unidentifiable(
     flow: HandFlow, lags: np.ndarray, scores: np.ndarray, best: int, search: float
 ) -> str:
     """Why the best lag says nothing; empty where it does."""
-    told = flow.terms(float(lags[best])).told
+    told = flow.flow_pair(float(lags[best])).predicted
     if not np.isfinite(told).any():
         return "not identifiable: the image does not show the hands"
     speed = float(np.sqrt(np.nanmean((told**2).sum(-1))))
-    if speed < SLOW_PX:
+    if speed < MIN_SPEED_PX:
         return f"not identifiable: move the hands faster ({speed:.2f} pixels per frame)"
     if scores[best] < CORRELATED:
         return (
@@ -201,9 +201,9 @@ def _doubtful(
     return ""
 
 
-def _distances(terms: Terms) -> np.ndarray:
+def _distances(terms: FlowPair) -> np.ndarray:
     """(K, H) pixels between flow and markers' motion."""
-    return np.linalg.norm(terms.seen - terms.told, axis=-1)
+    return np.linalg.norm(terms.measured - terms.predicted, axis=-1)
 
 
 def _least_squares(flow: HandFlow, lag: float) -> tuple[float, float]:
@@ -211,9 +211,9 @@ def _least_squares(flow: HandFlow, lag: float) -> tuple[float, float]:
     half = 1e-3
     slopes = weights = residuals = np.zeros(1)
     for _ in range(STEPS):
-        later, sooner = flow.terms(lag + half, lag), flow.terms(lag - half, lag)
-        residuals = later.seen - (later.told + sooner.told) / 2
-        slopes = (later.told - sooner.told) / (2 * half)
+        later, sooner = flow.flow_pair(lag + half, lag), flow.flow_pair(lag - half, lag)
+        residuals = later.measured - (later.predicted + sooner.predicted) / 2
+        slopes = (later.predicted - sooner.predicted) / (2 * half)
         away = np.linalg.norm(residuals, axis=-1, keepdims=True)
         scale = 2.0 * np.nanmedian(away) + 0.5
         weights = 1 / (1 + (away / scale) ** 2)
@@ -224,16 +224,16 @@ def _least_squares(flow: HandFlow, lag: float) -> tuple[float, float]:
     blocks = _blocks(flow.times)
     tops = np.bincount(blocks, np.nansum(weights * slopes * residuals, (1, 2)))
     bottoms = np.bincount(blocks, np.nansum(weights * slopes**2, (1, 2)))
-    drawn = _drawn(len(tops))
+    drawn = _bootstrap_counts(len(tops))
     return float(lag), float(np.std((drawn @ tops) / np.maximum(drawn @ bottoms, 1e-9)))
 
 
-def _spread(lags: np.ndarray, costs: np.ndarray, times: np.ndarray) -> float:
+def _bootstrap_std(lags: np.ndarray, costs: np.ndarray, times: np.ndarray) -> float:
     """Deviation of the lag of the smallest mean distance (L, K, H) over blocks of time."""
     blocks, known = _blocks(times), np.isfinite(costs)
     sums = np.array([np.bincount(blocks, row) for row in np.where(known, costs, 0.0).sum(2)])
     counts = np.array([np.bincount(blocks, row) for row in known.sum(2)])
-    drawn = _drawn(sums.shape[1])
+    drawn = _bootstrap_counts(sums.shape[1])
     best = ((sums @ drawn.T) / np.maximum(counts @ drawn.T, 1)).argmin(0)
     return float(np.std(lags[best]))
 
@@ -243,21 +243,21 @@ def _blocks(times: np.ndarray) -> np.ndarray:
     return ((times[:-1] - times[0]) / BLOCK_S).astype(int)
 
 
-def _drawn(count: int) -> np.ndarray:
+def _bootstrap_counts(count: int) -> np.ndarray:
     """(DRAWS, count) how often each block is drawn."""
     return np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), DRAWS)
 
 
-def together(source: VideoSource, found: Sequence[Lag]) -> Synced:
+def combine_lags(source: VideoSource, found: Sequence[StretchLag]) -> VideoOffset:
     """One offset from all stretches, and the drift where they lie far enough apart."""
     good = [each for each in found if not each.reason]
     if not found:
         nan, reason = float("nan"), "fewer than two of its frames can be compared"
-        return Synced(source.camera_name, source.offset, nan, nan, nan, reason=reason)
+        return VideoOffset(source.camera_name, source.offset, nan, nan, nan, reason=reason)
     if not good:
         nan, best = float("nan"), max(found, key=lambda each: each.correlation)
         name, stated = source.camera_name, source.offset
-        return Synced(name, stated, nan, nan, best.correlation, reason=best.reason)
+        return VideoOffset(name, stated, nan, nan, best.correlation, reason=best.reason)
     middles, lags, stds = (
         np.array([getattr(each, key) for each in good]) for key in ("middle", "lag", "std")
     )
@@ -266,14 +266,14 @@ def together(source: VideoSource, found: Sequence[Lag]) -> Synced:
     # Stretches that disagree by more than they should make all of them less sure.
     chi2 = float(weights @ (lags - lag) ** 2) / max(len(good) - 1, 1)
     drift = drift_std = float("nan")
-    if len(good) > 1 and np.ptp(middles) >= LONG_S:
+    if len(good) > 1 and np.ptp(middles) >= MIN_DRIFT_SPAN_S:
         centre = weights @ middles / weights.sum()
         since = middles - centre
         drift = float((weights * since) @ lags / (weights @ since**2))
         drift_std = float((weights @ since**2) ** -0.5)
         chi2 = float(weights @ (lags - lag - drift * since) ** 2) / max(len(good) - 2, 1)
     wider = max(1.0, chi2) ** 0.5
-    return Synced(
+    return VideoOffset(
         source.camera_name,
         source.offset,
         source.offset + lag,
@@ -284,7 +284,7 @@ def together(source: VideoSource, found: Sequence[Lag]) -> Synced:
     )
 
 
-def text(found: Sequence[Synced]) -> str:
+def sync_text(found: Sequence[VideoOffset]) -> str:
     """A line for each video to put into the recording, or why there is none."""
     lines = []
     for each in found:
@@ -293,7 +293,7 @@ def text(found: Sequence[Synced]) -> str:
             continue
         lines.append(
             f"{each.camera}: offset = {each.offset:.4f}  (± {each.std:.4f} s, correlation "
-            f"{each.correlation:.2f}; the recording says {each.stated:g})"
+            f"{each.correlation:.2f}; the recording says {each.stated_offset:g})"
         )
         if np.isfinite(each.drift):
             lines.append(

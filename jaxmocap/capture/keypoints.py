@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.skeleton import LANDMARKS, Tree
-from jaxmocap.capture.markers import interpolate
+from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.recordings.keypoints import Detections, check_size, read_keypoints
+from jaxmocap.formats.recordings.keypoints import Detections, check_keypoint_count, read_keypoints
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera
 
@@ -52,10 +52,10 @@ def open_keypoints(source: VideoSource, video: FrameSource) -> Keypoints | None:
         detections = source.keypoints
     else:
         detections = read_keypoints(source.keypoints, source.keypoints_model)
-    return line_up(detections, len(video), source.keypoints_first)
+    return align_detections(detections, len(video), source.keypoints_first)
 
 
-def line_up(detections: Detections, frames: int, first: int | None = None) -> Keypoints:
+def align_detections(detections: Detections, frames: int, first: int | None = None) -> Keypoints:
     """Give every frame of a video its detections.
 
     Detectors count from 0 (OpenPose, Pose2Sim, MMPose's inferencer), from 1 (MMPose's demos) or,
@@ -89,7 +89,7 @@ def line_up(detections: Detections, frames: int, first: int | None = None) -> Ke
             f"found key points of frames {smallest} to {largest}, but the video has "
             f"frames {first} to {first + frames - 1}; check keypoints_first",
         )
-    check_size(detections.name, frames, *detections.confidences.shape[1:])
+    check_keypoint_count(detections.name, frames, *detections.confidences.shape[1:])
     pixels_xy = np.full((frames, *detections.pixels_xy.shape[1:]), np.nan)
     confidences = np.zeros((frames, *detections.confidences.shape[1:]))
     pixels_xy[rows[inside]] = detections.pixels_xy[inside]
@@ -130,7 +130,7 @@ def choose_person(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: floa
     return best if np.isfinite(costs[best]) else -1
 
 
-def follow_person(
+def select_person(
     keypoints: Keypoints, camera: Camera, points_world: np.ndarray, gate_m: float = GATE_M
 ) -> tuple[np.ndarray, np.ndarray]:
     """The tracked person's detections among everybody's, frame by frame.
@@ -175,7 +175,7 @@ def marked_landmarks(
     Returns:
         (F, P, 3) metres, world; NaN where there is no marker or it is not seen.
     """
-    positions = interpolate(recording.times, recording.positions_world, at, causal)
+    positions = interpolate_markers(recording.times, recording.positions_world, at, causal)
     points = np.full((len(at), len(landmarks), 3), np.nan)
     for marker, place in enumerate(recording.places):
         name = _landmark_at(recording.skeleton.tree, place)

@@ -9,7 +9,7 @@ import numpy as np
 # Neighbouring samples further apart than this many median intervals are a gap, not a motion.
 GAP_INTERVALS = 3.0
 # So is a step that would be faster than this, metres per second: no hand is.
-FASTEST = 50.0
+MAX_SPEED_M_S = 50.0
 
 
 def median_interval(times: np.ndarray) -> float:
@@ -17,7 +17,7 @@ def median_interval(times: np.ndarray) -> float:
     return float(np.median(np.diff(times))) if len(times) > 1 else 0.0
 
 
-def interpolate(
+def interpolate_markers(
     times: np.ndarray, positions: np.ndarray, at: np.ndarray, causal: bool = False
 ) -> np.ndarray:
     """Linear in time between neighbouring samples; at a sample's own time that sample.
@@ -50,7 +50,9 @@ def interpolate(
         known = (at - times[-1] <= interval / 2) & (times[0] - at <= interval / 2)
     known &= end - start <= GAP_INTERVALS * interval
     weight, step = (at - start) / (end - start), positions[first + 1] - positions[first]
-    known = known[:, None] & (np.linalg.norm(step, axis=-1) <= FASTEST * (end - start)[:, None])
+    known = known[:, None] & (
+        np.linalg.norm(step, axis=-1) <= MAX_SPEED_M_S * (end - start)[:, None]
+    )
     line = positions[first] + weight[:, None, None] * step
     line = np.where(known[..., None], line, np.nan)
     return np.where(exact[:, None, None], positions[newest], line)

@@ -23,7 +23,7 @@ SEAL_BYTES = len(MAGIC) + hashlib.sha256().digest_size
 FOLDER_MODE, FILE_MODE = 0o700, 0o600
 
 
-class KeptFiles:
+class PrivateCache:
     """A folder, and what is kept in it.
 
     Attributes:
@@ -74,13 +74,13 @@ class KeptFiles:
     def _is_own(self, *paths: Path) -> bool:
         """Whether nobody else could have written there; else a sentence says so."""
         for path in paths:
-            if (problem := others_may_write(path)) is not None:
+            if (problem := others_can_write(path)) is not None:
                 self._warn(f"{path}: {problem}")
                 return False
         return True
 
 
-def others_may_write(path: Path) -> str | None:
+def others_can_write(path: Path) -> str | None:
     """Why another user may have written to a file or folder, and what to do; None if none may."""
     if not hasattr(os, "geteuid"):
         return None

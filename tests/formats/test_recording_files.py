@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.calibration.sync import sync
+from jaxmocap.calibration.sync import estimate_video_offsets
 from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import (
@@ -209,11 +209,11 @@ def test_videos_alone_make_a_recording_which_no_marker_tracker_takes(folder):
     recording = load(folder, VIDEO + CALIBRATION + SUBJECT)
     assert recording.marker_names == () and recording.positions_world.shape == (0, 0, 3)
     assert recording.times.shape == (0,) and recording.videos[0].camera_name == "cam"
-    for user in (Recording.marked, track, check, sync, warm_up):
+    for user in (Recording.require_markers, track, check, estimate_video_offsets, warm_up):
         with pytest.raises(InputError, match=r"r\.toml: \[markers\] is missing"):
             user(recording)
     marked = load(folder, WHOLE)
-    assert marked.marked() is marked
+    assert marked.require_markers() is marked
 
 
 def test_a_recording_without_markers_is_written_without_them(folder):

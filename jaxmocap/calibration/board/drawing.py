@@ -15,7 +15,7 @@ from jaxmocap.formats.files.writing import replacing
 
 # BGR.
 SEEN, REPROJECTED, RESIDUAL = (90, 230, 90), (60, 60, 255), (0, 220, 255)
-AXES = {"x": (60, 60, 255), "y": (90, 230, 90), "z": (255, 150, 50)}
+AXIS_COLOURS = {"x": (60, 60, 255), "y": (90, 230, 90), "z": (255, 150, 50)}
 LEGEND = "green: seen, red: reprojected, yellow: residuals x {}"
 WHITE, GREY = (255, 255, 255), (70, 70, 70)
 # Longer side of what is drawn, pixels, and the fixed point of OpenCV's drawing.
@@ -31,7 +31,7 @@ def magnification(rms: float, size: tuple[int, int]) -> int:
     return max(1, int(max(step * power for step in (1, 2, 5) if step * power <= wanted)))
 
 
-class Canvas:
+class AnnotatedPicture:
     """A picture to draw on, in the original's pixels."""
 
     def __init__(self, image: np.ndarray):
@@ -98,7 +98,7 @@ class Canvas:
         rvec, _ = cv2.Rodrigues(T_cam_frame[:3, :3])
         pixels, _ = cv2.projectPoints(tips, rvec, T_cam_frame[:3, 3], lens.matrix, lens.distortions)
         origin, *ends = pixels.reshape(-1, 2)
-        for end, (axis, colour) in zip(ends, AXES.items(), strict=True):
+        for end, (axis, colour) in zip(ends, AXIS_COLOURS.items(), strict=True):
             self.line(origin, end, colour, 3)
             self.text(axis, end + 6, WHITE)
         self.dot(origin, WHITE, 5)
@@ -107,7 +107,7 @@ class Canvas:
 
 def draw_coverage(
     size: tuple[int, int], views: Sequence[tuple[np.ndarray, np.ndarray]], times: int
-) -> Canvas:
+) -> AnnotatedPicture:
     """The image's area: the lighter the more boards, with every corner and its residual.
 
     Args:
@@ -122,7 +122,7 @@ def draw_coverage(
         cv2.fillConvexPoly(mask, cv2.convexHull((pixels_xy * scale).round().astype(np.int32)), 1)
         counts += mask
     shade = np.where(counts > 0, 60 + 120 * counts / max(counts.max(), 1), 25).astype(np.uint8)
-    canvas = Canvas(np.repeat(shade[..., None], 3, axis=2))
+    canvas = AnnotatedPicture(np.repeat(shade[..., None], 3, axis=2))
     canvas.scale = scale
     for part in (1 / 3, 2 / 3):
         canvas.line(np.array([part * size[0], 0]), np.array([part * size[0], size[1]]), GREY, 1)
@@ -133,7 +133,7 @@ def draw_coverage(
     return canvas
 
 
-def write_canvas(path: Path, canvas: Canvas) -> Path:
+def write_annotated(path: Path, canvas: AnnotatedPicture) -> Path:
     """Write a JPEG file; its path."""
     with replacing(path) as beside:
         beside.write_bytes(

@@ -19,9 +19,9 @@ from jaxmocap.formats.files.errors import InputError
 # Frames of a video: how many are looked at, and how many are chosen at most.
 LOOKED_AT, CHOSEN = 150, 20
 # A frame is blurred where its board has less than this part of the median board's sharpness.
-SHARP = 0.5
+MIN_SHARPNESS = 0.5
 # Views that differ less than this (in units of the image) show nothing new.
-NEW = 0.02
+MIN_NEW_DISTANCE = 0.02
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def open_pictures(paths: Sequence[str | Path], board: Board) -> tuple[list[Pictu
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _FrameView:
     number: int
     sharpness: float
     features: np.ndarray
@@ -90,14 +90,16 @@ def _chosen_frames(video: Video, board: Board) -> tuple[list[Picture], str]:
         if grey is not None and number % step == 0:
             pixels = find_coarsely(grey, board)
             if pixels is not None:
-                seen.append(_Seen(number, _sharpness(grey, pixels), _features(pixels, board, grey)))
+                seen.append(
+                    _FrameView(number, _sharpness(grey, pixels), _features(pixels, board, grey))
+                )
     looked = -(-len(video) // step)
     sentence = f"{video.path.name}: board seen in {len(seen)} of {looked} frames looked at"
     if not seen:
         return [], sentence
-    limit = SHARP * float(np.median([view.sharpness for view in seen]))
+    limit = MIN_SHARPNESS * float(np.median([view.sharpness for view in seen]))
     sharp = [view for view in seen if view.sharpness >= limit]
-    numbers = sorted(view.number for view in spread(sharp, CHOSEN))
+    numbers = sorted(view.number for view in farthest_views(sharp, CHOSEN))
     images = {
         i: image
         for i, (_, image) in enumerate(video.frames())
@@ -110,7 +112,7 @@ def _chosen_frames(video: Video, board: Board) -> tuple[list[Picture], str]:
     return chosen, f"{sentence}, {blurred} blurred, {len(chosen)} chosen for their spread"
 
 
-def spread(views: Sequence[_Seen], count: int) -> list[_Seen]:
+def farthest_views(views: Sequence[_FrameView], count: int) -> list[_FrameView]:
     """Up to ``count`` views, each as far as can be from those chosen before it.
 
     The first is the sharpest; those that show nothing new are not chosen.
@@ -120,7 +122,7 @@ def spread(views: Sequence[_Seen], count: int) -> list[_Seen]:
     distances = np.full(len(views), np.inf)
     while len(chosen) < count:
         distances = np.minimum(distances, np.linalg.norm(features - chosen[-1].features, axis=-1))
-        if distances.max() < NEW:
+        if distances.max() < MIN_NEW_DISTANCE:
             break
         chosen.append(views[int(distances.argmax())])
     return chosen

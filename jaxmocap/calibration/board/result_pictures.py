@@ -11,16 +11,16 @@ import numpy as np
 from jaxmocap.calibration.board.boards import Board
 from jaxmocap.calibration.board.drawing import (
     LEGEND,
-    Canvas,
+    AnnotatedPicture,
     draw_coverage,
     magnification,
-    write_canvas,
+    write_annotated,
 )
-from jaxmocap.calibration.board.finding import Found
+from jaxmocap.calibration.board.finding import BoardDetections
 from jaxmocap.calibration.board.pictures import Picture
 from jaxmocap.calibration.extrinsics import Placement
-from jaxmocap.calibration.intrinsics import Intrinsics, View
-from jaxmocap.calibration.planar_poses import Pose, tilt
+from jaxmocap.calibration.intrinsics import BoardView, IntrinsicsEstimate
+from jaxmocap.calibration.planar_poses import CameraPose, tilt_degrees
 from jaxmocap.formats.cameras.calibration import Lens
 from jaxmocap.formats.files.output_folder import OutputFolder
 
@@ -39,7 +39,7 @@ def picture_folder(
     return None if directory is None else OutputFolder(directory, kind, (), inputs)
 
 
-def draw_found(found: Found, folder: str | Path) -> list[Path]:
+def draw_detections(found: BoardDetections, folder: str | Path) -> list[Path]:
     """Each picture with the corners that were found in it: all there is without a calibration."""
     views = {view.name: view for view in found.views}
     files = []
@@ -47,11 +47,13 @@ def draw_found(found: Found, folder: str | Path) -> list[Path]:
         canvas = _titled(found, picture)
         if picture.name in views:
             canvas.corners(views[picture.name].pixels_xy)
-        files.append(write_canvas(_file(folder, number, picture), canvas))
+        files.append(write_annotated(_file(folder, number, picture), canvas))
     return files
 
 
-def draw_calibrated(found: Found, result: Intrinsics, folder: str | Path) -> list[Path]:
+def draw_intrinsics(
+    found: BoardDetections, result: IntrinsicsEstimate, folder: str | Path
+) -> list[Path]:
     """Each picture with corners, residuals and the board's axes; and the coverage."""
     times = magnification(result.rms, found.size)
     judged = {
@@ -63,20 +65,20 @@ def draw_calibrated(found: Found, result: Intrinsics, folder: str | Path) -> lis
         canvas = _titled(found, picture)
         if picture.name in judged:
             _draw_view(canvas, *judged[picture.name], result.lens, found.board, times)
-        files.append(write_canvas(_file(folder, number, picture), canvas))
+        files.append(write_annotated(_file(folder, number, picture), canvas))
     used = [
         (view.pixels_xy, pose.residuals_xy) for view, pose, use in judged.values() if use and pose
     ]
     coverage = draw_coverage(found.size, used, times)
-    return [*files, write_canvas(Path(folder) / "coverage.jpg", coverage)]
+    return [*files, write_annotated(Path(folder) / "coverage.jpg", coverage)]
 
 
-def _titled(found: Found, picture: Picture) -> Canvas:
-    canvas = Canvas(picture.image())
+def _titled(found: BoardDetections, picture: Picture) -> AnnotatedPicture:
+    canvas = AnnotatedPicture(picture.image())
     canvas.title(picture.name)
     if picture.name in found.not_found:
         canvas.title("NO BOARD FOUND")
-    elif picture.name in found.repeated:
+    elif picture.name in found.duplicates:
         canvas.title("the same as an earlier one")
     return canvas
 
@@ -88,9 +90,9 @@ def _file(folder: str | Path, number: int, picture: Picture) -> Path:
 
 
 def _draw_view(
-    canvas: Canvas,
-    view: View,
-    pose: Pose | None,
+    canvas: AnnotatedPicture,
+    view: BoardView,
+    pose: CameraPose | None,
     use: bool,
     lens: Lens,
     board: Board,
@@ -102,12 +104,12 @@ def _draw_view(
         canvas.title("LEFT OUT: does not fit the other views")
     canvas.title(LEGEND.format(times))
     if pose is not None:
-        canvas.title(f"{pose.rms:.2f} px RMS, tilt {tilt(pose):.0f} degrees")
+        canvas.title(f"{pose.rms:.2f} px RMS, tilt {tilt_degrees(pose):.0f} degrees")
         canvas.residuals(view.pixels_xy, pose.residuals_xy, times)
         canvas.axes(pose.matrix, lens, _BOARD_SQUARES * board.square, "origin")
 
 
-def draw_placed(
+def draw_placement(
     picture: Picture,
     lens: Lens,
     placement: Placement,
@@ -127,7 +129,7 @@ def draw_placed(
     """
     photo = picture.image()
     times = magnification(placement.rms, (photo.shape[1], photo.shape[0]))
-    canvas = Canvas(photo)
+    canvas = AnnotatedPicture(photo)
     x, y, z = placement.position_world
     canvas.title(picture.name)
     canvas.title(f"camera at ({x:.2f}, {y:.2f}, {z:.2f}) m, {placement.rms:.2f} px RMS")
@@ -142,4 +144,4 @@ def draw_placed(
         canvas.residuals(pixels_xy[which], placement.residuals_xy[which], longer)
     if board is None or np.abs(board[1] - np.eye(4)).max() > 1e-6:
         canvas.axes(placement.T_cam_world, lens, _WORLD_M, "world")
-    return write_canvas(Path(folder) / f"{picture.path.stem}_placed.jpg", canvas)
+    return write_annotated(Path(folder) / f"{picture.path.stem}_placed.jpg", canvas)

@@ -24,7 +24,7 @@ def standing_points(skeleton: Skeleton, places: Sequence[MarkerPlace]) -> np.nda
     return joints[bones] + along + offsets - [0.0, 0.0, _sole_and_vertex(joints, vectors)[0]]
 
 
-def stature(skeleton: Skeleton) -> float:
+def standing_height(skeleton: Skeleton) -> float:
     """How tall the skeleton stands, metres, from sole to vertex."""
     vectors = _bone_vectors(skeleton)
     sole, vertex = _sole_and_vertex(_joints(skeleton, vectors), vectors)
@@ -50,21 +50,21 @@ def _sole_and_vertex(joints: np.ndarray, vectors: np.ndarray) -> tuple[float, fl
     return vertex - (vertex - ankle) / (1 - ANKLE_HEIGHT), vertex
 
 
-def reach(skeleton: Skeleton, places: Sequence[MarkerPlace]) -> np.ndarray:
+def max_marker_distances(skeleton: Skeleton, places: Sequence[MarkerPlace]) -> np.ndarray:
     """(M, M) metres that two markers can be apart: the way along the bones between them."""
     lengths = np.asarray(skeleton.lengths, float)
     chains = [skeleton.tree.chain(place.bone) for place in places]
     away = np.zeros((len(places), len(places)))
     for i, first in enumerate(places):
         for j, second in enumerate(places[:i]):
-            ways = _ways(chains[i], chains[j], first.at, second.at)
+            ways = _bones_between(chains[i], chains[j], first.at, second.at)
             straight = sum(share * lengths[bone] for bone, share in ways)
             sides = np.linalg.norm(first.offset) + np.linalg.norm(second.offset)
             away[i, j] = away[j, i] = straight + sides
     return away
 
 
-def _ways(
+def _bones_between(
     first: tuple[int, ...], second: tuple[int, ...], at_first: float, at_second: float
 ) -> list[tuple[int, float]]:
     """Bones between two points on the ends of two chains, and the share of each that is passed."""

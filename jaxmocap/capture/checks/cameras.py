@@ -6,44 +6,54 @@ OUTPUTS: Findings about calibration and offset; the share of the markers that an
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 
 from jaxmocap.capture.checks.body_reach import standing_points
-from jaxmocap.capture.checks.markers import MOST, Finding, check_markers, facing
+from jaxmocap.capture.checks.markers import MOST, Finding, check_markers, facing_of_pairs
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
 from jaxmocap.geometry.cameras import NEAREST_M, Camera
 
 # Nobody is filmed from further away; a calibration in millimetres puts the camera there.
-FARTHEST_M = 150.0
+MAX_DISTANCE_M = 150.0
 # How far below the floor, which is known to some centimetres, a camera may come out.
-BELOW_M = 0.15
+MAX_BELOW_FLOOR_M = 0.15
 # Of the markers while the video runs, the share that its image must show; of the samples, the
 # share that must have a video.
 SHOWN, COVERED = 0.5, 0.5
 # Other axes that show so much explain why these do not.
-SURE = 0.9
+MIN_EXPLAINED_SHARE = 0.9
 # Lenses bend lines; beyond this much of the image's size their formula means nothing.
-BEYOND = 0.5
+DISTORTION_MARGIN = 0.5
 
 
 @dataclass(frozen=True)
-class View:
+class MarkerVisibility:
     """What a camera has of the markers.
 
     Attributes:
         camera: its name.
-        covered: share of the marker samples that lie within its video's time.
-        shown: share of the markers seen in these samples that its image shows; NaN without any.
+        covered_share: share of the marker samples that lie within its video's time.
+        visible_share: share of the markers seen in these samples that its image shows; NaN without any.
         distance: metres from the camera to the middle of the markers, median.
     """
 
     camera: str
-    covered: float
-    shown: float
+    covered_share: float
+    visible_share: float
     distance: float
+
+    def figures(self) -> dict[str, Any]:
+        """The same as plain figures."""
+        return {
+            "camera": self.camera,
+            "covered": self.covered_share,
+            "shown": self.visible_share,
+            "distance": self.distance,
+        }
 
 
 def check_recording(recording: Recording, video_times: Sequence[np.ndarray]) -> list[Finding]:
@@ -56,16 +66,18 @@ def check_recording(recording: Recording, video_times: Sequence[np.ndarray]) -> 
     found = check_markers(recording)
     if not any(finding.fatal for finding in found):
         views = [
-            view(recording, source, times)
+            marker_visibility(recording, source, times)
             for source, times in zip(recording.videos, video_times, strict=True)
         ]
-        nowhere = all(seen.shown == 0 for seen in views)
+        nowhere = all(seen.visible_share == 0 for seen in views)
         for source, seen in zip(recording.videos, views, strict=True):
-            found += _camera(recording, source, seen, nowhere)
+            found += _camera_findings(recording, source, seen, nowhere)
     return sorted(found, key=lambda finding: not finding.fatal)
 
 
-def view(recording: Recording, source: VideoSource, video_times: np.ndarray) -> View:
+def marker_visibility(
+    recording: Recording, source: VideoSource, video_times: np.ndarray
+) -> MarkerVisibility:
     """What one camera has of the markers."""
     times, positions = recording.times, recording.positions_world
     half = max(median_interval(video_times), median_interval(times)) / 2
@@ -73,19 +85,19 @@ def view(recording: Recording, source: VideoSource, video_times: np.ndarray) -> 
     seen = np.asarray(np.isfinite(positions).all(-1))
     middle = np.median(positions[seen], 0)
     during = positions[inside][seen[inside]]
-    return View(
+    return MarkerVisibility(
         source.camera_name,
         float(inside.mean()),
-        float(in_image(source.camera, during).mean()) if len(during) else float("nan"),
+        float(points_in_image(source.camera, during).mean()) if len(during) else float("nan"),
         float(np.linalg.norm(np.asarray(source.camera.position_world) - middle)),
     )
 
 
-def pixels_of(camera: Camera, points_world: np.ndarray) -> np.ndarray:
+def project_to_pixels(camera: Camera, points_world: np.ndarray) -> np.ndarray:
     """(N, 2) pixels of (N, 3) world points, in double precision; NaN behind the camera."""
     pinhole_xy, bent_xy = _projections(camera, points_world)
     size = np.asarray(camera.size, float)
-    near = np.asarray((np.abs(pinhole_xy - size / 2) <= (0.5 + BEYOND) * size).all(-1))
+    near = np.asarray((np.abs(pinhole_xy - size / 2) <= (0.5 + DISTORTION_MARGIN) * size).all(-1))
     return np.where(near[:, None], bent_xy, pinhole_xy)
 
 
@@ -102,47 +114,47 @@ def _projections(camera: Camera, points_world: np.ndarray) -> tuple[np.ndarray, 
     return both[0], both[1]
 
 
-def in_image(camera: Camera, points_world: np.ndarray) -> np.ndarray:
+def points_in_image(camera: Camera, points_world: np.ndarray) -> np.ndarray:
     """(N,) whether (N, 3) world points lie before the camera and within its image."""
-    xy = pixels_of(camera, points_world)
+    xy = project_to_pixels(camera, points_world)
     return np.asarray(((xy >= -0.5) & (xy <= np.asarray(camera.size, float) - 0.5)).all(-1))
 
 
-def _camera(
-    recording: Recording, source: VideoSource, seen: View, nowhere: bool
+def _camera_findings(
+    recording: Recording, source: VideoSource, seen: MarkerVisibility, nowhere: bool
 ) -> Iterator[Finding]:
     section = f"[{source.camera_name}] of the calibration"
-    if seen.distance > FARTHEST_M:
+    if seen.distance > MAX_DISTANCE_M:
         yield Finding(
             "unit",
             f"{section}: the camera is {seen.distance:.4g} m away from the markers, expected at "
-            f"most {FARTHEST_M:g} m; translation must be in metres",
+            f"most {MAX_DISTANCE_M:g} m; translation must be in metres",
             fatal=True,
         )
         return
     height, floor = float(np.asarray(source.camera.position_world)[2]), _floor(recording)
-    if height < floor - BELOW_M:
+    if height < floor - MAX_BELOW_FLOOR_M:
         yield Finding(
             "camera below the floor",
             f"{section}: the camera stands at z = {height:.2f} m, below the floor, which the "
             f"markers put at {floor:.2f} m; rotation and translation must take the world (Z up) to "
             "the camera, not the camera to the world",
         )
-    if seen.shown < SHOWN:
+    if seen.visible_share < SHOWN:
         axes, share, mirrored = _other_axes(recording, source.camera)
         kind = "a mirror image, left-handed" if mirrored else "turned"
         rather = f"; with {axes} in place of x, y, z ({kind}) it would be {100 * share:.0f} %"
         yield Finding(
-            "handedness" if mirrored and share > SURE else "person out of the image",
-            f"{section}: its image shows {100 * seen.shown:.0f} % of the markers, expected "
+            "handedness" if mirrored and share > MIN_EXPLAINED_SHARE else "person out of the image",
+            f"{section}: its image shows {100 * seen.visible_share:.0f} % of the markers, expected "
             f"{100 * SHOWN:.0f} % or more; check rotation and translation, [[video]] camera, and "
-            f"[markers] up or to_world{rather if share > SURE else ''}",
+            f"[markers] up or to_world{rather if share > MIN_EXPLAINED_SHARE else ''}",
             fatal=nowhere,
         )
-    if seen.covered < COVERED:
+    if seen.covered_share < COVERED:
         yield Finding(
             "rate",
-            f"[[video]] {source.camera_name}: the video lasts during {100 * seen.covered:.0f} % of "
+            f"[[video]] {source.camera_name}: the video lasts during {100 * seen.covered_share:.0f} % of "
             "the marker samples; if it should be all, check offset and the video's frame rate",
         )
 
@@ -154,7 +166,7 @@ def _other_axes(recording: Recording, camera: Camera) -> tuple[str, float, bool]
         The axes that x, y, z would be, the share of the markers shown, whether it is a mirror
         image. Where several do as well, it is a mirror image if left and right say so.
     """
-    told = facing(recording)
+    told = facing_of_pairs(recording)
     expected = bool(told) and all(share <= 1 - MOST for _, share, _ in told)
     positions = recording.positions_world.reshape(-1, 3)
     positions = positions[np.isfinite(positions).all(-1)]
@@ -163,7 +175,7 @@ def _other_axes(recording: Recording, camera: Camera) -> tuple[str, float, bool]
         for a, b in ((1, 1), (-1, 1), (1, -1), (-1, -1)):
             signs, columns = np.array([a, b, 1]), [first, second, 2]
             mirrored = a * b * (1 if first == 0 else -1) < 0
-            share = float(in_image(camera, positions[:, columns] * signs).mean())
+            share = float(points_in_image(camera, positions[:, columns] * signs).mean())
             names = [
                 f"{'-' if s < 0 else ''}{'xyz'[c]}" for s, c in zip(signs, columns, strict=True)
             ]

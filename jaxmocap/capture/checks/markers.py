@@ -13,13 +13,17 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.body.origin import local_origin
-from jaxmocap.capture.checks.body_reach import reach, standing_points, stature
+from jaxmocap.capture.checks.body_reach import (
+    max_marker_distances,
+    standing_height,
+    standing_points,
+)
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.recordings.recording import Recording
 
 # Markers that span as many times as much as on somebody who stands are in another unit.
 TOO_LARGE, TOO_SMALL = 3.0, 0.1
-UNITS = {
+UNIT_FACTORS = {
     "millimetres": 1000.0,
     "centimetres": 100.0,
     "inches": 39.37,
@@ -37,13 +41,13 @@ RATE_TOLERANCE = 0.02
 UPRIGHT, MUCH_LESS, LEVELS = 0.4, 0.6, (0.6, 1.8)
 # Nobody is tracked who is upside down in most samples. Heights are so for certain if they differ so
 # much the other way round; hands held up as far as they reach make it 0.45, on the back 0.66.
-INVERTED = 0.75
+INVERTED_SHARE = 0.75
 # A world of a continent's size: no place on the Earth's maps is farther from their origin.
-FARTHEST_M = 1e7
+MAX_COORDINATE_M = 1e7
 # Hands this far before (or behind) the head tell where the front is, if they do so most of the
 # time and the recording is long enough for a habit to show.
 BEFORE_M, MOST, HABIT_S = 0.2, 0.8, 3.0
-HANDS = ("hand", "radius")
+HAND_BONES = ("hand", "radius")
 
 
 @dataclass(frozen=True)
@@ -63,20 +67,26 @@ class Finding:
 
 def check_markers(recording: Recording) -> list[Finding]:
     """What is wrong with body, units, times, axes, sides and places of the markers."""
-    if absurd := list(_places(recording)):
+    if absurd := list(_check_positions(recording)):
         return absurd
-    found = [*_body(recording), *_times(recording)]
-    unit = list(_unit(recording))
+    found = [*_check_body(recording), *_check_times(recording)]
+    unit = list(_check_unit(recording))
     if unit:
         # Whatever else would be said follows from the unit.
         return found + unit
-    return [*found, *_far(recording), *_up(recording), *_sides(recording), *_reach(recording)]
+    return [
+        *found,
+        *_check_origin(recording),
+        *_check_up(recording),
+        *_check_sides(recording),
+        *_check_reach(recording),
+    ]
 
 
-def _places(recording: Recording) -> Iterator[Finding]:
+def _check_positions(recording: Recording) -> Iterator[Finding]:
     positions = recording.positions_world
     # Missing is NaN; an infinite position is none.
-    wrong = np.argwhere((np.abs(positions) > FARTHEST_M).any(-1))
+    wrong = np.argwhere((np.abs(positions) > MAX_COORDINATE_M).any(-1))
     if not len(wrong):
         return
     sample, marker = wrong[0]
@@ -84,13 +94,13 @@ def _places(recording: Recording) -> Iterator[Finding]:
     yield Finding(
         "place",
         f"[markers] file: {recording.marker_names[marker]} is at ({found}) m at "
-        f"{recording.times[sample]:.4g} s, expected a place within {FARTHEST_M:.0e} m of the "
+        f"{recording.times[sample]:.4g} s, expected a place within {MAX_COORDINATE_M:.0e} m of the "
         "origin, and NaN where it is missing",
         fatal=True,
     )
 
 
-def _far(recording: Recording) -> Iterator[Finding]:
+def _check_origin(recording: Recording) -> Iterator[Finding]:
     """A recording that was made in memory; one that is read has been given a local origin."""
     origin = local_origin(recording.positions_world)
     if not origin.any():
@@ -104,8 +114,8 @@ def _far(recording: Recording) -> Iterator[Finding]:
     )
 
 
-def _body(recording: Recording) -> Iterator[Finding]:
-    height, (low, high) = stature(recording.skeleton), STATURES_M
+def _check_body(recording: Recording) -> Iterator[Finding]:
+    height, (low, high) = standing_height(recording.skeleton), STATURES_M
     if not low <= height <= high:
         yield Finding(
             "unit",
@@ -115,7 +125,7 @@ def _body(recording: Recording) -> Iterator[Finding]:
         )
 
 
-def _unit(recording: Recording) -> Iterator[Finding]:
+def _check_unit(recording: Recording) -> Iterator[Finding]:
     expected = _span(standing_points(recording.skeleton, recording.places)[None])[0]
     spans = _span(recording.positions_world)
     if expected < TOO_SMALL or not np.isfinite(spans).any():
@@ -128,11 +138,11 @@ def _unit(recording: Recording) -> Iterator[Finding]:
     if times == 0:
         yield Finding("unit", "[markers] file: all markers lie at one place", fatal=True)
         return
-    unit = min(UNITS, key=lambda name: abs(np.log(times / UNITS[name])))
+    unit = min(UNIT_FACTORS, key=lambda name: abs(np.log(times / UNIT_FACTORS[name])))
     yield Finding(
         "unit",
         f"[markers] file: the markers span {times * expected:.4g} m, as on a person of "
-        f"{times * stature(recording.skeleton):.4g} m, expected {expected:.2g} m; the numbers look "
+        f"{times * standing_height(recording.skeleton):.4g} m, expected {expected:.2g} m; the numbers look "
         f"like {unit}, {_unit_field(recording.markers_file)}",
         fatal=True,
     )
@@ -155,7 +165,7 @@ def _span(positions: np.ndarray) -> np.ndarray:
     return np.where(several, np.linalg.norm(sides, axis=-1), np.nan)
 
 
-def _times(recording: Recording) -> Iterator[Finding]:
+def _check_times(recording: Recording) -> Iterator[Finding]:
     interval, stated = median_interval(recording.times), recording.stated_rate
     if not interval:
         return
@@ -175,15 +185,15 @@ def _times(recording: Recording) -> Iterator[Finding]:
         )
 
 
-def _complete(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+def _complete_samples(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     """Markers that are mostly seen, and (T', M', 3) the samples that show all of them."""
     seen = np.asarray(np.isfinite(recording.positions_world).all(-1))
     kept = np.flatnonzero(seen.mean(0) >= 0.5)
     return kept, recording.positions_world[seen[:, kept].all(1)][:, kept]
 
 
-def _up(recording: Recording) -> Iterator[Finding]:
-    kept, positions = _complete(recording)
+def _check_up(recording: Recording) -> Iterator[Finding]:
+    kept, positions = _complete_samples(recording)
     heights = standing_points(recording.skeleton, recording.places)[kept, 2]
     if not len(positions) or len(kept) < 2 or np.ptp(heights) < BEFORE_M:
         return
@@ -198,7 +208,7 @@ def _up(recording: Recording) -> Iterator[Finding]:
             yield _wrong_up(f"{'' if sign > 0 else '-'}{name}", shares[2], abs(shares[axis]))
             return
     if shares[2] <= -UPRIGHT:
-        sure = shares[2] <= -INVERTED or -levels[2] >= LEVELS[0]
+        sure = shares[2] <= -INVERTED_SHARE or -levels[2] >= LEVELS[0]
         yield _upside_down(shares[2], bool(sure))
 
 
@@ -223,7 +233,7 @@ def _upside_down(share: float, sure: bool) -> Finding:
     )
 
 
-def pairs(recording: Recording) -> list[tuple[int, int]]:
+def left_right_pairs(recording: Recording) -> list[tuple[int, int]]:
     """Markers at the same place of the left and the right side."""
     places = {(place.bone, place.at): i for i, place in enumerate(recording.places)}
     return [
@@ -233,7 +243,7 @@ def pairs(recording: Recording) -> list[tuple[int, int]]:
     ]
 
 
-def facing(recording: Recording) -> list[tuple[tuple[int, int], float, float]]:
+def facing_of_pairs(recording: Recording) -> list[tuple[tuple[int, int], float, float]]:
     """Which way round each pair of markers is, if the hands are before the head.
 
     Returns:
@@ -242,18 +252,20 @@ def facing(recording: Recording) -> list[tuple[tuple[int, int], float, float]]:
         metres before the head. Nothing where head or hands are not seen for long enough.
     """
     head = [i for i, place in enumerate(recording.places) if place.bone == "head"]
-    hands = [p for p in pairs(recording) if recording.places[p[0]].bone[:-2] in HANDS]
+    hands = [
+        p for p in left_right_pairs(recording) if recording.places[p[0]].bone[:-2] in HAND_BONES
+    ]
     if not (head and hands) or np.ptp(recording.times) < HABIT_S:
         return []
     positions = recording.positions_world[..., :2]
     ahead = positions[:, list(hands[0])].mean(1) - positions[:, head[0]]
     return [
-        ((left, right), *_signed(ahead, positions[:, left] - positions[:, right]))
-        for left, right in pairs(recording)
+        ((left, right), *_forward_share(ahead, positions[:, left] - positions[:, right]))
+        for left, right in left_right_pairs(recording)
     ]
 
 
-def _signed(ahead: np.ndarray, leftward: np.ndarray) -> tuple[float, float]:
+def _forward_share(ahead: np.ndarray, leftward: np.ndarray) -> tuple[float, float]:
     """Share of (T, 2) vectors ``ahead`` to the right of ``leftward``, and their mean there."""
     across = ahead[:, 0] * leftward[:, 1] - ahead[:, 1] * leftward[:, 0]
     forward = across / np.maximum(np.linalg.norm(leftward, axis=1), 1e-9)
@@ -263,8 +275,8 @@ def _signed(ahead: np.ndarray, leftward: np.ndarray) -> tuple[float, float]:
     return float((forward[tell] > 0).mean()), float(np.nanmean(forward))
 
 
-def _sides(recording: Recording) -> Iterator[Finding]:
-    told = facing(recording)
+def _check_sides(recording: Recording) -> Iterator[Finding]:
+    told = facing_of_pairs(recording)
     wrong = [row for row in told if row[1] <= 1 - MOST]
     if not wrong:
         return
@@ -284,9 +296,9 @@ def _sides(recording: Recording) -> Iterator[Finding]:
     )
 
 
-def _reach(recording: Recording) -> Iterator[Finding]:
+def _check_reach(recording: Recording) -> Iterator[Finding]:
     names, positions = recording.marker_names, recording.positions_world
-    allowed = REACH_SHARE * reach(recording.skeleton, recording.places) + REACH_M
+    allowed = REACH_SHARE * max_marker_distances(recording.skeleton, recording.places) + REACH_M
     counts, worst = np.zeros(allowed.shape, int), np.zeros(allowed.shape)
     for i in range(len(names)):
         for j in range(i):

@@ -15,32 +15,32 @@ from threading import Event, Thread
 from time import monotonic
 from typing import Any, NamedTuple
 
-from jaxmocap.capture.streams.osc import FARTHEST_M, Placed, unit_quaternion
-from jaxmocap.capture.streams.sample_assembly import Gathering
+from jaxmocap.capture.streams.osc import MAX_DISTANCE_M, MarkerMessage, unit_quaternion
+from jaxmocap.capture.streams.sample_assembly import SampleAssembler
 from jaxmocap.capture.streams.stream_clock import StreamClock
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import listed, shown
+from jaxmocap.formats.files.short_repr import comma_list, short_repr
 
 # A stream that is not there is looked for again and again, so many seconds at a time.
 LOOKING_S, WAITING_S = 1.0, 0.2
 # More channels, or longer labels and units, no stream of markers has.
 MOST_CHANNELS, LONGEST_LABEL = 4096, 200
-UNITS = {"": 1.0, "m": 1.0, "meters": 1.0, "metres": 1.0, "mm": 1e-3, "millimeters": 1e-3}
+METRES_PER_UNIT = {"": 1.0, "m": 1.0, "meters": 1.0, "metres": 1.0, "mm": 1e-3, "millimeters": 1e-3}
 AXES, TURN = (".x", ".y", ".z"), (".qx", ".qy", ".qz", ".qw")
 
 
-class Channels(NamedTuple):
+class MarkerChannels(NamedTuple):
     """Where a marker is among a sample's values.
 
     Attributes:
         first: index of its x.
         scales: metres per unit of x, y, z.
-        turned: whether its quaternion follows.
+        has_orientation: whether its quaternion follows.
     """
 
     first: int
     scales: tuple[float, ...]
-    turned: bool
+    has_orientation: bool
 
 
 class MarkerStream:
@@ -49,14 +49,14 @@ class MarkerStream:
     Attributes:
         ignored: why -> how many samples: "absurd" (a place that no room has).
         packets: samples that came in.
-        heard: when a marker came in last, ``monotonic`` seconds; None before.
+        last_arrival: when a marker came in last, ``monotonic`` seconds; None before.
         clock: the sender's.
-        strangers: none; LSL itself decides who may send.
+        refused_hosts: none; LSL itself decides who may send.
         address: what is listened to.
         problem: why the stream cannot be used, or None.
     """
 
-    def __init__(self, name: str, gathering: Gathering, now: Callable[[], float] = monotonic):
+    def __init__(self, name: str, gathering: SampleAssembler, now: Callable[[], float] = monotonic):
         """Prepare.
 
         Args:
@@ -76,9 +76,9 @@ class MarkerStream:
         self._numeric = {pylsl.cf_float32, pylsl.cf_double64, pylsl.cf_int64}
         self._numeric |= {pylsl.cf_int32, pylsl.cf_int16, pylsl.cf_int8}
         self.ignored: Counter[str] = Counter()
-        self.packets, self.heard, self.problem = 0, None, None
-        self.clock, self.address = StreamClock(), f"the LSL stream {shown(name)}"
-        self.strangers: set[str] = set()
+        self.packets, self.last_arrival, self.problem = 0, None, None
+        self.clock, self.address = StreamClock(), f"the LSL stream {short_repr(name)}"
+        self.refused_hosts: set[str] = set()
         self._name, self._gathering, self._now = name, gathering, now
         self._stop = Event()
         self._thread = Thread(target=self._listen, name="markers", daemon=True)
@@ -88,7 +88,7 @@ class MarkerStream:
         """How often the sender's clock was set."""
         return self.clock.jumps
 
-    def sent(self) -> dict[str, int]:
+    def packets_by_sender(self) -> dict[str, int]:
         """Sender -> packets that came in from there."""
         return {self._name: self.packets}
 
@@ -111,13 +111,13 @@ class MarkerStream:
             try:
                 found = self._lsl.resolve_byprop("name", self._name, timeout=LOOKING_S)
                 if found:
-                    self._hear(self._lsl.StreamInlet(found[0], max_buflen=1, recover=False))
+                    self._receive(self._lsl.StreamInlet(found[0], max_buflen=1, recover=False))
             except (RuntimeError, ValueError):
                 # Who sent has gone, maybe somebody comes back; or it describes itself in bytes
                 # that are not UTF-8.
                 self._stop.wait(WAITING_S)
 
-    def _hear(self, inlet: Any) -> None:
+    def _receive(self, inlet: Any) -> None:
         try:
             self._take(inlet)
         finally:
@@ -135,16 +135,16 @@ class MarkerStream:
             placed = []
             for name, (first, scales, turned) in channels.items():
                 x, y, z = (values[first + axis] * scale for axis, scale in enumerate(scales))
-                if max(abs(x), abs(y), abs(z)) > FARTHEST_M:
+                if max(abs(x), abs(y), abs(z)) > MAX_DISTANCE_M:
                     self.ignored["absurd"] += 1
                 elif math.isfinite(x + y + z):
                     turn = unit_quaternion(values[first + 3 : first + 7]) if turned else None
-                    placed.append(Placed((name,), (x, y, z), turn))
+                    placed.append(MarkerMessage((name,), (x, y, z), turn))
             if placed:
-                self.heard = arrived
+                self.last_arrival = arrived
                 self._gathering.add(placed, self.clock.time(arrived, stamp), arrived, True)
 
-    def _channels(self, info: Any) -> dict[str, Channels]:
+    def _channels(self, info: Any) -> dict[str, MarkerChannels]:
         """Marker -> where it is."""
         if info.channel_format() not in self._numeric:
             self.problem = "expected channels of numbers, found text"
@@ -159,11 +159,11 @@ class MarkerStream:
         for i, label in enumerate(labels):
             name = label.removesuffix(".x")
             if labels[i : i + 3] == [name + axis for axis in AXES]:
-                scales = tuple(UNITS.get(unit, math.nan) for unit in units[i : i + 3])
+                scales = tuple(METRES_PER_UNIT.get(unit, math.nan) for unit in units[i : i + 3])
                 turned = labels[i + 3 : i + 7] == [name + part for part in TURN]
-                found[name] = Channels(i, scales, turned)
+                found[name] = MarkerChannels(i, scales, turned)
         if not found or any(math.isnan(scale) for each in found.values() for scale in each.scales):
-            found_labels = listed(labels[:6]) or "none"
+            found_labels = comma_list(labels[:6]) or "none"
             expected = "expected channels Name.x, Name.y, Name.z in m or mm"
             self.problem = f"{expected}, found {found_labels}"
         return found

@@ -22,7 +22,7 @@ from pythonosc.osc_message import ParseError as MessageError
 from pythonosc.parsing.osc_types import ParseError as TypesError
 
 # Farther from the origin no room is, metres.
-FARTHEST_M = 100.0
+MAX_DISTANCE_M = 100.0
 # Bundles within bundles, elements of one, and characters of a name: more is an attack.
 DEEPEST, MOST_MESSAGES, LONGEST_NAME = 3, 256, 64
 _BUNDLE, _HEADER, _NOW = b"#bundle\0", 16, 1
@@ -37,35 +37,35 @@ class BadPacketError(Exception):
     """A datagram that is to be ignored; the message is one word of why."""
 
 
-class Placed(NamedTuple):
+class MarkerMessage(NamedTuple):
     """One marker of a packet.
 
     Attributes:
         names: what it may be called, the first that somebody knows counts.
         position: (x, y, z) metres, the sender's axes; None where only its turn is told.
-        turn: quaternion (x, y, z, w) from its own axes to the sender's, or None.
+        orientation: quaternion (x, y, z, w) from its own axes to the sender's, or None.
     """
 
     names: tuple[str, ...]
     position: tuple[float, float, float] | None
-    turn: tuple[float, float, float, float] | None = None
+    orientation: tuple[float, float, float, float] | None = None
 
 
 class Packet(NamedTuple):
     """What one datagram told.
 
     Attributes:
-        placed: its markers; none where it is about something else.
+        markers: its markers; none where it is about something else.
         stamp: the sender's seconds, or None where it does not say.
-        whole: whether it is a bundle, which holds all that belongs together.
+        is_bundle: whether it is a bundle, which holds all that belongs together.
     """
 
-    placed: tuple[Placed, ...]
+    markers: tuple[MarkerMessage, ...]
     stamp: float | None
-    whole: bool
+    is_bundle: bool
 
 
-def parse(datagram: bytes, raw: bool = False) -> Packet:
+def parse_packet(datagram: bytes, raw: bool = False) -> Packet:
     """Read one datagram.
 
     Args:
@@ -134,7 +134,7 @@ def _arguments(message: bytes) -> list:
         raise BadPacketError("malformed") from None
 
 
-def _device(message: bytes, address: bytes) -> Placed:
+def _device(message: bytes, address: bytes) -> MarkerMessage:
     """One of VMC's devices; a headset is called Hmd as well, whatever its serial is."""
     numbers = _numbers(message, 7, 1)
     serial = _arguments(message)[0]
@@ -142,18 +142,18 @@ def _device(message: bytes, address: bytes) -> Placed:
         raise BadPacketError("malformed")
     kind = address.split(b"/")[3].decode()
     names = (serial, kind) if kind == "Hmd" else (serial,)
-    return Placed(names, _position(numbers[:3]), unit_quaternion(numbers[3:]))
+    return MarkerMessage(names, _position(numbers[:3]), unit_quaternion(numbers[3:]))
 
 
-def _tracker(message: bytes, address: bytes) -> Placed:
+def _tracker(message: bytes, address: bytes) -> MarkerMessage:
     """One of VRChat's trackers: where it is, or how it is turned."""
     number, _, kind = address[len(_TRACKERS) :].rpartition(b"/")
     if len(number) > LONGEST_NAME:
         raise BadPacketError("malformed")
     name, values = number.decode("ascii", "replace"), _numbers(message, 3, 0)
     if b"/" + kind == _POSITION:
-        return Placed((name,), _position(values))
-    return Placed((name,), None, _euler(values))
+        return MarkerMessage((name,), _position(values))
+    return MarkerMessage((name,), None, _euler(values))
 
 
 def _euler(degrees: list[float]) -> tuple[float, float, float, float]:
@@ -181,7 +181,7 @@ def unit_quaternion(numbers: Sequence[float]) -> tuple[float, float, float, floa
 
 
 def _position(numbers: list[float]) -> tuple[float, float, float]:
-    if max(map(abs, numbers)) > FARTHEST_M:
+    if max(map(abs, numbers)) > MAX_DISTANCE_M:
         raise BadPacketError("absurd")
     x, y, z = numbers
     return x, y, z

@@ -7,21 +7,21 @@ from collections import deque
 
 import numpy as np
 
-from jaxmocap.capture.markers import interpolate, median_interval
+from jaxmocap.capture.markers import interpolate_markers, median_interval
 
 # So many samples of each marker are remembered.
-REMEMBERED = 12
+KEPT_SAMPLES = 12
 # Who is late by less of an interval still comes; until then it is where one interval led.
 LATE_INTERVALS = 1.6
 
 
-class Trail:
+class RecentMarkers:
     """The newest samples of M markers, each at its own rate."""
 
     def __init__(self, markers: int):
         """Of so many markers, none seen yet."""
-        self._times = [deque[float](maxlen=REMEMBERED) for _ in range(markers)]
-        self._points = [deque[np.ndarray](maxlen=REMEMBERED) for _ in range(markers)]
+        self._times = [deque[float](maxlen=KEPT_SAMPLES) for _ in range(markers)]
+        self._points = [deque[np.ndarray](maxlen=KEPT_SAMPLES) for _ in range(markers)]
 
     def add(self, time: float, positions_world: np.ndarray) -> None:
         """A sample (M, 3), later than the last; NaN where missing."""
@@ -42,5 +42,5 @@ class Trail:
                 else:
                     time_there = time
                 at = np.array([time_there])
-                found[marker] = interpolate(*past, at, causal=ahead > 0)[0, 0]
+                found[marker] = interpolate_markers(*past, at, causal=ahead > 0)[0, 0]
         return found

@@ -10,60 +10,60 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.body.orientations import matrices
-from jaxmocap.capture.streams.osc import Placed
+from jaxmocap.capture.streams.osc import MarkerMessage
 
 # A marker that was not sent for so long is not waited for, seconds.
-ALIVE_S = 0.25
+SENT_WITHIN_S = 0.25
 # Of one moment are markers that come within so many seconds.
 TOGETHER_S = 0.005
 # Where turns come in messages of their own, the last one counts for so many seconds.
-TURNED_S = 0.05
+ORIENTATION_VALID_S = 0.05
 
 
-class Measured(NamedTuple):
+class MarkerMeasurements(NamedTuple):
     """What the senders said of M markers.
 
     Attributes:
         positions_world: (M, 3) metres; NaN where missing.
-        turns_world: (M, 3, 3) from their own axes, which are turned as the sender's are to make
+        orientations_world: (M, 3, 3) from their own axes, which are turned as the sender's are to make
             the world's; NaN where not known.
     """
 
     positions_world: np.ndarray
-    turns_world: np.ndarray
+    orientations_world: np.ndarray
 
 
-class Sample(NamedTuple):
+class MarkerSample(NamedTuple):
     """All points at one time.
 
     Attributes:
         time: seconds.
         positions_world: (P, 3) metres of the points on bones; NaN where missing.
         arrived: when its last packet came in, seconds on the same clock.
-        measured: what they were made of; None where markers are the points.
+        measurements: what they were made of; None where markers are the points.
     """
 
     time: float
     positions_world: np.ndarray
     arrived: float
-    measured: Measured | None = None
+    measurements: MarkerMeasurements | None = None
 
 
-class Gathering:
+class SampleAssembler:
     """Gives out a sample when every marker that is still sent has come, or one comes again.
 
     Attributes:
-        unknown: names that were sent and are no markers of ours, at most ``MOST_UNKNOWN``.
+        unknown: names that were sent and are no markers of ours, at most ``MAX_UNKNOWN``.
     """
 
-    MOST_UNKNOWN = 16
+    MAX_UNKNOWN = 16
 
     def __init__(
         self,
         markers: Sequence[str],
         aliases: Mapping[str, str],
         R_world_source: np.ndarray,
-        give: Callable[[Sample], None],
+        on_sample: Callable[[MarkerSample], None],
         bind: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
     ):
         """Begin with no marker.
@@ -72,72 +72,81 @@ class Gathering:
             markers: names of the M markers.
             aliases: a sender's name -> marker.
             R_world_source: (3, 3) to the world's axes.
-            give: called with every sample.
+            on_sample: called with every sample.
             bind: positions (M, 3) and turns (M, 3, 3) to points on bones (P, 3); without it the
                 markers are the points.
         """
         self._index = {name: i for i, name in enumerate(markers)}
         self._index |= {name: self._index[marker] for name, marker in aliases.items()}
-        self._names, self._R, self._give = tuple(markers), R_world_source, give
+        self._names, self._R_world_source, self._on_sample = (
+            tuple(markers),
+            R_world_source,
+            on_sample,
+        )
         self._bind = bind
-        self._heard = np.full(len(markers), -np.inf)
-        self._points: dict[int, Placed] = {}
-        self._turns: dict[int, tuple[float, Placed]] = {}
-        self._time, self._arrived, self._last = 0.0, 0.0, -np.inf
+        self._last_arrivals = np.full(len(markers), -np.inf)
+        self._messages: dict[int, MarkerMessage] = {}
+        self._orientations: dict[int, tuple[float, MarkerMessage]] = {}
+        self._time, self._arrived, self._last_time = 0.0, 0.0, -np.inf
         self.unknown: set[str] = set()
 
-    def add(self, placed: Iterable[Placed], time: float, arrived: float, whole: bool) -> None:
+    def add(
+        self, messages: Iterable[MarkerMessage], time: float, arrived: float, is_complete: bool
+    ) -> None:
         """Take what one packet brought.
 
         Args:
-            placed: its markers.
+            messages: its markers.
             time: seconds, when it was sent.
             arrived: seconds, when it came in.
-            whole: whether nothing else belongs to it.
+            is_complete: whether nothing else belongs to it.
         """
-        if self._points and (whole or time - self._time > TOGETHER_S):
+        if self._messages and (is_complete or time - self._time > TOGETHER_S):
             self._flush()
-        for each in placed:
+        for each in messages:
             marker = next((self._index[name] for name in each.names if name in self._index), None)
             if marker is None:
-                if len(self.unknown) < self.MOST_UNKNOWN:
+                if len(self.unknown) < self.MAX_UNKNOWN:
                     self.unknown.add(each.names[0])
                 continue
-            if each.turn is not None:
-                self._turns[marker] = arrived, each
+            if each.orientation is not None:
+                self._orientations[marker] = arrived, each
             if each.position is None:
                 continue
-            if marker in self._points:
+            if marker in self._messages:
                 self._flush()
-            if not self._points:
+            if not self._messages:
                 self._time = time
-            self._points[marker], self._heard[marker] = each, arrived
+            self._messages[marker], self._last_arrivals[marker] = each, arrived
             self._arrived = arrived
-        alive = np.flatnonzero(arrived - self._heard < ALIVE_S)
-        if self._points and (whole or len(self._points) >= len(alive)):
+        alive = np.flatnonzero(arrived - self._last_arrivals < SENT_WITHIN_S)
+        if self._messages and (is_complete or len(self._messages) >= len(alive)):
             self._flush()
 
     def missing(self, now: float) -> list[str]:
         """Markers that do not come in while others do."""
-        silent = now - self._heard > ALIVE_S
+        silent = now - self._last_arrivals > SENT_WITHIN_S
         return [] if silent.all() else [self._names[i] for i in np.flatnonzero(silent)]
 
     def _flush(self) -> None:
         """Give out what is there, at a time that is later than the last one's."""
-        measured = self._measured()
-        self._last = max(self._time, self._last + 1e-4)
-        self._points = {}
+        measured = self._measurements()
+        self._last_time = max(self._time, self._last_time + 1e-4)
+        self._messages = {}
         points = measured.positions_world if self._bind is None else self._bind(*measured)
-        self._give(Sample(self._last, points, self._arrived, measured))
+        self._on_sample(MarkerSample(self._last_time, points, self._arrived, measured))
 
-    def _measured(self) -> Measured:
+    def _measurements(self) -> MarkerMeasurements:
         """The markers in the world's axes."""
-        positions = np.full((len(self._heard), 3), np.nan)
-        quaternions = np.full((len(self._heard), 4), np.nan)
-        for marker, placed in self._points.items():
+        positions = np.full((len(self._last_arrivals), 3), np.nan)
+        quaternions = np.full((len(self._last_arrivals), 4), np.nan)
+        for marker, placed in self._messages.items():
             positions[marker] = placed.position
-            arrived, turned = self._turns.get(marker, (-np.inf, placed))
-            if turned.turn is not None and self._arrived - arrived < TURNED_S:
-                x, y, z, w = turned.turn
+            arrived, turned = self._orientations.get(marker, (-np.inf, placed))
+            if turned.orientation is not None and self._arrived - arrived < ORIENTATION_VALID_S:
+                x, y, z, w = turned.orientation
                 quaternions[marker] = w, x, y, z
-        return Measured(positions @ self._R.T, self._R @ matrices(quaternions) @ self._R.T)
+        return MarkerMeasurements(
+            positions @ self._R_world_source.T,
+            self._R_world_source @ matrices(quaternions) @ self._R_world_source.T,
+        )

@@ -7,9 +7,9 @@ clock that hold the sender's rhythm, not the network's.
 # A step of the sender's clock is no network's delay, seconds.
 JUMP_S = 0.25
 # So many seconds a second the clocks may drift apart.
-DRIFT = 2e-4
+MAX_DRIFT = 2e-4
 # Packets that come so much later were not sent together, seconds.
-APART_S = 0.005
+SEPARATE_S = 0.005
 # Stamps beyond (seconds since 1900 are 4e9) are too coarse to tell a rhythm by.
 LARGEST_STAMP_S = 1e10
 
@@ -39,7 +39,7 @@ class StreamClock:
             return arrival
         apart = arrival - stamp
         passed = 0.0 if self._offset is None else stamp - self._stamp
-        stands = passed <= 0 and arrival - self._arrival > APART_S
+        stands = passed <= 0 and arrival - self._arrival > SEPARATE_S
         self._stamp, self._arrival = stamp, arrival
         if self._offset is None:
             self._offset = apart
@@ -49,5 +49,5 @@ class StreamClock:
         elif stands:
             # A clock that does not run tells nothing.
             return arrival
-        self._offset = min(apart, self._offset + DRIFT * max(passed, 0.0))
+        self._offset = min(apart, self._offset + MAX_DRIFT * max(passed, 0.0))
         return min(stamp + self._offset, arrival)

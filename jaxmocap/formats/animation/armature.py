@@ -13,7 +13,7 @@ import numpy as np
 from jaxmocap.formats.files.errors import InputError
 
 # Orientations that are worked on at a time.
-TURNS_AT_ONCE = 250_000
+BLOCK_ROTATIONS = 250_000
 
 
 class BeyondFormatError(InputError):
@@ -50,7 +50,7 @@ class Armature:
         return tuple(j for j in range(len(self.names)) if j not in self.parents)
 
     @property
-    def known(self) -> np.ndarray:
+    def is_known(self) -> np.ndarray:
         """(T,) is the pose known?"""
         return np.isfinite(self.positions.sum(-1) + self.rotations.sum((1, 2, 3)))
 
@@ -67,7 +67,7 @@ def joint_positions(armature: Armature) -> np.ndarray:
     return points
 
 
-def turned(armature: Armature, R_new_old: np.ndarray) -> Armature:
+def rotated_armature(armature: Armature, R_new_old: np.ndarray) -> Armature:
     """The armature in other axes."""
     rotations = np.empty(armature.rotations.shape)
     for some in _blocks(armature):
@@ -82,18 +82,18 @@ def turned(armature: Armature, R_new_old: np.ndarray) -> Armature:
 
 def _blocks(armature: Armature) -> Iterator[slice]:
     """Samples in a row, so few that of a long motion no second copy is in memory."""
-    size = max(1, TURNS_AT_ONCE // len(armature.names))
+    size = max(1, BLOCK_ROTATIONS // len(armature.names))
     for first in range(0, len(armature.times), size):
         yield slice(first, first + size)
 
 
-def settled(armature: Armature, path: str | Path) -> Armature:
+def fill_from_nearest(armature: Armature, path: str | Path) -> Armature:
     """Where the pose is unknown, that of the nearest sample where it is known.
 
     Raises:
         InputError: it is known nowhere; ``path`` is what the message names.
     """
-    known = np.flatnonzero(armature.known)
+    known = np.flatnonzero(armature.is_known)
     if not len(known):
         raise InputError(path, "no pose is known in any sample")
     if len(known) == len(armature.times):

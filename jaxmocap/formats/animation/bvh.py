@@ -23,12 +23,12 @@ from jaxmocap.formats.animation.armature import Armature, BeyondFormatError
 from jaxmocap.formats.animation.joint_names import end_of
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.lines import numbered_lines
-from jaxmocap.formats.files.short_repr import name_shown, shown
+from jaxmocap.formats.files.short_repr import short_name, short_repr
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series.tables import (
     FARTHEST_M,
     LARGEST_NUMBER,
-    LONGEST_NAME,
+    MAX_NAME_CHARACTERS,
     SHORTEST_STEP_S,
     declared_count,
     even_rate,
@@ -39,24 +39,24 @@ from jaxmocap.geometry.euler import continuous_euler
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 # From pelvis to finger tips (or toes) an adult measures so much, metres; inches then fit no other.
-LONGEST_WAY_M = (1.0, 2.2)
-_TOLD = ("m", "cm", "mm")
-ORDER = "ZXY"
+ROOT_TO_TIP_M = (1.0, 2.2)
+_GUESSED_UNITS = ("m", "cm", "mm")
+EULER_ORDER = "ZXY"
 _POSITIONS = ("Xposition", "Yposition", "Zposition")
 _CHANNELS = {f"{axis}{kind}".lower() for axis in "XYZ" for kind in ("position", "rotation")}
 # A joint other than the root may have position channels, but not slide by more than this.
-SLIDES_M = 1e-3
+MAX_SLIDE_M = 1e-3
 # What a file may hold: joints (fingers and faces take some hundred), how deep below one another.
-MOST_JOINTS = 2000
-MOST_DEPTH = 200
-_MOST_HIERARCHY_LINES = 100_000
+MAX_JOINTS = 2000
+MAX_DEPTH = 200
+_MAX_HIERARCHY_LINES = 100_000
 # Orientations, joints times frames: half an hour of 25 joints at 200 Hz is 9 million.
-MOST_TURNS = 10_000_000
+MAX_ROTATIONS = 10_000_000
 # Seconds per frame, at most.
 LONGEST_STEP_S = 1e4
 # What is in memory at a time while a file is written: orientations, frames.
-TURNS_AT_ONCE = 1_200_000
-FRAMES_AT_ONCE = 4096
+BLOCK_ROTATIONS = 1_200_000
+BLOCK_FRAMES = 4096
 
 
 def write_bvh(path: str | Path, armature: Armature, unit: str = "m") -> None:
@@ -67,8 +67,8 @@ def write_bvh(path: str | Path, armature: Armature, unit: str = "m") -> None:
         BeyondFormatError: joints too deep below one another, or a rate that no file has.
     """
     rate = even_rate(path, armature.times)
-    if not armature.known.all():
-        missing = int((~armature.known).sum())
+    if not armature.is_known.all():
+        missing = int((~armature.is_known).sum())
         raise InputError(path, f"{missing} samples have no pose, BVH needs one for every frame")
     if not SHORTEST_STEP_S <= 1 / rate <= LONGEST_STEP_S:
         raise BeyondFormatError(path, f"BVH holds no {rate:g} frames per second")
@@ -94,12 +94,12 @@ def _rows(armature: Armature, order: list[int], scale: float) -> Iterator[str]:
     count = len(armature.times)
     angles = np.empty((count, len(order), 3))
     # Joints do not depend on one another; of long motions not all need be in memory thrice.
-    width = max(1, TURNS_AT_ONCE // count)
+    width = max(1, BLOCK_ROTATIONS // count)
     for first in range(0, len(order), width):
         some = slice(first, first + width)
-        angles[:, some] = continuous_euler(armature.rotations[:, order[some]], ORDER)
-    for first in range(0, count, FRAMES_AT_ONCE):
-        some = slice(first, first + FRAMES_AT_ONCE)
+        angles[:, some] = continuous_euler(armature.rotations[:, order[some]], EULER_ORDER)
+    for first in range(0, count, BLOCK_FRAMES):
+        some = slice(first, first + BLOCK_FRAMES)
         turns = np.degrees(angles[some]).reshape(-1, 3 * len(order))
         values = np.concatenate([armature.positions[some] * scale, turns], 1)
         # A zero has no sign.
@@ -124,14 +124,14 @@ def _joint_lines(
             # After the root nothing is open any more.
             yield from ["\t" * (depth - 1) + "}"] if around else []
             continue
-        if depth >= MOST_DEPTH:
-            problem = f"joints hang more than {MOST_DEPTH} deep below one another"
+        if depth >= MAX_DEPTH:
+            problem = f"joints hang more than {MAX_DEPTH} deep below one another"
             raise BeyondFormatError(path, problem)
         if joint in tips:
             yield from _end_lines(indent, armature.offsets[joint] * scale)
             continue
         order.append(joint)
-        rotations = [f"{axis}rotation" for axis in ORDER]
+        rotations = [f"{axis}rotation" for axis in EULER_ORDER]
         channels = rotations if depth else [*_POSITIONS, *rotations]
         yield f"{indent}{'JOINT' if depth else 'ROOT'} {'_'.join(armature.names[joint].split())}"
         yield f"{indent}{{"
@@ -173,36 +173,38 @@ def read_bvh(path: str | Path, unit: str | None = None) -> Armature:
     joints = _hierarchy(path, lines)
     offsets = np.array([joint.offset for joint in joints])
     if unit is None:
-        unit = _unit(path, [joint.parent for joint in joints], offsets)
+        unit = _guessed_unit(path, [joint.parent for joint in joints], offsets)
     step, values = _frames(path, lines, joints)
     offsets, values_scale = offsets * METRES[unit], METRES[unit]
-    _check_reach(path, offsets)
+    _check_extent(path, offsets)
     R = np.tile(np.eye(3), (len(values), len(joints), 1, 1))
     positions, first = np.zeros((len(values), 3)) + offsets[0], 0
     for j, joint in enumerate(joints):
         columns = values[:, first : (first := first + len(joint.channels))]
-        moved = _moved(joint, columns * values_scale, offsets[j])
-        R[:, j] = _turns(joint, columns)
+        moved = _local_positions(joint, columns * values_scale, offsets[j])
+        R[:, j] = _local_rotations(joint, columns)
         if j == 0:
             positions = moved
-        elif len(moved) and np.ptp(moved, axis=0).max() > SLIDES_M:
-            raise InputError(path, f"joint {shown(joint.name)} slides by more than a millimetre")
+        elif len(moved) and np.ptp(moved, axis=0).max() > MAX_SLIDE_M:
+            raise InputError(
+                path, f"joint {short_repr(joint.name)} slides by more than a millimetre"
+            )
         else:
             offsets[j] = moved[0]
-    _check_reach(path, positions)
+    _check_extent(path, positions)
     offsets[0] = 0.0
     names, parents = tuple(j.name for j in joints), tuple(j.parent for j in joints)
     return Armature(names, parents, offsets, step * np.arange(len(values)), positions, R)
 
 
-def _check_reach(path: str | Path, points: np.ndarray) -> None:
+def _check_extent(path: str | Path, points: np.ndarray) -> None:
     """InputError where one of (N, 3) points, metres, is nowhere on earth."""
     if (farthest := np.abs(points).max()) > FARTHEST_M:
         expected = f"expected places within {FARTHEST_M:g} m"
         raise InputError(path, f"found a place {farthest:g} m away, {expected}")
 
 
-def _moved(joint: _Joint, columns: np.ndarray, offset: np.ndarray) -> np.ndarray:
+def _local_positions(joint: _Joint, columns: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """(T, 3) places in the parent's frame: position channels stand in place of the offset."""
     moved = np.tile(offset, (len(columns), 1))
     for i, channel in enumerate(joint.channels):
@@ -211,7 +213,7 @@ def _moved(joint: _Joint, columns: np.ndarray, offset: np.ndarray) -> np.ndarray
     return moved
 
 
-def _turns(joint: _Joint, columns: np.ndarray) -> np.ndarray:
+def _local_rotations(joint: _Joint, columns: np.ndarray) -> np.ndarray:
     """(T, 3, 3) rotations, of the channels in their order from left to right."""
     turning = [i for i, channel in enumerate(joint.channels) if channel.endswith("rotation")]
     if not turning:
@@ -222,20 +224,20 @@ def _turns(joint: _Joint, columns: np.ndarray) -> np.ndarray:
     )
 
 
-def _unit(path: str | Path, parents: list[int], offsets: np.ndarray) -> str:
+def _guessed_unit(path: str | Path, parents: list[int], offsets: np.ndarray) -> str:
     """The unit in which the body is as large as a person."""
     ways = np.linalg.norm(offsets, axis=-1)
     ways[0] = 0.0
     for j, parent in enumerate(parents):
         if parent >= 0:
             ways[j] += ways[parent]
-    low, high = LONGEST_WAY_M
-    fitting = [unit for unit in _TOLD if low <= ways.max() * METRES[unit] <= high]
+    low, high = ROOT_TO_TIP_M
+    fitting = [unit for unit in _GUESSED_UNITS if low <= ways.max() * METRES[unit] <= high]
     if not fitting:
         raise InputError(
             path,
             f"the longest way from root to tip is {ways.max():.4g}, an adult's in none of "
-            f"{', '.join(_TOLD)}: say the unit (--unit {', '.join(METRES)})",
+            f"{', '.join(_GUESSED_UNITS)}: say the unit (--unit {', '.join(METRES)})",
         )
     return fitting[0]
 
@@ -247,16 +249,16 @@ def _hierarchy(path: str | Path, lines: Iterator[tuple[int, str]]) -> list[_Join
     number, first = next(lines)
     if first.strip().upper() != "HIERARCHY":
         raise InputError(path, f"line 1: found {first[:20]!r}, expected 'HIERARCHY'")
-    for number, line in islice(lines, _MOST_HIERARCHY_LINES):
+    for number, line in islice(lines, _MAX_HIERARCHY_LINES):
         words = line.split()
         key = words[0].upper() if words else "{"
         if key == "MOTION" and joints and not open_joints:
             _check_joints(path, joints)
             return joints
         try:
-            _take(joints, open_joints, key, words)
+            _parse_line(joints, open_joints, key, words)
         except (IndexError, ValueError) as error:
-            found = shown(" ".join(words)[:40])
+            found = short_repr(" ".join(words)[:40])
             detail = f", {error}" if isinstance(error, _ExpectedError) else ""
             raise InputError(path, f"line {number}: found {found}{detail}") from None
     raise InputError(path, f"line {number}: the file ends within its hierarchy")
@@ -266,7 +268,7 @@ class _ExpectedError(ValueError):
     """Says what was expected in a line."""
 
 
-def _take(joints: list[_Joint], open_joints: list[int], key: str, words: list[str]) -> None:
+def _parse_line(joints: list[_Joint], open_joints: list[int], key: str, words: list[str]) -> None:
     """Understand one line of the hierarchy."""
     above = open_joints[-1] if open_joints else -1
     if key in ("OFFSET", "CHANNELS") and above < 0:
@@ -274,12 +276,12 @@ def _take(joints: list[_Joint], open_joints: list[int], key: str, words: list[st
     if key in ("ROOT", "JOINT", "END"):
         if (key == "ROOT") != (above < 0) or (key == "ROOT" and joints):
             raise _ExpectedError("expected one root, and joints within it")
-        if len(joints) >= MOST_JOINTS or len(open_joints) >= MOST_DEPTH:
-            most = f"at most {MOST_JOINTS} joints, {MOST_DEPTH} deep below one another"
+        if len(joints) >= MAX_JOINTS or len(open_joints) >= MAX_DEPTH:
+            most = f"at most {MAX_JOINTS} joints, {MAX_DEPTH} deep below one another"
             raise _ExpectedError(f"expected {most}")
         name = " ".join(words[1:]) if key != "END" else end_of(joints[above].name)
-        if key != "END" and not (name.isprintable() and len(name) <= LONGEST_NAME):
-            expected = f"expected a name that prints, of at most {LONGEST_NAME} characters"
+        if key != "END" and not (name.isprintable() and len(name) <= MAX_NAME_CHARACTERS):
+            expected = f"expected a name that prints, of at most {MAX_NAME_CHARACTERS} characters"
             raise _ExpectedError(expected)
         joints.append(_Joint(name, above))
         open_joints.append(len(joints) - 1)
@@ -295,7 +297,7 @@ def _take(joints: list[_Joint], open_joints: list[int], key: str, words: list[st
         if joints[above].channels:
             raise _ExpectedError("expected CHANNELS once for each joint")
         if declared_count(words[1]) != len(channels) or len(set(channels)) != len(channels):
-            raise _ExpectedError(f"expected {name_shown(words[1])} different channels")
+            raise _ExpectedError(f"expected {short_name(words[1])} different channels")
         if not set(channels) <= _CHANNELS:
             raise _ExpectedError("expected channels such as Xposition or Zrotation")
         joints[above].channels = channels
@@ -307,11 +309,11 @@ def _check_joints(path: str | Path, joints: list[_Joint]) -> None:
     names = [joint.name for joint in joints]
     for i, joint in enumerate(joints):
         if not joint.offset:
-            raise InputError(path, f"joint {shown(joint.name)} has no OFFSET")
+            raise InputError(path, f"joint {short_repr(joint.name)} has no OFFSET")
         if joint.name in names[:i]:
             # Only end sites of one joint may be called alike.
             if joint.channels or not joint.name.endswith("_end"):
-                raise InputError(path, f"joint {shown(joint.name)} is named twice")
+                raise InputError(path, f"joint {short_repr(joint.name)} is named twice")
             joint.name = f"{joint.name}{names[:i].count(joint.name) + 1}"
 
 
@@ -319,16 +321,16 @@ def _frames(
     path: str | Path, lines: Iterator[tuple[int, str]], joints: list[_Joint]
 ) -> tuple[float, np.ndarray]:
     """Seconds between frames, and the channels' values (T, C)."""
-    line, frames = _stated(path, lines, "Frames:")
+    line, frames = _header_number(path, lines, "Frames:")
     if not (0 <= frames <= LARGEST_NUMBER and frames == int(frames)):
         raise InputError(path, f"line {line}: found {frames:g}, expected how many frames")
-    time_line, step = _stated(path, lines, "Frame Time:")
+    time_line, step = _header_number(path, lines, "Frame Time:")
     if not SHORTEST_STEP_S <= step <= LONGEST_STEP_S:
         expected = f"expected seconds per frame, {SHORTEST_STEP_S:g} to {LONGEST_STEP_S:g}"
         raise InputError(path, f"line {time_line}: found {step:g}, {expected}")
     rows = ((number, line.split()) for number, line in lines)
     columns = sum(len(joint.channels) for joint in joints)
-    values, _ = parse_rows(path, rows, columns, MOST_TURNS // len(joints) * columns)
+    values, _ = parse_rows(path, rows, columns, MAX_ROTATIONS // len(joints) * columns)
     if np.isnan(values).any():
         raise InputError(path, "a channel's value is not a number")
     if len(values) < frames:
@@ -337,13 +339,15 @@ def _frames(
     return step, values
 
 
-def _stated(path: str | Path, lines: Iterator[tuple[int, str]], key: str) -> tuple[int, float]:
+def _header_number(
+    path: str | Path, lines: Iterator[tuple[int, str]], key: str
+) -> tuple[int, float]:
     """The next line's number, and the number that follows the key in it."""
     for line, text in lines:
         if words := " ".join(text.split()):
             try:
                 return line, float(words.lower().removeprefix(key.lower()))
             except ValueError:
-                problem = f"found {shown(words)}, expected '{key}' and a number"
+                problem = f"found {short_repr(words)}, expected '{key}' and a number"
                 raise InputError(path, f"line {line}: {problem}") from None
     raise InputError(path, "the file ends before its first frame")

@@ -21,17 +21,17 @@ from scipy.spatial.transform import Rotation
 import jaxmocap
 from jaxmocap.body.origin import local_origin
 from jaxmocap.formats.animation.armature import Armature, BeyondFormatError
-from jaxmocap.formats.animation.skinned_mesh import BoundMesh, limbs_of
-from jaxmocap.formats.animation.glb import Binary, write_document
+from jaxmocap.formats.animation.glb import BinaryChunk, write_document
+from jaxmocap.formats.animation.skinned_mesh import SkinnedMesh, limb_mesh
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.time_series.gaps import held
+from jaxmocap.formats.time_series.gaps import hold_across_gaps
 
 SKIN_COLOUR = (0.62, 0.68, 0.76, 1.0)
 _ARRAYS, _INDICES = 34962, 34963
 
 
 def write_gltf(
-    path: str | Path, armature: Armature, mesh: BoundMesh | None = None, still: bool = False
+    path: str | Path, armature: Armature, mesh: SkinnedMesh | None = None, still: bool = False
 ) -> None:
     """Write an armature as a .glb file.
 
@@ -45,14 +45,14 @@ def write_gltf(
         InputError: no pose is known.
         BeyondFormatError: it lasts too long for its samples to be told apart.
     """
-    if not armature.known.any():
+    if not armature.is_known.any():
         raise InputError(path, "no pose is known in any sample")
     origin = local_origin(armature.positions)
     armature = replace(armature, positions=armature.positions - origin)
-    motion = held(armature)
+    motion = hold_across_gaps(armature)
     _check_keys(path, motion.times)
-    mesh = limbs_of(armature) if mesh is None else mesh
-    binary, joints = Binary(), list(range(len(armature.names)))
+    mesh = limb_mesh(armature) if mesh is None else mesh
+    binary, joints = BinaryChunk(), list(range(len(armature.names)))
     body = {"name": "body", "mesh": 0, "skin": 0}
     document = {
         "asset": {"version": "2.0", "generator": f"jaxmocap {jaxmocap.__version__}"},
@@ -60,15 +60,15 @@ def write_gltf(
         "scenes": [{"nodes": [0, len(joints)]}],
         "nodes": [*_nodes(armature), body],
         "meshes": [{"name": "body", "primitives": [_primitive(binary, mesh)]}],
-        "materials": [{"pbrMetallicRoughness": _surface(mesh), "doubleSided": True}],
+        "materials": [{"pbrMetallicRoughness": _material(mesh), "doubleSided": True}],
         "skins": [{"joints": joints, "skeleton": 0, "inverseBindMatrices": binary.add(mesh.bind)}],
     }
     if not still:
         animation = _animation(binary, motion)
         animation["extras"] |= {"origin": origin.tolist()} if origin.any() else {}
         document["animations"] = [animation]
-    if mesh.picture is not None:
-        view = binary.add_bytes(mesh.picture)
+    if mesh.texture is not None:
+        view = binary.add_bytes(mesh.texture)
         document["images"] = [{"bufferView": view, "mimeType": "image/png"}]
         document["textures"] = [{"source": 0}]
     write_document(path, document, binary)
@@ -81,9 +81,9 @@ def _check_keys(path: str | Path, times: np.ndarray) -> None:
         raise BeyondFormatError(path, f"{problem} s fall together")
 
 
-def _surface(mesh: BoundMesh) -> dict[str, Any]:
+def _material(mesh: SkinnedMesh) -> dict[str, Any]:
     dull = {"metallicFactor": 0.0, "roughnessFactor": 0.8}
-    if mesh.picture is not None:
+    if mesh.texture is not None:
         return {"baseColorTexture": {"index": 0}} | dull
     return {"baseColorFactor": SKIN_COLOUR} | dull
 
@@ -95,12 +95,12 @@ def _nodes(armature: Armature) -> list[dict[str, Any]]:
         children = [i for i, parent in enumerate(armature.parents) if parent == j]
         nodes.append(node | ({"children": children} if children else {}))
     # Until the animation plays, the body stands where it begins.
-    first = armature.positions[np.flatnonzero(armature.known)[0]]
+    first = armature.positions[np.flatnonzero(armature.is_known)[0]]
     nodes[0]["translation"] = first.tolist()
     return nodes
 
 
-def _primitive(binary: Binary, mesh: BoundMesh) -> dict[str, Any]:
+def _primitive(binary: BinaryChunk, mesh: SkinnedMesh) -> dict[str, Any]:
     """The mesh's arrays."""
     attributes = {
         "POSITION": binary.add(mesh.vertices, bounded=True, target=_ARRAYS),
@@ -108,13 +108,13 @@ def _primitive(binary: Binary, mesh: BoundMesh) -> dict[str, Any]:
         "JOINTS_0": binary.add(mesh.joints, "<u2", target=_ARRAYS),
         "WEIGHTS_0": binary.add(mesh.weights, target=_ARRAYS),
     }
-    if mesh.places is not None:
-        attributes["TEXCOORD_0"] = binary.add(mesh.places, target=_ARRAYS)
+    if mesh.texture_xy is not None:
+        attributes["TEXCOORD_0"] = binary.add(mesh.texture_xy, target=_ARRAYS)
     indices = binary.add(mesh.triangles.ravel(), "<u4", target=_INDICES)
     return {"attributes": attributes, "indices": indices, "material": 0}
 
 
-def _animation(binary: Binary, armature: Armature) -> dict[str, Any]:
+def _animation(binary: BinaryChunk, armature: Armature) -> dict[str, Any]:
     """Keys of the root's place, and of the turns of joints that ever turn."""
     times = armature.times
     keys = binary.add(times - times[0], bounded=True)

@@ -14,12 +14,12 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.formats.cameras.opencv_yaml import SUFFIXES, read_opencv_yaml
+from jaxmocap.formats.cameras.opencv_yaml import YAML_SUFFIXES, read_opencv_yaml
 from jaxmocap.formats.cameras.toml_sections import replace_entries
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.short_repr import listed, name_shown, shown
+from jaxmocap.formats.files.short_repr import comma_list, short_name, short_repr
 from jaxmocap.formats.files.toml import (
-    Fields,
+    TomlTable,
     file_name_problem,
     parse_toml,
     read_toml,
@@ -33,9 +33,9 @@ from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import log
 
 # A section of this name tells about the calibration, not of a camera.
-METADATA = "metadata"
+METADATA_SECTION = "metadata"
 # How far R Rᵀ may be from the identity: files print four digits or more.
-ORTHONORMAL = 1e-3
+ORTHONORMAL_TOLERANCE = 1e-3
 # Pixels: of a picture's side; of a focal length (a telescope has some million).
 LARGEST_SIZE = 65_536
 SMALLEST_FOCAL, LARGEST_FOCAL = 1e-3, 1e8
@@ -82,7 +82,7 @@ def read_calibration(path: str | Path, origin_world: np.ndarray | None = None) -
     if not sections:
         raise InputError(path, "found no camera section")
     origin = np.zeros(3) if origin_world is None else origin_world
-    each = {name: Fields(path, f"[{name}]", table) for name, table in sections.items()}
+    each = {name: TomlTable(path, f"[{name}]", table) for name, table in sections.items()}
     return {name: _camera(fields, origin) for name, fields in each.items()}
 
 
@@ -94,27 +94,27 @@ def read_lens(path: str | Path, name: str) -> Lens:
     """
     path = Path(path)
     sections = _sections(path)
-    if path.suffix.lower() in SUFFIXES:
-        return _lens(Fields(path, "", next(iter(sections.values()))))
+    if path.suffix.lower() in YAML_SUFFIXES:
+        return _lens(TomlTable(path, "", next(iter(sections.values()))))
     table = pick_camera(path, sections, name)
-    return _lens(Fields(path, f"[{name}]", table))
+    return _lens(TomlTable(path, f"[{name}]", table))
 
 
 def _sections(path: Path) -> dict[str, Any]:
-    if path.suffix.lower() in SUFFIXES:
+    if path.suffix.lower() in YAML_SUFFIXES:
         return read_opencv_yaml(path)
-    return {name: table for name, table in read_toml(path).items() if name != METADATA}
+    return {name: table for name, table in read_toml(path).items() if name != METADATA_SECTION}
 
 
 def pick_camera(path: str | Path, cameras: Mapping[str, _Section], name: str) -> _Section:
     """The camera of that section; InputError lists the sections there are."""
     if name not in cameras:
-        found = f"found {listed(cameras)}" if cameras else "found no camera section"
-        raise InputError(path, f"section [{name_shown(name)}] is missing, {found}")
+        found = f"found {comma_list(cameras)}" if cameras else "found no camera section"
+        raise InputError(path, f"section [{short_name(name)}] is missing, {found}")
     return cameras[name]
 
 
-def _camera(fields: Fields, origin_world: np.ndarray) -> Camera:
+def _camera(fields: TomlTable, origin_world: np.ndarray) -> Camera:
     lens = _lens(fields)
     for key in ("rotation", "translation"):
         if key not in fields:
@@ -128,7 +128,7 @@ def _camera(fields: Fields, origin_world: np.ndarray) -> Camera:
     return Camera.create(size, lens.matrix, lens.distortions, rotation, translation)
 
 
-def _lens(fields: Fields) -> Lens:
+def _lens(fields: TomlTable) -> Lens:
     refuse_fisheye(fields)
     size = fields.array("size", [(2,)], "[width, height] in pixels", LARGEST_SIZE)
     if (size < 1).any():
@@ -142,13 +142,13 @@ def _lens(fields: Fields) -> Lens:
     return Lens(size, _matrix(fields), distortions)
 
 
-def refuse_fisheye(fields: Fields) -> None:
+def refuse_fisheye(fields: TomlTable) -> None:
     """InputError where a camera's section says that its lens is a fisheye."""
-    if fields.table.get("fisheye", False):
+    if fields.entries.get("fisheye", False):
         raise fields.error("fisheye", "fisheye lenses are not supported yet, expected false")
 
 
-def _matrix(fields: Fields) -> np.ndarray:
+def _matrix(fields: TomlTable) -> np.ndarray:
     matrix = fields.array("matrix", [(3, 3)], "a 3 × 3 matrix", LARGEST_FOCAL)
     if min(matrix[0, 0], matrix[1, 1]) < SMALLEST_FOCAL or not np.allclose(matrix[2], [0, 0, 1]):
         raise fields.error(
@@ -158,17 +158,17 @@ def _matrix(fields: Fields) -> np.ndarray:
     return matrix
 
 
-def _rotation(fields: Fields) -> np.ndarray:
+def _rotation(fields: TomlTable) -> np.ndarray:
     expected = "a Rodrigues vector of 3 numbers or a 3 × 3 rotation matrix"
     rotation = fields.array("rotation", [(3,), (3, 3)], expected, LARGEST_ROTATION)
-    if rotation.ndim == 2 and (not orthonormal(rotation) or np.linalg.det(rotation) < 0):
+    if rotation.ndim == 2 and (not is_orthonormal(rotation) or np.linalg.det(rotation) < 0):
         raise fields.error("rotation", "found a 3 × 3 matrix that is not a rotation")
     return rotation
 
 
-def orthonormal(matrix: np.ndarray) -> bool:
+def is_orthonormal(matrix: np.ndarray) -> bool:
     """Are the rows of a (3, 3) matrix unit vectors at right angles, as far as files print them?"""
-    return bool(np.abs(matrix @ matrix.T - np.eye(3)).max() <= ORTHONORMAL)
+    return bool(np.abs(matrix @ matrix.T - np.eye(3)).max() <= ORTHONORMAL_TOLERANCE)
 
 
 def write_calibration(path: str | Path, cameras: dict[str, Camera]) -> None:
@@ -211,25 +211,25 @@ def write_camera(path: str | Path, name: str, entries: Mapping[str, Any]) -> Non
         InputError: the file is there and no TOML, or the name is not a camera's.
     """
     path = Path(path)
-    check_writable(path, name)
+    check_camera_writable(path, name)
     text = ""
     if path.exists():
         parse_toml(path, text := read_toml_text(path))
     try:
         changed = replace_entries(text, name, {"name": name, **entries})
     except ValueError as error:
-        raise InputError(path, f"camera {shown(name)} {error}") from None
+        raise InputError(path, f"camera {short_repr(name)} {error}") from None
     write_text(path, changed)
 
 
-def check_writable(path: Path, name: str) -> None:
+def check_camera_writable(path: Path, name: str) -> None:
     """InputError where ``write_camera`` could not write this camera: known before any work."""
     if path.suffix.lower() != ".toml":
         raise InputError(path, "cannot be written to, expected a .toml file")
-    if not name or name == METADATA:
+    if not name or name == METADATA_SECTION:
         raise InputError(path, f"found {name!r} as a camera's name, expected another")
     if problem := file_name_problem(name):
-        raise InputError(path, f"found {shown(name)} as a camera's name, {problem}")
+        raise InputError(path, f"found {short_repr(name)} as a camera's name, {problem}")
     if path.exists():
         table = read_toml(path).get(name, {})
-        refuse_fisheye(Fields(path, f"[{name}]", table))
+        refuse_fisheye(TomlTable(path, f"[{name}]", table))

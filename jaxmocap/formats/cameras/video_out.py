@@ -34,7 +34,7 @@ class VideoFile:
         self.packets += sum(packet.size > 0 for packet in packets)
         self.container.mux(packets)
 
-    def is_whole(self, path: Path) -> bool:
+    def is_complete(self, path: Path) -> bool:
         """Whether every packet is found again in the file."""
         try:
             with av.open(str(path)) as container:
@@ -56,7 +56,7 @@ def replacing_video(path: str | Path, **options: Any) -> Iterator[VideoFile]:
         OutputError: it cannot be written whole; what was there before is as it was.
     """
     files: list[VideoFile] = []
-    with replacing(path, lambda part: files[0].is_whole(part)) as beside:
+    with replacing(path, lambda part: files[0].is_complete(part)) as beside:
         try:
             with av.open(str(beside), "w", **options) as container:
                 files.append(VideoFile(container))

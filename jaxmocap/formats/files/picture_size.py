@@ -8,13 +8,13 @@ import re
 import struct
 from collections.abc import Callable
 
-KINDS = "PNG, JPEG, BMP, TIFF, WebP, GIF or PNM"
+PICTURE_FORMATS = "PNG, JPEG, BMP, TIFF, WebP, GIF or PNM"
 # Bytes that tell whether a file is a picture at all.
-TELLING_BYTES = 32
+SIGNATURE_BYTES = 32
 # Segments of a JPEG file before its picture: an album of metadata has some hundred.
-_MOST_SEGMENTS = 10_000
+_MAX_JPEG_SEGMENTS = 10_000
 # JPEG's markers of frames are these, but for those of tables among them.
-_FRAMES = set(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_JPEG_FRAME_MARKERS = set(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 # TIFF's tags of width and height, and its types of 16 and 32 bits.
 _WIDTH, _HEIGHT, _TYPES = 256, 257, {3: "H", 4: "I"}
 _PNM = re.compile(rb"P[1-6](?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\s")
@@ -55,7 +55,7 @@ def _reader(start: bytes) -> Callable[[bytes], Size | None] | None:
 
 def _jpeg(content: bytes) -> Size | None:
     at = 2
-    for _ in range(_MOST_SEGMENTS):
+    for _ in range(_MAX_JPEG_SEGMENTS):
         marker, length = struct.unpack_from(">HH", content, at)
         if marker == 0xFFFF:
             # Bytes to fill up with, as many as one likes.
@@ -64,7 +64,7 @@ def _jpeg(content: bytes) -> Size | None:
             continue
         if marker >> 8 != 0xFF:
             return None
-        if marker & 0xFF in _FRAMES:
+        if marker & 0xFF in _JPEG_FRAME_MARKERS:
             height, width = struct.unpack_from(">HH", content, at + 5)
             return width, height
         at += 2 + length

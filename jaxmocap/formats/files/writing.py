@@ -22,11 +22,11 @@ from jaxmocap.formats.files.errors import InputError, OutputError
 
 # .jaxmocap-HOST-PROCESS-CHANCE.suffix: hidden, of this machine, and of a process that can be asked
 # for.
-_PART = re.compile(r"\.jaxmocap-([0-9a-f]{8})-(\d+)-[0-9a-f]{8}(\..*)?")
+_TEMPORARY_NAME = re.compile(r"\.jaxmocap-([0-9a-f]{8})-(\d+)-[0-9a-f]{8}(\..*)?")
 _HOST = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
 
 
-def part_beside(path: Path) -> Path:
+def temporary_beside(path: Path) -> Path:
     """A hidden name in the same folder, so that a move is atomic.
 
     It keeps the suffix, by which libraries choose a format.
@@ -57,8 +57,8 @@ def replacing(path: str | Path, check: Callable[[Path], bool] | None = None) -> 
         if path.exists() and not path.is_file():
             raise OutputError(path, "found a folder or a device, expected a file to replace")
         path.parent.mkdir(parents=True, exist_ok=True)
-        remove_left_parts(path.parent)
-        beside = part_beside(path)
+        remove_stale_temporaries(path.parent)
+        beside = temporary_beside(path)
         try:
             yield beside
             flush_to_disk(beside)
@@ -81,17 +81,17 @@ def check_target(path: str | Path, inputs: Iterable[str | Path] = ()) -> Path:
             written to.
     """
     path = Path(path)
-    check_name(path)
+    check_file_name(path)
     if path.exists() and not path.is_file():
         raise InputError(path, "found a folder or a device, expected a file's name to write to")
     for each in inputs:
         if path.exists() and Path(each).exists() and path.samefile(each):
             raise InputError(path, "would be replaced while it is read, expected another name")
-    check_writable(path.parent)
+    check_folder_writable(path.parent)
     return path
 
 
-def check_name(path: Path) -> None:
+def check_file_name(path: Path) -> None:
     """InputError where no file can be called so."""
     try:
         path.exists()
@@ -106,7 +106,7 @@ def check_name(path: Path) -> None:
     raise InputError(ascii(str(path)), "not a file's name, it holds a NUL")
 
 
-def check_writable(folder: Path) -> None:
+def check_folder_writable(folder: Path) -> None:
     """InputError where a folder cannot be made or written to; nothing is made."""
     there = folder
     while not there.exists() and there != there.parent:
@@ -145,14 +145,14 @@ def flush_to_disk(path: Path) -> None:
         os.close(descriptor)
 
 
-def remove_left_parts(folder: Path) -> None:
+def remove_stale_temporaries(folder: Path) -> None:
     """Remove what processes that were killed left in a folder; what others write stays."""
     try:
         entries = list(os.scandir(folder))
     except OSError:
         return
     for entry in entries:
-        found = _PART.fullmatch(entry.name)
+        found = _TEMPORARY_NAME.fullmatch(entry.name)
         if found and found[1] == _HOST and not _is_running(int(found[2])):
             _remove(Path(entry.path))
 

@@ -59,7 +59,7 @@ LANDMARK_OF: dict[str, str] = {
 # makes the face smaller by this factor in the median, and smaller at all in so many of the people.
 _CLEARLY_SMALLER, _AGREEING = 2.0, 0.9
 # Fewer points of a face than this have no extent worth comparing.
-_FEWEST_OF_A_FACE = 3
+_MIN_FACE_POINTS = 3
 
 
 def landmark_indices(points: Sequence[str]) -> dict[str, int]:
@@ -72,7 +72,7 @@ def models_of_count(count: int) -> tuple[str, ...]:
     return tuple(name for name, points in MODELS.items() if len(points) == count)
 
 
-def tell_apart(pixels_xy: np.ndarray, models: Sequence[str]) -> str | None:
+def model_by_faces(pixels_xy: np.ndarray, models: Sequence[str]) -> str | None:
     """Which of two models the points are of, told by the face.
 
     Nose, eyes and ears lie close together in the right reading, and are limbs in the wrong one.
@@ -103,5 +103,5 @@ def _face_extents(pixels_xy: np.ndarray, points: Sequence[str]) -> np.ndarray:
     seen = np.all(np.isfinite(face), axis=-1)
     lowest = np.where(seen[..., None], face, np.inf).min(1)
     highest = np.where(seen[..., None], face, -np.inf).max(1)
-    enough = seen.sum(-1) >= _FEWEST_OF_A_FACE
+    enough = seen.sum(-1) >= _MIN_FACE_POINTS
     return np.where(enough, np.linalg.norm(highest - lowest, axis=-1), np.nan)

@@ -19,7 +19,7 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.toml import is_folder, read_toml
 from jaxmocap.formats.recordings.keypoint_files import json_files
 
-_OF_VIDEO = ("file", "background", "keypoints")
+_VIDEO_FILE_KEYS = ("file", "background", "keypoints")
 
 
 def input_files(path: str | Path) -> list[Path]:
@@ -32,21 +32,21 @@ def input_files(path: str | Path) -> list[Path]:
     content = read_toml(path)
     folder, subject = path.parent, _table(content.get("subject"))
     found = {path}
-    for text in _named(content):
+    for text in _named_files(content):
         found |= _files(folder, text)
     for own in _files(folder, subject.get("file")):
         found |= {own} | _files(own.parent, _content(own).get("static"))
     return sorted(found)
 
 
-def _named(content: dict[str, Any]) -> Iterator[Any]:
+def _named_files(content: dict[str, Any]) -> Iterator[Any]:
     """What the fields for files say, but for the subject's own file."""
     yield _table(content.get("markers")).get("file")
     yield _table(content.get("calibration")).get("file")
     yield _table(content.get("subject")).get("static")
     videos = content.get("video")
     for video in videos if isinstance(videos, list) else []:
-        yield from (_table(video).get(key) for key in _OF_VIDEO)
+        yield from (_table(video).get(key) for key in _VIDEO_FILE_KEYS)
 
 
 def _table(value: Any) -> dict[str, Any]:

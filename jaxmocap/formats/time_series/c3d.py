@@ -22,7 +22,7 @@ import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import open_regular, regular_file
-from jaxmocap.formats.files.short_repr import name_shown, shown
+from jaxmocap.formats.files.short_repr import short_name, short_repr
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series import c3d_process
 from jaxmocap.formats.time_series.tables import Markers, even_rate, make_markers, stack_points
@@ -111,7 +111,7 @@ def _read(path: str | Path) -> _Content:
         done = subprocess.run(command, capture_output=True, timeout=LONGEST_S, env=alone)
     except subprocess.TimeoutExpired:
         raise InputError(path, f"not read within {LONGEST_S} s, too large or damaged") from None
-    if done.returncode == c3d_process.TOO_LARGE or b"bad_alloc" in done.stderr:
+    if done.returncode == c3d_process.EXIT_TOO_LARGE or b"bad_alloc" in done.stderr:
         most = f"{MOST_MEMORY / 1e9:.2g} GB of memory"
         raise InputError(path, f"takes more than {most} to read, too large or damaged")
     if done.returncode:
@@ -124,7 +124,7 @@ def _read(path: str | Path) -> _Content:
     return _Content(numbers[:count].reshape(3, *shape), numbers[count:].reshape(shape), **head)
 
 
-def left_in_c3d(path: str | Path) -> list[str]:
+def unconverted_content(path: str | Path) -> list[str]:
     """What a file that can be read holds besides its points, in words."""
     file, left = _read(path), []
     if file.analogs:
@@ -132,7 +132,7 @@ def left_in_c3d(path: str | Path) -> list[str]:
     if file.events:
         left.append("events")
     if file.labels != _labels(file.labels):
-        prefix = name_shown(file.labels[0].rpartition(":")[0])
+        prefix = short_name(file.labels[0].rpartition(":")[0])
         left.append(f"the labels' prefix {prefix}:")
     return left
 
@@ -154,7 +154,7 @@ def _scale(path: str | Path, unit: str) -> float:
     """Metres per unit of the file."""
     if unit.lower() not in _UNITS:
         expected = ", ".join(_UNITS)
-        raise InputError(path, f"POINT:UNITS: found {shown(unit)}, expected one of {expected}")
+        raise InputError(path, f"POINT:UNITS: found {short_repr(unit)}, expected one of {expected}")
     return _UNITS[unit.lower()]
 
 
@@ -201,11 +201,11 @@ def write_c3d(path: str | Path, markers: Markers) -> None:
     file["data"]["meta_points"]["residuals"] = residuals[None]
     file["header"]["points"]["first_frame"] = first
     frames, points = len(times), len(markers.names)
-    with replacing(path, lambda part: _is_whole(part, frames, points)) as beside:
+    with replacing(path, lambda part: _is_complete(part, frames, points)) as beside:
         file.write(str(beside))
 
 
-def _is_whole(path: Path, frames: int, points: int) -> bool:
+def _is_complete(path: Path, frames: int, points: int) -> bool:
     """Whether a file that was written holds its frames: ezc3d says nothing of a full disk."""
     with path.open("rb") as file:
         content = file.read(2 * _BLOCK)

@@ -16,22 +16,22 @@ from jaxmocap.formats.animation.armature import Armature
 # Seconds: a hand moves by half a metre in less, so that a straight line would show another motion.
 LONGEST_BRIDGED_S = 0.5
 # Slow recordings are bridged over so many of their own intervals.
-MOST_INTERVALS_BRIDGED = 5
+MAX_INTERVALS_BRIDGED = 5
 
 
-def gaps(times: np.ndarray) -> np.ndarray:
+def is_gap(times: np.ndarray) -> np.ndarray:
     """(T - 1,) is what lies between each of (T,) times and the next one a gap?"""
     steps = np.diff(times)
     if not len(steps):
         return np.zeros(0, bool)
-    return steps > max(LONGEST_BRIDGED_S, MOST_INTERVALS_BRIDGED * float(np.median(steps)))
+    return steps > max(LONGEST_BRIDGED_S, MAX_INTERVALS_BRIDGED * float(np.median(steps)))
 
 
-def held(armature: Armature) -> Armature:
+def hold_across_gaps(armature: Armature) -> Armature:
     """The samples whose pose is known, and the pose before each gap once more at its end."""
-    known = np.flatnonzero(armature.known)
+    known = np.flatnonzero(armature.is_known)
     times = armature.times[known]
-    before = np.flatnonzero(gaps(times))
+    before = np.flatnonzero(is_gap(times))
     if not len(before) and len(known) == len(armature.times):
         return armature
     order, later = known, times

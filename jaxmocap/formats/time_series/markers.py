@@ -29,7 +29,7 @@ _READERS = {
 }
 
 
-def usual_up(path: str | Path) -> str:
+def default_up(path: str | Path) -> str:
     """The vertical axis, "y" or "z", that files of a suffix have if nobody says otherwise."""
     return "y" if Path(path).suffix.lower() in (".bvh", ".glb") else "z"
 

@@ -16,17 +16,17 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.formats.animation.armature import Armature
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.time_series.gaps import gaps
+from jaxmocap.formats.time_series.gaps import is_gap
 from jaxmocap.formats.time_series.tables import Markers
 
 # Numbers that may come of any recording, and at most: half an hour of a body at 200 Hz is 81
 # million, 0.65 GB.
-FEW_NUMBERS = 20_000_000
-MOST_NUMBERS = 100_000_000
+ALWAYS_ALLOWED_NUMBERS = 20_000_000
+MAX_NUMBERS = 100_000_000
 # Times as many samples as there were.
-MOST_GROWTH = 4
+MAX_GROWTH = 4
 # Numbers that are worked on at a time.
-NUMBERS_AT_ONCE = 1_000_000
+BLOCK_NUMBERS = 1_000_000
 
 
 def even_times(
@@ -47,37 +47,37 @@ def even_times(
         raise ValueError(f"found a rate of {rate:g}, expected a positive number")
     # Of numbers beyond those of memory, a float tells how many.
     count = np.floor(float(times[-1] - times[0]) * rate + 1e-6) + 1
-    numbers = max(FEW_NUMBERS, min(MOST_NUMBERS, MOST_GROWTH * len(times) * columns))
+    numbers = max(ALWAYS_ALLOWED_NUMBERS, min(MAX_NUMBERS, MAX_GROWTH * len(times) * columns))
     if count > (most := numbers // max(columns, 1)):
         problem = f"{rate:g} samples per second would be {count:.6g} from {times[0]:g} s"
         raise InputError(path, f"{problem} to {times[-1]:g} s, expected at most {most}")
     return times[0] + np.arange(int(count)) / rate
 
 
-class Between(NamedTuple):
+class Interpolation(NamedTuple):
     """Which two samples each of N times lies between.
 
     Attributes:
         before: (N,) index of the sample before.
         after: (N,) index of the one after; the same where the time is a sample's own.
-        part: (N,) how far it is from the one to the other, 0 to 1.
-        lost: (N,) is it within a gap?
+        fraction: (N,) how far it is from the one to the other, 0 to 1.
+        in_gap: (N,) is it within a gap?
     """
 
     before: np.ndarray
     after: np.ndarray
-    part: np.ndarray
-    lost: np.ndarray
+    fraction: np.ndarray
+    in_gap: np.ndarray
 
-    def blocks(self, columns: int) -> Iterator[tuple[slice, "Between"]]:
+    def blocks(self, columns: int) -> Iterator[tuple[slice, "Interpolation"]]:
         """Some times in a row and where they lie, so few that copies take little memory."""
-        size = max(1, NUMBERS_AT_ONCE // max(columns, 1))
-        for first in range(0, len(self.part), size):
+        size = max(1, BLOCK_NUMBERS // max(columns, 1))
+        for first in range(0, len(self.fraction), size):
             some = slice(first, first + size)
-            yield some, Between(*(each[some] for each in self))
+            yield some, Interpolation(*(each[some] for each in self))
 
 
-def between(times: np.ndarray, wanted: np.ndarray) -> Between:
+def interpolation_at(times: np.ndarray, wanted: np.ndarray) -> Interpolation:
     """Where (N,) wanted times lie among (T,) ascending ones."""
     after = np.clip(np.searchsorted(times, wanted), 0, len(times) - 1)
     before = np.maximum(after - 1, 0)
@@ -88,41 +88,41 @@ def between(times: np.ndarray, wanted: np.ndarray) -> Between:
         np.where((1 - part) * step < 1e-6, after, before),
         np.where(part * step < 1e-6, before, after),
     )
-    is_gap = np.append(gaps(times), False)
-    return Between(before, after, part, is_gap[before] & (before < after))
+    gap_after = np.append(is_gap(times), False)
+    return Interpolation(before, after, part, gap_after[before] & (before < after))
 
 
 def resampled_markers(markers: Markers, times: np.ndarray) -> Markers:
     """Markers at (N,) other times; their residuals are let go."""
-    at = between(markers.times, times)
-    turns = None if markers.turns is None else shortest(markers.turns, at)
-    return Markers(times, markers.names, straight(markers.positions, at), turns=turns)
+    at = interpolation_at(markers.times, times)
+    turns = None if markers.orientations is None else slerp(markers.orientations, at)
+    return Markers(times, markers.names, lerp(markers.positions, at), orientations=turns)
 
 
-def straight(values: np.ndarray, at: Between) -> np.ndarray:
+def lerp(values: np.ndarray, at: Interpolation) -> np.ndarray:
     """(N, ...) values on the straight lines between (T, ...); NaN within gaps."""
-    found = np.empty((len(at.part), *values.shape[1:]))
+    found = np.empty((len(at.fraction), *values.shape[1:]))
     for some, here in at.blocks(values[0].size):
         first, second = values[here.before], values[here.after]
-        share = here.part.reshape(-1, *[1] * (values.ndim - 1))
+        share = here.fraction.reshape(-1, *[1] * (values.ndim - 1))
         found[some] = first + share * (second - first)
-    found[at.lost] = np.nan
+    found[at.in_gap] = np.nan
     return found
 
 
-def shortest(R: np.ndarray, at: Between) -> np.ndarray:
+def slerp(R: np.ndarray, at: Interpolation) -> np.ndarray:
     """(N, ..., 3, 3) rotations on the shortest turns between (T, ..., 3, 3).
 
     NaN where one of the two is, and within gaps.
     """
-    found = np.empty((len(at.part), *R.shape[1:]))
+    found = np.empty((len(at.fraction), *R.shape[1:]))
     for some, here in at.blocks(R[0].size):
-        found[some] = _shortest(R[here.before], R[here.after], here.part)
-    found[at.lost] = np.nan
+        found[some] = _slerp(R[here.before], R[here.after], here.fraction)
+    found[at.in_gap] = np.nan
     return found
 
 
-def _shortest(R_before: np.ndarray, R_after: np.ndarray, part: np.ndarray) -> np.ndarray:
+def _slerp(R_before: np.ndarray, R_after: np.ndarray, part: np.ndarray) -> np.ndarray:
     """Rotations (N, ..., 3, 3) that are (N,) parts of the way from one to another."""
     known = np.isfinite(R_before.sum((-2, -1)) + R_after.sum((-2, -1)))[..., None, None]
     first, second = (
@@ -134,23 +134,23 @@ def _shortest(R_before: np.ndarray, R_after: np.ndarray, part: np.ndarray) -> np
     return np.where(known, found.as_matrix().reshape(R_before.shape), np.nan)
 
 
-def resampled(armature: Armature, times: np.ndarray) -> Armature:
+def resampled_armature(armature: Armature, times: np.ndarray) -> Armature:
     """An armature at (N,) other times."""
-    at = between(armature.times, times)
-    positions, rotations = straight(armature.positions, at), shortest(armature.rotations, at)
+    at = interpolation_at(armature.times, times)
+    positions, rotations = lerp(armature.positions, at), slerp(armature.rotations, at)
     return replace(armature, times=times, positions=positions, rotations=rotations)
 
 
 def resampled_motion(motion: Motion, times: np.ndarray) -> Motion:
     """A motion at (N,) other times; its report is let go."""
-    at = between(motion.times, times)
+    at = interpolation_at(motion.times, times)
     position, quaternion, angles = (np.asarray(part, float) for part in motion.poses)
     known = np.isfinite(quaternion.sum(-1, keepdims=True))
     safe = np.where(known, quaternion, [1.0, 0, 0, 0])
     R = np.where(known[..., None], Rotation.from_quat(safe, scalar_first=True).as_matrix(), np.nan)
-    R_then = shortest(R, at)
+    R_then = slerp(R, at)
     known = np.isfinite(R_then.sum((-2, -1)))[:, None]
     turned = Rotation.from_matrix(np.where(known[..., None], R_then, np.eye(3)))
     quaternion = np.where(known, turned.as_quat(scalar_first=True), np.nan)
-    parts: list[Any] = [straight(position, at), quaternion, straight(angles, at)]
+    parts: list[Any] = [lerp(position, at), quaternion, lerp(angles, at)]
     return replace(motion, times=times, poses=Pose(*parts), report=None)

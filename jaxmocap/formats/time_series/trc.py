@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.lines import numbered_lines
-from jaxmocap.formats.files.short_repr import name_shown, shown
+from jaxmocap.formats.files.short_repr import short_name, short_repr
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series.tables import (
     Markers,
@@ -69,7 +69,7 @@ def _scale(path: str | Path, header: dict[str, str]) -> float:
     unit = header["Units"]
     if unit.lower() not in METRES:
         raise InputError(
-            path, f"line 3: unknown unit {shown(unit)}, expected one of {', '.join(METRES)}"
+            path, f"line 3: unknown unit {short_repr(unit)}, expected one of {', '.join(METRES)}"
         )
     return METRES[unit.lower()]
 
@@ -104,7 +104,7 @@ def _names(path: str | Path, name_line: str, axis_line: str) -> list[str]:
 def _check_count(path: str | Path, declared: str, rows: int) -> None:
     """A file that was cut off between two lines still says how long it was."""
     if (count := declared_count(declared)) is not None and count > rows:
-        problem = f"NumFrames is {name_shown(declared)}, but the file ends after {rows} frames"
+        problem = f"NumFrames is {short_name(declared)}, but the file ends after {rows} frames"
         raise InputError(path, f"line 3: {problem}")
 
 

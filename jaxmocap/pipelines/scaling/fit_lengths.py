@@ -17,9 +17,9 @@ from jaxmocap.body.proportions import LENGTHS, scaled
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.subject import scale_to_height
 from jaxmocap.body.wrists import with_wrists
-from jaxmocap.capture.checks.body_reach import stature
-from jaxmocap.capture.filters import cleaned
-from jaxmocap.capture.footage import open_footage, reading
+from jaxmocap.capture.checks.body_reach import standing_height
+from jaxmocap.capture.filters import filter_markers
+from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.evaluation.interval_plot import plot_intervals
 from jaxmocap.fitting.lengths import LengthsFit, fit_lengths
 from jaxmocap.formats.files.errors import InputError
@@ -68,7 +68,7 @@ def scale_by_recording(
     # The girths found are those of clothes and headset, which the file is not to keep.
     lengths = fit.logarithms[: len(LENGTHS)]
     person = scaled(stated, jnp.asarray(lengths, stated.lengths.dtype))
-    tall = stature(stated) if height is None else height
+    tall = standing_height(stated) if height is None else height
     report = LengthsReport.of(stated, person, tall, fit, Path(out))
     write_subject(out, person, tall, report.lines())
     title = f"Lengths from {Path(path).name}"
@@ -94,10 +94,10 @@ def _solved(
 ) -> Solved | None:
     """Both passes over the recording."""
     videos, _ = open_footage(recording)
-    recording, cleaning = cleaned(recording)
+    recording, cleaning = filter_markers(recording)
     keypoints = open_all_keypoints(recording, videos)
     plan = Plan.of(recording, videos, "own", cleaning)
-    with reading(videos) as readers:
+    with forward_readers(videos) as readers:
         passed = scanned(plan, tracker, readers, lambda done, total: show(0.4 * done / total))
     first = passed.first_pass()
     lines = lines_at_events(recording, keypoints, first.timeline, first.alone)

@@ -23,7 +23,7 @@ from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.proportions import PROPORTIONS, scaled
 from jaxmocap.body.skeleton import Skeleton, landmark_rows
-from jaxmocap.capture.frame_cache import kept
+from jaxmocap.capture.frame_cache import cached_frames
 from jaxmocap.capture.timeline import Timeline
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.evidence.appearance.learned import ROWS, Drawing, Regions, learn_appearance, see
@@ -165,7 +165,7 @@ def solve_recording(
     looks = [look for look in _looks(first_pass.timeline) if len(look.events)]
     if not looks:
         return None
-    cameras, videos = tracker.cameras, kept(videos, ROWS)
+    cameras, videos = tracker.cameras, cached_frames(videos, ROWS)
     known, times = _known(tracker, first_pass), first_pass.timeline.event_times
 
     def looked(found: Trajectory) -> Problem:

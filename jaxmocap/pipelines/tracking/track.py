@@ -17,8 +17,8 @@ import numpy as np
 from jaxmocap.body.kinematics import Sites
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.capture.filters import cleaned
-from jaxmocap.capture.footage import open_footage, reading
+from jaxmocap.capture.filters import filter_markers
+from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.capture.timeline import Mode
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording
 from jaxmocap.hybrid.settings import Settings
@@ -81,9 +81,9 @@ def track_both(
     tracker: HybridTracker | None = None,
 ) -> Tracked:
     """Track a recording and keep the markers' own poses as well; see ``track``."""
-    videos, warnings = open_footage(recording.marked())
-    recording, cleaning = cleaned(recording, causal=mode == "causal")
-    warnings += cleaning.remarks
+    videos, warnings = open_footage(recording.require_markers())
+    recording, cleaning = filter_markers(recording, causal=mode == "causal")
+    warnings += cleaning.warnings
     # Read first, so that what is wrong with them is said before anything takes its time.
     keypoints = open_all_keypoints(recording, videos)
     warnings += tuple(said for each in keypoints if each for said in each.warnings)
@@ -92,7 +92,7 @@ def track_both(
     plan, causal = Plan.of(recording, used, mode, cleaning), mode == "causal"
     smooth = bool(used) and tracker.settings.smooth
     smoother = FixedLagSmoother(tracker) if smooth and causal else None
-    in_colour = reading(used, colour=smoother is not None)
+    in_colour = forward_readers(used, colour=smoother is not None)
     with progress_bar("tracking", progress) as show, in_colour as readers:
         if causal:
             passed = stepped(plan, tracker, readers, smoother, show)
