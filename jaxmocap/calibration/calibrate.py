@@ -28,9 +28,9 @@ from jaxmocap.calibration.view_coverage import (
     why_undetermined,
 )
 from jaxmocap.formats.cameras.calibration import (
-    Lens,
+    Intrinsics,
     check_camera_writable,
-    read_lens,
+    read_intrinsics,
     write_camera,
 )
 from jaxmocap.formats.files.errors import InputError
@@ -112,10 +112,10 @@ def calibrate_camera(
     return IntrinsicsResult(camera, found, result, coverage, tuple(said), (out, *drawn))
 
 
-def _existing_section(out: Path, camera: str) -> tuple[Lens | None, bool]:
+def _existing_section(out: Path, camera: str) -> tuple[Intrinsics | None, bool]:
     """The lens that the file holds of this camera, and whether it holds its place too."""
     table = read_toml(out).get(camera, {}) if out.exists() else {}
-    lens = read_lens(out, camera) if "matrix" in table and "size" in table else None
+    lens = read_intrinsics(out, camera) if "matrix" in table and "size" in table else None
     return lens, "rotation" in table
 
 
@@ -137,7 +137,9 @@ def _checked_estimate(found: BoardDetections, coefficients: int) -> IntrinsicsEs
     return result
 
 
-def _change_warnings(result: IntrinsicsEstimate, before: Lens | None, placed: bool) -> list[str]:
+def _change_warnings(
+    result: IntrinsicsEstimate, before: Intrinsics | None, placed: bool
+) -> list[str]:
     """What is to be said of the calibration that the file held already."""
     said = []
     if before is not None:

@@ -18,15 +18,17 @@ from jaxmocap.calibration.planar_poses import (
     candidate_poses,
     relative_thickness,
 )
-from jaxmocap.formats.cameras.calibration import Lens
+from jaxmocap.formats.cameras.calibration import Intrinsics
 from jaxmocap.geometry.cameras import Camera
 
 # The mirrored answer is not told from the right one where its residual is less than this times.
 AMBIGUOUS_RATIO = 2.0
 # Points are on one line where their breadth is less than this part of their length.
 _LINE_BREADTH = 1e-3
-# With at least this many points, one that errs is found: without it the residual falls so far.
-_MANY, _FALLS = 6, 0.25
+# With at least so many points, one that errs is found:
+_MIN_POINTS_FOR_OUTLIER = 6
+# without it the residual falls to less than this share.
+_OUTLIER_RATIO = 0.25
 # A camera is upside down for certain where the picture's vertical lies within 45° of the world's,
 # unless it looks almost straight up or down: this much of the vertical must show in the picture.
 _MIN_VERTICAL_SHOWN = 0.1
@@ -73,7 +75,7 @@ class Placement:
         """(3,) Rodrigues vector, world to camera."""
         return Rotation.from_matrix(self.T_cam_world[:3, :3]).as_rotvec()
 
-    def camera(self, lens: Lens) -> Camera:
+    def camera(self, lens: Intrinsics) -> Camera:
         """The camera as all else uses it."""
         size = (lens.size[0], lens.size[1])
         R, t = self.T_cam_world[:3, :3], self.T_cam_world[:3, 3]
@@ -98,7 +100,7 @@ def position_world_of(T_cam_world: np.ndarray) -> np.ndarray:
 
 
 def estimate_placement(
-    points_world: np.ndarray, pixels_xy: np.ndarray, lens: Lens, upside_down: bool = False
+    points_world: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics, upside_down: bool = False
 ) -> Placement:
     """Place a camera that sees (N, 3) points at (N, 2) pixels.
 
@@ -111,7 +113,7 @@ def estimate_placement(
     _check_points(points_world)
     used = np.ones(len(points_world), bool)
     poses = candidate_poses(points_world, pixels_xy, lens)
-    if poses and len(points_world) >= _MANY:
+    if poses and len(points_world) >= _MIN_POINTS_FOR_OUTLIER:
         used, poses = _without_outlier(points_world, pixels_xy, lens, poses)
     if not poses:
         raise ArithmeticError("no camera sees these points there: pixels or places are exchanged")
@@ -149,15 +151,18 @@ def _check_points(points_world: np.ndarray) -> None:
     extents = np.linalg.svd(points_world - points_world.mean(0), compute_uv=False)
     if extents[1] < _LINE_BREADTH * extents[0]:
         raise ArithmeticError("all points lie on one line, expected them spread in two directions")
-    if len(points_world) < _MANY and relative_thickness(points_world) >= FLAT_THICKNESS:
+    if (
+        len(points_world) < _MIN_POINTS_FOR_OUTLIER
+        and relative_thickness(points_world) >= FLAT_THICKNESS
+    ):
         # Four or five points in space fit too many cameras to tell a wrong one.
         raise ArithmeticError(
-            f"found {len(points_world)} points that are not on a plane, expected at least {_MANY}"
+            f"found {len(points_world)} points that are not on a plane, expected at least {_MIN_POINTS_FOR_OUTLIER}"
         )
 
 
 def _without_outlier(
-    points_world: np.ndarray, pixels_xy: np.ndarray, lens: Lens, poses: list[CameraPose]
+    points_world: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics, poses: list[CameraPose]
 ) -> tuple[np.ndarray, list[CameraPose]]:
     """Leave out the one point without which the rest fits far better, if there is one."""
     used = np.ones(len(points_world), bool)
@@ -167,13 +172,15 @@ def _without_outlier(
         without.append(candidate_poses(points_world[rest], pixels_xy[rest], lens))
     errors = [found[0].rms if found else np.inf for found in without]
     i = int(np.argmin(errors))
-    if poses[0].rms > 1.0 and errors[i] < _FALLS * poses[0].rms:
+    if poses[0].rms > 1.0 and errors[i] < _OUTLIER_RATIO * poses[0].rms:
         used[i] = False
         return used, without[i]
     return used, poses
 
 
-def _plausible_first(best: CameraPose, other: CameraPose, upside_down: bool) -> tuple[CameraPose, CameraPose]:
+def _plausible_first(
+    best: CameraPose, other: CameraPose, upside_down: bool
+) -> tuple[CameraPose, CameraPose]:
     worries = [len(_implausibility_warnings(pose.matrix, upside_down)) for pose in (best, other)]
     return (other, best) if worries[1] < worries[0] else (best, other)
 
@@ -243,13 +250,15 @@ def advice_on_board_pose(
 
 
 def _residuals(
-    pose: CameraPose, points_world: np.ndarray, pixels_xy: np.ndarray, lens: Lens
+    pose: CameraPose, points_world: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics
 ) -> np.ndarray:
     seen, _ = cv2.projectPoints(points_world, pose.rvec, pose.tvec, lens.matrix, lens.distortions)
     return seen.reshape(-1, 2) - pixels_xy
 
 
-def _deviations(pose: CameraPose, points_world: np.ndarray, lens: Lens) -> tuple[np.ndarray, float]:
+def _deviations(
+    pose: CameraPose, points_world: np.ndarray, lens: Intrinsics
+) -> tuple[np.ndarray, float]:
     """Standard deviations of place (3,), metres, and direction, degrees, from the residuals."""
     _, J = cv2.projectPoints(points_world, pose.rvec, pose.tvec, lens.matrix, lens.distortions)
     J = J[:, :6]

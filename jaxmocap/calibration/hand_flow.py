@@ -20,13 +20,18 @@ from jaxmocap.capture.markers import GAP_INTERVALS, median_interval
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.geometry.cameras import Camera
 
-# Flow is computed on images of at most so many pixels a side, and kept for every second one.
-LARGEST_SIDE, STRIDE = 640, 2
-# Half the side of the square about a hand, metres, and how many points of it a side has: their
-# median is what the hand does, whatever of the background lies between.
-HAND_M, POINTS = 0.03, 5
-# Markers are low-passed here, Hz, or at this share of their rate where that is less.
-SMOOTH_HZ, SMOOTH_SHARE = 8.0, 0.25
+# Flow is computed on images of at most so many pixels a side,
+MAX_SIDE_PX = 640
+# and kept for every second pixel.
+STRIDE = 2
+# Half the side of the square about a hand, metres.
+HAND_HALF_SIDE_M = 0.03
+# Points along its side: their median is what the hand does, whatever background lies between.
+POINTS_PER_SIDE = 5
+# Markers are low-passed here, Hz,
+SMOOTHING_CUTOFF_HZ = 8.0
+# or at this share of their rate where that is less.
+SMOOTHING_CUTOFF_SHARE = 0.25
 
 
 class FlowPair(NamedTuple):
@@ -66,7 +71,7 @@ class MarkerPath:
         if len(seen) < 4:
             return None
         interval = median_interval(times)
-        cutoff = min(SMOOTH_HZ, SMOOTH_SHARE / interval)
+        cutoff = min(SMOOTHING_CUTOFF_HZ, SMOOTHING_CUTOFF_SHARE / interval)
         calm = butterworth_low_pass(times, positions[:, None], cutoff)[seen, 0]
         return cls(CubicSpline(times[seen], calm), times[seen], GAP_INTERVALS * interval)
 
@@ -121,11 +126,13 @@ class HandFlow:
         if known.any():
             xy[known] = project_to_pixels(self.camera, points[known])
         T = np.asarray(self.camera.T_cam_world, float)
-        return xy, HAND_M * float(self.camera.matrix[0, 0]) / (points @ T[2, :3] + T[2, 3])
+        return xy, HAND_HALF_SIDE_M * float(self.camera.matrix[0, 0]) / (
+            points @ T[2, :3] + T[2, 3]
+        )
 
     def _around(self, xy: np.ndarray, radius: np.ndarray) -> np.ndarray:
         """(K, 2) median of each field in the square about (K, 2) pixels; NaN outside the image."""
-        side = np.linspace(-1, 1, POINTS)
+        side = np.linspace(-1, 1, POINTS_PER_SIDE)
         square = np.stack(np.meshgrid(side, side), -1).reshape(-1, 2)
         cells = (xy[:, None] + square * radius[:, None, None]) / self.spacing
         height, width = self.fields.shape[1:3]
@@ -144,7 +151,7 @@ def flow_fields(video: FrameSource, first: int, count: int) -> tuple[np.ndarray,
         (count - 1, H', W', 2) pixels of the image, NaN where a frame cannot be read, and the
         spacing of its entries in pixels of the image.
     """
-    scale = min(1.0, LARGEST_SIDE / max(video.size))
+    scale = min(1.0, MAX_SIDE_PX / max(video.size))
     width, height = (round(side * scale) for side in video.size)
     solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     images, fields = _scaled_frames(video, first, count, (width, height)), []

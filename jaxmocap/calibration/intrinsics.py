@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from jaxmocap.calibration.planar_poses import CameraPose, candidate_poses, rms_length
-from jaxmocap.formats.cameras.calibration import Lens
+from jaxmocap.formats.cameras.calibration import Intrinsics
 
 PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 # Coefficients of distortion that can be asked for, and what OpenCV then holds at zero.
@@ -28,9 +28,10 @@ DISTORTION_FLAGS = {
     4: cv2.CALIB_FIX_K3,
     5: 0,
 }
-# A view is false where its residual is this many times the median of the views that agree, and not
-# merely one of the sharp pictures' fractions of a pixel.
-FALSE_TIMES, FALSE_PX = 4.0, 0.5
+# A view is an outlier where its residual is this many times the median of the consistent views,
+OUTLIER_RATIO = 4.0
+# and more than the fractions of a pixel that sharp pictures have.
+MIN_OUTLIER_PX = 0.5
 _MAX_ROUNDS = 10
 
 
@@ -63,7 +64,7 @@ class IntrinsicsEstimate:
         leave_one_out: (V, 9) the values with each of the V views used left out in turn.
     """
 
-    lens: Lens
+    lens: Intrinsics
     rms: float
     poses: tuple[CameraPose | None, ...]
     used: tuple[bool, ...]
@@ -87,7 +88,7 @@ class IntrinsicsEstimate:
 
 @dataclass(frozen=True)
 class _Fit:
-    lens: Lens
+    lens: Intrinsics
     rms: float
     values: np.ndarray
     std: np.ndarray
@@ -138,7 +139,7 @@ def consistent_views(
         used = best
     for _ in range(_MAX_ROUNDS):
         residuals = _view_residuals(views, used, size, coefficients)
-        limit = max(FALSE_PX, FALSE_TIMES * float(np.median(residuals[used])))
+        limit = max(MIN_OUTLIER_PX, OUTLIER_RATIO * float(np.median(residuals[used])))
         fitting = residuals <= limit
         if (fitting == used).all():
             break
@@ -171,7 +172,7 @@ def _view_residuals(
     return np.array([np.inf if pose is None else pose.rms for pose in poses])
 
 
-def _pose(view: BoardView, lens: Lens) -> CameraPose | None:
+def _pose(view: BoardView, lens: Intrinsics) -> CameraPose | None:
     return next(iter(candidate_poses(view.points_board, view.pixels_xy, lens)), None)
 
 
@@ -188,5 +189,5 @@ def _fit(views: Sequence[BoardView], size: tuple[int, int], coefficients: int) -
     if not np.isfinite([*values, error]).all():
         raise ArithmeticError("OpenCV finds no finite calibration")
     count = max(coefficients, 4)
-    lens = Lens(np.array(size, float), K, d.ravel()[:count].astype(float))
+    lens = Intrinsics(np.array(size, float), K, d.ravel()[:count].astype(float))
     return _Fit(lens, float(error), values, std.ravel()[:9])

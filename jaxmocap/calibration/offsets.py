@@ -26,13 +26,18 @@ from jaxmocap.formats.recordings.recording import load_markers
 from jaxmocap.formats.time_series.tables import Markers
 
 WINDOW_S = 1.0
-# Fewer seconds than these, and their scatter tells no uncertainty.
-FEWEST_WINDOWS, FEWEST_SAMPLES = 8, 5
+# Windows that the scatter between them takes.
+MIN_WINDOWS = 8
+# Samples that make a window.
+MIN_WINDOW_SAMPLES = 5
 # A joint that strays less within a second, metres, is not weighed down for it.
 STEADY_RMS_M = 0.001
 REWEIGHTINGS = 10
-# Beyond these the clip was none of turning about a joint that rests.
-MOST_STD_M, MOST_STRAY_M, MOST_LENGTH_M = 0.01, 0.01, 0.25
+# Beyond these, metres, the clip was none of rotation about a joint that rests: the offset's
+# standard deviation, the joint's own motion, and the offset's length.
+MAX_STD_M = 0.01
+MAX_JOINT_RMS_M = 0.01
+MAX_LENGTH_M = 0.25
 
 
 @dataclass(frozen=True)
@@ -69,15 +74,15 @@ class DeviceOffset:
         """Why not to use it; empty where nothing speaks against it."""
         values, vectors = np.linalg.eigh(self.covariance)
         said, length = [], float(np.linalg.norm(self.offset))
-        if values[-1] > MOST_STD_M**2:
+        if values[-1] > MAX_STD_M**2:
             x, y, z = vectors[:, -1]
             said.append(
                 f"not determined along [{x:.2f}, {y:.2f}, {z:.2f}] of the marker's axes, about "
                 "which alone it turned: turn it about the others too"
             )
-        if self.joint_rms > MOST_STRAY_M:
+        if self.joint_rms > MAX_JOINT_RMS_M:
             said.append(f"its joint moved by {1e3 * self.joint_rms:.0f} mm a second: rest it")
-        if length > MOST_LENGTH_M:
+        if length > MAX_LENGTH_M:
             said.append(
                 f"{100 * length:.0f} cm from what it turned about, which is hardly the joint of "
                 f"{self.place.bone}: rest what carries it"
@@ -133,11 +138,11 @@ def _pivot_calibration(
     usable = np.isfinite(positions.sum(-1) + turns.sum((1, 2))) & _within(times, span)
     seconds = np.floor((times - times[0]) / WINDOW_S).astype(int)
     windows = [np.flatnonzero(usable & (seconds == k)) for k in np.unique(seconds)]
-    windows = [window for window in windows if len(window) >= FEWEST_SAMPLES]
-    if len(windows) < FEWEST_WINDOWS:
+    windows = [window for window in windows if len(window) >= MIN_WINDOW_SAMPLES]
+    if len(windows) < MIN_WINDOWS:
         raise ValueError(
             f"{place.name}: found {len(windows)} seconds with places and turns, expected "
-            f"{FEWEST_WINDOWS} or more"
+            f"{MIN_WINDOWS} or more"
         )
     A = [turns[w] - turns[w].mean(0) for w in windows]
     b = [positions[w] - positions[w].mean(0) for w in windows]

@@ -25,9 +25,9 @@ from jaxmocap.calibration.extrinsics import (
 )
 from jaxmocap.capture.video import SIZE_TOLERANCE
 from jaxmocap.formats.cameras.calibration import (
-    Lens,
+    Intrinsics,
     check_camera_writable,
-    read_lens,
+    read_intrinsics,
     write_camera,
 )
 from jaxmocap.formats.files.errors import InputError
@@ -123,7 +123,7 @@ def place_camera(
     path, out = Path(image), Path(out)
     check_camera_writable(out, camera)
     folder = picture_folder(pictures, f"extrinsics of {camera}", [path])
-    lens = read_lens(intrinsics or out, camera)
+    lens = read_intrinsics(intrinsics or out, camera)
     picture = Picture(path.name, path)
     photo = picture.image()
     said = _photo_size_warnings(path, photo, lens)
@@ -160,7 +160,7 @@ def place_camera(
     return ExtrinsicsResult(camera, path.name, tuple(names), placement, tuple(said), (out, *drawn))
 
 
-def _photo_size_warnings(path: Path, photo: np.ndarray, lens: Lens) -> list[str]:
+def _photo_size_warnings(path: Path, photo: np.ndarray, lens: Intrinsics) -> list[str]:
     """A remark where the photograph is a little narrower than the calibration, as for videos."""
     size, expected = np.array(photo.shape[1::-1]), lens.size
     if (size == expected).all():

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from jaxmocap.formats.cameras.calibration import Lens
+from jaxmocap.formats.cameras.calibration import Intrinsics
 
 # Points are flat where their thickness is less than this part of their breadth.
 FLAT_THICKNESS = 1e-3
@@ -52,7 +52,9 @@ def rms_length(residuals_xy: np.ndarray) -> float:
     return float(np.sqrt((residuals_xy**2).sum(-1).mean()))
 
 
-def candidate_poses(points: np.ndarray, pixels_xy: np.ndarray, lens: Lens) -> list[CameraPose]:
+def candidate_poses(
+    points: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics
+) -> list[CameraPose]:
     """The poses of a camera that sees (N, 3) points at (N, 2) pixels: one, or two for flat ones.
 
     Each is refined by Levenberg-Marquardt; a second that slides into the first is none. Empty where
@@ -92,7 +94,7 @@ def tilt_degrees(pose: CameraPose) -> float:
 
 
 def _residuals(
-    points: np.ndarray, pixels_xy: np.ndarray, lens: Lens, rvec: np.ndarray, tvec: np.ndarray
+    points: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics, rvec: np.ndarray, tvec: np.ndarray
 ) -> np.ndarray:
     seen, _ = cv2.projectPoints(points, rvec, tvec, lens.matrix, lens.distortions)
     return seen.reshape(-1, 2) - pixels_xy

@@ -21,20 +21,38 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
 
 HAND_BONES = ("hand", "radius")
-# A stretch of video that is looked at: seconds and frames at most; how many of them at most.
-STRETCH_S, STRETCH_FRAMES, STRETCHES = 10.0, 450, 6
-# Lags that are tried, seconds: coarse steps over the range, fine ones about the best.
-COARSE_S, FINE_S, NEAR_S = 0.01, 0.004, 0.06
-# Steps of the least squares, and the one at which they have settled, seconds.
-STEPS, SETTLED_S = 30, 1e-5
-# Correlation that the best lag must have, and by what it must exceed the best one elsewhere.
-CORRELATED, ELSEWHERE_S, AHEAD = 0.3, 0.15, 1.08
-# An offset is known if least squares' deviation is no more than the first, and that of the lag at
-# which flow and markers are nearest, which is coarser, no more than the second. No deviation is
-# believed below the third, since flow has errors of its own that blocks of time do not show.
-WORST_S, WORST_NEAR_S, BEST_S = 0.005, 0.008, 0.001
-# Blocks of so many seconds are drawn so many times.
-BLOCK_S, DRAWS = 0.25, 200
+# A stretch of video whose lag is estimated lasts so many seconds at most,
+STRETCH_S = 10.0
+# and has so many frames at most.
+MAX_STRETCH_FRAMES = 450
+# Stretches of one video.
+MAX_STRETCHES = 6
+# Lags that are tried, seconds: coarse steps over the whole range,
+COARSE_STEP_S = 0.01
+# fine steps about the best of them,
+FINE_STEP_S = 0.004
+# so far to both sides.
+FINE_RANGE_S = 0.06
+# Iterations of the least squares,
+MAX_ITERATIONS = 30
+# which has converged where a step is smaller than this, seconds.
+CONVERGED_S = 1e-5
+# Correlation that the best lag must have.
+MIN_CORRELATION = 0.3
+# It must exceed every peak that is so far from it, seconds,
+OTHER_PEAK_DISTANCE_S = 0.15
+# by this factor.
+MIN_PEAK_RATIO = 1.08
+# An offset is known if the standard deviation of least squares is no more than this, seconds,
+MAX_STD_S = 0.005
+# and that of the lag at which flow and markers are nearest, which is coarser, no more than this.
+MAX_NEAREST_STD_S = 0.008
+# No smaller standard deviation is stated: flow has errors that blocks of time do not show.
+MIN_STD_S = 0.001
+# The bootstrap draws blocks of so many seconds,
+BLOCK_S = 0.25
+# so many times.
+BOOTSTRAP_DRAWS = 200
 # A drift is told where stretches are this far apart, seconds.
 MIN_DRIFT_SPAN_S = 60.0
 # Hands slower than this, pixels per frame, tell nothing.
@@ -136,8 +154,8 @@ def _sync_video(
 def _stretches(video: FrameSource, paths: Sequence[MarkerPath]) -> list[tuple[int, int]]:
     """First frame and number of frames of the liveliest stretch in each equal part of a video."""
     frames, fps = len(video), video.fps or 1.0
-    longest = max(2, min(frames, round(STRETCH_S * fps), STRETCH_FRAMES))
-    parts = int(np.clip(frames // longest, 1, STRETCHES))
+    longest = max(2, min(frames, round(STRETCH_S * fps), MAX_STRETCH_FRAMES))
+    parts = int(np.clip(frames // longest, 1, MAX_STRETCHES))
     edges = np.linspace(0, frames, parts + 1).astype(int)
     speeds = [np.linalg.norm(path.spline(video.times, 1), axis=-1) for path in paths]
     inside = [np.isfinite(path.at(video.times)).all(-1) for path in paths]
@@ -154,20 +172,20 @@ def _stretches(video: FrameSource, paths: Sequence[MarkerPath]) -> list[tuple[in
 def _estimate_lag(flow: HandFlow, search: float) -> StretchLag:
     """The lag of one stretch."""
     middle = float(flow.times.mean())
-    lags = np.arange(-search, search + COARSE_S / 2, COARSE_S)
+    lags = np.arange(-search, search + COARSE_STEP_S / 2, COARSE_STEP_S)
     scores = np.array([correlation(flow.flow_pair(lag)) for lag in lags])
     best = int(np.nanargmax(np.nan_to_num(scores, nan=-1.0)))
     if reason := _why_unidentifiable(flow, lags, scores, best, search):
         return StretchLag(middle, np.nan, np.nan, float(scores[best]), reason)
-    near = lags[best] + np.arange(-NEAR_S, NEAR_S + FINE_S / 2, FINE_S)
+    near = lags[best] + np.arange(-FINE_RANGE_S, FINE_RANGE_S + FINE_STEP_S / 2, FINE_STEP_S)
     costs = np.array([_distances(flow.flow_pair(lag)) for lag in near])
     lag, std = _least_squares(flow, float(near[np.nanmean(costs, (1, 2)).argmin()]))
     spread = _bootstrap_std(near, costs, flow.times)
-    if std > WORST_S or spread > WORST_NEAR_S or abs(lag - lags[best]) > NEAR_S:
+    if std > MAX_STD_S or spread > MAX_NEAREST_STD_S or abs(lag - lags[best]) > FINE_RANGE_S:
         least = 1e3 * max(std, spread)
         reason = f"not identifiable, to {least:.0f} ms at best: move the hands faster or longer"
         return StretchLag(middle, np.nan, np.nan, float(scores[best]), reason)
-    return StretchLag(middle, lag, float(np.hypot(std, BEST_S)), float(scores[best]))
+    return StretchLag(middle, lag, float(np.hypot(std, MIN_STD_S)), float(scores[best]))
 
 
 def correlation(terms: FlowPair) -> float:
@@ -187,14 +205,14 @@ def _why_unidentifiable(
     speed = float(np.sqrt(np.nanmean((told**2).sum(-1))))
     if speed < MIN_SPEED_PX:
         return f"not identifiable: move the hands faster ({speed:.2f} pixels per frame)"
-    if scores[best] < CORRELATED:
+    if scores[best] < MIN_CORRELATION:
         return (
             f"not identifiable: the image does not move as the hands do (correlation "
             f"{scores[best]:.2f}); move them faster, or check the camera and [markers.on]"
         )
     peaks = np.r_[False, (scores[1:-1] > scores[:-2]) & (scores[1:-1] > scores[2:]), False]
-    elsewhere = peaks & (np.abs(lags - lags[best]) > ELSEWHERE_S)
-    if elsewhere.any() and scores[best] < AHEAD * scores[elsewhere].max():
+    elsewhere = peaks & (np.abs(lags - lags[best]) > OTHER_PEAK_DISTANCE_S)
+    if elsewhere.any() and scores[best] < MIN_PEAK_RATIO * scores[elsewhere].max():
         return "not identifiable: the motion repeats itself; move the hands faster and unevenly"
     if best in (0, len(lags) - 1):
         return f"the best lag is at the end of the ±{search:g} s searched; search wider (--search)"
@@ -210,7 +228,7 @@ def _least_squares(flow: HandFlow, lag: float) -> tuple[float, float]:
     """Gauss and Newton's lag under Cauchy's weights, and its deviation over blocks of time."""
     half = 1e-3
     slopes = weights = residuals = np.zeros(1)
-    for _ in range(STEPS):
+    for _ in range(MAX_ITERATIONS):
         later, sooner = flow.flow_pair(lag + half, lag), flow.flow_pair(lag - half, lag)
         residuals = later.measured - (later.predicted + sooner.predicted) / 2
         slopes = (later.predicted - sooner.predicted) / (2 * half)
@@ -218,8 +236,8 @@ def _least_squares(flow: HandFlow, lag: float) -> tuple[float, float]:
         scale = 2.0 * np.nanmedian(away) + 0.5
         weights = 1 / (1 + (away / scale) ** 2)
         step = float(np.nansum(weights * slopes * residuals) / np.nansum(weights * slopes**2))
-        lag += np.clip(step, -FINE_S, FINE_S)
-        if abs(step) < SETTLED_S:
+        lag += np.clip(step, -FINE_STEP_S, FINE_STEP_S)
+        if abs(step) < CONVERGED_S:
             break
     blocks = _blocks(flow.times)
     tops = np.bincount(blocks, np.nansum(weights * slopes * residuals, (1, 2)))
@@ -245,7 +263,7 @@ def _blocks(times: np.ndarray) -> np.ndarray:
 
 def _bootstrap_counts(count: int) -> np.ndarray:
     """(DRAWS, count) how often each block is drawn."""
-    return np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), DRAWS)
+    return np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), BOOTSTRAP_DRAWS)
 
 
 def combine_lags(source: VideoSource, found: Sequence[StretchLag]) -> VideoOffset:

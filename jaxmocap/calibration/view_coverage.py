@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from jaxmocap.calibration.intrinsics import BoardView, IntrinsicsEstimate
-from jaxmocap.formats.cameras.calibration import Lens
+from jaxmocap.formats.cameras.calibration import Intrinsics
 
 # Fewer views are said to be few.
 MIN_VIEWS_ADVISED = 10
@@ -18,8 +18,9 @@ MIN_VIEWS_ADVISED = 10
 MAX_FOCAL_STD = 0.02
 # A principal point known worse than this part of the image is said to be uncertain.
 MAX_CENTRE_STD = 0.002
-# Cells of the image's side into which the coverage is counted, and their names.
-_ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "middle", "right")
+# Names of the image's ninths, in which corners are counted.
+_ROWS = ("top", "middle", "bottom")
+_COLUMNS = ("left", "middle", "right")
 _MASK_SIDE = 200
 
 
@@ -104,7 +105,7 @@ def intrinsics_warnings(result: IntrinsicsEstimate, coverage: ImageCoverage) -> 
     return said
 
 
-def _is_distortion_monotonic(lens: Lens) -> bool:
+def _is_distortion_monotonic(lens: Intrinsics) -> bool:
     """Do points farther from the centre appear farther from it, up to the image's corners?"""
     K = lens.matrix
     corners = np.array([[x, y] for x in (0, lens.size[0]) for y in (0, lens.size[1])])

@@ -17,17 +17,25 @@ from jaxmocap.formats.recordings.filters import Filters
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.tables import is_even
 
-# Hampel's identifier looks so far to each side; further from the median than three standard
-# deviations, by the median deviation, is an outlier, but never within the floor.
-HAMPEL_S, HAMPEL_SAMPLES, HAMPEL_DEVIATIONS, HAMPEL_FLOOR_M = 0.05, 3, 3.0, 0.02
-# Beyond 1 kHz it looks less far; samples that it looks at together.
-MOST_HAMPEL_SAMPLES, HAMPEL_AT_ONCE = 50, 4096
+# Hampel's identifier looks so far to each side, seconds and samples at least.
+HAMPEL_HALF_WINDOW_S = 0.05
+HAMPEL_MIN_HALF_WINDOW = 3
+# Farther from the median than so many standard deviations, by the median deviation, is an outlier,
+HAMPEL_DEVIATIONS = 3.0
+# but never within this distance, metres.
+HAMPEL_FLOOR_M = 0.02
+# Beyond 1 kHz the window is shorter than HAMPEL_HALF_WINDOW_S, samples.
+HAMPEL_MAX_HALF_WINDOW = 50
+# Samples whose windows are in memory together.
+HAMPEL_BLOCK_SAMPLES = 4096
+# Of a normal distribution: its standard deviation over its median absolute deviation.
 MAD_TO_STD = 1.4826
 # The slopes at a gap's ends are those of parabolas through so many samples, at least three.
 SLOPE_SAMPLES = 7
-# Second order, forward and backward: of each pass the cut-off is higher, so that both together
-# let pass 1 / sqrt(2) at the one stated (Winter).
-ORDER, TWICE = 2, (2**0.5 - 1) ** 0.25
+# Second order, forward and backward.
+BUTTERWORTH_ORDER = 2
+# Each pass has a higher cut-off, so that both together pass 1 / sqrt(2) at the one stated (Winter).
+TWO_PASS_CUTOFF_RATIO = (2**0.5 - 1) ** 0.25
 
 
 @dataclass(frozen=True)
@@ -145,15 +153,19 @@ def find_outliers(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
         (T, M) booleans.
     """
     interval = median_interval(times)
-    half = max(HAMPEL_SAMPLES, round(HAMPEL_S / interval)) if interval else HAMPEL_SAMPLES
-    half = min(half, MOST_HAMPEL_SAMPLES)
+    half = (
+        max(HAMPEL_MIN_HALF_WINDOW, round(HAMPEL_HALF_WINDOW_S / interval))
+        if interval
+        else HAMPEL_MIN_HALF_WINDOW
+    )
+    half = min(half, HAMPEL_MAX_HALF_WINDOW)
     outliers = np.zeros(positions.shape[:2], bool)
     for marker in range(positions.shape[1]):
         path = np.pad(positions[:, marker], ((half, half), (0, 0)), constant_values=np.nan)
         windows = np.lib.stride_tricks.sliding_window_view(path, 2 * half + 1, 0)
         seen = np.flatnonzero(~_is_missing(positions[:, marker]))
-        for first in range(0, len(seen), HAMPEL_AT_ONCE):
-            rows = seen[first : first + HAMPEL_AT_ONCE]
+        for first in range(0, len(seen), HAMPEL_BLOCK_SAMPLES):
+            rows = seen[first : first + HAMPEL_BLOCK_SAMPLES]
             outliers[rows, marker] = _far_off(windows[rows], positions[rows, marker])
     return outliers
 
@@ -228,7 +240,9 @@ def butterworth_low_pass(times: np.ndarray, positions: np.ndarray, cutoff: float
     from scipy.signal import butter, sosfiltfilt
 
     interval = median_interval(times)
-    sections = butter(ORDER, cutoff / TWICE, fs=1 / interval, output="sos")
+    sections = butter(
+        BUTTERWORTH_ORDER, cutoff / TWO_PASS_CUTOFF_RATIO, fs=1 / interval, output="sos"
+    )
     passed = positions.copy()
     for marker in range(positions.shape[1]):
         for run in _runs(times, ~_is_missing(positions[:, marker])):
@@ -248,7 +262,7 @@ def _runs(times: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
 def _check_cutoff(recording: Recording, cutoff: float) -> None:
     """InputError unless the samples can hold a low-pass's cut-off."""
     interval = median_interval(recording.times)
-    most = TWICE / (2 * interval) if interval else 0.0
+    most = TWO_PASS_CUTOFF_RATIO / (2 * interval) if interval else 0.0
     if cutoff >= most:
         raise InputError(
             recording.path or recording.name,

@@ -34,10 +34,12 @@ NO_VIDEO = "is not a video"
 _UNKNOWN_SIZE = (0, 0)
 # 8K; a file of some kilobytes may state any size.
 MAX_PIXELS = 2**25
-# 4.6 hours at 120 Hz, and a week.
-MOST_FRAMES, LONGEST_S = 2_000_000, 604_800.0
+# 4.6 hours at 120 Hz.
+MAX_FRAMES = 2_000_000
+# A week, seconds.
+MAX_DURATION_S = 604_800.0
 # Frames per second of a video without stamps.
-FASTEST_HZ = 100_000.0
+MAX_RATE_HZ = 100_000.0
 # Files that hold their video themselves. Playlists and scripts, which FFmpeg reads as well, lead to
 # other files, pipes and hosts.
 _CONTAINER_FORMATS = (
@@ -142,12 +144,12 @@ class Video(FrameSource):
                 if packet.size and not packet.is_discard:
                     unstamped += packet.pts is None
                     stamps.append(packet.pts or 0)
-                if len(stamps) > MOST_FRAMES:
-                    raise InputError(self.path, f"expected at most {MOST_FRAMES} frames")
+                if len(stamps) > MAX_FRAMES:
+                    raise InputError(self.path, f"expected at most {MAX_FRAMES} frames")
             if unstamped:
                 # Without stamps the frames follow one another at the stream's rate.
                 rate = float(stream.average_rate or stream.guessed_rate or 30)
-                if not 0 < rate <= FASTEST_HZ:
+                if not 0 < rate <= MAX_RATE_HZ:
                     raise InputError(self.path, f"found {rate:g} frames per second")
                 return None, np.arange(len(stamps)) / rate
             found = np.unique(np.asarray(stamps, np.int64))
@@ -161,9 +163,9 @@ class Video(FrameSource):
         start = int(stamps[0]) if stream.start_time is None else stream.start_time
         # Python's numbers do not overflow.
         first, last = (tick * (int(stamp) - start) for stamp in stamps[[0, -1]])
-        if not -LONGEST_S <= first <= last <= LONGEST_S:
+        if not -MAX_DURATION_S <= first <= last <= MAX_DURATION_S:
             found = f"found frames {first:.4g} to {last:.4g} s after its start"
-            raise InputError(self.path, f"{found}, expected within {LONGEST_S / 86400:g} days")
+            raise InputError(self.path, f"{found}, expected within {MAX_DURATION_S / 86400:g} days")
         return (stamps - start) * tick
 
     def _first_image(self) -> np.ndarray:

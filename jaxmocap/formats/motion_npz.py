@@ -48,8 +48,10 @@ _LARGEST_RAD = 1e6
 _LATEST_S = 1e12
 # Quaternions and axes may differ from length 1 by this: single precision, rounded a few times.
 _UNIT_TOLERANCE = 1e-3
-# Characters of the sentences of all samples, and of the settings.
-_LONGEST_STATUSES, _LONGEST_SETTINGS = 2**25, 2**22
+# Characters of the statuses of all samples together.
+_MAX_STATUS_CHARACTERS = 2**25
+# Characters of the settings.
+_MAX_SETTINGS_CHARACTERS = 2**22
 
 _BODY_SPECS = {
     "skeleton.lengths": ArraySpec(("B",), low=0, high=_LONGEST_M),
@@ -92,8 +94,8 @@ _REPORT_SPECS = {
         ("T", len(LANDMARKS), 3), low=-1e9, high=1e9, allow_nan=True, allow_infinity=True
     ),
     "report.from_prior": ArraySpec(("T", len(LANDMARKS)), low=0, high=1, allow_nan=True),
-    "report.statuses": ArraySpec((), TEXT, max_characters=_LONGEST_STATUSES),
-    "report.settings": ArraySpec((), TEXT, max_characters=_LONGEST_SETTINGS),
+    "report.statuses": ArraySpec((), TEXT, max_characters=_MAX_STATUS_CHARACTERS),
+    "report.settings": ArraySpec((), TEXT, max_characters=_MAX_SETTINGS_CHARACTERS),
 }
 _MILLISECONDS_SPEC = ArraySpec(("*",), low=-1e12, high=1e12, allow_nan=True)
 
@@ -238,7 +240,7 @@ def _report(file: NpzArrays, count: int) -> Report:
 
 def _statuses(path: str | Path, text: str, count: int) -> tuple[tuple[str, ...], ...]:
     """The sentences of each sample."""
-    lists = parse_json(path, text, _LONGEST_STATUSES)
+    lists = parse_json(path, text, _MAX_STATUS_CHARACTERS)
     if not isinstance(lists, list) or len(lists) != count:
         raise InputError(path, f"report.statuses: expected a JSON list of {count} lists")
     for i, sentences in enumerate(lists):
@@ -249,7 +251,7 @@ def _statuses(path: str | Path, text: str, count: int) -> tuple[tuple[str, ...],
 
 
 def _settings(path: str | Path, text: str) -> dict[str, Any]:
-    settings = parse_json(path, text, _LONGEST_SETTINGS, allow_nan=True)
+    settings = parse_json(path, text, _MAX_SETTINGS_CHARACTERS, allow_nan=True)
     if not isinstance(settings, dict):
         raise InputError(
             path, f"report.settings: found {short_repr(settings)}, expected a JSON table"

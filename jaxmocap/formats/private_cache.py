@@ -20,7 +20,8 @@ from jaxmocap.formats.files.writing import replacing
 MAGIC = b"jaxmocap kept 1\n"
 SEAL_BYTES = len(MAGIC) + hashlib.sha256().digest_size
 # Of folders and files: nobody else reads or writes them.
-FOLDER_MODE, FILE_MODE = 0o700, 0o600
+FOLDER_MODE = 0o700
+FILE_MODE = 0o600
 
 
 class PrivateCache:

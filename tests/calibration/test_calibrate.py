@@ -17,7 +17,7 @@ from jaxmocap.calibration.calibrate import calibrate_camera
 from jaxmocap.calibration.intrinsics import PARAMETERS, BoardView, estimate_intrinsics
 from jaxmocap.calibration.view_coverage import image_coverage, intrinsics_warnings
 from jaxmocap.cli import main
-from jaxmocap.formats.cameras.calibration import Lens, read_lens
+from jaxmocap.formats.cameras.calibration import Intrinsics, read_intrinsics
 
 BOARD_OPTIONS = ["--board", "4x7", "--square", "0.06", "--camera", "cam"]
 TRUTH = np.array([620.0, 615, 335, 228, -0.12, 0.05, 0.001, -0.0005, 0])
@@ -178,7 +178,7 @@ def test_a_charuco_board_calibrates_though_parts_of_it_are_hidden(tmp_path):
         and len(found.detections.views) == 7
     )
     np.testing.assert_allclose(found.estimate.values[:2], TRUTH[:2], rtol=0.004)
-    np.testing.assert_allclose(read_lens(out, "cam").matrix, found.estimate.lens.matrix)
+    np.testing.assert_allclose(read_intrinsics(out, "cam").matrix, found.estimate.lens.matrix)
 
 
 def test_of_a_video_sharp_frames_that_differ_are_chosen(tmp_path):
@@ -202,7 +202,7 @@ def test_distortion_that_turns_back_within_the_image_is_said():
     found = estimate_intrinsics(noisy_views(), SIZE)
     coverage = image_coverage(noisy_views(), SIZE)
     assert not any("turns back" in said for said in intrinsics_warnings(found, coverage))
-    folded = Lens(LENS.size, LENS.matrix, np.array([-0.9, 0.0, 0.0, 0.0]))
+    folded = Intrinsics(LENS.size, LENS.matrix, np.array([-0.9, 0.0, 0.0, 0.0]))
     assert any(
         "turns back" in said for said in intrinsics_warnings(replace(found, lens=folded), coverage)
     )
@@ -264,7 +264,7 @@ def test_a_false_detection_is_named_with_its_error(photographs, tmp_path, capsys
     said = capsys.readouterr().out
     line = next(line for line in said.splitlines() if line.startswith("  bent.png"))
     assert "LEFT OUT: its corners do not fit" in line and "7 of 8 pictures used" in said
-    matrix = read_lens(tmp_path / "c.toml", "cam").matrix
+    matrix = read_intrinsics(tmp_path / "c.toml", "cam").matrix
     np.testing.assert_allclose([matrix[0, 0], matrix[1, 1]], TRUTH[:2], rtol=0.003)
 
 
@@ -426,7 +426,7 @@ def test_real_photographs_agree_with_the_optical_systems_calibration(
     found = calibrate_camera(paths, BOARD, f"cam_0{camera}", out)
     result = found.estimate
     assert sum(result.used) >= 6 and len(found.detections.views) == found_in and result.rms < 0.2
-    truth = read_lens(given, f"cam_0{camera}").matrix
+    truth = read_intrinsics(given, f"cam_0{camera}").matrix
     focal = np.array([truth[0, 0], truth[1, 1]])
     np.testing.assert_allclose(result.values[:2], focal, rtol=0.01)
     assert (result.max_std[:2] < 5).all() and (result.max_std[2:4] < 5).all()

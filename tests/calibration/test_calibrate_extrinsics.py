@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from jaxmocap.calibration.board.boards import Board
 from jaxmocap.calibration.extrinsics import board_to_world, estimate_placement, position_world_of
 from jaxmocap.cli import main
-from jaxmocap.formats.cameras.calibration import read_calibration, read_lens, write_camera
+from jaxmocap.formats.cameras.calibration import read_calibration, read_intrinsics, write_camera
 
 CAMERA = ["--camera", "cam"]
 CHESS = ["--board", "4x7", "--square", "0.06"]
@@ -152,7 +152,7 @@ def test_intrinsics_may_come_from_opencvs_yaml(folder):
     assert run(folder, *CHESS, *options) == 0
     camera = read_calibration(folder / "c.toml")["cam"]
     np.testing.assert_allclose(camera.position_world, [0.9, -0.5, 0.8], atol=0.004)
-    np.testing.assert_allclose(read_lens(folder / "c.toml", "cam").matrix, LENS.matrix)
+    np.testing.assert_allclose(read_intrinsics(folder / "c.toml", "cam").matrix, LENS.matrix)
 
 
 def test_only_rotation_and_translation_change(folder):

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.calibration import sync as synced
-from jaxmocap.calibration.hand_flow import LARGEST_SIDE, HandFlow, MarkerPath, flow_fields
+from jaxmocap.calibration.hand_flow import MAX_SIDE_PX, HandFlow, MarkerPath, flow_fields
 from jaxmocap.calibration.sync import StretchLag, combine_lags, estimate_video_offsets, hand_paths
 from jaxmocap.capture.checks.cameras import project_to_pixels
 from jaxmocap.cli import main
@@ -229,7 +229,7 @@ def test_flow_is_in_pixels_of_the_image_however_large():
     frames.append(None)
     video = VideoSource("v", CAMERA, frames=(np.arange(4) / 30, frames))
     fields, spacing = flow_fields(synced.open_video(video), 1, 3)
-    assert spacing == pytest.approx(2 * 1200 / LARGEST_SIDE)
+    assert spacing == pytest.approx(2 * 1200 / MAX_SIDE_PX)
     assert fields.shape[0] == 2 and np.isnan(fields[1].astype(float)).all()
     middle = fields[0, 40:-40, 40:-40].astype(float)
     np.testing.assert_allclose(np.median(middle, (0, 1)), [4, 2], atol=0.2)

@@ -469,7 +469,7 @@ def test_frames_of_another_size_are_none(tmp_path):
 
 
 def test_more_frames_than_any_recording_has_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(video_module, "MOST_FRAMES", 10)
+    monkeypatch.setattr(video_module, "MAX_FRAMES", 10)
     with pytest.raises(InputError, match="expected at most 10 frames"):
         Video(write_video(tmp_path / "v.mp4"))
 

@@ -18,7 +18,7 @@ from jaxmocap.capture.streams.recent_markers import RecentMarkers
 from jaxmocap.capture.streams.sample_assembly import SENT_WITHIN_S, MarkerSample, SampleAssembler
 from jaxmocap.capture.streams.senders import SENDER_BURST
 from jaxmocap.capture.streams.stream_clock import JUMP_S, StreamClock
-from jaxmocap.capture.streams.udp import BURST, Datagram, MarkerSocket
+from jaxmocap.capture.streams.udp import MAX_BURST, Datagram, MarkerSocket
 from jaxmocap.formats.files.addresses import Address
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.live import R_WORLD_UNITY
@@ -365,12 +365,12 @@ def test_of_a_flood_the_newest_are_read():
     out: list[MarkerSample] = []
     gathers = SampleAssembler(MARKERS, {}, R_WORLD_UNITY, out.append)
     marker_socket = MarkerSocket(Address(port=0), gathers, now=lambda: 0.0)
-    flood = [packet(i / 100) for i in range(2 * BURST)]
+    flood = [packet(i / 100) for i in range(2 * MAX_BURST)]
     marker_socket.take(flood)
     marker_socket.stop()
     assert len(out) == SENDER_BURST
-    assert marker_socket.ignored["flood"] == 2 * BURST - SENDER_BURST
-    assert out[-1].positions_world[0, 0] == pytest.approx((2 * BURST - 1) / 100)
+    assert marker_socket.ignored["flood"] == 2 * MAX_BURST - SENDER_BURST
+    assert out[-1].positions_world[0, 0] == pytest.approx((2 * MAX_BURST - 1) / 100)
 
 
 def test_an_address_that_is_taken_is_said():

@@ -43,7 +43,7 @@ import sys, time
 import numpy as np
 sys.path[:0] = {tests!r}
 from test_live_disk import live_setup, sample
-from jaxmocap.capture.streams.inbox import Frame
+from jaxmocap.capture.streams.inbox import LiveFrame
 from jaxmocap.pipelines.live.recording import LiveRecording
 from pathlib import Path
 recording = LiveRecording(live_setup(Path(sys.argv[1])), sys.argv[2])
@@ -52,7 +52,7 @@ while True:
     now = time.monotonic() - began
     recording.add(sample(now))
     if i % 3 == 0:
-        recording.add(Frame(0, now, still, now))
+        recording.add(LiveFrame(0, now, still, now))
     print(f"recorded {{now}}", flush=True)
     time.sleep(1 / 90)
     i += 1

@@ -28,9 +28,9 @@ from jaxmocap.formats.files.addresses import Address
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.filters import OneEuroSettings
 from jaxmocap.formats.recordings.live import (
-    LISTEN,
+    DEFAULT_LISTEN,
+    DEFAULT_VMC,
     R_WORLD_UNITY,
-    VMC,
     LiveSetup,
     LiveVideo,
     load_live,
@@ -83,7 +83,7 @@ def write_file(folder: Path, text: str = FILE) -> Path:
     return path
 
 
-def small_setup(folder: Path, vmc: Address = VMC) -> LiveSetup:
+def small_setup(folder: Path, vmc: Address = DEFAULT_VMC) -> LiveSetup:
     """The small recording as a live run, its video played from a file."""
     toml = write_small_recording(folder)
     recording = Recording.load(toml)
@@ -109,7 +109,7 @@ def small_setup(folder: Path, vmc: Address = VMC) -> LiveSetup:
 def test_the_file_of_a_live_run_is_read(tmp_path):
     setup = load_live(write_file(tmp_path))
     assert setup.marker_names == ("Hmd", "1") and setup.aliases == {"LHR-1": "1"}
-    assert (setup.listen, setup.vmc) == (Address("0.0.0.0", 5000), VMC)
+    assert (setup.listen, setup.vmc) == (Address("0.0.0.0", 5000), DEFAULT_VMC)
     assert setup.vrchat == Address("127.0.0.1", 9000) and setup.trackers == ("hip", "foot_l")
     assert [video.source for video in setup.videos] == [2, "rtsp://somewhere/stream"]
     assert setup.videos[0].offset == -0.04
@@ -119,7 +119,7 @@ def test_the_file_of_a_live_run_is_read(tmp_path):
 def test_what_is_not_said_is_loopback_and_unitys_axes(tmp_path):
     path = write_file(tmp_path, "[markers.on]\nHmd = { bone = 'head' }\n")
     setup = load_live(path)
-    assert setup.listen == LISTEN and setup.listen.host == setup.vmc.host == "127.0.0.1"
+    assert setup.listen == DEFAULT_LISTEN and setup.listen.host == setup.vmc.host == "127.0.0.1"
     assert setup.vrchat is None and "no [subject]" in setup.warnings[0]
     assert setup.one_euro is None
     text = (

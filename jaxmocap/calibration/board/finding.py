@@ -21,9 +21,10 @@ from jaxmocap.formats.files.errors import InputError
 MIN_VIEWS = 5
 # Two pictures whose corners differ less than this on average show the same, pixels.
 SAME_VIEW_PX = 1.0
-# How many pictures without a board are looked through for a board of other counts, and how many
-# are named in a message at most.
-_HINTS, _NAMED = 3, 8
+# Pictures without a board that are searched for a board of other counts.
+_MAX_HINT_PICTURES = 3
+# Pictures that are named in a message.
+_MAX_NAMED = 8
 
 
 @dataclass(frozen=True)
@@ -61,10 +62,10 @@ class BoardDetections:
             (self.duplicates, "the same as an earlier one:"),
         ):
             if names:
-                more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-                parts.append(f"{what} {', '.join(names[:_NAMED])}{more}")
+                more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
+                parts.append(f"{what} {', '.join(names[:_MAX_NAMED])}{more}")
         without = [picture for picture in self.pictures if picture.name in self.not_found]
-        hint = hint_of_other_counts(without[:_HINTS], self.board)
+        hint = hint_of_other_counts(without[:_MAX_HINT_PICTURES], self.board)
         return "; ".join([*parts, f"expected {MIN_VIEWS} or more"]) + hint
 
 

@@ -16,8 +16,10 @@ from jaxmocap.capture.photographs import is_picture_file, read_picture
 from jaxmocap.capture.video import NO_VIDEO, Video
 from jaxmocap.formats.files.errors import InputError
 
-# Frames of a video: how many are looked at, and how many are chosen at most.
-LOOKED_AT, CHOSEN = 150, 20
+# Frames of a video that are examined.
+MAX_EXAMINED_FRAMES = 150
+# Frames of a video that are chosen.
+MAX_CHOSEN_FRAMES = 20
 # A frame is blurred where its board has less than this part of the median board's sharpness.
 MIN_SHARPNESS = 0.5
 # Views that differ less than this (in units of the image) show nothing new.
@@ -84,7 +86,7 @@ class _FrameView:
 
 def _chosen_frames(video: Video, board: Board) -> tuple[list[Picture], str]:
     """Sharp frames that differ from one another in the board's place, size and tilt."""
-    step = max(1, -(-len(video) // LOOKED_AT))
+    step = max(1, -(-len(video) // MAX_EXAMINED_FRAMES))
     seen = []
     for number, (_, grey) in enumerate(video.frames(luma=True)):
         if grey is not None and number % step == 0:
@@ -99,7 +101,7 @@ def _chosen_frames(video: Video, board: Board) -> tuple[list[Picture], str]:
         return [], sentence
     limit = MIN_SHARPNESS * float(np.median([view.sharpness for view in seen]))
     sharp = [view for view in seen if view.sharpness >= limit]
-    numbers = sorted(view.number for view in farthest_views(sharp, CHOSEN))
+    numbers = sorted(view.number for view in farthest_views(sharp, MAX_CHOSEN_FRAMES))
     images = {
         i: image
         for i, (_, image) in enumerate(video.frames())

@@ -21,11 +21,13 @@ from jaxmocap.calibration.board.pictures import Picture
 from jaxmocap.calibration.extrinsics import Placement
 from jaxmocap.calibration.intrinsics import BoardView, IntrinsicsEstimate
 from jaxmocap.calibration.planar_poses import CameraPose, tilt_degrees
-from jaxmocap.formats.cameras.calibration import Lens
+from jaxmocap.formats.cameras.calibration import Intrinsics
 from jaxmocap.formats.files.output_folder import OutputFolder
 
-# Axes of the world are drawn this long, metres, and the board's this many squares.
-_WORLD_M, _BOARD_SQUARES = 0.5, 2
+# Axes of the world are drawn this long, metres,
+_WORLD_AXES_M = 0.5
+# and the board's this many squares.
+_BOARD_AXES_SQUARES = 2
 
 
 def picture_folder(
@@ -94,7 +96,7 @@ def _draw_view(
     view: BoardView,
     pose: CameraPose | None,
     use: bool,
-    lens: Lens,
+    lens: Intrinsics,
     board: Board,
     times: int,
 ) -> None:
@@ -106,12 +108,12 @@ def _draw_view(
     if pose is not None:
         canvas.title(f"{pose.rms:.2f} px RMS, tilt {tilt_degrees(pose):.0f} degrees")
         canvas.residuals(view.pixels_xy, pose.residuals_xy, times)
-        canvas.axes(pose.matrix, lens, _BOARD_SQUARES * board.square, "origin")
+        canvas.axes(pose.matrix, lens, _BOARD_AXES_SQUARES * board.square, "origin")
 
 
 def draw_placement(
     picture: Picture,
-    lens: Lens,
+    lens: Intrinsics,
     placement: Placement,
     pixels_xy: np.ndarray,
     board: tuple[Board, np.ndarray] | None,
@@ -138,10 +140,10 @@ def draw_placement(
         canvas.dots(pixels_xy)
     else:
         canvas.corners(pixels_xy)
-        length = _BOARD_SQUARES * board[0].square
+        length = _BOARD_AXES_SQUARES * board[0].square
         canvas.axes(placement.T_cam_world @ board[1], lens, length, "board")
     for which, longer in ((placement.used, times), (~placement.used, 1)):
         canvas.residuals(pixels_xy[which], placement.residuals_xy[which], longer)
     if board is None or np.abs(board[1] - np.eye(4)).max() > 1e-6:
-        canvas.axes(placement.T_cam_world, lens, _WORLD_M, "world")
+        canvas.axes(placement.T_cam_world, lens, _WORLD_AXES_M, "world")
     return write_annotated(Path(folder) / f"{picture.path.stem}_placed.jpg", canvas)

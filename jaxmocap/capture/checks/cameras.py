@@ -12,7 +12,12 @@ import cv2
 import numpy as np
 
 from jaxmocap.capture.checks.body_reach import standing_points
-from jaxmocap.capture.checks.markers import MOST, Finding, check_markers, facing_of_pairs
+from jaxmocap.capture.checks.markers import (
+    MIN_AGREEING_SHARE,
+    Finding,
+    check_markers,
+    facing_of_pairs,
+)
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
 from jaxmocap.geometry.cameras import NEAREST_M, Camera
@@ -21,9 +26,10 @@ from jaxmocap.geometry.cameras import NEAREST_M, Camera
 MAX_DISTANCE_M = 150.0
 # How far below the floor, which is known to some centimetres, a camera may come out.
 MAX_BELOW_FLOOR_M = 0.15
-# Of the markers while the video runs, the share that its image must show; of the samples, the
-# share that must have a video.
-SHOWN, COVERED = 0.5, 0.5
+# Share of the markers that the image must show while the video runs.
+MIN_VISIBLE_SHARE = 0.5
+# Share of the marker samples that must have a video.
+MIN_COVERED_SHARE = 0.5
 # Other axes that show so much explain why these do not.
 MIN_EXPLAINED_SHARE = 0.9
 # Lenses bend lines; beyond this much of the image's size their formula means nothing.
@@ -140,18 +146,18 @@ def _camera_findings(
             f"markers put at {floor:.2f} m; rotation and translation must take the world (Z up) to "
             "the camera, not the camera to the world",
         )
-    if seen.visible_share < SHOWN:
+    if seen.visible_share < MIN_VISIBLE_SHARE:
         axes, share, mirrored = _other_axes(recording, source.camera)
         kind = "a mirror image, left-handed" if mirrored else "turned"
         rather = f"; with {axes} in place of x, y, z ({kind}) it would be {100 * share:.0f} %"
         yield Finding(
             "handedness" if mirrored and share > MIN_EXPLAINED_SHARE else "person out of the image",
             f"{section}: its image shows {100 * seen.visible_share:.0f} % of the markers, expected "
-            f"{100 * SHOWN:.0f} % or more; check rotation and translation, [[video]] camera, and "
+            f"{100 * MIN_VISIBLE_SHARE:.0f} % or more; check rotation and translation, [[video]] camera, and "
             f"[markers] up or to_world{rather if share > MIN_EXPLAINED_SHARE else ''}",
             fatal=nowhere,
         )
-    if seen.covered_share < COVERED:
+    if seen.covered_share < MIN_COVERED_SHARE:
         yield Finding(
             "rate",
             f"[[video]] {source.camera_name}: the video lasts during {100 * seen.covered_share:.0f} % of "
@@ -167,7 +173,7 @@ def _other_axes(recording: Recording, camera: Camera) -> tuple[str, float, bool]
         image. Where several do as well, it is a mirror image if left and right say so.
     """
     told = facing_of_pairs(recording)
-    expected = bool(told) and all(share <= 1 - MOST for _, share, _ in told)
+    expected = bool(told) and all(share <= 1 - MIN_AGREEING_SHARE for _, share, _ in told)
     positions = recording.positions_world.reshape(-1, 3)
     positions = positions[np.isfinite(positions).all(-1)]
     options = []

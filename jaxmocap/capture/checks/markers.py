@@ -21,8 +21,10 @@ from jaxmocap.capture.checks.body_reach import (
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.recordings.recording import Recording
 
-# Markers that span as many times as much as on somebody who stands are in another unit.
-TOO_LARGE, TOO_SMALL = 3.0, 0.1
+# Markers that span so many times as much as on somebody who stands are in another unit,
+MAX_SPAN_RATIO = 3.0
+# and so are those that never span more than this share of it.
+MIN_SPAN_RATIO = 0.1
 UNIT_FACTORS = {
     "millimetres": 1000.0,
     "centimetres": 100.0,
@@ -30,23 +32,32 @@ UNIT_FACTORS = {
     "metres, not millimetres": 0.001,
     "metres, not centimetres": 0.01,
 }
-STATURES_M = (0.4, 2.6)
-# Limbs are a tenth longer than a table says, and a marker sits some centimetres off its bone.
-REACH_SHARE, REACH_M = 1.1, 0.05
+STATURE_RANGE_M = (0.4, 2.6)
+# Limbs may be a tenth longer than a table says,
+REACH_MARGIN_SHARE = 1.1
+# and a marker may sit some centimetres off its bone, metres.
+REACH_MARGIN_M = 0.05
 # Marker rates outside are times in another unit than seconds, or the numbers of frames.
-RATES_HZ = (2.0, 20_000.0)
+RATE_RANGE_HZ = (2.0, 20_000.0)
 RATE_TOLERANCE = 0.02
-# Of a person who stands, heights differ along the vertical as they should (share 1); raised hands
-# leave half of it. Another axis must do so much better, and its level be that of a person.
-UPRIGHT, MUCH_LESS, LEVELS = 0.4, 0.6, (0.6, 1.8)
+# How much of a standing person's differences of height the markers show along an axis: 1 for a
+# person who stands along it; raised hands leave half of it. From here on an axis may be upright.
+UPRIGHT_SHARE = 0.4
+# The vertical axis must show more than this share of what another axis shows.
+STANDS_RATIO = 0.6
+# The markers' mean height along an upright axis, as shares of a standing person's.
+LEVEL_RANGE = (0.6, 1.8)
 # Nobody is tracked who is upside down in most samples. Heights are so for certain if they differ so
 # much the other way round; hands held up as far as they reach make it 0.45, on the back 0.66.
 INVERTED_SHARE = 0.75
 # A world of a continent's size: no place on the Earth's maps is farther from their origin.
 MAX_COORDINATE_M = 1e7
-# Hands this far before (or behind) the head tell where the front is, if they do so most of the
-# time and the recording is long enough for a habit to show.
-BEFORE_M, MOST, HABIT_S = 0.2, 0.8, 3.0
+# Hands this far before (or behind) the head show where the front is, metres,
+MIN_HANDS_AHEAD_M = 0.2
+# if they are there in this share of the samples,
+MIN_AGREEING_SHARE = 0.8
+# and the recording is long enough for a habit to show, seconds.
+MIN_DURATION_S = 3.0
 HAND_BONES = ("hand", "radius")
 
 
@@ -115,7 +126,7 @@ def _check_origin(recording: Recording) -> Iterator[Finding]:
 
 
 def _check_body(recording: Recording) -> Iterator[Finding]:
-    height, (low, high) = standing_height(recording.skeleton), STATURES_M
+    height, (low, high) = standing_height(recording.skeleton), STATURE_RANGE_M
     if not low <= height <= high:
         yield Finding(
             "unit",
@@ -128,12 +139,12 @@ def _check_body(recording: Recording) -> Iterator[Finding]:
 def _check_unit(recording: Recording) -> Iterator[Finding]:
     expected = _span(standing_points(recording.skeleton, recording.places)[None])[0]
     spans = _span(recording.positions_world)
-    if expected < TOO_SMALL or not np.isfinite(spans).any():
+    if expected < MIN_SPAN_RATIO or not np.isfinite(spans).any():
         return
     times = np.nanmedian(spans) / expected
-    if times < TOO_LARGE:
+    if times < MAX_SPAN_RATIO:
         times = np.nanmax(spans) / expected
-        if times > TOO_SMALL:
+        if times > MIN_SPAN_RATIO:
             return
     if times == 0:
         yield Finding("unit", "[markers] file: all markers lie at one place", fatal=True)
@@ -169,7 +180,7 @@ def _check_times(recording: Recording) -> Iterator[Finding]:
     interval, stated = median_interval(recording.times), recording.stated_rate
     if not interval:
         return
-    rate, (low, high) = 1 / interval, RATES_HZ
+    rate, (low, high) = 1 / interval, RATE_RANGE_HZ
     if not low <= rate <= high:
         yield Finding(
             "rate",
@@ -195,20 +206,23 @@ def _complete_samples(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
 def _check_up(recording: Recording) -> Iterator[Finding]:
     kept, positions = _complete_samples(recording)
     heights = standing_points(recording.skeleton, recording.places)[kept, 2]
-    if not len(positions) or len(kept) < 2 or np.ptp(heights) < BEFORE_M:
+    if not len(positions) or len(kept) < 2 or np.ptp(heights) < MIN_HANDS_AHEAD_M:
         return
     centred = heights - heights.mean()
     shares = np.median(np.einsum("tma,m->ta", positions, centred), 0) / (centred @ centred)
     levels = np.median(positions.mean(1), 0) / heights.mean()
     for axis, name in enumerate("xy"):
         sign = 1.0 if shares[axis] > 0 else -1.0
-        upright = sign * shares[axis] >= UPRIGHT and LEVELS[0] <= sign * levels[axis] <= LEVELS[1]
-        stands = shares[2] > MUCH_LESS * abs(shares[axis])
+        upright = (
+            sign * shares[axis] >= UPRIGHT_SHARE
+            and LEVEL_RANGE[0] <= sign * levels[axis] <= LEVEL_RANGE[1]
+        )
+        stands = shares[2] > STANDS_RATIO * abs(shares[axis])
         if upright and not stands:
             yield _wrong_up(f"{'' if sign > 0 else '-'}{name}", shares[2], abs(shares[axis]))
             return
-    if shares[2] <= -UPRIGHT:
-        sure = shares[2] <= -INVERTED_SHARE or -levels[2] >= LEVELS[0]
+    if shares[2] <= -UPRIGHT_SHARE:
+        sure = shares[2] <= -INVERTED_SHARE or -levels[2] >= LEVEL_RANGE[0]
         yield _upside_down(shares[2], bool(sure))
 
 
@@ -255,7 +269,7 @@ def facing_of_pairs(recording: Recording) -> list[tuple[tuple[int, int], float, 
     hands = [
         p for p in left_right_pairs(recording) if recording.places[p[0]].bone[:-2] in HAND_BONES
     ]
-    if not (head and hands) or np.ptp(recording.times) < HABIT_S:
+    if not (head and hands) or np.ptp(recording.times) < MIN_DURATION_S:
         return []
     positions = recording.positions_world[..., :2]
     ahead = positions[:, list(hands[0])].mean(1) - positions[:, head[0]]
@@ -269,7 +283,7 @@ def _forward_share(ahead: np.ndarray, leftward: np.ndarray) -> tuple[float, floa
     """Share of (T, 2) vectors ``ahead`` to the right of ``leftward``, and their mean there."""
     across = ahead[:, 0] * leftward[:, 1] - ahead[:, 1] * leftward[:, 0]
     forward = across / np.maximum(np.linalg.norm(leftward, axis=1), 1e-9)
-    tell = np.abs(forward) > BEFORE_M
+    tell = np.abs(forward) > MIN_HANDS_AHEAD_M
     if tell.sum() < 0.25 * len(forward):
         return 0.5, 0.0
     return float((forward[tell] > 0).mean()), float(np.nanmean(forward))
@@ -277,7 +291,7 @@ def _forward_share(ahead: np.ndarray, leftward: np.ndarray) -> tuple[float, floa
 
 def _check_sides(recording: Recording) -> Iterator[Finding]:
     told = facing_of_pairs(recording)
-    wrong = [row for row in told if row[1] <= 1 - MOST]
+    wrong = [row for row in told if row[1] <= 1 - MIN_AGREEING_SHARE]
     if not wrong:
         return
     names = [tuple(recording.marker_names[i] for i in pair) for pair, _, _ in wrong]
@@ -298,7 +312,10 @@ def _check_sides(recording: Recording) -> Iterator[Finding]:
 
 def _check_reach(recording: Recording) -> Iterator[Finding]:
     names, positions = recording.marker_names, recording.positions_world
-    allowed = REACH_SHARE * max_marker_distances(recording.skeleton, recording.places) + REACH_M
+    allowed = (
+        REACH_MARGIN_SHARE * max_marker_distances(recording.skeleton, recording.places)
+        + REACH_MARGIN_M
+    )
     counts, worst = np.zeros(allowed.shape, int), np.zeros(allowed.shape)
     for i in range(len(names)):
         for j in range(i):

@@ -21,12 +21,17 @@ from jaxmocap.capture.streams.stream_clock import StreamClock
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import comma_list, short_repr
 
-# A stream that is not there is looked for again and again, so many seconds at a time.
-LOOKING_S, WAITING_S = 1.0, 0.2
-# More channels, or longer labels and units, no stream of markers has.
-MOST_CHANNELS, LONGEST_LABEL = 4096, 200
+# A stream that is not there is asked for again and again, for so many seconds at a time.
+RESOLVE_TIMEOUT_S = 1.0
+# A sample is waited for so many seconds at a time.
+PULL_TIMEOUT_S = 0.2
+# No stream of markers has more channels,
+MAX_CHANNELS = 4096
+# or longer labels and units.
+MAX_LABEL_CHARACTERS = 200
 METRES_PER_UNIT = {"": 1.0, "m": 1.0, "meters": 1.0, "metres": 1.0, "mm": 1e-3, "millimeters": 1e-3}
-AXES, TURN = (".x", ".y", ".z"), (".qx", ".qy", ".qz", ".qw")
+POSITION_SUFFIXES = (".x", ".y", ".z")
+QUATERNION_SUFFIXES = (".qx", ".qy", ".qz", ".qw")
 
 
 class MarkerChannels(NamedTuple):
@@ -104,18 +109,18 @@ class MarkerStream:
         """Listen no more; returns within some seconds."""
         self._stop.set()
         if self._thread.is_alive():
-            self._thread.join(LOOKING_S + 1.0)
+            self._thread.join(RESOLVE_TIMEOUT_S + 1.0)
 
     def _listen(self) -> None:
         while not self._stop.is_set() and self.problem is None:
             try:
-                found = self._lsl.resolve_byprop("name", self._name, timeout=LOOKING_S)
+                found = self._lsl.resolve_byprop("name", self._name, timeout=RESOLVE_TIMEOUT_S)
                 if found:
                     self._receive(self._lsl.StreamInlet(found[0], max_buflen=1, recover=False))
             except (RuntimeError, ValueError):
                 # Who sent has gone, maybe somebody comes back; or it describes itself in bytes
                 # that are not UTF-8.
-                self._stop.wait(WAITING_S)
+                self._stop.wait(PULL_TIMEOUT_S)
 
     def _receive(self, inlet: Any) -> None:
         try:
@@ -125,9 +130,9 @@ class MarkerStream:
 
     def _take(self, inlet: Any) -> None:
         """All samples of a stream, until it is lost."""
-        channels = self._channels(inlet.info(timeout=LOOKING_S))
+        channels = self._channels(inlet.info(timeout=RESOLVE_TIMEOUT_S))
         while not self._stop.is_set() and self.problem is None:
-            values, stamp = inlet.pull_sample(timeout=WAITING_S)
+            values, stamp = inlet.pull_sample(timeout=PULL_TIMEOUT_S)
             if values is None:
                 continue
             arrived = self._now()
@@ -151,16 +156,16 @@ class MarkerStream:
             return {}
         labels, units = [], []
         channel = info.desc().child("channels").child("channel")
-        for _ in range(min(info.channel_count(), MOST_CHANNELS)):
-            labels.append(channel.child_value("label")[:LONGEST_LABEL])
-            units.append(channel.child_value("unit")[:LONGEST_LABEL].lower())
+        for _ in range(min(info.channel_count(), MAX_CHANNELS)):
+            labels.append(channel.child_value("label")[:MAX_LABEL_CHARACTERS])
+            units.append(channel.child_value("unit")[:MAX_LABEL_CHARACTERS].lower())
             channel = channel.next_sibling("channel")
         found = {}
         for i, label in enumerate(labels):
             name = label.removesuffix(".x")
-            if labels[i : i + 3] == [name + axis for axis in AXES]:
+            if labels[i : i + 3] == [name + axis for axis in POSITION_SUFFIXES]:
                 scales = tuple(METRES_PER_UNIT.get(unit, math.nan) for unit in units[i : i + 3])
-                turned = labels[i + 3 : i + 7] == [name + part for part in TURN]
+                turned = labels[i + 3 : i + 7] == [name + part for part in QUATERNION_SUFFIXES]
                 found[name] = MarkerChannels(i, scales, turned)
         if not found or any(math.isnan(scale) for each in found.values() for scale in each.scales):
             found_labels = comma_list(labels[:6]) or "none"

@@ -23,13 +23,20 @@ from pythonosc.parsing.osc_types import ParseError as TypesError
 
 # Farther from the origin no room is, metres.
 MAX_DISTANCE_M = 100.0
-# Bundles within bundles, elements of one, and characters of a name: more is an attack.
-DEEPEST, MOST_MESSAGES, LONGEST_NAME = 3, 256, 64
-_BUNDLE, _HEADER, _NOW = b"#bundle\0", 16, 1
+# Bundles within bundles: more is an attack, as are more messages and longer names.
+MAX_DEPTH = 3
+MAX_MESSAGES = 256
+MAX_NAME_BYTES = 64
+_BUNDLE = b"#bundle\0"
+_BUNDLE_HEADER_BYTES = 16
+# The time tag that stands for no time.
+_IMMEDIATELY = 1
 # OSC counts seconds from 1900, in parts of 2**32.
 _FRACTIONS = 2.0**32
 _DEVICES = (b"/VMC/Ext/Hmd/", b"/VMC/Ext/Con/", b"/VMC/Ext/Tra/")
-_TRACKERS, _POSITION, _ROTATION = b"/tracking/trackers/", b"/position", b"/rotation"
+_TRACKERS = b"/tracking/trackers/"
+_POSITION = b"/position"
+_ROTATION = b"/rotation"
 _TIME = b"/VMC/Ext/T"
 
 
@@ -76,7 +83,7 @@ def parse_packet(datagram: bytes, raw: bool = False) -> Packet:
         BadPacketError: "malformed" or "absurd".
     """
     placed, stamp = [], None
-    for message in _messages(datagram, DEEPEST):
+    for message in _messages(datagram, MAX_DEPTH):
         address = message[: max(message.find(b"\0"), 0)]
         if address == _TIME:
             stamp = _numbers(message, 1, 0)[0]
@@ -90,16 +97,16 @@ def parse_packet(datagram: bytes, raw: bool = False) -> Packet:
 
 def _messages(content: bytes, deepest: int, left: list[int] | None = None) -> Iterator[bytes]:
     """The messages of a datagram, bundles taken apart."""
-    left = [MOST_MESSAGES] if left is None else left
+    left = [MAX_MESSAGES] if left is None else left
     if content.startswith(b"/") and len(content) % 4 == 0:
         left[0] -= 1
         if left[0] < 0:
             raise BadPacketError("malformed")
         yield content
         return
-    if not content.startswith(_BUNDLE) or len(content) < _HEADER or not deepest:
+    if not content.startswith(_BUNDLE) or len(content) < _BUNDLE_HEADER_BYTES or not deepest:
         raise BadPacketError("malformed")
-    place = _HEADER
+    place = _BUNDLE_HEADER_BYTES
     while place < len(content):
         if len(content) - place < 4:
             raise BadPacketError("malformed")
@@ -138,7 +145,7 @@ def _device(message: bytes, address: bytes) -> MarkerMessage:
     """One of VMC's devices; a headset is called Hmd as well, whatever its serial is."""
     numbers = _numbers(message, 7, 1)
     serial = _arguments(message)[0]
-    if not isinstance(serial, str) or len(serial) > LONGEST_NAME:
+    if not isinstance(serial, str) or len(serial) > MAX_NAME_BYTES:
         raise BadPacketError("malformed")
     kind = address.split(b"/")[3].decode()
     names = (serial, kind) if kind == "Hmd" else (serial,)
@@ -148,7 +155,7 @@ def _device(message: bytes, address: bytes) -> MarkerMessage:
 def _tracker(message: bytes, address: bytes) -> MarkerMessage:
     """One of VRChat's trackers: where it is, or how it is turned."""
     number, _, kind = address[len(_TRACKERS) :].rpartition(b"/")
-    if len(number) > LONGEST_NAME:
+    if len(number) > MAX_NAME_BYTES:
         raise BadPacketError("malformed")
     name, values = number.decode("ascii", "replace"), _numbers(message, 3, 0)
     if b"/" + kind == _POSITION:
@@ -190,4 +197,4 @@ def _position(numbers: list[float]) -> tuple[float, float, float]:
 def _time_tag(bundle: bytes) -> float | None:
     """A bundle's seconds; None for "at once"."""
     (tag,) = struct.unpack_from(">Q", bundle, 8)
-    return None if tag == _NOW else tag / _FRACTIONS
+    return None if tag == _IMMEDIATELY else tag / _FRACTIONS

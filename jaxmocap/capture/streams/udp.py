@@ -18,8 +18,10 @@ from jaxmocap.capture.streams.senders import PacketSender, PacketSenders, TokenB
 from jaxmocap.formats.files.addresses import LOOPBACK, Address, Network, resolve_address
 from jaxmocap.formats.files.errors import InputError
 
-# So many packets a second are read, so many of them at a stroke; older ones beyond are dropped.
-MOST_A_SECOND, BURST = 4000, 400
+# Packets a second that are read; older ones beyond are dropped.
+MAX_PACKETS_HZ = 4000
+# Packets that are read at a stroke.
+MAX_BURST = 400
 # Larger than what UDP carries.
 MAX_DATAGRAM_BYTES = 65536
 
@@ -79,7 +81,7 @@ class MarkerSocket:
         self.packets, self.last_arrival = 0, None
         self.senders = PacketSenders(allowed)
         self._gathering, self._raw, self._now = gathering, raw, now
-        self._bucket = TokenBucket(MOST_A_SECOND, BURST, now())
+        self._bucket = TokenBucket(MAX_PACKETS_HZ, MAX_BURST, now())
         self._stop = Event()
         self._socket = _bound_socket(address)
         self.address = Address(address.host, self._socket.getsockname()[1])
@@ -102,7 +104,7 @@ class MarkerSocket:
     def start(self) -> None:
         """Listen from now on; what came before is old."""
         self._waiting()
-        self._bucket = TokenBucket(MOST_A_SECOND, BURST, self._now())
+        self._bucket = TokenBucket(MAX_PACKETS_HZ, MAX_BURST, self._now())
         self._thread.start()
 
     def ask_to_stop(self) -> None:
@@ -128,7 +130,7 @@ class MarkerSocket:
     def _waiting(self) -> list[Datagram]:
         """All datagrams that wait, a second's at most."""
         waiting = []
-        for _ in range(MOST_A_SECOND):
+        for _ in range(MAX_PACKETS_HZ):
             try:
                 content, source = self._socket.recvfrom(MAX_DATAGRAM_BYTES)
             except BlockingIOError:

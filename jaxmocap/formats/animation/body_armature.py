@@ -35,8 +35,10 @@ from jaxmocap.formats.files.short_repr import comma_list, short_name
 
 # Angles of our skeleton in the T pose, degrees; the others are 0.
 T_POSE = {"arm_abduct_l": 90.0, "arm_abduct_r": 90.0}
-# How far an armature may be from what our skeleton can do: metres, radians.
-NEAR_M, NEAR_RAD = 1e-3, 1e-3
+# How far a joint may lie from where our skeleton has it, metres.
+MAX_OFFSET_ERROR_M = 1e-3
+# How far a joint may be rotated from what our hinges can do, radians.
+MAX_ROTATION_ERROR_RAD = 1e-3
 
 
 def armature_of(motion: Motion, convention: str = "jaxmocap") -> Armature:
@@ -174,7 +176,7 @@ def _check_rotations(
     # The angle between the two; of unknown poses nothing is asked.
     traces = np.einsum("tij,tij->t", done, wanted)
     off = np.nan_to_num(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
-    if off.max() > NEAR_RAD:
+    if off.max() > MAX_ROTATION_ERROR_RAD:
         i = int(off.argmax())
         raise InputError(
             path,
@@ -202,7 +204,7 @@ def _skeleton_of(
         bone = bone_ending_at(skeleton, joint)
         reach = armature.offsets[j] if bone is None else rest[bone].T @ armature.offsets[j]
         expected = np.zeros(3) if bone is None else found.setdefault(bone, reach)
-        if np.linalg.norm(reach - expected) > NEAR_M:
+        if np.linalg.norm(reach - expected) > MAX_OFFSET_ERROR_M:
             raise InputError(
                 path, f"not our skeleton: {short_name(armature.names[j])} starts elsewhere"
             )

@@ -20,7 +20,12 @@ from jaxmocap.formats.files.reading import read_bytes
 from jaxmocap.formats.files.short_repr import short_repr
 from jaxmocap.formats.files.writing import write_bytes
 
-_MAGIC, _VERSION, _JSON, _BINARY = b"glTF", 2, b"JSON", b"BIN\0"
+# A .glb file begins with this, and with its version.
+_MAGIC = b"glTF"
+_VERSION = 2
+# Kinds of its chunks.
+_JSON = b"JSON"
+_BINARY = b"BIN\0"
 _TYPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 _SHAPES = {name: shape for shape, name in _TYPES.items()}
 _COMPONENTS = {"<i1": 5120, "<u1": 5121, "<i2": 5122, "<u2": 5123, "<u4": 5125, "<f4": 5126}

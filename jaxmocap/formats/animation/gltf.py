@@ -27,7 +27,9 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.time_series.gaps import hold_across_gaps
 
 SKIN_COLOUR = (0.62, 0.68, 0.76, 1.0)
-_ARRAYS, _INDICES = 34962, 34963
+# glTF's numbers for what a view of the buffer holds: attributes of vertices, or indices.
+_ARRAY_BUFFER = 34962
+_ELEMENT_ARRAY_BUFFER = 34963
 
 
 def write_gltf(
@@ -103,14 +105,14 @@ def _nodes(armature: Armature) -> list[dict[str, Any]]:
 def _primitive(binary: BinaryChunk, mesh: SkinnedMesh) -> dict[str, Any]:
     """The mesh's arrays."""
     attributes = {
-        "POSITION": binary.add(mesh.vertices, bounded=True, target=_ARRAYS),
-        "NORMAL": binary.add(mesh.normals, target=_ARRAYS),
-        "JOINTS_0": binary.add(mesh.joints, "<u2", target=_ARRAYS),
-        "WEIGHTS_0": binary.add(mesh.weights, target=_ARRAYS),
+        "POSITION": binary.add(mesh.vertices, bounded=True, target=_ARRAY_BUFFER),
+        "NORMAL": binary.add(mesh.normals, target=_ARRAY_BUFFER),
+        "JOINTS_0": binary.add(mesh.joints, "<u2", target=_ARRAY_BUFFER),
+        "WEIGHTS_0": binary.add(mesh.weights, target=_ARRAY_BUFFER),
     }
     if mesh.texture_xy is not None:
-        attributes["TEXCOORD_0"] = binary.add(mesh.texture_xy, target=_ARRAYS)
-    indices = binary.add(mesh.triangles.ravel(), "<u4", target=_INDICES)
+        attributes["TEXCOORD_0"] = binary.add(mesh.texture_xy, target=_ARRAY_BUFFER)
+    indices = binary.add(mesh.triangles.ravel(), "<u4", target=_ELEMENT_ARRAY_BUFFER)
     return {"attributes": attributes, "indices": indices, "material": 0}
 
 

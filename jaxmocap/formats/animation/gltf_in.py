@@ -20,15 +20,19 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import comma_list, short_name
 from jaxmocap.formats.time_series.tables import LATEST_S
 
-# Joints may not slide or grow by more than this: metres, and a factor's difference from 1.
-SLIDES_M, GROWS = 1e-3, 1e-3
+# Joints other than the root may not slide by more than this, metres.
+MAX_SLIDE_M = 1e-3
+# A joint's scale may not differ from 1 by more than this: an armature holds none.
+MAX_SCALE_ERROR = 1e-3
 # Times of different channels that differ by less are one, seconds: float32 has no more.
 SAME_TIME_S = 1e-5
 # From a joint to the next, metres; nodes of a document.
 _FARTHEST_M = 1e7
 _MAX_NODES = 100_000
-# A quaternion or a matrix may differ from a pure rotation by this; shorter ones turn nothing.
-_SHEARED, _SHORTEST = 1e-2, 1e-3
+# A matrix may differ from a rotation by this, as files round.
+_MAX_SHEAR = 1e-2
+# A shorter quaternion states no rotation.
+_MIN_QUATERNION_LENGTH = 1e-3
 # What of a node is animated: numbers of each key. Weights are a mesh's.
 _NUMBERS_PER_KEY = {"translation": 3, "rotation": 4, "scale": 3, "weights": 1}
 
@@ -204,7 +208,7 @@ def _joint_motion(
         R_up = np.eye(3) if parent < 0 else R_root_rest[parent]
         if parent < 0:
             positions = places
-        elif np.ptp(places, axis=0).max() > SLIDES_M:
+        elif np.ptp(places, axis=0).max() > MAX_SLIDE_M:
             raise part.error(f"joint {_name(part)} slides by more than a millimetre")
         else:
             offsets[j] = R_up @ places[0]
@@ -226,20 +230,20 @@ def _rest_pose(node: JsonPart) -> tuple[np.ndarray, np.ndarray]:
         scale = np.linalg.norm(R, axis=0)
     else:
         quaternion = node["rotation"].numbers(4, 1e3, (0, 0, 0, 1))
-        if np.linalg.norm(quaternion) < _SHORTEST:
+        if np.linalg.norm(quaternion) < _MIN_QUATERNION_LENGTH:
             raise node["rotation"].error("found a quaternion of length 0, expected 1")
         R = Rotation.from_quat(quaternion).as_matrix()
         place = node["translation"].numbers(3, _FARTHEST_M, (0, 0, 0))
         scale = node["scale"].numbers(3, 1e6, (1, 1, 1))
-    if np.abs(scale - 1).max() > GROWS:
+    if np.abs(scale - 1).max() > MAX_SCALE_ERROR:
         raise node.error(f"joint {_name(node)} is scaled, which is not read")
-    if np.linalg.det(R) < 0 or np.abs(R @ R.T - np.eye(3)).max() > _SHEARED:
+    if np.linalg.det(R) < 0 or np.abs(R @ R.T - np.eye(3)).max() > _MAX_SHEAR:
         raise node["matrix"].error("found a matrix that mirrors or shears, expected a rotation")
     return place, Rotation.from_matrix(R).as_matrix()
 
 
 def _check_scale(accessors: Accessors, node: JsonPart, curve: _Curve | None) -> None:
-    if curve is not None and np.abs(curve.values(accessors, 3) - 1).max() > GROWS:
+    if curve is not None and np.abs(curve.values(accessors, 3) - 1).max() > MAX_SCALE_ERROR:
         raise node.error(f"joint {_name(node)} is scaled, which is not read")
 
 
@@ -264,7 +268,7 @@ def _rotations_at(
     if curve is None:
         return np.broadcast_to(rest, (len(times), 3, 3))
     quaternions = curve.values(accessors, 4)
-    if np.linalg.norm(quaternions, axis=1).min() < _SHORTEST:
+    if np.linalg.norm(quaternions, axis=1).min() < _MIN_QUATERNION_LENGTH:
         raise curve.part.error("found a quaternion of length 0, expected 1")
     turns = Rotation.from_quat(quaternions)
     if np.array_equal(curve.times, times):

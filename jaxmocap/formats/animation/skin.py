@@ -20,8 +20,10 @@ from jaxmocap.formats.animation.body_armature import joint_tree, rest_orientatio
 from jaxmocap.formats.animation.skinned_mesh import SkinnedMesh
 from jaxmocap.formats.files.errors import InputError
 
-# Of a picture's texels on the surface, metres; and how far apart bones may put a node at rest.
-TEXEL_M, APART_M = 0.0025, 1e-3
+# Side of a texture's texel on the surface, metres.
+TEXEL_M = 0.0025
+# How far apart the bones of one node may put it at rest, metres.
+MAX_APART_M = 1e-3
 BONES_PER_VERTEX = 4
 PNG_SIGNATURE = b"\x89PNG"
 
@@ -109,8 +111,8 @@ def _check_skin(path: str | Path, surface: Surface, joints: np.ndarray, nodes: n
         )
     apart = np.linalg.norm(joints[bones] + surface.points.points_bone - nodes[:, None], axis=-1)
     worst = float(np.where(shares > 0, apart, 0).max())
-    if worst > APART_M:
+    if worst > MAX_APART_M:
         raise InputError(
             path, f"a surface whose bones put a node {1e3 * worst:.0f} mm apart at rest, "
-            f"expected {1e3 * APART_M:.0f} mm at most"
+            f"expected {1e3 * MAX_APART_M:.0f} mm at most"
         )  # fmt: skip

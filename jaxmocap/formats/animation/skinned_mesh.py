@@ -10,8 +10,10 @@ import numpy as np
 from jaxmocap.formats.animation.armature import Armature, joint_positions
 from jaxmocap.geometry.solids import limb_solid
 
-# Flesh of limbs of which nothing is known: a fraction of their length, and at most so much, metres.
-SLIMNESS, THICKEST_M = 0.12, 0.05
+# Radius of a limb whose girth is unknown, as a share of its length.
+DEFAULT_RADIUS_SHARE = 0.12
+# At most this radius, metres.
+MAX_DEFAULT_RADIUS_M = 0.05
 SHORTEST_LIMB_M = 1e-4
 
 
@@ -49,7 +51,7 @@ def limb_mesh(armature: Armature) -> SkinnedMesh:
         length = float(np.linalg.norm(reach))
         if parent < 0 or length < SHORTEST_LIMB_M:
             continue
-        slim = np.full(2, min(SLIMNESS * length, THICKEST_M))
+        slim = np.full(2, min(DEFAULT_RADIUS_SHARE * length, MAX_DEFAULT_RADIUS_M))
         solid = limb_solid(reach, slim if armature.radii is None else armature.radii[j])
         vertices.append(rest[parent] + solid.vertices)
         normals.append(solid.normals)

@@ -38,7 +38,8 @@ METADATA_SECTION = "metadata"
 ORTHONORMAL_TOLERANCE = 1e-3
 # Pixels: of a picture's side; of a focal length (a telescope has some million).
 LARGEST_SIZE = 65_536
-SMALLEST_FOCAL, LARGEST_FOCAL = 1e-3, 1e8
+SMALLEST_FOCAL = 1e-3
+LARGEST_FOCAL = 1e8
 # Of a real lens none is beyond some hundred.
 LARGEST_DISTORTION = 1e6
 # Radians of a Rodrigues vector, which need not be the shortest.
@@ -48,7 +49,7 @@ _Section = TypeVar("_Section")
 
 
 @dataclass(frozen=True)
-class Lens:
+class Intrinsics:
     """What a camera is, wherever it stands: in double precision, as files hold it.
 
     Attributes:
@@ -86,7 +87,7 @@ def read_calibration(path: str | Path, origin_world: np.ndarray | None = None) -
     return {name: _camera(fields, origin) for name, fields in each.items()}
 
 
-def read_lens(path: str | Path, name: str) -> Lens:
+def read_intrinsics(path: str | Path, name: str) -> Intrinsics:
     """Read the intrinsics of one camera, which need not have been placed yet.
 
     Raises:
@@ -95,9 +96,9 @@ def read_lens(path: str | Path, name: str) -> Lens:
     path = Path(path)
     sections = _sections(path)
     if path.suffix.lower() in YAML_SUFFIXES:
-        return _lens(TomlTable(path, "", next(iter(sections.values()))))
+        return _intrinsics(TomlTable(path, "", next(iter(sections.values()))))
     table = pick_camera(path, sections, name)
-    return _lens(TomlTable(path, f"[{name}]", table))
+    return _intrinsics(TomlTable(path, f"[{name}]", table))
 
 
 def _sections(path: Path) -> dict[str, Any]:
@@ -115,7 +116,7 @@ def pick_camera(path: str | Path, cameras: Mapping[str, _Section], name: str) ->
 
 
 def _camera(fields: TomlTable, origin_world: np.ndarray) -> Camera:
-    lens = _lens(fields)
+    lens = _intrinsics(fields)
     for key in ("rotation", "translation"):
         if key not in fields:
             raise fields.error("", f"{key!r} is missing (jaxmocap calibrate extrinsics finds it)")
@@ -128,7 +129,7 @@ def _camera(fields: TomlTable, origin_world: np.ndarray) -> Camera:
     return Camera.create(size, lens.matrix, lens.distortions, rotation, translation)
 
 
-def _lens(fields: TomlTable) -> Lens:
+def _intrinsics(fields: TomlTable) -> Intrinsics:
     refuse_fisheye(fields)
     size = fields.array("size", [(2,)], "[width, height] in pixels", LARGEST_SIZE)
     if (size < 1).any():
@@ -139,7 +140,7 @@ def _lens(fields: TomlTable) -> Lens:
         if "distortions" in fields
         else np.zeros(0)
     )
-    return Lens(size, _matrix(fields), distortions)
+    return Intrinsics(size, _matrix(fields), distortions)
 
 
 def refuse_fisheye(fields: TomlTable) -> None:

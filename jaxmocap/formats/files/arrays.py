@@ -35,13 +35,17 @@ MAX_INFLATION = 1040
 # Decompressed at once, bytes.
 BLOCK_BYTES = 2**24
 
-# What arrays hold: the kinds of NumPy's types that they may have.
-NUMBERS, INTEGERS, BYTES, NAMES, TEXT = "numbers", "whole numbers", "bytes", "names", "text"
+# What arrays hold: the kinds of values that a format states.
+NUMBERS = "numbers"
+INTEGERS = "whole numbers"
+BYTES = "bytes"
+NAMES = "names"
+TEXT = "text"
 _KINDS = {NUMBERS: "fiu", INTEGERS: "iu", BYTES: "u", NAMES: "U", TEXT: "U"}
 # Bytes of one value.
 _MAX_ITEM_BYTES = {NUMBERS: 8, INTEGERS: 8, BYTES: 1}
 _LARGEST_INTEGER = 2**62
-_SURROGATES = 0xD800, 0xDFFF
+_SURROGATES = (0xD800, 0xDFFF)
 _LAST_CHARACTER = 0x10FFFF
 _READERS = {
     (1, 0): np.lib.format.read_array_header_1_0,

@@ -15,8 +15,11 @@ SIGNATURE_BYTES = 32
 _MAX_JPEG_SEGMENTS = 10_000
 # JPEG's markers of frames are these, but for those of tables among them.
 _JPEG_FRAME_MARKERS = set(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-# TIFF's tags of width and height, and its types of 16 and 32 bits.
-_WIDTH, _HEIGHT, _TYPES = 256, 257, {3: "H", 4: "I"}
+# TIFF's tags of width and height.
+_WIDTH = 256
+_HEIGHT = 257
+# TIFF's types of 16 and 32 bits, as ``struct`` names them.
+_TYPES = {3: "H", 4: "I"}
 _PNM = re.compile(rb"P[1-6](?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\s")
 
 Size = tuple[int, int]

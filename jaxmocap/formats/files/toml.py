@@ -25,8 +25,9 @@ MAX_TOML_BYTES = 2**20
 # Metres, pixels, seconds (since 1970 as well), Hz: no number of ours is larger, and its square is
 # a number in single precision.
 LARGEST_NUMBER = 1e12
-# What a camera's name may take as a part of a file's name, characters and bytes.
-LONGEST_FILE_NAME, MOST_FILE_NAME_BYTES = 100, 200
+# What a camera's name may take as a part of a file's name: a system's file names have 255 bytes.
+MAX_FILE_NAME_CHARACTERS = 100
+MAX_FILE_NAME_BYTES = 200
 _FORBIDDEN_CHARACTERS = frozenset('<>:"/\\|?*')
 _RESERVED_NAMES = {"con", "prn", "aux", "nul"} | {
     f"{kind}{i}" for kind in ("com", "lpt") for i in range(10)
@@ -67,8 +68,10 @@ def file_name_problem(name: str) -> str | None:
     if not name.isprintable() or _FORBIDDEN_CHARACTERS & set(name):
         forbidden = " ".join(sorted(_FORBIDDEN_CHARACTERS))
         return f"expected a name without {forbidden} and control characters, since files get it"
-    if not 0 < len(name) <= LONGEST_FILE_NAME or len(name.encode()) > MOST_FILE_NAME_BYTES:
-        return f"expected 1 to {LONGEST_FILE_NAME} characters, since files are named after it"
+    if not 0 < len(name) <= MAX_FILE_NAME_CHARACTERS or len(name.encode()) > MAX_FILE_NAME_BYTES:
+        return (
+            f"expected 1 to {MAX_FILE_NAME_CHARACTERS} characters, since files are named after it"
+        )
     if name.startswith(".") or name.split(".")[0].strip().lower() in _RESERVED_NAMES:
         return "expected another name, since files are named after it"
     return None

@@ -11,8 +11,9 @@ from typing import Any
 from jaxmocap.formats.files.short_repr import short_repr
 from jaxmocap.formats.files.toml import TomlTable
 
-# Hz and seconds that filters are given.
-SMALLEST, LARGEST = 1e-6, 1e6
+# Hz and seconds that filters may be given.
+SMALLEST_VALUE = 1e-6
+LARGEST_VALUE = 1e6
 FILTER_KEYS = ("hampel", "gaps", "butterworth", "one_euro")
 
 
@@ -75,7 +76,7 @@ def _switch(fields: TomlTable, key: str) -> bool:
 def _positive(fields: TomlTable, key: str, default: float | None = None) -> float:
     if (value := fields.number(key, default)) <= 0:
         raise fields.error(key, f"found {value:g}, expected a positive number")
-    return fields.number(key, default, SMALLEST, LARGEST)
+    return fields.number(key, default, SMALLEST_VALUE, LARGEST_VALUE)
 
 
 def _one_euro(fields: TomlTable) -> OneEuroSettings | None:

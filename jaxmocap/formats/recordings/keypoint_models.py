@@ -55,9 +55,11 @@ LANDMARK_OF: dict[str, str] = {
     for joint in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
     for side in ("left", "right")
 }
-# Of two readings of the same points the right one has the face in one place: it is taken where it
-# makes the face smaller by this factor in the median, and smaller at all in so many of the people.
-_CLEARLY_SMALLER, _AGREEING = 2.0, 0.9
+# Of two models with as many points, the right one has the face's points close together. It is
+# taken where it makes the face smaller by this factor in the median,
+_MIN_SIZE_RATIO = 2.0
+# and smaller at all in this share of the people.
+_MIN_AGREEING_SHARE = 0.9
 # Fewer points of a face than this have no extent worth comparing.
 _MIN_FACE_POINTS = 3
 
@@ -92,7 +94,7 @@ def model_by_faces(pixels_xy: np.ndarray, models: Sequence[str]) -> str | None:
     larger = np.log(np.maximum(first, 1.0) / np.maximum(second, 1.0))
     median = float(np.median(larger))
     agreeing = float(np.mean(np.sign(larger) == np.sign(median)))
-    if abs(median) < np.log(_CLEARLY_SMALLER) or agreeing < _AGREEING:
+    if abs(median) < np.log(_MIN_SIZE_RATIO) or agreeing < _MIN_AGREEING_SHARE:
         return None
     return models[0] if median < 0 else models[1]
 

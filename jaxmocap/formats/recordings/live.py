@@ -51,7 +51,10 @@ _URL = re.compile(r"(?!file:)[a-z][a-z0-9+.-]*://[!-~]+", re.IGNORECASE)
 _TABLES = ("markers", "osc", "lsl", "video", "calibration", "subject", "vmc", "vrchat")
 
 
-LISTEN, VMC, VRCHAT = (Address(port=port) for port in (39540, 39539, 9000))
+# Ports that VMC's senders, VMC's receivers and VRChat use unless they are told otherwise.
+DEFAULT_LISTEN = Address(port=39540)
+DEFAULT_VMC = Address(port=39539)
+DEFAULT_VRCHAT = Address(port=9000)
 
 
 @dataclass(frozen=True)
@@ -101,12 +104,12 @@ class LiveSetup:
     places: tuple[MarkerPlace, ...]
     R_world_source: np.ndarray
     videos: tuple[LiveVideo, ...] = ()
-    listen: Address = LISTEN
+    listen: Address = DEFAULT_LISTEN
     allowed_networks: tuple[Network, ...] = LOOPBACK
     aliases: Mapping[str, str] = field(default_factory=dict)
     raw: bool = False
     lsl: str | None = None
-    vmc: Address = VMC
+    vmc: Address = DEFAULT_VMC
     vrchat: Address | None = None
     trackers: tuple[str, ...] = DEFAULT_TRACKED
     calibration: Path | None = None
@@ -202,7 +205,7 @@ def _marker_source(top: TomlTable, places: tuple[MarkerPlace, ...]) -> dict[str,
     raw = fields.entries.get("raw", False)
     if not isinstance(raw, bool):
         raise fields.error("raw", f"found {short_repr(raw)}, expected true or false")
-    listen = read_address(fields, "listen", LISTEN)
+    listen = read_address(fields, "listen", DEFAULT_LISTEN)
     allowed = read_allowed_networks(fields, listen)
     return {"listen": listen, "allowed_networks": allowed, "aliases": names.entries, "raw": raw}
 
@@ -219,10 +222,13 @@ def _stream(fields: TomlTable) -> str:
 def _pose_targets(top: TomlTable) -> dict[str, Any]:
     """Where poses go."""
     vmc = TomlTable(top.path, "[vmc]", top.entries.get("vmc", {}), ("send",))
-    found: dict[str, Any] = {"vmc": read_address(vmc, "send", VMC)}
+    found: dict[str, Any] = {"vmc": read_address(vmc, "send", DEFAULT_VMC)}
     if "vrchat" in top:
         fields = TomlTable(top.path, "[vrchat]", top.entries["vrchat"], ("send", "trackers"))
-        found |= {"vrchat": read_address(fields, "send", VRCHAT), "trackers": _trackers(fields)}
+        found |= {
+            "vrchat": read_address(fields, "send", DEFAULT_VRCHAT),
+            "trackers": _trackers(fields),
+        }
     return found
 
 

@@ -28,8 +28,10 @@ from jaxmocap.formats.time_series.markers import read_markers
 
 _HEIGHT_KEYS = ("height", "mass", "bones")
 _BONE_KEYS = ("length", "mass", "diameter", "direction")
-# Metres and kilograms that a bone may have.
-LENGTHS_M, MASSES_KG = (0.01, 1.0), (0.01, 100.0)
+# Lengths that a bone may have, metres.
+LENGTH_RANGE_M = (0.01, 1.0)
+# Masses that a bone may have, kilograms.
+MASS_RANGE_KG = (0.01, 100.0)
 _STATIC_KEYS = ("static", "up", "to_world", "landmarks", "mass")
 DEFAULT_HEIGHT = 1.75
 _SKELETON_FIELDS = {
@@ -107,13 +109,13 @@ def _with_bones(skeleton: Skeleton, bones: TomlTable) -> Skeleton:
 def _bone_value(fields: TomlTable, key: str) -> np.ndarray | float:
     """What a table says of one bone."""
     if key in ("length", "mass"):
-        low, high = LENGTHS_M if key == "length" else MASSES_KG
+        low, high = LENGTH_RANGE_M if key == "length" else MASS_RANGE_KG
         unit = "metres" if key == "length" else "kilograms"
         if not low <= (value := fields.number(key)) <= high:
             raise fields.error(key, f"found {value:g}, expected {unit} from {low:g} to {high:g}")
         return value
     if key == "diameter":
-        ends = fields.array(key, [(2,)], "metres at the near and the far end", LENGTHS_M[1])
+        ends = fields.array(key, [(2,)], "metres at the near and the far end", LENGTH_RANGE_M[1])
         if not (ends > 0).all():
             raise fields.error(key, f"found {ends.tolist()}, expected metres above 0")
         return ends
@@ -201,7 +203,7 @@ def _by_static_trial(fields: TomlTable) -> Skeleton:
             f"{short_name(fields.text('static'))} shows neck, hips and shoulders in no common frame"
         )
         raise named.error("", problem)
-    if (longest := float(np.max(skeleton.lengths))) > LENGTHS_M[1]:
-        problem = f"shows bones of up to {longest:.4g} m, expected at most {LENGTHS_M[1]:g} m"
+    if (longest := float(np.max(skeleton.lengths))) > LENGTH_RANGE_M[1]:
+        problem = f"shows bones of up to {longest:.4g} m, expected at most {LENGTH_RANGE_M[1]:g} m"
         raise named.error("", f"{short_name(fields.text('static'))} {problem}")
     return skeleton

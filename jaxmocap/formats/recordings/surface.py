@@ -19,19 +19,23 @@ from jaxmocap.formats.files.short_repr import comma_list, short_repr
 from jaxmocap.formats.files.writing import replacing
 
 PATCH_NAMES = ("torso", "arm_l", "arm_r", "leg_l", "leg_r", "foot_l", "foot_r")
-# Rings of a patch, and nodes of a ring; bones that carry one node.
-FEWEST_NODES, MOST_NODES = 2, 512
+# Rings of a patch, and nodes of a ring.
+MIN_NODES = 2
+MAX_NODES = 512
+# Bones that carry one node.
 MAX_BONES_PER_NODE = 8
 # Together, the shares of a node's bones may differ from 1 by this.
 _SHARE_TOLERANCE = 1e-3
 # No body is larger: from a bone's joint to a node that it carries, around a ring, and along a
 # patch; nor is a patch shorter; metres.
 _FARTHEST_M = 3.0
-_LONGEST_RING_M, _LONGEST_PATCH_M, _SHORTEST_PATCH_M = 5.0, 8.0, 1e-3
+_LONGEST_RING_M = 5.0
+_LONGEST_PATCH_M = 8.0
+_SHORTEST_PATCH_M = 1e-3
 
 _ARRAY_SPECS = {
     "patch_names": ArraySpec(("P",), NAMES),
-    "patch_sizes": ArraySpec(("P", 2), INTEGERS, low=FEWEST_NODES, high=MOST_NODES),
+    "patch_sizes": ArraySpec(("P", 2), INTEGERS, low=MIN_NODES, high=MAX_NODES),
     "bone_names": ArraySpec(("B",), NAMES),
     "bones": ArraySpec(("N", "K"), INTEGERS, low=0),
     "points_bone": ArraySpec(("N", "K", 3), low=-_FARTHEST_M, high=_FARTHEST_M),
