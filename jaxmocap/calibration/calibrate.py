@@ -91,25 +91,25 @@ def calibrate_camera(
     out = Path(out)
     check_camera_writable(out, camera)
     folder = picture_folder(pictures, f"intrinsics of {camera}", paths)
-    before, placed = _existing_section(out, camera)
-    found = find_boards(paths, board)
+    before, is_placed = _existing_section(out, camera)
+    detections = find_boards(paths, board)
     try:
-        result = _checked_estimate(found, coefficients)
+        result = _checked_estimate(detections, coefficients)
     except InputError:
         if folder is not None:
-            folder.write(partial(draw_detections, found))
+            folder.write(partial(draw_detections, detections))
         raise
     coverage = image_coverage(
-        [v for v, use in zip(found.views, result.used, strict=True) if use], found.size
+        [v for v, use in zip(detections.views, result.used, strict=True) if use], detections.size
     )
-    said = [
-        *found.warnings,
+    warnings = [
+        *detections.warnings,
         *intrinsics_warnings(result, coverage),
-        *_change_warnings(result, before, placed),
+        *_change_warnings(result, before, is_placed),
     ]
-    drawn = [] if folder is None else folder.write(partial(draw_intrinsics, found, result))
+    drawn = [] if folder is None else folder.write(partial(draw_intrinsics, detections, result))
     write_camera(out, camera, result.lens.entries())
-    return IntrinsicsResult(camera, found, result, coverage, tuple(said), (out, *drawn))
+    return IntrinsicsResult(camera, detections, result, coverage, tuple(warnings), (out, *drawn))
 
 
 def _existing_section(out: Path, camera: str) -> tuple[Intrinsics | None, bool]:
@@ -119,29 +119,29 @@ def _existing_section(out: Path, camera: str) -> tuple[Intrinsics | None, bool]:
     return lens, "rotation" in table
 
 
-def _checked_estimate(found: BoardDetections, coefficients: int) -> IntrinsicsEstimate:
+def _checked_estimate(detections: BoardDetections, coefficients: int) -> IntrinsicsEstimate:
     """The calibration; InputError with the reason where the views do not determine it."""
-    if (why := found.too_few()) is not None:
-        raise InputError(found.where, why)
+    if (why := detections.too_few()) is not None:
+        raise InputError(detections.where, why)
     try:
-        result = estimate_intrinsics(found.views, found.size, coefficients)
+        result = estimate_intrinsics(detections.views, detections.size, coefficients)
     except ArithmeticError as error:
-        raise InputError(found.where, f"the views determine no camera: {error}") from None
+        raise InputError(detections.where, f"the views determine no camera: {error}") from None
     if (why := why_undetermined(result)) is not None:
-        raise InputError(found.where, why)
+        raise InputError(detections.where, why)
     if (count := sum(result.used)) < MIN_VIEWS:
-        both = zip(found.views, result.used, strict=True)
+        both = zip(detections.views, result.used, strict=True)
         others = ", ".join(view.name for view, use in both if not use)
         problem = f"only {count} views agree, expected {MIN_VIEWS} or more; not with them: {others}"
-        raise InputError(found.where, problem)
+        raise InputError(detections.where, problem)
     return result
 
 
 def _change_warnings(
-    result: IntrinsicsEstimate, before: Intrinsics | None, placed: bool
+    result: IntrinsicsEstimate, before: Intrinsics | None, is_placed: bool
 ) -> list[str]:
     """What is to be said of the calibration that the file held already."""
-    said = []
+    warnings = []
     if before is not None:
         K = before.matrix
         old = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])
@@ -152,13 +152,13 @@ def _change_warnings(
             if abs(step) > 3 * sure
         ]
         if far:
-            said.append(
+            warnings.append(
                 f"differs from the calibration that the file held, {', '.join(far)}: more than "
                 "chance explains, so the two methods or models differ systematically"
             )
-    if placed:
-        said.append(
+    if is_placed:
+        warnings.append(
             "rotation and translation were kept as they were, found with other intrinsics: run "
             "jaxmocap calibrate extrinsics again"
         )
-    return said
+    return warnings

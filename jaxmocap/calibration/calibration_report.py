@@ -16,25 +16,25 @@ from jaxmocap.calibration.place_camera import ExtrinsicsResult
 _PIXELS = ("fx", "fy", "cx", "cy")
 
 
-def intrinsics_text(found: IntrinsicsResult) -> str:
+def intrinsics_text(result: IntrinsicsResult) -> str:
     """Pictures with their errors, parameters with their deviations, remarks, files."""
-    width, height = found.estimate.lens.size
-    used = sum(found.estimate.used)
-    total = len(found.detections.pictures)
+    width, height = result.estimate.lens.size
+    used = sum(result.estimate.used)
+    total = len(result.detections.pictures)
     lines = [
-        f"[{found.camera}] {width:g} × {height:g} pixels, {used} of {total} pictures used, "
-        f"{found.estimate.rms:.3f} pixels RMS",
+        f"[{result.camera}] {width:g} × {height:g} pixels, {used} of {total} pictures used, "
+        f"{result.estimate.rms:.3f} pixels RMS",
         "",
         "picture: reprojection, tilt of the board",
-        *(_picture(*row) for row in found.rows()),
-        *(f"  {name}: no board found" for name in found.detections.not_found),
-        *(f"  {name}: the same as an earlier one" for name in found.detections.duplicates),
+        *(_picture(*row) for row in result.rows()),
+        *(f"  {name}: no board found" for name in result.detections.not_found),
+        *(f"  {name}: the same as an earlier one" for name in result.detections.duplicates),
         "",
-        *_parameters(found),
+        *_parameters(result),
         "",
-        f"coverage: {100 * found.coverage.share:.0f} % of the image",
-        *(f"note: {sentence}" for sentence in found.warnings),
-        *(f"written: {path}" for path in found.files),
+        f"coverage: {100 * result.coverage.share:.0f} % of the image",
+        *(f"note: {sentence}" for sentence in result.warnings),
+        *(f"written: {path}" for path in result.files),
     ]
     return "\n".join(lines)
 
@@ -61,50 +61,50 @@ def _parameters(found: IntrinsicsResult) -> list[str]:
     return ["  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows]
 
 
-def intrinsics_figures(found: IntrinsicsResult) -> dict[str, Any]:
+def intrinsics_figures(result: IntrinsicsResult) -> dict[str, Any]:
     """The same as plain figures: pixels, degrees."""
-    result = found.estimate
+    estimate = result.estimate
     parameters = {
         name: {
-            "value": float(result.values[i]),
-            "std": float(result.std[i]),
-            "jackknife_std": float(result.jackknife_std[i]),
-            "left_out_min": float(result.leave_one_out[:, i].min()),
-            "left_out_max": float(result.leave_one_out[:, i].max()),
+            "value": float(estimate.values[i]),
+            "std": float(estimate.std[i]),
+            "jackknife_std": float(estimate.jackknife_std[i]),
+            "left_out_min": float(estimate.leave_one_out[:, i].min()),
+            "left_out_max": float(estimate.leave_one_out[:, i].max()),
         }
         for i, name in enumerate(PARAMETERS)
     }
     pictures = [
         {"name": name, "rms_px": _finite(error), "tilt_deg": _finite(tilt), "used": use}
-        for name, error, tilt, use in found.rows()
+        for name, error, tilt, use in result.rows()
     ]
     return {
-        "camera": found.camera,
-        "size": [int(n) for n in result.lens.size],
-        "board": found.detections.board.label,
-        "rms_px": result.rms,
+        "camera": result.camera,
+        "size": [int(n) for n in estimate.lens.size],
+        "board": result.detections.board.label,
+        "rms_px": estimate.rms,
         "pictures": pictures,
-        "used": sum(result.used),
-        "left_out": [name for name, _, _, use in found.rows() if not use],
-        "not_found": list(found.detections.not_found),
-        "repeated": list(found.detections.duplicates),
+        "used": sum(estimate.used),
+        "left_out": [name for name, _, _, use in result.rows() if not use],
+        "not_found": list(result.detections.not_found),
+        "repeated": list(result.detections.duplicates),
         "parameters": parameters,
-        "coverage": found.coverage.share,
-        "empty": list(found.coverage.empty),
-        "remarks": list(found.warnings),
-        "files": [str(path) for path in found.files],
+        "coverage": result.coverage.share,
+        "empty": list(result.coverage.empty),
+        "remarks": list(result.warnings),
+        "files": [str(path) for path in result.files],
     }
 
 
-def extrinsics_text(found: ExtrinsicsResult) -> str:
+def extrinsics_text(result: ExtrinsicsResult) -> str:
     """The camera's place, how sure it is, remarks, files."""
-    placement = found.placement
+    placement = result.placement
     x, y, z = placement.position_world
     lines = [
-        f"[{found.camera}] stands at ({x:.3f}, {y:.3f}, {z:.3f}) m, looks along "
+        f"[{result.camera}] stands at ({x:.3f}, {y:.3f}, {z:.3f}) m, looks along "
         f"{_vector(placement.T_cam_world[2, :3])}",
-        f"  {found.image}: {placement.rms:.2f} pixels RMS over {placement.used.sum()} of "
-        f"{len(found.names)} points",
+        f"  {result.image}: {placement.rms:.2f} pixels RMS over {placement.used.sum()} of "
+        f"{len(result.names)} points",
         f"  standard deviation: {_vector(1e3 * placement.std_m, 1)} mm, {placement.std_deg:.2f}°, "
         "by the corners' noise alone (not the intrinsics', nor that of what was measured)",
     ]
@@ -114,18 +114,18 @@ def extrinsics_text(found: ExtrinsicsResult) -> str:
             f"{_vector(position_world_of(placement.mirrored))} m, fits {placement.mirrored_ratio:.1f} times "
             "as badly"
         )
-    lines += [f"note: {sentence}" for sentence in found.warnings]
-    return "\n".join([*lines, *(f"written: {path}" for path in found.files)])
+    lines += [f"note: {sentence}" for sentence in result.warnings]
+    return "\n".join([*lines, *(f"written: {path}" for path in result.files)])
 
 
-def extrinsics_figures(found: ExtrinsicsResult) -> dict[str, Any]:
+def extrinsics_figures(result: ExtrinsicsResult) -> dict[str, Any]:
     """The same as plain figures: metres, degrees, pixels."""
-    placement = found.placement
+    placement = result.placement
     mirrored = (
         None if placement.mirrored is None else position_world_of(placement.mirrored).tolist()
     )
     return {
-        "camera": found.camera,
+        "camera": result.camera,
         "position": placement.position_world.tolist(),
         "looks_along": placement.T_cam_world[2, :3].tolist(),
         "rotation": placement.rotation.tolist(),
@@ -136,13 +136,13 @@ def extrinsics_figures(found: ExtrinsicsResult) -> dict[str, Any]:
         "points": [
             {"name": name, "off_px": float(np.linalg.norm(residual)), "used": bool(use)}
             for name, residual, use in zip(
-                found.names, placement.residuals_xy, placement.used, strict=True
+                result.names, placement.residuals_xy, placement.used, strict=True
             )
         ],
         "mirrored_position": mirrored,
         "mirrored_times": _finite(placement.mirrored_ratio),
-        "remarks": list(found.warnings),
-        "files": [str(path) for path in found.files],
+        "remarks": list(result.warnings),
+        "files": [str(path) for path in result.files],
     }
 
 

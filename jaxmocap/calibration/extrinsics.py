@@ -121,10 +121,10 @@ def estimate_placement(
         poses[0],
         [p for p in poses[1:] if p.rms < AMBIGUOUS_RATIO * max(poses[0].rms, 0.05)],
     )
-    said = []
+    warnings = []
     if others:
         best, other = _plausible_first(best, others[0], upside_down)
-        said.append(_ambiguity_warning(best, other, upside_down))
+        warnings.append(_ambiguity_warning(best, other, upside_down))
     mirrored = next((pose for pose in poses if pose is not best), None)
     std_m, std_deg = _deviations(best, points_world[used], lens)
     return Placement(
@@ -137,7 +137,7 @@ def estimate_placement(
         np.inf if mirrored is None else mirrored.rms / max(best.rms, 1e-9),
         tuple(
             [
-                *said,
+                *warnings,
                 *_uncertainty_warnings(std_m),
                 *_implausibility_warnings(best.matrix, upside_down),
             ]
@@ -181,18 +181,18 @@ def _without_outlier(
 def _plausible_first(
     best: CameraPose, other: CameraPose, upside_down: bool
 ) -> tuple[CameraPose, CameraPose]:
-    worries = [len(_implausibility_warnings(pose.matrix, upside_down)) for pose in (best, other)]
-    return (other, best) if worries[1] < worries[0] else (best, other)
+    counts = [len(_implausibility_warnings(pose.matrix, upside_down)) for pose in (best, other)]
+    return (other, best) if counts[1] < counts[0] else (best, other)
 
 
 def _ambiguity_warning(taken: CameraPose, other: CameraPose, upside_down: bool) -> str:
-    here, there = _position_text(taken.matrix), _position_text(other.matrix)
+    taken_at, other_at = _position_text(taken.matrix), _position_text(other.matrix)
     why = f"the one that is above the floor and {'upside down' if upside_down else 'upright'}"
-    worries = [len(_implausibility_warnings(pose.matrix, upside_down)) for pose in (taken, other)]
-    if worries[0] == worries[1]:
+    counts = [len(_implausibility_warnings(pose.matrix, upside_down)) for pose in (taken, other)]
+    if counts[0] == counts[1]:
         why = "the one that fits better, which may be wrong"
     return (
-        f"two cameras explain the picture alike, at {here} ({taken.rms:.2f} pixels) and at {there} "
+        f"two cameras explain the picture alike, at {taken_at} ({taken.rms:.2f} pixels) and at {other_at} "
         f"({other.rms:.2f} pixels); taken is {why}. Tilt the board against the view, bring it "
         "nearer, or give points that are not on one plane"
     )
@@ -213,13 +213,13 @@ def _uncertainty_warnings(std_m: np.ndarray) -> list[str]:
 
 def _implausibility_warnings(T_cam_world: np.ndarray, upside_down: bool) -> list[str]:
     """What cannot be of a camera in a room."""
-    said = []
+    warnings = []
     if (height := position_world_of(T_cam_world)[2]) < 0:
-        said.append(f"the camera comes out below the floor, at z = {height:.2f} m")
+        warnings.append(f"the camera comes out below the floor, at z = {height:.2f} m")
     # The camera's y points down in its picture.
     if (T_cam_world[1, 2] > 0) != upside_down:
-        said.append(f"the camera comes out {'upright' if upside_down else 'upside down'}")
-    return said
+        warnings.append(f"the camera comes out {'upright' if upside_down else 'upside down'}")
+    return warnings
 
 
 def is_wrong_way_up(T_cam_world: np.ndarray, upside_down: bool) -> bool:
@@ -252,8 +252,10 @@ def advice_on_board_pose(
 def _residuals(
     pose: CameraPose, points_world: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics
 ) -> np.ndarray:
-    seen, _ = cv2.projectPoints(points_world, pose.rvec, pose.tvec, lens.matrix, lens.distortions)
-    return seen.reshape(-1, 2) - pixels_xy
+    projected, _ = cv2.projectPoints(
+        points_world, pose.rvec, pose.tvec, lens.matrix, lens.distortions
+    )
+    return projected.reshape(-1, 2) - pixels_xy
 
 
 def _deviations(
@@ -279,5 +281,5 @@ def _matrix(vector: np.ndarray) -> np.ndarray:
 
 def _change(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(6,) by how much the place moves, metres, and the camera turns, radians."""
-    turn = Rotation.from_matrix(b[:3, :3] @ a[:3, :3].T).as_rotvec()
-    return np.concatenate([position_world_of(b) - position_world_of(a), turn])
+    rotation = Rotation.from_matrix(b[:3, :3] @ a[:3, :3].T).as_rotvec()
+    return np.concatenate([position_world_of(b) - position_world_of(a), rotation])

@@ -67,20 +67,20 @@ class MarkerPath:
         They are low-passed: a millimetre of jitter from sample to sample would outweigh the hand's
         own acceleration, and the lag would follow the samples' clock.
         """
-        seen = np.flatnonzero(np.isfinite(positions).all(-1))
-        if len(seen) < 4:
+        present = np.flatnonzero(np.isfinite(positions).all(-1))
+        if len(present) < 4:
             return None
         interval = median_interval(times)
         cutoff = min(SMOOTHING_CUTOFF_HZ, SMOOTHING_CUTOFF_SHARE / interval)
-        calm = butterworth_low_pass(times, positions[:, None], cutoff)[seen, 0]
-        return cls(CubicSpline(times[seen], calm), times[seen], GAP_INTERVALS * interval)
+        calm = butterworth_low_pass(times, positions[:, None], cutoff)[present, 0]
+        return cls(CubicSpline(times[present], calm), times[present], GAP_INTERVALS * interval)
 
     def at(self, times: np.ndarray) -> np.ndarray:
         """(K, 3) positions at (K,) seconds; NaN outside the samples and in gaps."""
         after = np.searchsorted(self.times, times).clip(1, len(self.times) - 1)
-        known = (times >= self.times[0]) & (times <= self.times[-1])
-        known &= self.times[after] - self.times[after - 1] <= self.longest
-        return np.where(known[:, None], self.spline(times), np.nan)
+        is_known = (times >= self.times[0]) & (times <= self.times[-1])
+        is_known &= self.times[after] - self.times[after - 1] <= self.longest
+        return np.where(is_known[:, None], self.spline(times), np.nan)
 
 
 @dataclass(frozen=True)
@@ -108,23 +108,23 @@ class HandFlow:
             lag: seconds to add to the frames' times.
             place_lag: seconds to add for where in the image to look; the lag where None.
         """
-        told, seen = [], []
+        predicted, measured = [], []
         for path in self.paths:
             xy, _ = self._projected(path, lag)
             at_xy, radius = self._projected(path, lag if place_lag is None else place_lag)
-            seen.append(self._around(at_xy[:-1], radius[:-1]))
-            told.append(np.diff(xy, axis=0))
-        terms = FlowPair(np.stack(seen, 1), np.stack(told, 1))
-        known = np.isfinite(terms.measured + terms.predicted).all(-1, keepdims=True)
-        return FlowPair(*(np.where(known, part, np.nan) for part in terms))
+            measured.append(self._around(at_xy[:-1], radius[:-1]))
+            predicted.append(np.diff(xy, axis=0))
+        terms = FlowPair(np.stack(measured, 1), np.stack(predicted, 1))
+        is_known = np.isfinite(terms.measured + terms.predicted).all(-1, keepdims=True)
+        return FlowPair(*(np.where(is_known, part, np.nan) for part in terms))
 
     def _projected(self, path: MarkerPath, lag: float) -> tuple[np.ndarray, np.ndarray]:
         """(K + 1, 2) pixels of a hand, and (K + 1,) half the side of the square about it."""
         points = path.at(self.times + lag)
-        known = np.isfinite(points).all(-1)
+        is_known = np.isfinite(points).all(-1)
         xy = np.full((len(points), 2), np.nan)
-        if known.any():
-            xy[known] = project_to_pixels(self.camera, points[known])
+        if is_known.any():
+            xy[is_known] = project_to_pixels(self.camera, points[is_known])
         T = np.asarray(self.camera.T_cam_world, float)
         return xy, HAND_HALF_SIDE_M * float(self.camera.matrix[0, 0]) / (
             points @ T[2, :3] + T[2, 3]

@@ -158,8 +158,8 @@ def _planarity_error(view: BoardView) -> float:
     H, _ = cv2.findHomography(view.points_board[:, :2], view.pixels_xy)
     if H is None:
         return np.inf
-    seen = cv2.perspectiveTransform(view.points_board[None, :, :2], H)[0]
-    return rms_length(seen - view.pixels_xy)
+    projected = cv2.perspectiveTransform(view.points_board[None, :, :2], H)[0]
+    return rms_length(projected - view.pixels_xy)
 
 
 def _view_residuals(

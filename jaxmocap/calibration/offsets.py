@@ -73,21 +73,21 @@ class DeviceOffset:
     def warnings(self) -> tuple[str, ...]:
         """Why not to use it; empty where nothing speaks against it."""
         values, vectors = np.linalg.eigh(self.covariance)
-        said, length = [], float(np.linalg.norm(self.offset))
+        warnings, length = [], float(np.linalg.norm(self.offset))
         if values[-1] > MAX_STD_M**2:
             x, y, z = vectors[:, -1]
-            said.append(
+            warnings.append(
                 f"not determined along [{x:.2f}, {y:.2f}, {z:.2f}] of the marker's axes, about "
                 "which alone it turned: turn it about the others too"
             )
         if self.joint_rms > MAX_JOINT_RMS_M:
-            said.append(f"its joint moved by {1e3 * self.joint_rms:.0f} mm a second: rest it")
+            warnings.append(f"its joint moved by {1e3 * self.joint_rms:.0f} mm a second: rest it")
         if length > MAX_LENGTH_M:
-            said.append(
+            warnings.append(
                 f"{100 * length:.0f} cm from what it turned about, which is hardly the joint of "
                 f"{self.place.bone}: rest what carries it"
             )
-        return tuple(said)
+        return tuple(warnings)
 
 
 def estimate_offsets(
@@ -111,16 +111,18 @@ def estimate_offsets(
     """
     if markers.orientations is None or not np.isfinite(markers.orientations).any():
         raise ValueError("no marker says how it is turned")
-    turns, found = markers.orientations, []
+    orientations, offsets = markers.orientations, []
     yaw = None if still is None else _R_world_body(markers, places, still)
     for i, place in enumerate(places):
-        if not np.isfinite(turns[:, i]).any():
+        if not np.isfinite(orientations[:, i]).any():
             continue
-        held = _pivot_calibration(markers.times, markers.positions[:, i], turns[:, i], place, span)
+        offset = _pivot_calibration(
+            markers.times, markers.positions[:, i], orientations[:, i], place, span
+        )
         if still is not None and yaw is not None:
-            held = _with_orientation(held, turns[_within(markers.times, still), i], yaw)
-        found.append(held)
-    return found
+            offset = _with_orientation(offset, orientations[_within(markers.times, still), i], yaw)
+        offsets.append(offset)
+    return offsets
 
 
 def _within(times: np.ndarray, span: tuple[float, float]) -> np.ndarray:
@@ -130,12 +132,12 @@ def _within(times: np.ndarray, span: tuple[float, float]) -> np.ndarray:
 def _pivot_calibration(
     times: np.ndarray,
     positions: np.ndarray,
-    turns: np.ndarray,
+    orientations: np.ndarray,
     place: MarkerPlace,
     span: tuple[float, float],
 ) -> DeviceOffset:
     """The offset of one marker (T, 3), (T, 3, 3)."""
-    usable = np.isfinite(positions.sum(-1) + turns.sum((1, 2))) & _within(times, span)
+    usable = np.isfinite(positions.sum(-1) + orientations.sum((1, 2))) & _within(times, span)
     seconds = np.floor((times - times[0]) / WINDOW_S).astype(int)
     windows = [np.flatnonzero(usable & (seconds == k)) for k in np.unique(seconds)]
     windows = [window for window in windows if len(window) >= MIN_WINDOW_SAMPLES]
@@ -144,10 +146,10 @@ def _pivot_calibration(
             f"{place.name}: found {len(windows)} seconds with places and turns, expected "
             f"{MIN_WINDOWS} or more"
         )
-    A = [turns[w] - turns[w].mean(0) for w in windows]
+    A = [orientations[w] - orientations[w].mean(0) for w in windows]
     b = [positions[w] - positions[w].mean(0) for w in windows]
     offset, weights, strays = _robust_offset(A, b)
-    swing = [Rotation.from_matrix(turns[w]) for w in windows]
+    swing = [Rotation.from_matrix(orientations[w]) for w in windows]
     angles = [(R.mean().inv() * R).magnitude() for R in swing]
     return DeviceOffset(
         place,
@@ -168,8 +170,8 @@ def _robust_offset(
         rows = np.concatenate(
             [np.sqrt(w) * a.reshape(-1, 3) for w, a in zip(weights, A, strict=True)]
         )
-        told = np.concatenate([np.sqrt(w) * c.ravel() for w, c in zip(weights, b, strict=True)])
-        offset = np.linalg.lstsq(rows, told, rcond=None)[0]
+        target = np.concatenate([np.sqrt(w) * c.ravel() for w, c in zip(weights, b, strict=True)])
+        offset = np.linalg.lstsq(rows, target, rcond=None)[0]
         strays = np.array([np.sqrt(np.mean(np.sum((c - a @ offset) ** 2, -1)))
                            for a, c in zip(A, b, strict=True)])  # fmt: skip
         usual = max(float(np.median(strays)), STEADY_RMS_M)
@@ -219,15 +221,15 @@ def _R_world_body(
 
 
 def _with_orientation(
-    held: DeviceOffset, turns: np.ndarray, R_world_body: np.ndarray
+    offset: DeviceOffset, orientations: np.ndarray, R_world_body: np.ndarray
 ) -> DeviceOffset:
     """With how the device is held, from turns (T, 3, 3) while the bones are upright."""
-    known = turns[np.isfinite(turns.sum((1, 2)))]
-    if not len(known):
-        raise ValueError(f"{held.place.name}: says nothing of how it is turned while standing")
-    R = Rotation.from_matrix(R_world_body.T @ known)
+    R_known = orientations[np.isfinite(orientations.sum((1, 2)))]
+    if not len(R_known):
+        raise ValueError(f"{offset.place.name}: says nothing of how it is turned while standing")
+    R = Rotation.from_matrix(R_world_body.T @ R_known)
     spread = float(np.degrees(np.sqrt(np.mean((R.mean().inv() * R).magnitude() ** 2))))
-    return replace(held, orientation=R.mean().as_matrix(), orientation_rms=spread)
+    return replace(offset, orientation=R.mean().as_matrix(), orientation_rms=spread)
 
 
 def find_offsets(

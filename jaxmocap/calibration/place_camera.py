@@ -126,7 +126,7 @@ def place_camera(
     lens = read_intrinsics(intrinsics or out, camera)
     picture = Picture(path.name, path)
     photo = picture.image()
-    said = _photo_size_warnings(path, photo, lens)
+    warnings = _photo_size_warnings(path, photo, lens)
     T_world_board, names, points_world, pixels_xy = _target_points(path, photo, target)
     try:
         placement = estimate_placement(points_world, pixels_xy, lens, upside_down)
@@ -137,27 +137,29 @@ def place_camera(
         advice = advice_on_board_pose(placement.T_cam_world, T_world_board, upside_down)
     elif placement.warnings:
         advice = "are the points in the world's axes (Z up, or --up y), and pixels unmirrored?"
-    said += [
+    warnings += [
         *placement.warnings,
         *([advice] if advice else []),
         *_residual_warnings(placement, names),
     ]
-    drawn = []
+    drawings = []
     if folder is not None:
         board = None
         if target.board is not None and T_world_board is not None:
             board = target.board, T_world_board
-        shown = partial(draw_placement, picture, lens, placement, pixels_xy, board)
-        drawn += folder.write(lambda stage: [shown(stage)])
+        draw = partial(draw_placement, picture, lens, placement, pixels_xy, board)
+        drawings += folder.write(lambda stage: [draw(stage)])
     if is_wrong_way_up(placement.T_cam_world, upside_down):
         raise InputError(target.points or path, _refusal(upside_down, advice))
     place_entries = {
         "rotation": placement.rotation,
         "translation": placement.T_cam_world[:3, 3],
     }
-    given = lens.entries() if intrinsics is not None else {}
-    write_camera(out, camera, given | place_entries)
-    return ExtrinsicsResult(camera, path.name, tuple(names), placement, tuple(said), (out, *drawn))
+    entries = lens.entries() if intrinsics is not None else {}
+    write_camera(out, camera, entries | place_entries)
+    return ExtrinsicsResult(
+        camera, path.name, tuple(names), placement, tuple(warnings), (out, *drawings)
+    )
 
 
 def _photo_size_warnings(path: Path, photo: np.ndarray, lens: Intrinsics) -> list[str]:
@@ -172,22 +174,22 @@ def _photo_size_warnings(path: Path, photo: np.ndarray, lens: Intrinsics) -> lis
 
 
 def _target_points(
-    path: Path, photo: np.ndarray, measured: PlacementTarget
+    path: Path, photo: np.ndarray, target: PlacementTarget
 ) -> tuple[np.ndarray | None, list[str], np.ndarray, np.ndarray]:
     """T_world_board (None with points), names, (N, 3) points in the world, (N, 2) pixels."""
-    R_world_file = R_WORLD_OF_UP[measured.up]
-    if measured.points is not None:
-        names, points, pixels_xy = read_points(measured.points)
+    R_world_file = R_WORLD_OF_UP[target.up]
+    if target.points is not None:
+        names, points, pixels_xy = read_points(target.points)
         return None, names, points @ R_world_file.T, pixels_xy
-    board = measured.board
-    if board is None or measured.pose is None:
+    board = target.board
+    if board is None or target.pose is None:
         raise InputError(path, "needs a board and its pose, or a file of points")
     corners = find_corners(photo, board)
     if corners is None:
         hint = hint_of_other_counts([Picture(path.name, path)], board)
         raise InputError(path, f"found no {board.label} board{hint}")
-    pixels_xy = _ordered(path, corners, measured.origin_xy)
-    T_file_board = board_to_world(measured.pose)
+    pixels_xy = _ordered(path, corners, target.origin_xy)
+    T_file_board = board_to_world(target.pose)
     T_world_file = np.eye(4)
     T_world_file[:3, :3] = R_world_file
     T_world_board = T_world_file @ T_file_board
@@ -223,10 +225,14 @@ def _refusal(upside_down: bool, advice: str | None) -> str:
 
 def _residual_warnings(placement: Placement, names: list[str]) -> list[str]:
     """Sentences about points that do not fit."""
-    said = []
+    warnings = []
     for i in np.flatnonzero(~placement.used):
-        off = np.linalg.norm(placement.residuals_xy[i])
-        said.append(f"{names[i]} was left out: {off:.0f} pixels from where the others put it")
+        distance = np.linalg.norm(placement.residuals_xy[i])
+        warnings.append(
+            f"{names[i]} was left out: {distance:.0f} pixels from where the others put it"
+        )
     if placement.rms > 3:
-        said.append(f"{placement.rms:.1f} pixels are a lot: the picture shows which points are off")
-    return said
+        warnings.append(
+            f"{placement.rms:.1f} pixels are a lot: the picture shows which points are off"
+        )
+    return warnings

@@ -77,9 +77,9 @@ def candidate_poses(
             )
     except cv2.error:
         return []
-    whole = [pose for pose in poses if np.isfinite(pose.rms) and _in_front(pose, points)]
-    whole.sort(key=lambda pose: pose.rms)
-    return [pose for i, pose in enumerate(whole) if all(_differ(pose, q) for q in whole[:i])]
+    in_front = [pose for pose in poses if np.isfinite(pose.rms) and _in_front(pose, points)]
+    in_front.sort(key=lambda pose: pose.rms)
+    return [pose for i, pose in enumerate(in_front) if all(_differ(pose, q) for q in in_front[:i])]
 
 
 def relative_thickness(points: np.ndarray) -> float:
@@ -96,8 +96,8 @@ def tilt_degrees(pose: CameraPose) -> float:
 def _residuals(
     points: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics, rvec: np.ndarray, tvec: np.ndarray
 ) -> np.ndarray:
-    seen, _ = cv2.projectPoints(points, rvec, tvec, lens.matrix, lens.distortions)
-    return seen.reshape(-1, 2) - pixels_xy
+    projected, _ = cv2.projectPoints(points, rvec, tvec, lens.matrix, lens.distortions)
+    return projected.reshape(-1, 2) - pixels_xy
 
 
 def _in_front(pose: CameraPose, points: np.ndarray) -> bool:
@@ -105,5 +105,5 @@ def _in_front(pose: CameraPose, points: np.ndarray) -> bool:
 
 
 def _differ(a: CameraPose, b: CameraPose) -> bool:
-    turn, _ = cv2.Rodrigues(a.matrix[:3, :3] @ b.matrix[:3, :3].T)
-    return float(np.linalg.norm(turn)) > SAME_POSE_RAD
+    rotation, _ = cv2.Rodrigues(a.matrix[:3, :3] @ b.matrix[:3, :3].T)
+    return float(np.linalg.norm(rotation)) > SAME_POSE_RAD

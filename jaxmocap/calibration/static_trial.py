@@ -67,12 +67,12 @@ class ScaledBody:
         """What each bone's length rests on."""
         lines = [f"{self.height:.3f} m, {float(self.skeleton.masses.sum()):.1f} kg"]
         for bone, length in zip(self.skeleton.tree.bones, self.skeleton.lengths, strict=True):
-            said = BY_HEIGHT
+            basis = BY_HEIGHT
             if bone in self.measured_bones:
                 spread, frames = self.measured_bones[bone]
-                said = f"measured, ± {1e3 * spread:.1f} mm over {frames} frames"
-                said += ", split as in Table 1" if bone in (*TRUNK, *NECK_HEAD) else ""
-            lines.append(f"{bone.ljust(11)} {float(length):.4f} m  {said}")
+                basis = f"measured, ± {1e3 * spread:.1f} mm over {frames} frames"
+                basis += ", split as in Table 1" if bone in (*TRUNK, *NECK_HEAD) else ""
+            lines.append(f"{bone.ljust(11)} {float(length):.4f} m  {basis}")
         return "\n".join([*lines, f"written: {self.path}"])
 
     def figures(self) -> dict:
@@ -142,10 +142,10 @@ def scale_by_static(
         wrists: whether the body has them.
     """
     static = Path(static)
-    named = dict(landmarks) or {n: n for n in read_markers(static).names if n in LANDMARKS}
-    if not named:
+    marker_of = dict(landmarks) or {n: n for n in read_markers(static).names if n in LANDMARKS}
+    if not marker_of:
         raise InputError(static, "has no marker called as a landmark is, name them (--landmarks)")
-    table: dict[str, Any] = {"static": static.name, "up": up, "landmarks": named}
+    table: dict[str, Any] = {"static": static.name, "up": up, "landmarks": marker_of}
     fields = TomlTable(static, "", table)
     skeleton = read_subject(
         static, "", table | {"wrists": wrists} | ({} if mass is None else {"mass": mass})

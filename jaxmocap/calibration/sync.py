@@ -141,14 +141,14 @@ def hand_paths(recording: Recording) -> list[MarkerPath]:
 def _sync_video(
     recording: Recording, source: VideoSource, paths: Sequence[MarkerPath], search: float
 ) -> VideoOffset:
-    video, found = open_video(source), []
+    video, lags = open_video(source), []
     # On the host: what follows projects a few points thousands of times.
     camera = jax.tree.map(np.asarray, source.camera)
     for first, count in _stretches(video, paths):
         fields, spacing = flow_fields(video, first, count)
         times = video.times[first : first + count]
-        found.append(_estimate_lag(HandFlow(times, fields, spacing, camera, paths), search))
-    return combine_lags(source, found)
+        lags.append(_estimate_lag(HandFlow(times, fields, spacing, camera, paths), search))
+    return combine_lags(source, lags)
 
 
 def _stretches(video: FrameSource, paths: Sequence[MarkerPath]) -> list[tuple[int, int]]:
@@ -190,19 +190,19 @@ def _estimate_lag(flow: HandFlow, search: float) -> StretchLag:
 
 def correlation(terms: FlowPair) -> float:
     """Of flow and markers' motion, as vectors about zero; NaN where neither moves."""
-    seen, told = (np.nan_to_num(part) for part in terms)
-    size = np.sqrt((seen**2).sum() * (told**2).sum())
-    return float((seen * told).sum() / size) if size > 0 else float("nan")
+    measured, predicted = (np.nan_to_num(part) for part in terms)
+    size = np.sqrt((measured**2).sum() * (predicted**2).sum())
+    return float((measured * predicted).sum() / size) if size > 0 else float("nan")
 
 
 def _why_unidentifiable(
     flow: HandFlow, lags: np.ndarray, scores: np.ndarray, best: int, search: float
 ) -> str:
     """Why the best lag says nothing; empty where it does."""
-    told = flow.flow_pair(float(lags[best])).predicted
-    if not np.isfinite(told).any():
+    predicted = flow.flow_pair(float(lags[best])).predicted
+    if not np.isfinite(predicted).any():
         return "not identifiable: the image does not show the hands"
-    speed = float(np.sqrt(np.nanmean((told**2).sum(-1))))
+    speed = float(np.sqrt(np.nanmean((predicted**2).sum(-1))))
     if speed < MIN_SPEED_PX:
         return f"not identifiable: move the hands faster ({speed:.2f} pixels per frame)"
     if scores[best] < MIN_CORRELATION:
@@ -232,27 +232,29 @@ def _least_squares(flow: HandFlow, lag: float) -> tuple[float, float]:
         later, sooner = flow.flow_pair(lag + half, lag), flow.flow_pair(lag - half, lag)
         residuals = later.measured - (later.predicted + sooner.predicted) / 2
         slopes = (later.predicted - sooner.predicted) / (2 * half)
-        away = np.linalg.norm(residuals, axis=-1, keepdims=True)
-        scale = 2.0 * np.nanmedian(away) + 0.5
-        weights = 1 / (1 + (away / scale) ** 2)
+        distances = np.linalg.norm(residuals, axis=-1, keepdims=True)
+        scale = 2.0 * np.nanmedian(distances) + 0.5
+        weights = 1 / (1 + (distances / scale) ** 2)
         step = float(np.nansum(weights * slopes * residuals) / np.nansum(weights * slopes**2))
         lag += np.clip(step, -FINE_STEP_S, FINE_STEP_S)
         if abs(step) < CONVERGED_S:
             break
     blocks = _blocks(flow.times)
-    tops = np.bincount(blocks, np.nansum(weights * slopes * residuals, (1, 2)))
-    bottoms = np.bincount(blocks, np.nansum(weights * slopes**2, (1, 2)))
-    drawn = _bootstrap_counts(len(tops))
-    return float(lag), float(np.std((drawn @ tops) / np.maximum(drawn @ bottoms, 1e-9)))
+    numerators = np.bincount(blocks, np.nansum(weights * slopes * residuals, (1, 2)))
+    denominators = np.bincount(blocks, np.nansum(weights * slopes**2, (1, 2)))
+    counts = _bootstrap_counts(len(numerators))
+    return float(lag), float(
+        np.std((counts @ numerators) / np.maximum(counts @ denominators, 1e-9))
+    )
 
 
 def _bootstrap_std(lags: np.ndarray, costs: np.ndarray, times: np.ndarray) -> float:
     """Deviation of the lag of the smallest mean distance (L, K, H) over blocks of time."""
-    blocks, known = _blocks(times), np.isfinite(costs)
-    sums = np.array([np.bincount(blocks, row) for row in np.where(known, costs, 0.0).sum(2)])
-    counts = np.array([np.bincount(blocks, row) for row in known.sum(2)])
-    drawn = _bootstrap_counts(sums.shape[1])
-    best = ((sums @ drawn.T) / np.maximum(counts @ drawn.T, 1)).argmin(0)
+    blocks, is_known = _blocks(times), np.isfinite(costs)
+    sums = np.array([np.bincount(blocks, row) for row in np.where(is_known, costs, 0.0).sum(2)])
+    counts = np.array([np.bincount(blocks, row) for row in is_known.sum(2)])
+    draws = _bootstrap_counts(sums.shape[1])
+    best = ((sums @ draws.T) / np.maximum(counts @ draws.T, 1)).argmin(0)
     return float(np.std(lags[best]))
 
 
@@ -266,14 +268,14 @@ def _bootstrap_counts(count: int) -> np.ndarray:
     return np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), BOOTSTRAP_DRAWS)
 
 
-def combine_lags(source: VideoSource, found: Sequence[StretchLag]) -> VideoOffset:
+def combine_lags(source: VideoSource, lags_found: Sequence[StretchLag]) -> VideoOffset:
     """One offset from all stretches, and the drift where they lie far enough apart."""
-    good = [each for each in found if not each.reason]
-    if not found:
+    good = [each for each in lags_found if not each.reason]
+    if not lags_found:
         nan, reason = float("nan"), "fewer than two of its frames can be compared"
         return VideoOffset(source.camera_name, source.offset, nan, nan, nan, reason=reason)
     if not good:
-        nan, best = float("nan"), max(found, key=lambda each: each.correlation)
+        nan, best = float("nan"), max(lags_found, key=lambda each: each.correlation)
         name, stated = source.camera_name, source.offset
         return VideoOffset(name, stated, nan, nan, best.correlation, reason=best.reason)
     middles, lags, stds = (
@@ -302,10 +304,10 @@ def combine_lags(source: VideoSource, found: Sequence[StretchLag]) -> VideoOffse
     )
 
 
-def sync_text(found: Sequence[VideoOffset]) -> str:
+def sync_text(offsets: Sequence[VideoOffset]) -> str:
     """A line for each video to put into the recording, or why there is none."""
     lines = []
-    for each in found:
+    for each in offsets:
         if each.reason:
             lines.append(f"{each.camera}: {each.reason}")
             continue

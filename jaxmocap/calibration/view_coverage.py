@@ -59,23 +59,23 @@ def why_undetermined(result: IntrinsicsEstimate) -> str | None:
 
     Boards that are all parallel, however far apart, leave the focal length open.
     """
-    doubt = 100 * (result.max_std[:2] / result.values[:2]).max()
-    if doubt <= 100 * MAX_FOCAL_STD:
+    percent = 100 * (result.max_std[:2] / result.values[:2]).max()
+    if percent <= 100 * MAX_FOCAL_STD:
         return None
-    shown = f"± {doubt:.1f} %" if doubt < 100 else "more than itself"
+    text = f"± {percent:.1f} %" if percent < 100 else "more than itself"
     return (
-        f"the views are too alike: they leave the focal length open by {shown}, expected "
+        f"the views are too alike: they leave the focal length open by {text}, expected "
         f"{100 * MAX_FOCAL_STD:.0f} % or less; tilt the board by 30° to 45°, to several sides"
     )
 
 
 def intrinsics_warnings(result: IntrinsicsEstimate, coverage: ImageCoverage) -> list[str]:
     """Plain words on what the figures mean."""
-    said = []
+    warnings = []
     few = sum(result.used) < MIN_VIEWS_ADVISED or coverage.empty
     centre = result.max_std[2:4]
     if few or centre.max() > MAX_CENTRE_STD * max(result.lens.size):
-        said.append(
+        warnings.append(
             f"the views determine the principal point poorly: ± {centre[0]:.1f} and "
             f"{centre[1]:.1f} pixels if the lens is as modelled and the board flat, several times "
             "that where they are not; a shift of it looks like a turn of the camera, so find the "
@@ -84,25 +84,25 @@ def intrinsics_warnings(result: IntrinsicsEstimate, coverage: ImageCoverage) -> 
         )
     ratio = result.jackknife_std[:4] / result.std[:4]
     if ratio.max() > 1.5:
-        said.append(
+        warnings.append(
             "leaving out one view changes the result by more than the corners' noise explains: "
             "trust the jackknife's standard deviations (the board may be bent, or a view blurred)"
         )
     if result.rms > 1.0:
-        said.append(
+        warnings.append(
             f"{result.rms:.1f} pixels are a lot (0.1 to 0.3 is usual): blurred pictures, a bent "
             "board, or a fisheye lens, which this model does not describe"
         )
     if not _is_distortion_monotonic(result.lens):
-        said.append(
+        warnings.append(
             "the lens' distortion turns back within the image, where no corner held it: what is "
             "near the image's edges will be misplaced; show the board there, or try --distortions 2"
         )
     if coverage.empty:
-        said.append(f"no corner was seen at the image's {', '.join(coverage.empty)}")
+        warnings.append(f"no corner was seen at the image's {', '.join(coverage.empty)}")
     if sum(result.used) < MIN_VIEWS_ADVISED:
-        said.append(f"{sum(result.used)} views are few: 10 to 20 are better")
-    return said
+        warnings.append(f"{sum(result.used)} views are few: 10 to 20 are better")
+    return warnings
 
 
 def _is_distortion_monotonic(lens: Intrinsics) -> bool:

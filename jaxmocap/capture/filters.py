@@ -96,27 +96,29 @@ def filter_markers(recording: Recording, causal: bool = False) -> tuple[Recordin
         InputError: a cut-off that the markers' rate cannot hold.
     """
     filters, times, positions = recording.filters, recording.times, recording.positions_world
-    nothing = np.zeros(positions.shape[:2], bool)
-    outliers, filled, remarks = nothing, nothing, []
-    done = active_filters(filters, causal)
-    if "hampel" in done:
+    none = np.zeros(positions.shape[:2], bool)
+    outliers, filled, warnings = none, none, []
+    applied = active_filters(filters, causal)
+    if "hampel" in applied:
         outliers = find_outliers(times, positions)
         positions = np.where(outliers[..., None], np.nan, positions)
-    if "gaps" in done:
+    if "gaps" in applied:
         before = _is_missing(positions)
         positions = fill_gaps(times, positions, filters.gaps)
         filled = before & ~_is_missing(positions)
-    if filters.butterworth is not None and "butterworth" in done:
+    if filters.butterworth is not None and "butterworth" in applied:
         _check_cutoff(recording, filters.butterworth)
         if not is_even(times):
-            remarks.append("unevenly spaced samples went through the Butterworth filter as if even")
+            warnings.append(
+                "unevenly spaced samples went through the Butterworth filter as if even"
+            )
         positions = butterworth_low_pass(times, positions, filters.butterworth)
-    if filters.one_euro is not None and "one_euro" in done:
+    if filters.one_euro is not None and "one_euro" in applied:
         positions = filter_one_euro(times, positions, OneEuro(filters.one_euro))
-    if left := _unused_filters_warning(filters, causal):
-        remarks.append(left)
+    if unused := _unused_filters_warning(filters, causal):
+        warnings.append(unused)
     cleaning = Cleaning(
-        recording.marker_names, done, outliers, filled, _is_missing(positions), tuple(remarks)
+        recording.marker_names, applied, outliers, filled, _is_missing(positions), tuple(warnings)
     )
     return replace(recording, positions_world=positions, filters=Filters()), cleaning
 
@@ -131,11 +133,11 @@ def active_filters(filters: Filters, causal: bool) -> dict[str, Any]:
 
 def _unused_filters_warning(filters: Filters, causal: bool) -> str:
     """A sentence on filters that are on but not for this way of tracking."""
-    left = [name for name in active_filters(filters, not causal)]
-    if not left:
+    unused = [name for name in active_filters(filters, not causal)]
+    if not unused:
         return ""
     which = "look ahead, which --causal does not" if causal else "is for live and --causal"
-    return f"[markers.filters] {', '.join(left)}: not used, {which}"
+    return f"[markers.filters] {', '.join(unused)}: not used, {which}"
 
 
 def _is_missing(positions: np.ndarray) -> np.ndarray:
@@ -163,9 +165,9 @@ def find_outliers(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
     for marker in range(positions.shape[1]):
         path = np.pad(positions[:, marker], ((half, half), (0, 0)), constant_values=np.nan)
         windows = np.lib.stride_tricks.sliding_window_view(path, 2 * half + 1, 0)
-        seen = np.flatnonzero(~_is_missing(positions[:, marker]))
-        for first in range(0, len(seen), HAMPEL_BLOCK_SAMPLES):
-            rows = seen[first : first + HAMPEL_BLOCK_SAMPLES]
+        present = np.flatnonzero(~_is_missing(positions[:, marker]))
+        for first in range(0, len(present), HAMPEL_BLOCK_SAMPLES):
+            rows = present[first : first + HAMPEL_BLOCK_SAMPLES]
             outliers[rows, marker] = _far_off(windows[rows], positions[rows, marker])
     return outliers
 
@@ -189,21 +191,21 @@ def fill_gaps(times: np.ndarray, positions: np.ndarray, longest: float) -> np.nd
     """
     filled, allowed = positions.copy(), longest + median_interval(times)
     for marker in range(positions.shape[1]):
-        seen = np.flatnonzero(~_is_missing(positions[:, marker]))
-        for before, after in pairwise(seen.tolist()):
+        present = np.flatnonzero(~_is_missing(positions[:, marker]))
+        for before, after in pairwise(present.tolist()):
             if after - before > 1 and times[after] - times[before] <= allowed * (1 + 1e-9):
                 inside = slice(before + 1, after)
                 path = positions[:, marker]
-                filled[inside, marker] = _hermite(times, path, seen, before, after)
+                filled[inside, marker] = _hermite(times, path, present, before, after)
     return filled
 
 
 def _hermite(
-    times: np.ndarray, path: np.ndarray, seen: np.ndarray, before: int, after: int
+    times: np.ndarray, path: np.ndarray, present: np.ndarray, before: int, after: int
 ) -> np.ndarray:
     """(K, 3) Hermite's cubic at the samples between two that are seen; a line where no slope is."""
-    place = int(np.searchsorted(seen, before))
-    ends = (seen[max(0, place + 1 - SLOPE_SAMPLES) : place + 1], seen[place + 1 :][:SLOPE_SAMPLES])
+    row = int(np.searchsorted(present, before))
+    ends = (present[max(0, row + 1 - SLOPE_SAMPLES) : row + 1], present[row + 1 :][:SLOPE_SAMPLES])
     span = times[after] - times[before]
     slopes = (_slope(times, path, rows, at) for rows, at in zip(ends, (before, after), strict=True))
     first, last = (slope * span for slope in slopes)
@@ -243,18 +245,18 @@ def butterworth_low_pass(times: np.ndarray, positions: np.ndarray, cutoff: float
     sections = butter(
         BUTTERWORTH_ORDER, cutoff / TWO_PASS_CUTOFF_RATIO, fs=1 / interval, output="sos"
     )
-    passed = positions.copy()
+    smooth = positions.copy()
     for marker in range(positions.shape[1]):
         for run in _runs(times, ~_is_missing(positions[:, marker])):
             # The ends are mirrored over one period of the cut-off, or what there is of it.
             pad = min(len(run) - 1, round(1 / (cutoff * interval)))
-            passed[run, marker] = sosfiltfilt(sections, positions[run, marker], 0, padlen=pad)
-    return passed
+            smooth[run, marker] = sosfiltfilt(sections, positions[run, marker], 0, padlen=pad)
+    return smooth
 
 
-def _runs(times: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
+def _runs(times: np.ndarray, is_present: np.ndarray) -> list[np.ndarray]:
     """Rows that are seen and follow one another without a gap, run by run."""
-    rows = np.flatnonzero(seen)
+    rows = np.flatnonzero(is_present)
     breaks = (np.diff(rows) > 1) | (np.diff(times[rows]) > GAP_INTERVALS * median_interval(times))
     return [run for run in np.split(rows, np.flatnonzero(breaks) + 1) if len(run) > 1]
 
@@ -262,19 +264,19 @@ def _runs(times: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
 def _check_cutoff(recording: Recording, cutoff: float) -> None:
     """InputError unless the samples can hold a low-pass's cut-off."""
     interval = median_interval(recording.times)
-    most = TWO_PASS_CUTOFF_RATIO / (2 * interval) if interval else 0.0
-    if cutoff >= most:
+    highest = TWO_PASS_CUTOFF_RATIO / (2 * interval) if interval else 0.0
+    if cutoff >= highest:
         raise InputError(
             recording.path or recording.name,
-            f"[markers.filters] butterworth: found {cutoff:g} Hz, expected less than {most:.3g} Hz "
+            f"[markers.filters] butterworth: found {cutoff:g} Hz, expected less than {highest:.3g} Hz "
             f"for {1 / interval if interval else 0:.3g} samples per second",
         )
 
 
 def filter_one_euro(times: np.ndarray, positions: np.ndarray, filter_: OneEuro) -> np.ndarray:
     """(T, M, 3) positions as ``filter_`` gives them out one after the other."""
-    state, given = filter_.init(positions.shape[1]), []
+    state, filtered_samples = filter_.init(positions.shape[1]), []
     for time, sample in zip(times, positions, strict=True):
         state, filtered = filter_.step(state, float(time), sample)
-        given.append(filtered)
-    return np.stack(given)
+        filtered_samples.append(filtered)
+    return np.stack(filtered_samples)

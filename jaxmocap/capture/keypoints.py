@@ -118,14 +118,14 @@ def choose_person(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: floa
         more are known).
     """
     pixels_xy, predicted_xy = np.asarray(pixels_xy, float), np.asarray(predicted_xy, float)
-    known = np.isfinite(predicted_xy).all(-1)
-    if not known.any() or not len(pixels_xy):
+    is_known = np.isfinite(predicted_xy).all(-1)
+    if not is_known.any() or not len(pixels_xy):
         return -1
-    distances = np.linalg.norm(pixels_xy[:, known] - predicted_xy[known], axis=-1)
+    distances = np.linalg.norm(pixels_xy[:, is_known] - predicted_xy[is_known], axis=-1)
     # NaN, a point that was not detected, is never near.
     near = distances <= gate_px
     costs = np.where(near, distances, gate_px).mean(-1)
-    costs[near.sum(-1) < min(2, known.sum())] = np.inf
+    costs[near.sum(-1) < min(2, is_known.sum())] = np.inf
     best = int(costs.argmin())
     return best if np.isfinite(costs[best]) else -1
 

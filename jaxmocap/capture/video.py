@@ -176,15 +176,15 @@ class Video(FrameSource):
 
     def frames(self, luma: bool = False) -> Iterator[TimedImage]:
         """See ``FrameSource.frames``. The end of a truncated file yields None."""
-        done = 0
+        next_frame = 0
         for i, frame in self._decoded():
-            if i < done:
+            if i < next_frame:
                 continue
-            for missing in range(done, i):
+            for missing in range(next_frame, i):
                 yield float(self.times[missing]), None
-            done = i + 1
+            next_frame = i + 1
             yield float(self.times[i]), self._image(frame, luma)
-        for missing in range(done, len(self.times)):
+        for missing in range(next_frame, len(self.times)):
             yield float(self.times[missing]), None
 
     def _image(self, frame: VideoFrame, luma: bool) -> np.ndarray | None:
@@ -334,5 +334,5 @@ def image_of(frame: VideoFrame, luma: bool) -> np.ndarray:
         image = rows.reshape(-1, plane.line_size)[: frame.height, : frame.width]
     else:
         image = frame.to_ndarray(format="gray" if luma else "bgr24")
-    turned = np.rot90(image, round(frame.rotation / 90))
-    return np.array(turned, order="C")
+    upright = np.rot90(image, round(frame.rotation / 90))
+    return np.array(upright, order="C")

@@ -89,30 +89,32 @@ def convert_file(
         InputError: an unknown suffix, a source that cannot be used, or a target that cannot hold
             what it should.
     """
-    work = _Conversion(Path(source), Path(target), options or ConversionOptions())
-    kinds = [path.suffix.lower() for path in (work.source, work.target)]
-    for path, kind in zip((work.source, work.target), kinds, strict=True):
+    conversion = _Conversion(Path(source), Path(target), options or ConversionOptions())
+    kinds = [path.suffix.lower() for path in (conversion.source, conversion.target)]
+    for path, kind in zip((conversion.source, conversion.target), kinds, strict=True):
         if kind not in (*MARKER_SUFFIXES, *MOTION_SUFFIXES):
             expected = ", ".join((*MARKER_SUFFIXES, *MOTION_SUFFIXES))
             raise InputError(path, f"unknown suffix {kind!r}, expected one of {expected}")
     if kinds[0] in MARKER_SUFFIXES and kinds[1] in MOTION_SUFFIXES:
-        problem = f"cannot be made from {work.source}: places of markers are not turns of bones"
+        problem = (
+            f"cannot be made from {conversion.source}: places of markers are not turns of bones"
+        )
         raise InputError(target, f"{problem} (jaxmocap track finds those)")
-    _check_options(work, *kinds)
+    _check_options(conversion, *kinds)
     if kinds[0] in MARKER_SUFFIXES:
-        _write_markers(work, _read_markers(work))
+        _write_markers(conversion, _read_markers(conversion))
     elif kinds[1] in MARKER_SUFFIXES:
-        _write_markers(work, _joints_as_markers(work, _read_motion(work)))
+        _write_markers(conversion, _joints_as_markers(conversion, _read_motion(conversion)))
     elif kinds[1] in DEFAULT_CONVENTION:
-        _write_armature(work, _as_armature(work, _read_motion(work)))
+        _write_armature(conversion, _as_armature(conversion, _read_motion(conversion)))
     else:
-        _write_motion(work, _as_motion(work, _read_motion(work)))
-    return work.warnings
+        _write_motion(conversion, _as_motion(conversion, _read_motion(conversion)))
+    return conversion.warnings
 
 
-def _check_options(work: _Conversion, source: str, target: str) -> None:
+def _check_options(conversion: _Conversion, source: str, target: str) -> None:
     """InputError for an option that would not do anything."""
-    options = work.options
+    options = conversion.options
     useless = {
         "--unit": options.unit and ".bvh" not in (source, target),
         "--body": options.body and source != ".mot",
@@ -121,133 +123,149 @@ def _check_options(work: _Conversion, source: str, target: str) -> None:
     }
     for option, given in useless.items():
         if given:
-            raise InputError(work.source, f"{option} says nothing about {source} to {target}")
+            raise InputError(conversion.source, f"{option} says nothing about {source} to {target}")
     if source == ".mot" and options.body is None:
         problem = "holds angles without bones: name a file with the same body"
-        raise InputError(work.source, f"{problem} (--body motion.npz)")
+        raise InputError(conversion.source, f"{problem} (--body motion.npz)")
 
 
-def _read_markers(work: _Conversion) -> Markers:
-    markers = read_markers(work.source)
-    if work.source.suffix.lower() == ".c3d":
-        work.warnings += [f"left out: {left}" for left in unconverted_content(work.source)]
+def _read_markers(conversion: _Conversion) -> Markers:
+    markers = read_markers(conversion.source)
+    if conversion.source.suffix.lower() == ".c3d":
+        conversion.warnings += [
+            f"left out: {content}" for content in unconverted_content(conversion.source)
+        ]
     return markers
 
 
-def _write_markers(work: _Conversion, markers: Markers) -> None:
-    kind = work.target.suffix.lower()
-    if work.options.rate is not None:
+def _write_markers(conversion: _Conversion, markers: Markers) -> None:
+    kind = conversion.target.suffix.lower()
+    if conversion.options.rate is not None:
         columns = (3 if markers.orientations is None else 12) * len(markers.names)
-        times = even_times(markers.times, work.options.rate, columns, work.source)
+        times = even_times(markers.times, conversion.options.rate, columns, conversion.source)
         markers = resampled_markers(markers, times)
     if markers.orientations is not None and kind != ".csv":
-        work.warnings.append(f"left out: how the markers are turned, which {kind} does not hold")
+        conversion.warnings.append(
+            f"left out: how the markers are turned, which {kind} does not hold"
+        )
     try:
         if kind == ".c3d":
-            write_c3d(work.target, markers)
+            write_c3d(conversion.target, markers)
             return
         if kind == ".csv":
-            write_csv(work.target, markers.times, markers.points(), markers.known_orientations())
+            write_csv(
+                conversion.target, markers.times, markers.points(), markers.known_orientations()
+            )
         else:
-            write_trc(work.target, markers.times, markers.points())
+            write_trc(conversion.target, markers.times, markers.points())
     except ValueError as error:
         # Names that a format cannot hold.
         raise (
-            error if isinstance(error, FileError) else InputError(work.target, str(error))
+            error if isinstance(error, FileError) else InputError(conversion.target, str(error))
         ) from None
     if markers.residuals is not None and np.nan_to_num(markers.residuals).any():
-        work.warnings.append(f"left out: the markers' residuals, which {kind} does not hold")
+        conversion.warnings.append(f"left out: the markers' residuals, which {kind} does not hold")
 
 
-def _read_motion(work: _Conversion) -> Motion | Armature:
+def _read_motion(conversion: _Conversion) -> Motion | Armature:
     """What the source holds, in the world's axes."""
-    path, kind = work.source, work.source.suffix.lower()
+    path, kind = conversion.source, conversion.source.suffix.lower()
     if kind == ".npz":
         return load_motion(path)
     if kind == ".mot":
         times, columns = read_mot(path)
-        return motion_from_angles(path, times, columns, _body(work).skeleton)
-    unit = None if work.target.suffix.lower() == ".bvh" else work.options.unit
+        return motion_from_angles(path, times, columns, _body(conversion).skeleton)
+    unit = None if conversion.target.suffix.lower() == ".bvh" else conversion.options.unit
     armature = read_bvh(path, unit) if kind == ".bvh" else read_gltf(path)
     return rotated_armature(armature, R_FILE_WORLD.T)
 
 
-def _body(work: _Conversion) -> Motion:
+def _body(conversion: _Conversion) -> Motion:
     """A motion of the body whose angles a .mot holds."""
-    body = work.options.body
+    body = conversion.options.body
     if body is None or body.suffix.lower() not in (".npz", ".bvh", ".glb"):
         raise InputError(
-            body or work.source, "expected a .npz, .bvh or .glb file, which holds a body"
+            body or conversion.source, "expected a .npz, .bvh or .glb file, which holds a body"
         )
-    lender = _Conversion(body, work.target, replace(work.options, body=None))
+    lender = _Conversion(body, conversion.target, replace(conversion.options, body=None))
     motion = _read_motion(lender)
     return motion if isinstance(motion, Motion) else motion_of(motion, body)
 
 
-def _as_armature(work: _Conversion, motion: Motion | Armature) -> Armature:
-    kind, names = work.target.suffix.lower(), work.options.names
+def _as_armature(conversion: _Conversion, motion: Motion | Armature) -> Armature:
+    kind, names = conversion.target.suffix.lower(), conversion.options.names
     if isinstance(motion, Motion):
-        work.warnings.append("left out: masses, limits, and the report where there is one")
+        conversion.warnings.append("left out: masses, limits, and the report where there is one")
         return armature_of(motion, names or DEFAULT_CONVENTION[kind])
-    return replace(motion, names=_joint_names(work, motion.names))
+    return replace(motion, names=_joint_names(conversion, motion.names))
 
 
-def _joint_names(work: _Conversion, joints: tuple[str, ...]) -> tuple[str, ...]:
+def _joint_names(conversion: _Conversion, joints: tuple[str, ...]) -> tuple[str, ...]:
     """Names of joints in the convention asked for; joints that it does not know keep theirs."""
-    if work.options.names is None:
+    if conversion.options.names is None:
         return joints
-    ours, convention = names_to_ours(joints), CONVENTIONS[work.options.names]
+    ours, convention = names_to_ours(joints), CONVENTIONS[conversion.options.names]
     if ours is None:
-        raise InputError(work.source, f"joints of no known convention: {comma_list(joints)}")
+        raise InputError(conversion.source, f"joints of no known convention: {comma_list(joints)}")
     return tuple(convention[ours[name]] if name in ours else name for name in joints)
 
 
-def _write_armature(work: _Conversion, armature: Armature) -> None:
-    if work.options.rate is not None:
+def _write_armature(conversion: _Conversion, armature: Armature) -> None:
+    if conversion.options.rate is not None:
         columns = 9 * len(armature.names)
-        times = even_times(armature.times, work.options.rate, columns, work.source)
+        times = even_times(armature.times, conversion.options.rate, columns, conversion.source)
         armature = resampled_armature(armature, times)
     armature = rotated_armature(armature, R_FILE_WORLD)
-    if work.target.suffix.lower() == ".glb":
-        write_gltf(work.target, armature)
+    if conversion.target.suffix.lower() == ".glb":
+        write_gltf(conversion.target, armature)
         return
     if unknown := int((~armature.is_known).sum()):
-        work.warnings.append(f"added: {unknown} samples without a pose hold that of the nearest")
+        conversion.warnings.append(
+            f"added: {unknown} samples without a pose hold that of the nearest"
+        )
     if armature.times[0] != 0:
-        work.warnings.append(
+        conversion.warnings.append(
             f"left out: that the first sample is at {armature.times[0]:g} s, not 0"
         )
-    write_bvh(work.target, fill_from_nearest(armature, work.source), work.options.unit or "m")
+    write_bvh(
+        conversion.target,
+        fill_from_nearest(armature, conversion.source),
+        conversion.options.unit or "m",
+    )
 
 
-def _as_motion(work: _Conversion, motion: Motion | Armature) -> Motion:
+def _as_motion(conversion: _Conversion, motion: Motion | Armature) -> Motion:
     if isinstance(motion, Motion):
         return motion
-    found = motion_of(motion, work.source)
-    if work.target.suffix.lower() == ".npz":
-        work.warnings.append("added: masses, girths and limits of a person with bones as long")
-    return found
+    converted = motion_of(motion, conversion.source)
+    if conversion.target.suffix.lower() == ".npz":
+        conversion.warnings.append(
+            "added: masses, girths and limits of a person with bones as long"
+        )
+    return converted
 
 
-def _write_motion(work: _Conversion, motion: Motion) -> None:
-    if work.options.rate is not None:
+def _write_motion(conversion: _Conversion, motion: Motion) -> None:
+    if conversion.options.rate is not None:
         columns = 9 * len(motion.skeleton.tree.bones)
-        times = even_times(motion.times, work.options.rate, columns, work.source)
+        times = even_times(motion.times, conversion.options.rate, columns, conversion.source)
         motion = resampled_motion(motion, times)
-    if work.target.suffix.lower() == ".npz":
-        save_motion(work.target, motion)
+    if conversion.target.suffix.lower() == ".npz":
+        save_motion(conversion.target, motion)
     else:
-        isb = work.options.angles == "isb"
-        (write_isb if isb else write_mot)(work.target, motion)
+        isb = conversion.options.angles == "isb"
+        (write_isb if isb else write_mot)(conversion.target, motion)
         if isb:
-            work.warnings.append("left out: where the pelvis is, and what ISB's angles do not tell")
-        work.warnings.append("left out: the body, and the report where there is one")
+            conversion.warnings.append(
+                "left out: where the pelvis is, and what ISB's angles do not tell"
+            )
+        conversion.warnings.append("left out: the body, and the report where there is one")
 
 
-def _joints_as_markers(work: _Conversion, motion: Motion | Armature) -> Markers:
+def _joints_as_markers(conversion: _Conversion, motion: Motion | Armature) -> Markers:
     """Where the joints are, as markers: landmarks of a motion of ours, else all joints."""
-    work.warnings.append("left out: how the bones are turned")
+    conversion.warnings.append("left out: how the bones are turned")
     if isinstance(motion, Motion):
-        names, points = tuple(landmark_names(work.options.names).values()), motion.joints()
+        names, points = tuple(landmark_names(conversion.options.names).values()), motion.joints()
         return Markers(motion.times, names, np.stack(list(points.values()), 1).astype(float))
-    return Markers(motion.times, _joint_names(work, motion.names), joint_positions(motion))
+    return Markers(motion.times, _joint_names(conversion, motion.names), joint_positions(motion))

@@ -115,7 +115,7 @@ def save_motion(path: str | Path, motion: Motion) -> None:
         arrays["report.markers"] = np.array(report.markers, str)
         arrays["report.statuses"] = json.dumps(report.statuses)
         arrays["report.settings"] = json.dumps(report.settings, default=_as_json)
-    with replacing(path) as beside, beside.open("wb") as file:
+    with replacing(path) as temporary, temporary.open("wb") as file:
         plain = {name: np.asarray(value) for name, value in arrays.items()}
         np.savez_compressed(file, **plain)  # type: ignore[arg-type]
 
@@ -139,13 +139,13 @@ def load_motion(path: str | Path) -> Motion:
     if version != VERSION:
         raise InputError(path, f"version: found {version}, expected {VERSION}")
     skeleton = _skeleton(file)
-    moved = file.read(_POSE_SPECS)
-    times = np.asarray(moved["times"], float)
+    poses = file.read(_POSE_SPECS)
+    times = np.asarray(poses["times"], float)
     if not len(times):
         raise InputError(path, "times: found no sample, expected at least one")
     check_times(path, times, SampleLabels("sample"))
-    _check_units(path, "pose.quaternion", moved["pose.quaternion"])
-    parts: list[Any] = [moved[f"pose.{name}"] for name in Pose._fields]
+    _check_units(path, "pose.quaternion", poses["pose.quaternion"])
+    parts: list[Any] = [poses[f"pose.{name}"] for name in Pose._fields]
     report = _report(file, len(times)) if "report.markers" in file.names else None
     return near_origin(Motion(skeleton, times, Pose(*parts), report))
 
@@ -213,9 +213,9 @@ def _check_body(path: str | Path, body: dict[str, np.ndarray]) -> None:
 def _check_units(path: str | Path, name: str, vectors: np.ndarray) -> None:
     """InputError unless every vector (N, K) that is known is of length 1."""
     lengths = np.linalg.norm(vectors, axis=-1)
-    off = np.abs(lengths - 1) > _UNIT_TOLERANCE
-    if off.any():
-        i = int(off.argmax())
+    is_off = np.abs(lengths - 1) > _UNIT_TOLERANCE
+    if is_off.any():
+        i = int(is_off.argmax())
         raise InputError(path, f"{name}[{i}]: found length {lengths[i]:.4g}, expected 1")
 
 

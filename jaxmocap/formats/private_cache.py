@@ -58,9 +58,9 @@ class PrivateCache:
         try:
             self.make_folder()
             if self._is_own(self._root, self.folder):
-                with replacing(self.folder / name) as beside:
+                with replacing(self.folder / name) as temporary:
                     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
-                    with open(os.open(beside, flags, FILE_MODE), "wb") as file:
+                    with open(os.open(temporary, flags, FILE_MODE), "wb") as file:
                         file.write(_seal(key, content) + content)
         # A folder that cannot be written to keeps nothing.
         except (OSError, FileError):

@@ -64,8 +64,8 @@ def find_coarsely(grey: np.ndarray, board: Board) -> np.ndarray | None:
     small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     if board.dictionary is not None:
         corners = _find_charuco(small, board)
-        whole = corners is not None and len(corners.pixels_xy) == board.columns * board.rows
-        return corners.pixels_xy / scale if corners is not None and whole else None
+        is_complete = corners is not None and len(corners.pixels_xy) == board.columns * board.rows
+        return corners.pixels_xy / scale if corners is not None and is_complete else None
     found, pixels = cv2.findChessboardCorners(small, (board.columns, board.rows), flags=_FAST)
     return pixels.reshape(-1, 2) / scale if found else None
 
@@ -88,8 +88,8 @@ def _find_chessboard(grey: np.ndarray, board: Board) -> np.ndarray | None:
     crop = np.ascontiguousarray(grey[top:bottom, left:right])
     answers = []
     for flags in _SECTOR_FLAGS if found else _SECTOR_FLAGS[:2]:
-        sure, pixels = cv2.findChessboardCornersSB(crop, size, flags=flags)
-        if sure:
+        is_found, pixels = cv2.findChessboardCornersSB(crop, size, flags=flags)
+        if is_found:
             answers.append(pixels.reshape(-1, 2).astype(float) + np.array([left, top]))
             if _planarity_error(answers[-1], board) < _MAX_PLANARITY_ERROR:
                 return answers[-1]
@@ -107,9 +107,9 @@ def _planarity_error(pixels_xy: np.ndarray, board: Board) -> float:
     H, _ = cv2.findHomography(board.points_board[:, :2], pixels_xy)
     if H is None:
         return np.inf
-    seen = cv2.perspectiveTransform(board.points_board[None, :, :2], H)[0]
+    projected = cv2.perspectiveTransform(board.points_board[None, :, :2], H)[0]
     step = _shortest_step(pixels_xy.reshape(board.rows, board.columns, 2))
-    return float(np.linalg.norm(seen - pixels_xy, axis=-1).max() / max(step, 1e-9))
+    return float(np.linalg.norm(projected - pixels_xy, axis=-1).max() / max(step, 1e-9))
 
 
 def _shortest_step(grid_xy: np.ndarray) -> float:
@@ -126,14 +126,14 @@ def _in_board_order(grey: np.ndarray, pixels_xy: np.ndarray, board: Board) -> Co
     # z towards the viewer: x right, y up, and the picture's own y points down.
     if x[0] * y[1] - x[1] * y[0] > 0:
         grid = grid[::-1]
-    turned = [grid, grid[::-1, ::-1]]
+    orders_grid = [grid, grid[::-1, ::-1]]
     if board.columns == board.rows:
-        turned += [np.rot90(grid), np.rot90(grid, 3)]
+        orders_grid += [np.rot90(grid), np.rot90(grid, 3)]
     if board.symmetry_order == 1:
-        turned = [max(turned, key=lambda order: _darkness(grey, order))]
+        orders_grid = [max(orders_grid, key=lambda order: _darkness(grey, order))]
     # Where it cannot be told, the corner lowest and leftmost in the picture comes first.
-    turned.sort(key=lambda order: order[0, 0, 0] - order[0, 0, 1])
-    orders = [order.reshape(-1, 2).copy() for order in turned]
+    orders_grid.sort(key=lambda order: order[0, 0, 0] - order[0, 0, 1])
+    orders = [order.reshape(-1, 2).copy() for order in orders_grid]
     return Corners(board.points_board, orders[0], tuple(orders[1:]))
 
 
@@ -164,15 +164,17 @@ def _find_charuco(grey: np.ndarray, board: Board) -> Corners | None:
         if numbers is not None and len(numbers) >= _MIN_CHARUCO_CORNERS:
             row, column = np.divmod(numbers.ravel(), board.columns)
             # OpenCV counts rows from the top, the board's y points up.
-            ours = (board.rows - 1 - row) * board.columns + column
-            return Corners(board.points_board[ours], pixels.reshape(-1, 2).astype(float))
+            indices = (board.rows - 1 - row) * board.columns + column
+            return Corners(board.points_board[indices], pixels.reshape(-1, 2).astype(float))
     return None
 
 
 def _dictionary(name: str) -> "cv2.aruco.Dictionary":
     """OpenCV's dictionary of that name, with or without ``DICT_``; InputError lists them."""
-    known = sorted(key[5:] for key in dir(cv2.aruco) if key.startswith("DICT_"))
+    available = sorted(key[5:] for key in dir(cv2.aruco) if key.startswith("DICT_"))
     wanted = name.upper().removeprefix("DICT_")
-    if wanted not in known:
-        raise InputError(f"ChArUco dictionary {name!r}", f"unknown, expected {', '.join(known)}")
+    if wanted not in available:
+        raise InputError(
+            f"ChArUco dictionary {name!r}", f"unknown, expected {', '.join(available)}"
+        )
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{wanted}"))

@@ -148,8 +148,8 @@ def draw_coverage(
 
 def write_annotated(path: Path, canvas: AnnotatedPicture) -> Path:
     """Write a JPEG file; its path."""
-    with replacing(path) as beside:
-        beside.write_bytes(
+    with replacing(path) as temporary:
+        temporary.write_bytes(
             cv2.imencode(".jpg", canvas.image, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes()
         )
     return path

@@ -77,7 +77,7 @@ def find_boards(paths: Sequence[str | Path], board: Board) -> BoardDetections:
             size.
     """
     where = str(paths[0]) if len(paths) == 1 else f"{paths[0]} and {len(paths) - 1} more"
-    pictures, said = open_pictures(paths, board)
+    pictures, warnings = open_pictures(paths, board)
     views: list[BoardView] = []
     missing, repeated = [], []
     sizes: dict[tuple[int, int], str] = {}
@@ -104,7 +104,7 @@ def find_boards(paths: Sequence[str | Path], board: Board) -> BoardDetections:
         tuple(views),
         tuple(missing),
         tuple(repeated),
-        tuple(said),
+        tuple(warnings),
     )
 
 

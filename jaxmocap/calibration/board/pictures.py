@@ -54,7 +54,7 @@ def open_pictures(paths: Sequence[str | Path], board: Board) -> tuple[list[Pictu
         InputError: a file that is missing, or neither an image nor a video.
     """
     pictures: list[Picture] = []
-    said: list[str] = []
+    warnings: list[str] = []
     files = [Path(path) for path in paths]
     for path in files:
         alone = len({other for other in files if other.name == path.name}) == 1
@@ -73,8 +73,8 @@ def open_pictures(paths: Sequence[str | Path], board: Board) -> tuple[list[Pictu
             raise InputError(path, "is neither an image nor a video that can be read") from None
         chosen, sentence = _chosen_frames(video, board)
         pictures += chosen
-        said.append(sentence)
-    return pictures, said
+        warnings.append(sentence)
+    return pictures, warnings
 
 
 @dataclass(frozen=True)
@@ -87,20 +87,20 @@ class _FrameView:
 def _chosen_frames(video: Video, board: Board) -> tuple[list[Picture], str]:
     """Sharp frames that differ from one another in the board's place, size and tilt."""
     step = max(1, -(-len(video) // MAX_EXAMINED_FRAMES))
-    seen = []
+    candidates = []
     for number, (_, grey) in enumerate(video.frames(luma=True)):
         if grey is not None and number % step == 0:
             pixels = find_coarsely(grey, board)
             if pixels is not None:
-                seen.append(
+                candidates.append(
                     _FrameView(number, _sharpness(grey, pixels), _features(pixels, board, grey))
                 )
-    looked = -(-len(video) // step)
-    sentence = f"{video.path.name}: board seen in {len(seen)} of {looked} frames looked at"
-    if not seen:
+    examined = -(-len(video) // step)
+    sentence = f"{video.path.name}: board seen in {len(candidates)} of {examined} frames looked at"
+    if not candidates:
         return [], sentence
-    limit = MIN_SHARPNESS * float(np.median([view.sharpness for view in seen]))
-    sharp = [view for view in seen if view.sharpness >= limit]
+    limit = MIN_SHARPNESS * float(np.median([view.sharpness for view in candidates]))
+    sharp = [view for view in candidates if view.sharpness >= limit]
     numbers = sorted(view.number for view in farthest_views(sharp, MAX_CHOSEN_FRAMES))
     images = {
         i: image
@@ -110,7 +110,7 @@ def _chosen_frames(video: Video, board: Board) -> tuple[list[Picture], str]:
     chosen = [
         Picture(f"{video.path.name} frame {i}", video.path, image) for i, image in images.items()
     ]
-    blurred = len(seen) - len(sharp)
+    blurred = len(candidates) - len(sharp)
     return chosen, f"{sentence}, {blurred} blurred, {len(chosen)} chosen for their spread"
 
 

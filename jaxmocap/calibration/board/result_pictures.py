@@ -41,12 +41,12 @@ def picture_folder(
     return None if directory is None else OutputFolder(directory, kind, (), inputs)
 
 
-def draw_detections(found: BoardDetections, folder: str | Path) -> list[Path]:
+def draw_detections(detections: BoardDetections, folder: str | Path) -> list[Path]:
     """Each picture with the corners that were found in it: all there is without a calibration."""
-    views = {view.name: view for view in found.views}
+    views = {view.name: view for view in detections.views}
     files = []
-    for number, picture in enumerate(found.pictures, 1):
-        canvas = _titled(found, picture)
+    for number, picture in enumerate(detections.pictures, 1):
+        canvas = _titled(detections, picture)
         if picture.name in views:
             canvas.corners(views[picture.name].pixels_xy)
         files.append(write_annotated(_file(folder, number, picture), canvas))
@@ -54,33 +54,33 @@ def draw_detections(found: BoardDetections, folder: str | Path) -> list[Path]:
 
 
 def draw_intrinsics(
-    found: BoardDetections, result: IntrinsicsEstimate, folder: str | Path
+    detections: BoardDetections, result: IntrinsicsEstimate, folder: str | Path
 ) -> list[Path]:
     """Each picture with corners, residuals and the board's axes; and the coverage."""
-    times = magnification(result.rms, found.size)
-    judged = {
+    times = magnification(result.rms, detections.size)
+    results = {
         view.name: (view, pose, use)
-        for view, pose, use in zip(found.views, result.poses, result.used, strict=True)
+        for view, pose, use in zip(detections.views, result.poses, result.used, strict=True)
     }
     files = []
-    for number, picture in enumerate(found.pictures, 1):
-        canvas = _titled(found, picture)
-        if picture.name in judged:
-            _draw_view(canvas, *judged[picture.name], result.lens, found.board, times)
+    for number, picture in enumerate(detections.pictures, 1):
+        canvas = _titled(detections, picture)
+        if picture.name in results:
+            _draw_view(canvas, *results[picture.name], result.lens, detections.board, times)
         files.append(write_annotated(_file(folder, number, picture), canvas))
     used = [
-        (view.pixels_xy, pose.residuals_xy) for view, pose, use in judged.values() if use and pose
+        (view.pixels_xy, pose.residuals_xy) for view, pose, use in results.values() if use and pose
     ]
-    coverage = draw_coverage(found.size, used, times)
+    coverage = draw_coverage(detections.size, used, times)
     return [*files, write_annotated(Path(folder) / "coverage.jpg", coverage)]
 
 
-def _titled(found: BoardDetections, picture: Picture) -> AnnotatedPicture:
+def _titled(detections: BoardDetections, picture: Picture) -> AnnotatedPicture:
     canvas = AnnotatedPicture(picture.image())
     canvas.title(picture.name)
-    if picture.name in found.not_found:
+    if picture.name in detections.not_found:
         canvas.title("NO BOARD FOUND")
-    elif picture.name in found.duplicates:
+    elif picture.name in detections.duplicates:
         canvas.title("the same as an earlier one")
     return canvas
 

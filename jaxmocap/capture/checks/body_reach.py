@@ -54,14 +54,14 @@ def max_marker_distances(skeleton: Skeleton, places: Sequence[MarkerPlace]) -> n
     """(M, M) metres that two markers can be apart: the way along the bones between them."""
     lengths = np.asarray(skeleton.lengths, float)
     chains = [skeleton.tree.chain(place.bone) for place in places]
-    away = np.zeros((len(places), len(places)))
+    distances = np.zeros((len(places), len(places)))
     for i, first in enumerate(places):
         for j, second in enumerate(places[:i]):
-            ways = _bones_between(chains[i], chains[j], first.at, second.at)
-            straight = sum(share * lengths[bone] for bone, share in ways)
+            segments = _bones_between(chains[i], chains[j], first.at, second.at)
+            straight = sum(share * lengths[bone] for bone, share in segments)
             sides = np.linalg.norm(first.offset) + np.linalg.norm(second.offset)
-            away[i, j] = away[j, i] = straight + sides
-    return away
+            distances[i, j] = distances[j, i] = straight + sides
+    return distances
 
 
 def _bones_between(
@@ -71,11 +71,11 @@ def _bones_between(
     if first == second:
         return [(first[-1], abs(at_first - at_second))]
     shared = sum(a == b for a, b in zip(first, second, strict=False))
-    ways = []
+    segments = []
     for chain, at in ((first, at_first), (second, at_second)):
         if len(chain) == shared:
             # The other chain goes on from this bone's far end.
-            ways.append((chain[-1], 1.0 - at))
+            segments.append((chain[-1], 1.0 - at))
         else:
-            ways += [(bone, 1.0) for bone in chain[shared:-1]] + [(chain[-1], at)]
-    return ways
+            segments += [(bone, 1.0) for bone in chain[shared:-1]] + [(chain[-1], at)]
+    return segments

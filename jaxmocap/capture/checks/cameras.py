@@ -69,16 +69,16 @@ def check_recording(recording: Recording, video_times: Sequence[np.ndarray]) -> 
         recording: with its cameras.
         video_times: (F,) seconds of marker time of each video's frames.
     """
-    found = check_markers(recording)
-    if not any(finding.fatal for finding in found):
+    findings = check_markers(recording)
+    if not any(finding.fatal for finding in findings):
         views = [
             marker_visibility(recording, source, times)
             for source, times in zip(recording.videos, video_times, strict=True)
         ]
-        nowhere = all(seen.visible_share == 0 for seen in views)
-        for source, seen in zip(recording.videos, views, strict=True):
-            found += _camera_findings(recording, source, seen, nowhere)
-    return sorted(found, key=lambda finding: not finding.fatal)
+        nowhere = all(view.visible_share == 0 for view in views)
+        for source, view in zip(recording.videos, views, strict=True):
+            findings += _camera_findings(recording, source, view, nowhere)
+    return sorted(findings, key=lambda finding: not finding.fatal)
 
 
 def marker_visibility(
@@ -88,13 +88,13 @@ def marker_visibility(
     times, positions = recording.times, recording.positions_world
     half = max(median_interval(video_times), median_interval(times)) / 2
     inside = (times >= video_times[0] - half) & (times <= video_times[-1] + half)
-    seen = np.asarray(np.isfinite(positions).all(-1))
-    middle = np.median(positions[seen], 0)
-    during = positions[inside][seen[inside]]
+    is_present = np.asarray(np.isfinite(positions).all(-1))
+    middle = np.median(positions[is_present], 0)
+    in_video = positions[inside][is_present[inside]]
     return MarkerVisibility(
         source.camera_name,
         float(inside.mean()),
-        float(points_in_image(source.camera, during).mean()) if len(during) else float("nan"),
+        float(points_in_image(source.camera, in_video).mean()) if len(in_video) else float("nan"),
         float(np.linalg.norm(np.asarray(source.camera.position_world) - middle)),
     )
 
@@ -127,13 +127,13 @@ def points_in_image(camera: Camera, points_world: np.ndarray) -> np.ndarray:
 
 
 def _camera_findings(
-    recording: Recording, source: VideoSource, seen: MarkerVisibility, nowhere: bool
+    recording: Recording, source: VideoSource, view: MarkerVisibility, is_fatal: bool
 ) -> Iterator[Finding]:
     section = f"[{source.camera_name}] of the calibration"
-    if seen.distance > MAX_DISTANCE_M:
+    if view.distance > MAX_DISTANCE_M:
         yield Finding(
             "unit",
-            f"{section}: the camera is {seen.distance:.4g} m away from the markers, expected at "
+            f"{section}: the camera is {view.distance:.4g} m away from the markers, expected at "
             f"most {MAX_DISTANCE_M:g} m; translation must be in metres",
             fatal=True,
         )
@@ -146,21 +146,21 @@ def _camera_findings(
             f"markers put at {floor:.2f} m; rotation and translation must take the world (Z up) to "
             "the camera, not the camera to the world",
         )
-    if seen.visible_share < MIN_VISIBLE_SHARE:
+    if view.visible_share < MIN_VISIBLE_SHARE:
         axes, share, mirrored = _other_axes(recording, source.camera)
         kind = "a mirror image, left-handed" if mirrored else "turned"
-        rather = f"; with {axes} in place of x, y, z ({kind}) it would be {100 * share:.0f} %"
+        suggestion = f"; with {axes} in place of x, y, z ({kind}) it would be {100 * share:.0f} %"
         yield Finding(
             "handedness" if mirrored and share > MIN_EXPLAINED_SHARE else "person out of the image",
-            f"{section}: its image shows {100 * seen.visible_share:.0f} % of the markers, expected "
+            f"{section}: its image shows {100 * view.visible_share:.0f} % of the markers, expected "
             f"{100 * MIN_VISIBLE_SHARE:.0f} % or more; check rotation and translation, [[video]] camera, and "
-            f"[markers] up or to_world{rather if share > MIN_EXPLAINED_SHARE else ''}",
-            fatal=nowhere,
+            f"[markers] up or to_world{suggestion if share > MIN_EXPLAINED_SHARE else ''}",
+            fatal=is_fatal,
         )
-    if seen.covered_share < MIN_COVERED_SHARE:
+    if view.covered_share < MIN_COVERED_SHARE:
         yield Finding(
             "rate",
-            f"[[video]] {source.camera_name}: the video lasts during {100 * seen.covered_share:.0f} % of "
+            f"[[video]] {source.camera_name}: the video lasts during {100 * view.covered_share:.0f} % of "
             "the marker samples; if it should be all, check offset and the video's frame rate",
         )
 
@@ -172,8 +172,8 @@ def _other_axes(recording: Recording, camera: Camera) -> tuple[str, float, bool]
         The axes that x, y, z would be, the share of the markers shown, whether it is a mirror
         image. Where several do as well, it is a mirror image if left and right say so.
     """
-    told = facing_of_pairs(recording)
-    expected = bool(told) and all(share <= 1 - MIN_AGREEING_SHARE for _, share, _ in told)
+    facing = facing_of_pairs(recording)
+    expected = bool(facing) and all(share <= 1 - MIN_AGREEING_SHARE for _, share, _ in facing)
     positions = recording.positions_world.reshape(-1, 3)
     positions = positions[np.isfinite(positions).all(-1)]
     options = []
@@ -194,6 +194,6 @@ def _other_axes(recording: Recording, camera: Camera) -> tuple[str, float, bool]
 def _floor(recording: Recording) -> float:
     """Height on which the person stands, if upright, as the lowest of the markers has it, m."""
     heights = standing_points(recording.skeleton, recording.places)[:, 2]
-    seen = np.isfinite(recording.positions_world[..., 2]).any(0)
-    levels = recording.positions_world[:, seen, 2] - heights[seen]
+    is_present = np.isfinite(recording.positions_world[..., 2]).any(0)
+    levels = recording.positions_world[:, is_present, 2] - heights[is_present]
     return float(np.nanmedian(levels, axis=0).min())

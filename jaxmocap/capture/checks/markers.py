@@ -78,15 +78,15 @@ class Finding:
 
 def check_markers(recording: Recording) -> list[Finding]:
     """What is wrong with body, units, times, axes, sides and places of the markers."""
-    if absurd := list(_check_positions(recording)):
-        return absurd
-    found = [*_check_body(recording), *_check_times(recording)]
+    if impossible := list(_check_positions(recording)):
+        return impossible
+    findings = [*_check_body(recording), *_check_times(recording)]
     unit = list(_check_unit(recording))
     if unit:
         # Whatever else would be said follows from the unit.
-        return found + unit
+        return findings + unit
     return [
-        *found,
+        *findings,
         *_check_origin(recording),
         *_check_up(recording),
         *_check_sides(recording),
@@ -116,11 +116,11 @@ def _check_origin(recording: Recording) -> Iterator[Finding]:
     origin = local_origin(recording.positions_world)
     if not origin.any():
         return
-    away = float(np.linalg.norm(origin))
+    distance = float(np.linalg.norm(origin))
     yield Finding(
         "origin",
-        f"positions_world: the markers are {away / 1e3:.4g} km from the origin, where single "
-        f"precision keeps {1e3 * np.spacing(np.float32(away)):.2g} mm; subtract a place nearby "
+        f"positions_world: the markers are {distance / 1e3:.4g} km from the origin, where single "
+        f"precision keeps {1e3 * np.spacing(np.float32(distance)):.2g} mm; subtract a place nearby "
         "from them and from the cameras' places before cameras are made",
     )
 
@@ -168,10 +168,10 @@ def _unit_field(path: Path | None) -> str:
 
 def _span(positions: np.ndarray) -> np.ndarray:
     """(T,) diagonal of the box around the markers, NaN where less than two are seen."""
-    seen = np.asarray(np.isfinite(positions).all(-1))
-    low = np.where(seen[..., None], positions, np.inf).min(1)
-    high = np.where(seen[..., None], positions, -np.inf).max(1)
-    several = seen.sum(1) > 1
+    is_present = np.asarray(np.isfinite(positions).all(-1))
+    low = np.where(is_present[..., None], positions, np.inf).min(1)
+    high = np.where(is_present[..., None], positions, -np.inf).max(1)
+    several = is_present.sum(1) > 1
     sides = np.where(several[:, None], high, 0.0) - np.where(several[:, None], low, 0.0)
     return np.where(several, np.linalg.norm(sides, axis=-1), np.nan)
 
@@ -198,9 +198,9 @@ def _check_times(recording: Recording) -> Iterator[Finding]:
 
 def _complete_samples(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     """Markers that are mostly seen, and (T', M', 3) the samples that show all of them."""
-    seen = np.asarray(np.isfinite(recording.positions_world).all(-1))
-    kept = np.flatnonzero(seen.mean(0) >= 0.5)
-    return kept, recording.positions_world[seen[:, kept].all(1)][:, kept]
+    is_present = np.asarray(np.isfinite(recording.positions_world).all(-1))
+    kept = np.flatnonzero(is_present.mean(0) >= 0.5)
+    return kept, recording.positions_world[is_present[:, kept].all(1)][:, kept]
 
 
 def _check_up(recording: Recording) -> Iterator[Finding]:
@@ -222,8 +222,8 @@ def _check_up(recording: Recording) -> Iterator[Finding]:
             yield _wrong_up(f"{'' if sign > 0 else '-'}{name}", shares[2], abs(shares[axis]))
             return
     if shares[2] <= -UPRIGHT_SHARE:
-        sure = shares[2] <= -INVERTED_SHARE or -levels[2] >= LEVEL_RANGE[0]
-        yield _upside_down(shares[2], bool(sure))
+        is_certain = shares[2] <= -INVERTED_SHARE or -levels[2] >= LEVEL_RANGE[0]
+        yield _upside_down(shares[2], bool(is_certain))
 
 
 def _wrong_up(axis: str, stated: float, other: float) -> Finding:
@@ -236,14 +236,14 @@ def _wrong_up(axis: str, stated: float, other: float) -> Finding:
     )
 
 
-def _upside_down(share: float, sure: bool) -> Finding:
-    rather = "" if sure else "; unless hands are held up all the time"
+def _upside_down(share: float, is_certain: bool) -> Finding:
+    unless = "" if is_certain else "; unless hands are held up all the time"
     return Finding(
         "up axis",
         f"[markers] up: the person is upside down in most samples ({100 * share:.0f} % of a "
-        f"standing person's heights){rather}, the file's axis points down or an axis is mirrored: "
+        f"standing person's heights){unless}, the file's axis points down or an axis is mirrored: "
         "state to_world in place of up",
-        fatal=sure,
+        fatal=is_certain,
     )
 
 
@@ -283,22 +283,22 @@ def _forward_share(ahead: np.ndarray, leftward: np.ndarray) -> tuple[float, floa
     """Share of (T, 2) vectors ``ahead`` to the right of ``leftward``, and their mean there."""
     across = ahead[:, 0] * leftward[:, 1] - ahead[:, 1] * leftward[:, 0]
     forward = across / np.maximum(np.linalg.norm(leftward, axis=1), 1e-9)
-    tell = np.abs(forward) > MIN_HANDS_AHEAD_M
-    if tell.sum() < 0.25 * len(forward):
+    is_clear = np.abs(forward) > MIN_HANDS_AHEAD_M
+    if is_clear.sum() < 0.25 * len(forward):
         return 0.5, 0.0
-    return float((forward[tell] > 0).mean()), float(np.nanmean(forward))
+    return float((forward[is_clear] > 0).mean()), float(np.nanmean(forward))
 
 
 def _check_sides(recording: Recording) -> Iterator[Finding]:
-    told = facing_of_pairs(recording)
-    wrong = [row for row in told if row[1] <= 1 - MIN_AGREEING_SHARE]
+    facing = facing_of_pairs(recording)
+    wrong = [row for row in facing if row[1] <= 1 - MIN_AGREEING_SHARE]
     if not wrong:
         return
     names = [tuple(recording.marker_names[i] for i in pair) for pair, _, _ in wrong]
     exchanged = ", ".join(f"{left} and {right}" for left, right in names)
-    rather = ""
-    if len(wrong) == len(told):
-        rather = (
+    alternative = ""
+    if len(wrong) == len(facing):
+        alternative = (
             ", or the file's axes are left-handed (then state to_world with one row negated, in "
             "place of up)"
         )
@@ -306,7 +306,7 @@ def _check_sides(recording: Recording) -> Iterator[Finding]:
     yield Finding(
         "left and right",
         f"[markers.on] {exchanged}: the hands are behind the head in {100 * (1 - share):.0f} % of "
-        f"the samples, by {metres:.2f} m on average; left and right are exchanged{rather}",
+        f"the samples, by {metres:.2f} m on average; left and right are exchanged{alternative}",
     )
 
 
@@ -319,9 +319,9 @@ def _check_reach(recording: Recording) -> Iterator[Finding]:
     counts, worst = np.zeros(allowed.shape, int), np.zeros(allowed.shape)
     for i in range(len(names)):
         for j in range(i):
-            away = np.linalg.norm(positions[:, i] - positions[:, j], axis=-1)
-            counts[i, j] = counts[j, i] = (away > allowed[i, j]).sum()
-            worst[i, j] = worst[j, i] = np.nanmax(away, initial=0.0)
+            distances = np.linalg.norm(positions[:, i] - positions[:, j], axis=-1)
+            counts[i, j] = counts[j, i] = (distances > allowed[i, j]).sum()
+            worst[i, j] = worst[j, i] = np.nanmax(distances, initial=0.0)
     marker = int(counts.sum(1).argmax())
     other = int(counts[marker].argmax())
     if not counts[marker, other]:

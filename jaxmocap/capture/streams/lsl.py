@@ -137,17 +137,19 @@ class MarkerStream:
                 continue
             arrived = self._now()
             self.packets += 1
-            placed = []
-            for name, (first, scales, turned) in channels.items():
+            messages = []
+            for name, (first, scales, has_orientation) in channels.items():
                 x, y, z = (values[first + axis] * scale for axis, scale in enumerate(scales))
                 if max(abs(x), abs(y), abs(z)) > MAX_DISTANCE_M:
                     self.ignored["absurd"] += 1
                 elif math.isfinite(x + y + z):
-                    turn = unit_quaternion(values[first + 3 : first + 7]) if turned else None
-                    placed.append(MarkerMessage((name,), (x, y, z), turn))
-            if placed:
+                    quaternion = (
+                        unit_quaternion(values[first + 3 : first + 7]) if has_orientation else None
+                    )
+                    messages.append(MarkerMessage((name,), (x, y, z), quaternion))
+            if messages:
                 self.last_arrival = arrived
-                self._gathering.add(placed, self.clock.time(arrived, stamp), arrived, True)
+                self._gathering.add(messages, self.clock.time(arrived, stamp), arrived, True)
 
     def _channels(self, info: Any) -> dict[str, MarkerChannels]:
         """Marker -> where it is."""
@@ -160,15 +162,19 @@ class MarkerStream:
             labels.append(channel.child_value("label")[:MAX_LABEL_CHARACTERS])
             units.append(channel.child_value("unit")[:MAX_LABEL_CHARACTERS].lower())
             channel = channel.next_sibling("channel")
-        found = {}
+        channels_of = {}
         for i, label in enumerate(labels):
             name = label.removesuffix(".x")
             if labels[i : i + 3] == [name + axis for axis in POSITION_SUFFIXES]:
                 scales = tuple(METRES_PER_UNIT.get(unit, math.nan) for unit in units[i : i + 3])
-                turned = labels[i + 3 : i + 7] == [name + part for part in QUATERNION_SUFFIXES]
-                found[name] = MarkerChannels(i, scales, turned)
-        if not found or any(math.isnan(scale) for each in found.values() for scale in each.scales):
+                has_orientation = labels[i + 3 : i + 7] == [
+                    name + part for part in QUATERNION_SUFFIXES
+                ]
+                channels_of[name] = MarkerChannels(i, scales, has_orientation)
+        if not channels_of or any(
+            math.isnan(scale) for each in channels_of.values() for scale in each.scales
+        ):
             found_labels = comma_list(labels[:6]) or "none"
             expected = "expected channels Name.x, Name.y, Name.z in m or mm"
             self.problem = f"{expected}, found {found_labels}"
-        return found
+        return channels_of

@@ -82,39 +82,41 @@ def parse_packet(datagram: bytes, raw: bool = False) -> Packet:
     Raises:
         BadPacketError: "malformed" or "absurd".
     """
-    placed, stamp = [], None
+    markers, stamp = [], None
     for message in _messages(datagram, MAX_DEPTH):
         address = message[: max(message.find(b"\0"), 0)]
         if address == _TIME:
             stamp = _numbers(message, 1, 0)[0]
         elif address.startswith(_DEVICES) and address.endswith(b"/Pos/Local" if raw else b"/Pos"):
-            placed.append(_device(message, address))
+            markers.append(_device(message, address))
         elif address.startswith(_TRACKERS) and address.endswith((_POSITION, _ROTATION)):
-            placed.append(_tracker(message, address))
-    whole = datagram.startswith(_BUNDLE)
-    return Packet(tuple(placed), _time_tag(datagram) if stamp is None and whole else stamp, whole)
+            markers.append(_tracker(message, address))
+    is_bundle = datagram.startswith(_BUNDLE)
+    return Packet(
+        tuple(markers), _time_tag(datagram) if stamp is None and is_bundle else stamp, is_bundle
+    )
 
 
-def _messages(content: bytes, deepest: int, left: list[int] | None = None) -> Iterator[bytes]:
+def _messages(content: bytes, deepest: int, budget: list[int] | None = None) -> Iterator[bytes]:
     """The messages of a datagram, bundles taken apart."""
-    left = [MAX_MESSAGES] if left is None else left
+    budget = [MAX_MESSAGES] if budget is None else budget
     if content.startswith(b"/") and len(content) % 4 == 0:
-        left[0] -= 1
-        if left[0] < 0:
+        budget[0] -= 1
+        if budget[0] < 0:
             raise BadPacketError("malformed")
         yield content
         return
     if not content.startswith(_BUNDLE) or len(content) < _BUNDLE_HEADER_BYTES or not deepest:
         raise BadPacketError("malformed")
-    place = _BUNDLE_HEADER_BYTES
-    while place < len(content):
-        if len(content) - place < 4:
+    position = _BUNDLE_HEADER_BYTES
+    while position < len(content):
+        if len(content) - position < 4:
             raise BadPacketError("malformed")
-        (size,) = struct.unpack_from(">i", content, place)
-        if size <= 0 or size % 4 or size > len(content) - place - 4:
+        (size,) = struct.unpack_from(">i", content, position)
+        if size <= 0 or size % 4 or size > len(content) - position - 4:
             raise BadPacketError("malformed")
-        yield from _messages(content[place + 4 : place + 4 + size], deepest - 1, left)
-        place += 4 + size
+        yield from _messages(content[position + 4 : position + 4 + size], deepest - 1, budget)
+        position += 4 + size
 
 
 def _numbers(message: bytes, count: int, texts: int) -> list[float]:

@@ -32,15 +32,15 @@ class RecentMarkers:
 
     def at(self, time: float) -> np.ndarray:
         """(M, 3) metres: between samples on a line, which is followed for one interval."""
-        found = np.full((len(self._times), 3), np.nan)
+        positions = np.full((len(self._times), 3), np.nan)
         for marker, (times, points) in enumerate(zip(self._times, self._points, strict=True)):
             if times:
-                past = np.array(times), np.array(points)[:, None]
+                samples = np.array(times), np.array(points)[:, None]
                 ahead = time - times[-1]
-                if 0 < ahead <= LATE_INTERVALS * (interval := median_interval(past[0])):
+                if 0 < ahead <= LATE_INTERVALS * (interval := median_interval(samples[0])):
                     time_there = times[-1] + min(ahead, (1 - 1e-6) * interval)
                 else:
                     time_there = time
                 at = np.array([time_there])
-                found[marker] = interpolate_markers(*past, at, causal=ahead > 0)[0, 0]
-        return found
+                positions[marker] = interpolate_markers(*samples, at, causal=ahead > 0)[0, 0]
+        return positions

@@ -130,21 +130,21 @@ class SampleAssembler:
 
     def _flush(self) -> None:
         """Give out what is there, at a time that is later than the last one's."""
-        measured = self._measurements()
+        measurements = self._measurements()
         self._last_time = max(self._time, self._last_time + 1e-4)
         self._messages = {}
-        points = measured.positions_world if self._bind is None else self._bind(*measured)
-        self._on_sample(MarkerSample(self._last_time, points, self._arrived, measured))
+        points = measurements.positions_world if self._bind is None else self._bind(*measurements)
+        self._on_sample(MarkerSample(self._last_time, points, self._arrived, measurements))
 
     def _measurements(self) -> MarkerMeasurements:
         """The markers in the world's axes."""
         positions = np.full((len(self._last_arrivals), 3), np.nan)
         quaternions = np.full((len(self._last_arrivals), 4), np.nan)
-        for marker, placed in self._messages.items():
-            positions[marker] = placed.position
-            arrived, turned = self._orientations.get(marker, (-np.inf, placed))
-            if turned.orientation is not None and self._arrived - arrived < ORIENTATION_VALID_S:
-                x, y, z, w = turned.orientation
+        for marker, message in self._messages.items():
+            positions[marker] = message.position
+            arrived, latest = self._orientations.get(marker, (-np.inf, message))
+            if latest.orientation is not None and self._arrived - arrived < ORIENTATION_VALID_S:
+                x, y, z, w = latest.orientation
                 quaternions[marker] = w, x, y, z
         return MarkerMeasurements(
             positions @ self._R_world_source.T,

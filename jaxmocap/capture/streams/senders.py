@@ -37,8 +37,8 @@ class TokenBucket:
 
     def available(self, now: float) -> int:
         """How many may be read now."""
-        passed = max(now - self._filled_at, 0.0)
-        self._tokens = min(self._tokens + self._rate * passed, self._burst)
+        elapsed = max(now - self._filled_at, 0.0)
+        self._tokens = min(self._tokens + self._rate * elapsed, self._burst)
         self._filled_at = now
         return int(self._tokens)
 

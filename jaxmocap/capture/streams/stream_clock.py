@@ -37,17 +37,17 @@ class StreamClock:
         """
         if stamp is None or not abs(stamp) <= LARGEST_STAMP_S:
             return arrival
-        apart = arrival - stamp
-        passed = 0.0 if self._offset is None else stamp - self._stamp
-        stands = passed <= 0 and arrival - self._arrival > SEPARATE_S
+        offset = arrival - stamp
+        stamp_step = 0.0 if self._offset is None else stamp - self._stamp
+        is_stopped = stamp_step <= 0 and arrival - self._arrival > SEPARATE_S
         self._stamp, self._arrival = stamp, arrival
         if self._offset is None:
-            self._offset = apart
-        elif abs(apart - self._offset) > JUMP_S:
+            self._offset = offset
+        elif abs(offset - self._offset) > JUMP_S:
             self.jumps += 1
-            self._offset = apart
-        elif stands:
+            self._offset = offset
+        elif is_stopped:
             # A clock that does not run tells nothing.
             return arrival
-        self._offset = min(apart, self._offset + MAX_DRIFT * max(passed, 0.0))
+        self._offset = min(offset, self._offset + MAX_DRIFT * max(stamp_step, 0.0))
         return min(stamp + self._offset, arrival)

@@ -157,14 +157,15 @@ class MarkerSocket:
             else:
                 self.ignored["stranger"] += 1
         counts = {
-            sender: min(len(of), sender.bucket.available(now)) for sender, of in waiting.items()
+            sender: min(len(queue), sender.bucket.available(now))
+            for sender, queue in waiting.items()
         }
         counts = fair_shares(counts, self._bucket.available(now))
         chosen = []
-        for sender, of in waiting.items():
+        for sender, queue in waiting.items():
             sender.bucket.take(counts[sender])
-            chosen += [(datagram, sender) for datagram in of[len(of) - counts[sender] :]]
-            self.ignored["flood"] += len(of) - counts[sender]
+            chosen += [(datagram, sender) for datagram in queue[len(queue) - counts[sender] :]]
+            self.ignored["flood"] += len(queue) - counts[sender]
         self._bucket.take(len(chosen))
         for datagram, sender in sorted(chosen, key=lambda pair: pair[0].arrived):
             self._read(datagram, sender)
@@ -184,15 +185,15 @@ class MarkerSocket:
 
 
 def _bound_socket(address: Address) -> socket.socket:
-    family, place = resolve_address(address)
+    family, socket_address = resolve_address(address)
     try:
-        listening = socket.socket(family, socket.SOCK_DGRAM)
+        bound = socket.socket(family, socket.SOCK_DGRAM)
     except OSError as error:
         raise InputError(str(address), f"cannot listen there ({error.strerror})") from None
     try:
-        listening.bind(place)
+        bound.bind(socket_address)
     except OSError as error:
-        listening.close()
+        bound.close()
         raise InputError(str(address), f"cannot listen there ({error.strerror})") from None
-    listening.setblocking(False)
-    return listening
+    bound.setblocking(False)
+    return bound

@@ -58,11 +58,11 @@ class Armature:
 def joint_positions(armature: Armature) -> np.ndarray:
     """Positions (T, J, 3) of all joints, metres."""
     points = np.repeat(armature.positions[:, None], len(armature.names), 1)
-    for some in _blocks(armature):
-        R = np.array(armature.rotations[some])
+    for block in _blocks(armature):
+        R = np.array(armature.rotations[block])
         for j, parent in enumerate(armature.parents):
             if parent >= 0:
-                points[some, j] = points[some, parent] + R[:, parent] @ armature.offsets[j]
+                points[block, j] = points[block, parent] + R[:, parent] @ armature.offsets[j]
                 R[:, j] = R[:, parent] @ R[:, j]
     return points
 
@@ -70,8 +70,8 @@ def joint_positions(armature: Armature) -> np.ndarray:
 def rotated_armature(armature: Armature, R_new_old: np.ndarray) -> Armature:
     """The armature in other axes."""
     rotations = np.empty(armature.rotations.shape)
-    for some in _blocks(armature):
-        rotations[some] = R_new_old @ armature.rotations[some] @ R_new_old.T
+    for block in _blocks(armature):
+        rotations[block] = R_new_old @ armature.rotations[block] @ R_new_old.T
     return replace(
         armature,
         offsets=armature.offsets @ R_new_old.T,
@@ -93,16 +93,18 @@ def fill_from_nearest(armature: Armature, path: str | Path) -> Armature:
     Raises:
         InputError: it is known nowhere; ``path`` is what the message names.
     """
-    known = np.flatnonzero(armature.is_known)
-    if not len(known):
+    known_samples = np.flatnonzero(armature.is_known)
+    if not len(known_samples):
         raise InputError(path, "no pose is known in any sample")
-    if len(known) == len(armature.times):
+    if len(known_samples) == len(armature.times):
         return armature
-    after = np.clip(np.searchsorted(known, np.arange(len(armature.times))), 0, len(known) - 1)
+    after = np.clip(
+        np.searchsorted(known_samples, np.arange(len(armature.times))), 0, len(known_samples) - 1
+    )
     before = np.maximum(after - 1, 0)
     t = armature.times
-    earlier = np.abs(t - t[known[before]]) < np.abs(t - t[known[after]])
-    nearest = known[np.where(earlier, before, after)]
+    earlier = np.abs(t - t[known_samples[before]]) < np.abs(t - t[known_samples[after]])
+    nearest = known_samples[np.where(earlier, before, after)]
     return replace(
         armature, positions=armature.positions[nearest], rotations=armature.rotations[nearest]
     )

@@ -131,11 +131,11 @@ def motion_of(armature: Armature, path: str | Path) -> Motion:
     Raises:
         InputError: joints that are not ours, lie elsewhere, or turn as ours cannot.
     """
-    ours = names_to_ours(armature.names)
-    if ours is None:
+    to_ours = names_to_ours(armature.names)
+    if to_ours is None:
         names = comma_list(armature.names)
         raise InputError(path, f"not our skeleton, whatever its joints are called: {names}")
-    index = {ours[name]: j for j, name in enumerate(armature.names) if name in ours}
+    index = {to_ours[name]: j for j, name in enumerate(armature.names) if name in to_ours}
     skeleton = _skeleton_of(Skeleton.human(), armature, index, path)
     try:
         angles = _angles(skeleton, armature, index, path)
@@ -143,12 +143,12 @@ def motion_of(armature: Armature, path: str | Path) -> Motion:
         # A body with wrists turns more; what it cannot turn either is refused in its words.
         skeleton = with_wrists(skeleton)
         angles = _angles(skeleton, armature, index, path)
-    known = armature.is_known[:, None]
-    root = np.where(known[..., None], armature.rotations[:, index[PELVIS]], np.eye(3))
+    is_known = armature.is_known[:, None]
+    root = np.where(is_known[..., None], armature.rotations[:, index[PELVIS]], np.eye(3))
     quaternion = Rotation.from_matrix(root).as_quat(scalar_first=True)
     parts = [armature.positions, quaternion, angles]
-    held: list[Any] = [np.where(known, part, np.nan) for part in parts]
-    poses = Pose(*held)
+    parts_or_nan: list[Any] = [np.where(is_known, part, np.nan) for part in parts]
+    poses = Pose(*parts_or_nan)
     return near_origin(Motion(skeleton, armature.times, poses))
 
 
@@ -170,17 +170,17 @@ def _angles(
 
 
 def _check_rotations(
-    path: str | Path, name: str, armature: Armature, done: np.ndarray, wanted: np.ndarray
+    path: str | Path, name: str, armature: Armature, R_ours: np.ndarray, R_armature: np.ndarray
 ) -> None:
     """InputError where our hinges do not turn a bone (T, 3, 3) as the armature does."""
     # The angle between the two; of unknown poses nothing is asked.
-    traces = np.einsum("tij,tij->t", done, wanted)
-    off = np.nan_to_num(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
-    if off.max() > MAX_ROTATION_ERROR_RAD:
-        i = int(off.argmax())
+    traces = np.einsum("tij,tij->t", R_ours, R_armature)
+    angles = np.nan_to_num(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
+    if angles.max() > MAX_ROTATION_ERROR_RAD:
+        i = int(angles.argmax())
         raise InputError(
             path,
-            f"{name} at {armature.times[i]:g} s: turned {np.degrees(off[i]):.1f}° in a way that "
+            f"{name} at {armature.times[i]:g} s: turned {np.degrees(angles[i]):.1f}° in a way that "
             "our joint cannot turn",
         )
 
@@ -194,7 +194,7 @@ def _skeleton_of(
         dict(zip(*_joints_and_parents(skeleton), strict=True)),
     )
     lengths, directions = np.array(skeleton.lengths, float), np.array(skeleton.directions, float)
-    found: dict[int, np.ndarray] = {}
+    bone_vectors: dict[int, np.ndarray] = {}
     for joint, j in index.items():
         above = armature.parents[j]
         if parents[joint] != (None if above < 0 else _joint_name(index, above)):
@@ -202,15 +202,15 @@ def _skeleton_of(
                 path, f"not our skeleton: {short_name(armature.names[j])} hangs on another joint"
             )
         bone = bone_ending_at(skeleton, joint)
-        reach = armature.offsets[j] if bone is None else rest[bone].T @ armature.offsets[j]
-        expected = np.zeros(3) if bone is None else found.setdefault(bone, reach)
-        if np.linalg.norm(reach - expected) > MAX_OFFSET_ERROR_M:
+        vector = armature.offsets[j] if bone is None else rest[bone].T @ armature.offsets[j]
+        expected = np.zeros(3) if bone is None else bone_vectors.setdefault(bone, vector)
+        if np.linalg.norm(vector - expected) > MAX_OFFSET_ERROR_M:
             raise InputError(
                 path, f"not our skeleton: {short_name(armature.names[j])} starts elsewhere"
             )
-    for bone, reach in found.items():
-        if (length := np.linalg.norm(reach)) > 0:
-            lengths[bone], directions[bone] = length, reach / length
+    for bone, vector in bone_vectors.items():
+        if (length := np.linalg.norm(vector)) > 0:
+            lengths[bone], directions[bone] = length, vector / length
     height = lengths.sum() / float(np.sum(np.asarray(Skeleton.human(1.0).lengths)))
     if not 0.5 <= height <= 2.5:
         raise InputError(path, f"bones of a person {height:.2f} m tall, expected 0.5 to 2.5 m")
@@ -246,17 +246,19 @@ def hinge_angles(skeleton: Skeleton, dofs: list[int], R: np.ndarray) -> np.ndarr
     with warnings.catch_warnings():
         # In the lock of the hinges any share between first and third is as good.
         warnings.filterwarnings("ignore", "Gimbal lock")
-        found = Rotation.from_matrix(_finite_rotations(R)).as_davenport(
+        angles = Rotation.from_matrix(_finite_rotations(R)).as_davenport(
             np.stack([axes[0], axes[1], third]), "intrinsic"
         )
     if len(dofs) == 2:
-        return _near_limits(found[:, :2], skeleton, dofs)
-    other = found * [1, -1, 1] + np.pi
-    ways = [_near_limits(way, skeleton, dofs) for way in (found, other)]
+        return _near_limits(angles[:, :2], skeleton, dofs)
+    other = angles * [1, -1, 1] + np.pi
+    candidates = [_near_limits(candidate, skeleton, dofs) for candidate in (angles, other)]
     low, high = np.asarray(skeleton.limits, float)[dofs].T
-    beyond = [np.maximum(low - way, 0) + np.maximum(way - high, 0) for way in ways]
+    beyond = [
+        np.maximum(low - candidate, 0) + np.maximum(candidate - high, 0) for candidate in candidates
+    ]
     second = beyond[1].sum(-1) < beyond[0].sum(-1) - 1e-9
-    return np.where(second[:, None], ways[1], ways[0])
+    return np.where(second[:, None], candidates[1], candidates[0])
 
 
 def _near_limits(angles: np.ndarray, skeleton: Skeleton, dofs: list[int]) -> np.ndarray:
@@ -265,5 +267,5 @@ def _near_limits(angles: np.ndarray, skeleton: Skeleton, dofs: list[int]) -> np.
     return angles - 2 * np.pi * np.round((angles - middle) / (2 * np.pi))
 
 
-def _finite_rotations(turns: np.ndarray) -> np.ndarray:
-    return np.where(np.isfinite(turns).all((-2, -1), keepdims=True), turns, np.eye(3))
+def _finite_rotations(R: np.ndarray) -> np.ndarray:
+    return np.where(np.isfinite(R).all((-2, -1), keepdims=True), R, np.eye(3))

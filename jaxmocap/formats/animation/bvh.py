@@ -79,7 +79,7 @@ def write_bvh(path: str | Path, armature: Armature, unit: str = "m") -> None:
     lines = ["HIERARCHY", *_joint_lines(path, armature, tips, scale, order)]
     lines += ["MOTION", f"Frames: {len(armature.times)}", f"Frame Time: {1 / rate:.10f}"]
     rows = _rows(armature, order, scale)
-    with replacing(path) as beside, beside.open("w", encoding="utf-8", newline="\n") as file:
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"{line}\n" for line in lines)
         file.writelines(f"{row}\n" for row in rows)
 
@@ -96,12 +96,12 @@ def _rows(armature: Armature, order: list[int], scale: float) -> Iterator[str]:
     # Joints do not depend on one another; of long motions not all need be in memory thrice.
     width = max(1, BLOCK_ROTATIONS // count)
     for first in range(0, len(order), width):
-        some = slice(first, first + width)
-        angles[:, some] = continuous_euler(armature.rotations[:, order[some]], EULER_ORDER)
+        block = slice(first, first + width)
+        angles[:, block] = continuous_euler(armature.rotations[:, order[block]], EULER_ORDER)
     for first in range(0, count, BLOCK_FRAMES):
-        some = slice(first, first + BLOCK_FRAMES)
-        turns = np.degrees(angles[some]).reshape(-1, 3 * len(order))
-        values = np.concatenate([armature.positions[some] * scale, turns], 1)
+        block = slice(first, first + BLOCK_FRAMES)
+        degrees = np.degrees(angles[block]).reshape(-1, 3 * len(order))
+        values = np.concatenate([armature.positions[block] * scale, degrees], 1)
         # A zero has no sign.
         yield from row_texts(values.round(6) + 0.0, " ")
 
@@ -181,16 +181,16 @@ def read_bvh(path: str | Path, unit: str | None = None) -> Armature:
     positions, first = np.zeros((len(values), 3)) + offsets[0], 0
     for j, joint in enumerate(joints):
         columns = values[:, first : (first := first + len(joint.channels))]
-        moved = _local_positions(joint, columns * values_scale, offsets[j])
+        local_positions = _local_positions(joint, columns * values_scale, offsets[j])
         R[:, j] = _local_rotations(joint, columns)
         if j == 0:
-            positions = moved
-        elif len(moved) and np.ptp(moved, axis=0).max() > MAX_SLIDE_M:
+            positions = local_positions
+        elif len(local_positions) and np.ptp(local_positions, axis=0).max() > MAX_SLIDE_M:
             raise InputError(
                 path, f"joint {short_repr(joint.name)} slides by more than a millimetre"
             )
         else:
-            offsets[j] = moved[0]
+            offsets[j] = local_positions[0]
     _check_extent(path, positions)
     offsets[0] = 0.0
     names, parents = tuple(j.name for j in joints), tuple(j.parent for j in joints)
@@ -206,37 +206,37 @@ def _check_extent(path: str | Path, points: np.ndarray) -> None:
 
 def _local_positions(joint: _Joint, columns: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """(T, 3) places in the parent's frame: position channels stand in place of the offset."""
-    moved = np.tile(offset, (len(columns), 1))
+    positions = np.tile(offset, (len(columns), 1))
     for i, channel in enumerate(joint.channels):
         if channel.endswith("position"):
-            moved[:, "xyz".index(channel[0])] = columns[:, i]
-    return moved
+            positions[:, "xyz".index(channel[0])] = columns[:, i]
+    return positions
 
 
 def _local_rotations(joint: _Joint, columns: np.ndarray) -> np.ndarray:
     """(T, 3, 3) rotations, of the channels in their order from left to right."""
-    turning = [i for i, channel in enumerate(joint.channels) if channel.endswith("rotation")]
-    if not turning:
+    rotating = [i for i, channel in enumerate(joint.channels) if channel.endswith("rotation")]
+    if not rotating:
         return np.tile(np.eye(3), (len(columns), 1, 1))
-    axes = "".join(joint.channels[i][0] for i in turning).upper()
+    axes = "".join(joint.channels[i][0] for i in rotating).upper()
     return (
-        Rotation.from_euler(axes, columns[:, turning], degrees=True).as_matrix().reshape(-1, 3, 3)
+        Rotation.from_euler(axes, columns[:, rotating], degrees=True).as_matrix().reshape(-1, 3, 3)
     )
 
 
 def _guessed_unit(path: str | Path, parents: list[int], offsets: np.ndarray) -> str:
     """The unit in which the body is as large as a person."""
-    ways = np.linalg.norm(offsets, axis=-1)
-    ways[0] = 0.0
+    distances = np.linalg.norm(offsets, axis=-1)
+    distances[0] = 0.0
     for j, parent in enumerate(parents):
         if parent >= 0:
-            ways[j] += ways[parent]
+            distances[j] += distances[parent]
     low, high = ROOT_TO_TIP_M
-    fitting = [unit for unit in _GUESSED_UNITS if low <= ways.max() * METRES[unit] <= high]
+    fitting = [unit for unit in _GUESSED_UNITS if low <= distances.max() * METRES[unit] <= high]
     if not fitting:
         raise InputError(
             path,
-            f"the longest way from root to tip is {ways.max():.4g}, an adult's in none of "
+            f"the longest way from root to tip is {distances.max():.4g}, an adult's in none of "
             f"{', '.join(_GUESSED_UNITS)}: say the unit (--unit {', '.join(METRES)})",
         )
     return fitting[0]

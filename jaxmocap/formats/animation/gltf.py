@@ -137,7 +137,7 @@ def _animation(binary: BinaryChunk, armature: Armature) -> dict[str, Any]:
 
 def _quaternions(R: np.ndarray) -> np.ndarray:
     """(T, 4) xyzw of (T, 3, 3), each on the side of the one before, as players interpolate."""
-    found = Rotation.from_matrix(R).as_quat()
-    turned = np.sign(np.sum(found[1:] * found[:-1], -1))
-    signs = np.cumprod(np.concatenate([[1.0], np.where(turned < 0, -1.0, 1.0)]))
-    return found * signs[:, None]
+    quaternions = Rotation.from_matrix(R).as_quat()
+    products = np.sign(np.sum(quaternions[1:] * quaternions[:-1], -1))
+    signs = np.cumprod(np.concatenate([[1.0], np.where(products < 0, -1.0, 1.0)]))
+    return quaternions * signs[:, None]

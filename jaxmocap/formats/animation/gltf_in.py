@@ -133,10 +133,10 @@ class _Curve:
 
     def values(self, accessors: Accessors, width: int) -> np.ndarray:
         """(K, width) numbers at its keys."""
-        found = accessors.read(self.output, (width,))
-        if len(found) != len(self.times):
-            raise self.part.error(f"found {len(found)} values for {len(self.times)} keys")
-        return found
+        values = accessors.read(self.output, (width,))
+        if len(values) != len(self.times):
+            raise self.part.error(f"found {len(values)} values for {len(self.times)} keys")
+        return values
 
 
 _Curves = Mapping[tuple[int, str], _Curve]
@@ -202,18 +202,20 @@ def _joint_motion(
     R_root_rest = np.empty((len(joints), 3, 3))
     for j, (node, parent) in enumerate(zip(joints, parents, strict=True)):
         part = nodes[node]
-        place, turn = _rest_pose(part)
+        rest_position, R_rest = _rest_pose(part)
         _check_scale(accessors, part, curves.get((node, "scale")))
-        places = _positions_at(accessors, curves.get((node, "translation")), times, place)
+        local_positions = _positions_at(
+            accessors, curves.get((node, "translation")), times, rest_position
+        )
         R_up = np.eye(3) if parent < 0 else R_root_rest[parent]
         if parent < 0:
-            positions = places
-        elif np.ptp(places, axis=0).max() > MAX_SLIDE_M:
+            positions = local_positions
+        elif np.ptp(local_positions, axis=0).max() > MAX_SLIDE_M:
             raise part.error(f"joint {_name(part)} slides by more than a millimetre")
         else:
-            offsets[j] = R_up @ places[0]
-        R_root_rest[j] = R_up @ turn
-        local = _rotations_at(accessors, curves.get((node, "rotation")), times, turn)
+            offsets[j] = R_up @ local_positions[0]
+        R_root_rest[j] = R_up @ R_rest
+        local = _rotations_at(accessors, curves.get((node, "rotation")), times, R_rest)
         R[:, j] = R_up @ local @ R_root_rest[j].T
     return offsets, positions, R
 
@@ -226,20 +228,20 @@ def _rest_pose(node: JsonPart) -> tuple[np.ndarray, np.ndarray]:
     """A node's own place and turn (3, 3); InputError where it is scaled."""
     if node.has("matrix"):
         matrix = node["matrix"].numbers(16, _FARTHEST_M).reshape(4, 4).T
-        R, place = matrix[:3, :3], matrix[:3, 3]
+        R, position = matrix[:3, :3], matrix[:3, 3]
         scale = np.linalg.norm(R, axis=0)
     else:
         quaternion = node["rotation"].numbers(4, 1e3, (0, 0, 0, 1))
         if np.linalg.norm(quaternion) < _MIN_QUATERNION_LENGTH:
             raise node["rotation"].error("found a quaternion of length 0, expected 1")
         R = Rotation.from_quat(quaternion).as_matrix()
-        place = node["translation"].numbers(3, _FARTHEST_M, (0, 0, 0))
+        position = node["translation"].numbers(3, _FARTHEST_M, (0, 0, 0))
         scale = node["scale"].numbers(3, 1e6, (1, 1, 1))
     if np.abs(scale - 1).max() > MAX_SCALE_ERROR:
         raise node.error(f"joint {_name(node)} is scaled, which is not read")
     if np.linalg.det(R) < 0 or np.abs(R @ R.T - np.eye(3)).max() > _MAX_SHEAR:
         raise node["matrix"].error("found a matrix that mirrors or shears, expected a rotation")
-    return place, Rotation.from_matrix(R).as_matrix()
+    return position, Rotation.from_matrix(R).as_matrix()
 
 
 def _check_scale(accessors: Accessors, node: JsonPart, curve: _Curve | None) -> None:
@@ -270,12 +272,12 @@ def _rotations_at(
     quaternions = curve.values(accessors, 4)
     if np.linalg.norm(quaternions, axis=1).min() < _MIN_QUATERNION_LENGTH:
         raise curve.part.error("found a quaternion of length 0, expected 1")
-    turns = Rotation.from_quat(quaternions)
+    rotations = Rotation.from_quat(quaternions)
     if np.array_equal(curve.times, times):
-        return turns.as_matrix()
+        return rotations.as_matrix()
     if curve.is_step or len(curve.times) == 1:
-        return turns.as_matrix()[_last_key(curve.times, times)]
-    return Slerp(curve.times, turns)(np.clip(times, *curve.times[[0, -1]])).as_matrix()
+        return rotations.as_matrix()[_last_key(curve.times, times)]
+    return Slerp(curve.times, rotations)(np.clip(times, *curve.times[[0, -1]])).as_matrix()
 
 
 def _last_key(keys: np.ndarray, times: np.ndarray) -> np.ndarray:

@@ -95,6 +95,6 @@ def names_to_ours(names: tuple[str, ...]) -> Mapping[str, str] | None:
     for convention in CONVENTIONS.values():
         inner = {theirs for ours, theirs in convention.items() if not ours.endswith("_end")}
         if inner <= set(names):
-            known = {theirs: ours for ours, theirs in convention.items()}
-            return known | {end_of(convention[joint]): end_of(joint) for joint in JOINTS_WITH_END}
+            to_ours = {theirs: ours for ours, theirs in convention.items()}
+            return to_ours | {end_of(convention[joint]): end_of(joint) for joint in JOINTS_WITH_END}
     return None

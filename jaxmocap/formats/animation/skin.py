@@ -109,8 +109,8 @@ def _check_skin(path: str | Path, surface: Surface, joints: np.ndarray, nodes: n
         raise InputError(
             path, f"{bones.shape[1]} bones carry a node, expected {BONES_PER_VERTEX} at most"
         )
-    apart = np.linalg.norm(joints[bones] + surface.points.points_bone - nodes[:, None], axis=-1)
-    worst = float(np.where(shares > 0, apart, 0).max())
+    distances = np.linalg.norm(joints[bones] + surface.points.points_bone - nodes[:, None], axis=-1)
+    worst = float(np.where(shares > 0, distances, 0).max())
     if worst > MAX_APART_M:
         raise InputError(
             path, f"a surface whose bones put a node {1e3 * worst:.0f} mm apart at rest, "

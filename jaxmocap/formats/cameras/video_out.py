@@ -38,10 +38,10 @@ class VideoFile:
         """Whether every packet is found again in the file."""
         try:
             with av.open(str(path)) as container:
-                found = sum(packet.size > 0 for packet in container.demux(video=0))
+                packets = sum(packet.size > 0 for packet in container.demux(video=0))
         except (FFmpegError, IndexError):
             return False
-        return found == self.packets
+        return packets == self.packets
 
 
 @contextmanager
@@ -56,9 +56,9 @@ def replacing_video(path: str | Path, **options: Any) -> Iterator[VideoFile]:
         OutputError: it cannot be written whole; what was there before is as it was.
     """
     files: list[VideoFile] = []
-    with replacing(path, lambda part: files[0].is_complete(part)) as beside:
+    with replacing(path, lambda part: files[0].is_complete(part)) as temporary:
         try:
-            with av.open(str(beside), "w", **options) as container:
+            with av.open(str(temporary), "w", **options) as container:
                 files.append(VideoFile(container))
                 yield files[0]
         except FFmpegError as error:

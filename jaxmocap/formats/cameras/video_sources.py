@@ -83,13 +83,13 @@ def read_videos(top: TomlTable, origin_world: np.ndarray | None = None) -> tuple
 
 def _check_names(top: TomlTable, names: list[str]) -> None:
     """InputError for two cameras of one name: of each a video is drawn, which is called by it."""
-    known: dict[str, str] = {}
+    earlier: dict[str, str] = {}
     for i, name in enumerate(names, 1):
         # Some file systems take large and small letters for the same.
-        if (same := same_file_name(name)) in known:
-            problem = f"found {short_repr(name)} beside {short_repr(known[same])}"
+        if (same := same_file_name(name)) in earlier:
+            problem = f"found {short_repr(name)} beside {short_repr(earlier[same])}"
             raise top.error(f"[[video]] number {i} camera", f"{problem}, expected another camera")
-        known[same] = name
+        earlier[same] = name
 
 
 def _video(

@@ -74,8 +74,8 @@ def _host(value: Any) -> str | None:
     host = value.rpartition(":")[0]
     if host.startswith("[") and host.endswith("]"):
         host = host[1:-1]
-    named = len(host) <= MAX_HOST_CHARACTERS and _HOST.fullmatch(host)
-    return host if not host or named or _is_ip_address(host) else None
+    is_name = len(host) <= MAX_HOST_CHARACTERS and _HOST.fullmatch(host)
+    return host if not host or is_name or _is_ip_address(host) else None
 
 
 def _is_ip_address(host: str) -> bool:
@@ -103,11 +103,11 @@ def resolve_address(address: Address) -> tuple[socket.AddressFamily, Any]:
         InputError: no such host.
     """
     try:
-        found = socket.getaddrinfo(*address, type=socket.SOCK_DGRAM)
+        addresses = socket.getaddrinfo(*address, type=socket.SOCK_DGRAM)
     except (OSError, UnicodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "not a host's name"
         raise InputError(str(address), f"no such address ({why})") from None
-    best = min(found, key=lambda each: each[0] != socket.AF_INET)
+    best = min(addresses, key=lambda each: each[0] != socket.AF_INET)
     return best[0], best[4]
 
 
@@ -126,12 +126,12 @@ def read_allowed_networks(fields: TomlTable, listen: Address) -> tuple[Network, 
     value = fields.entries["from"]
     texts: Sequence[Any] = value if isinstance(value, list) else ()
     networks = [_network(text) for text in texts[: MAX_NETWORKS + 1]]
-    found = [network for network in networks if network is not None]
-    if not 0 < len(networks) <= MAX_NETWORKS or len(found) < len(networks):
+    valid = [network for network in networks if network is not None]
+    if not 0 < len(networks) <= MAX_NETWORKS or len(valid) < len(networks):
         wrong = next((t for t, n in zip(texts, networks, strict=False) if n is None), value)
         expected = f"1 to {MAX_NETWORKS} addresses or networks such as {example}"
         raise fields.error("from", f"found {short_repr(wrong)}, expected {expected}")
-    return tuple(found)
+    return tuple(valid)
 
 
 def _network(text: Any) -> Network | None:

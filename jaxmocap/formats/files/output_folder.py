@@ -225,8 +225,8 @@ def _write_list(folder: Path, entries: Mapping[str, ListedFile]) -> None:
         name: {"kind": entry.kind, "sha256": list(entry.digests)}
         for name, entry in sorted(entries.items())
     }
-    told = {"written by": f"jaxmocap {__version__}", "files": files}
-    write_text(folder / LIST_NAME, json.dumps(told, indent=2, ensure_ascii=False) + "\n")
+    content = {"written by": f"jaxmocap {__version__}", "files": files}
+    write_text(folder / LIST_NAME, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
 
 
 def _merged_lists(

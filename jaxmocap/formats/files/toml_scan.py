@@ -38,8 +38,8 @@ _TOKEN = re.compile(
 
 def _tokens(text: str) -> Iterator[tuple[str, str, int]]:
     """Kind, text and place of every token."""
-    for found in _TOKEN.finditer(text):
-        yield found.lastgroup or "other", found[0], found.start()
+    for match in _TOKEN.finditer(text):
+        yield match.lastgroup or "other", match[0], match.start()
 
 
 def parsing_problem(text: str) -> str | None:

@@ -58,15 +58,15 @@ def replacing(path: str | Path, check: Callable[[Path], bool] | None = None) -> 
             raise OutputError(path, "found a folder or a device, expected a file to replace")
         path.parent.mkdir(parents=True, exist_ok=True)
         remove_stale_temporaries(path.parent)
-        beside = temporary_beside(path)
+        temporary = temporary_beside(path)
         try:
-            yield beside
-            flush_to_disk(beside)
-            if check is not None and not check(beside):
+            yield temporary
+            flush_to_disk(temporary)
+            if check is not None and not check(temporary):
                 raise OutputError(path, "cannot be written whole, is the disk full?")
-            os.replace(beside, path)
+            os.replace(temporary, path)
         finally:
-            _remove(beside)
+            _remove(temporary)
 
 
 def check_target(path: str | Path, inputs: Iterable[str | Path] = ()) -> Path:
@@ -108,13 +108,13 @@ def check_file_name(path: Path) -> None:
 
 def check_folder_writable(folder: Path) -> None:
     """InputError where a folder cannot be made or written to; nothing is made."""
-    there = folder
-    while not there.exists() and there != there.parent:
-        there = there.parent
-    if not there.is_dir():
-        raise InputError(folder, f"cannot be a folder, {there} is a file")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise InputError(folder, f"cannot be written to, {there} is read-only")
+    existing = folder
+    while not existing.exists() and existing != existing.parent:
+        existing = existing.parent
+    if not existing.is_dir():
+        raise InputError(folder, f"cannot be a folder, {existing} is a file")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise InputError(folder, f"cannot be written to, {existing} is read-only")
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:
@@ -123,8 +123,8 @@ def write_bytes(path: str | Path, content: bytes) -> None:
     Raises:
         OutputError: see ``replacing``.
     """
-    with replacing(path) as beside:
-        beside.write_bytes(content)
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -152,8 +152,8 @@ def remove_stale_temporaries(folder: Path) -> None:
     except OSError:
         return
     for entry in entries:
-        found = _TEMPORARY_NAME.fullmatch(entry.name)
-        if found and found[1] == _HOST and not _is_running(int(found[2])):
+        match = _TEMPORARY_NAME.fullmatch(entry.name)
+        if match and match[1] == _HOST and not _is_running(int(match[2])):
             _remove(Path(entry.path))
 
 

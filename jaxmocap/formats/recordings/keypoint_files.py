@@ -74,10 +74,10 @@ def json_files(folder: Path) -> list[Path]:
                 raise InputError(folder, problem)
             if not entry.name.endswith(".json") or entry.name.startswith("."):
                 continue
-            about = entry.stat()
-            if stat.S_ISREG(about.st_mode):
+            status = entry.stat()
+            if stat.S_ISREG(status.st_mode):
                 files.append(entry.name)
-                total += about.st_size
+                total += status.st_size
     except OSError as error:
         raise InputError(folder, f"cannot be read ({error.strerror})") from None
     if total > MAX_FOLDER_BYTES:
@@ -112,8 +112,8 @@ def read_keypoint_frames(file: Path) -> Iterator[KeypointFrame]:
         return
     for i, entry in enumerate(content):
         number, at = _entry(entry, "frame_id"), f"{where}[{i}]"
-        whole = isinstance(number, int) and not isinstance(number, bool)
-        if not whole or abs(number) > LARGEST_FRAME_NUMBER:
+        is_integer = isinstance(number, int) and not isinstance(number, bool)
+        if not is_integer or abs(number) > LARGEST_FRAME_NUMBER:
             expected = f"expected a whole number within {LARGEST_FRAME_NUMBER}"
             raise InputError(file, f"{at}.frame_id: found {short_repr(number)}, {expected}")
         people = _instances(file, f"{at}.instances", _entry(entry, "instances"))
@@ -121,10 +121,10 @@ def read_keypoint_frames(file: Path) -> Iterator[KeypointFrame]:
 
 
 def _number_in_name(file: Path) -> int:
-    found = _NUMBER.search(file.stem)
-    if found is None or int(found[0]) > LARGEST_FRAME_NUMBER:
+    match = _NUMBER.search(file.stem)
+    if match is None or int(match[0]) > LARGEST_FRAME_NUMBER:
         raise InputError(file, "found no frame number in its name, such as in cam_000123.json")
-    return int(found[0])
+    return int(match[0])
 
 
 def _names(meta: Any) -> tuple[str, ...] | None:
@@ -137,20 +137,20 @@ def _names(meta: Any) -> tuple[str, ...] | None:
 
 def _people(file: Path, people: Any) -> list[np.ndarray]:
     """(K, 3) of each of OpenPose's people; whoever has but a face or hands is left out."""
-    found = []
+    arrays = []
     for i, person in enumerate(_list(file, "people", people)):
         where = f"people[{i}].pose_keypoints_2d"
         array = _array(file, where, _entry(person, "pose_keypoints_2d"))
         if array.size % 3:
             raise InputError(file, f"{where}: found {array.size} numbers, expected x, y, c of each")
         if array.size:
-            found.append(_with_missing_as_nan(array.reshape(-1, 3)))
-    return found
+            arrays.append(_with_missing_as_nan(array.reshape(-1, 3)))
+    return arrays
 
 
 def _instances(file: Path, where: str, instances: Any) -> list[np.ndarray]:
     """(K, 3) of each of MMPose's instances."""
-    found = []
+    arrays = []
     for i, instance in enumerate(_list(file, where, instances)):
         at = f"{where}[{i}]"
         points = _array(file, f"{at}.keypoints", _entry(instance, "keypoints"))
@@ -166,14 +166,14 @@ def _instances(file: Path, where: str, instances: Any) -> list[np.ndarray]:
             raise InputError(
                 file, f"{at}.keypoints: found shape {points.shape}, expected {expected}"
             )
-        found.append(_with_missing_as_nan(points))
-    return found
+        arrays.append(_with_missing_as_nan(points))
+    return arrays
 
 
 def _with_missing_as_nan(points: np.ndarray) -> np.ndarray:
     """(K, 3) with NaN, NaN, 0 where there is no point, and no confidence above 1."""
-    seen = np.isfinite(points).all(-1, keepdims=True) & (points[:, 2:] > 0)
-    return np.minimum(np.where(seen, points, [np.nan, np.nan, 0.0]), [np.inf, np.inf, 1.0])
+    is_detected = np.isfinite(points).all(-1, keepdims=True) & (points[:, 2:] > 0)
+    return np.minimum(np.where(is_detected, points, [np.nan, np.nan, 0.0]), [np.inf, np.inf, 1.0])
 
 
 def _entry(entry: Any, key: str) -> Any:

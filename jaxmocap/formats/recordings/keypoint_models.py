@@ -102,8 +102,8 @@ def model_by_faces(pixels_xy: np.ndarray, models: Sequence[str]) -> str | None:
 def _face_extents(pixels_xy: np.ndarray, points: Sequence[str]) -> np.ndarray:
     """(N,) diagonal of the box about each face, pixels; NaN where too little of it is seen."""
     face = pixels_xy[:, [points.index(name) for name in ("nose", *_FACE)]]
-    seen = np.all(np.isfinite(face), axis=-1)
-    lowest = np.where(seen[..., None], face, np.inf).min(1)
-    highest = np.where(seen[..., None], face, -np.inf).max(1)
-    enough = seen.sum(-1) >= _MIN_FACE_POINTS
+    is_detected = np.all(np.isfinite(face), axis=-1)
+    lowest = np.where(is_detected[..., None], face, np.inf).min(1)
+    highest = np.where(is_detected[..., None], face, -np.inf).max(1)
+    enough = is_detected.sum(-1) >= _MIN_FACE_POINTS
     return np.where(enough, np.linalg.norm(highest - lowest, axis=-1), np.nan)

@@ -147,9 +147,9 @@ def _stacked_people(path: Path, frames: Sequence[KeypointFrame]) -> np.ndarray:
             problem = f"found {len(person)} points, but {len(people[0])} in {files[0].name}"
             raise InputError(file, problem)
     stacked = np.stack(people)
-    seen = stacked[stacked[..., 2] > 0, :2]
+    detected_xy = stacked[stacked[..., 2] > 0, :2]
     # OpenPose can be told to write fractions of the image.
-    if seen.size and np.abs(seen).max() <= 1.0:
+    if detected_xy.size and np.abs(detected_xy).max() <= 1.0:
         problem = "found no coordinate beyond -1 to 1, expected pixels (--keypoint_scale 0)"
         raise InputError(path, problem)
     return stacked
@@ -174,10 +174,10 @@ def _names(
         raise InputError(path, f"found {count} points, expected those of {known}")
     if len(fitting) == 1:
         return MODELS[fitting[0]], ()
-    told = model_by_faces(people[..., :2], fitting)
-    if told is None:
+    guessed = model_by_faces(people[..., :2], fitting)
+    if guessed is None:
         choice = " or ".join(f'"{name}"' for name in fitting)
         problem = f"{count} points may be of {' or '.join(fitting)}, and the faces do not tell"
         raise InputError(path, f"{problem}; state keypoints_model = {choice} in [[video]]")
-    taken = f"{path}: {count} points, taken as {told} by where the faces are"
-    return MODELS[told], (f'{taken}; keypoints_model = "{told}" in [[video]] states it',)
+    taken = f"{path}: {count} points, taken as {guessed} by where the faces are"
+    return MODELS[guessed], (f'{taken}; keypoints_model = "{guessed}" in [[video]] states it',)

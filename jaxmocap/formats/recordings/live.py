@@ -222,21 +222,21 @@ def _stream(fields: TomlTable) -> str:
 def _pose_targets(top: TomlTable) -> dict[str, Any]:
     """Where poses go."""
     vmc = TomlTable(top.path, "[vmc]", top.entries.get("vmc", {}), ("send",))
-    found: dict[str, Any] = {"vmc": read_address(vmc, "send", DEFAULT_VMC)}
+    targets: dict[str, Any] = {"vmc": read_address(vmc, "send", DEFAULT_VMC)}
     if "vrchat" in top:
         fields = TomlTable(top.path, "[vrchat]", top.entries["vrchat"], ("send", "trackers"))
-        found |= {
+        targets |= {
             "vrchat": read_address(fields, "send", DEFAULT_VRCHAT),
             "trackers": _trackers(fields),
         }
-    return found
+    return targets
 
 
 def _trackers(fields: TomlTable) -> tuple[str, ...]:
     """Which of ``TRACKED`` are sent, each once."""
     chosen = fields.entries.get("trackers", list(DEFAULT_TRACKED))
-    named = isinstance(chosen, list) and all(name in TRACKED for name in chosen)
-    if not named or not 0 < len(chosen) == len(set(chosen)):
+    is_known = isinstance(chosen, list) and all(name in TRACKED for name in chosen)
+    if not is_known or not 0 < len(chosen) == len(set(chosen)):
         expected = f"a list of some of {', '.join(TRACKED)}, each once"
         raise fields.error("trackers", f"found {short_repr(chosen)}, expected {expected}")
     return tuple(chosen)

@@ -126,16 +126,16 @@ def load_recording(path: str | Path) -> Recording:
     if "markers" not in top and not top.entries.get("video"):
         raise top.error("", "neither [markers] nor [[video]], expected one of them")
     if "markers" not in top:
-        nothing = np.zeros(0), np.zeros((0, 0, 3)), ()
+        no_markers = np.zeros(0), np.zeros((0, 0, 3)), ()
         videos = read_videos(top)
         return _at_local_origin(
-            top, Recording(skeleton, *nothing, videos, path.stem, path, tuple(warnings))
+            top, Recording(skeleton, *no_markers, videos, path.stem, path, tuple(warnings))
         )
     markers, places, filters = _read_placed_markers(top)
-    seen = np.isfinite(markers.positions.sum(-1))
+    is_seen = np.isfinite(markers.positions.sum(-1))
     warnings += [
         f"{path}: marker {place.name!r} is never seen"
-        for place, samples in zip(places, seen.T, strict=True)
+        for place, samples in zip(places, is_seen.T, strict=True)
         if not samples.any()
     ]
     positions_world, points = _bone_points(path, skeleton, places, markers)
@@ -207,30 +207,34 @@ def _read_placed_markers(top: TomlTable) -> tuple[Markers, tuple[MarkerPlace, ..
         raise on.error("", "names no marker, expected entries such as Head = { bone = 'head' }")
     places = tuple(read_place(top.path, name, entry) for name, entry in on.entries.items())
     sets = TomlTable(top.path, "[markers.rigid]", fields.entries.get("rigid", {}))
-    wanted = TomlTable(top.path, "[markers.filters]", fields.entries.get("filters", {}), FILTERS)
-    filters = read_filters(wanted)
-    found = read_markers(file)
-    there = (*found.names, *sets.entries)
-    markers = with_rigid_sets(sets, found, on.entries)
+    filter_table = TomlTable(
+        top.path, "[markers.filters]", fields.entries.get("filters", {}), FILTERS
+    )
+    filters = read_filters(filter_table)
+    all_markers = read_markers(file)
+    available = (*all_markers.names, *sets.entries)
+    markers = with_rigid_sets(sets, all_markers, on.entries)
     # A long recording's numbers are not to be in memory thrice.
-    del found
-    for name in on.entries.keys() - set(there):
-        raise on.error(name, f"no such marker in {file}, found {comma_list(there)}")
+    del all_markers
+    for name in on.entries.keys() - set(available):
+        raise on.error(name, f"no such marker in {file}, found {comma_list(available)}")
     markers = _selected_markers(markers, tuple(on.entries))
     if markers.orientations is not None and np.linalg.det(R_world_file) < 0:
         raise fields.error("to_world", "found a reflection, which leaves no turn of a marker")
-    turns = None if markers.orientations is None else R_world_file @ markers.orientations
+    orientations = None if markers.orientations is None else R_world_file @ markers.orientations
     positions_world = to_world(R_world_file, markers.positions)
-    return replace(markers, positions=positions_world, orientations=turns), places, filters
+    return replace(markers, positions=positions_world, orientations=orientations), places, filters
 
 
 def _selected_markers(markers: Markers, names: tuple[str, ...]) -> Markers:
     """Those markers only, in that order."""
-    place = {name: i for i, name in enumerate(markers.names)}
-    columns = [place[name] for name in names]
-    turns = None if markers.orientations is None else markers.orientations[:, columns]
+    index = {name: i for i, name in enumerate(markers.names)}
+    columns = [index[name] for name in names]
+    orientations = None if markers.orientations is None else markers.orientations[:, columns]
     positions = markers.positions[:, columns]
-    return Markers(markers.times.copy(), names, positions, rate=markers.rate, orientations=turns)
+    return Markers(
+        markers.times.copy(), names, positions, rate=markers.rate, orientations=orientations
+    )
 
 
 def _bone_points(
@@ -239,19 +243,19 @@ def _bone_points(
     """Points on bones (T, P, 3), world, metres, that the markers tell of, and their places."""
     bones = skeleton.tree.bones
     # Of a long recording without any, a whole array would take as much as three of positions.
-    known = np.broadcast_to(np.nan, (*markers.positions.shape, 3))
-    known = known if markers.orientations is None else markers.orientations
+    orientations = np.broadcast_to(np.nan, (*markers.positions.shape, 3))
+    orientations = orientations if markers.orientations is None else markers.orientations
     for i, place in enumerate(places):
         if place.bone not in bones:
             problem = f"unknown bone {short_repr(place.bone)}, expected one of {', '.join(bones)}"
             raise InputError(path, f"[markers.on] {short_name(place.name)}: {problem}")
-        if place.needs_orientation and not np.isfinite(known[:, i]).any():
+        if place.needs_orientation and not np.isfinite(orientations[:, i]).any():
             key = "offset_in = 'marker'" if place.orientation is None else "turn"
             problem = f"{key} needs to know how the marker is turned, which the file never says"
             raise InputError(path, f"[markers.on] {short_name(place.name)}: {problem}")
     if not any(place.needs_orientation for place in places):
         return markers.positions, bone_points(skeleton, places)
-    positions = bone_point_positions(skeleton, places, markers.positions, known)
+    positions = bone_point_positions(skeleton, places, markers.positions, orientations)
     return positions, bone_points(skeleton, places)
 
 

@@ -31,12 +31,12 @@ def input_files(path: str | Path) -> list[Path]:
     path = Path(path)
     content = read_toml(path)
     folder, subject = path.parent, _table(content.get("subject"))
-    found = {path}
+    files = {path}
     for text in _named_files(content):
-        found |= _files(folder, text)
+        files |= _files(folder, text)
     for own in _files(folder, subject.get("file")):
-        found |= {own} | _files(own.parent, _content(own).get("static"))
-    return sorted(found)
+        files |= {own} | _files(own.parent, _content(own).get("static"))
+    return sorted(files)
 
 
 def _named_files(content: dict[str, Any]) -> Iterator[Any]:

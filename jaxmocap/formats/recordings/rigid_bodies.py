@@ -49,30 +49,30 @@ def with_rigid_sets(fields: TomlTable, markers: Markers, names: Collection[str])
     sets = read_sets(fields)
     if not sets:
         return markers
-    known, samples = markers.points(), len(markers.times)
+    by_name, samples = markers.points(), len(markers.times)
     kept = [i for i, name in enumerate(markers.names) if name in names]
     count = len(kept) + len(sets)
     if samples * count > MAX_ORIENTATIONS:
         most = f"expected at most {MAX_ORIENTATIONS} orientations"
         raise fields.error("", f"found {samples} samples of {count} markers and sets, {most}")
-    turns = np.full((samples, count, 3, 3), np.nan)
+    orientations = np.full((samples, count, 3, 3), np.nan)
     if markers.orientations is not None:
-        turns[:, : len(kept)] = markers.orientations[:, kept]
-    places = []
+        orientations[:, : len(kept)] = markers.orientations[:, kept]
+    centres = []
     for i, (name, members) in enumerate(sets.items(), len(kept)):
-        missing = [member for member in members if member not in known]
-        if missing or name in known:
+        missing = [member for member in members if member not in by_name]
+        if missing or name in by_name:
             found = f"no marker {short_repr(missing[0])}" if missing else "a marker of that name"
-            raise fields.error(name, f"found {found} in the file, which has {comma_list(known)}")
-        points = np.stack([known[m] for m in members], 1)
-        place, turns[:, i] = _fitted_poses(fields, name, points, members)
-        places.append(place)
+            raise fields.error(name, f"found {found} in the file, which has {comma_list(by_name)}")
+        points = np.stack([by_name[m] for m in members], 1)
+        centre, orientations[:, i] = _fitted_poses(fields, name, points, members)
+        centres.append(centre)
     return replace(
         markers,
         names=(*(markers.names[i] for i in kept), *sets),
-        positions=np.concatenate([markers.positions[:, kept], np.stack(places, 1)], 1),
+        positions=np.concatenate([markers.positions[:, kept], np.stack(centres, 1)], 1),
         residuals=None,
-        orientations=turns,
+        orientations=orientations,
     )
 
 
@@ -80,27 +80,27 @@ def _fitted_poses(
     fields: TomlTable, name: str, points: np.ndarray, members: Sequence[str]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Middle (T, 3) and turn (T, 3, 3) of a set's (T, K, 3) markers; NaN where two are seen."""
-    whole = np.isfinite(points[:, :MIN_MARKERS]).all((1, 2))
-    if not whole.any():
+    is_complete = np.isfinite(points[:, :MIN_MARKERS]).all((1, 2))
+    if not is_complete.any():
         raise fields.error(name, f"found {comma_list(members[:MIN_MARKERS])} in no common sample")
-    shape = _rest_shape(points[whole])
+    shape = _rest_shape(points[is_complete])
     unseen = [m for m, at in zip(members, shape, strict=True) if not np.isfinite(at).all()]
     if unseen:
         raise fields.error(name, f"found {short_repr(unseen[0])} never beside the first three")
     if np.linalg.svd(shape - shape.mean(0), compute_uv=False)[1] < MIN_WIDTH_M:
         raise fields.error(name, "found all markers on one line, which tells no turn about it")
-    seen = np.isfinite(points.sum(-1))
-    enough = seen.sum(1) >= MIN_MARKERS
-    weights = seen[..., None] / np.maximum(seen.sum(1), 1)[:, None, None]
-    measured = np.where(seen[..., None], points, 0.0)
-    middle = (weights * measured).sum(1)
-    middle_shape = (weights * shape).sum(1)
-    H = np.einsum("tki,tkj->tij", weights * (measured - middle[:, None]),
-                  shape - middle_shape[:, None])  # fmt: skip
+    is_seen = np.isfinite(points.sum(-1))
+    enough = is_seen.sum(1) >= MIN_MARKERS
+    weights = is_seen[..., None] / np.maximum(is_seen.sum(1), 1)[:, None, None]
+    present = np.where(is_seen[..., None], points, 0.0)
+    centre = (weights * present).sum(1)
+    shape_centre = (weights * shape).sum(1)
+    H = np.einsum("tki,tkj->tij", weights * (present - centre[:, None]),
+                  shape - shape_centre[:, None])  # fmt: skip
     U, _, Vt = np.linalg.svd(H)
     U[..., 2] *= np.linalg.det(U @ Vt)[:, None]
     R = np.where(enough[:, None, None], U @ Vt, np.nan)
-    return middle - np.einsum("tij,tj->ti", R, middle_shape), R
+    return centre - np.einsum("tij,tj->ti", R, shape_centre), R
 
 
 def _rest_shape(points: np.ndarray) -> np.ndarray:

@@ -169,12 +169,12 @@ def static_landmarks(fields: TomlTable) -> dict[str, np.ndarray]:
     path = fields.file("static")
     R_world_file = read_axes(fields)
     markers = read_markers(path).points()
-    named = _landmark_table(fields)
+    landmark_table = _landmark_table(fields)
     landmarks = {}
-    for landmark in named.entries:
-        marker = named.text(landmark)
+    for landmark in landmark_table.entries:
+        marker = landmark_table.text(landmark)
         if marker not in markers:
-            raise named.error(
+            raise landmark_table.error(
                 landmark,
                 f"marker {short_repr(marker)} is not in {path}, found {comma_list(markers)}",
             )
@@ -188,7 +188,7 @@ def _landmark_table(fields: TomlTable) -> TomlTable:
 
 
 def _by_static_trial(fields: TomlTable) -> Skeleton:
-    landmarks, named = static_landmarks(fields), _landmark_table(fields)
+    landmarks, landmark_table = static_landmarks(fields), _landmark_table(fields)
     try:
         # Landmarks that are never seen together show as lengths that are not numbers.
         with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -197,13 +197,13 @@ def _by_static_trial(fields: TomlTable) -> Skeleton:
         if "mass" in fields:
             skeleton = scale_to_height(skeleton, None, fields.number("mass"))
     except ValueError as error:
-        raise named.error("", str(error)) from None
+        raise landmark_table.error("", str(error)) from None
     if not (np.isfinite(skeleton.lengths).all() and np.isfinite(skeleton.directions).all()):
         problem = (
             f"{short_name(fields.text('static'))} shows neck, hips and shoulders in no common frame"
         )
-        raise named.error("", problem)
+        raise landmark_table.error("", problem)
     if (longest := float(np.max(skeleton.lengths))) > LENGTH_RANGE_M[1]:
         problem = f"shows bones of up to {longest:.4g} m, expected at most {LENGTH_RANGE_M[1]:g} m"
-        raise named.error("", f"{short_name(fields.text('static'))} {problem}")
+        raise landmark_table.error("", f"{short_name(fields.text('static'))} {problem}")
     return skeleton

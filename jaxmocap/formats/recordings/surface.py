@@ -67,17 +67,17 @@ def load_surface(path: str | Path, tree: Tree) -> Surface:
     arrays = NpzArrays(path).read(_ARRAY_SPECS)
     sizes, bones, shares = (arrays[name] for name in ("patch_sizes", "bones", "shares"))
     _check_nodes(path, sizes, bones.shape)
-    together = np.abs(shares.sum(-1) - 1)
-    if together.max() > _SHARE_TOLERANCE:
-        i = int(together.argmax())
+    sum_errors = np.abs(shares.sum(-1) - 1)
+    if sum_errors.max() > _SHARE_TOLERANCE:
+        i = int(sum_errors.argmax())
         raise InputError(path, f"shares[{i}]: together {shares[i].sum():.4g}, expected 1")
     index = _bones(path, arrays["bone_names"].tolist(), tree)
     if bones.max() >= len(index):
         found = f"found {bones.max()}, expected an index below {len(index)}"
         raise InputError(path, f"bones: {found}, of bone_names")
     patches = _patches(path, arrays["patch_names"].tolist(), sizes)
-    places = jnp.asarray(arrays["points_bone"], float)
-    return Surface(patches, BodyPoints(index[bones], places, jnp.asarray(shares, float)))
+    points_bone = jnp.asarray(arrays["points_bone"], float)
+    return Surface(patches, BodyPoints(index[bones], points_bone, jnp.asarray(shares, float)))
 
 
 def check_surface_extent(path: str | Path, surface: Surface, skeleton: Skeleton) -> None:

@@ -215,8 +215,8 @@ def write_c3d(path: str | Path, markers: Markers) -> None:
     file["data"]["meta_points"]["residuals"] = residuals[None]
     file["header"]["points"]["first_frame"] = first
     frames, points = len(times), len(markers.names)
-    with replacing(path, lambda part: _is_complete(part, frames, points)) as beside:
-        file.write(str(beside))
+    with replacing(path, lambda part: _is_complete(part, frames, points)) as temporary:
+        file.write(str(temporary))
 
 
 def _is_complete(path: Path, frames: int, points: int) -> bool:

@@ -128,6 +128,6 @@ def write_csv(
     csv.writer(header, lineterminator="\n").writerow(columns)
     table = np.concatenate(parts, 1) if orientations else positions
     rows = zip(times, row_texts(table, ","), strict=True)
-    with replacing(path) as beside, beside.open("w", encoding="utf-8", newline="\n") as file:
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.write(header.getvalue())
         file.writelines(f"{time:.9f},{row}\n" for time, row in rows)

@@ -29,17 +29,17 @@ def is_gap(times: np.ndarray) -> np.ndarray:
 
 def hold_across_gaps(armature: Armature) -> Armature:
     """The samples whose pose is known, and the pose before each gap once more at its end."""
-    known = np.flatnonzero(armature.is_known)
-    times = armature.times[known]
+    known_samples = np.flatnonzero(armature.is_known)
+    times = armature.times[known_samples]
     before = np.flatnonzero(is_gap(times))
-    if not len(before) and len(known) == len(armature.times):
+    if not len(before) and len(known_samples) == len(armature.times):
         return armature
-    order, later = known, times
+    order, later = known_samples, times
     if len(before):
         # One interval before the first pose after the gap, as if a sample were there.
         last = times[before + 1] - float(np.median(np.diff(times)))
         order, later = (
-            np.insert(known, before + 1, known[before]),
+            np.insert(known_samples, before + 1, known_samples[before]),
             np.insert(times, before + 1, last),
         )
     return replace(

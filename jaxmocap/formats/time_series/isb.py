@@ -117,12 +117,13 @@ def isb_angles(motion: Motion) -> dict[str, np.ndarray]:
             near, far = (_sided(skeleton, b, side) for b in (joint.proximal, joint.distal))
             R_near, R_far = (_segment(skeleton, R_pelvis_bone, bone) for bone in (near, far))
             wanted.append((joint, side, kept, R_near.swapaxes(-1, -2) @ R_far))
-    turns = _euler_angles(
+    angles = _euler_angles(
         [joint.order for joint, *_ in wanted], [_in_isb(*each) for each in wanted]
     )
     return {
-        "_".join(filter(None, (joint.name, joint.angles[k], side))): joint.signs[k] * turn[:, k]
-        for (joint, side, kept, _), turn in zip(wanted, turns, strict=True)
+        "_".join(filter(None, (joint.name, joint.angles[k], side))): joint.signs[k]
+        * joint_angles[:, k]
+        for (joint, side, kept, _), joint_angles in zip(wanted, angles, strict=True)
         for k in kept
     }
 

@@ -73,41 +73,41 @@ class Interpolation(NamedTuple):
         """Some times in a row and where they lie, so few that copies take little memory."""
         size = max(1, BLOCK_NUMBERS // max(columns, 1))
         for first in range(0, len(self.fraction), size):
-            some = slice(first, first + size)
-            yield some, Interpolation(*(each[some] for each in self))
+            block = slice(first, first + size)
+            yield block, Interpolation(*(each[block] for each in self))
 
 
-def interpolation_at(times: np.ndarray, wanted: np.ndarray) -> Interpolation:
+def interpolation_at(times: np.ndarray, new_times: np.ndarray) -> Interpolation:
     """Where (N,) wanted times lie among (T,) ascending ones."""
-    after = np.clip(np.searchsorted(times, wanted), 0, len(times) - 1)
+    after = np.clip(np.searchsorted(times, new_times), 0, len(times) - 1)
     before = np.maximum(after - 1, 0)
     step = np.where(after > before, times[after] - times[before], 1.0)
-    part = np.clip((wanted - times[before]) / step, 0.0, 1.0)
+    fraction = np.clip((new_times - times[before]) / step, 0.0, 1.0)
     # At a sample itself its neighbour does not matter, to the rounding of text files.
     before, after = (
-        np.where((1 - part) * step < 1e-6, after, before),
-        np.where(part * step < 1e-6, before, after),
+        np.where((1 - fraction) * step < 1e-6, after, before),
+        np.where(fraction * step < 1e-6, before, after),
     )
     gap_after = np.append(is_gap(times), False)
-    return Interpolation(before, after, part, gap_after[before] & (before < after))
+    return Interpolation(before, after, fraction, gap_after[before] & (before < after))
 
 
 def resampled_markers(markers: Markers, times: np.ndarray) -> Markers:
     """Markers at (N,) other times; their residuals are let go."""
     at = interpolation_at(markers.times, times)
-    turns = None if markers.orientations is None else slerp(markers.orientations, at)
-    return Markers(times, markers.names, lerp(markers.positions, at), orientations=turns)
+    orientations = None if markers.orientations is None else slerp(markers.orientations, at)
+    return Markers(times, markers.names, lerp(markers.positions, at), orientations=orientations)
 
 
 def lerp(values: np.ndarray, at: Interpolation) -> np.ndarray:
     """(N, ...) values on the straight lines between (T, ...); NaN within gaps."""
-    found = np.empty((len(at.fraction), *values.shape[1:]))
-    for some, here in at.blocks(values[0].size):
-        first, second = values[here.before], values[here.after]
-        share = here.fraction.reshape(-1, *[1] * (values.ndim - 1))
-        found[some] = first + share * (second - first)
-    found[at.in_gap] = np.nan
-    return found
+    values_then = np.empty((len(at.fraction), *values.shape[1:]))
+    for block, at_block in at.blocks(values[0].size):
+        first, second = values[at_block.before], values[at_block.after]
+        fraction = at_block.fraction.reshape(-1, *[1] * (values.ndim - 1))
+        values_then[block] = first + fraction * (second - first)
+    values_then[at.in_gap] = np.nan
+    return values_then
 
 
 def slerp(R: np.ndarray, at: Interpolation) -> np.ndarray:
@@ -115,23 +115,23 @@ def slerp(R: np.ndarray, at: Interpolation) -> np.ndarray:
 
     NaN where one of the two is, and within gaps.
     """
-    found = np.empty((len(at.fraction), *R.shape[1:]))
-    for some, here in at.blocks(R[0].size):
-        found[some] = _slerp(R[here.before], R[here.after], here.fraction)
-    found[at.in_gap] = np.nan
-    return found
+    R_then = np.empty((len(at.fraction), *R.shape[1:]))
+    for block, at_block in at.blocks(R[0].size):
+        R_then[block] = _slerp(R[at_block.before], R[at_block.after], at_block.fraction)
+    R_then[at.in_gap] = np.nan
+    return R_then
 
 
-def _slerp(R_before: np.ndarray, R_after: np.ndarray, part: np.ndarray) -> np.ndarray:
+def _slerp(R_before: np.ndarray, R_after: np.ndarray, fraction: np.ndarray) -> np.ndarray:
     """Rotations (N, ..., 3, 3) that are (N,) parts of the way from one to another."""
-    known = np.isfinite(R_before.sum((-2, -1)) + R_after.sum((-2, -1)))[..., None, None]
+    is_known = np.isfinite(R_before.sum((-2, -1)) + R_after.sum((-2, -1)))[..., None, None]
     first, second = (
-        Rotation.from_matrix(np.where(known, each, np.eye(3)).reshape(-1, 3, 3))
+        Rotation.from_matrix(np.where(is_known, each, np.eye(3)).reshape(-1, 3, 3))
         for each in (R_before, R_after)
     )
-    share = np.repeat(part, int(np.prod(R_before.shape[1:-2], dtype=int)))[:, None]
-    found = first * Rotation.from_rotvec(share * (first.inv() * second).as_rotvec())
-    return np.where(known, found.as_matrix().reshape(R_before.shape), np.nan)
+    fractions = np.repeat(fraction, int(np.prod(R_before.shape[1:-2], dtype=int)))[:, None]
+    R = first * Rotation.from_rotvec(fractions * (first.inv() * second).as_rotvec())
+    return np.where(is_known, R.as_matrix().reshape(R_before.shape), np.nan)
 
 
 def resampled_armature(armature: Armature, times: np.ndarray) -> Armature:
@@ -145,12 +145,14 @@ def resampled_motion(motion: Motion, times: np.ndarray) -> Motion:
     """A motion at (N,) other times; its report is let go."""
     at = interpolation_at(motion.times, times)
     position, quaternion, angles = (np.asarray(part, float) for part in motion.poses)
-    known = np.isfinite(quaternion.sum(-1, keepdims=True))
-    safe = np.where(known, quaternion, [1.0, 0, 0, 0])
-    R = np.where(known[..., None], Rotation.from_quat(safe, scalar_first=True).as_matrix(), np.nan)
+    is_known = np.isfinite(quaternion.sum(-1, keepdims=True))
+    safe = np.where(is_known, quaternion, [1.0, 0, 0, 0])
+    R = np.where(
+        is_known[..., None], Rotation.from_quat(safe, scalar_first=True).as_matrix(), np.nan
+    )
     R_then = slerp(R, at)
-    known = np.isfinite(R_then.sum((-2, -1)))[:, None]
-    turned = Rotation.from_matrix(np.where(known[..., None], R_then, np.eye(3)))
-    quaternion = np.where(known, turned.as_quat(scalar_first=True), np.nan)
+    is_known = np.isfinite(R_then.sum((-2, -1)))[:, None]
+    rotations = Rotation.from_matrix(np.where(is_known[..., None], R_then, np.eye(3)))
+    quaternion = np.where(is_known, rotations.as_quat(scalar_first=True), np.nan)
     parts: list[Any] = [lerp(position, at), quaternion, lerp(angles, at)]
     return replace(motion, times=times, poses=Pose(*parts), report=None)

@@ -161,10 +161,10 @@ def make_markers(
             missing or does not follow the one before, a position that is nowhere on earth.
     """
     check_names(path, names, name_place)
-    places = SampleLabels("line", lines) if len(lines) else SampleLabels("frame")
-    check_times(path, table[:, 0], places)
+    labels = SampleLabels("line", lines) if len(lines) else SampleLabels("frame")
+    check_times(path, table[:, 0], labels)
     positions = table[:, 1:].reshape(len(table), -1, 3)
-    _check_positions(path, positions, names, places)
+    _check_positions(path, positions, names, labels)
     # A marker of which one coordinate is missing is missing.
     positions[np.isnan(positions).any(-1)] = np.nan
     return Markers(table[:, 0], tuple(names), positions)
@@ -172,20 +172,20 @@ def make_markers(
 
 def check_names(path: str | Path, names: Sequence[str], place: str, kind: str = "marker") -> None:
     """InputError where two things have one name, or one has none that can be written down."""
-    known = set()
+    earlier = set()
     for name in names:
         if len(name) > MAX_NAME_CHARACTERS or any(unicodedata.category(c) == "Cc" for c in name):
             expected = f"at most {MAX_NAME_CHARACTERS} characters, none of them for control"
             raise InputError(
                 path, f"{place}: found {short_repr(name)} as a name, expected {expected}"
             )
-        if name in known:
+        if name in earlier:
             raise InputError(path, f"{place}: {kind} {short_repr(name)} is named twice")
-        known.add(name)
+        earlier.add(name)
 
 
 def _check_positions(
-    path: str | Path, positions: np.ndarray, names: Sequence[str], places: "SampleLabels"
+    path: str | Path, positions: np.ndarray, names: Sequence[str], labels: "SampleLabels"
 ) -> None:
     """InputError where a coordinate of (T, M, 3) is beyond any place on earth."""
     highest, lowest = np.fmax.reduce(positions), np.fmin.reduce(positions)
@@ -194,7 +194,7 @@ def _check_positions(
         marker, axis = np.argwhere(beyond)[0]
         column = positions[:, marker, axis]
         i = int((np.abs(column) > FARTHEST_M).argmax())
-        found = f"{places(i)}: marker {short_repr(names[marker])} is at {column[i]:g} m"
+        found = f"{labels(i)}: marker {short_repr(names[marker])} is at {column[i]:g} m"
         raise InputError(path, f"{found}, expected a position within {FARTHEST_M:g} m")
 
 

@@ -128,8 +128,8 @@ def write_trc(
     times, positions = stack_points(times, points, "\t\r\n\0", path)
     if rate is None:
         rate = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 1.0
-    count, shown = len(times), f"{round(rate, 2):g}"
-    values = [shown, shown, count, len(points), "m", shown, 1, count]
+    count, rate_text = len(times), f"{round(rate, 2):g}"
+    values = [rate_text, rate_text, count, len(points), "m", rate_text, 1, count]
     axes = [f"{axis}{i}" for i in range(1, len(points) + 1) for axis in "XYZ"]
     lines = [
         f"PathFileType\t4\t(X/Y/Z)\t{Path(path).name}",
@@ -140,6 +140,6 @@ def write_trc(
         "",
     ]
     rows = zip(times, row_texts(positions, "\t"), strict=True)
-    with replacing(path) as beside, beside.open("w", encoding="utf-8", newline="\n") as file:
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"{line}\n" for line in lines)
         file.writelines(f"{i}\t{time:.9f}\t{row}\n" for i, (time, row) in enumerate(rows, 1))
