@@ -1,8 +1,7 @@
 """Calibrating a camera's intrinsics: the story of the command, from photographs to a file.
 
 INPUTS: photographs or videos of a board; the calibration file to change.
-OUTPUTS: the camera's section in that file, pictures to look at, and a Calibrated that tells what
-was found.
+OUTPUTS: the camera's section in that file, pictures to look at, and an IntrinsicsResult.
 """
 
 from collections.abc import Sequence
@@ -43,7 +42,7 @@ class IntrinsicsResult:
 
     Attributes:
         camera: name of its section.
-        detections: the board in pictures; ``result.used`` says on which views the result rests.
+        detections: the board in pictures; ``estimate.used`` says on which views the result rests.
         estimate: the calibration.
         coverage: of the image by the views used.
         warnings: sentences that a user should see.
@@ -113,7 +112,7 @@ def calibrate_camera(
 
 
 def _existing_section(out: Path, camera: str) -> tuple[Intrinsics | None, bool]:
-    """The lens that the file holds of this camera, and whether it holds its place too."""
+    """The intrinsics that the file holds of this camera, and whether it is placed already."""
     table = read_toml(out).get(camera, {}) if out.exists() else {}
     lens = read_intrinsics(out, camera) if "matrix" in table and "size" in table else None
     return lens, "rotation" in table
@@ -140,16 +139,16 @@ def _checked_estimate(detections: BoardDetections, coefficients: int) -> Intrins
 def _change_warnings(
     result: IntrinsicsEstimate, before: Intrinsics | None, is_placed: bool
 ) -> list[str]:
-    """What is to be said of the calibration that the file held already."""
+    """Warnings about the calibration that the file held already."""
     warnings = []
     if before is not None:
         K = before.matrix
         old = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])
-        change, doubt = result.values[:4] - old, result.max_std[:4]
+        changes, deviations = result.values[:4] - old, result.max_std[:4]
         far = [
-            f"{name} by {step:+.1f} pixels ({abs(step) / sure:.0f} standard deviations)"
-            for name, step, sure in zip(PARAMETERS, change, doubt, strict=False)
-            if abs(step) > 3 * sure
+            f"{name} by {change:+.1f} pixels ({abs(change) / std:.0f} standard deviations)"
+            for name, change, std in zip(PARAMETERS, changes, deviations, strict=False)
+            if abs(change) > 3 * std
         ]
         if far:
             warnings.append(

@@ -1,6 +1,6 @@
 """What a calibration comes to: a few lines to read, and the same as figures.
 
-INPUTS: a Calibrated or a Placed. OUTPUTS: plain text; a dict for JSON.
+INPUTS: an IntrinsicsResult or an ExtrinsicsResult. OUTPUTS: plain text; a dict for JSON.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ _PIXELS = ("fx", "fy", "cx", "cy")
 
 
 def intrinsics_text(result: IntrinsicsResult) -> str:
-    """Pictures with their errors, parameters with their deviations, remarks, files."""
+    """Pictures with their errors, parameters with their deviations, warnings, files."""
     width, height = result.estimate.lens.size
     used = sum(result.estimate.used)
     total = len(result.detections.pictures)
@@ -33,7 +33,7 @@ def intrinsics_text(result: IntrinsicsResult) -> str:
         *_parameters(result),
         "",
         f"coverage: {100 * result.coverage.share:.0f} % of the image",
-        *(f"note: {sentence}" for sentence in result.warnings),
+        *(f"warning: {sentence}" for sentence in result.warnings),
         *(f"written: {path}" for path in result.files),
     ]
     return "\n".join(lines)
@@ -97,7 +97,7 @@ def intrinsics_figures(result: IntrinsicsResult) -> dict[str, Any]:
 
 
 def extrinsics_text(result: ExtrinsicsResult) -> str:
-    """The camera's place, how sure it is, remarks, files."""
+    """The camera's place and its standard deviation, warnings, files."""
     placement = result.placement
     x, y, z = placement.position_world
     lines = [
@@ -110,11 +110,11 @@ def extrinsics_text(result: ExtrinsicsResult) -> str:
     ]
     if placement.mirrored is not None:
         lines.append(
-            f"  the mirrored answer that a flat target has, at "
-            f"{_vector(position_world_of(placement.mirrored))} m, fits {placement.mirrored_ratio:.1f} times "
-            "as badly"
+            f"  the mirrored solution that a flat target has, at "
+            f"{_vector(position_world_of(placement.mirrored))} m, fits "
+            f"{placement.mirrored_ratio:.1f} times as badly"
         )
-    lines += [f"note: {sentence}" for sentence in result.warnings]
+    lines += [f"warning: {sentence}" for sentence in result.warnings]
     return "\n".join([*lines, *(f"written: {path}" for path in result.files)])
 
 

@@ -1,6 +1,6 @@
 """Where a camera stands in the world, from one view of a board or of points at measured places.
 
-INPUTS: points (metres, world, Z up), their pixels, a Lens. OUTPUTS: a Placement.
+INPUTS: points (metres, world, Z up), their pixels, Intrinsics. OUTPUTS: a Placement.
 
 As the paper's section 3 has it: the board lies where it was measured in the marker system's world,
 so its corners' places in the world are known, and the camera follows from them.
@@ -21,7 +21,7 @@ from jaxmocap.calibration.planar_poses import (
 from jaxmocap.formats.cameras.calibration import Intrinsics
 from jaxmocap.geometry.cameras import Camera
 
-# The mirrored answer is not told from the right one where its residual is less than this times.
+# The mirrored solution is ambiguous where its residual is less than this times the better one's.
 AMBIGUOUS_RATIO = 2.0
 # Points are on one line where their breadth is less than this part of their length.
 _LINE_BREADTH = 1e-3
@@ -32,7 +32,7 @@ _OUTLIER_RATIO = 0.25
 # A camera is upside down for certain where the picture's vertical lies within 45° of the world's,
 # unless it looks almost straight up or down: this much of the vertical must show in the picture.
 _MIN_VERTICAL_SHOWN = 0.1
-# A place known worse than this is said to be uncertain, metres.
+# A place with a larger standard deviation gets a warning, metres.
 _UNCERTAIN_M = 0.05
 
 
@@ -42,11 +42,11 @@ class Placement:
 
     Attributes:
         T_cam_world: (4, 4) float64, metres.
-        residuals_xy: (N, 2) reprojected minus seen, pixels, of all points.
+        residuals_xy: (N, 2) reprojected minus detected, pixels, of all points.
         used: (N,) which points the pose rests on.
         std_m: (3,) standard deviation of the camera's place, metres, by the corners' noise alone.
         std_deg: of its direction, the largest of the three axes, degrees.
-        mirrored: the other answer that a flat target leaves, T_cam_world, or None.
+        mirrored: the other solution that a flat target has, T_cam_world, or None.
         mirrored_ratio: its residual over that of the one taken.
         warnings: sentences that a user should see.
     """
@@ -104,8 +104,8 @@ def estimate_placement(
 ) -> Placement:
     """Place a camera that sees (N, 3) points at (N, 2) pixels.
 
-    Of two answers that explain the picture alike, the one above the floor and upright (or upside
-    down, where that is expected) is taken where that tells them apart.
+    Of two solutions that explain the picture alike, the one above the floor and upright (or upside
+    down, where that is expected) is taken where that distinguishes them.
 
     Raises:
         ArithmeticError: fewer than four points, all on one line, or no answer.
@@ -155,9 +155,10 @@ def _check_points(points_world: np.ndarray) -> None:
         len(points_world) < _MIN_POINTS_FOR_OUTLIER
         and relative_thickness(points_world) >= FLAT_THICKNESS
     ):
-        # Four or five points in space fit too many cameras to tell a wrong one.
+        # Four or five points in space fit too many cameras for a wrong one to show.
         raise ArithmeticError(
-            f"found {len(points_world)} points that are not on a plane, expected at least {_MIN_POINTS_FOR_OUTLIER}"
+            f"found {len(points_world)} points that are not on a plane, "
+            f"expected at least {_MIN_POINTS_FOR_OUTLIER}"
         )
 
 
@@ -192,9 +193,9 @@ def _ambiguity_warning(taken: CameraPose, other: CameraPose, upside_down: bool) 
     if counts[0] == counts[1]:
         why = "the one that fits better, which may be wrong"
     return (
-        f"two cameras explain the picture alike, at {taken_at} ({taken.rms:.2f} pixels) and at {other_at} "
-        f"({other.rms:.2f} pixels); taken is {why}. Tilt the board against the view, bring it "
-        "nearer, or give points that are not on one plane"
+        f"two cameras explain the picture alike, at {taken_at} ({taken.rms:.2f} "
+        f"pixels) and at {other_at} ({other.rms:.2f} pixels); taken is {why}. Tilt the board "
+        "against the view, bring it nearer, or give points that are not on one plane"
     )
 
 
@@ -212,7 +213,7 @@ def _uncertainty_warnings(std_m: np.ndarray) -> list[str]:
 
 
 def _implausibility_warnings(T_cam_world: np.ndarray, upside_down: bool) -> list[str]:
-    """What cannot be of a camera in a room."""
+    """What cannot be so of a camera in a room."""
     warnings = []
     if (height := position_world_of(T_cam_world)[2]) < 0:
         warnings.append(f"the camera comes out below the floor, at z = {height:.2f} m")
@@ -243,8 +244,8 @@ def advice_on_board_pose(
         if not _implausibility_warnings(other, upside_down):
             return (
                 "the board is the other way round than --pose says, or upside down: with it turned "
-                f"by 180° about its own {axis} axis the camera would stand at {_position_text(other)}; see "
-                "the axes in the picture"
+                f"by 180° about its own {axis} axis the camera would stand at "
+                f"{_position_text(other)}; see the axes in the picture"
             )
     return "see the axes in the picture: --pose does not fit it, or the world's z is not up"
 

@@ -1,8 +1,8 @@
 """How the image moves where the hands are, next to how the hands move.
 
 INPUTS: a video's frames; marker paths, a camera, and by how much the clocks may differ.
-OUTPUTS: optical flow of each frame to the next; at any lag, what was seen to move and what the
-markers say, pixels per frame.
+OUTPUTS: optical flow of each frame to the next; at any lag, the measured flow and the one that the
+markers predict, pixels per frame.
 """
 
 from collections.abc import Iterator, Sequence
@@ -35,11 +35,11 @@ SMOOTHING_CUTOFF_SHARE = 0.25
 
 
 class FlowPair(NamedTuple):
-    """What is compared at one lag, for K frames and H hands.
+    """Measured and predicted flow at one lag, for K frames and H hands.
 
     Attributes:
         measured: (K, H, 2) flow at the hands, pixels of the image, to the next frame.
-        predicted: (K, H, 2) the same by the markers. Both are NaN where one is not known.
+        predicted: (K, H, 2) the same by the markers. Both are NaN where one is missing.
     """
 
     measured: np.ndarray

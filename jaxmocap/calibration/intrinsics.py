@@ -1,12 +1,12 @@
 """A camera's intrinsics from views of a board: Zhang's method, through OpenCV.
 
-INPUTS: Views (corners of a board in several pictures), the pictures' size.
-OUTPUTS: Intrinsics: the Lens, what was left out, and how far each figure is to be trusted.
+INPUTS: BoardViews (corners of a board in several pictures), the pictures' size.
+OUTPUTS: an IntrinsicsEstimate: the intrinsics, what was left out, and standard deviations.
 
 The method is the one that the paper's section 3 names: Zhengyou Zhang, "Flexible camera calibration
 by viewing a plane from unknown orientations", ICCV 1999. A view whose corners are wrong would spoil
 all (one of seven is enough), and hides among the others' residuals once it did. So the views that
-agree best with each other are calibrated first, and the rest is judged by what they say (least
+agree best with each other are calibrated first, and the rest is tested against them (least
 trimmed squares: Rousseeuw & Van Driessen 2006).
 """
 
@@ -42,7 +42,7 @@ class BoardView:
     Attributes:
         name: of the picture.
         points_board: (N, 3) metres.
-        pixels_xy: (N, 2) where they are seen.
+        pixels_xy: (N, 2) where they are detected.
     """
 
     name: str
@@ -52,7 +52,7 @@ class BoardView:
 
 @dataclass(frozen=True)
 class IntrinsicsEstimate:
-    """A calibration and what there is to say of it.
+    """A calibration, its residuals and its standard deviations.
 
     Attributes:
         lens: the result.

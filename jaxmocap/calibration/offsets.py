@@ -1,16 +1,16 @@
-"""Where a device sits seen from the joint that it turns about: a grip from the wrist, for example.
+"""Where a device sits in relation to the joint that it rotates about, such as a grip to a wrist.
 
-INPUTS: a clip of markers that know how they are turned, each about a joint that stays where it is:
+INPUTS: a clip of markers with orientations, each rotating about a joint that stays where it is:
 the forearm rests on a table and the hand turns, up and down, to the sides, and twisting.
 OUTPUTS: for each marker its offset from that joint in its own axes, with covariance; and how it is
 held, by a while in which the person stands upright.
 
-A marker at p, turned by R, whose joint lies at w has the offset o with p = w + R o (pivot
+A marker at p with orientation R, whose joint lies at w has the offset o with p = w + R o (pivot
 calibration). In every second of the clip w is an unknown of its own, so that the arm may shift and
 devices wander; all seconds share o, by least squares, those in which the joint strays more counting
 less. Three devices with six degrees of freedom know nothing of joints: what is found is the point
 that stayed, and that this is the wrist is the clip's making. When the whole arm moves it is an
-elbow, a shoulder, or nothing; the offset's length and the joint's straying tell.
+elbow, a shoulder, or nothing; the offset's length and the joint's own motion show it.
 """
 
 from collections.abc import Sequence
@@ -45,11 +45,11 @@ class DeviceOffset:
     """How one device sits on its bone.
 
     Attributes:
-        place: of the marker; its bone's joint is what it turned about.
+        place: of the marker; its bone's joint is what it rotated about.
         offset: (3,) metres, from the joint to the marker, in the marker's axes.
         covariance: (3, 3) of it, by the scatter between the clip's seconds.
         joint_rms: metres (RMS) that the joint moved within a second, noise included.
-        rotation_rms: degrees (RMS) that the marker turned within a second.
+        rotation_rms: degrees (RMS) that the marker rotated within a second.
         windows: seconds that were used.
         orientation: (3, 3) from the marker's axes to the bone's, or None where nobody stood still.
         orientation_rms: degrees (RMS) that it varied by while standing.
@@ -78,13 +78,13 @@ class DeviceOffset:
             x, y, z = vectors[:, -1]
             warnings.append(
                 f"not determined along [{x:.2f}, {y:.2f}, {z:.2f}] of the marker's axes, about "
-                "which alone it turned: turn it about the others too"
+                "which alone it rotated: rotate it about the others too"
             )
         if self.joint_rms > MAX_JOINT_RMS_M:
             warnings.append(f"its joint moved by {1e3 * self.joint_rms:.0f} mm a second: rest it")
         if length > MAX_LENGTH_M:
             warnings.append(
-                f"{100 * length:.0f} cm from what it turned about, which is hardly the joint of "
+                f"{100 * length:.0f} cm from what it rotated about, which is hardly the joint of "
                 f"{self.place.bone}: rest what carries it"
             )
         return tuple(warnings)
@@ -96,23 +96,23 @@ def estimate_offsets(
     still: tuple[float, float] | None = None,
     span: tuple[float, float] = (-np.inf, np.inf),
 ) -> list[DeviceOffset]:
-    """How every marker that knows how it is turned sits on its bone.
+    """How every marker with an orientation sits on its bone.
 
     Args:
-        markers: in the world's axes, metres, with turns.
+        markers: in the world's axes, metres, with orientations.
         places: of the markers, in the same order; only their bones count.
         still: seconds between which the person stands upright, arms hanging, thumbs and nose
-            forward; None asks nothing of how the devices are held.
+            forward; None leaves the devices' orientations open.
         span: seconds between which the devices turn about their joints.
 
     Raises:
-        ValueError: no marker knows how it is turned, the clip is too short, or nobody can be told
-            from markers on both hands to stand at those times.
+        ValueError: no marker has an orientation, the clip is too short, or markers on both hands
+            do not show somebody who stands at those times.
     """
     if markers.orientations is None or not np.isfinite(markers.orientations).any():
-        raise ValueError("no marker says how it is turned")
+        raise ValueError("no marker has an orientation")
     orientations, offsets = markers.orientations, []
-    yaw = None if still is None else _R_world_body(markers, places, still)
+    yaw = None if still is None else _standing_orientation(markers, places, still)
     for i, place in enumerate(places):
         if not np.isfinite(orientations[:, i]).any():
             continue
@@ -199,12 +199,12 @@ def _covariance(
 def _undetermined_covariance(normal: np.ndarray) -> np.ndarray:
     """Covariance (3, 3), metres^2, of what the turns leave open: a device is within a metre."""
     values, vectors = np.linalg.eigh(normal)
-    # About an axis that turned a thirtieth of the others or less the noise outweighs it.
+    # About an axis that rotated a thirtieth of the others or less the noise outweighs it.
     share = values / max(float(values[-1]), 1e-12)
     return vectors @ np.diag(np.where(share < 1e-3, 1.0, 0.0)) @ vectors.T
 
 
-def _R_world_body(
+def _standing_orientation(
     markers: Markers, places: Sequence[MarkerPlace], still: tuple[float, float]
 ) -> np.ndarray:
     """(3, 3) from the body's axes to the world's of who stands, by the line between the hands."""
@@ -223,10 +223,10 @@ def _R_world_body(
 def _with_orientation(
     offset: DeviceOffset, orientations: np.ndarray, R_world_body: np.ndarray
 ) -> DeviceOffset:
-    """With how the device is held, from turns (T, 3, 3) while the bones are upright."""
+    """With the device's orientation on its bone, from (T, 3, 3) while the bones are upright."""
     R_known = orientations[np.isfinite(orientations.sum((1, 2)))]
     if not len(R_known):
-        raise ValueError(f"{offset.place.name}: says nothing of how it is turned while standing")
+        raise ValueError(f"{offset.place.name}: has no orientation while standing")
     R = Rotation.from_matrix(R_world_body.T @ R_known)
     spread = float(np.degrees(np.sqrt(np.mean((R.mean().inv() * R).magnitude() ** 2))))
     return replace(offset, orientation=R.mean().as_matrix(), orientation_rms=spread)

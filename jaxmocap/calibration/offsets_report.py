@@ -1,6 +1,6 @@
 """What the calibration of devices found, for people and for programs.
 
-INPUTS: Held devices. OUTPUTS: text with lines for [markers.on]; figures for JSON.
+INPUTS: DeviceOffsets. OUTPUTS: text with lines for [markers.on]; figures for JSON.
 """
 
 from collections.abc import Sequence
@@ -16,13 +16,16 @@ def offsets_text(offsets: Sequence[DeviceOffset]) -> str:
         mm, std = 1e3 * offset.offset, 1e3 * offset.std
         values = ", ".join(f"{a:.1f} ± {b:.1f}" for a, b in zip(mm, std, strict=True))
         lines.append(
-            f"{offset.place.name}: {values} mm from the joint of {offset.place.bone}, which strayed by "
-            f"{1e3 * offset.joint_rms:.1f} mm a second while it turned by {offset.rotation_rms:.0f}°"
+            f"{offset.place.name}: {values} mm from the joint of {offset.place.bone}, which "
+            f"strayed by {1e3 * offset.joint_rms:.1f} mm a second while it rotated by "
+            f"{offset.rotation_rms:.0f}°"
         )
         if offset.orientation is not None:
-            lines.append(f"  held within {offset.orientation_rms:.1f}° while standing (how straight the "
-                         "person stood is not in that)")  # fmt: skip
-        lines += [f"  doubtful: {doubt}" for doubt in offset.warnings]
+            lines.append(
+                f"  orientation within {offset.orientation_rms:.1f}° while standing (how "
+                "straight the person stood is not in that)"
+            )
+        lines += [f"  doubtful: {warning}" for warning in offset.warnings]
     lines += ["", "[markers.on]", *(toml_line(offset) for offset in offsets if not offset.warnings)]
     return "\n".join(lines)
 

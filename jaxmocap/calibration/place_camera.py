@@ -1,13 +1,14 @@
 """Placing a camera in the world: the story of the command, from one photograph to a file.
 
 INPUTS: a photograph; a board and where it stands, or listed points; the calibration file.
-OUTPUTS: rotation and translation in the camera's section, a picture to look at, and a Placed that
-tells what was found.
+OUTPUTS: rotation and translation in the camera's section, a picture to look at, and an
+ExtrinsicsResult.
 """
 
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -117,7 +118,7 @@ def place_camera(
         upside_down: whether the camera hangs upside down, as from a ceiling.
 
     Raises:
-        InputError: files that cannot be used, no board, one whose origin cannot be told, or a
+        InputError: files that cannot be used, no board, one whose origin is ambiguous, or a
             camera that comes out the wrong way up; nothing is written then.
     """
     path, out = Path(image), Path(out)
@@ -126,44 +127,49 @@ def place_camera(
     lens = read_intrinsics(intrinsics or out, camera)
     picture = Picture(path.name, path)
     photo = picture.image()
-    warnings = _photo_size_warnings(path, photo, lens)
-    T_world_board, names, points_world, pixels_xy = _target_points(path, photo, target)
+    size_warnings = _photo_size_warnings(path, photo, lens)
+    points = _target_points(path, photo, target)
     try:
-        placement = estimate_placement(points_world, pixels_xy, lens, upside_down)
+        placement = estimate_placement(points.world, points.pixels_xy, lens, upside_down)
     except ArithmeticError as error:
         raise InputError(target.points or path, str(error)) from None
-    advice = None
-    if T_world_board is not None:
-        advice = advice_on_board_pose(placement.T_cam_world, T_world_board, upside_down)
-    elif placement.warnings:
-        advice = "are the points in the world's axes (Z up, or --up y), and pixels unmirrored?"
-    warnings += [
-        *placement.warnings,
-        *([advice] if advice else []),
-        *_residual_warnings(placement, names),
-    ]
     drawings = []
     if folder is not None:
         board = None
-        if target.board is not None and T_world_board is not None:
-            board = target.board, T_world_board
-        draw = partial(draw_placement, picture, lens, placement, pixels_xy, board)
+        if target.board is not None and points.T_world_board is not None:
+            board = target.board, points.T_world_board
+        draw = partial(draw_placement, picture, lens, placement, points.pixels_xy, board)
         drawings += folder.write(lambda stage: [draw(stage)])
+    advice = _advice(placement, points.T_world_board, upside_down)
     if is_wrong_way_up(placement.T_cam_world, upside_down):
         raise InputError(target.points or path, _refusal(upside_down, advice))
-    place_entries = {
-        "rotation": placement.rotation,
-        "translation": placement.T_cam_world[:3, 3],
-    }
     entries = lens.entries() if intrinsics is not None else {}
-    write_camera(out, camera, entries | place_entries)
+    place = {"rotation": placement.rotation, "translation": placement.T_cam_world[:3, 3]}
+    write_camera(out, camera, entries | place)
+    warnings = (
+        *size_warnings,
+        *placement.warnings,
+        *([advice] if advice else []),
+        *_residual_warnings(placement, points.names),
+    )
     return ExtrinsicsResult(
-        camera, path.name, tuple(names), placement, tuple(warnings), (out, *drawings)
+        camera, path.name, tuple(points.names), placement, warnings, (out, *drawings)
     )
 
 
+def _advice(
+    placement: Placement, T_world_board: np.ndarray | None, upside_down: bool
+) -> str | None:
+    """What to check where a placement is implausible; None where it is not."""
+    if T_world_board is not None:
+        return advice_on_board_pose(placement.T_cam_world, T_world_board, upside_down)
+    if placement.warnings:
+        return "are the points in the world's axes (Z up, or --up y), and pixels unmirrored?"
+    return None
+
+
 def _photo_size_warnings(path: Path, photo: np.ndarray, lens: Intrinsics) -> list[str]:
-    """A remark where the photograph is a little narrower than the calibration, as for videos."""
+    """A warning where the photograph is a little narrower than the calibration, as for videos."""
     size, expected = np.array(photo.shape[1::-1]), lens.size
     if (size == expected).all():
         return []
@@ -173,14 +179,32 @@ def _photo_size_warnings(path: Path, photo: np.ndarray, lens: Intrinsics) -> lis
     return [f"{path.name} {found}: taken as cropped on the right and at the bottom"]
 
 
-def _target_points(
-    path: Path, photo: np.ndarray, target: PlacementTarget
-) -> tuple[np.ndarray | None, list[str], np.ndarray, np.ndarray]:
-    """T_world_board (None with points), names, (N, 3) points in the world, (N, 2) pixels."""
+class _TargetPoints(NamedTuple):
+    """Points at known places in a photograph.
+
+    Attributes:
+        T_world_board: (4, 4) of the board; None with listed points.
+        names: of the N points.
+        world: (N, 3) metres.
+        pixels_xy: (N, 2).
+    """
+
+    T_world_board: np.ndarray | None
+    names: list[str]
+    world: np.ndarray
+    pixels_xy: np.ndarray
+
+
+def _target_points(path: Path, photo: np.ndarray, target: PlacementTarget) -> _TargetPoints:
+    """The points that place the camera, found or read.
+
+    Raises:
+        InputError: no board, or one whose origin is ambiguous.
+    """
     R_world_file = R_WORLD_OF_UP[target.up]
     if target.points is not None:
         names, points, pixels_xy = read_points(target.points)
-        return None, names, points @ R_world_file.T, pixels_xy
+        return _TargetPoints(None, names, points @ R_world_file.T, pixels_xy)
     board = target.board
     if board is None or target.pose is None:
         raise InputError(path, "needs a board and its pose, or a file of points")
@@ -195,11 +219,11 @@ def _target_points(
     T_world_board = T_world_file @ T_file_board
     points_world = corners.points_board @ T_world_board[:3, :3].T + T_world_board[:3, 3]
     names = [f"corner {i}" for i in range(1, len(points_world) + 1)]
-    return T_world_board, names, points_world, pixels_xy
+    return _TargetPoints(T_world_board, names, points_world, pixels_xy)
 
 
 def _ordered(path: Path, corners: Corners, origin_xy: tuple[float, float] | None) -> np.ndarray:
-    """Pixels in the board's order; with a board that looks the same turned, the user tells."""
+    """Pixels in the board's order; with a symmetric board the user states the origin."""
     orders = [corners.pixels_xy, *corners.orders]
     if len(orders) == 1:
         return orders[0]
@@ -224,7 +248,7 @@ def _refusal(upside_down: bool, advice: str | None) -> str:
 
 
 def _residual_warnings(placement: Placement, names: list[str]) -> list[str]:
-    """Sentences about points that do not fit."""
+    """Warnings about points that do not fit."""
     warnings = []
     for i in np.flatnonzero(~placement.used):
         distance = np.linalg.norm(placement.residuals_xy[i])

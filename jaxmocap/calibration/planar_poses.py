@@ -1,7 +1,7 @@
-"""Where a calibrated camera stands to points it sees: both answers where the points are flat.
+"""Where a calibrated camera stands to points it sees: both solutions where the points are flat.
 
-INPUTS: points (metres, any frame), their pixels, a Lens.
-OUTPUTS: Poses, the best first.
+INPUTS: points (metres, any frame), their pixels, Intrinsics.
+OUTPUTS: CameraPoses, the best first.
 
 Of a plane seen with little perspective there are two poses that explain the picture almost equally
 well, mirror images of one another about the line of sight (Collins & Bartoli 2014, IPPE).
@@ -27,7 +27,7 @@ class CameraPose:
     Attributes:
         rvec: (3,) Rodrigues vector.
         tvec: (3,) metres.
-        residuals_xy: (N, 2) reprojected minus seen, pixels.
+        residuals_xy: (N, 2) reprojected minus detected, pixels.
     """
 
     rvec: np.ndarray

@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.body.subject import NECK_HEAD, TRUNK
-from jaxmocap.capture.checks.body_reach import standing_height
+from jaxmocap.capture.checks.body_reach import skeleton_stature
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.toml import TomlTable
 from jaxmocap.formats.recordings.subject import read_subject, static_landmarks, write_subject
@@ -53,8 +53,8 @@ class ScaledBody:
     Attributes:
         skeleton: of the person.
         height: metres.
-        measured_bones: bone -> standard deviation over the frames of the distance that its length was
-            taken from, metres, and their number; bones that nothing was measured of are not there.
+        measured_bones: bone -> standard deviation, metres, over the frames of the distance that its
+            length was taken from, and their number; only of bones that were measured.
         path: of the file written.
     """
 
@@ -151,7 +151,7 @@ def scale_by_static(
         static, "", table | {"wrists": wrists} | ({} if mass is None else {"mass": mass})
     )
     measured = length_deviations(static_landmarks(fields))
-    height = standing_height(skeleton)
+    height = skeleton_stature(skeleton)
     write_subject(out, skeleton, height)
     return ScaledBody(skeleton, height, measured, Path(out))
 

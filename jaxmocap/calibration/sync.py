@@ -5,7 +5,8 @@ the flow at the hands correlates best with their motion. Fine: weighted least sq
 difference, whose derivative by the lag is the hands' acceleration. The standard deviation is that
 over blocks of time drawn with replacement, since what disturbs the flow lasts for several frames.
 
-INPUTS: a Recording. OUTPUTS: a Synced for each video: offset and deviation, or why there is none.
+INPUTS: a Recording. OUTPUTS: a VideoOffset for each video: offset and deviation, or why there is
+none.
 """
 
 from collections.abc import Sequence
@@ -53,9 +54,9 @@ MIN_STD_S = 0.001
 BLOCK_S = 0.25
 # so many times.
 BOOTSTRAP_DRAWS = 200
-# A drift is told where stretches are this far apart, seconds.
+# A drift is estimated where stretches are this far apart, seconds.
 MIN_DRIFT_SPAN_S = 60.0
-# Hands slower than this, pixels per frame, tell nothing.
+# Hands slower than this, pixels per frame, determine no lag.
 MIN_SPEED_PX = 0.5
 
 
@@ -70,7 +71,7 @@ class VideoOffset:
         std: its standard deviation, seconds; NaN likewise.
         correlation: of image and markers at the best lag.
         drift: seconds of marker time gained for each second of video, or NaN where the recording
-            is too short to tell.
+            is too short for one.
         drift_std: its standard deviation.
         reason: why there is no offset; empty where there is one.
     """
@@ -92,7 +93,7 @@ class VideoOffset:
 
 @dataclass(frozen=True)
 class StretchLag:
-    """What one stretch of a video says.
+    """The lag of one stretch of a video.
 
     Attributes:
         middle: of the stretch, seconds of marker time.
@@ -117,14 +118,14 @@ def estimate_video_offsets(recording: Recording, search: float = 1.0) -> list[Vi
         search: seconds about the stated offsets to look in.
 
     Raises:
-        InputError: no video, or no marker that is seen for long enough.
+        InputError: no video, or no marker that is present for long enough.
     """
     where = recording.path or recording.name
     if not recording.videos:
         raise InputError(where, "[[video]] is missing, there is nothing to align with the markers")
     paths = hand_paths(recording.require_markers())
     if not paths:
-        raise InputError(where, "[markers.on]: no marker is seen in four samples or more")
+        raise InputError(where, "[markers.on]: no marker is present in four samples or more")
     return [_sync_video(recording, source, paths, search) for source in recording.videos]
 
 
@@ -198,7 +199,7 @@ def correlation(terms: FlowPair) -> float:
 def _why_unidentifiable(
     flow: HandFlow, lags: np.ndarray, scores: np.ndarray, best: int, search: float
 ) -> str:
-    """Why the best lag says nothing; empty where it does."""
+    """Why the best lag is no estimate; empty where it is one."""
     predicted = flow.flow_pair(float(lags[best])).predicted
     if not np.isfinite(predicted).any():
         return "not identifiable: the image does not show the hands"
@@ -264,7 +265,7 @@ def _blocks(times: np.ndarray) -> np.ndarray:
 
 
 def _bootstrap_counts(count: int) -> np.ndarray:
-    """(DRAWS, count) how often each block is drawn."""
+    """(BOOTSTRAP_DRAWS, count) how often each block is drawn."""
     return np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), BOOTSTRAP_DRAWS)
 
 
@@ -283,7 +284,7 @@ def combine_lags(source: VideoSource, lags_found: Sequence[StretchLag]) -> Video
     )
     weights = 1 / stds**2
     lag, std = float(weights @ lags / weights.sum()), float(weights.sum() ** -0.5)
-    # Stretches that disagree by more than they should make all of them less sure.
+    # Stretches that disagree by more than they should raise the deviation of all.
     chi2 = float(weights @ (lags - lag) ** 2) / max(len(good) - 1, 1)
     drift = drift_std = float("nan")
     if len(good) > 1 and np.ptp(middles) >= MIN_DRIFT_SPAN_S:

@@ -1,6 +1,6 @@
 """Whether views of a board are enough: how many, how different, and where in the image.
 
-INPUTS: Views, Intrinsics. OUTPUTS: reasons to refuse, Coverage, words of warning.
+INPUTS: BoardViews, an IntrinsicsEstimate. OUTPUTS: reasons to refuse, ImageCoverage, warnings.
 """
 
 from collections.abc import Sequence
@@ -12,11 +12,11 @@ import numpy as np
 from jaxmocap.calibration.intrinsics import BoardView, IntrinsicsEstimate
 from jaxmocap.formats.cameras.calibration import Intrinsics
 
-# Fewer views are said to be few.
+# Fewer views get a warning.
 MIN_VIEWS_ADVISED = 10
-# A focal length known worse than this part of itself is not known.
+# Largest standard deviation of a focal length, as a share of it.
 MAX_FOCAL_STD = 0.02
-# A principal point known worse than this part of the image is said to be uncertain.
+# A principal point with a larger standard deviation, as a share of the image, gets a warning.
 MAX_CENTRE_STD = 0.002
 # Names of the image's ninths, in which corners are counted.
 _ROWS = ("top", "middle", "bottom")
@@ -26,7 +26,7 @@ _MASK_SIDE = 200
 
 @dataclass(frozen=True)
 class ImageCoverage:
-    """Where in the image boards were seen.
+    """Where in the image boards were detected.
 
     Attributes:
         share: of the image that was within a board's corners at least once, 0 to 1.
@@ -70,7 +70,7 @@ def why_undetermined(result: IntrinsicsEstimate) -> str | None:
 
 
 def intrinsics_warnings(result: IntrinsicsEstimate, coverage: ImageCoverage) -> list[str]:
-    """Plain words on what the figures mean."""
+    """Warnings on what the figures mean."""
     warnings = []
     few = sum(result.used) < MIN_VIEWS_ADVISED or coverage.empty
     centre = result.max_std[2:4]
@@ -86,7 +86,7 @@ def intrinsics_warnings(result: IntrinsicsEstimate, coverage: ImageCoverage) -> 
     if ratio.max() > 1.5:
         warnings.append(
             "leaving out one view changes the result by more than the corners' noise explains: "
-            "trust the jackknife's standard deviations (the board may be bent, or a view blurred)"
+            "use the jackknife's standard deviations (the board may be bent, or a view blurred)"
         )
     if result.rms > 1.0:
         warnings.append(
@@ -99,7 +99,7 @@ def intrinsics_warnings(result: IntrinsicsEstimate, coverage: ImageCoverage) -> 
             "near the image's edges will be misplaced; show the board there, or try --distortions 2"
         )
     if coverage.empty:
-        warnings.append(f"no corner was seen at the image's {', '.join(coverage.empty)}")
+        warnings.append(f"no corner was detected at the image's {', '.join(coverage.empty)}")
     if sum(result.used) < MIN_VIEWS_ADVISED:
         warnings.append(f"{sum(result.used)} views are few: 10 to 20 are better")
     return warnings

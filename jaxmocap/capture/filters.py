@@ -1,7 +1,7 @@
 """What may be done to markers before they are tracked: outliers, gaps, low-pass.
 
 INPUTS: a Recording and what its Filters ask for.
-OUTPUTS: the Recording with other positions, and a Cleaning that says where and what.
+OUTPUTS: the Recording with other positions, and a Cleaning: which filter changed which sample.
 """
 
 from dataclasses import dataclass, replace
@@ -173,7 +173,7 @@ def find_outliers(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
 
 
 def _far_off(windows: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """(N,) is one of the coordinates (N, 3) far from the median of its window (N, 3, W)?"""
+    """(N,) whether one of the coordinates (N, 3) is far from the median of its window (N, 3, W)."""
     middle = np.nanmedian(windows, -1)
     spread = MAD_TO_STD * np.nanmedian(np.abs(windows - middle[..., None]), -1)
     allowed = np.maximum(HAMPEL_DEVIATIONS * spread, HAMPEL_FLOOR_M)
@@ -203,7 +203,7 @@ def fill_gaps(times: np.ndarray, positions: np.ndarray, longest: float) -> np.nd
 def _hermite(
     times: np.ndarray, path: np.ndarray, present: np.ndarray, before: int, after: int
 ) -> np.ndarray:
-    """(K, 3) Hermite's cubic at the samples between two that are seen; a line where no slope is."""
+    """(K, 3) Hermite's cubic at the samples between two present ones; a line where no slope is."""
     row = int(np.searchsorted(present, before))
     ends = (present[max(0, row + 1 - SLOPE_SAMPLES) : row + 1], present[row + 1 :][:SLOPE_SAMPLES])
     span = times[after] - times[before]
@@ -255,7 +255,7 @@ def butterworth_low_pass(times: np.ndarray, positions: np.ndarray, cutoff: float
 
 
 def _runs(times: np.ndarray, is_present: np.ndarray) -> list[np.ndarray]:
-    """Rows that are seen and follow one another without a gap, run by run."""
+    """Rows that are present and follow one another without a gap, run by run."""
     rows = np.flatnonzero(is_present)
     breaks = (np.diff(rows) > 1) | (np.diff(times[rows]) > GAP_INTERVALS * median_interval(times))
     return [run for run in np.split(rows, np.flatnonzero(breaks) + 1) if len(run) > 1]
@@ -268,8 +268,8 @@ def _check_cutoff(recording: Recording, cutoff: float) -> None:
     if cutoff >= highest:
         raise InputError(
             recording.path or recording.name,
-            f"[markers.filters] butterworth: found {cutoff:g} Hz, expected less than {highest:.3g} Hz "
-            f"for {1 / interval if interval else 0:.3g} samples per second",
+            f"[markers.filters] butterworth: found {cutoff:g} Hz, expected less than "
+            f"{highest:.3g} Hz for {1 / interval if interval else 0:.3g} samples per second",
         )
 
 

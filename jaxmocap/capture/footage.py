@@ -17,7 +17,7 @@ from jaxmocap.formats.recordings.recording import Recording
 
 
 def open_footage(recording: Recording) -> tuple[list[FrameSource], tuple[str, ...]]:
-    """Every video of a recording, and what a user should be told of the recording.
+    """Every video of a recording, and warnings about the recording.
 
     Raises:
         InputError: what is not a video, does not fit its calibration, or shares no time with the

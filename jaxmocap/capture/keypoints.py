@@ -1,7 +1,7 @@
 """2-D key points of a video: lined up with its frames, and whose they are.
 
 INPUTS: Detections (frame numbers, everybody in each frame), a video, where some landmarks of the
-tracked person are known to be.
+tracked person are predicted.
 OUTPUTS: Keypoints, one row per frame of the video; the tracked person's own pixels and confidences.
 """
 
@@ -19,7 +19,7 @@ from jaxmocap.formats.recordings.keypoints import Detections, check_keypoint_cou
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera
 
-# A detection further than this from where a landmark is known to be is not of that landmark.
+# A detection further than this from where a landmark is predicted is not of that landmark.
 GATE_M = 0.25
 
 
@@ -69,21 +69,14 @@ def align_detections(detections: Detections, frames: int, first: int | None = No
         first: the number of the video's first frame, where it is stated.
 
     Raises:
-        InputError: numbers that do not tell the first frame, or none of them in the video.
+        InputError: numbers from which the first frame cannot be inferred, or none of them in the
+            video.
     """
-    smallest, largest = int(detections.numbers[0]), int(detections.numbers[-1])
-    if first is None:
-        span = largest - smallest + 1
-        if span != frames and (smallest not in (0, 1) or span > frames):
-            raise InputError(
-                detections.name,
-                f"found key points of frames {smallest} to {largest} for a video of {frames} "
-                "frames; state keypoints_first in [[video]], the number of its first frame",
-            )
-        first = smallest
+    first = _first_number(detections, frames) if first is None else first
     rows = detections.numbers - first
     inside = (rows >= 0) & (rows < frames)
     if not inside.any():
+        smallest, largest = detections.numbers[[0, -1]].tolist()
         raise InputError(
             detections.name,
             f"found key points of frames {smallest} to {largest}, but the video has "
@@ -96,26 +89,43 @@ def align_detections(detections: Detections, frames: int, first: int | None = No
     confidences[rows[inside]] = detections.confidences[inside]
     warnings = detections.warnings
     if inside.sum() < frames:
-        said = f"key points of {inside.sum()} of the video's {frames} frames"
-        warnings += (f"{detections.name}: {said}",)
+        warning = f"key points of {inside.sum()} of the video's {frames} frames"
+        warnings += (f"{detections.name}: {warning}",)
     return Keypoints(detections.landmarks, pixels_xy, confidences, warnings)
 
 
-def choose_person(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: float) -> int:
-    """Which of the people in a frame is the one whose landmarks are known.
+def _first_number(detections: Detections, frames: int) -> int:
+    """The number of a video's first frame, inferred from the detections' numbers.
 
-    The one with the smallest mean distance over the known landmarks, where each counts at most as
-    much as the gate, and as much where it was not detected: neither a swapped wrist nor a person
-    of whom little is seen decides.
+    Raises:
+        InputError: the numbers leave it open.
+    """
+    smallest, largest = detections.numbers[[0, -1]].tolist()
+    span = largest - smallest + 1
+    if span != frames and (smallest not in (0, 1) or span > frames):
+        raise InputError(
+            detections.name,
+            f"found key points of frames {smallest} to {largest} for a video of {frames} "
+            "frames; state keypoints_first in [[video]], the number of its first frame",
+        )
+    return smallest
+
+
+def choose_person(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: float) -> int:
+    """Which of the people in a frame is the one whose landmarks are predicted.
+
+    The one with the smallest mean distance over the predicted landmarks, where each counts at most
+    as much as the gate, and as much where it was not detected: neither a swapped wrist nor a person
+    of whom little is detected decides.
 
     Args:
         pixels_xy: (N, P, 2) the people's points; NaN where missing.
-        predicted_xy: (P, 2) where the landmarks must be; NaN where not known.
+        predicted_xy: (P, 2) where the landmarks must be; NaN where there is no prediction.
         gate_px: pixels; a detection further away is not of that landmark.
 
     Returns:
         The person's index, or -1 where nobody has two landmarks within the gate (one, where no
-        more are known).
+        more are predicted).
     """
     pixels_xy, predicted_xy = np.asarray(pixels_xy, float), np.asarray(predicted_xy, float)
     is_known = np.isfinite(predicted_xy).all(-1)
@@ -164,7 +174,7 @@ def select_person(
 def marked_landmarks(
     recording: Recording, landmarks: Sequence[str], at: np.ndarray, causal: bool = False
 ) -> np.ndarray:
-    """Where those landmarks are that a marker sits on: what tells the tracked person by.
+    """Where those landmarks are that a marker sits on: what the tracked person is selected by.
 
     Args:
         recording: with its markers; their offsets, some centimetres, are left out.
@@ -173,7 +183,7 @@ def marked_landmarks(
         causal: use no marker sample later than each time.
 
     Returns:
-        (F, P, 3) metres, world; NaN where there is no marker or it is not seen.
+        (F, P, 3) metres, world; NaN where there is no marker or it is missing.
     """
     positions = interpolate_markers(recording.times, recording.positions_world, at, causal)
     points = np.full((len(at), len(landmarks), 3), np.nan)

@@ -1,7 +1,7 @@
 """Markers at any time, between the samples that were taken.
 
 INPUTS: sample times (T,) in seconds, positions (T, M, 3) with NaN where missing, times to look at.
-OUTPUTS: positions (K, M, 3) at those times; NaN where they are not known.
+OUTPUTS: positions (K, M, 3) at those times; NaN where they are missing.
 """
 
 import numpy as np

@@ -18,7 +18,7 @@ from jaxmocap.formats.recordings.filters import OneEuroSettings
 # The speed is low-passed here, Hz. The paper's 1 Hz lets a stroke run ahead by 13 mm before its
 # speed is believed; so it is 4 mm.
 SPEED_CUTOFF_HZ = 5.0
-# A marker missing for longer begins anew, seconds.
+# A marker missing for longer starts again, seconds.
 FORGET_AFTER_S = 0.2
 
 
@@ -26,7 +26,7 @@ class OneEuroState(NamedTuple):
     """What the filter remembers of each marker.
 
     Attributes:
-        times: (M,) seconds when it was last seen; NaN before.
+        times: (M,) seconds of its last position; NaN before.
         positions: (M, 3) metres, filtered, then.
         velocities: (M, 3) metres per second, low-passed, then.
     """

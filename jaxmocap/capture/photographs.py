@@ -23,7 +23,7 @@ from jaxmocap.formats.files.reading import open_regular, read_bytes
 from jaxmocap.formats.files.writing import write_bytes
 from jaxmocap.geometry.cameras import Camera
 
-# More than 8K video has; what looks for a board takes some thirty bytes for each.
+# More than 8K video has; the search for a board takes some thirty bytes for each.
 MAX_PIXELS = 50_000_000
 _STANDARD_ERROR = 2
 
@@ -113,7 +113,7 @@ def write_picture(path: str | Path, picture: np.ndarray) -> Path:
     """Write a picture (H, W, 3), BGR uint8, in the format that the path's suffix names.
 
     Raises:
-        OutputError: it cannot be written whole; what was there before is as it was.
+        OutputError: it cannot be written completely; what was there before is as it was.
     """
     write_bytes(path, cv2.imencode(Path(path).suffix, picture)[1].tobytes())
     return Path(path)

@@ -1,7 +1,7 @@
 """Video: frames with their times, from a file or from memory.
 
 INPUTS: a video file, or times and images; seconds to add to video time to get marker time.
-OUTPUTS: frame times in seconds of marker time, known without decoding, and the frames themselves,
+OUTPUTS: frame times in seconds of marker time, found without decoding, and the frames themselves,
 None where one cannot be decoded.
 """
 
@@ -326,7 +326,7 @@ def _frame_index(stamps: np.ndarray, stamp: int | None) -> int:
 
 
 def image_of(frame: VideoFrame, luma: bool) -> np.ndarray:
-    """A frame as BGR or grey array, upright as its file says that it shall be shown."""
+    """A frame as BGR or grey array, rotated upright as its file states."""
     if luma and frame.format.name in ("yuv420p", "yuvj420p", "nv12", "gray"):
         plane = frame.planes[0]
         # A plane is a buffer, which its type stubs do not say.

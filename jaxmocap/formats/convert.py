@@ -5,7 +5,7 @@ OUTPUTS: another of the same kind, or the joints of a motion as markers; what wa
 on the way, as sentences.
 
 Markers keep the axes of their file. Motions are Y up in .bvh and .glb and Z up elsewhere, and are
-turned; joints made from them are Z up, as ``joints.trc`` is.
+rotated; joints made from them are Z up, as ``joints.trc`` is.
 """
 
 from dataclasses import dataclass, field, replace
@@ -53,7 +53,7 @@ class ConversionOptions:
     Attributes:
         names: convention of the joints' names, one of ``CONVENTIONS``; None is customary for the
             target, or what the source says.
-        unit: of the BVH file, of the one written if both are; None is metres when written, told
+        unit: of the BVH file, of the one written if both are; None is metres when written, inferred
             by the body's size when read.
         rate: samples per second of the target; None keeps the source's times.
         body: file whose skeleton the angles of a .mot are of; None where the source has one.
@@ -69,7 +69,7 @@ class ConversionOptions:
 
 @dataclass
 class _Conversion:
-    """A conversion under way, and what it has to say."""
+    """A conversion under way, and its warnings."""
 
     source: Path
     target: Path
@@ -96,9 +96,8 @@ def convert_file(
             expected = ", ".join((*MARKER_SUFFIXES, *MOTION_SUFFIXES))
             raise InputError(path, f"unknown suffix {kind!r}, expected one of {expected}")
     if kinds[0] in MARKER_SUFFIXES and kinds[1] in MOTION_SUFFIXES:
-        problem = (
-            f"cannot be made from {conversion.source}: places of markers are not turns of bones"
-        )
+        found = "positions of markers, not orientations of bones"
+        problem = f"cannot be made from {conversion.source}: {found}"
         raise InputError(target, f"{problem} (jaxmocap track finds those)")
     _check_options(conversion, *kinds)
     if kinds[0] in MARKER_SUFFIXES:
@@ -146,7 +145,7 @@ def _write_markers(conversion: _Conversion, markers: Markers) -> None:
         markers = resampled_markers(markers, times)
     if markers.orientations is not None and kind != ".csv":
         conversion.warnings.append(
-            f"left out: how the markers are turned, which {kind} does not hold"
+            f"left out: the markers' orientations, which {kind} does not hold"
         )
     try:
         if kind == ".c3d":
@@ -257,14 +256,14 @@ def _write_motion(conversion: _Conversion, motion: Motion) -> None:
         (write_isb if isb else write_mot)(conversion.target, motion)
         if isb:
             conversion.warnings.append(
-                "left out: where the pelvis is, and what ISB's angles do not tell"
+                "left out: where the pelvis is, and what ISB's angles leave open"
             )
         conversion.warnings.append("left out: the body, and the report where there is one")
 
 
 def _joints_as_markers(conversion: _Conversion, motion: Motion | Armature) -> Markers:
     """Where the joints are, as markers: landmarks of a motion of ours, else all joints."""
-    conversion.warnings.append("left out: how the bones are turned")
+    conversion.warnings.append("left out: the bones' orientations")
     if isinstance(motion, Motion):
         names, points = tuple(landmark_names(conversion.options.names).values()), motion.joints()
         return Markers(motion.times, names, np.stack(list(points.values()), 1).astype(float))

@@ -1,7 +1,7 @@
 """NPZ: a Motion as NumPy arrays, readable without this package and without pickle.
 
 INPUTS: a Motion; or a .npz file that was written here.
-OUTPUTS: a .npz file whose arrays are named ``times``, ``pose.position_world_of``, ``skeleton.lengths``,
+OUTPUTS: a .npz file whose arrays are named ``times``, ``pose.position``, ``skeleton.lengths``,
 ``tree.bones``, ``report.confidence`` and so on; or the Motion.
 """
 
@@ -211,7 +211,7 @@ def _check_body(path: str | Path, body: dict[str, np.ndarray]) -> None:
 
 
 def _check_units(path: str | Path, name: str, vectors: np.ndarray) -> None:
-    """InputError unless every vector (N, K) that is known is of length 1."""
+    """InputError unless every vector (N, K) that is not NaN is of length 1."""
     lengths = np.linalg.norm(vectors, axis=-1)
     is_off = np.abs(lengths - 1) > _UNIT_TOLERANCE
     if is_off.any():
@@ -220,7 +220,7 @@ def _check_units(path: str | Path, name: str, vectors: np.ndarray) -> None:
 
 
 def _report(file: NpzArrays, count: int) -> Report:
-    """How far to trust each of so many samples."""
+    """The report on so many samples: errors, costs, standard deviations, statuses."""
     arrays = file.read(_REPORT_SPECS)
     stages = [name for name in file.names if name.startswith(_STAGE_PREFIX)]
     spent = file.read(dict.fromkeys(stages, _MILLISECONDS_SPEC))

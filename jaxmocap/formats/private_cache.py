@@ -1,4 +1,4 @@
-"""Files that a program keeps for its later starts, in a folder that only their user can write to.
+"""A cache of files for later runs, in a folder that only its user can write to.
 
 INPUTS: a folder, a name, a key and bytes. OUTPUTS: the same bytes later on, or None: whatever was
 changed, cut off, exchanged or put there by another user is not read, and can be made again.
@@ -25,7 +25,7 @@ FILE_MODE = 0o600
 
 
 class PrivateCache:
-    """A folder, and what is kept in it.
+    """A folder of sealed files.
 
     Attributes:
         folder: that holds the files.
@@ -42,7 +42,7 @@ class PrivateCache:
         self.folder, self._root, self._warn = root / name, root, warn
 
     def read(self, name: str, key: str) -> bytes | None:
-        """What was written by that name and that key; None if it is not there or not whole."""
+        """What was written by that name and that key; None if it is not there or damaged."""
         path = self.folder / name
         if not self._is_own(self._root, self.folder, path):
             return None
@@ -101,7 +101,7 @@ def others_can_write(path: Path) -> str | None:
 
 
 def _seal(key: str, content: bytes) -> bytes:
-    """What a file begins with: it tells another key's content from this one's."""
+    """What a file begins with: another key's content has another seal."""
     digest = hashlib.sha256(hashlib.sha256(key.encode()).digest())
     digest.update(content)
     return MAGIC + digest.digest()

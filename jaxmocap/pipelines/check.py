@@ -6,7 +6,7 @@ INPUTS: a Recording. OUTPUTS: plain text; a dict for JSON; InputError where trac
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from jaxmocap.capture.checks.body_reach import standing_height
+from jaxmocap.capture.checks.body_reach import skeleton_stature
 from jaxmocap.capture.checks.cameras import MarkerVisibility, check_recording, marker_visibility
 from jaxmocap.capture.checks.markers import Finding
 from jaxmocap.capture.footage import open_unchecked
@@ -35,7 +35,7 @@ class Checked:
         """Plain figures: metres, seconds, samples per second."""
         times, interval = self.recording.times, median_interval(self.recording.times)
         return {
-            "stature_m": standing_height(self.recording.skeleton),
+            "stature_m": skeleton_stature(self.recording.skeleton),
             "samples": len(times),
             "start_s": float(times[0]),
             "end_s": float(times[-1]),

@@ -113,7 +113,7 @@ def test_what_is_not_known_of_a_clip_is_left_out_or_refused():
     turns["Headset"][:], turns["LeftController"][:] = np.nan, np.nan
     (held,) = estimate_offsets(markers_of(points, turns), PLACES)
     assert held.place.name == "RightController"
-    with pytest.raises(ValueError, match="no marker says how it is turned"):
+    with pytest.raises(ValueError, match="no marker has an orientation"):
         estimate_offsets(Markers(TIMES, markers.names, markers.positions), PLACES)
     doubted = found(seed=1, swing_deg=(35.0, 0.0, 0.0))["Headset"]
     assert offsets_text([doubted]).endswith("[markers.on]")

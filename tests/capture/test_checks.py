@@ -14,7 +14,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.capture.checks.body_reach import (
     max_marker_distances,
-    standing_height,
+    skeleton_stature,
     standing_points,
 )
 from jaxmocap.capture.checks.cameras import check_recording, project_to_pixels
@@ -339,8 +339,8 @@ def test_the_standing_body_is_the_one_of_the_kinematics(sound):
     )
     points = standing_points(skeleton, FIVE)
     np.testing.assert_allclose(np.ptp(points - np.asarray(expected), axis=0), 0, atol=1e-6)
-    assert standing_height(skeleton) == pytest.approx(1.75, abs=0.06)
-    assert points[0, 2] == pytest.approx(standing_height(skeleton))
+    assert skeleton_stature(skeleton) == pytest.approx(1.75, abs=0.06)
+    assert points[0, 2] == pytest.approx(skeleton_stature(skeleton))
 
 
 def test_reach_is_the_length_of_the_stretched_body():

@@ -91,7 +91,7 @@ def test_joints_of_any_motion_become_markers_with_z_up(folder, source, target):
         )
     wanted = ConversionOptions(names="smpl")
     notes = convert_file(folder / f"motion.{source}", folder / f"joints.{target}", wanted)
-    assert notes == ["left out: how the bones are turned"]
+    assert notes == ["left out: the bones' orientations"]
     markers, joints = read_markers(folder / f"joints.{target}").points(), moving_body().joints()
     for ours, theirs in (("elbow_l", "left_elbow"), ("hip_r", "right_hip"), ("neck", "neck")):
         np.testing.assert_allclose(markers[theirs], joints[ours], atol=1e-5)
@@ -156,7 +156,7 @@ def test_what_cannot_be_converted_is_refused_in_one_sentence(folder, recordings)
     convert_file(folder / "motion.npz", folder / "a.trc")
     convert_file(folder / "motion.npz", folder / "a.mot")
     convert_file(folder / "motion.npz", folder / "a.bvh", ConversionOptions(names="smpl"))
-    assert "places of markers are not turns of bones" in complaint("a.trc", "b.bvh")
+    assert "positions of markers, not orientations of bones" in complaint("a.trc", "b.bvh")
     assert "unknown suffix '.fbx', expected one of .c3d, .trc" in complaint("a.trc", "b.fbx")
     assert "angles without bones" in complaint("a.mot", "b.bvh")
     assert "expected a .npz, .bvh or .glb" in complaint("a.mot", "b.bvh", body=folder / "a.trc")
@@ -174,7 +174,7 @@ def test_what_cannot_be_converted_is_refused_in_one_sentence(folder, recordings)
     turning = [n for n in armature.names if not n.endswith("_end")]
     values[3 + 3 * turning.index("left_wrist") + 1] = "50"
     (folder / "d.bvh").write_text("\n".join([*lines[:-1], " ".join(values)]))
-    assert "hand_l at 0.983333 s: turned" in complaint("d.bvh", "b.npz")
+    assert "hand_l at 0.983333 s: rotated" in complaint("d.bvh", "b.npz")
     shifted = text.replace("JOINT left_shoulder\n", "JOINT left_shoulder\n", 1)
     i = shifted.index("OFFSET", shifted.index("JOINT left_collar"))
     shifted = shifted[:i] + "OFFSET 0.05 0.2 0.0" + shifted[shifted.index("\n", i) :]

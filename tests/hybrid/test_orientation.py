@@ -1,4 +1,4 @@
-"""Markers that know how they are turned: files, places on the body, wrists, outputs."""
+"""Markers with orientations: files, places on the body, wrists, outputs."""
 
 from dataclasses import replace
 from functools import partial
@@ -93,7 +93,7 @@ def test_converting_keeps_turns_or_says_that_it_does_not(tmp_path):
         Rotation.from_matrix(read_csv(tmp_path / "b.csv").known_orientations()["A"]).as_rotvec()
     )
     np.testing.assert_allclose(yaw[:, 2], np.arange(0, 41, 5), atol=1e-3)
-    assert "how the markers are turned" in convert_file(tmp_path / "a.csv", tmp_path / "b.trc")[0]
+    assert "the markers' orientations" in convert_file(tmp_path / "a.csv", tmp_path / "b.trc")[0]
 
 
 # Rigid sets --------------------------------------------------------------------------------------
@@ -205,8 +205,8 @@ def test_where_it_is_not_known_how_a_marker_is_turned_its_point_is_missing():
         ({"turn": [0, 0, 0, 0]}, "turn: found a quaternion of length 0, expected 1"),
         ({"turn": [1, 0, 0]}, "expected a quaternion w, x, y, z"),
         ({"lever": 0.2}, "expected metres above 0 beside 'turn'"),
-        ({"turn": [1.0, 0, 0, 0]}, "turn needs to know how the marker is turned"),
-        ({"offset_in": "marker"}, "offset_in = 'marker' needs to know how the marker is turned"),
+        ({"turn": [1.0, 0, 0, 0]}, "turn needs the marker's orientation"),
+        ({"offset_in": "marker"}, "offset_in = 'marker' needs the marker's orientation"),
         ({"bone": "wing"}, "unknown bone 'wing'"),
     ],
 )

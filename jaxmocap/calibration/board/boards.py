@@ -61,7 +61,7 @@ class Board:
 
     @property
     def symmetry_order(self) -> int:
-        """In how many ways it can be turned and look the same: 1, 2 (half turns) or 4."""
+        """Order of its rotational symmetry: 1, 2 (half turns) or 4."""
         if self.dictionary is not None or (self.columns + self.rows) % 2:
             return 1
         return 4 if self.columns == self.rows else 2

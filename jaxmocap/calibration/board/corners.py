@@ -21,17 +21,17 @@ _CROP_MARGIN = 0.25
 _MAX_PLANARITY_ERROR = 0.1
 # Fewer corners of a ChArUco board say too little of its place.
 _MIN_CHARUCO_CORNERS = 8
-# Frames of a video are looked through at this length of the longer side, pixels.
+# Frames of a video are searched at this length of the longer side, pixels.
 _COARSE_SIDE = 800
 
 
 @dataclass(frozen=True)
 class Corners:
-    """Corners of a board seen in one picture.
+    """Corners of a board detected in one picture.
 
     Attributes:
         points_board: (N, 3) in the board's frame, metres.
-        pixels_xy: (N, 2) where they are seen.
+        pixels_xy: (N, 2) where they are detected.
         orders: other readings of the same corners, (N, 2) each, where the board looks the same
             when it is turned.
     """
@@ -131,7 +131,7 @@ def _in_board_order(grey: np.ndarray, pixels_xy: np.ndarray, board: Board) -> Co
         orders_grid += [np.rot90(grid), np.rot90(grid, 3)]
     if board.symmetry_order == 1:
         orders_grid = [max(orders_grid, key=lambda order: _darkness(grey, order))]
-    # Where it cannot be told, the corner lowest and leftmost in the picture comes first.
+    # Where the order is ambiguous, the corner lowest and leftmost in the picture comes first.
     orders_grid.sort(key=lambda order: order[0, 0, 0] - order[0, 0, 1])
     orders = [order.reshape(-1, 2).copy() for order in orders_grid]
     return Corners(board.points_board, orders[0], tuple(orders[1:]))

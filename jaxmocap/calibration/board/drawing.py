@@ -1,6 +1,6 @@
 """What a calibration found, drawn on the photographs to look at.
 
-INPUTS: images, corners seen and reprojected, a board's pose. OUTPUTS: BGR images; JPEG files.
+INPUTS: images, corners detected and reprojected, a board's pose. OUTPUTS: BGR images; JPEG files.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ DETECTED_COLOUR = (90, 230, 90)
 REPROJECTED_COLOUR = (60, 60, 255)
 RESIDUAL_COLOUR = (0, 220, 255)
 AXIS_COLOURS = {"x": (60, 60, 255), "y": (90, 230, 90), "z": (255, 150, 50)}
-LEGEND = "green: seen, red: reprojected, yellow: residuals x {}"
+LEGEND = "green: detected, red: reprojected, yellow: residuals x {}"
 WHITE = (255, 255, 255)
 GREY = (70, 70, 70)
 # Longer side of what is drawn, pixels.
@@ -87,13 +87,13 @@ class AnnotatedPicture:
         self.text(text, np.array([10, 24.0 * self._rows]) / self.scale, WHITE)
 
     def corners(self, pixels_xy: np.ndarray) -> None:
-        """Corners as they were seen, a thin line through them in their order."""
+        """Detected corners, a thin line through them in their order."""
         for start, end in pairwise(pixels_xy):
             self.line(start, end, DETECTED_COLOUR, 1)
         self.dots(pixels_xy)
 
     def dots(self, pixels_xy: np.ndarray) -> None:
-        """Points as they were seen."""
+        """Detected points."""
         for pixel in pixels_xy:
             self.dot(pixel, DETECTED_COLOUR, 5, 1)
 

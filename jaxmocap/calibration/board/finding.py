@@ -1,7 +1,7 @@
-"""Looking for a board in many pictures.
+"""Finding a board in many pictures.
 
-INPUTS: photographs or videos, a Board. OUTPUTS: Found: views that differ, and which pictures show
-no board or nothing new.
+INPUTS: photographs or videos, a Board. OUTPUTS: BoardDetections: views that differ, and which
+pictures show no board or nothing new.
 """
 
 from collections.abc import Sequence
@@ -29,17 +29,17 @@ _MAX_NAMED = 8
 
 @dataclass(frozen=True)
 class BoardDetections:
-    """A board in pictures.
+    """Where a board was found in pictures.
 
     Attributes:
         where: the pictures in a few words, for messages.
         board: that was looked for.
-        pictures: all that were looked at.
+        pictures: all that were searched.
         size: width and height that all have, pixels.
         views: the board's corners, each different view once.
         not_found: names of the pictures without a board.
         duplicates: names of the pictures that show the same as an earlier one.
-        warnings: what is to be said of videos.
+        warnings: a sentence for each video.
     """
 
     where: str

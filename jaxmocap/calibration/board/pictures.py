@@ -48,7 +48,7 @@ class Picture:
 
 
 def open_pictures(paths: Sequence[str | Path], board: Board) -> tuple[list[Picture], list[str]]:
-    """Pictures of files in their order, and what is to be said of videos.
+    """Pictures of files in their order, and a warning for each video.
 
     Raises:
         InputError: a file that is missing, or neither an image nor a video.
@@ -61,7 +61,7 @@ def open_pictures(paths: Sequence[str | Path], board: Board) -> tuple[list[Pictu
         if path.is_dir():
             raise InputError(path, "is a folder, expected images or a video")
         if is_picture_file(path):
-            # All are looked at before any work begins.
+            # All are read before any work begins.
             read_picture(path)
             pictures.append(Picture(path.name if alone else str(path), path))
             continue
@@ -140,10 +140,10 @@ def _sharpness(grey: np.ndarray, pixels_xy: np.ndarray) -> float:
 
 
 def _features(pixels_xy: np.ndarray, board: Board, grey: np.ndarray) -> np.ndarray:
-    """(7,) where the board is, how large, how turned, how foreshortened along x and y.
+    """(7,) where the board is, how large, its direction, how foreshortened along x and y.
 
-    In units of the image; foreshortening (opposite sides that differ in length) is what tells the
-    focal length, so it counts double.
+    In units of the image; foreshortening (opposite sides that differ in length) is what determines
+    the focal length, so it counts double.
     """
     grid = pixels_xy.reshape(board.rows, board.columns, 2)
     sides = [grid[0, -1] - grid[0, 0], grid[-1, -1] - grid[-1, 0]]

@@ -1,6 +1,6 @@
 """The pictures that a calibration leaves to look at.
 
-INPUTS: Found boards and Intrinsics, or a Placement. OUTPUTS: JPEG files in a folder.
+INPUTS: BoardDetections and an IntrinsicsEstimate, or a Placement. OUTPUTS: JPEG files in a folder.
 """
 
 from collections.abc import Iterable
@@ -33,7 +33,7 @@ _BOARD_AXES_SQUARES = 2
 def picture_folder(
     directory: str | Path | None, kind: str, inputs: Iterable[str | Path]
 ) -> OutputFolder | None:
-    """The folder for a calibration's pictures, looked at before any work; None without one.
+    """The folder for a calibration's pictures, checked before any work; None without one.
 
     Raises:
         InputError: it cannot be written to, or holds one of the inputs.
@@ -125,7 +125,7 @@ def draw_placement(
         picture: the photograph.
         lens: of the camera.
         placement: of the camera.
-        pixels_xy: (N, 2) where points were seen.
+        pixels_xy: (N, 2) where points were detected.
         board: and its T_world_board; None with listed points.
         folder: to write to.
     """

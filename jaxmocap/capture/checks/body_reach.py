@@ -1,4 +1,4 @@
-"""How a body stands and how far it reaches, for what its markers are held against.
+"""How a body stands and how far it reaches, against which its markers are checked.
 
 INPUTS: a Skeleton and the places of markers on it.
 OUTPUTS: heights (M,) of the markers on somebody who stands, arms hanging; largest distances (M, M)
@@ -24,7 +24,7 @@ def standing_points(skeleton: Skeleton, places: Sequence[MarkerPlace]) -> np.nda
     return joints[bones] + along + offsets - [0.0, 0.0, _sole_and_vertex(joints, vectors)[0]]
 
 
-def standing_height(skeleton: Skeleton) -> float:
+def skeleton_stature(skeleton: Skeleton) -> float:
     """How tall the skeleton stands, metres, from sole to vertex."""
     vectors = _bone_vectors(skeleton)
     sole, vertex = _sole_and_vertex(_joints(skeleton, vectors), vectors)

@@ -24,7 +24,7 @@ from jaxmocap.geometry.cameras import NEAREST_M, Camera
 
 # Nobody is filmed from further away; a calibration in millimetres puts the camera there.
 MAX_DISTANCE_M = 150.0
-# How far below the floor, which is known to some centimetres, a camera may come out.
+# How far below the floor, which is uncertain by some centimetres, a camera may come out.
 MAX_BELOW_FLOOR_M = 0.15
 # Share of the markers that the image must show while the video runs.
 MIN_VISIBLE_SHARE = 0.5
@@ -38,12 +38,13 @@ DISTORTION_MARGIN = 0.5
 
 @dataclass(frozen=True)
 class MarkerVisibility:
-    """What a camera has of the markers.
+    """How much of the markers a camera covers in time and shows in its image.
 
     Attributes:
         camera: its name.
         covered_share: share of the marker samples that lie within its video's time.
-        visible_share: share of the markers seen in these samples that its image shows; NaN without any.
+        visible_share: share of the markers present in these samples that its image shows; NaN
+            without any.
         distance: metres from the camera to the middle of the markers, median.
     """
 
@@ -84,7 +85,7 @@ def check_recording(recording: Recording, video_times: Sequence[np.ndarray]) -> 
 def marker_visibility(
     recording: Recording, source: VideoSource, video_times: np.ndarray
 ) -> MarkerVisibility:
-    """What one camera has of the markers."""
+    """How much of the markers one camera covers and shows."""
     times, positions = recording.times, recording.positions_world
     half = max(median_interval(video_times), median_interval(times)) / 2
     inside = (times >= video_times[0] - half) & (times <= video_times[-1] + half)
@@ -149,19 +150,21 @@ def _camera_findings(
     if view.visible_share < MIN_VISIBLE_SHARE:
         axes, share, mirrored = _other_axes(recording, source.camera)
         kind = "a mirror image, left-handed" if mirrored else "turned"
-        suggestion = f"; with {axes} in place of x, y, z ({kind}) it would be {100 * share:.0f} %"
+        better = f"; with {axes} in place of x, y, z ({kind}) it would be {100 * share:.0f} %"
+        suggestion = better if share > MIN_EXPLAINED_SHARE else ""
         yield Finding(
             "handedness" if mirrored and share > MIN_EXPLAINED_SHARE else "person out of the image",
             f"{section}: its image shows {100 * view.visible_share:.0f} % of the markers, expected "
-            f"{100 * MIN_VISIBLE_SHARE:.0f} % or more; check rotation and translation, [[video]] camera, and "
-            f"[markers] up or to_world{suggestion if share > MIN_EXPLAINED_SHARE else ''}",
+            f"{100 * MIN_VISIBLE_SHARE:.0f} % or more; check rotation and translation, [[video]] "
+            f"camera, and [markers] up or to_world{suggestion}",
             fatal=is_fatal,
         )
     if view.covered_share < MIN_COVERED_SHARE:
         yield Finding(
             "rate",
-            f"[[video]] {source.camera_name}: the video lasts during {100 * view.covered_share:.0f} % of "
-            "the marker samples; if it should be all, check offset and the video's frame rate",
+            f"[[video]] {source.camera_name}: the video lasts during "
+            f"{100 * view.covered_share:.0f} % of the marker samples; if it should be all, check "
+            "offset and the video's frame rate",
         )
 
 

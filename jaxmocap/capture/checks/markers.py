@@ -1,4 +1,4 @@
-"""Is a recording what its file says? Looked at before anything is tracked; nothing is corrected.
+"""Is a recording what its file states? Checked before anything is tracked; nothing is corrected.
 
 INPUTS: a Recording, and the times of its videos' frames.
 OUTPUTS: Findings: what is wrong, and the field to change, in one sentence each. A finding is fatal
@@ -15,7 +15,7 @@ import numpy as np
 from jaxmocap.body.origin import local_origin
 from jaxmocap.capture.checks.body_reach import (
     max_marker_distances,
-    standing_height,
+    skeleton_stature,
     standing_points,
 )
 from jaxmocap.capture.markers import median_interval
@@ -83,7 +83,7 @@ def check_markers(recording: Recording) -> list[Finding]:
     findings = [*_check_body(recording), *_check_times(recording)]
     unit = list(_check_unit(recording))
     if unit:
-        # Whatever else would be said follows from the unit.
+        # Whatever else is wrong follows from the unit.
         return findings + unit
     return [
         *findings,
@@ -126,7 +126,7 @@ def _check_origin(recording: Recording) -> Iterator[Finding]:
 
 
 def _check_body(recording: Recording) -> Iterator[Finding]:
-    height, (low, high) = standing_height(recording.skeleton), STATURE_RANGE_M
+    height, (low, high) = skeleton_stature(recording.skeleton), STATURE_RANGE_M
     if not low <= height <= high:
         yield Finding(
             "unit",
@@ -153,8 +153,8 @@ def _check_unit(recording: Recording) -> Iterator[Finding]:
     yield Finding(
         "unit",
         f"[markers] file: the markers span {times * expected:.4g} m, as on a person of "
-        f"{times * standing_height(recording.skeleton):.4g} m, expected {expected:.2g} m; the numbers look "
-        f"like {unit}, {_unit_field(recording.markers_file)}",
+        f"{times * skeleton_stature(recording.skeleton):.4g} m, expected {expected:.2g} m; the "
+        f"numbers look like {unit}, {_unit_field(recording.markers_file)}",
         fatal=True,
     )
 
@@ -167,7 +167,7 @@ def _unit_field(path: Path | None) -> str:
 
 
 def _span(positions: np.ndarray) -> np.ndarray:
-    """(T,) diagonal of the box around the markers, NaN where less than two are seen."""
+    """(T,) diagonal of the box around the markers, NaN where less than two are present."""
     is_present = np.asarray(np.isfinite(positions).all(-1))
     low = np.where(is_present[..., None], positions, np.inf).min(1)
     high = np.where(is_present[..., None], positions, -np.inf).max(1)
@@ -197,7 +197,7 @@ def _check_times(recording: Recording) -> Iterator[Finding]:
 
 
 def _complete_samples(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """Markers that are mostly seen, and (T', M', 3) the samples that show all of them."""
+    """Markers that are mostly present, and (T', M', 3) the samples that have all of them."""
     is_present = np.asarray(np.isfinite(recording.positions_world).all(-1))
     kept = np.flatnonzero(is_present.mean(0) >= 0.5)
     return kept, recording.positions_world[is_present[:, kept].all(1)][:, kept]
@@ -263,7 +263,7 @@ def facing_of_pairs(recording: Recording) -> list[tuple[tuple[int, int], float, 
     Returns:
         For each pair: its markers; the share of samples in which the hands, well away from the
         head, are where the front is with the left marker at the left; and that share's mean of
-        metres before the head. Nothing where head or hands are not seen for long enough.
+        metres before the head. Nothing where head or hands are not present for long enough.
     """
     head = [i for i, place in enumerate(recording.places) if place.bone == "head"]
     hands = [

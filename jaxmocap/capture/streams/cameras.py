@@ -1,6 +1,6 @@
 """Cameras that are on: a device, a network stream, or a file at its own pace.
 
-INPUTS: a LiveVideo. OUTPUTS: Frames, the newest, from a thread of its own; what became of it.
+INPUTS: a LiveVideo. OUTPUTS: LiveFrames, the newest, from a thread of its own; what became of it.
 """
 
 import math
@@ -59,7 +59,7 @@ class LiveCamera:
         """Prepare.
 
         Args:
-            video: what to look at.
+            video: the camera.
             index: among the cameras.
             on_frame: called with every frame.
             colour: BGR images in place of grey ones.

@@ -41,9 +41,9 @@ class Inbox:
 
         Args:
             max_samples: that may wait.
-            keep_turns: a frame that replaces another has its turn, so that frames are looked at
-                however many samples come; else things are given out in the order in which they
-                came in, which smoothing needs.
+            keep_turns: a frame that replaces another keeps its place in the queue, so that frames
+                are taken however many samples come; else things are given out in the order in which
+                they came in, which smoothing needs.
         """
         self._samples: deque[MarkerSample] = deque()
         self._max_samples, self._keep_turns = max_samples, keep_turns

@@ -1,8 +1,8 @@
 """Markers of a Lab Streaming Layer stream, in a thread of its own.
 
 INPUTS: the name of a stream whose channels are labelled ``Name.x``, ``Name.y``, ``Name.z``, in
-metres unless a channel's unit says millimetres, and after them, where a marker knows how it is
-turned, ``Name.qx``, ``Name.qy``, ``Name.qz``, ``Name.qw``, a quaternion from its axes to the
+metres unless a channel's unit says millimetres, and after them, where a marker has an
+orientation, ``Name.qx``, ``Name.qy``, ``Name.qz``, ``Name.qw``, a quaternion from its axes to the
 stream's. OUTPUTS: samples, as ``MarkerSocket`` gives them.
 
 pylsl is loaded when a stream is asked for; it is the extra ``lsl``.

@@ -1,8 +1,8 @@
 """OSC datagrams to markers: VMC's devices and VRChat's trackers.
 
-    /VMC/Ext/Hmd/Pos  Con  Tra     serial, place (3), turn (4); .../Pos/Local as tracked
+    /VMC/Ext/Hmd/Pos  Con  Tra     serial, position (3), quaternion (4); .../Pos/Local as tracked
     /VMC/Ext/T                     the sender's seconds
-    /tracking/trackers/1/position  place (3), by number or "head"
+    /tracking/trackers/1/position  position (3), by number or "head"
     /tracking/trackers/1/rotation  degrees (3) about x, y, z; about z first, then x, then y
 
 INPUTS: datagrams, whoever sent them. OUTPUTS: Packets; BadPacketError for what is no OSC, is cut
@@ -48,8 +48,8 @@ class MarkerMessage(NamedTuple):
     """One marker of a packet.
 
     Attributes:
-        names: what it may be called, the first that somebody knows counts.
-        position: (x, y, z) metres, the sender's axes; None where only its turn is told.
+        names: what it may be called, the first that is a marker's counts.
+        position: (x, y, z) metres, the sender's axes; None where only its orientation is sent.
         orientation: quaternion (x, y, z, w) from its own axes to the sender's, or None.
     """
 
@@ -59,7 +59,7 @@ class MarkerMessage(NamedTuple):
 
 
 class Packet(NamedTuple):
-    """What one datagram told.
+    """What one datagram holds.
 
     Attributes:
         markers: its markers; none where it is about something else.
@@ -155,7 +155,7 @@ def _device(message: bytes, address: bytes) -> MarkerMessage:
 
 
 def _tracker(message: bytes, address: bytes) -> MarkerMessage:
-    """One of VRChat's trackers: where it is, or how it is turned."""
+    """One of VRChat's trackers: its position, or its orientation."""
     number, _, kind = address[len(_TRACKERS) :].rpartition(b"/")
     if len(number) > MAX_NAME_BYTES:
         raise BadPacketError("malformed")
@@ -180,7 +180,7 @@ def _euler(degrees: list[float]) -> tuple[float, float, float, float]:
 def unit_quaternion(numbers: Sequence[float]) -> tuple[float, float, float, float] | None:
     """A quaternion (x, y, z, w) of length 1, or None for anything else.
 
-    Senders that know nothing of turns send zeros.
+    Senders without orientations send zeros.
     """
     length = math.sqrt(sum(number**2 for number in numbers))
     if not abs(length - 1) <= 0.01:

@@ -19,7 +19,7 @@ class RecentMarkers:
     """The newest samples of M markers, each at its own rate."""
 
     def __init__(self, markers: int):
-        """Of so many markers, none seen yet."""
+        """Of so many markers, without a sample yet."""
         self._times = [deque[float](maxlen=KEPT_SAMPLES) for _ in range(markers)]
         self._points = [deque[np.ndarray](maxlen=KEPT_SAMPLES) for _ in range(markers)]
 

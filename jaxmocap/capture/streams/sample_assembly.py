@@ -1,7 +1,7 @@
-"""Markers that arrive one by one, gathered into samples.
+"""Markers that arrive one by one, assembled into samples.
 
-INPUTS: names, positions and turns as a sender has them. OUTPUTS: Samples: all markers of one
-moment, and the points on bones that those tell of which know how they are turned.
+INPUTS: names, positions and orientations as a sender has them. OUTPUTS: MarkerSamples: all
+markers of one moment, and the points on bones that oriented markers measure.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -16,17 +16,17 @@ from jaxmocap.capture.streams.osc import MarkerMessage
 SENT_WITHIN_S = 0.25
 # Of one moment are markers that come within so many seconds.
 TOGETHER_S = 0.005
-# Where turns come in messages of their own, the last one counts for so many seconds.
+# Where orientations come in messages of their own, the last one counts for so many seconds.
 ORIENTATION_VALID_S = 0.05
 
 
 class MarkerMeasurements(NamedTuple):
-    """What the senders said of M markers.
+    """What the senders measured of M markers.
 
     Attributes:
         positions_world: (M, 3) metres; NaN where missing.
-        orientations_world: (M, 3, 3) from their own axes, which are turned as the sender's are to make
-            the world's; NaN where not known.
+        orientations_world: (M, 3, 3) from their own axes, taken to the world's as the sender's are;
+            NaN where missing.
     """
 
     positions_world: np.ndarray
@@ -73,8 +73,8 @@ class SampleAssembler:
             aliases: a sender's name -> marker.
             R_world_source: (3, 3) to the world's axes.
             on_sample: called with every sample.
-            bind: positions (M, 3) and turns (M, 3, 3) to points on bones (P, 3); without it the
-                markers are the points.
+            bind: positions (M, 3) and orientations (M, 3, 3) to points on bones (P, 3); without it
+                the markers are the points.
         """
         self._index = {name: i for i, name in enumerate(markers)}
         self._index |= {name: self._index[marker] for name, marker in aliases.items()}

@@ -28,10 +28,10 @@ Key = TypeVar("Key")
 
 
 class TokenBucket:
-    """So many packets a second, a burst of them at a stroke."""
+    """A rate limit: so many packets a second, a burst of them at a stroke."""
 
     def __init__(self, rate: float, burst: int, now: float):
-        """Begin with a whole burst."""
+        """Begin with a full bucket."""
         self._rate, self._burst = rate, burst
         self._tokens, self._filled_at = float(burst), now
 
@@ -63,7 +63,7 @@ class PacketSender:
         self.bucket = TokenBucket(SENDER_PACKETS_HZ, SENDER_BURST, now)
 
     def time(self, arrival: float, stamp: float | None) -> float:
-        """When a packet was sent, as far as that is known; see ``StreamClock``."""
+        """When a packet was sent, as far as its clock allows; see ``StreamClock``."""
         return arrival if self.clock is None else self.clock.time(arrival, stamp)
 
 

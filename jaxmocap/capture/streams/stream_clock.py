@@ -1,4 +1,4 @@
-"""A sender's clock, told from when its packets arrive.
+"""A sender's clock, estimated from when its packets arrive.
 
 INPUTS: arrivals on this machine's clock, the sender's stamps. OUTPUTS: times on this machine's
 clock that hold the sender's rhythm, not the network's.
@@ -10,7 +10,7 @@ JUMP_S = 0.25
 MAX_DRIFT = 2e-4
 # Packets that come so much later were not sent together, seconds.
 SEPARATE_S = 0.005
-# Stamps beyond (seconds since 1900 are 4e9) are too coarse to tell a rhythm by.
+# Stamps beyond (seconds since 1900 are 4e9) are too coarse for a rhythm.
 LARGEST_STAMP_S = 1e10
 
 
@@ -29,7 +29,7 @@ class StreamClock:
     def time(self, arrival: float, stamp: float | None) -> float:
         """When a packet was sent, never after it arrived.
 
-        The packet that was under way the shortest, of late, tells how far the clocks are apart.
+        The packet that was under way the shortest, of late, determines the clocks' offset.
 
         Args:
             arrival: seconds.
@@ -47,7 +47,7 @@ class StreamClock:
             self.jumps += 1
             self._offset = offset
         elif is_stopped:
-            # A clock that does not run tells nothing.
+            # A clock that does not run has no rhythm.
             return arrival
         self._offset = min(offset, self._offset + MAX_DRIFT * max(stamp_step, 0.0))
         return min(stamp + self._offset, arrival)

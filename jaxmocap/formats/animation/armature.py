@@ -1,4 +1,4 @@
-"""Armatures: trees of joints that turn, as animation files hold them.
+"""Armatures: trees of joints that rotate, as animation files hold them.
 
 INPUTS: what a BVH or glTF file holds, or a Motion by way of ``body_armature``.
 OUTPUTS: an Armature, in other axes; where its joints are.
@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
 
-# Orientations that are worked on at a time.
+# Rotations that are worked on at a time.
 BLOCK_ROTATIONS = 250_000
 
 
@@ -51,7 +51,7 @@ class Armature:
 
     @property
     def is_known(self) -> np.ndarray:
-        """(T,) is the pose known?"""
+        """(T,) whether the pose is known."""
         return np.isfinite(self.positions.sum(-1) + self.rotations.sum((1, 2, 3)))
 
 

@@ -2,7 +2,7 @@
 
 INPUTS: a Motion; or an Armature whose joints are ours. OUTPUTS: the other.
 
-The rest pose, in which nothing is turned, is a T: upright, arms straight out to the sides, palms
+The rest pose, in which no joint is rotated, is a T: upright, arms straight out to the sides, palms
 down, legs straight, feet forwards, as VRM, HumanIK and SMPL have it. The pelvis is the root; the
 bones from there to the hips, which do not move against it, are its joints' offsets.
 """
@@ -155,7 +155,7 @@ def motion_of(armature: Armature, path: str | Path) -> Motion:
 def _angles(
     skeleton: Skeleton, armature: Armature, index: Mapping[str, int], path: str | Path
 ) -> np.ndarray:
-    """Angles (T, D), radians, that turn the bones as the armature's joints are turned."""
+    """Angles (T, D), radians, by which the bones have the orientations of the armature's joints."""
     angles = np.zeros((len(armature.times), len(skeleton.tree.joints)))
     rest = rest_orientations(skeleton)
     for bone, name in enumerate(skeleton.tree.bones):
@@ -180,8 +180,8 @@ def _check_rotations(
         i = int(angles.argmax())
         raise InputError(
             path,
-            f"{name} at {armature.times[i]:g} s: turned {np.degrees(angles[i]):.1f}° in a way that "
-            "our joint cannot turn",
+            f"{name} at {armature.times[i]:g} s: rotated {np.degrees(angles[i]):.1f}° in a way "
+            "that our joint cannot rotate",
         )
 
 

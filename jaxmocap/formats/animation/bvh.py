@@ -7,8 +7,8 @@ the root has the channels Xposition Yposition Zposition Zrotation Xrotation Yrot
 joint the three rotations: R = Rz Rx Ry, degrees. The rest pose, in which all channels are 0, is
 that of the armature: ours is a T, arms out to the sides, palms down. The first frame is at 0 s.
 
-A BVH file says nothing of its unit. Without being told, it is read from the body's size: the one
-of metres, centimetres and millimetres in which the longest way from root to tip is a person's.
+A BVH file says nothing of its unit. Where none is stated, it is inferred from the body's size: the
+one of metres, centimetres and millimetres in which the longest way from root to tip is a person's.
 """
 
 from collections.abc import Iterator
@@ -85,7 +85,7 @@ def write_bvh(path: str | Path, armature: Armature, unit: str = "m") -> None:
 
 
 def _is_still(armature: Armature, joint: int) -> bool:
-    """Is a joint never turned?"""
+    """Whether a joint is never rotated."""
     return bool(np.abs(armature.rotations[:, joint] - np.eye(3)).max() < 1e-9)
 
 
@@ -109,7 +109,7 @@ def _rows(armature: Armature, order: list[int], scale: float) -> Iterator[str]:
 def _joint_lines(
     path: str | Path, armature: Armature, tips: set[int], scale: float, order: list[int]
 ) -> Iterator[str]:
-    """The blocks of all joints; notes in ``order`` whose channels come next."""
+    """The blocks of all joints; appends to ``order`` whose channels come next."""
     children: list[list[int]] = [[] for _ in armature.parents]
     for joint, parent in enumerate(armature.parents):
         if parent >= 0:
@@ -167,7 +167,7 @@ def read_bvh(path: str | Path, unit: str | None = None) -> Armature:
 
     Raises:
         InputError: no such file, the line that is not BVH or is cut off, a joint that slides, or a
-            size from which the unit cannot be told.
+            size from which the unit cannot be inferred.
     """
     lines = numbered_lines(path)
     joints = _hierarchy(path, lines)
@@ -265,11 +265,11 @@ def _hierarchy(path: str | Path, lines: Iterator[tuple[int, str]]) -> list[_Join
 
 
 class _ExpectedError(ValueError):
-    """Says what was expected in a line."""
+    """What was expected in a line."""
 
 
 def _parse_line(joints: list[_Joint], open_joints: list[int], key: str, words: list[str]) -> None:
-    """Understand one line of the hierarchy."""
+    """Parse one line of the hierarchy."""
     above = open_joints[-1] if open_joints else -1
     if key in ("OFFSET", "CHANNELS") and above < 0:
         raise _ExpectedError("expected it within a joint")

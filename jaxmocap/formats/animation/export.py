@@ -4,8 +4,9 @@ INPUTS: a Motion, or a Skeleton; by choice the body's surface, and a picture of 
 OUTPUTS: a .bvh or .glb file, Y up, facing Z, metres, the rest pose a T.
 
 BVH has one rate only: samples that are not evenly spaced are resampled at their median rate, and
-where no pose is known the nearest one is held. Where that would take many times as many frames as
-there are samples (a recording with a gap of hours) no .bvh file is written, and the answer says so.
+where no pose is known the nearest one is repeated. Where that would take many times as many frames
+as there are samples (a recording with a gap of hours) no .bvh file is written, and the answer says
+so.
 """
 
 from pathlib import Path
@@ -45,7 +46,7 @@ def write_animation(
     surface: Surface | None = None,
     texture: bytes | None = None,
 ) -> str | None:
-    """Write a motion to a .bvh or .glb file, told by its suffix; its joints have customary names.
+    """Write a motion to a .bvh or .glb file, by its suffix; joints have the format's usual names.
 
     Args:
         path: of the file.

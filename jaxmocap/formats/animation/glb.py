@@ -54,11 +54,11 @@ class BinaryChunk:
 
         Args:
             array: scalars, vectors or (4, 4) matrices, rows before columns.
-            dtype: in which they are held.
+            dtype: in which they are stored.
             bounded: say their smallest and largest, as positions and times must.
             target: glTF's number for what they are to a mesh: its vertices or its triangles.
         """
-        # Matrices are held column by column.
+        # Matrices are stored column by column.
         stored = np.asarray(array, np.dtype(dtype))
         held = stored.swapaxes(1, 2) if stored.ndim == 3 else stored
         view = self.add_bytes(held.tobytes())

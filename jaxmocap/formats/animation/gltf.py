@@ -2,13 +2,13 @@
 
 INPUTS: an Armature, its axes those of glTF: Y up, facing Z, left towards X, metres; by choice a
 mesh that its joints carry, with a picture of its colours.
-OUTPUTS: a .glb file: a node per joint, an animation of the root's place and of every joint's turn,
-and the mesh (a skin); without one the limbs, as they are in the armature's rest pose.
+OUTPUTS: a .glb file: a node per joint, an animation of the root's position and of every joint's
+rotation, and the mesh (a skin); without one the limbs, as they are in the armature's rest pose.
 
 Samples whose pose is unknown have no key: a viewer moves on from the one before to the one after.
 Across gaps (see ``gaps``) the last pose is held. The animation begins at 0 s; its ``extras`` say
-when that was (``start``, seconds). Where the root is far from the world's origin its places are
-seen from a local one, since glTF has single precision: ``extras`` say where (``origin``, metres).
+when that was (``start``, seconds). Where the root is far from the world's origin its positions are
+about a local one, since glTF has single precision: ``extras`` say where (``origin``, metres).
 """
 
 from dataclasses import replace
@@ -45,7 +45,7 @@ def write_gltf(
 
     Raises:
         InputError: no pose is known.
-        BeyondFormatError: it lasts too long for its samples to be told apart.
+        BeyondFormatError: it lasts too long for single precision to separate its samples.
     """
     if not armature.is_known.any():
         raise InputError(path, "no pose is known in any sample")
@@ -69,11 +69,18 @@ def write_gltf(
         animation = _animation(binary, motion)
         animation["extras"] |= {"origin": origin.tolist()} if origin.any() else {}
         document["animations"] = [animation]
-    if mesh.texture is not None:
-        view = binary.add_bytes(mesh.texture)
-        document["images"] = [{"bufferView": view, "mimeType": "image/png"}]
-        document["textures"] = [{"source": 0}]
-    write_document(path, document, binary)
+    write_document(path, document | _texture(binary, mesh), binary)
+
+
+def _texture(binary: BinaryChunk, mesh: SkinnedMesh) -> dict[str, Any]:
+    """The document's entries for the mesh's texture; none without one."""
+    if mesh.texture is None:
+        return {}
+    view = binary.add_bytes(mesh.texture)
+    return {
+        "images": [{"bufferView": view, "mimeType": "image/png"}],
+        "textures": [{"source": 0}],
+    }
 
 
 def _check_keys(path: str | Path, times: np.ndarray) -> None:
@@ -117,7 +124,7 @@ def _primitive(binary: BinaryChunk, mesh: SkinnedMesh) -> dict[str, Any]:
 
 
 def _animation(binary: BinaryChunk, armature: Armature) -> dict[str, Any]:
-    """Keys of the root's place, and of the turns of joints that ever turn."""
+    """Keys of the root's position, and of the rotations of joints that ever rotate."""
     times = armature.times
     keys = binary.add(times - times[0], bounded=True)
     samplers: list[dict[str, Any]] = []
@@ -136,7 +143,7 @@ def _animation(binary: BinaryChunk, armature: Armature) -> dict[str, Any]:
 
 
 def _quaternions(R: np.ndarray) -> np.ndarray:
-    """(T, 4) xyzw of (T, 3, 3), each on the side of the one before, as players interpolate."""
+    """(T, 4) xyzw of (T, 3, 3), each of the sign nearest to the one before: players interpolate."""
     quaternions = Rotation.from_matrix(R).as_quat()
     products = np.sign(np.sum(quaternions[1:] * quaternions[:-1], -1))
     signs = np.cumprod(np.concatenate([[1.0], np.where(products < 0, -1.0, 1.0)]))

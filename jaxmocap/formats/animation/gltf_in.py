@@ -193,9 +193,9 @@ def _joint_motion(
     curves: _Curves,
     times: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Offsets (J, 3), the root's places (T, 3) and turns (T, J, 3, 3), from the rest pose.
+    """Offsets (J, 3), the root's positions (T, 3) and rotations (T, J, 3, 3), from the rest pose.
 
-    Nodes turn in the rest pose too; the turns are counted from there.
+    Nodes are rotated in the rest pose too; the rotations are counted from there.
     """
     offsets, positions = np.zeros((len(joints), 3)), np.zeros((len(times), 3))
     R = np.empty((len(times), len(joints), 3, 3))
@@ -225,7 +225,7 @@ def _name(node: JsonPart) -> str:
 
 
 def _rest_pose(node: JsonPart) -> tuple[np.ndarray, np.ndarray]:
-    """A node's own place and turn (3, 3); InputError where it is scaled."""
+    """A node's own position and rotation (3, 3); InputError where it is scaled."""
     if node.has("matrix"):
         matrix = node["matrix"].numbers(16, _FARTHEST_M).reshape(4, 4).T
         R, position = matrix[:3, :3], matrix[:3, 3]
@@ -252,7 +252,7 @@ def _check_scale(accessors: Accessors, node: JsonPart, curve: _Curve | None) -> 
 def _positions_at(
     accessors: Accessors, curve: _Curve | None, times: np.ndarray, rest: np.ndarray
 ) -> np.ndarray:
-    """(T, 3) a joint's place in its parent's frame."""
+    """(T, 3) a joint's position in its parent's frame."""
     if curve is None:
         return np.tile(rest, (len(times), 1))
     values = curve.values(accessors, 3)
@@ -266,7 +266,7 @@ def _positions_at(
 def _rotations_at(
     accessors: Accessors, curve: _Curve | None, times: np.ndarray, rest: np.ndarray
 ) -> np.ndarray:
-    """(T, 3, 3) a joint's turn in its parent's frame."""
+    """(T, 3, 3) a joint's rotation in its parent's frame."""
     if curve is None:
         return np.broadcast_to(rest, (len(times), 3, 3))
     quaternions = curve.values(accessors, 4)

@@ -1,11 +1,11 @@
 """A body's surface as a skin on its armature's joints.
 
 INPUTS: a Surface around a Skeleton, by choice with a picture of its colours.
-OUTPUTS: a BoundMesh in a file's axes.
+OUTPUTS: a SkinnedMesh in a file's axes.
 
 The skin is bound where all angles are 0, the arms hanging: there the bones' frames are the body's,
 and there alone a node lies at one place, whichever of its bones is asked. A joint's frame, the
-body's own in the T pose, is turned there as the bone is between the two.
+body's own in the T pose, is rotated there as the bone is between the two.
 """
 
 from pathlib import Path
@@ -48,7 +48,7 @@ def surface_skin(
         InputError: bones disagree where a node is at rest, more than four carry it, or the picture
             is that of another surface.
     """
-    joints, points = rest_joints(skeleton), surface.points
+    joints = rest_joints(skeleton)
     nodes = rest_nodes(surface, joints)
     _check_skin(path, surface, joints, nodes)
     if texture is not None:
@@ -56,23 +56,29 @@ def surface_skin(
     mesh = mesh_of(surface, nodes, atlas_of(surface, nodes, TEXEL_M))
     vertices = nodes[mesh.nodes]
     names, _ = joint_tree(skeleton)
-    # What the pelvis and the hips, which do not move against it, carry is the root's.
-    carrying = [names.index(b) if b in names else 0 for b in skeleton.tree.bones]
-    spare = BONES_PER_VERTEX - points.bones.shape[1]
-    weights = np.pad(np.asarray(points.shares, float)[mesh.nodes], [(0, 0), (0, spare)])
-    carriers = np.pad(
-        np.array(carrying)[np.asarray(points.bones)[mesh.nodes]], [(0, 0), (0, spare)]
-    )
+    carriers, weights = _joints_of_nodes(skeleton, surface, names)
     return SkinnedMesh(
         vertices @ R_file_world.T,
         normals_of(vertices, mesh.triangles) @ R_file_world.T,
         mesh.triangles,
-        np.where(weights > 0, carriers, 0),
-        weights / weights.sum(1, keepdims=True),
+        carriers[mesh.nodes],
+        weights[mesh.nodes],
         _inverse_bind_matrices(skeleton, names, joints, R_file_world),
         mesh.places,
         texture,
     )
+
+
+def _joints_of_nodes(
+    skeleton: Skeleton, surface: Surface, names: tuple[str, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The joints (N, 4) that carry each of N nodes, and their weights (N, 4), together 1."""
+    # What the pelvis and the hips, which do not move against it, carry is the root's.
+    carrying = [names.index(b) if b in names else 0 for b in skeleton.tree.bones]
+    padding = [(0, 0), (0, BONES_PER_VERTEX - surface.points.bones.shape[1])]
+    weights = np.pad(np.asarray(surface.points.shares, float), padding)
+    carriers = np.pad(np.array(carrying)[np.asarray(surface.points.bones)], padding)
+    return np.where(weights > 0, carriers, 0), weights / weights.sum(1, keepdims=True)
 
 
 def check_texture(path: str | Path, skeleton: Skeleton, surface: Surface, texture: bytes) -> None:

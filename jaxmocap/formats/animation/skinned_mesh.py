@@ -1,6 +1,6 @@
 """A mesh that an armature's joints carry, as glTF holds it; the limbs' where nothing else is known.
 
-INPUTS: an Armature. OUTPUTS: a BoundMesh, in the armature's axes.
+INPUTS: an Armature. OUTPUTS: a SkinnedMesh, in the armature's axes.
 """
 
 from dataclasses import dataclass, replace

@@ -2,7 +2,7 @@
 
 INPUTS: a .toml file with one section per camera: size, matrix, distortions, rotation (Rodrigues
 vector, world to camera), translation (metres, world to camera), fisheye; or a .yml file.
-OUTPUTS: Cameras by the name of their section, or one camera's Lens; such a .toml file, or one
+OUTPUTS: Cameras by the name of their section, or one camera's Intrinsics; such a .toml file, or one
 section of it replaced.
 """
 
@@ -32,7 +32,7 @@ from jaxmocap.formats.time_series.tables import FARTHEST_M
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import log
 
-# A section of this name tells about the calibration, not of a camera.
+# A section of this name is about the calibration, not of a camera.
 METADATA_SECTION = "metadata"
 # How far R Rᵀ may be from the identity: files print four digits or more.
 ORTHONORMAL_TOLERANCE = 1e-3
@@ -50,7 +50,7 @@ _Section = TypeVar("_Section")
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """What a camera is, wherever it stands: in double precision, as files hold it.
+    """A camera's intrinsics, in double precision, as files hold them.
 
     Attributes:
         size: (2,) width and height, pixels.
@@ -73,7 +73,7 @@ def read_calibration(path: str | Path, origin_world: np.ndarray | None = None) -
 
     Args:
         path: of the file.
-        origin_world: (3,) metres, that the cameras are seen from; None: the world's.
+        origin_world: (3,) metres, subtracted from the cameras' positions; None: zero.
 
     Raises:
         InputError: no such file, no camera in it, or a field that is missing or does not fit.
@@ -224,7 +224,7 @@ def write_camera(path: str | Path, name: str, entries: Mapping[str, Any]) -> Non
 
 
 def check_camera_writable(path: Path, name: str) -> None:
-    """InputError where ``write_camera`` could not write this camera: known before any work."""
+    """InputError where ``write_camera`` could not write this camera; asked before any work."""
     if path.suffix.lower() != ".toml":
         raise InputError(path, "cannot be written to, expected a .toml file")
     if not name or name == METADATA_SECTION:

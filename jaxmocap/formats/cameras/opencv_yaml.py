@@ -26,7 +26,7 @@ _MATRIX = ("rows", "cols", "sizes", "dt", "data")
 
 
 def read_opencv_yaml(path: str | Path) -> dict[str, dict[str, Any]]:
-    """Read a camera: name -> size, matrix, distortions, and rotation and translation if told.
+    """Read a camera: name -> size, matrix, distortions, and the place where the file has it.
 
     Raises:
         InputError: no such file, not of this kind, or a matrix whose numbers do not fit.
@@ -116,7 +116,7 @@ def _matrix(path: Path, name: str, entry: Any, flat: bool) -> list:
         expected = "expected rows, cols and as many numbers in data"
         raise InputError(path, f"{name}: is not a whole matrix, {expected}") from None
     if flat and 1 in (rows, columns):
-        # Later coefficients that are all zero tell nothing (OpenCV writes up to 14).
+        # Later coefficients that are all zero change nothing (OpenCV writes up to 14).
         while len(data) > 8 and data[-1] == 0:
             data.pop()
         return data

@@ -1,4 +1,4 @@
-"""Video files that appear whole or not at all.
+"""Video files that appear complete or not at all.
 
 INPUTS: a path; encoded packets. OUTPUTS: the file, gone through once more before it is moved into
 place: what encodes may keep to itself that the disk is full.
@@ -53,7 +53,7 @@ def replacing_video(path: str | Path, **options: Any) -> Iterator[VideoFile]:
         options: of the container, as ``av.open`` takes them.
 
     Raises:
-        OutputError: it cannot be written whole; what was there before is as it was.
+        OutputError: it cannot be written completely; what was there before is as it was.
     """
     files: list[VideoFile] = []
     with replacing(path, lambda part: files[0].is_complete(part)) as temporary:

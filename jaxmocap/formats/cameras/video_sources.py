@@ -36,8 +36,8 @@ class VideoSource:
         path: of the video file; None where the frames are in memory.
         offset: seconds to add to video time to get marker time.
         keypoints: folder (or file) of 2-D detections, what was read from it already, or None.
-        keypoints_model: whose points they are, or None to tell it from them.
-        keypoints_first: number that they give the video's first frame, or None to tell it.
+        keypoints_model: whose points they are, or None to infer it from them.
+        keypoints_first: number that they give the video's first frame, or None to infer it.
         frames: video times (F,) in seconds and images (F, H, W, 3) BGR uint8, or None.
         background: image file of what the camera sees without the person, or None.
     """
@@ -58,7 +58,7 @@ def read_videos(top: TomlTable, origin_world: np.ndarray | None = None) -> tuple
 
     Args:
         top: the whole file.
-        origin_world: (3,) metres, that their cameras are seen from; None: the world's.
+        origin_world: (3,) metres, subtracted from the cameras' positions; None: zero.
 
     Raises:
         InputError: a field that is missing, unknown or does not fit, or two cameras whose files
@@ -109,7 +109,7 @@ def _video(
 
 
 def _keypoints(fields: TomlTable) -> dict[str, Any]:
-    """Where a video's 2-D detections are, and what is said of them."""
+    """Where a video's 2-D detections are, and how to read them."""
     given: dict[str, Any] = {}
     for key in _KEYPOINT_KEYS:
         if key in fields and "keypoints" not in fields:

@@ -5,10 +5,10 @@
       joints.trc, ...
       .jaxmocap-...           while a run goes on: everything that it has written so far
 
-INPUTS: the folder, the names that will be written, the files that are read.
-OUTPUTS: a hidden folder to write to; when all is whole it is moved into place at once, and what an
-earlier run of the kind wrote and this one did not is removed. A file that the list does not name,
-or that has changed since, is never touched.
+INPUTS: the folder, the names that will be written, the files that are read. OUTPUTS: a hidden
+folder to write to; when all is complete it is moved into place at once, and what an earlier run of
+the kind wrote and this one did not is removed. A file that the list does not name, or that has
+changed since, is never touched.
 """
 
 import hashlib
@@ -146,7 +146,7 @@ class OutputFolder:
     def _move_into_place(self, stage: Path) -> None:
         """Replace what the list names, then remove what is left of it.
 
-        Whenever this is cut off, every file is whole and in the list.
+        Whenever this is cut off, every file is complete and in the list.
         """
         staged = sorted(path for path in stage.rglob("*") if path.is_file())
         new = {path.relative_to(stage).as_posix(): path for path in staged}

@@ -1,4 +1,4 @@
-"""How large a picture is, told by the first bytes of its file: known before it is decoded.
+"""How large a picture is, from the first bytes of its file, before it is decoded.
 
 INPUTS: an image file's content, or its beginning.
 OUTPUTS: width and height in pixels, as the header states them; or that it is no picture.
@@ -9,7 +9,7 @@ import struct
 from collections.abc import Callable
 
 PICTURE_FORMATS = "PNG, JPEG, BMP, TIFF, WebP, GIF or PNM"
-# Bytes that tell whether a file is a picture at all.
+# Bytes by which a file is recognised as a picture.
 SIGNATURE_BYTES = 32
 # Segments of a JPEG file before its picture: an album of metadata has some hundred.
 _MAX_JPEG_SEGMENTS = 10_000

@@ -53,8 +53,8 @@ def open_regular(path: str | Path, max_bytes: int = MAX_BYTES) -> Iterator[Binar
 
     Args:
         path: of the file.
-        max_bytes: bytes that it may hold; a file of the system may be endless and say that it is empty,
-            so whoever reads counts as well.
+        max_bytes: bytes that it may hold; a file of the system may be endless and say that it is
+            empty, so whoever reads counts as well.
 
     Raises:
         InputError: it is missing, cannot be read, is no regular file, or is too large.

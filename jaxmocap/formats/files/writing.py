@@ -1,4 +1,4 @@
-"""The one writer: files that appear whole or not at all.
+"""The one writer: files that appear complete or not at all.
 
 INPUTS: the path that a file shall have.
 OUTPUTS: a path beside it to write to; the file is checked, flushed to the disk and moved into
@@ -42,7 +42,7 @@ def replacing(path: str | Path, check: Callable[[Path], bool] | None = None) -> 
 
     Args:
         path: of the file.
-        check: whether what was written is whole, asked with the hidden path before it is moved;
+        check: whether what was written is complete, asked with the hidden path before it is moved;
             for libraries that do not say that the disk is full.
 
     Yields:
@@ -50,7 +50,7 @@ def replacing(path: str | Path, check: Callable[[Path], bool] | None = None) -> 
 
     Raises:
         OutputError: the disk is full, the folder cannot be written to, or what was written is not
-            whole.
+            complete.
     """
     with as_output_error(Path(path)):
         path = Path(os.path.realpath(path))

@@ -87,7 +87,7 @@ def json_files(folder: Path) -> list[Path]:
 
 
 def read_keypoint_frames(file: Path) -> Iterator[KeypointFrame]:
-    """The frames of one file, whose layout its keys tell.
+    """The frames of one file, whose layout follows from its keys.
 
     Raises:
         InputError: not JSON, none of these layouts, or the entry that does not fit.

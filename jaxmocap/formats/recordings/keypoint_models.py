@@ -1,7 +1,7 @@
 """Models of 2-D pose detectors: which of their points are landmarks of ours.
 
-INPUTS: a model's name, the names that a file gives its points, or points whose count tells the
-model.
+INPUTS: a model's name, the names that a file gives its points, or points whose count identifies
+the model.
 OUTPUTS: the names of a model's points in order; for each landmark of ours the index of its point.
 """
 
@@ -75,7 +75,7 @@ def models_of_count(count: int) -> tuple[str, ...]:
 
 
 def model_by_faces(pixels_xy: np.ndarray, models: Sequence[str]) -> str | None:
-    """Which of two models the points are of, told by the face.
+    """Which of two models the points are of, by how compact the face is.
 
     Nose, eyes and ears lie close together in the right reading, and are limbs in the wrong one.
 
@@ -84,7 +84,7 @@ def model_by_faces(pixels_xy: np.ndarray, models: Sequence[str]) -> str | None:
         models: two names of models with K points.
 
     Returns:
-        One of the names, or None where the points do not tell it safely.
+        One of the names, or None where the points do not decide it safely.
     """
     extents = np.array([_face_extents(pixels_xy, MODELS[model]) for model in models])
     first, second = extents[:, np.isfinite(extents).all(0)]
@@ -100,7 +100,7 @@ def model_by_faces(pixels_xy: np.ndarray, models: Sequence[str]) -> str | None:
 
 
 def _face_extents(pixels_xy: np.ndarray, points: Sequence[str]) -> np.ndarray:
-    """(N,) diagonal of the box about each face, pixels; NaN where too little of it is seen."""
+    """(N,) diagonal of the box about each face, pixels; NaN where too little of it is detected."""
     face = pixels_xy[:, [points.index(name) for name in ("nose", *_FACE)]]
     is_detected = np.all(np.isfinite(face), axis=-1)
     lowest = np.where(is_detected[..., None], face, np.inf).min(1)

@@ -2,7 +2,7 @@
 
 INPUTS: a folder with one JSON file per frame (OpenPose, Pose2Sim, MMPose from images), or one file
 for the whole video (MMPose), in a folder or by itself.
-OUTPUTS: Detections: pixels and confidences of the landmarks that the detector's model knows, of
+OUTPUTS: Detections: pixels and confidences of the landmarks that the detector's model has, of
 everybody in every frame.
 """
 
@@ -78,13 +78,13 @@ def read_keypoints(path: str | Path, model: str | None = None) -> Detections:
     Args:
         path: folder of .json files, or one such file.
         model: whose points they are, a name in ``MODELS``. None takes the names that the file
-            gives, or tells the model by the number of points. BODY_25 and BODY_25B both have 25:
-            they are told apart by the faces where that is safe.
+            gives, or infers the model from the number of points. BODY_25 and BODY_25B both have 25:
+            the faces decide between them where that is safe.
 
     Raises:
-        InputError: no such folder, a file that is no JSON of a known layout, a frame without a
-            number or with two files, nobody in any frame, or a model that is unknown, does not
-            fit, or cannot be told.
+        InputError: no such folder, a file that is no JSON of one of these layouts, a frame without
+            a number or with two files, nobody in any frame, or a model that is unknown, does not
+            fit, or cannot be inferred.
     """
     path = Path(path)
     frames = sorted(_frames(path), key=lambda frame: frame.number)
@@ -107,14 +107,14 @@ def read_keypoints(path: str | Path, model: str | None = None) -> Detections:
 
 
 def check_keypoint_count(path: str | Path, frames: int, people: int, landmarks: int) -> None:
-    """InputError where a table of so many people in every frame is too large to be held."""
+    """InputError where a table of so many people in every frame is too large for memory."""
     if frames * people * landmarks > MAX_POINTS:
         problem = f"found up to {people} people in {frames} frames, {landmarks} points of each"
         raise InputError(path, f"{problem}, expected at most {MAX_POINTS} points")
 
 
 def _frames(path: Path) -> Iterator[KeypointFrame]:
-    """All frames of all files, so many as can be held."""
+    """All frames of all files, as many as fit into memory."""
     total = 0
     for file in _files(path):
         for frame in read_keypoint_frames(file):
@@ -148,7 +148,7 @@ def _stacked_people(path: Path, frames: Sequence[KeypointFrame]) -> np.ndarray:
             raise InputError(file, problem)
     stacked = np.stack(people)
     detected_xy = stacked[stacked[..., 2] > 0, :2]
-    # OpenPose can be told to write fractions of the image.
+    # OpenPose can write fractions of the image.
     if detected_xy.size and np.abs(detected_xy).max() <= 1.0:
         problem = "found no coordinate beyond -1 to 1, expected pixels (--keypoint_scale 0)"
         raise InputError(path, problem)
@@ -177,7 +177,7 @@ def _names(
     guessed = model_by_faces(people[..., :2], fitting)
     if guessed is None:
         choice = " or ".join(f'"{name}"' for name in fitting)
-        problem = f"{count} points may be of {' or '.join(fitting)}, and the faces do not tell"
+        problem = f"{count} points may be of {' or '.join(fitting)}, and the faces do not decide"
         raise InputError(path, f"{problem}; state keypoints_model = {choice} in [[video]]")
     taken = f"{path}: {count} points, taken as {guessed} by where the faces are"
     return MODELS[guessed], (f'{taken}; keypoints_model = "{guessed}" in [[video]] states it',)

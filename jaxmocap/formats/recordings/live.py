@@ -27,15 +27,15 @@ from jaxmocap.formats.files.short_repr import comma_list, short_repr
 from jaxmocap.formats.files.toml import TomlTable, read_toml, same_file_name
 from jaxmocap.formats.recordings.filters import OneEuroSettings, read_filters
 from jaxmocap.formats.recordings.recording import MarkerPlace, read_place
-from jaxmocap.formats.recordings.subject import DEFAULT_HEIGHT, read_subject
+from jaxmocap.formats.recordings.subject import subject_or_default
 from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP, read_axes
 from jaxmocap.geometry.cameras import Camera
 
 # Unity's frame is left-handed: x right, y up, z forward. The matrix is a reflection.
 R_WORLD_UNITY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-# What VRChat takes trackers of; the head tells it where our world lies in its own.
+# What VRChat takes trackers of; by the head it finds where our world lies in its own.
 TRACKED = ("hip", "chest", "foot_l", "foot_r", "elbow_l", "elbow_r", "knee_l", "knee_r", "head")
-# Knees hide little that feet and hips do not tell.
+# Feet and hips determine the knees well enough.
 DEFAULT_TRACKED = tuple(name for name in TRACKED if not name.startswith("knee"))
 # More than any live run has; compiling takes as long as there are markers and cameras.
 MAX_MARKERS = 200
@@ -51,7 +51,7 @@ _URL = re.compile(r"(?!file:)[a-z][a-z0-9+.-]*://[!-~]+", re.IGNORECASE)
 _TABLES = ("markers", "osc", "lsl", "video", "calibration", "subject", "vmc", "vrchat")
 
 
-# Ports that VMC's senders, VMC's receivers and VRChat use unless they are told otherwise.
+# Ports that VMC's senders, VMC's receivers and VRChat use by default.
 DEFAULT_LISTEN = Address(port=39540)
 DEFAULT_VMC = Address(port=39539)
 DEFAULT_VRCHAT = Address(port=9000)
@@ -86,7 +86,8 @@ class LiveSetup:
         R_world_source: (3, 3) from the markers' axes to the world's.
         videos: any number of cameras.
         listen: where OSC comes in.
-        allowed_networks: networks whose packets count; what others send is counted and ignored.
+        allowed_networks: networks whose packets count; what other hosts send is counted and
+            ignored.
         aliases: name that a sender uses -> marker.
         raw: whether VMC's devices are taken as tracked (``Pos/Local``), not scaled to an avatar.
         lsl: name of the LSL stream that brings the markers in place of OSC, or None.
@@ -135,11 +136,7 @@ def load_live(path: str | Path) -> LiveSetup:
     if "osc" in top and "lsl" in top:
         raise top.error("", "found both [osc] and [lsl], expected one source of markers")
     places = _places(top)
-    skeleton, warnings = Skeleton.human(DEFAULT_HEIGHT), ()
-    if "subject" in top:
-        skeleton = read_subject(path, "[subject]", top.entries["subject"])
-    else:
-        warnings = (f"{path}: no [subject], a height of {DEFAULT_HEIGHT} m is assumed",)
+    skeleton, warnings = subject_or_default(top)
     for place in places:
         if place.bone not in skeleton.tree.bones:
             expected = ", ".join(skeleton.tree.bones)
@@ -211,7 +208,7 @@ def _marker_source(top: TomlTable, places: tuple[MarkerPlace, ...]) -> dict[str,
 
 
 def _stream(fields: TomlTable) -> str:
-    """The name of an LSL stream, which is looked for by a query with the name in quotes."""
+    """The name of an LSL stream, which is resolved by a query with the name in quotes."""
     name = fields.text("stream")
     if not name.isprintable() or "'" in name or len(name) > MAX_STREAM_CHARACTERS:
         expected = f"at most {MAX_STREAM_CHARACTERS} printable characters and no '"

@@ -1,14 +1,14 @@
-"""Where markers sit on the body, and what a marker's own orientation tells of it.
+"""Where markers sit on the body, and the points on bones that oriented markers determine.
 
 INPUTS: entries of [markers.on]; positions and quaternions of markers.
 OUTPUTS: points on bones and where they are, which the tracker takes as markers like any other.
 
-A marker that knows how it is turned (a head-set, a controller, a rigid set) tells two things more.
-With ``offset_in = "marker"`` its offset from the bone is known in its own axes, so that the point
-on the bone is where it says, however the bone is turned: a wrist by the controller in the hand.
-With ``orientation``, how it is fixed to the bone, it tells how the bone is turned: two more points of that
+A marker with an orientation (a head-set, a controller, a rigid set) measures two things more. With
+``offset_in = "marker"`` its offset from the bone is stated in its own axes, so that the point on
+the bone follows whatever the bone's orientation: a wrist from the controller in the hand. With
+``turn``, its orientation on the bone, it measures the bone's orientation: two more points of that
 bone, ``lever`` metres from the first along two of the bone's axes, lie where they then must. A
-radian weighs as much as ``lever`` metres, and every stage that knows markers knows orientations.
+radian weighs as much as ``lever`` metres, and every stage that takes markers takes orientations.
 """
 
 from collections.abc import Sequence
@@ -40,8 +40,8 @@ class MarkerPlace:
         at: fraction of the bone's length from its joint.
         offset: metres, from that point to the marker.
         offset_in: whose axes the offset is in, ``bone`` or ``marker``.
-        orientation: unit quaternion, wxyz, that takes the marker's axes to the bone's; None where nothing
-            is known, or used, of how the bone is turned.
+        orientation: unit quaternion, wxyz, that takes the marker's axes to the bone's (``turn`` in
+            the file); None where the marker's orientation is not used.
         lever: metres that weigh as much as a radian.
     """
 
@@ -55,7 +55,7 @@ class MarkerPlace:
 
     @property
     def needs_orientation(self) -> bool:
-        """Does the marker have to tell how it is turned?"""
+        """Whether the marker's orientation must be measured."""
         return self.offset_in == "marker" or self.orientation is not None
 
 
@@ -97,7 +97,7 @@ def _quaternion(fields: TomlTable) -> tuple[float, float, float, float]:
 
 
 def bone_points(skeleton: Skeleton, places: Sequence[MarkerPlace]) -> tuple[MarkerPlace, ...]:
-    """The points on bones that the markers tell of, each by an offset in its bone's axes."""
+    """The points on bones that the markers measure, each by an offset in its bone's axes."""
     points = []
     for place in places:
         offset = np.zeros(3) if place.offset_in == "marker" else np.array(place.offset)
@@ -137,7 +137,7 @@ def bone_point_positions(
         R_world_marker: (..., M, 3, 3) from the markers' axes; NaN where missing.
 
     Returns:
-        (..., P, 3) metres; NaN where a marker is missing, or how it is turned and that is needed.
+        (..., P, 3) metres; NaN where a marker is missing, or its orientation where that is needed.
     """
     points = []
     for i, place in enumerate(places):

@@ -28,7 +28,7 @@ from jaxmocap.formats.recordings.marker_places import (
     read_place,
 )
 from jaxmocap.formats.recordings.rigid_bodies import with_rigid_sets
-from jaxmocap.formats.recordings.subject import DEFAULT_HEIGHT, read_subject
+from jaxmocap.formats.recordings.subject import subject_or_default
 from jaxmocap.formats.time_series.axes import read_axes, to_world
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.tables import Markers, SampleLabels, check_times
@@ -75,14 +75,14 @@ class Recording:
             raise InputError(where, f"marker positions: found shape {found}, expected {expected}")
         check_times(where, self.times, SampleLabels("marker sample"))
         if self.places and not np.isfinite(self.positions_world).all(-1).any():
-            raise InputError(where, "no marker is seen in any sample, all positions are NaN")
+            raise InputError(where, "no marker has a position in any sample, all are NaN")
         bones = self.skeleton.tree.bones
         for place in self.places:
             if place.bone not in bones:
                 raise InputError(
                     where,
-                    f"[markers.on] {short_name(place.name)}: unknown bone {short_repr(place.bone)}, "
-                    f"expected one of {', '.join(bones)}",
+                    f"[markers.on] {short_name(place.name)}: unknown bone "
+                    f"{short_repr(place.bone)}, expected one of {', '.join(bones)}",
                 )
 
     @property
@@ -91,7 +91,7 @@ class Recording:
         return tuple(place.name for place in self.places)
 
     def require_markers(self) -> "Recording":
-        """The recording itself, for whoever cannot do without markers.
+        """The recording itself, where it has markers.
 
         Raises:
             InputError: it has none.
@@ -117,27 +117,22 @@ def load_recording(path: str | Path) -> Recording:
     """
     path = Path(path)
     top = TomlTable(path, "", read_toml(path), ("markers", "video", "calibration", "subject"))
-    warnings = []
-    if "subject" in top:
-        skeleton = read_subject(path, "[subject]", top.entries["subject"])
-    else:
-        skeleton = Skeleton.human(DEFAULT_HEIGHT)
-        warnings.append(f"{path}: no [subject], a height of {DEFAULT_HEIGHT} m is assumed")
+    skeleton, warnings = subject_or_default(top)
     if "markers" not in top and not top.entries.get("video"):
         raise top.error("", "neither [markers] nor [[video]], expected one of them")
     if "markers" not in top:
         no_markers = np.zeros(0), np.zeros((0, 0, 3)), ()
         videos = read_videos(top)
         return _at_local_origin(
-            top, Recording(skeleton, *no_markers, videos, path.stem, path, tuple(warnings))
+            top, Recording(skeleton, *no_markers, videos, path.stem, path, warnings)
         )
     markers, places, filters = _read_placed_markers(top)
-    is_seen = np.isfinite(markers.positions.sum(-1))
-    warnings += [
-        f"{path}: marker {place.name!r} is never seen"
-        for place, samples in zip(places, is_seen.T, strict=True)
+    is_present = np.isfinite(markers.positions.sum(-1))
+    warnings += tuple(
+        f"{path}: marker {place.name!r} is missing in every sample"
+        for place, samples in zip(places, is_present.T, strict=True)
         if not samples.any()
-    ]
+    )
     positions_world, points = _bone_points(path, skeleton, places, markers)
     recording = Recording(
         skeleton,
@@ -147,7 +142,7 @@ def load_recording(path: str | Path) -> Recording:
         read_videos(top),
         path.stem,
         path,
-        tuple(warnings),
+        warnings,
         top.path.parent / top.entries["markers"]["file"],
         markers.rate,
         filters,
@@ -156,7 +151,7 @@ def load_recording(path: str | Path) -> Recording:
 
 
 def _at_local_origin(top: TomlTable, recording: Recording) -> Recording:
-    """The recording, seen from a local origin where the world's is far from markers or cameras."""
+    """The recording about a local origin, where the world's is far from markers or cameras."""
     places = recording.positions_world
     if not recording.places:
         places = np.array([source.camera.position_world for source in recording.videos])
@@ -220,7 +215,9 @@ def _read_placed_markers(top: TomlTable) -> tuple[Markers, tuple[MarkerPlace, ..
         raise on.error(name, f"no such marker in {file}, found {comma_list(available)}")
     markers = _selected_markers(markers, tuple(on.entries))
     if markers.orientations is not None and np.linalg.det(R_world_file) < 0:
-        raise fields.error("to_world", "found a reflection, which leaves no turn of a marker")
+        raise fields.error(
+            "to_world", "found a reflection, which leaves no orientation of a marker"
+        )
     orientations = None if markers.orientations is None else R_world_file @ markers.orientations
     positions_world = to_world(R_world_file, markers.positions)
     return replace(markers, positions=positions_world, orientations=orientations), places, filters
@@ -240,7 +237,7 @@ def _selected_markers(markers: Markers, names: tuple[str, ...]) -> Markers:
 def _bone_points(
     path: Path, skeleton: Skeleton, places: tuple[MarkerPlace, ...], markers: Markers
 ) -> tuple[np.ndarray, tuple[MarkerPlace, ...]]:
-    """Points on bones (T, P, 3), world, metres, that the markers tell of, and their places."""
+    """Points on bones (T, P, 3), world, metres, that the markers measure, and their places."""
     bones = skeleton.tree.bones
     # Of a long recording without any, a whole array would take as much as three of positions.
     orientations = np.broadcast_to(np.nan, (*markers.positions.shape, 3))
@@ -251,7 +248,7 @@ def _bone_points(
             raise InputError(path, f"[markers.on] {short_name(place.name)}: {problem}")
         if place.needs_orientation and not np.isfinite(orientations[:, i]).any():
             key = "offset_in = 'marker'" if place.orientation is None else "turn"
-            problem = f"{key} needs to know how the marker is turned, which the file never says"
+            problem = f"{key} needs the marker's orientation, which the file never states"
             raise InputError(path, f"[markers.on] {short_name(place.name)}: {problem}")
     if not any(place.needs_orientation for place in places):
         return markers.positions, bone_points(skeleton, places)

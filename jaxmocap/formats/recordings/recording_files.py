@@ -4,7 +4,7 @@ INPUTS: a recording's TOML file.
 OUTPUTS: itself and the files that its fields name: markers, videos, backgrounds, key points,
 calibration, subject and static trial. None of them is opened but the two TOML files.
 
-Only what a field for a file says is looked at, and only regular files count: a folder of key
+Only fields for files are read, and only regular files count: a folder of key
 points stands for the .json files in it, a device or a pipe for nothing. What is not there is listed
 all the same, so that whoever opens it can say so.
 """

@@ -1,11 +1,11 @@
-"""Three or more markers of one rigid set as one marker that knows how it is turned.
+"""Three or more markers of one rigid set as one marker with an orientation.
 
 INPUTS: Markers, and which of them form sets.
 OUTPUTS: Markers with one more for each set: at the middle of its markers, x from the first to the
 second, z upright on the plane of the first three (x towards the third makes y).
 
-A set's shape is the median over all samples in which its first three are seen; then each sample is
-fitted by least squares (Kabsch) to those seen, three at least.
+A set's shape is the median over all samples in which its first three are present; then each sample
+is fitted by least squares (Kabsch) to those present, three at least.
 """
 
 import warnings
@@ -19,9 +19,9 @@ from jaxmocap.formats.files.toml import TomlTable
 from jaxmocap.formats.time_series.tables import Markers
 
 MIN_MARKERS = 3
-# Samples times markers that know how they are turned: 0.4 GB.
+# Samples times markers with an orientation: 0.4 GB.
 MAX_ORIENTATIONS = 5_000_000
-# Markers nearer to one line than this, metres, do not tell how a set is turned about it.
+# Markers nearer to one line than this, metres, do not determine a set's rotation about it.
 MIN_WIDTH_M = 0.005
 
 
@@ -44,7 +44,7 @@ def with_rigid_sets(fields: TomlTable, markers: Markers, names: Collection[str])
 
     Raises:
         InputError: a set's marker that is not in the file, a set called as a marker is, or one
-            that is never seen whole or lies on a line; or more orientations than memory holds.
+            that is never complete or lies on a line; or more orientations than memory holds.
     """
     sets = read_sets(fields)
     if not sets:
@@ -79,7 +79,7 @@ def with_rigid_sets(fields: TomlTable, markers: Markers, names: Collection[str])
 def _fitted_poses(
     fields: TomlTable, name: str, points: np.ndarray, members: Sequence[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Middle (T, 3) and turn (T, 3, 3) of a set's (T, K, 3) markers; NaN where two are seen."""
+    """Centres (T, 3) and orientations (T, 3, 3) of a set's (T, K, 3) markers; NaN below three."""
     is_complete = np.isfinite(points[:, :MIN_MARKERS]).all((1, 2))
     if not is_complete.any():
         raise fields.error(name, f"found {comma_list(members[:MIN_MARKERS])} in no common sample")
@@ -88,7 +88,9 @@ def _fitted_poses(
     if unseen:
         raise fields.error(name, f"found {short_repr(unseen[0])} never beside the first three")
     if np.linalg.svd(shape - shape.mean(0), compute_uv=False)[1] < MIN_WIDTH_M:
-        raise fields.error(name, "found all markers on one line, which tells no turn about it")
+        raise fields.error(
+            name, "found all markers on one line, which determines no rotation about it"
+        )
     is_seen = np.isfinite(points.sum(-1))
     enough = is_seen.sum(1) >= MIN_MARKERS
     weights = is_seen[..., None] / np.maximum(is_seen.sum(1), 1)[:, None, None]
@@ -114,7 +116,7 @@ def _rest_shape(points: np.ndarray) -> np.ndarray:
     upright = np.isfinite(R.sum((1, 2)))[:, None, None]
     local = np.einsum("tji,tkj->tki", R, points - points[:, :MIN_MARKERS].mean(1, keepdims=True))
     with warnings.catch_warnings():
-        # A marker that is never seen has no place, which is said by who asks.
+        # A marker that is never present is NaN here; the caller raises the error.
         warnings.simplefilter("ignore", RuntimeWarning)
         shape = np.nanmedian(np.where(upright, local, np.nan), 0)
     return shape - shape.mean(0)

@@ -42,6 +42,18 @@ _SKELETON_FIELDS = {
 }
 
 
+def subject_or_default(top: TomlTable) -> tuple[Skeleton, tuple[str, ...]]:
+    """The skeleton of a file's [subject], or of the default height with a warning.
+
+    Raises:
+        InputError: see ``read_subject``.
+    """
+    if "subject" in top:
+        return read_subject(top.path, "[subject]", top.entries["subject"]), ()
+    warning = f"{top.path}: no [subject], a height of {DEFAULT_HEIGHT} m is assumed"
+    return Skeleton.human(DEFAULT_HEIGHT), (warning,)
+
+
 def read_subject(path: Path, where: str, table: Any) -> Skeleton:
     """The skeleton of a [subject] table.
 
@@ -190,7 +202,7 @@ def _landmark_table(fields: TomlTable) -> TomlTable:
 def _by_static_trial(fields: TomlTable) -> Skeleton:
     landmarks, landmark_table = static_landmarks(fields), _landmark_table(fields)
     try:
-        # Landmarks that are never seen together show as lengths that are not numbers.
+        # Landmarks that are never in one frame together show as lengths that are not numbers.
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore", RuntimeWarning)
             skeleton = scale_to_landmarks(Skeleton.human(), landmarks)

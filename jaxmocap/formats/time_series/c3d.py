@@ -152,7 +152,7 @@ def unconverted_content(path: str | Path) -> list[str]:
 
 
 def _declared_frames(path: str | Path) -> int:
-    """How many frames the header says there are; ezc3d tells only those that it found."""
+    """How many frames the header says there are; ezc3d gives only those that it found."""
     with open_regular(path) as file:
         header = file.read(_HEADER_BYTES)
     try:
@@ -235,7 +235,7 @@ def _is_complete(path: Path, frames: int, points: int) -> bool:
 
 
 def _residuals(markers: Markers, missing: np.ndarray) -> tuple[np.ndarray, float]:
-    """Residuals (M, T) in millimetres, −1 where missing, and the step in which they are held."""
+    """Residuals (M, T) in millimetres, −1 where missing, and the step in which they are stored."""
     if markers.residuals is None:
         return np.where(missing, -1.0, 0.0), 1.0
     residuals = np.nan_to_num(markers.residuals.T / _METRES_PER_MM)

@@ -47,7 +47,7 @@ def read_to_stdout(path: str, most: int) -> int:
             "first": int(file["header"]["points"]["first_frame"]),
             "unit": str(units[0]).strip() if len(units) else "",
             "labels": stored_labels(group, points.shape[1]),
-            "analogs": file["data"]["analogs"].shape[1],
+            "analog_channels": file["data"]["analogs"].shape[1],
             "events": len(times.get("value", ())),
         }
         output = sys.stdout.buffer

@@ -1,8 +1,8 @@
 """CSV: markers as any spreadsheet or data frame writes them.
 
 INPUTS: a comma-separated file whose header is ``time,Name.x,Name.y,Name.z,...``: seconds and
-metres, one row per sample, empty cells where a marker is missing. A marker that knows how it is
-turned has ``Name.qw,Name.qx,Name.qy,Name.qz`` after its place: a unit quaternion from its own axes
+metres, one row per sample, empty cells where a marker is missing. A marker with an orientation
+has ``Name.qw,Name.qx,Name.qy,Name.qz`` after its place: a unit quaternion from its own axes
 to the file's.
 OUTPUTS: Markers in the file's own axes; or such a file.
 """
@@ -62,7 +62,7 @@ def read_csv(path: str | Path) -> Markers:
 
 
 def _check_lengths(path: str | Path, name: str, quaternions: np.ndarray, lines: np.ndarray) -> None:
-    """InputError unless every one of (T, 4) quaternions that is known is of length 1."""
+    """InputError unless every one of (T, 4) quaternions that is not NaN is of length 1."""
     lengths = np.linalg.norm(quaternions, axis=-1)
     wrong = np.flatnonzero(np.abs(lengths - 1) > 0.01)
     if len(wrong):
@@ -70,7 +70,7 @@ def _check_lengths(path: str | Path, name: str, quaternions: np.ndarray, lines: 
         raise InputError(
             path,
             f"line {lines[i]}: the quaternion of {short_repr(name)} has length {lengths[i]:.3g}, "
-            "expected 1 (or four empty cells where it is not known)",
+            "expected 1 (or four empty cells where it is missing)",
         )
 
 

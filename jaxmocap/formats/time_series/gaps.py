@@ -20,7 +20,7 @@ MAX_INTERVALS_BRIDGED = 5
 
 
 def is_gap(times: np.ndarray) -> np.ndarray:
-    """(T - 1,) is what lies between each of (T,) times and the next one a gap?"""
+    """(T - 1,) whether what lies between each of (T,) times and the next one is a gap."""
     steps = np.diff(times)
     if not len(steps):
         return np.zeros(0, bool)
@@ -28,7 +28,7 @@ def is_gap(times: np.ndarray) -> np.ndarray:
 
 
 def hold_across_gaps(armature: Armature) -> Armature:
-    """The samples whose pose is known, and the pose before each gap once more at its end."""
+    """The samples that have a pose, and the pose before each gap once more at its end."""
     known_samples = np.flatnonzero(armature.is_known)
     times = armature.times[known_samples]
     before = np.flatnonzero(is_gap(times))

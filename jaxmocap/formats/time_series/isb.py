@@ -67,7 +67,7 @@ class Joint:
 
     Attributes:
         name: of the joint, without side.
-        proximal: bone of the segment that is held; None is the pelvis.
+        proximal: bone of the segment that stays fixed; None is the pelvis.
         distal: bone of the segment that turns; None is the pelvis.
         order: of the three turns, about the axes that the earlier ones leave.
         angles: their names.
@@ -131,11 +131,11 @@ def isb_angles(motion: Motion) -> dict[str, np.ndarray]:
 def _in_isb(joint: Joint, side: str, _: tuple[int, ...], R: np.ndarray) -> np.ndarray:
     """Turns (T, 3, 3) between a joint's bones as turns between ISB's axes, left ones mirrored."""
     to_isb = R_BONE_ISB @ MIRROR if side == "l" else R_BONE_ISB
-    near, far = (_R_bone_isb(bone) for bone in (joint.proximal, joint.distal))
+    near, far = (_segment_axes(bone) for bone in (joint.proximal, joint.distal))
     return near.T @ to_isb.T @ R @ to_isb @ far
 
 
-def _R_bone_isb(bone: str | None) -> np.ndarray:
+def _segment_axes(bone: str | None) -> np.ndarray:
     """ISB's axes (3, 3) of a segment in those that its bone has."""
     return SUPINATED if bone in ("radius", "hand") else np.eye(3)
 
@@ -158,7 +158,7 @@ def made_by_hinges(skeleton: Skeleton, joint: Joint, side: str = "") -> tuple[in
     above, below = (set(tree.chain(bone) if bone else ()) for bone in (near, far))
     between = below - above
     hinges = [d for d, bone in enumerate(tree.dof_bones) if bone in between]
-    to_isb = R_BONE_ISB @ _R_bone_isb(joint.proximal)
+    to_isb = R_BONE_ISB @ _segment_axes(joint.proximal)
     about = np.abs(np.asarray(skeleton.axes, float)[hinges] @ to_isb).max(0, initial=0.0)
     return tuple(k for k, axis in enumerate(joint.order) if about["XYZ".index(axis)] > 1e-6)
 

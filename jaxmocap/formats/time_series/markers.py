@@ -1,4 +1,4 @@
-"""Marker files of any kind, told by their suffix.
+"""Marker files of any kind, by their suffix.
 
 INPUTS: a .trc, .csv or .c3d file; or a .bvh or .glb file, whose joints are the markers.
 OUTPUTS: Markers in metres, in the file's own axes.

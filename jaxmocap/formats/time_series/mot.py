@@ -120,7 +120,7 @@ def _radians(name: str, column: np.ndarray) -> np.ndarray:
 def motion_from_angles(
     path: str | Path, times: np.ndarray, columns: Mapping[str, np.ndarray], skeleton: Skeleton
 ) -> Motion:
-    """The motion of a skeleton that a file written by ``write_mot`` tells.
+    """The motion of a skeleton that a file written by ``write_mot`` holds.
 
     Raises:
         InputError: a column is missing.

@@ -1,7 +1,8 @@
 """The same at other times: markers, armatures and motions at an even rate.
 
-INPUTS: Markers, an Armature or a Motion, and times. OUTPUTS: the same kind of thing, straight lines
-and shortest turns between its samples; missing where one of the two samples is, and within gaps.
+INPUTS: Markers, an Armature or a Motion, and times. OUTPUTS: the same kind of thing, linear and
+spherical linear interpolation between its samples; missing where one of the two samples is, and
+within gaps.
 """
 
 from collections.abc import Iterator
@@ -45,7 +46,7 @@ def even_times(
     """
     if not 0 < rate < np.inf:
         raise ValueError(f"found a rate of {rate:g}, expected a positive number")
-    # Of numbers beyond those of memory, a float tells how many.
+    # A float, since the count may be beyond any integer of NumPy's.
     count = np.floor(float(times[-1] - times[0]) * rate + 1e-6) + 1
     numbers = max(ALWAYS_ALLOWED_NUMBERS, min(MAX_NUMBERS, MAX_GROWTH * len(times) * columns))
     if count > (most := numbers // max(columns, 1)):
@@ -55,7 +56,7 @@ def even_times(
 
 
 class Interpolation(NamedTuple):
-    """Which two samples each of N times lies between.
+    """The two samples that each of N times lies between, and how far.
 
     Attributes:
         before: (N,) index of the sample before.
@@ -78,7 +79,7 @@ class Interpolation(NamedTuple):
 
 
 def interpolation_at(times: np.ndarray, new_times: np.ndarray) -> Interpolation:
-    """Where (N,) wanted times lie among (T,) ascending ones."""
+    """How (N,) new times are interpolated among (T,) ascending ones."""
     after = np.clip(np.searchsorted(times, new_times), 0, len(times) - 1)
     before = np.maximum(after - 1, 0)
     step = np.where(after > before, times[after] - times[before], 1.0)
@@ -93,14 +94,14 @@ def interpolation_at(times: np.ndarray, new_times: np.ndarray) -> Interpolation:
 
 
 def resampled_markers(markers: Markers, times: np.ndarray) -> Markers:
-    """Markers at (N,) other times; their residuals are let go."""
+    """Markers at (N,) other times; their residuals are dropped."""
     at = interpolation_at(markers.times, times)
     orientations = None if markers.orientations is None else slerp(markers.orientations, at)
     return Markers(times, markers.names, lerp(markers.positions, at), orientations=orientations)
 
 
 def lerp(values: np.ndarray, at: Interpolation) -> np.ndarray:
-    """(N, ...) values on the straight lines between (T, ...); NaN within gaps."""
+    """(N, ...) linear interpolation of (T, ...) values; NaN within gaps."""
     values_then = np.empty((len(at.fraction), *values.shape[1:]))
     for block, at_block in at.blocks(values[0].size):
         first, second = values[at_block.before], values[at_block.after]
@@ -111,7 +112,7 @@ def lerp(values: np.ndarray, at: Interpolation) -> np.ndarray:
 
 
 def slerp(R: np.ndarray, at: Interpolation) -> np.ndarray:
-    """(N, ..., 3, 3) rotations on the shortest turns between (T, ..., 3, 3).
+    """(N, ..., 3, 3) spherical linear interpolation of (T, ..., 3, 3) rotations.
 
     NaN where one of the two is, and within gaps.
     """
@@ -123,7 +124,7 @@ def slerp(R: np.ndarray, at: Interpolation) -> np.ndarray:
 
 
 def _slerp(R_before: np.ndarray, R_after: np.ndarray, fraction: np.ndarray) -> np.ndarray:
-    """Rotations (N, ..., 3, 3) that are (N,) parts of the way from one to another."""
+    """Rotations (N, ..., 3, 3) at (N,) fractions of the way from one to another."""
     is_known = np.isfinite(R_before.sum((-2, -1)) + R_after.sum((-2, -1)))[..., None, None]
     first, second = (
         Rotation.from_matrix(np.where(is_known, each, np.eye(3)).reshape(-1, 3, 3))
@@ -142,7 +143,7 @@ def resampled_armature(armature: Armature, times: np.ndarray) -> Armature:
 
 
 def resampled_motion(motion: Motion, times: np.ndarray) -> Motion:
-    """A motion at (N,) other times; its report is let go."""
+    """A motion at (N,) other times; its report is dropped."""
     at = interpolation_at(motion.times, times)
     position, quaternion, angles = (np.asarray(part, float) for part in motion.poses)
     is_known = np.isfinite(quaternion.sum(-1, keepdims=True))

@@ -44,8 +44,8 @@ class Markers:
             missing; or None where the file says nothing of them (only C3D does).
         rate: samples per second as the file's header states them, whatever its time stamps say;
             or None where it has no such field (only TRC has both).
-        orientations: (T, M, 3, 3) rotations from each marker's own axes to the file's, NaN where it is
-            not known how it is turned; or None where that is known of no marker.
+        orientations: (T, M, 3, 3) rotations from each marker's own axes to the file's, NaN where
+            missing; or None where no marker has any.
     """
 
     times: np.ndarray
@@ -60,7 +60,7 @@ class Markers:
         return {name: self.positions[:, i] for i, name in enumerate(self.names)}
 
     def known_orientations(self) -> dict[str, np.ndarray]:
-        """Name -> (T, 3, 3) turns of the markers of which any is known."""
+        """Name -> (T, 3, 3) orientations of the markers that have any."""
         if self.orientations is None:
             return {}
         columns = {name: self.orientations[:, i] for i, name in enumerate(self.names)}
@@ -200,7 +200,7 @@ def _check_positions(
 
 @dataclass(frozen=True)
 class SampleLabels:
-    """Where the samples of a file stand, in words.
+    """How messages name the samples of a file, such as ``line 12``.
 
     Attributes:
         kind: what they are called.
@@ -211,7 +211,7 @@ class SampleLabels:
     numbers: Sequence[int] | np.ndarray | None = None
 
     def __call__(self, i: int) -> str:
-        """The place of sample i."""
+        """The label of sample i."""
         return f"{self.kind} {i if self.numbers is None else self.numbers[i]}"
 
 

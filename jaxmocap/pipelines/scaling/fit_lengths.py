@@ -17,7 +17,7 @@ from jaxmocap.body.proportions import LENGTHS, scaled
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.subject import scale_to_height
 from jaxmocap.body.wrists import with_wrists
-from jaxmocap.capture.checks.body_reach import standing_height
+from jaxmocap.capture.checks.body_reach import skeleton_stature
 from jaxmocap.capture.filters import filter_markers
 from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.evaluation.interval_plot import plot_intervals
@@ -68,7 +68,7 @@ def scale_by_recording(
     # The girths found are those of clothes and headset, which the file is not to keep.
     lengths = fit.logarithms[: len(LENGTHS)]
     person = scaled(stated, jnp.asarray(lengths, stated.lengths.dtype))
-    tall = standing_height(stated) if height is None else height
+    tall = skeleton_stature(stated) if height is None else height
     report = LengthsReport.of(stated, person, tall, fit, Path(out))
     write_subject(out, person, tall, report.lines())
     title = f"Lengths from {Path(path).name}"
