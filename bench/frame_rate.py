@@ -227,7 +227,7 @@ def decoding(size: str, tracker: HybridTracker, footage: Footage) -> Iterator[Me
         count = sum(1 for _ in video.frames(luma=luma))
         spent = watch.read()
         yield Metric(f"{size}, decoding to {name}", spent.wall / count, "ms")
-        of_core = 100 * spent.busy / 1e3 / video.duration
+        of_core = 100 * spent.busy / 1e3 * video.fps / len(video)
         yield Metric(f"{size}, decoding to {name}, of one core at 30 Hz", of_core, "%")
     videos, _ = open_footage(footage.recording)
     with forward_readers(videos, colour=True) as (reader,):

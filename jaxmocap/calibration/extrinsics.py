@@ -17,6 +17,7 @@ from jaxmocap.calibration.planar_poses import (
     CameraPose,
     candidate_poses,
     relative_thickness,
+    reprojection_residuals,
 )
 from jaxmocap.formats.cameras.calibration import Intrinsics
 from jaxmocap.geometry.cameras import Camera
@@ -117,32 +118,33 @@ def estimate_placement(
         used, poses = _without_outlier(points_world, pixels_xy, lens, poses)
     if not poses:
         raise ArithmeticError("no camera sees these points there: pixels or places are exchanged")
-    best, others = (
-        poses[0],
-        [p for p in poses[1:] if p.rms < AMBIGUOUS_RATIO * max(poses[0].rms, 0.05)],
-    )
-    warnings = []
-    if others:
-        best, other = _plausible_first(best, others[0], upside_down)
-        warnings.append(_ambiguity_warning(best, other, upside_down))
+    best, warnings = _chosen_pose(poses, upside_down)
     mirrored = next((pose for pose in poses if pose is not best), None)
     std_m, std_deg = _deviations(best, points_world[used], lens)
     return Placement(
         best.matrix,
-        _residuals(best, points_world, pixels_xy, lens),
+        reprojection_residuals(points_world, pixels_xy, lens, best.rvec, best.tvec),
         used,
         std_m,
         std_deg,
         None if mirrored is None else mirrored.matrix,
         np.inf if mirrored is None else mirrored.rms / max(best.rms, 1e-9),
-        tuple(
-            [
-                *warnings,
-                *_uncertainty_warnings(std_m),
-                *_implausibility_warnings(best.matrix, upside_down),
-            ]
+        (
+            *warnings,
+            *_uncertainty_warnings(std_m),
+            *_implausibility_warnings(best.matrix, upside_down),
         ),
     )
+
+
+def _chosen_pose(poses: list[CameraPose], upside_down: bool) -> tuple[CameraPose, list[str]]:
+    """Of poses, the best first, the one that is plausible; a warning where two fit alike."""
+    best = poses[0]
+    alike = [pose for pose in poses[1:] if pose.rms < AMBIGUOUS_RATIO * max(best.rms, 0.05)]
+    if not alike:
+        return best, []
+    best, other = _plausible_first(best, alike[0], upside_down)
+    return best, [_ambiguity_warning(best, other, upside_down)]
 
 
 def _check_points(points_world: np.ndarray) -> None:
@@ -248,15 +250,6 @@ def advice_on_board_pose(
                 f"{_position_text(other)}; see the axes in the picture"
             )
     return "see the axes in the picture: --pose does not fit it, or the world's z is not up"
-
-
-def _residuals(
-    pose: CameraPose, points_world: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics
-) -> np.ndarray:
-    projected, _ = cv2.projectPoints(
-        points_world, pose.rvec, pose.tvec, lens.matrix, lens.distortions
-    )
-    return projected.reshape(-1, 2) - pixels_xy
 
 
 def _deviations(

@@ -135,9 +135,10 @@ def place_camera(
         raise InputError(target.points or path, str(error)) from None
     drawings = []
     if folder is not None:
+        T_world_board = points.T_world_board
         board = None
-        if target.board is not None and points.T_world_board is not None:
-            board = target.board, points.T_world_board
+        if target.board is not None and T_world_board is not None:
+            board = target.board, T_world_board
         draw = partial(draw_placement, picture, lens, placement, points.pixels_xy, board)
         drawings += folder.write(lambda stage: [draw(stage)])
     advice = _advice(placement, points.T_world_board, upside_down)

@@ -70,11 +70,8 @@ def candidate_poses(
         _, rvecs, tvecs, _ = cv2.solvePnPGeneric(points, pixels_xy, K, d, flags=method)
         for r, t in zip(rvecs, tvecs, strict=True):
             rvec, tvec = cv2.solvePnPRefineLM(points, pixels_xy, K, d, r.copy(), t.copy())
-            poses.append(
-                CameraPose(
-                    rvec.ravel(), tvec.ravel(), _residuals(points, pixels_xy, lens, rvec, tvec)
-                )
-            )
+            residuals_xy = reprojection_residuals(points, pixels_xy, lens, rvec, tvec)
+            poses.append(CameraPose(rvec.ravel(), tvec.ravel(), residuals_xy))
     except cv2.error:
         return []
     in_front = [pose for pose in poses if np.isfinite(pose.rms) and _in_front(pose, points)]
@@ -93,9 +90,14 @@ def tilt_degrees(pose: CameraPose) -> float:
     return float(np.degrees(np.arccos(np.clip(abs(pose.matrix[2, 2]), 0, 1))))
 
 
-def _residuals(
-    points: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics, rvec: np.ndarray, tvec: np.ndarray
+def reprojection_residuals(
+    points: np.ndarray,
+    pixels_xy: np.ndarray,
+    lens: Intrinsics,
+    rvec: np.ndarray,
+    tvec: np.ndarray,
 ) -> np.ndarray:
+    """(N, 2) reprojected minus detected pixels of (N, 3) points under a pose."""
     projected, _ = cv2.projectPoints(points, rvec, tvec, lens.matrix, lens.distortions)
     return projected.reshape(-1, 2) - pixels_xy
 

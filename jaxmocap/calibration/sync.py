@@ -17,11 +17,11 @@ import jax
 import numpy as np
 
 from jaxmocap.calibration.hand_flow import FlowPair, HandFlow, MarkerPath, flow_fields
+from jaxmocap.capture.checks.markers import HAND_BONES
 from jaxmocap.capture.video import FrameSource, open_video
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
 
-HAND_BONES = ("hand", "radius")
 # A stretch of video whose lag is estimated lasts so many seconds at most,
 STRETCH_S = 10.0
 # and has so many frames at most.

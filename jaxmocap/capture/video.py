@@ -90,11 +90,6 @@ class FrameSource(ABC):
         interval = median_interval(self.times)
         return 1 / interval if interval else 0.0
 
-    @property
-    def duration(self) -> float:
-        """Seconds from the first frame to the end of the last."""
-        return float(self.times[-1] - self.times[0]) + median_interval(self.times)
-
 
 class Video(FrameSource):
     """A video file."""

@@ -21,7 +21,8 @@ from jaxmocap.formats.animation.armature import (
     rotated_armature,
 )
 from jaxmocap.formats.animation.body_armature import armature_of, motion_of
-from jaxmocap.formats.animation.bvh import read_bvh, write_bvh
+from jaxmocap.formats.animation.bvh import write_bvh
+from jaxmocap.formats.animation.bvh_in import read_bvh
 from jaxmocap.formats.animation.export import DEFAULT_CONVENTION, R_FILE_WORLD
 from jaxmocap.formats.animation.gltf import write_gltf
 from jaxmocap.formats.animation.gltf_in import read_gltf

@@ -8,7 +8,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton, load_skeleton, with_joints
 from jaxmocap.formats.animation.armature import joint_positions, rotated_armature
-from jaxmocap.formats.animation.bvh import read_bvh
+from jaxmocap.formats.animation.bvh_in import read_bvh
 from jaxmocap.formats.animation.export import write_animation
 from jaxmocap.formats.animation.joint_names import CONVENTIONS, joint_of
 from jaxmocap.formats.motion_npz import load_motion, save_motion

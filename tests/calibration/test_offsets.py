@@ -51,7 +51,7 @@ def test_offsets_are_found_within_millimetres_and_their_deviations_are_honest():
 def test_turning_about_one_axis_leaves_the_offset_along_it_open_and_says_so():
     for name, held in found(seed=1, swing_deg=(35.0, 0.0, 0.0)).items():
         (doubt,) = held.warnings
-        assert "not determined along" in doubt and "turn it about the others too" in doubt
+        assert "not determined along" in doubt and "rotate it about the others too" in doubt
         # About the bone's left axis, seen in the marker's.
         axis = DEVICES[name].R_bone_device.T @ [0.0, 1.0, 0.0]
         assert axis @ held.covariance @ axis > 0.9

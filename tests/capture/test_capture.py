@@ -245,7 +245,7 @@ def test_markers_and_video_without_common_time_are_refused():
 def test_a_video_yields_its_frames_at_their_times(tmp_path, suffix):
     video = Video(write_video(tmp_path / f"v{suffix}"), offset=2.0)
     assert (video.size, len(video)) == ((64, 48), 20)
-    assert video.fps == pytest.approx(100) and video.duration == pytest.approx(0.2)
+    assert video.fps == pytest.approx(100)
     np.testing.assert_allclose(video.times, 2 + np.arange(20) / 100, atol=1e-9)
     np.testing.assert_array_equal([t for t, _ in video], video.times)
     assert numbers(video) == numbers(video) == list(range(20))
@@ -440,7 +440,7 @@ def test_times_and_counts_of_a_video_are_sensible_or_refused(tmp_path, box, at, 
         assert str(error).startswith(f"{tmp_path / 'v.mp4'}: ")
         return
     assert np.isfinite(video.times).all() and (np.diff(video.times) > 0).all()
-    assert 0 <= video.duration < 1e6 and len(list(video)) == len(video.times)
+    assert len(list(video)) == len(video.times)
 
 
 def test_stamps_far_apart_are_refused(tmp_path):

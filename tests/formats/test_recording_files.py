@@ -166,7 +166,7 @@ def test_a_subject_may_have_a_file_with_paths_of_its_own(folder):
         (WHOLE.replace('"head"', '"head", at = true'), "Head at: found True, expected a number"),
         (WHOLE.replace('"head"', '"head", offset = [1]'), "Head offset: found [1], expected 3"),
         (WHOLE.replace('"head"', '"head", to = 1'), "unknown key 'to', expected bone, at, offset"),
-        (WHOLE.replace("Head = ", "Gone = "), "all positions are NaN"),
+        (WHOLE.replace("Head = ", "Gone = "), "all are NaN"),
         (WHOLE.replace("v.mp4", "w.mp4"), "[[video]] number 1 file: no such file"),
         (WHOLE.replace("[[video]]", "[video]"), "expected [[video]] in double brackets"),
         (WHOLE.replace('camera = "cam"', ""), "[[video]] number 1: 'camera' is missing"),

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from jaxmocap.formats.animation.armature import Armature
-from jaxmocap.formats.animation.bvh import MAX_DEPTH, MAX_JOINTS, MAX_ROTATIONS
+from jaxmocap.formats.animation.armature import MAX_DEPTH, MAX_JOINTS, MAX_ROTATIONS, Armature
 from jaxmocap.formats.animation.glb import Accessors, read_document
 from jaxmocap.formats.animation.json_parts import JsonPart
 from jaxmocap.formats.files.errors import InputError

@@ -19,8 +19,7 @@ from jaxmocap.formats.cameras.video_sources import VideoSource, read_videos
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import comma_list, short_name, short_repr
 from jaxmocap.formats.files.toml import TomlTable, read_toml, write_toml
-from jaxmocap.formats.recordings.filters import FILTER_KEYS as FILTERS
-from jaxmocap.formats.recordings.filters import Filters, read_filters
+from jaxmocap.formats.recordings.filters import FILTER_KEYS, Filters, read_filters
 from jaxmocap.formats.recordings.marker_places import (
     MarkerPlace,
     bone_point_positions,
@@ -203,7 +202,7 @@ def _read_placed_markers(top: TomlTable) -> tuple[Markers, tuple[MarkerPlace, ..
     places = tuple(read_place(top.path, name, entry) for name, entry in on.entries.items())
     sets = TomlTable(top.path, "[markers.rigid]", fields.entries.get("rigid", {}))
     filter_table = TomlTable(
-        top.path, "[markers.filters]", fields.entries.get("filters", {}), FILTERS
+        top.path, "[markers.filters]", fields.entries.get("filters", {}), FILTER_KEYS
     )
     filters = read_filters(filter_table)
     all_markers = read_markers(file)

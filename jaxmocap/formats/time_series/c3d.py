@@ -25,10 +25,15 @@ from jaxmocap.formats.files.reading import open_regular, regular_file
 from jaxmocap.formats.files.short_repr import short_name, short_repr
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series import c3d_process
-from jaxmocap.formats.time_series.tables import Markers, even_rate, make_markers, stack_points
-from jaxmocap.formats.time_series.trc import METRES
+from jaxmocap.formats.time_series.tables import (
+    METRES_PER_UNIT,
+    Markers,
+    even_rate,
+    make_markers,
+    stack_points,
+)
 
-_UNITS = METRES | {"dm": 0.1, "in": 0.0254, "inch": 0.0254, "inches": 0.0254}
+_UNITS = METRES_PER_UNIT | {"dm": 0.1, "in": 0.0254, "inch": 0.0254, "inches": 0.0254}
 # Frames are counted by 16 bits.
 MAX_FRAMES = 65535
 # Residuals are stored as whole steps of a scale, 255 at most.

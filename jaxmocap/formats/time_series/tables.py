@@ -28,6 +28,8 @@ LATEST_S = 1e11
 SHORTEST_STEP_S = 1e-5
 # Characters of a marker's or joint's name.
 MAX_NAME_CHARACTERS = 200
+# Units of length that marker files state.
+METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 # Of a count in a header.
 _MAX_DIGITS = 18
 

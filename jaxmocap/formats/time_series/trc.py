@@ -15,6 +15,7 @@ from jaxmocap.formats.files.lines import numbered_lines
 from jaxmocap.formats.files.short_repr import short_name, short_repr
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series.tables import (
+    METRES_PER_UNIT,
     Markers,
     declared_count,
     make_markers,
@@ -23,7 +24,6 @@ from jaxmocap.formats.time_series.tables import (
     stack_points,
 )
 
-METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _KEYS = (
     *("DataRate", "CameraRate", "NumFrames", "NumMarkers"),
     *("Units", "OrigDataRate", "OrigDataStartFrame", "OrigNumFrames"),
@@ -67,11 +67,11 @@ def _scale(path: str | Path, header: dict[str, str]) -> float:
     if "Units" not in header:
         raise InputError(path, "line 2: found no 'Units' in the header")
     unit = header["Units"]
-    if unit.lower() not in METRES:
-        raise InputError(
-            path, f"line 3: unknown unit {short_repr(unit)}, expected one of {', '.join(METRES)}"
-        )
-    return METRES[unit.lower()]
+    if unit.lower() not in METRES_PER_UNIT:
+        expected = ", ".join(METRES_PER_UNIT)
+        problem = f"unknown unit {short_repr(unit)}, expected one of {expected}"
+        raise InputError(path, f"line 3: {problem}")
+    return METRES_PER_UNIT[unit.lower()]
 
 
 def _rate(header: dict[str, str]) -> float | None:
