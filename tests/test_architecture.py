@@ -97,6 +97,10 @@ def within(path: Path) -> str:
     return path.relative_to(PACKAGE).as_posix()
 
 
+def dotted(path: Path) -> str:
+    return ".".join(["jaxmocap", *Path(within(path)).with_suffix("").parts])
+
+
 def room_of(path: Path) -> str:
     """The top-level room or module that a file belongs to."""
     return within(path).split("/")[0].removesuffix(".py")
@@ -205,7 +209,7 @@ def test_every_room_says_what_it_is_for_and_where_to_begin():
 
 
 def test_modules_import_one_another_in_no_circle():
-    names = {path: "jaxmocap." + ".".join(Path(within(path)).with_suffix("").parts) for path in FILES}
+    names = {path: dotted(path) for path in FILES}
     known = {name: path for path, name in names.items()}
     leads = {names[path]: imports(path) & set(known) - {names[path]} for path in FILES}
     finished: set[str] = set()

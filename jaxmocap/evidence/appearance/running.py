@@ -177,7 +177,7 @@ class RunningAppearance:
         """The body in the shrunk image, and its landmarks in the full one."""
         vector = np.asarray(_projected(self._skeleton, self._camera, np.concatenate(pose)))
         of_bones = np.empty((len(self._skeleton.tree.bones), 2))
-        shapes = _Projected(Discs(*(of_bones,) * 3), np.empty((len(LANDMARKS), 2)), np.empty(1))
+        shapes = _Projected(Discs._make([of_bones] * 3), np.empty((len(LANDMARKS), 2)), np.empty(1))
         limbs, pixels, per_metre = unpacked(vector, shapes)
         alone = Discs._make(part[None] for part in limbs)
         drawing = Drawing.shrunk(self._skeleton, alone, per_metre, size, ROWS)
