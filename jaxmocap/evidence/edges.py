@@ -16,7 +16,15 @@ from jax import Array
 
 from jaxmocap.body.arms import Arms, flesh
 from jaxmocap.body.surfaces.cones import Cones, project_cones
-from jaxmocap.geometry.cameras import NEAREST_M, Camera, pixel_components, to_camera
+from jaxmocap.geometry.cameras import (
+    NEAREST_M,
+    Camera,
+    camera_components,
+    depth,
+    normals_in_pixels,
+    pixel_components,
+    pixels_per_metre,
+)
 from jaxmocap.geometry.outlines import Pieces, joined, outline_pieces
 from jaxmocap.hybrid.observe import Observation
 from jaxmocap.hybrid.settings import EvidenceSettings
@@ -63,11 +71,8 @@ def _lay(
 ) -> tuple[tuple[_Laid, _Laid], Array]:
     """Sides and arcs of limbs (..., 3), laid over the fields; metres per pixel (3, ...) there."""
     batch = limbs.near.ndim - 2
-    R, t = camera.T_cam_world[:3, :3], camera.T_cam_world[:3, 3]
     ends = jnp.moveaxis(jnp.stack([limbs.near, limbs.far]), (-1, -2), (0, 2))
-    x, y, depths = (
-        R[i, 0] * ends[0] + R[i, 1] * ends[1] + R[i, 2] * ends[2] + t[i] for i in range(3)
-    )
+    x, y, depths = camera_components(camera, *ends)
     near = 1 / jnp.maximum(depths, NEAREST_M)
     radii = jnp.broadcast_to(limbs.radii, (*limbs.near.shape[:-1], 2))
     radii = jnp.moveaxis(radii, (-1, -2), (0, 1)) * near
@@ -77,13 +82,15 @@ def _lay(
     front = jnp.minimum(depths[0], depths[1]) > 0
     shares = jnp.where(front, jnp.asarray(LIMB_WEIGHTS, x.dtype).reshape(by_limb), 0.0)
     sides, arcs = (_look_up(camera, region, fields, piece, shares) for piece in pieces)
-    return (sides, arcs), (depths[0] + depths[1]) / 2 / camera.matrix[0, 0]
+    return (sides, arcs), 1 / pixels_per_metre(camera, (depths[0] + depths[1]) / 2)
 
 
 def _look_up(camera: Camera, region: Region, fields: Array, points: Pieces, shares: Array) -> _Laid:
     """Points (2, K, 3, ...) in the fields; weighed by the limbs' (3, ...) shares."""
     x, y = pixel_components(camera, points.x, points.y)
-    channels = _channels(camera, points.normal_x, points.normal_y, fields.shape[0])
+    normals = points.normal_x, points.normal_y
+    normal_x, normal_y = normals_in_pixels(camera, (points.x, points.y), *normals)
+    channels = _channels(normal_x, normal_y, fields.shape[0])
     samples = (
         (pixel - corner) / region.scale - 0.5
         for pixel, corner in ((x, region.origin[0]), (y, region.origin[1]))
@@ -153,13 +160,12 @@ def outline_distance(
     )
 
 
-def _channels(camera: Camera, normal_x: Array, normal_y: Array, count: int) -> Array:
-    """Channel (...) of outline normals on the plane z = 1.
+def _channels(x: Array, y: Array, count: int) -> Array:
+    """Channel (...) of outline normals in the image.
 
-    The lens' distortion hardly turns them. The arc tangent, dear to XLA, is found once and kept;
-    counting the borders that a normal has passed would be done anew at each of the many look-ups.
+    The arc tangent, dear to XLA, is found once and kept; counting the borders that a
+    normal has passed would be done anew at each of the many look-ups.
     """
-    x, y = normal_x * camera.matrix[0, 0], normal_y * camera.matrix[1, 1]
     # A normal and its opposite are one direction: turn it to the upper half plane.
     flip = jnp.where((y < 0) | ((y == 0) & (x < 0)), -1.0, 1.0)
     still = (x == 0) & (y == 0)
@@ -187,8 +193,8 @@ def raster_distance(
     The area depends on the limbs' size and depth alone, so this is the paper's sum in another
     unit: it has the same minimum, and the priors' weights do not depend on the resolution.
     """
-    depth = jnp.maximum(jnp.mean(to_camera(camera, limbs.near)[:, 2]), 0.1)
-    samples_per_metre = camera.matrix[0, 0] / depth / region.scale
+    away = jnp.maximum(jnp.mean(depth(camera, limbs.near)), 0.1)
+    samples_per_metre = pixels_per_metre(camera, away) / region.scale
     lengths = jnp.sqrt(jnp.sum((limbs.far - limbs.near) ** 2, -1) + 1e-12)
     area = jnp.sum(lengths * jnp.sum(limbs.radii, -1)) * samples_per_metre**2
     return chamfer_sum(camera, region, fields, limbs, softness) / area / samples_per_metre

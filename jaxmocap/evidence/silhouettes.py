@@ -21,7 +21,14 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.proportions import scaled
 from jaxmocap.body.skeleton import Skeleton, Tree
 from jaxmocap.body.surfaces.cones import Cones, cones, project_cones
-from jaxmocap.geometry.cameras import NEAREST_M, Camera, to_camera, turned
+from jaxmocap.geometry.cameras import (
+    NEAREST_M,
+    Camera,
+    depth,
+    depth_gradient,
+    projection_jacobian,
+    turned,
+)
 from jaxmocap.geometry.outlines import Discs, depth_along
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.images.regions import Region, discs_in_region, in_other_region
@@ -202,7 +209,7 @@ def _visible(tree: Tree, camera: Camera, flesh: Cones, discs: Discs, grid: Grid)
     fore = np.isin(np.arange(len(discs.near)), forearms(tree))
     size = grid.probability.shape[-1]
     which, at = frontmost(Discs(*(part[fore] for part in discs)), size)
-    ends = (to_camera(camera, end)[fore][which, 2] for end in (flesh.near, flesh.far))
+    ends = (depth(camera, end)[fore][which] for end in (flesh.near, flesh.far))
     others = Cones(*(part[~fore] for part in flesh))
     surface = nearest_surface(camera, others, distances(discs, size)[~fore])
     return jax.lax.stop_gradient(unhidden(surface, depth_along(at, *ends)))
@@ -216,14 +223,14 @@ def nearest_surface(camera: Camera, flesh: Cones, away: Array) -> Array:
         flesh: K limbs.
         away: (K, C) distances of the cells from the limbs' outlines, negative inside.
     """
-    depths = jnp.stack([to_camera(camera, end)[:, 2] for end in (flesh.near, flesh.far)], 1)
+    depths = jnp.stack([depth(camera, end) for end in (flesh.near, flesh.far)], 1)
     surfaces = jnp.mean(depths - flesh.radii, 1)[:, None]
     return jnp.min(jnp.where(away < 0, surfaces, jnp.inf), 0)
 
 
-def unhidden(surface: Array, depth: Array) -> Array:
+def unhidden(surface: Array, away: Array) -> Array:
     """Share (C,) of a limb at a depth (C,) that a surface before or behind it leaves to be seen."""
-    return jax.nn.sigmoid((surface + HIDDEN_BEYOND_M - depth) / HIDDEN_SOFTLY_M)
+    return jax.nn.sigmoid((surface + HIDDEN_BEYOND_M - away) / HIDDEN_SOFTLY_M)
 
 
 def _leverage(
@@ -235,17 +242,17 @@ def _leverage(
     region: Region,
     bones: np.ndarray,
 ) -> Array:
-    """Derivatives (K, 6, 6 + D) of the limbs' discs in cells; the lens' distortion hardly turns."""
-    focal = (camera.matrix[0, 0] + camera.matrix[1, 1]) / 2 / region.scale
-    R_cam_world = camera.T_cam_world[:3, :3]
+    """Derivatives (K, 6, 6 + D) of the limbs' discs in cells."""
+    ahead = depth_gradient(camera)
 
     def of_end(points_world: Array, radii: Array) -> tuple[Array, Array]:
-        J_world = jacobian(skeleton, frames, bones, points_world)
-        J = jnp.einsum("ij,kjd->kid", R_cam_world, J_world, precision=HIGHEST)
-        point = to_camera(camera, points_world)
-        depth = jnp.maximum(point[:, 2], NEAREST_M)[:, None, None]
-        centre = focal * (J[:, :2] - point[:, :2, None] / depth * J[:, 2:]) / depth
-        return centre, -radii[:, None, None] / depth * J[:, 2:]
+        J = jacobian(skeleton, frames, bones, points_world)
+        cells = projection_jacobian(camera, points_world) / region.scale
+        # Sums of three products: as one loop they are faster than small matrix products.
+        centre = sum(cells[:, :, i, None] * J[:, i, None] for i in range(3))
+        deeper = sum(ahead[i] * J[:, i, None] for i in range(3))
+        away = jnp.maximum(depth(camera, points_world), NEAREST_M)[:, None, None]
+        return jnp.asarray(centre), -radii[:, None, None] / away * deeper
 
     near, near_radius = of_end(flesh.near, discs.radii[:, 0])
     far, far_radius = of_end(flesh.far, discs.radii[:, 1])

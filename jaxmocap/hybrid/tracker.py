@@ -24,7 +24,7 @@ from jaxmocap.body.kinematics import Sites, landmark_sites
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.compilation.programs import Program
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import Camera, stack_cameras
 from jaxmocap.hybrid.balance import bow_factors
 from jaxmocap.hybrid.feet import effectors, on_held_feet
 from jaxmocap.hybrid.observe import Observer
@@ -33,11 +33,6 @@ from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.steps import Held, State, StepReport, programs_of
 
 _bow_factors = Program(bow_factors, "bow_factors", effort="once")
-
-
-def _stacked(*leaves: Array) -> Array:
-    """Stacked on the host: on the device that would be a program for each shape."""
-    return jnp.asarray(np.stack([np.asarray(leaf) for leaf in leaves]), leaves[0].dtype)
 
 
 class HybridTracker:
@@ -70,7 +65,7 @@ class HybridTracker:
         chosen = settings or Settings()
         self.dtype = skeleton.lengths.dtype
         self.settings = chosen if listed else replace(chosen, refine="none")
-        self.cameras = jax.tree.map(_stacked, *listed) if listed else None
+        self.cameras = stack_cameras(listed) if listed else None
         names = ("vertex", "wrist_l", "wrist_r")
         self.markers = landmark_sites(skeleton, names) if markers is None else markers
         self.held = effectors(skeleton, self.markers)

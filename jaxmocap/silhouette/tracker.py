@@ -26,7 +26,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import Surface
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import Camera, stack_cameras
 from jaxmocap.images.background_model import Background
 from jaxmocap.silhouette.camera_agreement import chosen, denied, shares_found
 from jaxmocap.silhouette.correspond import matched
@@ -43,7 +43,7 @@ from jaxmocap.silhouette.segmentation.outlines import Outlines, look
 from jaxmocap.silhouette.segmentation.segment import Histograms, Plan
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.state import Moving, State, StepReport
-from jaxmocap.silhouette.surfaces.rim import RimFinder, stacked
+from jaxmocap.silhouette.surfaces.rim import RimFinder
 from jaxmocap.silhouette.surfaces.shape import Paired
 
 
@@ -118,7 +118,7 @@ class SilhouetteTracker:
         listed = [cameras] if isinstance(cameras, Camera) else list(cameras)
         self.settings = settings or Settings()
         dtype = skeleton.lengths.dtype
-        self.cameras = jax.tree.map(lambda part: jnp.asarray(part, dtype), stacked(listed))
+        self.cameras = jax.tree.map(lambda part: jnp.asarray(part, dtype), stack_cameras(listed))
         skin = generic_surface(skeleton) if surface is None else surface
         self.finder = RimFinder(skeleton, skin, self.settings.rim, self.settings.morphing)
         self._bones = carriers(self.finder.surface.points)

@@ -43,7 +43,7 @@ from jaxmocap.evidence.silhouettes import (
     nearest_surface,
     unhidden,
 )
-from jaxmocap.geometry.cameras import Camera, to_camera
+from jaxmocap.geometry.cameras import Camera, depth
 from jaxmocap.geometry.outlines import Discs, Touch, depth_along, touch
 from jaxmocap.geometry.rotations import compose, exp
 from jaxmocap.hybrid.elbow_search import TURNS
@@ -254,10 +254,10 @@ def sight_costs(
         def of_candidate(index: Array) -> tuple[Array, Array]:
             limb = flesh(_side(_side(moved, side), index))
             at = _touched(camera, sight.region, limb, x, y)
-            ends = (to_camera(camera, end)[:, 2:] for end in (limb.near, limb.far))
+            ends = (depth(camera, end)[:, None] for end in (limb.near, limb.far))
             _, radius, hand = depth_along(at, *ends)
-            depth = jnp.where(at.distance[1] < at.distance[2], radius, hand)
-            shown = coverage(jnp.min(at.distance[1:], 0)) * unhidden(surface, depth)
+            away = jnp.where(at.distance[1] < at.distance[2], radius, hand)
+            shown = coverage(jnp.min(at.distance[1:], 0)) * unhidden(surface, away)
             return jnp.min(at.distance, 0), shown
 
         return jax.vmap(of_candidate)(chosen[side])

@@ -7,14 +7,20 @@ OUTPUTS: Findings about calibration and offset; the share of the markers that an
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from jaxmocap.capture.checks.body_reach import standing_points
 from jaxmocap.capture.checks.markers import MOST, Finding, check_markers, facing
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
-from jaxmocap.geometry.cameras import NEAREST_M, Camera
+from jaxmocap.geometry.cameras import (
+    NEAREST_M,
+    Camera,
+    camera_components,
+    on_host,
+    pinhole_components,
+    pixel_components,
+)
 
 # Nobody is filmed from further away; a calibration in millimetres puts the camera there.
 FARTHEST_M = 150.0
@@ -90,14 +96,13 @@ def pixels_of(camera: Camera, points_world: np.ndarray) -> np.ndarray:
 
 
 def _projections(camera: Camera, points_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    T, matrix = np.asarray(camera.T_cam_world, float), np.asarray(camera.matrix, float)
-    points_cam = np.asarray(points_world, float) @ T[:3, :3].T + T[:3, 3]
-    ahead = points_cam[:, 2:] > NEAREST_M
-    safe = np.where(ahead, points_cam, [0.0, 0.0, 1.0])
-    flat = np.zeros(3)
+    camera = on_host(camera)
+    x, y, z = camera_components(camera, *np.asarray(points_world, float).T)
+    ahead = z > NEAREST_M
+    depths = np.where(ahead, z, 1.0)
     both = [
-        np.where(ahead, cv2.projectPoints(safe, flat, flat, matrix, bends)[0][:, 0], np.nan)
-        for bends in (np.zeros(8), np.asarray(camera.distortion, float))
+        np.where(ahead, components(camera, x / depths, y / depths), np.nan).T
+        for components in (pinhole_components, pixel_components)
     ]
     return both[0], both[1]
 

@@ -25,7 +25,7 @@ from jaxmocap.compilation.batches import in_batches
 from jaxmocap.evidence.appearance.hulls import draw_hulls
 from jaxmocap.evidence.appearance.part_mask import part_odds
 from jaxmocap.evidence.silhouettes import FOREARMS, Legs, Sight
-from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, pixels_per_metre, project
 from jaxmocap.geometry.outlines import Discs
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.colours import Colours, learn_colours
@@ -84,8 +84,8 @@ def in_image(skeleton: Skeleton, camera: Camera, pose: Pose) -> tuple[Discs, Arr
     """All limbs (K), pixels of the full image, and how many of them make a metre at the person."""
     every = np.arange(len(skeleton.tree.bones))
     flesh = cones(skeleton, forward(skeleton, pose), every)
-    depth = jnp.maximum(jnp.mean(to_camera(camera, flesh.near)[:, 2]), NEAREST_M)
-    return project_cones(camera, flesh), camera.matrix[0, 0] / depth
+    away = jnp.maximum(jnp.mean(depth(camera, flesh.near)), NEAREST_M)
+    return project_cones(camera, flesh), pixels_per_metre(camera, away)
 
 
 _all_in_image = jax.jit(jax.vmap(in_image, (None, None, 0)))
