@@ -14,8 +14,9 @@ import numpy as np
 
 from jaxmocap.calibration.board.boards import Board
 from jaxmocap.calibration.board.finding import FEWEST, Found, find_boards
+from jaxmocap.calibration.board.opencv_lenses import LensKind
 from jaxmocap.calibration.board.sheets import draw_calibrated, draw_found, picture_folder
-from jaxmocap.calibration.intrinsics import PARAMETERS, Intrinsics, calibrate
+from jaxmocap.calibration.intrinsics import Intrinsics, calibrate
 from jaxmocap.calibration.planar_poses import tilt
 from jaxmocap.calibration.view_coverage import Coverage, covered, remarks, too_alike
 from jaxmocap.formats.cameras.calibration import Lens, check_writable, read_lens, write_camera
@@ -58,7 +59,7 @@ def calibrate_intrinsics(
     board: Board,
     camera: str,
     out: str | Path,
-    coefficients: int = 4,
+    kind: LensKind | None = None,
     pictures: str | Path | None = None,
 ) -> Calibrated:
     """Calibrate a camera and write its section.
@@ -68,19 +69,23 @@ def calibrate_intrinsics(
         board: that they show.
         camera: name of the section to add or replace.
         out: the calibration file, .toml.
-        coefficients: of distortion: 0, 1 (k1), 2 (k1 k2), 4 (k1 k2 p1 p2) or 5 (and k3).
+        kind: of the lens: of an ordinary one 0, 1 (k1), 2 (k1 k2), 4 (k1 k2 p1 p2, the default)
+            or 5 (and k3) coefficients, of a fisheye 0 to 4.
         pictures: folder for what is drawn, or None. Corners are drawn even if views are refused.
 
     Raises:
         InputError: files that cannot be used, or views that do not determine the camera.
     """
-    out = Path(out)
+    out, kind = Path(out), kind or LensKind()
+    if kind.coefficients > len(kind.parameters) - 4:
+        problem = f"found {kind.coefficients}, expected at most 4 of a fisheye"
+        raise InputError("--distortions", problem)
     check_writable(out, camera)
     folder = picture_folder(pictures, f"intrinsics of {camera}", paths)
     before, placed = _already(out, camera)
     found = find_boards(paths, board)
     try:
-        result = _determined(found, coefficients)
+        result = _determined(found, kind)
     except InputError:
         if folder is not None:
             folder.write(partial(draw_found, found))
@@ -101,12 +106,12 @@ def _already(out: Path, camera: str) -> tuple[Lens | None, bool]:
     return lens, "rotation" in table
 
 
-def _determined(found: Found, coefficients: int) -> Intrinsics:
+def _determined(found: Found, kind: LensKind) -> Intrinsics:
     """The calibration; InputError with the reason where the views do not determine it."""
     if (why := found.too_few()) is not None:
         raise InputError(found.where, why)
     try:
-        result = calibrate(found.views, found.size, coefficients)
+        result = calibrate(found.views, found.size, kind)
     except ArithmeticError as error:
         raise InputError(found.where, f"the views determine no camera: {error}") from None
     if (why := too_alike(result)) is not None:
@@ -128,7 +133,7 @@ def _changes(result: Intrinsics, before: Lens | None, placed: bool) -> list[str]
         change, doubt = result.values[:4] - old, result.doubt[:4]
         far = [
             f"{name} by {step:+.1f} pixels ({abs(step) / sure:.0f} standard deviations)"
-            for name, step, sure in zip(PARAMETERS, change, doubt, strict=False)
+            for name, step, sure in zip(result.parameters, change, doubt, strict=False)
             if abs(step) > 3 * sure
         ]
         if far:

@@ -8,10 +8,10 @@ so its corners' places in the world are known, and the camera follows from them.
 
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from jaxmocap.calibration.board.opencv_lenses import pose_jacobian, project
 from jaxmocap.calibration.planar_poses import FLAT, Pose, find_poses, thickness
 from jaxmocap.formats.cameras.calibration import Lens
 from jaxmocap.geometry.cameras import Camera
@@ -72,7 +72,7 @@ class Placement:
         """The camera as all else uses it."""
         size = (lens.size[0], lens.size[1])
         R, t = self.T_cam_world[:3, :3], self.T_cam_world[:3, 3]
-        return Camera.create(size, lens.matrix, lens.distortions, R, t)
+        return Camera.create(size, lens.matrix, lens.distortions, R, t, lens.model)
 
 
 def board_to_world(pose: tuple[float, ...]) -> np.ndarray:
@@ -231,14 +231,12 @@ def turned_board(
 def _residuals(
     pose: Pose, points_world: np.ndarray, pixels_xy: np.ndarray, lens: Lens
 ) -> np.ndarray:
-    seen, _ = cv2.projectPoints(points_world, pose.rvec, pose.tvec, lens.matrix, lens.distortions)
-    return seen.reshape(-1, 2) - pixels_xy
+    return project(points_world, pose.rvec, pose.tvec, lens) - pixels_xy
 
 
 def _deviations(pose: Pose, points_world: np.ndarray, lens: Lens) -> tuple[np.ndarray, float]:
     """Standard deviations of place (3,), metres, and direction, degrees, from the residuals."""
-    _, J = cv2.projectPoints(points_world, pose.rvec, pose.tvec, lens.matrix, lens.distortions)
-    J = J[:, :6]
+    J = pose_jacobian(points_world, pose.rvec, pose.tvec, lens)
     freedom = max(1, J.shape[0] - 6)
     covariance = np.linalg.pinv(J.T @ J) * (pose.residuals_xy**2).sum() / freedom
     steps, here = 1e-6 * np.eye(6), np.concatenate([pose.rvec, pose.tvec])

@@ -16,18 +16,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from jaxmocap.calibration.board.opencv_lenses import LensFit, LensKind, fit_lens
 from jaxmocap.calibration.planar_poses import Pose, find_poses, rms
 from jaxmocap.formats.cameras.calibration import Lens
 
-PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-# Coefficients of distortion that can be asked for, and what OpenCV then holds at zero.
-MODELS = {
-    0: cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
-    1: cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
-    2: cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
-    4: cv2.CALIB_FIX_K3,
-    5: 0,
-}
 # A view is false where its residual is this many times the median of the views that agree, and not
 # merely one of the sharp pictures' fractions of a pixel.
 FALSE_TIMES, FALSE_PX = 4.0, 0.5
@@ -54,15 +46,17 @@ class Intrinsics:
     """A calibration and what there is to say of it.
 
     Attributes:
+        parameters: names of the P values.
         lens: the result.
         rms: reprojection error over all views used, pixels.
         poses: of the board in each view, used or not; None where there is none.
         used: which views the result rests on.
-        values: (9,) in the order of PARAMETERS, pixels and plain numbers.
-        std: (9,) standard deviations by least squares: as if corners erred independently.
-        left_out: (V, 9) the values with each of the V views used left out in turn.
+        values: (P,) pixels and plain numbers.
+        std: (P,) standard deviations by least squares: as if corners erred independently.
+        left_out: (V, P) the values with each of the V views used left out in turn.
     """
 
+    parameters: tuple[str, ...]
     lens: Lens
     rms: float
     poses: tuple[Pose | None, ...]
@@ -73,49 +67,49 @@ class Intrinsics:
 
     @property
     def jackknife(self) -> np.ndarray:
-        """(9,) standard deviations by the jackknife over views: what views have in common shows."""
+        """(P,) standard deviations by the jackknife over views: what views have in common shows."""
         n = len(self.left_out)
         return np.sqrt((n - 1) / n * ((self.left_out - self.left_out.mean(0)) ** 2).sum(0))
 
     @property
     def doubt(self) -> np.ndarray:
-        """(9,) the larger of both standard deviations."""
+        """(P,) the larger of both standard deviations."""
         return np.maximum(self.std, self.jackknife)
 
 
-@dataclass(frozen=True)
-class _Fit:
-    lens: Lens
-    rms: float
-    values: np.ndarray
-    std: np.ndarray
-
-
-def calibrate(views: Sequence[View], size: tuple[int, int], coefficients: int = 4) -> Intrinsics:
+def calibrate(
+    views: Sequence[View], size: tuple[int, int], kind: LensKind | None = None
+) -> Intrinsics:
     """Calibrate a camera from views of a board, without those whose corners are wrong.
 
     Args:
         views: at least three.
         size: width and height of the pictures, pixels.
-        coefficients: of distortion, one of MODELS (k1; k1 k2; k1 k2 p1 p2; k1 k2 p1 p2 k3).
+        kind: of the lens; defaults to an ordinary one with k1 k2 p1 p2.
 
     Raises:
         ArithmeticError: the views determine nothing.
     """
-    used = agreeing(views, size, coefficients)
+    kind = kind or LensKind()
+    used = agreeing(views, size, kind)
     kept = [view for view, use in zip(views, used, strict=True) if use]
-    fit = _fit(kept, size, coefficients)
+    fit = _fit(kept, size, kind)
     poses = [_pose(view, fit.lens) for view in views]
-    without = [
-        _fit([*kept[:i], *kept[i + 1 :]], size, coefficients).values for i in range(len(kept))
-    ]
+    without = [_fit([*kept[:i], *kept[i + 1 :]], size, kind).values for i in range(len(kept))]
     left_out = np.array(without) if len(kept) > 3 else np.tile(fit.values, (1, 1))
     return Intrinsics(
-        fit.lens, fit.rms, tuple(poses), tuple(used.tolist()), fit.values, fit.std, left_out
+        kind.parameters,
+        fit.lens,
+        fit.rms,
+        tuple(poses),
+        tuple(used.tolist()),
+        fit.values,
+        fit.std,
+        left_out,
     )
 
 
-def agreeing(views: Sequence[View], size: tuple[int, int], coefficients: int) -> np.ndarray:
+def agreeing(views: Sequence[View], size: tuple[int, int], kind: LensKind) -> np.ndarray:
     """(V,) which views agree with one calibration.
 
     It starts from the half whose corners are most nearly a plane's picture, and calibrates the half
@@ -125,13 +119,13 @@ def agreeing(views: Sequence[View], size: tuple[int, int], coefficients: int) ->
     flatness = np.array([_off_a_plane(view) for view in views])
     used = _smallest(flatness, count)
     for _ in range(_ROUNDS):
-        residuals = _judged(views, used, size, coefficients)
+        residuals = _judged(views, used, size, kind)
         best = _smallest(residuals, count)
         if (best == used).all():
             break
         used = best
     for _ in range(_ROUNDS):
-        residuals = _judged(views, used, size, coefficients)
+        residuals = _judged(views, used, size, kind)
         limit = max(FALSE_PX, FALSE_TIMES * float(np.median(residuals[used])))
         fitting = residuals <= limit
         if (fitting == used).all():
@@ -156,11 +150,11 @@ def _off_a_plane(view: View) -> float:
 
 
 def _judged(
-    views: Sequence[View], used: np.ndarray, size: tuple[int, int], coefficients: int
+    views: Sequence[View], used: np.ndarray, size: tuple[int, int], kind: LensKind
 ) -> np.ndarray:
     """(V,) RMS residual of every view under the calibration of those used, pixels."""
     kept = [view for view, use in zip(views, used, strict=True) if use]
-    lens = _fit(kept, size, coefficients).lens
+    lens = _fit(kept, size, kind).lens
     poses = [_pose(view, lens) for view in views]
     return np.array([np.inf if pose is None else pose.rms for pose in poses])
 
@@ -169,18 +163,5 @@ def _pose(view: View, lens: Lens) -> Pose | None:
     return next(iter(find_poses(view.points_board, view.pixels_xy, lens)), None)
 
 
-def _fit(views: Sequence[View], size: tuple[int, int], coefficients: int) -> _Fit:
-    points = [view.points_board.astype(np.float32) for view in views]
-    pixels = [view.pixels_xy.astype(np.float32) for view in views]
-    try:
-        error, K, d, _, _, std, _, _ = cv2.calibrateCameraExtended(
-            points, pixels, size, np.eye(3), np.zeros(5), flags=MODELS[coefficients]
-        )
-    except cv2.error as problem:
-        raise ArithmeticError(f"OpenCV finds no calibration ({problem.err})") from None
-    values = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *d.ravel()[:5]])
-    if not np.isfinite([*values, error]).all():
-        raise ArithmeticError("OpenCV finds no finite calibration")
-    count = max(coefficients, 4)
-    lens = Lens(np.array(size, float), K, d.ravel()[:count].astype(float))
-    return _Fit(lens, float(error), values, std.ravel()[:9])
+def _fit(views: Sequence[View], size: tuple[int, int], kind: LensKind) -> LensFit:
+    return fit_lens([v.points_board for v in views], [v.pixels_xy for v in views], size, kind)

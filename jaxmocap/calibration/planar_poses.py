@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from jaxmocap.calibration.board.opencv_lenses import pose_candidates, project
 from jaxmocap.formats.cameras.calibration import Lens
 
 # Points are flat where their thickness is less than this part of their breadth.
@@ -59,16 +60,11 @@ def find_poses(points: np.ndarray, pixels_xy: np.ndarray, lens: Lens) -> list[Po
     OpenCV finds none, which happens with senseless intrinsics.
     """
     method = cv2.SOLVEPNP_IPPE if thickness(points) < FLAT else cv2.SOLVEPNP_SQPNP
-    K, d = lens.matrix, lens.distortions
-    points, pixels_xy = np.ascontiguousarray(points), np.ascontiguousarray(pixels_xy)
-    poses: list[Pose] = []
     try:
-        _, rvecs, tvecs, _ = cv2.solvePnPGeneric(points, pixels_xy, K, d, flags=method)
-        for r, t in zip(rvecs, tvecs, strict=True):
-            rvec, tvec = cv2.solvePnPRefineLM(points, pixels_xy, K, d, r.copy(), t.copy())
-            poses.append(
-                Pose(rvec.ravel(), tvec.ravel(), _residuals(points, pixels_xy, lens, rvec, tvec))
-            )
+        poses = [
+            Pose(rvec.ravel(), tvec.ravel(), project(points, rvec, tvec, lens) - pixels_xy)
+            for rvec, tvec in pose_candidates(points, pixels_xy, lens, method)
+        ]
     except cv2.error:
         return []
     whole = [pose for pose in poses if np.isfinite(pose.rms) and _in_front(pose, points)]
@@ -85,13 +81,6 @@ def thickness(points: np.ndarray) -> float:
 def tilt(pose: Pose) -> float:
     """Angle between a board's normal and the camera's axis, degrees, 0 to 90."""
     return float(np.degrees(np.arccos(np.clip(abs(pose.matrix[2, 2]), 0, 1))))
-
-
-def _residuals(
-    points: np.ndarray, pixels_xy: np.ndarray, lens: Lens, rvec: np.ndarray, tvec: np.ndarray
-) -> np.ndarray:
-    seen, _ = cv2.projectPoints(points, rvec, tvec, lens.matrix, lens.distortions)
-    return seen.reshape(-1, 2) - pixels_xy
 
 
 def _in_front(pose: Pose, points: np.ndarray) -> bool:

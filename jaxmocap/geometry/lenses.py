@@ -22,7 +22,7 @@ FISHEYE = "fisheye"
 # Points nearer to the optical axis than this (on the plane z = 1) are taken as lying on it.
 _ON_AXIS = 1e-6
 # Radians from the optical axis: a plane z = 1 holds what is less than π / 2 away from it.
-_WIDEST_RAD = 1.55
+WIDEST_RAD = 1.55
 # Newton's method divides by no smaller slope: a lens that is this flat shows nothing any more.
 _LEAST_SLOPE = 0.05
 _NEWTON_STEPS = 8
@@ -106,11 +106,11 @@ class KannalaBrandt:
         """See ``LensModel.undistort``; by a fixed number of Newton steps for the angle."""
         xp = _namespace(x)
         radius, on_axis = _radius(x, y)
-        angle = xp.minimum(radius, _WIDEST_RAD)
+        angle = xp.minimum(radius, WIDEST_RAD)
         for _ in range(min(iterations, _NEWTON_STEPS)):
             off = angle * _polynomial(k, angle, (1, 1, 1, 1)) - radius
             slope = xp.maximum(_polynomial(k, angle, (3, 5, 7, 9)), _LEAST_SLOPE)
-            angle = xp.clip(angle - off / slope, 0.0, _WIDEST_RAD)
+            angle = xp.clip(angle - off / slope, 0.0, WIDEST_RAD)
         scale = xp.where(on_axis, 1.0, xp.tan(angle) / radius)
         return x * scale, y * scale
 

@@ -21,6 +21,7 @@ from jaxmocap.geometry.cameras import (
     pinhole_components,
     pixel_components,
 )
+from jaxmocap.geometry.lenses import FISHEYE
 
 # Nobody is filmed from further away; a calibration in millimetres puts the camera there.
 FARTHEST_M = 150.0
@@ -90,6 +91,8 @@ def view(recording: Recording, source: VideoSource, video_times: np.ndarray) -> 
 def pixels_of(camera: Camera, points_world: np.ndarray) -> np.ndarray:
     """(N, 2) pixels of (N, 3) world points, in double precision; NaN behind the camera."""
     pinhole_xy, bent_xy = _projections(camera, points_world)
+    if camera.lens == FISHEYE:
+        return bent_xy
     size = np.asarray(camera.size, float)
     near = np.asarray((np.abs(pinhole_xy - size / 2) <= (0.5 + BEYOND) * size).all(-1))
     return np.where(near[:, None], bent_xy, pinhole_xy)
