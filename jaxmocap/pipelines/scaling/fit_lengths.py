@@ -14,9 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.proportions import LENGTHS, scaled
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.skeleton import Skeleton, with_wrists
 from jaxmocap.body.subject import scale_to_height
-from jaxmocap.body.wrists import with_wrists
 from jaxmocap.capture.checks.body_reach import stature
 from jaxmocap.capture.filters import cleaned
 from jaxmocap.capture.footage import open_footage, reading
