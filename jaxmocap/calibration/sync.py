@@ -20,7 +20,6 @@ from jaxmocap.capture.video import FrameSource, open_video
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
 
-HANDS = ("hand", "radius")
 # A stretch of video that is looked at: seconds and frames at most; how many of them at most.
 STRETCH_S, STRETCH_FRAMES, STRETCHES = 10.0, 450, 6
 # Lags that are tried, seconds: coarse steps over the range, fine ones about the best.
@@ -112,7 +111,8 @@ def sync(recording: Recording, search: float = 1.0) -> list[Synced]:
 
 def hand_paths(recording: Recording) -> list[Path]:
     """Paths of the markers on hands and forearms; of all markers where there are none."""
-    columns = [i for i, place in enumerate(recording.places) if place.bone[:-2] in HANDS]
+    hands = recording.skeleton.tree.names_in("forearm", "hand")
+    columns = [i for i, place in enumerate(recording.places) if place.bone in hands]
     paths = [
         Path.through(recording.times, recording.positions_world[:, i])
         for i in columns or range(len(recording.places))

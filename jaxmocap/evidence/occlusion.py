@@ -6,7 +6,6 @@ OUTPUTS: which of the points another limb hides from that camera.
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from jaxmocap.body.arms import Arms, flesh
@@ -16,7 +15,6 @@ from jaxmocap.body.surfaces.cones import Cones, cones
 from jaxmocap.geometry.cameras import Camera, to_camera
 from jaxmocap.geometry.outlines import Discs, depth_along, project_limb, touch
 
-TORSO = ("spine1", "spine2", "spine3")
 # A limb must be nearer by this, between the axes, to hide another, metres: limbs side by side and
 # the shoulder on its own chest hide nothing.
 NEARER_M = 0.04
@@ -24,7 +22,7 @@ NEARER_M = 0.04
 
 def blockers(skeleton: Skeleton, frames: Frames, arms: Arms) -> Cones:
     """What may hide each arm: (2, N) cones, the other arm's limbs and then the torso's."""
-    torso = cones(skeleton, frames, np.array([skeleton.tree.bone(name) for name in TORSO]))
+    torso = cones(skeleton, frames, skeleton.tree.bones_in("spine"))
     crossed = jax.tree.map(lambda part: part[::-1], flesh(arms))
     return jax.tree.map(
         lambda other, own: jnp.concatenate([other, jnp.broadcast_to(own, (2, *own.shape))], 1),

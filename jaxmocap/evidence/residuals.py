@@ -26,16 +26,11 @@ from jaxmocap.evidence.keypoints import Lines, line_residuals
 from jaxmocap.geometry.rotations import HIGHEST, hat, quaternion_to_matrix
 from jaxmocap.smoothing.settings import SmoothingSettings
 
-# How far joints go from the relaxed pose, degrees (standard deviation), by how their names begin.
-EASE = {
-    "spine": 15, "neck": 25, "arm_flex": 60, "arm": 40, "elbow": 60,
-    "hip_flexion": 40, "hip": 25, "knee": 60,
-}  # fmt: skip
 GROUND = ("ankle_l", "ankle_r")
 # Whose middle is the middle of the base of support.
 BASE = (*GROUND, "toe_l", "toe_r")
-# Bones whose markers hold a foot.
-FEET = ("tibia", "foot")
+# Parts of a leg whose markers hold a foot.
+FEET = ("shank", "foot")
 # Of both elbows, where no hypothesis puts them anywhere.
 NO_GOALS = np.full((2, 3), np.nan)
 # Where no marker holds the feet, the markers' pose faces so many times less surely.
@@ -176,7 +171,7 @@ def _answers(
         _off(placed.marked, known.targets) / settings.marker,
         (R[:2, 2] - (1 - known.feet) * known.up) / settings.lean,
         turned / facing,
-        (placed.angles - skeleton.relaxed) / (settings.ease * ease(skeleton)),
+        (placed.angles - skeleton.relaxed) / (settings.ease * skeleton.usual_deviations),
         beyond_limits(skeleton.limits, placed.angles) / settings.limit,
         known.feet * (ankles - known.ankles) / ground,
         known.feet * (placed.gravity - jnp.mean(feet, 0))[:2] / settings.balance,
@@ -195,13 +190,4 @@ def _off(points: Array, targets: Array | np.ndarray) -> Array:
 
 def feet_free(skeleton: Skeleton, markers: Sites) -> float:
     """1 where no marker holds the feet, else 0."""
-    return float(not any(skeleton.tree.bones[b].startswith(FEET) for b in markers.bones))
-
-
-def ease(skeleton: Skeleton) -> Array:
-    """How far joints go from the relaxed pose, (D,) standard deviations, radians."""
-    degrees = [
-        next((ease for start, ease in EASE.items() if joint.startswith(start)), 40)
-        for joint in skeleton.tree.joints
-    ]
-    return jnp.asarray(np.radians(degrees), skeleton.relaxed.dtype)
+    return float(not np.isin(markers.bones, skeleton.tree.bones_in(*FEET)).any())

@@ -43,9 +43,8 @@ from jaxmocap.images.silhouette_grid import (
 )
 from jaxmocap.smoothing.settings import SmoothingSettings
 
-# Feet are no cones, and shoes have colours of their own; pictures leave them out, too.
-UNDRAWN = ("foot_l", "foot_r")
-FOREARMS = ("radius_l", "radius_r", "hand_l", "hand_r")
+# Parts of the arms that silhouettes of their own tell of.
+FOREARMS = ("forearm", "hand")
 # A limb is hidden by what lies in front of its axis by more than this, metres, give or take.
 HIDDEN_BEYOND_M, HIDDEN_SOFTLY_M = 0.06, 0.03
 
@@ -103,11 +102,6 @@ def weighed(sight: Sight, settings: SmoothingSettings) -> Sight:
     return person._replace(forearms=by(settings.forearms)(sight.forearms))
 
 
-def drawn_bones(tree: Tree) -> np.ndarray:
-    """Indices of the bones whose flesh is drawn."""
-    return np.array([tree.bone(name) for name in tree.bones if name not in UNDRAWN], np.int32)
-
-
 def silhouette_cost(
     skeleton: Skeleton, frames: Frames, camera: Camera, sight: Sight, softness: Array
 ) -> Array:
@@ -124,7 +118,7 @@ def silhouette_cost(
 
 def drawn(skeleton: Skeleton, frames: Frames, camera: Camera, sight: Sight) -> tuple[Discs, Array]:
     """The body's limbs (K) in cells, and how much (S * S,) of a forearm is to be seen."""
-    flesh = cones(skeleton, frames, drawn_bones(skeleton.tree))
+    flesh = cones(skeleton, frames, skeleton.tree.drawn)
     discs = discs_in_region(sight.region, project_cones(camera, flesh))
     return discs, _visible(skeleton.tree, camera, flesh, discs, sight.person)
 
@@ -178,7 +172,7 @@ def silhouette_fit(
         body = cones(person, forward(person, pose), bones)
         return discs_in_region(sight.region, project_cones(turned(camera, shared[-3:]), body))
 
-    bones = drawn_bones(skeleton.tree)
+    bones = skeleton.tree.drawn
     by_shared = jax.jacfwd(limbs)(jnp.pad(proportions, (0, 3)))
     skeleton = scaled(skeleton, proportions)
     frames = forward(skeleton, pose)
@@ -198,7 +192,7 @@ def silhouette_fit(
 
 def forearms(tree: Tree) -> np.ndarray:
     """Which of the drawn limbs are forearms and hands."""
-    return np.flatnonzero([tree.bones[bone] in FOREARMS for bone in drawn_bones(tree)])
+    return np.flatnonzero(np.isin(tree.drawn, tree.bones_in(*FOREARMS)))
 
 
 def _visible(tree: Tree, camera: Camera, flesh: Cones, discs: Discs, grid: Grid) -> Array:

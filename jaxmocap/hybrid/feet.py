@@ -13,14 +13,11 @@ from jax import Array
 
 from jaxmocap.body.kinematics import Sites, forward, joined_sites, landmark_sites, site_positions
 from jaxmocap.body.pose import Pose, relaxed_pose
-from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
+from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix, rotate
 from jaxmocap.hybrid.settings import IKSettings
 
 SIDES = ("l", "r")
-# On feet that carry no marker: factors on the costs mu, and knee angles in radians.
-TRUNK_STIFFNESS, NECK_STIFFNESS, LEG_STIFFNESS = 3.0, 2.0, 0.4
-SOFT_KNEE, LEAST_KNEE = float(np.radians(20.0)), float(np.radians(8.0))
 
 
 class Effectors(NamedTuple):
@@ -56,32 +53,23 @@ def on_held_feet(skeleton: Skeleton, held: tuple[str, ...]) -> Skeleton:
     """
     if len(held) < len(SIDES):
         return skeleton
-    costs, relaxed = np.ones(len(skeleton.costs)), np.zeros(len(skeleton.relaxed))
-    least = np.full(len(skeleton.relaxed), -np.inf)
-    costs[3:ROOT_DOF] = TRUNK_STIFFNESS
-    for i, name in enumerate(skeleton.tree.joints):
-        if name.startswith(("spine", "neck")):
-            costs[ROOT_DOF + i] = TRUNK_STIFFNESS if name.startswith("spine") else NECK_STIFFNESS
-        if name.startswith(("hip", "knee")):
-            costs[ROOT_DOF + i] = LEG_STIFFNESS
-        if name.startswith("knee"):
-            relaxed[i], least[i] = SOFT_KNEE, LEAST_KNEE
-        if name.startswith("hip_flexion"):
-            relaxed[i] = SOFT_KNEE / 2
-    dtype = skeleton.costs.dtype
-    low = jnp.maximum(skeleton.limits[:, 0], jnp.asarray(least, dtype))
+    low = jnp.maximum(skeleton.limits[:, 0], skeleton.unmarked_least)
     return replace(
         skeleton,
-        costs=skeleton.costs * jnp.asarray(costs, dtype),
-        relaxed=jnp.maximum(skeleton.relaxed, jnp.asarray(relaxed, dtype)),
+        costs=skeleton.costs * skeleton.unmarked_costs,
+        relaxed=jnp.maximum(skeleton.relaxed, skeleton.unmarked_relaxed),
         limits=jnp.stack([low, skeleton.limits[:, 1]], -1),
     )
 
 
 def effectors(skeleton: Skeleton, markers: Sites) -> Effectors:
     """Markers, and the ankles of those feet that carry no marker on tibia or foot."""
-    bones = {skeleton.tree.bones[bone] for bone in markers.bones}
-    held = tuple(s for s in SIDES if not bones & {f"tibia_{s}", f"foot_{s}"})
+    tree = skeleton.tree
+    held = tuple(
+        side
+        for side in SIDES
+        if not np.isin(markers.bones, tree.bones_in("shank", "foot", side=side)).any()
+    )
     ankles = landmark_sites(skeleton, tuple(f"ankle_{side}" for side in held))
     return Effectors(joined_sites(markers, ankles), held)
 
@@ -100,10 +88,8 @@ def replant(
         return stance, jnp.zeros((), bool)
     above, known = _head_target(skeleton, held, targets, mask)
     middle = jnp.mean(stance.ankles, 0)
-    leg = (
-        skeleton.lengths[skeleton.tree.bone("femur_l")]
-        + skeleton.lengths[skeleton.tree.bone("tibia_l")]
-    )
+    thigh, shank = skeleton.tree.bones_in("thigh", "shank", side="l")
+    leg = skeleton.lengths[thigh] + skeleton.lengths[shank]
     away = jnp.sum((above - middle)[:2] ** 2) > (settings.stance_radius * leg) ** 2
     planted = known & (away | stance.overstretched)
     anew = stand_below(skeleton, settings, above, quaternion_to_matrix(pose.quaternion)[:, 1])
@@ -115,8 +101,7 @@ def _head_target(
     skeleton: Skeleton, held: Effectors, targets: Array, mask: Array
 ) -> tuple[Array, Array]:
     """Mean (3,) of the seen markers on head or neck, and whether there is one."""
-    names = skeleton.tree.bones
-    on_head = np.array([names[b] in ("head", "neck") for b in held.sites.bones[: len(mask)]])
+    on_head = np.isin(held.sites.bones[: len(mask)], skeleton.tree.bones_in("head"))
     chosen = mask & on_head
     total = jnp.sum(jnp.where(chosen[:, None], targets, 0.0), 0)
     return total / jnp.maximum(jnp.sum(chosen), 1).astype(total.dtype), jnp.any(chosen)
@@ -126,8 +111,9 @@ def stand_below(skeleton: Skeleton, settings: IKSettings, above: Array, left: Ar
     """Ankles (2, 3) on the ground, hip-width apart along ``left`` (3,), below a point."""
     level = left.at[2].set(0.0)
     level = level / jnp.maximum(jnp.linalg.norm(level), 1e-6)
-    hip = skeleton.lengths[skeleton.tree.bone("hip_l")]
-    ankle = skeleton.diameters[skeleton.tree.bone("foot_l"), 0]
+    tree = skeleton.tree
+    hip = skeleton.lengths[tree.bones_in("hip", side="l")[0]]
+    ankle = skeleton.diameters[tree.bones_in("foot", side="l")[0], 0]
     ground = above.at[2].set(settings.floor + ankle)
     return jnp.stack([ground + hip * level, ground - hip * level])
 
@@ -168,7 +154,7 @@ def place(
 def landmark_above(skeleton: Skeleton, pose: Pose) -> Array:
     """The head bone's far end (3,) of a pose."""
     frames = forward(skeleton, pose)
-    head = skeleton.tree.bone("head")
+    head = skeleton.tree.bones_in("head")[-1]
     along = skeleton.lengths[head] * skeleton.directions[head]
     return frames.joints_world[head] + jnp.matmul(
         frames.R_world_bone[head], along, precision=HIGHEST

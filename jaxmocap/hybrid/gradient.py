@@ -151,10 +151,9 @@ def refine_body(
 
 def prior_deviations(skeleton: Skeleton, settings: GradientSettings) -> Array:
     """Standard deviations (6 + D,) about the markers' pose, metres and radians."""
-    kinds = {"spine": settings.spine, "neck": settings.neck, "arm": settings.arm}
-    kinds |= {"elbow": settings.arm, "hip": settings.leg, "knee": settings.leg}
-    kinds |= {"wrist": settings.arm}
-    joints = [kinds[name.split("_")[0].rstrip("0123456789")] for name in skeleton.tree.joints]
+    groups = {"spine": settings.spine, "head": settings.neck, "leg": settings.leg}
+    # Arms, shoulders, and what else a body has.
+    joints = [groups.get(group, settings.arm) for group in skeleton.tree.groups_of_joints]
     return jnp.stack([settings.shift] * 3 + [settings.turn] * 3 + joints)
 
 

@@ -243,8 +243,7 @@ def _room(skeleton: Skeleton, pose: Pose) -> tuple[Array, Array]:
 
 
 def _arm_length(skeleton: Skeleton) -> Array:
-    bones = [skeleton.tree.bone(name) for name in ("humerus_l", "radius_l", "hand_l")]
-    return jnp.sum(skeleton.lengths[np.array(bones)])
+    return jnp.sum(skeleton.lengths[skeleton.tree.bones_in("arm", side="l")])
 
 
 def goals_of(
@@ -260,10 +259,7 @@ def goals_of(
     What is below the pelvis weighs less: where a leg is too short to reach, the feet give way
     before the head and the hands do.
     """
-    names = skeleton.tree.bones
-    low = np.array(
-        [names[b].startswith(("hip", "femur", "tibia", "foot")) for b in held.sites.bones]
-    )
+    low = np.isin(held.sites.bones, skeleton.tree.bones_in("hip", "leg"))
     weights = jnp.where(low, settings.leg_weight, 1.0)
     feet = np.array([SIDES.index(side) for side in held.held], np.int32)
     seen = jnp.concatenate([mask, jnp.ones(len(feet), bool)])

@@ -11,10 +11,9 @@ OUTPUTS: the refined pose, the belief.
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
-from jaxmocap.body.arms import SIDES, Arms, arm_dofs, flesh, hang, swing
+from jaxmocap.body.arms import Arms, arm_dofs, flesh, hang, limb_bones, swing
 from jaxmocap.body.kinematics import Sites
 from jaxmocap.body.pose import Pose, beyond_limits
 from jaxmocap.body.skeleton import Skeleton
@@ -62,7 +61,7 @@ def look_for_elbows(
 
 def elbow_wishes(skeleton: Skeleton, elbows: Array) -> Goals:
     """The (2, 3) elbows as goals of the second rank."""
-    bones = np.array([skeleton.tree.bone(f"radius_{side}") for side in SIDES], np.int32)
+    bones = limb_bones(skeleton.tree)[:, 1]
     sites = Sites(bones, jnp.zeros(2, elbows.dtype), jnp.zeros((2, 3), elbows.dtype))
     return Goals(sites, elbows, jnp.ones(2, elbows.dtype))
 

@@ -31,7 +31,7 @@ from jaxmocap.images.background_model import Background
 from jaxmocap.silhouette.camera_agreement import chosen, denied, shares_found
 from jaxmocap.silhouette.correspond import matched
 from jaxmocap.silhouette.device_functions import Seen, fit, free, predict, velocity_of
-from jaxmocap.silhouette.expected_pose import expectation, resting
+from jaxmocap.silhouette.expected_pose import expectation
 from jaxmocap.silhouette.markers import MarkerRows, points_at
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, standard_deviations
 from jaxmocap.silhouette.recovery.limbs import carriers
@@ -122,7 +122,7 @@ class SilhouetteTracker:
         skin = generic_surface(skeleton) if surface is None else surface
         self.finder = RimFinder(skeleton, skin, self.settings.rim, self.settings.morphing)
         self._bones = carriers(self.finder.surface.points)
-        self.rest = resting(skeleton, dict(self.settings.held_at_rest))
+        self.rest = self.settings.held_at_rest * np.asarray(skeleton.rest_deviations, float)
         self.rooms = [None] * len(listed) if rooms is None else list(rooms)
         self.plan = Plan()
         self._sites = sites

@@ -19,8 +19,6 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.arms import (
-    LIMBS,
-    SIDES,
     Arms,
     arm_dofs,
     arms_of,
@@ -36,10 +34,9 @@ from jaxmocap.body.skeleton import ELBOWS, Skeleton
 from jaxmocap.body.surfaces.cones import Cones, cones, project_cones
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.evidence.keypoints import Lines, line_residuals
-from jaxmocap.evidence.residuals import NO_GOALS, ease
+from jaxmocap.evidence.residuals import NO_GOALS
 from jaxmocap.evidence.silhouettes import (
     Sight,
-    drawn_bones,
     nearest_surface,
     unhidden,
 )
@@ -52,7 +49,6 @@ from jaxmocap.images.silhouette_grid import Grid, cells
 from jaxmocap.smoothing.linearise import Problem, coarsely, sights_weight
 from jaxmocap.smoothing.trajectory import Trajectory, all_turned
 
-ARMS = [f"{limb}_{side}" for side in SIDES for limb in LIMBS]
 # The candidate that leaves an arm where it is.
 STAY = int(np.argmin(np.sum(TURNS**2, -1)))
 # Cells over which silhouettes fade, so softly that larger ones tell as much.
@@ -152,7 +148,7 @@ def _turned(arms: Arms) -> tuple[Arms, Array]:
 def _candidates(skeleton: Skeleton, grips: Sites, poses: Pose) -> tuple[Array, Array]:
     """Elbows (B, 2, K, 3) of a batch of poses, and what they cost by themselves (B, 2, K)."""
     dofs = arm_dofs(skeleton.tree)
-    ranges, usual = skeleton.limits[dofs], ease(skeleton)[dofs]
+    ranges, usual = skeleton.limits[dofs], skeleton.usual_deviations[dofs]
 
     def of_pose(pose: Pose) -> tuple[Array, Array]:
         hung = hang(skeleton, pose, grips)
@@ -236,8 +232,8 @@ def sight_costs(
         sight: what it saw.
         chosen: candidates of the left arm (A,) and of the right one (B,).
     """
-    bones, frames = drawn_bones(skeleton.tree), forward(skeleton, pose)
-    kept = np.array([skeleton.tree.bones[bone] not in ARMS for bone in bones])
+    bones, frames = skeleton.tree.drawn, forward(skeleton, pose)
+    kept = ~np.isin(bones, skeleton.tree.bones_in("arm"))
     body = Cones(*(part[kept] for part in cones(skeleton, frames, bones)))
     size = sight.person.probability.shape[-1]
     x, y = cells(size, pose.angles.dtype)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.skeleton import LANDMARKS, landmark_mismatches
 from jaxmocap.evidence.smoothness import Smoothness
 from jaxmocap.smoothing.levenberg_marquardt import covariances, point_variances
 from jaxmocap.smoothing.linearise import (
@@ -30,12 +30,6 @@ HABITS = ("ease", "lean", "facing", "ground", "footing", "balance")
 # A landmark is a guess where the video leaves more than this share of its variance, unless markers
 # hold it already, as they do below some HELD_M metres.
 GUESSED, HELD_M = 0.7, 0.01
-# What skeletons are wrong by, however sure the video: where they put a joint, and how far it is to
-# the next one. Horizontal and vertical deviations, metres, by how landmarks' names begin.
-MISMATCH_M = {
-    "vertex": (0.007, 0.012), "neck": (0.03, 0.015), "shoulder": (0.045, 0.02),
-    "elbow": (0.02, 0.012), "wrist": (0.007, 0.007), "hip": (0.045, 0.035), "knee": (0.035, 0.025),
-}  # fmt: skip
 
 
 class Trust(NamedTuple):
@@ -57,19 +51,13 @@ def trusted(told: np.ndarray, guessed: np.ndarray, mismatch: float) -> Trust:
     Args:
         told: (T, L, 3) variances given all that is known.
         guessed: (T, L, 3) without what the cameras saw.
-        mismatch: of the skeleton, as a multiple of ``MISMATCH_M``; not where a marker holds.
+        mismatch: factor on ``landmark_mismatches``; none where a marker holds.
     """
     loose = told / (told + HELD_M**2)
-    deviations = np.sqrt(told + loose * (mismatch * mismatches()) ** 2)
+    deviations = np.sqrt(told + loose * (mismatch * landmark_mismatches()) ** 2)
     from_prior = told.sum(-1) > GUESSED * guessed.sum(-1)
     markers_hold = guessed.sum(-1) < 9 * HELD_M**2
     return Trust(deviations, (from_prior & ~markers_hold).astype(float))
-
-
-def mismatches() -> np.ndarray:
-    """What a skeleton's landmarks are wrong by, (L, 3) metres."""
-    starts = [[m for start, m in MISMATCH_M.items() if n.startswith(start)] for n in LANDMARKS]
-    return np.array([(m[0][0], *m[0]) if m else (0.0, 0.0, 0.0) for m in starts])
 
 
 def trust_in(problem: Problem, trajectory: Trajectory, softness: float) -> Trust:

@@ -15,7 +15,7 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.images.background_model import Background, learn_background
 from jaxmocap.images.canvases import Canvas, attached, canvas, follow, full_mask, signed_distance
 from jaxmocap.images.regions import Region
-from jaxmocap.reference.hybrid.silhouette import level_set as reference
+from jaxmocap.reference.silhouette import level_set as reference
 from jaxmocap.silhouette.segmentation import densities
 from jaxmocap.silhouette.segmentation.contour import contours
 from jaxmocap.silhouette.segmentation.level_set import Motion, coarser, evolve, finer, step

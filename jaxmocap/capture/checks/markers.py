@@ -43,7 +43,6 @@ FARTHEST_M = 1e7
 # Hands this far before (or behind) the head tell where the front is, if they do so most of the
 # time and the recording is long enough for a habit to show.
 BEFORE_M, MOST, HABIT_S = 0.2, 0.8, 3.0
-HANDS = ("hand", "radius")
 
 
 @dataclass(frozen=True)
@@ -242,7 +241,8 @@ def facing(recording: Recording) -> list[tuple[tuple[int, int], float, float]]:
         metres before the head. Nothing where head or hands are not seen for long enough.
     """
     head = [i for i, place in enumerate(recording.places) if place.bone == "head"]
-    hands = [p for p in pairs(recording) if recording.places[p[0]].bone[:-2] in HANDS]
+    on_hands = recording.skeleton.tree.names_in("forearm", "hand")
+    hands = [p for p in pairs(recording) if recording.places[p[0]].bone in on_hands]
     if not (head and hands) or np.ptp(recording.times) < HABIT_S:
         return []
     positions = recording.positions_world[..., :2]

@@ -19,7 +19,7 @@ from jax import Array
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton, Tree
 from jaxmocap.body.surfaces.cones import cones, project_cones
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.evidence.appearance.hulls import draw_hulls
@@ -50,13 +50,11 @@ POSES_A_CALL = 64
 MARGIN, LEG_MARGIN = 0.12, 0.15
 # Of a limb's thickness: its core, and wherever it may be; the pose errs by some centimetres.
 CORE, WHEREVER, ERRING_M = 0.7, 1.4, 0.03
-# By how much legs err that no marker holds, metres. Somebody who stands still would be learned as
-# furniture if legs were drawn aside of where they are.
-ASTRAY_M = {"femur": 0.12, "tibia": 0.2, "foot": 0.2}
+# By how much parts of legs err that no marker holds, metres. Somebody who stands still would be
+# learned as furniture if legs were drawn aside of where they are.
+ASTRAY_M = {"thigh": 0.12, "shank": 0.2, "foot": 0.2}
 # Along the forearm: skin, whatever the sleeve; the markers hold its far half best.
 BARE = (0.5, 0.95)
-LEGS = ("femur_l", "femur_r", "tibia_l", "tibia_r")
-HEAD, PELVIS, FEET = ("head", "neck"), ("hip_l", "hip_r"), ("foot_l", "foot_r")
 # What no cone is like, a head with its head-set, a pelvis, shoes: so many times as thick, or so
 # many metres about it, silhouettes tell nothing.
 GROWN, SHOE_M = 1.6, 0.06
@@ -100,14 +98,14 @@ class Drawing:
         per_metre: (F,) pixels of a metre at the person.
         size: width and height of the shrunk images.
         ratio: (2,) their size over that of the full ones.
-        names: of the K bones.
+        tree: of the K bones.
     """
 
     discs: Discs
     per_metre: np.ndarray
     size: tuple[int, int]
     ratio: np.ndarray
-    names: list[str]
+    tree: Tree
 
     @classmethod
     def of(
@@ -129,7 +127,7 @@ class Drawing:
         ratio = np.divide(small, size)
         near, far = ((end + 0.5) * ratio - 0.5 for end in (limbs.near, limbs.far))
         discs = Discs(near, far, limbs.radii * ratio[0])
-        return cls(discs, per_metre * ratio[0], small, ratio, list(skeleton.tree.bones))
+        return cls(discs, per_metre * ratio[0], small, ratio, skeleton.tree)
 
     def mask(
         self,
@@ -140,8 +138,13 @@ class Drawing:
         without: Sequence[str] = (),
         part: tuple[float, float] = (0.0, 1.0),
     ) -> np.ndarray:
-        """Limbs (h, w) bool with their radii scaled and enlarged, or a part of their length."""
-        kept = [n not in without and (only is None or n in only) for n in self.names]
+        """Limbs (h, w) bool with their radii scaled and enlarged, or a part of their length.
+
+        ``only`` and ``without`` name groups of bones or their parts.
+        """
+        bones = np.arange(len(self.tree.bones))
+        kept = np.isin(bones, bones if only is None else self.tree.bones_in(*only))
+        kept &= ~np.isin(bones, self.tree.bones_in(*without))
         near, far, radii = (each[frame][kept] for each in self.discs)
         ends = [near + at * (far - near) for at in part]
         widths = radii[:, :1] + np.array(part) * (radii[:, 1:] - radii[:, :1])
@@ -149,21 +152,20 @@ class Drawing:
 
     def core(self, frame: int, without: Sequence[str] = ()) -> np.ndarray:
         """Where (h, w) the person surely is."""
-        return self.mask(frame, CORE, without=(*FEET, *without))
+        return self.mask(frame, CORE, without=("foot", *without))
 
     def wherever(self, frame: int, astray: bool) -> np.ndarray:
         """Where (h, w) the person may be; ``astray`` where no marker holds the feet."""
         metre = float(self.per_metre[frame])
         found = self.mask(frame, WHEREVER, ERRING_M * metre)
-        for start, metres in ASTRAY_M.items() if astray else ():
-            legs = [name for name in (*LEGS, *FEET) if name.startswith(start)]
-            found |= self.mask(frame, WHEREVER, metres * metre, only=legs)
+        for part, metres in ASTRAY_M.items() if astray else ():
+            found |= self.mask(frame, WHEREVER, metres * metre, only=(part,))
         return found
 
     def unlike(self, frame: int) -> np.ndarray:
         """Where (h, w) the person is not like what is drawn."""
-        shoes = self.mask(frame, 1.0, SHOE_M * float(self.per_metre[frame]), only=FEET)
-        return self.mask(frame, GROWN, only=(*HEAD, *PELVIS)) | shoes
+        shoes = self.mask(frame, 1.0, SHOE_M * float(self.per_metre[frame]), only=("foot",))
+        return self.mask(frame, GROWN, only=("head", "hip")) | shoes
 
 
 class Regions(NamedTuple):
@@ -220,8 +222,8 @@ def learn_appearance(
             for frame, body in zip(frames, bodies, strict=True)
         ]
     )
-    arms = np.stack([drawing.mask(i, CORE, only=FOREARMS[:2], part=BARE) for i in which])
-    others = np.stack([drawing.core(i, without=(*FOREARMS, *HEAD)) for i in which])
+    arms = np.stack([drawing.mask(i, CORE, only=FOREARMS[:1], part=BARE) for i in which])
+    others = np.stack([drawing.core(i, without=(*FOREARMS, "head")) for i in which])
     near = np.stack([drawing.mask(i, 2.0, only=FOREARMS) for i in which])
     rest = others & ~near & (odds > -0.5)
     rest = rest if rest.any() else others
@@ -267,7 +269,7 @@ def body_sight(
     window, corner = _window(image, {CELLS: upper, LEG_CELLS: lower})
     odds = np.zeros(image.shape[:2], np.float32)
     odds[window] = log_odds(image, known.background, known.person, window=window)
-    head = drawing.mask(frame, GROWN, only=HEAD)[window]
+    head = drawing.mask(frame, GROWN, only=("head",))[window]
     forearms = part_odds(image[window], odds[window], known.forearms, head)
     told = np.where(drawing.unlike(frame)[window], np.float32(0), odds[window])
 
