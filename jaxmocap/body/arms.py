@@ -12,11 +12,18 @@ from jax import Array
 
 from jaxmocap.body.kinematics import Frames, Sites, forward, site_positions
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import Skeleton, Tree
+from jaxmocap.body.skeleton import Skeleton, Tree, landmark_rows
 from jaxmocap.body.surfaces.cones import Cones
 from jaxmocap.geometry.rotations import about_axis, compose, hinges_from_matrix, rotate
 
 SIDES = ("l", "r")
+# Rows (2, 4) of shoulder, elbow, wrist and tip among the landmarks.
+ARM_LANDMARKS = np.stack(
+    [
+        landmark_rows(f"{name}_{side}" for name in ("shoulder", "elbow", "wrist", "hand"))
+        for side in SIDES
+    ]
+)
 
 
 class Arms(NamedTuple):
@@ -49,19 +56,18 @@ def limb_bones(tree: Tree) -> np.ndarray:
 
 
 def grips(skeleton: Skeleton, markers: Sites) -> Sites:
-    """The point of each arm that its first marker on forearm or hand holds, else the wrist."""
-    bones = limb_bones(skeleton.tree)
-    # On the host: step by step, each step on the device would be a program of its own.
-    own_at, own_offsets = np.asarray(markers.at), np.asarray(markers.offsets)
-    chosen = [(bone, own_at.dtype.type(0), np.zeros(3, own_at.dtype)) for bone in bones[:, 2]]
-    for side in range(2):
-        carried = np.flatnonzero(np.isin(markers.bones, bones[side, 1:]))
-        if carried.size:
-            i = int(carried[0])
-            chosen[side] = (markers.bones[i], own_at[i], own_offsets[i])
-    on, at, offsets = zip(*chosen, strict=True)
-    placed = (jnp.asarray(np.stack(part), own_at.dtype) for part in (at, offsets))
-    return Sites(np.array(on), *placed)
+    """The point (2) of each arm that its first marker on forearm or hand holds, else the wrist."""
+    bones, on = limb_bones(skeleton.tree), markers.bones
+    chosen = [np.flatnonzero(np.isin(on, arm[1:]))[:1] for arm in bones]
+    rows = np.array([own[0] if own.size else len(on) for own in chosen], np.int32)
+    carriers = [
+        int(on[row]) if row < len(on) else int(hand)
+        for row, hand in zip(rows, bones[:, 2], strict=True)
+    ]
+    # Where an arm carries no marker: its wrist, which follows the markers' own points.
+    at = jnp.append(jnp.asarray(markers.at), jnp.zeros((), markers.at.dtype))
+    offsets = jnp.concatenate([jnp.asarray(markers.offsets), jnp.zeros((1, 3), markers.at.dtype)])
+    return Sites(carriers, at[rows], offsets[rows])
 
 
 def arms_of(skeleton: Skeleton, frames: Frames, grip_sites: Sites) -> Arms:
@@ -80,6 +86,32 @@ def arms_of(skeleton: Skeleton, frames: Frames, grip_sites: Sites) -> Arms:
         skeleton.lengths[bones[:, 0]],
         skeleton.diameters[bones] / 2,
     )
+
+
+# Directions in which a search turns a forearm about its grip, seen from where markers put it.
+FARTHEST_TURN_DEG = 75.0
+TURN_SPACING_DEG = 10.0
+
+
+def forearm_turns(
+    farthest: float = FARTHEST_TURN_DEG, spacing: float = TURN_SPACING_DEG
+) -> np.ndarray:
+    """Rotation vectors (K, 3), radians, about x and y of the forearm: a hexagonal grid.
+
+    Args:
+        farthest: from no turn, degrees.
+        spacing: between neighbours, degrees.
+    """
+    reach = int(farthest / (spacing * np.sqrt(0.75))) + 1
+    rows, columns = np.meshgrid(np.arange(-reach, reach + 1), np.arange(-2 * reach, 2 * reach + 1))
+    x = (columns + 0.5 * (rows % 2)) * spacing
+    y = rows * spacing * np.sqrt(0.75)
+    kept = np.hypot(x, y) <= farthest
+    flat = np.stack([x[kept], y[kept], np.zeros(kept.sum())], 1)
+    return np.radians(flat)
+
+
+TURNS = forearm_turns()
 
 
 class Hung(NamedTuple):

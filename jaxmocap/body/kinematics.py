@@ -3,8 +3,11 @@
 INPUTS: a Skeleton, a Pose. OUTPUTS: frames of all bones, points on bones, their derivatives.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -36,18 +39,29 @@ class Frames(NamedTuple):
     axes_world: Array
 
 
-class Sites(NamedTuple):
-    """Points fixed to bones, such as markers.
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Sites:
+    """M points fixed to bones, such as markers.
 
     Attributes:
-        bones: (M,) bone indices (static, host integers, int32).
+        bone_indices: of the bones that carry them (static; any integers are taken).
         at: (M,) fraction of the bone's length from its joint.
         offsets: (M, 3) metres, in the bone's frame.
     """
 
-    bones: np.ndarray
+    bone_indices: Sequence[int] | np.ndarray = field(metadata={"static": True})
     at: Array
     offsets: Array
+
+    def __post_init__(self):
+        # Hashable, since it belongs to a program's name.
+        object.__setattr__(self, "bone_indices", tuple(int(bone) for bone in self.bone_indices))
+
+    @property
+    def bones(self) -> np.ndarray:
+        """(M,) int32, the same to index with."""
+        return np.array(self.bone_indices, np.int32)
 
 
 def forward(skeleton: Skeleton, pose: Pose) -> Frames:

@@ -1,243 +1,164 @@
-"""How well an arm fits the edges: equations (13) and (14), and the outline's distance.
+"""Edges: how well arms' outlines lie on edges of the image that run their way (section 5.1).
 
-The paper sums distances over the filled silhouette; such a sum falls when the limb hides or
-shrinks. The default is the mean distance along the outline, to edges that run its way.
+The default is the mean distance along the outline; the paper's own sum is in ``coverage``.
 
-INPUTS: one arm's limbs, a camera, the fields of its region. OUTPUTS: a cost.
+INPUTS: arms, cameras, the distance fields of their regions. OUTPUTS: costs, whitened residuals.
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.arms import Arms, flesh
-from jaxmocap.body.surfaces.cones import Cones, project_cones
-from jaxmocap.geometry.cameras import (
-    NEAREST_M,
-    Camera,
-    camera_components,
-    depth,
-    normals_in_pixels,
-    pixel_components,
-    pixels_per_metre,
-)
-from jaxmocap.geometry.outlines import Pieces, joined, outline_pieces
-from jaxmocap.hybrid.observe import Observation
-from jaxmocap.hybrid.settings import EvidenceSettings
-from jaxmocap.images.raster import soft_coverage
-from jaxmocap.images.regions import Region, discs_in_region
-from jaxmocap.images.sampling import look_up
-
-# Outline points per side and per arc of a limb.
-ALONG, AROUND = 8, 1
-# The hand is no cone: its outline counts half.
-LIMB_WEIGHTS = (1.0, 1.0, 0.5)
-# Which ends are free: of the three limbs only the hand's far one.
-OPEN_ENDS = ((0.0, 0.0), (0.0, 0.0), (0.0, 1.0))
-# Pixels this near to the image's border are not scored.
-BORDER_PX = 2.0
+from jaxmocap.body.arms import ARM_LANDMARKS, Arms, arms_of, flesh, limb_bones
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.model import Model
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.surfaces.cones import Cones
+from jaxmocap.compilation.settings import settings, static, traced
+from jaxmocap.evidence.coverage import raster_distance
+from jaxmocap.evidence.terms import Measurements, PosedBody, Term
+from jaxmocap.evidence.traced_outlines import blockers, hidden, outline_distance, trace_outline
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.images.regions import Region
 
 
-class Traced(NamedTuple):
-    """An arm's outline in one camera, laid over the distance fields.
+class EdgeFields(NamedTuple):
+    """What C cameras measured of both arms: distances to the nearest edges about them.
 
     Attributes:
-        points: (3, K, 2) of the three limbs, on the plane z = 1.
-        distances_px: (3, K) to the nearest edge of each point's direction, pixels.
-        metres_per_px: (3, 1) at the limbs' depth.
-        weights: (3, K) length of outline that each point stands for; 0 outside the image.
+        region: where the fields lie: origins (C, 2, 2), scales (C, 2).
+        distances: (C, 2, K, S, S) to edges of K directions, samples of the region.
+        available: (C, 2) whether there is an image; the distances mean nothing where not.
     """
 
-    points: Array
-    distances_px: Array
-    metres_per_px: Array
+    region: Region
+    distances: Array | np.ndarray
+    available: Array | np.ndarray
+
+    def by_arm(self) -> "EdgeFields":
+        """The same with the arms' axis before the cameras'."""
+        return jax.tree.map(lambda part: jnp.swapaxes(jnp.asarray(part), 0, 1), self)
+
+
+@settings
+class EdgeEvidence:
+    """How distances to edges become costs."""
+
+    compared: Literal["outline", "raster"] = static(
+        "outline", "the mean distance along the outline, or the paper's sum (13)"
+    )
+    truncation: Array = traced(
+        0.06, "distances count no more than this, metres at the limb's depth"
+    )
+    scale: Array = traced(0.0042, "distance that costs one unit, metres at the limb's depth")
+    softness: Array = traced(1.0, "of the raster's borders, samples")
+
+    def arm_cost(self, cameras: Camera | None, fields: EdgeFields, limbs: Cones) -> Array:
+        """Cost of one arm, summed over C cameras; 0 where no camera has an image of it.
+
+        Args:
+            cameras: C, stacked.
+            fields: of this arm: regions (C), distances (C, K, S, S), available (C,).
+            limbs: (..., 3) cones, world: the arm in one place, or in many for many costs (...).
+        """
+        assert cameras is not None
+
+        def of_camera(camera: Camera, region: Region, distances: Array) -> Array:
+            if self.compared == "outline":
+                return outline_distance(camera, region, distances, limbs, self.truncation)[0]
+            of_place = partial(raster_distance, camera, region, distances, softness=self.softness)
+            for _ in range(limbs.near.ndim - 2):
+                of_place = jax.vmap(of_place)
+            return of_place(limbs)
+
+        each = jax.vmap(of_camera)(cameras, fields.region, jnp.asarray(fields.distances))
+        available = jnp.asarray(fields.available).reshape(-1, *(1,) * (each.ndim - 1))
+        return jnp.sum(jnp.where(available, each, 0.0), 0) / self.scale
+
+    def outline_px(self, cameras: Camera, fields: EdgeFields, arms: Arms) -> Array:
+        """Mean distance (2,) of both arms' outlines to edges, pixels; NaN without an image."""
+
+        def of_camera(camera: Camera, region: Region, distances: Array, limbs: Cones) -> Array:
+            return outline_distance(camera, region, distances, limbs, self.truncation)[1]
+
+        def of_arm(own: EdgeFields, limbs: Cones) -> Array:
+            each = jax.vmap(of_camera, (0, 0, 0, None))(
+                cameras, own.region, jnp.asarray(own.distances), limbs
+            )
+            return jnp.nanmean(jnp.where(own.available, each, jnp.nan))
+
+        return jax.vmap(of_arm)(fields.by_arm(), flesh(arms))
+
+
+class WeightedEdges(NamedTuple):
+    """Edges, and how much each outline point counts, which is settled where a solve starts.
+
+    Attributes:
+        fields: of both arms.
+        weights: (2, C, 3, K) roots of the points' shares of their outline; 0 where one is hidden.
+    """
+
+    fields: EdgeFields
     weights: Array
 
 
-class _Laid(NamedTuple):
-    """Sides or arcs of limbs (3, ...), laid over the distance fields: (2, K, 3, ...) each."""
+@settings
+class Outlines(Term):
+    """Outlines of both arms on edges; measured ``edges``, a ``WeightedEdges``.
 
-    points: Pieces  # on the plane z = 1
-    distances_px: Array
-    weights: Array  # 0 outside the image
+    A distance d costs d^2 / (sqrt(d^2 + b^2) + b): square near the edge, then straight, and it
+    levels out towards the truncation.
+    """
 
-
-def _lay(
-    camera: Camera, region: Region, fields: Array, limbs: Cones
-) -> tuple[tuple[_Laid, _Laid], Array]:
-    """Sides and arcs of limbs (..., 3), laid over the fields; metres per pixel (3, ...) there."""
-    batch = limbs.near.ndim - 2
-    ends = jnp.moveaxis(jnp.stack([limbs.near, limbs.far]), (-1, -2), (0, 2))
-    x, y, depths = camera_components(camera, *ends)
-    near = 1 / jnp.maximum(depths, NEAREST_M)
-    radii = jnp.broadcast_to(limbs.radii, (*limbs.near.shape[:-1], 2))
-    radii = jnp.moveaxis(radii, (-1, -2), (0, 1)) * near
-    by_limb = (len(LIMB_WEIGHTS), *(1,) * batch)
-    free = jnp.asarray(OPEN_ENDS, x.dtype).T.reshape(2, *by_limb)
-    pieces = outline_pieces(x * near, y * near, radii, ALONG, AROUND, free)
-    front = jnp.minimum(depths[0], depths[1]) > 0
-    shares = jnp.where(front, jnp.asarray(LIMB_WEIGHTS, x.dtype).reshape(by_limb), 0.0)
-    sides, arcs = (_look_up(camera, region, fields, piece, shares) for piece in pieces)
-    return (sides, arcs), 1 / pixels_per_metre(camera, (depths[0] + depths[1]) / 2)
-
-
-def _look_up(camera: Camera, region: Region, fields: Array, points: Pieces, shares: Array) -> _Laid:
-    """Points (2, K, 3, ...) in the fields; weighed by the limbs' (3, ...) shares."""
-    x, y = pixel_components(camera, points.x, points.y)
-    normals = points.normal_x, points.normal_y
-    normal_x, normal_y = normals_in_pixels(camera, (points.x, points.y), *normals)
-    channels = _channels(normal_x, normal_y, fields.shape[0])
-    samples = (
-        (pixel - corner) / region.scale - 0.5
-        for pixel, corner in ((x, region.origin[0]), (y, region.origin[1]))
+    bend: Array = traced(
+        0.005, "distance to an edge at which its price turns from square to straight, metres"
     )
-    distances_px = look_up(fields, channels, *samples) * region.scale
-    right, bottom = camera.size[0] - 1 - BORDER_PX, camera.size[1] - 1 - BORDER_PX
-    inside = (x >= BORDER_PX) & (x <= right) & (y >= BORDER_PX) & (y <= bottom)
-    return _Laid(points, distances_px, jnp.where(inside, points.weights * shares, 0.0))
+    truncation: Array = traced(0.06, "distance towards which the price levels out, metres")
+    scale: Array = traced(0.0042, "distance that costs one unit, metres at the limb's depth")
+
+    def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(2, C, 3, K): roots of twice the prices, weighted."""
+        edges = measured["edges"]
+        radii = model.skeleton.diameters[limb_bones(model.skeleton.tree)] / 2
+        ends = body.landmarks[ARM_LANDMARKS]
+
+        def of_camera(camera: Camera, region: Region, distances: Array, limbs: Cones) -> Array:
+            traced = trace_outline(camera, region, distances, limbs)
+            d = traced.distances_px * traced.metres_per_px
+            steep = jnp.sqrt(d**2 + self.bend**2) + self.bend
+            return d * jnp.sqrt(2 / (steep + d**2 / self.truncation) / self.scale)
+
+        limbs = Cones(ends[:, :3], ends[:, 1:], radii)
+        return edges.weights * _each_arm_and_camera(of_camera, model, edges.fields, limbs)
 
 
-def trace_outline(camera: Camera, region: Region, fields: Array, limbs: Cones) -> Traced:
-    """Look an arm's outline up in the fields of its region.
+def weighted_edges(model: Model, fields: EdgeFields, start: Pose) -> WeightedEdges:
+    """Edges with the weights of outline points as a pose shows them."""
+    frames = forward(model.skeleton, start)
+    arms = arms_of(model.skeleton, frames, model.grips)
 
-    Args:
-        camera: that sees the arm.
-        region: of the arm in this camera (no batch).
-        fields: (K, S, S) distances, samples of the region.
-        limbs: three cones, world, metres.
-    """
-    laid, metres_per_px = _lay(camera, region, fields, limbs)
+    def of_camera(
+        camera: Camera, region: Region, distances: Array, limbs: tuple[Cones, Cones]
+    ) -> Array:
+        own, others = limbs
+        traced = trace_outline(camera, region, distances, own)
+        share = traced.weights / jnp.maximum(jnp.sum(traced.weights), 1e-6)
+        return jnp.where(hidden(camera, own, traced.points, others), 0.0, share)
 
-    def rows(parts: list[Array]) -> Array:
-        return jnp.concatenate([part.reshape(-1, *part.shape[2:]) for part in parts]).T
-
-    sides, arcs = laid
-    return Traced(
-        joined((sides.points, arcs.points)).points,
-        rows([part.distances_px for part in laid]),
-        metres_per_px[:, None],
-        rows([part.weights for part in laid]),
-    )
+    limbs = (flesh(arms), blockers(model.skeleton, frames, arms))
+    shares = _each_arm_and_camera(of_camera, model, fields, limbs)
+    counts = jnp.asarray(fields.available).T[..., None, None] & (shares > 0)
+    roots = jnp.where(counts, jnp.sqrt(jnp.where(counts, shares, 1.0)), 0.0)
+    return WeightedEdges(fields, roots)
 
 
-def outline_distance(
-    camera: Camera, region: Region, fields: Array, limbs: Cones, truncation: Array
-) -> tuple[Array, Array]:
-    """Mean distance of arms' outlines to the edges of their direction.
-
-    Args:
-        camera: that sees the arm.
-        region: of the arm in this camera (no batch).
-        fields: (K, S, S) distances, samples of the region.
-        limbs: (..., 3) cones, world, metres: one arm's, in one place or many.
-        truncation: metres at the limb's depth.
-
-    Returns:
-        The mean (...) in metres at the limbs' depth, and the same in pixels; ``truncation`` where
-        nothing of the arm is within the image.
-    """
-    laid, metres_per_px = _lay(camera, region, fields, limbs)
-    total, metres, pixels = (
-        sum(
-            jnp.sum(part.weights * values, (0, 1, 2))
-            for part, values in zip(laid, each, strict=True)
-        )
-        for each in (
-            [jnp.ones_like(part.weights) for part in laid],
-            [jnp.minimum(part.distances_px * metres_per_px, truncation) for part in laid],
-            [part.distances_px for part in laid],
-        )
-    )
-    visible = total > 1e-6
-    shared = 1 / jnp.where(visible, total, 1.0)
-    return (
-        jnp.where(visible, metres * shared, truncation),
-        jnp.where(visible, pixels * shared, jnp.nan),
-    )
-
-
-def _channels(x: Array, y: Array, count: int) -> Array:
-    """Channel (...) of outline normals in the image.
-
-    The arc tangent, dear to XLA, is found once and kept; counting the borders that a
-    normal has passed would be done anew at each of the many look-ups.
-    """
-    # A normal and its opposite are one direction: turn it to the upper half plane.
-    flip = jnp.where((y < 0) | ((y == 0) & (x < 0)), -1.0, 1.0)
-    still = (x == 0) & (y == 0)
-    angle = jnp.arctan2(flip * y, jnp.where(still, 1.0, flip * x))
-    return jnp.minimum(jnp.floor(angle * (count / np.pi)).astype(jnp.int32), count - 1)
-
-
-def chamfer_sum(
-    camera: Camera, region: Region, fields: Array, limbs: Cones, softness: Array
-) -> Array:
-    """Equation (13), softened: the sum of coverage times distance, samples of the region.
-
-    The plain field is the least over the directions.
-    """
-    discs = discs_in_region(region, project_cones(camera, limbs))
-    coverage = soft_coverage(discs, fields.shape[-1], softness)
-    return jnp.sum(coverage * jnp.min(fields, 0))
-
-
-def raster_distance(
-    camera: Camera, region: Region, fields: Array, limbs: Cones, softness: Array
-) -> Array:
-    """Equation (13) over the area that the limbs would cover seen from the side: metres.
-
-    The area depends on the limbs' size and depth alone, so this is the paper's sum in another
-    unit: it has the same minimum, and the priors' weights do not depend on the resolution.
-    """
-    away = jnp.maximum(jnp.mean(depth(camera, limbs.near)), 0.1)
-    samples_per_metre = pixels_per_metre(camera, away) / region.scale
-    lengths = jnp.sqrt(jnp.sum((limbs.far - limbs.near) ** 2, -1) + 1e-12)
-    area = jnp.sum(lengths * jnp.sum(limbs.radii, -1)) * samples_per_metre**2
-    return chamfer_sum(camera, region, fields, limbs, softness) / area / samples_per_metre
-
-
-def arm_cost(
-    kind: str, settings: EvidenceSettings, cameras: Camera, observation: Observation, limbs: Cones
-) -> Array:
-    """Cost of one arm, summed over C cameras; 0 where none sees it.
-
-    Args:
-        kind: "outline" or "raster" (static).
-        settings: traced.
-        cameras: C, stacked.
-        observation: of this arm: region (C), fields (C, K, S, S), seen (C,).
-        limbs: (..., 3) cones, world: the arm in one place, or in many for many costs (...).
-    """
-
-    def of_camera(camera: Camera, region: Region, fields: Array) -> Array:
-        if kind == "outline":
-            return outline_distance(camera, region, fields, limbs, settings.truncation)[0]
-        of_place = partial(raster_distance, camera, region, fields, softness=settings.softness)
-        for _ in range(limbs.near.ndim - 2):
-            of_place = jax.vmap(of_place)
-        return of_place(limbs)
-
-    distances = jax.vmap(of_camera)(cameras, observation.region, jnp.asarray(observation.fields))
-    seen = jnp.asarray(observation.seen).reshape(-1, *(1,) * (distances.ndim - 1))
-    return jnp.sum(jnp.where(seen, distances, 0.0), 0) / settings.edge_scale
-
-
-def outline_px(
-    settings: EvidenceSettings, cameras: Camera, observation: Observation, arms: Arms
-) -> Array:
-    """Mean distance (2,) of both arms' outlines to the edges over C cameras, pixels; NaN unseen."""
-
-    def of_camera(camera: Camera, region: Region, fields: Array, limbs: Cones) -> Array:
-        return outline_distance(camera, region, fields, limbs, settings.truncation)[1]
-
-    def of_arm(seen: Observation, limbs: Cones) -> Array:
-        each = jax.vmap(of_camera, (0, 0, 0, None))(
-            cameras, seen.region, jnp.asarray(seen.fields), limbs
-        )
-        return jnp.nanmean(jnp.where(seen.seen, each, jnp.nan))
-
-    return jax.vmap(of_arm)(observation.by_arm(), flesh(arms))
+def _each_arm_and_camera(function, model: Model, fields: EdgeFields, limbs) -> Array:
+    """A function of camera, region, distances and limbs, for each arm (2) in each camera (C)."""
+    by_camera = jax.vmap(function, (0, 0, 0, None))
+    by_arm = jax.vmap(by_camera, (None, 0, 0, 0))
+    own = fields.by_arm()
+    return by_arm(model.cameras, own.region, jnp.asarray(own.distances), limbs)

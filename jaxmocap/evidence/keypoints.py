@@ -13,30 +13,33 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxmocap.body.model import Model
 from jaxmocap.body.skeleton import LANDMARKS, landmark_rows
+from jaxmocap.compilation.settings import settings, traced
+from jaxmocap.evidence.terms import Measurements, PosedBody, Term
 from jaxmocap.geometry.cameras import Camera, pixel_rays
 
 # Degrees of freedom: beyond some deviations a point is taken for a wrong one, and hardly pulls.
 TAILS = 5.0
 
 
-class Lines(NamedTuple):
+class SightLines(NamedTuple):
     """Where C cameras see the landmarks at one time.
 
     Attributes:
         origin: (C, 3) the cameras' centres, world, metres.
-        ways: (C, L, 3) unit vectors to the ``LANDMARKS``, world; NaN where not detected.
+        directions: (C, L, 3) unit vectors to the ``LANDMARKS``, world; NaN where not detected.
         confidences: (C, L) between 0 and 1; 0 where not detected.
     """
 
     origin: Array | np.ndarray
-    ways: Array | np.ndarray
+    directions: Array | np.ndarray
     confidences: Array | np.ndarray
 
 
 def lines_of_sight(
     camera: Camera, landmarks: Sequence[str], pixels_xy: np.ndarray, confidences: np.ndarray
-) -> Lines:
+) -> SightLines:
     """The lines (T, ...) through one camera's detections.
 
     Args:
@@ -51,10 +54,10 @@ def lines_of_sight(
     ways[:, columns] = np.asarray(pixel_rays(camera, jnp.asarray(pixels_xy, float)))
     seen = np.isfinite(ways[:, columns]).all(-1)
     sure[:, columns] = np.where(seen, confidences, 0.0)
-    return Lines(*(np.asarray(part, np.float32)[:, None] for part in (origin, ways, sure)))
+    return SightLines(*(np.asarray(part, np.float32)[:, None] for part in (origin, ways, sure)))
 
 
-def line_residuals(points_world: Array, lines: Lines, deviation: Array) -> Array:
+def line_residuals(points_world: Array, lines: SightLines, deviation: Array) -> Array:
     """How far landmarks (..., L, 3) lie off their lines: (..., C, L, 3), long tails included.
 
     Their squares add up to a logarithm that Student's t has, instead of growing without end.
@@ -64,8 +67,10 @@ def line_residuals(points_world: Array, lines: Lines, deviation: Array) -> Array
         lines: of C cameras.
         deviation: of a point of full confidence, metres at the person.
     """
-    seen = jnp.isfinite(lines.ways).all(-1, keepdims=True) & (lines.confidences > 0)[..., None]
-    way = jnp.where(seen, lines.ways, 0.0)
+    seen = (
+        jnp.isfinite(lines.directions).all(-1, keepdims=True) & (lines.confidences > 0)[..., None]
+    )
+    way = jnp.where(seen, lines.directions, 0.0)
     off = points_world[..., None, :, :] - lines.origin[..., None, :]
     across = off - jnp.sum(off * way, -1, keepdims=True) * way
     return _with_tails(jnp.where(seen, across * lines.confidences[..., None] / deviation, 0.0))
@@ -77,3 +82,18 @@ def _with_tails(off: Array) -> Array:
     small = ratio < 1e-4
     large = jnp.where(small, 1.0, ratio)
     return off * jnp.sqrt(jnp.where(small, 1 - ratio / 2, jnp.log1p(large) / large))
+
+
+@settings
+class KeyPoints(Term):
+    """2-D key points; measured ``sight_lines`` of the cameras that come with them."""
+
+    deviation: Array = traced(
+        0.02, "of a point of full confidence about its landmark, metres at the person"
+    )
+
+    def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(C, L, 3); none where no camera comes with key points."""
+        if "sight_lines" not in measured:
+            return jnp.zeros(0, body.landmarks.dtype)
+        return line_residuals(body.landmarks, measured["sight_lines"], self.deviation)

@@ -21,6 +21,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.proportions import scaled
 from jaxmocap.body.skeleton import Skeleton, Tree
 from jaxmocap.body.surfaces.cones import Cones, cones, project_cones
+from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.geometry.cameras import (
     NEAREST_M,
     Camera,
@@ -41,16 +42,17 @@ from jaxmocap.images.silhouette_grid import (
     frontmost,
     halved,
 )
-from jaxmocap.smoothing.settings import SmoothingSettings
 
-# Parts of the arms that silhouettes of their own tell of.
+# Parts of the arms that have silhouettes of their own.
 FOREARMS = ("forearm", "hand")
-# A limb is hidden by what lies in front of its axis by more than this, metres, give or take.
-HIDDEN_BEYOND_M, HIDDEN_SOFTLY_M = 0.06, 0.03
+# A limb is hidden by what lies in front of its axis by more than this, metres:
+HIDDEN_BEYOND_M = 0.06
+# and over so many metres more and more of it.
+HIDDEN_SOFTLY_M = 0.03
 
 
-class Legs(NamedTuple):
-    """What one camera saw of the person's lower half.
+class LegGrid(NamedTuple):
+    """The person's lower half in one camera.
 
     Attributes:
         region: where the grid lies in the image.
@@ -61,8 +63,8 @@ class Legs(NamedTuple):
     person: Grid
 
 
-class Sight(NamedTuple):
-    """What one camera saw of the person at one time.
+class SilhouetteGrids(NamedTuple):
+    """The person in one camera at one time.
 
     Attributes:
         region: where the grid round the upper half lies in the image (no batch).
@@ -74,14 +76,14 @@ class Sight(NamedTuple):
     region: Region
     person: Grid
     forearms: Grid
-    legs: Legs | None = None
+    legs: LegGrid | None = None
 
-    def each_grid(self, call: Callable[[Grid], Grid]) -> "Sight":
+    def each_grid(self, call: Callable[[Grid], Grid]) -> "SilhouetteGrids":
         """The same with every grid changed."""
         legs = self.legs and self.legs._replace(person=call(self.legs.person))
-        return Sight(self.region, call(self.person), call(self.forearms), legs)
+        return SilhouetteGrids(self.region, call(self.person), call(self.forearms), legs)
 
-    def halved(self) -> "Sight":
+    def halved(self) -> "SilhouetteGrids":
         """The same on grids of half as many cells to a side."""
         coarse, legs = self.each_grid(halved), self.legs and _coarser(self.legs.region)
         coarse = coarse._replace(region=_coarser(self.region))
@@ -92,56 +94,84 @@ def _coarser(region: Region) -> Region:
     return Region(region.origin, 2 * region.scale)
 
 
-def weighed(sight: Sight, settings: SmoothingSettings) -> Sight:
-    """Sights (...) on the host, whose pictures count as the settings say."""
+@settings
+class Silhouettes:
+    """How differences between the drawn body and what cameras show of it count.
 
-    def by(weight: Array) -> Callable[[Grid], Grid]:
-        return lambda grid: Grid(grid.probability, float(weight) * grid.weight)
+    It is evidence of a view, a camera at a frame, and not of a frame alone; it has so many cells
+    that it hands on J^T J and J^T r in place of rows (``silhouette_fit``).
+    """
 
-    person = sight.each_grid(by(settings.person))
-    return person._replace(forearms=by(settings.forearms)(sight.forearms))
+    deviation: Array = traced(
+        0.7, "of a cell's coverage; above what one cell errs by, since neighbours err alike"
+    )
+    person: Array = traced(
+        1.0, "weight of the differences from the whole person's silhouette; 0 leaves it out"
+    )
+    forearms: Array = traced(1.0, "weight of those from the forearms'")
+    redundancy: Array = traced(
+        100.0,
+        "how many cells and frames err alike: a silhouette is wrong where the person is no cone, "
+        "and goes on being so; for the deviations only",
+    )
+
+    @property
+    def weight(self) -> float:
+        """Of a squared difference between what is drawn and what a camera shows."""
+        return 1 / float(self.deviation) ** 2
+
+    def weighted(self, grids: SilhouetteGrids) -> SilhouetteGrids:
+        """Grids (...) on the host that count as the settings say."""
+
+        def by(weight: Array) -> Callable[[Grid], Grid]:
+            return lambda grid: Grid(grid.probability, float(weight) * grid.weight)
+
+        person = grids.each_grid(by(self.person))
+        return person._replace(forearms=by(self.forearms)(grids.forearms))
 
 
 def silhouette_cost(
-    skeleton: Skeleton, frames: Frames, camera: Camera, sight: Sight, softness: Array
+    skeleton: Skeleton, frames: Frames, camera: Camera, grids: SilhouetteGrids, softness: Array
 ) -> Array:
     """Sum of squares of all pictures; ``softness`` in cells."""
-    discs, visible = drawn(skeleton, frames, camera, sight)
+    discs, visible = project_limbs(skeleton, frames, camera, grids)
     arms = Discs(*(part[forearms(skeleton.tree)] for part in discs))
-    cost = coverage_cost(discs, sight.person, softness)
-    cost += coverage_cost(arms, sight.forearms, softness, visible)
-    if sight.legs is not None:
-        below = in_other_region(discs, sight.region, sight.legs.region)
-        cost += coverage_cost(below, sight.legs.person, softness)
+    cost = coverage_cost(discs, grids.person, softness)
+    cost += coverage_cost(arms, grids.forearms, softness, visible)
+    if grids.legs is not None:
+        below = in_other_region(discs, grids.region, grids.legs.region)
+        cost += coverage_cost(below, grids.legs.person, softness)
     return cost
 
 
-def drawn(skeleton: Skeleton, frames: Frames, camera: Camera, sight: Sight) -> tuple[Discs, Array]:
+def project_limbs(
+    skeleton: Skeleton, frames: Frames, camera: Camera, grids: SilhouetteGrids
+) -> tuple[Discs, Array]:
     """The body's limbs (K) in cells, and how much (S * S,) of a forearm is to be seen."""
     flesh = cones(skeleton, frames, skeleton.tree.drawn)
-    discs = discs_in_region(sight.region, project_cones(camera, flesh))
-    return discs, _visible(skeleton.tree, camera, flesh, discs, sight.person)
+    discs = discs_in_region(grids.region, project_cones(camera, flesh))
+    return discs, _visible(skeleton.tree, camera, flesh, discs, grids.person)
 
 
-def drawn_fit(
-    tree: Tree, discs: Discs, visible: Array, sight: Sight, softness: Array
+def limbs_fit(
+    tree: Tree, discs: Discs, visible: Array, grids: SilhouetteGrids, softness: Array
 ) -> CoverageFit:
-    """Gauss-Newton terms of all pictures, by limbs (K) that are ``drawn``."""
+    """Gauss-Newton terms of all pictures, by limbs (K) of ``project_limbs``."""
     fore = forearms(tree)
     arms = Discs(*(part[fore] for part in discs))
-    whole = coverage_fit(discs, sight.person, softness)
-    part = coverage_fit(arms, sight.forearms, softness, visible)
+    person = coverage_fit(discs, grids.person, softness)
+    arms_only = coverage_fit(arms, grids.forearms, softness, visible)
     both = CoverageFit(
-        whole.cost + part.cost,
-        whole.hessian.at[fore].add(part.hessian),
-        whole.gradient.at[fore].add(part.gradient),
+        person.cost + arms_only.cost,
+        person.hessian.at[fore].add(arms_only.hessian),
+        person.gradient.at[fore].add(arms_only.gradient),
     )
-    if sight.legs is None:
+    if grids.legs is None:
         return both
     # By samples of the upper grid, as all else.
-    ratio = jnp.asarray(sight.region.scale / sight.legs.region.scale)
-    below = in_other_region(discs, sight.region, sight.legs.region)
-    below = coverage_fit(below, sight.legs.person, softness)
+    ratio = jnp.asarray(grids.region.scale / grids.legs.region.scale)
+    below = in_other_region(discs, grids.region, grids.legs.region)
+    below = coverage_fit(below, grids.legs.person, softness)
     own = CoverageFit(below.cost, ratio**2 * below.hessian, ratio * below.gradient)
     return jax.tree.map(jnp.add, both, own)
 
@@ -151,7 +181,7 @@ def silhouette_fit(
     proportions: Array,
     pose: Pose,
     camera: Camera,
-    sight: Sight,
+    grids: SilhouetteGrids,
     softness: Array,
 ) -> tuple[Array, Array, Array]:
     """The same cost (), with J^T J (N, N) and J^T r (N,), N = 6 + D + P + 3.
@@ -163,26 +193,26 @@ def silhouette_fit(
         proportions: (P,) of ``scaled``.
         pose: of the person.
         camera: that sees it.
-        sight: what it saw.
+        grids: what it saw.
         softness: cells.
     """
 
     def limbs(shared: Array) -> Discs:
         person = scaled(skeleton, shared[:-3])
         body = cones(person, forward(person, pose), bones)
-        return discs_in_region(sight.region, project_cones(turned(camera, shared[-3:]), body))
+        return discs_in_region(grids.region, project_cones(turned(camera, shared[-3:]), body))
 
     bones = skeleton.tree.drawn
     by_shared = jax.jacfwd(limbs)(jnp.pad(proportions, (0, 3)))
     skeleton = scaled(skeleton, proportions)
     frames = forward(skeleton, pose)
     flesh = cones(skeleton, frames, bones)
-    discs = discs_in_region(sight.region, project_cones(camera, flesh))
-    visible = _visible(skeleton.tree, camera, flesh, discs, sight.person)
-    by_pose = _leverage(skeleton, frames, camera, flesh, discs, sight.region, bones)
+    discs = discs_in_region(grids.region, project_cones(camera, flesh))
+    visible = _visible(skeleton.tree, camera, flesh, discs, grids.person)
+    by_pose = _leverage(skeleton, frames, camera, flesh, discs, grids.region, bones)
     ends = by_shared.near, by_shared.far, by_shared.radii
     leverage = jnp.concatenate([by_pose, jnp.concatenate(ends, 1)], 2)
-    fit = drawn_fit(skeleton.tree, discs, visible, sight, softness)
+    fit = limbs_fit(skeleton.tree, discs, visible, grids, softness)
     return (
         fit.cost,
         jnp.einsum("kia,kij,kjb->ab", leverage, fit.hessian, leverage, precision=HIGHEST),

@@ -7,7 +7,8 @@ Schur complement. Poses and lengths are found together, which is the same descen
 that Hessian, of the prior as well, is what remains uncertain of the lengths.
 
 What a silhouette gets wrong it gets wrong in every frame: a recording, however long, weighs as much
-as a few of its frames. Habits last, and count once for as long: in every frame anew they would
+as a few of its frames. What is unusual lasts, and counts once for as long: again in every frame it
+would
 shorten limbs until their joints are at ease. Girths are free as well, since clothes would pass for
 lengths. Where a forearm begins is not taken from its own picture: the end of a sleeve moves that by
 more than people differ.
@@ -19,24 +20,21 @@ OUTPUTS: logarithms of factors on lengths and girths, their covariances before a
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.proportions import GIRTHS, LENGTHS, covariance_among_people
 from jaxmocap.smoothing.levenberg_marquardt import covariances
 from jaxmocap.smoothing.linearise import (
-    Problem,
-    landmark_prior,
-    linearise_poses,
+    linearise_problem,
     smooth_poses,
     softened,
     two_workers,
 )
-from jaxmocap.smoothing.trajectory import Trajectory
-from jaxmocap.smoothing.uncertainty import lasting_habits
+from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory
+from jaxmocap.smoothing.uncertainty import lasting_errors
 from jaxmocap.solvers.status import Status
 
-# So many sights at face value are worth as much as all of a recording's, whose errors are alike: on
+# So many views at face value are worth as much as all of a recording's, whose errors are alike: on
 # synthetic people with clothes the lengths' errors are then about as large as their deviations.
 FRAMES_WORTH = 6.0
 
@@ -70,7 +68,10 @@ class LengthsFit(NamedTuple):
 
 
 def fit_lengths(
-    problem: Problem, start: Trajectory, softness: tuple[float, ...], worth: float = FRAMES_WORTH
+    problem: SmoothingProblem,
+    start: Trajectory,
+    softness: tuple[float, ...],
+    worth: float = FRAMES_WORTH,
 ) -> LengthsFit:
     """Find poses and lengths of least cost.
 
@@ -78,7 +79,7 @@ def fit_lengths(
         problem: the recording.
         start: that solves it, or nearly, with fewer proportions free.
         softness: of the silhouettes' borders, cells, one solve after the other.
-        worth: so many sights at face value weigh as much as all of them.
+        worth: so many views at face value weigh as much as all of them.
 
     Raises:
         NotPositiveDefinite: where nothing determines the poses.
@@ -86,23 +87,23 @@ def fit_lengths(
     weighed = _weighed(problem, worth)
     solved = smooth_poses(weighed, _freed(start), softness)
     found, count = solved.trajectory, len(LENGTHS) + len(GIRTHS)
-    prior, seen = landmark_prior(weighed), softened(weighed, softness[-1])
+    prior, soft = weighed.motion_prior(), softened(weighed, softness[-1])
     with two_workers() as workers:
-        linear = linearise_poses(seen, softness[-1], workers, found)
-    # The prior weighs in as many sights as there are: undone, it is the prior that people have.
-    sights = max(len(problem.sights.camera), 1) / worth
-    shared = sights * covariances(linear, prior).shared[:count, :count]
+        linear = linearise_problem(soft, softness[-1], workers, found)
+    # The prior weighs in as many views as there are: undone, it is the prior that people have.
+    views = max(len(problem.views.camera), 1) / worth
+    shared = views * covariances(linear, prior).shared[:count, :count]
     logarithms = np.asarray(found.proportions, float)
     people = covariance_among_people(count)
     return LengthsFit(logarithms, shared, people, found, solved.status)
 
 
-def _weighed(problem: Problem, worth: float) -> Problem:
+def _weighed(problem: SmoothingProblem, worth: float) -> SmoothingProblem:
     """The same as lengths are judged by."""
-    changed = lasting_habits(problem)
-    for name, value in (("proportions", 1 / worth), ("forearms", 0.0)):
-        changed[name] = jnp.asarray(value, float)
-    return replace(problem, settings=replace(problem.settings, **changed))
+    lasting = lasting_errors(problem)
+    silhouettes = replace(lasting.silhouettes, forearms=0.0)
+    settings = replace(lasting, silhouettes=silhouettes, proportions=1 / worth)
+    return replace(problem, settings=settings)
 
 
 def _freed(trajectory: Trajectory) -> Trajectory:

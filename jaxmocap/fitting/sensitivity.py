@@ -21,32 +21,31 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.pose import Pose
+from jaxmocap.body.model import Model
 from jaxmocap.compilation.batches import in_batches
-from jaxmocap.evidence.silhouettes import Sight
 from jaxmocap.evidence.smoothness import Smoothness
 from jaxmocap.fitting.sensitivity_batches import (
-    Stated,
     frames_backwards,
     frames_forwards,
     frames_landmarks,
     frames_slopes,
-    sights_backwards,
-    sights_forwards,
-    sights_slopes,
+    views_backwards,
+    views_forwards,
+    views_slopes,
 )
-from jaxmocap.geometry.cameras import Camera
 from jaxmocap.smoothing.levenberg_marquardt import Linearised, normal_equations, positive
-from jaxmocap.smoothing.linearise import (
-    Problem,
-    landmark_prior,
-    sights_weight,
-    softened,
+from jaxmocap.smoothing.linearise import rows_of, softened, views_of
+from jaxmocap.smoothing.problem import (
+    UNTURNED,
+    SmoothingProblem,
+    Trajectory,
+    all_turned,
+    moved_by,
+    shared_prior,
 )
-from jaxmocap.smoothing.trajectory import UNTURNED, Trajectory, all_turned, moved_by, shared_prior
 from jaxmocap.solvers.arrow import Equations
 
-# Frames or sights per call.
+# Frames or views per call.
 A_CALL = 16
 
 
@@ -74,10 +73,10 @@ class Sensitivity:
     """The derivative of a smoothed trajectory, to be taken in either direction.
 
     The gradient of any loss of the landmarks by a few numbers of one's own, from which ``state``
-    makes a ``Stated``::
+    makes a Model::
 
-        stated, pull = jax.vjp(state, numbers)
-        there = Sensitivity.at(stated.put_into(problem), trajectory, softness)
+        model, pull = jax.vjp(state, numbers)
+        there = Sensitivity.at(replace(problem, model=model), trajectory, softness)
         (gradient,) = pull(there.backwards(jax.grad(loss)(there.landmarks)))
 
     Attributes:
@@ -88,23 +87,25 @@ class Sensitivity:
         slopes: at the solution.
     """
 
-    problem: Problem
+    problem: SmoothingProblem
     trajectory: Trajectory
     softness: Array
     prior: Smoothness
     slopes: Slopes
 
     @classmethod
-    def at(cls, problem: Problem, trajectory: Trajectory, softness: float) -> "Sensitivity":
+    def at(
+        cls, problem: SmoothingProblem, trajectory: Trajectory, softness: float
+    ) -> "Sensitivity":
         """At the trajectory that ``smooth_poses`` found, with the last softness that it was given.
 
         The derivative is as exact as the trajectory is a minimum (``slopes.exact``: whether it is
         one); ``settled`` brings it closer. Cameras that were found turned are stated so.
         """
-        cameras = all_turned(problem.cameras, trajectory.turns_cam)
-        problem = replace(problem, cameras=cameras)
+        cameras = all_turned(problem.model.cameras, trajectory.turns_cam)
+        problem = replace(problem, model=replace(problem.model, cameras=cameras))
         trajectory = trajectory._replace(turns_cam=UNTURNED)
-        seen, prior = softened(problem, softness), landmark_prior(problem)
+        seen, prior = softened(problem, softness), problem.motion_prior()
         soft = jnp.asarray(softness, trajectory.proportions.dtype)
         return cls(seen, trajectory, soft, prior, _slopes(seen, trajectory, soft, prior))
 
@@ -122,46 +123,50 @@ class Sensitivity:
         slopes = _slopes(self.problem, nearer, self.softness, self.prior)
         return replace(self, trajectory=nearer, slopes=slopes).settled(steps - 1)
 
-    def forwards(self, change: Stated) -> np.ndarray:
-        """How the landmarks (T, L, 3) follow a small change of what was stated, metres.
+    def forwards(self, change: Model) -> np.ndarray:
+        """How the landmarks (T, L, 3) follow a small change of the model, metres.
 
         Raises:
             NotPositiveDefinite: where nothing determines the trajectory.
         """
-        slopes, stated, sights = self.slopes, Stated.of(self.problem), self.problem.sights
-        uphill, points = _over(frames_forwards, (stated, change, *self._fixed()), self._frames())
+        slopes, model, views = self.slopes, self.problem.model, self.problem.views
+        own, moved = (replace(each, cameras=None) for each in (model, change))
+        uphill, points = _over(frames_forwards, (own, moved, *self._fixed()), self._frames())
         uphill += _times(slopes.jacobian.swapaxes(1, 2), self._stiffness(points))
-        if len(sights.frame):
-            fixed = (stated.skeleton, change.skeleton, *self._drawn())
-            each = (*self._sights(), _chosen(change.cameras, sights.camera))
-            (seen,) = _over(sights_forwards, fixed, each)
-            np.add.at(uphill, sights.frame, seen * sights_weight(self.problem))
+        if len(views.frame):
+            fixed = (model.skeleton, change.skeleton, *self._drawn())
+            each = (*self._views(), rows_of(change.cameras, views.camera))
+            (by_view,) = _over(views_forwards, fixed, each)
+            np.add.at(uphill, views.frame, by_view * self.problem.settings.silhouettes.weight)
         followed = points - _times(slopes.jacobian, self._solved(uphill))
         return followed.reshape(self.landmarks.shape)
 
-    def backwards(self, by_landmarks: np.ndarray | Array) -> Stated:
-        """The gradient of a loss by all that was stated, from that (T, L, 3) by the landmarks.
+    def backwards(self, by_landmarks: np.ndarray | Array) -> Model:
+        """The gradient of a loss by the model, from that (T, L, 3) by the landmarks.
 
         Raises:
             NotPositiveDefinite: where nothing determines the trajectory.
         """
-        slopes, stated, sights = self.slopes, Stated.of(self.problem), self.problem.sights
+        slopes, model, views = self.slopes, self.problem.model, self.problem.views
         given = np.asarray(by_landmarks, float).reshape(slopes.landmarks.shape)
         back = self._solved(_times(slopes.jacobian.swapaxes(1, 2), given))
         given = given - self._stiffness(_times(slopes.jacobian, back))
         each = (*self._frames(), -back, given)
-        parts = _over(frames_backwards, (stated, *self._fixed()), each)
-        *body, offsets = (part.sum(0) for part in parts)
-        lenses = [np.zeros(np.shape(leaf)) for leaf in jax.tree.leaves(stated.cameras)]
-        if len(sights.frame):
-            weighted = -back[sights.frame] * sights_weight(self.problem)
-            fixed, each = (stated.skeleton, *self._drawn()), (*self._sights(), weighted)
-            seen = _over(sights_backwards, fixed, each)
-            body = [own + part.sum(0) for own, part in zip(body, seen, strict=False)]
-            for lens, part in zip(lenses, seen[len(body) :], strict=True):
-                np.add.at(lens, sights.camera, part)
-        leaves, tree = jax.tree.flatten(stated)
-        found = zip((*body, *lenses, offsets), leaves, strict=True)
+        fixed = (replace(model, cameras=None), *self._fixed())
+        body = [part.sum(0) for part in _over(frames_backwards, fixed, each)]
+        lenses = [np.zeros(np.shape(leaf)) for leaf in jax.tree.leaves(model.cameras)]
+        if len(views.frame):
+            weighted = -back[views.frame] * self.problem.settings.silhouettes.weight
+            fixed, each = (model.skeleton, *self._drawn()), (*self._views(), weighted)
+            by_view = _over(views_backwards, fixed, each)
+            # Of the body a view looks at the skeleton alone, which comes first.
+            skeleton = len(jax.tree.leaves(model.skeleton))
+            for i, part in enumerate(by_view[:skeleton]):
+                body[i] = body[i] + part.sum(0)
+            for lens, part in zip(lenses, by_view[skeleton:], strict=True):
+                np.add.at(lens, views.camera, part)
+        leaves, tree = jax.tree.flatten(model)
+        found = zip((*body, *lenses), leaves, strict=True)
         return jax.tree.unflatten(tree, [jnp.asarray(own, leaf.dtype) for own, leaf in found])
 
     def _solved(self, slope: np.ndarray) -> np.ndarray:
@@ -175,34 +180,35 @@ class Sensitivity:
         return self.prior.precision(points[..., None])[..., 0]
 
     def _fixed(self) -> tuple[Any, ...]:
-        problem = self.problem
-        return problem.markers, problem.settings, self.trajectory.proportions
+        return self.problem.settings.terms, self.trajectory.proportions
 
     def _frames(self) -> tuple[Any, ...]:
-        return self.trajectory.poses, self.problem.known, self.slopes.pull
+        return self.trajectory.poses, self.problem.measured, self.slopes.pull
 
     def _drawn(self) -> tuple[Any, ...]:
         return self.trajectory.proportions, self.softness
 
-    def _sights(self) -> tuple[Any, ...]:
-        return _sights_of(self.problem, self.trajectory)
+    def _views(self) -> tuple[Any, ...]:
+        return views_of(self.problem, self.trajectory)
 
 
-def _slopes(problem: Problem, trajectory: Trajectory, softness: Array, prior: Smoothness) -> Slopes:
+def _slopes(
+    problem: SmoothingProblem, trajectory: Trajectory, softness: Array, prior: Smoothness
+) -> Slopes:
     """All derivatives at a trajectory."""
-    stated, sights = Stated.of(problem), problem.sights
-    fixed = (stated, problem.markers, problem.settings, trajectory.proportions)
-    frames = (trajectory.poses, problem.known)
-    (points,) = _over(frames_landmarks, (problem.skeleton, trajectory.proportions), frames[:1])
+    model, views, weight = problem.model, problem.views, problem.settings.silhouettes.weight
+    fixed = (replace(model, cameras=None), problem.settings.terms, trajectory.proportions)
+    frames = (trajectory.poses, problem.measured)
+    (points,) = _over(frames_landmarks, (model.skeleton, trajectory.proportions), frames[:1])
     pull = prior.precision(points[..., None])[..., 0]
     hessian, gradient, jacobian = _over(frames_slopes, fixed, (*frames, pull))
-    if len(sights.frame):
-        drawn = (problem.skeleton, trajectory.proportions, softness)
-        seen = _over(sights_slopes, drawn, _sights_of(problem, trajectory))
-        for total, part in zip((hessian, gradient), seen, strict=True):
-            np.add.at(total, sights.frame, part * sights_weight(problem))
+    if len(views.frame):
+        drawn = (model.skeleton, trajectory.proportions, softness)
+        by_view = _over(views_slopes, drawn, views_of(problem, trajectory))
+        for total, part in zip((hessian, gradient), by_view, strict=True):
+            np.add.at(total, views.frame, part * weight)
     n = gradient.shape[1] - trajectory.proportions.size
-    curvature, uphill, _ = shared_prior(problem.settings, problem.sights.camera, trajectory)
+    curvature, uphill, _ = shared_prior(problem.settings, views.camera, trajectory)
     # The prior's own pull is in the frames' gradients already.
     still = np.zeros_like(points)
 
@@ -214,19 +220,9 @@ def _slopes(problem: Problem, trajectory: Trajectory, softness: Array, prior: Sm
         )  # fmt: skip
         return normal_equations(linear, prior)
 
-    whole = equations(hessian)
-    exact = whole.determined()
-    return Slopes(whole if exact else equations(positive(hessian)), points, jacobian, pull, exact)
-
-
-def _sights_of(problem: Problem, trajectory: Trajectory) -> tuple[Pose, Camera, Sight]:
-    """The poses, cameras and sights of all sights."""
-    frame, camera, sight = problem.sights
-    return _chosen(trajectory.poses, frame), _chosen(problem.cameras, camera), sight
-
-
-def _chosen(stacked: Any, rows: np.ndarray) -> Any:
-    return jax.tree.map(lambda part: np.asarray(part)[rows], stacked)
+    exactly = equations(hessian)
+    exact = exactly.determined()
+    return Slopes(exactly if exact else equations(positive(hessian)), points, jacobian, pull, exact)
 
 
 def _times(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:

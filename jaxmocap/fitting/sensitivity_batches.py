@@ -1,87 +1,72 @@
-"""Derivatives of what frames and sights cost, and how they follow what was stated: batches of each.
+"""Derivatives of what frames and views cost, and how they follow the model: batches of each.
 
 Everything is by a step (N + P,): of the pose as ``retract`` takes it, then of the proportions.
 
-INPUTS: what was stated, poses, what is known of frames, sights.
+INPUTS: a model, poses, what was measured of frames, views.
 OUTPUTS: gradients, Hessians; changes forwards and backwards.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxmocap.body.kinematics import Sites, forward, landmarks
+from jaxmocap.body.kinematics import forward, landmarks
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.proportions import scaled
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
-from jaxmocap.evidence.residuals import Known, residuals
-from jaxmocap.evidence.silhouettes import Sight, drawn, drawn_fit
+from jaxmocap.evidence.silhouettes import SilhouetteGrids, limbs_fit, project_limbs
+from jaxmocap.evidence.terms import Measurements, Term, residuals
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.outlines import Discs
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.images.silhouette_grid import OUTLINE_NUMBERS
-from jaxmocap.smoothing.linearise import Problem
-from jaxmocap.smoothing.settings import SmoothingSettings
-
-
-class Stated(NamedTuple):
-    """What a recording states, and what the derivative is by.
-
-    Attributes:
-        skeleton: of the person.
-        cameras: C, stacked.
-        offsets: (M, 3) of the markers, metres, in their bones' frames.
-    """
-
-    skeleton: Skeleton
-    cameras: Camera
-    offsets: Array
-
-    @classmethod
-    def of(cls, problem: Problem) -> "Stated":
-        """What a problem states."""
-        return cls(problem.skeleton, problem.cameras, problem.markers.offsets)
-
-    def put_into(self, problem: Problem) -> Problem:
-        """The same recording with this stated instead."""
-        markers = problem.markers._replace(offsets=self.offsets)
-        return replace(problem, skeleton=self.skeleton, cameras=self.cameras, markers=markers)
 
 
 def _frame_half(
-    stated: Stated, fixed: tuple[Any, ...], pose: Pose, known: Known, pull: Array, step: Array
+    model: Model,
+    fixed: tuple[Any, ...],
+    pose: Pose,
+    measured: Measurements,
+    pull: Array,
+    step: Array,
 ) -> tuple[Array, Array]:
     """Half a frame's cost, the prior's pull at its landmarks included, and the landmarks (L * 3,).
 
     Args:
-        stated: of the recording.
-        fixed: markers, settings, proportions.
+        model: of the recording, unscaled.
+        fixed: terms, proportions.
         pose: to be moved.
-        known: of the frame.
+        measured: of the frame.
         pull: (L * 3,).
         step: (N + P,) of pose and proportions.
     """
-    markers, settings, proportions = fixed
+    terms, proportions = fixed
     n = ROOT_DOF + pose.angles.size
-    person = scaled(stated.skeleton, proportions + step[n:])
+    person = scaled(model.skeleton, proportions + step[n:])
     there = retract(pose, step[:n])
-    r = residuals(person, markers._replace(offsets=stated.offsets), settings, there, known)
+    r = residuals(terms, replace(model, skeleton=person), there, measured)
     points = landmarks(person, there).ravel()
     return jnp.sum(r**2) / 2 + points @ pull, points
 
 
 def _drawn_by(
-    skeleton: Skeleton, proportions: Array, camera: Camera, pose: Pose, sight: Sight, step: Array
+    skeleton: Skeleton,
+    proportions: Array,
+    camera: Camera,
+    pose: Pose,
+    view: SilhouetteGrids,
+    step: Array,
 ) -> tuple[Array, Array]:
     """Limbs (K, 6) of a person moved by a step (N + P,), and how much of a forearm is seen."""
     n = ROOT_DOF + pose.angles.size
     person = scaled(skeleton, proportions + step[n:])
     frames = forward(person, retract(pose, step[:n]))
-    discs, visible = drawn(person, frames, camera, sight)
+    discs, visible = project_limbs(person, frames, camera, view)
     return jnp.concatenate([discs.near, discs.far, discs.radii], -1), visible
 
 
@@ -98,15 +83,15 @@ def frames_landmarks(skeleton: Skeleton, proportions: Array, poses: Pose) -> Arr
 
 @jax.jit
 def frames_slopes(
-    stated: Stated, markers: Sites, settings: SmoothingSettings, proportions: Array, poses: Pose,
-    known: Known, pull: Array,
+    model: Model, terms: Sequence[Term], proportions: Array, poses: Pose, measured: Measurements,
+    pull: Array,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Hessians, gradients and the landmarks' derivatives of a batch of frames."""
-    fixed = (markers, settings, proportions)
+    fixed = (terms, proportions)
 
-    def of_frame(pose: Pose, one: Known, pull: Array) -> tuple[Array, Array, Array]:
+    def of_frame(pose: Pose, one: Measurements, pull: Array) -> tuple[Array, Array, Array]:
         def half(step: Array) -> tuple[Array, Array]:
-            return _frame_half(stated, fixed, pose, one, pull, step)
+            return _frame_half(model, fixed, pose, one, pull, step)
 
         def uphill(step: Array) -> tuple[Array, Array]:
             slope = jax.grad(half, has_aux=True)(step)[0]
@@ -116,35 +101,35 @@ def frames_slopes(
         hessian, slope = jax.jacfwd(uphill, has_aux=True)(still)
         return hessian, slope, jax.jacfwd(lambda step: half(step)[1])(still)
 
-    return jax.vmap(of_frame)(poses, known, pull)
+    return jax.vmap(of_frame)(poses, measured, pull)
 
 
 def _frame_uphill(
-    fixed: tuple[Any, ...], pose: Pose, known: Known, pull: Array
-) -> Callable[[Stated], tuple[Array, Array]]:
-    """What a frame's gradient and landmarks are, as functions of what was stated."""
+    fixed: tuple[Any, ...], pose: Pose, measured: Measurements, pull: Array
+) -> Callable[[Model], tuple[Array, Array]]:
+    """A frame's gradient and landmarks, as functions of the model."""
 
-    def uphill(stated: Stated) -> tuple[Array, Array]:
+    def uphill(model: Model) -> tuple[Array, Array]:
         def half(step: Array) -> tuple[Array, Array]:
-            return _frame_half(stated, fixed, pose, known, pull, step)
+            return _frame_half(model, fixed, pose, measured, pull, step)
 
-        return jax.grad(half, has_aux=True)(_still(pose, fixed[2]))
+        return jax.grad(half, has_aux=True)(_still(pose, fixed[1]))
 
     return uphill
 
 
-def _sight_uphill(
-    drawing: tuple[Array, Array], pose: Pose, sight: Sight
+def _view_uphill(
+    drawing: tuple[Array, Array], pose: Pose, view: SilhouetteGrids
 ) -> Callable[[Skeleton, Camera], Array]:
-    """What half a sight's cost rises by with a step, as a function of person and camera."""
+    """What half a view's cost rises by with a step, as a function of person and camera."""
     proportions, softness = drawing
 
     def uphill(skeleton: Skeleton, camera: Camera) -> Array:
         def limbs(step: Array) -> tuple[Array, Array]:
-            return _drawn_by(skeleton, proportions, camera, pose, sight, step)
+            return _drawn_by(skeleton, proportions, camera, pose, view, step)
 
         flat, back, visible = jax.vjp(limbs, _still(pose, proportions), has_aux=True)
-        fit = drawn_fit(skeleton.tree, _discs(flat), visible, sight, softness)
+        fit = limbs_fit(skeleton.tree, _discs(flat), visible, view, softness)
         return back(fit.gradient)[0]
 
     return uphill
@@ -152,55 +137,55 @@ def _sight_uphill(
 
 @jax.jit
 def frames_forwards(
-    stated: Stated, change: Stated, markers: Sites, settings: SmoothingSettings,
-    proportions: Array, poses: Pose, known: Known, pull: Array,
+    model: Model, change: Model, terms: Sequence[Term], proportions: Array, poses: Pose,
+    measured: Measurements, pull: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
     """How gradients and landmarks of a batch of frames change."""
 
-    def of_frame(pose: Pose, one: Known, pull: Array) -> tuple[Array, Array]:
-        uphill = _frame_uphill((markers, settings, proportions), pose, one, pull)
-        return jax.jvp(uphill, (stated,), (change,))[1]
+    def of_frame(pose: Pose, one: Measurements, pull: Array) -> tuple[Array, Array]:
+        uphill = _frame_uphill((terms, proportions), pose, one, pull)
+        return jax.jvp(uphill, (model,), (change,))[1]
 
-    return jax.vmap(of_frame)(poses, known, pull)
+    return jax.vmap(of_frame)(poses, measured, pull)
 
 
 @jax.jit
 def frames_backwards(
-    stated: Stated, markers: Sites, settings: SmoothingSettings, proportions: Array, poses: Pose,
-    known: Known, pull: Array, by_uphill: Array, by_points: Array,
-) -> tuple[Skeleton, Array]:  # fmt: skip
-    """What a batch of frames' gradients and landmarks pass back to person and offsets, each."""
+    model: Model, terms: Sequence[Term], proportions: Array, poses: Pose, measured: Measurements,
+    pull: Array, by_uphill: Array, by_points: Array,
+) -> Model:  # fmt: skip
+    """What a batch of frames' gradients and landmarks pass back to the model, each."""
 
-    def of_frame(pose: Pose, one: Known, pull: Array, *back: Array) -> tuple[Skeleton, Array]:
-        uphill = _frame_uphill((markers, settings, proportions), pose, one, pull)
-        (passed,) = jax.vjp(uphill, stated)[1](back)
-        return passed.skeleton, passed.offsets
+    def of_frame(pose: Pose, one: Measurements, pull: Array, *back: Array) -> Model:
+        uphill = _frame_uphill((terms, proportions), pose, one, pull)
+        (passed,) = jax.vjp(uphill, model)[1](back)
+        return passed
 
-    return jax.vmap(of_frame)(poses, known, pull, by_uphill, by_points)
+    return jax.vmap(of_frame)(poses, measured, pull, by_uphill, by_points)
 
 
 @jax.jit
-def sights_slopes(
+def views_slopes(
     skeleton: Skeleton, proportions: Array, softness: Array, poses: Pose, cameras: Camera,
-    sights: Sight,
+    views: SilhouetteGrids,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Hessians and gradients of a batch of sights."""
+    """Hessians and gradients of a batch of views."""
 
-    def of_sight(each: tuple[Pose, Camera, Sight]) -> tuple[Array, Array]:
-        pose, camera, sight = each
+    def of_view(each: tuple[Pose, Camera, SilhouetteGrids]) -> tuple[Array, Array]:
+        pose, camera, view = each
         still = _still(pose, proportions)
 
         def limbs(step: Array) -> Array:
-            return _drawn_by(skeleton, proportions, camera, pose, sight, step)[0]
+            return _drawn_by(skeleton, proportions, camera, pose, view, step)[0]
 
         def uphill(flat: Array) -> Array:
-            fit = drawn_fit(skeleton.tree, _discs(flat), visible, sight, softness)
+            fit = limbs_fit(skeleton.tree, _discs(flat), visible, view, softness)
             return fit.gradient
 
         def row(way: Array) -> Array:
             return jax.jvp(uphill, (flat,), (jnp.broadcast_to(way, flat.shape),))[1]
 
-        flat, visible = _drawn_by(skeleton, proportions, camera, pose, sight, still)
+        flat, visible = _drawn_by(skeleton, proportions, camera, pose, view, still)
         slope = uphill(flat)
         # No cell belongs to two limbs: one direction of all limbs at once gives a row of each.
         blocks = jax.vmap(row)(jnp.eye(OUTLINE_NUMBERS, dtype=still.dtype))
@@ -209,7 +194,7 @@ def sights_slopes(
         hessian = jnp.einsum("kia,ikj,kjb->ab", L, blocks, L, precision=HIGHEST) + bent
         return hessian, jnp.einsum("ki,kia->a", slope, L, precision=HIGHEST)
 
-    return jax.lax.map(of_sight, (poses, cameras, sights))
+    return jax.lax.map(of_view, (poses, cameras, views))
 
 
 def _discs(flat: Array) -> Discs:
@@ -217,30 +202,30 @@ def _discs(flat: Array) -> Discs:
 
 
 @jax.jit
-def sights_forwards(
+def views_forwards(
     skeleton: Skeleton, change: Skeleton, proportions: Array, softness: Array, poses: Pose,
-    cameras: Camera, sights: Sight, changes: Camera,
+    cameras: Camera, views: SilhouetteGrids, changes: Camera,
 ) -> Array:  # fmt: skip
-    """How gradients of a batch of sights change."""
+    """How gradients of a batch of views change."""
 
-    def of_sight(each: tuple[Pose, Camera, Sight, Camera]) -> Array:
-        pose, camera, sight, turn = each
-        uphill = _sight_uphill((proportions, softness), pose, sight)
+    def of_view(each: tuple[Pose, Camera, SilhouetteGrids, Camera]) -> Array:
+        pose, camera, view, turn = each
+        uphill = _view_uphill((proportions, softness), pose, view)
         return jax.jvp(uphill, (skeleton, camera), (change, turn))[1]
 
-    return jax.lax.map(of_sight, (poses, cameras, sights, changes))
+    return jax.lax.map(of_view, (poses, cameras, views, changes))
 
 
 @jax.jit
-def sights_backwards(
+def views_backwards(
     skeleton: Skeleton, proportions: Array, softness: Array, poses: Pose, cameras: Camera,
-    sights: Sight, by_uphill: Array,
+    views: SilhouetteGrids, by_uphill: Array,
 ) -> tuple[Skeleton, Camera]:  # fmt: skip
-    """What a batch of sights' gradients pass back to person and camera, each."""
+    """What a batch of views' gradients pass back to person and camera, each."""
 
-    def of_sight(each: tuple[Pose, Camera, Sight, Array]) -> tuple[Skeleton, Camera]:
-        pose, camera, sight, back = each
-        uphill = _sight_uphill((proportions, softness), pose, sight)
+    def of_view(each: tuple[Pose, Camera, SilhouetteGrids, Array]) -> tuple[Skeleton, Camera]:
+        pose, camera, view, back = each
+        uphill = _view_uphill((proportions, softness), pose, view)
         return jax.vjp(uphill, skeleton, camera)[1](back)
 
-    return jax.lax.map(of_sight, (poses, cameras, sights, by_uphill))
+    return jax.lax.map(of_view, (poses, cameras, views, by_uphill))

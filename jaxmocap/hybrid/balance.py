@@ -16,7 +16,8 @@ from jaxmocap.body.kinematics import Sites, forward, landmark_sites, site_positi
 from jaxmocap.body.mass import base_of_support, centre_of_gravity
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
-from jaxmocap.hybrid.ik import Goals, reach
+from jaxmocap.evidence.markers import Goals
+from jaxmocap.hybrid.ik import reach
 from jaxmocap.hybrid.settings import IKSettings
 
 # The pelvis' turns about the world's horizontal axes, among the degrees of freedom.

@@ -1,7 +1,7 @@
 """Inverse kinematics: markers to pose (section 4, algorithm 1).
 
-INPUTS: a Skeleton, marker targets (world, metres) with a mask, the last pose and stance.
-OUTPUTS: the pose that meets the markers, the stance, and how the solve ended.
+INPUTS: a Model, marker targets (world, metres; NaN where missing), the last pose, where the feet
+stood. OUTPUTS: the pose that meets the markers, where the feet stand, how the solve ended.
 """
 
 from typing import NamedTuple
@@ -11,13 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import Frames, Sites, forward, jacobian, site_positions
+from jaxmocap.body.kinematics import Frames, forward, jacobian, site_positions
 from jaxmocap.body.mass import augmented_bodies
+from jaxmocap.body.model import SIDES, Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
+from jaxmocap.evidence.markers import Goals, are_present
 from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix
-from jaxmocap.hybrid.feet import SIDES, Effectors, Stance, replant
+from jaxmocap.hybrid.feet import FootPlacement, replant
 from jaxmocap.hybrid.settings import IKSettings
+from jaxmocap.solvers.limits import room, step_within
 from jaxmocap.solvers.sdls import (
     clamp_lengths,
     clamp_max_abs,
@@ -28,20 +31,8 @@ from jaxmocap.solvers.sdls import (
 
 # A degree of freedom this near to its limit (weighted radians) is at it.
 AT_LIMIT = 1e-3
-
-
-class Goals(NamedTuple):
-    """Where M points on bones are to go.
-
-    Attributes:
-        sites: the points.
-        targets: (M, 3) world, metres.
-        weights: (M,) of each in the least-squares sense; 0 where there is no target.
-    """
-
-    sites: Sites
-    targets: Array
-    weights: Array
+# Most solves of a step that limits cut short.
+ROUNDS = 2
 
 
 class IKResult(NamedTuple):
@@ -49,14 +40,14 @@ class IKResult(NamedTuple):
 
     Attributes:
         pose: that meets the targets.
-        stance: of the feet.
+        feet: where they stand.
         distances: (M + F,) metres from effector to goal; 0 where there is none.
         iterations: () made.
-        planted: () whether the feet were planted anew in this frame.
+        planted: () whether the feet were planted again in this frame.
     """
 
     pose: Pose
-    stance: Stance
+    feet: FootPlacement
     distances: Array
     iterations: Array
     planted: Array
@@ -99,8 +90,8 @@ def ik_step(
     settings: IKSettings,
     pose: Pose,
     free: Array,
-    wishes: Goals | None = None,
-    ardour: Array | float = 1.0,
+    secondary: Goals | None = None,
+    gain: Array | float = 1.0,
 ) -> tuple[Pose, Array, Array]:
     """One iteration of algorithm 1.
 
@@ -113,11 +104,11 @@ def ik_step(
         settings: traced.
         pose: to start from.
         free: (6 + D,) degrees of freedom that may move.
-        wishes: goals of a second rank: approached as far as the first hold.
-        ardour: factor on all that is not of the first rank.
+        secondary: goals that are approached as far as the first hold.
+        gain: factor on the secondary task and the secondary goals.
     """
     here = _linearised(skeleton, forward(skeleton, pose), goals)
-    return *_stepped(skeleton, here, settings, pose, free, wishes, ardour), here.missed
+    return *_stepped(skeleton, here, settings, pose, free, secondary, gain), here.missed
 
 
 def _stepped(
@@ -126,41 +117,26 @@ def _stepped(
     settings: IKSettings,
     pose: Pose,
     free: Array,
-    wishes: Goals | None,
-    ardour: Array | float,
+    secondary: Goals | None,
+    gain: Array | float,
 ) -> tuple[Pose, Array]:
     """The pose after a step from where it was linearised, and the largest weighted angle of it."""
     frames, J, error, _ = here
-    wanted = ardour * skeleton.costs * secondary_task(skeleton, frames, pose, settings)
+    wanted = gain * skeleton.costs * secondary_task(skeleton, frames, pose, settings)
     low, high = _room(skeleton, pose)
 
     def step(free: Array) -> Array:
         # Equation (1) in the weighted coordinates psi = mu * theta.
         solved = sdls_step(jnp.where(free, J, 0.0), error, settings.largest_step)
-        secondary = project_secondary(solved.row_space, jnp.where(free, wanted, 0.0))
-        if wishes is not None:
-            wished = _linearised(skeleton, frames, wishes)
-            A = project_secondary(solved.row_space, jnp.where(free, wished.J, 0.0))
-            rest = ardour * wished.error - jnp.matmul(A, secondary, precision=HIGHEST)
-            secondary = secondary + damped_step(A, rest, settings.wish_damping)
-        return solved.primary + clamp_max_abs(secondary, settings.largest_step)
+        beside = project_secondary(solved.row_space, jnp.where(free, wanted, 0.0))
+        if secondary is not None:
+            other = _linearised(skeleton, frames, secondary)
+            A = project_secondary(solved.row_space, jnp.where(free, other.J, 0.0))
+            rest = gain * other.error - jnp.matmul(A, beside, precision=HIGHEST)
+            beside = beside + damped_step(A, rest, settings.elbow_damping)
+        return solved.primary + clamp_max_abs(beside, settings.largest_step)
 
-    # A degree of freedom at its limit that would go on leaves the problem, and the rest solve it.
-    def blocked(psi: Array, free: Array) -> Array:
-        onwards = ((psi < low) & (low > -AT_LIMIT)) | ((psi > high) & (high < AT_LIMIT))
-        return onwards & free
-
-    def unsolved(carry: tuple[Array, Array, Array]) -> Array:
-        count, _, leaving = carry
-        return (count == 0) | ((count < 2) & jnp.any(leaving))
-
-    def solve(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        count, _, leaving = carry
-        psi = step(free & ~leaving)
-        return count + 1, psi, leaving | blocked(psi, free)
-
-    start = (jnp.zeros((), jnp.int32), jnp.zeros_like(low), jnp.zeros(low.shape, bool))
-    _, psi, _ = jax.lax.while_loop(unsolved, solve, start)
+    psi = step_within(step, low, high, free, AT_LIMIT, ROUNDS)
     psi = jnp.where(free, jnp.clip(psi, low, high), 0.0)
     return retract(pose, psi / skeleton.costs), jnp.max(jnp.abs(psi))
 
@@ -168,8 +144,7 @@ def _stepped(
 def _linearised(skeleton: Skeleton, frames: Frames, goals: Goals) -> _Linear:
     """The goals' points about a pose."""
     points = site_positions(skeleton, frames, goals.sites)
-    weights = goals.weights[:, None]
-    away = jnp.where(weights > 0, goals.targets - points, 0.0)
+    weights, away = goals.weights[:, None], -goals.off(points)
     error = weights * clamp_lengths(away, 0.1 * _arm_length(skeleton))
     J = jacobian(skeleton, frames, goals.sites.bones, points) / skeleton.costs
     J = (weights[..., None] * J).reshape(-1, J.shape[-1])
@@ -182,7 +157,7 @@ def reach(
     settings: IKSettings,
     pose: Pose,
     free: Array | None = None,
-    wishes: Goals | None = None,
+    secondary: Goals | None = None,
 ) -> tuple[Pose, Array]:
     """Algorithm 1: iterate from ``pose`` until the effectors are at their goals, or rest.
 
@@ -192,14 +167,14 @@ def reach(
         settings: traced.
         pose: to start from.
         free: (6 + D,) degrees of freedom that may move; all without it.
-        wishes: goals of a second rank; the last iterations leave them alone, so that the first
-            hold in the end.
+        secondary: goals that are approached as far as the first hold; the last iterations leave
+            them alone, so that the first hold in the end.
 
     Returns:
         The pose and the number of iterations.
     """
     moving = jnp.ones(skeleton.costs.shape, bool) if free is None else free
-    least = settings.settle if wishes is None else settings.following
+    least = settings.settle if secondary is None else settings.following
 
     def unfinished(carry: tuple[Array, Pose, Array, Array]) -> Array:
         count, _, moved, met = carry
@@ -211,10 +186,10 @@ def reach(
         count, pose, moved, _ = carry
         here = _linearised(skeleton, forward(skeleton, pose), goals)
         met = (count >= least) & (here.missed <= settings.tolerance)
-        ardour = 1.0 if wishes is None else jnp.where(count < settings.following, 1.0, 0.0)
+        gain = 1.0 if secondary is None else jnp.where(count < settings.following, 1.0, 0.0)
 
         def step() -> tuple[Pose, Array]:
-            return _stepped(skeleton, here, settings, pose, moving, wishes, ardour)
+            return _stepped(skeleton, here, settings, pose, moving, secondary, gain)
 
         pose, moved = jax.lax.cond(met, lambda: (pose, moved), step)
         return count + jnp.where(met, 0, 1), pose, moved, met
@@ -227,17 +202,16 @@ def reach(
 
 def goal_distances(skeleton: Skeleton, goals: Goals, pose: Pose) -> Array:
     """Distances (M,) of a pose from its goals, metres; 0 for those of no weight."""
-    away = goals.targets - site_positions(skeleton, forward(skeleton, pose), goals.sites)
-    wanted = goals.weights > 0
-    away = jnp.where(wanted[:, None], away, 1.0)
-    return jnp.where(wanted, jnp.sqrt(jnp.sum(away**2, -1)), 0.0)
+    away = goals.off(site_positions(skeleton, forward(skeleton, pose), goals.sites))
+    squared = jnp.sum(away**2, -1)
+    apart = squared > 0
+    return jnp.where(apart, jnp.sqrt(jnp.where(apart, squared, 1.0)), 0.0)
 
 
 def _room(skeleton: Skeleton, pose: Pose) -> tuple[Array, Array]:
     """How far each degree of freedom (6 + D,) may still turn down and up, weighted."""
     free = jnp.full(ROOT_DOF, jnp.inf, pose.angles.dtype)
-    low = jnp.minimum(skeleton.limits[:, 0] - pose.angles, 0.0)
-    high = jnp.maximum(skeleton.limits[:, 1] - pose.angles, 0.0)
+    low, high = room(skeleton.limits, pose.angles)
     weights = skeleton.costs
     return jnp.concatenate([-free, low]) * weights, jnp.concatenate([free, high]) * weights
 
@@ -246,54 +220,41 @@ def _arm_length(skeleton: Skeleton) -> Array:
     return jnp.sum(skeleton.lengths[skeleton.tree.bones_in("arm", side="l")])
 
 
-def goals_of(
-    skeleton: Skeleton,
-    held: Effectors,
-    settings: IKSettings,
-    stance: Stance,
-    targets: Array,
-    mask: Array,
-) -> Goals:
-    """Markers where they are seen, and the held feet where they stand.
+def goals_of(model: Model, settings: IKSettings, feet: FootPlacement, targets: Array) -> Goals:
+    """Markers where they are measured, and unmarked feet where they stand.
 
     What is below the pelvis weighs less: where a leg is too short to reach, the feet give way
     before the head and the hands do.
     """
-    low = np.isin(held.sites.bones, skeleton.tree.bones_in("hip", "leg"))
+    effectors = model.effectors
+    low = np.isin(effectors.bones, model.skeleton.tree.bones_in("hip", "leg"))
     weights = jnp.where(low, settings.leg_weight, 1.0)
-    feet = np.array([SIDES.index(side) for side in held.held], np.int32)
-    seen = jnp.concatenate([mask, jnp.ones(len(feet), bool)])
-    targets = jnp.where(mask[:, None], targets, 0.0)
+    sides = np.array([SIDES.index(side) for side in model.unmarked_feet], np.int32)
+    mask = are_present(targets)
+    held = jnp.concatenate([mask, jnp.ones(len(sides), bool)])
+    present = jnp.where(mask[:, None], targets, 0.0)
     return Goals(
-        held.sites,
-        jnp.concatenate([targets, stance.ankles[feet]]),
-        jnp.where(seen, weights, 0.0),
+        effectors,
+        jnp.concatenate([present, feet.ankles[sides]]),
+        jnp.where(held, weights, 0.0),
     )
 
 
 def solve_ik(
-    skeleton: Skeleton,
-    held: Effectors,
-    settings: IKSettings,
-    pose: Pose,
-    stance: Stance,
-    targets: Array,
-    mask: Array,
+    model: Model, settings: IKSettings, pose: Pose, feet: FootPlacement, targets: Array
 ) -> IKResult:
-    """Markers to pose, from the last pose and stance.
+    """Markers to pose, from the last pose.
 
     Args:
-        skeleton: D degrees of freedom.
-        held: M markers and F held feet.
+        model: of the person and the markers.
         settings: traced.
         pose: to start from.
-        stance: of the feet in the last frame.
-        targets: (M, 3) marker positions, world, metres; anything where missing.
-        mask: (M,) which markers are seen.
+        feet: where they stood in the last frame.
+        targets: (M, 3) markers, world, metres; NaN where missing.
     """
-    stance, planted = replant(skeleton, held, settings, pose, stance, targets, mask)
-    goals = goals_of(skeleton, held, settings, stance, targets, mask)
-    pose, count = reach(skeleton, goals, settings, pose)
-    misses = goal_distances(skeleton, goals, pose)
-    missed = jnp.max(misses[len(mask) :], initial=0.0) > settings.leg_overstretch
-    return IKResult(pose, stance._replace(overstretched=missed), misses, count, planted)
+    feet, planted = replant(model, settings, pose, feet, targets)
+    goals = goals_of(model, settings, feet, targets)
+    pose, count = reach(model.skeleton, goals, settings, pose)
+    misses = goal_distances(model.skeleton, goals, pose)
+    missed = jnp.max(misses[len(targets) :], initial=0.0) > settings.leg_overstretch
+    return IKResult(pose, feet._replace(overstretched=missed), misses, count, planted)

@@ -1,11 +1,11 @@
-"""What the cameras saw: each arm's region of interest as distance fields of its edges.
+"""What the cameras measure of the arms: regions of interest as distance fields of their edges.
 
-INPUTS: the markers' pose (for the regions), video frames. OUTPUTS: an Observation.
+INPUTS: the markers' pose (for the regions), video frames. OUTPUTS: EdgeFields.
 """
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from functools import lru_cache
 
 import jax
 import jax.numpy as jnp
@@ -13,27 +13,19 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.arms import Arms
+from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.geometry.cameras import Camera, project
-from jaxmocap.images.edges import FARTHEST_PX, EdgeSettings, Thresholds, distance_fields
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.images.edges import FARTHEST_PX, Thresholds, distance_fields
 from jaxmocap.images.regions import Region, crop, region_around
 
+# Canny's thresholds of both arms in each camera, which the next frame begins with.
+ArmThresholds = tuple[tuple[Thresholds, Thresholds], ...]
 
-class Observation(NamedTuple):
-    """Two arms in C cameras.
 
-    Attributes:
-        region: where the fields lie: origins (C, 2, 2), scales (C, 2).
-        fields: (C, 2, K, S, S) distances to edges of K directions, samples of the region.
-        seen: (C, 2) whether there is an image; the fields mean nothing where not.
-    """
-
-    region: Region
-    fields: Array | np.ndarray
-    seen: Array | np.ndarray
-
-    def by_arm(self) -> "Observation":
-        """The same with the arms' axis before the cameras'."""
-        return jax.tree.map(lambda part: jnp.swapaxes(jnp.asarray(part), 0, 1), self)
+def no_thresholds(cameras: int) -> ArmThresholds:
+    """Before the first frame of so many cameras."""
+    return tuple((Thresholds(), Thresholds()) for _ in range(cameras))
 
 
 def arm_regions(
@@ -48,57 +40,61 @@ def arm_regions(
     return jax.vmap(of_camera)(cameras)
 
 
-class Observer:
-    """The image chain of C cameras; remembers each region's thresholds from frame to frame."""
+def observe(
+    settings: Settings,
+    thresholds: ArmThresholds,
+    images: Sequence[np.ndarray | None] | None,
+    region: Region,
+) -> tuple[EdgeFields, ArmThresholds]:
+    """Fields of both arms in every camera that has an image, BGR or grey uint8.
 
-    def __init__(
-        self, cameras: int, size: int, channels: int, edges: EdgeSettings, spacing: int = 1
-    ):
-        """Prepare for ``cameras`` cameras and regions of ``size`` samples.
+    Args:
+        settings: of the tracker.
+        thresholds: after the last frame.
+        images: of C cameras, None where there is none.
+        region: (C, 2) of the arms.
 
-        Args:
-            cameras: how many.
-            size: of the square regions, samples of the fields.
-            channels: directions into which edges are sorted; 1 is the paper's plain field.
-            edges: how edges are found.
-            spacing: pixels of the crop, in which edges are found, per sample of the fields.
-        """
-        self.size, self.channels, self.edges, self.spacing = size, channels, edges, spacing
-        self.thresholds = [[Thresholds(), Thresholds()] for _ in range(cameras)]
-        self._shape = (cameras, 2, channels, size, size)
-        # OpenCV lets go of the interpreter, so several cameras take several cores; two arms of one
-        # would mostly wait for each other.
-        self._pool = ThreadPoolExecutor(cameras, "observe") if cameras > 1 else None
-        # Already where jit wants it: a sample without an image costs no transfer.
-        nothing = np.full(self._shape, FARTHEST_PX / spacing, np.float32)
-        self._nothing = jnp.asarray(nothing, jnp.float32)
-        self._unseen = jnp.asarray(np.zeros(self._shape[:2], bool), bool)
+    Returns:
+        The fields, and the thresholds after these images.
+    """
+    cameras, size, spacing = len(thresholds), settings.samples, settings.spacing
+    shape = (cameras, 2, settings.directions, size, size)
+    if images is None or all(image is None for image in images):
+        return EdgeFields(region, *_nothing(shape, FARTHEST_PX / spacing)), thresholds
+    origins, scales = np.asarray(region.origin), np.asarray(region.scale)
+    distances, available = np.empty(shape, np.float32), np.zeros(shape[:2], bool)
 
-    def fresh(self) -> "Observer":
-        """The same for another recording: nothing is remembered."""
-        return Observer(len(self.thresholds), self.size, self.channels, self.edges, self.spacing)
+    def of_camera(camera: int) -> tuple[Thresholds, Thresholds]:
+        if (image := images[camera]) is None:
+            distances[camera] = FARTHEST_PX / spacing
+            return thresholds[camera]
+        each = []
+        for arm in range(2):
+            finer = scales[camera, arm] / spacing
+            grey = crop(image, origins[camera, arm], finer, size * spacing, True)
+            _, edges, after = distance_fields(
+                grey, settings.edge_detection, thresholds[camera][arm],
+                settings.directions, spacing, distances[camera, arm],
+            )  # fmt: skip
+            # A black or featureless image is no evidence.
+            available[camera, arm] = bool(edges.any())
+            each.append(after)
+        return each[0], each[1]
 
-    def observe(self, images: Sequence[np.ndarray | None] | None, region: Region) -> Observation:
-        """Fields of both arms in every camera that has an image, BGR or grey uint8."""
-        if images is None or all(image is None for image in images):
-            return Observation(region, self._nothing, self._unseen)
-        origins, scales = np.asarray(region.origin), np.asarray(region.scale)
-        fields, seen = np.empty(self._shape, np.float32), np.zeros(self._shape[:2], bool)
+    # OpenCV lets go of the interpreter, so several cameras take several cores; two arms of one
+    # would mostly wait for each other.
+    over = map if cameras < 2 else _pool(cameras).map
+    after = tuple(over(of_camera, range(cameras)))
+    return EdgeFields(region, distances, available), after
 
-        def look(camera: int, image: np.ndarray | None) -> None:
-            if image is None:
-                fields[camera] = FARTHEST_PX / self.spacing
-                return
-            for arm in range(2):
-                finer = scales[camera, arm] / self.spacing
-                grey = crop(image, origins[camera, arm], finer, self.size * self.spacing, True)
-                _, edges = distance_fields(
-                    grey, self.edges, self.thresholds[camera][arm], self.channels, self.spacing,
-                    fields[camera, arm],
-                )  # fmt: skip
-                # A black or featureless image is no evidence.
-                seen[camera, arm] = bool(edges.any())
 
-        every = map if self._pool is None else self._pool.map
-        list(every(look, range(len(images)), images))
-        return Observation(region, fields, seen)
+@lru_cache
+def _pool(cameras: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(cameras, "observe")
+
+
+@lru_cache
+def _nothing(shape: tuple[int, ...], farthest: float) -> tuple[Array, Array]:
+    """Already where jit wants it: a sample without an image costs no transfer."""
+    distances = jnp.asarray(np.full(shape, farthest, np.float32), jnp.float32)
+    return distances, jnp.asarray(np.zeros(shape[:2], bool), bool)

@@ -1,132 +1,309 @@
 """Refinement of the markers' pose by the video (section 5).
 
-The search says where each elbow is; the body follows it by inverse kinematics, with the markers
-held, so that a shoulder that three markers placed wrongly moves as well; then a downhill simplex
-over each arm's four degrees of freedom brings the outlines to the edges (section 5.2: the arms are
-problems of their own, solved side by side).
+    search    where each elbow is, by edges, with memory
+    balance   the spine bows in a squat (5.3)
+    follow    the body follows the elbows by inverse kinematics, the markers held, so that a
+              shoulder that three markers placed wrongly moves as well
+    fit       a downhill simplex over each arm's four degrees of freedom brings the outlines to
+              the edges (5.2: the arms are problems of their own, solved side by side), or least
+              squares over the whole body (``gradient``)
+    report    what came of it
 
-INPUTS: the pose of ``solve``, its goals, an Observation, the belief.
-OUTPUTS: the refined pose, the belief.
+INPUTS: a Model, what ``solve`` found, distance fields of edges, the belief about the elbows.
+OUTPUTS: the refined pose, the belief, a report.
 """
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-from jaxmocap.body.arms import Arms, arm_dofs, flesh, hang, limb_bones, swing
-from jaxmocap.body.kinematics import Sites
+from jaxmocap.body.arms import SIDES, Arms, arm_dofs, arms_of, flesh, hang, swing
+from jaxmocap.body.kinematics import forward, landmark_sites
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, beyond_limits
-from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.evidence.edges import arm_cost
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.evidence.edges import EdgeFields
+from jaxmocap.evidence.markers import Goals, are_present, off_targets
 from jaxmocap.geometry.rotations import quaternion_log, rotate
+from jaxmocap.hybrid.balance import bow_on_feet
 from jaxmocap.hybrid.elbow_search import (
-    Belief,
+    ElbowBelief,
     believed_elbows,
     carried,
+    confidence_of,
     search,
 )
-from jaxmocap.hybrid.ik import Goals
-from jaxmocap.hybrid.observe import Observation
+from jaxmocap.hybrid.gradient import Aims, refine_body
+from jaxmocap.hybrid.ik import IKResult, goal_distances, goals_of, reach
 from jaxmocap.hybrid.settings import Settings
+from jaxmocap.images.regions import Region
 from jaxmocap.solvers.simplex import downhill_simplex, initial_simplex
+from jaxmocap.solvers.status import Status
 
 
-def look_for_elbows(
+class Solved(NamedTuple):
+    """What markers tell: their pose, whether the body was placed again, the arms' regions."""
+
+    ik: IKResult
+    placed: Array
+    region: Region | None
+
+
+class StepReport(NamedTuple):
+    """What a step found besides the pose.
+
+    Attributes:
+        marker_pose: of the markers alone.
+        marker_errors: (M,) of the markers from their points on the refined body, metres; NaN where
+            missing.
+        outline_px: (2,) mean distance of each arm's outline to the edges, pixels; NaN without an
+            image.
+        swivels: (2,) turn of each elbow that the video added, radians.
+        elbow_deviations: (2,) standard deviations of the elbows, metres.
+        iterations: () of the inverse kinematics.
+        planted: () whether the feet were planted again.
+        placed: () whether the body was placed again.
+        balanced: () whether balance bowed the spine.
+        status: () int32 ``Status`` of the gradient refinement.
+    """
+
+    marker_pose: Pose
+    marker_errors: Array
+    outline_px: Array
+    swivels: Array
+    elbow_deviations: Array
+    iterations: Array
+    planted: Array
+    placed: Array
+    balanced: Array
+    status: Array
+
+    @property
+    def confidence(self) -> Array | np.ndarray:
+        """(2,) in the elbows, 0 to 1."""
+        return confidence_of(self.elbow_deviations)
+
+
+def refine(
+    model: Model,
     settings: Settings,
-    cameras: Camera,
-    arms: Arms,
-    seen: Observation,
-    belief: Belief,
-    time: Array,
-) -> tuple[Belief, Array]:
+    bow_factors: Array,
+    solved: Solved,
+    targets: Array,
+    fields: EdgeFields | None,
+    belief: ElbowBelief,
+    elapsed: Array,
+) -> tuple[ElbowBelief, Pose, StepReport]:
+    """The markers' pose and the edges to the refined pose and the new belief.
+
+    Args:
+        model: of the person, the markers and the cameras.
+        settings: of the tracker.
+        bow_factors: (3,) of the balance heuristic.
+        solved: what the markers tell.
+        targets: (M, 3) markers, world, metres; NaN where missing.
+        fields: distances to edges; None without cameras.
+        belief: about the elbows, after the last step.
+        elapsed: seconds since the last step.
+    """
+    belief = belief._replace(age=belief.age + elapsed)
+    goals = goals_of(model, settings.ik, solved.ik.feet, targets)
+    arms = _arms(model, solved.ik.pose)
+    pose, elbows, status = solved.ik.pose, arms.elbow, _no_status()
+    # Both are known when this is traced.
+    edges = None if settings.refine == "none" or model.cameras is None else fields
+    if edges is not None:
+        pose = _last_unless_lost(model, settings, goals, belief, pose)
+        belief, elbows = search_elbows(settings, model, arms, edges, belief)
+    pose, centre, free, balanced = _balanced(model, settings, solved.ik.pose, pose, bow_factors)
+    if edges is not None:
+        pose = follow(model, settings, goals, pose, free, elbows)
+        aims = Aims(goals, elbows, centre, free)
+        pose, status = _fit(model, settings, edges, pose, aims, arms.grip)
+        belief = remembered(belief, arms, _arms(model, pose), edges, pose)
+    elif settings.balance:
+        met = lambda: reach(model.skeleton, goals, settings.ik, pose, free)[0]  # noqa: E731
+        pose = jax.lax.cond(balanced, met, lambda: pose)
+    found = _arms(model, pose)
+    outline_px = jnp.full(2, jnp.nan, targets.dtype)
+    if edges is not None and model.cameras is not None:
+        outline_px = settings.edges.outline_px(model.cameras, edges, found)
+    mask = are_present(targets)
+    errors = goal_distances(model.skeleton, goals, pose)[: len(mask)]
+    report = StepReport(
+        solved.ik.pose, jnp.where(mask, errors, jnp.nan), outline_px, swivels(arms, found),
+        carried(settings.elbow_search, belief)[1], solved.ik.iterations, solved.ik.planted,
+        solved.placed, balanced, status,
+    )  # fmt: skip
+    return belief, pose, report
+
+
+def _arms(model: Model, pose: Pose) -> Arms:
+    return arms_of(model.skeleton, forward(model.skeleton, pose), model.grips)
+
+
+def _no_status() -> Array:
+    return jnp.asarray(int(Status.CONVERGED), jnp.int32)
+
+
+def _last_unless_lost(
+    model: Model, settings: Settings, goals: Goals, belief: ElbowBelief, pose: Pose
+) -> Pose:
+    """The last refined pose, so that the trunk that video has found stays found."""
+    markers = len(model.markers.bone_indices)
+    errors = goal_distances(model.skeleton, goals, belief.pose)[:markers]
+    lost = jnp.max(errors) > settings.ik.lost
+    return jax.tree.map(lambda new, old: jnp.where(lost, new, old), pose, belief.pose)
+
+
+def search_elbows(
+    settings: Settings, model: Model, arms: Arms, fields: EdgeFields, belief: ElbowBelief
+) -> tuple[ElbowBelief, Array]:
     """The belief after the video and the (2, 3) elbows to follow.
 
     A new image is searched; without one the last belief is carried on. Without the search, the
     elbows are those of the markers' pose.
     """
+    assert model.cameras is not None
+    cameras = model.cameras
 
-    def look() -> tuple[Belief, Array]:
+    def by_image() -> tuple[ElbowBelief, Array]:
         if not settings.search:
-            return belief._replace(time=time), jnp.zeros_like(belief.turn)
-        new = search(settings, cameras, seen, arms, belief, time)
+            return belief._replace(age=jnp.zeros_like(belief.age)), jnp.zeros_like(belief.turn)
+        new = search(settings, cameras, fields, arms, belief)
         return new, new.turn
 
-    def carry() -> tuple[Belief, Array]:
-        return belief, carried(settings.look, belief, time)[0]
+    def without() -> tuple[ElbowBelief, Array]:
+        return belief, carried(settings.elbow_search, belief)[0]
 
-    belief, turn = jax.lax.cond(jnp.any(jnp.asarray(seen.seen)), look, carry)
+    belief, turn = jax.lax.cond(jnp.any(jnp.asarray(fields.available)), by_image, without)
     return belief, believed_elbows(arms, turn)
 
 
-def elbow_wishes(skeleton: Skeleton, elbows: Array) -> Goals:
-    """The (2, 3) elbows as goals of the second rank."""
-    bones = limb_bones(skeleton.tree)[:, 1]
-    sites = Sites(bones, jnp.zeros(2, elbows.dtype), jnp.zeros((2, 3), elbows.dtype))
-    return Goals(sites, elbows, jnp.ones(2, elbows.dtype))
+def _balanced(
+    model: Model, settings: Settings, alone: Pose, pose: Pose, bow_factors: Array
+) -> tuple[Pose, Pose, Array, Array]:
+    """Where the spine bows: the pose to go on from, the priors' centre, who may move, whether.
+
+    From the markers' pose: one bow on another would pile up.
+    """
+    if not settings.balance:
+        return pose, alone, jnp.ones(model.skeleton.costs.shape, bool), jnp.zeros((), bool)
+    bowed, free, bows = bow_on_feet(model.skeleton, settings.ik, alone, bow_factors)
+    pose, centre = (
+        jax.tree.map(lambda new, old: jnp.where(bows, new, old), bowed, before)
+        for before in (pose, alone)
+    )
+    return pose, centre, free, bows
+
+
+def follow(
+    model: Model, settings: Settings, goals: Goals, pose: Pose, free: Array, elbows: Array
+) -> Pose:
+    """The body with its elbows where the search has them, as far as the markers hold."""
+    sites = landmark_sites(model.skeleton, tuple(f"elbow_{side}" for side in SIDES))
+    secondary = Goals(sites, elbows, jnp.ones(2, elbows.dtype))
+    return reach(model.skeleton, goals, settings.ik, pose, free, secondary)[0]
+
+
+def _fit(
+    model: Model,
+    settings: Settings,
+    fields: EdgeFields,
+    pose: Pose,
+    aims: Aims,
+    grip_targets: Array,
+) -> tuple[Pose, Array]:
+    """The pose whose outlines lie on edges, and how the descent ended."""
+    if settings.refine == "gradient":
+        refined = refine_body(model, settings, fields, pose, aims)
+        return refined.pose, refined.status
+    return refine_arms(model, settings, fields, pose, grip_targets, aims.elbows), _no_status()
+
+
+# Costs (2) of both arms, from arms and their (2, 4) joint angles.
+ArmCost = Callable[[Arms, Array], Array]
 
 
 def refine_arms(
+    model: Model,
     settings: Settings,
-    skeleton: Skeleton,
-    cameras: Camera,
-    observation: Observation,
+    fields: EdgeFields,
     pose: Pose,
-    grip_sites: Sites,
     grip_targets: Array,
     elbows: Array,
 ) -> Pose:
     """Minimise equation (14) over each arm's four degrees of freedom by the downhill simplex.
 
-    An arm that no camera sees stays as it is.
+    An arm without an image stays as it is.
 
     Args:
+        model: of the person, the markers and the cameras.
         settings: of the tracker.
-        skeleton: D degrees of freedom.
-        cameras: C, stacked.
-        observation: of both arms.
+        fields: of both arms.
         pose: to start from.
-        grip_sites: the two points that the markers hold.
         grip_targets: (2, 3) t of equation (14), world, metres.
-        elbows: (2, 3) that the search believes in.
+        elbows: (2, 3) of the search.
     """
-    fit, polish = settings.fit, settings.polish
-    dofs = arm_dofs(skeleton.tree)
-    by_arm = observation.by_arm()
-    limits = skeleton.limits[dofs]
-    hung = hang(skeleton, pose, grip_sites)
+    own, by_arm = settings.simplex, fields.by_arm()
+    dofs = arm_dofs(model.skeleton.tree)
+    limits = model.skeleton.limits[dofs]
+    hung = hang(model.skeleton, pose, model.grips)
+    costs = _arm_costs(model, settings, by_arm, grip_targets, elbows)
 
     def cost(moves: Array) -> Array:
         arms, angles = swing(hung, moves)
-        seen = jax.vmap(lambda o, limbs: arm_cost(settings.evidence, fit, cameras, o, limbs))(
-            by_arm, flesh(arms)
-        )
-        held = fit.hold * jnp.sqrt(jnp.sum((grip_targets - arms.grip) ** 2, -1) + 1e-12)
-        beyond = jnp.sum(beyond_limits(limits, angles), -1)
-        total = seen + held + polish.limit * beyond
-        if not settings.search:
-            return total
-        return total + jnp.sum((arms.elbow - elbows) ** 2, -1) / polish.trust**2 / 2
+        return sum((each(arms, angles) for each in costs), start=jnp.zeros(2, angles.dtype))
 
     still = jnp.zeros_like(hung.angles)
-    watched = jnp.any(by_arm.seen, -1)[:, None]
+    has_image = jnp.any(by_arm.available, -1)[:, None]
 
     def fitted() -> Array:
-        lengths = jnp.full(4, polish.other_edge).at[0].set(polish.swivel_edge)
+        lengths = jnp.full(4, own.other_edge).at[0].set(own.swivel_edge)
         first = initial_simplex(still, jnp.diag(lengths))
-        moves = downhill_simplex(cost, first, polish.iterations).points
-        angles = swing(hung, jnp.where(watched, moves, still))[1]
-        return jnp.where(watched, jnp.clip(angles, limits[..., 0], limits[..., 1]), hung.angles)
+        moves = downhill_simplex(cost, first, own.iterations).points
+        angles = swing(hung, jnp.where(has_image, moves, still))[1]
+        return jnp.where(has_image, jnp.clip(angles, limits[..., 0], limits[..., 1]), hung.angles)
 
     # Between two images there is nothing to fit.
-    angles = jax.lax.cond(jnp.any(watched), fitted, lambda: hung.angles)
+    angles = jax.lax.cond(jnp.any(has_image), fitted, lambda: hung.angles)
     return pose._replace(angles=pose.angles.at[dofs].set(angles))
 
 
-def remember(belief: Belief, arms: Arms, found: Arms, seen: Observation, pose: Pose) -> Belief:
+def _arm_costs(
+    model: Model, settings: Settings, fields: EdgeFields, grip_targets: Array, elbows: Array
+) -> tuple[ArmCost, ...]:
+    """The terms of equation (14), and the searched elbow; fields with the arms' axis first."""
+    own, limits = settings.simplex, model.skeleton.limits[arm_dofs(model.skeleton.tree)]
+    of_arm = partial(settings.edges.arm_cost, model.cameras)
+
+    def on_edges(arms: Arms, _: Array) -> Array:
+        return jax.vmap(of_arm)(fields, flesh(arms))
+
+    def held(arms: Arms, _: Array) -> Array:
+        away = off_targets(arms.grip, grip_targets)
+        return own.hold * jnp.sqrt(jnp.sum(away**2, -1) + 1e-12)
+
+    def within_limits(_: Arms, angles: Array) -> Array:
+        return own.limit * jnp.sum(beyond_limits(limits, angles), -1)
+
+    def near_searched(arms: Arms, _: Array) -> Array:
+        return jnp.sum((arms.elbow - elbows) ** 2, -1) / own.elbow**2 / 2
+
+    costs = (on_edges, held, within_limits)
+    return (*costs, near_searched) if settings.search else costs
+
+
+def remembered(
+    belief: ElbowBelief, arms: Arms, found: Arms, fields: EdgeFields, pose: Pose
+) -> ElbowBelief:
     """The belief with the turns from the markers' forearms to those found in a new image."""
-    watched = jnp.any(jnp.asarray(seen.seen))
-    turn = jnp.where(watched, turn_between(arms, found), belief.turn)
+    has_image = jnp.any(jnp.asarray(fields.available))
+    turn = jnp.where(has_image, turn_between(arms, found), belief.turn)
     return belief._replace(turn=turn, pose=pose)
 
 

@@ -1,49 +1,90 @@
 """The hybrid tracker: markers and one or several cameras to a pose, frame by frame.
 
-A frame is two jitted calls with OpenCV's image chain between them:
+A frame is two jitted calls with OpenCV's image chain between them: ``solve``, ``observe``,
+``refine`` (``step``). ``step`` takes one event, ``scan`` a whole recording chunk by chunk.
 
-    solve    markers -> pose (section 4), and the regions where it puts the arms
-    observe  regions of the video frames -> distance fields of their edges (5.1)
-    refine   pose, fields -> search and simplex (5.1, 5.2), balance (5.3) -> pose, belief
-
-``solve`` reads its own last pose only; what the video found lives in refine's belief and is
-carried to the marker samples between two video frames.
+INPUTS: a Model, Settings; markers and images over time. OUTPUTS: states, poses, reports.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
-from functools import cached_property
+from time import perf_counter
+from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.arms import grips
-from jaxmocap.body.kinematics import Sites, landmark_sites
+from jaxmocap.body.kinematics import Sites
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.compilation.programs import Program
-from jaxmocap.geometry.cameras import Camera, stack_cameras
-from jaxmocap.hybrid.balance import bow_factors
-from jaxmocap.hybrid.feet import effectors, on_held_feet
-from jaxmocap.hybrid.observe import Observer
-from jaxmocap.hybrid.scan import Scans
+from jaxmocap.compilation.clock import Clock
+from jaxmocap.evidence.edges import EdgeFields
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.hybrid.elbow_search import ElbowBelief
+from jaxmocap.hybrid.feet import FootPlacement, on_unmarked_feet
+from jaxmocap.hybrid.observe import ArmThresholds, no_thresholds, observe
+from jaxmocap.hybrid.refine import Solved, StepReport
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.hybrid.steps import Held, State, StepReport, programs_of
+from jaxmocap.hybrid.step import (
+    EVENTS,
+    REFINE,
+    REFINE_EVENTS,
+    SOLVE,
+    SOLVE_EVENTS,
+    START,
+    EventFields,
+    Events,
+)
 
-_bow_factors = Program(bow_factors, "bow_factors", effort="once")
+# Images of each camera at one event; None where there is no new one.
+Images = Sequence[np.ndarray | None]
+
+
+class State(NamedTuple):
+    """What an event leaves to the next: a tracker's whole memory.
+
+    Attributes:
+        pose: of the markers alone.
+        feet: where they stand.
+        belief: about the elbows, by the video.
+        bow_factors: (3,) of the balance heuristic, for this person.
+        thresholds: of edges in the arms' regions.
+        time: of the event, seconds; None before the first.
+    """
+
+    pose: Pose
+    feet: FootPlacement
+    belief: ElbowBelief
+    bow_factors: Array
+    thresholds: ArmThresholds
+    time: float | None
+
+
+class Chunk(NamedTuple):
+    """Some events that ``scan`` went through.
+
+    Attributes:
+        events: which.
+        poses: (E, ...) refined.
+        reports: (E, ...).
+        frames: how many of them have an image.
+    """
+
+    events: range
+    poses: Pose
+    reports: StepReport
+    frames: int
 
 
 class HybridTracker:
-    """Tracks one person. The jitted functions trace once for a shape of input.
+    """Tracks one person. Its programs are traced once for a shape of input.
 
     Attributes:
-        skeleton: of the person, as the inverse kinematics takes it.
-        cameras: C cameras, stacked; None without video.
-        markers: M points on bones that the markers hold.
+        model: of the person, the markers and the cameras, as inverse kinematics takes it.
         settings: how to work.
-        scans: the same steps over many events at once.
     """
 
     def __init__(
@@ -61,74 +102,198 @@ class HybridTracker:
             settings: defaults to ``Settings()``.
             markers: points on bones; defaults to the paper's: the vertex and both wrists.
         """
-        listed = [cameras] if isinstance(cameras, Camera) else list(cameras or [])
+        self.model = on_unmarked_feet(Model.create(skeleton, markers, cameras))
         chosen = settings or Settings()
-        self.dtype = skeleton.lengths.dtype
-        self.settings = chosen if listed else replace(chosen, refine="none")
-        self.cameras = stack_cameras(listed) if listed else None
-        names = ("vertex", "wrist_l", "wrist_r")
-        self.markers = landmark_sites(skeleton, names) if markers is None else markers
-        self.held = effectors(skeleton, self.markers)
-        self.skeleton = on_held_feet(skeleton, self.held.held)
-        self.grips = grips(skeleton, self.markers)
-        self.observer = Observer(
-            len(listed), chosen.samples, chosen.directions, chosen.edges, chosen.spacing
-        )
-        own = programs_of(Held(self.held, self.grips))
-        self._begin, self.solve, self.refine = own.start, own.solve, own.refine
-        self.scans = Scans(own.solve_all, own.refine_all)
-
-    @cached_property
-    def factors(self) -> Array:
-        """(3,) p_i of the balance heuristic."""
-        if not self.settings.balance:
-            return jnp.zeros(3, self.dtype)
-        person = self.skeleton, self.settings.ik
-        return _bow_factors.lowered(*person)()(*person)
+        self.settings = chosen if self.model.camera_count else replace(chosen, refine="none")
+        self._compiling: tuple[Callable, Callable] | None = None
 
     def init(self, markers_world: np.ndarray | Array) -> State:
-        """The state before the first sample, placed by its (M, 3) markers; NaN where missing."""
-        first = self.skeleton, self.settings, np.asarray(markers_world, self.dtype)
-        return self._begin.lowered(*first)()(*first)
-
-    def init_like(self, count: int) -> State:
-        """Shapes of a state by so many markers."""
-        markers = jax.ShapeDtypeStruct((count, 3), self.dtype)
-        return self._begin.shapes(self.skeleton, self.settings, markers)
+        """The state before the first event, at rest on its (M, 3) markers; NaN where missing."""
+        first = self.model, self.settings, np.asarray(markers_world, self.model.dtype)
+        begun = START.lowered(*first)()(*first)
+        thresholds = no_thresholds(self.model.camera_count)
+        return State(begun.pose, begun.feet, begun.belief, begun.bow_factors, thresholds, None)
 
     def prepare(self, count: int) -> None:
         """What comes before a first step by so many markers compiles beside from now on."""
-        markers = jax.ShapeDtypeStruct((count, 3), self.dtype)
-        self._begin.beside(self.skeleton, self.settings, markers)
-        if self.settings.balance:
-            _bow_factors.beside(self.skeleton, self.settings.ik)
+        START.beside(self.model, self.settings, self._like(count))
 
     def step(
         self,
         state: State,
         time: float,
         markers_world: np.ndarray | Array,
-        images: Sequence[np.ndarray | None] | None = None,
+        images: Images | None = None,
+        clock: Clock | None = None,
     ) -> tuple[State, Pose, StepReport]:
-        """One sample: solve, observe, refine.
+        """One event: solve, observe, refine.
 
         Args:
-            state: after the last sample.
-            time: of this one, seconds since the first.
+            state: after the last event.
+            time: of this one, seconds.
             markers_world: (M, 3) metres; NaN where missing.
             images: a BGR or grey uint8 frame per camera, None where there is no new one.
+            clock: keeps how long the stages take.
 
         Returns:
             The state, the refined pose and a report.
         """
-        targets = np.asarray(markers_world, self.dtype)
-        solved = self.solve(
-            self.skeleton, self.cameras, self.settings, state.pose, state.stance, targets
-        )
-        seen = None if solved.region is None else self.observer.observe(images, solved.region)
-        now = np.asarray(time, self.dtype)
-        belief, pose, report = self.refine(
-            self.skeleton, self.cameras, self.settings, self.factors,
-            solved, targets, seen, state.belief, now,
+        model, settings, clock = self.model, self.settings, clock or Clock(False)
+        targets = np.asarray(markers_world, model.dtype)
+        solved = clock.timed("solve", SOLVE, model, settings, state.pose, state.feet, targets)
+        fields, thresholds = None, state.thresholds
+        if solved.region is not None:
+            fields, thresholds = clock.timed(
+                "observe", observe, settings, thresholds, images, solved.region
+            )
+        elapsed = np.asarray(0.0 if state.time is None else time - state.time, model.dtype)
+        belief, pose, report = clock.timed(
+            "refine", REFINE, model, settings, state.bow_factors, solved, targets, fields,
+            state.belief, elapsed,
         )  # fmt: skip
-        return State(solved.ik.pose, solved.ik.stance, belief), pose, report
+        after = State(
+            solved.ik.pose, solved.ik.feet, belief, state.bow_factors, thresholds, float(time)
+        )
+        return after, pose, report
+
+    def scan(
+        self,
+        state: State,
+        times: np.ndarray,
+        markers_world: np.ndarray,
+        images: Iterator[Images] | None = None,
+        clock: Clock | None = None,
+    ) -> Iterator[Chunk]:
+        """All events, a chunk at a time; the images of one are observed while another is refined.
+
+            solve     chunk 3                        (device)
+            observe            chunk 2               (host, in a thread beside)
+            refine                      chunk 1      (device)
+
+        Args:
+            state: before the first event, of ``init``.
+            times: (E,) seconds.
+            markers_world: (E, M, 3) metres; NaN where missing.
+            images: of each event, in order; asked for from one other thread.
+            clock: keeps how long the stages take.
+        """
+        clock = clock or Clock(False)
+        scan = _Scan(self, state, np.asarray(times, float), markers_world, images, clock)
+        solving, refining = self._beside(markers_world.shape[1])
+        refine, belief = None, state.belief
+        with ThreadPoolExecutor(1, "observe") as beside:
+            for events, solved, observed in _one_ahead(scan.solved(solving(), beside)):
+                refine = refine or refining()
+                fields, frames = observed.result()
+                rows = scan.rows(events)
+                inputs = Events(solved, scan.markers(rows), fields, scan.elapsed(rows))
+                belief, found = clock.timed(
+                    "refine", refine, self.model, self.settings, state.bow_factors, inputs,
+                    belief, among=EVENTS,
+                )  # fmt: skip
+                keep = slice(len(events))
+                poses, reports = jax.tree.map(lambda part, k=keep: np.asarray(part)[k], found)
+                yield Chunk(events, poses, reports, frames)
+
+    def _beside(self, count: int) -> tuple[Callable[[], Callable], Callable[[], Callable]]:
+        """What waits for either scan by so many markers; they compile beside from the first on."""
+        if self._compiling is None:
+            model, settings = self.model, self.settings
+            first = START.shapes(model, settings, self._like(count))
+            markers = np.zeros((EVENTS, count, 3), model.dtype)
+            like = model, settings, (first.pose, first.feet), markers
+            # Only the compiler runs beside: what is traced belongs to this thread's precision.
+            solving = SOLVE_EVENTS.beside(*like)
+            _, solved = SOLVE_EVENTS.shapes(*like)
+            events = Events(solved, markers, self._no_fields(solved), np.zeros(EVENTS, model.dtype))
+            refining = REFINE_EVENTS.beside(
+                model, settings, first.bow_factors, events, first.belief
+            )
+            self._compiling = solving, refining
+        return self._compiling
+
+    def _no_fields(self, solved: Solved) -> EventFields | None:
+        """Of a chunk without images."""
+        if solved.region is None:
+            return None
+        first = jax.tree.map(lambda part: np.zeros(part.shape[1:], part.dtype), solved.region)
+        thresholds = no_thresholds(self.model.camera_count)
+        nothing, _ = observe(self.settings, thresholds, None, first)
+        return EventFields.of(nothing, [None] * EVENTS)
+
+    def _like(self, count: int) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct((count, 3), self.model.dtype)
+
+
+class _Scan:
+    """The events of ``HybridTracker.scan``; the last chunk is filled up with the last event."""
+
+    def __init__(
+        self,
+        tracker: HybridTracker,
+        state: State,
+        times: np.ndarray,
+        markers_world: np.ndarray,
+        images: Iterator[Images] | None,
+        clock: Clock,
+    ):
+        self._tracker, self._state, self._times = tracker, state, times
+        self._markers, self._images, self._clock = markers_world, images, clock
+        self._thresholds = state.thresholds
+
+    def rows(self, events: range) -> np.ndarray:
+        """(EVENTS,) which events a chunk holds."""
+        return np.minimum(events.start + np.arange(EVENTS), len(self._times) - 1)
+
+    def markers(self, rows: np.ndarray) -> np.ndarray:
+        """(EVENTS, M, 3)."""
+        return self._markers[rows].astype(self._tracker.model.dtype)
+
+    def elapsed(self, rows: np.ndarray) -> np.ndarray:
+        """(EVENTS,) seconds since the event before."""
+        before = self._times[np.maximum(rows - 1, 0)]
+        return (self._times[rows] - before).astype(self._tracker.model.dtype)
+
+    def solved(
+        self, solve: Callable, beside: ThreadPoolExecutor
+    ) -> Iterator[tuple[range, Solved, Future[tuple[EventFields | None, int]]]]:
+        """All chunks in turn, each solved, and observed beside."""
+        model, settings = self._tracker.model, self._tracker.settings
+        last, total = (self._state.pose, self._state.feet), len(self._times)
+        for first in range(0, total, EVENTS):
+            events = range(first, min(first + EVENTS, total))
+            markers = self.markers(self.rows(events))
+            last, solved = self._clock.timed(
+                "solve", solve, model, settings, last, markers, among=EVENTS
+            )
+            yield events, solved, beside.submit(self._observed, events, solved)
+
+    def _observed(self, events: range, solved: Solved) -> tuple[EventFields | None, int]:
+        """Fields of a chunk's images, in order: thresholds are remembered; how many have one."""
+        if solved.region is None:
+            return None, 0
+        region = jax.tree.map(np.asarray, solved.region)
+        settings = self._tracker.settings
+        fields: list[EdgeFields | None] = [None for _ in range(EVENTS)]
+        for row, _ in enumerate(events):
+            began = perf_counter()
+            images = next(self._images) if self._images is not None else ()
+            if any(image is not None for image in images):
+                self._clock.keep("decode", began)
+                own = jax.tree.map(lambda part, i=row: part[i], region)
+                fields[row], self._thresholds = self._clock.timed(
+                    "observe", observe, settings, self._thresholds, images, own
+                )
+        nothing, _ = observe(
+            settings, self._thresholds, None, jax.tree.map(lambda part: part[0], region)
+        )
+        return EventFields.of(nothing, fields), sum(own is not None for own in fields)
+
+
+def _one_ahead(chunks: Iterator[Any]) -> Iterator[Any]:
+    """The first is on its way at once, and is given out when the next one is too, and so on."""
+    waiting = next(chunks)
+    for chunk in chunks:
+        yield waiting
+        waiting = chunk
+    yield waiting

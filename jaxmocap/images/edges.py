@@ -7,6 +7,7 @@ INPUTS: a crop of a video frame, uint8. OUTPUTS: distances to the nearest edge, 
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -37,8 +38,7 @@ class EdgeSettings:
     memory: float = 0.8
 
 
-@dataclass
-class Thresholds:
+class Thresholds(NamedTuple):
     """Canny's thresholds, smoothed over the frames; None before the first."""
 
     low_high: np.ndarray | None = None
@@ -64,16 +64,15 @@ def gradients(grey: np.ndarray, settings: EdgeSettings) -> tuple[np.ndarray, np.
 
 def edge_image(
     dx: np.ndarray, dy: np.ndarray, settings: EdgeSettings, thresholds: Thresholds
-) -> np.ndarray:
-    """Canny's edges (H, W) uint8, 255 on edges; updates ``thresholds``."""
+) -> tuple[np.ndarray, Thresholds]:
+    """Canny's edges (H, W) uint8, 255 on edges; the thresholds for the next frame."""
     # Every third row and column is enough for a percentile.
     sample = np.abs(dx[::3, ::3]) + np.abs(dy[::3, ::3])
     now = np.array(percentiles(sample.ravel(), settings.percentiles))
     now = np.maximum(now, (settings.floor / 2, settings.floor))
     last = thresholds.low_high
     mixed = now if last is None else settings.memory * last + (1 - settings.memory) * now
-    thresholds.low_high = mixed
-    return cv2.Canny(dx, dy, float(mixed[0]), float(mixed[1]))
+    return cv2.Canny(dx, dy, float(mixed[0]), float(mixed[1])), Thresholds(mixed)
 
 
 def percentiles(values: np.ndarray, percents: tuple[float, ...]) -> list[float]:
@@ -133,25 +132,25 @@ def distance_fields(
     channels: int,
     spacing: int = 1,
     out: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, Thresholds]:
     """Distance fields of an 8-bit grey crop (H, W).
 
     Args:
         grey: the crop.
         settings: how edges are found.
-        thresholds: of this region; updated.
+        thresholds: of this region, after the last frame.
         channels: directions.
         spacing: pixels of the crop per sample of the fields.
         out: (channels, H / spacing, W / spacing) float32 to write the fields to.
 
     Returns:
         The fields, in samples of theirs, cut off at ``FARTHEST_PX`` pixels of the crop; the crop's
-        edges (H, W).
+        edges (H, W); the thresholds for the next frame.
     """
     dx, dy = gradients(grey, settings)
-    edges = edge_image(dx, dy, settings, thresholds)
+    edges, after = edge_image(dx, dy, settings, thresholds)
     channel_edges = by_direction(edges, dx, dy, channels, spacing)
     fields = np.empty(channel_edges.shape, np.float32) if out is None else out
     for channel, field in zip(channel_edges, fields, strict=True):
         distance_field(channel, FARTHEST_PX / spacing, field)
-    return fields, edges
+    return fields, edges, after

@@ -270,12 +270,13 @@ def arm_edges(
     times = {float(time): i for i, time in enumerate(video.times)}
     for time, image in thinned(video, luma=True):
         i = times[time]
-        for arm, (name, thresholds) in enumerate(chains.items()):
+        for arm, (name, thresholds) in enumerate(list(chains.items())):
             if image is None or not np.isfinite(origins[i, arm]).all():
                 continue
             part = crop(image, origins[i, arm], scales[i, arm], settings.region)
-            dx, dy = gradients(part, settings.edges)
-            images[name].append((time, edge_image(dx, dy, settings.edges, thresholds)))
+            dx, dy = gradients(part, settings.edge_detection)
+            edges, chains[name] = edge_image(dx, dy, settings.edge_detection, thresholds)
+            images[name].append((time, edges))
     return images
 
 

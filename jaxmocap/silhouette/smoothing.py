@@ -28,7 +28,7 @@ from jaxmocap.compilation.batches import in_batches
 from jaxmocap.evidence.smoothness import REACH, accelerations_of, smoothness
 from jaxmocap.silhouette.device_functions import landmark_slopes
 from jaxmocap.silhouette.surfaces.morph import Morph, free_of
-from jaxmocap.smoothing.levenberg_marquardt import Linearised, Settings, smooth
+from jaxmocap.smoothing.levenberg_marquardt import Linearised, SolverSettings, minimise
 
 # Frames that are linearised in one call: any recording's fill some, and compile once.
 FRAMES_A_CALL = 32
@@ -108,7 +108,7 @@ def smoothed(
         prior, move = smoothness(times, accelerations), partial(_moved, skeleton)
         # A band is narrow: BLAS's own threads would only wait for one another.
         with threadpool_limits(1, user_api="blas"):
-            return smooth(linearise, move, poses, prior, Settings(iterations=STEPS)).x
+            return minimise(linearise, move, poses, prior, SolverSettings(iterations=STEPS)).x
 
     poses = smoothly(told.poses, np.full(3 * len(LANDMARKS), settings.acceleration))
     for _ in range(settings.rounds):

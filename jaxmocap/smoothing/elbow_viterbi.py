@@ -19,6 +19,7 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.arms import (
+    TURNS,
     Arms,
     arm_dofs,
     arms_of,
@@ -27,100 +28,104 @@ from jaxmocap.body.arms import (
     hang,
     turn_forearm,
 )
-from jaxmocap.body.kinematics import Sites, forward
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, beyond_limits
-from jaxmocap.body.proportions import scaled
-from jaxmocap.body.skeleton import ELBOWS, Skeleton
+from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.body.surfaces.cones import Cones, cones, project_cones
 from jaxmocap.compilation.batches import in_batches
-from jaxmocap.evidence.keypoints import Lines, line_residuals
-from jaxmocap.evidence.residuals import NO_GOALS
+from jaxmocap.evidence.keypoints import SightLines, line_residuals
 from jaxmocap.evidence.silhouettes import (
-    Sight,
+    SilhouetteGrids,
     nearest_surface,
     unhidden,
 )
 from jaxmocap.geometry.cameras import Camera, depth
 from jaxmocap.geometry.outlines import Discs, Touch, depth_along, touch
 from jaxmocap.geometry.rotations import compose, exp
-from jaxmocap.hybrid.elbow_search import TURNS
 from jaxmocap.images.regions import Region, discs_in_region
 from jaxmocap.images.silhouette_grid import Grid, cells
-from jaxmocap.smoothing.linearise import Problem, coarsely, sights_weight
-from jaxmocap.smoothing.trajectory import Trajectory, all_turned
+from jaxmocap.smoothing.linearise import coarsely, rows_of, views_of
+from jaxmocap.smoothing.problem import UNTURNED, SmoothingProblem, Trajectory, all_turned
+from jaxmocap.smoothing.settings import ElbowPathSettings
 
 # The candidate that leaves an arm where it is.
 STAY = int(np.argmin(np.sum(TURNS**2, -1)))
 # Cells over which silhouettes fade, so softly that larger ones tell as much.
 SOFTNESS = 1.5
-SIGHTS_A_CALL = 16
-# Price of a shoulder that gives way, metres, and of a joint beyond its range, radians.
-SLACK_M, BEYOND_RAD = 0.03, 0.1
-# Price of an elbow's movement: metres a second, and never more than so many nats.
-SPEED_M_S, SURPRISE = 1.0, 30.0
+# Views in one call.
+VIEWS_A_CALL = 16
 
 
-def elbow_goals(problem: Problem, trajectory: Trajectory, grips: Sites) -> np.ndarray:
-    """Where the cheapest path takes the elbows, (T, 2, 3) world, metres; NaN in unseen frames.
+def elbow_goals(problem: SmoothingProblem, trajectory: Trajectory) -> np.ndarray:
+    """Where the cheapest path takes the elbows, (T, 2, 3) world, metres; NaN without a view.
 
     First each arm for itself, the other one where it is. What one then claims may be the other's
     in truth; so of going there and staying, both arms decide together.
 
     Args:
-        problem: the recording, with its sights.
+        problem: the recording, with its views.
         trajectory: where the body is so far.
-        grips: the point of each arm that its marker holds.
     """
-    cameras = all_turned(problem.cameras, trajectory.turns_cam)
-    problem = replace(problem, cameras=cameras)
-    person = scaled(problem.skeleton, jnp.asarray(trajectory.proportions))
-    seen = np.unique(problem.sights.frame)
-    times, frames = problem.times[seen], np.arange(len(seen))[:, None]
-    every, stay = (np.tile(each, (len(seen), 1)) for each in (np.arange(len(TURNS)), [STAY]))
+    cameras = all_turned(problem.model.cameras, trajectory.turns_cam)
+    skeleton = trajectory.person(problem.model.skeleton)
+    problem = replace(problem, model=replace(problem.model, cameras=cameras, skeleton=skeleton))
+    frames = np.unique(problem.views.frame)
+    times, rows = problem.times[frames], np.arange(len(frames))[:, None]
+    path_settings = problem.settings.elbow_path
+    every, stay = (np.tile(each, (len(frames), 1)) for each in (np.arange(len(TURNS)), [STAY]))
     with ThreadPoolExecutor(2, thread_name_prefix="price") as workers:
-        there = jax.tree.map(lambda part: np.asarray(part)[seen], trajectory.poses)
-        elbows, own = in_batches(
-            lambda pose: _candidates(person, grips, pose), (there,), SIGHTS_A_CALL, workers
-        )
-        own += _off_lines(problem, seen, elbows)
-        drawn = coarsely(problem, SOFTNESS)
-        priced = partial(_priced, *drawn, person, trajectory.poses, grips, own, workers)
+        there = rows_of(trajectory.poses, frames)
+        call = partial(_candidates, problem.model, path_settings)
+        elbows, own = in_batches(call, (there,), VIEWS_A_CALL, workers)
+        own += _off_lines(problem, frames, elbows)
+        priced = partial(_priced, *coarsely(problem, SOFTNESS), trajectory, own, workers)
         alone = priced(every, stay)[:, :, 0], priced(stay, every)[:, 0]
-        paths = [cheapest_path(alone[side], elbows[:, side], times) for side in range(2)]
+        paths = [
+            cheapest_path(alone[side], elbows[:, side], times, path_settings) for side in range(2)
+        ]
         pairs = [np.stack([stay[:, 0], path], 1) for path in paths]
-        costs = priced(*pairs).reshape(len(seen), -1)
-    left, right = (elbows[frames, side, pairs[side]] for side in range(2))
+        costs = priced(*pairs).reshape(len(frames), -1)
+    left, right = (elbows[rows, side, pairs[side]] for side in range(2))
     both = np.concatenate([np.repeat(left, 2, 1), np.tile(right, (1, 2, 1))], 2)
-    decided = both[frames[:, 0], cheapest_path(costs, both, times)]
-    goals = np.full((len(problem.times), *NO_GOALS.shape), np.nan, np.float32)
-    goals[seen] = decided.reshape(-1, 2, 3)
+    decided = both[rows[:, 0], cheapest_path(costs, both, times, path_settings)]
+    goals = np.full((len(problem.times), 2, 3), np.nan, np.float32)
+    goals[frames] = decided.reshape(-1, 2, 3)
     return goals
 
 
-def _off_lines(problem: Problem, seen: np.ndarray, elbows: np.ndarray) -> np.ndarray | float:
+def _off_lines(
+    problem: SmoothingProblem, frames: np.ndarray, elbows: np.ndarray
+) -> np.ndarray | float:
     """Price (S, 2, K) of candidates (S, 2, K, 3) that lie off the lines of key points, nats."""
-    if problem.known.lines is None:
+    if "sight_lines" not in problem.measured:
         return 0.0
-    origin, ways, sure = (np.asarray(part)[seen] for part in problem.known.lines)
-    lines = Lines(origin[:, None], ways[:, None, :, ELBOWS], sure[:, None, :, ELBOWS])
+    origin, directions, confidences = rows_of(problem.measured["sight_lines"], frames)
+    lines = SightLines(
+        origin[:, None], directions[:, None, :, ELBOWS], confidences[:, None, :, ELBOWS]
+    )
     places = jnp.asarray(elbows.swapaxes(1, 2), float)
-    off = line_residuals(places, lines, problem.settings.keypoints)
+    off = line_residuals(places, lines, problem.settings.keypoints.deviation)
     return np.asarray(jnp.sum(off**2, (-3, -1)) / 2).swapaxes(1, 2)
 
 
-def cheapest_path(costs: np.ndarray, places: np.ndarray, times: np.ndarray) -> np.ndarray:
+def cheapest_path(
+    costs: np.ndarray, places: np.ndarray, times: np.ndarray, settings: ElbowPathSettings
+) -> np.ndarray:
     """Viterbi: which candidate (T,) at each time makes up the cheapest path.
 
     Args:
         costs: (T, K) of the candidates, nats.
         places: (T, K, ...) of one elbow or of both, metres.
         times: (T,) seconds.
+        settings: what movement costs.
     """
+    speed, most = float(settings.speed), float(settings.largest_price)
     total, came_from = costs[0], np.zeros(costs.shape, np.int32)
     for t in range(1, len(costs)):
-        reach = SPEED_M_S * max(times[t] - times[t - 1], 1e-3)
+        reach = speed * max(times[t] - times[t - 1], 1e-3)
         between = np.sum((places[t][:, None] - places[t - 1]) ** 2, -1)
-        via = total + np.minimum(between / reach**2 / 2, SURPRISE)
+        via = total + np.minimum(between / reach**2 / 2, most)
         came_from[t] = via.argmin(1)
         total = via.min(1) + costs[t]
     path = np.full(len(costs), total.argmin())
@@ -145,29 +150,29 @@ def _turned(arms: Arms) -> tuple[Arms, Array]:
 
 
 @jax.jit
-def _candidates(skeleton: Skeleton, grips: Sites, poses: Pose) -> tuple[Array, Array]:
+def _candidates(model: Model, settings: ElbowPathSettings, poses: Pose) -> tuple[Array, Array]:
     """Elbows (B, 2, K, 3) of a batch of poses, and what they cost by themselves (B, 2, K)."""
+    skeleton = model.skeleton
     dofs = arm_dofs(skeleton.tree)
     ranges, usual = skeleton.limits[dofs], skeleton.usual_deviations[dofs]
 
     def of_pose(pose: Pose) -> tuple[Array, Array]:
-        hung = hang(skeleton, pose, grips)
+        hung = hang(skeleton, pose, model.grips)
         arms, slack = _turned(hung.arms)
         sides = [jax.vmap(partial(bent, hung, side))(_side(arms, side)) for side in range(2)]
         angles = jnp.stack(sides)
         away = (angles - skeleton.relaxed[dofs][:, None]) / usual[:, None]
-        beyond = beyond_limits(ranges[:, None], angles) / BEYOND_RAD
-        return arms.elbow, (jnp.sum(away**2 + beyond**2, -1) + (slack / SLACK_M) ** 2) / 2
+        beyond = beyond_limits(ranges[:, None], angles) / settings.beyond_range
+        slack = slack / settings.shoulder_slack
+        return arms.elbow, (jnp.sum(away**2 + beyond**2, -1) + slack**2) / 2
 
     return jax.vmap(of_pose)(poses)
 
 
 def _priced(
-    problem: Problem,
+    problem: SmoothingProblem,
     softness: float,
-    person: Skeleton,
-    poses: Pose,
-    grips: Sites,
+    trajectory: Trajectory,
     own: np.ndarray,
     workers: ThreadPoolExecutor,
     left: np.ndarray,
@@ -177,79 +182,73 @@ def _priced(
 
     Of a problem that is drawn at a softness, cells.
     """
-    frames = np.arange(len(own))[:, None]
-    costs = own[frames, 0, left][:, :, None] + own[frames, 1, right][:, None]
-    sights = problem.sights
-    row = np.unique(sights.frame, return_inverse=True)[1]
-    cameras = jax.tree.map(lambda part: np.asarray(part)[sights.camera], problem.cameras)
-    there = jax.tree.map(lambda part: np.asarray(part)[sights.frame], poses)
+    rows = np.arange(len(own))[:, None]
+    costs = own[rows, 0, left][:, :, None] + own[rows, 1, right][:, None]
+    row = np.unique(problem.views.frame, return_inverse=True)[1]
     chosen = tuple(each[row].astype(np.int32) for each in (left, right))
 
     def call(*batch: Any) -> Array:
-        return _sight_costs(person, grips, jnp.asarray(softness, float), *batch)
+        return _views_costs(problem.model, jnp.asarray(softness, float), *batch)
 
-    each = (there, cameras, sights.sight, chosen)
-    (pictures,) = in_batches(call, each, SIGHTS_A_CALL, workers)
-    np.add.at(costs, row, sights_weight(problem) / 2 * pictures)
+    each = (*views_of(problem, trajectory._replace(turns_cam=UNTURNED)), chosen)
+    (pictures,) = in_batches(call, each, VIEWS_A_CALL, workers)
+    np.add.at(costs, row, problem.settings.silhouettes.weight / 2 * pictures)
     return costs
 
 
 @jax.jit
-def _sight_costs(
-    skeleton: Skeleton,
-    grips: Sites,
+def _views_costs(
+    model: Model,
     softness: Array,
     poses: Pose,
     cameras: Camera,
-    sights: Sight,
+    grids: SilhouetteGrids,
     chosen: tuple[Array, Array],
 ) -> Array:
-    """As ``sight_costs``, of a batch of sights, one after the other."""
+    """As ``view_costs``, of a batch of views, one after the other."""
 
-    def of_sight(each: tuple[Pose, Camera, Sight, tuple[Array, Array]]) -> Array:
-        return sight_costs(skeleton, grips, softness, *each)
+    def of_view(each: tuple[Pose, Camera, SilhouetteGrids, tuple[Array, Array]]) -> Array:
+        return view_costs(model, softness, *each)
 
-    return jax.lax.map(of_sight, (poses, cameras, sights, chosen))
+    return jax.lax.map(of_view, (poses, cameras, grids, chosen))
 
 
-def sight_costs(
-    skeleton: Skeleton,
-    grips: Sites,
+def view_costs(
+    model: Model,
     softness: Array,
     pose: Pose,
     camera: Camera,
-    sight: Sight,
+    grids: SilhouetteGrids,
     chosen: tuple[Array, Array],
 ) -> Array:
     """Sums of squares (A, B) over both pictures with the arms moved, and all else as it is.
 
     Args:
-        skeleton: of the person.
-        grips: of both arms.
+        model: of the person and the markers.
         softness: cells.
         pose: of the person.
-        camera: that sees it.
-        sight: what it saw.
+        camera: of the view.
+        grids: of the view.
         chosen: candidates of the left arm (A,) and of the right one (B,).
     """
+    skeleton = model.skeleton
     bones, frames = skeleton.tree.drawn, forward(skeleton, pose)
     kept = ~np.isin(bones, skeleton.tree.bones_in("arm"))
     body = Cones(*(part[kept] for part in cones(skeleton, frames, bones)))
-    size = sight.person.probability.shape[-1]
-    x, y = cells(size, pose.angles.dtype)
-    at = _touched(camera, sight.region, body, x, y)
+    x, y = cells(grids.person.probability.shape[-1], pose.angles.dtype)
+    at = _touched(camera, grids.region, body, x, y)
     rest, surface = jnp.min(at.distance, 0), nearest_surface(camera, body, at.distance)
-    moved, _ = _turned(arms_of(skeleton, frames, grips))
+    moved, _ = _turned(arms_of(skeleton, frames, model.grips))
 
     def coverage(away: Array) -> Array:
         return jax.nn.sigmoid(-away / softness)
 
     def drawn(side: int) -> tuple[Array, Array]:
-        """Of one arm's candidates: distances (N, C) to their outlines, what forearms show."""
+        """Of one arm's candidates: distances (N, C) to their outlines, visible forearms."""
 
         def of_candidate(index: Array) -> tuple[Array, Array]:
             limb = flesh(_side(_side(moved, side), index))
-            at = _touched(camera, sight.region, limb, x, y)
+            at = _touched(camera, grids.region, limb, x, y)
             ends = (depth(camera, end)[:, None] for end in (limb.near, limb.far))
             _, radius, hand = depth_along(at, *ends)
             away = jnp.where(at.distance[1] < at.distance[2], radius, hand)
@@ -261,7 +260,7 @@ def sight_costs(
     (left, left_shown), (right, right_shown) = drawn(0), drawn(1)
     away = jnp.minimum(jnp.minimum(left, rest)[:, None], right)
     shown = jnp.maximum(left_shown[:, None], right_shown)
-    return _squares(coverage(away), sight.person) + _squares(shown, sight.forearms)
+    return _squares(coverage(away), grids.person) + _squares(shown, grids.forearms)
 
 
 def _touched(camera: Camera, region: Region, flesh: Cones, x: Array, y: Array) -> Touch:

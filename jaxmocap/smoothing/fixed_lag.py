@@ -1,56 +1,81 @@
 """Smoothing while it happens: each pose waits for two more video frames, and no longer.
 
-The same residuals as over a whole recording, over the newest frames alone; what earlier ones told
-is condensed (``solvers.window``). What changes behind a pose that was given out fades in, so that
-the track does not jump (``solvers.fading``).
+The same terms as over a whole recording, over the newest frames alone; what earlier ones told is a
+marginal prior. What changes behind a pose that was given out fades in, so that the track does not
+jump (``fading``).
 
-    tracker = HybridTracker(skeleton, camera)
-    state, smoother = tracker.init(markers), FixedLagSmoother(tracker)
+    tracker = HybridTracker(model)
+    state, smoother = tracker.init(markers), FixedLagSmoother(model, tracker.settings.smoothing)
     for time, markers, image in ...:  # NaN and None where there is nothing new
         state, pose, report = tracker.step(state, time, markers, [image])
-        for given in smoother.step(time, markers, [image], pose, report):
-            ...  # given.number, given.time, given.pose, given.deviations
+        for final in smoother.step(time, markers, [image], pose, report):
+            ...  # final.number, final.time, final.pose, final.deviations
     last = smoother.flush()
 
-INPUTS: what the tracker's steps had and found. OUTPUTS: their poses, a little later.
+INPUTS: what a tracker's steps measured and found. OUTPUTS: their poses, a little later.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from threadpoolctl import ThreadpoolController
 
-from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
+from jaxmocap.body.kinematics import landmarks
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, pack, retract, unpack
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.compilation.programs import program
-from jaxmocap.evidence.appearance.running import RunningAppearance, Seen
-from jaxmocap.evidence.residuals import GROUND, NO_GOALS, Known, feet_free
-from jaxmocap.evidence.silhouettes import weighed
+from jaxmocap.evidence.appearance.running import MeasuredFrame, RunningAppearance
+from jaxmocap.evidence.ground import ANKLES
 from jaxmocap.geometry.rotations import quaternion_to_matrix
-from jaxmocap.hybrid.tracker import HybridTracker, StepReport
-from jaxmocap.smoothing.fading import Fading
-from jaxmocap.smoothing.uncertainty import trusted
-from jaxmocap.smoothing.window import SOFTNESS, Event, Newest, Solved, offsets, stacked
+from jaxmocap.smoothing.facing import RunningFacing
+from jaxmocap.smoothing.settings import SmoothingSettings
+from jaxmocap.smoothing.uncertainty import landmark_deviations
+from jaxmocap.smoothing.window import SOFTNESS, SolvedWindow, Window, offsets, stacked
+from jaxmocap.smoothing.window_events import WindowEvent
+from jaxmocap.solvers.fading import Fading
 
-# A pose is given out once so many later video frames were seen, and so many seconds later at most.
-DELAY_FRAMES, DELAY_S = 2, 0.1
-# Video frames that stay in the window, and for how long; events that wait for the next frame.
-KEPT_FRAMES, KEPT_S, MOST_WAITING = 3, 0.2, 6
+# A pose is given out once so many later video frames came,
+DELAY_FRAMES = 2
+# and so many seconds later at most.
+DELAY_S = 0.1
+# Video frames that stay in the window,
+KEPT_FRAMES = 3
+# for so many seconds at most.
+KEPT_S = 0.2
+# Events that wait for the next video frame before the window is solved without one.
+MOST_WAITING = 6
 # Time constant with which corrections fade in, seconds.
 FADE_S = 0.07
-# Over so many seconds the markers' facing is averaged: a person turns more slowly than it errs.
-TURNING_S = 0.35
-# Events farther apart are no motion.
+# Events farther apart are no motion, seconds.
 LONGEST_GAP_S = 0.25
-# Velocities are told from events at least so far apart, seconds.
+# Velocities are taken from events at least so far apart, seconds.
 BASELINE_S = 0.005
 
 
-class Given(NamedTuple):
+class StepFound(Protocol):
+    """What a tracker's step reports of itself."""
+
+    @property
+    def marker_pose(self) -> Pose:
+        """By the markers alone."""
+        ...
+
+    @property
+    def elbow_deviations(self) -> Array:
+        """(2,) standard deviations of the elbows, metres."""
+        ...
+
+    @property
+    def placed(self) -> Array:
+        """Whether the body was placed again."""
+        ...
+
+
+class SmoothedPose(NamedTuple):
     """A pose that stays as it is.
 
     Attributes:
@@ -89,43 +114,43 @@ def _expected(skeleton: Skeleton, packed: Array) -> Array:
         The packed pose; the horizontal parts of x and z of the markers' pelvis; (2, 3) raveled.
     """
     last, before, alone = (unpack(each) for each in packed)
-    ankles = site_positions(skeleton, forward(skeleton, alone), landmark_sites(skeleton, GROUND))
+    ankles = landmarks(skeleton, alone)[ANKLES]
     moved = retract(last, difference(alone, before))
     R = quaternion_to_matrix(alone.quaternion)
     return jnp.concatenate([pack(moved), R[:2, 0], R[:2, 2], ankles.ravel()])
 
 
 class FixedLagSmoother:
-    """Smooths one person's poses, at most ``DELAY_FRAMES`` video frames behind the tracker.
+    """Smooths one person's poses, at most ``DELAY_FRAMES`` video frames behind the tracker."""
 
-    Attributes:
-        tracker: whose poses are smoothed; its person, cameras, markers and settings.
-    """
+    def __init__(self, model: Model, settings: SmoothingSettings):
+        """Prepare for a model with cameras; nothing is known of the room yet.
 
-    def __init__(self, tracker: HybridTracker):
-        """Prepare for a tracker with cameras; knows nothing of the room yet."""
-        if tracker.cameras is None:
-            raise ValueError("FixedLagSmoother needs a tracker with at least one camera")
-        self.tracker = tracker
-        self._newest = Newest(tracker)
-        free = feet_free(tracker.skeleton, tracker.markers)
-        self._views = [
-            RunningAppearance(tracker.skeleton, camera, free > 0) for camera in self._newest.cameras
+        Args:
+            model: of the person, the markers and the cameras.
+            settings: of the smoothing.
+        """
+        if not model.camera_count:
+            raise ValueError("FixedLagSmoother needs a model with at least one camera")
+        self.model, self.settings = model, settings
+        self._window = Window(model, settings)
+        self._appearances = [
+            RunningAppearance(model.skeleton, camera, model.no_foot_is_marked)
+            for camera in self._window.cameras
         ]
-        self._feet_free = np.asarray(free, tracker.dtype)
-        self._no_goals = NO_GOALS.astype(tracker.dtype)
+        self._no_goals = np.full((2, 3), np.nan, model.dtype)
         self._blas = ThreadpoolController()
         self._count = self._given = 0
         self._begin()
 
     def _begin(self) -> None:
-        """No events, no past; the room and the person's colours stay known."""
-        self._newest.begin()
-        self._alone: Pose | None = None
-        self._ahead: np.ndarray | None = None
+        """No events, no marginal prior; the room and the person's colours stay known."""
+        self._window.begin()
+        self._marker_pose: Pose | None = None
+        self._facing = RunningFacing()
         self._fading: Fading | None = None
         # Number, time and pose of the event given out last, and of one beside it.
-        self._remembered: list[tuple[int, float, Pose]] = []
+        self._last_given: list[tuple[int, float, Pose]] = []
         self._waiting = 0
 
     def step(
@@ -134,8 +159,8 @@ class FixedLagSmoother:
         markers_world: np.ndarray | Array,
         images: Sequence[np.ndarray | None] | None,
         pose: Pose,
-        report: StepReport,
-    ) -> list[Given]:
+        report: StepFound,
+    ) -> list[SmoothedPose]:
         """One step of the tracker.
 
         Args:
@@ -150,22 +175,22 @@ class FixedLagSmoother:
         Returns:
             What is final now: of no event, or of some, in order.
         """
-        given: list[Given] = []
+        final: list[SmoothedPose] = []
         lost = bool(report.placed) or (
-            bool(self._newest.events) and time - self._newest.events[-1].time > LONGEST_GAP_S
+            bool(self._window.events) and time - self._window.events[-1].time > LONGEST_GAP_S
         )
-        if self._newest.events and lost:
-            given += self.flush()
-        self._newest.events.append(self._event(time, markers_world, images, pose, report))
-        self._waiting = 0 if self._newest.events[-1].looks else self._waiting + 1
+        if self._window.events and lost:
+            final += self.flush()
+        self._window.events.append(self._event(time, markers_world, images, pose, report))
+        self._waiting = 0 if self._window.events[-1].frames else self._waiting + 1
         if self._waiting in range(1, MOST_WAITING):
-            return given
+            return final
         self._waiting = 0
-        return given + self._settle(final=False)
+        return final + self._settle(final=False)
 
-    def flush(self) -> list[Given]:
+    def flush(self) -> list[SmoothedPose]:
         """The poses that still wait, as they are; the next step begins a new motion."""
-        given = self._settle(final=True) if self._newest.events else []
+        given = self._settle(final=True) if self._window.events else []
         self._begin()
         return given
 
@@ -175,129 +200,133 @@ class FixedLagSmoother:
         markers_world: np.ndarray | Array,
         images: Sequence[np.ndarray | None] | None,
         pose: Pose,
-        report: StepReport,
-    ) -> Event:
+        report: StepFound,
+    ) -> WindowEvent:
         """A step with the pose that is expected there, and what the cameras saw about it."""
-        dtype = self.tracker.dtype
+        dtype = self.model.dtype
         first, alone = (
-            Pose._make(np.asarray(part, dtype) for part in each) for each in (pose, report.pose)
+            Pose._make(np.asarray(part, dtype) for part in each)
+            for each in (pose, report.marker_pose)
         )
-        last = self._newest.events[-1] if self._newest.events else None
-        before = alone if last is None or self._alone is None else self._alone
+        last = self._window.events[-1] if self._window.events else None
+        before = alone if last is None or self._marker_pose is None else self._marker_pose
         three = [np.concatenate(each) for each in (last.pose if last else first, before, alone)]
-        told = np.asarray(_expected(self.tracker.skeleton, np.stack(three)))
-        there = Pose._make(np.split(told[:-10], (3, 7)))
-        ahead, up, ankles = np.split(told[-10:], (2, 4))
-        self._alone = alone
-        facing = self._facing(ahead, 0.0 if last is None else time - last.time)
-        targets, facing = np.asarray(markers_world, dtype), facing.astype(dtype)
-        known = Known(targets, up, facing, ankles.reshape(2, 3), self._feet_free, self._no_goals)
-        looks = [
-            (camera, self._seen(view, image, there), (image.shape[1], image.shape[0]))
-            for camera, (view, image) in enumerate(zip(self._views, images or (), strict=False))
+        expected = np.asarray(_expected(self.model.skeleton, np.stack(three)))
+        packed, ahead, upright, ankles = np.split(expected, (-10, -8, -6))
+        there = Pose._make(np.split(packed, (3, 7)))
+        self._marker_pose = alone
+        facing = self._facing.step(ahead, 0.0 if last is None else time - last.time)
+        measured = {
+            "markers": np.asarray(markers_world, dtype),
+            "upright": upright,
+            "facing": facing.astype(dtype),
+            "ankles": ankles.reshape(2, 3),
+            "elbows": self._no_goals,
+        }
+        frames = [
+            (camera, self._measured(appearance, image, there), (image.shape[1], image.shape[0]))
+            for camera, (appearance, image) in enumerate(
+                zip(self._appearances, images or (), strict=False)
+            )
             if image is not None
         ]
         self._count += 1
-        spread = np.asarray(report.spread, float)
-        return Event(self._count - 1, float(time), known, there, first, spread, looks)
+        deviations = np.asarray(report.elbow_deviations, float)
+        number = self._count - 1
+        return WindowEvent(number, float(time), measured, there, first, deviations, frames)
 
-    def _seen(self, view: RunningAppearance, image: np.ndarray, pose: Pose) -> Seen:
-        """What a camera saw about a pose, counting as the settings say."""
-        seen = view.see(image, pose, SOFTNESS)
-        return seen._replace(sight=weighed(seen.sight, self.tracker.settings.over_time))
+    def _measured(
+        self, appearance: RunningAppearance, image: np.ndarray, pose: Pose
+    ) -> MeasuredFrame:
+        """What a camera shows about a pose, counting as the settings say."""
+        frame = appearance.measure(image, pose, SOFTNESS)
+        return frame._replace(grids=self.settings.silhouettes.weighted(frame.grids))
 
-    def _facing(self, ahead: np.ndarray, elapsed: float) -> np.ndarray:
-        """Where the markers' pose has faced of late, (3,) unit and horizontal."""
-        of_late = np.asarray(ahead, float) if self._ahead is None else self._ahead
-        of_late = of_late + (1 - np.exp(-elapsed / TURNING_S)) * (ahead - of_late)
-        self._ahead = of_late
-        return np.append(of_late / max(float(np.linalg.norm(of_late)), 1e-9), 0.0)
-
-    def _settle(self, final: bool) -> list[Given]:
+    def _settle(self, final: bool) -> list[SmoothedPose]:
         """Solve the window, give out what has waited long enough, forget and learn."""
         # Band matrices are narrow: BLAS's threads would only wait for one another.
         with self._blas.limit(limits=1, user_api="blas"):
-            solved = self._newest.solve()
+            solved = self._window.solve()
             given = self._give(solved, final)
             self._shorten(solved)
         self._learn()
         return given
 
-    def _give(self, solved: Solved, final: bool) -> list[Given]:
+    def _give(self, solved: SolvedWindow, final: bool) -> list[SmoothedPose]:
         """What has waited long enough, and all of it in the end."""
-        events = self._newest.events
+        events = self._window.events
         ready = [i for i in self._due(final) if events[i].number >= self._given]
         if not ready:
             return []
-        mismatch = float(self.tracker.settings.over_time.mismatch)
-        trust = trusted(*self._newest.variances(solved, ready), mismatch)
+        mismatch = float(self.settings.mismatch)
+        sure = landmark_deviations(*self._window.variances(solved, ready), mismatch)
         self._correct()
         given = [
-            Given(event.number, event.time, self._faded(event), *each)
-            for event, *each in zip([events[i] for i in ready], *trust, strict=True)
+            SmoothedPose(event.number, event.time, self._faded(event), *each)
+            for event, *each in zip([events[i] for i in ready], *sure, strict=True)
         ]
-        self._remember(ready[-1])
+        self._keep_last(ready[-1])
         self._given = given[-1].number + 1
         return given
 
     def _due(self, final: bool) -> list[int]:
         """Which events of the window have waited long enough."""
-        events, later, due = self._newest.events, 0, []
+        events, later, due = self._window.events, 0, []
         for i in reversed(range(len(events))):
             waited = events[-1].time - events[i].time
             if final or later >= DELAY_FRAMES or waited >= DELAY_S:
                 due.append(i)
-            later += bool(events[i].looks)
+            later += bool(events[i].frames)
         return due[::-1]
 
     def _correct(self) -> None:
         """Carry on what the track has moved by behind what was given out last."""
-        now = {event.number: event.pose for event in self._newest.events}
-        known = [old for old in self._remembered if old[0] in now]
-        if self._fading is None or len(known) < 2:
+        now = {event.number: event.pose for event in self._window.events}
+        kept = [old for old in self._last_given if old[0] in now]
+        if self._fading is None or len(kept) < 2:
             return
-        (_, time, _), (_, beside, _) = known
-        ours = stacked(now[number] for number, *_ in known)
-        here, there = offsets(stacked(pose for *_, pose in known), ours)
+        (_, time, _), (_, beside, _) = kept
+        ours = stacked(now[number] for number, *_ in kept)
+        here, there = offsets(stacked(pose for *_, pose in kept), ours)
         self._fading = self._fading.corrected(here, (there - here) / (beside - time))
 
-    def _faded(self, event: Event) -> Pose:
+    def _faded(self, event: WindowEvent) -> Pose:
         """An event's pose, and what is left of corrections."""
         if self._fading is None:
             nothing = np.zeros(ROOT_DOF + len(event.pose.angles))
             self._fading = Fading(nothing, nothing, event.time)
         self._fading = self._fading.at(event.time, FADE_S)
-        offset = self._fading.offset.astype(self.tracker.dtype)
+        offset = self._fading.offset.astype(self.model.dtype)
         moved = np.asarray(_retract(np.concatenate(event.pose), offset))
         return Pose._make(np.split(moved, (3, 7)))
 
-    def _remember(self, last: int) -> None:
+    def _keep_last(self, last: int) -> None:
         """The event given out last and one beside it, as they are now."""
-        events = self._newest.events
+        events = self._window.events
         here = events[last]
         beside = [*events[last + 1 :], *reversed(events[:last])]
         far = [event for event in beside if abs(event.time - here.time) >= BASELINE_S]
-        self._remembered = [(e.number, e.time, e.pose) for e in (here, *far[:1])]
+        self._last_given = [(e.number, e.time, e.pose) for e in (here, *far[:1])]
 
-    def _shorten(self, solved: Solved) -> None:
+    def _shorten(self, solved: SolvedWindow) -> None:
         """Condense the oldest events: the newest few video frames stay, and what still waits."""
-        events, count = self._newest.events, 0
+        events, count = self._window.events, 0
         while len(events) - count > 3 and events[count].number < self._given - 1:
-            frames = sum(bool(event.looks) for event in events[count:])
+            frames = sum(bool(event.frames) for event in events[count:])
             if frames <= KEPT_FRAMES and events[-1].time - events[count].time < KEPT_S:
                 break
             count += 1
-        for event in self._newest.drop(solved, count):
+        for event in self._window.drop(solved, count):
             self._learn_from(event)
 
     def _learn(self) -> None:
         """Learn from frames whose poses are known as well as they ever will be."""
-        for event in self._newest.events:
+        for event in self._window.events:
             if event.number < self._given:
                 self._learn_from(event)
 
-    def _learn_from(self, event: Event) -> None:
+    def _learn_from(self, event: WindowEvent) -> None:
         if not event.learned:
-            for camera, seen, size in event.looks:
-                self._views[camera].learn(seen, size, event.pose)
+            for camera, frame, size in event.frames:
+                self._appearances[camera].learn(frame, size, event.pose)
         event.learned = True

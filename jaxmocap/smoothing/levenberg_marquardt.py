@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxmocap.evidence.smoothness import Smoothness
+from jaxmocap.evidence.smoothness import REACH, Smoothness
+from jaxmocap.smoothing.marginal_prior import MarginalPrior, with_marginal
 from jaxmocap.solvers.arrow import Covariances, Equations, Step
 from jaxmocap.solvers.banded import NotPositiveDefinite
 from jaxmocap.solvers.status import Status
@@ -63,13 +64,14 @@ class Linearised(NamedTuple):
     shared_jacobian: ArrayLike = UNSHARED
 
 
-class Settings(NamedTuple):
+class SolverSettings(NamedTuple):
     """How a trajectory is solved.
 
     Attributes:
         iterations: most steps.
         attempts: most tries of one of them.
         damping: the first, as a share of the frames' mean curvature.
+        growth: factor on the damping after a first try that failed, doubled after each further one.
         relative: converged when the cost falls by no more than this share, or would, or
         step: when no tangent component moves by more than this.
         floor: curvature that every unknown has about its present value, so that what nothing
@@ -79,20 +81,42 @@ class Settings(NamedTuple):
     iterations: int = 20
     attempts: int = 8
     damping: float = 1e-3
+    growth: float = 2.0
     relative: float = 1e-4
     step: float = 1e-5
     floor: float = 1e-6
 
 
-DEFAULTS = Settings()
+DEFAULTS = SolverSettings()
 
 
-class Smoothed(NamedTuple):
+class Marginal(NamedTuple):
+    """A marginal prior, and how far a trajectory's first frames are from where it was made.
+
+    Attributes:
+        prior: what earlier frames tell of the first ones.
+        offset: a trajectory to (2 N,) tangent components.
+    """
+
+    prior: MarginalPrior
+    offset: Callable[[Any], np.ndarray]
+
+    def cost(self, x: Any) -> float:
+        """At a trajectory, but for a constant."""
+        return self.prior.cost(self.offset(x))
+
+    def added(self, equations: Equations, x: Any) -> Equations:
+        """The equations with it."""
+        return with_marginal(equations, self.prior, self.offset(x))
+
+
+class Solution(NamedTuple):
     """How a solve ended.
 
     Attributes:
         x: the trajectory.
-        cost: there, the prior's included.
+        linear: about it.
+        cost: there, the priors' included.
         iterations: times that a step was solved for.
         linearisations: made.
         damping: to start with where the solve goes on.
@@ -100,6 +124,7 @@ class Smoothed(NamedTuple):
     """
 
     x: Any
+    linear: Linearised
     cost: float
     iterations: int
     linearisations: int
@@ -111,15 +136,15 @@ Linearise = Callable[[Any], Linearised]
 Move = Callable[[Any, np.ndarray, np.ndarray], Any]
 
 
-def smooth(
+def minimise(
     linearise: Linearise,
     move: Move,
     start: Any,
     prior: Smoothness,
-    settings: Settings = DEFAULTS,
-    held: int = 0,
-) -> Smoothed:
-    """Minimise the frames' costs plus the prior over a whole trajectory.
+    settings: SolverSettings = DEFAULTS,
+    marginal: Marginal | None = None,
+) -> Solution:
+    """Minimise the frames' costs plus the priors over a whole trajectory.
 
     A stiff prior turns a far start into a narrow bent valley: there, solve with several times the
     prior's deviations first. Where a step led is linearised at once: mostly it was right, and the
@@ -130,42 +155,45 @@ def smooth(
         move: trajectory, steps (T, N) and shared step (P,), float64 arrays both, to trajectory.
         start: a trajectory: anything that the two of them understand.
         prior: of the points' motion.
-        settings: of the solve.
-        held: so many first frames stay as they are.
+        settings: of the solve; with a marginal prior, whose cost has an unknown constant,
+            ``relative`` is 0.
+        marginal: what earlier frames tell.
     """
-
-    def moved_by(x: Any, step: Step) -> _Place:
-        return place(move(x, _padded(step.frames, held), step.shared))
 
     def place(x: Any) -> _Place:
         linear = linearise(x)
-        return _Place(x, linear, _total(prior, linear.cost, linear.points))
+        cost = float(_double(linear.cost).sum()) + prior.cost(_double(linear.points))
+        return _Place(x, linear, cost + (0.0 if marginal is None else marginal.cost(x)))
+
+    def moved_by(x: Any, step: Step) -> _Place:
+        return place(move(x, step.frames, step.shared))
 
     here = place(start)
-    state = Smoothed(start, here.cost, 0, 1, settings.damping, Status.OUT_OF_STEPS)
+    state = Solution(start, here.linear, here.cost, 0, 1, settings.damping, Status.OUT_OF_STEPS)
     while state.status == Status.OUT_OF_STEPS and state.iterations < settings.iterations:
-        equations = normal_equations(here.linear, prior, held)
+        equations = normal_equations(here.linear, prior)
+        if marginal is not None:
+            equations = marginal.added(equations, here.x)
         state = state._replace(iterations=state.iterations + 1)
         if not (np.isfinite(here.cost) and equations.finite()):
             return state._replace(x=start, status=Status.BROKEN)
         here, state = _descend(moved_by, here, state, equations, settings)
         if state.status == Status.CONVERGED and not equations.determined():
             state = state._replace(status=Status.UNDETERMINED)
-    return state._replace(x=here.x, cost=here.cost)
+    return state._replace(x=here.x, linear=here.linear, cost=here.cost)
 
 
 def covariances(
-    linearised: Linearised, prior: Smoothness, settings: Settings = DEFAULTS, held: int = 0
+    linearised: Linearised, prior: Smoothness, settings: SolverSettings = DEFAULTS
 ) -> Covariances:
     """How uncertain the states about which ``linearised`` was taken are, given everything.
 
     Diagonal blocks of the inverse Hessian of half the cost: covariances, if the residuals have
-    unit variance. Those of held frames are 0.
+    unit variance.
     """
     frames = positive(_double(linearised.hessian))
-    equations = normal_equations(linearised._replace(hessian=frames), prior, held)
-    found = equations.covariances(settings.floor)
-    return found._replace(frames=_padded(found.frames, held), cross=_padded(found.cross, held))
+    equations = normal_equations(linearised._replace(hessian=frames), prior)
+    return equations.covariances(settings.floor)
 
 
 def point_variances(
@@ -179,8 +207,8 @@ def point_variances(
     return np.sum(spread * own, 2) + np.sum(across * common, 2)
 
 
-def normal_equations(linearised: Linearised, prior: Smoothness, held: int = 0) -> Equations:
-    """The equations of all frames but the first ``held``, the prior's terms included."""
+def normal_equations(linearised: Linearised, prior: Smoothness) -> Equations:
+    """The equations of all frames, the prior's terms included."""
     _, hessian, gradient, points, jacobian, *border = (_double(each) for each in linearised)
     cross, shared_hessian, shared_gradient, shared_jacobian = border
     (frames, size), width = gradient.shape, shared_gradient.shape[-1]
@@ -194,14 +222,28 @@ def normal_equations(linearised: Linearised, prior: Smoothness, held: int = 0) -
     own = jacobian.swapaxes(1, 2) @ pulled
     corner = np.einsum("tmp,tmq->pq", common, pulled)
     return Equations(
-        rows[held:],
-        (gradient + own[..., 0])[held:],
-        (cross + own[..., 1:])[held:],
+        rows,
+        gradient + own[..., 0],
+        cross + own[..., 1:],
         shared + corner[:, 1:],
         np.broadcast_to(shared_gradient, (frames, width)).sum(0) + corner[:, 0],
         np.einsum("tii->i", hessian) / frames + PRIORS_SHARE * stiffness,
         np.diag(shared) + PRIORS_SHARE * np.diag(corner[:, 1:]),
     )
+
+
+def leaving(linear: Linearised, prior: Smoothness) -> Equations:
+    """What a window's first frames tell that leaves it with all of them but the last two.
+
+    Args:
+        linear: of the window, about its present states.
+        prior: of the motion of those first frames.
+    """
+    parts = [np.array(part, float)[: prior.frames] for part in linear[:5]]
+    # The last two frames' own terms stay in the window.
+    for own in parts[1:3]:
+        own[-REACH:] = 0
+    return normal_equations(Linearised(*parts), prior)
 
 
 class _Place(NamedTuple):
@@ -221,12 +263,12 @@ class _Place(NamedTuple):
 def _descend(
     moved_by: Callable[[Any, Step], _Place],
     here: _Place,
-    state: Smoothed,
+    state: Solution,
     equations: Equations,
-    settings: Settings,
-) -> tuple[_Place, Smoothed]:
+    settings: SolverSettings,
+) -> tuple[_Place, Solution]:
     """One step downhill; the damping follows the gain as Nielsen (1999) has it."""
-    damping, growth = state.damping, 2.0
+    damping, growth = state.damping, settings.growth
     enough = settings.relative * here.cost
     converged = state._replace(status=Status.CONVERGED)
     for _ in range(settings.attempts):
@@ -254,18 +296,10 @@ def _descend(
     return here, state._replace(status=Status.STALLED)
 
 
-def _total(prior: Smoothness, cost: ArrayLike, points: ArrayLike) -> float:
-    return float(_double(cost).sum()) + prior.cost(_double(points))
-
-
 def positive(hessians: np.ndarray) -> np.ndarray:
     """The nearest (T, N, N) without the negative curvature that float32's rounding leaves."""
     values, vectors = np.linalg.eigh(hessians)
     return (vectors * np.maximum(values, 0)[:, None]) @ vectors.swapaxes(1, 2)
-
-
-def _padded(values: np.ndarray, held: int) -> np.ndarray:
-    return np.concatenate([np.zeros((held, *values.shape[1:])), values])
 
 
 def _double(values: ArrayLike) -> np.ndarray:

@@ -1,18 +1,16 @@
-"""A whole recording at once: every frame's pose given all markers and all that the cameras saw.
+"""A smoothing problem about a trajectory: costs, Gauss-Newton terms and landmarks of all frames.
 
-Frame by frame a hidden arm is a guess; over the whole recording what comes before and after decides
-it, and a motion is as calm as bodies are. Markers, silhouettes, joint ranges and what people do at
-ease are residuals; accelerations of the body's landmarks are the prior that joins the frames.
+Frames and views go through programs in batches of one size, which every recording shares.
 
-INPUTS: a start, markers, sights at some of the frames. OUTPUTS: poses, standard deviations.
+INPUTS: a SmoothingProblem, a Trajectory. OUTPUTS: Linearised; the trajectory that costs least.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,21 +18,19 @@ import numpy as np
 from jax import Array
 from threadpoolctl import threadpool_limits
 
-from jaxmocap.body.kinematics import Sites
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.compilation.batches import in_batches
-from jaxmocap.evidence.residuals import Known, linearised_residuals
-from jaxmocap.evidence.silhouettes import Sight, silhouette_fit, weighed
-from jaxmocap.evidence.smoothness import Smoothness, smoothness
+from jaxmocap.evidence.silhouettes import SilhouetteGrids, silhouette_fit
+from jaxmocap.evidence.terms import Measurements, Term, linearised
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.images.silhouette_grid import blurred
-from jaxmocap.smoothing.levenberg_marquardt import DEFAULTS, Linearised, smooth
-from jaxmocap.smoothing.levenberg_marquardt import Settings as Solve
-from jaxmocap.smoothing.settings import SmoothingSettings
-from jaxmocap.smoothing.trajectory import (
+from jaxmocap.smoothing.levenberg_marquardt import DEFAULTS, Linearised, SolverSettings, minimise
+from jaxmocap.smoothing.problem import (
     TURN,
+    SmoothingProblem,
     Trajectory,
     all_turned,
     among_cameras,
@@ -43,45 +39,10 @@ from jaxmocap.smoothing.trajectory import (
 )
 from jaxmocap.solvers.status import Status
 
-# Frames and sights per call: shapes that every recording shares, so that they compile once.
-FRAMES_A_CALL, SIGHTS_A_CALL = 64, 16
-
-
-class Sights(NamedTuple):
-    """V looks of cameras at the person.
-
-    Attributes:
-        frame: (V,) host integers, which frame of the trajectory.
-        camera: (V,) host integers, which camera.
-        sight: what was seen, (V, ...) each.
-    """
-
-    frame: np.ndarray
-    camera: np.ndarray
-    sight: Sight
-
-
-@dataclass(frozen=True)
-class Problem:
-    """A recording to be smoothed.
-
-    Attributes:
-        skeleton: of the person.
-        cameras: C, stacked.
-        markers: M points on bones.
-        settings: of the smoothing.
-        times: (T,) seconds.
-        known: (T, ...) of each frame besides its sights.
-        sights: of all cameras.
-    """
-
-    skeleton: Skeleton
-    cameras: Camera
-    markers: Sites
-    settings: SmoothingSettings
-    times: np.ndarray
-    known: Known
-    sights: Sights
+# Frames in one call.
+FRAMES_A_CALL = 64
+# Views in one call.
+VIEWS_A_CALL = 16
 
 
 class SmoothedPoses(NamedTuple):
@@ -99,7 +60,7 @@ class SmoothedPoses(NamedTuple):
 
 
 def smooth_poses(
-    problem: Problem,
+    problem: SmoothingProblem,
     start: Trajectory,
     softness: tuple[float, ...],
     relative: float = DEFAULTS.relative,
@@ -108,21 +69,21 @@ def smooth_poses(
     """Minimise all residuals from a start (T, ...), with silhouettes ever sharper.
 
     Args:
-        problem: what is known.
+        problem: the recording.
         start: poses and what they share; the cameras turn where it brings turns.
         softness: of the silhouettes' borders, cells, one solve after the other.
         relative: a solve ends where the cost falls by no more than this share.
         coarse: draws on larger cells; only for where it is all still rough, since an arm may
             settle in another valley.
     """
-    prior = landmark_prior(problem)
-    solve = Solve(iterations=problem.settings.iterations, relative=relative)
+    prior = problem.motion_prior()
+    solver = SolverSettings(iterations=problem.settings.iterations, relative=relative)
     trajectory, ended = start, None
     with two_workers() as workers:
         for soft in softness:
             drawn = coarsely(problem, soft) if coarse else (softened(problem, soft), soft)
-            linearise = partial(linearise_poses, *drawn, workers)
-            ended = smooth(linearise, moved_by, trajectory, prior, solve)
+            linearise = partial(linearise_problem, *drawn, workers)
+            ended = minimise(linearise, moved_by, trajectory, prior, solver)
             trajectory = ended.x
     assert ended is not None
     return SmoothedPoses(trajectory, ended.cost, ended.status)
@@ -139,115 +100,138 @@ def two_workers() -> Iterator[ThreadPoolExecutor]:
         yield workers
 
 
-def landmark_prior(problem: Problem) -> Smoothness:
-    """What is known of the landmarks' motion before it is seen."""
-    accelerations = np.full(3 * len(LANDMARKS), float(problem.settings.acceleration))
-    return smoothness(problem.times, accelerations)
+def softened(problem: SmoothingProblem, softness: float) -> SmoothingProblem:
+    """The same, its grids as soft as what is drawn, and counting as the settings say."""
+    soft = problem.views.grids.each_grid(lambda grid: blurred(grid, softness))
+    grids = problem.settings.silhouettes.weighted(soft)
+    return replace(problem, views=problem.views._replace(grids=grids))
 
 
-def softened(problem: Problem, softness: float) -> Problem:
-    """The same, seen as softly as it is drawn, and counting as the settings say."""
-    soft = problem.sights.sight.each_grid(lambda grid: blurred(grid, softness))
-    counting = weighed(soft, problem.settings)
-    return replace(problem, sights=problem.sights._replace(sight=counting))
-
-
-def coarsely(problem: Problem, softness: float) -> tuple[Problem, float]:
+def coarsely(problem: SmoothingProblem, softness: float) -> tuple[SmoothingProblem, float]:
     """The same, softened, on cells twice as large, a quarter of them; and the softness there."""
-    seen = softened(problem, softness)
-    sight = seen.sights.sight.halved()
-    return replace(seen, sights=seen.sights._replace(sight=sight)), softness / 2
+    soft = softened(problem, softness)
+    grids = soft.views.grids.halved()
+    return replace(soft, views=soft.views._replace(grids=grids)), softness / 2
+
+
+class FramesFit(NamedTuple):
+    """Batches of frames about their poses; N = 6 + D + P, by pose and proportions.
+
+    Attributes:
+        cost: (B,) of their terms.
+        hessian: (B, N, N) J^T J.
+        gradient: (B, N) J^T r.
+        points: (B, 3 L) landmarks, world, metres.
+        jacobian: (B, 3 L, N) of the landmarks.
+    """
+
+    cost: Array | np.ndarray
+    hessian: Array | np.ndarray
+    gradient: Array | np.ndarray
+    points: Array | np.ndarray
+    jacobian: Array | np.ndarray
 
 
 @jax.jit
 def frames_fit(
-    skeleton: Skeleton,
-    proportions: Array,
-    sites: Sites,
-    settings: SmoothingSettings,
-    poses: Pose,
-    known: Known,
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Costs, J^T J, J^T r, landmarks and their derivatives of a batch of frames.
+    terms: Sequence[Term], model: Model, proportions: Array, poses: Pose, measured: Measurements
+) -> FramesFit:
+    """Gauss-Newton terms of a batch of frames."""
 
-    By pose and proportions, in this order: N = 6 + D + P.
-    """
-
-    def of_frame(pose: Pose, one: Known) -> tuple[Array, Array, Array, Array, Array]:
-        r, J, at, by = linearised_residuals(skeleton, proportions, sites, settings, pose, one)
+    def of_frame(pose: Pose, own: Measurements) -> FramesFit:
+        r, J, points, points_J = linearised(terms, model, proportions, pose, own)
         hessian = jnp.matmul(J.T, J, precision=HIGHEST)
-        return jnp.sum(r**2), hessian, jnp.matmul(r, J, precision=HIGHEST), at, by
+        pull = jnp.matmul(r, J, precision=HIGHEST)
+        return FramesFit(jnp.sum(r**2), hessian, pull, points, points_J)
 
-    return jax.vmap(of_frame)(poses, known)
+    return jax.vmap(of_frame)(poses, measured)
 
 
 @jax.jit
-def sights_fit(
+def views_fit(
     skeleton: Skeleton,
     proportions: Array,
     softness: Array,
     poses: Pose,
     cameras: Camera,
-    sights: Sight,
+    grids: SilhouetteGrids,
 ) -> tuple[Array, Array, Array]:
-    """Costs, J^T J and J^T r of a batch of sights, by pose, proportions and their camera's turn."""
+    """Costs, J^T J and J^T r of a batch of views, by pose, proportions and their camera's turn."""
 
-    def of_sight(each: tuple[Pose, Camera, Sight]) -> tuple[Array, Array, Array]:
+    def of_view(each: tuple[Pose, Camera, SilhouetteGrids]) -> tuple[Array, Array, Array]:
         return silhouette_fit(skeleton, proportions, *each, softness)
 
     # One after the other: a picture of the body fits the cache, a batch of them does not.
-    return jax.lax.map(of_sight, (poses, cameras, sights))
+    return jax.lax.map(of_view, (poses, cameras, grids))
 
 
-def linearise_poses(
-    problem: Problem, softness: float, workers: ThreadPoolExecutor, trajectory: Trajectory
+def linearise_problem(
+    problem: SmoothingProblem,
+    softness: float,
+    workers: ThreadPoolExecutor,
+    trajectory: Trajectory,
 ) -> Linearised:
     """All frames about their poses, and what they share."""
-    found = _over_frames(frames_fit, problem, workers, trajectory)
-    cost, hessian, gradient, points, by = found
-    cameras, n = len(trajectory.turns_cam), by.shape[2] - trajectory.proportions.size
+    fit = FramesFit(*_over_frames(frames_fit, problem, workers, trajectory))
+    cameras, size = len(trajectory.turns_cam), fit.jacobian.shape[2]
+    n = size - trajectory.proportions.size
     # Frames know nothing of cameras.
     wider = (0, TURN * cameras)
-    hessian = np.pad(hessian, ((0, 0), wider, wider))
-    gradient, by = np.pad(gradient, ((0, 0), wider)), np.pad(by, ((0, 0), (0, 0), wider))
-    if len(problem.sights.frame):
-        price, by_sight, pull = _over_sights(sights_fit, problem, softness, workers, trajectory)
-        seen = price, *among_cameras(by_sight, pull, problem.sights.camera, cameras)
-        for total, part in zip((cost, hessian, gradient), seen, strict=True):
-            np.add.at(total, problem.sights.frame, part * sights_weight(problem))
-    curvature, pull, price = shared_prior(problem.settings, problem.sights.camera, trajectory)
+    cost, hessian = np.asarray(fit.cost), np.pad(fit.hessian, ((0, 0), wider, wider))
+    gradient = np.pad(fit.gradient, ((0, 0), wider))
+    jacobian = np.pad(fit.jacobian, ((0, 0), (0, 0), wider))
+    views = problem.views
+    if len(views.frame):
+        price, by_view, pull = _over_views(views_fit, problem, softness, workers, trajectory)
+        parts = price, *among_cameras(by_view, pull, views.camera, cameras)
+        for total, part in zip((cost, hessian, gradient), parts, strict=True):
+            np.add.at(total, views.frame, part * problem.settings.silhouettes.weight)
+    curvature, pull, price = shared_prior(problem.settings, views.camera, trajectory)
     return Linearised(
-        cost + price, hessian[:, :n, :n], gradient[:, :n], points, by[:, :, :n],
-        hessian[:, :n, n:], hessian[:, n:, n:] + curvature, gradient[:, n:] + pull, by[:, :, n:],
+        cost + price, hessian[:, :n, :n], gradient[:, :n], fit.points, jacobian[:, :, :n],
+        hessian[:, :n, n:], hessian[:, n:, n:] + curvature, gradient[:, n:] + pull,
+        jacobian[:, :, n:],
     )  # fmt: skip
 
 
-def sights_weight(problem: Problem) -> float:
-    """Of a squared difference between what was drawn and what was seen."""
-    return 1 / float(problem.settings.silhouette) ** 2
-
-
 def _over_frames(
-    call: Callable, problem: Problem, workers: ThreadPoolExecutor, trajectory: Trajectory
+    call: Callable,
+    problem: SmoothingProblem,
+    workers: ThreadPoolExecutor,
+    trajectory: Trajectory,
 ) -> list[np.ndarray]:
     """A function of batches of frames over all of them, float64."""
-    fixed = problem.skeleton, jnp.asarray(trajectory.proportions), problem.markers, problem.settings
-    each = trajectory.poses, problem.known
+    fixed = problem.settings.terms, problem.model, jnp.asarray(trajectory.proportions)
+    each = trajectory.poses, problem.measured
     return in_batches(lambda *b: call(*fixed, *b), each, FRAMES_A_CALL, workers)
 
 
-def _over_sights(
+def _over_views(
     call: Callable,
-    problem: Problem,
+    problem: SmoothingProblem,
     softness: float,
     workers: ThreadPoolExecutor,
     trajectory: Trajectory,
 ) -> list[np.ndarray]:
-    """A function of batches of sights over all of them, float64."""
-    sights = problem.sights
-    cameras = all_turned(problem.cameras, trajectory.turns_cam)
-    cameras = jax.tree.map(lambda part: np.asarray(part)[sights.camera], cameras)
-    there = jax.tree.map(lambda part: np.asarray(part)[sights.frame], trajectory.poses)
-    fixed = problem.skeleton, jnp.asarray(trajectory.proportions), jnp.asarray(softness, float)
-    each = (there, cameras, sights.sight)
-    return in_batches(lambda *b: call(*fixed, *b), each, SIGHTS_A_CALL, workers)
+    """A function of batches of views over all of them, float64."""
+    fixed = (
+        problem.model.skeleton,
+        jnp.asarray(trajectory.proportions),
+        jnp.asarray(softness, float),
+    )
+    each = views_of(problem, trajectory)
+    return in_batches(lambda *b: call(*fixed, *b), each, VIEWS_A_CALL, workers)
+
+
+def views_of(
+    problem: SmoothingProblem, trajectory: Trajectory
+) -> tuple[Pose, Camera, SilhouetteGrids]:
+    """The pose, the camera as it is turned, and the grids of each view."""
+    views = problem.views
+    cameras = all_turned(problem.model.cameras, trajectory.turns_cam)
+    return rows_of(trajectory.poses, views.frame), rows_of(cameras, views.camera), views.grids
+
+
+def rows_of(stacked: Any, rows: np.ndarray) -> Any:
+    """Some entries of each array of a pytree, on the host."""
+    return jax.tree.map(lambda part: np.asarray(part)[rows], stacked)

@@ -1,97 +1,66 @@
-"""Settings of the smoothing over a whole recording.
+"""Settings of smoothing: the terms of evidence, and what joins the frames.
 
 INPUTS: what a user tunes. OUTPUTS: a pytree of arrays.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import fields
 
-import jax
-import jax.numpy as jnp
 from jax import Array
 
+from jaxmocap.compilation.settings import group, settings, static, traced
+from jaxmocap.evidence.balance import Balance
+from jaxmocap.evidence.ground import Ground
+from jaxmocap.evidence.keypoints import KeyPoints
+from jaxmocap.evidence.limits import JointLimits
+from jaxmocap.evidence.markers import ElbowGoals, Markers
+from jaxmocap.evidence.posture import Pelvis, Posture
+from jaxmocap.evidence.silhouettes import Silhouettes
+from jaxmocap.evidence.terms import Term
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+
+@settings
+class ElbowPathSettings:
+    """What the elbows' cheapest path through time pays."""
+
+    shoulder_slack: Array = traced(0.03, "of a shoulder's place along the upper arm, metres")
+    beyond_range: Array = traced(0.1, "by which a joint may exceed its range, radians")
+    speed: Array = traced(1.0, "of an elbow's movement, metres a second")
+    largest_price: Array = traced(30.0, "of any movement, nats")
+
+
+@settings
 class SmoothingSettings:
-    """What a user may tune of the smoothing over a whole recording; all but the first are traced.
+    """What a user may tune of smoothing; every field that is a ``Term`` takes part."""
 
-    Standard deviations, unless said otherwise.
+    iterations: int = static(12, "most steps of one solve")
+    markers: Markers = group(Markers, "of markers about their points")
+    pelvis: Pelvis = group(Pelvis, "of how the pelvis leans and faces")
+    posture: Posture = group(Posture, "of joints at ease")
+    limits: JointLimits = group(JointLimits, "of the joints' ranges")
+    ground: Ground = group(Ground, "of feet that no marker holds")
+    balance: Balance = group(Balance, "of standing in balance")
+    elbows: ElbowGoals = group(ElbowGoals, "of elbows where the path through time has them")
+    keypoints: KeyPoints = group(KeyPoints, "of 2-D key points")
+    silhouettes: Silhouettes = group(Silhouettes, "of what cameras show, view by view")
+    elbow_path: ElbowPathSettings = group(ElbowPathSettings, "of the elbows' path through time")
+    acceleration: Array = traced(
+        3.0, "spectral density of the landmarks' accelerations, m / s^2 * sqrt(s)"
+    )
+    proportions: Array = traced(5.0, "weight of the prior on the person's proportions, in views")
+    camera: Array = traced(
+        0.005,
+        "of a camera's turn against its calibration, about each axis, radians; weighs in as many "
+        "views as the proportions do; with 0 no camera turns; key points' lines never do",
+    )
+    persistence: Array = traced(
+        1.0, "for how long somebody keeps to what is unusual, seconds; for the deviations only"
+    )
+    mismatch: Array = traced(
+        1.0, "of skeletons, as a multiple of what is usual; for the deviations only"
+    )
 
-    Attributes:
-        iterations: most of one solve (static).
-        marker: of a marker about its point on the body, metres.
-        silhouette: of a cell's coverage; above what one cell errs by, since neighbours err alike.
-        person: weight of the differences from the whole person's silhouette; 0 leaves it out.
-        forearms: weight of those from the forearms'.
-        acceleration: spectral density of the landmarks' accelerations, m / s^2 * sqrt(s).
-        lean: of the pelvis' upright about that of the markers' pose, radians; about the vertical
-            where no marker holds the feet.
-        facing: of the pelvis about where the markers' pose faces, radians; thrice that where no
-            marker holds the feet.
-        ease: how far joints go from the relaxed pose, as a multiple of what is usual.
-        limit: by which a joint may exceed its range, radians.
-        goal: of an elbow about where a hypothesis puts it, metres.
-        keypoints: of a 2-D key point of full confidence about its landmark, metres at the person.
-        ground: of the height of ankles that no marker holds, metres.
-        footing: of their place on the ground about that in the markers' pose, metres.
-        balance: of the middle of such feet about the point below the centre of gravity, metres.
-        proportions: weight of the prior on the person's proportions, in sights.
-        camera: of a camera's turn against its calibration, about each axis, radians; weighs in as
-            many sights as the proportions do. With 0 no camera turns. Key points' lines never do.
-        redundancy: how many cells and frames err alike: a silhouette is wrong where the person is
-            no cone, and goes on being so. For the deviations only.
-        habit: for how long somebody keeps to what is unusual, seconds. For the deviations only.
-        mismatch: of skeletons, as a multiple of what is usual. For the deviations only.
-    """
-
-    iterations: int = field(metadata={"static": True})
-    marker: Array
-    silhouette: Array
-    person: Array
-    forearms: Array
-    acceleration: Array
-    lean: Array
-    facing: Array
-    ease: Array
-    limit: Array
-    goal: Array
-    keypoints: Array
-    ground: Array
-    footing: Array
-    balance: Array
-    proportions: Array
-    camera: Array
-    redundancy: Array
-    habit: Array
-    mismatch: Array
-
-    @classmethod
-    def create(
-        cls,
-        iterations: int = 12,
-        marker: float = 0.004,
-        silhouette: float = 0.7,
-        person: float = 1.0,
-        forearms: float = 1.0,
-        acceleration: float = 3.0,
-        lean: float = 0.1,
-        facing: float = 0.1,
-        ease: float = 1.0,
-        limit: float = 0.02,
-        goal: float = 0.04,
-        keypoints: float = 0.02,
-        ground: float = 0.05,
-        footing: float = 1.0,
-        balance: float = 0.06,
-        proportions: float = 5.0,
-        camera: float = 0.005,
-        redundancy: float = 100.0,
-        habit: float = 1.0,
-        mismatch: float = 1.0,
-    ) -> "SmoothingSettings":
-        """Settings as arrays (a Python float in a pytree would trace anew)."""
-        numbers = (
-            marker, silhouette, person, forearms, acceleration, lean, facing, ease, limit, goal,
-            keypoints, ground, footing, balance, proportions, camera, redundancy, habit, mismatch,
-        )  # fmt: skip
-        return cls(iterations, *(jnp.asarray(value, float) for value in numbers))
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The terms of a frame, in the order of the fields."""
+        each = (getattr(self, field.name) for field in fields(self))
+        return tuple(term for term in each if isinstance(term, Term))

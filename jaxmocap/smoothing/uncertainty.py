@@ -1,105 +1,102 @@
-"""How far to trust landmarks, from what is left uncertain.
+"""How sure landmarks are: standard deviations of what a solve leaves uncertain.
 
 INPUTS: a problem and the trajectory that solves it, or variances with and without what the cameras
-saw. OUTPUTS: deviations, and what is a guess.
+show. OUTPUTS: deviations, and which landmarks come from the prior.
 """
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
 from jaxmocap.body.skeleton import LANDMARKS, landmark_mismatches
 from jaxmocap.evidence.smoothness import Smoothness
+from jaxmocap.evidence.terms import Term
 from jaxmocap.smoothing.levenberg_marquardt import covariances, point_variances
-from jaxmocap.smoothing.linearise import (
-    Problem,
-    Trajectory,
-    landmark_prior,
-    linearise_poses,
-    softened,
-    two_workers,
-)
+from jaxmocap.smoothing.linearise import linearise_problem, softened, two_workers
+from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory
+from jaxmocap.smoothing.settings import SmoothingSettings
 
-# What is not measured but usual; somebody who is unusual stays so for a while.
-HABITS = ("ease", "lean", "facing", "ground", "footing", "balance")
-# A landmark is a guess where the video leaves more than this share of its variance, unless markers
-# hold it already, as they do below some HELD_M metres.
-GUESSED, HELD_M = 0.7, 0.01
+# A landmark comes from the prior where the video leaves more than this share of its variance,
+GUESSED = 0.7
+# unless markers hold it already: below about so many metres.
+HELD_M = 0.01
 
 
-class Trust(NamedTuple):
-    """How far to trust the landmarks of a trajectory.
-
-    Attributes:
-        deviations: (T, L, 3) standard deviations of their coordinates, world, metres.
-        from_prior: (T, L) 1 where markers and video leave a landmark almost as uncertain as it is
-            without them, else 0.
-    """
-
-    deviations: np.ndarray
-    from_prior: np.ndarray
-
-
-def trusted(told: np.ndarray, guessed: np.ndarray, mismatch: float) -> Trust:
+def landmark_deviations(
+    variances: np.ndarray, without_video: np.ndarray, mismatch: float
+) -> tuple[np.ndarray, np.ndarray]:
     """What the variances of landmarks come to.
 
     Args:
-        told: (T, L, 3) variances given all that is known.
-        guessed: (T, L, 3) without what the cameras saw.
+        variances: (T, L, 3) given all that was measured.
+        without_video: (T, L, 3) without what the cameras show.
         mismatch: factor on ``landmark_mismatches``; none where a marker holds.
+
+    Returns:
+        Deviations (T, L, 3), metres; (T, L) 1 where a landmark comes from the prior, else 0.
     """
-    loose = told / (told + HELD_M**2)
-    deviations = np.sqrt(told + loose * (mismatch * landmark_mismatches()) ** 2)
-    from_prior = told.sum(-1) > GUESSED * guessed.sum(-1)
-    markers_hold = guessed.sum(-1) < 9 * HELD_M**2
-    return Trust(deviations, (from_prior & ~markers_hold).astype(float))
+    loose = variances / (variances + HELD_M**2)
+    deviations = np.sqrt(variances + loose * (mismatch * landmark_mismatches()) ** 2)
+    from_prior = variances.sum(-1) > GUESSED * without_video.sum(-1)
+    markers_hold = without_video.sum(-1) < 9 * HELD_M**2
+    return deviations, (from_prior & ~markers_hold).astype(float)
 
 
-def trust_in(problem: Problem, trajectory: Trajectory, softness: float) -> Trust:
-    """How far to trust a trajectory that a solve with this softness ended with."""
-    prior, seen = landmark_prior(problem), softened(problem, softness)
+def with_deviations(
+    problem: SmoothingProblem, trajectory: Trajectory, softness: float
+) -> Trajectory:
+    """A trajectory that a solve with this softness ended with, and how sure it is."""
+    prior, soft = problem.motion_prior(), softened(problem, softness)
     with two_workers() as workers:
-        alike = _alike(seen)
+        alike = replace(soft, settings=counted_once(soft))
         told = _variances(alike, softness, workers, trajectory, prior)
-        guessed = _variances(_unseen(alike), softness, workers, trajectory, prior)
-    return trusted(told, guessed, float(problem.settings.mismatch))
+        blind = _without_video(alike)
+        guessed = _variances(blind, softness, workers, trajectory, prior)
+    mismatch = float(problem.settings.mismatch)
+    deviations, from_prior = landmark_deviations(told, guessed, mismatch)
+    return trajectory._replace(deviations=deviations, from_prior=from_prior)
 
 
 def _variances(
-    problem: Problem,
+    problem: SmoothingProblem,
     softness: float,
     workers: ThreadPoolExecutor,
     trajectory: Trajectory,
     prior: Smoothness,
 ) -> np.ndarray:
     """(T, L, 3) of the landmarks' coordinates."""
-    linear = linearise_poses(problem, softness, workers, trajectory)
+    linear = linearise_problem(problem, softness, workers, trajectory)
     found = point_variances(linear.jacobian, covariances(linear, prior), linear.shared_jacobian)
     return found.reshape(-1, len(LANDMARKS), 3)
 
 
-def _alike(problem: Problem) -> Problem:
-    """The same with errors that are alike counted once: those of cells, those of habits."""
-    settings = problem.settings
-    cells = settings.silhouette * jnp.sqrt(settings.redundancy)
-    changed = lasting_habits(problem) | {"silhouette": cells}
-    return replace(problem, settings=replace(settings, **changed))
+def counted_once(problem: SmoothingProblem) -> SmoothingSettings:
+    """Settings with errors that are alike counted once: of cells, and of what is usual."""
+    silhouettes = problem.settings.silhouettes
+    cells = silhouettes.deviation * jnp.sqrt(silhouettes.redundancy)
+    lasting = lasting_errors(problem)
+    return replace(lasting, silhouettes=replace(silhouettes, deviation=cells))
 
 
-def lasting_habits(problem: Problem) -> dict[str, Array]:
-    """Deviations of ``HABITS`` with which all frames of a while together count once."""
+def lasting_errors(problem: SmoothingProblem) -> SmoothingSettings:
+    """Settings whose terms with lasting errors count once for as long as people keep to habits."""
     settings, times = problem.settings, problem.times
     step = np.median(np.diff(times)) if len(times) > 1 else 1.0
-    for_long = jnp.sqrt(jnp.maximum(settings.habit / float(step), 1.0))
-    return {name: getattr(settings, name) * for_long for name in HABITS}
+    factor = jnp.sqrt(jnp.maximum(settings.persistence / float(step), 1.0))
+
+    def weaker(part: Any) -> Any:
+        if isinstance(part, Term) and part.errors_last:
+            return jax.tree.map(lambda deviation: deviation * factor, part)
+        return part
+
+    return jax.tree.map(weaker, settings, is_leaf=lambda part: isinstance(part, Term))
 
 
-def _unseen(problem: Problem) -> Problem:
-    """The same without what the cameras saw."""
-    blind = jax.tree.map(lambda part: part[:0], problem.sights)
-    return replace(problem, sights=blind, known=problem.known._replace(lines=None))
+def _without_video(problem: SmoothingProblem) -> SmoothingProblem:
+    """The same without what the cameras show."""
+    measured = {name: own for name, own in problem.measured.items() if name != "sight_lines"}
+    return replace(problem, views=problem.views.none, measured=measured)

@@ -1,6 +1,6 @@
-"""Steps of the tracker that can still change: what a window keeps of each.
+"""Events that can still change: what a window keeps of each.
 
-INPUTS: what a step found and saw. OUTPUTS: Events; where they stand in a solve.
+INPUTS: what a step of a tracker measured and found. OUTPUTS: WindowEvents; their state in a solve.
 """
 
 from dataclasses import dataclass
@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.body.pose import Pose
-from jaxmocap.evidence.appearance.running import Seen
-from jaxmocap.evidence.residuals import Known
+from jaxmocap.evidence.appearance.running import MeasuredFrame
+from jaxmocap.evidence.terms import Measurements
 from jaxmocap.smoothing.levenberg_marquardt import Linearised
 
 
-class Drawn(NamedTuple):
-    """What an event's silhouettes tell, about a pose where they were drawn.
+class SilhouetteQuadratic(NamedTuple):
+    """What an event's silhouettes cost near a pose where they were drawn.
 
     Attributes:
         points: (3 L,) the landmarks there, world, metres.
@@ -39,52 +39,52 @@ class Drawn(NamedTuple):
 
 
 @dataclass
-class Event:
+class WindowEvent:
     """One step of the tracker, while it can still change.
 
     Attributes:
         number: of it, counted from 0.
         time: seconds.
-        known: what is known of it besides its sights.
+        measured: of it besides its silhouettes.
         pose: as it is now.
         first: as the tracker found it.
-        spread: (2,) the tracker's, of the elbows, metres.
-        looks: camera, what it saw, width and height of its frame.
-        drawn: what the looks told when they were last drawn; None before.
-        learned: whether the looks were learned from.
+        elbow_deviations: (2,) the tracker's, metres.
+        frames: camera, what was measured in its frame, width and height of that.
+        quadratic: of the silhouettes when they were last drawn; None before.
+        learned: whether the frames were learned from.
     """
 
     number: int
     time: float
-    known: Known
+    measured: Measurements
     pose: Pose
     first: Pose
-    spread: np.ndarray
-    looks: list[tuple[int, Seen, tuple[int, int]]]
-    drawn: Drawn | None = None
+    elbow_deviations: np.ndarray
+    frames: list[tuple[int, MeasuredFrame, tuple[int, int]]]
+    quadratic: SilhouetteQuadratic | None = None
     learned: bool = False
 
 
 @dataclass
-class Standing:
+class WindowState:
     """The window's events in certain poses.
 
     Attributes:
         poses: (T, 7 + D) packed, of which each is moved by
         steps: (T, N), until linearising has done so.
-        drawn: of each event, at poses near by.
+        quadratics: of each event's silhouettes, at poses near by.
         linear: the events there, once it was asked for.
     """
 
     poses: np.ndarray
     steps: np.ndarray
-    drawn: list[Drawn | None]
+    quadratics: list[SilhouetteQuadratic | None]
     linear: Linearised | None = None
 
-    def moved(self, steps: np.ndarray) -> "Standing":
-        """The same events some steps (T, N) on; what was drawn of them is left where it was."""
-        drawn = [
+    def moved(self, steps: np.ndarray, _: np.ndarray | None = None) -> "WindowState":
+        """The same events some steps (T, N) on; what was drawn stays where it was."""
+        quadratics = [
             None if each is None else each._replace(offset=each.offset + step)
-            for each, step in zip(self.drawn, steps, strict=True)
+            for each, step in zip(self.quadratics, steps, strict=True)
         ]
-        return Standing(self.poses, steps, drawn)
+        return WindowState(self.poses, steps, quadratics)

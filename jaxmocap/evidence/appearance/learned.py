@@ -1,9 +1,9 @@
 """What a person looks like to one camera, and where that is to be seen in its frames.
 
     learn    some frames + where the poses put the body -> background, colours
-    see      every frame -> grids: the person, the forearms; the legs
+    measure  every frame -> grids: the person, the forearms; the legs
 
-INPUTS: poses of the person, frames. OUTPUTS: an Appearance; a Sight of every frame.
+INPUTS: poses of the person, frames. OUTPUTS: an AppearanceModel; a SilhouetteGrids of every frame.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -24,7 +24,7 @@ from jaxmocap.body.surfaces.cones import cones, project_cones
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.evidence.appearance.hulls import draw_hulls
 from jaxmocap.evidence.appearance.part_mask import part_odds
-from jaxmocap.evidence.silhouettes import FOREARMS, Legs, Sight
+from jaxmocap.evidence.silhouettes import FOREARMS, LegGrid, SilhouetteGrids
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, pixels_per_metre, project
 from jaxmocap.geometry.outlines import Discs
 from jaxmocap.images.background_model import Background
@@ -41,30 +41,41 @@ from jaxmocap.images.foreground import (
 from jaxmocap.images.regions import Region, region_of_side
 from jaxmocap.images.silhouette_grid import Grid
 
-# Rows of the images that silhouettes are learned from; cells of the grids around the upper half and
-# around the legs.
-ROWS, CELLS, LEG_CELLS = 360, 64, 32
+# Rows of the images that silhouettes are learned from.
+ROWS = 360
+# Cells along a side of the grid around the upper half.
+CELLS = 64
+# Cells along a side of the grid around the legs.
+LEG_CELLS = 32
 # Poses per call, so that they compile once.
 POSES_A_CALL = 64
-# Around the person's upper half and around the legs, as a share of their extent.
-MARGIN, LEG_MARGIN = 0.12, 0.15
-# Of a limb's thickness: its core, and wherever it may be; the pose errs by some centimetres.
-CORE, WHEREVER, ERRING_M = 0.7, 1.4, 0.03
+# Around the person's upper half, as a share of its extent.
+MARGIN = 0.12
+# Around the legs.
+LEG_MARGIN = 0.15
+# Share of a limb's thickness that surely is the limb.
+CORE = 0.7
+# Multiple of its thickness within which it surely is,
+WHEREVER = 1.4
+# and so many metres more, by which poses err.
+POSE_ERROR_M = 0.03
 # By how much parts of legs err that no marker holds, metres. Somebody who stands still would be
 # learned as furniture if legs were drawn aside of where they are.
 ASTRAY_M = {"thigh": 0.12, "shank": 0.2, "foot": 0.2}
 # Along the forearm: skin, whatever the sleeve; the markers hold its far half best.
 BARE = (0.5, 0.95)
-# What no cone is like, a head with its head-set, a pelvis, shoes: so many times as thick, or so
-# many metres about it, silhouettes tell nothing.
-GROWN, SHOE_M = 1.6, 0.06
+# No cone is like a head with its head-set, or a pelvis: so many times as thick as they are drawn
+# silhouettes tell nothing.
+GROWN = 1.6
+# Nor like a shoe: so many metres about it.
+SHOE_M = 0.06
 BELOW = ("knee", "ankle", "toe")
 UPPER = [i for i, name in enumerate(LANDMARKS) if not name.startswith(BELOW)]
 LOWER = [i for i, name in enumerate(LANDMARKS) if name.startswith(("hip", *BELOW))]
 
 
 @dataclass(frozen=True)
-class Appearance:
+class AppearanceModel:
     """What one camera's frames taught.
 
     Attributes:
@@ -154,11 +165,11 @@ class Drawing:
         """Where (h, w) the person surely is."""
         return self.mask(frame, CORE, without=("foot", *without))
 
-    def wherever(self, frame: int, astray: bool) -> np.ndarray:
-        """Where (h, w) the person may be; ``astray`` where no marker holds the feet."""
+    def wherever(self, frame: int, feet_astray: bool) -> np.ndarray:
+        """Where (h, w) the person may be; ``feet_astray`` where no marker holds the feet."""
         metre = float(self.per_metre[frame])
-        found = self.mask(frame, WHEREVER, ERRING_M * metre)
-        for part, metres in ASTRAY_M.items() if astray else ():
+        found = self.mask(frame, WHEREVER, POSE_ERROR_M * metre)
+        for part, metres in ASTRAY_M.items() if feet_astray else ():
             found |= self.mask(frame, WHEREVER, metres * metre, only=(part,))
         return found
 
@@ -199,22 +210,22 @@ def _region(pixels: np.ndarray, cells: int, margin: float) -> Region:
 
 
 def learn_appearance(
-    drawing: Drawing, chosen: np.ndarray, images: Iterable[np.ndarray | None], astray: bool
-) -> Appearance | None:
+    drawing: Drawing, chosen: np.ndarray, images: Iterable[np.ndarray | None], feet_astray: bool
+) -> AppearanceModel | None:
     """Background and colours from some frames; None if none of them can be read.
 
     Args:
         drawing: the body in F frames.
         chosen: which of them.
         images: these, shrunk, BGR; None where one cannot be read.
-        astray: whether no marker holds the feet.
+        feet_astray: whether no marker holds the feet.
     """
     read = [(i, image) for i, image in zip(chosen, images, strict=True) if image is not None]
     if not read:
         return None
     which, frames = [i for i, _ in read], np.stack([image for _, image in read])
     cores = np.stack([drawing.core(i) for i in which])
-    bodies = np.stack([drawing.wherever(i, astray) for i in which])
+    bodies = np.stack([drawing.wherever(i, feet_astray) for i in which])
     background, person = learn_foreground(frames, cores, bodies)
     odds = np.stack(
         [
@@ -228,58 +239,58 @@ def learn_appearance(
     rest = others & ~near & (odds > -0.5)
     rest = rest if rest.any() else others
     forearms = learn_colours(frames, arms & (odds > -0.5), ~rest)
-    return Appearance(background, person, forearms)
+    return AppearanceModel(background, person, forearms)
 
 
-def see(
+def silhouette_grids(
     images: Iterable[np.ndarray | None],
-    known: Appearance | None,
+    learned: AppearanceModel | None,
     drawing: Drawing,
     regions: Regions,
-) -> Sight:
+) -> SilhouetteGrids:
     """The person (F, ...) on the grids of F frames.
 
     Args:
         images: F, shrunk, BGR; None where one cannot be read.
-        known: of the person; None where nothing is.
+        learned: of the person; None where nothing is known.
         drawing: the body in the frames.
         regions: where the grids lie, in pixels of the full images.
     """
-    sights = [
-        _unseen(regions.of(i))
-        if image is None or known is None
-        else body_sight(image, known, drawing, i, regions.of(i))[1]
+    grids = [
+        _no_grids(regions.of(i))
+        if image is None or learned is None
+        else body_grids(image, learned, drawing, i, regions.of(i))[1]
         for i, image in enumerate(images)
     ]
-    return jax.tree.map(lambda *parts: np.stack(parts), *sights)
+    return jax.tree.map(lambda *parts: np.stack(parts), *grids)
 
 
-def _unseen(regions: Regions) -> Sight:
+def _no_grids(regions: Regions) -> SilhouetteGrids:
     """Nothing is known where there is no image."""
     upper, lower = (Grid(*np.zeros((2, cells, cells), np.float32)) for cells in (CELLS, LEG_CELLS))
-    return Sight(regions.upper, upper, upper, Legs(regions.lower, lower))
+    return SilhouetteGrids(regions.upper, upper, upper, LegGrid(regions.lower, lower))
 
 
-def body_sight(
-    image: np.ndarray, known: Appearance, drawing: Drawing, frame: int, regions: Regions
-) -> tuple[np.ndarray, Sight]:
+def body_grids(
+    image: np.ndarray, learned: AppearanceModel, drawing: Drawing, frame: int, regions: Regions
+) -> tuple[np.ndarray, SilhouetteGrids]:
     """Log-odds (h, w) that pixels of a shrunk image show the person; what that is on the grids."""
     upper = _in_shrunk(drawing, regions.upper)
     lower = _in_shrunk(drawing, regions.lower)
     window, corner = _window(image, {CELLS: upper, LEG_CELLS: lower})
     odds = np.zeros(image.shape[:2], np.float32)
-    odds[window] = log_odds(image, known.background, known.person, window=window)
+    odds[window] = log_odds(image, learned.background, learned.person, window=window)
     head = drawing.mask(frame, GROWN, only=("head",))[window]
-    forearms = part_odds(image[window], odds[window], known.forearms, head)
-    told = np.where(drawing.unlike(frame)[window], np.float32(0), odds[window])
+    forearms = part_odds(image[window], odds[window], learned.forearms, head)
+    person = np.where(drawing.unlike(frame)[window], np.float32(0), odds[window])
 
     def grid(odds: np.ndarray, region: Region, cells: int) -> Grid:
         origin = np.asarray(region.origin) - corner
         return Grid(*person_grid(odds, origin, float(region.scale), cells))
 
-    whole, part = (grid(each, upper, CELLS) for each in (told, forearms))
-    legs = Legs(regions.lower, grid(told, lower, LEG_CELLS))
-    return odds, Sight(regions.upper, whole, part, legs)
+    whole, part = (grid(each, upper, CELLS) for each in (person, forearms))
+    legs = LegGrid(regions.lower, grid(person, lower, LEG_CELLS))
+    return odds, SilhouetteGrids(regions.upper, whole, part, legs)
 
 
 def _in_shrunk(drawing: Drawing, region: Region) -> Region:

@@ -1,12 +1,12 @@
 """What a person looks like to one camera, learned while looking: the past alone, for a live run.
 
-    see      a frame + where the body is expected -> grids: the person, the forearms; the legs
+    measure  a frame + where the body is expected -> grids: the person, the forearms; the legs
     learn    the same frame, once it is known better where the body was -> background, colours
 
 Where the person stood from the start the background is unknown; there only colours tell, until the
 person has moved.
 
-INPUTS: frames, poses. OUTPUTS: a Sight of each frame.
+INPUTS: frames, poses. OUTPUTS: a SilhouetteGrids of each frame.
 """
 
 from dataclasses import dataclass
@@ -29,13 +29,13 @@ from jaxmocap.evidence.appearance.learned import (
     LOWER,
     MARGIN,
     UPPER,
-    Appearance,
+    AppearanceModel,
     Drawing,
     Regions,
-    body_sight,
+    body_grids,
     in_image,
 )  # fmt: skip
-from jaxmocap.evidence.silhouettes import FOREARMS, Sight
+from jaxmocap.evidence.silhouettes import FOREARMS, SilhouetteGrids
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.geometry.outlines import Discs
 from jaxmocap.images.background_model import RunningBackground
@@ -46,28 +46,30 @@ from jaxmocap.images.silhouette_grid import Grid, blurred
 
 # Rows of the images that silhouettes are learned from, fewer than for a whole recording.
 ROWS = 240
-# Frames that are all learned from, and of how many later ones one is.
-CURIOUS, EVERY = 60, 3
+# So many frames are all learned from,
+FIRST_FRAMES = 60
+# and of later ones one in so many.
+LATER_EVERY = 3
 # A part's pixels must at least not look like the background.
 UNLIKELY_ODDS = -0.5
 # A region's scale stays as it is while the person fills this much of it, so that cells do not swim.
 LEAST_FILLED = 0.6
 
 
-class Seen(NamedTuple):
+class MeasuredFrame(NamedTuple):
     """A frame that has been looked at, to be learned from later.
 
     Attributes:
         image: (h, w, 3) BGR, shrunk.
         odds: (h, w) that a pixel shows the person.
-        known: (h, w) whether the background there was known.
-        sight: what it told.
+        is_known: (h, w) whether the background there was known.
+        grids: of the person.
     """
 
     image: np.ndarray
     odds: np.ndarray
-    known: np.ndarray
-    sight: Sight
+    is_known: np.ndarray
+    grids: SilhouetteGrids
 
 
 @program("quick")
@@ -117,23 +119,23 @@ class RunningAppearance:
         forearms: colours against the rest of the body, so far.
     """
 
-    def __init__(self, skeleton: Skeleton, camera: Camera, astray: bool):
+    def __init__(self, skeleton: Skeleton, camera: Camera, feet_astray: bool):
         """Prepare for the person; the size of the frames is that of the first.
 
         Args:
             skeleton: of the person.
             camera: that looks.
-            astray: whether no marker holds the feet.
+            feet_astray: whether no marker holds the feet.
         """
         self.background, self.person = RunningBackground(), RunningColours()
         self.forearms = RunningColours()
-        self._skeleton, self._camera, self._astray = skeleton, camera, astray
+        self._skeleton, self._camera, self._astray = skeleton, camera, feet_astray
         self._upper = _Window(UPPER, CELLS, MARGIN)
         self._lower = _Window(LOWER, LEG_CELLS, LEG_MARGIN)
-        self._offered, self._ignorant = 0, True
-        self._learned: Appearance | None = None
+        self._offered, self._nothing_learned = 0, True
+        self._learned: AppearanceModel | None = None
 
-    def see(self, image: np.ndarray, pose: Pose, softness: float) -> Seen:
+    def measure(self, image: np.ndarray, pose: Pose, softness: float) -> MeasuredFrame:
         """Look at a frame (H, W[, 3]) uint8 in which the body is expected in a pose.
 
         The first frame is learned from beforehand: colours are known at once.
@@ -142,35 +144,35 @@ class RunningAppearance:
         small = shrink(_coloured(image), ROWS)
         drawing, pixels = self._drawing(size, pose)
         regions = Regions(self._upper.region(pixels), self._lower.region(pixels))
-        if self._ignorant:
+        if self._nothing_learned:
             self._learn(small, drawing, None, None)
-        known = self._known()
-        odds, sight = body_sight(small, known, drawing, 0, regions)
-        soft = sight.each_grid(lambda grid: _soft(grid, softness))
-        return Seen(small, odds, known.background.known > 0.5, soft)
+        learned = self._model()
+        odds, grids = body_grids(small, learned, drawing, 0, regions)
+        soft = grids.each_grid(lambda grid: _soft(grid, softness))
+        return MeasuredFrame(small, odds, learned.background.known > 0.5, soft)
 
-    def learn(self, seen: Seen, size: tuple[int, int], pose: Pose) -> None:
+    def learn(self, frame: MeasuredFrame, size: tuple[int, int], pose: Pose) -> None:
         """Learn from a frame, whose full width and height is ``size``, where the body was.
 
         Of a room that was looked at for long every few frames will do.
         """
         self._offered += 1
-        if self._offered <= CURIOUS or self._offered % EVERY == 0:
-            self._learn(seen.image, self._drawing(size, pose)[0], seen.odds, seen.known)
+        if self._offered <= FIRST_FRAMES or self._offered % LATER_EVERY == 0:
+            self._learn(frame.image, self._drawing(size, pose)[0], frame.odds, frame.is_known)
 
-    def _known(self) -> Appearance:
+    def _model(self) -> AppearanceModel:
         """All that was learned; asked for more often than it changes."""
         if self._learned is None:
             background = self.background.background()
             colours = self.person.colours(), self.forearms.colours()
-            self._learned = Appearance(background, *colours)
+            self._learned = AppearanceModel(background, *colours)
         return self._learned
 
     def _drawing(self, size: tuple[int, int], pose: Pose) -> tuple[Drawing, np.ndarray]:
         """The body in the shrunk image, and its landmarks in the full one."""
-        told = np.asarray(_expected(self._skeleton, self._camera, np.concatenate(pose)))
+        packed = np.asarray(_expected(self._skeleton, self._camera, np.concatenate(pose)))
         count = len(self._skeleton.tree.bones)
-        limbs, pixels, per_metre = np.split(told, (6 * count, -1))
+        limbs, pixels, per_metre = np.split(packed, (6 * count, -1))
         alone = Discs._make(limbs.reshape(3, 1, count, 2))
         drawing = Drawing.shrunk(self._skeleton, alone, per_metre, size, ROWS)
         return drawing, pixels.reshape(-1, 2)
@@ -178,7 +180,7 @@ class RunningAppearance:
     def _learn(
         self, image: np.ndarray, drawing: Drawing, odds: np.ndarray | None, known: np.ndarray | None
     ) -> None:
-        self._ignorant, self._learned = False, None
+        self._nothing_learned, self._learned = False, None
         core, body = drawing.core(0), drawing.wherever(0, self._astray)
         arms = drawing.mask(0, CORE, only=FOREARMS[:1], part=BARE)
         others = drawing.core(0, without=(*FOREARMS, "head"))

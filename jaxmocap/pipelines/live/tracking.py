@@ -25,14 +25,12 @@ from jaxmocap.capture.streams.sample_gathering import Sample
 from jaxmocap.formats.recordings.live import LiveSetup
 from jaxmocap.formats.recordings.marker_places import bound_places
 from jaxmocap.hybrid.elbow_search import confidence_of
-from jaxmocap.hybrid.first_state import settled
+from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.hybrid.tracker import HybridTracker, State, StepReport
+from jaxmocap.hybrid.tracker import HybridTracker, State
 from jaxmocap.pipelines.tracking.track import marker_sites
-from jaxmocap.smoothing.fixed_lag import FixedLagSmoother, Given
+from jaxmocap.smoothing.fixed_lag import FixedLagSmoother, SmoothedPose
 
-# The tracker counts seconds in single precision: from time to time it begins anew.
-COUNTED_S = 600.0
 # Smoothing waits so long for a frame that may be older than a sample, seconds.
 WAIT_S = 0.1
 # A tracker begins with all its markers, or after so many samples with what there is.
@@ -94,22 +92,26 @@ class LiveTracking:
         """Nobody is tracked."""
         self.placed = self.late = 0
         self._state: State | None = None
-        self._zero, self._waited, self._last = 0.0, 0, -np.inf
-        points = len(self.tracker.markers.bones)
+        self._waited, self._last = 0, -np.inf
+        points = len(self.tracker.model.markers.bones)
         self._trail = Trail(points)
         self._filtered = None if self._filter is None else self._filter.init(points)
-        self._smoother = FixedLagSmoother(self.tracker) if self.colour else None
+        self._smoother = self._new_smoother() if self.colour else None
         self._held: list[Sample | Frame] = []
         # Of each event behind the smoother: its sample's arrival, or None.
         self._arrivals: deque[tuple[int, float | None]] = deque()
         self._events = 0
 
+    def _new_smoother(self) -> FixedLagSmoother:
+        return FixedLagSmoother(self.tracker.model, self.tracker.settings.smoothing)
+
     def _warm_up(self) -> None:
         """Compile, by somebody who stands still before a grey wall."""
-        skeleton = self.tracker.skeleton
+        model = self.tracker.model
+        skeleton = model.skeleton
         frames = forward(skeleton, relaxed_pose(skeleton))
-        points = np.asarray(site_positions(skeleton, frames, self.tracker.markers), float)
-        sizes = [] if self.tracker.cameras is None else np.asarray(self.tracker.cameras.size, int)
+        points = np.asarray(site_positions(skeleton, frames, model.markers), float)
+        sizes = [] if model.cameras is None else np.asarray(model.cameras.size, int)
         for i in range(12 if self.colour else 2):
             time = i / 30
             self.sample(Sample(time, points, time))
@@ -129,8 +131,7 @@ class LiveTracking:
             self._waited += 1
             if not known.all() and (self._waited < PATIENCE or not known.any()):
                 return []
-            self._zero = sample.time
-            self._state = settled(self.tracker, sample.positions_world)
+            self._state = self.tracker.init(sample.positions_world)
         if self._smoother is not None:
             return self._in_order([sample])
         pose, report = self._step(sample.time, self._filled(sample), None)
@@ -138,7 +139,7 @@ class LiveTracking:
 
     def frames(self, frames: Sequence[Frame]) -> list[Output]:
         """Take frames, the newest of their cameras; the poses that go out now."""
-        if self._state is None or self.tracker.cameras is None:
+        if self._state is None or self.tracker.model.cameras is None:
             return []
         if self._smoother is not None:
             return self._in_order(frames)
@@ -168,14 +169,9 @@ class LiveTracking:
     def _step(
         self, time: float, markers_world: np.ndarray, images: list[np.ndarray | None] | None
     ) -> tuple[Pose, StepReport]:
-        """One step of the tracker, on its own clock."""
+        """One step of the tracker."""
         assert self._state is not None
-        if time - self._zero > COUNTED_S:
-            shift, belief = time - self._zero, self._state.belief
-            earlier = np.asarray(belief.time - shift, self.tracker.dtype)
-            self._state = self._state._replace(belief=belief._replace(time=earlier))
-            self._zero = time
-        step = self.tracker.step(self._state, time - self._zero, markers_world, images)
+        step = self.tracker.step(self._state, time, markers_world, images)
         self._state, pose, report = jax.device_get(step)
         self.placed += bool(report.placed)
         return pose, report
@@ -212,7 +208,7 @@ class LiveTracking:
         self._events += 1
         return self._given(self._smoother.step(event.time, there, images, pose, report))
 
-    def _given(self, given: Sequence[Given]) -> list[Output]:
+    def _given(self, given: Sequence[SmoothedPose]) -> list[Output]:
         """Of what is final, the samples' poses."""
         outputs = []
         for each in given:

@@ -6,7 +6,6 @@ INPUTS: a recording of somebody who stretches, swings and bends the arms.
 OUTPUTS: a body in a file, and for each length whether the recording determines it.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,22 +16,22 @@ from jaxmocap.body.proportions import LENGTHS, scaled
 from jaxmocap.body.skeleton import Skeleton, with_wrists
 from jaxmocap.body.subject import scale_to_height
 from jaxmocap.capture.checks.body_reach import stature
-from jaxmocap.capture.filters import cleaned
-from jaxmocap.capture.footage import open_footage, reading
+from jaxmocap.capture.footage import reading
+from jaxmocap.capture.kept_frames import kept
+from jaxmocap.compilation.clock import Clock
 from jaxmocap.evaluation.interval_plot import plot_intervals
+from jaxmocap.evidence.appearance.learned import ROWS
 from jaxmocap.fitting.lengths import LengthsFit, fit_lengths
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.marker_places import MarkerPlace
 from jaxmocap.formats.recordings.recording import Recording, load_recording
 from jaxmocap.formats.recordings.subject import write_subject
-from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.scaling.lengths_report import VERDICTS, LengthsReport
-from jaxmocap.pipelines.tracking.events import Plan
-from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events, open_all_keypoints
-from jaxmocap.pipelines.tracking.scan_events import scanned
-from jaxmocap.pipelines.tracking.second_pass import FINELY, Solved, solve_recording
-from jaxmocap.pipelines.tracking.track import make_tracker
+from jaxmocap.pipelines.tracking.events import Events
+from jaxmocap.pipelines.tracking.first_pass import scanned
+from jaxmocap.pipelines.tracking.track import make_tracker, open_recording, with_sight_lines
+from jaxmocap.smoothing.batch import FINELY, solve_recording
 
 # Whose markers say where head and hands are.
 HEAD, HANDS = ("head", "neck"), ("radius", "hand")
@@ -78,30 +77,25 @@ def scale_by_recording(
 def fit_recording(recording: Recording, progress: Progress | bool | None = None) -> LengthsFit:
     """Lengths and girths with which a recording's motion costs least; see ``hybrid.lengths``."""
     _refuse(recording)
-    tracker = make_tracker(recording)
+    tracker, clock = make_tracker(recording), Clock(False)
     with progress_bar("fitting lengths", progress) as show:
-        solved = _solved(recording, tracker, lambda share: show(round(90 * share), 100))
+        opened = open_recording(recording)
+        events = Events.of(opened.recording, opened.videos, "own", opened.cleaning)
+        part = lambda done, total: show(round(36 * done / total), 100)  # noqa: E731
+        with reading(opened.videos) as readers:
+            first = scanned(events, tracker, readers, part, clock)
+        solved = solve_recording(
+            tracker.model,
+            tracker.settings.smoothing,
+            with_sight_lines(opened, events, first),
+            kept(opened.videos, ROWS),
+            lambda share: show(round(36 + 54 * share), 100),
+        )
         if solved is None:
             raise InputError(_name(recording), "no video frame lies within the markers' time")
-        fit = fit_lengths(solved.problem, solved.trajectory, FINELY)
+        fit = fit_lengths(*solved, FINELY)
         show(100, 100)
     return fit
-
-
-def _solved(
-    recording: Recording, tracker: HybridTracker, show: Callable[[float], None]
-) -> Solved | None:
-    """Both passes over the recording."""
-    videos, _ = open_footage(recording)
-    recording, cleaning = cleaned(recording)
-    keypoints = open_all_keypoints(recording, videos)
-    plan = Plan.of(recording, videos, "own", cleaning)
-    with reading(videos) as readers:
-        passed = scanned(plan, tracker, readers, lambda done, total: show(0.4 * done / total))
-    first = passed.first_pass()
-    lines = lines_at_events(recording, keypoints, first.timeline, first.alone)
-    first = first._replace(lines=lines)
-    return solve_recording(tracker, videos, first, lambda share: show(0.4 + 0.6 * share))
 
 
 def _of_person(recording: Recording, height: float | None, mass: float | None) -> Recording:

@@ -17,9 +17,6 @@ from jaxmocap.silhouette.first_pose import landmark_points, pose_at, standing_po
 from jaxmocap.silhouette.settings import FAR_OFF, Settings
 from jaxmocap.silhouette.surfaces.morph import Morphing, shoulders
 
-# Solves of one and the same sample, until it rests.
-SOLVES = 5
-
 
 def settings_for(by_hand: bool, go_along: bool) -> Settings:
     """Of the tracker, where the first pose was said by hand, and shoulders go along with arms."""
@@ -75,8 +72,5 @@ def _by_markers(recording: Recording) -> Pose:
     skeleton = recording.skeleton
     sites = marker_sites(skeleton, recording.places)
     tracker = HybridTracker(skeleton, None, Hybrid(), sites)
-    state = tracker.init(first)
-    for _ in range(SOLVES):
-        state = tracker.step(state, 0.0, first)[0]
-    points = landmark_points(tracker.skeleton, state.pose)
+    points = landmark_points(tracker.model.skeleton, tracker.init(first).pose)
     return pose_at(whole_body(skeleton), np.asarray(points))

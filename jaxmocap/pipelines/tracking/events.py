@@ -1,6 +1,6 @@
-"""What a run over a recording goes through: its events, the markers there, and what they lack.
+"""The events of a recording: what a tracker goes through, and what they lack.
 
-INPUTS: a Recording, its videos. OUTPUTS: a Plan; sentences for the report.
+INPUTS: a Recording, its videos. OUTPUTS: Events; warnings for the report.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,15 +17,15 @@ from jaxmocap.pipelines.tracking import warnings
 
 
 @dataclass(frozen=True)
-class Plan:
-    """The E events of a run, from the first sample with a marker to the last sample.
+class Events:
+    """The E events of a recording, from the first sample with a marker to the last sample.
 
     Attributes:
         recording: what is tracked.
         timeline: its events.
         markers_world: (E, M, 3) there; NaN where missing.
-        before: how many samples lie before the first event; no marker has been seen in them.
-        unseen: C of (T,), whether no frame of a camera lies near each sample.
+        before: how many samples lie before the first event; none of them has a marker.
+        without_video: C of (T,), whether no frame of a camera lies near each sample.
         cleaning: what filters did to the markers, or None.
     """
 
@@ -33,7 +33,7 @@ class Plan:
     timeline: Timeline
     markers_world: np.ndarray
     before: int
-    unseen: list[np.ndarray]
+    without_video: list[np.ndarray]
     cleaning: Cleaning | None = None
 
     @classmethod
@@ -43,7 +43,7 @@ class Plan:
         videos: Sequence[FrameSource],
         mode: Mode,
         cleaning: Cleaning | None = None,
-    ) -> "Plan":
+    ) -> "Events":
         """The events of a recording, and the markers at them."""
         times, causal = recording.times, mode == "causal"
         line = build_timeline(times, [video.times for video in videos], mode)
@@ -53,33 +53,33 @@ class Plan:
         parts = (line.event_times, line.sample_index, line.frame_index)
         line = Timeline(*(part[events] for part in parts))
         markers = interpolate(times, recording.positions_world, line.event_times, causal)
-        unseen = [warnings.without_video(times, video.times, causal) for video in videos]
-        return cls(recording, line, markers, first, unseen, cleaning)
+        without_video = [warnings.without_video(times, video.times, causal) for video in videos]
+        return cls(recording, line, markers, first, without_video, cleaning)
 
     @property
     def times(self) -> np.ndarray:
         """(E,) seconds since the first event."""
         return self.timeline.event_times - self.timeline.event_times[0]
 
-    def about_images(self, event: int, images: Sequence[np.ndarray | None]) -> list[str]:
-        """What is to be said of the images that an event has, one per camera."""
+    def image_warnings(self, event: int, images: Sequence[np.ndarray | None]) -> list[str]:
+        """Warnings about the images that an event has, one per camera."""
         names = [source.camera_name for source in self.recording.videos][: len(images)]
         due = (self.timeline.frame_index[event] >= 0).tolist()
         return list(warnings.of_images(names, due, images))
 
-    def about_samples(self, of_events: Sequence[list[str]]) -> Iterator[tuple[str, ...]]:
-        """What is to be said of every sample; what happened since the one before belongs to it."""
-        sentences: list[str] = []
-        for sample, said in zip(self.timeline.sample_index.tolist(), of_events, strict=True):
-            sentences += said
+    def sample_warnings(self, of_events: Sequence[list[str]]) -> Iterator[tuple[str, ...]]:
+        """Warnings about every sample; what happened since the one before belongs to it."""
+        gathered: list[str] = []
+        for sample, own in zip(self.timeline.sample_index.tolist(), of_events, strict=True):
+            gathered += own
             if sample >= 0:
-                yield tuple(dict.fromkeys([*sentences, *self._about_sample(sample)]))
-                sentences = []
+                yield tuple(dict.fromkeys([*gathered, *self._about_sample(sample)]))
+                gathered = []
 
     def _about_sample(self, sample: int) -> Iterator[str]:
         positions = self.recording.positions_world[sample]
         yield from warnings.of_markers(self.recording.marker_names, positions)
         yield from self.cleaning.sentences(sample) if self.cleaning else ()
-        for source, unseen in zip(self.recording.videos, self.unseen, strict=False):
-            if unseen[sample]:
+        for source, missing in zip(self.recording.videos, self.without_video, strict=False):
+            if missing[sample]:
                 yield f"{source.camera_name}: no video frame near this sample"

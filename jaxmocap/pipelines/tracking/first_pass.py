@@ -1,102 +1,125 @@
-"""What one way through a recording found, and the motions that come of it.
+"""The first pass over a recording: the tracker's steps at all events.
 
-INPUTS: poses and reports of all events, what a second pass made of them. OUTPUTS: Motions.
+Offline a chunk of events at a time; causally one by one, as they would come in live, and a smoother
+behind gives out what is some frames old.
+
+INPUTS: Events, a tracker, readers of its videos. OUTPUTS: FirstPass; smoothed poses.
 """
 
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from time import perf_counter
 
 import jax
 import numpy as np
 
-from jaxmocap.body.motion import Motion, Report
-from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.hybrid.tracker import StepReport
+from jaxmocap.capture.footage import ForwardReader
+from jaxmocap.compilation.clock import Clock
+from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.tracking import warnings
-from jaxmocap.pipelines.tracking.events import Plan
-from jaxmocap.pipelines.tracking.report_figures import judge_steps
-from jaxmocap.pipelines.tracking.second_pass import FirstPass, Smoothed
-from jaxmocap.smoothing.fixed_lag import Given
+from jaxmocap.pipelines.tracking.events import Events
+from jaxmocap.smoothing.fixed_lag import FixedLagSmoother, SmoothedPose
+from jaxmocap.smoothing.problem import FirstPass
+
+# Called with the events done and their total.
+Show = Callable[[int, int], None]
 
 
-class Tracked(NamedTuple):
-    """One run over a recording, seen twice.
+def scanned(
+    events: Events,
+    tracker: HybridTracker,
+    readers: Sequence[ForwardReader],
+    show: Show,
+    clock: Clock,
+) -> FirstPass:
+    """Scan through the events, chunk by chunk."""
+    began = perf_counter()
+    about_images: list[list[str]] = []
+    images = _images(events, readers, about_images) if readers else None
+    state = tracker.init(events.markers_world[0])
+    times, parts, about_steps = events.timeline.event_times, [], []
+    for chunk in tracker.scan(state, times, events.markers_world, images, clock):
+        if not parts:
+            began = clock.keep("first_call", began)
+        parts.append((chunk.poses, chunk.reports))
+        rows = range(len(chunk.events))
+        about_steps += [list(warnings.of_step(_row(chunk.reports, row))) for row in rows]
+        # All stages together, as far as they did not run beside one another.
+        stage, among = ("frame", chunk.frames) if chunk.frames else ("sample", len(rows))
+        began = clock.keep(stage, began, among)
+        show(len(about_steps), len(times))
+    poses, reports = jax.tree.map(lambda *each: np.concatenate(each), *parts)
+    about = [[*step, *(about_images[i] if readers else [])] for i, step in enumerate(about_steps)]
+    return _first_pass(events, poses, reports, about)
 
-    Attributes:
-        motion: by markers and video.
-        markers_only: the same steps before the video had its say.
-    """
 
-    motion: Motion
-    markers_only: Motion
+def stepped(
+    events: Events,
+    tracker: HybridTracker,
+    readers: Sequence[ForwardReader],
+    smoother: FixedLagSmoother | None,
+    show: Show,
+    clock: Clock,
+) -> tuple[FirstPass, list[SmoothedPose]]:
+    """Step through the events, one by one."""
+    state, line = tracker.init(events.markers_world[0]), events.timeline
+    final: list[SmoothedPose] = []
+    steps, about = [], []
+    began = perf_counter()
+    for event, time in enumerate(events.times):
+        began = perf_counter() if event else began
+        own, markers = Clock(), events.markers_world[event]
+        images = own.timed("decode", _images_at, line.frame_index[event], readers)
+        state, pose, report = tracker.step(state, time, markers, images, own)
+        # A quarter of the time of jax.device_get, and the state stays where it is wanted next.
+        pose, report = jax.tree.map(np.asarray, (pose, report))
+        if smoother is not None:
+            # Between the samples markers are extrapolated, which the smoother does better.
+            there = markers if line.sample_index[event] >= 0 else np.nan * markers
+            final += own.timed("smooth", smoother.step, time, there, images, pose, report)
+        _keep_stages(clock, own, 1e3 * (perf_counter() - began), not event, images)
+        steps.append((pose, report))
+        about.append([*warnings.of_step(report), *events.image_warnings(event, images)])
+        show(event + 1, len(events.times))
+    final += smoother.flush() if smoother else []
+    poses, reports = jax.tree.map(lambda *parts: np.stack(parts), *steps)
+    return _first_pass(events, poses, reports, about), final
 
 
-@dataclass
-class Passed:
-    """One way through the E events of a recording.
+def _first_pass(events: Events, poses, reports, about: list[list[str]]) -> FirstPass:
+    line = events.timeline
+    return FirstPass(
+        line.event_times, events.markers_world, line.frame_index, poses, reports, about
+    )
 
-    Attributes:
-        plan: the events.
-        refined: poses (E, ...).
-        reports: of the steps, (E, ...).
-        said: sentences of each event.
-        milliseconds: stage -> times.
-        given: what a smoother behind the tracker gave out, event by event.
-    """
 
-    plan: Plan
-    refined: Pose
-    reports: StepReport
-    said: list[list[str]]
-    milliseconds: dict[str, list[float]]
-    given: list[Given] = field(default_factory=list)
+def _row(reports, row: int):
+    return jax.tree.map(lambda part: part[row], reports)
 
-    def first_pass(self) -> FirstPass:
-        """What a second pass starts from."""
-        plan = self.plan
-        return FirstPass(plan.timeline, plan.markers_world, self.reports.pose, self.refined)
 
-    def tracked(self, skeleton: Skeleton, told: dict, smoothed: Smoothed | None) -> Tracked:
-        """All samples as arrays, NaN before the first one with a marker.
+def _images_at(frames: np.ndarray, readers: Sequence[ForwardReader]) -> list[np.ndarray | None]:
+    return [reader.at(int(index)) for reader, index in zip(readers, frames, strict=True)]
 
-        Args:
-            skeleton: of the person, as the tracker has it.
-            told: settings for the report.
-            smoothed: what the second pass found, if there was one.
-        """
-        plan, before = self.plan, self.plan.before
-        at_samples = np.flatnonzero(plan.timeline.sample_index >= 0)
 
-        def column(values: np.ndarray) -> np.ndarray:
-            kept = np.asarray(values)[at_samples]
-            return np.concatenate([np.full((before, *kept.shape[1:]), np.nan), kept])
+def _images(
+    events: Events, readers: Sequence[ForwardReader], about: list[list[str]]
+) -> Iterator[list[np.ndarray | None]]:
+    """The images of each event; warnings about them are kept."""
+    for event, frames in enumerate(events.timeline.frame_index):
+        images = _images_at(frames, readers)
+        about.append(events.image_warnings(event, images))
+        yield images
 
-        def motion(person: Skeleton, poses: Pose, report: Report | None) -> Motion:
-            poses, recording = jax.tree.map(column, poses), plan.recording
-            return Motion(person, recording.times, poses, report, recording.origin_world)
 
-        judged = judge_steps(self.reports) if smoothed is None else smoothed.judged
-        report = Report(
-            markers=plan.recording.marker_names,
-            marker_errors=column(judged.distances),
-            arm_costs=column(np.asarray(self.reports.arm_costs)),
-            swivels=column(judged.swivels),
-            confidence=column(judged.confidence),
-            landmarks_std=column(judged.deviations),
-            from_prior=column(judged.from_prior),
-            statuses=self._sentences(column(judged.confidence)),
-            milliseconds={stage: np.array(t) for stage, t in self.milliseconds.items()},
-            settings=told,
-        )
-        person, poses = (skeleton, self.refined) if smoothed is None else smoothed[:2]
-        return Tracked(motion(person, poses, report), motion(skeleton, self.reports.pose, None))
-
-    def _sentences(self, confidence: np.ndarray) -> tuple[tuple[str, ...], ...]:
-        """What there is to say of each sample, by the (T, 2) confidence in its elbows."""
-        before = (("no marker has been seen yet",),) * self.plan.before
-        said = list(self.plan.about_samples(self.said))
-        if self.plan.unseen:
-            unsure = map(warnings.of_confidence, confidence[len(before) :])
-            said = [(*sentences, *more) for sentences, more in zip(said, unsure, strict=True)]
-        return before + tuple(said)
+def _keep_stages(
+    clock: Clock, own: Clock, total: float, first: bool, images: Sequence[np.ndarray | None]
+) -> None:
+    """Keep an event's times as the stages that they belong to."""
+    spent = {stage: times[0] for stage, times in own.milliseconds.items()}
+    if first:
+        spent = {"first_call": total}
+    elif any(image is not None for image in images):
+        spent = spent | {"frame": total}
+    else:
+        spent = {"solve": spent["solve"], "carry": spent["refine"], "sample": total}
+    for stage, taken in spent.items():
+        clock.milliseconds.setdefault(stage, []).append(taken)

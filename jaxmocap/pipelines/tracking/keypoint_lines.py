@@ -21,7 +21,7 @@ from jaxmocap.capture.keypoints import (
 )
 from jaxmocap.capture.timeline import Timeline
 from jaxmocap.capture.video import FrameSource
-from jaxmocap.evidence.keypoints import Lines, lines_of_sight
+from jaxmocap.evidence.keypoints import SightLines, lines_of_sight
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
 
 
@@ -40,20 +40,20 @@ def lines_at_events(
     recording: Recording,
     keypoints: Sequence[Keypoints | None],
     timeline: Timeline,
-    alone: Pose,
-) -> Lines | None:
-    """What the cameras with key points tell of the tracked person.
+    marker_poses: Pose,
+) -> SightLines | None:
+    """Lines of sight of the cameras with key points to the tracked person's landmarks.
 
     Args:
         recording: that the videos are of.
         keypoints: of each video.
         timeline: E events.
-        alone: (E, ...) poses of the markers alone, which tell the person from others.
+        marker_poses: (E, ...) of the markers alone, which tell the person from others.
 
     Returns:
         (E, ...) of all these cameras; None where there is none.
     """
-    points_world = landmarks_over_time(recording.skeleton, alone)
+    points_world = landmarks_over_time(recording.skeleton, marker_poses)
     found = [
         _lines(recording, source, each, timeline, frames, points_world)
         for source, each, frames in zip(
@@ -71,16 +71,16 @@ def _lines(
     timeline: Timeline,
     frames: np.ndarray,
     points_world: np.ndarray,
-) -> Lines:
+) -> SightLines:
     """One camera's lines (E, 1, ...), of its frames (E,) or -1."""
     names = keypoints.landmarks
     marked = marked_landmarks(recording, names, timeline.event_times)
     # Markers tell the person more surely than a pose, where they sit on enough of the landmarks.
     enough = np.isfinite(marked).all(-1).sum(1) >= 2
     posed = points_world[:, landmark_rows(names)]
-    known = np.where(enough[:, None, None], marked, posed)
-    known[frames < 0] = np.nan
+    expected = np.where(enough[:, None, None], marked, posed)
+    expected[frames < 0] = np.nan
     at_events = replace(
         keypoints, pixels_xy=keypoints.pixels_xy[frames], confidences=keypoints.confidences[frames]
     )
-    return lines_of_sight(source.camera, names, *follow_person(at_events, source.camera, known))
+    return lines_of_sight(source.camera, names, *follow_person(at_events, source.camera, expected))

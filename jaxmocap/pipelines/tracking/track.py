@@ -1,15 +1,14 @@
 """A recording to a motion.
 
-    recording ── Plan ── scanned, or stepped as if live ── Passed ── smoothed ── Motion
+    Recording ── Events ── first pass: scanned, or stepped as if live ── smoothing ── Motion
                  (a marker sample, a video frame, or both at every event)
 
 INPUTS: a Recording. OUTPUTS: a Motion with one row per marker sample, and its Report.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from time import perf_counter
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,21 +16,26 @@ import numpy as np
 from jaxmocap.body.kinematics import Sites
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.capture.filters import cleaned
+from jaxmocap.capture.filters import Cleaning, cleaned
 from jaxmocap.capture.footage import open_footage, reading
+from jaxmocap.capture.kept_frames import kept
+from jaxmocap.capture.keypoints import Keypoints
 from jaxmocap.capture.timeline import Mode
+from jaxmocap.capture.video import FrameSource
+from jaxmocap.compilation.clock import Clock
+from jaxmocap.evidence.appearance.learned import ROWS
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.outputs.report import plain
 from jaxmocap.pipelines.progress import Progress, progress_bar
-from jaxmocap.pipelines.tracking.events import Plan
-from jaxmocap.pipelines.tracking.first_pass import Tracked
+from jaxmocap.pipelines.tracking.events import Events
+from jaxmocap.pipelines.tracking.first_pass import scanned, stepped
 from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events, open_all_keypoints
-from jaxmocap.pipelines.tracking.scan_events import scanned
-from jaxmocap.pipelines.tracking.second_pass import Smoothed, gathered, smooth_recording
-from jaxmocap.pipelines.tracking.step_events import stepped
+from jaxmocap.pipelines.tracking.motions import Tracked, gathered, motions, unsmoothed
+from jaxmocap.smoothing.batch import smooth_recording
 from jaxmocap.smoothing.fixed_lag import DELAY_FRAMES, DELAY_S, FixedLagSmoother
+from jaxmocap.smoothing.problem import FirstPass, Trajectory
 
 
 def track(
@@ -81,52 +85,100 @@ def track_both(
     tracker: HybridTracker | None = None,
 ) -> Tracked:
     """Track a recording and keep the markers' own poses as well; see ``track``."""
-    videos, warnings = open_footage(recording.marked())
-    recording, cleaning = cleaned(recording, causal=mode == "causal")
-    warnings += cleaning.remarks
-    # Read first, so that what is wrong with them is said before anything takes its time.
-    keypoints = open_all_keypoints(recording, videos)
-    warnings += tuple(said for each in keypoints if each for said in each.warnings)
-    tracker = tracker or make_tracker(recording, settings)
-    used = [] if tracker.cameras is None else videos
-    plan, causal = Plan.of(recording, used, mode, cleaning), mode == "causal"
+    clock, causal = Clock(), mode == "causal"
+    opened = open_recording(recording, mode)
+    tracker = tracker or make_tracker(opened.recording, settings)
+    used = opened.videos if tracker.model.camera_count else []
+    events = Events.of(opened.recording, used, mode, opened.cleaning)
     smooth = bool(used) and tracker.settings.smooth
-    smoother = FixedLagSmoother(tracker) if smooth and causal else None
+    smoother = None
+    if smooth and causal:
+        smoother = FixedLagSmoother(tracker.model, tracker.settings.smoothing)
     in_colour = reading(used, colour=smoother is not None)
     with progress_bar("tracking", progress) as show, in_colour as readers:
         if causal:
-            passed = stepped(plan, tracker, readers, smoother, show)
+            first, final = stepped(events, tracker, readers, smoother, show, clock)
         else:
-            passed = scanned(plan, tracker, readers, show)
-    smoothed = gathered(tracker, passed.given, passed.first_pass()) if smoother else None
+            first, final = scanned(events, tracker, readers, show, clock), []
+    trajectory = gathered(final) if smoother else None
     if smooth and not causal:
-        began, first = perf_counter(), passed.first_pass()
-        lines = lines_at_events(recording, keypoints, first.timeline, first.alone)
         with progress_bar("smoothing", progress) as show:
-            smoothed = smooth_recording(
-                tracker,
-                used,
-                first._replace(lines=lines),
+            trajectory = clock.timed(
+                "smooth", _smoothed, opened, events, tracker, first,
                 lambda share: show(round(100 * share), 100),
-            )
-        passed.milliseconds["smooth"] = [1e3 * (perf_counter() - began)]
-    told = {
+            )  # fmt: skip
+    report = {
         "recording": recording.path or recording.name,
         "mode": mode,
         "cameras": [source.camera_name for source in recording.videos],
         "markers": recording.marker_names,
-        "warnings": warnings,
-        "filters": cleaning.figures(),
+        "warnings": opened.warnings,
+        "filters": opened.cleaning.figures(),
         "tracker": tracker.settings,
-        "camera_turns_deg": _turns_deg(recording, smoothed),
+        "camera_turns_deg": _turns_deg(recording, trajectory),
         "latency": {"video frames": DELAY_FRAMES, "seconds": DELAY_S} if smoother else {},
     }
-    return passed.tracked(tracker.skeleton, plain(told), smoothed)
+    found = trajectory or unsmoothed(first)
+    return motions(tracker.model, events, first, found, clock.milliseconds, plain(report))
 
 
-def _turns_deg(recording: Recording, smoothed: Smoothed | None) -> dict[str, list[float]]:
+class Opened(NamedTuple):
+    """A recording, its files open and its markers cleaned.
+
+    Attributes:
+        recording: with cleaned markers.
+        videos: one per camera.
+        keypoints: of each video; None where it has none.
+        cleaning: what filters did to the markers.
+        warnings: for the user.
+    """
+
+    recording: Recording
+    videos: list[FrameSource]
+    keypoints: tuple[Keypoints | None, ...]
+    cleaning: Cleaning
+    warnings: tuple[str, ...]
+
+
+def open_recording(recording: Recording, mode: Mode = "own") -> Opened:
+    """Open a recording's videos and key points, and clean its markers.
+
+    All that can be wrong with them is found before anything takes its time.
+
+    Raises:
+        InputError: a video or key points that cannot be used with the recording.
+    """
+    videos, warnings = open_footage(recording.marked())
+    recording, cleaning = cleaned(recording, causal=mode == "causal")
+    warnings += cleaning.remarks
+    keypoints = open_all_keypoints(recording, videos)
+    warnings += tuple(warning for each in keypoints if each for warning in each.warnings)
+    return Opened(recording, videos, keypoints, cleaning, warnings)
+
+
+def with_sight_lines(opened: Opened, events: Events, first: FirstPass) -> FirstPass:
+    """A first pass with the lines of sight of its key points, which its poses tell from others'."""
+    lines = lines_at_events(
+        opened.recording, opened.keypoints, events.timeline, first.reports.marker_pose
+    )
+    return first._replace(sight_lines=lines)
+
+
+def _smoothed(
+    opened: Opened,
+    events: Events,
+    tracker: HybridTracker,
+    first: FirstPass,
+    show: Callable[[float], None],
+) -> Trajectory | None:
+    first = with_sight_lines(opened, events, first)
+    videos = kept(opened.videos, ROWS)
+    return smooth_recording(tracker.model, tracker.settings.smoothing, first, videos, show)
+
+
+def _turns_deg(recording: Recording, trajectory: Trajectory | None) -> dict[str, list[float]]:
     """Camera -> how it was found turned against its calibration, a vector in its frame, degrees."""
-    turns = [] if smoothed is None else np.degrees(smoothed.turns_cam).tolist()
+    turns = [] if trajectory is None else np.degrees(trajectory.turns_cam).tolist()
     return dict(zip((source.camera_name for source in recording.videos), turns, strict=False))
 
 

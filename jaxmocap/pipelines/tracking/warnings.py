@@ -1,4 +1,4 @@
-"""What there is to say about a sample: sentences that a user reads in the report.
+"""Warnings about a sample: sentences that a user reads in the report.
 
 They hold no figures, so that the report can count them.
 
@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from jaxmocap.capture.markers import median_interval
-from jaxmocap.hybrid.tracker import StepReport
+from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.solvers.status import SENTENCES, Status
 
 SIDES = ("left", "right")
@@ -25,10 +25,10 @@ NEAR_INTERVALS = 1.5
 def of_step(report: StepReport) -> Iterator[str]:
     """What the tracker did to the body."""
     if report.placed:
-        yield "the body was placed anew"
+        yield "the body was placed again"
     if report.planted:
-        yield "the feet were planted anew"
-    if sentence := SENTENCES[Status(int(report.ending))]:
+        yield "the feet were planted again"
+    if sentence := SENTENCES[Status(int(report.status))]:
         yield f"the refinement {sentence}"
 
 

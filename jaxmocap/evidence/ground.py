@@ -1,0 +1,32 @@
+"""The ground: ankles that no marker holds stand where the markers' own pose has them.
+
+INPUTS: a posed body, ankles of the markers' pose. OUTPUTS: whitened residuals.
+"""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxmocap.body.model import Model
+from jaxmocap.body.skeleton import landmark_rows
+from jaxmocap.compilation.settings import settings, traced
+from jaxmocap.evidence.terms import Measurements, PosedBody, Term
+
+ANKLES = landmark_rows(("ankle_l", "ankle_r"))
+
+
+@settings
+class Ground(Term):
+    """Feet on the ground; measured ``ankles`` (2, 3) of the markers' pose, world, metres."""
+
+    errors_last: ClassVar[bool] = True
+    height: Array = traced(0.05, "of the height of ankles that no marker holds, metres")
+    place: Array = traced(1.0, "of their place on the ground about the markers' pose's, metres")
+
+    def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(2, 3); none where a marker holds a foot."""
+        if not model.no_foot_is_marked:
+            return jnp.zeros(0, body.landmarks.dtype)
+        deviations = jnp.stack([self.place, self.place, self.height])
+        return (body.landmarks[ANKLES] - measured["ankles"]) / deviations

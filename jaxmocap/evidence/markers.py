@@ -1,0 +1,107 @@
+"""Points where they were measured, or where a search puts them: markers, goals, elbows.
+
+INPUTS: points, targets (world, metres; NaN where missing). OUTPUTS: what lies between them.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.kinematics import Sites
+from jaxmocap.body.model import Model
+from jaxmocap.body.skeleton import ELBOWS, landmark_rows
+from jaxmocap.compilation.settings import settings, traced
+from jaxmocap.evidence.terms import Measurements, PosedBody, Term
+
+
+def are_present(targets: Array | np.ndarray) -> Array:
+    """Which (...) of targets (..., 3) are there: all of their coordinates are finite."""
+    return jnp.isfinite(jnp.asarray(targets)).all(-1)
+
+
+def off_targets(points: Array, targets: Array | np.ndarray) -> Array:
+    """Points (..., 3) less their targets, metres; 0 where a target is missing (NaN)."""
+    targets = jnp.asarray(targets)
+    there = are_present(targets)[..., None]
+    return jnp.where(there, points - jnp.where(there, targets, 0.0), 0.0)
+
+
+@settings
+class Markers(Term):
+    """Markers on bones; measured ``markers`` (M, 3), world, metres, NaN where missing."""
+
+    deviation: Array = traced(0.004, "of a marker about its point on the body, metres")
+
+    def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(M, 3)."""
+        return off_targets(body.markers, measured["markers"]) / self.deviation
+
+
+class Goals(NamedTuple):
+    """Where M points on bones are to go.
+
+    Attributes:
+        sites: the points.
+        targets: (M, 3) world, metres.
+        weights: (M,) of each in the least-squares sense; 0 where there is no target.
+    """
+
+    sites: Sites
+    targets: Array
+    weights: Array
+
+    def off(self, points: Array) -> Array:
+        """Points (M, 3) less their goals, metres; 0 for those of no weight."""
+        return jnp.where(self.weights[:, None] > 0, points - self.targets, 0.0)
+
+
+@settings
+class PointGoals(Term):
+    """Goals of inverse kinematics: markers, then feet that carry none; measured ``goals``."""
+
+    deviation: Array = traced(0.004, "of a marker about its point on the body, metres")
+
+    def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(M + F, 3)."""
+        ankles = landmark_rows(f"ankle_{side}" for side in model.unmarked_feet)
+        points = jnp.concatenate([body.markers, body.landmarks[ankles]])
+        goals = measured["goals"]
+        return goals.weights[:, None] * goals.off(points) / self.deviation
+
+
+@settings
+class ElbowGoals(Term):
+    """Elbows of a search over time; measured ``elbows`` (2, 3), NaN where there is no goal."""
+
+    deviation: Array = traced(0.04, "of an elbow about where the search puts it, metres")
+
+    def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(2, 3); none where nothing was searched for."""
+        if "elbows" not in measured:
+            return jnp.zeros(0, body.landmarks.dtype)
+        return off_targets(body.landmarks[ELBOWS], measured["elbows"]) / self.deviation
+
+
+# Degrees of freedom of Student's t, by which a searched elbow may be wrong.
+TAILS = 4.0
+
+
+@settings
+class SearchedElbows(Term):
+    """Elbows of a frame's own search, which may be quite wrong; measured ``elbows`` (2, 3)."""
+
+    deviation: Array = traced(
+        0.02, "of an elbow about the searched one, metres; its tails are long"
+    )
+
+    def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(2, 3), with the tails of Student's t; none without a search."""
+        if "elbows" not in measured:
+            return jnp.zeros(0, body.landmarks.dtype)
+        away = (body.landmarks[ELBOWS] - measured["elbows"]) / self.deviation
+        squared = jnp.sum(away**2, -1, keepdims=True) / TAILS
+        near = squared < 1e-4
+        slow = jnp.log1p(squared) / jnp.where(near, 1.0, squared)
+        return away * jnp.sqrt(jnp.where(near, 1 - squared / 2, slow))

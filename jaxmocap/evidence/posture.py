@@ -1,0 +1,85 @@
+"""What is usual of a posture: joints near their relaxed angles, a pelvis upright and facing ahead.
+
+INPUTS: a posed body, where the markers' own pose leans and faces. OUTPUTS: whitened residuals.
+"""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxmocap.body.model import Model
+from jaxmocap.body.pose import difference
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.compilation.settings import settings, traced
+from jaxmocap.evidence.terms import Measurements, PosedBody, Term
+
+# Where no marker holds the feet, the markers' pose faces so many times less surely.
+UNMARKED_FACING = 3.0
+
+
+@settings
+class Posture(Term):
+    """Joints at ease."""
+
+    errors_last: ClassVar[bool] = True
+    ease: Array = traced(1.0, "of joints about the relaxed pose, as a multiple of what is usual")
+
+    def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(D,)."""
+        skeleton = model.skeleton
+        away = body.pose.angles - skeleton.relaxed
+        return away / (self.ease * skeleton.usual_deviations)
+
+
+@settings
+class Pelvis(Term):
+    """The pelvis as the markers' own pose has it.
+
+    Measured ``upright`` (2,), the horizontal part of its z axis there, and ``facing`` (3,), unit
+    and horizontal.
+    """
+
+    errors_last: ClassVar[bool] = True
+    lean: Array = traced(
+        0.1,
+        "of its upright about that of the markers' pose, radians; about the vertical where no "
+        "marker holds the feet",
+    )
+    facing: Array = traced(
+        0.1, "of where it faces, radians; thrice that where no marker holds the feet"
+    )
+
+    def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(3,)."""
+        R, unmarked = body.R_world_pelvis, model.no_foot_is_marked
+        upright = R[:2, 2] if unmarked else R[:2, 2] - measured["upright"]
+        turn = jnp.cross(R[:, 0], measured["facing"])[2:]
+        facing = self.facing * (UNMARKED_FACING if unmarked else 1.0)
+        return jnp.concatenate([upright / self.lean, turn / facing])
+
+
+@settings
+class NearPose(Term):
+    """A pose near another one, its pelvis near the vertical; measured ``centre``, a pose."""
+
+    shift: Array = traced(0.1, "of the pelvis about the centre, metres")
+    turn: Array = traced(0.3, "of its orientation, radians")
+    lean: Array = traced(0.15, "of the pelvis from the vertical, radians")
+    spine: Array = traced(0.1, "of each of its joints about the centre, radians")
+    neck: Array = traced(0.4, "the same")
+    arm: Array = traced(1.0, "the same")
+    leg: Array = traced(0.4, "the same")
+
+    def deviations(self, skeleton: Skeleton) -> Array:
+        """(6 + D,) about the centre, metres and radians."""
+        groups = {"spine": self.spine, "head": self.neck, "leg": self.leg}
+        # Arms, shoulders, and what else a body has.
+        joints = [groups.get(group, self.arm) for group in skeleton.tree.groups_of_joints]
+        return jnp.stack([self.shift] * 3 + [self.turn] * 3 + joints)
+
+    def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(6 + D + 2,)."""
+        moved = difference(body.pose, measured["centre"])
+        deviations = self.deviations(model.skeleton)
+        return jnp.concatenate([moved / deviations, body.R_world_pelvis[:2, 2] / self.lean])

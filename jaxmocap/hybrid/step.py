@@ -1,0 +1,211 @@
+"""A step of the tracker as pure functions of arrays, alone and over many events at once.
+
+    start    first markers -> pose, feet
+    solve    markers -> pose (section 4), and the regions where it puts the arms
+    refine   pose, fields of edges -> search and simplex (5.1, 5.2), balance (5.3) -> pose, belief
+    scans    ``solve`` and ``refine`` over many events, without leaving the device in between
+
+``solve`` reads its own last pose only, so regions are known before any image is looked at; what the
+video found lives in refine's belief, and is carried to the samples between two video frames.
+
+The model is an argument: another person needs no new program. Many recordings go side by side by
+``jax.vmap`` over the scans, whatever differs between them along a new first axis.
+
+INPUTS: a Model, Settings, markers, what was measured. OUTPUTS: poses, reports.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.arms import arms_of
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.model import Model
+from jaxmocap.body.pose import Pose
+from jaxmocap.compilation.programs import Program
+from jaxmocap.evidence.edges import EdgeFields
+from jaxmocap.hybrid.balance import bow_factors
+from jaxmocap.hybrid.elbow_search import ElbowBelief, no_belief
+from jaxmocap.hybrid.feet import FootPlacement, place
+from jaxmocap.hybrid.ik import goal_distances, goals_of, solve_ik
+from jaxmocap.hybrid.observe import arm_regions
+from jaxmocap.hybrid.refine import Solved, StepReport, refine
+from jaxmocap.hybrid.settings import Settings
+
+# Events of a scan: few enough that their images take little memory, and that the next chunk can be
+# solved while this one is looked at.
+EVENTS = 32
+# At the first markers the body rests where its joints turn by less, radians,
+AT_REST_RAD = 1e-3
+# or after so many solves.
+MOST_SETTLING = 10
+
+
+class Start(NamedTuple):
+    """What a tracker begins with.
+
+    Attributes:
+        pose: of the first markers.
+        feet: where they stand.
+        belief: about the elbows.
+        bow_factors: (3,) p_i of the balance heuristic.
+    """
+
+    pose: Pose
+    feet: FootPlacement
+    belief: ElbowBelief
+    bow_factors: Array
+
+
+class EventFields(NamedTuple):
+    """Fields of C cameras at some events, each kept once.
+
+    Attributes:
+        distances: (F + 1, C, 2, K, S, S) of F events with an image; the first is of no image.
+        available: (F + 1, C, 2) whether there is an image.
+        which: (E,) which of them belongs to an event; 0 for none.
+    """
+
+    distances: Array | np.ndarray
+    available: Array | np.ndarray
+    which: Array | np.ndarray
+
+    @classmethod
+    def of(cls, nothing: EdgeFields, each: Sequence[EdgeFields | None]) -> "EventFields":
+        """Of E events, with room for as many images, so that the shapes are always the same.
+
+        Args:
+            nothing: of an event without an image.
+            each: of every event; None without an image.
+        """
+        distances = np.zeros((len(each) + 1, *np.shape(nothing.distances)), np.float32)
+        available = np.zeros((len(each) + 1, *np.shape(nothing.available)), bool)
+        distances[0], which, count = nothing.distances, np.zeros(len(each), np.int32), 0
+        for event, fields in enumerate(each):
+            if fields is not None:
+                count += 1
+                which[event] = count
+                distances[count], available[count] = fields.distances, fields.available
+        return cls(distances, available, which)
+
+
+def start(model: Model, settings: Settings, targets: Array) -> Start:
+    """Place the body by its first markers (M, 3), and let it come to rest on them."""
+    pose, feet = place(model, settings.ik, targets)
+
+    def unsettled(carry: tuple[Array, Array, Pose, FootPlacement]) -> Array:
+        count, turned, _, _ = carry
+        return (count < MOST_SETTLING) & (turned >= AT_REST_RAD)
+
+    def settle(
+        carry: tuple[Array, Array, Pose, FootPlacement],
+    ) -> tuple[Array, Array, Pose, FootPlacement]:
+        count, _, pose, feet = carry
+        ik = solve(model, settings, pose, feet, targets).ik
+        turned = jnp.max(jnp.abs(ik.pose.angles - pose.angles))
+        return count + 1, turned, ik.pose, ik.feet
+
+    far = jnp.asarray(jnp.inf, targets.dtype)
+    belief = no_belief(settings.elbow_search, pose)
+    first = (jnp.zeros((), jnp.int32), far, pose, feet)
+    _, _, pose, feet = jax.lax.while_loop(unsettled, settle, first)
+    factors = jnp.zeros(3, targets.dtype)
+    if settings.balance:
+        factors = bow_factors(model.skeleton, settings.ik)
+    return Start(pose, feet, belief, factors)
+
+
+def solve(
+    model: Model, settings: Settings, pose: Pose, feet: FootPlacement, targets: Array
+) -> Solved:
+    """Markers (M, 3), NaN where missing, to pose and regions, from the last pose and its feet."""
+    skeleton, goals = model.skeleton, goals_of(model, settings.ik, feet, targets)
+    placed = jnp.max(goal_distances(skeleton, goals, pose)[: len(targets)]) > settings.ik.lost
+    pose, feet = jax.lax.cond(
+        placed, lambda: place(model, settings.ik, targets), lambda: (pose, feet)
+    )
+    ik = solve_ik(model, settings.ik, pose, feet, targets)
+    if model.cameras is None:
+        return Solved(ik, placed, None)
+    arms = arms_of(skeleton, forward(skeleton, ik.pose), model.grips)
+    region = arm_regions(model.cameras, arms, settings.samples, settings.margin, settings.spacing)
+    return Solved(ik, placed, region)
+
+
+def solve_events(
+    model: Model, settings: Settings, first: tuple[Pose, FootPlacement], markers: Array
+) -> tuple[tuple[Pose, FootPlacement], Solved]:
+    """``solve`` at all events: (E, M, 3) markers to the last pose and feet, and all results.
+
+    Args:
+        model: of the person, the markers and the cameras.
+        settings: of the tracker.
+        first: pose and feet before the first event.
+        markers: (E, M, 3) world, metres; NaN where missing.
+    """
+
+    def one(
+        last: tuple[Pose, FootPlacement], targets: Array
+    ) -> tuple[tuple[Pose, FootPlacement], Solved]:
+        solved = solve(model, settings, *last, targets)
+        return (solved.ik.pose, solved.ik.feet), solved
+
+    return jax.lax.scan(one, first, markers)
+
+
+class Events(NamedTuple):
+    """What ``refine`` needs of E events.
+
+    Attributes:
+        solved: (E, ...) of ``solve_events``.
+        markers: (E, M, 3) as there.
+        fields: what the cameras measured; None without cameras.
+        elapsed: (E,) seconds since the event before.
+    """
+
+    solved: Solved
+    markers: Array | np.ndarray
+    fields: EventFields | None
+    elapsed: Array | np.ndarray
+
+
+def refine_events(
+    model: Model, settings: Settings, bow_factors: Array, events: Events, belief: ElbowBelief
+) -> tuple[ElbowBelief, tuple[Pose, StepReport]]:
+    """``refine`` at all events: the last belief, and the refined poses and reports (E, ...).
+
+    Args:
+        model: of the person, the markers and the cameras.
+        settings: of the tracker.
+        bow_factors: (3,) of the balance heuristic.
+        events: in order of time.
+        belief: before the first event.
+    """
+
+    def one(last: ElbowBelief, event: tuple) -> tuple[ElbowBelief, tuple[Pose, StepReport]]:
+        solved, targets, which, elapsed = event
+        fields = None
+        if events.fields is not None:
+            distances, available, _ = map(jnp.asarray, events.fields)
+            fields = EdgeFields(solved.region, distances[which], available[which])
+        last, pose, report = refine(
+            model, settings, bow_factors, solved, targets, fields, last, elapsed
+        )
+        return last, (pose, report)
+
+    which = None if events.fields is None else events.fields.which
+    each = (events.solved, events.markers, which, events.elapsed)
+    return jax.lax.scan(one, belief, each)
+
+
+# What runs once is not optimised. Live, the tenth that an image's refinement would take longer
+# counts; offline the first start.
+START = Program(start, "start", effort="once")
+SOLVE = Program(solve, "solve", effort="quick")
+REFINE = Program(refine, "refine", effort="full")
+SOLVE_EVENTS = Program(solve_events, "solve_events", effort="quick")
+REFINE_EVENTS = Program(refine_events, "refine_events", effort="quick")

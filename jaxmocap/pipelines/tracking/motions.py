@@ -1,0 +1,150 @@
+"""From a trajectory to motions: one row per marker sample, and a report on each.
+
+INPUTS: Events, FirstPass, a Trajectory. OUTPUTS: Motions.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.arms import arms_of
+from jaxmocap.body.kinematics import forward, site_positions
+from jaxmocap.body.model import Model
+from jaxmocap.body.motion import Motion, Report
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
+from jaxmocap.compilation.batches import in_batches
+from jaxmocap.hybrid.elbow_search import confidence_of
+from jaxmocap.hybrid.refine import swivels
+from jaxmocap.pipelines.tracking import warnings
+from jaxmocap.pipelines.tracking.events import Events
+from jaxmocap.smoothing.fixed_lag import SmoothedPose
+from jaxmocap.smoothing.problem import FirstPass, Trajectory
+
+# Events per call, so that they compile once.
+EVENTS_A_CALL = 64
+
+
+class Tracked(NamedTuple):
+    """One run over a recording, twice.
+
+    Attributes:
+        motion: by markers and video.
+        markers_only: the same steps without the video.
+    """
+
+    motion: Motion
+    markers_only: Motion
+
+
+def unsmoothed(first_pass: FirstPass) -> Trajectory:
+    """The steps as they are, which know deviations of the elbows only."""
+    of_elbows = np.asarray(first_pass.reports.elbow_deviations)
+    deviations = np.full((len(of_elbows), len(LANDMARKS), 3), np.nan)
+    deviations[:, ELBOWS] = of_elbows[..., None] / np.sqrt(3)
+    unknown = np.full(deviations.shape[:2], np.nan)
+    return Trajectory(first_pass.poses, np.zeros(0), deviations=deviations, from_prior=unknown)
+
+
+def gathered(final: Sequence[SmoothedPose]) -> Trajectory:
+    """What a fixed-lag smoother gave out of all events, in order."""
+    poses = jax.tree.map(lambda *parts: np.stack(parts), *(each.pose for each in final))
+    deviations, from_prior = (
+        np.stack([getattr(each, name) for each in final]) for name in ("deviations", "from_prior")
+    )
+    dtype = poses.angles.dtype
+    return Trajectory(poses, np.zeros(0, dtype), deviations=deviations, from_prior=from_prior)
+
+
+def motions(
+    model: Model,
+    events: Events,
+    first_pass: FirstPass,
+    trajectory: Trajectory,
+    milliseconds: dict[str, list[float]],
+    settings: dict,
+) -> Tracked:
+    """All samples as arrays, NaN before the first one with a marker.
+
+    Args:
+        model: that was tracked.
+        events: of the recording.
+        first_pass: over them.
+        trajectory: of the events, with deviations.
+        milliseconds: of the stages.
+        settings: for the report.
+    """
+    at_samples = np.flatnonzero(events.timeline.sample_index >= 0)
+    recording, reports = events.recording, first_pass.reports
+
+    def column(values: np.ndarray) -> np.ndarray:
+        kept = np.asarray(values)[at_samples]
+        return np.concatenate([np.full((events.before, *kept.shape[1:]), np.nan), kept])
+
+    def motion(skeleton: Skeleton, poses: Pose, report: Report | None) -> Motion:
+        poses = jax.tree.map(column, poses)
+        return Motion(skeleton, recording.times, poses, report, recording.origin_world)
+
+    assert trajectory.deviations is not None and trajectory.from_prior is not None
+    person = trajectory.person(model.skeleton) if len(trajectory.proportions) else model.skeleton
+    errors, turns = _errors_and_swivels(model, person, first_pass, trajectory.poses)
+    spread = np.sqrt(np.sum(trajectory.deviations[:, ELBOWS] ** 2, -1))
+    confidence = column(np.asarray(confidence_of(spread)))
+    report = Report(
+        markers=recording.marker_names,
+        marker_errors=column(errors),
+        arm_costs=column(np.asarray(reports.outline_px)),
+        swivels=column(turns),
+        confidence=confidence,
+        landmarks_std=column(trajectory.deviations),
+        from_prior=column(trajectory.from_prior),
+        statuses=_warnings(events, first_pass, confidence),
+        milliseconds={stage: np.array(times) for stage, times in milliseconds.items()},
+        settings=settings,
+    )
+    return Tracked(
+        motion(person, trajectory.poses, report),
+        motion(model.skeleton, reports.marker_pose, None),
+    )
+
+
+def _warnings(
+    events: Events, first_pass: FirstPass, confidence: np.ndarray
+) -> tuple[tuple[str, ...], ...]:
+    """Of each sample, by the (T, 2) confidence in its elbows too."""
+    before = (("no marker has been seen yet",),) * events.before
+    found = list(events.sample_warnings(first_pass.warnings))
+    if events.without_video:
+        unsure = map(warnings.of_confidence, confidence[len(before) :])
+        found = [(*own, *more) for own, more in zip(found, unsure, strict=True)]
+    return before + tuple(found)
+
+
+def _errors_and_swivels(
+    model: Model, person: Skeleton, first_pass: FirstPass, poses: Pose
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distances (E, M) of markers from the body, metres; turns (E, 2) of elbows by the video."""
+    each = poses, first_pass.reports.marker_pose, first_pass.markers_world
+    each = jax.tree.map(lambda part: np.asarray(part, model.dtype), each)
+    errors, turns = in_batches(partial(_compared, model, person), each, EVENTS_A_CALL)
+    return errors, turns
+
+
+@jax.jit
+def _compared(
+    model: Model, person: Skeleton, poses: Pose, alone: Pose, targets: Array
+) -> tuple[Array, Array]:
+    """Of a batch of events: the markers' distances, the elbows' turns."""
+
+    def of_event(pose: Pose, before: Pose, targets: Array) -> tuple[Array, Array]:
+        bones = forward(person, pose)
+        off = site_positions(person, bones, model.markers) - targets
+        at_first = arms_of(model.skeleton, forward(model.skeleton, before), model.grips)
+        return jnp.sqrt(jnp.sum(off**2, -1)), swivels(at_first, arms_of(person, bones, model.grips))
+
+    return jax.vmap(of_event)(poses, alone, targets)

@@ -1,0 +1,223 @@
+"""Smoothing of a whole recording: silhouettes from every video, then all poses at once.
+
+    learn    some frames + where the poses put the body -> background, colours
+    measure  every frame -> grids: the person, the forearms, the legs
+    smooth   markers, grids -> poses, roughly
+    decide   every frame's candidates for the elbows -> the cheapest path, which the poses follow
+
+and again with what the better poses taught, the last solve as finely as was measured.
+
+INPUTS: a model, a first pass, the videos' frames. OUTPUTS: a Trajectory with deviations.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol
+
+import jax
+import numpy as np
+
+from jaxmocap.body.model import Model
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.proportions import PROPORTIONS
+from jaxmocap.evidence.appearance.learned import (
+    ROWS,
+    Drawing,
+    Regions,
+    learn_appearance,
+    silhouette_grids,
+)
+from jaxmocap.evidence.terms import Measurements
+from jaxmocap.images.background_model import spread
+from jaxmocap.images.foreground import shrink
+from jaxmocap.smoothing.elbow_viterbi import elbow_goals
+from jaxmocap.smoothing.facing import references
+from jaxmocap.smoothing.linearise import rows_of, smooth_poses
+from jaxmocap.smoothing.problem import (
+    TURN,
+    UNTURNED,
+    FirstPass,
+    SmoothingProblem,
+    Trajectory,
+    Views,
+    all_turned,
+)
+from jaxmocap.smoothing.settings import SmoothingSettings
+from jaxmocap.smoothing.uncertainty import with_deviations
+
+# Cells over which silhouettes fade, from solve to solve: roughly at first,
+ROUGHLY = (3.0, 1.5)
+# while elbows are decided,
+DECIDING = (1.5,)
+# and in the end as they were measured.
+FINELY = (1.5, 0.8)
+# A solve that only prepares the next look ends where the cost falls by no more than this share.
+PREPARED = 1e-3
+# So many times candidates decide where the elbows are.
+DECISIONS = 2
+
+
+class Frames(Protocol):
+    """A video whose frames can be gone through again and again.
+
+    Attributes:
+        size: width and height of the full frames.
+    """
+
+    size: tuple[int, int]
+
+    def frames(self) -> Iterator[tuple[float, np.ndarray | None]]:
+        """Each frame's time and its BGR or grey image; None where it cannot be read."""
+        ...
+
+
+@dataclass(frozen=True)
+class CameraFrames:
+    """One camera's frames among the events.
+
+    Attributes:
+        camera: its index.
+        events: (F,) events that have a frame of it, ascending.
+        indices: (F,) which frames.
+        video: that they are of.
+    """
+
+    camera: int
+    events: np.ndarray
+    indices: np.ndarray
+    video: Frames
+
+    def images(self, chosen: np.ndarray) -> Iterator[np.ndarray | None]:
+        """The chosen (of F) frames, shrunk, BGR; None where one cannot be read."""
+        wanted = self.indices[chosen]
+        position = 0
+        for index, (_, image) in enumerate(self.video.frames()):
+            while position < len(wanted) and wanted[position] == index:
+                yield None if image is None else shrink(np.atleast_3d(image), ROWS)
+                position += 1
+            if position == len(wanted):
+                return
+        for _ in range(position, len(wanted)):
+            yield None
+
+
+class Solved(NamedTuple):
+    """A problem as it was last measured, and the trajectory that solves it.
+
+    Attributes:
+        problem: of all events.
+        trajectory: of them, drawn with the last softness of ``FINELY``.
+    """
+
+    problem: SmoothingProblem
+    trajectory: Trajectory
+
+
+def smooth_recording(
+    model: Model,
+    settings: SmoothingSettings,
+    first_pass: FirstPass,
+    videos: Sequence[Frames],
+    show: Callable[[float], None],
+) -> Trajectory | None:
+    """The poses of all events and how sure they are; see ``solve_recording``."""
+    solved = solve_recording(model, settings, first_pass, videos, show)
+    if solved is None:
+        return None
+    trajectory = with_deviations(*solved, FINELY[-1])
+    show(1.0)
+    return trajectory
+
+
+def solve_recording(
+    model: Model,
+    settings: SmoothingSettings,
+    first_pass: FirstPass,
+    videos: Sequence[Frames],
+    show: Callable[[float], None],
+) -> Solved | None:
+    """Look at all frames and find the poses of all events.
+
+    Args:
+        model: of the person, the markers and the cameras.
+        settings: of the smoothing.
+        first_pass: E events, and the poses to start from.
+        videos: one per camera.
+        show: called with the share done.
+
+    Returns:
+        None where no camera has a frame.
+    """
+    cameras = _frames_of_cameras(first_pass.frame_index, videos)
+    if not cameras:
+        return None
+    measured = _measured(model, first_pass)
+
+    def measured_about(found: Trajectory) -> SmoothingProblem:
+        views = _views(model, cameras, found)
+        return SmoothingProblem(model, settings, first_pass.times, measured, views)
+
+    def decided(problem: SmoothingProblem, found: Trajectory) -> Trajectory:
+        goals = elbow_goals(problem, found)
+        guided = problem.with_measured(elbows=goals)
+        return smooth_poses(guided, found, DECIDING, PREPARED).trajectory
+
+    no_change = np.zeros(len(PROPORTIONS), model.dtype)
+    found = Trajectory(first_pass.poses, no_change, _as_calibrated(model, settings))
+    problem = measured_about(found)
+    found = smooth_poses(problem, found, ROUGHLY, PREPARED, coarse=True).trajectory
+    show(0.3)
+    for turn in range(DECISIONS):
+        found = decided(problem, found)
+        # Better poses teach better what the person looks like.
+        problem = measured_about(found)
+        show(0.3 + 0.4 * (turn + 1) / DECISIONS)
+    return Solved(problem, smooth_poses(problem, found, FINELY).trajectory)
+
+
+def _as_calibrated(model: Model, settings: SmoothingSettings) -> np.ndarray:
+    """Cameras that are not turned yet, and may be where the settings say so."""
+    turns = np.zeros((model.camera_count, TURN), model.dtype)
+    return turns if float(settings.camera) > 0 else UNTURNED
+
+
+def _frames_of_cameras(frame_index: np.ndarray, videos: Sequence[Frames]) -> list[CameraFrames]:
+    """The frames of each camera that has some; one that serves several events counts for each."""
+    found = [
+        CameraFrames(camera, np.flatnonzero(column >= 0), column[column >= 0], video)
+        for camera, (column, video) in enumerate(zip(frame_index.T, videos, strict=True))
+    ]
+    return [each for each in found if len(each.events)]
+
+
+def _measured(model: Model, first_pass: FirstPass) -> Measurements:
+    """What was measured of each event besides its silhouettes."""
+    measured = references(model.skeleton, first_pass.times, first_pass.reports.marker_pose)
+    measured["markers"] = np.asarray(first_pass.markers_world, model.dtype)
+    # No goals yet: what is there from the start needs no second program later.
+    measured["elbows"] = np.full((len(first_pass.times), 2, 3), np.nan, model.dtype)
+    if first_pass.sight_lines is None:
+        return measured
+    lines = jax.tree.map(lambda part: np.asarray(part, model.dtype), first_pass.sight_lines)
+    return {**measured, "sight_lines": lines}
+
+
+def _views(model: Model, cameras: Sequence[CameraFrames], found: Trajectory) -> Views:
+    """What all cameras show, by what the poses found so far teach."""
+    turned = all_turned(model.cameras, found.turns_cam)
+    person = replace(model, skeleton=found.person(model.skeleton), cameras=turned)
+    each = [_views_of(person, own, rows_of(found.poses, own.events)) for own in cameras]
+    return jax.tree.map(lambda *parts: np.concatenate(parts), *each)
+
+
+def _views_of(person: Model, own: CameraFrames, poses: Pose) -> Views:
+    """Grids of all of one camera's frames, of a background learned from some of them."""
+    camera, skeleton = person.camera(own.camera), person.skeleton
+    # The frames' own size: a video may be cropped against its calibration.
+    drawing, chosen = Drawing.of(skeleton, camera, own.video.size, poses), spread(len(own.events))
+    feet_astray = person.no_foot_is_marked
+    appearance = learn_appearance(drawing, chosen, own.images(chosen), feet_astray)
+    every = own.images(np.arange(len(own.events)))
+    regions = Regions.around(skeleton, camera, poses)
+    grids = silhouette_grids(every, appearance, drawing, regions)
+    return Views(own.events, np.full(len(own.events), own.camera), grids)

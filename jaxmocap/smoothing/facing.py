@@ -1,0 +1,56 @@
+"""Where the markers' own pose faces and leans, and where it has the ankles: for pelvis and ground.
+
+The facing is averaged, since a person turns more slowly than it errs: over the time around where
+all of it is there, over the time before where it is not.
+
+INPUTS: poses of the markers alone. OUTPUTS: measurements.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from jaxmocap.body.motion import landmarks_over_time
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.evidence.ground import ANKLES
+from jaxmocap.geometry.rotations import quaternion_to_matrix
+
+# Standard deviation of the average over the time around, seconds.
+AROUND_S = 0.5
+# Time constant of the average over the time before, seconds.
+BEFORE_S = 0.35
+
+# As one program: step by step each step would compile for every number of events.
+_matrices = jax.jit(jax.vmap(quaternion_to_matrix))
+
+
+def references(skeleton: Skeleton, times: np.ndarray, poses: Pose) -> dict[str, np.ndarray]:
+    """Measured ``upright``, ``facing`` and ``ankles`` (T, ...) of poses by the markers alone."""
+    R = np.asarray(_matrices(jnp.asarray(poses.quaternion, float)))
+    step = np.median(np.diff(times)) if len(times) > 1 else 1.0
+    ahead = gaussian_filter1d(R[:, :2, 0], AROUND_S / step, axis=0, mode="nearest")
+    points = landmarks_over_time(skeleton, poses)
+    found = {"upright": R[:, :2, 2], "facing": _level(ahead), "ankles": points[:, ANKLES]}
+    return {name: np.asarray(part, skeleton.lengths.dtype) for name, part in found.items()}
+
+
+class RunningFacing:
+    """The same facing of one pose after the other."""
+
+    def __init__(self) -> None:
+        self._ahead: np.ndarray | None = None
+
+    def step(self, ahead: np.ndarray, elapsed: float) -> np.ndarray:
+        """(3,) unit and horizontal, from (2,) of the newest pose, seconds after the last."""
+        average = np.asarray(ahead, float) if self._ahead is None else self._ahead
+        average = average + (1 - np.exp(-elapsed / BEFORE_S)) * (ahead - average)
+        self._ahead = average
+        return _level(average)
+
+
+def _level(ahead: np.ndarray) -> np.ndarray:
+    """Unit and horizontal (..., 3) of (..., 2)."""
+    length = np.maximum(np.linalg.norm(ahead, axis=-1, keepdims=True), 1e-9)
+    return np.concatenate([ahead / length, np.zeros_like(length)], -1)

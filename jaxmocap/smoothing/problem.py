@@ -1,0 +1,202 @@
+"""A smoothing problem, and the trajectory that solves it.
+
+Frames share the person's proportions and how each camera is turned. A calibration errs by some
+tenths of a degree, which at three metres is a centimetre or two: as far as a silhouette tells an
+elbow. All frames err by it alike, so that together they can tell it.
+
+INPUTS: a Model, settings, measurements over time. OUTPUTS: SmoothingProblem, Trajectory; those
+moved; the prior on what frames share.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from scipy.linalg import block_diag
+
+from jaxmocap.body.model import Model
+from jaxmocap.body.pose import Pose, retract
+from jaxmocap.body.proportions import covariance_among_people, scaled
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.evidence.keypoints import SightLines
+from jaxmocap.evidence.silhouettes import SilhouetteGrids
+from jaxmocap.evidence.smoothness import Smoothness, smoothness
+from jaxmocap.evidence.terms import Measurements
+from jaxmocap.geometry.cameras import Camera, turned
+from jaxmocap.smoothing.settings import SmoothingSettings
+
+# A turn is a rotation vector.
+TURN = 3
+# Where the cameras are held to be as calibrated.
+UNTURNED = np.zeros((0, TURN), np.float32)
+
+
+class FirstPass(NamedTuple):
+    """What a tracker's steps went through, and what they found.
+
+    Attributes:
+        times: (E,) seconds.
+        markers_world: (E, M, 3) metres; NaN where missing.
+        frame_index: (E, C) which frame of each camera's video belongs to an event; -1 for none.
+        poses: (E, ...) by markers and video, event by event.
+        reports: (E, ...) of the steps; ``marker_pose`` among them, by the markers alone.
+        warnings: sentences about each event.
+        sight_lines: of the landmarks (E, ...), where the recording brings key points.
+    """
+
+    times: np.ndarray
+    markers_world: np.ndarray
+    frame_index: np.ndarray
+    poses: Pose
+    reports: Any
+    warnings: list[list[str]]
+    sight_lines: SightLines | None = None
+
+
+class Views(NamedTuple):
+    """V silhouettes, each of one camera in one frame.
+
+    Attributes:
+        frame: (V,) host integers, which frame of the trajectory.
+        camera: (V,) host integers, which camera.
+        grids: what it shows of the person, (V, ...) each.
+    """
+
+    frame: np.ndarray
+    camera: np.ndarray
+    grids: SilhouetteGrids
+
+    @property
+    def none(self) -> "Views":
+        """No view at all."""
+        return jax.tree.map(lambda part: part[:0], self)
+
+
+@dataclass(frozen=True)
+class SmoothingProblem:
+    """A recording to be smoothed.
+
+    Attributes:
+        model: of the person, the markers and the cameras.
+        settings: with the terms of evidence.
+        times: (T,) seconds.
+        measured: name -> (T, ...) of each frame.
+        views: of all cameras.
+    """
+
+    model: Model
+    settings: SmoothingSettings
+    times: np.ndarray
+    measured: Measurements
+    views: Views
+
+    def with_measured(self, **more: np.ndarray) -> "SmoothingProblem":
+        """The same with more measurements."""
+        return replace(self, measured={**self.measured, **more})
+
+    def motion_prior(self) -> Smoothness:
+        """The prior on the landmarks' motion."""
+        accelerations = np.full(3 * len(LANDMARKS), float(self.settings.acceleration))
+        return smoothness(self.times, accelerations)
+
+
+class Trajectory(NamedTuple):
+    """What is solved for, and how sure it is.
+
+    Attributes:
+        poses: (T, ...).
+        proportions: (P,) of the person.
+        turns_cam: (C, 3) rotation vectors, by which each camera is turned in its own frame against
+            its calibration, radians; ``UNTURNED`` where the calibration holds.
+        deviations: (T, L, 3) standard deviations of the landmarks' coordinates, world, metres; None
+            until they are asked for.
+        from_prior: (T, L) 1 where markers and video leave a landmark almost as uncertain as it is
+            without them, else 0; None likewise.
+    """
+
+    poses: Pose
+    proportions: Array | np.ndarray
+    turns_cam: Array | np.ndarray = UNTURNED
+    deviations: np.ndarray | None = None
+    from_prior: np.ndarray | None = None
+
+    def person(self, skeleton: Skeleton) -> Skeleton:
+        """The skeleton with the proportions found."""
+        return scaled(skeleton, jnp.asarray(self.proportions))
+
+
+_retract = jax.jit(jax.vmap(retract))
+
+
+def moved_by(trajectory: Trajectory, steps: np.ndarray, shared: np.ndarray) -> Trajectory:
+    """A trajectory moved by tangent vectors (T, 6 + D), what it shares by (P + 3 C,).
+
+    Turns are so small that they add up.
+    """
+    poses = jax.device_get(_retract(trajectory.poses, jnp.asarray(steps, float)))
+    lengths, turns = np.split(shared, [trajectory.proportions.size])
+    moved = trajectory.proportions + lengths, trajectory.turns_cam + turns.reshape(-1, TURN)
+    return Trajectory(poses, *(np.asarray(part, poses.angles.dtype) for part in moved))
+
+
+def all_turned(cameras: Camera | None, turns_cam: Array | np.ndarray) -> Camera:
+    """C cameras, stacked, turned by (C, 3); as they are by ``UNTURNED``."""
+    assert cameras is not None
+    if not len(turns_cam):
+        return cameras
+    turns = jnp.asarray(turns_cam, cameras.T_cam_world.dtype)
+    return jax.vmap(turned)(jax.tree.map(jnp.asarray, cameras), turns)
+
+
+def shared_prior(
+    settings: SmoothingSettings, camera: np.ndarray, trajectory: Trajectory
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """The prior on what is shared, its Hessian, gradient and cost, in each frame.
+
+    It weighs like so many more views of each view: what silhouettes get wrong they get wrong in
+    every frame, so that many frames are no more sure of a length, or of a turn, than few.
+
+    Args:
+        settings: of the smoothing.
+        camera: (V,) which camera each view is of.
+        trajectory: of T frames, over which the prior is spread.
+    """
+    proportions, turns_cam = trajectory.proportions, trajectory.turns_cam
+    cameras = len(turns_cam)
+    own = np.linalg.inv(covariance_among_people(proportions.size)) * max(len(camera), 1)
+    views = np.maximum(np.bincount(camera, minlength=cameras)[:cameras], 1)
+    turns = np.diag(np.repeat(views, TURN)) / np.square(float(settings.camera))
+    share = float(settings.proportions) / len(trajectory.poses.angles)
+    weights = np.asarray(block_diag(own, turns)) * share
+    x = np.concatenate([np.ravel(proportions), np.ravel(turns_cam)]).astype(float)
+    return weights, weights @ x, float(x @ weights @ x)
+
+
+def among_cameras(
+    hessian: np.ndarray, gradient: np.ndarray, camera: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Views' terms (V, N + 3, ...), the last by their own camera's turn, by those of all cameras.
+
+    Args:
+        hessian: (V, N + 3, N + 3).
+        gradient: (V, N + 3).
+        camera: (V,) which it is.
+        count: C cameras that may be turned; with none, the turns' terms are left out.
+
+    Returns:
+        Hessians (V, N + 3 C, N + 3 C) and gradients (V, N + 3 C).
+    """
+    own = gradient.shape[1] - TURN
+    if not count:
+        return hessian[:, :own, :own], gradient[:, :own]
+    size = own + TURN * count
+    wide, long = np.zeros((len(camera), size, size)), np.zeros((len(camera), size))
+    for c in range(count):
+        rows = np.flatnonzero(camera == c)
+        columns = np.r_[:own, own + TURN * c : own + TURN * (c + 1)]
+        wide[np.ix_(rows, columns, columns)] = hessian[rows]
+        long[np.ix_(rows, columns)] = gradient[rows]
+    return wide, long
