@@ -10,7 +10,6 @@ import numpy as np
 
 from jaxmocap.calibration.calibrate import IntrinsicsResult
 from jaxmocap.calibration.extrinsics import position_world_of
-from jaxmocap.calibration.intrinsics import PARAMETERS
 from jaxmocap.calibration.place_camera import ExtrinsicsResult
 
 _PIXELS = ("fx", "fy", "cx", "cy")
@@ -50,7 +49,7 @@ def _parameters(found: IntrinsicsResult) -> list[str]:
     rows = [["", "value", "std", "one view left out", "jackknife std"]]
     ranges = np.stack([result.leave_one_out.min(0), result.leave_one_out.max(0)], -1)
     for name, value, std, (low, high), jackknife in zip(
-        PARAMETERS, result.values, result.std, ranges, result.jackknife_std, strict=True
+        result.parameters, result.values, result.std, ranges, result.jackknife_std, strict=True
     ):
         if value == 0 and std == 0:
             continue
@@ -72,7 +71,7 @@ def intrinsics_figures(result: IntrinsicsResult) -> dict[str, Any]:
             "left_out_min": float(estimate.leave_one_out[:, i].min()),
             "left_out_max": float(estimate.leave_one_out[:, i].max()),
         }
-        for i, name in enumerate(PARAMETERS)
+        for i, name in enumerate(estimate.parameters)
     }
     pictures = [
         {"name": name, "rms_px": _finite(error), "tilt_deg": _finite(tilt), "used": use}

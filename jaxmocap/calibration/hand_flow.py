@@ -18,7 +18,7 @@ from jaxmocap.capture.checks.cameras import project_to_pixels
 from jaxmocap.capture.filters import butterworth_low_pass
 from jaxmocap.capture.markers import GAP_INTERVALS, median_interval
 from jaxmocap.capture.video import FrameSource
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import Camera, depth, on_host, pixels_per_metre
 
 # Flow is computed on images of at most so many pixels a side,
 MAX_SIDE_PX = 640
@@ -125,10 +125,8 @@ class HandFlow:
         xy = np.full((len(points), 2), np.nan)
         if is_known.any():
             xy[is_known] = project_to_pixels(self.camera, points[is_known])
-        T = np.asarray(self.camera.T_cam_world, float)
-        return xy, HAND_HALF_SIDE_M * float(self.camera.matrix[0, 0]) / (
-            points @ T[2, :3] + T[2, 3]
-        )
+        camera = on_host(self.camera)
+        return xy, HAND_HALF_SIDE_M * np.asarray(pixels_per_metre(camera, depth(camera, points)))
 
     def _around(self, xy: np.ndarray, radius: np.ndarray) -> np.ndarray:
         """(K, 2) median of each field in the square about (K, 2) pixels; NaN outside the image."""

@@ -17,7 +17,6 @@ import jax
 import numpy as np
 
 from jaxmocap.calibration.hand_flow import FlowPair, HandFlow, MarkerPath, flow_fields
-from jaxmocap.capture.checks.markers import HAND_BONES
 from jaxmocap.capture.video import FrameSource, open_video
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
@@ -131,7 +130,8 @@ def estimate_video_offsets(recording: Recording, search: float = 1.0) -> list[Vi
 
 def hand_paths(recording: Recording) -> list[MarkerPath]:
     """Paths of the markers on hands and forearms; of all markers where there are none."""
-    columns = [i for i, place in enumerate(recording.places) if place.bone[:-2] in HAND_BONES]
+    hands = recording.skeleton.tree.names_in("forearm", "hand")
+    columns = [i for i, place in enumerate(recording.places) if place.bone in hands]
     paths = [
         MarkerPath.through(recording.times, recording.positions_world[:, i])
         for i in columns or range(len(recording.places))

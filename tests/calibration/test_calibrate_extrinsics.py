@@ -408,9 +408,9 @@ def test_a_pose_needs_its_board_and_a_camera_its_intrinsics(folder, capsys):
     (folder / "c.toml").write_text("[other]\nfisheye = false\n")
     said = refusal(folder, capsys, *CHESS, "--pose", numbers(POSE))
     assert "section [cam] is missing, found other" in said
-    (folder / "c.toml").write_text("[cam]\nfisheye = true\n")
+    (folder / "c.toml").write_text("[cam]\nfisheye = 'yes'\n")
     said = refusal(folder, capsys, *CHESS, "--pose", numbers(POSE))
-    assert "[cam] fisheye: fisheye lenses are not supported" in said
+    assert "[cam]: 'size' is missing" in said
 
 
 @pytest.mark.parametrize("pose", ["1,2,3", "1,2,3,4,5,x", "1,2,3,4,5,nan", ""])

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from jaxmocap import Recording
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.body.wrists import with_wrists
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_wrists
 from jaxmocap.calibration.static_trial import scale_by_static
 from jaxmocap.cli import main
 from jaxmocap.formats.files.errors import InputError

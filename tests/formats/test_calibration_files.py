@@ -192,8 +192,8 @@ def test_what_ros_writes_is_read_by_its_cameras_name(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("plumb_bob", "equidistant", "fisheye: fisheye lenses are not supported"),
-        ("distortion_model: plumb_bob", "fisheye_model: 1", "fisheye lenses are not supported"),
+        ("plumb_bob", "equidistant", "expected at most 4 numbers (k1 k2 k3 k4)"),
+        ("distortion_model: plumb_bob", "fisheye_model: 1", "expected at most 4 numbers"),
         ("image_width: 640\n", "", "'size' is missing"),
         ("image_width: 640", "image_width: wide", "size: found ['wide', 480.0], expected"),
         ("camera_matrix:", "cam:", "found no camera_matrix"),

@@ -4,6 +4,7 @@ import pickle
 from dataclasses import fields, replace
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from jaxmocap.formats.time_series.csv import read_csv, write_csv
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.trc import read_trc, write_trc
 from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.lenses import FISHEYE
 
 # A tmp_path that examples share is fine: each of them overwrites what it reads.
 shared_folder = settings(
@@ -263,10 +265,20 @@ def test_cameras_survive_a_round_trip(tmp_path, rotation, translation, distortio
     cameras = read_calibration(path)
     assert list(cameras) == ["cam_01", "the left one"]
     for read in cameras.values():
-        for field in fields(Camera):
-            np.testing.assert_allclose(
-                getattr(read, field.name), getattr(camera, field.name), atol=2e-5
-            )
+        assert read.lens == camera.lens
+        for ours, theirs in zip(jax.tree.leaves(read), jax.tree.leaves(camera), strict=True):
+            np.testing.assert_allclose(ours, theirs, atol=2e-5)
+
+
+def test_a_fisheye_survives_a_round_trip(tmp_path):
+    matrix = np.array([[300.0, 0.0, 320.0], [0.0, 301.0, 240.0], [0.0, 0.0, 1.0]])
+    camera = Camera.create((640, 480), matrix, [0.05, -0.02, 0.004, -1e-3], lens=FISHEYE)
+    path = tmp_path / "c.toml"
+    write_calibration(path, {"cam": camera})
+    assert "fisheye = true" in path.read_text()
+    (read,) = read_calibration(path).values()
+    assert read.lens == FISHEYE
+    np.testing.assert_allclose(read.distortion, camera.distortion, atol=1e-7)
 
 
 def test_a_rotation_may_be_a_matrix(tmp_path):
@@ -292,7 +304,8 @@ def test_a_rotation_may_be_a_matrix(tmp_path):
         ({"distortions": "[1, 2, 3, 4, 5, 6, 7, 8, 9]"}, "expected at most 8 numbers"),
         ({"size": "[640, 0]"}, "expected two positive numbers"),
         ({"size": "640"}, "[cam] size: found 640, expected [width, height]"),
-        ({"fisheye": "true"}, "[cam] fisheye: fisheye lenses are not supported"),
+        ({"fisheye": "'yes'"}, "[cam] fisheye: found 'yes', expected true or false"),
+        ({"fisheye": "true", "distortions": "[1, 2, 3, 4, 5]"}, "at most 4 numbers (k1 k2 k3 k4)"),
     ],
 )
 def test_bad_calibrations_are_refused_with_the_field(tmp_path, changes, says):
