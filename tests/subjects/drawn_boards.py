@@ -17,7 +17,7 @@ LENS = Intrinsics(
     np.array([-0.12, 0.05, 0.001, -0.0005]),
 )
 # A camera that shows 115 degrees from side to side.
-FISHEYE_LENS = Lens(
+FISHEYE_LENS = Intrinsics(
     np.array(SIZE, float),
     np.array([[310.0, 0, 325], [0, 308, 236], [0, 0, 1]]),
     np.array([0.04, -0.02, 0.006, -0.001]),
