@@ -195,7 +195,7 @@ def test_of_a_video_sharp_frames_that_differ_are_chosen(tmp_path):
     assert sorted(n // 4 for n in numbers) == list(range(7))
     assert all(n % 4 in (1, 2) for n in numbers)
     np.testing.assert_allclose(found.estimate.values[:2], TRUTH[:2], rtol=0.005)
-    assert "board seen in 21 of 28 frames looked at, 7 blurred, 7 chosen" in found.warnings[0]
+    assert "board found in 21 of 28 frames examined, 7 blurred, 7 chosen" in found.warnings[0]
 
 
 def test_distortion_that_turns_back_within_the_image_is_said():
@@ -328,7 +328,7 @@ def test_a_video_without_a_board_is_refused_with_what_was_looked_at(tmp_path, ca
         writer.write(np.full((*SIZE[::-1], 3), int(WALL), np.uint8))
     writer.release()
     said = refusal(capsys, tmp_path, [path, *BOARD_OPTIONS])
-    assert "0 different pictures of 0; empty.avi: board seen in 0 of 4 frames looked at" in said
+    assert "0 different pictures of 0; empty.avi: board found in 0 of 4 frames examined" in said
 
 
 def test_the_same_picture_again_is_no_other_view(photographs, tmp_path, capsys):

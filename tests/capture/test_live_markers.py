@@ -245,7 +245,7 @@ def test_names_that_are_no_markers_are_remembered_a_few_of_them():
     gathers, out = gathering()
     for i in range(1000):
         gathers.add([MarkerMessage((f"who {i}",), (0.0, 0.0, 0.0))], 0.0, 0.0, True)
-    assert not out and len(gathers.unknown) == SampleAssembler.MAX_UNKNOWN
+    assert not out and len(gathers.unknown_names) == SampleAssembler.MAX_UNKNOWN
 
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=30))
