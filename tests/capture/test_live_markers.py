@@ -221,8 +221,8 @@ def test_a_tracker_is_turned_by_its_own_message(together):
     about_up = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))
     for i in range(3):
         place = MarkerMessage(("Hmd",), (0.0, 1.0, 0.0))
-        turned = MarkerMessage(("Hmd",), None, about_up)
-        packets = [[place, turned]] if together else [[place], [turned]]
+        oriented = MarkerMessage(("Hmd",), None, about_up)
+        packets = [[place, oriented]] if together else [[place], [oriented]]
         for packet in packets:
             gathers.add(packet, i / 90, i / 90, together)
     assert len(out) == 3

@@ -1,7 +1,7 @@
 """Who sends: for each sender a clock and a share of what can be read, of a few senders at a time.
 
 INPUTS: hosts and ports that datagrams come from; the networks whose packets count.
-OUTPUTS: Senders with their clocks; which of the datagrams that wait are read.
+OUTPUTS: PacketSenders with their clocks; which of the datagrams that wait are read.
 
 A sender is a host and a port, for two programs on one machine have two clocks; whether it may send
 at all is decided by its host. Beyond ``MAX_SENDERS`` at a time the rest share one entry, whose
