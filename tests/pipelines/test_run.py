@@ -19,7 +19,7 @@ from small_recording import (
 
 from jaxmocap.body.motion import Motion
 from jaxmocap.capture.video import open_video
-from jaxmocap.cli.choose_recording import select_cameras, with_height
+from jaxmocap.cli.recording_options import select_cameras, with_height
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.motion_npz import load_motion
