@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bench.interval_coverage import Coverage, coverage
 from bench.judging import Result, Sureness
 from bench.metrics import aligned
-from jaxmocap.evaluation.interval_coverage import Coverage, coverage
 
 # Of the real recording, which these cameras see from the front and the sides.
 FRONT = ("cam_01", "cam_02", "cam_04")

@@ -8,16 +8,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bench.acceleration import Calm, calmness
 from bench.clips import Clip
+from bench.wrong_turns import WrongTurns, wrong_turns
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.capture.footage import open_footage
 from jaxmocap.capture.timeline import Mode
-from jaxmocap.evaluation.acceleration import Calm, calmness
 from jaxmocap.evaluation.errors import Errors
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.evaluation.series import sample_step
-from jaxmocap.evaluation.wrong_turns import WrongTurns, wrong_turns
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.hybrid.settings import Settings

@@ -15,11 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
+from bench.anthropometry import Body, measured
 from bench.command_line import command
 from bench.metrics import Metric, aligned, write_json
 from jaxmocap.modelling.arm_surface import INNER, SLICES
 from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, Modelled, model_from
-from jaxmocap.synthetic.people.anthropometry import Body, measured
 from jaxmocap.synthetic.people.rigged_mesh import Rig, load_rig
 from jaxmocap.synthetic.photographs import standing, write_photographs
 

@@ -1,6 +1,6 @@
-"""Plots of joint errors and joint tracks, drawn by matplotlib without a display.
+"""Plots of joint errors, drawn by matplotlib without a display.
 
-INPUTS: times (seconds), errors and positions (metres). OUTPUTS: a picture file, by its suffix.
+INPUTS: times (seconds) and errors (metres). OUTPUTS: a picture file, by its suffix.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 MARKERS_ONLY = {"color": "#c62828", "linestyle": "-", "linewidth": 1.4}
 WITH_VIDEO = {"color": "#1557b0", "linestyle": "--", "linewidth": 1.4}
-REFERENCE = {"color": "#222222", "linestyle": "-", "linewidth": 1.0}
 
 
 def plot_elbow_errors(
@@ -76,43 +75,6 @@ def _plot_reduction(axes: Axes, times: np.ndarray, reduction: np.ndarray) -> Non
     axes.fill_between(times, 0, np.minimum(reduction, 0), color="#c62828", alpha=0.35, linewidth=0)
     axes.plot(times, reduction, color="#222222", linewidth=1.0)
     axes.axhline(0, color="#888888", linewidth=0.6)
-
-
-def plot_joint_tracks(
-    path: str | Path,
-    times: np.ndarray,
-    tracks: Mapping[str, np.ndarray],
-    reference_times: np.ndarray | None = None,
-    reference: Mapping[str, np.ndarray] | None = None,
-    title: str = "",
-) -> None:
-    """Draw the world coordinates of joints over time, one column per joint.
-
-    Args:
-        path: of the picture (.png, .svg, .pdf).
-        times: (T,) seconds.
-        tracks: joint -> (T, 3) world, Z up, metres.
-        reference_times: (R,) seconds.
-        reference: joint -> (R, 3) world, metres; drawn where it has the joint.
-        title: above the panels.
-    """
-    reference = reference or {}
-    figure, axes = new_panels(3, len(tracks), (4.8, 1.9))
-    for column, (joint, points) in enumerate(tracks.items()):
-        axes[0, column].set_title(joint)
-        axes[2, column].set_xlabel("time [s]")
-        for row, axis in enumerate("xyz"):
-            panel = axes[row, column]
-            if joint in reference and reference_times is not None:
-                panel.plot(
-                    reference_times, reference[joint][:, row], label="reference", **REFERENCE
-                )
-            panel.plot(times, points[:, row], label="tracked", **WITH_VIDEO)
-            if column == 0:
-                panel.set_ylabel(f"{axis} [m]")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", frameon=False, ncols=2)
-    save_figure(figure, path, title)
 
 
 def _mean(values: np.ndarray) -> float:

@@ -8,13 +8,13 @@ import pytest
 from small_recording import small_recording
 
 from bench import accuracy
+from bench.acceleration import Calm
 from bench.clips import REAL_LANDMARKS, Clip, real, synthetic
 from bench.criteria import covered, criteria, table
 from bench.judging import Result, Sureness, shaken, sureness_of
+from bench.wrong_turns import wrong_turns
 from jaxmocap.body.skeleton import LANDMARKS
-from jaxmocap.evaluation.acceleration import Calm
 from jaxmocap.evaluation.errors import Errors
-from jaxmocap.evaluation.wrong_turns import wrong_turns
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.trc import write_trc
 

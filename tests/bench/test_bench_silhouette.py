@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bench import personal
+from bench.acceleration import Calm
 from bench.silhouette import Result, camera_rows, exercise_rows, metrics, real_rows, speed
 from bench.stages import REST, STAGES, WHOLE, StageClock, stages_timed
-from jaxmocap.evaluation.acceleration import Calm
 from jaxmocap.evaluation.errors import Errors
 from jaxmocap.pipelines.silhouettes.demo import JOINTS
 from jaxmocap.silhouette import tracker

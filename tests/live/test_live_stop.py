@@ -266,7 +266,8 @@ def test_a_viewer_that_does_not_listen_is_killed(monkeypatch):
 
 
 def left(script: str, **options) -> subprocess.CompletedProcess:
-    imported = "import atexit, sys, threading, time\nfrom jaxmocap.cli import process_exit"
+    imported = "import atexit, sys, threading, time\n"
+    imported += "from jaxmocap.cli.process_exit import end_process"
     code = f"{imported}\n{script}"
     return subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, **options
@@ -276,20 +277,18 @@ def left(script: str, **options) -> subprocess.CompletedProcess:
 def test_a_process_whose_thread_cannot_be_ended_leaves_all_the_same():
     done = left(
         "threading.Thread(target=time.sleep, args=(600,), daemon=True).start()\n"
-        "sys.stdout.write('figures')\nprocess_exit.end_process(3)"
+        "sys.stdout.write('figures')\nend_process(3)"
     )
     assert (done.returncode, done.stdout, done.stderr) == (3, "figures", "")
 
 
 def test_a_process_that_was_stopped_does_not_wait_for_what_still_compiles():
-    done = left(
-        "threading.Thread(target=time.sleep, args=(600,)).start()\nprocess_exit.end_process(143)"
-    )
+    done = left("threading.Thread(target=time.sleep, args=(600,)).start()\nend_process(143)")
     assert done.returncode == 143
 
 
 def test_a_process_without_threads_ends_as_ever():
-    done = left("atexit.register(print, 'at exit')\nprocess_exit.end_process(0)")
+    done = left("atexit.register(print, 'at exit')\nend_process(0)")
     assert (done.returncode, done.stdout) == (0, "at exit\n")
 
 

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
+from bench.anthropometry import Body, measured
 from jaxmocap.geometry.cameras import project
 from jaxmocap.modelling.arm_surface import INNER, SLICES
 from jaxmocap.modelling.person import StanceError, person_model
@@ -17,7 +18,6 @@ from jaxmocap.modelling.pictures.medial_axis import chamfer, path, skeleton
 from jaxmocap.modelling.separation import separate
 from jaxmocap.modelling.trunk import ring
 from jaxmocap.modelling.views import View
-from jaxmocap.synthetic.people.anthropometry import Body, measured
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.photographs import PHOTOGRAPHS, camera_of, standing, true_mask
 

@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
+from bench.anthropometry import Body, measured
 from jaxmocap.formats.cameras.calibration import read_calibration
 from jaxmocap.modelling.pictures.backdrop import PhotographError, person_mask
 from jaxmocap.synthetic.lens import Lens
-from jaxmocap.synthetic.people.anthropometry import Body, measured
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.photographs import (
     PHOTOGRAPHS,

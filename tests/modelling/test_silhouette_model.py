@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from bench.anthropometry import Body
 from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.capture.photographs import png_of
@@ -15,7 +16,6 @@ from jaxmocap.cli import main
 from jaxmocap.formats.cameras.calibration import read_calibration, write_calibration
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.pipelines.silhouettes.person import read_person
-from jaxmocap.synthetic.people.anthropometry import Body
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.photographs import PHOTOGRAPHS, standing, write_photographs
 

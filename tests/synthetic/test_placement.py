@@ -100,7 +100,8 @@ def test_without_an_azimuth_the_camera_is_the_webcam():
 
 
 def test_a_thrust_is_written_with_its_camera(tmp_path):
-    path = recording.write_thrust(tmp_path, 0.1, azimuth=-30.0)
+    performance = motions.thrust(0.1, azimuth=-30.0)
+    path = recording.write_performance(tmp_path, performance, 0.1, azimuth=-30.0)
     (source,) = load_recording(path).videos
     np.testing.assert_allclose(
         source.camera.position_world, camera_at(-30.0).position_world, atol=1e-5

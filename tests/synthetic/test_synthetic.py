@@ -8,9 +8,12 @@ import cv2
 import ezc3d
 import numpy as np
 import pytest
+from gait_person import BODY_MARKERS, mesh_person, write_person_recording
+from gait_person import MARKERS as GAIT_MARKERS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bench.stretching import UPRIGHT, stretching
 from jaxmocap.body.kinematics import Frames
 from jaxmocap.body.mass import centre_of_gravity
 from jaxmocap.body.skeleton import Skeleton
@@ -21,10 +24,7 @@ from jaxmocap.synthetic import recording, renderer
 from jaxmocap.synthetic.lens import Lens
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.movements.splines import Spline
-from jaxmocap.synthetic.movements.stretching import UPRIGHT, stretching
 from jaxmocap.synthetic.people.clothed_person import MARKERS, dressed
-from jaxmocap.synthetic.people.mesh_person import MARKERS as GAIT_MARKERS
-from jaxmocap.synthetic.people.mesh_person import mesh_person
 from jaxmocap.synthetic.renderer import Scene, render_frames
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "recordings"
@@ -281,7 +281,7 @@ def test_a_recording_is_written_whole_and_read_like_any_other(tmp_path):
 
 
 def test_the_files_truth_is_the_performers(tmp_path):
-    path = recording.write_squat(tmp_path, seconds=0.2, seed=2)
+    path = recording.write_performance(tmp_path, motions.squat(0.2, 2), 0.2, seed=2)
     truth = read_trc(path.with_name("truth.trc"))
     points = motions.squat(0.2, 2).landmarks(truth.times)
     for i, name in enumerate(truth.names):
@@ -291,10 +291,6 @@ def test_the_files_truth_is_the_performers(tmp_path):
     for i, on in enumerate(MARKERS.values()):
         error = np.linalg.norm(measured[:, i] - figure.points(bones, *on), axis=-1)
         assert 0 < error.max() <= recording.WORST_M + 1e-5
-
-
-def test_reaching_is_written_too(tmp_path):
-    assert load_recording(recording.write_reaching(tmp_path, seconds=0.1)).videos
 
 
 @pytest.fixture(scope="module")
@@ -355,8 +351,8 @@ def test_joints_of_a_rigged_mesh_lie_within_its_skin(server):
 
 def test_a_recording_of_a_rigged_mesh_is_read_like_any_other(server, tmp_path):
     _, person = server
-    loaded = load_recording(recording.write_person_recording(tmp_path, person, seconds=0.1))
-    assert loaded.marker_names == tuple(recording.BODY_MARKERS)
+    loaded = load_recording(write_person_recording(tmp_path, person, 0.1))
+    assert loaded.marker_names == tuple(BODY_MARKERS)
     tree = loaded.skeleton.tree
     points = person.landmarks(np.zeros(1))
     for near, far, bone in BONES[:2]:

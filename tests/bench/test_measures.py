@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxmocap.evaluation.acceleration import calmness, lag
-from jaxmocap.evaluation.interval_coverage import coverage
+from bench.acceleration import calmness, lag
+from bench.interval_coverage import coverage
+from bench.wrong_turns import wrong_turns
 from jaxmocap.evaluation.series import resampled, second_difference
-from jaxmocap.evaluation.wrong_turns import wrong_turns
 
 TIMES = np.arange(540) / 90
 
