@@ -39,7 +39,7 @@ from jaxmocap.pipelines.silhouettes.first_pose import start_pose
 from jaxmocap.pipelines.silhouettes.track import follow, whole_body
 from jaxmocap.silhouette.first_pose import pose_at
 from jaxmocap.silhouette.settings import Settings
-from jaxmocap.synthetic.four_cameras import bends, write_four_cameras
+from jaxmocap.synthetic.four_cameras import flexion_angles, write_four_cameras
 from jaxmocap.synthetic.movements.exercises import EXERCISES
 
 KINDS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
@@ -116,7 +116,7 @@ def judged(
     pairs = {name: name for name in JOINTS}
     errors = position_errors(motion.times, joints, truth.times, points, pairs)
     ours, theirs = match(motion.times, truth.times)
-    found, expected = bends(joints), bends(points)
+    found, expected = flexion_angles(joints), flexion_angles(points)
     off = {hinge: np.abs(found[hinge][ours] - expected[hinge][theirs]) for hinge in found}
     places = [np.stack([each[name] for name in JOINTS], 1) for each in (joints, points)]
     calm = calmness(motion.times, places[0], truth.times, places[1])

@@ -152,7 +152,7 @@ def _span(times: np.ndarray) -> str:
     return f"{times[0]:.3f} to {times[-1]:.3f} s" if len(times) else "no time at all"
 
 
-def turned_up(reference: Markers, up: str) -> dict[str, np.ndarray]:
+def points_z_up(reference: Markers, up: str) -> dict[str, np.ndarray]:
     """Points (T, 3) by name, world with Z up, of a reference whose vertical axis is ``up``.
 
     Raises:
@@ -186,7 +186,7 @@ def evaluate_directory(
     """
     path = Path(directory) / "joints.trc"
     tracked, truth = read_markers(path), read_markers(truth_path)
-    truth_world = turned_up(truth, up or usual_up(truth_path))
+    truth_world = points_z_up(truth, up or usual_up(truth_path))
     return position_errors(
         tracked.times,
         tracked.points(),

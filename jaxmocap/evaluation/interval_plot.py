@@ -26,10 +26,10 @@ class Interval(NamedTuple):
     """
 
     name: str
-    found: float
+    estimate: float
     before: float
     after: float
-    said: str
+    verdict: str
 
 
 def plot_intervals(
@@ -53,11 +53,11 @@ def plot_intervals(
     widths = [200 * interval.before for interval in intervals]
     axes.barh(rows, widths, 0.62, [-w / 2 for w in widths], color="#e4e4e4", label="before")
     for kind, colour in zip(kinds, COLOURS, strict=False):
-        chosen = [row for row in rows if intervals[row].said == kind]
+        chosen = [row for row in rows if intervals[row].verdict == kind]
         if not chosen:
             continue
         axes.errorbar(
-            [100 * intervals[row].found for row in chosen],
+            [100 * intervals[row].estimate for row in chosen],
             chosen,
             xerr=[100 * intervals[row].after for row in chosen],
             fmt="o",
@@ -69,7 +69,7 @@ def plot_intervals(
     axes.axvline(0, color="#888888", linewidth=0.8)
     axes.set_yticks(rows, [interval.name for interval in intervals])
     axes.invert_yaxis()
-    reach = 108 * max(max(each.before, abs(each.found) + each.after) for each in intervals)
+    reach = 108 * max(max(each.before, abs(each.estimate) + each.after) for each in intervals)
     axes.set_xlim(-reach, reach)
     axes.set_xlabel("change against what was stated [%], ± 2 standard deviations")
     axes.spines[["top", "right"]].set_visible(False)

@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from jaxmocap.outputs.scene import Scene
+from jaxmocap.outputs.scene import BodyScene
 
 TIMELINE = "time"
 # Entity -> title of its view.
@@ -23,7 +23,7 @@ SERIES = {
 
 
 def lay_out(
-    cameras: Mapping[str, list[str]], scene: Scene, series: Mapping[str, str] = SERIES
+    cameras: Mapping[str, list[str]], scene: BodyScene, series: Mapping[str, str] = SERIES
 ) -> rrb.Blueprint:
     """Body to the left, all cameras and their fields to the right, all time series below.
 
@@ -84,7 +84,7 @@ def _by_camera(
     ]
 
 
-def _eye(scene: Scene) -> rrb.EyeControls3D:
+def _eye(scene: BodyScene) -> rrb.EyeControls3D:
     """Far enough ahead of the first pose to see the whole body."""
     centre = (scene.near[0].min(0) + scene.near[0].max(0)) / 2
     size = float(np.linalg.norm(np.ptp(scene.near[0], axis=0)))

@@ -17,17 +17,17 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.outputs import layout, recorder
-from jaxmocap.outputs.scene import Scene, make_scene
+from jaxmocap.outputs.scene import BodyScene, make_scene
 
 INTERVAL_S = 1 / 25
 # Whoever closes the view waits so long for what is under way, seconds.
-CLOSED_S = 3.0
+CLOSE_TIMEOUT_S = 3.0
 LATENCY = "latency"
 SERIES = {"confidence": "Elbow confidence", "milliseconds": "Latency [ms]"}
 JPEG_QUALITY = 60
 
 
-class Shown(NamedTuple):
+class LiveSnapshot(NamedTuple):
     """What there is to show of one moment.
 
     Attributes:
@@ -79,7 +79,7 @@ class LiveView:
         self._thread = Thread(target=self._send, name="viewer", daemon=True)
         self._thread.start()
 
-    def show(self, shown: Shown) -> None:
+    def show(self, shown: LiveSnapshot) -> None:
         """Show this soon, unless something newer comes first."""
         with self._lock:
             images = {} if self._newest is None else self._newest.images
@@ -88,7 +88,7 @@ class LiveView:
     def close(self) -> None:
         """Send what is left; returns within some seconds, though a viewer may not answer."""
         self._stop.set()
-        self._thread.join(CLOSED_S)
+        self._thread.join(CLOSE_TIMEOUT_S)
 
     def _send(self) -> None:
         try:
@@ -103,11 +103,11 @@ class LiveView:
         finally:
             self._stream.disconnect()
 
-    def _scene(self, time: float, pose: Pose) -> Scene:
+    def _scene(self, time: float, pose: Pose) -> BodyScene:
         poses = Pose(*(np.asarray(part)[None] for part in pose))  # type: ignore[arg-type]
         return make_scene(Motion(self._skeleton, np.array([time]), poses))
 
-    def _log(self, shown: Shown) -> None:
+    def _log(self, shown: LiveSnapshot) -> None:
         scene = self._scene(shown.time, shown.pose)
         recorder.log_moment(self._stream, scene)
         for name, image in shown.images.items():

@@ -45,7 +45,7 @@ class Bundle:
         return bytes(self._datagram)
 
 
-class Sender:
+class DatagramSender:
     """Sends datagrams to one address.
 
     Attributes:

@@ -18,7 +18,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.formats.cameras.video_out import replacing_video
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.outputs.scene import Scene, limb_outlines, make_scene, pixels
+from jaxmocap.outputs.scene import BodyScene, limb_outlines, make_scene, pixels
 
 # BGR.
 BONES, JOINTS = (230, 230, 230), (255, 255, 255)
@@ -97,7 +97,7 @@ class Artist:
     ):
         self.camera, self.motion = camera, motion
         self.targets = dict(targets or {})
-        self.scene: Scene = make_scene(motion)
+        self.scene: BodyScene = make_scene(motion)
         self._shape: tuple[int, int] | None = None
 
     def canvas(self, image: np.ndarray | None) -> np.ndarray:

@@ -3,7 +3,7 @@
 INPUTS: a recording stream and what to log. OUTPUTS: none; the stream's sink holds the data.
 
 Poses, outlines and series go in whole columns, images one by one. Entities: ``world/body/BONE``,
-``world/skeleton``, ``world/trust``, ``world/markers/NAME``, ``world/cameras/NAME`` with ``image``,
+``world/skeleton``, ``world/deviations``, ``world/markers/NAME``, ``world/cameras/NAME`` with ``image``,
 ``outlines``, ``bones`` and ``markers``; ``fields/CAMERA/NAME``; one root per kind of time series.
 """
 
@@ -23,19 +23,19 @@ from jaxmocap.geometry.rotations import quaternion_from_matrix
 from jaxmocap.geometry.solids import limb_solid
 from jaxmocap.outputs.layout import TIMELINE, entity_path
 from jaxmocap.outputs.overlay import encode_jpeg
-from jaxmocap.outputs.scene import Scene, limb_outlines, pixels
+from jaxmocap.outputs.scene import BodyScene, limb_outlines, pixels
 
 # RGB; middle, left and right of the body. The skeleton shines through the limbs.
 COLOURS = {"": (190, 190, 200), "l": (70, 170, 255), "r": (255, 160, 60)}
 OPACITY = 170
 TARGETS = (255, 60, 255)
 # Landmarks that are sure, doubtful and lost by these metres, and guesses.
-SPREADS_M = (0.02, 0.06, 0.15)
-SPREAD_COLOURS = ((60, 200, 90), (250, 210, 60), (230, 50, 40))
-GUESSED_COLOUR, TRUST_OPACITY = (140, 140, 140), 90
+DEVIATION_STEPS_M = (0.02, 0.06, 0.15)
+DEVIATION_COLOURS = ((60, 200, 90), (250, 210, 60), (230, 50, 40))
+PRIOR_COLOUR, DEVIATION_OPACITY = (140, 140, 140), 90
 SIDES = ("left", "right")
 # RGB of a plot's lines that are of no side.
-LINES = (
+LINE_COLOURS = (
     (200, 60, 120), (60, 150, 90), (230, 170, 30), (110, 90, 200), (40, 160, 190), (140, 110, 80),
 )  # fmt: skip
 
@@ -61,7 +61,9 @@ def recording(path: Path, blueprint: Blueprint) -> Iterator[rr.RecordingStream]:
         stream.disconnect()
 
 
-def log_body(stream: rr.RecordingStream, motion: Motion, scene: Scene, limbs: bool = True) -> None:
+def log_body(
+    stream: rr.RecordingStream, motion: Motion, scene: BodyScene, limbs: bool = True
+) -> None:
     """Limbs as solids, where wanted, that their bones' transforms carry; the skeleton as lines."""
     log_limbs(stream, motion.skeleton, limbs)
     wxyz = np.asarray(quaternion_from_matrix(jnp.asarray(scene.R_world_bone)))
@@ -73,7 +75,7 @@ def log_body(stream: rr.RecordingStream, motion: Motion, scene: Scene, limbs: bo
     _send_strips(stream, "world/skeleton", scene.times, strips, rr.LineStrips3D)
 
 
-def log_moment(stream: rr.RecordingStream, scene: Scene) -> None:
+def log_moment(stream: rr.RecordingStream, scene: BodyScene) -> None:
     """Where the body of ``log_limbs`` is at the one time of a scene."""
     stream.set_time(TIMELINE, duration=float(scene.times[0]))
     for i, bone in enumerate(scene.bones):
@@ -128,7 +130,7 @@ def log_targets(
         stream.send_columns(entity, [_at(times)], columns.partition(seen.astype(int)))
 
 
-def log_trust(stream: rr.RecordingStream, motion: Motion) -> None:
+def log_deviations(stream: rr.RecordingStream, motion: Motion) -> None:
     """An ellipsoid of one standard deviation about each landmark, coloured by how large it is.
 
     What comes from the prior alone is grey; what has no deviation is left out.
@@ -142,22 +144,23 @@ def log_trust(stream: rr.RecordingStream, motion: Motion) -> None:
     columns = rr.Ellipsoids3D.columns(
         centers=centres[known],
         half_sizes=deviations[known],
-        colors=trust_colours(deviations, np.asarray(report.from_prior))[known],
+        colors=deviation_colours(deviations, np.asarray(report.from_prior))[known],
     )
     style = rr.Ellipsoids3D.from_fields(fill_mode=rr.components.FillMode.Solid)
-    stream.log("world/trust", style, static=True)
+    stream.log("world/deviations", style, static=True)
     counts = known.sum(1).astype(int)
-    stream.send_columns("world/trust", [_at(motion.times)], columns.partition(counts))
+    stream.send_columns("world/deviations", [_at(motion.times)], columns.partition(counts))
 
 
-def trust_colours(deviations: np.ndarray, from_prior: np.ndarray) -> np.ndarray:
+def deviation_colours(deviations: np.ndarray, from_prior: np.ndarray) -> np.ndarray:
     """RGBA (..., 4) of landmarks that deviate by (..., 3) metres: green, yellow, red, or grey."""
     spread = np.sqrt(np.sum(np.asarray(deviations) ** 2, -1))
     shares = [
-        np.interp(spread, SPREADS_M, channel) for channel in zip(*SPREAD_COLOURS, strict=True)
+        np.interp(spread, DEVIATION_STEPS_M, channel)
+        for channel in zip(*DEVIATION_COLOURS, strict=True)
     ]
-    colours = np.stack([*shares, np.full(spread.shape, TRUST_OPACITY)], -1)
-    colours[np.asarray(from_prior) > 0] = (*GUESSED_COLOUR, TRUST_OPACITY)
+    colours = np.stack([*shares, np.full(spread.shape, DEVIATION_OPACITY)], -1)
+    colours[np.asarray(from_prior) > 0] = (*PRIOR_COLOUR, DEVIATION_OPACITY)
     return np.nan_to_num(colours).astype(np.uint8)
 
 
@@ -200,7 +203,7 @@ def log_images(
 
 
 def log_outlines(
-    stream: rr.RecordingStream, name: str, camera: Camera, scene: Scene, times: np.ndarray
+    stream: rr.RecordingStream, name: str, camera: Camera, scene: BodyScene, times: np.ndarray
 ) -> None:
     """The arms' outlines and all bones over the image, at the frames' times."""
     arms, ends = scene.arms, [(time, scene.at(time)) for time in times]
@@ -220,7 +223,7 @@ def log_outlines(
         _send_strips(stream, entity, at, strips, rr.LineStrips2D)
 
 
-def log_seen_targets(
+def log_projected_targets(
     stream: rr.RecordingStream,
     name: str,
     camera: Camera,
@@ -291,7 +294,7 @@ def _send_series(
 
 def log_line(stream: rr.RecordingStream, root: str, name: str, number: int) -> None:
     """How the line of a time series looks: a side's is as the body's, others by their number."""
-    colour = COLOURS[name[0]] if name in SIDES else LINES[number % len(LINES)]
+    colour = COLOURS[name[0]] if name in SIDES else LINE_COLOURS[number % len(LINE_COLOURS)]
     style = rr.SeriesLines(names=name, colors=colour)
     stream.log(entity_path(root, name), style, static=True)
 

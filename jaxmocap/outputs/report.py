@@ -21,7 +21,7 @@ from jaxmocap.formats.files.writing import replacing
 SIDES = ("left", "right")
 # A body this far off a marker in the median has not been tracked, metres: noise, clothes and wrong
 # lengths make a few centimetres of it, a wrong axis or a marker on another bone a metre.
-FAR_OFF_M = 0.25
+MISFIT_M = 0.25
 # OpenCV comes under several names, of which one is installed.
 _OPENCV = ("opencv-python-headless", "opencv-python", "opencv-contrib-python-headless")
 
@@ -73,7 +73,7 @@ def misfit(motion: Motion) -> str | None:
         if len(seen := column[np.isfinite(column)])
     ]
     error, name = max(medians, default=(0.0, ""))
-    if error <= FAR_OFF_M:
+    if error <= MISFIT_M:
         return None
     return (
         f"the body is {100 * error:.0f} cm off marker {name!r} in the median, so it was not "

@@ -24,7 +24,7 @@ ALONG, AROUND = 8, 12
 
 
 @dataclass(frozen=True)
-class Scene:
+class BodyScene:
     """B bones over T samples.
 
     Attributes:
@@ -65,12 +65,12 @@ class Scene:
         return near, (1 - part) * self.far[before] + part * self.far[after]
 
 
-def make_scene(motion: Motion) -> Scene:
+def make_scene(motion: Motion) -> BodyScene:
     """Place every bone of a motion in the world."""
     dtype = motion.skeleton.lengths.dtype
     poses = Pose(*(jnp.asarray(part, dtype) for part in motion.poses))
     R, near, far = _place(motion.skeleton, poses)
-    return Scene(
+    return BodyScene(
         motion.skeleton.tree.bones,
         np.asarray(motion.times, float),
         np.asarray(R),

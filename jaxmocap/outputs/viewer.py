@@ -69,7 +69,7 @@ def write_rerun(
         recorder.log_body(stream, motion, scene, limbs=surface is None)
         if surface is not None:
             viewer_skin.log_skin(stream, motion, surface, picture)
-        recorder.log_trust(stream, motion)
+        recorder.log_deviations(stream, motion)
         recorder.log_targets(stream, scene.times, targets)
         if motion.report is not None:
             recorder.log_report(stream, scene.times, motion.report)
@@ -77,6 +77,6 @@ def write_rerun(
             recorder.log_camera(stream, name, shot.camera)
             times = recorder.log_images(stream, name, shot.frames, jpeg_quality)
             recorder.log_outlines(stream, name, shot.camera, scene, times)
-            recorder.log_seen_targets(stream, name, shot.camera, scene.times, targets)
+            recorder.log_projected_targets(stream, name, shot.camera, scene.times, targets)
             for label, images in shot.fields.items():
                 recorder.log_field(stream, name, label, images)

@@ -23,30 +23,30 @@ from jaxmocap.formats.motion_npz import load_motion
 from jaxmocap.formats.recordings.subject import read_subject
 from jaxmocap.outputs.viewer import write_rerun
 from jaxmocap.pipelines.silhouettes.person import person_files, read_person
-from jaxmocap.pipelines.writing import MOTION, MOTION_FILES, Warn, no_warning, write_motion
+from jaxmocap.pipelines.writing import MOTION, MOTION_FILES, Warn, ignore_warning, write_motion
 
 MOTION_NPZ = "motion.npz"
 RECORDING, PICTURE = "recording.rrd", "retargeted.png"
 
 
-class Retargeted(NamedTuple):
-    """A motion and what became of it.
+class RetargetedMotion(NamedTuple):
+    """A motion before and after it was retargeted.
 
     Attributes:
-        before: as it was tracked.
-        after: as the other person plays it.
-        surface: of the other person, or None.
+        tracked: as it was tracked.
+        retargeted: as the other body moves.
+        surface: of the other body, or None.
         picture: a PNG file's content, the surface's colours; or None.
     """
 
-    before: Motion
-    after: Motion
+    tracked: Motion
+    retargeted: Motion
     surface: Surface | None
     picture: bytes | None
 
     def figures(self) -> dict:
-        """Legs, metres; what feet on the ground do there, metres and metres per second."""
-        before, after = self.before, self.after
+        """Lengths of the legs, metres; errors of feet on the ground, metres and metres per second."""
+        before, after = self.tracked, self.retargeted
         ours, theirs = (feet(motion.skeleton, motion.poses) for motion in (before, after))
         low, off = grounded(ours), theirs - scaled(before, after.skeleton, ours)
         apart = np.linalg.norm(np.diff(off, axis=0), axis=-1) / np.diff(before.times)[:, None]
@@ -70,7 +70,7 @@ class Retargeted(NamedTuple):
         return "\n".join([*lines, *(f"written        {path}" for path in files)])
 
 
-def retarget(source: str | Path, onto: str | Path) -> Retargeted:
+def retarget(source: str | Path, onto: str | Path) -> RetargetedMotion:
     """Play a motion with another person's body.
 
     Args:
@@ -87,7 +87,7 @@ def retarget(source: str | Path, onto: str | Path) -> Retargeted:
     else:
         skeleton = read_subject(onto, "", {"file": onto.name})
     try:
-        return Retargeted(before, retargeted(before, skeleton), surface, picture)
+        return RetargetedMotion(before, retargeted(before, skeleton), surface, picture)
     except ValueError as error:
         raise InputError(source, str(error)) from None
 
@@ -100,7 +100,7 @@ def retargeted_folder(directory: str | Path, source: str | Path, onto: str | Pat
 
 
 def write_retargeted(
-    played: Retargeted, folder: OutputFolder, warn: Warn = no_warning
+    played: RetargetedMotion, folder: OutputFolder, warn: Warn = ignore_warning
 ) -> list[Path]:
     """Write the motion and the picture; see ``write_outputs``.
 
@@ -113,14 +113,14 @@ def write_retargeted(
     return folder.write(partial(_write, played, warn))
 
 
-def _write(played: Retargeted, warn: Warn, folder: Path) -> list[Path]:
+def _write(played: RetargetedMotion, warn: Warn, folder: Path) -> list[Path]:
     """All files into a folder that is there."""
     surface, picture = played.surface, played.picture
-    files = [*write_motion(played.after, folder, surface, picture, warn), folder / RECORDING]
+    files = [*write_motion(played.retargeted, folder, surface, picture, warn), folder / RECORDING]
     colours = None if picture is None else picture_of(folder, picture)
-    write_rerun(files[-1], played.after, surface=surface, picture=colours)
+    write_rerun(files[-1], played.retargeted, surface=surface, picture=colours)
     files.append(folder / PICTURE)
-    people = {"as tracked": played.before, "as played": played.after}
+    people = {"as tracked": played.tracked, "as played": played.retargeted}
     plot_stick_figures(files[-1], people)
     return files
 

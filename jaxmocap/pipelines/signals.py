@@ -43,7 +43,7 @@ def raised_on_sigterm() -> Iterator[None]:
 
 
 @contextmanager
-def held_back() -> Iterator[None]:
+def signals_deferred() -> Iterator[None]:
     """Within it Ctrl-C and SIGTERM wait: nothing comes between what begins and what ends it."""
     if threading.current_thread() is not threading.main_thread():
         yield

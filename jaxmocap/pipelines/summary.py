@@ -14,7 +14,7 @@ from jaxmocap.formats.files.writing import replacing
 from jaxmocap.outputs.report import misfit, plain, summarise
 
 # Stages that run once and compile on the way.
-ONCE = ("first_call", "smooth")
+ONE_TIME_STAGES = ("first_call", "smooth")
 
 
 def frames_per_second(report: Report) -> float:
@@ -58,7 +58,7 @@ def summary(motion: Motion, files: Sequence[Path] = (), warnings: Sequence[str] 
 def _figures(report: Report) -> list[tuple[str, str]]:
     rows = [("rate", f"{frames_per_second(report):.0f} frames per second")]
     for stage, times in report.milliseconds.items():
-        if stage in ONCE:
+        if stage in ONE_TIME_STAGES:
             rows.append((stage, f"{times[0] / 1e3:.1f} s, compilation included"))
         else:
             rows.append((stage, f"{np.median(times):.2f} ms (median of {len(times)})"))

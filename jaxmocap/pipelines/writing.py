@@ -35,7 +35,7 @@ from jaxmocap.outputs.viewer import Footage, write_rerun
 from jaxmocap.pipelines.progress import Progress, progress_bar
 
 # The viewer's recording holds at most so many frames of a camera.
-MOST_VIEWED = 300
+MOST_VIEWER_FRAMES = 300
 # Runs that write a motion into a folder replace each other's files.
 MOTION = "motion"
 # What holds a motion, in the order in which it is written.
@@ -53,7 +53,7 @@ MOTION_FILES = (
 Warn = Callable[[str], None]
 
 
-def no_warning(sentence: str) -> None:
+def ignore_warning(sentence: str) -> None:
     """Where nobody asks."""
 
 
@@ -86,7 +86,7 @@ def write_outputs(
     directory: str | Path,
     settings: Settings | None = None,
     progress: Progress | bool | None = None,
-    warn: Warn = no_warning,
+    warn: Warn = ignore_warning,
 ) -> list[Path]:
     """Write all files of a tracked recording, drawn by its cameras as they were found.
 
@@ -116,11 +116,11 @@ def write_tracked(
     folder: Path,
     settings: Settings | None = None,
     progress: Progress | bool | None = None,
-    warn: Warn = no_warning,
+    warn: Warn = ignore_warning,
 ) -> list[Path]:
     """The same into a folder that is there, of which nothing is asked."""
     videos, warnings = open_footage(recording)
-    recording = as_found(recording, motion)
+    recording = with_refined_cameras(recording, motion)
     left_out: list[str] = []
     files = write_motion(motion, folder, warn=left_out.append)
     files.append(folder / "report.json")
@@ -131,14 +131,14 @@ def write_tracked(
         warn(sentence)
     targets = marker_tracks(recording)
     with progress_bar("drawing", progress) as show:
-        total = sum(len(video) + viewed(video) for video in videos)
-        counter = Counter(show, total)
+        total = sum(len(video) + viewer_frame_count(video) for video in videos)
+        counter = FrameCounter(show, total)
         files += write_overlays(motion, recording, videos, folder, targets, counter)
         files.append(folder / "recording.rrd")
         footage = {
             source.camera_name: Footage(
                 source.camera,
-                counter.over(thinned(video)),
+                counter.over(viewer_frames(video)),
                 arm_edges(video, source.camera, motion, settings or Settings()),
             )
             for source, video in zip(recording.videos, videos, strict=True)
@@ -152,7 +152,7 @@ def write_motion(
     folder: Path,
     surface: Surface | None = None,
     picture: bytes | None = None,
-    warn: Warn = no_warning,
+    warn: Warn = ignore_warning,
 ) -> list[Path]:
     """The motion in every format that others read.
 
@@ -178,7 +178,7 @@ def write_motion(
     return files
 
 
-def as_found(recording: Recording, motion: Motion) -> Recording:
+def with_refined_cameras(recording: Recording, motion: Motion) -> Recording:
     """The recording with its cameras turned by what the motion's report says of them."""
     told = {} if motion.report is None else motion.report.settings.get("camera_turns_deg", {})
 
@@ -206,7 +206,7 @@ def write_overlays(
     videos: list[FrameSource],
     folder: Path,
     targets: Mapping[str, np.ndarray],
-    counter: "Counter",
+    counter: "FrameCounter",
 ) -> list[Path]:
     """A video of each camera."""
     files = []
@@ -225,7 +225,7 @@ def marker_tracks(recording: Recording) -> dict[str, np.ndarray]:
     return dict(zip(recording.marker_names, columns, strict=True))
 
 
-class Counter:
+class FrameCounter:
     """Tells a progress bar of every frame that goes by."""
 
     def __init__(self, show: Progress, total: int):
@@ -239,26 +239,26 @@ class Counter:
             self.show(self.done, self.total)
 
 
-def thinned(video: FrameSource, luma: bool = False) -> Iterator[Frame]:
-    """At most ``MOST_VIEWED`` frames, evenly over the video."""
+def viewer_frames(video: FrameSource, luma: bool = False) -> Iterator[Frame]:
+    """At most ``MOST_VIEWER_FRAMES`` frames, evenly over the video."""
     for i, frame in enumerate(video.frames(luma)):
         if i % _stride(video) == 0:
             yield frame
 
 
-def viewed(video: FrameSource) -> int:
-    """How many frames ``thinned`` gives."""
+def viewer_frame_count(video: FrameSource) -> int:
+    """How many frames ``viewer_frames`` gives."""
     return -(-len(video) // _stride(video))
 
 
 def _stride(video: FrameSource) -> int:
-    return -(-len(video) // MOST_VIEWED)
+    return -(-len(video) // MOST_VIEWER_FRAMES)
 
 
 def arm_edges(
     video: FrameSource, camera: Camera, motion: Motion, settings: Settings
 ) -> dict[str, list[tuple[float, np.ndarray]]]:
-    """Canny's edges in both arms' regions of interest, at the frames of ``thinned``.
+    """Canny's edges in both arms' regions of interest, at the frames of ``viewer_frames``.
 
     Returns:
         Name -> time and edges (S, S), uint8, 255 on edges.
@@ -268,7 +268,7 @@ def arm_edges(
     regions = arm_regions_over_time(camera, motion, video.times, settings)
     origins, scales = np.asarray(regions.origin), np.asarray(regions.scale)
     times = {float(time): i for i, time in enumerate(video.times)}
-    for time, image in thinned(video, luma=True):
+    for time, image in viewer_frames(video, luma=True):
         i = times[time]
         for arm, (name, thresholds) in enumerate(chains.items()):
             if image is None or not np.isfinite(origins[i, arm]).all():

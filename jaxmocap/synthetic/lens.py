@@ -29,7 +29,7 @@ def look_at(
 
 
 @dataclass(frozen=True)
-class Lens:
+class DrawingCamera:
     """A camera's numbers in NumPy.
 
     Attributes:
@@ -47,7 +47,7 @@ class Lens:
     shift_cam: np.ndarray
 
     @classmethod
-    def of(cls, camera: Camera) -> "Lens":
+    def of(cls, camera: Camera) -> "DrawingCamera":
         """The same camera."""
         T = np.asarray(camera.T_cam_world, float)
         width, height = (int(n) for n in np.asarray(camera.size))

@@ -18,13 +18,13 @@ import numpy as np
 from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.files.writing import write_bytes
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.synthetic.lens import Lens, look_at
+from jaxmocap.synthetic.lens import DrawingCamera, look_at
 from jaxmocap.synthetic.movements.exerciser import Exerciser
 from jaxmocap.synthetic.movements.splines import Spline
-from jaxmocap.synthetic.movements.stances import Stance
+from jaxmocap.synthetic.movements.stances import KeyStance
 from jaxmocap.synthetic.people.rigged_mesh import Rig
-from jaxmocap.synthetic.placement import Turned
-from jaxmocap.synthetic.renderer import Scene, Sensor, light, silhouette
+from jaxmocap.synthetic.placement import RotatedMover
+from jaxmocap.synthetic.renderer import Scene, Sensor, rendered, silhouette
 
 _LEG = (0.0, 7.0, -4.0, 0.0, 0.0)
 _LIFTED, _BENT, _SPREAD = (
@@ -46,22 +46,22 @@ BACKDROP_BGR = np.array([118.0, 146.0, 92.0])
 DARKER, GRAIN, UNEVEN = 0.16, 1.5, 2.5
 
 
-def stature(rig: Rig) -> float:
+def rest_height(rig: Rig) -> float:
     """Height of a person at rest, metres."""
     return float(np.ptp(rig.mesh.vertices[:, 2]))
 
 
-def standing(rig: Rig, photograph: str) -> Exerciser:
+def person_in_stance(rig: Rig, photograph: str) -> Exerciser:
     """A person as they stand for a photograph: facing +x, hips above the origin."""
     arm, _ = PHOTOGRAPHS[photograph]
-    stance = Stance(back=(0.0, 0.0, 0.0), arm_l=arm, arm_r=arm, leg_l=_LEG, leg_r=_LEG)
+    stance = KeyStance(back=(0.0, 0.0, 0.0), arm_l=arm, arm_r=arm, leg_l=_LEG, leg_r=_LEG)
     times = np.linspace(-1.0, 1.0, 5)
     return Exerciser(rig, Spline.through(times, np.tile(stance.channels(), (5, 1))))
 
 
 def camera_of(rig: Rig, photograph: str) -> Camera:
     """The camera that took a photograph of a person."""
-    return _camera(stature(rig), PHOTOGRAPHS[photograph][1])
+    return _camera(rest_height(rig), PHOTOGRAPHS[photograph][1])
 
 
 def _camera(height: float, azimuth: float) -> Camera:
@@ -85,17 +85,17 @@ def photograph(rig: Rig, name: str, seed: int = 0, background: np.ndarray | None
     rng = np.random.default_rng([seed, list(PHOTOGRAPHS).index(name)])
     background = backdrop(rng) if background is None else background
     # The backdrop stands behind the person as the camera sees it.
-    turned = Turned(standing(rig, name), PHOTOGRAPHS[name][1])
-    camera = _camera(stature(rig), 0.0)
+    turned = RotatedMover(person_in_stance(rig, name), PHOTOGRAPHS[name][1])
+    camera = _camera(rest_height(rig), 0.0)
     scene = Scene(camera, background, turned)
-    return Sensor.create(SIZE, rng).exposed(light(scene, Lens.of(camera), 0.0))
+    return Sensor.create(SIZE, rng).exposed(rendered(scene, DrawingCamera.of(camera), 0.0))
 
 
-def true_mask(rig: Rig, name: str) -> np.ndarray:
+def person_mask(rig: Rig, name: str) -> np.ndarray:
     """(H, W) bool, the pixels that show the person."""
-    person = standing(rig, name)
+    person = person_in_stance(rig, name)
     vertices = person.vertices(np.zeros(1))[0]
-    return silhouette(person.mesh, Lens.of(camera_of(rig, name)), vertices)
+    return silhouette(person.mesh, DrawingCamera.of(camera_of(rig, name)), vertices)
 
 
 def backdrop(rng: np.random.Generator) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.synthetic.lens import look_at
-from jaxmocap.synthetic.people.meshes import Mesh
+from jaxmocap.synthetic.people.meshes import SkinnedMesh
 from jaxmocap.synthetic.renderer import Mover
 
 # Far enough for the whole person, from shoes to a raised hand, wherever the arms point.
@@ -28,7 +28,7 @@ def camera_at(azimuth: float) -> Camera:
 
 
 @dataclass(frozen=True)
-class Turned:
+class RotatedMover:
     """A mover turned about the world's vertical, as it stands before a camera that stays.
 
     Attributes:
@@ -40,7 +40,7 @@ class Turned:
     azimuth: float
 
     @property
-    def mesh(self) -> Mesh:
+    def mesh(self) -> SkinnedMesh:
         """At rest."""
         return self.mover.mesh
 

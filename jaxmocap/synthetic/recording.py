@@ -22,8 +22,8 @@ from jaxmocap.geometry.cameras import Camera
 from jaxmocap.synthetic.lens import look_at
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.movements.motions import Performance
-from jaxmocap.synthetic.people.clothed_person import MARKERS, dressed
-from jaxmocap.synthetic.placement import Turned, camera_at
+from jaxmocap.synthetic.people.clothed_person import MARKERS, clothed_actor
+from jaxmocap.synthetic.placement import RotatedMover, camera_at
 from jaxmocap.synthetic.renderer import Progress, Scene, render_frames
 
 MARKER_RATE, VIDEO_RATE = 90, 30
@@ -114,10 +114,10 @@ def webcam() -> Camera:
 
 def scene(performance: Performance, seed: int = 0, azimuth: float | None = None) -> Scene:
     """What the camera at that azimuth sees of a performance; None is ``webcam()``."""
-    actor = dressed(performance, seed)
+    actor = clothed_actor(performance, seed)
     if azimuth is None:
         return Scene.in_room(webcam(), actor, seed)
-    return Scene.in_room(camera_at(0.0), Turned(actor, azimuth), seed)
+    return Scene.in_room(camera_at(0.0), RotatedMover(actor, azimuth), seed)
 
 
 def video_times(seconds: float) -> np.ndarray:

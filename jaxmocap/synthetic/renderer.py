@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.synthetic.lens import Lens
-from jaxmocap.synthetic.people.meshes import Mesh
+from jaxmocap.synthetic.lens import DrawingCamera
+from jaxmocap.synthetic.people.meshes import SkinnedMesh
 from jaxmocap.synthetic.room import FRACTION_BITS, OVERSAMPLING, WALL_X, Room, to_fixed
 
 EXPOSURE_S = 0.010
@@ -37,7 +37,7 @@ class Mover(Protocol):
     """A mesh in motion."""
 
     @property
-    def mesh(self) -> Mesh:
+    def mesh(self) -> SkinnedMesh:
         """At rest: its faces and colours."""
         ...
 
@@ -65,7 +65,7 @@ class Scene:
     @classmethod
     def in_room(cls, camera: Camera, mover: Mover, seed: int = 0) -> "Scene":
         """A room furnished by the seed."""
-        room = Room.furnished(Lens.of(camera), np.random.default_rng([seed, 2]))
+        room = Room.furnished(DrawingCamera.of(camera), np.random.default_rng([seed, 2]))
         return cls(camera, room, mover, seed)
 
 
@@ -79,15 +79,15 @@ def render_frames(
         times: (F,) the middles of the exposures, seconds.
         progress: called with the frames done and their total.
     """
-    lens = Lens.of(scene.camera)
+    lens = DrawingCamera.of(scene.camera)
     sensor = Sensor.create(lens.size, np.random.default_rng([scene.seed, 3]))
     for i, time in enumerate(times):
-        yield sensor.exposed(light(scene, lens, float(time)))
+        yield sensor.exposed(rendered(scene, lens, float(time)))
         if progress:
             progress(i + 1, len(times))
 
 
-def light(scene: Scene, lens: Lens, time: float) -> np.ndarray:
+def rendered(scene: Scene, lens: DrawingCamera, time: float) -> np.ndarray:
     """What falls onto the sensor during one exposure: (H, W, 3), BGR uint8, without noise."""
     vertices = scene.mover.vertices(time + EXPOSURE_S * np.array([-0.5, 0.0, 0.5]))
     middle, pixels = vertices[1], _blurred(lens.pixels(vertices))
@@ -111,7 +111,7 @@ def light(scene: Scene, lens: Lens, time: float) -> np.ndarray:
     return image
 
 
-def silhouette(mesh: Mesh, lens: Lens, vertices: np.ndarray) -> np.ndarray:
+def silhouette(mesh: SkinnedMesh, lens: DrawingCamera, vertices: np.ndarray) -> np.ndarray:
     """Pixels (H, W) bool of which at least half shows the mesh, its vertices at (V, 3)."""
     pixels = lens.pixels(vertices)
     mask = np.zeros(lens.size[::-1], bool)
@@ -153,7 +153,9 @@ def _box(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray | None:
     return box if (box[1] > box[0]).all() else None
 
 
-def _shaded(mesh: Mesh, lens: Lens, vertices: np.ndarray) -> tuple[np.ndarray, list[tuple]]:
+def _shaded(
+    mesh: SkinnedMesh, lens: DrawingCamera, vertices: np.ndarray
+) -> tuple[np.ndarray, list[tuple]]:
     """Faces that look at the camera, from back to front, and their colours, BGR 0 to 255."""
     corners = vertices[mesh.faces]
     normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
@@ -171,7 +173,7 @@ def _shaded(mesh: Mesh, lens: Lens, vertices: np.ndarray) -> tuple[np.ndarray, l
     return order, [tuple(colour) for colour in colours.tolist()]
 
 
-def shadowed(scene: Scene, lens: Lens, vertices: np.ndarray) -> np.ndarray:
+def shadowed(scene: Scene, lens: DrawingCamera, vertices: np.ndarray) -> np.ndarray:
     """The room with the person's soft shadow on floor and back wall: (H, W, 3), BGR uint8."""
     to_floor = np.maximum(vertices[:, 2], 0) / LAMP[2]
     to_wall = (vertices[:, 0] - WALL_X) / LAMP[0]

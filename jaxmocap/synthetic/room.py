@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxmocap.synthetic.lens import Lens
+from jaxmocap.synthetic.lens import DrawingCamera
 
 WALL_X = -1.9
 HALF_WIDTH, CEILING = 3.2, 2.9
@@ -29,12 +29,12 @@ class Room:
         image: (2 H, 2 W, 3) BGR uint8.
     """
 
-    lens: Lens
+    lens: DrawingCamera
     rng: np.random.Generator
     image: np.ndarray
 
     @classmethod
-    def furnished(cls, lens: Lens, rng: np.random.Generator) -> np.ndarray:
+    def furnished(cls, lens: DrawingCamera, rng: np.random.Generator) -> np.ndarray:
         """An image (H, W, 3), BGR uint8, of a room with everything in it."""
         width, height = lens.size
         room = cls(

@@ -17,14 +17,14 @@ from jaxmocap.cli import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.outputs import live_view
 from jaxmocap.outputs.layout import SERIES, lay_out
-from jaxmocap.outputs.live_view import LiveView, Shown
-from jaxmocap.outputs.scene import Scene
-from jaxmocap.pipelines.live.session import standing_pose
+from jaxmocap.outputs.live_view import LiveSnapshot, LiveView
+from jaxmocap.outputs.scene import BodyScene
+from jaxmocap.pipelines.live.session import relaxed_pose_on_floor
 from jaxmocap.pipelines.view import LOOPBACK, free_port, serve_page
 from jaxmocap.synthetic.lens import look_at
 
 CAMERA = look_at((3.0, 0.6, 1.3), (0.0, 0.0, 0.95), size=(96, 72), focal=95.0, distortion=())
-SCENE = Scene(
+SCENE = BodyScene(
     ("head",),
     np.zeros(1),
     np.eye(3)[None, None],
@@ -118,7 +118,7 @@ def test_a_live_view_shows_the_newest_pose_and_image_and_keeps_up(tmp_path, monk
     path = tmp_path / "live.rrd"
     monkeypatch.setattr(rr.RecordingStream, "connect_grpc", lambda self, url: self.save(path))
     skeleton = Skeleton.human(1.75)
-    pose = standing_pose(skeleton)
+    pose = relaxed_pose_on_floor(skeleton)
     sent = []
     monkeypatch.setattr(live_view, "INTERVAL_S", 0.02)
     view = LiveView("nowhere", skeleton, {"cam": CAMERA}, pose)
@@ -126,8 +126,8 @@ def test_a_live_view_shows_the_newest_pose_and_image_and_keeps_up(tmp_path, monk
     view._log = lambda shown: (sent.append(shown), log(shown))  # type: ignore[method-assign]
     images = [np.full((72, 96, 3), i, np.uint8) for i in range(100)]
     for i, image in enumerate(images):
-        view.show(Shown(i / 100, pose, np.array([0.2, 0.9]), 5.0, {"cam": image}))
-        view.show(Shown(i / 100 + 0.005, pose, np.array([0.2, 0.9]), 5.0, {}))
+        view.show(LiveSnapshot(i / 100, pose, np.array([0.2, 0.9]), 5.0, {"cam": image}))
+        view.show(LiveSnapshot(i / 100 + 0.005, pose, np.array([0.2, 0.9]), 5.0, {}))
     end = time.monotonic() + 20
     while (not sent or sent[-1].time < 0.995) and time.monotonic() < end:
         time.sleep(0.01)
@@ -143,5 +143,5 @@ def test_who_stands_has_the_feet_on_the_floor():
     from jaxmocap.body.kinematics import forward
 
     skeleton = Skeleton.human(1.75)
-    joints = np.asarray(forward(skeleton, standing_pose(skeleton)).joints_world)
+    joints = np.asarray(forward(skeleton, relaxed_pose_on_floor(skeleton)).joints_world)
     assert abs(joints[:, 2].min()) < 1e-5 and joints[:, 2].max() > 1.3

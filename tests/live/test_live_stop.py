@@ -32,7 +32,7 @@ from jaxmocap.pipelines.live.loop import Live
 from jaxmocap.pipelines.live.session import live_summary, run_live
 from jaxmocap.pipelines.live.status import LiveStatus
 from jaxmocap.pipelines.live.stop import stopped_by_signals
-from jaxmocap.pipelines.signals import Terminated, held_back, raised_on_sigterm
+from jaxmocap.pipelines.signals import Terminated, raised_on_sigterm, signals_deferred
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals are sent as on POSIX")
 OURS = ("markers", "camera", "recording", "viewer")
@@ -118,7 +118,7 @@ def test_signals_that_are_ignored_stay_so_and_all_handlers_come_back():
 def test_a_signal_waits_until_what_was_begun_can_be_ended():
     done = []
     with pytest.raises(Terminated), raised_on_sigterm():
-        with held_back():
+        with signals_deferred():
             os.kill(os.getpid(), signal.SIGTERM)
             time.sleep(0.05)
             done.append("begun")
@@ -159,7 +159,7 @@ def test_a_run_whose_recording_fails_goes_on_and_says_so_once(tmp_path, monkeypa
     def full(sample) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(live.recording, "_note", full)
+    monkeypatch.setattr(live.recording, "_add_sample", full)
     stop = threading.Event()
     threading.Thread(target=send_markers, args=(live.address, stop), daemon=True).start()
     figures = live.run(seconds=1.0)
@@ -255,7 +255,7 @@ def test_a_viewer_that_does_not_listen_is_killed(monkeypatch):
     deaf = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print(); "
     deaf += "time.sleep(600)"
     monkeypatch.setattr(view, "viewer_command", lambda: [sys.executable, "-c", deaf])
-    monkeypatch.setattr(view, "ENDS_S", 0.5)
+    monkeypatch.setattr(view, "VIEWER_STOP_TIMEOUT_S", 0.5)
     viewer = view.start_viewer([], web=True, stay=False)
     time.sleep(1.0)
     viewer.end()

@@ -332,7 +332,7 @@ def test_the_viewer_shows_how_far_to_trust_each_landmark(tmp_path, motion):
     report = replace(motion.report, landmarks_std=deviations, from_prior=guessed)
     write_rerun(tmp_path / "recording.rrd", replace(motion, report=report))
     timed, _ = read_recording(tmp_path / "recording.rrd")
-    (batch,) = timed["/world/trust"]
+    (batch,) = timed["/world/deviations"]
     sizes = batch.column("Ellipsoids3D:half_sizes").to_pylist()
     assert [len(row) for row in sizes] == [len(LANDMARKS) - (i == 3) for i in range(SAMPLES)]
     colours = np.array(batch.column("Ellipsoids3D:colors").to_pylist()[0], np.uint32)

@@ -17,7 +17,13 @@ import numpy as np
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.synthetic.lens import look_at
 from jaxmocap.synthetic.movements.splines import Spline
-from jaxmocap.synthetic.people.rigged_mesh import RiggedMesh, between, load_rig, turn, unit
+from jaxmocap.synthetic.people.rigged_mesh import (
+    RiggedMesh,
+    load_rig,
+    rotation_between,
+    rotation_onto,
+    unit,
+)
 from jaxmocap.synthetic.recording import MARKER_RATE, RecordingParts, video_times, write_parts
 from jaxmocap.synthetic.renderer import Scene, render_frames
 
@@ -136,26 +142,29 @@ def _turns(person: MeshPerson, centres: dict[str, np.ndarray]) -> dict[str, np.n
     at = person.at
     left, up, ahead = np.eye(3)[0], np.eye(3)[2], -np.eye(3)[1]
 
-    hips = turn(centres["across"], centres["up"], left, up)
-    chest = turn(centres["up"], centres["chest"], up, left)
-    head = turn(centres["ahead"], centres["head"], ahead, left)
+    hips = rotation_onto(centres["across"], centres["up"], left, up)
+    chest = rotation_onto(centres["up"], centres["chest"], up, left)
+    head = rotation_onto(centres["ahead"], centres["head"], ahead, left)
     turned = {
         "Hips": hips,
         "Spine1": chest,
         "Head": head,
-        "LowerBack": between(hips, chest, 1 / 3),
+        "LowerBack": rotation_between(hips, chest, 1 / 3),
     }
-    turned |= {"Spine": between(hips, chest, 2 / 3), "Neck1": between(chest, head, 0.5)}
+    turned |= {
+        "Spine": rotation_between(hips, chest, 2 / 3),
+        "Neck1": rotation_between(chest, head, 0.5),
+    }
     for side in ("Left", "Right"):
         bones = [side + part for part in ("Arm", "ForeArm", "Hand", "HandFinger1")]
         seen = [centres[b] - centres[a] for a, b in pairwise(bones)]
         rest = [at(b) - at(a) for a, b in pairwise(bones)]
         hinge, rest_hinge = np.cross(seen[0], seen[1]), np.cross(rest[0], rest[1])
         for bone, now, before in zip(bones, seen, rest, strict=False):
-            turned[bone] = turn(now, hinge, before, rest_hinge)
+            turned[bone] = rotation_onto(now, hinge, before, rest_hinge)
         for bone, end in (("UpLeg", "Leg"), ("Leg", "Foot"), ("Foot", "ToeBase")):
             now = centres[side + end] - centres[side + bone]
-            turned[side + bone] = turn(
+            turned[side + bone] = rotation_onto(
                 now, centres["across"], at(side + end) - at(side + bone), left
             )
     return turned

@@ -21,10 +21,10 @@ from jaxmocap.formats.recordings.recording import load_recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.geometry.cameras import project
 from jaxmocap.synthetic import recording, renderer
-from jaxmocap.synthetic.lens import Lens
+from jaxmocap.synthetic.lens import DrawingCamera
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.movements.splines import Spline
-from jaxmocap.synthetic.people.clothed_person import MARKERS, dressed
+from jaxmocap.synthetic.people.clothed_person import MARKERS, clothed_actor
 from jaxmocap.synthetic.renderer import Scene, render_frames
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "recordings"
@@ -51,7 +51,7 @@ def performance(request):
 @pytest.fixture(scope="module")
 def scene():
     camera = recording.webcam()
-    return Scene.in_room(camera, dressed(motions.table_tennis(SECONDS, 0), 0), 0)
+    return Scene.in_room(camera, clothed_actor(motions.table_tennis(SECONDS, 0), 0), 0)
 
 
 def test_bones_keep_their_lengths(performance):
@@ -196,7 +196,7 @@ def test_splines_pass_through_their_keys_and_are_twice_smooth(values, seed):
 
 def test_the_lens_projects_as_opencv_and_the_package_do():
     camera = recording.webcam()
-    lens = Lens.of(camera)
+    lens = DrawingCamera.of(camera)
     points = np.random.default_rng(0).uniform((-1, -1.2, 0.3), (1, 1.2, 2.0), (50, 3))
     rotation = cv2.Rodrigues(lens.R_cam_world)[0]
     expected = cv2.projectPoints(points, rotation, lens.shift_cam, lens.matrix, lens.distortion)[0]
@@ -218,7 +218,7 @@ def test_marker_noise_stays_within_a_consumer_headsets():
 
 def test_a_person_stands_where_the_truth_says(scene):
     times = np.linspace(0.2, 5.8, 12)
-    lens = Lens.of(scene.camera)
+    lens = DrawingCamera.of(scene.camera)
     points = scene.mover.performance.landmarks(times)
     hits = []
     for i, frame in enumerate(render_frames(scene, times)):
@@ -238,7 +238,7 @@ def test_fast_hands_are_blurred_and_slow_ones_are_not(scene, monkeypatch):
     points = scene.mover.performance.landmarks(TIMES)["wrist_r"]
     speed = np.linalg.norm(np.gradient(points, 1 / 90, axis=0), axis=1)[20:-20]
     chosen = np.array([speed.argmax(), speed.argmin()]) + 20
-    pixels = np.rint(Lens.of(scene.camera).pixels(points[chosen])).astype(int)
+    pixels = np.rint(DrawingCamera.of(scene.camera).pixels(points[chosen])).astype(int)
     blurred = list(render_frames(scene, TIMES[chosen]))
     monkeypatch.setattr(renderer, "EXPOSURE_S", 1e-6)
     sharp = list(render_frames(scene, TIMES[chosen]))
@@ -252,7 +252,7 @@ def test_fast_hands_are_blurred_and_slow_ones_are_not(scene, monkeypatch):
 
 def test_the_same_seed_gives_the_same_frames_and_another_does_not():
     def frame(seed):
-        mover = dressed(motions.table_tennis(2.0, seed), seed)
+        mover = clothed_actor(motions.table_tennis(2.0, seed), seed)
         return next(render_frames(Scene.in_room(recording.webcam(), mover, seed), np.array([1.1])))
 
     first = frame(5)
@@ -274,7 +274,7 @@ def test_a_recording_is_written_whole_and_read_like_any_other(tmp_path):
         frames = [frame.to_ndarray(format="bgr24") for frame in container.decode(video=0)]
     assert len(frames) == 12 and frames[0].shape == (480, 640, 3)
     performance = motions.table_tennis(0.4, 1)
-    mover = dressed(performance, 1)
+    mover = clothed_actor(performance, 1)
     scene = Scene.in_room(recording.webcam(), mover, 1)
     (drawn,) = render_frames(scene, recording.video_times(0.4)[:1])
     assert np.abs(frames[0].astype(int) - drawn).mean() < 6

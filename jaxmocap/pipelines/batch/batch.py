@@ -20,16 +20,16 @@ from jaxmocap.capture.timeline import Mode
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import LIST, OutputFolder
 from jaxmocap.formats.recordings.recording import load_recording
-from jaxmocap.pipelines.batch.cluster import connected, each_done
+from jaxmocap.pipelines.batch.cluster import cluster_client, results_as_completed
 from jaxmocap.pipelines.batch.corpus import (
-    KEPT,
-    Row,
+    RECORD_FILE,
+    CorpusRow,
     find_recordings,
     fingerprint,
-    inputs_of,
-    keep,
-    kept,
+    read_record,
+    readable_inputs,
     write_failures,
+    write_record,
     write_rows,
 )
 from jaxmocap.pipelines.kept_programs import keep_compiled
@@ -43,7 +43,7 @@ TABLES = ("corpus.csv", "failures.json")
 
 
 @dataclass(frozen=True)
-class Wanted:
+class TrackingOptions:
     """How recordings are to be tracked, in the words of ``track``."""
 
     refine: Literal["simplex", "gradient", "none"] = "simplex"
@@ -66,7 +66,7 @@ class Job:
     name: str
     recording: Path
     folder: Path
-    wanted: Wanted
+    options: TrackingOptions
     inputs: tuple[Path, ...] = ()
 
 
@@ -79,7 +79,7 @@ class Outcome(NamedTuple):
         problem: why there is no row, or None.
     """
 
-    row: Row | None
+    row: CorpusRow | None
     earlier: bool = False
     problem: str | None = None
 
@@ -95,7 +95,7 @@ class Batch:
         files: that were written besides the recordings' own.
     """
 
-    rows: list[Row]
+    rows: list[CorpusRow]
     earlier: int
     failures: dict[str, str]
     files: list[Path]
@@ -122,7 +122,7 @@ class Batch:
 def track_corpus(
     corpus: str | Path,
     out: str | Path,
-    wanted: Wanted | None = None,
+    options: TrackingOptions | None = None,
     *,
     scheduler: str | None = None,
     workers: int | None = None,
@@ -147,14 +147,16 @@ def track_corpus(
             inputs, or recordings whose outputs would lie within one another.
         OutputError: the tables cannot be written.
     """
-    jobs = jobs_of(corpus, out, wanted or Wanted())
+    jobs = jobs_of(corpus, out, options or TrackingOptions())
     folder = OutputFolder(out, "batch", TABLES, [path for job in jobs for path in job.inputs])
     batch = Batch([], 0, {}, [folder.path / name for name in TABLES])
     most = None if workers is None else min(workers, len(jobs))
-    with connected(scheduler, most) as client, progress_bar("recordings", progress) as show:
+    with cluster_client(scheduler, most) as client, progress_bar("recordings", progress) as show:
         try:
             show(0, len(jobs))
-            for count, done in enumerate(each_done(client, track_one, jobs, timeout_s), 1):
+            for count, done in enumerate(
+                results_as_completed(client, track_one, jobs, timeout_s), 1
+            ):
                 outcome = done.result or Outcome(None, problem=done.problem)
                 batch = _with(batch, done.job.name, outcome)
                 show(count, len(jobs))
@@ -170,7 +172,7 @@ def _write_tables(folder: OutputFolder, batch: Batch) -> None:
         write_failures(stage / TABLES[1], batch.failures)
 
 
-def jobs_of(corpus: str | Path, out: str | Path, wanted: Wanted) -> list[Job]:
+def jobs_of(corpus: str | Path, out: str | Path, options: TrackingOptions) -> list[Job]:
     """One for each recording.
 
     Raises:
@@ -182,8 +184,8 @@ def jobs_of(corpus: str | Path, out: str | Path, wanted: Wanted) -> list[Job]:
             (name := path.relative_to(root)).as_posix(),
             path,
             folder / name.with_suffix(""),
-            wanted,
-            tuple(inputs_of(path)),
+            options,
+            tuple(readable_inputs(path)),
         )
         for path in find_recordings(corpus, out)
     ]
@@ -219,8 +221,8 @@ def track_one(job: Job) -> Outcome:
     The outputs' folder appears whole or not at all.
     """
     try:
-        mark = fingerprint(job.recording, asdict(job.wanted))
-        if earlier := kept(job.folder, mark):
+        mark = fingerprint(job.recording, asdict(job.options))
+        if earlier := read_record(job.folder, mark):
             return Outcome(replace(earlier, recording=job.name), earlier=True)
         return Outcome(_tracked(job, mark))
     except (InputError, OSError) as error:
@@ -229,22 +231,22 @@ def track_one(job: Job) -> Outcome:
         return Outcome(None, problem=f"{type(error).__name__}: {error}")
 
 
-def _tracked(job: Job, mark: str) -> Row:
+def _tracked(job: Job, mark: str) -> CorpusRow:
     """Track and write everything."""
     began = perf_counter()
     keep_compiled()
     recording = load_recording(job.recording)
-    folder = tracked_folder(job.folder, recording, [KEPT])
-    settings = choose_settings(job.wanted.refine, job.wanted.paper)
-    motion = track(recording, settings, mode=job.wanted.mode)
+    folder = tracked_folder(job.folder, recording, [RECORD_FILE])
+    settings = choose_settings(job.options.refine, job.options.paper)
+    motion = track(recording, settings, mode=job.options.mode)
     with folder.writing() as stage:
         write_tracked(motion, recording, stage, settings)
         row = row_of(job, motion, perf_counter() - began)
-        keep(stage, mark, row)
+        write_record(stage, mark, row)
     return row
 
 
-def row_of(job: Job, motion: Motion, took_s: float) -> Row:
+def row_of(job: Job, motion: Motion, took_s: float) -> CorpusRow:
     """A tracked recording's line of the table."""
     report = motion.report
     assert report is not None
@@ -252,7 +254,7 @@ def row_of(job: Job, motion: Motion, took_s: float) -> Row:
     told = report.confidence if "observe" in report.milliseconds else np.full((1, 2), np.nan)
     known = told[np.isfinite(told).all(1)]
     left, right = np.median(known, axis=0) if len(known) else (np.nan, np.nan)
-    return Row(
+    return CorpusRow(
         recording=job.name,
         frames=len(motion.times),
         seconds=round(float(motion.times[-1] - motion.times[0]), 6),

@@ -23,11 +23,11 @@ from jaxmocap.formats.recordings.recording_files import input_files
 from jaxmocap.pipelines.writing import MOTION
 
 # In a tracked recording's folder: what it was tracked from, and its row.
-KEPT = "batch.json"
+RECORD_FILE = "batch.json"
 
 
 @dataclass(frozen=True)
-class Row:
+class CorpusRow:
     """What one recording came to.
 
     Attributes:
@@ -81,7 +81,7 @@ def _is_recording(path: Path) -> bool:
         return True
 
 
-def inputs_of(recording: Path) -> list[Path]:
+def readable_inputs(recording: Path) -> list[Path]:
     """The recording's file and every file that its fields name; itself alone if it is broken."""
     try:
         return input_files(recording)
@@ -89,37 +89,37 @@ def inputs_of(recording: Path) -> list[Path]:
         return [recording]
 
 
-def fingerprint(recording: Path, told: Mapping[str, Any]) -> str:
+def fingerprint(recording: Path, options: Mapping[str, Any]) -> str:
     """Of all that the outputs depend on: the inputs' contents, what was told, the version."""
-    whole = hashlib.sha256(json.dumps([__version__, dict(told)], sort_keys=True).encode())
-    for path in filter(Path.is_file, inputs_of(recording)):
+    whole = hashlib.sha256(json.dumps([__version__, dict(options)], sort_keys=True).encode())
+    for path in filter(Path.is_file, readable_inputs(recording)):
         with path.open("rb") as file:
             content = hashlib.file_digest(file, "sha256").hexdigest()
         whole.update(f"{os.path.relpath(path, recording.parent)} {content} ".encode())
     return whole.hexdigest()
 
 
-def keep(folder: Path, mark: str, row: Row) -> None:
+def write_record(folder: Path, mark: str, row: CorpusRow) -> None:
     """Remember in the outputs' folder what they were made from, and their row."""
     text = json.dumps({"fingerprint": mark, "row": asdict(row)}, indent=2, ensure_ascii=False)
-    write_text(folder / KEPT, text + "\n")
+    write_text(folder / RECORD_FILE, text + "\n")
 
 
-def kept(folder: Path, mark: str) -> Row | None:
+def read_record(folder: Path, mark: str) -> CorpusRow | None:
     """The row of outputs that are whole and were made from the same, or None."""
     try:
-        found = json.loads(read_bytes(folder / KEPT))
+        found = json.loads(read_bytes(folder / RECORD_FILE))
         if found["fingerprint"] != mark or not OutputFolder(folder, MOTION).is_whole():
             return None
-        return Row(**found["row"])
+        return CorpusRow(**found["row"])
     except (ValueError, TypeError, KeyError, RecursionError):
         return None
 
 
-def write_rows(path: Path, rows: Sequence[Row]) -> None:
+def write_rows(path: Path, rows: Sequence[CorpusRow]) -> None:
     """Write corpus.csv: a line of names, and one line per recording, by path."""
     with replacing(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
-        table = csv.DictWriter(file, [field.name for field in fields(Row)])
+        table = csv.DictWriter(file, [field.name for field in fields(CorpusRow)])
         table.writeheader()
         table.writerows(asdict(row) for row in sorted(rows, key=lambda row: row.recording))
 

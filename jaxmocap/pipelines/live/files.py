@@ -18,15 +18,15 @@ from av.error import FFmpegError
 from jaxmocap.capture.streams.inbox import Frame
 from jaxmocap.formats.files.writing import as_output_error
 
-CLOCK = 90_000
+CLOCK_HZ = 90_000
 # A fragment takes so many microseconds, and goes to the file at once.
-MP4 = {
+MP4_OPTIONS = {
     "movflags": "empty_moov+default_base_moof",
     "frag_duration": "250000",
     "flush_packets": "1",
 }
 # No frame waits in the encoder for the next ones.
-QUICK = {"preset": "ultrafast", "tune": "zerolatency", "crf": "20", "g": "30"}
+ENCODER_OPTIONS = {"preset": "ultrafast", "tune": "zerolatency", "crf": "20", "g": "30"}
 
 
 class GrowingFile:
@@ -43,7 +43,7 @@ class GrowingFile:
         Raises:
             OutputError: there is one of that name, or it cannot be made.
         """
-        self.path, self.whole, self._end = path, 0, 0
+        self.path, self.complete_bytes, self._end = path, 0, 0
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
         with as_output_error(path):
             self._file = os.open(path, flags, 0o666)
@@ -65,19 +65,19 @@ class GrowingFile:
             rest, self._end = rest[written:], self._end + written
         return len(content)
 
-    def complete(self) -> None:
+    def mark_complete(self) -> None:
         """What is written so far is whole."""
         if not self._broken:
-            self.whole = self._end
+            self.complete_bytes = self._end
 
-    def written(self) -> int:
+    def incomplete_bytes(self) -> int:
         """Bytes that are on disk beyond the whole parts."""
-        return self._end - self.whole
+        return self._end - self.complete_bytes
 
-    def cut(self, kept: int = 0) -> None:
+    def drop_incomplete(self, kept: int = 0) -> None:
         """Take off what is not whole, but for so many bytes."""
-        self.whole = self._end = self.whole + kept
-        os.ftruncate(self._file, self.whole)
+        self.complete_bytes = self._end = self.complete_bytes + kept
+        os.ftruncate(self._file, self.complete_bytes)
 
     def close(self) -> None:
         """Take off what is not whole, and wait until the rest is on the disk.
@@ -86,13 +86,13 @@ class GrowingFile:
             OSError: it could not be.
         """
         try:
-            self.cut()
+            self.drop_incomplete()
             os.fsync(self._file)
         finally:
             os.close(self._file)
 
 
-class Rows:
+class LineFile:
     """A text file of lines, UTF-8.
 
     Attributes:
@@ -106,7 +106,7 @@ class Rows:
         Raises:
             OutputError: there is one of that name, or it cannot be written.
         """
-        self._file, self.rows, self.lost = GrowingFile(path), 0, 0
+        self._file, self.line_count, self.lost_count = GrowingFile(path), 0, 0
         self._lines: list[str] = []
         try:
             with as_output_error(path):
@@ -114,12 +114,12 @@ class Rows:
         except BaseException:
             self.remove()
             raise
-        self._file.complete()
+        self._file.mark_complete()
 
     @property
-    def begun(self) -> bool:
+    def has_lines(self) -> bool:
         """Is any line on disk, or waits to be?"""
-        return bool(self.rows or self._lines)
+        return bool(self.line_count or self._lines)
 
     def add(self, line: str) -> None:
         """Add a line, which ``flush`` writes."""
@@ -138,13 +138,13 @@ class Rows:
         try:
             self._file.write(content)
         except OSError:
-            fit = content[: self._file.written()]
-            self._file.cut(fit.rfind(b"\n") + 1)
-            self.rows += fit.count(b"\n")
-            self.lost += count - fit.count(b"\n")
+            fit = content[: self._file.incomplete_bytes()]
+            self._file.drop_incomplete(fit.rfind(b"\n") + 1)
+            self.line_count += fit.count(b"\n")
+            self.lost_count += count - fit.count(b"\n")
             raise
-        self._file.complete()
-        self.rows += count
+        self._file.mark_complete()
+        self.line_count += count
 
     def close(self) -> None:
         """Write what waits.
@@ -162,7 +162,7 @@ class Rows:
         _close_and_remove(self._file)
 
 
-class Film:
+class GrowingVideo:
     """One camera's video, each frame at its own time.
 
     Attributes:
@@ -177,27 +177,29 @@ class Film:
             OutputError: there is one of that name, or it cannot be made.
             OSError, FFmpegError: it cannot be written.
         """
-        self.path, self.first, self._last = path, frame.time, -1
+        self.path, self.first_time, self._last = path, frame.time, -1
         self._file = GrowingFile(path)
         try:
-            self._container = av.open(self._file, "w", format="mp4", options=MP4)
-            self._stream: av.VideoStream = self._container.add_stream("libx264", options=QUICK)
+            self._container = av.open(self._file, "w", format="mp4", options=MP4_OPTIONS)
+            self._stream: av.VideoStream = self._container.add_stream(
+                "libx264", options=ENCODER_OPTIONS
+            )
             height, width = frame.image.shape[:2]
             # Chroma comes by twos; an odd last row or column is left out.
             self._stream.width, self._stream.height = width - width % 2, height - height % 2
             self._stream.pix_fmt = "yuv420p"
-            self._stream.codec_context.time_base = self._stream.time_base = Fraction(1, CLOCK)
+            self._stream.codec_context.time_base = self._stream.time_base = Fraction(1, CLOCK_HZ)
             self._container.start_encoding()
         except BaseException:
             _close_and_remove(self._file)
             raise
-        self._file.complete()
-        self._header = self._file.whole
+        self._file.mark_complete()
+        self._header = self._file.complete_bytes
 
     @property
     def is_readable(self) -> bool:
         """Is any frame of it on disk?"""
-        return self._file.whole > self._header
+        return self._file.complete_bytes > self._header
 
     def add(self, frame: Frame) -> None:
         """Add a frame, later than the last.
@@ -208,10 +210,10 @@ class Film:
         image = frame.image[: self._stream.height, : self._stream.width]
         colours = "bgr24" if image.ndim == 3 else "gray"
         picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format=colours)
-        stamp = max(round((frame.time - self.first) * CLOCK), self._last + 1)
-        picture.pts, picture.time_base, self._last = stamp, Fraction(1, CLOCK), stamp
+        stamp = max(round((frame.time - self.first_time) * CLOCK_HZ), self._last + 1)
+        picture.pts, picture.time_base, self._last = stamp, Fraction(1, CLOCK_HZ), stamp
         self._container.mux(self._stream.encode(picture))
-        self._file.complete()
+        self._file.mark_complete()
 
     def close(self) -> None:
         """Write what waits; after an error what was whole stays.
@@ -222,7 +224,7 @@ class Film:
         try:
             self._container.mux(self._stream.encode())
             self._container.close()
-            self._file.complete()
+            self._file.mark_complete()
         finally:
             with suppress(OSError, FFmpegError):
                 self._container.close()

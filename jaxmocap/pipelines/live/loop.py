@@ -32,7 +32,7 @@ from jaxmocap.capture.streams.udp import MarkerSocket
 from jaxmocap.formats.recordings.live import LiveSetup
 from jaxmocap.formats.recordings.marker_places import bound_positions
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.outputs.osc import Sender
+from jaxmocap.outputs.osc import DatagramSender
 from jaxmocap.outputs.vmc import VMC
 from jaxmocap.outputs.vrchat import Trackers
 from jaxmocap.pipelines.live.recording import LiveRecording
@@ -42,11 +42,11 @@ from jaxmocap.pipelines.live.tracking import LiveTracking, Output
 
 # Samples that may wait: a tenth of a second of a headset's. Where more come than can be tracked, a
 # longer queue would only make all poses later.
-WAITING = 8
+LONGEST_QUEUE = 8
 # How often those who receive poses are told that there are none, seconds.
 HEARTBEAT_S = 0.25
 # Threads take turns more often than Python's default of 5 ms, which a sample would notice.
-SWITCH_S = 5e-4
+THREAD_SWITCH_S = 5e-4
 
 
 class Live:
@@ -96,7 +96,7 @@ class Live:
         self.recording = LiveRecording(setup, out) if out is not None else None
         if self.recording is not None:
             ending.callback(self.recording.close)
-        self._inbox = Inbox(WAITING, keep_turns=not smooth)
+        self._inbox = Inbox(LONGEST_QUEUE, keep_turns=not smooth)
         self._began = monotonic()
         bind = partial(bound_positions, setup.skeleton, setup.places)
         gathering = Gathering(
@@ -112,15 +112,15 @@ class Live:
         ]
         for camera in self._cameras:
             ending.callback(camera.stop)
-        self._vmc, self._to_vmc = VMC(setup.skeleton), Sender(setup.vmc)
+        self._vmc, self._to_vmc = VMC(setup.skeleton), DatagramSender(setup.vmc)
         ending.callback(self._to_vmc.close)
-        self._to_vrchat = Sender(setup.vrchat) if setup.vrchat else None
+        self._to_vrchat = DatagramSender(setup.vrchat) if setup.vrchat else None
         if self._to_vrchat is not None:
             ending.callback(self._to_vrchat.close)
         self._trackers = Trackers(self._vmc.body, setup.trackers) if setup.vrchat else None
         self.tracking = LiveTracking(setup, settings, smooth)
         self._confidence, self._newest_sample = np.zeros(2), -np.inf
-        self._beat, self._ended, self._frames_shown = 0.0, 0.0, {}
+        self._last_heartbeat, self._ended, self._frames_shown = 0.0, 0.0, {}
 
     @property
     def address(self) -> Any:
@@ -153,13 +153,13 @@ class Live:
         stop = stop or threading.Event()
         self._began, self._newest_sample = monotonic(), -np.inf
         sources = (self._socket, *self._cameras)
-        with self._ending, _taking_turns():
+        with self._ending, _short_switch_interval():
             try:
                 for each in sources:
                     each.start()
-                self.status.say(0.0, f"listening at {self.address}, VMC to {self._setup.vmc}")
+                self.status.log(0.0, f"listening at {self.address}, VMC to {self._setup.vmc}")
                 while not stop.is_set() and (seconds is None or self._now() < seconds):
-                    self._turn()
+                    self._handle_next()
             finally:
                 self._ended = self._now()
                 # All at once, so that they are waited for together.
@@ -175,7 +175,7 @@ class Live:
         """Close everything that is still open; ``run`` does so itself."""
         self._ending.close()
 
-    def _turn(self) -> None:
+    def _handle_next(self) -> None:
         """Take one thing that came in, and tell how things are."""
         taken = self._inbox.take(0.05)
         if isinstance(taken, Sample):
@@ -189,10 +189,10 @@ class Live:
         for output in outputs:
             self._send(output)
         now = self._now()
-        if now - self._newest_sample > SILENT_S and now - self._beat > HEARTBEAT_S:
-            self._beat = now
+        if now - self._newest_sample > SILENT_S and now - self._last_heartbeat > HEARTBEAT_S:
+            self._last_heartbeat = now
             self._to_vmc.send(self._vmc.lost(now))
-        self._tell(now)
+        self._update_status(now)
 
     def _send(self, output: Output) -> None:
         datagram, joints = self._vmc.frame(output.time, output.pose)
@@ -200,20 +200,20 @@ class Live:
         if self._to_vrchat and self._trackers:
             self._to_vrchat.send(self._trackers.frame(joints))
         now = self._now()
-        self.status.output(now, now - output.arrived)
+        self.status.count_output(now, now - output.arrived)
         self._confidence = output.confidence
         if self._viewer is not None:
             self._viewer(output, self._frames_shown)
             self._frames_shown = {}
 
-    def _tell(self, now: float) -> None:
+    def _update_status(self, now: float) -> None:
         """Say what has changed, and draw the line."""
         for of, state in stream_states(self._socket, self._gathering, self._cameras, now):
-            self.status.state(now, of, state)
+            self.status.set_state(now, of, state)
         if self.recording is not None and self.recording.problem:
-            self.status.state(now, "recording", self.recording.problem)
+            self.status.set_state(now, "recording", self.recording.problem)
         ages = {"markers": self._socket.heard} | {c.name: c.heard for c in self._cameras}
-        self.status.show(
+        self.status.update_line(
             now,
             {name: None if heard is None else now - heard for name, heard in ages.items()},
             self._dropped(),
@@ -224,13 +224,13 @@ class Live:
         return {
             "samples": self._inbox.dropped_samples,
             "frames": self._inbox.dropped_frames,
-            **({"late": self.tracking.late} if self.tracking.late else {}),
+            **({"late": self.tracking.late_events} if self.tracking.late_events else {}),
         }
 
     def _figures(self) -> dict[str, Any]:
         """The run's figures, once all is closed."""
         recording = self.recording
-        self.status.finish()
+        self.status.end_line()
         return self.status.figures(self._ended) | {
             "packets": self._socket.packets,
             "senders": self._socket.sent(),
@@ -238,7 +238,7 @@ class Live:
             "clock_jumps": self._socket.clock_jumps,
             "dropped": self._dropped() | {"not recorded": recording.dropped if recording else 0},
             "frames": {camera.name: camera.frames for camera in self._cameras},
-            "placed_anew": self.tracking.placed,
+            "placed_anew": self.tracking.placements,
             "not_sent": self._to_vmc.failed,
             "recording": str(recording.path) if recording and recording.path else None,
             "problems": list(self._problems()),
@@ -263,9 +263,9 @@ def _source(
 
 
 @contextmanager
-def _taking_turns() -> Iterator[None]:
+def _short_switch_interval() -> Iterator[None]:
     before = sys.getswitchinterval()
-    sys.setswitchinterval(SWITCH_S)
+    sys.setswitchinterval(THREAD_SWITCH_S)
     try:
         yield
     finally:

@@ -40,15 +40,15 @@ from jaxmocap.formats.recordings.live import LiveSetup
 from jaxmocap.formats.recordings.marker_places import MarkerPlace
 from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.time_series.tables import format_rows
-from jaxmocap.pipelines.live.files import Film, Rows
+from jaxmocap.pipelines.live.files import GrowingVideo, LineFile
 
 # So many things wait to be written, a tenth of them frames; more are dropped and counted.
-MOST_WAITING = 600
+LONGEST_QUEUE = 600
 # Lines wait so long to be written together, seconds.
-FLUSHED_S = 0.2
+FLUSH_INTERVAL_S = 0.2
 # Writing what waits at the end takes no longer, unless the disk has stopped working, seconds.
-MOST_CLOSING_S = 30.0
-MARKERS, LIST = "markers.csv", "recording.toml"
+CLOSE_TIMEOUT_S = 30.0
+MARKERS_FILE, RECORDING_FILE = "markers.csv", "recording.toml"
 
 
 class LiveRecording:
@@ -73,19 +73,19 @@ class LiveRecording:
         check_free(setup, self.folder)
         self._made_folder = not self.folder.exists()
         self._failed: dict[str, str] = {}
-        self._films: dict[int, Film] = {}
+        self._films: dict[int, GrowingVideo] = {}
         self._listed: Any = None
         try:
             with as_output_error(self.folder):
                 self.folder.mkdir(parents=True, exist_ok=True)
             for name, source in self._copies.items():
                 write_bytes(self.folder / name, read_bytes(source))
-            self._rows = Rows(self.folder / MARKERS, self._header())
+            self._rows = LineFile(self.folder / MARKERS_FILE, self._header())
         except BaseException:
             self._remove(self._copies)
             raise
         self._flushed = monotonic()
-        self._queue: Queue[Sample | Frame | None] = Queue(MOST_WAITING)
+        self._queue: Queue[Sample | Frame | None] = Queue(LONGEST_QUEUE)
         self._ending = Event()
         self._closed = False
         self._thread = Thread(target=self._write, name="recording", daemon=True)
@@ -103,7 +103,7 @@ class LiveRecording:
 
     def add(self, event: Sample | Frame) -> None:
         """Write a sample or a frame, soon."""
-        full = self._queue.qsize() > MOST_WAITING // 10 and isinstance(event, Frame)
+        full = self._queue.qsize() > LONGEST_QUEUE // 10 and isinstance(event, Frame)
         try:
             if full:
                 raise Full
@@ -119,18 +119,18 @@ class LiveRecording:
         self._ending.set()
         with suppress(Full):
             self._queue.put_nowait(None)
-        self._thread.join(MOST_CLOSING_S)
+        self._thread.join(CLOSE_TIMEOUT_S)
         if self._thread.is_alive():
-            self._failed[MARKERS] = "the disk does not answer"
+            self._failed[MARKERS_FILE] = "the disk does not answer"
             return self.path
         for name, close in self._open_files():
             try:
                 close()
             except (OSError, FFmpegError, ValueError) as error:
                 self._failed.setdefault(name, _why(error))
-        self.dropped += self._rows.lost
+        self.dropped += self._rows.lost_count
         # There may be room for it now.
-        self._failed.pop(LIST, None)
+        self._failed.pop(RECORDING_FILE, None)
         self._list(again=True)
         self._remove(self._empty())
         self.path = self.path if self.path and self.path.exists() else None
@@ -138,7 +138,7 @@ class LiveRecording:
 
     def _open_files(self) -> list[tuple[str, Callable[[], None]]]:
         films = [(film.path.name, film.close) for film in self._films.values()]
-        return [(MARKERS, self._rows.close), *films]
+        return [(MARKERS_FILE, self._rows.close), *films]
 
     def _header(self) -> str:
         parts = (*"xyz", "qw", "qx", "qy", "qz") if self._setup.lsl is None else "xyz"
@@ -151,21 +151,21 @@ class LiveRecording:
         """What the thread does."""
         while True:
             try:
-                event = self._queue.get(timeout=FLUSHED_S)
+                event = self._queue.get(timeout=FLUSH_INTERVAL_S)
             except Empty:
                 event = None
             if isinstance(event, Frame):
                 name = _film_name(self._setup, event.camera)
                 self.dropped += not self._attempt(name, self._film, event)
             elif event is not None:
-                self.dropped += not self._attempt(MARKERS, self._note, event)
+                self.dropped += not self._attempt(MARKERS_FILE, self._note, event)
             elif self._ending.is_set() and self._queue.empty():
                 return
-            if monotonic() - self._flushed >= FLUSHED_S:
+            if monotonic() - self._flushed >= FLUSH_INTERVAL_S:
                 self._flushed = monotonic()
                 # In this order: no row is ever on disk without the file that says what it is.
                 self._list()
-                self._attempt(MARKERS, self._rows.flush)
+                self._attempt(MARKERS_FILE, self._rows.flush)
 
     def _attempt(self, name: str, act: Callable[..., Any], *arguments: Any) -> bool:
         """Write to one file, if that has not failed before; whether it was written.
@@ -193,38 +193,38 @@ class LiveRecording:
     def _film(self, frame: Frame) -> None:
         if frame.camera not in self._films:
             path = self.folder / _film_name(self._setup, frame.camera)
-            self._films[frame.camera] = Film(path, frame)
+            self._films[frame.camera] = GrowingVideo(path, frame)
         self._films[frame.camera].add(frame)
 
     def _list(self, again: bool = False) -> None:
         """Write recording.toml, if there is more to read than it says, or once again."""
         films = [(i, film) for i, film in sorted(self._films.items()) if film.is_readable]
-        there = self._rows.begun, [i for i, _ in films]
+        there = self._rows.has_lines, [i for i, _ in films]
         if there == (False, []) or (there == self._listed and not again):
             return
         videos = [
             {
                 "file": film.path.name,
                 "camera": self._setup.videos[i].camera_name,
-                "offset": film.first,
+                "offset": film.first_time,
             }
             for i, film in films
         ]
         on = {place.name: _place(place) for place in self._setup.places}
-        markers = MARKERS if there[0] else None
+        markers = MARKERS_FILE if there[0] else None
         calibration = next((name for name in self._copies if name.startswith("calib")), None)
         content = markers, on, videos, calibration if videos else None, self._subject
-        if self._attempt(LIST, write_recording, self.folder, *content):
-            self.path, self._listed = self.folder / LIST, there
+        if self._attempt(RECORDING_FILE, write_recording, self.folder, *content):
+            self.path, self._listed = self.folder / RECORDING_FILE, there
 
     def _empty(self) -> Iterator[str]:
         """Files of the run that hold nothing, so that none refers to them."""
         empty = [film.path.name for film in self._films.values() if not film.is_readable]
-        if not self._rows.rows:
-            yield MARKERS
+        if not self._rows.line_count:
+            yield MARKERS_FILE
         yield from empty
-        if not self._rows.rows and len(empty) == len(self._films):
-            yield from (LIST, *self._copies)
+        if not self._rows.line_count and len(empty) == len(self._films):
+            yield from (RECORDING_FILE, *self._copies)
 
     def _remove(self, names: Iterable[str]) -> None:
         """Remove files of this run, and the folder where it made it and it is empty."""
@@ -255,7 +255,7 @@ def check_free(setup: LiveSetup, folder: str | Path) -> None:
 def _names(setup: LiveSetup) -> list[str]:
     """Every file that a run may write."""
     videos = [_film_name(setup, i) for i in range(len(setup.videos))]
-    return [MARKERS, LIST, *videos, *_copies(setup)]
+    return [MARKERS_FILE, RECORDING_FILE, *videos, *_copies(setup)]
 
 
 def _film_name(setup: LiveSetup, camera: int) -> str:

@@ -26,7 +26,7 @@ from jaxmocap.pipelines.live.tracking import Output
 from jaxmocap.pipelines.tracking.track import choose_settings
 from jaxmocap.pipelines.view import start_viewer
 
-View = Literal["window", "web"]
+ViewerKind = Literal["window", "web"]
 # Until a viewer listens, seconds.
 VIEWER_STARTS_S = 1.5
 
@@ -38,7 +38,7 @@ def run_live(
     smooth: bool = False,
     refine: Literal["simplex", "gradient", "none"] = "simplex",
     seconds: float | None = None,
-    view: View | None = None,
+    view: ViewerKind | None = None,
     status: LiveStatus | None = None,
 ) -> dict[str, Any]:
     """Run until Ctrl-C or SIGTERM, or so many seconds.
@@ -64,7 +64,7 @@ def run_live(
     if out is not None:
         check_free(setup, out)
     for warning in setup.warnings:
-        status.say(0.0, warning)
+        status.log(0.0, warning)
     with ExitStack() as ending:
         viewer = _viewer(setup, view, status, ending) if view else None
         live = Live(
@@ -77,32 +77,34 @@ def run_live(
 
 
 def _viewer(
-    setup: LiveSetup, view: View, status: LiveStatus, ending: ExitStack
+    setup: LiveSetup, view: ViewerKind, status: LiveStatus, ending: ExitStack
 ) -> Callable[[Output, dict[str, Frame]], None]:
     """Open a viewer; what shows it a pose and frames."""
-    from jaxmocap.outputs.live_view import LiveView, Shown
+    from jaxmocap.outputs.live_view import LiveSnapshot, LiveView
 
     opened = start_viewer([], view == "web", stay=False)
     ending.callback(opened.end)
     sleep(VIEWER_STARTS_S)
     cameras = {video.camera_name: video.camera for video in setup.videos}
-    shown = LiveView(opened.url, setup.skeleton, cameras, standing_pose(setup.skeleton))
+    shown = LiveView(opened.url, setup.skeleton, cameras, relaxed_pose_on_floor(setup.skeleton))
     ending.callback(shown.close)
-    status.say(0.0, f"viewer at {opened.page}" if opened.page else "viewer in a window")
+    status.log(0.0, f"viewer at {opened.page}" if opened.page else "viewer in a window")
     began = monotonic()
 
     def show(output: Output, frames: dict[str, Frame]) -> None:
         if not opened.is_open or shown.problem:
-            status.state(monotonic() - began, "viewer", shown.problem or "closed")
+            status.set_state(monotonic() - began, "viewer", shown.problem or "closed")
             return
         images = {name: frame.image for name, frame in frames.items()}
         latency = 1e3 * status.newest_latency
-        shown.show(Shown(monotonic() - began, output.pose, output.confidence, latency, images))
+        shown.show(
+            LiveSnapshot(monotonic() - began, output.pose, output.confidence, latency, images)
+        )
 
     return show
 
 
-def standing_pose(skeleton: Skeleton) -> Pose:
+def relaxed_pose_on_floor(skeleton: Skeleton) -> Pose:
     """At ease, facing x, with the lowest joint on the floor at the world's origin."""
     pose = relaxed_pose(skeleton)
     lowest = float(np.asarray(forward(skeleton, pose).joints_world)[:, 2].min())

@@ -22,15 +22,15 @@ from jaxmocap.formats.files.shortened import name_shown
 FIRST_KEPT = 500
 NEWEST_KEPT = 500
 # The state of one thing is said at each of so many changes, and then so often a second.
-CHANGES = 20
-CHANGES_A_SECOND = 0.1
+STATE_CHANGES_AT_ONCE = 20
+STATE_CHANGES_HZ = 0.1
 # Latencies are told of so many of the newest outputs, and of these that line speaks of.
-REMEMBERED, RECENT = 20_000, 300
+LATENCIES_KEPT, LATENCIES_SHOWN = 20_000, 300
 # A terminal's line is drawn anew so often; elsewhere a line is written more rarely; seconds.
-REDRAWN_S, WRITTEN_S = 0.25, 5.0
+TERMINAL_INTERVAL_S, LOG_INTERVAL_S = 0.25, 5.0
 
 
-class Said(NamedTuple):
+class StatusMessage(NamedTuple):
     """A sentence.
 
     Attributes:
@@ -54,16 +54,16 @@ class LiveStatus:
         """Write to a stream; standard error by default."""
         self._out = sys.stderr if out is None else out
         self._drawn = self._out.isatty()
-        self.outputs = self.sentences = 0
-        self._first: list[Said] = []
-        self._newest: deque[Said] = deque(maxlen=NEWEST_KEPT)
-        self._latencies: deque[float] = deque(maxlen=REMEMBERED)
-        self._times: deque[float] = deque(maxlen=RECENT)
+        self.outputs = self.message_count = 0
+        self._first: list[StatusMessage] = []
+        self._newest: deque[StatusMessage] = deque(maxlen=NEWEST_KEPT)
+        self._latencies: deque[float] = deque(maxlen=LATENCIES_KEPT)
+        self._times: deque[float] = deque(maxlen=LATENCIES_SHOWN)
         self._states: dict[str, str] = {}
         self._shares: dict[str, Share] = {}
         self._next = 0.0
 
-    def output(self, now: float, latency: float) -> None:
+    def count_output(self, now: float, latency: float) -> None:
         """A pose went out, so many seconds after its sample came in."""
         self.outputs += 1
         self._latencies.append(1e3 * latency)
@@ -75,30 +75,32 @@ class LiveStatus:
         return self._latencies[-1] / 1e3 if self._latencies else float("nan")
 
     @property
-    def said(self) -> list[Said]:
+    def messages(self) -> list[StatusMessage]:
         """What was said, but for what was between the first and the newest sentences."""
         return [*self._first, *self._newest]
 
-    def state(self, now: float, of: str, state: str) -> None:
+    def set_state(self, now: float, subject: str, state: str) -> None:
         """Say so when the state of something has changed; "" says nothing.
 
-        What changes more often than ``CHANGES_A_SECOND`` is said later, as it then is. There are
+        What changes more often than ``STATE_CHANGES_HZ`` is said later, as it then is. There are
         to be few things that have a state.
         """
-        if state == self._states.get(of):
+        if state == self._states.get(subject):
             return
-        share = self._shares.setdefault(of, Share(CHANGES_A_SECOND, CHANGES, now))
+        share = self._shares.setdefault(
+            subject, Share(STATE_CHANGES_HZ, STATE_CHANGES_AT_ONCE, now)
+        )
         if not share.left(now):
             return
         share.take(1)
-        self._states[of] = state
+        self._states[subject] = state
         if state:
-            self.say(now, f"{of}: {state}")
+            self.log(now, f"{subject}: {state}")
 
-    def say(self, now: float, sentence: str) -> None:
+    def log(self, now: float, sentence: str) -> None:
         """Say a sentence, with its time."""
-        said = Said(round(now, 3), shortened(printable(sentence)))
-        self.sentences += 1
+        said = StatusMessage(round(now, 3), shortened(printable(sentence)))
+        self.message_count += 1
         (self._first if len(self._first) < FIRST_KEPT else self._newest).append(said)
         self._print(f"{self._clear()}{now:8.2f} s  {said.what}\n")
 
@@ -109,7 +111,7 @@ class LiveStatus:
 
     def latency_ms(self, count: int | None = None) -> tuple[float, float]:
         """Median and 99th percentile of the newest outputs; NaN before the first."""
-        newest = list(self._latencies)[-(count or REMEMBERED) :]
+        newest = list(self._latencies)[-(count or LATENCIES_KEPT) :]
         if not newest:
             return float("nan"), float("nan")
         median, most = np.percentile(newest, [50, 99])
@@ -119,7 +121,7 @@ class LiveStatus:
         """Poses that went out within the last second."""
         return float(sum(now - time <= 1.0 for time in self._times))
 
-    def show(
+    def update_line(
         self,
         now: float,
         ages: Mapping[str, float | None],
@@ -136,8 +138,8 @@ class LiveStatus:
         """
         if now < self._next:
             return
-        self._next = now + (REDRAWN_S if self._drawn else WRITTEN_S)
-        median, most = self.latency_ms(RECENT)
+        self._next = now + (TERMINAL_INTERVAL_S if self._drawn else LOG_INTERVAL_S)
+        median, most = self.latency_ms(LATENCIES_SHOWN)
         shown = [
             f"{self.rate(now):3.0f} /s",
             f"latency {median:.1f} ms, 99 % {most:.1f} ms",
@@ -151,7 +153,7 @@ class LiveStatus:
     def _clear(self) -> str:
         return "\r\x1b[K" if self._drawn else ""
 
-    def finish(self) -> None:
+    def end_line(self) -> None:
         """Leave the line."""
         if self._drawn:
             self._print("\n")
@@ -164,8 +166,8 @@ class LiveStatus:
             "outputs": self.outputs,
             "rate_hz": self.outputs / seconds if seconds > 0 else 0.0,
             "latency_ms": {"median": median, "p99": most, "of": len(self._latencies)},
-            "said": [said._asdict() for said in self.said],
-            "sentences": self.sentences,
+            "said": [said._asdict() for said in self.messages],
+            "sentences": self.message_count,
         }
 
 

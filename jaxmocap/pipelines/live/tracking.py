@@ -32,11 +32,11 @@ from jaxmocap.pipelines.tracking.track import marker_sites
 from jaxmocap.smoothing.fixed_lag import FixedLagSmoother, Given
 
 # The tracker counts seconds in single precision: from time to time it begins anew.
-COUNTED_S = 600.0
+LONGEST_CLOCK_S = 600.0
 # Smoothing waits so long for a frame that may be older than a sample, seconds.
-WAIT_S = 0.1
+REORDERING_S = 0.1
 # A tracker begins with all its markers, or after so many samples with what there is.
-PATIENCE = 45
+MOST_INCOMPLETE_SAMPLES = 45
 
 
 class Output(NamedTuple):
@@ -84,22 +84,22 @@ class LiveTracking:
         places = bound_places(setup.skeleton, setup.places)
         sites = marker_sites(setup.skeleton, places)
         self.tracker = tracker or HybridTracker(setup.skeleton, cameras, settings, sites)
-        self._cameras, self.colour = len(cameras), smooth and bool(cameras)
+        self._cameras, self.needs_colour = len(cameras), smooth and bool(cameras)
         self._filter = None if setup.one_euro is None else OneEuro(setup.one_euro)
-        self._begin()
+        self._reset()
         self._warm_up()
-        self._begin()
+        self._reset()
 
-    def _begin(self) -> None:
+    def _reset(self) -> None:
         """Nobody is tracked."""
-        self.placed = self.late = 0
+        self.placements = self.late_events = 0
         self._state: State | None = None
-        self._zero, self._waited, self._last = 0.0, 0, -np.inf
+        self._time_origin, self._samples_waited, self._last = 0.0, 0, -np.inf
         points = len(self.tracker.markers.bones)
-        self._trail = Trail(points)
+        self._recent_markers = Trail(points)
         self._filtered = None if self._filter is None else self._filter.init(points)
-        self._smoother = FixedLagSmoother(self.tracker) if self.colour else None
-        self._held: list[Sample | Frame] = []
+        self._smoother = FixedLagSmoother(self.tracker) if self.needs_colour else None
+        self._pending: list[Sample | Frame] = []
         # Of each event behind the smoother: its sample's arrival, or None.
         self._arrivals: deque[tuple[int, float | None]] = deque()
         self._events = 0
@@ -110,11 +110,11 @@ class LiveTracking:
         frames = forward(skeleton, relaxed_pose(skeleton))
         points = np.asarray(site_positions(skeleton, frames, self.tracker.markers), float)
         sizes = [] if self.tracker.cameras is None else np.asarray(self.tracker.cameras.size, int)
-        for i in range(12 if self.colour else 2):
+        for i in range(12 if self.needs_colour else 2):
             time = i / 30
             self.sample(Sample(time, points, time))
             for camera, (width, height) in enumerate(sizes):
-                wall = np.full((height, width, 3)[: 3 if self.colour else 2], 128, np.uint8)
+                wall = np.full((height, width, 3)[: 3 if self.needs_colour else 2], 128, np.uint8)
                 self.frames([Frame(camera, time + 0.01, wall, time + 0.01)])
 
     def sample(self, sample: Sample) -> list[Output]:
@@ -123,17 +123,19 @@ class LiveTracking:
             points = sample.positions_world
             self._filtered, points = self._filter.step(self._filtered, sample.time, points)
             sample = sample._replace(positions_world=points)
-        self._trail.add(sample.time, sample.positions_world)
+        self._recent_markers.add(sample.time, sample.positions_world)
         if self._state is None:
             known = np.isfinite(sample.positions_world).all(-1)
-            self._waited += 1
-            if not known.all() and (self._waited < PATIENCE or not known.any()):
+            self._samples_waited += 1
+            if not known.all() and (
+                self._samples_waited < MOST_INCOMPLETE_SAMPLES or not known.any()
+            ):
                 return []
-            self._zero = sample.time
+            self._time_origin = sample.time
             self._state = settled(self.tracker, sample.positions_world)
         if self._smoother is not None:
             return self._in_order([sample])
-        pose, report = self._step(sample.time, self._filled(sample), None)
+        pose, report = self._step(sample.time, self._with_gaps_filled(sample), None)
         return [Output(sample.time, pose, np.asarray(report.confidence), sample.arrived)]
 
     def frames(self, frames: Sequence[Frame]) -> list[Output]:
@@ -143,7 +145,7 @@ class LiveTracking:
         if self._smoother is not None:
             return self._in_order(frames)
         for frame in frames:
-            self._step(frame.time, self._trail.at(frame.time), self._images(frame))
+            self._step(frame.time, self._recent_markers.at(frame.time), self._images(frame))
         return []
 
     def flush(self) -> list[Output]:
@@ -151,14 +153,14 @@ class LiveTracking:
         if self._smoother is None:
             return []
         outputs = self._release(np.inf)
-        return [*outputs, *self._given(self._smoother.flush())]
+        return [*outputs, *self._outputs_of(self._smoother.flush())]
 
-    def _filled(self, sample: Sample) -> np.ndarray:
+    def _with_gaps_filled(self, sample: Sample) -> np.ndarray:
         """The sample, its missing markers carried on as far as that goes."""
         seen = np.isfinite(sample.positions_world).all(-1, keepdims=True)
         if seen.all():
             return sample.positions_world
-        return np.where(seen, sample.positions_world, self._trail.at(sample.time))
+        return np.where(seen, sample.positions_world, self._recent_markers.at(sample.time))
 
     def _images(self, frame: Frame) -> list[np.ndarray | None]:
         images: list[np.ndarray | None] = [None] * self._cameras
@@ -170,49 +172,49 @@ class LiveTracking:
     ) -> tuple[Pose, StepReport]:
         """One step of the tracker, on its own clock."""
         assert self._state is not None
-        if time - self._zero > COUNTED_S:
-            shift, belief = time - self._zero, self._state.belief
+        if time - self._time_origin > LONGEST_CLOCK_S:
+            shift, belief = time - self._time_origin, self._state.belief
             earlier = np.asarray(belief.time - shift, self.tracker.dtype)
             self._state = self._state._replace(belief=belief._replace(time=earlier))
-            self._zero = time
-        step = self.tracker.step(self._state, time - self._zero, markers_world, images)
+            self._time_origin = time
+        step = self.tracker.step(self._state, time - self._time_origin, markers_world, images)
         self._state, pose, report = jax.device_get(step)
-        self.placed += bool(report.placed)
+        self.placements += bool(report.placed)
         return pose, report
 
     def _in_order(self, new: Sequence[Sample | Frame]) -> list[Output]:
         """Hold events until no older one is expected, and smooth what is let go."""
-        self._held = sorted([*self._held, *new], key=lambda event: event.time)
-        newest = max(event.arrived for event in self._held)
-        seen = [event.time for event in self._held if isinstance(event, Frame)]
-        return self._release(max([newest - WAIT_S, *seen]))
+        self._pending = sorted([*self._pending, *new], key=lambda event: event.time)
+        newest = max(event.arrived for event in self._pending)
+        seen = [event.time for event in self._pending if isinstance(event, Frame)]
+        return self._release(max([newest - REORDERING_S, *seen]))
 
     def _release(self, until: float) -> list[Output]:
         outputs = []
-        while self._held and self._held[0].time <= until:
-            outputs += self._smoothed(self._held.pop(0))
+        while self._pending and self._pending[0].time <= until:
+            outputs += self._smoothed(self._pending.pop(0))
         return outputs
 
     def _smoothed(self, event: Sample | Frame) -> list[Output]:
         """One event through tracker and smoother."""
         assert self._smoother is not None
         if event.time <= self._last:
-            self.late += 1
+            self.late_events += 1
             return []
         self._last = event.time
         if isinstance(event, Sample):
             images, arrived = None, event.arrived
-            here, there = self._filled(event), event.positions_world
+            here, there = self._with_gaps_filled(event), event.positions_world
         else:
             images, arrived = self._images(event), None
-            here = self._trail.at(event.time)
+            here = self._recent_markers.at(event.time)
             there = np.full_like(here, np.nan)
         pose, report = self._step(event.time, here, images)
         self._arrivals.append((self._events, arrived))
         self._events += 1
-        return self._given(self._smoother.step(event.time, there, images, pose, report))
+        return self._outputs_of(self._smoother.step(event.time, there, images, pose, report))
 
-    def _given(self, given: Sequence[Given]) -> list[Output]:
+    def _outputs_of(self, given: Sequence[Given]) -> list[Output]:
         """Of what is final, the samples' poses."""
         outputs = []
         for each in given:

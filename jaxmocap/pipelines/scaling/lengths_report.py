@@ -27,14 +27,14 @@ RULE = (
 )
 
 
-def verdict(before: float, after: float) -> str:
+def verdict_of(before: float, after: float) -> str:
     """Whether a recording determines a length, by the deviations before and after it."""
     share = after / before
     return YES if share <= DETERMINED else HALF if share <= PARTLY else NO
 
 
 @dataclass(frozen=True)
-class Length:
+class LengthEstimate:
     """What is known of one length.
 
     Attributes:
@@ -49,22 +49,22 @@ class Length:
     name: str
     bones: tuple[str, ...]
     metres: float
-    stated: float
-    before: float
-    after: float
+    stated_metres: float
+    deviation_before: float
+    deviation_after: float
 
     @property
-    def said(self) -> str:
+    def verdict(self) -> str:
         """Whether the recording determines it."""
-        return verdict(self.before, self.after)
+        return verdict_of(self.deviation_before, self.deviation_after)
 
     @property
     def line(self) -> str:
         """All of it."""
-        change = self.metres / self.stated - 1
+        change = self.metres / self.stated_metres - 1
         return (
             f"{self.name.ljust(16)} {self.metres:.4f} m ({change:+.1%})  "
-            f"± {self.after:.1%}, before ± {self.before:.1%}  {self.said}"
+            f"± {self.deviation_after:.1%}, before ± {self.deviation_before:.1%}  {self.verdict}"
         )
 
 
@@ -83,7 +83,7 @@ class LengthsReport:
 
     skeleton: Skeleton
     height: float
-    lengths: tuple[Length, ...]
+    lengths: tuple[LengthEstimate, ...]
     girths: dict[str, float]
     correlation: np.ndarray
     path: Path
@@ -102,7 +102,9 @@ class LengthsReport:
             ]
             before, after = (_sum(body, bones) for body in (stated, person))
             deviations = float(fit.before[row]), float(fit.after[row])
-            lengths.append(Length(proportion.name, tuple(bones), after, before, *deviations))
+            lengths.append(
+                LengthEstimate(proportion.name, tuple(bones), after, before, *deviations)
+            )
         count = len(LENGTHS)
         spread = fit.after[:count]
         correlation = fit.covariance[:count, :count] / np.outer(spread, spread)
@@ -130,10 +132,10 @@ class LengthsReport:
         return [
             Interval(
                 f"{length.name}\n{length.metres:.3f} m",
-                length.metres / length.stated - 1,
-                2 * length.before,
-                2 * length.after,
-                length.said,
+                length.metres / length.stated_metres - 1,
+                2 * length.deviation_before,
+                2 * length.deviation_after,
+                length.verdict,
             )
             for length in self.lengths
         ]
@@ -148,10 +150,10 @@ class LengthsReport:
                 length.name: {
                     "bones": list(length.bones),
                     "length_m": length.metres,
-                    "stated_m": length.stated,
-                    "deviation_before": length.before,
-                    "deviation_after": length.after,
-                    "said": length.said,
+                    "stated_m": length.stated_metres,
+                    "deviation_before": length.deviation_before,
+                    "deviation_after": length.deviation_after,
+                    "said": length.verdict,
                 }
                 for length in self.lengths
             },

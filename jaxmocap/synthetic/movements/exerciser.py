@@ -13,9 +13,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.synthetic.movements.splines import Spline
-from jaxmocap.synthetic.movements.stances import Curves, Stance
+from jaxmocap.synthetic.movements.stances import KeyStance, StanceChannels
 from jaxmocap.synthetic.people.figure import middle_joint
-from jaxmocap.synthetic.people.rigged_mesh import RiggedMesh, basis, between, turn, unit
+from jaxmocap.synthetic.people.rigged_mesh import (
+    RiggedMesh,
+    basis,
+    rotation_between,
+    rotation_onto,
+    unit,
+)
 from jaxmocap.synthetic.people.shoulder_girdle import Girdle
 
 # How far below a joint the skin touches the floor, metres.
@@ -54,13 +60,13 @@ class Exerciser(RiggedMesh):
     def rig(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Turns (T, J, 3, 3) from rest, and positions (T, J, 3), of the joints."""
         channels = self.curves(np.atleast_1d(times))
-        stance = Stance.split(channels)
+        stance = KeyStance.split(channels)
         turned = self._turned(stance)
         R, joints = self.chained(turned, np.zeros((len(channels), 3)))
         place = np.append(stance.place, stance.lift - self._lowest(joints), -1)
         place = place if self.shift is None else place + self.shift
         if self.error is not None:
-            turned = self._turned(Stance.split(channels + self.error))
+            turned = self._turned(KeyStance.split(channels + self.error))
             R, joints = self.chained(turned, np.zeros((len(channels), 3)))
         if self.hands is None:
             return R, joints + place[:, None]
@@ -73,7 +79,7 @@ class Exerciser(RiggedMesh):
         self, rng: np.random.Generator, degrees: float = 5.0, metres: float = 0.03
     ) -> "Exerciser":
         """The same, every joint turned by so much in some direction, and the body moved."""
-        error, aside = Stance.error(rng, degrees), metres * unit(rng.standard_normal(3))
+        error, aside = KeyStance.error(rng, degrees), metres * unit(rng.standard_normal(3))
         hands = None if self.hands is None else self.hands + aside
         return replace(self, error=error, shift=aside, hands=hands)
 
@@ -82,7 +88,7 @@ class Exerciser(RiggedMesh):
         soles = [joints[:, self.body.names.index(name), 2] - r for name, r in SOLES.items()]
         return -GIVE_M * np.logaddexp.reduce(-np.array(soles) / GIVE_M, 0)[:, None]
 
-    def _turned(self, stance: Curves) -> dict[str, np.ndarray]:
+    def _turned(self, stance: StanceChannels) -> dict[str, np.ndarray]:
         """Joint -> its turn (T, 3, 3) from rest, where it differs from its parent's."""
         turned = self._trunk(stance)
         for side, out in (("Left", 1.0), ("Right", -1.0)):
@@ -90,17 +96,20 @@ class Exerciser(RiggedMesh):
             turned |= self._arm(stance, turned["Spine1"], side, out)
         return turned
 
-    def _trunk(self, stance: Curves) -> dict[str, np.ndarray]:
+    def _trunk(self, stance: StanceChannels) -> dict[str, np.ndarray]:
         hips = Rotation.from_euler("ZYX", stance.turn, degrees=True).as_matrix()
         chest = hips @ Rotation.from_euler("YXZ", stance.back, degrees=True).as_matrix()
         head = chest @ Rotation.from_euler("Y", stance.neck, degrees=True).as_matrix()
         hips, chest, head = hips @ AHEAD, chest @ AHEAD, head @ AHEAD
-        bowed = {"LowerBack": between(hips, chest, 1 / 3), "Spine": between(hips, chest, 2 / 3)}
+        bowed = {
+            "LowerBack": rotation_between(hips, chest, 1 / 3),
+            "Spine": rotation_between(hips, chest, 2 / 3),
+        }
         return {"Hips": hips, "Spine1": chest, "Head": head, **bowed} | {
-            "Neck1": between(chest, head, 0.5)
+            "Neck1": rotation_between(chest, head, 0.5)
         }
 
-    def _arm(self, stance: Curves, chest: np.ndarray, side: str, out: float) -> dict:
+    def _arm(self, stance: StanceChannels, chest: np.ndarray, side: str, out: float) -> dict:
         upper, elbow = getattr(stance, f"arm_{side[0].lower()}")
         R = chest @ AHEAD.T @ _ball(upper, out)
         straight, hinge = np.array([0.0, 0.0, -1.0]), np.array([0.0, -1.0, 0.0])
@@ -118,8 +127,8 @@ class Exerciser(RiggedMesh):
         shoulder, elbow, wrist = (self.at(side + joint) for joint in ("Arm", "ForeArm", "Hand"))
         rest = np.cross(elbow - shoulder, wrist - elbow)
         return {
-            side + "Arm": turn(upper, hinge, elbow - shoulder, rest),
-            side + "ForeArm": turn(lower, hinge, wrist - elbow, rest),
+            side + "Arm": rotation_onto(upper, hinge, elbow - shoulder, rest),
+            side + "ForeArm": rotation_onto(lower, hinge, wrist - elbow, rest),
         }
 
     def _planted(
@@ -141,7 +150,7 @@ class Exerciser(RiggedMesh):
             side + "Hand": basis(ahead - 0.1 * out * left, -across) @ basis(finger, rest_across).T
         }
 
-    def _leg(self, stance: Curves, hips: np.ndarray, side: str, out: float) -> dict:
+    def _leg(self, stance: StanceChannels, hips: np.ndarray, side: str, out: float) -> dict:
         thigh, knee, ankle = getattr(stance, f"leg_{side[0].lower()}")
         R = hips @ AHEAD.T @ _ball(thigh, out)
         bent = R @ Rotation.from_euler("Y", knee, degrees=True).as_matrix()
@@ -154,7 +163,9 @@ class Exerciser(RiggedMesh):
         }
         rest_left = np.array([1.0, 0.0, 0.0])
         return {
-            side + bone: turn(now, R @ left, self.at(side + end) - self.at(side + bone), rest_left)
+            side + bone: rotation_onto(
+                now, R @ left, self.at(side + end) - self.at(side + bone), rest_left
+            )
             for bone, (end, now) in seen.items()
         }
 

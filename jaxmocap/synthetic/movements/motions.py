@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.synthetic.movements.splines import Spline
-from jaxmocap.synthetic.people.figure import Bones, Channels, Figure, Posture
+from jaxmocap.synthetic.people.figure import BoneFrames, Figure, Posture, PostureChannels
 
 LIMB_SPREAD = 0.03
 # Swivels at which an elbow is low, between strokes, or high; degrees. Strokes alternate between low
@@ -144,9 +144,9 @@ class Performance:
     curves: Spline
     starts: np.ndarray
 
-    def bones(self, times: np.ndarray) -> Bones:
+    def bones(self, times: np.ndarray) -> BoneFrames:
         """Frames of all bones at (T,) times, seconds."""
-        return self.figure.place(Channels.split(self.curves(times)))
+        return self.figure.place(PostureChannels.split(self.curves(times)))
 
     def landmarks(self, times: np.ndarray) -> dict[str, np.ndarray]:
         """Landmark name -> (T, 3) positions in the world, metres, at (T,) times, seconds."""
@@ -154,11 +154,11 @@ class Performance:
 
     def swivels(self, times: np.ndarray) -> np.ndarray:
         """(T, 2) of the left and the right elbow, radians; see ``Posture``."""
-        channels = Channels.split(self.curves(times))
+        channels = PostureChannels.split(self.curves(times))
         return np.stack([channels.swivel_l, channels.swivel_r], -1)
 
 
-def person(height: float, rng: np.random.Generator) -> Figure:
+def varied_figure(height: float, rng: np.random.Generator) -> Figure:
     """Someone of that height (metres) whose bones differ from the tables' by up to 3 %."""
     average = Skeleton.human(height)
     names = [name.removesuffix("_l").removesuffix("_r") for name in average.tree.bones]
@@ -182,7 +182,7 @@ def table_tennis(
         if stroke not in STROKES:
             raise ValueError(f"unknown stroke {stroke!r}; expected one of {', '.join(STROKES)}")
     rng = np.random.default_rng(seed)
-    figure = person(height, rng)
+    figure = varied_figure(height, rng)
     keys, starts, now, first = [(0.0, _eased(READY, rng))], [], REST_S, int(rng.integers(2))
     while not starts or now < seconds:
         number = len(starts)
@@ -212,13 +212,13 @@ def squat(seconds: float = 5.0, seed: int = 0, height: float = 1.75) -> Performa
     shares = (0.0, 0.12, 0.42, 0.56, 0.88, 1.0)
     postures = (upright, upright, down, replace(down, swivel_l=54), upright, upright)
     keys = [(share * seconds, posture) for share, posture in zip(shares, postures, strict=True)]
-    return Performance(person(height, rng), through(keys), np.array([shares[1] * seconds]))
+    return Performance(varied_figure(height, rng), through(keys), np.array([shares[1] * seconds]))
 
 
 def reaching(seconds: float = 6.0, seed: int = 0, height: float = 1.75) -> Performance:
     """Left and right hand in turn to places around the body, at elbow heights of their own."""
     rng = np.random.default_rng(seed)
-    figure = person(height, rng)
+    figure = varied_figure(height, rng)
     keys, starts, now = [(0.0, _eased(STANDING, rng))], [], 0.3
     while not starts or now < seconds:
         # Ahead, between chest and head, at four fifths of the arm's length.
@@ -251,7 +251,7 @@ def thrust(
             chest turn towards it, by half the way.
     """
     rng = np.random.default_rng(seed)
-    figure = person(height, rng)
+    figure = varied_figure(height, rng)
     guard = _aimed(GUARD, azimuth, FOLDED, FOLDED)
     keys, starts, now = [(0.0, _eased(guard, rng))], [], 0.2
     while not starts or now < seconds:

@@ -14,8 +14,8 @@ _JOINTS += tuple((i, n) for s in (18, 23) for i, n in ((s, 3), (s + 3, 1), (s + 
 CHANNELS = 28
 
 
-class Curves(NamedTuple):
-    """A stance over time: the channels of ``Stance`` as (T, n), degrees and metres."""
+class StanceChannels(NamedTuple):
+    """A stance over time: the channels of ``KeyStance`` as (T, n), degrees and metres."""
 
     place: np.ndarray
     lift: np.ndarray
@@ -29,7 +29,7 @@ class Curves(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Stance:
+class KeyStance:
     """How a body stands: degrees, metres.
 
     Attributes:
@@ -59,7 +59,7 @@ class Stance:
         """(28,) all of it."""
         return np.concatenate([np.ravel(getattr(self, field.name)) for field in fields(self)])
 
-    def mirrored(self) -> "Stance":
+    def mirrored(self) -> "KeyStance":
         """Left and right in each other's place."""
         (x, y), (yaw, pitch, roll), (bow, side, twist) = self.place, self.turn, self.back
         return replace(
@@ -74,7 +74,7 @@ class Stance:
         )
 
     @staticmethod
-    def split(values: np.ndarray) -> Curves:
+    def split(values: np.ndarray) -> StanceChannels:
         """Channels (T, 28) by their names."""
         v = values.T
         place, lift, turn, back, neck = (
@@ -82,7 +82,7 @@ class Stance:
         )
         arm_l, arm_r = ((v[i : i + 3].T, v[i + 3 : i + 4].T) for i in (10, 14))
         leg_l, leg_r = ((v[i : i + 3].T, v[i + 3 : i + 4].T, v[i + 4 : i + 5].T) for i in (18, 23))
-        return Curves(place, lift, turn, back, neck, arm_l, arm_r, leg_l, leg_r)
+        return StanceChannels(place, lift, turn, back, neck, arm_l, arm_r, leg_l, leg_r)
 
     @staticmethod
     def error(rng: np.random.Generator, degrees: float) -> np.ndarray:

@@ -19,7 +19,7 @@ import numpy as np
 from jaxmocap.formats.files.arrays import NAMES, WHOLE, Arrays, Stated
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.shortened import listed
-from jaxmocap.synthetic.people.meshes import Mesh
+from jaxmocap.synthetic.people.meshes import SkinnedMesh
 
 # A file of people: P of them, V vertices, F faces, J joints; metres.
 REACH_M = 100.0
@@ -80,7 +80,7 @@ class Rig(NamedTuple):
         rest: (J, 3) joints at rest, metres: facing -y, left is +x.
     """
 
-    mesh: Mesh
+    mesh: SkinnedMesh
     names: tuple[str, ...]
     parents: tuple[int, ...]
     rest: np.ndarray
@@ -97,7 +97,7 @@ class RiggedMesh(ABC):
     body: Rig
 
     @property
-    def mesh(self) -> Mesh:
+    def mesh(self) -> SkinnedMesh:
         """At rest: its faces and colours."""
         return self.body.mesh
 
@@ -194,7 +194,7 @@ def load_rig(file: str | Path, who: str | None = None, seed: int = 0) -> Rig:
     if who not in people:
         raise ValueError(f"unknown person {who!r}; expected one of {', '.join(people)}")
     i = people.index(who)
-    mesh = Mesh(
+    mesh = SkinnedMesh(
         data["vertices"][i].astype(float),
         data["quads"],
         np.zeros((len(data["quads"]), 3)),
@@ -274,7 +274,7 @@ def _check_tree(file: str | Path, names: list[str], parents: list[int]) -> None:
 
 
 def _colours(
-    mesh: Mesh, names: tuple[str, ...], rest: np.ndarray, rng: np.random.Generator
+    mesh: SkinnedMesh, names: tuple[str, ...], rest: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
     """(F, 3) clothes by the bone that carries a face most: shirt, trousers, shoes, bare skin."""
     carrier = mesh.bones[np.arange(len(mesh.bones)), mesh.weights.argmax(-1)][mesh.faces[:, 0]]
@@ -308,14 +308,14 @@ def basis(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.stack([x, np.cross(z, x), z], -1)
 
 
-def turn(
+def rotation_onto(
     seen: np.ndarray, beside: np.ndarray, rest: np.ndarray, rest_beside: np.ndarray
 ) -> np.ndarray:
     """Turns (..., 3, 3) of one pair of directions (3,), at rest, onto another (..., 3)."""
     return basis(seen, beside) @ basis(rest, rest_beside).T
 
 
-def between(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
+def rotation_between(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
     """A turn (T, 3, 3) between two that are not far apart."""
     mixed = (1 - share) * a + share * b
     return basis(mixed[..., 0], mixed[..., 1])
