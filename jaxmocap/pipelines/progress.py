@@ -28,7 +28,7 @@ class Clock:
         self.spent: dict[str, float] = {}
 
     def timed(self, stage: str, function: Callable) -> Callable:
-        """The function, whose time is kept; it returns when its result is there."""
+        """The function with its time recorded; it returns when its result is there."""
 
         def keep(began: float) -> None:
             self.spent[stage] = 1e3 * (perf_counter() - began)
@@ -37,7 +37,7 @@ class Clock:
 
 
 class Tally:
-    """Milliseconds of stages, kept call by call; each stage belongs to one thread.
+    """Milliseconds of stages, call by call; each stage belongs to one thread.
 
     Attributes:
         milliseconds: stage -> times.
@@ -53,7 +53,7 @@ class Tally:
         return now
 
     def timed(self, stage: str, function: Callable, among: int = 1) -> Callable:
-        """The function, whose times are kept; it returns when its result is there."""
+        """The function with its times recorded; it returns when its result is there."""
         return _timed(function, lambda began: self.keep(stage, began, among))
 
 

@@ -1,6 +1,6 @@
-"""The rerun viewer: of what was written, or of a live run; in a window or in a browser.
+"""The rerun viewer, of a recording or a live run, in a window or in a browser.
 
-INPUTS: a folder that ``track`` wrote. OUTPUTS: a viewer, and a sentence about it.
+INPUTS: a folder that ``track`` wrote. OUTPUTS: a viewer's process, and a sentence about it.
 
 Whatever is opened listens to this machine alone.
 """
@@ -20,7 +20,7 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.pipelines.signals import signals_deferred
 
 LOOPBACK = "127.0.0.1"
-# A viewer that is asked to end has so long to do so, seconds.
+# A viewer that does not stop within so many seconds is killed.
 VIEWER_STOP_TIMEOUT_S = 5.0
 
 

@@ -91,7 +91,7 @@ def photograph(rig: Rig, name: str, seed: int = 0, background: np.ndarray | None
     return Sensor.create(SIZE, rng).exposed(rendered(scene, DrawingCamera.of(camera), 0.0))
 
 
-def person_mask(rig: Rig, name: str) -> np.ndarray:
+def true_person_mask(rig: Rig, name: str) -> np.ndarray:
     """(H, W) bool, the pixels that show the person."""
     person = person_in_stance(rig, name)
     vertices = person.vertices(np.zeros(1))[0]

@@ -19,7 +19,12 @@ from jaxmocap.modelling.separation import separate
 from jaxmocap.modelling.trunk import ring
 from jaxmocap.modelling.views import View
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
-from jaxmocap.synthetic.photographs import PHOTOGRAPHS, camera_of, person_in_stance, person_mask
+from jaxmocap.synthetic.photographs import (
+    PHOTOGRAPHS,
+    camera_of,
+    person_in_stance,
+    true_person_mask,
+)
 
 
 def blank():
@@ -135,7 +140,7 @@ def test_rings_become_a_watertight_mesh_of_the_right_volume():
 def subject(request, recordings):
     """A person as they stand, and their model from true silhouettes."""
     rig = load_rig(recordings / "person" / "person.npz", request.param)
-    views = {name: View(person_mask(rig, name), camera_of(rig, name)) for name in PHOTOGRAPHS}
+    views = {name: View(true_person_mask(rig, name), camera_of(rig, name)) for name in PHOTOGRAPHS}
     return rig, views, person_model(views)
 
 
@@ -212,7 +217,7 @@ def test_every_patch_of_the_surface_is_watertight_and_arms_begin_within_the_trun
 
 def test_a_view_of_another_stance_is_refused_by_its_name(recordings):
     rig = load_rig(recordings / "person" / "person.npz", "slim_woman")
-    views = {name: View(person_mask(rig, name), camera_of(rig, name)) for name in PHOTOGRAPHS}
+    views = {name: View(true_person_mask(rig, name), camera_of(rig, name)) for name in PHOTOGRAPHS}
     for name, other in (("front", "joint"), ("joint", "arm_side"), ("arm_side", "joint")):
         with pytest.raises(StanceError) as caught:
             person_model(views | {name: views[other]})

@@ -15,7 +15,7 @@ from jaxmocap.synthetic.photographs import (
     backdrop,
     camera_of,
     person_in_stance,
-    person_mask,
+    true_person_mask,
     write_photographs,
 )
 
@@ -71,7 +71,7 @@ def test_a_section_of_the_trunk_is_as_wide_as_the_person_is_seen(rig):
     landmarks = body.landmarks()
     waist = (0.6 * landmarks["pelvis"] + 0.4 * landmarks["neck"])[2]
     row, column = np.rint(lens.pixels(np.array([0.0, 0.0, waist])))[::-1].astype(int)
-    line = person_mask(rig, "front")[row]
+    line = true_person_mask(rig, "front")[row]
     left, right = (np.flatnonzero(~half)[0] for half in (line[column::-1], line[column:]))
     seen = (left + right - 1) * lens.depths(np.zeros(3)) / lens.matrix[0, 0]
     assert abs(body.trunk(waist).width - seen) < 0.006
@@ -96,7 +96,7 @@ def test_an_arm_is_measured_alike_however_it_is_held(rig):
 
 
 def test_the_person_is_told_from_the_sheet(front, rig):
-    mask, truth = person_mask(front), person_mask(rig, "front")
+    mask, truth = person_mask(front), true_person_mask(rig, "front")
     assert (mask & truth).sum() / (mask | truth).sum() > 0.97
 
 

@@ -44,7 +44,7 @@ TABLES = ("corpus.csv", "failures.json")
 
 @dataclass(frozen=True)
 class TrackingOptions:
-    """How recordings are to be tracked, in the words of ``track``."""
+    """How recordings are tracked: the options of ``track``."""
 
     refine: Literal["simplex", "gradient", "none"] = "simplex"
     mode: Mode = "own"
@@ -53,13 +53,13 @@ class TrackingOptions:
 
 @dataclass(frozen=True)
 class Job:
-    """One recording to be tracked; all that is sent to whoever does it.
+    """One recording to be tracked; all that is sent to the process that tracks it.
 
     Attributes:
         name: of the recording within the corpus.
         recording: its file, an absolute path.
         folder: for its outputs, an absolute path.
-        wanted: how.
+        options: how it is tracked.
         inputs: all files that are read.
     """
 
@@ -71,22 +71,22 @@ class Job:
 
 
 class Outcome(NamedTuple):
-    """What came of a job.
+    """The result of a job.
 
     Attributes:
         row: of the table, or None.
-        earlier: whether an earlier run had done it already.
+        from_earlier_run: whether an earlier run had tracked it.
         problem: why there is no row, or None.
     """
 
     row: CorpusRow | None
-    earlier: bool = False
+    from_earlier_run: bool = False
     problem: str | None = None
 
 
 @dataclass(frozen=True)
 class Batch:
-    """What came of a corpus.
+    """The results of a corpus.
 
     Attributes:
         rows: of the recordings tracked.
@@ -101,7 +101,7 @@ class Batch:
     files: list[Path]
 
     def text(self) -> str:
-        """A few lines to read."""
+        """The same as lines of text."""
         lines = [
             f"tracked  {len(self.rows)} recordings, {self.earlier} of them by an earlier run",
             f"failed   {len(self.failures)}",
@@ -110,7 +110,7 @@ class Batch:
         return "\n".join([*lines, *(f"written  {path}" for path in self.files)])
 
     def figures(self) -> dict:
-        """What JSON takes."""
+        """The same for JSON."""
         return {
             "tracked": len(self.rows),
             "earlier": self.earlier,
@@ -135,7 +135,7 @@ def track_corpus(
         corpus: folder; recordings are found at any depth.
         out: gets a folder for each, named as the recording is, and both tables; these are written
             when all are done, or when it is interrupted.
-        wanted: how to track; defaults to ``track``'s way.
+        options: how to track; defaults to those of ``track``.
         scheduler: address of a Dask cluster whose machines reach both folders by the same paths,
             or None for processes here.
         workers: processes here; defaults to one per core.
@@ -154,11 +154,10 @@ def track_corpus(
     with cluster_client(scheduler, most) as client, progress_bar("recordings", progress) as show:
         try:
             show(0, len(jobs))
-            for count, done in enumerate(
-                results_as_completed(client, track_one, jobs, timeout_s), 1
-            ):
-                outcome = done.result or Outcome(None, problem=done.problem)
-                batch = _with(batch, done.job.name, outcome)
+            results = results_as_completed(client, track_one, jobs, timeout_s)
+            for count, result in enumerate(results, 1):
+                outcome = result.result or Outcome(None, problem=result.problem)
+                batch = _with_outcome(batch, result.job.name, outcome)
                 show(count, len(jobs))
         finally:
             # Before the cluster is closed, which may take its time.
@@ -208,22 +207,22 @@ def _check_apart(corpus: Path, out: Path, jobs: list[Job]) -> None:
         taken[parts] = job.name
 
 
-def _with(batch: Batch, name: str, outcome: Outcome) -> Batch:
+def _with_outcome(batch: Batch, name: str, outcome: Outcome) -> Batch:
     if outcome.row is None:
         return replace(batch, failures=batch.failures | {name: str(outcome.problem)})
-    rows, earlier = [*batch.rows, outcome.row], batch.earlier + outcome.earlier
+    rows, earlier = [*batch.rows, outcome.row], batch.earlier + outcome.from_earlier_run
     return replace(batch, rows=rows, earlier=earlier)
 
 
 def track_one(job: Job) -> Outcome:
-    """Track one recording, unless its outputs are there already; says so where it cannot.
+    """Track one recording, unless its outputs are there already; an Outcome says why it failed.
 
     The outputs' folder appears whole or not at all.
     """
     try:
         mark = fingerprint(job.recording, asdict(job.options))
         if earlier := read_record(job.folder, mark):
-            return Outcome(replace(earlier, recording=job.name), earlier=True)
+            return Outcome(replace(earlier, recording=job.name), from_earlier_run=True)
         return Outcome(_tracked(job, mark))
     except (InputError, OSError) as error:
         return Outcome(None, problem=str(error))
@@ -250,10 +249,11 @@ def row_of(job: Job, motion: Motion, took_s: float) -> CorpusRow:
     """A tracked recording's line of the table."""
     report = motion.report
     assert report is not None
-    # Frames need not fall on a sample to have been looked at.
-    told = report.confidence if "observe" in report.milliseconds else np.full((1, 2), np.nan)
-    known = told[np.isfinite(told).all(1)]
-    left, right = np.median(known, axis=0) if len(known) else (np.nan, np.nan)
+    # Frames need not fall on a sample to have been observed.
+    is_observed = "observe" in report.milliseconds
+    confidence = report.confidence if is_observed else np.full((1, 2), np.nan)
+    finite = confidence[np.isfinite(confidence).all(1)]
+    left, right = np.median(finite, axis=0) if len(finite) else (np.nan, np.nan)
     return CorpusRow(
         recording=job.name,
         frames=len(motion.times),

@@ -14,23 +14,25 @@ from typing import Any, NamedTuple
 
 from jaxmocap.formats.files.errors import InputError
 
-# Seconds after which a scheduler that does not answer is not there.
+# A scheduler that does not answer within so many seconds is taken for absent.
 CONNECT_TIMEOUT_S = 10
-# How often it is looked whether a job is done, and whether one takes too long, seconds.
+# Seconds between looks for finished jobs.
 POLL_INTERVAL_S = 0.05
+# Seconds between looks for jobs that take too long.
 TIMEOUT_CHECK_S = 1.0
-# A job may end so many processes; none waits where another is done, to be blamed for its end.
-# Dask's own also has a process give memory back at once, only to ask for it anew: half of a
-# recording's time went there.
+# Environment of the workers. Dask's own also sets MALLOC_TRIM_THRESHOLD_, with which a process gives
+# memory back only to allocate it again: half of a recording's time went there.
 WORKER_ENVIRONMENT = {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
+# A job may end so many processes. No job waits at a worker, where it would be blamed for the
+# worker's end.
 CLUSTER_CONFIG = {
     "distributed.scheduler.allowed-failures": 2,
     "distributed.scheduler.worker-saturation": 1.0,
     "distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT,
 }
 
-# Its page takes a free port, since another cluster may have the usual one; nothing but paths goes
-# round, so there is nothing that a limit of memory could spill.
+# The dashboard takes a free port, since another cluster may have the usual one. Only paths are sent,
+# so there is nothing that a limit of memory could spill to disk.
 LOCAL_CLUSTER: dict[str, Any] = {
     "threads_per_worker": 1,
     "host": "127.0.0.1",
@@ -41,7 +43,7 @@ LOCAL_CLUSTER: dict[str, Any] = {
 
 
 class JobResult(NamedTuple):
-    """One job that is done with.
+    """One job that has ended.
 
     Attributes:
         job: as it was given.
@@ -88,7 +90,7 @@ def cluster_client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
 def results_as_completed(
     client: Any, function: Callable, jobs: Sequence[Any], timeout_s: float | None = None
 ) -> Iterator[JobResult]:
-    """Every job, in the order in which they are done with; those left are dropped at the end.
+    """Every job, in the order in which they end; those left are cancelled when the caller stops.
 
     Args:
         client: of the cluster.
@@ -111,7 +113,7 @@ def results_as_completed(
                     yield JobResult(job, future.result(), None)
                 else:
                     yield JobResult(job, None, _reason(future))
-                # The scheduler need not remember it.
+                # So that the scheduler forgets it.
                 future.release()
             for key, worker in clock.overdue(left):
                 future, job = left.pop(key)
@@ -124,20 +126,22 @@ def results_as_completed(
 
 
 class _JobTimer:
-    """Knows since when jobs are being done."""
+    """Since when each job is being processed."""
 
     def __init__(self, client: Any, timeout_s: float | None):
-        self._client, self._timeout, self._looked = client, timeout_s, -math.inf
+        self._client, self._timeout, self._checked_at = client, timeout_s, -math.inf
         self._began: dict[tuple[str, str], float] = {}
 
     def overdue(self, keys: Container[str]) -> list[tuple[str, str]]:
-        """Keys of jobs that take too long, and whose worker does them."""
+        """Keys of jobs that take too long, and their workers."""
         now = monotonic()
-        if self._timeout is None or now - self._looked < TIMEOUT_CHECK_S:
+        if self._timeout is None or now - self._checked_at < TIMEOUT_CHECK_S:
             return []
-        self._looked = now
-        doing = {(key, worker) for worker, ks in self._client.processing().items() for key in ks}
-        self._began = {each: self._began.get(each, now) for each in doing}
+        self._checked_at = now
+        processing = {
+            (key, worker) for worker, ks in self._client.processing().items() for key in ks
+        }
+        self._began = {each: self._began.get(each, now) for each in processing}
         return [
             each
             for each, began in self._began.items()
@@ -146,7 +150,7 @@ class _JobTimer:
 
 
 def _restart_worker(client: Any, worker: str) -> None:
-    """End a worker's process, which is begun again; what cannot be ended is left alone."""
+    """End a worker's process and start it again; one that cannot be ended is left alone."""
     with suppress(Exception):
         client.restart_workers([worker], timeout=CONNECT_TIMEOUT_S)
 

@@ -1,4 +1,4 @@
-"""A corpus: the recordings in a folder, what each was tracked from, and what came of it.
+"""A corpus: the recordings in a folder, what each was tracked from, and its results.
 
 INPUTS: a folder; the files that recordings name.
 OUTPUTS: paths of recordings; fingerprints; corpus.csv and failures.json, each whole or not at all.
@@ -22,13 +22,13 @@ from jaxmocap.formats.files.writing import replacing, write_text
 from jaxmocap.formats.recordings.recording_files import input_files
 from jaxmocap.pipelines.writing import MOTION
 
-# In a tracked recording's folder: what it was tracked from, and its row.
+# In a tracked recording's folder: a fingerprint of what it was tracked from, and its row.
 RECORD_FILE = "batch.json"
 
 
 @dataclass(frozen=True)
 class CorpusRow:
-    """What one recording came to.
+    """One recording's results.
 
     Attributes:
         recording: its path within the corpus.
@@ -90,17 +90,17 @@ def readable_inputs(recording: Path) -> list[Path]:
 
 
 def fingerprint(recording: Path, options: Mapping[str, Any]) -> str:
-    """Of all that the outputs depend on: the inputs' contents, what was told, the version."""
-    whole = hashlib.sha256(json.dumps([__version__, dict(options)], sort_keys=True).encode())
+    """Of all that the outputs depend on: the inputs' contents, the options, the version."""
+    digest = hashlib.sha256(json.dumps([__version__, dict(options)], sort_keys=True).encode())
     for path in filter(Path.is_file, readable_inputs(recording)):
         with path.open("rb") as file:
             content = hashlib.file_digest(file, "sha256").hexdigest()
-        whole.update(f"{os.path.relpath(path, recording.parent)} {content} ".encode())
-    return whole.hexdigest()
+        digest.update(f"{os.path.relpath(path, recording.parent)} {content} ".encode())
+    return digest.hexdigest()
 
 
 def write_record(folder: Path, mark: str, row: CorpusRow) -> None:
-    """Remember in the outputs' folder what they were made from, and their row."""
+    """Write into the outputs' folder what they were made from, and their row."""
     text = json.dumps({"fingerprint": mark, "row": asdict(row)}, indent=2, ensure_ascii=False)
     write_text(folder / RECORD_FILE, text + "\n")
 
@@ -108,10 +108,10 @@ def write_record(folder: Path, mark: str, row: CorpusRow) -> None:
 def read_record(folder: Path, mark: str) -> CorpusRow | None:
     """The row of outputs that are whole and were made from the same, or None."""
     try:
-        found = json.loads(read_bytes(folder / RECORD_FILE))
-        if found["fingerprint"] != mark or not OutputFolder(folder, MOTION).is_whole():
+        record = json.loads(read_bytes(folder / RECORD_FILE))
+        if record["fingerprint"] != mark or not OutputFolder(folder, MOTION).is_whole():
             return None
-        return CorpusRow(**found["row"])
+        return CorpusRow(**record["row"])
     except (ValueError, TypeError, KeyError, RecursionError):
         return None
 
