@@ -2,9 +2,10 @@
 
 INPUTS: a recording stream and what to log. OUTPUTS: none; the stream's sink holds the data.
 
-Poses, outlines and series go in whole columns, images one by one. Entities: ``world/body/BONE``,
-``world/skeleton``, ``world/deviations``, ``world/markers/NAME``, ``world/cameras/NAME`` with ``image``,
-``outlines``, ``bones`` and ``markers``; ``fields/CAMERA/NAME``; one root per kind of time series.
+Poses, outlines and series are sent as columns, images one by one. Entities: ``world/body/BONE``,
+``world/skeleton``, ``world/deviations``, ``world/markers/NAME``, ``world/cameras/NAME`` with
+``image``, ``outlines``, ``bones`` and ``markers``; ``fields/CAMERA/NAME``; one root per kind of time
+series.
 """
 
 from collections.abc import Iterable, Iterator, Mapping

@@ -49,8 +49,8 @@ class RecordingParts(NamedTuple):
     """
 
     times: np.ndarray
-    markers: Mapping[str, np.ndarray]
-    landmarks: Mapping[str, np.ndarray]
+    markers: dict[str, np.ndarray]
+    landmarks: dict[str, np.ndarray]
     camera: Camera
     places: Mapping[str, Mapping[str, Any]]
     subject: Mapping[str, Any]

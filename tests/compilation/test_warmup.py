@@ -12,14 +12,18 @@ from small_recording import SAMPLES, small_recording, with_frames
 from jaxmocap.cli import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.pipelines import warmup
-from jaxmocap.pipelines.warmup import Warmed, counting_compilations, first_half_second
+from jaxmocap.pipelines.warmup import CompilationCounts, counting_compilations, first_half_second
 
 
 def test_programs_are_counted_and_those_that_were_there_apart():
     def fresh():
         return jax.jit(lambda x: jnp.sin(x) * 3 + x.shape[0])
 
-    first, second, outside = Warmed("first"), Warmed("second"), Warmed("outside")
+    first, second, outside = (
+        CompilationCounts("first"),
+        CompilationCounts("second"),
+        CompilationCounts("outside"),
+    )
     with counting_compilations(first):
         fresh()(np.ones(7, np.float32))
     with counting_compilations(second):
@@ -27,9 +31,9 @@ def test_programs_are_counted_and_those_that_were_there_apart():
     with counting_compilations(outside):
         pass
     fresh()(np.ones(8, np.float32))
-    assert (first.programs, second.programs, second.found) == (1, 1, 1)
+    assert (first.programs, second.programs, second.cached) == (1, 1, 1)
     assert list(first.longest) == ["<lambda>"] and first.longest["<lambda>"] > 0
-    assert outside == Warmed("outside")
+    assert outside == CompilationCounts("outside")
     assert "0 programs compiled, 1 were there" in second.text()
 
 

@@ -238,8 +238,8 @@ def test_a_disk_that_is_full_before_it_begins_is_said_at_once(tmp_path):
 
 def test_a_disk_on_which_no_line_fits_leaves_nothing_that_looks_like_a_recording(tmp_path):
     recording = LiveRecording(live_setup(tmp_path), tmp_path / "out")
-    recording._rows._file.write(b"x" * 4000)
-    recording._rows._file.mark_complete()
+    recording._lines._file.write(b"x" * 4000)
+    recording._lines._file.mark_complete()
     with disk_full_at(4000):
         recording.add(sample(0.0))
         assert recording.close() is None
@@ -268,7 +268,7 @@ def test_a_recording_can_be_read_while_it_grows(tmp_path):
     recording = LiveRecording(live_setup(tmp_path), tmp_path / "out")
     record(recording, 1.0)
     end = time.monotonic() + 10
-    while recording._listed != (True, [0]) and time.monotonic() < end:
+    while recording._written_state != (True, [0]) and time.monotonic() < end:
         time.sleep(0.01)
     again = Recording.load(tmp_path / "out" / "recording.toml")
     assert len(again.times) > 20 and len(open_video(again.videos[0])) > 10

@@ -20,8 +20,8 @@ CONNECT_TIMEOUT_S = 10
 POLL_INTERVAL_S = 0.05
 # Seconds between looks for jobs that take too long.
 TIMEOUT_CHECK_S = 1.0
-# Environment of the workers. Dask's own also sets MALLOC_TRIM_THRESHOLD_, with which a process gives
-# memory back only to allocate it again: half of a recording's time went there.
+# Environment of the workers. Dask's own also sets MALLOC_TRIM_THRESHOLD_, with which a process
+# gives memory back only to allocate it again: half of a recording's time went there.
 WORKER_ENVIRONMENT = {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
 # A job may end so many processes. No job waits at a worker, where it would be blamed for the
 # worker's end.
@@ -31,8 +31,8 @@ CLUSTER_CONFIG = {
     "distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT,
 }
 
-# The dashboard takes a free port, since another cluster may have the usual one. Only paths are sent,
-# so there is nothing that a limit of memory could spill to disk.
+# The dashboard takes a free port, since another cluster may have the usual one. Only paths are
+# sent, so there is nothing that a limit of memory could spill to disk.
 LOCAL_CLUSTER: dict[str, Any] = {
     "threads_per_worker": 1,
     "host": "127.0.0.1",

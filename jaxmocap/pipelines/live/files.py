@@ -1,9 +1,9 @@
-"""Files that a live run writes as it goes: whatever ends it, what is on disk is whole.
+"""Files that grow during a live run and are valid at any time, whatever ends it.
 
-INPUTS: lines; frames. OUTPUTS: a text file of whole lines; an MP4 file of whole fragments.
+INPUTS: lines; frames. OUTPUTS: a text file of complete lines; an MP4 file of complete fragments.
 
-Nothing waits in a buffer for long, so a process that is killed loses what came in within half a
-second and two frames. On a full disk what does not fit is taken off again, and the rest is whole.
+Little is buffered: a process that is killed loses half a second of lines and two frames. On a full
+disk an incomplete part is removed again, so that the rest stays valid.
 """
 
 import os
@@ -18,23 +18,24 @@ from av.error import FFmpegError
 from jaxmocap.capture.streams.inbox import Frame
 from jaxmocap.formats.files.writing import as_output_error
 
+# Ticks per second of the file's clock.
 CLOCK_HZ = 90_000
-# A fragment takes so many microseconds, and goes to the file at once.
+# Fragments of so many microseconds, each written at once.
 MP4_OPTIONS = {
     "movflags": "empty_moov+default_base_moof",
     "frag_duration": "250000",
     "flush_packets": "1",
 }
-# No frame waits in the encoder for the next ones.
+# No frame is held back in the encoder.
 ENCODER_OPTIONS = {"preset": "ultrafast", "tune": "zerolatency", "crf": "20", "g": "30"}
 
 
 class GrowingFile:
-    """A new file that grows by whole parts.
+    """A new file that grows by complete parts.
 
     Attributes:
         path: of it.
-        whole: bytes up to the end of the last whole part.
+        complete_bytes: up to the end of the last complete part.
     """
 
     def __init__(self, path: Path):
@@ -66,21 +67,21 @@ class GrowingFile:
         return len(content)
 
     def mark_complete(self) -> None:
-        """What is written so far is whole."""
+        """Mark what is written so far as complete."""
         if not self._broken:
             self.complete_bytes = self._end
 
     def incomplete_bytes(self) -> int:
-        """Bytes that are on disk beyond the whole parts."""
+        """Bytes on disk beyond the complete parts."""
         return self._end - self.complete_bytes
 
     def drop_incomplete(self, kept: int = 0) -> None:
-        """Take off what is not whole, but for so many bytes."""
+        """Remove what is incomplete, but for its first ``kept`` bytes, which become complete."""
         self.complete_bytes = self._end = self.complete_bytes + kept
         os.ftruncate(self._file, self.complete_bytes)
 
     def close(self) -> None:
-        """Take off what is not whole, and wait until the rest is on the disk.
+        """Remove what is incomplete, and wait until the rest is on the disk.
 
         Raises:
             OSError: it could not be.
@@ -96,8 +97,8 @@ class LineFile:
     """A text file of lines, UTF-8.
 
     Attributes:
-        rows: lines on disk, but for the header.
-        lost: lines that did not fit there.
+        line_count: lines on disk, but for the header.
+        lost_count: lines that did not fit there.
     """
 
     def __init__(self, path: Path, header: str):
@@ -118,7 +119,7 @@ class LineFile:
 
     @property
     def has_lines(self) -> bool:
-        """Is any line on disk, or waits to be?"""
+        """Whether any line is on disk or waits to be written."""
         return bool(self.line_count or self._lines)
 
     def add(self, line: str) -> None:
@@ -126,7 +127,7 @@ class LineFile:
         self._lines.append(line)
 
     def flush(self) -> None:
-        """Write the lines that wait, as one whole.
+        """Write the lines that wait, as one part.
 
         Raises:
             OSError: the disk is full; the lines that fit are there.
@@ -138,10 +139,10 @@ class LineFile:
         try:
             self._file.write(content)
         except OSError:
-            fit = content[: self._file.incomplete_bytes()]
-            self._file.drop_incomplete(fit.rfind(b"\n") + 1)
-            self.line_count += fit.count(b"\n")
-            self.lost_count += count - fit.count(b"\n")
+            written = content[: self._file.incomplete_bytes()]
+            self._file.drop_incomplete(kept=written.rfind(b"\n") + 1)
+            self.line_count += written.count(b"\n")
+            self.lost_count += count - written.count(b"\n")
             raise
         self._file.mark_complete()
         self.line_count += count
@@ -167,7 +168,7 @@ class GrowingVideo:
 
     Attributes:
         path: of the file.
-        first: time of the first frame, seconds.
+        first_time: of the first frame, seconds.
     """
 
     def __init__(self, path: Path, frame: Frame):
@@ -185,7 +186,7 @@ class GrowingVideo:
                 "libx264", options=ENCODER_OPTIONS
             )
             height, width = frame.image.shape[:2]
-            # Chroma comes by twos; an odd last row or column is left out.
+            # Chroma is sampled for two rows and columns; an odd last one is left out.
             self._stream.width, self._stream.height = width - width % 2, height - height % 2
             self._stream.pix_fmt = "yuv420p"
             self._stream.codec_context.time_base = self._stream.time_base = Fraction(1, CLOCK_HZ)
@@ -198,7 +199,7 @@ class GrowingVideo:
 
     @property
     def is_readable(self) -> bool:
-        """Is any frame of it on disk?"""
+        """Whether any frame is on disk."""
         return self._file.complete_bytes > self._header
 
     def add(self, frame: Frame) -> None:
@@ -216,7 +217,7 @@ class GrowingVideo:
         self._file.mark_complete()
 
     def close(self) -> None:
-        """Write what waits; after an error what was whole stays.
+        """Write what waits; after an error the complete parts stay.
 
         Raises:
             OSError, FFmpegError: it cannot be.

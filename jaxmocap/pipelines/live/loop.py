@@ -2,15 +2,15 @@
 
     socket ──── gathering ─┐                                    ┌── VMC, VRChat
                            ├─ inbox ── tracking ── Output ──────┤
-    cameras ───────────────┘   (the newest win)                 └── viewer
+    cameras ───────────────┘   (the newest ones)                └── viewer
         └── recording on disk
 
-Everything that waits for something has a thread; the tracker has this one.
+Each device has a thread of its own; the tracker runs in this one.
 
 INPUTS: a LiveSetup. OUTPUTS: datagrams, a recording, figures.
 
-Whatever ends it, all threads are asked to stop and waited for, the recording is closed, and only
-then comes the end.
+Whatever ends it, all threads are stopped and joined and the recording is closed before ``run``
+returns.
 """
 
 import sys
@@ -40,12 +40,12 @@ from jaxmocap.pipelines.live.status import LiveStatus
 from jaxmocap.pipelines.live.stream_states import SILENT_S, stream_states
 from jaxmocap.pipelines.live.tracking import LiveTracking, Output
 
-# Samples that may wait: a tenth of a second of a headset's. Where more come than can be tracked, a
-# longer queue would only make all poses later.
+# Samples in the queue, at most: a tenth of a second of a headset's. Where more arrive than can be
+# tracked, a longer queue would only add latency.
 LONGEST_QUEUE = 8
-# How often those who receive poses are told that there are none, seconds.
+# Seconds between messages to the receivers of poses that nothing is tracked.
 HEARTBEAT_S = 0.25
-# Threads take turns more often than Python's default of 5 ms, which a sample would notice.
+# Seconds after which Python switches threads: its default of 5 ms would add to a sample's latency.
 THREAD_SWITCH_S = 5e-4
 
 
@@ -53,7 +53,7 @@ class Live:
     """One live run.
 
     Attributes:
-        status: what it tells.
+        status: messages and figures of the run.
         tracking: the tracker.
         recording: on disk, or None.
     """
@@ -68,7 +68,7 @@ class Live:
         viewer: Callable[[Output, dict[str, Frame]], None] | None = None,
         status: LiveStatus | None = None,
     ):
-        """Open everything and compile; nothing is listened to yet.
+        """Open everything and compile; no device is read yet.
 
         Args:
             setup: what to listen to, whose body it is, where poses go.
@@ -76,7 +76,7 @@ class Live:
             smooth: poses wait for two more video frames, 0.1 s at most.
             out: folder for a recording, or None.
             viewer: shows poses and frames; must return at once.
-            status: what tells of the run.
+            status: takes messages and figures of the run.
 
         Raises:
             InputError: what cannot be opened.
@@ -90,9 +90,9 @@ class Live:
     def _open(
         self, settings: Settings, smooth: bool, out: str | Path | None, ending: ExitStack
     ) -> None:
-        """Open everything; what was opened is closed by ``ending``."""
+        """Open everything; ``ending`` closes it."""
         setup = self._setup
-        # First: nothing is opened where it cannot be recorded.
+        # First, so that no device is opened where it cannot be recorded.
         self.recording = LiveRecording(setup, out) if out is not None else None
         if self.recording is not None:
             ending.callback(self.recording.close)
@@ -124,7 +124,7 @@ class Live:
 
     @property
     def address(self) -> Any:
-        """Where markers are listened for."""
+        """Where markers are received."""
         return self._socket.address
 
     def _now(self) -> float:
@@ -145,7 +145,7 @@ class Live:
 
         Args:
             seconds: how long, or None.
-            stop: set by whoever stops it.
+            stop: the event that ends it.
 
         Returns:
             Figures of the run.
@@ -162,7 +162,7 @@ class Live:
                     self._handle_next()
             finally:
                 self._ended = self._now()
-                # All at once, so that they are waited for together.
+                # All of them before any is joined, so that they end at the same time.
                 for each in sources:
                     each.ask_to_stop()
             for each in sources:
@@ -176,7 +176,7 @@ class Live:
         self._ending.close()
 
     def _handle_next(self) -> None:
-        """Take one thing that came in, and tell how things are."""
+        """Take one sample, or the newest frames, from the inbox; track it; update the status."""
         taken = self._inbox.take(0.05)
         if isinstance(taken, Sample):
             self._newest_sample = taken.arrived
@@ -207,15 +207,15 @@ class Live:
             self._frames_shown = {}
 
     def _update_status(self, now: float) -> None:
-        """Say what has changed, and draw the line."""
-        for of, state in stream_states(self._socket, self._gathering, self._cameras, now):
-            self.status.set_state(now, of, state)
+        """Log changed states, and update the status line."""
+        for subject, state in stream_states(self._socket, self._gathering, self._cameras, now):
+            self.status.set_state(now, subject, state)
         if self.recording is not None and self.recording.problem:
             self.status.set_state(now, "recording", self.recording.problem)
-        ages = {"markers": self._socket.heard} | {c.name: c.heard for c in self._cameras}
+        received_at = {"markers": self._socket.heard} | {c.name: c.heard for c in self._cameras}
         self.status.update_line(
             now,
-            {name: None if heard is None else now - heard for name, heard in ages.items()},
+            {name: None if at is None else now - at for name, at in received_at.items()},
             self._dropped(),
             self._confidence,
         )
@@ -245,7 +245,7 @@ class Live:
         }
 
     def _problems(self) -> Iterator[str]:
-        """Why the run did not do what it was to do."""
+        """Why the run received or recorded nothing, or not all."""
         if self._socket.heard is None:
             reason = f": {self._socket.problem}" if self._socket.problem else ""
             yield f"no marker came in at {self.address}{reason}"
@@ -256,7 +256,7 @@ class Live:
 def _source(
     setup: LiveSetup, gathering: Gathering, now: Callable[[], float]
 ) -> MarkerSocket | MarkerStream:
-    """Where markers come from."""
+    """The source of markers."""
     if setup.lsl is not None:
         return MarkerStream(setup.lsl, gathering, now)
     return MarkerSocket(setup.listen, gathering, setup.raw, now, setup.senders)

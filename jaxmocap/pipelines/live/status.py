@@ -1,9 +1,9 @@
-"""What a live run tells: a line that stays up to date, sentences when something changes, figures.
+"""The status of a live run: a line that is kept up to date, messages, figures.
 
 INPUTS: outputs, counts, ages. OUTPUTS: text on a terminal; a dictionary of figures.
 
-However long the run and whatever comes in, little is kept and little is said: what changes all the
-time is said from time to time, and nothing that a stranger sent reaches the terminal unescaped.
+Memory and output stay bounded, however long the run: a state that changes all the time is printed
+at a limited rate. Nothing that was received reaches the terminal unescaped.
 """
 
 import sys
@@ -18,24 +18,30 @@ from jaxmocap.capture.streams.senders import Share
 from jaxmocap.formats.files.errors import printable, shortened
 from jaxmocap.formats.files.shortened import name_shown
 
-# Of what was said so many first and so many newest sentences are kept.
+# Messages that are kept: of the first ones.
 FIRST_KEPT = 500
+# And of the newest ones.
 NEWEST_KEPT = 500
-# The state of one thing is said at each of so many changes, and then so often a second.
+# Changes of a subject's state that are printed without a limit of their rate.
 STATE_CHANGES_AT_ONCE = 20
+# Changes a second that are printed after these.
 STATE_CHANGES_HZ = 0.1
-# Latencies are told of so many of the newest outputs, and of these that line speaks of.
-LATENCIES_KEPT, LATENCIES_SHOWN = 20_000, 300
-# A terminal's line is drawn anew so often; elsewhere a line is written more rarely; seconds.
-TERMINAL_INTERVAL_S, LOG_INTERVAL_S = 0.25, 5.0
+# Newest outputs whose latencies the figures are of.
+LATENCIES_KEPT = 20_000
+# Newest outputs whose latencies the status line is of.
+LATENCIES_SHOWN = 300
+# Seconds between updates of the status line on a terminal.
+TERMINAL_INTERVAL_S = 0.25
+# The same where the output is no terminal.
+LOG_INTERVAL_S = 5.0
 
 
 class StatusMessage(NamedTuple):
-    """A sentence.
+    """A message.
 
     Attributes:
-        seconds: of the run.
-        what: the sentence.
+        seconds: since the run began.
+        what: its sentence.
     """
 
     seconds: float
@@ -43,28 +49,28 @@ class StatusMessage(NamedTuple):
 
 
 class LiveStatus:
-    """Keeps count of a run and says what happens.
+    """Counts the outputs of a run and prints its messages.
 
     Attributes:
-        outputs: how many poses went out.
-        sentences: that were said.
+        outputs: number of poses that were sent.
+        message_count: number of messages.
     """
 
     def __init__(self, out: TextIO | None = None):
         """Write to a stream; standard error by default."""
         self._out = sys.stderr if out is None else out
-        self._drawn = self._out.isatty()
+        self._is_terminal = self._out.isatty()
         self.outputs = self.message_count = 0
         self._first: list[StatusMessage] = []
         self._newest: deque[StatusMessage] = deque(maxlen=NEWEST_KEPT)
         self._latencies: deque[float] = deque(maxlen=LATENCIES_KEPT)
         self._times: deque[float] = deque(maxlen=LATENCIES_SHOWN)
         self._states: dict[str, str] = {}
-        self._shares: dict[str, Share] = {}
-        self._next = 0.0
+        self._state_rates: dict[str, Share] = {}
+        self._next_line_at = 0.0
 
     def count_output(self, now: float, latency: float) -> None:
-        """A pose went out, so many seconds after its sample came in."""
+        """Count a pose that was sent so many seconds after its sample arrived."""
         self.outputs += 1
         self._latencies.append(1e3 * latency)
         self._times.append(now)
@@ -76,18 +82,18 @@ class LiveStatus:
 
     @property
     def messages(self) -> list[StatusMessage]:
-        """What was said, but for what was between the first and the newest sentences."""
+        """The first and the newest messages."""
         return [*self._first, *self._newest]
 
     def set_state(self, now: float, subject: str, state: str) -> None:
-        """Say so when the state of something has changed; "" says nothing.
+        """Log the state of a subject when it has changed; "" is not printed.
 
-        What changes more often than ``STATE_CHANGES_HZ`` is said later, as it then is. There are
-        to be few things that have a state.
+        A state that changes more often than ``STATE_CHANGES_HZ`` is logged later, as it is then.
+        Memory grows with the number of subjects.
         """
         if state == self._states.get(subject):
             return
-        share = self._shares.setdefault(
+        share = self._state_rates.setdefault(
             subject, Share(STATE_CHANGES_HZ, STATE_CHANGES_AT_ONCE, now)
         )
         if not share.left(now):
@@ -98,11 +104,11 @@ class LiveStatus:
             self.log(now, f"{subject}: {state}")
 
     def log(self, now: float, sentence: str) -> None:
-        """Say a sentence, with its time."""
-        said = StatusMessage(round(now, 3), shortened(printable(sentence)))
+        """Print a message with its time."""
+        message = StatusMessage(round(now, 3), shortened(printable(sentence)))
         self.message_count += 1
-        (self._first if len(self._first) < FIRST_KEPT else self._newest).append(said)
-        self._print(f"{self._clear()}{now:8.2f} s  {said.what}\n")
+        (self._first if len(self._first) < FIRST_KEPT else self._newest).append(message)
+        self._print(f"{self._clear()}{now:8.2f} s  {message.what}\n")
 
     def _print(self, text: str) -> None:
         # A terminal that is gone, or a log on a full disk, ends no run.
@@ -118,7 +124,7 @@ class LiveStatus:
         return float(median), float(most)
 
     def rate(self, now: float) -> float:
-        """Poses that went out within the last second."""
+        """Poses that were sent within the last second."""
         return float(sum(now - time <= 1.0 for time in self._times))
 
     def update_line(
@@ -128,17 +134,17 @@ class LiveStatus:
         dropped: Mapping[str, int],
         confidence: np.ndarray,
     ) -> None:
-        """Draw the line, if it is time to.
+        """Print the status line, if it is due.
 
         Args:
             now: seconds.
-            ages: stream -> seconds since something came, None before.
-            dropped: what -> how many.
+            ages: stream -> seconds since it last received something, None before that.
+            dropped: kind -> number of dropped ones.
             confidence: (2,) in the elbows.
         """
-        if now < self._next:
+        if now < self._next_line_at:
             return
-        self._next = now + (TERMINAL_INTERVAL_S if self._drawn else LOG_INTERVAL_S)
+        self._next_line_at = now + (TERMINAL_INTERVAL_S if self._is_terminal else LOG_INTERVAL_S)
         median, most = self.latency_ms(LATENCIES_SHOWN)
         shown = [
             f"{self.rate(now):3.0f} /s",
@@ -147,26 +153,26 @@ class LiveStatus:
             "age " + ", ".join(f"{name_shown(name)} {_age(age)}" for name, age in ages.items()),
             "elbows " + " ".join(f"{100 * value:.0f} %" for value in confidence),
         ]
-        end = "" if self._drawn else "\n"
+        end = "" if self._is_terminal else "\n"
         self._print(f"{self._clear()}{' | '.join(shown)}{end}")
 
     def _clear(self) -> str:
-        return "\r\x1b[K" if self._drawn else ""
+        return "\r\x1b[K" if self._is_terminal else ""
 
     def end_line(self) -> None:
-        """Leave the line."""
-        if self._drawn:
+        """End the status line."""
+        if self._is_terminal:
             self._print("\n")
 
     def figures(self, seconds: float) -> dict[str, Any]:
-        """What the run came to."""
+        """The run's figures."""
         median, most = self.latency_ms()
         return {
             "seconds": seconds,
             "outputs": self.outputs,
             "rate_hz": self.outputs / seconds if seconds > 0 else 0.0,
             "latency_ms": {"median": median, "p99": most, "of": len(self._latencies)},
-            "said": [said._asdict() for said in self.messages],
+            "said": [message._asdict() for message in self.messages],
             "sentences": self.message_count,
         }
 

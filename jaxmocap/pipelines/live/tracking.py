@@ -1,9 +1,9 @@
-"""The tracker, fed by what comes in: samples and frames in, poses out.
+"""The tracker of a live run: samples and frames in, poses out.
 
-    sample ── trail ── step ──────────────────────────── Output
-    frame ─── trail, at the frame's own time ── step ─── (the elbows that the next samples have)
+    sample ── recent markers ── step ───────────────────────────── Output
+    frame ─── recent markers, at the frame's own time ── step ──── (elbows of the next samples)
 
-and with smoothing both in the order of their times, each Output once two more frames were seen.
+With smoothing both are stepped in the order of their times, and each Output comes two frames later.
 
 INPUTS: Samples, Frames. OUTPUTS: Outputs.
 """
@@ -31,22 +31,22 @@ from jaxmocap.hybrid.tracker import HybridTracker, State, StepReport
 from jaxmocap.pipelines.tracking.track import marker_sites
 from jaxmocap.smoothing.fixed_lag import FixedLagSmoother, Given
 
-# The tracker counts seconds in single precision: from time to time it begins anew.
+# The tracker's times are in single precision: after so many seconds their origin is moved.
 LONGEST_CLOCK_S = 600.0
-# Smoothing waits so long for a frame that may be older than a sample, seconds.
+# With smoothing a sample waits so many seconds for frames that are older than it.
 REORDERING_S = 0.1
-# A tracker begins with all its markers, or after so many samples with what there is.
+# Tracking begins at the first sample with all markers, or after so many with those there are.
 MOST_INCOMPLETE_SAMPLES = 45
 
 
 class Output(NamedTuple):
-    """A pose that goes out.
+    """A pose to be sent.
 
     Attributes:
         time: of its sample, seconds.
         pose: of the person.
         confidence: (2,) in the elbows, 0 to 1.
-        arrived: when its sample came in, seconds on the same clock.
+        arrived: when its sample was received, seconds on the same clock.
     """
 
     time: float
@@ -56,13 +56,13 @@ class Output(NamedTuple):
 
 
 class LiveTracking:
-    """One person, tracked as it happens.
+    """One person, tracked live.
 
     Attributes:
         tracker: compiled.
-        colour: whether frames are wanted in BGR.
-        placed: how often the body was placed anew.
-        late: samples and frames that came too late for the smoothing.
+        needs_colour: whether frames are to be BGR.
+        placements: how often the body was placed from scratch.
+        late_events: samples and frames that arrived too late for the smoothing.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class LiveTracking:
         Args:
             setup: person, markers, cameras.
             settings: of the tracker.
-            smooth: poses wait for two more frames.
+            smooth: whether poses are smoothed, two frames late.
             tracker: of this person, these markers and cameras, compiled before.
         """
         cameras = [v.camera for v in setup.videos] if settings.refine != "none" else []
@@ -91,7 +91,7 @@ class LiveTracking:
         self._reset()
 
     def _reset(self) -> None:
-        """Nobody is tracked."""
+        """Forget who was tracked."""
         self.placements = self.late_events = 0
         self._state: State | None = None
         self._time_origin, self._samples_waited, self._last = 0.0, 0, -np.inf
@@ -105,7 +105,7 @@ class LiveTracking:
         self._events = 0
 
     def _warm_up(self) -> None:
-        """Compile, by somebody who stands still before a grey wall."""
+        """Compile, by tracking somebody who stands still before a grey wall."""
         skeleton = self.tracker.skeleton
         frames = forward(skeleton, relaxed_pose(skeleton))
         points = np.asarray(site_positions(skeleton, frames, self.tracker.markers), float)
@@ -118,17 +118,17 @@ class LiveTracking:
                 self.frames([Frame(camera, time + 0.01, wall, time + 0.01)])
 
     def sample(self, sample: Sample) -> list[Output]:
-        """Take a sample; the poses that go out now."""
+        """Take a sample; the poses to be sent now."""
         if self._filter is not None and self._filtered is not None:
             points = sample.positions_world
             self._filtered, points = self._filter.step(self._filtered, sample.time, points)
             sample = sample._replace(positions_world=points)
         self._recent_markers.add(sample.time, sample.positions_world)
         if self._state is None:
-            known = np.isfinite(sample.positions_world).all(-1)
+            is_visible = np.isfinite(sample.positions_world).all(-1)
             self._samples_waited += 1
-            if not known.all() and (
-                self._samples_waited < MOST_INCOMPLETE_SAMPLES or not known.any()
+            if not is_visible.all() and (
+                self._samples_waited < MOST_INCOMPLETE_SAMPLES or not is_visible.any()
             ):
                 return []
             self._time_origin = sample.time
@@ -139,7 +139,7 @@ class LiveTracking:
         return [Output(sample.time, pose, np.asarray(report.confidence), sample.arrived)]
 
     def frames(self, frames: Sequence[Frame]) -> list[Output]:
-        """Take frames, the newest of their cameras; the poses that go out now."""
+        """Take frames, the newest of their cameras; the poses to be sent now."""
         if self._state is None or self.tracker.cameras is None:
             return []
         if self._smoother is not None:
@@ -156,11 +156,11 @@ class LiveTracking:
         return [*outputs, *self._outputs_of(self._smoother.flush())]
 
     def _with_gaps_filled(self, sample: Sample) -> np.ndarray:
-        """The sample, its missing markers carried on as far as that goes."""
-        seen = np.isfinite(sample.positions_world).all(-1, keepdims=True)
-        if seen.all():
+        """A sample's positions, those of missing markers extrapolated."""
+        is_visible = np.isfinite(sample.positions_world).all(-1, keepdims=True)
+        if is_visible.all():
             return sample.positions_world
-        return np.where(seen, sample.positions_world, self._recent_markers.at(sample.time))
+        return np.where(is_visible, sample.positions_world, self._recent_markers.at(sample.time))
 
     def _images(self, frame: Frame) -> list[np.ndarray | None]:
         images: list[np.ndarray | None] = [None] * self._cameras
@@ -183,11 +183,11 @@ class LiveTracking:
         return pose, report
 
     def _in_order(self, new: Sequence[Sample | Frame]) -> list[Output]:
-        """Hold events until no older one is expected, and smooth what is let go."""
+        """Hold events until no older one is expected, then smooth them in order."""
         self._pending = sorted([*self._pending, *new], key=lambda event: event.time)
         newest = max(event.arrived for event in self._pending)
-        seen = [event.time for event in self._pending if isinstance(event, Frame)]
-        return self._release(max([newest - REORDERING_S, *seen]))
+        frame_times = [event.time for event in self._pending if isinstance(event, Frame)]
+        return self._release(max([newest - REORDERING_S, *frame_times]))
 
     def _release(self, until: float) -> list[Output]:
         outputs = []
@@ -204,18 +204,18 @@ class LiveTracking:
         self._last = event.time
         if isinstance(event, Sample):
             images, arrived = None, event.arrived
-            here, there = self._with_gaps_filled(event), event.positions_world
+            filled, measured = self._with_gaps_filled(event), event.positions_world
         else:
             images, arrived = self._images(event), None
-            here = self._recent_markers.at(event.time)
-            there = np.full_like(here, np.nan)
-        pose, report = self._step(event.time, here, images)
+            filled = self._recent_markers.at(event.time)
+            measured = np.full_like(filled, np.nan)
+        pose, report = self._step(event.time, filled, images)
         self._arrivals.append((self._events, arrived))
         self._events += 1
-        return self._outputs_of(self._smoother.step(event.time, there, images, pose, report))
+        return self._outputs_of(self._smoother.step(event.time, measured, images, pose, report))
 
     def _outputs_of(self, given: Sequence[Given]) -> list[Output]:
-        """Of what is final, the samples' poses."""
+        """The poses of samples among the smoothed events."""
         outputs = []
         for each in given:
             while self._arrivals and self._arrivals[0][0] < each.number:
