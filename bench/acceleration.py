@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxmocap.evaluation.series import resampled, sample_step, second_difference
+from jaxmocap.evaluation.series import resampled_by_spline, sample_step, second_difference
 
 LARGEST_LAG_S = 0.25
 # Velocities for the lag are taken over this time: from sample to sample, jitter would drown them.
@@ -69,7 +69,7 @@ def calmness(
     """
     figures = [
         (
-            *_accelerations(times, track, resampled(reference_times, truth, times)),
+            *_accelerations(times, track, resampled_by_spline(reference_times, truth, times)),
             *lag(times, track, reference_times, truth),
         )
         for track, truth in zip(_per_joint(points), _per_joint(reference), strict=True)
@@ -100,7 +100,7 @@ def lag(
     step = sample_step(times)
     count = int(LAGS_PER_SAMPLE * LARGEST_LAG_S / step)
     lags = np.arange(-count, count + 1) * step / LAGS_PER_SAMPLE
-    truth = resampled(reference_times, reference, times - lags[:, None])
+    truth = resampled_by_spline(reference_times, reference, times - lags[:, None])
     apart = max(round(BASELINE_S / step), 1)
     likeness = _likeness(track[apart:] - track[:-apart], truth[:, apart:] - truth[:, :-apart])
     if np.isnan(likeness).all():

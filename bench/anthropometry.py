@@ -1,4 +1,4 @@
-"""What a tape and a pair of callipers would measure of a mesh: the truth for a person's own model.
+"""Measures of a mesh as by tape and callipers: the truth for a person's own model.
 
 INPUTS: a rigged person as they stand. OUTPUTS: sections of trunk and arms: width, depth, girth.
 """

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+# Styles of the lines.
 MARKERS_ONLY = {"color": "#c62828", "linestyle": "-", "linewidth": 1.4}
 WITH_VIDEO = {"color": "#1557b0", "linestyle": "--", "linewidth": 1.4}
 
@@ -29,7 +30,7 @@ def plot_elbow_errors(
     errors_with_video: Mapping[str, np.ndarray],
     title: str = "",
 ) -> None:
-    """Draw the paper's Fig. 8 for each joint: the error, its reduction by video, what shakes.
+    """Draw the paper's Fig. 8 for each joint: the error, its reduction by video, its fast part.
 
     Args:
         path: of the picture (.png, .svg, .pdf).
@@ -44,33 +45,32 @@ def plot_elbow_errors(
         before = 100 * np.asarray(errors_markers_only[joint], float)
         after = 100 * np.asarray(errors_with_video[joint], float)
         top, middle, bottom = axes[:, column]
-        for values, style, name in (
-            (before, MARKERS_ONLY, "markers only"),
-            (after, WITH_VIDEO, "with video"),
-        ):
-            top.plot(times, values, label=f"{name}: mean {_mean(values):.1f} cm", **style)
-            bottom.plot(times, high_pass(times, values), **style)
+        _plot_errors(top, bottom, times, {"markers only": before, "with video": after})
         top.set_title(joint.replace("_l", ", left").replace("_r", ", right"), pad=22)
-        # Above the panel, where it hides no curve.
-        top.legend(
-            loc="lower center", bbox_to_anchor=(0.5, 0.98), frameon=False, ncols=2, fontsize="small"
-        )
         _plot_reduction(middle, times, before - after)
-        bottom.axhline(0, color="#888888", linewidth=0.6)
         bottom.set_xlabel("time [s]")
-    for row, label in zip(
-        axes[:, 0],
-        ("error [cm]", "reduction [cm]", f"error above {HIGH_PASS_HZ} Hz [cm]"),
-        strict=True,
-    ):
+    labels = "error [cm]", "reduction [cm]", f"error above {HIGH_PASS_HZ} Hz [cm]"
+    for row, label in zip(axes[:, 0], labels, strict=True):
         row.set_ylabel(label)
     # Once all is drawn: fixing one end of the shared axis stops it from following the curves.
     axes[0, 0].set_ylim(bottom=0)
     save_figure(figure, path, title)
 
 
+def _plot_errors(top: Axes, bottom: Axes, times: np.ndarray, errors: dict[str, np.ndarray]) -> None:
+    """Both errors, centimetres, and below their parts that change fast."""
+    for (name, values), style in zip(errors.items(), (MARKERS_ONLY, WITH_VIDEO), strict=True):
+        top.plot(times, values, label=f"{name}: mean {_mean(values):.1f} cm", **style)
+        bottom.plot(times, high_pass(times, values), **style)
+    # Above the panel, where it hides no curve.
+    top.legend(
+        loc="lower center", bbox_to_anchor=(0.5, 0.98), frameon=False, ncols=2, fontsize="small"
+    )
+    bottom.axhline(0, color="#888888", linewidth=0.6)
+
+
 def _plot_reduction(axes: Axes, times: np.ndarray, reduction: np.ndarray) -> None:
-    """What video takes off the error: green where it helps, red where it harms."""
+    """By how much video reduces the error: green where it does, red where it adds to it."""
     axes.fill_between(times, 0, np.maximum(reduction, 0), color="#2e7d32", alpha=0.35, linewidth=0)
     axes.fill_between(times, 0, np.minimum(reduction, 0), color="#c62828", alpha=0.35, linewidth=0)
     axes.plot(times, reduction, color="#222222", linewidth=1.0)

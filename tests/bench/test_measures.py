@@ -1,4 +1,4 @@
-"""The figures a tracker is judged by: calm, lag, wrong turns, coverage."""
+"""The benchmarks' measures of a tracker: acceleration, lag, wrong turns, interval coverage."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from bench.acceleration import calmness, lag
 from bench.interval_coverage import coverage
 from bench.wrong_turns import wrong_turns
-from jaxmocap.evaluation.series import resampled, second_difference
+from jaxmocap.evaluation.series import resampled_by_spline, second_difference
 
 TIMES = np.arange(540) / 90
 
@@ -109,14 +109,16 @@ def test_missing_samples_are_left_out_of_both_accelerations():
 
 def test_resampling_meets_the_samples_and_leaves_gaps_missing():
     values = swing(TIMES)
-    np.testing.assert_allclose(resampled(TIMES, values, TIMES), values, atol=1e-12)
+    np.testing.assert_allclose(resampled_by_spline(TIMES, values, TIMES), values, atol=1e-12)
     between = TIMES[:-1] + 0.004
-    np.testing.assert_allclose(resampled(TIMES, values, between), swing(between), atol=1e-4)
+    np.testing.assert_allclose(
+        resampled_by_spline(TIMES, values, between), swing(between), atol=1e-4
+    )
     values[50:60] = np.nan
-    found = resampled(TIMES, values, between)
+    found = resampled_by_spline(TIMES, values, between)
     assert np.isnan(found[49:60]).all() and np.isfinite(found[:49]).all()
-    assert np.isnan(resampled(TIMES, values, np.array([-0.1, 6.2]))).all()
-    assert np.isnan(resampled(TIMES[:1], values[:1], TIMES)).all()
+    assert np.isnan(resampled_by_spline(TIMES, values, np.array([-0.1, 6.2]))).all()
+    assert np.isnan(resampled_by_spline(TIMES[:1], values[:1], TIMES)).all()
 
 
 def errors_of(*stretches: tuple[int, int], worse_by: float = 0.06) -> np.ndarray:
