@@ -318,7 +318,7 @@ def _send_strips(
     strips: np.ndarray,
     archetype: type[rr.LineStrips2D] | type[rr.LineStrips3D],
 ) -> None:
-    """(T, N, P, 2 or 3) lines. One with a NaN shrinks to a point, and the others keep their colours."""
+    """(T, N, P, 2 or 3) lines. One with a NaN becomes a point, which keeps the others' colours."""
     is_finite = np.isfinite(strips).all((-1, -2), keepdims=True)
     drawn = np.where(is_finite, strips, 0.0).astype(np.float32)
     columns = archetype.columns(strips=list(drawn.reshape(-1, *drawn.shape[2:])))

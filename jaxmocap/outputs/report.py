@@ -101,7 +101,7 @@ def _summarise_report(times: np.ndarray, report: Report) -> dict:
 
 
 def _by_landmark(report: Report) -> dict:
-    """Landmark -> standard deviation over the three axes, share of samples set by the prior alone."""
+    """Landmark -> standard deviation over the three axes, share of samples from the prior alone."""
     deviations = np.sqrt(np.sum(np.asarray(report.landmarks_std, float) ** 2, -1))
     return {
         name: {

@@ -279,7 +279,7 @@ def test_why_a_camera_does_not_come_is_said(tmp_path, monkeypatch):
 class Standing:
     """Stands in for the tracker: every sample finds somebody who stands still."""
 
-    colour, placed, late = False, 0, 0
+    needs_colour, placements, late_events = False, 0, 0
 
     def __init__(self, setup, settings, smooth):
         pose = relaxed_pose(setup.skeleton)
