@@ -24,7 +24,7 @@ from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.synthetic.lens import DrawingCamera, look_at
+from jaxmocap.synthetic.drawing_camera import DrawingCamera, look_at
 from jaxmocap.synthetic.placement import RotatedMover
 from jaxmocap.synthetic.recording import VIDEO_RATE, write_video
 from jaxmocap.synthetic.renderer import Mover, Progress, Scene, render_frames, silhouette

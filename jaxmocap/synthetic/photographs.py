@@ -18,7 +18,7 @@ import numpy as np
 from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.files.writing import write_bytes
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.synthetic.lens import DrawingCamera, look_at
+from jaxmocap.synthetic.drawing_camera import DrawingCamera, look_at
 from jaxmocap.synthetic.movements.exerciser import Exerciser
 from jaxmocap.synthetic.movements.splines import Spline
 from jaxmocap.synthetic.movements.stances import KeyStance

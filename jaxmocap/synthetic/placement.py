@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.synthetic.lens import look_at
+from jaxmocap.synthetic.drawing_camera import look_at
 from jaxmocap.synthetic.people.meshes import SkinnedMesh
 from jaxmocap.synthetic.renderer import Mover
 

@@ -19,7 +19,7 @@ from jaxmocap.formats.cameras.video_out import replacing_video
 from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.synthetic.lens import look_at
+from jaxmocap.synthetic.drawing_camera import look_at
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.movements.motions import Performance
 from jaxmocap.synthetic.people.clothed_person import MARKERS, clothed_actor

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.synthetic.lens import DrawingCamera
+from jaxmocap.synthetic.drawing_camera import DrawingCamera
 from jaxmocap.synthetic.people.meshes import SkinnedMesh
 from jaxmocap.synthetic.room import FRACTION_BITS, OVERSAMPLING, WALL_X, Room, to_fixed
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxmocap.synthetic.lens import DrawingCamera
+from jaxmocap.synthetic.drawing_camera import DrawingCamera
 
 WALL_X = -1.9
 HALF_WIDTH, CEILING = 3.2, 2.9

@@ -21,7 +21,7 @@ from jaxmocap.outputs.live_view import LiveSnapshot, LiveView
 from jaxmocap.outputs.scene import BodyScene
 from jaxmocap.pipelines.live.session import relaxed_pose_on_floor
 from jaxmocap.pipelines.view import LOOPBACK, free_port, serve_page
-from jaxmocap.synthetic.lens import look_at
+from jaxmocap.synthetic.drawing_camera import look_at
 
 CAMERA = look_at((3.0, 0.6, 1.3), (0.0, 0.0, 0.95), size=(96, 72), focal=95.0, distortion=())
 SCENE = BodyScene(

@@ -29,7 +29,7 @@ from jaxmocap.images.foreground import (
     shrunk_size,
 )
 from jaxmocap.images.regions import crop
-from jaxmocap.synthetic.lens import DrawingCamera, look_at
+from jaxmocap.synthetic.drawing_camera import DrawingCamera, look_at
 from jaxmocap.synthetic.movements.motions import table_tennis
 from jaxmocap.synthetic.people.clothed_person import clothed_actor
 from jaxmocap.synthetic.renderer import Scene, render_frames

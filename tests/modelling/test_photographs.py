@@ -7,7 +7,7 @@ import pytest
 from bench.anthropometry import MeasuredPerson, tape_measure
 from jaxmocap.formats.cameras.calibration import read_calibration
 from jaxmocap.modelling.pictures.backdrop import PhotographError, person_mask
-from jaxmocap.synthetic.lens import DrawingCamera
+from jaxmocap.synthetic.drawing_camera import DrawingCamera
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.photographs import (
     PHOTOGRAPHS,

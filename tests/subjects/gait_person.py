@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.formats.time_series.trc import write_trc
-from jaxmocap.synthetic.lens import look_at
+from jaxmocap.synthetic.drawing_camera import look_at
 from jaxmocap.synthetic.movements.splines import Spline
 from jaxmocap.synthetic.people.rigged_mesh import (
     RiggedMesh,

@@ -12,7 +12,7 @@ from jaxmocap.synthetic.four_cameras import (
     read_masks,
     write_four_cameras,
 )
-from jaxmocap.synthetic.lens import DrawingCamera
+from jaxmocap.synthetic.drawing_camera import DrawingCamera
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.movements.exercises import EXERCISES, PLANTED, exercise
 from jaxmocap.synthetic.people.clothed_person import clothed_actor

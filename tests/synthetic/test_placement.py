@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from jaxmocap.formats.recordings.recording import load_recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.synthetic import recording
-from jaxmocap.synthetic.lens import DrawingCamera
+from jaxmocap.synthetic.drawing_camera import DrawingCamera
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.people.meshes import SkinnedMesh
 from jaxmocap.synthetic.placement import RotatedMover, camera_at

@@ -21,7 +21,7 @@ from jaxmocap.formats.recordings.recording import load_recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.geometry.cameras import project
 from jaxmocap.synthetic import recording, renderer
-from jaxmocap.synthetic.lens import DrawingCamera
+from jaxmocap.synthetic.drawing_camera import DrawingCamera
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.movements.splines import Spline
 from jaxmocap.synthetic.people.clothed_person import MARKERS, clothed_actor
