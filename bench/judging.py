@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.acceleration import Calm, calmness
+from bench.acceleration import AccelerationAndLag, compare_tracks
 from bench.clips import Clip
 from bench.wrong_turns import WrongTurns, wrong_turns
 from jaxmocap.body.motion import Motion
@@ -63,8 +63,8 @@ class Result:
     video: Errors
     off: np.ndarray
     turns: WrongTurns
-    calm_alone: Calm
-    calm: Calm
+    calm_alone: AccelerationAndLag
+    calm: AccelerationAndLag
     frame: float
     sureness: Sureness | None
 
@@ -122,11 +122,11 @@ def shaken(recording: Recording, noise: float, seed: int) -> Recording:
     return replace(recording, positions_world=positions + rng.normal(0, noise, positions.shape))
 
 
-def calm_of(motion: Motion, clip: Clip) -> Calm:
+def calm_of(motion: Motion, clip: Clip) -> AccelerationAndLag:
     """Acceleration and lag of the elbows."""
     markers, joints = read_markers(clip.truth), motion.joints()
     truth = markers.points()
-    return calmness(
+    return compare_tracks(
         motion.times,
         np.stack([joints[joint] for joint in clip.pairs], 1),
         markers.times,

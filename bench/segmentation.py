@@ -181,7 +181,7 @@ class Case:
         self._exposed = [self._empty(view) for view in self._views]
 
     def _look(self, i: int, truths: dict[str, np.ndarray]) -> Look:
-        off = self._performer.off(self._rng)
+        off = self._performer.displaced(self._rng)
         starts = [view.mask(off, float(self._times[i])) for view in self._views]
         return Look(self._images[i], [truths[view.name][i] for view in self._views], starts)
 
@@ -202,7 +202,7 @@ class Case:
         learners = [RoomLearner(len(chosen)) for _ in self._views]
         plan, nothing = Plan(), [None] * len(self._views)
         for i in chosen:
-            off = self._performer.off(self._rng)
+            off = self._performer.displaced(self._rng)
             starts = [view.mask(off, float(self._times[i])) for view in self._views]
             phi, region = looked(Look(self._images[i], [], starts), plan, nothing)
             for learner, image, camera, *where in zip(

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.acceleration import Calm, calmness
+from bench.acceleration import AccelerationAndLag, compare_tracks
 from bench.clips import REAL_LANDMARKS, Clip, exercises
 from bench.command_line import add_rendered, command
 from bench.metrics import Metric, aligned, stage_metrics, table, write_json
@@ -64,7 +64,7 @@ class Result:
     cameras: int
     errors: Errors
     bends_off: dict[str, np.ndarray]
-    calm: Calm
+    calm: AccelerationAndLag
 
     def angle(self, kind: str) -> float:
         """Mean error of both elbows or both knees, degrees."""
@@ -119,7 +119,7 @@ def judged(
     found, expected = flexion_angles(joints), flexion_angles(points)
     off = {hinge: np.abs(found[hinge][ours] - expected[hinge][theirs]) for hinge in found}
     places = [np.stack([each[name] for name in JOINTS], 1) for each in (joints, points)]
-    calm = calmness(motion.times, places[0], truth.times, places[1])
+    calm = compare_tracks(motion.times, places[0], truth.times, places[1])
     return Result(clip.name, len(recording.videos), errors, off, calm)
 
 

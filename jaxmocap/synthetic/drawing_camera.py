@@ -30,21 +30,21 @@ def look_at(
 
 @dataclass(frozen=True)
 class DrawingCamera:
-    """A camera's numbers in NumPy.
+    """A camera's parameters in NumPy.
 
     Attributes:
         size: width and height, pixels.
         matrix: (3, 3) intrinsic matrix, pixels.
         distortion: (8,) OpenCV's coefficients.
         R_cam_world: (3, 3).
-        shift_cam: (3,) metres.
+        translation_cam: (3,) metres.
     """
 
     size: tuple[int, int]
     matrix: np.ndarray
     distortion: np.ndarray
     R_cam_world: np.ndarray
-    shift_cam: np.ndarray
+    translation_cam: np.ndarray
 
     @classmethod
     def of(cls, camera: Camera) -> "DrawingCamera":
@@ -57,15 +57,15 @@ class DrawingCamera:
     @property
     def position_world(self) -> np.ndarray:
         """(3,) centre of projection, metres."""
-        return -self.R_cam_world.T @ self.shift_cam
+        return -self.R_cam_world.T @ self.translation_cam
 
     def depths(self, points_world: np.ndarray) -> np.ndarray:
         """(...) distances along the optical axis of (..., 3) points, metres."""
-        return points_world @ self.R_cam_world[2] + self.shift_cam[2]
+        return points_world @ self.R_cam_world[2] + self.translation_cam[2]
 
     def pixels(self, points_world: np.ndarray) -> np.ndarray:
         """(..., 2) pixels (x, y) of (..., 3) points in front of the camera."""
-        points_cam = points_world @ self.R_cam_world.T + self.shift_cam
+        points_cam = points_world @ self.R_cam_world.T + self.translation_cam
         x, y = np.moveaxis(points_cam[..., :2] / points_cam[..., 2:], -1, 0)
         k1, k2, p1, p2, k3, k4, k5, k6 = self.distortion
         r2 = x * x + y * y

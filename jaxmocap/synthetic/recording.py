@@ -26,14 +26,23 @@ from jaxmocap.synthetic.people.clothed_person import MARKERS, clothed_actor
 from jaxmocap.synthetic.placement import RotatedMover, camera_at
 from jaxmocap.synthetic.renderer import Progress, Scene, render_frames
 
-MARKER_RATE, VIDEO_RATE = 90, 30
+# Samples a second of the markers.
+MARKER_RATE = 90
+# Frames a second of the video.
+VIDEO_RATE = 30
 # Marker time of the first frame's middle of exposure: the two clocks never tick together.
 VIDEO_OFFSET_S = 0.0073
 CAMERA = "webcam"
-# A consumer headset's errors: white, and an offset that wanders within seconds; metres.
-JITTER_M, WANDER_M, WORST_M = 0.001, 0.005, 0.013
-WANDER_PERIODS_S = (2.5, 15.0)
-WAVES = 4
+# Errors of a consumer headset: white noise, standard deviation on each axis, metres.
+JITTER_M = 0.001
+# And a drift, its root mean square, metres.
+DRIFT_M = 0.005
+# No error is larger, metres.
+LARGEST_ERROR_M = 0.013
+# Shortest and longest period of the drift, seconds.
+DRIFT_PERIODS_S = (2.5, 15.0)
+# Waves of each axis that make the drift.
+DRIFT_WAVES = 4
 
 
 class RecordingParts(NamedTuple):
@@ -72,7 +81,7 @@ def write_table_tennis(
         seconds: duration.
         seed: of person, clothes, room, strokes and noise.
         strokes: played in turn.
-        height: what the recording says of the person, metres.
+        height: of the person, as the recording states it, metres.
         progress: called with the frames done and their total.
         azimuth: where the camera stands, degrees from frontal, positive to the person's left;
             None is ``webcam()``.
@@ -113,7 +122,7 @@ def webcam() -> Camera:
 
 
 def scene(performance: Performance, seed: int = 0, azimuth: float | None = None) -> Scene:
-    """What the camera at that azimuth sees of a performance; None is ``webcam()``."""
+    """A performance before the camera at that azimuth; None is ``webcam()``."""
     actor = clothed_actor(performance, seed)
     if azimuth is None:
         return Scene.in_room(webcam(), actor, seed)
@@ -165,16 +174,16 @@ def write_parts(
 
 
 def marker_noise(times: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Errors (T, count, 3) of a consumer headset's tracking, metres, never above ``WORST_M``."""
-    shape = (1, count, 3, WAVES)
-    frequencies = 2 * np.pi / rng.uniform(*WANDER_PERIODS_S, shape)
+    """Errors (T, count, 3) of a consumer headset, metres, never above ``LARGEST_ERROR_M``."""
+    shape = (1, count, 3, DRIFT_WAVES)
+    frequencies = 2 * np.pi / rng.uniform(*DRIFT_PERIODS_S, shape)
     phases = rng.uniform(0, 2 * np.pi, shape)
     # Three axes of so many waves, each of mean square 1/2.
-    amplitude = WANDER_M / np.sqrt(1.5 * WAVES)
-    wander = amplitude * np.cos(times[:, None, None, None] * frequencies + phases).sum(-1)
-    error = wander + rng.normal(0, JITTER_M, wander.shape)
+    amplitude = DRIFT_M / np.sqrt(1.5 * DRIFT_WAVES)
+    drift = amplitude * np.cos(times[:, None, None, None] * frequencies + phases).sum(-1)
+    error = drift + rng.normal(0, JITTER_M, drift.shape)
     size = np.linalg.norm(error, axis=-1, keepdims=True)
-    return error * np.minimum(1.0, WORST_M / np.maximum(size, 1e-12))
+    return error * np.minimum(1.0, LARGEST_ERROR_M / np.maximum(size, 1e-12))
 
 
 def write_video(path: Path, frames: Iterable[np.ndarray], rate: int = VIDEO_RATE) -> None:

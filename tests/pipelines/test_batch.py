@@ -232,7 +232,7 @@ def test_a_foreign_file_in_an_output_folder_stays(whole, tmp_path, here):
     notes.write_text("mine")
     track_corpus(whole, tmp_path / "out", MARKERS_ONLY)
     (whole / "one" / "markers.trc").write_text((whole / "one/markers.trc").read_text() + "\n")
-    assert track_corpus(whole, tmp_path / "out", MARKERS_ONLY).earlier == 1
+    assert track_corpus(whole, tmp_path / "out", MARKERS_ONLY).earlier_count == 1
     assert notes.read_text() == "mine"
 
 
@@ -242,7 +242,7 @@ def test_an_output_that_was_edited_is_not_replaced_but_told(whole, tmp_path, her
     edited.write_text("mine")
     found = track_corpus(whole, tmp_path / "out", MARKERS_ONLY)
     assert "has changed since an earlier run wrote it" in found.failures["one/recording.toml"]
-    assert edited.read_text() == "mine" and found.earlier == 1
+    assert edited.read_text() == "mine" and found.earlier_count == 1
 
 
 def test_what_is_no_file_fails_alone(recording, tmp_path, here):
@@ -268,11 +268,11 @@ def test_what_is_no_file_fails_alone(recording, tmp_path, here):
 def test_what_an_earlier_run_did_is_not_done_again(whole, tmp_path, here):
     out = tmp_path / "out"
     first = track_corpus(whole, out, MARKERS_ONLY)
-    assert (len(first.rows), first.earlier, list(first.failures)) == (2, 0, [BROKEN])
+    assert (len(first.rows), first.earlier_count, list(first.failures)) == (2, 0, [BROKEN])
     shutil.copy(whole / "one" / "markers.trc", whole / "broken" / "markers.trc")
     written = (out / "one/recording/report.json").stat().st_mtime_ns
     again = track_corpus(whole, out, MARKERS_ONLY)
-    assert (len(again.rows), again.earlier, again.failures) == (3, 2, {})
+    assert (len(again.rows), again.earlier_count, again.failures) == (3, 2, {})
     assert (out / "one/recording/report.json").stat().st_mtime_ns == written
     assert {row.recording: row for row in first.rows}.items() <= {
         row.recording: row for row in again.rows
@@ -291,7 +291,7 @@ def test_interrupted_it_tells_what_is_done_and_goes_on_there(whole, tmp_path, he
         patch.setattr(batch, "results_as_completed", interrupted)
         track_corpus(whole, tmp_path / "out", MARKERS_ONLY)
     assert [row["recording"] for row in table(tmp_path / "out")] == ["deeper/two/recording.toml"]
-    assert track_corpus(whole, tmp_path / "out", MARKERS_ONLY).earlier == 1
+    assert track_corpus(whole, tmp_path / "out", MARKERS_ONLY).earlier_count == 1
 
 
 def test_a_row_says_how_long_how_good_and_what_is_missing(tmp_path, tracked):

@@ -188,10 +188,10 @@ def test_splines_pass_through_their_keys_and_are_twice_smooth(values, seed):
     for t in times[1:-1]:
         y = curve(t + h * np.arange(-2, 3))[:, 0]
         before, after = (y[0] - 2 * y[1] + y[2]) / h**2, (y[2] - 2 * y[3] + y[4]) / h**2
-        assert abs(after - before) < 1e-2 * (1 + np.abs(curve.bends).max())
+        assert abs(after - before) < 1e-2 * (1 + np.abs(curve.second_derivatives).max())
     ends = np.array([times[0], times[0] + h, times[-1] - h, times[-1]])
     first, last = np.diff(curve(ends)[:, 0])[[0, 2]] / h
-    assert max(abs(first), abs(last)) < 2 * h * (1 + np.abs(curve.bends).max())
+    assert max(abs(first), abs(last)) < 2 * h * (1 + np.abs(curve.second_derivatives).max())
 
 
 def test_the_lens_projects_as_opencv_and_the_package_do():
@@ -199,7 +199,9 @@ def test_the_lens_projects_as_opencv_and_the_package_do():
     lens = DrawingCamera.of(camera)
     points = np.random.default_rng(0).uniform((-1, -1.2, 0.3), (1, 1.2, 2.0), (50, 3))
     rotation = cv2.Rodrigues(lens.R_cam_world)[0]
-    expected = cv2.projectPoints(points, rotation, lens.shift_cam, lens.matrix, lens.distortion)[0]
+    expected = cv2.projectPoints(
+        points, rotation, lens.translation_cam, lens.matrix, lens.distortion
+    )[0]
     np.testing.assert_allclose(lens.pixels(points), expected[:, 0], atol=1e-3)
     np.testing.assert_allclose(
         lens.pixels(points), project(camera, points.astype(np.float32)), atol=1e-2
@@ -210,7 +212,7 @@ def test_marker_noise_stays_within_a_consumer_headsets():
     times = np.arange(0, 60, 1 / 90)
     error = recording.marker_noise(times, 3, np.random.default_rng(0))
     size = np.linalg.norm(error, axis=-1)
-    assert size.max() <= recording.WORST_M + 1e-12
+    assert size.max() <= recording.LARGEST_ERROR_M + 1e-12
     assert 0.003 < size.mean() < 0.007
     jitter = np.diff(error, axis=0).std() / np.sqrt(2)
     assert 0.0008 < jitter < 0.0013
@@ -290,7 +292,7 @@ def test_the_files_truth_is_the_performers(tmp_path):
     figure, bones = motions.squat(0.2, 2).figure, motions.squat(0.2, 2).bones(truth.times)
     for i, on in enumerate(MARKERS.values()):
         error = np.linalg.norm(measured[:, i] - figure.points(bones, *on), axis=-1)
-        assert 0 < error.max() <= recording.WORST_M + 1e-5
+        assert 0 < error.max() <= recording.LARGEST_ERROR_M + 1e-5
 
 
 @pytest.fixture(scope="module")

@@ -90,20 +90,20 @@ class Batch:
 
     Attributes:
         rows: of the recordings tracked.
-        earlier: how many of them an earlier run had tracked.
+        earlier_count: how many of them an earlier run had tracked.
         failures: recording -> reason.
         files: that were written besides the recordings' own.
     """
 
     rows: list[CorpusRow]
-    earlier: int
+    earlier_count: int
     failures: dict[str, str]
     files: list[Path]
 
     def text(self) -> str:
         """The same as lines of text."""
         lines = [
-            f"tracked  {len(self.rows)} recordings, {self.earlier} of them by an earlier run",
+            f"tracked  {len(self.rows)} recordings, {self.earlier_count} of them by an earlier run",
             f"failed   {len(self.failures)}",
             *(f"         {name}: {why}" for name, why in sorted(self.failures.items())),
         ]
@@ -113,7 +113,7 @@ class Batch:
         """The same for JSON."""
         return {
             "tracked": len(self.rows),
-            "earlier": self.earlier,
+            "earlier": self.earlier_count,
             "failures": self.failures,
             "recordings": [asdict(row) for row in self.rows],
         }
@@ -210,8 +210,8 @@ def _check_apart(corpus: Path, out: Path, jobs: list[Job]) -> None:
 def _with_outcome(batch: Batch, name: str, outcome: Outcome) -> Batch:
     if outcome.row is None:
         return replace(batch, failures=batch.failures | {name: str(outcome.problem)})
-    rows, earlier = [*batch.rows, outcome.row], batch.earlier + outcome.from_earlier_run
-    return replace(batch, rows=rows, earlier=earlier)
+    count = batch.earlier_count + outcome.from_earlier_run
+    return replace(batch, rows=[*batch.rows, outcome.row], earlier_count=count)
 
 
 def track_one(job: Job) -> Outcome:

@@ -1,4 +1,4 @@
-"""Movements of synthetic people.
+"""Movements of synthetic people: strokes, squats, exercises, as functions of time.
 
 Begin with ``motions``.
 """

@@ -19,9 +19,10 @@ from jaxmocap.synthetic.people.rigged_mesh import Rig
 from jaxmocap.synthetic.people.shoulder_girdle import Girdle
 
 Keys = list[tuple[float, KeyStance]]
+# Each angle of a stance varies by up to so many degrees.
 VARIATION_DEG = 2.0
 STANDING = KeyStance()
-# Where wrists are planted, metres: ahead of the middle, aside, up.
+# Wrists of push-ups, metres: ahead of the middle, to the left, up.
 PLANTED = np.array([[0.43, 0.30, 0.075], [0.43, -0.30, 0.075]])
 _TUCKED = (0.0, 3.0, 0.0, 2.0, -4.0)
 _HIGH = KeyStance(place=(-0.02, 0.0), turn=(0.0, 73.0, 0.0), neck=-22, leg_l=_TUCKED, leg_r=_TUCKED)
@@ -160,7 +161,7 @@ EXERCISES: dict[str, Callable[[float, np.random.Generator], Keys]] = {
     "jumping": jumping,
     "scissors": scissors,
 }
-# Beyond those that the tracker's benchmark goes through.
+# Exercises that the tracker's benchmark does not include.
 RAISES = {"overhead": overhead}
 
 
@@ -179,10 +180,10 @@ def exercise(
     Raises:
         ValueError: an unknown exercise; the message lists the valid ones.
     """
-    known = EXERCISES | RAISES
-    if name not in known:
-        raise ValueError(f"unknown exercise {name!r}; expected one of {', '.join(known)}")
-    keys = known[name](seconds, np.random.default_rng([seed, 6]))
+    exercises = EXERCISES | RAISES
+    if name not in exercises:
+        raise ValueError(f"unknown exercise {name!r}; expected one of {', '.join(exercises)}")
+    keys = exercises[name](seconds, np.random.default_rng([seed, 6]))
     times, stances = zip(*keys, strict=True)
     curves = Spline.through(np.array(times), np.stack([stance.channels() for stance in stances]))
     return Exerciser(rig, curves, PLANTED if name == "push_ups" else None, girdle=girdle)
@@ -197,7 +198,7 @@ def _gait(steps: int) -> list[KeyStance]:
 def _repeated(
     stances: tuple[KeyStance, ...], seconds: float, pace: float, rng: np.random.Generator
 ) -> Keys:
-    """Stances in turn, about ``pace`` seconds apart, as long as they last."""
+    """Stances in turn, about ``pace`` seconds apart, for so many seconds."""
     keys, now = [], 0.0
     while now < seconds + pace:
         keys.append((now, stances[len(keys) % len(stances)]))
@@ -206,7 +207,7 @@ def _repeated(
 
 
 def _varied(keys: Keys, rng: np.random.Generator) -> Keys:
-    """The same, each stance as it comes out one time."""
+    """The same with random variations of each stance."""
 
     def by(angles: tuple) -> tuple:
         return tuple(np.asarray(angles) + rng.uniform(-VARIATION_DEG, VARIATION_DEG, len(angles)))

@@ -1,6 +1,6 @@
-"""Stances of a whole body: the angles of its joints, where it is and how high.
+"""Key stances of a whole body: the angles of its joints, its position and height.
 
-INPUTS: angles in degrees, places in metres. OUTPUTS: a Stance, and its channels for a spline.
+INPUTS: angles in degrees, places in metres. OUTPUTS: a KeyStance, and its channels for a spline.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Channels of which one error turns together, of so many degrees in all.
+# First channel and number of channels of each joint, which one random error rotates.
 _JOINTS = ((3, 3), (6, 3), (9, 1), *((i, n) for s in (10, 14) for i, n in ((s, 3), (s + 3, 1))))
 _JOINTS += tuple((i, n) for s in (18, 23) for i, n in ((s, 3), (s + 3, 1), (s + 4, 1)))
+# Numbers of a stance.
 CHANNELS = 28
 
 
@@ -30,7 +31,7 @@ class StanceChannels(NamedTuple):
 
 @dataclass(frozen=True)
 class KeyStance:
-    """How a body stands: degrees, metres.
+    """The stance of a body at one time: degrees, metres.
 
     Attributes:
         place: of the hips' middle on the floor, x (ahead) and y (left).
@@ -85,7 +86,7 @@ class KeyStance:
         return StanceChannels(place, lift, turn, back, neck, arm_l, arm_r, leg_l, leg_r)
 
     @staticmethod
-    def error(rng: np.random.Generator, degrees: float) -> np.ndarray:
+    def random_error(rng: np.random.Generator, degrees: float) -> np.ndarray:
         """(28,) an error of every joint by so many degrees, in some direction each."""
         error = np.zeros(CHANNELS)
         for first, count in _JOINTS:

@@ -1,4 +1,4 @@
-"""What a synthetic person looks like: muscle, clothes, hair, headset, racket.
+"""The shape of a synthetic person: muscle, clothes, hair, headset, racket.
 
 Nothing here is the tracker's flesh: limbs are elliptical and bulge, sleeves are wider than arms
 and wrinkled, the trunk is a superellipse, and a racket covers part of the hand.
@@ -14,7 +14,7 @@ import numpy as np
 from jaxmocap.synthetic.movements.motions import Performance
 from jaxmocap.synthetic.movements.splines import Spline
 from jaxmocap.synthetic.people.figure import Figure
-from jaxmocap.synthetic.people.meshes import SkinnedMesh, grid_faces, joined_meshes, loft, waves
+from jaxmocap.synthetic.people.meshes import SkinnedMesh, grid_faces, loft, merged_meshes, waves
 
 # Where headset and controllers sit: bone, fraction of its length, offset in its frame (metres).
 MARKERS: dict[str, tuple[str, float, tuple[float, float, float]]] = {
@@ -49,7 +49,9 @@ PELVIS = (
     *((-0.30, 0.070, 0.090), (-0.22, 0.106, 0.168), (-0.12, 0.124, 0.192), (0.0, 0.120, 0.190)),
     (0.10, 0.108, 0.165),
 )
+# Latitudes of the rings of a limb's round end, radians.
 CAP_ANGLES = np.deg2rad([20.0, 50.0, 75.0, 89.0])
+# Colours to choose from, BGR, 0 to 1.
 SHIRTS = ((0.62, 0.30, 0.16), (0.20, 0.24, 0.66), (0.30, 0.52, 0.24), (0.72, 0.72, 0.70))
 TROUSERS = ((0.44, 0.31, 0.23), (0.30, 0.31, 0.33), (0.38, 0.50, 0.58))
 SKINS = ((0.50, 0.60, 0.82), (0.36, 0.46, 0.66), (0.22, 0.30, 0.44))
@@ -62,7 +64,7 @@ class Actor:
 
     Attributes:
         mesh: at rest.
-        performance: what its bones do.
+        performance: the movement of its bones.
         rest: (B, 3) joints of the bones at rest, metres.
     """
 
@@ -82,11 +84,11 @@ class Actor:
 
 def clothed_actor(performance: Performance, seed: int = 0) -> Actor:
     """The performer with a body, clothes, a headset, and a racket in the right hand."""
-    tailor = _Tailor(performance.figure, np.random.default_rng([seed, 1]))
-    return Actor(tailor.person(), performance, tailor.rest)
+    parts = _PersonMesh(performance.figure, np.random.default_rng([seed, 1]))
+    return Actor(parts.person(), performance, parts.rest)
 
 
-class _Tailor:
+class _PersonMesh:
     """Builds the parts of one person at rest: every bone's frame upright, arms hanging."""
 
     def __init__(self, figure: Figure, rng: np.random.Generator):
@@ -108,7 +110,7 @@ class _Tailor:
         parts = [*self._trunk(), *self._head(), self._racket()]
         for side in "lr":
             parts += [*self._arm(side), *self._leg(side)]
-        return joined_meshes(parts)
+        return merged_meshes(parts)
 
     def _arm(self, side: str) -> list[SkinnedMesh]:
         humerus, radius, hand = (f"{bone}_{side}" for bone in ("humerus", "radius", "hand"))
@@ -229,7 +231,7 @@ class _Tailor:
             np.array([0.35, 0.5, 0.65]),
             exponent=4,
         )
-        return joined_meshes([rubber, grip])
+        return merged_meshes([rubber, grip])
 
     def _controller(self, hand: str) -> SkinnedMesh:
         bone, at, offset = MARKERS["LeftController" if hand.endswith("l") else "RightController"]

@@ -4,7 +4,7 @@ Feet stay planted: legs are two-bone chains from the moving hips to standing ank
 two-bone chains from the shoulder to a wrist, turned about that axis by a swivel of their own.
 Unlike the tracker's model the trunk twists, the collarbones glide, and the wrist is not stiff.
 
-INPUTS: a Skeleton and posture channels (T, C). OUTPUTS: Bones over T instants, world, Z up.
+INPUTS: a Skeleton and posture channels (T, C). OUTPUTS: BoneFrames over T instants, world, Z up.
 """
 
 from dataclasses import dataclass, fields
@@ -15,8 +15,12 @@ import numpy as np
 
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 
-# Of the arm's length; a straight arm has no elbow plane, and a folded one collides with itself.
-NEAREST_REACH, FARTHEST_REACH = 0.30, 0.975
+# Shortest distance of the wrist from the shoulder, arm lengths: a folded arm would collide with
+# itself.
+NEAREST_REACH = 0.30
+# The longest: a straight arm has no elbow plane.
+FARTHEST_REACH = 0.975
+# Rotation of the collarbone by an arm's length of reach, radians.
 CLAVICLE_GLIDE = np.deg2rad(9.0)
 ANKLE_HEIGHT = 0.039  # of the body height (Winter's Fig. 4.1)
 FOOT_PITCH = np.deg2rad(17.0)

@@ -42,7 +42,7 @@ class SkinnedMesh:
         return np.einsum("tvij,vj->tvi", blended[..., :3], self.vertices) + blended[..., 3]
 
 
-def joined_meshes(parts: list[SkinnedMesh]) -> SkinnedMesh:
+def merged_meshes(parts: list[SkinnedMesh]) -> SkinnedMesh:
     """One mesh of several with equally many bones per vertex."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     return SkinnedMesh(

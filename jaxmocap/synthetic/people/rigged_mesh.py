@@ -1,4 +1,4 @@
-"""A body mesh with a rig of its own, however it is moved: its skin, its clothes, its landmarks.
+"""A body mesh with a rig of its own: its skin, its clothes, its landmarks.
 
 The rest faces -y, left is +x, the feet stand on z = 0. The body is not of our making: the truth is
 the rig's own joints.
@@ -21,26 +21,32 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.shortened import listed
 from jaxmocap.synthetic.people.meshes import SkinnedMesh
 
-# A file of people: P of them, V vertices, F faces, J joints; metres.
-REACH_M = 100.0
-WEIGHTS_OFF = 1e-2
-STATED = {
+# Of a vertex or joint of a file.
+LARGEST_COORDINATE_M = 100.0
+# A vertex's skin weights add up to 1 within this.
+WEIGHT_TOLERANCE = 1e-2
+# Arrays of a file of people: P of them, V vertices, F faces, J joints; metres.
+FILE_ARRAYS = {
     "people": Stated(("P",), NAMES),
-    "vertices": Stated(("P", "V", 3), low=-REACH_M, high=REACH_M),
+    "vertices": Stated(("P", "V", 3), low=-LARGEST_COORDINATE_M, high=LARGEST_COORDINATE_M),
     "quads": Stated(("F", 4), WHOLE, low=0),
     "skin_joint": Stated(("V", "K"), WHOLE, low=0),
-    "skin_weight": Stated(("V", "K"), low=0, high=1 + WEIGHTS_OFF),
+    "skin_weight": Stated(("V", "K"), low=0, high=1 + WEIGHT_TOLERANCE),
     "joint_names": Stated(("J",), NAMES),
     "joint_parents": Stated(("J",), WHOLE, low=-1),
-    "joints": Stated(("P", "J", 3), low=-REACH_M, high=REACH_M),
+    "joints": Stated(("P", "J", 3), low=-LARGEST_COORDINATE_M, high=LARGEST_COORDINATE_M),
 }
-# Of vertices, faces and joints; a frame is drawn face by face.
+# Largest numbers of vertices, faces and joints: a frame is drawn face by face.
 MOST_PARTS = {"vertices": 200_000, "quads": 200_000, "joint_names": 500}
-# How tall a person of a file may be, and how far two joints of a limb are apart, metres.
-SHORTEST_M, TALLEST_M, APART_M = 0.5, 2.5, 0.01
-# Who is taken if nobody is named.
-USUAL = "man"
-# Landmark -> joint of the rig, for one side and for the middle.
+# The shortest person of a file, metres.
+SHORTEST_M = 0.5
+# And the tallest.
+TALLEST_M = 2.5
+# The shortest distance between two joints of a limb, metres.
+SHORTEST_LIMB_M = 0.01
+# The person who is taken where none is named.
+DEFAULT_PERSON = "man"
+# Landmark -> joint of the rig, both without their side.
 _PAIRED = {
     **{"shoulder": "Arm", "elbow": "ForeArm", "wrist": "Hand", "hand": "HandFinger1"},
     **{"hip": "UpLeg", "knee": "Leg", "ankle": "Foot", "toe": "ToeBase"},
@@ -61,13 +67,12 @@ LIMBS = [
     for chain in (("Arm", "ForeArm", "Hand", "HandFinger1"), ("UpLeg", "Leg", "Foot", "ToeBase"))
     for near, far in pairwise(chain)
 ]
-SHIRT, TROUSERS, SKIN, HAIR, SHOES = (
-    np.array(colour)
-    for colour in (
-        *((0.24, 0.30, 0.66), (0.36, 0.30, 0.24), (0.50, 0.60, 0.82)),
-        *((0.10, 0.14, 0.20), (0.70, 0.70, 0.70)),
-    )
-)
+# Colours of what is worn, BGR, 0 to 1.
+SHIRT = np.array([0.24, 0.30, 0.66])
+TROUSERS = np.array([0.36, 0.30, 0.24])
+SKIN = np.array([0.50, 0.60, 0.82])
+HAIR = np.array([0.10, 0.14, 0.20])
+SHOES = np.array([0.70, 0.70, 0.70])
 
 
 class Rig(NamedTuple):
@@ -88,7 +93,7 @@ class Rig(NamedTuple):
 
 @dataclass(frozen=True)
 class RiggedMesh(ABC):
-    """A rigged mesh; what moves it is said by those that derive from it.
+    """A rigged mesh, moved by the ``rig`` of the classes that derive from it.
 
     Attributes:
         body: mesh and joints at rest.
@@ -180,7 +185,7 @@ def load_rig(file: str | Path, who: str | None = None, seed: int = 0) -> Rig:
     """One of the people of a file, in clothes worn as the seed says.
 
     Args:
-        file: .npz of people, see ``STATED``.
+        file: .npz of people, see ``FILE_ARRAYS``.
         who: by name; None is the one called man, or else the first.
         seed: of the clothes.
 
@@ -190,7 +195,7 @@ def load_rig(file: str | Path, who: str | None = None, seed: int = 0) -> Rig:
     """
     data = _read(file)
     people = data["people"].tolist()
-    who = (USUAL if USUAL in people else people[0]) if who is None else who
+    who = (DEFAULT_PERSON if DEFAULT_PERSON in people else people[0]) if who is None else who
     if who not in people:
         raise ValueError(f"unknown person {who!r}; expected one of {', '.join(people)}")
     i = people.index(who)
@@ -211,21 +216,21 @@ def load_rig(file: str | Path, who: str | None = None, seed: int = 0) -> Rig:
 def _read(file: str | Path) -> dict[str, np.ndarray]:
     """The arrays of a file of people, checked."""
     arrays = Arrays(file)
-    if not set(STATED) <= set(arrays.names):
-        expected = f"expected an .npz with {', '.join(STATED)}"
+    if not set(FILE_ARRAYS) <= set(arrays.names):
+        expected = f"expected an .npz with {', '.join(FILE_ARRAYS)}"
         raise InputError(file, f"holds no rigged meshes, {expected}")
-    data = arrays.read(STATED)
-    for name in STATED:
+    data = arrays.read(FILE_ARRAYS)
+    for name in FILE_ARRAYS:
         count = max(data[name].shape[:2]) if name == "vertices" else len(data[name])
         if not data[name].size or count > MOST_PARTS.get(name, count):
             expected = f"expected 1 to {MOST_PARTS.get(name, count)}"
             raise InputError(file, f"{name}: found {count}, {expected}")
     _check_below(file, "quads", data["quads"], data["vertices"].shape[1])
     _check_below(file, "skin_joint", data["skin_joint"], len(data["joint_names"]))
-    together = data["skin_weight"].sum(-1)
-    if np.abs(together - 1).max() > WEIGHTS_OFF:
-        i = int(np.abs(together - 1).argmax())
-        raise InputError(file, f"skin_weight[{i}]: together {together[i]:.4g}, expected 1")
+    sums = data["skin_weight"].sum(-1)
+    if np.abs(sums - 1).max() > WEIGHT_TOLERANCE:
+        i = int(np.abs(sums - 1).argmax())
+        raise InputError(file, f"skin_weight[{i}]: together {sums[i]:.4g}, expected 1")
     names = data["joint_names"].tolist()
     _check_tree(file, names, data["joint_parents"].tolist())
     for who, vertices, joints in zip(
@@ -244,7 +249,7 @@ def _check_body(
         expected = f"expected {SHORTEST_M:g} to {TALLEST_M:g} m"
         raise InputError(file, f"{who}: found a body {tall:.4g} m tall, {expected}")
     for near, far in LIMBS:
-        if np.linalg.norm(joints[far] - joints[near]) < APART_M:
+        if np.linalg.norm(joints[far] - joints[near]) < SHORTEST_LIMB_M:
             raise InputError(file, f"{who}: found {near} and {far} at one place")
 
 
@@ -309,13 +314,13 @@ def basis(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def rotation_onto(
-    seen: np.ndarray, beside: np.ndarray, rest: np.ndarray, rest_beside: np.ndarray
+    direction: np.ndarray, beside: np.ndarray, rest: np.ndarray, rest_beside: np.ndarray
 ) -> np.ndarray:
-    """Turns (..., 3, 3) of one pair of directions (3,), at rest, onto another (..., 3)."""
-    return basis(seen, beside) @ basis(rest, rest_beside).T
+    """Rotations (..., 3, 3) of one pair of directions (3,), at rest, onto another (..., 3)."""
+    return basis(direction, beside) @ basis(rest, rest_beside).T
 
 
 def rotation_between(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
-    """A turn (T, 3, 3) between two that are not far apart."""
+    """A rotation (T, 3, 3) between two that are not far apart."""
     mixed = (1 - share) * a + share * b
     return basis(mixed[..., 0], mixed[..., 1])
