@@ -4,7 +4,7 @@ INPUTS: frames of one camera (seconds of marker time, BGR), the camera, a Motion
 OUTPUTS: an H.264 video in an MP4 file that browsers play, each frame at its own time.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from fractions import Fraction
 from pathlib import Path
 
@@ -65,9 +65,7 @@ def write_overlay(
     artist = OverlayArtist(camera, motion, targets)
     count, first, stamp, stream = 0, 0.0, -1, None
     with replacing_video(path, format="mp4", options=_MP4_OPTIONS) as file:
-        for time, image in frames:
-            canvas = artist.canvas(image)
-            artist.draw(canvas, time)
+        for time, canvas in artist.drawn(frames):
             if stream is None:
                 first, stream = time, _add_stream(file.container, canvas, rate)
             # Two frames of the same time would not be a valid file.
@@ -116,6 +114,15 @@ class OverlayArtist:
             rows, columns = np.minimum(image.shape[:2], self._shape)
             canvas[:rows, :columns] = image[:rows, :columns]
         return canvas
+
+    def drawn(
+        self, frames: Iterable[tuple[float, np.ndarray | None]]
+    ) -> Iterator[tuple[float, np.ndarray]]:
+        """Time and canvas of each frame, with the body drawn over it."""
+        for time, image in frames:
+            canvas = self.canvas(image)
+            self.draw(canvas, time)
+            yield time, canvas
 
     def draw(self, canvas: np.ndarray, time: float) -> None:
         """Draw the body at that time, in place; beyond the motion only the legend."""
@@ -202,7 +209,8 @@ def _draw_legend(
     """Time, both elbows' confidences in their colours, and what the colours and crosses mean."""
     scale = max(0.4, min(canvas.shape[:2]) / 1000)
     line, left = round(34 * scale), round(12 * scale)
-    lines = [(f"t = {time:.3f} s" + ("" if tracked else ", no pose"), JOINT_COLOUR)]
+    title = f"t = {time:.3f} s" + ("" if tracked else ", no pose")
+    lines: list[tuple[str, tuple[int, int, int]]] = [(title, JOINT_COLOUR)]
     for side, name in (("l", "left"), ("r", "right")):
         value = confidence[f"elbow_{side}"]
         text = f"{name} elbow: confidence " + (f"{value:.2f}" if np.isfinite(value) else "unknown")

@@ -17,7 +17,7 @@ from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.movements.exercises import EXERCISES, PLANTED, exercise
 from jaxmocap.synthetic.people.clothed_person import clothed_actor
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
-from jaxmocap.synthetic.renderer import rendered
+from jaxmocap.synthetic.renderer import exposure
 
 TIMES = np.linspace(0.0, 3.0, 61)
 BONES = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
@@ -108,7 +108,7 @@ def test_a_mask_is_where_the_person_changes_the_picture(rig):
     view = cameras_around(person, 0.3)[1]
     scene = view.scene(person, 0)
     scene.background[:] = (0, 255, 0)
-    seen = rendered(scene, DrawingCamera.of(scene.camera), time)
+    seen = exposure(scene, DrawingCamera.of(scene.camera), time)
     away = (seen[..., 0] > 10) | (seen[..., 2] > 10)
     mask = view.mask(person, time)
     assert (away & mask).sum() / (away | mask).sum() > 0.95

@@ -85,7 +85,7 @@ def test_feet_stay_planted(performance):
 def test_limbs_differ_from_the_tables_by_up_to_three_percent(performance):
     figure = performance.figure
     ratio = np.asarray(figure.skeleton.lengths / Skeleton.human(figure.height).lengths)
-    assert np.abs(ratio - 1).max() <= motions.LIMB_SPREAD + 1e-6
+    assert np.abs(ratio - 1).max() <= motions.LIMB_VARIATION + 1e-6
     assert np.ptp(ratio) > 0.02
 
 

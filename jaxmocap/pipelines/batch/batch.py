@@ -20,7 +20,7 @@ from jaxmocap.capture.timeline import Mode
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import LIST, OutputFolder
 from jaxmocap.formats.recordings.recording import load_recording
-from jaxmocap.pipelines.batch.cluster import cluster_client, results_as_completed
+from jaxmocap.pipelines.batch.cluster import JobResult, cluster_client, results_as_completed
 from jaxmocap.pipelines.batch.corpus import (
     RECORD_FILE,
     CorpusRow,
@@ -156,8 +156,7 @@ def track_corpus(
             show(0, len(jobs))
             results = results_as_completed(client, track_one, jobs, timeout_s)
             for count, result in enumerate(results, 1):
-                outcome = result.result or Outcome(None, problem=result.problem)
-                batch = _with_outcome(batch, result.job.name, outcome)
+                batch = _with_result(batch, result)
                 show(count, len(jobs))
         finally:
             # Before the cluster is closed, which may take its time.
@@ -207,7 +206,9 @@ def _check_apart(corpus: Path, out: Path, jobs: list[Job]) -> None:
         taken[parts] = job.name
 
 
-def _with_outcome(batch: Batch, name: str, outcome: Outcome) -> Batch:
+def _with_result(batch: Batch, result: JobResult) -> Batch:
+    """The batch with the result of one more job."""
+    name, outcome = result.job.name, result.result or Outcome(None, problem=result.problem)
     if outcome.row is None:
         return replace(batch, failures=batch.failures | {name: str(outcome.problem)})
     count = batch.earlier_count + outcome.from_earlier_run

@@ -60,11 +60,8 @@ def run_live(
         InputError: what cannot be read or opened.
         OutputError: the disk is full before it begins.
     """
-    setup, status = load_live(path), status or LiveStatus()
-    if out is not None:
-        check_free(setup, out)
-    for warning in setup.warnings:
-        status.log(0.0, warning)
+    status = status or LiveStatus()
+    setup = _load(path, out, status)
     with ExitStack() as ending:
         viewer = _viewer(setup, view, status, ending) if view else None
         live = Live(
@@ -74,6 +71,16 @@ def run_live(
         with stopped_by_signals() as stop:
             figures = live.run(seconds, stop)
         return figures | {"terminated": stop.terminated}
+
+
+def _load(path: str | Path, out: str | Path | None, status: LiveStatus) -> LiveSetup:
+    """The run's file, its warnings logged, with a folder that can be recorded in."""
+    setup = load_live(path)
+    if out is not None:
+        check_free(setup, out)
+    for warning in setup.warnings:
+        status.log(0.0, warning)
+    return setup
 
 
 def _viewer(
