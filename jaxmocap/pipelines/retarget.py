@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.body.motion import Motion
-from jaxmocap.body.retarget import FEET, feet, grounded, leg_length, retargeted, scaled
+from jaxmocap.fitting.retarget import FEET, feet, grounded, leg_length, retargeted, scaled
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.capture.photographs import picture_of
 from jaxmocap.evaluation.stick_figures import plot_stick_figures
