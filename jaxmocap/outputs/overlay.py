@@ -48,8 +48,7 @@ def write_overlay(
 
     Args:
         path: of the .mp4 file; it appears when it is whole.
-        frames: time, seconds of marker time, rising, and image (H, W, 3) BGR uint8; black is
-            shown for None.
+        frames: seconds of marker time, rising, and image (H, W, 3) BGR uint8; None is black.
         camera: that took the frames.
         motion: drawn where it is at each frame's time.
         targets: marker -> (T, 3) measured positions at the motion's times, world, metres.
@@ -70,14 +69,19 @@ def write_overlay(
                 first, stream = time, _add_stream(file.container, canvas, rate)
             # Two frames of the same time would not be a valid file.
             stamp = max(stamp + 1, round((time - first) * CLOCK_HZ))
-            frame = av.VideoFrame.from_ndarray(canvas, format="bgr24")
-            frame.pts, frame.time_base = stamp, Fraction(1, CLOCK_HZ)
-            file.write(stream.encode(frame))
+            file.write(stream.encode(_video_frame(canvas, stamp)))
             count += 1
         if stream is None:
             raise InputError(path, "found no video frame to draw on")
         file.write(stream.encode(None))
     return count
+
+
+def _video_frame(canvas: np.ndarray, stamp: int) -> av.VideoFrame:
+    """A frame at so many ticks of ``CLOCK_HZ``."""
+    frame = av.VideoFrame.from_ndarray(canvas, format="bgr24")
+    frame.pts, frame.time_base = stamp, Fraction(1, CLOCK_HZ)
+    return frame
 
 
 def _add_stream(container: OutputContainer, canvas: np.ndarray, rate: float) -> VideoStream:

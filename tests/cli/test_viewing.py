@@ -34,20 +34,20 @@ SCENE = BodyScene(
 )
 
 
-def shown(part) -> set[str]:
+def visible_views(part) -> set[str]:
     """Names of the views that are seen: of tabs only the first."""
     if isinstance(part, rrb.Container):
         contents = list(part.contents)
         if isinstance(part, rrb.Tabs):
             contents = contents[:1]
-        return set().union(*(shown(each) for each in contents))
+        return set().union(*(visible_views(each) for each in contents))
     return {part.name}
 
 
 @pytest.mark.parametrize("cameras", [0, 1, 4])
 def test_body_cameras_and_curves_are_shown_without_a_click(cameras):
     labels = {f"cam {i}": ["edges, left", "edges, right"] for i in range(cameras)}
-    visible = shown(lay_out(labels, SCENE).root_container)
+    visible = visible_views(lay_out(labels, SCENE).root_container)
     assert visible >= {"Body", *labels, *SERIES.values()}
     assert len([name for name in visible if "edges" in name]) == min(2 * cameras, 2)
 
@@ -93,8 +93,8 @@ def test_sigterm_ends_the_command_and_its_server(folder):
         if "until Ctrl-C" in printed:
             break
     process.terminate()
-    _, said = process.communicate(timeout=60)
-    assert process.returncode == 143 and said == "jaxmocap view: terminated\n"
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 143 and stderr == "jaxmocap view: terminated\n"
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection((LOOPBACK, port), 5.0)
 
@@ -123,7 +123,7 @@ def test_a_live_view_shows_the_newest_pose_and_image_and_keeps_up(tmp_path, monk
     monkeypatch.setattr(live_view, "INTERVAL_S", 0.02)
     view = LiveView("nowhere", skeleton, {"cam": CAMERA}, pose)
     log = view._log
-    view._log = lambda shown: (sent.append(shown), log(shown))  # type: ignore[method-assign]
+    view._log = lambda snapshot: (sent.append(snapshot), log(snapshot))  # type: ignore[method-assign]
     images = [np.full((72, 96, 3), i, np.uint8) for i in range(100)]
     for i, image in enumerate(images):
         view.show(LiveSnapshot(i / 100, pose, np.array([0.2, 0.9]), 5.0, {"cam": image}))
@@ -134,7 +134,7 @@ def test_a_live_view_shows_the_newest_pose_and_image_and_keeps_up(tmp_path, monk
     view.close()
     # What is not shown in time is passed over, but an image waits for the next pose.
     assert len(sent) < 100 and sent[-1].time == 0.995
-    assert any(shown.images and (shown.images["cam"] == 99).all() for shown in sent)
+    assert any(snapshot.images and (snapshot.images["cam"] == 99).all() for snapshot in sent)
     entities = {chunk.entity_path for chunk in chunks.RrdReader(path).stream()}
     assert entities >= {"/world/cameras/cam/image", "/confidence/left", "/world/body/head"}
 

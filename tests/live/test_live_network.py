@@ -74,8 +74,8 @@ def test_each_of_two_senders_keeps_its_own_rhythm(line):
 
 
 def test_a_clock_that_is_set_at_every_packet_is_said_at_every_tenfold(line):
-    said = StringIO()
-    status = LiveStatus(said)
+    output = StringIO()
+    status = LiveStatus(output)
     for i in range(20_000):
         at = i / 1000
         line.bring(packet(0.0, at=at, stamp=float(i % 7) * 100))
@@ -211,26 +211,26 @@ def test_many_senders_share_what_few_have_alone(line):
     assert "127.0.0.1:9999" in line.socket.sent()
 
 
-# What is said ------------------------------------------------------------------------------------
+# Messages ---------------------------------------------------------------------------------------
 
 
 def test_names_that_come_in_are_no_commands_to_a_terminal(line):
-    said = StringIO()
-    status = LiveStatus(said)
+    output = StringIO()
+    status = LiveStatus(output)
     for name in ("\x1b[2J\x1b]0;owned\x07", "a\nb", "\u202egnp.exe"):
         line.gathers.unknown.add(name)
     for of, state in stream_states(line.socket, line.gathers, [], 0.0):
         status.set_state(0.0, of, state)
     status.log(0.0, "\x1b[2J" + "x" * 10_000)
     status.update_line(0.0, {"\x1b[2Jcam": 0.1}, {}, np.zeros(2))
-    text = said.getvalue()
+    text = output.getvalue()
     assert all(each.isprintable() for each in text.split("\n"))
     assert "\\x1b[2J" in text and "'a\\nb'" in text and max(map(len, text.split("\n"))) < 600
 
 
 def test_what_changes_all_the_time_is_said_from_time_to_time_and_as_it_then_is():
-    said = StringIO()
-    status = LiveStatus(said)
+    output = StringIO()
+    status = LiveStatus(output)
     for i in range(100_000):
         status.set_state(i / 100, "markers", "coming in" if i % 2 else "nothing comes in")
     assert 100 < len(status.messages) < 200
@@ -242,7 +242,7 @@ def test_of_what_was_said_the_first_and_the_newest_are_kept():
     status = LiveStatus(StringIO())
     for i in range(5000):
         status.log(float(i), f"sentence {i}")
-    kept = [said.what for said in status.messages]
+    kept = [message.what for message in status.messages]
     assert len(kept) == FIRST_KEPT + NEWEST_KEPT
     assert kept[0] == "sentence 0" and kept[-1] == "sentence 4999"
     figures = status.figures(1.0)

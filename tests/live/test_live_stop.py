@@ -152,8 +152,8 @@ def test_a_run_that_received_nothing_says_so_and_leaves_nothing(tmp_path):
 
 
 def test_a_run_whose_recording_fails_goes_on_and_says_so_once(tmp_path, monkeypatch):
-    setup, said = replace(small_setup(tmp_path), videos=()), StringIO()
-    live = Live(setup, out=tmp_path / "out", status=LiveStatus(said))
+    setup, output = replace(small_setup(tmp_path), videos=()), StringIO()
+    live = Live(setup, out=tmp_path / "out", status=LiveStatus(output))
     assert live.recording is not None
 
     def full(sample) -> None:
@@ -169,7 +169,7 @@ def test_a_run_whose_recording_fails_goes_on_and_says_so_once(tmp_path, monkeypa
     assert problem == (
         f"{tmp_path / 'out' / 'markers.csv'}: cannot be written any more (No space left on device)"
     )
-    assert said.getvalue().count("cannot be written any more") == 1
+    assert output.getvalue().count("cannot be written any more") == 1
 
 
 def test_a_fault_within_the_run_closes_the_recording_all_the_same(tmp_path, monkeypatch):
@@ -304,9 +304,9 @@ def test_live_with_a_viewer_ends_cleanly_every_time(tmp_path, number, times):
     path.write_text(f"[markers.on]\n{places}\n[osc]\nlisten = {port}\n[subject]\nheight = 1.75\n")
     threading.Thread(target=send_markers, args=(Address(port=port), stop), daemon=True).start()
     for i in range(times):
-        code, said = _stopped(path, tmp_path / str(i), number)
+        code, output = _stopped(path, tmp_path / str(i), number)
         codes[code] += 1
-        assert "FATAL" not in said and "Traceback" not in said, said
+        assert "FATAL" not in output and "Traceback" not in output, output
         assert len(Recording.load(tmp_path / str(i) / "recording.toml").times) > 10
     stop.set()
     print(codes)
@@ -324,18 +324,18 @@ def _stopped(path: Path, out: Path, number: int) -> tuple[int, str]:
         start_new_session=True,
     )
     assert process.stderr is not None
-    said = ""
+    output = ""
     for line in process.stderr:
-        said += line
+        output += line
         if "coming in" in line:
             break
     time.sleep(0.5 + np.random.default_rng().uniform(0, 1.5))
     os.killpg(process.pid, number)
-    said += process.communicate(timeout=60)[1]
-    (page,) = re.findall(r"viewer at http://127\.0\.0\.1:(\d+)/", said)
+    output += process.communicate(timeout=60)[1]
+    (page,) = re.findall(r"viewer at http://127\.0\.0\.1:(\d+)/", output)
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", int(page)), 5.0)
-    return process.returncode, said
+    return process.returncode, output
 
 
 @posix

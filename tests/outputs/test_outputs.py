@@ -148,14 +148,14 @@ def test_elbows_outlines_and_targets_are_drawn_where_they_project(motion, target
 
 def test_a_missing_marker_is_not_drawn_and_beyond_the_motion_there_is_no_body(motion, targets):
     artist = OverlayArtist(make_camera(), motion, {"L Wrist:1": targets["L Wrist:1"]})
-    seen, gone, late = (artist.canvas(np.zeros((240, 320, 3), np.uint8)) for _ in range(3))
-    artist.draw(seen, float(motion.times[20]))
-    artist.draw(gone, float(motion.times[6]))
+    during, after, late = (artist.canvas(np.zeros((240, 320, 3), np.uint8)) for _ in range(3))
+    artist.draw(during, float(motion.times[20]))
+    artist.draw(after, float(motion.times[6]))
     artist.draw(late, float(motion.times[-1]) + 1.0)
     body = slice(60, 220)
-    purple = [(image[body] == (255, 60, 255)).all(-1).sum() for image in (seen, gone)]
+    purple = [(image[body] == (255, 60, 255)).all(-1).sum() for image in (during, after)]
     assert purple[0] > 5 and purple[1] == 0
-    assert gone[body].any() and not late[body].any()
+    assert after[body].any() and not late[body].any()
     assert late[:60].any()
 
 
@@ -429,6 +429,6 @@ def test_a_full_disk_is_an_error_and_leaves_the_earlier_file(tmp_path, name, sha
 
     assert run(2**30) == ("", "")
     whole = path.read_bytes()
-    said, printed = run(int(share * len(whole)))
-    assert said == f"{path}: cannot be written (File too large)" and printed == ""
+    message, printed = run(int(share * len(whole)))
+    assert message == f"{path}: cannot be written (File too large)" and printed == ""
     assert path.read_bytes() == whole and [file.name for file in tmp_path.iterdir()] == [name]

@@ -58,12 +58,12 @@ def whole(recording, tmp_path) -> Path:
 
 
 class Ran(NamedTuple):
-    """What the command left and said."""
+    """What the command wrote and printed."""
 
     out: Path
     code: int
     printed: str
-    said: str
+    stderr: str
 
 
 @pytest.fixture(scope="module")
@@ -77,9 +77,9 @@ def ran(recording, tmp_path_factory) -> Ran:
     (folder / "corpus" / "one" / "recording.toml").write_text(text.replace(video, ""))
     (folder / "corpus" / "broken" / "markers.trc").write_text("nothing")
     arguments = ["batch", str(folder / "corpus"), "--out", str(folder / "out")]
-    with redirect_stdout(StringIO()) as printed, redirect_stderr(StringIO()) as said:
+    with redirect_stdout(StringIO()) as printed, redirect_stderr(StringIO()) as stderr:
         code = main([*arguments, "--refine", "none", "--workers", "1", "--json", "-"])
-    return Ran(folder / "out", code, printed.getvalue(), said.getvalue())
+    return Ran(folder / "out", code, printed.getvalue(), stderr.getvalue())
 
 
 @pytest.fixture(scope="module")
@@ -129,12 +129,12 @@ def dies_or_answers(number: int) -> int:
 
 
 def test_one_failure_leaves_the_others_and_is_told(ran):
-    assert ran.code == 1 and ran.said.endswith("jaxmocap batch: 1 recordings failed\n")
+    assert ran.code == 1 and ran.stderr.endswith("jaxmocap batch: 1 recordings failed\n")
     assert list(failures(ran.out)) == [BROKEN] and "markers.trc" in failures(ran.out)[BROKEN]
     assert [row["recording"] for row in table(ran.out)] == ["one/recording.toml"]
     figures = json.loads(ran.printed)
     assert figures["tracked"] == 1 and figures["earlier"] == 0
-    assert "recordings: 100%" in ran.said and f"{BROKEN}: " in ran.said
+    assert "recordings: 100%" in ran.stderr and f"{BROKEN}: " in ran.stderr
     assert {path.name for path in (ran.out / "one/recording").iterdir()} >= OUTPUTS
     assert [path.name for path in ran.out.iterdir() if path.is_dir()] == ["one"]
 
@@ -207,8 +207,8 @@ def test_a_batch_into_its_own_inputs_is_refused_and_nothing_is_lost(recording, t
     (corpus_folder / "walk" / "recording.toml").unlink()
     before = files_of(tmp_path)
     for out in (corpus_folder, tmp_path, corpus_folder / "walk"):
-        said = refused(["batch", str(corpus_folder), "--out", str(out)], capsys)
-        assert "which is read; expected a folder of its own" in said
+        stderr = refused(["batch", str(corpus_folder), "--out", str(out)], capsys)
+        assert "which is read; expected a folder of its own" in stderr
     assert files_of(tmp_path) == before
 
 
@@ -221,8 +221,8 @@ def test_recordings_whose_outputs_would_lie_in_one_another_are_refused(names, tm
         path = tmp_path / "corpus" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("[markers]")
-    said = refused(["batch", str(tmp_path / "corpus"), "--out", str(tmp_path / "out")], capsys)
-    assert "would lie within one another" in said and names[0] in said
+    stderr = refused(["batch", str(tmp_path / "corpus"), "--out", str(tmp_path / "out")], capsys)
+    assert "would lie within one another" in stderr and names[0] in stderr
     assert not (tmp_path / "out").exists()
 
 
@@ -300,9 +300,11 @@ def test_a_row_says_how_long_how_good_and_what_is_missing(tmp_path, tracked):
     errors[3, 1], confidence[4:7] = np.nan, [[0.2, 0.5], [0.3, 0.6], [0.9, 0.7]]
     # Frames of which only some fall on a sample.
     spent = report.milliseconds | {"observe": np.ones(5), "frame": np.array([2.0, 4.0, 9.0])}
-    told = replace(report, marker_errors=errors, confidence=confidence, milliseconds=spent)
+    changed_report = replace(
+        report, marker_errors=errors, confidence=confidence, milliseconds=spent
+    )
     job = Job("a/b.toml", tmp_path / "a/b.toml", tmp_path / "out/a/b", MARKERS_ONLY)
-    row = row_of(job, replace(tracked, report=told), 1.5)
+    row = row_of(job, replace(tracked, report=changed_report), 1.5)
     expected = corpus.CorpusRow(
         "a/b.toml", SAMPLES, 0.383333, 4.0, 1.5, 0.3, 0.6, round(1 / SAMPLES / 5, 6), "a/b"
     )
@@ -335,17 +337,17 @@ def test_outputs_that_are_not_whole_or_of_something_else_do_not_count(tmp_path):
     assert not done_before(tmp_path, "mark")
 
 
-@pytest.mark.parametrize("changed", ["markers.trc", "cam.mp4", "calibration.toml", "told"])
+@pytest.mark.parametrize("changed", ["markers.trc", "cam.mp4", "calibration.toml", "options"])
 def test_other_inputs_and_settings_are_something_else(recording, tmp_path, changed):
     folder = shutil.copytree(recording, tmp_path / "copy")
-    path, told = folder / "recording.toml", asdict(MARKERS_ONLY)
-    before = fingerprint(path, told)
-    assert fingerprint(recording / "recording.toml", told) == before
-    if changed == "told":
-        told["mode"] = "causal"
+    path, options = folder / "recording.toml", asdict(MARKERS_ONLY)
+    before = fingerprint(path, options)
+    assert fingerprint(recording / "recording.toml", options) == before
+    if changed == "options":
+        options["mode"] = "causal"
     else:
         (folder / changed).write_bytes((folder / changed).read_bytes() + b" ")
-    assert fingerprint(path, told) != before
+    assert fingerprint(path, options) != before
 
 
 def test_inputs_are_what_the_files_name_wherever_it_lies(tmp_path):

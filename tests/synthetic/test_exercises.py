@@ -108,8 +108,8 @@ def test_a_mask_is_where_the_person_changes_the_picture(rig):
     view = cameras_around(person, 0.3)[1]
     scene = view.scene(person, 0)
     scene.background[:] = (0, 255, 0)
-    seen = exposure(scene, DrawingCamera.of(scene.camera), time)
-    away = (seen[..., 0] > 10) | (seen[..., 2] > 10)
+    image = exposure(scene, DrawingCamera.of(scene.camera), time)
+    away = (image[..., 0] > 10) | (image[..., 2] > 10)
     mask = view.mask(person, time)
     assert (away & mask).sum() / (away | mask).sum() > 0.95
     # Away from the outline both agree wholly, but for what movement blurs.

@@ -39,9 +39,9 @@ class Dots:
 @given(st.floats(-180, 180), st.integers(0, 1000))
 def test_a_turned_person_looks_as_from_a_turned_camera(azimuth, seed):
     points = np.random.default_rng(seed).uniform((-0.8, -0.8, 0), (0.8, 0.8, 2), (20, 3))
-    seen = DrawingCamera.of(camera_at(azimuth)).pixels(points)
+    pixels = DrawingCamera.of(camera_at(azimuth)).pixels(points)
     turned = RotatedMover(Dots(points), azimuth).vertices(np.zeros(1))[0]
-    np.testing.assert_allclose(seen, DrawingCamera.of(camera_at(0.0)).pixels(turned), atol=5e-3)
+    np.testing.assert_allclose(pixels, DrawingCamera.of(camera_at(0.0)).pixels(turned), atol=5e-3)
 
 
 def test_positive_azimuths_are_to_the_persons_left():
@@ -85,11 +85,11 @@ def test_thrusts_go_straight_at_the_camera_and_take_the_elbows_along(azimuth):
     for name, share, depth in (("wrist", 0.95, 0.45), ("elbow", 0.6, 0.45)):
         for side in "lr":
             path = points[f"{name}_{side}"]
-            sight = camera - path.mean(0)
-            sight /= np.linalg.norm(sight)
+            line_of_sight = camera - path.mean(0)
+            line_of_sight /= np.linalg.norm(line_of_sight)
             velocity = np.diff(path, axis=0)
-            assert np.sum((velocity @ sight) ** 2) > share * np.sum(velocity**2)
-            assert np.ptp(path @ sight) > depth
+            assert np.sum((velocity @ line_of_sight) ** 2) > share * np.sum(velocity**2)
+            assert np.ptp(path @ line_of_sight) > depth
 
 
 def test_without_an_azimuth_the_camera_is_the_webcam():

@@ -133,8 +133,7 @@ def track_corpus(
 
     Args:
         corpus: folder; recordings are found at any depth.
-        out: gets a folder for each, named as the recording is, and both tables; these are written
-            when all are done, or when it is interrupted.
+        out: gets a folder named as each recording, and both tables at the end or when interrupted.
         options: how to track; defaults to those of ``track``.
         scheduler: address of a Dask cluster whose machines reach both folders by the same paths,
             or None for processes here.
