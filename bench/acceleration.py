@@ -11,8 +11,9 @@ OUTPUTS: AccelerationAndLag.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
-from jaxmocap.evaluation.series import resampled_by_spline, sample_step, second_difference
+from jaxmocap.evaluation.series import sample_step, second_difference
 
 LARGEST_LAG_S = 0.25
 # Velocities for the lag are taken over this time: from sample to sample, jitter would drown them.
@@ -75,6 +76,30 @@ def compare_tracks(
         for track, truth in zip(_per_joint(points), _per_joint(reference), strict=True)
     ]
     return AccelerationAndLag(*np.array(figures).reshape(-1, 4).T)
+
+
+def resampled_by_spline(times: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Values (N, C) at other times, by a cubic spline through those that are not missing.
+
+    Args:
+        times: (N,) seconds, rising.
+        values: (N, C); a row with NaN is missing.
+        wanted: (...) seconds.
+
+    Returns:
+        (..., C); NaN outside the series and within its gaps.
+    """
+    is_finite = np.isfinite(values).all(-1)
+    t, wanted = np.asarray(times, float)[is_finite], np.asarray(wanted, float)
+    if len(t) < 2:
+        return np.full((*wanted.shape, values.shape[-1]), np.nan)
+    after = np.clip(np.searchsorted(t, wanted), 1, len(t) - 1)
+    # A microsecond's slack: text files round their time stamps.
+    inside = (wanted >= t[0] - 1e-6) & (wanted <= t[-1] + 1e-6)
+    near = np.minimum(np.abs(wanted - t[after]), np.abs(wanted - t[after - 1])) <= 1e-6
+    no_gap = (t[after] - t[after - 1] < 1.5 * sample_step(np.asarray(times, float))) | near
+    found = CubicSpline(t, np.asarray(values, float)[is_finite])(wanted)
+    return np.where((inside & no_gap)[..., None], found, np.nan)
 
 
 def _per_joint(points: np.ndarray) -> np.ndarray:

@@ -1,10 +1,9 @@
-"""Series over time: pairing two of them by time stamp, resampling, filtering.
+"""Series over time: pairing two of them by time stamp, differences, filtering.
 
 INPUTS: rising time stamps, seconds, and values at them. OUTPUTS: indices; filtered values.
 """
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 # The paper's Fig. 8 shows what of the error changes faster than this.
 HIGH_PASS_HZ = 0.3
@@ -59,30 +58,6 @@ def second_difference(times: np.ndarray, values: np.ndarray) -> np.ndarray:
     found = np.diff(np.asarray(values, float), 2, axis=0) / step**2
     found[np.abs(times[2:] - times[:-2] - 2 * step) > step / 2] = np.nan
     return found
-
-
-def resampled_by_spline(times: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Values (N, C) at other times, by a cubic spline through those that are not missing.
-
-    Args:
-        times: (N,) seconds, rising.
-        values: (N, C); a row with NaN is missing.
-        wanted: (...) seconds.
-
-    Returns:
-        (..., C); NaN outside the series and within its gaps.
-    """
-    is_finite = np.isfinite(values).all(-1)
-    t, wanted = np.asarray(times, float)[is_finite], np.asarray(wanted, float)
-    if len(t) < 2:
-        return np.full((*wanted.shape, values.shape[-1]), np.nan)
-    after = np.clip(np.searchsorted(t, wanted), 1, len(t) - 1)
-    # A microsecond's slack: text files round their time stamps.
-    inside = (wanted >= t[0] - 1e-6) & (wanted <= t[-1] + 1e-6)
-    near = np.minimum(np.abs(wanted - t[after]), np.abs(wanted - t[after - 1])) <= 1e-6
-    no_gap = (t[after] - t[after - 1] < 1.5 * sample_step(np.asarray(times, float))) | near
-    found = CubicSpline(t, np.asarray(values, float)[is_finite])(wanted)
-    return np.where((inside & no_gap)[..., None], found, np.nan)
 
 
 def high_pass(times: np.ndarray, values: np.ndarray, cutoff: float = HIGH_PASS_HZ) -> np.ndarray:

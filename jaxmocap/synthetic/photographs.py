@@ -24,7 +24,7 @@ from jaxmocap.synthetic.movements.splines import Spline
 from jaxmocap.synthetic.movements.stances import KeyStance
 from jaxmocap.synthetic.people.rigged_mesh import Rig
 from jaxmocap.synthetic.placement import RotatedMover
-from jaxmocap.synthetic.renderer import Scene, Sensor, exposure, silhouette
+from jaxmocap.synthetic.renderer import Scene, Sensor, exposure
 
 _LEG = (0.0, 7.0, -4.0, 0.0, 0.0)
 # Arms of the stances, as in ``KeyStance``, degrees.
@@ -98,13 +98,6 @@ def photograph(rig: Rig, name: str, seed: int = 0, background: np.ndarray | None
     camera = _camera(rest_height(rig), 0.0)
     scene = Scene(camera, background, turned)
     return Sensor.create(SIZE, rng).exposed(exposure(scene, DrawingCamera.of(camera), 0.0))
-
-
-def true_person_mask(rig: Rig, name: str) -> np.ndarray:
-    """(H, W) bool, the pixels that show the person."""
-    person = person_in_stance(rig, name)
-    vertices = person.vertices(np.zeros(1))[0]
-    return silhouette(person.mesh, DrawingCamera.of(camera_of(rig, name)), vertices)
 
 
 def backdrop(rng: np.random.Generator) -> np.ndarray:

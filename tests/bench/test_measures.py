@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.acceleration import compare_tracks, lag
+from bench.acceleration import compare_tracks, lag, resampled_by_spline
 from bench.interval_coverage import interval_coverage
 from bench.wrong_turns import wrong_turns
-from jaxmocap.evaluation.series import resampled_by_spline, second_difference
+from jaxmocap.evaluation.series import second_difference
 
 TIMES = np.arange(540) / 90
 

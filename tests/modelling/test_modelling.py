@@ -6,6 +6,7 @@ import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
+from photograph_masks import true_person_mask
 from scipy.spatial import Delaunay
 
 from bench.anthropometry import MeasuredPerson, tape_measure
@@ -23,7 +24,6 @@ from jaxmocap.synthetic.photographs import (
     PHOTOGRAPHS,
     camera_of,
     person_in_stance,
-    true_person_mask,
 )
 
 

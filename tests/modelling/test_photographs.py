@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from photograph_masks import true_person_mask
 
 from bench.anthropometry import MeasuredPerson, tape_measure
 from jaxmocap.formats.cameras.calibration import read_calibration
@@ -15,7 +16,6 @@ from jaxmocap.synthetic.photographs import (
     backdrop,
     camera_of,
     person_in_stance,
-    true_person_mask,
     write_photographs,
 )
 
