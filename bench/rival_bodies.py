@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
-from tests.subjects.mujoco_body import MujocoBody
+from tests.mujoco_body import MujocoBody
 
 
 def limited_mujoco(skeleton: Skeleton) -> MujocoBody:
