@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from held_devices import DEVICES, pivoting
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.calibration.offsets import DeviceOffset, estimate_offsets
@@ -16,7 +17,6 @@ from jaxmocap.formats.recordings.marker_places import MarkerPlace, read_place
 from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.time_series.csv import write_csv
 from jaxmocap.formats.time_series.tables import Markers
-from jaxmocap.synthetic.controllers import DEVICES, pivoting
 
 TIMES = np.arange(20 * 90) / 90
 PLACES = [MarkerPlace(name, device.bone, 0.0) for name, device in DEVICES.items()]

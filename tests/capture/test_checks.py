@@ -7,6 +7,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from gait_person import BODY_MARKERS
 from small_recording import small_recording, write_small_recording
 
 from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
@@ -28,7 +29,7 @@ from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.people.clothed_person import MARKERS
 from jaxmocap.synthetic.placement import camera_at
-from jaxmocap.synthetic.recording import BODY_MARKERS, marker_noise
+from jaxmocap.synthetic.recording import marker_noise
 
 PLACES = tuple(MarkerPlace(name, *on) for name, on in MARKERS.items())
 FIVE = tuple(MarkerPlace(name, bone) for name, bone in BODY_MARKERS.items())
