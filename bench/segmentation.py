@@ -30,7 +30,7 @@ from jaxmocap.images.canvases import follow, full_mask, mask_canvas
 from jaxmocap.images.regions import Region
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.silhouette.segmentation.outlines import look
-from jaxmocap.silhouette.segmentation.room_models import RoomLearner, pictured
+from jaxmocap.silhouette.segmentation.background_models import RoomLearner, pictured
 from jaxmocap.silhouette.segmentation.segment import Histograms, Plan
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.surfaces.rim import Rim

@@ -14,7 +14,7 @@ from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.silhouette.correspond import pairs_of
+from jaxmocap.silhouette.fit.correspond import pairs_of
 from jaxmocap.silhouette.markers import MarkerRows
 from jaxmocap.silhouette.points import BodyPoints
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, solve_pose

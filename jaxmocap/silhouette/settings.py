@@ -5,7 +5,7 @@ INPUTS: nothing. OUTPUTS: Settings, whose defaults were chosen on rendered exerc
 
 from dataclasses import dataclass, field
 
-from jaxmocap.silhouette.correspond import MatchSettings
+from jaxmocap.silhouette.fit.correspond import MatchSettings
 from jaxmocap.silhouette.recovery.limb_particle_filter import SearchSettings
 from jaxmocap.silhouette.segmentation import segment
 from jaxmocap.silhouette.segmentation.inner_edges import EdgeSettings

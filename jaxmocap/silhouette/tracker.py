@@ -28,10 +28,10 @@ from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.background_model import Background
-from jaxmocap.silhouette.camera_agreement import chosen, denied, shares_found
-from jaxmocap.silhouette.correspond import matched
+from jaxmocap.silhouette.fit.camera_agreement import chosen, denied, shares_found
+from jaxmocap.silhouette.fit.correspond import matched
 from jaxmocap.silhouette.device_functions import Seen, fit, free, predict, velocity_of
-from jaxmocap.silhouette.expected_pose import expectation, resting
+from jaxmocap.silhouette.fit.expected_pose import expectation, resting
 from jaxmocap.silhouette.markers import MarkerRows, points_at
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, standard_deviations
 from jaxmocap.silhouette.recovery.limbs import carriers

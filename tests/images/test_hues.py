@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxmocap.images.regions import Region
-from jaxmocap.silhouette.recovery.hues import (
+from jaxmocap.silhouette.recovery.chromaticity import (
     FARTHEST,
     BodyHues,
     Places,

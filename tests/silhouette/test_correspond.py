@@ -10,7 +10,7 @@ from test_rim import BODY, CAMERAS, FORWARD, SETTINGS, bent, filled, finder  # n
 from jaxmocap.body.pose import difference, retract
 from jaxmocap.body.skeleton import ROOT_DOF
 from jaxmocap.images.regions import Region
-from jaxmocap.silhouette.correspond import Contour, MatchSettings, contour_of, matched, pairs_of
+from jaxmocap.silhouette.fit.correspond import Contour, MatchSettings, contour_of, matched, pairs_of
 from jaxmocap.silhouette.pose import PoseSettings, Prior, solve_pose
 
 SETTINGS_OF_PAIRS = MatchSettings()

@@ -7,8 +7,8 @@ import pytest
 from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton, with_joints
 from jaxmocap.images.regions import Region
-from jaxmocap.silhouette.correspond import Matches
-from jaxmocap.silhouette.expected_pose import expectation, resting
+from jaxmocap.silhouette.fit.correspond import Matches
+from jaxmocap.silhouette.fit.expected_pose import expectation, resting
 from jaxmocap.silhouette.segmentation.inner_edges import EdgeSettings, edge_pairs, joined
 from jaxmocap.silhouette.segmentation.profiles import boundary, colour_profiles
 from jaxmocap.silhouette.surfaces.rim import Rim

@@ -16,7 +16,7 @@ from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.surface import posed
 from jaxmocap.silhouette.device_functions import fit
 from jaxmocap.silhouette.first_pose import landmark_points
-from jaxmocap.silhouette.recovery.hues import BodyHues
+from jaxmocap.silhouette.recovery.chromaticity import BodyHues
 from jaxmocap.silhouette.recovery.limb_particle_filter import explained
 from jaxmocap.silhouette.recovery.limbs import carriers, ends, halves_of, limbs_of
 from jaxmocap.silhouette.recovery.penetration import Parts, rings, within

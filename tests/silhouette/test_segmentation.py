@@ -19,7 +19,7 @@ from jaxmocap.reference.hybrid.silhouette import level_set as reference
 from jaxmocap.silhouette.segmentation import densities
 from jaxmocap.silhouette.segmentation.contour import contours
 from jaxmocap.silhouette.segmentation.level_set import Motion, coarser, evolve, finer, step
-from jaxmocap.silhouette.segmentation.room_models import pictured
+from jaxmocap.silhouette.segmentation.background_models import pictured
 from jaxmocap.silhouette.segmentation.segment import (
     Histograms,
     Plan,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxmocap.body.skeleton import ROOT_DOF
-from jaxmocap.pipelines.silhouettes.reports import LOST, Reports
+from jaxmocap.silhouette.recovery.withdrawal import LOST, Reports
 from jaxmocap.silhouette.segmentation.outlines import Outlines
 from jaxmocap.silhouette.state import StepReport
 

@@ -11,7 +11,7 @@ from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, relaxed_pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton, load_skeleton
 from jaxmocap.pipelines.silhouettes.track import MODEL
-from jaxmocap.silhouette.expected_pose import resting
+from jaxmocap.silhouette.fit.expected_pose import resting
 from jaxmocap.silhouette.smoothing import SmoothingSettings, Told, smoothed
 from jaxmocap.silhouette.surfaces.morph import Morphing, morph_of, shoulders, whole_of
 

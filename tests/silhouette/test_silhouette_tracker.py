@@ -18,7 +18,7 @@ from jaxmocap.pipelines.silhouettes.first_pose import start_pose
 from jaxmocap.silhouette.device_functions import fit
 from jaxmocap.silhouette.first_pose import landmark_points, pose_at, standing_pose
 from jaxmocap.silhouette.segmentation.outlines import silhouette_distance
-from jaxmocap.silhouette.segmentation.room_models import RoomLearner, RunningRoom
+from jaxmocap.silhouette.segmentation.background_models import RoomLearner, RunningRoom
 from jaxmocap.silhouette.segmentation.segment import Plan, Stage
 from jaxmocap.silhouette.settings import FAR_OFF, Settings
 from jaxmocap.silhouette.surfaces.rim import RimSettings

@@ -29,10 +29,10 @@ from jaxmocap.images.background_model import Background
 from jaxmocap.images.regions import Region
 from jaxmocap.outputs.report import plain
 from jaxmocap.pipelines.progress import Progress, progress_bar
-from jaxmocap.pipelines.silhouettes.reports import Reports
+from jaxmocap.silhouette.recovery.withdrawal import Reports
 from jaxmocap.pipelines.tracking.track import marker_sites
 from jaxmocap.silhouette.device_functions import landmark_slopes
-from jaxmocap.silhouette.segmentation.room_models import RoomLearner, RunningRoom, pictured
+from jaxmocap.silhouette.segmentation.background_models import RoomLearner, RunningRoom, pictured
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.smoothing import Told, smoothed
 from jaxmocap.silhouette.state import Moving, State, StepReport

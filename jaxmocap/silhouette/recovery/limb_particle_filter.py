@@ -27,7 +27,7 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.images.regions import Region
 from jaxmocap.images.sampling import look_up
-from jaxmocap.silhouette.recovery.hues import FARTHEST, SPREAD
+from jaxmocap.silhouette.recovery.chromaticity import FARTHEST, SPREAD
 from jaxmocap.silhouette.recovery.limbs import Limb, ends
 from jaxmocap.silhouette.recovery.penetration import Parts, within
 

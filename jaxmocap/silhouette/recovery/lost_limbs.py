@@ -24,7 +24,7 @@ from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.body.surfaces.surface import BodyPoints, Surface, posed
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.silhouette.recovery import limb_particle_filter
-from jaxmocap.silhouette.recovery.hues import BodyHues, hues_at
+from jaxmocap.silhouette.recovery.chromaticity import BodyHues, hues_at
 from jaxmocap.silhouette.recovery.limb_particle_filter import ALONG, Evidence, Looks, SearchSettings
 from jaxmocap.silhouette.recovery.limbs import (
     Limb,

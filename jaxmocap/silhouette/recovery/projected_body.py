@@ -17,7 +17,7 @@ from jaxmocap.body.surfaces.surface import BodyPoints, Surface, posed
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.regions import Region
-from jaxmocap.silhouette.recovery.hues import Places, hue_canvases
+from jaxmocap.silhouette.recovery.chromaticity import Places, hue_canvases
 from jaxmocap.silhouette.recovery.limb_particle_filter import depths_of
 from jaxmocap.silhouette.segmentation.canvas_coverage import covered, widened
 from jaxmocap.silhouette.segmentation.outlines import Outlines

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.silhouette.correspond import Matches
+from jaxmocap.silhouette.fit.correspond import Matches
 from jaxmocap.silhouette.segmentation.profiles import boundary, colour_profiles
 from jaxmocap.silhouette.surfaces.rim import Rim
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.canvases import Canvas, attached, canvas, signed_distance
 from jaxmocap.images.regions import Region
-from jaxmocap.silhouette.correspond import Contour
+from jaxmocap.silhouette.fit.correspond import Contour
 from jaxmocap.silhouette.segmentation.contour import contours
 from jaxmocap.silhouette.segmentation.segment import Histograms, Plan, Seen, Segmented, segment
 from jaxmocap.silhouette.segmentation.sharpen import sharpened

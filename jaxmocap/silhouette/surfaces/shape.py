@@ -28,7 +28,7 @@ from jaxmocap.body.surfaces.surface import Surface, posed
 from jaxmocap.body.surfaces.swelling_fields import fields_of, reshaped
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
-from jaxmocap.silhouette.correspond import pairs_of
+from jaxmocap.silhouette.fit.correspond import pairs_of
 from jaxmocap.silhouette.device_functions import Seen
 from jaxmocap.silhouette.points import linearised
 from jaxmocap.silhouette.surfaces.morph import Morph, moved, steered

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmocap.silhouette.correspond import Matches
+from jaxmocap.silhouette.fit.correspond import Matches
 from jaxmocap.silhouette.segmentation.segment import Histograms
 from jaxmocap.silhouette.surfaces.rim import Rim
 
