@@ -33,7 +33,7 @@ from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc
-from jaxmocap.modelling.personal import Personal
+from jaxmocap.modelling.personal import PersonalModel
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, model_from
 from jaxmocap.pipelines.silhouettes.track import whole_body
@@ -64,14 +64,14 @@ class Row(NamedTuple):
         return np.array([*angles, [result.place(*KINDS) for result in found]])
 
 
-def photographed(rig: Rig, folder: Path, seed: int) -> Personal:
+def photographed(rig: Rig, folder: Path, seed: int) -> PersonalModel:
     """The person of four photographs."""
     calibration = write_photographs(folder, rig, seed)
     files = {name: folder / f"{name}.png" for name in PHOTOGRAPHS}
     return model_from(files, calibration, folder / "model", height=stature(rig)).person
 
 
-def tracked(clip: Clip, rig: Rig, person: Personal, bodies: Sequence[str]) -> Row:
+def tracked(clip: Clip, rig: Rig, person: PersonalModel, bodies: Sequence[str]) -> Row:
     """A clip, once with each of some bodies."""
     truth, results = read_trc(clip.truth).points(), {}
     points = np.array([truth[n][0] if n in truth else np.full(3, np.nan) for n in LANDMARKS])
@@ -85,7 +85,7 @@ def tracked(clip: Clip, rig: Rig, person: Personal, bodies: Sequence[str]) -> Ro
 
 
 def built(
-    name: str, recording: Recording, rig: Rig, truth: dict[str, np.ndarray], person: Personal
+    name: str, recording: Recording, rig: Rig, truth: dict[str, np.ndarray], person: PersonalModel
 ) -> tuple[Skeleton, Surface | None]:
     """One of ``BODIES``; a generic surface is None."""
     if name == "model":

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d, map_coordinates
 from scipy.sparse.csgraph import dijkstra
 
-from jaxmocap.modelling.pictures.corners import bends, even
-from jaxmocap.modelling.pictures.medial_axis import Skeleton, path
+from jaxmocap.modelling.pictures.corners import evenly_spaced, turning_angles
+from jaxmocap.modelling.pictures.medial_axis import MedialAxis, path
 
 # The axis is smoothed over so many pixels; a corner is looked for with arms of so much of the way.
 SMOOTH_PX, ARM_OF_CORNER = 4.0, 0.05
@@ -52,7 +52,9 @@ class Arm(NamedTuple):
     axis: np.ndarray
 
 
-def arm_axis(axis: Skeleton, start_xy: np.ndarray, pit_xy: np.ndarray, lowest: float) -> np.ndarray:
+def arm_axis(
+    axis: MedialAxis, start_xy: np.ndarray, pit_xy: np.ndarray, lowest: float
+) -> np.ndarray:
     """(K, 2) the way from a place in the trunk to the farthest end beyond an arm pit's column.
 
     Args:
@@ -69,8 +71,8 @@ def arm_axis(axis: Skeleton, start_xy: np.ndarray, pit_xy: np.ndarray, lowest: f
     begin = int(np.argmin(np.sum((axis.pixels_xy - start_xy) ** 2, 1)))
     ways = dijkstra(axis.edges, indices=begin)
     tip = axis.pixels_xy[np.argmax(np.where(beyond, ways, -1.0))]
-    way = even(axis.pixels_xy[path(axis, start_xy, tip)].astype(float))
-    return even(gaussian_filter1d(way, SMOOTH_PX, axis=0, mode="nearest"))
+    way = evenly_spaced(axis.pixels_xy[path(axis, start_xy, tip)].astype(float))
+    return evenly_spaced(gaussian_filter1d(way, SMOOTH_PX, axis=0, mode="nearest"))
 
 
 def arm_joints(axis: np.ndarray, distance: np.ndarray, shoulder: np.ndarray) -> Arm:
@@ -85,7 +87,7 @@ def arm_joints(axis: np.ndarray, distance: np.ndarray, shoulder: np.ndarray) -> 
         ValueError: the arm is not bent, or no wrist is slimmer than the palm.
     """
     first = int(np.argmin(np.sum((axis - shoulder) ** 2, 1)))
-    turned = bends(axis, ARM_OF_CORNER * len(axis))
+    turned = turning_angles(axis, ARM_OF_CORNER * len(axis))
     # Where hand and trunk begin, other corners may be.
     inner = slice(first + (len(axis) - first) // 6, first + 7 * (len(axis) - first) // 10)
     middle = inner.start + int(np.argmax(turned[inner]))

@@ -20,7 +20,7 @@ CLOSED_M = 1e-4
 STOUT = 1.1
 
 
-def fitted(grid: np.ndarray, side: float, measured: Slices) -> np.ndarray:
+def fitted_grid(grid: np.ndarray, side: float, measured: Slices) -> np.ndarray:
     """(along, around, 3) the rings as they were measured; ``side`` is -1 on the right."""
     levels, phi = grid[:, 0, 2], 2 * np.pi * np.arange(grid.shape[1]) / grid.shape[1]
     middles, radii = _polar(grid[..., :2] * [1.0, side], phi)
@@ -43,7 +43,7 @@ def stoutness(skeleton: Skeleton, measured: dict[str, Slices]) -> float:
         low, high = np.sort(measured[patch.name].levels)[[0, -1]]
         seen = (grids[0][:, 0, 2] > low) & (grids[0][:, 0, 2] < high)
         seen[[0, -1]] = False
-        new = fitted(grids[0], side, measured[patch.name])
+        new = fitted_grid(grids[0], side, measured[patch.name])
         was, grown, now = (np.log(_size(grid[seen])) for grid in (*grids, new))
         slopes.append((grown - was) / np.log(STOUT))
         ratios.append(now - was)

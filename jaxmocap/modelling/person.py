@@ -14,18 +14,18 @@ import numpy as np
 
 from jaxmocap.modelling.arm_joints import Arm, arm_axis, arm_joints
 from jaxmocap.modelling.arm_surface import (
-    Bones,
+    ArmBones,
     arm_rings,
+    arm_thickness,
     reach_of_hand,
-    thickness,
     unfolded,
 )
 from jaxmocap.modelling.lifted_arms import lifted_arms
-from jaxmocap.modelling.pictures.medial_axis import chamfer, skeleton
+from jaxmocap.modelling.pictures.medial_axis import chamfer, medial_axis
 from jaxmocap.modelling.separation import Landmarks, narrowest, separate
 from jaxmocap.modelling.thighs import Thighs, thighs
 from jaxmocap.modelling.trunk import Trunk, trunk
-from jaxmocap.modelling.views import View
+from jaxmocap.modelling.views import PhotographView
 
 AHEAD, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 SIDES = (("l", 1.0), ("r", -1.0))
@@ -77,9 +77,9 @@ class PersonModel(NamedTuple):
     front: Landmarks
     trunk: Trunk
     seen: tuple[Arm, ...]
-    bent: tuple[Bones, ...]
-    stretched: tuple[Bones, ...]
-    lifted: tuple[Bones, ...]
+    bent: tuple[ArmBones, ...]
+    stretched: tuple[ArmBones, ...]
+    lifted: tuple[ArmBones, ...]
     arms: tuple[np.ndarray, ...]
     legs: Thighs
     moved: dict[str, np.ndarray]
@@ -105,7 +105,7 @@ class PersonModel(NamedTuple):
         return found | {"shoulders": float(np.linalg.norm(across))}
 
 
-def person_model(views: dict[str, View], bottom: int | None = None) -> PersonModel:
+def person_model(views: dict[str, PhotographView], bottom: int | None = None) -> PersonModel:
     """A model from the views ``front``, ``side``, ``joint`` and ``arm_side``.
 
     Args:
@@ -127,8 +127,8 @@ def person_model(views: dict[str, View], bottom: int | None = None) -> PersonMod
         stretched = stretched_arms(arm_side, body, bent)
     arms = tuple(
         arm_rings(
-            unfolded(thickness(joint, bones, bones.shoulder + bones.wrist - 2 * bones.elbow)),
-            thickness(arm_side, straight, UP),
+            unfolded(arm_thickness(joint, bones, bones.shoulder + bones.wrist - 2 * bones.elbow)),
+            arm_thickness(arm_side, straight, UP),
             bones.shoulder,
             np.append(bones.lengths[:2], reach_of_hand(bones)),
         )
@@ -151,7 +151,7 @@ def _of(view: str) -> Iterator[None]:
         raise StanceError(view, str(error)) from None
 
 
-def bent_arms(joint: View, body: Trunk) -> tuple[tuple[Arm, ...], tuple[Bones, ...]]:
+def bent_arms(joint: PhotographView, body: Trunk) -> tuple[tuple[Arm, ...], tuple[ArmBones, ...]]:
     """Left and right arm in the joint view, in pixels and in metres."""
     shoulders, distance = shoulder_joints(body, joint), chamfer(joint.mask)
     seen = tuple(
@@ -160,22 +160,26 @@ def bent_arms(joint: View, body: Trunk) -> tuple[tuple[Arm, ...], tuple[Bones, .
     )
     ends = [np.array([arm.elbow, arm.wrist, arm.tip]) for arm in seen]
     bent = tuple(
-        Bones(shoulder, *joint.on_plane(pixels, shoulder, AHEAD))
+        ArmBones(shoulder, *joint.plane_points(pixels, shoulder, AHEAD))
         for pixels, shoulder in zip(ends, shoulders, strict=True)
     )
     return seen, bent
 
 
-def stretched_arms(arm_side: View, body: Trunk, bent: tuple[Bones, ...]) -> tuple[Bones, ...]:
+def stretched_arms(
+    arm_side: PhotographView, body: Trunk, bent: tuple[ArmBones, ...]
+) -> tuple[ArmBones, ...]:
     """Left and right arm in their side view: the bones as long as in the joint view."""
     tall, found = np.ptp(body.rings[:, 0, 2]) / UPPER_BODY, []
     for way, bones in zip(arm_ways(arm_side, body), bent, strict=True):
-        arm = laid_out(arm_side.on_plane(way, bones.shoulder, AHEAD), bones)
+        arm = laid_out(arm_side.plane_points(way, bones.shoulder, AHEAD), bones)
         found.append(arm._replace(elbow=arm.elbow + tall * ELBOW_ABOVE * UP))
     return tuple(found)
 
 
-def aligned(view: View, front: View, landmarks: Landmarks, body: Trunk) -> View:
+def aligned(
+    view: PhotographView, front: PhotographView, landmarks: Landmarks, body: Trunk
+) -> PhotographView:
     """A view in which the person may have moved aside or up since the front view.
 
     Told by the neck's middle and the top of the head.
@@ -189,13 +193,13 @@ def aligned(view: View, front: View, landmarks: Landmarks, body: Trunk) -> View:
     top = int(column[0])
     _, neck_x = narrowest(view.mask, top, int(there[1]), float(there[0]))
     before, now = (
-        seen.on_plane(np.array([x, row]), middle, AHEAD)
+        seen.plane_points(np.array([x, row]), middle, AHEAD)
         for seen, x, row in ((front, landmarks.neck_x, landmarks.top), (view, neck_x, top))
     )
     return replace(view, moved=now - before)
 
 
-def shoulder_joints(body: Trunk, joint: View) -> np.ndarray:
+def shoulder_joints(body: Trunk, joint: PhotographView) -> np.ndarray:
     """(2, 3) left and right shoulder.
 
     Aside, half-way between where the arm pit and where the stature would have it: muscles carry
@@ -223,15 +227,15 @@ def middle_at(body: Trunk, height: float) -> np.ndarray:
     return np.array([np.interp(height, levels, line) for line in body.middles.T])
 
 
-def arm_ways(view: View, body: Trunk) -> list[np.ndarray]:
+def arm_ways(view: PhotographView, body: Trunk) -> list[np.ndarray]:
     """(K, 2) pixels each: the axes of left and right arm, from the trunk to the fingertip."""
-    axis = skeleton(view.mask)
+    axis = medial_axis(view.mask)
     start = view.pixels(middle_at(body, body.pits[:, 2].mean()))
     lowest = view.pixels(body.middles[0])[1]
     return [arm_axis(axis, start, pit, lowest) for pit in view.pixels(body.pits)]
 
 
-def laid_out(way: np.ndarray, bones: Bones) -> Bones:
+def laid_out(way: np.ndarray, bones: ArmBones) -> ArmBones:
     """A stretched arm's joints on its axis (K, 3), the bones as long as they are."""
     first = int(np.argmin(np.sum((way - bones.shoulder) ** 2, 1)))
     passed = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way[first:], axis=0), axis=1)))
@@ -254,4 +258,4 @@ def laid_out(way: np.ndarray, bones: Bones) -> Bones:
             )
         at += int(np.argmax(beyond))
         joints.append(way[at])
-    return Bones(bones.shoulder, joints[1], joints[2], way[-1])
+    return ArmBones(bones.shoulder, joints[1], joints[2], way[-1])

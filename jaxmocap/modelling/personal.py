@@ -20,8 +20,8 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.subject import NECK_HEAD, TRUNK, scale_to_landmarks
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
-from jaxmocap.modelling.arm_surface import Bones, reach_of_hand
-from jaxmocap.modelling.fitted_rings import fitted, stoutness
+from jaxmocap.modelling.arm_surface import ArmBones, reach_of_hand
+from jaxmocap.modelling.fitted_rings import fitted_grid, stoutness
 from jaxmocap.modelling.person import SIDES, PersonModel, middle_at
 from jaxmocap.modelling.slices import Slices, slices
 
@@ -38,7 +38,7 @@ LEGS = 0.4, 0.62
 SPREAD_FROM = 0.5
 
 
-class Personal(NamedTuple):
+class PersonalModel(NamedTuple):
     """A person as the tracker wants one.
 
     Attributes:
@@ -53,7 +53,7 @@ class Personal(NamedTuple):
     poses: dict[str, Pose]
 
 
-def personal(model: PersonModel, height: float | None = None) -> Personal:
+def personal_model(model: PersonModel, height: float | None = None) -> PersonalModel:
     """Skeleton, surface and poses of a person.
 
     Args:
@@ -64,10 +64,10 @@ def personal(model: PersonModel, height: float | None = None) -> Personal:
     Raises:
         ValueError: a height that does not suit the trunk and head that were seen.
     """
-    marks = landmarks(model, height)
-    skeleton = standing(marks)
+    marks = landmarks_of_person(model, height)
+    skeleton = standing_skeleton(marks)
     joints, usual = rest_joints(skeleton), generic_surface(skeleton)
-    spread = spreads(model, skeleton, usual, marks)
+    spread = thigh_spreads(model, skeleton, usual, marks)
     measured = slices(model, skeleton, marks, spread)
     # What photographs do not show is as stout as what they show.
     stout = generic_surface(skeleton, stoutness(skeleton, measured))
@@ -75,10 +75,12 @@ def personal(model: PersonModel, height: float | None = None) -> Personal:
     places = nodes[:, None] - joints[np.asarray(usual.points.bones)]
     dtype = jnp.asarray(usual.points.points_bone).dtype
     points = usual.points._replace(points_bone=jnp.asarray(places, dtype))
-    return Personal(skeleton, replace(usual, points=points), poses(model, skeleton, marks, spread))
+    return PersonalModel(
+        skeleton, replace(usual, points=points), photograph_poses(model, skeleton, marks, spread)
+    )
 
 
-def standing(marks: dict[str, np.ndarray]) -> Skeleton:
+def standing_skeleton(marks: dict[str, np.ndarray]) -> Skeleton:
     """The skeleton whose landmarks lie there with all angles 0."""
     skeleton = scale_to_landmarks(Skeleton.human(), {k: v[None] for k, v in marks.items()})
     # There the line from hips to neck is upright; here the person is, as in the photographs.
@@ -94,7 +96,7 @@ def standing(marks: dict[str, np.ndarray]) -> Skeleton:
     return replace(skeleton, directions=jnp.asarray(directions, skeleton.directions.dtype))
 
 
-def leg_length(model: PersonModel, height: float | None) -> float:
+def leg_length_of_person(model: PersonModel, height: float | None) -> float:
     """From the hips' joints to the floor, metres.
 
     Raises:
@@ -112,9 +114,9 @@ def leg_length(model: PersonModel, height: float | None) -> float:
     return height - above
 
 
-def landmarks(model: PersonModel, height: float | None = None) -> dict[str, np.ndarray]:
+def landmarks_of_person(model: PersonModel, height: float | None = None) -> dict[str, np.ndarray]:
     """Landmark -> (3,) in the front view's stance, arms hanging, metres."""
-    tall, bent, leg = model.stature, model.bent, leg_length(model, height)
+    tall, bent, leg = model.stature, model.bent, leg_length_of_person(model, height)
     low, top = model.trunk.rings[0, 0, 2], model.trunk.rings[-1, 0, 2]
     hips = middle_at(model.trunk, low + tall * HIP_ABOVE) + tall * np.array([HIP_AHEAD, 0, 0])
     neck = (bent[0].shoulder + bent[1].shoulder) / 2 + tall * np.array([NECK[0], 0, NECK[1]])
@@ -133,7 +135,7 @@ def landmarks(model: PersonModel, height: float | None = None) -> dict[str, np.n
     return found
 
 
-def spreads(
+def thigh_spreads(
     model: PersonModel, skeleton: Skeleton, surface: Surface, marks: dict[str, np.ndarray]
 ) -> np.ndarray:
     """(2,) by how much left and right thigh are spread in the front view, radians."""
@@ -156,7 +158,7 @@ def spreads(
     return np.array(found)
 
 
-def poses(
+def photograph_poses(
     model: PersonModel, skeleton: Skeleton, marks: dict[str, np.ndarray], spread: np.ndarray
 ) -> dict[str, Pose]:
     """Photograph -> pose: trunk upright, arms and thighs as they were found."""
@@ -176,7 +178,7 @@ def poses(
     return found
 
 
-def arm_angles(bones: Bones, sign: float, straight: bool) -> dict[str, float]:
+def arm_angles(bones: ArmBones, sign: float, straight: bool) -> dict[str, float]:
     """Joint -> angle, radians, of an arm, the trunk upright and facing +x.
 
     Args:
@@ -227,5 +229,5 @@ def _nodes(
             longer = hands[0 if side > 0 else 1] / below[-1, 0] - 1
             grid[..., 2] -= longer * np.maximum(below, 0)
         if patch.name in measured:
-            grid[:] = fitted(grid, side, measured[patch.name])
+            grid[:] = fitted_grid(grid, side, measured[patch.name])
     return nodes

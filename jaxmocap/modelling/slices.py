@@ -10,9 +10,9 @@ import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import rest_joints
-from jaxmocap.modelling.arm_surface import INNER, places, reach_of_hand
+from jaxmocap.modelling.arm_surface import INNER, reach_of_hand, slice_positions
 from jaxmocap.modelling.person import SIDES, PersonModel
-from jaxmocap.modelling.trunk import ring
+from jaxmocap.modelling.trunk import superellipse_ring
 
 # From here on along an arm (0 the shoulder, 1 the elbow) slices are as they were measured; nearer
 # to the shoulder they run into the trunk.
@@ -77,7 +77,7 @@ def _arm(model: PersonModel, skeleton: Skeleton, k: int) -> Slices:
     joints, tree, (side, sign) = rest_joints(skeleton), skeleton.tree, SIDES[k]
     ends = joints[[tree.bone(f"{bone}_{side}") for bone in ("humerus", "radius", "hand")]]
     hand = reach_of_hand(model.bent[k])
-    at, rings = places(), model.arms[k][INNER:] - model.bent[k].shoulder
+    at, rings = slice_positions(), model.arms[k][INNER:] - model.bent[k].shoulder
     kept = at >= ARM_MEASURED
     levels = np.interp(at, np.arange(4.0), np.append(ends[:, 2], ends[2, 2] - hand))
     outlines = rings[..., [0, 2]] + ends[0, :2] * [1.0, sign]
@@ -101,5 +101,5 @@ def _leg(model: PersonModel, skeleton: Skeleton, hip: np.ndarray, k: int, spread
         1,
     )
     corners += joint[:2] * [1.0, sign]
-    outlines = np.stack([ring(each, THIGH_FULLNESS) for each in corners])
+    outlines = np.stack([superellipse_ring(each, THIGH_FULLNESS) for each in corners])
     return Slices(joint[2] - down / np.cos(spread), outlines, (NEVER, THIGH_FADES_M))

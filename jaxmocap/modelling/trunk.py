@@ -15,7 +15,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
 from jaxmocap.modelling.separation import Landmarks
-from jaxmocap.modelling.views import View
+from jaxmocap.modelling.views import PhotographView
 
 # Rings, and nodes of each; control points of a ring's spline.
 RINGS, AROUND, CONTROL = 72, 48, 16
@@ -45,13 +45,13 @@ class Trunk(NamedTuple):
     pits: np.ndarray
 
 
-def trunk(front: View, side: View, landmarks: Landmarks) -> Trunk:
+def trunk(front: PhotographView, side: PhotographView, landmarks: Landmarks) -> Trunk:
     """Everything but the arms, from the bottom line to the top of the head."""
-    middle = met(front, side, landmarks)
+    middle = trunk_middle(front, side, landmarks)
     ahead = np.array([1.0, 0.0, 0.0])
-    pits = front.on_plane(landmarks.pits, middle, ahead)
+    pits = front.plane_points(landmarks.pits, middle, ahead)
     rows = np.array([[landmarks.middle_x, landmarks.bottom], [landmarks.neck_x, landmarks.top]])
-    low, high = front.on_plane(rows, middle, ahead)[:, 2]
+    low, high = front.plane_points(rows, middle, ahead)[:, 2]
     heights = np.linspace(low, high - 0.004, RINGS)
     corners, middles = [], []
     for height in heights:
@@ -63,24 +63,28 @@ def trunk(front: View, side: View, landmarks: Landmarks) -> Trunk:
     corners = np.array(gaussian_filter1d(np.array(corners), SMOOTH, axis=0, mode="nearest"))
     shares = (heights - low) / (pits[:, 2].mean() - low)
     fullness = np.interp(shares, *FULLNESS)
-    rings = np.stack([ring(c, full) for c, full in zip(corners, fullness, strict=True)])
+    rings = np.stack(
+        [superellipse_ring(c, full) for c, full in zip(corners, fullness, strict=True)]
+    )
     level = np.broadcast_to(heights[:, None, None], (*rings.shape[:2], 1))
     return Trunk(np.concatenate([rings, level], -1), np.array(middles), pits)
 
 
-def met(front: View, side: View, landmarks: Landmarks) -> np.ndarray:
+def trunk_middle(front: PhotographView, side: PhotographView, landmarks: Landmarks) -> np.ndarray:
     """(3,) where the front's ray through the trunk's middle passes the middle of the side view."""
     row = (landmarks.pits[:, 1].mean() + landmarks.bottom) / 2
     ray = front.rays(np.array([landmarks.middle_x, row]))
     along = np.linspace(0, 2 * np.linalg.norm(front.centre - side.centre), 4000)
-    seen = side.shows(front.centre + along[:, None] * ray)
+    seen = side.covers(front.centre + along[:, None] * ray)
     if not seen.any():
         raise ValueError("the side view shows nobody where the front view does, expected both "
                          "photographs of one stance and their own cameras")  # fmt: skip
     return front.centre + along[seen].mean() * ray
 
 
-def quadrilateral(front: View, side: View, middle: np.ndarray, pits: np.ndarray) -> np.ndarray:
+def quadrilateral(
+    front: PhotographView, side: PhotographView, middle: np.ndarray, pits: np.ndarray
+) -> np.ndarray:
     """(4, 2) corners of a slice: front left, back left, back right, front right; metres.
 
     Args:
@@ -102,7 +106,7 @@ def quadrilateral(front: View, side: View, middle: np.ndarray, pits: np.ndarray)
     return np.stack([_crossing(lines_front[f], lines_side[s]) for f, s in order])
 
 
-def _line(view: View, edge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _line(view: PhotographView, edge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Seen from above: a point, and the direction from the camera through it."""
     return edge[:2], (edge - view.centre)[:2]
 
@@ -112,7 +116,7 @@ def _crossing(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]
     return a[0] + share * a[1]
 
 
-def ring(corners: np.ndarray, fullness: float, nodes: int = AROUND) -> np.ndarray:
+def superellipse_ring(corners: np.ndarray, fullness: float, nodes: int = AROUND) -> np.ndarray:
     """(N, 2) a closed cubic B-spline within a quadrilateral (4, 2), which it touches on all sides.
 
     From the middle of the front to the left; ``fullness`` is 2 for an ellipse, more is boxier.

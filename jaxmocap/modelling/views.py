@@ -16,7 +16,7 @@ STEP_M = 0.001
 
 
 @dataclass(frozen=True)
-class View:
+class PhotographView:
     """What one camera saw.
 
     Attributes:
@@ -66,13 +66,15 @@ class View:
             plane = plane - (self._distorted(plane) - seen)
         return np.concatenate([plane, np.ones_like(plane[..., :1])], -1) @ R
 
-    def on_plane(self, pixels_xy: np.ndarray, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    def plane_points(
+        self, pixels_xy: np.ndarray, point: np.ndarray, normal: np.ndarray
+    ) -> np.ndarray:
         """(..., 3) where the rays through pixels meet the plane through a point, metres."""
         rays = self.rays(np.asarray(pixels_xy, float))
         share = (point - self.centre) @ normal / (rays @ normal)
         return self.centre + share[..., None] * rays
 
-    def shows(self, points: np.ndarray) -> np.ndarray:
+    def covers(self, points: np.ndarray) -> np.ndarray:
         """(...) bool: does the silhouette cover these points (..., 3)?"""
         columns, rows = np.moveaxis(np.rint(self.pixels(points)).astype(int), -1, 0)
         height, width = self.mask.shape
@@ -86,6 +88,6 @@ class View:
         """
         steps = np.arange(0.0, most, STEP_M)
         line = start[:, None] + steps[:, None] * np.broadcast_to(direction, start.shape)[:, None]
-        covered = self.shows(line)
+        covered = self.covers(line)
         free = np.argmin(covered, 1)
         return np.where(covered.all(1), most, np.maximum(free - 0.5, 0.0) * STEP_M)

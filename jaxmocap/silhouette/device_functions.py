@@ -21,7 +21,7 @@ from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, solve_pose
 from jaxmocap.silhouette.surfaces.morph import Morph, free_of
 
 
-class Seen(NamedTuple):
+class ContourPairs(NamedTuple):
     """Pairs of a cycle, C cameras with N each: see ``Matches``.
 
     Attributes:
@@ -55,7 +55,7 @@ def fit(
     skeleton: Skeleton,
     cameras: Camera,
     pose: Pose,
-    seen: Seen,
+    seen: ContourPairs,
     settings: PoseSettings,
     prior: Prior,
     grip: Array | float,

@@ -26,7 +26,7 @@ class PointRays(NamedTuple):
     """N points and the rays that they should lie on, of any number of cameras.
 
     Where the ray belongs to a contour, its point is known across the contour and not along it:
-    ``across`` is the contour's normal in space and ``grips`` how firmly the other direction holds.
+    ``across`` is the contour's normal in space and ``along_weights`` how firmly the other direction holds.
     With grips of 1 this is the incidence of (3.11), whatever ``across``.
 
     Attributes:
@@ -34,7 +34,7 @@ class PointRays(NamedTuple):
         lines: in the world, (N).
         across: (N, 3) unit vectors at right angles to their lines.
         weights: (N,) 0 where there is no pair, whatever the other fields then hold.
-        grips: (N,) from 0 to 1.
+        along_weights: (N,) from 0 to 1.
         moves: (N, 3, S) how the points go along with steers (see ``morph``), metres in their bones'
             frames; None where nothing steers them.
     """
@@ -43,7 +43,7 @@ class PointRays(NamedTuple):
     lines: Lines
     across: Array
     weights: Array
-    grips: Array
+    along_weights: Array
     moves: Array | np.ndarray | None = None
 
 
@@ -102,7 +102,7 @@ def linearised(skeleton: Skeleton, frames: Frames, pairs: PointRays) -> tuple[Ar
     """
     real = pairs.weights > 0
     along = jnp.cross(pairs.lines.directions, pairs.across)
-    ways = jnp.stack([pairs.across, pairs.grips[:, None] * along], 1)
+    ways = jnp.stack([pairs.across, pairs.along_weights[:, None] * along], 1)
     ways = jnp.where(real[:, None, None], ways, 0.0)
     lines = Lines(*(jnp.where(real[:, None], part, 0.0) for part in pairs.lines))
     off = perpendiculars(lines, posed(frames, pairs.points))

@@ -28,23 +28,28 @@ from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.background_model import Background
-from jaxmocap.silhouette.fit.camera_agreement import chosen, denied, shares_found
-from jaxmocap.silhouette.fit.correspond import matched
-from jaxmocap.silhouette.device_functions import Seen, fit, free, predict, velocity_of
-from jaxmocap.silhouette.fit.expected_pose import expectation, resting
+from jaxmocap.silhouette.device_functions import ContourPairs, fit, free, predict, velocity_of
+from jaxmocap.silhouette.fit.camera_agreement import disagreeing, kept_histograms, matched_shares
+from jaxmocap.silhouette.fit.correspond import matched_pairs
+from jaxmocap.silhouette.fit.expected_pose import combined_prior, rest_deviations
 from jaxmocap.silhouette.markers import MarkerRows, points_at
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, standard_deviations
 from jaxmocap.silhouette.recovery.limbs import carriers
-from jaxmocap.silhouette.recovery.lost_limbs import Better, Doubter, Doubts, freed
-from jaxmocap.silhouette.recovery.projected_body import Sight
-from jaxmocap.silhouette.segmentation.image_changes import Glances
-from jaxmocap.silhouette.segmentation.inner_edges import edge_pairs, joined
-from jaxmocap.silhouette.segmentation.outlines import Outlines, look
-from jaxmocap.silhouette.segmentation.segment import Histograms, Plan
+from jaxmocap.silhouette.recovery.lost_limbs import (
+    LimbMemory,
+    LimbProposal,
+    LimbRecovery,
+    widened_deviations,
+)
+from jaxmocap.silhouette.recovery.projected_body import ProjectedBody
+from jaxmocap.silhouette.segmentation.image_changes import ImageHistory
+from jaxmocap.silhouette.segmentation.inner_edges import concatenated, edge_pairs
+from jaxmocap.silhouette.segmentation.outlines import Outlines, find_outlines
+from jaxmocap.silhouette.segmentation.segment import Histograms, SegmentationPlan
 from jaxmocap.silhouette.settings import Settings
-from jaxmocap.silhouette.state import Moving, State, StepReport
-from jaxmocap.silhouette.surfaces.rim import RimFinder, stacked
-from jaxmocap.silhouette.surfaces.shape import Paired
+from jaxmocap.silhouette.state import PoseEstimate, State, StepReport
+from jaxmocap.silhouette.surfaces.rim import RimFinder, stack_cameras
+from jaxmocap.silhouette.surfaces.shape import NodePairs
 
 
 class _Shown(NamedTuple):
@@ -63,7 +68,7 @@ class _Fitted(NamedTuple):
     used: np.ndarray
     shares: np.ndarray
     outlines: Outlines
-    pairs: Paired
+    pairs: NodePairs
 
 
 class _Reconsidered(NamedTuple):
@@ -81,7 +86,7 @@ class _Reconsidered(NamedTuple):
     moved: np.ndarray
     resumed: np.ndarray
     hidden: np.ndarray
-    doubts: Doubts
+    doubts: LimbMemory
 
 
 class SilhouetteTracker:
@@ -118,13 +123,13 @@ class SilhouetteTracker:
         listed = [cameras] if isinstance(cameras, Camera) else list(cameras)
         self.settings = settings or Settings()
         dtype = skeleton.lengths.dtype
-        self.cameras = jax.tree.map(lambda part: jnp.asarray(part, dtype), stacked(listed))
+        self.cameras = jax.tree.map(lambda part: jnp.asarray(part, dtype), stack_cameras(listed))
         skin = generic_surface(skeleton) if surface is None else surface
         self.finder = RimFinder(skeleton, skin, self.settings.rim, self.settings.morphing)
         self._bones = carriers(self.finder.surface.points)
-        self.rest = resting(skeleton, dict(self.settings.held_at_rest))
+        self.rest = rest_deviations(skeleton, dict(self.settings.rest_deviations))
         self.rooms = [None] * len(listed) if rooms is None else list(rooms)
-        self.plan = Plan()
+        self.plan = SegmentationPlan()
         self._sites = sites
         self._take(skeleton)
 
@@ -138,15 +143,15 @@ class SilhouetteTracker:
         """Bones of other lengths: markers sit elsewhere, limbs reach farther."""
         self.skeleton = skeleton
         self._points = None if self._sites is None else points_at(skeleton, self._sites)
-        count = self.settings.hypotheses
-        self._doubter = Doubter(skeleton, self.finder.surface, self.cameras, count)
+        count = self.settings.particles
+        self._doubter = LimbRecovery(skeleton, self.finder.surface, self.cameras, count)
 
     def init(self, pose: Pose) -> State:
         """The state before the first frame, the person about there."""
         width = self.skeleton.costs.shape
         cameras, still = len(self.rooms), np.zeros(width, np.float32)
         empty, told = Histograms.empty(cameras, self.plan), np.ones(width, bool)
-        glances, doubts = Glances.none(cameras), self._doubter.none()
+        glances, doubts = ImageHistory.empty(cameras), self._doubter.empty_memory()
         return State(pose, still, None, empty, told, glances, doubts)
 
     def step(
@@ -155,7 +160,7 @@ class SilhouetteTracker:
         time: float,
         images: Sequence[np.ndarray | None],
         positions_world: np.ndarray | None = None,
-        earlier: Moving | None = None,
+        earlier: PoseEstimate | None = None,
     ) -> tuple[State, Pose, StepReport]:
         """One frame of all cameras.
 
@@ -171,22 +176,27 @@ class SilhouetteTracker:
             The state, the pose and a report.
         """
         s = self.settings
-        images, glances = state.glances.believed(images, s.changed, s.patience)
+        images, glances = state.image_history.accepted(images, s.changed_share, s.patience)
         ahead = 0.0 if state.time is None else max(time - state.time, 1e-3)
         expected = predict(self.skeleton, state.pose, s.damping * state.velocity, np.float32(ahead))
-        beforehand = np.where(state.told, s.expected, s.held).astype(np.float32)
+        beforehand = np.where(
+            state.determined, s.predicted_deviation, s.undetermined_deviation
+        ).astype(np.float32)
         markers, first = self._markers(positions_world), state.time is None
         shown = _Shown(images, state.histograms, markers, first)
         fitted = self._fitted(shown, expected, beforehand)
         fitted, moved, resumed, hidden, doubts = self._reconsidered(
-            state.doubts, shown, fitted, beforehand, earlier
+            state.limbs, shown, fitted, beforehand, earlier
         )
         result, used, outlines, pairs = fitted.result, fitted.used, fitted.outlines, fitted.pairs
         if hidden.any():
             result = self.told_without(hidden, result.pose, pairs, positions_world)
-        deviations = standard_deviations(result.information, s.blind)
-        seen = deviations < s.told * s.blind
-        told = standard_deviations(result.information, s.expected) < s.told * s.expected
+        deviations = standard_deviations(result.information, s.unknown_deviation)
+        seen = deviations < s.determined_share * s.unknown_deviation
+        told = (
+            standard_deviations(result.information, s.predicted_deviation)
+            < s.determined_share * s.predicted_deviation
+        )
         seen[ROOT_DOF:][hidden] = False
         velocity = self._velocity(state, result.pose, ahead) * told
         velocity[ROOT_DOF:][moved] = 0
@@ -194,8 +204,8 @@ class SilhouetteTracker:
             velocity[ROOT_DOF:][resumed] = earlier.velocity[ROOT_DOF:][resumed]
         if not told.any():
             # Who is not seen for an instant moves on; for longer, comes to rest.
-            told, velocity = state.told, s.damping * state.velocity
-        histograms = chosen(used, outlines.segmented.histograms, state.histograms)
+            told, velocity = state.determined, s.damping * state.velocity
+        histograms = kept_histograms(used, outlines.segmentation.histograms, state.histograms)
         report = StepReport(
             used, fitted.shares, float(result.spread), deviations, seen,
             np.asarray(result.information), np.asarray(result.slope), outlines, moved, hidden,
@@ -205,7 +215,7 @@ class SilhouetteTracker:
         return after, result.pose, report
 
     def told_without(
-        self, hidden: np.ndarray, pose: Pose, pairs: Paired, positions_world: np.ndarray | None
+        self, hidden: np.ndarray, pose: Pose, pairs: NodePairs, positions_world: np.ndarray | None
     ) -> PoseResult:
         """What pairs tell about the pose found by them, without those of hidden joints (D,).
 
@@ -216,12 +226,14 @@ class SilhouetteTracker:
         gone = moved[self._bones[nodes]]
         left = seen._replace(weights=np.where(gone, np.float32(0), seen.weights))
         how = PoseSettings(deviation=s.deviations[-1], iterations=0)
-        here = expectation(pose, np.full(self.skeleton.costs.shape, s.expected), self.rest)
+        here = combined_prior(
+            pose, np.full(self.skeleton.costs.shape, s.predicted_deviation), self.rest
+        )
         return self._fit(pose, left, how, here, self._markers(positions_world))
 
     def covering(self, pose: Pose) -> np.ndarray:
         """(C, N, 2) pixels of points all over the body, hidden or not."""
-        return self._doubter.covering(pose)
+        return self._doubter.body_pixels(pose)
 
     def _markers(self, positions_world: np.ndarray | None) -> MarkerRows | None:
         """Rows of the markers, where any are followed."""
@@ -230,56 +242,66 @@ class SilhouetteTracker:
         count = len(self._points.bones)
         nowhere = np.full((count, 3), np.nan)
         there = nowhere if positions_world is None else positions_world
-        firm = np.full(count, self.settings.marked, np.float32)
+        firm = np.full(count, self.settings.marker_deviation, np.float32)
         return MarkerRows(self._points, np.asarray(there, np.float32), firm)
 
     def _fitted(self, shown: _Shown, expected: Pose, beforehand: np.ndarray) -> _Fitted:
         """Cycle by cycle from the predicted pose."""
         s, pose, fitted = self.settings, expected, None
-        rough = s.starting if shown.first else ()
+        rough = s.starting_deviations if shown.first else ()
         morph = self.finder.morph
         apart = expected if morph is None else free(morph, expected)
-        prior = expectation(apart, beforehand, self.rest)
+        prior = combined_prior(apart, beforehand, self.rest)
         used, outlines = np.zeros(0, bool), None
         for cycle, deviation in enumerate((*rough, *s.deviations)):
             coarse = cycle < len(rough)
             rim = self.finder.find(self.skeleton, pose, self.cameras, coarse)
-            if coarse or outlines is None or cycle - len(rough) in s.looks:
-                outlines = look(shown.images, self.rooms, rim, shown.histograms, s, self.plan)
+            if coarse or outlines is None or cycle - len(rough) in s.segmentation_cycles:
+                outlines = find_outlines(
+                    shown.images, self.rooms, rim, shown.histograms, s, self.plan
+                )
                 used = np.ones(len(self.rooms), bool)
-            pairs = matched(rim, outlines.contours, s.match)
-            shares = shares_found(rim, pairs, [len(each.pixels_xy) for each in outlines.contours])
-            used = used & (shares >= s.share)
+            pairs = matched_pairs(rim, outlines.contours, s.match)
+            shares = matched_shares(rim, pairs, [len(each.pixels_xy) for each in outlines.contours])
+            used = used & (shares >= s.least_matched_share)
             edges = edge_pairs(shown.images, rim, self._bones, s.edges)
-            weights = np.concatenate([pairs.real, s.edges.weight * edges.real], 1)
-            pairs = joined(pairs, edges)
+            weights = np.concatenate([pairs.valid, s.edges.weight * edges.valid], 1)
+            pairs = concatenated(pairs, edges)
             weights = (weights * used[:, None]).astype(np.float32)
             points = self.finder.points(pairs.nodes, coarse)
             moves = self.finder.moves(pairs.nodes)
-            seen = Seen(points, pairs.pixels_xy, pairs.normals, weights, moves)
+            seen = ContourPairs(points, pairs.pixels_xy, pairs.normals, weights, moves)
             how = PoseSettings(deviation=deviation, iterations=s.iterations)
             result = self._fit(pose, seen, how, prior, shown.markers)
             apart = np.asarray(result.distances).reshape(weights.shape)
-            pose, used = result.pose, used & ~denied(apart, weights > 0, s.apart, s.near)
+            pose, used = (
+                result.pose,
+                used & ~disagreeing(apart, weights > 0, s.disagreement, s.agreement_m),
+            )
             robust = np.asarray(result.shares).reshape(weights.shape)
-            left = Paired(pairs.nodes, seen._replace(weights=robust * weights))
+            left = NodePairs(pairs.nodes, seen._replace(weights=robust * weights))
             fitted = _Fitted(result, used, shares, outlines, left)
         assert fitted is not None
         return fitted
 
     def _fit(
-        self, pose: Pose, seen: Seen, how: PoseSettings, prior: Prior, markers: MarkerRows | None
+        self,
+        pose: Pose,
+        seen: ContourPairs,
+        how: PoseSettings,
+        prior: Prior,
+        markers: MarkerRows | None,
     ) -> PoseResult:
-        morph, grip = self.finder.morph, self.settings.match.grip
+        morph, grip = self.finder.morph, self.settings.match.along_weight
         return fit(self.skeleton, self.cameras, pose, seen, how, prior, grip, markers, morph)
 
     def _reconsidered(
         self,
-        doubts: Doubts,
+        doubts: LimbMemory,
         shown: _Shown,
         fitted: _Fitted,
         beforehand: np.ndarray,
-        earlier: Moving | None = None,
+        earlier: PoseEstimate | None = None,
     ) -> _Reconsidered:
         """What was found, or what is found from elsewhere if that explains more."""
         s, doubter = self.settings, self._doubter
@@ -290,49 +312,51 @@ class SilhouetteTracker:
         resumed, elsewhere = (), ()
         # Who does not know the rooms takes what looks like a person for one, and learns it as none.
         known = all(room is not None for room in self.rooms)
-        if s.hypotheses > 1 and known:
+        if s.particles > 1 and known:
             if earlier is not None:
-                better = doubter.found_earlier(doubts, sight, earlier.pose)
+                better = doubter.earlier_proposal(doubts, sight, earlier.pose)
                 fitted, sight, resumed = self._tried(
                     better, doubts, shown, fitted, sight, beforehand
                 )
-            better, doubts = doubter.better(doubts, sight, s.search)
+            better, doubts = doubter.propose(doubts, sight, s.limb_search)
             fitted, sight, elsewhere = self._tried(better, doubts, shown, fitted, sight, beforehand)
-        hidden, doubts = doubter.hidden(doubts, sight, shown.images, (*resumed, *elsewhere))
+        hidden, doubts = doubter.hidden_joints(doubts, sight, shown.images, (*resumed, *elsewhere))
         there, anew = doubter.joints_of(resumed), doubter.joints_of(elsewhere)
         return _Reconsidered(fitted, there | anew, there & ~anew, hidden, doubts)
 
     def _tried(
         self,
-        better: Better | None,
-        doubts: Doubts,
+        better: LimbProposal | None,
+        doubts: LimbMemory,
         shown: _Shown,
         fitted: _Fitted,
-        sight: Sight,
+        sight: ProjectedBody,
         beforehand: np.ndarray,
-    ) -> tuple[_Fitted, Sight, tuple[int, ...]]:
+    ) -> tuple[_Fitted, ProjectedBody, tuple[int, ...]]:
         """The best of better poses, each fitted, and its limbs; or what was found, and none."""
         moved: tuple[int, ...] = ()
         if better is None:
             return fitted, sight, moved
-        wide = freed(beforehand, self._doubter.joints_of(better.limbs), self.settings.expected)
-        before, least = fitted, better.least
+        wide = widened_deviations(
+            beforehand, self._doubter.joints_of(better.limbs), self.settings.predicted_deviation
+        )
+        before, least = fitted, better.least_gain
         for pose in better.poses:
             again = self._fitted(shown, pose, wide)
             old, new = (self._sight(each.result.pose, again, shown) for each in (before, again))
-            more = self._doubter.gain(better.limbs, old, new, doubts.known)
+            more = self._doubter.gain(better.limbs, old, new, doubts.appearance)
             if more > least:
                 least, fitted, moved, sight = more, again, better.limbs, new
         return fitted, sight, moved
 
-    def _sight(self, pose: Pose, by: _Fitted, shown: _Shown) -> Sight:
+    def _sight(self, pose: Pose, by: _Fitted, shown: _Shown) -> ProjectedBody:
         """A pose laid over what was segmented."""
-        return self._doubter.sight(pose, by.outlines, by.used, shown.images, self.rooms)
+        return self._doubter.project(pose, by.outlines, by.used, shown.images, self.rooms)
 
     def _velocity(self, state: State, pose: Pose, ahead: float) -> np.ndarray:
         """The velocity (6 + D,) as it is carried on."""
         if state.time is None:
             return state.velocity
         now = np.asarray(velocity_of(state.pose, pose, np.float32(ahead)))
-        newest = self.settings.newest
+        newest = self.settings.velocity_gain
         return (newest * now + (1 - newest) * state.velocity).astype(np.float32)

@@ -6,11 +6,11 @@ import pytest
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.recovery.chromaticity import (
     FARTHEST,
-    BodyHues,
-    Places,
-    hue_canvases,
-    hues_at,
-    hues_of,
+    BodyAppearance,
+    PointCells,
+    chromaticity,
+    chromaticity_at,
+    chromaticity_canvases,
 )
 
 SIZE = 16
@@ -24,13 +24,13 @@ def grid(low: int, high: int) -> np.ndarray:
 
 
 @pytest.fixture
-def trunk_and_arm() -> tuple[Places, np.ndarray]:
+def trunk_and_arm() -> tuple[PointCells, np.ndarray]:
     """A trunk, a smaller arm half a metre before it, and which points are the arm's."""
     trunk, arm = grid(2, 14), grid(6, 10)
     pixels = np.concatenate([trunk, arm])[None].astype(float)
     on_arm = np.arange(len(pixels[0])) >= len(trunk)
     depths = np.where(on_arm, 2.5, 3.0)[None].astype(np.float32)
-    return Places.of(pixels, depths, REGION, SIZE), on_arm
+    return PointCells.of(pixels, depths, REGION, SIZE), on_arm
 
 
 def test_what_an_arm_hides_is_not_seen_and_the_arm_is(trunk_and_arm):
@@ -45,41 +45,45 @@ def test_what_an_arm_hides_is_not_seen_and_the_arm_is(trunk_and_arm):
 
 def test_points_beside_the_canvas_are_not_seen():
     pixels = np.array([[[3.0, 3.0], [40.0, 3.0], [-9.0, np.nan]]])
-    places = Places.of(pixels, np.ones((1, 3), np.float32), REGION, SIZE)
+    places = PointCells.of(pixels, np.ones((1, 3), np.float32), REGION, SIZE)
     np.testing.assert_array_equal(
-        places.seen(places.nearest(np.ones(3, bool))), [[True, False, False]]
+        places.visible(places.nearest_depths(np.ones(3, bool))), [[True, False, False]]
     )
 
 
 def test_a_hue_is_learned_where_it_is_seen_and_brightness_is_none():
-    known, seen = BodyHues.none(3), np.array([[True, True, False], [False, True, False]])
+    known, seen = BodyAppearance.empty(3), np.array([[True, True, False], [False, True, False]])
     shades = np.stack([SKIN, SKIN // 2, SHIRT])[None].repeat(2, 0)
     for _ in range(3):
-        known = known.learned(hues_of(shades), seen)
-    np.testing.assert_array_equal(known.age, [3, 3, 0])
-    np.testing.assert_allclose(known.hues[:2], np.stack([SKIN / SKIN.sum()] * 2), atol=0.01)
+        known = known.updated(chromaticity(shades), seen)
+    np.testing.assert_array_equal(known.frames, [3, 3, 0])
+    np.testing.assert_allclose(
+        known.chromaticities[:2], np.stack([SKIN / SKIN.sum()] * 2), atol=0.01
+    )
     means = known.means(np.array([1, 1, 0]), 3)
     np.testing.assert_allclose(means[1], SKIN / SKIN.sum(), atol=0.01)
     assert (means[[0, 2]] == -1).all()
-    assert np.isnan(hues_of(np.array([[5, 9, 12]], np.uint8))).all()
+    assert np.isnan(chromaticity(np.array([[5, 9, 12]], np.uint8))).all()
 
 
 def test_cells_that_look_like_the_arm_are_unlike_the_trunk_behind_it(trunk_and_arm):
     places, on_arm = trunk_and_arm
     hues = np.where(on_arm[:, None], SKIN / SKIN.sum(), SHIRT / SHIRT.sum()).astype(np.float32)
-    known = BodyHues(hues, np.ones(len(hues), int))
+    known = BodyAppearance(hues, np.ones(len(hues), int))
     image = np.tile(SHIRT, (SIZE, SIZE, 1))
     image[6:10, 6:10] = SKIN
-    shown = hue_canvases([image], [Region(*(part[0] for part in REGION))], SIZE)
+    shown = chromaticity_canvases([image], [Region(*(part[0] for part in REGION))], SIZE)
     trunk = places.seen(places.nearest(~on_arm)) & ~on_arm
     unlike = places.unlike(shown, known, trunk)[0]
     assert unlike[8, 8] == FARTHEST and unlike[4, 4] < 0.1
-    assert not places.unlike(shown, BodyHues.none(len(hues)), trunk).any()
-    assert not places.unlike(hue_canvases([None], [REGION], SIZE), known, trunk).any()
+    assert not places.unlike(shown, BodyAppearance.empty(len(hues)), trunk).any()
+    assert not places.unlike(chromaticity_canvases([None], [REGION], SIZE), known, trunk).any()
 
 
 def test_pixels_beside_the_image_have_no_hue():
     image = np.tile(SKIN, (4, 4, 1))
-    hues = hues_at([image, None], np.array([[[1.0, 1.0], [9.0, 1.0]], [[1.0, 1.0], [2.0, 2.0]]]))
+    hues = chromaticity_at(
+        [image, None], np.array([[[1.0, 1.0], [9.0, 1.0]], [[1.0, 1.0], [2.0, 2.0]]])
+    )
     np.testing.assert_allclose(hues[0, 0], SKIN / SKIN.sum(), rtol=1e-5)
     assert np.isnan(hues[0, 1]).all() and np.isnan(hues[1]).all()

@@ -12,11 +12,11 @@ from jaxmocap.geometry.cameras import project
 from jaxmocap.modelling.arm_surface import INNER, SLICES
 from jaxmocap.modelling.person import StanceError, person_model
 from jaxmocap.modelling.pictures.closed_mesh import closed_mesh, joined_meshes, volume
-from jaxmocap.modelling.pictures.corners import bends, even
-from jaxmocap.modelling.pictures.medial_axis import chamfer, path, skeleton
+from jaxmocap.modelling.pictures.corners import evenly_spaced, turning_angles
+from jaxmocap.modelling.pictures.medial_axis import chamfer, medial_axis, path
 from jaxmocap.modelling.separation import separate
-from jaxmocap.modelling.trunk import ring
-from jaxmocap.modelling.views import View
+from jaxmocap.modelling.trunk import superellipse_ring
+from jaxmocap.modelling.views import PhotographView
 from jaxmocap.synthetic.people.anthropometry import Body, measured
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.photographs import PHOTOGRAPHS, camera_of, standing, true_mask
@@ -42,7 +42,7 @@ def figure(arms_out=90):
 def test_the_axis_of_a_bar_runs_along_its_middle():
     image = blank()
     cv2.rectangle(image, (50, 100), (450, 140), 1, -1)
-    found = skeleton(image.astype(bool))
+    found = medial_axis(image.astype(bool))
     inner = (found.pixels_xy[:, 0] > 80) & (found.pixels_xy[:, 0] < 420)
     assert np.abs(found.pixels_xy[inner, 1] - 120).max() <= 1
     assert np.abs(found.radii[inner] - 20.5).max() < 1.5
@@ -52,7 +52,7 @@ def test_a_broken_axis_is_closed_so_that_a_way_leads_everywhere():
     image = blank()
     for left in (50, 180, 310):
         cv2.rectangle(image, (left, 100), (left + 100, 130), 1, -1)
-    found = skeleton(image.astype(bool))
+    found = medial_axis(image.astype(bool))
     way = found.pixels_xy[path(found, np.array([60, 115]), np.array([400, 115]))]
     assert way[0, 0] < 80 and way[-1, 0] > 380
     gaps = np.linalg.norm(np.diff(way, axis=0), axis=1)
@@ -70,7 +70,7 @@ def test_the_sharpest_corner_is_where_two_lines_meet(angle, at):
     turn = np.deg2rad(angle)
     corner = np.array([float(at), 0.0])
     far = corner + 120 * np.array([np.cos(turn), np.sin(turn)])
-    turned = bends(even(np.array([[0.0, 0.0], corner, far])), 20)
+    turned = turning_angles(evenly_spaced(np.array([[0.0, 0.0], corner, far])), 20)
     assert abs(int(np.argmax(turned)) - at) <= 1
     assert np.degrees(turned.max()) == pytest.approx(angle, abs=4)
 
@@ -105,7 +105,7 @@ def test_closed_legs_are_refused_unless_the_bottom_line_is_given():
 def test_a_slice_touches_the_four_lines_that_it_is_seen_by(half, fullness, lean):
     x, y = half
     corners = np.array([[x, y], [-x, y + lean], [-x, -y + lean], [x, -y]])
-    outline = ring(corners, fullness, 240)
+    outline = superellipse_ring(corners, fullness, 240)
     assert outline[:, 0].max() == pytest.approx(x, rel=0.02)
     assert outline[:, 0].min() == pytest.approx(-x, rel=0.02)
     slope = outline[:, 1] - lean / 2 * (1 - outline[:, 0] / x)
@@ -114,7 +114,7 @@ def test_a_slice_touches_the_four_lines_that_it_is_seen_by(half, fullness, lean)
 
 def test_a_full_slice_is_longer_around_than_an_ellipse():
     corners = np.array([[1.0, 2.0], [-1.0, 2.0], [-1.0, -2.0], [1.0, -2.0]])
-    girths = [measured(ring(corners, fullness, 400)).girth for fullness in (2.0, 3.0)]
+    girths = [measured(superellipse_ring(corners, fullness, 400)).girth for fullness in (2.0, 3.0)]
     assert girths[0] == pytest.approx(9.688, rel=5e-3)
     assert girths[0] < 0.96 * girths[1] < 0.96 * 12
 
@@ -135,7 +135,9 @@ def test_rings_become_a_watertight_mesh_of_the_right_volume():
 def subject(request, recordings):
     """A person as they stand, and their model from true silhouettes."""
     rig = load_rig(recordings / "person" / "person.npz", request.param)
-    views = {name: View(true_mask(rig, name), camera_of(rig, name)) for name in PHOTOGRAPHS}
+    views = {
+        name: PhotographView(true_mask(rig, name), camera_of(rig, name)) for name in PHOTOGRAPHS
+    }
     return rig, views, person_model(views)
 
 
@@ -212,7 +214,9 @@ def test_every_patch_of_the_surface_is_watertight_and_arms_begin_within_the_trun
 
 def test_a_view_of_another_stance_is_refused_by_its_name(recordings):
     rig = load_rig(recordings / "person" / "person.npz", "slim_woman")
-    views = {name: View(true_mask(rig, name), camera_of(rig, name)) for name in PHOTOGRAPHS}
+    views = {
+        name: PhotographView(true_mask(rig, name), camera_of(rig, name)) for name in PHOTOGRAPHS
+    }
     for name, other in (("front", "joint"), ("joint", "arm_side"), ("arm_side", "joint")):
         with pytest.raises(StanceError) as caught:
             person_model(views | {name: views[other]})

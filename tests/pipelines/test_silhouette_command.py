@@ -148,7 +148,7 @@ def blind(skeleton, cameras: int) -> SimpleNamespace:
     report = Report(used=np.zeros(cameras, bool), outlines=outlines, moved=np.zeros(0, bool))
     return SimpleNamespace(
         skeleton=skeleton,
-        settings=Settings(settling=0),
+        settings=Settings(settling_steps=0),
         finder=SimpleNamespace(surface=generic_surface(skeleton)),
         rooms=[None] * cameras,
         init=lambda pose: SimpleNamespace(pose=pose, velocity=np.zeros(skeleton.costs.shape)),

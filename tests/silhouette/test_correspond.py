@@ -10,7 +10,13 @@ from test_rim import BODY, CAMERAS, FORWARD, SETTINGS, bent, filled, finder  # n
 from jaxmocap.body.pose import difference, retract
 from jaxmocap.body.skeleton import ROOT_DOF
 from jaxmocap.images.regions import Region
-from jaxmocap.silhouette.fit.correspond import Contour, MatchSettings, contour_of, matched, pairs_of
+from jaxmocap.silhouette.fit.correspond import (
+    Contour,
+    MatchSettings,
+    contour_of,
+    matched_pairs,
+    pairs_of,
+)
 from jaxmocap.silhouette.pose import PoseSettings, Prior, solve_pose
 
 SETTINGS_OF_PAIRS = MatchSettings()
@@ -47,12 +53,12 @@ def test_a_discs_contour_is_found_to_a_tenth_of_a_cell():
 def test_nothing_seen_matches_nothing(finder):  # noqa: F811
     rim = finder.find(BODY, bent(), CAMERAS)
     phi = np.full((4, SETTINGS.size, SETTINGS.size), -5.0, np.float32)
-    none = matched(rim, contours(phi, rim.region), SETTINGS_OF_PAIRS)
-    assert not none.real.any()
+    none = matched_pairs(rim, contours(phi, rim.region), SETTINGS_OF_PAIRS)
+    assert not none.valid.any()
     phi[0, 20:100, 50:70] = 5.0
-    some = matched(rim, contours(phi, rim.region), SETTINGS_OF_PAIRS)
+    some = matched_pairs(rim, contours(phi, rim.region), SETTINGS_OF_PAIRS)
     assert some.nodes.shape == none.nodes.shape
-    assert some.real[0].any() and not some.real[1:].any()
+    assert some.valid[0].any() and not some.valid[1:].any()
 
 
 def test_pairs_face_the_same_way_and_are_near(finder):  # noqa: F811
@@ -60,10 +66,10 @@ def test_pairs_face_the_same_way_and_are_near(finder):  # noqa: F811
     start = retract(truth, jnp.full(BODY.costs.shape, 0.02))
     rim = finder.find(BODY, start, CAMERAS)
     phi = np.stack([level_set(finder, truth, c, rim.region) for c in range(4)])
-    pairs = matched(rim, contours(phi, rim.region), SETTINGS_OF_PAIRS)
-    assert pairs.real.mean() > 0.7
-    assert pairs.distances[pairs.real].max() < 40 * rim.region.scale.max()
-    assert np.median(pairs.distances[pairs.real]) < 15
+    pairs = matched_pairs(rim, contours(phi, rim.region), SETTINGS_OF_PAIRS)
+    assert pairs.valid.mean() > 0.7
+    assert pairs.distances[pairs.valid].max() < 40 * rim.region.scale.max()
+    assert np.median(pairs.distances[pairs.valid]) < 15
     assert np.isfinite(pairs.pixels_xy).all()
 
 
@@ -81,10 +87,10 @@ def test_a_pose_is_found_from_four_silhouettes(finder, degrees):  # noqa: F811
     phi = np.stack([level_set(finder, truth, c, region) for c in range(4)])
     outlines = contours(phi, region)
     for _ in range(10):
-        found = matched(finder.find(BODY, pose, CAMERAS), outlines, SETTINGS_OF_PAIRS)
-        weights = jnp.asarray(found.real, jnp.float32)
+        found = matched_pairs(finder.find(BODY, pose, CAMERAS), outlines, SETTINGS_OF_PAIRS)
+        weights = jnp.asarray(found.valid, jnp.float32)
         rays = PAIRS(CAMERAS, finder.points(found.nodes), found.pixels_xy, found.normals, weights,
-                     SETTINGS_OF_PAIRS.grip)  # fmt: skip
+                     SETTINGS_OF_PAIRS.along_weight)  # fmt: skip
         pose = SOLVE(BODY, pose, rays, PoseSettings(iterations=3, deviation=0.005), prior).pose
     wrong = np.abs(np.asarray(difference(pose, truth)))
     hinges = [

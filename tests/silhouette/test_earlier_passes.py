@@ -12,7 +12,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ROOT_DOF
 from jaxmocap.pipelines.silhouettes import track
 from jaxmocap.silhouette.first_pose import landmark_points
-from jaxmocap.silhouette.state import Moving
+from jaxmocap.silhouette.state import PoseEstimate
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
@@ -25,7 +25,7 @@ ARM = [BODY.tree.joint(name) for name in ("arm_flex_l", "arm_abduct_l", "elbow_f
 def tracker() -> SilhouetteTracker:
     """That looks for no limb among hypotheses of its own."""
     made = in_known_rooms()
-    made._doubter.better = lambda doubts, *_: (None, doubts)  # type: ignore[method-assign]
+    made._doubter.propose = lambda doubts, *_: (None, doubts)  # type: ignore[method-assign]
     return made
 
 
@@ -34,7 +34,7 @@ def after_a_jump(tracker: SilhouetteTracker, earlier: Pose | None):
     state = tracker.init(HANGING)
     for frame in range(2):
         state, _, _ = tracker.step(state, frame / 30, painted(tracker, HANGING))
-    before = None if earlier is None else Moving(earlier, SPEEDS)
+    before = None if earlier is None else PoseEstimate(earlier, SPEEDS)
     state, pose, report = tracker.step(state, 2 / 30, painted(tracker, UP), None, before)
     found, true = (np.asarray(landmark_points(BODY, each)[WRIST]) for each in (pose, UP))
     return state, report, np.linalg.norm(found - true)
@@ -42,24 +42,24 @@ def after_a_jump(tracker: SilhouetteTracker, earlier: Pose | None):
 
 def test_a_lost_limb_is_where_an_earlier_pass_found_it_and_moves_on_as_it_did_there(tracker):
     state, report, off = after_a_jump(tracker, UP)
-    assert off < 0.1 and report.moved[ARM].all()
+    assert off < 0.1 and report.relocated[ARM].all()
     np.testing.assert_array_equal(state.velocity[ROOT_DOF:][ARM], SPEEDS[ROOT_DOF:][ARM])
     legs = np.array(["knee" in joint or "hip" in joint for joint in BODY.tree.joints])
-    assert not report.moved[legs].any()
+    assert not report.relocated[legs].any()
     assert (state.velocity[ROOT_DOF:][legs] != SPEEDS[ROOT_DOF:][legs]).all()
 
 
 @pytest.mark.parametrize("earlier", [None, ELSEWHERE, HANGING])
 def test_where_an_earlier_pass_was_lost_too_its_limbs_are_not_taken(tracker, earlier):
     state, report, off = after_a_jump(tracker, earlier)
-    assert off > 0.4 and not report.moved.any()
+    assert off > 0.4 and not report.relocated.any()
     assert (state.velocity[ROOT_DOF:][ARM] != SPEEDS[ROOT_DOF:][ARM]).all()
 
 
 def test_an_arm_that_both_passes_have_in_place_is_left_alone(tracker):
     state = tracker.init(UP)
     for frame in range(2):
-        shown = frame / 30, painted(tracker, UP), None, Moving(lifted(147.0), SPEEDS)
+        shown = frame / 30, painted(tracker, UP), None, PoseEstimate(lifted(147.0), SPEEDS)
         state, _, report = tracker.step(state, *shown)
         assert not report.moved.any()
 

@@ -8,13 +8,13 @@ from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton, with_joints
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.fit.correspond import Matches
-from jaxmocap.silhouette.fit.expected_pose import expectation, resting
-from jaxmocap.silhouette.segmentation.inner_edges import EdgeSettings, edge_pairs, joined
+from jaxmocap.silhouette.fit.expected_pose import combined_prior, rest_deviations
+from jaxmocap.silhouette.segmentation.inner_edges import InnerEdgeSettings, concatenated, edge_pairs
 from jaxmocap.silhouette.segmentation.profiles import boundary, colour_profiles
 from jaxmocap.silhouette.surfaces.rim import Rim
 
 SKIN, SHIRT = np.array([120, 150, 200]), np.array([150, 70, 60])
-SETTINGS = EdgeSettings()
+SETTINGS = InnerEdgeSettings()
 ROWS = np.arange(20, 60, 2)
 
 
@@ -47,28 +47,28 @@ def found(image: np.ndarray | None, column: float) -> Matches:
 @pytest.mark.parametrize("off", [-4.0, -1.3, 0.0, 2.6, 4.0])
 def test_an_edge_is_found_from_a_place_beside_it(off):
     pairs = found(picture(SKIN, SHIRT, 40), 39.5 + off)
-    assert pairs.nodes.shape == (1, len(ROWS)) and pairs.real.mean() > 0.9
-    np.testing.assert_allclose(pairs.pixels_xy[pairs.real][:, 0], 39.5, atol=1.0)
+    assert pairs.nodes.shape == (1, len(ROWS)) and pairs.valid.mean() > 0.9
+    np.testing.assert_allclose(pairs.pixels_xy[pairs.valid][:, 0], 39.5, atol=1.0)
     np.testing.assert_array_equal(pairs.pixels_xy[0, :, 1], ROWS)
-    np.testing.assert_allclose(pairs.distances[pairs.real], abs(off), atol=1.0)
+    np.testing.assert_allclose(pairs.distances[pairs.valid], abs(off), atol=1.0)
 
 
 def test_one_and_the_same_shirt_has_no_edge_however_patterned():
     stripes = picture(SHIRT, SHIRT, 40)
     stripes[::6] = np.clip(stripes[::6] * 1.4, 0, 255)
     stripes[:, ::7] = np.clip(stripes[:, ::7] * 0.7, 0, 255)
-    assert not found(stripes, 40).real.any()
+    assert not found(stripes, 40).valid.any()
 
 
 def test_where_there_is_no_image_or_no_edge_within_reach_there_are_no_pairs():
-    assert not found(None, 40).real.any()
-    assert not found(picture(SKIN, SHIRT, 60), 40).real.any()
+    assert not found(None, 40).valid.any()
+    assert not found(picture(SKIN, SHIRT, 60), 40).valid.any()
 
 
 def test_too_few_points_of_a_bone_say_nothing_of_its_colours():
     image, rim = picture(SKIN, SHIRT, 40), rim_at(40)
     each_its_own = np.arange(len(ROWS) + 1)
-    assert not edge_pairs([image], rim, each_its_own, SETTINGS).real.any()
+    assert not edge_pairs([image], rim, each_its_own, SETTINGS).valid.any()
 
 
 def test_profiles_run_along_the_normals():
@@ -87,8 +87,8 @@ def test_a_boundary_lies_between_the_last_sample_of_one_colour_and_the_first_of_
 
 def test_edges_are_further_pairs():
     edges = found(picture(SKIN, SHIRT, 40), 40)
-    both = joined(edges, edges)
-    assert both.real.shape == (1, 2 * len(ROWS)) and both.pixels_xy.dtype == np.float32
+    both = concatenated(edges, edges)
+    assert both.valid.shape == (1, 2 * len(ROWS)) and both.pixels_xy.dtype == np.float32
     np.testing.assert_array_equal(both.nodes[:, len(ROWS) :], edges.nodes)
 
 
@@ -96,7 +96,7 @@ BODY = with_joints(Skeleton.human(1.75), "supple.toml")
 
 
 def test_joints_are_held_by_how_their_names_begin():
-    rest = resting(BODY, {"clavicle": 0.1, "wrist_flex_l": 0.2})
+    rest = rest_deviations(BODY, {"clavicle": 0.1, "wrist_flex_l": 0.2})
     held = {name: value for name, value in zip(BODY.tree.joints, rest, strict=True) if value < 1}
     assert {name.rpartition("_")[0] for name in held} == {
         "clavicle_raise", "clavicle_protract", "wrist_flex",
@@ -108,8 +108,8 @@ def test_joints_are_held_by_how_their_names_begin():
 def test_what_the_motion_and_rest_say_is_weighed_by_how_sure_they_are():
     pose = relaxed_pose(BODY)
     pose = pose._replace(angles=jnp.full_like(pose.angles, 0.3))
-    rest = resting(BODY, {"neck_flexion": 0.1})
-    prior = expectation(pose, np.full(len(BODY.costs), 0.2), rest)
+    rest = rest_deviations(BODY, {"neck_flexion": 0.1})
+    prior = combined_prior(pose, np.full(len(BODY.costs), 0.2), rest)
     neck = BODY.tree.joint("neck_flexion")
     angles, deviations = np.asarray(prior.pose.angles), np.asarray(prior.deviations)
     # One part of the motion's precision to four of rest's.

@@ -16,17 +16,17 @@ from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.surface import posed
 from jaxmocap.silhouette.device_functions import fit
 from jaxmocap.silhouette.first_pose import landmark_points
-from jaxmocap.silhouette.recovery.chromaticity import BodyHues
-from jaxmocap.silhouette.recovery.limb_particle_filter import explained
-from jaxmocap.silhouette.recovery.limbs import carriers, ends, halves_of, limbs_of
-from jaxmocap.silhouette.recovery.penetration import Parts, rings, within
-from jaxmocap.silhouette.recovery.projected_body import Sight, seen_at
-from jaxmocap.silhouette.segmentation.outlines import look
+from jaxmocap.silhouette.recovery.chromaticity import BodyAppearance
+from jaxmocap.silhouette.recovery.limb_particle_filter import explained_log_ratio
+from jaxmocap.silhouette.recovery.limbs import bone_ends, carriers, halves_of, limb_chains
+from jaxmocap.silhouette.recovery.penetration import Obstacles, obstacle_rings, penetrating_share
+from jaxmocap.silhouette.recovery.projected_body import ProjectedBody, project_points
+from jaxmocap.silhouette.segmentation.outlines import find_outlines
 from jaxmocap.silhouette.state import State
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
-EXPLAINED = jax.jit(explained)
+EXPLAINED = jax.jit(explained_log_ratio)
 WRIST = list(LANDMARKS).index("wrist_l")
 SHIRT, SKIN = (120, 50, 30), (80, 110, 170)
 # Of a hue more like skin than like the shirt, and not that of skin.
@@ -64,7 +64,7 @@ def dressed(tracker: SilhouetteTracker, pose: Pose) -> list[np.ndarray]:
     bare = [BODY.tree.bone(f"{bone}_{side}") for bone in ("radius", "hand") for side in "lr"]
     skin = np.isin(carriers(points), bare)
     images = []
-    for pixels, depths in zip(*seen_at(BODY, pose, tracker.cameras, points), strict=True):
+    for pixels, depths in zip(*project_points(BODY, pose, tracker.cameras, points), strict=True):
         image = np.full((480, 640, 3), WALL, np.uint8)
         places = np.rint(np.asarray(pixels)).astype(int)
         for i in np.argsort(-np.asarray(depths)):
@@ -90,29 +90,29 @@ def state(tracker) -> State:
     return state
 
 
-def sight_of(tracker, state, pose: Pose, images) -> Sight:
+def sight_of(tracker, state, pose: Pose, images) -> ProjectedBody:
     """A pose laid over what all cameras show."""
     rim = tracker.finder.find(BODY, pose, tracker.cameras)
-    seen = look(images, tracker.rooms, rim, state.histograms, SMALL, tracker.plan)
+    seen = find_outlines(images, tracker.rooms, rim, state.histograms, SMALL, tracker.plan)
     return tracker._doubter.sight(pose, seen, np.ones(4, bool), images, tracker.rooms)
 
 
 def test_an_arm_that_no_silhouette_misses_is_missed_by_its_hue(tracker, state):
     doubts, doubter, images = state.doubts, tracker._doubter, dressed(tracker, AHEAD)
     rim = tracker.finder.find(BODY, LOST, tracker.cameras)
-    seen = look(images, tracker.rooms, rim, state.histograms, SMALL, tracker.plan)
+    seen = find_outlines(images, tracker.rooms, rim, state.histograms, SMALL, tracker.plan)
     left = doubter.names.index("arm_l")
     # From both sides one arm is before the other, and the lost one before or behind the trunk.
     aside = doubter.sight(LOST, seen, SIDES, images, tracker.rooms)
-    better, after = doubter.better(doubts, aside, SMALL.search)
+    better, after = doubter.better(doubts, aside, SMALL.limb_search)
     assert after.denied[left] and better is not None and better.limbs == (left,)
     assert off(better.poses) < 0.5 < 0.8 < off([LOST])
-    unknown = doubts._replace(known=BodyHues.none(len(doubts.known.age)))
-    better, after = doubter.better(unknown, aside, SMALL.search)
+    unknown = doubts._replace(known=BodyAppearance.empty(len(doubts.known.age)))
+    better, after = doubter.better(unknown, aside, SMALL.limb_search)
     assert better is None and not after.denied.any()
     # From ahead it would be seen before the wall.
     every = doubter.sight(LOST, seen, np.ones(4, bool), images, tracker.rooms)
-    assert doubter.better(unknown, every, SMALL.search)[1].denied[left]
+    assert doubter.better(unknown, every, SMALL.limb_search)[1].denied[left]
 
 
 def boxed(tracker: SilhouetteTracker, *bones: str) -> list[np.ndarray]:
@@ -120,7 +120,9 @@ def boxed(tracker: SilhouetteTracker, *bones: str) -> list[np.ndarray]:
     images, points = dressed(tracker, AHEAD), tracker.finder.surface.points
     behind = np.isin(carriers(points), [BODY.tree.bone(bone) for bone in bones])
     for image, pixels in zip(
-        images if bones else (), seen_at(BODY, AHEAD, tracker.cameras, points)[0], strict=False
+        images if bones else (),
+        project_points(BODY, AHEAD, tracker.cameras, points)[0],
+        strict=False,
     ):
         at = np.asarray(pixels)[behind]
         low, high = at.min(0).astype(int) - 5, at.max(0).astype(int) + 5
@@ -132,7 +134,7 @@ def boxed(tracker: SilhouetteTracker, *bones: str) -> list[np.ndarray]:
 def test_an_arm_behind_a_box_is_not_seen_and_stays(tracker, state, box):
     doubter, images = tracker._doubter, boxed(tracker, *FOREARM if box else ())
     true = sight_of(tracker, state, AHEAD, images)
-    better, after = doubter.better(state.doubts, true, SMALL.search)
+    better, after = doubter.better(state.doubts, true, SMALL.limb_search)
     assert after.denied.any() == box and better is None
     hidden, _ = doubter.hidden(after, true, images)
     assert hidden[[BODY.tree.joint(f"elbow_flex_{side}") for side in "lr"]].tolist() == [box, box]
@@ -169,7 +171,7 @@ def test_an_arm_that_was_learned_as_room_is_not_better_off_unseen(tracker, state
     sight = sight_of(tracker, state, ASIDE, dressed(tracker, ASIDE))
     arms = sight.covered(np.any(doubter.nodes[:4], 0))
     room = sight._replace(ratios=np.where(arms, np.float32(-2), sight.ratios))
-    better, after = doubter.better(state.doubts, room, SMALL.search)
+    better, after = doubter.better(state.doubts, room, SMALL.limb_search)
     assert after.denied[left] and better is None
 
 
@@ -178,7 +180,7 @@ def test_what_lies_before_the_trunk_is_the_arm_only_in_its_hue(tracker, state, c
     doubter, images = tracker._doubter, dressed(tracker, HANGING)
     points = tracker.finder.surface.points
     forearm = np.isin(carriers(points), [BODY.tree.bone("radius_l"), BODY.tree.bone("hand_l")])
-    pixels, _ = seen_at(BODY, CROSSED, tracker.cameras, points)
+    pixels, _ = project_points(BODY, CROSSED, tracker.cameras, points)
     for image, at in zip(images, np.asarray(pixels)[:, forearm], strict=True):
         for place in np.rint(at).astype(int):
             cv2.circle(image, place.tolist(), 4, colour, -1)
@@ -195,12 +197,12 @@ def test_what_lies_before_the_trunk_is_the_arm_only_in_its_hue(tracker, state, c
 )
 def test_an_arm_can_touch_the_trunk_and_not_be_within_it(pose, low, high):
     surface = generic_surface(BODY)
-    limb = limbs_of(BODY, surface)["arm_l"]
-    around = rings(surface, "arm_l")
+    limb = limb_chains(BODY, surface)["arm_l"]
+    around = obstacle_rings(surface, "arm_l")
 
     @jax.jit
     def share(pose: Pose):
-        others = Parts.of(posed(forward(BODY, pose), around))
-        return within(*ends(BODY, pose, limb), jnp.asarray(limb.radii), others)
+        others = Obstacles.of(posed(forward(BODY, pose), around))
+        return penetrating_share(*bone_ends(BODY, pose, limb), jnp.asarray(limb.radii), others)
 
     assert low <= float(share(pose)) <= high

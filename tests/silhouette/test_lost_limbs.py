@@ -21,25 +21,29 @@ from jaxmocap.silhouette.first_pose import landmark_points
 from jaxmocap.silhouette.recovery.limb_particle_filter import (
     APART,
     KEPT,
-    Evidence,
-    Found,
-    distinct,
-    explained,
-    systematic,
+    LimbEvidence,
+    LimbSearchResult,
+    distinct_particles,
+    explained_log_ratio,
+    systematic_resampling,
 )
-from jaxmocap.silhouette.recovery.limbs import carriers, limbs_of
-from jaxmocap.silhouette.recovery.lost_limbs import UNEXPLAINED, Better
-from jaxmocap.silhouette.recovery.part_appearance import YOUNG, Appearance
-from jaxmocap.silhouette.recovery.projected_body import seen_at
-from jaxmocap.silhouette.segmentation.canvas_coverage import covered
-from jaxmocap.silhouette.segmentation.image_changes import Glances
-from jaxmocap.silhouette.segmentation.segment import Plan, Stage
+from jaxmocap.silhouette.recovery.limbs import carriers, limb_chains
+from jaxmocap.silhouette.recovery.lost_limbs import UNEXPLAINED, LimbProposal
+from jaxmocap.silhouette.recovery.part_appearance import YOUNG, PartAppearance
+from jaxmocap.silhouette.recovery.projected_body import project_points
+from jaxmocap.silhouette.segmentation.canvas_coverage import covered_cells
+from jaxmocap.silhouette.segmentation.image_changes import ImageHistory
+from jaxmocap.silhouette.segmentation.segment import SegmentationPlan, Stage
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
 WRIST = list(LANDMARKS).index("wrist_l")
-DRAWN, DISTINCT, EXPLAINED = jax.jit(systematic), jax.jit(distinct), jax.jit(explained)
+DRAWN, DISTINCT, EXPLAINED = (
+    jax.jit(systematic_resampling),
+    jax.jit(distinct_particles),
+    jax.jit(explained_log_ratio),
+)
 
 
 def lifted(degrees: float):
@@ -59,7 +63,7 @@ def bent(degrees: float):
 def in_known_rooms() -> SilhouetteTracker:
     """Of four cameras, whose rooms are known to be of one plain colour."""
     made = SilhouetteTracker(BODY, ring(4), SMALL)
-    made.plan = Plan(room=False, stages=(Stage(10, 2.0, 2.0, gap=1.0),))
+    made.plan = SegmentationPlan(background=False, stages=(Stage(10, 2.0, 2.0, gap=1.0),))
     width, height = np.asarray(made.cameras.size[0], int)
     flat, plain = np.ones((height, width), np.float32), np.ones((height, width, 3), np.float32)
     made.rooms = 4 * [Background(plain * np.float32(WALL), 5 * flat, flat)]
@@ -106,7 +110,7 @@ def test_of_several_better_poses_the_best_is_taken_or_none(gains, taken):
     chooser._doubter = SimpleNamespace(
         joints_of=lambda limbs: np.full(4, bool(limbs)),
         sight=lambda pose, *_: pose,
-        better=lambda doubts, *_: (Better(tuple(gains), (0,)), doubts),
+        better=lambda doubts, *_: (LimbProposal(tuple(gains), (0,)), doubts),
         gain=lambda limbs, before, after, known: told[after] - told[before],
         hidden=lambda doubts, sight, images, moved: (np.zeros(4, bool), sight),
     )
@@ -121,7 +125,9 @@ def test_a_limb_is_looked_for_again_at_once_where_a_place_was_nearly_better(
     tracker, monkeypatch, gain, waits
 ):
     doubter = tracker._doubter
-    found = Found(jnp.zeros((1, 6)), jnp.zeros((1, 6)), jnp.array([0.3 + gain]), jnp.array(0.3))
+    found = LimbSearchResult(
+        jnp.zeros((1, 6)), jnp.zeros((1, 6)), jnp.array([0.3 + gain]), jnp.array(0.3)
+    )
     monkeypatch.setattr(doubter, "_search", lambda *_: found)
     better, after = judged(doubter, monkeypatch, worth=0.3, missing=2 * UNEXPLAINED)
     assert better is None and after.waits.any() == after.failures.any() == waits
@@ -135,7 +141,9 @@ def test_a_limb_that_explains_little_is_not_there_where_somebody_is_unexplained(
     tracker, monkeypatch, worth, missing, denied
 ):
     doubter = tracker._doubter
-    nothing = Found(jnp.zeros((1, 6)), jnp.zeros((1, 6)), jnp.array([worth]), jnp.array(worth))
+    nothing = LimbSearchResult(
+        jnp.zeros((1, 6)), jnp.zeros((1, 6)), jnp.array([worth]), jnp.array(worth)
+    )
     monkeypatch.setattr(doubter, "_search", lambda *_: nothing)
     _, after = judged(doubter, monkeypatch, worth, missing)
     assert (after.denied == denied).all()
@@ -144,7 +152,9 @@ def test_a_limb_that_explains_little_is_not_there_where_somebody_is_unexplained(
 @pytest.mark.parametrize("denied", [True, False])
 def test_a_limb_whose_denial_ends_is_looked_for_once_more_and_at_once(tracker, monkeypatch, denied):
     doubter, searched = tracker._doubter, []
-    nothing = Found(jnp.zeros((1, 6)), jnp.zeros((1, 6)), jnp.array([0.5]), jnp.array(0.5))
+    nothing = LimbSearchResult(
+        jnp.zeros((1, 6)), jnp.zeros((1, 6)), jnp.array([0.5]), jnp.array(0.5)
+    )
     monkeypatch.setattr(doubter, "_search", lambda number, *_: searched.append(number) or nothing)
     count = len(doubter.limbs)
     before = doubter.none()._replace(denied=np.full(count, denied), waits=np.full(count, 3))
@@ -160,17 +170,19 @@ def judged(doubter, monkeypatch, worth: float, missing: float, before=None):
     monkeypatch.setattr(doubter, "_nearest", lambda sight: None)
     monkeypatch.setattr(doubter, "_left_for", lambda *_: None)
     monkeypatch.setattr(doubter, "_explains", lambda *_: worth)
-    return doubter.better(before or doubter.none(), SimpleNamespace(pose=None), SMALL.search)
+    return doubter.better(before or doubter.none(), SimpleNamespace(pose=None), SMALL.limb_search)
 
 
 def test_a_forearm_laid_over_its_upper_arm_explains_nothing_twice(tracker):
     surface = tracker.finder.surface
-    limb = limbs_of(BODY, surface)["arm_l"]
+    limb = limb_chains(BODY, surface)["arm_l"]
     upper = carriers(surface.points) == limb.bones[0]
     region = Region(np.full((4, 2), -0.5, np.float32), np.full(4, 8.0, np.float32))
-    pixels = np.asarray(seen_at(BODY, bent(0.0), tracker.cameras, surface.points)[0])[:, upper]
-    shown = [covered(at, Region(*r), 128, 0) for at, *r in zip(pixels, *region, strict=True)]
-    evidence = Evidence(np.stack(shown).astype(np.float32), region, np.ones(4, bool))
+    pixels = np.asarray(project_points(BODY, bent(0.0), tracker.cameras, surface.points)[0])[
+        :, upper
+    ]
+    shown = [covered_cells(at, Region(*r), 128, 0) for at, *r in zip(pixels, *region, strict=True)]
+    evidence = LimbEvidence(np.stack(shown).astype(np.float32), region, np.ones(4, bool))
     straight, folded = (
         float(EXPLAINED(BODY, tracker.cameras, bent(degrees), limb, evidence))
         for degrees in (0.0, 150.0)
@@ -206,7 +218,7 @@ def test_systematic_resampling_draws_each_as_often_as_it_weighs(seed, weights):
 def test_a_body_covers_the_cells_about_its_points_and_no_others():
     region = Region(np.array([9.5, -0.5], np.float32), np.array(2.0, np.float32))
     # The middle of cell (3, 5) and a point beside the canvas.
-    mask = covered(np.array([[16.5, 10.5], [500.0, 3.0]]), region, 12, 1)
+    mask = covered_cells(np.array([[16.5, 10.5], [500.0, 3.0]]), region, 12, 1)
     expected = np.zeros((12, 12), bool)
     expected[4:7, 2:5] = True
     np.testing.assert_array_equal(mask, expected)
@@ -218,15 +230,15 @@ def test_torn_black_and_exchanged_frames_are_passed_over_until_patience_ends():
     room, other = (np.repeat(np.repeat(image, 8, 0), 8, 1) for image in (room, other))
     walked = room.copy()
     walked[100:300, 200:260] = 0
-    glances = Glances.none(1)
+    glances = ImageHistory.empty(1)
     for image, believed in ((room, True), (walked, True), (room, True), (other, False)):
-        kept, glances = glances.believed([image], SMALL.changed, 3)
+        kept, glances = glances.accepted([image], SMALL.changed_share, 3)
         assert (kept[0] is not None) == believed
     torn = np.concatenate([room[:150], np.roll(room[150:], 200, 1)])
     for image, believed in ((torn, False), (np.zeros_like(room), False), (other, True)):
-        kept, glances = glances.believed([image], SMALL.changed, 3)
+        kept, glances = glances.accepted([image], SMALL.changed_share, 3)
         assert (kept[0] is not None) == believed
-    assert glances.believed([None], 0.25, 3)[0] == [None]
+    assert glances.accepted([None], 0.25, 3)[0] == [None]
 
 
 def test_a_box_before_a_part_is_told_by_its_hue_and_shade_is_not():
@@ -234,16 +246,16 @@ def test_a_box_before_a_part_is_told_by_its_hue_and_shade_is_not():
     rows, columns = np.mgrid[10:20, 10:20]
     pixels = np.stack([columns.ravel(), rows.ravel()], 1)[None].repeat(3, 0)
     parts = np.ones((1, 100), bool)
-    looks = Appearance.none(1, 3)
+    looks = PartAppearance.empty(1, 3)
     for frame in range(YOUNG):
         darker = np.uint8(image * (1 - 0.1 * frame))
-        other, looks = looks.judged(3 * [darker], pixels, parts)
+        other, looks = looks.compared(3 * [darker], pixels, parts)
         assert not other.any()
     box = image.copy()
     box[8:22, 8:22] = 200
-    assert not looks.judged(3 * [image], pixels, parts)[0].any()
+    assert not looks.compared(3 * [image], pixels, parts)[0].any()
     # One of three cameras is not enough.
-    assert not looks.judged([box, image, image], pixels, parts)[0].any()
-    hidden, after = looks.judged([box, box, image], pixels, parts)
+    assert not looks.compared([box, image, image], pixels, parts)[0].any()
+    hidden, after = looks.compared([box, box, image], pixels, parts)
     assert hidden.all() and (after.mean[:, :2] == looks.mean[:, :2]).all()
-    assert not looks.judged(3 * [None], pixels, parts)[0].any()
+    assert not looks.compared(3 * [None], pixels, parts)[0].any()

@@ -188,9 +188,9 @@ def test_one_person_becomes_another():
     was = rest_nodes(generic_surface(other, 1.2), joints)
     np.testing.assert_allclose(rest_nodes(second, joints), was, atol=1e-6)
     first, second = SURFACE.points, second.points
-    np.testing.assert_allclose(s.between(first, second, 1.0).points_bone, first.points_bone)
-    np.testing.assert_allclose(s.between(first, second, 0.0).points_bone, second.points_bone)
-    half = s.between(first, second, 0.25, "square_root").points_bone
+    np.testing.assert_allclose(s.interpolated(first, second, 1.0).points_bone, first.points_bone)
+    np.testing.assert_allclose(s.interpolated(first, second, 0.0).points_bone, second.points_bone)
+    half = s.interpolated(first, second, 0.25, "square_root").points_bone
     middle = (np.asarray(first.points_bone) + np.asarray(second.points_bone)) / 2
     np.testing.assert_allclose(half, middle, atol=1e-6)
 
@@ -205,7 +205,7 @@ def test_a_body_goes_over_into_another_as_equation_4_26_says(weighting):
         at = np.zeros(len(LOW))
         at[TREE.joint("elbow_flex_l")] = t
         gone = m.moved(SURFACE.points, np.asarray(morph.moves), m.steered(morph, at))
-        there = s.between(stouter.points, SURFACE.points, t, weighting)
+        there = s.interpolated(stouter.points, SURFACE.points, t, weighting)
         frames = FORWARD(BODY, standing(at))
         np.testing.assert_allclose(posed(frames, gone), posed(frames, there), atol=2e-6)
 
@@ -214,7 +214,7 @@ def test_only_patches_that_are_named_go_over_and_denser_nodes_as_the_others():
     stouter = generic_surface(BODY, 1.3)
     over = m.Transition(LIFT, stouter, ("arm_l",))
     dense = resampled(SURFACE, JOINTS, 0.03)
-    moves = s.gone_over(SURFACE, JOINTS, over, 0.03)
+    moves = s.transition_offsets(SURFACE, JOINTS, over, 0.03)
     arm = next(patch for patch in dense.patches if patch.name == "arm_l")
     assert len(moves) == len(dense.points.bones)
     assert np.linalg.norm(moves[arm.nodes], axis=1).max() > 0.01
@@ -227,7 +227,7 @@ def test_surfaces_of_other_patches_do_not_correspond():
     with pytest.raises(ValueError, match="node for node"):
         s.corresponding(SURFACE, JOINTS, fewer)
     with pytest.raises(ValueError, match="node for node"):
-        s.gone_over(SURFACE, JOINTS, m.Transition(LIFT, fewer))
+        s.transition_offsets(SURFACE, JOINTS, m.Transition(LIFT, fewer))
 
 
 @given(

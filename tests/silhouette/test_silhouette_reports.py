@@ -44,9 +44,9 @@ def told(reports: list[StepReport]) -> list[list[bool]]:
     """Of which joints each frame tells; the same by all that says so."""
     for each in reports:
         np.testing.assert_array_equal(np.diag(each.information), each.slope)
-        np.testing.assert_array_equal(each.seen[ROOT_DOF:], each.slope > 0)
+        np.testing.assert_array_equal(each.observed[ROOT_DOF:], each.slope > 0)
         np.testing.assert_array_equal(each.hidden, each.slope == 0)
-        assert each.seen[:ROOT_DOF].all()
+        assert each.observed[:ROOT_DOF].all()
     return [list(each.slope > 0) for each in reports]
 
 
@@ -69,7 +69,9 @@ def test_frames_that_were_told_stay_as_they_are_without_a_move_and_small():
     first, second = kept(step(), step())
     assert told([first, second]) == [[True] * 3] * 2
     for each in (first, second):
-        assert each.outlines.segmented is None and each.pairs is None and not each.outlines.contours
+        assert (
+            each.outlines.segmentation is None and each.pairs is None and not each.outlines.contours
+        )
 
 
 def test_a_limb_found_in_the_first_frames_withdraws_those_there_are():

@@ -17,9 +17,9 @@ from jaxmocap.images.regions import Region
 from jaxmocap.pipelines.silhouettes.first_pose import start_pose
 from jaxmocap.silhouette.device_functions import fit
 from jaxmocap.silhouette.first_pose import landmark_points, pose_at, standing_pose
+from jaxmocap.silhouette.segmentation.background_models import BackgroundLearner, OnlineBackground
 from jaxmocap.silhouette.segmentation.outlines import silhouette_distance
-from jaxmocap.silhouette.segmentation.background_models import RoomLearner, RunningRoom
-from jaxmocap.silhouette.segmentation.segment import Plan, Stage
+from jaxmocap.silhouette.segmentation.segment import SegmentationPlan, Stage
 from jaxmocap.silhouette.settings import FAR_OFF, Settings
 from jaxmocap.silhouette.surfaces.rim import RimSettings
 from jaxmocap.silhouette.tracker import SilhouetteTracker
@@ -34,7 +34,7 @@ POINTS = landmark_points
 def tracker() -> SilhouetteTracker:
     made = SilhouetteTracker(BODY, ring(4), SMALL)
     # Plain walls need few steps, which compile sooner.
-    made.plan = Plan(room=False, stages=(Stage(10, 2.0, 2.0, gap=1.0),))
+    made.plan = SegmentationPlan(background=False, stages=(Stage(10, 2.0, 2.0, gap=1.0),))
     return made
 
 
@@ -140,29 +140,29 @@ def test_a_person_stands_on_the_floor_where_it_was_said():
 
 
 def test_a_room_is_learned_where_the_person_was_not():
-    learner, room = RoomLearner(8), np.full((60, 80, 3), 120, np.uint8)
+    learner, room = BackgroundLearner(8), np.full((60, 80, 3), 120, np.uint8)
     region = Region(np.full(2, -0.5, np.float32), np.array(2.0, np.float32))
     for i in range(8):
         image, phi = room.copy(), np.full((40, 40), -8.0, np.float32)
         left = 4 + 6 * i
         image[20:40, left : left + 8] = 10
         phi[10:20, left // 2 : left // 2 + 4] = 8.0
-        learner.tell(image, phi, region)
-    learned = learner.learned()
+        learner.add_frame(image, phi, region)
+    learned = learner.background()
     assert learned is not None and learned.colour.shape == room.shape
     assert np.abs(learned.colour[learned.known > 0.5] - 120).max() < 2
     assert (learned.known > 0.5).mean() > 0.9
-    assert RoomLearner(8).learned() is None
+    assert BackgroundLearner(8).background() is None
 
 
 def test_what_a_shadow_lay_on_for_most_of_the_time_is_learned_as_it_is_lit():
     region = Region(np.full(2, -0.5, np.float32), np.array(2.0, np.float32))
-    learner, nobody = RoomLearner(10), np.full((40, 40), -8.0, np.float32)
+    learner, nobody = BackgroundLearner(10), np.full((40, 40), -8.0, np.float32)
     for i in range(10):
         image = np.full((60, 80, 3), 120, np.uint8)
         image[40:, : 80 if i < 6 else 40] = 80
-        learner.tell(image, nobody, region)
-    learned = learner.learned()
+        learner.add_frame(image, nobody, region)
+    learned = learner.background()
     assert learned is not None
     assert (learned.colour[:, 41:] > 115).all() and (learned.colour[41:, :39] < 85).all()
 
@@ -175,23 +175,23 @@ def test_a_hand_that_stands_still_is_no_room_where_the_body_has_it_and_segmentat
     hand = np.stack([columns.ravel(), rows.ravel()], 1).astype(float)
     learned = {}
     for seen in (False, True):
-        learner = RoomLearner(8)
+        learner = BackgroundLearner(8)
         for _ in range(8):
-            learner.tell(image, phi, region, hand if seen else None)
-        learned[seen] = learner.learned()
+            learner.add_frame(image, phi, region, hand if seen else None)
+        learned[seen] = learner.background()
     assert (learned[False].known > 0.5).all()
     assert not learned[True].known[20:30, 40:50].any() and learned[True].known[5:15, 5:75].all()
 
 
 def test_a_room_is_known_from_the_first_frames_but_about_the_person_and_there_once_they_have_left():
     region = Region(np.full(2, -0.5, np.float32), np.array(2.0, np.float32))
-    running, empty = RunningRoom(), np.full((60, 80, 3), 120, np.uint8)
+    running, empty = OnlineBackground(), np.full((60, 80, 3), 120, np.uint8)
     for left in (10, 10, 10, 50, 50, 50):
         image, phi = empty.copy(), np.full((40, 40), -8.0, np.float32)
         image[20:40, left : left + 8] = 10
         rows, columns = np.mgrid[20:40:4, left : left + 8 : 4]
         body = np.stack([columns.ravel(), rows.ravel()], 1).astype(float)
-        room = running.told(image, phi, region, body)
+        room = running.updated(image, phi, region, body)
         assert np.abs(room.colour[room.known > 0] - 120).max() < 2
         assert room.known[20:40, 10:18].any() == (left == 50) and room.known[20:40, 50:58].any()
     assert (room.known == 1).all()

@@ -50,7 +50,7 @@ class PhotographError(ValueError):
         return self.problem
 
 
-class Difference(NamedTuple):
+class BackdropDifference(NamedTuple):
     """How an image differs from its backdrop.
 
     Attributes:
@@ -72,13 +72,13 @@ def person_mask(photograph: np.ndarray) -> np.ndarray:
     image = cv2.GaussianBlur(photograph, (0, 0), BLUR_PX).astype(np.float32)
     samples = border(image.shape[:2])
     surface = smooth_surface(image, samples)
-    different = difference(image, surface)
+    different = backdrop_difference(image, surface)
     dark, bright, chroma = thresholds(different, samples, photograph)
     shown = (different.chromaticity > chroma) | (different.brightness > bright)
     shown |= different.brightness < dark
-    mask = cleaned(shown)
+    mask = largest_piece(shown)
     _check(mask, photograph)
-    return cleaned(half_covered(mask, image, surface))
+    return largest_piece(half_covered(mask, image, surface))
 
 
 def border(shape: tuple[int, int]) -> np.ndarray:
@@ -117,16 +117,16 @@ def _quadratic(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], -1)
 
 
-def difference(image: np.ndarray, surface: np.ndarray) -> Difference:
+def backdrop_difference(image: np.ndarray, surface: np.ndarray) -> BackdropDifference:
     """An image against the backdrop's colours (H, W, 3)."""
     square = np.sum(surface * surface, -1)
     factor = np.sum(image * surface, -1) / square
     left = np.linalg.norm(image - factor[..., None] * surface, axis=-1)
-    return Difference(factor, left / np.sqrt(square))
+    return BackdropDifference(factor, left / np.sqrt(square))
 
 
 def thresholds(
-    different: Difference, samples: np.ndarray, photograph: np.ndarray
+    different: BackdropDifference, samples: np.ndarray, photograph: np.ndarray
 ) -> tuple[float, float, float]:
     """Darkest and brightest factor, and largest chromaticity, of the backdrop.
 
@@ -151,7 +151,7 @@ def thresholds(
     return 1 - max(MARGIN * far_off, SHADOW), bright, max(MARGIN * far_left, LEAST_CHROMA)
 
 
-def cleaned(shown: np.ndarray) -> np.ndarray:
+def largest_piece(shown: np.ndarray) -> np.ndarray:
     """(H, W) bool: the largest piece, smoothed, without small holes."""
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
     mask = cv2.morphologyEx(shown.astype(np.uint8), cv2.MORPH_OPEN, disc)

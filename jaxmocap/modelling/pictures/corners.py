@@ -6,7 +6,7 @@ INPUTS: points along a path. OUTPUTS: angles at them; the sharpest corners in or
 import numpy as np
 
 
-def even(points: np.ndarray, spacing: float = 1.0) -> np.ndarray:
+def evenly_spaced(points: np.ndarray, spacing: float = 1.0) -> np.ndarray:
     """(N, 2) points so far apart along a path through (M, 2) points."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     way = np.append(0.0, np.cumsum(steps))
@@ -15,7 +15,7 @@ def even(points: np.ndarray, spacing: float = 1.0) -> np.ndarray:
     return np.stack([np.interp(places, way[kept], line[kept]) for line in points.T], 1)
 
 
-def bends(points: np.ndarray, reach: float) -> np.ndarray:
+def turning_angles(points: np.ndarray, reach: float) -> np.ndarray:
     """(N,) by how much a path with points 1 apart turns at each of them, radians; 0 at its ends.
 
     The arms of the angle reach from the point to those ``reach`` before and after: the largest

@@ -14,11 +14,11 @@ from jaxmocap.body.surfaces.host_skin import bones_over_time, nodes_over_time
 from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.mesh import Atlas, Mesh, atlas_of, mesh_of
 from jaxmocap.body.surfaces.surface import rest_nodes
-from jaxmocap.modelling.personal import Personal
+from jaxmocap.modelling.personal import PersonalModel
 from jaxmocap.modelling.texture.fused import baked
 from jaxmocap.modelling.texture.splats import splatted
-from jaxmocap.modelling.texture.texels import Shot, texels_of
-from jaxmocap.modelling.views import View
+from jaxmocap.modelling.texture.texels import SurfacePhotograph, texels_of
+from jaxmocap.modelling.views import PhotographView
 
 # Whence a person is shown: from ahead, from the left, from behind, from the right, degrees.
 AROUND_DEG = (0.0, 90.0, 180.0, 270.0)
@@ -37,14 +37,14 @@ class Avatar(NamedTuple):
         shots: photograph -> what it is of.
     """
 
-    person: Personal
+    person: PersonalModel
     atlas: Atlas
     mesh: Mesh
     picture: np.ndarray
-    shots: dict[str, Shot]
+    shots: dict[str, SurfacePhotograph]
 
     def seen(
-        self, nodes: np.ndarray, view: View, shape: tuple[int, int]
+        self, nodes: np.ndarray, view: PhotographView, shape: tuple[int, int]
     ) -> tuple[np.ndarray, np.ndarray]:
         """The person with nodes at (N, 3) as a camera sees them, and where: (H, W, 3), (H, W)."""
         texels = texels_of(self.person.surface, self.atlas, self.mesh, nodes)
@@ -83,9 +83,9 @@ class Avatar(NamedTuple):
 
 
 def avatar_of(
-    person: Personal,
+    person: PersonalModel,
     images: Mapping[str, np.ndarray],
-    views: Mapping[str, View],
+    views: Mapping[str, PhotographView],
     texel: float,
 ) -> Avatar:
     """A person's colours from the photographs.
@@ -102,7 +102,7 @@ def avatar_of(
     poses = Pose(*(np.stack(part) for part in zip(*person.poses.values(), strict=True)))  # type: ignore[arg-type]
     nodes = nodes_over_time(person.surface.points, *bones_over_time(person.skeleton, poses))
     shots = {
-        name: Shot(images[name], views[name], at)
+        name: SurfacePhotograph(images[name], views[name], at)
         for name, at in zip(person.poses, nodes, strict=True)
     }
     return Avatar(person, atlas, mesh, baked(person.surface, atlas, mesh, shots), shots)

@@ -23,12 +23,12 @@ from jaxmocap.modelling.texture.fusion import (
     fused,
     gains,
     resized,
-    sampled,
-    smoothed,
+    sampled_colours,
+    weighted_blur,
     wide_blend,
 )
 from jaxmocap.modelling.texture.splats import in_sight
-from jaxmocap.modelling.texture.texels import Shot, Texels, texels_of
+from jaxmocap.modelling.texture.texels import SurfacePhotograph, Texels, texels_of
 
 # A surface that faces a camera by a smaller cosine is not looked at.
 LEAST_FACING = 0.15
@@ -51,7 +51,9 @@ MIRRORED = 0.3
 Part = tuple[np.ndarray, np.ndarray]
 
 
-def baked(surface: Surface, atlas: Atlas, mesh: Mesh, shots: Mapping[str, Shot]) -> np.ndarray:
+def baked(
+    surface: Surface, atlas: Atlas, mesh: Mesh, shots: Mapping[str, SurfacePhotograph]
+) -> np.ndarray:
     """The atlas' picture (H, W, 3), BGR uint8.
 
     Args:
@@ -79,7 +81,9 @@ def baked(surface: Surface, atlas: Atlas, mesh: Mesh, shots: Mapping[str, Shot])
     return np.clip(np.rint(_completed(surface, atlas, picture, weight)), 0, 255).astype(np.uint8)
 
 
-def _looked_at(texels: Texels, atlas: Atlas, shot: Shot) -> tuple[np.ndarray, np.ndarray]:
+def _looked_at(
+    texels: Texels, atlas: Atlas, shot: SurfacePhotograph
+) -> tuple[np.ndarray, np.ndarray]:
     """(K, 3) colours that a photograph shows at texels; (K,) how much it counts, from 0 to 1."""
     view, (height, width) = shot.view, shot.image.shape[:2]
     pixels = view.pixels(texels.points)
@@ -91,12 +95,14 @@ def _looked_at(texels: Texels, atlas: Atlas, shot: Shot) -> tuple[np.ndarray, np
     cell = CELL_TEXELS * step
     canvas = int(height / cell) + 2, int(width / cell) + 2
     seen = in_sight(pixels / cell, depths, canvas, HIDING) & (facing > LEAST_FACING)
-    rim = np.clip((sampled(from_rim(view.mask), pixels, 1.0)[:, 0] - LEFT_OUT_PX) / RIM_PX, 0, 1)
+    rim = np.clip(
+        (sampled_colours(from_rim(view.mask), pixels, 1.0)[:, 0] - LEFT_OUT_PX) / RIM_PX, 0, 1
+    )
     hidden = np.zeros((atlas.height, atlas.width), bool)
     hidden[texels.rows, texels.columns] = ~seen
     soft = feather(hidden, FEATHER)[texels.rows, texels.columns]
     weight = (facing - LEAST_FACING) / (1 - LEAST_FACING) * rim * soft
-    return sampled(shot.image, pixels, step), np.where(seen, weight, 0)
+    return sampled_colours(shot.image, pixels, step), np.where(seen, weight, 0)
 
 
 def _of_one_light(
@@ -117,7 +123,7 @@ def _of_one_light(
         off[at], known[at] = wide - np.log(np.maximum(colour, 1)), weight
         for rectangle in atlas.rectangles:
             here = rectangle.within
-            off[here] = smoothed(off[here], known[here], SLOW)
+            off[here] = weighted_blur(off[here], known[here], SLOW)
         found.append(colour * np.exp(off[at]))
     return found
 

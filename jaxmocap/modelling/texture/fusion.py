@@ -20,7 +20,7 @@ DARKEST = 8.0
 ASIDE = 6
 
 
-def sampled(image: np.ndarray, pixels_xy: np.ndarray, step: float) -> np.ndarray:
+def sampled_colours(image: np.ndarray, pixels_xy: np.ndarray, step: float) -> np.ndarray:
     """(K, C) float32 values of an image (H, W, C) or (H, W) at (K, 2) pixels, ``step`` apart."""
     smooth = image
     if step > 1.5:
@@ -83,7 +83,7 @@ def wide_blend(colours: Sequence[np.ndarray], weights: Sequence[np.ndarray]) -> 
     return np.sum([(w / total)[..., None] * np.log(np.maximum(c, 1)) for c, w in parts], 0)
 
 
-def smoothed(values: np.ndarray, weight: np.ndarray, width: float) -> np.ndarray:
+def weighted_blur(values: np.ndarray, weight: np.ndarray, width: float) -> np.ndarray:
     """(H, W, 3) weighted means of values about each place, by a Gaussian of so many cells."""
     both = np.concatenate([values * weight[..., None], weight[..., None]], -1).astype(np.float32)
     blurred = cv2.GaussianBlur(both, (0, 0), width)

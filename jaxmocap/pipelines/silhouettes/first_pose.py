@@ -25,7 +25,7 @@ def settings_for(by_hand: bool, go_along: bool) -> Settings:
     """Of the tracker, where the first pose was said by hand, and shoulders go along with arms."""
     # Who says by hand where somebody stands says it roughly.
     starting = FAR_OFF if by_hand else ()
-    return Settings(starting=starting, morphing=shoulders() if go_along else Morphing())
+    return Settings(starting_deviations=starting, morphing=shoulders() if go_along else Morphing())
 
 
 def start_pose(recording: Recording, at: tuple[float, float, float] | None = None) -> Pose:

@@ -24,12 +24,12 @@ from jaxmocap.formats.files.writing import replacing, write_text
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.modelling.measurements import girths
 from jaxmocap.modelling.person import PersonModel, StanceError, person_model
-from jaxmocap.modelling.personal import Personal, personal
+from jaxmocap.modelling.personal import PersonalModel, personal_model
 from jaxmocap.modelling.pictures import drawing
 from jaxmocap.modelling.pictures.backdrop import PhotographError, person_mask
 from jaxmocap.modelling.pictures.closed_mesh import joined_meshes
-from jaxmocap.modelling.pictures.medial_axis import skeleton
-from jaxmocap.modelling.views import View
+from jaxmocap.modelling.pictures.medial_axis import medial_axis
+from jaxmocap.modelling.views import PhotographView
 from jaxmocap.pipelines.silhouettes.person import PERSON_FILES, write_person
 
 PHOTOGRAPHS = ("front", "side", "joint", "arm_side")
@@ -52,8 +52,8 @@ class Modelled(NamedTuple):
 
     model: PersonModel
     images: dict[str, np.ndarray]
-    views: dict[str, View]
-    person: Personal
+    views: dict[str, PhotographView]
+    person: PersonalModel
     seconds: float
 
     def figures(self) -> dict:
@@ -94,7 +94,7 @@ def model_from(
     views = {}
     for name, image in images.items():
         try:
-            views[name] = View(person_mask(image), cameras[name])
+            views[name] = PhotographView(person_mask(image), cameras[name])
         except PhotographError as error:
             shown = _show_refused(Path(out), name, error.picture)
             raise InputError(files[name], f"{error.problem} (see {shown})") from None
@@ -103,7 +103,7 @@ def model_from(
     except StanceError as error:
         raise InputError(files[error.view], error.problem) from None
     try:
-        person = personal(model, height)
+        person = personal_model(model, height)
     except ValueError as error:
         raise InputError(files["front"], str(error)) from None
     return Modelled(model, images, views, person, perf_counter() - start)
@@ -188,7 +188,7 @@ def pictures(modelled: Modelled) -> dict[str, np.ndarray]:
     shown["front"] = drawing.with_lines(shown["front"], levels, drawing.POINT, closed=False)
     shown["front"] = drawing.with_points(shown["front"], marks.pits)
     for name in ("joint", "arm_side"):
-        axis = skeleton(views[name].mask).pixels_xy
+        axis = medial_axis(views[name].mask).pixels_xy
         shown[name][axis[:, 1], axis[:, 0]] = drawing.AXIS
     bent = np.concatenate([[arm.shoulder, arm.elbow, arm.wrist, arm.tip] for arm in model.seen])
     shown["joint"] = drawing.with_points(shown["joint"], bent)

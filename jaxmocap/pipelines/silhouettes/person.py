@@ -26,9 +26,9 @@ from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.recordings.subject import read_subject, write_subject
 from jaxmocap.formats.recordings.surface import check_extent, load_surface, save_surface
-from jaxmocap.modelling.personal import Personal
+from jaxmocap.modelling.personal import PersonalModel
 from jaxmocap.modelling.texture.avatar import avatar_of
-from jaxmocap.modelling.views import View
+from jaxmocap.modelling.views import PhotographView
 
 SUBJECT, SURFACE, TEXTURE = "subject.toml", "surface.npz", "texture.png"
 PERSON_FILES = (SUBJECT, SURFACE, TEXTURE, "model.glb", "person.png")
@@ -50,9 +50,9 @@ class Person(NamedTuple):
 
 
 def write_person(
-    person: Personal,
+    person: PersonalModel,
     images: Mapping[str, np.ndarray],
-    views: Mapping[str, View],
+    views: Mapping[str, PhotographView],
     directory: str | Path,
 ) -> list[Path]:
     """Write the files; their paths.

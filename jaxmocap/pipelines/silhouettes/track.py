@@ -29,14 +29,18 @@ from jaxmocap.images.background_model import Background
 from jaxmocap.images.regions import Region
 from jaxmocap.outputs.report import plain
 from jaxmocap.pipelines.progress import Progress, progress_bar
-from jaxmocap.silhouette.recovery.withdrawal import Reports
 from jaxmocap.pipelines.tracking.track import marker_sites
 from jaxmocap.silhouette.device_functions import landmark_slopes
-from jaxmocap.silhouette.segmentation.background_models import RoomLearner, RunningRoom, pictured
+from jaxmocap.silhouette.recovery.withdrawal import Reports
+from jaxmocap.silhouette.segmentation.background_models import (
+    BackgroundLearner,
+    OnlineBackground,
+    background_of_picture,
+)
 from jaxmocap.silhouette.settings import Settings
-from jaxmocap.silhouette.smoothing import Told, smoothed
-from jaxmocap.silhouette.state import Moving, State, StepReport
-from jaxmocap.silhouette.surfaces.shape import ShapeFinder
+from jaxmocap.silhouette.smoothing import FrameInformation, smoothed_poses
+from jaxmocap.silhouette.state import PoseEstimate, State, StepReport
+from jaxmocap.silhouette.surfaces.shape import ShapeEstimator
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 MODEL = "supple.toml"
@@ -118,7 +122,7 @@ def make_tracker(
 def empty_rooms(recording: Recording) -> list[Background | None]:
     """What the recording's pictures of empty rooms show, for each video; None without one."""
     return [
-        pictured(read_empty_room(source.background, open_video(source).size))
+        background_of_picture(read_empty_room(source.background, open_video(source).size))
         if source.background
         else None
         for source in recording.videos
@@ -162,15 +166,15 @@ def follow(
     empty = tracker.rooms
     # What was photographed needs less correction than what was guessed.
     unknown = 1.0 if surface is None else PHOTOGRAPHED
-    shape = ShapeFinder(tracker.finder.surface, tracker.skeleton, unknown, lengths)
+    shape = ShapeEstimator(tracker.finder.surface, tracker.skeleton, unknown, lengths)
     run = _Pass(tracker, frames, shape if passes > 1 else None)
     with progress_bar("tracking", progress) as show:
         for number in range(passes):
             earlier = run.found if number else None
             if number:
                 learned = zip(empty, run.learners, strict=True)
-                tracker.rooms = [room or learner.learned() for room, learner in learned]
-                tracker.become(*shape.fitted())
+                tracker.rooms = [room or learner.background() for room, learner in learned]
+                tracker.become(*shape.estimate())
                 run = _Pass(tracker, frames, shape if number + 1 < passes else None)
             run.through(start, _shifted(show, number * run.count, passes * run.count), earlier)
             if not run.seen:
@@ -211,21 +215,26 @@ class _Pass:
     """One pass over all frames; with a shape to tell of, it learns the rooms as well."""
 
     def __init__(
-        self, tracker: SilhouetteTracker, frames: _Frames, shape: ShapeFinder | None = None
+        self, tracker: SilhouetteTracker, frames: _Frames, shape: ShapeEstimator | None = None
     ):
         self.tracker, self.frames, self.count = tracker, frames, len(frames.times)
         count = self.count
         self.shape = shape
-        self.learners = [RoomLearner(count) for _ in frames.videos] if shape else []
+        self.learners = [BackgroundLearner(count) for _ in frames.videos] if shape else []
         # Who knows nothing of a room learns it frame by frame.
-        self._running = {c: RunningRoom() for c, room in enumerate(tracker.rooms) if room is None}
+        self._running = {
+            c: OnlineBackground() for c, room in enumerate(tracker.rooms) if room is None
+        }
         self.milliseconds: dict[str, list[float]] = {}
-        self.found: list[Moving] = []
+        self.found: list[PoseEstimate] = []
         self._reports = Reports(tracker)
         self._phi: list[np.ndarray] = []
 
     def through(
-        self, start: Pose, show: Callable[[int], None], earlier: Sequence[Moving] | None = None
+        self,
+        start: Pose,
+        show: Callable[[int], None],
+        earlier: Sequence[PoseEstimate] | None = None,
     ) -> None:
         """All frames, from a pose; the first is looked at until the pose rests.
 
@@ -247,7 +256,7 @@ class _Pass:
                 before = None if earlier is None else earlier[i]
                 state, pose, report = self.tracker.step(state, *shown, before)
                 self.milliseconds.setdefault("frame", []).append(1e3 * (perf_counter() - began))
-                self.found.append(Moving(jax.tree.map(np.asarray, pose), state.velocity))
+                self.found.append(PoseEstimate(jax.tree.map(np.asarray, pose), state.velocity))
                 self._reports.add(report, pose, shown[2])
                 self._keep(pose, report, images)
                 show(i + 1)
@@ -259,12 +268,12 @@ class _Pass:
         images: Sequence[np.ndarray | None],
         positions_world: np.ndarray,
     ) -> State:
-        for _ in range(self.tracker.settings.settling):
+        for _ in range(self.tracker.settings.settling_steps):
             state = self.tracker.step(state, time, images, positions_world)[0]._replace(time=None)
         return state
 
     def _keep(self, pose: Pose, report: StepReport, images: Sequence[np.ndarray | None]) -> None:
-        phi, region = np.asarray(report.outlines.segmented.phi), report.outlines.region
+        phi, region = np.asarray(report.outlines.segmentation.phi), report.outlines.region
         pixels, rooms = self.tracker.covering(pose), list(self.tracker.rooms)
         for camera, image in enumerate(images):
             if image is None or not report.used[camera]:
@@ -272,16 +281,16 @@ class _Pass:
             here = Region(*(part[camera] for part in region))
             shown = image, phi[camera], here, pixels[camera]
             if self.learners:
-                self.learners[camera].tell(*shown)
+                self.learners[camera].add_frame(*shown)
             if camera in self._running:
-                rooms[camera] = self._running[camera].told(*shown)
+                rooms[camera] = self._running[camera].updated(*shown)
         self.tracker.rooms = rooms
         self._phi.append(np.clip(np.round(8 * phi), -127, 127).astype(np.int8))
         # What hides a part draws the outlines of others along.
         if self.shape is not None and not report.hidden.any():
             tracker = self.tracker
             morph = tracker.finder.morph
-            self.shape.tell(tracker.skeleton, tracker.cameras, pose, report.pairs, morph)
+            self.shape.add_frame(tracker.skeleton, tracker.cameras, pose, report.pairs, morph)
 
     @property
     def seen(self) -> bool:
@@ -297,14 +306,14 @@ class _Pass:
         tracker = self.tracker
         if tracker.settings.smoothing is None:
             return self.poses()
-        told = Told(
+        told = FrameInformation(
             self.poses(),
             np.stack([report.information for report in self._reports.kept]),
             np.stack([report.slope for report in self._reports.kept]),
         )
         how = tracker.settings.smoothing
         times, morph, began = self.frames.times, tracker.finder.morph, perf_counter()
-        poses = smoothed(tracker.skeleton, times, told, tracker.rest, how, morph)
+        poses = smoothed_poses(tracker.skeleton, times, told, tracker.rest, how, morph)
         self.milliseconds["smooth"] = [1e3 * (perf_counter() - began)]
         return poses
 
@@ -334,7 +343,7 @@ class _Pass:
 
     def _landmarks_std(self, frame: int) -> np.ndarray:
         """(L, 3) metres, by the covariance of what the rays tell."""
-        report, blind = self._reports.kept[frame], self.tracker.settings.blind
+        report, blind = self._reports.kept[frame], self.tracker.settings.unknown_deviation
         H = np.asarray(report.information, float)
         covariance = np.linalg.inv((H + H.T) / 2 + np.eye(len(H)) / blind**2)
         J = np.asarray(landmark_slopes(self.tracker.skeleton, self.found[frame].pose), float)
@@ -345,6 +354,8 @@ class _Pass:
         left_out = (f"{name}: left out" for name, used in zip(names, report.used, strict=True)
                     if not used)  # fmt: skip
         joints = self.tracker.skeleton.tree.joints
-        unseen = [joint for joint, seen in zip(joints, report.seen[6:], strict=True) if not seen]
+        unseen = [
+            joint for joint, seen in zip(joints, report.observed[6:], strict=True) if not seen
+        ]
         held = [f"held, not seen: {joint}" for joint in unseen]
         return (*left_out, *held)

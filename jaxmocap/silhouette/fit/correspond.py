@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.lines import Lines
 from jaxmocap.silhouette.points import BodyPoints, PointRays, contour_rays
-from jaxmocap.silhouette.surfaces.index_image import thinned, traced
+from jaxmocap.silhouette.surfaces.index_image import subsampled, traced
 from jaxmocap.silhouette.surfaces.rim import Rim
 
 
@@ -29,17 +29,17 @@ class MatchSettings(NamedTuple):
 
     Attributes:
         pixels: kept of each camera's contour, evenly along it; static.
-        turn: cells of the rim's canvas that a radian between normals is worth, nearly.
-        facing: least cosine between the normals of a pair.
-        farthest: cells between the two of a pair, at most.
-        grip: how firmly a pair holds along the contour, by how it holds across.
+        normal_weight: cells of the rim's canvas that a radian between normals is worth, nearly.
+        least_cosine: least cosine between the normals of a pair.
+        largest_distance: cells between the two of a pair, at most.
+        along_weight: how firmly a pair holds along the contour, by how it holds across.
     """
 
     pixels: int = 256
-    turn: float = 20.0
-    facing: float = 0.5
-    farthest: float = 40.0
-    grip: float = 0.1
+    normal_weight: float = 20.0
+    least_cosine: float = 0.5
+    largest_distance: float = 40.0
+    along_weight: float = 0.1
 
 
 class Contour(NamedTuple):
@@ -62,14 +62,14 @@ class Matches(NamedTuple):
         pixels_xy: (C, N, 2) where the contour is seen.
         normals: (C, N, 2) of the contour there.
         distances: (C, N) between them, pixels; 0 for padding.
-        real: (C, N) False for padding, and where nothing fits.
+        valid: (C, N) False for padding, and where nothing fits.
     """
 
     nodes: np.ndarray
     pixels_xy: np.ndarray
     normals: np.ndarray
     distances: np.ndarray
-    real: np.ndarray
+    valid: np.ndarray
 
 
 def contour_of(phi: np.ndarray, origin: np.ndarray, scale: float) -> Contour:
@@ -90,7 +90,7 @@ def contour_of(phi: np.ndarray, origin: np.ndarray, scale: float) -> Contour:
     return Contour(origin + (places + 0.5) * scale, normals)
 
 
-def matched(rim: Rim, seen: Sequence[Contour], settings: MatchSettings) -> Matches:
+def matched_pairs(rim: Rim, seen: Sequence[Contour], settings: MatchSettings) -> Matches:
     """Pairs of the rims' outer points and the contours of C cameras, however those were found."""
     rows = []
     for camera, contour in enumerate(seen):
@@ -117,9 +117,9 @@ def _matched(
         empty = np.zeros(width, np.float32)
         places = np.zeros((width, 2), np.float32)
         return Matches(np.zeros(width, nodes.dtype), places, places, empty, np.zeros(width, bool))
-    chosen = Contour(*thinned(seen, settings.pixels))
+    chosen = Contour(*subsampled(seen, settings.pixels))
     rims = np.flatnonzero(kept)
-    turn = settings.turn * scale
+    turn = settings.normal_weight * scale
     to_seen = KDTree(_places(*seen, turn)).query(_places(pixels, normals, turn))[1]
     to_rim = rims[
         KDTree(_places(pixels[rims], normals[rims], turn)).query(_places(*chosen, turn))[1]
@@ -129,8 +129,8 @@ def _matched(
     ways = np.concatenate([seen.normals[to_seen], chosen.normals])
     real = np.concatenate([kept, np.ones(len(to_rim), bool)])
     away = np.linalg.norm(there - pixels[which], axis=1)
-    real &= np.sum(ways * normals[which], 1) > settings.facing
-    real &= away < settings.farthest * scale
+    real &= np.sum(ways * normals[which], 1) > settings.least_cosine
+    real &= away < settings.largest_distance * scale
     found = Matches(nodes[which], there, ways, np.where(real, away, 0.0), real)
     return Matches(*(_filled(part, width) for part in found))
 

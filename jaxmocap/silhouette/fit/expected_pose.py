@@ -15,7 +15,7 @@ from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.silhouette.pose import Prior
 
 
-def resting(skeleton: Skeleton, held: dict[str, float]) -> np.ndarray:
+def rest_deviations(skeleton: Skeleton, held: dict[str, float]) -> np.ndarray:
     """(D,) deviations of the joints about 0, radians; infinite for those that are not held.
 
     Args:
@@ -30,13 +30,13 @@ def resting(skeleton: Skeleton, held: dict[str, float]) -> np.ndarray:
     return found
 
 
-def expectation(expected: Pose, deviations: np.ndarray, rest: np.ndarray) -> Prior:
+def combined_prior(expected: Pose, deviations: np.ndarray, rest: np.ndarray) -> Prior:
     """What is known of a pose before it is looked at.
 
     Args:
         expected: by the motion.
         deviations: (6 + D,) about it, metres and radians.
-        rest: (D,) of ``resting``.
+        rest: (D,) of ``rest_deviations``.
     """
     moving, still = deviations[ROOT_DOF:] ** -2.0, rest**-2.0
     both = moving + still

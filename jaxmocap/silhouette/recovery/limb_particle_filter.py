@@ -28,8 +28,8 @@ from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.images.regions import Region
 from jaxmocap.images.sampling import look_up
 from jaxmocap.silhouette.recovery.chromaticity import FARTHEST, SPREAD
-from jaxmocap.silhouette.recovery.limbs import Limb, ends
-from jaxmocap.silhouette.recovery.penetration import Parts, within
+from jaxmocap.silhouette.recovery.limbs import LimbChain, bone_ends
+from jaxmocap.silhouette.recovery.penetration import Obstacles, penetrating_share
 
 # So many particles are fitted, that differ by so much in their angles' root mean square, radians.
 KEPT, APART = 3, 0.5
@@ -48,75 +48,75 @@ FAINT = -0.05
 ALONG, ACROSS = np.linspace(0.06, 0.94, 8), np.array([-0.6, 0.0, 0.6])
 
 
-class SearchSettings(NamedTuple):
+class LimbSearchSettings(NamedTuple):
     """Numbers of the filter; traced.
 
     Attributes:
-        anywhere: share of the particles that are drawn from all of the joints' ranges.
+        uniform_share: share of the particles that are drawn from all of the joints' ranges.
         spreads: deviations of the others about those before, layer by layer, radians.
-        coldness: by what a log-ratio counts in the weights, layer by layer.
-        usual: deviation of an angle about the pose given: of two that explain alike, the nearer.
+        inverse_temperatures: by what a log-ratio counts in the weights, layer by layer.
+        angle_deviation: deviation of an angle about the pose given: of two that explain alike, the nearer.
     """
 
-    anywhere: Array | float = 0.35
+    uniform_share: Array | float = 0.35
     spreads: Array | tuple[float, ...] = (0.5, 0.25, 0.1)
-    coldness: Array | tuple[float, ...] = (4.0, 10.0, 25.0)
-    usual: Array | float = 2.0
+    inverse_temperatures: Array | tuple[float, ...] = (4.0, 10.0, 25.0)
+    angle_deviation: Array | float = 2.0
 
 
-class Looks(NamedTuple):
+class LimbAppearance(NamedTuple):
     """What hues C cameras show, to a limb of B bones with A places on each.
 
     Attributes:
-        hues: (C, S, S, 3) that are seen; NaN where there are none.
-        rest: (C, S, S) half their squared deviations from those of the rest of the body; 0 where
+        chromaticities: (C, S, S, 3) that are seen; NaN where there are none.
+        body_cost: (C, S, S) half their squared deviations from those of the rest of the body; 0 where
             nothing is known.
-        depth: (C, S, S) metres, of the rest of the body; infinite beside it.
-        limb: (B, A, 3) hues of the limb; -1 where not known.
+        body_depth: (C, S, S) metres, of the rest of the body; infinite beside it.
+        limb_chromaticities: (B, A, 3) hues of the limb; -1 where not known.
     """
 
-    hues: Array | np.ndarray
-    rest: Array | np.ndarray
-    depth: Array | np.ndarray
-    limb: Array | np.ndarray
+    chromaticities: Array | np.ndarray
+    body_cost: Array | np.ndarray
+    body_depth: Array | np.ndarray
+    limb_chromaticities: Array | np.ndarray
 
 
-class Evidence(NamedTuple):
+class LimbEvidence(NamedTuple):
     """What C cameras show of the person beyond the rest of the body.
 
     Attributes:
-        gains: (C, S, S) log-ratio of person and rest; 0 where the rest of the body is seen.
+        log_ratios: (C, S, S) log-ratio of person and rest; 0 where the rest of the body is seen.
         region: of the canvases.
         used: (C,) cameras that count.
-        looks: hues; None where nothing is known of them.
-        others: parts of the body that the limb cannot be in; None for none.
+        appearance: hues; None where nothing is known of them.
+        obstacles: parts of the body that the limb cannot be in; None for none.
     """
 
-    gains: Array | np.ndarray
+    log_ratios: Array | np.ndarray
     region: Region
     used: Array | np.ndarray
-    looks: Looks | None = None
-    others: Parts | None = None
+    appearance: LimbAppearance | None = None
+    obstacles: Obstacles | None = None
 
 
-class Found(NamedTuple):
+class LimbSearchResult(NamedTuple):
     """What a search found.
 
     Attributes:
         particles: (P, K) angles, for the next frame.
         best: (H, K) angles of the best, and of the best that are elsewhere than those before them.
         gains: (H,) what they explain: the mean log-ratio where the limb would be seen.
-        before: () what they must explain more than, see ``upheld``.
+        baseline: () what they must explain more than, see ``baseline_log_ratio``.
     """
 
     particles: Array
     best: Array
     gains: Array
-    before: Array
+    baseline: Array
 
 
-def explained(
-    skeleton: Skeleton, cameras: Camera, pose: Pose, limb: Limb, evidence: Evidence
+def explained_log_ratio(
+    skeleton: Skeleton, cameras: Camera, pose: Pose, limb: LimbChain, evidence: LimbEvidence
 ) -> Array:
     """() mean log-ratio of where the limb would be seen, by its size if it were seen in full.
 
@@ -126,10 +126,10 @@ def explained(
     return shown - cost
 
 
-def upheld(
-    skeleton: Skeleton, cameras: Camera, pose: Pose, limb: Limb, evidence: Evidence
+def baseline_log_ratio(
+    skeleton: Skeleton, cameras: Camera, pose: Pose, limb: LimbChain, evidence: LimbEvidence
 ) -> Array:
-    """() what another place must explain more than: ``explained``, but ``FAINT`` at least is shown.
+    """() what another place must explain more than: ``explained_log_ratio``, but ``FAINT`` at least is shown.
 
     What denies a limb may be a thing before it, or be the limb itself, learned as room. Else it
     were better off wherever nothing is seen of it.
@@ -139,32 +139,39 @@ def upheld(
 
 
 def _judged(
-    skeleton: Skeleton, cameras: Camera, pose: Pose, limb: Limb, evidence: Evidence
+    skeleton: Skeleton, cameras: Camera, pose: Pose, limb: LimbChain, evidence: LimbEvidence
 ) -> tuple[Array, Array]:
     """What images show of a limb, and what it costs that it lies within other parts."""
-    near, far = ends(skeleton, pose, limb)
+    near, far = bone_ends(skeleton, pose, limb)
     gained, _, full = _summed(skeleton, cameras, near, far, limb, evidence)
     cost = jnp.zeros_like(gained)
-    if evidence.others is not None:
-        cost = IMPOSSIBLE * within(near, far, jnp.asarray(limb.radii), evidence.others)
+    if evidence.obstacles is not None:
+        cost = IMPOSSIBLE * penetrating_share(
+            near, far, jnp.asarray(limb.radii), evidence.obstacles
+        )
     return gained / jnp.maximum(full, 1.0), cost
 
 
-def likeness(
-    skeleton: Skeleton, cameras: Camera, pose: Pose, limb: Limb, evidence: Evidence
+def visible_log_ratio(
+    skeleton: Skeleton, cameras: Camera, pose: Pose, limb: LimbChain, evidence: LimbEvidence
 ) -> Array:
     """() mean log-ratio of where the limb is seen; 0 where no camera looks."""
-    gained, seen, _ = _summed(skeleton, cameras, *ends(skeleton, pose, limb), limb, evidence)
+    gained, seen, _ = _summed(skeleton, cameras, *bone_ends(skeleton, pose, limb), limb, evidence)
     return gained / jnp.maximum(seen, 1.0)
 
 
 def _summed(
-    skeleton: Skeleton, cameras: Camera, near: Array, far: Array, limb: Limb, evidence: Evidence
+    skeleton: Skeleton,
+    cameras: Camera,
+    near: Array,
+    far: Array,
+    limb: LimbChain,
+    evidence: LimbEvidence,
 ) -> tuple[Array, Array, Array]:
     """Over the cameras that count: log-ratios of the limb's cells, how many, how many in full."""
-    gains, radii = jnp.asarray(evidence.gains), jnp.asarray(limb.radii)
-    region, looks = jax.tree.map(jnp.asarray, (evidence.region, evidence.looks))
-    each = None if looks is None else Looks(0, 0, 0, None)  # type: ignore[arg-type]
+    gains, radii = jnp.asarray(evidence.log_ratios), jnp.asarray(limb.radii)
+    region, looks = jax.tree.map(jnp.asarray, (evidence.region, evidence.appearance))
+    each = None if looks is None else LimbAppearance(0, 0, 0, None)  # type: ignore[arg-type]
     sums = jax.vmap(_explained, (0, None, None, None, None, 0, 0, each))(
         cameras, near, far, radii, skeleton.lengths[limb.bones], gains, region, looks
     )
@@ -175,7 +182,7 @@ def _summed(
 
 def _explained(
     camera: Camera, near: Array, far: Array, radii: Array, lengths: Array, gains: Array,
-    region: Region, looks: Looks | None,
+    region: Region, looks: LimbAppearance | None,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Of one camera: the sum of log-ratios over the limb's cells, how many, how many in full."""
     depths = depths_of(camera, near), depths_of(camera, far)
@@ -214,19 +221,21 @@ def depths_of(camera: Camera, points: Array) -> Array:
     )
 
 
-def _by_hue(gains: Array, x: Array, y: Array, depths: Array, looks: Looks) -> Array:
+def _by_hue(gains: Array, x: Array, y: Array, depths: Array, looks: LimbAppearance) -> Array:
     """Log-ratios (B, A, W) of cells, by their hues too, for a limb whose places (B, A) lie so deep.
 
     Before the rest of the body the hue tells that from the limb. What has another hue than the limb
     is a third thing: no sign of the limb there, and a faint one beside the body, as it may hide it.
     """
-    edge = looks.depth.shape[0] - 1
+    edge = looks.body_depth.shape[0] - 1
     row, column = (jnp.clip(jnp.rint(part), 0, edge).astype(jnp.int32) for part in (y, x))
     # One look-up of all is faster than one of each.
-    whole = jnp.concatenate([looks.hues, looks.rest[..., None], looks.depth[..., None]], -1)
+    whole = jnp.concatenate(
+        [looks.chromaticities, looks.body_cost[..., None], looks.body_depth[..., None]], -1
+    )
     there = whole[row, column]
     hue, rest, behind = there[..., :3], there[..., 3], there[..., 4]
-    limb = looks.limb[:, :, None]
+    limb = looks.limb_chromaticities[:, :, None]
     told = (limb[..., 0] >= 0) & jnp.isfinite(hue[..., 0])
     off = jnp.sum((jnp.nan_to_num(hue) - limb) ** 2, -1) / (2 * SPREAD**2)
     off = jnp.where(told, jnp.minimum(off, FARTHEST), 0.0)
@@ -249,16 +258,16 @@ def _on_earlier(points: Array, starts: Array, ways: Array, radii: Array) -> Arra
 
 
 @jax.jit
-def search(
+def search_limb(
     skeleton: Skeleton,
     cameras: Camera,
     pose: Pose,
-    limb: Limb,
-    evidence: Evidence,
+    limb: LimbChain,
+    evidence: LimbEvidence,
     particles: Array,
     key: Array,
-    settings: SearchSettings,
-) -> Found:
+    settings: LimbSearchSettings,
+) -> LimbSearchResult:
     """Search a limb's angles.
 
     Args:
@@ -276,11 +285,11 @@ def search(
 
     def value(angles: Array) -> Array:
         there = pose._replace(angles=pose.angles.at[limb.joints].set(angles))
-        return explained(skeleton, cameras, there, limb, evidence)
+        return explained_log_ratio(skeleton, cameras, there, limb, evidence)
 
     def weighed(angles: Array) -> tuple[Array, Array]:
         gains = jax.vmap(value)(angles)
-        away = jnp.mean((angles - here) ** 2, -1) / settings.usual**2
+        away = jnp.mean((angles - here) ** 2, -1) / settings.angle_deviation**2
         return gains, gains - away / 2
 
     def layer(carry: tuple[Array, Array], numbers: tuple) -> tuple[tuple[Array, Array], tuple]:
@@ -293,22 +302,22 @@ def search(
         angles = jnp.clip(jnp.where(chosen, anywhere, moved), low, high)
         gains, worth = weighed(angles)
         weights = jax.nn.softmax(cold * worth)
-        kept = angles[systematic(drawing, weights)]
+        kept = angles[systematic_resampling(drawing, weights)]
         return (kept, jnp.zeros_like(mixing)), (angles, gains, worth)
 
     spreads, coldness = (jnp.asarray(part, particles.dtype) for part in settings[1:3])
     keys = jax.random.split(key, len(spreads))
-    mixing = jnp.asarray(settings.anywhere, particles.dtype)
+    mixing = jnp.asarray(settings.uniform_share, particles.dtype)
     (left, _), (angles, gains, worth) = jax.lax.scan(
         layer, (particles, mixing), (keys, spreads, coldness)
     )
     angles, gains, worth = (jnp.concatenate(part) for part in (angles, gains, worth))
-    best = distinct(angles, worth)
-    before = upheld(skeleton, cameras, pose, limb, evidence)
-    return Found(left, angles[best], gains[best], before)
+    best = distinct_particles(angles, worth)
+    before = baseline_log_ratio(skeleton, cameras, pose, limb, evidence)
+    return LimbSearchResult(left, angles[best], gains[best], before)
 
 
-def distinct(angles: Array, worth: Array) -> Array:
+def distinct_particles(angles: Array, worth: Array) -> Array:
     """(H,) indices of the worthiest of particles (N, K), each ``APART`` from those before it."""
     chosen = []
     for _ in range(KEPT):
@@ -318,7 +327,7 @@ def distinct(angles: Array, worth: Array) -> Array:
     return jnp.stack(chosen)
 
 
-def systematic(key: Array, weights: Array) -> Array:
+def systematic_resampling(key: Array, weights: Array) -> Array:
     """(P,) indices drawn in proportion to weights (P,) that add up to 1: one number for all.
 
     Each is drawn as often as its weight times P says, rounded up or down.

@@ -24,19 +24,24 @@ from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.body.surfaces.surface import BodyPoints, Surface, posed
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.silhouette.recovery import limb_particle_filter
-from jaxmocap.silhouette.recovery.chromaticity import BodyHues, hues_at
-from jaxmocap.silhouette.recovery.limb_particle_filter import ALONG, Evidence, Looks, SearchSettings
-from jaxmocap.silhouette.recovery.limbs import (
-    Limb,
-    carriers,
-    ends,
-    halves_of,
-    limbs_of,
-    places_along,
+from jaxmocap.silhouette.recovery.chromaticity import BodyAppearance, chromaticity_at
+from jaxmocap.silhouette.recovery.limb_particle_filter import (
+    ALONG,
+    LimbAppearance,
+    LimbEvidence,
+    LimbSearchSettings,
 )
-from jaxmocap.silhouette.recovery.part_appearance import Appearance
-from jaxmocap.silhouette.recovery.penetration import Parts, rings
-from jaxmocap.silhouette.recovery.projected_body import Onlooker, Sight
+from jaxmocap.silhouette.recovery.limbs import (
+    LimbChain,
+    bins_along,
+    bone_ends,
+    carriers,
+    halves_of,
+    limb_chains,
+)
+from jaxmocap.silhouette.recovery.part_appearance import PartAppearance
+from jaxmocap.silhouette.recovery.penetration import Obstacles, obstacle_rings
+from jaxmocap.silhouette.recovery.projected_body import BodyProjector, ProjectedBody
 
 # A limb is in doubt where within its reach (by its length) person is unexplained by this share of
 # its own size, whose cells are so much likelier person than not; or where it explains less than
@@ -52,21 +57,26 @@ DENIED = 0.0
 LONGEST, HOPE = 2, 0.5
 # Where an earlier pass found a limb, so many metres away, it must explain so much more.
 AWAY, KNOWN = 0.05, 0.08
-_explained, _upheld = jax.jit(limb_particle_filter.explained), jax.jit(limb_particle_filter.upheld)
+_explained, _upheld = (
+    jax.jit(limb_particle_filter.explained_log_ratio),
+    jax.jit(limb_particle_filter.baseline_log_ratio),
+)
 _likenesses = jax.jit(
-    jax.vmap(limb_particle_filter.likeness, (None, None, None, Limb(0, None, 0), None))  # type: ignore[arg-type]
+    jax.vmap(
+        limb_particle_filter.visible_log_ratio, (None, None, None, LimbChain(0, None, 0), None)
+    )  # type: ignore[arg-type]
 )
 
 
-class Doubts(NamedTuple):
+class LimbMemory(NamedTuple):
     """What is remembered of the L limbs.
 
     Attributes:
         particles: of each limb (P, K) angles, or None where there was no doubt.
         waits: (L,) frames until each may be searched for again.
         failures: (L,) searches of each, one after the other, that found nothing.
-        appearance: of the near and the far half of each limb.
-        known: hues of the body's points.
+        part_appearance: of the near and the far half of each limb.
+        appearance: hues of the body's points.
         denied: (L,) bool: where they were found the last frame showed nothing, or something else.
         frame: of how many frames; the seed of the pseudo-random numbers.
     """
@@ -74,27 +84,27 @@ class Doubts(NamedTuple):
     particles: tuple[np.ndarray | None, ...]
     waits: np.ndarray
     failures: np.ndarray
-    appearance: Appearance
-    known: BodyHues
+    part_appearance: PartAppearance
+    appearance: BodyAppearance
     denied: np.ndarray
     frame: int
 
 
-class Better(NamedTuple):
+class LimbProposal(NamedTuple):
     """Poses that explain more.
 
     Attributes:
         poses: to fit from, the likeliest first.
         limbs: numbers of those that were moved.
-        least: that they must explain more once they are fitted.
+        least_gain: that they must explain more once they are fitted.
     """
 
     poses: tuple[Pose, ...]
     limbs: tuple[int, ...]
-    least: float = BETTER
+    least_gain: float = BETTER
 
 
-class Doubter:
+class LimbRecovery:
     """Looks after the limbs of one person.
 
     Attributes:
@@ -103,27 +113,27 @@ class Doubter:
         joints: (2 * L, D) bool: those that move the near and the far half of each limb.
         nodes: (2 * L, N) bool: the onlooker's points on each.
         count: of particles.
-        sight: lays a pose over what the cameras show, see ``Onlooker``.
+        project: lays a pose over what the cameras show, see ``Onlooker``.
     """
 
     def __init__(self, skeleton: Skeleton, surface: Surface, cameras: Camera, count: int):
         """Prepare for C cameras (stacked); traces once."""
         self.skeleton, self.cameras, self.count = skeleton, cameras, count
-        self._onlooker = Onlooker(skeleton, surface, cameras)
-        self.sight = self._onlooker.sight
-        found = limbs_of(skeleton, surface)
+        self._onlooker = BodyProjector(skeleton, surface, cameras)
+        self.project = self._onlooker.project
+        found = limb_chains(skeleton, surface)
         self.names, self.limbs = tuple(found), tuple(found.values())
         halves = [half for limb in self.limbs for half in halves_of(limb)]
-        self._halves = Limb(*(np.stack(part) for part in zip(*halves, strict=True)))
+        self._halves = LimbChain(*(np.stack(part) for part in zip(*halves, strict=True)))
         bones = [half.bones[half.radii > 0] for half in halves]
         moved = np.array(skeleton.tree.dof_bones)
         carrier = carriers(self._onlooker.points)
         self.joints = np.array([np.isin(moved, each) for each in bones])
         self.nodes = np.array([np.isin(carrier, each) for each in bones])
         self._along = [
-            places_along(skeleton, limb, self._onlooker.points, ALONG) for limb in self.limbs
+            bins_along(skeleton, limb, self._onlooker.points, ALONG) for limb in self.limbs
         ]
-        self._rings = [rings(surface, name) for name in self.names]
+        self._rings = [obstacle_rings(surface, name) for name in self.names]
         self._depths = np.asarray(cameras.T_cam_world)[:, 2]
         self._focals = np.asarray(cameras.matrix)[:, 0, 0]
         lengths = np.asarray(skeleton.lengths)
@@ -132,49 +142,51 @@ class Doubter:
             [2 * (limb.radii * lengths[limb.bones]).sum() for limb in self.limbs]
         )
 
-    def none(self) -> Doubts:
+    def empty_memory(self) -> LimbMemory:
         """Before the first frame."""
         zeros = np.zeros(len(self.limbs), int)
-        looks = Appearance.none(2 * len(self.limbs), len(self.cameras.size))
-        known = BodyHues.none(self.nodes.shape[1])
-        return Doubts((None,) * len(self.limbs), zeros, zeros, looks, known, zeros > 0, 0)
+        looks = PartAppearance.empty(2 * len(self.limbs), len(self.cameras.size))
+        known = BodyAppearance.empty(self.nodes.shape[1])
+        return LimbMemory((None,) * len(self.limbs), zeros, zeros, looks, known, zeros > 0, 0)
 
-    def covering(self, pose: Pose) -> np.ndarray:
+    def body_pixels(self, pose: Pose) -> np.ndarray:
         """(C, N, 2) pixels of points all over the body, hidden or not."""
-        return self._onlooker.placed(pose)[0]
+        return self._onlooker.pixels_and_depths(pose)[0]
 
-    def hidden(
+    def hidden_joints(
         self,
-        doubts: Doubts,
-        sight: Sight,
+        doubts: LimbMemory,
+        sight: ProjectedBody,
         images: Sequence[np.ndarray | None],
         moved: tuple[int, ...] = (),
-    ) -> tuple[np.ndarray, Doubts]:
+    ) -> tuple[np.ndarray, LimbMemory]:
         """(D,) bool: joints of halves of limbs where the images show something else; what is kept.
 
         That is no person by the densities, or not the hue that the part had. Nor are limbs seen
         that explain nothing; of those that were ``moved`` since it is asked again.
         """
-        evidence = Evidence(sight.ratios, sight.region, sight.used)
+        evidence = LimbEvidence(sight.ratios, sight.region, sight.used)
         found = _likenesses(self.skeleton, self.cameras, sight.pose, self._halves, evidence)
         shown = [image if used else None for image, used in zip(images, sight.used, strict=True)]
-        other, looks = doubts.appearance.judged(shown, sight.pixels, self.nodes)
+        other, looks = doubts.part_appearance.compared(shown, sight.pixels, self.nodes)
         denied = doubts.denied.copy()
         depths = self._nearest(sight)
         for number in moved:
-            evidence = self._left_for(number, sight, doubts.known, depths)
+            evidence = self._left_for(number, sight, doubts.appearance, depths)
             denied[number] = self._explains(number, evidence, sight.pose) < LITTLE
         elsewhere = (np.asarray(found) < DENIED) | other | np.repeat(denied, 2)
         # A near half that is not seen does not tell where the far one hangs.
         elsewhere[1::2] |= elsewhere[::2]
-        seen = sight.places.seen(depths.min(0))
+        seen = sight.cells.visible(depths.min(0))
         # Limbs that may be elsewhere have the hues of something else.
         unsure = np.any(self.nodes[elsewhere], 0)
-        known = doubts.known.learned(hues_at(shown, sight.pixels), seen & ~unsure)
+        known = doubts.appearance.updated(chromaticity_at(shown, sight.pixels), seen & ~unsure)
         after = doubts._replace(appearance=looks, known=known, denied=denied)
         return np.any(self.joints[elsewhere], 0), after
 
-    def found_earlier(self, doubts: Doubts, sight: Sight, earlier: Pose) -> Better | None:
+    def earlier_proposal(
+        self, doubts: LimbMemory, sight: ProjectedBody, earlier: Pose
+    ) -> LimbProposal | None:
         """The pose with those limbs that explain more where an earlier pass found them."""
         found, moved, depths = sight.pose, [], None
         for number, limb in enumerate(self.limbs):
@@ -183,19 +195,19 @@ class Doubter:
             if float(_apart(self.skeleton, sight.pose, there, limb)) < AWAY:
                 continue
             depths = self._nearest(sight) if depths is None else depths
-            evidence = self._left_for(number, sight, doubts.known, depths)
+            evidence = self._left_for(number, sight, doubts.appearance, depths)
             before = self._explains(number, evidence, sight.pose, _upheld)
             if self._explains(number, evidence, there) > before + KNOWN:
                 found = _with(found, limb, angles)
                 moved.append(number)
-        return Better((found,), tuple(moved), KNOWN) if moved else None
+        return LimbProposal((found,), tuple(moved), KNOWN) if moved else None
 
-    def better(
-        self, doubts: Doubts, sight: Sight, how: SearchSettings
-    ) -> tuple[Better | None, Doubts]:
+    def propose(
+        self, doubts: LimbMemory, sight: ProjectedBody, how: LimbSearchSettings
+    ) -> tuple[LimbProposal | None, LimbMemory]:
         """Poses that explain more of what is seen than the one found, if there are any."""
         missing = self._unexplained(sight)
-        depths, known = self._nearest(sight), doubts.known
+        depths, known = self._nearest(sight), doubts.appearance
         evidence = [self._left_for(k, sight, known, depths) for k in range(len(self.limbs))]
         worth = [self._explains(k, each, sight.pose) for k, each in enumerate(evidence)]
         # Where somebody is seen whom nothing explains, a limb that explains little is not there.
@@ -213,7 +225,7 @@ class Doubter:
                 continue
             found = self._search(number, evidence[number], doubts, poses[0], how)
             particles[number] = np.asarray(found.particles)
-            better = np.asarray(found.gains) > float(found.before) + BETTER
+            better = np.asarray(found.gains) > float(found.baseline) + BETTER
             if better[0]:
                 count = max(len(poses), int(better.sum()))
                 poses = [
@@ -221,7 +233,7 @@ class Doubter:
                     for k in range(count)
                 ]
                 moved.append(number)
-            elif np.max(found.gains) < float(found.before) + HOPE * BETTER:
+            elif np.max(found.gains) < float(found.baseline) + HOPE * BETTER:
                 waits[number] = min(2 ** failures[number], LONGEST) + 1
                 failures[number] += 1
         waits = np.maximum(waits, 0)
@@ -232,21 +244,32 @@ class Doubter:
             denied=denied,
             frame=doubts.frame + 1,
         )
-        return (Better(tuple(poses), tuple(moved)) if moved else None), after
+        return (LimbProposal(tuple(poses), tuple(moved)) if moved else None), after
 
     def _search(
-        self, number: int, evidence: Evidence, doubts: Doubts, pose: Pose, how: SearchSettings
-    ) -> limb_particle_filter.Found:
+        self,
+        number: int,
+        evidence: LimbEvidence,
+        doubts: LimbMemory,
+        pose: Pose,
+        how: LimbSearchSettings,
+    ) -> limb_particle_filter.LimbSearchResult:
         """Of one limb, from the particles of the frame before or from where it is."""
         limb, old = self.limbs[number], doubts.particles[number]
         if old is None:
             old = np.tile(np.asarray(pose.angles)[limb.joints], (self.count, 1))
         key = jax.random.fold_in(jax.random.PRNGKey(doubts.frame), number)
-        return limb_particle_filter.search(
+        return limb_particle_filter.search_limb(
             self.skeleton, self.cameras, pose, limb, evidence, jnp.asarray(old), key, how
         )
 
-    def gain(self, limbs: tuple[int, ...], before: Sight, after: Sight, known: BodyHues) -> float:
+    def gain(
+        self,
+        limbs: tuple[int, ...],
+        before: ProjectedBody,
+        after: ProjectedBody,
+        known: BodyAppearance,
+    ) -> float:
         """What some limbs explain more, together, in one pose than they did in another."""
         new, old = self._nearest(after), self._nearest(before)
         return sum(
@@ -256,7 +279,11 @@ class Doubter:
         )
 
     def _explains(
-        self, number: int, evidence: Evidence, pose: Pose, how: Callable[..., Array] = _explained
+        self,
+        number: int,
+        evidence: LimbEvidence,
+        pose: Pose,
+        how: Callable[..., Array] = _explained,
     ) -> float:
         """What one limb of a pose explains of what is left for it."""
         return float(how(self.skeleton, self.cameras, pose, self.limbs[number], evidence))
@@ -272,26 +299,30 @@ class Doubter:
         """(N,) bool: the points of a limb."""
         return np.any(self.nodes[2 * number : 2 * number + 2], 0)
 
-    def _nearest(self, sight: Sight) -> np.ndarray:
+    def _nearest(self, sight: ProjectedBody) -> np.ndarray:
         """(L + 1, C, S, S) metres of each limb, and of the rest of the body; infinite beside it."""
         limbs = [self._on(number) for number in range(len(self.limbs))]
         parts = [*limbs, ~np.any(limbs, 0)]
-        return np.stack([sight.places.nearest(part) for part in parts])
+        return np.stack([sight.cells.nearest_depths(part) for part in parts])
 
-    def _left_for(self, number: int, sight: Sight, known: BodyHues, depths: np.ndarray) -> Evidence:
+    def _left_for(
+        self, number: int, sight: ProjectedBody, known: BodyAppearance, depths: np.ndarray
+    ) -> LimbEvidence:
         """What is left for a limb to explain: beside the rest of the body, or before it by hue."""
-        rest, places = ~self._on(number), sight.places
+        rest, places = ~self._on(number), sight.cells
         depth = np.delete(depths, number, 0).min(0)
-        unlike = places.unlike(sight.hues, known, places.seen(depth) & rest)
+        unlike = places.appearance_cost(sight.chromaticities, known, places.visible(depth) & rest)
         count = len(self.limbs[number].bones)
         hues = known.means(self._along[number], count * len(ALONG))
-        looks = Looks(sight.hues, unlike, depth, hues.reshape(count, len(ALONG), 3))
+        looks = LimbAppearance(
+            sight.chromaticities, unlike, depth, hues.reshape(count, len(ALONG), 3)
+        )
         alone = np.maximum(sight.ratios, np.float32(-LENIENT))
         gains = np.where(np.isfinite(depth), np.float32(0), alone)
         others = _parts(self.skeleton, sight.pose, self._rings[number])
-        return Evidence(gains, sight.region, sight.used, looks, others)
+        return LimbEvidence(gains, sight.region, sight.used, looks, others)
 
-    def _unexplained(self, sight: Sight) -> np.ndarray:
+    def _unexplained(self, sight: ProjectedBody) -> np.ndarray:
         """(L,) how much person nothing explains within each limb's reach, by the limb's size."""
         every = np.ones(sight.pixels.shape[1], bool)
         left = (sight.ratios > SURELY) & ~sight.covered(every)
@@ -310,7 +341,7 @@ class Doubter:
                 )
         return area / np.maximum(size, 1.0)
 
-    def _cells_to_a_metre(self, camera: np.intp, sight: Sight) -> float:
+    def _cells_to_a_metre(self, camera: np.intp, sight: ProjectedBody) -> float:
         """At the pelvis' depth."""
         ahead = self._depths[camera]
         depth = ahead[:3] @ np.asarray(sight.pose.position) + ahead[3]
@@ -318,24 +349,24 @@ class Doubter:
 
 
 @jax.jit
-def _apart(skeleton: Skeleton, pose: Pose, other: Pose, limb: Limb) -> Array:
+def _apart(skeleton: Skeleton, pose: Pose, other: Pose, limb: LimbChain) -> Array:
     """() metres between the ends of a limb's bones in two poses, the most."""
-    here, there = (ends(skeleton, each, limb)[1] for each in (pose, other))
+    here, there = (bone_ends(skeleton, each, limb)[1] for each in (pose, other))
     return jnp.max(jnp.linalg.norm(here - there, axis=-1))
 
 
 @jax.jit
-def _parts(skeleton: Skeleton, pose: Pose, around: BodyPoints) -> Parts:
+def _parts(skeleton: Skeleton, pose: Pose, around: BodyPoints) -> Obstacles:
     """Parts of a body in a pose."""
-    return Parts.of(posed(forward(skeleton, pose), around))
+    return Obstacles.of(posed(forward(skeleton, pose), around))
 
 
-def _with(pose: Pose, limb: Limb, angles: Array | np.ndarray) -> Pose:
+def _with(pose: Pose, limb: LimbChain, angles: Array | np.ndarray) -> Pose:
     """A pose whose limb has other angles (K,)."""
     return pose._replace(angles=pose.angles.at[limb.joints].set(angles))
 
 
-def freed(beforehand: np.ndarray, joints: np.ndarray, deviation: float) -> np.ndarray:
+def widened_deviations(beforehand: np.ndarray, joints: np.ndarray, deviation: float) -> np.ndarray:
     """Deviations (6 + D,) beforehand, those of some joints (D,) no less than another."""
     wide = beforehand.copy()
     wide[ROOT_DOF:][joints] = np.maximum(wide[ROOT_DOF:][joints], deviation)

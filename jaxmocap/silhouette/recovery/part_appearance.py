@@ -21,30 +21,30 @@ NEWEST, YOUNG, FEWEST = 0.1, 5, 8
 LONGEST = 90
 
 
-class Appearance(NamedTuple):
+class PartAppearance(NamedTuple):
     """Hues of P parts in C cameras.
 
     Attributes:
         mean: (P, C, 3) shares of blue, green and red, together 1.
         variance: (P, C) about it.
-        age: (P, C) frames that it was learned from.
-        other: (P,) frames, one after the other, in which the part looked otherwise.
+        frames: (P, C) frames that it was learned from.
+        strange_frames: (P,) frames, one after the other, in which the part looked otherwise.
     """
 
     mean: np.ndarray
     variance: np.ndarray
-    age: np.ndarray
-    other: np.ndarray
+    frames: np.ndarray
+    strange_frames: np.ndarray
 
     @classmethod
-    def none(cls, parts: int, cameras: int) -> "Appearance":
+    def empty(cls, parts: int, cameras: int) -> "PartAppearance":
         """Before the first frame."""
         zeros = np.zeros((parts, cameras))
         return cls(np.zeros((parts, cameras, 3)), zeros, zeros.astype(int), np.zeros(parts, int))
 
-    def judged(
+    def compared(
         self, images: Sequence[np.ndarray | None], pixels_xy: np.ndarray, parts: np.ndarray
-    ) -> tuple[np.ndarray, "Appearance"]:
+    ) -> tuple[np.ndarray, "PartAppearance"]:
         """Which parts (P,) look otherwise, and the memory after.
 
         Args:
@@ -53,26 +53,28 @@ class Appearance(NamedTuple):
             parts: (P, N) bool: which points are on which part.
         """
         seen = np.stack([
-            mean_hues(image, at, parts) for image, at in zip(images, pixels_xy, strict=True)
+            mean_chromaticities(image, at, parts) for image, at in zip(images, pixels_xy, strict=True)
         ], 1)  # fmt: skip
         there = np.isfinite(seen[..., 0])
         off = np.where(there, np.abs(seen - self.mean).max(-1), 0.0)
-        known = there & (self.age >= YOUNG)
+        known = there & (self.frames >= YOUNG)
         strange = known & (off > SHARE + DEVIATIONS * np.sqrt(self.variance))
         other = strange.any(1) & (2 * strange.sum(1) >= known.sum(1))
-        lasting = np.where(other, self.other + 1, 0)
+        lasting = np.where(other, self.strange_frames + 1, 0)
         learn = there & (~strange | (lasting > LONGEST)[:, None])
-        weight = np.where(learn, np.maximum(NEWEST, 1 / (self.age + 1)), 0.0)
+        weight = np.where(learn, np.maximum(NEWEST, 1 / (self.frames + 1)), 0.0)
         step = np.where(there[..., None], seen - self.mean, 0.0)
         mean = self.mean + weight[..., None] * step
         # Nothing deviates from the first frame.
-        spread = np.where(self.age > 0, off**2, 0.0)
+        spread = np.where(self.frames > 0, off**2, 0.0)
         variance = self.variance + weight * (spread - self.variance)
-        after = Appearance(mean, variance, self.age + learn, lasting)
+        after = PartAppearance(mean, variance, self.frames + learn, lasting)
         return other & (lasting <= LONGEST), after
 
 
-def mean_hues(image: np.ndarray | None, pixels_xy: np.ndarray, parts: np.ndarray) -> np.ndarray:
+def mean_chromaticities(
+    image: np.ndarray | None, pixels_xy: np.ndarray, parts: np.ndarray
+) -> np.ndarray:
     """(P, 3) of the parts' points within an image; NaN of a part with few of them, or none."""
     found = np.full((len(parts), 3), np.nan)
     if image is None:

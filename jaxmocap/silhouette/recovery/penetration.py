@@ -25,7 +25,7 @@ OTHERS = {"arm_l": ("torso", "leg_l", "leg_r"), "arm_r": ("torso", "leg_l", "leg
           "leg_l": ("leg_r",), "leg_r": ("leg_l",)}  # fmt: skip
 
 
-class Parts(NamedTuple):
+class Obstacles(NamedTuple):
     """Parts of a body, ring by ring.
 
     Attributes:
@@ -37,14 +37,14 @@ class Parts(NamedTuple):
     outwards: Array
 
     @classmethod
-    def of(cls, nodes: Array) -> "Parts":
-        """Of the points of ``rings`` (N, 3) in the world."""
+    def of(cls, nodes: Array) -> "Obstacles":
+        """Of the points of ``obstacle_rings`` (N, 3) in the world."""
         grid = nodes.reshape(-1, AROUND, 3)
         away = (grid - jnp.mean(grid, 1, keepdims=True)).reshape(-1, 3)
         return cls(nodes, away / jnp.sqrt(jnp.sum(away**2, -1, keepdims=True) + 1e-12))
 
 
-def rings(surface: Surface, limb: str) -> BodyPoints:
+def obstacle_rings(surface: Surface, limb: str) -> BodyPoints:
     """Points of the parts that a limb cannot be in, ring by ring ``AROUND`` of each."""
     chosen = [
         patch.start + np.arange(0, patch.along, EVERY)[:, None] * patch.around
@@ -55,7 +55,7 @@ def rings(surface: Surface, limb: str) -> BodyPoints:
     return BodyPoints(*(np.asarray(part)[nodes] for part in surface.points))
 
 
-def depths(points: Array, others: Parts) -> Array:
+def penetration_depths(points: Array, others: Obstacles) -> Array:
     """(P,) metres that points (P, 3) lie below the surface of others; negative outside."""
     middle = jnp.mean(others.nodes, 0)
     nodes, outwards, points = others.nodes - middle, others.outwards, points - middle
@@ -66,12 +66,12 @@ def depths(points: Array, others: Parts) -> Array:
     return jnp.max(jnp.where(nearest, deep, -jnp.inf), -1)
 
 
-def within(near: Array, far: Array, radii: Array, others: Parts) -> Array:
+def penetrating_share(near: Array, far: Array, radii: Array, others: Obstacles) -> Array:
     """() 0 to 1: how much of a limb, its bones' ends (B, 3), lies within others.
 
     A place of it counts in full where its axis lies as deep as the limb is thick.
     """
     at = jnp.asarray(ASKED, near.dtype)[..., None]
     points = near[:, None] + at * (far - near)[:, None]
-    deep = depths(points.reshape(-1, 3), others).reshape(points.shape[:2])
+    deep = penetration_depths(points.reshape(-1, 3), others).reshape(points.shape[:2])
     return jnp.mean(jnp.clip(deep / jnp.maximum(radii, 0.01)[:, None], 0.0, 1.0))

@@ -17,9 +17,9 @@ from jaxmocap.body.surfaces.surface import BodyPoints, Surface, posed
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.regions import Region
-from jaxmocap.silhouette.recovery.chromaticity import Places, hue_canvases
+from jaxmocap.silhouette.recovery.chromaticity import PointCells, chromaticity_canvases
 from jaxmocap.silhouette.recovery.limb_particle_filter import depths_of
-from jaxmocap.silhouette.segmentation.canvas_coverage import covered, widened
+from jaxmocap.silhouette.segmentation.canvas_coverage import covered_cells, extended_log_ratio
 from jaxmocap.silhouette.segmentation.outlines import Outlines
 
 # Of the surface's nodes one in so many says what the body covers, with so many cells about it.
@@ -30,15 +30,15 @@ CELLS, WIDER = 96, 1.5
 MOST = 2.0
 
 
-class Sight(NamedTuple):
+class ProjectedBody(NamedTuple):
     """A pose and what the cameras show, laid over each other.
 
     Attributes:
         pose: that was found.
         pixels: (C, N, 2) of the body's points.
-        places: of the same on the canvases.
+        cells: of the same on the canvases.
         ratios: (C, S, S) log-ratios of person and rest.
-        hues: (C, S, S, 3) NaN where there are none.
+        chromaticities: (C, S, S, 3) NaN where there are none.
         regions: of each camera's canvas.
         region: the same as one.
         used: (C,) bool.
@@ -46,9 +46,9 @@ class Sight(NamedTuple):
 
     pose: Pose
     pixels: np.ndarray
-    places: Places
+    cells: PointCells
     ratios: np.ndarray
-    hues: np.ndarray
+    chromaticities: np.ndarray
     regions: tuple[Region, ...]
     region: Region
     used: np.ndarray
@@ -58,13 +58,13 @@ class Sight(NamedTuple):
         size = self.ratios.shape[-1]
         return np.stack(
             [
-                covered(at[points], region, size, AROUND)
+                covered_cells(at[points], region, size, AROUND)
                 for at, region in zip(self.pixels, self.regions, strict=True)
             ]
         )
 
 
-class Onlooker:
+class BodyProjector:
     """Lays poses of one person over what C cameras show.
 
     Attributes:
@@ -76,38 +76,38 @@ class Onlooker:
         self.skeleton, self.cameras = skeleton, cameras
         self.points = BodyPoints(*(np.asarray(part)[::NODES] for part in surface.points))
 
-    def sight(
+    def project(
         self,
         pose: Pose,
         seen: Outlines,
         used: np.ndarray,
         images: Sequence[np.ndarray | None],
         rooms: Sequence[Background | None],
-    ) -> Sight:
+    ) -> ProjectedBody:
         """A pose over what was segmented, and what lies about that, of cameras (C,) that count."""
         narrow = zip(*map(np.asarray, seen.region), strict=True)
-        ratios = np.asarray(seen.segmented.log_ratio)
+        ratios = np.asarray(seen.segmentation.log_ratio)
         parts = [
-            widened(ratio, Region(*region), image, room, CELLS, WIDER, MOST)
+            extended_log_ratio(ratio, Region(*region), image, room, CELLS, WIDER, MOST)
             for ratio, region, image, room in zip(ratios, narrow, images, rooms, strict=True)
         ]
         regions = tuple(region for _, region in parts)
         region = Region(*(np.stack(part) for part in zip(*regions, strict=True)))
         ratios = np.stack([ratio for ratio, _ in parts])
-        pixels, depths = self.placed(pose)
-        places = Places.of(pixels, depths, region, CELLS)
+        pixels, depths = self.pixels_and_depths(pose)
+        places = PointCells.of(pixels, depths, region, CELLS)
         shown = [image if use else None for image, use in zip(images, used, strict=True)]
-        hues = hue_canvases(shown, regions, CELLS)
-        return Sight(pose, pixels, places, ratios, hues, regions, region, used)
+        hues = chromaticity_canvases(shown, regions, CELLS)
+        return ProjectedBody(pose, pixels, places, ratios, hues, regions, region, used)
 
-    def placed(self, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
+    def pixels_and_depths(self, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
         """(C, N, 2) pixels of points all over the body, hidden or not, and (C, N) their depths."""
-        pixels, depths = seen_at(self.skeleton, pose, self.cameras, self.points)
+        pixels, depths = project_points(self.skeleton, pose, self.cameras, self.points)
         return np.asarray(pixels), np.asarray(depths)
 
 
 @jax.jit
-def seen_at(
+def project_points(
     skeleton: Skeleton, pose: Pose, cameras: Camera, points: BodyPoints
 ) -> tuple[Array, Array]:
     """(C, N, 2) pixels of points of the body, hidden or not, and (C, N) their depths, metres."""

@@ -38,8 +38,8 @@ class Reports:
 
     def add(self, report: StepReport, pose: Pose, positions_world: np.ndarray) -> None:
         """One more frame, by ``SilhouetteTracker.step``."""
-        if report.moved.any():
-            self._withdraw(report.moved)
+        if report.relocated.any():
+            self._withdraw(report.relocated)
         self._latest = [*self._latest[1 - LOST :], _Step(report, pose, positions_world)]
         self.kept.append(_slim(report))
 
@@ -53,7 +53,7 @@ class Reports:
         self, moved: np.ndarray, report: StepReport, pose: Pose, positions_world: np.ndarray
     ) -> _Step:
         """What a frame told, joints (D,) not being seen."""
-        hidden, seen = report.hidden | moved, report.seen.copy()
+        hidden, seen = report.hidden | moved, report.observed.copy()
         told = self._tracker.told_without(hidden, pose, report.pairs, positions_world)
         seen[ROOT_DOF:][moved] = False
         left = report._replace(

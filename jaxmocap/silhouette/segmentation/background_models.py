@@ -20,7 +20,7 @@ from jaxmocap.images.background_model import (
 from jaxmocap.images.canvases import full_mask
 from jaxmocap.images.foreground import shrink
 from jaxmocap.images.regions import Region
-from jaxmocap.silhouette.segmentation.canvas_coverage import covered
+from jaxmocap.silhouette.segmentation.canvas_coverage import covered_cells
 
 # Rows at which a room is learned, and at which it is as the frames go by.
 ROWS, RUNNING_ROWS = 720, 480
@@ -33,13 +33,13 @@ LIT = 0.7
 PICTURE_NOISE = 4.0
 
 
-def pictured(picture: np.ndarray) -> Background:
+def background_of_picture(picture: np.ndarray) -> Background:
     """The room by one picture (H, W, 3) uint8 without the person."""
     ones = np.ones(picture.shape[:2], np.float32)
     return Background(picture.astype(np.float32), PICTURE_NOISE * ones, ones)
 
 
-class RoomLearner:
+class BackgroundLearner:
     """Collects some frames of one camera and where the person was in them.
 
     Attributes:
@@ -52,7 +52,7 @@ class RoomLearner:
         self._told, self._frames, self._bodies = 0, [], []
         self._size = (0, 0)
 
-    def tell(
+    def add_frame(
         self,
         image: np.ndarray,
         phi: np.ndarray,
@@ -71,11 +71,11 @@ class RoomLearner:
         if (self._told - 1) % self.every:
             return
         self._size = image.shape[1], image.shape[0]
-        body = person(phi, region, pixels_xy, image.shape[:2], AROUND)
+        body = possible_person(phi, region, pixels_xy, image.shape[:2], AROUND)
         self._frames.append(shrink(image, ROWS))
         self._bodies.append(shrink(body.astype(np.uint8), ROWS) > 0)
 
-    def learned(self) -> Background | None:
+    def background(self) -> Background | None:
         """The room, as large as the frames; None without any frame."""
         if not self._frames:
             return None
@@ -84,7 +84,7 @@ class RoomLearner:
         )
 
 
-class RunningRoom:
+class OnlineBackground:
     """One camera's room as far as the frames so far tell: for a first pass, that knows no other.
 
     The first frames tell of all that the person is not near to: a limb that moves there is seen.
@@ -93,18 +93,18 @@ class RunningRoom:
     def __init__(self):
         self._past = RunningBackground(enough=1)
 
-    def told(
+    def updated(
         self, image: np.ndarray, phi: np.ndarray, region: Region, pixels_xy: np.ndarray
     ) -> Background:
         """The room after another frame, arguments as those of ``RoomLearner.tell``."""
-        body = person(phi, region, pixels_xy, image.shape[:2], FARTHER)
+        body = possible_person(phi, region, pixels_xy, image.shape[:2], FARTHER)
         self._past.update(
             shrink(image, RUNNING_ROWS), shrink(body.astype(np.uint8), RUNNING_ROWS) > 0
         )
         return _enlarged(self._past.background(), (image.shape[1], image.shape[0]))
 
 
-def person(
+def possible_person(
     phi: np.ndarray,
     region: Region,
     pixels_xy: np.ndarray | None,
@@ -122,7 +122,7 @@ def person(
     """
     within = phi + AROUND > 0
     if pixels_xy is not None:
-        within = within | covered(pixels_xy, region, len(phi), around)
+        within = within | covered_cells(pixels_xy, region, len(phi), around)
     return full_mask(np.where(within, np.float32(1), np.float32(-1)), region, shape)
 
 

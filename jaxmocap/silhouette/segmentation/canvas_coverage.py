@@ -15,7 +15,7 @@ from jaxmocap.images.regions import Region
 DEVIATIONS, LEVELS = 6.0, 30.0
 
 
-def covered(pixels_xy: np.ndarray, region: Region, size: int, around: int) -> np.ndarray:
+def covered_cells(pixels_xy: np.ndarray, region: Region, size: int, around: int) -> np.ndarray:
     """(S, S) bool: cells within ``around`` cells of a point, by rows or columns.
 
     Args:
@@ -31,7 +31,7 @@ def covered(pixels_xy: np.ndarray, region: Region, size: int, around: int) -> np
     return cv2.dilate(mask, np.ones((2 * around + 1,) * 2, np.uint8)) > 0
 
 
-def widened(
+def extended_log_ratio(
     ratios: np.ndarray,
     region: Region,
     image: np.ndarray | None,

@@ -33,13 +33,13 @@ def grey_bins(colour: Array) -> Array:
     return ((blue + green + red) * (GREYS / 256)).astype(jnp.int32)
 
 
-def colour_bins(colour: Array) -> Array:
+def joint_bins(colour: Array) -> Array:
     """Joint histogram bin (...) of BGR colours (V, 3, S, S)."""
     levels = (colour * (LEVELS / 256)).astype(jnp.int32)
     return (levels[:, 0] * LEVELS + levels[:, 1]) * LEVELS + levels[:, 2]
 
 
-def counted(bins: Array, weights: Array, count: int) -> Array:
+def histogram_counts(bins: Array, weights: Array, count: int) -> Array:
     """Histograms (V, count), not smoothed, of weighted bins (V, S, S)."""
 
     def one(bins: Array, weights: Array) -> Array:
@@ -69,12 +69,12 @@ def _share(smoothed: Array) -> Array:
     return (1 - EVEN_SHARE) * share + EVEN_SHARE / bins
 
 
-def looked_up(density: Array, bins: Array) -> Array:
+def lookup(density: Array, bins: Array) -> Array:
     """Density (V, B) of the bin of every cell (V, S, S)."""
     return jax.vmap(lambda table, places: table[places])(density, bins)
 
 
-def room_density(colour: Array, room: Array, noise: Array) -> Array:
+def background_density(colour: Array, room: Array, noise: Array) -> Array:
     """Density (V, S, S), per cubic grey level, of colours (V, 3, S, S) before an empty room.
 
     The room is lit or in shadow.

@@ -16,25 +16,25 @@ import numpy as np
 CELLS, DIFFERENT = (40, 30), 25.0
 
 
-class Glances(NamedTuple):
+class ImageHistory(NamedTuple):
     """What C cameras showed last, and for how long they have not.
 
     Attributes:
-        small: of each camera the last image that was believed, in few cells; None before it.
-        refused: frames of each, one after the other, that were not believed.
+        thumbnails: of each camera the last image that was believed, in few cells; None before it.
+        rejections: frames of each, one after the other, that were not believed.
     """
 
-    small: tuple[np.ndarray | None, ...]
-    refused: tuple[int, ...]
+    thumbnails: tuple[np.ndarray | None, ...]
+    rejections: tuple[int, ...]
 
     @classmethod
-    def none(cls, cameras: int) -> "Glances":
+    def empty(cls, cameras: int) -> "ImageHistory":
         """Before the first frame."""
         return cls((None,) * cameras, (0,) * cameras)
 
-    def believed(
+    def accepted(
         self, images: Sequence[np.ndarray | None], share: float, patience: int
-    ) -> tuple[list[np.ndarray | None], "Glances"]:
+    ) -> tuple[list[np.ndarray | None], "ImageHistory"]:
         """The images that are to be believed, None in place of the others.
 
         Args:
@@ -44,9 +44,9 @@ class Glances(NamedTuple):
                 switched the light on.
         """
         kept, small, refused = [], [], []
-        for image, last, count in zip(images, self.small, self.refused, strict=True):
-            now = None if image is None else glance(image)
-            other = now is not None and last is not None and changed(last, now) > share
+        for image, last, count in zip(images, self.thumbnails, self.rejections, strict=True):
+            now = None if image is None else thumbnail(image)
+            other = now is not None and last is not None and changed_share(last, now) > share
             if other and count < patience:
                 kept.append(None)
                 small.append(last)
@@ -55,14 +55,14 @@ class Glances(NamedTuple):
             kept.append(image)
             small.append(last if now is None else now)
             refused.append(0)
-        return kept, Glances(tuple(small), tuple(refused))
+        return kept, ImageHistory(tuple(small), tuple(refused))
 
 
-def glance(image: np.ndarray) -> np.ndarray:
+def thumbnail(image: np.ndarray) -> np.ndarray:
     """An image (H, W, 3) uint8 in few cells, int16."""
     return cv2.resize(image, CELLS, interpolation=cv2.INTER_AREA).astype(np.int16)
 
 
-def changed(before: np.ndarray, now: np.ndarray) -> float:
+def changed_share(before: np.ndarray, now: np.ndarray) -> float:
     """The share of cells in which two glances differ."""
     return float(np.mean(np.abs(now - before).max(-1) > DIFFERENT))

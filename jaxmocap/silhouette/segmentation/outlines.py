@@ -14,7 +14,13 @@ from jaxmocap.images.canvases import Canvas, attached, canvas, signed_distance
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.fit.correspond import Contour
 from jaxmocap.silhouette.segmentation.contour import contours
-from jaxmocap.silhouette.segmentation.segment import Histograms, Plan, Seen, Segmented, segment
+from jaxmocap.silhouette.segmentation.segment import (
+    CanvasImages,
+    Histograms,
+    Segmentation,
+    SegmentationPlan,
+    segment,
+)
 from jaxmocap.silhouette.segmentation.sharpen import sharpened
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.surfaces.rim import Rim
@@ -30,24 +36,24 @@ class Outlines(NamedTuple):
 
     Attributes:
         contours: one a camera; without points where it shows nothing.
-        segmented: level sets (C, S, S), on the canvases of ``region``.
+        segmentation: level sets (C, S, S), on the canvases of ``region``.
         region: the canvases' places.
-        valid: (C,) share of the contour's points that the image tells.
+        valid_share: (C,) share of the contour's points that the image tells.
     """
 
     contours: tuple[Contour, ...]
-    segmented: Segmented
+    segmentation: Segmentation
     region: Region
-    valid: np.ndarray
+    valid_share: np.ndarray
 
 
-def look(
+def find_outlines(
     images: Sequence[np.ndarray | None],
     rooms: Sequence[Background | None],
     rim: Rim,
     before: Histograms,
     settings: Settings,
-    plan: Plan,
+    plan: SegmentationPlan,
 ) -> Outlines:
     """Segment the images from the silhouettes that are predicted.
 
@@ -63,14 +69,19 @@ def look(
     views = [Region(*each) for each in zip(*region, strict=True)]
     taken = [_canvas(*each, size) for each in zip(images, views, rooms, strict=True)]
     start = np.stack([silhouette_distance(mask) for mask in rim.masks])
-    seen = Seen.of(taken)
+    seen = CanvasImages.of(taken)
     found = segment(seen, start, before, settings.level_set, plan)
     phi = np.stack([attached(*each) for each in zip(np.asarray(found.phi), start, strict=True)])
     if settings.sharpen:
         phi = _sharpened(images, rooms, phi, views)
     found = found._replace(phi=phi)
     points = contours(
-        found.phi, found.log_ratio, seen.inside, region, settings.points, settings.level_set.most
+        found.phi,
+        found.log_ratio,
+        seen.inside,
+        region,
+        settings.points,
+        settings.level_set.largest_log_ratio,
     )
     places, normals, _, contrast, valid = map(np.asarray, points)
     told = valid & (contrast > settings.contrast)

@@ -38,7 +38,7 @@ from jaxmocap.silhouette.surfaces.index_image import (
     inner_boundary,
     node_keys,
     outer_boundary,
-    thinned,
+    subsampled,
 )
 from jaxmocap.silhouette.surfaces.morph import Morph, Morphing, worn
 from jaxmocap.silhouette.surfaces.swelling import morphed
@@ -80,7 +80,7 @@ class Rim(NamedTuple):
         pixels_xy: (C, R, 2) where they are seen, in the whole image.
         normals: (C, R, 2) unit vectors in the image, out of the body.
         inner: (C, R) is it a boundary between limbs, which no mask shows?
-        real: (C, R) False for padding.
+        valid: (C, R) False for padding.
         masks: (C, size, size) uint8 of the body on the canvases.
         region: the canvases' places in the images.
     """
@@ -89,12 +89,12 @@ class Rim(NamedTuple):
     pixels_xy: np.ndarray
     normals: np.ndarray
     inner: np.ndarray
-    real: np.ndarray
+    valid: np.ndarray
     masks: np.ndarray
     region: Region
 
 
-class Drawn(NamedTuple):
+class ProjectedNodes(NamedTuple):
     """M nodes as C cameras see them.
 
     Attributes:
@@ -114,7 +114,7 @@ class Drawn(NamedTuple):
     region: Region
 
 
-def stacked(cameras: list[Camera]) -> Camera:
+def stack_cameras(cameras: list[Camera]) -> Camera:
     """C cameras as one, each of its arrays with a new first axis."""
     return jax.tree.map(lambda *parts: jnp.stack(parts), *cameras)
 
@@ -144,7 +144,7 @@ class RimFinder:
         if morphing is not None and morphing.steers:
             self.morph = morphed(morphing, skeleton.tree, surface, joints, self.settings.spacing)
         self._beside = neighbours(self.surface)
-        self._limbs = limbs_of(self.surface)
+        self._limbs = limb_numbers(self.surface)
         self._drawing = jax.jit(self._drawn)
 
     def wear(self, surface: Surface, joints: np.ndarray) -> None:
@@ -152,18 +152,20 @@ class RimFinder:
         self.surface, self.coarse = surface, low_pass(surface, joints, *self.settings.coarse)
         self._skins = skin_of(surface, joints), skin_of(self.coarse, joints)
 
-    def _draw(self, skeleton: Skeleton, pose: Pose, cameras: Camera, coarse: bool = False) -> Drawn:
+    def _draw(
+        self, skeleton: Skeleton, pose: Pose, cameras: Camera, coarse: bool = False
+    ) -> ProjectedNodes:
         return self._drawing(self._skins[coarse], self.morph, skeleton, pose, cameras)
 
     def _drawn(
         self, skin: Skin, morph: Morph | None, skeleton: Skeleton, pose: Pose, cameras: Camera
-    ) -> Drawn:
+    ) -> ProjectedNodes:
         """What C cameras see of all nodes; their places on canvases about the person."""
         skin = skin if morph is None else worn(skin, morph, pose.angles)
         x, y, z = skinned(forward(skeleton, pose), skin)
         s = self.settings
 
-        def seen(camera: Camera) -> Drawn:
+        def seen(camera: Camera) -> ProjectedNodes:
             T = camera.T_cam_world
             at_cam = [T[i, 0] * x + T[i, 1] * y + T[i, 2] * z + T[i, 3] for i in range(3)]
             depth = jnp.maximum(at_cam[2], NEAREST_M)
@@ -174,19 +176,19 @@ class RimFinder:
             column = (u - region.origin[0]) / region.scale - 0.5
             row = (v - region.origin[1]) / region.scale - 0.5
             places, keys = node_keys(column, row, depth, s.size)
-            return Drawn(u, v, depth, places, keys, region)
+            return ProjectedNodes(u, v, depth, places, keys, region)
 
         return jax.vmap(seen)(cameras)
 
     def find(self, skeleton: Skeleton, pose: Pose, cameras: Camera, coarse: bool = False) -> Rim:
-        """The rims as C cameras (``stacked``) see them, of the surface or of its low-pass."""
+        """The rims as C cameras (``stack_cameras``) see them, of the surface or of its low-pass."""
         drawn = jax.tree.map(np.asarray, self._draw(skeleton, pose, cameras, coarse))
         views = [jax.tree.map(lambda part, c=c: part[c], drawn) for c in range(len(drawn.u))]
         rows = zip(*(self._of_camera(view) for view in views), strict=True)
         nodes, pixels, normals, inner, real, masks = (np.stack(parts) for parts in rows)
         return Rim(nodes, pixels, normals, inner, real, masks, drawn.region)
 
-    def _of_camera(self, drawn: Drawn) -> tuple[np.ndarray, ...]:
+    def _of_camera(self, drawn: ProjectedNodes) -> tuple[np.ndarray, ...]:
         """One camera's row of all fields but the region."""
         s = self.settings
         keys = index_image(drawn.places, drawn.keys, s.size)
@@ -194,7 +196,9 @@ class RimFinder:
         found = [outer_boundary(keys, mask, s.outer)]
         if s.inner:
             found.append(
-                Boundary(*thinned(inner_boundary(keys, drawn.depth, s.jump, self._limbs), s.inner))
+                Boundary(
+                    *subsampled(inner_boundary(keys, drawn.depth, s.jump, self._limbs), s.inner)
+                )
             )
         nodes, normals = np.zeros(s.outer + s.inner, int), np.zeros((s.outer + s.inner, 2))
         real = np.zeros(len(nodes), bool)
@@ -206,7 +210,9 @@ class RimFinder:
         is_inner = np.arange(len(nodes)) >= s.outer
         return nodes, pixels, normals.astype(pixels.dtype), is_inner, real, mask
 
-    def _standing_out(self, nodes: np.ndarray, normals: np.ndarray, drawn: Drawn) -> np.ndarray:
+    def _standing_out(
+        self, nodes: np.ndarray, normals: np.ndarray, drawn: ProjectedNodes
+    ) -> np.ndarray:
         """Nodes (R,) moved to neighbours that are seen farthest along the normals."""
         for _ in range(CLIMBS):
             options = self._beside[nodes]
@@ -227,7 +233,7 @@ class RimFinder:
         return np.asarray(self.morph.moves)[nodes.ravel()]
 
 
-def limbs_of(surface: Surface) -> np.ndarray:
+def limb_numbers(surface: Surface) -> np.ndarray:
     """(M,) uint8 number of every node's limb; a foot and its leg are one."""
     names = [patch.name.replace("foot", "leg") for patch in surface.patches]
     return np.array([names.index(name) for name in names], np.uint8)[surface.patch_of()]

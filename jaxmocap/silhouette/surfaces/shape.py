@@ -28,8 +28,8 @@ from jaxmocap.body.surfaces.surface import Surface, posed
 from jaxmocap.body.surfaces.swelling_fields import fields_of, reshaped
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
+from jaxmocap.silhouette.device_functions import ContourPairs
 from jaxmocap.silhouette.fit.correspond import pairs_of
-from jaxmocap.silhouette.device_functions import Seen
 from jaxmocap.silhouette.points import linearised
 from jaxmocap.silhouette.surfaces.morph import Morph, moved, steered
 
@@ -40,24 +40,24 @@ DEVIATION_M = 0.15
 FREEDOM = 10.0
 
 
-class Paired(NamedTuple):
+class NodePairs(NamedTuple):
     """The pairs that a pose was found with.
 
     Attributes:
         nodes: (C, N) of the surface.
-        seen: the same pairs, with what robust weighting leaves of their weights.
+        pairs: the same pairs, with what robust weighting leaves of their weights.
     """
 
     nodes: np.ndarray
-    seen: Seen
+    pairs: ContourPairs
 
 
 @partial(jax.jit, static_argnames="lengths")
-def told(
+def shape_equations(
     skeleton: Skeleton,
     cameras: Camera,
     pose: Pose,
-    seen: Seen,
+    seen: ContourPairs,
     moves: Array,
     morph: Morph | None = None,
     lengths: int = 0,
@@ -94,7 +94,7 @@ def told(
     return H, jnp.matmul(weighted.T, residuals[:, 0], precision=HIGHEST)
 
 
-def _by_lengths(skeleton: Skeleton, pose: Pose, seen: Seen, count: int) -> Array:
+def _by_lengths(skeleton: Skeleton, pose: Pose, seen: ContourPairs, count: int) -> Array:
     """(N, 3, L) derivatives of the pairs' points, world, by logarithms of the bones' lengths."""
 
     def placed(logarithms: Array) -> Array:
@@ -104,7 +104,7 @@ def _by_lengths(skeleton: Skeleton, pose: Pose, seen: Seen, count: int) -> Array
     return jax.jacfwd(placed)(jnp.zeros(count, skeleton.lengths.dtype))
 
 
-class ShapeFinder:
+class ShapeEstimator:
     """Adds up what the frames of a recording tell of a person's shape.
 
     Attributes:
@@ -137,19 +137,21 @@ class ShapeFinder:
         count = len(self.amounts)
         self._information, self._slope = np.zeros((count, count)), np.zeros(count)
 
-    def tell(
+    def add_frame(
         self,
         skeleton: Skeleton,
         cameras: Camera,
         pose: Pose,
-        pairs: Paired,
+        pairs: NodePairs,
         morph: Morph | None = None,
     ) -> None:
         """A frame: C cameras (``stacked``), the pose found by its pairs, what goes along."""
         moves = self.fields.moves[pairs.nodes.ravel()]
-        self.add(*told(skeleton, cameras, pose, pairs.seen, moves, morph, self._lengths))
+        self.add_equations(
+            *shape_equations(skeleton, cameras, pose, pairs.pairs, moves, morph, self._lengths)
+        )
 
-    def add(self, H: Array | np.ndarray, slope: Array | np.ndarray) -> None:
+    def add_equations(self, H: Array | np.ndarray, slope: Array | np.ndarray) -> None:
         """Normal equations (6 + D + P) of a frame's pose and the shape; the pose is eliminated."""
         H, slope = np.asarray(H, float), np.asarray(slope, float)
         first = len(slope) - len(self.amounts)
@@ -159,7 +161,7 @@ class ShapeFinder:
         self._information += H[first:, first:] - explained[:, :-1]
         self._slope += slope[first:] - explained[:, -1]
 
-    def fitted(self) -> tuple[Skeleton, Surface]:
+    def estimate(self) -> tuple[Skeleton, Surface]:
         """What suits all frames told of, and people; then those are forgotten."""
         H = self._information / DEVIATION_M**2 + self._known
         slope = self._slope / DEVIATION_M**2 + self._known @ self.amounts

@@ -94,7 +94,7 @@ def moves_of(
     return moves
 
 
-def gone_over(
+def transition_offsets(
     surface: Surface, joints: np.ndarray, transition: Transition, spacing: float | None = None
 ) -> np.ndarray:
     """(M, 3) from a surface's nodes, resampled at ``spacing`` where given, to the other's.
@@ -139,12 +139,12 @@ def morphed(
     worn = surface if spacing is None else resampled(surface, joints, spacing)
     moves = moves_of(worn, joints, steers, morphing.swellings)
     for transition in morphing.transitions:
-        gone = gone_over(surface, joints, transition, spacing)
+        gone = transition_offsets(surface, joints, transition, spacing)
         moves[..., steers.index(transition.steer)] += gone
     return morph_of(morphing, tree, moves)
 
 
-def between(
+def interpolated(
     first: BodyPoints, second: BodyPoints, t: Array | float, weighting: str = "linear"
 ) -> BodyPoints:
     """F_t of (4.26): the second surface's points at t = 0, the first's at t = 1.
