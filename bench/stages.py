@@ -12,6 +12,7 @@ import jax
 
 from jaxmocap.capture import footage
 from jaxmocap.silhouette import tracker
+from jaxmocap.silhouette.fit import cycles
 from jaxmocap.silhouette.segmentation import outlines
 from jaxmocap.silhouette.surfaces import rim
 
@@ -25,10 +26,10 @@ STAGES: dict[str, tuple[tuple[object, str], ...]] = {
     "segmentation": ((outlines, "segment"),),
     "sharpening": ((outlines, "_sharpened"),),
     "contours": ((outlines, "contours"),),
-    "matching": ((tracker, "matched"),),
-    "edges": ((tracker, "edge_pairs"),),
-    "fit": ((tracker, "fit"),),
-    "hypotheses": ((tracker.SilhouetteTracker, "_reconsidered"),),
+    "matching": ((cycles, "matched_pairs"),),
+    "edges": ((cycles, "edge_pairs"),),
+    "fit": ((cycles, "fit"),),
+    "hypotheses": ((tracker, "recover_limbs"),),
 }
 REST, WHOLE = "the rest", "whole frame"
 

@@ -26,8 +26,8 @@ class PointRays(NamedTuple):
     """N points and the rays that they should lie on, of any number of cameras.
 
     Where the ray belongs to a contour, its point is known across the contour and not along it:
-    ``across`` is the contour's normal in space and ``along_weights`` how firmly the other direction holds.
-    With grips of 1 this is the incidence of (3.11), whatever ``across``.
+    ``across`` is the contour's normal in space and ``along_weights`` the other direction's weights.
+    With weights of 1 this is the incidence of (3.11), whatever ``across``.
 
     Attributes:
         points: of the body.

@@ -1,4 +1,4 @@
-"""Pairs of the surface's rim and the contours seen, and the pose that they determine (sections 3.1.4, 3.2).
+"""From a predicted pose to a fitted one: pairs of rim and contour, and the solve (3.1.4, 3.2).
 
-Begin with ``cycles``: a predicted pose to a fitted one.
+Begin with ``cycles``, which runs the others cycle by cycle.
 """

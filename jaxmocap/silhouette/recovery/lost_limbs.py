@@ -181,7 +181,7 @@ class LimbRecovery:
         # Limbs that may be elsewhere have the hues of something else.
         unsure = np.any(self.nodes[elsewhere], 0)
         known = doubts.appearance.updated(chromaticity_at(shown, sight.pixels), seen & ~unsure)
-        after = doubts._replace(appearance=looks, known=known, denied=denied)
+        after = doubts._replace(part_appearance=looks, appearance=known, denied=denied)
         return np.any(self.joints[elsewhere], 0), after
 
     def earlier_proposal(

@@ -1,71 +1,53 @@
-"""What the frames of a pass told, so far as later ones do not deny it.
+"""What the last frames said of a limb is withdrawn once it is found elsewhere.
 
-INPUTS: reports of a silhouette tracker's steps. OUTPUTS: them, without what is large.
+INPUTS: the last frames, joints that were relocated. OUTPUTS: the frames, without those joints'
+information.
 """
-
-from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ROOT_DOF
-from jaxmocap.silhouette.state import StepReport
-from jaxmocap.silhouette.tracker import SilhouetteTracker
+from jaxmocap.silhouette.fit.cycles import information_without
+from jaxmocap.silhouette.state import RecentFrame, StepReport, TrackedBody, TrackerConstants
 
-# Frames before a limb was found elsewhere, that told of it where it was not.
-LOST = 3
-
-
-class _Step(NamedTuple):
-    """A frame's whole report, the pose found, the markers (M, 3) it was shown."""
-
-    report: StepReport
-    pose: Pose
-    positions_world: np.ndarray
+# Frames before a limb was found elsewhere whose pairs had it in the wrong place.
+LOST_FRAMES = 3
 
 
-class Reports:
-    """What a tracker tells, frame by frame.
-
-    Attributes:
-        kept: one report per frame so far, without level sets, contours and pairs.
-    """
-
-    def __init__(self, tracker: SilhouetteTracker):
-        """Before the first frame."""
-        self.kept: list[StepReport] = []
-        self._tracker, self._latest = tracker, list[_Step]()
-
-    def add(self, report: StepReport, pose: Pose, positions_world: np.ndarray) -> None:
-        """One more frame, by ``SilhouetteTracker.step``."""
-        if report.relocated.any():
-            self._withdraw(report.relocated)
-        self._latest = [*self._latest[1 - LOST :], _Step(report, pose, positions_world)]
-        self.kept.append(_slim(report))
-
-    def _withdraw(self, moved: np.ndarray) -> None:
-        """Of joints (D,) that were found elsewhere the last frames told nothing."""
-        self._latest = [self._without(moved, *step) for step in self._latest]
-        before = len(self.kept) - len(self._latest)
-        self.kept[before:] = [_slim(step.report) for step in self._latest]
-
-    def _without(
-        self, moved: np.ndarray, report: StepReport, pose: Pose, positions_world: np.ndarray
-    ) -> _Step:
-        """What a frame told, joints (D,) not being seen."""
-        hidden, seen = report.hidden | moved, report.observed.copy()
-        told = self._tracker.told_without(hidden, pose, report.pairs, positions_world)
-        seen[ROOT_DOF:][moved] = False
-        left = report._replace(
-            hidden=hidden,
-            seen=seen,
-            information=np.asarray(told.information),
-            slope=np.asarray(told.slope),
-        )
-        return _Step(left, pose, positions_world)
+def remembered(recent: tuple[RecentFrame, ...], frame: RecentFrame) -> tuple[RecentFrame, ...]:
+    """The last ``LOST_FRAMES`` frames after another one."""
+    kept = frame._replace(report=frame.report._replace(revised=()))
+    return (*recent[1 - LOST_FRAMES :], kept)
 
 
-def _slim(report: StepReport) -> StepReport:
-    """Without what is large: F frames are kept."""
-    outlines = report.outlines._replace(segmented=None, contours=())  # type: ignore[arg-type]
-    return report._replace(outlines=outlines, pairs=None)  # type: ignore[arg-type]
+def withdrawn(
+    constants: TrackerConstants,
+    body: TrackedBody,
+    recent: tuple[RecentFrame, ...],
+    relocated: np.ndarray,
+) -> tuple[RecentFrame, ...]:
+    """The last frames, joints (D,) that were relocated since being hidden in them."""
+    return tuple(_without(constants, body, frame, relocated) for frame in recent)
+
+
+def _without(
+    constants: TrackerConstants, body: TrackedBody, frame: RecentFrame, relocated: np.ndarray
+) -> RecentFrame:
+    """One frame, some joints (D,) being hidden."""
+    report, pose, positions_world = frame
+    hidden, observed = report.hidden | relocated, report.observed.copy()
+    left = information_without(constants, body, hidden, pose, report.pairs, positions_world)
+    observed[ROOT_DOF:][relocated] = False
+    report = report._replace(
+        hidden=hidden,
+        observed=observed,
+        information=np.asarray(left.information),
+        slope=np.asarray(left.slope),
+    )
+    return RecentFrame(report, pose, positions_world)
+
+
+def slim(report: StepReport) -> StepReport:
+    """A report without what is large: those of all frames of a recording are kept."""
+    outlines = report.outlines._replace(segmentation=None, contours=())  # type: ignore[arg-type]
+    return report._replace(outlines=outlines, pairs=None, revised=())  # type: ignore[arg-type]

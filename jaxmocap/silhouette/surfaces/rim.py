@@ -21,16 +21,14 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.surface import (
-    BodyPoints,
     Skin,
     Surface,
-    low_pass,
     resampled,
-    skin_of,
     skinned,
 )
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, pixel_components
 from jaxmocap.images.regions import Region, region_around
+from jaxmocap.silhouette.surfaces.body_shape import BodyShape
 from jaxmocap.silhouette.surfaces.index_image import (
     Boundary,
     body_mask,
@@ -43,8 +41,8 @@ from jaxmocap.silhouette.surfaces.index_image import (
 from jaxmocap.silhouette.surfaces.morph import Morph, Morphing, worn
 from jaxmocap.silhouette.surfaces.swelling import morphed
 
-# How often a node may move on to a neighbour that stands out farther.
-CLIMBS = 3
+# Steps of a node to a neighbour that lies farther out along its normal, at most.
+OUTWARD_STEPS = 3
 
 
 @dataclass(frozen=True)
@@ -120,11 +118,10 @@ def stack_cameras(cameras: list[Camera]) -> Camera:
 
 
 class RimFinder:
-    """Finds rims of one person's surface.
+    """Finds rims of surfaces that are alike node for node.
 
     Attributes:
-        surface: the denser one, whose nodes rims consist of.
-        coarse: its low-pass, node for node.
+        initial_shape: of the person, before any pass has corrected it.
         settings: static.
         morph: what of it goes along with the joints' angles; None if nothing does.
     """
@@ -138,26 +135,20 @@ class RimFinder:
     ):
         """Prepare for a surface around a skeleton; traces once for a number of cameras."""
         self.settings = settings or RimSettings()
-        joints = rest_joints(skeleton)
-        self.wear(resampled(surface, joints, self.settings.spacing), joints)
+        joints, spacing = rest_joints(skeleton), self.settings.spacing
+        self.initial_shape = self.shape_of(skeleton, resampled(surface, joints, spacing))
         self.morph = None
         if morphing is not None and morphing.steers:
-            self.morph = morphed(morphing, skeleton.tree, surface, joints, self.settings.spacing)
-        self._beside = neighbours(self.surface)
-        self._limbs = limb_numbers(self.surface)
-        self._drawing = jax.jit(self._drawn)
+            self.morph = morphed(morphing, skeleton.tree, surface, joints, spacing)
+        self._neighbours = neighbours(self.initial_shape.surface)
+        self._limbs = limb_numbers(self.initial_shape.surface)
+        self._project = jax.jit(self._projected)
 
-    def wear(self, surface: Surface, joints: np.ndarray) -> None:
-        """Take another surface of as many nodes, around joints (B, 3) at rest, from now on."""
-        self.surface, self.coarse = surface, low_pass(surface, joints, *self.settings.coarse)
-        self._skins = skin_of(surface, joints), skin_of(self.coarse, joints)
+    def shape_of(self, skeleton: Skeleton, surface: Surface) -> BodyShape:
+        """Another shape of the same person: a surface of as many nodes, around a skeleton."""
+        return BodyShape.of(skeleton, surface, self.settings.coarse)
 
-    def _draw(
-        self, skeleton: Skeleton, pose: Pose, cameras: Camera, coarse: bool = False
-    ) -> ProjectedNodes:
-        return self._drawing(self._skins[coarse], self.morph, skeleton, pose, cameras)
-
-    def _drawn(
+    def _projected(
         self, skin: Skin, morph: Morph | None, skeleton: Skeleton, pose: Pose, cameras: Camera
     ) -> ProjectedNodes:
         """What C cameras see of all nodes; their places on canvases about the person."""
@@ -165,7 +156,7 @@ class RimFinder:
         x, y, z = skinned(forward(skeleton, pose), skin)
         s = self.settings
 
-        def seen(camera: Camera) -> ProjectedNodes:
+        def one(camera: Camera) -> ProjectedNodes:
             T = camera.T_cam_world
             at_cam = [T[i, 0] * x + T[i, 1] * y + T[i, 2] * z + T[i, 3] for i in range(3)]
             depth = jnp.maximum(at_cam[2], NEAREST_M)
@@ -178,26 +169,29 @@ class RimFinder:
             places, keys = node_keys(column, row, depth, s.size)
             return ProjectedNodes(u, v, depth, places, keys, region)
 
-        return jax.vmap(seen)(cameras)
+        return jax.vmap(one)(cameras)
 
-    def find(self, skeleton: Skeleton, pose: Pose, cameras: Camera, coarse: bool = False) -> Rim:
-        """The rims as C cameras (``stack_cameras``) see them, of the surface or of its low-pass."""
-        drawn = jax.tree.map(np.asarray, self._draw(skeleton, pose, cameras, coarse))
-        views = [jax.tree.map(lambda part, c=c: part[c], drawn) for c in range(len(drawn.u))]
+    def find(self, shape: BodyShape, pose: Pose, cameras: Camera, coarse: bool = False) -> Rim:
+        """The rims as C cameras (stacked) see them, of the surface or of its low-pass."""
+        skin = shape.coarse_skin if coarse else shape.skin
+        projected = self._project(skin, self.morph, shape.skeleton, pose, cameras)
+        projected = jax.tree.map(np.asarray, projected)
+        count = len(projected.u)
+        views = [jax.tree.map(lambda part, c=c: part[c], projected) for c in range(count)]
         rows = zip(*(self._of_camera(view) for view in views), strict=True)
-        nodes, pixels, normals, inner, real, masks = (np.stack(parts) for parts in rows)
-        return Rim(nodes, pixels, normals, inner, real, masks, drawn.region)
+        nodes, pixels, normals, inner, valid, masks = (np.stack(parts) for parts in rows)
+        return Rim(nodes, pixels, normals, inner, valid, masks, projected.region)
 
-    def _of_camera(self, drawn: ProjectedNodes) -> tuple[np.ndarray, ...]:
+    def _of_camera(self, projected: ProjectedNodes) -> tuple[np.ndarray, ...]:
         """One camera's row of all fields but the region."""
         s = self.settings
-        keys = index_image(drawn.places, drawn.keys, s.size)
+        keys = index_image(projected.places, projected.keys, s.size)
         mask = body_mask(keys)
         found = [outer_boundary(keys, mask, s.outer)]
         if s.inner:
             found.append(
                 Boundary(
-                    *subsampled(inner_boundary(keys, drawn.depth, s.jump, self._limbs), s.inner)
+                    *subsampled(inner_boundary(keys, projected.depth, s.jump, self._limbs), s.inner)
                 )
             )
         nodes, normals = np.zeros(s.outer + s.inner, int), np.zeros((s.outer + s.inner, 2))
@@ -205,26 +199,20 @@ class RimFinder:
         for part, start in zip(found, (0, s.outer), strict=False):
             rows = np.s_[start : start + len(part.nodes)]
             nodes[rows], normals[rows], real[rows] = part.nodes, part.normals, True
-        nodes = self._standing_out(nodes, normals, drawn)
-        pixels = np.stack([drawn.u[nodes], drawn.v[nodes]], 1)
+        nodes = self._outermost(nodes, normals, projected)
+        pixels = np.stack([projected.u[nodes], projected.v[nodes]], 1)
         is_inner = np.arange(len(nodes)) >= s.outer
         return nodes, pixels, normals.astype(pixels.dtype), is_inner, real, mask
 
-    def _standing_out(
-        self, nodes: np.ndarray, normals: np.ndarray, drawn: ProjectedNodes
+    def _outermost(
+        self, nodes: np.ndarray, normals: np.ndarray, projected: ProjectedNodes
     ) -> np.ndarray:
         """Nodes (R,) moved to neighbours that are seen farthest along the normals."""
-        for _ in range(CLIMBS):
-            options = self._beside[nodes]
-            outwards = drawn.u[options] * normals[:, :1] + drawn.v[options] * normals[:, 1:]
+        for _ in range(OUTWARD_STEPS):
+            options = self._neighbours[nodes]
+            outwards = projected.u[options] * normals[:, :1] + projected.v[options] * normals[:, 1:]
             nodes = options[np.arange(len(nodes)), outwards.argmax(1)]
         return nodes
-
-    def points(self, nodes: np.ndarray, coarse: bool = False) -> BodyPoints:
-        """Nodes of the denser surface, or of its low-pass, on bones, for ``solve_pose``."""
-        every = (self.coarse if coarse else self.surface).points
-        chosen = nodes.ravel()
-        return BodyPoints(*(np.asarray(part)[chosen] for part in every))
 
     def moves(self, nodes: np.ndarray) -> np.ndarray | None:
         """How the same nodes go along with steers, (N, 3, S); None if nothing does."""
