@@ -6,14 +6,14 @@ INPUTS: nothing. OUTPUTS: Settings, whose defaults were chosen on rendered exerc
 from dataclasses import dataclass, field
 
 from jaxmocap.silhouette.fit.correspond import MatchSettings
-from jaxmocap.silhouette.recovery.limb_particle_filter import LimbSearchSettings
+from jaxmocap.silhouette.recovery.settings import LimbSearchSettings, RecoverySettings
 from jaxmocap.silhouette.segmentation import segment
 from jaxmocap.silhouette.segmentation.inner_edges import InnerEdgeSettings
 from jaxmocap.silhouette.smoothing import PoseSmoothingSettings
 from jaxmocap.silhouette.surfaces.morph import Morphing
 from jaxmocap.silhouette.surfaces.rim import RimSettings
 
-# What finds starts that are off by 10 degrees and 6 cm, half of them.
+# Of a first pose that is off by 10 degrees and 6 cm: half of such poses are then found.
 FAR_OFF = (0.08, 0.08)
 
 
@@ -25,43 +25,46 @@ class Settings:
         rim: sizes; its canvases are the level sets' too, so that its margin holds a step's error.
         match: what makes a pair of rim and contour.
         level_set: of the segmentation, traced.
-        sharpen: whether pixels then say where exactly its contours are.
+        sharpen: whether single pixels then decide where exactly its contours are.
         points: of each camera's contour, static.
-        contrast: least of a contour's point, 0 to 1: below, the image does not tell its two sides.
+        contrast: least of a contour's point, 0 to 1: below, the image does not separate its two
+            sides.
         deviations: of points about their rays, metres, one cycle each. The first must be large: a
             limb that moved fast is an outlier to the rest, and would be left behind. The last is
             small: what another limb's outline was taken for is an outlier then.
-        starting_deviations: the same of cycles before those in the first frame, where its pose may be far
-            off, such as ``FAR_OFF``: each looks anew, and matches the surface's low-pass (coarse
-            to fine). From a pose nearly right they lead to no better one.
+        starting_deviations: the same of cycles before those in the first frame, where its pose may
+            be far off, such as ``FAR_OFF``: each segments anew, and matches the surface's low-pass
+            (coarse to fine). From a pose nearly right they lead to no better one.
         segmentation_cycles: cycles that begin with a segmentation; the first does in any case.
         edges: what shows one limb before another.
         iterations: of the pose in each cycle.
-        predicted_deviation: deviation of every degree of freedom about its prediction, metres and radians.
+        predicted_deviation: of every degree of freedom about its prediction, metres and radians.
             Pairs of one outline err alike, and count as if they did not: more freedom than this
             lets a stretched arm turn over.
-        undetermined_deviation: the same of one of which the last frame told little.
-        rest_deviations: how joints' names begin, of which outlines tell little, and their deviations
-            about 0, radians; see ``posture``.
+        undetermined_deviation: the same of one that the last frame did not determine.
+        rest_deviations: how joints' names begin that outlines hardly determine, and their
+            deviations about 0, radians; see ``expected_pose``.
         morphing: what goes along with the joints' angles; ``Morphing()`` for nothing. Joints that
             do are held at rest about where they go.
-        unknown_deviation: deviation of a degree of freedom of which nothing is known.
-        determined_share: it is told of where its deviation falls below this share of ``predicted_deviation``, and seen
-            where below this share of ``unknown_deviation``.
+        unknown_deviation: of a degree of freedom that nothing determines.
+        determined_share: a degree of freedom is determined where its deviation falls below this
+            share of ``predicted_deviation``, and observed where below this share of
+            ``unknown_deviation``.
         damping: share of the velocity that the next frame is predicted with.
         velocity_gain: weight of a frame's own velocity.
-        changed_share: an image that differs from the last of its camera in more than this share of it is
-            torn, black or another camera's, and not looked at.
-        patience: frames of a camera, one after the other, that may be passed over so.
+        changed_share: an image that differs from the last of its camera in more than this share of
+            it is torn, black or another camera's, and ignored.
+        patience: frames of a camera, one after the other, that may be ignored so.
         particles: of where a limb is that may be lost, static; 1 for the pose found alone.
         limb_search: among them.
+        recovery: when to search for a limb, and what to believe of it.
         smoothing: of all frames of a recording together; None leaves them as they were found.
-        marker_deviation: deviation of markers, metres, where they are followed too. Hundreds of pairs that
-            err alike stand against each.
-        least_matched_share: of a camera's rim and contour that must find each other.
-        disagreement: a camera whose pairs lie so many times as far apart as all is left out.
-        agreement_m: unless they are within this, metres.
-        settling_steps: times that the first frame is looked at before tracking begins.
+        marker_deviation: metres, where markers are followed too. Hundreds of pairs that err alike
+            stand against each.
+        least_matched_share: of a camera's rim and contour that must find a partner.
+        disagreement: a camera whose pairs lie so many times as far apart as all is left out,
+        agreement_m: unless they are within this.
+        settling_steps: times that the first frame is tracked before the second.
     """
 
     rim: RimSettings = field(default_factory=lambda: RimSettings(margin=0.1))
@@ -90,6 +93,7 @@ class Settings:
     patience: int = 15
     particles: int = 128
     limb_search: LimbSearchSettings = field(default_factory=LimbSearchSettings)
+    recovery: RecoverySettings = field(default_factory=RecoverySettings)
     smoothing: PoseSmoothingSettings | None = field(default_factory=PoseSmoothingSettings)
     marker_deviation: float = 0.003
     least_matched_share: float = 0.4

@@ -116,8 +116,8 @@ class SilhouetteTracker:
     def _body(self, shape: BodyShape) -> TrackedBody:
         """Of other lengths markers sit elsewhere, limbs reach farther."""
         points = None if self._sites is None else points_at(shape.skeleton, self._sites)
-        cameras, count = self.constants.cameras, self.constants.settings.particles
-        recovery = LimbRecovery(shape.skeleton, shape.surface, cameras, count)
+        cameras, s = self.constants.cameras, self.constants.settings
+        recovery = LimbRecovery(shape.skeleton, shape.surface, cameras, s.particles, s.recovery)
         return TrackedBody(shape, points, recovery)
 
     def init(

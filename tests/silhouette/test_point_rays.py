@@ -256,7 +256,9 @@ def test_contours_outliers_a_prior_and_limits_lead_to_the_references_pose(skelet
         along = jnp.cross(pairs.lines.directions, pairs.across)
         across = jnp.cos(turn) * pairs.across + jnp.sin(turn) * along
         weights = on_device(rng.uniform(0.2, 1.0, PAIRS) * (np.arange(PAIRS) % 7 > 0))
-        pairs = pairs._replace(across=across, weights=weights, along_weights=on_device(np.full(PAIRS, 0.1)))
+        pairs = pairs._replace(
+            across=across, weights=weights, along_weights=on_device(np.full(PAIRS, 0.1))
+        )
         start = moved(truth._replace(angles=truth.angles.at[elbow].set(0.1)), rng, 0.02)
         deviations = on_device(rng.uniform(0.1, 0.5, skeleton64.costs.shape))
         prior = Prior(moved(truth, rng, 0.05), deviations)

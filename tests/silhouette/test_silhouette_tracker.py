@@ -26,16 +26,15 @@ from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
 SMALL = Settings(rim=RimSettings(size=128, outer=128, inner=32, spacing=0.012, margin=0.1))
+# Plain walls need few steps, which compile sooner.
+PLAIN = SegmentationPlan(background=False, stages=(Stage(10, 2.0, 2.0, gap=1.0),))
 PERSON, WALL = (40, 60, 150), (190, 180, 170)
 POINTS = landmark_points
 
 
 @pytest.fixture(scope="module")
 def tracker() -> SilhouetteTracker:
-    made = SilhouetteTracker(BODY, ring(4), SMALL)
-    # Plain walls need few steps, which compile sooner.
-    made.plan = SegmentationPlan(background=False, stages=(Stage(10, 2.0, 2.0, gap=1.0),))
-    return made
+    return SilhouetteTracker(BODY, ring(4), SMALL, plan=PLAIN)
 
 
 @pytest.fixture(scope="module")
@@ -48,10 +47,11 @@ def truth():
 
 def painted(tracker, pose) -> list[np.ndarray]:
     """The body itself, painted on walls with noise."""
-    rim = tracker.finder.find(BODY, pose, tracker.cameras)
+    cameras = tracker.constants.cameras
+    rim = tracker.constants.finder.find(tracker.body.shape, pose, cameras)
     rng, shown = np.random.default_rng(0), []
     for camera, mask in enumerate(rim.masks):
-        width, height = np.asarray(tracker.cameras.size[camera], int)
+        width, height = np.asarray(cameras.size[camera], int)
         region = Region(*(np.asarray(part)[camera] for part in rim.region))
         body = full_mask(silhouette_distance(mask), region, (height, width))
         image = np.where(body[..., None], PERSON, WALL) + rng.normal(0, 5, (height, width, 3))
@@ -67,6 +67,11 @@ def images(tracker, truth) -> list[np.ndarray]:
 def off_by(pose, truth) -> np.ndarray:
     """Distances (L,) of the landmarks, metres."""
     return np.linalg.norm(np.asarray(POINTS(BODY, pose) - POINTS(BODY, truth)), axis=1)
+
+
+def with_settings(tracker, settings) -> None:
+    """Other settings, the same compiled programs."""
+    tracker.constants = tracker.constants._replace(settings=settings)
 
 
 def started(tracker, truth):
@@ -104,7 +109,7 @@ def test_starts_far_off_are_found_coarse_to_fine_and_not_by_the_full_surface_alo
         start = retract(truth, jnp.asarray(step, jnp.float32))
         assert off_by(start, truth).mean() > 0.15
         for starting, found in left.items():
-            tracker.settings = replace(SMALL, starting=starting)
+            with_settings(tracker, replace(SMALL, starting_deviations=starting))
             state = tracker.init(start)
             for _ in range(3):
                 state, pose, _ = tracker.step(state, 0.0, images)

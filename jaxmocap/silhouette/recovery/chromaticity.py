@@ -1,10 +1,10 @@
-"""Hues: which hue each place of a body has, and what images show in its stead.
+"""Chromaticity: which colour, regardless of brightness, each point of a body has.
 
-A place's hue is learned where cameras see it; brightness, which changes with every turn of a limb,
-tells nothing. Which points are seen follows from their depths, on canvases of few cells.
+A point's chromaticity is learned where cameras see it; brightness changes with every turn of a
+limb and is ignored. Which points are visible follows from their depths, on canvases of few cells.
 
-INPUTS: images uint8, pixels and depths of a body's points. OUTPUTS: their hues; on canvases, how
-far what is seen is from what the body would show.
+INPUTS: images uint8, pixels and depths of a body's points. OUTPUTS: their chromaticities; on
+canvases, how far what is seen is from what the body would show.
 """
 
 from collections.abc import Sequence
@@ -15,24 +15,20 @@ import numpy as np
 
 from jaxmocap.images.canvases import sampled
 from jaxmocap.images.regions import Region
+from jaxmocap.silhouette.recovery.settings import ChromaticitySettings
 
-# Deviation of a hue, shares of all three colours; what is darker than this, grey levels of all
-# three, has none; squared deviations, halved, are cut off here.
-SPREAD, DARKEST, FARTHEST = 0.04, 60.0, 8.0
-# Weight of a new frame in the memory, at least.
-NEWEST = 0.05
-# Metres behind the nearest point about a cell within which others are seen as well.
-BEHIND = 0.05
-# Cells about a point that it covers: as points lie apart.
-ABOUT = (3, 3)
+# A colour darker than this has no chromaticity, grey levels of all three channels together.
+DARKEST = 60.0
+# Cells about a point that it covers, columns and rows: as points lie apart.
+WINDOW = (3, 3)
 
 
 class BodyAppearance(NamedTuple):
-    """Hues of N points of a body.
+    """Chromaticities of N points of a body.
 
     Attributes:
         chromaticities: (N, 3) shares of blue, green and red, together 1.
-        frames: (N,) frames that they were learned from.
+        frames: (N,) that they were learned from.
     """
 
     chromaticities: np.ndarray
@@ -43,22 +39,26 @@ class BodyAppearance(NamedTuple):
         """Before the first frame."""
         return cls(np.zeros((points, 3), np.float32), np.zeros(points, int))
 
-    def updated(self, hues: np.ndarray, seen: np.ndarray) -> "BodyAppearance":
-        """After a frame that showed hues (C, N, 3) of the points that were seen, (C, N) bool."""
-        told = seen & np.isfinite(hues[..., 0])
-        count = told.sum(0)
-        mean = np.where(told[..., None], hues, 0).sum(0) / np.maximum(count, 1)[:, None]
-        weight = np.where(count > 0, np.maximum(NEWEST, 1 / (self.frames + 1)), 0)[:, None]
-        after = self.chromaticities + weight * (mean - self.chromaticities)
+    def updated(
+        self, chromaticities: np.ndarray, visible: np.ndarray, settings: ChromaticitySettings
+    ) -> "BodyAppearance":
+        """After a frame with chromaticities (C, N, 3) of the points visible in it, (C, N) bool."""
+        counted = visible & np.isfinite(chromaticities[..., 0])
+        count = counted.sum(0)
+        sums = np.where(counted[..., None], chromaticities, 0).sum(0)
+        mean = sums / np.maximum(count, 1)[:, None]
+        gain = np.maximum(settings.least_gain, 1 / (self.frames + 1))
+        gain = np.where(count > 0, gain, 0)[:, None]
+        after = self.chromaticities + gain * (mean - self.chromaticities)
         return BodyAppearance(after.astype(np.float32), self.frames + (count > 0))
 
-    def means(self, places: np.ndarray, count: int) -> np.ndarray:
-        """(count, 3) mean hues of points by the places (N,) they belong to; -1 where not known.
+    def means(self, bins: np.ndarray, count: int) -> np.ndarray:
+        """(count, 3) mean chromaticities of points by their bins (N,); -1 where not known.
 
-        A negative place is none.
+        A negative bin is none.
         """
-        on = (places >= 0) & (self.frames > 0)
-        sums = _sums(places[on], self.chromaticities[on], count)
+        on = (bins >= 0) & (self.frames > 0)
+        sums = _sums(bins[on], self.chromaticities[on], count)
         mean = sums[:, :3] / np.maximum(sums[:, 3:], 1)
         return np.where(sums[:, 3:] > 0, mean, -1).astype(np.float32)
 
@@ -94,32 +94,38 @@ class PointCells(NamedTuple):
         for row, cells, depths in zip(found, self.cells, self.depths, strict=True):
             np.minimum.at(row, cells[points], depths[points])
         grids = found[:, :-1].reshape(-1, self.size, self.size)
-        about, edge = np.ones(ABOUT, np.uint8), cv2.BORDER_REPLICATE
+        about, edge = np.ones(WINDOW, np.uint8), cv2.BORDER_REPLICATE
         return np.stack([cv2.erode(grid, about, borderType=edge) for grid in grids])
 
-    def visible(self, nearest: np.ndarray) -> np.ndarray:
-        """(C, N) bool: points on the canvases that nothing nearer hides."""
+    def visible(self, nearest: np.ndarray, settings: ChromaticitySettings) -> np.ndarray:
+        """(C, N) bool: points on the canvases that nothing nearer, (C, S, S) depths, hides."""
         flat = nearest.reshape(len(nearest), -1)
         flat = np.pad(flat, ((0, 0), (0, 1)), constant_values=-np.inf)
-        return self.depths < np.take_along_axis(flat, self.cells, 1) + BEHIND
+        limit = np.take_along_axis(flat, self.cells, 1) + settings.depth_margin_m
+        return self.depths < limit
 
     def appearance_cost(
-        self, hues: np.ndarray, known: BodyAppearance, seen: np.ndarray
+        self,
+        chromaticities: np.ndarray,
+        appearance: BodyAppearance,
+        visible: np.ndarray,
+        settings: ChromaticitySettings,
     ) -> np.ndarray:
-        """(C, S, S) half the squared deviations of hues (C, S, S, 3) from those of points seen.
+        """(C, S, S) half squared deviations of (C, S, S, 3) from those of points visible (C, N).
 
         0 where nothing is known: no point is about, or it is too dark.
         """
-        found = np.zeros(hues.shape[:3], np.float32)
-        for off, shown, cells, on in zip(found, hues, self.cells, seen, strict=True):
-            told = on & (known.frames > 0)
-            sums = _sums(cells[told], known.chromaticities[told], self.size**2 + 1)[:-1]
-            sums = cv2.blur(sums.reshape(self.size, self.size, 4), ABOUT)
+        found = np.zeros(chromaticities.shape[:3], np.float32)
+        rows = zip(found, chromaticities, self.cells, visible, strict=True)
+        for cost, shown, cells, on in rows:
+            known = on & (appearance.frames > 0)
+            sums = _sums(cells[known], appearance.chromaticities[known], self.size**2 + 1)[:-1]
+            sums = cv2.blur(sums.reshape(self.size, self.size, 4), WINDOW)
             # The body is a small part of the canvas.
             there = (sums[..., 3] > 1e-6) & np.isfinite(shown[..., 0])
             expected = sums[there, :3] / sums[there, 3:]
-            away = np.sum((shown[there] - expected) ** 2, -1) / (2 * SPREAD**2)
-            off[there] = np.minimum(away, FARTHEST)
+            squares = np.sum((shown[there] - expected) ** 2, -1)
+            cost[there] = np.minimum(squares / (2 * settings.deviation**2), settings.largest_cost)
         return found
 
 
@@ -132,7 +138,7 @@ def chromaticity(colour: np.ndarray) -> np.ndarray:
 
 
 def chromaticity_at(images: Sequence[np.ndarray | None], pixels_xy: np.ndarray) -> np.ndarray:
-    """(C, N, 3) hues at pixels (C, N, 2); NaN where there is no image, or it is too dark."""
+    """(C, N, 3) at pixels (C, N, 2); NaN where there is no image, or it is too dark."""
     found = np.full((*pixels_xy.shape[:2], 3), np.nan, np.float32)
     for camera, (image, at) in enumerate(zip(images, pixels_xy, strict=True)):
         if image is None:
@@ -146,7 +152,7 @@ def chromaticity_at(images: Sequence[np.ndarray | None], pixels_xy: np.ndarray) 
 def chromaticity_canvases(
     images: Sequence[np.ndarray | None], regions: Sequence[Region], size: int
 ) -> np.ndarray:
-    """(C, S, S, 3) hues of images on canvases; NaN where there is none, or it is too dark."""
+    """(C, S, S, 3) of images on canvases; NaN where there is none, or it is too dark."""
     found = np.full((len(images), size, size, 3), np.nan, np.float32)
     for camera, (image, region) in enumerate(zip(images, regions, strict=True)):
         if image is not None:
@@ -154,7 +160,8 @@ def chromaticity_canvases(
     return found
 
 
-def _sums(places: np.ndarray, hues: np.ndarray, count: int) -> np.ndarray:
-    """(count, 4) sums of hues (N, 3) by place (N,), and of how many there are."""
-    parts = [np.bincount(places, part, count) for part in (*hues.T, np.ones(len(places)))]
+def _sums(bins: np.ndarray, chromaticities: np.ndarray, count: int) -> np.ndarray:
+    """(count, 4) sums of chromaticities (N, 3) by bin (N,), and of how many there are."""
+    channels = (*chromaticities.T, np.ones(len(bins)))
+    parts = [np.bincount(bins, channel, count) for channel in channels]
     return np.stack(parts, -1).astype(np.float32)
