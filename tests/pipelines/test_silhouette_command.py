@@ -107,7 +107,7 @@ def test_shoulders_go_along_where_asked_to(folder, tmp_path, monkeypatch, given,
     assert main(["silhouette", "track", path, "--at", "0,0,0", "--out", out, *given]) == 2
     assert bool(asked["settings"].morphing.followers) == followers
     # Who says by hand where somebody stands says it roughly.
-    assert asked["settings"].starting
+    assert asked["settings"].starting_deviations
 
 
 def test_a_place_at_which_no_camera_looks_is_refused_before_anything_is_tracked(

@@ -51,7 +51,7 @@ def test_a_discs_contour_is_found_to_a_tenth_of_a_cell():
 
 
 def test_nothing_seen_matches_nothing(finder):  # noqa: F811
-    rim = finder.find(BODY, bent(), CAMERAS)
+    rim = finder.find(finder.initial_shape, bent(), CAMERAS)
     phi = np.full((4, SETTINGS.size, SETTINGS.size), -5.0, np.float32)
     none = matched_pairs(rim, contours(phi, rim.region), SETTINGS_OF_PAIRS)
     assert not none.valid.any()
@@ -64,7 +64,7 @@ def test_nothing_seen_matches_nothing(finder):  # noqa: F811
 def test_pairs_face_the_same_way_and_are_near(finder):  # noqa: F811
     truth = bent(arm_abduct_l=60)
     start = retract(truth, jnp.full(BODY.costs.shape, 0.02))
-    rim = finder.find(BODY, start, CAMERAS)
+    rim = finder.find(finder.initial_shape, start, CAMERAS)
     phi = np.stack([level_set(finder, truth, c, rim.region) for c in range(4)])
     pairs = matched_pairs(rim, contours(phi, rim.region), SETTINGS_OF_PAIRS)
     assert pairs.valid.mean() > 0.7
@@ -83,13 +83,13 @@ def test_a_pose_is_found_from_four_silhouettes(finder, degrees):  # noqa: F811
     start = pose = retract(truth, jnp.asarray(off.astype(np.float32)))
     # A little must be known of what outlines hardly tell: how a forearm is twisted.
     prior = Prior(start, jnp.full(BODY.costs.shape, 0.5))
-    region = finder.find(BODY, start, CAMERAS).region
+    region = finder.find(finder.initial_shape, start, CAMERAS).region
     phi = np.stack([level_set(finder, truth, c, region) for c in range(4)])
     outlines = contours(phi, region)
     for _ in range(10):
-        found = matched_pairs(finder.find(BODY, pose, CAMERAS), outlines, SETTINGS_OF_PAIRS)
+        found = matched_pairs(finder.find(finder.initial_shape, pose, CAMERAS), outlines, SETTINGS_OF_PAIRS)
         weights = jnp.asarray(found.valid, jnp.float32)
-        rays = PAIRS(CAMERAS, finder.points(found.nodes), found.pixels_xy, found.normals, weights,
+        rays = PAIRS(CAMERAS, finder.initial_shape.points(found.nodes), found.pixels_xy, found.normals, weights,
                      SETTINGS_OF_PAIRS.along_weight)  # fmt: skip
         pose = SOLVE(BODY, pose, rays, PoseSettings(iterations=3, deviation=0.005), prior).pose
     wrong = np.abs(np.asarray(difference(pose, truth)))

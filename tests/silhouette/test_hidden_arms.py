@@ -119,7 +119,7 @@ def test_an_arm_that_no_silhouette_misses_is_missed_by_its_colour(tracker, state
 
 def boxed(tracker: SilhouetteTracker, *bones: str) -> list[np.ndarray]:
     """Arms ahead, a box before some bones in all images: from both sides, before both arms."""
-    images, points = dressed(tracker, AHEAD), tracker.finder.surface.points
+    images, points = dressed(tracker, AHEAD), tracker.body.shape.surface.points
     behind = np.isin(carriers(points), [BODY.tree.bone(bone) for bone in bones])
     for image, pixels in zip(
         images if bones else (),

@@ -16,8 +16,8 @@ from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.geometry.lines import Lines, camera_lines
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.reference import kinematics as naive_kinematics
-from jaxmocap.reference.hybrid.silhouette import points as naive
-from jaxmocap.reference.hybrid.silhouette import pose as naive_pose
+from jaxmocap.reference.silhouette import points as naive
+from jaxmocap.reference.silhouette import pose as naive_pose
 from jaxmocap.silhouette.points import linearised, on_rays
 from jaxmocap.silhouette.pose import PoseSettings, Prior, solve_pose, standard_deviations
 from jaxmocap.solvers.status import Status

@@ -16,8 +16,8 @@ from jaxmocap.body.skeleton import Skeleton, with_joints
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import posed, skin_of, skinned
 from jaxmocap.geometry.cameras import project
-from jaxmocap.reference.hybrid.silhouette import index_image as naive
-from jaxmocap.reference.hybrid.silhouette import rim as naive_rim
+from jaxmocap.reference.silhouette import index_image as naive
+from jaxmocap.reference.silhouette import rim as naive_rim
 from jaxmocap.silhouette.points import contour_rays
 from jaxmocap.silhouette.surfaces.index_image import (
     body_mask,

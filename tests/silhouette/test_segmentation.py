@@ -15,7 +15,7 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.images.background_model import Background, learn_background
 from jaxmocap.images.canvases import Canvas, attached, canvas, follow, full_mask, signed_distance
 from jaxmocap.images.regions import Region
-from jaxmocap.reference.hybrid.silhouette import level_set as reference
+from jaxmocap.reference.silhouette import level_set as reference
 from jaxmocap.silhouette.segmentation import densities
 from jaxmocap.silhouette.segmentation.background_models import background_of_picture
 from jaxmocap.silhouette.segmentation.contour import contours
@@ -218,7 +218,7 @@ def test_the_prior_holds_the_contour_near_the_prediction():
     beyond = ball | ((np.abs(X - 31) < 5) & (Y > 30))
     image = painted(beyond, (60, 60, 160), (170, 150, 140))
     free, held = (
-        np.asarray(segmented(seen(image), disc(radius=14.0), shape=shape, reach=6.0).phi[0]) > 0
+        np.asarray(segmented(seen(image), disc(radius=14.0), shape_prior=shape, prior_reach=6.0).phi[0]) > 0
         for shape in (0.0, 6.0)
     )
     assert free[60, 31] and not held[60, 31]

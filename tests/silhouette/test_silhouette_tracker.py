@@ -87,7 +87,7 @@ def test_a_person_is_found_and_then_kept_without_the_cameras_that_fail(tracker, 
     state, _, _ = tracker.step(state, 0.0, images)
     state, _, _ = tracker.step(state, 1 / 30, images)
     state, pose, report = tracker.step(state, 2 / 30, images)
-    assert report.used.all() and report.shares.min() > 0.7
+    assert report.used.all() and report.matched_shares.min() > 0.7
     found = off_by(pose, truth)
     assert found.mean() < 0.5 * before and found.mean() < 0.03
     compiled = fit._cache_size()  # type: ignore[attr-defined]
@@ -122,7 +122,7 @@ def test_without_any_image_the_pose_is_held_and_every_joint_said_to_be_unseen(tr
     state = tracker.init(truth)
     state, _, _ = tracker.step(state, 0.0, [None] * 4)
     state, pose, report = tracker.step(state, 1 / 30, [None] * 4)
-    assert not report.used.any() and not report.seen.any() and not state.velocity.any()
+    assert not report.used.any() and not report.observed.any() and not state.velocity.any()
     assert off_by(pose, truth).max() < 1e-3
 
 
