@@ -36,8 +36,8 @@ from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.modelling.personal import PersonalModel
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, model_from
-from jaxmocap.pipelines.silhouettes.track import whole_body
-from jaxmocap.silhouette.first_pose import pose_at
+from jaxmocap.pipelines.silhouettes.track import supple_skeleton
+from jaxmocap.silhouette.first_pose import pose_at_landmarks
 from jaxmocap.synthetic.movements.exercises import EXERCISES
 from jaxmocap.synthetic.people.rigged_mesh import Rig, load_rig
 from jaxmocap.synthetic.photographs import stature, write_photographs
@@ -79,7 +79,7 @@ def tracked(clip: Clip, rig: Rig, person: PersonalModel, bodies: Sequence[str]) 
     for name in bodies:
         print(f"tracking {clip.name} by {name}", file=sys.stderr, flush=True)
         skeleton, surface = built(name, recording, rig, truth, person)
-        start = pose_at(whole_body(skeleton), points)
+        start = pose_at_landmarks(supple_skeleton(skeleton), points)
         results[name] = judged(clip, replace(recording, skeleton=skeleton), start, surface=surface)
     return Row(clip.name, results)
 

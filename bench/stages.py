@@ -20,14 +20,14 @@ from jaxmocap.silhouette.surfaces import rim
 # for the decoders, which work ahead on threads of their own.
 STAGES: dict[str, tuple[tuple[object, str], ...]] = {
     "decode": ((footage.ForwardReader, "at"),),
-    "predict": ((tracker, "predict"),),
+    "predict": ((tracker, "predicted_pose"),),
     "rim": ((rim.RimFinder, "find"),),
     "canvases": ((outlines, "canvas"), (outlines, "silhouette_distance")),
     "segmentation": ((outlines, "segment"),),
     "sharpening": ((outlines, "_sharpened"),),
     "contours": ((outlines, "contours"),),
     "matching": ((cycles, "matched_pairs"),),
-    "edges": ((cycles, "edge_pairs"),),
+    "edges": ((cycles, "inner_edge_pairs"),),
     "fit": ((cycles, "fit"),),
     "hypotheses": ((tracker, "recover_limbs"),),
 }

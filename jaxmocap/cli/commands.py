@@ -222,37 +222,37 @@ def silhouette_track(options: argparse.Namespace) -> None:
     from jaxmocap.formats.recordings.recording import load_recording
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.silhouettes.first_pose import settings_for, start_pose
-    from jaxmocap.pipelines.silhouettes.person import modelled, person_files
-    from jaxmocap.pipelines.silhouettes.track import follow
-    from jaxmocap.pipelines.silhouettes.writing import followed_folder, write_followed
+    from jaxmocap.pipelines.silhouettes.person import person_files, with_model
+    from jaxmocap.pipelines.silhouettes.track import track_silhouettes
+    from jaxmocap.pipelines.silhouettes.writing import results_folder, write_results
     from jaxmocap.pipelines.summary import figures, summary
 
     keep_compiled()
     recording = load_recording(options.recording)
     if options.cameras:
         recording = choose_recording.select_cameras(recording, options.cameras)
-    recording, person = modelled(recording, options.model)
+    recording, person = with_model(recording, options.model)
     read = person_files(Path(options.model)) if options.model else []
-    followed_folder(options.out, recording, read)
+    results_folder(options.out, recording, read)
     start = start_pose(recording, options.at)
     asked = {name: getattr(options, name) for name in ("passes", "markers", "lengths")}
     asked["surface"] = person and person.surface
     asked["settings"] = settings_for(options.at is not None, options.shoulders)
-    followed = follow(recording, start, **asked, progress=True)
+    followed = track_silhouettes(recording, start, **asked, progress=True)
     left_out: list[str] = []
     where = recording, options.out, True, person, read, left_out.append
-    files = write_followed(followed, *where)
+    files = write_results(followed, *where)
     report(options, summary(followed.motion, files, left_out), figures(followed.motion))
 
 
 def silhouette_demo(options: argparse.Namespace) -> None:
     """Make a synthetic recording by four cameras, track it and compare it with the truth."""
     from jaxmocap.pipelines.kept_programs import keep_compiled
-    from jaxmocap.pipelines.silhouettes.demo import demonstrate
+    from jaxmocap.pipelines.silhouettes.demo import demonstrate_silhouettes
 
     keep_compiled()
     chosen = options.seconds, options.seed, options.person, options.exercise
-    shown = demonstrate(options.out, *chosen, progress=True)
+    shown = demonstrate_silhouettes(options.out, *chosen, progress=True)
     files = "\n".join(f"written  {path}" for path in shown.files)
     report(options, f"{shown.text()}\n\n{files}", shown.as_dict())
 

@@ -32,7 +32,7 @@ EARLY = 0.007
 BEYOND_THINNEST, SMOOTH_RADII_PX = 0.022, 3.0
 
 
-class Arm(NamedTuple):
+class ArmPixels(NamedTuple):
     """One arm in the joint view: pixels (x, y).
 
     Attributes:
@@ -75,7 +75,7 @@ def arm_axis(
     return evenly_spaced(gaussian_filter1d(way, SMOOTH_PX, axis=0, mode="nearest"))
 
 
-def arm_joints(axis: np.ndarray, distance: np.ndarray, shoulder: np.ndarray) -> Arm:
+def arm_joints(axis: np.ndarray, distance: np.ndarray, shoulder: np.ndarray) -> ArmPixels:
     """Joints of one arm.
 
     Args:
@@ -99,7 +99,7 @@ def arm_joints(axis: np.ndarray, distance: np.ndarray, shoulder: np.ndarray) -> 
     wrist = _wrist(axis, distance, middle, round(BEYOND_THINNEST * long))
     corner = axis[middle]
     elbow = corner + TOWARDS_RIM * _rim(corner, axis[first], axis[wrist], distance)
-    return Arm(shoulder, elbow, corner, axis[wrist], axis[-1], axis)
+    return ArmPixels(shoulder, elbow, corner, axis[wrist], axis[-1], axis)
 
 
 def _wrist(axis: np.ndarray, distance: np.ndarray, elbow: int, beyond: int) -> int:

@@ -61,7 +61,7 @@ def slice_positions() -> np.ndarray:
     return np.append(np.concatenate(along), 3.0)
 
 
-def stations(bones: ArmBones, towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def slice_stations(bones: ArmBones, towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Points (K, 3) along an arm and unit ways (K, 3) across it, to the side ``towards`` (3,).
 
     Where a bent elbow carries them: blended as the skin's nodes are, with what the upper arm and
@@ -71,7 +71,7 @@ def stations(bones: ArmBones, towards: np.ndarray) -> tuple[np.ndarray, np.ndarr
     at, ends = slice_positions(), np.array(bones)
     upper, lower = (ends[k + 1] - ends[k] for k in (0, 1))
     units = np.stack([way / np.linalg.norm(way) for way in (upper, lower)])
-    lengths = np.append(bones.lengths[:2], reach_of_hand(bones))
+    lengths = np.append(bones.lengths[:2], hand_extent(bones))
     passed = np.interp(at, np.arange(4.0), np.append(0.0, np.cumsum(lengths))) - lengths[0]
     part = np.clip((at - 1) / (2 * BLEND) + 0.5, 0, 1)
     part = (part * part * (3 - 2 * part))[:, None]
@@ -81,7 +81,7 @@ def stations(bones: ArmBones, towards: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return ends[1] + passed[:, None] * way, cross / np.linalg.norm(cross, axis=1, keepdims=True)
 
 
-def reach_of_hand(bones: ArmBones) -> float:
+def hand_extent(bones: ArmBones) -> float:
     """How far the fingertip lies from the wrist, along the forearm, metres."""
     lower = bones.wrist - bones.elbow
     return float((bones.tip - bones.wrist) @ lower / np.linalg.norm(lower))
@@ -95,16 +95,16 @@ def arm_thickness(view: PhotographView, bones: ArmBones, towards: np.ndarray) ->
     may be apart, and all on one side of the forearm's line: then what they reach to the other is
     negative.
     """
-    points, ways = stations(bones, towards)
+    points, ways = slice_stations(bones, towards)
     hand = slice_positions() > 2
-    reach = np.stack([view.reach(points, s * ways, FARTHEST_M) for s in (1, -1)], 1)
+    reach = np.stack([view.extent(points, s * ways, FARTHEST_M) for s in (1, -1)], 1)
     reach[hand] = _spans(view, points[hand], ways[hand])
     free = int(FREE * SLICES[0])
     reach[:free] = np.minimum(reach[:free], THICKER * reach[free])
     return gaussian_filter1d(reach, SMOOTH, axis=0, mode="nearest")
 
 
-def unfolded(reach: np.ndarray) -> np.ndarray:
+def without_elbow_fold(reach: np.ndarray) -> np.ndarray:
     """Reaches (K, 2) of an arm by a bent one's, which may have run into the fold of its elbow."""
     at = slice_positions()
     beside = (at < FOLD[0]) | (at > FOLD[1])

@@ -12,7 +12,7 @@ import numpy as np
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import rest_nodes
-from jaxmocap.modelling.slices import Slices
+from jaxmocap.modelling.slices import BodySlices
 
 # A ring of less than this is the closed end of a limb, metres.
 CLOSED_M = 1e-4
@@ -20,7 +20,7 @@ CLOSED_M = 1e-4
 STOUT = 1.1
 
 
-def fitted_grid(grid: np.ndarray, side: float, measured: Slices) -> np.ndarray:
+def fitted_grid(grid: np.ndarray, side: float, measured: BodySlices) -> np.ndarray:
     """(along, around, 3) the rings as they were measured; ``side`` is -1 on the right."""
     levels, phi = grid[:, 0, 2], 2 * np.pi * np.arange(grid.shape[1]) / grid.shape[1]
     middles, radii = _polar(grid[..., :2] * [1.0, side], phi)
@@ -30,7 +30,7 @@ def fitted_grid(grid: np.ndarray, side: float, measured: Slices) -> np.ndarray:
     return np.concatenate([across * [1.0, side], grid[..., 2:]], -1)
 
 
-def stoutness(skeleton: Skeleton, measured: dict[str, Slices]) -> float:
+def stoutness(skeleton: Skeleton, measured: dict[str, BodySlices]) -> float:
     """The girth at which a generic surface suits best what was measured, ring by ring."""
     joints, slopes, ratios = rest_joints(skeleton), [], []
     usual, stout = (generic_surface(skeleton, girth) for girth in (1.0, STOUT))
@@ -61,7 +61,7 @@ def _told(
     middles: np.ndarray,
     radii: np.ndarray,
     phi: np.ndarray,
-    measured: Slices,
+    measured: BodySlices,
 ) -> tuple[np.ndarray, np.ndarray]:
     """From generic to measured: ratios (along, around) of radii, shifts (along, 2) of middles."""
     order = np.argsort(measured.levels)

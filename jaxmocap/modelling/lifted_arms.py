@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from jaxmocap.modelling.arm_surface import ArmBones
-from jaxmocap.modelling.separation import Landmarks, trunk_run
+from jaxmocap.modelling.separation import FrontLandmarks, trunk_run
 from jaxmocap.modelling.views import PhotographView
 
 SMOOTH_ROWS = 3.0
@@ -18,7 +18,7 @@ AHEAD = np.array([1.0, 0.0, 0.0])
 
 
 def lifted_arms(
-    front: PhotographView, landmarks: Landmarks, bent: tuple[ArmBones, ...]
+    front: PhotographView, landmarks: FrontLandmarks, bent: tuple[ArmBones, ...]
 ) -> tuple[ArmBones, ...]:
     """Left and right arm in the front view, in the plane through their shoulders."""
     return tuple(

@@ -20,10 +20,10 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.subject import NECK_HEAD, TRUNK, scale_to_landmarks
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
-from jaxmocap.modelling.arm_surface import ArmBones, reach_of_hand
+from jaxmocap.modelling.arm_surface import ArmBones, hand_extent
 from jaxmocap.modelling.fitted_rings import fitted_grid, stoutness
-from jaxmocap.modelling.person import SIDES, PersonModel, middle_at
-from jaxmocap.modelling.slices import Slices, slices
+from jaxmocap.modelling.person import SIDES, PersonModel, trunk_middle_at
+from jaxmocap.modelling.slices import BodySlices, measured_slices
 
 # Of two people whose joints are known, and on whom nothing is tested, all by the stature: the hips'
 # joints above the bottom line, from the middle and ahead of it; from the shoulders' middle to the
@@ -68,10 +68,10 @@ def personal_model(model: PersonModel, height: float | None = None) -> PersonalM
     skeleton = standing_skeleton(marks)
     joints, usual = rest_joints(skeleton), generic_surface(skeleton)
     spread = thigh_spreads(model, skeleton, usual, marks)
-    measured = slices(model, skeleton, marks, spread)
+    measured = measured_slices(model, skeleton, marks, spread)
     # What photographs do not show is as stout as what they show.
     stout = generic_surface(skeleton, stoutness(skeleton, measured))
-    nodes = _nodes(stout, skeleton, measured, tuple(map(reach_of_hand, model.bent)))
+    nodes = _nodes(stout, skeleton, measured, tuple(map(hand_extent, model.bent)))
     places = nodes[:, None] - joints[np.asarray(usual.points.bones)]
     dtype = jnp.asarray(usual.points.points_bone).dtype
     points = usual.points._replace(points_bone=jnp.asarray(places, dtype))
@@ -118,7 +118,7 @@ def landmarks_of_person(model: PersonModel, height: float | None = None) -> dict
     """Landmark -> (3,) in the front view's stance, arms hanging, metres."""
     tall, bent, leg = model.stature, model.bent, leg_length_of_person(model, height)
     low, top = model.trunk.rings[0, 0, 2], model.trunk.rings[-1, 0, 2]
-    hips = middle_at(model.trunk, low + tall * HIP_ABOVE) + tall * np.array([HIP_AHEAD, 0, 0])
+    hips = trunk_middle_at(model.trunk, low + tall * HIP_ABOVE) + tall * np.array([HIP_AHEAD, 0, 0])
     neck = (bent[0].shoulder + bent[1].shoulder) / 2 + tall * np.array([NECK[0], 0, NECK[1]])
     vertex = np.array([neck[0] + tall * HEAD[0], neck[1], top])
     found = {"neck": neck, "vertex": vertex}
@@ -165,7 +165,7 @@ def photograph_poses(
     hips = (marks["hip_l"] + marks["hip_r"]) / 2
     arms = {"joint": model.bent, "front": model.lifted}
     found = {}
-    for name, moved in model.moved.items():
+    for name, moved in model.shifts.items():
         angles = np.zeros(len(skeleton.tree.joints))
         for k, (side, sign) in enumerate(SIDES):
             bones = arms.get(name, model.stretched)[k]
@@ -216,7 +216,7 @@ def _grid(surface: Surface, nodes: np.ndarray, name: str) -> np.ndarray:
 
 
 def _nodes(
-    surface: Surface, skeleton: Skeleton, measured: dict[str, Slices], hands: tuple[float, ...]
+    surface: Surface, skeleton: Skeleton, measured: dict[str, BodySlices], hands: tuple[float, ...]
 ) -> np.ndarray:
     """(N, 3) at rest: a generic surface's, moved to what was measured; hands reach so far."""
     joints = rest_joints(skeleton)

@@ -20,7 +20,7 @@ LEG_GAP_PX = 2, 6
 NARROWER, WIDER = 0.94, 1.25
 
 
-class Landmarks(NamedTuple):
+class FrontLandmarks(NamedTuple):
     """Places of a silhouette seen from the front, pixels (x, y).
 
     Attributes:
@@ -40,7 +40,7 @@ class Landmarks(NamedTuple):
     middle_x: float
 
 
-def separate(mask: np.ndarray, bottom: int | None = None) -> Landmarks:
+def find_landmarks(mask: np.ndarray, bottom: int | None = None) -> FrontLandmarks:
     """Landmarks of a silhouette (H, W) bool.
 
     Args:
@@ -55,8 +55,8 @@ def separate(mask: np.ndarray, bottom: int | None = None) -> Landmarks:
     first, last = trunk_run(mask, bottom)
     middle = (first + last) / 2
     pits = arm_pits(mask, bottom, middle)
-    neck, neck_x = narrowest(mask, top, int(pits[:, 1].min()), middle)
-    return Landmarks(top, neck, neck_x, pits, bottom, middle)
+    neck, neck_x = narrowest_neck(mask, top, int(pits[:, 1].min()), middle)
+    return FrontLandmarks(top, neck, neck_x, pits, bottom, middle)
 
 
 def crotch(mask: np.ndarray) -> int:
@@ -133,7 +133,7 @@ def _beyond(mask: np.ndarray, row: int, edge: int, side: int) -> bool:
     return bool((mask[row, edge + 2 :] if side > 0 else mask[row, : max(edge - 1, 0)]).any())
 
 
-def narrowest(mask: np.ndarray, top: int, pits: int, middle_x: float) -> tuple[int, float]:
+def narrowest_neck(mask: np.ndarray, top: int, pits: int, middle_x: float) -> tuple[int, float]:
     """Row of the neck's narrowest slice and its middle there, between head and shoulders."""
     rows = range(top, pits)
     runs = np.array([trunk_run(mask, row, middle_x) for row in rows])

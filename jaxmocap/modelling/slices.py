@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import rest_joints
-from jaxmocap.modelling.arm_surface import INNER, reach_of_hand, slice_positions
+from jaxmocap.modelling.arm_surface import INNER, hand_extent, slice_positions
 from jaxmocap.modelling.person import SIDES, PersonModel
 from jaxmocap.modelling.trunk import superellipse_ring
 
@@ -26,7 +26,7 @@ THIGH_FULLNESS = 2.0
 CROWN_M = 0.01
 
 
-class Slices(NamedTuple):
+class BodySlices(NamedTuple):
     """Level slices of a limb at rest, from the pelvis, metres.
 
     Attributes:
@@ -41,9 +41,9 @@ class Slices(NamedTuple):
     fades: tuple[float, float]
 
 
-def slices(
+def measured_slices(
     model: PersonModel, skeleton: Skeleton, marks: dict[str, np.ndarray], spread: np.ndarray
-) -> dict[str, Slices]:
+) -> dict[str, BodySlices]:
     """Patch -> what was measured of it.
 
     Args:
@@ -61,7 +61,7 @@ def slices(
     return found
 
 
-def _trunk(model: PersonModel, pelvis: np.ndarray) -> Slices:
+def _trunk(model: PersonModel, pelvis: np.ndarray) -> BodySlices:
     """From the hips' joints up."""
     rings = model.trunk.rings - pelvis
     levels = rings[:, 0, 2]
@@ -69,22 +69,24 @@ def _trunk(model: PersonModel, pelvis: np.ndarray) -> Slices:
     # The last slice lies a little below the top of the head.
     levels = np.append(levels[first:], levels[-1] + CROWN_M)
     outlines = np.concatenate([rings[first:, :, :2], rings[-1:, :, :2]])
-    return Slices(levels, outlines, (NEVER, NEVER))
+    return BodySlices(levels, outlines, (NEVER, NEVER))
 
 
-def _arm(model: PersonModel, skeleton: Skeleton, k: int) -> Slices:
+def _arm(model: PersonModel, skeleton: Skeleton, k: int) -> BodySlices:
     """What looks ahead of a stretched arm does so of a hanging one, what looks up, outwards."""
     joints, tree, (side, sign) = rest_joints(skeleton), skeleton.tree, SIDES[k]
     ends = joints[[tree.bone(f"{bone}_{side}") for bone in ("humerus", "radius", "hand")]]
-    hand = reach_of_hand(model.bent[k])
+    hand = hand_extent(model.bent[k])
     at, rings = slice_positions(), model.arms[k][INNER:] - model.bent[k].shoulder
     kept = at >= ARM_MEASURED
     levels = np.interp(at, np.arange(4.0), np.append(ends[:, 2], ends[2, 2] - hand))
     outlines = rings[..., [0, 2]] + ends[0, :2] * [1.0, sign]
-    return Slices(levels[kept], outlines[kept], (NEVER, NEVER))
+    return BodySlices(levels[kept], outlines[kept], (NEVER, NEVER))
 
 
-def _leg(model: PersonModel, skeleton: Skeleton, hip: np.ndarray, k: int, spread: float) -> Slices:
+def _leg(
+    model: PersonModel, skeleton: Skeleton, hip: np.ndarray, k: int, spread: float
+) -> BodySlices:
     """Edges seen across a spread thigh are as far from its bone at rest."""
     legs, sign = model.legs, SIDES[k][1]
     joint = rest_joints(skeleton)[skeleton.tree.bone(f"femur_{SIDES[k][0]}")]
@@ -102,4 +104,4 @@ def _leg(model: PersonModel, skeleton: Skeleton, hip: np.ndarray, k: int, spread
     )
     corners += joint[:2] * [1.0, sign]
     outlines = np.stack([superellipse_ring(each, THIGH_FULLNESS) for each in corners])
-    return Slices(joint[2] - down / np.cos(spread), outlines, (NEVER, THIGH_FADES_M))
+    return BodySlices(joint[2] - down / np.cos(spread), outlines, (NEVER, THIGH_FADES_M))

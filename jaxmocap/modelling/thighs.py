@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.modelling.separation import Landmarks, trunk_run
+from jaxmocap.modelling.separation import FrontLandmarks, trunk_run
 from jaxmocap.modelling.views import PhotographView
 
 # Slices, from the crotch to the image's lower edge, and how many pixels they keep away from both.
@@ -36,8 +36,8 @@ class Thighs(NamedTuple):
     deep: np.ndarray
 
 
-def thighs(
-    front: PhotographView, side: PhotographView, landmarks: Landmarks, middle: np.ndarray
+def find_thighs(
+    front: PhotographView, side: PhotographView, landmarks: FrontLandmarks, middle: np.ndarray
 ) -> Thighs:
     """What two views show below the trunk; ``middle`` (3,) lies in it."""
     first, last = landmarks.bottom + 2 * MARGIN_PX, len(front.mask) - 1 - MARGIN_PX
@@ -60,7 +60,7 @@ def thighs(
         across, height = np.sort(edges[:, 1].reshape(2, 2), 1), edges[:, 2].mean()
         at = np.array([[middle[0], y, height] for y in across.mean(1)])
         # One thigh hides the other: each reaches as far as the nearer edge at most.
-        back, front_ = (side.reach(at, sign * ahead, FARTHEST_M).min() for sign in (-1, 1))
+        back, front_ = (side.extent(at, sign * ahead, FARTHEST_M).min() for sign in (-1, 1))
         if min(back, front_) > 0:
             found.append((height, across, middle[0] + np.array([-back, front_])))
     if not found:

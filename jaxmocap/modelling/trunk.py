@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
-from jaxmocap.modelling.separation import Landmarks
+from jaxmocap.modelling.separation import FrontLandmarks
 from jaxmocap.modelling.views import PhotographView
 
 # Rings, and nodes of each; control points of a ring's spline.
@@ -45,7 +45,7 @@ class Trunk(NamedTuple):
     pits: np.ndarray
 
 
-def trunk(front: PhotographView, side: PhotographView, landmarks: Landmarks) -> Trunk:
+def find_trunk(front: PhotographView, side: PhotographView, landmarks: FrontLandmarks) -> Trunk:
     """Everything but the arms, from the bottom line to the top of the head."""
     middle = trunk_middle(front, side, landmarks)
     ahead = np.array([1.0, 0.0, 0.0])
@@ -56,7 +56,7 @@ def trunk(front: PhotographView, side: PhotographView, landmarks: Landmarks) -> 
     corners, middles = [], []
     for height in heights:
         middle = np.append(middle[:2], height)
-        corners.append(quadrilateral(front, side, middle, pits))
+        corners.append(slice_corners(front, side, middle, pits))
         middle = np.append(corners[-1].mean(0), height)
         middles.append(middle)
     # A silhouette's rim is known to a pixel; over a few slices its steps cancel out.
@@ -70,7 +70,9 @@ def trunk(front: PhotographView, side: PhotographView, landmarks: Landmarks) -> 
     return Trunk(np.concatenate([rings, level], -1), np.array(middles), pits)
 
 
-def trunk_middle(front: PhotographView, side: PhotographView, landmarks: Landmarks) -> np.ndarray:
+def trunk_middle(
+    front: PhotographView, side: PhotographView, landmarks: FrontLandmarks
+) -> np.ndarray:
     """(3,) where the front's ray through the trunk's middle passes the middle of the side view."""
     row = (landmarks.pits[:, 1].mean() + landmarks.bottom) / 2
     ray = front.rays(np.array([landmarks.middle_x, row]))
@@ -82,7 +84,7 @@ def trunk_middle(front: PhotographView, side: PhotographView, landmarks: Landmar
     return front.centre + along[seen].mean() * ray
 
 
-def quadrilateral(
+def slice_corners(
     front: PhotographView, side: PhotographView, middle: np.ndarray, pits: np.ndarray
 ) -> np.ndarray:
     """(4, 2) corners of a slice: front left, back left, back right, front right; metres.
@@ -94,8 +96,8 @@ def quadrilateral(
         pits: (2, 3) arm pits: above them what lies farther out is arm.
     """
     left, ahead = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
-    across = [front.reach(middle[None], s * left, FARTHEST_M)[0] for s in (1, -1)]
-    deep = [side.reach(middle[None], s * ahead, FARTHEST_M)[0] for s in (1, -1)]
+    across = [front.extent(middle[None], s * left, FARTHEST_M)[0] for s in (1, -1)]
+    deep = [side.extent(middle[None], s * ahead, FARTHEST_M)[0] for s in (1, -1)]
     if middle[2] > pits[:, 2].min():
         across = [min(a, abs(pit[1] - middle[1])) for a, pit in zip(across, pits, strict=True)]
     lines_front = [

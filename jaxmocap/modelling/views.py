@@ -22,19 +22,19 @@ class PhotographView:
     Attributes:
         mask: (H, W) bool, the person.
         camera: calibrated in the world in which the person faces +x.
-        moved: (3,) how far the person has moved since the front view, metres: all points are
+        shift: (3,) how far the person has moved since the front view, metres: all points are
             where they were then.
     """
 
     mask: np.ndarray
     camera: Camera
-    moved: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    shift: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     @cached_property
     def _numbers(self) -> tuple[np.ndarray, ...]:
         T = np.asarray(self.camera.T_cam_world, float)
         matrix, distortion = self.camera.matrix, self.camera.distortion
-        R, shift = T[:3, :3], T[:3, 3] + T[:3, :3] @ self.moved
+        R, shift = T[:3, :3], T[:3, 3] + T[:3, :3] @ self.shift
         return R, shift, np.asarray(matrix, float), np.asarray(distortion, float)
 
     @cached_property
@@ -81,7 +81,7 @@ class PhotographView:
         within = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
         return within & self.mask[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
 
-    def reach(self, start: np.ndarray, direction: np.ndarray, most: float) -> np.ndarray:
+    def extent(self, start: np.ndarray, direction: np.ndarray, most: float) -> np.ndarray:
         """How far the silhouette reaches from points (N, 3) in a direction (3,) or (N, 3): (N,).
 
         Metres, at most ``most``; 0 where a point is not covered itself.

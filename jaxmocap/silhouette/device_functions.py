@@ -18,7 +18,7 @@ from jaxmocap.silhouette.fit.correspond import pairs_of
 from jaxmocap.silhouette.markers import MarkerRows
 from jaxmocap.silhouette.points import BodyPoints
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, solve_pose
-from jaxmocap.silhouette.surfaces.morph import Morph, free_of
+from jaxmocap.silhouette.surfaces.morph import Morph, without_followers
 
 
 class ContourPairs(NamedTuple):
@@ -29,7 +29,7 @@ class ContourPairs(NamedTuple):
         pixels_xy: (C, N, 2).
         normals: (C, N, 2).
         weights: (C, N), 0 for no pair.
-        moves: (C * N, 3, S) of the points by steers, see ``morph``; None where nothing steers them.
+        moves: (C * N, 3, S) of the points by drivers, see ``morph``; None where nothing drives them.
     """
 
     points: BodyPoints
@@ -40,14 +40,14 @@ class ContourPairs(NamedTuple):
 
 
 @jax.jit
-def predict(skeleton: Skeleton, pose: Pose, velocity: Array, ahead: Array) -> Pose:
+def predicted_pose(skeleton: Skeleton, pose: Pose, velocity: Array, ahead: Array) -> Pose:
     """A pose (..., ) moved on by a velocity (6 + D,) for so many seconds, within the limits."""
     moved = retract(pose, velocity * ahead)
     low, high = skeleton.limits[:, 0], skeleton.limits[:, 1]
     return moved._replace(angles=jnp.clip(moved.angles, low, high))
 
 
-free = jax.jit(free_of)
+free_pose = jax.jit(without_followers)
 
 
 @jax.jit
@@ -69,13 +69,13 @@ def fit(
 
 
 @jax.jit
-def velocity_of(before: Pose, now: Pose, between: Array) -> Array:
+def velocity_between(before: Pose, now: Pose, between: Array) -> Array:
     """(6 + D,) metres and radians per second from one pose to another, seconds later."""
     return difference(now, before) / between
 
 
 @jax.jit
-def landmark_slopes(skeleton: Skeleton, pose: Pose) -> Array:
+def landmark_jacobian(skeleton: Skeleton, pose: Pose) -> Array:
     """(L, 3, 6 + D) derivatives of the landmarks by the tangent vector of ``retract``."""
     rest = jnp.zeros_like(skeleton.costs)
     return jax.jacfwd(lambda step: landmarks(skeleton, retract(pose, step)))(rest)

@@ -19,7 +19,7 @@ STEPS = 40
 landmark_points = jax.jit(landmarks)
 
 
-def pose_at(skeleton: Skeleton, points_world: np.ndarray) -> Pose:
+def pose_at_landmarks(skeleton: Skeleton, points_world: np.ndarray) -> Pose:
     """The pose nearest to landmarks.
 
     Args:
@@ -35,7 +35,7 @@ def pose_at(skeleton: Skeleton, points_world: np.ndarray) -> Pose:
     return _fitted(skeleton, start, jnp.asarray(points, skeleton.lengths.dtype))
 
 
-def standing_pose(skeleton: Skeleton, x: float, y: float, facing: float) -> Pose:
+def standing_pose_at(skeleton: Skeleton, x: float, y: float, facing: float) -> Pose:
     """A relaxed person standing on the floor at a place, metres, facing so, radians from +x."""
     pose = relaxed_pose(skeleton)
     lowest = np.asarray(landmark_points(skeleton, pose))[:, 2].min()

@@ -18,7 +18,7 @@ import numpy as np
 from jaxmocap.body.pose import Pose
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.regions import Region
-from jaxmocap.silhouette.device_functions import landmark_slopes
+from jaxmocap.silhouette.device_functions import landmark_jacobian
 from jaxmocap.silhouette.recovery.withdrawal import slim
 from jaxmocap.silhouette.segmentation.background_models import BackgroundLearner, OnlineBackground
 from jaxmocap.silhouette.smoothing import FrameInformation, smoothed_poses
@@ -124,7 +124,7 @@ class PassResult:
         """(L, 3) metres, of one frame."""
         H = np.asarray(report.information, float)
         covariance = np.linalg.inv((H + H.T) / 2 + np.eye(len(H)) / unknown**2)
-        J = np.asarray(landmark_slopes(self.body.shape.skeleton, pose), float)
+        J = np.asarray(landmark_jacobian(self.body.shape.skeleton, pose), float)
         return np.sqrt(np.einsum("lai,ij,laj->la", J, covariance, J))
 
 

@@ -35,8 +35,8 @@ class PointRays(NamedTuple):
         across: (N, 3) unit vectors at right angles to their lines.
         weights: (N,) 0 where there is no pair, whatever the other fields then hold.
         along_weights: (N,) from 0 to 1.
-        moves: (N, 3, S) how the points go along with steers (see ``morph``), metres in their bones'
-            frames; None where nothing steers them.
+        moves: (N, 3, S) how the points go along with drivers (see ``morph``), metres in their bones'
+            frames; None where nothing drives them.
     """
 
     points: BodyPoints
@@ -76,7 +76,7 @@ def contour_rays(camera: Camera, pixels_xy: Array, normals: Array) -> tuple[Line
     return lines, jnp.where(known, across / jnp.sqrt(jnp.where(known, squared, 1.0)), 0.0)
 
 
-def slopes(skeleton: Skeleton, frames: Frames, points: BodyPoints) -> Array:
+def point_jacobian(skeleton: Skeleton, frames: Frames, points: BodyPoints) -> Array:
     """Derivatives (N, 3, 6 + D) of the posed points by the tangent vector of ``retract``."""
     alone, shares = carried(frames, points), jnp.asarray(points.shares)
     total = jnp.zeros(())
@@ -86,8 +86,8 @@ def slopes(skeleton: Skeleton, frames: Frames, points: BodyPoints) -> Array:
     return total
 
 
-def steered_slopes(frames: Frames, points: BodyPoints, moves: Array | np.ndarray) -> Array:
-    """Derivatives (N, 3, S) of the posed points by the steers of their moves (N, 3, S)."""
+def driver_point_jacobian(frames: Frames, points: BodyPoints, moves: Array | np.ndarray) -> Array:
+    """Derivatives (N, 3, S) of the posed points by the drivers of their moves (N, 3, S)."""
     shares = jnp.asarray(points.shares)[..., None, None]
     R = jnp.sum(shares * frames.R_world_bone[points.bones], 1)
     return jnp.einsum("nab,nbs->nas", R, jnp.asarray(moves), precision=HIGHEST)
@@ -98,7 +98,7 @@ def linearised(skeleton: Skeleton, frames: Frames, pairs: PointRays) -> tuple[Ar
 
     x x n - m has three rows of rank two; here are its two components at right angles to the ray,
     across the contour and along it, unweighted but for the grip. Pairs of no weight give 0.
-    The last S columns are by what steers the points, where anything does.
+    The last S columns are by what drives the points, where anything does.
     """
     real = pairs.weights > 0
     along = jnp.cross(pairs.lines.directions, pairs.across)
@@ -106,14 +106,14 @@ def linearised(skeleton: Skeleton, frames: Frames, pairs: PointRays) -> tuple[Ar
     ways = jnp.where(real[:, None, None], ways, 0.0)
     lines = Lines(*(jnp.where(real[:, None], part, 0.0) for part in pairs.lines))
     off = perpendiculars(lines, posed(frames, pairs.points))
-    J = slopes(skeleton, frames, pairs.points)
+    J = point_jacobian(skeleton, frames, pairs.points)
     residuals = ways[..., 0] * off[:, None, 0]
     rows = ways[..., 0, None] * J[:, None, 0]
     for axis in (1, 2):
         residuals = residuals + ways[..., axis] * off[:, None, axis]
         rows = rows + ways[..., axis, None] * J[:, None, axis]
     if pairs.moves is not None:
-        steered = steered_slopes(frames, pairs.points, pairs.moves)
-        across = jnp.sum(ways[..., None] * steered[:, None], -2)
+        driven = driver_point_jacobian(frames, pairs.points, pairs.moves)
+        across = jnp.sum(ways[..., None] * driven[:, None], -2)
         rows = jnp.concatenate([rows, across], -1)
     return residuals, rows

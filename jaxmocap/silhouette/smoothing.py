@@ -26,8 +26,8 @@ from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.evidence.smoothness import REACH, accelerations_of, smoothness
-from jaxmocap.silhouette.device_functions import landmark_slopes
-from jaxmocap.silhouette.surfaces.morph import Morph, free_of
+from jaxmocap.silhouette.device_functions import landmark_jacobian
+from jaxmocap.silhouette.surfaces.morph import Morph, without_followers
 from jaxmocap.smoothing.levenberg_marquardt import Linearised, Settings, smooth
 
 # Frames that are linearised in one call: any recording's fill some, and compile once.
@@ -143,14 +143,14 @@ def _about(
     """
 
     def own(pose: Pose) -> Array:
-        return (pose if morph is None else free_of(morph, pose)).angles
+        return (pose if morph is None else without_followers(morph, pose)).angles
 
     def bent(pose: Pose) -> Array:
         still = jnp.zeros(ROOT_DOF + pose.angles.size, pose.angles.dtype)
         return jax.jacfwd(lambda step: own(retract(pose, step)))(still)
 
     places = _places(skeleton, poses)
-    by = jax.vmap(partial(landmark_slopes, skeleton))(poses)
+    by = jax.vmap(partial(landmark_jacobian, skeleton))(poses)
     angles, slopes = jax.vmap(own)(poses), jax.vmap(bent)(poses)
     return difference(poses, found), angles, slopes, places, by.reshape(*places.shape, -1)
 

@@ -30,7 +30,7 @@ from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.background_model import Background
-from jaxmocap.silhouette.device_functions import predict, velocity_of
+from jaxmocap.silhouette.device_functions import predicted_pose, velocity_between
 from jaxmocap.silhouette.fit.camera_agreement import kept_histograms
 from jaxmocap.silhouette.fit.cycles import (
     FrameEvidence,
@@ -166,7 +166,7 @@ class SilhouetteTracker:
         images, history = state.image_history.accepted(images, s.changed_share, s.patience)
         elapsed = 0.0 if state.time is None else max(time - state.time, SHORTEST_STEP_S)
         velocity = s.damping * state.velocity
-        predicted = predict(body.shape.skeleton, state.pose, velocity, np.float32(elapsed))
+        predicted = predicted_pose(body.shape.skeleton, state.pose, velocity, np.float32(elapsed))
         deviations = np.where(state.determined, s.predicted_deviation, s.undetermined_deviation)
         deviations = deviations.astype(np.float32)
         markers, is_first = marker_rows(body.marker_points, positions_world, s), state.time is None
@@ -227,7 +227,7 @@ class SilhouetteTracker:
         """The velocity (6 + D,) as it is carried on; relocated joints begin anew."""
         velocity = state.velocity
         if state.time is not None:
-            now = np.asarray(velocity_of(state.pose, pose, np.float32(elapsed)))
+            now = np.asarray(velocity_between(state.pose, pose, np.float32(elapsed)))
             gain = self.constants.settings.velocity_gain
             velocity = (gain * now + (1 - gain) * state.velocity).astype(np.float32)
         velocity = velocity * determined

@@ -14,7 +14,7 @@ from jaxmocap.modelling.person import StanceError, person_model
 from jaxmocap.modelling.pictures.closed_mesh import closed_mesh, joined_meshes, volume
 from jaxmocap.modelling.pictures.corners import evenly_spaced, turning_angles
 from jaxmocap.modelling.pictures.medial_axis import chamfer, medial_axis, path
-from jaxmocap.modelling.separation import separate
+from jaxmocap.modelling.separation import find_landmarks
 from jaxmocap.modelling.trunk import superellipse_ring
 from jaxmocap.modelling.views import PhotographView
 from jaxmocap.synthetic.people.anthropometry import Body, measured
@@ -76,25 +76,25 @@ def test_the_sharpest_corner_is_where_two_lines_meet(angle, at):
 
 
 def test_a_figure_is_separated_at_pits_neck_and_crotch():
-    found = separate(figure())
+    found = find_landmarks(figure())
     assert 80 < found.neck < 120 and found.neck_x == pytest.approx(250, abs=1)
     assert np.abs(found.pits[:, 0] - [310, 190]).max() < 4
     assert np.ptp(found.pits[:, 1]) <= 2 and 150 < found.pits[0, 1] < 190
     assert found.top == 25 and 290 < found.bottom < 330
-    assert separate(figure(), bottom=280).bottom == 280
+    assert find_landmarks(figure(), bottom=280).bottom == 280
 
 
 def test_arms_against_the_body_are_refused():
     with pytest.raises(ValueError, match="no gap between the left arm and the trunk"):
-        separate(figure(arms_out=-10))
+        find_landmarks(figure(arms_out=-10))
 
 
 def test_closed_legs_are_refused_unless_the_bottom_line_is_given():
     image = figure()
     image[300:, 190:310] = True
     with pytest.raises(ValueError, match="no gap between the legs"):
-        separate(image)
-    assert separate(image, bottom=290).bottom == 290
+        find_landmarks(image)
+    assert find_landmarks(image, bottom=290).bottom == 290
 
 
 @given(

@@ -14,25 +14,25 @@ from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
-from jaxmocap.modelling.arm_joints import Arm
+from jaxmocap.modelling.arm_joints import ArmPixels
 from jaxmocap.modelling.arm_surface import (
     ArmBones,
     arm_rings,
     arm_thickness,
     slice_positions,
-    stations,
-    unfolded,
+    slice_stations,
+    without_elbow_fold,
 )
 from jaxmocap.modelling.fitted_rings import fitted_grid
 from jaxmocap.modelling.lifted_arms import lifted_arms
-from jaxmocap.modelling.person import PersonModel, laid_out
+from jaxmocap.modelling.person import PersonModel, arm_on_axis
 from jaxmocap.modelling.personal import arm_angles, personal_model
-from jaxmocap.modelling.separation import Landmarks
-from jaxmocap.modelling.slices import Slices
-from jaxmocap.modelling.thighs import Thighs, thighs
+from jaxmocap.modelling.separation import FrontLandmarks
+from jaxmocap.modelling.slices import BodySlices
+from jaxmocap.modelling.thighs import Thighs, find_thighs
 from jaxmocap.modelling.trunk import RINGS, Trunk
 from jaxmocap.modelling.views import PhotographView
-from jaxmocap.pipelines.silhouettes.person import modelled
+from jaxmocap.pipelines.silhouettes.person import with_model
 from jaxmocap.synthetic.lens import look_at
 
 PLACED, FRAMES = jax.jit(landmarks), jax.jit(forward)
@@ -78,9 +78,9 @@ def somebody() -> PersonModel:
     bend, hinge = (np.tile(pair, (len(slice_positions()), 1)) for pair in (ARM[:2], ARM[2:]))
     starts, nowhere = (SHOULDER, mirrored(SHOULDER)), np.zeros(2)
     return PersonModel(
-        Landmarks(0, 0, 0.0, np.zeros((2, 2)), 0, 0.0),
+        FrontLandmarks(0, 0, 0.0, np.zeros((2, 2)), 0, 0.0),
         Trunk(rings, middles, pits),
-        (Arm(nowhere, nowhere, nowhere, nowhere, nowhere, nowhere[None]),) * 2,
+        (ArmPixels(nowhere, nowhere, nowhere, nowhere, nowhere, nowhere[None]),) * 2,
         both([0, 1, 0.0], [0, -0.2, 1]),
         both([0, 1, -0.1], [0, 1, -0.1]),
         both([0, 0.6, -1], [0, 0.6, -1]),
@@ -166,7 +166,7 @@ def test_poses_put_the_arms_where_the_photographs_have_them(person):
     names = list(LANDMARKS)
     for photograph, arms in (("joint", model.bent), ("side", model.stretched)):
         points = np.asarray(PLACED(person.skeleton, person.poses[photograph]))
-        points = points - model.moved[photograph]
+        points = points - model.shifts[photograph]
         for side, found in zip("lr", arms, strict=True):
             for name in ("shoulder", "elbow", "wrist"):
                 at = points[names.index(f"{name}_{side}")]
@@ -190,7 +190,7 @@ def test_an_arms_angles_turn_its_bones_there(person, sign, upper):
 
 def test_a_bent_arms_stations_lie_on_its_bones_but_about_the_elbow():
     arm = both([0, 1, 0], [0, 0, 1])[0]
-    points, across = stations(arm, arm.shoulder + arm.wrist - 2 * arm.elbow)
+    points, across = slice_stations(arm, arm.shoulder + arm.wrist - 2 * arm.elbow)
     at = slice_positions()
     along = np.linalg.norm(points[at <= 0.6] - arm.shoulder, axis=1)
     np.testing.assert_allclose(along, LENGTHS[0] * at[at <= 0.6], atol=1e-9)
@@ -212,7 +212,9 @@ def test_a_round_arm_is_as_thick_bent_as_it_is_stretched():
         inner = arm.shoulder + arm.wrist - 2 * arm.elbow
         towards = inner if np.linalg.norm(inner) > 0.1 else np.array([0, 0, 1.0])
         found.append(
-            unfolded(arm_thickness(PhotographView(image.astype(bool), camera), arm, towards))
+            without_elbow_fold(
+                arm_thickness(PhotographView(image.astype(bool), camera), arm, towards)
+            )
         )
     about = (slice_positions() > 0.7) & (slice_positions() < 1.3)
     np.testing.assert_allclose(found[0][about], radius, atol=2e-3)
@@ -224,11 +226,11 @@ def test_a_stretched_arms_bones_are_as_long_as_they_were_bent_though_its_flesh_h
     bent = both([0, 1, 0], [0, 0, 1])[0]
     side = np.arange(-0.1, 0.8, 0.001)[:, None] * [0.0, 1.0, 0.0]
     way = SHOULDER + side - np.array([0.0, 0.0, 0.06])
-    found = laid_out(way, bent)
+    found = arm_on_axis(way, bent)
     np.testing.assert_allclose(found.lengths[:2], LENGTHS[:2], atol=2e-3)
     np.testing.assert_allclose(found.tip, way[-1])
     with pytest.raises(ValueError, match="shorter than its 55 cm"):
-        laid_out(way[:550], bent)
+        arm_on_axis(way[:550], bent)
 
 
 def test_beyond_what_was_measured_a_ring_keeps_its_ratio_until_it_fades():
@@ -240,7 +242,7 @@ def test_beyond_what_was_measured_a_ring_keeps_its_ratio_until_it_fades():
     )
     fine = 2 * np.pi * np.arange(64) / 64
     outline = 0.1 * np.stack([np.cos(fine), np.sin(fine)], 1) + [0.01, 0]
-    measured = Slices(np.array([0.65, 0.35]), np.stack([outline] * 2), (np.inf, 0.2))
+    measured = BodySlices(np.array([0.65, 0.35]), np.stack([outline] * 2), (np.inf, 0.2))
     found = fitted_grid(rings, 1.0, measured)
     sizes = np.ptp(found[..., 0], 1) / 2
     np.testing.assert_allclose(sizes[:7], 0.1, rtol=1e-3)
@@ -275,12 +277,12 @@ def test_lifted_arms_and_thighs_are_found_where_they_are_drawn():
     side = drawn([np.array([[-0.08, 0, 1.5], [0.1, 0, 1.5], [0.1, 0, 0.4], [-0.08, 0, 0.4]])], 90.0)
     pit = front.pixels(np.array([[0.0, 0.135, 1.28], [0.0, -0.135, 1.28]]))
     bottom = front.pixels(np.array([0.0, 0.0, 0.9]))
-    marks = Landmarks(0, 0, 0.0, pit, round(bottom[1]), float(bottom[0]))
+    marks = FrontLandmarks(0, 0, 0.0, pit, round(bottom[1]), float(bottom[0]))
     bent = (down, down._replace(**{k: mirrored(v) for k, v in down._asdict().items()}))
     for found, true in zip(lifted_arms(front, marks, bent), bent, strict=True):
         for name in ("elbow", "wrist"):
             np.testing.assert_allclose(getattr(found, name), getattr(true, name), atol=0.012)
-    seen = thighs(front, side, marks, np.array([0.0, 0.0, 1.0]))
+    seen = find_thighs(front, side, marks, np.array([0.0, 0.0, 1.0]))
     assert len(seen.heights) >= 4
     inner = 0.02 + 0.02 * (1.0 - seen.heights) / 0.5
     for k, sign in ((0, 1), (1, -1)):
@@ -292,7 +294,7 @@ def test_lifted_arms_and_thighs_are_found_where_they_are_drawn():
 
 def test_without_a_model_a_recording_stays_as_it_is():
     recording = object()
-    assert modelled(recording, None) == (recording, None)  # type: ignore[arg-type]
+    assert with_model(recording, None) == (recording, None)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("names", [(), ("subject.toml",)])
@@ -301,7 +303,7 @@ def test_a_folder_without_a_model_is_refused_in_one_sentence(tmp_path, names):
         (tmp_path / name).write_text("height = 1.7\n")
     missing = "surface.npz" if names else "subject.toml"
     with pytest.raises(InputError, match=f"found no {missing}, expected what 'silhouette model'"):
-        modelled(Recording.load, tmp_path)  # type: ignore[arg-type]
+        with_model(Recording.load, tmp_path)  # type: ignore[arg-type]
 
 
 def test_a_height_tells_how_long_the_legs_are():

@@ -16,10 +16,10 @@ from jaxmocap.modelling.personal import PersonalModel
 from jaxmocap.modelling.texture.avatar import Avatar, avatar_of
 from jaxmocap.modelling.texture.fusion import (
     closed_holes,
-    feather,
-    from_rim,
+    feathered_weight,
     fused,
     gains,
+    rim_distance,
     weighted_blur,
     wide_blend,
 )
@@ -196,5 +196,5 @@ def test_single_open_cells_of_a_picture_are_closed_and_wide_ones_are_not():
 def test_weights_fade_towards_what_is_hidden_and_towards_the_rim():
     hidden = np.zeros((5, 20), bool)
     hidden[:, 0] = True
-    assert feather(hidden, 10.0)[2, [0, 5, 15]] == pytest.approx([0, 0.5, 1], abs=0.05)
-    assert from_rim(np.ones((9, 9), bool))[4, [0, 4]] == pytest.approx([1, 5], abs=0.2)
+    assert feathered_weight(hidden, 10.0)[2, [0, 5, 15]] == pytest.approx([0, 0.5, 1], abs=0.05)
+    assert rim_distance(np.ones((9, 9), bool))[4, [0, 4]] == pytest.approx([1, 5], abs=0.2)

@@ -9,7 +9,7 @@ from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording, write_recording
 from jaxmocap.pipelines.silhouettes import track
-from jaxmocap.silhouette.first_pose import standing_pose
+from jaxmocap.silhouette.first_pose import standing_pose_at
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.synthetic.recording import write_video
 
@@ -101,7 +101,7 @@ def test_shoulders_go_along_where_asked_to(folder, tmp_path, monkeypatch, given,
         asked["settings"] = settings
         raise InputError("recording.toml", "enough")
 
-    monkeypatch.setattr(track, "follow", follow)
+    monkeypatch.setattr(track, "track_silhouettes", follow)
     path = str(folder / "recording.toml")
     out = str(tmp_path / "out")
     assert main(["silhouette", "track", path, "--at", "0,0,0", "--out", out, *given]) == 2
@@ -129,10 +129,10 @@ def test_nothing_is_written_into_a_file(folder, tmp_path, capsys):
 
 def test_a_recording_that_shows_nobody_is_refused(folder):
     recording, progress = Recording.load(folder / "recording.toml"), []
-    start = standing_pose(track.whole_body(recording.skeleton), 0.0, 0.0, 0.0)
+    start = standing_pose_at(track.supple_skeleton(recording.skeleton), 0.0, 0.0, 0.0)
     settings = Settings(least_matched_share=2.0, settling_steps=0, particles=1)
     with pytest.raises(InputError, match="no camera shows the person in any frame"):
-        track.follow(
+        track.track_silhouettes(
             recording, start, settings, passes=1, progress=lambda n, of: progress.append((n, of))
         )
     assert progress == [(1, 3), (2, 3), (3, 3)]

@@ -87,7 +87,9 @@ def test_a_pose_is_found_from_four_silhouettes(finder, degrees):  # noqa: F811
     phi = np.stack([level_set(finder, truth, c, region) for c in range(4)])
     outlines = contours(phi, region)
     for _ in range(10):
-        found = matched_pairs(finder.find(finder.initial_shape, pose, CAMERAS), outlines, SETTINGS_OF_PAIRS)
+        found = matched_pairs(
+            finder.find(finder.initial_shape, pose, CAMERAS), outlines, SETTINGS_OF_PAIRS
+        )
         weights = jnp.asarray(found.valid, jnp.float32)
         rays = PAIRS(CAMERAS, finder.initial_shape.points(found.nodes), found.pixels_xy, found.normals, weights,
                      SETTINGS_OF_PAIRS.along_weight)  # fmt: skip

@@ -9,8 +9,12 @@ from jaxmocap.body.skeleton import ROOT_DOF, Skeleton, with_joints
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.fit.correspond import Matches
 from jaxmocap.silhouette.fit.expected_pose import combined_prior, rest_deviations
-from jaxmocap.silhouette.segmentation.inner_edges import InnerEdgeSettings, concatenated, edge_pairs
-from jaxmocap.silhouette.segmentation.profiles import boundary, colour_profiles
+from jaxmocap.silhouette.segmentation.inner_edges import (
+    InnerEdgeSettings,
+    concatenated,
+    inner_edge_pairs,
+)
+from jaxmocap.silhouette.segmentation.profiles import colour_boundary, colour_profiles
 from jaxmocap.silhouette.surfaces.rim import Rim
 
 SKIN, SHIRT = np.array([120, 150, 200]), np.array([150, 70, 60])
@@ -41,7 +45,7 @@ def rim_at(column: float, cameras: int = 1) -> Rim:
 
 
 def found(image: np.ndarray | None, column: float) -> Matches:
-    return edge_pairs([image], rim_at(column), np.zeros(len(ROWS) + 1, int), SETTINGS)
+    return inner_edge_pairs([image], rim_at(column), np.zeros(len(ROWS) + 1, int), SETTINGS)
 
 
 @pytest.mark.parametrize("off", [-4.0, -1.3, 0.0, 2.6, 4.0])
@@ -68,7 +72,7 @@ def test_where_there_is_no_image_or_no_edge_within_reach_there_are_no_pairs():
 def test_too_few_points_of_a_bone_say_nothing_of_its_colours():
     image, rim = picture(SKIN, SHIRT, 40), rim_at(40)
     each_its_own = np.arange(len(ROWS) + 1)
-    assert not edge_pairs([image], rim, each_its_own, SETTINGS).valid.any()
+    assert not inner_edge_pairs([image], rim, each_its_own, SETTINGS).valid.any()
 
 
 def test_profiles_run_along_the_normals():
@@ -80,7 +84,7 @@ def test_profiles_run_along_the_normals():
 
 def test_a_boundary_lies_between_the_last_sample_of_one_colour_and_the_first_of_the_other():
     profiles = np.where(np.arange(21)[:, None] < 13, SKIN, SHIRT)[None].repeat(5, 0).astype(float)
-    place, apart = boundary(profiles)
+    place, apart = colour_boundary(profiles)
     np.testing.assert_array_equal(place, 12.5)
     assert apart > 5
 

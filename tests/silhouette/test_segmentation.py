@@ -34,7 +34,7 @@ from jaxmocap.silhouette.segmentation.segment import (
     SegmentationPlan,
     segment,
 )
-from jaxmocap.silhouette.segmentation.sharpen import sharpened
+from jaxmocap.silhouette.segmentation.sharpen import sharpened_silhouette
 from jaxmocap.synthetic.four_cameras import framed
 from jaxmocap.synthetic.movements.exercises import exercise
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
@@ -218,7 +218,10 @@ def test_the_prior_holds_the_contour_near_the_prediction():
     beyond = ball | ((np.abs(X - 31) < 5) & (Y > 30))
     image = painted(beyond, (60, 60, 160), (170, 150, 140))
     free, held = (
-        np.asarray(segmented(seen(image), disc(radius=14.0), shape_prior=shape, prior_reach=6.0).phi[0]) > 0
+        np.asarray(
+            segmented(seen(image), disc(radius=14.0), shape_prior=shape, prior_reach=6.0).phi[0]
+        )
+        > 0
         for shape in (0.0, 6.0)
     )
     assert free[60, 31] and not held[60, 31]
@@ -332,6 +335,6 @@ def test_a_rendered_person_before_clutter_is_found_from_a_pose_that_is_off(recor
     for view, truth in enumerate(truths):
         region, level_set = regions[view], np.asarray(found.phi[view])
         cells = overlap(full_mask(level_set, region, truth.shape), truth)
-        sharp = sharpened(frames[view], level_set, region, rooms[view]).full(truth.shape)
+        sharp = sharpened_silhouette(frames[view], level_set, region, rooms[view]).full(truth.shape)
         assert overlap(starts[view], truth) < 0.85 and cells > 0.88
         assert overlap(sharp, truth) > max(0.94, cells + 0.01)

@@ -13,7 +13,7 @@ from jaxmocap.body.skeleton import LANDMARKS, Skeleton, load_skeleton
 from jaxmocap.pipelines.silhouettes.track import MODEL
 from jaxmocap.silhouette.fit.expected_pose import rest_deviations
 from jaxmocap.silhouette.smoothing import FrameInformation, PoseSmoothingSettings, smoothed_poses
-from jaxmocap.silhouette.surfaces.morph import Morphing, morph_of, shoulders, whole_of
+from jaxmocap.silhouette.surfaces.morph import Morphing, morph_of, shoulders, with_followers
 
 FRAMES = 40
 TIMES = np.arange(FRAMES) / 30
@@ -190,9 +190,11 @@ def test_joints_that_go_along_are_held_where_they_go(skeleton):
     wave = np.zeros((FRAMES, 6 + len(skeleton.tree.joints)))
     wave[:, 6 + skeleton.tree.joints.index("arm_flex_l")] = 1 - np.cos(2 * TIMES)
     alone = moving(skeleton, wave)[0]
-    truth = jax.tree.map(np.asarray, jax.vmap(partial(whole_of, morph, skeleton=skeleton))(alone))
+    truth = jax.tree.map(
+        np.asarray, jax.vmap(partial(with_followers, morph, skeleton=skeleton))(alone)
+    )
     rest = rest_deviations(skeleton, {"clavicle": 1e-3})
-    followers = morph.follows.any(1) & np.isfinite(rest)
+    followers = morph.follower_gains.any(1) & np.isfinite(rest)
     went = np.abs(truth.angles - alone.angles)[:, followers].max(0)
     assert (went > 0.1).any()
     sureness = 1e4

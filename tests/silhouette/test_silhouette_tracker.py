@@ -16,7 +16,7 @@ from jaxmocap.images.canvases import full_mask
 from jaxmocap.images.regions import Region
 from jaxmocap.pipelines.silhouettes.first_pose import start_pose
 from jaxmocap.silhouette.device_functions import fit
-from jaxmocap.silhouette.first_pose import landmark_points, pose_at, standing_pose
+from jaxmocap.silhouette.first_pose import landmark_points, pose_at_landmarks, standing_pose_at
 from jaxmocap.silhouette.segmentation.background_models import BackgroundLearner, OnlineBackground
 from jaxmocap.silhouette.segmentation.outlines import silhouette_distance
 from jaxmocap.silhouette.segmentation.segment import SegmentationPlan, Stage
@@ -128,15 +128,15 @@ def test_without_any_image_the_pose_is_held_and_every_joint_said_to_be_unseen(tr
 
 def test_a_pose_is_placed_at_known_landmarks(truth):
     points = np.array(POINTS(BODY, truth))
-    assert off_by(pose_at(BODY, points), truth).mean() < 0.01
+    assert off_by(pose_at_landmarks(BODY, points), truth).mean() < 0.01
     few = np.where(np.isin(list(LANDMARKS), ["head", "wrist_l"])[:, None], np.nan, points)
-    assert off_by(pose_at(BODY, few), truth).mean() < 0.05
+    assert off_by(pose_at_landmarks(BODY, few), truth).mean() < 0.05
     with pytest.raises(ValueError, match="neither both hips"):
-        pose_at(BODY, np.full_like(points, np.nan))
+        pose_at_landmarks(BODY, np.full_like(points, np.nan))
 
 
 def test_a_person_stands_on_the_floor_where_it_was_said():
-    pose = standing_pose(BODY, 1.0, -2.0, np.pi / 2)
+    pose = standing_pose_at(BODY, 1.0, -2.0, np.pi / 2)
     points = dict(zip(LANDMARKS, np.asarray(POINTS(BODY, pose)), strict=True))
     assert min(point[2] for point in points.values()) == pytest.approx(0, abs=1e-4)
     np.testing.assert_allclose(points["pelvis"][:2], [1.0, -2.0], atol=1e-4)

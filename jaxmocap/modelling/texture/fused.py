@@ -16,13 +16,13 @@ import numpy as np
 from jaxmocap.body.surfaces.mesh import MARGIN, Atlas, Mesh
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.modelling.texture.fusion import (
-    behind,
+    background_colour,
     closed_holes,
-    feather,
-    from_rim,
+    feathered_weight,
     fused,
     gains,
     resized,
+    rim_distance,
     sampled_colours,
     weighted_blur,
     wide_blend,
@@ -70,7 +70,7 @@ def baked(
         counts = [COUNTS[name][not patch.name.startswith("arm")] for patch in surface.patches]
         colours.append(colour)
         weights.append(weight * np.array(counts)[texels.patches])
-    backdrops = np.array([behind(shot.image, shot.view.mask) for shot in shots.values()])
+    backdrops = np.array([background_colour(shot.image, shot.view.mask) for shot in shots.values()])
     factors = gains(colours, weights, backdrops)
     colours = [c * factor for c, factor in zip(colours, factors, strict=True)]
     at = clouds[0].rows, clouds[0].columns
@@ -96,11 +96,11 @@ def _looked_at(
     canvas = int(height / cell) + 2, int(width / cell) + 2
     seen = in_sight(pixels / cell, depths, canvas, HIDING) & (facing > LEAST_FACING)
     rim = np.clip(
-        (sampled_colours(from_rim(view.mask), pixels, 1.0)[:, 0] - LEFT_OUT_PX) / RIM_PX, 0, 1
+        (sampled_colours(rim_distance(view.mask), pixels, 1.0)[:, 0] - LEFT_OUT_PX) / RIM_PX, 0, 1
     )
     hidden = np.zeros((atlas.height, atlas.width), bool)
     hidden[texels.rows, texels.columns] = ~seen
-    soft = feather(hidden, FEATHER)[texels.rows, texels.columns]
+    soft = feathered_weight(hidden, FEATHER)[texels.rows, texels.columns]
     weight = (facing - LEAST_FACING) / (1 - LEAST_FACING) * rim * soft
     return sampled_colours(shot.image, pixels, step), np.where(seen, weight, 0)
 

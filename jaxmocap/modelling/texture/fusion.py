@@ -124,19 +124,19 @@ def _pulled(colour: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return part * own + (1 - part) * coarse
 
 
-def feather(hidden: np.ndarray, width: float) -> np.ndarray:
+def feathered_weight(hidden: np.ndarray, width: float) -> np.ndarray:
     """(H, W) from 0 where hidden to 1 at ``width`` cells from there."""
     distance = cv2.distanceTransform((~hidden).astype(np.uint8), cv2.DIST_L2, 3)
     return np.minimum(distance / width, 1).astype(np.float32)
 
 
-def from_rim(mask: np.ndarray) -> np.ndarray:
+def rim_distance(mask: np.ndarray) -> np.ndarray:
     """(H, W) float32 pixels from a mask's rim inwards; the image's border is a rim too."""
     framed = np.pad(mask.astype(np.uint8), 1)
     return cv2.distanceTransform(framed, cv2.DIST_L2, 5)[1:-1, 1:-1]
 
 
-def behind(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def background_colour(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """(3,) middle colour of what an image (H, W, 3) shows well beside a mask (H, W)."""
     near = cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8))
     return np.ones(3) if near.all() else np.median(image[near == 0], 0)

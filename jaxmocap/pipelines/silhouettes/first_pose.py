@@ -11,9 +11,9 @@ from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.cameras import project, to_camera
 from jaxmocap.hybrid.settings import Settings as Hybrid
 from jaxmocap.hybrid.tracker import HybridTracker
-from jaxmocap.pipelines.silhouettes.track import whole_body
+from jaxmocap.pipelines.silhouettes.track import supple_skeleton
 from jaxmocap.pipelines.tracking.track import marker_sites
-from jaxmocap.silhouette.first_pose import landmark_points, pose_at, standing_pose
+from jaxmocap.silhouette.first_pose import landmark_points, pose_at_landmarks, standing_pose_at
 from jaxmocap.silhouette.settings import FAR_OFF, Settings
 from jaxmocap.silhouette.surfaces.morph import Morphing, shoulders
 
@@ -42,7 +42,7 @@ def start_pose(recording: Recording, at: tuple[float, float, float] | None = Non
     where = recording.path or recording.name
     if at is not None:
         x, y, _ = np.array([*at[:2], 0.0]) - recording.origin_world
-        pose = standing_pose(whole_body(recording.skeleton), x, y, np.radians(at[2]))
+        pose = standing_pose_at(supple_skeleton(recording.skeleton), x, y, np.radians(at[2]))
     elif not recording.places:
         problem = "no [markers] to begin from, expected --at X,Y,FACING of a person who stands"
         raise InputError(where, f"{problem} upright")
@@ -58,7 +58,7 @@ def start_pose(recording: Recording, at: tuple[float, float, float] | None = Non
 
 def in_view(recording: Recording, pose: Pose) -> bool:
     """Whether any camera sees any landmark of the pose."""
-    points = landmark_points(whole_body(recording.skeleton), pose)
+    points = landmark_points(supple_skeleton(recording.skeleton), pose)
     for source in recording.videos:
         depth = np.asarray(to_camera(source.camera, points))[:, 2]
         pixels = np.asarray(project(source.camera, points))
@@ -79,4 +79,4 @@ def _by_markers(recording: Recording) -> Pose:
     for _ in range(SOLVES):
         state = tracker.step(state, 0.0, first)[0]
     points = landmark_points(tracker.skeleton, state.pose)
-    return pose_at(whole_body(skeleton), np.asarray(points))
+    return pose_at_landmarks(supple_skeleton(skeleton), np.asarray(points))

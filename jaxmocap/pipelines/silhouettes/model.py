@@ -39,7 +39,7 @@ REFUSED = "_refused"
 DRAWN = 3
 
 
-class Modelled(NamedTuple):
+class ModelResult(NamedTuple):
     """What four photographs told.
 
     Attributes:
@@ -75,7 +75,7 @@ def model_from(
     out: str | Path,
     bottom: int | None = None,
     height: float | None = None,
-) -> Modelled:
+) -> ModelResult:
     """Make a model of photographs.
 
     Args:
@@ -106,7 +106,7 @@ def model_from(
         person = personal_model(model, height)
     except ValueError as error:
         raise InputError(files["front"], str(error)) from None
-    return Modelled(model, images, views, person, perf_counter() - start)
+    return ModelResult(model, images, views, person, perf_counter() - start)
 
 
 def _cameras(calibration: str | Path) -> dict[str, Camera]:
@@ -135,7 +135,7 @@ def _show_refused(folder: Path, name: str, picture: np.ndarray) -> Path:
     return refused.write(lambda stage: [write_picture(stage / shown, picture)])[0]
 
 
-def write_model(modelled: Modelled, folder: OutputFolder) -> list[Path]:
+def write_model(modelled: ModelResult, folder: OutputFolder) -> list[Path]:
     """Write model, report and pictures.
 
     Returns:
@@ -147,7 +147,7 @@ def write_model(modelled: Modelled, folder: OutputFolder) -> list[Path]:
     return folder.write(partial(_write, modelled))
 
 
-def _write(modelled: Modelled, directory: Path) -> list[Path]:
+def _write(modelled: ModelResult, directory: Path) -> list[Path]:
     """All files into a folder that is there."""
     model = modelled.model
     vertices, faces = joined_meshes([model.trunk.rings, *model.arms])
@@ -173,7 +173,7 @@ def _write(modelled: Modelled, directory: Path) -> list[Path]:
     return [*files, *write_person(modelled.person, modelled.images, modelled.views, directory)]
 
 
-def pictures(modelled: Modelled) -> dict[str, np.ndarray]:
+def pictures(modelled: ModelResult) -> dict[str, np.ndarray]:
     """Photograph -> what was found in it: rim, skeletons, joints, slices."""
     model, views = modelled.model, modelled.views
     shown = {
@@ -190,14 +190,16 @@ def pictures(modelled: Modelled) -> dict[str, np.ndarray]:
     for name in ("joint", "arm_side"):
         axis = medial_axis(views[name].mask).pixels_xy
         shown[name][axis[:, 1], axis[:, 0]] = drawing.AXIS
-    bent = np.concatenate([[arm.shoulder, arm.elbow, arm.wrist, arm.tip] for arm in model.seen])
+    bent = np.concatenate(
+        [[arm.shoulder, arm.elbow, arm.wrist, arm.tip] for arm in model.arm_pixels]
+    )
     shown["joint"] = drawing.with_points(shown["joint"], bent)
     straight = views["arm_side"].pixels(np.concatenate([np.array(b) for b in model.stretched]))
     shown["arm_side"] = drawing.with_points(shown["arm_side"], straight)
     return shown
 
 
-def model_text(modelled: Modelled, files: list[Path]) -> str:
+def model_text(modelled: ModelResult, files: list[Path]) -> str:
     """For the terminal."""
     figures = modelled.figures()
     lines = [f"{name:12} {100 * length:6.1f} cm" for name, length in figures["lengths"].items()]

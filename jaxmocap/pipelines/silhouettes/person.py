@@ -79,7 +79,7 @@ def write_person(
     return files
 
 
-def modelled(recording: Recording, model: str | Path | None) -> tuple[Recording, Person | None]:
+def with_model(recording: Recording, model: str | Path | None) -> tuple[Recording, Person | None]:
     """The recording with a model's bones, and the person of the model; as it is without a model.
 
     Args:

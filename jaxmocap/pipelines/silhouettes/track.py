@@ -56,7 +56,7 @@ class Masks(NamedTuple):
     scales: np.ndarray
 
 
-class Followed(NamedTuple):
+class SilhouetteResult(NamedTuple):
     """A recording, tracked by silhouettes.
 
     Attributes:
@@ -88,12 +88,12 @@ class _Footage(NamedTuple):
                 yield FrameBundle(float(time), images, markers)
 
 
-def whole_body(skeleton: Skeleton) -> Skeleton:
+def supple_skeleton(skeleton: Skeleton) -> Skeleton:
     """The person, moved by the second paper's joints, and by wrists and neck beyond them."""
     return with_joints(skeleton, MODEL)
 
 
-def make_tracker(
+def make_silhouette_tracker(
     recording: Recording,
     settings: Settings | None = None,
     markers: bool = False,
@@ -113,7 +113,7 @@ def make_tracker(
     if not recording.videos:
         raise InputError(recording.path or recording.name, "no [[video]]: expected one or several")
     cameras = [source.camera for source in recording.videos]
-    skeleton = whole_body(recording.skeleton)
+    skeleton = supple_skeleton(recording.skeleton)
     sites = marker_sites(skeleton, recording.marked().places) if markers else None
     return SilhouetteTracker(skeleton, cameras, settings, surface, sites)
 
@@ -128,7 +128,7 @@ def pictured_backgrounds(recording: Recording) -> list[Background | None]:
     ]
 
 
-def follow(
+def track_silhouettes(
     recording: Recording,
     start: Pose,
     settings: Settings | None = None,
@@ -138,12 +138,12 @@ def follow(
     surface: Surface | None = None,
     lengths: bool = False,
     progress: Progress | bool | None = None,
-) -> Followed:
+) -> SilhouetteResult:
     """Track the person in a recording's videos.
 
     Args:
         recording: with one or several videos.
-        start: where the person is in the first frames, a pose of ``whole_body``.
+        start: where the person is in the first frames, a pose of ``supple_skeleton``.
         settings: of the tracker.
         passes: in 1 the backgrounds are what its frames so far showed, and the shape is generic;
             2 learn both first; 3 once more, the shape with the backgrounds known. Limbs that
@@ -160,7 +160,7 @@ def follow(
     Raises:
         InputError: no video, or nobody in any frame.
     """
-    tracker = make_tracker(recording, settings, markers, surface)
+    tracker = make_silhouette_tracker(recording, settings, markers, surface)
     footage, warnings = _open(recording, markers)
     how = PassSettings(passes, 1.0 if surface is None else PHOTOGRAPHED_SHARE, lengths)
     with progress_bar("tracking", progress) as show:
@@ -182,7 +182,7 @@ def follow(
     report = _report(result, constants, names, plain(described))
     shape, poses = result.body.shape, result.smoothed(constants)
     motion = Motion(shape.skeleton, footage.times, poses, report, recording.origin_world)
-    return Followed(motion, _masks(result, names), shape.surface)
+    return SilhouetteResult(motion, _masks(result, names), shape.surface)
 
 
 def _open(recording: Recording, markers: bool) -> tuple[_Footage, tuple[str, ...]]:

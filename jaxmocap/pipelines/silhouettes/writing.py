@@ -24,7 +24,7 @@ from jaxmocap.outputs.report import write_report
 from jaxmocap.outputs.viewer import Footage, write_rerun
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.silhouettes.person import Person
-from jaxmocap.pipelines.silhouettes.track import Followed, Masks
+from jaxmocap.pipelines.silhouettes.track import Masks, SilhouetteResult
 from jaxmocap.pipelines.writing import (
     MOTION,
     MOTION_FILES,
@@ -47,8 +47,8 @@ KINDS = ("overlay", "segmentation")
 TINT, COVER = np.array([60, 220, 60]), 0.45
 
 
-def write_followed(
-    followed: Followed,
+def write_results(
+    followed: SilhouetteResult,
     recording: Recording,
     directory: str | Path,
     progress: Progress | bool | None = None,
@@ -74,12 +74,12 @@ def write_followed(
         InputError: see ``tracked_folder``.
         OutputError: the disk is full; what was there is as it was.
     """
-    return followed_folder(directory, recording, inputs).write(
-        lambda stage: write_all(followed, recording, stage, progress, person, warn)
+    return results_folder(directory, recording, inputs).write(
+        lambda stage: write_into(followed, recording, stage, progress, person, warn)
     )
 
 
-def followed_folder(
+def results_folder(
     directory: str | Path, recording: Recording, inputs: Iterable[Path] = ()
 ) -> OutputFolder:
     """The folder for these files, looked at before any work; see ``tracked_folder``."""
@@ -88,8 +88,8 @@ def followed_folder(
     return OutputFolder(directory, MOTION, names, [*inputs_of(recording), *inputs])
 
 
-def write_all(
-    followed: Followed,
+def write_into(
+    followed: SilhouetteResult,
     recording: Recording,
     folder: Path,
     progress: Progress | bool | None = None,
@@ -121,7 +121,7 @@ def write_all(
     return files
 
 
-def _skin(followed: Followed, person: Person | None) -> tuple[Surface, bytes | None]:
+def _skin(followed: SilhouetteResult, person: Person | None) -> tuple[Surface, bytes | None]:
     """What the body looks like in files: as photographed, or else as tracked."""
     if person is not None and person.picture is not None:
         return person.surface, person.picture
@@ -130,7 +130,7 @@ def _skin(followed: Followed, person: Person | None) -> tuple[Surface, bytes | N
 
 
 def _write_segmentations(
-    followed: Followed,
+    followed: SilhouetteResult,
     recording: Recording,
     videos: list[FrameSource],
     folder: Path,

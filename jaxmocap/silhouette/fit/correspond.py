@@ -166,7 +166,7 @@ def pairs_of(
         normals: (C, N, 2) there.
         weights: (C, N), 0 for no pair.
         grip: how firmly all hold along the contour.
-        moves: (C * N, 3, S) of the points, where anything steers them.
+        moves: (C * N, 3, S) of the points, where anything drives them.
     """
     lines, across = jax.vmap(contour_rays)(cameras, pixels_xy, normals)
     flat = Lines(*(part.reshape(-1, 3) for part in lines))

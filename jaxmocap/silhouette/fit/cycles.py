@@ -13,13 +13,13 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ROOT_DOF
 from jaxmocap.body.surfaces.surface import BodyPoints
 from jaxmocap.images.background_model import Background
-from jaxmocap.silhouette.device_functions import ContourPairs, fit, free
+from jaxmocap.silhouette.device_functions import ContourPairs, fit, free_pose
 from jaxmocap.silhouette.fit.camera_agreement import disagreeing, matched_shares
 from jaxmocap.silhouette.fit.correspond import matched_pairs
 from jaxmocap.silhouette.fit.expected_pose import combined_prior
 from jaxmocap.silhouette.markers import MarkerRows
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior
-from jaxmocap.silhouette.segmentation.inner_edges import concatenated, edge_pairs
+from jaxmocap.silhouette.segmentation.inner_edges import concatenated, inner_edge_pairs
 from jaxmocap.silhouette.segmentation.outlines import Outlines, find_outlines
 from jaxmocap.silhouette.segmentation.segment import Histograms
 from jaxmocap.silhouette.settings import Settings
@@ -82,7 +82,7 @@ def fit_pose(
     """
     s, finder, shape = constants.settings, constants.finder, body.shape
     rough = s.starting_deviations if frame.is_first else ()
-    centre = predicted if finder.morph is None else free(finder.morph, predicted)
+    centre = predicted if finder.morph is None else free_pose(finder.morph, predicted)
     prior = combined_prior(centre, deviations, constants.rest_deviations)
     pose, fitted, outlines, used = predicted, None, None, np.zeros(0, bool)
     for cycle, deviation in enumerate((*rough, *s.deviations)):
@@ -124,7 +124,7 @@ def _paired(
     counts = [len(contour.pixels_xy) for contour in outlines.contours]
     shares = matched_shares(rim, matches, counts)
     used = used & (shares >= s.least_matched_share)
-    edges = edge_pairs(frame.images, rim, constants.carriers, s.edges)
+    edges = inner_edge_pairs(frame.images, rim, constants.carriers, s.edges)
     weights = np.concatenate([matches.valid, s.edges.weight * edges.valid], 1)
     matches = concatenated(matches, edges)
     weights = (weights * used[:, None]).astype(np.float32)

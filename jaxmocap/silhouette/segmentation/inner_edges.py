@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.silhouette.fit.correspond import Matches
-from jaxmocap.silhouette.segmentation.profiles import boundary, colour_profiles
+from jaxmocap.silhouette.segmentation.profiles import colour_boundary, colour_profiles
 from jaxmocap.silhouette.surfaces.rim import Rim
 
 
@@ -32,7 +32,7 @@ class InnerEdgeSettings(NamedTuple):
     weight: float = 0.5
 
 
-def edge_pairs(
+def inner_edge_pairs(
     images: Sequence[np.ndarray | None], rim: Rim, bones: np.ndarray, settings: InnerEdgeSettings
 ) -> Matches:
     """Pairs (C, R) of the rims' inner points and the edges next to them.
@@ -62,7 +62,7 @@ def _of_camera(
             one = np.flatnonzero(real & (bones[nodes] == bone))
             if len(one) < settings.least_points:
                 continue
-            place, apart = boundary(profiles[one])
+            place, apart = colour_boundary(profiles[one])
             if apart > settings.contrast:
                 offset[one] = np.interp(place, np.arange(len(offsets)), offsets)
     found = np.isfinite(offset)

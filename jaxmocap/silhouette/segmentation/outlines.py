@@ -21,7 +21,7 @@ from jaxmocap.silhouette.segmentation.segment import (
     SegmentationPlan,
     segment,
 )
-from jaxmocap.silhouette.segmentation.sharpen import sharpened
+from jaxmocap.silhouette.segmentation.sharpen import sharpened_silhouette
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.surfaces.rim import Rim
 
@@ -106,7 +106,9 @@ def _sharpened(
         image, now, view = images[camera], phi[camera], views[camera]
         if image is None or not (now > 0).any():
             return now
-        return attached(sharpened(image, now, view, rooms[camera]).phi(view, len(now)), now)
+        return attached(
+            sharpened_silhouette(image, now, view, rooms[camera]).phi(view, len(now)), now
+        )
 
     return np.stack(list(_THREADS.map(one, range(len(phi)))))
 

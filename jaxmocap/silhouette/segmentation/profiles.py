@@ -35,7 +35,7 @@ def colour_profiles(
     return np.add.reduce([several[:, :, i] for i in range(len(ALONG))]) / np.float32(len(ALONG))
 
 
-def boundary(profiles: np.ndarray) -> tuple[np.ndarray, float]:
+def colour_boundary(profiles: np.ndarray) -> tuple[np.ndarray, float]:
     """Where profiles (R, K, 3) of one line go over from the colour before to the one behind.
 
     Returns:

@@ -47,7 +47,7 @@ SOFTNESS = 0.7
 MARGIN_PX, FINE = 16, 2.0
 
 
-class Patch(NamedTuple):
+class SilhouettePatch(NamedTuple):
     """A part of an image, maybe shrunk.
 
     Attributes:
@@ -81,9 +81,9 @@ class Patch(NamedTuple):
         return whole
 
 
-def sharpened(
+def sharpened_silhouette(
     image: np.ndarray, phi: np.ndarray, region: Region, room: Background | None = None
-) -> Patch:
+) -> SilhouettePatch:
     """The silhouette to a pixel.
 
     Args:
@@ -105,7 +105,7 @@ def sharpened(
     found = _shrunk(255 * before.astype(np.uint8), step) > 127
     for inwards, outwards in ROUNDS:
         found = _moved(seen, found, behind, inwards, outwards)
-    return Patch(found, Region(corner - np.float32(0.5), np.array(step, np.float32)))
+    return SilhouettePatch(found, Region(corner - np.float32(0.5), np.array(step, np.float32)))
 
 
 def _channels(image: np.ndarray) -> np.ndarray:

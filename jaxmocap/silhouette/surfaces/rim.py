@@ -38,8 +38,8 @@ from jaxmocap.silhouette.surfaces.index_image import (
     outer_boundary,
     subsampled,
 )
-from jaxmocap.silhouette.surfaces.morph import Morph, Morphing, worn
-from jaxmocap.silhouette.surfaces.swelling import morphed
+from jaxmocap.silhouette.surfaces.morph import Morph, Morphing, morphed_skin
+from jaxmocap.silhouette.surfaces.swelling import morph_around
 
 # Steps of a node to a neighbour that lies farther out along its normal, at most.
 OUTWARD_STEPS = 3
@@ -138,8 +138,8 @@ class RimFinder:
         joints, spacing = rest_joints(skeleton), self.settings.spacing
         self.initial_shape = self.shape_of(skeleton, resampled(surface, joints, spacing))
         self.morph = None
-        if morphing is not None and morphing.steers:
-            self.morph = morphed(morphing, skeleton.tree, surface, joints, spacing)
+        if morphing is not None and morphing.drivers:
+            self.morph = morph_around(morphing, skeleton.tree, surface, joints, spacing)
         self._neighbours = neighbours(self.initial_shape.surface)
         self._limbs = limb_numbers(self.initial_shape.surface)
         self._project = jax.jit(self._projected)
@@ -152,7 +152,7 @@ class RimFinder:
         self, skin: Skin, morph: Morph | None, skeleton: Skeleton, pose: Pose, cameras: Camera
     ) -> ProjectedNodes:
         """What C cameras see of all nodes; their places on canvases about the person."""
-        skin = skin if morph is None else worn(skin, morph, pose.angles)
+        skin = skin if morph is None else morphed_skin(skin, morph, pose.angles)
         x, y, z = skinned(forward(skeleton, pose), skin)
         s = self.settings
 
@@ -215,7 +215,7 @@ class RimFinder:
         return nodes
 
     def moves(self, nodes: np.ndarray) -> np.ndarray | None:
-        """How the same nodes go along with steers, (N, 3, S); None if nothing does."""
+        """How the same nodes go along with drivers, (N, 3, S); None if nothing does."""
         if self.morph is None or self.morph.moves is None:
             return None
         return np.asarray(self.morph.moves)[nodes.ravel()]

@@ -31,7 +31,7 @@ from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.silhouette.device_functions import ContourPairs
 from jaxmocap.silhouette.fit.correspond import pairs_of
 from jaxmocap.silhouette.points import linearised
-from jaxmocap.silhouette.surfaces.morph import Morph, moved, steered
+from jaxmocap.silhouette.surfaces.morph import Morph, driver_values, moved_points
 
 # Deviation of a pair, metres, such that a whole recording's pairs count as what they are worth:
 # neighbours on a contour err alike, and so does one place of the body in all frames.
@@ -74,7 +74,7 @@ def shape_equations(
         lengths: so many of the ``LENGTHS`` are part of the shape; static.
     """
     if morph is not None and seen.moves is not None:
-        gone = moved(seen.points, seen.moves, steered(morph, pose.angles))
+        gone = moved_points(seen.points, seen.moves, driver_values(morph, pose.angles))
         seen = seen._replace(points=gone)
     pixels_xy, normals, weights = (jnp.asarray(part) for part in seen[1:4])
     pairs = pairs_of(cameras, seen.points, pixels_xy, normals, weights, 0.0)
