@@ -27,7 +27,7 @@ from jaxmocap.cli.choose_recording import select_cameras
 from jaxmocap.formats.recordings.recording import Recording, load_recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
-from jaxmocap.pipelines.silhouettes.track import track_silhouettes, supple_skeleton
+from jaxmocap.pipelines.silhouettes.track import supple_skeleton, track_silhouettes
 from jaxmocap.silhouette.first_pose import pose_at_landmarks
 from jaxmocap.silhouette.settings import Settings
 

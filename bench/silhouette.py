@@ -36,7 +36,7 @@ from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.progress import progress_bar
 from jaxmocap.pipelines.silhouettes.demo import JOINTS, performer_of
 from jaxmocap.pipelines.silhouettes.first_pose import start_pose
-from jaxmocap.pipelines.silhouettes.track import track_silhouettes, supple_skeleton
+from jaxmocap.pipelines.silhouettes.track import supple_skeleton, track_silhouettes
 from jaxmocap.silhouette.first_pose import pose_at_landmarks
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.synthetic.four_cameras import bends, write_four_cameras

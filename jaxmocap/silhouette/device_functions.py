@@ -30,6 +30,7 @@ class ContourPairs(NamedTuple):
         normals: (C, N, 2).
         weights: (C, N), 0 for no pair.
         moves: (C * N, 3, S) of the points by drivers, see ``morph``; None where nothing drives them.
+        along_weight: of all pairs along the contour, by that across.
     """
 
     points: BodyPoints
@@ -37,6 +38,7 @@ class ContourPairs(NamedTuple):
     normals: Array | np.ndarray
     weights: Array | np.ndarray
     moves: Array | np.ndarray | None = None
+    along_weight: Array | float = 0.0
 
 
 @jax.jit
@@ -55,17 +57,17 @@ def fit(
     skeleton: Skeleton,
     cameras: Camera,
     pose: Pose,
-    seen: ContourPairs,
+    pairs: ContourPairs,
     settings: PoseSettings,
     prior: Prior,
-    grip: Array | float,
     markers: MarkerRows | None = None,
     morph: Morph | None = None,
 ) -> PoseResult:
     """The pose that brings the rims' points to the contours' rays; see ``solve_pose``."""
-    pixels_xy, normals, weights = (jnp.asarray(part) for part in seen[1:4])
-    pairs = pairs_of(cameras, seen.points, pixels_xy, normals, weights, grip, seen.moves)
-    return solve_pose(skeleton, pose, pairs, settings, prior, markers=markers, morph=morph)
+    pixels_xy, normals, weights = (jnp.asarray(part) for part in pairs[1:4])
+    along_weight, moves = pairs.along_weight, pairs.moves
+    rays = pairs_of(cameras, pairs.points, pixels_xy, normals, weights, along_weight, moves)
+    return solve_pose(skeleton, pose, rays, settings, prior, markers=markers, morph=morph)
 
 
 @jax.jit

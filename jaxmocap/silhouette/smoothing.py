@@ -1,4 +1,4 @@
-"""All poses of a recording at once: what each frame's pairs told, and that people move smoothly.
+"""All poses of a recording at once: by each frame's pairs, and because people move smoothly.
 
 A frame's pairs tell some directions of a pose well and others hardly: an arm's turn about its own
 axis shows only where the elbow is bent. What they leave open, prediction from the frames before
@@ -41,7 +41,7 @@ class FrameInformation(NamedTuple):
 
     Attributes:
         poses: (T, ...) that were found.
-        information: (T, 6 + D, 6 + D) of ``PoseResult``; 0 where nothing was seen.
+        information: (T, 6 + D, 6 + D) of ``PoseResult``; 0 where nothing was visible.
         slope: (T, 6 + D) likewise.
     """
 
@@ -55,13 +55,13 @@ class PoseSmoothingSettings(NamedTuple):
 
     Attributes:
         acceleration: deviation of the landmarks' accelerations, m / s^2 * sqrt(s), see
-            ``smoothness``, before the recording has told how each moves, and at most.
+            ``smoothness``, before the recording has shown how each moves, and at most.
         own_share: what counts from then on, as a share of each landmark's own. Pairs that err alike
             count as if they did not: less than 1 by as much.
         least_acceleration: of it all the same, m / s^2 * sqrt(s).
-        rounds: times that the recording is asked.
-        pose_deviation: deviation of a pose about the one that was found, metres and radians: farther off the
-            pairs would be others.
+        rounds: times that accelerations are estimated.
+        pose_deviation: of a pose about the one that was found, metres and radians: farther off
+            the pairs would be others.
     """
 
     acceleration: float = 1.0
@@ -91,7 +91,7 @@ def smoothed_poses(
     """
     if len(times) <= REACH:
         return information.poses
-    held = rest**-2.0
+    rest_precision = rest**-2.0
     slope = information.slope.astype(float)
     H = information.information + np.eye(slope.shape[-1]) / settings.pose_deviation**2
 
@@ -99,8 +99,8 @@ def smoothed_poses(
         about = partial(_about, skeleton, morph)
         off, angles, bent, points, by = in_batches(about, (poses, information.poses), FRAMES_A_CALL)
         pulled = np.einsum("tij,tj->ti", H, off)
-        cost = np.sum(off * (pulled + 2 * slope), 1) + angles**2 @ held
-        firm = bent.swapaxes(1, 2) * held
+        cost = np.sum(off * (pulled + 2 * slope), 1) + angles**2 @ rest_precision
+        firm = bent.swapaxes(1, 2) * rest_precision
         gradient = pulled + slope + np.einsum("tid,td->ti", firm, angles)
         return Linearised(cost, H + firm @ bent, gradient, points, by)
 

@@ -91,8 +91,9 @@ def test_a_pose_is_found_from_four_silhouettes(finder, degrees):  # noqa: F811
             finder.find(finder.initial_shape, pose, CAMERAS), outlines, SETTINGS_OF_PAIRS
         )
         weights = jnp.asarray(found.valid, jnp.float32)
-        rays = PAIRS(CAMERAS, finder.initial_shape.points(found.nodes), found.pixels_xy, found.normals, weights,
-                     SETTINGS_OF_PAIRS.along_weight)  # fmt: skip
+        points = finder.initial_shape.points(found.nodes)
+        along = SETTINGS_OF_PAIRS.along_weight
+        rays = PAIRS(CAMERAS, points, found.pixels_xy, found.normals, weights, along)
         pose = SOLVE(BODY, pose, rays, PoseSettings(iterations=3, deviation=0.005), prior).pose
     wrong = np.abs(np.asarray(difference(pose, truth)))
     hinges = [

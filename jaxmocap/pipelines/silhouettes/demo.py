@@ -26,8 +26,8 @@ from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, model_folder, mode
 from jaxmocap.pipelines.silhouettes.person import Person, with_model
 from jaxmocap.pipelines.silhouettes.track import (
     SilhouetteResult,
-    track_silhouettes,
     supple_skeleton,
+    track_silhouettes,
 )
 from jaxmocap.pipelines.silhouettes.writing import KINDS, write_into
 from jaxmocap.pipelines.summary import frames_per_second

@@ -1,6 +1,6 @@
-"""Trust: which cameras count, by how rim and contour found each other and what the others say.
+"""Which cameras count, by how rim and contour match and how they agree with the others.
 
-INPUTS: rims, pairs of C cameras. OUTPUTS: shares; cameras that are denied; their histograms.
+INPUTS: rims, pairs of C cameras. OUTPUTS: shares; cameras that disagree; histograms.
 """
 
 from collections.abc import Sequence

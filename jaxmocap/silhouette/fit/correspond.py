@@ -1,4 +1,4 @@
-"""Correspondences: the seen contour's pixels and the points of the surface's rim (3.1.4, 3.2).
+"""Correspondences: the contour's pixels and the points of the surface's rim (3.1.4, 3.2).
 
 INPUTS: contours of C cameras, for example of level sets; the rims at the present pose.
 OUTPUTS: pairs of body points and rays, for ``solve_pose``.
@@ -32,7 +32,7 @@ class MatchSettings(NamedTuple):
         normal_weight: cells of the rim's canvas that a radian between normals is worth, nearly.
         least_cosine: least cosine between the normals of a pair.
         largest_distance: cells between the two of a pair, at most.
-        along_weight: how firmly a pair holds along the contour, by how it holds across.
+        along_weight: weight of a pair along the contour, by that across.
     """
 
     pixels: int = 256
@@ -90,10 +90,10 @@ def contour_of(phi: np.ndarray, origin: np.ndarray, scale: float) -> Contour:
     return Contour(origin + (places + 0.5) * scale, normals)
 
 
-def matched_pairs(rim: Rim, seen: Sequence[Contour], settings: MatchSettings) -> Matches:
+def matched_pairs(rim: Rim, contours: Sequence[Contour], settings: MatchSettings) -> Matches:
     """Pairs of the rims' outer points and the contours of C cameras, however those were found."""
     rows = []
-    for camera, contour in enumerate(seen):
+    for camera, contour in enumerate(contours):
         # What no mask shows has no pair.
         outline = ~rim.inner[camera]
         nodes, pixels, normals, real = (part[camera][outline] for part in rim[:3] + rim[4:5])
@@ -107,26 +107,26 @@ def _matched(
     pixels: np.ndarray,
     normals: np.ndarray,
     kept: np.ndarray,
-    seen: Contour,
+    contour: Contour,
     scale: float,
     settings: MatchSettings,
 ) -> Matches:
     """One camera's pairs: first from every rim point, then from pixels of the contour."""
     width = len(nodes) + settings.pixels
-    if not kept.any() or not len(seen.pixels_xy):
+    if not kept.any() or not len(contour.pixels_xy):
         empty = np.zeros(width, np.float32)
         places = np.zeros((width, 2), np.float32)
         return Matches(np.zeros(width, nodes.dtype), places, places, empty, np.zeros(width, bool))
-    chosen = Contour(*subsampled(seen, settings.pixels))
+    chosen = Contour(*subsampled(contour, settings.pixels))
     rims = np.flatnonzero(kept)
     turn = settings.normal_weight * scale
-    to_seen = KDTree(_places(*seen, turn)).query(_places(pixels, normals, turn))[1]
+    to_contour = KDTree(_places(*contour, turn)).query(_places(pixels, normals, turn))[1]
     to_rim = rims[
         KDTree(_places(pixels[rims], normals[rims], turn)).query(_places(*chosen, turn))[1]
     ]
     which = np.concatenate([np.arange(len(nodes)), to_rim])
-    there = np.concatenate([seen.pixels_xy[to_seen], chosen.pixels_xy])
-    ways = np.concatenate([seen.normals[to_seen], chosen.normals])
+    there = np.concatenate([contour.pixels_xy[to_contour], chosen.pixels_xy])
+    ways = np.concatenate([contour.normals[to_contour], chosen.normals])
     real = np.concatenate([kept, np.ones(len(to_rim), bool)])
     away = np.linalg.norm(there - pixels[which], axis=1)
     real &= np.sum(ways * normals[which], 1) > settings.least_cosine
@@ -154,7 +154,7 @@ def pairs_of(
     pixels_xy: Array,
     normals: Array,
     weights: Array,
-    grip: Array | float,
+    along_weight: Array | float,
     moves: Array | np.ndarray | None = None,
 ) -> PointRays:
     """Pairs (C * N) for ``solve_pose``.
@@ -165,10 +165,10 @@ def pairs_of(
         pixels_xy: (C, N, 2) of the contours.
         normals: (C, N, 2) there.
         weights: (C, N), 0 for no pair.
-        grip: how firmly all hold along the contour.
+        along_weight: of all pairs along the contour.
         moves: (C * N, 3, S) of the points, where anything drives them.
     """
     lines, across = jax.vmap(contour_rays)(cameras, pixels_xy, normals)
     flat = Lines(*(part.reshape(-1, 3) for part in lines))
-    firm = jnp.broadcast_to(jnp.asarray(grip, weights.dtype), weights.size)
+    firm = jnp.broadcast_to(jnp.asarray(along_weight, weights.dtype), weights.size)
     return PointRays(points, flat, across.reshape(-1, 3), weights.ravel(), firm, moves)

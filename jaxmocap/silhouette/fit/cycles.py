@@ -130,7 +130,9 @@ def _paired(
     weights = (weights * used[:, None]).astype(np.float32)
     points = body.shape.points(matches.nodes, coarse)
     moves = constants.finder.moves(matches.nodes)
-    pairs = ContourPairs(points, matches.pixels_xy, matches.normals, weights, moves)
+    along_weight = s.match.along_weight
+    pixels, normals = matches.pixels_xy, matches.normals
+    pairs = ContourPairs(points, pixels, normals, weights, moves, along_weight)
     return NodePairs(matches.nodes, pairs), shares, used
 
 
@@ -144,9 +146,8 @@ def solve_pairs(
     markers: MarkerRows | None,
 ) -> PoseResult:
     """The pose that brings the pairs' points to their rays; see ``solve_pose``."""
-    along_weight, morph = constants.settings.match.along_weight, constants.finder.morph
-    skeleton = body.shape.skeleton
-    return fit(skeleton, constants.cameras, pose, pairs, how, prior, along_weight, markers, morph)
+    skeleton, morph = body.shape.skeleton, constants.finder.morph
+    return fit(skeleton, constants.cameras, pose, pairs, how, prior, markers, morph)
 
 
 def information_without(

@@ -1,4 +1,4 @@
-"""What is expected of a pose beside the last frame's: joints that outlines tell little of, at rest.
+"""The prior of a pose: the motion's prediction, and rest for joints that outlines hardly determine.
 
 Which way a shoulder blade moved and what bent the arm behind it look nearly alike, and an outline's
 points err together: without a hold the least error of the surface bends such joints. The two
@@ -15,23 +15,23 @@ from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.silhouette.pose import Prior
 
 
-def rest_deviations(skeleton: Skeleton, held: dict[str, float]) -> np.ndarray:
-    """(D,) deviations of the joints about 0, radians; infinite for those that are not held.
+def rest_deviations(skeleton: Skeleton, deviations_by_name: dict[str, float]) -> np.ndarray:
+    """(D,) deviations of the joints about 0, radians; infinite for those not among them.
 
     Args:
         skeleton: D degrees of freedom.
-        held: how joints' names begin -> their deviation.
+        deviations_by_name: how joints' names begin -> their deviation.
     """
     found = np.full(len(skeleton.tree.joints), np.inf)
     for i, joint in enumerate(skeleton.tree.joints):
-        for beginning, deviation in held.items():
+        for beginning, deviation in deviations_by_name.items():
             if joint.startswith(beginning):
                 found[i] = deviation
     return found
 
 
 def combined_prior(expected: Pose, deviations: np.ndarray, rest: np.ndarray) -> Prior:
-    """What is known of a pose before it is looked at.
+    """The prior of a pose before its images.
 
     Args:
         expected: by the motion.

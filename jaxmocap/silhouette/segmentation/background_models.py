@@ -1,10 +1,10 @@
-"""What a camera shows of a room, by a picture, or learned while a person is followed through it.
+"""Background models, by a picture, or learned while a person is tracked before the background.
 
-What the body covers where it was found is no room, even where the level set denies it: a hand that
-stands on the floor all the time is else learned as floor once it has been missed. Nor is what was
-segmented beside the body, which may be a limb that was lost.
+What the body covers in the pose found is no background, even where the level set has none of it: a
+hand that stands on the floor all the time is else learned as floor once it has been missed. Nor is
+what was segmented beside the body, which may be a limb that was lost.
 
-INPUTS: a picture of the empty room; or frames, and for each where the person is, as level sets on
+INPUTS: a picture without the person; or frames, and for each where the person is, as level sets on
 canvases and as the body's points. OUTPUTS: a Background.
 """
 
@@ -22,19 +22,22 @@ from jaxmocap.images.foreground import shrink
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.segmentation.canvas_coverage import covered_cells
 
-# Rows at which a room is learned, and at which it is as the frames go by.
-ROWS, RUNNING_ROWS = 720, 480
-# Cells about the person that count as the person; and about the body as the frames go by, when the
-# first poses are hardly known, nor the person's shape.
-AROUND, FARTHER = 2, 6
-# Of what a pixel shows of the room so much is darker: a person's shadow is seen for a while.
-LIT = 0.7
-# Deviation of a frame from a picture of the same room, grey levels: that of two frames.
+# Rows of an image at which a background is learned.
+ROWS = 720
+# And at which it is learned frame by frame.
+ONLINE_ROWS = 480
+# Cells about the person that count as the person.
+MARGIN_CELLS = 2
+# And about the body frame by frame, when the first poses are hardly known, nor the person's shape.
+ONLINE_MARGIN_CELLS = 6
+# Quantile of what a pixel shows that is background: a person's shadow darkens it for a while.
+LIT_QUANTILE = 0.7
+# Deviation of a frame from a picture of the same background, grey levels: that of two frames.
 PICTURE_NOISE = 4.0
 
 
 def background_of_picture(picture: np.ndarray) -> Background:
-    """The room by one picture (H, W, 3) uint8 without the person."""
+    """By one picture (H, W, 3) uint8 without the person."""
     ones = np.ones(picture.shape[:2], np.float32)
     return Background(picture.astype(np.float32), PICTURE_NOISE * ones, ones)
 
@@ -49,7 +52,7 @@ class BackgroundLearner:
     def __init__(self, frames: int):
         """Prepare for a recording of so many frames."""
         self.every = max(1, -(-frames // MOST_FRAMES))
-        self._told, self._frames, self._bodies = 0, [], []
+        self._count, self._frames, self._bodies = 0, [], []
         self._size = (0, 0)
 
     def add_frame(
@@ -59,49 +62,50 @@ class BackgroundLearner:
         region: Region,
         pixels_xy: np.ndarray | None = None,
     ) -> None:
-        """Look at a frame (H, W, 3) uint8 with the person in it.
+        """Learn from a frame with the person in it.
 
         Args:
-            image: the frame.
+            image: (H, W, 3) uint8.
             phi: (S, S) cells, positive within the person.
             region: where they lie.
             pixels_xy: (N, 2) of points all over the body as it was found.
         """
-        self._told += 1
-        if (self._told - 1) % self.every:
+        self._count += 1
+        if (self._count - 1) % self.every:
             return
         self._size = image.shape[1], image.shape[0]
-        body = possible_person(phi, region, pixels_xy, image.shape[:2], AROUND)
+        body = possible_person(phi, region, pixels_xy, image.shape[:2], MARGIN_CELLS)
         self._frames.append(shrink(image, ROWS))
         self._bodies.append(shrink(body.astype(np.uint8), ROWS) > 0)
 
     def background(self) -> Background | None:
-        """The room, as large as the frames; None without any frame."""
+        """As large as the frames; None without any frame."""
         if not self._frames:
             return None
         return _enlarged(
-            learn_background(np.stack(self._frames), np.stack(self._bodies), LIT), self._size
+            learn_background(np.stack(self._frames), np.stack(self._bodies), LIT_QUANTILE),
+            self._size,
         )
 
 
 class OnlineBackground:
-    """One camera's room as far as the frames so far tell: for a first pass, that knows no other.
+    """One camera's background by the frames so far: for a first pass, that has no other.
 
-    The first frames tell of all that the person is not near to: a limb that moves there is seen.
+    The first frames show all that the person is not near to: a limb that moves there stands out.
     """
 
     def __init__(self):
-        self._past = RunningBackground(enough=1)
+        self._running = RunningBackground(enough=1)
 
     def updated(
         self, image: np.ndarray, phi: np.ndarray, region: Region, pixels_xy: np.ndarray
     ) -> Background:
-        """The room after another frame, arguments as those of ``RoomLearner.tell``."""
-        body = possible_person(phi, region, pixels_xy, image.shape[:2], FARTHER)
-        self._past.update(
-            shrink(image, RUNNING_ROWS), shrink(body.astype(np.uint8), RUNNING_ROWS) > 0
+        """After another frame, arguments as those of ``BackgroundLearner.add_frame``."""
+        body = possible_person(phi, region, pixels_xy, image.shape[:2], ONLINE_MARGIN_CELLS)
+        self._running.update(
+            shrink(image, ONLINE_ROWS), shrink(body.astype(np.uint8), ONLINE_ROWS) > 0
         )
-        return _enlarged(self._past.background(), (image.shape[1], image.shape[0]))
+        return _enlarged(self._running.background(), (image.shape[1], image.shape[0]))
 
 
 def possible_person(
@@ -116,17 +120,17 @@ def possible_person(
     Args:
         phi: (S, S) cells, positive within the person.
         region: where they lie.
-        pixels_xy: (N, 2) of points all over the body; None if only the level set tells.
+        pixels_xy: (N, 2) of points all over the body; None to go by the level set alone.
         shape: H, W.
         around: cells.
     """
-    within = phi + AROUND > 0
+    within = phi + MARGIN_CELLS > 0
     if pixels_xy is not None:
         within = within | covered_cells(pixels_xy, region, len(phi), around)
     return full_mask(np.where(within, np.float32(1), np.float32(-1)), region, shape)
 
 
 def _enlarged(small: Background, size: tuple[int, int]) -> Background:
-    """A room at an image's width and height."""
+    """A background at an image's width and height."""
     parts = (small.colour, small.noise, small.known)
     return Background(*(cv2.resize(part, size) for part in parts))

@@ -19,9 +19,9 @@ class InnerEdgeSettings(NamedTuple):
     Attributes:
         reach: cells of the rim's canvas to either side within which an edge is looked for.
         samples: to either side.
-        contrast: two limbs' colours must lie so many times their deviations apart: an arm in a shirt
-            before the same shirt has no edge, though the shirt's pattern has.
-        least_points: points of one bone's boundary that say what colours they are.
+        contrast: two limbs' colours must lie so many times their deviations apart: an arm in a
+            shirt before the same shirt has no edge, though the shirt's pattern has.
+        least_points: of one bone's boundary that determine its two colours.
         weight: of a pair, by that of the outline's.
     """
 

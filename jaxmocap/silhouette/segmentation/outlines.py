@@ -1,4 +1,4 @@
-"""Looking: what C cameras show of the person, as contours, or that a camera shows nothing of use.
+"""What C cameras show of the person, as contours, or that a camera shows nothing of use.
 
 INPUTS: images of C cameras, rims of the predicted pose. OUTPUTS: contours, and the level sets.
 """
@@ -26,9 +26,9 @@ from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.surfaces.rim import Rim
 
 # Fewer points of a contour are none.
-FEWEST = 16
+LEAST_POINTS = 16
 # OpenCV lets other threads work meanwhile.
-_THREADS = ThreadPoolExecutor(2, "looking")
+_THREADS = ThreadPoolExecutor(2, "sharpening")
 
 
 class Outlines(NamedTuple):
@@ -38,7 +38,7 @@ class Outlines(NamedTuple):
         contours: one a camera; without points where it shows nothing.
         segmentation: level sets (C, S, S), on the canvases of ``region``.
         region: the canvases' places.
-        valid_share: (C,) share of the contour's points that the image tells.
+        valid_share: (C,) share of the contour's points with enough contrast.
     """
 
     contours: tuple[Contour, ...]
@@ -49,7 +49,7 @@ class Outlines(NamedTuple):
 
 def find_outlines(
     images: Sequence[np.ndarray | None],
-    rooms: Sequence[Background | None],
+    backgrounds: Sequence[Background | None],
     rim: Rim,
     before: Histograms,
     settings: Settings,
@@ -59,7 +59,7 @@ def find_outlines(
 
     Args:
         images: (H, W, 3) BGR uint8 of each camera, or None.
-        rooms: what is known of each camera's room, or None.
+        backgrounds: of each camera, or None.
         rim: at the predicted pose.
         before: histograms of the frames before.
         settings: of the tracker.
@@ -67,36 +67,38 @@ def find_outlines(
     """
     size, region = settings.rim.size, Region(*map(np.asarray, rim.region))
     views = [Region(*each) for each in zip(*region, strict=True)]
-    taken = [_canvas(*each, size) for each in zip(images, views, rooms, strict=True)]
+    taken = [_canvas(*each, size) for each in zip(images, views, backgrounds, strict=True)]
     start = np.stack([silhouette_distance(mask) for mask in rim.masks])
-    seen = CanvasImages.of(taken)
-    found = segment(seen, start, before, settings.level_set, plan)
-    phi = np.stack([attached(*each) for each in zip(np.asarray(found.phi), start, strict=True)])
+    canvases = CanvasImages.of(taken)
+    segmentation = segment(canvases, start, before, settings.level_set, plan)
+    phi = np.stack(
+        [attached(*each) for each in zip(np.asarray(segmentation.phi), start, strict=True)]
+    )
     if settings.sharpen:
-        phi = _sharpened(images, rooms, phi, views)
-    found = found._replace(phi=phi)
+        phi = _sharpened(images, backgrounds, phi, views)
+    segmentation = segmentation._replace(phi=phi)
     points = contours(
-        found.phi,
-        found.log_ratio,
-        seen.inside,
+        segmentation.phi,
+        segmentation.log_ratio,
+        canvases.inside,
         region,
         settings.points,
         settings.level_set.largest_log_ratio,
     )
     places, normals, _, contrast, valid = map(np.asarray, points)
-    told = valid & (contrast > settings.contrast)
+    clear = valid & (contrast > settings.contrast)
     lines = []
     for camera, image in enumerate(images):
-        kept = told[camera] & (image is not None)
-        kept = kept & (kept.sum() >= FEWEST)
+        kept = clear[camera] & (image is not None)
+        kept = kept & (kept.sum() >= LEAST_POINTS)
         lines.append(Contour(places[camera][kept], normals[camera][kept]))
-    share = told.sum(1) / np.maximum(valid.sum(1), 1)
-    return Outlines(tuple(lines), found, region, share)
+    share = clear.sum(1) / np.maximum(valid.sum(1), 1)
+    return Outlines(tuple(lines), segmentation, region, share)
 
 
 def _sharpened(
     images: Sequence[np.ndarray | None],
-    rooms: Sequence[Background | None],
+    backgrounds: Sequence[Background | None],
     phi: np.ndarray,
     views: Sequence[Region],
 ) -> np.ndarray:
@@ -107,7 +109,7 @@ def _sharpened(
         if image is None or not (now > 0).any():
             return now
         return attached(
-            sharpened_silhouette(image, now, view, rooms[camera]).phi(view, len(now)), now
+            sharpened_silhouette(image, now, view, backgrounds[camera]).phi(view, len(now)), now
         )
 
     return np.stack(list(_THREADS.map(one, range(len(phi)))))
@@ -119,9 +121,11 @@ def silhouette_distance(mask: np.ndarray) -> np.ndarray:
     return signed_distance(mask > 0, whole, len(mask))
 
 
-def _canvas(image: np.ndarray | None, region: Region, room: Background | None, size: int) -> Canvas:
+def _canvas(
+    image: np.ndarray | None, region: Region, background: Background | None, size: int
+) -> Canvas:
     if image is None:
         nothing = np.zeros((size, size), np.float32)
         black = np.zeros((size, size, 3), np.uint8)
         return Canvas(black, nothing, black, nothing + 1, nothing)
-    return canvas(image, region, size, room)
+    return canvas(image, region, size, background)

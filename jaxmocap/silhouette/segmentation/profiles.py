@@ -8,7 +8,7 @@ import numpy as np
 
 # Colours are averaged over so many places along the line, this far apart, pixels.
 ALONG = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
-# Samples next to the line, of either side, that tell nothing of the sides' colours.
+# Samples next to the line, on either side, that mix the sides' colours.
 BETWEEN = 3
 
 

@@ -2,10 +2,10 @@
 
 A level set starts from the silhouette of the predicted pose and moves to where the densities of
 person and rest explain the image best (4.19). Densities are estimated as the contour moves:
-histograms, of grey levels or of colours, and, for a camera that stands still, what is known of the
-room behind every single cell. What looks like the room tells nothing of the person, and what does
-not tells nothing of the rest: so a predicted limb that lies beside the true one does not make floor
-and limb change places. Where exactly the contour lies is for ``images.sharpen`` to say.
+histograms, of grey levels or of colours, and, for a camera that stands still, a model of
+the background behind every single cell. What looks like background is kept out of the person's
+histograms, and what does not out of the rest's: so a predicted limb that lies beside the true one
+does not make floor and limb change places. Where exactly the contour lies, ``sharpen`` decides.
 
 INPUTS: images of V cameras on canvases of one static size; Φ of the predicted silhouettes.
 OUTPUTS: Φ, the log-ratio of the densities, histograms to begin the next frame with.
@@ -31,11 +31,12 @@ from jaxmocap.silhouette.segmentation.level_set import (
     upsampled,
 )
 
-# A cell is the room's as far as this is likelier than such a density, per cubic grey level.
-ANYTHING = 1e-6
+# A cell is background as far as it is likelier than such a density, per cubic grey level.
+ANYTHING_DENSITY = 1e-6
 # Width of H where it weighs pixels of the two regions, cells.
-SOFT = 1.5
-LEAST = 1e-30
+REGION_WIDTH = 1.5
+# Of a logarithm's argument, per cubic grey level.
+LEAST_DENSITY = 1e-30
 
 
 class CanvasImages(NamedTuple):
@@ -58,9 +59,11 @@ class CanvasImages(NamedTuple):
 
     @classmethod
     def of(cls, canvases: Sequence[Canvas]) -> "CanvasImages":
-        """What V cameras' canvases show."""
-        colour, inside, room, *rest = (np.stack(parts) for parts in zip(*canvases, strict=True))
-        planes = (np.moveaxis(image, -1, 1).copy() for image in (colour, room))
+        """Of V cameras' canvases."""
+        colour, inside, background, *rest = (
+            np.stack(parts) for parts in zip(*canvases, strict=True)
+        )
+        planes = (np.moveaxis(image, -1, 1).copy() for image in (colour, background))
         return cls(next(planes), inside, next(planes), *rest)
 
 
@@ -70,7 +73,8 @@ class Stage(NamedTuple):
     Attributes:
         steps: how many.
         width: of H' in cells, of twice the size where ``coarse``.
-        background_width: the same where the room is known: a limb beside the predicted one is seen from afar.
+        background_width: the same where the background is known: a limb beside the predicted one
+            attracts the contour from afar.
         coarse: whether on cells of twice the size.
         gap: cells about the contour that histograms leave out.
     """
@@ -87,7 +91,7 @@ class SegmentationPlan(NamedTuple):
 
     Attributes:
         colour: joint histograms of colours rather than of grey levels.
-        background: whether anything is known of the rooms; their densities are of colours.
+        background: whether any background is known; its densities are of colours.
         stages: in turn.
     """
 
@@ -106,7 +110,7 @@ class LevelSetSettings(NamedTuple):
     Attributes:
         motion: of the level set.
         largest_log_ratio: log-ratios are cut off here.
-        outlier_share: share of the room that does not look as it is known.
+        outlier_share: share of the background that does not look as its model.
         shape_prior: log-ratio by which a cell far from the predicted silhouette must do better.
         prior_reach: how far that is, cells.
         histogram_decay: weight of the histograms before in those of the next frame.
@@ -135,7 +139,7 @@ class Histograms(NamedTuple):
 
 
 class Segmentation(NamedTuple):
-    """What V cameras see of the person.
+    """Where V cameras show the person.
 
     Attributes:
         phi: (V, S, S) cells, positive within the person.
@@ -150,7 +154,7 @@ class Segmentation(NamedTuple):
 
 @partial(jax.jit, static_argnames="plan")
 def segment(
-    seen: CanvasImages,
+    images: CanvasImages,
     start: Array,
     before: Histograms,
     settings: LevelSetSettings,
@@ -159,15 +163,15 @@ def segment(
     """Segment V images.
 
     Args:
-        seen: the images.
+        images: the images.
         start: (V, S, S) signed distance to the predicted silhouette, cells, positive within.
         before: of the frames before; ``Histograms.empty`` at first.
         settings: traced numbers.
         plan: static choices; another one compiles anew.
     """
     if plan.background and not plan.colour:
-        raise ValueError("plan.room without plan.colour: expected plan.colour = True too")
-    fine = _Pixels.of(seen, plan)
+        raise ValueError("plan.background without plan.colour: expected plan.colour = True too")
+    fine = _Pixels.of(images, plan)
     coarse = fine.halved(plan)
     phi, ratio, now = jnp.clip(start, -BAND, BAND), jnp.zeros_like(start), before
     beyond = jnp.clip(start + settings.prior_reach, -settings.prior_reach, 0.0)
@@ -181,7 +185,7 @@ def segment(
         ratio = ratio * pixels.inside
         force = ratio + (downsampled(prior) if stage.coarse else prior)
         width = (
-            stage.width + (stage.background_width - stage.width) * pixels.known
+            stage.width + (stage.background_width - stage.width) * pixels.certainty
             if plan.background
             else stage.width
         )
@@ -198,29 +202,33 @@ class _Pixels(NamedTuple):
 
     colour: Array
     inside: Array
-    room: Array
+    background: Array
     noise: Array
-    known: Array
+    certainty: Array
     bins: Array
-    empty: Array
+    background_density: Array
 
     @classmethod
-    def of(cls, seen: CanvasImages, plan: SegmentationPlan) -> "_Pixels":
-        colour, room = (
-            jnp.asarray(image).astype(jnp.float32) for image in (seen.colour, seen.background)
+    def of(cls, images: CanvasImages, plan: SegmentationPlan) -> "_Pixels":
+        colour, background = (
+            jnp.asarray(image).astype(jnp.float32) for image in (images.colour, images.background)
         )
-        inside, noise, known = (jnp.asarray(a) for a in (seen.inside, seen.noise, seen.certainty))
-        return cls._with(plan, colour, inside, room, noise, known)
+        inside, noise, certainty = (
+            jnp.asarray(a) for a in (images.inside, images.noise, images.certainty)
+        )
+        return cls._with(plan, colour, inside, background, noise, certainty)
 
     @classmethod
     def _with(cls, plan: SegmentationPlan, colour: Array, *rest: Array) -> "_Pixels":
-        """With what follows from the rest: bins, and the density of the room."""
-        inside, room, noise, known = rest
+        """With what follows from the rest: bins, and the density of the background."""
+        inside, background, noise, certainty = rest
         bins = (densities.joint_bins if plan.colour else densities.grey_bins)(colour)
-        empty = (
-            densities.background_density(colour, room, noise) if plan.background else jnp.zeros(())
+        density = (
+            densities.background_density(colour, background, noise)
+            if plan.background
+            else jnp.zeros(())
         )
-        return cls(colour, inside, room, noise, known, bins, empty)
+        return cls(colour, inside, background, noise, certainty, bins, density)
 
     def halved(self, plan: SegmentationPlan) -> "_Pixels":
         """On cells of twice the size."""
@@ -234,11 +242,13 @@ def _histograms(
     # A coarse cell counts as the four that it is, so that histograms can be added.
     weight = 4.0 if stage.coarse else 1.0
     person, rest = (
-        weight * heaviside(sign * phi - stage.gap, SOFT) * pixels.inside for sign in (1.0, -1.0)
+        weight * heaviside(sign * phi - stage.gap, REGION_WIDTH) * pixels.inside
+        for sign in (1.0, -1.0)
     )
     if plan.background:
-        room = pixels.empty / (pixels.empty + ANYTHING)
-        person, rest = person * (1 - pixels.known * room), rest * (1 - pixels.known * (1 - room))
+        share = pixels.background_density / (pixels.background_density + ANYTHING_DENSITY)
+        person = person * (1 - pixels.certainty * share)
+        rest = rest * (1 - pixels.certainty * (1 - share))
     return Histograms(
         *(densities.histogram_counts(pixels.bins, side, count) for side in (person, rest))
     )
@@ -247,11 +257,13 @@ def _histograms(
 def _log_ratio(
     histograms: Histograms, pixels: _Pixels, settings: LevelSetSettings, plan: SegmentationPlan
 ) -> Array:
-    """Log p1 - log p2 (V, S, S), by histograms and the room."""
+    """Log p1 - log p2 (V, S, S), by histograms and the background."""
     density = densities.colour_density if plan.colour else densities.grey_density
     person, rest = (densities.lookup(density(each), pixels.bins) for each in histograms)
     if plan.background:
-        empty = (1 - settings.outlier_share) * pixels.empty + settings.outlier_share * rest
-        rest = pixels.known * empty + (1 - pixels.known) * rest
-    ratio = jnp.log(person + LEAST) - jnp.log(rest + LEAST)
+        empty = (
+            1 - settings.outlier_share
+        ) * pixels.background_density + settings.outlier_share * rest
+        rest = pixels.certainty * empty + (1 - pixels.certainty) * rest
+    ratio = jnp.log(person + LEAST_DENSITY) - jnp.log(rest + LEAST_DENSITY)
     return jnp.clip(ratio, -settings.largest_log_ratio, settings.largest_log_ratio)

@@ -1,6 +1,6 @@
 """Morphing: joints and skin that go along with the joints' angles (second paper, section 4.2).
 
-    drivers      how far an arm is raised, or a joint's angle: numbers between which all else follows
+    drivers     how far an arm is raised, or a joint's angle: numbers that all else follows
     joints      a shoulder's place on the chest follows its arm's elevation: the collar bone turns,
                 and its motion carries the shoulder's three hinges along (4.21)
     skin        moves with the drivers: from one surface into another in correspondence (4.26), or

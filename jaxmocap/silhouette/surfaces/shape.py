@@ -57,7 +57,7 @@ def shape_equations(
     skeleton: Skeleton,
     cameras: Camera,
     pose: Pose,
-    seen: ContourPairs,
+    pairs: ContourPairs,
     moves: Array,
     morph: Morph | None = None,
     lengths: int = 0,
@@ -68,37 +68,37 @@ def shape_equations(
         skeleton: of the person.
         cameras: C, ``stacked``.
         pose: that was found.
-        seen: its pairs, with what robust weighting leaves of their weights.
+        pairs: its own, with what robust weighting leaves of their weights.
         moves: (C * N, 3, P) of the pairs' nodes.
         morph: what goes along with the pose.
         lengths: so many of the ``LENGTHS`` are part of the shape; static.
     """
-    if morph is not None and seen.moves is not None:
-        gone = moved_points(seen.points, seen.moves, driver_values(morph, pose.angles))
-        seen = seen._replace(points=gone)
-    pixels_xy, normals, weights = (jnp.asarray(part) for part in seen[1:4])
-    pairs = pairs_of(cameras, seen.points, pixels_xy, normals, weights, 0.0)
+    if morph is not None and pairs.moves is not None:
+        gone = moved_points(pairs.points, pairs.moves, driver_values(morph, pose.angles))
+        pairs = pairs._replace(points=gone)
+    pixels_xy, normals, weights = (jnp.asarray(part) for part in pairs[1:4])
+    rays = pairs_of(cameras, pairs.points, pixels_xy, normals, weights, 0.0)
     frames = forward(skeleton, pose)
-    residuals, rows = linearised(skeleton, frames, pairs)
-    shares = jnp.asarray(seen.points.shares)[..., None, None]
-    R = jnp.sum(shares * frames.R_world_bone[seen.points.bones], 1)
-    across = jnp.einsum("na,nab->nb", pairs.across, R, precision=HIGHEST)
+    residuals, rows = linearised(skeleton, frames, rays)
+    shares = jnp.asarray(pairs.points.shares)[..., None, None]
+    R = jnp.sum(shares * frames.R_world_bone[pairs.points.bones], 1)
+    across = jnp.einsum("na,nab->nb", rays.across, R, precision=HIGHEST)
     shape = jnp.einsum("nb,nbp->np", across, moves, precision=HIGHEST)
     both = jnp.concatenate([rows[:, 0], shape], 1)
     if lengths:
-        longer = _by_lengths(skeleton, pose, seen, lengths)
-        along = jnp.einsum("na,nal->nl", pairs.across, longer, precision=HIGHEST)
+        longer = _by_lengths(skeleton, pose, pairs, lengths)
+        along = jnp.einsum("na,nal->nl", rays.across, longer, precision=HIGHEST)
         both = jnp.concatenate([both, along], 1)
     weighted = weights.ravel()[:, None] * both
     H = jnp.matmul(weighted.T, both, precision=HIGHEST)
     return H, jnp.matmul(weighted.T, residuals[:, 0], precision=HIGHEST)
 
 
-def _by_lengths(skeleton: Skeleton, pose: Pose, seen: ContourPairs, count: int) -> Array:
+def _by_lengths(skeleton: Skeleton, pose: Pose, pairs: ContourPairs, count: int) -> Array:
     """(N, 3, L) derivatives of the pairs' points, world, by logarithms of the bones' lengths."""
 
     def placed(logarithms: Array) -> Array:
-        points = stretched(skeleton, seen.points, logarithms)
+        points = stretched(skeleton, pairs.points, logarithms)
         return posed(forward(scaled(skeleton, logarithms), pose), points)
 
     return jax.jacfwd(placed)(jnp.zeros(count, skeleton.lengths.dtype))
@@ -162,7 +162,7 @@ class ShapeEstimator:
         self._slope += slope[first:] - explained[:, -1]
 
     def estimate(self) -> tuple[Skeleton, Surface]:
-        """What suits all frames told of, and people; then those are forgotten."""
+        """What suits all frames added, and people; then those are forgotten."""
         H = self._information / DEVIATION_M**2 + self._known
         slope = self._slope / DEVIATION_M**2 + self._known @ self.amounts
         self.amounts = self.amounts - np.linalg.solve(H, slope)
