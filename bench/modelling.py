@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 
 from bench.command_line import command
 from bench.metrics import Metric, aligned, write_json
-from jaxmocap.modelling.arm_surface import INNER, SLICES
+from jaxmocap.modelling.arm_surface import INNER_RINGS, SLICES
 from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, ModelResult, model_from
 from jaxmocap.synthetic.people.anthropometry import Body, measured
 from jaxmocap.synthetic.people.rigged_mesh import Rig, load_rig
@@ -95,7 +95,7 @@ def sections(made: ModelResult, body: Body) -> tuple[np.ndarray, np.ndarray]:
     for arm, side in zip(made.model.arms, "lr", strict=True):
         for first, (bone, shares) in zip((0, SLICES[0]), ARMS_AT.items(), strict=True):
             for share in shares:
-                outline = arm[INNER + first + round(share * SLICES[0])][:, [2, 0]]
+                outline = arm[INNER_RINGS + first + round(share * SLICES[0])][:, [2, 0]]
                 pairs.append((measured(outline), body.arm(bone, side, share)))
     found, truth = np.array(pairs).swapaxes(0, 1)
     return np.abs(found - truth)[:, :2].ravel(), np.abs(found / truth - 1)[:, 2]

@@ -14,24 +14,31 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from jaxmocap.body.surfaces.loft import BLEND
-from jaxmocap.modelling.trunk import SMOOTH, superellipse_ring
+from jaxmocap.modelling.trunk import SMOOTHING_SLICES, superellipse_ring
 from jaxmocap.modelling.views import STEP_M, PhotographView
 
-# Slices of upper arm, forearm and hand; nodes of each; how full they are, as two people, on whom
-# nothing is tested, need.
-SLICES, AROUND, FULLNESS = (16, 16, 12), 32, (2.15, 1.85, 2.0)
-# Nearer to the shoulder than this share of the upper arm a slice would run into the trunk: there
-# it may be so much thicker than here.
-FREE, THICKER = 0.35, 1.12
-# Between these places a slice may run into the fold of a bent elbow: no elbow reaches so much
-# farther than the arm does beside them.
-FOLD, FARTHER = (0.75, 1.3), 1.3
+# Slices of upper arm, forearm and hand.
+SLICES = (16, 16, 12)
+# Nodes of each.
+RING_NODES = 32
+# How full they are, powers of superellipses, as two people, on whom nothing is tested, need.
+FULLNESS = (2.15, 1.85, 2.0)
+# Nearer to the shoulder than this share of the upper arm a slice would run into the trunk:
+FREE_FROM = 0.35
+# there it may be so much thicker than here.
+LARGEST_THICKENING = 1.12
+# Between these places a slice may run into the fold of a bent elbow:
+FOLD = (0.75, 1.3)
+# no elbow reaches so much farther than the arm does beside them.
+LARGEST_BULGE = 1.3
 # No arm reaches farther from its bones, metres.
 FARTHEST_M = 0.14
 # No part of a hand lies farther from the forearm's line, metres.
 HAND_M = 0.1
-# The arm goes on into the trunk as far as this share of the way to the middle, by so many rings.
-INTO_TRUNK, INNER = 0.45, 4
+# The arm goes on into the trunk as far as this share of the way to the middle,
+INTO_TRUNK = 0.45
+# by so many rings.
+INNER_RINGS = 4
 
 
 class ArmBones(NamedTuple):
@@ -99,9 +106,9 @@ def arm_thickness(view: PhotographView, bones: ArmBones, towards: np.ndarray) ->
     hand = slice_positions() > 2
     reach = np.stack([view.extent(points, s * ways, FARTHEST_M) for s in (1, -1)], 1)
     reach[hand] = _spans(view, points[hand], ways[hand])
-    free = int(FREE * SLICES[0])
-    reach[:free] = np.minimum(reach[:free], THICKER * reach[free])
-    return gaussian_filter1d(reach, SMOOTH, axis=0, mode="nearest")
+    free = int(FREE_FROM * SLICES[0])
+    reach[:free] = np.minimum(reach[:free], LARGEST_THICKENING * reach[free])
+    return gaussian_filter1d(reach, SMOOTHING_SLICES, axis=0, mode="nearest")
 
 
 def without_elbow_fold(reach: np.ndarray) -> np.ndarray:
@@ -109,7 +116,7 @@ def without_elbow_fold(reach: np.ndarray) -> np.ndarray:
     at = slice_positions()
     beside = (at < FOLD[0]) | (at > FOLD[1])
     usual = np.stack([np.interp(at, at[beside], side) for side in reach[beside].T], 1)
-    return np.where(beside[:, None], reach, np.minimum(reach, FARTHER * usual))
+    return np.where(beside[:, None], reach, np.minimum(reach, LARGEST_BULGE * usual))
 
 
 def _spans(view: PhotographView, points: np.ndarray, ways: np.ndarray) -> np.ndarray:
@@ -144,8 +151,8 @@ def arm_rings(
     fullness = np.repeat(FULLNESS, [*SLICES[:2], SLICES[2] + 1])
     rings = np.stack([_ring(*three) for three in zip(bend, hinge, fullness, strict=True)])
     # Inwards it goes on as it begins, somewhat slimmer, so that it ends within the trunk.
-    inner = np.linspace(-INTO_TRUNK * abs(shoulder[1]), 0, INNER + 1)[:-1]
-    slim = np.linspace(0.7, 1.0, INNER + 1)[:-1, None, None]
+    inner = np.linspace(-INTO_TRUNK * abs(shoulder[1]), 0, INNER_RINGS + 1)[:-1]
+    slim = np.linspace(0.7, 1.0, INNER_RINGS + 1)[:-1, None, None]
     rings = np.concatenate([slim * rings[:1], rings])
     y = np.broadcast_to(side * np.append(inner, along)[:, None], rings.shape[:2])
     return shoulder + np.stack([rings[..., 0], y, rings[..., 1]], -1)
@@ -157,4 +164,4 @@ def _ring(bend: np.ndarray, hinge: np.ndarray, fullness: float) -> np.ndarray:
         np.maximum(pair, least - pair[::-1]) for pair, least in ((bend, 2e-3), (hinge, 2e-3))
     )
     corners = np.array([[ahead, up], [-back, up], [-back, -down], [ahead, -down]])
-    return superellipse_ring(corners, fullness, AROUND)
+    return superellipse_ring(corners, fullness, RING_NODES)

@@ -16,8 +16,8 @@ from jaxmocap.modelling.slices import BodySlices
 
 # A ring of less than this is the closed end of a limb, metres.
 CLOSED_M = 1e-4
-# Girth by which exponents of girth are told.
-STOUT = 1.1
+# Girth of the surface that exponents of girth are measured with.
+STOUTER_GIRTH = 1.1
 
 
 def fitted_grid(grid: np.ndarray, side: float, measured: BodySlices) -> np.ndarray:
@@ -33,7 +33,7 @@ def fitted_grid(grid: np.ndarray, side: float, measured: BodySlices) -> np.ndarr
 def stoutness(skeleton: Skeleton, measured: dict[str, BodySlices]) -> float:
     """The girth at which a generic surface suits best what was measured, ring by ring."""
     joints, slopes, ratios = rest_joints(skeleton), [], []
-    usual, stout = (generic_surface(skeleton, girth) for girth in (1.0, STOUT))
+    usual, stout = (generic_surface(skeleton, girth) for girth in (1.0, STOUTER_GIRTH))
     nodes, thick = rest_nodes(usual, joints), rest_nodes(stout, joints)
     for patch in usual.patches:
         if patch.name not in measured:
@@ -45,7 +45,7 @@ def stoutness(skeleton: Skeleton, measured: dict[str, BodySlices]) -> float:
         seen[[0, -1]] = False
         new = fitted_grid(grids[0], side, measured[patch.name])
         was, grown, now = (np.log(_size(grid[seen])) for grid in (*grids, new))
-        slopes.append((grown - was) / np.log(STOUT))
+        slopes.append((grown - was) / np.log(STOUTER_GIRTH))
         ratios.append(now - was)
     slope, ratio = np.concatenate(slopes), np.concatenate(ratios)
     return float(np.exp(slope @ ratio / (slope @ slope)))

@@ -13,7 +13,9 @@ from jaxmocap.modelling.arm_surface import ArmBones
 from jaxmocap.modelling.separation import FrontLandmarks, trunk_run
 from jaxmocap.modelling.views import PhotographView
 
+# Deviation of the blur over the middles of an arm's rows.
 SMOOTH_ROWS = 3.0
+# The world's unit vector that the person faces.
 AHEAD = np.array([1.0, 0.0, 0.0])
 
 

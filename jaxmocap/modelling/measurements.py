@@ -8,14 +8,17 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from jaxmocap.modelling.arm_surface import INNER, SLICES
+from jaxmocap.modelling.arm_surface import INNER_RINGS, SLICES
 from jaxmocap.modelling.person import PersonModel
 
-# Shares of the way from the bottom line to the arm pits among which chest, waist and hips are
-# looked for: the stoutest, the slimmest, the stoutest.
-CHEST, WAIST, HIPS = (0.75, 0.98), (0.25, 0.75), (0.02, 0.4)
+# Shares of the way from the bottom line to the arm pits: within them the chest is stoutest,
+CHEST = (0.75, 0.98)
+# the waist slimmest,
+WAIST = (0.25, 0.75)
+# and the hips are stoutest.
+HIPS = (0.02, 0.4)
 # Where on its bone an arm is measured.
-AT = {"upper_arm": (0, 0.5), "forearm": (SLICES[0], 0.25)}
+MEASURED_AT = {"upper_arm": (0, 0.5), "forearm": (SLICES[0], 0.25)}
 
 
 class GirthSection(NamedTuple):
@@ -55,8 +58,8 @@ def girths(model: PersonModel) -> dict[str, GirthSection]:
         among = np.flatnonzero((shares > low) & (shares < high))
         found[name] = all_[max(among, key=lambda k: sign * all_[k].girth)]
     for side, arm in zip("lr", model.arms, strict=True):
-        for name, (first, share) in AT.items():
-            ring = arm[INNER + first + round(share * SLICES[0])]
+        for name, (first, share) in MEASURED_AT.items():
+            ring = arm[INNER_RINGS + first + round(share * SLICES[0])]
             found[f"{name}_{side}"] = girth_section(ring[:, [2, 0]])
-        found[f"wrist_{side}"] = girth_section(arm[INNER + sum(SLICES[:2])][:, [2, 0]])
+        found[f"wrist_{side}"] = girth_section(arm[INNER_RINGS + sum(SLICES[:2])][:, [2, 0]])
     return found

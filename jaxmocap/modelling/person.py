@@ -27,18 +27,30 @@ from jaxmocap.modelling.thighs import Thighs, find_thighs
 from jaxmocap.modelling.trunk import Trunk, find_trunk
 from jaxmocap.modelling.views import PhotographView
 
-AHEAD, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+# Unit vectors of the world in which the person faces +x.
+AHEAD = np.array([1.0, 0.0, 0.0])
+UP = np.array([0.0, 0.0, 1.0])
+# Side -> the sign of its y.
 SIDES = (("l", 1.0), ("r", -1.0))
-# Of two people whose joints are known, and on whom nothing is tested, all by the stature: from
-# bottom line to vertex; the shoulder's joint from the middle, from the arm pit outwards and
-# upwards, from the shoulder's upper rim downwards with the arm held level, and from the middle
-# ahead; the elbow's joint above the axis of a stretched arm, its hinge upright.
+# All of two people whose joints are known, and on whom nothing is tested; shares of the stature.
+# From bottom line to vertex.
 UPPER_BODY = 0.532
+# The elbow's joint above the axis of a stretched arm, its hinge upright.
 ELBOW_ABOVE = 0.0024
-ASIDE, OUTWARDS, ABOVE_PIT, BELOW_RIM, BEFORE_MIDDLE = 0.102, 0.0053, 0.041, 0.0247, 0.005
-# So far from the shoulder, by the stature, the upper arm is clear of the trunk; and by its
-# thickness there the shoulder's joint lies so far below the rim.
-ALONG_ARM, BELOW_RIM_BY_ARM = 0.07, 0.44
+# The shoulder's joint from the middle to its side,
+SHOULDER_ASIDE = 0.102
+# from the arm pit outwards
+SHOULDER_OUTWARDS = 0.0053
+# and upwards,
+SHOULDER_ABOVE_PIT = 0.041
+# from the shoulder's upper rim downwards with the arm held level,
+SHOULDER_BELOW_RIM = 0.0247
+# and from the middle ahead.
+SHOULDER_AHEAD = 0.005
+# From the shoulder to where the upper arm is clear of the trunk.
+CLEAR_OF_TRUNK = 0.07
+# The shoulder's joint below the rim, by the arm's thickness there.
+SHOULDER_BELOW_RIM_BY_ARM = 0.44
 # Of a stretched arm's length, from the shoulder to the tip in a straight line.
 LEAST_STRAIGHT = 0.93
 
@@ -213,15 +225,15 @@ def shoulder_joints(body: Trunk, joint: PhotographView) -> np.ndarray:
     """
     stature = np.ptp(body.rings[:, 0, 2]) / UPPER_BODY
     out = np.array([[0.0, s, 0.0] for _, s in SIDES])
-    found = body.pits + stature * (OUTWARDS * out + ABOVE_PIT * UP)
-    usual = trunk_middle_at(body, found[:, 2].mean()) + stature * ASIDE * out
+    found = body.pits + stature * (SHOULDER_OUTWARDS * out + SHOULDER_ABOVE_PIT * UP)
+    usual = trunk_middle_at(body, found[:, 2].mean()) + stature * SHOULDER_ASIDE * out
     found[:, 1] = (found[:, 1] + usual[:, 1]) / 2
     found[:, 0] = usual[:, 0]
     rim = found + joint.extent(found, UP, stature / 4)[:, None] * UP
-    arm = rim + stature * (ALONG_ARM * out - BELOW_RIM * UP)
+    arm = rim + stature * (CLEAR_OF_TRUNK * out - SHOULDER_BELOW_RIM * UP)
     thick = sum(joint.extent(arm, way, stature / 4) for way in (UP, -UP))
-    found[:, 2] = rim[:, 2] - (stature * BELOW_RIM + thick * BELOW_RIM_BY_ARM) / 2
-    found[:, 0] = trunk_middle_at(body, found[:, 2].mean())[0] + stature * BEFORE_MIDDLE
+    found[:, 2] = rim[:, 2] - (stature * SHOULDER_BELOW_RIM + thick * SHOULDER_BELOW_RIM_BY_ARM) / 2
+    found[:, 0] = trunk_middle_at(body, found[:, 2].mean())[0] + stature * SHOULDER_AHEAD
     return found
 
 

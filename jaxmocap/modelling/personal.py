@@ -25,16 +25,27 @@ from jaxmocap.modelling.fitted_rings import fitted_grid, stoutness
 from jaxmocap.modelling.person import SIDES, PersonModel, trunk_middle_at
 from jaxmocap.modelling.slices import BodySlices, measured_slices
 
-# Of two people whose joints are known, and on whom nothing is tested, all by the stature: the hips'
-# joints above the bottom line, from the middle and ahead of it; from the shoulders' middle to the
-# neck's joint and from there to the head's, ahead and up; the foot; how far the hips' joints are
-# above the floor, of which thigh and shank make so much.
-HIP_ABOVE, HIP_ASIDE, HIP_AHEAD = 0.0506, 0.0621, -0.0047
-NECK, HEAD = (-0.0044, 0.0283), (0.0175, 0.0879)
-FOOT, LEG, FEMUR, TIBIA = 0.0852, 0.534, 0.4565, 0.4646
+# All of two people whose joints are known, and on whom nothing is tested; shares of the stature.
+# The hips' joints above the bottom line,
+HIP_ABOVE = 0.0506
+# from the middle to either side,
+HIP_ASIDE = 0.0621
+# and ahead of it.
+HIP_AHEAD = -0.0047
+# From the shoulders' middle to the neck's joint, ahead and up.
+NECK_OFFSET = (-0.0044, 0.0283)
+# From there to the head's joint, ahead and up.
+HEAD_OFFSET = (0.0175, 0.0879)
+# A foot.
+FOOT_LENGTH = 0.0852
+# The hips' joints above the floor.
+LEG_LENGTH = 0.534
+# Thigh and shank, shares of that.
+FEMUR_SHARE = 0.4565
+TIBIA_SHARE = 0.4646
 # A leg is no smaller and no larger share of the body height.
-LEGS = 0.4, 0.62
-# Where in its patch a thigh's middle tells how far the leg is spread: from here on downwards.
+LEG_SHARES = (0.4, 0.62)
+# From this share of a thigh on downwards its middle shows how far the leg is spread.
 SPREAD_FROM = 0.5
 
 
@@ -103,10 +114,10 @@ def leg_length_of_person(model: PersonModel, height: float | None) -> float:
         ValueError: a height that does not suit the trunk and head that were seen.
     """
     if height is None:
-        return LEG * model.stature
+        return LEG_LENGTH * model.stature
     above = float(np.ptp(model.trunk.rings[:, 0, 2])) - HIP_ABOVE * model.stature
-    if not LEGS[0] < 1 - above / height < LEGS[1]:
-        low, high = (above / (1 - share) for share in LEGS)
+    if not LEG_SHARES[0] < 1 - above / height < LEG_SHARES[1]:
+        low, high = (above / (1 - share) for share in LEG_SHARES)
         raise ValueError(
             f"found a height of {height:g} m, expected {low:.2f} to {high:.2f} m of somebody whose "
             f"hips are {above:.2f} m below the top of the head"
@@ -119,8 +130,10 @@ def landmarks_of_person(model: PersonModel, height: float | None = None) -> dict
     tall, bent, leg = model.stature, model.bent, leg_length_of_person(model, height)
     low, top = model.trunk.rings[0, 0, 2], model.trunk.rings[-1, 0, 2]
     hips = trunk_middle_at(model.trunk, low + tall * HIP_ABOVE) + tall * np.array([HIP_AHEAD, 0, 0])
-    neck = (bent[0].shoulder + bent[1].shoulder) / 2 + tall * np.array([NECK[0], 0, NECK[1]])
-    vertex = np.array([neck[0] + tall * HEAD[0], neck[1], top])
+    neck = (bent[0].shoulder + bent[1].shoulder) / 2 + tall * np.array(
+        [NECK_OFFSET[0], 0, NECK_OFFSET[1]]
+    )
+    vertex = np.array([neck[0] + tall * HEAD_OFFSET[0], neck[1], top])
     found = {"neck": neck, "vertex": vertex}
     down, ahead = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0])
     for (side, sign), bones in zip(SIDES, bent, strict=True):
@@ -129,9 +142,9 @@ def landmarks_of_person(model: PersonModel, height: float | None = None) -> dict
         for name, length in zip(("elbow", "wrist", "hand"), bones.lengths, strict=True):
             found[f"{name}_{side}"] = at = at + length * down
         found[f"hip_{side}"] = at = hips + sign * tall * HIP_ASIDE * np.eye(3)[1]
-        for name, share in (("knee", FEMUR), ("ankle", TIBIA)):
+        for name, share in (("knee", FEMUR_SHARE), ("ankle", TIBIA_SHARE)):
             found[f"{name}_{side}"] = at = at + leg * share * down
-        found[f"toe_{side}"] = at + tall * FOOT * ahead
+        found[f"toe_{side}"] = at + tall * FOOT_LENGTH * ahead
     return found
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import rest_joints
-from jaxmocap.modelling.arm_surface import INNER, hand_extent, slice_positions
+from jaxmocap.modelling.arm_surface import INNER_RINGS, hand_extent, slice_positions
 from jaxmocap.modelling.person import SIDES, PersonModel
 from jaxmocap.modelling.trunk import superellipse_ring
 
@@ -19,10 +19,11 @@ from jaxmocap.modelling.trunk import superellipse_ring
 ARM_MEASURED = 0.35
 # Below the hips' joints the thighs are part of the trunk's slices.
 NEVER = np.inf
-# From the lowest slice of a thigh on its ratio to the generic surface fades to 1 within so much.
-THIGH_FADES_M = 0.15
+# From the lowest slice of a thigh on its ratio to the generic surface fades to 1, metres.
+THIGH_FADE_M = 0.15
+# Power of a thigh's superellipse.
 THIGH_FULLNESS = 2.0
-# The highest slice of the trunk is worn up to so much above it, metres.
+# The highest slice of the trunk holds up to so much above it, metres.
 CROWN_M = 0.01
 
 
@@ -77,7 +78,7 @@ def _arm(model: PersonModel, skeleton: Skeleton, k: int) -> BodySlices:
     joints, tree, (side, sign) = rest_joints(skeleton), skeleton.tree, SIDES[k]
     ends = joints[[tree.bone(f"{bone}_{side}") for bone in ("humerus", "radius", "hand")]]
     hand = hand_extent(model.bent[k])
-    at, rings = slice_positions(), model.arms[k][INNER:] - model.bent[k].shoulder
+    at, rings = slice_positions(), model.arms[k][INNER_RINGS:] - model.bent[k].shoulder
     kept = at >= ARM_MEASURED
     levels = np.interp(at, np.arange(4.0), np.append(ends[:, 2], ends[2, 2] - hand))
     outlines = rings[..., [0, 2]] + ends[0, :2] * [1.0, sign]
@@ -104,4 +105,4 @@ def _leg(
     )
     corners += joint[:2] * [1.0, sign]
     outlines = np.stack([superellipse_ring(each, THIGH_FULLNESS) for each in corners])
-    return BodySlices(joint[2] - down / np.cos(spread), outlines, (NEVER, THIGH_FADES_M))
+    return BodySlices(joint[2] - down / np.cos(spread), outlines, (NEVER, THIGH_FADE_M))

@@ -14,11 +14,13 @@ import numpy as np
 from jaxmocap.modelling.separation import FrontLandmarks, trunk_run
 from jaxmocap.modelling.views import PhotographView
 
-# Slices, from the crotch to the image's lower edge, and how many pixels they keep away from both.
-SLICES, MARGIN_PX = 12, 4
+# Slices from the crotch to the image's lower edge.
+SLICES = 12
+# Pixels that they keep away from both.
+MARGIN_PX = 4
 # A thigh reaches no farther ahead or back from the trunk's middle, metres.
 FARTHEST_M = 0.3
-# Less than so many pixels of thigh tell nothing.
+# Fewer rows of thigh are ignored, pixels.
 LEAST_PX = 40
 
 

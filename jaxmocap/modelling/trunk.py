@@ -17,10 +17,14 @@ from scipy.ndimage import gaussian_filter1d
 from jaxmocap.modelling.separation import FrontLandmarks
 from jaxmocap.modelling.views import PhotographView
 
-# Rings, and nodes of each; control points of a ring's spline.
-RINGS, AROUND, CONTROL = 72, 48, 16
+# Rings of trunk, neck and head.
+RINGS = 72
+# Nodes of each.
+RING_NODES = 48
+# Control points of a ring's spline.
+CONTROL_POINTS = 16
 # Deviation of the smoothing along a limb, slices.
-SMOOTH = 0.8
+SMOOTHING_SLICES = 0.8
 # How full a slice is, the power of its superellipse (2 for an ellipse), by the height above the
 # bottom line as a share of the arm pits': what two people, on whom nothing is tested, need.
 FULLNESS = (
@@ -60,7 +64,9 @@ def find_trunk(front: PhotographView, side: PhotographView, landmarks: FrontLand
         middle = np.append(corners[-1].mean(0), height)
         middles.append(middle)
     # A silhouette's rim is known to a pixel; over a few slices its steps cancel out.
-    corners = np.array(gaussian_filter1d(np.array(corners), SMOOTH, axis=0, mode="nearest"))
+    corners = np.array(
+        gaussian_filter1d(np.array(corners), SMOOTHING_SLICES, axis=0, mode="nearest")
+    )
     shares = (heights - low) / (pits[:, 2].mean() - low)
     fullness = np.interp(shares, *FULLNESS)
     rings = np.stack(
@@ -118,12 +124,12 @@ def _crossing(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]
     return a[0] + share * a[1]
 
 
-def superellipse_ring(corners: np.ndarray, fullness: float, nodes: int = AROUND) -> np.ndarray:
+def superellipse_ring(corners: np.ndarray, fullness: float, nodes: int = RING_NODES) -> np.ndarray:
     """(N, 2) a closed cubic B-spline within a quadrilateral (4, 2), which it touches on all sides.
 
     From the middle of the front to the left; ``fullness`` is 2 for an ellipse, more is boxier.
     """
-    angle = 2 * np.pi * np.arange(CONTROL) / CONTROL
+    angle = 2 * np.pi * np.arange(CONTROL_POINTS) / CONTROL_POINTS
     c, s = np.cos(angle), np.sin(angle)
     u, v = (np.sign(t) * np.abs(t) ** (2 / fullness) for t in (c, s))
     u, v = (1 + u)[:, None] / 2, (1 + v)[:, None] / 2
@@ -131,5 +137,7 @@ def superellipse_ring(corners: np.ndarray, fullness: float, nodes: int = AROUND)
     places = v * (u * front_left + (1 - u) * back_left)
     places = places + (1 - v) * (u * front_right + (1 - u) * back_right)
     closed = np.concatenate([places, places[:1]])
-    spline = make_interp_spline(np.linspace(0, 1, CONTROL + 1), closed, k=3, bc_type="periodic")
+    spline = make_interp_spline(
+        np.linspace(0, 1, CONTROL_POINTS + 1), closed, k=3, bc_type="periodic"
+    )
     return spline(np.arange(nodes) / nodes)

@@ -29,7 +29,7 @@ class ContourPairs(NamedTuple):
         pixels_xy: (C, N, 2).
         normals: (C, N, 2).
         weights: (C, N), 0 for no pair.
-        moves: (C * N, 3, S) of the points by drivers, see ``morph``; None where nothing drives them.
+        moves: (C * N, 3, S) of the points by drivers, see ``morph``; None without any.
         along_weight: of all pairs along the contour, by that across.
     """
 

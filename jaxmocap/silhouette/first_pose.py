@@ -13,8 +13,11 @@ from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 
-# Deviations of a landmark and of a degree of freedom about the relaxed pose.
-NEAR_M, RELAXED = 0.02, 1.0
+# Deviation of a landmark, metres.
+LANDMARK_DEVIATION_M = 0.02
+# Deviation of a degree of freedom about the relaxed pose, metres and radians.
+RELAXED_DEVIATION = 1.0
+# Of Gauss and Newton.
 STEPS = 40
 landmark_points = jax.jit(landmarks)
 
@@ -91,11 +94,13 @@ def _fitted(skeleton: Skeleton, start: Pose, points: Array) -> Pose:
     """Gauss-Newton from a placed pose, within the limits."""
     known = jnp.isfinite(points)
     targets = jnp.where(known, points, 0.0)
-    rest = jnp.concatenate([jnp.zeros(6, points.dtype), jnp.ones_like(start.angles) / RELAXED**2])
+    rest = jnp.concatenate(
+        [jnp.zeros(6, points.dtype), jnp.ones_like(start.angles) / RELAXED_DEVIATION**2]
+    )
 
     def off(pose: Pose, step: Array) -> Array:
         there = landmarks(skeleton, retract(pose, step))
-        return (jnp.where(known, there - targets, 0.0) / NEAR_M).ravel()
+        return (jnp.where(known, there - targets, 0.0) / LANDMARK_DEVIATION_M).ravel()
 
     def once(_: int, pose: Pose) -> Pose:
         none = jnp.zeros_like(rest)

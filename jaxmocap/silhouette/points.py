@@ -35,8 +35,8 @@ class PointRays(NamedTuple):
         across: (N, 3) unit vectors at right angles to their lines.
         weights: (N,) 0 where there is no pair, whatever the other fields then hold.
         along_weights: (N,) from 0 to 1.
-        moves: (N, 3, S) of the points by drivers of 1 (see ``morph``), metres in their bones' frames;
-            None where nothing drives them.
+        moves: (N, 3, S) of the points by drivers of 1, metres in their bones' frames, see
+            ``morph``; None where nothing drives them.
     """
 
     points: BodyPoints

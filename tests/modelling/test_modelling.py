@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
 from jaxmocap.geometry.cameras import project
-from jaxmocap.modelling.arm_surface import INNER, SLICES
+from jaxmocap.modelling.arm_surface import INNER_RINGS, SLICES
 from jaxmocap.modelling.person import StanceError, person_model
 from jaxmocap.modelling.pictures.closed_mesh import closed_mesh, joined_meshes, volume
 from jaxmocap.modelling.pictures.corners import evenly_spaced, turning_angles
@@ -192,7 +192,7 @@ def test_arms_are_as_thick_as_they_are(subject):
     for rings, side in zip(model.arms, "lr", strict=True):
         for bone, first in (("humerus", 0), ("radius", SLICES[0])):
             for share in (0.375, 0.5, 0.75):
-                k = INNER + first + round(share * SLICES[0])
+                k = INNER_RINGS + first + round(share * SLICES[0])
                 truth, found = body.arm(bone, side, share), measured(rings[k][:, [2, 0]])
                 off.append([found.width - truth.width, found.depth - truth.depth,
                             found.girth / truth.girth - 1])  # fmt: skip

@@ -1,6 +1,6 @@
 """Corners of a path: where it turns most sharply, after Chetverikov and Szabo (the paper's [12]).
 
-INPUTS: points along a path. OUTPUTS: angles at them; the sharpest corners in order.
+INPUTS: points along a path. OUTPUTS: points evenly along it, and the angles at them.
 """
 
 import numpy as np
@@ -29,14 +29,3 @@ def turning_angles(points: np.ndarray, reach: float) -> np.ndarray:
     cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     turned[k:-k] = np.abs(np.arctan2(cross, np.sum(before * after, 1)))
     return turned
-
-
-def corners(turned: np.ndarray, apart: int, least: float) -> np.ndarray:
-    """(C,) places of the largest turns of at least so many radians, so far apart, in order."""
-    found: list[int] = []
-    for place in np.argsort(-turned, kind="stable"):
-        if turned[place] < least:
-            break
-        if all(abs(place - other) >= apart for other in found):
-            found.append(int(place))
-    return np.array(sorted(found), int)

@@ -9,7 +9,11 @@ from collections.abc import Iterable
 import cv2
 import numpy as np
 
-RIM, AXIS, RING, POINT = (255, 255, 0), (40, 40, 230), (90, 220, 255), (255, 0, 255)
+# Colours of what is drawn, BGR.
+RIM = (255, 255, 0)
+AXIS = (40, 40, 230)
+RING = (90, 220, 255)
+POINT = (255, 0, 255)
 # Digits after the point in OpenCV's fixed-point coordinates.
 BITS = 4
 SKIN_BGR = np.array([150.0, 175.0, 215.0])

@@ -20,10 +20,12 @@ from jaxmocap.modelling.texture.splats import splatted
 from jaxmocap.modelling.texture.texels import SurfacePhotograph, texels_of
 from jaxmocap.modelling.views import PhotographView
 
-# Whence a person is shown: from ahead, from the left, from behind, from the right, degrees.
-AROUND_DEG = (0.0, 90.0, 180.0, 270.0)
-# Of pictures: pixels to a metre, and the room for one, metres across and upwards.
-PER_M, ROOM_M = 400.0, (1.5, 2.1)
+# A person is shown from ahead, from the left, from behind and from the right.
+DIRECTIONS_DEG = (0.0, 90.0, 180.0, 270.0)
+# Of pictures.
+PIXELS_PER_METRE = 400.0
+# Size of one, metres across and upwards.
+PICTURE_M = (1.5, 2.1)
 
 
 class Avatar(NamedTuple):
@@ -70,12 +72,12 @@ class Avatar(NamedTuple):
         texels = texels_of(self.person.surface, self.atlas, self.mesh, nodes)
         points = texels.points - (nodes.min(0) + nodes.max(0)) / 2
         colours = self.picture[texels.rows, texels.columns]
-        size = np.round(PER_M * np.array(ROOM_M)).astype(int)
+        size = np.round(PIXELS_PER_METRE * np.array(PICTURE_M)).astype(int)
         pictures = []
-        for turn in np.radians(AROUND_DEG):
+        for turn in np.radians(DIRECTIONS_DEG):
             towards = np.array([np.cos(turn), np.sin(turn), 0.0])
             aside = np.array([-np.sin(turn), np.cos(turn), 0.0])
-            pixels = PER_M * np.stack([points @ aside, -points[:, 2]], 1) + size / 2
+            pixels = PIXELS_PER_METRE * np.stack([points @ aside, -points[:, 2]], 1) + size / 2
             front = texels.normals @ towards > 0
             cloud = pixels[front], -(points @ towards)[front], colours[front]
             pictures.append(splatted(*cloud, (size[1], size[0]))[0])

@@ -30,17 +30,21 @@ from jaxmocap.modelling.texture.fusion import (
 from jaxmocap.modelling.texture.splats import in_sight
 from jaxmocap.modelling.texture.texels import SurfacePhotograph, Texels, texels_of
 
-# A surface that faces a camera by a smaller cosine is not looked at.
+# A surface that faces a camera by a smaller cosine is ignored.
 LEAST_FACING = 0.15
-# Pixels from the mask's rim that are left out, and from there on to full weight.
-LEFT_OUT_PX, RIM_PX = 2.0, 4.0
+# Pixels from the mask's rim that are left out.
+LEFT_OUT_PX = 2.0
+# Pixels from there on to full weight.
+RIM_PX = 4.0
 # Over so many texels a photograph's weight goes down to where something hides it.
 FEATHER = 12.0
 # What changes over more texels than this is light.
 SLOW = 10.0
 # What hides a point: within so many cells, what lies so far before it, metres. Hands are not held
 # as the surface has them, so that what lies far before a point hides it from farther aside.
-HIDING, CELL_TEXELS = ((1, 0.015), (14, 0.12)), 2.0
+OCCLUSION_SLACKS = ((1, 0.015), (14, 0.12))
+# Texels to a cell in which occlusion is tested.
+CELL_TEXELS = 2.0
 # How much a photograph counts for arms and for the rest: others were taken for those. From the side
 # a spread arm is seen end-on.
 COUNTS = {"front": (0.25, 1.0), "side": (0.0, 1.0), "joint": (1.0, 0.25), "arm_side": (1.0, 0.25)}
@@ -94,7 +98,7 @@ def _looked_at(
     step = float(np.percentile(np.linalg.norm(np.diff(pixels, axis=0)[beside], axis=1), 90))
     cell = CELL_TEXELS * step
     canvas = int(height / cell) + 2, int(width / cell) + 2
-    seen = in_sight(pixels / cell, depths, canvas, HIDING) & (facing > LEAST_FACING)
+    seen = in_sight(pixels / cell, depths, canvas, OCCLUSION_SLACKS) & (facing > LEAST_FACING)
     rim = np.clip(
         (sampled_colours(rim_distance(view.mask), pixels, 1.0)[:, 0] - LEFT_OUT_PX) / RIM_PX, 0, 1
     )

@@ -29,7 +29,7 @@ from jaxmocap.pipelines.silhouettes.track import (
     supple_skeleton,
     track_silhouettes,
 )
-from jaxmocap.pipelines.silhouettes.writing import KINDS, write_into
+from jaxmocap.pipelines.silhouettes.writing import VIDEO_KINDS, write_into
 from jaxmocap.pipelines.summary import frames_per_second
 from jaxmocap.pipelines.writing import MOTION, MOTION_FILES
 from jaxmocap.silhouette.first_pose import pose_at_landmarks
@@ -48,8 +48,8 @@ RECORDING_FILES = (
 )
 FILES = (
     *(*MOTION_FILES, "report.json", "recording.rrd"),
-    *(f"{kind}.mp4" for kind in KINDS),
-    *(f"{kind}_{camera}.mp4" for kind in KINDS for camera in CAMERAS[1:]),
+    *(f"{kind}.mp4" for kind in VIDEO_KINDS),
+    *(f"{kind}_{camera}.mp4" for kind in VIDEO_KINDS for camera in CAMERAS[1:]),
 )
 JOINTS = {
     f"{joint}_{side}": f"{joint}_{side}"

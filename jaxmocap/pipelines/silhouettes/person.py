@@ -30,7 +30,10 @@ from jaxmocap.modelling.personal import PersonalModel
 from jaxmocap.modelling.texture.avatar import avatar_of
 from jaxmocap.modelling.views import PhotographView
 
-SUBJECT, SURFACE, TEXTURE = "subject.toml", "surface.npz", "texture.png"
+# Bones, the body around them, its colours.
+SUBJECT = "subject.toml"
+SURFACE = "surface.npz"
+TEXTURE = "texture.png"
 PERSON_FILES = (SUBJECT, SURFACE, TEXTURE, "model.glb", "person.png")
 RESTS_ON = "Lengths and diameters by four photographs; what they do not show, by the stature."
 

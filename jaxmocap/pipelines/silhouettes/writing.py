@@ -42,9 +42,11 @@ from jaxmocap.pipelines.writing import (
 # Metres between the nodes of a skin in files: the tracker's are denser.
 SKIN_M = 0.018
 # Videos of each camera.
-KINDS = ("overlay", "segmentation")
-# BGR, and how much of it lies over the person.
-TINT, COVER = np.array([60, 220, 60]), 0.45
+VIDEO_KINDS = ("overlay", "segmentation")
+# Colour over the person, BGR.
+TINT_BGR = np.array([60, 220, 60])
+# Its weight there.
+TINT_WEIGHT = 0.45
 
 
 def write_results(
@@ -83,7 +85,7 @@ def results_folder(
     directory: str | Path, recording: Recording, inputs: Iterable[Path] = ()
 ) -> OutputFolder:
     """The folder for these files, looked at before any work; see ``tracked_folder``."""
-    videos = [name for kind in KINDS for name in overlay_names(recording, kind)]
+    videos = [name for kind in VIDEO_KINDS for name in overlay_names(recording, kind)]
     names = [*MOTION_FILES, "report.json", "recording.rrd", *videos]
     return OutputFolder(directory, MOTION, names, [*inputs_of(recording), *inputs])
 
@@ -156,5 +158,5 @@ def tinted(frames: Iterable[Frame], masks: Masks) -> Iterator[Frame]:
         region = Region(masks.origins[k], masks.scales[k])
         mask = full_mask(masks.phi[k].astype(np.float32), region, image.shape[:2])
         shown = image.copy()
-        shown[mask] = ((1 - COVER) * image[mask] + COVER * TINT).astype(np.uint8)
+        shown[mask] = ((1 - TINT_WEIGHT) * image[mask] + TINT_WEIGHT * TINT_BGR).astype(np.uint8)
         yield time, shown
