@@ -126,11 +126,11 @@ def _spans(view: PhotographView, points: np.ndarray, ways: np.ndarray) -> np.nda
     first, last = covered.argmax(1), len(steps) - 1 - covered[:, ::-1].argmax(1)
     spans = np.stack([steps[last] + STEP_M / 2, STEP_M / 2 - steps[first]], 1)
     # The last slice may lie a pixel beyond the fingertip.
-    seen = np.flatnonzero(covered.any(1))
-    if len(seen) == 0:
+    covering = np.flatnonzero(covered.any(1))
+    if len(covering) == 0:
         raise ValueError("found no hand beyond the wrist, expected an open hand in line with "
                          "the forearm")  # fmt: skip
-    nearest = seen[np.abs(np.arange(len(points))[:, None] - seen).argmin(1)]
+    nearest = covering[np.abs(np.arange(len(points))[:, None] - covering).argmin(1)]
     return spans[nearest]
 
 

@@ -24,7 +24,7 @@ def fitted_grid(grid: np.ndarray, side: float, measured: BodySlices) -> np.ndarr
     """(along, around, 3) the rings as they were measured; ``side`` is -1 on the right."""
     levels, phi = grid[:, 0, 2], 2 * np.pi * np.arange(grid.shape[1]) / grid.shape[1]
     middles, radii = _polar(grid[..., :2] * [1.0, side], phi)
-    ratios, shifts = _told(levels, middles, radii, phi, measured)
+    ratios, shifts = _ratios_and_shifts(levels, middles, radii, phi, measured)
     middles, radii = middles + shifts, radii * ratios
     across = middles[:, None] + radii[..., None] * np.stack([np.cos(phi), np.sin(phi)], -1)
     return np.concatenate([across * [1.0, side], grid[..., 2:]], -1)
@@ -41,10 +41,10 @@ def stoutness(skeleton: Skeleton, measured: dict[str, BodySlices]) -> float:
         side = -1.0 if patch.name.endswith("_r") else 1.0
         grids = [patch.grid(n) for n in (nodes, thick)]
         low, high = np.sort(measured[patch.name].levels)[[0, -1]]
-        seen = (grids[0][:, 0, 2] > low) & (grids[0][:, 0, 2] < high)
-        seen[[0, -1]] = False
+        within = (grids[0][:, 0, 2] > low) & (grids[0][:, 0, 2] < high)
+        within[[0, -1]] = False
         new = fitted_grid(grids[0], side, measured[patch.name])
-        was, grown, now = (np.log(_size(grid[seen])) for grid in (*grids, new))
+        was, grown, now = (np.log(_size(grid[within])) for grid in (*grids, new))
         slopes.append((grown - was) / np.log(STOUTER_GIRTH))
         ratios.append(now - was)
     slope, ratio = np.concatenate(slopes), np.concatenate(ratios)
@@ -56,7 +56,7 @@ def _size(grid: np.ndarray) -> np.ndarray:
     return np.ptp(grid[..., :2], axis=1).mean(-1) / 2
 
 
-def _told(
+def _ratios_and_shifts(
     levels: np.ndarray,
     middles: np.ndarray,
     radii: np.ndarray,

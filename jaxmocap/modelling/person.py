@@ -133,7 +133,7 @@ def person_model(views: dict[str, PhotographView], bottom: int | None = None) ->
         body = find_trunk(views["front"], views["side"], landmarks)
     with _of("joint"):
         joint = aligned_view(views["joint"], views["front"], landmarks, body)
-        seen, bent = bent_arms(joint, body)
+        pixels, bent = bent_arms(joint, body)
     with _of("arm_side"):
         arm_side = aligned_view(views["arm_side"], views["front"], landmarks, body)
         stretched = stretched_arms(arm_side, body, bent)
@@ -153,7 +153,7 @@ def person_model(views: dict[str, PhotographView], bottom: int | None = None) ->
         legs = find_thighs(views["front"], views["side"], landmarks, body.middles[0])
     moved = {"front": np.zeros(3), "side": np.zeros(3)}
     moved |= {"joint": joint.shift, "arm_side": arm_side.shift}
-    return PersonModel(landmarks, body, seen, bent, stretched, lifted, arms, legs, moved)
+    return PersonModel(landmarks, body, pixels, bent, stretched, lifted, arms, legs, moved)
 
 
 @contextmanager
@@ -170,16 +170,16 @@ def bent_arms(
 ) -> tuple[tuple[ArmPixels, ...], tuple[ArmBones, ...]]:
     """Left and right arm in the joint view, in pixels and in metres."""
     shoulders, distance = shoulder_joints(body, joint), chamfer(joint.mask)
-    seen = tuple(
+    found = tuple(
         arm_joints(way, distance, joint.pixels(shoulder))
         for way, shoulder in zip(arm_axes(joint, body), shoulders, strict=True)
     )
-    ends = [np.array([arm.elbow, arm.wrist, arm.tip]) for arm in seen]
+    ends = [np.array([arm.elbow, arm.wrist, arm.tip]) for arm in found]
     bent = tuple(
         ArmBones(shoulder, *joint.plane_points(pixels, shoulder, AHEAD))
         for pixels, shoulder in zip(ends, shoulders, strict=True)
     )
-    return seen, bent
+    return found, bent
 
 
 def stretched_arms(
@@ -209,10 +209,10 @@ def aligned_view(
     top = int(column[0])
     _, neck_x = narrowest_neck(view.mask, top, int(there[1]), float(there[0]))
     before, now = (
-        seen.plane_points(np.array([x, row]), middle, AHEAD)
-        for seen, x, row in ((front, landmarks.neck_x, landmarks.top), (view, neck_x, top))
+        each.plane_points(np.array([x, row]), middle, AHEAD)
+        for each, x, row in ((front, landmarks.neck_x, landmarks.top), (view, neck_x, top))
     )
-    return replace(view, moved=now - before)
+    return replace(view, shift=now - before)
 
 
 def shoulder_joints(body: Trunk, joint: PhotographView) -> np.ndarray:

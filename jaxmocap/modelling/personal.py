@@ -1,4 +1,4 @@
-"""A person's skeleton and surface for the tracker, of what four photographs told.
+"""A person's skeleton and surface for the tracker, by four photographs.
 
 The surface has the nodes of ``loft.generic_surface``, patch by patch, ring by ring: what was
 measured moves them, the rest stays as people of such bones and girths are. Two persons' surfaces
@@ -73,7 +73,7 @@ def personal_model(model: PersonModel, height: float | None = None) -> PersonalM
             people with such a trunk and head.
 
     Raises:
-        ValueError: a height that does not suit the trunk and head that were seen.
+        ValueError: a height that does not suit the trunk and head in the photographs.
     """
     marks = landmarks_of_person(model, height)
     skeleton = standing_skeleton(marks)
@@ -111,7 +111,7 @@ def leg_length_of_person(model: PersonModel, height: float | None) -> float:
     """From the hips' joints to the floor, metres.
 
     Raises:
-        ValueError: a height that does not suit the trunk and head that were seen.
+        ValueError: a height that does not suit the trunk and head in the photographs.
     """
     if height is None:
         return LEG_LENGTH * model.stature

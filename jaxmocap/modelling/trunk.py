@@ -83,11 +83,11 @@ def trunk_middle(
     row = (landmarks.pits[:, 1].mean() + landmarks.bottom) / 2
     ray = front.rays(np.array([landmarks.middle_x, row]))
     along = np.linspace(0, 2 * np.linalg.norm(front.centre - side.centre), 4000)
-    seen = side.covers(front.centre + along[:, None] * ray)
-    if not seen.any():
+    is_covered = side.covers(front.centre + along[:, None] * ray)
+    if not is_covered.any():
         raise ValueError("the side view shows nobody where the front view does, expected both "
                          "photographs of one stance and their own cameras")  # fmt: skip
-    return front.centre + along[seen].mean() * ray
+    return front.centre + along[is_covered].mean() * ray
 
 
 def slice_corners(

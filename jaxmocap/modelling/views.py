@@ -60,10 +60,10 @@ class PhotographView:
     def rays(self, pixels_xy: np.ndarray) -> np.ndarray:
         """(..., 3) directions, world, of the rays through (..., 2) pixels."""
         R, _, matrix, _ = self._numbers
-        seen = (pixels_xy - matrix[:2, 2]) @ np.linalg.inv(matrix[:2, :2]).T
-        plane = seen
+        distorted = (pixels_xy - matrix[:2, 2]) @ np.linalg.inv(matrix[:2, :2]).T
+        plane = distorted
         for _ in range(8):
-            plane = plane - (self._distorted(plane) - seen)
+            plane = plane - (self._distorted(plane) - distorted)
         return np.concatenate([plane, np.ones_like(plane[..., :1])], -1) @ R
 
     def plane_points(

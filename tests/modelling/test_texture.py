@@ -80,7 +80,7 @@ def photographs(person):
     for name, azimuth in {"front": 0.0, "side": 90.0}.items():
         camera = looking(azimuth)
         empty = PhotographView(np.zeros(SHAPE, bool), camera)
-        image, shown = avatar.seen(nodes, empty, SHAPE)
+        image, shown = avatar.rendered(nodes, empty, SHAPE)
         images[name] = np.where(shown[..., None], image, BACKDROP)
         views[name] = PhotographView(shown, camera)
     return images, views

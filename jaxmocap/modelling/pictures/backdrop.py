@@ -87,9 +87,9 @@ def person_mask(photograph: np.ndarray) -> np.ndarray:
     surface = smooth_surface(image, samples)
     different = backdrop_difference(image, surface)
     dark, bright, chroma = thresholds(different, samples, photograph)
-    shown = (different.chromaticity > chroma) | (different.brightness > bright)
-    shown |= different.brightness < dark
-    mask = largest_piece(shown)
+    foreground = (different.chromaticity > chroma) | (different.brightness > bright)
+    foreground |= different.brightness < dark
+    mask = largest_piece(foreground)
     _check(mask, photograph)
     return largest_piece(half_covered(mask, image, surface))
 
@@ -168,14 +168,14 @@ def thresholds(
     )
 
 
-def largest_piece(shown: np.ndarray) -> np.ndarray:
+def largest_piece(foreground: np.ndarray) -> np.ndarray:
     """(H, W) bool: the largest piece, smoothed, without small holes."""
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
-    mask = cv2.morphologyEx(shown.astype(np.uint8), cv2.MORPH_OPEN, disc)
+    mask = cv2.morphologyEx(foreground.astype(np.uint8), cv2.MORPH_OPEN, disc)
     mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, disc)
     count, pieces, stats, _ = cv2.connectedComponentsWithStats(mask)
     if count < 2:
-        return np.zeros(shown.shape, bool)
+        return np.zeros(foreground.shape, bool)
     person = pieces == 1 + np.argmax(stats[1:, cv2.CC_STAT_AREA])
     _, holes, stats, _ = cv2.connectedComponentsWithStats((~person).astype(np.uint8))
     small = stats[:, cv2.CC_STAT_AREA] < LARGEST_HOLE * person.sum()

@@ -47,11 +47,11 @@ def shaded(vertices: np.ndarray, faces: np.ndarray, turn: float, width: int = 90
     """A mesh (V, 3), (F, 3) from afar, z up: +x towards the viewer, who goes round by ``turn``."""
     cosine, sine = np.cos(turn), np.sin(turn)
     towards = np.array([cosine, sine, 0.0])
-    seen = vertices @ np.stack([[-sine, cosine, 0.0], [0.0, 0.0, -1.0]], 1)
-    low, high = seen.min(0), seen.max(0)
+    projected = vertices @ np.stack([[-sine, cosine, 0.0], [0.0, 0.0, -1.0]], 1)
+    low, high = projected.min(0), projected.max(0)
     scale = 0.94 * width / max(high[0] - low[0], 1.0)
     height = int(1.08 * scale * (high[1] - low[1]))
-    pixels = (seen - (low + high) / 2) * scale + np.array([width, height]) / 2
+    pixels = (projected - (low + high) / 2) * scale + np.array([width, height]) / 2
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12

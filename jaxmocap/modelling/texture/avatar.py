@@ -1,6 +1,6 @@
 """A person with their colours on: the model's surface, its texture, and how true it is.
 
-INPUTS: a Personal; the photographs and what was seen in them.
+INPUTS: a PersonalModel; the photographs and their views.
 OUTPUTS: an Avatar; pictures of it; how far its colours are from the photographs'.
 """
 
@@ -45,7 +45,7 @@ class Avatar(NamedTuple):
     picture: np.ndarray
     shots: dict[str, SurfacePhotograph]
 
-    def seen(
+    def rendered(
         self, nodes: np.ndarray, view: PhotographView, shape: tuple[int, int]
     ) -> tuple[np.ndarray, np.ndarray]:
         """The person with nodes at (N, 3) as a camera sees them, and where: (H, W, 3), (H, W)."""
@@ -60,8 +60,8 @@ class Avatar(NamedTuple):
         """Photograph -> mean difference of its colours from the avatar's, grey levels of 255."""
         found = {}
         for name, shot in self.shots.items():
-            picture, shown = self.seen(shot.nodes_world, shot.view, shot.view.mask.shape)
-            both = shown & shot.view.mask
+            picture, drawn = self.rendered(shot.nodes_world, shot.view, shot.view.mask.shape)
+            both = drawn & shot.view.mask
             off = np.abs(picture[both].astype(float) - shot.image[both])
             found[name] = round(float(off.mean()), 2)
         return found
@@ -93,7 +93,7 @@ def avatar_of(
     """A person's colours from the photographs.
 
     Args:
-        person: what they told of the shape.
+        person: of the shape that they gave.
         images: photograph -> (H, W, 3) BGR uint8.
         views: photograph -> mask and camera.
         texel: of the picture, metres on the surface.

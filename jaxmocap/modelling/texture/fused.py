@@ -98,15 +98,15 @@ def _looked_at(
     step = float(np.percentile(np.linalg.norm(np.diff(pixels, axis=0)[beside], axis=1), 90))
     cell = CELL_TEXELS * step
     canvas = int(height / cell) + 2, int(width / cell) + 2
-    seen = in_sight(pixels / cell, depths, canvas, OCCLUSION_SLACKS) & (facing > LEAST_FACING)
+    is_visible = in_sight(pixels / cell, depths, canvas, OCCLUSION_SLACKS) & (facing > LEAST_FACING)
     rim = np.clip(
         (sampled_colours(rim_distance(view.mask), pixels, 1.0)[:, 0] - LEFT_OUT_PX) / RIM_PX, 0, 1
     )
     hidden = np.zeros((atlas.height, atlas.width), bool)
-    hidden[texels.rows, texels.columns] = ~seen
+    hidden[texels.rows, texels.columns] = ~is_visible
     soft = feathered_weight(hidden, FEATHER)[texels.rows, texels.columns]
     weight = (facing - LEAST_FACING) / (1 - LEAST_FACING) * rim * soft
-    return sampled_colours(shot.image, pixels, step), np.where(seen, weight, 0)
+    return sampled_colours(shot.image, pixels, step), np.where(is_visible, weight, 0)
 
 
 def _of_one_light(

@@ -40,8 +40,8 @@ def gains(
 ) -> np.ndarray:
     """(P, 3) factors that bring P pictures to the first one's exposure and white balance.
 
-    Told by the backdrop, where it is the same: where that makes colours of places agree which both
-    pictures show. By these alone it could not be told from light that comes from one side.
+    By the backdrop, where it is the same: where that makes colours of places agree which both
+    pictures show. By these alone it could not be separated from light that comes from one side.
 
     Args:
         colours: P times (K, 3), grey levels.
@@ -53,10 +53,10 @@ def gains(
         both = (np.minimum(weights[0], weight) > FAINT) & (
             np.minimum(colours[0], colour).min(1) > DARKEST
         )
-        told = np.maximum(backdrops[0], DARKEST) / np.maximum(backdrop, DARKEST)
+        by_backdrop = np.maximum(backdrops[0], DARKEST) / np.maximum(backdrop, DARKEST)
         off = np.median(np.log(colours[0][both] / colour[both]), 0) if both.any() else np.zeros(3)
-        better = np.abs(off - np.log(told)).sum() < np.abs(off).sum()
-        found.append(told if better else np.ones(3))
+        better = np.abs(off - np.log(by_backdrop)).sum() < np.abs(off).sum()
+        found.append(by_backdrop if better else np.ones(3))
     return np.array(found)
 
 
@@ -104,8 +104,10 @@ def closed_holes(picture: np.ndarray, known: np.ndarray) -> np.ndarray:
     there = np.pad(known, wide, mode="wrap").astype(np.float32)
     colour = np.pad(picture.astype(np.float32), [*wide, (0, 0)], mode="wrap") * there[..., None]
     narrow = max((width + 2 * half) // ASIDE, 1), height
-    small, seen = (cv2.resize(p, narrow, interpolation=cv2.INTER_AREA) for p in (colour, there))
-    filled = cv2.resize(_pulled(small, seen), (width + 2 * half, height))
+    small, coarse_weight = (
+        cv2.resize(p, narrow, interpolation=cv2.INTER_AREA) for p in (colour, there)
+    )
+    filled = cv2.resize(_pulled(small, coarse_weight), (width + 2 * half, height))
     return np.where(known[..., None], picture, filled[:, half : half + width]).astype(np.float32)
 
 
@@ -116,9 +118,9 @@ def _pulled(colour: np.ndarray, weight: np.ndarray) -> np.ndarray:
         mean = colour.sum((0, 1)) / max(float(weight.sum()), 1e-6)
         return np.where(weight[..., None] > 0, own, mean).astype(np.float32)
     # The coarser picture's weights, where anything is known, count fully: means, not shades.
-    small, seen = cv2.pyrDown(colour), cv2.pyrDown(weight)
-    full = np.minimum(1.0, 4 * seen)
-    small = small * (full / np.maximum(seen, 1e-6))[..., None]
+    small, coarse_weight = cv2.pyrDown(colour), cv2.pyrDown(weight)
+    full = np.minimum(1.0, 4 * coarse_weight)
+    small = small * (full / np.maximum(coarse_weight, 1e-6))[..., None]
     coarse = cv2.pyrUp(_pulled(small, full), dstsize=weight.shape[::-1])
     part = np.minimum(weight, 1)[..., None]
     return part * own + (1 - part) * coarse

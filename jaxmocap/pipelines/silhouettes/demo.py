@@ -160,8 +160,8 @@ def tracked_from_truth(
     recording: Recording, truth: Path, progress: bool, own: Person | None = None
 ) -> SilhouetteResult:
     """Track from the truth's first pose, with the person's own model where there is one."""
-    known = read_trc(truth).points()
-    first = np.array([known[n][0] if n in known else np.full(3, np.nan) for n in LANDMARKS])
+    points = read_trc(truth).points()
+    first = np.array([points[n][0] if n in points else np.full(3, np.nan) for n in LANDMARKS])
     start = pose_at_landmarks(supple_skeleton(recording.skeleton), first)
     return track_silhouettes(recording, start, surface=own and own.surface, progress=progress)
 

@@ -22,8 +22,8 @@ SOLVES = 5
 
 
 def settings_for(by_hand: bool, go_along: bool) -> Settings:
-    """Of the tracker, where the first pose was said by hand, and shoulders go along with arms."""
-    # Who says by hand where somebody stands says it roughly.
+    """Of the tracker, where the first pose was given by hand, and shoulders go along with arms."""
+    # Given by hand it is rough.
     starting = FAR_OFF if by_hand else ()
     return Settings(starting_deviations=starting, morphing=shoulders() if go_along else Morphing())
 
@@ -70,8 +70,8 @@ def in_view(recording: Recording, pose: Pose) -> bool:
 
 def _by_markers(recording: Recording) -> Pose:
     """The pose that the markers' inverse kinematics finds in the first sample that has most."""
-    seen = np.isfinite(recording.positions_world).all(-1).sum(1)
-    first = recording.positions_world[int(np.argmax(seen))]
+    count = np.isfinite(recording.positions_world).all(-1).sum(1)
+    first = recording.positions_world[int(np.argmax(count))]
     skeleton = recording.skeleton
     sites = marker_sites(skeleton, recording.places)
     tracker = HybridTracker(skeleton, None, Hybrid(), sites)

@@ -40,7 +40,7 @@ DRAWN = 3
 
 
 class ModelResult(NamedTuple):
-    """What four photographs told.
+    """What four photographs gave.
 
     Attributes:
         model: of the person.
@@ -96,8 +96,8 @@ def model_from(
         try:
             views[name] = PhotographView(person_mask(image), cameras[name])
         except PhotographError as error:
-            shown = _show_refused(Path(out), name, error.picture)
-            raise InputError(files[name], f"{error.problem} (see {shown})") from None
+            where = _show_refused(Path(out), name, error.picture)
+            raise InputError(files[name], f"{error.problem} (see {where})") from None
     try:
         model = person_model(views, bottom)
     except StanceError as error:
@@ -118,7 +118,7 @@ def _cameras(calibration: str | Path) -> dict[str, Camera]:
 
 
 def model_folder(directory: str | Path, inputs: Iterable[str | Path] = ()) -> OutputFolder:
-    """The folder for a person's model, looked at before any work; see ``OutputFolder``.
+    """The folder for a person's model, checked before any work; see ``OutputFolder``.
 
     Args:
         directory: of the outputs.
@@ -130,9 +130,9 @@ def model_folder(directory: str | Path, inputs: Iterable[str | Path] = ()) -> Ou
 
 def _show_refused(folder: Path, name: str, picture: np.ndarray) -> Path:
     """What is wrong with a photograph, as a picture beside whatever the folder holds."""
-    shown = f"{name}{REFUSED}.png"
-    refused = OutputFolder(folder, "refused photograph", [shown])
-    return refused.write(lambda stage: [write_picture(stage / shown, picture)])[0]
+    file = f"{name}{REFUSED}.png"
+    refused = OutputFolder(folder, "refused photograph", [file])
+    return refused.write(lambda stage: [write_picture(stage / file, picture)])[0]
 
 
 def write_model(modelled: ModelResult, folder: OutputFolder) -> list[Path]:
@@ -176,27 +176,27 @@ def _write(modelled: ModelResult, directory: Path) -> list[Path]:
 def pictures(modelled: ModelResult) -> dict[str, np.ndarray]:
     """Photograph -> what was found in it: rim, skeletons, joints, slices."""
     model, views = modelled.model, modelled.views
-    shown = {
+    drawn = {
         name: drawing.outlined(image, views[name].mask) for name, image in modelled.images.items()
     }
     for name in ("front", "side"):
         rings = [views[name].pixels(ring) for ring in model.trunk.rings[::DRAWN]]
-        shown[name] = drawing.with_lines(shown[name], rings, drawing.RING, closed=True)
+        drawn[name] = drawing.with_lines(drawn[name], rings, drawing.RING, closed=True)
     marks = model.front
-    width = shown["front"].shape[1]
+    width = drawn["front"].shape[1]
     levels = [np.array([[0.0, row], [width, row]]) for row in (marks.neck, marks.bottom)]
-    shown["front"] = drawing.with_lines(shown["front"], levels, drawing.POINT, closed=False)
-    shown["front"] = drawing.with_points(shown["front"], marks.pits)
+    drawn["front"] = drawing.with_lines(drawn["front"], levels, drawing.POINT, closed=False)
+    drawn["front"] = drawing.with_points(drawn["front"], marks.pits)
     for name in ("joint", "arm_side"):
         axis = medial_axis(views[name].mask).pixels_xy
-        shown[name][axis[:, 1], axis[:, 0]] = drawing.AXIS
+        drawn[name][axis[:, 1], axis[:, 0]] = drawing.AXIS
     bent = np.concatenate(
         [[arm.shoulder, arm.elbow, arm.wrist, arm.tip] for arm in model.arm_pixels]
     )
-    shown["joint"] = drawing.with_points(shown["joint"], bent)
+    drawn["joint"] = drawing.with_points(drawn["joint"], bent)
     straight = views["arm_side"].pixels(np.concatenate([np.array(b) for b in model.stretched]))
-    shown["arm_side"] = drawing.with_points(shown["arm_side"], straight)
-    return shown
+    drawn["arm_side"] = drawing.with_points(drawn["arm_side"], straight)
+    return drawn
 
 
 def model_text(modelled: ModelResult, files: list[Path]) -> str:

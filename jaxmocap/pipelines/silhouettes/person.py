@@ -1,6 +1,6 @@
 """A person as ``silhouette model`` leaves them to other commands and other programs.
 
-INPUTS: what four photographs told, and a folder; or such a folder.
+INPUTS: a PersonalModel of four photographs, and a folder; or such a folder.
 OUTPUTS: ``subject.toml``, the bones, for either tracker; ``surface.npz``, the body around them;
 ``texture.png``, its colours; ``model.glb``, all of it with a skeleton and a skin; ``person.png``,
 the person from four sides. Or a Person.
@@ -61,7 +61,7 @@ def write_person(
     """Write the files; their paths.
 
     Args:
-        person: what the photographs told of the shape.
+        person: the shape by the photographs.
         images: photograph -> (H, W, 3) BGR uint8.
         views: photograph -> mask and camera.
         directory: where to.

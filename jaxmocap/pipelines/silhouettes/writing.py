@@ -1,6 +1,6 @@
 """Everything that ``silhouette track`` writes: what ``track`` does, and what was segmented.
 
-INPUTS: what silhouettes told, the Recording, a folder.
+INPUTS: a SilhouetteResult, the Recording, a folder.
 OUTPUTS: joints.trc, angles.mot and the motion's other files, report.json, recording.rrd, overlay
 videos; and segmentation.mp4, segmentation_NAME.mp4 of the other cameras.
 """
@@ -84,7 +84,7 @@ def write_results(
 def results_folder(
     directory: str | Path, recording: Recording, inputs: Iterable[Path] = ()
 ) -> OutputFolder:
-    """The folder for these files, looked at before any work; see ``tracked_folder``."""
+    """The folder for these files, checked before any work; see ``tracked_folder``."""
     videos = [name for kind in VIDEO_KINDS for name in overlay_names(recording, kind)]
     names = [*MOTION_FILES, "report.json", "recording.rrd", *videos]
     return OutputFolder(directory, MOTION, names, [*inputs_of(recording), *inputs])
@@ -149,7 +149,7 @@ def _write_segmentations(
 
 
 def tinted(frames: Iterable[Frame], masks: Masks) -> Iterator[Frame]:
-    """The frames, the person's pixels in another colour; as they are where nothing was seen."""
+    """The frames, the person's pixels in another colour; as they are where nobody was segmented."""
     for time, image in frames:
         k = int(np.argmin(np.abs(masks.times - time)))
         if image is None:
@@ -157,6 +157,8 @@ def tinted(frames: Iterable[Frame], masks: Masks) -> Iterator[Frame]:
             continue
         region = Region(masks.origins[k], masks.scales[k])
         mask = full_mask(masks.phi[k].astype(np.float32), region, image.shape[:2])
-        shown = image.copy()
-        shown[mask] = ((1 - TINT_WEIGHT) * image[mask] + TINT_WEIGHT * TINT_BGR).astype(np.uint8)
-        yield time, shown
+        tinted_image = image.copy()
+        tinted_image[mask] = ((1 - TINT_WEIGHT) * image[mask] + TINT_WEIGHT * TINT_BGR).astype(
+            np.uint8
+        )
+        yield time, tinted_image
