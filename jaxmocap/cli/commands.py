@@ -238,11 +238,11 @@ def silhouette_track(options: argparse.Namespace) -> None:
     asked = {name: getattr(options, name) for name in ("passes", "markers", "lengths")}
     asked["surface"] = person and person.surface
     asked["settings"] = settings_for(options.at is not None, options.shoulders)
-    followed = track_silhouettes(recording, start, **asked, progress=True)
+    result = track_silhouettes(recording, start, **asked, progress=True)
     left_out: list[str] = []
     where = recording, options.out, True, person, read, left_out.append
-    files = write_results(followed, *where)
-    report(options, summary(followed.motion, files, left_out), figures(followed.motion))
+    files = write_results(result, *where)
+    report(options, summary(result.motion, files, left_out), figures(result.motion))
 
 
 def silhouette_demo(options: argparse.Namespace) -> None:

@@ -233,7 +233,7 @@ def run_pass(
     online = {c: OnlineBackground() for c, each in enumerate(state.backgrounds) if each is None}
     for number, frame in enumerate(frames):
         if number == 0:
-            state = settled(tracker, state, frame)
+            state = _settled(tracker, state, frame)
         began = perf_counter()
         before = None if earlier is None else earlier[number]
         state, _, report = tracker.step(state, *frame, before)
@@ -246,7 +246,7 @@ def run_pass(
     return result
 
 
-def settled(tracker: SilhouetteTracker, state: State, frame: FrameBundle) -> State:
+def _settled(tracker: SilhouetteTracker, state: State, frame: FrameBundle) -> State:
     """The state before the first frame, its pose at rest in it."""
     for _ in range(tracker.constants.settings.settling_steps):
         state = tracker.step(state, *frame)[0]._replace(time=None, recent=())

@@ -40,7 +40,7 @@ from jaxmocap.silhouette.fit.cycles import (
 )
 from jaxmocap.silhouette.fit.expected_pose import rest_deviations
 from jaxmocap.silhouette.markers import points_at
-from jaxmocap.silhouette.pose import PoseResult, standard_deviations
+from jaxmocap.silhouette.pose import standard_deviations
 from jaxmocap.silhouette.recovery.limbs import carriers
 from jaxmocap.silhouette.recovery.lost_limbs import LimbRecovery
 from jaxmocap.silhouette.recovery.relocation import RecoveredPose, recover_limbs
@@ -165,38 +165,40 @@ class SilhouetteTracker:
         constants, body, s = self.constants, state.body, self.constants.settings
         images, history = state.image_history.accepted(images, s.changed_share, s.patience)
         elapsed = 0.0 if state.time is None else max(time - state.time, SHORTEST_STEP_S)
-        velocity = s.damping * state.velocity
-        predicted = predicted_pose(body.shape.skeleton, state.pose, velocity, np.float32(elapsed))
-        deviations = np.where(state.determined, s.predicted_deviation, s.undetermined_deviation)
-        deviations = deviations.astype(np.float32)
+        predicted, deviations = self._predicted(state, elapsed)
         markers, is_first = marker_rows(body.marker_points, positions_world, s), state.time is None
         frame = FrameEvidence(images, state.backgrounds, state.histograms, markers, is_first)
         fitted = fit_pose(constants, body, frame, predicted, deviations)
         recovered = recover_limbs(constants, body, state.limbs, frame, fitted, deviations, earlier)
-        report, result, determined = self._reported(body, recovered, positions_world)
-        velocity = self._velocity(state, recovered, result.pose, determined, elapsed, earlier)
+        report, pose, determined = self._reported(body, recovered, positions_world)
+        velocity = self._velocity(state, recovered, pose, determined, elapsed, earlier)
         if not determined.any():
-            # Who is not seen for an instant moves on; for longer, comes to rest.
+            # Who is out of sight for an instant moves on; for longer, comes to rest.
             determined, velocity = state.determined, s.damping * state.velocity
         recent = state.recent
         if report.relocated.any():
             recent = withdrawn(constants, body, recent, report.relocated)
             report = report._replace(revised=tuple(slim(each.report) for each in recent))
+        now = report.outlines.segmentation.histograms
         after = State(
-            pose=result.pose, velocity=velocity, time=time,
-            histograms=kept_histograms(
-                report.used, report.outlines.segmentation.histograms, state.histograms
-            ),
-            determined=determined, image_history=history, limbs=recovered.limbs, body=body,
-            backgrounds=state.backgrounds,
-            recent=remembered(recent, RecentFrame(report, result.pose, positions_world)),
+            pose, velocity, time, kept_histograms(report.used, now, state.histograms), determined,
+            history, recovered.limbs, body, state.backgrounds,
+            remembered(recent, RecentFrame(report, pose, positions_world)),
         )  # fmt: skip
-        return after, result.pose, report
+        return after, pose, report
+
+    def _predicted(self, state: State, elapsed: float) -> tuple[Pose, np.ndarray]:
+        """The pose so many seconds later, and the prior's deviations (6 + D,) about it."""
+        s, velocity = self.constants.settings, self.constants.settings.damping * state.velocity
+        skeleton = state.body.shape.skeleton
+        pose = predicted_pose(skeleton, state.pose, velocity, np.float32(elapsed))
+        deviations = np.where(state.determined, s.predicted_deviation, s.undetermined_deviation)
+        return pose, deviations.astype(np.float32)
 
     def _reported(
         self, body: TrackedBody, recovered: RecoveredPose, positions_world: np.ndarray | None
-    ) -> tuple[StepReport, PoseResult, np.ndarray]:
-        """The report, the result that it is of, and the degrees of freedom well determined."""
+    ) -> tuple[StepReport, Pose, np.ndarray]:
+        """The report, its pose, and which degrees of freedom (6 + D,) are well determined."""
         s, (fitted, relocated, _, hidden, _) = self.constants.settings, recovered
         result = fitted.result
         if hidden.any():
@@ -213,7 +215,7 @@ class SilhouetteTracker:
             np.asarray(result.information), np.asarray(result.slope), fitted.outlines, relocated,
             hidden, fitted.pairs,
         )  # fmt: skip
-        return report, result, determined
+        return report, result.pose, determined
 
     def _velocity(
         self,

@@ -138,11 +138,11 @@ def demonstrate_silhouettes(
         before = evaluate(motion, truth, JOINTS), bend_errors_deg(motion, truth)
         files += photograph_and_model(folder, person, seed)
         recording, own = with_model(recording, folder / "model")
-    followed = tracked_from_truth(recording, truth, progress, own)
-    files += outputs.write(lambda stage: write_into(followed, recording, stage, progress, own))
-    errors = evaluate(followed.motion, truth, JOINTS)
-    off = bend_errors_deg(followed.motion, truth)
-    return SilhouetteDemo(followed.motion, errors, off, before, files)
+    result = tracked_from_truth(recording, truth, progress, own)
+    files += outputs.write(lambda stage: write_into(result, recording, stage, progress, own))
+    errors = evaluate(result.motion, truth, JOINTS)
+    off = bend_errors_deg(result.motion, truth)
+    return SilhouetteDemo(result.motion, errors, off, before, files)
 
 
 def photograph_and_model(folder: Path, person: str, seed: int) -> list[Path]:

@@ -50,7 +50,7 @@ TINT_WEIGHT = 0.45
 
 
 def write_results(
-    followed: SilhouetteResult,
+    result: SilhouetteResult,
     recording: Recording,
     directory: str | Path,
     progress: Progress | bool | None = None,
@@ -61,7 +61,7 @@ def write_results(
     """Write all files.
 
     Args:
-        followed: from the recording.
+        result: from the recording.
         recording: with its videos.
         directory: is made where missing.
         progress: called with the frames drawn and their total; True shows a bar on stderr.
@@ -77,7 +77,7 @@ def write_results(
         OutputError: the disk is full; what was there is as it was.
     """
     return results_folder(directory, recording, inputs).write(
-        lambda stage: write_into(followed, recording, stage, progress, person, warn)
+        lambda stage: write_into(result, recording, stage, progress, person, warn)
     )
 
 
@@ -91,7 +91,7 @@ def results_folder(
 
 
 def write_into(
-    followed: SilhouetteResult,
+    result: SilhouetteResult,
     recording: Recording,
     folder: Path,
     progress: Progress | bool | None = None,
@@ -99,8 +99,8 @@ def write_into(
     warn: Warn = no_warning,
 ) -> list[Path]:
     """The same into a folder that is there, of which nothing is asked."""
-    motion = followed.motion
-    skin, picture = _skin(followed, person)
+    motion = result.motion
+    skin, picture = _skin(result, person)
     left_out: list[str] = []
     files = write_motion(motion, folder, skin, picture, left_out.append)
     files.append(folder / "report.json")
@@ -112,7 +112,7 @@ def write_into(
     with progress_bar("drawing", progress) as show:
         counter = Counter(show, sum(2 * len(video) + viewed(video) for video in videos))
         files += write_overlays(motion, recording, videos, folder, {}, counter)
-        files += _write_segmentations(followed, recording, videos, folder, counter)
+        files += _write_segmentations(result, recording, videos, folder, counter)
         files.append(folder / "recording.rrd")
         footage = {
             source.camera_name: Footage(source.camera, counter.over(thinned(video)))
@@ -123,16 +123,16 @@ def write_into(
     return files
 
 
-def _skin(followed: SilhouetteResult, person: Person | None) -> tuple[Surface, bytes | None]:
+def _skin(result: SilhouetteResult, person: Person | None) -> tuple[Surface, bytes | None]:
     """What the body looks like in files: as photographed, or else as tracked."""
     if person is not None and person.picture is not None:
         return person.surface, person.picture
-    nodes = rest_nodes(followed.surface, rest_joints(followed.motion.skeleton))
-    return coarser(followed.surface, nodes, SKIN_M), None
+    nodes = rest_nodes(result.surface, rest_joints(result.motion.skeleton))
+    return coarser(result.surface, nodes, SKIN_M), None
 
 
 def _write_segmentations(
-    followed: SilhouetteResult,
+    result: SilhouetteResult,
     recording: Recording,
     videos: list[FrameSource],
     folder: Path,
@@ -143,8 +143,8 @@ def _write_segmentations(
     names = overlay_names(recording, "segmentation")
     for name, source, video in zip(names, recording.videos, videos, strict=True):
         files.append(folder / name)
-        frames = tinted(counter.over(video.frames()), followed.masks[source.camera_name])
-        write_overlay(files[-1], frames, source.camera, followed.motion, rate=video.fps or 30.0)
+        frames = tinted(counter.over(video.frames()), result.masks[source.camera_name])
+        write_overlay(files[-1], frames, source.camera, result.motion, rate=video.fps or 30.0)
     return files
 
 

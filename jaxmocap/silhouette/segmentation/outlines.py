@@ -13,7 +13,7 @@ from jaxmocap.images.background_model import Background
 from jaxmocap.images.canvases import Canvas, attached, canvas, signed_distance
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.fit.correspond import Contour
-from jaxmocap.silhouette.segmentation.contour import contours
+from jaxmocap.silhouette.segmentation.contour import Contours, contours
 from jaxmocap.silhouette.segmentation.segment import (
     CanvasImages,
     Histograms,
@@ -77,23 +77,27 @@ def find_outlines(
     if settings.sharpen:
         phi = _sharpened(images, backgrounds, phi, views)
     segmentation = segmentation._replace(phi=phi)
-    points = contours(
-        segmentation.phi,
-        segmentation.log_ratio,
-        canvases.inside,
-        region,
-        settings.points,
+    found = contours(
+        segmentation.phi, segmentation.log_ratio, canvases.inside, region, settings.points,
         settings.level_set.largest_log_ratio,
-    )
-    places, normals, _, contrast, valid = map(np.asarray, points)
-    clear = valid & (contrast > settings.contrast)
+    )  # fmt: skip
+    clear = np.asarray(found.valid) & (np.asarray(found.contrast) > settings.contrast)
+    lines = _lines(found, clear, images)
+    share = clear.sum(1) / np.maximum(np.asarray(found.valid).sum(1), 1)
+    return Outlines(lines, segmentation, region, share)
+
+
+def _lines(
+    found: Contours, clear: np.ndarray, images: Sequence[np.ndarray | None]
+) -> tuple[Contour, ...]:
+    """Each camera's clear points (C, N) bool; none where there are few of them, or no image."""
+    points, normals = np.asarray(found.points_xy), np.asarray(found.normals)
     lines = []
     for camera, image in enumerate(images):
         kept = clear[camera] & (image is not None)
         kept = kept & (kept.sum() >= LEAST_POINTS)
-        lines.append(Contour(places[camera][kept], normals[camera][kept]))
-    share = clear.sum(1) / np.maximum(valid.sum(1), 1)
-    return Outlines(tuple(lines), segmentation, region, share)
+        lines.append(Contour(points[camera][kept], normals[camera][kept]))
+    return tuple(lines)
 
 
 def _sharpened(
