@@ -146,7 +146,7 @@ def test_a_view_in_numpy_is_the_camera(subject):
     points = standing(rig, "front").vertices(np.zeros(1))[0][::500]
     pixels = views["side"].pixels(points)
     assert np.abs(pixels - np.asarray(project(views["side"].camera, points))).max() < 1e-3
-    back = views["side"].on_plane(pixels, np.zeros(3), np.array([0.0, 1.0, 0.0]))
+    back = views["side"].plane_points(pixels, np.zeros(3), np.array([0.0, 1.0, 0.0]))
     assert np.abs(views["side"].pixels(back) - pixels).max() < 1e-3
 
 

@@ -127,7 +127,7 @@ def test_a_histogram_is_a_smoothed_density():
     colour[:, :, :, SIZE // 2 :] = 170.0
     bins, weights = densities.joint_bins(jnp.asarray(colour)), jnp.ones((1, SIZE, SIZE))
     counts = densities.histogram_counts(bins, weights, densities.LEVELS**3)
-    assert float(counts.sum()) == pytest.approx(SIZE**2 / densities.EVERY**2, rel=1e-3)
+    assert float(counts.sum()) == pytest.approx(SIZE**2 / densities.COUNT_STRIDE**2, rel=1e-3)
     density = densities.colour_density(counts)
     assert float(density.sum()) * (256 / densities.LEVELS) ** 3 == pytest.approx(1, rel=1e-4)
     at = densities.lookup(density, bins)
@@ -233,7 +233,7 @@ def test_histograms_are_carried_to_the_next_frame():
     image = painted(truth, (60, 60, 160), (170, 150, 140))
     first = segmented(seen(image), disc(x=33.0))
     kept = first.histograms
-    assert float(kept.person.sum()) > 0.5 * truth.sum() / densities.EVERY**2
+    assert float(kept.person.sum()) > 0.5 * truth.sum() / densities.COUNT_STRIDE**2
     again = segment(seen(image), jnp.asarray(disc(x=33.0)), kept, LevelSetSettings(), PLAN)
     assert overlap(np.asarray(again.phi[0]) > 0, truth) > 0.97
 
