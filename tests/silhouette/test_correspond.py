@@ -13,14 +13,32 @@ from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.fit.correspond import (
     Contour,
     MatchSettings,
-    contour_of,
     matched_pairs,
     pairs_of,
 )
 from jaxmocap.silhouette.pose import PoseSettings, Prior, solve_pose
+from jaxmocap.silhouette.surfaces.index_image import traced
 
 SETTINGS_OF_PAIRS = MatchSettings()
 PAIRS, SOLVE = jax.jit(pairs_of), jax.jit(solve_pose)
+
+
+def contour_of(phi: np.ndarray, origin: np.ndarray, scale: float) -> Contour:
+    """The zero line of a level set, to a fraction of a cell.
+
+    Args:
+        phi: (S, S) cells, positive within the person.
+        origin: (2,) of the canvas' region.
+        scale: of the region, pixels to a cell.
+    """
+    cells, normals = traced((phi > 0).astype(np.uint8))
+    x, y = cells.T
+    # The traced cells are the last within; the line lies beyond them by what phi says.
+    slope_x, slope_y = (phi[y, x + 1] - phi[y, x - 1]) / 2, (phi[y + 1, x] - phi[y - 1, x]) / 2
+    steepness = np.maximum(np.hypot(slope_x, slope_y), 0.2)
+    beyond = np.clip(phi[y, x] / steepness, 0.0, 1.5)
+    places = cells + beyond[:, None] * normals
+    return Contour(origin + (places + 0.5) * scale, normals)
 
 
 def level_set(finder, pose, camera: int, region: Region) -> np.ndarray:  # noqa: F811

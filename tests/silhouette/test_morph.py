@@ -46,6 +46,25 @@ angles = st.lists(st.floats(0.15, 0.85), min_size=len(LOW), max_size=len(LOW)).m
 )
 
 
+def interpolated(
+    first: BodyPoints, second: BodyPoints, t: jax.Array | float, weighting: str = "linear"
+) -> BodyPoints:
+    """F_t of (4.26): the second surface's points at t = 0, the first's at t = 1.
+
+    Args:
+        first: of one surface.
+        second: of another in correspondence, on the same bones: see ``corresponding``.
+        t: () from 0 to 1.
+        weighting: a name of ``WEIGHTINGS``.
+    """
+    weight = m.WEIGHTINGS[weighting](jnp.asarray(t))
+    places, shares = (
+        weight * jnp.asarray(a) + (1 - weight) * jnp.asarray(b)
+        for a, b in zip(first[1:], second[1:], strict=True)
+    )
+    return BodyPoints(first.bones, places, shares)
+
+
 def in_double(tree):
     """The same with every fractional number in double precision."""
     return jax.tree.map(
@@ -190,9 +209,9 @@ def test_one_person_becomes_another():
     was = rest_nodes(generic_surface(other, 1.2), joints)
     np.testing.assert_allclose(rest_nodes(second, joints), was, atol=1e-6)
     first, second = SURFACE.points, second.points
-    np.testing.assert_allclose(s.interpolated(first, second, 1.0).points_bone, first.points_bone)
-    np.testing.assert_allclose(s.interpolated(first, second, 0.0).points_bone, second.points_bone)
-    half = s.interpolated(first, second, 0.25, "square_root").points_bone
+    np.testing.assert_allclose(interpolated(first, second, 1.0).points_bone, first.points_bone)
+    np.testing.assert_allclose(interpolated(first, second, 0.0).points_bone, second.points_bone)
+    half = interpolated(first, second, 0.25, "square_root").points_bone
     middle = (np.asarray(first.points_bone) + np.asarray(second.points_bone)) / 2
     np.testing.assert_allclose(half, middle, atol=1e-6)
 
@@ -207,7 +226,7 @@ def test_a_body_goes_over_into_another_as_equation_4_26_says(weighting):
         at = np.zeros(len(LOW))
         at[TREE.joint("elbow_flex_l")] = t
         gone = m.moved_points(SURFACE.points, np.asarray(morph.moves), m.driver_values(morph, at))
-        there = s.interpolated(stouter.points, SURFACE.points, t, weighting)
+        there = interpolated(stouter.points, SURFACE.points, t, weighting)
         frames = FORWARD(BODY, standing(at))
         np.testing.assert_allclose(posed(frames, gone), posed(frames, there), atol=2e-6)
 

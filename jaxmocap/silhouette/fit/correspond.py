@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.lines import Lines
 from jaxmocap.silhouette.points import BodyPoints, PointRays, contour_rays
-from jaxmocap.silhouette.surfaces.index_image import subsampled, traced
+from jaxmocap.silhouette.surfaces.index_image import subsampled
 from jaxmocap.silhouette.surfaces.rim import Rim
 
 
@@ -70,24 +70,6 @@ class Matches(NamedTuple):
     normals: np.ndarray
     distances: np.ndarray
     valid: np.ndarray
-
-
-def contour_of(phi: np.ndarray, origin: np.ndarray, scale: float) -> Contour:
-    """The zero line of a level set, to a fraction of a cell.
-
-    Args:
-        phi: (S, S) cells, positive within the person.
-        origin: (2,) of the canvas' region.
-        scale: of the region, pixels to a cell.
-    """
-    cells, normals = traced((phi > 0).astype(np.uint8))
-    x, y = cells.T
-    # The traced cells are the last within; the line lies beyond them by what phi says.
-    slope_x, slope_y = (phi[y, x + 1] - phi[y, x - 1]) / 2, (phi[y + 1, x] - phi[y - 1, x]) / 2
-    steepness = np.maximum(np.hypot(slope_x, slope_y), 0.2)
-    beyond = np.clip(phi[y, x] / steepness, 0.0, 1.5)
-    places = cells + beyond[:, None] * normals
-    return Contour(origin + (places + 0.5) * scale, normals)
 
 
 def matched_pairs(rim: Rim, contours: Sequence[Contour], settings: MatchSettings) -> Matches:

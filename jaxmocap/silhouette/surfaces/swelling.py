@@ -1,7 +1,7 @@
 """Surfaces between surfaces, and places that swell (second paper, 4.2.2 and 4.2.3).
 
 INPUTS: Surfaces in correspondence, node for node; places of their patches.
-OUTPUTS: what lies between them; moves of the nodes.
+OUTPUTS: moves of the nodes.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,6 @@ from jaxmocap.body.surfaces.surface import (
     rest_nodes,
 )
 from jaxmocap.silhouette.surfaces.morph import (
-    WEIGHTINGS,
     Driver,
     Morph,
     Morphing,
@@ -144,25 +143,6 @@ def morph_around(
         gone = transition_offsets(surface, joints, transition, spacing)
         moves[..., drivers.index(transition.driver)] += gone
     return morph_of(morphing, tree, moves)
-
-
-def interpolated(
-    first: BodyPoints, second: BodyPoints, t: Array | float, weighting: str = "linear"
-) -> BodyPoints:
-    """F_t of (4.26): the second surface's points at t = 0, the first's at t = 1.
-
-    Args:
-        first: of one surface.
-        second: of another in correspondence, on the same bones: see ``corresponding``.
-        t: () from 0 to 1.
-        weighting: a name of ``WEIGHTINGS``.
-    """
-    weight = WEIGHTINGS[weighting](jnp.asarray(t))
-    places, shares = (
-        weight * jnp.asarray(a) + (1 - weight) * jnp.asarray(b)
-        for a, b in zip(first[1:], second[1:], strict=True)
-    )
-    return BodyPoints(first.bones, places, shares)
 
 
 def corresponding(surface: Surface, joints: np.ndarray, like: Surface) -> Surface:
