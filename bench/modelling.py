@@ -18,8 +18,8 @@ from scipy.spatial import KDTree
 from bench.anthropometry import MeasuredPerson, tape_measure
 from bench.command_line import command
 from bench.metrics import Metric, aligned, write_json
-from jaxmocap.modelling.arm_surface import INNER, SLICES
-from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, Modelled, model_from
+from jaxmocap.modelling.arm_surface import INNER_RINGS, SLICES
+from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, ModelResult, model_from
 from jaxmocap.synthetic.people.rigged_mesh import Rig, load_rig
 from jaxmocap.synthetic.photographs import person_in_stance, write_photographs
 
@@ -65,7 +65,7 @@ def errors(rig: Rig, folder: Path, seed: int = 0) -> Errors:
     )  # fmt: skip
 
 
-def joints(made: Modelled, rig: Rig) -> np.ndarray:
+def joints(made: ModelResult, rig: Rig) -> np.ndarray:
     """(6,) metres, in the joint view's stance."""
     truth = MeasuredPerson.of(person_in_stance(rig, "joint")).landmarks()
     found = zip(made.model.bent, "lr", strict=True)
@@ -74,7 +74,7 @@ def joints(made: Modelled, rig: Rig) -> np.ndarray:
     return np.linalg.norm(off, axis=1)
 
 
-def lengths(made: Modelled, body: MeasuredPerson) -> np.ndarray:
+def lengths(made: ModelResult, body: MeasuredPerson) -> np.ndarray:
     """(5,) metres."""
     at, found = body.landmarks(), made.model.lengths()
     ends = {"shoulders": ("shoulder_l", "shoulder_r")}
@@ -84,7 +84,7 @@ def lengths(made: Modelled, body: MeasuredPerson) -> np.ndarray:
     return np.abs([found[k] - np.linalg.norm(at[a] - at[b]) for k, (a, b) in ends.items()])
 
 
-def sections(made: Modelled, body: MeasuredPerson) -> tuple[np.ndarray, np.ndarray]:
+def sections(made: ModelResult, body: MeasuredPerson) -> tuple[np.ndarray, np.ndarray]:
     """Widths and depths, metres, and girths, as a share."""
     trunk, pairs = made.model.trunk, []
     levels = trunk.rings[:, 0, 2]
@@ -95,13 +95,13 @@ def sections(made: Modelled, body: MeasuredPerson) -> tuple[np.ndarray, np.ndarr
     for arm, side in zip(made.model.arms, "lr", strict=True):
         for first, (bone, shares) in zip((0, SLICES[0]), ARMS_AT.items(), strict=True):
             for share in shares:
-                outline = arm[INNER + first + round(share * SLICES[0])][:, [2, 0]]
+                outline = arm[INNER_RINGS + first + round(share * SLICES[0])][:, [2, 0]]
                 pairs.append((tape_measure(outline), body.arm(bone, side, share)))
     found, truth = np.array(pairs).swapaxes(0, 1)
     return np.abs(found - truth)[:, :2].ravel(), np.abs(found / truth - 1)[:, 2]
 
 
-def surface(made: Modelled, body: MeasuredPerson) -> np.ndarray:
+def surface(made: ModelResult, body: MeasuredPerson) -> np.ndarray:
     """(N,) metres from the trunk's nodes below the arm pits to the nearest point of the mesh."""
     u, v = (a.ravel()[:, None, None] for a in np.meshgrid(*[np.linspace(0, 1, DENSE)] * 2))
     a, b, c, d = np.moveaxis(body.vertices[body.person.mesh.faces], 1, 0)

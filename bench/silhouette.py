@@ -34,10 +34,10 @@ from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.progress import progress_bar
-from jaxmocap.pipelines.silhouettes.demo import JOINTS, performing
+from jaxmocap.pipelines.silhouettes.demo import JOINTS, performer_of
 from jaxmocap.pipelines.silhouettes.first_pose import start_pose
-from jaxmocap.pipelines.silhouettes.track import follow, whole_body
-from jaxmocap.silhouette.first_pose import pose_at
+from jaxmocap.pipelines.silhouettes.track import supple_skeleton, track_silhouettes
+from jaxmocap.silhouette.first_pose import pose_at_landmarks
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.synthetic.four_cameras import flexion_angles, write_four_cameras
 from jaxmocap.synthetic.movements.exercises import EXERCISES
@@ -92,7 +92,7 @@ def track_exercise(clip: Clip, cameras: int) -> Result:
     )
     missing = np.full(3, np.nan)
     first = np.array([truth[name][0] if name in truth else missing for name in LANDMARKS])
-    start = pose_at(whole_body(recording.skeleton), first)
+    start = pose_at_landmarks(supple_skeleton(recording.skeleton), first)
     return judged(clip, recording, start)
 
 
@@ -110,7 +110,7 @@ def judged(
     surface: Surface | None = None,
 ) -> Result:
     """Track, with a surface of the person where there is one, and compare with the truth."""
-    motion = follow(recording, start, settings, surface=surface, progress=True).motion
+    motion = track_silhouettes(recording, start, settings, surface=surface, progress=True).motion
     truth, joints = read_trc(clip.truth), motion.joints()
     points = {mark: truth.points()[name] for mark, name in clip.landmarks.items() if mark in JOINTS}
     pairs = {name: name for name in JOINTS}
@@ -204,7 +204,7 @@ def chosen(options: argparse.Namespace, keep: Path) -> list[Clip]:
         name = f"{PAINTED}_{seed:03d}_{options.seconds:g}s"
         path = keep / name / "recording.toml"
         if not path.is_file():
-            painted = performing(options.seconds, seed, None, PAINTED)
+            painted = performer_of(options.seconds, seed, None, PAINTED)
             with progress_bar(f"rendering {name}", True) as show:
                 write_four_cameras(path.parent, painted, options.seconds, seed, progress=show)
         clips.append(Clip(PAINTED, name, path, {mark: mark for mark in LANDMARKS}, seed))

@@ -16,25 +16,25 @@ STEP_M = 0.001
 
 
 @dataclass(frozen=True)
-class View:
+class PhotographView:
     """What one camera saw.
 
     Attributes:
         mask: (H, W) bool, the person.
         camera: calibrated in the world in which the person faces +x.
-        moved: (3,) how far the person has moved since the front view, metres: all points are
+        shift: (3,) how far the person has moved since the front view, metres: all points are
             where they were then.
     """
 
     mask: np.ndarray
     camera: Camera
-    moved: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    shift: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     @cached_property
     def _extrinsics(self) -> tuple[np.ndarray, np.ndarray]:
         """(3, 3) and (3,) from the person's place to the camera."""
         T = np.asarray(self.camera.T_cam_world, float)
-        return T[:3, :3], T[:3, 3] + T[:3, :3] @ self.moved
+        return T[:3, :3], T[:3, 3] + T[:3, :3] @ self.shift
 
     @cached_property
     def _intrinsics(self) -> Camera:
@@ -58,26 +58,28 @@ class View:
         x, y = plane_components(self._intrinsics, pixels_xy[..., 0], pixels_xy[..., 1])
         return np.stack([x, y, np.ones_like(x)], -1) @ R
 
-    def on_plane(self, pixels_xy: np.ndarray, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    def plane_points(
+        self, pixels_xy: np.ndarray, point: np.ndarray, normal: np.ndarray
+    ) -> np.ndarray:
         """(..., 3) where the rays through pixels meet the plane through a point, metres."""
         rays = self.rays(np.asarray(pixels_xy, float))
         share = (point - self.centre) @ normal / (rays @ normal)
         return self.centre + share[..., None] * rays
 
-    def shows(self, points: np.ndarray) -> np.ndarray:
+    def covers(self, points: np.ndarray) -> np.ndarray:
         """(...) bool: does the silhouette cover these points (..., 3)?"""
         columns, rows = np.moveaxis(np.rint(self.pixels(points)).astype(int), -1, 0)
         height, width = self.mask.shape
         within = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
         return within & self.mask[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
 
-    def reach(self, start: np.ndarray, direction: np.ndarray, most: float) -> np.ndarray:
+    def extent(self, start: np.ndarray, direction: np.ndarray, most: float) -> np.ndarray:
         """How far the silhouette reaches from points (N, 3) in a direction (3,) or (N, 3): (N,).
 
         Metres, at most ``most``; 0 where a point is not covered itself.
         """
         steps = np.arange(0.0, most, STEP_M)
         line = start[:, None] + steps[:, None] * np.broadcast_to(direction, start.shape)[:, None]
-        covered = self.shows(line)
+        covered = self.covers(line)
         free = np.argmin(covered, 1)
         return np.where(covered.all(1), most, np.maximum(free - 0.5, 0.0) * STEP_M)

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from jaxmocap.capture.checks.body_reach import skeleton_stature
-from jaxmocap.capture.checks.cameras import MarkerVisibility, check_recording
+from jaxmocap.capture.checks.cameras import MarkerVisibility, check_recording, marker_visibility
 from jaxmocap.capture.checks.markers import Finding
 from jaxmocap.capture.footage import open_unchecked
 from jaxmocap.capture.markers import median_interval

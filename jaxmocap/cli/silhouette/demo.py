@@ -34,11 +34,11 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> None:
     from jaxmocap.pipelines.kept_programs import keep_compiled
-    from jaxmocap.pipelines.silhouettes.demo import demonstrate
+    from jaxmocap.pipelines.silhouettes.demo import demonstrate_silhouettes
 
     keep_compiled()
     chosen = options.seconds, options.seed, options.person, options.exercise
-    demonstration = demonstrate(options.out, *chosen, progress=True)
+    demonstration = demonstrate_silhouettes(options.out, *chosen, progress=True)
     files = "\n".join(f"written  {path}" for path in demonstration.files)
     report(options, f"{demonstration.text()}\n\n{files}", demonstration.as_dict())
 

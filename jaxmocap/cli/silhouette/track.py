@@ -59,17 +59,17 @@ def _add_passes(parser: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> None:
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.silhouettes.first_pose import settings_for, start_pose
-    from jaxmocap.pipelines.silhouettes.person import modelled, person_files
-    from jaxmocap.pipelines.silhouettes.track import follow
-    from jaxmocap.pipelines.silhouettes.writing import followed_folder, write_followed
+    from jaxmocap.pipelines.silhouettes.person import person_files, with_model
+    from jaxmocap.pipelines.silhouettes.track import track_silhouettes
+    from jaxmocap.pipelines.silhouettes.writing import results_folder, write_results
     from jaxmocap.pipelines.summary import figures, summary
 
     keep_compiled()
-    recording, person = modelled(recording_of(options), options.model)
+    recording, person = with_model(recording_of(options), options.model)
     model_files = person_files(Path(options.model)) if options.model else []
-    followed_folder(options.out, recording, model_files)
+    results_folder(options.out, recording, model_files)
     start = start_pose(recording, options.at)
-    followed = follow(
+    followed = track_silhouettes(
         recording,
         start,
         passes=options.passes,
@@ -81,7 +81,7 @@ def _run(options: argparse.Namespace) -> None:
     )
     warnings: list[str] = []
     where = recording, options.out, True, person, model_files, warnings.append
-    files = write_followed(followed, *where)
+    files = write_results(followed, *where)
     report(options, summary(followed.motion, files, warnings), figures(followed.motion))
 
 

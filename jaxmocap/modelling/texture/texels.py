@@ -9,10 +9,10 @@ import numpy as np
 
 from jaxmocap.body.surfaces.mesh import Atlas, Mesh, normals_of
 from jaxmocap.body.surfaces.surface import Surface
-from jaxmocap.modelling.views import View
+from jaxmocap.modelling.views import PhotographView
 
 
-class Shot(NamedTuple):
+class SurfacePhotograph(NamedTuple):
     """A photograph of the surface.
 
     Attributes:
@@ -22,7 +22,7 @@ class Shot(NamedTuple):
     """
 
     image: np.ndarray
-    view: View
+    view: PhotographView
     nodes_world: np.ndarray
 
 

@@ -1,4 +1,4 @@
-"""What is expected of a pose beside the last frame's: joints that outlines tell little of, at rest.
+"""The prior of a pose: the motion's prediction, and rest for joints that outlines hardly determine.
 
 Which way a shoulder blade moved and what bent the arm behind it look nearly alike, and an outline's
 points err together: without a hold the least error of the surface bends such joints. The two
@@ -15,8 +15,8 @@ from jaxmocap.body.skeleton import ROOT_DOF
 from jaxmocap.silhouette.pose import Prior
 
 
-def expectation(expected: Pose, deviations: np.ndarray, rest: np.ndarray) -> Prior:
-    """What is known of a pose before it is looked at.
+def combined_prior(expected: Pose, deviations: np.ndarray, rest: np.ndarray) -> Prior:
+    """The prior of a pose before its images.
 
     Args:
         expected: by the motion.

@@ -1,4 +1,4 @@
-"""Correspondences: the seen contour's pixels and the points of the surface's rim (3.1.4, 3.2).
+"""Correspondences: the contour's pixels and the points of the surface's rim (3.1.4, 3.2).
 
 INPUTS: contours of C cameras, for example of level sets; the rims at the present pose.
 OUTPUTS: pairs of body points and rays, for ``solve_pose``.
@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.lines import Lines
 from jaxmocap.silhouette.points import BodyPoints, PointRays, contour_rays
-from jaxmocap.silhouette.surfaces.index_image import thinned, traced
+from jaxmocap.silhouette.surfaces.index_image import subsampled
 from jaxmocap.silhouette.surfaces.rim import Rim
 
 
@@ -29,17 +29,17 @@ class MatchSettings(NamedTuple):
 
     Attributes:
         pixels: kept of each camera's contour, evenly along it; static.
-        turn: cells of the rim's canvas that a radian between normals is worth, nearly.
-        facing: least cosine between the normals of a pair.
-        farthest: cells between the two of a pair, at most.
-        grip: how firmly a pair holds along the contour, by how it holds across.
+        normal_weight: cells of the rim's canvas that a radian between normals is worth, nearly.
+        least_cosine: least cosine between the normals of a pair.
+        largest_distance: cells between the two of a pair, at most.
+        along_weight: weight of a pair along the contour, by that across.
     """
 
     pixels: int = 256
-    turn: float = 20.0
-    facing: float = 0.5
-    farthest: float = 40.0
-    grip: float = 0.1
+    normal_weight: float = 20.0
+    least_cosine: float = 0.5
+    largest_distance: float = 40.0
+    along_weight: float = 0.1
 
 
 class Contour(NamedTuple):
@@ -62,38 +62,20 @@ class Matches(NamedTuple):
         pixels_xy: (C, N, 2) where the contour is seen.
         normals: (C, N, 2) of the contour there.
         distances: (C, N) between them, pixels; 0 for padding.
-        real: (C, N) False for padding, and where nothing fits.
+        valid: (C, N) False for padding, and where nothing fits.
     """
 
     nodes: np.ndarray
     pixels_xy: np.ndarray
     normals: np.ndarray
     distances: np.ndarray
-    real: np.ndarray
+    valid: np.ndarray
 
 
-def contour_of(phi: np.ndarray, origin: np.ndarray, scale: float) -> Contour:
-    """The zero line of a level set, to a fraction of a cell.
-
-    Args:
-        phi: (S, S) cells, positive within the person.
-        origin: (2,) of the canvas' region.
-        scale: of the region, pixels to a cell.
-    """
-    cells, normals = traced((phi > 0).astype(np.uint8))
-    x, y = cells.T
-    # The traced cells are the last within; the line lies beyond them by what phi says.
-    slope_x, slope_y = (phi[y, x + 1] - phi[y, x - 1]) / 2, (phi[y + 1, x] - phi[y - 1, x]) / 2
-    steepness = np.maximum(np.hypot(slope_x, slope_y), 0.2)
-    beyond = np.clip(phi[y, x] / steepness, 0.0, 1.5)
-    places = cells + beyond[:, None] * normals
-    return Contour(origin + (places + 0.5) * scale, normals)
-
-
-def matched(rim: Rim, seen: Sequence[Contour], settings: MatchSettings) -> Matches:
+def matched_pairs(rim: Rim, contours: Sequence[Contour], settings: MatchSettings) -> Matches:
     """Pairs of the rims' outer points and the contours of C cameras, however those were found."""
     rows = []
-    for camera, contour in enumerate(seen):
+    for camera, contour in enumerate(contours):
         # What no mask shows has no pair.
         outline = ~rim.inner[camera]
         nodes, pixels, normals, real = (part[camera][outline] for part in rim[:3] + rim[4:5])
@@ -107,30 +89,30 @@ def _matched(
     pixels: np.ndarray,
     normals: np.ndarray,
     kept: np.ndarray,
-    seen: Contour,
+    contour: Contour,
     scale: float,
     settings: MatchSettings,
 ) -> Matches:
     """One camera's pairs: first from every rim point, then from pixels of the contour."""
     width = len(nodes) + settings.pixels
-    if not kept.any() or not len(seen.pixels_xy):
+    if not kept.any() or not len(contour.pixels_xy):
         empty = np.zeros(width, np.float32)
         places = np.zeros((width, 2), np.float32)
         return Matches(np.zeros(width, nodes.dtype), places, places, empty, np.zeros(width, bool))
-    chosen = Contour(*thinned(seen, settings.pixels))
+    chosen = Contour(*subsampled(contour, settings.pixels))
     rims = np.flatnonzero(kept)
-    turn = settings.turn * scale
-    to_seen = KDTree(_places(*seen, turn)).query(_places(pixels, normals, turn))[1]
+    turn = settings.normal_weight * scale
+    to_contour = KDTree(_places(*contour, turn)).query(_places(pixels, normals, turn))[1]
     to_rim = rims[
         KDTree(_places(pixels[rims], normals[rims], turn)).query(_places(*chosen, turn))[1]
     ]
     which = np.concatenate([np.arange(len(nodes)), to_rim])
-    there = np.concatenate([seen.pixels_xy[to_seen], chosen.pixels_xy])
-    ways = np.concatenate([seen.normals[to_seen], chosen.normals])
+    there = np.concatenate([contour.pixels_xy[to_contour], chosen.pixels_xy])
+    ways = np.concatenate([contour.normals[to_contour], chosen.normals])
     real = np.concatenate([kept, np.ones(len(to_rim), bool)])
     away = np.linalg.norm(there - pixels[which], axis=1)
-    real &= np.sum(ways * normals[which], 1) > settings.facing
-    real &= away < settings.farthest * scale
+    real &= np.sum(ways * normals[which], 1) > settings.least_cosine
+    real &= away < settings.largest_distance * scale
     found = Matches(nodes[which], there, ways, np.where(real, away, 0.0), real)
     return Matches(*(_filled(part, width) for part in found))
 
@@ -154,7 +136,7 @@ def pairs_of(
     pixels_xy: Array,
     normals: Array,
     weights: Array,
-    grip: Array | float,
+    along_weight: Array | float,
     moves: Array | np.ndarray | None = None,
 ) -> PointRays:
     """Pairs (C * N) for ``solve_pose``.
@@ -165,10 +147,10 @@ def pairs_of(
         pixels_xy: (C, N, 2) of the contours.
         normals: (C, N, 2) there.
         weights: (C, N), 0 for no pair.
-        grip: how firmly all hold along the contour.
-        moves: (C * N, 3, S) of the points, where anything steers them.
+        along_weight: of all pairs along the contour.
+        moves: (C * N, 3, S) of the points, where anything drives them.
     """
     lines, across = jax.vmap(contour_rays)(cameras, pixels_xy, normals)
     flat = Lines(*(part.reshape(-1, 3) for part in lines))
-    firm = jnp.broadcast_to(jnp.asarray(grip, weights.dtype), weights.size)
+    firm = jnp.broadcast_to(jnp.asarray(along_weight, weights.dtype), weights.size)
     return PointRays(points, flat, across.reshape(-1, 3), weights.ravel(), firm, moves)

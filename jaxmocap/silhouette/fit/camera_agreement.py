@@ -1,6 +1,6 @@
-"""Trust: which cameras count, by how rim and contour found each other and what the others say.
+"""Which cameras count, by how rim and contour match and how they agree with the others.
 
-INPUTS: rims, pairs of C cameras. OUTPUTS: shares; cameras that are denied; their histograms.
+INPUTS: rims, pairs of C cameras. OUTPUTS: shares; cameras that disagree; histograms.
 """
 
 from collections.abc import Sequence
@@ -8,12 +8,12 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmocap.silhouette.correspond import Matches
+from jaxmocap.silhouette.fit.correspond import Matches
 from jaxmocap.silhouette.segmentation.segment import Histograms
 from jaxmocap.silhouette.surfaces.rim import Rim
 
 
-def shares_found(rim: Rim, pairs: Matches, points: Sequence[int]) -> np.ndarray:
+def matched_shares(rim: Rim, pairs: Matches, points: Sequence[int]) -> np.ndarray:
     """(C,) the smaller of the shares of rim points and of contour points that found a partner.
 
     Args:
@@ -21,18 +21,18 @@ def shares_found(rim: Rim, pairs: Matches, points: Sequence[int]) -> np.ndarray:
         pairs: of rim and contours.
         points: of each camera's contour.
     """
-    outline = rim.real & ~rim.inner
+    outline = rim.valid & ~rim.inner
     shares = []
     for camera, count in enumerate(points):
         width = int((~rim.inner[camera]).sum())
-        of_rim = pairs.real[camera, :width].sum() / max(outline[camera].sum(), 1)
-        taken = min(count, pairs.real.shape[1] - width)
-        of_contour = pairs.real[camera, width:].sum() / max(taken, 1)
+        of_rim = pairs.valid[camera, :width].sum() / max(outline[camera].sum(), 1)
+        taken = min(count, pairs.valid.shape[1] - width)
+        of_contour = pairs.valid[camera, width:].sum() / max(taken, 1)
         shares.append(min(of_rim, of_contour))
     return np.array(shares)
 
 
-def denied(distances: np.ndarray, real: np.ndarray, apart: float, near: float) -> np.ndarray:
+def disagreeing(distances: np.ndarray, real: np.ndarray, apart: float, near: float) -> np.ndarray:
     """(C,) bool: cameras whose pairs lie much farther apart than all cameras' together.
 
     Args:
@@ -50,7 +50,7 @@ def denied(distances: np.ndarray, real: np.ndarray, apart: float, near: float) -
     return each > max(near, apart * usual)
 
 
-def chosen(used: np.ndarray, new: Histograms, old: Histograms) -> Histograms:
+def kept_histograms(used: np.ndarray, new: Histograms, old: Histograms) -> Histograms:
     """The new histograms of cameras that were used, the old ones of the others."""
     mask = jnp.asarray(used)[:, None]
     return Histograms(*(jnp.where(mask, a, b) for a, b in zip(new, old, strict=True)))
