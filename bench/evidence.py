@@ -27,8 +27,8 @@ from bench.command_line import command, seeds
 from bench.flattening import flattened
 from bench.metrics import Metric, aligned, write_json
 from jaxmocap.body.motion import Motion
-from jaxmocap.capture.footage import open_footage, reading
-from jaxmocap.capture.markers import interpolate
+from jaxmocap.capture.footage import forward_readers, open_footage
+from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.evaluation.motions import evaluate
@@ -103,7 +103,7 @@ class FirstRun:
         """Track it."""
         videos, _ = open_footage(recording)
         tracker, events = make_tracker(recording), Events.of(recording, videos, "own")
-        with reading(videos) as readers:
+        with forward_readers(videos) as readers:
             first_pass = scanned(events, tracker, readers, lambda done, total: None, Clock())
         return cls(recording, tracker, videos, events, first_pass)
 
@@ -179,7 +179,7 @@ def with_keypoints(clip: Clip, folder: Path) -> Recording:
 def write_keypoints(folder: Path, clip: Clip, camera: Camera, times: np.ndarray) -> None:
     """OpenPose's files, one per frame, of somebody detected where the truth has him."""
     truth, rng = read_markers(clip.truth), np.random.default_rng([clip.seed, 25])
-    at_frames = interpolate(truth.times, truth.positions, times)
+    at_frames = interpolate_markers(truth.times, truth.positions, times)
     table = np.zeros((len(times), len(MODELS[MODEL]), 3))
     for column, point in enumerate(MODELS[MODEL]):
         marker = clip.landmarks.get(LANDMARK_OF.get(point, ""))

@@ -23,8 +23,8 @@ from bench.clock import (
 from bench.footage import SIZES, Footage, at_size
 from bench.image_chain import both_arms, image_chain
 from bench.metrics import Metric, stage_metrics
-from jaxmocap.capture.footage import open_footage, reading
-from jaxmocap.capture.markers import interpolate
+from jaxmocap.capture.footage import forward_readers, open_footage
+from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.timeline import build_timeline
 from jaxmocap.capture.video import open_video
 from jaxmocap.hybrid.observe import observe
@@ -34,7 +34,7 @@ from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.tracking.track import make_tracker, track
 from jaxmocap.smoothing.fixed_lag import FixedLagSmoother
 
-Look = Callable[[int], np.ndarray | None]
+ImageAt = Callable[[int], np.ndarray | None]
 # Stage -> what the table calls it.
 STAGES = {
     "solve": "solve",
@@ -81,7 +81,7 @@ class Pace:
 def causal(
     tracker: HybridTracker,
     footage: Footage,
-    look: Look,
+    image_at: ImageAt,
     chain: Callable[[int], object] = lambda frame: None,
 ) -> Pace:
     """As a live run: every marker sample and every frame in turn, smoothed where that is set.
@@ -89,7 +89,7 @@ def causal(
     Args:
         tracker: compiled already, or the first times tell of that.
         footage: whose markers and times count.
-        look: the frame of that index.
+        image_at: the frame of that index.
         chain: the yardstick on that frame; run right after it.
     """
     recording, clock = footage.recording, BusyClock()
@@ -97,12 +97,14 @@ def causal(
     smooth = settings.smooth and model.camera_count
     smoother = FixedLagSmoother(model, settings.smoothing) if smooth else None
     line = build_timeline(recording.times, [footage.times], "causal")
-    markers = interpolate(recording.times, recording.positions_world, line.event_times, True)
+    markers = interpolate_markers(
+        recording.times, recording.positions_world, line.event_times, True
+    )
     state = tracker.init(recording.positions_world[0])
     pace = Pace(duration_s=float(line.event_times[-1] - line.event_times[0]))
     for event, time in enumerate(line.event_times):
         frame, whole = int(line.frame_index[event, 0]), Stopwatch()
-        images = [None if frame < 0 else look(frame)]
+        images = [None if frame < 0 else image_at(frame)]
         step = Stopwatch()
         state, pose, report = tracker.step(state, time, markers[event], images, clock)
         pose, report = jax.tree.map(np.asarray, (pose, report))
@@ -225,10 +227,10 @@ def decoding(size: str, tracker: HybridTracker, footage: Footage) -> Iterator[Me
         count = sum(1 for _ in video.frames(luma=luma))
         spent = watch.read()
         yield Metric(f"{size}, decoding to {name}", spent.wall / count, "ms")
-        of_core = 100 * spent.busy / 1e3 / video.duration
+        of_core = 100 * spent.busy / 1e3 * video.fps / len(video)
         yield Metric(f"{size}, decoding to {name}, of one core at 30 Hz", of_core, "%")
     videos, _ = open_footage(footage.recording)
-    with reading(videos, colour=True) as (reader,):
+    with forward_readers(videos, colour=True) as (reader,):
         pace = causal(tracker, footage, reader.at)
     yield from stage_metrics(f"{size}, causal step with a frame and decoding", pace.wall("frame"))
 
@@ -238,8 +240,8 @@ def otherwise(footage: Footage, ways: list) -> Iterator[Metric]:
     for refine in ways:
         settings = replace(Settings(), refine=refine, smooth=False)
         tracker = make_tracker(footage.recording, settings)
-        look = footage.images.__getitem__
-        causal(tracker, footage, look)
-        pace = causal(tracker, footage, look)
+        image_at = footage.images.__getitem__
+        causal(tracker, footage, image_at)
+        pace = causal(tracker, footage, image_at)
         name = "markers only" if refine == "none" else refine
         yield from stage_metrics(f"640x480, {name}, step", pace.wall("frame"))

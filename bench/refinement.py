@@ -25,8 +25,8 @@ from bench.metrics import aligned
 from jaxmocap.body.arms import arms_of
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
-from jaxmocap.capture.footage import open_footage, reading
-from jaxmocap.capture.markers import interpolate
+from jaxmocap.capture.footage import forward_readers, open_footage
+from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.evidence.edges import EdgeFields, Outlines
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.markers import read_markers
@@ -123,7 +123,7 @@ def frames(recording: Recording, tracker: HybridTracker, truth: Path) -> Iterato
     elbows = _true_elbows(truth, line.event_times)
     prepare = jax.jit(lambda *arguments: _prepare(tracker, *arguments))
     after = tracker.init(events.markers_world[0])
-    with reading(videos) as readers:
+    with forward_readers(videos) as readers:
         for event, time in enumerate(events.times):
             each = zip(readers, line.frame_index[event], strict=True)
             images = [reader.at(int(index)) for reader, index in each]
@@ -159,7 +159,7 @@ def _true_elbows(truth: Path, times: np.ndarray) -> np.ndarray:
     markers = read_markers(truth)
     points = markers.points()
     names = next(pair for pair in NAMES if pair[0] in points)
-    return interpolate(markers.times, np.stack([points[name] for name in names], 1), times)
+    return interpolate_markers(markers.times, np.stack([points[name] for name in names], 1), times)
 
 
 def rival(tracker: HybridTracker, name: str, steps: int) -> Callable[[Frame], Ended]:

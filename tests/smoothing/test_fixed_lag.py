@@ -21,7 +21,6 @@ from jaxmocap.evidence.smoothness import smoothness
 from jaxmocap.hybrid.settings import Settings, SmoothingSettings
 from jaxmocap.hybrid.tracker import HybridTracker, StepReport
 from jaxmocap.smoothing import fixed_lag, window
-from jaxmocap.smoothing.fading import Fading
 from jaxmocap.smoothing.fixed_lag import DELAY_FRAMES, FixedLagSmoother
 from jaxmocap.smoothing.fixed_lag import Given as GivenOut
 from jaxmocap.smoothing.levenberg_marquardt import Linearised, covariances, normal_equations, smooth
@@ -29,6 +28,7 @@ from jaxmocap.smoothing.levenberg_marquardt import Settings as Solve
 from jaxmocap.smoothing.linearise import Problem, Sights, Trajectory, smooth_poses
 from jaxmocap.smoothing.marginal_prior import condensed, improve, leaving, window_variances
 from jaxmocap.solvers.arrow import Equations
+from jaxmocap.solvers.fading import Fading
 
 COUNT = 24
 TIMES = np.arange(COUNT) / RATE
