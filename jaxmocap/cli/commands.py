@@ -188,11 +188,13 @@ def calibrate_intrinsics(options: argparse.Namespace) -> None:
     """Find a camera's intrinsics."""
     from jaxmocap.calibration import calibration_report
     from jaxmocap.calibration.board.boards import parse_board
+    from jaxmocap.calibration.board.opencv_lenses import LensKind
     from jaxmocap.calibration.calibrate import calibrate_camera
 
     board = parse_board(options.board, options.square, options.charuco)
+    kind = LensKind(options.distortions, options.fisheye)
     found = calibrate_camera(
-        options.paths, board, options.camera, options.out, options.distortions, options.pictures
+        options.paths, board, options.camera, options.out, kind, options.pictures
     )
     text, figures = calibration_report.intrinsics_text, calibration_report.intrinsics_figures
     report(options, text(found), figures(found))

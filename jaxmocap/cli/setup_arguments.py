@@ -47,8 +47,11 @@ def add_intrinsics(parser: argparse.ArgumentParser) -> None:
         type=int,
         choices=(0, 1, 2, 4, 5),
         default=4,
-        help="coefficients of the lens to find: none, k1, k1 k2, with p1 p2, with k3; "
-        "default: %(default)s",
+        help="coefficients of the lens to find: none, k1, k1 k2, with p1 p2, with k3 (of a fisheye "
+        "k1, k1 k2, k1 to k4); default: %(default)s",
+    )
+    parser.add_argument(
+        "--fisheye", action="store_true", help="the lens is a fisheye: up to 180° from side to side"
     )
 
 

@@ -15,7 +15,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.cones import cones
-from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera, to_pixels
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, project, to_camera, to_pixels
 from jaxmocap.geometry.outlines import outline, project_limb
 
 ARM_BONES = tuple(f"{bone}_{side}" for side in "lr" for bone in ("humerus", "radius", "hand"))
@@ -90,13 +90,13 @@ def _place(skeleton: Skeleton, poses: Pose) -> tuple[Array, Array, Array]:
 
 def pixels(camera: Camera, points_world: np.ndarray) -> np.ndarray:
     """Pixels (..., 2) of (..., 3) world points; NaN behind the camera or where missing."""
-    return np.asarray(_pixels(camera, jnp.asarray(points_world, camera.matrix.dtype)))
+    return np.asarray(_pixels(camera, jnp.asarray(points_world, camera.T_cam_world.dtype)))
 
 
 @jax.jit
 def _pixels(camera: Camera, points_world: Array) -> Array:
-    ahead = to_camera(camera, points_world)[..., 2:] > NEAREST_M
-    return jnp.where(ahead, project(camera, points_world), jnp.nan)
+    ahead = depth(camera, points_world) > NEAREST_M
+    return jnp.where(ahead[..., None], project(camera, points_world), jnp.nan)
 
 
 def limb_outlines(
@@ -110,7 +110,7 @@ def limb_outlines(
         far: (N, 3) world, metres.
         radii: (N, 2) metres.
     """
-    dtype = camera.matrix.dtype
+    dtype = camera.T_cam_world.dtype
     return np.asarray(_outlines(camera, *(jnp.asarray(part, dtype) for part in (near, far, radii))))
 
 

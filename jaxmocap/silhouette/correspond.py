@@ -160,7 +160,7 @@ def pairs_of(
     """Pairs (C * N) for ``solve_pose``.
 
     Args:
-        cameras: C, ``stacked``.
+        cameras: C, stacked.
         points: C * N, of the ``Matches``' nodes.
         pixels_xy: (C, N, 2) of the contours.
         normals: (C, N, 2) there.

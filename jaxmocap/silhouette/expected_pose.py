@@ -11,23 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
+from jaxmocap.body.skeleton import ROOT_DOF
 from jaxmocap.silhouette.pose import Prior
-
-
-def resting(skeleton: Skeleton, held: dict[str, float]) -> np.ndarray:
-    """(D,) deviations of the joints about 0, radians; infinite for those that are not held.
-
-    Args:
-        skeleton: D degrees of freedom.
-        held: how joints' names begin -> their deviation.
-    """
-    found = np.full(len(skeleton.tree.joints), np.inf)
-    for i, joint in enumerate(skeleton.tree.joints):
-        for beginning, deviation in held.items():
-            if joint.startswith(beginning):
-                found[i] = deviation
-    return found
 
 
 def expectation(expected: Pose, deviations: np.ndarray, rest: np.ndarray) -> Prior:
@@ -36,7 +21,7 @@ def expectation(expected: Pose, deviations: np.ndarray, rest: np.ndarray) -> Pri
     Args:
         expected: by the motion.
         deviations: (6 + D,) about it, metres and radians.
-        rest: (D,) of ``resting``.
+        rest: (D,) about 0, radians; infinite for joints that are not held there.
     """
     moving, still = deviations[ROOT_DOF:] ** -2.0, rest**-2.0
     both = moving + still

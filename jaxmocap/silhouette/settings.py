@@ -41,8 +41,8 @@ class Settings:
             Pairs of one outline err alike, and count as if they did not: more freedom than this
             lets a stretched arm turn over.
         held: the same of one of which the last frame told little.
-        held_at_rest: how joints' names begin, of which outlines tell little, and their deviations
-            about 0, radians; see ``posture``.
+        held_at_rest: factor on the skeleton's ``rest_deviations``, of joints that outlines tell
+            little of; see ``expected_pose``.
         morphing: what goes along with the joints' angles; ``Morphing()`` for nothing. Joints that
             do are held at rest about where they go.
         blind: deviation of a degree of freedom of which nothing is known.
@@ -77,10 +77,7 @@ class Settings:
     iterations: int = 4
     expected: float = 0.08
     held: float = 0.02
-    held_at_rest: tuple[tuple[str, float], ...] = (
-        ("clavicle", 0.026), ("elbow_twist", 0.14), ("wrist_deviate", 0.1), ("neck", 0.05),
-        ("ankle_invert", 0.07),
-    )  # fmt: skip
+    held_at_rest: float = 1.0
     morphing: Morphing = field(default_factory=Morphing)
     blind: float = 0.25
     told: float = 0.5

@@ -26,12 +26,12 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import Surface
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import Camera, stack_cameras
 from jaxmocap.images.background_model import Background
 from jaxmocap.silhouette.camera_agreement import chosen, denied, shares_found
 from jaxmocap.silhouette.correspond import matched
 from jaxmocap.silhouette.device_functions import Seen, fit, free, predict, velocity_of
-from jaxmocap.silhouette.expected_pose import expectation, resting
+from jaxmocap.silhouette.expected_pose import expectation
 from jaxmocap.silhouette.markers import MarkerRows, points_at
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, standard_deviations
 from jaxmocap.silhouette.recovery.limbs import carriers
@@ -43,7 +43,7 @@ from jaxmocap.silhouette.segmentation.outlines import Outlines, look
 from jaxmocap.silhouette.segmentation.segment import Histograms, Plan
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.state import Moving, State, StepReport
-from jaxmocap.silhouette.surfaces.rim import RimFinder, stacked
+from jaxmocap.silhouette.surfaces.rim import RimFinder
 from jaxmocap.silhouette.surfaces.shape import Paired
 
 
@@ -118,11 +118,11 @@ class SilhouetteTracker:
         listed = [cameras] if isinstance(cameras, Camera) else list(cameras)
         self.settings = settings or Settings()
         dtype = skeleton.lengths.dtype
-        self.cameras = jax.tree.map(lambda part: jnp.asarray(part, dtype), stacked(listed))
+        self.cameras = jax.tree.map(lambda part: jnp.asarray(part, dtype), stack_cameras(listed))
         skin = generic_surface(skeleton) if surface is None else surface
         self.finder = RimFinder(skeleton, skin, self.settings.rim, self.settings.morphing)
         self._bones = carriers(self.finder.surface.points)
-        self.rest = resting(skeleton, dict(self.settings.held_at_rest))
+        self.rest = self.settings.held_at_rest * np.asarray(skeleton.rest_deviations, float)
         self.rooms = [None] * len(listed) if rooms is None else list(rooms)
         self.plan = Plan()
         self._sites = sites

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.lenses import LENSES
 
 
 def look_at(
@@ -35,9 +36,10 @@ class Lens:
     Attributes:
         size: width and height, pixels.
         matrix: (3, 3) intrinsic matrix, pixels.
-        distortion: (8,) OpenCV's coefficients.
+        distortion: coefficients of the lens.
         R_cam_world: (3, 3).
         shift_cam: (3,) metres.
+        lens: name in ``LENSES``.
     """
 
     size: tuple[int, int]
@@ -45,6 +47,7 @@ class Lens:
     distortion: np.ndarray
     R_cam_world: np.ndarray
     shift_cam: np.ndarray
+    lens: str
 
     @classmethod
     def of(cls, camera: Camera) -> "Lens":
@@ -52,7 +55,7 @@ class Lens:
         T = np.asarray(camera.T_cam_world, float)
         width, height = (int(n) for n in np.asarray(camera.size))
         matrix, distortion = (np.asarray(a, float) for a in (camera.matrix, camera.distortion))
-        return cls((width, height), matrix, distortion, T[:3, :3], T[:3, 3])
+        return cls((width, height), matrix, distortion, T[:3, :3], T[:3, 3], camera.lens)
 
     @property
     def position_world(self) -> np.ndarray:
@@ -67,12 +70,5 @@ class Lens:
         """(..., 2) pixels (x, y) of (..., 3) points in front of the camera."""
         points_cam = points_world @ self.R_cam_world.T + self.shift_cam
         x, y = np.moveaxis(points_cam[..., :2] / points_cam[..., 2:], -1, 0)
-        k1, k2, p1, p2, k3, k4, k5, k6 = self.distortion
-        r2 = x * x + y * y
-        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-        tangential = 2 * (p1 * y + p2 * x)
-        bent = [
-            x * (radial + tangential) + p2 * r2,
-            y * (radial + tangential) + p1 * r2,
-        ]
-        return np.stack(bent, -1) @ self.matrix[:2, :2].T + self.matrix[:2, 2]
+        distorted = LENSES[self.lens].distort(self.distortion, x, y)
+        return np.stack(distorted, -1) @ self.matrix[:2, :2].T + self.matrix[:2, 2]

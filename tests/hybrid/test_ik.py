@@ -51,9 +51,9 @@ def points_of(skeleton, pose):
 
 
 @jax.jit
-def solve(skeleton, chosen, pose, feet, targets, mask):
+def solve(skeleton, chosen, pose, stance, targets, mask):
     held = feet.effectors(skeleton, landmark_sites(skeleton, NAMES[:3]))
-    return ik.solve_ik(skeleton, held, chosen, pose, feet, targets, mask)
+    return ik.solve_ik(skeleton, held, chosen, pose, stance, targets, mask)
 
 
 @jax.jit

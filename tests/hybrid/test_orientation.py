@@ -20,8 +20,7 @@ from jaxmocap.body.arms import arm_dofs, grips, hang
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.orientations import body_turns, quaternions
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.wrists import with_wrists
+from jaxmocap.body.skeleton import Skeleton, with_wrists
 from jaxmocap.capture.streams.osc import parse_packet
 from jaxmocap.capture.streams.sample_assembly import SampleAssembler
 from jaxmocap.formats.convert import ConversionOptions, convert_file

@@ -269,4 +269,4 @@ def test_a_name_of_thousands_of_letters_is_no_marker():
     datagram = address + b"\0" * (4 - len(address) % 4) + b",fff\0\0\0\0" + b"\0" * 12
     with pytest.raises(BadPacketError, match="malformed"):
         parse_packet(datagram)
-    assert not gathers.unknown
+    assert not gathers.unknown_names

@@ -8,7 +8,7 @@ from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton, with_joints
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.correspond import Matches
-from jaxmocap.silhouette.expected_pose import expectation, resting
+from jaxmocap.silhouette.expected_pose import expectation
 from jaxmocap.silhouette.segmentation.inner_edges import EdgeSettings, edge_pairs, joined
 from jaxmocap.silhouette.segmentation.profiles import boundary, colour_profiles
 from jaxmocap.silhouette.surfaces.rim import Rim
@@ -95,22 +95,23 @@ def test_edges_are_further_pairs():
 BODY = with_joints(Skeleton.human(1.75), "supple.toml")
 
 
-def test_joints_are_held_by_how_their_names_begin():
-    rest = resting(BODY, {"clavicle": 0.1, "wrist_flex_l": 0.2})
+def test_the_bodys_file_says_which_joints_are_held_at_rest():
+    rest = np.asarray(BODY.rest_deviations)
     held = {name: value for name, value in zip(BODY.tree.joints, rest, strict=True) if value < 1}
-    assert {name.rpartition("_")[0] for name in held} == {
-        "clavicle_raise", "clavicle_protract", "wrist_flex",
+    assert {name.removesuffix("_l").removesuffix("_r") for name in held} == {
+        "clavicle_raise", "clavicle_protract", "elbow_twist", "wrist_deviate", "ankle_invert",
+        "neck_flexion", "neck_bending", "neck_rotation",
     }  # fmt: skip
-    assert held["clavicle_raise_l"] == 0.1 and held["wrist_flex_l"] == 0.2
-    assert "wrist_flex_r" not in held
+    assert held["clavicle_raise_l"] == np.float32(0.026)
 
 
 def test_what_the_motion_and_rest_say_is_weighed_by_how_sure_they_are():
     pose = relaxed_pose(BODY)
     pose = pose._replace(angles=jnp.full_like(pose.angles, 0.3))
-    rest = resting(BODY, {"neck_flexion": 0.1})
-    prior = expectation(pose, np.full(len(BODY.costs), 0.2), rest)
     neck = BODY.tree.joint("neck_flexion")
+    rest = np.full(len(BODY.tree.joints), np.inf)
+    rest[neck] = 0.1
+    prior = expectation(pose, np.full(len(BODY.costs), 0.2), rest)
     angles, deviations = np.asarray(prior.pose.angles), np.asarray(prior.deviations)
     # One part of the motion's precision to four of rest's.
     assert angles[neck] == pytest.approx(0.3 / 5, rel=1e-5)

@@ -15,7 +15,7 @@ from jaxmocap.body.pose import relaxed_pose, retract
 from jaxmocap.body.skeleton import Skeleton, with_joints
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import posed, skin_of, skinned
-from jaxmocap.geometry.cameras import project
+from jaxmocap.geometry.cameras import project, stack_cameras
 from jaxmocap.reference.silhouette import index_image as naive
 from jaxmocap.reference.silhouette import rim as naive_rim
 from jaxmocap.silhouette.points import contour_rays
@@ -28,11 +28,11 @@ from jaxmocap.silhouette.surfaces.index_image import (
     nodes_at,
     outer_boundary,
 )
-from jaxmocap.silhouette.surfaces.rim import Rim, RimFinder, RimSettings, stacked
+from jaxmocap.silhouette.surfaces.rim import Rim, RimFinder, RimSettings
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
 BODY = with_joints(Skeleton.human(1.75), "whole.toml")
-CAMERAS = stacked(ring(4))
+CAMERAS = stack_cameras(ring(4))
 SETTINGS = RimSettings(size=128, outer=200, inner=40, spacing=0.012, margin=0.06)
 # An arm before the chest for one of the cameras, and behind it for another.
 FOLDED = {"arm_flex_l": 60, "elbow_flex_l": 100, "arm_rot_l": 60, "arm_abduct_r": 60}
@@ -261,6 +261,6 @@ def test_contour_normals_in_space_are_seen_as_in_the_image():
     np.testing.assert_allclose(jnp.sum(across * lines.directions, -1), 0, atol=1e-6)
     point = camera.position_world + 4 * lines.directions
     both = jnp.stack([point, point + 0.01 * across])
-    moved = np.diff(np.asarray(PROJECT(stacked([camera]), both))[0], axis=0)[0]
+    moved = np.diff(np.asarray(PROJECT(stack_cameras([camera]), both))[0], axis=0)[0]
     moved = moved / np.linalg.norm(moved, axis=1, keepdims=True)
     assert np.all(np.sum(moved * np.asarray(ways), 1) > 0.99)

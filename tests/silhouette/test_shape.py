@@ -14,10 +14,10 @@ from jaxmocap.body.proportions import LENGTHS, scaled, stretched
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import BodyPoints, resampled, rest_nodes
 from jaxmocap.body.surfaces.swelling_fields import KINDS, fields_of, reshaped
+from jaxmocap.geometry.cameras import stack_cameras
 from jaxmocap.pipelines.silhouettes.track import _Pass
 from jaxmocap.silhouette.device_functions import Seen
 from jaxmocap.silhouette.segmentation.outlines import Outlines
-from jaxmocap.silhouette.surfaces.rim import stacked
 from jaxmocap.silhouette.surfaces.shape import DEVIATION_M, ShapeFinder, told
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
@@ -84,7 +84,7 @@ def test_contours_of_a_stouter_body_tell_how_much_stouter(camera_pairs):
 def camera_pairs():
     """What one frame tells: nodes of a body in a bent pose, and where a stouter one's are seen."""
     rng = np.random.default_rng(2)
-    cameras, pose = stacked(ring(2)), relaxed_pose(BODY)
+    cameras, pose = stack_cameras(ring(2)), relaxed_pose(BODY)
     angles = np.asarray(pose.angles) + rng.uniform(-0.1, 0.1, len(pose.angles))
     pose = pose._replace(angles=jnp.asarray(angles, jnp.float32))
     amounts = 0.002 * rng.standard_normal(len(FIELDS.names))
@@ -133,7 +133,7 @@ def test_a_stretched_body_lies_about_its_longer_bones_as_it_lay_about_the_shorte
 
 
 def test_contours_of_a_body_with_longer_bones_tell_how_much_longer(taller):
-    rng, cameras, pose = np.random.default_rng(4), stacked(ring(2)), relaxed_pose(BODY)
+    rng, cameras, pose = np.random.default_rng(4), stack_cameras(ring(2)), relaxed_pose(BODY)
     nodes = rng.integers(0, len(FIELDS.moves), (2, 300))
     every = PROJECT(cameras, POSED(FORWARD(taller[0], pose), taller[1].points))
     pixels = np.stack([np.asarray(every)[camera, nodes[camera]] for camera in range(2)])

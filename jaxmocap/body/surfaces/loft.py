@@ -93,9 +93,9 @@ def rest_joints(skeleton: Skeleton) -> np.ndarray:
 def stature_of(skeleton: Skeleton) -> float:
     """Body height by the lengths of trunk, head and legs, metres."""
     lengths, tree = np.asarray(skeleton.lengths, float), skeleton.tree
-    middle = sum(lengths[tree.bone(bone)] for bone in tree.bones[: tree.bones.index("head") + 1])
-    legs = [lengths[tree.bone(f"{bone}_{s}")] for bone in ("femur", "tibia") for s in "lr"]
-    return (middle + sum(legs) / 2) / UPRIGHT
+    middle = lengths[tree.bones_in("spine", "head")]
+    legs = lengths[tree.bones_in("thigh", "shank")]
+    return (sum(middle) + sum(legs) / 2) / UPRIGHT
 
 
 def ring_frames(
@@ -161,13 +161,15 @@ def _give_shoulder(
     tree: Tree, side: str, sign: int, shares: np.ndarray, grid: np.ndarray, joints: np.ndarray
 ) -> None:
     """What lies by a shoulder follows its clavicle, more so farther out; changes ``shares``."""
-    breadth = abs(joints[tree.bone(f"humerus_{side}"), 1])
+    arm, clavicle = tree.bones_in("arm", side=side)[0], tree.bones_in("shoulder", side=side)
+    chest, neck = tree.bones_in("spine")[-1:], tree.bones_in("neck")[0]
+    breadth = abs(joints[arm, 1])
     outwards = _smooth((sign * grid[..., 1] / breadth - 0.3) / 0.6)
-    bottom, top = joints[tree.bone("spine3"), 2], joints[tree.bone("neck"), 2]
+    bottom, top = joints[chest[0], 2], joints[neck, 2]
     upwards = _smooth((grid[..., 2] - bottom) / (top - bottom) * 1.5 - 0.3)
-    part = (outwards * upwards)[..., None] * shares[..., [tree.bone("spine3")]]
-    shares[..., [tree.bone(f"clavicle_{side}")]] += part
-    shares[..., [tree.bone("spine3")]] -= part
+    part = (outwards * upwards)[..., None] * shares[..., chest]
+    shares[..., clavicle] += part
+    shares[..., chest] -= part
 
 
 def _smooth(x: np.ndarray) -> np.ndarray:

@@ -41,8 +41,8 @@ def stream_states(
     if markers.refused_hosts:
         hosts = comma_list(sorted(markers.refused_hosts.copy()))
         yield "strangers", f"{hosts}; [osc] from = [...] lists who may send"
-    if gathering.unknown:
-        yield "no markers of ours", comma_list(sorted(gathering.unknown.copy()))
+    if gathering.unknown_names:
+        yield "no markers of ours", comma_list(sorted(gathering.unknown_names.copy()))
     for camera in cameras:
         reason = f" ({camera.reason})" if camera.reason else ""
         yield short_name(camera.name), camera.problem or f"{camera.status}{reason}"

@@ -8,7 +8,7 @@ import numpy as np
 from jaxmocap.body.pose import Pose
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
-from jaxmocap.geometry.cameras import project, to_camera
+from jaxmocap.geometry.cameras import depth, project
 from jaxmocap.hybrid.settings import Settings as Hybrid
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.silhouettes.track import whole_body
@@ -57,10 +57,10 @@ def in_view(recording: Recording, pose: Pose) -> bool:
     """Whether any camera sees any landmark of the pose."""
     points = landmark_points(whole_body(recording.skeleton), pose)
     for source in recording.videos:
-        depth = np.asarray(to_camera(source.camera, points))[:, 2]
+        depths = np.asarray(depth(source.camera, points))
         pixels = np.asarray(project(source.camera, points))
         within = ((pixels >= 0) & (pixels < np.asarray(source.camera.size))).all(1)
-        if (within & (depth > 0)).any():
+        if (within & (depths > 0)).any():
             return True
     return False
 

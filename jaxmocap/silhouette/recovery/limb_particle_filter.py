@@ -24,7 +24,7 @@ from jax import Array
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.geometry.cameras import Camera, project
+from jaxmocap.geometry.cameras import Camera, depth, pixels_per_metre, project
 from jaxmocap.images.regions import Region
 from jaxmocap.images.sampling import look_up
 from jaxmocap.silhouette.recovery.hues import FARTHEST, SPREAD
@@ -178,8 +178,8 @@ def _explained(
     region: Region, looks: Looks | None,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Of one camera: the sum of log-ratios over the limb's cells, how many, how many in full."""
-    depths = depths_of(camera, near), depths_of(camera, far)
-    cells = camera.matrix[0, 0] / jnp.maximum(depths[0][0], 0.3) / region.scale
+    depths = depth(camera, near), depth(camera, far)
+    cells = pixels_per_metre(camera, jnp.maximum(depths[0][0], 0.3)) / region.scale
     starts, stops = ((project(camera, end) - region.origin) / region.scale - 0.5
                      for end in (near, far))  # fmt: skip
     way = stops - starts
@@ -204,14 +204,6 @@ def _explained(
     gained = jnp.sum(jnp.mean(there, (1, 2)) * length * width)
     seen = jnp.sum(jnp.mean(fresh.astype(x.dtype), (1, 2)) * length * width)
     return gained, seen, jnp.sum(cells * lengths * width)
-
-
-def depths_of(camera: Camera, points: Array) -> Array:
-    """(...,) metres of points (..., 3) in the world."""
-    ahead = camera.T_cam_world[2]
-    return (
-        points[..., 0] * ahead[0] + points[..., 1] * ahead[1] + points[..., 2] * ahead[2] + ahead[3]
-    )
 
 
 def _by_hue(gains: Array, x: Array, y: Array, depths: Array, looks: Looks) -> Array:

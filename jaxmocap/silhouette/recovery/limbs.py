@@ -14,16 +14,6 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.surface import BodyPoints, Surface
 
-# Limb -> its bones from the body outwards, and its joints; as many of each.
-LIMBS = {
-    "arm": (("humerus", "radius", "hand"),
-            ("clavicle_raise", "clavicle_protract", "arm_flex", "arm_abduct", "arm_rot",
-             "elbow_flex")),
-    "leg": (("femur", "tibia", "foot"),
-            ("hip_flexion", "hip_abduction", "hip_rotation", "knee_flexion", "ankle_dorsiflex",
-             "ankle_invert")),
-}  # fmt: skip
-
 
 class Limb(NamedTuple):
     """A limb of B bones and K joints.
@@ -40,15 +30,18 @@ class Limb(NamedTuple):
 
 
 def limbs_of(skeleton: Skeleton, surface: Surface) -> dict[str, Limb]:
-    """``arm_l`` and so on, those that the skeleton's joints move in full."""
+    """``arm_l`` and so on, those that are searched by joints of as many bones as they have."""
     tree, found = skeleton.tree, {}
-    for kind, (bones, joints) in LIMBS.items():
+    turned = np.array(tree.dof_bones, np.int32)
+    for kind in ("arm", "leg"):
         for side in "lr":
-            names = [f"{joint}_{side}" for joint in joints]
-            if set(names) <= set(tree.joints):
-                rows = np.array([tree.bone(f"{bone}_{side}") for bone in bones], np.int32)
-                moved = np.array([tree.joint(name) for name in names], np.int32)
-                found[f"{kind}_{side}"] = Limb(rows, moved, radii(skeleton, surface, rows))
+            bones = tree.bones_in(kind, side=side)
+            on_side = [tree.segments[bone].side == side for bone in turned]
+            joints = np.flatnonzero((np.array(tree.searched) == kind) & on_side)
+            if len(bones) and len(np.unique(turned[joints])) >= len(bones):
+                # From the body outwards.
+                joints = joints[np.argsort(turned[joints], kind="stable")].astype(np.int32)
+                found[f"{kind}_{side}"] = Limb(bones, joints, radii(skeleton, surface, bones))
     return found
 
 

@@ -22,7 +22,7 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.body.surfaces.surface import BodyPoints, Surface, posed
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import Camera, depth, on_host, pixels_per_metre
 from jaxmocap.silhouette.recovery import limb_particle_filter
 from jaxmocap.silhouette.recovery.hues import BodyHues, hues_at
 from jaxmocap.silhouette.recovery.limb_particle_filter import ALONG, Evidence, Looks, SearchSettings
@@ -124,8 +124,10 @@ class Doubter:
             places_along(skeleton, limb, self._onlooker.points, ALONG) for limb in self.limbs
         ]
         self._rings = [rings(surface, name) for name in self.names]
-        self._depths = np.asarray(cameras.T_cam_world)[:, 2]
-        self._focals = np.asarray(cameras.matrix)[:, 0, 0]
+        self._each_camera = [
+            on_host(jax.tree.map(lambda part, c=c: part[c], cameras))
+            for c in range(len(cameras.size))
+        ]
         lengths = np.asarray(skeleton.lengths)
         self._reaches = np.array([REACH * lengths[limb.bones].sum() for limb in self.limbs])
         self._sizes = np.array(
@@ -312,9 +314,9 @@ class Doubter:
 
     def _cells_to_a_metre(self, camera: np.intp, sight: Sight) -> float:
         """At the pelvis' depth."""
-        ahead = self._depths[camera]
-        depth = ahead[:3] @ np.asarray(sight.pose.position) + ahead[3]
-        return float(self._focals[camera] / max(depth, 0.3) / sight.regions[camera].scale)
+        of = self._each_camera[camera]
+        away = max(depth(of, np.asarray(sight.pose.position)), 0.3)
+        return float(pixels_per_metre(of, away) / sight.regions[camera].scale)
 
 
 @jax.jit

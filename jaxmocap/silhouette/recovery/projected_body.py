@@ -14,11 +14,10 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.surface import BodyPoints, Surface, posed
-from jaxmocap.geometry.cameras import Camera, project
+from jaxmocap.geometry.cameras import Camera, depth, project
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.recovery.hues import Places, hue_canvases
-from jaxmocap.silhouette.recovery.limb_particle_filter import depths_of
 from jaxmocap.silhouette.segmentation.canvas_coverage import covered, widened
 from jaxmocap.silhouette.segmentation.outlines import Outlines
 
@@ -114,6 +113,6 @@ def seen_at(
     places = posed(forward(skeleton, pose), points)
 
     def one(camera: Camera) -> tuple[Array, Array]:
-        return project(camera, places), depths_of(camera, places)
+        return project(camera, places), depth(camera, places)
 
     return jax.vmap(one)(cameras)

@@ -29,7 +29,7 @@ from jaxmocap.body.surfaces.surface import (
     skin_of,
     skinned,
 )
-from jaxmocap.geometry.cameras import NEAREST_M, Camera, pixel_components
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, camera_components, pixel_components
 from jaxmocap.images.regions import Region, region_around
 from jaxmocap.silhouette.surfaces.index_image import (
     Boundary,
@@ -114,11 +114,6 @@ class Drawn(NamedTuple):
     region: Region
 
 
-def stacked(cameras: list[Camera]) -> Camera:
-    """C cameras as one, each of its arrays with a new first axis."""
-    return jax.tree.map(lambda *parts: jnp.stack(parts), *cameras)
-
-
 class RimFinder:
     """Finds rims of one person's surface.
 
@@ -164,8 +159,7 @@ class RimFinder:
         s = self.settings
 
         def seen(camera: Camera) -> Drawn:
-            T = camera.T_cam_world
-            at_cam = [T[i, 0] * x + T[i, 1] * y + T[i, 2] * z + T[i, 3] for i in range(3)]
+            at_cam = camera_components(camera, x, y, z)
             depth = jnp.maximum(at_cam[2], NEAREST_M)
             u, v = pixel_components(camera, at_cam[0] / depth, at_cam[1] / depth)
             corners = jnp.stack([jnp.stack([jnp.min(u), jnp.min(v)]),
@@ -179,7 +173,7 @@ class RimFinder:
         return jax.vmap(seen)(cameras)
 
     def find(self, skeleton: Skeleton, pose: Pose, cameras: Camera, coarse: bool = False) -> Rim:
-        """The rims as C cameras (``stacked``) see them, of the surface or of its low-pass."""
+        """The rims as C cameras (stacked) see them, of the surface or of its low-pass."""
         drawn = jax.tree.map(np.asarray, self._draw(skeleton, pose, cameras, coarse))
         views = [jax.tree.map(lambda part, c=c: part[c], drawn) for c in range(len(drawn.u))]
         rows = zip(*(self._of_camera(view) for view in views), strict=True)

@@ -66,7 +66,7 @@ def told(
 
     Args:
         skeleton: of the person.
-        cameras: C, ``stacked``.
+        cameras: C, stacked.
         pose: that was found.
         seen: its pairs, with what robust weighting leaves of their weights.
         moves: (C * N, 3, P) of the pairs' nodes.
@@ -145,7 +145,7 @@ class ShapeFinder:
         pairs: Paired,
         morph: Morph | None = None,
     ) -> None:
-        """A frame: C cameras (``stacked``), the pose found by its pairs, what goes along."""
+        """A frame: C cameras (stacked), the pose found by its pairs, what goes along."""
         moves = self.fields.moves[pairs.nodes.ravel()]
         self.add(*told(skeleton, cameras, pose, pairs.seen, moves, morph, self._lengths))
 
