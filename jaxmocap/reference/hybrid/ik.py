@@ -124,7 +124,7 @@ def ik_step(
             A, ask, _ = linearised(skeleton, frames, as_goals(wishes))
             A = (A * moving) @ projector
             rest = ardour * ask - A @ secondary
-            ridge = float(settings.wish_damping) ** 2 * np.eye(len(rest))
+            ridge = float(settings.elbow_damping) ** 2 * np.eye(len(rest))
             secondary = secondary + A.T @ np.linalg.solve(A @ A.T + ridge, rest)
         return primary + sdls.clamp_max_abs(secondary, gamma)
 

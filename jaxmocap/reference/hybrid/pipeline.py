@@ -158,19 +158,19 @@ def refine_arm(
     hand: np.ndarray,
 ) -> tuple[list[int], np.ndarray]:
     """The degrees of freedom of one arm and their angles where (14) is least."""
-    dofs, polish = arm_dofs(skeleton, side), settings.polish
+    dofs, own = arm_dofs(skeleton, side), settings.simplex
     limits = np.asarray(skeleton.limits, float)[dofs]
 
     def cost(moves: np.ndarray) -> float:
         joints, grip, angles = swing(skeleton, pose, side, grip_sites, moves)
         beyond = np.maximum(limits[:, 0] - angles, 0) + np.maximum(angles - limits[:, 1], 0)
         seen = raster_distance(skeleton, camera, settings, side, view, joints)
-        held = float(settings.fit.hold) * float(np.linalg.norm(hand - grip))
-        return seen / float(settings.fit.edge_scale) + held + float(polish.limit) * beyond.sum()
+        held = float(own.hold) * float(np.linalg.norm(hand - grip))
+        return seen / float(settings.edges.scale) + held + float(own.limit) * beyond.sum()
 
-    edges = np.diag([float(polish.swivel_edge)] + 3 * [float(polish.other_edge)])
+    edges = np.diag([float(own.swivel_edge)] + 3 * [float(own.other_edge)])
     first = np.vstack([np.zeros(4), edges])
-    found = simplex.minimise(cost, first, int(polish.iterations))
+    found = simplex.minimise(cost, first, int(own.iterations))
     angles = swing(skeleton, pose, side, grip_sites, found.point)[2]
     return dofs, np.clip(angles, limits[:, 0], limits[:, 1])
 
@@ -187,7 +187,7 @@ def raster_distance(
     focal = (matrix[0, 0] + matrix[1, 1]) / 2 / view.scale
     seen = focal * radii / np.stack([depths[:-1], depths[1:]], 1)
     covered = raster.coverage(
-        view.field.shape, in_region[:-1], in_region[1:], seen, float(settings.fit.softness)
+        view.field.shape, in_region[:-1], in_region[1:], seen, float(settings.edges.softness)
     )
     samples_per_metre = matrix[0, 0] / max(np.mean(depths[:-1]), 0.1) / view.scale
     lengths = np.linalg.norm(np.diff(joints, axis=0), axis=1)
