@@ -10,6 +10,8 @@ import pytest
 from conftest import on_device
 from hypothesis import given
 from hypothesis import strategies as st
+from jaxmocap.evidence.residuals import residuals
+from jaxmocap.pipelines.tracking.second_pass import FirstPass, smooth_recording
 from painted_motion import (
     CAMERAS,
     ELBOWS,
@@ -33,14 +35,12 @@ from jaxmocap.capture.keypoints import Keypoints
 from jaxmocap.capture.timeline import build_timeline
 from jaxmocap.capture.video import MemoryVideo
 from jaxmocap.evidence.keypoints import TAILS, Lines, line_residuals, lines_of_sight
-from jaxmocap.evidence.residuals import residuals
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.keypoints import Detections
 from jaxmocap.geometry.cameras import project
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events
-from jaxmocap.pipelines.tracking.second_pass import FirstPass, smooth_recording
 from jaxmocap.pipelines.tracking.track import track
 from jaxmocap.smoothing.elbow_viterbi import elbow_goals
 from jaxmocap.smoothing.linearise import SmoothedPoses, smooth_poses

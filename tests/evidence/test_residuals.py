@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import on_device
+from jaxmocap.evidence.residuals import linearised_residuals, residuals
 from painted_motion import CAMERAS, MARKERS, PERSON, SETTINGS, known, points_of, truth
 
 from jaxmocap.body.kinematics import landmarks
@@ -12,7 +13,6 @@ from jaxmocap.body.pose import retract
 from jaxmocap.body.proportions import PROPORTIONS, scaled
 from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF
 from jaxmocap.evidence.keypoints import lines_of_sight
-from jaxmocap.evidence.residuals import linearised_residuals, residuals
 from jaxmocap.geometry.cameras import project
 
 LOGARITHMS = jnp.asarray([0.04, -0.03])

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from conftest import on_device
 from drawn_arms import SIZE
+from jaxmocap.smoothing.trajectory import UNTURNED, Trajectory
 from painted_motion import CAMERAS, CELL_PX, CELLS, PERSON, problem, truth
 
 from jaxmocap.body.kinematics import forward
@@ -35,7 +36,6 @@ from jaxmocap.images.regions import Region
 from jaxmocap.images.silhouette_grid import Grid, cells
 from jaxmocap.pipelines.scaling.lengths_report import VERDICTS, LengthsReport, verdict
 from jaxmocap.smoothing.linearise import Sights
-from jaxmocap.smoothing.trajectory import UNTURNED, Trajectory
 from jaxmocap.solvers.status import Status
 
 NAMES = [proportion.name for proportion in LENGTHS]

@@ -14,6 +14,7 @@ import pytest
 from conftest import double, on_device
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from jaxmocap.smoothing.trajectory import Trajectory, all_turned
 from painted_motion import (
     CAMERAS,
     CELLS,
@@ -34,7 +35,6 @@ from jaxmocap.geometry.outlines import Discs, touch
 from jaxmocap.geometry.rotations import exp
 from jaxmocap.images.silhouette_grid import cells
 from jaxmocap.smoothing.linearise import Problem, Sights, smooth_poses
-from jaxmocap.smoothing.trajectory import Trajectory, all_turned
 
 COUNT, SOFTNESS = 4, 0.6
 # Cells by which the second nearest limb is away where no two limbs meet, blurred as they are.

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from conftest import LIMITS, double, on_device
 from drawn_arms import arm_pose
+from jaxmocap.smoothing.trajectory import all_turned
 from watched_arms import (
     FRONT,
     GRIPS,
@@ -32,7 +33,6 @@ from jaxmocap.hybrid.feet import Stance, effectors
 from jaxmocap.hybrid.ik import Goals, goals_of
 from jaxmocap.hybrid.settings import GradientSettings, IKSettings, Settings
 from jaxmocap.hybrid.tracker import HybridTracker
-from jaxmocap.smoothing.trajectory import all_turned
 from jaxmocap.solvers.status import Status
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")

@@ -8,20 +8,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxmocap.hybrid.first_state import settled, settled_at_once
+from jaxmocap.hybrid.scan import EVENTS, Views, solved_over_time
+from jaxmocap.pipelines.tracking.scan_events import scanned
+from jaxmocap.pipelines.tracking.step_events import stepped
 from watched_arms import FRONT, MARKERS, PERSON
 from waving_arms import RATE, image_of, markers_of, waving
 
-from jaxmocap.capture.footage import open_footage, reading
+from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
-from jaxmocap.hybrid.first_state import settled, settled_at_once
 from jaxmocap.hybrid.observe import Observation
-from jaxmocap.hybrid.scan import EVENTS, Views, solved_over_time
 from jaxmocap.hybrid.settings import RefineSettings, Settings
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.images.regions import Region
 from jaxmocap.pipelines.tracking.events import Plan
-from jaxmocap.pipelines.tracking.scan_events import scanned
-from jaxmocap.pipelines.tracking.step_events import stepped
 from jaxmocap.pipelines.tracking.track import make_tracker
 
 SAMPLES = EVENTS + 4
@@ -57,7 +57,7 @@ def both_ways(recording, tracker):
     def gone_through(way, *more):
         videos, _ = open_footage(recording)
         plan, shown = Plan.of(recording, videos, "own"), []
-        with reading(videos) as readers:
+        with forward_readers(videos) as readers:
             found = way(plan, tracker, readers, *more, lambda *call: shown.append(call))
         return found, shown
 

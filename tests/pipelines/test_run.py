@@ -6,6 +6,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxmocap.hybrid.scan import EVENTS
 from small_recording import (
     FRAMES,
     PLACES,
@@ -28,7 +29,6 @@ from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.tables import Markers
 from jaxmocap.geometry.cameras import turned
-from jaxmocap.hybrid.scan import EVENTS
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.summary import figures, frames_per_second, misfit, summary
 from jaxmocap.pipelines.tracking import warnings

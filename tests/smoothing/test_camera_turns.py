@@ -13,6 +13,15 @@ import pytest
 from conftest import on_device
 from hypothesis import given
 from hypothesis import strategies as st
+from jaxmocap.pipelines.tracking.second_pass import trust_in
+from jaxmocap.smoothing.trajectory import (
+    UNTURNED,
+    Trajectory,
+    all_turned,
+    among_cameras,
+    moved_by,
+    shared_prior,
+)
 from painted_motion import (
     CAMERAS,
     MARKERS,
@@ -27,17 +36,8 @@ from painted_motion import (
 from jaxmocap.body.arms import grips
 from jaxmocap.geometry.cameras import project, to_camera, turned
 from jaxmocap.geometry.rotations import exp
-from jaxmocap.pipelines.tracking.second_pass import trust_in
 from jaxmocap.smoothing.elbow_viterbi import elbow_goals
 from jaxmocap.smoothing.linearise import Problem, SmoothedPoses, smooth_poses
-from jaxmocap.smoothing.trajectory import (
-    UNTURNED,
-    Trajectory,
-    all_turned,
-    among_cameras,
-    moved_by,
-    shared_prior,
-)
 
 COUNT, SOFTNESS = 12, (3.0, 0.8)
 # Half a degree, rotation vectors in the cameras' frames; a turn about the view is hardly seen.

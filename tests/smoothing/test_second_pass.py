@@ -13,6 +13,8 @@ import pytest
 from conftest import on_device
 from drawn_arms import SIZE
 from drawn_body import Painted, paint, room
+from jaxmocap.pipelines.tracking.report_figures import judge_steps
+from jaxmocap.pipelines.tracking.second_pass import FirstPass, Look, Smoothed, smooth_recording
 from painted_motion import CAMERAS, ELBOWS, MARKERS, PERSON, disturbed, points_of, pose_at
 
 from jaxmocap.body.kinematics import forward, site_positions
@@ -28,8 +30,6 @@ from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker, StepReport
 from jaxmocap.images.silhouette_grid import Grid
 from jaxmocap.pipelines.tracking import second_pass as offline
-from jaxmocap.pipelines.tracking.report_figures import judge_steps
-from jaxmocap.pipelines.tracking.second_pass import FirstPass, Look, Smoothed, smooth_recording
 from jaxmocap.pipelines.tracking.track import make_tracker, track_both
 from jaxmocap.smoothing.fixed_lag import DELAY_FRAMES
 from jaxmocap.smoothing.linearise import Problem, SmoothedPoses

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import on_device
+from jaxmocap.evidence.residuals import residuals
 from painted_motion import (
     ELBOWS,
     MARKERS,
@@ -24,7 +25,6 @@ from painted_motion import (
 
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, landmark_mismatches
-from jaxmocap.evidence.residuals import residuals
 from jaxmocap.smoothing.linearise import Trajectory, smooth_poses
 from jaxmocap.smoothing.uncertainty import trust_in
 from jaxmocap.solvers.status import Status

@@ -8,16 +8,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.calibration.board.boards import Board
-from jaxmocap.formats.cameras.calibration import Lens
+from jaxmocap.formats.cameras.calibration import Intrinsics
 
 SIZE = (640, 480)
-LENS = Lens(
+LENS = Intrinsics(
     np.array(SIZE, float),
     np.array([[620.0, 0, 335], [0, 615, 228], [0, 0, 1]]),
     np.array([-0.12, 0.05, 0.001, -0.0005]),
 )
 # A camera that shows 115 degrees from side to side.
-FISHEYE_LENS = Lens(
+FISHEYE_LENS = Intrinsics(
     np.array(SIZE, float),
     np.array([[310.0, 0, 325], [0, 308, 236], [0, 0, 1]]),
     np.array([0.04, -0.02, 0.006, -0.001]),

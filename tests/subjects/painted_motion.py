@@ -10,12 +10,12 @@ import numpy as np
 from conftest import on_device
 from drawn_arms import SIZE, arm_pose, camera_at
 from drawn_body import paint, room
+from jaxmocap.evidence.residuals import Known
 
 from jaxmocap.body.kinematics import forward, landmark_sites, landmarks, site_positions
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.proportions import PROPORTIONS
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.evidence.residuals import Known
 from jaxmocap.evidence.silhouettes import Sight
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import quaternion_to_matrix

@@ -1,6 +1,6 @@
 """What OpenCV does with either kind of lens: project, find poses, calibrate.
 
-INPUTS: points (metres, any frame), pixels, a Lens. OUTPUTS: pixels, derivatives, poses, a lens.
+INPUTS: points (metres, any frame), pixels, Intrinsics. OUTPUTS: pixels, derivatives, poses, a lens.
 """
 
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
-from jaxmocap.formats.cameras.calibration import Lens
+from jaxmocap.formats.cameras.calibration import Intrinsics
 from jaxmocap.geometry.lenses import BROWN_CONRADY, FISHEYE, LENSES
 
 # Coefficients of an ordinary lens that can be asked for, and what OpenCV then holds at zero.
@@ -57,24 +57,28 @@ class LensFit:
         std: standard deviations by least squares; 0 of what was held at zero.
     """
 
-    lens: Lens
+    lens: Intrinsics
     rms: float
     values: np.ndarray
     std: np.ndarray
 
 
-def project(points: np.ndarray, rvec: np.ndarray, tvec: np.ndarray, lens: Lens) -> np.ndarray:
+def project_points(
+    points: np.ndarray, rvec: np.ndarray, tvec: np.ndarray, lens: Intrinsics
+) -> np.ndarray:
     """Pixels (N, 2) of points (N, 3) that a pose takes to the camera's frame."""
     return _projected(points, rvec, tvec, lens)[0]
 
 
-def pose_jacobian(points: np.ndarray, rvec: np.ndarray, tvec: np.ndarray, lens: Lens) -> np.ndarray:
+def pose_jacobian(
+    points: np.ndarray, rvec: np.ndarray, tvec: np.ndarray, lens: Intrinsics
+) -> np.ndarray:
     """(2 N, 6) derivatives of the pixels by the Rodrigues vector and the translation."""
     return _projected(points, rvec, tvec, lens)[1]
 
 
 def _projected(
-    points: np.ndarray, rvec: np.ndarray, tvec: np.ndarray, lens: Lens
+    points: np.ndarray, rvec: np.ndarray, tvec: np.ndarray, lens: Intrinsics
 ) -> tuple[np.ndarray, np.ndarray]:
     if not lens.fisheye:
         pixels, J = cv2.projectPoints(points, rvec, tvec, lens.matrix, lens.distortions)
@@ -84,7 +88,7 @@ def _projected(
 
 
 def _fisheye_projected(
-    points: np.ndarray, rvec: np.ndarray, tvec: np.ndarray, lens: Lens
+    points: np.ndarray, rvec: np.ndarray, tvec: np.ndarray, lens: Intrinsics
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pixels (N, 2), and (2 N, 15) by fx fy cx cy k1 to k4, the pose and the skew."""
     r, t = (np.array(part, float).reshape(3, 1) for part in (rvec, tvec))
@@ -93,12 +97,12 @@ def _fisheye_projected(
     return pixels.reshape(-1, 2), J
 
 
-def _four(lens: Lens) -> np.ndarray:
+def _four(lens: Intrinsics) -> np.ndarray:
     return np.concatenate([lens.distortions, np.zeros(4)])[:4]
 
 
 def pose_candidates(
-    points: np.ndarray, pixels_xy: np.ndarray, lens: Lens, method: int
+    points: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics, method: int
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Rodrigues vectors and translations, refined, of a camera that sees points at pixels.
 
@@ -129,12 +133,12 @@ def pose_candidates(
 
 
 def _refined(
-    points: np.ndarray, pixels_xy: np.ndarray, lens: Lens, pose: np.ndarray
+    points: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics, pose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """A pose (6,) by Levenberg-Marquardt on the pixels."""
 
     def off(pose: np.ndarray) -> np.ndarray:
-        return (project(points, pose[:3], pose[3:], lens) - pixels_xy).ravel()
+        return (project_points(points, pose[:3], pose[3:], lens) - pixels_xy).ravel()
 
     def slopes(pose: np.ndarray) -> np.ndarray:
         return pose_jacobian(points, pose[:3], pose[3:], lens)
@@ -184,7 +188,7 @@ def _fit_ordinary(
     )
     values = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *d.ravel()[:5]])
     distortions = d.ravel()[: max(kind.coefficients, 4)].astype(float)
-    lens = Lens(np.array(size, float), K, distortions)
+    lens = Intrinsics(np.array(size, float), K, distortions)
     return LensFit(lens, float(error), values, std.ravel()[:9])
 
 
@@ -203,7 +207,7 @@ def _fit_fisheye(
         [part[None].astype(float) for part in pixels],
         size, np.eye(3), np.zeros(4), flags=flags, criteria=stop,
     )  # fmt: skip
-    lens = Lens(np.array(size, float), K, d.ravel(), fisheye=True)
+    lens = Intrinsics(np.array(size, float), K, d.ravel(), fisheye=True)
     values = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *d.ravel()])
     if not np.isfinite(values).all():
         return LensFit(lens, np.inf, values, np.zeros(8))
