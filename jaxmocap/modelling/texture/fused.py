@@ -13,7 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from jaxmocap.body.surfaces.mesh import MARGIN, Atlas, Mesh
+from jaxmocap.body.surfaces.mesh import MARGIN, Atlas, SurfaceMesh
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.modelling.texture.fusion import (
     behind,
@@ -51,7 +51,9 @@ MIRRORED = 0.3
 Part = tuple[np.ndarray, np.ndarray]
 
 
-def baked(surface: Surface, atlas: Atlas, mesh: Mesh, shots: Mapping[str, Shot]) -> np.ndarray:
+def baked(
+    surface: Surface, atlas: Atlas, mesh: SurfaceMesh, shots: Mapping[str, Shot]
+) -> np.ndarray:
     """The atlas' picture (H, W, 3), BGR uint8.
 
     Args:
