@@ -11,13 +11,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.calibration.board.opencv_lenses import pose_jacobian
+from jaxmocap.calibration.board.opencv_lenses import pose_jacobian, project
 from jaxmocap.calibration.planar_poses import (
     FLAT_THICKNESS,
     CameraPose,
     candidate_poses,
     relative_thickness,
-    reprojection_residuals,
 )
 from jaxmocap.formats.cameras.calibration import Intrinsics
 from jaxmocap.geometry.cameras import Camera
@@ -123,7 +122,7 @@ def estimate_placement(
     std_m, std_deg = _deviations(best, points_world[used], lens)
     return Placement(
         best.matrix,
-        reprojection_residuals(points_world, pixels_xy, lens, best.rvec, best.tvec),
+        _residuals(best, points_world, pixels_xy, lens),
         used,
         std_m,
         std_deg,
@@ -250,6 +249,12 @@ def advice_on_board_pose(
                 f"{_position_text(other)}; see the axes in the picture"
             )
     return "see the axes in the picture: --pose does not fit it, or the world's z is not up"
+
+
+def _residuals(
+    pose: CameraPose, points_world: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics
+) -> np.ndarray:
+    return project(points_world, pose.rvec, pose.tvec, lens) - pixels_xy
 
 
 def _deviations(

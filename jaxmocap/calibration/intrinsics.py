@@ -20,10 +20,9 @@ from jaxmocap.calibration.board.opencv_lenses import LensFit, LensKind, fit_lens
 from jaxmocap.calibration.planar_poses import CameraPose, candidate_poses, rms_length
 from jaxmocap.formats.cameras.calibration import Intrinsics
 
-# A view is an outlier where its residual is this many times the median of the consistent views,
-OUTLIER_RATIO = 4.0
-# and more than the fractions of a pixel that sharp pictures have.
-MIN_OUTLIER_PX = 0.5
+# A view is false where its residual is this many times the median of the views that agree, and not
+# merely one of the sharp pictures' fractions of a pixel.
+OUTLIER_RATIO, MIN_OUTLIER_PX = 4.0, 0.5
 _MAX_ROUNDS = 10
 
 

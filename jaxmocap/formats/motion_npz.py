@@ -33,7 +33,7 @@ from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series.tables import SampleLabels, check_times
 
 VERSION = 2
-# What a file holds of the skeleton, and of its tree; the rest is known by the joints' names.
+# What a file holds of the skeleton; the rest follows from the joints' names.
 _SKELETON_FIELDS = (
     "lengths",
     "directions",
@@ -45,6 +45,7 @@ _SKELETON_FIELDS = (
     "costs",
     "relaxed",
 )
+# And of its tree.
 _TREE_FIELDS = ("bones", "parents", "joints", "dof_bones")
 _REPORT_FIELDS = (
     "marker_errors",
