@@ -40,7 +40,7 @@ from jaxmocap.pipelines.silhouettes.track import whole_body
 from jaxmocap.silhouette.first_pose import pose_at
 from jaxmocap.synthetic.movements.exercises import EXERCISES
 from jaxmocap.synthetic.people.rigged_mesh import Rig, load_rig
-from jaxmocap.synthetic.photographs import stature, write_photographs
+from jaxmocap.synthetic.photographs import rest_height, write_photographs
 
 PEOPLE, EXERCISE = ("slim_woman", "broad_man"), "arm_raises"
 BODIES = ("stature", "bones", "model")
@@ -68,7 +68,7 @@ def photographed(rig: Rig, folder: Path, seed: int) -> Personal:
     """The person of four photographs."""
     calibration = write_photographs(folder, rig, seed)
     files = {name: folder / f"{name}.png" for name in PHOTOGRAPHS}
-    return model_from(files, calibration, folder / "model", height=stature(rig)).person
+    return model_from(files, calibration, folder / "model", height=rest_height(rig)).person
 
 
 def tracked(clip: Clip, rig: Rig, person: Personal, bodies: Sequence[str]) -> Row:
@@ -92,7 +92,7 @@ def built(
         return person.skeleton, person.surface
     if name == "bones":
         return scale_to_landmarks(recording.skeleton, truth), None
-    return Skeleton.human(stature(rig)), None
+    return Skeleton.human(rest_height(rig)), None
 
 
 def text(rows: Sequence[Row]) -> str:

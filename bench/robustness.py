@@ -23,7 +23,7 @@ from bench.silhouette_faults import FAULTS, Faulty, Span, Truth, in_memory
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.subject import scale_to_landmarks
-from jaxmocap.cli.choose_recording import select_cameras
+from jaxmocap.cli.recording_options import select_cameras
 from jaxmocap.formats.recordings.recording import Recording, load_recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled

@@ -34,7 +34,7 @@ from jaxmocap.silhouette.segmentation.room_models import RoomLearner, pictured
 from jaxmocap.silhouette.segmentation.segment import Histograms, Plan
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.surfaces.rim import Rim
-from jaxmocap.synthetic.four_cameras import View, framed, read_masks
+from jaxmocap.synthetic.four_cameras import RoomCamera, cameras_around, read_masks
 from jaxmocap.synthetic.movements.exercises import EXERCISES, exercise
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.renderer import Sensor
@@ -166,7 +166,7 @@ class Case:
     def __init__(self, clip: Clip, people: Path, who: str, seconds: float):
         """Render what is missing: poses that are off, empty rooms."""
         performer = exercise(load_rig(people, who, clip.seed), clip.group, seconds, clip.seed)
-        self._views = framed(performer, seconds)
+        self._views = cameras_around(performer, seconds)
         self._rng, self._performer = np.random.default_rng([clip.seed, 9]), performer
         truths = read_masks(clip.path.with_name("truth_masks.npz"))
         videos = [open_video(source) for source in Recording.load(clip.path).videos]
@@ -181,11 +181,11 @@ class Case:
         self._exposed = [self._empty(view) for view in self._views]
 
     def _look(self, i: int, truths: dict[str, np.ndarray]) -> Look:
-        off = self._performer.off(self._rng)
+        off = self._performer.displaced(self._rng)
         starts = [view.mask(off, float(self._times[i])) for view in self._views]
         return Look(self._images[i], [truths[view.name][i] for view in self._views], starts)
 
-    def _empty(self, view: View) -> np.ndarray:
+    def _empty(self, view: RoomCamera) -> np.ndarray:
         """(N, H, W, 3) uint8, exposures of the empty room."""
         room = view.scene(self._performer, self._seed).background
         sensor = Sensor.create(room.shape[1::-1], np.random.default_rng([self._seed, 10]))
@@ -202,7 +202,7 @@ class Case:
         learners = [RoomLearner(len(chosen)) for _ in self._views]
         plan, nothing = Plan(), [None] * len(self._views)
         for i in chosen:
-            off = self._performer.off(self._rng)
+            off = self._performer.displaced(self._rng)
             starts = [view.mask(off, float(self._times[i])) for view in self._views]
             phi, region = looked(Look(self._images[i], [], starts), plan, nothing)
             for learner, image, camera, *where in zip(

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.acceleration import AccelerationAndLag, compare_tracks
 from bench.clips import REAL_LANDMARKS, Clip, exercises
 from bench.command_line import add_rendered, command
 from bench.metrics import Metric, aligned, stage_metrics, table, write_json
@@ -27,7 +28,6 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.body.surfaces.surface import Surface
-from jaxmocap.evaluation.acceleration import Calm, calmness
 from jaxmocap.evaluation.errors import Errors, position_errors
 from jaxmocap.evaluation.series import match
 from jaxmocap.formats.recordings.recording import Recording
@@ -39,7 +39,7 @@ from jaxmocap.pipelines.silhouettes.first_pose import start_pose
 from jaxmocap.pipelines.silhouettes.track import follow, whole_body
 from jaxmocap.silhouette.first_pose import pose_at
 from jaxmocap.silhouette.settings import Settings
-from jaxmocap.synthetic.four_cameras import bends, write_four_cameras
+from jaxmocap.synthetic.four_cameras import flexion_angles, write_four_cameras
 from jaxmocap.synthetic.movements.exercises import EXERCISES
 
 KINDS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
@@ -64,7 +64,7 @@ class Result:
     cameras: int
     errors: Errors
     bends_off: dict[str, np.ndarray]
-    calm: Calm
+    calm: AccelerationAndLag
 
     def angle(self, kind: str) -> float:
         """Mean error of both elbows or both knees, degrees."""
@@ -116,10 +116,10 @@ def judged(
     pairs = {name: name for name in JOINTS}
     errors = position_errors(motion.times, joints, truth.times, points, pairs)
     ours, theirs = match(motion.times, truth.times)
-    found, expected = bends(joints), bends(points)
+    found, expected = flexion_angles(joints), flexion_angles(points)
     off = {hinge: np.abs(found[hinge][ours] - expected[hinge][theirs]) for hinge in found}
     places = [np.stack([each[name] for name in JOINTS], 1) for each in (joints, points)]
-    calm = calmness(motion.times, places[0], truth.times, places[1])
+    calm = compare_tracks(motion.times, places[0], truth.times, places[1])
     return Result(clip.name, len(recording.videos), errors, off, calm)
 
 

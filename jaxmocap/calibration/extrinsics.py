@@ -19,7 +19,6 @@ from jaxmocap.calibration.planar_poses import (
     relative_thickness,
 )
 from jaxmocap.formats.cameras.calibration import Intrinsics
-from jaxmocap.geometry.cameras import Camera
 
 # The mirrored solution is ambiguous where its residual is less than this times the better one's.
 AMBIGUOUS_RATIO = 2.0
@@ -75,11 +74,9 @@ class Placement:
         """(3,) Rodrigues vector, world to camera."""
         return Rotation.from_matrix(self.T_cam_world[:3, :3]).as_rotvec()
 
-    def camera(self, lens: Intrinsics) -> Camera:
-        """The camera as all else uses it."""
-        size = (lens.size[0], lens.size[1])
-        R, t = self.T_cam_world[:3, :3], self.T_cam_world[:3, 3]
-        return Camera.create(size, lens.matrix, lens.distortions, R, t, lens.model)
+    def entries(self) -> dict[str, np.ndarray]:
+        """Its fields in a section of the calibration file."""
+        return {"rotation": self.rotation, "translation": self.T_cam_world[:3, 3]}
 
 
 def board_to_world(pose: tuple[float, ...]) -> np.ndarray:

@@ -20,7 +20,7 @@ from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoS
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, pixels_per_metre, project
 
 # A detection further than this from where a landmark is predicted is not of that landmark.
-GATE_M = 0.25
+PERSON_GATE_M = 0.25
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ def choose_person(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: floa
 
 
 def select_person(
-    keypoints: Keypoints, camera: Camera, points_world: np.ndarray, gate_m: float = GATE_M
+    keypoints: Keypoints, camera: Camera, points_world: np.ndarray, gate_m: float = PERSON_GATE_M
 ) -> tuple[np.ndarray, np.ndarray]:
     """The tracked person's detections among everybody's, frame by frame.
 

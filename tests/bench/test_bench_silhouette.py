@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bench import personal
+from bench.acceleration import AccelerationAndLag
 from bench.silhouette import Result, camera_rows, exercise_rows, metrics, real_rows, speed
 from bench.stages import REST, STAGES, WHOLE, StageClock, stages_timed
-from jaxmocap.evaluation.acceleration import Calm
 from jaxmocap.evaluation.errors import Errors
 from jaxmocap.pipelines.silhouettes.demo import JOINTS
 from jaxmocap.silhouette import tracker
@@ -21,7 +21,7 @@ def result(name: str, cameras: int, off_m: float, bend_deg: float) -> Result:
     bend = np.radians(bend_deg)
     off = {f"{h}_{s}": np.full(3, bend / k) for h, k in (("elbow", 1), ("knee", 2)) for s in "lr"}
     truths, still = np.full(len(JOINTS), 2.0), np.zeros(len(JOINTS))
-    calm = Calm(1.5 * truths, truths, still, still)
+    calm = AccelerationAndLag(1.5 * truths, truths, still, still)
     return Result(name, cameras, Errors(tuple(JOINTS), np.arange(3.0), offsets), off, calm)
 
 

@@ -207,8 +207,8 @@ def test_what_ros_writes_is_read_by_its_cameras_name(tmp_path):
 def test_bad_yaml_is_refused_with_the_field(tmp_path, old, new, says):
     assert old in ROS
     path = written(tmp_path, ROS.replace(old, new))
-    said = complaint(read_intrinsics, path, "narrow")
-    assert said.startswith(str(path)) and says in said
+    message = complaint(read_intrinsics, path, "narrow")
+    assert message.startswith(str(path)) and says in message
 
 
 @given(st.integers(0, len(ROS) - 1), st.text(max_size=3))

@@ -195,8 +195,8 @@ def test_csv_is_seconds_and_metres_with_empty_cells_where_missing(tmp_path):
         ("frame,Head.x,Head.y,Head.z\n", "line 1: found 'frame"),
         ("\n" + CSV, "line 1: found ''"),
         ("time\n0\n", "line 1: found 'time'"),
-        (CSV.replace("Head.y", "Head.q"), "line 1: found 'Head.q' where 'Head.y' belongs"),
-        (CSV.replace(",Hand.z", ""), "line 1: found 'the end of the line' where 'Hand.z' belongs"),
+        (CSV.replace("Head.y", "Head.q"), "line 1: found 'Head.q', expected 'Head.y'"),
+        (CSV.replace(",Hand.z", ""), "line 1: found 'the end of the line', expected 'Hand.z'"),
         (CSV.replace("Hand", "Head"), "line 1: marker 'Head' is named twice"),
         (CSV.replace("4,5,6\n0.5", "4,5\n0.5"), "line 2: found 6 columns, expected 7"),
         (CSV.replace("0.5", "-1"), "line 3: time runs backwards"),
@@ -365,9 +365,9 @@ def test_the_real_calibration_puts_the_person_into_every_picture(recordings):
 def some_motion(report: Report | None) -> Motion:
     rng = np.random.default_rng(0)
     skeleton = Skeleton.human(1.68)
-    turns = rng.normal(size=(4, 4))
-    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
-    poses = Pose(rng.normal(size=(4, 3)), turns, rng.normal(size=(4, 21)))
+    quaternions = rng.normal(size=(4, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    poses = Pose(rng.normal(size=(4, 3)), quaternions, rng.normal(size=(4, 21)))
     return Motion(skeleton, np.arange(4) / 90, poses, report)
 
 

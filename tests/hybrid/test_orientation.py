@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from held_devices import DEVICES, write_controllers
 from hypothesis import given
 from hypothesis import strategies as st
 from jaxmocap.hybrid.first_state import settled
@@ -33,7 +34,6 @@ from jaxmocap.formats.time_series.csv import read_csv, write_csv
 from jaxmocap.formats.time_series.trc import read_trc, write_trc
 from jaxmocap.pipelines.live.recording import LiveRecording
 from jaxmocap.pipelines.tracking.track import make_tracker, marker_sites
-from jaxmocap.synthetic.controllers import DEVICES, write_controllers
 from jaxmocap.synthetic.movements import motions
 
 BODY = with_wrists(Skeleton.human(1.75))

@@ -6,8 +6,10 @@ import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
+from photograph_masks import true_person_mask
 from scipy.spatial import Delaunay
 
+from bench.anthropometry import MeasuredPerson, tape_measure
 from jaxmocap.geometry.cameras import project
 from jaxmocap.modelling.arm_surface import INNER, SLICES
 from jaxmocap.modelling.person import StanceError, person_model
@@ -17,9 +19,12 @@ from jaxmocap.modelling.pictures.medial_axis import chamfer, path, skeleton
 from jaxmocap.modelling.separation import separate
 from jaxmocap.modelling.trunk import ring
 from jaxmocap.modelling.views import View
-from jaxmocap.synthetic.people.anthropometry import Body, measured
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
-from jaxmocap.synthetic.photographs import PHOTOGRAPHS, camera_of, standing, true_mask
+from jaxmocap.synthetic.photographs import (
+    PHOTOGRAPHS,
+    camera_of,
+    person_in_stance,
+)
 
 
 def blank():
@@ -114,7 +119,7 @@ def test_a_slice_touches_the_four_lines_that_it_is_seen_by(half, fullness, lean)
 
 def test_a_full_slice_is_longer_around_than_an_ellipse():
     corners = np.array([[1.0, 2.0], [-1.0, 2.0], [-1.0, -2.0], [1.0, -2.0]])
-    girths = [measured(ring(corners, fullness, 400)).girth for fullness in (2.0, 3.0)]
+    girths = [tape_measure(ring(corners, fullness, 400)).girth for fullness in (2.0, 3.0)]
     assert girths[0] == pytest.approx(9.688, rel=5e-3)
     assert girths[0] < 0.96 * girths[1] < 0.96 * 12
 
@@ -135,13 +140,13 @@ def test_rings_become_a_watertight_mesh_of_the_right_volume():
 def subject(request, recordings):
     """A person as they stand, and their model from true silhouettes."""
     rig = load_rig(recordings / "person" / "person.npz", request.param)
-    views = {name: View(true_mask(rig, name), camera_of(rig, name)) for name in PHOTOGRAPHS}
+    views = {name: View(true_person_mask(rig, name), camera_of(rig, name)) for name in PHOTOGRAPHS}
     return rig, views, person_model(views)
 
 
 def test_a_view_in_numpy_is_the_camera(subject):
     rig, views, _ = subject
-    points = standing(rig, "front").vertices(np.zeros(1))[0][::500]
+    points = person_in_stance(rig, "front").vertices(np.zeros(1))[0][::500]
     pixels = views["side"].pixels(points)
     assert np.abs(pixels - np.asarray(project(views["side"].camera, points))).max() < 1e-3
     back = views["side"].on_plane(pixels, np.zeros(3), np.array([0.0, 1.0, 0.0]))
@@ -150,7 +155,7 @@ def test_a_view_in_numpy_is_the_camera(subject):
 
 def test_joints_lie_where_they_are(subject):
     rig, _, model = subject
-    truth = Body.of(standing(rig, "joint")).landmarks()
+    truth = MeasuredPerson.of(person_in_stance(rig, "joint")).landmarks()
     for bones, side in zip(model.bent, "lr", strict=True):
         for name in ("shoulder", "elbow", "wrist"):
             assert np.linalg.norm(getattr(bones, name) - truth[f"{name}_{side}"]) < 0.015
@@ -158,7 +163,7 @@ def test_joints_lie_where_they_are(subject):
 
 def test_bones_are_as_long_as_they_are(subject):
     rig, _, model = subject
-    truth, lengths = Body.of(standing(rig, "front")).landmarks(), model.lengths()
+    truth, lengths = MeasuredPerson.of(person_in_stance(rig, "front")).landmarks(), model.lengths()
     off = [
         lengths[f"{bone}_{side}"] - np.linalg.norm(truth[f"{near}_{side}"] - truth[f"{far}_{side}"])
         for bone, near, far in (("humerus", "shoulder", "elbow"), ("radius", "elbow", "wrist"))
@@ -169,13 +174,13 @@ def test_bones_are_as_long_as_they_are(subject):
 
 def test_the_trunk_is_as_wide_deep_and_stout_as_it_is(subject):
     rig, _, model = subject
-    body, rings = Body.of(standing(rig, "front")), model.trunk.rings
+    body, rings = MeasuredPerson.of(person_in_stance(rig, "front")), model.trunk.rings
     levels = rings[:, 0, 2]
     low, pits = levels[0], model.trunk.pits[:, 2].mean()
     off = []
     for share in np.linspace(0.1, 0.9, 7):
         k = int(np.argmin(np.abs(levels - low - share * (pits - low))))
-        truth, found = body.trunk(levels[k]), measured(rings[k][:, [1, 0]])
+        truth, found = body.trunk(levels[k]), tape_measure(rings[k][:, [1, 0]])
         off.append(
             (found.width - truth.width, found.depth - truth.depth, found.girth / truth.girth - 1)
         )
@@ -186,12 +191,12 @@ def test_the_trunk_is_as_wide_deep_and_stout_as_it_is(subject):
 
 def test_arms_are_as_thick_as_they_are(subject):
     rig, _, model = subject
-    body, off = Body.of(standing(rig, "front")), []
+    body, off = MeasuredPerson.of(person_in_stance(rig, "front")), []
     for rings, side in zip(model.arms, "lr", strict=True):
         for bone, first in (("humerus", 0), ("radius", SLICES[0])):
             for share in (0.375, 0.5, 0.75):
                 k = INNER + first + round(share * SLICES[0])
-                truth, found = body.arm(bone, side, share), measured(rings[k][:, [2, 0]])
+                truth, found = body.arm(bone, side, share), tape_measure(rings[k][:, [2, 0]])
                 off.append([found.width - truth.width, found.depth - truth.depth,
                             found.girth / truth.girth - 1])  # fmt: skip
     off = np.abs(off)
@@ -212,7 +217,7 @@ def test_every_patch_of_the_surface_is_watertight_and_arms_begin_within_the_trun
 
 def test_a_view_of_another_stance_is_refused_by_its_name(recordings):
     rig = load_rig(recordings / "person" / "person.npz", "slim_woman")
-    views = {name: View(true_mask(rig, name), camera_of(rig, name)) for name in PHOTOGRAPHS}
+    views = {name: View(true_person_mask(rig, name), camera_of(rig, name)) for name in PHOTOGRAPHS}
     for name, other in (("front", "joint"), ("joint", "arm_side"), ("arm_side", "joint")):
         with pytest.raises(StanceError) as caught:
             person_model(views | {name: views[other]})

@@ -33,7 +33,7 @@ from jaxmocap.modelling.thighs import Thighs, thighs
 from jaxmocap.modelling.trunk import RINGS, Trunk
 from jaxmocap.modelling.views import View
 from jaxmocap.pipelines.silhouettes.person import modelled
-from jaxmocap.synthetic.lens import look_at
+from jaxmocap.synthetic.drawing_camera import look_at
 
 PLACED, FRAMES = jax.jit(landmarks), jax.jit(forward)
 PHI = 2 * np.pi * np.arange(48) / 48

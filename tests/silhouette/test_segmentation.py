@@ -29,7 +29,7 @@ from jaxmocap.silhouette.segmentation.segment import (
     segment,
 )
 from jaxmocap.silhouette.segmentation.sharpen import sharpened
-from jaxmocap.synthetic.four_cameras import framed
+from jaxmocap.synthetic.four_cameras import cameras_around
 from jaxmocap.synthetic.movements.exercises import exercise
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.renderer import Sensor, render_frames
@@ -300,9 +300,9 @@ def test_a_canvas_of_nobody_is_the_whole_image_and_beyond_it_nothing_is_inside()
 
 def test_a_rendered_person_before_clutter_is_found_from_a_pose_that_is_off(recordings):
     person = exercise(load_rig(recordings / "person" / "person.npz"), "jumping", 1.0)
-    off, time = person.off(np.random.default_rng(3)), 0.9
+    off, time = person.displaced(np.random.default_rng(3)), 0.9
     frames, starts, rooms, truths = [], [], [], []
-    for view in framed(person, 1.0)[:1]:
+    for view in cameras_around(person, 1.0)[:1]:
         scene = view.scene(person, 0)
         frames += list(render_frames(scene, np.array([time])))
         sensor = Sensor.create((640, 480), np.random.default_rng(9))

@@ -146,10 +146,10 @@ def draw_coverage(
     return canvas
 
 
-def write_annotated(path: Path, canvas: AnnotatedPicture) -> Path:
+def write_annotated(path: Path, picture: AnnotatedPicture) -> Path:
     """Write a JPEG file; its path."""
     with replacing(path) as temporary:
         temporary.write_bytes(
-            cv2.imencode(".jpg", canvas.image, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes()
+            cv2.imencode(".jpg", picture.image, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes()
         )
     return path

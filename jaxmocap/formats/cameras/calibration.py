@@ -220,7 +220,7 @@ def write_camera(path: str | Path, name: str, entries: Mapping[str, Any]) -> Non
     Args:
         path: of the .toml file; it is made where there is none.
         name: of the section.
-        entries: such as ``Lens.entries()``, or rotation and translation.
+        entries: such as ``Intrinsics.entries()``, or rotation and translation.
 
     Raises:
         InputError: the file is there and no TOML, or the name is not a camera's.

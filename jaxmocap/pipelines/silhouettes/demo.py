@@ -29,10 +29,10 @@ from jaxmocap.pipelines.silhouettes.writing import KINDS, write_all
 from jaxmocap.pipelines.summary import frames_per_second
 from jaxmocap.pipelines.writing import MOTION, MOTION_FILES
 from jaxmocap.silhouette.first_pose import pose_at
-from jaxmocap.synthetic.four_cameras import Performer, bends, write_four_cameras
+from jaxmocap.synthetic.four_cameras import Performer, flexion_angles, write_four_cameras
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.movements.exercises import exercise
-from jaxmocap.synthetic.people.clothed_person import dressed
+from jaxmocap.synthetic.people.clothed_person import clothed_actor
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.photographs import write_photographs
 
@@ -164,7 +164,7 @@ def followed_from(
 
 def bend_errors_deg(motion: Motion, truth: Path) -> dict[str, float]:
     """Hinge -> mean error of how far it is bent, degrees."""
-    found, expected = bends(motion.joints()), bends(read_trc(truth).points())
+    found, expected = flexion_angles(motion.joints()), flexion_angles(read_trc(truth).points())
     return {
         name: float(np.degrees(np.abs(found[name] - expected[name]).mean())) for name in expected
     }
@@ -173,5 +173,5 @@ def bend_errors_deg(motion: Motion, truth: Path) -> dict[str, float]:
 def performing(seconds: float, seed: int, person: str | None, kind: str) -> Performer:
     """Who moves."""
     if person is None:
-        return dressed(motions.squat(seconds, seed, HEIGHT), seed)
+        return clothed_actor(motions.squat(seconds, seed, HEIGHT), seed)
     return exercise(load_rig(person, seed=seed), kind, seconds, seed)

@@ -28,13 +28,13 @@ from jaxmocap.pipelines.silhouettes.track import Followed, Masks
 from jaxmocap.pipelines.writing import (
     MOTION,
     MOTION_FILES,
-    Counter,
+    FrameCounter,
     Warn,
+    ignore_warning,
     inputs_of,
-    no_warning,
     overlay_names,
-    thinned,
-    viewed,
+    viewer_frame_count,
+    viewer_frames,
     write_motion,
     write_overlays,
 )
@@ -54,7 +54,7 @@ def write_followed(
     progress: Progress | bool | None = None,
     person: Person | None = None,
     inputs: Iterable[Path] = (),
-    warn: Warn = no_warning,
+    warn: Warn = ignore_warning,
 ) -> list[Path]:
     """Write all files.
 
@@ -94,7 +94,7 @@ def write_all(
     folder: Path,
     progress: Progress | bool | None = None,
     person: Person | None = None,
-    warn: Warn = no_warning,
+    warn: Warn = ignore_warning,
 ) -> list[Path]:
     """The same into a folder that is there, of which nothing is asked."""
     motion = followed.motion
@@ -108,12 +108,14 @@ def write_all(
         warn(sentence)
     videos = [open_video(source) for source in recording.videos]
     with progress_bar("drawing", progress) as show:
-        counter = Counter(show, sum(2 * len(video) + viewed(video) for video in videos))
+        counter = FrameCounter(
+            show, sum(2 * len(video) + viewer_frame_count(video) for video in videos)
+        )
         files += write_overlays(motion, recording, videos, folder, {}, counter)
         files += _write_segmentations(followed, recording, videos, folder, counter)
         files.append(folder / "recording.rrd")
         footage = {
-            source.camera_name: Footage(source.camera, counter.over(thinned(video)))
+            source.camera_name: Footage(source.camera, counter.over(viewer_frames(video)))
             for source, video in zip(recording.videos, videos, strict=True)
         }
         colours = None if picture is None else picture_of(folder, picture)
@@ -134,7 +136,7 @@ def _write_segmentations(
     recording: Recording,
     videos: list[FrameSource],
     folder: Path,
-    counter: Counter,
+    counter: FrameCounter,
 ) -> list[Path]:
     """The frames with the person tinted as segmented, and the body over them."""
     files = []

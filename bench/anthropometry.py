@@ -1,4 +1,4 @@
-"""What a tape and a pair of callipers would measure of a mesh: the truth for a person's own model.
+"""Measures of a mesh as by tape and callipers: the truth for a person's own model.
 
 INPUTS: a rigged person as they stand. OUTPUTS: sections of trunk and arms: width, depth, girth.
 """
@@ -16,7 +16,7 @@ _BONES = {"humerus": ("Arm", "ForeArm"), "radius": ("ForeArm", "Hand")}
 _SIDES = {"l": "Left", "r": "Right"}
 
 
-class Section(NamedTuple):
+class TapeMeasure(NamedTuple):
     """Where a plane cuts a part of the body: metres.
 
     Attributes:
@@ -31,7 +31,7 @@ class Section(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Body:
+class MeasuredPerson:
     """A person as they stand: everything in the world, metres.
 
     Attributes:
@@ -47,7 +47,7 @@ class Body:
     joints: np.ndarray
 
     @classmethod
-    def of(cls, person: RiggedMesh) -> "Body":
+    def of(cls, person: RiggedMesh) -> "MeasuredPerson":
         """A person at time 0."""
         now = np.zeros(1)
         R, joints = person.rig(now)
@@ -57,12 +57,12 @@ class Body:
         """Landmark name -> (3,)."""
         return {name: at[0] for name, at in self.person.landmarks(np.zeros(1)).items()}
 
-    def trunk(self, height: float) -> Section:
+    def trunk(self, height: float) -> TapeMeasure:
         """The level section of trunk, neck or head at a height."""
         cut = self._cut(TRUNK, np.array([0.0, 0.0, height]), np.array([0.0, 0.0, 1.0]))
-        return measured(cut[:, [1, 0]])
+        return tape_measure(cut[:, [1, 0]])
 
-    def arm(self, bone: str, side: str, at: float) -> Section:
+    def arm(self, bone: str, side: str, at: float) -> TapeMeasure:
         """The section square to ``humerus`` or ``radius`` of side l or r, at a share of it."""
         near, far = (self._joint(_SIDES[side] + name) for name in _BONES[bone])
         names = self.person.body.names
@@ -75,7 +75,7 @@ class Body:
         hinge = unit(hinge - along * (along @ hinge))
         carriers = tuple(_SIDES[side] + name for name in ("Arm", "ForeArm", "Hand"))
         cut = self._cut(carriers, near + at * (far - near), along)
-        return measured(np.stack([cut @ hinge, cut @ np.cross(along, hinge)], 1))
+        return tape_measure(np.stack([cut @ hinge, cut @ np.cross(along, hinge)], 1))
 
     def _joint(self, name: str) -> np.ndarray:
         return self.joints[self.person.body.names.index(name)]
@@ -93,9 +93,9 @@ class Body:
         return (a + share * (b - a))[crossed]
 
 
-def measured(outline: np.ndarray) -> Section:
+def tape_measure(outline: np.ndarray) -> TapeMeasure:
     """Of points (N, 2) across and ahead."""
     hull = outline[ConvexHull(outline).vertices]
     girth = np.linalg.norm(np.roll(hull, -1, 0) - hull, axis=1).sum()
     width, depth = np.ptp(outline, axis=0)
-    return Section(float(width), float(depth), float(girth))
+    return TapeMeasure(float(width), float(depth), float(girth))

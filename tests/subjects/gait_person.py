@@ -14,9 +14,28 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxmocap.formats.time_series.trc import write_trc
+from jaxmocap.synthetic.drawing_camera import look_at
 from jaxmocap.synthetic.movements.splines import Spline
-from jaxmocap.synthetic.people.rigged_mesh import RiggedMesh, between, load_rig, turn, unit
+from jaxmocap.synthetic.people.rigged_mesh import (
+    RiggedMesh,
+    load_rig,
+    rotation_between,
+    rotation_onto,
+    unit,
+)
+from jaxmocap.synthetic.recording import MARKER_RATE, RecordingParts, video_times, write_parts
+from jaxmocap.synthetic.renderer import Scene, render_frames
 
+# The five end effectors of the paper: marker, which is a landmark too -> bone that ends there.
+BODY_MARKERS = {
+    "vertex": "head",
+    **{
+        f"{mark}_{s}": f"{bone}_{s}"
+        for mark, bone in (("wrist", "radius"), ("ankle", "tibia"))
+        for s in "lr"
+    },
+}
 # From the marker on the skin to the joint's centre, metres.
 SHOULDER_DEPTH, ELBOW_DEPTH, KNEE_DEPTH, ANKLE_DEPTH = 0.05, 0.035, 0.05, 0.04
 MARKERS = (
@@ -123,26 +142,29 @@ def _turns(person: MeshPerson, centres: dict[str, np.ndarray]) -> dict[str, np.n
     at = person.at
     left, up, ahead = np.eye(3)[0], np.eye(3)[2], -np.eye(3)[1]
 
-    hips = turn(centres["across"], centres["up"], left, up)
-    chest = turn(centres["up"], centres["chest"], up, left)
-    head = turn(centres["ahead"], centres["head"], ahead, left)
+    hips = rotation_onto(centres["across"], centres["up"], left, up)
+    chest = rotation_onto(centres["up"], centres["chest"], up, left)
+    head = rotation_onto(centres["ahead"], centres["head"], ahead, left)
     turned = {
         "Hips": hips,
         "Spine1": chest,
         "Head": head,
-        "LowerBack": between(hips, chest, 1 / 3),
+        "LowerBack": rotation_between(hips, chest, 1 / 3),
     }
-    turned |= {"Spine": between(hips, chest, 2 / 3), "Neck1": between(chest, head, 0.5)}
+    turned |= {
+        "Spine": rotation_between(hips, chest, 2 / 3),
+        "Neck1": rotation_between(chest, head, 0.5),
+    }
     for side in ("Left", "Right"):
         bones = [side + part for part in ("Arm", "ForeArm", "Hand", "HandFinger1")]
         seen = [centres[b] - centres[a] for a, b in pairwise(bones)]
         rest = [at(b) - at(a) for a, b in pairwise(bones)]
         hinge, rest_hinge = np.cross(seen[0], seen[1]), np.cross(rest[0], rest[1])
         for bone, now, before in zip(bones, seen, rest, strict=False):
-            turned[bone] = turn(now, hinge, before, rest_hinge)
+            turned[bone] = rotation_onto(now, hinge, before, rest_hinge)
         for bone, end in (("UpLeg", "Leg"), ("Leg", "Foot"), ("Foot", "ToeBase")):
             now = centres[side + end] - centres[side + bone]
-            turned[side + bone] = turn(
+            turned[side + bone] = rotation_onto(
                 now, centres["across"], at(side + end) - at(side + bone), left
             )
     return turned
@@ -150,3 +172,30 @@ def _turns(person: MeshPerson, centres: dict[str, np.ndarray]) -> dict[str, np.n
 
 def _inward(marker: np.ndarray, towards: np.ndarray, depth: float) -> np.ndarray:
     return marker + depth * unit(towards - marker)
+
+
+def write_person_recording(
+    directory: Path, person: MeshPerson, seconds: float, seed: int = 0
+) -> Path:
+    """Write the recording of a rigged mesh, moved by recorded markers; its recording.toml.
+
+    Head, wrists and ankles carry markers, as in the paper; a static trial, ``static.trc``, tells
+    the subject's lengths.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    times = np.arange(int(seconds * MARKER_RATE)) / MARKER_RATE
+    landmarks, standing = person.landmarks(times), person.standing()
+    # The rig's rest faces -y; a static trial may face anywhere.
+    write_trc(directory / "static.trc", np.zeros(1), standing, rate=MARKER_RATE)
+    camera = look_at((3.6, 0.75, 1.35), (0.0, 0.0, 1.18), focal=680.0)
+    names = {name: name for name in standing if name != "head"}
+    parts = RecordingParts(
+        times,
+        markers={landmark: landmarks[landmark] for landmark in BODY_MARKERS},
+        landmarks=landmarks,
+        camera=camera,
+        places={landmark: {"bone": bone, "at": 1.0} for landmark, bone in BODY_MARKERS.items()},
+        subject={"static": "static.trc", "landmarks": names},
+    )
+    frames = render_frames(Scene.in_room(camera, person, seed), video_times(seconds))
+    return write_parts(directory, parts, frames, seed)

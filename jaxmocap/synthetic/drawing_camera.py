@@ -30,15 +30,15 @@ def look_at(
 
 
 @dataclass(frozen=True)
-class Lens:
-    """A camera's numbers in NumPy.
+class DrawingCamera:
+    """A camera's parameters in NumPy.
 
     Attributes:
         size: width and height, pixels.
         matrix: (3, 3) intrinsic matrix, pixels.
         distortion: coefficients of the lens.
         R_cam_world: (3, 3).
-        shift_cam: (3,) metres.
+        translation_cam: (3,) metres.
         lens: name in ``LENSES``.
     """
 
@@ -46,11 +46,11 @@ class Lens:
     matrix: np.ndarray
     distortion: np.ndarray
     R_cam_world: np.ndarray
-    shift_cam: np.ndarray
+    translation_cam: np.ndarray
     lens: str
 
     @classmethod
-    def of(cls, camera: Camera) -> "Lens":
+    def of(cls, camera: Camera) -> "DrawingCamera":
         """The same camera."""
         T = np.asarray(camera.T_cam_world, float)
         width, height = (int(n) for n in np.asarray(camera.size))
@@ -60,15 +60,15 @@ class Lens:
     @property
     def position_world(self) -> np.ndarray:
         """(3,) centre of projection, metres."""
-        return -self.R_cam_world.T @ self.shift_cam
+        return -self.R_cam_world.T @ self.translation_cam
 
     def depths(self, points_world: np.ndarray) -> np.ndarray:
         """(...) distances along the optical axis of (..., 3) points, metres."""
-        return points_world @ self.R_cam_world[2] + self.shift_cam[2]
+        return points_world @ self.R_cam_world[2] + self.translation_cam[2]
 
     def pixels(self, points_world: np.ndarray) -> np.ndarray:
         """(..., 2) pixels (x, y) of (..., 3) points in front of the camera."""
-        points_cam = points_world @ self.R_cam_world.T + self.shift_cam
+        points_cam = points_world @ self.R_cam_world.T + self.translation_cam
         x, y = np.moveaxis(points_cam[..., :2] / points_cam[..., 2:], -1, 0)
         distorted = LENSES[self.lens].distort(self.distortion, x, y)
         return np.stack(distorted, -1) @ self.matrix[:2, :2].T + self.matrix[:2, 2]

@@ -1,14 +1,14 @@
-"""The figures a tracker is judged by: calm, lag, wrong turns, coverage."""
+"""The benchmarks' measures of a tracker: acceleration, lag, wrong turns, interval coverage."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxmocap.evaluation.acceleration import calmness, lag
-from jaxmocap.evaluation.interval_coverage import coverage
-from jaxmocap.evaluation.series import resampled, second_difference
-from jaxmocap.evaluation.wrong_turns import wrong_turns
+from bench.acceleration import compare_tracks, lag, resampled_by_spline
+from bench.interval_coverage import interval_coverage
+from bench.wrong_turns import wrong_turns
+from jaxmocap.evaluation.series import second_difference
 
 TIMES = np.arange(540) / 90
 
@@ -20,7 +20,7 @@ def swing(times: np.ndarray) -> np.ndarray:
 
 
 def calm_of(track: np.ndarray, times: np.ndarray = TIMES):
-    return calmness(times, track[:, None], TIMES, swing(TIMES)[:, None])
+    return compare_tracks(times, track[:, None], TIMES, swing(TIMES)[:, None])
 
 
 def test_a_circle_accelerates_by_its_radius_times_the_square_of_its_rate():
@@ -34,7 +34,7 @@ def test_the_truth_itself_is_as_calm_as_the_truth_and_not_late():
     calm = calm_of(swing(TIMES))
     assert calm.ratio == pytest.approx(1.0, abs=1e-9)
     assert calm.worst_lag == pytest.approx(0.0, abs=1e-5)
-    assert calm.likeness[0] == pytest.approx(1.0)
+    assert calm.correlations[0] == pytest.approx(1.0)
 
 
 def test_a_constant_offset_changes_neither_calm_nor_lag():
@@ -86,7 +86,7 @@ def test_a_frozen_joint_is_not_calm():
 def test_one_frozen_elbow_leaves_the_lag_of_both_unknown():
     moving = swing(TIMES)
     both = np.stack([moving, np.broadcast_to(moving[:1], moving.shape)], 1)
-    calm = calmness(TIMES, both, TIMES, np.stack([moving, moving], 1))
+    calm = compare_tracks(TIMES, both, TIMES, np.stack([moving, moving], 1))
     assert calm.lags[0] == pytest.approx(0, abs=1e-5)
     assert np.isnan(calm.worst_lag)
     assert calm.ratio == pytest.approx(np.sqrt(0.5), abs=1e-6)
@@ -109,14 +109,16 @@ def test_missing_samples_are_left_out_of_both_accelerations():
 
 def test_resampling_meets_the_samples_and_leaves_gaps_missing():
     values = swing(TIMES)
-    np.testing.assert_allclose(resampled(TIMES, values, TIMES), values, atol=1e-12)
+    np.testing.assert_allclose(resampled_by_spline(TIMES, values, TIMES), values, atol=1e-12)
     between = TIMES[:-1] + 0.004
-    np.testing.assert_allclose(resampled(TIMES, values, between), swing(between), atol=1e-4)
+    np.testing.assert_allclose(
+        resampled_by_spline(TIMES, values, between), swing(between), atol=1e-4
+    )
     values[50:60] = np.nan
-    found = resampled(TIMES, values, between)
+    found = resampled_by_spline(TIMES, values, between)
     assert np.isnan(found[49:60]).all() and np.isfinite(found[:49]).all()
-    assert np.isnan(resampled(TIMES, values, np.array([-0.1, 6.2]))).all()
-    assert np.isnan(resampled(TIMES[:1], values[:1], TIMES)).all()
+    assert np.isnan(resampled_by_spline(TIMES, values, np.array([-0.1, 6.2]))).all()
+    assert np.isnan(resampled_by_spline(TIMES[:1], values[:1], TIMES)).all()
 
 
 def errors_of(*stretches: tuple[int, int], worse_by: float = 0.06) -> np.ndarray:
@@ -161,10 +163,14 @@ def test_right_deviations_cover_their_share_and_others_do_not(scale, level):
     rng = np.random.default_rng(0)
     deviation = scale * np.array([0.01, 0.03, 0.1])
     truth = np.zeros((20_000, 3))
-    found = coverage(truth, rng.normal(scale=deviation, size=truth.shape), truth + deviation, level)
+    found = interval_coverage(
+        truth, rng.normal(scale=deviation, size=truth.shape), truth + deviation, level
+    )
     np.testing.assert_allclose(found.share, level, atol=0.01)
     np.testing.assert_allclose(found.ratio, 1.0, atol=0.03)
-    half = coverage(truth, rng.normal(scale=2 * deviation, size=truth.shape), truth + deviation)
+    half = interval_coverage(
+        truth, rng.normal(scale=2 * deviation, size=truth.shape), truth + deviation
+    )
     assert (half.share < 0.62).all()
     np.testing.assert_allclose(half.ratio, 0.5, atol=0.02)
 
@@ -175,7 +181,7 @@ def test_coverage_keeps_landmarks_and_coordinates_apart_and_leaves_out_the_unkno
     estimate[:30, 0, 2] = 1.0
     estimate[:, 1, 0] = np.nan
     estimate[:50, 1, 1] = np.nan
-    found = coverage(truth, estimate, deviation)
+    found = interval_coverage(truth, estimate, deviation)
     np.testing.assert_allclose(found.share, [[1, 1, 0.7], [np.nan, 1, 1]])
     np.testing.assert_array_equal(found.samples, [[100, 100, 100], [0, 50, 100]])
     np.testing.assert_allclose(found.ratio[1], [np.nan, 2.0, 2.0])

@@ -1,7 +1,7 @@
-"""Whether a tracker knows how far it errs: intervals that hold the truth as often as they say.
+"""Whether standard deviations are right: intervals that contain the truth as often as they state.
 
-INPUTS: truth, estimate and standard deviation over time. OUTPUTS: Coverage, of each coordinate by
-itself.
+INPUTS: truth, estimate and standard deviation over time. OUTPUTS: IntervalCoverage of
+each coordinate by itself.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ LEVEL = 0.9
 
 
 @dataclass(frozen=True)
-class Coverage:
+class IntervalCoverage:
     """Figures of each column, shaped as a row of what they were made of, such as (3,) or (L, 3).
 
     Attributes:
@@ -28,9 +28,9 @@ class Coverage:
     ratio: np.ndarray
 
 
-def coverage(
+def interval_coverage(
     truth: np.ndarray, estimate: np.ndarray, deviation: np.ndarray, level: float = LEVEL
-) -> Coverage:
+) -> IntervalCoverage:
     """Hold standard deviations against actual errors.
 
     The interval is the estimate plus and minus what a normal distribution puts ``level`` within
@@ -44,13 +44,13 @@ def coverage(
     """
     error = np.asarray(estimate, float) - np.asarray(truth, float)
     deviation = np.asarray(deviation, float)
-    known = np.isfinite(error) & np.isfinite(deviation)
-    held = known & (np.abs(error) <= ndtri((1 + level) / 2) * deviation)
-    samples = known.sum(0)
+    is_finite = np.isfinite(error) & np.isfinite(deviation)
+    inside = is_finite & (np.abs(error) <= ndtri((1 + level) / 2) * deviation)
+    samples = is_finite.sum(0)
     some, counts = samples > 0, np.maximum(samples, 1)
-    rms = np.sqrt(np.sum(np.where(known, error, 0.0) ** 2, 0) / counts)
+    rms = np.sqrt(np.sum(np.where(is_finite, error, 0.0) ** 2, 0) / counts)
     # Columns without data get a row that keeps NumPy's median from warning.
-    medians = np.nanmedian(np.where(known | ~some, np.where(some, deviation, 0.0), np.nan), 0)
+    medians = np.nanmedian(np.where(is_finite | ~some, np.where(some, deviation, 0.0), np.nan), 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(some, medians / rms, np.nan)
-    return Coverage(samples, np.where(some, held.sum(0) / counts, np.nan), ratio)
+    return IntervalCoverage(samples, np.where(some, inside.sum(0) / counts, np.nan), ratio)

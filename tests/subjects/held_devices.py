@@ -72,7 +72,7 @@ def write_controllers(
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     times = np.arange(int(seconds * MARKER_RATE)) / MARKER_RATE
-    points, turns = measured(performance, times, seed)
+    points, turns = device_samples(performance, times, seed)
     figure = performance.figure
     write_csv(directory / "markers.csv", times, points, turns)
     truth = figure.landmarks(performance.bones(times))
@@ -81,7 +81,7 @@ def write_controllers(
     return write_recording(directory, "markers.csv", device_places(oriented), subject=subject)
 
 
-def measured(
+def device_samples(
     performance: Performance, times: np.ndarray, seed: int = 0
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """What the devices tell at (T,) seconds: (T, 3) places and (T, 3, 3) turns, with noise."""

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.synthetic.movements.motions import STANDING, Performance, through
+from jaxmocap.synthetic.movements.motions import STANDING, Performance, spline_through
 from jaxmocap.synthetic.people.figure import Figure, Posture
 
 # Standard deviations of lengths among people of one stature, both sides alike.
@@ -43,7 +43,7 @@ def stretching(seconds: float = 6.0, seed: int = 0, height: float = 1.75) -> Per
     ways = [_way(a, b) for a, b in pairwise(keys)]
     times = seconds * np.cumsum([0.0, *ways]) / np.sum(ways)
     figure = unusual(height, np.random.default_rng([seed, 77]))
-    path = through(list(zip(times.tolist(), keys, strict=True)))
+    path = spline_through(list(zip(times.tolist(), keys, strict=True)))
     return Performance(figure, path, np.array([0.0]))
 
 
