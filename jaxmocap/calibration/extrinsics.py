@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.calibration.board.opencv_lenses import pose_jacobian, project
+from jaxmocap.calibration.board.opencv_lenses import pose_jacobian, project_points
 from jaxmocap.calibration.planar_poses import (
     FLAT_THICKNESS,
     CameraPose,
@@ -251,7 +251,7 @@ def advice_on_board_pose(
 def _residuals(
     pose: CameraPose, points_world: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics
 ) -> np.ndarray:
-    return project(points_world, pose.rvec, pose.tvec, lens) - pixels_xy
+    return project_points(points_world, pose.rvec, pose.tvec, lens) - pixels_xy
 
 
 def _deviations(

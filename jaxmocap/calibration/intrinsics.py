@@ -67,7 +67,7 @@ class IntrinsicsEstimate:
 
     @property
     def jackknife_std(self) -> np.ndarray:
-        """(P,) standard deviations by the jackknife_std over views: what views have in common shows."""
+        """(P,) standard deviations by the jackknife over views: what views have in common shows."""
         n = len(self.leave_one_out)
         return np.sqrt(
             (n - 1) / n * ((self.leave_one_out - self.leave_one_out.mean(0)) ** 2).sum(0)

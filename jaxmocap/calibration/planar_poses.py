@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from jaxmocap.calibration.board.opencv_lenses import pose_candidates, project
+from jaxmocap.calibration.board.opencv_lenses import pose_candidates, project_points
 from jaxmocap.formats.cameras.calibration import Intrinsics
 
 # Points are flat where their thickness is less than this part of their breadth.
@@ -66,7 +66,9 @@ def candidate_poses(
     )
     try:
         poses = [
-            CameraPose(rvec.ravel(), tvec.ravel(), project(points, rvec, tvec, lens) - pixels_xy)
+            CameraPose(
+                rvec.ravel(), tvec.ravel(), project_points(points, rvec, tvec, lens) - pixels_xy
+            )
             for rvec, tvec in pose_candidates(points, pixels_xy, lens, method)
         ]
     except cv2.error:

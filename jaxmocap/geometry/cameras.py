@@ -214,18 +214,19 @@ def projection_jacobian(camera: Camera, points_world: Array) -> Array:
     """(..., 2, 3) derivatives of the pixels of points (..., 3), pixels per metre of the world.
 
     An ordinary lens's distortion, which hardly turns or scales, is left out; a fisheye's is in.
+    Both focal lengths are taken as one, as in ``radii_in_pixels``.
     """
     points_cam = to_camera(camera, points_world)
     depths = jnp.maximum(points_cam[..., 2], NEAREST_M)
     x, y = points_cam[..., 0] / depths, points_cam[..., 1] / depths
-    M, R = camera.matrix, camera.T_cam_world[:3, :3]
+    R = camera.T_cam_world[:3, :3]
     # On the plane, of a step in the world; then in the image.
     across = (R[0] - x[..., None] * R[2]) / depths[..., None]
     down = (R[1] - y[..., None] * R[2]) / depths[..., None]
     if (slopes := _slopes(camera, x, y)) is not None:
         xx, xy, yy = (part[..., None] for part in slopes)
         across, down = xx * across + xy * down, xy * across + yy * down
-    return jnp.stack([M[0, 0] * across + M[0, 1] * down, M[1, 1] * down], -2)
+    return focal_length(camera) * jnp.stack([across, down], -2)
 
 
 def depth_gradient(camera: Camera) -> Array:

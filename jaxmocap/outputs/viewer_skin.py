@@ -13,7 +13,7 @@ import rerun as rr
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.surfaces.host_skin import bones_over_time, nodes_over_time
 from jaxmocap.body.surfaces.loft import rest_joints
-from jaxmocap.body.surfaces.mesh import Mesh, atlas_of, coarser, mesh_of, normals_of
+from jaxmocap.body.surfaces.mesh import SurfaceMesh, atlas_of, coarser, mesh_of, normals_of
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
 from jaxmocap.formats.animation.skin import TEXEL_M
 from jaxmocap.outputs.layout import TIMELINE
@@ -56,7 +56,9 @@ def log_skin(
         stream.log("world/skin", posed)
 
 
-def _log_static_mesh(stream: rr.RecordingStream, mesh: Mesh, picture: np.ndarray | None) -> None:
+def _log_static_mesh(
+    stream: rr.RecordingStream, mesh: SurfaceMesh, picture: np.ndarray | None
+) -> None:
     """The static part of the skin: triangles, and colours or a texture."""
     static_mesh = rr.Mesh3D.from_fields(triangle_indices=mesh.triangles, albedo_factor=SKIN_COLOUR)
     if picture is not None:

@@ -17,13 +17,13 @@ from drawn_boards import (
 from jaxmocap.calibration.board.opencv_lenses import (
     LensKind,
     pose_jacobian,
-    project,
+    project_points,
 )
 from jaxmocap.calibration.extrinsics import board_to_world
-from jaxmocap.calibration.intrinsics import View, calibrate
-from jaxmocap.calibration.planar_poses import find_poses
+from jaxmocap.calibration.intrinsics import BoardView, estimate_intrinsics
+from jaxmocap.calibration.planar_poses import candidate_poses
 from jaxmocap.cli import main
-from jaxmocap.formats.cameras.calibration import read_calibration, read_lens
+from jaxmocap.formats.cameras.calibration import read_calibration, read_intrinsics
 from jaxmocap.geometry.lenses import FISHEYE
 
 BOARD_OPTIONS = ["--board", "4x7", "--square", "0.06", "--camera", "cam"]
@@ -31,13 +31,13 @@ TRUTH = np.array([310.0, 308, 325, 236, *FISHEYE_LENS.distortions])
 KIND = LensKind(4, fisheye=True)
 
 
-def noisy_views(noise: float, seed: int = 0) -> list[View]:
+def noisy_views(noise: float, seed: int = 0) -> list[BoardView]:
     rng, given = np.random.default_rng(seed), []
     for i, T in enumerate(views_of_fisheye()):
         rvec, _ = cv2.Rodrigues(T[:3, :3])
-        pixels = project(BOARD.points_board, rvec, T[:3, 3], FISHEYE_LENS)
+        pixels = project_points(BOARD.points_board, rvec, T[:3, 3], FISHEYE_LENS)
         noisy = pixels + rng.normal(0, noise, pixels.shape)
-        given.append(View(f"view {i}", BOARD.points_board, noisy))
+        given.append(BoardView(f"view {i}", BOARD.points_board, noisy))
     return given
 
 
@@ -62,19 +62,19 @@ def test_a_fisheye_is_recovered_within_its_deviations(calibrated):
     assert np.abs(values[:4] - TRUTH[:4]).max() < 1.5
     assert (np.abs(values - TRUTH) < 4 * np.array(deviations)).all()
     assert figures["used"] == 9 and figures["rms_px"] < 0.25
-    lens = read_lens(folder / "c.toml", "cam")
+    lens = read_intrinsics(folder / "c.toml", "cam")
     assert lens.fisheye and len(lens.distortions) == 4
 
 
 def test_the_deviations_are_what_repeated_calibrations_scatter_by():
-    found = [calibrate(noisy_views(0.1, seed), SIZE, KIND) for seed in range(6)]
+    found = [estimate_intrinsics(noisy_views(0.1, seed), SIZE, KIND) for seed in range(6)]
     scatter = np.std([each.values for each in found], axis=0, ddof=1)
     stated = np.mean([each.std for each in found], axis=0)
     assert (scatter / stated > 0.3).all() and (scatter / stated < 2.5).all()
 
 
 def test_fewer_coefficients_leave_the_others_at_zero():
-    found = calibrate(noisy_views(0.05), SIZE, LensKind(2, fisheye=True))
+    found = estimate_intrinsics(noisy_views(0.05), SIZE, LensKind(2, fisheye=True))
     assert (found.values[6:] == 0).all() and (found.std[6:] == 0).all()
     assert (found.std[:6] > 0).all()
 
@@ -104,7 +104,7 @@ def test_a_poses_jacobian_is_the_derivative_of_its_pixels():
     J = pose_jacobian(view.points_board, at[:3], at[3:], FISHEYE_LENS)
     for i, step in enumerate(1e-6 * np.eye(6)):
         ahead, behind = (
-            project(view.points_board, pose[:3], pose[3:], FISHEYE_LENS)
+            project_points(view.points_board, pose[:3], pose[3:], FISHEYE_LENS)
             for pose in (at + step, at - step)
         )
         np.testing.assert_allclose(J[:, i], (ahead - behind).ravel() / 2e-6, rtol=1e-4, atol=1e-3)
@@ -112,7 +112,7 @@ def test_a_poses_jacobian_is_the_derivative_of_its_pixels():
 
 def test_both_poses_of_a_board_before_a_fisheye_explain_its_picture():
     for view, T in zip(noisy_views(0.0), views_of_fisheye(), strict=True):
-        best, *_ = find_poses(view.points_board, view.pixels_xy, FISHEYE_LENS)
+        best, *_ = candidate_poses(view.points_board, view.pixels_xy, FISHEYE_LENS)
         np.testing.assert_allclose(best.matrix, T, atol=1e-5)
 
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import twists
 from conftest import double
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -20,7 +21,6 @@ from jaxmocap.body.surfaces.surface import (
     skin_of,
     skinned,
 )
-from jaxmocap.geometry import twists
 from jaxmocap.silhouette.points import driver_point_jacobian, point_jacobian
 from jaxmocap.silhouette.surfaces import morph as m
 from jaxmocap.silhouette.surfaces import swelling as s

@@ -5,13 +5,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import twists
 from conftest import double, on_device, poses
 from hypothesis import given, settings
 
 from jaxmocap.body.kinematics import forward, jacobian
 from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
 from jaxmocap.body.surfaces.surface import BodyPoints, posed
-from jaxmocap.geometry import twists
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.geometry.lines import Lines, camera_lines
 from jaxmocap.geometry.rotations import quaternion_to_matrix

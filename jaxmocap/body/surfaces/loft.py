@@ -25,7 +25,7 @@ BLEND = 0.3
 
 
 @dataclass(frozen=True)
-class Limb:
+class LoftedPart:
     """One limb of the table.
 
     Attributes:
@@ -60,12 +60,12 @@ def generic_surface(skeleton: Skeleton, girth: float = 1.0) -> Surface:
 
     Args:
         skeleton: scaled to the person, with any joints.
-        girth: of trunk and limbs by the mean person's: a stout one's is above 1.
+        girth: of trunk and lofted_parts by the mean person's: a stout one's is above 1.
     """
     joints, stature = rest_joints(skeleton), stature_of(skeleton)
     grids, shares = {}, {}
-    for limb in limbs():
-        places = places_along(skeleton, limb, stature)
+    for limb in lofted_parts():
+        places = ring_places(skeleton, limb, stature)
         phi = 2 * np.pi * np.arange(limb.around) / limb.around
         size = stature * girth ** PchipInterpolator(limb.at, limb.stout)(places)[:, None]
         radii = size * radii_at(limb, places, phi)
@@ -99,7 +99,7 @@ def stature_of(skeleton: Skeleton) -> float:
 
 
 def ring_frames(
-    skeleton: Skeleton, limb: Limb, places: np.ndarray, stature: float
+    skeleton: Skeleton, limb: LoftedPart, places: np.ndarray, stature: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centres (R, 3) of rings with all angles 0, and the directions (3,) of phi = 0 and 90 degrees.
 
@@ -117,7 +117,7 @@ def ring_frames(
     return centres, np.eye(3)[0 if upright else 2], limb.side * np.eye(3)[1]
 
 
-def places_along(skeleton: Skeleton, limb: Limb, stature: float) -> np.ndarray:
+def ring_places(skeleton: Skeleton, limb: LoftedPart, stature: float) -> np.ndarray:
     """(along,) places of rings, evenly spaced from the table's first ring to its last.
 
     The first and the last are there twice: once more without a radius, so that ends are closed.
@@ -129,7 +129,7 @@ def places_along(skeleton: Skeleton, limb: Limb, stature: float) -> np.ndarray:
     return np.interp(np.concatenate([[0], even, [way[-1]]]), way, fine)
 
 
-def radii_at(limb: Limb, places: np.ndarray, phi: np.ndarray) -> np.ndarray:
+def radii_at(limb: LoftedPart, places: np.ndarray, phi: np.ndarray) -> np.ndarray:
     """Radii (R, U) by the stature at places (R,) and angles (U,); the ends are closed."""
     waves = PchipInterpolator(limb.at, limb.waves)(places)
     orders = np.arange(waves.shape[-1])[:, None] * phi
@@ -139,7 +139,7 @@ def radii_at(limb: Limb, places: np.ndarray, phi: np.ndarray) -> np.ndarray:
 
 
 def bone_shares(
-    tree: Tree, limb: Limb, places: np.ndarray, grid: np.ndarray, joints: np.ndarray
+    tree: Tree, limb: LoftedPart, places: np.ndarray, grid: np.ndarray, joints: np.ndarray
 ) -> np.ndarray:
     """(R, U, B) of each bone at the nodes: one going over into the next about their joint."""
     bones = [tree.bone(bone) for bone in limb.bones]
@@ -178,8 +178,8 @@ def _smooth(x: np.ndarray) -> np.ndarray:
     return x * x * (3 - 2 * x)
 
 
-def limbs() -> tuple[Limb, ...]:
-    """All limbs of the table, the paired ones left and right."""
+def lofted_parts() -> tuple[LoftedPart, ...]:
+    """All lofted_parts of the table, the paired ones left and right."""
     found = []
     for row in _table()["patch"]:
         at = np.array([ring["at"] for ring in row["ring"]])
@@ -192,7 +192,7 @@ def limbs() -> tuple[Limb, ...]:
             above = row["above"] + end if row["above"] else ""
             size = row["around"], row["along"]
             found.append(
-                Limb(
+                LoftedPart(
                     row["name"] + end,
                     side,
                     bones,

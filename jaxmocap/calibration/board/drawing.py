@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from jaxmocap.calibration.board.opencv_lenses import project
+from jaxmocap.calibration.board.opencv_lenses import project_points
 from jaxmocap.formats.cameras.calibration import Intrinsics
 from jaxmocap.formats.files.writing import replacing
 
@@ -110,7 +110,7 @@ class AnnotatedPicture:
         if ((tips @ T_cam_frame[2, :3]) + T_cam_frame[2, 3] <= 0.05).any():
             return
         rvec, _ = cv2.Rodrigues(T_cam_frame[:3, :3])
-        origin, *ends = project(tips, rvec, T_cam_frame[:3, 3], lens)
+        origin, *ends = project_points(tips, rvec, T_cam_frame[:3, 3], lens)
         for end, (axis, colour) in zip(ends, AXIS_COLOURS.items(), strict=True):
             self.line(origin, end, colour, 3)
             self.text(axis, end + 6, WHITE)

@@ -1,6 +1,6 @@
 """What OpenCV does with either kind of lens: project, find poses, calibrate.
 
-INPUTS: points (metres, any frame), pixels, a Intrinsics. OUTPUTS: pixels, derivatives, poses, a lens.
+INPUTS: points (metres, any frame), pixels, Intrinsics. OUTPUTS: pixels, derivatives, poses, a lens.
 """
 
 from collections.abc import Sequence
@@ -63,7 +63,9 @@ class LensFit:
     std: np.ndarray
 
 
-def project(points: np.ndarray, rvec: np.ndarray, tvec: np.ndarray, lens: Intrinsics) -> np.ndarray:
+def project_points(
+    points: np.ndarray, rvec: np.ndarray, tvec: np.ndarray, lens: Intrinsics
+) -> np.ndarray:
     """Pixels (N, 2) of points (N, 3) that a pose takes to the camera's frame."""
     return _projected(points, rvec, tvec, lens)[0]
 
@@ -136,7 +138,7 @@ def _refined(
     """A pose (6,) by Levenberg-Marquardt on the pixels."""
 
     def off(pose: np.ndarray) -> np.ndarray:
-        return (project(points, pose[:3], pose[3:], lens) - pixels_xy).ravel()
+        return (project_points(points, pose[:3], pose[3:], lens) - pixels_xy).ravel()
 
     def slopes(pose: np.ndarray) -> np.ndarray:
         return pose_jacobian(points, pose[:3], pose[3:], lens)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.surfaces.host_skin import bones_over_time, nodes_over_time
 from jaxmocap.body.surfaces.loft import rest_joints
-from jaxmocap.body.surfaces.mesh import Atlas, Mesh, atlas_of, mesh_of
+from jaxmocap.body.surfaces.mesh import Atlas, SurfaceMesh, atlas_of, mesh_of
 from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.modelling.personal import PersonalModel
 from jaxmocap.modelling.texture.fused import baked
@@ -41,7 +41,7 @@ class Avatar(NamedTuple):
 
     person: PersonalModel
     atlas: Atlas
-    mesh: Mesh
+    mesh: SurfaceMesh
     picture: np.ndarray
     shots: dict[str, SurfacePhotograph]
 

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from jaxmocap.body.surfaces.mesh import MARGIN, Atlas, Mesh
+from jaxmocap.body.surfaces.mesh import MARGIN, Atlas, SurfaceMesh
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.modelling.texture.fusion import (
     background_colour,
@@ -56,7 +56,7 @@ Part = tuple[np.ndarray, np.ndarray]
 
 
 def baked(
-    surface: Surface, atlas: Atlas, mesh: Mesh, shots: Mapping[str, SurfacePhotograph]
+    surface: Surface, atlas: Atlas, mesh: SurfaceMesh, shots: Mapping[str, SurfacePhotograph]
 ) -> np.ndarray:
     """The atlas' picture (H, W, 3), BGR uint8.
 

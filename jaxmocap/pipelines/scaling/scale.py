@@ -36,7 +36,7 @@ class BodySource:
 
 
 def write_body(out: str | Path, source: BodySource, progress: Progress | bool | None = None):
-    """Write a body; see ``static_trial.scale_subject`` and, for a recording, ``scale_by_recording``.
+    """Write a body; see ``scale_subject`` and, for a recording, ``scale_by_recording``.
 
     Raises:
         InputError: options that do not go together.
