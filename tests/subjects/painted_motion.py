@@ -134,7 +134,7 @@ def measurements(count: int) -> dict[str, np.ndarray]:
         "ankles": ankles,
         "elbows": np.full((count, 2, 3), np.nan),
     }
-    return {name: np.asarray(part, np.float32) for name, part in measured.items()}
+    return {name: np.array(part, np.float32) for name, part in measured.items()}
 
 
 def problem(
