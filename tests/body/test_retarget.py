@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
-from jaxmocap.fitting.retarget import feet, grounded, retargeted
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.cli import main
+from jaxmocap.fitting.retarget import feet, grounded, retargeted
 from jaxmocap.formats.motion_npz import load_motion, save_motion
 
 PERSON = Skeleton.human(1.75)

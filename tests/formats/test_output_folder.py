@@ -118,7 +118,7 @@ def test_a_list_that_is_none_of_ours_is_refused_and_leads_nowhere_else(text, tmp
 KILLED = """
 import os, sys
 from pathlib import Path
-from jaxmocap.formats import output_folder
+from jaxmocap.formats.files import output_folder
 count, replace = int(sys.argv[2]), os.replace
 def killed(old, new):
     global count
