@@ -9,6 +9,8 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxmocap.hybrid.first_state import settled
+from jaxmocap.hybrid.steps import Solved, State
 
 from bench.clock import Span, ratio, timed
 from bench.footage import Footage
@@ -16,9 +18,7 @@ from bench.metrics import Metric, stage_metrics
 from jaxmocap.capture.video import open_video
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid import ik
-from jaxmocap.hybrid.first_state import settled
 from jaxmocap.hybrid.settings import RefineSettings, Settings
-from jaxmocap.hybrid.steps import Solved, State
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.tracking.track import make_tracker
 from jaxmocap.reference.hybrid import ik as reference_ik

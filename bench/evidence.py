@@ -21,14 +21,16 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jaxmocap.pipelines.tracking.scan_events import scanned
+from jaxmocap.pipelines.tracking.second_pass import smooth_recording
 
 from bench.clips import Clip, real, synthetic
 from bench.command_line import command, seeds
 from bench.flattening import flattened
 from bench.metrics import Metric, aligned, write_json
 from jaxmocap.body.motion import Motion
-from jaxmocap.capture.footage import open_footage, reading
-from jaxmocap.capture.markers import interpolate
+from jaxmocap.capture.footage import forward_readers, open_footage
+from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.formats.recordings.keypoint_models import LANDMARK_OF, MODELS
@@ -42,8 +44,6 @@ from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.tracking.events import Plan
 from jaxmocap.pipelines.tracking.first_pass import Passed
 from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events, open_all_keypoints
-from jaxmocap.pipelines.tracking.scan_events import scanned
-from jaxmocap.pipelines.tracking.second_pass import smooth_recording
 from jaxmocap.pipelines.tracking.track import make_tracker, track
 
 AZIMUTHS, SECONDS = (0.0, -60.0, 60.0, -30.0, 30.0), 6.0
@@ -99,7 +99,7 @@ class FirstRun:
         """Track it."""
         videos, _ = open_footage(recording)
         tracker, plan = make_tracker(recording), Plan.of(recording, videos, "own")
-        with reading(videos) as readers:
+        with forward_readers(videos) as readers:
             passed = scanned(plan, tracker, readers, lambda done, total: None)
         return cls(recording, tracker, videos, passed)
 
@@ -170,7 +170,7 @@ def with_keypoints(clip: Clip, folder: Path) -> Recording:
 def write_keypoints(folder: Path, clip: Clip, camera: Camera, times: np.ndarray) -> None:
     """OpenPose's files, one per frame, of somebody detected where the truth has him."""
     truth, rng = read_markers(clip.truth), np.random.default_rng([clip.seed, 25])
-    at_frames = interpolate(truth.times, truth.positions, times)
+    at_frames = interpolate_markers(truth.times, truth.positions, times)
     table = np.zeros((len(times), len(MODELS[MODEL]), 3))
     for column, point in enumerate(MODELS[MODEL]):
         marker = clip.landmarks.get(LANDMARK_OF.get(point, ""))

@@ -12,15 +12,15 @@ from dataclasses import replace
 import cv2
 import jax
 import numpy as np
+from jaxmocap.evidence.residuals import feet_free
+from jaxmocap.pipelines.tracking.second_pass import FirstPass, Look
 
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.evidence.appearance.learned import ROWS, Drawing, learn_appearance
-from jaxmocap.evidence.residuals import feet_free
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.background_model import Background, as_learned, spread
 from jaxmocap.images.foreground import shrink
-from jaxmocap.pipelines.tracking.second_pass import FirstPass, Look
 from jaxmocap.pipelines.tracking.track import marker_sites
 
 # Differences, in deviations of the sensor's noise, from which a pixel begins to differ, and does.

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import jax
 import numpy as np
+from jaxmocap.hybrid.first_state import settled
 
 from bench.clock import (
     BusyClock,
@@ -23,11 +24,10 @@ from bench.clock import (
 from bench.footage import SIZES, Footage, at_size
 from bench.image_chain import both_arms, image_chain
 from bench.metrics import Metric, stage_metrics
-from jaxmocap.capture.footage import open_footage, reading
-from jaxmocap.capture.markers import interpolate
+from jaxmocap.capture.footage import forward_readers, open_footage
+from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.timeline import build_timeline
 from jaxmocap.capture.video import open_video
-from jaxmocap.hybrid.first_state import settled
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.progress import timed_stages
@@ -96,7 +96,9 @@ def causal(
     smoothing = tracker.settings.smooth and tracker.cameras is not None
     smoother = FixedLagSmoother(tracker) if smoothing else None
     line = build_timeline(recording.times, [footage.times], "causal")
-    markers = interpolate(recording.times, recording.positions_world, line.event_times, True)
+    markers = interpolate_markers(
+        recording.times, recording.positions_world, line.event_times, True
+    )
     stepping = timed_stages(tracker, clock)
     state = settled(tracker, recording.positions_world[0])
     pace = Pace(duration_s=float(line.event_times[-1] - line.event_times[0]))
@@ -225,10 +227,10 @@ def decoding(size: str, tracker: HybridTracker, footage: Footage) -> Iterator[Me
         count = sum(1 for _ in video.frames(luma=luma))
         spent = watch.read()
         yield Metric(f"{size}, decoding to {name}", spent.wall / count, "ms")
-        of_core = 100 * spent.busy / 1e3 / video.duration
+        of_core = 100 * spent.busy / 1e3 * video.fps / len(video)
         yield Metric(f"{size}, decoding to {name}, of one core at 30 Hz", of_core, "%")
     videos, _ = open_footage(footage.recording)
-    with reading(videos, colour=True) as (reader,):
+    with forward_readers(videos, colour=True) as (reader,):
         pace = causal(tracker, footage, reader.at)
     yield from stage_metrics(f"{size}, causal step with a frame and decoding", pace.wall("frame"))
 

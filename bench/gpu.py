@@ -19,6 +19,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxmocap.hybrid.first_state import settled
+from jaxmocap.hybrid.scan import Views, refined_over_time, solved_over_time
 
 from bench.clock import interleaved
 from bench.command_line import command
@@ -29,8 +31,6 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.evidence.silhouettes import Legs, Sight
-from jaxmocap.hybrid.first_state import settled
-from jaxmocap.hybrid.scan import Views, refined_over_time, solved_over_time
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.images.regions import Region

@@ -9,6 +9,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxmocap.hybrid.first_state import settled
 
 from bench.clock import Stopwatch, interleaved, peak_mib
 from bench.footage import Footage
@@ -17,7 +18,6 @@ from jaxmocap.body.kinematics import forward, jacobian
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, Tree
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.hybrid.first_state import settled
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.tracking.track import marker_sites

@@ -12,7 +12,7 @@ import cv2
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmocap.capture.markers import interpolate
+from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.geometry.cameras import Camera, project
@@ -41,7 +41,7 @@ def both_arms(
     assert recording.path is not None
     truth = read_markers(recording.path.with_name("truth.trc"))
     points = np.stack([truth.points()[name] for name in ELBOWS], 1)
-    elbows = interpolate(truth.times, points, times)
+    elbows = interpolate_markers(truth.times, points, times)
     origins = np.round(np.asarray(project(camera, jnp.asarray(elbows, float)))) - SIDE / 2 - 0.5
     return [
         (crop(image, at[0], 1.0, SIDE), crop(image, at[1], 1.0, SIDE))

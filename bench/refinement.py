@@ -19,14 +19,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxmocap.pipelines.tracking.step_events import stepped
 
 from bench.command_line import command
 from bench.metrics import aligned
 from jaxmocap.body.arms import arms_of
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
-from jaxmocap.capture.footage import open_footage, reading
-from jaxmocap.capture.markers import interpolate
+from jaxmocap.capture.footage import forward_readers, open_footage
+from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.hybrid import gradient, refine
@@ -37,7 +38,6 @@ from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.tracking.events import Plan
-from jaxmocap.pipelines.tracking.step_events import stepped
 from jaxmocap.pipelines.tracking.track import make_tracker
 from jaxmocap.solvers.status import Status
 
@@ -125,7 +125,7 @@ def frames(recording: Recording, tracker: HybridTracker, truth: Path) -> Iterato
             times.append(float(arguments[8]))
         return kept(*arguments)
 
-    with mock.patch.object(tracker, "refine", keep), reading(videos) as readers:
+    with mock.patch.object(tracker, "refine", keep), forward_readers(videos) as readers:
         stepped(plan, tracker, readers, None, lambda done, total: None)
     began = plan.timeline.event_times[0]
     elbows = _true_elbows(truth, np.array(times) + began)
@@ -155,7 +155,7 @@ def _true_elbows(truth: Path, times: np.ndarray) -> np.ndarray:
     markers = read_markers(truth)
     points = markers.points()
     names = next(pair for pair in NAMES if pair[0] in points)
-    return interpolate(markers.times, np.stack([points[name] for name in names], 1), times)
+    return interpolate_markers(markers.times, np.stack([points[name] for name in names], 1), times)
 
 
 def rival(tracker: HybridTracker, name: str, steps: int) -> Callable[[Frame], Ended]:

@@ -22,7 +22,7 @@ import numpy as np
 from bench.clips import Clip, exercises
 from bench.command_line import add_rendered, command
 from bench.metrics import Metric, aligned, write_json
-from jaxmocap.capture.footage import reading
+from jaxmocap.capture.footage import forward_readers
 from jaxmocap.capture.video import open_video
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.background_model import Background
@@ -170,7 +170,7 @@ class Case:
         self._rng, self._performer = np.random.default_rng([clip.seed, 9]), performer
         truths = read_masks(clip.path.with_name("truth_masks.npz"))
         videos = [open_video(source) for source in Recording.load(clip.path).videos]
-        with reading(videos, colour=True) as readers:
+        with forward_readers(videos, colour=True) as readers:
             self._images = [
                 [np.array(reader.at(i)) for reader in readers] for i in range(len(videos[0].times))
             ]

@@ -97,6 +97,10 @@ def within(path: Path) -> str:
     return path.relative_to(PACKAGE).as_posix()
 
 
+def dotted(path: Path) -> str:
+    return ".".join(["jaxmocap", *Path(within(path)).with_suffix("").parts])
+
+
 def room_of(path: Path) -> str:
     """The top-level room or module that a file belongs to."""
     return within(path).split("/")[0].removesuffix(".py")
@@ -186,3 +190,48 @@ def test_importing_the_package_loads_neither_viewer_nor_opencv():
         [sys.executable, "-c", check], capture_output=True, text=True, cwd=PROJECT, check=True
     )
     assert done.stdout.strip() == "[]"
+
+
+def test_the_map_shows_the_rooms_in_their_order():
+    lines = (PACKAGE / "README.md").read_text(encoding="utf-8").splitlines()
+    start = lines.index("| room | what it is for | begin with |") + 2
+    rows = [line.split("|")[1].strip(" `") for line in lines[start : start + len(ROOMS)]]
+    assert tuple(rows) == ROOMS
+    folders = {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists()}
+    assert folders == set(ROOMS)
+
+
+def test_every_room_says_what_it_is_for_and_where_to_begin():
+    for path in PACKAGE.rglob("__init__.py"):
+        if path.parent != PACKAGE:
+            text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+            assert "begin" in text.lower(), within(path)
+
+
+def test_modules_import_one_another_in_no_circle():
+    names = {path: dotted(path) for path in FILES}
+    known = {name: path for path, name in names.items()}
+    leads = {names[path]: imports(path) & set(known) - {names[path]} for path in FILES}
+    finished: set[str] = set()
+
+    def walk(name: str, above: tuple[str, ...]) -> None:
+        assert name not in above, " -> ".join([*above[above.index(name) :], name])
+        if name not in finished:
+            for other in sorted(leads[name]):
+                walk(other, (*above, name))
+            finished.add(name)
+
+    for name in sorted(leads):
+        walk(name, ())
+
+
+def test_a_class_name_stands_for_one_thing():
+    homes: dict[str, list[str]] = {}
+    for path in FILES:
+        if room_of(path) != "reference":
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.ClassDef):
+                    homes.setdefault(node.name, []).append(within(path))
+    twice = {name: paths for name, paths in homes.items() if len(paths) > 1}
+    # Once for each of the two trackers.
+    assert set(twice) <= {"Settings", "State", "StepReport"}, twice

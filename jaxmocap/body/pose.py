@@ -3,7 +3,7 @@
 INPUTS: a Pose or its packed vector. OUTPUTS: the other, or a pose moved by a tangent vector.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -64,6 +64,6 @@ def pack(pose: Pose) -> Array:
     return jnp.concatenate(pose, -1)
 
 
-def unpack(vector: Array) -> Pose:
-    """The pose of a packed vector (..., 7 + D)."""
+def unpack(vector: Any) -> Pose:
+    """The pose of a packed vector (..., 7 + D), on the host or the device."""
     return Pose(vector[..., :3], vector[..., 3:7], vector[..., 7:])

@@ -1,8 +1,7 @@
 """Calibrating a camera's intrinsics: the story of the command, from photographs to a file.
 
 INPUTS: photographs or videos of a board; the calibration file to change.
-OUTPUTS: the camera's section in that file, pictures to look at, and a Calibrated that tells what
-was found.
+OUTPUTS: the camera's section in that file, pictures to look at, and an IntrinsicsResult.
 """
 
 from collections.abc import Sequence
@@ -13,54 +12,68 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.calibration.board.boards import Board
-from jaxmocap.calibration.board.finding import FEWEST, Found, find_boards
-from jaxmocap.calibration.board.sheets import draw_calibrated, draw_found, picture_folder
-from jaxmocap.calibration.intrinsics import PARAMETERS, Intrinsics, calibrate
-from jaxmocap.calibration.planar_poses import tilt
-from jaxmocap.calibration.view_coverage import Coverage, covered, remarks, too_alike
-from jaxmocap.formats.cameras.calibration import Lens, check_writable, read_lens, write_camera
+from jaxmocap.calibration.board.finding import MIN_VIEWS, BoardDetections, find_boards
+from jaxmocap.calibration.board.result_pictures import (
+    draw_detections,
+    draw_intrinsics,
+    picture_folder,
+)
+from jaxmocap.calibration.intrinsics import PARAMETERS, IntrinsicsEstimate, estimate_intrinsics
+from jaxmocap.calibration.planar_poses import tilt_degrees
+from jaxmocap.calibration.view_coverage import (
+    ImageCoverage,
+    image_coverage,
+    intrinsics_warnings,
+    why_undetermined,
+)
+from jaxmocap.formats.cameras.calibration import (
+    Intrinsics,
+    check_camera_writable,
+    read_intrinsics,
+    write_camera,
+)
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.toml import read_toml
 
 
 @dataclass(frozen=True)
-class Calibrated:
-    """What ``calibrate_intrinsics`` found.
+class IntrinsicsResult:
+    """What ``calibrate_camera`` found.
 
     Attributes:
         camera: name of its section.
-        found: the board in pictures; ``result.used`` says on which views the result rests.
-        result: the calibration.
+        detections: the board in pictures; ``estimate.used`` says on which views the result rests.
+        estimate: the calibration.
         coverage: of the image by the views used.
-        remarks: sentences that a user should see.
+        warnings: sentences that a user should see.
         files: written.
     """
 
     camera: str
-    found: Found
-    result: Intrinsics
-    coverage: Coverage
-    remarks: tuple[str, ...]
+    detections: BoardDetections
+    estimate: IntrinsicsEstimate
+    coverage: ImageCoverage
+    warnings: tuple[str, ...]
     files: tuple[Path, ...]
 
     def rows(self) -> list[tuple[str, float, float, bool]]:
         """Name, residual (pixels, RMS), tilt (degrees) and whether it was used, of each view."""
-        both = zip(self.found.views, self.result.poses, self.result.used, strict=True)
+        both = zip(self.detections.views, self.estimate.poses, self.estimate.used, strict=True)
         nothing = float("inf"), float("nan")
         return [
-            (view.name, *((pose.rms, tilt(pose)) if pose else nothing), use)
+            (view.name, *((pose.rms, tilt_degrees(pose)) if pose else nothing), use)
             for view, pose, use in both
         ]
 
 
-def calibrate_intrinsics(
+def calibrate_camera(
     paths: Sequence[str | Path],
     board: Board,
     camera: str,
     out: str | Path,
     coefficients: int = 4,
     pictures: str | Path | None = None,
-) -> Calibrated:
+) -> IntrinsicsResult:
     """Calibrate a camera and write its section.
 
     Args:
@@ -75,70 +88,76 @@ def calibrate_intrinsics(
         InputError: files that cannot be used, or views that do not determine the camera.
     """
     out = Path(out)
-    check_writable(out, camera)
+    check_camera_writable(out, camera)
     folder = picture_folder(pictures, f"intrinsics of {camera}", paths)
-    before, placed = _already(out, camera)
-    found = find_boards(paths, board)
+    before, is_placed = _existing_section(out, camera)
+    detections = find_boards(paths, board)
     try:
-        result = _determined(found, coefficients)
+        result = _checked_estimate(detections, coefficients)
     except InputError:
         if folder is not None:
-            folder.write(partial(draw_found, found))
+            folder.write(partial(draw_detections, detections))
         raise
-    coverage = covered(
-        [v for v, use in zip(found.views, result.used, strict=True) if use], found.size
+    coverage = image_coverage(
+        [v for v, use in zip(detections.views, result.used, strict=True) if use], detections.size
     )
-    said = [*found.said, *remarks(result, coverage), *_changes(result, before, placed)]
-    drawn = [] if folder is None else folder.write(partial(draw_calibrated, found, result))
+    warnings = [
+        *detections.warnings,
+        *intrinsics_warnings(result, coverage),
+        *_change_warnings(result, before, is_placed),
+    ]
+    drawn = [] if folder is None else folder.write(partial(draw_intrinsics, detections, result))
     write_camera(out, camera, result.lens.entries())
-    return Calibrated(camera, found, result, coverage, tuple(said), (out, *drawn))
+    return IntrinsicsResult(camera, detections, result, coverage, tuple(warnings), (out, *drawn))
 
 
-def _already(out: Path, camera: str) -> tuple[Lens | None, bool]:
-    """The lens that the file holds of this camera, and whether it holds its place too."""
+def _existing_section(out: Path, camera: str) -> tuple[Intrinsics | None, bool]:
+    """The intrinsics that the file holds of this camera, and whether it is placed already."""
     table = read_toml(out).get(camera, {}) if out.exists() else {}
-    lens = read_lens(out, camera) if "matrix" in table and "size" in table else None
+    lens = read_intrinsics(out, camera) if "matrix" in table and "size" in table else None
     return lens, "rotation" in table
 
 
-def _determined(found: Found, coefficients: int) -> Intrinsics:
+def _checked_estimate(detections: BoardDetections, coefficients: int) -> IntrinsicsEstimate:
     """The calibration; InputError with the reason where the views do not determine it."""
-    if (why := found.too_few()) is not None:
-        raise InputError(found.where, why)
+    if (why := detections.too_few()) is not None:
+        raise InputError(detections.where, why)
     try:
-        result = calibrate(found.views, found.size, coefficients)
+        result = estimate_intrinsics(detections.views, detections.size, coefficients)
     except ArithmeticError as error:
-        raise InputError(found.where, f"the views determine no camera: {error}") from None
-    if (why := too_alike(result)) is not None:
-        raise InputError(found.where, why)
-    if (count := sum(result.used)) < FEWEST:
-        both = zip(found.views, result.used, strict=True)
+        raise InputError(detections.where, f"the views determine no camera: {error}") from None
+    if (why := why_undetermined(result)) is not None:
+        raise InputError(detections.where, why)
+    if (count := sum(result.used)) < MIN_VIEWS:
+        both = zip(detections.views, result.used, strict=True)
         others = ", ".join(view.name for view, use in both if not use)
-        problem = f"only {count} views agree, expected {FEWEST} or more; not with them: {others}"
-        raise InputError(found.where, problem)
+        problem = f"only {count} views agree, expected {MIN_VIEWS} or more; not with them: {others}"
+        raise InputError(detections.where, problem)
     return result
 
 
-def _changes(result: Intrinsics, before: Lens | None, placed: bool) -> list[str]:
-    """What is to be said of the calibration that the file held already."""
-    said = []
+def _change_warnings(
+    result: IntrinsicsEstimate, before: Intrinsics | None, is_placed: bool
+) -> list[str]:
+    """Warnings about the calibration that the file held already."""
+    warnings = []
     if before is not None:
         K = before.matrix
         old = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])
-        change, doubt = result.values[:4] - old, result.doubt[:4]
+        changes, deviations = result.values[:4] - old, result.max_std[:4]
         far = [
-            f"{name} by {step:+.1f} pixels ({abs(step) / sure:.0f} standard deviations)"
-            for name, step, sure in zip(PARAMETERS, change, doubt, strict=False)
-            if abs(step) > 3 * sure
+            f"{name} by {change:+.1f} pixels ({abs(change) / std:.0f} standard deviations)"
+            for name, change, std in zip(PARAMETERS, changes, deviations, strict=False)
+            if abs(change) > 3 * std
         ]
         if far:
-            said.append(
+            warnings.append(
                 f"differs from the calibration that the file held, {', '.join(far)}: more than "
                 "chance explains, so the two methods or models differ systematically"
             )
-    if placed:
-        said.append(
+    if is_placed:
+        warnings.append(
             "rotation and translation were kept as they were, found with other intrinsics: run "
             "jaxmocap calibrate extrinsics again"
         )
-    return said
+    return warnings

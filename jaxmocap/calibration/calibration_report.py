@@ -1,6 +1,6 @@
 """What a calibration comes to: a few lines to read, and the same as figures.
 
-INPUTS: a Calibrated or a Placed. OUTPUTS: plain text; a dict for JSON.
+INPUTS: an IntrinsicsResult or an ExtrinsicsResult. OUTPUTS: plain text; a dict for JSON.
 """
 
 from collections.abc import Sequence
@@ -8,33 +8,33 @@ from typing import Any
 
 import numpy as np
 
-from jaxmocap.calibration.calibrate import Calibrated
-from jaxmocap.calibration.extrinsics import position
+from jaxmocap.calibration.calibrate import IntrinsicsResult
+from jaxmocap.calibration.extrinsics import position_world_of
 from jaxmocap.calibration.intrinsics import PARAMETERS
-from jaxmocap.calibration.place_camera import Placed
+from jaxmocap.calibration.place_camera import ExtrinsicsResult
 
 _PIXELS = ("fx", "fy", "cx", "cy")
 
 
-def intrinsics_text(found: Calibrated) -> str:
-    """Pictures with their errors, parameters with their deviations, remarks, files."""
-    width, height = found.result.lens.size
-    used = sum(found.result.used)
-    total = len(found.found.pictures)
+def intrinsics_text(result: IntrinsicsResult) -> str:
+    """Pictures with their errors, parameters with their deviations, warnings, files."""
+    width, height = result.estimate.lens.size
+    used = sum(result.estimate.used)
+    total = len(result.detections.pictures)
     lines = [
-        f"[{found.camera}] {width:g} × {height:g} pixels, {used} of {total} pictures used, "
-        f"{found.result.rms:.3f} pixels RMS",
+        f"[{result.camera}] {width:g} × {height:g} pixels, {used} of {total} pictures used, "
+        f"{result.estimate.rms:.3f} pixels RMS",
         "",
         "picture: reprojection, tilt of the board",
-        *(_picture(*row) for row in found.rows()),
-        *(f"  {name}: no board found" for name in found.found.not_found),
-        *(f"  {name}: the same as an earlier one" for name in found.found.repeated),
+        *(_picture(*row) for row in result.rows()),
+        *(f"  {name}: no board found" for name in result.detections.not_found),
+        *(f"  {name}: the same as an earlier one" for name in result.detections.duplicates),
         "",
-        *_parameters(found),
+        *_parameters(result),
         "",
-        f"coverage: {100 * found.coverage.share:.0f} % of the image",
-        *(f"note: {sentence}" for sentence in found.remarks),
-        *(f"written: {path}" for path in found.files),
+        f"coverage: {100 * result.coverage.share:.0f} % of the image",
+        *(f"warning: {sentence}" for sentence in result.warnings),
+        *(f"written: {path}" for path in result.files),
     ]
     return "\n".join(lines)
 
@@ -45,12 +45,12 @@ def _picture(name: str, error: float, tilt: float, used: bool) -> str:
     return f"  {name}: {error:.2f} px, {tilt:.0f}°"
 
 
-def _parameters(found: Calibrated) -> list[str]:
-    result = found.result
+def _parameters(found: IntrinsicsResult) -> list[str]:
+    result = found.estimate
     rows = [["", "value", "std", "one view left out", "jackknife std"]]
-    ranges = np.stack([result.left_out.min(0), result.left_out.max(0)], -1)
+    ranges = np.stack([result.leave_one_out.min(0), result.leave_one_out.max(0)], -1)
     for name, value, std, (low, high), jackknife in zip(
-        PARAMETERS, result.values, result.std, ranges, result.jackknife, strict=True
+        PARAMETERS, result.values, result.std, ranges, result.jackknife_std, strict=True
     ):
         if value == 0 and std == 0:
             continue
@@ -61,69 +61,71 @@ def _parameters(found: Calibrated) -> list[str]:
     return ["  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows]
 
 
-def intrinsics_figures(found: Calibrated) -> dict[str, Any]:
+def intrinsics_figures(result: IntrinsicsResult) -> dict[str, Any]:
     """The same as plain figures: pixels, degrees."""
-    result = found.result
+    estimate = result.estimate
     parameters = {
         name: {
-            "value": float(result.values[i]),
-            "std": float(result.std[i]),
-            "jackknife_std": float(result.jackknife[i]),
-            "left_out_min": float(result.left_out[:, i].min()),
-            "left_out_max": float(result.left_out[:, i].max()),
+            "value": float(estimate.values[i]),
+            "std": float(estimate.std[i]),
+            "jackknife_std": float(estimate.jackknife_std[i]),
+            "left_out_min": float(estimate.leave_one_out[:, i].min()),
+            "left_out_max": float(estimate.leave_one_out[:, i].max()),
         }
         for i, name in enumerate(PARAMETERS)
     }
     pictures = [
         {"name": name, "rms_px": _finite(error), "tilt_deg": _finite(tilt), "used": use}
-        for name, error, tilt, use in found.rows()
+        for name, error, tilt, use in result.rows()
     ]
     return {
-        "camera": found.camera,
-        "size": [int(n) for n in result.lens.size],
-        "board": found.found.board.label,
-        "rms_px": result.rms,
+        "camera": result.camera,
+        "size": [int(n) for n in estimate.lens.size],
+        "board": result.detections.board.label,
+        "rms_px": estimate.rms,
         "pictures": pictures,
-        "used": sum(result.used),
-        "left_out": [name for name, _, _, use in found.rows() if not use],
-        "not_found": list(found.found.not_found),
-        "repeated": list(found.found.repeated),
+        "used": sum(estimate.used),
+        "left_out": [name for name, _, _, use in result.rows() if not use],
+        "not_found": list(result.detections.not_found),
+        "repeated": list(result.detections.duplicates),
         "parameters": parameters,
-        "coverage": found.coverage.share,
-        "empty": list(found.coverage.empty),
-        "remarks": list(found.remarks),
-        "files": [str(path) for path in found.files],
+        "coverage": result.coverage.share,
+        "empty": list(result.coverage.empty),
+        "remarks": list(result.warnings),
+        "files": [str(path) for path in result.files],
     }
 
 
-def extrinsics_text(found: Placed) -> str:
-    """The camera's place, how sure it is, remarks, files."""
-    placement = found.placement
+def extrinsics_text(result: ExtrinsicsResult) -> str:
+    """The camera's place and its standard deviation, warnings, files."""
+    placement = result.placement
     x, y, z = placement.position_world
     lines = [
-        f"[{found.camera}] stands at ({x:.3f}, {y:.3f}, {z:.3f}) m, looks along "
+        f"[{result.camera}] stands at ({x:.3f}, {y:.3f}, {z:.3f}) m, looks along "
         f"{_vector(placement.T_cam_world[2, :3])}",
-        f"  {found.image}: {placement.rms:.2f} pixels RMS over {placement.used.sum()} of "
-        f"{len(found.names)} points",
+        f"  {result.image}: {placement.rms:.2f} pixels RMS over {placement.used.sum()} of "
+        f"{len(result.names)} points",
         f"  standard deviation: {_vector(1e3 * placement.std_m, 1)} mm, {placement.std_deg:.2f}°, "
         "by the corners' noise alone (not the intrinsics', nor that of what was measured)",
     ]
     if placement.mirrored is not None:
         lines.append(
-            f"  the mirrored answer that a flat target has, at "
-            f"{_vector(position(placement.mirrored))} m, fits {placement.mirrored_times:.1f} times "
-            "as badly"
+            f"  the mirrored solution that a flat target has, at "
+            f"{_vector(position_world_of(placement.mirrored))} m, fits "
+            f"{placement.mirrored_ratio:.1f} times as badly"
         )
-    lines += [f"note: {sentence}" for sentence in found.remarks]
-    return "\n".join([*lines, *(f"written: {path}" for path in found.files)])
+    lines += [f"warning: {sentence}" for sentence in result.warnings]
+    return "\n".join([*lines, *(f"written: {path}" for path in result.files)])
 
 
-def extrinsics_figures(found: Placed) -> dict[str, Any]:
+def extrinsics_figures(result: ExtrinsicsResult) -> dict[str, Any]:
     """The same as plain figures: metres, degrees, pixels."""
-    placement = found.placement
-    mirrored = None if placement.mirrored is None else position(placement.mirrored).tolist()
+    placement = result.placement
+    mirrored = (
+        None if placement.mirrored is None else position_world_of(placement.mirrored).tolist()
+    )
     return {
-        "camera": found.camera,
+        "camera": result.camera,
         "position": placement.position_world.tolist(),
         "looks_along": placement.T_cam_world[2, :3].tolist(),
         "rotation": placement.rotation.tolist(),
@@ -134,13 +136,13 @@ def extrinsics_figures(found: Placed) -> dict[str, Any]:
         "points": [
             {"name": name, "off_px": float(np.linalg.norm(residual)), "used": bool(use)}
             for name, residual, use in zip(
-                found.names, placement.residuals_xy, placement.used, strict=True
+                result.names, placement.residuals_xy, placement.used, strict=True
             )
         ],
         "mirrored_position": mirrored,
-        "mirrored_times": _finite(placement.mirrored_times),
-        "remarks": list(found.remarks),
-        "files": [str(path) for path in found.files],
+        "mirrored_times": _finite(placement.mirrored_ratio),
+        "remarks": list(result.warnings),
+        "files": [str(path) for path in result.files],
     }
 
 

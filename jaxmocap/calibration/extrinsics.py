@@ -1,6 +1,6 @@
 """Where a camera stands in the world, from one view of a board or of points at measured places.
 
-INPUTS: points (metres, world, Z up), their pixels, a Lens. OUTPUTS: a Placement.
+INPUTS: points (metres, world, Z up), their pixels, Intrinsics. OUTPUTS: a Placement.
 
 As the paper's section 3 has it: the board lies where it was measured in the marker system's world,
 so its corners' places in the world are known, and the camera follows from them.
@@ -12,21 +12,29 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.calibration.planar_poses import FLAT, Pose, find_poses, thickness
-from jaxmocap.formats.cameras.calibration import Lens
+from jaxmocap.calibration.planar_poses import (
+    FLAT_THICKNESS,
+    CameraPose,
+    candidate_poses,
+    relative_thickness,
+    reprojection_residuals,
+)
+from jaxmocap.formats.cameras.calibration import Intrinsics
 from jaxmocap.geometry.cameras import Camera
 
-# The mirrored answer is not told from the right one where its residual is less than this times.
-AMBIGUOUS = 2.0
+# The mirrored solution is ambiguous where its residual is less than this times the better one's.
+AMBIGUOUS_RATIO = 2.0
 # Points are on one line where their breadth is less than this part of their length.
-_LINE = 1e-3
-# With at least this many points, one that errs is found: without it the residual falls so far.
-_MANY, _FALLS = 6, 0.25
+_LINE_BREADTH = 1e-3
+# With at least so many points, one that errs is found:
+_MIN_POINTS_FOR_OUTLIER = 6
+# without it the residual falls to less than this share.
+_OUTLIER_RATIO = 0.25
 # A camera is upside down for certain where the picture's vertical lies within 45° of the world's,
 # unless it looks almost straight up or down: this much of the vertical must show in the picture.
-_VERTICAL = 0.1
-# A place known worse than this is said to be uncertain, metres.
-_ROUGH_M = 0.05
+_MIN_VERTICAL_SHOWN = 0.1
+# A place with a larger standard deviation gets a warning, metres.
+_UNCERTAIN_M = 0.05
 
 
 @dataclass(frozen=True)
@@ -35,13 +43,13 @@ class Placement:
 
     Attributes:
         T_cam_world: (4, 4) float64, metres.
-        residuals_xy: (N, 2) reprojected minus seen, pixels, of all points.
+        residuals_xy: (N, 2) reprojected minus detected, pixels, of all points.
         used: (N,) which points the pose rests on.
         std_m: (3,) standard deviation of the camera's place, metres, by the corners' noise alone.
         std_deg: of its direction, the largest of the three axes, degrees.
-        mirrored: the other answer that a flat target leaves, T_cam_world, or None.
-        mirrored_times: its residual over that of the one taken.
-        remarks: sentences that a user should see.
+        mirrored: the other solution that a flat target has, T_cam_world, or None.
+        mirrored_ratio: its residual over that of the one taken.
+        warnings: sentences that a user should see.
     """
 
     T_cam_world: np.ndarray
@@ -50,8 +58,8 @@ class Placement:
     std_m: np.ndarray
     std_deg: float
     mirrored: np.ndarray | None = None
-    mirrored_times: float = np.inf
-    remarks: tuple[str, ...] = field(default=())
+    mirrored_ratio: float = np.inf
+    warnings: tuple[str, ...] = field(default=())
 
     @property
     def rms(self) -> float:
@@ -61,14 +69,14 @@ class Placement:
     @property
     def position_world(self) -> np.ndarray:
         """(3,) metres."""
-        return position(self.T_cam_world)
+        return position_world_of(self.T_cam_world)
 
     @property
     def rotation(self) -> np.ndarray:
         """(3,) Rodrigues vector, world to camera."""
         return Rotation.from_matrix(self.T_cam_world[:3, :3]).as_rotvec()
 
-    def camera(self, lens: Lens) -> Camera:
+    def camera(self, lens: Intrinsics) -> Camera:
         """The camera as all else uses it."""
         size = (lens.size[0], lens.size[1])
         R, t = self.T_cam_world[:3, :3], self.T_cam_world[:3, 3]
@@ -87,102 +95,118 @@ def board_to_world(pose: tuple[float, ...]) -> np.ndarray:
     return T
 
 
-def position(T_cam_world: np.ndarray) -> np.ndarray:
+def position_world_of(T_cam_world: np.ndarray) -> np.ndarray:
     """(3,) the camera's place in the world, metres."""
     return -T_cam_world[:3, :3].T @ T_cam_world[:3, 3]
 
 
-def place(
-    points_world: np.ndarray, pixels_xy: np.ndarray, lens: Lens, upside_down: bool = False
+def estimate_placement(
+    points_world: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics, upside_down: bool = False
 ) -> Placement:
     """Place a camera that sees (N, 3) points at (N, 2) pixels.
 
-    Of two answers that explain the picture alike, the one above the floor and upright (or upside
-    down, where that is expected) is taken where that tells them apart.
+    Of two solutions that explain the picture alike, the one above the floor and upright (or upside
+    down, where that is expected) is taken where that distinguishes them.
 
     Raises:
         ArithmeticError: fewer than four points, all on one line, or no answer.
     """
-    _check(points_world)
+    _check_points(points_world)
     used = np.ones(len(points_world), bool)
-    poses = find_poses(points_world, pixels_xy, lens)
-    if poses and len(points_world) >= _MANY:
-        used, poses = _without_the_wrong(points_world, pixels_xy, lens, poses)
+    poses = candidate_poses(points_world, pixels_xy, lens)
+    if poses and len(points_world) >= _MIN_POINTS_FOR_OUTLIER:
+        used, poses = _without_outlier(points_world, pixels_xy, lens, poses)
     if not poses:
         raise ArithmeticError("no camera sees these points there: pixels or places are exchanged")
-    best, others = poses[0], [p for p in poses[1:] if p.rms < AMBIGUOUS * max(poses[0].rms, 0.05)]
-    said = []
-    if others:
-        best, other = _sensible_first(best, others[0], upside_down)
-        said.append(_ambiguous(best, other, upside_down))
+    best, warnings = _chosen_pose(poses, upside_down)
     mirrored = next((pose for pose in poses if pose is not best), None)
     std_m, std_deg = _deviations(best, points_world[used], lens)
     return Placement(
         best.matrix,
-        _residuals(best, points_world, pixels_xy, lens),
+        reprojection_residuals(points_world, pixels_xy, lens, best.rvec, best.tvec),
         used,
         std_m,
         std_deg,
         None if mirrored is None else mirrored.matrix,
         np.inf if mirrored is None else mirrored.rms / max(best.rms, 1e-9),
-        tuple([*said, *_rough(std_m), *_worries(best.matrix, upside_down)]),
+        (
+            *warnings,
+            *_uncertainty_warnings(std_m),
+            *_implausibility_warnings(best.matrix, upside_down),
+        ),
     )
 
 
-def _check(points_world: np.ndarray) -> None:
+def _chosen_pose(poses: list[CameraPose], upside_down: bool) -> tuple[CameraPose, list[str]]:
+    """Of poses, the best first, the one that is plausible; a warning where two fit alike."""
+    best = poses[0]
+    alike = [pose for pose in poses[1:] if pose.rms < AMBIGUOUS_RATIO * max(best.rms, 0.05)]
+    if not alike:
+        return best, []
+    best, other = _plausible_first(best, alike[0], upside_down)
+    return best, [_ambiguity_warning(best, other, upside_down)]
+
+
+def _check_points(points_world: np.ndarray) -> None:
     if len(points_world) < 4:
         raise ArithmeticError(f"found {len(points_world)} points, expected at least 4")
     extents = np.linalg.svd(points_world - points_world.mean(0), compute_uv=False)
-    if extents[1] < _LINE * extents[0]:
+    if extents[1] < _LINE_BREADTH * extents[0]:
         raise ArithmeticError("all points lie on one line, expected them spread in two directions")
-    if len(points_world) < _MANY and thickness(points_world) >= FLAT:
-        # Four or five points in space fit too many cameras to tell a wrong one.
+    if (
+        len(points_world) < _MIN_POINTS_FOR_OUTLIER
+        and relative_thickness(points_world) >= FLAT_THICKNESS
+    ):
+        # Four or five points in space fit too many cameras for a wrong one to show.
         raise ArithmeticError(
-            f"found {len(points_world)} points that are not on a plane, expected at least {_MANY}"
+            f"found {len(points_world)} points that are not on a plane, "
+            f"expected at least {_MIN_POINTS_FOR_OUTLIER}"
         )
 
 
-def _without_the_wrong(
-    points_world: np.ndarray, pixels_xy: np.ndarray, lens: Lens, poses: list[Pose]
-) -> tuple[np.ndarray, list[Pose]]:
+def _without_outlier(
+    points_world: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics, poses: list[CameraPose]
+) -> tuple[np.ndarray, list[CameraPose]]:
     """Leave out the one point without which the rest fits far better, if there is one."""
     used = np.ones(len(points_world), bool)
     without = []
     for i in range(len(points_world)):
         rest = np.arange(len(points_world)) != i
-        without.append(find_poses(points_world[rest], pixels_xy[rest], lens))
+        without.append(candidate_poses(points_world[rest], pixels_xy[rest], lens))
     errors = [found[0].rms if found else np.inf for found in without]
     i = int(np.argmin(errors))
-    if poses[0].rms > 1.0 and errors[i] < _FALLS * poses[0].rms:
+    if poses[0].rms > 1.0 and errors[i] < _OUTLIER_RATIO * poses[0].rms:
         used[i] = False
         return used, without[i]
     return used, poses
 
 
-def _sensible_first(best: Pose, other: Pose, upside_down: bool) -> tuple[Pose, Pose]:
-    worries = [len(_worries(pose.matrix, upside_down)) for pose in (best, other)]
-    return (other, best) if worries[1] < worries[0] else (best, other)
+def _plausible_first(
+    best: CameraPose, other: CameraPose, upside_down: bool
+) -> tuple[CameraPose, CameraPose]:
+    counts = [len(_implausibility_warnings(pose.matrix, upside_down)) for pose in (best, other)]
+    return (other, best) if counts[1] < counts[0] else (best, other)
 
 
-def _ambiguous(taken: Pose, other: Pose, upside_down: bool) -> str:
-    here, there = _at(taken.matrix), _at(other.matrix)
+def _ambiguity_warning(taken: CameraPose, other: CameraPose, upside_down: bool) -> str:
+    taken_at, other_at = _position_text(taken.matrix), _position_text(other.matrix)
     why = f"the one that is above the floor and {'upside down' if upside_down else 'upright'}"
-    worries = [len(_worries(pose.matrix, upside_down)) for pose in (taken, other)]
-    if worries[0] == worries[1]:
+    counts = [len(_implausibility_warnings(pose.matrix, upside_down)) for pose in (taken, other)]
+    if counts[0] == counts[1]:
         why = "the one that fits better, which may be wrong"
     return (
-        f"two cameras explain the picture alike, at {here} ({taken.rms:.2f} pixels) and at {there} "
-        f"({other.rms:.2f} pixels); taken is {why}. Tilt the board against the view, bring it "
-        "nearer, or give points that are not on one plane"
+        f"two cameras explain the picture alike, at {taken_at} ({taken.rms:.2f} "
+        f"pixels) and at {other_at} ({other.rms:.2f} pixels); taken is {why}. Tilt the board "
+        "against the view, bring it nearer, or give points that are not on one plane"
     )
 
 
-def _at(T_cam_world: np.ndarray) -> str:
-    return "({:.2f}, {:.2f}, {:.2f}) m".format(*position(T_cam_world))
+def _position_text(T_cam_world: np.ndarray) -> str:
+    return "({:.2f}, {:.2f}, {:.2f}) m".format(*position_world_of(T_cam_world))
 
 
-def _rough(std_m: np.ndarray) -> list[str]:
-    if std_m.max() < _ROUGH_M:
+def _uncertainty_warnings(std_m: np.ndarray) -> list[str]:
+    if std_m.max() < _UNCERTAIN_M:
         return []
     return [
         f"the camera's place is only roughly known, ± {100 * std_m.max():.0f} cm: the board or the "
@@ -190,52 +214,47 @@ def _rough(std_m: np.ndarray) -> list[str]:
     ]
 
 
-def _worries(T_cam_world: np.ndarray, upside_down: bool) -> list[str]:
-    """What cannot be of a camera in a room."""
-    said = []
-    if (height := position(T_cam_world)[2]) < 0:
-        said.append(f"the camera comes out below the floor, at z = {height:.2f} m")
+def _implausibility_warnings(T_cam_world: np.ndarray, upside_down: bool) -> list[str]:
+    """What cannot be so of a camera in a room."""
+    warnings = []
+    if (height := position_world_of(T_cam_world)[2]) < 0:
+        warnings.append(f"the camera comes out below the floor, at z = {height:.2f} m")
     # The camera's y points down in its picture.
     if (T_cam_world[1, 2] > 0) != upside_down:
-        said.append(f"the camera comes out {'upright' if upside_down else 'upside down'}")
-    return said
+        warnings.append(f"the camera comes out {'upright' if upside_down else 'upside down'}")
+    return warnings
 
 
-def wrong_way_up(T_cam_world: np.ndarray, upside_down: bool) -> bool:
+def is_wrong_way_up(T_cam_world: np.ndarray, upside_down: bool) -> bool:
     """Whether a camera is certainly upside down, or upright where it hangs upside down."""
     # The world's vertical, as the picture's x and y show it.
     x, y = T_cam_world[:2, 2] * (-1.0 if upside_down else 1.0)
-    return bool(y >= abs(x) and np.hypot(x, y) > _VERTICAL)
+    return bool(y >= abs(x) and np.hypot(x, y) > _MIN_VERTICAL_SHOWN)
 
 
-def turned_board(
+def advice_on_board_pose(
     T_cam_world: np.ndarray, T_world_board: np.ndarray, upside_down: bool = False
 ) -> str | None:
     """Which half turn of the board would put a doubtful camera above the floor and upright."""
-    if not _worries(T_cam_world, upside_down):
+    if not _implausibility_warnings(T_cam_world, upside_down):
         return None
     T_cam_board = T_cam_world @ T_world_board
     for axis in "zxy":
         half = np.eye(4)
         half[:3, :3] = Rotation.from_euler(axis, 180, degrees=True).as_matrix()
         other = T_cam_board @ np.linalg.inv(T_world_board @ half)
-        if not _worries(other, upside_down):
+        if not _implausibility_warnings(other, upside_down):
             return (
                 "the board is the other way round than --pose says, or upside down: with it turned "
-                f"by 180° about its own {axis} axis the camera would stand at {_at(other)}; see "
-                "the axes in the picture"
+                f"by 180° about its own {axis} axis the camera would stand at "
+                f"{_position_text(other)}; see the axes in the picture"
             )
     return "see the axes in the picture: --pose does not fit it, or the world's z is not up"
 
 
-def _residuals(
-    pose: Pose, points_world: np.ndarray, pixels_xy: np.ndarray, lens: Lens
-) -> np.ndarray:
-    seen, _ = cv2.projectPoints(points_world, pose.rvec, pose.tvec, lens.matrix, lens.distortions)
-    return seen.reshape(-1, 2) - pixels_xy
-
-
-def _deviations(pose: Pose, points_world: np.ndarray, lens: Lens) -> tuple[np.ndarray, float]:
+def _deviations(
+    pose: CameraPose, points_world: np.ndarray, lens: Intrinsics
+) -> tuple[np.ndarray, float]:
     """Standard deviations of place (3,), metres, and direction, degrees, from the residuals."""
     _, J = cv2.projectPoints(points_world, pose.rvec, pose.tvec, lens.matrix, lens.distortions)
     J = J[:, :6]
@@ -256,5 +275,5 @@ def _matrix(vector: np.ndarray) -> np.ndarray:
 
 def _change(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(6,) by how much the place moves, metres, and the camera turns, radians."""
-    turn = Rotation.from_matrix(b[:3, :3] @ a[:3, :3].T).as_rotvec()
-    return np.concatenate([position(b) - position(a), turn])
+    rotation = Rotation.from_matrix(b[:3, :3] @ a[:3, :3].T).as_rotvec()
+    return np.concatenate([position_world_of(b) - position_world_of(a), rotation])

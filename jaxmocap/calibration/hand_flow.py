@@ -1,8 +1,8 @@
 """How the image moves where the hands are, next to how the hands move.
 
 INPUTS: a video's frames; marker paths, a camera, and by how much the clocks may differ.
-OUTPUTS: optical flow of each frame to the next; at any lag, what was seen to move and what the
-markers say, pixels per frame.
+OUTPUTS: optical flow of each frame to the next; at any lag, the measured flow and the one that the
+markers predict, pixels per frame.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,35 +14,40 @@ import cv2
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from jaxmocap.capture.checks.cameras import pixels_of
-from jaxmocap.capture.filters import low_pass
+from jaxmocap.capture.checks.cameras import project_to_pixels
+from jaxmocap.capture.filters import butterworth_low_pass
 from jaxmocap.capture.markers import GAP_INTERVALS, median_interval
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.geometry.cameras import Camera
 
-# Flow is computed on images of at most so many pixels a side, and kept for every second one.
-LARGEST_SIDE, STRIDE = 640, 2
-# Half the side of the square about a hand, metres, and how many points of it a side has: their
-# median is what the hand does, whatever of the background lies between.
-HAND_M, POINTS = 0.03, 5
-# Markers are low-passed here, Hz, or at this share of their rate where that is less.
-SMOOTH_HZ, SMOOTH_SHARE = 8.0, 0.25
+# Flow is computed on images of at most so many pixels a side,
+MAX_SIDE_PX = 640
+# and kept for every second pixel.
+STRIDE = 2
+# Half the side of the square about a hand, metres.
+HAND_HALF_SIDE_M = 0.03
+# Points along its side: their median is what the hand does, whatever background lies between.
+POINTS_PER_SIDE = 5
+# Markers are low-passed here, Hz,
+SMOOTHING_CUTOFF_HZ = 8.0
+# or at this share of their rate where that is less.
+SMOOTHING_CUTOFF_SHARE = 0.25
 
 
-class Terms(NamedTuple):
-    """What is compared at one lag, for K frames and H hands.
+class FlowPair(NamedTuple):
+    """Measured and predicted flow at one lag, for K frames and H hands.
 
     Attributes:
-        seen: (K, H, 2) flow at the hands, pixels of the image, to the next frame.
-        told: (K, H, 2) the same by the markers. Both are NaN where one is not known.
+        measured: (K, H, 2) flow at the hands, pixels of the image, to the next frame.
+        predicted: (K, H, 2) the same by the markers. Both are NaN where one is missing.
     """
 
-    seen: np.ndarray
-    told: np.ndarray
+    measured: np.ndarray
+    predicted: np.ndarray
 
 
 @dataclass(frozen=True)
-class Path:
+class MarkerPath:
     """A marker over time, between its samples as well.
 
     Attributes:
@@ -56,26 +61,26 @@ class Path:
     longest: float
 
     @classmethod
-    def through(cls, times: np.ndarray, positions: np.ndarray) -> "Path | None":
+    def through(cls, times: np.ndarray, positions: np.ndarray) -> "MarkerPath | None":
         """Through (T, 3) positions at (T,) seconds, NaN where missing; None through too few.
 
         They are low-passed: a millimetre of jitter from sample to sample would outweigh the hand's
         own acceleration, and the lag would follow the samples' clock.
         """
-        seen = np.flatnonzero(np.isfinite(positions).all(-1))
-        if len(seen) < 4:
+        present = np.flatnonzero(np.isfinite(positions).all(-1))
+        if len(present) < 4:
             return None
         interval = median_interval(times)
-        cutoff = min(SMOOTH_HZ, SMOOTH_SHARE / interval)
-        calm = low_pass(times, positions[:, None], cutoff)[seen, 0]
-        return cls(CubicSpline(times[seen], calm), times[seen], GAP_INTERVALS * interval)
+        cutoff = min(SMOOTHING_CUTOFF_HZ, SMOOTHING_CUTOFF_SHARE / interval)
+        calm = butterworth_low_pass(times, positions[:, None], cutoff)[present, 0]
+        return cls(CubicSpline(times[present], calm), times[present], GAP_INTERVALS * interval)
 
     def at(self, times: np.ndarray) -> np.ndarray:
         """(K, 3) positions at (K,) seconds; NaN outside the samples and in gaps."""
         after = np.searchsorted(self.times, times).clip(1, len(self.times) - 1)
-        known = (times >= self.times[0]) & (times <= self.times[-1])
-        known &= self.times[after] - self.times[after - 1] <= self.longest
-        return np.where(known[:, None], self.spline(times), np.nan)
+        is_known = (times >= self.times[0]) & (times <= self.times[-1])
+        is_known &= self.times[after] - self.times[after - 1] <= self.longest
+        return np.where(is_known[:, None], self.spline(times), np.nan)
 
 
 @dataclass(frozen=True)
@@ -94,38 +99,40 @@ class HandFlow:
     fields: np.ndarray
     spacing: float
     camera: Camera
-    paths: Sequence[Path]
+    paths: Sequence[MarkerPath]
 
-    def terms(self, lag: float, place_lag: float | None = None) -> Terms:
+    def flow_pair(self, lag: float, place_lag: float | None = None) -> FlowPair:
         """Flow and markers' motion if the video ran ``lag`` seconds later than stated.
 
         Args:
             lag: seconds to add to the frames' times.
             place_lag: seconds to add for where in the image to look; the lag where None.
         """
-        told, seen = [], []
+        predicted, measured = [], []
         for path in self.paths:
             xy, _ = self._projected(path, lag)
             at_xy, radius = self._projected(path, lag if place_lag is None else place_lag)
-            seen.append(self._around(at_xy[:-1], radius[:-1]))
-            told.append(np.diff(xy, axis=0))
-        terms = Terms(np.stack(seen, 1), np.stack(told, 1))
-        known = np.isfinite(terms.seen + terms.told).all(-1, keepdims=True)
-        return Terms(*(np.where(known, part, np.nan) for part in terms))
+            measured.append(self._around(at_xy[:-1], radius[:-1]))
+            predicted.append(np.diff(xy, axis=0))
+        terms = FlowPair(np.stack(measured, 1), np.stack(predicted, 1))
+        is_known = np.isfinite(terms.measured + terms.predicted).all(-1, keepdims=True)
+        return FlowPair(*(np.where(is_known, part, np.nan) for part in terms))
 
-    def _projected(self, path: Path, lag: float) -> tuple[np.ndarray, np.ndarray]:
+    def _projected(self, path: MarkerPath, lag: float) -> tuple[np.ndarray, np.ndarray]:
         """(K + 1, 2) pixels of a hand, and (K + 1,) half the side of the square about it."""
         points = path.at(self.times + lag)
-        known = np.isfinite(points).all(-1)
+        is_known = np.isfinite(points).all(-1)
         xy = np.full((len(points), 2), np.nan)
-        if known.any():
-            xy[known] = pixels_of(self.camera, points[known])
+        if is_known.any():
+            xy[is_known] = project_to_pixels(self.camera, points[is_known])
         T = np.asarray(self.camera.T_cam_world, float)
-        return xy, HAND_M * float(self.camera.matrix[0, 0]) / (points @ T[2, :3] + T[2, 3])
+        return xy, HAND_HALF_SIDE_M * float(self.camera.matrix[0, 0]) / (
+            points @ T[2, :3] + T[2, 3]
+        )
 
     def _around(self, xy: np.ndarray, radius: np.ndarray) -> np.ndarray:
         """(K, 2) median of each field in the square about (K, 2) pixels; NaN outside the image."""
-        side = np.linspace(-1, 1, POINTS)
+        side = np.linspace(-1, 1, POINTS_PER_SIDE)
         square = np.stack(np.meshgrid(side, side), -1).reshape(-1, 2)
         cells = (xy[:, None] + square * radius[:, None, None]) / self.spacing
         height, width = self.fields.shape[1:3]
@@ -144,10 +151,10 @@ def flow_fields(video: FrameSource, first: int, count: int) -> tuple[np.ndarray,
         (count - 1, H', W', 2) pixels of the image, NaN where a frame cannot be read, and the
         spacing of its entries in pixels of the image.
     """
-    scale = min(1.0, LARGEST_SIDE / max(video.size))
+    scale = min(1.0, MAX_SIDE_PX / max(video.size))
     width, height = (round(side * scale) for side in video.size)
     solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    images, fields = _small(video, first, count, (width, height)), []
+    images, fields = _scaled_frames(video, first, count, (width, height)), []
     for last, image in pairwise(images):
         if last is None or image is None:
             flow = np.full((height, width, 2), np.nan)
@@ -157,7 +164,7 @@ def flow_fields(video: FrameSource, first: int, count: int) -> tuple[np.ndarray,
     return np.stack(fields), STRIDE / scale
 
 
-def _small(
+def _scaled_frames(
     video: FrameSource, first: int, count: int, size: tuple[int, int]
 ) -> Iterator[np.ndarray | None]:
     """Grey frames of that width and height, None where one cannot be read."""

@@ -1,16 +1,16 @@
-"""Where a device sits seen from the joint that it turns about: a grip from the wrist, for example.
+"""Where a device sits in relation to the joint that it rotates about, such as a grip to a wrist.
 
-INPUTS: a clip of markers that know how they are turned, each about a joint that stays where it is:
+INPUTS: a clip of markers with orientations, each rotating about a joint that stays where it is:
 the forearm rests on a table and the hand turns, up and down, to the sides, and twisting.
 OUTPUTS: for each marker its offset from that joint in its own axes, with covariance; and how it is
 held, by a while in which the person stands upright.
 
-A marker at p, turned by R, whose joint lies at w has the offset o with p = w + R o (pivot
+A marker at p with orientation R, whose joint lies at w has the offset o with p = w + R o (pivot
 calibration). In every second of the clip w is an unknown of its own, so that the arm may shift and
 devices wander; all seconds share o, by least squares, those in which the joint strays more counting
 less. Three devices with six degrees of freedom know nothing of joints: what is found is the point
 that stayed, and that this is the wrist is the clip's making. When the whole arm moves it is an
-elbow, a shoulder, or nothing; the offset's length and the joint's straying tell.
+elbow, a shoulder, or nothing; the offset's length and the joint's own motion show it.
 """
 
 from collections.abc import Sequence
@@ -26,63 +26,68 @@ from jaxmocap.formats.recordings.recording import load_markers
 from jaxmocap.formats.time_series.tables import Markers
 
 WINDOW_S = 1.0
-# Fewer seconds than these, and their scatter tells no uncertainty.
-FEWEST_WINDOWS, FEWEST_SAMPLES = 8, 5
+# Windows that the scatter between them takes.
+MIN_WINDOWS = 8
+# Samples that make a window.
+MIN_WINDOW_SAMPLES = 5
 # A joint that strays less within a second, metres, is not weighed down for it.
-STEADY_M = 0.001
-ROUNDS = 10
-# Beyond these the clip was none of turning about a joint that rests.
-MOST_STD_M, MOST_STRAY_M, MOST_LENGTH_M = 0.01, 0.01, 0.25
+STEADY_RMS_M = 0.001
+REWEIGHTINGS = 10
+# Beyond these, metres, the clip was none of rotation about a joint that rests: the offset's
+# standard deviation, the joint's own motion, and the offset's length.
+MAX_STD_M = 0.01
+MAX_JOINT_RMS_M = 0.01
+MAX_LENGTH_M = 0.25
 
 
 @dataclass(frozen=True)
-class Held:
+class DeviceOffset:
     """How one device sits on its bone.
 
     Attributes:
-        place: of the marker; its bone's joint is what it turned about.
+        place: of the marker; its bone's joint is what it rotated about.
         offset: (3,) metres, from the joint to the marker, in the marker's axes.
         covariance: (3, 3) of it, by the scatter between the clip's seconds.
-        stray: metres (RMS) that the joint moved within a second, noise included.
-        swing: degrees (RMS) that the marker turned within a second.
+        joint_rms: metres (RMS) that the joint moved within a second, noise included.
+        rotation_rms: degrees (RMS) that the marker rotated within a second.
         windows: seconds that were used.
-        turn: (3, 3) from the marker's axes to the bone's, or None where nobody stood still.
-        turn_spread: degrees (RMS) that it varied by while standing.
+        orientation: (3, 3) from the marker's axes to the bone's, or None where nobody stood still.
+        orientation_rms: degrees (RMS) that it varied by while standing.
     """
 
     place: MarkerPlace
     offset: np.ndarray
     covariance: np.ndarray
-    stray: float
-    swing: float
+    joint_rms: float
+    rotation_rms: float
     windows: int
-    turn: np.ndarray | None = None
-    turn_spread: float = float("nan")
+    orientation: np.ndarray | None = None
+    orientation_rms: float = float("nan")
 
     @property
-    def deviations(self) -> np.ndarray:
+    def std(self) -> np.ndarray:
         """(3,) standard deviations of the offset, metres."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
-    def doubts(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[str, ...]:
         """Why not to use it; empty where nothing speaks against it."""
         values, vectors = np.linalg.eigh(self.covariance)
-        said, length = [], float(np.linalg.norm(self.offset))
-        if values[-1] > MOST_STD_M**2:
+        warnings, length = [], float(np.linalg.norm(self.offset))
+        if values[-1] > MAX_STD_M**2:
             x, y, z = vectors[:, -1]
-            said.append(
+            warnings.append(
                 f"not determined along [{x:.2f}, {y:.2f}, {z:.2f}] of the marker's axes, about "
-                "which alone it turned: turn it about the others too"
+                "which alone it rotated: rotate it about the others too"
             )
-        if self.stray > MOST_STRAY_M:
-            said.append(f"its joint moved by {1e3 * self.stray:.0f} mm a second: rest it")
-        if length > MOST_LENGTH_M:
-            said.append(
-                f"{100 * length:.0f} cm from what it turned about, which is hardly the joint of "
+        if self.joint_rms > MAX_JOINT_RMS_M:
+            warnings.append(f"its joint moved by {1e3 * self.joint_rms:.0f} mm a second: rest it")
+        if length > MAX_LENGTH_M:
+            warnings.append(
+                f"{100 * length:.0f} cm from what it rotated about, which is hardly the joint of "
                 f"{self.place.bone}: rest what carries it"
             )
-        return tuple(said)
+        return tuple(warnings)
 
 
 def estimate_offsets(
@@ -90,61 +95,63 @@ def estimate_offsets(
     places: Sequence[MarkerPlace],
     still: tuple[float, float] | None = None,
     span: tuple[float, float] = (-np.inf, np.inf),
-) -> list[Held]:
-    """How every marker that knows how it is turned sits on its bone.
+) -> list[DeviceOffset]:
+    """How every marker with an orientation sits on its bone.
 
     Args:
-        markers: in the world's axes, metres, with turns.
+        markers: in the world's axes, metres, with orientations.
         places: of the markers, in the same order; only their bones count.
         still: seconds between which the person stands upright, arms hanging, thumbs and nose
-            forward; None asks nothing of how the devices are held.
+            forward; None leaves the devices' orientations open.
         span: seconds between which the devices turn about their joints.
 
     Raises:
-        ValueError: no marker knows how it is turned, the clip is too short, or nobody can be told
-            from markers on both hands to stand at those times.
+        ValueError: no marker has an orientation, the clip is too short, or markers on both hands
+            do not show somebody who stands at those times.
     """
-    if markers.turns is None or not np.isfinite(markers.turns).any():
-        raise ValueError("no marker says how it is turned")
-    turns, found = markers.turns, []
-    yaw = None if still is None else _heading(markers, places, still)
+    if markers.orientations is None or not np.isfinite(markers.orientations).any():
+        raise ValueError("no marker has an orientation")
+    orientations, offsets = markers.orientations, []
+    yaw = None if still is None else _standing_orientation(markers, places, still)
     for i, place in enumerate(places):
-        if not np.isfinite(turns[:, i]).any():
+        if not np.isfinite(orientations[:, i]).any():
             continue
-        held = _pivot(markers.times, markers.positions[:, i], turns[:, i], place, span)
+        offset = _pivot_calibration(
+            markers.times, markers.positions[:, i], orientations[:, i], place, span
+        )
         if still is not None and yaw is not None:
-            held = _mounted(held, turns[_within(markers.times, still), i], yaw)
-        found.append(held)
-    return found
+            offset = _with_orientation(offset, orientations[_within(markers.times, still), i], yaw)
+        offsets.append(offset)
+    return offsets
 
 
 def _within(times: np.ndarray, span: tuple[float, float]) -> np.ndarray:
     return (times >= span[0]) & (times <= span[1])
 
 
-def _pivot(
+def _pivot_calibration(
     times: np.ndarray,
     positions: np.ndarray,
-    turns: np.ndarray,
+    orientations: np.ndarray,
     place: MarkerPlace,
     span: tuple[float, float],
-) -> Held:
+) -> DeviceOffset:
     """The offset of one marker (T, 3), (T, 3, 3)."""
-    usable = np.isfinite(positions.sum(-1) + turns.sum((1, 2))) & _within(times, span)
+    usable = np.isfinite(positions.sum(-1) + orientations.sum((1, 2))) & _within(times, span)
     seconds = np.floor((times - times[0]) / WINDOW_S).astype(int)
     windows = [np.flatnonzero(usable & (seconds == k)) for k in np.unique(seconds)]
-    windows = [window for window in windows if len(window) >= FEWEST_SAMPLES]
-    if len(windows) < FEWEST_WINDOWS:
+    windows = [window for window in windows if len(window) >= MIN_WINDOW_SAMPLES]
+    if len(windows) < MIN_WINDOWS:
         raise ValueError(
             f"{place.name}: found {len(windows)} seconds with places and turns, expected "
-            f"{FEWEST_WINDOWS} or more"
+            f"{MIN_WINDOWS} or more"
         )
-    A = [turns[w] - turns[w].mean(0) for w in windows]
+    A = [orientations[w] - orientations[w].mean(0) for w in windows]
     b = [positions[w] - positions[w].mean(0) for w in windows]
-    offset, weights, strays = _solved(A, b)
-    swing = [Rotation.from_matrix(turns[w]) for w in windows]
+    offset, weights, strays = _robust_offset(A, b)
+    swing = [Rotation.from_matrix(orientations[w]) for w in windows]
     angles = [(R.mean().inv() * R).magnitude() for R in swing]
-    return Held(
+    return DeviceOffset(
         place,
         offset,
         _covariance(A, b, offset, weights),
@@ -154,20 +161,20 @@ def _pivot(
     )
 
 
-def _solved(
+def _robust_offset(
     A: Sequence[np.ndarray], b: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Offset (3,), and weight and straying (K,) of each second, reweighted till they settle."""
     weights, offset, strays = np.ones(len(A)), np.zeros(3), np.zeros(len(A))
-    for _ in range(ROUNDS):
+    for _ in range(REWEIGHTINGS):
         rows = np.concatenate(
             [np.sqrt(w) * a.reshape(-1, 3) for w, a in zip(weights, A, strict=True)]
         )
-        told = np.concatenate([np.sqrt(w) * c.ravel() for w, c in zip(weights, b, strict=True)])
-        offset = np.linalg.lstsq(rows, told, rcond=None)[0]
+        target = np.concatenate([np.sqrt(w) * c.ravel() for w, c in zip(weights, b, strict=True)])
+        offset = np.linalg.lstsq(rows, target, rcond=None)[0]
         strays = np.array([np.sqrt(np.mean(np.sum((c - a @ offset) ** 2, -1)))
                            for a, c in zip(A, b, strict=True)])  # fmt: skip
-        usual = max(float(np.median(strays)), STEADY_M)
+        usual = max(float(np.median(strays)), STEADY_RMS_M)
         weights = 1 / (1 + (strays / usual) ** 2)
     return offset, weights, strays
 
@@ -186,18 +193,18 @@ def _covariance(
     inverse = np.linalg.pinv(normal)
     # Three unknowns have made the residuals smaller than the errors are.
     few = len(A) / (len(A) - 3)
-    return few * inverse @ pulls.T @ pulls @ inverse + _open(normal)
+    return few * inverse @ pulls.T @ pulls @ inverse + _undetermined_covariance(normal)
 
 
-def _open(normal: np.ndarray) -> np.ndarray:
+def _undetermined_covariance(normal: np.ndarray) -> np.ndarray:
     """Covariance (3, 3), metres^2, of what the turns leave open: a device is within a metre."""
     values, vectors = np.linalg.eigh(normal)
-    # About an axis that turned a thirtieth of the others or less the noise outweighs it.
+    # About an axis that rotated a thirtieth of the others or less the noise outweighs it.
     share = values / max(float(values[-1]), 1e-12)
     return vectors @ np.diag(np.where(share < 1e-3, 1.0, 0.0)) @ vectors.T
 
 
-def _heading(
+def _standing_orientation(
     markers: Markers, places: Sequence[MarkerPlace], still: tuple[float, float]
 ) -> np.ndarray:
     """(3, 3) from the body's axes to the world's of who stands, by the line between the hands."""
@@ -213,21 +220,23 @@ def _heading(
     return np.stack([np.cross(y, [0.0, 0, 1]), y, [0.0, 0, 1]], -1)
 
 
-def _mounted(held: Held, turns: np.ndarray, R_world_body: np.ndarray) -> Held:
-    """With how the device is held, from turns (T, 3, 3) while the bones are upright."""
-    known = turns[np.isfinite(turns.sum((1, 2)))]
-    if not len(known):
-        raise ValueError(f"{held.place.name}: says nothing of how it is turned while standing")
-    R = Rotation.from_matrix(R_world_body.T @ known)
+def _with_orientation(
+    offset: DeviceOffset, orientations: np.ndarray, R_world_body: np.ndarray
+) -> DeviceOffset:
+    """With the device's orientation on its bone, from (T, 3, 3) while the bones are upright."""
+    R_known = orientations[np.isfinite(orientations.sum((1, 2)))]
+    if not len(R_known):
+        raise ValueError(f"{offset.place.name}: has no orientation while standing")
+    R = Rotation.from_matrix(R_world_body.T @ R_known)
     spread = float(np.degrees(np.sqrt(np.mean((R.mean().inv() * R).magnitude() ** 2))))
-    return replace(held, turn=R.mean().as_matrix(), turn_spread=spread)
+    return replace(offset, orientation=R.mean().as_matrix(), orientation_rms=spread)
 
 
 def find_offsets(
     path: str | Path,
     still: tuple[float, float] | None = None,
     span: tuple[float, float] = (-np.inf, np.inf),
-) -> list[Held]:
+) -> list[DeviceOffset]:
     """``estimate_offsets`` of a recording's file; what does not fit is an InputError."""
     markers, places = load_markers(path)
     try:

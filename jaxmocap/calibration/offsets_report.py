@@ -1,56 +1,61 @@
 """What the calibration of devices found, for people and for programs.
 
-INPUTS: Held devices. OUTPUTS: text with lines for [markers.on]; figures for JSON.
+INPUTS: DeviceOffsets. OUTPUTS: text with lines for [markers.on]; figures for JSON.
 """
 
 from collections.abc import Sequence
 
 from jaxmocap.body.orientations import quaternions
-from jaxmocap.calibration.offsets import Held
+from jaxmocap.calibration.offsets import DeviceOffset
 
 
-def offsets_text(found: Sequence[Held]) -> str:
+def offsets_text(offsets: Sequence[DeviceOffset]) -> str:
     """What was found, and lines for [markers.on]."""
     lines = []
-    for held in found:
-        mm, std = 1e3 * held.offset, 1e3 * held.deviations
-        told = ", ".join(f"{a:.1f} ± {b:.1f}" for a, b in zip(mm, std, strict=True))
+    for offset in offsets:
+        mm, std = 1e3 * offset.offset, 1e3 * offset.std
+        values = ", ".join(f"{a:.1f} ± {b:.1f}" for a, b in zip(mm, std, strict=True))
         lines.append(
-            f"{held.place.name}: {told} mm from the joint of {held.place.bone}, which strayed by "
-            f"{1e3 * held.stray:.1f} mm a second while it turned by {held.swing:.0f}°"
+            f"{offset.place.name}: {values} mm from the joint of {offset.place.bone}, which "
+            f"strayed by {1e3 * offset.joint_rms:.1f} mm a second while it rotated by "
+            f"{offset.rotation_rms:.0f}°"
         )
-        if held.turn is not None:
-            lines.append(f"  held within {held.turn_spread:.1f}° while standing (how straight the "
-                         "person stood is not in that)")  # fmt: skip
-        lines += [f"  doubtful: {doubt}" for doubt in held.doubts]
-    lines += ["", "[markers.on]", *(toml_line(held) for held in found if not held.doubts)]
+        if offset.orientation is not None:
+            lines.append(
+                f"  orientation within {offset.orientation_rms:.1f}° while standing (how "
+                "straight the person stood is not in that)"
+            )
+        lines += [f"  doubtful: {warning}" for warning in offset.warnings]
+    lines += ["", "[markers.on]", *(toml_line(offset) for offset in offsets if not offset.warnings)]
     return "\n".join(lines)
 
 
-def toml_line(held: Held) -> str:
+def toml_line(offset: DeviceOffset) -> str:
     """The entry of [markers.on]."""
-    x, y, z = held.offset
-    entry = f'bone = "{held.place.bone}", at = 0.0, offset = [{x:.4f}, {y:.4f}, {z:.4f}]'
-    if held.turn is not None:
-        turn = ", ".join(f"{part:.4f}" for part in quaternions(held.turn))
-        return f'{held.place.name} = {{ {entry}, offset_in = "marker", turn = [{turn}] }}'
-    return f'{held.place.name} = {{ {entry}, offset_in = "marker" }}'
+    x, y, z = offset.offset
+    entry = f'bone = "{offset.place.bone}", at = 0.0, offset = [{x:.4f}, {y:.4f}, {z:.4f}]'
+    if offset.orientation is not None:
+        quaternion = ", ".join(f"{part:.4f}" for part in quaternions(offset.orientation))
+        return f'{offset.place.name} = {{ {entry}, offset_in = "marker", turn = [{quaternion}] }}'
+    return f'{offset.place.name} = {{ {entry}, offset_in = "marker" }}'
 
 
-def offsets_figures(found: Sequence[Held]) -> dict:
+def offsets_figures(offsets: Sequence[DeviceOffset]) -> dict:
     """The same as figures."""
     return {
-        held.place.name: {
-            "bone": held.place.bone,
-            "offset_m": held.offset.tolist(),
-            "std_m": held.deviations.tolist(),
-            "covariance_m2": held.covariance.tolist(),
-            "stray_m": held.stray,
-            "swing_deg": held.swing,
-            "seconds": held.windows,
-            "turn_wxyz": None if held.turn is None else quaternions(held.turn).tolist(),
-            "turn_spread_deg": None if held.turn is None else held.turn_spread,
-            "doubts": list(held.doubts),
+        offset.place.name: {
+            "bone": offset.place.bone,
+            "offset_m": offset.offset.tolist(),
+            "std_m": offset.std.tolist(),
+            "covariance_m2": offset.covariance.tolist(),
+            "stray_m": offset.joint_rms,
+            "swing_deg": offset.rotation_rms,
+            "seconds": offset.windows,
+            "turn_wxyz": None
+            if offset.orientation is None
+            else quaternions(offset.orientation).tolist(),
+            "turn_spread_deg": None if offset.orientation is None else offset.orientation_rms,
+            "doubts": list(offset.warnings),
         }
-        for held in found
+        for offset in offsets
     }

@@ -1,37 +1,43 @@
 """Placing a camera in the world: the story of the command, from one photograph to a file.
 
 INPUTS: a photograph; a board and where it stands, or listed points; the calibration file.
-OUTPUTS: rotation and translation in the camera's section, a picture to look at, and a Placed that
-tells what was found.
+OUTPUTS: rotation and translation in the camera's section, a picture to look at, and an
+ExtrinsicsResult.
 """
 
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxmocap.calibration.board.boards import Board, parse_board
 from jaxmocap.calibration.board.corners import Corners, find_corners
-from jaxmocap.calibration.board.finding import other_counts
+from jaxmocap.calibration.board.finding import hint_of_other_counts
 from jaxmocap.calibration.board.pictures import Picture
-from jaxmocap.calibration.board.sheets import draw_placed, picture_folder
+from jaxmocap.calibration.board.result_pictures import draw_placement, picture_folder
 from jaxmocap.calibration.extrinsics import (
     Placement,
+    advice_on_board_pose,
     board_to_world,
-    place,
-    turned_board,
-    wrong_way_up,
+    estimate_placement,
+    is_wrong_way_up,
 )
 from jaxmocap.capture.video import SIZE_TOLERANCE
-from jaxmocap.formats.cameras.calibration import Lens, check_writable, read_lens, write_camera
+from jaxmocap.formats.cameras.calibration import (
+    Intrinsics,
+    check_camera_writable,
+    read_intrinsics,
+    write_camera,
+)
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.time_series.axes import UP
+from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP
 from jaxmocap.formats.time_series.points import read_points
 
 
 @dataclass(frozen=True)
-class Measured:
+class PlacementTarget:
     """Where the board stands, or which points were listed: what the user measured.
 
     Attributes:
@@ -49,7 +55,7 @@ class Measured:
     up: str = "z"
 
 
-def measured(
+def parse_target(
     counts: tuple[int, int] | None,
     square: float | None,
     charuco: tuple[str, float] | None,
@@ -57,29 +63,29 @@ def measured(
     origin_xy: tuple[float, float] | None,
     points: str | Path | None,
     up: str = "z",
-) -> Measured:
+) -> PlacementTarget:
     """What the command line holds, checked: either a board with its pose, or points.
 
     Raises:
         InputError: a pose without the board that it is of.
     """
     if points is not None:
-        return Measured(points=points, up=up)
+        return PlacementTarget(points=points, up=up)
     if counts is None or square is None:
         raise InputError("--pose", "is of a board, expected --board and --square too")
-    return Measured(parse_board(counts, square, charuco), pose, origin_xy, up=up)
+    return PlacementTarget(parse_board(counts, square, charuco), pose, origin_xy, up=up)
 
 
 @dataclass(frozen=True)
-class Placed:
-    """What ``calibrate_extrinsics`` found.
+class ExtrinsicsResult:
+    """What ``place_camera`` found.
 
     Attributes:
         camera: name of its section.
         image: the photograph's name.
         names: of the N points or corners.
         placement: the camera in the world, and residuals.
-        remarks: sentences that a user should see.
+        warnings: sentences that a user should see.
         files: written.
     """
 
@@ -87,24 +93,24 @@ class Placed:
     image: str
     names: tuple[str, ...]
     placement: Placement
-    remarks: tuple[str, ...]
+    warnings: tuple[str, ...]
     files: tuple[Path, ...]
 
 
-def calibrate_extrinsics(
+def place_camera(
     image: str | Path,
-    measured: Measured,
+    target: PlacementTarget,
     camera: str,
     out: str | Path,
     intrinsics: str | Path | None = None,
     pictures: str | Path | None = None,
     upside_down: bool = False,
-) -> Placed:
+) -> ExtrinsicsResult:
     """Place a camera and write its rotation and translation.
 
     Args:
         image: a photograph.
-        measured: the board's place, or points.
+        target: the board's place, or points.
         camera: name of the section.
         out: the calibration file, .toml.
         intrinsics: file with the camera's intrinsics, .toml or OpenCV's .yml; None: ``out``.
@@ -112,47 +118,59 @@ def calibrate_extrinsics(
         upside_down: whether the camera hangs upside down, as from a ceiling.
 
     Raises:
-        InputError: files that cannot be used, no board, one whose origin cannot be told, or a
+        InputError: files that cannot be used, no board, one whose origin is ambiguous, or a
             camera that comes out the wrong way up; nothing is written then.
     """
     path, out = Path(image), Path(out)
-    check_writable(out, camera)
+    check_camera_writable(out, camera)
     folder = picture_folder(pictures, f"extrinsics of {camera}", [path])
-    lens = read_lens(intrinsics or out, camera)
+    lens = read_intrinsics(intrinsics or out, camera)
     picture = Picture(path.name, path)
     photo = picture.image()
-    said = _check_size(path, photo, lens)
-    T_world_board, names, points_world, pixels_xy = _targets(path, photo, measured)
+    size_warnings = _photo_size_warnings(path, photo, lens)
+    points = _target_points(path, photo, target)
     try:
-        placement = place(points_world, pixels_xy, lens, upside_down)
+        placement = estimate_placement(points.world, points.pixels_xy, lens, upside_down)
     except ArithmeticError as error:
-        raise InputError(measured.points or path, str(error)) from None
-    advice = None
-    if T_world_board is not None:
-        advice = turned_board(placement.T_cam_world, T_world_board, upside_down)
-    elif placement.remarks:
-        advice = "are the points in the world's axes (Z up, or --up y), and pixels unmirrored?"
-    said += [*placement.remarks, *([advice] if advice else []), *_off(placement, names)]
-    drawn = []
+        raise InputError(target.points or path, str(error)) from None
+    drawings = []
     if folder is not None:
+        T_world_board = points.T_world_board
         board = None
-        if measured.board is not None and T_world_board is not None:
-            board = measured.board, T_world_board
-        shown = partial(draw_placed, picture, lens, placement, pixels_xy, board)
-        drawn += folder.write(lambda stage: [shown(stage)])
-    if wrong_way_up(placement.T_cam_world, upside_down):
-        raise InputError(measured.points or path, _refusal(upside_down, advice))
-    place_entries = {
-        "rotation": placement.rotation,
-        "translation": placement.T_cam_world[:3, 3],
-    }
-    given = lens.entries() if intrinsics is not None else {}
-    write_camera(out, camera, given | place_entries)
-    return Placed(camera, path.name, tuple(names), placement, tuple(said), (out, *drawn))
+        if target.board is not None and T_world_board is not None:
+            board = target.board, T_world_board
+        draw = partial(draw_placement, picture, lens, placement, points.pixels_xy, board)
+        drawings += folder.write(lambda stage: [draw(stage)])
+    advice = _advice(placement, points.T_world_board, upside_down)
+    if is_wrong_way_up(placement.T_cam_world, upside_down):
+        raise InputError(target.points or path, _refusal(upside_down, advice))
+    entries = lens.entries() if intrinsics is not None else {}
+    place = {"rotation": placement.rotation, "translation": placement.T_cam_world[:3, 3]}
+    write_camera(out, camera, entries | place)
+    warnings = (
+        *size_warnings,
+        *placement.warnings,
+        *([advice] if advice else []),
+        *_residual_warnings(placement, points.names),
+    )
+    return ExtrinsicsResult(
+        camera, path.name, tuple(points.names), placement, warnings, (out, *drawings)
+    )
 
 
-def _check_size(path: Path, photo: np.ndarray, lens: Lens) -> list[str]:
-    """A remark where the photograph is a little narrower than the calibration, as for videos."""
+def _advice(
+    placement: Placement, T_world_board: np.ndarray | None, upside_down: bool
+) -> str | None:
+    """What to check where a placement is implausible; None where it is not."""
+    if T_world_board is not None:
+        return advice_on_board_pose(placement.T_cam_world, T_world_board, upside_down)
+    if placement.warnings:
+        return "are the points in the world's axes (Z up, or --up y), and pixels unmirrored?"
+    return None
+
+
+def _photo_size_warnings(path: Path, photo: np.ndarray, lens: Intrinsics) -> list[str]:
+    """A warning where the photograph is a little narrower than the calibration, as for videos."""
     size, expected = np.array(photo.shape[1::-1]), lens.size
     if (size == expected).all():
         return []
@@ -162,33 +180,51 @@ def _check_size(path: Path, photo: np.ndarray, lens: Lens) -> list[str]:
     return [f"{path.name} {found}: taken as cropped on the right and at the bottom"]
 
 
-def _targets(
-    path: Path, photo: np.ndarray, measured: Measured
-) -> tuple[np.ndarray | None, list[str], np.ndarray, np.ndarray]:
-    """T_world_board (None with points), names, (N, 3) points in the world, (N, 2) pixels."""
-    R_world_file = UP[measured.up]
-    if measured.points is not None:
-        names, points, pixels_xy = read_points(measured.points)
-        return None, names, points @ R_world_file.T, pixels_xy
-    board = measured.board
-    if board is None or measured.pose is None:
+class _TargetPoints(NamedTuple):
+    """Points at known places in a photograph.
+
+    Attributes:
+        T_world_board: (4, 4) of the board; None with listed points.
+        names: of the N points.
+        world: (N, 3) metres.
+        pixels_xy: (N, 2).
+    """
+
+    T_world_board: np.ndarray | None
+    names: list[str]
+    world: np.ndarray
+    pixels_xy: np.ndarray
+
+
+def _target_points(path: Path, photo: np.ndarray, target: PlacementTarget) -> _TargetPoints:
+    """The points that place the camera, found or read.
+
+    Raises:
+        InputError: no board, or one whose origin is ambiguous.
+    """
+    R_world_file = R_WORLD_OF_UP[target.up]
+    if target.points is not None:
+        names, points, pixels_xy = read_points(target.points)
+        return _TargetPoints(None, names, points @ R_world_file.T, pixels_xy)
+    board = target.board
+    if board is None or target.pose is None:
         raise InputError(path, "needs a board and its pose, or a file of points")
     corners = find_corners(photo, board)
     if corners is None:
-        hint = other_counts([Picture(path.name, path)], board)
+        hint = hint_of_other_counts([Picture(path.name, path)], board)
         raise InputError(path, f"found no {board.label} board{hint}")
-    pixels_xy = _ordered(path, corners, measured.origin_xy)
-    T_file_board = board_to_world(measured.pose)
+    pixels_xy = _ordered(path, corners, target.origin_xy)
+    T_file_board = board_to_world(target.pose)
     T_world_file = np.eye(4)
     T_world_file[:3, :3] = R_world_file
     T_world_board = T_world_file @ T_file_board
     points_world = corners.points_board @ T_world_board[:3, :3].T + T_world_board[:3, 3]
     names = [f"corner {i}" for i in range(1, len(points_world) + 1)]
-    return T_world_board, names, points_world, pixels_xy
+    return _TargetPoints(T_world_board, names, points_world, pixels_xy)
 
 
 def _ordered(path: Path, corners: Corners, origin_xy: tuple[float, float] | None) -> np.ndarray:
-    """Pixels in the board's order; with a board that looks the same turned, the user tells."""
+    """Pixels in the board's order; with a symmetric board the user states the origin."""
     orders = [corners.pixels_xy, *corners.orders]
     if len(orders) == 1:
         return orders[0]
@@ -212,12 +248,16 @@ def _refusal(upside_down: bool, advice: str | None) -> str:
     return "; ".join(filter(None, (found, advice, remedy)))
 
 
-def _off(placement: Placement, names: list[str]) -> list[str]:
-    """Sentences about points that do not fit."""
-    said = []
+def _residual_warnings(placement: Placement, names: list[str]) -> list[str]:
+    """Warnings about points that do not fit."""
+    warnings = []
     for i in np.flatnonzero(~placement.used):
-        off = np.linalg.norm(placement.residuals_xy[i])
-        said.append(f"{names[i]} was left out: {off:.0f} pixels from where the others put it")
+        distance = np.linalg.norm(placement.residuals_xy[i])
+        warnings.append(
+            f"{names[i]} was left out: {distance:.0f} pixels from where the others put it"
+        )
     if placement.rms > 3:
-        said.append(f"{placement.rms:.1f} pixels are a lot: the picture shows which points are off")
-    return said
+        warnings.append(
+            f"{placement.rms:.1f} pixels are a lot: the picture shows which points are off"
+        )
+    return warnings

@@ -1,7 +1,7 @@
-"""Where a calibrated camera stands to points it sees: both answers where the points are flat.
+"""Where a calibrated camera stands to points it sees: both solutions where the points are flat.
 
-INPUTS: points (metres, any frame), their pixels, a Lens.
-OUTPUTS: Poses, the best first.
+INPUTS: points (metres, any frame), their pixels, Intrinsics.
+OUTPUTS: CameraPoses, the best first.
 
 Of a plane seen with little perspective there are two poses that explain the picture almost equally
 well, mirror images of one another about the line of sight (Collins & Bartoli 2014, IPPE).
@@ -12,22 +12,22 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from jaxmocap.formats.cameras.calibration import Lens
+from jaxmocap.formats.cameras.calibration import Intrinsics
 
 # Points are flat where their thickness is less than this part of their breadth.
-FLAT = 1e-3
+FLAT_THICKNESS = 1e-3
 # Two refined poses are one where they differ less than this, radians.
-SAME = 1e-3
+SAME_POSE_RAD = 1e-3
 
 
 @dataclass(frozen=True)
-class Pose:
+class CameraPose:
     """From the points' frame to the camera's.
 
     Attributes:
         rvec: (3,) Rodrigues vector.
         tvec: (3,) metres.
-        residuals_xy: (N, 2) reprojected minus seen, pixels.
+        residuals_xy: (N, 2) reprojected minus detected, pixels.
     """
 
     rvec: np.ndarray
@@ -37,7 +37,7 @@ class Pose:
     @property
     def rms(self) -> float:
         """Root mean square length of the residuals, pixels."""
-        return rms(self.residuals_xy)
+        return rms_length(self.residuals_xy)
 
     @property
     def matrix(self) -> np.ndarray:
@@ -47,57 +47,65 @@ class Pose:
         return T
 
 
-def rms(residuals_xy: np.ndarray) -> float:
+def rms_length(residuals_xy: np.ndarray) -> float:
     """Root mean square length of (N, 2) residuals, pixels, as OpenCV counts it."""
     return float(np.sqrt((residuals_xy**2).sum(-1).mean()))
 
 
-def find_poses(points: np.ndarray, pixels_xy: np.ndarray, lens: Lens) -> list[Pose]:
+def candidate_poses(
+    points: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics
+) -> list[CameraPose]:
     """The poses of a camera that sees (N, 3) points at (N, 2) pixels: one, or two for flat ones.
 
     Each is refined by Levenberg-Marquardt; a second that slides into the first is none. Empty where
     OpenCV finds none, which happens with senseless intrinsics.
     """
-    method = cv2.SOLVEPNP_IPPE if thickness(points) < FLAT else cv2.SOLVEPNP_SQPNP
+    method = (
+        cv2.SOLVEPNP_IPPE if relative_thickness(points) < FLAT_THICKNESS else cv2.SOLVEPNP_SQPNP
+    )
     K, d = lens.matrix, lens.distortions
     points, pixels_xy = np.ascontiguousarray(points), np.ascontiguousarray(pixels_xy)
-    poses: list[Pose] = []
+    poses: list[CameraPose] = []
     try:
         _, rvecs, tvecs, _ = cv2.solvePnPGeneric(points, pixels_xy, K, d, flags=method)
         for r, t in zip(rvecs, tvecs, strict=True):
             rvec, tvec = cv2.solvePnPRefineLM(points, pixels_xy, K, d, r.copy(), t.copy())
-            poses.append(
-                Pose(rvec.ravel(), tvec.ravel(), _residuals(points, pixels_xy, lens, rvec, tvec))
-            )
+            residuals_xy = reprojection_residuals(points, pixels_xy, lens, rvec, tvec)
+            poses.append(CameraPose(rvec.ravel(), tvec.ravel(), residuals_xy))
     except cv2.error:
         return []
-    whole = [pose for pose in poses if np.isfinite(pose.rms) and _in_front(pose, points)]
-    whole.sort(key=lambda pose: pose.rms)
-    return [pose for i, pose in enumerate(whole) if all(_differ(pose, q) for q in whole[:i])]
+    in_front = [pose for pose in poses if np.isfinite(pose.rms) and _in_front(pose, points)]
+    in_front.sort(key=lambda pose: pose.rms)
+    return [pose for i, pose in enumerate(in_front) if all(_differ(pose, q) for q in in_front[:i])]
 
 
-def thickness(points: np.ndarray) -> float:
+def relative_thickness(points: np.ndarray) -> float:
     """Smallest over largest extent of (N, 3) points: 0 for a plane."""
     extents = np.linalg.svd(points - points.mean(0), compute_uv=False)
     return float(extents[2] / extents[0])
 
 
-def tilt(pose: Pose) -> float:
+def tilt_degrees(pose: CameraPose) -> float:
     """Angle between a board's normal and the camera's axis, degrees, 0 to 90."""
     return float(np.degrees(np.arccos(np.clip(abs(pose.matrix[2, 2]), 0, 1))))
 
 
-def _residuals(
-    points: np.ndarray, pixels_xy: np.ndarray, lens: Lens, rvec: np.ndarray, tvec: np.ndarray
+def reprojection_residuals(
+    points: np.ndarray,
+    pixels_xy: np.ndarray,
+    lens: Intrinsics,
+    rvec: np.ndarray,
+    tvec: np.ndarray,
 ) -> np.ndarray:
-    seen, _ = cv2.projectPoints(points, rvec, tvec, lens.matrix, lens.distortions)
-    return seen.reshape(-1, 2) - pixels_xy
+    """(N, 2) reprojected minus detected pixels of (N, 3) points under a pose."""
+    projected, _ = cv2.projectPoints(points, rvec, tvec, lens.matrix, lens.distortions)
+    return projected.reshape(-1, 2) - pixels_xy
 
 
-def _in_front(pose: Pose, points: np.ndarray) -> bool:
+def _in_front(pose: CameraPose, points: np.ndarray) -> bool:
     return bool(((points @ pose.matrix[2, :3]) + pose.tvec[2] > 0).all())
 
 
-def _differ(a: Pose, b: Pose) -> bool:
-    turn, _ = cv2.Rodrigues(a.matrix[:3, :3] @ b.matrix[:3, :3].T)
-    return float(np.linalg.norm(turn)) > SAME
+def _differ(a: CameraPose, b: CameraPose) -> bool:
+    rotation, _ = cv2.Rodrigues(a.matrix[:3, :3] @ b.matrix[:3, :3].T)
+    return float(np.linalg.norm(rotation)) > SAME_POSE_RAD

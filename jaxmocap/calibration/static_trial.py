@@ -14,22 +14,22 @@ import numpy as np
 
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.body.subject import NECK_HEAD, TRUNK
-from jaxmocap.capture.checks.body_reach import stature
+from jaxmocap.capture.checks.body_reach import skeleton_stature
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.toml import Fields
+from jaxmocap.formats.files.toml import TomlTable
 from jaxmocap.formats.recordings.subject import read_subject, static_landmarks, write_subject
 from jaxmocap.formats.time_series.markers import read_markers
 
 BY_HEIGHT = "by height (Winter)"
 # Bones -> landmarks between which they are measured, "hips" being the middle of the hips.
-_BETWEEN: dict[str, tuple[str, str]] = {
+_BONE_ENDS: dict[str, tuple[str, str]] = {
     "spine1": ("hips", "neck"),
     "spine2": ("hips", "neck"),
     "spine3": ("hips", "neck"),
     "neck": ("neck", "vertex"),
     "head": ("neck", "vertex"),
 }
-_SIDED = {
+_LIMB_ENDS = {
     "clavicle": ("neck", "shoulder_{}"),
     "humerus": ("shoulder_{}", "elbow_{}"),
     "radius": ("elbow_{}", "wrist_{}"),
@@ -39,40 +39,40 @@ _SIDED = {
     "tibia": ("knee_{}", "ankle_{}"),
     "foot": ("ankle_{}", "toe_{}"),
 }
-_BETWEEN |= {
+_BONE_ENDS |= {
     f"{bone}_{side}": (near.format(side), far.format(side))
-    for bone, (near, far) in _SIDED.items()
+    for bone, (near, far) in _LIMB_ENDS.items()
     for side in "lr"
 }
 
 
 @dataclass(frozen=True)
-class Scaled:
+class ScaledBody:
     """A person's body.
 
     Attributes:
         skeleton: of the person.
         height: metres.
-        measured: bone -> standard deviation over the frames of the distance that its length was
-            taken from, metres, and their number; bones that nothing was measured of are not there.
+        measured_bones: bone -> standard deviation, metres, over the frames of the distance that its
+            length was taken from, and their number; only of bones that were measured.
         path: of the file written.
     """
 
     skeleton: Skeleton
     height: float
-    measured: Mapping[str, tuple[float, int]]
+    measured_bones: Mapping[str, tuple[float, int]]
     path: Path
 
     def text(self) -> str:
         """What each bone's length rests on."""
         lines = [f"{self.height:.3f} m, {float(self.skeleton.masses.sum()):.1f} kg"]
         for bone, length in zip(self.skeleton.tree.bones, self.skeleton.lengths, strict=True):
-            said = BY_HEIGHT
-            if bone in self.measured:
-                spread, frames = self.measured[bone]
-                said = f"measured, ± {1e3 * spread:.1f} mm over {frames} frames"
-                said += ", split as in Table 1" if bone in (*TRUNK, *NECK_HEAD) else ""
-            lines.append(f"{bone.ljust(11)} {float(length):.4f} m  {said}")
+            basis = BY_HEIGHT
+            if bone in self.measured_bones:
+                spread, frames = self.measured_bones[bone]
+                basis = f"measured, ± {1e3 * spread:.1f} mm over {frames} frames"
+                basis += ", split as in Table 1" if bone in (*TRUNK, *NECK_HEAD) else ""
+            lines.append(f"{bone.ljust(11)} {float(length):.4f} m  {basis}")
         return "\n".join([*lines, f"written: {self.path}"])
 
     def figures(self) -> dict:
@@ -84,15 +84,15 @@ class Scaled:
             "bones": {
                 bone: {
                     "length_m": float(length),
-                    "measured": bone in self.measured,
-                    "std_m": self.measured[bone][0] if bone in self.measured else None,
+                    "measured": bone in self.measured_bones,
+                    "std_m": self.measured_bones[bone][0] if bone in self.measured_bones else None,
                 }
                 for bone, length in zip(bones, lengths, strict=True)
             },
         }
 
 
-def scale(
+def scale_subject(
     out: str | Path,
     height: float | None = None,
     static: str | Path | None = None,
@@ -100,7 +100,7 @@ def scale(
     up: str | None = None,
     mass: float | None = None,
     wrists: bool = False,
-) -> Scaled:
+) -> ScaledBody:
     """Write a body by either way, one of height and static trial given; see the two below."""
     if static is not None:
         if height is not None:
@@ -115,12 +115,12 @@ def scale(
 
 def scale_by_height(
     out: str | Path, height: float, mass: float | None = None, wrists: bool = False
-) -> Scaled:
+) -> ScaledBody:
     """Write the body of a person of that height (metres) and mass (kilograms)."""
     table = {"height": height, "wrists": wrists} | ({} if mass is None else {"mass": mass})
     skeleton = read_subject(Path(out), "scale", table)
     write_subject(out, skeleton, height)
-    return Scaled(skeleton, height, {}, Path(out))
+    return ScaledBody(skeleton, height, {}, Path(out))
 
 
 def scale_by_static(
@@ -130,7 +130,7 @@ def scale_by_static(
     up: str = "z",
     mass: float | None = None,
     wrists: bool = False,
-) -> Scaled:
+) -> ScaledBody:
     """Write the body of a person who stands in a static trial.
 
     Args:
@@ -142,21 +142,21 @@ def scale_by_static(
         wrists: whether the body has them.
     """
     static = Path(static)
-    named = dict(landmarks) or {n: n for n in read_markers(static).names if n in LANDMARKS}
-    if not named:
+    marker_of = dict(landmarks) or {n: n for n in read_markers(static).names if n in LANDMARKS}
+    if not marker_of:
         raise InputError(static, "has no marker called as a landmark is, name them (--landmarks)")
-    table: dict[str, Any] = {"static": static.name, "up": up, "landmarks": named}
-    fields = Fields(static, "", table)
+    table: dict[str, Any] = {"static": static.name, "up": up, "landmarks": marker_of}
+    fields = TomlTable(static, "", table)
     skeleton = read_subject(
         static, "", table | {"wrists": wrists} | ({} if mass is None else {"mass": mass})
     )
-    measured = lengths_measured(static_landmarks(fields))
-    height = stature(skeleton)
+    measured = length_deviations(static_landmarks(fields))
+    height = skeleton_stature(skeleton)
     write_subject(out, skeleton, height)
-    return Scaled(skeleton, height, measured, Path(out))
+    return ScaledBody(skeleton, height, measured, Path(out))
 
 
-def lengths_measured(landmarks: Mapping[str, np.ndarray]) -> dict[str, tuple[float, int]]:
+def length_deviations(landmarks: Mapping[str, np.ndarray]) -> dict[str, tuple[float, int]]:
     """Bone -> standard deviation (metres) over the frames of its ends' distance, and their number.
 
     Args:
@@ -166,7 +166,7 @@ def lengths_measured(landmarks: Mapping[str, np.ndarray]) -> dict[str, tuple[flo
     if "hip_l" in points and "hip_r" in points:
         points["hips"] = (points["hip_l"] + points["hip_r"]) / 2
     found = {}
-    for bone, (near, far) in _BETWEEN.items():
+    for bone, (near, far) in _BONE_ENDS.items():
         if near in points and far in points:
             distance = np.linalg.norm(points[near] - points[far], axis=-1)
             if frames := int(np.isfinite(distance).sum()):

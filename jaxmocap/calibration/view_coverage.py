@@ -1,6 +1,6 @@
 """Whether views of a board are enough: how many, how different, and where in the image.
 
-INPUTS: Views, Intrinsics. OUTPUTS: reasons to refuse, Coverage, words of warning.
+INPUTS: BoardViews, an IntrinsicsEstimate. OUTPUTS: reasons to refuse, ImageCoverage, warnings.
 """
 
 from collections.abc import Sequence
@@ -9,23 +9,24 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from jaxmocap.calibration.intrinsics import Intrinsics, View
-from jaxmocap.formats.cameras.calibration import Lens
+from jaxmocap.calibration.intrinsics import BoardView, IntrinsicsEstimate
+from jaxmocap.formats.cameras.calibration import Intrinsics
 
-# Fewer views are said to be few.
-MANY = 10
-# A focal length known worse than this part of itself is not known.
-FOCAL_DOUBT = 0.02
-# A principal point known worse than this part of the image is said to be uncertain.
-CENTRE_DOUBT = 0.002
-# Cells of the image's side into which the coverage is counted, and their names.
-_ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "middle", "right")
-_MASK = 200
+# Fewer views get a warning.
+MIN_VIEWS_ADVISED = 10
+# Largest standard deviation of a focal length, as a share of it.
+MAX_FOCAL_STD = 0.02
+# A principal point with a larger standard deviation, as a share of the image, gets a warning.
+MAX_CENTRE_STD = 0.002
+# Names of the image's ninths, in which corners are counted.
+_ROWS = ("top", "middle", "bottom")
+_COLUMNS = ("left", "middle", "right")
+_MASK_SIDE = 200
 
 
 @dataclass(frozen=True)
-class Coverage:
-    """Where in the image boards were seen.
+class ImageCoverage:
+    """Where in the image boards were detected.
 
     Attributes:
         share: of the image that was within a board's corners at least once, 0 to 1.
@@ -36,9 +37,9 @@ class Coverage:
     empty: tuple[str, ...]
 
 
-def covered(views: Sequence[View], size: tuple[int, int]) -> Coverage:
+def image_coverage(views: Sequence[BoardView], size: tuple[int, int]) -> ImageCoverage:
     """Coverage of an image of that size by views."""
-    scale = _MASK / max(size)
+    scale = _MASK_SIDE / max(size)
     mask = np.zeros((round(size[1] * scale), round(size[0] * scale)), np.uint8)
     counts = np.zeros((3, 3), int)
     for view in views:
@@ -50,61 +51,61 @@ def covered(views: Sequence[View], size: tuple[int, int]) -> Coverage:
         f"{_ROWS[i]} {_COLUMNS[j]}".replace("middle middle", "middle")
         for i, j in np.argwhere(counts == 0)
     ]
-    return Coverage(float(mask.mean()), tuple(empty))
+    return ImageCoverage(float(mask.mean()), tuple(empty))
 
 
-def too_alike(result: Intrinsics) -> str | None:
+def why_undetermined(result: IntrinsicsEstimate) -> str | None:
     """Why the views do not determine the camera; None where they do.
 
     Boards that are all parallel, however far apart, leave the focal length open.
     """
-    doubt = 100 * (result.doubt[:2] / result.values[:2]).max()
-    if doubt <= 100 * FOCAL_DOUBT:
+    percent = 100 * (result.max_std[:2] / result.values[:2]).max()
+    if percent <= 100 * MAX_FOCAL_STD:
         return None
-    shown = f"± {doubt:.1f} %" if doubt < 100 else "more than itself"
+    text = f"± {percent:.1f} %" if percent < 100 else "more than itself"
     return (
-        f"the views are too alike: they leave the focal length open by {shown}, expected "
-        f"{100 * FOCAL_DOUBT:.0f} % or less; tilt the board by 30° to 45°, to several sides"
+        f"the views are too alike: they leave the focal length open by {text}, expected "
+        f"{100 * MAX_FOCAL_STD:.0f} % or less; tilt the board by 30° to 45°, to several sides"
     )
 
 
-def remarks(result: Intrinsics, coverage: Coverage) -> list[str]:
-    """Plain words on what the figures mean."""
-    said = []
-    few = sum(result.used) < MANY or coverage.empty
-    centre = result.doubt[2:4]
-    if few or centre.max() > CENTRE_DOUBT * max(result.lens.size):
-        said.append(
+def intrinsics_warnings(result: IntrinsicsEstimate, coverage: ImageCoverage) -> list[str]:
+    """Warnings on what the figures mean."""
+    warnings = []
+    few = sum(result.used) < MIN_VIEWS_ADVISED or coverage.empty
+    centre = result.max_std[2:4]
+    if few or centre.max() > MAX_CENTRE_STD * max(result.lens.size):
+        warnings.append(
             f"the views determine the principal point poorly: ± {centre[0]:.1f} and "
             f"{centre[1]:.1f} pixels if the lens is as modelled and the board flat, several times "
             "that where they are not; a shift of it looks like a turn of the camera, so find the "
             "extrinsics with these intrinsics, and show the board near all edges of the image, "
             "turned and tilted"
         )
-    ratio = result.jackknife[:4] / result.std[:4]
+    ratio = result.jackknife_std[:4] / result.std[:4]
     if ratio.max() > 1.5:
-        said.append(
+        warnings.append(
             "leaving out one view changes the result by more than the corners' noise explains: "
-            "trust the jackknife's standard deviations (the board may be bent, or a view blurred)"
+            "use the jackknife's standard deviations (the board may be bent, or a view blurred)"
         )
     if result.rms > 1.0:
-        said.append(
+        warnings.append(
             f"{result.rms:.1f} pixels are a lot (0.1 to 0.3 is usual): blurred pictures, a bent "
             "board, or a fisheye lens, which this model does not describe"
         )
-    if not _distorts_evenly(result.lens):
-        said.append(
+    if not _is_distortion_monotonic(result.lens):
+        warnings.append(
             "the lens' distortion turns back within the image, where no corner held it: what is "
             "near the image's edges will be misplaced; show the board there, or try --distortions 2"
         )
     if coverage.empty:
-        said.append(f"no corner was seen at the image's {', '.join(coverage.empty)}")
-    if sum(result.used) < MANY:
-        said.append(f"{sum(result.used)} views are few: 10 to 20 are better")
-    return said
+        warnings.append(f"no corner was detected at the image's {', '.join(coverage.empty)}")
+    if sum(result.used) < MIN_VIEWS_ADVISED:
+        warnings.append(f"{sum(result.used)} views are few: 10 to 20 are better")
+    return warnings
 
 
-def _distorts_evenly(lens: Lens) -> bool:
+def _is_distortion_monotonic(lens: Intrinsics) -> bool:
     """Do points farther from the centre appear farther from it, up to the image's corners?"""
     K = lens.matrix
     corners = np.array([[x, y] for x in (0, lens.size[0]) for y in (0, lens.size[1])])

@@ -21,9 +21,11 @@ def read_empty_room(path: Path, size: tuple[int, int]) -> np.ndarray:
     Raises:
         InputError: no image, or one of another size: it must be the video's own picture.
     """
-    found = read_picture(path)
-    height, width = found.shape[:2]
+    picture = read_picture(path)
+    height, width = picture.shape[:2]
     if (width, height) != tuple(size):
-        said = f"found {width} × {height} pixels, expected {size[0]} × {size[1]} as the video has"
-        raise InputError(path, f"{said}: a picture of the empty room by the same camera")
-    return found
+        problem = (
+            f"found {width} × {height} pixels, expected {size[0]} × {size[1]} as the video has"
+        )
+        raise InputError(path, f"{problem}: a picture of the empty room by the same camera")
+    return picture

@@ -1,7 +1,7 @@
 """What may be done to markers before they are tracked: outliers, gaps, low-pass.
 
 INPUTS: a Recording and what its Filters ask for.
-OUTPUTS: the Recording with other positions, and a Cleaning that says where and what.
+OUTPUTS: the Recording with other positions, and a Cleaning: which filter changed which sample.
 """
 
 from dataclasses import dataclass, replace
@@ -17,17 +17,25 @@ from jaxmocap.formats.recordings.filters import Filters
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.tables import is_even
 
-# Hampel's identifier looks so far to each side; further from the median than three standard
-# deviations, by the median deviation, is an outlier, but never within the floor.
-HAMPEL_S, HAMPEL_SAMPLES, HAMPEL_DEVIATIONS, HAMPEL_FLOOR_M = 0.05, 3, 3.0, 0.02
-# Beyond 1 kHz it looks less far; samples that it looks at together.
-MOST_HAMPEL_SAMPLES, HAMPEL_AT_ONCE = 50, 4096
-NORMAL = 1.4826
+# Hampel's identifier looks so far to each side, seconds and samples at least.
+HAMPEL_HALF_WINDOW_S = 0.05
+HAMPEL_MIN_HALF_WINDOW = 3
+# Farther from the median than so many standard deviations, by the median deviation, is an outlier,
+HAMPEL_DEVIATIONS = 3.0
+# but never within this distance, metres.
+HAMPEL_FLOOR_M = 0.02
+# Beyond 1 kHz the window is shorter than HAMPEL_HALF_WINDOW_S, samples.
+HAMPEL_MAX_HALF_WINDOW = 50
+# Samples whose windows are in memory together.
+HAMPEL_BLOCK_SAMPLES = 4096
+# Of a normal distribution: its standard deviation over its median absolute deviation.
+MAD_TO_STD = 1.4826
 # The slopes at a gap's ends are those of parabolas through so many samples, at least three.
 SLOPE_SAMPLES = 7
-# Second order, forward and backward: of each pass the cut-off is higher, so that both together
-# let pass 1 / sqrt(2) at the one stated (Winter).
-ORDER, TWICE = 2, (2**0.5 - 1) ** 0.25
+# Second order, forward and backward.
+BUTTERWORTH_ORDER = 2
+# Each pass has a higher cut-off, so that both together pass 1 / sqrt(2) at the one stated (Winter).
+TWO_PASS_CUTOFF_RATIO = (2**0.5 - 1) ** 0.25
 
 
 @dataclass(frozen=True)
@@ -36,19 +44,19 @@ class Cleaning:
 
     Attributes:
         names: of the markers.
-        done: filter -> its parameter, of those that were on.
+        applied: filter -> its parameter, of those that were on.
         outliers: (T, M) samples taken for missing.
         filled: (T, M) samples that were filled in.
         missing: (T, M) samples still missing.
-        remarks: sentences that a user should see.
+        warnings: sentences that a user should see.
     """
 
     names: tuple[str, ...]
-    done: dict[str, Any]
+    applied: dict[str, Any]
     outliers: np.ndarray
     filled: np.ndarray
     missing: np.ndarray
-    remarks: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     def figures(self) -> dict[str, Any]:
         """Filters that were on, and counts for each marker."""
@@ -60,20 +68,24 @@ class Cleaning:
             }
             for i, name in enumerate(self.names)
         }
-        return {"on": self.done, "samples": counts} if self.done else {"on": {}}
+        return {"on": self.applied, "samples": counts} if self.applied else {"on": {}}
 
-    def sentences(self, sample: int) -> tuple[str, ...]:
+    def statuses(self, sample: int) -> tuple[str, ...]:
         """What was done to one sample."""
-        out = (f"marker {n} was an outlier" for n in _named(self.names, self.outliers[sample]))
-        filled = (f"marker {n} was filled in" for n in _named(self.names, self.filled[sample]))
+        out = (
+            f"marker {n} was an outlier" for n in _selected_names(self.names, self.outliers[sample])
+        )
+        filled = (
+            f"marker {n} was filled in" for n in _selected_names(self.names, self.filled[sample])
+        )
         return (*out, *filled)
 
 
-def _named(names: tuple[str, ...], chosen: np.ndarray) -> list[str]:
+def _selected_names(names: tuple[str, ...], chosen: np.ndarray) -> list[str]:
     return [name for name, is_it in zip(names, chosen, strict=True) if is_it]
 
 
-def cleaned(recording: Recording, causal: bool = False) -> tuple[Recording, Cleaning]:
+def filter_markers(recording: Recording, causal: bool = False) -> tuple[Recording, Cleaning]:
     """Send a recording's markers through its filters.
 
     Args:
@@ -84,32 +96,34 @@ def cleaned(recording: Recording, causal: bool = False) -> tuple[Recording, Clea
         InputError: a cut-off that the markers' rate cannot hold.
     """
     filters, times, positions = recording.filters, recording.times, recording.positions_world
-    nothing = np.zeros(positions.shape[:2], bool)
-    outliers, filled, remarks = nothing, nothing, []
-    done = filters_used(filters, causal)
-    if "hampel" in done:
+    none = np.zeros(positions.shape[:2], bool)
+    outliers, filled, warnings = none, none, []
+    applied = active_filters(filters, causal)
+    if "hampel" in applied:
         outliers = find_outliers(times, positions)
         positions = np.where(outliers[..., None], np.nan, positions)
-    if "gaps" in done:
-        before = _missing(positions)
+    if "gaps" in applied:
+        before = _is_missing(positions)
         positions = fill_gaps(times, positions, filters.gaps)
-        filled = before & ~_missing(positions)
-    if filters.butterworth is not None and "butterworth" in done:
+        filled = before & ~_is_missing(positions)
+    if filters.butterworth is not None and "butterworth" in applied:
         _check_cutoff(recording, filters.butterworth)
         if not is_even(times):
-            remarks.append("unevenly spaced samples went through the Butterworth filter as if even")
-        positions = low_pass(times, positions, filters.butterworth)
-    if filters.one_euro is not None and "one_euro" in done:
-        positions = one_euro(times, positions, OneEuro(filters.one_euro))
-    if left := _left_out(filters, causal):
-        remarks.append(left)
+            warnings.append(
+                "unevenly spaced samples went through the Butterworth filter as if even"
+            )
+        positions = butterworth_low_pass(times, positions, filters.butterworth)
+    if filters.one_euro is not None and "one_euro" in applied:
+        positions = filter_one_euro(times, positions, OneEuro(filters.one_euro))
+    if unused := _unused_filters_warning(filters, causal):
+        warnings.append(unused)
     cleaning = Cleaning(
-        recording.marker_names, done, outliers, filled, _missing(positions), tuple(remarks)
+        recording.marker_names, applied, outliers, filled, _is_missing(positions), tuple(warnings)
     )
     return replace(recording, positions_world=positions, filters=Filters()), cleaning
 
 
-def filters_used(filters: Filters, causal: bool) -> dict[str, Any]:
+def active_filters(filters: Filters, causal: bool) -> dict[str, Any]:
     """Filter -> parameter, of those that are on and allowed."""
     if causal:
         return {"one_euro": filters.one_euro} if filters.one_euro else {}
@@ -117,16 +131,16 @@ def filters_used(filters: Filters, causal: bool) -> dict[str, Any]:
     return {name: value for name, value in on.items() if value}
 
 
-def _left_out(filters: Filters, causal: bool) -> str:
+def _unused_filters_warning(filters: Filters, causal: bool) -> str:
     """A sentence on filters that are on but not for this way of tracking."""
-    left = [name for name in filters_used(filters, not causal)]
-    if not left:
+    unused = [name for name in active_filters(filters, not causal)]
+    if not unused:
         return ""
     which = "look ahead, which --causal does not" if causal else "is for live and --causal"
-    return f"[markers.filters] {', '.join(left)}: not used, {which}"
+    return f"[markers.filters] {', '.join(unused)}: not used, {which}"
 
 
-def _missing(positions: np.ndarray) -> np.ndarray:
+def _is_missing(positions: np.ndarray) -> np.ndarray:
     return np.asarray(np.isnan(positions).any(-1))
 
 
@@ -141,23 +155,27 @@ def find_outliers(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
         (T, M) booleans.
     """
     interval = median_interval(times)
-    half = max(HAMPEL_SAMPLES, round(HAMPEL_S / interval)) if interval else HAMPEL_SAMPLES
-    half = min(half, MOST_HAMPEL_SAMPLES)
+    half = (
+        max(HAMPEL_MIN_HALF_WINDOW, round(HAMPEL_HALF_WINDOW_S / interval))
+        if interval
+        else HAMPEL_MIN_HALF_WINDOW
+    )
+    half = min(half, HAMPEL_MAX_HALF_WINDOW)
     outliers = np.zeros(positions.shape[:2], bool)
     for marker in range(positions.shape[1]):
         path = np.pad(positions[:, marker], ((half, half), (0, 0)), constant_values=np.nan)
         windows = np.lib.stride_tricks.sliding_window_view(path, 2 * half + 1, 0)
-        seen = np.flatnonzero(~_missing(positions[:, marker]))
-        for first in range(0, len(seen), HAMPEL_AT_ONCE):
-            rows = seen[first : first + HAMPEL_AT_ONCE]
+        present = np.flatnonzero(~_is_missing(positions[:, marker]))
+        for first in range(0, len(present), HAMPEL_BLOCK_SAMPLES):
+            rows = present[first : first + HAMPEL_BLOCK_SAMPLES]
             outliers[rows, marker] = _far_off(windows[rows], positions[rows, marker])
     return outliers
 
 
 def _far_off(windows: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """(N,) is one of the coordinates (N, 3) far from the median of its window (N, 3, W)?"""
+    """(N,) whether one of the coordinates (N, 3) is far from the median of its window (N, 3, W)."""
     middle = np.nanmedian(windows, -1)
-    spread = NORMAL * np.nanmedian(np.abs(windows - middle[..., None]), -1)
+    spread = MAD_TO_STD * np.nanmedian(np.abs(windows - middle[..., None]), -1)
     allowed = np.maximum(HAMPEL_DEVIATIONS * spread, HAMPEL_FLOOR_M)
     return np.asarray((np.abs(values - middle) > allowed).any(-1))
 
@@ -173,21 +191,21 @@ def fill_gaps(times: np.ndarray, positions: np.ndarray, longest: float) -> np.nd
     """
     filled, allowed = positions.copy(), longest + median_interval(times)
     for marker in range(positions.shape[1]):
-        seen = np.flatnonzero(~_missing(positions[:, marker]))
-        for before, after in pairwise(seen.tolist()):
+        present = np.flatnonzero(~_is_missing(positions[:, marker]))
+        for before, after in pairwise(present.tolist()):
             if after - before > 1 and times[after] - times[before] <= allowed * (1 + 1e-9):
                 inside = slice(before + 1, after)
                 path = positions[:, marker]
-                filled[inside, marker] = _across(times, path, seen, before, after)
+                filled[inside, marker] = _hermite(times, path, present, before, after)
     return filled
 
 
-def _across(
-    times: np.ndarray, path: np.ndarray, seen: np.ndarray, before: int, after: int
+def _hermite(
+    times: np.ndarray, path: np.ndarray, present: np.ndarray, before: int, after: int
 ) -> np.ndarray:
-    """(K, 3) Hermite's cubic at the samples between two that are seen; a line where no slope is."""
-    place = int(np.searchsorted(seen, before))
-    ends = (seen[max(0, place + 1 - SLOPE_SAMPLES) : place + 1], seen[place + 1 :][:SLOPE_SAMPLES])
+    """(K, 3) Hermite's cubic at the samples between two present ones; a line where no slope is."""
+    row = int(np.searchsorted(present, before))
+    ends = (present[max(0, row + 1 - SLOPE_SAMPLES) : row + 1], present[row + 1 :][:SLOPE_SAMPLES])
     span = times[after] - times[before]
     slopes = (_slope(times, path, rows, at) for rows, at in zip(ends, (before, after), strict=True))
     first, last = (slope * span for slope in slopes)
@@ -212,7 +230,7 @@ def _slope(times: np.ndarray, path: np.ndarray, rows: np.ndarray, at: int) -> np
     return np.polynomial.polynomial.polyfit(since[near], path[rows[near]], 2)[1]
 
 
-def low_pass(times: np.ndarray, positions: np.ndarray, cutoff: float) -> np.ndarray:
+def butterworth_low_pass(times: np.ndarray, positions: np.ndarray, cutoff: float) -> np.ndarray:
     """Butterworth's filter forward and backward: no delay, half the power passes at the cut-off.
 
     Args:
@@ -224,19 +242,21 @@ def low_pass(times: np.ndarray, positions: np.ndarray, cutoff: float) -> np.ndar
     from scipy.signal import butter, sosfiltfilt
 
     interval = median_interval(times)
-    sections = butter(ORDER, cutoff / TWICE, fs=1 / interval, output="sos")
-    passed = positions.copy()
+    sections = butter(
+        BUTTERWORTH_ORDER, cutoff / TWO_PASS_CUTOFF_RATIO, fs=1 / interval, output="sos"
+    )
+    smooth = positions.copy()
     for marker in range(positions.shape[1]):
-        for run in _runs(times, ~_missing(positions[:, marker])):
+        for run in _runs(times, ~_is_missing(positions[:, marker])):
             # The ends are mirrored over one period of the cut-off, or what there is of it.
             pad = min(len(run) - 1, round(1 / (cutoff * interval)))
-            passed[run, marker] = sosfiltfilt(sections, positions[run, marker], 0, padlen=pad)
-    return passed
+            smooth[run, marker] = sosfiltfilt(sections, positions[run, marker], 0, padlen=pad)
+    return smooth
 
 
-def _runs(times: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
-    """Rows that are seen and follow one another without a gap, run by run."""
-    rows = np.flatnonzero(seen)
+def _runs(times: np.ndarray, is_present: np.ndarray) -> list[np.ndarray]:
+    """Rows that are present and follow one another without a gap, run by run."""
+    rows = np.flatnonzero(is_present)
     breaks = (np.diff(rows) > 1) | (np.diff(times[rows]) > GAP_INTERVALS * median_interval(times))
     return [run for run in np.split(rows, np.flatnonzero(breaks) + 1) if len(run) > 1]
 
@@ -244,19 +264,19 @@ def _runs(times: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
 def _check_cutoff(recording: Recording, cutoff: float) -> None:
     """InputError unless the samples can hold a low-pass's cut-off."""
     interval = median_interval(recording.times)
-    most = TWICE / (2 * interval) if interval else 0.0
-    if cutoff >= most:
+    highest = TWO_PASS_CUTOFF_RATIO / (2 * interval) if interval else 0.0
+    if cutoff >= highest:
         raise InputError(
             recording.path or recording.name,
-            f"[markers.filters] butterworth: found {cutoff:g} Hz, expected less than {most:.3g} Hz "
-            f"for {1 / interval if interval else 0:.3g} samples per second",
+            f"[markers.filters] butterworth: found {cutoff:g} Hz, expected less than "
+            f"{highest:.3g} Hz for {1 / interval if interval else 0:.3g} samples per second",
         )
 
 
-def one_euro(times: np.ndarray, positions: np.ndarray, filter_: OneEuro) -> np.ndarray:
+def filter_one_euro(times: np.ndarray, positions: np.ndarray, filter_: OneEuro) -> np.ndarray:
     """(T, M, 3) positions as ``filter_`` gives them out one after the other."""
-    state, given = filter_.init(positions.shape[1]), []
+    state, filtered_samples = filter_.init(positions.shape[1]), []
     for time, sample in zip(times, positions, strict=True):
         state, filtered = filter_.step(state, float(time), sample)
-        given.append(filtered)
-    return np.stack(given)
+        filtered_samples.append(filtered)
+    return np.stack(filtered_samples)

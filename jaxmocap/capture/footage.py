@@ -11,19 +11,19 @@ import numpy as np
 
 from jaxmocap.capture.checks.cameras import check_recording
 from jaxmocap.capture.timeline import check_overlap
-from jaxmocap.capture.video import FrameSource, check_size, open_video
+from jaxmocap.capture.video import FrameSource, check_video_size, open_video
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
 
 
 def open_footage(recording: Recording) -> tuple[list[FrameSource], tuple[str, ...]]:
-    """Every video of a recording, and what a user should be told of the recording.
+    """Every video of a recording, and warnings about the recording.
 
     Raises:
         InputError: what is not a video, does not fit its calibration, or shares no time with the
             markers; or a recording that cannot be what its file says (see ``capture.checks``).
     """
-    videos, warnings = footage(recording)
+    videos, warnings = open_unchecked(recording)
     where = recording.path or recording.name
     findings = check_recording(recording, [video.times for video in videos])
     if findings and findings[0].fatal:
@@ -31,12 +31,12 @@ def open_footage(recording: Recording) -> tuple[list[FrameSource], tuple[str, ..
     return videos, (*warnings, *(f"{where}: {finding.sentence}" for finding in findings))
 
 
-def footage(recording: Recording) -> tuple[list[FrameSource], tuple[str, ...]]:
+def open_unchecked(recording: Recording) -> tuple[list[FrameSource], tuple[str, ...]]:
     """The same, the recording itself unchecked."""
     videos, warnings = [], list(recording.warnings)
     for source in recording.videos:
         video = open_video(source)
-        warning = check_size(video, source.camera, video.name)
+        warning = check_video_size(video, source.camera, video.name)
         check_overlap(recording.times, video.times, video.name)
         videos.append(video)
         warnings += [warning] if warning else []
@@ -49,23 +49,25 @@ class ForwardReader:
     def __init__(self, video: FrameSource, worker: Executor, colour: bool = False):
         self._frames, self._worker = video.frames(luma=not colour), worker
         self._index, self._image = -1, None
-        self._coming = worker.submit(next, self._frames, None)
+        self._next_frame = worker.submit(next, self._frames, None)
 
     def at(self, index: int) -> np.ndarray | None:
         """A frame (H, W), or (H, W, 3) BGR, uint8; None where there is none or for index -1."""
         if index < 0:
             return None
         while self._index < index:
-            frame = self._coming.result()
+            frame = self._next_frame.result()
             if frame is None:
                 return None
             self._index, self._image = self._index + 1, frame[1]
-            self._coming = self._worker.submit(next, self._frames, None)
+            self._next_frame = self._worker.submit(next, self._frames, None)
         return self._image
 
 
 @contextmanager
-def reading(videos: Sequence[FrameSource], colour: bool = False) -> Iterator[list[ForwardReader]]:
+def forward_readers(
+    videos: Sequence[FrameSource], colour: bool = False
+) -> Iterator[list[ForwardReader]]:
     """Readers of the videos, grey or in colour, each with a thread that decodes one frame ahead."""
     with ThreadPoolExecutor(max(1, len(videos))) as workers:
         yield [ForwardReader(video, workers, colour) for video in videos]

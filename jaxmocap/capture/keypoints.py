@@ -1,7 +1,7 @@
 """2-D key points of a video: lined up with its frames, and whose they are.
 
 INPUTS: Detections (frame numbers, everybody in each frame), a video, where some landmarks of the
-tracked person are known to be.
+tracked person are predicted.
 OUTPUTS: Keypoints, one row per frame of the video; the tracked person's own pixels and confidences.
 """
 
@@ -12,14 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.skeleton import LANDMARKS, Tree
-from jaxmocap.capture.markers import interpolate
+from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.recordings.keypoints import Detections, check_size, read_keypoints
+from jaxmocap.formats.recordings.keypoints import Detections, check_keypoint_count, read_keypoints
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera
 
-# A detection further than this from where a landmark is known to be is not of that landmark.
+# A detection further than this from where a landmark is predicted is not of that landmark.
 GATE_M = 0.25
 
 
@@ -52,10 +52,10 @@ def open_keypoints(source: VideoSource, video: FrameSource) -> Keypoints | None:
         detections = source.keypoints
     else:
         detections = read_keypoints(source.keypoints, source.keypoints_model)
-    return line_up(detections, len(video), source.keypoints_first)
+    return align_detections(detections, len(video), source.keypoints_first)
 
 
-def line_up(detections: Detections, frames: int, first: int | None = None) -> Keypoints:
+def align_detections(detections: Detections, frames: int, first: int | None = None) -> Keypoints:
     """Give every frame of a video its detections.
 
     Detectors count from 0 (OpenPose, Pose2Sim, MMPose's inferencer), from 1 (MMPose's demos) or,
@@ -69,68 +69,78 @@ def line_up(detections: Detections, frames: int, first: int | None = None) -> Ke
         first: the number of the video's first frame, where it is stated.
 
     Raises:
-        InputError: numbers that do not tell the first frame, or none of them in the video.
+        InputError: numbers from which the first frame cannot be inferred, or none of them in the
+            video.
     """
-    smallest, largest = int(detections.numbers[0]), int(detections.numbers[-1])
-    if first is None:
-        span = largest - smallest + 1
-        if span != frames and (smallest not in (0, 1) or span > frames):
-            raise InputError(
-                detections.name,
-                f"found key points of frames {smallest} to {largest} for a video of {frames} "
-                "frames; state keypoints_first in [[video]], the number of its first frame",
-            )
-        first = smallest
+    first = _first_number(detections, frames) if first is None else first
     rows = detections.numbers - first
     inside = (rows >= 0) & (rows < frames)
     if not inside.any():
+        smallest, largest = detections.numbers[[0, -1]].tolist()
         raise InputError(
             detections.name,
             f"found key points of frames {smallest} to {largest}, but the video has "
             f"frames {first} to {first + frames - 1}; check keypoints_first",
         )
-    check_size(detections.name, frames, *detections.confidences.shape[1:])
+    check_keypoint_count(detections.name, frames, *detections.confidences.shape[1:])
     pixels_xy = np.full((frames, *detections.pixels_xy.shape[1:]), np.nan)
     confidences = np.zeros((frames, *detections.confidences.shape[1:]))
     pixels_xy[rows[inside]] = detections.pixels_xy[inside]
     confidences[rows[inside]] = detections.confidences[inside]
     warnings = detections.warnings
     if inside.sum() < frames:
-        said = f"key points of {inside.sum()} of the video's {frames} frames"
-        warnings += (f"{detections.name}: {said}",)
+        warning = f"key points of {inside.sum()} of the video's {frames} frames"
+        warnings += (f"{detections.name}: {warning}",)
     return Keypoints(detections.landmarks, pixels_xy, confidences, warnings)
 
 
-def choose_person(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: float) -> int:
-    """Which of the people in a frame is the one whose landmarks are known.
+def _first_number(detections: Detections, frames: int) -> int:
+    """The number of a video's first frame, inferred from the detections' numbers.
 
-    The one with the smallest mean distance over the known landmarks, where each counts at most as
-    much as the gate, and as much where it was not detected: neither a swapped wrist nor a person
-    of whom little is seen decides.
+    Raises:
+        InputError: the numbers leave it open.
+    """
+    smallest, largest = detections.numbers[[0, -1]].tolist()
+    span = largest - smallest + 1
+    if span != frames and (smallest not in (0, 1) or span > frames):
+        raise InputError(
+            detections.name,
+            f"found key points of frames {smallest} to {largest} for a video of {frames} "
+            "frames; state keypoints_first in [[video]], the number of its first frame",
+        )
+    return smallest
+
+
+def choose_person(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: float) -> int:
+    """Which of the people in a frame is the one whose landmarks are predicted.
+
+    The one with the smallest mean distance over the predicted landmarks, where each counts at most
+    as much as the gate, and as much where it was not detected: neither a swapped wrist nor a person
+    of whom little is detected decides.
 
     Args:
         pixels_xy: (N, P, 2) the people's points; NaN where missing.
-        predicted_xy: (P, 2) where the landmarks must be; NaN where not known.
+        predicted_xy: (P, 2) where the landmarks must be; NaN where there is no prediction.
         gate_px: pixels; a detection further away is not of that landmark.
 
     Returns:
         The person's index, or -1 where nobody has two landmarks within the gate (one, where no
-        more are known).
+        more are predicted).
     """
     pixels_xy, predicted_xy = np.asarray(pixels_xy, float), np.asarray(predicted_xy, float)
-    known = np.isfinite(predicted_xy).all(-1)
-    if not known.any() or not len(pixels_xy):
+    is_known = np.isfinite(predicted_xy).all(-1)
+    if not is_known.any() or not len(pixels_xy):
         return -1
-    distances = np.linalg.norm(pixels_xy[:, known] - predicted_xy[known], axis=-1)
+    distances = np.linalg.norm(pixels_xy[:, is_known] - predicted_xy[is_known], axis=-1)
     # NaN, a point that was not detected, is never near.
     near = distances <= gate_px
     costs = np.where(near, distances, gate_px).mean(-1)
-    costs[near.sum(-1) < min(2, known.sum())] = np.inf
+    costs[near.sum(-1) < min(2, is_known.sum())] = np.inf
     best = int(costs.argmin())
     return best if np.isfinite(costs[best]) else -1
 
 
-def follow_person(
+def select_person(
     keypoints: Keypoints, camera: Camera, points_world: np.ndarray, gate_m: float = GATE_M
 ) -> tuple[np.ndarray, np.ndarray]:
     """The tracked person's detections among everybody's, frame by frame.
@@ -164,7 +174,7 @@ def follow_person(
 def marked_landmarks(
     recording: Recording, landmarks: Sequence[str], at: np.ndarray, causal: bool = False
 ) -> np.ndarray:
-    """Where those landmarks are that a marker sits on: what tells the tracked person by.
+    """Where those landmarks are that a marker sits on: what the tracked person is selected by.
 
     Args:
         recording: with its markers; their offsets, some centimetres, are left out.
@@ -173,9 +183,9 @@ def marked_landmarks(
         causal: use no marker sample later than each time.
 
     Returns:
-        (F, P, 3) metres, world; NaN where there is no marker or it is not seen.
+        (F, P, 3) metres, world; NaN where there is no marker or it is missing.
     """
-    positions = interpolate(recording.times, recording.positions_world, at, causal)
+    positions = interpolate_markers(recording.times, recording.positions_world, at, causal)
     points = np.full((len(at), len(landmarks), 3), np.nan)
     for marker, place in enumerate(recording.places):
         name = _landmark_at(recording.skeleton.tree, place)

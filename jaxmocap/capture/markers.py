@@ -1,7 +1,7 @@
 """Markers at any time, between the samples that were taken.
 
 INPUTS: sample times (T,) in seconds, positions (T, M, 3) with NaN where missing, times to look at.
-OUTPUTS: positions (K, M, 3) at those times; NaN where they are not known.
+OUTPUTS: positions (K, M, 3) at those times; NaN where they are missing.
 """
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 # Neighbouring samples further apart than this many median intervals are a gap, not a motion.
 GAP_INTERVALS = 3.0
 # So is a step that would be faster than this, metres per second: no hand is.
-FASTEST = 50.0
+MAX_SPEED_M_S = 50.0
 
 
 def median_interval(times: np.ndarray) -> float:
@@ -17,7 +17,7 @@ def median_interval(times: np.ndarray) -> float:
     return float(np.median(np.diff(times))) if len(times) > 1 else 0.0
 
 
-def interpolate(
+def interpolate_markers(
     times: np.ndarray, positions: np.ndarray, at: np.ndarray, causal: bool = False
 ) -> np.ndarray:
     """Linear in time between neighbouring samples; at a sample's own time that sample.
@@ -45,12 +45,14 @@ def interpolate(
     first = np.clip(newest - 1 if causal else newest, 0, len(times) - 2)
     start, end = times[first], times[first + 1]
     if causal:
-        known = (newest >= 1) & (at - end <= interval)
+        is_known = (newest >= 1) & (at - end <= interval)
     else:
-        known = (at - times[-1] <= interval / 2) & (times[0] - at <= interval / 2)
-    known &= end - start <= GAP_INTERVALS * interval
+        is_known = (at - times[-1] <= interval / 2) & (times[0] - at <= interval / 2)
+    is_known &= end - start <= GAP_INTERVALS * interval
     weight, step = (at - start) / (end - start), positions[first + 1] - positions[first]
-    known = known[:, None] & (np.linalg.norm(step, axis=-1) <= FASTEST * (end - start)[:, None])
+    is_known = is_known[:, None] & (
+        np.linalg.norm(step, axis=-1) <= MAX_SPEED_M_S * (end - start)[:, None]
+    )
     line = positions[first] + weight[:, None, None] * step
-    line = np.where(known[..., None], line, np.nan)
+    line = np.where(is_known[..., None], line, np.nan)
     return np.where(exact[:, None, None], positions[newest], line)

@@ -18,15 +18,15 @@ from jaxmocap.formats.recordings.filters import OneEuroSettings
 # The speed is low-passed here, Hz. The paper's 1 Hz lets a stroke run ahead by 13 mm before its
 # speed is believed; so it is 4 mm.
 SPEED_CUTOFF_HZ = 5.0
-# A marker missing for longer begins anew, seconds.
-FORGET_S = 0.2
+# A marker missing for longer starts again, seconds.
+FORGET_AFTER_S = 0.2
 
 
 class OneEuroState(NamedTuple):
     """What the filter remembers of each marker.
 
     Attributes:
-        times: (M,) seconds when it was last seen; NaN before.
+        times: (M,) seconds of its last position; NaN before.
         positions: (M, 3) metres, filtered, then.
         velocities: (M, 3) metres per second, low-passed, then.
     """
@@ -67,14 +67,14 @@ class OneEuro:
         positions = np.asarray(positions, float)
         seen = np.asarray(np.isfinite(positions).all(-1))
         passed = time - state.times
-        known = seen & (passed > 0) & (passed <= FORGET_S)
+        known = seen & (passed > 0) & (passed <= FORGET_AFTER_S)
         step = np.where(known, passed, 1.0)[:, None]
         last = np.where(known[:, None], state.positions, positions)
         raw_velocities = np.where(known[:, None], (positions - last) / step, 0.0)
         started = np.where(known[:, None], state.velocities, 0.0)
-        velocities = started + _share(SPEED_CUTOFF_HZ, step) * (raw_velocities - started)
+        velocities = started + _smoothing_factor(SPEED_CUTOFF_HZ, step) * (raw_velocities - started)
         speed = np.linalg.norm(velocities, axis=-1, keepdims=True)
-        share = _share(self.settings.cutoff + self.settings.beta * speed, step)
+        share = _smoothing_factor(self.settings.cutoff + self.settings.beta * speed, step)
         filtered = last + share * (positions - last)
         row = seen[:, None]
         kept = OneEuroState(
@@ -85,6 +85,6 @@ class OneEuro:
         return kept, np.where(row, filtered, np.nan)
 
 
-def _share(cutoff: np.ndarray | float, step: np.ndarray) -> np.ndarray:
+def _smoothing_factor(cutoff: np.ndarray | float, step: np.ndarray) -> np.ndarray:
     """How far a first-order low-pass goes towards a new value after ``step`` seconds."""
     return 1.0 / (1.0 + 1.0 / (2 * np.pi * np.asarray(cutoff) * step))

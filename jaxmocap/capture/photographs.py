@@ -14,8 +14,8 @@ import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.picture_size import (
-    KINDS,
-    TELLING_BYTES,
+    PICTURE_FORMATS,
+    SIGNATURE_BYTES,
     is_picture,
     picture_size,
 )
@@ -23,8 +23,8 @@ from jaxmocap.formats.files.reading import open_regular, read_bytes
 from jaxmocap.formats.files.writing import write_bytes
 from jaxmocap.geometry.cameras import Camera
 
-# More than 8K video has; what looks for a board takes some thirty bytes for each.
-MOST_PIXELS = 50_000_000
+# More than 8K video has; the search for a board takes some thirty bytes for each.
+MAX_PIXELS = 50_000_000
 _STANDARD_ERROR = 2
 
 
@@ -56,7 +56,7 @@ def read_picture(path: str | Path) -> np.ndarray:
 def is_picture_file(path: str | Path) -> bool:
     """Whether a file says by its first bytes that it is a picture."""
     with open_regular(path, sys.maxsize) as file:
-        return is_picture(file.read(TELLING_BYTES))
+        return is_picture(file.read(SIGNATURE_BYTES))
 
 
 def picture_of(path: str | Path, content: bytes) -> np.ndarray:
@@ -70,11 +70,11 @@ def picture_of(path: str | Path, content: bytes) -> np.ndarray:
         raise InputError(path, "is not an image that can be read, it is empty")
     size = picture_size(content)
     if size is None:
-        raise InputError(path, f"is not an image that can be read, expected {KINDS}")
+        raise InputError(path, f"is not an image that can be read, expected {PICTURE_FORMATS}")
     width, height = size
     # Before it is decoded: some kilobytes of file may state any size.
-    if not 0 < width * height <= MOST_PIXELS:
-        expected = f"expected up to {MOST_PIXELS / 1e6:g} million"
+    if not 0 < width * height <= MAX_PIXELS:
+        expected = f"expected up to {MAX_PIXELS / 1e6:g} million"
         raise InputError(path, f"found an image of {width} x {height} pixels, {expected}")
     image = _decoded(content)
     if image is None:
@@ -85,14 +85,14 @@ def picture_of(path: str | Path, content: bytes) -> np.ndarray:
 def _decoded(content: bytes) -> np.ndarray | None:
     """The picture, or None."""
     try:
-        with _nothing_printed():
+        with _silenced_decoders():
             return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
     except cv2.error:
         return None
 
 
 @contextmanager
-def _nothing_printed() -> Iterator[None]:
+def _silenced_decoders() -> Iterator[None]:
     """What decoders print of damage, in words of their own and past Python, goes nowhere."""
     try:
         kept = os.dup(_STANDARD_ERROR)
@@ -113,7 +113,7 @@ def write_picture(path: str | Path, picture: np.ndarray) -> Path:
     """Write a picture (H, W, 3), BGR uint8, in the format that the path's suffix names.
 
     Raises:
-        OutputError: it cannot be written whole; what was there before is as it was.
+        OutputError: it cannot be written completely; what was there before is as it was.
     """
     write_bytes(path, cv2.imencode(Path(path).suffix, picture)[1].tobytes())
     return Path(path)

@@ -1,7 +1,7 @@
 """Video: frames with their times, from a file or from memory.
 
 INPUTS: a video file, or times and images; seconds to add to video time to get marker time.
-OUTPUTS: frame times in seconds of marker time, known without decoding, and the frames themselves,
+OUTPUTS: frame times in seconds of marker time, found without decoding, and the frames themselves,
 None where one cannot be decoded.
 """
 
@@ -23,31 +23,33 @@ from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import regular_file
 from jaxmocap.formats.recordings.recording import VideoSource
-from jaxmocap.formats.time_series.tables import Places, check_times
+from jaxmocap.formats.time_series.tables import SampleLabels, check_times
 from jaxmocap.geometry.cameras import Camera
 
-Frame = tuple[float, np.ndarray | None]
+TimedImage = tuple[float, np.ndarray | None]
 # A video that differs more than this from its calibration was not taken with it.
 SIZE_TOLERANCE = 0.02
 NO_VIDEO = "is not a video"
 # The size before the first image.
-_UNKNOWN = (0, 0)
+_UNKNOWN_SIZE = (0, 0)
 # 8K; a file of some kilobytes may state any size.
-MOST_PIXELS = 2**25
-# 4.6 hours at 120 Hz, and a week.
-MOST_FRAMES, LONGEST_S = 2_000_000, 604_800.0
+MAX_PIXELS = 2**25
+# 4.6 hours at 120 Hz.
+MAX_FRAMES = 2_000_000
+# A week, seconds.
+MAX_DURATION_S = 604_800.0
 # Frames per second of a video without stamps.
-FASTEST_HZ = 100_000.0
+MAX_RATE_HZ = 100_000.0
 # Files that hold their video themselves. Playlists and scripts, which FFmpeg reads as well, lead to
 # other files, pipes and hosts.
-_HOLDERS = (
+_CONTAINER_FORMATS = (
     "mov,mp4,matroska,webm,avi,mpegts,mpeg,mpegvideo,flv,asf,ogg,mxf,nut,dv,ivf,gif,wav,"
     "h264,hevc,vvc,m4v,mjpeg,obu,av1,cine,ser,gxf,wtv,dhav,yuv4mpegpipe"
 )
 _OPTIONS = {
-    "format_whitelist": _HOLDERS,
+    "format_whitelist": _CONTAINER_FORMATS,
     "protocol_whitelist": "file",
-    "max_pixels": str(MOST_PIXELS),
+    "max_pixels": str(MAX_PIXELS),
 }
 
 
@@ -65,7 +67,7 @@ class FrameSource(ABC):
     size: tuple[int, int]
 
     @abstractmethod
-    def frames(self, luma: bool = False) -> Iterator[Frame]:
+    def frames(self, luma: bool = False) -> Iterator[TimedImage]:
         """Go through all F frames.
 
         Args:
@@ -76,7 +78,7 @@ class FrameSource(ABC):
             frame cannot be decoded.
         """
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[TimedImage]:
         return self.frames()
 
     def __len__(self) -> int:
@@ -87,11 +89,6 @@ class FrameSource(ABC):
         """Frames per second, by the median interval; 0 for a single frame."""
         interval = median_interval(self.times)
         return 1 / interval if interval else 0.0
-
-    @property
-    def duration(self) -> float:
-        """Seconds from the first frame to the end of the last."""
-        return float(self.times[-1] - self.times[0]) + median_interval(self.times)
 
 
 class Video(FrameSource):
@@ -108,7 +105,7 @@ class Video(FrameSource):
             InputError: no such file, not a video, or no frame in it can be decoded.
         """
         self.name, self.path = str(path), regular_file(path)
-        self.size = _UNKNOWN
+        self.size = _UNKNOWN_SIZE
         self._stamps, seconds = self._scan()
         self.times = seconds + offset
         height, width = self._first_image().shape
@@ -127,10 +124,10 @@ class Video(FrameSource):
         if context is None:
             container.close()
             raise InputError(self.path, f"{NO_VIDEO}, nothing decodes its video stream")
-        if context.width * context.height > MOST_PIXELS:
+        if context.width * context.height > MAX_PIXELS:
             container.close()
             found = f"found images of {context.width} × {context.height} pixels"
-            raise InputError(self.path, f"{found}, expected up to {MOST_PIXELS / 1e6:.0f} million")
+            raise InputError(self.path, f"{found}, expected up to {MAX_PIXELS / 1e6:.0f} million")
         return container
 
     def _scan(self) -> tuple[np.ndarray | None, np.ndarray]:
@@ -142,12 +139,12 @@ class Video(FrameSource):
                 if packet.size and not packet.is_discard:
                     unstamped += packet.pts is None
                     stamps.append(packet.pts or 0)
-                if len(stamps) > MOST_FRAMES:
-                    raise InputError(self.path, f"expected at most {MOST_FRAMES} frames")
+                if len(stamps) > MAX_FRAMES:
+                    raise InputError(self.path, f"expected at most {MAX_FRAMES} frames")
             if unstamped:
                 # Without stamps the frames follow one another at the stream's rate.
                 rate = float(stream.average_rate or stream.guessed_rate or 30)
-                if not 0 < rate <= FASTEST_HZ:
+                if not 0 < rate <= MAX_RATE_HZ:
                     raise InputError(self.path, f"found {rate:g} frames per second")
                 return None, np.arange(len(stamps)) / rate
             found = np.unique(np.asarray(stamps, np.int64))
@@ -161,9 +158,9 @@ class Video(FrameSource):
         start = int(stamps[0]) if stream.start_time is None else stream.start_time
         # Python's numbers do not overflow.
         first, last = (tick * (int(stamp) - start) for stamp in stamps[[0, -1]])
-        if not -LONGEST_S <= first <= last <= LONGEST_S:
+        if not -MAX_DURATION_S <= first <= last <= MAX_DURATION_S:
             found = f"found frames {first:.4g} to {last:.4g} s after its start"
-            raise InputError(self.path, f"{found}, expected within {LONGEST_S / 86400:g} days")
+            raise InputError(self.path, f"{found}, expected within {MAX_DURATION_S / 86400:g} days")
         return (stamps - start) * tick
 
     def _first_image(self) -> np.ndarray:
@@ -172,35 +169,35 @@ class Video(FrameSource):
                 return image
         raise InputError(self.path, f"{NO_VIDEO}, none of its frames can be decoded")
 
-    def frames(self, luma: bool = False) -> Iterator[Frame]:
+    def frames(self, luma: bool = False) -> Iterator[TimedImage]:
         """See ``FrameSource.frames``. The end of a truncated file yields None."""
-        done = 0
+        next_frame = 0
         for i, frame in self._decoded():
-            if i < done:
+            if i < next_frame:
                 continue
-            for missing in range(done, i):
+            for missing in range(next_frame, i):
                 yield float(self.times[missing]), None
-            done = i + 1
+            next_frame = i + 1
             yield float(self.times[i]), self._image(frame, luma)
-        for missing in range(done, len(self.times)):
+        for missing in range(next_frame, len(self.times)):
             yield float(self.times[missing]), None
 
     def _image(self, frame: VideoFrame, luma: bool) -> np.ndarray | None:
         """A frame's image; None of one that is broken, or of another size than the first."""
-        if frame.is_corrupt or frame.width * frame.height > MOST_PIXELS:
+        if frame.is_corrupt or frame.width * frame.height > MAX_PIXELS:
             return None
         try:
             image = image_of(frame, luma)
         except (FFmpegError, OSError, ValueError):
             return None
-        return image if self.size in (_UNKNOWN, image.shape[1::-1]) else None
+        return image if self.size in (_UNKNOWN_SIZE, image.shape[1::-1]) else None
 
     def _decoded(self) -> Iterator[tuple[int, VideoFrame]]:
         """Index and frame of all that can be decoded; a broken packet costs only its frames."""
         with self._open() as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
-            stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
+            stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
             count = 0
             for packet in _packets(container, stream):
                 try:
@@ -208,7 +205,7 @@ class Video(FrameSource):
                 except (FFmpegError, OSError):
                     continue
                 for frame in frames:
-                    i = count if self._stamps is None else _place(self._stamps, frame.pts)
+                    i = count if self._stamps is None else _frame_index(self._stamps, frame.pts)
                     count += 1
                     if 0 <= i < len(self.times):
                         yield i, frame
@@ -244,11 +241,11 @@ class MemoryVideo(FrameSource):
                 f"found {len(images)} images of sizes {sorted(shapes)} for {len(self.times)} "
                 "times, expected one image of the same size for each",
             )
-        check_times(name, self.times, Places("frame"))
+        check_times(name, self.times, SampleLabels("frame"))
         height, width = shapes.pop()
         self.size = (width, height)
 
-    def frames(self, luma: bool = False) -> Iterator[Frame]:
+    def frames(self, luma: bool = False) -> Iterator[TimedImage]:
         """See ``FrameSource.frames``."""
         import cv2
 
@@ -276,7 +273,7 @@ def open_video(source: VideoSource) -> FrameSource:
     return Video(source.path, source.offset)
 
 
-def check_size(video: FrameSource, camera: Camera, path: str | Path) -> str | None:
+def check_video_size(video: FrameSource, camera: Camera, path: str | Path) -> str | None:
     """Does a video fit its camera's calibration?
 
     A video a few columns or rows off is taken as cropped on the right or at the bottom, and never
@@ -317,14 +314,14 @@ def _packets(container: InputContainer, stream: VideoStream) -> Iterator[Packet]
             return
 
 
-def _place(stamps: np.ndarray, stamp: int | None) -> int:
+def _frame_index(stamps: np.ndarray, stamp: int | None) -> int:
     """Where a stamp is among ascending ones; -1 where it is not."""
     i = -1 if stamp is None else int(np.searchsorted(stamps, stamp))
     return i if 0 <= i < len(stamps) and stamps[i] == stamp else -1
 
 
 def image_of(frame: VideoFrame, luma: bool) -> np.ndarray:
-    """A frame as BGR or grey array, upright as its file says that it shall be shown."""
+    """A frame as BGR or grey array, rotated upright as its file states."""
     if luma and frame.format.name in ("yuv420p", "yuvj420p", "nv12", "gray"):
         plane = frame.planes[0]
         # A plane is a buffer, which its type stubs do not say.
@@ -332,5 +329,5 @@ def image_of(frame: VideoFrame, luma: bool) -> np.ndarray:
         image = rows.reshape(-1, plane.line_size)[: frame.height, : frame.width]
     else:
         image = frame.to_ndarray(format="gray" if luma else "bgr24")
-    turned = np.rot90(image, round(frame.rotation / 90))
-    return np.array(turned, order="C")
+    upright = np.rot90(image, round(frame.rotation / 90))
+    return np.array(upright, order="C")

@@ -76,15 +76,15 @@ def sync(options: argparse.Namespace) -> int:
     """Find the videos' offsets; nothing is changed. 1 where one cannot be told."""
     from dataclasses import asdict
 
-    from jaxmocap.calibration.sync import sync, text
+    from jaxmocap.calibration.sync import estimate_video_offsets, sync_text
     from jaxmocap.cli import choose_recording
     from jaxmocap.formats.recordings.recording import load_recording
 
     recording = load_recording(options.recording)
     if options.cameras:
         recording = choose_recording.select_cameras(recording, options.cameras)
-    found = sync(recording, options.search)
-    report(options, text(found), {"videos": [asdict(each) for each in found]})
+    found = estimate_video_offsets(recording, options.search)
+    report(options, sync_text(found), {"videos": [asdict(each) for each in found]})
     count = sum(not each.is_found for each in found)
     return done(options, [f"no offset of {count} of {len(found)} videos"] if count else [])
 
@@ -113,13 +113,15 @@ def evaluate(options: argparse.Namespace) -> None:
 
 def convert(options: argparse.Namespace) -> None:
     """Make one file into another."""
-    from jaxmocap.formats.convert import Options, convert
+    from jaxmocap.formats.convert import ConversionOptions, convert_file
     from jaxmocap.formats.files.writing import check_target
 
     body = [] if options.body is None else [options.body]
     check_target(options.target, [options.source, *body])
-    wanted = Options(options.names, options.unit, options.rate, options.body, options.angles)
-    notes = convert(options.source, options.target, wanted)
+    wanted = ConversionOptions(
+        options.names, options.unit, options.rate, options.body, options.angles
+    )
+    notes = convert_file(options.source, options.target, wanted)
     print_lines([*notes, f"written: {options.target}"])
 
 
@@ -186,10 +188,10 @@ def calibrate_intrinsics(options: argparse.Namespace) -> None:
     """Find a camera's intrinsics."""
     from jaxmocap.calibration import calibration_report
     from jaxmocap.calibration.board.boards import parse_board
-    from jaxmocap.calibration.calibrate import calibrate_intrinsics
+    from jaxmocap.calibration.calibrate import calibrate_camera
 
     board = parse_board(options.board, options.square, options.charuco)
-    found = calibrate_intrinsics(
+    found = calibrate_camera(
         options.paths, board, options.camera, options.out, options.distortions, options.pictures
     )
     text, figures = calibration_report.intrinsics_text, calibration_report.intrinsics_figures
@@ -199,9 +201,9 @@ def calibrate_intrinsics(options: argparse.Namespace) -> None:
 def calibrate_extrinsics(options: argparse.Namespace) -> None:
     """Find where a camera stands."""
     from jaxmocap.calibration import calibration_report
-    from jaxmocap.calibration.place_camera import calibrate_extrinsics, measured
+    from jaxmocap.calibration.place_camera import parse_target, place_camera
 
-    seen = measured(
+    seen = parse_target(
         options.board,
         options.square,
         options.charuco,
@@ -211,7 +213,7 @@ def calibrate_extrinsics(options: argparse.Namespace) -> None:
         options.up,
     )
     files = options.out, options.intrinsics, options.pictures
-    found = calibrate_extrinsics(options.image, seen, options.camera, *files, options.upside_down)
+    found = place_camera(options.image, seen, options.camera, *files, options.upside_down)
     text, figures = calibration_report.extrinsics_text, calibration_report.extrinsics_figures
     report(options, text(found), figures(found))
 

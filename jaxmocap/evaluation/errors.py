@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxmocap.evaluation.series import HIGH_PASS_HZ, high_pass, match, second_difference
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.time_series.markers import read_markers, usual_up
+from jaxmocap.formats.time_series.markers import default_up, read_markers
 from jaxmocap.formats.time_series.tables import Markers
 
 # Vertical axis of a file -> which of its axes are the world's x, y, z.
@@ -186,7 +186,7 @@ def evaluate_directory(
     """
     path = Path(directory) / "joints.trc"
     tracked, truth = read_markers(path), read_markers(truth_path)
-    truth_world = turned_up(truth, up or usual_up(truth_path))
+    truth_world = turned_up(truth, up or default_up(truth_path))
     return position_errors(
         tracked.times,
         tracked.points(),

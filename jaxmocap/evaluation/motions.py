@@ -8,7 +8,7 @@ from pathlib import Path
 
 from jaxmocap.body.motion import Motion
 from jaxmocap.evaluation.errors import Errors, position_errors, turned_up
-from jaxmocap.formats.time_series.markers import read_markers, usual_up
+from jaxmocap.formats.time_series.markers import default_up, read_markers
 from jaxmocap.formats.time_series.tables import Markers
 
 
@@ -34,7 +34,7 @@ def evaluate(
         motion.times,
         motion.joints(),
         markers.times,
-        turned_up(markers, up or ("z" if in_memory else usual_up(truth))),
+        turned_up(markers, up or ("z" if in_memory else default_up(truth))),
         pairs,
         sources=("motion", "reference" if in_memory else truth),
     )

@@ -65,7 +65,6 @@ class EdgeEvidence:
             fields: of this arm: regions (C), distances (C, K, S, S), available (C,).
             limbs: (..., 3) cones, world: the arm in one place, or in many for many costs (...).
         """
-
         assert cameras is not None
 
         def of_camera(camera: Camera, region: Region, distances: Array) -> Array:

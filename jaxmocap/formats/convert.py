@@ -5,7 +5,7 @@ OUTPUTS: another of the same kind, or the joints of a motion as markers; what wa
 on the way, as sentences.
 
 Markers keep the axes of their file. Motions are Y up in .bvh and .glb and Z up elsewhere, and are
-turned; joints made from them are Z up, as ``joints.trc`` is.
+rotated; joints made from them are Z up, as ``joints.trc`` is.
 """
 
 from dataclasses import dataclass, field, replace
@@ -14,41 +14,47 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.body.motion import Motion
-from jaxmocap.formats.animation.armature import Armature, joint_positions, settled, turned
+from jaxmocap.formats.animation.armature import (
+    Armature,
+    fill_from_nearest,
+    joint_positions,
+    rotated_armature,
+)
 from jaxmocap.formats.animation.body_armature import armature_of, motion_of
-from jaxmocap.formats.animation.bvh import read_bvh, write_bvh
-from jaxmocap.formats.animation.export import CUSTOMARY, R_file_world
+from jaxmocap.formats.animation.bvh import write_bvh
+from jaxmocap.formats.animation.bvh_in import read_bvh
+from jaxmocap.formats.animation.export import DEFAULT_CONVENTION, R_FILE_WORLD
 from jaxmocap.formats.animation.gltf import write_gltf
 from jaxmocap.formats.animation.gltf_in import read_gltf
-from jaxmocap.formats.animation.joint_names import CONVENTIONS, landmark_names, recognised
+from jaxmocap.formats.animation.joint_names import CONVENTIONS, landmark_names, names_to_ours
 from jaxmocap.formats.files.errors import FileError, InputError
-from jaxmocap.formats.files.shortened import listed
+from jaxmocap.formats.files.short_repr import comma_list
 from jaxmocap.formats.motion_npz import load_motion, save_motion
-from jaxmocap.formats.time_series.c3d import left_in_c3d, write_c3d
+from jaxmocap.formats.time_series.c3d import unconverted_content, write_c3d
 from jaxmocap.formats.time_series.csv import write_csv
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.mot import motion_from_angles, read_mot, write_isb, write_mot
 from jaxmocap.formats.time_series.resampling import (
     even_times,
-    resampled,
+    resampled_armature,
     resampled_markers,
     resampled_motion,
 )
 from jaxmocap.formats.time_series.tables import Markers
 from jaxmocap.formats.time_series.trc import write_trc
 
-MARKERS = (".c3d", ".trc", ".csv")
-MOTIONS = (".npz", ".bvh", ".glb", ".mot")
+MARKER_SUFFIXES = (".c3d", ".trc", ".csv")
+MOTION_SUFFIXES = (".npz", ".bvh", ".glb", ".mot")
 
 
 @dataclass(frozen=True)
-class Options:
+class ConversionOptions:
     """How to convert.
 
     Attributes:
         names: convention of the joints' names, one of ``CONVENTIONS``; None is customary for the
             target, or what the source says.
-        unit: of the BVH file, of the one written if both are; None is metres when written, told
+        unit: of the BVH file, of the one written if both are; None is metres when written, inferred
             by the body's size when read.
         rate: samples per second of the target; None keeps the source's times.
         body: file whose skeleton the angles of a .mot are of; None where the source has one.
@@ -63,16 +69,18 @@ class Options:
 
 
 @dataclass
-class _Work:
-    """A conversion under way, and what it has to say."""
+class _Conversion:
+    """A conversion under way, and its warnings."""
 
     source: Path
     target: Path
-    options: Options
-    notes: list[str] = field(default_factory=list)
+    options: ConversionOptions
+    warnings: list[str] = field(default_factory=list)
 
 
-def convert(source: str | Path, target: str | Path, options: Options | None = None) -> list[str]:
+def convert_file(
+    source: str | Path, target: str | Path, options: ConversionOptions | None = None
+) -> list[str]:
     """Make one file into another, by their suffixes.
 
     Returns:
@@ -82,163 +90,182 @@ def convert(source: str | Path, target: str | Path, options: Options | None = No
         InputError: an unknown suffix, a source that cannot be used, or a target that cannot hold
             what it should.
     """
-    work = _Work(Path(source), Path(target), options or Options())
-    kinds = [path.suffix.lower() for path in (work.source, work.target)]
-    for path, kind in zip((work.source, work.target), kinds, strict=True):
-        if kind not in (*MARKERS, *MOTIONS):
-            expected = ", ".join((*MARKERS, *MOTIONS))
+    conversion = _Conversion(Path(source), Path(target), options or ConversionOptions())
+    kinds = [path.suffix.lower() for path in (conversion.source, conversion.target)]
+    for path, kind in zip((conversion.source, conversion.target), kinds, strict=True):
+        if kind not in (*MARKER_SUFFIXES, *MOTION_SUFFIXES):
+            expected = ", ".join((*MARKER_SUFFIXES, *MOTION_SUFFIXES))
             raise InputError(path, f"unknown suffix {kind!r}, expected one of {expected}")
-    if kinds[0] in MARKERS and kinds[1] in MOTIONS:
-        problem = f"cannot be made from {work.source}: places of markers are not turns of bones"
+    if kinds[0] in MARKER_SUFFIXES and kinds[1] in MOTION_SUFFIXES:
+        found = "positions of markers, not orientations of bones"
+        problem = f"cannot be made from {conversion.source}: {found}"
         raise InputError(target, f"{problem} (jaxmocap track finds those)")
-    _check_options(work, *kinds)
-    if kinds[0] in MARKERS:
-        _write_markers(work, _read_markers(work))
-    elif kinds[1] in MARKERS:
-        _write_markers(work, _joints(work, _read_motion(work)))
-    elif kinds[1] in CUSTOMARY:
-        _write_armature(work, _as_armature(work, _read_motion(work)))
+    _check_options(conversion, *kinds)
+    if kinds[0] in MARKER_SUFFIXES:
+        _write_markers(conversion, _read_markers(conversion))
+    elif kinds[1] in MARKER_SUFFIXES:
+        _write_markers(conversion, _joints_as_markers(conversion, _read_motion(conversion)))
+    elif kinds[1] in DEFAULT_CONVENTION:
+        _write_armature(conversion, _as_armature(conversion, _read_motion(conversion)))
     else:
-        _write_motion(work, _as_motion(work, _read_motion(work)))
-    return work.notes
+        _write_motion(conversion, _as_motion(conversion, _read_motion(conversion)))
+    return conversion.warnings
 
 
-def _check_options(work: _Work, source: str, target: str) -> None:
+def _check_options(conversion: _Conversion, source: str, target: str) -> None:
     """InputError for an option that would not do anything."""
-    options = work.options
+    options = conversion.options
     useless = {
         "--unit": options.unit and ".bvh" not in (source, target),
         "--body": options.body and source != ".mot",
-        "--names": options.names and (source in MARKERS or target in (".npz", ".mot")),
+        "--names": options.names and (source in MARKER_SUFFIXES or target in (".npz", ".mot")),
         "--angles": options.angles and target != ".mot",
     }
     for option, given in useless.items():
         if given:
-            raise InputError(work.source, f"{option} says nothing about {source} to {target}")
+            raise InputError(conversion.source, f"{option} says nothing about {source} to {target}")
     if source == ".mot" and options.body is None:
         problem = "holds angles without bones: name a file with the same body"
-        raise InputError(work.source, f"{problem} (--body motion.npz)")
+        raise InputError(conversion.source, f"{problem} (--body motion.npz)")
 
 
-def _read_markers(work: _Work) -> Markers:
-    markers = read_markers(work.source)
-    if work.source.suffix.lower() == ".c3d":
-        work.notes += [f"left out: {left}" for left in left_in_c3d(work.source)]
+def _read_markers(conversion: _Conversion) -> Markers:
+    markers = read_markers(conversion.source)
+    if conversion.source.suffix.lower() == ".c3d":
+        conversion.warnings += [
+            f"left out: {content}" for content in unconverted_content(conversion.source)
+        ]
     return markers
 
 
-def _write_markers(work: _Work, markers: Markers) -> None:
-    kind = work.target.suffix.lower()
-    if work.options.rate is not None:
-        columns = (3 if markers.turns is None else 12) * len(markers.names)
-        times = even_times(markers.times, work.options.rate, columns, work.source)
+def _write_markers(conversion: _Conversion, markers: Markers) -> None:
+    kind = conversion.target.suffix.lower()
+    if conversion.options.rate is not None:
+        columns = (3 if markers.orientations is None else 12) * len(markers.names)
+        times = even_times(markers.times, conversion.options.rate, columns, conversion.source)
         markers = resampled_markers(markers, times)
-    if markers.turns is not None and kind != ".csv":
-        work.notes.append(f"left out: how the markers are turned, which {kind} does not hold")
+    if markers.orientations is not None and kind != ".csv":
+        conversion.warnings.append(
+            f"left out: the markers' orientations, which {kind} does not hold"
+        )
     try:
         if kind == ".c3d":
-            write_c3d(work.target, markers)
+            write_c3d(conversion.target, markers)
             return
         if kind == ".csv":
-            write_csv(work.target, markers.times, markers.points(), markers.turned())
+            write_csv(
+                conversion.target, markers.times, markers.points(), markers.known_orientations()
+            )
         else:
-            write_trc(work.target, markers.times, markers.points())
+            write_trc(conversion.target, markers.times, markers.points())
     except ValueError as error:
         # Names that a format cannot hold.
         raise (
-            error if isinstance(error, FileError) else InputError(work.target, str(error))
+            error if isinstance(error, FileError) else InputError(conversion.target, str(error))
         ) from None
     if markers.residuals is not None and np.nan_to_num(markers.residuals).any():
-        work.notes.append(f"left out: the markers' residuals, which {kind} does not hold")
+        conversion.warnings.append(f"left out: the markers' residuals, which {kind} does not hold")
 
 
-def _read_motion(work: _Work) -> Motion | Armature:
+def _read_motion(conversion: _Conversion) -> Motion | Armature:
     """What the source holds, in the world's axes."""
-    path, kind = work.source, work.source.suffix.lower()
+    path, kind = conversion.source, conversion.source.suffix.lower()
     if kind == ".npz":
         return load_motion(path)
     if kind == ".mot":
         times, columns = read_mot(path)
-        return motion_from_angles(path, times, columns, _body(work).skeleton)
-    unit = None if work.target.suffix.lower() == ".bvh" else work.options.unit
+        return motion_from_angles(path, times, columns, _body(conversion).skeleton)
+    unit = None if conversion.target.suffix.lower() == ".bvh" else conversion.options.unit
     armature = read_bvh(path, unit) if kind == ".bvh" else read_gltf(path)
-    return turned(armature, R_file_world.T)
+    return rotated_armature(armature, R_FILE_WORLD.T)
 
 
-def _body(work: _Work) -> Motion:
+def _body(conversion: _Conversion) -> Motion:
     """A motion of the body whose angles a .mot holds."""
-    body = work.options.body
+    body = conversion.options.body
     if body is None or body.suffix.lower() not in (".npz", ".bvh", ".glb"):
         raise InputError(
-            body or work.source, "expected a .npz, .bvh or .glb file, which holds a body"
+            body or conversion.source, "expected a .npz, .bvh or .glb file, which holds a body"
         )
-    lender = _Work(body, work.target, replace(work.options, body=None))
+    lender = _Conversion(body, conversion.target, replace(conversion.options, body=None))
     motion = _read_motion(lender)
     return motion if isinstance(motion, Motion) else motion_of(motion, body)
 
 
-def _as_armature(work: _Work, motion: Motion | Armature) -> Armature:
-    kind, names = work.target.suffix.lower(), work.options.names
+def _as_armature(conversion: _Conversion, motion: Motion | Armature) -> Armature:
+    kind, names = conversion.target.suffix.lower(), conversion.options.names
     if isinstance(motion, Motion):
-        work.notes.append("left out: masses, limits, and the report where there is one")
-        return armature_of(motion, names or CUSTOMARY[kind])
-    return replace(motion, names=_renamed(work, motion.names))
+        conversion.warnings.append("left out: masses, limits, and the report where there is one")
+        return armature_of(motion, names or DEFAULT_CONVENTION[kind])
+    return replace(motion, names=_joint_names(conversion, motion.names))
 
 
-def _renamed(work: _Work, joints: tuple[str, ...]) -> tuple[str, ...]:
+def _joint_names(conversion: _Conversion, joints: tuple[str, ...]) -> tuple[str, ...]:
     """Names of joints in the convention asked for; joints that it does not know keep theirs."""
-    if work.options.names is None:
+    if conversion.options.names is None:
         return joints
-    ours, convention = recognised(joints), CONVENTIONS[work.options.names]
+    ours, convention = names_to_ours(joints), CONVENTIONS[conversion.options.names]
     if ours is None:
-        raise InputError(work.source, f"joints of no known convention: {listed(joints)}")
+        raise InputError(conversion.source, f"joints of no known convention: {comma_list(joints)}")
     return tuple(convention[ours[name]] if name in ours else name for name in joints)
 
 
-def _write_armature(work: _Work, armature: Armature) -> None:
-    if work.options.rate is not None:
+def _write_armature(conversion: _Conversion, armature: Armature) -> None:
+    if conversion.options.rate is not None:
         columns = 9 * len(armature.names)
-        times = even_times(armature.times, work.options.rate, columns, work.source)
-        armature = resampled(armature, times)
-    armature = turned(armature, R_file_world)
-    if work.target.suffix.lower() == ".glb":
-        write_gltf(work.target, armature)
+        times = even_times(armature.times, conversion.options.rate, columns, conversion.source)
+        armature = resampled_armature(armature, times)
+    armature = rotated_armature(armature, R_FILE_WORLD)
+    if conversion.target.suffix.lower() == ".glb":
+        write_gltf(conversion.target, armature)
         return
-    if unknown := int((~armature.known).sum()):
-        work.notes.append(f"added: {unknown} samples without a pose hold that of the nearest")
+    if unknown := int((~armature.is_known).sum()):
+        conversion.warnings.append(
+            f"added: {unknown} samples without a pose hold that of the nearest"
+        )
     if armature.times[0] != 0:
-        work.notes.append(f"left out: that the first sample is at {armature.times[0]:g} s, not 0")
-    write_bvh(work.target, settled(armature, work.source), work.options.unit or "m")
+        conversion.warnings.append(
+            f"left out: that the first sample is at {armature.times[0]:g} s, not 0"
+        )
+    write_bvh(
+        conversion.target,
+        fill_from_nearest(armature, conversion.source),
+        conversion.options.unit or "m",
+    )
 
 
-def _as_motion(work: _Work, motion: Motion | Armature) -> Motion:
+def _as_motion(conversion: _Conversion, motion: Motion | Armature) -> Motion:
     if isinstance(motion, Motion):
         return motion
-    found = motion_of(motion, work.source)
-    if work.target.suffix.lower() == ".npz":
-        work.notes.append("added: masses, girths and limits of a person with bones as long")
-    return found
+    converted = motion_of(motion, conversion.source)
+    if conversion.target.suffix.lower() == ".npz":
+        conversion.warnings.append(
+            "added: masses, girths and limits of a person with bones as long"
+        )
+    return converted
 
 
-def _write_motion(work: _Work, motion: Motion) -> None:
-    if work.options.rate is not None:
+def _write_motion(conversion: _Conversion, motion: Motion) -> None:
+    if conversion.options.rate is not None:
         columns = 9 * len(motion.skeleton.tree.bones)
-        times = even_times(motion.times, work.options.rate, columns, work.source)
+        times = even_times(motion.times, conversion.options.rate, columns, conversion.source)
         motion = resampled_motion(motion, times)
-    if work.target.suffix.lower() == ".npz":
-        save_motion(work.target, motion)
+    if conversion.target.suffix.lower() == ".npz":
+        save_motion(conversion.target, motion)
     else:
-        isb = work.options.angles == "isb"
-        (write_isb if isb else write_mot)(work.target, motion)
+        isb = conversion.options.angles == "isb"
+        (write_isb if isb else write_mot)(conversion.target, motion)
         if isb:
-            work.notes.append("left out: where the pelvis is, and what ISB's angles do not tell")
-        work.notes.append("left out: the body, and the report where there is one")
+            conversion.warnings.append(
+                "left out: where the pelvis is, and what ISB's angles leave open"
+            )
+        conversion.warnings.append("left out: the body, and the report where there is one")
 
 
-def _joints(work: _Work, motion: Motion | Armature) -> Markers:
+def _joints_as_markers(conversion: _Conversion, motion: Motion | Armature) -> Markers:
     """Where the joints are, as markers: landmarks of a motion of ours, else all joints."""
-    work.notes.append("left out: how the bones are turned")
+    conversion.warnings.append("left out: the bones' orientations")
     if isinstance(motion, Motion):
-        names, points = tuple(landmark_names(work.options.names).values()), motion.joints()
+        names, points = tuple(landmark_names(conversion.options.names).values()), motion.joints()
         return Markers(motion.times, names, np.stack(list(points.values()), 1).astype(float))
-    return Markers(motion.times, _renamed(work, motion.names), joint_positions(motion))
+    return Markers(motion.times, _joint_names(conversion, motion.names), joint_positions(motion))

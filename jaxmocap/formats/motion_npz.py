@@ -18,69 +18,86 @@ from jaxmocap.body.motion import Motion, Report, near_origin
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton, Tree, load_skeleton
 from jaxmocap.body.wrists import with_wrists
-from jaxmocap.formats.files.arrays import NAMES, TEXT, WHOLE, Arrays, Stated
+from jaxmocap.formats.files.arrays import INTEGERS, NAMES, TEXT, ArraySpec, NpzArrays
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.json_text import parse_json
-from jaxmocap.formats.files.shortened import listed, shown
+from jaxmocap.formats.files.short_repr import comma_list, short_repr
 from jaxmocap.formats.files.writing import replacing
-from jaxmocap.formats.time_series.tables import Places, check_times
+from jaxmocap.formats.time_series.tables import SampleLabels, check_times
 
 VERSION = 2
-_SKELETON = tuple(field.name for field in fields(Skeleton) if field.name != "tree")
-_REPORT = ("marker_errors", "arm_costs", "swivels", "confidence", "landmarks_std", "from_prior")
-_STAGE = "milliseconds."
+_SKELETON_FIELDS = tuple(field.name for field in fields(Skeleton) if field.name != "tree")
+_REPORT_FIELDS = (
+    "marker_errors",
+    "arm_costs",
+    "swivels",
+    "confidence",
+    "landmarks_std",
+    "from_prior",
+)
+_STAGE_PREFIX = "milliseconds."
 # Model files whose joints a motion's skeleton may have.
-_MODELS = ("human.toml", "torso.toml", "legs.toml", "whole.toml", "supple.toml")
+_MODEL_FILES = ("human.toml", "torso.toml", "legs.toml", "whole.toml", "supple.toml")
 
 # Beyond these no number is a person's: metres from the origin, metres of a bone, kilograms,
 # radians, seconds.
 _FARTHEST_M = 1e7
 _LONGEST_M = 10.0
 _HEAVIEST_KG = 1e4
-_MOST_RAD = 1e6
+_LARGEST_RAD = 1e6
 _LATEST_S = 1e12
 # Quaternions and axes may differ from length 1 by this: single precision, rounded a few times.
-_UNIT = 1e-3
-# Characters of the sentences of all samples, and of the settings.
-_LONGEST_STATUSES, _LONGEST_SETTINGS = 2**25, 2**22
+_UNIT_TOLERANCE = 1e-3
+# Characters of the statuses of all samples together.
+_MAX_STATUS_CHARACTERS = 2**25
+# Characters of the settings.
+_MAX_SETTINGS_CHARACTERS = 2**22
 
-_BODY = {
-    "skeleton.lengths": Stated(("B",), low=0, high=_LONGEST_M),
-    "skeleton.directions": Stated(("B", 3), low=-1 - _UNIT, high=1 + _UNIT),
-    "skeleton.masses": Stated(("B",), low=0, high=_HEAVIEST_KG),
-    "skeleton.centres": Stated(("B",), low=-1, high=2),
-    "skeleton.diameters": Stated(("B", 2), low=0, high=_LONGEST_M),
-    "skeleton.axes": Stated(("D", 3), low=-1 - _UNIT, high=1 + _UNIT),
-    "skeleton.limits": Stated(("D", 2), low=-_MOST_RAD, high=_MOST_RAD),
-    "skeleton.costs": Stated(("C",), low=0, high=1e9),
-    "skeleton.relaxed": Stated(("D",), low=-_MOST_RAD, high=_MOST_RAD),
+_BODY_SPECS = {
+    "skeleton.lengths": ArraySpec(("B",), low=0, high=_LONGEST_M),
+    "skeleton.directions": ArraySpec(("B", 3), low=-1 - _UNIT_TOLERANCE, high=1 + _UNIT_TOLERANCE),
+    "skeleton.masses": ArraySpec(("B",), low=0, high=_HEAVIEST_KG),
+    "skeleton.centres": ArraySpec(("B",), low=-1, high=2),
+    "skeleton.diameters": ArraySpec(("B", 2), low=0, high=_LONGEST_M),
+    "skeleton.axes": ArraySpec(("D", 3), low=-1 - _UNIT_TOLERANCE, high=1 + _UNIT_TOLERANCE),
+    "skeleton.limits": ArraySpec(("D", 2), low=-_LARGEST_RAD, high=_LARGEST_RAD),
+    "skeleton.costs": ArraySpec(("C",), low=0, high=1e9),
+    "skeleton.relaxed": ArraySpec(("D",), low=-_LARGEST_RAD, high=_LARGEST_RAD),
 }
-_TREE = {
-    "tree.bones": Stated(("B",), NAMES),
-    "tree.parents": Stated(("B",), WHOLE),
-    "tree.joints": Stated(("D",), NAMES),
-    "tree.dof_bones": Stated(("D",), WHOLE),
+_TREE_SPECS = {
+    "tree.bones": ArraySpec(("B",), NAMES),
+    "tree.parents": ArraySpec(("B",), INTEGERS),
+    "tree.joints": ArraySpec(("D",), NAMES),
+    "tree.dof_bones": ArraySpec(("D",), INTEGERS),
 }
-_POSES = {
-    "times": Stated(("T",), low=-_LATEST_S, high=_LATEST_S),
-    "pose.position": Stated(("T", 3), low=-_FARTHEST_M, high=_FARTHEST_M, gaps=True),
-    "pose.quaternion": Stated(("T", 4), low=-1 - _UNIT, high=1 + _UNIT, gaps=True),
-    "pose.angles": Stated(("T", "D"), low=-_MOST_RAD, high=_MOST_RAD, gaps=True),
-}
-_REPORTED = {
-    "report.markers": Stated(("M",), NAMES),
-    "report.marker_errors": Stated(("T", "M"), low=-1e9, high=1e9, gaps=True, infinite=True),
-    "report.arm_costs": Stated(("T", 2), low=-1e9, high=1e9, gaps=True, infinite=True),
-    "report.swivels": Stated(("T", 2), low=-_MOST_RAD, high=_MOST_RAD, gaps=True, infinite=True),
-    "report.confidence": Stated(("T", 2), low=0, high=1, gaps=True),
-    "report.landmarks_std": Stated(
-        ("T", len(LANDMARKS), 3), low=-1e9, high=1e9, gaps=True, infinite=True
+_POSE_SPECS = {
+    "times": ArraySpec(("T",), low=-_LATEST_S, high=_LATEST_S),
+    "pose.position": ArraySpec(("T", 3), low=-_FARTHEST_M, high=_FARTHEST_M, allow_nan=True),
+    "pose.quaternion": ArraySpec(
+        ("T", 4), low=-1 - _UNIT_TOLERANCE, high=1 + _UNIT_TOLERANCE, allow_nan=True
     ),
-    "report.from_prior": Stated(("T", len(LANDMARKS)), low=0, high=1, gaps=True),
-    "report.statuses": Stated((), TEXT, longest=_LONGEST_STATUSES),
-    "report.settings": Stated((), TEXT, longest=_LONGEST_SETTINGS),
+    "pose.angles": ArraySpec(("T", "D"), low=-_LARGEST_RAD, high=_LARGEST_RAD, allow_nan=True),
 }
-_SPENT = Stated(("*",), low=-1e12, high=1e12, gaps=True)
+_REPORT_SPECS = {
+    "report.markers": ArraySpec(("M",), NAMES),
+    "report.marker_errors": ArraySpec(
+        ("T", "M"), low=-1e9, high=1e9, allow_nan=True, allow_infinity=True
+    ),
+    "report.arm_costs": ArraySpec(
+        ("T", 2), low=-1e9, high=1e9, allow_nan=True, allow_infinity=True
+    ),
+    "report.swivels": ArraySpec(
+        ("T", 2), low=-_LARGEST_RAD, high=_LARGEST_RAD, allow_nan=True, allow_infinity=True
+    ),
+    "report.confidence": ArraySpec(("T", 2), low=0, high=1, allow_nan=True),
+    "report.landmarks_std": ArraySpec(
+        ("T", len(LANDMARKS), 3), low=-1e9, high=1e9, allow_nan=True, allow_infinity=True
+    ),
+    "report.from_prior": ArraySpec(("T", len(LANDMARKS)), low=0, high=1, allow_nan=True),
+    "report.statuses": ArraySpec((), TEXT, max_characters=_MAX_STATUS_CHARACTERS),
+    "report.settings": ArraySpec((), TEXT, max_characters=_MAX_SETTINGS_CHARACTERS),
+}
+_MILLISECONDS_SPEC = ArraySpec(("*",), low=-1e12, high=1e12, allow_nan=True)
 
 
 def save_motion(path: str | Path, motion: Motion) -> None:
@@ -89,21 +106,21 @@ def save_motion(path: str | Path, motion: Motion) -> None:
     arrays: dict[str, Any] = {"version": VERSION, "times": np.asarray(motion.times, float)}
     arrays |= {f"pose.{name}": part for name, part in motion.poses._asdict().items()}
     arrays["pose.position"] = motion.positions_world
-    arrays |= {f"skeleton.{name}": getattr(skeleton, name) for name in _SKELETON}
+    arrays |= {f"skeleton.{name}": getattr(skeleton, name) for name in _SKELETON_FIELDS}
     arrays |= {"tree.bones": tree.bones, "tree.parents": tree.parents}
     arrays |= {"tree.joints": tree.joints, "tree.dof_bones": tree.dof_bones}
     if (report := motion.report) is not None:
-        arrays |= {f"report.{name}": getattr(report, name) for name in _REPORT}
-        arrays |= {f"{_STAGE}{stage}": times for stage, times in report.milliseconds.items()}
+        arrays |= {f"report.{name}": getattr(report, name) for name in _REPORT_FIELDS}
+        arrays |= {f"{_STAGE_PREFIX}{stage}": times for stage, times in report.milliseconds.items()}
         arrays["report.markers"] = np.array(report.markers, str)
         arrays["report.statuses"] = json.dumps(report.statuses)
-        arrays["report.settings"] = json.dumps(report.settings, default=_plain)
-    with replacing(path) as beside, beside.open("wb") as file:
+        arrays["report.settings"] = json.dumps(report.settings, default=_as_json)
+    with replacing(path) as temporary, temporary.open("wb") as file:
         plain = {name: np.asarray(value) for name, value in arrays.items()}
         np.savez_compressed(file, **plain)  # type: ignore[arg-type]
 
 
-def _plain(value: Any) -> Any:
+def _as_json(value: Any) -> Any:
     """Arrays as lists; what else JSON has no word for as text."""
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
@@ -115,47 +132,49 @@ def load_motion(path: str | Path) -> Motion:
         InputError: no such file, not a motion, or one that contradicts itself: every array is
             checked.
     """
-    file = Arrays(path)
+    file = NpzArrays(path)
     if "version" not in file.names:
         raise InputError(path, f"version: found none, expected {VERSION}")
-    version = int(file.read({"version": Stated((), WHOLE)})["version"])
+    version = int(file.read({"version": ArraySpec((), INTEGERS)})["version"])
     if version != VERSION:
         raise InputError(path, f"version: found {version}, expected {VERSION}")
     skeleton = _skeleton(file)
-    moved = file.read(_POSES)
-    times = np.asarray(moved["times"], float)
+    poses = file.read(_POSE_SPECS)
+    times = np.asarray(poses["times"], float)
     if not len(times):
         raise InputError(path, "times: found no sample, expected at least one")
-    check_times(path, times, Places("sample"))
-    _check_units(path, "pose.quaternion", moved["pose.quaternion"])
-    parts: list[Any] = [moved[f"pose.{name}"] for name in Pose._fields]
+    check_times(path, times, SampleLabels("sample"))
+    _check_units(path, "pose.quaternion", poses["pose.quaternion"])
+    parts: list[Any] = [poses[f"pose.{name}"] for name in Pose._fields]
     report = _report(file, len(times)) if "report.markers" in file.names else None
     return near_origin(Motion(skeleton, times, Pose(*parts), report))
 
 
-def _skeleton(file: Arrays) -> Skeleton:
+def _skeleton(file: NpzArrays) -> Skeleton:
     """The body: our bones, with any of the joints that our models have."""
-    arrays = file.read(_TREE)
+    arrays = file.read(_TREE_SPECS)
     tree = Tree(*(tuple(arrays[f"tree.{field.name}"].tolist()) for field in fields(Tree)))
-    bones, parents, carriers = _known_tree()
+    bones, parents, carriers = _model_tree()
     for name, found, expected in (
         ("tree.bones", tree.bones, bones),
         ("tree.parents", tree.parents, parents),
     ):
         if found != expected:
-            problem = f"found {listed(map(str, found))}, expected {', '.join(map(str, expected))}"
+            problem = (
+                f"found {comma_list(map(str, found))}, expected {', '.join(map(str, expected))}"
+            )
             raise InputError(file.path, f"{name}: {problem}")
     _check_joints(file.path, tree, carriers)
-    body = file.read(_BODY)
+    body = file.read(_BODY_SPECS)
     _check_body(file.path, body)
-    parts = {name: jnp.asarray(body[f"skeleton.{name}"], float) for name in _SKELETON}
+    parts = {name: jnp.asarray(body[f"skeleton.{name}"], float) for name in _SKELETON_FIELDS}
     return Skeleton(tree=tree, **parts)
 
 
 @cache
-def _known_tree() -> tuple[tuple[str, ...], tuple[int, ...], dict[str, str]]:
+def _model_tree() -> tuple[tuple[str, ...], tuple[int, ...], dict[str, str]]:
     """The bones and parents of all our models, and joint -> bone that it turns."""
-    trees = [with_wrists(load_skeleton(name)).tree for name in _MODELS]
+    trees = [with_wrists(load_skeleton(name)).tree for name in _MODEL_FILES]
     carriers = {
         joint: tree.bones[bone]
         for tree in trees
@@ -169,7 +188,7 @@ def _check_joints(path: str | Path, tree: Tree, carriers: dict[str, str]) -> Non
     for i, (joint, bone) in enumerate(zip(tree.joints, tree.dof_bones, strict=True)):
         if joint not in carriers or joint in tree.joints[:i]:
             problem = "is there twice" if joint in carriers else "is no joint of ours"
-            raise InputError(path, f"tree.joints: {shown(joint)} {problem}")
+            raise InputError(path, f"tree.joints: {short_repr(joint)} {problem}")
         expected = tree.bones.index(carriers[joint])
         if bone != expected:
             problem = f"found bone {bone} for {joint}, expected {expected}"
@@ -192,45 +211,49 @@ def _check_body(path: str | Path, body: dict[str, np.ndarray]) -> None:
 
 
 def _check_units(path: str | Path, name: str, vectors: np.ndarray) -> None:
-    """InputError unless every vector (N, K) that is known is of length 1."""
+    """InputError unless every vector (N, K) that is not NaN is of length 1."""
     lengths = np.linalg.norm(vectors, axis=-1)
-    off = np.abs(lengths - 1) > _UNIT
-    if off.any():
-        i = int(off.argmax())
+    is_off = np.abs(lengths - 1) > _UNIT_TOLERANCE
+    if is_off.any():
+        i = int(is_off.argmax())
         raise InputError(path, f"{name}[{i}]: found length {lengths[i]:.4g}, expected 1")
 
 
-def _report(file: Arrays, count: int) -> Report:
-    """How far to trust each of so many samples."""
-    arrays = file.read(_REPORTED)
-    stages = [name for name in file.names if name.startswith(_STAGE)]
-    spent = file.read(dict.fromkeys(stages, _SPENT))
+def _report(file: NpzArrays, count: int) -> Report:
+    """The report on so many samples: errors, costs, standard deviations, statuses."""
+    arrays = file.read(_REPORT_SPECS)
+    stages = [name for name in file.names if name.startswith(_STAGE_PREFIX)]
+    spent = file.read(dict.fromkeys(stages, _MILLISECONDS_SPEC))
     for name in stages:
-        if not name.isprintable() or name == _STAGE:
-            raise InputError(file.path, f"{shown(name)}: expected a stage's name after the point")
+        if not name.isprintable() or name == _STAGE_PREFIX:
+            raise InputError(
+                file.path, f"{short_repr(name)}: expected a stage's name after the point"
+            )
     return Report(
         markers=tuple(arrays["report.markers"].tolist()),
-        **{name: arrays[f"report.{name}"] for name in _REPORT},
+        **{name: arrays[f"report.{name}"] for name in _REPORT_FIELDS},
         statuses=_statuses(file.path, str(arrays["report.statuses"]), count),
-        milliseconds={name.removeprefix(_STAGE): array for name, array in spent.items()},
+        milliseconds={name.removeprefix(_STAGE_PREFIX): array for name, array in spent.items()},
         settings=_settings(file.path, str(arrays["report.settings"])),
     )
 
 
 def _statuses(path: str | Path, text: str, count: int) -> tuple[tuple[str, ...], ...]:
     """The sentences of each sample."""
-    lists = parse_json(path, text, _LONGEST_STATUSES)
+    lists = parse_json(path, text, _MAX_STATUS_CHARACTERS)
     if not isinstance(lists, list) or len(lists) != count:
         raise InputError(path, f"report.statuses: expected a JSON list of {count} lists")
     for i, sentences in enumerate(lists):
         if not isinstance(sentences, list) or not all(isinstance(s, str) for s in sentences):
-            found = shown(sentences)
+            found = short_repr(sentences)
             raise InputError(path, f"report.statuses[{i}]: found {found}, expected sentences")
     return tuple(map(tuple, lists))
 
 
 def _settings(path: str | Path, text: str) -> dict[str, Any]:
-    settings = parse_json(path, text, _LONGEST_SETTINGS, constants=True)
+    settings = parse_json(path, text, _MAX_SETTINGS_CHARACTERS, allow_nan=True)
     if not isinstance(settings, dict):
-        raise InputError(path, f"report.settings: found {shown(settings)}, expected a JSON table")
+        raise InputError(
+            path, f"report.settings: found {short_repr(settings)}, expected a JSON table"
+        )
     return settings

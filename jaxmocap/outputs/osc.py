@@ -10,7 +10,7 @@ import numpy as np
 from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 from pythonosc.osc_message_builder import OscMessageBuilder
 
-from jaxmocap.formats.files.addresses import Address, resolved
+from jaxmocap.formats.files.addresses import Address, resolve_address
 
 Argument = str | int | float
 _WORD, _HEADER = 4, 16
@@ -60,7 +60,7 @@ class Sender:
             InputError: no such host.
         """
         # Asked for once: to look a name up at every frame would hold the frames up.
-        family, self._address = resolved(address)
+        family, self._address = resolve_address(address)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self.sent = self.failed = 0

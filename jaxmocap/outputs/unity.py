@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.formats.animation.body_armature import armature_of, rest_turns
+from jaxmocap.formats.animation.body_armature import armature_of, rest_orientations
 from jaxmocap.formats.animation.joint_names import PELVIS
 from jaxmocap.formats.recordings.live import R_WORLD_UNITY
 
@@ -50,7 +50,7 @@ class UnityBody:
         self._axes = np.asarray(skeleton.axes, float)
         self._bones = np.array([tree.bone(name) for name in self.joints if name != PELVIS])
         self._slots = tree.hinge_slots[self._bones]
-        rest = Rotation.from_matrix(rest_turns(skeleton))
+        rest = Rotation.from_matrix(rest_orientations(skeleton))
         above = np.array(tree.parents)[self._bones]
         turns = rest.as_quat(scalar_first=True)
         # Joint in its parent, in T: R_rest_parent @ local @ R_rest_bone.T

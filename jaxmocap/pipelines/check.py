@@ -6,10 +6,10 @@ INPUTS: a Recording. OUTPUTS: plain text; a dict for JSON; InputError where trac
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from jaxmocap.capture.checks.body_reach import stature
-from jaxmocap.capture.checks.cameras import View, check_recording, view
+from jaxmocap.capture.checks.body_reach import skeleton_stature
+from jaxmocap.capture.checks.cameras import MarkerVisibility, check_recording, marker_visibility
 from jaxmocap.capture.checks.markers import Finding
-from jaxmocap.capture.footage import footage
+from jaxmocap.capture.footage import open_unchecked
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
@@ -28,20 +28,20 @@ class Checked:
 
     recording: Recording
     findings: list[Finding]
-    views: list[View]
+    views: list[MarkerVisibility]
     warnings: tuple[str, ...]
 
     def figures(self) -> dict[str, Any]:
         """Plain figures: metres, seconds, samples per second."""
         times, interval = self.recording.times, median_interval(self.recording.times)
         return {
-            "stature_m": stature(self.recording.skeleton),
+            "stature_m": skeleton_stature(self.recording.skeleton),
             "samples": len(times),
             "start_s": float(times[0]),
             "end_s": float(times[-1]),
             "rate_hz": 1 / interval if interval else None,
             "markers": list(self.recording.marker_names),
-            "cameras": [asdict(seen) for seen in self.views],
+            "cameras": [view.figures() for view in self.views],
             "findings": [asdict(finding) for finding in self.findings],
             "warnings": list(self.warnings),
         }
@@ -67,16 +67,18 @@ class Checked:
             raise InputError(where, self.findings[0].sentence)
 
 
-def _line(seen: View) -> str:
+def _line(seen: MarkerVisibility) -> str:
     return (
         f"camera   {seen.camera}: {seen.distance:.2f} m from the markers, of which it shows "
-        f"{100 * seen.shown:.0f} %, during {100 * seen.covered:.0f} % of the samples"
+        f"{100 * seen.visible_share:.0f} %, during {100 * seen.covered_share:.0f} % of the samples"
     )
 
 
 def check(recording: Recording) -> Checked:
     """Look at a recording as ``track`` does before it begins."""
-    videos, warnings = footage(recording.marked())
+    videos, warnings = open_unchecked(recording.require_markers())
     times = [video.times for video in videos]
-    views = [view(recording, *each) for each in zip(recording.videos, times, strict=True)]
+    views = [
+        marker_visibility(recording, *each) for each in zip(recording.videos, times, strict=True)
+    ]
     return Checked(recording, check_recording(recording, times), views, warnings)

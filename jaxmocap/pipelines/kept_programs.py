@@ -12,7 +12,7 @@ from typing import Any
 import jax
 
 from jaxmocap.compilation.programs import keep_in
-from jaxmocap.formats.program_files import KeptFiles, others_may_write
+from jaxmocap.formats.private_cache import PrivateCache, others_can_write
 
 # Folders in the cache's folder: what tracing made, and what the compiler made.
 TRACED, COMPILED = "programs", "compiled"
@@ -35,7 +35,7 @@ def keep_compiled() -> Path:
     """
     folder = cache_folder()
     folders = folder, folder / TRACED, folder / COMPILED
-    problems = [(path, others_may_write(path)) for path in folders]
+    problems = [(path, others_can_write(path)) for path in folders]
     if found := [(path, problem) for path, problem in problems if problem]:
         _warn("{}: {}".format(*found[0]))
         keep_in(None)
@@ -43,12 +43,12 @@ def keep_compiled() -> Path:
         return folder
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-    keep_in(KeptFiles(folder, TRACED, _warn))
-    _keep_executables(KeptFiles(folder, COMPILED, _warn))
+    keep_in(PrivateCache(folder, TRACED, _warn))
+    _keep_executables(PrivateCache(folder, COMPILED, _warn))
     return folder
 
 
-def _keep_executables(files: KeptFiles | None) -> None:
+def _keep_executables(files: PrivateCache | None) -> None:
     """Let JAX keep what it compiles in these files; None keeps nothing.
 
     Its own cache would load whatever lies under an entry's name.
@@ -72,7 +72,7 @@ def _reset_cache() -> None:
     compilation_cache.reset_cache()
 
 
-def _install(files: KeptFiles) -> None:
+def _install(files: PrivateCache) -> None:
     from jax._src import compilation_cache
     from jax._src.compilation_cache_interface import CacheInterface
 

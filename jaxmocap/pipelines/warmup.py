@@ -84,7 +84,7 @@ def opening(recording: Recording) -> Recording:
     Raises:
         InputError: there is none.
     """
-    seen = np.isfinite(recording.marked().positions_world).all(-1).any(-1)
+    seen = np.isfinite(recording.require_markers().positions_world).all(-1).any(-1)
     starts = [video.times[0] for video in open_footage(recording)[0] if len(video)]
     begin = max([recording.times[seen.argmax()], *starts])
     chosen = (recording.times >= begin) & (recording.times < begin + ENOUGH_S)

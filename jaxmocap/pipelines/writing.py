@@ -16,7 +16,7 @@ import numpy as np
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.capture.footage import open_footage
-from jaxmocap.capture.video import Frame, FrameSource
+from jaxmocap.capture.video import FrameSource, TimedImage
 from jaxmocap.formats.animation.export import write_animation
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.motion_npz import save_motion
@@ -231,7 +231,7 @@ class Counter:
     def __init__(self, show: Progress, total: int):
         self.show, self.total, self.done = show, total, 0
 
-    def over(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+    def over(self, frames: Iterator[TimedImage]) -> Iterator[TimedImage]:
         """The same frames, counted."""
         for frame in frames:
             yield frame
@@ -239,7 +239,7 @@ class Counter:
             self.show(self.done, self.total)
 
 
-def thinned(video: FrameSource, luma: bool = False) -> Iterator[Frame]:
+def thinned(video: FrameSource, luma: bool = False) -> Iterator[TimedImage]:
     """At most ``MOST_VIEWED`` frames, evenly over the video."""
     for i, frame in enumerate(video.frames(luma)):
         if i % _stride(video) == 0:

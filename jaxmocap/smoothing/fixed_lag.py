@@ -18,7 +18,6 @@ INPUTS: what a tracker's steps measured and found. OUTPUTS: their poses, a littl
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from threadpoolctl import ThreadpoolController
@@ -27,16 +26,17 @@ from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, pack, retract, unpack
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
+from jaxmocap.compilation.packing import packed, unpacked
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.appearance.running import MeasuredFrame, RunningAppearance
 from jaxmocap.evidence.ground import ANKLES
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.smoothing.facing import RunningFacing
-from jaxmocap.smoothing.fading import Fading
 from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.uncertainty import landmark_deviations
 from jaxmocap.smoothing.window import SOFTNESS, SolvedWindow, Window, offsets, stacked
 from jaxmocap.smoothing.window_events import WindowEvent
+from jaxmocap.solvers.fading import Fading
 
 # A pose is given out once so many later video frames came,
 DELAY_FRAMES = 2
@@ -54,6 +54,10 @@ FADE_S = 0.07
 LONGEST_GAP_S = 0.25
 # Velocities are taken from events at least so far apart, seconds.
 BASELINE_S = 0.005
+
+
+# Of what an ``Expected`` holds beside the pose.
+_EXPECTED_SHAPES = np.empty(2), np.empty(2), np.empty((2, 3))
 
 
 class StepFound(Protocol):
@@ -94,30 +98,44 @@ class SmoothedPose(NamedTuple):
     from_prior: np.ndarray
 
 
+class Expected(NamedTuple):
+    """What is expected at an event before it is solved.
+
+    Attributes:
+        pose: the last one, moved as the markers' pose moved.
+        ahead: (2,) horizontal part of the x axis of the markers' pelvis.
+        upright: (2,) of its z axis.
+        ankles: (2, 3) of the markers' pose, world, metres.
+    """
+
+    pose: Pose
+    ahead: Array | np.ndarray
+    upright: Array | np.ndarray
+    ankles: Array | np.ndarray
+
+
 @program("quick")
-def _retract(packed: Array, step: Array) -> Array:
+def _retract(pose: Array, step: Array) -> Array:
     """A packed pose (7 + D,) moved by a tangent vector."""
-    return pack(retract(unpack(packed), step))
+    return pack(retract(unpack(pose), step))
 
 
 @program("quick")
-def _expected(skeleton: Skeleton, packed: Array) -> Array:
+def _expected(skeleton: Skeleton, poses: Array) -> Array:
     """The last pose moved as the markers' pose moved; where that faces and leans; its ankles.
-
-    One vector in and one out: a crossing costs by the number of arrays.
 
     Args:
         skeleton: D degrees of freedom.
-        packed: (3, 7 + D) the last pose, the markers' pose there, and their pose now.
+        poses: (3, 7 + D) packed: the last pose, the markers' pose there, and their pose now.
 
     Returns:
-        The packed pose; the horizontal parts of x and z of the markers' pelvis; (2, 3) raveled.
+        A packed ``Expected``.
     """
-    last, before, alone = (unpack(each) for each in packed)
+    last, before, alone = (unpack(each) for each in poses)
     ankles = landmarks(skeleton, alone)[ANKLES]
     moved = retract(last, difference(alone, before))
     R = quaternion_to_matrix(alone.quaternion)
-    return jnp.concatenate([pack(moved), R[:2, 0], R[:2, 2], ankles.ravel()])
+    return packed(Expected(moved, R[:2, 0], R[:2, 2], ankles))
 
 
 class FixedLagSmoother:
@@ -211,16 +229,18 @@ class FixedLagSmoother:
         last = self._window.events[-1] if self._window.events else None
         before = alone if last is None or self._marker_pose is None else self._marker_pose
         three = [np.concatenate(each) for each in (last.pose if last else first, before, alone)]
-        expected = np.asarray(_expected(self.model.skeleton, np.stack(three)))
-        packed, ahead, upright, ankles = np.split(expected, (-10, -8, -6))
-        there = Pose._make(np.split(packed, (3, 7)))
+        vector = np.asarray(_expected(self.model.skeleton, np.stack(three)))
+        expected: Expected = unpacked(vector, Expected(alone, *_EXPECTED_SHAPES))
+        there, upright = expected.pose, expected.upright
         self._marker_pose = alone
-        facing = self._facing.step(ahead, 0.0 if last is None else time - last.time)
+        facing = self._facing.step(
+            np.asarray(expected.ahead), 0.0 if last is None else time - last.time
+        )
         measured = {
             "markers": np.asarray(markers_world, dtype),
             "upright": upright,
             "facing": facing.astype(dtype),
-            "ankles": ankles.reshape(2, 3),
+            "ankles": expected.ankles,
             "elbows": self._no_goals,
         }
         frames = [
@@ -298,7 +318,7 @@ class FixedLagSmoother:
         self._fading = self._fading.at(event.time, FADE_S)
         offset = self._fading.offset.astype(self.model.dtype)
         moved = np.asarray(_retract(np.concatenate(event.pose), offset))
-        return Pose._make(np.split(moved, (3, 7)))
+        return unpack(moved)
 
     def _keep_last(self, last: int) -> None:
         """The event given out last and one beside it, as they are now."""

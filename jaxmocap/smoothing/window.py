@@ -151,7 +151,7 @@ class Window:
         """Move all events' poses a step on, or to where the tracker's own opinion leads."""
         solved = self._rival() or self._steps(self._state(), self._priors[0], ONE_STEP)
         for i, event in enumerate(self.events):
-            event.pose = Pose._make(np.split(solved.solution.x.poses[i], (3, 7)))
+            event.pose = unpack(solved.solution.x.poses[i])
             event.quadratic = solved.solution.x.quadratics[i]
         return solved
 

@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from jaxmocap.formats.cameras.calibration import write_calibration
-from jaxmocap.formats.files.arrays import BYTES, Arrays, Stated
+from jaxmocap.formats.files.arrays import BYTES, ArraySpec, NpzArrays
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.recordings.recording import write_recording
@@ -189,8 +189,8 @@ def read_masks(path: str | Path, size: tuple[int, int] = (640, 480)) -> dict[str
     Raises:
         InputError: no such file, or not one of masks of that size.
     """
-    arrays, (width, height) = Arrays(path), size
-    packed = Stated(("F", height, -(-width // 8)), BYTES)
+    arrays, (width, height) = NpzArrays(path), size
+    packed = ArraySpec(("F", height, -(-width // 8)), BYTES)
     return {
         name: np.unpackbits(mask, axis=-1, count=width).astype(bool)
         for name, mask in arrays.read(dict.fromkeys(arrays.names, packed)).items()

@@ -16,10 +16,10 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.wrists import with_wrists
 from jaxmocap.cli import main
-from jaxmocap.formats.convert import Options, convert
+from jaxmocap.formats.convert import ConversionOptions, convert_file
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.motion_npz import save_motion
-from jaxmocap.formats.time_series.isb import LIMBS, isb_angles, made_by_hinges
+from jaxmocap.formats.time_series.isb import LIMB_JOINTS, isb_angles, made_by_hinges
 from jaxmocap.formats.time_series.mot import read_mot
 from jaxmocap.formats.time_series.resampling import even_times, resampled_motion
 from jaxmocap.geometry.euler import continuous_euler
@@ -53,7 +53,7 @@ def test_the_skeleton_tells_what_its_hinges_can_and_nothing_else():
     trunk = {"trunk_extension", "neck_extension", "neck_bending"}
     limbs = {f"{name}_{side}" for name in OF_LIMBS for side in "lr"}
     assert set(angles_of({})) == world | trunk | limbs
-    unmade = {joint.name for joint in LIMBS if not made_by_hinges(SKELETON, joint, "l")}
+    unmade = {joint.name for joint in LIMB_JOINTS if not made_by_hinges(SKELETON, joint, "l")}
     assert unmade == {"ankle", "wrist"}
 
 
@@ -239,6 +239,6 @@ def test_a_motion_becomes_a_table_of_isb_angles_in_degrees(tmp_path):
     np.testing.assert_allclose(np.degrees(columns["elbow_flexion_r"]), np.linspace(0, 90, 10),
                                atol=1e-5)  # fmt: skip
     with pytest.raises(InputError, match="ISB's angles, which hinges cannot be read from"):
-        convert(target, tmp_path / "b.npz", Options(body=tmp_path / "motion.npz"))
+        convert_file(target, tmp_path / "b.npz", ConversionOptions(body=tmp_path / "motion.npz"))
     with pytest.raises(InputError, match="--angles says nothing about"):
-        convert(tmp_path / "motion.npz", tmp_path / "b.bvh", Options(angles="isb"))
+        convert_file(tmp_path / "motion.npz", tmp_path / "b.bvh", ConversionOptions(angles="isb"))

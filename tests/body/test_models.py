@@ -7,12 +7,12 @@ from scipy.spatial.transform import Rotation
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton, load_skeleton, with_joints
-from jaxmocap.formats.animation.armature import joint_positions, turned
-from jaxmocap.formats.animation.bvh import read_bvh
+from jaxmocap.formats.animation.armature import joint_positions, rotated_armature
+from jaxmocap.formats.animation.bvh_in import read_bvh
 from jaxmocap.formats.animation.export import write_animation
 from jaxmocap.formats.animation.joint_names import CONVENTIONS, joint_of
 from jaxmocap.formats.motion_npz import load_motion, save_motion
-from jaxmocap.formats.time_series.axes import UP
+from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP
 from jaxmocap.formats.time_series.isb import isb_angles
 from jaxmocap.formats.time_series.mot import read_mot, write_isb, write_mot
 from jaxmocap.formats.time_series.trc import read_trc, write_trc
@@ -112,7 +112,7 @@ def test_all_outputs_take_these_bodies(model, tmp_path):
     assert np.isfinite(list(isb_angles(motion).values())).all()
     for name in ("motion.bvh", "motion.glb"):
         write_animation(tmp_path / name, motion)
-    armature = turned(read_bvh(tmp_path / "motion.bvh"), UP["y"])
+    armature = rotated_armature(read_bvh(tmp_path / "motion.bvh"), R_WORLD_OF_UP["y"])
     in_file = joint_positions(armature)
     names = {landmark: CONVENTIONS["humanik"][joint_of(landmark)] for landmark in joints}
     held = {landmark: name for landmark, name in names.items() if name in armature.names}

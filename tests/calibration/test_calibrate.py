@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 
 from jaxmocap.calibration.board.boards import Board
 from jaxmocap.calibration.board.corners import find_corners
-from jaxmocap.calibration.calibrate import calibrate_intrinsics
-from jaxmocap.calibration.intrinsics import PARAMETERS, View, calibrate
-from jaxmocap.calibration.view_coverage import covered, remarks
+from jaxmocap.calibration.calibrate import calibrate_camera
+from jaxmocap.calibration.intrinsics import PARAMETERS, BoardView, estimate_intrinsics
+from jaxmocap.calibration.view_coverage import image_coverage, intrinsics_warnings
 from jaxmocap.cli import main
-from jaxmocap.formats.cameras.calibration import Lens, read_lens
+from jaxmocap.formats.cameras.calibration import Intrinsics, read_intrinsics
 
 BOARD_OPTIONS = ["--board", "4x7", "--square", "0.06", "--camera", "cam"]
 TRUTH = np.array([620.0, 615, 335, 228, -0.12, 0.05, 0.001, -0.0005, 0])
@@ -72,9 +72,9 @@ def seen(T_cam_board, noise: float = 0.1, board: Board = BOARD, seed: int = 0) -
     return pixels + np.random.default_rng(seed).normal(0, noise, pixels.shape)
 
 
-def noisy_views(noise: float = 0.1) -> list[View]:
+def noisy_views(noise: float = 0.1) -> list[BoardView]:
     placed = enumerate(views())
-    return [View(f"view {i}", BOARD.points_board, seen(T, noise, seed=i)) for i, T in placed]
+    return [BoardView(f"view {i}", BOARD.points_board, seen(T, noise, seed=i)) for i, T in placed]
 
 
 # What is found -----------------------------------------------------------------------------------
@@ -172,12 +172,13 @@ def test_a_charuco_board_calibrates_though_parts_of_it_are_hidden(tmp_path):
         image[int(seen(T_cam_board, 0, CHARUCO)[:, 1].mean()) + 20 :] = WALL
         cv2.imwrite(path, image)
     out = tmp_path / "c.toml"
-    found = calibrate_intrinsics(paths, CHARUCO, "cam", out)
+    found = calibrate_camera(paths, CHARUCO, "cam", out)
     assert (
-        min(len(view.pixels_xy) for view in found.found.views) < 28 and len(found.found.views) == 7
+        min(len(view.pixels_xy) for view in found.detections.views) < 28
+        and len(found.detections.views) == 7
     )
-    np.testing.assert_allclose(found.result.values[:2], TRUTH[:2], rtol=0.004)
-    np.testing.assert_allclose(read_lens(out, "cam").matrix, found.result.lens.matrix)
+    np.testing.assert_allclose(found.estimate.values[:2], TRUTH[:2], rtol=0.004)
+    np.testing.assert_allclose(read_intrinsics(out, "cam").matrix, found.estimate.lens.matrix)
 
 
 def test_of_a_video_sharp_frames_that_differ_are_chosen(tmp_path):
@@ -189,20 +190,22 @@ def test_of_a_video_sharp_frames_that_differ_are_chosen(tmp_path):
         for frame in (cv2.blur(sharp, (7, 7)), sharp, sharp, np.full_like(sharp, int(WALL))):
             writer.write(frame)
     writer.release()
-    found = calibrate_intrinsics([path], BOARD, "cam", tmp_path / "c.toml")
-    numbers = [int(view.name.split()[-1]) for view in found.found.views]
+    found = calibrate_camera([path], BOARD, "cam", tmp_path / "c.toml")
+    numbers = [int(view.name.split()[-1]) for view in found.detections.views]
     assert sorted(n // 4 for n in numbers) == list(range(7))
     assert all(n % 4 in (1, 2) for n in numbers)
-    np.testing.assert_allclose(found.result.values[:2], TRUTH[:2], rtol=0.005)
-    assert "board seen in 21 of 28 frames looked at, 7 blurred, 7 chosen" in found.remarks[0]
+    np.testing.assert_allclose(found.estimate.values[:2], TRUTH[:2], rtol=0.005)
+    assert "board seen in 21 of 28 frames looked at, 7 blurred, 7 chosen" in found.warnings[0]
 
 
 def test_distortion_that_turns_back_within_the_image_is_said():
-    found = calibrate(noisy_views(), SIZE)
-    coverage = covered(noisy_views(), SIZE)
-    assert not any("turns back" in said for said in remarks(found, coverage))
-    folded = Lens(LENS.size, LENS.matrix, np.array([-0.9, 0.0, 0.0, 0.0]))
-    assert any("turns back" in said for said in remarks(replace(found, lens=folded), coverage))
+    found = estimate_intrinsics(noisy_views(), SIZE)
+    coverage = image_coverage(noisy_views(), SIZE)
+    assert not any("turns back" in said for said in intrinsics_warnings(found, coverage))
+    folded = Intrinsics(LENS.size, LENS.matrix, np.array([-0.9, 0.0, 0.0, 0.0]))
+    assert any(
+        "turns back" in said for said in intrinsics_warnings(replace(found, lens=folded), coverage)
+    )
 
 
 def test_files_of_one_name_from_two_folders_are_told_apart(photographs, tmp_path):
@@ -210,15 +213,15 @@ def test_files_of_one_name_from_two_folders_are_told_apart(photographs, tmp_path
     image = cv2.imread(photographs[6])
     cv2.imwrite(str(tmp_path / "other" / "view_1.png"), image)
     paths = [*photographs[:4], tmp_path / "other" / "view_1.png"]
-    found = calibrate_intrinsics(paths, BOARD, "cam", tmp_path / "c.toml", pictures=tmp_path / "d")
-    names = [view.name for view in found.found.views]
+    found = calibrate_camera(paths, BOARD, "cam", tmp_path / "c.toml", pictures=tmp_path / "d")
+    names = [view.name for view in found.detections.views]
     assert names[0] == photographs[0] and names[-1].endswith("other/view_1.png")
     assert len(set(names)) == 5 and len(list((tmp_path / "d").glob("*.jpg"))) == 6
 
 
 def test_coverage_names_the_parts_of_the_image_where_no_board_was():
-    left = [View("a", BOARD.points_board, seen(held(BOARD, 0, 0, 0, (-0.35, 0.0, 1.2))))]
-    coverage = covered(left, SIZE)
+    left = [BoardView("a", BOARD.points_board, seen(held(BOARD, 0, 0, 0, (-0.35, 0.0, 1.2))))]
+    coverage = image_coverage(left, SIZE)
     assert coverage.empty and all("left" not in name for name in coverage.empty if "right" in name)
     assert {"top right", "middle right", "bottom right"} <= set(coverage.empty)
     width, height = np.ptp(left[0].pixels_xy, axis=0) / SIZE
@@ -234,8 +237,8 @@ def test_one_wrong_corner_leaves_its_view_out_and_nothing_else(view, corner, dir
     given = noisy_views()
     wrong = given[view].pixels_xy.copy()
     wrong[corner] += pixels * np.array([np.cos(direction), np.sin(direction)])
-    given[view] = View("wrong", BOARD.points_board, wrong)
-    found = calibrate(given, SIZE)
+    given[view] = BoardView("wrong", BOARD.points_board, wrong)
+    found = estimate_intrinsics(given, SIZE)
     assert [i for i, used in enumerate(found.used) if not used] == [view]
     np.testing.assert_allclose(found.values[:2], TRUTH[:2], rtol=0.01)
 
@@ -243,8 +246,8 @@ def test_one_wrong_corner_leaves_its_view_out_and_nothing_else(view, corner, dir
 def test_a_view_of_nonsense_spoils_nothing():
     given = noisy_views()
     nonsense = np.random.default_rng(1).uniform(0, 400, (28, 2))
-    clean = calibrate(given, SIZE)
-    found = calibrate([*given, View("nonsense", BOARD.points_board, nonsense)], SIZE)
+    clean = estimate_intrinsics(given, SIZE)
+    found = estimate_intrinsics([*given, BoardView("nonsense", BOARD.points_board, nonsense)], SIZE)
     assert found.used == (*clean.used, False)
     # OpenCV sums in parallel, in no fixed order, and stops a little elsewhere each time: a
     # thousandth of what a value is known to is far more than that and far less than the spoilt one.
@@ -261,16 +264,16 @@ def test_a_false_detection_is_named_with_its_error(photographs, tmp_path, capsys
     said = capsys.readouterr().out
     line = next(line for line in said.splitlines() if line.startswith("  bent.png"))
     assert "LEFT OUT: its corners do not fit" in line and "7 of 8 pictures used" in said
-    matrix = read_lens(tmp_path / "c.toml", "cam").matrix
+    matrix = read_intrinsics(tmp_path / "c.toml", "cam").matrix
     np.testing.assert_allclose([matrix[0, 0], matrix[1, 1]], TRUTH[:2], rtol=0.003)
 
 
 def test_the_jackknife_sees_what_views_have_in_common():
-    exact = calibrate(noisy_views(0.0), SIZE)
-    noisy = calibrate(noisy_views(0.2), SIZE)
-    assert exact.jackknife[:4].max() < 0.05 < noisy.jackknife[:4].min()
-    assert (noisy.jackknife[:4] / noisy.std[:4] > 0.2).all()
-    assert noisy.left_out.shape == (7, 9)
+    exact = estimate_intrinsics(noisy_views(0.0), SIZE)
+    noisy = estimate_intrinsics(noisy_views(0.2), SIZE)
+    assert exact.jackknife_std[:4].max() < 0.05 < noisy.jackknife_std[:4].min()
+    assert (noisy.jackknife_std[:4] / noisy.std[:4] > 0.2).all()
+    assert noisy.leave_one_out.shape == (7, 9)
 
 
 # What is refused ---------------------------------------------------------------------------------
@@ -420,17 +423,17 @@ def test_real_photographs_agree_with_the_optical_systems_calibration(
     out = tmp_path / "c.toml"
     given = recordings / "balancing" / "calibration.toml"
     out.write_bytes(given.read_bytes())
-    found = calibrate_intrinsics(paths, BOARD, f"cam_0{camera}", out)
-    result = found.result
-    assert sum(result.used) >= 6 and len(found.found.views) == found_in and result.rms < 0.2
-    truth = read_lens(given, f"cam_0{camera}").matrix
+    found = calibrate_camera(paths, BOARD, f"cam_0{camera}", out)
+    result = found.estimate
+    assert sum(result.used) >= 6 and len(found.detections.views) == found_in and result.rms < 0.2
+    truth = read_intrinsics(given, f"cam_0{camera}").matrix
     focal = np.array([truth[0, 0], truth[1, 1]])
     np.testing.assert_allclose(result.values[:2], focal, rtol=0.01)
-    assert (result.doubt[:2] < 5).all() and (result.doubt[2:4] < 5).all()
+    assert (result.max_std[:2] < 5).all() and (result.max_std[2:4] < 5).all()
     # The principal points do differ, by far more than either deviation: systematically.
     centre = np.array([truth[0, 2], truth[1, 2]])
     assert 20 < np.linalg.norm(result.values[2:4] - centre) < 45
-    said = " ".join(found.remarks)
+    said = " ".join(found.warnings)
     assert "cx by +2" in said and "differ systematically" in said
     assert "determine the principal point poorly" in said
     assert tomllib.loads(out.read_text())["cam_03"] == tomllib.loads(given.read_text())["cam_03"]

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.calibration.board.boards import Board
-from jaxmocap.calibration.extrinsics import board_to_world, place, position
+from jaxmocap.calibration.extrinsics import board_to_world, estimate_placement, position_world_of
 from jaxmocap.cli import main
-from jaxmocap.formats.cameras.calibration import read_calibration, read_lens, write_camera
+from jaxmocap.formats.cameras.calibration import read_calibration, read_intrinsics, write_camera
 
 CAMERA = ["--camera", "cam"]
 CHESS = ["--board", "4x7", "--square", "0.06"]
@@ -152,7 +152,7 @@ def test_intrinsics_may_come_from_opencvs_yaml(folder):
     assert run(folder, *CHESS, *options) == 0
     camera = read_calibration(folder / "c.toml")["cam"]
     np.testing.assert_allclose(camera.position_world, [0.9, -0.5, 0.8], atol=0.004)
-    np.testing.assert_allclose(read_lens(folder / "c.toml", "cam").matrix, LENS.matrix)
+    np.testing.assert_allclose(read_intrinsics(folder / "c.toml", "cam").matrix, LENS.matrix)
 
 
 def test_only_rotation_and_translation_change(folder):
@@ -240,14 +240,14 @@ def test_of_two_mirrored_answers_the_one_above_the_floor_is_taken_and_said():
     rises = 0
     for seed in range(6):
         noise = np.random.default_rng(seed).normal(0, 0.3, (28, 2))
-        found = place(points, pixels_of(points, T) + noise, LENS)
+        found = estimate_placement(points, pixels_of(points, T) + noise, LENS)
         assert found.mirrored is not None
-        below = position(found.mirrored)[2]
+        below = position_world_of(found.mirrored)[2]
         if below < 0:
             rises += 1
             assert found.position_world[2] > 0
-            assert "two cameras explain the picture alike" in found.remarks[0]
-            assert "taken is the one that is above the floor" in found.remarks[0]
+            assert "two cameras explain the picture alike" in found.warnings[0]
+            assert "taken is the one that is above the floor" in found.warnings[0]
     assert rises >= 3
 
 
@@ -255,24 +255,24 @@ def test_a_mirrored_answer_that_nothing_rules_out_is_said_to_be_one():
     # At a wall, seen from the right: mirrored it is seen from the left.
     points = 0.3 * corners_world((0, 0, 0.0, 90, 0, 0)) + (0, 0, 1)
     T = looking((0, 0, 1), (1.2, -3.0, 1.0))
-    found = place(points, pixels_of(points, T, noise=0.2), LENS)
+    found = estimate_placement(points, pixels_of(points, T, noise=0.2), LENS)
     assert found.mirrored is not None
-    np.testing.assert_allclose(position(found.mirrored), [-1.2, -3, 1], atol=0.3)
-    assert found.mirrored_times < 2 and "which may be wrong" in found.remarks[0]
-    assert "bring it nearer" in found.remarks[0]
+    np.testing.assert_allclose(position_world_of(found.mirrored), [-1.2, -3, 1], atol=0.3)
+    assert found.mirrored_ratio < 2 and "which may be wrong" in found.warnings[0]
+    assert "bring it nearer" in found.warnings[0]
 
 
 def test_a_camera_that_is_only_roughly_placed_is_said_to_be():
     points = 0.25 * corners_world((0, 0, 1.0, 0, 0, 0))
     T = looking((0, 0, 1), (0.05, 0.3, 4.0))
-    found = place(points, pixels_of(points, T, noise=0.2), LENS)
-    assert found.std_m.max() > 0.2 and "only roughly known" in " ".join(found.remarks)
+    found = estimate_placement(points, pixels_of(points, T, noise=0.2), LENS)
+    assert found.std_m.max() > 0.2 and "only roughly known" in " ".join(found.warnings)
 
 
 def test_a_board_seen_well_leaves_no_doubt():
-    found = place(corners_world(), pixels_of(corners_world(), noise=0.2), LENS)
-    assert found.mirrored_times > 4 and found.remarks == ()
-    error = found.position_world - position(T_CAM_WORLD)
+    found = estimate_placement(corners_world(), pixels_of(corners_world(), noise=0.2), LENS)
+    assert found.mirrored_ratio > 4 and found.warnings == ()
+    error = found.position_world - position_world_of(T_CAM_WORLD)
     assert (np.abs(error) < 4 * found.std_m).all() and found.std_m.max() < 0.01
 
 
@@ -280,8 +280,8 @@ def test_deviations_are_as_large_as_errors_are():
     errors, claimed = [], []
     for seed in range(40):
         noise = np.random.default_rng(seed).normal(0, 0.5, (28, 2))
-        found = place(corners_world(), pixels_of(corners_world()) + noise, LENS)
-        errors.append(found.position_world - position(T_CAM_WORLD))
+        found = estimate_placement(corners_world(), pixels_of(corners_world()) + noise, LENS)
+        errors.append(found.position_world - position_world_of(T_CAM_WORLD))
         claimed.append(found.std_m)
     ratio = np.std(errors, axis=0) / np.mean(claimed, axis=0)
     assert (ratio > 0.7).all() and (ratio < 1.4).all()

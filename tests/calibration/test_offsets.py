@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.calibration.offsets import Held, estimate_offsets
+from jaxmocap.calibration.offsets import DeviceOffset, estimate_offsets
 from jaxmocap.calibration.offsets_report import offsets_text, toml_line
 from jaxmocap.cli import main
 from jaxmocap.formats.files.toml import read_toml
@@ -25,10 +25,10 @@ TRUTH = {n: d.R_bone_device.T @ d.offset_bone for n, d in DEVICES.items()}
 
 def markers_of(points: dict[str, np.ndarray], turns: dict[str, np.ndarray]) -> Markers:
     stacked = [np.stack(list(each.values()), 1) for each in (points, turns)]
-    return Markers(TIMES, tuple(points), stacked[0], turns=stacked[1])
+    return Markers(TIMES, tuple(points), stacked[0], orientations=stacked[1])
 
 
-def found(**clip) -> dict[str, Held]:
+def found(**clip) -> dict[str, DeviceOffset]:
     held = estimate_offsets(markers_of(*pivoting(TIMES, **clip)), PLACES)
     return {each.place.name: each for each in held}
 
@@ -38,9 +38,9 @@ def test_offsets_are_found_within_millimetres_and_their_deviations_are_honest():
     off, deviations = [], []
     for seed in range(20):
         for name, held in found(seed=seed).items():
-            assert held.doubts == () and held.windows == 20
+            assert held.warnings == () and held.windows == 20
             off.append(held.offset - TRUTH[name])
-            deviations.append(held.deviations)
+            deviations.append(held.std)
     off, deviations = np.array(off), np.array(deviations)
     assert np.abs(off).max() < 0.008
     # Of a normal error with these deviations 68 % lie within one and 95 % within two.
@@ -50,8 +50,8 @@ def test_offsets_are_found_within_millimetres_and_their_deviations_are_honest():
 
 def test_turning_about_one_axis_leaves_the_offset_along_it_open_and_says_so():
     for name, held in found(seed=1, swing_deg=(35.0, 0.0, 0.0)).items():
-        (doubt,) = held.doubts
-        assert "not determined along" in doubt and "turn it about the others too" in doubt
+        (doubt,) = held.warnings
+        assert "not determined along" in doubt and "rotate it about the others too" in doubt
         # About the bone's left axis, seen in the marker's.
         axis = DEVICES[name].R_bone_device.T @ [0.0, 1.0, 0.0]
         assert axis @ held.covariance @ axis > 0.9
@@ -68,12 +68,12 @@ def test_an_arm_that_moves_as_a_whole_is_no_wrist_and_is_doubted():
     }
     for held in estimate_offsets(markers_of(longer, turns), PLACES):
         assert np.linalg.norm(held.offset) > 0.3
-        assert any("hardly the joint" in doubt for doubt in held.doubts)
+        assert any("hardly the joint" in doubt for doubt in held.warnings)
 
 
 def test_a_joint_that_strays_is_doubted_and_single_jerks_weigh_little():
     (held, *_) = found(seed=3, stray_m=0.2).values()
-    assert any("rest it" in doubt for doubt in held.doubts)
+    assert any("rest it" in doubt for doubt in held.warnings)
     points, turns = pivoting(TIMES, 3)
     jerk = 0.2 * np.sin(5 * TIMES)[:, None] * ((TIMES > 4) & (TIMES < 6))[:, None]
     moved = {name: place + jerk for name, place in points.items()}
@@ -90,13 +90,15 @@ def test_standing_still_tells_how_the_devices_are_held():
         points[name][still] = facing @ [0.0, side, 0.8]
     markers = markers_of(points, turns)
     for held in estimate_offsets(markers, PLACES, (18.1, 19.9), (0.0, 17.9)):
-        assert held.turn is not None and held.windows == 18
-        np.testing.assert_allclose(held.turn, DEVICES[held.place.name].R_bone_device, atol=1e-3)
+        assert held.orientation is not None and held.windows == 18
+        np.testing.assert_allclose(
+            held.orientation, DEVICES[held.place.name].R_bone_device, atol=1e-3
+        )
         # What is printed is what a recording takes.
         entry = tomllib.loads(toml_line(held))[held.place.name]
         place = read_place(Path("a.toml"), held.place.name, entry)
         np.testing.assert_allclose(place.offset, held.offset, atol=1e-4)
-        assert place.offset_in == "marker" and place.turn is not None
+        assert place.offset_in == "marker" and place.orientation is not None
     with pytest.raises(ValueError, match="a marker on hand_l and one on hand_r"):
         estimate_offsets(markers, [PLACES[0]] * 3, (18.1, 19.9))
 
@@ -111,7 +113,7 @@ def test_what_is_not_known_of_a_clip_is_left_out_or_refused():
     turns["Headset"][:], turns["LeftController"][:] = np.nan, np.nan
     (held,) = estimate_offsets(markers_of(points, turns), PLACES)
     assert held.place.name == "RightController"
-    with pytest.raises(ValueError, match="no marker says how it is turned"):
+    with pytest.raises(ValueError, match="no marker has an orientation"):
         estimate_offsets(Markers(TIMES, markers.names, markers.positions), PLACES)
     doubted = found(seed=1, swing_deg=(35.0, 0.0, 0.0))["Headset"]
     assert offsets_text([doubted]).endswith("[markers.on]")

@@ -11,9 +11,9 @@ from scipy.interpolate import CubicSpline
 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.calibration import sync as synced
-from jaxmocap.calibration.hand_flow import LARGEST_SIDE, HandFlow, Path, flow_fields
-from jaxmocap.calibration.sync import Lag, hand_paths, sync, together
-from jaxmocap.capture.checks.cameras import pixels_of
+from jaxmocap.calibration.hand_flow import MAX_SIDE_PX, HandFlow, MarkerPath, flow_fields
+from jaxmocap.calibration.sync import StretchLag, combine_lags, estimate_video_offsets, hand_paths
+from jaxmocap.capture.checks.cameras import project_to_pixels
 from jaxmocap.cli import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
@@ -47,7 +47,7 @@ def filmed(hands, times: np.ndarray) -> list[np.ndarray]:
     frames = []
     for positions in hands(times).reshape(-1, 2, 3):
         image = wall.copy()
-        for seed, (x, y) in enumerate(pixels_of(CAMERA, positions)):
+        for seed, (x, y) in enumerate(project_to_pixels(CAMERA, positions)):
             patch = np.float32([[1, 0, x - 20], [0, 1, y - 20]])
             ball = cv2.warpAffine(texture(seed, 41), patch, SIZE, flags=cv2.INTER_LINEAR)
             near = np.hypot(columns - x, rows - y)
@@ -72,8 +72,8 @@ def recorded(hands, offset: float, seed: int = 0, film=None) -> Recording:
 
 @pytest.mark.parametrize(("seed", "offset"), [(0, 0.5), (1, -0.5), (3, 0.0041)])
 def test_an_offset_is_found_within_five_milliseconds(seed, offset):
-    (found,) = sync(recorded(waving(seed), offset, seed), search=0.6)
-    assert found.is_found and found.reason == "" and found.stated == 0.0
+    (found,) = estimate_video_offsets(recorded(waving(seed), offset, seed), search=0.6)
+    assert found.is_found and found.reason == "" and found.stated_offset == 0.0
     assert abs(found.offset - offset) < FIVE_MS
     assert abs(found.offset - offset) < 4 * found.std < 4 * FIVE_MS
     assert found.correlation > 0.6 and np.isnan(found.drift)
@@ -83,9 +83,11 @@ def test_an_offset_that_is_stated_is_where_the_search_begins():
     recording = recorded(waving(1), 0.4)
     (source,) = recording.videos
     recording = replace(recording, videos=(replace(source, offset=0.35),))
-    (found,) = sync(recording, search=0.1)
-    assert found.stated == 0.35 and abs(found.offset - 0.4) < FIVE_MS
-    (found,) = sync(replace(recording, videos=(replace(source, offset=0.2),)), search=0.1)
+    (found,) = estimate_video_offsets(recording, search=0.1)
+    assert found.stated_offset == 0.35 and abs(found.offset - 0.4) < FIVE_MS
+    (found,) = estimate_video_offsets(
+        replace(recording, videos=(replace(source, offset=0.2),)), search=0.1
+    )
     assert np.isnan(found.offset) and found.reason and not found.is_found
 
 
@@ -93,7 +95,10 @@ def test_the_result_does_not_follow_the_markers_sample_clock():
     """Jitter from sample to sample is no acceleration; if it were, lags would stick to samples."""
     recording = recorded(waving(4), 0.1)
     found = [
-        sync(replace(recording, times=recording.times + shift), search=0.2)[0].offset - shift
+        estimate_video_offsets(replace(recording, times=recording.times + shift), search=0.2)[
+            0
+        ].offset
+        - shift
         for shift in (0.0, 0.4 / RATE)
     ]
     assert np.ptp(found) < 1e-3
@@ -107,18 +112,18 @@ def still(times: np.ndarray) -> np.ndarray:
 
 
 def test_hands_at_rest_are_asked_to_move():
-    (found,) = sync(recorded(still, 0.1), search=0.2)
+    (found,) = estimate_video_offsets(recorded(still, 0.1), search=0.2)
     assert np.isnan(found.offset) and np.isnan(found.std)
     assert "not identifiable: move the hands faster" in found.reason
 
 
 def test_slow_hands_are_asked_to_move_faster():
-    (found,) = sync(recorded(waving(5, speed=0.02), 0.1), search=0.2)
+    (found,) = estimate_video_offsets(recorded(waving(5, speed=0.02), 0.1), search=0.2)
     assert np.isnan(found.offset) and "move the hands faster" in found.reason
 
 
 def test_an_image_of_other_motion_is_told_from_the_hands():
-    (found,) = sync(recorded(waving(6), 0.1, film=waving(7)), search=0.3)
+    (found,) = estimate_video_offsets(recorded(waving(6), 0.1, film=waving(7)), search=0.3)
     assert np.isnan(found.offset) and found.reason.startswith("not identifiable")
 
 
@@ -128,25 +133,25 @@ def test_motion_that_repeats_itself_has_no_offset():
         y, z = 0.15 * np.cos(turn), 0.15 * np.sin(turn)
         return still(times) + np.stack([0 * y, y, z, 0 * y, y, z], -1)
 
-    (found,) = sync(recorded(circling, 0.1))
+    (found,) = estimate_video_offsets(recorded(circling, 0.1))
     assert np.isnan(found.offset) and "the motion repeats itself" in found.reason
 
 
 def test_hands_out_of_the_image_are_told():
     recording = recorded(waving(0), 0.1)
     away = replace(recording, positions_world=recording.positions_world + 9.0)
-    (found,) = sync(away, search=0.2)
+    (found,) = estimate_video_offsets(away, search=0.2)
     assert found.reason == "not identifiable: the image does not show the hands"
 
 
 def test_a_recording_without_video_or_markers_is_refused():
     recording = recorded(still, 0.0)
     with pytest.raises(InputError, match=r"\[\[video\]\] is missing"):
-        sync(replace(recording, videos=()))
+        estimate_video_offsets(replace(recording, videos=()))
     gone = recording.positions_world.copy()
     gone[2:] = np.nan
-    with pytest.raises(InputError, match="no marker is seen in four samples"):
-        sync(replace(recording, positions_world=gone))
+    with pytest.raises(InputError, match="no marker is present in four samples"):
+        estimate_video_offsets(replace(recording, positions_world=gone))
 
 
 # Several stretches -------------------------------------------------------------------------------
@@ -155,19 +160,19 @@ def test_a_recording_without_video_or_markers_is_refused():
 def test_stretches_are_put_together_by_their_weights_and_tell_the_drift():
     middles, stds = np.array([5.0, 40.0, 100.0, 170.0]), np.array([1.0, 2.0, 1.0, 3.0]) / 1e3
     lags = 0.02 + 1e-4 * middles
-    lost = Lag(200.0, np.nan, np.nan, 0.1, "not identifiable")
-    rows = [*map(Lag, middles, lags, stds, [0.9, 0.8, 0.7, 0.6]), lost]
+    lost = StretchLag(200.0, np.nan, np.nan, 0.1, "not identifiable")
+    rows = [*map(StretchLag, middles, lags, stds, [0.9, 0.8, 0.7, 0.6]), lost]
     source = recorded(still, 0.0).videos[0]
-    found = together(replace(source, offset=1.0), rows)
+    found = combine_lags(replace(source, offset=1.0), rows)
     fitted, covariance = np.polyfit(middles, lags, 1, w=1 / stds, cov="unscaled")
     assert found.drift == pytest.approx(fitted[0]) == pytest.approx(1e-4)
     assert found.drift_std == pytest.approx(covariance[0, 0] ** 0.5)
     assert found.offset == pytest.approx(1.0 + np.average(lags, weights=stds**-2))
     assert found.correlation == 0.9
-    assert "gains 100 ±" in synced.text([found]), "microseconds a second"
-    near = together(source, rows[:2])
+    assert "gains 100 ±" in synced.sync_text([found]), "microseconds a second"
+    near = combine_lags(source, rows[:2])
     assert np.isnan(near.drift) and near.std > (1e-6 + 4e-6) ** 0.5 / 4, "they disagree"
-    assert together(source, [lost]).reason == "not identifiable"
+    assert combine_lags(source, [lost]).reason == "not identifiable"
 
 
 def test_a_long_video_is_looked_at_where_the_hands_are_liveliest(monkeypatch):
@@ -190,13 +195,13 @@ def test_a_path_goes_through_smooth_motion_and_not_across_gaps():
     times = np.arange(180) / RATE
     wave = np.stack([np.sin(5 * times), np.cos(5 * times), times], -1)
     wave[80:90] = np.nan
-    path = Path.through(times, wave)
+    path = MarkerPath.through(times, wave)
     assert path is not None
     at = np.array([-0.1, 0.4047, 0.95, 1.5031, 2.1])
     expected = np.stack([np.sin(5 * at), np.cos(5 * at), at], -1)
     expected[[0, 2, 4]] = np.nan
     np.testing.assert_allclose(path.at(at), expected, atol=1e-3)
-    assert Path.through(times[:3], wave[:3]) is None
+    assert MarkerPath.through(times[:3], wave[:3]) is None
 
 
 def test_terms_are_the_flow_at_the_hands_and_the_markers_own_motion():
@@ -206,16 +211,16 @@ def test_terms_are_the_flow_at_the_hands_and_the_markers_own_motion():
     columns, rows = np.meshgrid(np.arange(width), np.arange(height))
     field = np.stack([2.0 * columns, -2.0 * rows], -1)
     flow = HandFlow(times, np.tile(field, (9, 1, 1, 1)), 2.0, CAMERA, hand_paths(recording))
-    terms = flow.terms(0.02)
-    xy = np.stack([pixels_of(CAMERA, path.at(times + 0.02)) for path in flow.paths], 1)
-    np.testing.assert_allclose(terms.told, np.diff(xy, axis=0))
-    np.testing.assert_allclose(terms.seen, xy[:-1] * [1, -1], atol=2.0)
-    later = flow.terms(0.02, place_lag=0.02 + 1 / FPS)
-    np.testing.assert_allclose(later.seen[:-1], terms.seen[1:])
-    np.testing.assert_allclose(later.told, terms.told)
+    terms = flow.flow_pair(0.02)
+    xy = np.stack([project_to_pixels(CAMERA, path.at(times + 0.02)) for path in flow.paths], 1)
+    np.testing.assert_allclose(terms.predicted, np.diff(xy, axis=0))
+    np.testing.assert_allclose(terms.measured, xy[:-1] * [1, -1], atol=2.0)
+    later = flow.flow_pair(0.02, place_lag=0.02 + 1 / FPS)
+    np.testing.assert_allclose(later.measured[:-1], terms.measured[1:])
+    np.testing.assert_allclose(later.predicted, terms.predicted)
     off = replace(CAMERA, size=CAMERA.size)
-    outside = HandFlow(times, np.zeros((9, 5, 5, 2)), 2.0, off, flow.paths).terms(0.0)
-    assert np.isnan(outside.seen).all() and np.isnan(outside.told).all()
+    outside = HandFlow(times, np.zeros((9, 5, 5, 2)), 2.0, off, flow.paths).flow_pair(0.0)
+    assert np.isnan(outside.measured).all() and np.isnan(outside.predicted).all()
 
 
 def test_flow_is_in_pixels_of_the_image_however_large():
@@ -224,7 +229,7 @@ def test_flow_is_in_pixels_of_the_image_however_large():
     frames.append(None)
     video = VideoSource("v", CAMERA, frames=(np.arange(4) / 30, frames))
     fields, spacing = flow_fields(synced.open_video(video), 1, 3)
-    assert spacing == pytest.approx(2 * 1200 / LARGEST_SIDE)
+    assert spacing == pytest.approx(2 * 1200 / MAX_SIDE_PX)
     assert fields.shape[0] == 2 and np.isnan(fields[1].astype(float)).all()
     middle = fields[0, 40:-40, 40:-40].astype(float)
     np.testing.assert_allclose(np.median(middle, (0, 1)), [4, 2], atol=0.2)

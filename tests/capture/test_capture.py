@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxmocap.capture import video as video_module
-from jaxmocap.capture.markers import interpolate
+from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.timeline import SIMULTANEOUS_S, build_timeline, check_overlap
-from jaxmocap.capture.video import MemoryVideo, Video, check_size, open_video
+from jaxmocap.capture.video import MemoryVideo, Video, check_video_size, open_video
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import VideoSource
 from jaxmocap.geometry.cameras import Camera
@@ -67,7 +67,7 @@ def test_interpolation_is_exact_for_a_straight_motion(times, data):
     at = np.array(data.draw(st.lists(st.floats(float(times[0]), float(times[-1])), max_size=10)))
     velocity = np.array([1.0, -2.0, 3.0])
     positions = times[:, None, None] * velocity + np.ones((1, 2, 1))
-    found = interpolate(times, positions, at)
+    found = interpolate_markers(times, positions, at)
     gap = np.diff(times)[np.clip(np.searchsorted(times, at, "right") - 1, 0, len(times) - 2)]
     known = (gap <= 3 * np.median(np.diff(times))) | np.isin(at, times)
     expected = np.where(known[:, None, None], at[:, None, None] * velocity + 1, np.nan)
@@ -80,7 +80,7 @@ def test_at_a_samples_own_time_it_is_that_sample_gaps_or_not(times, causal, seed
     positions = rng.normal(size=(len(times), 3, 3))
     positions[rng.random(positions.shape[:2]) < 0.4] = np.nan
     order = rng.permutation(len(times))
-    found = interpolate(times, positions, times[order], causal)
+    found = interpolate_markers(times, positions, times[order], causal)
     np.testing.assert_array_equal(found, positions[order])
 
 
@@ -89,18 +89,20 @@ def test_causal_interpolation_knows_no_later_sample(times, seed):
     rng = np.random.default_rng(seed)
     positions = rng.normal(size=(len(times), 1, 3))
     at = rng.uniform(times[0] - 0.01, times[-1] + 0.05, 10)
-    found = interpolate(times, positions, at, causal=True)
+    found = interpolate_markers(times, positions, at, causal=True)
     for t, here in zip(at, found, strict=True):
         past = times <= t
         altered = np.where(past[:, None, None], positions, 1e6)
-        np.testing.assert_array_equal(interpolate(times, altered, np.array([t]), True)[0], here)
+        np.testing.assert_array_equal(
+            interpolate_markers(times, altered, np.array([t]), True)[0], here
+        )
 
 
 def test_a_missing_neighbour_leaves_the_marker_unknown_and_no_other():
     times = np.array([0.0, 0.1, 0.2, 0.3])
     positions = np.zeros((4, 2, 3))
     positions[1, 0] = np.nan
-    found = interpolate(times, positions, np.array([0.05, 0.15, 0.25]))
+    found = interpolate_markers(times, positions, np.array([0.05, 0.15, 0.25]))
     assert np.isnan(found[:, 0]).all(-1).tolist() == [True, True, False]
     assert (found[:, 1] == 0).all()
 
@@ -109,9 +111,11 @@ def test_gaps_and_the_outside_are_unknown():
     times = np.array([0.0, 0.1, 0.2, 0.6, 0.7, 0.8])
     positions = np.ones((6, 1, 3)) * times[:, None, None]
     at = np.array([-0.06, -0.04, 0.4, 0.84, 0.86])
-    found = interpolate(times, positions, at)[:, 0, 0]
+    found = interpolate_markers(times, positions, at)[:, 0, 0]
     np.testing.assert_allclose(found, [np.nan, -0.04, np.nan, 0.84, np.nan], atol=1e-12)
-    causal = interpolate(times, positions, np.array([0.05, 0.25, 0.31, 0.65, 0.89]), True)[:, 0, 0]
+    causal = interpolate_markers(times, positions, np.array([0.05, 0.25, 0.31, 0.65, 0.89]), True)[
+        :, 0, 0
+    ]
     np.testing.assert_allclose(causal, [np.nan, 0.25, np.nan, np.nan, 0.89], atol=1e-12)
 
 
@@ -121,13 +125,13 @@ def test_a_leap_is_no_motion_to_be_followed(causal):
     positions = np.zeros((6, 2, 3))
     positions[3:, 0] += [1.5, 0.0, 0.0]
     at = np.array([3.3, 4.3]) / 60 if causal else np.array([2.3, 3.3]) / 60
-    found = interpolate(times, positions, at, causal)
+    found = interpolate_markers(times, positions, at, causal)
     assert np.isnan(found[0, 0]).all() and np.isfinite(found[0, 1]).all()
     np.testing.assert_allclose(found[1, 0], [1.5, 0.0, 0.0])
 
 
 def test_a_single_sample_is_known_at_its_time_only():
-    found = interpolate(np.array([1.0]), np.ones((1, 1, 3)), np.array([0.9, 1.0, 1.1]))
+    found = interpolate_markers(np.array([1.0]), np.ones((1, 1, 3)), np.array([0.9, 1.0, 1.1]))
     assert np.isfinite(found).all((1, 2)).tolist() == [False, True, False]
 
 
@@ -241,7 +245,7 @@ def test_markers_and_video_without_common_time_are_refused():
 def test_a_video_yields_its_frames_at_their_times(tmp_path, suffix):
     video = Video(write_video(tmp_path / f"v{suffix}"), offset=2.0)
     assert (video.size, len(video)) == ((64, 48), 20)
-    assert video.fps == pytest.approx(100) and video.duration == pytest.approx(0.2)
+    assert video.fps == pytest.approx(100)
     np.testing.assert_allclose(video.times, 2 + np.arange(20) / 100, atol=1e-9)
     np.testing.assert_array_equal([t for t, _ in video], video.times)
     assert numbers(video) == numbers(video) == list(range(20))
@@ -381,9 +385,9 @@ def test_a_video_must_fit_its_calibration_to_two_percent(size, outcome):
     camera = Camera.create(size, np.eye(3))
     if outcome == "refused":
         with pytest.raises(InputError, match="64 × 48, its calibration 66 × 48"):
-            check_size(video, camera, "v.mp4")
+            check_video_size(video, camera, "v.mp4")
         return
-    said = check_size(video, camera, "v.mp4")
+    said = check_video_size(video, camera, "v.mp4")
     assert (said is None) == (outcome == "fits")
     assert said is None or "not rescaled" in said
 
@@ -398,7 +402,7 @@ def test_the_real_videos_have_60_frames_at_60_hertz(recordings, number):
     np.testing.assert_allclose(video.times, np.arange(60) / 60, atol=1e-9)
     assert video.size == ((1080, 1920) if number <= 2 else (1088, 1920))
     camera = read_calibration(recordings / "balancing" / "calibration.toml")[f"cam_0{number}"]
-    said = check_size(video, camera, path)
+    said = check_video_size(video, camera, path)
     assert (said is None) == (number > 2)
     images = [image for _, image in video.frames(luma=True)]
     assert all(image is not None and image.shape == video.size[::-1] for image in images)
@@ -436,7 +440,7 @@ def test_times_and_counts_of_a_video_are_sensible_or_refused(tmp_path, box, at, 
         assert str(error).startswith(f"{tmp_path / 'v.mp4'}: ")
         return
     assert np.isfinite(video.times).all() and (np.diff(video.times) > 0).all()
-    assert 0 <= video.duration < 1e6 and len(list(video)) == len(video.times)
+    assert len(list(video)) == len(video.times)
 
 
 def test_stamps_far_apart_are_refused(tmp_path):
@@ -465,7 +469,7 @@ def test_frames_of_another_size_are_none(tmp_path):
 
 
 def test_more_frames_than_any_recording_has_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(video_module, "MOST_FRAMES", 10)
+    monkeypatch.setattr(video_module, "MAX_FRAMES", 10)
     with pytest.raises(InputError, match="expected at most 10 frames"):
         Video(write_video(tmp_path / "v.mp4"))
 

@@ -12,8 +12,12 @@ from small_recording import small_recording, write_small_recording
 from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.capture.checks.body_reach import reach, standing_points, stature
-from jaxmocap.capture.checks.cameras import check_recording, pixels_of
+from jaxmocap.capture.checks.body_reach import (
+    max_marker_distances,
+    skeleton_stature,
+    standing_points,
+)
+from jaxmocap.capture.checks.cameras import check_recording, project_to_pixels
 from jaxmocap.capture.footage import open_footage
 from jaxmocap.cli import main
 from jaxmocap.formats.files.errors import InputError
@@ -335,8 +339,8 @@ def test_the_standing_body_is_the_one_of_the_kinematics(sound):
     )
     points = standing_points(skeleton, FIVE)
     np.testing.assert_allclose(np.ptp(points - np.asarray(expected), axis=0), 0, atol=1e-6)
-    assert stature(skeleton) == pytest.approx(1.75, abs=0.06)
-    assert points[0, 2] == pytest.approx(stature(skeleton))
+    assert skeleton_stature(skeleton) == pytest.approx(1.75, abs=0.06)
+    assert points[0, 2] == pytest.approx(skeleton_stature(skeleton))
 
 
 def test_reach_is_the_length_of_the_stretched_body():
@@ -348,7 +352,7 @@ def test_reach_is_the_length_of_the_stretched_body():
         MarkerPlace("c", "humerus_l", 0.9),
         MarkerPlace("d", "femur_r", 0.5),
     )
-    found = reach(skeleton, places)
+    found = max_marker_distances(skeleton, places)
     arm = length["humerus_l"] / 2 + length["radius_l"] + length["hand_l"] / 4 + 0.05
     assert found[0, 1] == found[1, 0] == pytest.approx(arm)
     assert found[0, 2] == pytest.approx(0.4 * length["humerus_l"])
@@ -360,9 +364,9 @@ def test_reach_is_the_length_of_the_stretched_body():
 def test_pixels_are_those_of_the_camera_model(sound):
     camera, points = sound.videos[0].camera, sound.positions_world[::10].reshape(-1, 3)
     expected = np.asarray(project(camera, jnp.asarray(points, jnp.float32)))
-    np.testing.assert_allclose(pixels_of(camera, points), expected, atol=0.01)
+    np.testing.assert_allclose(project_to_pixels(camera, points), expected, atol=0.01)
     behind = np.asarray(camera.position_world)[None] * 2
-    assert np.isnan(pixels_of(camera, behind)).all()
+    assert np.isnan(project_to_pixels(camera, behind)).all()
 
 
 # The commands ------------------------------------------------------------------------------------

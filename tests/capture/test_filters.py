@@ -10,8 +10,14 @@ from hypothesis import strategies as st
 from small_recording import SAMPLES, small_recording
 
 from jaxmocap.capture import filters
-from jaxmocap.capture.filters import cleaned, fill_gaps, find_outliers, low_pass, one_euro
-from jaxmocap.capture.one_euro import FORGET_S, SPEED_CUTOFF_HZ, OneEuro
+from jaxmocap.capture.filters import (
+    butterworth_low_pass,
+    fill_gaps,
+    filter_markers,
+    filter_one_euro,
+    find_outliers,
+)
+from jaxmocap.capture.one_euro import FORGET_AFTER_S, SPEED_CUTOFF_HZ, OneEuro
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.filters import Filters, OneEuroSettings
 from jaxmocap.formats.recordings.recording import Recording, load_recording
@@ -151,7 +157,7 @@ def gain(frequency: float, cutoff: float, rate: float) -> float:
 def test_the_low_pass_has_butterworths_gain_and_no_delay(frequency):
     times = np.arange(2000) / RATE
     wave = np.sin(2 * np.pi * frequency * times)
-    passed = low_pass(times, one(wave), SIX_HZ)[:, 0, 0]
+    passed = butterworth_low_pass(times, one(wave), SIX_HZ)[:, 0, 0]
     inside = slice(300, -300)
     expected = gain(frequency, SIX_HZ, RATE)
     np.testing.assert_allclose(passed[inside], expected * wave[inside], atol=2e-3)
@@ -163,8 +169,8 @@ def test_the_low_pass_has_butterworths_gain_and_no_delay(frequency):
 def test_the_low_pass_has_no_direction_in_time(seed):
     times = np.arange(200) / RATE
     path = one(np.cumsum(np.random.default_rng(seed).normal(0, 0.01, 200)))
-    forward = low_pass(times, path, 10.0)
-    backward = low_pass(times, path[::-1], 10.0)[::-1]
+    forward = butterworth_low_pass(times, path, 10.0)
+    backward = butterworth_low_pass(times, path[::-1], 10.0)[::-1]
     np.testing.assert_allclose(forward[40:-40], backward[40:-40], atol=1e-4)
 
 
@@ -172,14 +178,15 @@ def test_runs_between_gaps_are_filtered_by_themselves():
     times, points = played(1, 3.0)
     points[100:130, 1] = np.nan
     points[140, 1] = np.nan
-    passed = low_pass(times, points, 13.0)
+    passed = butterworth_low_pass(times, points, 13.0)
     assert np.isnan(passed[100:130, 1]).all() and np.isnan(passed).sum() == 31 * 3
     for run in (slice(0, 100), slice(130, 140), slice(141, None)):
-        alone = low_pass(times[run], points[run], 13.0)
+        alone = butterworth_low_pass(times[run], points[run], 13.0)
         np.testing.assert_allclose(passed[run, 1], alone[:, 1])
     late = np.concatenate([times[:50], times[50:] + 1.0])
     np.testing.assert_allclose(
-        low_pass(late, points, 13.0)[:50], low_pass(times[:50], points[:50], 13.0)
+        butterworth_low_pass(late, points, 13.0)[:50],
+        butterworth_low_pass(times[:50], points[:50], 13.0),
     )
 
 
@@ -192,10 +199,10 @@ def test_the_gait_labs_six_hertz_flatten_a_serve_and_the_default_does_not(record
         return float(np.linalg.norm(velocity, axis=-1).max())
 
     path = serve.positions[:, hand]
-    assert fastest(low_pass(serve.times, path, SIX_HZ)) < 0.96 * fastest(path)
-    assert fastest(low_pass(serve.times, path, 15.0)) > 0.995 * fastest(path)
+    assert fastest(butterworth_low_pass(serve.times, path, SIX_HZ)) < 0.96 * fastest(path)
+    assert fastest(butterworth_low_pass(serve.times, path, 15.0)) > 0.995 * fastest(path)
     recording = replace(small_recording(), times=serve.times[:SAMPLES])
-    after, cleaning = cleaned(recording)
+    after, cleaning = filter_markers(recording)
     np.testing.assert_array_equal(after.positions_world, recording.positions_world)
     assert cleaning.figures() == {"on": {}}
 
@@ -232,7 +239,7 @@ def test_along_one_axis_it_is_the_published_filter(seed, cutoff, beta):
     rng = np.random.default_rng(seed)
     times = np.cumsum(rng.uniform(0.005, 0.03, 50))
     path = np.cumsum(rng.normal(0, 0.02, 50))
-    ours = one_euro(times, one(path), OneEuro(OneEuroSettings(cutoff, beta)))[:, 0, 0]
+    ours = filter_one_euro(times, one(path), OneEuro(OneEuroSettings(cutoff, beta)))[:, 0, 0]
     theirs = Published(cutoff, beta, SPEED_CUTOFF_HZ)
     expected = [theirs(t, x) for t, x in zip(times, path, strict=True)]
     np.testing.assert_allclose(ours, expected, atol=1e-12)
@@ -243,8 +250,8 @@ def test_it_does_not_depend_on_the_axes(seed):
     rng = np.random.default_rng(seed)
     times, points = np.arange(40) / RATE, np.cumsum(rng.normal(0, 0.01, (40, 2, 3)), 0)
     R = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    turned = one_euro(times, points @ R.T, OneEuro())
-    np.testing.assert_allclose(turned, one_euro(times, points, OneEuro()) @ R.T, atol=1e-12)
+    turned = filter_one_euro(times, points @ R.T, OneEuro())
+    np.testing.assert_allclose(turned, filter_one_euro(times, points, OneEuro()) @ R.T, atol=1e-12)
 
 
 def test_a_marker_that_was_lost_for_long_begins_anew_and_for_short_goes_on():
@@ -254,7 +261,7 @@ def test_a_marker_that_was_lost_for_long_begins_anew_and_for_short_goes_on():
     assert np.isnan(lost).all()
     _, soon = filter_.step(state, 0.02, still + 0.01)
     assert (np.abs(soon) < 0.01).all()
-    _, later = filter_.step(state, 2 * FORGET_S, still + 0.01)
+    _, later = filter_.step(state, 2 * FORGET_AFTER_S, still + 0.01)
     np.testing.assert_array_equal(later, still + 0.01)
     _, again = filter_.step(state, 0.0, still + 0.01)
     np.testing.assert_array_equal(again, still + 0.01)
@@ -264,8 +271,8 @@ def test_it_calms_a_hand_at_rest_and_hardly_delays_a_stroke():
     rng = np.random.default_rng(0)
     rest = rng.normal(0, 0.001, (540, 1, 3))
     times, points = played(2)
-    assert one_euro(times, rest, OneEuro())[90:].std() < 0.5 * rest.std()
-    behind = np.linalg.norm(one_euro(times, points, OneEuro()) - points, axis=-1)
+    assert filter_one_euro(times, rest, OneEuro())[90:].std() < 0.5 * rest.std()
+    behind = np.linalg.norm(filter_one_euro(times, points, OneEuro()) - points, axis=-1)
     assert np.percentile(behind, 99) < 0.005
 
 
@@ -309,7 +316,7 @@ def test_a_field_that_does_not_fit_is_refused(tmp_path, text, said):
 def test_a_cut_off_that_the_samples_cannot_hold_is_refused():
     recording = replace(small_recording(), filters=Filters(butterworth=25.0))
     with pytest.raises(InputError, match=r"butterworth: found 25 Hz, expected less than 24.1 Hz"):
-        cleaned(recording)
+        filter_markers(recording)
 
 
 def spoilt() -> Recording:
@@ -324,7 +331,7 @@ def spoilt() -> Recording:
 
 def test_filters_work_one_after_the_other_and_say_what_they_did():
     recording = spoilt()
-    after, cleaning = cleaned(replace(recording, filters=Filters(True, 0.06, 12.0)))
+    after, cleaning = filter_markers(replace(recording, filters=Filters(True, 0.06, 12.0)))
     clean = small_recording().positions_world
     assert cleaning.outliers.sum() == 1 and cleaning.outliers[5, 1]
     assert cleaning.filled.sum() == 4 and cleaning.missing.sum() == 8
@@ -332,31 +339,31 @@ def test_filters_work_one_after_the_other_and_say_what_they_did():
     assert np.abs(after.positions_world - clean)[seen].max() < 0.002
     assert cleaning.figures()["on"] == {"hampel": True, "gaps": 0.06, "butterworth": 12.0}
     assert cleaning.figures()["samples"]["LWrist"] == {"outliers": 1, "filled": 1, "missing": 0}
-    assert cleaning.sentences(5) == ("marker LWrist was an outlier", "marker LWrist was filled in")
-    assert cleaning.sentences(0) == () == cleaning.remarks
+    assert cleaning.statuses(5) == ("marker LWrist was an outlier", "marker LWrist was filled in")
+    assert cleaning.statuses(0) == () == cleaning.warnings
     assert after.filters == Filters(), "nothing is filtered twice"
 
 
 def test_what_looks_ahead_is_left_out_where_nothing_later_may_be_used():
     wanted = Filters(True, 0.1, 12.0, OneEuroSettings())
     recording = replace(spoilt(), filters=wanted)
-    after, cleaning = cleaned(recording, causal=True)
-    assert list(cleaning.done) == ["one_euro"]
-    assert "hampel, gaps, butterworth: not used, look ahead" in cleaning.remarks[0]
+    after, cleaning = filter_markers(recording, causal=True)
+    assert list(cleaning.applied) == ["one_euro"]
+    assert "hampel, gaps, butterworth: not used, look ahead" in cleaning.warnings[0]
     cut = replace(
         recording, times=recording.times[:9], positions_world=recording.positions_world[:9]
     )
     np.testing.assert_array_equal(
-        cleaned(cut, causal=True)[0].positions_world, after.positions_world[:9]
+        filter_markers(cut, causal=True)[0].positions_world, after.positions_world[:9]
     )
-    _, cleaning = cleaned(recording)
-    assert "one_euro: not used, is for live and --causal" in cleaning.remarks[0]
+    _, cleaning = filter_markers(recording)
+    assert "one_euro: not used, is for live and --causal" in cleaning.warnings[0]
 
 
 def test_unevenly_spaced_samples_are_told(monkeypatch):
     recording = replace(small_recording(), filters=Filters(butterworth=10.0))
     times = recording.times + np.random.default_rng(0).uniform(0, 0.004, SAMPLES)
-    _, cleaning = cleaned(replace(recording, times=times))
-    assert "unevenly spaced" in cleaning.remarks[0]
+    _, cleaning = filter_markers(replace(recording, times=times))
+    assert "unevenly spaced" in cleaning.warnings[0]
     monkeypatch.setattr(filters, "is_even", lambda _: True)
-    assert cleaned(replace(recording, times=times))[1].remarks == ()
+    assert filter_markers(replace(recording, times=times))[1].warnings == ()

@@ -15,11 +15,11 @@ from small_recording import CAMERA, PLACES, small_recording, standing
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.capture.keypoints import (
     Keypoints,
+    align_detections,
     choose_person,
-    follow_person,
-    line_up,
     marked_landmarks,
     open_keypoints,
+    select_person,
 )
 from jaxmocap.capture.video import open_video
 from jaxmocap.formats.files.errors import InputError
@@ -27,7 +27,7 @@ from jaxmocap.formats.recordings.keypoint_models import (
     LANDMARK_OF,
     MODELS,
     landmark_indices,
-    tell_apart,
+    model_by_faces,
 )
 from jaxmocap.formats.recordings.keypoints import Detections, read_keypoints
 from jaxmocap.formats.recordings.recording import Recording
@@ -152,10 +152,10 @@ def test_where_no_face_is_seen_the_model_must_be_stated(tmp_path):
 def test_people_who_disagree_do_not_tell_a_model():
     pair = np.stack([points("BODY_25")[:, :2], points("BODY_25B")[:, :2]])
     models = ("BODY_25", "BODY_25B")
-    assert tell_apart(pair, models) is None
-    assert tell_apart(np.repeat(pair, [30, 10], axis=0), models) is None
-    assert tell_apart(np.repeat(pair, [30, 1], axis=0), models) == "BODY_25"
-    assert tell_apart(np.repeat(pair, [1, 30], axis=0), models) == "BODY_25B"
+    assert model_by_faces(pair, models) is None
+    assert model_by_faces(np.repeat(pair, [30, 10], axis=0), models) is None
+    assert model_by_faces(np.repeat(pair, [30, 1], axis=0), models) == "BODY_25"
+    assert model_by_faces(np.repeat(pair, [1, 30], axis=0), models) == "BODY_25B"
 
 
 @pytest.mark.parametrize(
@@ -166,7 +166,7 @@ def test_a_face_must_be_clearly_smaller_to_tell_the_model(times_larger, told):
     person = points("BODY_25B")[None, :, :2]
     # Nose, eyes and ears are 0 to 4 in the one reading, 0 and 15 to 18 in the other.
     person[:, 15:19] = person[:, :1] + times_larger * (person[:, 1:5] - person[:, :1])
-    assert tell_apart(person, ("BODY_25", "BODY_25B")) == told
+    assert model_by_faces(person, ("BODY_25", "BODY_25B")) == told
 
 
 # Files -------------------------------------------------------------------------------------------
@@ -368,7 +368,7 @@ def detections(numbers) -> Detections:
     ],
 )
 def test_the_first_frames_number_follows_the_rule_or_is_stated(numbers, frames, stated, first):
-    found = line_up(detections(numbers), frames, stated)
+    found = align_detections(detections(numbers), frames, stated)
     expected = [n if n in set(numbers) else np.nan for n in range(first, first + frames)]
     np.testing.assert_array_equal(found.pixels_xy[:, 0, 0, 0], expected)
     np.testing.assert_array_equal(found.confidences[:, 0, 0], np.isfinite(expected))
@@ -388,7 +388,7 @@ def test_the_first_frames_number_follows_the_rule_or_is_stated(numbers, frames, 
 )
 def test_numbers_that_do_not_tell_the_first_frame_are_refused(numbers, stated, says):
     with pytest.raises(InputError) as caught:
-        line_up(detections(numbers), 6, stated)
+        align_detections(detections(numbers), 6, stated)
     assert says in str(caught.value)
 
 
@@ -464,7 +464,7 @@ def test_markers_on_landmarks_say_who_is_tracked():
     seen[1] = seen[1, ::-1]
     seen[2, 0] = np.nan
     keypoints = Keypoints(landmarks, seen, np.where(np.isnan(seen[..., 0]), 0.0, 0.8))
-    pixels, confidences = follow_person(keypoints, CAMERA, known)
+    pixels, confidences = select_person(keypoints, CAMERA, known)
     np.testing.assert_array_equal(pixels[0], seen[0, 0])
     np.testing.assert_array_equal(pixels[1], seen[1, 1])
     assert np.isnan(pixels[2]).all()
@@ -478,7 +478,7 @@ def test_what_lies_behind_the_camera_predicts_nothing():
     pixels = np.asarray(project(CAMERA, jnp.asarray(known, float)))[:, None]
     only_right = np.where([[[[False], [True]]]], pixels, np.nan)
     keypoints = Keypoints(("wrist_l", "wrist_r"), only_right, np.ones((2, 1, 2)))
-    found, _ = follow_person(keypoints, CAMERA, known)
+    found, _ = select_person(keypoints, CAMERA, known)
     assert np.isnan(found[0]).all()
     np.testing.assert_array_equal(found[1], only_right[1, 0])
 
@@ -539,7 +539,7 @@ def test_the_tracked_persons_elbows_lie_on_the_projected_reference(
     assert keypoints is not None and len(keypoints.pixels_xy) == len(video) == 60
     assert "taken as BODY_25B" in keypoints.warnings[0]
     known = marked_landmarks(balancing, keypoints.landmarks, video.times)
-    pixels, confidences = follow_person(keypoints, source.camera, known)
+    pixels, confidences = select_person(keypoints, source.camera, known)
     index = [keypoints.landmarks.index(name) for name in TRUTH]
     expected = np.asarray(project(source.camera, jnp.asarray(reference, float)))
     distances = np.linalg.norm(pixels[:, index] - expected, axis=-1)
@@ -559,17 +559,17 @@ def test_the_tracked_persons_elbows_lie_on_the_projected_reference(
 
 def test_a_bystander_is_never_taken_for_the_tracked_person(balancing, recordings):
     found = read_keypoints(recordings / "balancing" / "keypoints" / "cam_01", "BODY_25B")
-    keypoints = line_up(found, 60)
+    keypoints = align_detections(found, 60)
     known = marked_landmarks(balancing, keypoints.landmarks, balancing.times)
     camera = balancing.videos[0].camera
-    pixels, _ = follow_person(keypoints, camera, known)
+    pixels, _ = select_person(keypoints, camera, known)
     taken = (keypoints.pixels_xy == pixels[:, None]).any((2, 3))
     assert (taken.sum(1) == 1).all()
     others = replace(
         keypoints, pixels_xy=np.where(taken[..., None, None], np.nan, keypoints.pixels_xy)
     )
     assert np.isfinite(others.pixels_xy).any((1, 2, 3)).all()
-    left, _ = follow_person(others, camera, known)
+    left, _ = select_person(others, camera, known)
     # In one frame the detector tore the tracked person in two, and the other half is found.
     assert np.flatnonzero(np.isfinite(left).any((1, 2))).tolist() == [37]
     assert np.nanmedian(others.pixels_xy[..., 0]) < 100 < 400 < np.nanmedian(left[37, :, 0])

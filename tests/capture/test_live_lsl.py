@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxmocap.capture.streams.lsl import MarkerStream
-from jaxmocap.capture.streams.sample_gathering import Gathering, Sample
+from jaxmocap.capture.streams.sample_assembly import MarkerSample, SampleAssembler
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.live import load_live
 
@@ -31,9 +31,9 @@ def outlet(name: str, labels: list[str], unit: str = "millimeters", kind: str = 
     return sends
 
 
-def listening(name: str) -> tuple[MarkerStream, list[Sample]]:
-    samples: list[Sample] = []
-    stream = MarkerStream(name, Gathering(MARKERS, {}, np.eye(3), samples.append))
+def listening(name: str) -> tuple[MarkerStream, list[MarkerSample]]:
+    samples: list[MarkerSample] = []
+    stream = MarkerStream(name, SampleAssembler(MARKERS, {}, np.eye(3), samples.append))
     stream.start()
     return stream, samples
 
@@ -80,7 +80,7 @@ def test_a_marker_of_a_stream_may_say_how_it_is_turned():
         assert wait_for(lambda: len(samples) == 3)
     finally:
         stream.stop()
-    turns = np.stack([sample.measured.turns_world for sample in samples])
+    turns = np.stack([sample.measurements.orientations_world for sample in samples])
     np.testing.assert_allclose(turns[0, 0] @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-6)
     assert np.isnan(turns[:, 1]).all()
     np.testing.assert_allclose([s.positions_world[1, 0] for s in samples], 0.3, atol=1e-6)

@@ -12,13 +12,13 @@ from pythonosc.osc_bundle_builder import OscBundleBuilder
 from pythonosc.osc_message_builder import OscMessageBuilder
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.capture.streams.inbox import Frame, Inbox
-from jaxmocap.capture.streams.osc import BadPacketError, Placed, parse
-from jaxmocap.capture.streams.recent_markers import Trail
-from jaxmocap.capture.streams.sample_gathering import ALIVE_S, Gathering, Sample
+from jaxmocap.capture.streams.inbox import Inbox, LiveFrame
+from jaxmocap.capture.streams.osc import BadPacketError, MarkerMessage, parse_packet
+from jaxmocap.capture.streams.recent_markers import RecentMarkers
+from jaxmocap.capture.streams.sample_assembly import SENT_WITHIN_S, MarkerSample, SampleAssembler
 from jaxmocap.capture.streams.senders import SENDER_BURST
 from jaxmocap.capture.streams.stream_clock import JUMP_S, StreamClock
-from jaxmocap.capture.streams.udp import BURST, Datagram, MarkerSocket
+from jaxmocap.capture.streams.udp import MAX_BURST, Datagram, MarkerSocket
 from jaxmocap.formats.files.addresses import Address
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.live import R_WORLD_UNITY
@@ -56,52 +56,52 @@ VALID = bundle(
 
 
 def test_devices_of_vmc_are_read_from_messages_and_from_bundles():
-    single = parse(device("Tra", "waist", 1, 2, 3).dgram)
+    single = parse_packet(device("Tra", "waist", 1, 2, 3).dgram)
     turn = (0.0, 0.0, 0.0, 1.0)
-    assert single == ((Placed(("waist",), (1.0, 2.0, 3.0), turn),), None, False)
-    packet = parse(VALID)
-    assert packet.stamp == 12.5 and packet.whole
-    assert [placed.names for placed in packet.placed] == [("LHR-1", "Hmd"), ("LeftController",)]
-    np.testing.assert_allclose(packet.placed[1].position, (-0.3, 1.0, 0.4), rtol=1e-6)
+    assert single == ((MarkerMessage(("waist",), (1.0, 2.0, 3.0), turn),), None, False)
+    packet = parse_packet(VALID)
+    assert packet.stamp == 12.5 and packet.is_bundle
+    assert [placed.names for placed in packet.markers] == [("LHR-1", "Hmd"), ("LeftController",)]
+    np.testing.assert_allclose(packet.markers[1].position, (-0.3, 1.0, 0.4), rtol=1e-6)
 
 
 def test_places_as_tracked_are_taken_in_place_of_scaled_ones_where_that_is_asked():
     both = bundle(device("Hmd", "h", 0, 1, 0), device("Hmd", "h", 0, 2, 0, local=True))
-    assert [placed.position[1] for placed in parse(both).placed] == [1.0]
-    assert [placed.position[1] for placed in parse(both, raw=True).placed] == [2.0]
+    assert [placed.position[1] for placed in parse_packet(both).markers] == [1.0]
+    assert [placed.position[1] for placed in parse_packet(both, raw=True).markers] == [2.0]
 
 
 def test_trackers_of_vrchat_are_read():
-    placed = parse(message("/tracking/trackers/head/position", 0.0, 1.6, 0.5).dgram).placed
-    assert placed == (Placed(("head",), (0.0, 1.6000000238418579, 0.5)),)
-    assert parse(message("/tracking/trackers/3/position", 1.0, 2.0, 3.0).dgram).placed[0].names == (
-        "3",
-    )
+    placed = parse_packet(message("/tracking/trackers/head/position", 0.0, 1.6, 0.5).dgram).markers
+    assert placed == (MarkerMessage(("head",), (0.0, 1.6000000238418579, 0.5)),)
+    assert parse_packet(message("/tracking/trackers/3/position", 1.0, 2.0, 3.0).dgram).markers[
+        0
+    ].names == ("3",)
 
 
 @given(st.lists(st.floats(-400, 400), min_size=3, max_size=3))
 def test_turns_of_vrchats_trackers_are_unitys_euler_angles(degrees):
-    (placed,) = parse(message("/tracking/trackers/3/rotation", *degrees).dgram).placed
-    assert placed.position is None and placed.turn is not None
+    (placed,) = parse_packet(message("/tracking/trackers/3/rotation", *degrees).dgram).markers
+    assert placed.position is None and placed.orientation is not None
     # About its own axes y, x, z in turn, which is about fixed axes z, x, y.
     expected = Rotation.from_euler("YXZ", np.array(degrees)[[1, 0, 2]], degrees=True)
-    away = Rotation.from_quat(placed.turn) * expected.inv()
+    away = Rotation.from_quat(placed.orientation) * expected.inv()
     assert away.magnitude() < 1e-4
 
 
 def test_a_bundles_time_tag_is_a_stamp_unless_it_says_at_once():
     point = device("Tra", "a", 0, 0, 0)
-    first, second = (parse(bundle(point, stamp=at)).stamp for at in (1000.0, 1000.25))
+    first, second = (parse_packet(bundle(point, stamp=at)).stamp for at in (1000.0, 1000.25))
     assert second - first == pytest.approx(0.25, abs=1e-6)
     from pythonosc.osc_bundle_builder import IMMEDIATELY
 
-    assert parse(bundle(point, stamp=IMMEDIATELY)).stamp is None
+    assert parse_packet(bundle(point, stamp=IMMEDIATELY)).stamp is None
 
 
 @pytest.mark.parametrize("place", [(np.nan, 0, 0), (0, np.inf, 0), (1e9, 0, 0)])
 def test_what_cannot_be_a_place_is_absurd(place):
     with pytest.raises(BadPacketError, match="absurd"):
-        parse(device("Tra", "a", *place).dgram)
+        parse_packet(device("Tra", "a", *place).dgram)
 
 
 @pytest.mark.parametrize(
@@ -119,14 +119,14 @@ def test_what_cannot_be_a_place_is_absurd(place):
 )
 def test_what_is_cut_off_or_no_osc_is_malformed(datagram):
     with pytest.raises(BadPacketError, match="malformed"):
-        parse(datagram)
+        parse_packet(datagram)
 
 
 @given(st.binary(max_size=200))
 def test_no_bytes_whatever_do_more_than_be_ignored(datagram):
     for start in (b"", b"/VMC/Ext/Tra/Pos\0\0\0\0", b"#bundle\0" + bytes(8)):
         with suppress(BadPacketError):
-            assert parse(start + datagram).placed is not None
+            assert parse_packet(start + datagram).markers is not None
 
 
 @given(st.lists(st.tuples(st.integers(0, len(VALID) - 1), st.integers(0, 255)), max_size=8))
@@ -135,7 +135,7 @@ def test_a_valid_packet_with_broken_bytes_is_read_or_ignored(changes):
     for place, value in changes:
         broken[place] = value
     with suppress(BadPacketError):
-        for placed in parse(bytes(broken)).placed:
+        for placed in parse_packet(bytes(broken)).markers:
             assert np.abs(placed.position).max() <= 100
 
 
@@ -144,7 +144,7 @@ def test_bundles_in_bundles_end_somewhere():
     for _ in range(50):
         nested = VALID[:16] + len(nested).to_bytes(4, "big") + nested
     with pytest.raises(BadPacketError):
-        parse(nested)
+        parse_packet(nested)
 
 
 # Clocks ------------------------------------------------------------------------------------------
@@ -179,14 +179,14 @@ def test_a_clock_that_stands_tells_nothing():
 
 
 def gathering(aliases=None):
-    given_out: list[Sample] = []
-    gathers = Gathering(MARKERS, aliases or {}, R_WORLD_UNITY, given_out.append)
+    given_out: list[MarkerSample] = []
+    gathers = SampleAssembler(MARKERS, aliases or {}, R_WORLD_UNITY, given_out.append)
     return gathers, given_out
 
 
 def round_of(gathers, at: float, names=MARKERS, height: float = 1.0):
     for i, name in enumerate(names):
-        placed = Placed((name,), (0.0, height, float(i)))
+        placed = MarkerMessage((name,), (0.0, height, float(i)))
         gathers.add([placed], at + 1e-4 * i, at + 1e-4 * i, False)
 
 
@@ -208,7 +208,7 @@ def test_a_marker_that_is_lost_is_missing_and_not_waited_for_long():
     for i in range(90):
         round_of(gathers, i / 90, MARKERS if i < 30 else MARKERS[:2])
     assert len(out) >= 89
-    late = [sample for sample in out if sample.time > 30 / 90 + ALIVE_S + 0.02]
+    late = [sample for sample in out if sample.time > 30 / 90 + SENT_WITHIN_S + 0.02]
     assert all(np.isnan(sample.positions_world[2]).all() for sample in late)
     assert all(sample.arrived - sample.time < 1e-3 for sample in late)
     assert gathers.missing(89 / 90) == ["RightController"]
@@ -220,23 +220,23 @@ def test_a_tracker_is_turned_by_its_own_message(together):
     gathers, out = gathering()
     about_up = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))
     for i in range(3):
-        place = Placed(("Hmd",), (0.0, 1.0, 0.0))
-        turned = Placed(("Hmd",), None, about_up)
+        place = MarkerMessage(("Hmd",), (0.0, 1.0, 0.0))
+        turned = MarkerMessage(("Hmd",), None, about_up)
         packets = [[place, turned]] if together else [[place], [turned]]
         for packet in packets:
             gathers.add(packet, i / 90, i / 90, together)
     assert len(out) == 3
     # A quarter to the right in Unity's frame is one in ours, where it counts as negative.
-    R = out[-1].measured.turns_world[0]
+    R = out[-1].measurements.orientations_world[0]
     np.testing.assert_allclose(R @ [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], atol=1e-6)
-    assert np.isnan(out[-1].measured.turns_world[1]).all()
-    gathers.add([Placed(("Hmd",), (0.0, 1.0, 0.0))], 1.0, 1.0, True)
-    assert np.isnan(out[-1].measured.turns_world[0]).all()
+    assert np.isnan(out[-1].measurements.orientations_world[1]).all()
+    gathers.add([MarkerMessage(("Hmd",), (0.0, 1.0, 0.0))], 1.0, 1.0, True)
+    assert np.isnan(out[-1].measurements.orientations_world[0]).all()
 
 
 def test_a_bundle_is_a_sample_though_not_every_marker_is_in_it():
     gathers, out = gathering({"LHR-7": "LeftController"})
-    gathers.add([Placed(("LHR-7",), (1.0, 2.0, 3.0))], 0.5, 0.5, True)
+    gathers.add([MarkerMessage(("LHR-7",), (1.0, 2.0, 3.0))], 0.5, 0.5, True)
     np.testing.assert_allclose(out[0].positions_world[1], [3.0, -1.0, 2.0])
     assert np.isnan(out[0].positions_world[[0, 2]]).all()
 
@@ -244,20 +244,20 @@ def test_a_bundle_is_a_sample_though_not_every_marker_is_in_it():
 def test_names_that_are_no_markers_are_remembered_a_few_of_them():
     gathers, out = gathering()
     for i in range(1000):
-        gathers.add([Placed((f"who {i}",), (0.0, 0.0, 0.0))], 0.0, 0.0, True)
-    assert not out and len(gathers.unknown) == Gathering.MOST_UNKNOWN
+        gathers.add([MarkerMessage((f"who {i}",), (0.0, 0.0, 0.0))], 0.0, 0.0, True)
+    assert not out and len(gathers.unknown) == SampleAssembler.MAX_UNKNOWN
 
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=30))
 def test_samples_ascend_in_time_whatever_the_stamps_say(stamps):
     gathers, out = gathering()
     for stamp in stamps:
-        gathers.add([Placed(("Hmd",), (0.0, 0.0, 0.0))], stamp, 1.0, True)
+        gathers.add([MarkerMessage(("Hmd",), (0.0, 0.0, 0.0))], stamp, 1.0, True)
     assert (np.diff([sample.time for sample in out]) > 0).all() and len(out) == len(stamps)
 
 
 def test_between_samples_markers_are_known_and_a_little_beyond_each_at_its_own_rate():
-    trail = Trail(2)
+    trail = RecentMarkers(2)
     for i in range(10):
         fast, slow = [i / 90, 0, 0], [i / 90, 1, 0] if i % 3 == 0 else [np.nan] * 3
         trail.add(i / 90, np.array([fast, slow]))
@@ -271,16 +271,16 @@ def test_between_samples_markers_are_known_and_a_little_beyond_each_at_its_own_r
 # Queues ------------------------------------------------------------------------------------------
 
 
-def sample_at(seconds: float) -> Sample:
-    return Sample(seconds, np.zeros((3, 3)), seconds)
+def sample_at(seconds: float) -> MarkerSample:
+    return MarkerSample(seconds, np.zeros((3, 3)), seconds)
 
 
-def frame_at(seconds: float, camera: int = 0) -> Frame:
-    return Frame(camera, seconds, np.zeros((2, 2), np.uint8), seconds)
+def frame_at(seconds: float, camera: int = 0) -> LiveFrame:
+    return LiveFrame(camera, seconds, np.zeros((2, 2), np.uint8), seconds)
 
 
 def test_the_newest_win_and_no_backlog_grows():
-    inbox = Inbox(most_samples=4)
+    inbox = Inbox(max_samples=4)
     for i in range(100):
         inbox.put_sample(sample_at(i / 90))
         inbox.put_frame(frame_at(2.0 + i / 30))
@@ -292,7 +292,7 @@ def test_the_newest_win_and_no_backlog_grows():
 
 
 def test_frames_keep_their_turn_though_newer_ones_replace_them():
-    inbox = Inbox(most_samples=4)
+    inbox = Inbox(max_samples=4)
     inbox.put_frame(frame_at(0.0))
     inbox.put_sample(sample_at(0.01))
     inbox.put_frame(frame_at(0.02))
@@ -302,7 +302,7 @@ def test_frames_keep_their_turn_though_newer_ones_replace_them():
 
 
 def test_for_smoothing_things_come_in_the_order_in_which_they_came_in():
-    inbox = Inbox(most_samples=4, keep_turns=False)
+    inbox = Inbox(max_samples=4, keep_turns=False)
     inbox.put_frame(frame_at(0.0))
     inbox.put_sample(sample_at(0.01))
     inbox.put_frame(frame_at(0.02))
@@ -315,7 +315,7 @@ def test_for_smoothing_things_come_in_the_order_in_which_they_came_in():
 
 @contextmanager
 def listening(give):
-    gathers = Gathering(MARKERS, {}, R_WORLD_UNITY, give)
+    gathers = SampleAssembler(MARKERS, {}, R_WORLD_UNITY, give)
     marker_socket = MarkerSocket(Address(port=0), gathers)
     marker_socket.start()
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -334,7 +334,7 @@ def wait_for(condition, seconds: float = 5.0) -> None:
 
 
 def test_a_socket_counts_what_it_ignores_and_takes_the_rest():
-    out: list[Sample] = []
+    out: list[MarkerSample] = []
     with listening(out.append) as (marker_socket, send):
         assert marker_socket.address.host == "127.0.0.1"
         for datagram in (
@@ -345,7 +345,7 @@ def test_a_socket_counts_what_it_ignores_and_takes_the_rest():
         ):
             send(datagram)
         wait_for(lambda: out)
-        assert marker_socket.packets == 4 and marker_socket.heard is not None
+        assert marker_socket.packets == 4 and marker_socket.last_arrival is not None
         assert dict(marker_socket.ignored) == {
             "malformed": 1,
             "absurd": 1,
@@ -362,15 +362,15 @@ def packet(ahead: float, port: int = 5000, host: str = "127.0.0.1", at: float = 
 
 
 def test_of_a_flood_the_newest_are_read():
-    out: list[Sample] = []
-    gathers = Gathering(MARKERS, {}, R_WORLD_UNITY, out.append)
+    out: list[MarkerSample] = []
+    gathers = SampleAssembler(MARKERS, {}, R_WORLD_UNITY, out.append)
     marker_socket = MarkerSocket(Address(port=0), gathers, now=lambda: 0.0)
-    flood = [packet(i / 100) for i in range(2 * BURST)]
+    flood = [packet(i / 100) for i in range(2 * MAX_BURST)]
     marker_socket.take(flood)
     marker_socket.stop()
     assert len(out) == SENDER_BURST
-    assert marker_socket.ignored["flood"] == 2 * BURST - SENDER_BURST
-    assert out[-1].positions_world[0, 0] == pytest.approx((2 * BURST - 1) / 100)
+    assert marker_socket.ignored["flood"] == 2 * MAX_BURST - SENDER_BURST
+    assert out[-1].positions_world[0, 0] == pytest.approx((2 * MAX_BURST - 1) / 100)
 
 
 def test_an_address_that_is_taken_is_said():

@@ -10,7 +10,7 @@ import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
 from jaxmocap.compilation.programs import Program, keep_in
-from jaxmocap.formats.program_files import KeptFiles
+from jaxmocap.formats.private_cache import PrivateCache
 from jaxmocap.pipelines import kept_programs
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.warmup import Warmed, counted
@@ -48,7 +48,7 @@ def entries(root: Path) -> list[Path]:
 
 
 def test_what_one_key_wrote_is_read_by_it_alone(tmp_path: Path) -> None:
-    files = KeptFiles(tmp_path, "kept")
+    files = PrivateCache(tmp_path, "kept")
     files.write("name", "key", b"content")
     assert files.read("name", "key") == b"content"
     assert files.read("name", "other key") is None
@@ -172,7 +172,7 @@ def test_a_file_that_others_could_write_is_made_again_and_this_is_printed(
     printed = capsys.readouterr().err
     assert printed.count("\n") == 1 and f"warning: {file}: " in printed
     monkeypatch.undo()
-    assert KeptFiles(root, "compiled").read(file.name, file.stem) is not None
+    assert PrivateCache(root, "compiled").read(file.name, file.stem) is not None
 
 
 def test_a_jax_that_takes_no_other_cache_keeps_nothing(

@@ -14,7 +14,7 @@ from jax import Array
 from jaxmocap.compilation import programs
 from jaxmocap.compilation.programs import Program, keep_in
 from jaxmocap.compilation.structures import from_json, to_json
-from jaxmocap.formats.program_files import KeptFiles
+from jaxmocap.formats.private_cache import PrivateCache
 
 
 class Turned(NamedTuple):
@@ -28,7 +28,7 @@ class Turned(NamedTuple):
 @pytest.fixture
 def folder(tmp_path: Path) -> Iterator[Path]:
     """Where programs are kept during a test."""
-    keep_in(KeptFiles(tmp_path, "programs"))
+    keep_in(PrivateCache(tmp_path, "programs"))
     yield tmp_path / "programs"
     keep_in(None)
 
@@ -195,7 +195,7 @@ def test_what_describes_no_structure_is_refused(text: str) -> None:
 
 def test_a_folder_that_cannot_be_made_is_no_hindrance(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
-    keep_in(KeptFiles(tmp_path / "file", "programs"))
+    keep_in(PrivateCache(tmp_path / "file", "programs"))
     try:
         assert np.isfinite(counted([])(ANGLE, POINT).point).all()
     finally:

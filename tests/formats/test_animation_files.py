@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.formats.animation.armature import joint_positions
-from jaxmocap.formats.animation.bvh import read_bvh, write_bvh
+from jaxmocap.formats.animation.bvh import write_bvh
+from jaxmocap.formats.animation.bvh_in import read_bvh
 from jaxmocap.formats.animation.export import write_animation
 from jaxmocap.formats.animation.gltf_in import read_gltf
 from jaxmocap.formats.animation.joint_names import CONVENTIONS, joint_of, landmark_names

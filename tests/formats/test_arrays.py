@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from moving_body import SAMPLES, moving_body
 
-from jaxmocap.formats.files.arrays import NAMES, WHOLE, Arrays, Stated
+from jaxmocap.formats.files.arrays import INTEGERS, NAMES, ArraySpec, NpzArrays
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.motion_npz import load_motion, save_motion
 from jaxmocap.synthetic.four_cameras import read_masks
@@ -117,7 +117,7 @@ def test_a_flipped_byte_is_noticed(tmp_path, damaged):
     content[damaged] ^= 0x55
     path.write_bytes(content)
     with pytest.raises(InputError):
-        Arrays(path).read({"version": Stated(("N",), WHOLE)})
+        NpzArrays(path).read({"version": ArraySpec(("N",), INTEGERS)})
 
 
 def test_sizes_that_contradict_the_bytes_are_refused_before_anything_is_allocated(tmp_path):
@@ -125,23 +125,23 @@ def test_sizes_that_contradict_the_bytes_are_refused_before_anything_is_allocate
     larger = header("<f8", "(4000000000000, 3)") + bytes(48)
     zipped(path, ("x.npy", larger))
     with pytest.raises(InputError, match="states 96000000000000 bytes of values, but 48 are there"):
-        Arrays(path).read({"x": Stated(("N", 3))})
+        NpzArrays(path).read({"x": ArraySpec(("N", 3))})
     zipped(path, ("x.npy", header("<f8", "(-2, -3)") + bytes(48)))
     with pytest.raises(InputError, match=r"found shape \(-2, -3\)"):
-        Arrays(path).read({"x": Stated(("N", "M"))})
+        NpzArrays(path).read({"x": ArraySpec(("N", "M"))})
 
 
 @pytest.mark.parametrize("descr", ["<f16", "|O", "<c16", "<M8[s]", "|V8", "|S3", "<U0", "|b1"])
 def test_values_of_another_type_are_refused(tmp_path, descr):
     path = zipped(tmp_path / "a.npz", ("x.npy", header(descr, "(1,)") + bytes(16)))
     with pytest.raises(InputError, match=r"x: (found|no NumPy array)"):
-        Arrays(path).read({"x": Stated(("N",))})
+        NpzArrays(path).read({"x": ArraySpec(("N",))})
 
 
 def test_names_must_print_and_be_short(tmp_path):
     def said(*names: str) -> str:
         path = changed(tmp_path, {"x": np.array(names)})
-        return complaint(path, lambda path: Arrays(path).read({"x": Stated(("N",), NAMES)}))
+        return complaint(path, lambda path: NpzArrays(path).read({"x": ArraySpec(("N",), NAMES)}))
 
     assert said("a", "\x1b[31mred") == r"x: found '\x1b[31mred', expected a name that prints"
     assert "expected a name that prints" in said("a", "")
@@ -150,15 +150,15 @@ def test_names_must_print_and_be_short(tmp_path):
     beyond = header("<U1", "(1,)") + struct.pack("<I", 0x110000)
     path = zipped(tmp_path / "b.npz", ("x.npy", beyond))
     with pytest.raises(InputError, match="found what is no text"):
-        Arrays(path).read({"x": Stated(("N",), NAMES)})
+        NpzArrays(path).read({"x": ArraySpec(("N",), NAMES)})
 
 
 def test_other_orders_and_widths_are_read(tmp_path):
     numbers = np.arange(6.0).reshape(2, 3)
-    stated = {"x": Stated(("N", 3))}
+    stated = {"x": ArraySpec(("N", 3))}
     for array in (np.asfortranarray(numbers), numbers.astype(">f4"), numbers.astype("<u2")):
         path = changed(tmp_path, {"x": array})
-        np.testing.assert_array_equal(Arrays(path).read(stated)["x"], numbers)
+        np.testing.assert_array_equal(NpzArrays(path).read(stated)["x"], numbers)
 
 
 # Motions ----------------------------------------------------------------------------------------

@@ -191,8 +191,8 @@ def test_sizes_beyond_the_file_are_refused_whatever_the_header_says(tmp_path):
 def test_a_file_may_take_so_much_time_and_memory_and_no_more(tmp_path, monkeypatch, most, said):
     pytest.importorskip("resource", reason="this system has no limits of file sizes")
     path = foreign(tmp_path / "a.c3d", np.ones((4, 40, 40_000)))
-    monkeypatch.setattr(c3d, "MOST_MEMORY", most)
-    monkeypatch.setattr(c3d, "LONGEST_S", 0.001 if "0.001" in said else 60)
+    monkeypatch.setattr(c3d, "MAX_MEMORY_BYTES", most)
+    monkeypatch.setattr(c3d, "MAX_READ_S", 0.001 if "0.001" in said else 60)
     assert said in complaint(path)
 
 

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from jaxmocap.formats.cameras.calibration import (
-    Lens,
+    Intrinsics,
     pick_camera,
     read_calibration,
-    read_lens,
+    read_intrinsics,
     write_camera,
 )
 from jaxmocap.formats.cameras.opencv_yaml import read_opencv_yaml
@@ -22,7 +22,7 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.toml import toml_value
 
 MATRIX = np.array([[500.25, 0, 320], [0, 510, 240], [0, 0, 1]])
-LENS = Lens(np.array([640.0, 480.0]), MATRIX, np.array([-0.1, 0.02, 1e-4, -2e-5]))
+LENS = Intrinsics(np.array([640.0, 480.0]), MATRIX, np.array([-0.1, 0.02, 1e-4, -2e-5]))
 ROS = """image_width: 640
 image_height: 480
 camera_name: narrow
@@ -116,7 +116,7 @@ def test_a_camera_is_added_to_a_file_and_makes_one_where_there_is_none(tmp_path)
     cameras = read_calibration(path)
     assert list(cameras) == ["left one", "cam"]
     np.testing.assert_allclose(cameras["cam"].matrix, MATRIX)
-    np.testing.assert_array_equal(read_lens(path, "cam").distortions, LENS.distortions)
+    np.testing.assert_array_equal(read_intrinsics(path, "cam").distortions, LENS.distortions)
     assert [p.name for p in path.parent.iterdir()] == ["c.toml"]
 
 
@@ -158,7 +158,7 @@ def test_what_filestorage_writes_is_read_to_the_last_digit(
         tvec=np.array([0.5, -1.0, 3.0]),
         per_view_errors=np.arange(30.0).reshape(-1, 1),
     )
-    lens = read_lens(path, "any name")
+    lens = read_intrinsics(path, "any name")
     np.testing.assert_array_equal(lens.matrix, matrix)
     np.testing.assert_array_equal(lens.distortions, coefficients)
     np.testing.assert_array_equal(lens.size, [1088, 1920])
@@ -174,7 +174,7 @@ def test_the_older_header_and_tilted_zeros_are_read(tmp_path):
     sizes = {"image_width": 640, "image_height": 480}
     file_storage(path, **sizes, camera_matrix=MATRIX, distortion_coefficients=coefficients)
     path.write_text(path.read_text().replace("%YAML 1.2", "%YAML:1.0"))
-    lens = read_lens(path, "old")
+    lens = read_intrinsics(path, "old")
     np.testing.assert_array_equal(lens.distortions[:4], LENS.distortions)
     assert len(lens.distortions) == 8
     with pytest.raises(InputError, match="'rotation' is missing"):
@@ -184,7 +184,7 @@ def test_the_older_header_and_tilted_zeros_are_read(tmp_path):
 def test_what_ros_writes_is_read_by_its_cameras_name(tmp_path):
     path = written(tmp_path, ROS)
     assert list(read_opencv_yaml(path)) == ["narrow"]
-    lens = read_lens(path, "narrow")
+    lens = read_intrinsics(path, "narrow")
     np.testing.assert_array_equal(lens.matrix, MATRIX)
     np.testing.assert_array_equal(lens.distortions, [*LENS.distortions, 0])
 
@@ -207,7 +207,7 @@ def test_what_ros_writes_is_read_by_its_cameras_name(tmp_path):
 def test_bad_yaml_is_refused_with_the_field(tmp_path, old, new, says):
     assert old in ROS
     path = written(tmp_path, ROS.replace(old, new))
-    said = complaint(read_lens, path, "narrow")
+    said = complaint(read_intrinsics, path, "narrow")
     assert said.startswith(str(path)) and says in said
 
 
@@ -216,6 +216,6 @@ def test_a_damaged_yaml_is_read_or_refused(tmp_path_factory, place, other):
     path = tmp_path_factory.mktemp("damaged") / "c.yml"
     path.write_text(ROS[:place] + other + ROS[place + 1 :], encoding="utf-8")
     try:
-        read_lens(path, "narrow")
+        read_intrinsics(path, "narrow")
     except InputError as error:
         assert str(error).startswith(str(path))

@@ -15,8 +15,8 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.cli import main
 from jaxmocap.evaluation.errors import evaluate_directory
 from jaxmocap.evaluation.motions import evaluate
-from jaxmocap.formats.animation.bvh import read_bvh
-from jaxmocap.formats.convert import Options, convert
+from jaxmocap.formats.animation.bvh_in import read_bvh
+from jaxmocap.formats.convert import ConversionOptions, convert_file
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.motion_npz import load_motion, save_motion
 from jaxmocap.formats.time_series.markers import read_markers
@@ -34,8 +34,8 @@ def folder(tmp_path):
     return tmp_path
 
 
-def options(suffix: str, folder) -> Options:
-    return Options(body=folder / "motion.npz") if suffix == "mot" else Options()
+def options(suffix: str, folder) -> ConversionOptions:
+    return ConversionOptions(body=folder / "motion.npz") if suffix == "mot" else ConversionOptions()
 
 
 @pytest.mark.parametrize("suffix", ["bvh", "glb", "mot"])
@@ -46,8 +46,8 @@ def test_a_motion_survives_the_way_there_and_back(tmp_path, suffix, drawn):
     held = Pose(*(np.stack(parts) for parts in zip(*drawn, strict=True)))
     motion = Motion(Skeleton.human(1.8), np.arange(len(drawn)) / 50, held)
     save_motion(tmp_path / "motion.npz", motion)
-    convert(tmp_path / "motion.npz", tmp_path / f"there.{suffix}")
-    convert(tmp_path / f"there.{suffix}", tmp_path / "back.npz", options(suffix, tmp_path))
+    convert_file(tmp_path / "motion.npz", tmp_path / f"there.{suffix}")
+    convert_file(tmp_path / f"there.{suffix}", tmp_path / "back.npz", options(suffix, tmp_path))
     back = load_motion(tmp_path / "back.npz")
     np.testing.assert_allclose(back.times, motion.times, atol=1e-7)
     np.testing.assert_allclose(back.skeleton.lengths, motion.skeleton.lengths, atol=2e-6)
@@ -61,18 +61,18 @@ def test_a_motion_survives_the_way_there_and_back(tmp_path, suffix, drawn):
 @pytest.mark.parametrize("suffix", ["bvh", "glb", "mot"])
 def test_angles_within_their_limits_come_back_as_they_were(folder, suffix):
     """Of the two ways in which three hinges make a turn, the one within the limits is taken."""
-    convert(folder / "motion.npz", folder / f"there.{suffix}")
-    convert(folder / f"there.{suffix}", folder / "back.npz", options(suffix, folder))
+    convert_file(folder / "motion.npz", folder / f"there.{suffix}")
+    convert_file(folder / f"there.{suffix}", folder / "back.npz", options(suffix, folder))
     back = load_motion(folder / "back.npz")
     np.testing.assert_allclose(back.poses.angles, moving_body().poses.angles, atol=1e-5)
 
 
 @pytest.mark.parametrize("names", ["jaxmocap", "vrm", "humanik", "smpl", "isb"])
 def test_joints_by_any_convention_are_recognised(folder, names):
-    convert(folder / "motion.npz", folder / "a.bvh", Options(names=names))
-    convert(folder / "a.bvh", folder / "b.glb", Options(names="vrm"))
-    convert(folder / "b.glb", folder / "back.npz")
-    convert(folder / "a.bvh", folder / "joints.trc", Options(names=names))
+    convert_file(folder / "motion.npz", folder / "a.bvh", ConversionOptions(names=names))
+    convert_file(folder / "a.bvh", folder / "b.glb", ConversionOptions(names="vrm"))
+    convert_file(folder / "b.glb", folder / "back.npz")
+    convert_file(folder / "a.bvh", folder / "joints.trc", ConversionOptions(names=names))
     joints = moving_body().joints()
     for name, points in load_motion(folder / "back.npz").joints().items():
         np.testing.assert_allclose(points, joints[name], atol=1e-5)
@@ -86,10 +86,12 @@ def test_joints_by_any_convention_are_recognised(folder, names):
 @pytest.mark.parametrize("target", ["trc", "csv", "c3d"])
 def test_joints_of_any_motion_become_markers_with_z_up(folder, source, target):
     if source != "npz":
-        convert(folder / "motion.npz", folder / f"motion.{source}", Options(names="smpl"))
-    wanted = Options(names="smpl")
-    notes = convert(folder / f"motion.{source}", folder / f"joints.{target}", wanted)
-    assert notes == ["left out: how the bones are turned"]
+        convert_file(
+            folder / "motion.npz", folder / f"motion.{source}", ConversionOptions(names="smpl")
+        )
+    wanted = ConversionOptions(names="smpl")
+    notes = convert_file(folder / f"motion.{source}", folder / f"joints.{target}", wanted)
+    assert notes == ["left out: the bones' orientations"]
     markers, joints = read_markers(folder / f"joints.{target}").points(), moving_body().joints()
     for ours, theirs in (("elbow_l", "left_elbow"), ("hip_r", "right_hip"), ("neck", "neck")):
         np.testing.assert_allclose(markers[theirs], joints[ours], atol=1e-5)
@@ -101,8 +103,8 @@ def test_markers_survive_any_way(tmp_path, source, target):
     points = {"A": np.arange(12.0).reshape(4, 3) / 7, "B b": np.full((4, 3), np.nan)}
     points["B b"][2] = [0.1, -0.2, 0.3]
     write_trc(tmp_path / "first.trc", np.arange(4) / 100 + 0.05, points)
-    convert(tmp_path / "first.trc", tmp_path / f"a.{source}")
-    assert convert(tmp_path / f"a.{source}", tmp_path / f"b.{target}") == []
+    convert_file(tmp_path / "first.trc", tmp_path / f"a.{source}")
+    assert convert_file(tmp_path / f"a.{source}", tmp_path / f"b.{target}") == []
     markers = read_markers(tmp_path / f"b.{target}")
     np.testing.assert_allclose(markers.times, np.arange(4) / 100 + 0.05, atol=1e-6)
     for name, positions in points.items():
@@ -113,15 +115,15 @@ def test_another_rate_draws_straight_lines_and_keeps_gaps(tmp_path):
     points = np.array([[0.0, 0, 1], [1, 0, 1], [np.nan] * 3, [3, 0, 1], [4, 0, 1]])
     write_trc(tmp_path / "a.trc", np.array([0, 0.1, 0.2, 0.3, 0.5]), {"A": points})
     with pytest.raises(InputError, match=r"100 to 200 ms apart.*--rate"):
-        convert(tmp_path / "a.trc", tmp_path / "a.c3d")
-    convert(tmp_path / "a.trc", tmp_path / "a.c3d", Options(rate=20))
+        convert_file(tmp_path / "a.trc", tmp_path / "a.c3d")
+    convert_file(tmp_path / "a.trc", tmp_path / "a.c3d", ConversionOptions(rate=20))
     markers = read_markers(tmp_path / "a.c3d")
     x = [0, 0.5, 1, np.nan, np.nan, np.nan, 3, 3.25, 3.5, 3.75, 4]
     np.testing.assert_allclose(markers.positions[:, 0, 0], x, atol=1e-6)
 
 
 def test_a_motion_at_another_rate_turns_the_shortest_way(folder):
-    convert(folder / "motion.npz", folder / "fast.npz", Options(rate=240))
+    convert_file(folder / "motion.npz", folder / "fast.npz", ConversionOptions(rate=240))
     fast, motion = load_motion(folder / "fast.npz"), moving_body()
     assert len(fast.times) == 4 * (SAMPLES - 1) + 1
     np.testing.assert_allclose(fast.poses.angles[::4], motion.poses.angles, atol=1e-5)
@@ -140,21 +142,21 @@ def test_bvh_files_say_what_they_leave_out(folder):
     position = np.array(motion.poses.position)
     position[4] = np.nan
     save_motion(folder / "a.npz", with_parts(motion, motion.times + 2.5, position))
-    notes = " ".join(convert(folder / "a.npz", folder / "a.bvh"))
+    notes = " ".join(convert_file(folder / "a.npz", folder / "a.bvh"))
     assert "masses" in notes and "1 samples without a pose" in notes and "2.5 s, not 0" in notes
 
 
 def test_what_cannot_be_converted_is_refused_in_one_sentence(folder, recordings):
     def complaint(source, target, **given) -> str:
         with pytest.raises(InputError) as caught:
-            convert(folder / source, folder / target, Options(**given))
+            convert_file(folder / source, folder / target, ConversionOptions(**given))
         assert "\n" not in str(caught.value) and not (folder / target).exists()
         return str(caught.value)
 
-    convert(folder / "motion.npz", folder / "a.trc")
-    convert(folder / "motion.npz", folder / "a.mot")
-    convert(folder / "motion.npz", folder / "a.bvh", Options(names="smpl"))
-    assert "places of markers are not turns of bones" in complaint("a.trc", "b.bvh")
+    convert_file(folder / "motion.npz", folder / "a.trc")
+    convert_file(folder / "motion.npz", folder / "a.mot")
+    convert_file(folder / "motion.npz", folder / "a.bvh", ConversionOptions(names="smpl"))
+    assert "positions of markers, not orientations of bones" in complaint("a.trc", "b.bvh")
     assert "unknown suffix '.fbx', expected one of .c3d, .trc" in complaint("a.trc", "b.fbx")
     assert "angles without bones" in complaint("a.mot", "b.bvh")
     assert "expected a .npz, .bvh or .glb" in complaint("a.mot", "b.bvh", body=folder / "a.trc")
@@ -172,7 +174,7 @@ def test_what_cannot_be_converted_is_refused_in_one_sentence(folder, recordings)
     turning = [n for n in armature.names if not n.endswith("_end")]
     values[3 + 3 * turning.index("left_wrist") + 1] = "50"
     (folder / "d.bvh").write_text("\n".join([*lines[:-1], " ".join(values)]))
-    assert "hand_l at 0.983333 s: turned" in complaint("d.bvh", "b.npz")
+    assert "hand_l at 0.983333 s: rotated" in complaint("d.bvh", "b.npz")
     shifted = text.replace("JOINT left_shoulder\n", "JOINT left_shoulder\n", 1)
     i = shifted.index("OFFSET", shifted.index("JOINT left_collar"))
     shifted = shifted[:i] + "OFFSET 0.05 0.2 0.0" + shifted[shifted.index("\n", i) :]
@@ -182,7 +184,7 @@ def test_what_cannot_be_converted_is_refused_in_one_sentence(folder, recordings)
 
 def test_angles_are_written_in_degrees_without_jumps(folder):
     motion = moving_body()
-    convert(folder / "motion.npz", folder / "a.mot")
+    convert_file(folder / "motion.npz", folder / "a.mot")
     text = (folder / "a.mot").read_text().splitlines()
     assert text[:6] == ["a", "version=1", f"nRows={SAMPLES}", "nColumns=28", "inDegrees=yes",
                         "endheader"]  # fmt: skip
@@ -211,12 +213,14 @@ def test_angles_are_written_in_degrees_without_jumps(folder):
     ],
 )
 def test_bad_mot_files_are_refused_in_one_sentence(folder, old, new, said):
-    convert(folder / "motion.npz", folder / "a.mot")
+    convert_file(folder / "motion.npz", folder / "a.mot")
     text = (folder / "a.mot").read_text()
     assert old in text
     (folder / "a.mot").write_text(text.replace(old, new, 1))
     with pytest.raises(InputError) as caught:
-        convert(folder / "a.mot", folder / "b.npz", Options(body=folder / "motion.npz"))
+        convert_file(
+            folder / "a.mot", folder / "b.npz", ConversionOptions(body=folder / "motion.npz")
+        )
     assert said in str(caught.value) and "\n" not in str(caught.value)
 
 
@@ -226,7 +230,7 @@ def test_bad_mot_files_are_refused_in_one_sentence(folder, old, new, said):
 @pytest.mark.parametrize(("suffix", "elbow"), [("bvh", "LeftForeArm"), ("glb", "leftLowerArm")])
 def test_a_motion_is_compared_with_an_animation_file(folder, suffix, elbow):
     motion = moving_body()
-    convert(folder / "motion.npz", folder / f"truth.{suffix}")
+    convert_file(folder / "motion.npz", folder / f"truth.{suffix}")
     assert evaluate(motion, folder / f"truth.{suffix}", {"elbow_l": elbow}).mean < 1e-5
     late = {name: points + np.array([0.03, 0, 0]) for name, points in motion.joints().items()}
     write_trc(folder / "joints.trc", motion.times + 4, late)

@@ -6,10 +6,10 @@ from moving_body import RATE, SAMPLES, moving_body, with_parts
 
 from jaxmocap.formats.animation.export import write_animation
 from jaxmocap.formats.animation.gltf_in import read_gltf
-from jaxmocap.formats.convert import Options, convert
+from jaxmocap.formats.convert import ConversionOptions, convert_file
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.motion_npz import save_motion
-from jaxmocap.formats.time_series.gaps import LONGEST_BRIDGED_S, gaps
+from jaxmocap.formats.time_series.gaps import LONGEST_BRIDGED_S, is_gap
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.resampling import even_times
 from jaxmocap.formats.time_series.trc import write_trc
@@ -37,7 +37,7 @@ def with_gap(seconds: float):
     ],
 )
 def test_a_gap_is_longer_than_half_a_second_and_five_samples(times, expected):
-    assert gaps(np.array(times)).tolist() == expected
+    assert is_gap(np.array(times)).tolist() == expected
 
 
 def test_a_viewer_stands_still_through_two_hours_and_then_jumps(tmp_path):
@@ -91,7 +91,7 @@ def test_a_bvh_file_holds_its_poses_through_a_short_gap(tmp_path):
 def test_markers_at_another_rate_are_missing_within_gaps(tmp_path, target):
     times = np.array([0.0, 0.1, 0.2, 2.0, 2.1])
     write_trc(tmp_path / "a.trc", times, {"Head": np.outer(times, [1, 2, 3])})
-    convert(tmp_path / "a.trc", tmp_path / target, Options(rate=20))
+    convert_file(tmp_path / "a.trc", tmp_path / target, ConversionOptions(rate=20))
     back = read_markers(tmp_path / target)
     missing = np.isnan(back.positions).all((1, 2))
     assert missing.tolist() == [bool(0.21 < t < 1.99) for t in back.times]
@@ -105,7 +105,7 @@ def test_more_samples_than_any_recording_are_refused_before_they_are_made(
 ):
     save_motion(tmp_path / "a.npz", with_gap(gap))
     with pytest.raises(InputError) as error:
-        convert(tmp_path / "a.npz", tmp_path / target, Options(rate=rate))
+        convert_file(tmp_path / "a.npz", tmp_path / target, ConversionOptions(rate=rate))
     said = str(error.value)
     assert f"a.npz: {rate:g} samples per second would be" in said and "expected at most" in said
     assert not (tmp_path / target).exists()
@@ -121,6 +121,6 @@ def test_a_motion_that_a_target_cannot_hold_is_refused_in_one_sentence(tmp_path)
     save_motion(tmp_path / "a.npz", with_gap(1e9))
     for target, said in (("b.glb", "single precision"), ("b.bvh", "one rate only")):
         with pytest.raises(InputError) as error:
-            convert(tmp_path / "a.npz", tmp_path / target)
+            convert_file(tmp_path / "a.npz", tmp_path / target)
         assert said in str(error.value) and "\n" not in str(error.value)
         assert not (tmp_path / target).exists()

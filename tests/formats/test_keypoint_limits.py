@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from jaxmocap.capture.keypoints import line_up
+from jaxmocap.capture.keypoints import align_detections
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings import keypoint_files, keypoints
 from jaxmocap.formats.recordings.keypoints import Detections, read_keypoints
@@ -48,12 +48,12 @@ def test_a_system_folder_is_refused_at_once(folder):
 
 
 def test_a_folder_of_more_files_than_frames_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(keypoint_files, "MOST_ENTRIES", 3)
+    monkeypatch.setattr(keypoint_files, "MAX_ENTRIES", 3)
     for i in range(5):
         (tmp_path / f"{i}.json").write_text("{}")
     assert "holds more than 3 files, expected one per frame" in complaint(tmp_path)
     monkeypatch.undo()
-    monkeypatch.setattr(keypoint_files, "MOST_FOLDER_BYTES", 9)
+    monkeypatch.setattr(keypoint_files, "MAX_FOLDER_BYTES", 9)
     assert "of .json files, expected at most" in complaint(tmp_path)
 
 
@@ -77,7 +77,7 @@ def test_json_that_would_fill_memory_or_break_the_parser_is_refused(tmp_path, te
 
 
 def test_more_people_than_memory_holds_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(keypoints, "MOST_POINTS", 200)
+    monkeypatch.setattr(keypoints, "MAX_POINTS", 200)
     for i, count in enumerate((1, 12)):
         (tmp_path / f"{i}.json").write_text(json.dumps({"people": [person()] * count}))
     assert "found more than 200 key points so far" in complaint(tmp_path)
@@ -86,4 +86,4 @@ def test_more_people_than_memory_holds_are_refused(tmp_path, monkeypatch):
 def test_a_crowd_in_one_frame_of_a_long_video_is_refused_before_it_is_lined_up():
     crowd = Detections(np.array([0]), ("wrist_l",), np.zeros((1, 300, 1, 2)), np.ones((1, 300, 1)))
     with pytest.raises(InputError, match="found up to 300 people in 200000 frames"):
-        line_up(crowd, 200_000, 0)
+        align_detections(crowd, 200_000, 0)

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from jaxmocap.formats.files.errors import InputError, OutputError
-from jaxmocap.formats.files.output_folder import LIST, OutputFolder
-from jaxmocap.formats.files.writing import check_target, part_beside, replacing, write_text
+from jaxmocap.formats.files.output_folder import LIST_NAME, OutputFolder
+from jaxmocap.formats.files.writing import check_target, replacing, temporary_beside, write_text
 
 
 def write(folder: Path, kind: str = "motion", names=(), **files: str) -> None:
@@ -21,14 +21,14 @@ def write(folder: Path, kind: str = "motion", names=(), **files: str) -> None:
 
 
 def texts(folder: Path) -> dict[str, str]:
-    return {path.name: path.read_text() for path in folder.iterdir() if path.name != LIST}
+    return {path.name: path.read_text() for path in folder.iterdir() if path.name != LIST_NAME}
 
 
 def test_a_run_replaces_its_own_files_and_removes_those_that_it_no_longer_has(tmp_path):
     write(tmp_path, joints="1", overlay="1")
     write(tmp_path, joints="2")
     assert texts(tmp_path) == {"joints": "2"}
-    assert list(json.loads((tmp_path / LIST).read_text())["files"]) == ["joints"]
+    assert list(json.loads((tmp_path / LIST_NAME).read_text())["files"]) == ["joints"]
 
 
 def test_another_kind_of_run_in_the_same_folder_keeps_its_files(tmp_path):
@@ -109,7 +109,7 @@ def test_a_link_to_a_folder_of_inputs_is_that_folder(tmp_path):
 def test_a_list_that_is_none_of_ours_is_refused_and_leads_nowhere_else(text, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "evil").write_text("mine")
-    (tmp_path / "out" / LIST).write_text(text)
+    (tmp_path / "out" / LIST_NAME).write_text(text)
     with pytest.raises(InputError, match="no list of files that jaxmocap wrote"):
         OutputFolder(tmp_path / "out", "motion", ["joints"])
     assert (tmp_path / "evil").read_text() == "mine"
@@ -152,12 +152,12 @@ def texts_of_files(folder: Path) -> dict[str, str]:
     return {
         path.name: path.read_text()
         for path in folder.iterdir()
-        if path.is_file() and path.name != LIST and not path.name.startswith(".")
+        if path.is_file() and path.name != LIST_NAME and not path.name.startswith(".")
     }
 
 
 def test_what_another_process_is_writing_is_left_alone(tmp_path):
-    mine = part_beside(tmp_path / "a.trc")
+    mine = temporary_beside(tmp_path / "a.trc")
     mine.write_text("")
     gone = mine.with_name(mine.name.replace(f"-{os.getpid()}-", "-999999999-"))
     other = mine.with_name(".jaxmocap-00000000-999999999-00000000.trc")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.calibration.sync import sync
+from jaxmocap.calibration.sync import estimate_video_offsets
 from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import (
@@ -106,7 +106,10 @@ def test_without_a_subject_a_height_is_assumed_and_said(folder):
 
 def test_a_marker_that_is_never_seen_is_a_warning(folder):
     recording = load(folder, MARKERS + ON + 'Gone = { bone = "hand_l" }\n' + SUBJECT)
-    assert len(recording.warnings) == 1 and "'Gone' is never seen" in recording.warnings[0]
+    assert (
+        len(recording.warnings) == 1
+        and "'Gone' is missing in every sample" in recording.warnings[0]
+    )
 
 
 def test_a_static_trial_scales_the_skeleton(folder):
@@ -163,7 +166,7 @@ def test_a_subject_may_have_a_file_with_paths_of_its_own(folder):
         (WHOLE.replace('"head"', '"head", at = true'), "Head at: found True, expected a number"),
         (WHOLE.replace('"head"', '"head", offset = [1]'), "Head offset: found [1], expected 3"),
         (WHOLE.replace('"head"', '"head", to = 1'), "unknown key 'to', expected bone, at, offset"),
-        (WHOLE.replace("Head = ", "Gone = "), "all positions are NaN"),
+        (WHOLE.replace("Head = ", "Gone = "), "all are NaN"),
         (WHOLE.replace("v.mp4", "w.mp4"), "[[video]] number 1 file: no such file"),
         (WHOLE.replace("[[video]]", "[video]"), "expected [[video]] in double brackets"),
         (WHOLE.replace('camera = "cam"', ""), "[[video]] number 1: 'camera' is missing"),
@@ -209,11 +212,11 @@ def test_videos_alone_make_a_recording_which_no_marker_tracker_takes(folder):
     recording = load(folder, VIDEO + CALIBRATION + SUBJECT)
     assert recording.marker_names == () and recording.positions_world.shape == (0, 0, 3)
     assert recording.times.shape == (0,) and recording.videos[0].camera_name == "cam"
-    for user in (Recording.marked, track, check, sync, warm_up):
+    for user in (Recording.require_markers, track, check, estimate_video_offsets, warm_up):
         with pytest.raises(InputError, match=r"r\.toml: \[markers\] is missing"):
             user(recording)
     marked = load(folder, WHOLE)
-    assert marked.marked() is marked
+    assert marked.require_markers() is marked
 
 
 def test_a_recording_without_markers_is_written_without_them(folder):

@@ -5,9 +5,9 @@ import time
 import numpy as np
 import pytest
 
-from jaxmocap.formats.animation.bvh import read_bvh
+from jaxmocap.formats.animation.bvh_in import read_bvh
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.lines import LONGEST_LINE, numbered_lines
+from jaxmocap.formats.files.lines import MAX_LINE_CHARACTERS, numbered_lines
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.mot import read_mot
 from jaxmocap.formats.time_series.tables import parse_rows, row_texts
@@ -144,7 +144,7 @@ def test_lines_are_the_same_whatever_ends_them_and_wherever_blocks_end(tmp_path)
     for end in ("\n", "\r\n", "\r"):
         (tmp_path / "a").write_bytes(("\ufeff" + end.join(lines)).encode())
         assert list(numbered_lines(tmp_path / "a")) == list(enumerate(lines, 1))
-    (tmp_path / "a").write_text("\n \nx\n\ny" + "z" * (LONGEST_LINE - 1))
+    (tmp_path / "a").write_text("\n \nx\n\ny" + "z" * (MAX_LINE_CHARACTERS - 1))
     assert [number for number, _ in numbered_lines(tmp_path / "a")] == [1, 2, 3, 4, 5]
 
 

@@ -6,11 +6,11 @@ import time
 import pytest
 from small_recording import write_small_recording
 
-from jaxmocap.formats.cameras.calibration import check_writable, read_calibration
+from jaxmocap.formats.cameras.calibration import check_camera_writable, read_calibration
 from jaxmocap.formats.cameras.toml_sections import replace_entries
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import listed, shown
-from jaxmocap.formats.files.toml import Fields, file_name_problem, parse_toml, read_toml
+from jaxmocap.formats.files.short_repr import comma_list, short_repr
+from jaxmocap.formats.files.toml import TomlTable, file_name_problem, parse_toml, read_toml
 from jaxmocap.formats.recordings.recording import load_recording
 
 # Nothing here takes longer than a second or two on an idle machine.
@@ -95,43 +95,43 @@ def test_a_section_of_a_large_calibration_is_replaced_in_seconds():
 
 @pytest.mark.parametrize("value", [ESCAPES, [ESCAPES], {ESCAPES: ESCAPES}, "x" * 10**6, [16**5000]])
 def test_messages_show_values_short_and_without_escapes(value):
-    assert shown(value).isprintable() and len(shown(value)) < 80
+    assert short_repr(value).isprintable() and len(short_repr(value)) < 80
 
 
 def test_messages_show_nested_values_to_some_depth_only():
     value: list = []
     for _ in range(100_000):
         value = [value]
-    assert len(shown(value)) < 80
+    assert len(short_repr(value)) < 80
 
 
 def test_of_many_names_some_are_listed():
-    assert listed(["a", "b c"]) == "a, b c"
-    text = listed([f"m{i}" for i in range(1000)] + [ESCAPES])
+    assert comma_list(["a", "b c"]) == "a, b c"
+    text = comma_list([f"m{i}" for i in range(1000)] + [ESCAPES])
     assert text.endswith("m19 and 981 more")
-    assert listed([ESCAPES]).isprintable()
+    assert comma_list([ESCAPES]).isprintable()
 
 
 def test_fields_tables_and_keys_are_named_without_escapes(tmp_path):
-    message = complaint(Fields, tmp_path / "r.toml", f"[{ESCAPES * 50}]", {ESCAPES: 1}, ("a",))
+    message = complaint(TomlTable, tmp_path / "r.toml", f"[{ESCAPES * 50}]", {ESCAPES: 1}, ("a",))
     assert "unknown key" in message
-    fields = Fields(tmp_path / "r.toml", "[a]", {"b": ESCAPES})
+    fields = TomlTable(tmp_path / "r.toml", "[a]", {"b": ESCAPES})
     assert "found 'red\\x1b[31m" in complaint(fields.number, "b")
 
 
 @pytest.mark.parametrize("value", [1e300, -1e13, 10**400, float("nan"), float("inf"), True, "1"])
 def test_numbers_beyond_any_measurement_are_refused(tmp_path, value):
-    fields = Fields(tmp_path / "r.toml", "[a]", {"b": value, "c": [value]})
+    fields = TomlTable(tmp_path / "r.toml", "[a]", {"b": value, "c": [value]})
     assert "[a] b: found" in complaint(fields.number, "b")
     if not isinstance(value, (bool, str)):
         assert "[a] c: found" in complaint(fields.array, "c", [(1,)], "a number")
 
 
 def test_whole_numbers_are_asked_for_with_their_range(tmp_path):
-    fields = Fields(tmp_path / "r.toml", "", {"a": 3, "b": 2.5, "c": 10**12})
-    assert fields.whole("a", 0, 5) == 3
-    assert "expected a whole number" in complaint(fields.whole, "b", 0, 5)
-    assert "expected a number from 0 to 5" in complaint(fields.whole, "c", 0, 5)
+    fields = TomlTable(tmp_path / "r.toml", "", {"a": 3, "b": 2.5, "c": 10**12})
+    assert fields.integer("a", 0, 5) == 3
+    assert "expected a whole number" in complaint(fields.integer, "b", 0, 5)
+    assert "expected a number from 0 to 5" in complaint(fields.integer, "c", 0, 5)
 
 
 # Files and names ---------------------------------------------------------------------------------
@@ -150,7 +150,7 @@ def test_whole_numbers_are_asked_for_with_their_range(tmp_path):
 )
 def test_what_is_no_file_is_refused_with_its_field(tmp_path, name, says):
     os.mkfifo(tmp_path / "pipe")
-    fields = Fields(tmp_path / "r.toml", "[markers]", {"file": name})
+    fields = TomlTable(tmp_path / "r.toml", "[markers]", {"file": name})
     message = complaint(fields.file, "file")
     assert "[markers] file: " in message and says in message
     if name != ".":
@@ -168,9 +168,9 @@ def test_names_that_lead_elsewhere_or_that_no_system_has_are_no_cameras(tmp_path
     assert file_name_problem(name)
     if name:
         assert "camera: found" in complaint(
-            Fields(tmp_path / "r.toml", "camera:", {"name": name}).file_name, "name"
+            TomlTable(tmp_path / "r.toml", "camera:", {"name": name}).file_name, "name"
         ).replace("camera: name", "camera")
-    complaint(check_writable, tmp_path / "c.toml", name)
+    complaint(check_camera_writable, tmp_path / "c.toml", name)
 
 
 @pytest.mark.parametrize("name", ["cam 01", "Küche.links", "a-b_c", "中央", "x" * 100, "console"])

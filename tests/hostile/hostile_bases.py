@@ -184,7 +184,7 @@ def _write_markers(folder: Path) -> None:
 
 
 def _write_rich(path: Path) -> None:
-    """Ten seconds of markers in a rigid set that turns, and of one that says how it is turned."""
+    """Ten seconds of markers in a rigid set that turns, and of one with an orientation."""
     times = np.arange(10 * SLOW) / SLOW
     swing = 0.6 * np.sin(np.outer(times, [2.0, 1.3, 0.7]))
     R = Rotation.from_euler("xyz", swing).as_matrix()

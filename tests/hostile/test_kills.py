@@ -18,9 +18,9 @@ import pytest
 from small_recording import write_small_recording
 
 from jaxmocap.capture.video import Video
-from jaxmocap.formats.animation.bvh import read_bvh
+from jaxmocap.formats.animation.bvh_in import read_bvh
 from jaxmocap.formats.animation.gltf_in import read_gltf
-from jaxmocap.formats.files.output_folder import LIST, read_list
+from jaxmocap.formats.files.output_folder import LIST_NAME, read_list
 from jaxmocap.formats.motion_npz import load_motion
 from jaxmocap.formats.time_series.mot import read_mot
 from jaxmocap.formats.time_series.trc import read_trc
@@ -91,7 +91,7 @@ def check(out: Path, earlier: set[str]) -> int:
         if any(part.startswith(".") for part in within.parts):
             hidden += len(within.parts) and within.parts[-1].startswith(".jaxmocap-")
             continue
-        if path.is_file() and path.name not in (LIST, "notes.txt"):
+        if path.is_file() and path.name not in (LIST_NAME, "notes.txt"):
             assert digest(path) in read_list(path.parent)[path.name].digests, within
             if path.suffix in READERS:
                 READERS[path.suffix](path)
@@ -108,7 +108,7 @@ def rehearse(inputs: Path, out: Path, arguments: Sequence[object]) -> None:
     run(arguments)
     (out / "notes.txt").write_text("mine")
     earlier = {
-        str(p.relative_to(out)) for p in out.rglob("*") if p.is_file() and p.name != LIST
+        str(p.relative_to(out)) for p in out.rglob("*") if p.is_file() and p.name != LIST_NAME
     } - {"notes.txt"}
     seconds, rng = run(arguments), np.random.default_rng(0)
     at_work = left = 0

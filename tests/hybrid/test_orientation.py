@@ -1,4 +1,4 @@
-"""Markers that know how they are turned: files, places on the body, wrists, outputs."""
+"""Markers with orientations: files, places on the body, wrists, outputs."""
 
 from dataclasses import replace
 from functools import partial
@@ -21,13 +21,13 @@ from jaxmocap.body.orientations import body_turns, quaternions
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.wrists import with_wrists
-from jaxmocap.capture.streams.osc import parse
-from jaxmocap.capture.streams.sample_gathering import Gathering
-from jaxmocap.formats.convert import Options, convert
+from jaxmocap.capture.streams.osc import parse_packet
+from jaxmocap.capture.streams.sample_assembly import SampleAssembler
+from jaxmocap.formats.convert import ConversionOptions, convert_file
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.motion_npz import load_motion, save_motion
 from jaxmocap.formats.recordings.live import R_WORLD_UNITY, load_live
-from jaxmocap.formats.recordings.marker_places import MarkerPlace, bound_places, bound_positions
+from jaxmocap.formats.recordings.marker_places import MarkerPlace, bone_point_positions, bone_points
 from jaxmocap.formats.recordings.recording import load_markers, write_recording
 from jaxmocap.formats.time_series.csv import read_csv, write_csv
 from jaxmocap.formats.time_series.trc import read_trc, write_trc
@@ -57,9 +57,12 @@ def test_a_csv_file_keeps_turns_and_what_is_not_known_of_them(tmp_path):
     assert header == ("time,A.x,A.y,A.z,A.qw,A.qx,A.qy,A.qz,B.x,B.y,B.z,"
                       "C.x,C.y,C.z,C.qw,C.qx,C.qy,C.qz")  # fmt: skip
     found = read_csv(tmp_path / "a.csv")
-    assert set(found.turned()) == {"A", "C"} and np.isnan(found.turned()["A"][2]).all()
+    assert (
+        set(found.known_orientations()) == {"A", "C"}
+        and np.isnan(found.known_orientations()["A"][2]).all()
+    )
     for name, R in turns.items():
-        np.testing.assert_allclose(found.turned()[name], R, atol=3e-6)
+        np.testing.assert_allclose(found.known_orientations()[name], R, atol=3e-6)
     for name, positions in points.items():
         np.testing.assert_allclose(found.points()[name], positions, atol=1e-6)
 
@@ -84,10 +87,12 @@ def test_bad_quaternions_are_refused_in_one_sentence(tmp_path, text, said):
 def test_converting_keeps_turns_or_says_that_it_does_not(tmp_path):
     turns = {"A": Rotation.from_euler("z", [[0], [10], [20], [30], [40]], degrees=True).as_matrix()}
     write_csv(tmp_path / "a.csv", TIMES, {"A": np.ones((5, 3))}, turns)
-    assert convert(tmp_path / "a.csv", tmp_path / "b.csv", Options(rate=20)) == []
-    yaw = np.degrees(Rotation.from_matrix(read_csv(tmp_path / "b.csv").turned()["A"]).as_rotvec())
+    assert convert_file(tmp_path / "a.csv", tmp_path / "b.csv", ConversionOptions(rate=20)) == []
+    yaw = np.degrees(
+        Rotation.from_matrix(read_csv(tmp_path / "b.csv").known_orientations()["A"]).as_rotvec()
+    )
     np.testing.assert_allclose(yaw[:, 2], np.arange(0, 41, 5), atol=1e-3)
-    assert "how the markers are turned" in convert(tmp_path / "a.csv", tmp_path / "b.trc")[0]
+    assert "the markers' orientations" in convert_file(tmp_path / "a.csv", tmp_path / "b.trc")[0]
 
 
 # Rigid sets --------------------------------------------------------------------------------------
@@ -176,9 +181,9 @@ def test_points_of_a_turned_marker_lie_where_its_bone_has_them(seed):
         there = along + (held @ offset if offset_in == "marker" else offset)
         x, y, z = offset.tolist()
         place = MarkerPlace(bone, bone, 0.4, (x, y, z), offset_in, tuple(quaternions(held)))
-        wanted = bound_positions(BODY, [place], (joints[i] + turned[i] @ there)[None],
+        wanted = bone_point_positions(BODY, [place], (joints[i] + turned[i] @ there)[None],
                                  (turned[i] @ held)[None])  # fmt: skip
-        points = bound_places(BODY, [place])
+        points = bone_points(BODY, [place])
         assert len(points) == 3 and {point.bone for point in points} == {bone}
         found = [joints[i] + turned[i] @ (along + np.array(point.offset)) for point in points]
         np.testing.assert_allclose(wanted, found, atol=1e-6)
@@ -187,9 +192,9 @@ def test_points_of_a_turned_marker_lie_where_its_bone_has_them(seed):
 def test_where_it_is_not_known_how_a_marker_is_turned_its_point_is_missing():
     place = MarkerPlace("C", "hand_l", 0.0, (0.0, 0.0, 0.1), "marker")
     R = np.full((1, 3, 3), np.nan)
-    assert np.isnan(bound_positions(BODY, [place], np.ones((1, 3)), R)).all()
+    assert np.isnan(bone_point_positions(BODY, [place], np.ones((1, 3)), R)).all()
     plain = replace(place, offset_in="bone")
-    np.testing.assert_array_equal(bound_positions(BODY, [plain], np.ones((1, 3)), R), 1)
+    np.testing.assert_array_equal(bone_point_positions(BODY, [plain], np.ones((1, 3)), R), 1)
 
 
 @pytest.mark.parametrize(
@@ -199,8 +204,8 @@ def test_where_it_is_not_known_how_a_marker_is_turned_its_point_is_missing():
         ({"turn": [0, 0, 0, 0]}, "turn: found a quaternion of length 0, expected 1"),
         ({"turn": [1, 0, 0]}, "expected a quaternion w, x, y, z"),
         ({"lever": 0.2}, "expected metres above 0 beside 'turn'"),
-        ({"turn": [1.0, 0, 0, 0]}, "turn needs to know how the marker is turned"),
-        ({"offset_in": "marker"}, "offset_in = 'marker' needs to know how the marker is turned"),
+        ({"turn": [1.0, 0, 0, 0]}, "turn needs the marker's orientation"),
+        ({"offset_in": "marker"}, "offset_in = 'marker' needs the marker's orientation"),
         ({"bone": "wing"}, "unknown bone 'wing'"),
     ],
 )
@@ -220,7 +225,7 @@ def test_an_orientation_survives_a_file_with_y_up(tmp_path):
     R_file_world = np.eye(3)[[1, 2, 0]]
     write_csv(tmp_path / "markers.csv", markers.times,
               {n: p @ R_file_world.T for n, p in markers.points().items()},
-              {n: R_file_world @ R for n, R in markers.turned().items()})  # fmt: skip
+              {n: R_file_world @ R for n, R in markers.known_orientations().items()})  # fmt: skip
     path = tmp_path / "recording.toml"
     path.write_text(path.read_text().replace('up = "z"', 'up = "y"'))
     np.testing.assert_allclose(Recording.load(path).positions_world, there.positions_world,
@@ -255,14 +260,14 @@ def sent(name: str, position: np.ndarray, R: np.ndarray) -> bytes:
 def test_devices_that_come_over_osc_tell_how_they_are_turned_and_are_recorded_so(tmp_path):
     (tmp_path / "live.toml").write_text(LIVE)
     setup, samples = load_live(tmp_path / "live.toml"), []
-    bind = partial(bound_positions, setup.skeleton, setup.places)
-    gathers = Gathering(setup.marker_names, {}, setup.R_world_source, samples.append, bind)
+    bind = partial(bone_point_positions, setup.skeleton, setup.places)
+    gathers = SampleAssembler(setup.marker_names, {}, setup.R_world_source, samples.append, bind)
     R, at = random_turns(7, 4, 2), np.random.default_rng(7).uniform(-1, 1, (4, 2, 3))
     for i in range(4):
         packets = (sent(n, at[i, m], R[i, m]) for m, n in enumerate(setup.marker_names))
-        placed = [placed for packet in packets for placed in parse(packet).placed]
-        gathers.add(placed, i / 90, i / 90, whole=True)
-    told = bound_positions(setup.skeleton, setup.places, at, R)
+        placed = [placed for packet in packets for placed in parse_packet(packet).markers]
+        gathers.add(placed, i / 90, i / 90, is_complete=True)
+    told = bone_point_positions(setup.skeleton, setup.places, at, R)
     found = np.stack([sample.positions_world for sample in samples])
     np.testing.assert_allclose(found, told, atol=1e-6)
     written = LiveRecording(setup, tmp_path / "out")
@@ -275,16 +280,16 @@ def test_devices_that_come_over_osc_tell_how_they_are_turned_and_are_recorded_so
     # As measured it is there too, for jaxmocap offsets.
     measured, _ = load_markers(path)
     np.testing.assert_allclose(measured.positions, at, atol=1e-6)
-    assert measured.turns is not None
-    np.testing.assert_allclose(measured.turns, R, atol=3e-6)
+    assert measured.orientations is not None
+    np.testing.assert_allclose(measured.orientations, R, atol=3e-6)
 
 
 def test_a_device_that_sends_no_quaternion_is_placed_but_not_turned():
     built = OscMessageBuilder("/VMC/Ext/Tra/Pos")
     for value in ("waist", 1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0):
         built.add_arg(value)
-    (placed,) = parse(built.build().dgram).placed
-    assert placed.position == (1.0, 2.0, 3.0) and placed.turn is None
+    (placed,) = parse_packet(built.build().dgram).markers
+    assert placed.position == (1.0, 2.0, 3.0) and placed.orientation is None
 
 
 # The body ----------------------------------------------------------------------------------------
@@ -379,13 +384,15 @@ def test_a_controllers_orientation_tells_where_the_wrist_is(played, wrist):
 def test_how_head_and_hands_are_turned_reaches_the_outputs(played, tmp_path):
     motion, folder = played
     save_motion(tmp_path / "motion.npz", motion)
-    convert(tmp_path / "motion.npz", tmp_path / "motion.bvh")
-    convert(tmp_path / "motion.bvh", tmp_path / "back.npz")
+    convert_file(tmp_path / "motion.npz", tmp_path / "motion.bvh")
+    convert_file(tmp_path / "motion.bvh", tmp_path / "back.npz")
     markers = read_csv(folder / "markers.csv")
     for there in (motion, load_motion(tmp_path / "back.npz")):
         R_body = body_turns(there.skeleton, np.asarray(there.poses.angles, float))
         root = Rotation.from_quat(np.asarray(there.poses.quaternion), scalar_first=True).as_matrix()
         for name, device in DEVICES.items():
             R = root @ R_body[:, there.skeleton.tree.bone(device.bone)] @ device.R_bone_device
-            off = Rotation.from_matrix(R.swapaxes(-1, -2) @ markers.turned()[name]).magnitude()
+            off = Rotation.from_matrix(
+                R.swapaxes(-1, -2) @ markers.known_orientations()[name]
+            ).magnitude()
             assert np.degrees(off).max() < 4, name

@@ -7,10 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxmocap.hybrid.scan import EVENTS
+from jaxmocap.pipelines.tracking.scan_events import scanned
+from jaxmocap.pipelines.tracking.step_events import stepped
 from watched_arms import FRONT, MARKERS, PERSON
 from waving_arms import RATE, image_of, markers_of, waving
 
-from jaxmocap.capture.footage import open_footage, reading
+from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
@@ -55,7 +58,7 @@ def both_ways(recording, tracker):
     def gone_through(way):
         videos, _ = open_footage(recording)
         events, shown = Events.of(recording, videos, "own"), []
-        with reading(videos) as readers:
+        with forward_readers(videos) as readers:
             found = way(events, tracker, readers, lambda *call: shown.append(call), Clock())
         return found, shown
 

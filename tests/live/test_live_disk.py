@@ -17,8 +17,8 @@ import pytest
 from small_recording import HEIGHT, PLACES, small_recording, standing, write_small_recording
 
 from jaxmocap import Recording
-from jaxmocap.capture.streams.inbox import Frame
-from jaxmocap.capture.streams.sample_gathering import Sample
+from jaxmocap.capture.streams.inbox import LiveFrame
+from jaxmocap.capture.streams.sample_assembly import MarkerSample
 from jaxmocap.capture.video import Video, open_video
 from jaxmocap.formats.files.errors import InputError, OutputError
 from jaxmocap.formats.recordings.live import LiveSetup, load_live
@@ -43,7 +43,7 @@ import sys, time
 import numpy as np
 sys.path[:0] = {tests!r}
 from test_live_disk import live_setup, sample
-from jaxmocap.capture.streams.inbox import Frame
+from jaxmocap.capture.streams.inbox import LiveFrame
 from jaxmocap.pipelines.live.recording import LiveRecording
 from pathlib import Path
 recording = LiveRecording(live_setup(Path(sys.argv[1])), sys.argv[2])
@@ -52,7 +52,7 @@ while True:
     now = time.monotonic() - began
     recording.add(sample(now))
     if i % 3 == 0:
-        recording.add(Frame(0, now, still, now))
+        recording.add(LiveFrame(0, now, still, now))
     print(f"recorded {{now}}", flush=True)
     time.sleep(1 / 90)
     i += 1
@@ -69,15 +69,15 @@ def live_setup(folder: Path) -> LiveSetup:
     return load_live(path)
 
 
-def sample(at: float) -> Sample:
-    return Sample(at, standing() + 0.01 * np.sin(at), at)
+def sample(at: float) -> MarkerSample:
+    return MarkerSample(at, standing() + 0.01 * np.sin(at), at)
 
 
-def frame(at: float, seed: int | None = None) -> Frame:
+def frame(at: float, seed: int | None = None) -> LiveFrame:
     image = np.full((72, 96, 3), 90, np.uint8)
     if seed is not None:
         image = np.random.default_rng(seed).integers(0, 255, image.shape, np.uint8)
-    return Frame(0, at, image, at)
+    return LiveFrame(0, at, image, at)
 
 
 def record(recording: LiveRecording, seconds: float, noisy: bool = False) -> None:
@@ -157,7 +157,7 @@ def test_the_next_run_leaves_what_a_killed_one_has_rescued_and_removes_its_hidde
     # As if it was killed while it wrote recording.toml; no such process is running.
     from jaxmocap.formats.files import writing
 
-    hidden = writing.part_beside(out / "recording.toml").name
+    hidden = writing.temporary_beside(out / "recording.toml").name
     (out / hidden.replace(f"-{os.getpid()}-", "-999999999-")).write_text("half of")
     rescued = {name: data for name, data in contents(out).items() if not name.startswith(".")}
     with pytest.raises(InputError, match=r"markers\.csv") as refused:
@@ -303,7 +303,7 @@ def test_a_recording_holds_all_that_it_needs_wherever_it_is_moved(tmp_path):
 
 def test_a_frame_that_cannot_be_encoded_ends_its_video_alone(tmp_path):
     recording = LiveRecording(live_setup(tmp_path), tmp_path / "out")
-    recording.add(Frame(0, 0.0, np.zeros((1, 1, 3), np.uint8), 0.0))
+    recording.add(LiveFrame(0, 0.0, np.zeros((1, 1, 3), np.uint8), 0.0))
     for i in range(30):
         recording.add(sample(i / 90))
     again = Recording.load(str(recording.close()))
@@ -329,6 +329,6 @@ def test_what_small_recordings_hold_is_recorded_to_the_micrometre(tmp_path):
     recording = small_recording()
     written = LiveRecording(live_setup(tmp_path), tmp_path / "out")
     for at, points in zip(recording.times, recording.positions_world, strict=True):
-        written.add(Sample(at, points, at))
+        written.add(MarkerSample(at, points, at))
     again = Recording.load(str(written.close()))
     np.testing.assert_allclose(again.positions_world, recording.positions_world, atol=1e-6)

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from test_live_markers import MARKERS, bundle, device, gathering, listening, packet, wait_for
 
-from jaxmocap.capture.streams.sample_gathering import Gathering
+from jaxmocap.capture.streams.sample_assembly import SampleAssembler
 from jaxmocap.capture.streams.senders import (
-    MOST_SENDERS,
-    MOST_STRANGERS,
-    SENDER_A_SECOND,
-    shared_out,
+    MAX_REFUSED_NAMED,
+    MAX_SENDERS,
+    SENDER_PACKETS_HZ,
+    fair_shares,
 )
 from jaxmocap.capture.streams.stream_clock import StreamClock
-from jaxmocap.capture.streams.udp import MOST_A_SECOND, MarkerSocket
+from jaxmocap.capture.streams.udp import MAX_PACKETS_HZ, MarkerSocket
 from jaxmocap.formats.files.addresses import LOOPBACK, Address
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.live import load_live
@@ -100,7 +100,7 @@ def test_stamps_too_large_for_a_rhythm_are_left_out(stamp):
 def test_strangers_are_counted_named_and_otherwise_ignored(line):
     line.bring(*(packet(1.0, host=f"10.0.0.{i}") for i in range(200)), packet(2.0))
     assert line.socket.ignored["stranger"] == 200 and len(line.samples) == 1
-    assert len(line.socket.strangers) == MOST_STRANGERS
+    assert len(line.socket.strangers) == MAX_REFUSED_NAMED
     states = dict(stream_states(line.socket, line.gathers, [], 0.0))
     assert states["stranger packets ignored"] == "100 or more"
     assert "10.0.0.0" in states["strangers"] and "[osc] from" in states["strangers"]
@@ -109,7 +109,7 @@ def test_strangers_are_counted_named_and_otherwise_ignored(line):
 def test_the_hosts_and_networks_that_may_send_are_stated(tmp_path):
     path = tmp_path / "live.toml"
     path.write_text(LIVE + "[osc]\nlisten = '0.0.0.0:5000'\nfrom = ['10.0.0.7', '192.168.1.0/24']")
-    line = Line(load_live(path).senders)
+    line = Line(load_live(path).allowed_networks)
     hosts = ("10.0.0.7", "::ffff:10.0.0.7", "192.168.1.99", "10.0.0.8", "127.0.0.1", "::1", "who")
     line.bring(*(packet(0.0, host=host) for host in hosts))
     assert len(line.samples) == 3 and line.socket.ignored["stranger"] == 4
@@ -119,7 +119,7 @@ def test_the_hosts_and_networks_that_may_send_are_stated(tmp_path):
 def test_where_this_machine_alone_can_send_nobody_needs_to_be_stated(tmp_path, listen):
     path = tmp_path / "live.toml"
     path.write_text(LIVE + (f"[osc]\nlisten = '{listen}'" if listen else ""))
-    assert load_live(path).senders == LOOPBACK
+    assert load_live(path).allowed_networks == LOOPBACK
 
 
 @pytest.mark.parametrize("listen", ["0.0.0.0:5000", "[::]:5000", "192.168.1.2:5000", "studio:5000"])
@@ -146,7 +146,7 @@ def test_packets_of_this_machine_come_in_over_a_real_socket():
     with listening(out.append) as (marker_socket, send):
         send(bundle(*(device("Tra", name, 0, 1, 0) for name in MARKERS)))
         wait_for(lambda: out)
-        ((name, count),) = marker_socket.sent().items()
+        ((name, count),) = marker_socket.packets_by_sender().items()
     assert name.startswith("127.0.0.1:") and count == 1
 
 
@@ -190,13 +190,13 @@ def test_one_sender_does_not_crowd_out_another(line):
         line.samples.clear()
     assert heard == 90
     read = line.socket.packets - line.socket.ignored["flood"]
-    assert read <= MOST_A_SECOND + 400 and read - 90 <= SENDER_A_SECOND + 300
+    assert read <= MAX_PACKETS_HZ + 400 and read - 90 <= SENDER_PACKETS_HZ + 300
 
 
 def test_of_what_may_be_read_who_sends_little_gets_all():
-    assert shared_out({"a": 1000, "b": 3, "c": 1000}, 103) == {"b": 3, "a": 50, "c": 50}
-    assert shared_out({"a": 5, "b": 5}, 1) == {"a": 1, "b": 0}
-    assert shared_out({}, 5) == {} and shared_out({"a": 2}, 0) == {"a": 0}
+    assert fair_shares({"a": 1000, "b": 3, "c": 1000}, 103) == {"b": 3, "a": 50, "c": 50}
+    assert fair_shares({"a": 5, "b": 5}, 1) == {"a": 1, "b": 0}
+    assert fair_shares({}, 5) == {} and fair_shares({"a": 2}, 0) == {"a": 0}
 
 
 def test_many_senders_share_what_few_have_alone(line):
@@ -205,7 +205,7 @@ def test_many_senders_share_what_few_have_alone(line):
         line.bring(packet(float(i % 7), 1024 + i, at=i / 90, stamp=1e4 - i))
     assert len(line.samples) == 1000 and line.socket.clock_jumps == 0
     sent = line.socket.sent()
-    assert len(sent) <= MOST_SENDERS + 1 and sent["others"] > 900
+    assert len(sent) <= MAX_SENDERS + 1 and sent["others"] > 900
     # Who falls silent makes room for somebody new.
     line.bring(packet(0.0, 9999, at=1000.0))
     assert "127.0.0.1:9999" in line.socket.sent()
@@ -262,11 +262,11 @@ def test_a_log_on_a_full_disk_ends_no_run():
 
 def test_a_name_of_thousands_of_letters_is_no_marker():
     given_out = []
-    gathers = Gathering(MARKERS, {}, np.eye(3), given_out.append)
-    from jaxmocap.capture.streams.osc import BadPacketError, parse
+    gathers = SampleAssembler(MARKERS, {}, np.eye(3), given_out.append)
+    from jaxmocap.capture.streams.osc import BadPacketError, parse_packet
 
     address = b"/tracking/trackers/" + b"x" * 5000 + b"/position"
     datagram = address + b"\0" * (4 - len(address) % 4) + b",fff\0\0\0\0" + b"\0" * 12
     with pytest.raises(BadPacketError, match="malformed"):
-        parse(datagram)
+        parse_packet(datagram)
     assert not gathers.unknown

@@ -21,16 +21,16 @@ from jaxmocap import Recording
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.capture.streams import cameras
 from jaxmocap.capture.streams.cameras import LiveCamera
-from jaxmocap.capture.streams.inbox import Frame
-from jaxmocap.capture.streams.sample_gathering import Sample
+from jaxmocap.capture.streams.inbox import LiveFrame
+from jaxmocap.capture.streams.sample_assembly import MarkerSample
 from jaxmocap.capture.video import open_video
 from jaxmocap.formats.files.addresses import Address
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.filters import OneEuroSettings
 from jaxmocap.formats.recordings.live import (
-    LISTEN,
+    DEFAULT_LISTEN,
+    DEFAULT_VMC,
     R_WORLD_UNITY,
-    VMC,
     LiveSetup,
     LiveVideo,
     load_live,
@@ -83,7 +83,7 @@ def write_file(folder: Path, text: str = FILE) -> Path:
     return path
 
 
-def small_setup(folder: Path, vmc: Address = VMC) -> LiveSetup:
+def small_setup(folder: Path, vmc: Address = DEFAULT_VMC) -> LiveSetup:
     """The small recording as a live run, its video played from a file."""
     toml = write_small_recording(folder)
     recording = Recording.load(toml)
@@ -109,7 +109,7 @@ def small_setup(folder: Path, vmc: Address = VMC) -> LiveSetup:
 def test_the_file_of_a_live_run_is_read(tmp_path):
     setup = load_live(write_file(tmp_path))
     assert setup.marker_names == ("Hmd", "1") and setup.aliases == {"LHR-1": "1"}
-    assert (setup.listen, setup.vmc) == (Address("0.0.0.0", 5000), VMC)
+    assert (setup.listen, setup.vmc) == (Address("0.0.0.0", 5000), DEFAULT_VMC)
     assert setup.vrchat == Address("127.0.0.1", 9000) and setup.trackers == ("hip", "foot_l")
     assert [video.source for video in setup.videos] == [2, "rtsp://somewhere/stream"]
     assert setup.videos[0].offset == -0.04
@@ -119,7 +119,7 @@ def test_the_file_of_a_live_run_is_read(tmp_path):
 def test_what_is_not_said_is_loopback_and_unitys_axes(tmp_path):
     path = write_file(tmp_path, "[markers.on]\nHmd = { bone = 'head' }\n")
     setup = load_live(path)
-    assert setup.listen == LISTEN and setup.listen.host == setup.vmc.host == "127.0.0.1"
+    assert setup.listen == DEFAULT_LISTEN and setup.listen.host == setup.vmc.host == "127.0.0.1"
     assert setup.vrchat is None and "no [subject]" in setup.warnings[0]
     assert setup.one_euro is None
     text = (
@@ -170,12 +170,12 @@ def test_what_was_recorded_live_is_read_like_any_recording(tmp_path):
     positions = recording.positions_world.copy()
     positions[5, 2] = np.nan
     for time_s, points in zip(recording.times + 3.0, positions, strict=True):
-        written.add(Sample(time_s, points, time_s))
+        written.add(MarkerSample(time_s, points, time_s))
     frames = recording.videos[0].frames
     assert frames is not None
     moments = 3.1 + np.cumsum(np.linspace(0.03, 0.05, len(frames[1])))
     for at, image in zip(moments, frames[1], strict=True):
-        written.add(Frame(0, at, image, at))
+        written.add(LiveFrame(0, at, image, at))
     again = Recording.load(written.close())
     assert written.dropped == 0
     np.testing.assert_allclose(again.times, recording.times + 3.0, atol=1e-8)
@@ -199,7 +199,7 @@ def test_a_run_without_a_sample_leaves_no_recording_to_track(tmp_path):
 
 def test_a_file_is_played_at_its_own_pace_and_then_ends(tmp_path):
     setup = small_setup(tmp_path)
-    frames: list[Frame] = []
+    frames: list[LiveFrame] = []
     camera = LiveCamera(setup.videos[0], 0, frames.append, colour=True)
     began = time.monotonic()
     camera.start()
@@ -225,8 +225,8 @@ def test_a_device_that_is_not_there_is_said_and_one_that_leaves_is_asked_for_aga
         return (np.zeros((72, 96), np.uint8) for _ in range(3))
 
     monkeypatch.setattr(cameras, "device_frames", device)
-    monkeypatch.setattr(cameras, "AGAIN_S", 0.01)
-    frames: list[Frame] = []
+    monkeypatch.setattr(cameras, "RETRY_S", 0.01)
+    frames: list[LiveFrame] = []
     camera = LiveCamera(video, 0, frames.append, colour=False)
     camera.start()
     end = time.monotonic() + 5
@@ -247,7 +247,7 @@ def test_images_of_another_size_than_calibrated_are_not_used(tmp_path, monkeypat
 
 
 def test_a_stream_of_far_larger_images_than_calibrated_is_not_decoded(tmp_path):
-    clip, most = str(tmp_path / "clip.ts"), cameras.most_pixels((96, 72))
+    clip, most = str(tmp_path / "clip.ts"), cameras.max_pixels((96, 72))
     with av.open(clip, "w", format="mpegts") as container:
         stream = container.add_stream("libx264", rate=30, options={"tune": "zerolatency"})
         stream.width, stream.height, stream.pix_fmt = 96, 72, "yuv420p"
@@ -262,7 +262,7 @@ def test_a_stream_of_far_larger_images_than_calibrated_is_not_decoded(tmp_path):
 
 
 def test_why_a_camera_does_not_come_is_said(tmp_path, monkeypatch):
-    monkeypatch.setattr(cameras, "AGAIN_S", 0.01)
+    monkeypatch.setattr(cameras, "RETRY_S", 0.01)
     video = replace(small_setup(tmp_path).videos[0], source="tcp://127.0.0.1:9")
     camera = LiveCamera(video, 0, lambda _: None, colour=False)
     camera.start()
@@ -285,7 +285,7 @@ class Standing:
         pose = relaxed_pose(setup.skeleton)
         self.pose = Pose(*(np.asarray(part) for part in pose))  # type: ignore[arg-type]
 
-    def sample(self, sample: Sample) -> list[Output]:
+    def sample(self, sample: MarkerSample) -> list[Output]:
         return [Output(sample.time, self.pose, np.ones(2), sample.arrived)]
 
     def frames(self, frames) -> list[Output]:

@@ -9,7 +9,7 @@ from test_live_markers import bundle, device, message
 
 from jaxmocap import Recording
 from jaxmocap.capture.streams.inbox import Inbox
-from jaxmocap.capture.streams.sample_gathering import Gathering, Sample
+from jaxmocap.capture.streams.sample_assembly import MarkerSample, SampleAssembler
 from jaxmocap.capture.streams.udp import Datagram, MarkerSocket
 from jaxmocap.formats.files.addresses import Address
 from jaxmocap.formats.recordings.live import LiveSetup, load_live
@@ -46,7 +46,7 @@ class Run:
         self.recording = LiveRecording(setup, out) if out else None
         self.tracking, self.vmc = tracking, VMC(setup.skeleton)
         names = setup.marker_names
-        self.gathers = Gathering(names, {}, setup.R_world_source, self.give)
+        self.gathers = SampleAssembler(names, {}, setup.R_world_source, self.give)
         self.socket = MarkerSocket(Address(port=0), self.gathers, now=lambda: self.at)
         self.socket.stop()
         devices = [("/VMC/Ext/Con/Pos", [name, *[0.0] * 6, 1.0]) for name in names]
@@ -54,7 +54,7 @@ class Run:
         self.still = np.array([PLACES[name] for name in names])
         self.noise = np.random.default_rng(0)
 
-    def give(self, sample: Sample) -> None:
+    def give(self, sample: MarkerSample) -> None:
         self.inbox.put_sample(sample)
         if self.recording is not None:
             while self.recording._queue.qsize() > 400:
@@ -71,7 +71,7 @@ class Run:
             packets += self.trouble(i)
         began = time.perf_counter()
         self.socket.take(packets)
-        while isinstance(sample := self.inbox.take(0.0), Sample):
+        while isinstance(sample := self.inbox.take(0.0), MarkerSample):
             for output in self.tracking.sample(sample) if self.tracking else []:
                 self.vmc.frame(output.time, output.pose)
                 self.outputs += 1

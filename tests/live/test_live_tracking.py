@@ -12,8 +12,8 @@ import pytest
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.capture.streams.inbox import Frame
-from jaxmocap.capture.streams.sample_gathering import Sample
+from jaxmocap.capture.streams.inbox import LiveFrame
+from jaxmocap.capture.streams.sample_assembly import MarkerSample
 from jaxmocap.formats.recordings.filters import OneEuroSettings
 from jaxmocap.formats.recordings.live import LiveSetup, LiveVideo
 from jaxmocap.formats.recordings.recording import MarkerPlace
@@ -84,15 +84,15 @@ def tracking(monkeypatch):
     return make
 
 
-def sample(time: float, missing: tuple[int, ...] = (), late: float = 0.0) -> Sample:
+def sample(time: float, missing: tuple[int, ...] = (), late: float = 0.0) -> MarkerSample:
     """Three markers that move along x with 1 m/s."""
     points = np.array([[time, i, 0.0] for i in range(3)])
     points[list(missing)] = np.nan
-    return Sample(time, points, time + late)
+    return MarkerSample(time, points, time + late)
 
 
-def frame(time: float, delay: float = 0.0, camera: int = 0) -> Frame:
-    return Frame(camera, time, IMAGE, time + delay)
+def frame(time: float, delay: float = 0.0, camera: int = 0) -> LiveFrame:
+    return LiveFrame(camera, time, IMAGE, time + delay)
 
 
 def test_every_sample_gives_a_pose_at_once_and_frames_give_none(tracking):
@@ -183,6 +183,6 @@ def test_markers_go_through_the_one_euro_filter_where_that_is_asked_for(tracking
     for one_euro in (None, OneEuroSettings(cutoff=1.0)):
         live = tracking(one_euro=one_euro)
         for i, points in enumerate(jitter):
-            live.sample(Sample(i / 90, points, i / 90))
+            live.sample(MarkerSample(i / 90, points, i / 90))
         spreads.append(np.std([markers for _, markers, _ in live.tracker.steps[45:]]))
     assert spreads[0] == pytest.approx(0.002, rel=0.1) and spreads[1] < 0.6 * spreads[0]

@@ -14,7 +14,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.formats.animation.armature import joint_positions
 from jaxmocap.formats.animation.body_armature import T_POSE, armature_of
-from jaxmocap.formats.recordings.live import TRACKED, USUALLY_TRACKED
+from jaxmocap.formats.recordings.live import DEFAULT_TRACKED, TRACKED
 from jaxmocap.outputs.osc import Bundle
 from jaxmocap.outputs.unity import UnityBody, euler_degrees
 from jaxmocap.outputs.vmc import VMC
@@ -108,12 +108,12 @@ def test_trackers_are_numbered_and_turned_as_unity_says_it():
     pose = t_pose((1.0, 2.0, 3.0), (HALF, 0.0, 0.0, HALF))
     vmc = VMC(SKELETON)
     _, local = vmc.frame(0.0, pose)
-    datagram = Trackers(vmc.body, USUALLY_TRACKED).frame(local)
+    datagram = Trackers(vmc.body, DEFAULT_TRACKED).frame(local)
     told = {m.message.address: m.message.params for m in OscPacket(datagram).messages}
-    assert len(told) == 2 * len(USUALLY_TRACKED)
+    assert len(told) == 2 * len(DEFAULT_TRACKED)
     np.testing.assert_allclose(told["/tracking/trackers/1/position"], [-2, 3, 1], atol=1e-5)
     np.testing.assert_allclose(told["/tracking/trackers/1/rotation"], [0, -90, 0], atol=1e-3)
-    elbow = np.array(told[f"/tracking/trackers/{USUALLY_TRACKED.index('elbow_l') + 1}/position"])
+    elbow = np.array(told[f"/tracking/trackers/{DEFAULT_TRACKED.index('elbow_l') + 1}/position"])
     # Facing left, which is -x, the left arm points back, to -z.
     assert elbow[2] < 1 - 0.4 and elbow[1] > 3
     assert told["/tracking/trackers/head/position"][1] > 3.4

@@ -12,7 +12,7 @@ from jaxmocap.body.origin import local_origin
 from jaxmocap.capture.checks.markers import check_markers
 from jaxmocap.cli import main
 from jaxmocap.formats.cameras.calibration import write_camera
-from jaxmocap.formats.convert import convert
+from jaxmocap.formats.convert import convert_file
 from jaxmocap.formats.motion_npz import load_motion
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.markers import read_markers
@@ -109,7 +109,7 @@ def test_every_file_is_in_the_world_and_reads_back(both, tmp_path):
     ):
         np.testing.assert_allclose(again.joints()["wrist_l"], joints["wrist_l"], atol=1e-5)
     for name in ("motion.bvh", "motion.glb"):
-        convert(tmp_path / name, tmp_path / f"{name}.npz")
+        convert_file(tmp_path / name, tmp_path / f"{name}.npz")
         again = load_motion(tmp_path / f"{name}.npz")
         np.testing.assert_allclose(again.joints()["wrist_l"], joints["wrist_l"], atol=1e-3)
 

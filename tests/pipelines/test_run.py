@@ -6,7 +6,6 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxmocap.hybrid.scan import EVENTS
 from small_recording import (
     FRAMES,
     PLACES,
@@ -30,6 +29,7 @@ from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.tables import Markers
 from jaxmocap.geometry.cameras import turned
 from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.step import EVENTS
 from jaxmocap.pipelines.summary import figures, frames_per_second, misfit, summary
 from jaxmocap.pipelines.tracking import warnings
 from jaxmocap.pipelines.tracking.track import choose_settings, make_tracker, track, track_both
@@ -166,7 +166,7 @@ def test_causal_rows_do_not_depend_on_what_comes_later():
     positions[half:] += 0.05
     times, images = recording.videos[0].frames
     is_before = np.array(times) + 0.004 < recording.times[half]
-    later = [im if early else im[::-1] for early, im in zip(seen_before, images, strict=True)]
+    later = [im if early else im[::-1] for early, im in zip(is_before, images, strict=True)]
     other = with_frames(replace(recording, positions_world=positions), times, later)
     motions = [track(r, mode="causal", tracker=compiled()) for r in (recording, other)]
     first, second = (motion.poses.angles for motion in motions)

@@ -12,6 +12,7 @@ from drawn_arms import SIZE
 from drawn_body import paint, room
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from jaxmocap.smoothing.fading import Fading
 from painted_motion import CAMERAS, ELBOWS, MARKERS, PERSON, RATE, elbow_errors, points_of, truth
 
 from jaxmocap.body.kinematics import forward, site_positions
@@ -23,7 +24,6 @@ from jaxmocap.evidence.silhouettes import SilhouetteGrids, Silhouettes
 from jaxmocap.evidence.smoothness import smoothness
 from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.smoothing import fixed_lag, marginal_prior, window
-from jaxmocap.smoothing.fading import Fading
 from jaxmocap.smoothing.fixed_lag import DELAY_FRAMES, FixedLagSmoother, SmoothedPose
 from jaxmocap.smoothing.levenberg_marquardt import (
     Linearised,
@@ -39,6 +39,7 @@ from jaxmocap.smoothing.marginal_prior import condensed, window_variances
 from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views
 from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.solvers.arrow import Equations
+from jaxmocap.solvers.fading import Fading
 
 COUNT = 24
 TIMES = np.arange(COUNT) / RATE

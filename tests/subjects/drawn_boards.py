@@ -8,10 +8,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.calibration.board.boards import Board
-from jaxmocap.formats.cameras.calibration import Lens
+from jaxmocap.formats.cameras.calibration import Intrinsics
 
 SIZE = (640, 480)
-LENS = Lens(
+LENS = Intrinsics(
     np.array(SIZE, float),
     np.array([[620.0, 0, 335], [0, 615, 228], [0, 0, 1]]),
     np.array([-0.12, 0.05, 0.001, -0.0005]),

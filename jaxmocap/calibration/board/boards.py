@@ -60,8 +60,8 @@ class Board:
         return self.square * np.stack([x, y, np.zeros_like(x)], -1).reshape(-1, 3).astype(float)
 
     @property
-    def turns(self) -> int:
-        """In how many ways it can be turned and look the same: 1, 2 (half turns) or 4."""
+    def symmetry_order(self) -> int:
+        """Order of its rotational symmetry: 1, 2 (half turns) or 4."""
         if self.dictionary is not None or (self.columns + self.rows) % 2:
             return 1
         return 4 if self.columns == self.rows else 2

@@ -14,24 +14,24 @@ from jaxmocap.formats.files.errors import InputError
 _FAST = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
 _THOROUGH = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
 # What the sector-based detector is asked for in turn, the quick first; the last in a crop only.
-_SECTORS = (0, _THOROUGH, _THOROUGH | cv2.CALIB_CB_ACCURACY)
+_SECTOR_FLAGS = (0, _THOROUGH, _THOROUGH | cv2.CALIB_CB_ACCURACY)
 # A crop reaches this part of the board's extent beyond its outermost inner corners.
-_MARGIN = 0.25
+_CROP_MARGIN = 0.25
 # A lens bends the picture of a plane by less than this part of a square.
-_OFF_A_PLANE = 0.1
+_MAX_PLANARITY_ERROR = 0.1
 # Fewer corners of a ChArUco board say too little of its place.
-_FEWEST = 8
-# Frames of a video are looked through at this length of the longer side, pixels.
-_COARSE = 800
+_MIN_CHARUCO_CORNERS = 8
+# Frames of a video are searched at this length of the longer side, pixels.
+_COARSE_SIDE = 800
 
 
 @dataclass(frozen=True)
 class Corners:
-    """Corners of a board seen in one picture.
+    """Corners of a board detected in one picture.
 
     Attributes:
         points_board: (N, 3) in the board's frame, metres.
-        pixels_xy: (N, 2) where they are seen.
+        pixels_xy: (N, 2) where they are detected.
         orders: other readings of the same corners, (N, 2) each, where the board looks the same
             when it is turned.
     """
@@ -52,7 +52,7 @@ def find_corners(image: np.ndarray, board: Board) -> Corners | None:
     if board.dictionary is not None:
         return _find_charuco(grey, board)
     pixels = _find_chessboard(grey, board)
-    return None if pixels is None else _in_order(grey, pixels, board)
+    return None if pixels is None else _in_board_order(grey, pixels, board)
 
 
 def find_coarsely(grey: np.ndarray, board: Board) -> np.ndarray | None:
@@ -60,12 +60,12 @@ def find_coarsely(grey: np.ndarray, board: Board) -> np.ndarray | None:
 
     Of a ChArUco board there must be all corners: its views are to be compared.
     """
-    scale = min(1.0, _COARSE / max(grey.shape))
+    scale = min(1.0, _COARSE_SIDE / max(grey.shape))
     small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     if board.dictionary is not None:
         corners = _find_charuco(small, board)
-        whole = corners is not None and len(corners.pixels_xy) == board.columns * board.rows
-        return corners.pixels_xy / scale if corners is not None and whole else None
+        is_complete = corners is not None and len(corners.pixels_xy) == board.columns * board.rows
+        return corners.pixels_xy / scale if corners is not None and is_complete else None
     found, pixels = cv2.findChessboardCorners(small, (board.columns, board.rows), flags=_FAST)
     return pixels.reshape(-1, 2) / scale if found else None
 
@@ -82,16 +82,16 @@ def _find_chessboard(grey: np.ndarray, board: Board) -> np.ndarray | None:
     left, top, right, bottom = 0, 0, grey.shape[1], grey.shape[0]
     if found:
         low, high = rough.reshape(-1, 2).min(0), rough.reshape(-1, 2).max(0)
-        margin = _MARGIN * (high - low).max()
+        margin = _CROP_MARGIN * (high - low).max()
         left, top = np.maximum(low - margin, 0).astype(int)
         right, bottom = (high + margin).astype(int) + 1
     crop = np.ascontiguousarray(grey[top:bottom, left:right])
     answers = []
-    for flags in _SECTORS if found else _SECTORS[:2]:
-        sure, pixels = cv2.findChessboardCornersSB(crop, size, flags=flags)
-        if sure:
+    for flags in _SECTOR_FLAGS if found else _SECTOR_FLAGS[:2]:
+        is_found, pixels = cv2.findChessboardCornersSB(crop, size, flags=flags)
+        if is_found:
             answers.append(pixels.reshape(-1, 2).astype(float) + np.array([left, top]))
-            if _off_a_plane(answers[-1], board) < _OFF_A_PLANE:
+            if _planarity_error(answers[-1], board) < _MAX_PLANARITY_ERROR:
                 return answers[-1]
     if found:
         step = _shortest_step(rough.reshape(board.rows, board.columns, 2))
@@ -99,17 +99,17 @@ def _find_chessboard(grey: np.ndarray, board: Board) -> np.ndarray | None:
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-4)
         fine = cv2.cornerSubPix(grey, rough, (radius, radius), (-1, -1), criteria)
         answers.append(fine.reshape(-1, 2).astype(float))
-    return min(answers, key=lambda pixels: _off_a_plane(pixels, board), default=None)
+    return min(answers, key=lambda pixels: _planarity_error(pixels, board), default=None)
 
 
-def _off_a_plane(pixels_xy: np.ndarray, board: Board) -> float:
+def _planarity_error(pixels_xy: np.ndarray, board: Board) -> float:
     """Largest distance from the best perspective picture of the board, in steps of its corners."""
     H, _ = cv2.findHomography(board.points_board[:, :2], pixels_xy)
     if H is None:
         return np.inf
-    seen = cv2.perspectiveTransform(board.points_board[None, :, :2], H)[0]
+    projected = cv2.perspectiveTransform(board.points_board[None, :, :2], H)[0]
     step = _shortest_step(pixels_xy.reshape(board.rows, board.columns, 2))
-    return float(np.linalg.norm(seen - pixels_xy, axis=-1).max() / max(step, 1e-9))
+    return float(np.linalg.norm(projected - pixels_xy, axis=-1).max() / max(step, 1e-9))
 
 
 def _shortest_step(grid_xy: np.ndarray) -> float:
@@ -118,7 +118,7 @@ def _shortest_step(grid_xy: np.ndarray) -> float:
     return min(float(step.min()) for step in steps)
 
 
-def _in_order(grey: np.ndarray, pixels_xy: np.ndarray, board: Board) -> Corners:
+def _in_board_order(grey: np.ndarray, pixels_xy: np.ndarray, board: Board) -> Corners:
     """Corners in the board's own order: seen from the front, the black end where it belongs."""
     grid = pixels_xy.reshape(board.rows, board.columns, 2)
     along_x, along_y = grid[:, -1] - grid[:, 0], grid[-1] - grid[0]
@@ -126,18 +126,18 @@ def _in_order(grey: np.ndarray, pixels_xy: np.ndarray, board: Board) -> Corners:
     # z towards the viewer: x right, y up, and the picture's own y points down.
     if x[0] * y[1] - x[1] * y[0] > 0:
         grid = grid[::-1]
-    turned = [grid, grid[::-1, ::-1]]
+    orders_grid = [grid, grid[::-1, ::-1]]
     if board.columns == board.rows:
-        turned += [np.rot90(grid), np.rot90(grid, 3)]
-    if board.turns == 1:
-        turned = [max(turned, key=lambda order: _blackness(grey, order))]
-    # Where it cannot be told, the corner lowest and leftmost in the picture comes first.
-    turned.sort(key=lambda order: order[0, 0, 0] - order[0, 0, 1])
-    orders = [order.reshape(-1, 2).copy() for order in turned]
+        orders_grid += [np.rot90(grid), np.rot90(grid, 3)]
+    if board.symmetry_order == 1:
+        orders_grid = [max(orders_grid, key=lambda order: _darkness(grey, order))]
+    # Where the order is ambiguous, the corner lowest and leftmost in the picture comes first.
+    orders_grid.sort(key=lambda order: order[0, 0, 0] - order[0, 0, 1])
+    orders = [order.reshape(-1, 2).copy() for order in orders_grid]
     return Corners(board.points_board, orders[0], tuple(orders[1:]))
 
 
-def _blackness(grey: np.ndarray, grid_xy: np.ndarray) -> float:
+def _darkness(grey: np.ndarray, grid_xy: np.ndarray) -> float:
     """By how much the first square between the corners, and those of its colour, are darker.
 
     It touches the outermost square at the origin by a corner, so both have one colour.
@@ -161,18 +161,20 @@ def _find_charuco(grey: np.ndarray, board: Board) -> Corners | None:
         # Boards printed with OpenCV before 4.6 begin with the other colour.
         charuco.setLegacyPattern(legacy)
         pixels, numbers, _, _ = cv2.aruco.CharucoDetector(charuco).detectBoard(grey)
-        if numbers is not None and len(numbers) >= _FEWEST:
+        if numbers is not None and len(numbers) >= _MIN_CHARUCO_CORNERS:
             row, column = np.divmod(numbers.ravel(), board.columns)
             # OpenCV counts rows from the top, the board's y points up.
-            ours = (board.rows - 1 - row) * board.columns + column
-            return Corners(board.points_board[ours], pixels.reshape(-1, 2).astype(float))
+            indices = (board.rows - 1 - row) * board.columns + column
+            return Corners(board.points_board[indices], pixels.reshape(-1, 2).astype(float))
     return None
 
 
 def _dictionary(name: str) -> "cv2.aruco.Dictionary":
     """OpenCV's dictionary of that name, with or without ``DICT_``; InputError lists them."""
-    known = sorted(key[5:] for key in dir(cv2.aruco) if key.startswith("DICT_"))
+    available = sorted(key[5:] for key in dir(cv2.aruco) if key.startswith("DICT_"))
     wanted = name.upper().removeprefix("DICT_")
-    if wanted not in known:
-        raise InputError(f"ChArUco dictionary {name!r}", f"unknown, expected {', '.join(known)}")
+    if wanted not in available:
+        raise InputError(
+            f"ChArUco dictionary {name!r}", f"unknown, expected {', '.join(available)}"
+        )
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{wanted}"))

@@ -1,6 +1,6 @@
 """What a calibration found, drawn on the photographs to look at.
 
-INPUTS: images, corners seen and reprojected, a board's pose. OUTPUTS: BGR images; JPEG files.
+INPUTS: images, corners detected and reprojected, a board's pose. OUTPUTS: BGR images; JPEG files.
 """
 
 from collections.abc import Sequence
@@ -10,33 +10,38 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from jaxmocap.formats.cameras.calibration import Lens
+from jaxmocap.formats.cameras.calibration import Intrinsics
 from jaxmocap.formats.files.writing import replacing
 
 # BGR.
-SEEN, REPROJECTED, RESIDUAL = (90, 230, 90), (60, 60, 255), (0, 220, 255)
-AXES = {"x": (60, 60, 255), "y": (90, 230, 90), "z": (255, 150, 50)}
-LEGEND = "green: seen, red: reprojected, yellow: residuals x {}"
-WHITE, GREY = (255, 255, 255), (70, 70, 70)
-# Longer side of what is drawn, pixels, and the fixed point of OpenCV's drawing.
-_LONGEST, _SHIFT = 1400, 4
+DETECTED_COLOUR = (90, 230, 90)
+REPROJECTED_COLOUR = (60, 60, 255)
+RESIDUAL_COLOUR = (0, 220, 255)
+AXIS_COLOURS = {"x": (60, 60, 255), "y": (90, 230, 90), "z": (255, 150, 50)}
+LEGEND = "green: detected, red: reprojected, yellow: residuals x {}"
+WHITE = (255, 255, 255)
+GREY = (70, 70, 70)
+# Longer side of what is drawn, pixels.
+_MAX_SIDE_PX = 1400
+# Fractional bits of OpenCV's drawing coordinates.
+_FIXED_POINT_BITS = 4
 # A residual as large as the root mean square is drawn this part of the image long.
-_ARROW = 0.02
+_ARROW_SHARE = 0.02
 
 
 def magnification(rms: float, size: tuple[int, int]) -> int:
     """A round factor by which residuals are drawn longer, for one and all pictures."""
-    wanted = _ARROW * max(size) / max(rms, 1e-3)
+    wanted = _ARROW_SHARE * max(size) / max(rms, 1e-3)
     power = 10 ** np.floor(np.log10(wanted))
     return max(1, int(max(step * power for step in (1, 2, 5) if step * power <= wanted)))
 
 
-class Canvas:
+class AnnotatedPicture:
     """A picture to draw on, in the original's pixels."""
 
     def __init__(self, image: np.ndarray):
         """Take a copy, smaller where the image is large."""
-        self.scale = min(1.0, _LONGEST / max(image.shape[:2]))
+        self.scale = min(1.0, _MAX_SIDE_PX / max(image.shape[:2]))
         self.image = cv2.resize(
             image, None, fx=self.scale, fy=self.scale, interpolation=cv2.INTER_AREA
         )
@@ -45,22 +50,30 @@ class Canvas:
     def _at(self, pixel_xy: np.ndarray) -> tuple[int, int]:
         # The centre of pixel 0 moves by half of what the pixels grow; OpenCV overflows far outside.
         scaled = (np.asarray(pixel_xy, float) + 0.5) * self.scale - 0.5
-        x, y = (np.clip(scaled, -1e4, 1e4) * 2**_SHIFT).round().astype(int).tolist()
+        x, y = (np.clip(scaled, -1e4, 1e4) * 2**_FIXED_POINT_BITS).round().astype(int).tolist()
         return x, y
 
     def dot(self, pixel_xy: np.ndarray, colour: tuple, radius: int = 3, filled: int = -1) -> None:
         """A disc, or with ``filled`` a ring of that width; radius in drawn pixels."""
         centre = self._at(pixel_xy)
-        cv2.circle(self.image, centre, radius << _SHIFT, colour, filled, cv2.LINE_AA, _SHIFT)
+        cv2.circle(
+            self.image,
+            centre,
+            radius << _FIXED_POINT_BITS,
+            colour,
+            filled,
+            cv2.LINE_AA,
+            _FIXED_POINT_BITS,
+        )
 
     def line(self, start_xy: np.ndarray, end_xy: np.ndarray, colour: tuple, width: int = 2) -> None:
         """A straight line."""
         start, end = self._at(start_xy), self._at(end_xy)
-        cv2.line(self.image, start, end, colour, width, cv2.LINE_AA, _SHIFT)
+        cv2.line(self.image, start, end, colour, width, cv2.LINE_AA, _FIXED_POINT_BITS)
 
     def text(self, text: str, pixel_xy: np.ndarray, colour: tuple) -> None:
         """Text with a dark rim, its lower left at a pixel."""
-        x, y = (value >> _SHIFT for value in self._at(pixel_xy))
+        x, y = (value >> _FIXED_POINT_BITS for value in self._at(pixel_xy))
         for dx, dy, ink in ((-1, -1, 0), (-1, 1, 0), (1, -1, 0), (1, 1, 0), (0, 0, 1)):
             shade = colour if ink else (0, 0, 0)
             place = (x + dx, y + dy)
@@ -74,23 +87,23 @@ class Canvas:
         self.text(text, np.array([10, 24.0 * self._rows]) / self.scale, WHITE)
 
     def corners(self, pixels_xy: np.ndarray) -> None:
-        """Corners as they were seen, a thin line through them in their order."""
+        """Detected corners, a thin line through them in their order."""
         for start, end in pairwise(pixels_xy):
-            self.line(start, end, SEEN, 1)
+            self.line(start, end, DETECTED_COLOUR, 1)
         self.dots(pixels_xy)
 
     def dots(self, pixels_xy: np.ndarray) -> None:
-        """Points as they were seen."""
+        """Detected points."""
         for pixel in pixels_xy:
-            self.dot(pixel, SEEN, 5, 1)
+            self.dot(pixel, DETECTED_COLOUR, 5, 1)
 
     def residuals(self, pixels_xy: np.ndarray, residuals_xy: np.ndarray, times: int) -> None:
         """Reprojected points, and residuals so many times as long as they are."""
         for pixel, residual in zip(pixels_xy, residuals_xy, strict=True):
-            self.line(pixel, pixel + times * residual, RESIDUAL, 2)
-            self.dot(pixel + residual, REPROJECTED, 2)
+            self.line(pixel, pixel + times * residual, RESIDUAL_COLOUR, 2)
+            self.dot(pixel + residual, REPROJECTED_COLOUR, 2)
 
-    def axes(self, T_cam_frame: np.ndarray, lens: Lens, length: float, name: str) -> None:
+    def axes(self, T_cam_frame: np.ndarray, lens: Intrinsics, length: float, name: str) -> None:
         """Axes of a frame, so long in metres; nothing where their origin is behind the camera."""
         tips = np.vstack([np.zeros(3), length * np.eye(3)])
         if ((tips @ T_cam_frame[2, :3]) + T_cam_frame[2, 3] <= 0.05).any():
@@ -98,7 +111,7 @@ class Canvas:
         rvec, _ = cv2.Rodrigues(T_cam_frame[:3, :3])
         pixels, _ = cv2.projectPoints(tips, rvec, T_cam_frame[:3, 3], lens.matrix, lens.distortions)
         origin, *ends = pixels.reshape(-1, 2)
-        for end, (axis, colour) in zip(ends, AXES.items(), strict=True):
+        for end, (axis, colour) in zip(ends, AXIS_COLOURS.items(), strict=True):
             self.line(origin, end, colour, 3)
             self.text(axis, end + 6, WHITE)
         self.dot(origin, WHITE, 5)
@@ -107,7 +120,7 @@ class Canvas:
 
 def draw_coverage(
     size: tuple[int, int], views: Sequence[tuple[np.ndarray, np.ndarray]], times: int
-) -> Canvas:
+) -> AnnotatedPicture:
     """The image's area: the lighter the more boards, with every corner and its residual.
 
     Args:
@@ -115,14 +128,14 @@ def draw_coverage(
         views: pixels (N, 2) and residuals (N, 2) of each.
         times: by how much residuals are drawn longer.
     """
-    scale = min(1.0, _LONGEST / max(size))
+    scale = min(1.0, _MAX_SIDE_PX / max(size))
     counts = np.zeros((round(size[1] * scale), round(size[0] * scale)), np.float32)
     for pixels_xy, _ in views:
         mask = np.zeros_like(counts)
         cv2.fillConvexPoly(mask, cv2.convexHull((pixels_xy * scale).round().astype(np.int32)), 1)
         counts += mask
     shade = np.where(counts > 0, 60 + 120 * counts / max(counts.max(), 1), 25).astype(np.uint8)
-    canvas = Canvas(np.repeat(shade[..., None], 3, axis=2))
+    canvas = AnnotatedPicture(np.repeat(shade[..., None], 3, axis=2))
     canvas.scale = scale
     for part in (1 / 3, 2 / 3):
         canvas.line(np.array([part * size[0], 0]), np.array([part * size[0], size[1]]), GREY, 1)
@@ -133,10 +146,10 @@ def draw_coverage(
     return canvas
 
 
-def write_canvas(path: Path, canvas: Canvas) -> Path:
+def write_annotated(path: Path, canvas: AnnotatedPicture) -> Path:
     """Write a JPEG file; its path."""
-    with replacing(path) as beside:
-        beside.write_bytes(
+    with replacing(path) as temporary:
+        temporary.write_bytes(
             cv2.imencode(".jpg", canvas.image, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes()
         )
     return path

@@ -1,7 +1,7 @@
-"""Looking for a board in many pictures.
+"""Finding a board in many pictures.
 
-INPUTS: photographs or videos, a Board. OUTPUTS: Found: views that differ, and which pictures show
-no board or nothing new.
+INPUTS: photographs or videos, a Board. OUTPUTS: BoardDetections: views that differ, and which
+pictures show no board or nothing new.
 """
 
 from collections.abc import Sequence
@@ -14,61 +14,62 @@ import numpy as np
 from jaxmocap.calibration.board.boards import Board
 from jaxmocap.calibration.board.corners import find_coarsely, find_corners
 from jaxmocap.calibration.board.pictures import Picture, open_pictures
-from jaxmocap.calibration.intrinsics import View
+from jaxmocap.calibration.intrinsics import BoardView
 from jaxmocap.formats.files.errors import InputError
 
 # Fewer views than this are refused.
-FEWEST = 5
+MIN_VIEWS = 5
 # Two pictures whose corners differ less than this on average show the same, pixels.
-SAME_PX = 1.0
-# How many pictures without a board are looked through for a board of other counts, and how many
-# are named in a message at most.
-_HINTS, _NAMED = 3, 8
+SAME_VIEW_PX = 1.0
+# Pictures without a board that are searched for a board of other counts.
+_MAX_HINT_PICTURES = 3
+# Pictures that are named in a message.
+_MAX_NAMED = 8
 
 
 @dataclass(frozen=True)
-class Found:
-    """A board in pictures.
+class BoardDetections:
+    """Where a board was found in pictures.
 
     Attributes:
         where: the pictures in a few words, for messages.
         board: that was looked for.
-        pictures: all that were looked at.
+        pictures: all that were searched.
         size: width and height that all have, pixels.
         views: the board's corners, each different view once.
         not_found: names of the pictures without a board.
-        repeated: names of the pictures that show the same as an earlier one.
-        said: what is to be said of videos.
+        duplicates: names of the pictures that show the same as an earlier one.
+        warnings: a sentence for each video.
     """
 
     where: str
     board: Board
     pictures: tuple[Picture, ...]
     size: tuple[int, int]
-    views: tuple[View, ...]
+    views: tuple[BoardView, ...]
     not_found: tuple[str, ...]
-    repeated: tuple[str, ...]
-    said: tuple[str, ...]
+    duplicates: tuple[str, ...]
+    warnings: tuple[str, ...]
 
     def too_few(self) -> str | None:
         """In how few pictures the board was found, and in which it was not; None where enough."""
-        if len(self.views) >= FEWEST:
+        if len(self.views) >= MIN_VIEWS:
             return None
         count = f"{len(self.views)} different pictures of {len(self.pictures)}"
-        parts = [f"found the {self.board.label} board in {count}", *self.said]
+        parts = [f"found the {self.board.label} board in {count}", *self.warnings]
         for names, what in (
             (self.not_found, "no board in"),
-            (self.repeated, "the same as an earlier one:"),
+            (self.duplicates, "the same as an earlier one:"),
         ):
             if names:
-                more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-                parts.append(f"{what} {', '.join(names[:_NAMED])}{more}")
+                more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
+                parts.append(f"{what} {', '.join(names[:_MAX_NAMED])}{more}")
         without = [picture for picture in self.pictures if picture.name in self.not_found]
-        hint = other_counts(without[:_HINTS], self.board)
-        return "; ".join([*parts, f"expected {FEWEST} or more"]) + hint
+        hint = hint_of_other_counts(without[:_MAX_HINT_PICTURES], self.board)
+        return "; ".join([*parts, f"expected {MIN_VIEWS} or more"]) + hint
 
 
-def find_boards(paths: Sequence[str | Path], board: Board) -> Found:
+def find_boards(paths: Sequence[str | Path], board: Board) -> BoardDetections:
     """Look for a board in photographs, and in frames of videos that are chosen for it.
 
     Raises:
@@ -76,8 +77,8 @@ def find_boards(paths: Sequence[str | Path], board: Board) -> Found:
             size.
     """
     where = str(paths[0]) if len(paths) == 1 else f"{paths[0]} and {len(paths) - 1} more"
-    pictures, said = open_pictures(paths, board)
-    views: list[View] = []
+    pictures, warnings = open_pictures(paths, board)
+    views: list[BoardView] = []
     missing, repeated = [], []
     sizes: dict[tuple[int, int], str] = {}
     for picture in pictures:
@@ -87,15 +88,15 @@ def find_boards(paths: Sequence[str | Path], board: Board) -> Found:
         if corners is None:
             missing.append(picture.name)
             continue
-        view = View(picture.name, corners.points_board, corners.pixels_xy)
-        if any(_same(view, other) for other in views):
+        view = BoardView(picture.name, corners.points_board, corners.pixels_xy)
+        if any(_is_same_view(view, other) for other in views):
             repeated.append(view.name)
         else:
             views.append(view)
     if len(sizes) > 1:
         differing = ", ".join(f"{name} {w} × {h}" for (w, h), name in sizes.items())
         raise InputError(where, f"pictures differ in size, expected one camera's: {differing}")
-    return Found(
+    return BoardDetections(
         where,
         board,
         tuple(pictures),
@@ -103,17 +104,17 @@ def find_boards(paths: Sequence[str | Path], board: Board) -> Found:
         tuple(views),
         tuple(missing),
         tuple(repeated),
-        tuple(said),
+        tuple(warnings),
     )
 
 
-def _same(a: View, b: View) -> bool:
+def _is_same_view(a: BoardView, b: BoardView) -> bool:
     if len(a.pixels_xy) != len(b.pixels_xy) or (a.points_board != b.points_board).any():
         return False
-    return float(np.linalg.norm(a.pixels_xy - b.pixels_xy, axis=-1).mean()) < SAME_PX
+    return float(np.linalg.norm(a.pixels_xy - b.pixels_xy, axis=-1).mean()) < SAME_VIEW_PX
 
 
-def other_counts(pictures: Sequence[Picture], board: Board) -> str:
+def hint_of_other_counts(pictures: Sequence[Picture], board: Board) -> str:
     """A hint where the pictures show a board of other counts; nothing where they do not."""
     c, r = board.columns, board.rows
     tried = {

@@ -16,12 +16,14 @@ from jaxmocap.capture.photographs import is_picture_file, read_picture
 from jaxmocap.capture.video import NO_VIDEO, Video
 from jaxmocap.formats.files.errors import InputError
 
-# Frames of a video: how many are looked at, and how many are chosen at most.
-LOOKED_AT, CHOSEN = 150, 20
+# Frames of a video that are examined.
+MAX_EXAMINED_FRAMES = 150
+# Frames of a video that are chosen.
+MAX_CHOSEN_FRAMES = 20
 # A frame is blurred where its board has less than this part of the median board's sharpness.
-SHARP = 0.5
+MIN_SHARPNESS = 0.5
 # Views that differ less than this (in units of the image) show nothing new.
-NEW = 0.02
+MIN_NEW_DISTANCE = 0.02
 
 
 @dataclass(frozen=True)
@@ -46,20 +48,20 @@ class Picture:
 
 
 def open_pictures(paths: Sequence[str | Path], board: Board) -> tuple[list[Picture], list[str]]:
-    """Pictures of files in their order, and what is to be said of videos.
+    """Pictures of files in their order, and a warning for each video.
 
     Raises:
         InputError: a file that is missing, or neither an image nor a video.
     """
     pictures: list[Picture] = []
-    said: list[str] = []
+    warnings: list[str] = []
     files = [Path(path) for path in paths]
     for path in files:
         alone = len({other for other in files if other.name == path.name}) == 1
         if path.is_dir():
             raise InputError(path, "is a folder, expected images or a video")
         if is_picture_file(path):
-            # All are looked at before any work begins.
+            # All are read before any work begins.
             read_picture(path)
             pictures.append(Picture(path.name if alone else str(path), path))
             continue
@@ -71,12 +73,12 @@ def open_pictures(paths: Sequence[str | Path], board: Board) -> tuple[list[Pictu
             raise InputError(path, "is neither an image nor a video that can be read") from None
         chosen, sentence = _chosen_frames(video, board)
         pictures += chosen
-        said.append(sentence)
-    return pictures, said
+        warnings.append(sentence)
+    return pictures, warnings
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _FrameView:
     number: int
     sharpness: float
     features: np.ndarray
@@ -84,20 +86,22 @@ class _Seen:
 
 def _chosen_frames(video: Video, board: Board) -> tuple[list[Picture], str]:
     """Sharp frames that differ from one another in the board's place, size and tilt."""
-    step = max(1, -(-len(video) // LOOKED_AT))
-    seen = []
+    step = max(1, -(-len(video) // MAX_EXAMINED_FRAMES))
+    candidates = []
     for number, (_, grey) in enumerate(video.frames(luma=True)):
         if grey is not None and number % step == 0:
             pixels = find_coarsely(grey, board)
             if pixels is not None:
-                seen.append(_Seen(number, _sharpness(grey, pixels), _features(pixels, board, grey)))
-    looked = -(-len(video) // step)
-    sentence = f"{video.path.name}: board seen in {len(seen)} of {looked} frames looked at"
-    if not seen:
+                candidates.append(
+                    _FrameView(number, _sharpness(grey, pixels), _features(pixels, board, grey))
+                )
+    examined = -(-len(video) // step)
+    sentence = f"{video.path.name}: board seen in {len(candidates)} of {examined} frames looked at"
+    if not candidates:
         return [], sentence
-    limit = SHARP * float(np.median([view.sharpness for view in seen]))
-    sharp = [view for view in seen if view.sharpness >= limit]
-    numbers = sorted(view.number for view in spread(sharp, CHOSEN))
+    limit = MIN_SHARPNESS * float(np.median([view.sharpness for view in candidates]))
+    sharp = [view for view in candidates if view.sharpness >= limit]
+    numbers = sorted(view.number for view in farthest_views(sharp, MAX_CHOSEN_FRAMES))
     images = {
         i: image
         for i, (_, image) in enumerate(video.frames())
@@ -106,11 +110,11 @@ def _chosen_frames(video: Video, board: Board) -> tuple[list[Picture], str]:
     chosen = [
         Picture(f"{video.path.name} frame {i}", video.path, image) for i, image in images.items()
     ]
-    blurred = len(seen) - len(sharp)
+    blurred = len(candidates) - len(sharp)
     return chosen, f"{sentence}, {blurred} blurred, {len(chosen)} chosen for their spread"
 
 
-def spread(views: Sequence[_Seen], count: int) -> list[_Seen]:
+def farthest_views(views: Sequence[_FrameView], count: int) -> list[_FrameView]:
     """Up to ``count`` views, each as far as can be from those chosen before it.
 
     The first is the sharpest; those that show nothing new are not chosen.
@@ -120,7 +124,7 @@ def spread(views: Sequence[_Seen], count: int) -> list[_Seen]:
     distances = np.full(len(views), np.inf)
     while len(chosen) < count:
         distances = np.minimum(distances, np.linalg.norm(features - chosen[-1].features, axis=-1))
-        if distances.max() < NEW:
+        if distances.max() < MIN_NEW_DISTANCE:
             break
         chosen.append(views[int(distances.argmax())])
     return chosen
@@ -136,10 +140,10 @@ def _sharpness(grey: np.ndarray, pixels_xy: np.ndarray) -> float:
 
 
 def _features(pixels_xy: np.ndarray, board: Board, grey: np.ndarray) -> np.ndarray:
-    """(7,) where the board is, how large, how turned, how foreshortened along x and y.
+    """(7,) where the board is, how large, its direction, how foreshortened along x and y.
 
-    In units of the image; foreshortening (opposite sides that differ in length) is what tells the
-    focal length, so it counts double.
+    In units of the image; foreshortening (opposite sides that differ in length) is what determines
+    the focal length, so it counts double.
     """
     grid = pixels_xy.reshape(board.rows, board.columns, 2)
     sides = [grid[0, -1] - grid[0, 0], grid[-1, -1] - grid[-1, 0]]

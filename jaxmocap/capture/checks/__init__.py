@@ -1,4 +1,4 @@
-"""Whether a recording is what its file says; looked at before anything is tracked.
+"""Whether a recording is what its file states; checked before anything is tracked.
 
 Begin with ``markers``.
 """

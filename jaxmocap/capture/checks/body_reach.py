@@ -1,4 +1,4 @@
-"""How a body stands and how far it reaches, for what its markers are held against.
+"""How a body stands and how far it reaches, against which its markers are checked.
 
 INPUTS: a Skeleton and the places of markers on it.
 OUTPUTS: heights (M,) of the markers on somebody who stands, arms hanging; largest distances (M, M)
@@ -24,7 +24,7 @@ def standing_points(skeleton: Skeleton, places: Sequence[MarkerPlace]) -> np.nda
     return joints[bones] + along + offsets - [0.0, 0.0, _sole_and_vertex(joints, vectors)[0]]
 
 
-def stature(skeleton: Skeleton) -> float:
+def skeleton_stature(skeleton: Skeleton) -> float:
     """How tall the skeleton stands, metres, from sole to vertex."""
     vectors = _bone_vectors(skeleton)
     sole, vertex = _sole_and_vertex(_joints(skeleton, vectors), vectors)
@@ -50,32 +50,32 @@ def _sole_and_vertex(joints: np.ndarray, vectors: np.ndarray) -> tuple[float, fl
     return vertex - (vertex - ankle) / (1 - ANKLE_HEIGHT), vertex
 
 
-def reach(skeleton: Skeleton, places: Sequence[MarkerPlace]) -> np.ndarray:
+def max_marker_distances(skeleton: Skeleton, places: Sequence[MarkerPlace]) -> np.ndarray:
     """(M, M) metres that two markers can be apart: the way along the bones between them."""
     lengths = np.asarray(skeleton.lengths, float)
     chains = [skeleton.tree.chain(place.bone) for place in places]
-    away = np.zeros((len(places), len(places)))
+    distances = np.zeros((len(places), len(places)))
     for i, first in enumerate(places):
         for j, second in enumerate(places[:i]):
-            ways = _ways(chains[i], chains[j], first.at, second.at)
-            straight = sum(share * lengths[bone] for bone, share in ways)
+            segments = _bones_between(chains[i], chains[j], first.at, second.at)
+            straight = sum(share * lengths[bone] for bone, share in segments)
             sides = np.linalg.norm(first.offset) + np.linalg.norm(second.offset)
-            away[i, j] = away[j, i] = straight + sides
-    return away
+            distances[i, j] = distances[j, i] = straight + sides
+    return distances
 
 
-def _ways(
+def _bones_between(
     first: tuple[int, ...], second: tuple[int, ...], at_first: float, at_second: float
 ) -> list[tuple[int, float]]:
     """Bones between two points on the ends of two chains, and the share of each that is passed."""
     if first == second:
         return [(first[-1], abs(at_first - at_second))]
     shared = sum(a == b for a, b in zip(first, second, strict=False))
-    ways = []
+    segments = []
     for chain, at in ((first, at_first), (second, at_second)):
         if len(chain) == shared:
             # The other chain goes on from this bone's far end.
-            ways.append((chain[-1], 1.0 - at))
+            segments.append((chain[-1], 1.0 - at))
         else:
-            ways += [(bone, 1.0) for bone in chain[shared:-1]] + [(chain[-1], at)]
-    return ways
+            segments += [(bone, 1.0) for bone in chain[shared:-1]] + [(chain[-1], at)]
+    return segments

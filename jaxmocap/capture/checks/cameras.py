@@ -6,44 +6,61 @@ OUTPUTS: Findings about calibration and offset; the share of the markers that an
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 
 from jaxmocap.capture.checks.body_reach import standing_points
-from jaxmocap.capture.checks.markers import MOST, Finding, check_markers, facing
+from jaxmocap.capture.checks.markers import (
+    MIN_AGREEING_SHARE,
+    Finding,
+    check_markers,
+    facing_of_pairs,
+)
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
 from jaxmocap.geometry.cameras import NEAREST_M, Camera
 
 # Nobody is filmed from further away; a calibration in millimetres puts the camera there.
-FARTHEST_M = 150.0
-# How far below the floor, which is known to some centimetres, a camera may come out.
-BELOW_M = 0.15
-# Of the markers while the video runs, the share that its image must show; of the samples, the
-# share that must have a video.
-SHOWN, COVERED = 0.5, 0.5
+MAX_DISTANCE_M = 150.0
+# How far below the floor, which is uncertain by some centimetres, a camera may come out.
+MAX_BELOW_FLOOR_M = 0.15
+# Share of the markers that the image must show while the video runs.
+MIN_VISIBLE_SHARE = 0.5
+# Share of the marker samples that must have a video.
+MIN_COVERED_SHARE = 0.5
 # Other axes that show so much explain why these do not.
-SURE = 0.9
+MIN_EXPLAINED_SHARE = 0.9
 # Lenses bend lines; beyond this much of the image's size their formula means nothing.
-BEYOND = 0.5
+DISTORTION_MARGIN = 0.5
 
 
 @dataclass(frozen=True)
-class View:
-    """What a camera has of the markers.
+class MarkerVisibility:
+    """How much of the markers a camera covers in time and shows in its image.
 
     Attributes:
         camera: its name.
-        covered: share of the marker samples that lie within its video's time.
-        shown: share of the markers seen in these samples that its image shows; NaN without any.
+        covered_share: share of the marker samples that lie within its video's time.
+        visible_share: share of the markers present in these samples that its image shows; NaN
+            without any.
         distance: metres from the camera to the middle of the markers, median.
     """
 
     camera: str
-    covered: float
-    shown: float
+    covered_share: float
+    visible_share: float
     distance: float
+
+    def figures(self) -> dict[str, Any]:
+        """The same as plain figures."""
+        return {
+            "camera": self.camera,
+            "covered": self.covered_share,
+            "shown": self.visible_share,
+            "distance": self.distance,
+        }
 
 
 def check_recording(recording: Recording, video_times: Sequence[np.ndarray]) -> list[Finding]:
@@ -53,39 +70,41 @@ def check_recording(recording: Recording, video_times: Sequence[np.ndarray]) -> 
         recording: with its cameras.
         video_times: (F,) seconds of marker time of each video's frames.
     """
-    found = check_markers(recording)
-    if not any(finding.fatal for finding in found):
+    findings = check_markers(recording)
+    if not any(finding.fatal for finding in findings):
         views = [
-            view(recording, source, times)
+            marker_visibility(recording, source, times)
             for source, times in zip(recording.videos, video_times, strict=True)
         ]
-        nowhere = all(seen.shown == 0 for seen in views)
-        for source, seen in zip(recording.videos, views, strict=True):
-            found += _camera(recording, source, seen, nowhere)
-    return sorted(found, key=lambda finding: not finding.fatal)
+        nowhere = all(view.visible_share == 0 for view in views)
+        for source, view in zip(recording.videos, views, strict=True):
+            findings += _camera_findings(recording, source, view, nowhere)
+    return sorted(findings, key=lambda finding: not finding.fatal)
 
 
-def view(recording: Recording, source: VideoSource, video_times: np.ndarray) -> View:
-    """What one camera has of the markers."""
+def marker_visibility(
+    recording: Recording, source: VideoSource, video_times: np.ndarray
+) -> MarkerVisibility:
+    """How much of the markers one camera covers and shows."""
     times, positions = recording.times, recording.positions_world
     half = max(median_interval(video_times), median_interval(times)) / 2
     inside = (times >= video_times[0] - half) & (times <= video_times[-1] + half)
-    seen = np.asarray(np.isfinite(positions).all(-1))
-    middle = np.median(positions[seen], 0)
-    during = positions[inside][seen[inside]]
-    return View(
+    is_present = np.asarray(np.isfinite(positions).all(-1))
+    middle = np.median(positions[is_present], 0)
+    in_video = positions[inside][is_present[inside]]
+    return MarkerVisibility(
         source.camera_name,
         float(inside.mean()),
-        float(in_image(source.camera, during).mean()) if len(during) else float("nan"),
+        float(points_in_image(source.camera, in_video).mean()) if len(in_video) else float("nan"),
         float(np.linalg.norm(np.asarray(source.camera.position_world) - middle)),
     )
 
 
-def pixels_of(camera: Camera, points_world: np.ndarray) -> np.ndarray:
+def project_to_pixels(camera: Camera, points_world: np.ndarray) -> np.ndarray:
     """(N, 2) pixels of (N, 3) world points, in double precision; NaN behind the camera."""
     pinhole_xy, bent_xy = _projections(camera, points_world)
     size = np.asarray(camera.size, float)
-    near = np.asarray((np.abs(pinhole_xy - size / 2) <= (0.5 + BEYOND) * size).all(-1))
+    near = np.asarray((np.abs(pinhole_xy - size / 2) <= (0.5 + DISTORTION_MARGIN) * size).all(-1))
     return np.where(near[:, None], bent_xy, pinhole_xy)
 
 
@@ -102,48 +121,50 @@ def _projections(camera: Camera, points_world: np.ndarray) -> tuple[np.ndarray, 
     return both[0], both[1]
 
 
-def in_image(camera: Camera, points_world: np.ndarray) -> np.ndarray:
+def points_in_image(camera: Camera, points_world: np.ndarray) -> np.ndarray:
     """(N,) whether (N, 3) world points lie before the camera and within its image."""
-    xy = pixels_of(camera, points_world)
+    xy = project_to_pixels(camera, points_world)
     return np.asarray(((xy >= -0.5) & (xy <= np.asarray(camera.size, float) - 0.5)).all(-1))
 
 
-def _camera(
-    recording: Recording, source: VideoSource, seen: View, nowhere: bool
+def _camera_findings(
+    recording: Recording, source: VideoSource, view: MarkerVisibility, is_fatal: bool
 ) -> Iterator[Finding]:
     section = f"[{source.camera_name}] of the calibration"
-    if seen.distance > FARTHEST_M:
+    if view.distance > MAX_DISTANCE_M:
         yield Finding(
             "unit",
-            f"{section}: the camera is {seen.distance:.4g} m away from the markers, expected at "
-            f"most {FARTHEST_M:g} m; translation must be in metres",
+            f"{section}: the camera is {view.distance:.4g} m away from the markers, expected at "
+            f"most {MAX_DISTANCE_M:g} m; translation must be in metres",
             fatal=True,
         )
         return
     height, floor = float(np.asarray(source.camera.position_world)[2]), _floor(recording)
-    if height < floor - BELOW_M:
+    if height < floor - MAX_BELOW_FLOOR_M:
         yield Finding(
             "camera below the floor",
             f"{section}: the camera stands at z = {height:.2f} m, below the floor, which the "
             f"markers put at {floor:.2f} m; rotation and translation must take the world (Z up) to "
             "the camera, not the camera to the world",
         )
-    if seen.shown < SHOWN:
+    if view.visible_share < MIN_VISIBLE_SHARE:
         axes, share, mirrored = _other_axes(recording, source.camera)
         kind = "a mirror image, left-handed" if mirrored else "turned"
-        rather = f"; with {axes} in place of x, y, z ({kind}) it would be {100 * share:.0f} %"
+        better = f"; with {axes} in place of x, y, z ({kind}) it would be {100 * share:.0f} %"
+        suggestion = better if share > MIN_EXPLAINED_SHARE else ""
         yield Finding(
-            "handedness" if mirrored and share > SURE else "person out of the image",
-            f"{section}: its image shows {100 * seen.shown:.0f} % of the markers, expected "
-            f"{100 * SHOWN:.0f} % or more; check rotation and translation, [[video]] camera, and "
-            f"[markers] up or to_world{rather if share > SURE else ''}",
-            fatal=nowhere,
+            "handedness" if mirrored and share > MIN_EXPLAINED_SHARE else "person out of the image",
+            f"{section}: its image shows {100 * view.visible_share:.0f} % of the markers, expected "
+            f"{100 * MIN_VISIBLE_SHARE:.0f} % or more; check rotation and translation, [[video]] "
+            f"camera, and [markers] up or to_world{suggestion}",
+            fatal=is_fatal,
         )
-    if seen.covered < COVERED:
+    if view.covered_share < MIN_COVERED_SHARE:
         yield Finding(
             "rate",
-            f"[[video]] {source.camera_name}: the video lasts during {100 * seen.covered:.0f} % of "
-            "the marker samples; if it should be all, check offset and the video's frame rate",
+            f"[[video]] {source.camera_name}: the video lasts during "
+            f"{100 * view.covered_share:.0f} % of the marker samples; if it should be all, check "
+            "offset and the video's frame rate",
         )
 
 
@@ -154,8 +175,8 @@ def _other_axes(recording: Recording, camera: Camera) -> tuple[str, float, bool]
         The axes that x, y, z would be, the share of the markers shown, whether it is a mirror
         image. Where several do as well, it is a mirror image if left and right say so.
     """
-    told = facing(recording)
-    expected = bool(told) and all(share <= 1 - MOST for _, share, _ in told)
+    facing = facing_of_pairs(recording)
+    expected = bool(facing) and all(share <= 1 - MIN_AGREEING_SHARE for _, share, _ in facing)
     positions = recording.positions_world.reshape(-1, 3)
     positions = positions[np.isfinite(positions).all(-1)]
     options = []
@@ -163,7 +184,7 @@ def _other_axes(recording: Recording, camera: Camera) -> tuple[str, float, bool]
         for a, b in ((1, 1), (-1, 1), (1, -1), (-1, -1)):
             signs, columns = np.array([a, b, 1]), [first, second, 2]
             mirrored = a * b * (1 if first == 0 else -1) < 0
-            share = float(in_image(camera, positions[:, columns] * signs).mean())
+            share = float(points_in_image(camera, positions[:, columns] * signs).mean())
             names = [
                 f"{'-' if s < 0 else ''}{'xyz'[c]}" for s, c in zip(signs, columns, strict=True)
             ]
@@ -176,6 +197,6 @@ def _other_axes(recording: Recording, camera: Camera) -> tuple[str, float, bool]
 def _floor(recording: Recording) -> float:
     """Height on which the person stands, if upright, as the lowest of the markers has it, m."""
     heights = standing_points(recording.skeleton, recording.places)[:, 2]
-    seen = np.isfinite(recording.positions_world[..., 2]).any(0)
-    levels = recording.positions_world[:, seen, 2] - heights[seen]
+    is_present = np.isfinite(recording.positions_world[..., 2]).any(0)
+    levels = recording.positions_world[:, is_present, 2] - heights[is_present]
     return float(np.nanmedian(levels, axis=0).min())

@@ -1,6 +1,6 @@
 """Cameras that are on: a device, a network stream, or a file at its own pace.
 
-INPUTS: a LiveVideo. OUTPUTS: Frames, the newest, from a thread of its own; what became of it.
+INPUTS: a LiveVideo. OUTPUTS: LiveFrames, the newest, from a thread of its own; what became of it.
 """
 
 import math
@@ -16,19 +16,24 @@ import numpy as np
 from av.codec.context import Flags
 from av.error import FFmpegError
 
-from jaxmocap.capture.streams.inbox import Frame
+from jaxmocap.capture.streams.inbox import LiveFrame
 from jaxmocap.capture.video import SIZE_TOLERANCE, Video, image_of
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.short_repr import short_repr
 from jaxmocap.formats.recordings.live import LiveVideo
 
 Images = Generator[np.ndarray, None, None]
 # A camera that went away is asked for again after so many seconds.
-AGAIN_S = 0.5
+RETRY_S = 0.5
 # A stream that says nothing for so many seconds is gone.
-SILENT_S = 2.0
+TIMEOUT_S = 2.0
 # What keeps FFmpeg from gathering frames before it gives the first.
-PROMPT = {"fflags": "nobuffer", "flags": "low_delay", "probesize": "32768", "analyzeduration": "0"}
+LOW_LATENCY_OPTIONS = {
+    "fflags": "nobuffer",
+    "flags": "low_delay",
+    "probesize": "32768",
+    "analyzeduration": "0",
+}
 
 
 class LiveCamera:
@@ -36,7 +41,7 @@ class LiveCamera:
 
     Attributes:
         name: of the camera.
-        heard: when a frame came in last, ``monotonic`` seconds; None before.
+        last_arrival: when a frame came in last, ``monotonic`` seconds; None before.
         status: "waiting", "on", "gone" (it is asked for again) or "ended".
         problem: why it is not used, or None.
         reason: why nothing came in when it was last asked for, or None.
@@ -47,29 +52,34 @@ class LiveCamera:
         self,
         video: LiveVideo,
         index: int,
-        give: Callable[[Frame], None],
+        on_frame: Callable[[LiveFrame], None],
         colour: bool,
         now: Callable[[], float] = monotonic,
     ):
         """Prepare.
 
         Args:
-            video: what to look at.
+            video: the camera.
             index: among the cameras.
-            give: called with every frame.
+            on_frame: called with every frame.
             colour: BGR images in place of grey ones.
             now: seconds.
 
         Raises:
             InputError: a file that is no video, a device that is not there.
         """
-        self.name, self.heard, self.status, self.problem = video.camera_name, None, "waiting", None
+        self.name, self.last_arrival, self.status, self.problem = (
+            video.camera_name,
+            None,
+            "waiting",
+            None,
+        )
         self.frames, self.reason = 0, None
-        self._video, self._index, self._give, self._now = video, index, give, now
+        self._video, self._index, self._on_frame, self._now = video, index, on_frame, now
         self._stop = Event()
-        self._again = not isinstance(video.source, Path)
+        self._is_retried = not isinstance(video.source, Path)
         self._open = _opener(video, colour, self._stop)
-        self._thread = Thread(target=self._look, name=f"camera {index}", daemon=True)
+        self._thread = Thread(target=self._run, name=f"camera {index}", daemon=True)
 
     def start(self) -> None:
         """Look from now on."""
@@ -83,9 +93,9 @@ class LiveCamera:
         """Look no more; returns within some seconds, though a driver may never let go."""
         self._stop.set()
         if self._thread.is_alive():
-            self._thread.join(SILENT_S + 1.0)
+            self._thread.join(TIMEOUT_S + 1.0)
 
-    def _look(self) -> None:
+    def _run(self) -> None:
         while not self._stop.is_set():
             try:
                 # Closed here, whatever ends it: a device is let go, a stream hung up.
@@ -93,21 +103,21 @@ class LiveCamera:
                     for image in images:
                         if self._stop.is_set() or not self._fits(image):
                             return
-                        self._hand_on(image)
+                        self._deliver(image)
             except (FFmpegError, OSError, InputError) as error:
                 # A camera that is away is asked for again.
                 self.reason = _why(error)
             if self.frames:
-                self.status = "gone" if self._again else "ended"
-            if not self._again:
+                self.status = "gone" if self._is_retried else "ended"
+            if not self._is_retried:
                 return
-            self._stop.wait(AGAIN_S)
+            self._stop.wait(RETRY_S)
 
-    def _hand_on(self, image: np.ndarray) -> None:
+    def _deliver(self, image: np.ndarray) -> None:
         arrived = self._now()
-        self.heard, self.status, self.reason = arrived, "on", None
+        self.last_arrival, self.status, self.reason = arrived, "on", None
         self.frames += 1
-        self._give(Frame(self._index, arrived + self._video.offset, image, arrived))
+        self._on_frame(LiveFrame(self._index, arrived + self._video.offset, image, arrived))
 
     def _fits(self, image: np.ndarray) -> bool:
         """Whether an image can be of the camera that was calibrated."""
@@ -130,16 +140,16 @@ def _opener(video: LiveVideo, colour: bool, stop: Event) -> Callable[[], Images]
     """What begins to look."""
     if isinstance(video.source, Path):
         file = Video(video.source)
-        return lambda: paced(file, colour, stop)
+        return lambda: paced_frames(file, colour, stop)
     if isinstance(video.source, str):
-        url, most = video.source, most_pixels(video.camera.size)
+        url, most = video.source, max_pixels(video.camera.size)
         return lambda: stream_frames(url, colour, most)
     device, size = video.source, np.asarray(video.camera.size, int).tolist()
     opened = [device_frames(device, size, colour)]
     return lambda: opened.pop() if opened else device_frames(device, size, colour)
 
 
-def most_pixels(size: Any) -> int:
+def max_pixels(size: Any) -> int:
     """Of an image that a camera of this calibrated size may send; a larger one is not decoded."""
     width, height = np.asarray(size, float).tolist()
     # Decoders work on whole blocks.
@@ -147,7 +157,7 @@ def most_pixels(size: Any) -> int:
     return round(math.prod(sides))
 
 
-def paced(video: Video, colour: bool, stop: Event) -> Images:
+def paced_frames(video: Video, colour: bool, stop: Event) -> Images:
     """A file's frames, each at its time since the first."""
     began = monotonic() - video.times[0]
     for time, image in video.frames(luma=not colour):
@@ -158,17 +168,17 @@ def paced(video: Video, colour: bool, stop: Event) -> Images:
             yield image
 
 
-def stream_frames(url: str, colour: bool, most: int) -> Images:
+def stream_frames(url: str, colour: bool, max_pixels: int) -> Images:
     """Frames of at most so many pixels of a network stream, as they come, until it ends."""
-    with av.open(url, options=PROMPT, timeout=SILENT_S) as container:
+    with av.open(url, options=LOW_LATENCY_OPTIONS, timeout=TIMEOUT_S) as container:
         if not container.streams.video:
-            raise InputError(shown(url), "has no video stream")
+            raise InputError(short_repr(url), "has no video stream")
         stream = container.streams.video[0]
         width, height = stream.codec_context.width, stream.codec_context.height
-        if width * height > most:
+        if width * height > max_pixels:
             found = f"images of {width} × {height} pixels"
-            raise InputError(shown(url), f"{found}, far more than it was calibrated for")
-        stream.codec_context.options = {"max_pixels": str(most)}
+            raise InputError(short_repr(url), f"{found}, far more than it was calibrated for")
+        stream.codec_context.options = {"max_pixels": str(max_pixels)}
         stream.codec_context.flags |= Flags.low_delay
         # Threads that share the frames would each hold one back.
         stream.thread_type = "SLICE"

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.capture.streams.sample_gathering import Sample
+from jaxmocap.capture.streams.sample_assembly import MarkerSample
 
 
-class Frame(NamedTuple):
+class LiveFrame(NamedTuple):
     """One camera's image.
 
     Attributes:
@@ -36,46 +36,46 @@ class Inbox:
         dropped_frames: likewise.
     """
 
-    def __init__(self, most_samples: int, keep_turns: bool = True):
+    def __init__(self, max_samples: int, keep_turns: bool = True):
         """Begin empty.
 
         Args:
-            most_samples: that may wait.
-            keep_turns: a frame that replaces another has its turn, so that frames are looked at
-                however many samples come; else things are given out in the order in which they
-                came in, which smoothing needs.
+            max_samples: that may wait.
+            keep_turns: a frame that replaces another keeps its place in the queue, so that frames
+                are taken however many samples come; else things are given out in the order in which
+                they came in, which smoothing needs.
         """
-        self._samples: deque[Sample] = deque()
-        self._most, self._keep_turns = most_samples, keep_turns
-        self._frames: dict[int, Frame] = {}
+        self._samples: deque[MarkerSample] = deque()
+        self._max_samples, self._keep_turns = max_samples, keep_turns
+        self._frames: dict[int, LiveFrame] = {}
         # Since when a camera's frames wait: the turn of one that is replaced is kept.
         self._since: dict[int, float] = {}
-        self._something = Condition()
+        self._changed = Condition()
         self.dropped_samples = self.dropped_frames = 0
 
-    def put_sample(self, sample: Sample) -> None:
+    def put_sample(self, sample: MarkerSample) -> None:
         """Add a sample; the oldest makes room."""
-        with self._something:
+        with self._changed:
             self._samples.append(sample)
-            if len(self._samples) > self._most:
+            if len(self._samples) > self._max_samples:
                 self._samples.popleft()
                 self.dropped_samples += 1
-            self._something.notify()
+            self._changed.notify()
 
-    def put_frame(self, frame: Frame) -> None:
+    def put_frame(self, frame: LiveFrame) -> None:
         """Add a frame in place of an older one of its camera."""
-        with self._something:
+        with self._changed:
             self.dropped_frames += frame.camera in self._frames
             self._frames[frame.camera] = frame
             if not self._keep_turns or frame.camera not in self._since:
                 self._since[frame.camera] = frame.arrived
-            self._something.notify()
+            self._changed.notify()
 
-    def take(self, timeout: float) -> Sample | list[Frame] | None:
+    def take(self, timeout: float) -> MarkerSample | list[LiveFrame] | None:
         """The next sample, or all frames where they came first; None after so many seconds."""
-        with self._something:
+        with self._changed:
             if not self._samples and not self._frames:
-                self._something.wait(timeout)
+                self._changed.wait(timeout)
             first = min(self._since.values(), default=np.inf)
             if self._samples and self._samples[0].arrived <= first:
                 return self._samples.popleft()

@@ -1,8 +1,8 @@
 """Markers of a Lab Streaming Layer stream, in a thread of its own.
 
 INPUTS: the name of a stream whose channels are labelled ``Name.x``, ``Name.y``, ``Name.z``, in
-metres unless a channel's unit says millimetres, and after them, where a marker knows how it is
-turned, ``Name.qx``, ``Name.qy``, ``Name.qz``, ``Name.qw``, a quaternion from its axes to the
+metres unless a channel's unit says millimetres, and after them, where a marker has an
+orientation, ``Name.qx``, ``Name.qy``, ``Name.qz``, ``Name.qw``, a quaternion from its axes to the
 stream's. OUTPUTS: samples, as ``MarkerSocket`` gives them.
 
 pylsl is loaded when a stream is asked for; it is the extra ``lsl``.
@@ -15,32 +15,37 @@ from threading import Event, Thread
 from time import monotonic
 from typing import Any, NamedTuple
 
-from jaxmocap.capture.streams.osc import FARTHEST_M, Placed, unit_quaternion
-from jaxmocap.capture.streams.sample_gathering import Gathering
+from jaxmocap.capture.streams.osc import MAX_DISTANCE_M, MarkerMessage, unit_quaternion
+from jaxmocap.capture.streams.sample_assembly import SampleAssembler
 from jaxmocap.capture.streams.stream_clock import StreamClock
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import listed, shown
+from jaxmocap.formats.files.short_repr import comma_list, short_repr
 
-# A stream that is not there is looked for again and again, so many seconds at a time.
-LOOKING_S, WAITING_S = 1.0, 0.2
-# More channels, or longer labels and units, no stream of markers has.
-MOST_CHANNELS, LONGEST_LABEL = 4096, 200
-UNITS = {"": 1.0, "m": 1.0, "meters": 1.0, "metres": 1.0, "mm": 1e-3, "millimeters": 1e-3}
-AXES, TURN = (".x", ".y", ".z"), (".qx", ".qy", ".qz", ".qw")
+# A stream that is not there is asked for again and again, for so many seconds at a time.
+RESOLVE_TIMEOUT_S = 1.0
+# A sample is waited for so many seconds at a time.
+PULL_TIMEOUT_S = 0.2
+# No stream of markers has more channels,
+MAX_CHANNELS = 4096
+# or longer labels and units.
+MAX_LABEL_CHARACTERS = 200
+METRES_PER_UNIT = {"": 1.0, "m": 1.0, "meters": 1.0, "metres": 1.0, "mm": 1e-3, "millimeters": 1e-3}
+POSITION_SUFFIXES = (".x", ".y", ".z")
+QUATERNION_SUFFIXES = (".qx", ".qy", ".qz", ".qw")
 
 
-class Channels(NamedTuple):
+class MarkerChannels(NamedTuple):
     """Where a marker is among a sample's values.
 
     Attributes:
         first: index of its x.
         scales: metres per unit of x, y, z.
-        turned: whether its quaternion follows.
+        has_orientation: whether its quaternion follows.
     """
 
     first: int
     scales: tuple[float, ...]
-    turned: bool
+    has_orientation: bool
 
 
 class MarkerStream:
@@ -49,14 +54,14 @@ class MarkerStream:
     Attributes:
         ignored: why -> how many samples: "absurd" (a place that no room has).
         packets: samples that came in.
-        heard: when a marker came in last, ``monotonic`` seconds; None before.
+        last_arrival: when a marker came in last, ``monotonic`` seconds; None before.
         clock: the sender's.
-        strangers: none; LSL itself decides who may send.
+        refused_hosts: none; LSL itself decides who may send.
         address: what is listened to.
         problem: why the stream cannot be used, or None.
     """
 
-    def __init__(self, name: str, gathering: Gathering, now: Callable[[], float] = monotonic):
+    def __init__(self, name: str, gathering: SampleAssembler, now: Callable[[], float] = monotonic):
         """Prepare.
 
         Args:
@@ -76,9 +81,9 @@ class MarkerStream:
         self._numeric = {pylsl.cf_float32, pylsl.cf_double64, pylsl.cf_int64}
         self._numeric |= {pylsl.cf_int32, pylsl.cf_int16, pylsl.cf_int8}
         self.ignored: Counter[str] = Counter()
-        self.packets, self.heard, self.problem = 0, None, None
-        self.clock, self.address = StreamClock(), f"the LSL stream {shown(name)}"
-        self.strangers: set[str] = set()
+        self.packets, self.last_arrival, self.problem = 0, None, None
+        self.clock, self.address = StreamClock(), f"the LSL stream {short_repr(name)}"
+        self.refused_hosts: set[str] = set()
         self._name, self._gathering, self._now = name, gathering, now
         self._stop = Event()
         self._thread = Thread(target=self._listen, name="markers", daemon=True)
@@ -88,7 +93,7 @@ class MarkerStream:
         """How often the sender's clock was set."""
         return self.clock.jumps
 
-    def sent(self) -> dict[str, int]:
+    def packets_by_sender(self) -> dict[str, int]:
         """Sender -> packets that came in from there."""
         return {self._name: self.packets}
 
@@ -104,20 +109,20 @@ class MarkerStream:
         """Listen no more; returns within some seconds."""
         self._stop.set()
         if self._thread.is_alive():
-            self._thread.join(LOOKING_S + 1.0)
+            self._thread.join(RESOLVE_TIMEOUT_S + 1.0)
 
     def _listen(self) -> None:
         while not self._stop.is_set() and self.problem is None:
             try:
-                found = self._lsl.resolve_byprop("name", self._name, timeout=LOOKING_S)
+                found = self._lsl.resolve_byprop("name", self._name, timeout=RESOLVE_TIMEOUT_S)
                 if found:
-                    self._hear(self._lsl.StreamInlet(found[0], max_buflen=1, recover=False))
+                    self._receive(self._lsl.StreamInlet(found[0], max_buflen=1, recover=False))
             except (RuntimeError, ValueError):
                 # Who sent has gone, maybe somebody comes back; or it describes itself in bytes
                 # that are not UTF-8.
-                self._stop.wait(WAITING_S)
+                self._stop.wait(PULL_TIMEOUT_S)
 
-    def _hear(self, inlet: Any) -> None:
+    def _receive(self, inlet: Any) -> None:
         try:
             self._take(inlet)
         finally:
@@ -125,45 +130,51 @@ class MarkerStream:
 
     def _take(self, inlet: Any) -> None:
         """All samples of a stream, until it is lost."""
-        channels = self._channels(inlet.info(timeout=LOOKING_S))
+        channels = self._channels(inlet.info(timeout=RESOLVE_TIMEOUT_S))
         while not self._stop.is_set() and self.problem is None:
-            values, stamp = inlet.pull_sample(timeout=WAITING_S)
+            values, stamp = inlet.pull_sample(timeout=PULL_TIMEOUT_S)
             if values is None:
                 continue
             arrived = self._now()
             self.packets += 1
-            placed = []
-            for name, (first, scales, turned) in channels.items():
+            messages = []
+            for name, (first, scales, has_orientation) in channels.items():
                 x, y, z = (values[first + axis] * scale for axis, scale in enumerate(scales))
-                if max(abs(x), abs(y), abs(z)) > FARTHEST_M:
+                if max(abs(x), abs(y), abs(z)) > MAX_DISTANCE_M:
                     self.ignored["absurd"] += 1
                 elif math.isfinite(x + y + z):
-                    turn = unit_quaternion(values[first + 3 : first + 7]) if turned else None
-                    placed.append(Placed((name,), (x, y, z), turn))
-            if placed:
-                self.heard = arrived
-                self._gathering.add(placed, self.clock.time(arrived, stamp), arrived, True)
+                    quaternion = (
+                        unit_quaternion(values[first + 3 : first + 7]) if has_orientation else None
+                    )
+                    messages.append(MarkerMessage((name,), (x, y, z), quaternion))
+            if messages:
+                self.last_arrival = arrived
+                self._gathering.add(messages, self.clock.time(arrived, stamp), arrived, True)
 
-    def _channels(self, info: Any) -> dict[str, Channels]:
+    def _channels(self, info: Any) -> dict[str, MarkerChannels]:
         """Marker -> where it is."""
         if info.channel_format() not in self._numeric:
             self.problem = "expected channels of numbers, found text"
             return {}
         labels, units = [], []
         channel = info.desc().child("channels").child("channel")
-        for _ in range(min(info.channel_count(), MOST_CHANNELS)):
-            labels.append(channel.child_value("label")[:LONGEST_LABEL])
-            units.append(channel.child_value("unit")[:LONGEST_LABEL].lower())
+        for _ in range(min(info.channel_count(), MAX_CHANNELS)):
+            labels.append(channel.child_value("label")[:MAX_LABEL_CHARACTERS])
+            units.append(channel.child_value("unit")[:MAX_LABEL_CHARACTERS].lower())
             channel = channel.next_sibling("channel")
-        found = {}
+        channels_of = {}
         for i, label in enumerate(labels):
             name = label.removesuffix(".x")
-            if labels[i : i + 3] == [name + axis for axis in AXES]:
-                scales = tuple(UNITS.get(unit, math.nan) for unit in units[i : i + 3])
-                turned = labels[i + 3 : i + 7] == [name + part for part in TURN]
-                found[name] = Channels(i, scales, turned)
-        if not found or any(math.isnan(scale) for each in found.values() for scale in each.scales):
-            found_labels = listed(labels[:6]) or "none"
+            if labels[i : i + 3] == [name + axis for axis in POSITION_SUFFIXES]:
+                scales = tuple(METRES_PER_UNIT.get(unit, math.nan) for unit in units[i : i + 3])
+                has_orientation = labels[i + 3 : i + 7] == [
+                    name + part for part in QUATERNION_SUFFIXES
+                ]
+                channels_of[name] = MarkerChannels(i, scales, has_orientation)
+        if not channels_of or any(
+            math.isnan(scale) for each in channels_of.values() for scale in each.scales
+        ):
+            found_labels = comma_list(labels[:6]) or "none"
             expected = "expected channels Name.x, Name.y, Name.z in m or mm"
             self.problem = f"{expected}, found {found_labels}"
-        return found
+        return channels_of

@@ -1,8 +1,8 @@
 """OSC datagrams to markers: VMC's devices and VRChat's trackers.
 
-    /VMC/Ext/Hmd/Pos  Con  Tra     serial, place (3), turn (4); .../Pos/Local as tracked
+    /VMC/Ext/Hmd/Pos  Con  Tra     serial, position (3), quaternion (4); .../Pos/Local as tracked
     /VMC/Ext/T                     the sender's seconds
-    /tracking/trackers/1/position  place (3), by number or "head"
+    /tracking/trackers/1/position  position (3), by number or "head"
     /tracking/trackers/1/rotation  degrees (3) about x, y, z; about z first, then x, then y
 
 INPUTS: datagrams, whoever sent them. OUTPUTS: Packets; BadPacketError for what is no OSC, is cut
@@ -22,14 +22,21 @@ from pythonosc.osc_message import ParseError as MessageError
 from pythonosc.parsing.osc_types import ParseError as TypesError
 
 # Farther from the origin no room is, metres.
-FARTHEST_M = 100.0
-# Bundles within bundles, elements of one, and characters of a name: more is an attack.
-DEEPEST, MOST_MESSAGES, LONGEST_NAME = 3, 256, 64
-_BUNDLE, _HEADER, _NOW = b"#bundle\0", 16, 1
+MAX_DISTANCE_M = 100.0
+# Bundles within bundles: more is an attack, as are more messages and longer names.
+MAX_DEPTH = 3
+MAX_MESSAGES = 256
+MAX_NAME_BYTES = 64
+_BUNDLE = b"#bundle\0"
+_BUNDLE_HEADER_BYTES = 16
+# The time tag that stands for no time.
+_IMMEDIATELY = 1
 # OSC counts seconds from 1900, in parts of 2**32.
 _FRACTIONS = 2.0**32
 _DEVICES = (b"/VMC/Ext/Hmd/", b"/VMC/Ext/Con/", b"/VMC/Ext/Tra/")
-_TRACKERS, _POSITION, _ROTATION = b"/tracking/trackers/", b"/position", b"/rotation"
+_TRACKERS = b"/tracking/trackers/"
+_POSITION = b"/position"
+_ROTATION = b"/rotation"
 _TIME = b"/VMC/Ext/T"
 
 
@@ -37,35 +44,35 @@ class BadPacketError(Exception):
     """A datagram that is to be ignored; the message is one word of why."""
 
 
-class Placed(NamedTuple):
+class MarkerMessage(NamedTuple):
     """One marker of a packet.
 
     Attributes:
-        names: what it may be called, the first that somebody knows counts.
-        position: (x, y, z) metres, the sender's axes; None where only its turn is told.
-        turn: quaternion (x, y, z, w) from its own axes to the sender's, or None.
+        names: what it may be called, the first that is a marker's counts.
+        position: (x, y, z) metres, the sender's axes; None where only its orientation is sent.
+        orientation: quaternion (x, y, z, w) from its own axes to the sender's, or None.
     """
 
     names: tuple[str, ...]
     position: tuple[float, float, float] | None
-    turn: tuple[float, float, float, float] | None = None
+    orientation: tuple[float, float, float, float] | None = None
 
 
 class Packet(NamedTuple):
-    """What one datagram told.
+    """What one datagram holds.
 
     Attributes:
-        placed: its markers; none where it is about something else.
+        markers: its markers; none where it is about something else.
         stamp: the sender's seconds, or None where it does not say.
-        whole: whether it is a bundle, which holds all that belongs together.
+        is_bundle: whether it is a bundle, which holds all that belongs together.
     """
 
-    placed: tuple[Placed, ...]
+    markers: tuple[MarkerMessage, ...]
     stamp: float | None
-    whole: bool
+    is_bundle: bool
 
 
-def parse(datagram: bytes, raw: bool = False) -> Packet:
+def parse_packet(datagram: bytes, raw: bool = False) -> Packet:
     """Read one datagram.
 
     Args:
@@ -75,39 +82,41 @@ def parse(datagram: bytes, raw: bool = False) -> Packet:
     Raises:
         BadPacketError: "malformed" or "absurd".
     """
-    placed, stamp = [], None
-    for message in _messages(datagram, DEEPEST):
+    markers, stamp = [], None
+    for message in _messages(datagram, MAX_DEPTH):
         address = message[: max(message.find(b"\0"), 0)]
         if address == _TIME:
             stamp = _numbers(message, 1, 0)[0]
         elif address.startswith(_DEVICES) and address.endswith(b"/Pos/Local" if raw else b"/Pos"):
-            placed.append(_device(message, address))
+            markers.append(_device(message, address))
         elif address.startswith(_TRACKERS) and address.endswith((_POSITION, _ROTATION)):
-            placed.append(_tracker(message, address))
-    whole = datagram.startswith(_BUNDLE)
-    return Packet(tuple(placed), _time_tag(datagram) if stamp is None and whole else stamp, whole)
+            markers.append(_tracker(message, address))
+    is_bundle = datagram.startswith(_BUNDLE)
+    return Packet(
+        tuple(markers), _time_tag(datagram) if stamp is None and is_bundle else stamp, is_bundle
+    )
 
 
-def _messages(content: bytes, deepest: int, left: list[int] | None = None) -> Iterator[bytes]:
+def _messages(content: bytes, deepest: int, budget: list[int] | None = None) -> Iterator[bytes]:
     """The messages of a datagram, bundles taken apart."""
-    left = [MOST_MESSAGES] if left is None else left
+    budget = [MAX_MESSAGES] if budget is None else budget
     if content.startswith(b"/") and len(content) % 4 == 0:
-        left[0] -= 1
-        if left[0] < 0:
+        budget[0] -= 1
+        if budget[0] < 0:
             raise BadPacketError("malformed")
         yield content
         return
-    if not content.startswith(_BUNDLE) or len(content) < _HEADER or not deepest:
+    if not content.startswith(_BUNDLE) or len(content) < _BUNDLE_HEADER_BYTES or not deepest:
         raise BadPacketError("malformed")
-    place = _HEADER
-    while place < len(content):
-        if len(content) - place < 4:
+    position = _BUNDLE_HEADER_BYTES
+    while position < len(content):
+        if len(content) - position < 4:
             raise BadPacketError("malformed")
-        (size,) = struct.unpack_from(">i", content, place)
-        if size <= 0 or size % 4 or size > len(content) - place - 4:
+        (size,) = struct.unpack_from(">i", content, position)
+        if size <= 0 or size % 4 or size > len(content) - position - 4:
             raise BadPacketError("malformed")
-        yield from _messages(content[place + 4 : place + 4 + size], deepest - 1, left)
-        place += 4 + size
+        yield from _messages(content[position + 4 : position + 4 + size], deepest - 1, budget)
+        position += 4 + size
 
 
 def _numbers(message: bytes, count: int, texts: int) -> list[float]:
@@ -134,26 +143,26 @@ def _arguments(message: bytes) -> list:
         raise BadPacketError("malformed") from None
 
 
-def _device(message: bytes, address: bytes) -> Placed:
+def _device(message: bytes, address: bytes) -> MarkerMessage:
     """One of VMC's devices; a headset is called Hmd as well, whatever its serial is."""
     numbers = _numbers(message, 7, 1)
     serial = _arguments(message)[0]
-    if not isinstance(serial, str) or len(serial) > LONGEST_NAME:
+    if not isinstance(serial, str) or len(serial) > MAX_NAME_BYTES:
         raise BadPacketError("malformed")
     kind = address.split(b"/")[3].decode()
     names = (serial, kind) if kind == "Hmd" else (serial,)
-    return Placed(names, _position(numbers[:3]), unit_quaternion(numbers[3:]))
+    return MarkerMessage(names, _position(numbers[:3]), unit_quaternion(numbers[3:]))
 
 
-def _tracker(message: bytes, address: bytes) -> Placed:
-    """One of VRChat's trackers: where it is, or how it is turned."""
+def _tracker(message: bytes, address: bytes) -> MarkerMessage:
+    """One of VRChat's trackers: its position, or its orientation."""
     number, _, kind = address[len(_TRACKERS) :].rpartition(b"/")
-    if len(number) > LONGEST_NAME:
+    if len(number) > MAX_NAME_BYTES:
         raise BadPacketError("malformed")
     name, values = number.decode("ascii", "replace"), _numbers(message, 3, 0)
     if b"/" + kind == _POSITION:
-        return Placed((name,), _position(values))
-    return Placed((name,), None, _euler(values))
+        return MarkerMessage((name,), _position(values))
+    return MarkerMessage((name,), None, _euler(values))
 
 
 def _euler(degrees: list[float]) -> tuple[float, float, float, float]:
@@ -171,7 +180,7 @@ def _euler(degrees: list[float]) -> tuple[float, float, float, float]:
 def unit_quaternion(numbers: Sequence[float]) -> tuple[float, float, float, float] | None:
     """A quaternion (x, y, z, w) of length 1, or None for anything else.
 
-    Senders that know nothing of turns send zeros.
+    Senders without orientations send zeros.
     """
     length = math.sqrt(sum(number**2 for number in numbers))
     if not abs(length - 1) <= 0.01:
@@ -181,7 +190,7 @@ def unit_quaternion(numbers: Sequence[float]) -> tuple[float, float, float, floa
 
 
 def _position(numbers: list[float]) -> tuple[float, float, float]:
-    if max(map(abs, numbers)) > FARTHEST_M:
+    if max(map(abs, numbers)) > MAX_DISTANCE_M:
         raise BadPacketError("absurd")
     x, y, z = numbers
     return x, y, z
@@ -190,4 +199,4 @@ def _position(numbers: list[float]) -> tuple[float, float, float]:
 def _time_tag(bundle: bytes) -> float | None:
     """A bundle's seconds; None for "at once"."""
     (tag,) = struct.unpack_from(">Q", bundle, 8)
-    return None if tag == _NOW else tag / _FRACTIONS
+    return None if tag == _IMMEDIATELY else tag / _FRACTIONS

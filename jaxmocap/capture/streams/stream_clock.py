@@ -1,4 +1,4 @@
-"""A sender's clock, told from when its packets arrive.
+"""A sender's clock, estimated from when its packets arrive.
 
 INPUTS: arrivals on this machine's clock, the sender's stamps. OUTPUTS: times on this machine's
 clock that hold the sender's rhythm, not the network's.
@@ -7,10 +7,10 @@ clock that hold the sender's rhythm, not the network's.
 # A step of the sender's clock is no network's delay, seconds.
 JUMP_S = 0.25
 # So many seconds a second the clocks may drift apart.
-DRIFT = 2e-4
+MAX_DRIFT = 2e-4
 # Packets that come so much later were not sent together, seconds.
-APART_S = 0.005
-# Stamps beyond (seconds since 1900 are 4e9) are too coarse to tell a rhythm by.
+SEPARATE_S = 0.005
+# Stamps beyond (seconds since 1900 are 4e9) are too coarse for a rhythm.
 LARGEST_STAMP_S = 1e10
 
 
@@ -29,7 +29,7 @@ class StreamClock:
     def time(self, arrival: float, stamp: float | None) -> float:
         """When a packet was sent, never after it arrived.
 
-        The packet that was under way the shortest, of late, tells how far the clocks are apart.
+        The packet that was under way the shortest, of late, determines the clocks' offset.
 
         Args:
             arrival: seconds.
@@ -37,17 +37,17 @@ class StreamClock:
         """
         if stamp is None or not abs(stamp) <= LARGEST_STAMP_S:
             return arrival
-        apart = arrival - stamp
-        passed = 0.0 if self._offset is None else stamp - self._stamp
-        stands = passed <= 0 and arrival - self._arrival > APART_S
+        offset = arrival - stamp
+        stamp_step = 0.0 if self._offset is None else stamp - self._stamp
+        is_stopped = stamp_step <= 0 and arrival - self._arrival > SEPARATE_S
         self._stamp, self._arrival = stamp, arrival
         if self._offset is None:
-            self._offset = apart
-        elif abs(apart - self._offset) > JUMP_S:
+            self._offset = offset
+        elif abs(offset - self._offset) > JUMP_S:
             self.jumps += 1
-            self._offset = apart
-        elif stands:
-            # A clock that does not run tells nothing.
+            self._offset = offset
+        elif is_stopped:
+            # A clock that does not run has no rhythm.
             return arrival
-        self._offset = min(apart, self._offset + DRIFT * max(passed, 0.0))
+        self._offset = min(offset, self._offset + MAX_DRIFT * max(stamp_step, 0.0))
         return min(stamp + self._offset, arrival)

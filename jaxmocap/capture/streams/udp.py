@@ -12,16 +12,18 @@ from threading import Event, Thread
 from time import monotonic
 from typing import NamedTuple
 
-from jaxmocap.capture.streams.osc import BadPacketError, parse
-from jaxmocap.capture.streams.sample_gathering import Gathering
-from jaxmocap.capture.streams.senders import Sender, Senders, Share, shared_out
-from jaxmocap.formats.files.addresses import LOOPBACK, Address, Network, resolved
+from jaxmocap.capture.streams.osc import BadPacketError, parse_packet
+from jaxmocap.capture.streams.sample_assembly import SampleAssembler
+from jaxmocap.capture.streams.senders import PacketSender, PacketSenders, TokenBucket, fair_shares
+from jaxmocap.formats.files.addresses import LOOPBACK, Address, Network, resolve_address
 from jaxmocap.formats.files.errors import InputError
 
-# So many packets a second are read, so many of them at a stroke; older ones beyond are dropped.
-MOST_A_SECOND, BURST = 4000, 400
+# Packets a second that are read; older ones beyond are dropped.
+MAX_PACKETS_HZ = 4000
+# Packets that are read at a stroke.
+MAX_BURST = 400
 # Larger than what UDP carries.
-LARGEST = 65536
+MAX_DATAGRAM_BYTES = 65536
 
 
 class Datagram(NamedTuple):
@@ -48,7 +50,7 @@ class MarkerSocket:
             has), "flood" (more than can be read), "foreign" (nothing about markers), "stranger"
             (from a host that may not send).
         packets: that came in.
-        heard: when a marker came in last, ``monotonic`` seconds; None before.
+        last_arrival: when a marker came in last, ``monotonic`` seconds; None before.
         senders: who sends, and their clocks.
         problem: None; nothing keeps a socket from being used once it is there.
     """
@@ -58,7 +60,7 @@ class MarkerSocket:
     def __init__(
         self,
         address: Address,
-        gathering: Gathering,
+        gathering: SampleAssembler,
         raw: bool = False,
         now: Callable[[], float] = monotonic,
         allowed: Sequence[Network] = LOOPBACK,
@@ -68,7 +70,7 @@ class MarkerSocket:
         Args:
             address: where to listen; port 0 takes a free one.
             gathering: takes the markers.
-            raw: see ``osc.parse``.
+            raw: see ``osc.parse_packet``.
             now: seconds.
             allowed: networks that may send.
 
@@ -76,12 +78,12 @@ class MarkerSocket:
             InputError: the address cannot be had.
         """
         self.ignored: Counter[str] = Counter()
-        self.packets, self.heard = 0, None
-        self.senders = Senders(allowed)
+        self.packets, self.last_arrival = 0, None
+        self.senders = PacketSenders(allowed)
         self._gathering, self._raw, self._now = gathering, raw, now
-        self._share = Share(MOST_A_SECOND, BURST, now())
+        self._bucket = TokenBucket(MAX_PACKETS_HZ, MAX_BURST, now())
         self._stop = Event()
-        self._socket = _bound(address)
+        self._socket = _bound_socket(address)
         self.address = Address(address.host, self._socket.getsockname()[1])
         self._thread = Thread(target=self._listen, name="markers", daemon=True)
 
@@ -91,18 +93,18 @@ class MarkerSocket:
         return self.senders.clock_jumps
 
     @property
-    def strangers(self) -> set[str]:
+    def refused_hosts(self) -> set[str]:
         """Hosts that sent and may not, the first of them."""
-        return self.senders.strangers
+        return self.senders.refused_hosts
 
-    def sent(self) -> dict[str, int]:
+    def packets_by_sender(self) -> dict[str, int]:
         """Sender -> packets that came in from there, of the present ones."""
         return self.senders.packets()
 
     def start(self) -> None:
         """Listen from now on; what came before is old."""
         self._waiting()
-        self._share = Share(MOST_A_SECOND, BURST, self._now())
+        self._bucket = TokenBucket(MAX_PACKETS_HZ, MAX_BURST, self._now())
         self._thread.start()
 
     def ask_to_stop(self) -> None:
@@ -128,9 +130,9 @@ class MarkerSocket:
     def _waiting(self) -> list[Datagram]:
         """All datagrams that wait, a second's at most."""
         waiting = []
-        for _ in range(MOST_A_SECOND):
+        for _ in range(MAX_PACKETS_HZ):
             try:
-                content, source = self._socket.recvfrom(LARGEST)
+                content, source = self._socket.recvfrom(MAX_DATAGRAM_BYTES)
             except BlockingIOError:
                 break
             except OSError:
@@ -147,48 +149,51 @@ class MarkerSocket:
         """
         now = self._now()
         self.packets += len(datagrams)
-        waiting: dict[Sender, list[Datagram]] = {}
+        waiting: dict[PacketSender, list[Datagram]] = {}
         for datagram in datagrams:
-            if self.senders.admits(datagram.host):
-                sender = self.senders.of(datagram.host, datagram.port, now)
+            if self.senders.is_allowed(datagram.host):
+                sender = self.senders.sender_at(datagram.host, datagram.port, now)
                 waiting.setdefault(sender, []).append(datagram)
             else:
                 self.ignored["stranger"] += 1
-        counts = {sender: min(len(of), sender.share.left(now)) for sender, of in waiting.items()}
-        counts = shared_out(counts, self._share.left(now))
+        counts = {
+            sender: min(len(queue), sender.bucket.available(now))
+            for sender, queue in waiting.items()
+        }
+        counts = fair_shares(counts, self._bucket.available(now))
         chosen = []
-        for sender, of in waiting.items():
-            sender.share.take(counts[sender])
-            chosen += [(datagram, sender) for datagram in of[len(of) - counts[sender] :]]
-            self.ignored["flood"] += len(of) - counts[sender]
-        self._share.take(len(chosen))
+        for sender, queue in waiting.items():
+            sender.bucket.take(counts[sender])
+            chosen += [(datagram, sender) for datagram in queue[len(queue) - counts[sender] :]]
+            self.ignored["flood"] += len(queue) - counts[sender]
+        self._bucket.take(len(chosen))
         for datagram, sender in sorted(chosen, key=lambda pair: pair[0].arrived):
             self._read(datagram, sender)
 
-    def _read(self, datagram: Datagram, sender: Sender) -> None:
+    def _read(self, datagram: Datagram, sender: PacketSender) -> None:
         try:
-            packet = parse(datagram.content, self._raw)
+            packet = parse_packet(datagram.content, self._raw)
         except BadPacketError as why:
             self.ignored[str(why)] += 1
             return
-        if not packet.placed:
+        if not packet.markers:
             self.ignored["foreign"] += 1
             return
-        self.heard = datagram.arrived
+        self.last_arrival = datagram.arrived
         time = sender.time(datagram.arrived, packet.stamp)
-        self._gathering.add(packet.placed, time, datagram.arrived, packet.whole)
+        self._gathering.add(packet.markers, time, datagram.arrived, packet.is_bundle)
 
 
-def _bound(address: Address) -> socket.socket:
-    family, place = resolved(address)
+def _bound_socket(address: Address) -> socket.socket:
+    family, socket_address = resolve_address(address)
     try:
-        listening = socket.socket(family, socket.SOCK_DGRAM)
+        bound = socket.socket(family, socket.SOCK_DGRAM)
     except OSError as error:
         raise InputError(str(address), f"cannot listen there ({error.strerror})") from None
     try:
-        listening.bind(place)
+        bound.bind(socket_address)
     except OSError as error:
-        listening.close()
+        bound.close()
         raise InputError(str(address), f"cannot listen there ({error.strerror})") from None
-    listening.setblocking(False)
-    return listening
+    bound.setblocking(False)
+    return bound

@@ -12,13 +12,13 @@ INPUTS: frames, poses. OUTPUTS: a SilhouetteGrids of each frame.
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, unpack
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.compilation.packing import packed, unpacked
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.appearance.learned import (
     BARE,
@@ -73,16 +73,20 @@ class MeasuredFrame(NamedTuple):
     grids: SilhouetteGrids
 
 
-@program("quick")
-def _expected(skeleton: Skeleton, camera: Camera, packed: Array) -> Array:
-    """Of a packed pose: all that ``in_image`` tells, and all landmarks, pixels of the full image.
+class _Projected(NamedTuple):
+    """A body in an image: its limbs (K) and landmarks (L, 2), pixels; pixels in a metre there."""
 
-    One vector in and one out: a crossing costs by the number of arrays.
-    """
-    pose = unpack(packed)
-    limbs, per_metre = in_image(skeleton, camera, pose)
-    pixels = project(camera, landmarks(skeleton, pose))
-    return jnp.concatenate([part.ravel() for part in (*limbs, pixels, per_metre)])
+    limbs: Discs
+    landmarks_xy: Array | np.ndarray
+    per_metre: Array | np.ndarray
+
+
+@program("quick")
+def _projected(skeleton: Skeleton, camera: Camera, pose: Array) -> Array:
+    """A packed ``_Projected`` of a packed pose."""
+    posed = unpack(pose)
+    limbs, per_metre = in_image(skeleton, camera, posed)
+    return packed(_Projected(limbs, project(camera, landmarks(skeleton, posed)), per_metre))
 
 
 @dataclass
@@ -171,12 +175,13 @@ class RunningAppearance:
 
     def _drawing(self, size: tuple[int, int], pose: Pose) -> tuple[Drawing, np.ndarray]:
         """The body in the shrunk image, and its landmarks in the full one."""
-        packed = np.asarray(_expected(self._skeleton, self._camera, np.concatenate(pose)))
-        count = len(self._skeleton.tree.bones)
-        limbs, pixels, per_metre = np.split(packed, (6 * count, -1))
-        alone = Discs._make(limbs.reshape(3, 1, count, 2))
+        vector = np.asarray(_projected(self._skeleton, self._camera, np.concatenate(pose)))
+        of_bones = np.empty((len(self._skeleton.tree.bones), 2))
+        shapes = _Projected(Discs._make([of_bones] * 3), np.empty((len(LANDMARKS), 2)), np.empty(1))
+        limbs, pixels, per_metre = unpacked(vector, shapes)
+        alone = Discs._make(part[None] for part in limbs)
         drawing = Drawing.shrunk(self._skeleton, alone, per_metre, size, ROWS)
-        return drawing, pixels.reshape(-1, 2)
+        return drawing, pixels
 
     def _learn(
         self, image: np.ndarray, drawing: Drawing, odds: np.ndarray | None, known: np.ndarray | None

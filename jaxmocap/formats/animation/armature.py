@@ -1,4 +1,4 @@
-"""Armatures: trees of joints that turn, as animation files hold them.
+"""Armatures: trees of joints that rotate, as animation files hold them.
 
 INPUTS: what a BVH or glTF file holds, or a Motion by way of ``body_armature``.
 OUTPUTS: an Armature, in other axes; where its joints are.
@@ -12,8 +12,13 @@ import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
 
-# Orientations that are worked on at a time.
-TURNS_AT_ONCE = 250_000
+# What a file may hold: joints (fingers and faces take some hundred), and how deep they may hang.
+MAX_JOINTS = 2000
+MAX_DEPTH = 200
+# Rotations, joints times samples: half an hour of 25 joints at 200 Hz is 9 million.
+MAX_ROTATIONS = 10_000_000
+# Rotations that are worked on at a time.
+BLOCK_ROTATIONS = 250_000
 
 
 class BeyondFormatError(InputError):
@@ -50,28 +55,28 @@ class Armature:
         return tuple(j for j in range(len(self.names)) if j not in self.parents)
 
     @property
-    def known(self) -> np.ndarray:
-        """(T,) is the pose known?"""
+    def is_known(self) -> np.ndarray:
+        """(T,) whether the pose is known."""
         return np.isfinite(self.positions.sum(-1) + self.rotations.sum((1, 2, 3)))
 
 
 def joint_positions(armature: Armature) -> np.ndarray:
     """Positions (T, J, 3) of all joints, metres."""
     points = np.repeat(armature.positions[:, None], len(armature.names), 1)
-    for some in _blocks(armature):
-        R = np.array(armature.rotations[some])
+    for block in _blocks(armature):
+        R = np.array(armature.rotations[block])
         for j, parent in enumerate(armature.parents):
             if parent >= 0:
-                points[some, j] = points[some, parent] + R[:, parent] @ armature.offsets[j]
+                points[block, j] = points[block, parent] + R[:, parent] @ armature.offsets[j]
                 R[:, j] = R[:, parent] @ R[:, j]
     return points
 
 
-def turned(armature: Armature, R_new_old: np.ndarray) -> Armature:
+def rotated_armature(armature: Armature, R_new_old: np.ndarray) -> Armature:
     """The armature in other axes."""
     rotations = np.empty(armature.rotations.shape)
-    for some in _blocks(armature):
-        rotations[some] = R_new_old @ armature.rotations[some] @ R_new_old.T
+    for block in _blocks(armature):
+        rotations[block] = R_new_old @ armature.rotations[block] @ R_new_old.T
     return replace(
         armature,
         offsets=armature.offsets @ R_new_old.T,
@@ -82,27 +87,29 @@ def turned(armature: Armature, R_new_old: np.ndarray) -> Armature:
 
 def _blocks(armature: Armature) -> Iterator[slice]:
     """Samples in a row, so few that of a long motion no second copy is in memory."""
-    size = max(1, TURNS_AT_ONCE // len(armature.names))
+    size = max(1, BLOCK_ROTATIONS // len(armature.names))
     for first in range(0, len(armature.times), size):
         yield slice(first, first + size)
 
 
-def settled(armature: Armature, path: str | Path) -> Armature:
+def fill_from_nearest(armature: Armature, path: str | Path) -> Armature:
     """Where the pose is unknown, that of the nearest sample where it is known.
 
     Raises:
         InputError: it is known nowhere; ``path`` is what the message names.
     """
-    known = np.flatnonzero(armature.known)
-    if not len(known):
+    known_samples = np.flatnonzero(armature.is_known)
+    if not len(known_samples):
         raise InputError(path, "no pose is known in any sample")
-    if len(known) == len(armature.times):
+    if len(known_samples) == len(armature.times):
         return armature
-    after = np.clip(np.searchsorted(known, np.arange(len(armature.times))), 0, len(known) - 1)
+    after = np.clip(
+        np.searchsorted(known_samples, np.arange(len(armature.times))), 0, len(known_samples) - 1
+    )
     before = np.maximum(after - 1, 0)
     t = armature.times
-    earlier = np.abs(t - t[known[before]]) < np.abs(t - t[known[after]])
-    nearest = known[np.where(earlier, before, after)]
+    earlier = np.abs(t - t[known_samples[before]]) < np.abs(t - t[known_samples[after]])
+    nearest = known_samples[np.where(earlier, before, after)]
     return replace(
         armature, positions=armature.positions[nearest], rotations=armature.rotations[nearest]
     )

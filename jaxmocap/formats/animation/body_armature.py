@@ -2,7 +2,7 @@
 
 INPUTS: a Motion; or an Armature whose joints are ours. OUTPUTS: the other.
 
-The rest pose, in which nothing is turned, is a T: upright, arms straight out to the sides, palms
+The rest pose, in which no joint is rotated, is a T: upright, arms straight out to the sides, palms
 down, legs straight, feet forwards, as VRM, HumanIK and SMPL have it. The pelvis is the root; the
 bones from there to the hips, which do not move against it, are its joints' offsets.
 """
@@ -23,14 +23,22 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.wrists import with_wrists
 from jaxmocap.formats.animation.armature import Armature
-from jaxmocap.formats.animation.joint_names import CONVENTIONS, ENDED, PELVIS, end_of, recognised
+from jaxmocap.formats.animation.joint_names import (
+    CONVENTIONS,
+    JOINTS_WITH_END,
+    PELVIS,
+    end_of,
+    names_to_ours,
+)
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import listed, name_shown
+from jaxmocap.formats.files.short_repr import comma_list, short_name
 
 # Angles of our skeleton in the T pose, degrees; the others are 0.
 T_POSE = {"arm_abduct_l": 90.0, "arm_abduct_r": 90.0}
-# How far an armature may be from what our skeleton can do: metres, radians.
-NEAR_M, NEAR_RAD = 1e-3, 1e-3
+# How far a joint may lie from where our skeleton has it, metres.
+MAX_OFFSET_ERROR_M = 1e-3
+# How far a joint may be rotated from what our hinges can do, radians.
+MAX_ROTATION_ERROR_RAD = 1e-3
 
 
 def armature_of(motion: Motion, convention: str = "jaxmocap") -> Armature:
@@ -46,13 +54,13 @@ def armature_of(motion: Motion, convention: str = "jaxmocap") -> Armature:
     bones = {name: i for i, name in enumerate(tree.bones)}
     angles = np.asarray(motion.poses.angles, float)
     local = local_turns(skeleton, angles)
-    rest = rest_turns(skeleton)
+    rest = rest_orientations(skeleton)
     reach = np.asarray(skeleton.lengths, float)[:, None] * np.asarray(skeleton.directions, float)
     offsets, radii = np.zeros((len(joints), 3)), np.zeros((len(joints), 2))
     R = np.tile(np.eye(3), (len(angles), len(joints), 1, 1))
     R[:, 0] = matrices(np.asarray(motion.poses.quaternion, float))
     for j, joint in enumerate(joints[1:], 1):
-        across = carrier(skeleton, joint)
+        across = bone_ending_at(skeleton, joint)
         if across is not None:
             offsets[j] = rest[across] @ reach[across]
             radii[j] = np.asarray(skeleton.diameters)[across] / 2
@@ -84,7 +92,7 @@ def joint_tree(skeleton: Skeleton) -> tuple[tuple[str, ...], tuple[int, ...]]:
             parent = len(joints) - 1
         for child in (i for i, above in enumerate(tree.parents) if above == bone):
             grow(child, parent)
-        if name in ENDED:
+        if name in JOINTS_WITH_END:
             joints.append(end_of(name))
             parents.append(parent)
 
@@ -93,7 +101,7 @@ def joint_tree(skeleton: Skeleton) -> tuple[tuple[str, ...], tuple[int, ...]]:
     return tuple(joints), tuple(parents)
 
 
-def carrier(skeleton: Skeleton, joint: str) -> int | None:
+def bone_ending_at(skeleton: Skeleton, joint: str) -> int | None:
     """The bone at whose far end a joint lies; None for those at the pelvis."""
     tree = skeleton.tree
     if joint == PELVIS:
@@ -104,7 +112,7 @@ def carrier(skeleton: Skeleton, joint: str) -> int | None:
     return parent if parent >= 0 else None
 
 
-def rest_turns(skeleton: Skeleton) -> np.ndarray:
+def rest_orientations(skeleton: Skeleton) -> np.ndarray:
     """Orientations (B, 3, 3) in the body's frame of the bones in the T pose."""
     angles = [np.radians(T_POSE.get(joint, 0.0)) for joint in skeleton.tree.joints]
     return body_turns(skeleton, np.array([angles]))[0]
@@ -123,33 +131,33 @@ def motion_of(armature: Armature, path: str | Path) -> Motion:
     Raises:
         InputError: joints that are not ours, lie elsewhere, or turn as ours cannot.
     """
-    ours = recognised(armature.names)
-    if ours is None:
-        names = listed(armature.names)
+    to_ours = names_to_ours(armature.names)
+    if to_ours is None:
+        names = comma_list(armature.names)
         raise InputError(path, f"not our skeleton, whatever its joints are called: {names}")
-    index = {ours[name]: j for j, name in enumerate(armature.names) if name in ours}
-    skeleton = _measured(Skeleton.human(), armature, index, path)
+    index = {to_ours[name]: j for j, name in enumerate(armature.names) if name in to_ours}
+    skeleton = _skeleton_of(Skeleton.human(), armature, index, path)
     try:
         angles = _angles(skeleton, armature, index, path)
     except InputError:
         # A body with wrists turns more; what it cannot turn either is refused in its words.
         skeleton = with_wrists(skeleton)
         angles = _angles(skeleton, armature, index, path)
-    known = armature.known[:, None]
-    root = np.where(known[..., None], armature.rotations[:, index[PELVIS]], np.eye(3))
+    is_known = armature.is_known[:, None]
+    root = np.where(is_known[..., None], armature.rotations[:, index[PELVIS]], np.eye(3))
     quaternion = Rotation.from_matrix(root).as_quat(scalar_first=True)
     parts = [armature.positions, quaternion, angles]
-    held: list[Any] = [np.where(known, part, np.nan) for part in parts]
-    poses = Pose(*held)
+    parts_or_nan: list[Any] = [np.where(is_known, part, np.nan) for part in parts]
+    poses = Pose(*parts_or_nan)
     return near_origin(Motion(skeleton, armature.times, poses))
 
 
 def _angles(
     skeleton: Skeleton, armature: Armature, index: Mapping[str, int], path: str | Path
 ) -> np.ndarray:
-    """Angles (T, D), radians, that turn the bones as the armature's joints are turned."""
+    """Angles (T, D), radians, by which the bones have the orientations of the armature's joints."""
     angles = np.zeros((len(armature.times), len(skeleton.tree.joints)))
-    rest = rest_turns(skeleton)
+    rest = rest_orientations(skeleton)
     for bone, name in enumerate(skeleton.tree.bones):
         if name in index:
             parent = skeleton.tree.parents[bone]
@@ -157,49 +165,52 @@ def _angles(
             local = R_rest_parent.T @ armature.rotations[:, index[name]] @ rest[bone]
             dofs = [d for d, carried in enumerate(skeleton.tree.dof_bones) if carried == bone]
             angles[:, dofs] = hinge_angles(skeleton, dofs, local)
-            _check_turns(path, name, armature, local_turns(skeleton, angles)[:, bone], local)
+            _check_rotations(path, name, armature, local_turns(skeleton, angles)[:, bone], local)
     return angles
 
 
-def _check_turns(
-    path: str | Path, name: str, armature: Armature, done: np.ndarray, wanted: np.ndarray
+def _check_rotations(
+    path: str | Path, name: str, armature: Armature, R_ours: np.ndarray, R_armature: np.ndarray
 ) -> None:
     """InputError where our hinges do not turn a bone (T, 3, 3) as the armature does."""
     # The angle between the two; of unknown poses nothing is asked.
-    traces = np.einsum("tij,tij->t", done, wanted)
-    off = np.nan_to_num(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
-    if off.max() > NEAR_RAD:
-        i = int(off.argmax())
+    traces = np.einsum("tij,tij->t", R_ours, R_armature)
+    angles = np.nan_to_num(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
+    if angles.max() > MAX_ROTATION_ERROR_RAD:
+        i = int(angles.argmax())
         raise InputError(
             path,
-            f"{name} at {armature.times[i]:g} s: turned {np.degrees(off[i]):.1f}° in a way that "
-            "our joint cannot turn",
+            f"{name} at {armature.times[i]:g} s: rotated {np.degrees(angles[i]):.1f}° in a way "
+            "that our joint cannot rotate",
         )
 
 
-def _measured(
+def _skeleton_of(
     skeleton: Skeleton, armature: Armature, index: Mapping[str, int], path: str | Path
 ) -> Skeleton:
     """Our skeleton with an armature's lengths and directions."""
-    rest, parents = rest_turns(skeleton), dict(zip(*_joints_and_parents(skeleton), strict=True))
+    rest, parents = (
+        rest_orientations(skeleton),
+        dict(zip(*_joints_and_parents(skeleton), strict=True)),
+    )
     lengths, directions = np.array(skeleton.lengths, float), np.array(skeleton.directions, float)
-    found: dict[int, np.ndarray] = {}
+    bone_vectors: dict[int, np.ndarray] = {}
     for joint, j in index.items():
         above = armature.parents[j]
-        if parents[joint] != (None if above < 0 else _ours(index, above)):
+        if parents[joint] != (None if above < 0 else _joint_name(index, above)):
             raise InputError(
-                path, f"not our skeleton: {name_shown(armature.names[j])} hangs on another joint"
+                path, f"not our skeleton: {short_name(armature.names[j])} hangs on another joint"
             )
-        bone = carrier(skeleton, joint)
-        reach = armature.offsets[j] if bone is None else rest[bone].T @ armature.offsets[j]
-        expected = np.zeros(3) if bone is None else found.setdefault(bone, reach)
-        if np.linalg.norm(reach - expected) > NEAR_M:
+        bone = bone_ending_at(skeleton, joint)
+        vector = armature.offsets[j] if bone is None else rest[bone].T @ armature.offsets[j]
+        expected = np.zeros(3) if bone is None else bone_vectors.setdefault(bone, vector)
+        if np.linalg.norm(vector - expected) > MAX_OFFSET_ERROR_M:
             raise InputError(
-                path, f"not our skeleton: {name_shown(armature.names[j])} starts elsewhere"
+                path, f"not our skeleton: {short_name(armature.names[j])} starts elsewhere"
             )
-    for bone, reach in found.items():
-        if (length := np.linalg.norm(reach)) > 0:
-            lengths[bone], directions[bone] = length, reach / length
+    for bone, vector in bone_vectors.items():
+        if (length := np.linalg.norm(vector)) > 0:
+            lengths[bone], directions[bone] = length, vector / length
     height = lengths.sum() / float(np.sum(np.asarray(Skeleton.human(1.0).lengths)))
     if not 0.5 <= height <= 2.5:
         raise InputError(path, f"bones of a person {height:.2f} m tall, expected 0.5 to 2.5 m")
@@ -215,42 +226,46 @@ def _joints_and_parents(skeleton: Skeleton) -> tuple[tuple[str, ...], list[str |
     return joints, [joints[parent] if parent >= 0 else None for parent in parents]
 
 
-def _ours(index: Mapping[str, int], joint: int) -> str | None:
+def _joint_name(index: Mapping[str, int], joint: int) -> str | None:
     return next((name for name, j in index.items() if j == joint), None)
 
 
-def hinge_angles(skeleton: Skeleton, dofs: list[int], turns: np.ndarray) -> np.ndarray:
+def hinge_angles(skeleton: Skeleton, dofs: list[int], R: np.ndarray) -> np.ndarray:
     """Angles (T, H) of up to three hinges, at right angles each to the next, that make (T, 3, 3).
 
     Of the two ways to make a turn by three hinges the one nearer to the limits is taken.
     """
     if not dofs:
-        return np.zeros((len(turns), 0))
+        return np.zeros((len(R), 0))
     axes = np.asarray(skeleton.axes, float)[dofs]
     if len(dofs) == 1:
-        return _within(Rotation.from_matrix(_safe(turns)).as_rotvec() @ axes.T, skeleton, dofs)
+        return _near_limits(
+            Rotation.from_matrix(_finite_rotations(R)).as_rotvec() @ axes.T, skeleton, dofs
+        )
     third = axes[2] if len(dofs) == 3 else np.cross(axes[0], axes[1])
     with warnings.catch_warnings():
         # In the lock of the hinges any share between first and third is as good.
         warnings.filterwarnings("ignore", "Gimbal lock")
-        found = Rotation.from_matrix(_safe(turns)).as_davenport(
+        angles = Rotation.from_matrix(_finite_rotations(R)).as_davenport(
             np.stack([axes[0], axes[1], third]), "intrinsic"
         )
     if len(dofs) == 2:
-        return _within(found[:, :2], skeleton, dofs)
-    other = found * [1, -1, 1] + np.pi
-    ways = [_within(way, skeleton, dofs) for way in (found, other)]
+        return _near_limits(angles[:, :2], skeleton, dofs)
+    other = angles * [1, -1, 1] + np.pi
+    candidates = [_near_limits(candidate, skeleton, dofs) for candidate in (angles, other)]
     low, high = np.asarray(skeleton.limits, float)[dofs].T
-    beyond = [np.maximum(low - way, 0) + np.maximum(way - high, 0) for way in ways]
+    beyond = [
+        np.maximum(low - candidate, 0) + np.maximum(candidate - high, 0) for candidate in candidates
+    ]
     second = beyond[1].sum(-1) < beyond[0].sum(-1) - 1e-9
-    return np.where(second[:, None], ways[1], ways[0])
+    return np.where(second[:, None], candidates[1], candidates[0])
 
 
-def _within(angles: np.ndarray, skeleton: Skeleton, dofs: list[int]) -> np.ndarray:
+def _near_limits(angles: np.ndarray, skeleton: Skeleton, dofs: list[int]) -> np.ndarray:
     """Angles by whole turns nearest to the middle of their limits."""
     middle = np.asarray(skeleton.limits, float)[dofs].mean(-1)
     return angles - 2 * np.pi * np.round((angles - middle) / (2 * np.pi))
 
 
-def _safe(turns: np.ndarray) -> np.ndarray:
-    return np.where(np.isfinite(turns).all((-2, -1), keepdims=True), turns, np.eye(3))
+def _finite_rotations(R: np.ndarray) -> np.ndarray:
+    return np.where(np.isfinite(R).all((-2, -1), keepdims=True), R, np.eye(3))

@@ -1,91 +1,67 @@
-"""BVH: skeletons that move, for animation programs.
+"""BVH out: skeletons that move, for animation programs.
 
-INPUTS: a .bvh file of any program; or an Armature. OUTPUTS: the other, in the file's own axes.
+INPUTS: an Armature, its axes those of the file. OUTPUTS: a .bvh file.
 
-What is written here: Y up, facing Z, left towards X, metres (or another unit that is asked for);
-the root has the channels Xposition Yposition Zposition Zrotation Xrotation Yrotation, every other
-joint the three rotations: R = Rz Rx Ry, degrees. The rest pose, in which all channels are 0, is
-that of the armature: ours is a T, arms out to the sides, palms down. The first frame is at 0 s.
-
-A BVH file says nothing of its unit. Without being told, it is read from the body's size: the one
-of metres, centimetres and millimetres in which the longest way from root to tip is a person's.
+Y up, facing Z, left towards X, metres (or another unit that is asked for); the root has the
+channels Xposition Yposition Zposition Zrotation Xrotation Yrotation, every other joint the three
+rotations: R = Rz Rx Ry, degrees. The rest pose, in which all channels are 0, is that of the
+armature: ours is a T, arms out to the sides, palms down. The first frame is at 0 s.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from jaxmocap.formats.animation.armature import Armature, BeyondFormatError
-from jaxmocap.formats.animation.joint_names import end_of
+from jaxmocap.formats.animation.armature import MAX_DEPTH, Armature, BeyondFormatError
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.lines import numbered_lines
-from jaxmocap.formats.files.shortened import name_shown, shown
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series.tables import (
-    FARTHEST_M,
-    LARGEST_NUMBER,
-    LONGEST_NAME,
+    METRES_PER_UNIT,
     SHORTEST_STEP_S,
-    declared_count,
     even_rate,
-    parse_rows,
     row_texts,
 )
 from jaxmocap.geometry.euler import continuous_euler
 
-METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
-# From pelvis to finger tips (or toes) an adult measures so much, metres; inches then fit no other.
-LONGEST_WAY_M = (1.0, 2.2)
-_TOLD = ("m", "cm", "mm")
-ORDER = "ZXY"
+# Units that a file may be in.
+UNITS = METRES_PER_UNIT | {"in": 0.0254}
+EULER_ORDER = "ZXY"
 _POSITIONS = ("Xposition", "Yposition", "Zposition")
-_CHANNELS = {f"{axis}{kind}".lower() for axis in "XYZ" for kind in ("position", "rotation")}
-# A joint other than the root may have position channels, but not slide by more than this.
-SLIDES_M = 1e-3
-# What a file may hold: joints (fingers and faces take some hundred), how deep below one another.
-MOST_JOINTS = 2000
-MOST_DEPTH = 200
-_MOST_HIERARCHY_LINES = 100_000
-# Orientations, joints times frames: half an hour of 25 joints at 200 Hz is 9 million.
-MOST_TURNS = 10_000_000
 # Seconds per frame, at most.
 LONGEST_STEP_S = 1e4
 # What is in memory at a time while a file is written: orientations, frames.
-TURNS_AT_ONCE = 1_200_000
-FRAMES_AT_ONCE = 4096
+BLOCK_ROTATIONS = 1_200_000
+BLOCK_FRAMES = 4096
 
 
 def write_bvh(path: str | Path, armature: Armature, unit: str = "m") -> None:
-    """Write an armature whose axes are those of the file (``axes.UP["y"]`` of the world's).
+    """Write an armature whose axes are those of the file: Y up (``axes.R_WORLD_OF_UP``).
 
     Raises:
         InputError: times that are not evenly spaced, or a pose that is unknown: BVH holds neither.
         BeyondFormatError: joints too deep below one another, or a rate that no file has.
     """
     rate = even_rate(path, armature.times)
-    if not armature.known.all():
-        missing = int((~armature.known).sum())
+    if not armature.is_known.all():
+        missing = int((~armature.is_known).sum())
         raise InputError(path, f"{missing} samples have no pose, BVH needs one for every frame")
     if not SHORTEST_STEP_S <= 1 / rate <= LONGEST_STEP_S:
         raise BeyondFormatError(path, f"BVH holds no {rate:g} frames per second")
-    scale = 1 / METRES[unit]
+    scale = 1 / UNITS[unit]
     # The tip of a limb is an end site, unless it turns itself.
     tips = {j for j in armature.ends if armature.parents[j] >= 0 and _is_still(armature, j)}
     order: list[int] = []
     lines = ["HIERARCHY", *_joint_lines(path, armature, tips, scale, order)]
     lines += ["MOTION", f"Frames: {len(armature.times)}", f"Frame Time: {1 / rate:.10f}"]
     rows = _rows(armature, order, scale)
-    with replacing(path) as beside, beside.open("w", encoding="utf-8", newline="\n") as file:
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"{line}\n" for line in lines)
         file.writelines(f"{row}\n" for row in rows)
 
 
 def _is_still(armature: Armature, joint: int) -> bool:
-    """Is a joint never turned?"""
+    """Whether a joint is never rotated."""
     return bool(np.abs(armature.rotations[:, joint] - np.eye(3)).max() < 1e-9)
 
 
@@ -94,14 +70,14 @@ def _rows(armature: Armature, order: list[int], scale: float) -> Iterator[str]:
     count = len(armature.times)
     angles = np.empty((count, len(order), 3))
     # Joints do not depend on one another; of long motions not all need be in memory thrice.
-    width = max(1, TURNS_AT_ONCE // count)
+    width = max(1, BLOCK_ROTATIONS // count)
     for first in range(0, len(order), width):
-        some = slice(first, first + width)
-        angles[:, some] = continuous_euler(armature.rotations[:, order[some]], ORDER)
-    for first in range(0, count, FRAMES_AT_ONCE):
-        some = slice(first, first + FRAMES_AT_ONCE)
-        turns = np.degrees(angles[some]).reshape(-1, 3 * len(order))
-        values = np.concatenate([armature.positions[some] * scale, turns], 1)
+        block = slice(first, first + width)
+        angles[:, block] = continuous_euler(armature.rotations[:, order[block]], EULER_ORDER)
+    for first in range(0, count, BLOCK_FRAMES):
+        block = slice(first, first + BLOCK_FRAMES)
+        degrees = np.degrees(angles[block]).reshape(-1, 3 * len(order))
+        values = np.concatenate([armature.positions[block] * scale, degrees], 1)
         # A zero has no sign.
         yield from row_texts(values.round(6) + 0.0, " ")
 
@@ -109,7 +85,7 @@ def _rows(armature: Armature, order: list[int], scale: float) -> Iterator[str]:
 def _joint_lines(
     path: str | Path, armature: Armature, tips: set[int], scale: float, order: list[int]
 ) -> Iterator[str]:
-    """The blocks of all joints; notes in ``order`` whose channels come next."""
+    """The blocks of all joints; appends to ``order`` whose channels come next."""
     children: list[list[int]] = [[] for _ in armature.parents]
     for joint, parent in enumerate(armature.parents):
         if parent >= 0:
@@ -124,14 +100,14 @@ def _joint_lines(
             # After the root nothing is open any more.
             yield from ["\t" * (depth - 1) + "}"] if around else []
             continue
-        if depth >= MOST_DEPTH:
-            problem = f"joints hang more than {MOST_DEPTH} deep below one another"
+        if depth >= MAX_DEPTH:
+            problem = f"joints hang more than {MAX_DEPTH} deep below one another"
             raise BeyondFormatError(path, problem)
         if joint in tips:
             yield from _end_lines(indent, armature.offsets[joint] * scale)
             continue
         order.append(joint)
-        rotations = [f"{axis}rotation" for axis in ORDER]
+        rotations = [f"{axis}rotation" for axis in EULER_ORDER]
         channels = rotations if depth else [*_POSITIONS, *rotations]
         yield f"{indent}{'JOINT' if depth else 'ROOT'} {'_'.join(armature.names[joint].split())}"
         yield f"{indent}{{"
@@ -150,200 +126,3 @@ def _end_lines(indent: str, offset: np.ndarray) -> list[str]:
 def _numbers(values: np.ndarray) -> str:
     # A zero has no sign.
     return " ".join(f"{round(value, 6) + 0.0:.6f}" for value in values)
-
-
-@dataclass
-class _Joint:
-    """What stands in a file of one joint; an end site is one without channels."""
-
-    name: str
-    parent: int
-    offset: list[float] = field(default_factory=list)
-    channels: list[str] = field(default_factory=list)
-
-
-def read_bvh(path: str | Path, unit: str | None = None) -> Armature:
-    """Read a BVH file; ends of limbs are called by their joint's name and ``_end``.
-
-    Raises:
-        InputError: no such file, the line that is not BVH or is cut off, a joint that slides, or a
-            size from which the unit cannot be told.
-    """
-    lines = numbered_lines(path)
-    joints = _hierarchy(path, lines)
-    offsets = np.array([joint.offset for joint in joints])
-    if unit is None:
-        unit = _unit(path, [joint.parent for joint in joints], offsets)
-    step, values = _frames(path, lines, joints)
-    offsets, values_scale = offsets * METRES[unit], METRES[unit]
-    _check_reach(path, offsets)
-    R = np.tile(np.eye(3), (len(values), len(joints), 1, 1))
-    positions, first = np.zeros((len(values), 3)) + offsets[0], 0
-    for j, joint in enumerate(joints):
-        columns = values[:, first : (first := first + len(joint.channels))]
-        moved = _moved(joint, columns * values_scale, offsets[j])
-        R[:, j] = _turns(joint, columns)
-        if j == 0:
-            positions = moved
-        elif len(moved) and np.ptp(moved, axis=0).max() > SLIDES_M:
-            raise InputError(path, f"joint {shown(joint.name)} slides by more than a millimetre")
-        else:
-            offsets[j] = moved[0]
-    _check_reach(path, positions)
-    offsets[0] = 0.0
-    names, parents = tuple(j.name for j in joints), tuple(j.parent for j in joints)
-    return Armature(names, parents, offsets, step * np.arange(len(values)), positions, R)
-
-
-def _check_reach(path: str | Path, points: np.ndarray) -> None:
-    """InputError where one of (N, 3) points, metres, is nowhere on earth."""
-    if (farthest := np.abs(points).max()) > FARTHEST_M:
-        expected = f"expected places within {FARTHEST_M:g} m"
-        raise InputError(path, f"found a place {farthest:g} m away, {expected}")
-
-
-def _moved(joint: _Joint, columns: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """(T, 3) places in the parent's frame: position channels stand in place of the offset."""
-    moved = np.tile(offset, (len(columns), 1))
-    for i, channel in enumerate(joint.channels):
-        if channel.endswith("position"):
-            moved[:, "xyz".index(channel[0])] = columns[:, i]
-    return moved
-
-
-def _turns(joint: _Joint, columns: np.ndarray) -> np.ndarray:
-    """(T, 3, 3) rotations, of the channels in their order from left to right."""
-    turning = [i for i, channel in enumerate(joint.channels) if channel.endswith("rotation")]
-    if not turning:
-        return np.tile(np.eye(3), (len(columns), 1, 1))
-    axes = "".join(joint.channels[i][0] for i in turning).upper()
-    return (
-        Rotation.from_euler(axes, columns[:, turning], degrees=True).as_matrix().reshape(-1, 3, 3)
-    )
-
-
-def _unit(path: str | Path, parents: list[int], offsets: np.ndarray) -> str:
-    """The unit in which the body is as large as a person."""
-    ways = np.linalg.norm(offsets, axis=-1)
-    ways[0] = 0.0
-    for j, parent in enumerate(parents):
-        if parent >= 0:
-            ways[j] += ways[parent]
-    low, high = LONGEST_WAY_M
-    fitting = [unit for unit in _TOLD if low <= ways.max() * METRES[unit] <= high]
-    if not fitting:
-        raise InputError(
-            path,
-            f"the longest way from root to tip is {ways.max():.4g}, an adult's in none of "
-            f"{', '.join(_TOLD)}: say the unit (--unit {', '.join(METRES)})",
-        )
-    return fitting[0]
-
-
-def _hierarchy(path: str | Path, lines: Iterator[tuple[int, str]]) -> list[_Joint]:
-    """The joints; ``lines`` then go on behind the line MOTION."""
-    joints: list[_Joint] = []
-    open_joints: list[int] = []
-    number, first = next(lines)
-    if first.strip().upper() != "HIERARCHY":
-        raise InputError(path, f"line 1: found {first[:20]!r}, expected 'HIERARCHY'")
-    for number, line in islice(lines, _MOST_HIERARCHY_LINES):
-        words = line.split()
-        key = words[0].upper() if words else "{"
-        if key == "MOTION" and joints and not open_joints:
-            _check_joints(path, joints)
-            return joints
-        try:
-            _take(joints, open_joints, key, words)
-        except (IndexError, ValueError) as error:
-            found = shown(" ".join(words)[:40])
-            detail = f", {error}" if isinstance(error, _ExpectedError) else ""
-            raise InputError(path, f"line {number}: found {found}{detail}") from None
-    raise InputError(path, f"line {number}: the file ends within its hierarchy")
-
-
-class _ExpectedError(ValueError):
-    """Says what was expected in a line."""
-
-
-def _take(joints: list[_Joint], open_joints: list[int], key: str, words: list[str]) -> None:
-    """Understand one line of the hierarchy."""
-    above = open_joints[-1] if open_joints else -1
-    if key in ("OFFSET", "CHANNELS") and above < 0:
-        raise _ExpectedError("expected it within a joint")
-    if key in ("ROOT", "JOINT", "END"):
-        if (key == "ROOT") != (above < 0) or (key == "ROOT" and joints):
-            raise _ExpectedError("expected one root, and joints within it")
-        if len(joints) >= MOST_JOINTS or len(open_joints) >= MOST_DEPTH:
-            most = f"at most {MOST_JOINTS} joints, {MOST_DEPTH} deep below one another"
-            raise _ExpectedError(f"expected {most}")
-        name = " ".join(words[1:]) if key != "END" else end_of(joints[above].name)
-        if key != "END" and not (name.isprintable() and len(name) <= LONGEST_NAME):
-            expected = f"expected a name that prints, of at most {LONGEST_NAME} characters"
-            raise _ExpectedError(expected)
-        joints.append(_Joint(name, above))
-        open_joints.append(len(joints) - 1)
-    elif key == "}":
-        open_joints.pop()
-    elif key == "OFFSET":
-        offset = [float(word) for word in words[1:]]
-        if joints[above].offset or len(offset) != 3 or not (np.abs(offset) <= LARGEST_NUMBER).all():
-            raise _ExpectedError("expected three numbers, once for each joint")
-        joints[above].offset = offset
-    elif key == "CHANNELS":
-        channels = [word.lower() for word in words[2:]]
-        if joints[above].channels:
-            raise _ExpectedError("expected CHANNELS once for each joint")
-        if declared_count(words[1]) != len(channels) or len(set(channels)) != len(channels):
-            raise _ExpectedError(f"expected {name_shown(words[1])} different channels")
-        if not set(channels) <= _CHANNELS:
-            raise _ExpectedError("expected channels such as Xposition or Zrotation")
-        joints[above].channels = channels
-    elif key != "{":
-        raise _ExpectedError("expected JOINT, End Site, OFFSET, CHANNELS or MOTION")
-
-
-def _check_joints(path: str | Path, joints: list[_Joint]) -> None:
-    names = [joint.name for joint in joints]
-    for i, joint in enumerate(joints):
-        if not joint.offset:
-            raise InputError(path, f"joint {shown(joint.name)} has no OFFSET")
-        if joint.name in names[:i]:
-            # Only end sites of one joint may be called alike.
-            if joint.channels or not joint.name.endswith("_end"):
-                raise InputError(path, f"joint {shown(joint.name)} is named twice")
-            joint.name = f"{joint.name}{names[:i].count(joint.name) + 1}"
-
-
-def _frames(
-    path: str | Path, lines: Iterator[tuple[int, str]], joints: list[_Joint]
-) -> tuple[float, np.ndarray]:
-    """Seconds between frames, and the channels' values (T, C)."""
-    line, frames = _stated(path, lines, "Frames:")
-    if not (0 <= frames <= LARGEST_NUMBER and frames == int(frames)):
-        raise InputError(path, f"line {line}: found {frames:g}, expected how many frames")
-    time_line, step = _stated(path, lines, "Frame Time:")
-    if not SHORTEST_STEP_S <= step <= LONGEST_STEP_S:
-        expected = f"expected seconds per frame, {SHORTEST_STEP_S:g} to {LONGEST_STEP_S:g}"
-        raise InputError(path, f"line {time_line}: found {step:g}, {expected}")
-    rows = ((number, line.split()) for number, line in lines)
-    columns = sum(len(joint.channels) for joint in joints)
-    values, _ = parse_rows(path, rows, columns, MOST_TURNS // len(joints) * columns)
-    if np.isnan(values).any():
-        raise InputError(path, "a channel's value is not a number")
-    if len(values) < frames:
-        problem = f"says {frames:g} frames, but the file ends after {len(values)}"
-        raise InputError(path, f"line {line}: {problem}")
-    return step, values
-
-
-def _stated(path: str | Path, lines: Iterator[tuple[int, str]], key: str) -> tuple[int, float]:
-    """The next line's number, and the number that follows the key in it."""
-    for line, text in lines:
-        if words := " ".join(text.split()):
-            try:
-                return line, float(words.lower().removeprefix(key.lower()))
-            except ValueError:
-                problem = f"found {shown(words)}, expected '{key}' and a number"
-                raise InputError(path, f"line {line}: {problem}") from None
-    raise InputError(path, "the file ends before its first frame")

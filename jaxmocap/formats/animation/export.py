@@ -4,8 +4,9 @@ INPUTS: a Motion, or a Skeleton; by choice the body's surface, and a picture of 
 OUTPUTS: a .bvh or .glb file, Y up, facing Z, metres, the rest pose a T.
 
 BVH has one rate only: samples that are not evenly spaced are resampled at their median rate, and
-where no pose is known the nearest one is held. Where that would take many times as many frames as
-there are samples (a recording with a gap of hours) no .bvh file is written, and the answer says so.
+where no pose is known the nearest one is repeated. Where that would take many times as many frames
+as there are samples (a recording with a gap of hours) no .bvh file is written, and the answer says
+so.
 """
 
 from pathlib import Path
@@ -17,36 +18,41 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
-from jaxmocap.formats.animation.armature import Armature, BeyondFormatError, settled, turned
+from jaxmocap.formats.animation.armature import (
+    Armature,
+    BeyondFormatError,
+    fill_from_nearest,
+    rotated_armature,
+)
 from jaxmocap.formats.animation.body_armature import T_POSE, armature_of
 from jaxmocap.formats.animation.bvh import write_bvh
 from jaxmocap.formats.animation.gltf import write_gltf
-from jaxmocap.formats.animation.skin import exported_skin
-from jaxmocap.formats.time_series.axes import UP
-from jaxmocap.formats.time_series.resampling import even_times, resampled
+from jaxmocap.formats.animation.skin import surface_skin
+from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP
+from jaxmocap.formats.time_series.resampling import even_times, resampled_armature
 from jaxmocap.formats.time_series.tables import is_even
 
 # What names joints have in a file if nothing else is asked for.
-CUSTOMARY = {".bvh": "humanik", ".glb": "vrm"}
-R_file_world = UP["y"].T
+DEFAULT_CONVENTION = {".bvh": "humanik", ".glb": "vrm"}
+R_FILE_WORLD = R_WORLD_OF_UP["y"].T
 # Frames that a BVH file may have for each sample where their times are uneven, and in any case.
-MOST_STRETCH = 4
-FEW_FRAMES = 10_000
+MAX_GROWTH = 4
+ALWAYS_ALLOWED_FRAMES = 10_000
 
 
 def write_animation(
     path: str | Path,
     motion: Motion,
     surface: Surface | None = None,
-    picture: bytes | None = None,
+    texture: bytes | None = None,
 ) -> str | None:
-    """Write a motion to a .bvh or .glb file, told by its suffix; its joints have customary names.
+    """Write a motion to a .bvh or .glb file, by its suffix; joints have the format's usual names.
 
     Args:
         path: of the file.
         motion: of a body.
         surface: of that body, a .glb file's skin; the limbs' solids without one.
-        picture: the surface's colours, as for ``exported_skin``.
+        texture: the surface's colours, as for ``surface_skin``.
 
     Returns:
         A sentence where the format cannot hold the motion and nothing is written, else None.
@@ -55,21 +61,21 @@ def write_animation(
         InputError: no pose is known in any sample.
     """
     kind = Path(path).suffix
-    armature = turned(armature_of(motion, CUSTOMARY[kind]), R_file_world)
+    armature = rotated_armature(armature_of(motion, DEFAULT_CONVENTION[kind]), R_FILE_WORLD)
     try:
         if kind == ".glb":
             skin = None
             if surface is not None:
-                skin = exported_skin(path, motion.skeleton, surface, R_file_world, picture)
+                skin = surface_skin(path, motion.skeleton, surface, R_FILE_WORLD, texture)
             write_gltf(path, armature, skin)
         else:
-            write_bvh(path, settled(_evened(path, armature), path))
+            write_bvh(path, fill_from_nearest(_evenly_sampled(path, armature), path))
     except BeyondFormatError as error:
         return f"{Path(path).name} is left out: {error.problem}"
     return None
 
 
-def _evened(path: str | Path, armature: Armature) -> Armature:
+def _evenly_sampled(path: str | Path, armature: Armature) -> Armature:
     """An armature at one rate; nothing is known within its gaps.
 
     Raises:
@@ -80,16 +86,16 @@ def _evened(path: str | Path, armature: Armature) -> Armature:
         return armature
     steps = np.diff(times)
     rate = 1 / float(np.median(steps))
-    count, most = (times[-1] - times[0]) * rate, max(FEW_FRAMES, MOST_STRETCH * len(times))
+    count, most = (times[-1] - times[0]) * rate, max(ALWAYS_ALLOWED_FRAMES, MAX_GROWTH * len(times))
     if count > most:
         problem = f"BVH has one rate only, and its {len(times)} samples at {rate:g} Hz would take"
         gap = f"{count:.6g} frames (up to {steps.max():g} s apart)"
         raise BeyondFormatError(path, f"{problem} {gap}, expected at most {most}")
-    return resampled(armature, even_times(times, rate, 9 * len(armature.names), path))
+    return resampled_armature(armature, even_times(times, rate, 9 * len(armature.names), path))
 
 
 def write_avatar(
-    path: str | Path, skeleton: Skeleton, surface: Surface, picture: bytes | None = None
+    path: str | Path, skeleton: Skeleton, surface: Surface, texture: bytes | None = None
 ) -> None:
     """Write a person as a .glb file that other programs may move: in a T pose, feet on the ground.
 
@@ -97,12 +103,12 @@ def write_avatar(
         path: of the file.
         skeleton: which the surface is around.
         surface: of the person.
-        picture: the surface's colours, as for ``exported_skin``.
+        texture: the surface's colours, as for ``surface_skin``.
     """
     angles = [[np.radians(T_POSE.get(joint, 0.0)) for joint in skeleton.tree.joints]]
     lowest = float(rest_nodes(surface, rest_joints(skeleton))[:, 2].min())
     parts = [[0.0, 0.0, -lowest]], [[1.0, 0.0, 0.0, 0.0]], angles
     pose = Pose(*map(np.array, parts))  # type: ignore[arg-type]
-    standing = armature_of(Motion(skeleton, np.zeros(1), pose), CUSTOMARY[".glb"])
-    skin = exported_skin(path, skeleton, surface, R_file_world, picture)
-    write_gltf(path, turned(standing, R_file_world), skin, still=True)
+    standing = armature_of(Motion(skeleton, np.zeros(1), pose), DEFAULT_CONVENTION[".glb"])
+    skin = surface_skin(path, skeleton, surface, R_FILE_WORLD, texture)
+    write_gltf(path, rotated_armature(standing, R_FILE_WORLD), skin, still=True)

@@ -13,24 +13,29 @@ from typing import Any
 
 import numpy as np
 
-from jaxmocap.formats.animation.json_parts import Part
+from jaxmocap.formats.animation.json_parts import JsonPart
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.json_text import parse_json
 from jaxmocap.formats.files.reading import read_bytes
-from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.short_repr import short_repr
 from jaxmocap.formats.files.writing import write_bytes
 
-_MAGIC, _VERSION, _JSON, _BINARY = b"glTF", 2, b"JSON", b"BIN\0"
+# A .glb file begins with this, and with its version.
+_MAGIC = b"glTF"
+_VERSION = 2
+# Kinds of its chunks.
+_JSON = b"JSON"
+_BINARY = b"BIN\0"
 _TYPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 _SHAPES = {name: shape for shape, name in _TYPES.items()}
 _COMPONENTS = {"<i1": 5120, "<u1": 5121, "<i2": 5122, "<u2": 5123, "<u4": 5125, "<f4": 5126}
 _DTYPES = {code: np.dtype(name) for name, code in _COMPONENTS.items()}
 _CHUNKS = (_JSON, _BINARY)
 # That are read from one file: keys of half an hour at 200 Hz for two dozen joints.
-MOST_NUMBERS = 40_000_000
+MAX_NUMBERS = 40_000_000
 
 
-class Binary:
+class BinaryChunk:
     """Arrays of a document, one after the other in one block."""
 
     def __init__(self):
@@ -49,11 +54,11 @@ class Binary:
 
         Args:
             array: scalars, vectors or (4, 4) matrices, rows before columns.
-            dtype: in which they are held.
+            dtype: in which they are stored.
             bounded: say their smallest and largest, as positions and times must.
             target: glTF's number for what they are to a mesh: its vertices or its triangles.
         """
-        # Matrices are held column by column.
+        # Matrices are stored column by column.
         stored = np.asarray(array, np.dtype(dtype))
         held = stored.swapaxes(1, 2) if stored.ndim == 3 else stored
         view = self.add_bytes(held.tobytes())
@@ -74,7 +79,7 @@ class Binary:
         return len(self.views) - 1
 
 
-def write_document(path: str | Path, document: dict[str, Any], binary: Binary) -> None:
+def write_document(path: str | Path, document: dict[str, Any], binary: BinaryChunk) -> None:
     """Write a document with the arrays that it refers to."""
     whole = document | {
         "accessors": binary.accessors,
@@ -88,7 +93,7 @@ def write_document(path: str | Path, document: dict[str, Any], binary: Binary) -
     write_bytes(path, struct.pack("<4sII", _MAGIC, _VERSION, 12 + len(chunks)) + chunks)
 
 
-def read_document(path: str | Path) -> tuple[Part, bytes]:
+def read_document(path: str | Path) -> tuple[JsonPart, bytes]:
     """The document of a .glb file and its block of numbers.
 
     Raises:
@@ -110,9 +115,9 @@ def read_document(path: str | Path) -> tuple[Part, bytes]:
         start += 8 + size
     if _JSON not in chunks:
         raise InputError(path, "holds no readable JSON, which every glTF file needs")
-    document = Part(path, "", parse_json(path, chunks[_JSON]))
+    document = JsonPart(path, "", parse_json(path, chunks[_JSON]))
     if not isinstance(document.value, dict):
-        raise InputError(path, f"found {shown(document.value)}, expected a JSON table")
+        raise InputError(path, f"found {short_repr(document.value)}, expected a JSON table")
     return document, chunks.get(_BINARY, b"")
 
 
@@ -122,8 +127,8 @@ class Accessors:
     However often the same bytes are asked for by other names, what is read has a limit.
     """
 
-    def __init__(self, document: Part, content: bytes):
-        self._document, self._content, self._left = document, content, MOST_NUMBERS
+    def __init__(self, document: JsonPart, content: bytes):
+        self._document, self._content, self._numbers_left = document, content, MAX_NUMBERS
 
     def read(self, accessor: int, shape: tuple[int, ...]) -> np.ndarray:
         """(N, *shape) float64 numbers of an accessor.
@@ -139,10 +144,10 @@ class Accessors:
         if found != shape:
             raise stated["type"].error(f"found {_TYPES[found]}, expected {_TYPES[shape]}")
         size = math.prod(shape)
-        count = stated["count"].whole()
-        self._left -= count * size
-        if self._left < 0:
-            most = f"expected at most {MOST_NUMBERS} in one file"
+        count = stated["count"].integer()
+        self._numbers_left -= count * size
+        if self._numbers_left < 0:
+            most = f"expected at most {MAX_NUMBERS} in one file"
             raise stated["count"].error(f"found {count * size} numbers more, {most}")
         array = self._view(stated, dtype, count, size).astype(float)
         if stated.has("normalized") and stated["normalized"].value is True and dtype.kind != "f":
@@ -152,19 +157,19 @@ class Accessors:
         array = array.reshape(count, *shape)
         return array.swapaxes(1, 2) if len(shape) == 2 else array
 
-    def _view(self, stated: Part, dtype: np.dtype, count: int, size: int) -> np.ndarray:
+    def _view(self, stated: JsonPart, dtype: np.dtype, count: int, size: int) -> np.ndarray:
         """(count, size) numbers as they stand in the block, nothing copied."""
         views = self._document["bufferViews"]
         view = views[stated["bufferView"].index(views)]
         buffers = self._document["buffers"]
         if view["buffer"].index(buffers) or buffers[0].has("uri"):
             raise view["buffer"].error("found numbers in another file, which are not read")
-        at, length = view["byteOffset"].whole(default=0), view["byteLength"].whole()
+        at, length = view["byteOffset"].integer(default=0), view["byteLength"].integer()
         if at + length > len(self._content):
             there = f"the file holds {len(self._content)}"
             raise view.error(f"found bytes {at} to {at + length}, {there}")
-        row, start = size * dtype.itemsize, stated["byteOffset"].whole(default=0)
-        stride = view["byteStride"].whole(row, default=row)
+        row, start = size * dtype.itemsize, stated["byteOffset"].integer(default=0)
+        stride = view["byteStride"].integer(row, default=row)
         if count and start + (count - 1) * stride + row > length:
             problem = f"found {count} times {row} bytes from {start} on, {stride} apart"
             raise stated.error(f"{problem}, its view has {length}")

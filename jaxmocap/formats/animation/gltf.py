@@ -2,13 +2,13 @@
 
 INPUTS: an Armature, its axes those of glTF: Y up, facing Z, left towards X, metres; by choice a
 mesh that its joints carry, with a picture of its colours.
-OUTPUTS: a .glb file: a node per joint, an animation of the root's place and of every joint's turn,
-and the mesh (a skin); without one the limbs, as they are in the armature's rest pose.
+OUTPUTS: a .glb file: a node per joint, an animation of the root's position and of every joint's
+rotation, and the mesh (a skin); without one the limbs, as they are in the armature's rest pose.
 
 Samples whose pose is unknown have no key: a viewer moves on from the one before to the one after.
 Across gaps (see ``gaps``) the last pose is held. The animation begins at 0 s; its ``extras`` say
-when that was (``start``, seconds). Where the root is far from the world's origin its places are
-seen from a local one, since glTF has single precision: ``extras`` say where (``origin``, metres).
+when that was (``start``, seconds). Where the root is far from the world's origin its positions are
+about a local one, since glTF has single precision: ``extras`` say where (``origin``, metres).
 """
 
 from dataclasses import replace
@@ -21,17 +21,19 @@ from scipy.spatial.transform import Rotation
 import jaxmocap
 from jaxmocap.body.origin import local_origin
 from jaxmocap.formats.animation.armature import Armature, BeyondFormatError
-from jaxmocap.formats.animation.bound_mesh import BoundMesh, limbs_of
-from jaxmocap.formats.animation.glb import Binary, write_document
+from jaxmocap.formats.animation.glb import BinaryChunk, write_document
+from jaxmocap.formats.animation.skinned_mesh import SkinnedMesh, limb_mesh
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.time_series.gaps import held
+from jaxmocap.formats.time_series.gaps import hold_across_gaps
 
 SKIN_COLOUR = (0.62, 0.68, 0.76, 1.0)
-_ARRAYS, _INDICES = 34962, 34963
+# glTF's numbers for what a view of the buffer holds: attributes of vertices, or indices.
+_ARRAY_BUFFER = 34962
+_ELEMENT_ARRAY_BUFFER = 34963
 
 
 def write_gltf(
-    path: str | Path, armature: Armature, mesh: BoundMesh | None = None, still: bool = False
+    path: str | Path, armature: Armature, mesh: SkinnedMesh | None = None, still: bool = False
 ) -> None:
     """Write an armature as a .glb file.
 
@@ -43,16 +45,16 @@ def write_gltf(
 
     Raises:
         InputError: no pose is known.
-        BeyondFormatError: it lasts too long for its samples to be told apart.
+        BeyondFormatError: it lasts too long for single precision to separate its samples.
     """
-    if not armature.known.any():
+    if not armature.is_known.any():
         raise InputError(path, "no pose is known in any sample")
     origin = local_origin(armature.positions)
     armature = replace(armature, positions=armature.positions - origin)
-    motion = held(armature)
+    motion = hold_across_gaps(armature)
     _check_keys(path, motion.times)
-    mesh = limbs_of(armature) if mesh is None else mesh
-    binary, joints = Binary(), list(range(len(armature.names)))
+    mesh = limb_mesh(armature) if mesh is None else mesh
+    binary, joints = BinaryChunk(), list(range(len(armature.names)))
     body = {"name": "body", "mesh": 0, "skin": 0}
     document = {
         "asset": {"version": "2.0", "generator": f"jaxmocap {jaxmocap.__version__}"},
@@ -60,18 +62,25 @@ def write_gltf(
         "scenes": [{"nodes": [0, len(joints)]}],
         "nodes": [*_nodes(armature), body],
         "meshes": [{"name": "body", "primitives": [_primitive(binary, mesh)]}],
-        "materials": [{"pbrMetallicRoughness": _surface(mesh), "doubleSided": True}],
+        "materials": [{"pbrMetallicRoughness": _material(mesh), "doubleSided": True}],
         "skins": [{"joints": joints, "skeleton": 0, "inverseBindMatrices": binary.add(mesh.bind)}],
     }
     if not still:
         animation = _animation(binary, motion)
         animation["extras"] |= {"origin": origin.tolist()} if origin.any() else {}
         document["animations"] = [animation]
-    if mesh.picture is not None:
-        view = binary.add_bytes(mesh.picture)
-        document["images"] = [{"bufferView": view, "mimeType": "image/png"}]
-        document["textures"] = [{"source": 0}]
-    write_document(path, document, binary)
+    write_document(path, document | _texture(binary, mesh), binary)
+
+
+def _texture(binary: BinaryChunk, mesh: SkinnedMesh) -> dict[str, Any]:
+    """The document's entries for the mesh's texture; none without one."""
+    if mesh.texture is None:
+        return {}
+    view = binary.add_bytes(mesh.texture)
+    return {
+        "images": [{"bufferView": view, "mimeType": "image/png"}],
+        "textures": [{"source": 0}],
+    }
 
 
 def _check_keys(path: str | Path, times: np.ndarray) -> None:
@@ -81,9 +90,9 @@ def _check_keys(path: str | Path, times: np.ndarray) -> None:
         raise BeyondFormatError(path, f"{problem} s fall together")
 
 
-def _surface(mesh: BoundMesh) -> dict[str, Any]:
+def _material(mesh: SkinnedMesh) -> dict[str, Any]:
     dull = {"metallicFactor": 0.0, "roughnessFactor": 0.8}
-    if mesh.picture is not None:
+    if mesh.texture is not None:
         return {"baseColorTexture": {"index": 0}} | dull
     return {"baseColorFactor": SKIN_COLOUR} | dull
 
@@ -95,27 +104,27 @@ def _nodes(armature: Armature) -> list[dict[str, Any]]:
         children = [i for i, parent in enumerate(armature.parents) if parent == j]
         nodes.append(node | ({"children": children} if children else {}))
     # Until the animation plays, the body stands where it begins.
-    first = armature.positions[np.flatnonzero(armature.known)[0]]
+    first = armature.positions[np.flatnonzero(armature.is_known)[0]]
     nodes[0]["translation"] = first.tolist()
     return nodes
 
 
-def _primitive(binary: Binary, mesh: BoundMesh) -> dict[str, Any]:
+def _primitive(binary: BinaryChunk, mesh: SkinnedMesh) -> dict[str, Any]:
     """The mesh's arrays."""
     attributes = {
-        "POSITION": binary.add(mesh.vertices, bounded=True, target=_ARRAYS),
-        "NORMAL": binary.add(mesh.normals, target=_ARRAYS),
-        "JOINTS_0": binary.add(mesh.joints, "<u2", target=_ARRAYS),
-        "WEIGHTS_0": binary.add(mesh.weights, target=_ARRAYS),
+        "POSITION": binary.add(mesh.vertices, bounded=True, target=_ARRAY_BUFFER),
+        "NORMAL": binary.add(mesh.normals, target=_ARRAY_BUFFER),
+        "JOINTS_0": binary.add(mesh.joints, "<u2", target=_ARRAY_BUFFER),
+        "WEIGHTS_0": binary.add(mesh.weights, target=_ARRAY_BUFFER),
     }
-    if mesh.places is not None:
-        attributes["TEXCOORD_0"] = binary.add(mesh.places, target=_ARRAYS)
-    indices = binary.add(mesh.triangles.ravel(), "<u4", target=_INDICES)
+    if mesh.texture_xy is not None:
+        attributes["TEXCOORD_0"] = binary.add(mesh.texture_xy, target=_ARRAY_BUFFER)
+    indices = binary.add(mesh.triangles.ravel(), "<u4", target=_ELEMENT_ARRAY_BUFFER)
     return {"attributes": attributes, "indices": indices, "material": 0}
 
 
-def _animation(binary: Binary, armature: Armature) -> dict[str, Any]:
-    """Keys of the root's place, and of the turns of joints that ever turn."""
+def _animation(binary: BinaryChunk, armature: Armature) -> dict[str, Any]:
+    """Keys of the root's position, and of the rotations of joints that ever rotate."""
     times = armature.times
     keys = binary.add(times - times[0], bounded=True)
     samplers: list[dict[str, Any]] = []
@@ -134,8 +143,8 @@ def _animation(binary: Binary, armature: Armature) -> dict[str, Any]:
 
 
 def _quaternions(R: np.ndarray) -> np.ndarray:
-    """(T, 4) xyzw of (T, 3, 3), each on the side of the one before, as players interpolate."""
-    found = Rotation.from_matrix(R).as_quat()
-    turned = np.sign(np.sum(found[1:] * found[:-1], -1))
-    signs = np.cumprod(np.concatenate([[1.0], np.where(turned < 0, -1.0, 1.0)]))
-    return found * signs[:, None]
+    """(T, 4) xyzw of (T, 3, 3), each of the sign nearest to the one before: players interpolate."""
+    quaternions = Rotation.from_matrix(R).as_quat()
+    products = np.sign(np.sum(quaternions[1:] * quaternions[:-1], -1))
+    signs = np.cumprod(np.concatenate([[1.0], np.where(products < 0, -1.0, 1.0)]))
+    return quaternions * signs[:, None]

@@ -12,25 +12,28 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from jaxmocap.formats.animation.armature import Armature
-from jaxmocap.formats.animation.bvh import MOST_DEPTH, MOST_JOINTS, MOST_TURNS
+from jaxmocap.formats.animation.armature import MAX_DEPTH, MAX_JOINTS, MAX_ROTATIONS, Armature
 from jaxmocap.formats.animation.glb import Accessors, read_document
-from jaxmocap.formats.animation.json_parts import Part
+from jaxmocap.formats.animation.json_parts import JsonPart
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import listed, name_shown
+from jaxmocap.formats.files.short_repr import comma_list, short_name
 from jaxmocap.formats.time_series.tables import LATEST_S
 
-# Joints may not slide or grow by more than this: metres, and a factor's difference from 1.
-SLIDES_M, GROWS = 1e-3, 1e-3
+# Joints other than the root may not slide by more than this, metres.
+MAX_SLIDE_M = 1e-3
+# A joint's scale may not differ from 1 by more than this: an armature holds none.
+MAX_SCALE_ERROR = 1e-3
 # Times of different channels that differ by less are one, seconds: float32 has no more.
-SAME_S = 1e-5
+SAME_TIME_S = 1e-5
 # From a joint to the next, metres; nodes of a document.
 _FARTHEST_M = 1e7
-_MOST_NODES = 100_000
-# A quaternion or a matrix may differ from a pure rotation by this; shorter ones turn nothing.
-_SHEARED, _SHORTEST = 1e-2, 1e-3
+_MAX_NODES = 100_000
+# A matrix may differ from a rotation by this, as files round.
+_MAX_SHEAR = 1e-2
+# A shorter quaternion states no rotation.
+_MIN_QUATERNION_LENGTH = 1e-3
 # What of a node is animated: numbers of each key. Weights are a mesh's.
-_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 1}
+_NUMBERS_PER_KEY = {"translation": 3, "rotation": 4, "scale": 3, "weights": 1}
 
 
 def read_gltf(path: str | Path) -> Armature:
@@ -48,12 +51,12 @@ def read_gltf(path: str | Path) -> Armature:
     animation = document["animations"][0]
     accessors = Accessors(document, content)
     curves = _curves(document, accessors, animation, set(joints))
-    times = _merged([curve.times for curve in curves.values()])
-    if len(times) * len(joints) > MOST_TURNS:
+    times = _merged_times([curve.times for curve in curves.values()])
+    if len(times) * len(joints) > MAX_ROTATIONS:
         found = f"found {len(times)} samples of {len(joints)} joints"
-        raise animation.error(f"{found}, expected at most {MOST_TURNS} orientations")
+        raise animation.error(f"{found}, expected at most {MAX_ROTATIONS} orientations")
     names = tuple(nodes[node]["name"].text(f"joint{node}") for node in joints)
-    offsets, positions, R = _moved(accessors, nodes, joints, parents, curves, times)
+    offsets, positions, R = _joint_motion(accessors, nodes, joints, parents, curves, times)
     extras = animation["extras"]
     start = extras["start"].number(LATEST_S) if extras.has("start") else 0.0
     far = extras.has("origin")
@@ -61,7 +64,7 @@ def read_gltf(path: str | Path) -> Armature:
     return Armature(names, parents, offsets, times + start, positions + origin, R)
 
 
-def _joints(document: Part) -> tuple[list[int], tuple[int, ...]]:
+def _joints(document: JsonPart) -> tuple[list[int], tuple[int, ...]]:
     """Nodes that are joints, parents first, and the index of each one's parent among them."""
     nodes = document["nodes"]
     children, above = _forest(nodes)
@@ -75,7 +78,7 @@ def _joints(document: Part) -> tuple[list[int], tuple[int, ...]]:
             wanted.add(node)
     roots = [node for node in sorted(wanted) if node not in above]
     if len(roots) != 1:
-        found = listed(nodes[root]["name"].text(str(root)) for root in roots) or "none"
+        found = comma_list(nodes[root]["name"].text(str(root)) for root in roots) or "none"
         raise InputError(document.path, f"expected one skeleton, found roots {found}")
     ordered, parents, depths = [roots[0]], [-1], [1]
     for parent, node in enumerate(ordered):
@@ -83,16 +86,16 @@ def _joints(document: Part) -> tuple[list[int], tuple[int, ...]]:
         ordered += below
         parents += [parent] * len(below)
         depths += [depths[parent] + 1] * len(below)
-        if len(ordered) > MOST_JOINTS or depths[-1] > MOST_DEPTH:
-            most = f"{MOST_JOINTS} joints, {MOST_DEPTH} deep below one another"
+        if len(ordered) > MAX_JOINTS or depths[-1] > MAX_DEPTH:
+            most = f"{MAX_JOINTS} joints, {MAX_DEPTH} deep below one another"
             raise nodes.error(f"expected at most {most}")
     return ordered, tuple(parents)
 
 
-def _forest(nodes: Part) -> tuple[list[list[int]], dict[int, int]]:
+def _forest(nodes: JsonPart) -> tuple[list[list[int]], dict[int, int]]:
     """Each node's children, and child -> parent; trees, with no loops and no ways that meet."""
-    if len(nodes.items()) > _MOST_NODES:
-        raise nodes.error(f"found {len(nodes.items())} nodes, expected at most {_MOST_NODES}")
+    if len(nodes.items()) > _MAX_NODES:
+        raise nodes.error(f"found {len(nodes.items())} nodes, expected at most {_MAX_NODES}")
     children: list[list[int]] = []
     above: dict[int, int] = {}
     for i, node in enumerate(nodes.parts()):
@@ -118,27 +121,29 @@ class _Curve:
     Attributes:
         times: (K,) of its keys, seconds.
         output: index of the accessor of its values.
-        held: whether a value holds until the next key, instead of leading to it.
+        is_step: whether a value holds until the next key, instead of leading to it.
         part: where it stands.
     """
 
     times: np.ndarray
     output: int
-    held: bool
-    part: Part
+    is_step: bool
+    part: JsonPart
 
     def values(self, accessors: Accessors, width: int) -> np.ndarray:
         """(K, width) numbers at its keys."""
-        found = accessors.read(self.output, (width,))
-        if len(found) != len(self.times):
-            raise self.part.error(f"found {len(found)} values for {len(self.times)} keys")
-        return found
+        values = accessors.read(self.output, (width,))
+        if len(values) != len(self.times):
+            raise self.part.error(f"found {len(values)} values for {len(self.times)} keys")
+        return values
 
 
 _Curves = Mapping[tuple[int, str], _Curve]
 
 
-def _curves(document: Part, accessors: Accessors, animation: Part, joints: set[int]) -> _Curves:
+def _curves(
+    document: JsonPart, accessors: Accessors, animation: JsonPart, joints: set[int]
+) -> _Curves:
     """Joint and property -> how it is animated."""
     curves: dict[tuple[int, str], _Curve] = {}
     keys: dict[int, np.ndarray] = {}
@@ -148,7 +153,7 @@ def _curves(document: Part, accessors: Accessors, animation: Part, joints: set[i
         if not target.has("node"):
             continue
         node = target["node"].index(nodes)
-        path = target["path"].choice(list(_WIDTHS))
+        path = target["path"].choice(list(_NUMBERS_PER_KEY))
         if node not in joints or path == "weights":
             continue
         if (node, path) in curves:
@@ -165,7 +170,7 @@ def _curves(document: Part, accessors: Accessors, animation: Part, joints: set[i
     return curves
 
 
-def _keys(accessors: Accessors, accessor: int, part: Part) -> np.ndarray:
+def _keys(accessors: Accessors, accessor: int, part: JsonPart) -> np.ndarray:
     """(K,) seconds."""
     times = accessors.read(accessor, ())
     if not len(times) or not (np.diff(times) > 0).all() or np.abs(times).max() > LATEST_S:
@@ -173,104 +178,106 @@ def _keys(accessors: Accessors, accessor: int, part: Part) -> np.ndarray:
     return times
 
 
-def _merged(inputs: Sequence[np.ndarray]) -> np.ndarray:
+def _merged_times(inputs: Sequence[np.ndarray]) -> np.ndarray:
     """All times that any channel has."""
     times = np.unique(np.concatenate(list({id(keys): keys for keys in inputs}.values())))
-    return times[np.concatenate([[True], np.diff(times) > SAME_S])]
+    return times[np.concatenate([[True], np.diff(times) > SAME_TIME_S])]
 
 
-def _moved(
+def _joint_motion(
     accessors: Accessors,
-    nodes: Part,
+    nodes: JsonPart,
     joints: Sequence[int],
     parents: Sequence[int],
     curves: _Curves,
     times: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Offsets (J, 3), the root's places (T, 3) and turns (T, J, 3, 3), from the rest pose.
+    """Offsets (J, 3), the root's positions (T, 3) and rotations (T, J, 3, 3), from the rest pose.
 
-    Nodes turn in the rest pose too; the turns are counted from there.
+    Nodes are rotated in the rest pose too; the rotations are counted from there.
     """
     offsets, positions = np.zeros((len(joints), 3)), np.zeros((len(times), 3))
     R = np.empty((len(times), len(joints), 3, 3))
     R_root_rest = np.empty((len(joints), 3, 3))
     for j, (node, parent) in enumerate(zip(joints, parents, strict=True)):
         part = nodes[node]
-        place, turn = _rest(part)
-        _check_growth(accessors, part, curves.get((node, "scale")))
-        places = _places(accessors, curves.get((node, "translation")), times, place)
+        rest_position, R_rest = _rest_pose(part)
+        _check_scale(accessors, part, curves.get((node, "scale")))
+        local_positions = _positions_at(
+            accessors, curves.get((node, "translation")), times, rest_position
+        )
         R_up = np.eye(3) if parent < 0 else R_root_rest[parent]
         if parent < 0:
-            positions = places
-        elif np.ptp(places, axis=0).max() > SLIDES_M:
+            positions = local_positions
+        elif np.ptp(local_positions, axis=0).max() > MAX_SLIDE_M:
             raise part.error(f"joint {_name(part)} slides by more than a millimetre")
         else:
-            offsets[j] = R_up @ places[0]
-        R_root_rest[j] = R_up @ turn
-        local = _turns(accessors, curves.get((node, "rotation")), times, turn)
+            offsets[j] = R_up @ local_positions[0]
+        R_root_rest[j] = R_up @ R_rest
+        local = _rotations_at(accessors, curves.get((node, "rotation")), times, R_rest)
         R[:, j] = R_up @ local @ R_root_rest[j].T
     return offsets, positions, R
 
 
-def _name(node: Part) -> str:
-    return repr(name_shown(node["name"].text("without a name")))
+def _name(node: JsonPart) -> str:
+    return repr(short_name(node["name"].text("without a name")))
 
 
-def _rest(node: Part) -> tuple[np.ndarray, np.ndarray]:
-    """A node's own place and turn (3, 3); InputError where it is scaled."""
+def _rest_pose(node: JsonPart) -> tuple[np.ndarray, np.ndarray]:
+    """A node's own position and rotation (3, 3); InputError where it is scaled."""
     if node.has("matrix"):
         matrix = node["matrix"].numbers(16, _FARTHEST_M).reshape(4, 4).T
-        R, place = matrix[:3, :3], matrix[:3, 3]
+        R, position = matrix[:3, :3], matrix[:3, 3]
         scale = np.linalg.norm(R, axis=0)
     else:
         quaternion = node["rotation"].numbers(4, 1e3, (0, 0, 0, 1))
-        if np.linalg.norm(quaternion) < _SHORTEST:
+        if np.linalg.norm(quaternion) < _MIN_QUATERNION_LENGTH:
             raise node["rotation"].error("found a quaternion of length 0, expected 1")
         R = Rotation.from_quat(quaternion).as_matrix()
-        place = node["translation"].numbers(3, _FARTHEST_M, (0, 0, 0))
+        position = node["translation"].numbers(3, _FARTHEST_M, (0, 0, 0))
         scale = node["scale"].numbers(3, 1e6, (1, 1, 1))
-    if np.abs(scale - 1).max() > GROWS:
+    if np.abs(scale - 1).max() > MAX_SCALE_ERROR:
         raise node.error(f"joint {_name(node)} is scaled, which is not read")
-    if np.linalg.det(R) < 0 or np.abs(R @ R.T - np.eye(3)).max() > _SHEARED:
+    if np.linalg.det(R) < 0 or np.abs(R @ R.T - np.eye(3)).max() > _MAX_SHEAR:
         raise node["matrix"].error("found a matrix that mirrors or shears, expected a rotation")
-    return place, Rotation.from_matrix(R).as_matrix()
+    return position, Rotation.from_matrix(R).as_matrix()
 
 
-def _check_growth(accessors: Accessors, node: Part, curve: _Curve | None) -> None:
-    if curve is not None and np.abs(curve.values(accessors, 3) - 1).max() > GROWS:
+def _check_scale(accessors: Accessors, node: JsonPart, curve: _Curve | None) -> None:
+    if curve is not None and np.abs(curve.values(accessors, 3) - 1).max() > MAX_SCALE_ERROR:
         raise node.error(f"joint {_name(node)} is scaled, which is not read")
 
 
-def _places(
+def _positions_at(
     accessors: Accessors, curve: _Curve | None, times: np.ndarray, rest: np.ndarray
 ) -> np.ndarray:
-    """(T, 3) a joint's place in its parent's frame."""
+    """(T, 3) a joint's position in its parent's frame."""
     if curve is None:
         return np.tile(rest, (len(times), 1))
     values = curve.values(accessors, 3)
     if np.abs(values).max() > _FARTHEST_M:
         raise curve.part.error(f"found a joint farther than {_FARTHEST_M:g} m from its parent")
-    if curve.held:
-        return values[_before(curve.times, times)]
+    if curve.is_step:
+        return values[_last_key(curve.times, times)]
     return np.stack([np.interp(times, curve.times, column) for column in values.T], 1)
 
 
-def _turns(
+def _rotations_at(
     accessors: Accessors, curve: _Curve | None, times: np.ndarray, rest: np.ndarray
 ) -> np.ndarray:
-    """(T, 3, 3) a joint's turn in its parent's frame."""
+    """(T, 3, 3) a joint's rotation in its parent's frame."""
     if curve is None:
         return np.broadcast_to(rest, (len(times), 3, 3))
     quaternions = curve.values(accessors, 4)
-    if np.linalg.norm(quaternions, axis=1).min() < _SHORTEST:
+    if np.linalg.norm(quaternions, axis=1).min() < _MIN_QUATERNION_LENGTH:
         raise curve.part.error("found a quaternion of length 0, expected 1")
-    turns = Rotation.from_quat(quaternions)
+    rotations = Rotation.from_quat(quaternions)
     if np.array_equal(curve.times, times):
-        return turns.as_matrix()
-    if curve.held or len(curve.times) == 1:
-        return turns.as_matrix()[_before(curve.times, times)]
-    return Slerp(curve.times, turns)(np.clip(times, *curve.times[[0, -1]])).as_matrix()
+        return rotations.as_matrix()
+    if curve.is_step or len(curve.times) == 1:
+        return rotations.as_matrix()[_last_key(curve.times, times)]
+    return Slerp(curve.times, rotations)(np.clip(times, *curve.times[[0, -1]])).as_matrix()
 
 
-def _before(keys: np.ndarray, times: np.ndarray) -> np.ndarray:
-    return np.clip(np.searchsorted(keys, times + SAME_S, "right") - 1, 0, len(keys) - 1)
+def _last_key(keys: np.ndarray, times: np.ndarray) -> np.ndarray:
+    return np.clip(np.searchsorted(keys, times + SAME_TIME_S, "right") - 1, 0, len(keys) - 1)

@@ -17,10 +17,10 @@ PELVIS = "pelvis"
 _TRUNK: tuple[str, ...] = (PELVIS, "spine1", "spine2", "spine3", "neck", "head")
 _LIMBS = ("clavicle", "humerus", "radius", "hand", "femur", "tibia", "foot")
 # The joint at the far end of which a landmark lies that no other joint shares.
-ENDED = ("head", "hand_l", "foot_l", "hand_r", "foot_r")
+JOINTS_WITH_END = ("head", "hand_l", "foot_l", "hand_r", "foot_r")
 
 
-def _named(trunk: str, limbs: str, left: str, right: str, **ends: str) -> dict[str, str]:
+def _convention(trunk: str, limbs: str, left: str, right: str, **ends: str) -> dict[str, str]:
     """One convention: names of trunk and limbs in the order above, and how the sides are put."""
     names: dict[str, str] = dict(zip(_TRUNK, trunk.split(), strict=True))
     for side, pattern in (("l", left), ("r", right)):
@@ -28,7 +28,7 @@ def _named(trunk: str, limbs: str, left: str, right: str, **ends: str) -> dict[s
             names[f"{ours}_{side}"] = pattern.format(theirs)
         for ours, theirs in ends.items():
             names[end_of(f"{ours}_{side}")] = pattern.format(theirs)
-    return {end_of(joint): end_of(names[joint]) for joint in ENDED} | names
+    return {end_of(joint): end_of(names[joint]) for joint in JOINTS_WITH_END} | names
 
 
 def end_of(joint: str) -> str:
@@ -40,22 +40,22 @@ def end_of(joint: str) -> str:
 # SMPL's joints; the segments of ISB (Wu et al. 2002, 2005), which divides the trunk into vertebrae:
 # its lumbar and thoracolumbar part are our names.
 CONVENTIONS: dict[str, dict[str, str]] = {
-    "jaxmocap": _named(" ".join(_TRUNK), " ".join(_LIMBS), "{}_l", "{}_r"),
-    "vrm": _named(
+    "jaxmocap": _convention(" ".join(_TRUNK), " ".join(_LIMBS), "{}_l", "{}_r"),
+    "vrm": _convention(
         "hips spine chest upperChest neck head",
         "Shoulder UpperArm LowerArm Hand UpperLeg LowerLeg Foot",
         "left{}",
         "right{}",
         foot="Toes",
     ),
-    "humanik": _named(
+    "humanik": _convention(
         "Hips Spine Spine1 Spine2 Neck Head",
         "Shoulder Arm ForeArm Hand UpLeg Leg Foot",
         "Left{}",
         "Right{}",
         foot="ToeBase",
     ),
-    "smpl": _named(
+    "smpl": _convention(
         "pelvis spine1 spine2 spine3 neck head",
         "collar shoulder elbow wrist hip knee ankle",
         "left_{}",
@@ -63,7 +63,7 @@ CONVENTIONS: dict[str, dict[str, str]] = {
         hand="hand",
         foot="foot",
     ),
-    "isb": _named(
+    "isb": _convention(
         "pelvis lumbar thoracolumbar thorax cervical head",
         "clavicle humerus forearm hand femur tibia calcaneus",
         "{}_l",
@@ -87,7 +87,7 @@ def landmark_names(convention: str | None) -> dict[str, str]:
     return {landmark: CONVENTIONS[convention][joint_of(landmark)] for landmark in LANDMARKS}
 
 
-def recognised(names: tuple[str, ...]) -> Mapping[str, str] | None:
+def names_to_ours(names: tuple[str, ...]) -> Mapping[str, str] | None:
     """Their name -> ours, where joints are named by one of the conventions; else None.
 
     Ends may be missing: formats do not always hold them.
@@ -95,6 +95,6 @@ def recognised(names: tuple[str, ...]) -> Mapping[str, str] | None:
     for convention in CONVENTIONS.values():
         inner = {theirs for ours, theirs in convention.items() if not ours.endswith("_end")}
         if inner <= set(names):
-            known = {theirs: ours for ours, theirs in convention.items()}
-            return known | {end_of(convention[joint]): end_of(joint) for joint in ENDED}
+            to_ours = {theirs: ours for ours, theirs in convention.items()}
+            return to_ours | {end_of(convention[joint]): end_of(joint) for joint in JOINTS_WITH_END}
     return None

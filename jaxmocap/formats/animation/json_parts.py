@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import listed, shown
+from jaxmocap.formats.files.short_repr import comma_list, short_repr
 
-LONGEST_TEXT = 200
+MAX_TEXT_CHARACTERS = 200
 _LARGEST = 2**53
 
 
 @dataclass(frozen=True)
-class Part:
+class JsonPart:
     """One value of a document.
 
     Attributes:
@@ -38,20 +38,20 @@ class Part:
         return InputError(self.path, f"{self.place}: {problem}" if self.place else problem)
 
     def _expected(self, what: str) -> InputError:
-        return self.error(f"found {shown(self.value)}, expected {what}")
+        return self.error(f"found {short_repr(self.value)}, expected {what}")
 
     def has(self, key: str) -> bool:
         """Whether a table has an entry."""
         return isinstance(self.value, dict) and key in self.value
 
-    def __getitem__(self, key: str | int) -> "Part":
+    def __getitem__(self, key: str | int) -> "JsonPart":
         """An entry of a table or a list; None where a table has none."""
         if isinstance(key, int):
-            return Part(self.path, f"{self.place}[{key}]", self.value[key])
+            return JsonPart(self.path, f"{self.place}[{key}]", self.value[key])
         if not isinstance(self.value, dict):
             raise self._expected("a JSON table")
         place = f"{self.place}.{key}" if self.place else key
-        return Part(self.path, place, self.value.get(key))
+        return JsonPart(self.path, place, self.value.get(key))
 
     def items(self, optional: bool = False) -> Sequence[Any]:
         """A list's values; none where it is left out and may be."""
@@ -61,11 +61,11 @@ class Part:
             raise self._expected("a JSON list")
         return self.value
 
-    def parts(self, optional: bool = False) -> Iterator["Part"]:
+    def parts(self, optional: bool = False) -> Iterator["JsonPart"]:
         """A list's entries."""
         return (self[i] for i in range(len(self.items(optional))))
 
-    def whole(self, low: int = 0, high: int = _LARGEST, default: int | None = None) -> int:
+    def integer(self, low: int = 0, high: int = _LARGEST, default: int | None = None) -> int:
         """A whole number from ``low`` to ``high``."""
         if default is not None and self.value is None:
             return default
@@ -77,7 +77,7 @@ class Part:
             raise self._expected(f"a whole number, {bound}")
         return value
 
-    def index(self, of: "Part") -> int:
+    def index(self, of: "JsonPart") -> int:
         """The index of an entry of a list."""
         count = len(of.items(optional=True))
         if isinstance(self.value, bool) or not isinstance(self.value, int):
@@ -107,12 +107,16 @@ class Part:
         return np.array([part.number(most) for part in self.parts()])
 
     def text(self, default: str | None = None) -> str:
-        """A text that prints, of at most ``LONGEST_TEXT`` characters."""
+        """A text that prints, of at most ``MAX_TEXT_CHARACTERS`` characters."""
         if default is not None and self.value is None:
             return default
         value = self.value
-        if not isinstance(value, str) or not value.isprintable() or len(value) > LONGEST_TEXT:
-            raise self._expected(f"a text that prints, of at most {LONGEST_TEXT} characters")
+        if (
+            not isinstance(value, str)
+            or not value.isprintable()
+            or len(value) > MAX_TEXT_CHARACTERS
+        ):
+            raise self._expected(f"a text that prints, of at most {MAX_TEXT_CHARACTERS} characters")
         return value
 
     def choice(self, options: Sequence[Any], default: Any = None) -> Any:
@@ -120,5 +124,5 @@ class Part:
         if default is not None and self.value is None:
             return default
         if isinstance(self.value, list | dict) or self.value not in options:
-            raise self._expected(f"one of {listed(map(str, options))}")
+            raise self._expected(f"one of {comma_list(map(str, options))}")
         return self.value

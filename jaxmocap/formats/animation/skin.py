@@ -1,11 +1,11 @@
 """A body's surface as a skin on its armature's joints.
 
 INPUTS: a Surface around a Skeleton, by choice with a picture of its colours.
-OUTPUTS: a BoundMesh in a file's axes.
+OUTPUTS: a SkinnedMesh in a file's axes.
 
 The skin is bound where all angles are 0, the arms hanging: there the bones' frames are the body's,
 and there alone a node lies at one place, whichever of its bones is asked. A joint's frame, the
-body's own in the T pose, is turned there as the bone is between the two.
+body's own in the T pose, is rotated there as the bone is between the two.
 """
 
 from pathlib import Path
@@ -16,23 +16,25 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.mesh import atlas_of, mesh_of, normals_of
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
-from jaxmocap.formats.animation.body_armature import joint_tree, rest_turns
-from jaxmocap.formats.animation.bound_mesh import BoundMesh
+from jaxmocap.formats.animation.body_armature import joint_tree, rest_orientations
+from jaxmocap.formats.animation.skinned_mesh import SkinnedMesh
 from jaxmocap.formats.files.errors import InputError
 
-# Of a picture's texels on the surface, metres; and how far apart bones may put a node at rest.
-TEXEL_M, APART_M = 0.0025, 1e-3
-CARRIERS = 4
-PNG = b"\x89PNG"
+# Side of a texture's texel on the surface, metres.
+TEXEL_M = 0.0025
+# How far apart the bones of one node may put it at rest, metres.
+MAX_APART_M = 1e-3
+BONES_PER_VERTEX = 4
+PNG_SIGNATURE = b"\x89PNG"
 
 
-def exported_skin(
+def surface_skin(
     path: str | Path,
     skeleton: Skeleton,
     surface: Surface,
     R_file_world: np.ndarray,
-    picture: bytes | None = None,
-) -> BoundMesh:
+    texture: bytes | None = None,
+) -> SkinnedMesh:
     """The surface on the joints of ``armature_of``.
 
     Args:
@@ -40,46 +42,52 @@ def exported_skin(
         skeleton: which the surface is around.
         surface: of the body.
         R_file_world: (3, 3) the file's axes.
-        picture: a PNG file's content, laid out by ``atlas_of`` with texels of ``TEXEL_M``.
+        texture: a PNG file's content, laid out by ``atlas_of`` with texels of ``TEXEL_M``.
 
     Raises:
         InputError: bones disagree where a node is at rest, more than four carry it, or the picture
             is that of another surface.
     """
-    joints, points = rest_joints(skeleton), surface.points
+    joints = rest_joints(skeleton)
     nodes = rest_nodes(surface, joints)
-    _check(path, surface, joints, nodes)
-    if picture is not None:
-        check_texture(path, skeleton, surface, picture)
+    _check_skin(path, surface, joints, nodes)
+    if texture is not None:
+        check_texture(path, skeleton, surface, texture)
     mesh = mesh_of(surface, nodes, atlas_of(surface, nodes, TEXEL_M))
     vertices = nodes[mesh.nodes]
     names, _ = joint_tree(skeleton)
-    # What the pelvis and the hips, which do not move against it, carry is the root's.
-    carrying = [names.index(b) if b in names else 0 for b in skeleton.tree.bones]
-    spare = CARRIERS - points.bones.shape[1]
-    weights = np.pad(np.asarray(points.shares, float)[mesh.nodes], [(0, 0), (0, spare)])
-    carriers = np.pad(
-        np.array(carrying)[np.asarray(points.bones)[mesh.nodes]], [(0, 0), (0, spare)]
-    )
-    return BoundMesh(
+    carriers, weights = _joints_of_nodes(skeleton, surface, names)
+    return SkinnedMesh(
         vertices @ R_file_world.T,
         normals_of(vertices, mesh.triangles) @ R_file_world.T,
         mesh.triangles,
-        np.where(weights > 0, carriers, 0),
-        weights / weights.sum(1, keepdims=True),
-        _bind(skeleton, names, joints, R_file_world),
+        carriers[mesh.nodes],
+        weights[mesh.nodes],
+        _inverse_bind_matrices(skeleton, names, joints, R_file_world),
         mesh.places,
-        picture,
+        texture,
     )
 
 
-def check_texture(path: str | Path, skeleton: Skeleton, surface: Surface, picture: bytes) -> None:
+def _joints_of_nodes(
+    skeleton: Skeleton, surface: Surface, names: tuple[str, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The joints (N, 4) that carry each of N nodes, and their weights (N, 4), together 1."""
+    # What the pelvis and the hips, which do not move against it, carry is the root's.
+    carrying = [names.index(b) if b in names else 0 for b in skeleton.tree.bones]
+    padding = [(0, 0), (0, BONES_PER_VERTEX - surface.points.bones.shape[1])]
+    weights = np.pad(np.asarray(surface.points.shares, float), padding)
+    carriers = np.pad(np.array(carrying)[np.asarray(surface.points.bones)], padding)
+    return np.where(weights > 0, carriers, 0), weights / weights.sum(1, keepdims=True)
+
+
+def check_texture(path: str | Path, skeleton: Skeleton, surface: Surface, texture: bytes) -> None:
     """InputError where a file's content is not a PNG laid out for this surface."""
-    if not picture.startswith(PNG):
+    if not texture.startswith(PNG_SIGNATURE):
         raise InputError(path, "is not a PNG file, which a texture is")
     atlas = atlas_of(surface, rest_nodes(surface, rest_joints(skeleton)), TEXEL_M)
     # Width and height, as its header says.
-    found = [int.from_bytes(picture[at : at + 4], "big") for at in (16, 20)]
+    found = [int.from_bytes(texture[at : at + 4], "big") for at in (16, 20)]
     if found != [atlas.width, atlas.height]:
         size, expected = f"{found[0]} x {found[1]}", f"{atlas.width} x {atlas.height}"
         raise InputError(
@@ -87,11 +95,11 @@ def check_texture(path: str | Path, skeleton: Skeleton, surface: Surface, pictur
         )
 
 
-def _bind(
+def _inverse_bind_matrices(
     skeleton: Skeleton, names: tuple[str, ...], joints: np.ndarray, R_file_world: np.ndarray
 ) -> np.ndarray:
     """(J, 4, 4) from the body with all angles 0 to the frames that its joints have there."""
-    rest, bind = rest_turns(skeleton), np.tile(np.eye(4), (len(names), 1, 1))
+    rest, bind = rest_orientations(skeleton), np.tile(np.eye(4), (len(names), 1, 1))
     for j, name in enumerate(names):
         if name in skeleton.tree.bones:
             bone = skeleton.tree.bone(name)
@@ -100,15 +108,17 @@ def _bind(
     return bind
 
 
-def _check(path: str | Path, surface: Surface, joints: np.ndarray, nodes: np.ndarray) -> None:
+def _check_skin(path: str | Path, surface: Surface, joints: np.ndarray, nodes: np.ndarray) -> None:
     """InputError where glTF cannot hold the surface."""
     bones, shares = np.asarray(surface.points.bones), np.asarray(surface.points.shares)
-    if bones.shape[1] > CARRIERS:
-        raise InputError(path, f"{bones.shape[1]} bones carry a node, expected {CARRIERS} at most")
-    apart = np.linalg.norm(joints[bones] + surface.points.points_bone - nodes[:, None], axis=-1)
-    worst = float(np.where(shares > 0, apart, 0).max())
-    if worst > APART_M:
+    if bones.shape[1] > BONES_PER_VERTEX:
+        raise InputError(
+            path, f"{bones.shape[1]} bones carry a node, expected {BONES_PER_VERTEX} at most"
+        )
+    distances = np.linalg.norm(joints[bones] + surface.points.points_bone - nodes[:, None], axis=-1)
+    worst = float(np.where(shares > 0, distances, 0).max())
+    if worst > MAX_APART_M:
         raise InputError(
             path, f"a surface whose bones put a node {1e3 * worst:.0f} mm apart at rest, "
-            f"expected {1e3 * APART_M:.0f} mm at most"
+            f"expected {1e3 * MAX_APART_M:.0f} mm at most"
         )  # fmt: skip

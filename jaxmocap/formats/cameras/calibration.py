@@ -2,7 +2,7 @@
 
 INPUTS: a .toml file with one section per camera: size, matrix, distortions, rotation (Rodrigues
 vector, world to camera), translation (metres, world to camera), fisheye; or a .yml file.
-OUTPUTS: Cameras by the name of their section, or one camera's Lens; such a .toml file, or one
+OUTPUTS: Cameras by the name of their section, or one camera's Intrinsics; such a .toml file, or one
 section of it replaced.
 """
 
@@ -14,12 +14,12 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.formats.cameras.opencv_yaml import SUFFIXES, read_opencv_yaml
+from jaxmocap.formats.cameras.opencv_yaml import YAML_SUFFIXES, read_opencv_yaml
 from jaxmocap.formats.cameras.toml_sections import replace_entries
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import listed, name_shown, shown
+from jaxmocap.formats.files.short_repr import comma_list, short_name, short_repr
 from jaxmocap.formats.files.toml import (
-    Fields,
+    TomlTable,
     file_name_problem,
     parse_toml,
     read_toml,
@@ -32,13 +32,14 @@ from jaxmocap.formats.time_series.tables import FARTHEST_M
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import log
 
-# A section of this name tells about the calibration, not of a camera.
-METADATA = "metadata"
+# A section of this name is about the calibration, not of a camera.
+METADATA_SECTION = "metadata"
 # How far R Rᵀ may be from the identity: files print four digits or more.
-ORTHONORMAL = 1e-3
+ORTHONORMAL_TOLERANCE = 1e-3
 # Pixels: of a picture's side; of a focal length (a telescope has some million).
 LARGEST_SIZE = 65_536
-SMALLEST_FOCAL, LARGEST_FOCAL = 1e-3, 1e8
+SMALLEST_FOCAL = 1e-3
+LARGEST_FOCAL = 1e8
 # Of a real lens none is beyond some hundred.
 LARGEST_DISTORTION = 1e6
 # Radians of a Rodrigues vector, which need not be the shortest.
@@ -48,8 +49,8 @@ _Section = TypeVar("_Section")
 
 
 @dataclass(frozen=True)
-class Lens:
-    """What a camera is, wherever it stands: in double precision, as files hold it.
+class Intrinsics:
+    """A camera's intrinsics, in double precision, as files hold them.
 
     Attributes:
         size: (2,) width and height, pixels.
@@ -72,7 +73,7 @@ def read_calibration(path: str | Path, origin_world: np.ndarray | None = None) -
 
     Args:
         path: of the file.
-        origin_world: (3,) metres, that the cameras are seen from; None: the world's.
+        origin_world: (3,) metres, subtracted from the cameras' positions; None: zero.
 
     Raises:
         InputError: no such file, no camera in it, or a field that is missing or does not fit.
@@ -82,11 +83,11 @@ def read_calibration(path: str | Path, origin_world: np.ndarray | None = None) -
     if not sections:
         raise InputError(path, "found no camera section")
     origin = np.zeros(3) if origin_world is None else origin_world
-    each = {name: Fields(path, f"[{name}]", table) for name, table in sections.items()}
+    each = {name: TomlTable(path, f"[{name}]", table) for name, table in sections.items()}
     return {name: _camera(fields, origin) for name, fields in each.items()}
 
 
-def read_lens(path: str | Path, name: str) -> Lens:
+def read_intrinsics(path: str | Path, name: str) -> Intrinsics:
     """Read the intrinsics of one camera, which need not have been placed yet.
 
     Raises:
@@ -94,28 +95,28 @@ def read_lens(path: str | Path, name: str) -> Lens:
     """
     path = Path(path)
     sections = _sections(path)
-    if path.suffix.lower() in SUFFIXES:
-        return _lens(Fields(path, "", next(iter(sections.values()))))
+    if path.suffix.lower() in YAML_SUFFIXES:
+        return _intrinsics(TomlTable(path, "", next(iter(sections.values()))))
     table = pick_camera(path, sections, name)
-    return _lens(Fields(path, f"[{name}]", table))
+    return _intrinsics(TomlTable(path, f"[{name}]", table))
 
 
 def _sections(path: Path) -> dict[str, Any]:
-    if path.suffix.lower() in SUFFIXES:
+    if path.suffix.lower() in YAML_SUFFIXES:
         return read_opencv_yaml(path)
-    return {name: table for name, table in read_toml(path).items() if name != METADATA}
+    return {name: table for name, table in read_toml(path).items() if name != METADATA_SECTION}
 
 
 def pick_camera(path: str | Path, cameras: Mapping[str, _Section], name: str) -> _Section:
     """The camera of that section; InputError lists the sections there are."""
     if name not in cameras:
-        found = f"found {listed(cameras)}" if cameras else "found no camera section"
-        raise InputError(path, f"section [{name_shown(name)}] is missing, {found}")
+        found = f"found {comma_list(cameras)}" if cameras else "found no camera section"
+        raise InputError(path, f"section [{short_name(name)}] is missing, {found}")
     return cameras[name]
 
 
-def _camera(fields: Fields, origin_world: np.ndarray) -> Camera:
-    lens = _lens(fields)
+def _camera(fields: TomlTable, origin_world: np.ndarray) -> Camera:
+    lens = _intrinsics(fields)
     for key in ("rotation", "translation"):
         if key not in fields:
             raise fields.error("", f"{key!r} is missing (jaxmocap calibrate extrinsics finds it)")
@@ -128,7 +129,7 @@ def _camera(fields: Fields, origin_world: np.ndarray) -> Camera:
     return Camera.create(size, lens.matrix, lens.distortions, rotation, translation)
 
 
-def _lens(fields: Fields) -> Lens:
+def _intrinsics(fields: TomlTable) -> Intrinsics:
     refuse_fisheye(fields)
     size = fields.array("size", [(2,)], "[width, height] in pixels", LARGEST_SIZE)
     if (size < 1).any():
@@ -139,16 +140,16 @@ def _lens(fields: Fields) -> Lens:
         if "distortions" in fields
         else np.zeros(0)
     )
-    return Lens(size, _matrix(fields), distortions)
+    return Intrinsics(size, _matrix(fields), distortions)
 
 
-def refuse_fisheye(fields: Fields) -> None:
+def refuse_fisheye(fields: TomlTable) -> None:
     """InputError where a camera's section says that its lens is a fisheye."""
-    if fields.table.get("fisheye", False):
+    if fields.entries.get("fisheye", False):
         raise fields.error("fisheye", "fisheye lenses are not supported yet, expected false")
 
 
-def _matrix(fields: Fields) -> np.ndarray:
+def _matrix(fields: TomlTable) -> np.ndarray:
     matrix = fields.array("matrix", [(3, 3)], "a 3 × 3 matrix", LARGEST_FOCAL)
     if min(matrix[0, 0], matrix[1, 1]) < SMALLEST_FOCAL or not np.allclose(matrix[2], [0, 0, 1]):
         raise fields.error(
@@ -158,17 +159,17 @@ def _matrix(fields: Fields) -> np.ndarray:
     return matrix
 
 
-def _rotation(fields: Fields) -> np.ndarray:
+def _rotation(fields: TomlTable) -> np.ndarray:
     expected = "a Rodrigues vector of 3 numbers or a 3 × 3 rotation matrix"
     rotation = fields.array("rotation", [(3,), (3, 3)], expected, LARGEST_ROTATION)
-    if rotation.ndim == 2 and (not orthonormal(rotation) or np.linalg.det(rotation) < 0):
+    if rotation.ndim == 2 and (not is_orthonormal(rotation) or np.linalg.det(rotation) < 0):
         raise fields.error("rotation", "found a 3 × 3 matrix that is not a rotation")
     return rotation
 
 
-def orthonormal(matrix: np.ndarray) -> bool:
+def is_orthonormal(matrix: np.ndarray) -> bool:
     """Are the rows of a (3, 3) matrix unit vectors at right angles, as far as files print them?"""
-    return bool(np.abs(matrix @ matrix.T - np.eye(3)).max() <= ORTHONORMAL)
+    return bool(np.abs(matrix @ matrix.T - np.eye(3)).max() <= ORTHONORMAL_TOLERANCE)
 
 
 def write_calibration(path: str | Path, cameras: dict[str, Camera]) -> None:
@@ -211,25 +212,25 @@ def write_camera(path: str | Path, name: str, entries: Mapping[str, Any]) -> Non
         InputError: the file is there and no TOML, or the name is not a camera's.
     """
     path = Path(path)
-    check_writable(path, name)
+    check_camera_writable(path, name)
     text = ""
     if path.exists():
         parse_toml(path, text := read_toml_text(path))
     try:
         changed = replace_entries(text, name, {"name": name, **entries})
     except ValueError as error:
-        raise InputError(path, f"camera {shown(name)} {error}") from None
+        raise InputError(path, f"camera {short_repr(name)} {error}") from None
     write_text(path, changed)
 
 
-def check_writable(path: Path, name: str) -> None:
-    """InputError where ``write_camera`` could not write this camera: known before any work."""
+def check_camera_writable(path: Path, name: str) -> None:
+    """InputError where ``write_camera`` could not write this camera; asked before any work."""
     if path.suffix.lower() != ".toml":
         raise InputError(path, "cannot be written to, expected a .toml file")
-    if not name or name == METADATA:
+    if not name or name == METADATA_SECTION:
         raise InputError(path, f"found {name!r} as a camera's name, expected another")
     if problem := file_name_problem(name):
-        raise InputError(path, f"found {shown(name)} as a camera's name, {problem}")
+        raise InputError(path, f"found {short_repr(name)} as a camera's name, {problem}")
     if path.exists():
         table = read_toml(path).get(name, {})
-        refuse_fisheye(Fields(path, f"[{name}]", table))
+        refuse_fisheye(TomlTable(path, f"[{name}]", table))

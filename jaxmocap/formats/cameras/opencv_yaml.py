@@ -12,7 +12,7 @@ from typing import Any
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.lines import read_lines
 
-SUFFIXES = (".yml", ".yaml")
+YAML_SUFFIXES = (".yml", ".yaml")
 # Field of the TOML layout -> what it is called in such files.
 _NAMES = {
     "matrix": ("camera_matrix", "cameraMatrix", "Camera_Matrix"),
@@ -26,7 +26,7 @@ _MATRIX = ("rows", "cols", "sizes", "dt", "data")
 
 
 def read_opencv_yaml(path: str | Path) -> dict[str, dict[str, Any]]:
-    """Read a camera: name -> size, matrix, distortions, and rotation and translation if told.
+    """Read a camera: name -> size, matrix, distortions, and the place where the file has it.
 
     Raises:
         InputError: no such file, not of this kind, or a matrix whose numbers do not fit.
@@ -35,7 +35,10 @@ def read_opencv_yaml(path: str | Path) -> dict[str, dict[str, Any]]:
     entries = _entries(path)
     table: dict[str, Any] = {"fisheye": _is_fisheye(entries)}
     if "image_width" in entries and "image_height" in entries:
-        table["size"] = [_plain(entries["image_width"]), _plain(entries["image_height"])]
+        table["size"] = [
+            _number_or_text(entries["image_width"]),
+            _number_or_text(entries["image_height"]),
+        ]
     for field, names in _NAMES.items():
         for name in names:
             if name in entries:
@@ -86,7 +89,7 @@ def _is_fisheye(entries: dict[str, Any]) -> bool:
     return model in ("equidistant", "fisheye", "kannala_brandt") or flag in ("1", "true")
 
 
-def _plain(text: Any) -> Any:
+def _number_or_text(text: Any) -> Any:
     try:
         return float(text)
     except (TypeError, ValueError):
@@ -113,7 +116,7 @@ def _matrix(path: Path, name: str, entry: Any, flat: bool) -> list:
         expected = "expected rows, cols and as many numbers in data"
         raise InputError(path, f"{name}: is not a whole matrix, {expected}") from None
     if flat and 1 in (rows, columns):
-        # Later coefficients that are all zero tell nothing (OpenCV writes up to 14).
+        # Later coefficients that are all zero change nothing (OpenCV writes up to 14).
         while len(data) > 8 and data[-1] == 0:
             data.pop()
         return data

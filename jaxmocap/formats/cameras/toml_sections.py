@@ -29,17 +29,17 @@ def replace_entries(text: str, section: str, entries: Mapping[str, Any]) -> str:
     old = tomllib.loads(text)
     blocks = _sections(text)
     for i, block in enumerate(blocks):
-        if _opens(block, section):
+        if _begins_section(block, section):
             blocks[i] = _with_entries(block, entries)
             break
     else:
         if section in old:
             raise ValueError(f"is not written as [{section}] on a line of its own")
-        blocks = [*_closed(blocks), _with_entries(f"[{toml_key(section)}]\n", entries)]
+        blocks = [*_ending_blank(blocks), _with_entries(f"[{toml_key(section)}]\n", entries)]
     return "".join(blocks)
 
 
-def _closed(blocks: list[str]) -> list[str]:
+def _ending_blank(blocks: list[str]) -> list[str]:
     """Blocks that end with an empty line, so that a section can follow."""
     text = "".join(blocks).rstrip("\n")
     return [text, "\n\n"] if text else []
@@ -61,7 +61,7 @@ def _statements(text: str) -> list[str]:
     return [text[start:end] for start, end in zip(starts, [*starts[1:], None], strict=True)]
 
 
-def _opens(block: str, section: str) -> bool:
+def _begins_section(block: str, section: str) -> bool:
     """Does a block begin with the header of exactly that section?"""
     header = block.lstrip().split("\n")[0]
     return header.startswith("[") and tomllib.loads(header) == {section: {}}

@@ -1,4 +1,4 @@
-"""Video files that appear whole or not at all.
+"""Video files that appear complete or not at all.
 
 INPUTS: a path; encoded packets. OUTPUTS: the file, gone through once more before it is moved into
 place: what encodes may keep to itself that the disk is full.
@@ -34,14 +34,14 @@ class VideoFile:
         self.packets += sum(packet.size > 0 for packet in packets)
         self.container.mux(packets)
 
-    def is_whole(self, path: Path) -> bool:
+    def is_complete(self, path: Path) -> bool:
         """Whether every packet is found again in the file."""
         try:
             with av.open(str(path)) as container:
-                found = sum(packet.size > 0 for packet in container.demux(video=0))
+                packets = sum(packet.size > 0 for packet in container.demux(video=0))
         except (FFmpegError, IndexError):
             return False
-        return found == self.packets
+        return packets == self.packets
 
 
 @contextmanager
@@ -53,12 +53,12 @@ def replacing_video(path: str | Path, **options: Any) -> Iterator[VideoFile]:
         options: of the container, as ``av.open`` takes them.
 
     Raises:
-        OutputError: it cannot be written whole; what was there before is as it was.
+        OutputError: it cannot be written completely; what was there before is as it was.
     """
     files: list[VideoFile] = []
-    with replacing(path, lambda part: files[0].is_whole(part)) as beside:
+    with replacing(path, lambda part: files[0].is_complete(part)) as temporary:
         try:
-            with av.open(str(beside), "w", **options) as container:
+            with av.open(str(temporary), "w", **options) as container:
                 files.append(VideoFile(container))
                 yield files[0]
         except FFmpegError as error:

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from jaxmocap.formats.cameras.calibration import pick_camera, read_calibration
-from jaxmocap.formats.files.shortened import shown
-from jaxmocap.formats.files.toml import Fields, same_file_name
+from jaxmocap.formats.files.short_repr import short_repr
+from jaxmocap.formats.files.toml import TomlTable, same_file_name
 from jaxmocap.formats.recordings.keypoint_files import LARGEST_FRAME_NUMBER
 from jaxmocap.formats.recordings.keypoint_models import MODELS
 from jaxmocap.formats.recordings.keypoints import Detections
@@ -21,9 +21,9 @@ from jaxmocap.formats.time_series.tables import LATEST_S
 from jaxmocap.geometry.cameras import Camera
 
 # Cameras of one recording.
-MOST_VIDEOS = 100
+MAX_VIDEOS = 100
 # What [[video]] may say of 2-D detections.
-_KEYPOINTS = ("keypoints", "keypoints_model", "keypoints_first")
+_KEYPOINT_KEYS = ("keypoints", "keypoints_model", "keypoints_first")
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,8 @@ class VideoSource:
         path: of the video file; None where the frames are in memory.
         offset: seconds to add to video time to get marker time.
         keypoints: folder (or file) of 2-D detections, what was read from it already, or None.
-        keypoints_model: whose points they are, or None to tell it from them.
-        keypoints_first: number that they give the video's first frame, or None to tell it.
+        keypoints_model: whose points they are, or None to infer it from them.
+        keypoints_first: number that they give the video's first frame, or None to infer it.
         frames: video times (F,) in seconds and images (F, H, W, 3) BGR uint8, or None.
         background: image file of what the camera sees without the person, or None.
     """
@@ -53,50 +53,50 @@ class VideoSource:
     background: Path | None = None
 
 
-def read_videos(top: Fields, origin_world: np.ndarray | None = None) -> tuple[VideoSource, ...]:
+def read_videos(top: TomlTable, origin_world: np.ndarray | None = None) -> tuple[VideoSource, ...]:
     """The videos of a recording's file.
 
     Args:
         top: the whole file.
-        origin_world: (3,) metres, that their cameras are seen from; None: the world's.
+        origin_world: (3,) metres, subtracted from the cameras' positions; None: zero.
 
     Raises:
         InputError: a field that is missing, unknown or does not fit, or two cameras whose files
             would be called the same.
     """
-    tables = top.table.get("video", [])
+    tables = top.entries.get("video", [])
     if not isinstance(tables, list):
         raise top.error("[video]", "found one table, expected [[video]] in double brackets")
     if not tables:
         return ()
     if "calibration" not in top:
         raise top.error("", "[calibration] is missing, which every [[video]] needs")
-    calibration = Fields(top.path, "[calibration]", top.table["calibration"], ("file",))
+    calibration = TomlTable(top.path, "[calibration]", top.entries["calibration"], ("file",))
     file = calibration.file("file")
     cameras = read_calibration(file, origin_world)
-    if len(tables) > MOST_VIDEOS:
-        raise top.error("[[video]]", f"found {len(tables)}, expected at most {MOST_VIDEOS}")
+    if len(tables) > MAX_VIDEOS:
+        raise top.error("[[video]]", f"found {len(tables)}, expected at most {MAX_VIDEOS}")
     videos = [_video(top.path, i, table, file, cameras) for i, table in enumerate(tables, 1)]
     _check_names(top, [video.camera_name for video in videos])
     return tuple(videos)
 
 
-def _check_names(top: Fields, names: list[str]) -> None:
+def _check_names(top: TomlTable, names: list[str]) -> None:
     """InputError for two cameras of one name: of each a video is drawn, which is called by it."""
-    known: dict[str, str] = {}
+    earlier: dict[str, str] = {}
     for i, name in enumerate(names, 1):
         # Some file systems take large and small letters for the same.
-        if (same := same_file_name(name)) in known:
-            problem = f"found {shown(name)} beside {shown(known[same])}"
+        if (same := same_file_name(name)) in earlier:
+            problem = f"found {short_repr(name)} beside {short_repr(earlier[same])}"
             raise top.error(f"[[video]] number {i} camera", f"{problem}, expected another camera")
-        known[same] = name
+        earlier[same] = name
 
 
 def _video(
     path: Path, number: int, table: Any, calibration: Path, cameras: dict[str, Camera]
 ) -> VideoSource:
-    keys = ("file", "camera", "offset", "background", *_KEYPOINTS)
-    fields = Fields(path, f"[[video]] number {number}", table, keys)
+    keys = ("file", "camera", "offset", "background", *_KEYPOINT_KEYS)
+    fields = TomlTable(path, f"[[video]] number {number}", table, keys)
     name = fields.file_name("camera")
     return VideoSource(
         camera_name=name,
@@ -108,10 +108,10 @@ def _video(
     )
 
 
-def _keypoints(fields: Fields) -> dict[str, Any]:
-    """Where a video's 2-D detections are, and what is said of them."""
+def _keypoints(fields: TomlTable) -> dict[str, Any]:
+    """Where a video's 2-D detections are, and how to read them."""
     given: dict[str, Any] = {}
-    for key in _KEYPOINTS:
+    for key in _KEYPOINT_KEYS:
         if key in fields and "keypoints" not in fields:
             raise fields.error(key, "found without 'keypoints', which it is about")
     if "keypoints" in fields:
@@ -122,9 +122,9 @@ def _keypoints(fields: Fields) -> dict[str, Any]:
         if model not in MODELS:
             expected = ", ".join(MODELS)
             raise fields.error(
-                "keypoints_model", f"found {shown(model)}, expected one of {expected}"
+                "keypoints_model", f"found {short_repr(model)}, expected one of {expected}"
             )
     if "keypoints_first" in fields:
         limit = LARGEST_FRAME_NUMBER
-        given["keypoints_first"] = fields.whole("keypoints_first", -limit, limit)
+        given["keypoints_first"] = fields.integer("keypoints_first", -limit, limit)
     return given

@@ -1,4 +1,4 @@
-"""Files as such: reading of bounded size, writing that is whole or not there, errors.
+"""What all formats share: reading of bounded size, atomic writing, errors, TOML, JSON and NPZ.
 
 Begin with ``reading`` and ``writing``.
 """

@@ -11,20 +11,20 @@ from ipaddress import IPv4Network, IPv6Address, IPv6Network, ip_address, ip_netw
 from typing import Any, NamedTuple
 
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import shown
-from jaxmocap.formats.files.toml import Fields
+from jaxmocap.formats.files.short_repr import short_repr
+from jaxmocap.formats.files.toml import TomlTable
 
 Network = IPv4Network | IPv6Network
 # This machine alone.
 LOOPBACK: tuple[Network, ...] = (ip_network("127.0.0.0/8"), ip_network("::1/128"))
 # No list of senders is longer.
-MOST_NETWORKS = 64
+MAX_NETWORKS = 64
 # Digits of the first ten alone: Python's own int() takes those of every script.
 _PORT = re.compile(r"[0-9]{1,5}")
-MOST_PORT = 65535
+MAX_PORT = 65535
 # Names of hosts, as far as any resolver takes them.
 _HOST = re.compile(r"(?:[A-Za-z0-9_-]{1,63}\.)*[A-Za-z0-9_-]{1,63}\.?")
-LONGEST_HOST = 253
+MAX_HOST_CHARACTERS = 253
 
 
 class Address(NamedTuple):
@@ -51,7 +51,7 @@ class Address(NamedTuple):
             return self.host == "localhost"
 
 
-def read_address(fields: Fields, key: str, default: Address) -> Address:
+def read_address(fields: TomlTable, key: str, default: Address) -> Address:
     """An address as "host:port" or as a port alone; or the default.
 
     Raises:
@@ -59,11 +59,11 @@ def read_address(fields: Fields, key: str, default: Address) -> Address:
     """
     if key not in fields:
         return default
-    value = fields.table[key]
+    value = fields.entries[key]
     host, port = _host(value), _port(value)
     if host is None or port is None:
-        expected = f"an address such as '{default}', or a port from 1 to {MOST_PORT}"
-        raise fields.error(key, f"found {shown(value)}, expected {expected}")
+        expected = f"an address such as '{default}', or a port from 1 to {MAX_PORT}"
+        raise fields.error(key, f"found {short_repr(value)}, expected {expected}")
     return Address(host or default.host, port)
 
 
@@ -74,11 +74,11 @@ def _host(value: Any) -> str | None:
     host = value.rpartition(":")[0]
     if host.startswith("[") and host.endswith("]"):
         host = host[1:-1]
-    named = len(host) <= LONGEST_HOST and _HOST.fullmatch(host)
-    return host if not host or named or _is_number(host) else None
+    is_name = len(host) <= MAX_HOST_CHARACTERS and _HOST.fullmatch(host)
+    return host if not host or is_name or _is_ip_address(host) else None
 
 
-def _is_number(host: str) -> bool:
+def _is_ip_address(host: str) -> bool:
     try:
         ip_address(host)
     except ValueError:
@@ -93,25 +93,25 @@ def _port(value: Any) -> int | None:
         value = int(port) if _PORT.fullmatch(port) else None
     if isinstance(value, bool) or not isinstance(value, int):
         return None
-    return value if 1 <= value <= MOST_PORT else None
+    return value if 1 <= value <= MAX_PORT else None
 
 
-def resolved(address: Address) -> tuple[socket.AddressFamily, Any]:
+def resolve_address(address: Address) -> tuple[socket.AddressFamily, Any]:
     """Family and place of an address, as sockets take them; IPv4 where there are both.
 
     Raises:
         InputError: no such host.
     """
     try:
-        found = socket.getaddrinfo(*address, type=socket.SOCK_DGRAM)
+        addresses = socket.getaddrinfo(*address, type=socket.SOCK_DGRAM)
     except (OSError, UnicodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "not a host's name"
         raise InputError(str(address), f"no such address ({why})") from None
-    best = min(found, key=lambda each: each[0] != socket.AF_INET)
+    best = min(addresses, key=lambda each: each[0] != socket.AF_INET)
     return best[0], best[4]
 
 
-def read_senders(fields: Fields, listen: Address) -> tuple[Network, ...]:
+def read_allowed_networks(fields: TomlTable, listen: Address) -> tuple[Network, ...]:
     """The networks whose packets count: ``from``, or this machine where no other is listened to.
 
     Raises:
@@ -123,15 +123,15 @@ def read_senders(fields: Fields, listen: Address) -> tuple[Network, ...]:
             return LOOPBACK
         problem = f"'from' is missing, which lists who may send to {listen}, such as {example}"
         raise fields.error("", problem)
-    value = fields.table["from"]
+    value = fields.entries["from"]
     texts: Sequence[Any] = value if isinstance(value, list) else ()
-    networks = [_network(text) for text in texts[: MOST_NETWORKS + 1]]
-    found = [network for network in networks if network is not None]
-    if not 0 < len(networks) <= MOST_NETWORKS or len(found) < len(networks):
+    networks = [_network(text) for text in texts[: MAX_NETWORKS + 1]]
+    valid = [network for network in networks if network is not None]
+    if not 0 < len(networks) <= MAX_NETWORKS or len(valid) < len(networks):
         wrong = next((t for t, n in zip(texts, networks, strict=False) if n is None), value)
-        expected = f"1 to {MOST_NETWORKS} addresses or networks such as {example}"
-        raise fields.error("from", f"found {shown(wrong)}, expected {expected}")
-    return tuple(found)
+        expected = f"1 to {MAX_NETWORKS} addresses or networks such as {example}"
+        raise fields.error("from", f"found {short_repr(wrong)}, expected {expected}")
+    return tuple(valid)
 
 
 def _network(text: Any) -> Network | None:
@@ -141,7 +141,7 @@ def _network(text: Any) -> Network | None:
         return None
 
 
-def is_among(host: str, networks: Sequence[Network]) -> bool:
+def is_in_networks(host: str, networks: Sequence[Network]) -> bool:
     """Is a host, by its number, in one of the networks?"""
     try:
         address = ip_address(host)

@@ -20,28 +20,32 @@ import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import read_bytes
-from jaxmocap.formats.files.shortened import name_shown, shown
+from jaxmocap.formats.files.short_repr import short_name, short_repr
 
 # All arrays that are read from one file, in memory, bytes: half an hour at 200 Hz takes 500 MB.
-MOST_ARRAY_BYTES = 768 * 2**20
+MAX_ARRAY_BYTES = 768 * 2**20
 # Arrays in one file; texts in one array; characters of a name.
-MOST_ARRAYS = 1000
-MOST_NAMES = 10_000
-LONGEST_NAME = 200
+MAX_ARRAYS = 1000
+MAX_NAMES = 10_000
+MAX_NAME_CHARACTERS = 200
 # Of an array's header, characters.
-LONGEST_HEADER = 10_000
+MAX_HEADER_CHARACTERS = 10_000
 # Deflate makes at most 1032 bytes out of one.
-MOST_INFLATED = 1040
+MAX_INFLATION = 1040
 # Decompressed at once, bytes.
-BLOCK = 2**24
+BLOCK_BYTES = 2**24
 
-# What arrays hold: the kinds of NumPy's types that they may have.
-NUMBERS, WHOLE, BYTES, NAMES, TEXT = "numbers", "whole numbers", "bytes", "names", "text"
-_KINDS = {NUMBERS: "fiu", WHOLE: "iu", BYTES: "u", NAMES: "U", TEXT: "U"}
+# What arrays hold: the kinds of values that a format states.
+NUMBERS = "numbers"
+INTEGERS = "whole numbers"
+BYTES = "bytes"
+NAMES = "names"
+TEXT = "text"
+_KINDS = {NUMBERS: "fiu", INTEGERS: "iu", BYTES: "u", NAMES: "U", TEXT: "U"}
 # Bytes of one value.
-_WIDEST = {NUMBERS: 8, WHOLE: 8, BYTES: 1}
-_LARGEST_WHOLE = 2**62
-_SURROGATES = 0xD800, 0xDFFF
+_MAX_ITEM_BYTES = {NUMBERS: 8, INTEGERS: 8, BYTES: 1}
+_LARGEST_INTEGER = 2**62
+_SURROGATES = (0xD800, 0xDFFF)
 _LAST_CHARACTER = 0x10FFFF
 _READERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
@@ -50,7 +54,7 @@ _READERS = {
 
 
 @dataclass(frozen=True)
-class Stated:
+class ArraySpec:
     """What a format states of an array.
 
     Attributes:
@@ -58,18 +62,18 @@ class Stated:
         kind: NUMBERS, WHOLE, BYTES (any), NAMES (short, printable, not empty) or TEXT.
         low: the smallest number.
         high: the largest number; it is finite if this is.
-        gaps: whether NaN may stand for what is missing.
-        infinite: whether infinity may stand for what has no bound.
-        longest: characters of each text.
+        allow_nan: whether NaN may stand for what is missing.
+        allow_infinity: whether infinity may stand for what has no bound.
+        max_characters: characters of each text.
     """
 
     shape: tuple[str | int, ...]
     kind: str = NUMBERS
     low: float = -math.inf
     high: float = math.inf
-    gaps: bool = False
-    infinite: bool = False
-    longest: int = LONGEST_NAME
+    allow_nan: bool = False
+    allow_infinity: bool = False
+    max_characters: int = MAX_NAME_CHARACTERS
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,7 @@ class _Header:
     dtype: np.dtype
 
 
-class Arrays:
+class NpzArrays:
     """The arrays of a .npz file, none of them read yet.
 
     Sizes that an array gives to names of dimensions hold for all that are read after it.
@@ -99,14 +103,14 @@ class Arrays:
         self._zip = _opened(path)
         self._members = _members(path, self._zip)
         self._sizes: dict[str, tuple[int, str]] = {}
-        self._left = MOST_ARRAY_BYTES
+        self._bytes_left = MAX_ARRAY_BYTES
 
     @property
     def names(self) -> tuple[str, ...]:
         """Of all arrays."""
         return tuple(self._members)
 
-    def read(self, stated: Mapping[str, Stated]) -> dict[str, np.ndarray]:
+    def read(self, stated: Mapping[str, ArraySpec]) -> dict[str, np.ndarray]:
         """The arrays of these names: numbers as float, whole numbers as int64, texts as str.
 
         Numbers of single precision stay so.
@@ -116,10 +120,10 @@ class Arrays:
         """
         missing = [name for name in stated if name not in self._members]
         if missing:
-            raise InputError(self.path, f"the array '{name_shown(missing[0])}' is missing")
+            raise InputError(self.path, f"the array '{short_name(missing[0])}' is missing")
         return {name: self._read(name, what) for name, what in stated.items()}
 
-    def _read(self, name: str, stated: Stated) -> np.ndarray:
+    def _read(self, name: str, stated: ArraySpec) -> np.ndarray:
         header = self._header(name)
         self._check_kind(name, header, stated)
         self._check_shape(name, header.shape, stated)
@@ -131,79 +135,79 @@ class Arrays:
         if stated.kind == BYTES:
             return stored
         self._check_numbers(name, stored, stated)
-        if stated.kind == WHOLE or stored.dtype.kind != "f":
-            return stored.astype(np.int64 if stated.kind == WHOLE else float)
+        if stated.kind == INTEGERS or stored.dtype.kind != "f":
+            return stored.astype(np.int64 if stated.kind == INTEGERS else float)
         return stored
 
     def _error(self, name: str, problem: str) -> InputError:
-        return InputError(self.path, f"{name_shown(name)}: {problem}")
+        return InputError(self.path, f"{short_name(name)}: {problem}")
 
     def _header(self, name: str) -> _Header:
         """What the array's own header says; a few thousand bytes are decompressed for it."""
         try:
             with self._zip.open(self._members[name]) as member:
-                start = io.BytesIO(member.read(LONGEST_HEADER))
+                start = io.BytesIO(member.read(MAX_HEADER_CHARACTERS))
             read = _READERS[np.lib.format.read_magic(start)]
             with warnings.catch_warnings():
                 # Headers of Python 2 are read as well.
                 warnings.simplefilter("ignore")
-                shape, fortran, dtype = read(start, max_header_size=LONGEST_HEADER)
+                shape, fortran, dtype = read(start, max_header_size=MAX_HEADER_CHARACTERS)
         # What parses the header raises any of a dozen, of the zip file and of Python's own text.
         except Exception:
             raise self._error(name, "no NumPy array, or damaged") from None
         return _Header(start.tell(), shape, fortran, dtype)
 
-    def _check_kind(self, name: str, header: _Header, stated: Stated) -> None:
+    def _check_kind(self, name: str, header: _Header, stated: ArraySpec) -> None:
         dtype = header.dtype
         if dtype.hasobject:
             raise self._error(name, f"found Python objects, expected {stated.kind}")
-        wide = dtype.itemsize > _WIDEST.get(stated.kind, dtype.itemsize)
+        wide = dtype.itemsize > _MAX_ITEM_BYTES.get(stated.kind, dtype.itemsize)
         if dtype.kind not in _KINDS[stated.kind] or not dtype.itemsize or wide:
             raise self._error(
-                name, f"found values of type {shown(dtype.str)}, expected {stated.kind}"
+                name, f"found values of type {short_repr(dtype.str)}, expected {stated.kind}"
             )
         longest = dtype.itemsize // 4
-        if dtype.kind == "U" and longest > stated.longest:
-            expected = f"expected at most {stated.longest}"
+        if dtype.kind == "U" and longest > stated.max_characters:
+            expected = f"expected at most {stated.max_characters}"
             raise self._error(name, f"found texts of {longest} characters, {expected}")
 
-    def _check_shape(self, name: str, shape: tuple[int, ...], stated: Stated) -> None:
+    def _check_shape(self, name: str, shape: tuple[int, ...], stated: ArraySpec) -> None:
         sizes = [self._sizes.get(str(each), (each, ""))[0] for each in stated.shape]
         fits = len(shape) == len(sizes) and all(
             isinstance(size, str) or size == found for size, found in zip(sizes, shape, strict=True)
         )
         if not fits or any(size < 0 for size in shape):
             raise self._error(
-                name, f"found shape {shown(shape)}, expected {self._expected(stated)}"
+                name, f"found shape {short_repr(shape)}, expected {self._expected(stated)}"
             )
         for each, found in zip(stated.shape, shape, strict=True):
             if isinstance(each, str) and each != "*":
                 self._sizes.setdefault(each, (found, name))
 
-    def _expected(self, stated: Stated) -> str:
+    def _expected(self, stated: ArraySpec) -> str:
         """Dimensions, and what their names stand for."""
         fixed = [
-            f"{each} = {self._sizes[each][0]} as in {name_shown(self._sizes[each][1])}"
+            f"{each} = {self._sizes[each][0]} as in {short_name(self._sizes[each][1])}"
             for each in dict.fromkeys(map(str, stated.shape))
             if each in self._sizes
         ]
         names = ", ".join(map(str, stated.shape))
         return f"({names})" + (f" with {', '.join(fixed)}" if fixed else "")
 
-    def _check_size(self, name: str, header: _Header, stated: Stated) -> None:
+    def _check_size(self, name: str, header: _Header, stated: ArraySpec) -> None:
         """Against the bytes that are there, and against what all arrays may take."""
         count, member = math.prod(header.shape), self._members[name]
         stored, there = count * header.dtype.itemsize, member.file_size - header.start
         if stored != there:
             raise self._error(name, f"states {stored} bytes of values, but {there} are there")
-        if stored > MOST_INFLATED * (member.compress_size + 64):
+        if stored > MAX_INFLATION * (member.compress_size + 64):
             problem = f"states {stored} bytes, more than its {member.compress_size} can hold"
             raise self._error(name, problem)
-        if stated.kind == NAMES and count > MOST_NAMES:
-            raise self._error(name, f"found {count} names, expected at most {MOST_NAMES}")
-        self._left -= count * (1 if stated.kind == BYTES else max(header.dtype.itemsize, 8))
-        if self._left < 0:
-            most = f"expected at most {MOST_ARRAY_BYTES / 2**20:g} MB of arrays"
+        if stated.kind == NAMES and count > MAX_NAMES:
+            raise self._error(name, f"found {count} names, expected at most {MAX_NAMES}")
+        self._bytes_left -= count * (1 if stated.kind == BYTES else max(header.dtype.itemsize, 8))
+        if self._bytes_left < 0:
+            most = f"expected at most {MAX_ARRAY_BYTES / 2**20:g} MB of arrays"
             raise self._error(name, f"states {stored / 2**20:.0f} MB, {most} in one file")
 
     def _values(self, name: str, header: _Header) -> np.ndarray:
@@ -215,7 +219,7 @@ class Arrays:
             with self._zip.open(self._members[name]) as member:
                 member.read(header.start)
                 while done < len(values):
-                    block = member.read(min(BLOCK, len(values) - done))
+                    block = member.read(min(BLOCK_BYTES, len(values) - done))
                     if not block:
                         raise EOFError
                     values[done : done + len(block)] = np.frombuffer(block, np.uint8)
@@ -227,21 +231,23 @@ class Arrays:
         shaped = values.view(dtype).reshape(header.shape, order="F" if header.fortran else "C")
         return shaped.astype(dtype.newbyteorder("="), copy=False)
 
-    def _check_numbers(self, name: str, array: np.ndarray, stated: Stated) -> None:
+    def _check_numbers(self, name: str, array: np.ndarray, stated: ArraySpec) -> None:
         low, high = stated.low, stated.high
-        if stated.kind == WHOLE:
+        if stated.kind == INTEGERS:
             low, high = (
-                round(max(-_LARGEST_WHOLE, min(bound, _LARGEST_WHOLE))) for bound in (low, high)
+                round(max(-_LARGEST_INTEGER, min(bound, _LARGEST_INTEGER))) for bound in (low, high)
             )
         bad = ~((array >= low) & (array <= high))
         if array.dtype.kind == "f":
             infinite = np.isinf(array)
-            bad = (bad & ~infinite) if stated.infinite else (bad | infinite)
-            bad &= ~np.isnan(array) if stated.gaps else True
+            bad = (bad & ~infinite) if stated.allow_infinity else (bad | infinite)
+            bad &= ~np.isnan(array) if stated.allow_nan else True
         if bad.any():
             self._refuse_value(name, array, bad, stated)
 
-    def _refuse_value(self, name: str, array: np.ndarray, bad: np.ndarray, stated: Stated) -> None:
+    def _refuse_value(
+        self, name: str, array: np.ndarray, bad: np.ndarray, stated: ArraySpec
+    ) -> None:
         index = np.unravel_index(int(bad.argmax()), bad.shape)
         place = f"[{', '.join(str(int(i)) for i in index)}]" if index else ""
         bounds = [
@@ -252,7 +258,7 @@ class Arrays:
         expected = " ".join([f"expected {stated.kind}", *bounds])
         raise self._error(f"{name}{place}", f"found {array[index]}, {expected}")
 
-    def _check_texts(self, name: str, array: np.ndarray, stated: Stated) -> None:
+    def _check_texts(self, name: str, array: np.ndarray, stated: ArraySpec) -> None:
         codes = np.ascontiguousarray(array).reshape(-1).view(np.uint32)
         low, high = _SURROGATES
         if ((codes > _LAST_CHARACTER) | ((codes >= low) & (codes <= high))).any():
@@ -260,7 +266,9 @@ class Arrays:
         if stated.kind == NAMES:
             for text in array.ravel().tolist():
                 if not text or not text.isprintable():
-                    raise self._error(name, f"found {shown(text)}, expected a name that prints")
+                    raise self._error(
+                        name, f"found {short_repr(text)}, expected a name that prints"
+                    )
 
 
 def _opened(path: str | Path) -> zipfile.ZipFile:
@@ -271,8 +279,8 @@ def _opened(path: str | Path) -> zipfile.ZipFile:
     if content.startswith(np.lib.format.MAGIC_PREFIX):
         raise InputError(path, "found a single array (.npy), expected several (.npz)")
     # Every entry of the directory starts so; what is compressed holds it by chance only.
-    if content.count(b"PK\1\2") > MOST_ARRAYS:
-        raise InputError(path, f"expected at most {MOST_ARRAYS} arrays")
+    if content.count(b"PK\1\2") > MAX_ARRAYS:
+        raise InputError(path, f"expected at most {MAX_ARRAYS} arrays")
     try:
         return zipfile.ZipFile(io.BytesIO(content))
     # A broken archive raises any of a dozen.
@@ -286,11 +294,11 @@ def _members(path: str | Path, archive: zipfile.ZipFile) -> dict[str, zipfile.Zi
     for member in archive.infolist():
         name = re.sub(r"\.npy\Z", "", member.filename)
         if name in found:
-            raise InputError(path, f"the array {shown(name)} is there twice")
+            raise InputError(path, f"the array {short_repr(name)} is there twice")
         if member.flag_bits & 1:
-            raise InputError(path, f"{name_shown(name)}: encrypted, which is not read")
+            raise InputError(path, f"{short_name(name)}: encrypted, which is not read")
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             problem = f"compressed by method {member.compress_type}, expected none or deflate"
-            raise InputError(path, f"{name_shown(name)}: {problem}")
+            raise InputError(path, f"{short_name(name)}: {problem}")
         found[name] = member
     return found

@@ -8,7 +8,7 @@ can show.
 from pathlib import Path
 
 # A sentence longer than this is cut, characters.
-LONGEST_SENTENCE = 500
+MAX_SENTENCE_CHARACTERS = 500
 
 
 def printable(text: str) -> str:
@@ -21,12 +21,12 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
-def shortened(text: str, longest: int = LONGEST_SENTENCE) -> str:
+def shortened(text: str, max_characters: int = MAX_SENTENCE_CHARACTERS) -> str:
     """Text of so many characters at most; what is left out in the middle shows as dots."""
-    if len(text) <= longest:
+    if len(text) <= max_characters:
         return text
-    end = longest // 4
-    return f"{text[: longest - end - 3]}...{text[-end:]}"
+    end = max_characters // 4
+    return f"{text[: max_characters - end - 3]}...{text[-end:]}"
 
 
 class FileError(ValueError):

@@ -11,41 +11,41 @@ from typing import Any
 
 from jaxmocap.formats.files.errors import InputError
 
-MOST_JSON_BYTES = 16 * 2**20
-MOST_LEVELS = 64
+MAX_JSON_BYTES = 16 * 2**20
+MAX_LEVELS = 64
 # Lists and tables.
-MOST_PARTS = 2_000_000
+MAX_PARTS = 2_000_000
 
 
 def parse_json(
     path: str | Path,
     text: str | bytes,
-    most: int = MOST_JSON_BYTES,
-    constants: bool = False,
-    most_parts: int = MOST_PARTS,
+    max_bytes: int = MAX_JSON_BYTES,
+    allow_nan: bool = False,
+    max_parts: int = MAX_PARTS,
 ) -> Any:
     """What a JSON text stands for.
 
     Args:
         path: of the file, for messages.
         text: the text.
-        most: how long it may be.
-        constants: whether NaN and Infinity, which are no JSON, may stand in it.
-        most_parts: how many lists and tables there may be.
+        max_bytes: how long it may be.
+        allow_nan: whether NaN and Infinity, which are no JSON, may stand in it.
+        max_parts: how many lists and tables there may be.
 
     Raises:
         InputError: it is no JSON, too long, nested too deeply, or of too many parts.
     """
-    if len(text) > most:
-        raise InputError(path, f"found {len(text)} bytes of JSON, expected at most {most}")
+    if len(text) > max_bytes:
+        raise InputError(path, f"found {len(text)} bytes of JSON, expected at most {max_bytes}")
     if isinstance(text, str):
         parts = text.count("[") + text.count("{")
     else:
         parts = text.count(b"[") + text.count(b"{")
-    if parts > most_parts:
-        raise InputError(path, f"found JSON of {parts} parts, expected at most {most_parts}")
+    if parts > max_parts:
+        raise InputError(path, f"found JSON of {parts} parts, expected at most {max_parts}")
     try:
-        value = json.loads(text, parse_constant=None if constants else _refuse)
+        value = json.loads(text, parse_constant=None if allow_nan else _refuse)
     except RecursionError:
         raise InputError(path, _too_deep()) from None
     except ValueError as error:
@@ -72,7 +72,7 @@ def _check_depth(path: str | Path, value: Any) -> None:
     level, depth = [value], 0
     while level:
         depth += 1
-        if depth > MOST_LEVELS:
+        if depth > MAX_LEVELS:
             raise InputError(path, _too_deep())
         inside = (each.values() if isinstance(each, dict) else each for each in level
                   if isinstance(each, dict | list))  # fmt: skip
@@ -80,4 +80,4 @@ def _check_depth(path: str | Path, value: Any) -> None:
 
 
 def _too_deep() -> str:
-    return f"JSON nested too deeply, expected at most {MOST_LEVELS} levels"
+    return f"JSON nested too deeply, expected at most {MAX_LEVELS} levels"

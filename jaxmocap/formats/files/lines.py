@@ -13,33 +13,33 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import open_regular
 
 # Half an hour of 60 markers at 200 Hz takes 0.6 GB.
-MOST_TABLE_BYTES = 2**30
+MAX_TABLE_BYTES = 2**30
 # Of files that are read whole.
-MOST_WHOLE_BYTES = 2**20
+MAX_SMALL_FILE_BYTES = 2**20
 # 7 hours at 200 Hz.
-MOST_LINES = 5_000_000
+MAX_LINES = 5_000_000
 # Characters: 10,000 numbers, far more than any row has.
-LONGEST_LINE = 2**20
+MAX_LINE_CHARACTERS = 2**20
 # Characters that are read at a time.
-_AT_ONCE = 2**18
+_BLOCK_CHARACTERS = 2**18
 # What binary data or bytes that are no UTF-8 are decoded to.
-_NO_TEXT = re.compile("[\0\ud800-\udfff]")
+_NOT_TEXT = re.compile("[\0\ud800-\udfff]")
 
 
-def numbered_lines(path: str | Path, most: int = MOST_TABLE_BYTES) -> Iterator[tuple[int, str]]:
+def numbered_lines(path: str | Path, max_bytes: int = MAX_TABLE_BYTES) -> Iterator[tuple[int, str]]:
     """Number, from 1, and text of every line, without byte-order mark and line ends.
 
     Args:
         path: of the file.
-        most: bytes that it may hold.
+        max_bytes: bytes that it may hold.
 
     Raises:
         InputError: no such file, nothing in it, or the line that is no text or too long.
     """
     number, is_empty = 0, True
-    for lines in _blocks(path, most):
-        if number + len(lines) > MOST_LINES:
-            raise InputError(path, f"found more than {MOST_LINES} lines")
+    for lines in _blocks(path, max_bytes):
+        if number + len(lines) > MAX_LINES:
+            raise InputError(path, f"found more than {MAX_LINES} lines")
         if is_empty and any(map(str.strip, lines)):
             is_empty = False
             # Those before, which alone would make no file.
@@ -63,8 +63,10 @@ def _blocks(path: str | Path, most: int) -> Iterator[list[str]]:
             block = rest + block
             _check(path, number, block)
             *lines, rest = block.split("\n")
-            if len(rest) > LONGEST_LINE:
-                problem = f"found more than {LONGEST_LINE} characters, expected a line of a table"
+            if len(rest) > MAX_LINE_CHARACTERS:
+                problem = (
+                    f"found more than {MAX_LINE_CHARACTERS} characters, expected a line of a table"
+                )
                 raise InputError(path, f"line {number + len(lines) + 1}: {problem}")
             yield lines
             number += len(lines)
@@ -73,23 +75,23 @@ def _blocks(path: str | Path, most: int) -> Iterator[list[str]]:
 
 def _read(path: str | Path, text: io.TextIOWrapper) -> str:
     try:
-        return text.read(_AT_ONCE)
+        return text.read(_BLOCK_CHARACTERS)
     except OSError as error:
         raise InputError(path, f"cannot be read ({error.strerror})") from None
 
 
 def _check(path: str | Path, number: int, block: str) -> None:
     """InputError where something is no text; ``number`` lines stand before the block."""
-    if found := _NO_TEXT.search(block):
+    if found := _NOT_TEXT.search(block):
         line = number + block.count("\n", 0, found.start()) + 1
         is_binary = found[0] == "\0"
         what = "binary data, expected text" if is_binary else "bytes that are not UTF-8 text"
         raise InputError(path, f"line {line}: found {what}")
 
 
-def read_lines(path: str | Path, most: int = MOST_WHOLE_BYTES) -> list[str]:
+def read_lines(path: str | Path, max_bytes: int = MAX_SMALL_FILE_BYTES) -> list[str]:
     """All lines of a small file; none that is empty stands at the end."""
-    lines = [line for _, line in numbered_lines(path, most)]
+    lines = [line for _, line in numbered_lines(path, max_bytes)]
     while not lines[-1]:
         lines.pop()
     return lines

@@ -5,10 +5,10 @@
       joints.trc, ...
       .jaxmocap-...           while a run goes on: everything that it has written so far
 
-INPUTS: the folder, the names that will be written, the files that are read.
-OUTPUTS: a hidden folder to write to; when all is whole it is moved into place at once, and what an
-earlier run of the kind wrote and this one did not is removed. A file that the list does not name,
-or that has changed since, is never touched.
+INPUTS: the folder, the names that will be written, the files that are read. OUTPUTS: a hidden
+folder to write to; when all is complete it is moved into place at once, and what an earlier run of
+the kind wrote and this one did not is removed. A file that the list does not name, or that has
+changed since, is never touched.
 """
 
 import hashlib
@@ -25,20 +25,20 @@ from jaxmocap.formats.files.errors import FileError, InputError, OutputError
 from jaxmocap.formats.files.reading import read_bytes
 from jaxmocap.formats.files.writing import (
     as_output_error,
-    check_name,
-    check_writable,
+    check_file_name,
+    check_folder_writable,
     flush_to_disk,
-    part_beside,
-    remove_left_parts,
+    remove_stale_temporaries,
+    temporary_beside,
     write_text,
 )
 
-LIST = "outputs.json"
+LIST_NAME = "outputs.json"
 # A list of so many bytes at most is read.
-MOST_LIST_BYTES = 16 * 2**20
+MAX_LIST_BYTES = 16 * 2**20
 
 
-class Listed(NamedTuple):
+class ListedFile(NamedTuple):
     """What the list says of a file.
 
     Attributes:
@@ -78,8 +78,8 @@ class OutputFolder:
                 names that no earlier run wrote.
         """
         self.path, self.kind, self._names = Path(directory), kind, tuple(names)
-        check_name(self.path)
-        check_writable(self.path)
+        check_file_name(self.path)
+        check_folder_writable(self.path)
         refuse_inputs(self.path, inputs)
         self._check_free(self._names)
 
@@ -96,11 +96,11 @@ class OutputFolder:
         there = self.path.is_dir()
         with as_output_error(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
-            remove_left_parts(self.path)
-            stage = part_beside(self.path / "outputs")
+            remove_stale_temporaries(self.path)
+            stage = temporary_beside(self.path / "outputs")
             stage.mkdir()
         try:
-            with _called_as_in(self.path, stage):
+            with _errors_named_as_in(self.path, stage):
                 yield stage
             with as_output_error(self.path):
                 self._move_into_place(stage)
@@ -121,12 +121,12 @@ class OutputFolder:
             written = files(stage)
         return [self.path / path.relative_to(stage) for path in written]
 
-    def is_whole(self) -> bool:
+    def is_complete(self) -> bool:
         """Is every file of the list there as it was written?"""
         try:
             listed = read_list(self.path)
             return bool(listed) and all(
-                _is_ours(self.path / name, entry) for name, entry in listed.items()
+                _is_unchanged(self.path / name, entry) for name, entry in listed.items()
             )
         except (InputError, OSError):
             return False
@@ -136,7 +136,7 @@ class OutputFolder:
         listed = read_list(self.path)
         for name in names:
             path = self.path / name
-            if not os.path.lexists(path) or (name in listed and _is_ours(path, listed[name])):
+            if not os.path.lexists(path) or (name in listed and _is_unchanged(path, listed[name])):
                 continue
             problem = "has changed since an earlier run wrote it"
             if name not in listed:
@@ -146,7 +146,7 @@ class OutputFolder:
     def _move_into_place(self, stage: Path) -> None:
         """Replace what the list names, then remove what is left of it.
 
-        Whenever this is cut off, every file is whole and in the list.
+        Whenever this is cut off, every file is complete and in the list.
         """
         staged = sorted(path for path in stage.rglob("*") if path.is_file())
         new = {path.relative_to(stage).as_posix(): path for path in staged}
@@ -157,25 +157,25 @@ class OutputFolder:
             listed = read_list(self.path)
         except InputError as error:
             raise OutputError(error.path, error.problem) from None
-        wrote = {name: Listed(self.kind, (_digest(path),)) for name, path in new.items()}
+        wrote = {name: ListedFile(self.kind, (_digest(path),)) for name, path in new.items()}
         ours = {
             name: entry
             for name, entry in listed.items()
             if entry.kind == self.kind or name in self._names
         }
         others = {name: entry for name, entry in listed.items() if name not in ours}
-        _write_list(self.path, _together(listed, wrote))
+        _write_list(self.path, _merged_lists(listed, wrote))
         for name, path in new.items():
             (self.path / name).parent.mkdir(parents=True, exist_ok=True)
             os.replace(path, self.path / name)
         for name in set(ours) - set(new):
-            if _is_ours(self.path / name, ours[name]):
+            if _is_unchanged(self.path / name, ours[name]):
                 (self.path / name).unlink()
         _write_list(self.path, others | wrote)
 
 
 @contextmanager
-def _called_as_in(folder: Path, stage: Path) -> Iterator[None]:
+def _errors_named_as_in(folder: Path, stage: Path) -> Iterator[None]:
     """Errors about a file of the hidden folder name it as it would be called in the end."""
     try:
         yield
@@ -197,18 +197,18 @@ def refuse_inputs(folder: Path, inputs: Iterable[str | Path]) -> None:
             )
 
 
-def read_list(folder: Path) -> dict[str, Listed]:
+def read_list(folder: Path) -> dict[str, ListedFile]:
     """Name within a folder -> what its list says of it; nothing where there is no list.
 
     Raises:
         InputError: there is a file of its name that is no such list.
     """
-    path = folder / LIST
+    path = folder / LIST_NAME
     if not os.path.lexists(path):
         return {}
     try:
-        files = json.loads(read_bytes(path, MOST_LIST_BYTES))["files"]
-        return {_within(name): _listed(**files[name]) for name in files}
+        files = json.loads(read_bytes(path, MAX_LIST_BYTES))["files"]
+        return {_checked_name(name): _listed_file(**files[name]) for name in files}
     except InputError:
         raise
     except (ValueError, TypeError, KeyError, RecursionError):
@@ -216,29 +216,31 @@ def read_list(folder: Path) -> dict[str, Listed]:
         raise InputError(path, problem) from None
 
 
-def _listed(kind: str, sha256: list[str]) -> Listed:
-    return Listed(str(kind), tuple(map(str, sha256)))
+def _listed_file(kind: str, sha256: list[str]) -> ListedFile:
+    return ListedFile(str(kind), tuple(map(str, sha256)))
 
 
-def _write_list(folder: Path, entries: Mapping[str, Listed]) -> None:
+def _write_list(folder: Path, entries: Mapping[str, ListedFile]) -> None:
     files = {
         name: {"kind": entry.kind, "sha256": list(entry.digests)}
         for name, entry in sorted(entries.items())
     }
-    told = {"written by": f"jaxmocap {__version__}", "files": files}
-    write_text(folder / LIST, json.dumps(told, indent=2, ensure_ascii=False) + "\n")
+    content = {"written by": f"jaxmocap {__version__}", "files": files}
+    write_text(folder / LIST_NAME, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
 
 
-def _together(earlier: Mapping[str, Listed], new: Mapping[str, Listed]) -> dict[str, Listed]:
+def _merged_lists(
+    earlier: Mapping[str, ListedFile], new: Mapping[str, ListedFile]
+) -> dict[str, ListedFile]:
     """Both lists, each file as either of them has it."""
     both = dict(earlier)
     for name, entry in new.items():
         before = earlier[name].digests if name in earlier else ()
-        both[name] = Listed(entry.kind, (*before, *entry.digests))
+        both[name] = ListedFile(entry.kind, (*before, *entry.digests))
     return both
 
 
-def _within(name: str) -> str:
+def _checked_name(name: str) -> str:
     """A name of a list; ValueError where it leads out of the folder."""
     path = PurePosixPath(name)
     if path.is_absolute() or ".." in path.parts or not path.parts or "\0" in name:
@@ -246,7 +248,7 @@ def _within(name: str) -> str:
     return str(path)
 
 
-def _is_ours(path: Path, entry: Listed) -> bool:
+def _is_unchanged(path: Path, entry: ListedFile) -> bool:
     """Is there a file as a run wrote it?"""
     return path.is_file() and not path.is_symlink() and _digest(path) in entry.digests
 

@@ -1,4 +1,4 @@
-"""How large a picture is, told by the first bytes of its file: known before it is decoded.
+"""How large a picture is, from the first bytes of its file, before it is decoded.
 
 INPUTS: an image file's content, or its beginning.
 OUTPUTS: width and height in pixels, as the header states them; or that it is no picture.
@@ -8,15 +8,18 @@ import re
 import struct
 from collections.abc import Callable
 
-KINDS = "PNG, JPEG, BMP, TIFF, WebP, GIF or PNM"
-# Bytes that tell whether a file is a picture at all.
-TELLING_BYTES = 32
+PICTURE_FORMATS = "PNG, JPEG, BMP, TIFF, WebP, GIF or PNM"
+# Bytes by which a file is recognised as a picture.
+SIGNATURE_BYTES = 32
 # Segments of a JPEG file before its picture: an album of metadata has some hundred.
-_MOST_SEGMENTS = 10_000
+_MAX_JPEG_SEGMENTS = 10_000
 # JPEG's markers of frames are these, but for those of tables among them.
-_FRAMES = set(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-# TIFF's tags of width and height, and its types of 16 and 32 bits.
-_WIDTH, _HEIGHT, _TYPES = 256, 257, {3: "H", 4: "I"}
+_JPEG_FRAME_MARKERS = set(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+# TIFF's tags of width and height.
+_WIDTH = 256
+_HEIGHT = 257
+# TIFF's types of 16 and 32 bits, as ``struct`` names them.
+_TYPES = {3: "H", 4: "I"}
 _PNM = re.compile(rb"P[1-6](?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\s")
 
 Size = tuple[int, int]
@@ -55,7 +58,7 @@ def _reader(start: bytes) -> Callable[[bytes], Size | None] | None:
 
 def _jpeg(content: bytes) -> Size | None:
     at = 2
-    for _ in range(_MOST_SEGMENTS):
+    for _ in range(_MAX_JPEG_SEGMENTS):
         marker, length = struct.unpack_from(">HH", content, at)
         if marker == 0xFFFF:
             # Bytes to fill up with, as many as one likes.
@@ -64,7 +67,7 @@ def _jpeg(content: bytes) -> Size | None:
             continue
         if marker >> 8 != 0xFF:
             return None
-        if marker & 0xFF in _FRAMES:
+        if marker & 0xFF in _JPEG_FRAME_MARKERS:
             height, width = struct.unpack_from(">HH", content, at + 5)
             return width, height
         at += 2 + length

@@ -16,7 +16,7 @@ from typing import BinaryIO
 from jaxmocap.formats.files.errors import InputError
 
 # What files that are read whole may hold, bytes.
-MOST_BYTES = 512 * 2**20
+MAX_BYTES = 512 * 2**20
 
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -48,13 +48,13 @@ def regular_file(path: str | Path) -> Path:
 
 
 @contextmanager
-def open_regular(path: str | Path, most: int = MOST_BYTES) -> Iterator[BinaryIO]:
+def open_regular(path: str | Path, max_bytes: int = MAX_BYTES) -> Iterator[BinaryIO]:
     """A regular file, open to be read from its beginning.
 
     Args:
         path: of the file.
-        most: bytes that it may hold; a file of the system may be endless and say that it is empty,
-            so whoever reads counts as well.
+        max_bytes: bytes that it may hold; a file of the system may be endless and say that it is
+            empty, so whoever reads counts as well.
 
     Raises:
         InputError: it is missing, cannot be read, is no regular file, or is too large.
@@ -67,28 +67,28 @@ def open_regular(path: str | Path, most: int = MOST_BYTES) -> Iterator[BinaryIO]
     except OSError as error:
         raise InputError(path, f"cannot be read ({error.strerror})") from None
     with open(descriptor, "rb") as file:
-        if (size := os.fstat(descriptor).st_size) > most:
-            raise _too_large(path, size, most)
+        if (size := os.fstat(descriptor).st_size) > max_bytes:
+            raise _too_large(path, size, max_bytes)
         yield file
 
 
-def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
+def read_bytes(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:
     """A regular file's content.
 
     Args:
         path: of the file.
-        most: bytes that it may hold.
+        max_bytes: bytes that it may hold.
 
     Raises:
         InputError: it is missing, cannot be read, is no regular file, or is too large.
     """
-    with open_regular(path, most) as file:
+    with open_regular(path, max_bytes) as file:
         try:
-            content = file.read(most + 1)
+            content = file.read(max_bytes + 1)
         except OSError as error:
             raise InputError(path, f"cannot be read ({error.strerror})") from None
-    if len(content) > most:
-        raise _too_large(path, len(content), most)
+    if len(content) > max_bytes:
+        raise _too_large(path, len(content), max_bytes)
     return content
 
 

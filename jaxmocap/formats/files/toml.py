@@ -16,19 +16,20 @@ import numpy as np
 
 from jaxmocap.formats.files.errors import InputError, printable, shortened
 from jaxmocap.formats.files.reading import read_bytes, regular_file
-from jaxmocap.formats.files.shortened import shown
-from jaxmocap.formats.files.toml_scan import problem_in
+from jaxmocap.formats.files.short_repr import short_repr
+from jaxmocap.formats.files.toml_scan import parsing_problem
 from jaxmocap.formats.files.writing import write_text
 
 # A recording or calibration takes some kilobytes.
-MOST_TOML_BYTES = 2**20
+MAX_TOML_BYTES = 2**20
 # Metres, pixels, seconds (since 1970 as well), Hz: no number of ours is larger, and its square is
 # a number in single precision.
-LARGEST = 1e12
-# What a camera's name may take as a part of a file's name, characters and bytes.
-LONGEST_FILE_NAME, MOST_FILE_NAME_BYTES = 100, 200
-_NO_FILE_NAME = frozenset('<>:"/\\|?*')
-_DEVICES = {"con", "prn", "aux", "nul"} | {
+LARGEST_NUMBER = 1e12
+# What a camera's name may take as a part of a file's name: a system's file names have 255 bytes.
+MAX_FILE_NAME_CHARACTERS = 100
+MAX_FILE_NAME_BYTES = 200
+_FORBIDDEN_CHARACTERS = frozenset('<>:"/\\|?*')
+_RESERVED_NAMES = {"con", "prn", "aux", "nul"} | {
     f"{kind}{i}" for kind in ("com", "lpt") for i in range(10)
 }
 
@@ -46,7 +47,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 def read_toml_text(path: str | Path) -> str:
     """The text of a TOML file; its lines end with a line feed."""
     try:
-        text = read_bytes(path, MOST_TOML_BYTES).decode("utf-8-sig")
+        text = read_bytes(path, MAX_TOML_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(path, "found bytes that are not UTF-8 text, expected TOML") from None
     return text.replace("\r\n", "\n")
@@ -54,7 +55,7 @@ def read_toml_text(path: str | Path) -> str:
 
 def parse_toml(path: str | Path, text: str) -> dict[str, Any]:
     """What a text says; ``path`` is what messages name."""
-    if problem := problem_in(text):
+    if problem := parsing_problem(text):
         raise InputError(path, problem)
     try:
         return tomllib.loads(text)
@@ -64,12 +65,14 @@ def parse_toml(path: str | Path, text: str) -> dict[str, Any]:
 
 def file_name_problem(name: str) -> str | None:
     """Why a name cannot be a part of a file's name on every system, or None where it can."""
-    if not name.isprintable() or _NO_FILE_NAME & set(name):
-        forbidden = " ".join(sorted(_NO_FILE_NAME))
+    if not name.isprintable() or _FORBIDDEN_CHARACTERS & set(name):
+        forbidden = " ".join(sorted(_FORBIDDEN_CHARACTERS))
         return f"expected a name without {forbidden} and control characters, since files get it"
-    if not 0 < len(name) <= LONGEST_FILE_NAME or len(name.encode()) > MOST_FILE_NAME_BYTES:
-        return f"expected 1 to {LONGEST_FILE_NAME} characters, since files are named after it"
-    if name.startswith(".") or name.split(".")[0].strip().lower() in _DEVICES:
+    if not 0 < len(name) <= MAX_FILE_NAME_CHARACTERS or len(name.encode()) > MAX_FILE_NAME_BYTES:
+        return (
+            f"expected 1 to {MAX_FILE_NAME_CHARACTERS} characters, since files are named after it"
+        )
+    if name.startswith(".") or name.split(".")[0].strip().lower() in _RESERVED_NAMES:
         return "expected another name, since files are named after it"
     return None
 
@@ -79,7 +82,7 @@ def same_file_name(name: str) -> str:
     return unicodedata.normalize("NFC", name).casefold()
 
 
-class Fields:
+class TomlTable:
     """One table of a TOML file, whose entries are asked for by name and kind.
 
     Every complaint is an InputError that names the file, the table and the field.
@@ -89,11 +92,11 @@ class Fields:
         """Check that it is a table with no other than the given keys (None: any)."""
         self.path, self.where = path, shortened(printable(where), 100)
         if not isinstance(table, dict):
-            raise self.error("", f"found {shown(table)}, expected a table")
+            raise self.error("", f"found {short_repr(table)}, expected a table")
         for key in table:
             if keys is not None and key not in keys:
-                raise self.error("", f"unknown key {shown(key)}, expected {', '.join(keys)}")
-        self.table: dict[str, Any] = table
+                raise self.error("", f"unknown key {short_repr(key)}, expected {', '.join(keys)}")
+        self.entries: dict[str, Any] = table
 
     def error(self, key: str, problem: str) -> InputError:
         """The error to raise about one field, or with ``""`` about the table."""
@@ -101,41 +104,45 @@ class Fields:
         return InputError(self.path, f"{place}: {problem}" if place else problem)
 
     def __contains__(self, key: str) -> bool:
-        return key in self.table
+        return key in self.entries
 
     def required(self, key: str) -> Any:
         """An entry as it is; InputError where it is missing."""
-        if key not in self.table:
+        if key not in self.entries:
             raise self.error("", f"{key!r} is missing")
-        return self.table[key]
+        return self.entries[key]
 
     def text(self, key: str) -> str:
         """A required text that is not empty."""
         value = self.required(key)
         if not isinstance(value, str) or not value:
-            raise self.error(key, f"found {shown(value)}, expected text in quotes")
+            raise self.error(key, f"found {short_repr(value)}, expected text in quotes")
         return value
 
     def file_name(self, key: str) -> str:
         """A required text that files may be named after: it leads into no other folder."""
         name = self.text(key)
         if problem := file_name_problem(name):
-            raise self.error(key, f"found {shown(name)}, {problem}")
+            raise self.error(key, f"found {short_repr(name)}, {problem}")
         return name
 
     def number(
-        self, key: str, default: float | None = None, low: float = -LARGEST, high: float = LARGEST
+        self,
+        key: str,
+        default: float | None = None,
+        low: float = -LARGEST_NUMBER,
+        high: float = LARGEST_NUMBER,
     ) -> float:
         """A number from ``low`` to ``high``; required where there is no default."""
-        value = self.required(key) if default is None else self.table.get(key, default)
+        value = self.required(key) if default is None else self.entries.get(key, default)
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not _finite(value):
-            raise self.error(key, f"found {shown(value)}, expected a number")
+            raise self.error(key, f"found {short_repr(value)}, expected a number")
         if not low <= value <= high:
             expected = f"expected a number from {low:g} to {high:g}"
-            raise self.error(key, f"found {shown(value)}, {expected}")
+            raise self.error(key, f"found {short_repr(value)}, {expected}")
         return float(value)
 
-    def whole(self, key: str, low: int, high: int) -> int:
+    def integer(self, key: str, low: int, high: int) -> int:
         """A required whole number from ``low`` to ``high``."""
         value = self.number(key, None, low, high)
         if value != int(value):
@@ -147,7 +154,7 @@ class Fields:
         key: str,
         shapes: Collection[tuple[int, ...]],
         expected: str,
-        largest: float = LARGEST,
+        largest: float = LARGEST_NUMBER,
     ) -> np.ndarray:
         """A required array of numbers, of one of the shapes; none beyond ``largest``, or minus."""
         value = self.required(key)
@@ -156,9 +163,9 @@ class Fields:
         except (TypeError, ValueError, OverflowError):
             array = np.array(np.nan)
         if array.shape not in shapes or not np.isfinite(array).all():
-            raise self.error(key, f"found {shown(value)}, expected {expected}")
+            raise self.error(key, f"found {short_repr(value)}, expected {expected}")
         if array.size and np.abs(array).max() > largest:
-            raise self.error(key, f"found {shown(value)}, expected none beyond {largest:g}")
+            raise self.error(key, f"found {short_repr(value)}, expected none beyond {largest:g}")
         return array
 
     def file(self, key: str, folder: bool = False) -> Path:

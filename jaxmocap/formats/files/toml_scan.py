@@ -10,12 +10,12 @@ every level of a value.
 import re
 from collections.abc import Iterator
 
-from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.short_repr import short_repr
 
 # Levels of brackets, parts of a dotted key, characters of a number or a bare key.
-MOST_LEVELS = 32
-MOST_PARTS = 32
-LONGEST_WORD = 200
+MAX_LEVELS = 32
+MAX_KEY_PARTS = 32
+MAX_WORD_CHARACTERS = 200
 
 _TOKEN = re.compile(
     r"""
@@ -38,27 +38,27 @@ _TOKEN = re.compile(
 
 def _tokens(text: str) -> Iterator[tuple[str, str, int]]:
     """Kind, text and place of every token."""
-    for found in _TOKEN.finditer(text):
-        yield found.lastgroup or "other", found[0], found.start()
+    for match in _TOKEN.finditer(text):
+        yield match.lastgroup or "other", match[0], match.start()
 
 
-def problem_in(text: str) -> str | None:
+def parsing_problem(text: str) -> str | None:
     """What is too deep or too long in a text, with its line; None where it may be parsed."""
     levels, parts, after_dot = 0, 0, False
     for kind, token, place in _tokens(text):
         if kind == "blank":
             continue
-        if kind == "word" and len(token) > LONGEST_WORD:
-            expected = f"expected at most {LONGEST_WORD} characters without quotes"
-            return f"{_line(text, place)}: found {shown(token)}, {expected}"
+        if kind == "word" and len(token) > MAX_WORD_CHARACTERS:
+            expected = f"expected at most {MAX_WORD_CHARACTERS} characters without quotes"
+            return f"{_line(text, place)}: found {short_repr(token)}, {expected}"
         levels += (kind == "open") - (kind == "close")
-        if levels > MOST_LEVELS:
-            return f"{_line(text, place)}: nested too deeply, expected at most {MOST_LEVELS} levels"
+        if levels > MAX_LEVELS:
+            return f"{_line(text, place)}: nested too deeply, expected at most {MAX_LEVELS} levels"
         if kind in ("word", "string"):
             parts = parts + 1 if after_dot else 1
         after_dot = kind == "dot"
-        if parts > MOST_PARTS:
-            expected = f"expected at most {MOST_PARTS} parts between dots"
+        if parts > MAX_KEY_PARTS:
+            expected = f"expected at most {MAX_KEY_PARTS} parts between dots"
             return f"{_line(text, place)}: nested too deeply, {expected}"
     return None
 

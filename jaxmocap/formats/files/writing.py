@@ -1,4 +1,4 @@
-"""The one writer: files that appear whole or not at all.
+"""The one writer: files that appear complete or not at all.
 
 INPUTS: the path that a file shall have.
 OUTPUTS: a path beside it to write to; the file is checked, flushed to the disk and moved into
@@ -22,11 +22,11 @@ from jaxmocap.formats.files.errors import InputError, OutputError
 
 # .jaxmocap-HOST-PROCESS-CHANCE.suffix: hidden, of this machine, and of a process that can be asked
 # for.
-_PART = re.compile(r"\.jaxmocap-([0-9a-f]{8})-(\d+)-[0-9a-f]{8}(\..*)?")
+_TEMPORARY_NAME = re.compile(r"\.jaxmocap-([0-9a-f]{8})-(\d+)-[0-9a-f]{8}(\..*)?")
 _HOST = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
 
 
-def part_beside(path: Path) -> Path:
+def temporary_beside(path: Path) -> Path:
     """A hidden name in the same folder, so that a move is atomic.
 
     It keeps the suffix, by which libraries choose a format.
@@ -42,7 +42,7 @@ def replacing(path: str | Path, check: Callable[[Path], bool] | None = None) -> 
 
     Args:
         path: of the file.
-        check: whether what was written is whole, asked with the hidden path before it is moved;
+        check: whether what was written is complete, asked with the hidden path before it is moved;
             for libraries that do not say that the disk is full.
 
     Yields:
@@ -50,23 +50,23 @@ def replacing(path: str | Path, check: Callable[[Path], bool] | None = None) -> 
 
     Raises:
         OutputError: the disk is full, the folder cannot be written to, or what was written is not
-            whole.
+            complete.
     """
     with as_output_error(Path(path)):
         path = Path(os.path.realpath(path))
         if path.exists() and not path.is_file():
             raise OutputError(path, "found a folder or a device, expected a file to replace")
         path.parent.mkdir(parents=True, exist_ok=True)
-        remove_left_parts(path.parent)
-        beside = part_beside(path)
+        remove_stale_temporaries(path.parent)
+        temporary = temporary_beside(path)
         try:
-            yield beside
-            flush_to_disk(beside)
-            if check is not None and not check(beside):
+            yield temporary
+            flush_to_disk(temporary)
+            if check is not None and not check(temporary):
                 raise OutputError(path, "cannot be written whole, is the disk full?")
-            os.replace(beside, path)
+            os.replace(temporary, path)
         finally:
-            _remove(beside)
+            _remove(temporary)
 
 
 def check_target(path: str | Path, inputs: Iterable[str | Path] = ()) -> Path:
@@ -81,17 +81,17 @@ def check_target(path: str | Path, inputs: Iterable[str | Path] = ()) -> Path:
             written to.
     """
     path = Path(path)
-    check_name(path)
+    check_file_name(path)
     if path.exists() and not path.is_file():
         raise InputError(path, "found a folder or a device, expected a file's name to write to")
     for each in inputs:
         if path.exists() and Path(each).exists() and path.samefile(each):
             raise InputError(path, "would be replaced while it is read, expected another name")
-    check_writable(path.parent)
+    check_folder_writable(path.parent)
     return path
 
 
-def check_name(path: Path) -> None:
+def check_file_name(path: Path) -> None:
     """InputError where no file can be called so."""
     try:
         path.exists()
@@ -106,15 +106,15 @@ def check_name(path: Path) -> None:
     raise InputError(ascii(str(path)), "not a file's name, it holds a NUL")
 
 
-def check_writable(folder: Path) -> None:
+def check_folder_writable(folder: Path) -> None:
     """InputError where a folder cannot be made or written to; nothing is made."""
-    there = folder
-    while not there.exists() and there != there.parent:
-        there = there.parent
-    if not there.is_dir():
-        raise InputError(folder, f"cannot be a folder, {there} is a file")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise InputError(folder, f"cannot be written to, {there} is read-only")
+    existing = folder
+    while not existing.exists() and existing != existing.parent:
+        existing = existing.parent
+    if not existing.is_dir():
+        raise InputError(folder, f"cannot be a folder, {existing} is a file")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise InputError(folder, f"cannot be written to, {existing} is read-only")
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:
@@ -123,8 +123,8 @@ def write_bytes(path: str | Path, content: bytes) -> None:
     Raises:
         OutputError: see ``replacing``.
     """
-    with replacing(path) as beside:
-        beside.write_bytes(content)
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -145,15 +145,15 @@ def flush_to_disk(path: Path) -> None:
         os.close(descriptor)
 
 
-def remove_left_parts(folder: Path) -> None:
+def remove_stale_temporaries(folder: Path) -> None:
     """Remove what processes that were killed left in a folder; what others write stays."""
     try:
         entries = list(os.scandir(folder))
     except OSError:
         return
     for entry in entries:
-        found = _PART.fullmatch(entry.name)
-        if found and found[1] == _HOST and not _is_running(int(found[2])):
+        match = _TEMPORARY_NAME.fullmatch(entry.name)
+        if match and match[1] == _HOST and not _is_running(int(match[2])):
             _remove(Path(entry.path))
 
 

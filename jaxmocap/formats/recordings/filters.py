@@ -8,12 +8,13 @@ OUTPUTS: Filters. What is not named is off.
 from dataclasses import dataclass
 from typing import Any
 
-from jaxmocap.formats.files.shortened import shown
-from jaxmocap.formats.files.toml import Fields
+from jaxmocap.formats.files.short_repr import short_repr
+from jaxmocap.formats.files.toml import TomlTable
 
-# Hz and seconds that filters are given.
-SMALLEST, LARGEST = 1e-6, 1e6
-KEYS = ("hampel", "gaps", "butterworth", "one_euro")
+# Hz and seconds that filters may be given.
+SMALLEST_VALUE = 1e-6
+LARGEST_VALUE = 1e6
+FILTER_KEYS = ("hampel", "gaps", "butterworth", "one_euro")
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Filters:
     one_euro: OneEuroSettings | None = None
 
 
-def read_filters(fields: Fields) -> Filters:
+def read_filters(fields: TomlTable) -> Filters:
     """Filters of the table.
 
     Raises:
@@ -65,24 +66,24 @@ def read_filters(fields: Fields) -> Filters:
     )
 
 
-def _switch(fields: Fields, key: str) -> bool:
-    value: Any = fields.table.get(key, False)
+def _switch(fields: TomlTable, key: str) -> bool:
+    value: Any = fields.entries.get(key, False)
     if not isinstance(value, bool):
-        raise fields.error(key, f"found {shown(value)}, expected true or false")
+        raise fields.error(key, f"found {short_repr(value)}, expected true or false")
     return value
 
 
-def _positive(fields: Fields, key: str, default: float | None = None) -> float:
+def _positive(fields: TomlTable, key: str, default: float | None = None) -> float:
     if (value := fields.number(key, default)) <= 0:
         raise fields.error(key, f"found {value:g}, expected a positive number")
-    return fields.number(key, default, SMALLEST, LARGEST)
+    return fields.number(key, default, SMALLEST_VALUE, LARGEST_VALUE)
 
 
-def _one_euro(fields: Fields) -> OneEuroSettings | None:
+def _one_euro(fields: TomlTable) -> OneEuroSettings | None:
     value, default = fields.required("one_euro"), OneEuroSettings()
     if isinstance(value, bool):
         return default if value else None
-    table = Fields(fields.path, f"{fields.where} one_euro", value, ("cutoff", "beta"))
+    table = TomlTable(fields.path, f"{fields.where} one_euro", value, ("cutoff", "beta"))
     return OneEuroSettings(
         _positive(table, "cutoff", default.cutoff), _positive(table, "beta", default.beta)
     )

@@ -23,7 +23,7 @@ import numpy as np
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.json_text import parse_json
 from jaxmocap.formats.files.reading import read_bytes
-from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.short_repr import short_repr
 
 # The last number in a file's name is its frame's: cam_01_000000000123_keypoints.json.
 _NUMBER = re.compile(r"\d+(?!.*\d)")
@@ -31,17 +31,17 @@ LARGEST_FRAME_NUMBER = 10**12
 # Pixels: no picture is so large, and no detector guesses so far out of it.
 LARGEST_PIXEL = 1e7
 # An hour at 120 frames a second is 432,000 of them.
-MOST_ENTRIES = 500_000
+MAX_ENTRIES = 500_000
 # Of one file: half an hour of two people with 17 points takes 100 MB, 2 million lists. Of all that
 # are in a folder: OpenPose takes 2 to 10 KB for a frame.
-MOST_FILE_BYTES = 128 * 2**20
-MOST_FILE_PARTS = 4_000_000
-MOST_FILE_NUMBERS = 12_000_000
-MOST_FOLDER_BYTES = 2**30
+MAX_FILE_BYTES = 128 * 2**20
+MAX_FILE_PARTS = 4_000_000
+MAX_FILE_NUMBERS = 12_000_000
+MAX_FOLDER_BYTES = 2**30
 
 
 @dataclass(frozen=True)
-class Frame:
+class KeypointFrame:
     """Everybody in one frame.
 
     Attributes:
@@ -69,36 +69,36 @@ def json_files(folder: Path) -> list[Path]:
     files, total = [], 0
     try:
         for count, entry in enumerate(os.scandir(folder), 1):
-            if count > MOST_ENTRIES:
-                problem = f"holds more than {MOST_ENTRIES} files, expected one per frame"
+            if count > MAX_ENTRIES:
+                problem = f"holds more than {MAX_ENTRIES} files, expected one per frame"
                 raise InputError(folder, problem)
             if not entry.name.endswith(".json") or entry.name.startswith("."):
                 continue
-            about = entry.stat()
-            if stat.S_ISREG(about.st_mode):
+            status = entry.stat()
+            if stat.S_ISREG(status.st_mode):
                 files.append(entry.name)
-                total += about.st_size
+                total += status.st_size
     except OSError as error:
         raise InputError(folder, f"cannot be read ({error.strerror})") from None
-    if total > MOST_FOLDER_BYTES:
+    if total > MAX_FOLDER_BYTES:
         problem = f"found {total / 2**20:.0f} MB of .json files"
-        raise InputError(folder, f"{problem}, expected at most {MOST_FOLDER_BYTES / 2**20:g} MB")
+        raise InputError(folder, f"{problem}, expected at most {MAX_FOLDER_BYTES / 2**20:g} MB")
     return [folder / name for name in sorted(files)]
 
 
-def read_frames(file: Path) -> Iterator[Frame]:
-    """The frames of one file, whose layout its keys tell.
+def read_keypoint_frames(file: Path) -> Iterator[KeypointFrame]:
+    """The frames of one file, whose layout follows from its keys.
 
     Raises:
         InputError: not JSON, none of these layouts, or the entry that does not fit.
     """
-    text = read_bytes(file, MOST_FILE_BYTES).removeprefix(codecs.BOM_UTF8)
-    if (numbers := text.count(b",")) > MOST_FILE_NUMBERS:
-        problem = f"found {numbers} numbers, expected at most {MOST_FILE_NUMBERS} in one file"
+    text = read_bytes(file, MAX_FILE_BYTES).removeprefix(codecs.BOM_UTF8)
+    if (numbers := text.count(b",")) > MAX_FILE_NUMBERS:
+        problem = f"found {numbers} numbers, expected at most {MAX_FILE_NUMBERS} in one file"
         raise InputError(file, problem)
-    content = parse_json(file, text, MOST_FILE_BYTES, True, MOST_FILE_PARTS)
+    content = parse_json(file, text, MAX_FILE_BYTES, True, MAX_FILE_PARTS)
     if isinstance(content, dict) and "people" in content:
-        yield Frame(_number_in_name(file), _people(file, content["people"]), None, file)
+        yield KeypointFrame(_number_in_name(file), _people(file, content["people"]), None, file)
         return
     names, where = None, ""
     if isinstance(content, dict) and "instance_info" in content:
@@ -108,23 +108,23 @@ def read_frames(file: Path) -> Iterator[Frame]:
         expected = "'people' (OpenPose), 'instance_info' or a list (MMPose)"
         raise InputError(file, f"found no key points, expected {expected}")
     if not any(_entry(entry, "instances") is not None for entry in content):
-        yield Frame(_number_in_name(file), _instances(file, where, content), names, file)
+        yield KeypointFrame(_number_in_name(file), _instances(file, where, content), names, file)
         return
     for i, entry in enumerate(content):
         number, at = _entry(entry, "frame_id"), f"{where}[{i}]"
-        whole = isinstance(number, int) and not isinstance(number, bool)
-        if not whole or abs(number) > LARGEST_FRAME_NUMBER:
+        is_integer = isinstance(number, int) and not isinstance(number, bool)
+        if not is_integer or abs(number) > LARGEST_FRAME_NUMBER:
             expected = f"expected a whole number within {LARGEST_FRAME_NUMBER}"
-            raise InputError(file, f"{at}.frame_id: found {shown(number)}, {expected}")
+            raise InputError(file, f"{at}.frame_id: found {short_repr(number)}, {expected}")
         people = _instances(file, f"{at}.instances", _entry(entry, "instances"))
-        yield Frame(number, people, names, file)
+        yield KeypointFrame(number, people, names, file)
 
 
 def _number_in_name(file: Path) -> int:
-    found = _NUMBER.search(file.stem)
-    if found is None or int(found[0]) > LARGEST_FRAME_NUMBER:
+    match = _NUMBER.search(file.stem)
+    if match is None or int(match[0]) > LARGEST_FRAME_NUMBER:
         raise InputError(file, "found no frame number in its name, such as in cam_000123.json")
-    return int(found[0])
+    return int(match[0])
 
 
 def _names(meta: Any) -> tuple[str, ...] | None:
@@ -137,20 +137,20 @@ def _names(meta: Any) -> tuple[str, ...] | None:
 
 def _people(file: Path, people: Any) -> list[np.ndarray]:
     """(K, 3) of each of OpenPose's people; whoever has but a face or hands is left out."""
-    found = []
+    arrays = []
     for i, person in enumerate(_list(file, "people", people)):
         where = f"people[{i}].pose_keypoints_2d"
         array = _array(file, where, _entry(person, "pose_keypoints_2d"))
         if array.size % 3:
             raise InputError(file, f"{where}: found {array.size} numbers, expected x, y, c of each")
         if array.size:
-            found.append(_missing_marked(array.reshape(-1, 3)))
-    return found
+            arrays.append(_with_missing_as_nan(array.reshape(-1, 3)))
+    return arrays
 
 
 def _instances(file: Path, where: str, instances: Any) -> list[np.ndarray]:
     """(K, 3) of each of MMPose's instances."""
-    found = []
+    arrays = []
     for i, instance in enumerate(_list(file, where, instances)):
         at = f"{where}[{i}]"
         points = _array(file, f"{at}.keypoints", _entry(instance, "keypoints"))
@@ -166,14 +166,14 @@ def _instances(file: Path, where: str, instances: Any) -> list[np.ndarray]:
             raise InputError(
                 file, f"{at}.keypoints: found shape {points.shape}, expected {expected}"
             )
-        found.append(_missing_marked(points))
-    return found
+        arrays.append(_with_missing_as_nan(points))
+    return arrays
 
 
-def _missing_marked(points: np.ndarray) -> np.ndarray:
+def _with_missing_as_nan(points: np.ndarray) -> np.ndarray:
     """(K, 3) with NaN, NaN, 0 where there is no point, and no confidence above 1."""
-    seen = np.isfinite(points).all(-1, keepdims=True) & (points[:, 2:] > 0)
-    return np.minimum(np.where(seen, points, [np.nan, np.nan, 0.0]), [np.inf, np.inf, 1.0])
+    is_detected = np.isfinite(points).all(-1, keepdims=True) & (points[:, 2:] > 0)
+    return np.minimum(np.where(is_detected, points, [np.nan, np.nan, 0.0]), [np.inf, np.inf, 1.0])
 
 
 def _entry(entry: Any, key: str) -> Any:
@@ -182,7 +182,7 @@ def _entry(entry: Any, key: str) -> Any:
 
 def _list(file: Path, where: str, value: Any) -> list:
     if not isinstance(value, list):
-        raise InputError(file, f"{where}: found {shown(value)}, expected a list".lstrip(": "))
+        raise InputError(file, f"{where}: found {short_repr(value)}, expected a list".lstrip(": "))
     return value
 
 

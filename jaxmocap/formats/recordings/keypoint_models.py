@@ -1,7 +1,7 @@
 """Models of 2-D pose detectors: which of their points are landmarks of ours.
 
-INPUTS: a model's name, the names that a file gives its points, or points whose count tells the
-model.
+INPUTS: a model's name, the names that a file gives its points, or points whose count identifies
+the model.
 OUTPUTS: the names of a model's points in order; for each landmark of ours the index of its point.
 """
 
@@ -55,11 +55,13 @@ LANDMARK_OF: dict[str, str] = {
     for joint in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
     for side in ("left", "right")
 }
-# Of two readings of the same points the right one has the face in one place: it is taken where it
-# makes the face smaller by this factor in the median, and smaller at all in so many of the people.
-_CLEARLY_SMALLER, _AGREEING = 2.0, 0.9
+# Of two models with as many points, the right one has the face's points close together. It is
+# taken where it makes the face smaller by this factor in the median,
+_MIN_SIZE_RATIO = 2.0
+# and smaller at all in this share of the people.
+_MIN_AGREEING_SHARE = 0.9
 # Fewer points of a face than this have no extent worth comparing.
-_FEWEST_OF_A_FACE = 3
+_MIN_FACE_POINTS = 3
 
 
 def landmark_indices(points: Sequence[str]) -> dict[str, int]:
@@ -72,8 +74,8 @@ def models_of_count(count: int) -> tuple[str, ...]:
     return tuple(name for name, points in MODELS.items() if len(points) == count)
 
 
-def tell_apart(pixels_xy: np.ndarray, models: Sequence[str]) -> str | None:
-    """Which of two models the points are of, told by the face.
+def model_by_faces(pixels_xy: np.ndarray, models: Sequence[str]) -> str | None:
+    """Which of two models the points are of, by how compact the face is.
 
     Nose, eyes and ears lie close together in the right reading, and are limbs in the wrong one.
 
@@ -82,7 +84,7 @@ def tell_apart(pixels_xy: np.ndarray, models: Sequence[str]) -> str | None:
         models: two names of models with K points.
 
     Returns:
-        One of the names, or None where the points do not tell it safely.
+        One of the names, or None where the points do not decide it safely.
     """
     extents = np.array([_face_extents(pixels_xy, MODELS[model]) for model in models])
     first, second = extents[:, np.isfinite(extents).all(0)]
@@ -92,16 +94,16 @@ def tell_apart(pixels_xy: np.ndarray, models: Sequence[str]) -> str | None:
     larger = np.log(np.maximum(first, 1.0) / np.maximum(second, 1.0))
     median = float(np.median(larger))
     agreeing = float(np.mean(np.sign(larger) == np.sign(median)))
-    if abs(median) < np.log(_CLEARLY_SMALLER) or agreeing < _AGREEING:
+    if abs(median) < np.log(_MIN_SIZE_RATIO) or agreeing < _MIN_AGREEING_SHARE:
         return None
     return models[0] if median < 0 else models[1]
 
 
 def _face_extents(pixels_xy: np.ndarray, points: Sequence[str]) -> np.ndarray:
-    """(N,) diagonal of the box about each face, pixels; NaN where too little of it is seen."""
+    """(N,) diagonal of the box about each face, pixels; NaN where too little of it is detected."""
     face = pixels_xy[:, [points.index(name) for name in ("nose", *_FACE)]]
-    seen = np.all(np.isfinite(face), axis=-1)
-    lowest = np.where(seen[..., None], face, np.inf).min(1)
-    highest = np.where(seen[..., None], face, -np.inf).max(1)
-    enough = seen.sum(-1) >= _FEWEST_OF_A_FACE
+    is_detected = np.all(np.isfinite(face), axis=-1)
+    lowest = np.where(is_detected[..., None], face, np.inf).min(1)
+    highest = np.where(is_detected[..., None], face, -np.inf).max(1)
+    enough = is_detected.sum(-1) >= _MIN_FACE_POINTS
     return np.where(enough, np.linalg.norm(highest - lowest, axis=-1), np.nan)

@@ -2,7 +2,7 @@
 
 INPUTS: a folder with one JSON file per frame (OpenPose, Pose2Sim, MMPose from images), or one file
 for the whole video (MMPose), in a folder or by itself.
-OUTPUTS: Detections: pixels and confidences of the landmarks that the detector's model knows, of
+OUTPUTS: Detections: pixels and confidences of the landmarks that the detector's model has, of
 everybody in every frame.
 """
 
@@ -15,20 +15,24 @@ import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import regular_file
-from jaxmocap.formats.files.shortened import listed, shown
+from jaxmocap.formats.files.short_repr import comma_list, short_repr
 from jaxmocap.formats.files.toml import is_folder
-from jaxmocap.formats.recordings.keypoint_files import Frame, json_files, read_frames
+from jaxmocap.formats.recordings.keypoint_files import (
+    KeypointFrame,
+    json_files,
+    read_keypoint_frames,
+)
 from jaxmocap.formats.recordings.keypoint_models import (
     MODELS,
     landmark_indices,
+    model_by_faces,
     models_of_count,
-    tell_apart,
 )
 
 # Of everybody in all frames, 0.4 GB: half an hour of four people with 25 points at 60 Hz.
-MOST_POINTS = 16_000_000
+MAX_POINTS = 16_000_000
 # A frame, or a person in it, takes as much memory as so many points, however few it has.
-_LEAST = 8
+_OVERHEAD_POINTS = 8
 
 
 @dataclass(frozen=True)
@@ -74,26 +78,26 @@ def read_keypoints(path: str | Path, model: str | None = None) -> Detections:
     Args:
         path: folder of .json files, or one such file.
         model: whose points they are, a name in ``MODELS``. None takes the names that the file
-            gives, or tells the model by the number of points. BODY_25 and BODY_25B both have 25:
-            they are told apart by the faces where that is safe.
+            gives, or infers the model from the number of points. BODY_25 and BODY_25B both have 25:
+            the faces decide between them where that is safe.
 
     Raises:
-        InputError: no such folder, a file that is no JSON of a known layout, a frame without a
-            number or with two files, nobody in any frame, or a model that is unknown, does not
-            fit, or cannot be told.
+        InputError: no such folder, a file that is no JSON of one of these layouts, a frame without
+            a number or with two files, nobody in any frame, or a model that is unknown, does not
+            fit, or cannot be inferred.
     """
     path = Path(path)
     frames = sorted(_frames(path), key=lambda frame: frame.number)
     for before, after in pairwise(frames):
         if before.number == after.number:
             raise InputError(after.file, f"frame {after.number} is in {before.file.name} as well")
-    people = _everybody(path, frames)
+    people = _stacked_people(path, frames)
     names, warnings = _names(path, frames[0], people, model)
     landmarks = landmark_indices(names)
     if not landmarks:
-        raise InputError(path, f"none of the points {listed(names)} is a landmark of ours")
+        raise InputError(path, f"none of the points {comma_list(names)} is a landmark of ours")
     count = max(len(frame.people) for frame in frames)
-    check_size(path, len(frames), count, len(landmarks))
+    check_keypoint_count(path, len(frames), count, len(landmarks))
     shape = (len(frames), count, len(landmarks), 3)
     table = np.full(shape, [np.nan, np.nan, 0.0])
     place = [(i, j) for i, frame in enumerate(frames) for j in range(len(frame.people))]
@@ -102,21 +106,23 @@ def read_keypoints(path: str | Path, model: str | None = None) -> Detections:
     return Detections(numbers, tuple(landmarks), table[..., :2], table[..., 2], str(path), warnings)
 
 
-def check_size(path: str | Path, frames: int, people: int, landmarks: int) -> None:
-    """InputError where a table of so many people in every frame is too large to be held."""
-    if frames * people * landmarks > MOST_POINTS:
+def check_keypoint_count(path: str | Path, frames: int, people: int, landmarks: int) -> None:
+    """InputError where a table of so many people in every frame is too large for memory."""
+    if frames * people * landmarks > MAX_POINTS:
         problem = f"found up to {people} people in {frames} frames, {landmarks} points of each"
-        raise InputError(path, f"{problem}, expected at most {MOST_POINTS} points")
+        raise InputError(path, f"{problem}, expected at most {MAX_POINTS} points")
 
 
-def _frames(path: Path) -> Iterator[Frame]:
-    """All frames of all files, so many as can be held."""
+def _frames(path: Path) -> Iterator[KeypointFrame]:
+    """All frames of all files, as many as fit into memory."""
     total = 0
     for file in _files(path):
-        for frame in read_frames(file):
-            total += _LEAST + sum(_LEAST + len(person) for person in frame.people)
-            if total > MOST_POINTS:
-                raise InputError(file, f"found more than {MOST_POINTS} key points so far")
+        for frame in read_keypoint_frames(file):
+            total += _OVERHEAD_POINTS + sum(
+                _OVERHEAD_POINTS + len(person) for person in frame.people
+            )
+            if total > MAX_POINTS:
+                raise InputError(file, f"found more than {MAX_POINTS} key points so far")
             yield frame
 
 
@@ -130,7 +136,7 @@ def _files(path: Path) -> list[Path]:
     return files
 
 
-def _everybody(path: Path, frames: Sequence[Frame]) -> np.ndarray:
+def _stacked_people(path: Path, frames: Sequence[KeypointFrame]) -> np.ndarray:
     """(N, K, 3) the people of all frames one after the other."""
     files = [frame.file for frame in frames for _ in frame.people]
     people = [person for frame in frames for person in frame.people]
@@ -141,21 +147,21 @@ def _everybody(path: Path, frames: Sequence[Frame]) -> np.ndarray:
             problem = f"found {len(person)} points, but {len(people[0])} in {files[0].name}"
             raise InputError(file, problem)
     stacked = np.stack(people)
-    seen = stacked[stacked[..., 2] > 0, :2]
-    # OpenPose can be told to write fractions of the image.
-    if seen.size and np.abs(seen).max() <= 1.0:
+    detected_xy = stacked[stacked[..., 2] > 0, :2]
+    # OpenPose can write fractions of the image.
+    if detected_xy.size and np.abs(detected_xy).max() <= 1.0:
         problem = "found no coordinate beyond -1 to 1, expected pixels (--keypoint_scale 0)"
         raise InputError(path, problem)
     return stacked
 
 
 def _names(
-    path: Path, first: Frame, people: np.ndarray, model: str | None
+    path: Path, first: KeypointFrame, people: np.ndarray, model: str | None
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names of the K points of (N, K, 3) people, and what a user should know of the choice."""
     count = people.shape[1]
     if model is not None and model not in MODELS:
-        raise InputError(path, f"unknown model {shown(model)}, expected {', '.join(MODELS)}")
+        raise InputError(path, f"unknown model {short_repr(model)}, expected {', '.join(MODELS)}")
     names = first.points if model is None else MODELS[model]
     if names is not None:
         if len(names) != count:
@@ -168,10 +174,10 @@ def _names(
         raise InputError(path, f"found {count} points, expected those of {known}")
     if len(fitting) == 1:
         return MODELS[fitting[0]], ()
-    told = tell_apart(people[..., :2], fitting)
-    if told is None:
+    guessed = model_by_faces(people[..., :2], fitting)
+    if guessed is None:
         choice = " or ".join(f'"{name}"' for name in fitting)
-        problem = f"{count} points may be of {' or '.join(fitting)}, and the faces do not tell"
+        problem = f"{count} points may be of {' or '.join(fitting)}, and the faces do not decide"
         raise InputError(path, f"{problem}; state keypoints_model = {choice} in [[video]]")
-    taken = f"{path}: {count} points, taken as {told} by where the faces are"
-    return MODELS[told], (f'{taken}; keypoints_model = "{told}" in [[video]] states it',)
+    taken = f"{path}: {count} points, taken as {guessed} by where the faces are"
+    return MODELS[guessed], (f'{taken}; keypoints_model = "{guessed}" in [[video]] states it',)

@@ -1,14 +1,14 @@
-"""Where markers sit on the body, and what a marker's own orientation tells of it.
+"""Where markers sit on the body, and the points on bones that oriented markers determine.
 
 INPUTS: entries of [markers.on]; positions and quaternions of markers.
 OUTPUTS: points on bones and where they are, which the tracker takes as markers like any other.
 
-A marker that knows how it is turned (a head-set, a controller, a rigid set) tells two things more.
-With ``offset_in = "marker"`` its offset from the bone is known in its own axes, so that the point
-on the bone is where it says, however the bone is turned: a wrist by the controller in the hand.
-With ``turn``, how it is fixed to the bone, it tells how the bone is turned: two more points of that
+A marker with an orientation (a head-set, a controller, a rigid set) measures two things more. With
+``offset_in = "marker"`` its offset from the bone is stated in its own axes, so that the point on
+the bone follows whatever the bone's orientation: a wrist from the controller in the hand. With
+``turn``, its orientation on the bone, it measures the bone's orientation: two more points of that
 bone, ``lever`` metres from the first along two of the bone's axes, lie where they then must. A
-radian weighs as much as ``lever`` metres, and every stage that knows markers knows orientations.
+radian weighs as much as ``lever`` metres, and every stage that takes markers takes orientations.
 """
 
 from collections.abc import Sequence
@@ -20,10 +20,10 @@ import numpy as np
 
 from jaxmocap.body.orientations import matrices
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.formats.files.shortened import shown
-from jaxmocap.formats.files.toml import Fields
+from jaxmocap.formats.files.short_repr import short_repr
+from jaxmocap.formats.files.toml import TomlTable
 
-KEYS = ("bone", "at", "offset", "offset_in", "turn", "lever")
+PLACE_KEYS = ("bone", "at", "offset", "offset_in", "turn", "lever")
 # A degree of orientation weighs as 1.7 mm.
 LEVER_M = 0.1
 # Metres: nothing that is fixed to a bone is further away from it.
@@ -40,8 +40,8 @@ class MarkerPlace:
         at: fraction of the bone's length from its joint.
         offset: metres, from that point to the marker.
         offset_in: whose axes the offset is in, ``bone`` or ``marker``.
-        turn: unit quaternion, wxyz, that takes the marker's axes to the bone's; None where nothing
-            is known, or used, of how the bone is turned.
+        orientation: unit quaternion, wxyz, that takes the marker's axes to the bone's (``turn`` in
+            the file); None where the marker's orientation is not used.
         lever: metres that weigh as much as a radian.
     """
 
@@ -50,18 +50,18 @@ class MarkerPlace:
     at: float = 1.0
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     offset_in: str = "bone"
-    turn: tuple[float, float, float, float] | None = None
+    orientation: tuple[float, float, float, float] | None = None
     lever: float = LEVER_M
 
     @property
-    def is_turned(self) -> bool:
-        """Does the marker have to tell how it is turned?"""
-        return self.offset_in == "marker" or self.turn is not None
+    def needs_orientation(self) -> bool:
+        """Whether the marker's orientation must be measured."""
+        return self.offset_in == "marker" or self.orientation is not None
 
 
 def read_place(path: Path, name: str, entry: Any) -> MarkerPlace:
     """Where one marker of [markers.on] sits."""
-    fields = Fields(path, f"[markers.on] {name}", entry, KEYS)
+    fields = TomlTable(path, f"[markers.on] {name}", entry, PLACE_KEYS)
     at = fields.number("at", 1.0)
     if not 0.0 <= at <= 1.0:
         raise fields.error("at", f"found {at:g}, expected a fraction between 0 and 1")
@@ -72,10 +72,12 @@ def read_place(path: Path, name: str, entry: Any) -> MarkerPlace:
     if "offset_in" in fields:
         axes = fields.text("offset_in")
         if axes not in ("bone", "marker"):
-            raise fields.error("offset_in", f"found {shown(axes)}, expected 'bone' or 'marker'")
+            raise fields.error(
+                "offset_in", f"found {short_repr(axes)}, expected 'bone' or 'marker'"
+            )
         place = replace(place, offset_in=axes)
     if "turn" in fields:
-        place = replace(place, turn=_quaternion(fields))
+        place = replace(place, orientation=_quaternion(fields))
     if "lever" in fields:
         lever = fields.number("lever", high=FARTHEST_OFFSET_M)
         if "turn" not in fields or not lever > 0.0:
@@ -84,8 +86,8 @@ def read_place(path: Path, name: str, entry: Any) -> MarkerPlace:
     return place
 
 
-def _quaternion(fields: Fields) -> tuple[float, float, float, float]:
-    """The unit quaternion of ``turn``."""
+def _quaternion(fields: TomlTable) -> tuple[float, float, float, float]:
+    """The unit quaternion of ``orientation``."""
     quaternion = fields.array("turn", [(4,)], "a quaternion w, x, y, z")
     norm = float(np.linalg.norm(quaternion))
     if abs(norm - 1) > 0.01:
@@ -94,16 +96,16 @@ def _quaternion(fields: Fields) -> tuple[float, float, float, float]:
     return w, x, y, z
 
 
-def bound_places(skeleton: Skeleton, places: Sequence[MarkerPlace]) -> tuple[MarkerPlace, ...]:
-    """The points on bones that the markers tell of, each by an offset in its bone's axes."""
+def bone_points(skeleton: Skeleton, places: Sequence[MarkerPlace]) -> tuple[MarkerPlace, ...]:
+    """The points on bones that the markers measure, each by an offset in its bone's axes."""
     points = []
     for place in places:
         offset = np.zeros(3) if place.offset_in == "marker" else np.array(place.offset)
         points.append(_point(place, place.name, offset))
-        if place.turn is not None:
+        if place.orientation is not None:
             points += [
                 _point(place, f"{place.name} turned {axis}", offset + place.lever * lever)
-                for axis, lever in _levers(skeleton, place.bone).items()
+                for axis, lever in _lever_axes(skeleton, place.bone).items()
             ]
     return tuple(points)
 
@@ -113,20 +115,20 @@ def _point(place: MarkerPlace, name: str, offset: np.ndarray) -> MarkerPlace:
     return MarkerPlace(name, place.bone, place.at, (x, y, z))
 
 
-def _levers(skeleton: Skeleton, bone: str) -> dict[str, np.ndarray]:
+def _lever_axes(skeleton: Skeleton, bone: str) -> dict[str, np.ndarray]:
     """The two axes of a bone's frame that go most across it: its twist moves both."""
     along = np.abs(np.asarray(skeleton.directions[skeleton.tree.bone(bone)]))
     across = sorted(np.argsort(along, kind="stable")[:2])
     return {"xyz"[i]: np.eye(3)[i] for i in across}
 
 
-def bound_positions(
+def bone_point_positions(
     skeleton: Skeleton,
     places: Sequence[MarkerPlace],
     positions_world: np.ndarray,
     R_world_marker: np.ndarray,
 ) -> np.ndarray:
-    """Where the points of ``bound_places`` are.
+    """Where the points of ``bone_points`` are.
 
     Args:
         skeleton: with the bones.
@@ -135,7 +137,7 @@ def bound_positions(
         R_world_marker: (..., M, 3, 3) from the markers' axes; NaN where missing.
 
     Returns:
-        (..., P, 3) metres; NaN where a marker is missing, or how it is turned and that is needed.
+        (..., P, 3) metres; NaN where a marker is missing, or its orientation where that is needed.
     """
     points = []
     for i, place in enumerate(places):
@@ -143,8 +145,8 @@ def bound_positions(
         if place.offset_in == "marker":
             point = point - R @ np.array(place.offset)
         points.append(point)
-        if place.turn is not None:
-            R_world_bone = R @ matrices(np.array([place.turn]))[0].T
-            levers = _levers(skeleton, place.bone).values()
+        if place.orientation is not None:
+            R_world_bone = R @ matrices(np.array([place.orientation]))[0].T
+            levers = _lever_axes(skeleton, place.bone).values()
             points += [point + place.lever * (R_world_bone @ lever) for lever in levers]
     return np.stack(points, -2)

@@ -17,21 +17,20 @@ from jaxmocap.body.origin import local_origin
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.formats.cameras.video_sources import VideoSource, read_videos
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import listed, name_shown, shown
-from jaxmocap.formats.files.toml import Fields, read_toml, write_toml
-from jaxmocap.formats.recordings.filters import KEYS as FILTERS
-from jaxmocap.formats.recordings.filters import Filters, read_filters
+from jaxmocap.formats.files.short_repr import comma_list, short_name, short_repr
+from jaxmocap.formats.files.toml import TomlTable, read_toml, write_toml
+from jaxmocap.formats.recordings.filters import FILTER_KEYS, Filters, read_filters
 from jaxmocap.formats.recordings.marker_places import (
     MarkerPlace,
-    bound_places,
-    bound_positions,
+    bone_point_positions,
+    bone_points,
     read_place,
 )
 from jaxmocap.formats.recordings.rigid_bodies import with_rigid_sets
-from jaxmocap.formats.recordings.subject import DEFAULT_HEIGHT, read_subject
+from jaxmocap.formats.recordings.subject import subject_or_default
 from jaxmocap.formats.time_series.axes import read_axes, to_world
 from jaxmocap.formats.time_series.markers import read_markers
-from jaxmocap.formats.time_series.tables import Markers, Places, check_times
+from jaxmocap.formats.time_series.tables import Markers, SampleLabels, check_times
 
 
 @dataclass(frozen=True)
@@ -73,16 +72,16 @@ class Recording:
         if np.shape(self.positions_world) != expected:
             found = np.shape(self.positions_world)
             raise InputError(where, f"marker positions: found shape {found}, expected {expected}")
-        check_times(where, self.times, Places("marker sample"))
+        check_times(where, self.times, SampleLabels("marker sample"))
         if self.places and not np.isfinite(self.positions_world).all(-1).any():
-            raise InputError(where, "no marker is seen in any sample, all positions are NaN")
+            raise InputError(where, "no marker has a position in any sample, all are NaN")
         bones = self.skeleton.tree.bones
         for place in self.places:
             if place.bone not in bones:
                 raise InputError(
                     where,
-                    f"[markers.on] {name_shown(place.name)}: unknown bone {shown(place.bone)}, "
-                    f"expected one of {', '.join(bones)}",
+                    f"[markers.on] {short_name(place.name)}: unknown bone "
+                    f"{short_repr(place.bone)}, expected one of {', '.join(bones)}",
                 )
 
     @property
@@ -90,8 +89,8 @@ class Recording:
         """Names of the M markers."""
         return tuple(place.name for place in self.places)
 
-    def marked(self) -> "Recording":
-        """The recording itself, for whoever cannot do without markers.
+    def require_markers(self) -> "Recording":
+        """The recording itself, where it has markers.
 
         Raises:
             InputError: it has none.
@@ -116,27 +115,24 @@ def load_recording(path: str | Path) -> Recording:
             or does not fit.
     """
     path = Path(path)
-    top = Fields(path, "", read_toml(path), ("markers", "video", "calibration", "subject"))
-    warnings = []
-    if "subject" in top:
-        skeleton = read_subject(path, "[subject]", top.table["subject"])
-    else:
-        skeleton = Skeleton.human(DEFAULT_HEIGHT)
-        warnings.append(f"{path}: no [subject], a height of {DEFAULT_HEIGHT} m is assumed")
-    if "markers" not in top and not top.table.get("video"):
+    top = TomlTable(path, "", read_toml(path), ("markers", "video", "calibration", "subject"))
+    skeleton, warnings = subject_or_default(top)
+    if "markers" not in top and not top.entries.get("video"):
         raise top.error("", "neither [markers] nor [[video]], expected one of them")
     if "markers" not in top:
-        nothing = np.zeros(0), np.zeros((0, 0, 3)), ()
+        no_markers = np.zeros(0), np.zeros((0, 0, 3)), ()
         videos = read_videos(top)
-        return _near(top, Recording(skeleton, *nothing, videos, path.stem, path, tuple(warnings)))
-    markers, places, filters = _read_marked(top)
-    seen = np.isfinite(markers.positions.sum(-1))
-    warnings += [
-        f"{path}: marker {place.name!r} is never seen"
-        for place, samples in zip(places, seen.T, strict=True)
+        return _at_local_origin(
+            top, Recording(skeleton, *no_markers, videos, path.stem, path, warnings)
+        )
+    markers, places, filters = _read_placed_markers(top)
+    is_present = np.isfinite(markers.positions.sum(-1))
+    warnings += tuple(
+        f"{path}: marker {place.name!r} is missing in every sample"
+        for place, samples in zip(places, is_present.T, strict=True)
         if not samples.any()
-    ]
-    positions_world, points = _bound(path, skeleton, places, markers)
+    )
+    positions_world, points = _bone_points(path, skeleton, places, markers)
     recording = Recording(
         skeleton,
         markers.times,
@@ -145,16 +141,16 @@ def load_recording(path: str | Path) -> Recording:
         read_videos(top),
         path.stem,
         path,
-        tuple(warnings),
-        top.path.parent / top.table["markers"]["file"],
+        warnings,
+        top.path.parent / top.entries["markers"]["file"],
         markers.rate,
         filters,
     )
-    return _near(top, recording)
+    return _at_local_origin(top, recording)
 
 
-def _near(top: Fields, recording: Recording) -> Recording:
-    """The recording, seen from a local origin where the world's is far from markers or cameras."""
+def _at_local_origin(top: TomlTable, recording: Recording) -> Recording:
+    """The recording about a local origin, where the world's is far from markers or cameras."""
     places = recording.positions_world
     if not recording.places:
         places = np.array([source.camera.position_world for source in recording.videos])
@@ -184,71 +180,79 @@ def load_markers(path: str | Path) -> tuple[Markers, tuple[MarkerPlace, ...]]:
     """
     path = Path(path)
     keys = ("markers", "video", "calibration", "subject")
-    markers, places, _ = _read_marked(Fields(path, "", read_toml(path), keys))
+    markers, places, _ = _read_placed_markers(TomlTable(path, "", read_toml(path), keys))
     bones = Skeleton.human().tree.bones
     for place in places:
         if place.bone not in bones:
-            raise InputError(path, f"[markers.on] {place.name}: unknown bone {shown(place.bone)}")
+            raise InputError(
+                path, f"[markers.on] {place.name}: unknown bone {short_repr(place.bone)}"
+            )
     return markers, places
 
 
-def _read_marked(top: Fields) -> tuple[Markers, tuple[MarkerPlace, ...], Filters]:
+def _read_placed_markers(top: TomlTable) -> tuple[Markers, tuple[MarkerPlace, ...], Filters]:
     """The markers of [markers.on] in the world's axes, their places, and their filters."""
     keys = ("file", "up", "to_world", "on", "filters", "rigid")
-    fields = Fields(top.path, "[markers]", top.required("markers"), keys)
+    fields = TomlTable(top.path, "[markers]", top.required("markers"), keys)
     file = fields.file("file")
     R_world_file = read_axes(fields)
-    on = Fields(top.path, "[markers.on]", fields.required("on"))
-    if not on.table:
+    on = TomlTable(top.path, "[markers.on]", fields.required("on"))
+    if not on.entries:
         raise on.error("", "names no marker, expected entries such as Head = { bone = 'head' }")
-    places = tuple(read_place(top.path, name, entry) for name, entry in on.table.items())
-    sets = Fields(top.path, "[markers.rigid]", fields.table.get("rigid", {}))
-    wanted = Fields(top.path, "[markers.filters]", fields.table.get("filters", {}), FILTERS)
-    filters = read_filters(wanted)
-    found = read_markers(file)
-    there = (*found.names, *sets.table)
-    markers = with_rigid_sets(sets, found, on.table)
+    places = tuple(read_place(top.path, name, entry) for name, entry in on.entries.items())
+    sets = TomlTable(top.path, "[markers.rigid]", fields.entries.get("rigid", {}))
+    filter_table = TomlTable(
+        top.path, "[markers.filters]", fields.entries.get("filters", {}), FILTER_KEYS
+    )
+    filters = read_filters(filter_table)
+    all_markers = read_markers(file)
+    available = (*all_markers.names, *sets.entries)
+    markers = with_rigid_sets(sets, all_markers, on.entries)
     # A long recording's numbers are not to be in memory thrice.
-    del found
-    for name in on.table.keys() - set(there):
-        raise on.error(name, f"no such marker in {file}, found {listed(there)}")
-    markers = _picked(markers, tuple(on.table))
-    if markers.turns is not None and np.linalg.det(R_world_file) < 0:
-        raise fields.error("to_world", "found a reflection, which leaves no turn of a marker")
-    turns = None if markers.turns is None else R_world_file @ markers.turns
+    del all_markers
+    for name in on.entries.keys() - set(available):
+        raise on.error(name, f"no such marker in {file}, found {comma_list(available)}")
+    markers = _selected_markers(markers, tuple(on.entries))
+    if markers.orientations is not None and np.linalg.det(R_world_file) < 0:
+        raise fields.error(
+            "to_world", "found a reflection, which leaves no orientation of a marker"
+        )
+    orientations = None if markers.orientations is None else R_world_file @ markers.orientations
     positions_world = to_world(R_world_file, markers.positions)
-    return replace(markers, positions=positions_world, turns=turns), places, filters
+    return replace(markers, positions=positions_world, orientations=orientations), places, filters
 
 
-def _picked(markers: Markers, names: tuple[str, ...]) -> Markers:
+def _selected_markers(markers: Markers, names: tuple[str, ...]) -> Markers:
     """Those markers only, in that order."""
-    place = {name: i for i, name in enumerate(markers.names)}
-    columns = [place[name] for name in names]
-    turns = None if markers.turns is None else markers.turns[:, columns]
+    index = {name: i for i, name in enumerate(markers.names)}
+    columns = [index[name] for name in names]
+    orientations = None if markers.orientations is None else markers.orientations[:, columns]
     positions = markers.positions[:, columns]
-    return Markers(markers.times.copy(), names, positions, rate=markers.rate, turns=turns)
+    return Markers(
+        markers.times.copy(), names, positions, rate=markers.rate, orientations=orientations
+    )
 
 
-def _bound(
+def _bone_points(
     path: Path, skeleton: Skeleton, places: tuple[MarkerPlace, ...], markers: Markers
 ) -> tuple[np.ndarray, tuple[MarkerPlace, ...]]:
-    """Points on bones (T, P, 3), world, metres, that the markers tell of, and their places."""
+    """Points on bones (T, P, 3), world, metres, that the markers measure, and their places."""
     bones = skeleton.tree.bones
     # Of a long recording without any, a whole array would take as much as three of positions.
-    known = np.broadcast_to(np.nan, (*markers.positions.shape, 3))
-    known = known if markers.turns is None else markers.turns
+    orientations = np.broadcast_to(np.nan, (*markers.positions.shape, 3))
+    orientations = orientations if markers.orientations is None else markers.orientations
     for i, place in enumerate(places):
         if place.bone not in bones:
-            problem = f"unknown bone {shown(place.bone)}, expected one of {', '.join(bones)}"
-            raise InputError(path, f"[markers.on] {name_shown(place.name)}: {problem}")
-        if place.is_turned and not np.isfinite(known[:, i]).any():
-            key = "offset_in = 'marker'" if place.turn is None else "turn"
-            problem = f"{key} needs to know how the marker is turned, which the file never says"
-            raise InputError(path, f"[markers.on] {name_shown(place.name)}: {problem}")
-    if not any(place.is_turned for place in places):
-        return markers.positions, bound_places(skeleton, places)
-    positions = bound_positions(skeleton, places, markers.positions, known)
-    return positions, bound_places(skeleton, places)
+            problem = f"unknown bone {short_repr(place.bone)}, expected one of {', '.join(bones)}"
+            raise InputError(path, f"[markers.on] {short_name(place.name)}: {problem}")
+        if place.needs_orientation and not np.isfinite(orientations[:, i]).any():
+            key = "offset_in = 'marker'" if place.orientation is None else "turn"
+            problem = f"{key} needs the marker's orientation, which the file never states"
+            raise InputError(path, f"[markers.on] {short_name(place.name)}: {problem}")
+    if not any(place.needs_orientation for place in places):
+        return markers.positions, bone_points(skeleton, places)
+    positions = bone_point_positions(skeleton, places, markers.positions, orientations)
+    return positions, bone_points(skeleton, places)
 
 
 def write_recording(

@@ -4,7 +4,7 @@ INPUTS: a recording's TOML file.
 OUTPUTS: itself and the files that its fields name: markers, videos, backgrounds, key points,
 calibration, subject and static trial. None of them is opened but the two TOML files.
 
-Only what a field for a file says is looked at, and only regular files count: a folder of key
+Only fields for files are read, and only regular files count: a folder of key
 points stands for the .json files in it, a device or a pipe for nothing. What is not there is listed
 all the same, so that whoever opens it can say so.
 """
@@ -19,7 +19,7 @@ from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.toml import is_folder, read_toml
 from jaxmocap.formats.recordings.keypoint_files import json_files
 
-_OF_VIDEO = ("file", "background", "keypoints")
+_VIDEO_FILE_KEYS = ("file", "background", "keypoints")
 
 
 def input_files(path: str | Path) -> list[Path]:
@@ -31,22 +31,22 @@ def input_files(path: str | Path) -> list[Path]:
     path = Path(path)
     content = read_toml(path)
     folder, subject = path.parent, _table(content.get("subject"))
-    found = {path}
-    for text in _named(content):
-        found |= _files(folder, text)
+    files = {path}
+    for text in _named_files(content):
+        files |= _files(folder, text)
     for own in _files(folder, subject.get("file")):
-        found |= {own} | _files(own.parent, _content(own).get("static"))
-    return sorted(found)
+        files |= {own} | _files(own.parent, _content(own).get("static"))
+    return sorted(files)
 
 
-def _named(content: dict[str, Any]) -> Iterator[Any]:
+def _named_files(content: dict[str, Any]) -> Iterator[Any]:
     """What the fields for files say, but for the subject's own file."""
     yield _table(content.get("markers")).get("file")
     yield _table(content.get("calibration")).get("file")
     yield _table(content.get("subject")).get("static")
     videos = content.get("video")
     for video in videos if isinstance(videos, list) else []:
-        yield from (_table(video).get(key) for key in _OF_VIDEO)
+        yield from (_table(video).get(key) for key in _VIDEO_FILE_KEYS)
 
 
 def _table(value: Any) -> dict[str, Any]:

@@ -21,23 +21,37 @@ from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.body.subject import scale_to_height, scale_to_landmarks
 from jaxmocap.body.wrists import with_wrists
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import listed, name_shown, shown
-from jaxmocap.formats.files.toml import Fields, read_toml, write_toml
+from jaxmocap.formats.files.short_repr import comma_list, short_name, short_repr
+from jaxmocap.formats.files.toml import TomlTable, read_toml, write_toml
 from jaxmocap.formats.time_series.axes import read_axes, to_world
 from jaxmocap.formats.time_series.markers import read_markers
 
 _HEIGHT_KEYS = ("height", "mass", "bones")
 _BONE_KEYS = ("length", "mass", "diameter", "direction")
-# Metres and kilograms that a bone may have.
-LENGTHS_M, MASSES_KG = (0.01, 1.0), (0.01, 100.0)
+# Lengths that a bone may have, metres.
+LENGTH_RANGE_M = (0.01, 1.0)
+# Masses that a bone may have, kilograms.
+MASS_RANGE_KG = (0.01, 100.0)
 _STATIC_KEYS = ("static", "up", "to_world", "landmarks", "mass")
 DEFAULT_HEIGHT = 1.75
-_COLUMNS = {
+_SKELETON_FIELDS = {
     "length": "lengths",
     "mass": "masses",
     "diameter": "diameters",
     "direction": "directions",
 }
+
+
+def subject_or_default(top: TomlTable) -> tuple[Skeleton, tuple[str, ...]]:
+    """The skeleton of a file's [subject], or of the default height with a warning.
+
+    Raises:
+        InputError: see ``read_subject``.
+    """
+    if "subject" in top:
+        return read_subject(top.path, "[subject]", top.entries["subject"]), ()
+    warning = f"{top.path}: no [subject], a height of {DEFAULT_HEIGHT} m is assumed"
+    return Skeleton.human(DEFAULT_HEIGHT), (warning,)
 
 
 def read_subject(path: Path, where: str, table: Any) -> Skeleton:
@@ -52,12 +66,12 @@ def read_subject(path: Path, where: str, table: Any) -> Skeleton:
         InputError: a field that is missing, unknown or does not fit.
     """
     keys = ("file", "height", *_STATIC_KEYS, "bones", "wrists")
-    fields = Fields(path, where, table, keys)
-    wrists = fields.table.get("wrists", False)
+    fields = TomlTable(path, where, table, keys)
+    wrists = fields.entries.get("wrists", False)
     if not isinstance(wrists, bool):
-        raise fields.error("wrists", f"found {shown(wrists)}, expected true or false")
+        raise fields.error("wrists", f"found {short_repr(wrists)}, expected true or false")
     if "wrists" in fields:
-        rest = {key: value for key, value in fields.table.items() if key != "wrists"}
+        rest = {key: value for key, value in fields.entries.items() if key != "wrists"}
         skeleton = read_subject(path, where, rest)
         return with_wrists(skeleton) if wrists else skeleton
     chosen = [key for key in ("file", "height", "static") if key in fields]
@@ -65,17 +79,17 @@ def read_subject(path: Path, where: str, table: Any) -> Skeleton:
         found = " and ".join(chosen) or "none"
         raise fields.error("", f"found {found}, expected one of file, height, static")
     if chosen == ["height"]:
-        return _by_height(Fields(path, where, table, _HEIGHT_KEYS))
+        return _by_height(TomlTable(path, where, table, _HEIGHT_KEYS))
     if chosen == ["static"]:
-        return _by_static_trial(Fields(path, where, table, _STATIC_KEYS))
-    other = Fields(path, where, table, ("file",)).file("file")
+        return _by_static_trial(TomlTable(path, where, table, _STATIC_KEYS))
+    other = TomlTable(path, where, table, ("file",)).file("file")
     content = read_toml(other)
     if "file" in content:
         raise fields.error("file", f"{other} names yet another file, expected height or static")
     return read_subject(other, "", content)
 
 
-def _by_height(fields: Fields) -> Skeleton:
+def _by_height(fields: TomlTable) -> Skeleton:
     height = fields.number("height")
     mass = fields.number("mass") if "mass" in fields else None
     try:
@@ -83,35 +97,37 @@ def _by_height(fields: Fields) -> Skeleton:
     except ValueError as error:
         raise fields.error("", str(error)) from None
     where = " ".join(filter(None, [fields.where, "bones"]))
-    return _with_bones(skeleton, Fields(fields.path, where, fields.table.get("bones", {})))
+    return _with_bones(skeleton, TomlTable(fields.path, where, fields.entries.get("bones", {})))
 
 
-def _with_bones(skeleton: Skeleton, bones: Fields) -> Skeleton:
+def _with_bones(skeleton: Skeleton, bones: TomlTable) -> Skeleton:
     """The skeleton with what is stated of single bones."""
     names = skeleton.tree.bones
-    columns = {key: np.array(getattr(skeleton, column), float) for key, column in _COLUMNS.items()}
-    for name, entry in bones.table.items():
+    columns = {
+        key: np.array(getattr(skeleton, column), float) for key, column in _SKELETON_FIELDS.items()
+    }
+    for name, entry in bones.entries.items():
         if name not in names:
             raise bones.error(name, f"unknown bone, expected one of {', '.join(names)}")
-        stated = Fields(bones.path, f"{bones.where} {name}", entry, _BONE_KEYS)
-        for key in stated.table:
-            columns[key][names.index(name)] = _stated(stated, key)
+        stated = TomlTable(bones.path, f"{bones.where} {name}", entry, _BONE_KEYS)
+        for key in stated.entries:
+            columns[key][names.index(name)] = _bone_value(stated, key)
     parts: dict[str, Any] = {
-        column: jnp.asarray(columns[key], float) for key, column in _COLUMNS.items()
+        column: jnp.asarray(columns[key], float) for key, column in _SKELETON_FIELDS.items()
     }
     return replace(skeleton, **parts)
 
 
-def _stated(fields: Fields, key: str) -> np.ndarray | float:
+def _bone_value(fields: TomlTable, key: str) -> np.ndarray | float:
     """What a table says of one bone."""
     if key in ("length", "mass"):
-        low, high = LENGTHS_M if key == "length" else MASSES_KG
+        low, high = LENGTH_RANGE_M if key == "length" else MASS_RANGE_KG
         unit = "metres" if key == "length" else "kilograms"
         if not low <= (value := fields.number(key)) <= high:
             raise fields.error(key, f"found {value:g}, expected {unit} from {low:g} to {high:g}")
         return value
     if key == "diameter":
-        ends = fields.array(key, [(2,)], "metres at the near and the far end", LENGTHS_M[1])
+        ends = fields.array(key, [(2,)], "metres at the near and the far end", LENGTH_RANGE_M[1])
         if not (ends > 0).all():
             raise fields.error(key, f"found {ends.tolist()}, expected metres above 0")
         return ends
@@ -133,7 +149,7 @@ def check_replaceable(path: Path) -> None:
 
 
 def write_subject(
-    path: str | Path, skeleton: Skeleton, height: float, said: Sequence[str] = ()
+    path: str | Path, skeleton: Skeleton, height: float, comments: Sequence[str] = ()
 ) -> None:
     """Write a body's bones to a file that [subject] may name.
 
@@ -141,7 +157,7 @@ def write_subject(
         path: of the TOML file.
         skeleton: of the person.
         height: metres, from which follows what nobody states.
-        said: lines of what the lengths rest on, to be read above them.
+        comments: lines of what the lengths rest on, to be read above them.
     """
     masses = np.asarray(skeleton.masses, float)
     usual = Skeleton.human(height)
@@ -156,49 +172,50 @@ def write_subject(
     wrists = skeleton.tree.joints != usual.tree.joints
     top = {"height": round(height, 4), "mass": round(float(masses.sum()), 3), "wrists": wrists}
     title = "# Metres and kilograms; what is not stated of a bone follows from height and mass."
-    title = "\n".join([title, *(f"# {line}" for line in said)])
+    title = "\n".join([title, *(f"# {line}" for line in comments)])
     write_toml(path, [(title, top), ("[bones]", entries)])
 
 
-def static_landmarks(fields: Fields) -> dict[str, np.ndarray]:
+def static_landmarks(fields: TomlTable) -> dict[str, np.ndarray]:
     """Landmark -> (T, 3) of the static trial that a [subject] names, world, metres."""
     path = fields.file("static")
     R_world_file = read_axes(fields)
     markers = read_markers(path).points()
-    named = _named(fields)
+    landmark_table = _landmark_table(fields)
     landmarks = {}
-    for landmark in named.table:
-        marker = named.text(landmark)
+    for landmark in landmark_table.entries:
+        marker = landmark_table.text(landmark)
         if marker not in markers:
-            raise named.error(
-                landmark, f"marker {shown(marker)} is not in {path}, found {listed(markers)}"
+            raise landmark_table.error(
+                landmark,
+                f"marker {short_repr(marker)} is not in {path}, found {comma_list(markers)}",
             )
         landmarks[landmark] = to_world(R_world_file, markers[marker])
     return landmarks
 
 
-def _named(fields: Fields) -> Fields:
+def _landmark_table(fields: TomlTable) -> TomlTable:
     """The table of landmarks."""
-    return Fields(fields.path, "[subject.landmarks]", fields.required("landmarks"), LANDMARKS)
+    return TomlTable(fields.path, "[subject.landmarks]", fields.required("landmarks"), LANDMARKS)
 
 
-def _by_static_trial(fields: Fields) -> Skeleton:
-    landmarks, named = static_landmarks(fields), _named(fields)
+def _by_static_trial(fields: TomlTable) -> Skeleton:
+    landmarks, landmark_table = static_landmarks(fields), _landmark_table(fields)
     try:
-        # Landmarks that are never seen together show as lengths that are not numbers.
+        # Landmarks that are never in one frame together show as lengths that are not numbers.
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore", RuntimeWarning)
             skeleton = scale_to_landmarks(Skeleton.human(), landmarks)
         if "mass" in fields:
             skeleton = scale_to_height(skeleton, None, fields.number("mass"))
     except ValueError as error:
-        raise named.error("", str(error)) from None
+        raise landmark_table.error("", str(error)) from None
     if not (np.isfinite(skeleton.lengths).all() and np.isfinite(skeleton.directions).all()):
         problem = (
-            f"{name_shown(fields.text('static'))} shows neck, hips and shoulders in no common frame"
+            f"{short_name(fields.text('static'))} shows neck, hips and shoulders in no common frame"
         )
-        raise named.error("", problem)
-    if (longest := float(np.max(skeleton.lengths))) > LENGTHS_M[1]:
-        problem = f"shows bones of up to {longest:.4g} m, expected at most {LENGTHS_M[1]:g} m"
-        raise named.error("", f"{name_shown(fields.text('static'))} {problem}")
+        raise landmark_table.error("", problem)
+    if (longest := float(np.max(skeleton.lengths))) > LENGTH_RANGE_M[1]:
+        problem = f"shows bones of up to {longest:.4g} m, expected at most {LENGTH_RANGE_M[1]:g} m"
+        raise landmark_table.error("", f"{short_name(fields.text('static'))} {problem}")
     return skeleton

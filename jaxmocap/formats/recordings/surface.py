@@ -13,29 +13,33 @@ import numpy as np
 from jaxmocap.body.skeleton import Skeleton, Tree
 from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.surface import BodyPoints, Patch, Surface, rest_nodes
-from jaxmocap.formats.files.arrays import NAMES, WHOLE, Arrays, Stated
+from jaxmocap.formats.files.arrays import INTEGERS, NAMES, ArraySpec, NpzArrays
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import listed, shown
+from jaxmocap.formats.files.short_repr import comma_list, short_repr
 from jaxmocap.formats.files.writing import replacing
 
-PATCHES = ("torso", "arm_l", "arm_r", "leg_l", "leg_r", "foot_l", "foot_r")
-# Rings of a patch, and nodes of a ring; bones that carry one node.
-FEWEST_NODES, MOST_NODES = 2, 512
-MOST_CARRIERS = 8
+PATCH_NAMES = ("torso", "arm_l", "arm_r", "leg_l", "leg_r", "foot_l", "foot_r")
+# Rings of a patch, and nodes of a ring.
+MIN_NODES = 2
+MAX_NODES = 512
+# Bones that carry one node.
+MAX_BONES_PER_NODE = 8
 # Together, the shares of a node's bones may differ from 1 by this.
-_SHARES = 1e-3
+_SHARE_TOLERANCE = 1e-3
 # No body is larger: from a bone's joint to a node that it carries, around a ring, and along a
 # patch; nor is a patch shorter; metres.
 _FARTHEST_M = 3.0
-_LONGEST_RING_M, _LONGEST_PATCH_M, _SHORTEST_PATCH_M = 5.0, 8.0, 1e-3
+_LONGEST_RING_M = 5.0
+_LONGEST_PATCH_M = 8.0
+_SHORTEST_PATCH_M = 1e-3
 
-_STATED = {
-    "patch_names": Stated(("P",), NAMES),
-    "patch_sizes": Stated(("P", 2), WHOLE, low=FEWEST_NODES, high=MOST_NODES),
-    "bone_names": Stated(("B",), NAMES),
-    "bones": Stated(("N", "K"), WHOLE, low=0),
-    "points_bone": Stated(("N", "K", 3), low=-_FARTHEST_M, high=_FARTHEST_M),
-    "shares": Stated(("N", "K"), low=-_SHARES, high=1 + _SHARES),
+_ARRAY_SPECS = {
+    "patch_names": ArraySpec(("P",), NAMES),
+    "patch_sizes": ArraySpec(("P", 2), INTEGERS, low=MIN_NODES, high=MAX_NODES),
+    "bone_names": ArraySpec(("B",), NAMES),
+    "bones": ArraySpec(("N", "K"), INTEGERS, low=0),
+    "points_bone": ArraySpec(("N", "K", 3), low=-_FARTHEST_M, high=_FARTHEST_M),
+    "shares": ArraySpec(("N", "K"), low=-_SHARE_TOLERANCE, high=1 + _SHARE_TOLERANCE),
 }
 
 
@@ -60,23 +64,23 @@ def load_surface(path: str | Path, tree: Tree) -> Surface:
         InputError: no such file, not one of arrays, a field missing, of another shape or out of
             its range, or a bone that the body does not have.
     """
-    arrays = Arrays(path).read(_STATED)
+    arrays = NpzArrays(path).read(_ARRAY_SPECS)
     sizes, bones, shares = (arrays[name] for name in ("patch_sizes", "bones", "shares"))
     _check_nodes(path, sizes, bones.shape)
-    together = np.abs(shares.sum(-1) - 1)
-    if together.max() > _SHARES:
-        i = int(together.argmax())
+    sum_errors = np.abs(shares.sum(-1) - 1)
+    if sum_errors.max() > _SHARE_TOLERANCE:
+        i = int(sum_errors.argmax())
         raise InputError(path, f"shares[{i}]: together {shares[i].sum():.4g}, expected 1")
     index = _bones(path, arrays["bone_names"].tolist(), tree)
     if bones.max() >= len(index):
         found = f"found {bones.max()}, expected an index below {len(index)}"
         raise InputError(path, f"bones: {found}, of bone_names")
     patches = _patches(path, arrays["patch_names"].tolist(), sizes)
-    places = jnp.asarray(arrays["points_bone"], float)
-    return Surface(patches, BodyPoints(index[bones], places, jnp.asarray(shares, float)))
+    points_bone = jnp.asarray(arrays["points_bone"], float)
+    return Surface(patches, BodyPoints(index[bones], points_bone, jnp.asarray(shares, float)))
 
 
-def check_extent(path: str | Path, surface: Surface, skeleton: Skeleton) -> None:
+def check_surface_extent(path: str | Path, surface: Surface, skeleton: Skeleton) -> None:
     """InputError where a patch is larger than any body's: what samples it would never end."""
     nodes = rest_nodes(surface, rest_joints(skeleton))
     for patch in surface.patches:
@@ -99,28 +103,30 @@ def _check_nodes(path: str | Path, sizes: np.ndarray, shape: tuple[int, ...]) ->
         raise InputError(path, f"{found}, expected {nodes} nodes by patch_sizes")
     if not nodes:
         raise InputError(path, "patch_sizes: found no patch, expected at least one")
-    if not 0 < shape[1] <= MOST_CARRIERS:
+    if not 0 < shape[1] <= MAX_BONES_PER_NODE:
         found = f"found {shape[1]} bones for each node"
-        raise InputError(path, f"bones: {found}, expected 1 to {MOST_CARRIERS}")
+        raise InputError(path, f"bones: {found}, expected 1 to {MAX_BONES_PER_NODE}")
 
 
 def _bones(path: str | Path, names: list[str], tree: Tree) -> np.ndarray:
     """(B,) where the named bones are in the tree."""
     unknown = [name for name in names if name not in tree.bones]
     if unknown:
-        expected = listed(tree.bones)
-        raise InputError(path, f"bone_names: unknown bone {shown(unknown[0])}, expected {expected}")
+        expected = comma_list(tree.bones)
+        raise InputError(
+            path, f"bone_names: unknown bone {short_repr(unknown[0])}, expected {expected}"
+        )
     return np.array([tree.bone(name) for name in names], np.int32)
 
 
 def _patches(path: str | Path, names: list[str], sizes: np.ndarray) -> tuple[Patch, ...]:
     patches, start = [], 0
     for i, (name, (along, around)) in enumerate(zip(names, sizes.tolist(), strict=True)):
-        if name not in PATCHES:
-            problem = f"unknown patch {shown(name)}, expected {', '.join(PATCHES)}"
+        if name not in PATCH_NAMES:
+            problem = f"unknown patch {short_repr(name)}, expected {', '.join(PATCH_NAMES)}"
             raise InputError(path, f"patch_names: {problem}")
         if name in names[:i]:
-            raise InputError(path, f"patch_names: {shown(name)} is there twice")
+            raise InputError(path, f"patch_names: {short_repr(name)} is there twice")
         patches.append(Patch(name, around, along, start))
         start += along * around
     return tuple(patches)

@@ -6,15 +6,15 @@ OUTPUTS: the matrix that takes the file's points to the world.
 
 import numpy as np
 
-from jaxmocap.formats.cameras.calibration import orthonormal
-from jaxmocap.formats.files.shortened import shown
-from jaxmocap.formats.files.toml import Fields
+from jaxmocap.formats.cameras.calibration import is_orthonormal
+from jaxmocap.formats.files.short_repr import short_repr
+from jaxmocap.formats.files.toml import TomlTable
 
 # "y" is the cyclic permutation that OpenSim and Pose2Sim use: world = (z, x, y) of the file.
-UP = {"z": np.eye(3), "y": np.eye(3)[[2, 0, 1]]}
+R_WORLD_OF_UP = {"z": np.eye(3), "y": np.eye(3)[[2, 0, 1]]}
 
 
-def read_axes(fields: Fields) -> np.ndarray:
+def read_axes(fields: TomlTable) -> np.ndarray:
     """(3, 3) R_world_file; Z up where the table says nothing.
 
     Raises:
@@ -23,14 +23,14 @@ def read_axes(fields: Fields) -> np.ndarray:
     """
     if "to_world" not in fields:
         up = fields.text("up") if "up" in fields else "z"
-        if up not in UP:
-            raise fields.error("up", f"found {shown(up)}, expected 'z' or 'y'")
-        return UP[up]
+        if up not in R_WORLD_OF_UP:
+            raise fields.error("up", f"found {short_repr(up)}, expected 'z' or 'y'")
+        return R_WORLD_OF_UP[up]
     if "up" in fields:
         raise fields.error("", "found both 'up' and 'to_world', expected one of them")
     expected = "a 3 × 3 matrix with unit rows at right angles"
     matrix = fields.array("to_world", [(3, 3)], expected)
-    if not orthonormal(matrix):
+    if not is_orthonormal(matrix):
         raise fields.error("to_world", f"found {matrix.tolist()}, expected {expected}")
     return matrix
 

@@ -22,27 +22,40 @@ import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import open_regular, regular_file
-from jaxmocap.formats.files.shortened import name_shown, shown
+from jaxmocap.formats.files.short_repr import short_name, short_repr
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series import c3d_process
-from jaxmocap.formats.time_series.tables import Markers, even_rate, make_markers, stack_points
-from jaxmocap.formats.time_series.trc import METRES
+from jaxmocap.formats.time_series.tables import (
+    METRES_PER_UNIT,
+    Markers,
+    even_rate,
+    make_markers,
+    stack_points,
+)
 
-_UNITS = METRES | {"dm": 0.1, "in": 0.0254, "inch": 0.0254, "inches": 0.0254}
-# Frames are counted by 16 bits; residuals are held in steps of a scale, 255 at most.
-MOST_FRAMES, RESIDUAL_STEPS = 65535, 255
+_UNITS = METRES_PER_UNIT | {"dm": 0.1, "in": 0.0254, "inch": 0.0254, "inches": 0.0254}
+# Frames are counted by 16 bits.
+MAX_FRAMES = 65535
+# Residuals are stored as whole steps of a scale, 255 at most.
+RESIDUAL_STEPS = 255
 _BIG_ENDIAN = 86
-# What the process that reads may take: seconds, and bytes of addresses, some 300 MB of them for
-# Python itself. 65535 frames of 60 markers take 840 MB.
-LONGEST_S, MOST_MEMORY = 60, 2**31
-_MM, _SMALLEST_MM = 1e-3, 1e-6
+# What the process that reads may take: seconds,
+MAX_READ_S = 60
+# and bytes of addresses, some 300 MB of them for Python itself: 65535 frames of 60 markers take
+# 840 MB.
+MAX_MEMORY_BYTES = 2**31
+_METRES_PER_MM = 1e-3
+# A point exactly at the origin would be a missing one, and is written this far from it.
+_SMALLEST_MM = 1e-6
 _DAMAGED = "not a C3D file, or damaged or cut off within its parameters"
-# 16 bits for each frame's first and last; blocks of 512 bytes; four 32-bit numbers a point.
-_BLOCK, _POINT_BYTES = 512, 16
+# A file consists of blocks of this size.
+_BLOCK_BYTES = 512
+# A point is four 32-bit numbers.
+_POINT_BYTES = 16
 # Frames per second.
-_FASTEST_HZ = 1e6
+_MAX_RATE_HZ = 1e6
 # Where the parameters are at the latest, bytes.
-_LATEST_PARAMETERS = 2**17
+_HEADER_BYTES = 2**17
 
 
 class _Content(NamedTuple):
@@ -65,7 +78,7 @@ class _Content(NamedTuple):
     first: int
     unit: str
     labels: list[str]
-    analogs: int
+    analog_channels: int
     events: int
 
 
@@ -84,8 +97,8 @@ def read_c3d(path: str | Path) -> Markers:
     if count < declared:
         raise InputError(path, f"the header says {declared} frames, the file ends after {count}")
     scale = _scale(path, file.unit)
-    if not 0 < file.rate <= _FASTEST_HZ:
-        problem = f"found {file.rate:g}, expected frames per second, up to {_FASTEST_HZ:g}"
+    if not 0 < file.rate <= _MAX_RATE_HZ:
+        problem = f"found {file.rate:g}, expected frames per second, up to {_MAX_RATE_HZ:g}"
         raise InputError(path, f"POINT:RATE: {problem}")
     with np.errstate(over="ignore", invalid="ignore"):
         positions, residuals = file.points.transpose(2, 1, 0) * scale, file.residuals.T * scale
@@ -104,15 +117,21 @@ def _read(path: str | Path) -> _Content:
     60 files with some bytes changed).
     """
     regular_file(path)
-    command = [sys.executable, "-I", c3d_process.__file__, os.path.abspath(path), str(MOST_MEMORY)]
+    command = [
+        sys.executable,
+        "-I",
+        c3d_process.__file__,
+        os.path.abspath(path),
+        str(MAX_MEMORY_BYTES),
+    ]
     # Each further thread of its libraries would take addresses.
     alone = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     try:
-        done = subprocess.run(command, capture_output=True, timeout=LONGEST_S, env=alone)
+        done = subprocess.run(command, capture_output=True, timeout=MAX_READ_S, env=alone)
     except subprocess.TimeoutExpired:
-        raise InputError(path, f"not read within {LONGEST_S} s, too large or damaged") from None
-    if done.returncode == c3d_process.TOO_LARGE or b"bad_alloc" in done.stderr:
-        most = f"{MOST_MEMORY / 1e9:.2g} GB of memory"
+        raise InputError(path, f"not read within {MAX_READ_S} s, too large or damaged") from None
+    if done.returncode == c3d_process.EXIT_TOO_LARGE or b"bad_alloc" in done.stderr:
+        most = f"{MAX_MEMORY_BYTES / 1e9:.2g} GB of memory"
         raise InputError(path, f"takes more than {most} to read, too large or damaged")
     if done.returncode:
         raise InputError(path, _DAMAGED)
@@ -124,25 +143,25 @@ def _read(path: str | Path) -> _Content:
     return _Content(numbers[:count].reshape(3, *shape), numbers[count:].reshape(shape), **head)
 
 
-def left_in_c3d(path: str | Path) -> list[str]:
+def unconverted_content(path: str | Path) -> list[str]:
     """What a file that can be read holds besides its points, in words."""
     file, left = _read(path), []
-    if file.analogs:
-        left.append(f"{file.analogs} analog channels")
+    if file.analog_channels:
+        left.append(f"{file.analog_channels} analog channels")
     if file.events:
         left.append("events")
     if file.labels != _labels(file.labels):
-        prefix = name_shown(file.labels[0].rpartition(":")[0])
+        prefix = short_name(file.labels[0].rpartition(":")[0])
         left.append(f"the labels' prefix {prefix}:")
     return left
 
 
 def _declared_frames(path: str | Path) -> int:
-    """How many frames the header says there are; ezc3d tells only those that it found."""
+    """How many frames the header says there are; ezc3d gives only those that it found."""
     with open_regular(path) as file:
-        header = file.read(_LATEST_PARAMETERS)
+        header = file.read(_HEADER_BYTES)
     try:
-        processor = header[(header[0] - 1) * _BLOCK + 3]
+        processor = header[(header[0] - 1) * _BLOCK_BYTES + 3]
         order = ">HH" if processor == _BIG_ENDIAN else "<HH"
         first, last = struct.unpack_from(order, header, 6)
     except (IndexError, struct.error):
@@ -154,7 +173,7 @@ def _scale(path: str | Path, unit: str) -> float:
     """Metres per unit of the file."""
     if unit.lower() not in _UNITS:
         expected = ", ".join(_UNITS)
-        raise InputError(path, f"POINT:UNITS: found {shown(unit)}, expected one of {expected}")
+        raise InputError(path, f"POINT:UNITS: found {short_repr(unit)}, expected one of {expected}")
     return _UNITS[unit.lower()]
 
 
@@ -182,14 +201,14 @@ def write_c3d(path: str | Path, markers: Markers) -> None:
     times, table = stack_points(markers.times, markers.points(), "\r\n\0", path)
     rate = even_rate(path, times)
     first = round(times[0] * rate)
-    if not 0 <= first <= first + len(times) <= MOST_FRAMES:
+    if not 0 <= first <= first + len(times) <= MAX_FRAMES:
         problem = f"frames {first} to {first + len(times)} at {rate:g} Hz: C3D holds 0 to"
-        raise InputError(path, f"{problem} {MOST_FRAMES}")
+        raise InputError(path, f"{problem} {MAX_FRAMES}")
     long = [name for name in markers.names if len(name.encode()) > 127]
     if long or len(markers.names) > 255:
         found = f"the name {long[0]!r}" if long else f"{len(markers.names)} markers"
         raise InputError(path, f"{found}: C3D holds 255 markers, names of 127 bytes")
-    positions = np.moveaxis(table.reshape(len(times), -1, 3), 2, 0).swapaxes(1, 2) / _MM
+    positions = np.moveaxis(table.reshape(len(times), -1, 3), 2, 0).swapaxes(1, 2) / _METRES_PER_MM
     missing = np.asarray(np.isnan(positions).any(0))
     positions = np.where((np.abs(positions) < _SMALLEST_MM).all(0), _SMALLEST_MM, positions)
     residuals, step = _residuals(markers, missing)
@@ -201,30 +220,30 @@ def write_c3d(path: str | Path, markers: Markers) -> None:
     file["data"]["meta_points"]["residuals"] = residuals[None]
     file["header"]["points"]["first_frame"] = first
     frames, points = len(times), len(markers.names)
-    with replacing(path, lambda part: _is_whole(part, frames, points)) as beside:
-        file.write(str(beside))
+    with replacing(path, lambda part: _is_complete(part, frames, points)) as temporary:
+        file.write(str(temporary))
 
 
-def _is_whole(path: Path, frames: int, points: int) -> bool:
+def _is_complete(path: Path, frames: int, points: int) -> bool:
     """Whether a file that was written holds its frames: ezc3d says nothing of a full disk."""
     with path.open("rb") as file:
-        content = file.read(2 * _BLOCK)
-    if len(content) < 2 * _BLOCK:
+        content = file.read(2 * _BLOCK_BYTES)
+    if len(content) < 2 * _BLOCK_BYTES:
         return False
     found, _, first, last = struct.unpack_from("<HHHH", content, 2)
     # Where the points begin is written at the very end: after the blocks of parameters.
-    start, blocks = struct.unpack_from("<H", content, 16)[0], content[_BLOCK + 2]
-    size = (start - 1) * _BLOCK + frames * points * _POINT_BYTES
+    start, blocks = struct.unpack_from("<H", content, 16)[0], content[_BLOCK_BYTES + 2]
+    size = (start - 1) * _BLOCK_BYTES + frames * points * _POINT_BYTES
     counts = found, last - first + 1, start
     expected = points, frames, content[0] + blocks
     return counts == expected and path.stat().st_size >= size
 
 
 def _residuals(markers: Markers, missing: np.ndarray) -> tuple[np.ndarray, float]:
-    """Residuals (M, T) in millimetres, −1 where missing, and the step in which they are held."""
+    """Residuals (M, T) in millimetres, −1 where missing, and the step in which they are stored."""
     if markers.residuals is None:
         return np.where(missing, -1.0, 0.0), 1.0
-    residuals = np.nan_to_num(markers.residuals.T / _MM)
+    residuals = np.nan_to_num(markers.residuals.T / _METRES_PER_MM)
     largest = float(np.where(missing, 0.0, residuals).max(initial=0.0))
     step = max(largest / RESIDUAL_STEPS, _SMALLEST_MM)
     # ezc3d cuts off what is less than a step: half a step more rounds.

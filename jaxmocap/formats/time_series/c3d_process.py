@@ -9,16 +9,16 @@ import json
 import sys
 from typing import Any
 
-TOO_LARGE = 3
+EXIT_TOO_LARGE = 3
 
 
-def limit_memory(most: int) -> None:
+def limit_memory(max_bytes: int) -> None:
     """Let this process have so many bytes, where the system can hold it to that."""
     try:
         import resource
     except ImportError:
         return
-    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    resource.setrlimit(resource.RLIMIT_AS, (max_bytes, max_bytes))
 
 
 def stored_labels(group: Any, count: int) -> list[str]:
@@ -29,7 +29,7 @@ def stored_labels(group: Any, count: int) -> list[str]:
     return names + [f"point{i}" for i in range(len(names) + 1, count + 1)]
 
 
-def main(path: str, most: int) -> int:
+def read_to_stdout(path: str, most: int) -> int:
     """Read a file and hand it on; the exit code."""
     limit_memory(most)
     try:
@@ -47,7 +47,7 @@ def main(path: str, most: int) -> int:
             "first": int(file["header"]["points"]["first_frame"]),
             "unit": str(units[0]).strip() if len(units) else "",
             "labels": stored_labels(group, points.shape[1]),
-            "analogs": file["data"]["analogs"].shape[1],
+            "analog_channels": file["data"]["analogs"].shape[1],
             "events": len(times.get("value", ())),
         }
         output = sys.stdout.buffer
@@ -56,7 +56,7 @@ def main(path: str, most: int) -> int:
             output.write(np.ascontiguousarray(array, np.float64).data)
         output.flush()
     except MemoryError:
-        return TOO_LARGE
+        return EXIT_TOO_LARGE
     # ezc3d raises whatever its parser met: OSError, RuntimeError, ValueError, IndexError, ...
     except Exception:
         return 1
@@ -64,4 +64,4 @@ def main(path: str, most: int) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1], int(sys.argv[2])))
+    sys.exit(read_to_stdout(sys.argv[1], int(sys.argv[2])))

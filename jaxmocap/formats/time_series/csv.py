@@ -1,8 +1,8 @@
 """CSV: markers as any spreadsheet or data frame writes them.
 
 INPUTS: a comma-separated file whose header is ``time,Name.x,Name.y,Name.z,...``: seconds and
-metres, one row per sample, empty cells where a marker is missing. A marker that knows how it is
-turned has ``Name.qw,Name.qx,Name.qy,Name.qz`` after its place: a unit quaternion from its own axes
+metres, one row per sample, empty cells where a marker is missing. A marker with an orientation
+has ``Name.qw,Name.qx,Name.qy,Name.qz`` after its place: a unit quaternion from its own axes
 to the file's.
 OUTPUTS: Markers in the file's own axes; or such a file.
 """
@@ -18,10 +18,10 @@ import numpy as np
 from jaxmocap.body.orientations import matrices, quaternions
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.lines import numbered_lines
-from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.short_repr import short_repr
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series.tables import (
-    MOST_VALUES,
+    MAX_VALUES,
     Markers,
     make_markers,
     parse_rows,
@@ -32,7 +32,7 @@ from jaxmocap.formats.time_series.tables import (
 HEADER = "'time,Name.x,Name.y,Name.z,...', with Name.qw,Name.qx,Name.qy,Name.qz after or without"
 
 # Numbers of a file with quaternions, each of which becomes nine: 0.4 GB.
-MOST_WITH_TURNS = 35_000_000
+MAX_VALUES_WITH_ORIENTATIONS = 35_000_000
 
 
 def read_csv(path: str | Path) -> Markers:
@@ -45,7 +45,7 @@ def read_csv(path: str | Path) -> Markers:
     names, turned = _names(path, next(lines)[1])
     data = ((number, line.split(",")) for number, line in lines)
     widths = [7 if turns else 3 for turns in turned]
-    most = MOST_WITH_TURNS if any(turned) else MOST_VALUES
+    most = MAX_VALUES_WITH_ORIENTATIONS if any(turned) else MAX_VALUES
     table, numbers = parse_rows(path, data, 1 + sum(widths), most)
     if not any(turned):
         return make_markers(path, table, numbers, names, "line 1")
@@ -58,19 +58,19 @@ def read_csv(path: str | Path) -> Markers:
             found = table[:, first + 3 : first + 7]
             _check_lengths(path, names[i], found, numbers)
             turns[:, i] = matrices(found)
-    return replace(markers, turns=turns)
+    return replace(markers, orientations=turns)
 
 
 def _check_lengths(path: str | Path, name: str, quaternions: np.ndarray, lines: np.ndarray) -> None:
-    """InputError unless every one of (T, 4) quaternions that is known is of length 1."""
+    """InputError unless every one of (T, 4) quaternions that is not NaN is of length 1."""
     lengths = np.linalg.norm(quaternions, axis=-1)
     wrong = np.flatnonzero(np.abs(lengths - 1) > 0.01)
     if len(wrong):
         i = int(wrong[0])
         raise InputError(
             path,
-            f"line {lines[i]}: the quaternion of {shown(name)} has length {lengths[i]:.3g}, "
-            "expected 1 (or four empty cells where it is not known)",
+            f"line {lines[i]}: the quaternion of {short_repr(name)} has length {lengths[i]:.3g}, "
+            "expected 1 (or four empty cells where it is missing)",
         )
 
 
@@ -92,7 +92,9 @@ def _names(path: str | Path, header: str) -> tuple[list[str], list[bool]]:
             expected = f"{names[-1]}.{axis}"
             found = cells[i] if i < len(cells) else "the end of the line"
             if found != expected or not names[-1]:
-                problem = f"found {shown(found)} where {shown(expected)} belongs ({HEADER})"
+                problem = (
+                    f"found {short_repr(found)} where {short_repr(expected)} belongs ({HEADER})"
+                )
                 raise InputError(path, f"line 1: {problem}")
             i += 1
     return names, turned
@@ -102,7 +104,7 @@ def write_csv(
     path: str | Path,
     times: np.ndarray,
     points: dict[str, np.ndarray],
-    turns: Mapping[str, np.ndarray] | None = None,
+    orientations: Mapping[str, np.ndarray] | None = None,
 ) -> None:
     """Write a CSV file of markers.
 
@@ -110,7 +112,7 @@ def write_csv(
         path: of the file.
         times: (T,) seconds, ascending.
         points: marker -> (T, 3) positions, metres; NaN where missing.
-        turns: marker -> (T, 3, 3) from its own axes to the file's, of those that know it.
+        orientations: marker -> (T, 3, 3) from its own axes to the file's, of those that know it.
 
     Raises:
         ValueError: shapes or names that do not fit.
@@ -120,12 +122,12 @@ def write_csv(
     for i, name in enumerate(points):
         columns += [f"{name}.{axis}" for axis in "xyz"]
         parts.append(positions[:, 3 * i : 3 * i + 3])
-        if turns and name in turns:
+        if orientations and name in orientations:
             columns += [f"{name}.q{axis}" for axis in "wxyz"]
-            parts.append(quaternions(turns[name]))
+            parts.append(quaternions(orientations[name]))
     csv.writer(header, lineterminator="\n").writerow(columns)
-    table = np.concatenate(parts, 1) if turns else positions
+    table = np.concatenate(parts, 1) if orientations else positions
     rows = zip(times, row_texts(table, ","), strict=True)
-    with replacing(path) as beside, beside.open("w", encoding="utf-8", newline="\n") as file:
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.write(header.getvalue())
         file.writelines(f"{time:.9f},{row}\n" for time, row in rows)

@@ -16,30 +16,30 @@ from jaxmocap.formats.animation.armature import Armature
 # Seconds: a hand moves by half a metre in less, so that a straight line would show another motion.
 LONGEST_BRIDGED_S = 0.5
 # Slow recordings are bridged over so many of their own intervals.
-MOST_INTERVALS_BRIDGED = 5
+MAX_INTERVALS_BRIDGED = 5
 
 
-def gaps(times: np.ndarray) -> np.ndarray:
-    """(T - 1,) is what lies between each of (T,) times and the next one a gap?"""
+def is_gap(times: np.ndarray) -> np.ndarray:
+    """(T - 1,) whether what lies between each of (T,) times and the next one is a gap."""
     steps = np.diff(times)
     if not len(steps):
         return np.zeros(0, bool)
-    return steps > max(LONGEST_BRIDGED_S, MOST_INTERVALS_BRIDGED * float(np.median(steps)))
+    return steps > max(LONGEST_BRIDGED_S, MAX_INTERVALS_BRIDGED * float(np.median(steps)))
 
 
-def held(armature: Armature) -> Armature:
-    """The samples whose pose is known, and the pose before each gap once more at its end."""
-    known = np.flatnonzero(armature.known)
-    times = armature.times[known]
-    before = np.flatnonzero(gaps(times))
-    if not len(before) and len(known) == len(armature.times):
+def hold_across_gaps(armature: Armature) -> Armature:
+    """The samples that have a pose, and the pose before each gap once more at its end."""
+    known_samples = np.flatnonzero(armature.is_known)
+    times = armature.times[known_samples]
+    before = np.flatnonzero(is_gap(times))
+    if not len(before) and len(known_samples) == len(armature.times):
         return armature
-    order, later = known, times
+    order, later = known_samples, times
     if len(before):
         # One interval before the first pose after the gap, as if a sample were there.
         last = times[before + 1] - float(np.median(np.diff(times)))
         order, later = (
-            np.insert(known, before + 1, known[before]),
+            np.insert(known_samples, before + 1, known_samples[before]),
             np.insert(times, before + 1, last),
         )
     return replace(

@@ -67,7 +67,7 @@ class Joint:
 
     Attributes:
         name: of the joint, without side.
-        proximal: bone of the segment that is held; None is the pelvis.
+        proximal: bone of the segment that stays fixed; None is the pelvis.
         distal: bone of the segment that turns; None is the pelvis.
         order: of the three turns, about the axes that the earlier ones leave.
         angles: their names.
@@ -82,16 +82,16 @@ class Joint:
     signs: tuple[int, int, int] = (1, 1, 1)
 
 
-WORLD = (
+PELVIS_JOINT = (
     Joint("pelvis", None, None, "YXZ", ("rotation", "lean", "tilt")),
     Joint("thorax", None, "spine3", "YXZ", ("rotation", "lean", "tilt")),
 )
-TRUNK = (
+TRUNK_JOINTS = (
     Joint("trunk", None, "spine3", "ZXY", ("extension", "bending", "rotation")),
     Joint("neck", "spine3", "head", "ZXY", ("extension", "bending", "rotation")),
 )
 _LEG = ("flexion", "adduction", "rotation")
-LIMBS = (
+LIMB_JOINTS = (
     Joint("shoulder", "spine3", "humerus", "YXY", ("plane", "elevation", "rotation")),
     Joint("elbow", "humerus", "radius", "ZXY", ("flexion", "carrying", "pronation")),
     Joint("wrist", "radius", "hand", "ZXY", ("flexion", "deviation", "rotation")),
@@ -107,18 +107,23 @@ def isb_angles(motion: Motion) -> dict[str, np.ndarray]:
     R_pelvis_bone = body_turns(skeleton, np.asarray(motion.poses.angles, float))
     R_world_pelvis = matrices(np.asarray(motion.poses.quaternion, float))
     wanted: list[tuple[Joint, str, tuple[int, ...], np.ndarray]] = []
-    for joint in WORLD:
+    for joint in PELVIS_JOINT:
         R = R_world_pelvis @ _segment(skeleton, R_pelvis_bone, joint.distal)
         wanted.append((joint, "", (0, 1, 2), R))
-    for joint, side in [(joint, "") for joint in TRUNK] + [(j, s) for s in "rl" for j in LIMBS]:
+    for joint, side in [(joint, "") for joint in TRUNK_JOINTS] + [
+        (j, s) for s in "rl" for j in LIMB_JOINTS
+    ]:
         if kept := made_by_hinges(skeleton, joint, side):
             near, far = (_sided(skeleton, b, side) for b in (joint.proximal, joint.distal))
             R_near, R_far = (_segment(skeleton, R_pelvis_bone, bone) for bone in (near, far))
             wanted.append((joint, side, kept, R_near.swapaxes(-1, -2) @ R_far))
-    turns = _turns([joint.order for joint, *_ in wanted], [_in_isb(*each) for each in wanted])
+    angles = _euler_angles(
+        [joint.order for joint, *_ in wanted], [_in_isb(*each) for each in wanted]
+    )
     return {
-        "_".join(filter(None, (joint.name, joint.angles[k], side))): joint.signs[k] * turn[:, k]
-        for (joint, side, kept, _), turn in zip(wanted, turns, strict=True)
+        "_".join(filter(None, (joint.name, joint.angles[k], side))): joint.signs[k]
+        * joint_angles[:, k]
+        for (joint, side, kept, _), joint_angles in zip(wanted, angles, strict=True)
         for k in kept
     }
 
@@ -126,16 +131,16 @@ def isb_angles(motion: Motion) -> dict[str, np.ndarray]:
 def _in_isb(joint: Joint, side: str, _: tuple[int, ...], R: np.ndarray) -> np.ndarray:
     """Turns (T, 3, 3) between a joint's bones as turns between ISB's axes, left ones mirrored."""
     to_isb = R_BONE_ISB @ MIRROR if side == "l" else R_BONE_ISB
-    near, far = (_posture(bone) for bone in (joint.proximal, joint.distal))
+    near, far = (_segment_axes(bone) for bone in (joint.proximal, joint.distal))
     return near.T @ to_isb.T @ R @ to_isb @ far
 
 
-def _posture(bone: str | None) -> np.ndarray:
+def _segment_axes(bone: str | None) -> np.ndarray:
     """ISB's axes (3, 3) of a segment in those that its bone has."""
     return SUPINATED if bone in ("radius", "hand") else np.eye(3)
 
 
-def _turns(orders: list[str], R: list[np.ndarray]) -> list[np.ndarray]:
+def _euler_angles(orders: list[str], R: list[np.ndarray]) -> list[np.ndarray]:
     """Angles (T, 3) of each joint's turns (T, 3, 3); joints of one order go together."""
     turns = [np.empty(0)] * len(orders)
     for order in set(orders):
@@ -153,7 +158,7 @@ def made_by_hinges(skeleton: Skeleton, joint: Joint, side: str = "") -> tuple[in
     above, below = (set(tree.chain(bone) if bone else ()) for bone in (near, far))
     between = below - above
     hinges = [d for d, bone in enumerate(tree.dof_bones) if bone in between]
-    to_isb = R_BONE_ISB @ _posture(joint.proximal)
+    to_isb = R_BONE_ISB @ _segment_axes(joint.proximal)
     about = np.abs(np.asarray(skeleton.axes, float)[hinges] @ to_isb).max(0, initial=0.0)
     return tuple(k for k, axis in enumerate(joint.order) if about["XYZ".index(axis)] > 1e-6)
 

@@ -1,4 +1,4 @@
-"""Marker files of any kind, told by their suffix.
+"""Marker files of any kind, by their suffix.
 
 INPUTS: a .trc, .csv or .c3d file; or a .bvh or .glb file, whose joints are the markers.
 OUTPUTS: Markers in metres, in the file's own axes.
@@ -7,7 +7,7 @@ OUTPUTS: Markers in metres, in the file's own axes.
 from pathlib import Path
 
 from jaxmocap.formats.animation.armature import Armature, joint_positions
-from jaxmocap.formats.animation.bvh import read_bvh
+from jaxmocap.formats.animation.bvh_in import read_bvh
 from jaxmocap.formats.animation.gltf_in import read_gltf
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.time_series.c3d import read_c3d
@@ -29,7 +29,7 @@ _READERS = {
 }
 
 
-def usual_up(path: str | Path) -> str:
+def default_up(path: str | Path) -> str:
     """The vertical axis, "y" or "z", that files of a suffix have if nobody says otherwise."""
     return "y" if Path(path).suffix.lower() in (".bvh", ".glb") else "z"
 

@@ -23,11 +23,11 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.lines import numbered_lines
-from jaxmocap.formats.files.shortened import listed, name_shown
+from jaxmocap.formats.files.short_repr import comma_list, short_name
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series.isb import isb_angles
 from jaxmocap.formats.time_series.tables import (
-    Places,
+    SampleLabels,
     check_names,
     check_times,
     declared_count,
@@ -35,21 +35,21 @@ from jaxmocap.formats.time_series.tables import (
     row_texts,
 )
 
-PLACES = ("pelvis_tx", "pelvis_ty", "pelvis_tz")
-TURNS = ("pelvis_yaw", "pelvis_pitch", "pelvis_roll")
-_AXES = "ZYX"
+TRANSLATION_COLUMNS = ("pelvis_tx", "pelvis_ty", "pelvis_tz")
+ROTATION_COLUMNS = ("pelvis_yaw", "pelvis_pitch", "pelvis_roll")
+_EULER_ORDER = "ZYX"
 _MOST_HEADER_LINES = 1000
 
 
 def write_mot(path: str | Path, motion: Motion) -> None:
     """Write the angles of a motion; NaN where a pose is unknown."""
-    names = (*PLACES, *TURNS, *motion.skeleton.tree.joints)
+    names = (*TRANSLATION_COLUMNS, *ROTATION_COLUMNS, *motion.skeleton.tree.joints)
     quaternion = np.asarray(motion.poses.quaternion, float)
-    known = np.isfinite(quaternion.sum(-1))
-    turns = np.full((len(known), 3), np.nan)
-    if known.any():
-        R_world_pelvis = Rotation.from_quat(quaternion[known], scalar_first=True)
-        turns[known] = np.unwrap(R_world_pelvis.as_euler(_AXES), axis=0)
+    is_known = np.isfinite(quaternion.sum(-1))
+    turns = np.full((len(is_known), 3), np.nan)
+    if is_known.any():
+        R_world_pelvis = Rotation.from_quat(quaternion[is_known], scalar_first=True)
+        turns[is_known] = np.unwrap(R_world_pelvis.as_euler(_EULER_ORDER), axis=0)
     angles = np.degrees(np.concatenate([turns, np.asarray(motion.poses.angles, float)], 1))
     table = np.concatenate([motion.positions_world, angles], 1)
     _write_table(Path(path), motion.times, dict(zip(names, table.T, strict=True)))
@@ -67,7 +67,7 @@ def _write_table(path: Path, times: np.ndarray, columns: Mapping[str, np.ndarray
     lines = [*head, "inDegrees=yes", "endheader", "\t".join(["time", *columns])]
     table = np.stack(list(columns.values()), 1)
     rows = zip(times, row_texts(table, "\t", decimals=8, nan="NaN"), strict=True)
-    with replacing(path) as beside, beside.open("w", encoding="utf-8", newline="\n") as file:
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"{line}\n" for line in lines)
         file.writelines(f"{time:.9f}\t{row}\n" for time, row in rows)
 
@@ -87,10 +87,10 @@ def read_mot(path: str | Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         raise InputError(path, f"line {end + 1}: found no 'time' and names of columns")
     check_names(path, names, f"line {end + 1}", "column")
     table, numbers = parse_rows(path, ((i, line.split()) for i, line in lines), len(names))
-    check_times(path, table[:, 0], Places("line", numbers))
+    check_times(path, table[:, 0], SampleLabels("line", numbers))
     count = declared_count(declared := header.get("nrows", ""))
     if count is not None and count > len(table):
-        problem = f"nRows is {name_shown(declared)}, but the file ends after {len(table)}"
+        problem = f"nRows is {short_name(declared)}, but the file ends after {len(table)}"
         raise InputError(path, problem)
     columns = dict(zip(names[1:], table[:, 1:].T, strict=True))
     if header["indegrees"] == "yes":
@@ -120,22 +120,24 @@ def _radians(name: str, column: np.ndarray) -> np.ndarray:
 def motion_from_angles(
     path: str | Path, times: np.ndarray, columns: Mapping[str, np.ndarray], skeleton: Skeleton
 ) -> Motion:
-    """The motion of a skeleton that a file written by ``write_mot`` tells.
+    """The motion of a skeleton that a file written by ``write_mot`` holds.
 
     Raises:
         InputError: a column is missing.
     """
-    names = (*PLACES, *TURNS, *skeleton.tree.joints)
+    names = (*TRANSLATION_COLUMNS, *ROTATION_COLUMNS, *skeleton.tree.joints)
     missing = [name for name in names if name not in columns]
     if missing:
         if "pelvis_tilt" in columns:
             problem = "holds ISB's angles, which hinges cannot be read from"
             raise InputError(path, problem)
-        raise InputError(path, f"no column {missing[0]!r}, found {listed(columns)}")
+        raise InputError(path, f"no column {missing[0]!r}, found {comma_list(columns)}")
     table = np.stack([columns[name] for name in names], 1)
-    known = np.isfinite(table.sum(-1))
-    R_world_pelvis = Rotation.from_euler(_AXES, np.where(known[:, None], table[:, 3:6], 0.0))
+    is_known = np.isfinite(table.sum(-1))
+    R_world_pelvis = Rotation.from_euler(
+        _EULER_ORDER, np.where(is_known[:, None], table[:, 3:6], 0.0)
+    )
     quaternion = R_world_pelvis.as_quat(scalar_first=True)
-    quaternion = np.where(known[:, None], quaternion, np.nan)
+    quaternion = np.where(is_known[:, None], quaternion, np.nan)
     parts: list[Any] = [table[:, :3], quaternion, table[:, 6:]]
     return near_origin(Motion(skeleton, times, Pose(*parts)))

@@ -15,7 +15,7 @@ from jaxmocap.formats.time_series.tables import parse_rows
 
 _COLUMNS = ["x", "y", "z", "u", "v"]
 # Nobody measures more by hand, and the work grows with their square.
-MOST_POINTS = 1000
+MAX_POINTS = 1000
 
 
 def read_points(path: str | Path) -> tuple[list[str], np.ndarray, np.ndarray]:
@@ -32,8 +32,8 @@ def read_points(path: str | Path) -> tuple[list[str], np.ndarray, np.ndarray]:
         raise InputError(path, problem)
     rows = [(i, line.split(",")) for i, line in enumerate(lines, 1) if i > 1]
     table, numbers = parse_rows(path, ((i, cells[named:]) for i, cells in rows), len(_COLUMNS))
-    if len(table) > MOST_POINTS:
-        raise InputError(path, f"found {len(table)} points, expected at most {MOST_POINTS}")
+    if len(table) > MAX_POINTS:
+        raise InputError(path, f"found {len(table)} points, expected at most {MAX_POINTS}")
     missing = np.isnan(table).any(1)
     if missing.any():
         raise InputError(path, f"line {numbers[int(missing.argmax())]}: a number is missing")

@@ -1,7 +1,8 @@
 """The same at other times: markers, armatures and motions at an even rate.
 
-INPUTS: Markers, an Armature or a Motion, and times. OUTPUTS: the same kind of thing, straight lines
-and shortest turns between its samples; missing where one of the two samples is, and within gaps.
+INPUTS: Markers, an Armature or a Motion, and times. OUTPUTS: the same kind of thing, linear and
+spherical linear interpolation between its samples; missing where one of the two samples is, and
+within gaps.
 """
 
 from collections.abc import Iterator
@@ -16,17 +17,17 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.formats.animation.armature import Armature
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.time_series.gaps import gaps
+from jaxmocap.formats.time_series.gaps import is_gap
 from jaxmocap.formats.time_series.tables import Markers
 
 # Numbers that may come of any recording, and at most: half an hour of a body at 200 Hz is 81
 # million, 0.65 GB.
-FEW_NUMBERS = 20_000_000
-MOST_NUMBERS = 100_000_000
+ALWAYS_ALLOWED_NUMBERS = 20_000_000
+MAX_NUMBERS = 100_000_000
 # Times as many samples as there were.
-MOST_GROWTH = 4
+MAX_GROWTH = 4
 # Numbers that are worked on at a time.
-NUMBERS_AT_ONCE = 1_000_000
+BLOCK_NUMBERS = 1_000_000
 
 
 def even_times(
@@ -45,112 +46,114 @@ def even_times(
     """
     if not 0 < rate < np.inf:
         raise ValueError(f"found a rate of {rate:g}, expected a positive number")
-    # Of numbers beyond those of memory, a float tells how many.
+    # A float, since the count may be beyond any integer of NumPy's.
     count = np.floor(float(times[-1] - times[0]) * rate + 1e-6) + 1
-    numbers = max(FEW_NUMBERS, min(MOST_NUMBERS, MOST_GROWTH * len(times) * columns))
+    numbers = max(ALWAYS_ALLOWED_NUMBERS, min(MAX_NUMBERS, MAX_GROWTH * len(times) * columns))
     if count > (most := numbers // max(columns, 1)):
         problem = f"{rate:g} samples per second would be {count:.6g} from {times[0]:g} s"
         raise InputError(path, f"{problem} to {times[-1]:g} s, expected at most {most}")
     return times[0] + np.arange(int(count)) / rate
 
 
-class Between(NamedTuple):
-    """Which two samples each of N times lies between.
+class Interpolation(NamedTuple):
+    """The two samples that each of N times lies between, and how far.
 
     Attributes:
         before: (N,) index of the sample before.
         after: (N,) index of the one after; the same where the time is a sample's own.
-        part: (N,) how far it is from the one to the other, 0 to 1.
-        lost: (N,) is it within a gap?
+        fraction: (N,) how far it is from the one to the other, 0 to 1.
+        in_gap: (N,) is it within a gap?
     """
 
     before: np.ndarray
     after: np.ndarray
-    part: np.ndarray
-    lost: np.ndarray
+    fraction: np.ndarray
+    in_gap: np.ndarray
 
-    def blocks(self, columns: int) -> Iterator[tuple[slice, "Between"]]:
+    def blocks(self, columns: int) -> Iterator[tuple[slice, "Interpolation"]]:
         """Some times in a row and where they lie, so few that copies take little memory."""
-        size = max(1, NUMBERS_AT_ONCE // max(columns, 1))
-        for first in range(0, len(self.part), size):
-            some = slice(first, first + size)
-            yield some, Between(*(each[some] for each in self))
+        size = max(1, BLOCK_NUMBERS // max(columns, 1))
+        for first in range(0, len(self.fraction), size):
+            block = slice(first, first + size)
+            yield block, Interpolation(*(each[block] for each in self))
 
 
-def between(times: np.ndarray, wanted: np.ndarray) -> Between:
-    """Where (N,) wanted times lie among (T,) ascending ones."""
-    after = np.clip(np.searchsorted(times, wanted), 0, len(times) - 1)
+def interpolation_at(times: np.ndarray, new_times: np.ndarray) -> Interpolation:
+    """How (N,) new times are interpolated among (T,) ascending ones."""
+    after = np.clip(np.searchsorted(times, new_times), 0, len(times) - 1)
     before = np.maximum(after - 1, 0)
     step = np.where(after > before, times[after] - times[before], 1.0)
-    part = np.clip((wanted - times[before]) / step, 0.0, 1.0)
+    fraction = np.clip((new_times - times[before]) / step, 0.0, 1.0)
     # At a sample itself its neighbour does not matter, to the rounding of text files.
     before, after = (
-        np.where((1 - part) * step < 1e-6, after, before),
-        np.where(part * step < 1e-6, before, after),
+        np.where((1 - fraction) * step < 1e-6, after, before),
+        np.where(fraction * step < 1e-6, before, after),
     )
-    is_gap = np.append(gaps(times), False)
-    return Between(before, after, part, is_gap[before] & (before < after))
+    gap_after = np.append(is_gap(times), False)
+    return Interpolation(before, after, fraction, gap_after[before] & (before < after))
 
 
 def resampled_markers(markers: Markers, times: np.ndarray) -> Markers:
-    """Markers at (N,) other times; their residuals are let go."""
-    at = between(markers.times, times)
-    turns = None if markers.turns is None else shortest(markers.turns, at)
-    return Markers(times, markers.names, straight(markers.positions, at), turns=turns)
+    """Markers at (N,) other times; their residuals are dropped."""
+    at = interpolation_at(markers.times, times)
+    orientations = None if markers.orientations is None else slerp(markers.orientations, at)
+    return Markers(times, markers.names, lerp(markers.positions, at), orientations=orientations)
 
 
-def straight(values: np.ndarray, at: Between) -> np.ndarray:
-    """(N, ...) values on the straight lines between (T, ...); NaN within gaps."""
-    found = np.empty((len(at.part), *values.shape[1:]))
-    for some, here in at.blocks(values[0].size):
-        first, second = values[here.before], values[here.after]
-        share = here.part.reshape(-1, *[1] * (values.ndim - 1))
-        found[some] = first + share * (second - first)
-    found[at.lost] = np.nan
-    return found
+def lerp(values: np.ndarray, at: Interpolation) -> np.ndarray:
+    """(N, ...) linear interpolation of (T, ...) values; NaN within gaps."""
+    values_then = np.empty((len(at.fraction), *values.shape[1:]))
+    for block, at_block in at.blocks(values[0].size):
+        first, second = values[at_block.before], values[at_block.after]
+        fraction = at_block.fraction.reshape(-1, *[1] * (values.ndim - 1))
+        values_then[block] = first + fraction * (second - first)
+    values_then[at.in_gap] = np.nan
+    return values_then
 
 
-def shortest(R: np.ndarray, at: Between) -> np.ndarray:
-    """(N, ..., 3, 3) rotations on the shortest turns between (T, ..., 3, 3).
+def slerp(R: np.ndarray, at: Interpolation) -> np.ndarray:
+    """(N, ..., 3, 3) spherical linear interpolation of (T, ..., 3, 3) rotations.
 
     NaN where one of the two is, and within gaps.
     """
-    found = np.empty((len(at.part), *R.shape[1:]))
-    for some, here in at.blocks(R[0].size):
-        found[some] = _shortest(R[here.before], R[here.after], here.part)
-    found[at.lost] = np.nan
-    return found
+    R_then = np.empty((len(at.fraction), *R.shape[1:]))
+    for block, at_block in at.blocks(R[0].size):
+        R_then[block] = _slerp(R[at_block.before], R[at_block.after], at_block.fraction)
+    R_then[at.in_gap] = np.nan
+    return R_then
 
 
-def _shortest(R_before: np.ndarray, R_after: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Rotations (N, ..., 3, 3) that are (N,) parts of the way from one to another."""
-    known = np.isfinite(R_before.sum((-2, -1)) + R_after.sum((-2, -1)))[..., None, None]
+def _slerp(R_before: np.ndarray, R_after: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+    """Rotations (N, ..., 3, 3) at (N,) fractions of the way from one to another."""
+    is_known = np.isfinite(R_before.sum((-2, -1)) + R_after.sum((-2, -1)))[..., None, None]
     first, second = (
-        Rotation.from_matrix(np.where(known, each, np.eye(3)).reshape(-1, 3, 3))
+        Rotation.from_matrix(np.where(is_known, each, np.eye(3)).reshape(-1, 3, 3))
         for each in (R_before, R_after)
     )
-    share = np.repeat(part, int(np.prod(R_before.shape[1:-2], dtype=int)))[:, None]
-    found = first * Rotation.from_rotvec(share * (first.inv() * second).as_rotvec())
-    return np.where(known, found.as_matrix().reshape(R_before.shape), np.nan)
+    fractions = np.repeat(fraction, int(np.prod(R_before.shape[1:-2], dtype=int)))[:, None]
+    R = first * Rotation.from_rotvec(fractions * (first.inv() * second).as_rotvec())
+    return np.where(is_known, R.as_matrix().reshape(R_before.shape), np.nan)
 
 
-def resampled(armature: Armature, times: np.ndarray) -> Armature:
+def resampled_armature(armature: Armature, times: np.ndarray) -> Armature:
     """An armature at (N,) other times."""
-    at = between(armature.times, times)
-    positions, rotations = straight(armature.positions, at), shortest(armature.rotations, at)
+    at = interpolation_at(armature.times, times)
+    positions, rotations = lerp(armature.positions, at), slerp(armature.rotations, at)
     return replace(armature, times=times, positions=positions, rotations=rotations)
 
 
 def resampled_motion(motion: Motion, times: np.ndarray) -> Motion:
-    """A motion at (N,) other times; its report is let go."""
-    at = between(motion.times, times)
+    """A motion at (N,) other times; its report is dropped."""
+    at = interpolation_at(motion.times, times)
     position, quaternion, angles = (np.asarray(part, float) for part in motion.poses)
-    known = np.isfinite(quaternion.sum(-1, keepdims=True))
-    safe = np.where(known, quaternion, [1.0, 0, 0, 0])
-    R = np.where(known[..., None], Rotation.from_quat(safe, scalar_first=True).as_matrix(), np.nan)
-    R_then = shortest(R, at)
-    known = np.isfinite(R_then.sum((-2, -1)))[:, None]
-    turned = Rotation.from_matrix(np.where(known[..., None], R_then, np.eye(3)))
-    quaternion = np.where(known, turned.as_quat(scalar_first=True), np.nan)
-    parts: list[Any] = [straight(position, at), quaternion, straight(angles, at)]
+    is_known = np.isfinite(quaternion.sum(-1, keepdims=True))
+    safe = np.where(is_known, quaternion, [1.0, 0, 0, 0])
+    R = np.where(
+        is_known[..., None], Rotation.from_quat(safe, scalar_first=True).as_matrix(), np.nan
+    )
+    R_then = slerp(R, at)
+    is_known = np.isfinite(R_then.sum((-2, -1)))[:, None]
+    rotations = Rotation.from_matrix(np.where(is_known[..., None], R_then, np.eye(3)))
+    quaternion = np.where(is_known, rotations.as_quat(scalar_first=True), np.nan)
+    parts: list[Any] = [lerp(position, at), quaternion, lerp(angles, at)]
     return replace(motion, times=times, poses=Pose(*parts), report=None)

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import shown
+from jaxmocap.formats.files.short_repr import short_repr
 
 # Of one table, 0.5 GB: half an hour of 60 markers at 200 Hz.
-MOST_VALUES = 66_000_000
+MAX_VALUES = 66_000_000
 # In a file's own unit.
 LARGEST_NUMBER = 1e15
 # Metres from the origin: the earth's centre is nearer from everywhere on it.
@@ -27,9 +27,11 @@ LATEST_S = 1e11
 # Seconds between samples, in the median.
 SHORTEST_STEP_S = 1e-5
 # Characters of a marker's or joint's name.
-LONGEST_NAME = 200
+MAX_NAME_CHARACTERS = 200
+# Units of length that marker files state.
+METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 # Of a count in a header.
-_MOST_DIGITS = 18
+_MAX_DIGITS = 18
 
 
 @dataclass(frozen=True)
@@ -44,8 +46,8 @@ class Markers:
             missing; or None where the file says nothing of them (only C3D does).
         rate: samples per second as the file's header states them, whatever its time stamps say;
             or None where it has no such field (only TRC has both).
-        turns: (T, M, 3, 3) rotations from each marker's own axes to the file's, NaN where it is
-            not known how it is turned; or None where that is known of no marker.
+        orientations: (T, M, 3, 3) rotations from each marker's own axes to the file's, NaN where
+            missing; or None where no marker has any.
     """
 
     times: np.ndarray
@@ -53,17 +55,17 @@ class Markers:
     positions: np.ndarray
     residuals: np.ndarray | None = None
     rate: float | None = None
-    turns: np.ndarray | None = None
+    orientations: np.ndarray | None = None
 
     def points(self) -> dict[str, np.ndarray]:
         """Name -> (T, 3) positions."""
         return {name: self.positions[:, i] for i, name in enumerate(self.names)}
 
-    def turned(self) -> dict[str, np.ndarray]:
-        """Name -> (T, 3, 3) turns of the markers of which any is known."""
-        if self.turns is None:
+    def known_orientations(self) -> dict[str, np.ndarray]:
+        """Name -> (T, 3, 3) orientations of the markers that have any."""
+        if self.orientations is None:
             return {}
-        columns = {name: self.turns[:, i] for i, name in enumerate(self.names)}
+        columns = {name: self.orientations[:, i] for i, name in enumerate(self.names)}
         return {name: R for name, R in columns.items() if np.isfinite(R).any()}
 
 
@@ -71,7 +73,7 @@ def parse_rows(
     path: str | Path,
     rows: Iterable[tuple[int, Sequence[str]]],
     columns: int,
-    most: int = MOST_VALUES,
+    max_values: int = MAX_VALUES,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Numbers of a table; empty cells are NaN.
 
@@ -79,7 +81,7 @@ def parse_rows(
         path: for the message.
         rows: line number and cells of each row. Cells beyond ``columns`` must be empty.
         columns: how many cells a row has.
-        most: how many numbers there may be.
+        max_values: how many numbers there may be.
 
     Returns:
         (T, columns) float64 and the T line numbers.
@@ -90,8 +92,8 @@ def parse_rows(
             continue
         if len(cells) < columns or any(map(str.strip, cells[columns:])):
             raise InputError(path, f"line {line}: found {len(cells)} columns, expected {columns}")
-        if len(values) + columns > most:
-            problem = f"expected at most {most // columns} rows of {columns} numbers"
+        if len(values) + columns > max_values:
+            problem = f"expected at most {max_values // columns} rows of {columns} numbers"
             raise InputError(path, f"line {line}: found one row more, {problem}")
         values.extend(_numbers(path, line, cells[:columns]))
         numbers.append(line)
@@ -115,7 +117,9 @@ def _number(path: str | Path, line: int, cell: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise InputError(path, f"line {line}: found {shown(text)}, expected a number") from None
+        raise InputError(
+            path, f"line {line}: found {short_repr(text)}, expected a number"
+        ) from None
 
 
 def _check_sizes(path: str | Path, table: np.ndarray, lines: np.ndarray) -> None:
@@ -135,7 +139,7 @@ def declared_count(text: str) -> int | None:
     """
     if not (text.isascii() and text.isdecimal()):
         return None
-    return int(text) if len(text) <= _MOST_DIGITS else 10**_MOST_DIGITS
+    return int(text) if len(text) <= _MAX_DIGITS else 10**_MAX_DIGITS
 
 
 def make_markers(
@@ -159,10 +163,10 @@ def make_markers(
             missing or does not follow the one before, a position that is nowhere on earth.
     """
     check_names(path, names, name_place)
-    places = Places("line", lines) if len(lines) else Places("frame")
-    check_times(path, table[:, 0], places)
+    labels = SampleLabels("line", lines) if len(lines) else SampleLabels("frame")
+    check_times(path, table[:, 0], labels)
     positions = table[:, 1:].reshape(len(table), -1, 3)
-    _check_positions(path, positions, names, places)
+    _check_positions(path, positions, names, labels)
     # A marker of which one coordinate is missing is missing.
     positions[np.isnan(positions).any(-1)] = np.nan
     return Markers(table[:, 0], tuple(names), positions)
@@ -170,18 +174,20 @@ def make_markers(
 
 def check_names(path: str | Path, names: Sequence[str], place: str, kind: str = "marker") -> None:
     """InputError where two things have one name, or one has none that can be written down."""
-    known = set()
+    earlier = set()
     for name in names:
-        if len(name) > LONGEST_NAME or any(unicodedata.category(c) == "Cc" for c in name):
-            expected = f"at most {LONGEST_NAME} characters, none of them for control"
-            raise InputError(path, f"{place}: found {shown(name)} as a name, expected {expected}")
-        if name in known:
-            raise InputError(path, f"{place}: {kind} {shown(name)} is named twice")
-        known.add(name)
+        if len(name) > MAX_NAME_CHARACTERS or any(unicodedata.category(c) == "Cc" for c in name):
+            expected = f"at most {MAX_NAME_CHARACTERS} characters, none of them for control"
+            raise InputError(
+                path, f"{place}: found {short_repr(name)} as a name, expected {expected}"
+            )
+        if name in earlier:
+            raise InputError(path, f"{place}: {kind} {short_repr(name)} is named twice")
+        earlier.add(name)
 
 
 def _check_positions(
-    path: str | Path, positions: np.ndarray, names: Sequence[str], places: "Places"
+    path: str | Path, positions: np.ndarray, names: Sequence[str], labels: "SampleLabels"
 ) -> None:
     """InputError where a coordinate of (T, M, 3) is beyond any place on earth."""
     highest, lowest = np.fmax.reduce(positions), np.fmin.reduce(positions)
@@ -190,13 +196,13 @@ def _check_positions(
         marker, axis = np.argwhere(beyond)[0]
         column = positions[:, marker, axis]
         i = int((np.abs(column) > FARTHEST_M).argmax())
-        found = f"{places(i)}: marker {shown(names[marker])} is at {column[i]:g} m"
+        found = f"{labels(i)}: marker {short_repr(names[marker])} is at {column[i]:g} m"
         raise InputError(path, f"{found}, expected a position within {FARTHEST_M:g} m")
 
 
 @dataclass(frozen=True)
-class Places:
-    """Where the samples of a file stand, in words.
+class SampleLabels:
+    """How messages name the samples of a file, such as ``line 12``.
 
     Attributes:
         kind: what they are called.
@@ -207,28 +213,28 @@ class Places:
     numbers: Sequence[int] | np.ndarray | None = None
 
     def __call__(self, i: int) -> str:
-        """The place of sample i."""
+        """The label of sample i."""
         return f"{self.kind} {i if self.numbers is None else self.numbers[i]}"
 
 
-def check_times(path: str | Path, times: np.ndarray, places: Places) -> None:
+def check_times(path: str | Path, times: np.ndarray, labels: SampleLabels) -> None:
     """InputError unless every one of (T,) times is a number and later than the one before.
 
     Nor may they follow one another faster than any device measures.
     """
     if np.isnan(times).any():
-        raise InputError(path, f"{places(int(np.isnan(times).argmax()))}: found no time")
+        raise InputError(path, f"{labels(int(np.isnan(times).argmax()))}: found no time")
     late = np.abs(times) > LATEST_S
     if late.any():
         i = int(late.argmax())
         expected = f"expected one within {LATEST_S:g} s"
-        raise InputError(path, f"{places(i)}: found a time of {times[i]:g} s, {expected}")
+        raise InputError(path, f"{labels(i)}: found a time of {times[i]:g} s, {expected}")
     later = np.diff(times) > 0
     if not later.all():
         i = int((~later).argmax())
         raise InputError(
             path,
-            f"{places(i + 1)}: time runs backwards, found {times[i + 1]:g} s after {times[i]:g} s",
+            f"{labels(i + 1)}: time runs backwards, found {times[i + 1]:g} s after {times[i]:g} s",
         )
     if len(times) > 1 and (step := float(np.median(np.diff(times)))) < SHORTEST_STEP_S:
         expected = f"expected at least {SHORTEST_STEP_S:g} s"
@@ -291,7 +297,7 @@ def stack_points(
     times = np.asarray(times, float)
     for name, positions in points.items():
         if not name.strip() or name != name.strip() or any(c in name for c in forbidden):
-            raise InputError(path, f"marker name {shown(name)} cannot be written")
+            raise InputError(path, f"marker name {short_repr(name)} cannot be written")
         if np.shape(positions) != (len(times), 3):
             raise ValueError(
                 f"marker {name!r}: found shape {np.shape(positions)}, expected {(len(times), 3)}"
@@ -300,6 +306,6 @@ def stack_points(
             raise ValueError("found an infinite position; missing ones are NaN")
     if not points or not len(times):
         raise InputError(path, "expected at least one marker and one sample to write")
-    check_times(path, times, Places("sample"))
+    check_times(path, times, SampleLabels("sample"))
     check_names(path, tuple(points), "names to write")
     return times, np.concatenate([np.asarray(p, float) for p in points.values()], axis=1)

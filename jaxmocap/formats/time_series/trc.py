@@ -12,9 +12,10 @@ import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.lines import numbered_lines
-from jaxmocap.formats.files.shortened import name_shown, shown
+from jaxmocap.formats.files.short_repr import short_name, short_repr
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series.tables import (
+    METRES_PER_UNIT,
     Markers,
     declared_count,
     make_markers,
@@ -23,7 +24,6 @@ from jaxmocap.formats.time_series.tables import (
     stack_points,
 )
 
-METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _KEYS = (
     *("DataRate", "CameraRate", "NumFrames", "NumMarkers"),
     *("Units", "OrigDataRate", "OrigDataStartFrame", "OrigNumFrames"),
@@ -67,11 +67,11 @@ def _scale(path: str | Path, header: dict[str, str]) -> float:
     if "Units" not in header:
         raise InputError(path, "line 2: found no 'Units' in the header")
     unit = header["Units"]
-    if unit.lower() not in METRES:
-        raise InputError(
-            path, f"line 3: unknown unit {shown(unit)}, expected one of {', '.join(METRES)}"
-        )
-    return METRES[unit.lower()]
+    if unit.lower() not in METRES_PER_UNIT:
+        expected = ", ".join(METRES_PER_UNIT)
+        problem = f"unknown unit {short_repr(unit)}, expected one of {expected}"
+        raise InputError(path, f"line 3: {problem}")
+    return METRES_PER_UNIT[unit.lower()]
 
 
 def _rate(header: dict[str, str]) -> float | None:
@@ -104,7 +104,7 @@ def _names(path: str | Path, name_line: str, axis_line: str) -> list[str]:
 def _check_count(path: str | Path, declared: str, rows: int) -> None:
     """A file that was cut off between two lines still says how long it was."""
     if (count := declared_count(declared)) is not None and count > rows:
-        problem = f"NumFrames is {name_shown(declared)}, but the file ends after {rows} frames"
+        problem = f"NumFrames is {short_name(declared)}, but the file ends after {rows} frames"
         raise InputError(path, f"line 3: {problem}")
 
 
@@ -128,8 +128,8 @@ def write_trc(
     times, positions = stack_points(times, points, "\t\r\n\0", path)
     if rate is None:
         rate = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 1.0
-    count, shown = len(times), f"{round(rate, 2):g}"
-    values = [shown, shown, count, len(points), "m", shown, 1, count]
+    count, rate_text = len(times), f"{round(rate, 2):g}"
+    values = [rate_text, rate_text, count, len(points), "m", rate_text, 1, count]
     axes = [f"{axis}{i}" for i in range(1, len(points) + 1) for axis in "XYZ"]
     lines = [
         f"PathFileType\t4\t(X/Y/Z)\t{Path(path).name}",
@@ -140,6 +140,6 @@ def write_trc(
         "",
     ]
     rows = zip(times, row_texts(positions, "\t"), strict=True)
-    with replacing(path) as beside, beside.open("w", encoding="utf-8", newline="\n") as file:
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"{line}\n" for line in lines)
         file.writelines(f"{i}\t{time:.9f}\t{row}\n" for i, (time, row) in enumerate(rows, 1))

@@ -18,7 +18,7 @@ import numpy as np
 from jaxmocap.body.motion import Motion
 from jaxmocap.capture.timeline import Mode
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.output_folder import LIST, OutputFolder
+from jaxmocap.formats.files.output_folder import LIST_NAME, OutputFolder
 from jaxmocap.formats.recordings.recording import load_recording
 from jaxmocap.pipelines.batch.cluster import connected, each_done
 from jaxmocap.pipelines.batch.corpus import (
@@ -196,7 +196,7 @@ def _check_apart(corpus: Path, out: Path, jobs: list[Job]) -> None:
 
     Some file systems do not tell capitals from small letters.
     """
-    taken: dict[tuple[str, ...], str] = {(name,): name for name in (*TABLES, LIST)}
+    taken: dict[tuple[str, ...], str] = {(name,): name for name in (*TABLES, LIST_NAME)}
     for job in sorted(jobs, key=lambda job: len(job.folder.parts)):
         parts = tuple(part.casefold() for part in job.folder.relative_to(out).parts)
         for end in range(1, len(parts) + 1):

@@ -109,7 +109,7 @@ def kept(folder: Path, mark: str) -> Row | None:
     """The row of outputs that are whole and were made from the same, or None."""
     try:
         found = json.loads(read_bytes(folder / KEPT))
-        if found["fingerprint"] != mark or not OutputFolder(folder, MOTION).is_whole():
+        if found["fingerprint"] != mark or not OutputFolder(folder, MOTION).is_complete():
             return None
         return Row(**found["row"])
     except (ValueError, TypeError, KeyError, RecursionError):

@@ -15,7 +15,7 @@ import av
 import numpy as np
 from av.error import FFmpegError
 
-from jaxmocap.capture.streams.inbox import Frame
+from jaxmocap.capture.streams.inbox import LiveFrame
 from jaxmocap.formats.files.writing import as_output_error
 
 CLOCK = 90_000
@@ -170,7 +170,7 @@ class Film:
         first: time of the first frame, seconds.
     """
 
-    def __init__(self, path: Path, frame: Frame):
+    def __init__(self, path: Path, frame: LiveFrame):
         """Make it, in the size of its first frame.
 
         Raises:
@@ -199,7 +199,7 @@ class Film:
         """Is any frame of it on disk?"""
         return self._file.whole > self._header
 
-    def add(self, frame: Frame) -> None:
+    def add(self, frame: LiveFrame) -> None:
         """Add a frame, later than the last.
 
         Raises:

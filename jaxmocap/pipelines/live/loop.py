@@ -25,12 +25,12 @@ from typing import Any
 import numpy as np
 
 from jaxmocap.capture.streams.cameras import LiveCamera
-from jaxmocap.capture.streams.inbox import Frame, Inbox
+from jaxmocap.capture.streams.inbox import Inbox, LiveFrame
 from jaxmocap.capture.streams.lsl import MarkerStream
-from jaxmocap.capture.streams.sample_gathering import Gathering, Sample
+from jaxmocap.capture.streams.sample_assembly import MarkerSample, SampleAssembler
 from jaxmocap.capture.streams.udp import MarkerSocket
 from jaxmocap.formats.recordings.live import LiveSetup
-from jaxmocap.formats.recordings.marker_places import bound_positions
+from jaxmocap.formats.recordings.marker_places import bone_point_positions
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.outputs.osc import Sender
 from jaxmocap.outputs.vmc import VMC
@@ -65,7 +65,7 @@ class Live:
         *,
         smooth: bool = False,
         out: str | Path | None = None,
-        viewer: Callable[[Output, dict[str, Frame]], None] | None = None,
+        viewer: Callable[[Output, dict[str, LiveFrame]], None] | None = None,
         status: LiveStatus | None = None,
     ):
         """Open everything and compile; nothing is listened to yet.
@@ -98,8 +98,8 @@ class Live:
             ending.callback(self.recording.close)
         self._inbox = Inbox(WAITING, keep_turns=not smooth)
         self._began = monotonic()
-        bind = partial(bound_positions, setup.skeleton, setup.places)
-        gathering = Gathering(
+        bind = partial(bone_point_positions, setup.skeleton, setup.places)
+        gathering = SampleAssembler(
             setup.marker_names, setup.aliases, setup.R_world_source, self._take_sample, bind
         )
         self._gathering = gathering
@@ -130,12 +130,12 @@ class Live:
     def _now(self) -> float:
         return monotonic() - self._began
 
-    def _take_sample(self, sample: Sample) -> None:
+    def _take_sample(self, sample: MarkerSample) -> None:
         self._inbox.put_sample(sample)
         if self.recording is not None:
             self.recording.add(sample)
 
-    def _take_frame(self, frame: Frame) -> None:
+    def _take_frame(self, frame: LiveFrame) -> None:
         self._inbox.put_frame(frame)
         if self.recording is not None:
             self.recording.add(frame)
@@ -178,7 +178,7 @@ class Live:
     def _turn(self) -> None:
         """Take one thing that came in, and tell how things are."""
         taken = self._inbox.take(0.05)
-        if isinstance(taken, Sample):
+        if isinstance(taken, MarkerSample):
             self._newest_sample = taken.arrived
             outputs = self.tracking.sample(taken)
         else:
@@ -212,7 +212,9 @@ class Live:
             self.status.state(now, of, state)
         if self.recording is not None and self.recording.problem:
             self.status.state(now, "recording", self.recording.problem)
-        ages = {"markers": self._socket.heard} | {c.name: c.heard for c in self._cameras}
+        ages = {"markers": self._socket.last_arrival} | {
+            c.name: c.last_arrival for c in self._cameras
+        }
         self.status.show(
             now,
             {name: None if heard is None else now - heard for name, heard in ages.items()},
@@ -233,7 +235,7 @@ class Live:
         self.status.finish()
         return self.status.figures(self._ended) | {
             "packets": self._socket.packets,
-            "senders": self._socket.sent(),
+            "senders": self._socket.packets_by_sender(),
             "ignored": {why: count for why, count in self._socket.ignored.items() if count},
             "clock_jumps": self._socket.clock_jumps,
             "dropped": self._dropped() | {"not recorded": recording.dropped if recording else 0},
@@ -246,7 +248,7 @@ class Live:
 
     def _problems(self) -> Iterator[str]:
         """Why the run did not do what it was to do."""
-        if self._socket.heard is None:
+        if self._socket.last_arrival is None:
             reason = f": {self._socket.problem}" if self._socket.problem else ""
             yield f"no marker came in at {self.address}{reason}"
         if self.recording is not None and self.recording.problem:
@@ -254,12 +256,12 @@ class Live:
 
 
 def _source(
-    setup: LiveSetup, gathering: Gathering, now: Callable[[], float]
+    setup: LiveSetup, gathering: SampleAssembler, now: Callable[[], float]
 ) -> MarkerSocket | MarkerStream:
     """Where markers come from."""
     if setup.lsl is not None:
         return MarkerStream(setup.lsl, gathering, now)
-    return MarkerSocket(setup.listen, gathering, setup.raw, now, setup.senders)
+    return MarkerSocket(setup.listen, gathering, setup.raw, now, setup.allowed_networks)
 
 
 @contextmanager

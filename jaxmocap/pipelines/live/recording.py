@@ -23,17 +23,17 @@ import numpy as np
 from av.error import FFmpegError
 
 from jaxmocap.body.orientations import quaternions
-from jaxmocap.capture.streams.inbox import Frame
-from jaxmocap.capture.streams.sample_gathering import Sample
+from jaxmocap.capture.streams.inbox import LiveFrame
+from jaxmocap.capture.streams.sample_assembly import MarkerSample
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import read_bytes
-from jaxmocap.formats.files.shortened import listed
+from jaxmocap.formats.files.short_repr import comma_list
 from jaxmocap.formats.files.toml import read_toml
 from jaxmocap.formats.files.writing import (
     as_output_error,
-    check_name,
-    check_writable,
-    remove_left_parts,
+    check_file_name,
+    check_folder_writable,
+    remove_stale_temporaries,
     write_bytes,
 )
 from jaxmocap.formats.recordings.live import LiveSetup
@@ -85,7 +85,7 @@ class LiveRecording:
             self._remove(self._copies)
             raise
         self._flushed = monotonic()
-        self._queue: Queue[Sample | Frame | None] = Queue(MOST_WAITING)
+        self._queue: Queue[MarkerSample | LiveFrame | None] = Queue(MOST_WAITING)
         self._ending = Event()
         self._closed = False
         self._thread = Thread(target=self._write, name="recording", daemon=True)
@@ -101,9 +101,9 @@ class LiveRecording:
         files = ", ".join([str(self.folder / first), *rest])
         return f"{files}: cannot be written any more ({self._failed[first]})"
 
-    def add(self, event: Sample | Frame) -> None:
+    def add(self, event: MarkerSample | LiveFrame) -> None:
         """Write a sample or a frame, soon."""
-        full = self._queue.qsize() > MOST_WAITING // 10 and isinstance(event, Frame)
+        full = self._queue.qsize() > MOST_WAITING // 10 and isinstance(event, LiveFrame)
         try:
             if full:
                 raise Full
@@ -154,7 +154,7 @@ class LiveRecording:
                 event = self._queue.get(timeout=FLUSHED_S)
             except Empty:
                 event = None
-            if isinstance(event, Frame):
+            if isinstance(event, LiveFrame):
                 name = _film_name(self._setup, event.camera)
                 self.dropped += not self._attempt(name, self._film, event)
             elif event is not None:
@@ -181,16 +181,16 @@ class LiveRecording:
             return False
         return True
 
-    def _note(self, sample: Sample) -> None:
-        measured = sample.measured
+    def _note(self, sample: MarkerSample) -> None:
+        measured = sample.measurements
         columns = sample.positions_world if measured is None else measured.positions_world
         if self._setup.lsl is None:
             missing = np.full((len(columns), 4), np.nan)
-            turns = missing if measured is None else quaternions(measured.turns_world)
+            turns = missing if measured is None else quaternions(measured.orientations_world)
             columns = np.hstack([columns, turns])
         self._rows.add(",".join([f"{sample.time:.9f}", *format_rows(columns).ravel()]))
 
-    def _film(self, frame: Frame) -> None:
+    def _film(self, frame: LiveFrame) -> None:
         if frame.camera not in self._films:
             path = self.folder / _film_name(self._setup, frame.camera)
             self._films[frame.camera] = Film(path, frame)
@@ -243,12 +243,12 @@ def check_free(setup: LiveSetup, folder: str | Path) -> None:
         InputError: a file that the run would write is there, or none can be.
     """
     folder = Path(folder)
-    check_name(folder)
-    check_writable(folder)
-    remove_left_parts(folder)
+    check_file_name(folder)
+    check_folder_writable(folder)
+    remove_stale_temporaries(folder)
     taken = [name for name in _names(setup) if os.path.lexists(folder / name)]
     if taken:
-        problem = f"holds {listed(taken)} already, which is not overwritten"
+        problem = f"holds {comma_list(taken)} already, which is not overwritten"
         raise InputError(folder, f"{problem}; expected another folder")
 
 
@@ -301,8 +301,8 @@ def _place(place: MarkerPlace) -> dict[str, Any]:
     entry: dict[str, Any] = {"bone": place.bone, "at": place.at, "offset": list(place.offset)}
     if place.offset_in == "marker":
         entry["offset_in"] = place.offset_in
-    if place.turn is not None:
-        entry |= {"turn": list(place.turn), "lever": place.lever}
+    if place.orientation is not None:
+        entry |= {"turn": list(place.orientation), "lever": place.lever}
     return entry
 
 

@@ -14,9 +14,9 @@ import numpy as np
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.capture.streams.inbox import Frame
+from jaxmocap.capture.streams.inbox import LiveFrame
 from jaxmocap.formats.files.errors import printable
-from jaxmocap.formats.files.shortened import name_shown
+from jaxmocap.formats.files.short_repr import short_name
 from jaxmocap.formats.recordings.live import LiveSetup, load_live
 from jaxmocap.pipelines.live.loop import Live
 from jaxmocap.pipelines.live.recording import check_free
@@ -78,7 +78,7 @@ def run_live(
 
 def _viewer(
     setup: LiveSetup, view: View, status: LiveStatus, ending: ExitStack
-) -> Callable[[Output, dict[str, Frame]], None]:
+) -> Callable[[Output, dict[str, LiveFrame]], None]:
     """Open a viewer; what shows it a pose and frames."""
     from jaxmocap.outputs.live_view import LiveView, Shown
 
@@ -91,7 +91,7 @@ def _viewer(
     status.say(0.0, f"viewer at {opened.page}" if opened.page else "viewer in a window")
     began = monotonic()
 
-    def show(output: Output, frames: dict[str, Frame]) -> None:
+    def show(output: Output, frames: dict[str, LiveFrame]) -> None:
         if not opened.is_open or shown.problem:
             status.state(monotonic() - began, "viewer", shown.problem or "closed")
             return
@@ -120,7 +120,7 @@ def live_summary(figures: Mapping[str, Any]) -> str:
         "dropped": ", ".join(f"{count} {what}" for what, count in dropped.items()),
         "packets": f"{figures['packets']}" + (f"; ignored: {ignored}" if ignored else ""),
         "frames": ", ".join(
-            f"{name_shown(name)} {count}" for name, count in figures["frames"].items()
+            f"{short_name(name)} {count}" for name, count in figures["frames"].items()
         ),
         "written": figures["recording"] and printable(figures["recording"]),
     }

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 
-from jaxmocap.capture.streams.senders import Share
+from jaxmocap.capture.streams.senders import TokenBucket
 from jaxmocap.formats.files.errors import printable, shortened
-from jaxmocap.formats.files.shortened import name_shown
+from jaxmocap.formats.files.short_repr import short_name
 
 # Of what was said so many first and so many newest sentences are kept.
 FIRST_KEPT = 500
@@ -60,7 +60,7 @@ class LiveStatus:
         self._latencies: deque[float] = deque(maxlen=REMEMBERED)
         self._times: deque[float] = deque(maxlen=RECENT)
         self._states: dict[str, str] = {}
-        self._shares: dict[str, Share] = {}
+        self._shares: dict[str, TokenBucket] = {}
         self._next = 0.0
 
     def output(self, now: float, latency: float) -> None:
@@ -87,8 +87,8 @@ class LiveStatus:
         """
         if state == self._states.get(of):
             return
-        share = self._shares.setdefault(of, Share(CHANGES_A_SECOND, CHANGES, now))
-        if not share.left(now):
+        share = self._shares.setdefault(of, TokenBucket(CHANGES_A_SECOND, CHANGES, now))
+        if not share.available(now):
             return
         share.take(1)
         self._states[of] = state
@@ -142,7 +142,7 @@ class LiveStatus:
             f"{self.rate(now):3.0f} /s",
             f"latency {median:.1f} ms, 99 % {most:.1f} ms",
             "dropped " + ", ".join(f"{count} {what}" for what, count in dropped.items()),
-            "age " + ", ".join(f"{name_shown(name)} {_age(age)}" for name, age in ages.items()),
+            "age " + ", ".join(f"{short_name(name)} {_age(age)}" for name, age in ages.items()),
             "elbows " + " ".join(f"{100 * value:.0f} %" for value in confidence),
         ]
         end = "" if self._drawn else "\n"

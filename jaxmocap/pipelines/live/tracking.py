@@ -19,14 +19,14 @@ from jaxmocap.body.kinematics import forward, site_positions
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.capture.one_euro import OneEuro
-from jaxmocap.capture.streams.inbox import Frame
-from jaxmocap.capture.streams.recent_markers import Trail
-from jaxmocap.capture.streams.sample_gathering import Sample
+from jaxmocap.capture.streams.inbox import LiveFrame
+from jaxmocap.capture.streams.recent_markers import RecentMarkers
+from jaxmocap.capture.streams.sample_assembly import MarkerSample
 from jaxmocap.formats.recordings.live import LiveSetup
-from jaxmocap.formats.recordings.marker_places import bound_places
+from jaxmocap.formats.recordings.marker_places import bone_points
 from jaxmocap.hybrid.elbow_search import confidence_of
-from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.refine import StepReport
+from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker, State
 from jaxmocap.pipelines.tracking.track import marker_sites
 from jaxmocap.smoothing.fixed_lag import FixedLagSmoother, SmoothedPose
@@ -79,7 +79,7 @@ class LiveTracking:
             tracker: of this person, these markers and cameras, compiled before.
         """
         cameras = [v.camera for v in setup.videos] if settings.refine != "none" else []
-        places = bound_places(setup.skeleton, setup.places)
+        places = bone_points(setup.skeleton, setup.places)
         sites = marker_sites(setup.skeleton, places)
         self.tracker = tracker or HybridTracker(setup.skeleton, cameras, settings, sites)
         self._cameras, self.colour = len(cameras), smooth and bool(cameras)
@@ -94,10 +94,10 @@ class LiveTracking:
         self._state: State | None = None
         self._waited, self._last = 0, -np.inf
         points = len(self.tracker.model.markers.bones)
-        self._trail = Trail(points)
+        self._trail = RecentMarkers(points)
         self._filtered = None if self._filter is None else self._filter.init(points)
         self._smoother = self._new_smoother() if self.colour else None
-        self._held: list[Sample | Frame] = []
+        self._held: list[MarkerSample | LiveFrame] = []
         # Of each event behind the smoother: its sample's arrival, or None.
         self._arrivals: deque[tuple[int, float | None]] = deque()
         self._events = 0
@@ -114,12 +114,12 @@ class LiveTracking:
         sizes = [] if model.cameras is None else np.asarray(model.cameras.size, int)
         for i in range(12 if self.colour else 2):
             time = i / 30
-            self.sample(Sample(time, points, time))
+            self.sample(MarkerSample(time, points, time))
             for camera, (width, height) in enumerate(sizes):
                 wall = np.full((height, width, 3)[: 3 if self.colour else 2], 128, np.uint8)
-                self.frames([Frame(camera, time + 0.01, wall, time + 0.01)])
+                self.frames([LiveFrame(camera, time + 0.01, wall, time + 0.01)])
 
-    def sample(self, sample: Sample) -> list[Output]:
+    def sample(self, sample: MarkerSample) -> list[Output]:
         """Take a sample; the poses that go out now."""
         if self._filter is not None and self._filtered is not None:
             points = sample.positions_world
@@ -137,7 +137,7 @@ class LiveTracking:
         pose, report = self._step(sample.time, self._filled(sample), None)
         return [Output(sample.time, pose, np.asarray(report.confidence), sample.arrived)]
 
-    def frames(self, frames: Sequence[Frame]) -> list[Output]:
+    def frames(self, frames: Sequence[LiveFrame]) -> list[Output]:
         """Take frames, the newest of their cameras; the poses that go out now."""
         if self._state is None or self.tracker.model.cameras is None:
             return []
@@ -154,14 +154,14 @@ class LiveTracking:
         outputs = self._release(np.inf)
         return [*outputs, *self._given(self._smoother.flush())]
 
-    def _filled(self, sample: Sample) -> np.ndarray:
+    def _filled(self, sample: MarkerSample) -> np.ndarray:
         """The sample, its missing markers carried on as far as that goes."""
         seen = np.isfinite(sample.positions_world).all(-1, keepdims=True)
         if seen.all():
             return sample.positions_world
         return np.where(seen, sample.positions_world, self._trail.at(sample.time))
 
-    def _images(self, frame: Frame) -> list[np.ndarray | None]:
+    def _images(self, frame: LiveFrame) -> list[np.ndarray | None]:
         images: list[np.ndarray | None] = [None] * self._cameras
         images[frame.camera] = frame.image
         return images
@@ -176,11 +176,11 @@ class LiveTracking:
         self.placed += bool(report.placed)
         return pose, report
 
-    def _in_order(self, new: Sequence[Sample | Frame]) -> list[Output]:
+    def _in_order(self, new: Sequence[MarkerSample | LiveFrame]) -> list[Output]:
         """Hold events until no older one is expected, and smooth what is let go."""
         self._held = sorted([*self._held, *new], key=lambda event: event.time)
         newest = max(event.arrived for event in self._held)
-        seen = [event.time for event in self._held if isinstance(event, Frame)]
+        seen = [event.time for event in self._held if isinstance(event, LiveFrame)]
         return self._release(max([newest - WAIT_S, *seen]))
 
     def _release(self, until: float) -> list[Output]:
@@ -189,14 +189,14 @@ class LiveTracking:
             outputs += self._smoothed(self._held.pop(0))
         return outputs
 
-    def _smoothed(self, event: Sample | Frame) -> list[Output]:
+    def _smoothed(self, event: MarkerSample | LiveFrame) -> list[Output]:
         """One event through tracker and smoother."""
         assert self._smoother is not None
         if event.time <= self._last:
             self.late += 1
             return []
         self._last = event.time
-        if isinstance(event, Sample):
+        if isinstance(event, MarkerSample):
             images, arrived = None, event.arrived
             here, there = self._filled(event), event.positions_world
         else:

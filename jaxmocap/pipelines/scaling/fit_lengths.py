@@ -16,9 +16,9 @@ from jaxmocap.body.proportions import LENGTHS, scaled
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.subject import scale_to_height
 from jaxmocap.body.wrists import with_wrists
-from jaxmocap.capture.checks.body_reach import stature
-from jaxmocap.capture.footage import reading
-from jaxmocap.capture.kept_frames import kept
+from jaxmocap.capture.checks.body_reach import skeleton_stature
+from jaxmocap.capture.footage import forward_readers
+from jaxmocap.capture.frame_cache import cached_frames
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.evaluation.interval_plot import plot_intervals
 from jaxmocap.evidence.appearance.learned import ROWS
@@ -67,7 +67,7 @@ def scale_by_recording(
     # The girths found are those of clothes and headset, which the file is not to keep.
     lengths = fit.logarithms[: len(LENGTHS)]
     person = scaled(stated, jnp.asarray(lengths, stated.lengths.dtype))
-    tall = stature(stated) if height is None else height
+    tall = skeleton_stature(stated) if height is None else height
     report = LengthsReport.of(stated, person, tall, fit, Path(out))
     write_subject(out, person, tall, report.lines())
     title = f"Lengths from {Path(path).name}"
@@ -83,13 +83,13 @@ def fit_recording(recording: Recording, progress: Progress | bool | None = None)
         opened = open_recording(recording)
         events = Events.of(opened.recording, opened.videos, "own", opened.cleaning)
         part = lambda done, total: show(round(36 * done / total), 100)  # noqa: E731
-        with reading(opened.videos) as readers:
+        with forward_readers(opened.videos) as readers:
             first = scanned(events, tracker, readers, part, clock)
         solved = solve_recording(
             tracker.model,
             tracker.settings.smoothing,
             with_sight_lines(opened, events, first),
-            kept(opened.videos, ROWS),
+            cached_frames(opened.videos, ROWS),
             lambda share: show(round(36 + 54 * share), 100),
         )
         if solved is None:

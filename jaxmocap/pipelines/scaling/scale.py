@@ -22,13 +22,13 @@ def scale(
     wrists: bool = False,
     progress: Progress | bool | None = None,
 ):
-    """Write a body; see ``setup.scale`` and, for a recording, ``run.lengths``.
+    """Write a body; see ``setup.scale_subject`` and, for a recording, ``run.lengths``.
 
     Raises:
         InputError: options that do not go together.
     """
     if recording is None:
-        return at_rest.scale(out, height, static, landmarks, up, mass, wrists)
+        return at_rest.scale_subject(out, height, static, landmarks, up, mass, wrists)
     if landmarks or up or wrists:
         problem = "--landmarks, --up and --wrists do not go with --recording, whose file says them"
         raise InputError(out, problem)

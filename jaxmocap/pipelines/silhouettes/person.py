@@ -25,7 +25,7 @@ from jaxmocap.formats.files.reading import read_bytes
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.recordings.subject import read_subject, write_subject
-from jaxmocap.formats.recordings.surface import check_extent, load_surface, save_surface
+from jaxmocap.formats.recordings.surface import check_surface_extent, load_surface, save_surface
 from jaxmocap.modelling.personal import Personal
 from jaxmocap.modelling.texture.avatar import avatar_of
 from jaxmocap.modelling.views import View
@@ -124,5 +124,5 @@ def _read(folder: Path) -> tuple[Skeleton, Surface]:
     """Bones and body of a folder."""
     skeleton = read_subject(folder / SUBJECT, "", {"file": SUBJECT})
     surface = load_surface(folder / SURFACE, skeleton.tree)
-    check_extent(folder / SURFACE, surface, skeleton)
+    check_surface_extent(folder / SURFACE, surface, skeleton)
     return skeleton, surface

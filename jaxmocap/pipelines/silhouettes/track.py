@@ -18,10 +18,10 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton, with_joints
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.capture.background_pictures import read_empty_room
-from jaxmocap.capture.footage import reading
-from jaxmocap.capture.markers import interpolate
+from jaxmocap.capture.footage import forward_readers
+from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.timeline import bundle_frames
-from jaxmocap.capture.video import FrameSource, check_size, open_video
+from jaxmocap.capture.video import FrameSource, check_video_size, open_video
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.elbow_search import confidence_of
@@ -110,7 +110,7 @@ def make_tracker(
         raise InputError(recording.path or recording.name, "no [[video]]: expected one or several")
     cameras = [source.camera for source in recording.videos]
     skeleton = whole_body(recording.skeleton)
-    sites = marker_sites(skeleton, recording.marked().places) if markers else None
+    sites = marker_sites(skeleton, recording.require_markers().places) if markers else None
     rooms = empty_rooms(recording)
     return SilhouetteTracker(skeleton, cameras, settings, surface, rooms, sites)
 
@@ -193,12 +193,12 @@ def _open(recording: Recording, markers: bool) -> tuple[_Frames, tuple[str, ...]
     """The videos and which of their frames belong together."""
     videos, warnings = [open_video(source) for source in recording.videos], list(recording.warnings)
     for video, source in zip(videos, recording.videos, strict=True):
-        warning = check_size(video, source.camera, video.name)
+        warning = check_video_size(video, source.camera, video.name)
         warnings += [warning] if warning else []
     times, indices = bundle_frames([video.times for video in videos])
     places = np.empty((len(times), 0, 3))
     if markers:
-        places = interpolate(recording.times, recording.positions_world, times)
+        places = interpolate_markers(recording.times, recording.positions_world, times)
     return _Frames(videos, times, indices, places), tuple(warnings)
 
 
@@ -235,7 +235,7 @@ class _Pass:
             earlier: what an earlier pass found, frame by frame.
         """
         state = self.tracker.init(start)
-        with reading(self.frames.videos, colour=True) as readers:
+        with forward_readers(self.frames.videos, colour=True) as readers:
             for i, (time, row) in enumerate(
                 zip(self.frames.times, self.frames.indices, strict=True)
             ):

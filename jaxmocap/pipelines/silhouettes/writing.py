@@ -14,7 +14,7 @@ from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.mesh import coarser
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
 from jaxmocap.capture.photographs import picture_of
-from jaxmocap.capture.video import Frame, FrameSource, open_video
+from jaxmocap.capture.video import FrameSource, TimedImage, open_video
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.canvases import full_mask
@@ -146,7 +146,7 @@ def _write_segmentations(
     return files
 
 
-def tinted(frames: Iterable[Frame], masks: Masks) -> Iterator[Frame]:
+def tinted(frames: Iterable[TimedImage], masks: Masks) -> Iterator[TimedImage]:
     """The frames, the person's pixels in another colour; as they are where nothing was seen."""
     for time, image in frames:
         k = int(np.argmin(np.abs(masks.times - time)))

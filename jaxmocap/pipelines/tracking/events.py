@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxmocap.capture.filters import Cleaning
-from jaxmocap.capture.markers import interpolate
+from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.timeline import Mode, Timeline, build_timeline
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.formats.recordings.recording import Recording
@@ -52,7 +52,7 @@ class Events:
         events = slice(start, int(np.flatnonzero(line.sample_index >= 0)[-1]) + 1)
         parts = (line.event_times, line.sample_index, line.frame_index)
         line = Timeline(*(part[events] for part in parts))
-        markers = interpolate(times, recording.positions_world, line.event_times, causal)
+        markers = interpolate_markers(times, recording.positions_world, line.event_times, causal)
         without_video = [warnings.without_video(times, video.times, causal) for video in videos]
         return cls(recording, line, markers, first, without_video, cleaning)
 
@@ -79,7 +79,7 @@ class Events:
     def _about_sample(self, sample: int) -> Iterator[str]:
         positions = self.recording.positions_world[sample]
         yield from warnings.of_markers(self.recording.marker_names, positions)
-        yield from self.cleaning.sentences(sample) if self.cleaning else ()
+        yield from self.cleaning.statuses(sample) if self.cleaning else ()
         for source, missing in zip(self.recording.videos, self.without_video, strict=False):
             if missing[sample]:
                 yield f"{source.camera_name}: no video frame near this sample"

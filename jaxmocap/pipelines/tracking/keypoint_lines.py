@@ -15,9 +15,9 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.capture.keypoints import (
     Keypoints,
-    follow_person,
     marked_landmarks,
     open_keypoints,
+    select_person,
 )
 from jaxmocap.capture.timeline import Timeline
 from jaxmocap.capture.video import FrameSource
@@ -83,4 +83,4 @@ def _lines(
     at_events = replace(
         keypoints, pixels_xy=keypoints.pixels_xy[frames], confidences=keypoints.confidences[frames]
     )
-    return lines_of_sight(source.camera, names, *follow_person(at_events, source.camera, expected))
+    return lines_of_sight(source.camera, names, *select_person(at_events, source.camera, expected))

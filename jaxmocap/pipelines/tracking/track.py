@@ -16,9 +16,9 @@ import numpy as np
 from jaxmocap.body.kinematics import Sites
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.capture.filters import Cleaning, cleaned
-from jaxmocap.capture.footage import open_footage, reading
-from jaxmocap.capture.kept_frames import kept
+from jaxmocap.capture.filters import Cleaning, filter_markers
+from jaxmocap.capture.footage import forward_readers, open_footage
+from jaxmocap.capture.frame_cache import cached_frames
 from jaxmocap.capture.keypoints import Keypoints
 from jaxmocap.capture.timeline import Mode
 from jaxmocap.capture.video import FrameSource
@@ -94,7 +94,7 @@ def track_both(
     smoother = None
     if smooth and causal:
         smoother = FixedLagSmoother(tracker.model, tracker.settings.smoothing)
-    in_colour = reading(used, colour=smoother is not None)
+    in_colour = forward_readers(used, colour=smoother is not None)
     with progress_bar("tracking", progress) as show, in_colour as readers:
         if causal:
             first, final = stepped(events, tracker, readers, smoother, show, clock)
@@ -148,9 +148,9 @@ def open_recording(recording: Recording, mode: Mode = "own") -> Opened:
     Raises:
         InputError: a video or key points that cannot be used with the recording.
     """
-    videos, warnings = open_footage(recording.marked())
-    recording, cleaning = cleaned(recording, causal=mode == "causal")
-    warnings += cleaning.remarks
+    videos, warnings = open_footage(recording.require_markers())
+    recording, cleaning = filter_markers(recording, causal=mode == "causal")
+    warnings += cleaning.warnings
     keypoints = open_all_keypoints(recording, videos)
     warnings += tuple(warning for each in keypoints if each for warning in each.warnings)
     return Opened(recording, videos, keypoints, cleaning, warnings)
@@ -172,7 +172,7 @@ def _smoothed(
     show: Callable[[float], None],
 ) -> Trajectory | None:
     first = with_sight_lines(opened, events, first)
-    videos = kept(opened.videos, ROWS)
+    videos = cached_frames(opened.videos, ROWS)
     return smooth_recording(tracker.model, tracker.settings.smoothing, first, videos, show)
 
 

@@ -16,23 +16,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.formats.files.arrays import NAMES, WHOLE, Arrays, Stated
+from jaxmocap.formats.files.arrays import INTEGERS, NAMES, ArraySpec, NpzArrays
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.files.shortened import listed
+from jaxmocap.formats.files.short_repr import comma_list
 from jaxmocap.synthetic.people.meshes import Mesh
 
 # A file of people: P of them, V vertices, F faces, J joints; metres.
 REACH_M = 100.0
 WEIGHTS_OFF = 1e-2
 STATED = {
-    "people": Stated(("P",), NAMES),
-    "vertices": Stated(("P", "V", 3), low=-REACH_M, high=REACH_M),
-    "quads": Stated(("F", 4), WHOLE, low=0),
-    "skin_joint": Stated(("V", "K"), WHOLE, low=0),
-    "skin_weight": Stated(("V", "K"), low=0, high=1 + WEIGHTS_OFF),
-    "joint_names": Stated(("J",), NAMES),
-    "joint_parents": Stated(("J",), WHOLE, low=-1),
-    "joints": Stated(("P", "J", 3), low=-REACH_M, high=REACH_M),
+    "people": ArraySpec(("P",), NAMES),
+    "vertices": ArraySpec(("P", "V", 3), low=-REACH_M, high=REACH_M),
+    "quads": ArraySpec(("F", 4), INTEGERS, low=0),
+    "skin_joint": ArraySpec(("V", "K"), INTEGERS, low=0),
+    "skin_weight": ArraySpec(("V", "K"), low=0, high=1 + WEIGHTS_OFF),
+    "joint_names": ArraySpec(("J",), NAMES),
+    "joint_parents": ArraySpec(("J",), INTEGERS, low=-1),
+    "joints": ArraySpec(("P", "J", 3), low=-REACH_M, high=REACH_M),
 }
 # Of vertices, faces and joints; a frame is drawn face by face.
 MOST_PARTS = {"vertices": 200_000, "quads": 200_000, "joint_names": 500}
@@ -210,7 +210,7 @@ def load_rig(file: str | Path, who: str | None = None, seed: int = 0) -> Rig:
 
 def _read(file: str | Path) -> dict[str, np.ndarray]:
     """The arrays of a file of people, checked."""
-    arrays = Arrays(file)
+    arrays = NpzArrays(file)
     if not set(STATED) <= set(arrays.names):
         expected = f"expected an .npz with {', '.join(STATED)}"
         raise InputError(file, f"holds no rigged meshes, {expected}")
@@ -262,7 +262,7 @@ def _check_tree(file: str | Path, names: list[str], parents: list[int]) -> None:
         raise InputError(file, f"joint_names: {found}, expected {', '.join(JOINTS)} and others")
     roots = [name for name, parent in zip(names, parents, strict=True) if parent < 0]
     if roots != [ROOT] or max(parents) >= len(parents):
-        found = f"found roots (-1) {listed(roots)} and indices to {max(parents)}"
+        found = f"found roots (-1) {comma_list(roots)} and indices to {max(parents)}"
         expected = f"expected {ROOT} alone and indices below {len(parents)}"
         raise InputError(file, f"joint_parents: {found}, {expected}")
     reached = [i for i, parent in enumerate(parents) if parent < 0]

@@ -7,14 +7,14 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from jaxmocap.capture.video import Frame, FrameSource
+from jaxmocap.capture.video import FrameSource, TimedImage
 from jaxmocap.images.foreground import shrink, shrunk_size
 
 # All videos of a recording together; of longer ones the frames are decoded each time.
-MOST_BYTES = 2**29
+MAX_BYTES = 2**29
 
 
-class KeptFrames(FrameSource):
+class CachedFrames(FrameSource):
     """A video whose frames have at most so many rows, kept in memory if they fit there.
 
     Its ``size`` is still that of the full frames.
@@ -24,25 +24,25 @@ class KeptFrames(FrameSource):
         """Of a video; nothing is decoded yet."""
         self.name, self.times, self.size = video.name, video.times, video.size
         self._video, self._rows = video, rows
-        self._kept: list[Frame] | None = None
+        self._cache: list[TimedImage] | None = None
         width, height = shrunk_size(video.size, rows)
         self._fits = 3 * width * height * len(video) <= most_bytes
 
-    def frames(self, luma: bool = False) -> Iterator[Frame]:
+    def frames(self, luma: bool = False) -> Iterator[TimedImage]:
         """See ``FrameSource.frames``; grey ones are as they were."""
         if luma:
             return self._video.frames(luma)
         if not self._fits:
             return self._shrunk()
-        if self._kept is None:
-            self._kept = list(self._shrunk())
-        return iter(self._kept)
+        if self._cache is None:
+            self._cache = list(self._shrunk())
+        return iter(self._cache)
 
-    def _shrunk(self) -> Iterator[Frame]:
+    def _shrunk(self) -> Iterator[TimedImage]:
         for time, image in self._video.frames():
             yield time, None if image is None else shrink(np.atleast_3d(image), self._rows)
 
 
-def kept(videos: Sequence[FrameSource], rows: int) -> list[FrameSource]:
+def cached_frames(videos: Sequence[FrameSource], rows: int) -> list[FrameSource]:
     """All videos of a recording, kept together as far as memory allows."""
-    return [KeptFrames(video, rows, MOST_BYTES // len(videos)) for video in videos]
+    return [CachedFrames(video, rows, MAX_BYTES // len(videos)) for video in videos]

@@ -9,9 +9,9 @@ from itertools import islice
 from typing import Any
 
 # Characters that one value may take in a message.
-LONGEST_SHOWN = 60
+MAX_CHARACTERS = 60
 # Names that a message lists.
-MOST_LISTED = 20
+MAX_LISTED = 20
 
 
 class _Short(reprlib.Repr):
@@ -19,7 +19,7 @@ class _Short(reprlib.Repr):
 
     def __init__(self):
         super().__init__()
-        self.maxlevel, self.maxstring, self.maxother = 4, LONGEST_SHOWN, LONGEST_SHOWN
+        self.maxlevel, self.maxstring, self.maxother = 4, MAX_CHARACTERS, MAX_CHARACTERS
 
     def repr_int(self, x: int, level: int) -> str:
         """Whole numbers of any length: Python refuses to print those of thousands of digits."""
@@ -33,20 +33,20 @@ class _Short(reprlib.Repr):
 _short = _Short()
 
 
-def shown(value: Any) -> str:
+def short_repr(value: Any) -> str:
     """A value as Python writes it, cut where it is long: no escapes and no line ends in it."""
     text = _short.repr(value)
-    return text if len(text) <= LONGEST_SHOWN else text[:LONGEST_SHOWN] + "…"
+    return text if len(text) <= MAX_CHARACTERS else text[:MAX_CHARACTERS] + "…"
 
 
-def name_shown(name: str) -> str:
+def short_name(name: str) -> str:
     """A name as it is where it prints and is short, else as Python writes it, cut."""
-    return name if name.isprintable() and 0 < len(name) <= LONGEST_SHOWN else shown(name)
+    return name if name.isprintable() and 0 < len(name) <= MAX_CHARACTERS else short_repr(name)
 
 
-def listed(names: Iterable[str]) -> str:
+def comma_list(names: Iterable[str]) -> str:
     """Names between commas; of many the first ones, and how many more there are."""
     names = list(names)
-    first = ", ".join(map(name_shown, islice(names, MOST_LISTED)))
-    rest = len(names) - MOST_LISTED
+    first = ", ".join(map(short_name, islice(names, MAX_LISTED)))
+    rest = len(names) - MAX_LISTED
     return f"{first} and {rest} more" if rest > 0 else first

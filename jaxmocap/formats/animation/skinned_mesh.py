@@ -1,6 +1,6 @@
 """A mesh that an armature's joints carry, as glTF holds it; the limbs' where nothing else is known.
 
-INPUTS: an Armature. OUTPUTS: a BoundMesh, in the armature's axes.
+INPUTS: an Armature. OUTPUTS: a SkinnedMesh, in the armature's axes.
 """
 
 from dataclasses import dataclass, replace
@@ -10,13 +10,15 @@ import numpy as np
 from jaxmocap.formats.animation.armature import Armature, joint_positions
 from jaxmocap.geometry.solids import limb_solid
 
-# Flesh of limbs of which nothing is known: a fraction of their length, and at most so much, metres.
-SLIMNESS, THICKEST_M = 0.12, 0.05
-SHORTEST_M = 1e-4
+# Radius of a limb whose girth is unknown, as a share of its length.
+DEFAULT_RADIUS_SHARE = 0.12
+# At most this radius, metres.
+MAX_DEFAULT_RADIUS_M = 0.05
+SHORTEST_LIMB_M = 1e-4
 
 
 @dataclass(frozen=True)
-class BoundMesh:
+class SkinnedMesh:
     """V vertices and F triangles on J joints.
 
     Attributes:
@@ -26,8 +28,8 @@ class BoundMesh:
         joints: (V, 4) which carry a vertex.
         weights: (V, 4) of them, together 1.
         bind: (J, 4, 4) from where vertices are bound to each joint's frame.
-        places: (V, 2) on the picture, from 0 to 1, rightwards and downwards; or None.
-        picture: a PNG file's content; or None.
+        texture_xy: (V, 2) on the picture, from 0 to 1, rightwards and downwards; or None.
+        texture: a PNG file's content; or None.
     """
 
     vertices: np.ndarray
@@ -36,20 +38,20 @@ class BoundMesh:
     joints: np.ndarray
     weights: np.ndarray
     bind: np.ndarray
-    places: np.ndarray | None = None
-    picture: bytes | None = None
+    texture_xy: np.ndarray | None = None
+    texture: bytes | None = None
 
 
-def limbs_of(armature: Armature) -> BoundMesh:
+def limb_mesh(armature: Armature) -> SkinnedMesh:
     """The limbs in the rest pose, each carried by the joint where it begins."""
-    rest = joint_positions(_resting(armature))[0]
+    rest = joint_positions(_rest_sample(armature))[0]
     vertices, normals, triangles, carriers, count = [], [], [], [], 0
     for j, parent in enumerate(armature.parents):
         reach = armature.offsets[j]
         length = float(np.linalg.norm(reach))
-        if parent < 0 or length < SHORTEST_M:
+        if parent < 0 or length < SHORTEST_LIMB_M:
             continue
-        slim = np.full(2, min(SLIMNESS * length, THICKEST_M))
+        slim = np.full(2, min(DEFAULT_RADIUS_SHARE * length, MAX_DEFAULT_RADIUS_M))
         solid = limb_solid(reach, slim if armature.radii is None else armature.radii[j])
         vertices.append(rest[parent] + solid.vertices)
         normals.append(solid.normals)
@@ -58,7 +60,7 @@ def limbs_of(armature: Armature) -> BoundMesh:
         count += len(solid.vertices)
     bind = np.tile(np.eye(4), (len(armature.names), 1, 1))
     bind[:, :3, 3] = -rest
-    return BoundMesh(
+    return SkinnedMesh(
         np.concatenate(vertices),
         np.concatenate(normals),
         np.concatenate(triangles),
@@ -68,7 +70,7 @@ def limbs_of(armature: Armature) -> BoundMesh:
     )
 
 
-def _resting(armature: Armature) -> Armature:
+def _rest_sample(armature: Armature) -> Armature:
     """One sample of the rest pose, the root at the origin."""
     still = np.tile(np.eye(3), (1, len(armature.names), 1, 1))
     return replace(armature, times=np.zeros(1), positions=np.zeros((1, 3)), rotations=still)

@@ -1,4 +1,4 @@
-"""Files that a program keeps for its later starts, in a folder that only their user can write to.
+"""A cache of files for later runs, in a folder that only its user can write to.
 
 INPUTS: a folder, a name, a key and bytes. OUTPUTS: the same bytes later on, or None: whatever was
 changed, cut off, exchanged or put there by another user is not read, and can be made again.
@@ -20,11 +20,12 @@ from jaxmocap.formats.files.writing import replacing
 MAGIC = b"jaxmocap kept 1\n"
 SEAL_BYTES = len(MAGIC) + hashlib.sha256().digest_size
 # Of folders and files: nobody else reads or writes them.
-FOLDER_MODE, FILE_MODE = 0o700, 0o600
+FOLDER_MODE = 0o700
+FILE_MODE = 0o600
 
 
-class KeptFiles:
-    """A folder, and what is kept in it.
+class PrivateCache:
+    """A folder of sealed files.
 
     Attributes:
         folder: that holds the files.
@@ -41,7 +42,7 @@ class KeptFiles:
         self.folder, self._root, self._warn = root / name, root, warn
 
     def read(self, name: str, key: str) -> bytes | None:
-        """What was written by that name and that key; None if it is not there or not whole."""
+        """What was written by that name and that key; None if it is not there or damaged."""
         path = self.folder / name
         if not self._is_own(self._root, self.folder, path):
             return None
@@ -57,9 +58,9 @@ class KeptFiles:
         try:
             self.make_folder()
             if self._is_own(self._root, self.folder):
-                with replacing(self.folder / name) as beside:
+                with replacing(self.folder / name) as temporary:
                     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
-                    with open(os.open(beside, flags, FILE_MODE), "wb") as file:
+                    with open(os.open(temporary, flags, FILE_MODE), "wb") as file:
                         file.write(_seal(key, content) + content)
         # A folder that cannot be written to keeps nothing.
         except (OSError, FileError):
@@ -74,13 +75,13 @@ class KeptFiles:
     def _is_own(self, *paths: Path) -> bool:
         """Whether nobody else could have written there; else a sentence says so."""
         for path in paths:
-            if (problem := others_may_write(path)) is not None:
+            if (problem := others_can_write(path)) is not None:
                 self._warn(f"{path}: {problem}")
                 return False
         return True
 
 
-def others_may_write(path: Path) -> str | None:
+def others_can_write(path: Path) -> str | None:
     """Why another user may have written to a file or folder, and what to do; None if none may."""
     if not hasattr(os, "geteuid"):
         return None
@@ -100,7 +101,7 @@ def others_may_write(path: Path) -> str | None:
 
 
 def _seal(key: str, content: bytes) -> bytes:
-    """What a file begins with: it tells another key's content from this one's."""
+    """What a file begins with: another key's content has another seal."""
     digest = hashlib.sha256(hashlib.sha256(key.encode()).digest())
     digest.update(content)
     return MAGIC + digest.digest()

@@ -1,0 +1,152 @@
+"""Markers that arrive one by one, assembled into samples.
+
+INPUTS: names, positions and orientations as a sender has them. OUTPUTS: MarkerSamples: all
+markers of one moment, and the points on bones that oriented markers measure.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.body.orientations import matrices
+from jaxmocap.capture.streams.osc import MarkerMessage
+
+# A marker that was not sent for so long is not waited for, seconds.
+SENT_WITHIN_S = 0.25
+# Of one moment are markers that come within so many seconds.
+TOGETHER_S = 0.005
+# Where orientations come in messages of their own, the last one counts for so many seconds.
+ORIENTATION_VALID_S = 0.05
+
+
+class MarkerMeasurements(NamedTuple):
+    """What the senders measured of M markers.
+
+    Attributes:
+        positions_world: (M, 3) metres; NaN where missing.
+        orientations_world: (M, 3, 3) from their own axes, taken to the world's as the sender's are;
+            NaN where missing.
+    """
+
+    positions_world: np.ndarray
+    orientations_world: np.ndarray
+
+
+class MarkerSample(NamedTuple):
+    """All points at one time.
+
+    Attributes:
+        time: seconds.
+        positions_world: (P, 3) metres of the points on bones; NaN where missing.
+        arrived: when its last packet came in, seconds on the same clock.
+        measurements: what they were made of; None where markers are the points.
+    """
+
+    time: float
+    positions_world: np.ndarray
+    arrived: float
+    measurements: MarkerMeasurements | None = None
+
+
+class SampleAssembler:
+    """Gives out a sample when every marker that is still sent has come, or one comes again.
+
+    Attributes:
+        unknown: names that were sent and are no markers of ours, at most ``MAX_UNKNOWN``.
+    """
+
+    MAX_UNKNOWN = 16
+
+    def __init__(
+        self,
+        markers: Sequence[str],
+        aliases: Mapping[str, str],
+        R_world_source: np.ndarray,
+        on_sample: Callable[[MarkerSample], None],
+        bind: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+    ):
+        """Begin with no marker.
+
+        Args:
+            markers: names of the M markers.
+            aliases: a sender's name -> marker.
+            R_world_source: (3, 3) to the world's axes.
+            on_sample: called with every sample.
+            bind: positions (M, 3) and orientations (M, 3, 3) to points on bones (P, 3); without it
+                the markers are the points.
+        """
+        self._index = {name: i for i, name in enumerate(markers)}
+        self._index |= {name: self._index[marker] for name, marker in aliases.items()}
+        self._names, self._R_world_source, self._on_sample = (
+            tuple(markers),
+            R_world_source,
+            on_sample,
+        )
+        self._bind = bind
+        self._last_arrivals = np.full(len(markers), -np.inf)
+        self._messages: dict[int, MarkerMessage] = {}
+        self._orientations: dict[int, tuple[float, MarkerMessage]] = {}
+        self._time, self._arrived, self._last_time = 0.0, 0.0, -np.inf
+        self.unknown: set[str] = set()
+
+    def add(
+        self, messages: Iterable[MarkerMessage], time: float, arrived: float, is_complete: bool
+    ) -> None:
+        """Take what one packet brought.
+
+        Args:
+            messages: its markers.
+            time: seconds, when it was sent.
+            arrived: seconds, when it came in.
+            is_complete: whether nothing else belongs to it.
+        """
+        if self._messages and (is_complete or time - self._time > TOGETHER_S):
+            self._flush()
+        for each in messages:
+            marker = next((self._index[name] for name in each.names if name in self._index), None)
+            if marker is None:
+                if len(self.unknown) < self.MAX_UNKNOWN:
+                    self.unknown.add(each.names[0])
+                continue
+            if each.orientation is not None:
+                self._orientations[marker] = arrived, each
+            if each.position is None:
+                continue
+            if marker in self._messages:
+                self._flush()
+            if not self._messages:
+                self._time = time
+            self._messages[marker], self._last_arrivals[marker] = each, arrived
+            self._arrived = arrived
+        alive = np.flatnonzero(arrived - self._last_arrivals < SENT_WITHIN_S)
+        if self._messages and (is_complete or len(self._messages) >= len(alive)):
+            self._flush()
+
+    def missing(self, now: float) -> list[str]:
+        """Markers that do not come in while others do."""
+        silent = now - self._last_arrivals > SENT_WITHIN_S
+        return [] if silent.all() else [self._names[i] for i in np.flatnonzero(silent)]
+
+    def _flush(self) -> None:
+        """Give out what is there, at a time that is later than the last one's."""
+        measurements = self._measurements()
+        self._last_time = max(self._time, self._last_time + 1e-4)
+        self._messages = {}
+        points = measurements.positions_world if self._bind is None else self._bind(*measurements)
+        self._on_sample(MarkerSample(self._last_time, points, self._arrived, measurements))
+
+    def _measurements(self) -> MarkerMeasurements:
+        """The markers in the world's axes."""
+        positions = np.full((len(self._last_arrivals), 3), np.nan)
+        quaternions = np.full((len(self._last_arrivals), 4), np.nan)
+        for marker, message in self._messages.items():
+            positions[marker] = message.position
+            arrived, latest = self._orientations.get(marker, (-np.inf, message))
+            if latest.orientation is not None and self._arrived - arrived < ORIENTATION_VALID_S:
+                x, y, z, w = latest.orientation
+                quaternions[marker] = w, x, y, z
+        return MarkerMeasurements(
+            positions @ self._R_world_source.T,
+            self._R_world_source @ matrices(quaternions) @ self._R_world_source.T,
+        )
