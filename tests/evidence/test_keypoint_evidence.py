@@ -10,8 +10,6 @@ import pytest
 from conftest import on_device
 from hypothesis import given
 from hypothesis import strategies as st
-from jaxmocap.evidence.residuals import residuals
-from jaxmocap.pipelines.tracking.second_pass import smooth_recording
 from painted_motion import (
     CAMERAS,
     ELBOWS,

@@ -14,7 +14,6 @@ import pytest
 from conftest import double, on_device
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from jaxmocap.smoothing.trajectory import Trajectory, all_turned
 from painted_motion import (
     CAMERAS,
     CELLS,

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from conftest import LIMITS, double, on_device
 from drawn_arms import arm_pose
-from jaxmocap.smoothing.trajectory import all_turned
 from watched_arms import (
     FRONT,
     GRIPS,

@@ -7,9 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxmocap.hybrid.scan import EVENTS
-from jaxmocap.pipelines.tracking.scan_events import scanned
-from jaxmocap.pipelines.tracking.step_events import stepped
 from watched_arms import FRONT, MARKERS, PERSON
 from waving_arms import RATE, image_of, markers_of, waving
 

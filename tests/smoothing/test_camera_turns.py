@@ -13,14 +13,6 @@ import pytest
 from conftest import on_device
 from hypothesis import given
 from hypothesis import strategies as st
-from jaxmocap.smoothing.trajectory import (
-    UNTURNED,
-    Trajectory,
-    all_turned,
-    among_cameras,
-    moved_by,
-    shared_prior,
-)
 from painted_motion import (
     CAMERAS,
     MODEL,

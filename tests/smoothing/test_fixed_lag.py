@@ -12,7 +12,6 @@ from drawn_arms import SIZE
 from drawn_body import paint, room
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from jaxmocap.smoothing.fading import Fading
 from painted_motion import CAMERAS, ELBOWS, MARKERS, PERSON, RATE, elbow_errors, points_of, truth
 
 from jaxmocap.body.kinematics import forward, site_positions

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import on_device
-from jaxmocap.evidence.residuals import residuals
 from painted_motion import (
     ELBOWS,
     MODEL,
