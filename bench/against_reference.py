@@ -9,17 +9,19 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxmocap.hybrid.first_state import settled
-from jaxmocap.hybrid.steps import Solved, State
 
 from bench.clock import Span, ratio, timed
 from bench.footage import Footage
 from bench.metrics import Metric, stage_metrics
 from jaxmocap.capture.video import open_video
+from jaxmocap.evidence.markers import Goals
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid import ik
-from jaxmocap.hybrid.settings import RefineSettings, Settings
-from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.hybrid.observe import observe
+from jaxmocap.hybrid.refine import Solved
+from jaxmocap.hybrid.settings import Settings, SimplexSettings
+from jaxmocap.hybrid.step import SOLVE
+from jaxmocap.hybrid.tracker import HybridTracker, State
 from jaxmocap.pipelines.tracking.track import make_tracker
 from jaxmocap.reference.hybrid import ik as reference_ik
 from jaxmocap.reference.hybrid import pipeline
@@ -39,18 +41,12 @@ def measure(footage: Footage, quick: bool) -> Iterator[Metric]:
 
 def inverse_kinematics(recording: Recording, solves: int) -> Iterator[Metric]:
     """Algorithm 1, jitted in float32 and in NumPy."""
-    tracker = make_tracker(recording, Settings(refine="none"))
-
-    @jax.jit
-    def solve(skeleton, goals, settings, pose):
-        # Which bones carry the goals is static.
-        sites = goals.sites._replace(bones=tracker.held.sites.bones)
-        return ik.reach(skeleton, goals._replace(sites=sites), settings, pose)
-
-    state = settled(tracker, recording.positions_world[0])
+    tracker, solve = make_tracker(recording, Settings(refine="none")), jax.jit(ik.reach)
+    skeleton, settings = tracker.model.skeleton, tracker.settings.ik
+    state = tracker.init(recording.positions_world[0])
     ours, theirs, farthest = [], [], 0.0
     for turn, markers in enumerate(recording.positions_world[1 : solves + 2]):
-        problem = (tracker.skeleton, goals_at(tracker, state, markers), tracker.settings.ik)
+        problem = (skeleton, goals_at(tracker, state, markers), settings)
         time, (pose, _) = timed(solve, *problem, state.pose)
         # As NumPy arrays: fetching each of its numbers from JAX would take most of its time.
         plain = jax.tree.map(np.asarray, (*problem, state.pose))
@@ -68,33 +64,30 @@ def inverse_kinematics(recording: Recording, solves: int) -> Iterator[Metric]:
     yield Metric("inverse kinematics, angles off the reference's", np.degrees(farthest), "°")
 
 
-def goals_at(tracker: HybridTracker, state: State, markers: np.ndarray) -> ik.Goals:
+def goals_at(tracker: HybridTracker, state: State, markers: np.ndarray) -> Goals:
     """Where a sample's markers and the feet are to go."""
-    targets = jnp.asarray(markers, tracker.dtype)
-    mask = jnp.all(jnp.isfinite(targets), -1)
-    return ik.goals_of(
-        tracker.skeleton, tracker.held, tracker.settings.ik, state.stance, targets, mask
-    )
+    targets = jnp.asarray(markers, tracker.model.dtype)
+    return ik.goals_of(tracker.model, tracker.settings.ik, state.feet, targets)
 
 
 def whole_frames(recording: Recording) -> Iterator[Metric]:
     """The paper's own way, ours and the reference's; both get the same fields of the image."""
-    polish = RefineSettings.create(iterations=STEPS)
-    small = replace(Settings.paper(), region=REGION, polish=polish)
+    simplex = replace(SimplexSettings(), iterations=STEPS)
+    small = replace(Settings.paper(), region=REGION, simplex=simplex)
     tracker = make_tracker(recording, small)
     video = open_video(recording.videos[0])
     rows = np.searchsorted(recording.times, video.times)
-    state, ours, theirs = settled(tracker, recording.positions_world[0]), [], []
+    state, ours, theirs = tracker.init(recording.positions_world[0]), [], []
     for i, (time, image) in enumerate(video.frames()):
         if i > FRAMES:
             break
-        markers = np.asarray(recording.positions_world[rows[i]], tracker.dtype)
+        markers = np.asarray(recording.positions_world[rows[i]], tracker.model.dtype)
         spent, (after, _, _) = timed(tracker.step, state, time, markers, [image])
-        seen_took, solved, views = look(tracker, state, markers, image)
+        observing, solved, views = observed(tracker, state, markers, image)
         spent_there, _ = timed(by_reference, tracker, state, solved, markers, views)
         if i:  # The first of ours compiles.
             ours.append(spent)
-            theirs.append(Span(*np.add(spent_there, seen_took)))
+            theirs.append(Span(*np.add(spent_there, observing)))
         state = after
     yield from stage_metrics("paper's way, small, whole frame", [span.wall for span in ours])
     yield from stage_metrics(
@@ -104,18 +97,18 @@ def whole_frames(recording: Recording) -> Iterator[Metric]:
     yield Metric("frame_reference_over_ours", faster, "x", "higher", 0.5)
 
 
-def look(
+def observed(
     tracker: HybridTracker, state: State, markers: np.ndarray, image: np.ndarray | None
 ) -> tuple[Span, Solved, list[pipeline.ArmView | None]]:
     """How long the image chain took, the markers' pose, and both arms' fields."""
-    shared = (tracker.skeleton, tracker.cameras, tracker.settings)
-    solved = tracker.solve(*shared, state.pose, state.stance, markers)
+    model, settings = tracker.model, tracker.settings
+    solved = SOLVE(model, settings, state.pose, state.feet, markers)
     assert solved.region is not None
-    spent, seen = timed(tracker.observer.observe, [image], solved.region)
+    spent, (fields, _) = timed(observe, settings, state.thresholds, [image], solved.region)
     origin, scale = (np.asarray(part, float)[0] for part in solved.region)
-    fields = np.asarray(seen.fields)[0, :, 0]
+    distances = np.asarray(fields.distances)[0, :, 0]
     return spent, solved, [
-        pipeline.ArmView(*view) for view in zip(origin, scale, fields, strict=True)
+        pipeline.ArmView(*view) for view in zip(origin, scale, distances, strict=True)
     ]  # fmt: skip
 
 
@@ -126,16 +119,14 @@ def by_reference(
     markers: np.ndarray,
     views: list[pipeline.ArmView | None],
 ) -> tuple:
-    """One frame by the reference from our last poses; regions and stance are the tracker's."""
-    body, camera, grips = jax.tree.map(
-        np.asarray, (tracker.skeleton, tracker.cameras, tracker.grips)
-    )
-    camera = jax.tree.map(lambda part: part[0], camera)
-    goals = goals_at(tracker, state._replace(stance=solved.ik.stance), markers)
+    """One frame by the reference from our last poses; regions and feet are the tracker's."""
+    model = tracker.model
+    body, camera, grips = jax.tree.map(np.asarray, (model.skeleton, model.camera(0), model.grips))
+    goals = goals_at(tracker, state._replace(feet=solved.ik.feet), markers)
     goals = jax.tree.map(np.asarray, goals)
     alone, _ = reference_ik.reach(body, goals, tracker.settings.ik, state.pose)
     refined = pipeline.refine(
-        body, camera, tracker.settings, np.asarray(tracker.factors), goals, alone,
+        body, camera, tracker.settings, np.asarray(state.bow_factors), goals, alone,
         state.belief.pose, views, grips,
     )  # fmt: skip
     return alone, refined

@@ -17,7 +17,7 @@ import jax
 import numpy as np
 
 from bench.metrics import Metric
-from jaxmocap.pipelines.progress import Clock
+from jaxmocap.compilation.clock import Clock
 
 
 class Span(NamedTuple):
@@ -39,7 +39,7 @@ class Stopwatch:
 
 
 class BusyClock(Clock):
-    """The tracker's clock for its stages, that keeps Spans as well.
+    """The tracker's clock for its stages, which keeps Spans as well.
 
     Attributes:
         spans: of the present step's stages.
@@ -49,15 +49,12 @@ class BusyClock(Clock):
         super().__init__()
         self.spans: dict[str, Span] = {}
 
-    def timed(self, stage: str, function: Callable) -> Callable:
-        """The function, whose time is kept; it returns when its result is there."""
-
-        def run(*arguments):
-            self.spans[stage], result = timed(function, *arguments)
-            self.spent[stage] = self.spans[stage].wall
-            return result
-
-        return run
+    def timed(self, stage: str, function: Callable, *arguments: Any, among: int = 1) -> Any:
+        """What a function returns, once it is there; its Span is kept, of each of so many."""
+        span, result = timed(function, *arguments)
+        self.spans[stage] = Span(span.wall / among, span.busy / among)
+        self.milliseconds.setdefault(stage, []).append(span.wall / among)
+        return result
 
 
 def timed(function: Callable, *arguments) -> tuple[Span, Any]:

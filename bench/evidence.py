@@ -21,8 +21,6 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxmocap.pipelines.tracking.scan_events import scanned
-from jaxmocap.pipelines.tracking.second_pass import smooth_recording
 
 from bench.clips import Clip, real, synthetic
 from bench.command_line import command, seeds
@@ -32,19 +30,24 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.video import FrameSource
+from jaxmocap.compilation.clock import Clock
 from jaxmocap.evaluation.motions import evaluate
+from jaxmocap.evidence.edges import EdgeEvidence
 from jaxmocap.formats.recordings.keypoint_models import LANDMARK_OF, MODELS
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.geometry.cameras import Camera, project
-from jaxmocap.hybrid.settings import EvidenceSettings, Settings
+from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.progress import Progress, progress_bar
-from jaxmocap.pipelines.tracking.events import Plan
-from jaxmocap.pipelines.tracking.first_pass import Passed
+from jaxmocap.pipelines.tracking.events import Events
+from jaxmocap.pipelines.tracking.first_pass import scanned
 from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events, open_all_keypoints
+from jaxmocap.pipelines.tracking.motions import Tracked, motions, unsmoothed
 from jaxmocap.pipelines.tracking.track import make_tracker, track
+from jaxmocap.smoothing.batch import smooth_recording
+from jaxmocap.smoothing.problem import FirstPass, Trajectory
 
 AZIMUTHS, SECONDS = (0.0, -60.0, 60.0, -30.0, 30.0), 6.0
 # Of key points made from the truth: pixels; how many are false, how far off; their confidences.
@@ -72,7 +75,7 @@ FRAME_BY_FRAME = {
     "plain edges, the paper's sum, no memory": replace(Settings.paper(), smooth=False),
     "plain edges": replace(Settings(), smooth=False, directions=1),
     "edges by direction, not truncated": replace(
-        Settings(), smooth=False, fit=EvidenceSettings.create(truncation=1.0)
+        Settings(), smooth=False, edges=replace(EdgeEvidence(), truncation=1.0)
     ),
 }
 OVER_TIME = {
@@ -92,29 +95,35 @@ class FirstRun:
     recording: Recording
     tracker: HybridTracker
     videos: list[FrameSource]
-    passed: Passed
+    events: Events
+    first_pass: FirstPass
 
     @classmethod
     def through(cls, recording: Recording) -> "FirstRun":
         """Track it."""
         videos, _ = open_footage(recording)
-        tracker, plan = make_tracker(recording), Plan.of(recording, videos, "own")
+        tracker, events = make_tracker(recording), Events.of(recording, videos, "own")
         with forward_readers(videos) as readers:
-            passed = scanned(plan, tracker, readers, lambda done, total: None)
-        return cls(recording, tracker, videos, passed)
+            first_pass = scanned(events, tracker, readers, lambda done, total: None, Clock())
+        return cls(recording, tracker, videos, events, first_pass)
 
     def smoothed(self, kind: Kind) -> Motion:
         """What the second pass makes of some kind of evidence."""
-        first = self.passed.first_pass()
+        first, model = self.first_pass, self.tracker.model
         if kind.points:
-            points = open_all_keypoints(self.recording, self.videos)
-            lines = lines_at_events(self.recording, points, first.timeline, first.alone)
-            first = first._replace(lines=lines)
-        weights = {name: jnp.asarray(getattr(kind, name), float) for name in ("person", "forearms")}
-        over_time = replace(self.tracker.settings.over_time, **weights)
-        tracker = make_tracker(self.recording, replace(Settings(), over_time=over_time))
-        found = smooth_recording(tracker, self.videos, first, lambda _: None)
-        return self.passed.tracked(self.tracker.skeleton, {}, found).motion
+            points, line = open_all_keypoints(self.recording, self.videos), self.events.timeline
+            lines = lines_at_events(self.recording, points, line, first.reports.marker_pose)
+            first = first._replace(sight_lines=lines)
+        usual = self.tracker.settings.smoothing
+        silhouettes = replace(usual.silhouettes, person=kind.person, forearms=kind.forearms)
+        chosen = replace(usual, silhouettes=silhouettes)
+        found = smooth_recording(model, chosen, first, self.videos, lambda _: None)
+        return self.tracked(found).motion
+
+    def tracked(self, found: Trajectory | None = None) -> Tracked:
+        """As motions, by what a second pass found, or by the first pass alone."""
+        trajectory = found or unsmoothed(self.first_pass)
+        return motions(self.tracker.model, self.events, self.first_pass, trajectory, {}, {})
 
 
 def measure(clip: Clip, quick: bool, folder: Path) -> Iterator[tuple[str, np.ndarray]]:
@@ -131,13 +140,13 @@ def measure(clip: Clip, quick: bool, folder: Path) -> Iterator[tuple[str, np.nda
 
     recording = with_keypoints(clip, folder)
     own = FirstRun.through(recording)
-    both = own.passed.tracked(own.tracker.skeleton, {}, None)
+    both = own.tracked()
     yield "markers alone", errors(both.markers_only)
     for name, settings in {} if quick else FRAME_BY_FRAME.items():
         yield name, errors(track(recording, settings))
     yield USUAL, errors(both.motion)
     if not quick:
-        before = flattened(recording, own.videos, own.passed.first_pass())
+        before = flattened(recording, own.videos, own.first_pass)
         yield BEFORE, errors(track(before, replace(Settings(), smooth=False)))
     for name, kind in OVER_TIME.items():
         if (quick and name not in QUICK) or (kind.points and not has_keypoints(recording)):

@@ -12,9 +12,8 @@ from dataclasses import replace
 import cv2
 import jax
 import numpy as np
-from jaxmocap.evidence.residuals import feet_free
-from jaxmocap.pipelines.tracking.second_pass import FirstPass, Look
 
+from jaxmocap.body.model import Model
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.evidence.appearance.learned import ROWS, Drawing, learn_appearance
 from jaxmocap.formats.recordings.recording import Recording
@@ -22,6 +21,8 @@ from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.background_model import Background, as_learned, spread
 from jaxmocap.images.foreground import shrink
 from jaxmocap.pipelines.tracking.track import marker_sites
+from jaxmocap.smoothing.batch import CameraFrames
+from jaxmocap.smoothing.problem import FirstPass
 
 # Differences, in deviations of the sensor's noise, from which a pixel begins to differ, and does.
 ALIKE, DIFFERENT = 2.0, 5.0
@@ -53,15 +54,16 @@ def learned(
     recording: Recording, lens: Camera, camera: int, video: FrameSource, first_pass: FirstPass
 ) -> Background | None:
     """What a camera sees without the person, in its shrunk frames; as the second pass learns it."""
-    column = first_pass.timeline.frame_index[:, camera]
+    column = first_pass.frame_index[:, camera]
     events = np.flatnonzero(column >= 0)
     if not len(events):
         return None
-    look, chosen = Look(camera, events, column[events]), spread(len(events))
-    poses = jax.tree.map(lambda part: np.asarray(part)[events], first_pass.refined)
+    own, chosen = CameraFrames(camera, events, column[events], video), spread(len(events))
+    poses = jax.tree.map(lambda part: np.asarray(part)[events], first_pass.poses)
     drawing = Drawing.of(recording.skeleton, lens, video.size, poses)
-    astray = feet_free(recording.skeleton, marker_sites(recording.skeleton, recording.places)) > 0
-    appearance = learn_appearance(drawing, chosen, look.frames(video, chosen), astray)
+    sites = marker_sites(recording.skeleton, recording.places)
+    feet_astray = Model.create(recording.skeleton, sites).no_foot_is_marked
+    appearance = learn_appearance(drawing, chosen, own.images(chosen), feet_astray)
     return None if appearance is None else appearance.background
 
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 
 import jax
 import numpy as np
-from jaxmocap.hybrid.first_state import settled
 
 from bench.clock import (
     BusyClock,
@@ -28,13 +27,14 @@ from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.timeline import build_timeline
 from jaxmocap.capture.video import open_video
+from jaxmocap.hybrid.observe import observe
 from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.step import REFINE, SOLVE
 from jaxmocap.hybrid.tracker import HybridTracker
-from jaxmocap.pipelines.progress import timed_stages
 from jaxmocap.pipelines.tracking.track import make_tracker, track
 from jaxmocap.smoothing.fixed_lag import FixedLagSmoother
 
-Look = Callable[[int], np.ndarray | None]
+ImageAt = Callable[[int], np.ndarray | None]
 # Stage -> what the table calls it.
 STAGES = {
     "solve": "solve",
@@ -81,7 +81,7 @@ class Pace:
 def causal(
     tracker: HybridTracker,
     footage: Footage,
-    look: Look,
+    image_at: ImageAt,
     chain: Callable[[int], object] = lambda frame: None,
 ) -> Pace:
     """As a live run: every marker sample and every frame in turn, smoothed where that is set.
@@ -89,30 +89,30 @@ def causal(
     Args:
         tracker: compiled already, or the first times tell of that.
         footage: whose markers and times count.
-        look: the frame of that index.
+        image_at: the frame of that index.
         chain: the yardstick on that frame; run right after it.
     """
     recording, clock = footage.recording, BusyClock()
-    smoothing = tracker.settings.smooth and tracker.cameras is not None
-    smoother = FixedLagSmoother(tracker) if smoothing else None
+    model, settings = tracker.model, tracker.settings
+    smooth = settings.smooth and model.camera_count
+    smoother = FixedLagSmoother(model, settings.smoothing) if smooth else None
     line = build_timeline(recording.times, [footage.times], "causal")
     markers = interpolate_markers(
         recording.times, recording.positions_world, line.event_times, True
     )
-    stepping = timed_stages(tracker, clock)
-    state = settled(tracker, recording.positions_world[0])
+    state = tracker.init(recording.positions_world[0])
     pace = Pace(duration_s=float(line.event_times[-1] - line.event_times[0]))
     for event, time in enumerate(line.event_times):
         frame, whole = int(line.frame_index[event, 0]), Stopwatch()
-        images = [None if frame < 0 else look(frame)]
+        images = [None if frame < 0 else image_at(frame)]
         step = Stopwatch()
-        state, pose, report = stepping.step(state, time, markers[event], images)
+        state, pose, report = tracker.step(state, time, markers[event], images, clock)
         pose, report = jax.tree.map(np.asarray, (pose, report))
         clock.spans["step"] = step.read()
         if smoother is not None:
             # Between the samples markers are extrapolated, which the smoother does better.
             there = markers[event] if line.sample_index[event] >= 0 else np.nan * markers[event]
-            clock.timed("smooth", smoother.step)(time, there, images, pose, report)
+            clock.timed("smooth", smoother.step, time, there, images, pose, report)
         if frame < 0:
             pace.keep("sample", whole.read())
             continue
@@ -153,18 +153,18 @@ def starting(tracker: HybridTracker, footage: Footage) -> Iterator[Metric]:
     """What a first step costs: solve and refine apart, then the smoother's first frames."""
     recording = footage.recording
     beginning, state = timed(tracker.init, recording.positions_world[0])
-    targets = np.asarray(recording.positions_world[0], tracker.dtype)
-    shared = (tracker.skeleton, tracker.cameras, tracker.settings)
-    solve = (*shared, state.pose, state.stance, targets)
+    model, settings = tracker.model, tracker.settings
+    targets = np.asarray(recording.positions_world[0], model.dtype)
+    solve = (model, settings, state.pose, state.feet, targets)
     yield Metric(
         "start: first placement, trace and compile", beginning.wall / 1e3, "s", tolerance=0.5
     )
-    yield from start_up("start: solve", tracker.solve, *solve)
-    solved = tracker.solve(*solve)
-    seen = tracker.observer.observe([footage.images[0]], solved.region)
-    now = np.asarray(0.0, tracker.dtype)
-    refine = (*shared, tracker.factors, solved, targets, seen, state.belief, now)
-    yield from start_up("start: refine", tracker.refine, *refine)
+    yield from start_up("start: solve", SOLVE, *solve)
+    solved = SOLVE(*solve)
+    fields, _ = observe(settings, state.thresholds, [footage.images[0]], solved.region)
+    elapsed = np.asarray(0.0, model.dtype)
+    refine = (model, settings, state.bow_factors, solved, targets, fields, state.belief, elapsed)
+    yield from start_up("start: refine", REFINE, *refine)
 
 
 def at_one_size(size: str, pace: Pace) -> Iterator[Metric]:
@@ -240,8 +240,8 @@ def otherwise(footage: Footage, ways: list) -> Iterator[Metric]:
     for refine in ways:
         settings = replace(Settings(), refine=refine, smooth=False)
         tracker = make_tracker(footage.recording, settings)
-        look = footage.images.__getitem__
-        causal(tracker, footage, look)
-        pace = causal(tracker, footage, look)
+        image_at = footage.images.__getitem__
+        causal(tracker, footage, image_at)
+        pace = causal(tracker, footage, image_at)
         name = "markers only" if refine == "none" else refine
         yield from stage_metrics(f"640x480, {name}, step", pace.wall("frame"))

@@ -12,15 +12,12 @@ INPUTS: what JAX finds. OUTPUTS: one table, and Metrics.
 
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxmocap.hybrid.first_state import settled
-from jaxmocap.hybrid.scan import Views, refined_over_time, solved_over_time
 
 from bench.clock import interleaved
 from bench.command_line import command
@@ -30,18 +27,22 @@ from bench.rival_kinematics import random_poses
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.evidence.silhouettes import Legs, Sight
+from jaxmocap.evidence.silhouettes import LegGrid, SilhouetteGrids
+from jaxmocap.hybrid.observe import observe
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.hybrid.step import SOLVE_EVENTS, EventFields, Events, refine_events, solve_events
+from jaxmocap.hybrid.tracker import HybridTracker, Images, State
 from jaxmocap.images.regions import Region
 from jaxmocap.images.silhouette_grid import Grid
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.tracking.track import make_tracker
 from jaxmocap.reference import kinematics as reference
-from jaxmocap.smoothing.linearise import sights_fit
+from jaxmocap.smoothing.linearise import views_fit
 
 # Poses, recordings and pictures at a time; events of a recording, every third with a frame.
 BATCHES, EVENTS, ROUNDS = (1, 16, 256, 4096), 24, 5
+# Of the markers.
+RATE_HZ = 90
 # Poses whose joints are checked one by one against float64.
 CHECKED = 64
 
@@ -86,31 +87,34 @@ def solving(tracker: HybridTracker, footage: Footage, size: int) -> Work:
     many = np.broadcast_to(markers, (size, *markers.shape))
     # No two alike: some millimetres apart.
     moved = many + np.random.default_rng(0).normal(0, 0.003, (size, 1, 1, 3)).astype(many.dtype)
-    scan = partial(solved_over_time, tracker.solve)
-    over = jax.vmap(scan, (None, None, None, None, 0))
-    shared = tracker.skeleton, tracker.cameras, tracker.settings
+    over = jax.vmap(solve_events, (None, None, None, 0))
     call = lambda *given: over(*given)[1].ik.pose  # noqa: E731
-    return call, (*shared, (state.pose, state.stance), moved)
+    return call, (tracker.model, tracker.settings, (state.pose, state.feet), moved)
 
 
 def refining(tracker: HybridTracker, footage: Footage, size: int) -> Work:
-    """What was seen of all events to refined poses; all look at the same pictures."""
+    """Markers' poses and images of all events to refined poses; the images are the same for all."""
     state, markers, images = _clip(tracker, footage)
-    shared = tracker.skeleton, tracker.cameras, tracker.settings
-    _, solved = tracker.scans.solve_all(*shared, (state.pose, state.stance), markers)
-    views = _views(tracker, images, jax.tree.map(np.asarray, solved.region))
-    times = np.arange(EVENTS, dtype=markers.dtype) / 90
+    model, settings = tracker.model, tracker.settings
+    _, solved = SOLVE_EVENTS(model, settings, (state.pose, state.feet), markers)
+    fields = _fields(tracker, state, images, jax.tree.map(np.asarray, solved.region))
+    elapsed = np.full(EVENTS, 1 / RATE_HZ, markers.dtype)
+    elapsed[0] = 0.0
     many = np.broadcast_to(markers, (size, *markers.shape))
-    axes = (None, None, None, None, None, 0, None, None, None)
-    over = jax.vmap(partial(refined_over_time, tracker.refine), axes)
+
+    def refined(model, settings, bow_factors, events, markers, belief):
+        return refine_events(model, settings, bow_factors, events._replace(markers=markers), belief)
+
+    over = jax.vmap(refined, (None, None, None, None, 0, None))
     call = lambda *given: over(*given)[1]  # noqa: E731
-    return call, (*shared, tracker.factors, solved, many, views, state.belief, times)
+    events = Events(solved, markers, fields, elapsed)
+    return call, (model, settings, state.bow_factors, events, many, state.belief)
 
 
 def rasters(footage: Footage, size: int) -> Work:
     """One body drawn over pictures of noise, in so many poses."""
     tracker = make_tracker(footage.recording)
-    state = settled(tracker, footage.recording.positions_world[0])
+    model, state = tracker.model, tracker.init(footage.recording.positions_world[0])
     rng = np.random.default_rng(0)
 
     def grid(cells: int) -> Grid:
@@ -122,30 +126,35 @@ def rasters(footage: Footage, size: int) -> Work:
         return Region(corner, np.full(size, scale, np.float32))
 
     upper, lower = region(180, 60, 4.0), region(180, 240, 6.0)
-    sights = Sight(upper, grid(64), grid(64), Legs(lower, grid(32)))
+    grids = SilhouetteGrids(upper, grid(64), grid(64), LegGrid(lower, grid(32)))
     repeated = lambda part: np.repeat(np.asarray(part)[None], size, 0)  # noqa: E731
     poses = jax.tree.map(repeated, state.pose)
-    assert tracker.cameras is not None
-    cameras = jax.tree.map(lambda part: np.repeat(np.asarray(part), size, 0), tracker.cameras)
+    cameras = jax.tree.map(repeated, model.camera(0))
     softness, usual = jnp.asarray(1.5, jnp.float32), jnp.zeros(2, jnp.float32)
-    return sights_fit, (tracker.skeleton, usual, softness, poses, cameras, sights)
+    return views_fit, (model.skeleton, usual, softness, poses, cameras, grids)
 
 
-def _clip(tracker: HybridTracker, footage: Footage) -> tuple:
+def _clip(
+    tracker: HybridTracker, footage: Footage
+) -> tuple[State, np.ndarray, Sequence[Images | None]]:
     """The state before the first samples, their markers, and an image for every third."""
-    markers = np.asarray(footage.recording.positions_world[:EVENTS], tracker.dtype)
+    markers = np.asarray(footage.recording.positions_world[:EVENTS], tracker.model.dtype)
     images = [[footage.images[i // 3]] if i % 3 == 0 else None for i in range(EVENTS)]
-    return settled(tracker, markers[0]), markers, images
+    return tracker.init(markers[0]), markers, images
 
 
-def _views(tracker: HybridTracker, images: list, regions: Region) -> Views:
-    """The images in their regions."""
-    each = [jax.tree.map(lambda part, e=event: part[e], regions) for event in range(EVENTS)]
-    seen = [
-        None if frames is None else tracker.observer.observe(frames, region)
-        for frames, region in zip(images, each, strict=True)
-    ]
-    return Views.of(tracker.observer.observe(None, each[0]), seen)
+def _fields(
+    tracker: HybridTracker, state: State, images: Sequence[Images | None], regions: Region
+) -> EventFields:
+    """Distances to the edges of the images in their regions."""
+    settings, thresholds, each = tracker.settings, state.thresholds, []
+    for event, frames in enumerate(images):
+        region = jax.tree.map(lambda part, e=event: part[e], regions)
+        fields, thresholds = observe(settings, thresholds, frames, region)
+        each.append(None if frames is None else fields)
+    first = jax.tree.map(lambda part: part[0], regions)
+    nothing, _ = observe(settings, thresholds, None, first)
+    return EventFields.of(nothing, each)
 
 
 def compared(name: str, work: Work, devices: dict[str, Any]) -> Iterator[Metric]:
@@ -162,9 +171,13 @@ def compared(name: str, work: Work, devices: dict[str, Any]) -> Iterator[Metric]
     for device in list(devices)[1:]:
         own, cpu = (float(np.median(spans[d][:, 0])) for d in (device, "cpu"))
         yield Metric(f"{name}, cpu over {device}", cpu / own, "x", "higher")
-        apart = jax.tree.map(lambda a, b: float(np.nanmax(np.abs(a - b))), *found.values())
-        most = max(jax.tree.leaves(apart))
+        most = max(jax.tree.leaves(jax.tree.map(farthest, *found.values())))
         yield Metric(f"{name}, {device} from cpu at most", most, "of its unit")
+
+
+def farthest(one: np.ndarray, other: np.ndarray) -> float:
+    """The largest difference between two arrays of numbers, or of truth values."""
+    return float(np.nanmax(np.abs(np.subtract(one, other, dtype=float))))
 
 
 def against_float64() -> Iterator[Metric]:

@@ -9,7 +9,6 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxmocap.hybrid.first_state import settled
 
 from bench.clock import Stopwatch, interleaved, peak_mib
 from bench.footage import Footage
@@ -19,6 +18,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, Tree
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.step import solve
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.tracking.track import marker_sites
 from jaxmocap.solvers.sdls import sdls_step
@@ -42,9 +42,8 @@ def measure(footage: Footage, samples: int = SAMPLES) -> Iterator[Metric]:
 def a_step(tracker: HybridTracker, footage: Footage) -> Callable[[], object]:
     """One step with a frame of every camera, from the state after the first sample."""
     markers = footage.recording.positions_world
-    state = settled(tracker, markers[0])
-    assert tracker.cameras is not None
-    images = [footage.images[0]] * len(tracker.cameras.matrix)
+    state = tracker.init(markers[0])
+    images = [footage.images[0]] * tracker.model.camera_count
     return lambda: tracker.step(state, 0.01, markers[1], images)
 
 
@@ -123,23 +122,19 @@ def chain(count: int) -> Skeleton:
 def by_recordings(footage: Footage) -> Iterator[Metric]:
     """Markers to poses of so many recordings side by side, in one call: of each recording."""
     tracker = a_tracker(footage, Settings())
-    markers = np.asarray(footage.recording.positions_world, tracker.dtype)
-    state = settled(tracker, markers[0])
-    shared = (tracker.skeleton, tracker.cameras, tracker.settings)
+    model, settings = tracker.model, tracker.settings
+    markers = np.asarray(footage.recording.positions_world, model.dtype)
+    state = tracker.init(markers[0])
 
     @jax.jit
-    def solve(poses, stances, targets):
-        return jax.vmap(lambda *each: tracker.solve(*shared, *each).ik.pose)(
-            poses, stances, targets
-        )
+    def solve_all(poses, feet, targets):
+        return jax.vmap(lambda *each: solve(model, settings, *each).ik.pose)(poses, feet, targets)
 
     steps: dict[str, Callable[[], object]] = {}
     for count in RECORDINGS:
-        batch = jax.tree.map(
-            lambda part, n=count: jnp.stack([part] * n), (state.pose, state.stance)
-        )
+        batch = jax.tree.map(lambda part, n=count: jnp.stack([part] * n), (state.pose, state.feet))
         targets = markers[1 : count + 1]
-        steps[f"growth: solve, recordings {count}"] = lambda g=(*batch, targets): solve(*g)
+        steps[f"growth: solve, recordings {count}"] = lambda g=(*batch, targets): solve_all(*g)
     for metric, count in zip(medians(steps), RECORDINGS, strict=True):
         yield replace(metric, name=f"{metric.name}, of each", value=metric.value / count)
 
@@ -150,7 +145,7 @@ def by_frames(footage: Footage, samples: int) -> Iterator[Metric]:
     recording, images = footage.recording, footage.images
     there = list(range(len(recording.times)))
     path = there + there[::-1]
-    state, pace = settled(tracker, recording.positions_world[0]), []
+    state, pace = tracker.init(recording.positions_world[0]), []
     before = peak_mib()
     for i in range(samples):
         row = path[i % len(path)]

@@ -19,7 +19,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxmocap.pipelines.tracking.step_events import stepped
 
 from bench.command_line import command
 from bench.metrics import aligned
@@ -28,16 +27,19 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.capture.markers import interpolate_markers
+from jaxmocap.evidence.edges import EdgeFields, Outlines
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.markers import read_markers
-from jaxmocap.hybrid import gradient, refine
-from jaxmocap.hybrid.gradient import Aims
-from jaxmocap.hybrid.ik import goals_of, reach
-from jaxmocap.hybrid.observe import Observation
+from jaxmocap.hybrid import refine
+from jaxmocap.hybrid.elbow_search import ElbowBelief
+from jaxmocap.hybrid.gradient import Aims, refine_body
+from jaxmocap.hybrid.ik import goals_of
+from jaxmocap.hybrid.observe import observe
 from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.step import SOLVE
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.kept_programs import keep_compiled
-from jaxmocap.pipelines.tracking.events import Plan
+from jaxmocap.pipelines.tracking.events import Events
 from jaxmocap.pipelines.tracking.track import make_tracker
 from jaxmocap.solvers.status import Status
 
@@ -65,14 +67,14 @@ class Frame(NamedTuple):
 
     Attributes:
         start: the pose where search and inverse kinematics have left the body.
-        seen: by the cameras.
+        fields: distances to edges, of both arms.
         grip: (2, 3) points that the markers hold.
         aims: what else is to be met.
         elbows: (2, 3) the truth, world, metres.
     """
 
     start: Pose
-    seen: Observation
+    fields: EdgeFields
     grip: Array
     aims: Aims
     elbows: np.ndarray
@@ -116,39 +118,41 @@ def error_cells(errors: np.ndarray) -> list[str]:
 def frames(recording: Recording, tracker: HybridTracker, truth: Path) -> Iterator[Frame]:
     """Track a recording with the simplex, and keep what each of its refinements was given."""
     videos, _ = open_footage(recording)
-    plan, given, times = Plan.of(recording, videos, "own"), [], []
-    kept = tracker.refine
-
-    def keep(*arguments):
-        if np.any(arguments[6].seen):
-            given.append(arguments[4:])
-            times.append(float(arguments[8]))
-        return kept(*arguments)
-
-    with mock.patch.object(tracker, "refine", keep), forward_readers(videos) as readers:
-        stepped(plan, tracker, readers, None, lambda done, total: None)
-    began = plan.timeline.event_times[0]
-    elbows = _true_elbows(truth, np.array(times) + began)
+    model, settings, events = tracker.model, tracker.settings, Events.of(recording, videos, "own")
+    line = events.timeline
+    elbows = _true_elbows(truth, line.event_times)
     prepare = jax.jit(lambda *arguments: _prepare(tracker, *arguments))
-    for arguments, at in zip(given, elbows, strict=True):
-        start, seen, grip, aims = prepare(*arguments)
-        yield Frame(start, seen, grip, aims, at)
+    after = tracker.init(events.markers_world[0])
+    with forward_readers(videos) as readers:
+        for event, time in enumerate(events.times):
+            each = zip(readers, line.frame_index[event], strict=True)
+            images = [reader.at(int(index)) for reader, index in each]
+            markers, before = events.markers_world[event].astype(model.dtype), after
+            after, *_ = tracker.step(before, time, markers, images)
+            solved = SOLVE(model, settings, before.pose, before.feet, markers)
+            fields, _ = observe(settings, before.thresholds, images, solved.region)
+            if np.any(fields.available):
+                elapsed = 0.0 if before.time is None else time - before.time
+                belief = before.belief._replace(age=before.belief.age + elapsed)
+                start, fields, grip, aims = prepare(solved, markers, fields, belief)
+                yield Frame(start, fields, grip, aims, elbows[event])
 
 
 def _prepare(
-    tracker: HybridTracker, solved, targets, seen, belief, time
-) -> tuple[Pose, Observation, Array, Aims]:
+    tracker: HybridTracker,
+    solved: refine.Solved,
+    targets: Array,
+    fields: EdgeFields,
+    belief: ElbowBelief,
+) -> tuple[Pose, EdgeFields, Array, Aims]:
     """The tracker's own way up to the refinement, balance left out."""
-    skeleton, settings, cameras = tracker.skeleton, tracker.settings, tracker.cameras
-    assert cameras is not None
-    mask = jnp.all(jnp.isfinite(targets), -1)
-    goals = goals_of(skeleton, tracker.held, settings.ik, solved.ik.stance, targets, mask)
-    arms = arms_of(skeleton, forward(skeleton, solved.ik.pose), tracker.grips)
-    _, elbows = refine.look_for_elbows(settings, cameras, arms, seen, belief, time)
-    free = jnp.ones(skeleton.costs.shape, bool)
-    wishes = refine.elbow_wishes(skeleton, elbows)
-    start, _ = reach(skeleton, goals, settings.ik, belief.pose, free, wishes)
-    return start, seen, arms.grip, Aims(goals, elbows, solved.ik.pose, free)
+    model, settings = tracker.model, tracker.settings
+    goals = goals_of(model, settings.ik, solved.ik.feet, targets)
+    arms = arms_of(model.skeleton, forward(model.skeleton, solved.ik.pose), model.grips)
+    _, elbows = refine.search_elbows(settings, model, arms, fields, belief)
+    free = jnp.ones(model.skeleton.costs.shape, bool)
+    start = refine.follow(model, settings, goals, belief.pose, free, elbows)
+    return start, fields, arms.grip, Aims(goals, elbows, solved.ik.pose, free)
 
 
 def _true_elbows(truth: Path, times: np.ndarray) -> np.ndarray:
@@ -160,23 +164,14 @@ def _true_elbows(truth: Path, times: np.ndarray) -> np.ndarray:
 
 def rival(tracker: HybridTracker, name: str, steps: int) -> Callable[[Frame], Ended]:
     """A refinement of at most so many steps, compiled."""
-    skeleton, cameras, grips = tracker.skeleton, tracker.cameras, tracker.grips
-    settings = tracker.settings
-    assert cameras is not None
+    model, settings = tracker.model, with_steps(tracker.settings, name, steps)
 
-    def by_simplex(start: Pose, seen: Observation, grip: Array, aims: Aims) -> Ended:
-        pose = refine.refine_arms(
-            with_steps(settings, name, steps), skeleton, cameras, seen, start, grips, grip,
-            aims.elbows,
-        )  # fmt: skip
+    def by_simplex(start: Pose, fields: EdgeFields, grip: Array, aims: Aims) -> Ended:
+        pose = refine.refine_arms(model, settings, fields, start, grip, aims.elbows)
         return Ended(_elbows(tracker, pose), jnp.asarray(True))
 
-    def by_gradient(start: Pose, seen: Observation, grip: Array, aims: Aims) -> Ended:
-        # Which bones the goals sit on is static.
-        aims = aims._replace(goals=aims.goals._replace(sites=tracker.held.sites))
-        pose, *_, status = gradient.refine_body(
-            with_steps(settings, name, steps), skeleton, cameras, seen, start, grips, aims
-        )
+    def by_gradient(start: Pose, fields: EdgeFields, grip: Array, aims: Aims) -> Ended:
+        pose, *_, status = refine_body(model, settings, fields, start, aims)
         return Ended(_elbows(tracker, pose), status == int(Status.CONVERGED))
 
     chosen = jax.jit(by_simplex if name == "simplex" else by_gradient)
@@ -184,19 +179,18 @@ def rival(tracker: HybridTracker, name: str, steps: int) -> Callable[[Frame], En
 
 
 def _elbows(tracker: HybridTracker, pose: Pose) -> Array:
-    frames = forward(tracker.skeleton, pose)
-    return arms_of(tracker.skeleton, frames, tracker.grips).elbow
+    model = tracker.model
+    return arms_of(model.skeleton, forward(model.skeleton, pose), model.grips).elbow
 
 
 def with_steps(settings: Settings, name: str, steps: int) -> Settings:
     """The settings with a rival's method and its most steps."""
     if name == "simplex":
-        polish = replace(settings.polish, iterations=jnp.asarray(steps, jnp.int32))
-        return replace(settings, polish=polish)
-    descent = replace(
-        settings.descent, method=GRADIENTS[name], steps=steps, tolerance=RESTING[name]
+        return replace(settings, simplex=replace(settings.simplex, iterations=steps))
+    gradient = replace(
+        settings.gradient, method=GRADIENTS[name], steps=steps, tolerance=RESTING[name]
     )
-    return replace(settings, descent=descent)
+    return replace(settings, gradient=gradient)
 
 
 def measure(tracker: HybridTracker, given: list[Frame], name: str, steps: int) -> Row:
@@ -224,7 +218,7 @@ def evaluations(tracker: HybridTracker, given: list[Frame], name: str, steps: in
 
         return run
 
-    at = (refine, "swing") if name == "simplex" else (gradient, "outline_residuals")
+    at = (refine, "swing") if name == "simplex" else (Outlines, "residual")
     with mock.patch.object(*at, counted(getattr(*at))):
         run = rival(tracker, name, steps)
         for frame in given:

@@ -10,6 +10,7 @@ INPUTS: a skeleton, a made-up motion. OUTPUTS: Metrics.
 
 import logging
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +24,7 @@ from bench.rival_bodies import PinocchioBody, limited_mujoco, mujoco_points, muj
 from jaxmocap.body.kinematics import Sites, forward
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.evidence.markers import Goals
 from jaxmocap.hybrid import ik
 from jaxmocap.hybrid.settings import IKSettings
 
@@ -130,10 +132,10 @@ def ours(skeleton: Skeleton, start: Pose, **steps: int) -> Follower:
 
     @jax.jit
     def solve(skeleton, settings, pose, targets):
-        pose, _ = ik.reach(skeleton, ik.Goals(sites, targets, weights), settings, pose)
+        pose, _ = ik.reach(skeleton, Goals(sites, targets, weights), settings, pose)
         return pose, forward(skeleton, pose).joints_world[bones]
 
-    settings, last = IKSettings.create(tolerance=TOLERANCE_M, **steps), [start]
+    settings, last = replace(IKSettings(), tolerance=TOLERANCE_M, **steps), [start]
 
     def follow(targets: np.ndarray) -> np.ndarray:
         last[0], points = solve(skeleton, settings, last[0], np.asarray(targets, np.float32))
