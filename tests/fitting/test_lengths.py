@@ -83,7 +83,7 @@ def coverage(pose, camera, grids):
 
 
 def of_own_flesh() -> Views:
-    """Sights in which nothing is wrong but the lengths that are stated."""
+    """Views in which nothing is wrong but the lengths that are stated."""
     poses, frames = truth(COUNT), np.tile(np.arange(0, COUNT, 8), len(CAMERAS))
     cameras = np.repeat(np.arange(len(CAMERAS)), len(frames) // len(CAMERAS))
     corner = (np.array(SIZE) - CELLS * CELL_PX) // 2 - 0.5

@@ -79,11 +79,11 @@ def elbow_errors(pose, truth):
 def followed(tracker, count, state=None, first=0):
     """The state after some frames with video, and each frame's poses and report."""
     state = tracker.init(markers_of(waving(first / RATE))) if state is None else state
-    seen = []
+    tracked = []
     for time, truth, markers in frames(count, first):
         state, pose, report = tracker.step(state, time, markers, [image_of(truth)])
-        seen.append((truth, pose, report))
-    return state, seen
+        tracked.append((truth, pose, report))
+    return state, tracked
 
 
 def test_both_functions_are_traced_once_whatever_comes(tracker):
@@ -127,21 +127,21 @@ def test_other_numbers_do_not_trace_again(tracker):
 
 
 def test_video_finds_the_elbows_that_markers_alone_miss(tracker):
-    _, seen = followed(tracker, 16)
-    errors = np.array([elbow_errors(pose, truth) for truth, pose, _ in seen])
-    without = np.array([elbow_errors(report.marker_pose, truth) for truth, _, report in seen])
+    _, tracked = followed(tracker, 16)
+    errors = np.array([elbow_errors(pose, truth) for truth, pose, _ in tracked])
+    without = np.array([elbow_errors(report.marker_pose, truth) for truth, _, report in tracked])
     assert without.max(1).min() > 0.15
     assert errors[4:].max() < 0.03
     assert errors[4:].mean() < 0.3 * without.mean()
-    for _, _, report in seen[4:]:
+    for _, _, report in tracked[4:]:
         assert (np.asarray(report.outline_px) < 3).all()
         assert (np.asarray(report.confidence) > 0.5).all()
         assert np.abs(report.swivels).max() > 0.5
 
 
 def test_markers_are_met_within_2_cm_in_every_frame(tracker):
-    _, seen = followed(tracker, 16)
-    for truth, pose, report in seen:
+    _, tracked = followed(tracker, 16)
+    for truth, pose, report in tracked:
         assert np.asarray(report.marker_errors).max() < 0.02
         apart = np.linalg.norm(markers_in(pose) - markers_of(truth), axis=1)
         np.testing.assert_allclose(report.marker_errors, apart, atol=1e-4)
@@ -164,8 +164,8 @@ def test_what_video_found_is_carried_to_samples_without_a_frame(tracker):
 
 
 def test_without_images_it_ends_at_the_markers_pose_and_grows_unsure(tracker):
-    state, seen = followed(tracker, 8)
-    certain = np.asarray(seen[-1][2].confidence)
+    state, tracked = followed(tracker, 8)
+    certain = np.asarray(tracked[-1][2].confidence)
     for i in range(8, 8 + 4 * RATE, 6):
         truth = waving(8 / RATE)
         state, pose, report = tracker.step(state, i / RATE, markers_of(truth), [BLACK])
@@ -180,9 +180,9 @@ def test_elbows_come_back_after_a_gap(tracker):
     for i in range(6, 12):
         state, pose, _ = tracker.step(state, i / RATE, MISSING, [BLACK])
         assert all(np.isfinite(leaf).all() for leaf in pose)
-    _, seen = followed(tracker, 8, state, 12)
-    assert elbow_errors(seen[-1][1], seen[-1][0]).max() < 0.03
-    assert np.asarray(seen[-1][2].distances).max() < 0.02
+    _, tracked = followed(tracker, 8, state, 12)
+    assert elbow_errors(tracked[-1][1], tracked[-1][0]).max() < 0.03
+    assert np.asarray(tracked[-1][2].marker_errors).max() < 0.02
 
 
 def test_a_leap_places_the_body_again(tracker):
@@ -200,9 +200,9 @@ def test_a_leap_places_the_body_again(tracker):
 
 def test_solve_does_not_depend_on_what_refine_found(tracker, markers_only):
     """The markers' poses are the same with and without video."""
-    _, seen = followed(tracker, 5)
+    _, tracked = followed(tracker, 5)
     state = markers_only.init(markers_of(waving(0)))
-    for (time, _, markers), (_, _, report) in zip(frames(5), seen, strict=True):
+    for (time, _, markers), (_, _, report) in zip(frames(5), tracked, strict=True):
         state, _, alone = markers_only.step(state, time, markers)
         for part, other in zip(alone.marker_pose, report.marker_pose, strict=True):
             np.testing.assert_allclose(part, other, atol=1e-5)
