@@ -137,6 +137,11 @@ def another_moment() -> dict[str, Any]:
 TERMS = {type(term).__name__: term for term in (*SETTINGS.terms, *GradientSettings().terms)}
 
 
+# Those that ask whether markers hold the feet.
+BY_FEET = ("Pelvis", "Ground", "Balance", "PointGoals")
+CASES = [(name, "unmarked feet") for name in TERMS] + [(name, "marked feet") for name in BY_FEET]
+
+
 @jax.jit
 def both_jacobians(term, model, pose, measured):
     """Of a term's residuals: by ``linearised``, and by central differences."""
@@ -161,8 +166,8 @@ def _text(path: Path) -> str:
     return path.read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("feet", ["unmarked feet", "marked feet"])
-@pytest.mark.parametrize("name", TERMS)
+@pytest.mark.usefixtures("plainly_compiled")
+@pytest.mark.parametrize(("name", "feet"), CASES)
 @hypothesis_settings(max_examples=10)
 @given(pose=poses(beyond=0.3))
 def test_a_terms_derivative_is_that_of_finite_differences(name, feet, pose):
