@@ -27,9 +27,9 @@ def test_poses_are_drawn_where_a_camera_sees_them():
     there = drawing(first(2))
     assert there.size[1] == ROWS and there.ratio == pytest.approx(ROWS / SIZE[1])
     pose = Pose(*(part[1] for part in truth(COUNT)))
-    seen = shrink(paint(CAMERAS[0], PERSON, pose, room(SIZE)).person, ROWS) > 0.5
+    painted = shrink(paint(CAMERAS[0], PERSON, pose, room(SIZE)).person, ROWS) > 0.5
     covered = there.mask(1, 1.0, without=FEET)
-    assert seen.sum() > 3000 and (covered & seen).sum() > 0.97 * (covered | seen).sum()
+    assert painted.sum() > 3000 and (covered & painted).sum() > 0.97 * (covered | painted).sum()
 
 
 def test_legs_that_no_marker_holds_may_be_a_stride_aside():

@@ -26,10 +26,11 @@ from watched_arms import (
 from jaxmocap.body.arms import arms_of, flesh
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.surfaces.cones import Cones
-from jaxmocap.evidence import edges
+from jaxmocap.evidence.coverage import chamfer_sum, raster_distance
+from jaxmocap.evidence.edges import EdgeEvidence, EdgeFields
+from jaxmocap.evidence.traced_outlines import outline_distance
 from jaxmocap.geometry.outlines import Discs
-from jaxmocap.hybrid.observe import Observation
-from jaxmocap.hybrid.settings import EvidenceSettings, Settings
+from jaxmocap.hybrid.settings import Settings, SimplexSettings
 from jaxmocap.images.raster import soft_coverage
 from jaxmocap.images.regions import Region
 from jaxmocap.reference import cameras as reference_cameras
@@ -37,9 +38,9 @@ from jaxmocap.reference.hybrid import raster as reference
 
 GRID = 20
 COVERAGE = jax.jit(soft_coverage, static_argnums=1)
-CHAMFER = jax.jit(edges.chamfer_sum)
-RASTER = jax.jit(edges.raster_distance)
-OUTLINE = jax.jit(edges.outline_distance)
+CHAMFER = jax.jit(chamfer_sum)
+RASTER = jax.jit(raster_distance)
+OUTLINE = jax.jit(outline_distance)
 # Of coverage, 0 to 1, and of costs, relative.
 FLOAT32_COVERAGE, FLOAT32_COST = 2e-4, 1e-4
 
@@ -123,54 +124,53 @@ def test_the_raster_cost_with_its_hold_is_equation_14_in_another_unit(seed):
     targets, positions = rng.normal(size=(2, 1, 3))
     with double():
         camera, region, fields, limbs = scene(seed)
-        chosen = EvidenceSettings.create(softness=0.8)
-        one = Observation(
+        chosen, weight = EdgeEvidence(compared="raster", softness=0.8), SimplexSettings().hold
+        one = EdgeFields(
             jax.tree.map(lambda part: on_device(part)[None], region),
             on_device(fields)[None],
             np.array([True]),
         )
-        seen = float(edges.arm_cost("raster", chosen, stacked(camera), one, on_device(limbs)))
+        on_edges = float(chosen.arm_cost(stacked(camera), one, on_device(limbs)))
         depth = np.mean(reference_cameras.to_camera(camera, limbs.near)[:, 2])
         samples_per_metre = 560.0 / depth / float(region.scale)
         lengths = np.linalg.norm(limbs.far - limbs.near, axis=1)
         area = np.sum(lengths * limbs.radii.sum(1)) * samples_per_metre**2
-        unit = area * samples_per_metre * float(chosen.edge_scale)
-        hold = float(chosen.hold) * np.linalg.norm(targets - positions)
+        unit = area * samples_per_metre * float(chosen.scale)
+        hold = float(weight) * np.linalg.norm(targets - positions)
         coverage, field = reference_chamfer(camera, region, fields, limbs, 0.8)
-    weight = float(chosen.hold) * unit
-    expected = reference.cost(coverage, field, weight, targets, positions)
-    assert (seen + hold) * unit == pytest.approx(expected, rel=1e-9)
+    expected = reference.cost(coverage, field, float(weight) * unit, targets, positions)
+    assert (on_edges + hold) * unit == pytest.approx(expected, rel=1e-9)
 
 
 CAMERAS = stacked(FRONT)
-CHOSEN = Settings(region=SIZE)
+CHOSEN = Settings(region=SIZE).edges
 
 
 @jax.jit
-def outline_costs(cameras, seen, arms):
-    def of_arm(observation, limbs):
-        return edges.arm_cost("outline", CHOSEN.fit, cameras, observation, limbs)
+def outline_costs(cameras, fields, arms):
+    def of_arm(own, limbs):
+        return CHOSEN.arm_cost(cameras, own, limbs)
 
-    return jax.vmap(of_arm)(seen.by_arm(), flesh(arms))
+    return jax.vmap(of_arm)(fields.by_arm(), flesh(arms))
 
 
 def test_the_outline_fits_best_where_the_arm_was_drawn():
-    seen = observed(pictures(FRONT), CAMERAS, true_arms())
+    fields = observed(pictures(FRONT), CAMERAS, true_arms())
     costs = np.array(
-        [outline_costs(CAMERAS, seen, turned_by(t, t)) for t in np.linspace(-0.4, 0.4, 9)]
+        [outline_costs(CAMERAS, fields, turned_by(t, t)) for t in np.linspace(-0.4, 0.4, 9)]
     )
     np.testing.assert_array_equal(np.argmin(costs, 0), [4, 4])
     # Either way the elbow swivels, it rises; and at the truth it is within a pixel's worth.
     assert (np.diff(costs[4:], axis=0) > 0).all() and (np.diff(costs[:5], axis=0) < 0).all()
     depth_m_per_px = 2.2 / 560
-    assert (costs[4] * float(CHOSEN.fit.edge_scale) < 1.2 * depth_m_per_px).all()
+    assert (costs[4] * float(CHOSEN.scale) < 1.2 * depth_m_per_px).all()
 
 
 def test_edges_that_run_another_way_do_not_count():
     """Of the six fields only those of the outline's own direction are looked at."""
-    seen = observed(pictures(FRONT), CAMERAS, true_arms())
-    by_normal = np.asarray(outline_costs(CAMERAS, seen, true_arms()))
-    turned = seen._replace(fields=np.roll(np.asarray(seen.fields), 3, axis=2))
+    fields = observed(pictures(FRONT), CAMERAS, true_arms())
+    by_normal = np.asarray(outline_costs(CAMERAS, fields, true_arms()))
+    turned = fields._replace(distances=np.roll(np.asarray(fields.distances), 3, axis=2))
     across = np.asarray(outline_costs(CAMERAS, turned, true_arms()))
     assert (across > 3 * by_normal).all()
 
@@ -210,41 +210,41 @@ def shifted(arms, offset):
     ids=["beside", "below", "behind", "around the lens", "before the lens", "far"],
 )
 def test_an_arm_out_of_the_picture_costs_something_finite(offset):
-    seen = observed(pictures(FRONT), CAMERAS, true_arms())
+    fields = observed(pictures(FRONT), CAMERAS, true_arms())
     moved = shifted(true_arms(), offset)
-    costs = np.asarray(outline_costs(CAMERAS, seen, moved))
+    costs = np.asarray(outline_costs(CAMERAS, fields, moved))
     assert np.isfinite(costs).all() and (costs >= 0).all()
-    limit = float(CHOSEN.fit.truncation / CHOSEN.fit.edge_scale)
+    limit = float(CHOSEN.truncation / CHOSEN.scale)
     assert (costs <= limit + 1e-3).all()
-    gradient = GRADIENT(CAMERAS, seen, moved)
+    gradient = GRADIENT(CAMERAS, fields, moved)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
 
 
 GRADIENT = jax.jit(
-    jax.grad(lambda cameras, seen, arms: jnp.sum(outline_costs(cameras, seen, arms)), 2)
+    jax.grad(lambda cameras, fields, arms: jnp.sum(outline_costs(cameras, fields, arms)), 2)
 )
-PIXELS = jax.jit(lambda cameras, seen, arms: edges.outline_px(CHOSEN.fit, cameras, seen, arms))
+PIXELS = jax.jit(lambda cameras, fields, arms: CHOSEN.outline_px(cameras, fields, arms))
 
 
-def test_pixels_are_reported_where_an_arm_is_seen_and_nan_where_not():
-    seen = observed(pictures(FRONT), CAMERAS, true_arms())
-    distances = np.asarray(PIXELS(CAMERAS, seen, true_arms()))
+def test_pixels_are_reported_where_an_arm_has_an_image_and_nan_where_not():
+    fields = observed(pictures(FRONT), CAMERAS, true_arms())
+    distances = np.asarray(PIXELS(CAMERAS, fields, true_arms()))
     assert (distances < 1.5).all() and (distances > 0).all()
-    left_only = seen._replace(seen=np.array([[True, False]]))
+    left_only = fields._replace(available=np.array([[True, False]]))
     np.testing.assert_array_equal(
         np.isfinite(PIXELS(CAMERAS, left_only, true_arms())), [True, False]
     )
     beside = shifted(true_arms(), (0, 5.0, 0))
-    assert np.isnan(PIXELS(CAMERAS, seen, beside)).all()
+    assert np.isnan(PIXELS(CAMERAS, fields, beside)).all()
 
 
-def test_the_costs_of_two_cameras_add_and_an_unseen_one_tells_nothing():
+def test_the_costs_of_two_cameras_add_and_one_without_an_image_costs_nothing():
     both = stacked(FRONT, SIDE)
     arms = turned_by(0.2, -0.2)
-    seen = observed(pictures(FRONT, SIDE), both, true_arms())
+    fields = observed(pictures(FRONT, SIDE), both, true_arms())
 
     def costs(*flags):
-        return np.asarray(outline_costs(both, seen._replace(seen=np.array(flags)), arms))
+        return np.asarray(outline_costs(both, fields._replace(available=np.array(flags)), arms))
 
     yes, no = [True, True], [False, False]
     together, front, side = costs(yes, yes), costs(yes, no), costs(no, yes)
@@ -256,11 +256,11 @@ def test_the_costs_of_two_cameras_add_and_an_unseen_one_tells_nothing():
 
 
 def test_gradients_reach_lengths_and_angles():
-    seen = observed(pictures(FRONT), CAMERAS, true_arms())
+    fields = observed(pictures(FRONT), CAMERAS, true_arms())
 
     def cost(skeleton, pose):
         return jnp.sum(
-            outline_costs(CAMERAS, seen, arms_of(skeleton, forward(skeleton, pose), GRIPS))
+            outline_costs(CAMERAS, fields, arms_of(skeleton, forward(skeleton, pose), GRIPS))
         )
 
     tilted = on_device(TRUTH._replace(angles=TRUTH.angles + 0.05))
@@ -280,7 +280,7 @@ def test_the_gradient_is_the_difference_of_the_costs():
     with double():
         camera, region, fields, limbs = scene(4)
         chosen = (on_device(region), on_device(fields), on_device(limbs), jnp.asarray(9.0))
-        slope = jax.jit(jax.grad(lambda *a: edges.outline_distance(*a)[0], 3))(camera, *chosen)
+        slope = jax.jit(jax.grad(lambda *a: outline_distance(*a)[0], 3))(camera, *chosen)
         rng, h = np.random.default_rng(0), 1e-7
         for part, name in zip(slope, limbs._fields, strict=True):
             way = rng.normal(size=part.shape)

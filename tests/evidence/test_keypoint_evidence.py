@@ -10,45 +10,47 @@ import pytest
 from conftest import on_device
 from hypothesis import given
 from hypothesis import strategies as st
-from jaxmocap.evidence.residuals import residuals
-from jaxmocap.pipelines.tracking.second_pass import FirstPass, smooth_recording
 from painted_motion import (
     CAMERAS,
     ELBOWS,
-    MARKERS,
+    MODEL,
     PERSON,
     SETTINGS,
     disturbed,
     elbow_errors,
-    known,
+    first_pass,
+    measurements,
     points_of,
     problem,
-    sights,
     truth,
+    views,
 )
 from small_recording import CAMERA, PLACES, small_recording
 
+from jaxmocap.body.model import Model
 from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF
 from jaxmocap.capture.keypoints import Keypoints
 from jaxmocap.capture.timeline import build_timeline
 from jaxmocap.capture.video import MemoryVideo
-from jaxmocap.evidence.keypoints import TAILS, Lines, line_residuals, lines_of_sight
+from jaxmocap.evidence.keypoints import TAILS, SightLines, line_residuals, lines_of_sight
+from jaxmocap.evidence.terms import residuals
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.keypoints import Detections
 from jaxmocap.geometry.cameras import project
-from jaxmocap.hybrid.settings import Settings
-from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events
 from jaxmocap.pipelines.tracking.track import track
+from jaxmocap.smoothing.batch import smooth_recording
 from jaxmocap.smoothing.elbow_viterbi import elbow_goals
 from jaxmocap.smoothing.linearise import SmoothedPoses, smooth_poses
-from jaxmocap.smoothing.uncertainty import trust_in
+from jaxmocap.smoothing.problem import SmoothingProblem
+from jaxmocap.smoothing.settings import SmoothingSettings
+from jaxmocap.smoothing.uncertainty import with_deviations
 
 COUNT, SOFTNESS, NOISE_PX = 17, (0.8,), 3.0
 NAMES = tuple(name for name in LANDMARKS if name.rstrip("lr_") not in ("hand", "toe"))
-SIGMA = float(SETTINGS.keypoints)
+SIGMA = float(SETTINGS.keypoints.deviation)
 
 
 @cache
@@ -63,21 +65,23 @@ def detected(camera: int = 0, wrong: float = 0.0) -> tuple[np.ndarray, np.ndarra
     return pixels, rng.uniform(0.6, 1.0, pixels.shape[:2])
 
 
-def lines(camera: int = 0, wrong: float = 0.0) -> Lines:
+def lines(camera: int = 0, wrong: float = 0.0) -> SightLines:
     return lines_of_sight(CAMERAS[camera], NAMES, *detected(camera, wrong))
 
 
-def blind():
-    """Sights that show nothing."""
-    seen = sights(COUNT)
-    blind = seen.sight.each_grid(lambda grid: grid._replace(weight=0 * grid.weight))
-    return seen._replace(sight=blind)
+def without_silhouettes(sight_lines: SightLines | None) -> SmoothingProblem:
+    """The motion by markers and lines: the silhouettes' cells have no weight."""
+    empty = views(COUNT)
+    grids = empty.grids.each_grid(lambda grid: grid._replace(weight=0 * grid.weight))
+    measured = measurements(COUNT)
+    if sight_lines is not None:
+        measured["sight_lines"] = sight_lines
+    return problem(COUNT, empty._replace(grids=grids), measured)
 
 
-def smoothed(told: Lines | None) -> SmoothedPoses:
+def smoothed(sight_lines: SightLines | None) -> SmoothedPoses:
     """The disturbed motion, from markers and lines alone."""
-    frames = known(COUNT)._replace(lines=told)
-    return smooth_poses(problem(COUNT, blind(), frames), disturbed(COUNT), SOFTNESS)
+    return smooth_poses(without_silhouettes(sight_lines), disturbed(COUNT), SOFTNESS)
 
 
 def errors(found: SmoothedPoses) -> np.ndarray:
@@ -87,10 +91,10 @@ def errors(found: SmoothedPoses) -> np.ndarray:
 # One line ----------------------------------------------------------------------------------------
 
 
-def one_line(confidence: float = 1.0) -> Lines:
+def one_line(confidence: float = 1.0) -> SightLines:
     """Of one camera at the origin that looks at one landmark along x."""
     way = np.array([[[1.0, 0.0, 0.0]]], np.float32)
-    return Lines(np.zeros((1, 3), np.float32), way, np.full((1, 1), confidence, np.float32))
+    return SightLines(np.zeros((1, 3), np.float32), way, np.full((1, 1), confidence, np.float32))
 
 
 def cost(off: float, confidence: float = 1.0, along: float = 3.0) -> float:
@@ -116,13 +120,13 @@ def test_a_point_far_off_hardly_pulls():
     assert 0 < far < 0.25 * near
 
 
-@pytest.mark.parametrize("lost", ["confidence", "way"])
-def test_what_was_not_detected_tells_nothing(lost):
+@pytest.mark.parametrize("lost", ["confidence", "direction"])
+def test_what_was_not_detected_has_no_residual(lost):
     line = one_line()
     if lost == "confidence":
         line = line._replace(confidences=0 * line.confidences)
     else:
-        line = line._replace(ways=np.nan * line.ways)
+        line = line._replace(directions=np.nan * line.directions)
     point = jnp.asarray([[3.0, 0.5, 0.2]])
 
     def off(point):
@@ -137,34 +141,38 @@ def test_lines_run_through_what_they_were_detected_of():
     points = points_of(truth(COUNT))
     pixels = np.asarray(project(CAMERAS[1], jnp.asarray(points)), float)
     pixels[3, 4] = np.nan
-    told = lines_of_sight(CAMERAS[1], tuple(LANDMARKS), pixels, np.ones(pixels.shape[:2]))
-    off = np.asarray(line_residuals(jnp.asarray(points), told, jnp.asarray(1.0)))
+    found = lines_of_sight(CAMERAS[1], tuple(LANDMARKS), pixels, np.ones(pixels.shape[:2]))
+    off = np.asarray(line_residuals(jnp.asarray(points), found, jnp.asarray(1.0)))
     assert np.abs(off).max() < 1e-3
-    assert told.confidences[3, 0, 4] == 0 and told.confidences.sum() == pixels[..., 0].size - 1
+    assert found.confidences[3, 0, 4] == 0 and found.confidences.sum() == pixels[..., 0].size - 1
 
 
 # A frame -----------------------------------------------------------------------------------------
 
 
+# The lines' residuals come last.
+FRAME_TERMS = SETTINGS.terms
+STILL = np.zeros(ROOT_DOF + len(PERSON.tree.joints), np.float32)
+
+
 @jax.jit
 def moved(step, pose, frame):
-    return residuals(PERSON, MARKERS, SETTINGS, retract(pose, step), frame)
+    return residuals(FRAME_TERMS, MODEL, retract(pose, step), frame)
 
 
 def a_frame():
     pose = Pose(*(jnp.asarray(part[3], float) for part in disturbed(COUNT).poses))
-    frames = known(COUNT)._replace(lines=lines(wrong=0.2))
+    frames = measurements(COUNT) | {"sight_lines": lines(wrong=0.2)}
     return pose, on_device(jax.tree.map(lambda part: part[3], frames))
 
 
 def test_slopes_are_those_of_finite_differences():
     pose, frame = a_frame()
-    still = np.zeros(ROOT_DOF + len(PERSON.tree.joints), np.float32)
     count = 3 * len(LANDMARKS)
-    slopes = np.asarray(jax.jacfwd(moved)(still, pose, frame))[-count:]
+    slopes = np.asarray(jax.jacfwd(moved)(STILL, pose, frame))[-count:]
     h = 2e-3
-    for i in range(still.size):
-        step = np.eye(still.size, dtype=np.float32)[i] * h
+    for i in range(STILL.size):
+        step = np.eye(STILL.size, dtype=np.float32)[i] * h
         rise = np.asarray(moved(step, pose, frame)) - np.asarray(moved(-step, pose, frame))
         np.testing.assert_allclose(slopes[:, i], rise[-count:] / (2 * h), atol=0.05)
     assert np.abs(slopes).max() > 5
@@ -172,12 +180,10 @@ def test_slopes_are_those_of_finite_differences():
 
 def test_a_frame_without_any_point_costs_what_it_does_without_lines():
     pose, frame = a_frame()
-    still = np.zeros(ROOT_DOF + len(PERSON.tree.joints), np.float32)
-    nothing = frame._replace(lines=frame.lines._replace(ways=np.nan * frame.lines.ways))
-    costs = [
-        float(jnp.sum(moved(still, pose, each) ** 2))
-        for each in (nothing, frame._replace(lines=None))
-    ]
+    without = {name: part for name, part in frame.items() if name != "sight_lines"}
+    own = frame["sight_lines"]
+    nothing = without | {"sight_lines": own._replace(directions=np.nan * own.directions)}
+    costs = [float(jnp.sum(moved(STILL, pose, each) ** 2)) for each in (nothing, without)]
     assert costs[0] == pytest.approx(costs[1])
 
 
@@ -197,50 +203,42 @@ def test_elbows_that_no_silhouette_shows_are_found_by_key_points(by_lines):
 def test_wrong_points_and_points_of_no_confidence_do_not_drag(by_lines):
     assert errors(smoothed(lines(wrong=0.05))).mean() < 1.5 * errors(by_lines).mean()
     assert errors(smoothed(lines(wrong=0.2))).mean() < 0.025
-    told, astray = lines(), lines(wrong=1.0)
-    unsure = np.random.default_rng(5).random(told.confidences.shape) < 0.3
-    sure = np.where(unsure, 0.0, told.confidences).astype(np.float32)
-    mixed = told._replace(
-        ways=np.where(unsure[..., None], astray.ways, told.ways), confidences=sure
-    )
-    missing = told._replace(ways=np.where(unsure[..., None], np.nan, told.ways))
+    right, astray = lines(), lines(wrong=1.0)
+    unsure = np.random.default_rng(5).random(right.confidences.shape) < 0.3
+    confidences = np.where(unsure, 0.0, right.confidences).astype(np.float32)
+    directions = np.where(unsure[..., None], astray.directions, right.directions)
+    mixed = right._replace(directions=directions, confidences=confidences)
+    missing = right._replace(directions=np.where(unsure[..., None], np.nan, right.directions))
     np.testing.assert_allclose(errors(smoothed(mixed)), errors(smoothed(missing)), atol=1e-5)
 
 
 def test_frames_without_points_are_bridged(by_lines):
-    told = lines()
-    ways = told.ways.copy()
-    ways[6:9], ways[12] = np.nan, np.nan
-    found = errors(smoothed(told._replace(ways=ways)))
+    directions = lines().directions.copy()
+    directions[6:9], directions[12] = np.nan, np.nan
+    found = errors(smoothed(lines()._replace(directions=directions)))
     assert np.isfinite(found).all() and found.max() < 0.05
     assert found.mean() < 2 * errors(by_lines).mean()
 
 
-def test_two_cameras_tell_more_than_one(by_lines):
+def test_two_cameras_find_more_than_one(by_lines):
     both = jax.tree.map(lambda *parts: np.concatenate(parts, 1), lines(0), lines(1))
     assert errors(smoothed(both)).mean() < errors(by_lines).mean()
 
 
 def test_key_points_make_elbows_sure(by_lines):
-    def trust(told):
-        frames = known(COUNT)._replace(lines=told)
-        return trust_in(problem(COUNT, blind(), frames), by_lines.trajectory, SOFTNESS[-1])
-
-    sure, unsure = trust(lines()), trust(None)
+    sure, unsure = (
+        with_deviations(without_silhouettes(each), by_lines.trajectory, SOFTNESS[-1])
+        for each in (lines(), None)
+    )
     assert (sure.deviations[:, ELBOWS] < unsure.deviations[:, ELBOWS]).all()
     assert not sure.from_prior[:, ELBOWS].any() and unsure.from_prior[:, ELBOWS].all()
 
 
 def test_candidates_for_the_elbows_are_priced_by_key_points_too():
     start, expected = disturbed(COUNT, -25.0), points_of(truth(COUNT))[:, ELBOWS]
-    grips = HybridTracker(PERSON, [CAMERAS[0]], Settings(), MARKERS).grips
-
-    def goals(told):
-        frames = known(COUNT)._replace(lines=told)
-        return elbow_goals(problem(COUNT, blind(), frames), start, grips)
-
     without, with_points = (
-        np.linalg.norm(goals(told) - expected, axis=-1).mean() for told in (None, lines())
+        np.linalg.norm(elbow_goals(without_silhouettes(each), start) - expected, axis=-1).mean()
+        for each in (None, lines())
     )
     assert with_points < 0.6 * without
 
@@ -270,18 +268,18 @@ def test_the_persons_lines_are_those_of_the_events_frames():
     keypoints, there = person_and_bystander(recording, 12)
     keypoints.pixels_xy[5] = np.nan
     alone = standing_poses(len(timeline.event_times))
-    told = lines_at_events(recording, [keypoints], timeline, alone)
-    assert told is not None and told.ways.shape == (24, 1, len(LANDMARKS), 3)
+    found = lines_at_events(recording, [keypoints], timeline, alone)
+    assert found is not None and found.directions.shape == (24, 1, len(LANDMARKS), 3)
     has_frame = timeline.frame_index[:, 0] >= 0
-    seen = np.asarray(np.isfinite(told.ways).all(-1))[:, 0].any(-1)
-    np.testing.assert_array_equal(seen, has_frame & (timeline.frame_index[:, 0] != 5))
+    has_lines = np.asarray(np.isfinite(found.directions).all(-1))[:, 0].any(-1)
+    np.testing.assert_array_equal(has_lines, has_frame & (timeline.frame_index[:, 0] != 5))
     expected = lines_of_sight(CAMERA, keypoints.landmarks, there[None], np.full((1, 5), 0.9))
-    np.testing.assert_allclose(told.ways[0], expected.ways[0], atol=1e-5)
-    np.testing.assert_allclose(told.confidences[0], expected.confidences[0])
+    np.testing.assert_allclose(found.directions[0], expected.directions[0], atol=1e-5)
+    np.testing.assert_allclose(found.confidences[0], expected.confidences[0])
     assert lines_at_events(recording, [None], timeline, alone) is None
 
 
-def test_where_no_marker_sits_on_a_landmark_the_poses_tell_the_person():
+def test_where_no_marker_sits_on_a_landmark_the_person_is_found_by_the_poses():
     recording = small_recording()
     timeline = build_timeline(recording.times, [np.arange(12) / 30])
     poses = standing_poses(len(timeline.event_times))
@@ -290,27 +288,24 @@ def test_where_no_marker_sits_on_a_landmark_the_poses_tell_the_person():
     people = np.tile(np.stack([pixels + np.array([40, 0]), pixels]), (12, 1, 1, 1))
     keypoints = Keypoints(tuple(LANDMARKS), people, np.ones(people.shape[:3]))
     places = tuple(replace(place, at=0.5) for place in recording.places)
-    told = lines_at_events(replace(recording, places=places), [keypoints], timeline, poses)
-    assert told is not None
+    found = lines_at_events(replace(recording, places=places), [keypoints], timeline, poses)
+    assert found is not None
     expected = lines_of_sight(CAMERA, keypoints.landmarks, pixels[None], np.ones((1, len(pixels))))
-    np.testing.assert_allclose(told.ways[0], expected.ways[0], atol=1e-5)
+    np.testing.assert_allclose(found.directions[0], expected.directions[0], atol=1e-5)
 
 
-def test_a_camera_whose_frames_cannot_be_read_still_tells_by_its_key_points():
+def test_key_points_count_where_the_frames_of_their_camera_cannot_be_read():
     times = np.arange(COUNT) / 30
     video = MemoryVideo(
         np.append(times, COUNT / 30), [*[None] * COUNT, np.zeros((90, 120, 3), np.uint8)]
     )
-    frames, start = known(COUNT), disturbed(COUNT).poses
-    first = FirstPass(
-        build_timeline(times, [times]),
-        np.asarray(frames.targets),
-        truth(COUNT),
-        start,
-        lines(wrong=0.05),
-    )
-    tracker = HybridTracker(PERSON, [CAMERAS[0]], Settings(), MARKERS)
-    found = smooth_recording(tracker, [video], first, lambda share: None)
+    markers, start = measurements(COUNT)["markers"], disturbed(COUNT).poses
+    first = first_pass(
+        build_timeline(times, [times]), markers, truth(COUNT), start,
+        sight_lines=lines(wrong=0.05),
+    )  # fmt: skip
+    model = Model.create(PERSON, MODEL.markers, CAMERAS[0])
+    found = smooth_recording(model, SmoothingSettings(), first, [video], lambda share: None)
     assert found is not None
     assert elbow_errors(start).mean() > 0.05 and elbow_errors(found.poses).mean() < 0.03
 

@@ -1,4 +1,4 @@
-"""Silhouettes: soft coverage against what was seen, its derivatives, drawn hulls, parts."""
+"""Silhouettes: soft coverage against grids, its derivatives, drawn hulls, parts by colour."""
 
 from functools import partial
 
@@ -20,7 +20,7 @@ from jaxmocap.body.proportions import PROPORTIONS, scaled
 from jaxmocap.body.skeleton import ROOT_DOF
 from jaxmocap.evidence.appearance.hulls import draw_hulls
 from jaxmocap.evidence.appearance.part_mask import BENEFIT, part_odds
-from jaxmocap.evidence.silhouettes import Legs, Sight, silhouette_cost, silhouette_fit
+from jaxmocap.evidence.silhouettes import LegGrid, SilhouetteGrids, silhouette_cost, silhouette_fit
 from jaxmocap.geometry.cameras import turned
 from jaxmocap.geometry.outlines import Discs, signed_distance
 from jaxmocap.images.colours import Colours, colour_bins, learn_colours
@@ -117,7 +117,7 @@ def test_cells_without_weight_do_not_count():
     assert not any(np.asarray(part).any() for part in fit)
 
 
-# What is seen ------------------------------------------------------------------------------------
+# Blurred grids ------------------------------------------------------------------------------------
 
 
 def test_blurring_keeps_what_is_unknown_without_weight():
@@ -238,13 +238,13 @@ def test_the_parts_colours_are_told_from_the_rest_of_the_body(painted):
 # The body's silhouette ---------------------------------------------------------------------------
 
 
-def moved_cost(step, skeleton, proportions, pose, camera, sight, softness):
+def moved_cost(step, skeleton, proportions, pose, camera, grids, softness):
     """The silhouette's cost of pose, proportions and camera moved by a tangent vector."""
     count = step.shape[0] - proportions.shape[0] - 3
     of_pose, lengths, turn = jnp.split(step, [count, step.shape[0] - 3])
     person = scaled(skeleton, proportions + lengths)
     frames = forward(person, retract(pose, of_pose))
-    return silhouette_cost(person, frames, turned(camera, turn), sight, softness)
+    return silhouette_cost(person, frames, turned(camera, turn), grids, softness)
 
 
 FITTED, COSTED = jax.jit(silhouette_fit), jax.jit(moved_cost)
@@ -252,32 +252,32 @@ STEPPED = jax.jit(jax.grad(moved_cost))
 AT_REST = np.zeros(ROOT_DOF + len(PERSON.tree.joints) + len(PROPORTIONS) + 3)
 
 
-def a_sight(seed: int, of_forearms: float = 1.0, legs: bool = False) -> Sight:
-    """A random sight of the body; smooth, as what is seen."""
+def random_grids(seed: int, of_forearms: float = 1.0, legs: bool = False) -> SilhouetteGrids:
+    """Random grids of the body; smooth, as those of images."""
     rng = np.random.default_rng(seed)
     blur = partial(cv2.GaussianBlur, ksize=(0, 0), sigmaX=2.0)
     probability, weight = (
         [blur(rng.uniform(low, 1, (BODY_CELLS, BODY_CELLS))) for _ in range(2)] for low in (0, 0.5)
     )
     below = Grid(blur(rng.uniform(0, 1, (16, 16))), blur(rng.uniform(0.5, 1, (16, 16))))
-    return Sight(
+    return SilhouetteGrids(
         BODY_REGION,
         Grid(probability[0], weight[0]),
         Grid(probability[1], of_forearms * weight[1]),
-        Legs(LEGS_REGION, below) if legs else None,
+        LegGrid(LEGS_REGION, below) if legs else None,
     )
 
 
-def body_arguments(sight: Sight, camera=FRONT, pose=TRUTH, softness: float = 1.0):
+def body_arguments(grids: SilhouetteGrids, camera=FRONT, pose=TRUTH, softness: float = 1.0):
     proportions = np.linspace(-0.1, 0.05, len(PROPORTIONS))
-    return on_device((PERSON, proportions, pose, camera, sight, softness), float)
+    return on_device((PERSON, proportions, pose, camera, grids, softness), float)
 
 
 @pytest.mark.parametrize("legs", [False, True])
 def test_the_silhouettes_gradient_is_half_its_costs_without_distortion(legs):
     """What hides a forearm has no derivative, in either."""
     with double():
-        arguments = body_arguments(a_sight(1, legs=legs))
+        arguments = body_arguments(random_grids(1, legs=legs))
         cost, _, gradient = FITTED(*arguments)
         still = on_device(AT_REST)
         expected = np.asarray(STEPPED(still, *arguments)) / 2
@@ -288,7 +288,7 @@ def test_the_silhouettes_gradient_is_half_its_costs_without_distortion(legs):
 
 def test_the_whole_persons_gradient_is_that_of_finite_differences():
     with double():
-        arguments = body_arguments(a_sight(2, of_forearms=0.0))
+        arguments = body_arguments(random_grids(2, of_forearms=0.0))
         _, _, gradient = FITTED(*arguments)
         up, down = (
             np.array([COSTED(on_device(step), *arguments) for step in sign * np.eye(len(AT_REST))])
@@ -302,7 +302,7 @@ def test_the_whole_persons_gradient_is_that_of_finite_differences():
 def test_a_mild_distortion_hardly_turns_the_gradient():
     camera = camera_at((2.2, 0.3, 1.35), (0.0, 0.0, 1.15), distortion=(-0.08, 0.02))
     with double():
-        arguments = body_arguments(a_sight(3), camera)
+        arguments = body_arguments(random_grids(3), camera)
         gradient = np.asarray(FITTED(*arguments)[2])
         expected = np.asarray(STEPPED(on_device(AT_REST), *arguments)) / 2
     cosine = gradient @ expected / np.linalg.norm(gradient) / np.linalg.norm(expected)
@@ -310,7 +310,7 @@ def test_a_mild_distortion_hardly_turns_the_gradient():
 
 
 def test_the_silhouettes_hessian_is_symmetric_and_nowhere_negative():
-    cost, hessian, gradient = FITTED(*body_arguments(a_sight(4)))
+    cost, hessian, gradient = FITTED(*body_arguments(random_grids(4)))
     hessian = np.asarray(hessian, float)
     np.testing.assert_allclose(hessian, hessian.T, atol=1e-5 * np.abs(hessian).max())
     values = np.linalg.eigvalsh(hessian)
@@ -321,12 +321,12 @@ def test_the_silhouettes_hessian_is_symmetric_and_nowhere_negative():
 def test_the_silhouettes_hessian_is_the_costs_where_all_is_as_drawn():
     """Where nothing differs the residuals vanish, and J^T J is half of the cost's Hessian."""
     with double():
-        empty = a_sight(5, of_forearms=0.0)
-        skeleton, proportions, pose, camera, sight, softness = body_arguments(empty)
+        empty = random_grids(5, of_forearms=0.0)
+        skeleton, proportions, pose, camera, grids, softness = body_arguments(empty)
         ones = on_device(np.ones((BODY_CELLS, BODY_CELLS)))
 
         def covered(probability):
-            seen = sight._replace(person=Grid(probability, ones))
+            seen = grids._replace(person=Grid(probability, ones))
             return silhouette_cost(
                 scaled(skeleton, proportions),
                 forward(scaled(skeleton, proportions), pose),
@@ -335,7 +335,7 @@ def test_the_silhouettes_hessian_is_the_costs_where_all_is_as_drawn():
 
         # Of the sum of (c - p)^2 about p = 0 the derivative by p is -2 c.
         as_drawn = jax.jit(jax.grad(covered))(0 * ones) / -2
-        drawn = sight._replace(person=Grid(as_drawn, ones))
+        drawn = grids._replace(person=Grid(as_drawn, ones))
         arguments = (skeleton, proportions, pose, camera, drawn, softness)
         cost, hessian, gradient = (np.asarray(part) for part in FITTED(*arguments))
         assert cost < 1e-20 and np.abs(gradient).max() < 1e-9
@@ -350,17 +350,17 @@ def test_the_silhouettes_hessian_is_the_costs_where_all_is_as_drawn():
 ACROSS = {"arm_flex": (25, 25), "arm_rot": (80, 80), "elbow_flex": (100, 100)}
 
 
-def forearms_cost(forearms, skeleton, pose, camera, sight, softness):
-    """The cost of a sight with other forearms (S, S)."""
-    seen = sight._replace(forearms=sight.forearms._replace(probability=forearms))
+def forearms_cost(forearms, skeleton, pose, camera, grids, softness):
+    """The cost of a grids with other forearms (S, S)."""
+    seen = grids._replace(forearms=grids.forearms._replace(probability=forearms))
     return silhouette_cost(skeleton, forward(skeleton, pose), camera, seen, softness)
 
 
 def expected_forearms(camera, pose) -> np.ndarray:
     """What (S, S) of forearms is to be seen: of (c - p)^2 about p = 0 the derivative is -2 c."""
     nothing = np.zeros((BODY_CELLS, BODY_CELLS))
-    sight = Sight(BODY_REGION, Grid(nothing, nothing), Grid(nothing, nothing + 1))
-    skeleton, _, *rest = body_arguments(sight, camera, pose, 0.3)
+    grids = SilhouetteGrids(BODY_REGION, Grid(nothing, nothing), Grid(nothing, nothing + 1))
+    skeleton, _, *rest = body_arguments(grids, camera, pose, 0.3)
     slope = jax.jit(jax.grad(forearms_cost))(jnp.asarray(nothing, float), skeleton, *rest)
     return np.asarray(slope) / -2
 

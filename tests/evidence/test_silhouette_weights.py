@@ -5,41 +5,44 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from painted_motion import MARKERS, PERSON, SETTINGS, disturbed, elbow_errors, problem, sights
+from painted_motion import SETTINGS, disturbed, elbow_errors, problem, views
 
-from jaxmocap.body.arms import grips
 from jaxmocap.body.pose import Pose
-from jaxmocap.evidence.silhouettes import Sight, weighed
+from jaxmocap.evidence.silhouettes import SilhouetteGrids
 from jaxmocap.images.silhouette_grid import Grid
 from jaxmocap.smoothing.elbow_viterbi import elbow_goals
-from jaxmocap.smoothing.linearise import Problem, Sights, smooth_poses
+from jaxmocap.smoothing.linearise import smooth_poses
+from jaxmocap.smoothing.problem import SmoothingProblem, Views
 
 COUNT, SOFTNESS = 6, (3.0, 0.8)
 PICTURES = ("person", "forearms")
 
 
-def misled(picture: str) -> Sights:
-    """What camera 0 saw, but one of the pictures shows the opposite."""
-    seen = sights(COUNT)
-    grid: Grid = getattr(seen.sight, picture)
+def misled(picture: str) -> Views:
+    """Of camera 0, but one of the pictures shows the opposite."""
+    shown = views(COUNT)
+    grid: Grid = getattr(shown.grids, picture)
     wrong = grid._replace(probability=1 - np.asarray(grid.probability))
-    return seen._replace(sight=seen.sight._replace(**{picture: wrong}))
+    return shown._replace(grids=shown.grids._replace(**{picture: wrong}))
 
 
-def without(picture: str) -> Sights:
-    """What camera 0 saw, but nothing is known of one of the pictures."""
-    seen = sights(COUNT)
-    grid: Grid = getattr(seen.sight, picture)
-    return seen._replace(sight=seen.sight._replace(**{picture: Grid(*(0 * p for p in grid))}))
+def without(picture: str) -> Views:
+    """Of camera 0, but one of the pictures is empty."""
+    shown = views(COUNT)
+    grid: Grid = getattr(shown.grids, picture)
+    empty = Grid(*(0 * part for part in grid))
+    return shown._replace(grids=shown.grids._replace(**{picture: empty}))
 
 
-def weighing(seen: Sights, **weights: float) -> Problem:
-    """The painted motion as seen, with weights of the pictures."""
+def weighing(shown: Views, **weights: float) -> SmoothingProblem:
+    """The painted motion in these views, with weights of the pictures."""
     numbers = {name: jnp.asarray(weight, float) for name, weight in weights.items()}
-    return replace(problem(COUNT, seen), settings=replace(SETTINGS, **numbers))
+    silhouettes = replace(SETTINGS.silhouettes, **numbers)
+    settings = replace(SETTINGS, silhouettes=silhouettes)
+    return replace(problem(COUNT, shown), settings=settings)
 
 
-def solved(given: Problem) -> Pose:
+def solved(given: SmoothingProblem) -> Pose:
     return smooth_poses(given, disturbed(COUNT), SOFTNESS).trajectory.poses
 
 
@@ -55,22 +58,22 @@ def test_a_picture_without_weight_misleads_no_solve(picture):
 
 @pytest.mark.parametrize("picture", PICTURES)
 def test_a_picture_without_weight_prices_no_candidate(picture):
-    start, held = disturbed(COUNT, 40.0), grips(PERSON, MARKERS)
-    usual = elbow_goals(weighing(misled(picture)), start, held)
-    led = elbow_goals(weighing(misled(picture), **{picture: 0.0}), start, held)
-    np.testing.assert_array_equal(led, elbow_goals(weighing(without(picture)), start, held))
+    start = disturbed(COUNT, 40.0)
+    usual = elbow_goals(weighing(misled(picture)), start)
+    led = elbow_goals(weighing(misled(picture), **{picture: 0.0}), start)
+    np.testing.assert_array_equal(led, elbow_goals(weighing(without(picture)), start))
     assert np.linalg.norm(usual - led, axis=-1).mean() > 0.05
 
 
-def test_by_default_both_pictures_count_as_they_were_seen():
-    sight = sights(COUNT).sight
+def test_by_default_both_pictures_count_as_they_are():
+    grids = views(COUNT).grids
     same, half = (
-        weighed(sight, weighing(sights(COUNT), **weights).settings)
+        weighing(views(COUNT), **weights).settings.silhouettes.weighted(grids)
         for weights in ({}, {"forearms": 0.5})
     )
-    assert isinstance(half, Sight)
-    for grid, own in zip(sight[1:3], same[1:3], strict=True):
+    assert isinstance(half, SilhouetteGrids)
+    for grid, own in zip(grids[1:3], same[1:3], strict=True):
         np.testing.assert_array_equal(own.weight, grid.weight)
         assert own.weight.dtype == np.asarray(grid.weight).dtype
-    np.testing.assert_array_equal(half.forearms.weight, 0.5 * np.asarray(sight.forearms.weight))
-    np.testing.assert_array_equal(half.person.weight, sight.person.weight)
+    np.testing.assert_array_equal(half.forearms.weight, 0.5 * np.asarray(grids.forearms.weight))
+    np.testing.assert_array_equal(half.person.weight, grids.person.weight)

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from conftest import on_device
 from drawn_arms import SIZE
-from jaxmocap.smoothing.trajectory import UNTURNED, Trajectory
-from painted_motion import CAMERAS, CELL_PX, CELLS, PERSON, problem, truth
+from painted_motion import CAMERAS, CELL_PX, CELLS, MODEL, PERSON, problem, truth
 
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
@@ -26,7 +25,7 @@ from jaxmocap.body.proportions import (
 )
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.cli import main
-from jaxmocap.evidence.silhouettes import Sight, drawn
+from jaxmocap.evidence.silhouettes import SilhouetteGrids, project_limbs
 from jaxmocap.fitting.lengths import LengthsFit, fit_lengths
 from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.recordings.subject import read_subject, write_subject
@@ -35,7 +34,7 @@ from jaxmocap.geometry.outlines import Discs, touch
 from jaxmocap.images.regions import Region
 from jaxmocap.images.silhouette_grid import Grid, cells
 from jaxmocap.pipelines.scaling.lengths_report import VERDICTS, LengthsReport, verdict_of
-from jaxmocap.smoothing.linearise import Sights
+from jaxmocap.smoothing.problem import UNTURNED, Trajectory, Views
 from jaxmocap.solvers.status import Status
 
 NAMES = [proportion.name for proportion in LENGTHS]
@@ -75,16 +74,16 @@ def test_people_of_one_stature_have_lengths_in_common():
 
 
 @jax.jit
-def coverage(pose, camera, sight):
+def coverage(pose, camera, grids):
     """The person (S, S) as the tracker draws it."""
-    discs, _ = drawn(PERSON, forward(PERSON, pose), camera, sight)
+    discs, _ = project_limbs(PERSON, forward(PERSON, pose), camera, grids)
     each = Discs(*(part[:, None] for part in discs))
     nearest = jnp.min(touch(each, *cells(CELLS, discs.near.dtype)).distance, 0)
     return jax.nn.sigmoid(-nearest / 0.2).reshape(CELLS, CELLS)
 
 
-def of_own_flesh() -> Sights:
-    """Sights in which nothing is wrong but the lengths that are stated."""
+def of_own_flesh() -> Views:
+    """Views in which nothing is wrong but the lengths that are stated."""
     poses, frames = truth(COUNT), np.tile(np.arange(0, COUNT, 8), len(CAMERAS))
     cameras = np.repeat(np.arange(len(CAMERAS)), len(frames) // len(CAMERAS))
     corner = (np.array(SIZE) - CELLS * CELL_PX) // 2 - 0.5
@@ -93,11 +92,13 @@ def of_own_flesh() -> Sights:
     grids = []
     for frame, camera in zip(frames, cameras, strict=True):
         pose = on_device(Pose(*(part[frame] for part in poses)))
-        grids.append(coverage(pose, CAMERAS[camera], on_device(Sight(region, blank, blank))))
+        grids.append(
+            coverage(pose, CAMERAS[camera], on_device(SilhouetteGrids(region, blank, blank)))
+        )
     person = Grid(np.stack(grids), np.ones((len(frames), CELLS, CELLS), np.float32))
     regions = Region(*(np.tile(part, (len(frames), *[1] * part.ndim)) for part in region))
     regions = regions._replace(scale=regions.scale.ravel())
-    return Sights(frames, cameras, Sight(regions, person, person))
+    return Views(frames, cameras, SilhouetteGrids(regions, person, person))
 
 
 @cache
@@ -105,14 +106,14 @@ def fitted(worth: float, blind: bool = False) -> LengthsFit:
     """Of a person who is stated wrongly."""
     logarithms = np.array([WRONG.get(name, 0.0) for name in NAMES])
     stated = scaled(PERSON, jnp.asarray(logarithms, jnp.float32))
-    seen = of_own_flesh()
-    seen = jax.tree.map(lambda part: part[:0], seen) if blind else seen
-    drawn_recording = replace(problem(COUNT, seen), skeleton=stated)
+    shown = of_own_flesh()
+    drawn_recording = problem(COUNT, shown.none if blind else shown)
+    drawn_recording = replace(drawn_recording, model=replace(MODEL, skeleton=stated))
     start = Trajectory(truth(COUNT), np.zeros(len(PROPORTIONS), np.float32), UNTURNED)
     return fit_lengths(drawn_recording, start, SOFTNESS, worth)
 
 
-def test_lengths_that_are_stated_wrongly_are_found_by_what_is_seen():
+def test_lengths_that_are_stated_wrongly_are_found_by_silhouettes():
     fit = fitted(300.0)
     for name, wrong in WRONG.items():
         row = NAMES.index(name)

@@ -14,7 +14,6 @@ import pytest
 from conftest import double, on_device
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from jaxmocap.smoothing.trajectory import Trajectory, all_turned
 from painted_motion import (
     CAMERAS,
     CELLS,
@@ -22,19 +21,20 @@ from painted_motion import (
     disturbed,
     points_of,
     problem,
-    sights,
     truth,
+    views,
 )
 
 from jaxmocap.body.kinematics import forward
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
-from jaxmocap.evidence.silhouettes import drawn
+from jaxmocap.evidence.silhouettes import project_limbs
 from jaxmocap.fitting.sensitivity import Sensitivity
-from jaxmocap.fitting.sensitivity_batches import Stated
 from jaxmocap.geometry.outlines import Discs, touch
 from jaxmocap.geometry.rotations import exp
 from jaxmocap.images.silhouette_grid import cells
-from jaxmocap.smoothing.linearise import Problem, Sights, smooth_poses
+from jaxmocap.smoothing.linearise import smooth_poses
+from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views, all_turned
 
 COUNT, SOFTNESS = 4, 0.6
 # Cells by which the second nearest limb is away where no two limbs meet, blurred as they are.
@@ -43,23 +43,23 @@ STEP = 1e-5
 
 
 @jax.jit
-def second_nearest(pose, camera, sight):
+def second_nearest(pose, camera, grids):
     """Distance (S, S) of each cell to the limb that is second nearest to it."""
-    discs, _ = drawn(PERSON, forward(PERSON, pose), camera, sight)
+    discs, _ = project_limbs(PERSON, forward(PERSON, pose), camera, grids)
     each = Discs(*(part[:, None] for part in discs))
     distances = touch(each, *cells(CELLS, discs.near.dtype)).distance
     return jnp.sort(distances, 0)[1].reshape(CELLS, CELLS)
 
 
-def untied(seen: Sights) -> Sights:
-    """Sights without the cells in which limbs meet."""
+def untied(shown: Views) -> Views:
+    """Views without the cells in which limbs meet."""
     poses, kept = truth(COUNT), []
-    for row, (frame, camera) in enumerate(zip(seen.frame, seen.camera, strict=True)):
-        sight = on_device(jax.tree.map(lambda part, row=row: part[row], seen.sight))
+    for row, (frame, camera) in enumerate(zip(shown.frame, shown.camera, strict=True)):
+        grids = on_device(jax.tree.map(lambda part, row=row: part[row], shown.grids))
         pose = on_device(Pose(*(part[frame] for part in poses)))
-        kept.append(np.asarray(second_nearest(pose, CAMERAS[camera], sight)) > APART)
+        kept.append(np.asarray(second_nearest(pose, CAMERAS[camera], grids)) > APART)
     weight = np.stack(kept).astype(np.float32)
-    return seen._replace(sight=seen.sight.each_grid(lambda grid: grid._replace(weight=weight)))
+    return shown._replace(grids=shown.grids.each_grid(lambda grid: grid._replace(weight=weight)))
 
 
 def in_double(tree):
@@ -73,16 +73,15 @@ def in_double(tree):
 
 
 @cache
-def recording(blind: bool = False) -> tuple[Problem, Trajectory]:
-    """A painted recording, or one without any sight, and, nearly, its solution."""
+def recording(blind: bool = False) -> tuple[SmoothingProblem, Trajectory]:
+    """A painted recording, or one without any view, and, nearly, its solution."""
     with jax.enable_x64(False):
-        seen = untied(sights(COUNT, (0, 1)))
-        seen = jax.tree.map(lambda part: part[:0], seen) if blind else seen
-        single = problem(COUNT, seen)
+        shown = untied(views(COUNT, (0, 1)))
+        single = problem(COUNT, shown.none if blind else shown)
         found = smooth_poses(single, disturbed(COUNT, 5.0), (SOFTNESS,))
     parts = {
         name: in_double(getattr(single, name))
-        for name in ("skeleton", "cameras", "markers", "settings", "known", "sights")
+        for name in ("model", "settings", "measured", "views")
     }
     return replace(single, **parts), in_double(found.trajectory)
 
@@ -97,27 +96,33 @@ NUMBERS = (
 )  # fmt: skip
 
 
-def state(numbers: jax.Array) -> Stated:
-    """What is stated by ``NUMBERS``: camera 0, turned about a slanted axis; the left wrist's."""
-    stated = Stated.of(recording()[0])
-    skeleton, cameras = jax.tree.map(jnp.asarray, (stated.skeleton, stated.cameras))
+def state(numbers: jax.Array) -> Model:
+    """A model by ``NUMBERS``: camera 0, turned about a slanted axis; the left wrist's marker."""
+    stated = jax.tree.map(jnp.asarray, recording()[0].model)
+    skeleton, cameras = stated.skeleton, stated.cameras
     arm, trunk = (PERSON.tree.bone(name) for name in ("humerus_l", "spine2"))
     lengths = skeleton.lengths.at[arm].add(numbers[0]).at[trunk].add(numbers[1])
     T, slanted = cameras.T_cam_world, jnp.array([0.5, 0.6, 0.4])
     T = T.at[0, :3].set(exp(numbers[2] * slanted) @ T[0, :3]).at[0, 0, 3].add(numbers[3])
     matrix = cameras.matrix.at[0, :2, :2].multiply(1 + numbers[4], unique_indices=True)
-    offsets = jnp.asarray(stated.offsets).at[1, 0].add(numbers[5])
-    return Stated(
-        replace(skeleton, lengths=lengths),
-        replace(cameras, T_cam_world=T, matrix=matrix),
-        offsets,
+    offsets = stated.markers.offsets.at[1, 0].add(numbers[5])
+    moved = replace(
+        stated,
+        skeleton=replace(skeleton, lengths=lengths),
+        cameras=replace(cameras, T_cam_world=T, matrix=matrix),
     )
+    return moved.with_offsets(offsets)
+
+
+def stated_by(given: SmoothingProblem, numbers: jax.Array) -> SmoothingProblem:
+    """The recording with its model by ``NUMBERS``."""
+    return replace(given, model=state(numbers))
 
 
 def resolved(numbers: np.ndarray) -> np.ndarray:
     """Landmarks (T, L, 3) of the minimum with this stated."""
-    problem, there = state(jnp.asarray(numbers)).put_into(recording()[0]), solution().trajectory
-    return Sensitivity.at(problem, there, SOFTNESS).settled(2).landmarks
+    given, there = stated_by(recording()[0], jnp.asarray(numbers)), solution().trajectory
+    return Sensitivity.at(given, there, SOFTNESS).settled(2).landmarks
 
 
 @pytest.mark.parametrize("number", range(len(NUMBERS)), ids=NUMBERS)
@@ -132,13 +137,14 @@ def test_landmarks_follow_as_differences_between_minima_say(number):
     np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
 
 
-def test_cameras_that_were_found_turned_are_stated_so():
+def test_cameras_that_were_found_turned_belong_to_the_model():
     with double():
         given, there = recording()
         turns = np.array([[2e-3, -5e-3, 1e-3], [0.0, 4e-3, -2e-3]])
-        wrong = replace(given, cameras=in_double(all_turned(given.cameras, turns)))
-        back = np.asarray(all_turned(wrong.cameras, -turns).T_cam_world)
-        np.testing.assert_allclose(back, given.cameras.T_cam_world, atol=1e-12)
+        cameras = in_double(all_turned(given.model.cameras, turns))
+        wrong = replace(given, model=replace(given.model, cameras=cameras))
+        back = np.asarray(all_turned(cameras, -turns).T_cam_world)
+        np.testing.assert_allclose(back, given.model.cameras.T_cam_world, atol=1e-12)
         found = Sensitivity.at(wrong, there._replace(turns_cam=-turns), SOFTNESS)
         expected = Sensitivity.at(given, there, SOFTNESS).slopes.equations.gradient
         unaware = Sensitivity.at(wrong, there, SOFTNESS).slopes.equations.gradient
@@ -147,7 +153,7 @@ def test_cameras_that_were_found_turned_are_stated_so():
     assert np.abs(unaware - expected).max() > 0.01 * scale
 
 
-def test_without_anything_seen_the_markers_alone_move_the_body():
+def test_without_silhouettes_the_markers_alone_move_the_body():
     with double():
         blind, there = recording(blind=True)
         here = Sensitivity.at(blind, there, SOFTNESS).settled(4)
@@ -159,13 +165,13 @@ def test_without_anything_seen_the_markers_alone_move_the_body():
         }
         moved = STEP * ways["marker moved"]
         ahead, behind = (
-            Sensitivity.at(state(at).put_into(blind), here.trajectory, SOFTNESS).settled(3)
+            Sensitivity.at(stated_by(blind, at), here.trajectory, SOFTNESS).settled(3)
             for at in (moved, -moved)
         )
     expected = (ahead.landmarks - behind.landmarks) / (2 * STEP)
     assert np.abs(expected).max() > 0.5
     np.testing.assert_allclose(found["marker moved"], expected, atol=1e-5)
-    # Nobody looked through the camera.
+    # No camera has a view.
     assert not found["camera turned"].any() and not found["focal length"].any()
 
 
@@ -185,12 +191,12 @@ def test_a_losss_gradient_is_what_the_landmarks_pass_back():
 @settings(max_examples=10)
 @given(st.integers(0, 2**31))
 def test_backwards_is_the_transpose_of_forwards(seed):
-    """By everything that is stated, whatever the direction and whatever the loss."""
+    """By the whole model, whatever the direction and whatever the loss."""
     rng = np.random.default_rng(seed)
     with double():
         here = solution()
         change = jax.tree.map(
-            lambda part: jnp.asarray(rng.normal(size=np.shape(part))), Stated.of(here.problem)
+            lambda part: jnp.asarray(rng.normal(size=np.shape(part))), here.problem.model
         )
         by_landmarks = rng.normal(size=here.landmarks.shape)
         passed = jax.tree.leaves(here.backwards(by_landmarks))

@@ -11,10 +11,11 @@ from hypothesis import given
 
 from jaxmocap.body.kinematics import forward, landmarks
 from jaxmocap.body.mass import base_of_support, centre_of_gravity
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.hybrid import balance, ik
-from jaxmocap.hybrid.feet import on_held_feet
+from jaxmocap.hybrid.feet import on_unmarked_feet
 from jaxmocap.hybrid.settings import IKSettings
 from jaxmocap.reference.hybrid import balance as reference
 
@@ -24,15 +25,15 @@ LANDMARKS_OF = jax.jit(landmarks)
 HEIGHTS = [None, 1.55, 1.75, 1.95]
 
 
-def body(height, held):
+def body(height, unmarked):
     skeleton = Skeleton.human(height)
-    return on_held_feet(skeleton, ("l", "r")) if held else skeleton
+    return on_unmarked_feet(Model.create(skeleton)).skeleton if unmarked else skeleton
 
 
 @jax.jit
 def squat(skeleton, start, depth, factors):
     """One depth of a squat as the tracker goes through it: solve, bow, solve again."""
-    settings, goals = IKSettings.create(), balance.squat_goals(skeleton, depth)
+    settings, goals = IKSettings(), balance.squat_goals(skeleton, depth)
     foot = skeleton.diameters[skeleton.tree.bone("foot_l"), 0]
     lift = foot - goals.targets[3, 2]
     goals = goals._replace(targets=goals.targets.at[:, 2].add(lift))
@@ -58,11 +59,11 @@ def through_a_squat(skeleton, factors, depths=np.linspace(0, 0.3, 7)):  # noqa: 
         yield depth, pose, balanced, bool(bows), np.asarray(distances)
 
 
-@pytest.mark.parametrize("held", [False, True])
+@pytest.mark.parametrize("unmarked", [False, True])
 @pytest.mark.parametrize("height", HEIGHTS)
-def test_the_centre_of_gravity_stays_above_the_feet_at_every_depth(height, held):
-    skeleton = body(height, held)
-    factors = FACTORS(skeleton, IKSettings.create())
+def test_the_centre_of_gravity_stays_above_the_feet_at_every_depth(height, unmarked):
+    skeleton = body(height, unmarked)
+    factors = FACTORS(skeleton, IKSettings())
     for depth, _, balanced, bows, distances in through_a_squat(skeleton, factors):
         assert outside(skeleton, balanced) < 1e-6, depth
         assert distances.max() < 0.02, depth
@@ -72,13 +73,13 @@ def test_the_centre_of_gravity_stays_above_the_feet_at_every_depth(height, held)
 @pytest.mark.parametrize("height", HEIGHTS)
 def test_without_the_bow_it_leaves_them(height):
     """With markers on all five, what balance is there for happens."""
-    skeleton = body(height, held=False)
+    skeleton = body(height, unmarked=False)
     *_, (_, pose, _, _, _) = through_a_squat(skeleton, jnp.zeros(3))
     assert outside(skeleton, pose) > 0.05
 
 
 def test_the_factors_follow_the_bodys_proportions():
-    settings = IKSettings.create()
+    settings = IKSettings()
     paper = Skeleton.human()
     bodies = [paper, Skeleton.human(1.55), Skeleton.human(1.95)]
     long_femurs = np.array(paper.lengths)
@@ -100,14 +101,14 @@ def test_the_factors_follow_the_bodys_proportions():
 
 @jax.jit
 def bowed(skeleton, pose, factors):
-    return balance.bow_on_feet(skeleton, IKSettings.create(), pose, factors)
+    return balance.bow_on_feet(skeleton, IKSettings(), pose, factors)
 
 
 @jax.jit
 def sunk_pose(skeleton, depth):
     """The relaxed body with bent knees, its head ``depth`` metres lower, feet on the ground."""
     goals = balance.squat_goals(skeleton, depth)
-    pose, _ = ik.reach(skeleton, goals, IKSettings.create(), relaxed_pose(skeleton))
+    pose, _ = ik.reach(skeleton, goals, IKSettings(), relaxed_pose(skeleton))
     ankle = landmarks(skeleton, pose)[list(LANDMARKS).index("ankle_l"), 2]
     lift = skeleton.diameters[skeleton.tree.bone("foot_l"), 0] - ankle
     return pose._replace(position=pose.position.at[2].add(lift))
@@ -203,7 +204,7 @@ def test_double_precision_agrees_with_the_reference(skeleton64, pose):
     for tried, on_feet in ((pose, False), (with_bent_legs(skeleton64, pose), True)):
         with double():
             floor = reference.ankles(body64, tried)[0, 2] - foot
-            settings = IKSettings.create(floor=floor)
+            settings = IKSettings(floor=floor)
             ours, sunk, (ahead, out) = measured(
                 skeleton64, settings, on_device(tried), on_device(factors)
             )

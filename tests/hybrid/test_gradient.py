@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from conftest import LIMITS, double, on_device
 from drawn_arms import arm_pose
-from jaxmocap.smoothing.trajectory import all_turned
 from watched_arms import (
     FRONT,
     GRIPS,
     MARKERS,
+    MODEL,
     PERSON,
     SIZE,
     TRUTH,
@@ -27,23 +27,30 @@ from watched_arms import (
 
 from jaxmocap.body.arms import arm_dofs, hang, swing
 from jaxmocap.body.kinematics import Sites, forward, site_positions
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
-from jaxmocap.hybrid import gradient, steps
-from jaxmocap.hybrid.feet import Stance, effectors
-from jaxmocap.hybrid.ik import Goals, goals_of
+from jaxmocap.compilation.programs import Program
+from jaxmocap.evidence.markers import Goals
+from jaxmocap.evidence.terms import points_on
+from jaxmocap.hybrid import gradient
+from jaxmocap.hybrid import tracker as tracker_module
+from jaxmocap.hybrid.feet import FootPlacement
+from jaxmocap.hybrid.ik import goals_of
+from jaxmocap.hybrid.refine import refine
 from jaxmocap.hybrid.settings import GradientSettings, IKSettings, Settings
 from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.smoothing.problem import all_turned
 from jaxmocap.solvers.status import Status
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
 
 CAMERAS = stacked(FRONT)
 DOFS = arm_dofs(PERSON.tree)
-HELD = effectors(PERSON, MARKERS)
+EFFECTORS = MODEL.effectors
 ANKLES = [PERSON.tree.bone(f"foot_{side}") for side in "lr"]
 FREE = jnp.ones(PERSON.costs.shape, bool)
 # No search: the edges and the markers alone must do it.
-ALONE = Settings(region=SIZE, search=False, descent=GradientSettings.create(steps=40))
+ALONE = Settings(region=SIZE, search=False, gradient=GradientSettings(steps=40))
 
 
 def markers_of(pose) -> np.ndarray:
@@ -53,24 +60,23 @@ def markers_of(pose) -> np.ndarray:
 def goals_for(pose, mask=(True, True, True)) -> Goals:
     """The markers and feet of a pose."""
     frames = forward(PERSON, on_device(pose))
-    stance = Stance(frames.joints_world[np.array(ANKLES)], jnp.zeros((), bool))
+    feet = FootPlacement(frames.joints_world[np.array(ANKLES)], jnp.zeros((), bool))
     targets = jnp.where(jnp.array(mask)[:, None], jnp.asarray(markers_of(pose)), jnp.nan)
-    return goals_of(PERSON, HELD, IKSettings.create(), stance, targets, jnp.array(mask))
+    return goals_of(MODEL, IKSettings(), feet, targets)
 
 
 @jax.jit
-def _refined(chosen, cameras, seen, start, targets, weights, elbows, centre):
-    goals = Goals(HELD.sites, targets, weights)
+def _refined(chosen, cameras, fields, start, goals, elbows, centre):
     aims = gradient.Aims(goals, elbows, centre, FREE)
-    return gradient.refine_body(chosen, PERSON, cameras, seen, start, GRIPS, aims)
+    return gradient.refine_body(replace(MODEL, cameras=cameras), chosen, fields, start, aims)
 
 
-def refined(start, seen=None, goals=None, chosen=ALONE, elbows=None):
+def refined(start, fields=None, goals=None, chosen=ALONE, elbows=None):
     """From a start, which is the priors' centre too."""
-    seen = observed(pictures(FRONT), CAMERAS, arms_in(start)) if seen is None else seen
+    fields = observed(pictures(FRONT), CAMERAS, arms_in(start)) if fields is None else fields
     goals = goals_for(TRUTH) if goals is None else goals
     elbows = arms_in(start).elbow if elbows is None else elbows
-    return _refined(chosen, CAMERAS, seen, start, goals.targets, goals.weights, elbows, start)
+    return _refined(chosen, CAMERAS, fields, start, goals, elbows, start)
 
 
 @jax.jit
@@ -138,16 +144,16 @@ def test_a_missing_marker_leaves_the_others_held(lost):
 def test_a_black_image_leaves_the_pose_as_it_was():
     start = pose_off_by(0.25, -0.25)
     black = [np.zeros((480, 640), np.uint8)]
-    found = refined(start, seen=observed(black, CAMERAS, arms_in(start)))
+    found = refined(start, fields=observed(black, CAMERAS, arms_in(start)))
     assert int(found.status) == Status.CONVERGED and int(found.steps) == 0
     for part, same in zip(found.pose, start, strict=True):
         np.testing.assert_array_equal(part, same)
 
 
-def test_an_arm_that_is_not_seen_stays_within_its_prior():
+def test_an_arm_without_an_image_stays_within_its_prior():
     start = pose_off_by(-0.3, -0.3)
-    seen = observed(pictures(FRONT), CAMERAS, arms_in(start))
-    found = refined(start, seen=seen._replace(seen=np.array([[True, False]])))
+    fields = observed(pictures(FRONT), CAMERAS, arms_in(start))
+    found = refined(start, fields=fields._replace(available=np.array([[True, False]])))
     after = elbow_errors(arms_in(found.pose).elbow)
     assert after[0] < 0.02
     moved = np.linalg.norm(np.asarray(arms_in(found.pose).elbow - arms_in(start).elbow), axis=1)
@@ -157,18 +163,18 @@ def test_an_arm_that_is_not_seen_stays_within_its_prior():
 def test_a_searched_elbow_draws_and_a_wild_one_hardly_more():
     """Long tails: an elbow half a metre off must not tear the hands from their markers."""
     start = pose_off_by(-0.3, 0.0)
-    seen = observed(pictures(FRONT), CAMERAS, arms_in(start))
-    seen = seen._replace(fields=np.full_like(np.asarray(seen.fields), 10.0))
+    fields = observed(pictures(FRONT), CAMERAS, arms_in(start))
+    fields = fields._replace(distances=np.full_like(np.asarray(fields.distances), 10.0))
     chosen = replace(ALONE, search=True)
-    told = refined(start, seen=seen, chosen=chosen, elbows=true_arms().elbow)
-    assert elbow_errors(arms_in(told.pose).elbow)[0] < 0.03
+    drawn = refined(start, fields=fields, chosen=chosen, elbows=true_arms().elbow)
+    assert elbow_errors(arms_in(drawn.pose).elbow)[0] < 0.03
     wild = true_arms().elbow + jnp.array([0.0, 0.0, 0.5])
-    torn = refined(start, seen=seen, chosen=chosen, elbows=wild)
+    torn = refined(start, fields=fields, chosen=chosen, elbows=wild)
     assert np.linalg.norm(markers_of(torn.pose) - markers_of(TRUTH), axis=1).max() < 0.02
 
 
-def test_running_out_of_steps_is_told():
-    few = replace(ALONE, descent=GradientSettings.create(steps=2))
+def test_running_out_of_steps_is_reported():
+    few = replace(ALONE, gradient=GradientSettings(steps=2))
     assert int(refined(pose_off_by(0.45, -0.45), chosen=few).status) == Status.OUT_OF_STEPS
 
 
@@ -178,19 +184,18 @@ def test_the_points_derivative_is_that_of_the_tree(turn):
     with double():
         body = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), float), PERSON)
         pose = on_device(TRUTH)
-        sites = Sites(HELD.sites.bones, on_device(HELD.sites.at), on_device(HELD.sites.offsets))
-        bones = tuple(sites.bones.tolist())
+        sites = Sites(EFFECTORS.bones, on_device(EFFECTORS.at), on_device(EFFECTORS.offsets))
         step = jnp.zeros(27).at[3:6].set(jnp.array(turn))
 
         def ours(step, lengths, offsets):
             moved = retract(pose, step)
             person = replace(body, lengths=lengths)
-            return gradient.points_on(bones, person, moved, sites.at, offsets)
+            return points_on(person, moved, replace(sites, offsets=offsets))
 
         def plain(step, lengths, offsets):
             frames = forward(replace(body, lengths=lengths), retract(pose, step))
             person = replace(body, lengths=lengths)
-            return site_positions(person, frames, sites._replace(offsets=offsets))
+            return site_positions(person, frames, replace(sites, offsets=offsets))
 
         arguments = (step, body.lengths, sites.offsets)
         expected = jax.jit(jax.jacfwd(plain, (0, 1, 2)))(*arguments)
@@ -211,17 +216,17 @@ END_ON = arm_pose(
 
 @jax.jit
 @partial(jax.grad, argnums=3)
-def _by_targets(start, seen, elbows, targets, weights):
-    aims = gradient.Aims(Goals(HELD.sites, targets, weights), elbows, start, FREE)
-    found = gradient.refine_body(ALONE, PERSON, CAMERAS, seen, start, GRIPS, aims)
+def _by_targets(start, fields, elbows, targets, weights):
+    aims = gradient.Aims(Goals(EFFECTORS, targets, weights), elbows, start, FREE)
+    found = gradient.refine_body(replace(MODEL, cameras=CAMERAS), ALONE, fields, start, aims)
     return jnp.sum(found.pose.angles**2)
 
 
 @pytest.mark.parametrize("pose", [STRAIGHT, END_ON, TRUTH], ids=["stretched", "end-on", "bent"])
 def test_derivatives_are_finite_at_stretched_arms(pose):
     start, goals = on_device(pose), goals_for(pose)
-    seen = observed(pictures(FRONT), CAMERAS, arms_in(start))
-    found = _by_targets(start, seen, arms_in(start).elbow, goals.targets, goals.weights)
+    fields = observed(pictures(FRONT), CAMERAS, arms_in(start))
+    found = _by_targets(start, fields, arms_in(start).elbow, goals.targets, goals.weights)
     assert np.isfinite(found).all() and np.abs(found).max() > 0
 
 
@@ -232,21 +237,20 @@ def test_the_tracked_pose_moves_with_lengths_camera_and_offsets_as_finite_differ
         body = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), float), PERSON)
         camera = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), float), CAMERAS)
         start = on_device(TRUTH)
-        grip = Sites(GRIPS.bones, on_device(GRIPS.at), on_device(GRIPS.offsets))
         rows, columns = np.indices((SIZE, SIZE))
         # Interpolation leaves out a field's curvature: on a slope there is none.
         slope = 6 + 0.05 * columns + 0.08 * rows
-        fields = np.broadcast_to(slope, (1, 2, 1, SIZE, SIZE)).astype(float)
-        seen = single._replace(
+        plain = np.broadcast_to(slope, (1, 2, 1, SIZE, SIZE)).astype(float)
+        fields = single._replace(
             region=jax.tree.map(lambda part: jnp.asarray(np.asarray(part), float), single.region),
-            fields=jnp.asarray(fields),
+            distances=jnp.asarray(plain),
         )
         targets, weights = (
             jnp.asarray(np.asarray(part), float) for part in (goals.targets, goals.weights)
         )
         chosen = Settings(
             region=SIZE, search=False, directions=1,
-            descent=GradientSettings.create(steps=300, tolerance=1e-9),
+            gradient=GradientSettings(steps=300, tolerance=1e-9),
         )  # fmt: skip
 
         def elbows(parameters):
@@ -258,13 +262,13 @@ def test_the_tracked_pose_moves_with_lengths_camera_and_offsets_as_finite_differ
             )
             moved = replace(moved, T_cam_world=moved.T_cam_world.at[0, 0, 3].add(shifted))
             sites = Sites(
-                HELD.sites.bones, jnp.asarray(np.asarray(HELD.sites.at), float),
-                jnp.zeros((5, 3)).at[1, 0].set(offset),
+                MARKERS.bones, jnp.asarray(np.asarray(MARKERS.at), float),
+                jnp.zeros((3, 3)).at[1, 0].set(offset),
             )  # fmt: skip
-            aims = gradient.Aims(
-                Goals(sites, targets, weights), jnp.zeros((2, 3)), start, FREE,
-            )  # fmt: skip
-            pose = gradient.refine_body(chosen, person, moved, seen, start, grip, aims).pose
+            model = Model(person, sites, moved)
+            goals = Goals(model.effectors, targets, weights)
+            aims = gradient.Aims(goals, jnp.zeros((2, 3)), start, FREE)
+            pose = gradient.refine_body(model, chosen, fields, start, aims).pose
             frames = forward(person, pose)
             return frames.joints_world[np.array([person.tree.bone("radius_l")])][0]
 
@@ -279,16 +283,14 @@ def test_the_tracked_pose_moves_with_lengths_camera_and_offsets_as_finite_differ
 
 
 def test_one_trace_over_twenty_frames_whatever_comes(monkeypatch):
-    traced, refine = [], steps.refine
+    traced = []
 
-    def telling(*arguments):
+    def counted(*arguments):
         traced.append("refine")
         return refine(*arguments)
 
-    monkeypatch.setattr(steps, "refine", telling)
-    steps._programs.cache_clear()
+    monkeypatch.setattr(tracker_module, "REFINE", Program(counted, "refine"))
     tracker = HybridTracker(PERSON, [FRONT], Settings(refine="gradient", region=64), MARKERS)
-    steps._programs.cache_clear()
     (picture,) = pictures(FRONT)
     state, elbows = tracker.init(markers_of(TRUTH)), np.zeros((2, 3))
     for i in range(20):
@@ -298,7 +300,7 @@ def test_one_trace_over_twenty_frames_whatever_comes(monkeypatch):
         image = {3: np.zeros_like(picture), 7: None}.get(i, picture)
         state, pose, report = tracker.step(state, i / 30, markers, [image])
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((state, pose)))
-        assert int(report.ending) in set(Status)
+        assert int(report.status) in set(Status)
         elbows = arms_in(pose).elbow
     assert traced == ["refine"]
     assert (elbow_errors(elbows) < 0.05).all()

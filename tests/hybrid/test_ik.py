@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 
 from jaxmocap.body.kinematics import Sites, forward, jacobian, landmark_sites, landmarks
 from jaxmocap.body.kinematics import site_positions as positions
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.evidence.markers import Goals
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.hybrid import feet, ik
 from jaxmocap.hybrid.settings import IKSettings
@@ -34,15 +36,15 @@ def five(skeleton: Skeleton) -> Sites:
 
 @jax.jit
 def step(skeleton, chosen, pose, targets, weights, free):
-    return ik.ik_step(skeleton, ik.Goals(five(skeleton), targets, weights), chosen, pose, free)
+    return ik.ik_step(skeleton, Goals(five(skeleton), targets, weights), chosen, pose, free)
 
 
 @jax.jit
-def step_with_wishes(skeleton, chosen, pose, targets, weights, free, elbows):
+def step_with_secondary(skeleton, chosen, pose, targets, weights, free, elbows):
     sites = landmark_sites(skeleton, ("elbow_l", "elbow_r"))
-    wishes = ik.Goals(sites, elbows, jnp.ones_like(elbows[:, 0]))
-    goals = ik.Goals(five(skeleton), targets, weights)
-    return ik.ik_step(skeleton, goals, chosen, pose, free, wishes, 0.8)
+    secondary = Goals(sites, elbows, jnp.ones_like(elbows[:, 0]))
+    goals = Goals(five(skeleton), targets, weights)
+    return ik.ik_step(skeleton, goals, chosen, pose, free, secondary, 0.8)
 
 
 @jax.jit
@@ -51,15 +53,13 @@ def points_of(skeleton, pose):
 
 
 @jax.jit
-def solve(skeleton, chosen, pose, stance, targets, mask):
-    held = feet.effectors(skeleton, landmark_sites(skeleton, NAMES[:3]))
-    return ik.solve_ik(skeleton, held, chosen, pose, stance, targets, mask)
+def solve(skeleton, chosen, pose, placement, targets):
+    return ik.solve_ik(Model.create(skeleton), chosen, pose, placement, targets)
 
 
 @jax.jit
-def place(skeleton, chosen, targets, mask):
-    held = feet.effectors(skeleton, landmark_sites(skeleton, NAMES[:3]))
-    return feet.place(skeleton, held, chosen, targets, mask)
+def place(skeleton, chosen, targets):
+    return feet.place(Model.create(skeleton), chosen, targets)
 
 
 @jax.jit
@@ -87,10 +87,10 @@ def plain(tree):
     return jax.tree.map(np.asarray, tree)
 
 
-def reference_step(skeleton, chosen, pose, targets, weights, free=EVERYTHING, *wishes):
+def reference_step(skeleton, chosen, pose, targets, weights, free=EVERYTHING, *secondary):
     """One step by the reference, of the paper's five."""
     goals = reference.Goals(plain(five(skeleton)), targets, weights)
-    return reference.ik_step(plain(skeleton), goals, chosen, pose, free, *wishes)
+    return reference.ik_step(plain(skeleton), goals, chosen, pose, free, *secondary)
 
 
 def compared(ours, theirs, tolerance):
@@ -104,7 +104,7 @@ def test_a_step_is_the_references_in_double_precision(skeleton64, pose, seed, si
     targets, weights = goals_near(skeleton64, pose, seed, size)
     free = np.random.default_rng(seed).uniform(size=27) < 0.9
     with double():
-        chosen = IKSettings.create()
+        chosen = IKSettings()
         arguments = (on_device(targets), on_device(weights), jnp.asarray(free))
         ours = step(skeleton64, chosen, on_device(pose), *arguments)
         theirs = reference.ik_step(
@@ -118,13 +118,13 @@ def test_a_step_is_the_references_in_double_precision(skeleton64, pose, seed, si
 
 
 @given(pose=poses(), seed=st.integers(0, 2**20))
-def test_a_step_with_wishes_is_the_references(skeleton64, pose, seed):
+def test_a_step_with_secondary_goals_is_the_references(skeleton64, pose, seed):
     targets, weights = goals_near(skeleton64, pose, seed)
     elbows = np.random.default_rng(seed).normal(size=(2, 3)) * 0.3
     with double():
-        chosen = IKSettings.create()
+        chosen = IKSettings()
         sites = landmark_sites(skeleton64, ("elbow_l", "elbow_r"))
-        ours = step_with_wishes(
+        ours = step_with_secondary(
             skeleton64, chosen, on_device(pose), on_device(targets), on_device(weights),
             jnp.asarray(EVERYTHING), on_device(elbows),
         )  # fmt: skip
@@ -137,7 +137,7 @@ def test_a_step_with_wishes_is_the_references(skeleton64, pose, seed):
 
 @jax.jit
 def solved(skeleton, chosen, pose, targets, weights):
-    return ik.reach(skeleton, ik.Goals(five(skeleton), targets, weights), chosen, pose)
+    return ik.reach(skeleton, Goals(five(skeleton), targets, weights), chosen, pose)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -146,7 +146,7 @@ def test_a_whole_solve_is_the_references_in_double_precision(skeleton64, seed):
         start = plain(relaxed_pose(skeleton64))
     targets, weights = goals_near(skeleton64, start, seed, 0.15)
     with double():
-        chosen = IKSettings.create()
+        chosen = IKSettings()
         arguments = (on_device(start), on_device(targets), on_device(weights))
         pose, count = solved(skeleton64, chosen, *arguments)
         goals = reference.Goals(plain(five(skeleton64)), targets, weights)
@@ -167,7 +167,7 @@ def test_the_pose_that_is_returned_is_the_one_that_met_its_goals(skeleton64, see
     near = np.clip(near, low + 0.005, high - 0.005)
     moved = np.clip(near + 0.02 * rng.normal(size=len(low)), low, high)
     with double():
-        chosen = IKSettings.create(settle=1, rest=0.0)
+        chosen = IKSettings(settle=1, rest=0.0)
         targets = points_of(skeleton64, on_device(pose._replace(angles=moved)))
         start, weights = on_device(pose._replace(angles=near)), on_device(np.ones(5))
         found, count = solved(skeleton64, chosen, start, targets, weights)
@@ -180,10 +180,10 @@ def test_a_step_in_float32_stays_within_its_tolerance(skeleton, skeleton64, pose
     inner = pose._replace(angles=0.8 * pose.angles + 0.2 * np.asarray(skeleton64.relaxed))
     targets, weights = goals_near(skeleton64, inner, seed)
     with double():
-        chosen = IKSettings.create()
+        chosen = IKSettings()
         theirs = reference_step(skeleton64, chosen, inner, targets, weights)
     arguments = (on_device(targets), on_device(weights), jnp.asarray(EVERYTHING))
-    ours = step(skeleton, IKSettings.create(), on_device(inner), *arguments)
+    ours = step(skeleton, IKSettings(), on_device(inner), *arguments)
     assert ours[0].angles.dtype == jnp.float32
     assert np.abs(ours[0].angles - theirs[0].angles).max() < FLOAT32_STEP
     assert np.abs(ours[0].position - theirs[0].position).max() < FLOAT32_STEP
@@ -193,7 +193,7 @@ def test_a_step_in_float32_stays_within_its_tolerance(skeleton, skeleton64, pose
 @given(pose=poses(beyond=0.3))
 def test_the_secondary_task_is_the_references(skeleton64, pose):
     with double():
-        chosen = IKSettings.create()
+        chosen = IKSettings()
         start = on_device(pose)
         task = secondary(skeleton64, start, chosen)
     body = plain(skeleton64)
@@ -205,7 +205,7 @@ def test_the_secondary_task_is_the_references(skeleton64, pose):
 
 def test_the_secondary_task_relaxes_and_rights_the_body(skeleton):
     relaxed = relaxed_pose(skeleton)
-    chosen = IKSettings.create()
+    chosen = IKSettings()
     np.testing.assert_allclose(secondary(skeleton, relaxed, chosen), 0, atol=1e-7)
     bent = relaxed._replace(
         angles=relaxed.angles + 0.2, quaternion=jnp.array([1.0, 0.1, 0, 0]) / np.sqrt(1.01)
@@ -221,7 +221,7 @@ def test_the_secondary_task_relaxes_and_rights_the_body(skeleton):
 def test_the_secondary_task_moves_no_end_effector(skeleton64, pose, gain):
     inner = pose._replace(angles=0.8 * pose.angles + 0.1)
     with double():
-        chosen = IKSettings.create(relaxation=gain, uprightness=gain)
+        chosen = IKSettings(relaxation=gain, uprightness=gain)
         start = on_device(inner)
         points = points_of(skeleton64, start)
         moved, largest, _ = step(
@@ -239,7 +239,7 @@ def test_a_small_step_is_the_cheapest_that_reaches(skeleton64, pose, seed):
     inner = pose._replace(angles=0.6 * pose.angles + 0.4 * np.asarray(skeleton64.relaxed))
     rng = np.random.default_rng(seed)
     with double():
-        chosen = IKSettings.create(relaxation=0.0, uprightness=0.0)
+        chosen = IKSettings(relaxation=0.0, uprightness=0.0)
         start = on_device(inner)
         points = np.asarray(points_of(skeleton64, start))
         error = rng.normal(size=(5, 3)) * 1e-7
@@ -276,14 +276,13 @@ def random_pose(skeleton: Skeleton, seed: int, share: float = 0.6) -> Pose:
     return pose._replace(position=pose.position.at[2].add(lift))
 
 
-def settled(skeleton, targets, frames=8, mask=None):
+def settled(skeleton, targets, frames=8):
     """The answer after some frames of the same markers, from the relaxed pose."""
-    mask = jnp.ones(3, bool) if mask is None else mask
-    chosen = IKSettings.create()
-    pose, feet = place(skeleton, chosen, targets, mask)
+    chosen = IKSettings()
+    pose, placement = place(skeleton, chosen, targets)
     for _ in range(frames):
-        result = solve(skeleton, chosen, pose, feet, targets, mask)
-        pose, feet = result.pose, result.stance
+        result = solve(skeleton, chosen, pose, placement, targets)
+        pose, placement = result.pose, result.feet
     return result
 
 
@@ -316,56 +315,52 @@ def test_turned_markers_give_the_same_answer_turned(skeleton, seed, yaw):
 @given(values=vectors(15, 1.5), pose=poses())
 def test_limits_are_respected_whatever_is_asked(skeleton, values, pose):
     targets = on_device(values.reshape(5, 3)[:3] + np.array([0, 0, 1.0]))
-    stance = feet.Stance(on_device(values.reshape(5, 3)[3:]), jnp.zeros((), bool))
+    placement = feet.FootPlacement(on_device(values.reshape(5, 3)[3:]), jnp.zeros((), bool))
     now = on_device(pose)
     for _ in range(4):
-        result = solve(skeleton, IKSettings.create(), now, stance, targets, jnp.ones(3, bool))
-        now, stance = result.pose, result.stance
+        result = solve(skeleton, IKSettings(), now, placement, targets)
+        now, placement = result.pose, result.feet
         angles = np.asarray(now.angles)
         assert np.isfinite(np.concatenate([*map(np.ravel, now)])).all()
         assert (angles >= LIMITS[:, 0] - 1e-5).all() and (angles <= LIMITS[:, 1] + 1e-5).all()
 
 
-@pytest.mark.parametrize("seen", list(product([False, True], repeat=3)))
-def test_any_marker_may_be_missing(skeleton, seen):
-    mask = jnp.array(seen)
+@pytest.mark.parametrize("present", list(product([False, True], repeat=3)))
+def test_any_marker_may_be_missing(skeleton, present):
     targets = np.array(points_of(skeleton, random_pose(skeleton, 5)))[:3]
-    targets[~np.array(seen)] = np.nan
-    found = settled(skeleton, on_device(targets), 4, mask)
+    targets[~np.array(present)] = np.nan
+    found = settled(skeleton, on_device(targets), 4)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found))
     assert np.linalg.norm(found.pose.quaternion) == pytest.approx(1, abs=1e-5)
-    missed = misses(skeleton, found.pose, np.nan_to_num(targets))[np.array(seen)]
+    missed = misses(skeleton, found.pose, np.nan_to_num(targets))[np.array(present)]
     assert missed.max(initial=0) < 0.005
 
 
 def test_lost_markers_leave_the_pose_where_it_was(skeleton):
     targets = points_of(skeleton, random_pose(skeleton, 7))[:3]
     found = settled(skeleton, targets)
-    lost = solve(
-        skeleton, IKSettings.create(), found.pose, found.stance, jnp.full((3, 3), jnp.nan),
-        jnp.zeros(3, bool),
-    )  # fmt: skip
+    nothing = jnp.full((3, 3), jnp.nan)
+    lost = solve(skeleton, IKSettings(), found.pose, found.feet, nothing)
     moved = LANDMARKS_OF(skeleton, lost.pose) - LANDMARKS_OF(skeleton, found.pose)
     # It may relax, but it does not run away.
     assert np.abs(moved).max() < 0.5
-    feet = [3, 4]
-    assert misses(skeleton, lost.pose, points_of(skeleton, found.pose))[feet].max() < 0.02
+    assert misses(skeleton, lost.pose, points_of(skeleton, found.pose))[3:].max() < 0.02
 
 
 def test_the_default_effectors_are_the_papers_five(skeleton):
-    held = feet.effectors(skeleton, landmark_sites(skeleton, NAMES[:3]))
-    bones = [skeleton.tree.bones[bone] for bone in held.sites.bones]
+    model = Model.create(skeleton)
+    bones = [skeleton.tree.bones[bone] for bone in model.effectors.bones]
     assert bones == ["head", "hand_l", "hand_r", "foot_l", "foot_r"]
-    np.testing.assert_allclose(held.sites.at, [1, 0, 0, 0, 0])
-    assert held.held == ("l", "r")
+    np.testing.assert_allclose(model.effectors.at, [1, 0, 0, 0, 0])
+    assert model.unmarked_feet == ("l", "r") and model.no_foot_is_marked
 
 
 @pytest.mark.parametrize("bone", ["tibia_l", "foot_l"])
-def test_a_leg_with_a_marker_is_not_held(skeleton, bone):
+def test_the_ankle_of_a_leg_with_a_marker_is_no_effector(skeleton, bone):
     index = np.array([skeleton.tree.bone(bone), skeleton.tree.bone("femur_r")], np.int32)
-    held = feet.effectors(skeleton, Sites(index, jnp.zeros(2), jnp.zeros((2, 3))))
-    assert held.held == ("r",)
-    assert held.sites.bones.tolist() == [*index, skeleton.tree.bone("foot_r")]
+    model = Model.create(skeleton, Sites(index, jnp.zeros(2), jnp.zeros((2, 3))))
+    assert model.unmarked_feet == ("r",) and not model.no_foot_is_marked
+    assert model.effectors.bones.tolist() == [*index, skeleton.tree.bone("foot_r")]
 
 
 MARKER_SETS = {
@@ -386,14 +381,13 @@ def test_markers_may_sit_anywhere_on_any_bone(skeleton, name):
     bones, at, offsets = MARKER_SETS[name]
     indices = np.array([skeleton.tree.bone(bone) for bone in bones], np.int32)
     markers = Sites(indices, on_device(np.array(at)), on_device(np.array(offsets)))
-    held, chosen = feet.effectors(skeleton, markers), IKSettings.create()
-    mask = jnp.ones(len(bones), bool)
+    model, chosen = Model.create(skeleton, markers), IKSettings()
     targets = positions(skeleton, forward(skeleton, random_pose(skeleton, 3, 0.4)), markers)
-    pose, stance = feet.place(skeleton, held, chosen, targets, mask)
-    go = jax.jit(partial(ik.solve_ik, skeleton, held))
+    pose, placement = feet.place(model, chosen, targets)
+    go = jax.jit(partial(ik.solve_ik, model))
     for _ in range(10):
-        result = go(chosen, pose, stance, targets, mask)
-        pose, stance = result.pose, result.stance
+        result = go(chosen, pose, placement, targets)
+        pose, placement = result.pose, result.feet
     assert float(result.distances[: len(bones)].max()) < 0.005
     reached = positions(skeleton, forward(skeleton, pose), markers)
     np.testing.assert_allclose(reached, targets, atol=0.005)
@@ -404,13 +398,13 @@ def test_the_closed_form_placement_turns_the_relaxed_pose_to_the_markers(skeleto
         quaternion = jnp.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)], jnp.float32)
         truth = Pose(jnp.array([0.4, -2.0, 1.0]), quaternion, skeleton.relaxed)
         targets = points_of(skeleton, truth)[:3]
-        placed, feet = place(skeleton, IKSettings.create(), targets, jnp.ones(3, bool))
+        placed, placement = place(skeleton, IKSettings(), targets)
         np.testing.assert_allclose(placed.position, truth.position, atol=1e-5)
         np.testing.assert_allclose(
             quaternion_to_matrix(placed.quaternion), quaternion_to_matrix(quaternion), atol=1e-5
         )
         np.testing.assert_array_equal(placed.angles, skeleton.relaxed)
-        left = np.asarray(feet.ankles[0] - feet.ankles[1])
+        left = np.asarray(placement.ankles[0] - placement.ankles[1])
         np.testing.assert_allclose(
             left[:2], 0.17 * np.array([-np.sin(yaw), np.cos(yaw)]), atol=1e-5
         )
@@ -424,59 +418,55 @@ def standing(skeleton):
 
 def test_feet_stay_where_they_stand_while_the_head_sways(skeleton):
     targets, found = standing(skeleton)
-    pose, feet = found.pose, found.stance
+    pose, placement = found.pose, found.feet
     for sway in np.sin(np.linspace(0, 2 * np.pi, 12)):
         moved = targets + on_device(np.array([0.1 * sway, 0.1 * sway, -0.05 * abs(sway)]))
-        result = solve(skeleton, IKSettings.create(), pose, feet, moved, jnp.ones(3, bool))
-        pose, feet = result.pose, result.stance
+        result = solve(skeleton, IKSettings(), pose, placement, moved)
+        pose, placement = result.pose, result.feet
         assert not result.planted
-        np.testing.assert_array_equal(feet.ankles, found.stance.ankles)
+        np.testing.assert_array_equal(placement.ankles, found.feet.ankles)
         assert misses(skeleton, pose, moved).max() < 0.01
-        assert np.abs(points_of(skeleton, pose)[3:] - feet.ankles).max() < 0.03
+        assert np.abs(points_of(skeleton, pose)[3:] - placement.ankles).max() < 0.03
 
 
-def test_feet_are_planted_anew_when_the_head_leaves_the_stance(skeleton):
+def test_feet_are_planted_again_when_the_head_leaves_the_stance(skeleton):
     targets, found = standing(skeleton)
     away = targets + jnp.array([0.8, 0.0, 0.0])
-    result = solve(skeleton, IKSettings.create(), found.pose, found.stance, away, jnp.ones(3, bool))
+    result = solve(skeleton, IKSettings(), found.pose, found.feet, away)
     assert bool(result.planted)
-    middle = np.asarray(result.stance.ankles).mean(0)
+    middle = np.asarray(result.feet.ankles).mean(0)
     np.testing.assert_allclose(middle[:2], away[0, :2], atol=1e-5)
-    again = solve(
-        skeleton, IKSettings.create(), result.pose, result.stance, away, jnp.ones(3, bool)
-    )
+    again = solve(skeleton, IKSettings(), result.pose, result.feet, away)
     assert not again.planted
     assert misses(skeleton, again.pose, away).max() < 0.01
 
 
-def test_feet_are_planted_anew_when_a_leg_was_overstretched(skeleton):
+def test_feet_are_planted_again_when_a_leg_was_overstretched(skeleton):
     targets, found = standing(skeleton)
     # Out to the side as far as the stance allows, and up on the toes.
     away = targets + jnp.array([0.35, 0.0, 0.06])
-    chosen = IKSettings.create()
-    first = solve(skeleton, chosen, found.pose, found.stance, away, jnp.ones(3, bool))
-    assert bool(first.stance.overstretched) and not first.planted
-    second = solve(skeleton, chosen, first.pose, first.stance, away, jnp.ones(3, bool))
+    chosen = IKSettings()
+    first = solve(skeleton, chosen, found.pose, found.feet, away)
+    assert bool(first.feet.overstretched) and not first.planted
+    second = solve(skeleton, chosen, first.pose, first.feet, away)
     assert bool(second.planted)
-    middle = np.asarray(second.stance.ankles).mean(0)
+    middle = np.asarray(second.feet.ankles).mean(0)
     np.testing.assert_allclose(middle[:2], away[0, :2], atol=1e-5)
 
 
-def test_without_a_marker_on_the_head_feet_are_never_planted_anew(skeleton):
+def test_without_a_marker_on_the_head_feet_are_never_planted_again(skeleton):
     targets, found = standing(skeleton)
-    mask = jnp.array([False, True, True])
-    away = targets + jnp.array([0.8, 0.0, 0.0])
-    result = solve(skeleton, IKSettings.create(), found.pose, found.stance, away, mask)
+    away = (targets + jnp.array([0.8, 0.0, 0.0])).at[0].set(jnp.nan)
+    result = solve(skeleton, IKSettings(), found.pose, found.feet, away)
     assert not result.planted
 
 
 def test_it_stops_when_it_rests_and_never_goes_on_for_ever(skeleton):
     targets, found = standing(skeleton)
-    chosen = IKSettings.create(iterations=12, settle=3)
-    mask = jnp.ones(3, bool)
-    assert solve(skeleton, chosen, found.pose, found.stance, targets, mask).iterations == 3
+    chosen = IKSettings(iterations=12, settle=3)
+    assert solve(skeleton, chosen, found.pose, found.feet, targets).iterations == 3
     hopeless = targets + jnp.array([0.0, 0.0, 5.0])
-    assert solve(skeleton, chosen, found.pose, found.stance, hopeless, mask).iterations <= 12
+    assert solve(skeleton, chosen, found.pose, found.feet, hopeless).iterations <= 12
 
 
 def test_what_may_not_move_does_not(skeleton):
@@ -484,7 +474,7 @@ def test_what_may_not_move_does_not(skeleton):
     free = np.random.default_rng(0).uniform(size=27) < 0.5
     targets, weights = goals_near(skeleton, pose, 3)
     moved, _, _ = step(
-        skeleton, IKSettings.create(), pose, on_device(targets), on_device(weights),
+        skeleton, IKSettings(), pose, on_device(targets), on_device(weights),
         jnp.asarray(free),
     )  # fmt: skip
     change = np.asarray(moved.angles - pose.angles)

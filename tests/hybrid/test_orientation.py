@@ -12,7 +12,6 @@ import pytest
 from held_devices import DEVICES, write_controllers
 from hypothesis import given
 from hypothesis import strategies as st
-from jaxmocap.hybrid.first_state import settled
 from pythonosc.osc_message_builder import OscMessageBuilder
 from scipy.spatial.transform import Rotation
 
@@ -365,14 +364,12 @@ def played(tmp_path_factory) -> tuple[Motion, Path]:
     folder = tmp_path_factory.mktemp("played")
     recording = Recording.load(write_controllers(folder, motions.table_tennis(0.5, 1), 0.5, 1))
     tracker = make_tracker(recording, Settings(refine="none", balance=False))
-    state, poses = settled(tracker, recording.positions_world[0]), []
-    for markers in recording.positions_world:
-        told = jnp.asarray(markers, float)
-        solved = tracker.solve(tracker.skeleton, None, tracker.settings, *state[:2], told)
-        state = state._replace(pose=solved.ik.pose, stance=solved.ik.stance)
-        poses.append(jax.device_get(solved.ik.pose))
-    held: list[Any] = [np.stack(parts) for parts in zip(*poses, strict=True)]
-    return Motion(tracker.skeleton, recording.times, Pose(*held)), folder
+    state, poses = tracker.init(recording.positions_world[0]), []
+    for time, markers in zip(recording.times, recording.positions_world, strict=True):
+        state, pose, _ = tracker.step(state, time, markers)
+        poses.append(jax.device_get(pose))
+    stacked = jax.tree.map(lambda *parts: np.stack(parts), *poses)
+    return Motion(tracker.model.skeleton, recording.times, stacked), folder
 
 
 @pytest.mark.parametrize("wrist", ["wrist_l", "wrist_r"])

@@ -1,4 +1,4 @@
-"""Refinement: each arm goes to its own edges, hands stay, and what is not seen is left alone."""
+"""Refinement: each arm goes to its own edges, hands stay, and what has no image is left alone."""
 
 from dataclasses import replace
 
@@ -15,6 +15,7 @@ from hypothesis.extra.numpy import arrays
 from watched_arms import (
     FRONT,
     GRIPS,
+    MODEL,
     PERSON,
     SIDE,
     SIZE,
@@ -30,10 +31,12 @@ from watched_arms import (
 
 from jaxmocap.body.arms import arm_dofs, arms_of, hang, swing
 from jaxmocap.body.kinematics import Sites, forward
+from jaxmocap.body.model import Model
+from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.geometry.cameras import project
-from jaxmocap.hybrid import refine
-from jaxmocap.hybrid.observe import Observation, arm_regions
-from jaxmocap.hybrid.settings import RefineSettings, Settings
+from jaxmocap.hybrid.observe import arm_regions
+from jaxmocap.hybrid.refine import refine_arms
+from jaxmocap.hybrid.settings import Settings, SimplexSettings
 from jaxmocap.images.regions import to_region
 from jaxmocap.reference.hybrid import pipeline as reference
 
@@ -49,16 +52,16 @@ def swung(pose, moves):
 
 
 @jax.jit
-def alone(cameras, seen, pose, targets, elbows):
+def alone(cameras, fields, pose, targets, elbows):
     """By the edges alone, as in the paper."""
-    return refine.refine_arms(ALONE, PERSON, cameras, seen, pose, GRIPS, targets, elbows)
+    return refine_arms(replace(MODEL, cameras=cameras), ALONE, fields, pose, targets, elbows)
 
 
 @jax.jit
-def trusting(cameras, seen, pose, targets, elbows):
-    """Near the elbows that a search has told."""
-    chosen = Settings(region=SIZE)
-    return refine.refine_arms(chosen, PERSON, cameras, seen, pose, GRIPS, targets, elbows)
+def near_searched(cameras, fields, pose, targets, elbows):
+    """Near the elbows that a search has found."""
+    model, chosen = replace(MODEL, cameras=cameras), Settings(region=SIZE)
+    return refine_arms(model, chosen, fields, pose, targets, elbows)
 
 
 def pose_off_by(left: float, right: float):
@@ -68,10 +71,10 @@ def pose_off_by(left: float, right: float):
     return start._replace(angles=start.angles.at[DOFS].set(swung(start, moves)[1]))
 
 
-def refined(pose, images=None, cameras=CAMERAS, way=alone, seen=None):
+def refined(pose, images=None, cameras=CAMERAS, way=alone, fields=None):
     arms = arms_in(pose)
-    seen = observed(images or pictures(FRONT), cameras, arms) if seen is None else seen
-    return way(cameras, seen, pose, true_arms().grip, arms.elbow)
+    fields = observed(images or pictures(FRONT), cameras, arms) if fields is None else fields
+    return way(cameras, fields, pose, true_arms().grip, arms.elbow)
 
 
 moves_of_arms = arrays(float, (2, 4), elements=st.floats(-0.6, 0.6))
@@ -105,27 +108,25 @@ def test_the_papers_simplex_over_each_arm_is_the_references_in_double_precision(
     with double():
         body = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), float), PERSON)
         camera = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), float), FRONT)
-        sites = Sites(GRIPS.bones, on_device(GRIPS.at), on_device(GRIPS.offsets))
-        chosen = replace(
-            Settings.paper(), region=small, polish=RefineSettings.create(iterations=10)
-        )
-        start = on_device(TRUTH)
-        arms = arms_of(body, forward(body, start), sites)
+        sites = MODEL.markers
+        sites = Sites(sites.bones, on_device(sites.at), on_device(sites.offsets))
+        model = Model.create(body, sites, camera)
+        chosen = replace(Settings.paper(), region=small, simplex=SimplexSettings(iterations=10))
+        start, grips = on_device(TRUTH), model.grips
+        arms = arms_of(body, forward(body, start), grips)
         region = arm_regions(stacked(camera), arms, small, chosen.margin)
-        fields = cv2.GaussianBlur(rng.uniform(0, 20, (small, small, 2)), (0, 0), 2)
-        seen = Observation(
-            region, on_device(fields.transpose(2, 0, 1))[None, :, None], np.ones((1, 2), bool)
+        plain = cv2.GaussianBlur(rng.uniform(0, 20, (small, small, 2)), (0, 0), 2)
+        fields = EdgeFields(
+            region, on_device(plain.transpose(2, 0, 1))[None, :, None], np.ones((1, 2), bool)
         )
         targets = arms.grip + 0.01
-        ours = jax.jit(refine.refine_arms)(
-            chosen, body, stacked(camera), seen, start, sites, targets, arms.elbow
-        )
+        ours = jax.jit(refine_arms)(model, chosen, fields, start, targets, arms.elbow)
     plain_body, plain_camera = jax.tree.map(np.asarray, (body, camera))
     for i, side in enumerate("lr"):
         origin, scale = np.asarray(region.origin)[0, i], float(region.scale[0, i])
-        view = reference.ArmView(origin, scale, fields[..., i])
+        view = reference.ArmView(origin, scale, plain[..., i])
         dofs, angles = reference.refine_arm(
-            plain_body, plain_camera, chosen, TRUTH, side, view, jax.tree.map(np.asarray, sites),
+            plain_body, plain_camera, chosen, TRUTH, side, view, jax.tree.map(np.asarray, grips),
             np.asarray(targets)[i],
         )  # fmt: skip
         assert dofs == DOFS[i].tolist()
@@ -148,10 +149,13 @@ def test_each_arm_goes_to_its_own_edges(off):
 def test_swapped_regions_would_be_noticed():
     """The right arm's edges in the left arm's place lead astray: nothing here is symmetric."""
     start = pose_off_by(-0.3, -0.3)
-    seen = observed(pictures(FRONT), CAMERAS, arms_in(start))
-    crossed = jax.tree.map(lambda part: np.asarray(part)[:, ::-1], seen)
-    for wrong in (seen._replace(fields=crossed.fields), seen._replace(region=crossed.region)):
-        after = elbow_errors(arms_in(refined(start, seen=wrong)).elbow)
+    fields = observed(pictures(FRONT), CAMERAS, arms_in(start))
+    crossed = jax.tree.map(lambda part: np.asarray(part)[:, ::-1], fields)
+    for wrong in (
+        fields._replace(distances=crossed.distances),
+        fields._replace(region=crossed.region),
+    ):
+        after = elbow_errors(arms_in(refined(start, fields=wrong)).elbow)
         assert (after > 0.03).any()
 
 
@@ -173,28 +177,33 @@ def test_the_fields_of_an_arm_hold_that_arms_edges():
     """Only the left arm is in the picture: its own region sees it, the right one's does not."""
     left_only = [draw(FRONT, list(limbs_of(PERSON, TRUTH))[:3])]
     near = observed(left_only, CAMERAS, true_arms())
-    assert near.seen.tolist() == [[True, False]]
-    assert (np.asarray(near.fields)[0, 0] == 0).any()
+    assert near.available.tolist() == [[True, False]]
+    assert (np.asarray(near.distances)[0, 0] == 0).any()
     right_only = [draw(FRONT, list(limbs_of(PERSON, TRUTH))[3:])]
-    assert observed(right_only, CAMERAS, true_arms()).seen.tolist() == [[False, True]]
+    assert observed(right_only, CAMERAS, true_arms()).available.tolist() == [[False, True]]
 
 
 def test_each_camera_looks_into_its_own_picture():
     front, side = pictures(FRONT, SIDE)
     black = np.zeros_like(front)
-    assert observed([front, black], BOTH, true_arms()).seen.tolist() == [[True] * 2, [False] * 2]
-    assert observed([None, side], BOTH, true_arms()).seen.tolist() == [[False] * 2, [True] * 2]
+    assert observed([front, black], BOTH, true_arms()).available.tolist() == [
+        [True] * 2,
+        [False] * 2,
+    ]
+    assert observed([None, side], BOTH, true_arms()).available.tolist() == [[False] * 2, [True] * 2]
     colour = np.repeat(front[..., None], 3, -1)
     by_colour = observed([colour, None], BOTH, true_arms())
     by_grey = observed([front, None], BOTH, true_arms())
-    np.testing.assert_array_equal(by_colour.fields, by_grey.fields)
+    np.testing.assert_array_equal(by_colour.distances, by_grey.distances)
 
 
 @pytest.mark.parametrize("flags", [(False, False), (True, False), (False, True)])
-def test_an_arm_that_is_not_seen_stays_as_it_is(flags):
+def test_an_arm_without_an_image_stays_as_it_is(flags):
     start = pose_off_by(0.25, -0.25)
-    seen = observed(pictures(FRONT), CAMERAS, arms_in(start))._replace(seen=np.array([flags]))
-    after = refined(start, seen=seen)
+    fields = observed(pictures(FRONT), CAMERAS, arms_in(start))._replace(
+        available=np.array([flags])
+    )
+    after = refined(start, fields=fields)
     change = np.abs(np.asarray(after.angles - start.angles))
     for arm, watched in enumerate(flags):
         assert (change[DOFS[arm]].max() > 0.01) == watched
@@ -203,7 +212,7 @@ def test_an_arm_that_is_not_seen_stays_as_it_is(flags):
     np.testing.assert_array_equal(after.quaternion, start.quaternion)
 
 
-@pytest.mark.parametrize("way", [alone, trusting])
+@pytest.mark.parametrize("way", [alone, near_searched])
 def test_hands_stay_and_limits_hold_whatever_the_picture(way):
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 255, (480, 640)).astype(np.uint8)
@@ -224,20 +233,20 @@ def test_hands_come_back_to_their_markers():
     assert np.linalg.norm(after.grip - true_arms().grip, axis=1).max() < 0.01
 
 
-def test_the_searched_elbow_holds_where_edges_tell_nothing():
-    """A picture of somebody far away: the elbows that the search believes in decide."""
+def test_the_searched_elbow_decides_where_edges_are_far():
+    """A picture of somebody far away: the elbows that the search found decide."""
     start = pose_off_by(0.0, 0.0)
     far = camera_at((2.2, 0.3, 1.35), (0.0, 6.0, 1.15))
-    seen = observed(pictures(FRONT), CAMERAS, true_arms())
-    blind = seen._replace(fields=np.full_like(np.asarray(seen.fields), 20.0))
+    fields = observed(pictures(FRONT), CAMERAS, true_arms())
+    blind = fields._replace(distances=np.full_like(np.asarray(fields.distances), 20.0))
     wanted = turned_by(0.2, -0.2)
-    after = arms_in(trusting(stacked(far), blind, start, true_arms().grip, wanted.elbow))
+    after = arms_in(near_searched(stacked(far), blind, start, true_arms().grip, wanted.elbow))
     missed = np.linalg.norm(after.elbow - wanted.elbow, axis=1)
     assert missed.max() < 0.01
     assert np.linalg.norm(after.grip - true_arms().grip, axis=1).max() < 0.01
 
 
-def test_two_cameras_see_more_than_one():
+def test_two_cameras_find_more_than_one():
     start = pose_off_by(-0.3, 0.35)
     images = pictures(FRONT, SIDE)
     one = elbow_errors(arms_in(refined(start, images[:1])).elbow)

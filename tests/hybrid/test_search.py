@@ -1,5 +1,7 @@
 """The search finds elbows that markers put elsewhere, doubts, remembers and forgets."""
 
+from dataclasses import replace
+
 import cv2
 import jax
 import jax.numpy as jnp
@@ -8,6 +10,7 @@ import pytest
 from conftest import on_device
 from watched_arms import (
     FRONT,
+    MODEL,
     SIDE,
     SIZE,
     TRUTH,
@@ -21,21 +24,23 @@ from watched_arms import (
     turned_by,
 )
 
-from jaxmocap.body.arms import turn_forearm
+from jaxmocap.body.arms import TURNS, turn_forearm
+from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.hybrid import elbow_search
-from jaxmocap.hybrid.observe import Observation
-from jaxmocap.hybrid.refine import look_for_elbows, swivels, turn_between
+from jaxmocap.hybrid.refine import search_elbows, swivels, turn_between
 from jaxmocap.hybrid.settings import Settings
 
 SETTINGS = Settings(region=SIZE)
-LOOK = SETTINGS.look
+SEARCH = SETTINGS.elbow_search
 ONE, BOTH = stacked(FRONT), stacked(FRONT, SIDE)
 FRAME_S = 1 / 30
 
 
 @jax.jit
-def step(cameras, seen, arms, belief, time):
-    return elbow_search.search(SETTINGS, cameras, seen, arms, belief, time)
+def step(cameras, fields, arms, belief):
+    """The belief after an image that comes a frame later."""
+    waiting = belief._replace(age=belief.age + jnp.asarray(FRAME_S, belief.age.dtype))
+    return elbow_search.search(SETTINGS, cameras, fields, arms, waiting)
 
 
 @jax.jit
@@ -44,20 +49,20 @@ def elbows_of(arms, turn):
 
 
 @jax.jit
-def look(cameras, arms, seen, belief, time):
-    return look_for_elbows(SETTINGS, cameras, arms, seen, belief, time)
+def searched(cameras, arms, fields, belief):
+    return search_elbows(SETTINGS, replace(MODEL, cameras=cameras), arms, fields, belief)
 
 
-def unknowing():
-    return elbow_search.no_belief(LOOK, on_device(TRUTH))
+def prior_belief():
+    return elbow_search.no_belief(SEARCH, on_device(TRUTH))
 
 
-def watched(images, cameras, arms, frames=5, belief=None, start=0.0):
+def believed(images, cameras, arms, frames=5, belief=None):
     """The belief after some frames of the same pictures."""
-    belief = unknowing() if belief is None else belief
-    seen = observed(images, cameras, arms)
-    for i in range(frames):
-        belief = step(cameras, seen, arms, belief, jnp.asarray(start + (i + 1) * FRAME_S, float))
+    belief = prior_belief() if belief is None else belief
+    fields = observed(images, cameras, arms)
+    for _ in range(frames):
+        belief = step(cameras, fields, arms, belief)
     return belief
 
 
@@ -65,26 +70,26 @@ def watched(images, cameras, arms, frames=5, belief=None, start=0.0):
 def test_it_finds_elbows_that_the_markers_miss_by_15_cm(turn):
     arms = turned_by(*turn)
     assert (elbow_errors(arms.elbow) > 0.145).all()
-    belief = watched(pictures(FRONT), ONE, arms)
+    belief = believed(pictures(FRONT), ONE, arms)
     assert (elbow_errors(elbows_of(arms, belief.turn)) < 0.03).all()
-    assert (np.asarray(belief.spread) < 0.05).all()
+    assert (np.asarray(belief.deviation) < 0.05).all()
 
 
 def test_where_markers_are_right_it_leaves_them_alone():
-    belief = watched(pictures(FRONT), ONE, true_arms())
+    belief = believed(pictures(FRONT), ONE, true_arms())
     assert (elbow_errors(elbows_of(true_arms(), belief.turn)) < 0.02).all()
 
 
 def test_a_second_camera_sees_what_one_cannot():
     """From the front the right elbow swivels along the line of sight."""
     arms = turned_by(-0.9, 1.0)
-    alone = watched(pictures(FRONT), ONE, arms)
-    together = watched(pictures(FRONT, SIDE), BOTH, arms)
+    alone = believed(pictures(FRONT), ONE, arms)
+    together = believed(pictures(FRONT, SIDE), BOTH, arms)
     error = elbow_errors(elbows_of(arms, alone.turn))
     error_of_both = elbow_errors(elbows_of(arms, together.turn))
     assert error[1] > 0.05 > error_of_both[1]
-    assert together.spread[1] < alone.spread[1]
-    certain, unsure = (elbow_search.confidence_of(each.spread) for each in (together, alone))
+    assert together.deviation[1] < alone.deviation[1]
+    certain, unsure = (elbow_search.confidence_of(each.deviation) for each in (together, alone))
     assert certain[1] > unsure[1]
 
 
@@ -96,11 +101,11 @@ def stripes() -> np.ndarray:
 
 def test_an_image_that_fits_everything_leaves_the_doubt():
     arms = turned_by(0.6, -0.6)
-    clear = watched(pictures(FRONT), ONE, arms, 3)
-    vague = watched([stripes()], ONE, arms, 3)
-    assert (np.asarray(vague.spread) > 2 * np.asarray(clear.spread)).all()
-    assert (np.asarray(vague.spread) > 0.08).all()
-    assert (np.asarray(elbow_search.confidence_of(vague.spread)) < 0.3).all()
+    clear = believed(pictures(FRONT), ONE, arms, 3)
+    vague = believed([stripes()], ONE, arms, 3)
+    assert (np.asarray(vague.deviation) > 2 * np.asarray(clear.deviation)).all()
+    assert (np.asarray(vague.deviation) > 0.08).all()
+    assert (np.asarray(elbow_search.confidence_of(vague.deviation)) < 0.3).all()
 
 
 def test_two_answers_stay_alive_until_a_clear_image_decides():
@@ -109,10 +114,10 @@ def test_two_answers_stay_alive_until_a_clear_image_decides():
     other = picture_of(turned_by(-0.9, -0.9))
     double = np.maximum(pictures(FRONT)[0], other)
     middle = swivelled(arms, jnp.full(2, -0.45, jnp.float32))
-    torn = watched([double], ONE, middle, 3)
-    sure = watched(pictures(FRONT), ONE, middle, 3)
-    assert (np.asarray(torn.spread) > 1.3 * np.asarray(sure.spread)).all()
-    decided = watched(pictures(FRONT), ONE, middle, 4, torn, 3 * FRAME_S)
+    torn = believed([double], ONE, middle, 3)
+    sure = believed(pictures(FRONT), ONE, middle, 3)
+    assert (np.asarray(torn.deviation) > 1.3 * np.asarray(sure.deviation)).all()
+    decided = believed(pictures(FRONT), ONE, middle, 4, torn)
     assert (elbow_errors(elbows_of(middle, decided.turn)) < 0.04).all()
 
 
@@ -123,68 +128,68 @@ def test_the_picture_of_arms_is_the_picture_of_their_pose():
 
 def test_memory_outlives_a_bad_image():
     arms = turned_by(0.8, -0.8)
-    found = watched(pictures(FRONT), ONE, arms)
-    after = watched([stripes()], ONE, arms, 1, found, 5 * FRAME_S)
+    found = believed(pictures(FRONT), ONE, arms)
+    after = believed([stripes()], ONE, arms, 1, found)
     assert (elbow_errors(elbows_of(arms, after.turn)) < 0.06).all()
-    assert (np.asarray(after.spread) > np.asarray(found.spread)).all()
+    assert (np.asarray(after.deviation) > np.asarray(found.deviation)).all()
 
 
 def test_a_blind_arm_drifts_back_to_the_markers():
     arms = turned_by(0.8, -0.8)
-    found = watched(pictures(FRONT), ONE, arms)
-    seen = observed(pictures(FRONT), ONE, arms)
-    left_only = seen._replace(seen=np.array([[True, False]]))
+    found = believed(pictures(FRONT), ONE, arms)
+    fields = observed(pictures(FRONT), ONE, arms)
+    left_only = fields._replace(available=np.array([[True, False]]))
     belief = found
-    for i in range(20):
-        belief = step(ONE, left_only, arms, belief, jnp.asarray((6 + i) * FRAME_S, float))
+    for _ in range(20):
+        belief = step(ONE, left_only, arms, belief)
     left, right = elbow_errors(elbows_of(arms, belief.turn))
     assert left < 0.03
     assert right > 0.08
-    assert belief.spread[1] > 2 * found.spread[1]
+    assert belief.deviation[1] > 2 * found.deviation[1]
 
 
 def test_without_images_the_turn_fades_and_the_doubt_grows():
     arms = turned_by(0.8, -0.8)
-    found = watched(pictures(FRONT), ONE, arms)
+    found = believed(pictures(FRONT), ONE, arms)
     ages = [0.0, 0.1, 0.3, 0.6, 1.0, 2.0, 10.0]
     turns, spreads, certain = [], [], []
     for age in ages:
-        turn, spread = elbow_search.carried(LOOK, found, found.time + age)
+        turn, spread = elbow_search.carried(SEARCH, found._replace(age=jnp.asarray(age, float)))
         turns.append(np.linalg.norm(turn, axis=1))
         spreads.append(np.asarray(spread))
         certain.append(np.asarray(elbow_search.confidence_of(spread)))
     np.testing.assert_allclose(turns[0], np.linalg.norm(found.turn, axis=1), rtol=1e-5)
     assert (np.diff(turns, axis=0) < 0).all() and (turns[-1] < 1e-3).all()
     assert (np.diff(spreads, axis=0) >= 0).all()
-    np.testing.assert_allclose(spreads[-1], LOOK.elbow_prior, rtol=1e-5)
+    np.testing.assert_allclose(spreads[-1], SEARCH.elbow_prior, rtol=1e-5)
     assert (np.diff(certain, axis=0) <= 0).all()
     assert ((np.array(certain) > 0) & (np.array(certain) <= 1)).all()
 
 
 def test_a_frame_without_an_image_changes_no_belief():
     arms = turned_by(0.5, -0.5)
-    found = watched(pictures(FRONT), ONE, arms)
+    found = believed(pictures(FRONT), ONE, arms)
     nothing = observed([None], ONE, arms)
-    later = found.time + jnp.asarray(0.1, jnp.float32)
-    kept, elbows = look(ONE, arms, nothing, found, later)
-    for part, before in zip(jax.tree.leaves(kept), jax.tree.leaves(found), strict=True):
+    later = found._replace(age=jnp.asarray(0.1, jnp.float32))
+    kept, elbows = searched(ONE, arms, nothing, later)
+    for part, before in zip(jax.tree.leaves(kept), jax.tree.leaves(later), strict=True):
         np.testing.assert_array_equal(part, before)
-    carried = elbow_search.carried(LOOK, found, later)[0]
+    carried = elbow_search.carried(SEARCH, later)[0]
     np.testing.assert_allclose(elbows, elbows_of(arms, carried), atol=1e-6)
 
 
 @pytest.mark.parametrize("grey", [0, 255])
 def test_a_black_or_white_image_is_no_image(grey):
     nothing = observed([np.full((480, 640, 3), grey, np.uint8)], ONE, true_arms())
-    assert not nothing.seen.any()
-    assert np.isfinite(nothing.fields).all()
+    assert not nothing.available.any()
+    assert np.isfinite(nothing.distances).all()
 
 
-def test_before_the_first_image_the_markers_pose_is_believed():
-    belief = unknowing()
+def test_before_the_first_image_the_markers_pose_is_expected():
+    belief = prior_belief()
     np.testing.assert_allclose(elbows_of(true_arms(), belief.turn), true_arms().elbow, atol=1e-6)
-    np.testing.assert_allclose(belief.spread, LOOK.elbow_prior)
-    assert (elbow_search.confidence_of(belief.spread) < 0.2).all()
+    np.testing.assert_allclose(belief.deviation, SEARCH.elbow_prior)
+    assert (elbow_search.confidence_of(belief.deviation) < 0.2).all()
 
 
 def test_confidence_falls_with_the_elbows_deviation():
@@ -193,19 +198,19 @@ def test_confidence_falls_with_the_elbows_deviation():
     assert (np.diff(confidence) < 0).all()
 
 
-def test_fields_of_an_unseen_camera_may_hold_anything():
+def test_fields_of_a_camera_without_an_image_may_hold_anything():
     arms = turned_by(0.5, -0.5)
-    seen = observed(pictures(FRONT, SIDE), BOTH, arms)
-    spoilt = np.array(seen.fields)
+    fields = observed(pictures(FRONT, SIDE), BOTH, arms)
+    spoilt = np.array(fields.distances)
     spoilt[1] = np.nan
-    half = Observation(seen.region, spoilt, np.array([[True, True], [False, False]]))
-    belief = step(BOTH, half, arms, unknowing(), jnp.asarray(FRAME_S, float))
-    alone = step(ONE, observed(pictures(FRONT), ONE, arms), arms, unknowing(), belief.time)
+    half = EdgeFields(fields.region, spoilt, np.array([[True, True], [False, False]]))
+    belief = step(BOTH, half, arms, prior_belief())
+    alone = step(ONE, observed(pictures(FRONT), ONE, arms), arms, prior_belief())
     np.testing.assert_allclose(belief.turn, alone.turn, atol=1e-5)
 
 
 def test_candidates_surround_the_markers_forearm_evenly():
-    turns = np.degrees(elbow_search.TURNS)
+    turns = np.degrees(TURNS)
     assert (np.linalg.norm(turns, axis=1) <= 75).all()
     assert np.linalg.norm(turns, axis=1).min() == 0
     np.testing.assert_array_equal(turns[:, 2], 0)

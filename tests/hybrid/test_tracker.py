@@ -1,6 +1,5 @@
 """The tracker over many frames: one trace, what is lost and found, and the reference's answers."""
 
-import copy
 from dataclasses import replace
 from functools import partial
 
@@ -9,17 +8,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import LIMITS, on_device
-from watched_arms import FRONT, MARKERS, PERSON, TRUTH, arms_in
+from watched_arms import FRONT, MARKERS, MODEL, PERSON, TRUTH, arms_in
 from waving_arms import RATE, frames, image_of, markers_of, waving
 
-from jaxmocap.body.arms import grips
 from jaxmocap.body.kinematics import landmarks
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.hybrid import steps
+from jaxmocap.compilation.programs import Program
+from jaxmocap.hybrid import tracker as tracker_module
 from jaxmocap.hybrid.balance import spine_dofs, squat_goals
+from jaxmocap.hybrid.feet import on_unmarked_feet
 from jaxmocap.hybrid.ik import goals_of
-from jaxmocap.hybrid.settings import IKSettings, RefineSettings, Settings
+from jaxmocap.hybrid.observe import observe
+from jaxmocap.hybrid.refine import refine
+from jaxmocap.hybrid.settings import IKSettings, Settings, SimplexSettings
+from jaxmocap.hybrid.step import SOLVE, solve
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.reference import kinematics as reference
 from jaxmocap.reference.hybrid import ik as reference_ik
@@ -33,27 +37,28 @@ class CountedTracker(HybridTracker):
     """Counts how often each of the two functions is traced, with its cameras or without."""
 
     def __init__(self, *arguments, **options):
-        steps._programs.cache_clear()
         super().__init__(*arguments, **options)
-        self.traced = TRACED[self.cameras is not None]
+        self.traced = TRACED[self.model.cameras is not None]
 
 
 TRACED: dict[bool, list[str]] = {True: [], False: []}
 
 
-def telling(name, function, held, skeleton, cameras, *rest):
-    TRACED[cameras is not None].append(name)
-    return function(held, skeleton, cameras, *rest)
+def counting(function, model, *rest):
+    TRACED[model.cameras is not None].append(function.__name__)
+    return function(model, *rest)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def counted():
-    """What both functions are from now on tells when it is traced."""
+    """From now on both programs count how often they are traced."""
     with pytest.MonkeyPatch.context() as patched:
-        for name in ("solve", "refine"):
-            patched.setattr(steps, name, partial(telling, name, getattr(steps, name)))
+        for function in (solve, refine):
+            name = function.__name__
+            patched.setattr(
+                tracker_module, name.upper(), Program(partial(counting, function), name)
+            )
         yield
-    steps._programs.cache_clear()
 
 
 @pytest.fixture(scope="module")
@@ -74,11 +79,11 @@ def elbow_errors(pose, truth):
 def followed(tracker, count, state=None, first=0):
     """The state after some frames with video, and each frame's poses and report."""
     state = tracker.init(markers_of(waving(first / RATE))) if state is None else state
-    seen = []
+    tracked = []
     for time, truth, markers in frames(count, first):
         state, pose, report = tracker.step(state, time, markers, [image_of(truth)])
-        seen.append((truth, pose, report))
-    return state, seen
+        tracked.append((truth, pose, report))
+    return state, tracked
 
 
 def test_both_functions_are_traced_once_whatever_comes(tracker):
@@ -95,51 +100,51 @@ def test_both_functions_are_traced_once_whatever_comes(tracker):
             markers = markers + np.array([0, 1.5, 0])
         images = None if i == 13 else [image]
         state, pose, report = tracker.step(state, time, markers, images)
-        regions.append(np.asarray(tracker.solve(
-            tracker.skeleton, tracker.cameras, tracker.settings, state.pose, state.stance,
-            np.asarray(markers, np.float32),
-        ).region.origin))  # fmt: skip
+        solved = SOLVE(tracker.model, tracker.settings, state.pose, state.feet,
+                       np.asarray(markers, np.float32))  # fmt: skip
+        regions.append(np.asarray(solved.region.origin))
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((state, pose)))
-        np.testing.assert_array_equal(np.isnan(report.distances), np.isnan(markers).any(1))
+        np.testing.assert_array_equal(np.isnan(report.marker_errors), np.isnan(markers).any(1))
         assert bool(report.placed) == (i == 16)
     assert tracker.traced == ["solve", "refine"]
     assert len(np.unique(np.array(regions).reshape(20, -1), axis=0)) > 10
 
 
-def test_other_numbers_do_not_trace_anew(tracker):
+def test_other_numbers_do_not_trace_again(tracker):
     """Another person, other settings: arrays all of them."""
     state = tracker.init(markers_of(TRUTH))
     tracker.step(state, 0.0, markers_of(TRUTH), [image_of(TRUTH)])
     before = len(tracker.traced)
-    person, held = tracker.skeleton, tracker.settings
+    model, settings = tracker.model, tracker.settings
     try:
-        tracker.skeleton = Skeleton.human(1.6, 50.0)
-        tracker.settings = replace(held, ik=IKSettings.create(iterations=12, floor=0.1))
+        other = Model.create(Skeleton.human(1.6, 50.0), MARKERS, FRONT)
+        tracker.model = on_unmarked_feet(other)
+        tracker.settings = replace(settings, ik=IKSettings(iterations=12, floor=0.1))
         state, _, _ = tracker.step(state, 0.1, markers_of(TRUTH), [image_of(TRUTH)])
     finally:
-        tracker.skeleton, tracker.settings = person, held
+        tracker.model, tracker.settings = model, settings
     assert len(tracker.traced) == before
 
 
 def test_video_finds_the_elbows_that_markers_alone_miss(tracker):
-    _, seen = followed(tracker, 16)
-    errors = np.array([elbow_errors(pose, truth) for truth, pose, _ in seen])
-    without = np.array([elbow_errors(report.pose, truth) for truth, _, report in seen])
+    _, tracked = followed(tracker, 16)
+    errors = np.array([elbow_errors(pose, truth) for truth, pose, _ in tracked])
+    without = np.array([elbow_errors(report.marker_pose, truth) for truth, _, report in tracked])
     assert without.max(1).min() > 0.15
     assert errors[4:].max() < 0.03
     assert errors[4:].mean() < 0.3 * without.mean()
-    for _, _, report in seen[4:]:
-        assert (np.asarray(report.arm_costs) < 3).all()
+    for _, _, report in tracked[4:]:
+        assert (np.asarray(report.outline_px) < 3).all()
         assert (np.asarray(report.confidence) > 0.5).all()
         assert np.abs(report.swivels).max() > 0.5
 
 
 def test_markers_are_met_within_2_cm_in_every_frame(tracker):
-    _, seen = followed(tracker, 16)
-    for truth, pose, report in seen:
-        assert np.asarray(report.distances).max() < 0.02
+    _, tracked = followed(tracker, 16)
+    for truth, pose, report in tracked:
+        assert np.asarray(report.marker_errors).max() < 0.02
         apart = np.linalg.norm(markers_in(pose) - markers_of(truth), axis=1)
-        np.testing.assert_allclose(report.distances, apart, atol=1e-4)
+        np.testing.assert_allclose(report.marker_errors, apart, atol=1e-4)
         angles = np.asarray(pose.angles)
         assert (angles >= LIMITS[:, 0] - 1e-4).all() and (angles <= LIMITS[:, 1] + 1e-4).all()
 
@@ -153,21 +158,21 @@ def test_what_video_found_is_carried_to_samples_without_a_frame(tracker):
     for time, truth, markers in frames(6, 8):
         state, pose, report = tracker.step(state, time, markers, None)
         assert elbow_errors(pose, truth).max() < 0.06
-        assert elbow_errors(report.pose, truth).max() > 0.15
-        assert np.isnan(report.arm_costs).all()
-        assert np.asarray(report.distances).max() < 0.02
+        assert elbow_errors(report.marker_pose, truth).max() > 0.15
+        assert np.isnan(report.outline_px).all()
+        assert np.asarray(report.marker_errors).max() < 0.02
 
 
-def test_without_images_it_ends_at_the_markers_pose_and_says_so(tracker):
-    state, seen = followed(tracker, 8)
-    certain = np.asarray(seen[-1][2].confidence)
+def test_without_images_it_ends_at_the_markers_pose_and_grows_unsure(tracker):
+    state, tracked = followed(tracker, 8)
+    certain = np.asarray(tracked[-1][2].confidence)
     for i in range(8, 8 + 4 * RATE, 6):
         truth = waving(8 / RATE)
         state, pose, report = tracker.step(state, i / RATE, markers_of(truth), [BLACK])
         assert (np.asarray(report.confidence) <= certain + 1e-6).all()
         certain = np.asarray(report.confidence)
     assert (certain < 0.2).all()
-    np.testing.assert_allclose(arms_in(pose).elbow, arms_in(report.pose).elbow, atol=0.05)
+    np.testing.assert_allclose(arms_in(pose).elbow, arms_in(report.marker_pose).elbow, atol=0.05)
 
 
 def test_elbows_come_back_after_a_gap(tracker):
@@ -175,12 +180,12 @@ def test_elbows_come_back_after_a_gap(tracker):
     for i in range(6, 12):
         state, pose, _ = tracker.step(state, i / RATE, MISSING, [BLACK])
         assert all(np.isfinite(leaf).all() for leaf in pose)
-    _, seen = followed(tracker, 8, state, 12)
-    assert elbow_errors(seen[-1][1], seen[-1][0]).max() < 0.03
-    assert np.asarray(seen[-1][2].distances).max() < 0.02
+    _, tracked = followed(tracker, 8, state, 12)
+    assert elbow_errors(tracked[-1][1], tracked[-1][0]).max() < 0.03
+    assert np.asarray(tracked[-1][2].marker_errors).max() < 0.02
 
 
-def test_a_leap_places_the_body_anew(tracker):
+def test_a_leap_places_the_body_again(tracker):
     state, _ = followed(tracker, 4)
     truth = waving(4 / RATE)
     away = markers_of(truth) + np.array([3.0, -2.0, 0.0])
@@ -190,16 +195,16 @@ def test_a_leap_places_the_body_anew(tracker):
     for i in range(5, 8):
         state, pose, report = tracker.step(state, i / RATE, away, None)
         assert not report.placed
-    assert np.asarray(report.distances).max() < 0.02
+    assert np.asarray(report.marker_errors).max() < 0.02
 
 
-def test_solve_knows_nothing_of_what_refine_found(tracker, markers_only):
+def test_solve_does_not_depend_on_what_refine_found(tracker, markers_only):
     """The markers' poses are the same with and without video."""
-    _, seen = followed(tracker, 5)
+    _, tracked = followed(tracker, 5)
     state = markers_only.init(markers_of(waving(0)))
-    for (time, _, markers), (_, _, report) in zip(frames(5), seen, strict=True):
+    for (time, _, markers), (_, _, report) in zip(frames(5), tracked, strict=True):
         state, _, alone = markers_only.step(state, time, markers)
-        for part, other in zip(alone.pose, report.pose, strict=True):
+        for part, other in zip(alone.marker_pose, report.marker_pose, strict=True):
             np.testing.assert_allclose(part, other, atol=1e-5)
 
 
@@ -207,17 +212,19 @@ def test_markers_alone_are_tracked_without_a_camera(markers_only):
     state = markers_only.init(markers_of(waving(0)))
     for time, _, markers in frames(10):
         state, pose, report = markers_only.step(state, time, markers)
-        assert np.asarray(report.distances).max() < (0.02 if time > 0.1 else 1)
-        assert np.isnan(report.arm_costs).all()
-        for part, other in zip(pose, report.pose, strict=True):
+        assert np.asarray(report.marker_errors).max() < (0.02 if time > 0.1 else 1)
+        assert np.isnan(report.outline_px).all()
+        for part, other in zip(pose, report.marker_pose, strict=True):
             np.testing.assert_array_equal(part, other)
     assert markers_only.traced == ["solve", "refine"]
 
 
 def test_the_papers_markers_are_the_default(markers_only):
-    for ours, theirs in zip(markers_only.markers, MARKERS, strict=True):
-        np.testing.assert_array_equal(ours, theirs)
-    assert markers_only.held.held == ("l", "r")
+    found = markers_only.model
+    assert found.markers.bone_indices == MARKERS.bone_indices
+    np.testing.assert_array_equal(found.markers.at, MARKERS.at)
+    np.testing.assert_array_equal(found.markers.offsets, MARKERS.offsets)
+    assert found.unmarked_feet == ("l", "r")
 
 
 def squatting(depth):
@@ -235,7 +242,7 @@ def test_a_squat_is_balanced_and_its_bow_does_not_pile_up(tracker, images):
     for i, depth in enumerate(depths):
         state, pose, report = tracker.step(state, i / RATE, squatting(depth), images)
         spines.append(np.asarray(pose.angles)[dofs])
-        assert np.asarray(report.distances).max() < 0.02 or i < 2
+        assert np.asarray(report.marker_errors).max() < 0.02 or i < 2
     assert bool(report.balanced)
     change = np.degrees(np.abs(np.array(spines[-1]) - spines[13]))
     assert change.max() < 1.5
@@ -256,39 +263,36 @@ LANDMARKS_OF = jax.jit(landmarks)
 @pytest.fixture(scope="module")
 def paper_tracker():
     """The paper's way: plain edges, its sum, the simplex alone, no memory."""
-    chosen = replace(Settings.paper(), region=SMALL, polish=RefineSettings.create(iterations=8))
+    chosen = replace(Settings.paper(), region=SMALL, simplex=SimplexSettings(iterations=8))
     return HybridTracker(PERSON, [FRONT], chosen, MARKERS)
 
 
 def of_reference(tracker, state, markers, image, start, last):
-    """One frame by the reference from its own two poses; regions and stance are the tracker's."""
-    skeleton, settings = tracker.skeleton, tracker.settings
+    """One frame by the reference from its own two poses; regions and feet are the tracker's."""
+    model, settings = tracker.model, tracker.settings
     targets = np.asarray(markers, np.float32)
-    solved = tracker.solve(skeleton, tracker.cameras, settings, state.pose, state.stance, targets)
-    mask = jnp.ones(3, bool)
-    goals = goals_of(skeleton, tracker.held, settings.ik, solved.ik.stance, targets, mask)
-    body, camera = jax.tree.map(np.asarray, (skeleton, FRONT))
+    solved = SOLVE(model, settings, state.pose, state.feet, targets)
+    goals = goals_of(model, settings.ik, solved.ik.feet, jnp.asarray(targets))
+    body, camera = jax.tree.map(np.asarray, (model.skeleton, FRONT))
     by_markers, _ = reference_ik.reach(body, goals, settings.ik, start)
-    # The observer remembers its thresholds; this look must leave no trace.
-    observer = copy.copy(tracker.observer)
-    observer.thresholds = copy.deepcopy(observer.thresholds)
-    seen = observer.observe([image], solved.region)
+    fields, _ = observe(settings, state.thresholds, [image], solved.region)
     origin, scale = (np.asarray(part, float)[0] for part in solved.region)
     views = [
-        reference_pipeline.ArmView(origin[arm], scale[arm], np.asarray(seen.fields)[0, arm, 0])
+        reference_pipeline.ArmView(origin[arm], scale[arm], np.asarray(fields.distances)[0, arm, 0])
         for arm in range(2)
     ]
     refined = reference_pipeline.refine(
-        body, camera, settings, tracker.factors, goals, by_markers, last, views,
-        jax.tree.map(np.asarray, grips(skeleton, MARKERS)),
+        body, camera, settings, state.bow_factors, goals, by_markers, last, views,
+        jax.tree.map(np.asarray, MODEL.grips),
     )  # fmt: skip
     return by_markers, refined
 
 
 def apart(tracker, pose, expected):
-    ours = np.asarray(LANDMARKS_OF(tracker.skeleton, pose))
+    ours = np.asarray(LANDMARKS_OF(tracker.model.skeleton, pose))
     return np.linalg.norm(
-        ours - reference.landmarks(jax.tree.map(np.asarray, tracker.skeleton), expected), axis=1
+        ours - reference.landmarks(jax.tree.map(np.asarray, tracker.model.skeleton), expected),
+        axis=1,
     ).max()
 
 
@@ -302,7 +306,7 @@ def test_frame_by_frame_float32_is_within_a_millimetre_of_the_reference(paper_tr
             by_markers, refined = of_reference(tracker, state, markers, image, start, last)
         state, pose, report = tracker.step(state, time, markers, [image])
         if i >= 3:
-            assert apart(tracker, report.pose, by_markers) < 1e-3
+            assert apart(tracker, report.marker_pose, by_markers) < 1e-3
             assert apart(tracker, pose, refined) < 1e-3
             assert apart(tracker, pose, by_markers) > 2e-3
 

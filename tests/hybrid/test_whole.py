@@ -1,27 +1,25 @@
-"""A whole recording in two scans: what the steps find one by one, alone and side by side."""
+"""A whole recording in two scans: the steps' own results, alone and side by side."""
 
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxmocap.hybrid.first_state import settled, settled_at_once
-from jaxmocap.hybrid.scan import EVENTS, Views, solved_over_time
-from jaxmocap.pipelines.tracking.scan_events import scanned
-from jaxmocap.pipelines.tracking.step_events import stepped
 from watched_arms import FRONT, MARKERS, PERSON
 from waving_arms import RATE, image_of, markers_of, waving
 
 from jaxmocap.capture.footage import forward_readers, open_footage
+from jaxmocap.compilation.clock import Clock
+from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
-from jaxmocap.hybrid.observe import Observation
-from jaxmocap.hybrid.settings import RefineSettings, Settings
+from jaxmocap.hybrid.settings import Settings, SimplexSettings
+from jaxmocap.hybrid.step import EVENTS, SOLVE, SOLVE_EVENTS, EventFields, solve_events
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.images.regions import Region
-from jaxmocap.pipelines.tracking.events import Plan
+from jaxmocap.pipelines.tracking.events import Events
+from jaxmocap.pipelines.tracking.first_pass import scanned, stepped
 from jaxmocap.pipelines.tracking.track import make_tracker
 
 SAMPLES = EVENTS + 4
@@ -48,20 +46,23 @@ def recording():
 @pytest.fixture(scope="module")
 def tracker(recording):
     # Few steps of the simplex: where its minimum is flat, many spread a rounding to millimetres.
-    few = replace(Settings(region=64), polish=RefineSettings.create(iterations=5))
+    few = replace(Settings(region=64), simplex=SimplexSettings(iterations=5))
     return make_tracker(recording, few)
 
 
 @pytest.fixture(scope="module")
 def both_ways(recording, tracker):
-    def gone_through(way, *more):
+    def gone_through(way):
         videos, _ = open_footage(recording)
-        plan, shown = Plan.of(recording, videos, "own"), []
+        events, shown = Events.of(recording, videos, "own"), []
         with forward_readers(videos) as readers:
-            found = way(plan, tracker, readers, *more, lambda *call: shown.append(call))
+            found = way(events, tracker, readers, lambda *call: shown.append(call), Clock())
         return found, shown
 
-    return gone_through(scanned), gone_through(stepped, None)
+    def step_by_step(events, tracker, readers, show, clock):
+        return stepped(events, tracker, readers, None, show, clock)[0]
+
+    return gone_through(scanned), gone_through(step_by_step)
 
 
 def assert_same(found, expected):
@@ -72,55 +73,53 @@ def assert_same(found, expected):
 
 def test_two_scans_find_what_the_steps_find(both_ways):
     (found, shown), (expected, _) = both_ways
-    assert_same((found.refined, found.reports), (expected.refined, expected.reports))
+    assert_same((found.poses, found.reports), (expected.poses, expected.reports))
     assert shown == [(EVENTS, SAMPLES), (SAMPLES, SAMPLES)]
-    # Lost markers are told, and what video found is carried to events without a frame.
-    lost = np.isnan(found.plan.markers_world).any(-1)
-    np.testing.assert_array_equal(np.isnan(found.reports.distances), lost)
-    assert np.isnan(found.reports.arm_costs[2]).all() and abs(found.reports.swivels[2]).max() > 0.01
+    # Lost markers are reported, and what video found is carried to events without a frame.
+    lost = np.isnan(found.markers_world).any(-1)
+    np.testing.assert_array_equal(np.isnan(found.reports.marker_errors), lost)
+    assert (
+        np.isnan(found.reports.outline_px[2]).all() and abs(found.reports.swivels[2]).max() > 0.01
+    )
 
 
-def test_two_scans_say_what_the_steps_say(both_ways):
+def test_two_scans_warn_of_what_the_steps_warn_of(both_ways):
     (found, _), (expected, _) = both_ways
-    assert found.said == expected.said
-    unread = [i for i, said in enumerate(found.said) if any("cannot be read" in s for s in said)]
+    assert found.warnings == expected.warnings
+    unread = [i for i, own in enumerate(found.warnings) if any("cannot be read" in s for s in own)]
     assert unread == [10]
 
 
-def test_the_body_rests_on_its_first_markers_either_way(recording, tracker, both_ways):
+def test_the_body_rests_on_its_first_markers(recording, tracker):
     first = recording.positions_world[0]
-    shared = tracker.skeleton, tracker.cameras, tracker.settings
-    solving, _ = tracker.scans.compiling((), lambda solved: ())
-    found = settled_at_once(tracker, solving(), first)
-    assert_same(found, settled(tracker, first))
-    again = tracker.solve(*shared, found.pose, found.stance, first.astype(np.float32))
+    found = tracker.init(first)
+    again = SOLVE(tracker.model, tracker.settings, found.pose, found.feet, first.astype(np.float32))
     assert np.abs(again.ik.pose.angles - found.pose.angles).max() < 0.01
 
 
 def test_recordings_side_by_side_are_solved_as_each_by_itself():
     tracker = HybridTracker(PERSON, settings=Settings(balance=False), markers=MARKERS)
-    starts, shared = (0, 7), (tracker.skeleton, None, tracker.settings)
+    starts, shared = (0, 7), (tracker.model, tracker.settings)
     states = [tracker.init(markers_of(waving(first / RATE))) for first in starts]
-    begun = jax.tree.map(lambda *parts: jnp.stack(parts), *[(s.pose, s.stance) for s in states])
+    begun = jax.tree.map(lambda *parts: jnp.stack(parts), *[(s.pose, s.feet) for s in states])
     markers = np.stack(
         [[markers_of(waving((first + i) / RATE)) for i in range(9)] for first in starts]
     ).astype(np.float32)
     markers[:, 4:6, 1] = np.nan
-    scan = partial(solved_over_time, tracker.solve)
-    _, together = jax.jit(jax.vmap(scan, (None, None, None, 0, 0)))(*shared, begun, markers)
+    _, together = jax.jit(jax.vmap(solve_events, (None, None, 0, 0)))(*shared, begun, markers)
     for row, (state, own) in enumerate(zip(states, markers, strict=True)):
-        _, alone = tracker.scans.solve_all(*shared, (state.pose, state.stance), own)
+        _, alone = SOLVE_EVENTS(*shared, (state.pose, state.feet), own)
         assert_same(jax.tree.map(lambda part, r=row: part[r], together), alone)
 
 
-def test_what_is_seen_is_kept_once():
+def test_the_fields_of_an_image_are_kept_once():
     nowhere = Region(np.zeros((1, 2, 2)), np.ones((1, 2)))
 
-    def seen(value):
-        return Observation(nowhere, np.full((1, 2, 1, 4, 4), value), np.full((1, 2), value > 0))
+    def fields(value):
+        return EdgeFields(nowhere, np.full((1, 2, 1, 4, 4), value), np.full((1, 2), value > 0))
 
-    views = Views.of(seen(0.0), [seen(1.0), None, seen(2.0), None])
-    np.testing.assert_array_equal(views.which, [1, 0, 2, 0])
-    assert views.fields.shape == (5, 1, 2, 1, 4, 4)
-    np.testing.assert_array_equal(views.fields[views.which][:, 0, 0, 0, 0, 0], [1, 0, 2, 0])
-    np.testing.assert_array_equal(views.seen[views.which][:, 0, 0], [True, False, True, False])
+    kept = EventFields.of(fields(0.0), [fields(1.0), None, fields(2.0), None])
+    np.testing.assert_array_equal(kept.which, [1, 0, 2, 0])
+    assert kept.distances.shape == (5, 1, 2, 1, 4, 4)
+    np.testing.assert_array_equal(kept.distances[kept.which][:, 0, 0, 0, 0, 0], [1, 0, 2, 0])
+    np.testing.assert_array_equal(kept.available[kept.which][:, 0, 0], [True, False, True, False])

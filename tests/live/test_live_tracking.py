@@ -1,6 +1,6 @@
 """What a live run asks of tracker and smoother: when, with which markers, in which order.
 
-Both are stand-ins that note what they are asked; the real ones have tests of their own.
+Both are stand-ins that keep what they are asked; the real ones have tests of their own.
 """
 
 from pathlib import Path
@@ -19,45 +19,42 @@ from jaxmocap.formats.recordings.live import LiveSetup, LiveVideo
 from jaxmocap.formats.recordings.recording import MarkerPlace
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.live import tracking as live_tracking
-from jaxmocap.pipelines.live.tracking import LONGEST_CLOCK_S, LiveTracking
-from jaxmocap.smoothing.fixed_lag import Given
+from jaxmocap.pipelines.live.tracking import LiveTracking
+from jaxmocap.smoothing.fixed_lag import SmoothedPose
 
 SKELETON = Skeleton.human(1.75)
 POSE = Pose(np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(len(SKELETON.tree.joints)))
 IMAGE = np.zeros((4, 4), np.uint8)
 
 
-class Belief(NamedTuple):
-    time: np.ndarray
-
-
 class State(NamedTuple):
-    belief: Belief
+    time: float | None
 
 
 class Tracker:
-    """Notes its steps; believes in the time of its last image."""
-
-    dtype = np.float32
+    """Keeps its steps; its state is the time of the last of them."""
 
     def __init__(self, cameras: int = 1):
-        self.skeleton = SKELETON
-        self.markers = SimpleNamespace(bones=np.zeros(3, int))
-        self.cameras = SimpleNamespace(size=np.full((cameras, 2), 4)) if cameras else None
+        lenses = SimpleNamespace(size=np.full((cameras, 2), 4)) if cameras else None
+        markers = SimpleNamespace(bones=np.zeros(3, int))
+        self.model = SimpleNamespace(skeleton=SKELETON, markers=markers, cameras=lenses)
+        self.settings = Settings()
         self.steps: list[tuple[float, np.ndarray, object]] = []
+
+    def init(self, markers_world):
+        return State(None)
 
     def step(self, state, time, markers_world, images):
         self.steps.append((time, markers_world, images))
-        self.elapsed = time - float(state.belief.time)
-        if images is not None:
-            state = State(Belief(np.float32(time)))
-        return state, POSE, SimpleNamespace(placed=False, confidence=np.array([0.25, 0.75]))
+        self.elapsed = None if state.time is None else time - state.time
+        report = SimpleNamespace(placed=False, confidence=np.array([0.25, 0.75]))
+        return State(time), POSE, report
 
 
 class Smoother:
-    """Gives every event out at once."""
+    """Every event is final at once."""
 
-    def __init__(self, tracker):
+    def __init__(self, model, settings):
         self.times: list[float] = []
         self.markers: list[np.ndarray] = []
 
@@ -65,7 +62,7 @@ class Smoother:
         self.times.append(time)
         self.markers.append(markers_world)
         deviations = np.zeros((len(LANDMARKS), 3))
-        return [Given(len(self.times) - 1, time, pose, deviations, np.zeros(len(LANDMARKS)))]
+        return [SmoothedPose(len(self.times) - 1, time, pose, deviations, np.zeros(len(LANDMARKS)))]
 
     def flush(self):
         return []
@@ -77,9 +74,6 @@ def tracking(monkeypatch):
 
     def make(smooth: bool = False, cameras: int = 1, one_euro=None) -> LiveTracking:
         monkeypatch.setattr(LiveTracking, "_warm_up", lambda self: None)
-        monkeypatch.setattr(
-            live_tracking, "settled", lambda tracker, points: State(Belief(np.float32(0)))
-        )
         monkeypatch.setattr(live_tracking, "FixedLagSmoother", Smoother)
         video = LiveVideo("cam", SimpleNamespace(), 0)  # type: ignore[arg-type]
         places = tuple(MarkerPlace(name, "head") for name in "abc")
@@ -111,7 +105,7 @@ def test_every_sample_gives_a_pose_at_once_and_frames_give_none(tracking):
     assert outputs[0].confidence.tolist() == [0.25, 0.75]
 
 
-def test_a_frame_is_looked_at_with_the_markers_of_its_own_time(tracking):
+def test_a_frame_is_refined_with_the_markers_of_its_own_time(tracking):
     live = tracking(cameras=2)
     for i in range(6):
         live.sample(sample(i / 90))
@@ -144,15 +138,15 @@ def test_tracking_begins_with_all_markers_or_after_a_while_with_some(tracking):
     assert not any(blind.sample(sample(i / 90, missing=(0, 1, 2))) for i in range(60))
 
 
-def test_in_a_long_run_the_trackers_seconds_stay_small_and_pass_as_they_do(tracking):
+def test_in_a_long_run_the_trackers_seconds_pass_as_they_do(tracking):
+    """Days after it began a hundredth of a second is still one: times are float64 on the host."""
     live = tracking()
     for i in range(5):
-        time = 100.0 + 0.4 * LONGEST_CLOCK_S * i
+        time = 100.0 + 86400.0 * i
         live.sample(sample(time))
         live.frames([frame(time + 0.01)])
         live.sample(sample(time + 0.02))
         assert live.tracker.elapsed == pytest.approx(0.01, abs=1e-4)
-    assert max(time for time, *_ in live.tracker.steps) < 1.1 * LONGEST_CLOCK_S
 
 
 def test_smoothing_has_samples_and_frames_in_the_order_of_their_times(tracking):

@@ -47,7 +47,7 @@ def make_report() -> Report:
     costs = np.full((SAMPLES, 2), np.nan)
     costs[::3] = 2.0
     missing = [("marker LWrist is missing",) if 5 <= i < 9 else () for i in range(SAMPLES)]
-    missing[20] = ("marker LWrist is missing", "planted anew")
+    missing[20] = ("marker LWrist is missing", "planted again")
     return Report(
         markers=("Head", "L Wrist:1"),
         marker_errors=errors,
@@ -371,7 +371,7 @@ def test_the_report_tells_times_costs_and_statuses_and_has_null_for_nan(tmp_path
         "count": 5,
         "spans_s": [[times[5], times[8]], [times[20], times[20]]],
     }
-    assert report["statuses"]["planted anew"]["count"] == 1
+    assert report["statuses"]["planted again"]["count"] == 1
     assert report["settings"] == {"refine": "gradient", "weights": [1.0, 1.0], "limit": None}
     assert report["warnings"] == ["cropped"] and report["offset"] is None
     assert {"jaxmocap", "jax", "numpy", "opencv", "python"} == set(report["versions"])

@@ -6,7 +6,6 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxmocap.hybrid.scan import EVENTS
 from small_recording import (
     FRAMES,
     PLACES,
@@ -30,6 +29,7 @@ from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.tables import Markers
 from jaxmocap.geometry.cameras import turned
 from jaxmocap.hybrid.settings import Settings
+from jaxmocap.hybrid.step import EVENTS
 from jaxmocap.pipelines.summary import figures, frames_per_second, misfit, summary
 from jaxmocap.pipelines.tracking import warnings
 from jaxmocap.pipelines.tracking.track import choose_settings, make_tracker, track, track_both
@@ -45,7 +45,8 @@ def tracked():
     return track_both(small_recording(), tracker=compiled())
 
 
-def said(motion, sentence: str) -> list[int]:
+def samples_with(motion, sentence: str) -> list[int]:
+    """Which samples have a warning."""
     return [i for i, lines in enumerate(motion.report.statuses) if sentence in lines]
 
 
@@ -78,9 +79,9 @@ def test_filters_are_reported():
     spoilt = replace(recording, positions_world=positions, filters=wanted)
     motion = track(spoilt, tracker=compiled())
     assert motion.report.settings["filters"]["on"] == {"hampel": True, "gaps": 0.06}
-    assert said(motion, "marker LWrist was an outlier") == [5]
-    assert said(motion, "marker RWrist was filled in") == [10, 11, 12]
-    assert not said(motion, "marker RWrist is missing")
+    assert samples_with(motion, "marker LWrist was an outlier") == [5]
+    assert samples_with(motion, "marker RWrist was filled in") == [10, 11, 12]
+    assert not samples_with(motion, "marker RWrist is missing")
     assert "hampel = True, gaps = 0.06" in summary(motion)
     assert motion.report.marker_errors.max() < 0.03, "nothing followed the outlier"
 
@@ -117,11 +118,12 @@ def test_the_stages_of_live_steps_are_timed_event_by_event():
     assert (times["frame"] >= parts).all()
 
 
-def test_the_report_holds_what_the_tracker_was_told(tracked):
-    told = tracked.motion.report.settings
-    assert told["recording"] == "small" and told["mode"] == "own" and told["cameras"] == ["cam"]
-    assert told["markers"] == list(PLACES) and told["warnings"] == []
-    assert told["tracker"]["refine"] == "simplex" and told["tracker"]["polish"]["iterations"] > 0
+def test_the_report_holds_the_trackers_settings(tracked):
+    used = tracked.motion.report.settings
+    assert used["recording"] == "small" and used["mode"] == "own" and used["cameras"] == ["cam"]
+    assert used["markers"] == list(PLACES) and used["warnings"] == []
+    assert used["tracker"]["refine"] == "simplex"
+    assert used["tracker"]["simplex"]["iterations"] > 0
 
 
 def test_tracking_twice_with_one_tracker_gives_the_same(tracked):
@@ -129,7 +131,7 @@ def test_tracking_twice_with_one_tracker_gives_the_same(tracked):
     np.testing.assert_array_equal(again.poses.angles, tracked.motion.poses.angles)
 
 
-def test_progress_is_told_chunk_by_chunk():
+def test_progress_is_shown_chunk_by_chunk():
     calls = []
     track(small_recording(), tracker=compiled(), progress=lambda *call: calls.append(call))
     total = calls[0][1]
@@ -143,10 +145,10 @@ def test_progress_is_told_chunk_by_chunk():
     assert percents == sorted(percents) and percents[-1] == 100
 
 
-def test_progress_of_live_steps_is_told_event_by_event():
+def test_progress_of_live_steps_is_shown_event_by_event():
     calls = []
-    told = lambda *call: calls.append(call)  # noqa: E731
-    track(small_recording(), mode="causal", tracker=compiled(), progress=told)
+    keep = lambda *call: calls.append(call)  # noqa: E731
+    track(small_recording(), mode="causal", tracker=compiled(), progress=keep)
     assert calls == [(i, calls[0][1]) for i in range(1, calls[0][1] + 1)]
 
 
@@ -163,8 +165,8 @@ def test_causal_rows_do_not_depend_on_what_comes_later():
     positions = recording.positions_world.copy()
     positions[half:] += 0.05
     times, images = recording.videos[0].frames
-    seen_before = np.array(times) + 0.004 < recording.times[half]
-    later = [im if early else im[::-1] for early, im in zip(seen_before, images, strict=True)]
+    is_before = np.array(times) + 0.004 < recording.times[half]
+    later = [im if early else im[::-1] for early, im in zip(is_before, images, strict=True)]
     other = with_frames(replace(recording, positions_world=positions), times, later)
     motions = [track(r, mode="causal", tracker=compiled()) for r in (recording, other)]
     first, second = (motion.poses.angles for motion in motions)
@@ -186,43 +188,43 @@ def test_without_video_the_markers_are_tracked_alone():
 # What is missing ---------------------------------------------------------------------------------
 
 
-def test_gaps_in_the_markers_are_tracked_through_and_said():
+def test_gaps_in_the_markers_are_tracked_through_with_warnings():
     recording = small_recording()
     positions = recording.positions_world.copy()
     positions[5:9, 1] = np.nan
     positions[12, :] = np.nan
     motion = track(replace(recording, positions_world=positions), tracker=compiled())
     assert all(np.isfinite(part).all() for part in motion.poses)
-    assert said(motion, "marker LWrist is missing") == [5, 6, 7, 8, 12]
-    assert said(motion, "marker Head is missing") == [12]
+    assert samples_with(motion, "marker LWrist is missing") == [5, 6, 7, 8, 12]
+    assert samples_with(motion, "marker Head is missing") == [12]
     missing = np.isnan(motion.report.marker_errors)
     np.testing.assert_array_equal(missing, np.isnan(positions).any(-1))
     wrist = motion.joints()["wrist_l"]
     assert np.linalg.norm(wrist - recording.positions_world[:, 1], axis=1).max() < 0.15
 
 
-def test_samples_before_the_first_marker_are_unknown_and_said():
+def test_samples_before_the_first_marker_are_unknown_with_a_warning():
     recording = small_recording()
     positions = recording.positions_world.copy()
     positions[:3] = np.nan
     motion = track(replace(recording, positions_world=positions), tracker=compiled())
     assert np.isnan(motion.poses.position[:3]).all() and np.isnan(motion.joints()["head"][:3]).all()
     assert all(np.isfinite(part[3:]).all() for part in motion.poses)
-    assert said(motion, "no marker has been seen yet") == [0, 1, 2]
+    assert samples_with(motion, "no marker has been seen yet") == [0, 1, 2]
 
 
-def test_a_video_that_ends_early_is_tracked_through_and_said():
+def test_a_video_that_ends_early_is_tracked_through_with_warnings():
     recording = small_recording()
     short = with_frames(recording, np.arange(4) / VIDEO_RATE, [image(i) for i in range(4)])
     motion = track(short, tracker=compiled())
     assert all(np.isfinite(part).all() for part in motion.poses)
     last = 3 / VIDEO_RATE + 0.004
     late = np.flatnonzero(motion.times > last + 1.5 / VIDEO_RATE).tolist()
-    assert said(motion, "cam: no video frame near this sample") == late
+    assert samples_with(motion, "cam: no video frame near this sample") == late
     assert (motion.report.confidence[-1] < motion.report.confidence[6]).all()
 
 
-def test_black_and_unreadable_frames_are_tracked_through_and_said():
+def test_black_and_unreadable_frames_are_tracked_through_with_warnings():
     recording = small_recording()
     times, images = recording.videos[0].frames
     broken = list(images)
@@ -231,16 +233,16 @@ def test_black_and_unreadable_frames_are_tracked_through_and_said():
     assert all(np.isfinite(part).all() for part in motion.poses)
     # The sentence goes to the first sample after the frame.
     after = np.searchsorted(motion.times, np.array(times) + 0.004)
-    assert said(motion, "cam: the video frame is black or blank") == [after[3]]
-    assert said(motion, "cam: the video frame cannot be read") == [after[6]]
+    assert samples_with(motion, "cam: the video frame is black or blank") == [after[3]]
+    assert samples_with(motion, "cam: the video frame cannot be read") == [after[6]]
 
 
-def test_a_jump_of_the_body_is_said():
+def test_a_jump_of_the_body_has_a_warning():
     recording = small_recording()
     positions = recording.positions_world.copy()
     positions[10:] += [1.5, 0.0, 0.0]
     motion = track(replace(recording, positions_world=positions), tracker=compiled())
-    placed = said(motion, "the body was placed anew")
+    placed = samples_with(motion, "the body was placed again")
     # The frame between the samples 9 and 10 may see the body half-way.
     assert placed and set(placed) <= {10, 11}
     errors = np.nanmax(motion.report.marker_errors, axis=1)
@@ -280,11 +282,11 @@ def test_a_height_replaces_the_skeleton_and_a_wrong_one_is_refused():
 
 def test_settings_are_chosen_by_words():
     assert choose_settings("none").refine == "none" and choose_settings().search
-    assert choose_settings(paper=True).evidence == "raster"
-    assert make_tracker(small_recording(), choose_settings("none")).cameras is None
+    assert choose_settings(paper=True).edges.compared == "raster"
+    assert make_tracker(small_recording(), choose_settings("none")).model.cameras is None
 
 
-def test_the_papers_own_way_knows_no_second_pass():
+def test_the_papers_own_way_does_not_smooth():
     assert choose_settings().smooth and not choose_settings(paper=True).smooth
 
 
@@ -327,7 +329,7 @@ def test_joints_and_motion_read_back_as_they_were(written, tracked):
     assert loaded.report.statuses == tracked.motion.report.statuses
 
 
-def test_the_report_counts_what_was_said(written, tmp_path):
+def test_the_report_counts_warnings(written, tmp_path):
     report = json.loads((written / "report.json").read_text())
     assert report["frames"] == SAMPLES and report["recording"] == "small"
     assert report["milliseconds"]["frame"]["count"] > 0
@@ -359,7 +361,7 @@ def test_the_overlay_is_drawn_by_the_camera_as_it_was_found(written, tracked, tm
         with av.open(str(folder / "overlay.mp4")) as video:
             return np.stack([frame.to_ndarray(format="gray") for frame in video.decode(video=0)])
 
-    def told(turns) -> Motion:
+    def with_turns(turns) -> Motion:
         settings = {**tracked.motion.report.settings, "camera_turns_deg": turns}
         return replace(tracked.motion, report=replace(tracked.motion.report, settings=settings))
 
@@ -367,8 +369,8 @@ def test_the_overlay_is_drawn_by_the_camera_as_it_was_found(written, tracked, tm
     (source,) = recording.videos
     away = turned(source.camera, jnp.radians(jnp.array(turn)))
     elsewhere = replace(recording, videos=(replace(source, camera=away),))
-    write_outputs(told({"cam": turn}), recording, tmp_path / "found")
-    write_outputs(told({}), elsewhere, tmp_path / "calibrated")
+    write_outputs(with_turns({"cam": turn}), recording, tmp_path / "found")
+    write_outputs(with_turns({}), elsewhere, tmp_path / "calibrated")
     expected = drawn(tmp_path / "calibrated")
     np.testing.assert_array_equal(drawn(tmp_path / "found"), expected)
     assert (np.abs(drawn(written).astype(int) - expected) > 50).any(0).sum() > 200

@@ -13,31 +13,31 @@ import pytest
 from conftest import on_device
 from hypothesis import given
 from hypothesis import strategies as st
-from jaxmocap.pipelines.tracking.second_pass import trust_in
-from jaxmocap.smoothing.trajectory import (
+from painted_motion import (
+    CAMERAS,
+    MODEL,
+    PERSON,
+    SETTINGS,
+    disturbed,
+    elbow_errors,
+    problem,
+    views,
+)
+
+from jaxmocap.geometry.cameras import project, to_camera, turned
+from jaxmocap.geometry.rotations import exp
+from jaxmocap.smoothing.elbow_viterbi import elbow_goals
+from jaxmocap.smoothing.linearise import SmoothedPoses, smooth_poses
+from jaxmocap.smoothing.problem import (
     UNTURNED,
+    SmoothingProblem,
     Trajectory,
     all_turned,
     among_cameras,
     moved_by,
     shared_prior,
 )
-from painted_motion import (
-    CAMERAS,
-    MARKERS,
-    PERSON,
-    SETTINGS,
-    disturbed,
-    elbow_errors,
-    problem,
-    sights,
-)
-
-from jaxmocap.body.arms import grips
-from jaxmocap.geometry.cameras import project, to_camera, turned
-from jaxmocap.geometry.rotations import exp
-from jaxmocap.smoothing.elbow_viterbi import elbow_goals
-from jaxmocap.smoothing.linearise import Problem, SmoothedPoses, smooth_poses
+from jaxmocap.smoothing.uncertainty import with_deviations
 
 COUNT, SOFTNESS = 12, (3.0, 0.8)
 # Half a degree, rotation vectors in the cameras' frames; a turn about the view is hardly seen.
@@ -45,10 +45,11 @@ TURNS = np.radians(0.5) * np.array([[0.6, 0.8, 0.0], [-0.9, 0.4, 0.1]], np.float
 LOOSE = replace(SETTINGS, camera=jnp.float32(0.01))
 
 
-def misstated(cameras=(0,), turns=TURNS, settings=LOOSE) -> Problem:
-    """The motion, seen by cameras that are turned by so much against what is stated of them."""
-    true = problem(COUNT, sights(COUNT, cameras))
-    return replace(true, cameras=all_turned(true.cameras, -turns), settings=settings)
+def misstated(cameras=(0,), turns=TURNS, settings=LOOSE) -> SmoothingProblem:
+    """The motion, in cameras that are turned by so much against what is stated of them."""
+    true = problem(COUNT, views(COUNT, cameras))
+    stated = replace(true.model, cameras=all_turned(true.model.cameras, -turns))
+    return replace(true, model=stated, settings=settings)
 
 
 def start(free: bool) -> Trajectory:
@@ -82,7 +83,7 @@ def test_cameras_are_found_to_be_turned_as_they_are():
     assert (left < 0.5 * np.linalg.norm(TURNS, axis=1)).all()
 
 
-def test_a_camera_that_saw_nothing_stays_as_it_is():
+def test_a_camera_without_a_view_stays_as_it_is():
     turns = np.asarray(solved().trajectory.turns_cam)
     assert np.abs(turns[0]).max() > 1e-3 and not turns[1].any()
 
@@ -102,20 +103,19 @@ def test_the_surer_a_calibration_the_less_a_camera_turns():
     assert sizes[0] < 1e-5 and sizes == sorted(sizes)
 
 
-def test_trust_in_a_motion_is_not_greater_where_cameras_may_turn():
+def test_deviations_are_no_smaller_where_cameras_may_turn():
     ends = solved().trajectory, solved()[0]._replace(turns_cam=UNTURNED)
-    free, fixed = (trust_in(misstated(), end, SOFTNESS[-1]).deviations for end in ends)
+    free, fixed = (with_deviations(misstated(), end, SOFTNESS[-1]).deviations for end in ends)
     assert np.isfinite(free).all() and free.mean() > 0.99 * fixed.mean()
 
 
-# Where the turns are felt ------------------------------------------------------------------------
+# Where the turns count ---------------------------------------------------------------------------
 
 
-def test_candidates_for_the_elbows_are_seen_by_the_turned_cameras():
-    poses, grip = start(True).poses, grips(PERSON, MARKERS)
-    none = start(False).proportions
-    true = elbow_goals(misstated((0, 1), 0 * TURNS), Trajectory(poses, none), grip)
-    found = elbow_goals(misstated((0, 1)), Trajectory(poses, none, TURNS), grip)
+def test_candidates_for_the_elbows_are_priced_by_the_turned_cameras():
+    poses, none = start(True).poses, start(False).proportions
+    true = elbow_goals(misstated((0, 1), 0 * TURNS), Trajectory(poses, none))
+    found = elbow_goals(misstated((0, 1)), Trajectory(poses, none, TURNS))
     assert (np.linalg.norm(found - true, axis=-1) < 1e-3).mean() > 0.9
 
 
@@ -142,15 +142,14 @@ def test_half_a_degree_moves_what_is_seen_by_that_angle():
 
 
 def test_without_turns_cameras_are_the_very_same():
-    cameras = problem(1, sights(1)).cameras
-    assert all_turned(cameras, UNTURNED) is cameras
-    settings, seen = SETTINGS, np.zeros(5, int)
-    weights, _, _ = shared_prior(replace(settings, camera=jnp.float32(0.0)), seen, start(False))
+    assert all_turned(MODEL.cameras, UNTURNED) is MODEL.cameras
+    held, cameras = replace(SETTINGS, camera=jnp.float32(0.0)), np.zeros(5, int)
+    weights, _, _ = shared_prior(held, cameras, start(False))
     assert weights.shape == (2, 2) and np.isfinite(weights).all()
 
 
 @given(st.integers(0, 10_000), st.integers(1, 3), st.integers(0, 6))
-def test_sights_terms_among_cameras_are_those_of_a_wide_jacobian(seed, cameras, count):
+def test_views_terms_among_cameras_are_those_of_a_wide_jacobian(seed, cameras, count):
     rng, own = np.random.default_rng(seed), 4
     camera = rng.integers(0, cameras, count)
     J, r = rng.normal(size=(count, 7, own + 3)), rng.normal(size=(count, 7))
@@ -169,13 +168,13 @@ def test_sights_terms_among_cameras_are_those_of_a_wide_jacobian(seed, cameras, 
 
 def test_the_priors_gradient_is_that_of_its_cost():
     there = start(True)._replace(proportions=np.float32([0.03, -0.05]), turns_cam=TURNS)
-    seen, eps = np.array([0, 0, 1, 0]), 1e-6
-    hessian, gradient, _ = shared_prior(LOOSE, seen, there)
+    cameras, eps = np.array([0, 0, 1, 0]), 1e-6
+    hessian, gradient, _ = shared_prior(LOOSE, cameras, there)
     x = np.concatenate([there.proportions, there.turns_cam.ravel()]).astype(float)
 
     def cost(x: np.ndarray) -> float:
         at = there._replace(proportions=x[:2], turns_cam=x[2:].reshape(-1, 3))
-        return shared_prior(LOOSE, seen, at)[2]
+        return shared_prior(LOOSE, cameras, at)[2]
 
     slope = [(cost(x + eps * e) - cost(x - eps * e)) / 4 / eps for e in np.eye(len(x))]
     np.testing.assert_allclose(gradient, slope, rtol=1e-5, atol=1e-9)

@@ -1,6 +1,7 @@
 """Smoothing with a fixed lag: calm, causal, and complete whatever is missing."""
 
-from dataclasses import replace
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 
 import jax
@@ -14,19 +15,28 @@ from hypothesis import strategies as st
 from painted_motion import CAMERAS, ELBOWS, MARKERS, PERSON, RATE, elbow_errors, points_of, truth
 
 from jaxmocap.body.kinematics import forward, site_positions
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.proportions import PROPORTIONS
-from jaxmocap.evidence.silhouettes import Sight
+from jaxmocap.evidence.markers import Markers
+from jaxmocap.evidence.silhouettes import SilhouetteGrids, Silhouettes
 from jaxmocap.evidence.smoothness import smoothness
-from jaxmocap.hybrid.settings import Settings, SmoothingSettings
-from jaxmocap.hybrid.tracker import HybridTracker, StepReport
-from jaxmocap.smoothing import fixed_lag, window
-from jaxmocap.smoothing.fixed_lag import DELAY_FRAMES, FixedLagSmoother
-from jaxmocap.smoothing.fixed_lag import Given as GivenOut
-from jaxmocap.smoothing.levenberg_marquardt import Linearised, covariances, normal_equations, smooth
-from jaxmocap.smoothing.levenberg_marquardt import Settings as Solve
-from jaxmocap.smoothing.linearise import Problem, Sights, Trajectory, smooth_poses
-from jaxmocap.smoothing.marginal_prior import condensed, improve, leaving, window_variances
+from jaxmocap.hybrid.refine import StepReport
+from jaxmocap.smoothing import fixed_lag, marginal_prior, window
+from jaxmocap.smoothing.fixed_lag import DELAY_FRAMES, FixedLagSmoother, SmoothedPose
+from jaxmocap.smoothing.levenberg_marquardt import (
+    Linearised,
+    Marginal,
+    SolverSettings,
+    covariances,
+    leaving,
+    minimise,
+    normal_equations,
+)
+from jaxmocap.smoothing.linearise import smooth_poses
+from jaxmocap.smoothing.marginal_prior import condensed, window_variances
+from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views
+from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.solvers.arrow import Equations
 from jaxmocap.solvers.fading import Fading
 
@@ -36,7 +46,7 @@ TIMES = np.arange(COUNT) / RATE
 
 @cache
 def images() -> list[np.ndarray]:
-    """What camera 0 sees, with a sensor's noise."""
+    """Of camera 0, with a sensor's noise."""
     wall, rng = room(SIZE), np.random.default_rng(3)
     poses = [Pose(*each) for each in zip(*truth(COUNT), strict=True)]
     painted = [paint(CAMERAS[0], PERSON, pose, wall).image for pose in poses]
@@ -64,13 +74,14 @@ def shaking() -> Pose:
     return Pose(*(np.asarray(part, np.float32) for part in poses._replace(angles=angles)))
 
 
-@cache
-def tracker(**changed: float | int) -> HybridTracker:
-    """Of the person and camera 0; nothing of it is compiled here."""
-    over_time = SmoothingSettings.create(
-        marker=0.004, silhouette=0.7, acceleration=3.0, redundancy=4.0, mismatch=1.0, **changed
-    )
-    return HybridTracker(PERSON, [CAMERAS[0]], replace(Settings(), over_time=over_time), MARKERS)
+def smoother_of(silhouettes: dict | None = None, **changed: float | int) -> FixedLagSmoother:
+    """Of the person and camera 0; other settings of the silhouettes, and of all else."""
+    weights = {"deviation": 0.7, "redundancy": 4.0} | (silhouettes or {})
+    chosen = SmoothingSettings(
+        markers=Markers(deviation=0.004), silhouettes=Silhouettes(**weights), acceleration=3.0,
+        mismatch=1.0, **changed,
+    )  # fmt: skip
+    return FixedLagSmoother(Model.create(PERSON, MARKERS, CAMERAS[0]), chosen)
 
 
 def at(poses: Pose, i: int) -> Pose:
@@ -78,30 +89,34 @@ def at(poses: Pose, i: int) -> Pose:
 
 
 def report(i: int, placed: bool = False) -> StepReport:
-    """Of a step that trusts its elbows little; markers alone would do as well."""
+    """Of a step whose elbows are uncertain; markers alone would do as well."""
     nothing = dict.fromkeys(StepReport._fields, np.zeros(()))
     spread = np.full(2, 0.1)
     alone = at(shaking(), 0)._replace(position=shaking().position[i])
-    return StepReport(**(nothing | {"pose": alone, "spread": spread, "placed": np.bool_(placed)}))
+    found = {"marker_pose": alone, "elbow_deviations": spread, "placed": np.bool_(placed)}
+    return StepReport(**(nothing | found))
 
 
-def steps(seen=None, held=None, smoother=None, placed=(), count=COUNT) -> list[list[GivenOut]]:
-    """What each step gives out, and at last what is flushed."""
-    smoother = smoother or FixedLagSmoother(tracker())
-    seen, held = images() if seen is None else seen, markers() if held is None else held
-    out = [
-        smoother.step(TIMES[i], held[i], [seen[i]], at(shaking(), i), report(i, i in placed))
+def steps(
+    shown=None, targets=None, smoother=None, placed=(), count=COUNT
+) -> list[list[SmoothedPose]]:
+    """What is final after each step, and at last what is flushed."""
+    smoother = smoother or smoother_of()
+    shown = images() if shown is None else shown
+    targets = markers() if targets is None else targets
+    final = [
+        smoother.step(TIMES[i], targets[i], [shown[i]], at(shaking(), i), report(i, i in placed))
         for i in range(count)
     ]
-    return [*out, smoother.flush()]
+    return [*final, smoother.flush()]
 
 
-def joined(out: list[list[GivenOut]]) -> list[GivenOut]:
-    return [each for given_out in out for each in given_out]
+def joined(final: list[list[SmoothedPose]]) -> list[SmoothedPose]:
+    return [each for step in final for each in step]
 
 
-def poses_of(given_out: list[GivenOut]) -> Pose:
-    return jax.tree.map(lambda *parts: np.stack(parts), *(each.pose for each in given_out))
+def poses_of(final: list[SmoothedPose]) -> Pose:
+    return jax.tree.map(lambda *parts: np.stack(parts), *(each.pose for each in final))
 
 
 def accelerations(poses: Pose) -> float:
@@ -111,7 +126,7 @@ def accelerations(poses: Pose) -> float:
 
 
 @pytest.fixture(scope="module")
-def whole() -> list[list[GivenOut]]:
+def whole() -> list[list[SmoothedPose]]:
     return steps()
 
 
@@ -124,8 +139,8 @@ def test_every_event_comes_out_once_in_order_at_its_own_time(whole):
 
 
 def test_no_pose_waits_for_more_than_two_video_frames(whole):
-    for i, given_out in enumerate(whole[:-1]):
-        assert all(i - each.number <= DELAY_FRAMES for each in given_out)
+    for i, final in enumerate(whole[:-1]):
+        assert all(i - each.number <= DELAY_FRAMES for each in final)
     assert len(whole[-1]) == DELAY_FRAMES
 
 
@@ -136,22 +151,23 @@ def test_the_elbows_are_calm_and_nearer_than_the_first_pass(whole):
     assert after[8:].mean() < 0.025 and after[8:].mean() < 0.7 * before[8:].mean()
 
 
-def test_the_first_frames_are_no_worse_than_the_first_pass_though_no_background_is_known(whole):
+def test_the_first_frames_are_no_worse_than_the_first_pass_though_no_background_is_learned(whole):
     found = poses_of(joined(whole)[:6])
     assert elbow_errors(found).mean() < 1.2 * elbow_errors(shaking())[:6].mean()
 
 
 def test_deviations_hold_the_truth_and_the_wrists_are_surer_than_the_elbows(whole):
-    told = np.stack([each.deviations for each in joined(whole)])
+    deviations = np.stack([each.deviations for each in joined(whole)])
     off = points_of(poses_of(joined(whole))) - points_of(truth(COUNT))
-    assert np.isfinite(told).all() and (told > 0).all()
-    within = np.abs(off[:, ELBOWS]) < 1.645 * told[:, ELBOWS]
+    assert np.isfinite(deviations).all() and (deviations > 0).all()
+    within = np.abs(off[:, ELBOWS]) < 1.645 * deviations[:, ELBOWS]
     assert within.mean() > 0.8
-    wrists = [points for points in range(told.shape[1]) if told[8, points].max() < 0.015]
+    points = range(deviations.shape[1])
+    wrists = [point for point in points if deviations[8, point].max() < 0.015]
     assert wrists and not set(wrists) & set(ELBOWS)
 
 
-def test_what_comes_later_changes_nothing_that_was_given_out(whole):
+def test_what_comes_later_changes_nothing_that_is_final(whole):
     half = COUNT // 2
     other, moved = list(images()), markers().copy()
     other[half:] = [image[::-1].copy() for image in other[half:]]
@@ -170,11 +186,11 @@ def test_what_comes_later_changes_nothing_that_was_given_out(whole):
 
 
 def test_missing_markers_images_and_grey_images_are_bridged(whole):
-    seen, held = list(images()), markers().copy()
-    seen[5] = seen[6] = None
-    seen[9] = np.zeros_like(seen[9])
-    held[8:11, 1], held[13] = np.nan, np.nan
-    out = joined(steps(seen, held))
+    shown, targets = list(images()), markers().copy()
+    shown[5] = shown[6] = None
+    shown[9] = np.zeros_like(shown[9])
+    targets[8:11, 1], targets[13] = np.nan, np.nan
+    out = joined(steps(shown, targets))
     assert [each.number for each in out] == list(range(COUNT))
     assert all(np.isfinite(part).all() for part in poses_of(out))
     assert elbow_errors(poses_of(out))[8:].mean() < 0.04
@@ -194,17 +210,17 @@ def test_grey_images_will_do():
     assert len(out) == 6 and all(np.isfinite(part).all() for part in poses_of(out))
 
 
-def test_silhouettes_without_weight_tell_nothing():
-    dark, blind = [np.zeros_like(image) for image in images()], tracker(person=0.0, forearms=0.0)
-    seen, unseen = (
-        poses_of(joined(steps(each, smoother=FixedLagSmoother(blind), count=8)))
+def test_silhouettes_without_weight_change_nothing():
+    dark, weights = [np.zeros_like(image) for image in images()], {"person": 0.0, "forearms": 0.0}
+    lit, unlit = (
+        poses_of(joined(steps(each, smoother=smoother_of(weights), count=8)))
         for each in (images(), dark)
     )
-    for own, expected in zip(seen, unseen, strict=True):
+    for own, expected in zip(lit, unlit, strict=True):
         np.testing.assert_array_equal(own, expected)
 
 
-def test_a_body_that_is_placed_anew_begins_a_new_motion():
+def test_a_body_that_is_placed_again_begins_a_new_motion():
     out = steps(placed=(6,), count=9)
     assert [each.number for each in joined(out)] == list(range(9))
     assert [each.number for each in out[6]] == [4, 5]
@@ -212,7 +228,7 @@ def test_a_body_that_is_placed_anew_begins_a_new_motion():
 
 def test_it_needs_a_camera():
     with pytest.raises(ValueError, match="at least one camera"):
-        FixedLagSmoother(HybridTracker(PERSON, None, Settings(), MARKERS))
+        FixedLagSmoother(Model.create(PERSON, MARKERS), SmoothingSettings())
 
 
 # Against the whole recording ---------------------------------------------------------------------
@@ -222,23 +238,22 @@ def test_a_window_over_everything_agrees_with_the_second_pass(monkeypatch):
     count = 10
     for name, value in (("DELAY_FRAMES", 99), ("DELAY_S", 99.0), ("KEPT_FRAMES", 99)):
         monkeypatch.setattr(fixed_lag, name, value)
-    smoother = FixedLagSmoother(tracker(proportions=1e9, iterations=60))
+    smoother = smoother_of(proportions=1e9, iterations=60)
     for i in range(count):
         assert not smoother.step(TIMES[i], markers()[i], [images()[i]], at(shaking(), i), report(i))
-    events = smoother._newest.events
-    known = jax.tree.map(lambda *parts: np.stack(parts), *(e.known for e in events))
-    sight = jax.tree.map(lambda *parts: np.stack(parts), *(e.looks[0][1].sight for e in events))
-    start = jax.tree.map(lambda *parts: np.stack(parts), *(e.pose for e in events))
-    own = smoother.tracker
+    events = smoother._window.events
+    measured, grids, start = (
+        jax.tree.map(lambda *parts: np.stack(parts), *each)
+        for each in zip(*((e.measured, e.frames[0][1].grids, e.pose) for e in events), strict=True)
+    )
     # These are as soft already as they are drawn.
     monkeypatch.setattr("jaxmocap.smoothing.linearise.softened", lambda problem, _: problem)
-    sights = Sights(np.arange(count), np.zeros(count, int), Sight(*sight))
-    problem = Problem(
-        own.skeleton, own.cameras, MARKERS, own.settings.over_time, TIMES[:count], known, sights
-    )
+    views = Views(np.arange(count), np.zeros(count, int), SilhouetteGrids(*grids))
+    problem = SmoothingProblem(smoother.model, smoother.settings, TIMES[:count], measured, views)
     usual = np.zeros(len(PROPORTIONS), np.float32)
     offline = smooth_poses(problem, Trajectory(start, usual), (window.SOFTNESS,))
-    monkeypatch.setattr(window, "STEP", window.STEP._replace(iterations=30, relative=1e-7))
+    many = window.ONE_STEP._replace(iterations=30, relative=1e-7)
+    monkeypatch.setattr(window, "ONE_STEP", many)
     online = poses_of(smoother.flush())
     off = points_of(online) - points_of(offline.trajectory.poses)
     assert np.abs(off).max() < 0.01
@@ -247,6 +262,14 @@ def test_a_window_over_everything_agrees_with_the_second_pass(monkeypatch):
 # The window --------------------------------------------------------------------------------------
 
 N, T = 2, 9
+
+
+@contextmanager
+def without_floor() -> Iterator[None]:
+    """No curvature but that of the frames and their prior: all of them determine all unknowns."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(marginal_prior, "FLOOR", 0.0)
+        yield
 
 
 def chain(rng: np.random.Generator):
@@ -273,49 +296,63 @@ def chain(rng: np.random.Generator):
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6))
-def test_a_window_with_a_condensed_past_knows_what_the_whole_chain_knows(seed):
+def test_a_window_with_a_marginal_prior_is_as_good_as_the_whole_chain(seed):
+    with without_floor():
+        compare_with_the_whole_chain(seed)
+
+
+def compare_with_the_whole_chain(seed):
+    """Event after event, the last four in the window; then states and variances of these."""
     times, linearise = chain(np.random.default_rng(seed))
-    exact = Solve(iterations=20, damping=1e-12, relative=1e-14, floor=1e-12)
+    exact = SolverSettings(iterations=20, damping=1e-12, relative=1e-14, floor=1e-12)
+    window_exact = exact._replace(relative=0.0)
     deviations, every = np.full(2, 3.0), linearise(slice(None))
     prior = smoothness(times, deviations)
 
-    full = smooth(every, lambda x, s, _: x + s, np.zeros((T, N)), prior, exact)
+    full = minimise(every, lambda x, s, _: x + s, np.zeros((T, N)), prior, exact)
     spread = covariances(every(full.x), prior, exact).frames
-    x, past, origin, first = np.zeros((4, N)), None, None, 0
+    x, prior_before, origin, first = np.zeros((4, N)), None, None, 0
     while True:
         rows = slice(first, first + len(x))
         window = smoothness(times[rows], deviations)
         offset = lambda x, o=origin: np.zeros(0) if o is None else (x[:2] - o).ravel()  # noqa: E731
-        better = improve(linearise(rows), lambda x, s: x + s, offset, x, window, past, exact)
+        marginal = None if prior_before is None else Marginal(prior_before, offset)
+        better = minimise(linearise(rows), lambda x, s, _: x + s, x, window, window_exact, marginal)
         if first + 4 == T:
             break
         three = smoothness(times[first : first + 3], deviations)
-        past = condensed(leaving(better.linear, three), past, offset(better.x), exact)
+        prior_before = condensed(leaving(better.linear, three), prior_before, offset(better.x))
         first, origin = first + 1, better.x[1:3]
         x = np.concatenate([better.x[1:], np.zeros((1, N))])
     np.testing.assert_allclose(better.x, full.x[-4:], atol=1e-6)
     jacobian = np.asarray(better.linear.jacobian)
     expected = np.einsum("tmi,tij,tmj->tm", jacobian, spread[-4:], jacobian)
     equations = normal_equations(better.linear, window)
-    found = window_variances(equations, jacobian, past, np.arange(4), exact)
+    found = window_variances(equations, jacobian, prior_before, np.arange(4))
     np.testing.assert_allclose(found, expected, rtol=1e-4)
 
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6))
 def test_several_frames_are_condensed_at_once_as_one_after_the_other(seed):
+    with without_floor():
+        condense_one_by_one_and_at_once(seed)
+
+
+def condense_one_by_one_and_at_once(seed):
+    """Four frames, of which two leave."""
     rng = np.random.default_rng(seed)
     times, linearise = chain(rng)
-    x, floor = rng.normal(size=(T, N)), Solve(floor=0.0)
+    x = rng.normal(size=(T, N))
     linear, deviations = linearise(slice(None))(x), np.full(2, 3.0)
 
     def some(rows: slice) -> Equations:
         parts = Linearised(*(np.asarray(part)[rows] for part in linear[:5]))
         return leaving(parts, smoothness(times[rows], deviations))
 
-    first = condensed(some(slice(0, 3)), None, np.zeros(0), floor)
-    second = condensed(some(slice(1, 4)), first, np.zeros(2 * N), floor)
-    both = condensed(some(slice(0, 4)), None, np.zeros(0), floor)
+    first = condensed(some(slice(0, 3)), None, np.zeros(0))
+    second = condensed(some(slice(1, 4)), first, np.zeros(2 * N))
+    both = condensed(some(slice(0, 4)), None, np.zeros(0))
     for together, apart in zip(both, second, strict=True):
         np.testing.assert_allclose(together, apart, rtol=1e-8, atol=1e-8 * np.abs(apart).max())
 
@@ -325,14 +362,15 @@ def test_what_nothing_determines_has_no_finite_variance():
     linear = Linearised(np.zeros(1), nothing, nothing[:, 0], nothing[:, 0], np.eye(2)[None])
     prior = smoothness(np.zeros(1), np.full(2, 3.0))
     equations = normal_equations(linear, prior)
-    found = window_variances(equations, linear.jacobian, None, np.arange(1), Solve(floor=0.0))
+    with without_floor():
+        found = window_variances(equations, linear.jacobian, None, np.arange(1))
     assert np.isinf(found).all()
 
 
 # Fading ------------------------------------------------------------------------------------------
 
 
-def test_what_was_given_out_goes_on_without_a_jump_in_place_or_speed():
+def test_final_poses_go_on_without_a_jump_in_place_or_speed():
     still = Fading(np.zeros(1), np.zeros(1), 0.0).at(1.0, 0.05)
     left = still.corrected(np.array([0.3]), np.array([-2.0]))
     soon = left.at(1.0 + 1e-6, 0.05)

@@ -4,7 +4,6 @@ A painted person moves both arms before the body; one arm is then put where a so
 find back from.
 """
 
-from dataclasses import replace
 from itertools import product
 
 import jax.numpy as jnp
@@ -12,17 +11,20 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from painted_motion import ELBOWS, MARKERS, PERSON, known, points_of, problem, sights, truth
+from painted_motion import ELBOWS, MODEL, PERSON, points_of, problem, truth, views
 
-from jaxmocap.body.arms import arm_dofs, bent, grips, hang, swing
+from jaxmocap.body.arms import arm_dofs, bent, hang, swing
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.proportions import PROPORTIONS
-from jaxmocap.smoothing.elbow_viterbi import SPEED_M_S, SURPRISE, cheapest_path, elbow_goals
-from jaxmocap.smoothing.linearise import Trajectory, smooth_poses
+from jaxmocap.smoothing.elbow_viterbi import cheapest_path, elbow_goals
+from jaxmocap.smoothing.linearise import smooth_poses
+from jaxmocap.smoothing.problem import Trajectory, Views
+from jaxmocap.smoothing.settings import ElbowPathSettings
 
 COUNT = 12
-GRIPS = grips(PERSON, MARKERS)
+GRIPS = MODEL.grips
+PATH = ElbowPathSettings()
 NO_CHANGE = np.zeros(len(PROPORTIONS), np.float32)
 
 
@@ -38,10 +40,10 @@ def swivelled(degrees: tuple[float, float]) -> Pose:
     return Pose(*(np.stack(part) for part in zip(*poses, strict=True)))
 
 
-def goals_from(poses: Pose, seen=None) -> np.ndarray:
+def goals_from(poses: Pose, shown: Views | None = None) -> np.ndarray:
     """Where the cheapest paths take the elbows, (T, 2, 3)."""
-    given = problem(COUNT, sights(COUNT) if seen is None else seen)
-    return elbow_goals(given, Trajectory(poses, NO_CHANGE), GRIPS)
+    given = problem(COUNT, views(COUNT) if shown is None else shown)
+    return elbow_goals(given, Trajectory(poses, NO_CHANGE))
 
 
 def off(elbows: np.ndarray) -> np.ndarray:
@@ -63,19 +65,19 @@ def test_no_other_path_is_cheaper(seed, times, candidates):
         spent = costs[np.arange(times), path].sum()
         for t in range(1, times):
             way = places[t, path[t]] - places[t - 1, path[t - 1]]
-            reach = SPEED_M_S * (at[t] - at[t - 1])
-            spent += min(np.sum(way**2) / reach**2 / 2, SURPRISE)
+            reach = float(PATH.speed) * (at[t] - at[t - 1])
+            spent += min(np.sum(way**2) / reach**2 / 2, float(PATH.largest_price))
         return spent
 
     best = min(price(path) for path in product(range(candidates), repeat=times))
-    assert price(cheapest_path(costs, places, at)) == pytest.approx(best)
+    assert price(cheapest_path(costs, places, at, PATH)) == pytest.approx(best)
 
 
 def test_one_clear_frame_decides_for_the_ambiguous_ones_beside_it():
     places = np.broadcast_to([[0.0, 0, 0], [0.4, 0, 0]], (9, 2, 3))
     costs = np.zeros((9, 2))
     costs[4, 0] = 8.0
-    assert (cheapest_path(costs, places, np.arange(9) / 30) == 1).all()
+    assert (cheapest_path(costs, places, np.arange(9) / 30, PATH) == 1).all()
 
 
 # Joint angles of candidates ----------------------------------------------------------------------
@@ -83,7 +85,7 @@ def test_one_clear_frame_decides_for_the_ambiguous_ones_beside_it():
 
 @settings(max_examples=8, deadline=None)
 @given(st.integers(0, COUNT - 1), st.floats(-60, 60))
-def test_an_arms_places_tell_its_joint_angles(frame, degrees):
+def test_an_arms_places_determine_its_joint_angles(frame, degrees):
     poses = swivelled((degrees, -degrees))
     pose = Pose(*(jnp.asarray(part[frame], jnp.float32) for part in poses))
     hung = hang(PERSON, pose, GRIPS)
@@ -98,7 +100,7 @@ def test_an_arms_places_tell_its_joint_angles(frame, degrees):
 # Decisions ---------------------------------------------------------------------------------------
 
 
-def test_arms_that_are_where_they_are_seen_stay_there_give_or_take_a_candidate():
+def test_arms_that_are_in_the_right_place_stay_there_give_or_take_a_candidate():
     assert off(goals_from(truth(COUNT))).max() < 0.1
 
 
@@ -111,23 +113,23 @@ def test_an_arm_in_the_wrong_place_is_called_back(degrees):
 
 
 def test_goals_lead_a_solve_out_of_a_valley_that_it_would_not_leave_alone():
-    start, seen = Trajectory(swivelled((0.0, 110.0)), NO_CHANGE), problem(COUNT, sights(COUNT))
-    alone = smooth_poses(seen, start, (1.5, 0.8))
-    hoped = replace(seen, known=known(COUNT)._replace(goals=goals_from(start.poses)))
-    found = smooth_poses(seen, smooth_poses(hoped, start, (1.5,)).trajectory, (1.5, 0.8))
+    start, given = Trajectory(swivelled((0.0, 110.0)), NO_CHANGE), problem(COUNT, views(COUNT))
+    alone = smooth_poses(given, start, (1.5, 0.8))
+    guided = given.with_measured(elbows=goals_from(start.poses))
+    found = smooth_poses(given, smooth_poses(guided, start, (1.5,)).trajectory, (1.5, 0.8))
     left, led = (off(points_of(each.trajectory.poses)[:, ELBOWS]) for each in (alone, found))
     assert left[:, 1].max() > 0.3 and led.max() < 0.03
     assert found.cost < 0.8 * alone.cost
 
 
-def test_frames_that_no_camera_saw_have_no_goals():
+def test_frames_without_a_view_have_no_goals():
     there = np.array([0, 1, 5, 6])
-    goals = goals_from(truth(COUNT), sights(COUNT, frames=there))
+    goals = goals_from(truth(COUNT), views(COUNT, frames=there))
     assert np.isfinite(goals[there]).all()
     assert np.isnan(np.delete(goals, there, 0)).all()
 
 
 def test_two_cameras_decide_at_least_as_well_as_one():
     start = swivelled((-50.0, 50.0))
-    one, two = (off(goals_from(start, sights(COUNT, cameras=c))).mean() for c in ((0,), (0, 1)))
+    one, two = (off(goals_from(start, views(COUNT, cameras=c))).mean() for c in ((0,), (0, 1)))
     assert two < one + 0.01

@@ -1,4 +1,4 @@
-"""The second pass over a recording: what it sees in the frames, what is missing, what it finds."""
+"""Smoothing of a whole recording: grids of the frames, what is missing, what is found."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,11 +13,19 @@ import pytest
 from conftest import on_device
 from drawn_arms import SIZE
 from drawn_body import Painted, paint, room
-from jaxmocap.pipelines.tracking.report_figures import judge_steps
-from jaxmocap.pipelines.tracking.second_pass import FirstPass, Look, Smoothed, smooth_recording
-from painted_motion import CAMERAS, ELBOWS, MARKERS, PERSON, disturbed, points_of, pose_at
+from painted_motion import (
+    CAMERAS,
+    ELBOWS,
+    MARKERS,
+    PERSON,
+    disturbed,
+    first_pass,
+    points_of,
+    pose_at,
+)  # fmt: skip
 
 from jaxmocap.body.kinematics import forward, site_positions
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.capture.timeline import build_timeline
@@ -26,14 +34,17 @@ from jaxmocap.evidence.appearance.hulls import draw_hulls
 from jaxmocap.evidence.appearance.learned import ROWS, Drawing
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
 from jaxmocap.geometry.cameras import project
+from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.hybrid.tracker import HybridTracker, StepReport
 from jaxmocap.images.silhouette_grid import Grid
-from jaxmocap.pipelines.tracking import second_pass as offline
+from jaxmocap.pipelines.tracking.motions import unsmoothed
 from jaxmocap.pipelines.tracking.track import make_tracker, track_both
+from jaxmocap.smoothing import batch
+from jaxmocap.smoothing.batch import CameraFrames, smooth_recording
 from jaxmocap.smoothing.fixed_lag import DELAY_FRAMES
-from jaxmocap.smoothing.linearise import Problem, SmoothedPoses
-from jaxmocap.smoothing.uncertainty import Trust
+from jaxmocap.smoothing.linearise import SmoothedPoses
+from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory
+from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.solvers.status import Status
 
 # Seconds apart: frames, and the marker samples of which every other has a frame.
@@ -72,38 +83,37 @@ def markers_world() -> np.ndarray:
     return np.asarray(over(on_device(true_poses())), float)
 
 
-@cache
-def tracker() -> HybridTracker:
-    """Of the person and the camera; nothing of it is compiled here."""
-    return HybridTracker(PERSON, [CAMERA], Settings(), MARKERS)
+MODEL, SETTINGS = Model.create(PERSON, MARKERS, CAMERA), SmoothingSettings()
 
 
-def second_pass(frames=None, mode="own", start=None, shown=None) -> Smoothed | None:
-    """The second pass, from the true poses by default."""
+def second_pass(
+    frames=None, mode="own", start=None, shown=None, settings=SETTINGS
+) -> Trajectory | None:
+    """The recording smoothed, from the true poses by default."""
     video = MemoryVideo(np.arange(FRAMES) * FRAME_S, frames or images())
     timeline = build_timeline(TIMES, [video.times], mode)
     start = true_poses() if start is None else start
     show = (lambda share: None) if shown is None else shown.append
-    done = FirstPass(timeline, markers_world(), true_poses(), start)
-    return smooth_recording(tracker(), [video], done, show)
+    first = first_pass(timeline, markers_world(), true_poses(), start)
+    return smooth_recording(MODEL, settings, first, [video], show)
 
 
 @contextmanager
-def unsolved() -> Iterator[list[Problem]]:
+def unsolved() -> Iterator[list[SmoothingProblem]]:
     """What is to be smoothed, round by round, instead of smoothing it."""
-    kept: list[Problem] = []
+    kept: list[SmoothingProblem] = []
 
     def keep(problem, start, *_, **__):
         kept.append(problem)
         return SmoothedPoses(start, 0.0, Status.CONVERGED)
 
-    def trust(problem, found, softness):
+    def deviations(problem, found, softness):
         shape = (len(problem.times), len(LANDMARKS))
-        return Trust(np.full((*shape, 3), 0.02), np.zeros(shape))
+        return found._replace(deviations=np.full((*shape, 3), 0.02), from_prior=np.zeros(shape))
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(offline, "smooth_poses", keep)
-        patch.setattr(offline, "trust_in", trust)
+        patch.setattr(batch, "smooth_poses", keep)
+        patch.setattr(batch, "with_deviations", deviations)
         yield kept
 
 
@@ -114,16 +124,16 @@ def problems():
 
 
 @cache
-def usual() -> list[Problem]:
-    """All rounds where nothing is missing: seen once, read by many tests."""
+def usual() -> list[SmoothingProblem]:
+    """All rounds where nothing is missing: measured once, read by many tests."""
     with unsolved() as kept:
         second_pass()
     return kept
 
 
-def grids(problem: Problem) -> list[Grid]:
-    """All that was seen."""
-    _, person, forearms, legs = problem.sights.sight
+def grids(problem: SmoothingProblem) -> list[Grid]:
+    """All of its grids."""
+    _, person, forearms, legs = problem.views.grids
     return [person, forearms, legs.person]
 
 
@@ -140,14 +150,14 @@ def on_grid(share: np.ndarray, region, i: int, cells: int) -> np.ndarray:
     return cv2.resize(fine, (cells, cells), interpolation=cv2.INTER_AREA)
 
 
-# What it sees ------------------------------------------------------------------------------------
+# The grids ---------------------------------------------------------------------------------------
 
 
 def test_the_grids_show_the_person_and_the_bare_forearms():
-    seen = usual()[-1].sights
-    np.testing.assert_array_equal(seen.frame, np.arange(0, 2 * FRAMES, 2))
-    assert not seen.camera.any()
-    upper, whole, forearms, legs = seen.sight
+    views = usual()[-1].views
+    np.testing.assert_array_equal(views.frame, np.arange(0, 2 * FRAMES, 2))
+    assert not views.camera.any()
+    upper, whole, forearms, legs = views.grids
     for region, grid, part in (
         (upper, whole, "person"), (upper, forearms, "forearms"), (*legs, "person"),
     ):  # fmt: skip
@@ -161,42 +171,42 @@ def test_the_grids_show_the_person_and_the_bare_forearms():
             assert (grid.probability[i][outside] < 0.5).mean() > 0.97, part
 
 
-def test_a_head_and_a_pelvis_tell_nothing():
-    sight = usual()[-1].sights.sight
+def test_a_head_and_a_pelvis_have_no_weight():
+    measured = usual()[-1].views.grids
     for name in ("head", "pelvis"):
         point = points_of(true_poses())[0, list(LANDMARKS).index(name)]
         pixel = np.asarray(project(CAMERA, jnp.asarray(point, float)))
-        scale, origin = sight.region.scale[0], sight.region.origin[0]
+        scale, origin = measured.region.scale[0], measured.region.origin[0]
         column, row = np.round((pixel - origin) / scale - 0.5).astype(int)
-        assert sight.person.weight[0, row, column] < 0.05
-        assert sight.forearms.weight[0, row, column] < 0.05 or name == "pelvis"
+        assert measured.person.weight[0, row, column] < 0.05
+        assert measured.forearms.weight[0, row, column] < 0.05 or name == "pelvis"
 
 
-def test_a_frame_that_cannot_be_read_tells_nothing(problems):
+def test_a_frame_that_cannot_be_read_has_no_weight(problems):
     broken = images()
     broken[0], broken[7] = None, None
     second_pass(broken)
     for grid in grids(problems[-1]):
-        told = grid.weight.reshape(FRAMES, -1).max(1)
-        assert not told[[0, 7]].any() and (np.delete(told, [0, 7]) > 0.5).all()
+        heaviest = grid.weight.reshape(FRAMES, -1).max(1)
+        assert not heaviest[[0, 7]].any() and (np.delete(heaviest, [0, 7]) > 0.5).all()
         assert np.isfinite(grid.probability).all()
 
 
-def test_no_frame_that_can_be_read_tells_nothing_either(problems):
+def test_without_any_frame_that_can_be_read_no_grid_has_weight(problems):
     later = np.arange(FRAMES + 1) * FRAME_S
     video = MemoryVideo(later, [*[None] * FRAMES, painted()[0].image])
     timeline = build_timeline(TIMES, [video.times[:-1]], "own")
-    done = FirstPass(timeline, markers_world(), true_poses(), true_poses())
-    found = smooth_recording(tracker(), [video], done, lambda share: None)
+    first = first_pass(timeline, markers_world(), true_poses(), true_poses())
+    found = smooth_recording(MODEL, SETTINGS, first, [video], lambda share: None)
     assert found is not None
     for grid in grids(problems[-1]):
         assert grid.weight.shape[0] == FRAMES and not grid.weight.any()
 
 
 def test_a_video_narrower_than_its_calibration_keeps_its_pixels_in_place(problems):
-    whole = usual()[-1].sights.sight
+    whole = usual()[-1].views.grids
     second_pass([image[:, :-9] for image in images()])
-    narrow = problems[-1].sights.sight
+    narrow = problems[-1].views.grids
     np.testing.assert_array_equal(narrow.region.origin, whole.region.origin)
     for grid, other in zip(narrow[1:3], whole[1:3], strict=True):
         both = (grid.weight > 0.5) & (other.weight > 0.5)
@@ -205,36 +215,37 @@ def test_a_video_narrower_than_its_calibration_keeps_its_pixels_in_place(problem
         assert difference.mean() < 0.01 and np.percentile(difference, 99) < 0.2
 
 
-def test_a_frame_that_serves_several_samples_is_looked_at_for_each(problems):
+def test_a_frame_that_serves_several_samples_has_a_view_for_each(problems):
     second_pass(mode="nearest")
-    seen = problems[-1].sights
-    np.testing.assert_array_equal(seen.frame, np.arange(2 * FRAMES))
+    views = problems[-1].views
+    np.testing.assert_array_equal(views.frame, np.arange(2 * FRAMES))
     # The last sample of each pair has the frame of the first or of the next.
-    region, told = seen.sight.region, seen.sight.person
+    region, person = views.grids.region, views.grids.person
     pairs = np.flatnonzero((np.diff(region.origin, axis=0) == 0).all(1))
-    both = [(told.weight[i] > 0.5) & (told.weight[i + 1] > 0.5) for i in pairs]
-    away = [np.abs(told.probability[i] - told.probability[i + 1]) for i in pairs]
+    both = [(person.weight[i] > 0.5) & (person.weight[i + 1] > 0.5) for i in pairs]
+    away = [np.abs(person.probability[i] - person.probability[i + 1]) for i in pairs]
     assert any(np.quantile(a[b], 0.95) < 1e-6 for a, b in zip(away, both, strict=True))
     own = np.arange(0, 2 * FRAMES, 2)
-    assert len(problems) == 2 + offline.DECISIONS
-    alone = usual()[-1].sights.sight.person.probability
-    np.testing.assert_allclose(seen.sight.person.probability[own].mean(), alone.mean(), atol=0.01)
+    assert len(problems) == 2 + batch.DECISIONS
+    alone = usual()[-1].views.grids.person.probability
+    np.testing.assert_allclose(person.probability[own].mean(), alone.mean(), atol=0.01)
 
 
 def test_frames_are_chosen_by_index_shrunk_and_repeated():
     tagged = [np.full((720, 960, 3), 10 * i, np.uint8) for i in range(6)]
     video = MemoryVideo(np.arange(6) / 30, [*tagged[:4], None, tagged[5]])
-    look = Look(0, np.arange(7), np.array([0, 0, 1, 3, 3, 4, 5]))
-    read = list(look.frames(video, np.arange(7)))
+    frames = CameraFrames(0, np.arange(7), np.array([0, 0, 1, 3, 3, 4, 5]), video)
+    read = list(frames.images(np.arange(7)))
     assert [None if im is None else int(im[0, 0, 0]) for im in read] == [0, 0, 10, 30, 30, None, 50]
     assert all(im is None or im.shape == (ROWS, 480, 3) for im in read)
-    few = list(look.frames(video, np.array([1, 3, 4])))
+    few = list(frames.images(np.array([1, 3, 4])))
     assert [int(im[0, 0, 0]) for im in few if im is not None] == [0, 30, 30]
 
 
 def test_frames_beyond_the_videos_end_cannot_be_read():
     video = MemoryVideo(np.arange(3) / 30, [np.zeros((72, 96, 3), np.uint8)] * 3)
-    read = list(Look(0, np.arange(4), np.array([1, 2, 3, 4])).frames(video, np.arange(4)))
+    frames = CameraFrames(0, np.arange(4), np.array([1, 2, 3, 4]), video)
+    read = list(frames.images(np.arange(4)))
     assert [image is None for image in read] == [False, False, True, True]
 
 
@@ -242,8 +253,8 @@ def test_without_any_frame_there_is_nothing_to_do():
     video = MemoryVideo(100 + np.arange(FRAMES) * FRAME_S, images())
     index = np.full((len(TIMES), 1), -1)
     timeline = replace(build_timeline(TIMES, [np.zeros(0)], "own"), frame_index=index)
-    done = FirstPass(timeline, markers_world(), true_poses(), true_poses())
-    assert smooth_recording(tracker(), [video], done, lambda share: None) is None
+    first = first_pass(timeline, markers_world(), true_poses(), true_poses())
+    assert smooth_recording(MODEL, SETTINGS, first, [video], lambda share: None) is None
 
 
 # The body in the frames --------------------------------------------------------------------------
@@ -311,21 +322,16 @@ def test_a_camera_whose_calibration_is_true_hardly_turns(found):
     assert 0 < np.degrees(np.linalg.norm(found[0].turns_cam)) < 0.2
 
 
-def test_calibrations_hold_where_the_settings_say_so(problems, monkeypatch):
-    own = tracker()
-    over_time = replace(own.settings.over_time, camera=np.float32(0.0))
-    monkeypatch.setattr(own, "settings", replace(own.settings, over_time=over_time))
-    smoothed = second_pass()
+def test_calibrations_hold_where_the_settings_say_so(problems):
+    smoothed = second_pass(settings=replace(SETTINGS, camera=0.0))
     assert problems and smoothed is not None and smoothed.turns_cam.shape == (0, 3)
 
 
-def test_every_event_is_judged(found):
-    judged, events = found[0].judged, len(TIMES)
-    assert judged.distances.shape == (events, 3) and judged.distances.max() < 0.03
-    assert judged.swivels.shape == judged.confidence.shape == (events, 2)
-    assert ((judged.confidence > 0) & (judged.confidence < 1)).all()
-    assert judged.deviations.shape == (events, len(LANDMARKS), 3) and (judged.deviations > 0).all()
-    assert judged.from_prior.shape == (events, len(LANDMARKS))
+def test_every_event_has_deviations(found):
+    smoothed, events = found[0], len(TIMES)
+    assert smoothed.deviations.shape == (events, len(LANDMARKS), 3)
+    assert (smoothed.deviations > 0).all()
+    assert smoothed.from_prior.shape == (events, len(LANDMARKS))
 
 
 def test_the_share_done_grows_to_one(found):
@@ -333,16 +339,17 @@ def test_the_share_done_grows_to_one(found):
     assert shown == sorted(shown) and shown[0] > 0 and shown[-1] == pytest.approx(1)
 
 
-def test_steps_tell_of_the_elbows_only():
+def test_steps_have_deviations_of_the_elbows_only():
     spread, nothing = np.array([[0.01, 0.02], [0.05, 0.4]]), np.zeros((2, 2))
     still = Pose(*(part[0] for part in true_poses()))
     reports = StepReport(still, np.zeros((2, 3)), nothing, nothing, spread, *[nothing] * 5)
-    judged = judge_steps(reports)
-    np.testing.assert_allclose(np.linalg.norm(judged.deviations[:, ELBOWS], axis=-1), spread)
-    np.testing.assert_allclose(judged.confidence, reports.confidence)
-    assert judged.confidence[1, 0] == pytest.approx(0.5)
-    others = np.delete(judged.deviations, ELBOWS, axis=1)
-    assert np.isnan(others).all() and np.isnan(judged.from_prior).all()
+    first = first_pass(build_timeline(TIMES[:2], []), markers_world()[:2], still, still)
+    found = unsmoothed(first._replace(reports=reports))
+    assert found.deviations is not None and found.from_prior is not None
+    np.testing.assert_allclose(np.linalg.norm(found.deviations[:, ELBOWS], axis=-1), spread)
+    assert reports.confidence[1, 0] == pytest.approx(0.5)
+    others = np.delete(found.deviations, ELBOWS, axis=1)
+    assert np.isnan(others).all() and np.isnan(found.from_prior).all()
 
 
 # The whole way -----------------------------------------------------------------------------------
@@ -374,7 +381,14 @@ def test_a_recording_is_smoothed_to_better_elbows_than_the_markers_alone(whole_w
     assert np.isin(tracked.motion.report.from_prior, [0, 1]).all()
 
 
-def test_the_report_says_how_the_camera_was_found_turned(whole_way):
+def test_the_report_has_errors_swivels_and_confidence_of_every_event(whole_way):
+    report, events = whole_way[0].motion.report, len(TIMES)
+    assert report.marker_errors.shape == (events, 3) and report.marker_errors.max() < 0.03
+    assert report.swivels.shape == report.confidence.shape == (events, 2)
+    assert ((report.confidence > 0) & (report.confidence < 1)).all()
+
+
+def test_the_report_has_the_turn_of_the_camera(whole_way):
     over_all, causal = (tracked.motion.report.settings for tracked in whole_way)
     (turn,) = over_all["camera_turns_deg"].values()
     assert list(over_all["camera_turns_deg"]) == ["cam"] and len(turn) == 3
@@ -382,7 +396,7 @@ def test_the_report_says_how_the_camera_was_found_turned(whole_way):
     assert causal["camera_turns_deg"] == {}
 
 
-def test_causally_each_pose_waits_for_two_frames_and_says_so(whole_way):
+def test_causally_each_pose_waits_for_two_frames_as_the_report_has_it(whole_way):
     motion = whole_way[1].motion
     report = motion.report
     assert report.settings["latency"]["video frames"] == DELAY_FRAMES
@@ -395,7 +409,7 @@ def test_causally_each_pose_waits_for_two_frames_and_says_so(whole_way):
     assert errors_of(motion.poses).mean() < 0.8 * alone.mean()
 
 
-def test_who_does_not_want_it_gets_no_second_pass(recording, problems):
+def test_smoothing_can_be_switched_off(recording, problems):
     settings = replace(Settings(), smooth=False)
     few = replace(recording, times=TIMES[:3], positions_world=markers_world()[:3])
     motion = track_both(few, tracker=make_tracker(few, settings)).motion
@@ -403,7 +417,7 @@ def test_who_does_not_want_it_gets_no_second_pass(recording, problems):
 
 
 def test_legs_that_no_marker_holds_are_found_where_they_stand():
-    """Whoever stands still would be furniture if the body were believed to be elsewhere."""
+    """Whoever stands still would be furniture if the body were expected elsewhere."""
     kneeling = np.zeros(len(PERSON.tree.joints), np.float32)
     for name in ("hip_flexion_l", "hip_flexion_r"):
         kneeling[PERSON.tree.joints.index(name)] = 0.35

@@ -8,35 +8,41 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import on_device
-from jaxmocap.evidence.residuals import residuals
 from painted_motion import (
     ELBOWS,
-    MARKERS,
+    MODEL,
     PERSON,
     SETTINGS,
     disturbed,
     elbow_errors,
-    known,
+    measurements,
     points_of,
     problem,
-    sights,
     truth,
+    views,
 )
 
+from jaxmocap.body.kinematics import joined_sites, landmark_sites
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, landmark_mismatches
-from jaxmocap.smoothing.linearise import Trajectory, smooth_poses
-from jaxmocap.smoothing.uncertainty import trust_in
+from jaxmocap.evidence.balance import Balance
+from jaxmocap.evidence.ground import Ground
+from jaxmocap.evidence.limits import JointLimits
+from jaxmocap.evidence.markers import Markers
+from jaxmocap.evidence.terms import residuals
+from jaxmocap.smoothing.linearise import smooth_poses
+from jaxmocap.smoothing.problem import Trajectory
+from jaxmocap.smoothing.uncertainty import with_deviations
 from jaxmocap.solvers.status import Status
 
-# One more than a batch of sights, so that a second batch holds one of them alone.
+# One more than a batch of views, so that a second batch holds one of them alone.
 COUNT = 17
 SOFTNESS = (3.0, 0.8)
 WRIST_L = list(LANDMARKS).index("wrist_l")
 
 
 class Found(NamedTuple):
-    """What a solve ended with, and how far to trust it."""
+    """What a solve ended with, and how sure it is."""
 
     trajectory: Trajectory
     cost: float
@@ -45,11 +51,13 @@ class Found(NamedTuple):
     from_prior: np.ndarray
 
 
-def smoothed(seen=None, frames=None, count: int = COUNT) -> Found:
-    """The disturbed motion, smoothed by sights and markers; by default all that camera 0 saw."""
-    given = problem(count, sights(count) if seen is None else seen, frames)
+def smoothed(shown=None, measured=None, count: int = COUNT) -> Found:
+    """The disturbed motion, smoothed by views and markers; by default by all of camera 0."""
+    given = problem(count, views(count) if shown is None else shown, measured)
     ended = smooth_poses(given, disturbed(count), SOFTNESS)
-    return Found(*ended, *trust_in(given, ended.trajectory, SOFTNESS[-1]))
+    sure = with_deviations(given, ended.trajectory, SOFTNESS[-1])
+    assert sure.deviations is not None and sure.from_prior is not None
+    return Found(*ended, sure.deviations, sure.from_prior)
 
 
 def elbow_spread(found: Found) -> np.ndarray:
@@ -63,11 +71,10 @@ def by_one_camera() -> Found:
 
 
 def test_who_may_keep_to_what_is_unusual_is_less_surely_guessed(by_one_camera):
-    given = problem(COUNT, sights(COUNT))
-    found = by_one_camera.trajectory
+    given, found = problem(COUNT, views(COUNT)), by_one_camera.trajectory
+    each = [replace(SETTINGS, persistence=jnp.asarray(s, float)) for s in (0.0, 2.0)]
     brief, lasting = (
-        trust_in(replace(given, settings=replace(SETTINGS, habit=jnp.asarray(s))), found, 0.8)
-        for s in (0.0, 2.0)
+        with_deviations(replace(given, settings=settings), found, 0.8) for settings in each
     )
     assert (lasting.deviations >= brief.deviations - 1e-6).all()
     hips = [list(LANDMARKS).index(f"hip_{side}") for side in "lr"]
@@ -90,8 +97,8 @@ def test_the_markers_are_met(by_one_camera):
         assert np.linalg.norm(off[:, list(LANDMARKS).index(name)], axis=1).max() < 0.015, name
 
 
-def test_two_cameras_know_better_than_either(by_one_camera):
-    both = smoothed(sights(COUNT, (0, 1)))
+def test_two_cameras_are_better_than_either(by_one_camera):
+    both = smoothed(views(COUNT, (0, 1)))
     errors, alone = (
         elbow_errors(both.trajectory.poses),
         elbow_errors(by_one_camera.trajectory.poses),
@@ -100,17 +107,17 @@ def test_two_cameras_know_better_than_either(by_one_camera):
     assert (elbow_spread(both) < elbow_spread(by_one_camera)).all()
 
 
-def test_the_result_depends_neither_on_the_batches_nor_on_the_order_of_sights(by_one_camera):
+def test_the_result_depends_neither_on_the_batches_nor_on_the_order_of_views(by_one_camera):
     order = np.random.default_rng(0).permutation(COUNT)
     assert not np.array_equal(order[:16], np.arange(16))
-    mixed = smoothed(jax.tree.map(lambda part: part[order], sights(COUNT)))
+    mixed = smoothed(jax.tree.map(lambda part: part[order], views(COUNT)))
     for found, expected in zip(mixed.trajectory.poses, by_one_camera.trajectory.poses, strict=True):
         np.testing.assert_allclose(found, expected, atol=1e-4)
     np.testing.assert_allclose(mixed.deviations, by_one_camera.deviations, rtol=1e-3)
 
 
 def test_smoothing_starts_again_from_its_own_end_without_moving(by_one_camera):
-    again = smooth_poses(problem(COUNT, sights(COUNT)), by_one_camera.trajectory, SOFTNESS[-1:])
+    again = smooth_poses(problem(COUNT, views(COUNT)), by_one_camera.trajectory, SOFTNESS[-1:])
     off = points_of(again.trajectory.poses) - points_of(by_one_camera.trajectory.poses)
     assert np.abs(off).max() < 2e-3
     assert again.cost <= by_one_camera.cost * (1 + 1e-4)
@@ -130,10 +137,10 @@ def test_deviations_are_finite_and_positive_and_smallest_where_markers_hold(by_o
     assert not by_one_camera.from_prior[:, ELBOWS].any()
 
 
-def test_a_stretch_without_sights_is_bridged_and_known_to_be_a_guess():
+def test_a_stretch_without_views_is_bridged_and_reported_as_a_guess():
     count, gap = 44, slice(6, 38)
     there = np.delete(np.arange(count), gap)
-    found = smoothed(sights(count, frames=there), count=count)
+    found = smoothed(views(count, frames=there), count=count)
     spread, unbroken = elbow_spread(found), elbow_spread(smoothed(count=count))
     middle = slice(18, 26)
     assert (spread[middle] > 1.2 * unbroken[middle]).all()
@@ -144,21 +151,19 @@ def test_a_stretch_without_sights_is_bridged_and_known_to_be_a_guess():
     assert not found.from_prior[:, WRIST_L].any()
     errors = elbow_errors(found.trajectory.poses)
     assert errors[there].mean() < 0.03
-    # The truth lies within what is said of it.
+    # The truth lies within the deviations.
     assert (errors[middle] < 3 * spread[middle]).all()
     steps = np.linalg.norm(np.diff(points_of(found.trajectory.poses)[:, ELBOWS], axis=0), axis=-1)
     assert steps.max() < 0.06
 
 
 @pytest.mark.parametrize("weightless", [True, False])
-def test_without_anything_seen_the_elbows_are_guesses(weightless, by_one_camera):
-    seen = sights(COUNT)
+def test_without_silhouettes_the_elbows_are_guesses(weightless, by_one_camera):
+    shown = views(COUNT).none
     if weightless:
-        blind = seen.sight.each_grid(lambda grid: grid._replace(weight=0 * grid.weight))
-        seen = seen._replace(sight=blind)
-    else:
-        seen = jax.tree.map(lambda part: part[:0], seen)
-    found = smoothed(seen)
+        grids = views(COUNT).grids.each_grid(lambda grid: grid._replace(weight=0 * grid.weight))
+        shown = views(COUNT)._replace(grids=grids)
+    found = smoothed(shown)
     assert found.from_prior[:, ELBOWS].all() and not found.from_prior[:, WRIST_L].any()
     assert (elbow_spread(found) > elbow_spread(by_one_camera)).all()
     assert all(np.isfinite(part).all() for part in found.trajectory.poses)
@@ -170,10 +175,9 @@ def test_without_anything_seen_the_elbows_are_guesses(weightless, by_one_camera)
 
 
 def test_missing_markers_are_bridged():
-    frames = known(COUNT)
-    targets = frames.targets.copy()
-    targets[5:10, 1], targets[12] = np.nan, np.nan
-    found = smoothed(frames=frames._replace(targets=targets))
+    measured = measurements(COUNT)
+    measured["markers"][5:10, 1], measured["markers"][12] = np.nan, np.nan
+    found = smoothed(measured=measured)
     assert all(np.isfinite(part).all() for part in found.trajectory.poses)
     off = points_of(found.trajectory.poses) - points_of(truth(COUNT))
     assert np.linalg.norm(off[:, WRIST_L], axis=1).max() < 0.03
@@ -182,11 +186,10 @@ def test_missing_markers_are_bridged():
     assert spread[7] > spread[2]
 
 
-def test_a_frame_that_nothing_tells_of_lies_between_its_neighbours(by_one_camera):
-    frames, there = known(COUNT), np.delete(np.arange(COUNT), 8)
-    targets = frames.targets.copy()
-    targets[8] = np.nan
-    found = smoothed(sights(COUNT, frames=there), frames._replace(targets=targets))
+def test_a_frame_without_measurements_lies_between_its_neighbours(by_one_camera):
+    measured, there = measurements(COUNT), np.delete(np.arange(COUNT), 8)
+    measured["markers"][8] = np.nan
+    found = smoothed(views(COUNT, frames=there), measured)
     off = points_of(found.trajectory.poses) - points_of(by_one_camera.trajectory.poses)
     assert np.linalg.norm(off[8], axis=-1).max() < 0.01
     assert np.isfinite(found.deviations).all()
@@ -196,15 +199,15 @@ def test_a_frame_that_nothing_tells_of_lies_between_its_neighbours(by_one_camera
 
 
 def one_frame(index: int = 3):
-    """Pose and knowledge of one frame of the truth."""
+    """Pose and measurements of one frame of the truth."""
     pose = Pose(*(jnp.asarray(part[index], float) for part in truth(COUNT)))
-    return pose, on_device(jax.tree.map(lambda part: part[index], known(COUNT)))
+    return pose, on_device(jax.tree.map(lambda part: part[index], measurements(COUNT)))
 
 
 @jax.jit
-def moved(step, pose, frame, settings):
+def moved(step, pose, frame, settings, model=MODEL):
     """The residuals of a frame whose pose is moved by a tangent vector."""
-    return residuals(PERSON, MARKERS, settings, retract(pose, step), frame)
+    return residuals(settings.terms, model, retract(pose, step), frame)
 
 
 SLOPES = jax.jit(jax.jacfwd(moved))
@@ -212,26 +215,37 @@ STILL = np.zeros(ROOT_DOF + len(PERSON.tree.joints), np.float32)
 # Nothing outside the body holds it.
 ADRIFT = replace(
     SETTINGS,
-    **dict.fromkeys(("marker", "footing", "ground", "balance"), jnp.float32(1e3)),
+    markers=Markers(deviation=1e3),
+    ground=Ground(height=1e3, place=1e3),
+    balance=Balance(deviation=1e3),
+)
+# With both feet held by markers, which are missing.
+MARKED_FEET = replace(
+    MODEL,
+    markers=joined_sites(MODEL.markers, landmark_sites(PERSON, ("ankle_l", "ankle_r"))),
 )
 
 
-def priced(pose, frame, settings=SETTINGS, step=STILL) -> float:
+def priced(pose, frame, settings=SETTINGS, step=STILL, model=MODEL) -> float:
     """The sum of squares of a frame."""
-    return float(jnp.sum(moved(step, pose, frame, settings) ** 2))
+    missing = len(model.markers.bones) - len(frame["markers"])
+    markers = jnp.pad(frame["markers"], ((0, missing), (0, 0)), constant_values=jnp.nan)
+    given = frame | {"markers": markers}
+    return float(jnp.sum(moved(step, pose, given, settings, model) ** 2))
 
 
 def test_a_marker_off_its_place_costs_by_its_deviation():
     pose, frame = one_frame()
-    off = frame._replace(targets=frame.targets.at[1, 2].add(3 * SETTINGS.marker))
+    deviation = SETTINGS.markers.deviation
+    off = frame | {"markers": frame["markers"].at[1, 2].add(3 * deviation)}
     assert priced(pose, off) - priced(pose, frame) == pytest.approx(9, rel=1e-2)
-    gone = frame._replace(targets=frame.targets.at[1].set(jnp.nan))
+    gone = frame | {"markers": frame["markers"].at[1].set(jnp.nan)}
     assert priced(pose, gone) == pytest.approx(priced(pose, frame), rel=1e-3)
 
 
 def test_a_missing_marker_leaves_the_derivatives_finite():
     pose, frame = one_frame()
-    gone = frame._replace(targets=jnp.full_like(frame.targets, jnp.nan))
+    gone = frame | {"markers": jnp.full_like(frame["markers"], jnp.nan)}
     assert np.isfinite(np.asarray(SLOPES(STILL, pose, gone, SETTINGS))).all()
     assert np.isfinite(priced(pose, gone))
 
@@ -241,9 +255,9 @@ def test_a_joint_beyond_its_range_costs(side):
     pose, frame = one_frame()
     joint = PERSON.tree.joint("elbow_flex_l")
     at_limit = pose._replace(angles=pose.angles.at[joint].set(PERSON.limits[joint, side]))
-    by = (2 * side - 1) * 3 * SETTINGS.limit
+    by = (2 * side - 1) * 3 * SETTINGS.limits.deviation
     beyond = at_limit._replace(angles=at_limit.angles.at[joint].add(by))
-    ranges = replace(ADRIFT, limit=jnp.float32(1e3))
+    ranges = replace(ADRIFT, limits=JointLimits(deviation=1e3))
     by_range, otherwise = (
         priced(beyond, frame, each) - priced(at_limit, frame, each) for each in (ADRIFT, ranges)
     )
@@ -255,33 +269,32 @@ def test_a_body_that_turns_or_leans_from_the_markers_pose_costs():
     steps = np.zeros((4, STILL.size), np.float32)
     steps[1:, 3:6] = 0.3 * np.eye(3)
 
-    def costs(feet: float) -> list[float]:
-        there = frame._replace(feet=jnp.float32(feet))
-        still, *turned = (priced(pose, there, ADRIFT, step) for step in steps)
+    def costs(model) -> list[float]:
+        still, *turned = (priced(pose, frame, ADRIFT, step, model) for step in steps)
         return [cost - still for cost in turned]
 
-    held, free = costs(0.0), costs(1.0)
-    facing, lean = (np.sin(0.3) ** 2 / float(s) ** 2 for s in (SETTINGS.facing, SETTINGS.lean))
+    held, free = costs(MARKED_FEET), costs(MODEL)
+    pelvis = SETTINGS.pelvis
+    facing, lean = (np.sin(0.3) ** 2 / float(s) ** 2 for s in (pelvis.facing, pelvis.lean))
     assert held[2] == pytest.approx(facing, rel=1e-2)
     assert min(held[:2]) >= 0.99 * lean and min(free[:2]) >= 0.99 * lean
-    # Without markers on the feet less is known of where the body faces, but something.
+    # Without markers on the feet it is less sure where the body faces, but not open.
     assert 0.01 * facing < free[2] < 0.5 * facing
 
 
 def test_feet_that_a_marker_holds_are_left_to_it():
     pose, frame = one_frame()
-    lifted = frame._replace(ankles=frame.ankles + 0.2)
+    lifted = frame | {"ankles": frame["ankles"] + 0.2}
     assert priced(pose, lifted) > priced(pose, frame) + 1
-    held, own = (each._replace(feet=jnp.asarray(0.0)) for each in (lifted, frame))
-    assert priced(pose, held) == pytest.approx(priced(pose, own), rel=1e-6)
+    held, own = (priced(pose, each, model=MARKED_FEET) for each in (lifted, frame))
+    assert held == pytest.approx(own, rel=1e-6)
 
 
 def test_free_feet_stand_below_the_centre_of_gravity():
     pose, frame = one_frame()
-    aside = frame._replace(ankles=frame.ankles + np.array([0.15, 0.0, 0.0], np.float32))
+    aside = frame | {"ankles": frame["ankles"] + np.array([0.15, 0.0, 0.0], np.float32)}
     there = 0.15 * np.eye(len(STILL), dtype=np.float32)[0]
-    balance = SETTINGS.balance
-    firm = replace(ADRIFT, balance=balance)
+    firm = replace(ADRIFT, balance=SETTINGS.balance)
     # The whole body moves, and stays as balanced as it was.
     assert priced(pose, aside, firm, there) == pytest.approx(priced(pose, frame, firm), rel=1e-3)
     bowed = STILL.copy()

@@ -1,27 +1,28 @@
-"""A known motion, painted: what its markers and cameras tell of it, ready to be smoothed."""
+"""A known motion, painted: its markers and silhouettes, ready to be smoothed."""
 
 from functools import cache
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import cv2
 import jax
-import jax.numpy as jnp
 import numpy as np
 from conftest import on_device
 from drawn_arms import SIZE, arm_pose, camera_at
 from drawn_body import paint, room
-from jaxmocap.evidence.residuals import Known
 
 from jaxmocap.body.kinematics import forward, landmark_sites, landmarks, site_positions
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.proportions import PROPORTIONS
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.evidence.silhouettes import Sight
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.capture.timeline import Timeline
+from jaxmocap.evidence.markers import Markers
+from jaxmocap.evidence.silhouettes import SilhouetteGrids, Silhouettes
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.images.regions import Region
 from jaxmocap.images.silhouette_grid import Grid
-from jaxmocap.smoothing.linearise import Problem, Sights, Trajectory
+from jaxmocap.smoothing.problem import FirstPass, SmoothingProblem, Trajectory, Views
 from jaxmocap.smoothing.settings import SmoothingSettings
 
 PERSON = Skeleton.human(1.75)
@@ -34,13 +35,17 @@ CAMERAS = (
 CELLS, CELL_PX, RATE = 48, 8, 30
 # Stated, so that what is tested does not move with what is tuned on real people; who is painted as
 # he is modelled errs hardly alike from cell to cell.
-SETTINGS = SmoothingSettings.create(
-    marker=0.004, silhouette=0.7, acceleration=3.0, redundancy=4.0, mismatch=1.0
+SETTINGS = SmoothingSettings(
+    markers=Markers(deviation=0.004),
+    silhouettes=Silhouettes(deviation=0.7, redundancy=4.0),
+    acceleration=3.0,
+    mismatch=1.0,
 )
+MODEL = Model.create(PERSON, MARKERS, CAMERAS)
 
 
-class Seen(NamedTuple):
-    """What one camera saw of T frames: (T, S, S) each, and where the grids' corners lie."""
+class PaintedGrids(NamedTuple):
+    """One camera's silhouettes in T frames: (T, S, S) each, and where the grids' corners lie."""
 
     person: np.ndarray
     forearms: np.ndarray
@@ -83,8 +88,8 @@ def elbow_errors(poses: Pose) -> np.ndarray:
 
 
 @cache
-def seen_by(camera: int, count: int) -> Seen:
-    """The motion as a camera sees it, on grids about the upper body."""
+def painted_grids(camera: int, count: int) -> PaintedGrids:
+    """The motion in one camera, on grids about the upper body."""
     lens, wall, side = CAMERAS[camera], room(SIZE), CELLS * CELL_PX
     corner = np.array([(SIZE[0] - side) // 2, (SIZE[1] - side) // 2])
     grids = []
@@ -92,7 +97,7 @@ def seen_by(camera: int, count: int) -> Seen:
         shares = paint(lens, PERSON, pose, wall)[1:]
         grids.append([_averaged(share, corner, side) for share in shares])
     person, forearms = np.stack(grids, 1)
-    return Seen(person, forearms, np.tile(corner - 0.5, (count, 1)))
+    return PaintedGrids(person, forearms, np.tile(corner - 0.5, (count, 1)))
 
 
 def _averaged(share: np.ndarray, corner: np.ndarray, side: int) -> np.ndarray:
@@ -101,38 +106,43 @@ def _averaged(share: np.ndarray, corner: np.ndarray, side: int) -> np.ndarray:
     return cv2.resize(window, (CELLS, CELLS), interpolation=cv2.INTER_AREA)
 
 
-def sights(count: int, cameras=(0,), frames=None) -> Sights:
+def views(count: int, cameras=(0,), frames=None) -> Views:
     """Of cameras at the given frames, all by default."""
     parts = []
     for camera in cameras:
         chosen = np.arange(count) if frames is None else np.asarray(frames)
-        seen = seen_by(camera, count)
-        grids = (Grid(part[chosen], np.ones_like(part[chosen])) for part in seen[:2])
+        painted = painted_grids(camera, count)
+        grids = (Grid(part[chosen], np.ones_like(part[chosen])) for part in painted[:2])
         scale = np.full(len(chosen), CELL_PX, np.float32)
-        region = Region(seen.origin[chosen].astype(np.float32), scale)
-        parts.append(Sights(chosen, np.full(len(chosen), camera), Sight(region, *grids)))
+        region = Region(painted.origin[chosen].astype(np.float32), scale)
+        cameras_of = np.full(len(chosen), camera)
+        parts.append(Views(chosen, cameras_of, SilhouetteGrids(region, *grids)))
     return jax.tree.map(lambda *each: np.concatenate(each), *parts)
 
 
-def known(count: int) -> Known:
-    """What markers tell of each frame: those of head and wrists."""
+def measurements(count: int) -> dict[str, np.ndarray]:
+    """Of each frame: markers on head and wrists, and what their own pose would be."""
     poses = on_device(truth(count))
     places = jax.vmap(lambda pose: site_positions(PERSON, forward(PERSON, pose), MARKERS))(poses)
     points = points_of(truth(count))
     R = np.asarray(jax.vmap(quaternion_to_matrix)(poses.quaternion))
     ankles = points[:, [list(LANDMARKS).index(f"ankle_{side}") for side in "lr"]]
-    parts = Known(
-        places, R[:, :2, 2], R[:, :, 0], ankles, np.ones(count), np.full((count, 2, 3), np.nan)
-    )
-    return jax.tree.map(lambda part: np.asarray(part, np.float32), parts)
+    measured = {
+        "markers": places,
+        "upright": R[:, :2, 2],
+        "facing": R[:, :, 0],
+        "ankles": ankles,
+        "elbows": np.full((count, 2, 3), np.nan),
+    }
+    return {name: np.array(part, np.float32) for name, part in measured.items()}
 
 
-def problem(count: int, seen: Sights, frames: Known | None = None) -> Problem:
-    """Everything that is known of the motion."""
-    cameras: Camera = jax.tree.map(lambda *leaves: jnp.stack(leaves), *CAMERAS)
-    frames = known(count) if frames is None else frames
-    times = np.arange(count) / RATE
-    return Problem(PERSON, cameras, MARKERS, SETTINGS, times, frames, seen)
+def problem(
+    count: int, shown: Views, measured: dict[str, np.ndarray] | None = None
+) -> SmoothingProblem:
+    """Everything that was measured of the motion."""
+    measured = measurements(count) if measured is None else measured
+    return SmoothingProblem(MODEL, SETTINGS, np.arange(count) / RATE, measured, shown)
 
 
 def disturbed(count: int, degrees: float = 15.0) -> Trajectory:
@@ -148,3 +158,18 @@ def disturbed(count: int, degrees: float = 15.0) -> Trajectory:
         angles[:, PERSON.tree.joint(name)] += by
     start = Pose(*(np.asarray(part, np.float32) for part in poses._replace(angles=angles)))
     return Trajectory(start, np.zeros(len(PROPORTIONS), np.float32))
+
+
+def first_pass(
+    timeline: Timeline, markers_world: np.ndarray, marker_poses: Pose, poses: Pose, **more
+) -> FirstPass:
+    """What a tracker's steps at the events of a timeline would hand on to the smoothing."""
+    return FirstPass(
+        timeline.event_times,
+        markers_world,
+        timeline.frame_index,
+        poses,
+        SimpleNamespace(marker_pose=marker_poses),
+        [[] for _ in timeline.event_times],
+        **more,
+    )

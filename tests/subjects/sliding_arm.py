@@ -1,4 +1,4 @@
-"""A planar arm on a sliding base, seen over time: a small trajectory and its dense solution."""
+"""A planar arm on a sliding base, measured over time: a trajectory and its dense solution."""
 
 from typing import NamedTuple
 
@@ -22,12 +22,12 @@ class Arm(NamedTuple):
     lengths: np.ndarray  # (LINKS,)
 
 
-class Watched(NamedTuple):
-    """A seen arm: ranges of its joints from the origin, and its last joint's height."""
+class Measured(NamedTuple):
+    """Ranges of an arm's joints from the origin, and its last joint's height."""
 
     ranges: np.ndarray  # (T, LINKS)
     heights: np.ndarray  # (T,)
-    weights: np.ndarray  # (T,), 0 where nothing was seen
+    weights: np.ndarray  # (T,), 0 where nothing was measured
     shared: int  # how many lengths are free
 
 
@@ -44,15 +44,16 @@ def joints(arm: Arm) -> np.ndarray:
     return np.stack([along.real, along.imag], 2).reshape(len(along), -1)
 
 
-def residuals(arm: Arm, seen: Watched) -> np.ndarray:
+def residuals(arm: Arm, measured: Measured) -> np.ndarray:
     """(T, R) of the frames by themselves."""
     xy = joints(arm).reshape(-1, LINKS + 1, 2)[:, 1:]
-    range_error = (np.hypot(xy[..., 0], xy[..., 1]) - seen.ranges) * 50
-    height_error = (xy[:, -1, 1] - seen.heights) * 50
+    range_error = (np.hypot(xy[..., 0], xy[..., 1]) - measured.ranges) * 50
+    height_error = (xy[:, -1, 1] - measured.heights) * 50
     lean = arm.base / 0.3
     bend = np.angle(arm.turns) / 1.5
     return (
-        np.concatenate([range_error, height_error[:, None], lean, bend], 1) * seen.weights[:, None]
+        np.concatenate([range_error, height_error[:, None], lean, bend], 1)
+        * measured.weights[:, None]
     )
 
 
@@ -70,12 +71,12 @@ def derivatives(function, arm: Arm, shared: int) -> tuple[np.ndarray, np.ndarray
     return np.stack(own, 2), np.reshape(common, (shared, *values.shape)).transpose(1, 2, 0)
 
 
-def linearise(arm: Arm, seen: Watched) -> Linearised:
-    r = residuals(arm, seen)
-    J, K = derivatives(lambda x: residuals(x, seen), arm, seen.shared)
-    Q, S = derivatives(joints, arm, seen.shared)
+def linearise(arm: Arm, measured: Measured) -> Linearised:
+    r = residuals(arm, measured)
+    J, K = derivatives(lambda x: residuals(x, measured), arm, measured.shared)
+    Q, S = derivatives(joints, arm, measured.shared)
     # The lengths' prior, a share in each frame.
-    error = (arm.lengths - LENGTHS)[: seen.shared] / 0.05 / np.sqrt(FRAMES)
+    error = (arm.lengths - LENGTHS)[: measured.shared] / 0.05 / np.sqrt(FRAMES)
     return Linearised(
         np.sum(r**2, 1) + error @ error,
         np.einsum("tri,trj->tij", J, J),
@@ -83,36 +84,36 @@ def linearise(arm: Arm, seen: Watched) -> Linearised:
         joints(arm),
         Q,
         np.einsum("tri,trp->tip", J, K),
-        np.einsum("trp,trq->tpq", K, K) + np.eye(seen.shared) / 0.05**2 / FRAMES,
+        np.einsum("trp,trq->tpq", K, K) + np.eye(measured.shared) / 0.05**2 / FRAMES,
         np.einsum("trp,tr->tp", K, r) + error / 0.05 / np.sqrt(FRAMES),
         S,
     )
 
 
-def evaluate(arm: Arm, seen: Watched) -> tuple[np.ndarray, np.ndarray]:
-    linear = linearise(arm, seen)
+def evaluate(arm: Arm, measured: Measured) -> tuple[np.ndarray, np.ndarray]:
+    linear = linearise(arm, measured)
     return np.asarray(linear.cost), np.asarray(linear.points)
 
 
 def problem(
     seed: int, shared: int, absent: tuple[int, ...] = ()
-) -> tuple[Arm, Watched, tuple[np.ndarray, Smoothness]]:
-    """A start away from an arm that was seen with noise at uneven times, and the prior."""
+) -> tuple[Arm, Measured, tuple[np.ndarray, Smoothness]]:
+    """A start away from an arm that was measured with noise at uneven times, and the prior."""
     rng = np.random.default_rng(seed)
     times = np.cumsum(rng.uniform(0.02, 0.2, FRAMES))
     phase = times[:, None] * [3.0, 2.0] + rng.uniform(0, 1, LINKS)
     truth = Arm(0.2 * np.cos(phase), np.exp(1j * (0.8 + 0.5 * np.sin(phase))), LENGTHS * 1.1)
     weights = np.ones(FRAMES)
     weights[list(absent)] = 0
-    seen = Watched(np.zeros((FRAMES, LINKS)), np.zeros(FRAMES), weights, shared)
+    measured = Measured(np.zeros((FRAMES, LINKS)), np.zeros(FRAMES), weights, shared)
     xy = joints(truth).reshape(FRAMES, LINKS + 1, 2)[:, 1:]
-    seen = seen._replace(
+    measured = measured._replace(
         ranges=np.linalg.norm(xy, axis=2) + 0.005 * rng.normal(size=(FRAMES, LINKS)),
         heights=xy[:, -1, 1] + 0.005 * rng.normal(size=FRAMES),
     )
     start = move(truth, 0.05 * rng.normal(size=(FRAMES, 2 + LINKS)), np.zeros(0))
     prior = smoothness(times, ACCELERATIONS, VELOCITIES)
-    return start._replace(lengths=LENGTHS), seen, (times, prior)
+    return start._replace(lengths=LENGTHS), measured, (times, prior)
 
 
 def motion_matrix(times: np.ndarray) -> np.ndarray:
@@ -133,24 +134,23 @@ def motion_matrix(times: np.ndarray) -> np.ndarray:
     return np.array(rows)
 
 
-def dense_residuals(arm: Arm, seen: Watched, motion: np.ndarray) -> np.ndarray:
-    lengths = (arm.lengths - LENGTHS)[: seen.shared] / 0.05
-    own = residuals(arm, seen).ravel()
+def dense_residuals(arm: Arm, measured: Measured, motion: np.ndarray) -> np.ndarray:
+    lengths = (arm.lengths - LENGTHS)[: measured.shared] / 0.05
+    own = residuals(arm, measured).ravel()
     return np.concatenate([own, motion @ joints(arm).ravel(), lengths])
 
 
-def dense_solution(start: Arm, seen: Watched, motion: np.ndarray, held: int) -> tuple[Arm, float]:
+def dense_solution(start: Arm, measured: Measured, motion: np.ndarray) -> tuple[Arm, float]:
     """By SciPy, over all free unknowns at once in the chart about the start."""
 
     def at(z: np.ndarray) -> Arm:
-        steps = np.zeros((FRAMES, 2 + LINKS))
-        steps[held:] = z[: len(z) - seen.shared].reshape(-1, 2 + LINKS)
-        return move(start, steps, z[len(z) - seen.shared :])
+        steps = z[: FRAMES * (2 + LINKS)].reshape(FRAMES, 2 + LINKS)
+        return move(start, steps, z[FRAMES * (2 + LINKS) :])
 
-    unknowns = (FRAMES - held) * (2 + LINKS) + seen.shared
+    unknowns = FRAMES * (2 + LINKS) + measured.shared
     tight = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-12}
     found = least_squares(
-        lambda z: dense_residuals(at(z), seen, motion), np.zeros(unknowns), "3-point", **tight
+        lambda z: dense_residuals(at(z), measured, motion), np.zeros(unknowns), "3-point", **tight
     )
     return at(found.x), 2 * found.cost
 

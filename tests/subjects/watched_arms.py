@@ -1,4 +1,4 @@
-"""Arms as the video step sees them, before drawn pictures: shared by its tests."""
+"""Arms before drawn pictures, as the refinement takes them: shared by its tests."""
 
 import jax
 import jax.numpy as jnp
@@ -6,11 +6,13 @@ import numpy as np
 from conftest import on_device
 from drawn_arms import arm_pose, camera_at, draw, limbs_of
 
-from jaxmocap.body import arms as arms_module
+from jaxmocap.body.arms import arms_of
 from jaxmocap.body.kinematics import forward, landmark_sites
+from jaxmocap.body.model import Model
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.geometry.rotations import about_axis, compose, rotate
-from jaxmocap.hybrid.observe import Observer, arm_regions
+from jaxmocap.hybrid.observe import arm_regions, no_thresholds, observe
 from jaxmocap.hybrid.settings import Settings
 
 SIZE = 96
@@ -26,7 +28,9 @@ TRUTH = arm_pose(PERSON, DEGREES)
 FRONT = camera_at((2.2, 0.3, 1.35), (0.0, 0.0, 1.15))
 SIDE = camera_at((0.7, -2.2, 1.4), (0.0, 0.0, 1.15))
 MARKERS = landmark_sites(PERSON, ("vertex", "wrist_l", "wrist_r"))
-GRIPS = arms_module.grips(PERSON, MARKERS)
+# Without cameras: most tests have cameras of their own.
+MODEL = Model.create(PERSON, MARKERS)
+GRIPS = MODEL.grips
 
 
 def stacked(*cameras):
@@ -36,7 +40,7 @@ def stacked(*cameras):
 @jax.jit
 def arms_in(pose):
     """Both arms of a pose."""
-    return arms_module.arms_of(PERSON, forward(PERSON, pose), GRIPS)
+    return arms_of(PERSON, forward(PERSON, pose), GRIPS)
 
 
 @jax.jit
@@ -84,10 +88,8 @@ def picture_of(arms) -> np.ndarray:
     return draw(FRONT, limbs)
 
 
-def observed(images, cameras, arms, settings: Settings | None = None):
-    """What a fresh observer tells of images, in the regions where ``arms`` are."""
+def observed(images, cameras, arms, settings: Settings | None = None) -> EdgeFields:
+    """The fields of first images, in the regions where ``arms`` are."""
     settings = settings or Settings(region=SIZE)
-    samples, spacing = settings.samples, settings.spacing
-    observer = Observer(len(images), samples, settings.directions, settings.edges, spacing)
-    regions = arm_regions(cameras, arms, samples, settings.margin, spacing)
-    return observer.observe(images, regions)
+    regions = arm_regions(cameras, arms, settings.samples, settings.margin, settings.spacing)
+    return observe(settings, no_thresholds(len(images)), images, regions)[0]

@@ -96,8 +96,8 @@ def ik_step(
     settings: Any,
     pose: Any,
     free: np.ndarray,
-    wishes: Any = None,
-    ardour: float = 1.0,
+    secondary: Any = None,
+    gain: float = 1.0,
 ) -> tuple[Pose, float, float]:
     """One iteration: the new pose, the largest weighted angle of the step, the old pose's miss.
 
@@ -107,26 +107,26 @@ def ik_step(
         settings: of inverse kinematics.
         pose: to start from.
         free: (6 + D,) degrees of freedom that may move.
-        wishes: goals of a second rank.
-        ardour: factor on all that is not of the first rank.
+        secondary: goals that are approached as far as the first hold.
+        gain: factor on the secondary task and the secondary goals.
     """
     goals, free = as_goals(goals), np.asarray(free, bool)
     costs, gamma = np.asarray(skeleton.costs, float), float(settings.largest_step)
     frames = forward(skeleton, pose)
     J, error, missed = linearised(skeleton, frames, goals)
-    wanted = ardour * costs * secondary_task(skeleton, frames, pose, settings)
+    wanted = gain * costs * secondary_task(skeleton, frames, pose, settings)
     low, high = room(skeleton, pose)
 
     def step(moving: np.ndarray) -> np.ndarray:
         primary, projector = sdls.step(J * moving, error, gamma, RANK_TOLERANCE)
-        secondary = projector @ (wanted * moving)
-        if wishes is not None:
-            A, ask, _ = linearised(skeleton, frames, as_goals(wishes))
+        beside = projector @ (wanted * moving)
+        if secondary is not None:
+            A, away, _ = linearised(skeleton, frames, as_goals(secondary))
             A = (A * moving) @ projector
-            rest = ardour * ask - A @ secondary
+            rest = gain * away - A @ beside
             ridge = float(settings.elbow_damping) ** 2 * np.eye(len(rest))
-            secondary = secondary + A.T @ np.linalg.solve(A @ A.T + ridge, rest)
-        return primary + sdls.clamp_max_abs(secondary, gamma)
+            beside = beside + A.T @ np.linalg.solve(A @ A.T + ridge, rest)
+        return primary + sdls.clamp_max_abs(beside, gamma)
 
     psi = step(free)
     leaving = np.array(
@@ -156,18 +156,18 @@ def reach(
     settings: Any,
     pose: Any,
     free: np.ndarray | None = None,
-    wishes: Any = None,
+    secondary: Any = None,
 ) -> tuple[Pose, int]:
     """Iterate until the goals are met, or the body rests; the pose and how often."""
     moving = np.ones(len(skeleton.costs), bool) if free is None else np.asarray(free, bool)
     following = int(settings.following)
-    least = int(settings.settle) if wishes is None else following
+    least = int(settings.settle) if secondary is None else following
     count, moved, pose = 0, np.inf, as_pose(pose)
     while count < least or (moved > float(settings.rest) and count < int(settings.iterations)):
         missed = linearised(skeleton, forward(skeleton, pose), as_goals(goals))[2]
         if count >= least and missed <= float(settings.tolerance):
             break
-        ardour = 1.0 if wishes is None or count < following else 0.0
-        pose, moved, _ = ik_step(skeleton, goals, settings, pose, moving, wishes, ardour)
+        gain = 1.0 if secondary is None or count < following else 0.0
+        pose, moved, _ = ik_step(skeleton, goals, settings, pose, moving, secondary, gain)
         count += 1
     return pose, count

@@ -21,7 +21,7 @@ LOST_M = 0.6
 
 
 class ArmView(NamedTuple):
-    """What is seen of one arm: origin (2,) and scale of its region, its plain field (S, S)."""
+    """One arm in an image: origin (2,) and scale of its region, its plain field (S, S)."""
 
     origin: np.ndarray
     scale: float
@@ -68,16 +68,16 @@ def refine(
         goals: markers and feet.
         markers_pose: of inverse kinematics.
         last_pose: the last refined one.
-        views: left and right; None where an arm is not seen.
+        views: left and right; None where an arm has no image.
         grip_sites: the points that the markers hold.
     """
     hands = grips_of(skeleton, markers_pose, grip_sites)
     elbows = site_positions(skeleton, forward(skeleton, markers_pose), elbow_points(skeleton))
     start = ik.as_pose(markers_pose if lost(skeleton, goals, last_pose) else last_pose)
     bowed, free, balanced = balance.bow_on_feet(skeleton, settings.ik, markers_pose, factors)
-    wishes = ik.Goals(elbow_points(skeleton), elbows, np.ones(2))
+    secondary = ik.Goals(elbow_points(skeleton), elbows, np.ones(2))
     first = bowed if balanced else start
-    pose, _ = ik.reach(skeleton, goals, settings.ik, first, free, wishes)
+    pose, _ = ik.reach(skeleton, goals, settings.ik, first, free, secondary)
     angles = pose.angles.copy()
     for arm, view in enumerate(views):
         if view is not None:
@@ -164,9 +164,11 @@ def refine_arm(
     def cost(moves: np.ndarray) -> float:
         joints, grip, angles = swing(skeleton, pose, side, grip_sites, moves)
         beyond = np.maximum(limits[:, 0] - angles, 0) + np.maximum(angles - limits[:, 1], 0)
-        seen = raster_distance(skeleton, camera, settings, side, view, joints)
-        held = float(own.hold) * float(np.linalg.norm(hand - grip))
-        return seen / float(settings.edges.scale) + held + float(own.limit) * beyond.sum()
+        off_edges = raster_distance(skeleton, camera, settings, side, view, joints)
+        off_marker = float(own.hold) * float(np.linalg.norm(hand - grip))
+        return (
+            off_edges / float(settings.edges.scale) + off_marker + float(own.limit) * beyond.sum()
+        )
 
     edges = np.diag([float(own.swivel_edge)] + 3 * [float(own.other_edge)])
     first = np.vstack([np.zeros(4), edges])
@@ -185,9 +187,9 @@ def raster_distance(
     depths = np.maximum(cameras.to_camera(camera, joints)[:, 2], cameras.NEAREST_M)
     matrix = np.asarray(camera.matrix, float)
     focal = (matrix[0, 0] + matrix[1, 1]) / 2 / view.scale
-    seen = focal * radii / np.stack([depths[:-1], depths[1:]], 1)
+    projected = focal * radii / np.stack([depths[:-1], depths[1:]], 1)
     covered = raster.coverage(
-        view.field.shape, in_region[:-1], in_region[1:], seen, float(settings.edges.softness)
+        view.field.shape, in_region[:-1], in_region[1:], projected, float(settings.edges.softness)
     )
     samples_per_metre = matrix[0, 0] / max(np.mean(depths[:-1]), 0.1) / view.scale
     lengths = np.linalg.norm(np.diff(joints, axis=0), axis=1)
