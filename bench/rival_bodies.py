@@ -8,7 +8,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from tests.mujoco_body import MujocoBody
+from tests.subjects.mujoco_body import MujocoBody
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
