@@ -30,7 +30,13 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.evidence.silhouettes import LegGrid, SilhouetteGrids
 from jaxmocap.hybrid.observe import observe
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.hybrid.step import SOLVE_EVENTS, EventFields, Events, refine_events, solve_events
+from jaxmocap.hybrid.step import (
+    SOLVE_EVENTS,
+    EventFields,
+    RefineInputs,
+    refine_events,
+    solve_events,
+)
 from jaxmocap.hybrid.tracker import HybridTracker, Images, State
 from jaxmocap.images.regions import Region
 from jaxmocap.images.silhouette_grid import Grid
@@ -107,7 +113,7 @@ def refining(tracker: HybridTracker, footage: Footage, size: int) -> Work:
 
     over = jax.vmap(refined, (None, None, None, None, 0, None))
     call = lambda *given: over(*given)[1]  # noqa: E731
-    events = Events(solved, markers, fields, elapsed)
+    events = RefineInputs(solved, markers, fields, elapsed)
     return call, (model, settings, state.bow_factors, events, many, state.belief)
 
 

@@ -27,7 +27,7 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.capture.markers import interpolate_markers
-from jaxmocap.evidence.edges import EdgeFields, Outlines
+from jaxmocap.evidence.edges import EdgeFields, OutlineEdges
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.hybrid import refine
@@ -151,7 +151,7 @@ def _prepare(
     arms = arms_of(model.skeleton, forward(model.skeleton, solved.ik.pose), model.grips)
     _, elbows = refine.search_elbows(settings, model, arms, fields, belief)
     free = jnp.ones(model.skeleton.costs.shape, bool)
-    start = refine.follow(model, settings, goals, belief.pose, free, elbows)
+    start = refine.follow_elbows(model, settings, goals, belief.pose, free, elbows)
     return start, fields, arms.grip, Aims(goals, elbows, solved.ik.pose, free)
 
 
@@ -218,7 +218,7 @@ def evaluations(tracker: HybridTracker, given: list[Frame], name: str, steps: in
 
         return run
 
-    at = (refine, "swing") if name == "simplex" else (Outlines, "residual")
+    at = (refine, "swing") if name == "simplex" else (OutlineEdges, "residual")
     with mock.patch.object(*at, counted(getattr(*at))):
         run = rival(tracker, name, steps)
         for frame in given:

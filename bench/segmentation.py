@@ -26,7 +26,7 @@ from jaxmocap.capture.footage import forward_readers
 from jaxmocap.capture.video import open_video
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.background_model import Background
-from jaxmocap.images.canvases import follow, full_mask, mask_canvas
+from jaxmocap.images.canvases import full_mask, mask_canvas, region_about_mask
 from jaxmocap.images.regions import Region
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.silhouette.segmentation.background_models import (
@@ -139,7 +139,7 @@ def looked(
     """Φ (C, S, S) and where the canvases are, by one look of the tracker."""
     settings = Settings()
     size, none = settings.rim.size, np.zeros(0)
-    views = [follow(start, size) for start in seen.starts]
+    views = [region_about_mask(start, size) for start in seen.starts]
     masks = [
         mask_canvas(start, view, size) > 0.5 for start, view in zip(seen.starts, views, strict=True)
     ]

@@ -107,7 +107,7 @@ class WeightedEdges(NamedTuple):
 
 
 @settings
-class Outlines(Term):
+class OutlineEdges(Term):
     """Outlines of both arms on edges; measured ``edges``, a ``WeightedEdges``.
 
     A distance d costs d^2 / (sqrt(d^2 + b^2) + b): square near the edge, then straight, and it

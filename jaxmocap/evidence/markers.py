@@ -29,7 +29,7 @@ def off_targets(points: Array, targets: Array | np.ndarray) -> Array:
 
 
 @settings
-class Markers(Term):
+class MarkerPositions(Term):
     """Markers on bones; measured ``markers`` (M, 3), world, metres, NaN where missing."""
 
     deviation: Array = traced(0.004, "of a marker about its point on the body, metres")

@@ -19,7 +19,7 @@ UNMARKED_FACING = 3.0
 
 
 @settings
-class Posture(Term):
+class RelaxedPosture(Term):
     """Joints at ease."""
 
     errors_last: ClassVar[bool] = True

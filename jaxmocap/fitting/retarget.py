@@ -44,7 +44,7 @@ def retargeted(motion: Motion, skeleton: Skeleton) -> Motion:
     other = replace(mine, **{key: getattr(other, key) for key in bones})
     before = feet(mine, motion.poses)
     way, feet_way = (
-        scaled(motion, other, at) for at in (np.asarray(motion.poses.position), before)
+        scaled_by_legs(motion, other, at) for at in (np.asarray(motion.poses.position), before)
     )
     poses = Pose(jnp.zeros_like(motion.poses.position), *motion.poses[1:])
     by_feet = feet_way - feet(other, poses)
@@ -53,7 +53,7 @@ def retargeted(motion: Motion, skeleton: Skeleton) -> Motion:
     return Motion(other, motion.times, poses, origin_world=motion.origin_world)
 
 
-def scaled(motion: Motion, skeleton: Skeleton, points: np.ndarray) -> np.ndarray:
+def scaled_by_legs(motion: Motion, skeleton: Skeleton, points: np.ndarray) -> np.ndarray:
     """Where points (T, ..., 3) of a motion go by the other's length of legs, world, metres.
 
     From where the pelvis began, and upwards from the floor.

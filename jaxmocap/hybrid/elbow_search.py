@@ -129,7 +129,7 @@ def believed_elbows(arms: Arms, turn: Array) -> Array:
     return jax.vmap(of_arm)(arms, turn)
 
 
-def carried(settings: ElbowSearchSettings, belief: ElbowBelief) -> tuple[Array, Array]:
+def without_image(settings: ElbowSearchSettings, belief: ElbowBelief) -> tuple[Array, Array]:
     """The belief between images: turns (2, 3) that fade out, and a deviation (2,) that grows."""
     fading = jnp.exp(-((belief.age / settings.fading) ** 2))
     drift = settings.drift * settings.elbow_speed * belief.age

@@ -33,9 +33,9 @@ from jaxmocap.hybrid.balance import bow_on_feet
 from jaxmocap.hybrid.elbow_search import (
     ElbowBelief,
     believed_elbows,
-    carried,
     confidence_of,
     search,
+    without_image,
 )
 from jaxmocap.hybrid.gradient import Aims, refine_body
 from jaxmocap.hybrid.ik import IKResult, goal_distances, goals_of, reach
@@ -121,10 +121,10 @@ def refine(
         belief, elbows = search_elbows(settings, model, arms, edges, belief)
     pose, centre, free, balanced = _balanced(model, settings, solved.ik.pose, pose, bow_factors)
     if edges is not None:
-        pose = follow(model, settings, goals, pose, free, elbows)
+        pose = follow_elbows(model, settings, goals, pose, free, elbows)
         aims = Aims(goals, elbows, centre, free)
         pose, status = _fit(model, settings, edges, pose, aims, arms.grip)
-        belief = remembered(belief, arms, _arms(model, pose), edges, pose)
+        belief = updated_belief(belief, arms, _arms(model, pose), edges, pose)
     elif settings.balance:
         met = lambda: reach(model.skeleton, goals, settings.ik, pose, free)[0]  # noqa: E731
         pose = jax.lax.cond(balanced, met, lambda: pose)
@@ -136,7 +136,7 @@ def refine(
     errors = goal_distances(model.skeleton, goals, pose)[: len(mask)]
     report = StepReport(
         solved.ik.pose, jnp.where(mask, errors, jnp.nan), outline_px, swivels(arms, found),
-        carried(settings.elbow_search, belief)[1], solved.ik.iterations, solved.ik.planted,
+        without_image(settings.elbow_search, belief)[1], solved.ik.iterations, solved.ik.planted,
         solved.placed, balanced, status,
     )  # fmt: skip
     return belief, pose, report
@@ -178,7 +178,7 @@ def search_elbows(
         return new, new.turn
 
     def without() -> tuple[ElbowBelief, Array]:
-        return belief, carried(settings.elbow_search, belief)[0]
+        return belief, without_image(settings.elbow_search, belief)[0]
 
     belief, turn = jax.lax.cond(jnp.any(jnp.asarray(fields.available)), by_image, without)
     return belief, believed_elbows(arms, turn)
@@ -201,7 +201,7 @@ def _balanced(
     return pose, centre, free, bows
 
 
-def follow(
+def follow_elbows(
     model: Model, settings: Settings, goals: Goals, pose: Pose, free: Array, elbows: Array
 ) -> Pose:
     """The body with its elbows where the search has them, as far as the markers hold."""
@@ -298,7 +298,7 @@ def _arm_costs(
     return (*costs, near_searched) if settings.search else costs
 
 
-def remembered(
+def updated_belief(
     belief: ElbowBelief, arms: Arms, found: Arms, fields: EdgeFields, pose: Pose
 ) -> ElbowBelief:
     """The belief with the turns from the markers' forearms to those found in a new image."""

@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.compilation.settings import counted, group, settings, static, traced
-from jaxmocap.evidence.edges import EdgeEvidence, Outlines
+from jaxmocap.evidence.edges import EdgeEvidence, OutlineEdges
 from jaxmocap.evidence.limits import JointLimits
 from jaxmocap.evidence.markers import PointGoals, SearchedElbows
 from jaxmocap.evidence.posture import NearPose
@@ -102,7 +102,7 @@ class GradientSettings:
         "at rest where nothing moves by more than this share of its prior's deviation; BFGS, whose "
         "first steps are short, wants a smaller one",
     )
-    outlines: Outlines = group(Outlines, "of outlines on edges")
+    outlines: OutlineEdges = group(OutlineEdges, "of outlines on edges")
     goals: PointGoals = group(PointGoals, "of markers and unmarked feet")
     elbows: SearchedElbows = group(SearchedElbows, "of the searched elbows")
     near: NearPose = group(NearPose, "of the pose about that of the markers alone")

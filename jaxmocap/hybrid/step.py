@@ -157,7 +157,7 @@ def solve_events(
     return jax.lax.scan(one, first, markers)
 
 
-class Events(NamedTuple):
+class RefineInputs(NamedTuple):
     """What ``refine`` needs of E events.
 
     Attributes:
@@ -174,7 +174,7 @@ class Events(NamedTuple):
 
 
 def refine_events(
-    model: Model, settings: Settings, bow_factors: Array, events: Events, belief: ElbowBelief
+    model: Model, settings: Settings, bow_factors: Array, events: RefineInputs, belief: ElbowBelief
 ) -> tuple[ElbowBelief, tuple[Pose, StepReport]]:
     """``refine`` at all events: the last belief, and the refined poses and reports (E, ...).
 

@@ -36,7 +36,7 @@ from jaxmocap.hybrid.step import (
     SOLVE_EVENTS,
     START,
     EventFields,
-    Events,
+    RefineInputs,
 )
 
 # Images of each camera at one event; None where there is no new one.
@@ -186,7 +186,7 @@ class HybridTracker:
                 refine = refine or refining()
                 fields, frames = observed.result()
                 rows = scan.rows(events)
-                inputs = Events(solved, scan.markers(rows), fields, scan.elapsed(rows))
+                inputs = RefineInputs(solved, scan.markers(rows), fields, scan.elapsed(rows))
                 belief, found = clock.timed(
                     "refine", refine, self.model, self.settings, state.bow_factors, inputs,
                     belief, among=EVENTS,
@@ -205,7 +205,9 @@ class HybridTracker:
             # Only the compiler runs beside: what is traced belongs to this thread's precision.
             solving = SOLVE_EVENTS.beside(*like)
             _, solved = SOLVE_EVENTS.shapes(*like)
-            events = Events(solved, markers, self._no_fields(solved), np.zeros(EVENTS, model.dtype))
+            events = RefineInputs(
+                solved, markers, self._no_fields(solved), np.zeros(EVENTS, model.dtype)
+            )
             refining = REFINE_EVENTS.beside(
                 model, settings, first.bow_factors, events, first.belief
             )

@@ -127,7 +127,7 @@ def ranked(values: np.ndarray, rank: np.ndarray) -> np.ndarray:
     return found
 
 
-def sampled(image: np.ndarray) -> tuple[slice, slice]:
+def exposure_sample(image: np.ndarray) -> tuple[slice, slice]:
     """Rows and columns of an image (h, w, ...) that are enough to read its exposure."""
     step = max(1, round(len(image) / SAMPLED_ROWS))
     every = slice(step // 2, None, step)
@@ -136,7 +136,7 @@ def sampled(image: np.ndarray) -> tuple[slice, slice]:
 
 def _equally_exposed(frames: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Frames brought to the exposure of their median, as far as they show it."""
-    few, open_ = frames[:, *sampled(frames[0])], free[:, *sampled(frames[0])]
+    few, open_ = frames[:, *exposure_sample(frames[0])], free[:, *exposure_sample(frames[0])]
     usual, _, seen = _ranked(few, open_, 0.5)
     shown = open_ & (seen > 0)
     gains = [gain(few[i][shown[i]], usual[shown[i]]) for i in range(len(frames))]
@@ -180,13 +180,13 @@ def as_learned(frame: np.ndarray, background: Background) -> tuple[np.ndarray, f
     A black frame, a moved camera or a cut to something else agrees with the background hardly
     anywhere: nothing then follows from a difference.
     """
-    return _exposed(frame, background.part(sampled(frame)))
+    return _exposed(frame, background.part(exposure_sample(frame)))
 
 
 def _exposed(frame: np.ndarray, few: Background) -> tuple[np.ndarray, float]:
     """``as_learned`` by the background at every so many pixels."""
     sure = few.known > 0.5
-    pixels, expected = frame[sampled(frame)][sure], few.colour[sure]
+    pixels, expected = frame[exposure_sample(frame)][sure], few.colour[sure]
     gains = gain(pixels, expected)
     if gains is None:
         return frame, 0.0
@@ -239,7 +239,7 @@ class RunningBackground:
     def _sample(self, frame: np.ndarray) -> Background:
         """Every so many pixels; whatever was seen at all is good enough to read the exposure."""
         assert self._seen is not None
-        some = sampled(frame)
+        some = exposure_sample(frame)
         noise = np.maximum(self._noise[some], LEAST_NOISE)
         return Background(self._colour[some], noise, np.minimum(self._seen[some], 1))
 

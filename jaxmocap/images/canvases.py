@@ -39,7 +39,7 @@ class Canvas(NamedTuple):
     known: np.ndarray
 
 
-def follow(mask: np.ndarray, size: int, finest: float = 1.0) -> Region:
+def region_about_mask(mask: np.ndarray, size: int, finest: float = 1.0) -> Region:
     """The window of ``size`` cells about a mask (H, W) bool; about the whole image if it is empty.
 
     Args:
@@ -65,7 +65,7 @@ def canvas(
     """An image (H, W, 3) uint8, and what is known of the room, on a region's cells."""
 
     def part(values: np.ndarray) -> np.ndarray:
-        return sampled(values, region, size)
+        return resampled_values(values, region, size)
 
     inside = _inside(image.shape[:2], region, size)
     if background is None:
@@ -82,7 +82,7 @@ def canvas(
     )
 
 
-def signed_distance(mask: np.ndarray, region: Region, size: int) -> np.ndarray:
+def silhouette_signed_distance(mask: np.ndarray, region: Region, size: int) -> np.ndarray:
     """Φ (S, S) float32 of a mask (H, W) bool: cells from its border, positive within."""
     within = (mask_canvas(mask, region, size) > 0.5).astype(np.uint8)
     if not within.any() or within.all():
@@ -96,7 +96,7 @@ def signed_distance(mask: np.ndarray, region: Region, size: int) -> np.ndarray:
 
 def mask_canvas(mask: np.ndarray, region: Region, size: int) -> np.ndarray:
     """How far (S, S) float32, 0 to 1, each cell is covered; nothing is beyond the image."""
-    covered = sampled(mask.astype(np.float32), region, size)
+    covered = resampled_values(mask.astype(np.float32), region, size)
     return covered * (_inside(mask.shape, region, size) > 0.5)
 
 
@@ -122,7 +122,7 @@ def full_mask(phi: np.ndarray, region: Region, shape: tuple[int, int]) -> np.nda
     return values > 0
 
 
-def sampled(values: np.ndarray, region: Region, size: int) -> np.ndarray:
+def resampled_values(values: np.ndarray, region: Region, size: int) -> np.ndarray:
     """Values (H, W, ...) between pixels at the middles of a region's cells (S, S, ...).
 
     Not averaged over cells, which takes ten times as long; beyond the border it is replicated.

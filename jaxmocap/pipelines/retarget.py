@@ -16,7 +16,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.capture.photographs import picture_of
 from jaxmocap.evaluation.stick_figures import plot_stick_figures
-from jaxmocap.fitting.retarget import FEET, feet, grounded, leg_length, retargeted, scaled
+from jaxmocap.fitting.retarget import FEET, feet, grounded, leg_length, retargeted, scaled_by_legs
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.motion_npz import load_motion
@@ -52,7 +52,7 @@ class RetargetedMotion(NamedTuple):
             feet(motion.skeleton, motion.poses) for motion in (before, after)
         )
         on_ground = grounded(feet_before)
-        errors = feet_after - scaled(before, after.skeleton, feet_before)
+        errors = feet_after - scaled_by_legs(before, after.skeleton, feet_before)
         speeds = np.linalg.norm(np.diff(errors, axis=0), axis=-1) / np.diff(before.times)[:, None]
         return {
             "legs_before": round(leg_length(before.skeleton), 4),

@@ -16,7 +16,7 @@ from jax import Array
 
 from jaxmocap.body.kinematics import Frames, jacobian
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.surfaces.surface import BodyPoints, carried, posed
+from jaxmocap.body.surfaces.surface import BodyPoints, carried_by_bones, posed
 from jaxmocap.geometry.cameras import Camera, pixel_rays
 from jaxmocap.geometry.lines import Lines, camera_lines, perpendiculars
 from jaxmocap.geometry.rotations import HIGHEST
@@ -78,7 +78,7 @@ def contour_rays(camera: Camera, pixels_xy: Array, normals: Array) -> tuple[Line
 
 def point_jacobian(skeleton: Skeleton, frames: Frames, points: BodyPoints) -> Array:
     """Derivatives (N, 3, 6 + D) of the posed points by the tangent vector of ``retract``."""
-    alone, shares = carried(frames, points), jnp.asarray(points.shares)
+    alone, shares = carried_by_bones(frames, points), jnp.asarray(points.shares)
     total = jnp.zeros(())
     for k in range(alone.shape[1]):
         J = jacobian(skeleton, frames, points.bones[:, k], alone[:, k])
@@ -93,7 +93,7 @@ def driver_point_jacobian(frames: Frames, points: BodyPoints, moves: Array | np.
     return jnp.einsum("nab,nbs->nas", R, jnp.asarray(moves), precision=HIGHEST)
 
 
-def linearised(skeleton: Skeleton, frames: Frames, pairs: PointRays) -> tuple[Array, Array]:
+def linearised_rays(skeleton: Skeleton, frames: Frames, pairs: PointRays) -> tuple[Array, Array]:
     """The system of (3.12) for all pairs: residuals (N, 2), metres, and their (N, 2, 6 + D + S).
 
     x x n - m has three rows of rank two; here are its two components at right angles to the ray,

@@ -24,7 +24,7 @@ from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.silhouette.markers import MarkerRows, marker_equations
-from jaxmocap.silhouette.points import PointRays, linearised
+from jaxmocap.silhouette.points import PointRays, linearised_rays
 from jaxmocap.silhouette.surfaces.morph import (
     Morph,
     driver_jacobian,
@@ -182,7 +182,7 @@ def _normal_equations(
     if morph is not None and pairs.moves is not None:
         gone = moved_points(pairs.points, pairs.moves, driver_values(morph, pose.angles))
         pairs = pairs._replace(points=gone)
-    residuals, rows = linearised(skeleton, frames, pairs)
+    residuals, rows = linearised_rays(skeleton, frames, pairs)
     squared = jnp.sum(residuals**2, -1)
     off = squared > 0
     distances = jnp.where(off, jnp.sqrt(jnp.where(off, squared, 1.0)), 0.0)

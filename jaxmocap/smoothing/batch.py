@@ -57,7 +57,7 @@ PREPARED = 1e-3
 DECISIONS = 2
 
 
-class Frames(Protocol):
+class VideoFrames(Protocol):
     """A video whose frames can be gone through again and again.
 
     Attributes:
@@ -85,7 +85,7 @@ class CameraFrames:
     camera: int
     events: np.ndarray
     indices: np.ndarray
-    video: Frames
+    video: VideoFrames
 
     def images(self, chosen: np.ndarray) -> Iterator[np.ndarray | None]:
         """The chosen (of F) frames, shrunk, BGR; None where one cannot be read."""
@@ -101,7 +101,7 @@ class CameraFrames:
             yield None
 
 
-class Solved(NamedTuple):
+class SolvedProblem(NamedTuple):
     """A problem as it was last measured, and the trajectory that solves it.
 
     Attributes:
@@ -117,7 +117,7 @@ def smooth_recording(
     model: Model,
     settings: SmoothingSettings,
     first_pass: FirstPass,
-    videos: Sequence[Frames],
+    videos: Sequence[VideoFrames],
     show: Callable[[float], None],
 ) -> Trajectory | None:
     """The poses of all events and how sure they are; see ``solve_recording``."""
@@ -133,9 +133,9 @@ def solve_recording(
     model: Model,
     settings: SmoothingSettings,
     first_pass: FirstPass,
-    videos: Sequence[Frames],
+    videos: Sequence[VideoFrames],
     show: Callable[[float], None],
-) -> Solved | None:
+) -> SolvedProblem | None:
     """Look at all frames and find the poses of all events.
 
     Args:
@@ -172,7 +172,7 @@ def solve_recording(
         # Better poses teach better what the person looks like.
         problem = measured_about(found)
         show(0.3 + 0.4 * (turn + 1) / DECISIONS)
-    return Solved(problem, smooth_poses(problem, found, FINELY).trajectory)
+    return SolvedProblem(problem, smooth_poses(problem, found, FINELY).trajectory)
 
 
 def _as_calibrated(model: Model, settings: SmoothingSettings) -> np.ndarray:
@@ -181,7 +181,9 @@ def _as_calibrated(model: Model, settings: SmoothingSettings) -> np.ndarray:
     return turns if float(settings.camera) > 0 else UNTURNED
 
 
-def _frames_of_cameras(frame_index: np.ndarray, videos: Sequence[Frames]) -> list[CameraFrames]:
+def _frames_of_cameras(
+    frame_index: np.ndarray, videos: Sequence[VideoFrames]
+) -> list[CameraFrames]:
     """The frames of each camera that has some; one that serves several events counts for each."""
     found = [
         CameraFrames(camera, np.flatnonzero(column >= 0), column[column >= 0], video)

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from jaxmocap.evidence.smoothness import REACH, Smoothness
 from jaxmocap.smoothing.marginal_prior import MarginalPrior, with_marginal
-from jaxmocap.solvers.arrow import Covariances, Equations, Step
+from jaxmocap.solvers.arrow import BandedStep, Covariances, Equations
 from jaxmocap.solvers.banded import NotPositiveDefinite
 from jaxmocap.solvers.status import Status
 
@@ -165,7 +165,7 @@ def minimise(
         cost = float(_double(linear.cost).sum()) + prior.cost(_double(linear.points))
         return _Place(x, linear, cost + (0.0 if marginal is None else marginal.cost(x)))
 
-    def moved_by(x: Any, step: Step) -> _Place:
+    def moved_by(x: Any, step: BandedStep) -> _Place:
         return place(move(x, step.frames, step.shared))
 
     here = place(start)
@@ -261,7 +261,7 @@ class _Place(NamedTuple):
 
 
 def _descend(
-    moved_by: Callable[[Any, Step], _Place],
+    moved_by: Callable[[Any, BandedStep], _Place],
     here: _Place,
     state: Solution,
     equations: Equations,

@@ -12,8 +12,8 @@ from jaxmocap.evidence.balance import Balance
 from jaxmocap.evidence.ground import Ground
 from jaxmocap.evidence.keypoints import KeyPoints
 from jaxmocap.evidence.limits import JointLimits
-from jaxmocap.evidence.markers import ElbowGoals, Markers
-from jaxmocap.evidence.posture import Pelvis, Posture
+from jaxmocap.evidence.markers import ElbowGoals, MarkerPositions
+from jaxmocap.evidence.posture import Pelvis, RelaxedPosture
 from jaxmocap.evidence.silhouettes import Silhouettes
 from jaxmocap.evidence.terms import Term
 
@@ -33,9 +33,9 @@ class SmoothingSettings:
     """What a user may tune of smoothing; every field that is a ``Term`` takes part."""
 
     iterations: int = static(12, "most steps of one solve")
-    markers: Markers = group(Markers, "of markers about their points")
+    markers: MarkerPositions = group(MarkerPositions, "of markers about their points")
     pelvis: Pelvis = group(Pelvis, "of how the pelvis leans and faces")
-    posture: Posture = group(Posture, "of joints at ease")
+    posture: RelaxedPosture = group(RelaxedPosture, "of joints at ease")
     limits: JointLimits = group(JointLimits, "of the joints' ranges")
     ground: Ground = group(Ground, "of feet that no marker holds")
     balance: Balance = group(Balance, "of standing in balance")

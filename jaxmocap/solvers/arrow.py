@@ -20,7 +20,7 @@ from jaxmocap.solvers import banded
 SMALLEST_PIVOT = 1e-13
 
 
-class Step(NamedTuple):
+class BandedStep(NamedTuple):
     """A step of T frames of N unknowns and P shared ones.
 
     Attributes:
@@ -81,7 +81,7 @@ class Equations(NamedTuple):
         """Whether every entry is."""
         return all(bool(np.isfinite(entries).all()) for entries in self)
 
-    def step(self, damping: float, floor: float) -> Step:
+    def step(self, damping: float, floor: float) -> BandedStep:
         """The step with ``damping`` times the scale, and ``floor``, added to the diagonal.
 
         Raises:
@@ -91,7 +91,7 @@ class Equations(NamedTuple):
         shared_ridge = damping * self.shared_scale + floor
         factor = banded.factorise(self.rows, ridge)
         right = np.concatenate([self.gradient[..., None], self.cross], 2)
-        solved = banded.solve(factor, right)
+        solved = banded.solve_factored(factor, right)
         own, border = solved[..., 0], solved[..., 1:]
         schur = self._schur(border) + np.diag(shared_ridge)
         np.linalg.cholesky(schur)
@@ -100,7 +100,7 @@ class Equations(NamedTuple):
         frames = -(own + border @ shared)
         decrease = np.sum(frames * (ridge * frames - self.gradient))
         decrease += np.sum(shared * (shared_ridge * shared - self.shared_gradient))
-        return Step(frames, shared, float(decrease))
+        return BandedStep(frames, shared, float(decrease))
 
     def covariances(self, floor: float) -> Covariances:
         """Blocks of the inverse, with ``floor`` added to the diagonal.
@@ -109,7 +109,7 @@ class Equations(NamedTuple):
             NotPositiveDefinite: where it has no inverse.
         """
         factor = banded.factorise(self.rows, floor)
-        border = banded.solve(factor, self.cross)
+        border = banded.solve_factored(factor, self.cross)
         schur = self._schur(border) + floor * np.eye(len(self.shared))
         np.linalg.cholesky(schur)
         shared = np.linalg.inv(schur)
@@ -121,7 +121,7 @@ class Equations(NamedTuple):
         """Whether, undamped, every unknown has curvature beyond rounding."""
         try:
             factor = banded.factorise(self.rows)
-            schur = self._schur(banded.solve(factor, self.cross))
+            schur = self._schur(banded.solve_factored(factor, self.cross))
             corner = np.diag(np.linalg.cholesky(schur))
         except banded.NotPositiveDefinite:
             return False

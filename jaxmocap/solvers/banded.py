@@ -28,7 +28,7 @@ class Factor(NamedTuple):
     frames: int
 
 
-def pack(rows: np.ndarray) -> np.ndarray:
+def pack_band(rows: np.ndarray) -> np.ndarray:
     """The columns (T * N, (r + 1) N), from the diagonal down, of (T, N, (r + 1) N) block rows.
 
     Entry k of column i is the matrix's (i + k, i): LAPACK's lower band storage, transposed.
@@ -38,7 +38,7 @@ def pack(rows: np.ndarray) -> np.ndarray:
     return padded[(slice(None), *_diagonals(size, width))].reshape(frames * size, width)
 
 
-def unpack(columns: np.ndarray, frames: int) -> np.ndarray:
+def unpack_band(columns: np.ndarray, frames: int) -> np.ndarray:
     """Block rows (T, N, (r + 1) N) of the upper triangle whose ``columns`` those are.
 
     The diagonal blocks have their upper triangles only.
@@ -56,14 +56,14 @@ def factorise(rows: np.ndarray, ridge: np.ndarray | float = 0.0) -> Factor:
     Raises:
         NotPositiveDefinite: where there is none.
     """
-    columns = pack(rows)
+    columns = pack_band(rows)
     columns[:, 0] += np.broadcast_to(ridge, rows.shape[:2]).ravel()
     # The transposed view is in Fortran's order, so that LAPACK works in place.
     band = cholesky_banded(columns.T, overwrite_ab=True, lower=True, check_finite=False)
     return Factor(band.T, len(rows))
 
 
-def solve(factor: Factor, right: np.ndarray) -> np.ndarray:
+def solve_factored(factor: Factor, right: np.ndarray) -> np.ndarray:
     """Solutions (T, N, K) of K right-hand sides (T, N, K)."""
     if not right.size:
         return np.zeros(right.shape)
@@ -82,7 +82,7 @@ def inverse_blocks(factor: Factor, first: int = 0) -> np.ndarray:
         factor: of the matrix.
         first: frames before it are not asked for; their blocks are 0.
     """
-    upper = unpack(factor.columns, factor.frames)
+    upper = unpack_band(factor.columns, factor.frames)
     size, width = upper.shape[1:]
     own = np.zeros((factor.frames, size, size))
     own[first:] = np.linalg.inv(upper[first:, :, :size])

@@ -14,7 +14,7 @@ from jax import Array
 HIGHEST = jax.lax.Precision.HIGHEST
 
 
-class Step(NamedTuple):
+class SdlsStep(NamedTuple):
     """One step of n degrees of freedom.
 
     Attributes:
@@ -40,7 +40,9 @@ def clamp_max_abs(vector: Array, largest: Array | float) -> Array:
     return vector * scale
 
 
-def sdls_step(J: Array, error: Array, largest: Array | float, rank_tolerance: float = 1e-5) -> Step:
+def sdls_step(
+    J: Array, error: Array, largest: Array | float, rank_tolerance: float = 1e-5
+) -> SdlsStep:
     """The damped step of equations (5) to (8).
 
     Each singular direction i is limited by gamma_i, which falls with the ratio of the
@@ -66,7 +68,7 @@ def sdls_step(J: Array, error: Array, largest: Array | float, rank_tolerance: fl
     alpha = jnp.matmul(error, U, precision=HIGHEST)
     terms = clamp_max_abs((inverse * alpha)[:, None] * Vt, gamma[:, None])
     primary = clamp_max_abs(jnp.sum(jnp.where(kept[:, None], terms, 0.0), 0), largest)
-    return Step(primary, jnp.where(kept[:, None], Vt, 0.0))
+    return SdlsStep(primary, jnp.where(kept[:, None], Vt, 0.0))
 
 
 def project_secondary(row_space: Array, secondary: Array) -> Array:

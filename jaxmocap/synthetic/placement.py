@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.synthetic.drawing_camera import look_at
-from jaxmocap.synthetic.people.meshes import SkinnedMesh
+from jaxmocap.synthetic.people.meshes import QuadMesh
 from jaxmocap.synthetic.renderer import Mover
 
 # From the person, metres: far enough for the whole of them, from shoes to a raised hand.
@@ -44,7 +44,7 @@ class RotatedMover:
     azimuth: float
 
     @property
-    def mesh(self) -> SkinnedMesh:
+    def mesh(self) -> QuadMesh:
         """At rest."""
         return self.mover.mesh
 

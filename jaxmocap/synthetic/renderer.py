@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.synthetic.drawing_camera import DrawingCamera
-from jaxmocap.synthetic.people.meshes import SkinnedMesh
+from jaxmocap.synthetic.people.meshes import QuadMesh
 from jaxmocap.synthetic.room import FRACTION_BITS, OVERSAMPLING, WALL_X, Room, to_fixed
 
 EXPOSURE_S = 0.010
@@ -54,7 +54,7 @@ class Mover(Protocol):
     """A mesh in motion."""
 
     @property
-    def mesh(self) -> SkinnedMesh:
+    def mesh(self) -> QuadMesh:
         """At rest: its faces and colours."""
         ...
 
@@ -128,7 +128,7 @@ def exposure(scene: Scene, camera: DrawingCamera, time: float) -> np.ndarray:
     return image
 
 
-def silhouette(mesh: SkinnedMesh, camera: DrawingCamera, vertices: np.ndarray) -> np.ndarray:
+def silhouette(mesh: QuadMesh, camera: DrawingCamera, vertices: np.ndarray) -> np.ndarray:
     """Pixels (H, W) bool of which at least half shows the mesh, its vertices at (V, 3)."""
     pixels = camera.pixels(vertices)
     mask = np.zeros(camera.size[::-1], bool)
@@ -171,7 +171,7 @@ def _box(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray | None:
 
 
 def _shaded(
-    mesh: SkinnedMesh, camera: DrawingCamera, vertices: np.ndarray
+    mesh: QuadMesh, camera: DrawingCamera, vertices: np.ndarray
 ) -> tuple[np.ndarray, list[tuple]]:
     """Faces towards the camera, from back to front, and their colours, BGR 0 to 255."""
     corners = vertices[mesh.faces]

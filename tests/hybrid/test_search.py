@@ -154,7 +154,9 @@ def test_without_images_the_turn_fades_and_the_doubt_grows():
     ages = [0.0, 0.1, 0.3, 0.6, 1.0, 2.0, 10.0]
     turns, spreads, certain = [], [], []
     for age in ages:
-        turn, spread = elbow_search.carried(SEARCH, found._replace(age=jnp.asarray(age, float)))
+        turn, spread = elbow_search.without_image(
+            SEARCH, found._replace(age=jnp.asarray(age, float))
+        )
         turns.append(np.linalg.norm(turn, axis=1))
         spreads.append(np.asarray(spread))
         certain.append(np.asarray(elbow_search.confidence_of(spread)))
@@ -174,7 +176,7 @@ def test_a_frame_without_an_image_changes_no_belief():
     kept, elbows = searched(ONE, arms, nothing, later)
     for part, before in zip(jax.tree.leaves(kept), jax.tree.leaves(later), strict=True):
         np.testing.assert_array_equal(part, before)
-    carried = elbow_search.carried(SEARCH, later)[0]
+    carried = elbow_search.without_image(SEARCH, later)[0]
     np.testing.assert_allclose(elbows, elbows_of(arms, carried), atol=1e-6)
 
 

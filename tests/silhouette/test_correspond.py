@@ -17,7 +17,7 @@ from jaxmocap.silhouette.fit.correspond import (
     pairs_of,
 )
 from jaxmocap.silhouette.pose import PoseSettings, Prior, solve_pose
-from jaxmocap.silhouette.surfaces.index_image import traced
+from jaxmocap.silhouette.surfaces.index_image import traced_boundary
 
 SETTINGS_OF_PAIRS = MatchSettings()
 PAIRS, SOLVE = jax.jit(pairs_of), jax.jit(solve_pose)
@@ -31,7 +31,7 @@ def contour_of(phi: np.ndarray, origin: np.ndarray, scale: float) -> Contour:
         origin: (2,) of the canvas' region.
         scale: of the region, pixels to a cell.
     """
-    cells, normals = traced((phi > 0).astype(np.uint8))
+    cells, normals = traced_boundary((phi > 0).astype(np.uint8))
     x, y = cells.T
     # The traced cells are the last within; the line lies beyond them by what phi says.
     slope_x, slope_y = (phi[y, x + 1] - phi[y, x - 1]) / 2, (phi[y + 1, x] - phi[y - 1, x]) / 2

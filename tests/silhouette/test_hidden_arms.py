@@ -20,7 +20,7 @@ from jaxmocap.silhouette.recovery.chromaticity import BodyAppearance
 from jaxmocap.silhouette.recovery.limb_likelihood import explained_log_ratio
 from jaxmocap.silhouette.recovery.limbs import bone_ends, carriers, halves_of, limb_chains
 from jaxmocap.silhouette.recovery.penetration import Obstacles, obstacle_rings, penetrating_share
-from jaxmocap.silhouette.recovery.projected_body import ProjectedBody, project_points
+from jaxmocap.silhouette.recovery.projected_body import ProjectedBody, body_pixels
 from jaxmocap.silhouette.segmentation.outlines import find_outlines
 from jaxmocap.silhouette.state import State
 from jaxmocap.silhouette.tracker import SilhouetteTracker
@@ -65,7 +65,7 @@ def dressed(tracker: SilhouetteTracker, pose: Pose) -> list[np.ndarray]:
     skin = np.isin(carriers(points), bare)
     images = []
     for pixels, depths in zip(
-        *project_points(BODY, pose, tracker.constants.cameras, points), strict=True
+        *body_pixels(BODY, pose, tracker.constants.cameras, points), strict=True
     ):
         image = np.full((480, 640, 3), WALL, np.uint8)
         places = np.rint(np.asarray(pixels)).astype(int)
@@ -123,7 +123,7 @@ def boxed(tracker: SilhouetteTracker, *bones: str) -> list[np.ndarray]:
     behind = np.isin(carriers(points), [BODY.tree.bone(bone) for bone in bones])
     for image, pixels in zip(
         images if bones else (),
-        project_points(BODY, AHEAD, tracker.constants.cameras, points)[0],
+        body_pixels(BODY, AHEAD, tracker.constants.cameras, points)[0],
         strict=False,
     ):
         at = np.asarray(pixels)[behind]
@@ -186,7 +186,7 @@ def test_what_lies_before_the_trunk_is_the_arm_only_in_its_hue(tracker, state, c
     recovery, images = tracker.body.recovery, dressed(tracker, HANGING)
     points = tracker.body.shape.surface.points
     forearm = np.isin(carriers(points), [BODY.tree.bone("radius_l"), BODY.tree.bone("hand_l")])
-    pixels, _ = project_points(BODY, CROSSED, tracker.constants.cameras, points)
+    pixels, _ = body_pixels(BODY, CROSSED, tracker.constants.cameras, points)
     for image, at in zip(images, np.asarray(pixels)[:, forearm], strict=True):
         for place in np.rint(at).astype(int):
             cv2.circle(image, place.tolist(), 4, colour, -1)

@@ -30,7 +30,7 @@ from jaxmocap.silhouette.recovery.limb_particle_filter import (
 from jaxmocap.silhouette.recovery.limbs import carriers, limb_chains
 from jaxmocap.silhouette.recovery.lost_limbs import LimbMemory, LimbProposal
 from jaxmocap.silhouette.recovery.part_appearance import PartAppearance
-from jaxmocap.silhouette.recovery.projected_body import project_points
+from jaxmocap.silhouette.recovery.projected_body import body_pixels
 from jaxmocap.silhouette.recovery.settings import (
     LimbLikelihood,
     PartAppearanceSettings,
@@ -203,7 +203,7 @@ def test_a_forearm_laid_over_its_upper_arm_explains_nothing_twice(tracker):
     limb = limb_chains(BODY, surface)["arm_l"]
     upper = carriers(surface.points) == limb.bones[0]
     region = Region(np.full((4, 2), -0.5, np.float32), np.full(4, 8.0, np.float32))
-    pixels = np.asarray(project_points(BODY, bent(0.0), cameras, surface.points)[0])[:, upper]
+    pixels = np.asarray(body_pixels(BODY, bent(0.0), cameras, surface.points)[0])[:, upper]
     shown = [covered_cells(at, Region(*r), 128, 0) for at, *r in zip(pixels, *region, strict=True)]
     evidence = LimbEvidence(np.stack(shown).astype(np.float32), region, np.ones(4, bool))
     straight, folded = (

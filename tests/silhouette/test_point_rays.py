@@ -18,7 +18,7 @@ from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.reference import kinematics as naive_kinematics
 from jaxmocap.reference.silhouette import points as naive
 from jaxmocap.reference.silhouette import pose as naive_pose
-from jaxmocap.silhouette.points import linearised, on_rays
+from jaxmocap.silhouette.points import linearised_rays, on_rays
 from jaxmocap.silhouette.pose import PoseSettings, Prior, solve_pose, standard_deviations
 from jaxmocap.solvers.status import Status
 
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.usefixtures("plainly_compiled")
 # All solves of these tests have the same shapes, so that they compile once to a precision.
 PAIRS = 240
 SOLVE = jax.jit(solve_pose)
-FORWARD, JACOBIAN, LINEARISED = jax.jit(forward), jax.jit(jacobian), jax.jit(linearised)
+FORWARD, JACOBIAN, LINEARISED = jax.jit(forward), jax.jit(jacobian), jax.jit(linearised_rays)
 POSED, RETRACT, EXP = jax.jit(posed), jax.jit(retract), jax.jit(twists.exp)
 PROJECT, LINES = jax.jit(project), jax.jit(camera_lines)
 PATIENT = PoseSettings(iterations=40)

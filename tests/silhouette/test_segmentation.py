@@ -13,7 +13,14 @@ from hypothesis import strategies as st
 from jaxmocap.capture.background_pictures import read_empty_room
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.images.background_model import Background, learn_background
-from jaxmocap.images.canvases import Canvas, attached, canvas, follow, full_mask, signed_distance
+from jaxmocap.images.canvases import (
+    Canvas,
+    attached,
+    canvas,
+    full_mask,
+    region_about_mask,
+    silhouette_signed_distance,
+)
 from jaxmocap.images.regions import Region
 from jaxmocap.reference.silhouette import level_set as reference
 from jaxmocap.silhouette.segmentation import densities
@@ -293,8 +300,8 @@ def test_a_canvas_follows_the_person_and_leads_back_to_the_image():
     mask = np.zeros((120, 160), bool)
     cv2.ellipse(canvas_mask := mask.astype(np.uint8), (90, 60), (20, 45), 20, 0, 360, 1, -1)
     mask = canvas_mask > 0
-    region = follow(mask, SIZE)
-    phi = signed_distance(mask, region, SIZE)
+    region = region_about_mask(mask, SIZE)
+    phi = silhouette_signed_distance(mask, region, SIZE)
     assert overlap(full_mask(phi, region, mask.shape), mask) > 0.95
     image = np.dstack([np.full(mask.shape, 40), 255 * mask, np.indices(mask.shape)[1]])
     room = Background(image.astype(np.float32), np.ones(mask.shape, np.float32), 1.0 * mask)
@@ -310,11 +317,11 @@ def test_a_canvas_follows_the_person_and_leads_back_to_the_image():
 
 def test_a_canvas_of_nobody_is_the_whole_image_and_beyond_it_nothing_is_inside():
     nobody = np.zeros((60, 100), bool)
-    region = follow(nobody, SIZE)
+    region = region_about_mask(nobody, SIZE)
     taken = canvas(np.zeros((60, 100, 3), np.uint8), region, SIZE)
     covered = taken.inside.sum() * float(region.scale) ** 2
     assert covered == pytest.approx(60 * 100, rel=1e-3)
-    assert (signed_distance(nobody, region, SIZE) < 0).all()
+    assert (silhouette_signed_distance(nobody, region, SIZE) < 0).all()
 
 
 def test_a_rendered_person_before_clutter_is_found_from_a_pose_that_is_off(recordings):
@@ -328,9 +335,11 @@ def test_a_rendered_person_before_clutter_is_found_from_a_pose_that_is_off(recor
         rooms.append(learn_background(np.stack([sensor.exposed(scene.background)] * 3)))
         starts.append(view.mask(off, time))
         truths.append(view.mask(person, time))
-    regions = [follow(start, 192) for start in starts]
+    regions = [region_about_mask(start, 192) for start in starts]
     canvases = [canvas(f, r, 192, b) for f, r, b in zip(frames, regions, rooms, strict=True)]
-    phi = np.stack([signed_distance(m, r, 192) for m, r in zip(starts, regions, strict=True)])
+    phi = np.stack(
+        [silhouette_signed_distance(m, r, 192) for m, r in zip(starts, regions, strict=True)]
+    )
     found = segmented(CanvasImages.of(canvases), phi, SegmentationPlan())
     for view, truth in enumerate(truths):
         region, level_set = regions[view], np.asarray(found.phi[view])

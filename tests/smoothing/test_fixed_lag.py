@@ -18,7 +18,7 @@ from jaxmocap.body.kinematics import forward, site_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.proportions import PROPORTIONS
-from jaxmocap.evidence.markers import Markers
+from jaxmocap.evidence.markers import MarkerPositions
 from jaxmocap.evidence.silhouettes import SilhouetteGrids, Silhouettes
 from jaxmocap.evidence.smoothness import smoothness
 from jaxmocap.hybrid.refine import StepReport
@@ -78,7 +78,8 @@ def smoother_of(silhouettes: dict | None = None, **changed: float | int) -> Fixe
     """Of the person and camera 0; other settings of the silhouettes, and of all else."""
     weights = {"deviation": 0.7, "redundancy": 4.0} | (silhouettes or {})
     chosen = SmoothingSettings(
-        markers=Markers(deviation=0.004), silhouettes=Silhouettes(**weights), acceleration=3.0,
+        markers=MarkerPositions(deviation=0.004), silhouettes=Silhouettes(**weights),
+        acceleration=3.0,
         mismatch=1.0, **changed,
     )  # fmt: skip
     return FixedLagSmoother(Model.create(PERSON, MARKERS, CAMERAS[0]), chosen)

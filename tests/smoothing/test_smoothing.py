@@ -28,7 +28,7 @@ from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, landmark_mismatches
 from jaxmocap.evidence.balance import Balance
 from jaxmocap.evidence.ground import Ground
 from jaxmocap.evidence.limits import JointLimits
-from jaxmocap.evidence.markers import Markers
+from jaxmocap.evidence.markers import MarkerPositions
 from jaxmocap.evidence.terms import residuals
 from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.problem import Trajectory
@@ -215,7 +215,7 @@ STILL = np.zeros(ROOT_DOF + len(PERSON.tree.joints), np.float32)
 # Nothing outside the body holds it.
 ADRIFT = replace(
     SETTINGS,
-    markers=Markers(deviation=1e3),
+    markers=MarkerPositions(deviation=1e3),
     ground=Ground(height=1e3, place=1e3),
     balance=Balance(deviation=1e3),
 )

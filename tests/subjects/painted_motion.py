@@ -17,7 +17,7 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.proportions import PROPORTIONS
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.capture.timeline import Timeline
-from jaxmocap.evidence.markers import Markers
+from jaxmocap.evidence.markers import MarkerPositions
 from jaxmocap.evidence.silhouettes import SilhouetteGrids, Silhouettes
 from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.images.regions import Region
@@ -36,7 +36,7 @@ CELLS, CELL_PX, RATE = 48, 8, 30
 # Stated, so that what is tested does not move with what is tuned on real people; who is painted as
 # he is modelled errs hardly alike from cell to cell.
 SETTINGS = SmoothingSettings(
-    markers=Markers(deviation=0.004),
+    markers=MarkerPositions(deviation=0.004),
     silhouettes=Silhouettes(deviation=0.7, redundancy=4.0),
     acceleration=3.0,
     mismatch=1.0,

@@ -11,7 +11,7 @@ from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.synthetic import recording
 from jaxmocap.synthetic.drawing_camera import DrawingCamera
 from jaxmocap.synthetic.movements import motions
-from jaxmocap.synthetic.people.meshes import SkinnedMesh
+from jaxmocap.synthetic.people.meshes import QuadMesh
 from jaxmocap.synthetic.placement import RotatedMover, camera_at
 from jaxmocap.synthetic.renderer import render_frames
 
@@ -30,7 +30,7 @@ class Dots:
     def __init__(self, points: np.ndarray):
         self.points, on_root, whole = points, np.zeros((len(points), 1), int), np.ones(len(points))
         nothing = np.zeros((0, 4), int)
-        self.mesh = SkinnedMesh(points, nothing, np.zeros((0, 3)), on_root, whole[:, None])
+        self.mesh = QuadMesh(points, nothing, np.zeros((0, 3)), on_root, whole[:, None])
 
     def vertices(self, times: np.ndarray) -> np.ndarray:
         return np.broadcast_to(self.points, (len(times), *self.points.shape))

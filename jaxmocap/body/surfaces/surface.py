@@ -84,10 +84,10 @@ class Surface:
 
 def posed(frames: Frames, points: BodyPoints) -> Array:
     """Points (N, 3) in the world, metres: linear blend skinning."""
-    return jnp.sum(jnp.asarray(points.shares)[..., None] * carried(frames, points), -2)
+    return jnp.sum(jnp.asarray(points.shares)[..., None] * carried_by_bones(frames, points), -2)
 
 
-def carried(frames: Frames, points: BodyPoints) -> Array:
+def carried_by_bones(frames: Frames, points: BodyPoints) -> Array:
     """(N, K, 3) where each bone alone would carry its points."""
     R, joints = frames.R_world_bone[points.bones], frames.joints_world[points.bones]
     return joints + rotate(R, jnp.asarray(points.points_bone))

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from jaxmocap.images.canvases import sampled
+from jaxmocap.images.canvases import resampled_values
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.recovery.settings import ChromaticitySettings
 
@@ -156,7 +156,7 @@ def chromaticity_canvases(
     found = np.full((len(images), size, size, 3), np.nan, np.float32)
     for camera, (image, region) in enumerate(zip(images, regions, strict=True)):
         if image is not None:
-            found[camera] = chromaticity(sampled(image, region, size))
+            found[camera] = chromaticity(resampled_values(image, region, size))
     return found
 
 

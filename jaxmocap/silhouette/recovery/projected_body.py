@@ -102,12 +102,12 @@ class BodyProjector:
 
     def pixels_and_depths(self, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
         """(C, N, 2) pixels of points all over the body, hidden or not, and (C, N) their depths."""
-        pixels, depths = project_points(self._skeleton, pose, self._cameras, self.points)
+        pixels, depths = body_pixels(self._skeleton, pose, self._cameras, self.points)
         return np.asarray(pixels), np.asarray(depths)
 
 
 @jax.jit
-def project_points(
+def body_pixels(
     skeleton: Skeleton, pose: Pose, cameras: Camera, points: BodyPoints
 ) -> tuple[Array, Array]:
     """(C, N, 2) pixels of points of the body, hidden or not, and (C, N) their depths, metres."""

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from jaxmocap.images.background_model import Background
-from jaxmocap.images.canvases import canvas, sampled
+from jaxmocap.images.canvases import canvas, resampled_values
 from jaxmocap.images.regions import Region
 
 # What is no background differs from it by so many of its deviations,
@@ -61,7 +61,7 @@ def extended_log_ratio(
     wide = origin - (extent - 1) / 2 * cells * scale
     around = Region(wide.astype(np.float32), np.array(wide_scale, np.float32))
     inner = Region((wide - origin) / scale - 0.5, np.array(wide_scale / scale))
-    within = sampled(cv2.blur(ratios, (3, 3)), inner, size)
+    within = resampled_values(cv2.blur(ratios, (3, 3)), inner, size)
     places = inner.origin[:, None] + (np.arange(size) + 0.5) * inner.scale
     x, y = (places >= 0) & (places <= cells - 1)
     if image is None or background is None:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.images.background_model import Background
-from jaxmocap.images.canvases import Canvas, attached, canvas, signed_distance
+from jaxmocap.images.canvases import Canvas, attached, canvas, silhouette_signed_distance
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.fit.correspond import Contour
 from jaxmocap.silhouette.segmentation.contour import Contours, contours
@@ -122,7 +122,7 @@ def _sharpened(
 def silhouette_distance(mask: np.ndarray) -> np.ndarray:
     """Signed distance (S, S) of a mask on its own canvas, cells, positive within."""
     whole = Region(np.full(2, -0.5, np.float32), np.array(1.0, np.float32))
-    return signed_distance(mask > 0, whole, len(mask))
+    return silhouette_signed_distance(mask > 0, whole, len(mask))
 
 
 def _canvas(

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from jaxmocap.images.background_model import Background
-from jaxmocap.images.canvases import FARTHEST, full_mask, sampled
+from jaxmocap.images.canvases import FARTHEST, full_mask, resampled_values
 from jaxmocap.images.regions import Region
 
 # Pixels from the contour to where a side's colours are its own.
@@ -68,7 +68,7 @@ class SilhouettePatch(NamedTuple):
         """Φ (S, S) float32 on a canvas: cells from the mask's border, positive within."""
         step = np.float32(self.region.scale)
         here = Region((region.origin - self.region.origin) / step - 0.5, region.scale / step)
-        distance = sampled(_distance(self.mask), here, size)
+        distance = resampled_values(_distance(self.mask), here, size)
         return distance / np.float32(here.scale)
 
     def full(self, shape: tuple[int, int]) -> np.ndarray:

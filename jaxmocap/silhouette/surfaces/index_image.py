@@ -88,11 +88,11 @@ def outer_boundary(keys: np.ndarray, mask: np.ndarray, count: int | None = None)
         mask: (S, S) of ``body_mask``.
         count: of cells, at most, evenly along it; all without it.
     """
-    found = traced(mask)
+    found = traced_boundary(mask)
     return _with_nodes(keys, *(found if count is None else subsampled(found, count)))
 
 
-def traced(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def traced_boundary(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The cells (K, 2) along the inside of a mask's outlines, column and row, and their normals.
 
     Cells at the canvas' edge, which is no edge of what is seen, are left out, and so are specks.

@@ -30,7 +30,7 @@ from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.silhouette.device_functions import ContourPairs
 from jaxmocap.silhouette.fit.correspond import pairs_of
-from jaxmocap.silhouette.points import linearised
+from jaxmocap.silhouette.points import linearised_rays
 from jaxmocap.silhouette.surfaces.morph import Morph, driver_values, moved_points
 
 # Deviation of a pair, metres, such that a whole recording's pairs count as what they are worth:
@@ -79,7 +79,7 @@ def shape_equations(
     pixels_xy, normals, weights = (jnp.asarray(part) for part in pairs[1:4])
     rays = pairs_of(cameras, pairs.points, pixels_xy, normals, weights, 0.0)
     frames = forward(skeleton, pose)
-    residuals, rows = linearised(skeleton, frames, rays)
+    residuals, rows = linearised_rays(skeleton, frames, rays)
     shares = jnp.asarray(pairs.points.shares)[..., None, None]
     R = jnp.sum(shares * frames.R_world_bone[pairs.points.bones], 1)
     across = jnp.einsum("na,nab->nb", rays.across, R, precision=HIGHEST)

@@ -14,7 +14,7 @@ import numpy as np
 from jaxmocap.synthetic.movements.motions import Performance
 from jaxmocap.synthetic.movements.splines import Spline
 from jaxmocap.synthetic.people.figure import Figure
-from jaxmocap.synthetic.people.meshes import SkinnedMesh, grid_faces, loft, merged_meshes, waves
+from jaxmocap.synthetic.people.meshes import QuadMesh, grid_faces, loft, merged_meshes, waves
 
 # Where headset and controllers sit: bone, fraction of its length, offset in its frame (metres).
 MARKERS: dict[str, tuple[str, float, tuple[float, float, float]]] = {
@@ -68,7 +68,7 @@ class Actor:
         rest: (B, 3) joints of the bones at rest, metres.
     """
 
-    mesh: SkinnedMesh
+    mesh: QuadMesh
     performance: Performance
     rest: np.ndarray
 
@@ -105,14 +105,14 @@ class _PersonMesh:
         self.hair = np.array(HAIRS[rng.integers(len(HAIRS))])
         self.long_sleeves = bool(rng.random() < 0.4)
 
-    def person(self) -> SkinnedMesh:
+    def person(self) -> QuadMesh:
         """All parts."""
         parts = [*self._trunk(), *self._head(), self._racket()]
         for side in "lr":
             parts += [*self._arm(side), *self._leg(side)]
         return merged_meshes(parts)
 
-    def _arm(self, side: str) -> list[SkinnedMesh]:
+    def _arm(self, side: str) -> list[QuadMesh]:
         humerus, radius, hand = (f"{bone}_{side}" for bone in ("humerus", "radius", "hand"))
         bare = [
             self._limb(humerus, UPPER_ARM, self.skin),
@@ -125,7 +125,7 @@ class _PersonMesh:
             return [*bare, upper, self._limb(radius, CUFF, self.shirt, folds=0.04, sides=18)]
         return [*bare, self._limb(humerus, SLEEVE, self.shirt, folds=0.05, sides=18, caps=(1, 0))]
 
-    def _leg(self, side: str) -> list[SkinnedMesh]:
+    def _leg(self, side: str) -> list[QuadMesh]:
         foot = self.tree.bone(f"foot_{side}")
         reach = self.figure.reach(f"foot_{side}")
         shoe = self._ball(
@@ -145,7 +145,7 @@ class _PersonMesh:
         folds: float = 0.0,
         sides: int = 14,
         caps: tuple[int, int] = (1, 1),
-    ) -> SkinnedMesh:
+    ) -> QuadMesh:
         """A tube along a bone through a profile, with round ends."""
         i, reach = self.tree.bone(bone), self.figure.reach(bone)
         table = np.array(profile, float)
@@ -160,7 +160,7 @@ class _PersonMesh:
         vertices = loft(centres, radii, _across(reach), sides, swell=swell)
         return self._painted(vertices, len(centres), sides, colour, i, 0.05 + 2 * folds)
 
-    def _trunk(self) -> list[SkinnedMesh]:
+    def _trunk(self) -> list[QuadMesh]:
         names = ("hip_l", "spine1", "spine2", "spine3")
         bones = np.array([self.tree.bone(name) for name in names])
         top = self.rest[self.tree.bone("neck"), 2]
@@ -185,7 +185,7 @@ class _PersonMesh:
     def _spine(self) -> list[float]:
         return [self.figure.length(f"spine{i}") for i in (1, 2, 3)]
 
-    def _printed(self, shirt: SkinnedMesh) -> SkinnedMesh:
+    def _printed(self, shirt: QuadMesh) -> QuadMesh:
         """Stripes across the chest and a patch at the front."""
         middle = shirt.vertices[shirt.faces].mean(1)
         top = middle[:, 2].max()
@@ -198,11 +198,11 @@ class _PersonMesh:
         )
         colours = shirt.colours.copy()
         colours[stripe | patch] *= (self.print / self.shirt)[None]
-        return SkinnedMesh(
+        return QuadMesh(
             shirt.vertices, shirt.faces, np.clip(colours, 0, 1), shirt.bones, shirt.weights
         )
 
-    def _head(self) -> list[SkinnedMesh]:
+    def _head(self) -> list[QuadMesh]:
         head = self.rest[self.tree.bone("head")]
         crown = self.figure.length("head")
         centre = head + np.array([0.012, 0.0, crown - 0.125 * self.scale])
@@ -214,7 +214,7 @@ class _PersonMesh:
         headset = self._ball("head", visor, (0.055, 0.088, 0.048), np.full(3, 0.09), exponent=5)
         return [self._limb("neck", NECK, self.skin), skull, headset]
 
-    def _racket(self) -> SkinnedMesh:
+    def _racket(self) -> QuadMesh:
         """A blade beyond the right fist, in the plane of the forearm's flexion."""
         hand = self.tree.bone("hand_r")
         end = self.rest[hand] + 0.6 * self.figure.reach("hand_r")
@@ -233,7 +233,7 @@ class _PersonMesh:
         )
         return merged_meshes([rubber, grip])
 
-    def _controller(self, hand: str) -> SkinnedMesh:
+    def _controller(self, hand: str) -> QuadMesh:
         bone, at, offset = MARKERS["LeftController" if hand.endswith("l") else "RightController"]
         centre = self.rest[self.tree.bone(bone)] + at * self.figure.reach(bone) + offset
         return self._ball(hand, centre, (0.045, 0.022, 0.024), np.full(3, 0.12), exponent=4)
@@ -247,7 +247,7 @@ class _PersonMesh:
         rings: int = 9,
         sides: int = 14,
         exponent: float = 2.0,
-    ) -> SkinnedMesh:
+    ) -> QuadMesh:
         """An ellipsoid, or a rounded box with a larger exponent, of half-axes in metres."""
         polar = np.linspace(0.02, np.pi - 0.02, rings)[:, None]
         power = 2 / exponent
@@ -266,7 +266,7 @@ class _PersonMesh:
         colour: np.ndarray,
         bone: int,
         contrast: float,
-    ) -> SkinnedMesh:
+    ) -> QuadMesh:
         """Rings closed to a mesh on one bone, its colour unevenly worn."""
         cloud = waves(self.rng, rings - 1, sides, 4, 2.0) + self.rng.normal(
             0, 0.5, (rings - 1, sides)
@@ -275,7 +275,7 @@ class _PersonMesh:
         colours = np.clip(shade.reshape(-1, 1) * colour, 0.02, 1.0)
         bones = np.full((len(vertices), 2), bone)
         weights = np.tile([1.0, 0.0], (len(vertices), 1))
-        return SkinnedMesh(vertices, grid_faces(rings, sides), colours, bones, weights)
+        return QuadMesh(vertices, grid_faces(rings, sides), colours, bones, weights)
 
 
 def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -296,11 +296,11 @@ def _capped(centres: np.ndarray, radii: np.ndarray, end: int) -> tuple[np.ndarra
     return np.concatenate([centres, middles]), np.concatenate([radii, rings])
 
 
-def _blended(part: SkinnedMesh, bones: np.ndarray, middles: np.ndarray) -> SkinnedMesh:
+def _blended(part: QuadMesh, bones: np.ndarray, middles: np.ndarray) -> QuadMesh:
     """A part carried by the two of several stacked bones whose middles (heights) are nearest."""
     z = np.clip(part.vertices[:, 2], middles[0], middles[-1])
     below = np.clip(np.searchsorted(middles, z, side="right") - 1, 0, len(middles) - 2)
     share = (z - middles[below]) / (middles[below + 1] - middles[below])
     carriers = np.stack([bones[below], bones[below + 1]], -1)
     weights = np.stack([1 - share, share], -1)
-    return SkinnedMesh(part.vertices, part.faces, part.colours, carriers, weights)
+    return QuadMesh(part.vertices, part.faces, part.colours, carriers, weights)

@@ -19,7 +19,7 @@ import numpy as np
 from jaxmocap.formats.files.arrays import INTEGERS, NAMES, ArraySpec, NpzArrays
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import comma_list
-from jaxmocap.synthetic.people.meshes import SkinnedMesh
+from jaxmocap.synthetic.people.meshes import QuadMesh
 
 # Of a vertex or joint of a file.
 LARGEST_COORDINATE_M = 100.0
@@ -85,7 +85,7 @@ class Rig(NamedTuple):
         rest: (J, 3) joints at rest, metres: facing -y, left is +x.
     """
 
-    mesh: SkinnedMesh
+    mesh: QuadMesh
     names: tuple[str, ...]
     parents: tuple[int, ...]
     rest: np.ndarray
@@ -102,7 +102,7 @@ class RiggedMesh(ABC):
     body: Rig
 
     @property
-    def mesh(self) -> SkinnedMesh:
+    def mesh(self) -> QuadMesh:
         """At rest: its faces and colours."""
         return self.body.mesh
 
@@ -199,7 +199,7 @@ def load_rig(file: str | Path, who: str | None = None, seed: int = 0) -> Rig:
     if who not in people:
         raise ValueError(f"unknown person {who!r}; expected one of {', '.join(people)}")
     i = people.index(who)
-    mesh = SkinnedMesh(
+    mesh = QuadMesh(
         data["vertices"][i].astype(float),
         data["quads"],
         np.zeros((len(data["quads"]), 3)),
@@ -279,7 +279,7 @@ def _check_tree(file: str | Path, names: list[str], parents: list[int]) -> None:
 
 
 def _colours(
-    mesh: SkinnedMesh, names: tuple[str, ...], rest: np.ndarray, rng: np.random.Generator
+    mesh: QuadMesh, names: tuple[str, ...], rest: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
     """(F, 3) clothes by the bone that carries a face most: shirt, trousers, shoes, bare skin."""
     carrier = mesh.bones[np.arange(len(mesh.bones)), mesh.weights.argmax(-1)][mesh.faces[:, 0]]
