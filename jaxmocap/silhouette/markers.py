@@ -16,6 +16,7 @@ from jax import Array
 from jaxmocap.body.kinematics import Frames, Sites
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.surface import BodyPoints, posed
+from jaxmocap.evidence.markers import are_present, off_targets
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.silhouette.points import point_jacobian
 
@@ -46,11 +47,10 @@ def marker_equations(skeleton: Skeleton, frames: Frames, rows: MarkerRows) -> tu
 
     Markers are believed however far they are: what is wrong with them is to be found before.
     """
-    positions = jnp.asarray(rows.positions_world)
-    there = jnp.isfinite(positions).all(-1)
-    off = posed(frames, rows.points) - jnp.where(there[:, None], positions, 0.0)
-    sure = jnp.where(there, 1 / jnp.asarray(rows.deviations), 0.0)[:, None]
-    J = point_jacobian(skeleton, frames, rows.points) * sure[..., None]
+    off = off_targets(posed(frames, rows.points), rows.positions_world)
+    present = are_present(rows.positions_world)
+    weights = jnp.where(present, 1 / jnp.asarray(rows.deviations), 0.0)[:, None]
+    J = point_jacobian(skeleton, frames, rows.points) * weights[..., None]
     J = J.reshape(-1, J.shape[-1])
     information = jnp.matmul(J.T, J, precision=HIGHEST)
-    return information, jnp.matmul(J.T, (off * sure).ravel(), precision=HIGHEST)
+    return information, jnp.matmul(J.T, (off * weights).ravel(), precision=HIGHEST)

@@ -34,12 +34,15 @@ from jaxmocap.silhouette.surfaces.morph import (
     with_followers,
     without_followers,
 )
+from jaxmocap.solvers.limits import room, step_within
 from jaxmocap.solvers.status import Status
 
 # Between the median length of a normal error in a plane and the deviation of its components.
 MEDIAN_OF_LENGTHS = 1.1774
 # A joint this near to its limit is at it, radians.
 AT_LIMIT = 1e-4
+# Most solves of a step that limits cut short.
+ROUNDS = 3
 
 
 class PoseSettings(NamedTuple):
@@ -143,11 +146,11 @@ def solve_pose(
     def iterate(carry: tuple[Array, Pose, Array]) -> tuple[Array, Pose, Array]:
         count, pose, _ = carry
         normal = _normal_equations(skeleton, pose, pairs, settings, markers, morph)
-        room = _room(skeleton, pose)
+        bounds = _room(skeleton, pose)
         if morph is not None:
             normal = _by(followed_jacobian(morph, pose.angles), normal)
             pose = without_followers(morph, pose)
-        step = _step(pose, room, normal, settings, prior, moving)
+        step = _step(pose, bounds, normal, settings, prior, moving)
         there = retract(pose, step)
         if morph is not None:
             there = with_followers(morph, there, skeleton)
@@ -224,7 +227,7 @@ def _median(values: Array, real: Array) -> Array:
 
 def _step(
     pose: Pose,
-    room: tuple[Array, Array],
+    bounds: tuple[Array, Array],
     normal: _Normal,
     settings: PoseSettings,
     prior: Prior | None,
@@ -238,23 +241,12 @@ def _step(
         diagonal = diagonal + precision
         slope = slope + precision * difference(pose, prior.pose)
     H = normal.information + jnp.diag(diagonal)
-    low, high = room
+    low, high = bounds
 
-    def unsolved(carry: tuple[Array, Array, Array]) -> Array:
-        count, _, leaving = carry
-        return (count == 0) | ((count < 3) & jnp.any(leaving))
+    def solved(stays: Array) -> Array:
+        return -_solved(H, slope, stays)
 
-    def solve(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        count, _, gone = carry
-        stays = free & ~gone
-        step = -_solved(H, slope, stays)
-        onwards = ((step < low) & (low > -AT_LIMIT)) | ((step > high) & (high < AT_LIMIT))
-        leaving = onwards & stays
-        # Only who leaves now calls for another solve.
-        return jnp.where(jnp.any(leaving), count + 1, 3), step, gone | leaving
-
-    start = (jnp.zeros((), jnp.int32), jnp.zeros_like(slope), jnp.zeros(free.shape, bool))
-    _, step, _ = jax.lax.while_loop(unsolved, solve, start)
+    step = step_within(solved, low, high, free, AT_LIMIT, ROUNDS)
     largest = jnp.max(jnp.abs(step))
     step = step * jnp.minimum(1.0, settings.largest_step / jnp.maximum(largest, 1e-12))
     return jnp.clip(step, low, high)
@@ -271,8 +263,7 @@ def _solved(H: Array, slope: Array, stays: Array) -> Array:
 def _room(skeleton: Skeleton, pose: Pose) -> tuple[Array, Array]:
     """How far each degree of freedom (6 + D,) may still go down and up."""
     endless = jnp.full(ROOT_DOF, jnp.inf, pose.angles.dtype)
-    low = jnp.minimum(skeleton.limits[:, 0] - pose.angles, 0.0)
-    high = jnp.maximum(skeleton.limits[:, 1] - pose.angles, 0.0)
+    low, high = room(skeleton.limits, pose.angles)
     return jnp.concatenate([-endless, low]), jnp.concatenate([endless, high])
 
 
