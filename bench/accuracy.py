@@ -19,7 +19,7 @@ from typing import get_args, get_type_hints
 
 import numpy as np
 
-from bench.clips import WRITERS, Clip, real, synthetic
+from bench.clips import MOTIONS, Clip, real, synthetic
 from bench.command_line import command, numbers, seeds
 from bench.criteria import covered, criteria, pool, table
 from bench.judging import Result, judge
@@ -38,7 +38,7 @@ CALM_HEADINGS = [
     ["recording", "wrong turns", "", "acceleration", "", "", "", "lag", ""],
     ["", "%", "longest s", "truth", "video", "ratio", "markers'", "frames", "markers'"],
 ]
-USUAL, KINDS = ("real", "tennis", "thrust"), ("real", *WRITERS)
+USUAL, KINDS = ("real", "tennis", "thrust"), ("real", *MOTIONS)
 
 
 def spread(errors: Errors) -> list[float]:

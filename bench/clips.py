@@ -5,7 +5,7 @@ exercises and a folder to keep what is rendered in.
 OUTPUTS: Clips.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -13,21 +13,19 @@ from pathlib import Path
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.pipelines.progress import progress_bar
 from jaxmocap.synthetic.four_cameras import write_four_cameras
+from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.movements.exercises import exercise
+from jaxmocap.synthetic.movements.motions import Performance
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.people.shoulder_girdle import Girdle
-from jaxmocap.synthetic.recording import (
-    write_reaching,
-    write_squat,
-    write_table_tennis,
-    write_thrust,
-)
+from jaxmocap.synthetic.recording import write_performance
 
-WRITERS = {
-    "tennis": write_table_tennis,
-    "thrust": write_thrust,
-    "reaching": write_reaching,
-    "squat": write_squat,
+# Motion -> seconds, seed and the camera's azimuth to a performance.
+MOTIONS: dict[str, Callable[[float, int, float], Performance]] = {
+    "tennis": lambda seconds, seed, azimuth: motions.table_tennis(seconds, seed),
+    "thrust": lambda seconds, seed, azimuth: motions.thrust(seconds, seed, azimuth=azimuth),
+    "reaching": lambda seconds, seed, azimuth: motions.reaching(seconds, seed),
+    "squat": lambda seconds, seed, azimuth: motions.squat(seconds, seed),
 }
 ELBOWS = ("elbow_l", "elbow_r")
 # Landmark -> its marker in the reference.
@@ -85,7 +83,7 @@ def synthetic(
     """A recording for each seed, rendered where ``keep`` does not hold it yet.
 
     Args:
-        motion: of ``WRITERS``.
+        motion: of ``MOTIONS``.
         seeds: each of its own person, room and movement.
         azimuths: of the camera, degrees from frontal: seed s is seen from the (s mod n)-th.
         seconds: of each.
@@ -98,7 +96,8 @@ def synthetic(
         path = keep / name / "recording.toml"
         # Written last: where it is, all is.
         if not path.is_file():
-            WRITERS[motion](path.parent, seconds, seed, azimuth=azimuth)
+            performance = MOTIONS[motion](seconds, seed, azimuth)
+            write_performance(path.parent, performance, seconds, seed, azimuth=azimuth)
         clips.append(Clip(motion, name, path, {mark: mark for mark in LANDMARKS}, seed, azimuth))
     return clips
 

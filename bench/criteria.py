@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bench.interval_coverage import IntervalCoverage, interval_coverage
 from bench.judging import Result, Sureness
 from bench.metrics import aligned
-from jaxmocap.evaluation.interval_coverage import Coverage, coverage
 
 # Of the real recording, which these cameras see from the front and the sides.
 FRONT = ("cam_01", "cam_02", "cam_04")
@@ -143,12 +143,12 @@ def mean_error(results: list[Result]) -> float:
     return float(np.mean([result.video.mean for result in results]))
 
 
-def covered(results: list[Result]) -> Coverage | None:
+def covered(results: list[Result]) -> IntervalCoverage | None:
     """Coverage of each landmark and coordinate over the samples of all recordings."""
     pooled = pool(results)
     if pooled is None:
         return None
-    return coverage(np.zeros(pooled.offsets.shape), pooled.offsets, pooled.deviations)
+    return interval_coverage(np.zeros(pooled.offsets.shape), pooled.offsets, pooled.deviations)
 
 
 def pool(results: list[Result]) -> Sureness | None:

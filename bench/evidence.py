@@ -56,12 +56,12 @@ SURE, UNSURE = (0.6, 1.0), (0.2, 0.8)
 
 
 class Kind(NamedTuple):
-    """What the second pass is told.
+    """Evidence that the second pass takes.
 
     Attributes:
         person: the silhouettes' weight.
         forearms: that of the forearms' colours.
-        points: whether it is told the key points.
+        points: whether key points take part.
     """
 
     person: float

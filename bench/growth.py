@@ -116,6 +116,11 @@ def chain(count: int) -> Skeleton:
         limits=jnp.asarray(np.tile([-3.0, 3.0], (count, 1)), float),
         costs=jnp.ones(count + 6),
         relaxed=zeros,
+        usual_deviations=ones,
+        rest_deviations=jnp.full(count, jnp.inf),
+        unmarked_costs=jnp.ones(count + 6),
+        unmarked_relaxed=zeros - jnp.inf,
+        unmarked_least=zeros - jnp.inf,
     )
 
 

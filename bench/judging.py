@@ -8,16 +8,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bench.acceleration import AccelerationAndLag, compare_tracks
 from bench.clips import Clip
+from bench.wrong_turns import WrongTurns, wrong_turns
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.skeleton import landmark_rows
 from jaxmocap.capture.footage import open_footage
 from jaxmocap.capture.timeline import Mode
-from jaxmocap.evaluation.acceleration import Calm, calmness
 from jaxmocap.evaluation.errors import Errors
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.evaluation.series import sample_step
-from jaxmocap.evaluation.wrong_turns import WrongTurns, wrong_turns
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.hybrid.settings import Settings
@@ -63,8 +63,8 @@ class Result:
     video: Errors
     off: np.ndarray
     turns: WrongTurns
-    calm_alone: Calm
-    calm: Calm
+    calm_alone: AccelerationAndLag
+    calm: AccelerationAndLag
     frame: float
     sureness: Sureness | None
 
@@ -122,11 +122,11 @@ def shaken(recording: Recording, noise: float, seed: int) -> Recording:
     return replace(recording, positions_world=positions + rng.normal(0, noise, positions.shape))
 
 
-def calm_of(motion: Motion, clip: Clip) -> Calm:
+def calm_of(motion: Motion, clip: Clip) -> AccelerationAndLag:
     """Acceleration and lag of the elbows."""
     markers, joints = read_markers(clip.truth), motion.joints()
     truth = markers.points()
-    return calmness(
+    return compare_tracks(
         motion.times,
         np.stack([joints[joint] for joint in clip.pairs], 1),
         markers.times,

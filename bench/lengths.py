@@ -19,6 +19,7 @@ import numpy as np
 from bench.clips import ELBOWS
 from bench.command_line import command, seeds
 from bench.metrics import Metric, aligned, write_json
+from bench.stretching import stretching, unusual
 from jaxmocap.body.proportions import LENGTHS, scaled
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.evaluation.motions import evaluate
@@ -27,7 +28,6 @@ from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.progress import progress_bar
 from jaxmocap.pipelines.scaling.fit_lengths import fit_recording
 from jaxmocap.pipelines.tracking.track import make_tracker, track
-from jaxmocap.synthetic.movements.stretching import stretching, unusual
 from jaxmocap.synthetic.recording import write_performance
 
 HEIGHT, SECONDS = 1.75, 6.0

@@ -15,13 +15,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
+from bench.anthropometry import MeasuredPerson, tape_measure
 from bench.command_line import command
 from bench.metrics import Metric, aligned, write_json
-from jaxmocap.modelling.arm_surface import INNER, SLICES
-from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, Modelled, model_from
-from jaxmocap.synthetic.people.anthropometry import Body, measured
+from jaxmocap.modelling.arm_surface import INNER_RINGS, SLICES
+from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, ModelResult, model_from
 from jaxmocap.synthetic.people.rigged_mesh import Rig, load_rig
-from jaxmocap.synthetic.photographs import standing, write_photographs
+from jaxmocap.synthetic.photographs import person_in_stance, write_photographs
 
 PEOPLE = ("tall_man", "short_woman", "broad_man", "slim_woman")
 # Where the trunk is measured, of the way from the bottom line to the arm pits; and the arms, of
@@ -57,7 +57,7 @@ def errors(rig: Rig, folder: Path, seed: int = 0) -> Errors:
     calibration = write_photographs(folder, rig, seed)
     files = {name: folder / f"{name}.png" for name in PHOTOGRAPHS}
     made = model_from(files, calibration, folder / "model")
-    body = Body.of(standing(rig, "front"))
+    body = MeasuredPerson.of(person_in_stance(rig, "front"))
     sizes, girths = sections(made, body)
     return Errors(
         joints(made, rig), lengths(made, body), sizes, girths, surface(made, body),
@@ -65,16 +65,16 @@ def errors(rig: Rig, folder: Path, seed: int = 0) -> Errors:
     )  # fmt: skip
 
 
-def joints(made: Modelled, rig: Rig) -> np.ndarray:
+def joints(made: ModelResult, rig: Rig) -> np.ndarray:
     """(6,) metres, in the joint view's stance."""
-    truth = Body.of(standing(rig, "joint")).landmarks()
+    truth = MeasuredPerson.of(person_in_stance(rig, "joint")).landmarks()
     found = zip(made.model.bent, "lr", strict=True)
     names = ("shoulder", "elbow", "wrist")
     off = [getattr(b, name) - truth[f"{name}_{s}"] for b, s in found for name in names]
     return np.linalg.norm(off, axis=1)
 
 
-def lengths(made: Modelled, body: Body) -> np.ndarray:
+def lengths(made: ModelResult, body: MeasuredPerson) -> np.ndarray:
     """(5,) metres."""
     at, found = body.landmarks(), made.model.lengths()
     ends = {"shoulders": ("shoulder_l", "shoulder_r")}
@@ -84,24 +84,24 @@ def lengths(made: Modelled, body: Body) -> np.ndarray:
     return np.abs([found[k] - np.linalg.norm(at[a] - at[b]) for k, (a, b) in ends.items()])
 
 
-def sections(made: Modelled, body: Body) -> tuple[np.ndarray, np.ndarray]:
+def sections(made: ModelResult, body: MeasuredPerson) -> tuple[np.ndarray, np.ndarray]:
     """Widths and depths, metres, and girths, as a share."""
     trunk, pairs = made.model.trunk, []
     levels = trunk.rings[:, 0, 2]
     for share in TRUNK_AT:
         height = levels[0] + share * (trunk.pits[:, 2].mean() - levels[0])
         k = int(np.argmin(np.abs(levels - height)))
-        pairs.append((measured(trunk.rings[k][:, [1, 0]]), body.trunk(levels[k])))
+        pairs.append((tape_measure(trunk.rings[k][:, [1, 0]]), body.trunk(levels[k])))
     for arm, side in zip(made.model.arms, "lr", strict=True):
         for first, (bone, shares) in zip((0, SLICES[0]), ARMS_AT.items(), strict=True):
             for share in shares:
-                outline = arm[INNER + first + round(share * SLICES[0])][:, [2, 0]]
-                pairs.append((measured(outline), body.arm(bone, side, share)))
+                outline = arm[INNER_RINGS + first + round(share * SLICES[0])][:, [2, 0]]
+                pairs.append((tape_measure(outline), body.arm(bone, side, share)))
     found, truth = np.array(pairs).swapaxes(0, 1)
     return np.abs(found - truth)[:, :2].ravel(), np.abs(found / truth - 1)[:, 2]
 
 
-def surface(made: Modelled, body: Body) -> np.ndarray:
+def surface(made: ModelResult, body: MeasuredPerson) -> np.ndarray:
     """(N,) metres from the trunk's nodes below the arm pits to the nearest point of the mesh."""
     u, v = (a.ravel()[:, None, None] for a in np.meshgrid(*[np.linspace(0, 1, DENSE)] * 2))
     a, b, c, d = np.moveaxis(body.vertices[body.person.mesh.faces], 1, 0)

@@ -24,8 +24,8 @@ from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
-from jaxmocap.pipelines.silhouettes.track import whole_body
-from jaxmocap.silhouette.first_pose import pose_at
+from jaxmocap.pipelines.silhouettes.track import supple_skeleton
+from jaxmocap.silhouette.first_pose import pose_at_landmarks
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.surfaces.morph import Morphing, shoulders
 from jaxmocap.synthetic.people.shoulder_girdle import Girdle
@@ -47,7 +47,7 @@ def tracked(clip: Clip, morphing: Morphing) -> Result:
     skeleton = scale_to_landmarks(recording.skeleton, standing)
     missing = np.full((1, 3), np.nan)
     first = np.concatenate([standing.get(name, missing) for name in LANDMARKS])
-    start = pose_at(whole_body(skeleton), first)
+    start = pose_at_landmarks(supple_skeleton(skeleton), first)
     settings = Settings(morphing=morphing)
     return judged(clip, replace(recording, skeleton=skeleton), start, settings)
 

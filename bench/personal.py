@@ -33,14 +33,14 @@ from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc
-from jaxmocap.modelling.personal import Personal
+from jaxmocap.modelling.personal import PersonalModel
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, model_from
-from jaxmocap.pipelines.silhouettes.track import whole_body
-from jaxmocap.silhouette.first_pose import pose_at
+from jaxmocap.pipelines.silhouettes.track import supple_skeleton
+from jaxmocap.silhouette.first_pose import pose_at_landmarks
 from jaxmocap.synthetic.movements.exercises import EXERCISES
 from jaxmocap.synthetic.people.rigged_mesh import Rig, load_rig
-from jaxmocap.synthetic.photographs import stature, write_photographs
+from jaxmocap.synthetic.photographs import rest_height, write_photographs
 
 PEOPLE, EXERCISE = ("slim_woman", "broad_man"), "arm_raises"
 BODIES = ("stature", "bones", "model")
@@ -64,14 +64,14 @@ class Row(NamedTuple):
         return np.array([*angles, [result.place(*KINDS) for result in found]])
 
 
-def photographed(rig: Rig, folder: Path, seed: int) -> Personal:
+def photographed(rig: Rig, folder: Path, seed: int) -> PersonalModel:
     """The person of four photographs."""
     calibration = write_photographs(folder, rig, seed)
     files = {name: folder / f"{name}.png" for name in PHOTOGRAPHS}
-    return model_from(files, calibration, folder / "model", height=stature(rig)).person
+    return model_from(files, calibration, folder / "model", height=rest_height(rig)).person
 
 
-def tracked(clip: Clip, rig: Rig, person: Personal, bodies: Sequence[str]) -> Row:
+def tracked(clip: Clip, rig: Rig, person: PersonalModel, bodies: Sequence[str]) -> Row:
     """A clip, once with each of some bodies."""
     truth, results = read_trc(clip.truth).points(), {}
     points = np.array([truth[n][0] if n in truth else np.full(3, np.nan) for n in LANDMARKS])
@@ -79,20 +79,20 @@ def tracked(clip: Clip, rig: Rig, person: Personal, bodies: Sequence[str]) -> Ro
     for name in bodies:
         print(f"tracking {clip.name} by {name}", file=sys.stderr, flush=True)
         skeleton, surface = built(name, recording, rig, truth, person)
-        start = pose_at(whole_body(skeleton), points)
+        start = pose_at_landmarks(supple_skeleton(skeleton), points)
         results[name] = judged(clip, replace(recording, skeleton=skeleton), start, surface=surface)
     return Row(clip.name, results)
 
 
 def built(
-    name: str, recording: Recording, rig: Rig, truth: dict[str, np.ndarray], person: Personal
+    name: str, recording: Recording, rig: Rig, truth: dict[str, np.ndarray], person: PersonalModel
 ) -> tuple[Skeleton, Surface | None]:
     """One of ``BODIES``; a generic surface is None."""
     if name == "model":
         return person.skeleton, person.surface
     if name == "bones":
         return scale_to_landmarks(recording.skeleton, truth), None
-    return Skeleton.human(stature(rig)), None
+    return Skeleton.human(rest_height(rig)), None
 
 
 def text(rows: Sequence[Row]) -> str:

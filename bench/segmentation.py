@@ -29,12 +29,15 @@ from jaxmocap.images.background_model import Background
 from jaxmocap.images.canvases import follow, full_mask, mask_canvas
 from jaxmocap.images.regions import Region
 from jaxmocap.pipelines.kept_programs import keep_compiled
-from jaxmocap.silhouette.segmentation.outlines import look
-from jaxmocap.silhouette.segmentation.room_models import RoomLearner, pictured
-from jaxmocap.silhouette.segmentation.segment import Histograms, Plan
+from jaxmocap.silhouette.segmentation.background_models import (
+    BackgroundLearner,
+    background_of_picture,
+)
+from jaxmocap.silhouette.segmentation.outlines import find_outlines
+from jaxmocap.silhouette.segmentation.segment import Histograms, SegmentationPlan
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.surfaces.rim import Rim
-from jaxmocap.synthetic.four_cameras import View, framed, read_masks
+from jaxmocap.synthetic.four_cameras import RoomCamera, cameras_around, read_masks
 from jaxmocap.synthetic.movements.exercises import EXERCISES, exercise
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.renderer import Sensor
@@ -48,10 +51,10 @@ MOG2 = {"history": 60, "varThreshold": 16, "detectShadows": True}
 PERSON = 255
 # Name of a row -> plan and which rooms are known.
 LEVEL_SETS = {
-    "level set, grey": (Plan(colour=False, room=False), "none"),
-    "level set, colour": (Plan(room=False), "none"),
-    "+ learned room": (Plan(), "learned"),
-    "+ picture of the empty room": (Plan(), "empty"),
+    "level set, grey": (SegmentationPlan(colour=False, background=False), "none"),
+    "level set, colour": (SegmentationPlan(background=False), "none"),
+    "+ learned room": (SegmentationPlan(), "learned"),
+    "+ picture of the empty room": (SegmentationPlan(), "empty"),
 }
 START, GRABCUT = "starting silhouette", "GrabCut"
 MOG2_VIDEO, MOG2_EMPTY = "MOG2, of the video", "MOG2, of the empty room"
@@ -120,7 +123,9 @@ def scored(finder: Found, looks: Sequence[Look]) -> list[Scored]:
     return found
 
 
-def level_set(seen: Look, plan: Plan, rooms: Sequence[Background | None]) -> list[np.ndarray]:
+def level_set(
+    seen: Look, plan: SegmentationPlan, rooms: Sequence[Background | None]
+) -> list[np.ndarray]:
     """Masks by one look of the tracker."""
     phi, region = looked(seen, plan, rooms)
     views = [Region(*each) for each in zip(*region, strict=True)]
@@ -128,7 +133,9 @@ def level_set(seen: Look, plan: Plan, rooms: Sequence[Background | None]) -> lis
     return [full_mask(each, view, shape) for each, view in zip(phi, views, strict=True)]
 
 
-def looked(seen: Look, plan: Plan, rooms: Sequence[Background | None]) -> tuple[np.ndarray, Region]:
+def looked(
+    seen: Look, plan: SegmentationPlan, rooms: Sequence[Background | None]
+) -> tuple[np.ndarray, Region]:
     """Φ (C, S, S) and where the canvases are, by one look of the tracker."""
     settings = Settings()
     size, none = settings.rim.size, np.zeros(0)
@@ -139,8 +146,8 @@ def looked(seen: Look, plan: Plan, rooms: Sequence[Background | None]) -> tuple[
     region = Region(*(np.stack(parts) for parts in zip(*views, strict=True)))
     rim = Rim(none, none, none, none, none, np.stack(masks).astype(np.uint8), region)
     before = Histograms.empty(len(views), plan)
-    outlines = look(seen.images, rooms, rim, before, settings, plan)
-    return np.asarray(outlines.segmented.phi), region
+    outlines = find_outlines(seen.images, rooms, rim, before, settings, plan)
+    return np.asarray(outlines.segmentation.phi), region
 
 
 def grabbed(seen: Look) -> list[np.ndarray]:
@@ -166,7 +173,7 @@ class Case:
     def __init__(self, clip: Clip, people: Path, who: str, seconds: float):
         """Render what is missing: poses that are off, empty rooms."""
         performer = exercise(load_rig(people, who, clip.seed), clip.group, seconds, clip.seed)
-        self._views = framed(performer, seconds)
+        self._views = cameras_around(performer, seconds)
         self._rng, self._performer = np.random.default_rng([clip.seed, 9]), performer
         truths = read_masks(clip.path.with_name("truth_masks.npz"))
         videos = [open_video(source) for source in Recording.load(clip.path).videos]
@@ -181,11 +188,11 @@ class Case:
         self._exposed = [self._empty(view) for view in self._views]
 
     def _look(self, i: int, truths: dict[str, np.ndarray]) -> Look:
-        off = self._performer.off(self._rng)
+        off = self._performer.displaced(self._rng)
         starts = [view.mask(off, float(self._times[i])) for view in self._views]
         return Look(self._images[i], [truths[view.name][i] for view in self._views], starts)
 
-    def _empty(self, view: View) -> np.ndarray:
+    def _empty(self, view: RoomCamera) -> np.ndarray:
         """(N, H, W, 3) uint8, exposures of the empty room."""
         room = view.scene(self._performer, self._seed).background
         sensor = Sensor.create(room.shape[1::-1], np.random.default_rng([self._seed, 10]))
@@ -194,22 +201,22 @@ class Case:
     def rooms(self, which: str) -> Sequence[Background | None]:
         """What is known of them: ``none``, ``learned`` or ``empty``."""
         if which == "empty":
-            return [pictured(exposed[0]) for exposed in self._exposed]
+            return [background_of_picture(exposed[0]) for exposed in self._exposed]
         return self._learned() if which == "learned" else [None] * len(self._views)
 
     def _learned(self) -> list[Background | None]:
         chosen = range(0, len(self._times), LEARNED_EVERY)
-        learners = [RoomLearner(len(chosen)) for _ in self._views]
-        plan, nothing = Plan(), [None] * len(self._views)
+        learners = [BackgroundLearner(len(chosen)) for _ in self._views]
+        plan, nothing = SegmentationPlan(), [None] * len(self._views)
         for i in chosen:
-            off = self._performer.off(self._rng)
+            off = self._performer.displaced(self._rng)
             starts = [view.mask(off, float(self._times[i])) for view in self._views]
             phi, region = looked(Look(self._images[i], [], starts), plan, nothing)
             for learner, image, camera, *where in zip(
                 learners, self._images[i], phi, *region, strict=True
             ):
-                learner.tell(image, camera, Region(*where))
-        return [learner.learned() for learner in learners]
+                learner.add_frame(image, camera, Region(*where))
+        return [learner.background() for learner in learners]
 
     def subtracted(self, empty: bool) -> list[Scored]:
         """By MOG2 as it has followed the video, or seen the empty room."""

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.acceleration import AccelerationAndLag, compare_tracks
 from bench.clips import REAL_LANDMARKS, Clip, exercises
 from bench.command_line import add_rendered, command
 from bench.metrics import Metric, aligned, stage_metrics, table, write_json
@@ -27,19 +28,18 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.body.surfaces.surface import Surface
-from jaxmocap.evaluation.acceleration import Calm, calmness
 from jaxmocap.evaluation.errors import Errors, position_errors
 from jaxmocap.evaluation.series import match
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.progress import progress_bar
-from jaxmocap.pipelines.silhouettes.demo import JOINTS, performing
+from jaxmocap.pipelines.silhouettes.demo import JOINTS, performer_of
 from jaxmocap.pipelines.silhouettes.first_pose import start_pose
-from jaxmocap.pipelines.silhouettes.track import follow, whole_body
-from jaxmocap.silhouette.first_pose import pose_at
+from jaxmocap.pipelines.silhouettes.track import supple_skeleton, track_silhouettes
+from jaxmocap.silhouette.first_pose import pose_at_landmarks
 from jaxmocap.silhouette.settings import Settings
-from jaxmocap.synthetic.four_cameras import bends, write_four_cameras
+from jaxmocap.synthetic.four_cameras import flexion_angles, write_four_cameras
 from jaxmocap.synthetic.movements.exercises import EXERCISES
 
 KINDS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
@@ -64,7 +64,7 @@ class Result:
     cameras: int
     errors: Errors
     bends_off: dict[str, np.ndarray]
-    calm: Calm
+    calm: AccelerationAndLag
 
     def angle(self, kind: str) -> float:
         """Mean error of both elbows or both knees, degrees."""
@@ -92,7 +92,7 @@ def track_exercise(clip: Clip, cameras: int) -> Result:
     )
     missing = np.full(3, np.nan)
     first = np.array([truth[name][0] if name in truth else missing for name in LANDMARKS])
-    start = pose_at(whole_body(recording.skeleton), first)
+    start = pose_at_landmarks(supple_skeleton(recording.skeleton), first)
     return judged(clip, recording, start)
 
 
@@ -110,16 +110,16 @@ def judged(
     surface: Surface | None = None,
 ) -> Result:
     """Track, with a surface of the person where there is one, and compare with the truth."""
-    motion = follow(recording, start, settings, surface=surface, progress=True).motion
+    motion = track_silhouettes(recording, start, settings, surface=surface, progress=True).motion
     truth, joints = read_trc(clip.truth), motion.joints()
     points = {mark: truth.points()[name] for mark, name in clip.landmarks.items() if mark in JOINTS}
     pairs = {name: name for name in JOINTS}
     errors = position_errors(motion.times, joints, truth.times, points, pairs)
     ours, theirs = match(motion.times, truth.times)
-    found, expected = bends(joints), bends(points)
+    found, expected = flexion_angles(joints), flexion_angles(points)
     off = {hinge: np.abs(found[hinge][ours] - expected[hinge][theirs]) for hinge in found}
     places = [np.stack([each[name] for name in JOINTS], 1) for each in (joints, points)]
-    calm = calmness(motion.times, places[0], truth.times, places[1])
+    calm = compare_tracks(motion.times, places[0], truth.times, places[1])
     return Result(clip.name, len(recording.videos), errors, off, calm)
 
 
@@ -204,7 +204,7 @@ def chosen(options: argparse.Namespace, keep: Path) -> list[Clip]:
         name = f"{PAINTED}_{seed:03d}_{options.seconds:g}s"
         path = keep / name / "recording.toml"
         if not path.is_file():
-            painted = performing(options.seconds, seed, None, PAINTED)
+            painted = performer_of(options.seconds, seed, None, PAINTED)
             with progress_bar(f"rendering {name}", True) as show:
                 write_four_cameras(path.parent, painted, options.seconds, seed, progress=show)
         clips.append(Clip(PAINTED, name, path, {mark: mark for mark in LANDMARKS}, seed))

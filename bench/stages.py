@@ -12,6 +12,7 @@ import jax
 
 from jaxmocap.capture import footage
 from jaxmocap.silhouette import tracker
+from jaxmocap.silhouette.fit import cycles
 from jaxmocap.silhouette.segmentation import outlines
 from jaxmocap.silhouette.surfaces import rim
 
@@ -19,16 +20,16 @@ from jaxmocap.silhouette.surfaces import rim
 # for the decoders, which work ahead on threads of their own.
 STAGES: dict[str, tuple[tuple[object, str], ...]] = {
     "decode": ((footage.ForwardReader, "at"),),
-    "predict": ((tracker, "predict"),),
+    "predict": ((tracker, "predicted_pose"),),
     "rim": ((rim.RimFinder, "find"),),
     "canvases": ((outlines, "canvas"), (outlines, "silhouette_distance")),
     "segmentation": ((outlines, "segment"),),
     "sharpening": ((outlines, "_sharpened"),),
     "contours": ((outlines, "contours"),),
-    "matching": ((tracker, "matched"),),
-    "edges": ((tracker, "edge_pairs"),),
-    "fit": ((tracker, "fit"),),
-    "hypotheses": ((tracker.SilhouetteTracker, "_reconsidered"),),
+    "matching": ((cycles, "matched_pairs"),),
+    "edges": ((cycles, "inner_edge_pairs"),),
+    "fit": ((cycles, "fit"),),
+    "hypotheses": ((tracker, "recover_limbs"),),
 }
 REST, WHOLE = "the rest", "whole frame"
 

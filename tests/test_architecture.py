@@ -79,6 +79,7 @@ DOORS = {
         "evidence/appearance/",
         "silhouette/segmentation/",
         "silhouette/recovery/",
+        "silhouette/surfaces/",
         "modelling/",
         "capture/",
         "calibration/",

@@ -17,7 +17,6 @@ from jaxmocap.body.surfaces.cones import Cones
 from jaxmocap.geometry.rotations import about_axis, compose, hinges_from_matrix, rotate
 
 SIDES = ("l", "r")
-LIMBS = ("humerus", "radius", "hand")
 # Rows (2, 4) of shoulder, elbow, wrist and tip among the landmarks.
 ARM_LANDMARKS = np.stack(
     [
@@ -52,8 +51,8 @@ class Arms(NamedTuple):
 
 
 def limb_bones(tree: Tree) -> np.ndarray:
-    """Indices (2, 3) of humerus, radius and hand, left and right."""
-    return np.array([[tree.bone(f"{limb}_{side}") for limb in LIMBS] for side in SIDES], np.int32)
+    """Indices (2, 3) of upper arm, forearm and hand, left and right."""
+    return np.stack([tree.bones_in("arm", side=side) for side in SIDES])
 
 
 def grips(skeleton: Skeleton, markers: Sites) -> Sites:

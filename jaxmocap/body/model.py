@@ -14,11 +14,11 @@ from jax import Array
 from jaxmocap.body import arms
 from jaxmocap.body.kinematics import Sites, joined_sites, landmark_sites
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import Camera, stack_cameras
 
 SIDES = ("l", "r")
-# A marker on one of these bones holds the foot of its side.
-LOWER_LEG = ("tibia", "foot")
+# A marker on one of these parts of a leg holds the foot of its side.
+LOWER_LEG = ("shank", "foot")
 # The paper's five targets but the feet.
 PAPERS_MARKERS = ("vertex", "wrist_l", "wrist_r")
 
@@ -54,14 +54,17 @@ class Model:
         """
         listed = [cameras] if isinstance(cameras, Camera) else list(cameras or [])
         sites = landmark_sites(skeleton, PAPERS_MARKERS) if markers is None else markers
-        return cls(skeleton, sites, jax.tree.map(_stacked, *listed) if listed else None)
+        return cls(skeleton, sites, stack_cameras(listed) if listed else None)
 
     @property
     def unmarked_feet(self) -> tuple[str, ...]:
         """Sides ("l", "r") of the feet that no marker on shank or foot holds."""
-        marked = {self.skeleton.tree.bones[bone] for bone in self.markers.bones}
-        lower_leg = {side: {f"{bone}_{side}" for bone in LOWER_LEG} for side in SIDES}
-        return tuple(side for side in SIDES if not marked & lower_leg[side])
+        tree, marked = self.skeleton.tree, np.asarray(self.markers.bones)
+        return tuple(
+            side
+            for side in SIDES
+            if not np.isin(marked, tree.bones_in(*LOWER_LEG, side=side)).any()
+        )
 
     @property
     def no_foot_is_marked(self) -> bool:
@@ -91,13 +94,8 @@ class Model:
     @property
     def camera_count(self) -> int:
         """C; 0 without video."""
-        return 0 if self.cameras is None else self.cameras.matrix.shape[0]
+        return 0 if self.cameras is None else len(self.cameras.size)
 
     def with_offsets(self, offsets: Array) -> "Model":
         """The same with the markers at other places (M, 3), metres, in their bones' frames."""
         return replace(self, markers=replace(self.markers, offsets=offsets))
-
-
-def _stacked(*leaves: Array) -> Array:
-    """Stacked on the host: on the device that would be a program for each shape."""
-    return jnp.asarray(np.stack([np.asarray(leaf) for leaf in leaves]), leaves[0].dtype)

@@ -5,41 +5,26 @@ OUTPUTS: a Skeleton. Names and the tree are static; every number in it is a trac
 gradients reach lengths, masses, diameters, costs and limits.
 """
 
-import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
-from importlib import resources
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxmocap.body.model_files import HUMAN, joint_rows, landmark_rows_of, read_model
+
 # The virtual root's degrees of freedom: three translations, three rotations.
 ROOT_DOF = 6
 
+_LANDMARKS = landmark_rows_of(HUMAN)
 # Landmark -> bone and fraction of its length from its joint.
-_CENTRAL = {
-    "pelvis": ("spine1", 0.0),
-    "neck": ("neck", 0.0),
-    "head": ("head", 0.0),
-    "vertex": ("head", 1.0),
-}
-_PAIRED = {
-    "shoulder": ("humerus", 0.0),
-    "elbow": ("radius", 0.0),
-    "wrist": ("hand", 0.0),
-    "hand": ("hand", 1.0),
-    "hip": ("femur", 0.0),
-    "knee": ("tibia", 0.0),
-    "ankle": ("foot", 0.0),
-    "toe": ("foot", 1.0),
-}
-LANDMARKS: dict[str, tuple[str, float]] = _CENTRAL | {
-    f"{name}_{side}": (f"{bone}_{side}", at)
-    for name, (bone, at) in _PAIRED.items()
-    for side in "lr"
+LANDMARKS: dict[str, tuple[str, float]] = {
+    row["name"]: (row["bone"], float(row["at"])) for row in _LANDMARKS
 }
 
 
@@ -60,6 +45,28 @@ def landmark_rows(names: Iterable[str]) -> np.ndarray:
 ELBOWS = landmark_rows(("elbow_l", "elbow_r"))
 
 
+def landmark_mismatches() -> np.ndarray:
+    """By how much skeletons put each of the ``LANDMARKS`` wrong, (L, 3) metres, world, Z up."""
+    sides = [row["mismatch"] for row in _LANDMARKS]
+    return np.array([(across, across, upright) for across, upright in sides], float)
+
+
+class Segment(NamedTuple):
+    """What kind of bone one is.
+
+    Attributes:
+        group: spine, head, shoulder, arm, hip, leg, or what else a body has; "" for none.
+        part: the bone's name within its group, the same on both sides.
+        side: "l", "r", or "" in the middle.
+        drawn: whether silhouettes show it as its cone.
+    """
+
+    group: str = ""
+    part: str = ""
+    side: str = ""
+    drawn: bool = True
+
+
 # Indices that are kept are int32: JAX remembers an int64 array as it was first seen, and a change
 # of precision between two traces would break the second.
 @dataclass(frozen=True)
@@ -71,12 +78,16 @@ class Tree:
         parents: index of each bone's parent, -1 for bones that start at the virtual root.
         joints: names of the D degrees of freedom.
         dof_bones: index of the bone that each degree of freedom turns, proximal to distal.
+        segments: what kind of bone each is; () where that is not known of any.
+        searched: limb that is searched by each degree of freedom, "" for none; () for none at all.
     """
 
     bones: tuple[str, ...]
     parents: tuple[int, ...]
     joints: tuple[str, ...]
     dof_bones: tuple[int, ...]
+    segments: tuple[Segment, ...] = ()
+    searched: tuple[str, ...] = ()
 
     def bone(self, name: str) -> int:
         """Index of a bone by name.
@@ -87,6 +98,38 @@ class Tree:
         if name not in self.bones:
             raise KeyError(f"unknown bone {name!r}; the bones are {', '.join(self.bones)}")
         return self.bones.index(name)
+
+    def bones_in(self, *names: str, side: str | None = None) -> np.ndarray:
+        """Indices (K,) of the bones of groups or parts, parents before children.
+
+        Args:
+            names: of groups ("arm") or parts ("forearm"); a body that has none yields no bones.
+            side: only these, "l", "r" or ""; None for all.
+        """
+        chosen = [
+            i
+            for i, segment in enumerate(self.segments)
+            if (segment.group in names or segment.part in names) and side in (None, segment.side)
+        ]
+        return np.array(chosen, np.int32)
+
+    def names_in(self, *names: str, side: str | None = None) -> tuple[str, ...]:
+        """The names of ``bones_in``."""
+        return tuple(self.bones[i] for i in self.bones_in(*names, side=side))
+
+    @property
+    def groups_of_joints(self) -> tuple[str, ...]:
+        """The group (D) of the bone that each degree of freedom turns; "" for none."""
+        if not self.segments:
+            return ("",) * len(self.joints)
+        return tuple(self.segments[bone].group for bone in self.dof_bones)
+
+    @property
+    def drawn(self) -> np.ndarray:
+        """Indices (K,) of the bones that silhouettes show as their cones."""
+        if not self.segments:
+            return np.arange(len(self.bones), dtype=np.int32)
+        return np.flatnonzero([segment.drawn for segment in self.segments]).astype(np.int32)
 
     def joint(self, name: str) -> int:
         """Index of a degree of freedom by name; KeyError lists the valid ones."""
@@ -151,6 +194,12 @@ class Skeleton:
         limits: (D, 2) smallest and largest angle, radians.
         costs: (6 + D,) mu of equation (4); the root's six first.
         relaxed: (D,) omega of equation (9), radians.
+        usual_deviations: (D,) by which joints stray from relaxed, radians (standard deviations).
+        rest_deviations: (D,) by which joints stray from 0 of which outlines tell little, radians;
+            infinite for the others.
+        unmarked_costs: (6 + D,) factors on costs where no marker holds the feet.
+        unmarked_relaxed: (D,) least relaxed angles there, radians; minus infinity for none.
+        unmarked_least: (D,) least angles there, radians; minus infinity for none.
     """
 
     tree: Tree = field(metadata={"static": True})
@@ -163,6 +212,11 @@ class Skeleton:
     limits: Array
     costs: Array
     relaxed: Array
+    usual_deviations: Array
+    rest_deviations: Array
+    unmarked_costs: Array
+    unmarked_relaxed: Array
+    unmarked_least: Array
 
     @classmethod
     def human(cls, height: float | None = None, mass: float | None = None) -> "Skeleton":
@@ -177,28 +231,63 @@ class Skeleton:
         """
         from jaxmocap.body.subject import scale_to_height
 
-        skeleton = load_skeleton("human.toml")
+        skeleton = load_skeleton(HUMAN)
         if height is None and mass is None:
             return skeleton
         return scale_to_height(skeleton, height, mass)
 
 
-def load_skeleton(name: str) -> Skeleton:
-    """Read a model file from ``body/data``."""
-    tree, bones, joints, root = _read_model(name)
-    degree = np.pi / 180
-    return Skeleton(
-        tree=tree,
-        lengths=_column(bones, "length"),
-        directions=_column(bones, "direction"),
-        masses=_column(bones, "mass"),
-        centres=_column(bones, "centre"),
-        diameters=_column(bones, "diameter"),
-        axes=_column(joints, "axis"),
-        limits=_column(joints, "range", degree),
-        costs=_numbers([*root["cost"], *(joint["cost"] for joint in joints)]),
-        relaxed=_column(joints, "relaxed", degree),
+def load_skeleton(name: str | Path) -> Skeleton:
+    """Read a body's file.
+
+    Args:
+        name: in ``body/data``; or the path of a file of the same form.
+    """
+    model = read_model(name)
+    names = [bone["name"] for bone in model.bones]
+    parents = tuple(names.index(bone["parent"]) if bone["parent"] else -1 for bone in model.bones)
+    segments = tuple(
+        Segment(*(bone.get(key, usual) for key, usual in Segment._field_defaults.items()))
+        for bone in model.bones
     )
+    bones_alone = Tree(tuple(names), parents, (), (), segments)
+    return Skeleton(
+        tree=_with_dofs(bones_alone, model.joints),
+        lengths=_column(model.bones, "length"),
+        directions=_column(model.bones, "direction"),
+        masses=_column(model.bones, "mass"),
+        centres=_column(model.bones, "centre"),
+        diameters=_column(model.bones, "diameter"),
+        **joint_columns(model.joints, model.root),
+    )
+
+
+def joint_columns(joints: list[dict], root: dict | None = None) -> dict[str, Array]:
+    """A skeleton's arrays of D degrees of freedom, by rows of a body's file.
+
+    Args:
+        joints: D rows.
+        root: of the virtual root; None leaves its six out of costs.
+    """
+    degree = np.pi / 180
+    feet = [joint.get("unmarked_feet", {}) for joint in joints]
+    costs, factors = [joint["cost"] for joint in joints], [each.get("cost", 1.0) for each in feet]
+    if root is not None:
+        usual = [1.0] * ROOT_DOF
+        costs = [*root["cost"], *costs]
+        factors = [*root.get("unmarked_feet", {}).get("cost", usual), *factors]
+    rest = [joint.get("rest_deviation_rad", np.inf) for joint in joints]
+    return {
+        "axes": _column(joints, "axis"),
+        "limits": _column(joints, "range", degree),
+        "costs": _numbers(costs),
+        "relaxed": _column(joints, "relaxed", degree),
+        "usual_deviations": _column(joints, "deviation", degree),
+        "rest_deviations": _numbers(rest),
+        "unmarked_costs": _numbers(factors),
+        "unmarked_relaxed": _numbers([each.get("relaxed", -np.inf) for each in feet], degree),
+        "unmarked_least": _numbers([each.get("least", -np.inf) for each in feet], degree),
+    }
 
 
 def with_joints(skeleton: Skeleton, name: str) -> Skeleton:
@@ -210,16 +299,43 @@ def with_joints(skeleton: Skeleton, name: str) -> Skeleton:
     Raises:
         KeyError: a joint turns a bone that the skeleton does not have.
     """
-    model, tree = load_skeleton(name), skeleton.tree
-    carried = tuple(tree.bone(model.tree.bones[bone]) for bone in model.tree.dof_bones)
+    model, dtype = read_model(name), skeleton.lengths.dtype
+    columns = joint_columns(model.joints, model.root)
     return replace(
         skeleton,
-        tree=replace(tree, joints=model.tree.joints, dof_bones=carried),
+        tree=_with_dofs(skeleton.tree, model.joints),
+        **{key: column.astype(dtype) for key, column in columns.items()},
+    )
+
+
+def with_wrists(skeleton: Skeleton) -> Skeleton:
+    """The skeleton with a neck that turns, forearms that twist and wrists; once is enough.
+
+    Three points tell nothing of these seven: they are for markers with an orientation.
+    """
+    rows, dtype = joint_rows("wrists.toml"), skeleton.axes.dtype
+    if rows[0]["name"] in skeleton.tree.joints:
+        return skeleton
+    return replace(
+        skeleton,
+        tree=_with_dofs(skeleton.tree, rows, added=True),
         **{
-            key: getattr(model, key).astype(skeleton.lengths.dtype)
-            for key in ("axes", "limits", "costs", "relaxed")
+            key: jnp.concatenate([getattr(skeleton, key), column.astype(dtype)])
+            for key, column in joint_columns(rows).items()
         },
     )
+
+
+def _with_dofs(tree: Tree, joints: list[dict], added: bool = False) -> Tree:
+    """The same bones turned by other degrees of freedom, or by more."""
+    names = tuple(joint["name"] for joint in joints)
+    turned = tuple(tree.bone(joint["bone"]) for joint in joints)
+    searched = tuple(joint.get("limb", "") for joint in joints)
+    if added:
+        before = tree.searched or ("",) * len(tree.joints)
+        names, turned = (*tree.joints, *names), (*tree.dof_bones, *turned)
+        searched = (*before, *searched)
+    return replace(tree, joints=names, dof_bones=turned, searched=searched)
 
 
 def _column(rows: list[dict], key: str, scale: float = 1.0) -> Array:
@@ -231,35 +347,3 @@ def _numbers(values: list, scale: float = 1.0) -> Array:
     """Converted on the host: on the device that would be a program for each shape."""
     dtype = jax.dtypes.canonicalize_dtype(float)
     return jnp.asarray((np.array(values, float) * scale).astype(dtype), dtype)
-
-
-# The file is kept, not its arrays: those would outlive a trace or a change of precision.
-@lru_cache
-def _read_model(name: str) -> tuple[Tree, list[dict], list[dict], dict]:
-    """The tree, the rows of bones and of joints, and the root, of a model file."""
-    data = _data(name)
-    source = _data(data["bones_of"]) if "bones_of" in data else data
-    bones, joints = source["bone"], _joint_rows(name)
-    names = [bone["name"] for bone in bones]
-    tree = Tree(
-        tuple(names),
-        tuple(names.index(bone["parent"]) if bone["parent"] else -1 for bone in bones),
-        tuple(joint["name"] for joint in joints),
-        tuple(names.index(joint["bone"]) for joint in joints),
-    )
-    return tree, bones, joints, source["root"]
-
-
-def _joint_rows(name: str) -> list[dict]:
-    """A model file's joints: those that it takes from other files, all or some, then its own."""
-    data, taken = _data(name), []
-    for source in data.get("joints_of", []):
-        rows = {row["name"]: row for row in _joint_rows(source["file"])}
-        taken += [rows[joint] for joint in source.get("names", rows)]
-    return taken + data.get("joint", [])
-
-
-def _data(name: str) -> dict:
-    """What a model file holds."""
-    text = resources.files("jaxmocap.body").joinpath("data", name).read_text(encoding="utf-8")
-    return tomllib.loads(text)

@@ -20,13 +20,13 @@ from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 WINTER_LENGTHS = {
     "trunk": 0.340,
     "neck_head": 0.130,
-    "clavicle": float(np.hypot(0.129, 0.052)),
-    "humerus": 0.186,
-    "radius": 0.146,
+    "shoulder": float(np.hypot(0.129, 0.052)),
+    "upper_arm": 0.186,
+    "forearm": 0.146,
     "hand": 0.108,
     "hip": 0.0955,
-    "femur": 0.245,
-    "tibia": 0.246,
+    "thigh": 0.245,
+    "shank": 0.246,
     "foot": 0.110,
 }
 ANKLE_HEIGHT = 0.039
@@ -35,28 +35,30 @@ CLAVICLE_DROP = 0.052 / 0.129
 WINTER_MASSES = {
     "trunk": 0.497,
     "neck_head": 0.081,
-    "humerus": 0.028,
-    "radius": 0.016,
+    "upper_arm": 0.028,
+    "forearm": 0.016,
     "hand": 0.006,
-    "femur": 0.100,
-    "tibia": 0.0465,
+    "thigh": 0.100,
+    "shank": 0.0465,
     "foot": 0.0145,
 }
 TRUNK = ("spine1", "spine2", "spine3")
 NECK_HEAD = ("neck", "head")
+# Groups of bones that share one number of the tables, in proportion to what they have.
+_LONG_TOGETHER = {"spine": "trunk", "head": "neck_head"}
 # Clavicles and hips weigh as parts of the trunk.
-TRUNK_MASS = (*TRUNK, "clavicle_l", "clavicle_r", "hip_l", "hip_r")
+_HEAVY_TOGETHER = {**_LONG_TOGETHER, "shoulder": "trunk", "hip": "trunk"}
 MEAN_BODY_MASS_INDEX = 23.0
 
-# Bone -> the landmarks at its two ends.
+# Part and side of a bone -> the landmarks at its two ends.
 _MEASURED = {
-    f"{bone}_{side}": (f"{near}_{side}", f"{far}_{side}")
-    for bone, near, far in (
-        ("humerus", "shoulder", "elbow"),
-        ("radius", "elbow", "wrist"),
+    (part, side): (f"{near}_{side}", f"{far}_{side}")
+    for part, near, far in (
+        ("upper_arm", "shoulder", "elbow"),
+        ("forearm", "elbow", "wrist"),
         ("hand", "wrist", "hand"),
-        ("femur", "hip", "knee"),
-        ("tibia", "knee", "ankle"),
+        ("thigh", "hip", "knee"),
+        ("shank", "knee", "ankle"),
         ("foot", "ankle", "toe"),
     )
     for side in "lr"
@@ -78,14 +80,15 @@ def scale_to_height(skeleton: Skeleton, height: float | None, mass: float | None
         return replace(skeleton, masses=skeleton.masses * factor)
     if not 0.5 <= height <= 2.5:
         raise ValueError(f"height = {height}: expected metres between 0.5 and 2.5")
-    names = skeleton.tree.bones
-    lengths = _fractions(skeleton, WINTER_LENGTHS, TRUNK, skeleton.lengths) * height
+    lengths = _fractions(skeleton, WINTER_LENGTHS, _LONG_TOGETHER, skeleton.lengths) * height
     directions = np.array(skeleton.directions)
     for side, left in (("l", 1.0), ("r", -1.0)):
         slope = np.array([0.0, left, -CLAVICLE_DROP])
-        directions[names.index(f"clavicle_{side}")] = slope / np.linalg.norm(slope)
+        directions[skeleton.tree.bones_in("shoulder", side=side)] = slope / np.linalg.norm(slope)
     kilograms = MEAN_BODY_MASS_INDEX * height**2 if mass is None else mass
-    masses = _fractions(skeleton, WINTER_MASSES, TRUNK_MASS, skeleton.masses) * kilograms
+    masses = _fractions(skeleton, WINTER_MASSES, _HEAVY_TOGETHER, skeleton.masses)
+    # Winter's masses are all of it: what he does not have takes its share from the others.
+    masses = masses * kilograms / (masses.sum() if masses.sum() > 1.001 else 1.0)
     scaled = replace(
         skeleton,
         lengths=jnp.asarray(lengths, float),
@@ -96,18 +99,29 @@ def scale_to_height(skeleton: Skeleton, height: float | None, mass: float | None
 
 
 def _fractions(
-    skeleton: Skeleton, table: dict[str, float], trunk: tuple[str, ...], shares: Array
+    skeleton: Skeleton, table: dict[str, float], together: dict[str, str], shares: Array
 ) -> np.ndarray:
-    """One fraction per bone; trunk and neck with head are split in proportion to ``shares``."""
-    names, shares_of = skeleton.tree.bones, np.asarray(shares)
-    groups = {name: ("trunk", trunk) for name in trunk}
-    groups |= {name: ("neck_head", NECK_HEAD) for name in NECK_HEAD}
-    fractions = []
-    for i, name in enumerate(names):
-        key, members = groups.get(name, (name[:-2], (name,)))
-        total = sum(shares_of[names.index(member)] for member in members)
-        fractions.append(table[key] * shares_of[i] / total)
-    return np.array(fractions)
+    """One fraction per bone (B,).
+
+    Trunk and neck with head are split in proportion to ``shares``. A bone that the table does not
+    have, a tail's, keeps its proportion to all the others.
+
+    Args:
+        skeleton: of B bones.
+        table: of Winter.
+        together: group of bones -> the entry that they share.
+        shares: (B,) of the skeleton.
+    """
+    segments, own = skeleton.tree.segments, np.asarray(shares)
+    keys = [together.get(segment.group, segment.part) for segment in segments]
+    single = [segment.group not in together for segment in segments]
+    fractions = np.full(len(own), np.nan, own.dtype)
+    for i, key in enumerate(keys):
+        if key in table:
+            members = [i] if single[i] else [j for j, other in enumerate(keys) if other == key]
+            fractions[i] = table[key] * own[i] / sum(own[j] for j in members)
+    known = np.isfinite(fractions)
+    return np.where(known, fractions, own * fractions[known].sum() / own[known].sum())
 
 
 def _with_girths(old: Skeleton, new: Skeleton) -> Skeleton:
@@ -136,13 +150,13 @@ def scale_to_landmarks(skeleton: Skeleton, landmarks: dict[str, np.ndarray]) -> 
     for name in ("neck", "hip_l", "hip_r", "shoulder_l", "shoulder_r"):
         if name not in landmarks or not np.isfinite(landmarks[name]).all(-1).any():
             raise ValueError(f"a static trial needs the landmark {name!r} in at least one frame")
-    measured = {bone: _distance(landmarks, *ends) for bone, ends in _MEASURED.items()}
+    measured = {which: _distance(landmarks, *ends) for which, ends in _MEASURED.items()}
     guess = scale_to_height(skeleton, _height(landmarks, measured), None)
     lengths, directions = np.array(guess.lengths), np.array(guess.directions)
     names = skeleton.tree.bones
-    for bone, length in measured.items():
+    for (part, side), length in measured.items():
         if length is not None:
-            lengths[names.index(bone)] = length
+            lengths[skeleton.tree.bones_in(part, side=side)] = length
     for bones, vector in _trunk_vectors(landmarks).items():
         members = [names.index(bone) for bone in bones]
         share = lengths[members] / lengths[members].sum()
@@ -162,7 +176,9 @@ def _distance(landmarks: dict[str, np.ndarray], a: str, b: str) -> float | None:
     return float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else None
 
 
-def _height(landmarks: dict[str, np.ndarray], measured: dict[str, float | None]) -> float:
+def _height(
+    landmarks: dict[str, np.ndarray], measured: dict[tuple[str, str], float | None]
+) -> float:
     """Body height, metres: from vertex to ankles where both are known, else from the limbs.
 
     The limbs' height is the median of those at which Winter's limbs are as long as the measured.
@@ -173,9 +189,9 @@ def _height(landmarks: dict[str, np.ndarray], measured: dict[str, float | None])
         if np.isfinite(extent).any():
             return float(np.clip(np.nanmedian(extent) / (1 - ANKLE_HEIGHT), 0.5, 2.5))
     ratios = [
-        length / WINTER_LENGTHS[bone[:-2]]
-        for bone, length in measured.items()
-        if length is not None and bone[:-2] != "foot"
+        length / WINTER_LENGTHS[part]
+        for (part, _), length in measured.items()
+        if length is not None and part != "foot"
     ]
     return float(np.clip(np.median(ratios), 0.5, 2.5)) if ratios else 1.75
 

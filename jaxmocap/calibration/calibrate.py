@@ -13,12 +13,13 @@ import numpy as np
 
 from jaxmocap.calibration.board.boards import Board
 from jaxmocap.calibration.board.finding import MIN_VIEWS, BoardDetections, find_boards
+from jaxmocap.calibration.board.opencv_lenses import LensKind
 from jaxmocap.calibration.board.result_pictures import (
     draw_detections,
     draw_intrinsics,
     picture_folder,
 )
-from jaxmocap.calibration.intrinsics import PARAMETERS, IntrinsicsEstimate, estimate_intrinsics
+from jaxmocap.calibration.intrinsics import IntrinsicsEstimate, estimate_intrinsics
 from jaxmocap.calibration.planar_poses import tilt_degrees
 from jaxmocap.calibration.view_coverage import (
     ImageCoverage,
@@ -71,7 +72,7 @@ def calibrate_camera(
     board: Board,
     camera: str,
     out: str | Path,
-    coefficients: int = 4,
+    kind: LensKind | None = None,
     pictures: str | Path | None = None,
 ) -> IntrinsicsResult:
     """Calibrate a camera and write its section.
@@ -81,19 +82,23 @@ def calibrate_camera(
         board: that they show.
         camera: name of the section to add or replace.
         out: the calibration file, .toml.
-        coefficients: of distortion: 0, 1 (k1), 2 (k1 k2), 4 (k1 k2 p1 p2) or 5 (and k3).
+        kind: of the lens: of an ordinary one 0, 1 (k1), 2 (k1 k2), 4 (k1 k2 p1 p2, the default)
+            or 5 (and k3) coefficients, of a fisheye 0 to 4.
         pictures: folder for what is drawn, or None. Corners are drawn even if views are refused.
 
     Raises:
         InputError: files that cannot be used, or views that do not determine the camera.
     """
-    out = Path(out)
+    out, kind = Path(out), kind or LensKind()
+    if kind.coefficients > len(kind.parameters) - 4:
+        problem = f"found {kind.coefficients}, expected at most 4 of a fisheye"
+        raise InputError("--distortions", problem)
     check_camera_writable(out, camera)
     folder = picture_folder(pictures, f"intrinsics of {camera}", paths)
     before, is_placed = _existing_section(out, camera)
     detections = find_boards(paths, board)
     try:
-        result = _checked_estimate(detections, coefficients)
+        result = _checked_estimate(detections, kind)
     except InputError:
         if folder is not None:
             folder.write(partial(draw_detections, detections))
@@ -118,12 +123,12 @@ def _existing_section(out: Path, camera: str) -> tuple[Intrinsics | None, bool]:
     return lens, "rotation" in table
 
 
-def _checked_estimate(detections: BoardDetections, coefficients: int) -> IntrinsicsEstimate:
+def _checked_estimate(detections: BoardDetections, kind: LensKind) -> IntrinsicsEstimate:
     """The calibration; InputError with the reason where the views do not determine it."""
     if (why := detections.too_few()) is not None:
         raise InputError(detections.where, why)
     try:
-        result = estimate_intrinsics(detections.views, detections.size, coefficients)
+        result = estimate_intrinsics(detections.views, detections.size, kind)
     except ArithmeticError as error:
         raise InputError(detections.where, f"the views determine no camera: {error}") from None
     if (why := why_undetermined(result)) is not None:
@@ -147,7 +152,7 @@ def _change_warnings(
         changes, deviations = result.values[:4] - old, result.max_std[:4]
         far = [
             f"{name} by {change:+.1f} pixels ({abs(change) / std:.0f} standard deviations)"
-            for name, change, std in zip(PARAMETERS, changes, deviations, strict=False)
+            for name, change, std in zip(result.parameters, changes, deviations, strict=False)
             if abs(change) > 3 * std
         ]
         if far:

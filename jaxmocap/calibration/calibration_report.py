@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxmocap.calibration.calibrate import IntrinsicsResult
 from jaxmocap.calibration.extrinsics import position_world_of
-from jaxmocap.calibration.intrinsics import PARAMETERS
+from jaxmocap.calibration.intrinsics import IntrinsicsEstimate
 from jaxmocap.calibration.place_camera import ExtrinsicsResult
 
 _PIXELS = ("fx", "fy", "cx", "cy")
@@ -30,7 +30,7 @@ def intrinsics_text(result: IntrinsicsResult) -> str:
         *(f"  {name}: no board found" for name in result.detections.not_found),
         *(f"  {name}: the same as an earlier one" for name in result.detections.duplicates),
         "",
-        *_parameters(result),
+        *_parameters(result.estimate),
         "",
         f"coverage: {100 * result.coverage.share:.0f} % of the image",
         *(f"warning: {sentence}" for sentence in result.warnings),
@@ -45,12 +45,16 @@ def _picture(name: str, error: float, tilt: float, used: bool) -> str:
     return f"  {name}: {error:.2f} px, {tilt:.0f}°"
 
 
-def _parameters(found: IntrinsicsResult) -> list[str]:
-    result = found.estimate
+def _parameters(estimate: IntrinsicsEstimate) -> list[str]:
     rows = [["", "value", "std", "one view left out", "jackknife std"]]
-    ranges = np.stack([result.leave_one_out.min(0), result.leave_one_out.max(0)], -1)
+    ranges = np.stack([estimate.leave_one_out.min(0), estimate.leave_one_out.max(0)], -1)
     for name, value, std, (low, high), jackknife in zip(
-        PARAMETERS, result.values, result.std, ranges, result.jackknife_std, strict=True
+        estimate.parameters,
+        estimate.values,
+        estimate.std,
+        ranges,
+        estimate.jackknife_std,
+        strict=True,
     ):
         if value == 0 and std == 0:
             continue
@@ -72,7 +76,7 @@ def intrinsics_figures(result: IntrinsicsResult) -> dict[str, Any]:
             "left_out_min": float(estimate.leave_one_out[:, i].min()),
             "left_out_max": float(estimate.leave_one_out[:, i].max()),
         }
-        for i, name in enumerate(PARAMETERS)
+        for i, name in enumerate(estimate.parameters)
     }
     pictures = [
         {"name": name, "rms_px": _finite(error), "tilt_deg": _finite(tilt), "used": use}

@@ -8,19 +8,17 @@ so its corners' places in the world are known, and the camera follows from them.
 
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from jaxmocap.calibration.board.opencv_lenses import pose_jacobian, project_points
 from jaxmocap.calibration.planar_poses import (
     FLAT_THICKNESS,
     CameraPose,
     candidate_poses,
     relative_thickness,
-    reprojection_residuals,
 )
 from jaxmocap.formats.cameras.calibration import Intrinsics
-from jaxmocap.geometry.cameras import Camera
 
 # The mirrored solution is ambiguous where its residual is less than this times the better one's.
 AMBIGUOUS_RATIO = 2.0
@@ -76,11 +74,9 @@ class Placement:
         """(3,) Rodrigues vector, world to camera."""
         return Rotation.from_matrix(self.T_cam_world[:3, :3]).as_rotvec()
 
-    def camera(self, lens: Intrinsics) -> Camera:
-        """The camera as all else uses it."""
-        size = (lens.size[0], lens.size[1])
-        R, t = self.T_cam_world[:3, :3], self.T_cam_world[:3, 3]
-        return Camera.create(size, lens.matrix, lens.distortions, R, t)
+    def entries(self) -> dict[str, np.ndarray]:
+        """Its fields in a section of the calibration file."""
+        return {"rotation": self.rotation, "translation": self.T_cam_world[:3, 3]}
 
 
 def board_to_world(pose: tuple[float, ...]) -> np.ndarray:
@@ -123,7 +119,7 @@ def estimate_placement(
     std_m, std_deg = _deviations(best, points_world[used], lens)
     return Placement(
         best.matrix,
-        reprojection_residuals(points_world, pixels_xy, lens, best.rvec, best.tvec),
+        _residuals(best, points_world, pixels_xy, lens),
         used,
         std_m,
         std_deg,
@@ -252,12 +248,17 @@ def advice_on_board_pose(
     return "see the axes in the picture: --pose does not fit it, or the world's z is not up"
 
 
+def _residuals(
+    pose: CameraPose, points_world: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics
+) -> np.ndarray:
+    return project_points(points_world, pose.rvec, pose.tvec, lens) - pixels_xy
+
+
 def _deviations(
     pose: CameraPose, points_world: np.ndarray, lens: Intrinsics
 ) -> tuple[np.ndarray, float]:
     """Standard deviations of place (3,), metres, and direction, degrees, from the residuals."""
-    _, J = cv2.projectPoints(points_world, pose.rvec, pose.tvec, lens.matrix, lens.distortions)
-    J = J[:, :6]
+    J = pose_jacobian(points_world, pose.rvec, pose.tvec, lens)
     freedom = max(1, J.shape[0] - 6)
     covariance = np.linalg.pinv(J.T @ J) * (pose.residuals_xy**2).sum() / freedom
     steps, here = 1e-6 * np.eye(6), np.concatenate([pose.rvec, pose.tvec])

@@ -18,7 +18,7 @@ from jaxmocap.capture.checks.cameras import project_to_pixels
 from jaxmocap.capture.filters import butterworth_low_pass
 from jaxmocap.capture.markers import GAP_INTERVALS, median_interval
 from jaxmocap.capture.video import FrameSource
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import Camera, depth, on_host, pixels_per_metre
 
 # Flow is computed on images of at most so many pixels a side,
 MAX_SIDE_PX = 640
@@ -53,12 +53,12 @@ class MarkerPath:
     Attributes:
         spline: positions over seconds.
         times: (N,) of the samples that it goes through.
-        longest: seconds between two of them that count as a gap.
+        max_interval: seconds between two of them that count as a gap.
     """
 
     spline: CubicSpline
     times: np.ndarray
-    longest: float
+    max_interval: float
 
     @classmethod
     def through(cls, times: np.ndarray, positions: np.ndarray) -> "MarkerPath | None":
@@ -72,14 +72,14 @@ class MarkerPath:
             return None
         interval = median_interval(times)
         cutoff = min(SMOOTHING_CUTOFF_HZ, SMOOTHING_CUTOFF_SHARE / interval)
-        calm = butterworth_low_pass(times, positions[:, None], cutoff)[present, 0]
-        return cls(CubicSpline(times[present], calm), times[present], GAP_INTERVALS * interval)
+        smoothed = butterworth_low_pass(times, positions[:, None], cutoff)[present, 0]
+        return cls(CubicSpline(times[present], smoothed), times[present], GAP_INTERVALS * interval)
 
     def at(self, times: np.ndarray) -> np.ndarray:
         """(K, 3) positions at (K,) seconds; NaN outside the samples and in gaps."""
         after = np.searchsorted(self.times, times).clip(1, len(self.times) - 1)
         is_known = (times >= self.times[0]) & (times <= self.times[-1])
-        is_known &= self.times[after] - self.times[after - 1] <= self.longest
+        is_known &= self.times[after] - self.times[after - 1] <= self.max_interval
         return np.where(is_known[:, None], self.spline(times), np.nan)
 
 
@@ -114,9 +114,9 @@ class HandFlow:
             at_xy, radius = self._projected(path, lag if place_lag is None else place_lag)
             measured.append(self._around(at_xy[:-1], radius[:-1]))
             predicted.append(np.diff(xy, axis=0))
-        terms = FlowPair(np.stack(measured, 1), np.stack(predicted, 1))
-        is_known = np.isfinite(terms.measured + terms.predicted).all(-1, keepdims=True)
-        return FlowPair(*(np.where(is_known, part, np.nan) for part in terms))
+        pair = FlowPair(np.stack(measured, 1), np.stack(predicted, 1))
+        is_known = np.isfinite(pair.measured + pair.predicted).all(-1, keepdims=True)
+        return FlowPair(*(np.where(is_known, part, np.nan) for part in pair))
 
     def _projected(self, path: MarkerPath, lag: float) -> tuple[np.ndarray, np.ndarray]:
         """(K + 1, 2) pixels of a hand, and (K + 1,) half the side of the square about it."""
@@ -125,10 +125,8 @@ class HandFlow:
         xy = np.full((len(points), 2), np.nan)
         if is_known.any():
             xy[is_known] = project_to_pixels(self.camera, points[is_known])
-        T = np.asarray(self.camera.T_cam_world, float)
-        return xy, HAND_HALF_SIDE_M * float(self.camera.matrix[0, 0]) / (
-            points @ T[2, :3] + T[2, 3]
-        )
+        camera = on_host(self.camera)
+        return xy, HAND_HALF_SIDE_M * np.asarray(pixels_per_metre(camera, depth(camera, points)))
 
     def _around(self, xy: np.ndarray, radius: np.ndarray) -> np.ndarray:
         """(K, 2) median of each field in the square about (K, 2) pixels; NaN outside the image."""

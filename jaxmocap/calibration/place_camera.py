@@ -129,24 +129,19 @@ def place_camera(
     photo = picture.image()
     size_warnings = _photo_size_warnings(path, photo, lens)
     points = _target_points(path, photo, target)
-    try:
-        placement = estimate_placement(points.world, points.pixels_xy, lens, upside_down)
-    except ArithmeticError as error:
-        raise InputError(target.points or path, str(error)) from None
-    drawings = []
+    placement = _checked_placement(target.points or path, points, lens, upside_down)
+    drawings: list[Path] = []
     if folder is not None:
-        T_world_board = points.T_world_board
         board = None
-        if target.board is not None and T_world_board is not None:
-            board = target.board, T_world_board
+        if target.board is not None and points.T_world_board is not None:
+            board = target.board, points.T_world_board
         draw = partial(draw_placement, picture, lens, placement, points.pixels_xy, board)
-        drawings += folder.write(lambda stage: [draw(stage)])
+        drawings = folder.write(lambda stage: [draw(stage)])
     advice = _advice(placement, points.T_world_board, upside_down)
     if is_wrong_way_up(placement.T_cam_world, upside_down):
         raise InputError(target.points or path, _refusal(upside_down, advice))
     entries = lens.entries() if intrinsics is not None else {}
-    place = {"rotation": placement.rotation, "translation": placement.T_cam_world[:3, 3]}
-    write_camera(out, camera, entries | place)
+    write_camera(out, camera, entries | placement.entries())
     warnings = (
         *size_warnings,
         *placement.warnings,
@@ -156,6 +151,16 @@ def place_camera(
     return ExtrinsicsResult(
         camera, path.name, tuple(points.names), placement, warnings, (out, *drawings)
     )
+
+
+def _checked_placement(
+    path: str | Path, points: "_TargetPoints", lens: Intrinsics, upside_down: bool
+) -> Placement:
+    """The camera's placement; InputError about the file where the points determine none."""
+    try:
+        return estimate_placement(points.world, points.pixels_xy, lens, upside_down)
+    except ArithmeticError as error:
+        raise InputError(path, str(error)) from None
 
 
 def _advice(

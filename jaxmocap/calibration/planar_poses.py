@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from jaxmocap.calibration.board.opencv_lenses import pose_candidates, project_points
 from jaxmocap.formats.cameras.calibration import Intrinsics
 
 # Points are flat where their thickness is less than this part of their breadth.
@@ -63,15 +64,13 @@ def candidate_poses(
     method = (
         cv2.SOLVEPNP_IPPE if relative_thickness(points) < FLAT_THICKNESS else cv2.SOLVEPNP_SQPNP
     )
-    K, d = lens.matrix, lens.distortions
-    points, pixels_xy = np.ascontiguousarray(points), np.ascontiguousarray(pixels_xy)
-    poses: list[CameraPose] = []
     try:
-        _, rvecs, tvecs, _ = cv2.solvePnPGeneric(points, pixels_xy, K, d, flags=method)
-        for r, t in zip(rvecs, tvecs, strict=True):
-            rvec, tvec = cv2.solvePnPRefineLM(points, pixels_xy, K, d, r.copy(), t.copy())
-            residuals_xy = reprojection_residuals(points, pixels_xy, lens, rvec, tvec)
-            poses.append(CameraPose(rvec.ravel(), tvec.ravel(), residuals_xy))
+        poses = [
+            CameraPose(
+                rvec.ravel(), tvec.ravel(), project_points(points, rvec, tvec, lens) - pixels_xy
+            )
+            for rvec, tvec in pose_candidates(points, pixels_xy, lens, method)
+        ]
     except cv2.error:
         return []
     in_front = [pose for pose in poses if np.isfinite(pose.rms) and _in_front(pose, points)]
@@ -88,18 +87,6 @@ def relative_thickness(points: np.ndarray) -> float:
 def tilt_degrees(pose: CameraPose) -> float:
     """Angle between a board's normal and the camera's axis, degrees, 0 to 90."""
     return float(np.degrees(np.arccos(np.clip(abs(pose.matrix[2, 2]), 0, 1))))
-
-
-def reprojection_residuals(
-    points: np.ndarray,
-    pixels_xy: np.ndarray,
-    lens: Intrinsics,
-    rvec: np.ndarray,
-    tvec: np.ndarray,
-) -> np.ndarray:
-    """(N, 2) reprojected minus detected pixels of (N, 3) points under a pose."""
-    projected, _ = cv2.projectPoints(points, rvec, tvec, lens.matrix, lens.distortions)
-    return projected.reshape(-1, 2) - pixels_xy
 
 
 def _in_front(pose: CameraPose, points: np.ndarray) -> bool:

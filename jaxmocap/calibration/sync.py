@@ -17,7 +17,6 @@ import jax
 import numpy as np
 
 from jaxmocap.calibration.hand_flow import FlowPair, HandFlow, MarkerPath, flow_fields
-from jaxmocap.capture.checks.markers import HAND_BONES
 from jaxmocap.capture.video import FrameSource, open_video
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
@@ -131,7 +130,8 @@ def estimate_video_offsets(recording: Recording, search: float = 1.0) -> list[Vi
 
 def hand_paths(recording: Recording) -> list[MarkerPath]:
     """Paths of the markers on hands and forearms; of all markers where there are none."""
-    columns = [i for i, place in enumerate(recording.places) if place.bone[:-2] in HAND_BONES]
+    hands = recording.skeleton.tree.names_in("forearm", "hand")
+    columns = [i for i, place in enumerate(recording.places) if place.bone in hands]
     paths = [
         MarkerPath.through(recording.times, recording.positions_world[:, i])
         for i in columns or range(len(recording.places))
@@ -189,9 +189,9 @@ def _estimate_lag(flow: HandFlow, search: float) -> StretchLag:
     return StretchLag(middle, lag, float(np.hypot(std, MIN_STD_S)), float(scores[best]))
 
 
-def correlation(terms: FlowPair) -> float:
+def correlation(pair: FlowPair) -> float:
     """Of flow and markers' motion, as vectors about zero; NaN where neither moves."""
-    measured, predicted = (np.nan_to_num(part) for part in terms)
+    measured, predicted = (np.nan_to_num(part) for part in pair)
     size = np.sqrt((measured**2).sum() * (predicted**2).sum())
     return float((measured * predicted).sum() / size) if size > 0 else float("nan")
 
@@ -220,9 +220,9 @@ def _why_unidentifiable(
     return ""
 
 
-def _distances(terms: FlowPair) -> np.ndarray:
+def _distances(pair: FlowPair) -> np.ndarray:
     """(K, H) pixels between flow and markers' motion."""
-    return np.linalg.norm(terms.measured - terms.predicted, axis=-1)
+    return np.linalg.norm(pair.measured - pair.predicted, axis=-1)
 
 
 def _least_squares(flow: HandFlow, lag: float) -> tuple[float, float]:

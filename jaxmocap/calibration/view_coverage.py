@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxmocap.calibration.intrinsics import BoardView, IntrinsicsEstimate
 from jaxmocap.formats.cameras.calibration import Intrinsics
+from jaxmocap.geometry.lenses import LENSES, WIDEST_RAD
 
 # Fewer views get a warning.
 MIN_VIEWS_ADVISED = 10
@@ -91,7 +92,7 @@ def intrinsics_warnings(result: IntrinsicsEstimate, coverage: ImageCoverage) -> 
     if result.rms > 1.0:
         warnings.append(
             f"{result.rms:.1f} pixels are a lot (0.1 to 0.3 is usual): blurred pictures, a bent "
-            "board, or a fisheye lens, which this model does not describe"
+            f"board, or {_other_lens(result.lens)}"
         )
     if not _is_distortion_monotonic(result.lens):
         warnings.append(
@@ -105,13 +106,24 @@ def intrinsics_warnings(result: IntrinsicsEstimate, coverage: ImageCoverage) -> 
     return warnings
 
 
+def _other_lens(lens: Intrinsics) -> str:
+    if lens.fisheye:
+        return "a lens that is no fisheye: try it without --fisheye"
+    return "a fisheye lens, which this model does not describe: try --fisheye"
+
+
 def _is_distortion_monotonic(lens: Intrinsics) -> bool:
     """Do points farther from the centre appear farther from it, up to the image's corners?"""
     K = lens.matrix
     corners = np.array([[x, y] for x in (0, lens.size[0]) for y in (0, lens.size[1])])
     farthest = np.linalg.norm((corners - K[:2, 2]) / np.diag(K)[:2], axis=-1).max()
-    k1, k2, _, _, k3 = (
-        [*lens.distortions, 0.0][:5] if len(lens.distortions) == 4 else lens.distortions
-    )
     r = np.linspace(0, farthest, 100)
-    return bool((np.diff(r * (1 + r**2 * (k1 + r**2 * (k2 + r**2 * k3)))) > 0).all())
+    if lens.fisheye:
+        # A fisheye shows what is so far from its centre about as many radians from its axis.
+        r = np.tan(np.minimum(r, WIDEST_RAD))
+    model, k = LENSES[lens.model], np.zeros(len(LENSES[lens.model].coefficients))
+    k[: len(lens.distortions)] = lens.distortions
+    # What moves points sideways is left out.
+    k[np.isin(model.coefficients, ("p1", "p2"))] = 0.0
+    shown, _ = model.distort(k, r, np.zeros_like(r))
+    return bool((np.diff(shown)[np.diff(r) > 0] > 0).all())

@@ -168,11 +168,11 @@ def find_outliers(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
         present = np.flatnonzero(~_is_missing(positions[:, marker]))
         for first in range(0, len(present), HAMPEL_BLOCK_SAMPLES):
             rows = present[first : first + HAMPEL_BLOCK_SAMPLES]
-            outliers[rows, marker] = _far_off(windows[rows], positions[rows, marker])
+            outliers[rows, marker] = _is_outlier(windows[rows], positions[rows, marker])
     return outliers
 
 
-def _far_off(windows: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _is_outlier(windows: np.ndarray, values: np.ndarray) -> np.ndarray:
     """(N,) whether one of the coordinates (N, 3) is far from the median of its window (N, 3, W)."""
     middle = np.nanmedian(windows, -1)
     spread = MAD_TO_STD * np.nanmedian(np.abs(windows - middle[..., None]), -1)

@@ -17,10 +17,10 @@ from jaxmocap.capture.video import FrameSource
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.keypoints import Detections, check_keypoint_count, read_keypoints
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
-from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, pixels_per_metre, project
 
 # A detection further than this from where a landmark is predicted is not of that landmark.
-GATE_M = 0.25
+PERSON_GATE_M = 0.25
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ def choose_person(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: floa
 
 
 def select_person(
-    keypoints: Keypoints, camera: Camera, points_world: np.ndarray, gate_m: float = GATE_M
+    keypoints: Keypoints, camera: Camera, points_world: np.ndarray, gate_m: float = PERSON_GATE_M
 ) -> tuple[np.ndarray, np.ndarray]:
     """The tracked person's detections among everybody's, frame by frame.
 
@@ -156,14 +156,14 @@ def select_person(
         (F, P, 2) pixels, NaN where missing, and (F, P) confidences, 0 where missing or where the
         person is not among those detected.
     """
-    points_cam = np.asarray(to_camera(camera, jnp.asarray(points_world, float)))
-    depths = np.where(points_cam[..., 2] > NEAREST_M, points_cam[..., 2], np.nan)
+    depths = np.asarray(depth(camera, jnp.asarray(points_world, float)))
+    depths = np.where(depths > NEAREST_M, depths, np.nan)
     predicted_xy = np.array(project(camera, jnp.asarray(points_world, float)))
     predicted_xy[np.isnan(depths)] = np.nan
     pixels_xy = np.full(keypoints.pixels_xy[:, 0].shape, np.nan)
     confidences = np.zeros(pixels_xy.shape[:-1])
     for frame in np.flatnonzero(np.isfinite(depths).any(-1)):
-        gate_px = gate_m * float(camera.matrix[0, 0]) / np.nanmedian(depths[frame])
+        gate_px = gate_m * float(pixels_per_metre(camera, np.nanmedian(depths[frame])))
         person = choose_person(keypoints.pixels_xy[frame], predicted_xy[frame], gate_px)
         if person >= 0:
             pixels_xy[frame] = keypoints.pixels_xy[frame, person]

@@ -65,24 +65,24 @@ class OneEuro:
             The state after it, and the (M, 3) filtered positions.
         """
         positions = np.asarray(positions, float)
-        seen = np.asarray(np.isfinite(positions).all(-1))
-        passed = time - state.times
-        known = seen & (passed > 0) & (passed <= FORGET_AFTER_S)
-        step = np.where(known, passed, 1.0)[:, None]
-        last = np.where(known[:, None], state.positions, positions)
-        raw_velocities = np.where(known[:, None], (positions - last) / step, 0.0)
-        started = np.where(known[:, None], state.velocities, 0.0)
+        is_present = np.asarray(np.isfinite(positions).all(-1))
+        elapsed = time - state.times
+        is_continued = is_present & (elapsed > 0) & (elapsed <= FORGET_AFTER_S)
+        step = np.where(is_continued, elapsed, 1.0)[:, None]
+        last = np.where(is_continued[:, None], state.positions, positions)
+        raw_velocities = np.where(is_continued[:, None], (positions - last) / step, 0.0)
+        started = np.where(is_continued[:, None], state.velocities, 0.0)
         velocities = started + _smoothing_factor(SPEED_CUTOFF_HZ, step) * (raw_velocities - started)
         speed = np.linalg.norm(velocities, axis=-1, keepdims=True)
         share = _smoothing_factor(self.settings.cutoff + self.settings.beta * speed, step)
         filtered = last + share * (positions - last)
-        row = seen[:, None]
-        kept = OneEuroState(
-            np.where(seen, time, state.times),
+        row = is_present[:, None]
+        new_state = OneEuroState(
+            np.where(is_present, time, state.times),
             np.where(row, filtered, state.positions),
             np.where(row, velocities, state.velocities),
         )
-        return kept, np.where(row, filtered, np.nan)
+        return new_state, np.where(row, filtered, np.nan)
 
 
 def _smoothing_factor(cutoff: np.ndarray | float, step: np.ndarray) -> np.ndarray:

@@ -1,10 +1,10 @@
-"""The end of the process, whatever its threads are at.
+"""The end of the process, whatever its threads are doing.
 
 INPUTS: an exit code. OUTPUTS: the process ends with it, soon.
 
 Where the interpreter ends while a daemon thread is in foreign code (a driver that does not answer,
-a viewer's library), that thread is torn out of C++, which aborts the process. And where a command
-is interrupted, the interpreter would wait for what still compiles.
+a viewer's library), it unwinds that thread through C++, which aborts the process. And where a
+command is interrupted, the interpreter would wait for what still compiles.
 """
 
 import os
@@ -14,13 +14,13 @@ import time
 from contextlib import suppress
 from typing import NoReturn
 
-# Exit codes of what was stopped from outside: 128 and the signal's number.
-STOPPED = 128
-# Who was stopped waits so long for other threads, seconds.
-PATIENCE_S = 5.0
+# Exit codes above this are of processes that a signal stopped: this and the signal's number.
+SIGNAL_EXIT_CODE = 128
+# A process that a signal stopped waits so long for its other threads, seconds.
+LONGEST_WAIT_S = 5.0
 
 
-def leave(code: int) -> NoReturn:
+def end_process(code: int) -> NoReturn:
     """End the process; called last, when everything that matters is closed."""
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):
@@ -28,11 +28,11 @@ def leave(code: int) -> NoReturn:
     others = set(threading.enumerate()) - {threading.current_thread()}
     if any(thread.daemon for thread in others):
         os._exit(code)
-    if others and code > STOPPED:
-        threading.Thread(target=_end_later, args=(code,), daemon=True).start()
+    if others and code > SIGNAL_EXIT_CODE:
+        threading.Thread(target=_end_after_wait, args=(code,), daemon=True).start()
     sys.exit(code)
 
 
-def _end_later(code: int) -> None:
-    time.sleep(PATIENCE_S)
+def _end_after_wait(code: int) -> None:
+    time.sleep(LONGEST_WAIT_S)
     os._exit(code)

@@ -15,21 +15,21 @@ from jaxmocap.formats.files.writing import check_target
 from jaxmocap.formats.recordings.recording_files import input_files
 
 # Options that name what is written.
-_OUTPUTS = ("out", "json", "pictures", "target")
+_OUTPUT_OPTIONS = ("out", "json", "pictures", "target")
 
 
-def inputs_named(options: argparse.Namespace) -> list[Path]:
+def files_read(options: argparse.Namespace) -> list[Path]:
     """Every file that the options name as one to read, with those that a recording names."""
-    found: list[Path] = []
-    for text in _texts({k: v for k, v in vars(options).items() if k not in _OUTPUTS}):
+    files: list[Path] = []
+    for text in _texts({k: v for k, v in vars(options).items() if k not in _OUTPUT_OPTIONS}):
         # Most options are no files.
         with suppress(OSError, ValueError):
             if (path := Path(text)).is_file():
-                found.append(path)
+                files.append(path)
                 if path.suffix == ".toml":
                     with suppress(InputError):
-                        found += input_files(path)
-    return found
+                        files += input_files(path)
+    return files
 
 
 def _texts(value: object) -> Iterator[str]:
@@ -46,7 +46,7 @@ def _texts(value: object) -> Iterator[str]:
 def check_report(options: argparse.Namespace) -> None:
     """InputError where the file of --json cannot be written, or is read."""
     if getattr(options, "json", None) not in (None, "-"):
-        check_target(options.json, inputs_named(options))
+        check_target(options.json, files_read(options))
 
 
 def report(options: argparse.Namespace, text: str, figures: dict) -> None:
@@ -63,12 +63,12 @@ def report(options: argparse.Namespace, text: str, figures: dict) -> None:
 
 
 def print_lines(lines: Iterable[str], stream: TextIO | None = None) -> None:
-    """Print lines; what names in files may hold for a terminal to obey stands as Python has it."""
+    """Print lines; control characters of names in files are escaped, as Python writes them."""
     print("\n".join(map(printable, lines)), file=stream)
 
 
-def done(options: argparse.Namespace, problems: Sequence[str]) -> int:
-    """The exit code; where not all was done the last line says what was not."""
+def exit_code(options: argparse.Namespace, problems: Sequence[str]) -> int:
+    """0, or 1 where there are problems, which the last line on stderr then states."""
     if not problems:
         return 0
     sentence = shortened(printable("; ".join(problems)))

@@ -1,4 +1,4 @@
-"""Joint positions against a reference: distances, their statistics, and how much they shake.
+"""Joint positions against a reference: distances, their statistics, jitter.
 
 INPUTS: tracked joints and reference markers over time (metres, Z up, seconds).
 OUTPUTS: Errors: distances per joint and matched sample, their statistics, a dictionary for JSON.
@@ -41,7 +41,7 @@ class Errors:
 
     @property
     def high_passed(self) -> np.ndarray:
-        """(N, J) what of the distances changes faster than 0.3 Hz, metres."""
+        """(N, J) the part of the distances above 0.3 Hz, metres."""
         columns = [high_pass(self.times, column) for column in self.distances.T]
         return np.stack(columns, -1)
 
@@ -49,11 +49,11 @@ class Errors:
     def jitter(self) -> np.ndarray:
         """(J,) root mean square of the offsets' second differences, m/s^2.
 
-        The reference's own acceleration is subtracted: what remains is the shaking of the
-        tracked joint, and that of the reference.
+        The reference's own acceleration is subtracted; what remains is the jitter of the tracked
+        joint and of the reference.
         """
-        shaking = second_difference(self.times, self.offsets)
-        return np.sqrt(_per_joint(np.mean, np.sum(shaking**2, -1)))
+        acceleration = second_difference(self.times, self.offsets)
+        return np.sqrt(_per_joint(np.mean, np.sum(acceleration**2, -1)))
 
     def statistics(self) -> dict[str, np.ndarray]:
         """Name -> (J,) figures: metres, and m/s^2 for the jitter; NaN for a joint without data."""
@@ -75,7 +75,7 @@ class Errors:
         return float(np.nanmean(means)) if np.isfinite(means).any() else float("nan")
 
     def as_dict(self) -> dict:
-        """What JSON takes: per-joint figures and their means over the joints; NaN becomes None."""
+        """Figures of each joint and their means over the joints, for JSON; NaN becomes None."""
         table = self.statistics()
         joints = {
             name: {key: _plain(values[j]) for key, values in table.items()}
@@ -121,7 +121,7 @@ def position_errors(
         truth: name -> (R, 3) world, metres.
         pairs: joint name -> the name of its marker in the reference.
         tolerance: see ``match``.
-        sources: what messages call the two.
+        sources: names of the two in messages.
 
     Raises:
         InputError: an unknown joint or marker, no pair, or no common time.
@@ -152,8 +152,8 @@ def _span(times: np.ndarray) -> str:
     return f"{times[0]:.3f} to {times[-1]:.3f} s" if len(times) else "no time at all"
 
 
-def turned_up(reference: Markers, up: str) -> dict[str, np.ndarray]:
-    """Points (T, 3) by name, world with Z up, of a reference whose vertical axis is ``up``.
+def points_z_up(reference: Markers, up: str) -> dict[str, np.ndarray]:
+    """Name -> points (T, 3), world with Z up, of a reference whose vertical axis is ``up``.
 
     Raises:
         ValueError: an ``up`` that is neither "z" nor "y".
@@ -186,7 +186,7 @@ def evaluate_directory(
     """
     path = Path(directory) / "joints.trc"
     tracked, truth = read_markers(path), read_markers(truth_path)
-    truth_world = turned_up(truth, up or default_up(truth_path))
+    truth_world = points_z_up(truth, up or default_up(truth_path))
     return position_errors(
         tracked.times,
         tracked.points(),

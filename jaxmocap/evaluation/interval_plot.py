@@ -1,4 +1,4 @@
-"""A picture of estimates: what was known before, what is known now, and what to make of it.
+"""A picture of estimates with their standard deviations before and after.
 
 INPUTS: intervals. OUTPUTS: a picture file, by its suffix.
 """
@@ -7,10 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from jaxmocap.formats.files.writing import replacing
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Of the verdicts, from the best to the worst.
 COLOURS = ("#1557b0", "#ef8e19", "#9e9e9e")
 
 
@@ -18,29 +22,29 @@ class Interval(NamedTuple):
     """One estimate, as a change against what was stated: 0 is no change, 0.01 one percent.
 
     Attributes:
-        name: beside it.
-        found: the estimate.
-        before: half the width of the interval about 0 that was known before.
+        name: written beside it.
+        estimate: of the change.
+        before: half the width of the interval about 0 before.
         after: half the width of the interval about the estimate.
-        said: of it; those of which the same is said look alike.
+        verdict: about it; estimates with the same verdict have the same colour.
     """
 
     name: str
-    found: float
+    estimate: float
     before: float
     after: float
-    said: str
+    verdict: str
 
 
 def plot_intervals(
-    path: str | Path, intervals: Sequence[Interval], kinds: Sequence[str], title: str = ""
+    path: str | Path, intervals: Sequence[Interval], verdicts: Sequence[str], title: str = ""
 ) -> None:
     """Draw estimates below one another, percent.
 
     Args:
         path: of the picture (.png, .svg, .pdf).
         intervals: from top to bottom.
-        kinds: all that may be said of one, at most three, from the best to the worst.
+        verdicts: that there are, at most three, from the best to the worst.
         title: above them.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -52,31 +56,39 @@ def plot_intervals(
     rows = range(len(intervals))
     widths = [200 * interval.before for interval in intervals]
     axes.barh(rows, widths, 0.62, [-w / 2 for w in widths], color="#e4e4e4", label="before")
-    for kind, colour in zip(kinds, COLOURS, strict=False):
-        chosen = [row for row in rows if intervals[row].said == kind]
-        if not chosen:
-            continue
-        axes.errorbar(
-            [100 * intervals[row].found for row in chosen],
-            chosen,
-            xerr=[100 * intervals[row].after for row in chosen],
-            fmt="o",
-            color=colour,
-            capsize=4,
-            linewidth=2,
-            label=kind,
-        )
-    axes.axvline(0, color="#888888", linewidth=0.8)
+    for verdict, colour in zip(verdicts, COLOURS, strict=False):
+        _plot_estimates(axes, intervals, verdict, colour)
     axes.set_yticks(rows, [interval.name for interval in intervals])
     axes.invert_yaxis()
-    reach = 108 * max(max(each.before, abs(each.found) + each.after) for each in intervals)
-    axes.set_xlim(-reach, reach)
-    axes.set_xlabel("change against what was stated [%], ± 2 standard deviations")
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(axis="x", color="#dddddd", linewidth=0.6)
-    axes.set_axisbelow(True)
+    _style_axes(axes, 108 * max(max(i.before, abs(i.estimate) + i.after) for i in intervals))
     figure.legend(loc="outside lower center", frameon=False, ncols=4, fontsize="small")
     if title:
         figure.suptitle(title)
     with replacing(path) as beside:
         figure.savefig(beside, dpi=130)
+
+
+def _plot_estimates(axes: Axes, intervals: Sequence[Interval], verdict: str, colour: str) -> None:
+    """The estimates of one verdict, with their intervals, each in its row."""
+    rows = [row for row, interval in enumerate(intervals) if interval.verdict == verdict]
+    if not rows:
+        return
+    axes.errorbar(
+        [100 * intervals[row].estimate for row in rows],
+        rows,
+        xerr=[100 * intervals[row].after for row in rows],
+        fmt="o",
+        color=colour,
+        capsize=4,
+        linewidth=2,
+        label=verdict,
+    )
+
+
+def _style_axes(axes: Axes, half_width: float) -> None:
+    axes.axvline(0, color="#888888", linewidth=0.8)
+    axes.set_xlim(-half_width, half_width)
+    axes.set_xlabel("change against what was stated [%], ± 2 standard deviations")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(axis="x", color="#dddddd", linewidth=0.6)
+    axes.set_axisbelow(True)

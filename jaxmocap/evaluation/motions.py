@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from jaxmocap.body.motion import Motion
-from jaxmocap.evaluation.errors import Errors, position_errors, turned_up
+from jaxmocap.evaluation.errors import Errors, points_z_up, position_errors
 from jaxmocap.formats.time_series.markers import default_up, read_markers
 from jaxmocap.formats.time_series.tables import Markers
 
@@ -34,7 +34,7 @@ def evaluate(
         motion.times,
         motion.joints(),
         markers.times,
-        turned_up(markers, up or ("z" if in_memory else default_up(truth))),
+        points_z_up(markers, up or ("z" if in_memory else default_up(truth))),
         pairs,
         sources=("motion", "reference" if in_memory else truth),
     )

@@ -1,6 +1,6 @@
-"""Plots of joint errors and joint tracks, drawn by matplotlib without a display.
+"""Plots of joint errors, drawn by matplotlib without a display.
 
-INPUTS: times (seconds), errors and positions (metres). OUTPUTS: a picture file, by its suffix.
+INPUTS: times (seconds) and errors (metres). OUTPUTS: a picture file, by its suffix.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+# Styles of the lines.
 MARKERS_ONLY = {"color": "#c62828", "linestyle": "-", "linewidth": 1.4}
 WITH_VIDEO = {"color": "#1557b0", "linestyle": "--", "linewidth": 1.4}
-REFERENCE = {"color": "#222222", "linestyle": "-", "linewidth": 1.0}
 
 
 def plot_elbow_errors(
@@ -30,7 +30,7 @@ def plot_elbow_errors(
     errors_with_video: Mapping[str, np.ndarray],
     title: str = "",
 ) -> None:
-    """Draw the paper's Fig. 8 for each joint: the error, its reduction by video, what shakes.
+    """Draw the paper's Fig. 8 for each joint: the error, its reduction by video, its fast part.
 
     Args:
         path: of the picture (.png, .svg, .pdf).
@@ -45,74 +45,36 @@ def plot_elbow_errors(
         before = 100 * np.asarray(errors_markers_only[joint], float)
         after = 100 * np.asarray(errors_with_video[joint], float)
         top, middle, bottom = axes[:, column]
-        for values, style, name in (
-            (before, MARKERS_ONLY, "markers only"),
-            (after, WITH_VIDEO, "with video"),
-        ):
-            top.plot(times, values, label=f"{name}: mean {_mean(values):.1f} cm", **style)
-            bottom.plot(times, high_pass(times, values), **style)
+        _plot_errors(top, bottom, times, {"markers only": before, "with video": after})
         top.set_title(joint.replace("_l", ", left").replace("_r", ", right"), pad=22)
-        # Above the panel, where it hides no curve.
-        top.legend(
-            loc="lower center", bbox_to_anchor=(0.5, 0.98), frameon=False, ncols=2, fontsize="small"
-        )
         _plot_reduction(middle, times, before - after)
-        bottom.axhline(0, color="#888888", linewidth=0.6)
         bottom.set_xlabel("time [s]")
-    for row, label in zip(
-        axes[:, 0],
-        ("error [cm]", "reduction [cm]", f"error above {HIGH_PASS_HZ} Hz [cm]"),
-        strict=True,
-    ):
+    labels = "error [cm]", "reduction [cm]", f"error above {HIGH_PASS_HZ} Hz [cm]"
+    for row, label in zip(axes[:, 0], labels, strict=True):
         row.set_ylabel(label)
     # Once all is drawn: fixing one end of the shared axis stops it from following the curves.
     axes[0, 0].set_ylim(bottom=0)
     save_figure(figure, path, title)
 
 
+def _plot_errors(top: Axes, bottom: Axes, times: np.ndarray, errors: dict[str, np.ndarray]) -> None:
+    """Both errors, centimetres, and below their parts that change fast."""
+    for (name, values), style in zip(errors.items(), (MARKERS_ONLY, WITH_VIDEO), strict=True):
+        top.plot(times, values, label=f"{name}: mean {_mean(values):.1f} cm", **style)
+        bottom.plot(times, high_pass(times, values), **style)
+    # Above the panel, where it hides no curve.
+    top.legend(
+        loc="lower center", bbox_to_anchor=(0.5, 0.98), frameon=False, ncols=2, fontsize="small"
+    )
+    bottom.axhline(0, color="#888888", linewidth=0.6)
+
+
 def _plot_reduction(axes: Axes, times: np.ndarray, reduction: np.ndarray) -> None:
-    """What video takes off the error: green where it helps, red where it harms."""
+    """By how much video reduces the error: green where it does, red where it adds to it."""
     axes.fill_between(times, 0, np.maximum(reduction, 0), color="#2e7d32", alpha=0.35, linewidth=0)
     axes.fill_between(times, 0, np.minimum(reduction, 0), color="#c62828", alpha=0.35, linewidth=0)
     axes.plot(times, reduction, color="#222222", linewidth=1.0)
     axes.axhline(0, color="#888888", linewidth=0.6)
-
-
-def plot_joint_tracks(
-    path: str | Path,
-    times: np.ndarray,
-    tracks: Mapping[str, np.ndarray],
-    reference_times: np.ndarray | None = None,
-    reference: Mapping[str, np.ndarray] | None = None,
-    title: str = "",
-) -> None:
-    """Draw the world coordinates of joints over time, one column per joint.
-
-    Args:
-        path: of the picture (.png, .svg, .pdf).
-        times: (T,) seconds.
-        tracks: joint -> (T, 3) world, Z up, metres.
-        reference_times: (R,) seconds.
-        reference: joint -> (R, 3) world, metres; drawn where it has the joint.
-        title: above the panels.
-    """
-    reference = reference or {}
-    figure, axes = new_panels(3, len(tracks), (4.8, 1.9))
-    for column, (joint, points) in enumerate(tracks.items()):
-        axes[0, column].set_title(joint)
-        axes[2, column].set_xlabel("time [s]")
-        for row, axis in enumerate("xyz"):
-            panel = axes[row, column]
-            if joint in reference and reference_times is not None:
-                panel.plot(
-                    reference_times, reference[joint][:, row], label="reference", **REFERENCE
-                )
-            panel.plot(times, points[:, row], label="tracked", **WITH_VIDEO)
-            if column == 0:
-                panel.set_ylabel(f"{axis} [m]")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", frameon=False, ncols=2)
-    save_figure(figure, path, title)
 
 
 def _mean(values: np.ndarray) -> float:

@@ -1,10 +1,9 @@
-"""Series over time: pairing two of them by time stamp, and what of one changes fast.
+"""Series over time: pairing two of them by time stamp, differences, filtering.
 
 INPUTS: rising time stamps, seconds, and values at them. OUTPUTS: indices; filtered values.
 """
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 # The paper's Fig. 8 shows what of the error changes faster than this.
 HIGH_PASS_HZ = 0.3
@@ -53,36 +52,12 @@ def _nearest(series: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 def second_difference(times: np.ndarray, values: np.ndarray) -> np.ndarray:
     """(N - 2, ...) second derivative of (N, ...) values, per second squared.
 
-    NaN across a gap in the times, where the difference would be another thing.
+    NaN across a gap in the times.
     """
     step = sample_step(times)
     found = np.diff(np.asarray(values, float), 2, axis=0) / step**2
     found[np.abs(times[2:] - times[:-2] - 2 * step) > step / 2] = np.nan
     return found
-
-
-def resampled(times: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Values (N, C) at other times, by a cubic spline through those that are there.
-
-    Args:
-        times: (N,) seconds, rising.
-        values: (N, C); a row with NaN is missing.
-        wanted: (...) seconds.
-
-    Returns:
-        (..., C); NaN outside the series and within its gaps.
-    """
-    seen = np.isfinite(values).all(-1)
-    t, wanted = np.asarray(times, float)[seen], np.asarray(wanted, float)
-    if len(t) < 2:
-        return np.full((*wanted.shape, values.shape[-1]), np.nan)
-    after = np.clip(np.searchsorted(t, wanted), 1, len(t) - 1)
-    # A microsecond's slack: text files round their time stamps.
-    inside = (wanted >= t[0] - 1e-6) & (wanted <= t[-1] + 1e-6)
-    near = np.minimum(np.abs(wanted - t[after]), np.abs(wanted - t[after - 1])) <= 1e-6
-    whole = (t[after] - t[after - 1] < 1.5 * sample_step(np.asarray(times, float))) | near
-    found = CubicSpline(t, np.asarray(values, float)[seen])(wanted)
-    return np.where((inside & whole)[..., None], found, np.nan)
 
 
 def high_pass(times: np.ndarray, values: np.ndarray, cutoff: float = HIGH_PASS_HZ) -> np.ndarray:
@@ -100,11 +75,11 @@ def high_pass(times: np.ndarray, values: np.ndarray, cutoff: float = HIGH_PASS_H
         (N,) filtered values.
     """
     values = np.asarray(values, float)
-    seen = np.isfinite(values)
-    if seen.sum() < 2:
-        return np.where(seen, 0.0, np.nan)
-    bridged = np.interp(times, np.asarray(times)[seen], values[seen])
+    is_finite = np.isfinite(values)
+    if is_finite.sum() < 2:
+        return np.where(is_finite, 0.0, np.nan)
+    bridged = np.interp(times, np.asarray(times)[is_finite], values[is_finite])
     mirrored = np.concatenate([bridged, bridged[::-1]])
     ratio = (np.fft.rfftfreq(len(mirrored), sample_step(times)) / cutoff) ** 4
     filtered = np.fft.irfft(np.fft.rfft(mirrored) * ratio / (1 + ratio), len(mirrored))
-    return np.where(seen, filtered[: len(values)], np.nan)
+    return np.where(is_finite, filtered[: len(values)], np.nan)

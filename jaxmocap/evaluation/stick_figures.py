@@ -11,10 +11,13 @@ import numpy as np
 from jaxmocap.body.motion import Motion
 from jaxmocap.evaluation.plots import new_panels, save_figure
 
+# Figures of each person, at most.
 INSTANTS = 6
-# What is joined to what, by landmarks; left and right in colours of their own.
-MIDDLE = ("pelvis", "neck", "head", "vertex")
-ARM, LEG = ("neck", "shoulder", "elbow", "wrist", "hand"), ("pelvis", "hip", "knee", "ankle", "toe")
+# Landmarks that lines join.
+TRUNK_CHAIN = ("pelvis", "neck", "head", "vertex")
+ARM_CHAIN = ("neck", "shoulder", "elbow", "wrist", "hand")
+LEG_CHAIN = ("pelvis", "hip", "knee", "ankle", "toe")
+# Of the left and the right side.
 COLOURS = {"l": "#1557b0", "r": "#c62828"}
 
 
@@ -42,15 +45,15 @@ def plot_stick_figures(path: str | Path, people: Mapping[str, Motion]) -> None:
 
 
 def _draw_figures(panel, joints: dict[str, np.ndarray], highest: float) -> None:
-    """Figures at instants evenly over time, each beside the last, seen across their way."""
+    """Figures at instants evenly over time, each beside the last, seen from the side."""
     count = len(joints["pelvis"])
     for k, row in enumerate(np.linspace(0, count - 1, min(INSTANTS, count)).round().astype(int)):
         ahead = np.cross(joints["hip_l"][row] - joints["hip_r"][row], [0.0, 0.0, 1.0])
         ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-6)
         at = {mark: points[row] - joints["pelvis"][row] for mark, points in joints.items()}
-        chains: list[tuple[tuple[str, ...], str]] = [(MIDDLE, "#222222")]
+        chains: list[tuple[tuple[str, ...], str]] = [(TRUNK_CHAIN, "#222222")]
         for side, colour in COLOURS.items():
-            for limb in (ARM, LEG):
+            for limb in (ARM_CHAIN, LEG_CHAIN):
                 names = [limb[0], *(f"{name}_{side}" for name in limb[1:])]
                 chains.append((tuple(names), colour))
         for names, colour in chains:

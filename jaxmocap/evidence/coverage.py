@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxmocap.body.surfaces.cones import Cones, project_cones
-from jaxmocap.geometry.cameras import Camera, to_camera
+from jaxmocap.geometry.cameras import Camera, depth, pixels_per_metre
 from jaxmocap.images.raster import soft_coverage
 from jaxmocap.images.regions import Region, discs_in_region
 
@@ -35,8 +35,8 @@ def raster_distance(
     The area depends on the limbs' size and depth alone, so this is the paper's sum in another
     unit: it has the same minimum, and the priors' weights do not depend on the resolution.
     """
-    depth = jnp.maximum(jnp.mean(to_camera(camera, limbs.near)[:, 2]), 0.1)
-    samples_per_metre = camera.matrix[0, 0] / depth / region.scale
+    away = jnp.maximum(jnp.mean(depth(camera, limbs.near)), 0.1)
+    samples_per_metre = pixels_per_metre(camera, away) / region.scale
     lengths = jnp.sqrt(jnp.sum((limbs.far - limbs.near) ** 2, -1) + 1e-12)
     area = jnp.sum(lengths * jnp.sum(limbs.radii, -1)) * samples_per_metre**2
     return chamfer_sum(camera, region, fields, limbs, softness) / area / samples_per_metre

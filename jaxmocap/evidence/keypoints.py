@@ -49,8 +49,7 @@ def lines_of_sight(
         confidences: (T, P).
     """
     count, columns = len(pixels_xy), landmark_rows(landmarks)
-    T_cam_world = np.asarray(camera.T_cam_world, float)
-    origin = np.tile(-T_cam_world[:3, :3].T @ T_cam_world[:3, 3], (count, 1))
+    origin = np.tile(np.asarray(camera.position_world, float), (count, 1))
     ways, sure = np.full((count, len(LANDMARKS), 3), np.nan), np.zeros((count, len(LANDMARKS)))
     ways[:, columns] = np.asarray(pixel_rays(camera, jnp.asarray(pixels_xy, float)))
     seen = np.isfinite(ways[:, columns]).all(-1)

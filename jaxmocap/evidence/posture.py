@@ -6,7 +6,6 @@ INPUTS: a posed body, where the markers' own pose leans and faces. OUTPUTS: whit
 from typing import ClassVar
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from jaxmocap.body.model import Model
@@ -15,13 +14,6 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
 
-# How far joints go from the relaxed pose, degrees (standard deviation), by how their names begin.
-EASE = {
-    "spine": 15, "neck": 25, "arm_flex": 60, "arm": 40, "elbow": 60,
-    "hip_flexion": 40, "hip": 25, "knee": 60,
-}  # fmt: skip
-# Of joints of other names, degrees.
-OTHERWISE_DEG = 40
 # Where no marker holds the feet, the markers' pose faces so many times less surely.
 UNMARKED_FACING = 3.0
 
@@ -37,7 +29,7 @@ class Posture(Term):
         """(D,)."""
         skeleton = model.skeleton
         away = body.pose.angles - skeleton.relaxed
-        return away / (self.ease * usual_deviations(skeleton))
+        return away / (self.ease * skeleton.usual_deviations)
 
 
 @settings
@@ -67,22 +59,6 @@ class Pelvis(Term):
         return jnp.concatenate([upright / self.lean, turn / facing])
 
 
-def usual_deviations(skeleton: Skeleton) -> Array:
-    """How far joints go from the relaxed pose, (D,) standard deviations, radians."""
-    degrees = [
-        next((ease for start, ease in EASE.items() if joint.startswith(start)), OTHERWISE_DEG)
-        for joint in skeleton.tree.joints
-    ]
-    return jnp.asarray(np.radians(degrees), skeleton.relaxed.dtype)
-
-
-# Joints of the same kind -> the field of ``NearPose`` with their deviation.
-_KINDS = {
-    "spine": "spine", "neck": "neck", "arm": "arm", "elbow": "arm", "wrist": "arm",
-    "hip": "leg", "knee": "leg",
-}  # fmt: skip
-
-
 @settings
 class NearPose(Term):
     """A pose near another one, its pelvis near the vertical; measured ``centre``, a pose."""
@@ -97,8 +73,9 @@ class NearPose(Term):
 
     def deviations(self, skeleton: Skeleton) -> Array:
         """(6 + D,) about the centre, metres and radians."""
-        kinds = [_KINDS[name.split("_")[0].rstrip("0123456789")] for name in skeleton.tree.joints]
-        joints = [getattr(self, kind) for kind in kinds]
+        groups = {"spine": self.spine, "head": self.neck, "leg": self.leg}
+        # Arms, shoulders, and what else a body has.
+        joints = [groups.get(group, self.arm) for group in skeleton.tree.groups_of_joints]
         return jnp.stack([self.shift] * 3 + [self.turn] * 3 + joints)
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:

@@ -22,7 +22,14 @@ from jaxmocap.body.proportions import scaled
 from jaxmocap.body.skeleton import Skeleton, Tree
 from jaxmocap.body.surfaces.cones import Cones, cones, project_cones
 from jaxmocap.compilation.settings import settings, traced
-from jaxmocap.geometry.cameras import NEAREST_M, Camera, to_camera, turned
+from jaxmocap.geometry.cameras import (
+    NEAREST_M,
+    Camera,
+    depth,
+    depth_gradient,
+    projection_jacobian,
+    turned,
+)
 from jaxmocap.geometry.outlines import Discs, depth_along
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.images.regions import Region, discs_in_region, in_other_region
@@ -36,9 +43,8 @@ from jaxmocap.images.silhouette_grid import (
     halved,
 )
 
-# Feet are no cones, and shoes have colours of their own; pictures leave them out, too.
-UNDRAWN = ("foot_l", "foot_r")
-FOREARMS = ("radius_l", "radius_r", "hand_l", "hand_r")
+# Parts of the arms that have silhouettes of their own.
+FOREARMS = ("forearm", "hand")
 # A limb is hidden by what lies in front of its axis by more than this, metres:
 HIDDEN_BEYOND_M = 0.06
 # and over so many metres more and more of it.
@@ -124,11 +130,6 @@ class Silhouettes:
         return person._replace(forearms=by(self.forearms)(grids.forearms))
 
 
-def drawn_bones(tree: Tree) -> np.ndarray:
-    """Indices of the bones whose flesh is drawn."""
-    return np.array([tree.bone(name) for name in tree.bones if name not in UNDRAWN], np.int32)
-
-
 def silhouette_cost(
     skeleton: Skeleton, frames: Frames, camera: Camera, grids: SilhouetteGrids, softness: Array
 ) -> Array:
@@ -147,7 +148,7 @@ def project_limbs(
     skeleton: Skeleton, frames: Frames, camera: Camera, grids: SilhouetteGrids
 ) -> tuple[Discs, Array]:
     """The body's limbs (K) in cells, and how much (S * S,) of a forearm is to be seen."""
-    flesh = cones(skeleton, frames, drawn_bones(skeleton.tree))
+    flesh = cones(skeleton, frames, skeleton.tree.drawn)
     discs = discs_in_region(grids.region, project_cones(camera, flesh))
     return discs, _visible(skeleton.tree, camera, flesh, discs, grids.person)
 
@@ -201,7 +202,7 @@ def silhouette_fit(
         body = cones(person, forward(person, pose), bones)
         return discs_in_region(grids.region, project_cones(turned(camera, shared[-3:]), body))
 
-    bones = drawn_bones(skeleton.tree)
+    bones = skeleton.tree.drawn
     by_shared = jax.jacfwd(limbs)(jnp.pad(proportions, (0, 3)))
     skeleton = scaled(skeleton, proportions)
     frames = forward(skeleton, pose)
@@ -221,7 +222,7 @@ def silhouette_fit(
 
 def forearms(tree: Tree) -> np.ndarray:
     """Which of the drawn limbs are forearms and hands."""
-    return np.flatnonzero([tree.bones[bone] in FOREARMS for bone in drawn_bones(tree)])
+    return np.flatnonzero(np.isin(tree.drawn, tree.bones_in(*FOREARMS)))
 
 
 def _visible(tree: Tree, camera: Camera, flesh: Cones, discs: Discs, grid: Grid) -> Array:
@@ -232,7 +233,7 @@ def _visible(tree: Tree, camera: Camera, flesh: Cones, discs: Discs, grid: Grid)
     fore = np.isin(np.arange(len(discs.near)), forearms(tree))
     size = grid.probability.shape[-1]
     which, at = frontmost(Discs(*(part[fore] for part in discs)), size)
-    ends = (to_camera(camera, end)[fore][which, 2] for end in (flesh.near, flesh.far))
+    ends = (depth(camera, end)[fore][which] for end in (flesh.near, flesh.far))
     others = Cones(*(part[~fore] for part in flesh))
     surface = nearest_surface(camera, others, distances(discs, size)[~fore])
     return jax.lax.stop_gradient(unhidden(surface, depth_along(at, *ends)))
@@ -246,14 +247,14 @@ def nearest_surface(camera: Camera, flesh: Cones, away: Array) -> Array:
         flesh: K limbs.
         away: (K, C) distances of the cells from the limbs' outlines, negative inside.
     """
-    depths = jnp.stack([to_camera(camera, end)[:, 2] for end in (flesh.near, flesh.far)], 1)
+    depths = jnp.stack([depth(camera, end) for end in (flesh.near, flesh.far)], 1)
     surfaces = jnp.mean(depths - flesh.radii, 1)[:, None]
     return jnp.min(jnp.where(away < 0, surfaces, jnp.inf), 0)
 
 
-def unhidden(surface: Array, depth: Array) -> Array:
+def unhidden(surface: Array, away: Array) -> Array:
     """Share (C,) of a limb at a depth (C,) that a surface before or behind it leaves to be seen."""
-    return jax.nn.sigmoid((surface + HIDDEN_BEYOND_M - depth) / HIDDEN_SOFTLY_M)
+    return jax.nn.sigmoid((surface + HIDDEN_BEYOND_M - away) / HIDDEN_SOFTLY_M)
 
 
 def _leverage(
@@ -265,17 +266,17 @@ def _leverage(
     region: Region,
     bones: np.ndarray,
 ) -> Array:
-    """Derivatives (K, 6, 6 + D) of the limbs' discs in cells; the lens' distortion hardly turns."""
-    focal = (camera.matrix[0, 0] + camera.matrix[1, 1]) / 2 / region.scale
-    R_cam_world = camera.T_cam_world[:3, :3]
+    """Derivatives (K, 6, 6 + D) of the limbs' discs in cells."""
+    ahead = depth_gradient(camera)
 
     def of_end(points_world: Array, radii: Array) -> tuple[Array, Array]:
-        J_world = jacobian(skeleton, frames, bones, points_world)
-        J = jnp.einsum("ij,kjd->kid", R_cam_world, J_world, precision=HIGHEST)
-        point = to_camera(camera, points_world)
-        depth = jnp.maximum(point[:, 2], NEAREST_M)[:, None, None]
-        centre = focal * (J[:, :2] - point[:, :2, None] / depth * J[:, 2:]) / depth
-        return centre, -radii[:, None, None] / depth * J[:, 2:]
+        J = jacobian(skeleton, frames, bones, points_world)
+        cells = projection_jacobian(camera, points_world) / region.scale
+        # Sums of three products: as one loop they are faster than small matrix products.
+        centre = sum(cells[:, :, i, None] * J[:, i, None] for i in range(3))
+        deeper = sum(ahead[i] * J[:, i, None] for i in range(3))
+        away = jnp.maximum(depth(camera, points_world), NEAREST_M)[:, None, None]
+        return jnp.asarray(centre), -radii[:, None, None] / away * deeper
 
     near, near_radius = of_end(flesh.near, discs.radii[:, 0])
     far, far_radius = of_end(flesh.far, discs.radii[:, 1])

@@ -14,7 +14,15 @@ from jaxmocap.body.arms import Arms, flesh
 from jaxmocap.body.kinematics import Frames
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.cones import Cones, cones
-from jaxmocap.geometry.cameras import NEAREST_M, Camera, pixel_components, to_camera
+from jaxmocap.geometry.cameras import (
+    NEAREST_M,
+    Camera,
+    camera_components,
+    normals_in_pixels,
+    pixel_components,
+    pixels_per_metre,
+    to_camera,
+)
 from jaxmocap.geometry.outlines import (
     Discs,
     Pieces,
@@ -68,11 +76,8 @@ def _sampled(
 ) -> tuple[tuple[_Samples, _Samples], Array]:
     """Sides and arcs of limbs (..., 3), sampled in the fields; metres per pixel (3, ...) there."""
     batch = limbs.near.ndim - 2
-    R, t = camera.T_cam_world[:3, :3], camera.T_cam_world[:3, 3]
     ends = jnp.moveaxis(jnp.stack([limbs.near, limbs.far]), (-1, -2), (0, 2))
-    x, y, depths = (
-        R[i, 0] * ends[0] + R[i, 1] * ends[1] + R[i, 2] * ends[2] + t[i] for i in range(3)
-    )
+    x, y, depths = camera_components(camera, *ends)
     near = 1 / jnp.maximum(depths, NEAREST_M)
     radii = jnp.broadcast_to(limbs.radii, (*limbs.near.shape[:-1], 2))
     radii = jnp.moveaxis(radii, (-1, -2), (0, 1)) * near
@@ -82,7 +87,7 @@ def _sampled(
     front = jnp.minimum(depths[0], depths[1]) > 0
     shares = jnp.where(front, jnp.asarray(LIMB_WEIGHTS, x.dtype).reshape(by_limb), 0.0)
     sides, arcs = (_points_in_fields(camera, region, fields, piece, shares) for piece in pieces)
-    return (sides, arcs), (depths[0] + depths[1]) / 2 / camera.matrix[0, 0]
+    return (sides, arcs), 1 / pixels_per_metre(camera, (depths[0] + depths[1]) / 2)
 
 
 def _points_in_fields(
@@ -90,7 +95,10 @@ def _points_in_fields(
 ) -> _Samples:
     """Points (2, K, 3, ...) in the fields; weighed by the limbs' (3, ...) shares."""
     x, y = pixel_components(camera, points.x, points.y)
-    channels = _channels(camera, points.normal_x, points.normal_y, fields.shape[0])
+    normals = points.normal_x, points.normal_y
+    channels = _channels(
+        *normals_in_pixels(camera, (points.x, points.y), *normals), fields.shape[0]
+    )
     samples = (
         (pixel - corner) / region.scale - 0.5
         for pixel, corner in ((x, region.origin[0]), (y, region.origin[1]))
@@ -160,13 +168,12 @@ def outline_distance(
     )
 
 
-def _channels(camera: Camera, normal_x: Array, normal_y: Array, count: int) -> Array:
-    """Channel (...) of outline normals on the plane z = 1.
+def _channels(x: Array, y: Array, count: int) -> Array:
+    """Channel (...) of outline normals in the image.
 
-    The lens' distortion hardly turns them. The arc tangent, dear to XLA, is found once and kept;
-    counting the borders that a normal has passed would be done anew at each of the many look-ups.
+    The arc tangent, dear to XLA, is computed once and kept; counting the borders that a normal has
+    passed would be repeated at each of the many look-ups.
     """
-    x, y = normal_x * camera.matrix[0, 0], normal_y * camera.matrix[1, 1]
     # A normal and its opposite are one direction: turn it to the upper half plane.
     flip = jnp.where((y < 0) | ((y == 0) & (x < 0)), -1.0, 1.0)
     still = (x == 0) & (y == 0)
@@ -174,7 +181,6 @@ def _channels(camera: Camera, normal_x: Array, normal_y: Array, count: int) -> A
     return jnp.minimum(jnp.floor(angle * (count / np.pi)).astype(jnp.int32), count - 1)
 
 
-TORSO = ("spine1", "spine2", "spine3")
 # A limb must be nearer by this, between the axes, to hide another, metres: limbs side by side and
 # the shoulder on its own chest hide nothing.
 NEARER_M = 0.04
@@ -182,7 +188,7 @@ NEARER_M = 0.04
 
 def blockers(skeleton: Skeleton, frames: Frames, arms: Arms) -> Cones:
     """What may hide each arm: (2, N) cones, the other arm's limbs and then the torso's."""
-    torso = cones(skeleton, frames, np.array([skeleton.tree.bone(name) for name in TORSO]))
+    torso = cones(skeleton, frames, skeleton.tree.bones_in("spine"))
     crossed = jax.tree.map(lambda part: part[::-1], flesh(arms))
     return jax.tree.map(
         lambda other, own: jnp.concatenate([other, jnp.broadcast_to(own, (2, *own.shape))], 1),

@@ -40,8 +40,8 @@ def retargeted(motion: Motion, skeleton: Skeleton) -> Motion:
             f"expected the bones {', '.join(mine.tree.bones)}; found {', '.join(other.tree.bones)}"
         )
     # Bones are theirs, and what joints there are and how they turn is the motion's.
-    joints = {key: getattr(mine, key) for key in ("tree", "axes", "limits", "costs", "relaxed")}
-    other = replace(other, **joints)
+    bones = ("lengths", "directions", "masses", "centres", "diameters")
+    other = replace(mine, **{key: getattr(other, key) for key in bones})
     before = feet(mine, motion.poses)
     way, feet_way = (
         scaled(motion, other, at) for at in (np.asarray(motion.poses.position), before)
@@ -66,7 +66,7 @@ def scaled(motion: Motion, skeleton: Skeleton, points: np.ndarray) -> np.ndarray
 
 def leg_length(skeleton: Skeleton) -> float:
     """Thigh and shank, mean of both sides, metres."""
-    bones = [skeleton.tree.bone(f"{bone}_{side}") for bone in ("femur", "tibia") for side in "lr"]
+    bones = skeleton.tree.bones_in("thigh", "shank")
     return float(np.sum(np.asarray(skeleton.lengths)[bones]) / 2)
 
 

@@ -6,7 +6,7 @@ OUTPUTS: a .npz file whose arrays are named ``times``, ``pose.position``, ``skel
 """
 
 import json
-from dataclasses import fields
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,10 +14,17 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxmocap.body.model_files import HUMAN, bodies, known_joints, read_model
 from jaxmocap.body.motion import Motion, Report, near_origin
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton, Tree, load_skeleton
-from jaxmocap.body.wrists import with_wrists
+from jaxmocap.body.skeleton import (
+    LANDMARKS,
+    ROOT_DOF,
+    Skeleton,
+    Tree,
+    joint_columns,
+    load_skeleton,
+)
 from jaxmocap.formats.files.arrays import INTEGERS, NAMES, TEXT, ArraySpec, NpzArrays
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.json_text import parse_json
@@ -26,7 +33,20 @@ from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series.tables import SampleLabels, check_times
 
 VERSION = 2
-_SKELETON_FIELDS = tuple(field.name for field in fields(Skeleton) if field.name != "tree")
+# What a file holds of the skeleton; the rest follows from the joints' names.
+_SKELETON_FIELDS = (
+    "lengths",
+    "directions",
+    "masses",
+    "centres",
+    "diameters",
+    "axes",
+    "limits",
+    "costs",
+    "relaxed",
+)
+# And of its tree.
+_TREE_FIELDS = ("bones", "parents", "joints", "dof_bones")
 _REPORT_FIELDS = (
     "marker_errors",
     "arm_costs",
@@ -36,8 +56,6 @@ _REPORT_FIELDS = (
     "from_prior",
 )
 _STAGE_PREFIX = "milliseconds."
-# Model files whose joints a motion's skeleton may have.
-_MODEL_FILES = ("human.toml", "torso.toml", "legs.toml", "whole.toml", "supple.toml")
 
 # Beyond these no number is a person's: metres from the origin, metres of a bone, kilograms,
 # radians, seconds.
@@ -151,36 +169,35 @@ def load_motion(path: str | Path) -> Motion:
 
 
 def _skeleton(file: NpzArrays) -> Skeleton:
-    """The body: our bones, with any of the joints that our models have."""
+    """The bones of one of our bodies, with any of the joints that our files have."""
     arrays = file.read(_TREE_SPECS)
-    tree = Tree(*(tuple(arrays[f"tree.{field.name}"].tolist()) for field in fields(Tree)))
-    bones, parents, carriers = _model_tree()
+    tree = Tree(*(tuple(arrays[f"tree.{name}"].tolist()) for name in _TREE_FIELDS))
+    known = _known_bones()
+    ours = known.get(tree.bones, known[Skeleton.human().tree.bones])
     for name, found, expected in (
-        ("tree.bones", tree.bones, bones),
-        ("tree.parents", tree.parents, parents),
+        ("tree.bones", tree.bones, ours.bones),
+        ("tree.parents", tree.parents, ours.parents),
     ):
         if found != expected:
             problem = (
                 f"found {comma_list(map(str, found))}, expected {', '.join(map(str, expected))}"
             )
             raise InputError(file.path, f"{name}: {problem}")
-    _check_joints(file.path, tree, carriers)
+    rows = known_joints()
+    _check_joints(file.path, tree, {joint: row["bone"] for joint, row in rows.items()})
     body = file.read(_BODY_SPECS)
     _check_body(file.path, body)
-    parts = {name: jnp.asarray(body[f"skeleton.{name}"], float) for name in _SKELETON_FIELDS}
-    return Skeleton(tree=tree, **parts)
+    parts = joint_columns([rows[joint] for joint in tree.joints], read_model(HUMAN).root)
+    parts |= {name: jnp.asarray(body[f"skeleton.{name}"], float) for name in _SKELETON_FIELDS}
+    searched = tuple(rows[joint].get("limb", "") for joint in tree.joints)
+    return Skeleton(tree=replace(tree, segments=ours.segments, searched=searched), **parts)
 
 
 @cache
-def _model_tree() -> tuple[tuple[str, ...], tuple[int, ...], dict[str, str]]:
-    """The bones and parents of all our models, and joint -> bone that it turns."""
-    trees = [with_wrists(load_skeleton(name)).tree for name in _MODEL_FILES]
-    carriers = {
-        joint: tree.bones[bone]
-        for tree in trees
-        for joint, bone in zip(tree.joints, tree.dof_bones, strict=True)
-    }
-    return trees[0].bones, trees[0].parents, carriers
+def _known_bones() -> dict[tuple[str, ...], Tree]:
+    """Bones -> the tree of one of our bodies that has them."""
+    trees = [load_skeleton(name).tree for name in bodies()]
+    return {tree.bones: tree for tree in trees}
 
 
 def _check_joints(path: str | Path, tree: Tree, carriers: dict[str, str]) -> None:

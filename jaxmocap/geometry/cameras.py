@@ -1,16 +1,21 @@
 """A calibrated camera: points to pixels and pixels to rays.
 
 INPUTS: points in the world (metres, Z up), a Camera.
-OUTPUTS: pixels (x right, y down, centres at whole numbers), depths, rays.
+OUTPUTS: pixels (x right, y down, centres at whole numbers), depths, rays, derivatives.
+
+All that is known of intrinsics is asked of here: nothing else reads ``matrix`` or ``distortion``.
+What goes by components works alike with JAX and, of a camera ``on_host``, with NumPy.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxmocap.geometry.lenses import BROWN_CONRADY, LENSES, Component
 from jaxmocap.geometry.rotations import HIGHEST, exp, rotate
 
 # Points nearer than this to the camera's plane, or behind it, are projected as if they lay here.
@@ -25,14 +30,17 @@ class Camera:
     Attributes:
         size: (2,) width and height in pixels.
         matrix: (3, 3) intrinsic matrix M_intr of equation (11), pixels.
-        distortion: (8,) OpenCV's k1 k2 p1 p2 k3 k4 k5 k6; zeros where there is none.
+        distortion: (8,) OpenCV's k1 k2 p1 p2 k3 k4 k5 k6, or a fisheye's (4,) k1 k2 k3 k4; zeros
+            where there is none.
         T_cam_world: (4, 4) the inverse of M_extr of equation (11): world to camera, metres.
+        lens: name of the lens in ``lenses.LENSES``; static.
     """
 
     size: Array
     matrix: Array
     distortion: Array
     T_cam_world: Array
+    lens: str = field(default=BROWN_CONRADY, metadata={"static": True})
 
     @classmethod
     def create(
@@ -42,23 +50,26 @@ class Camera:
         distortion: np.ndarray | Array | list[float] = (),  # type: ignore[assignment]
         rotation: np.ndarray | Array | list[float] = (0.0, 0.0, 0.0),  # type: ignore[assignment]
         translation: np.ndarray | Array | list[float] = (0.0, 0.0, 0.0),  # type: ignore[assignment]
+        lens: str = BROWN_CONRADY,
     ) -> "Camera":
         """Build a camera from what a calibration file holds.
 
         Args:
             size: width and height, pixels.
             matrix: (3, 3) intrinsic matrix.
-            distortion: up to eight of OpenCV's coefficients.
+            distortion: the first of the lens's coefficients; the others are 0.
             rotation: (3,) Rodrigues vector or (3, 3) matrix, world to camera.
             translation: (3,) metres, world to camera.
+            lens: name in ``lenses.LENSES``.
 
         Raises:
-            ValueError: more than eight distortion coefficients.
+            ValueError: more distortion coefficients than the lens has.
         """
-        coefficients = np.zeros(8)
+        most = len(LENSES[lens].coefficients)
+        coefficients = np.zeros(most)
         given = np.asarray(distortion, float).ravel()
-        if given.size > 8:
-            raise ValueError(f"at most 8 distortion coefficients, found {given.size}")
+        if given.size > most:
+            raise ValueError(f"at most {most} distortion coefficients, found {given.size}")
         coefficients[: given.size] = given
         # Converted on the host: on the device that would be a program for each shape.
         dtype = jax.dtypes.canonicalize_dtype(float)
@@ -67,6 +78,7 @@ class Camera:
             jnp.asarray(np.asarray(matrix, dtype), dtype),
             jnp.asarray(coefficients.astype(dtype), dtype),
             _transform(np.asarray(rotation, dtype), np.asarray(translation, dtype)),
+            lens,
         )
 
     @property
@@ -95,9 +107,40 @@ def turned(camera: Camera, turn_cam: Array) -> Camera:
     return replace(camera, T_cam_world=camera.T_cam_world.at[:3].set(T))
 
 
+def on_host(camera: Camera) -> Camera:
+    """The same camera, or cameras, in NumPy and double precision: calls compile no programs."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf, float), camera)
+
+
 def to_camera(camera: Camera, points_world: Array) -> Array:
     """Points (..., 3) of the world in the camera's frame, metres."""
     return rotate(camera.T_cam_world[:3, :3], points_world) + camera.T_cam_world[:3, 3]
+
+
+def camera_components(
+    camera: Camera, x: Component, y: Component, z: Component
+) -> tuple[Component, Component, Component]:
+    """``to_camera`` by components (...): arrays of three are slow to work through."""
+    T = camera.T_cam_world
+    first, second, third = (T[i, 0] * x + T[i, 1] * y + T[i, 2] * z + T[i, 3] for i in range(3))
+    return first, second, third
+
+
+def depth(camera: Camera, points_world: Component) -> Component:
+    """(...) of points (..., 3) of the world along the optical axis, metres; negative behind."""
+    ahead = camera.T_cam_world[2]
+    x, y, z = (points_world[..., i] for i in range(3))
+    return x * ahead[0] + y * ahead[1] + z * ahead[2] + ahead[3]
+
+
+def pixels_per_metre(camera: Camera, depths: Component) -> Component:
+    """How many pixels a metre across the optical axis spans at depths (...), metres."""
+    return camera.matrix[..., 0, 0] / depths
+
+
+def focal_length(camera: Camera) -> Component:
+    """Pixels of a unit on the plane z = 1: the mean of both axes."""
+    return (camera.matrix[..., 0, 0] + camera.matrix[..., 1, 1]) / 2
 
 
 def normalise(points_cam: Array) -> Array:
@@ -105,37 +148,100 @@ def normalise(points_cam: Array) -> Array:
     return points_cam[..., :2] / jnp.maximum(points_cam[..., 2:], NEAREST_M)
 
 
-def distort(camera: Camera, points_plane: Array) -> Array:
-    """OpenCV's rational radial and tangential distortion of (..., 2) points on the plane z = 1."""
-    return jnp.stack(_distorted(camera, points_plane[..., 0], points_plane[..., 1]), -1)
-
-
-def _distorted(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
-    """``distort`` by components."""
-    k1, k2, p1, p2, k3, k4, k5, k6 = camera.distortion
-    r2 = x * x + y * y
-    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-    dx = 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-    dy = p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-    return x * radial + dx, y * radial + dy
-
-
 def to_pixels(camera: Camera, points_plane: Array) -> Array:
     """Distort (..., 2) points on the plane z = 1 and apply the intrinsic matrix: pixels (x, y)."""
     return jnp.stack(pixel_components(camera, points_plane[..., 0], points_plane[..., 1]), -1)
 
 
-def pixel_components(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
+def pixel_components(camera: Camera, x: Component, y: Component) -> tuple[Component, Component]:
     """``to_pixels`` by components: arrays of two are slow to work through."""
-    x, y = _distorted(camera, x, y)
+    return _from_plane(camera, *LENSES[camera.lens].distort(camera.distortion, x, y))
+
+
+def pinhole_components(camera: Camera, x: Component, y: Component) -> tuple[Component, Component]:
+    """``pixel_components`` of the same camera without its lens's distortion."""
+    return _from_plane(camera, x, y)
+
+
+def _from_plane(camera: Camera, x: Component, y: Component) -> tuple[Component, Component]:
     M = camera.matrix
     return M[0, 0] * x + M[0, 1] * y + M[0, 2], M[1, 1] * y + M[1, 2]
+
+
+def plane_components(
+    camera: Camera, x: Component, y: Component, iterations: int = 8
+) -> tuple[Component, Component]:
+    """Points on the plane z = 1 of pixels, by components (...): undoes ``pixel_components``."""
+    M = camera.matrix
+    y = (y - M[1, 2]) / M[1, 1]
+    x = (x - M[0, 2] - M[0, 1] * y) / M[0, 0]
+    return LENSES[camera.lens].undistort(camera.distortion, x, y, iterations)
+
+
+def radii_in_pixels(camera: Camera, points_plane: Array, radii: Array) -> Array:
+    """Radii (...), pixels, of small discs about points (..., 2) of the plane z = 1.
+
+    An ordinary lens moves them and leaves their size. A fisheye makes ellipses of them: these are
+    circles of the same area.
+    """
+    pixels = radii * focal_length(camera)
+    slopes = _slopes(camera, points_plane[..., 0], points_plane[..., 1])
+    if slopes is None:
+        return pixels
+    xx, xy, yy = slopes
+    return pixels * jnp.sqrt(jnp.maximum(xx * yy - xy * xy, 0.0))
+
+
+def normals_in_pixels(
+    camera: Camera, at: tuple[Array, Array], normal_x: Array, normal_y: Array
+) -> tuple[Array, Array]:
+    """Components (...), of any length, of an outline's normals in the image.
+
+    Args:
+        camera: that shows the outline.
+        at: components (...) of its points on the plane z = 1.
+        normal_x: (...) component of its normals there.
+        normal_y: (...) component of its normals there.
+    """
+    if (slopes := _slopes(camera, *at)) is not None:
+        # A normal goes by the inverse of the transposed derivative, here times its determinant.
+        xx, xy, yy = slopes
+        normal_x, normal_y = yy * normal_x - xy * normal_y, xx * normal_y - xy * normal_x
+    return normal_x * camera.matrix[0, 0], normal_y * camera.matrix[1, 1]
+
+
+def projection_jacobian(camera: Camera, points_world: Array) -> Array:
+    """(..., 2, 3) derivatives of the pixels of points (..., 3), pixels per metre of the world.
+
+    An ordinary lens's distortion, which hardly turns or scales, is left out; a fisheye's is in.
+    Both focal lengths are taken as one, as in ``radii_in_pixels``.
+    """
+    points_cam = to_camera(camera, points_world)
+    depths = jnp.maximum(points_cam[..., 2], NEAREST_M)
+    x, y = points_cam[..., 0] / depths, points_cam[..., 1] / depths
+    R = camera.T_cam_world[:3, :3]
+    # On the plane, of a step in the world; then in the image.
+    across = (R[0] - x[..., None] * R[2]) / depths[..., None]
+    down = (R[1] - y[..., None] * R[2]) / depths[..., None]
+    if (slopes := _slopes(camera, x, y)) is not None:
+        xx, xy, yy = (part[..., None] for part in slopes)
+        across, down = xx * across + xy * down, xy * across + yy * down
+    return focal_length(camera) * jnp.stack([across, down], -2)
+
+
+def depth_gradient(camera: Camera) -> Array:
+    """(3,) by how much a step in the world goes along the optical axis."""
+    return camera.T_cam_world[2, :3]
+
+
+def _slopes(camera: Camera, x: Array, y: Array) -> tuple[Array, Array, Array] | None:
+    return LENSES[camera.lens].slopes(camera.distortion, x, y)
 
 
 def project(camera: Camera, points_world: Array) -> Array:
     """Project (..., 3) world points, metres, to (..., 2) pixels (x, y); equation (11).
 
-    Points behind the camera get a finite pixel; ``to_camera(...)[..., 2] <= 0`` tells them.
+    Points behind the camera get a finite pixel; ``depth(camera, points) <= 0`` tells them.
     """
     return to_pixels(camera, normalise(to_camera(camera, points_world)))
 
@@ -143,15 +249,25 @@ def project(camera: Camera, points_world: Array) -> Array:
 def pixel_rays(camera: Camera, pixels_xy: Array, iterations: int = 8) -> Array:
     """Directions (..., 3), unit length, world frame, of the rays through (..., 2) pixels.
 
-    The distortion is undone by fixed-point iteration, as OpenCV does.
+    The distortion is undone by a fixed number of iterations.
     """
-    M = camera.matrix
-    y = (pixels_xy[..., 1] - M[1, 2]) / M[1, 1]
-    x = (pixels_xy[..., 0] - M[0, 2] - M[0, 1] * y) / M[0, 0]
-    seen = jnp.stack([x, y], -1)
-    plane = seen
-    for _ in range(iterations):
-        plane = plane + seen - distort(camera, plane)
-    rays_cam = jnp.concatenate([plane, jnp.ones_like(plane[..., :1])], -1)
+    x, y = plane_components(camera, pixels_xy[..., 0], pixels_xy[..., 1], iterations)
+    rays_cam = jnp.stack([x, y, jnp.ones_like(x)], -1)
     rays_cam = rays_cam / jnp.linalg.norm(rays_cam, axis=-1, keepdims=True)
     return rotate(camera.T_cam_world[:3, :3].T, rays_cam)
+
+
+def stack_cameras(cameras: Sequence[Camera]) -> Camera:
+    """C cameras as one, each of its arrays with a new first axis.
+
+    Raises:
+        ValueError: their lenses are of several kinds, which one program cannot hold.
+    """
+    if len({camera.lens for camera in cameras}) > 1:
+        raise ValueError("the cameras' lenses are of several kinds, expected one kind")
+    return jax.tree.map(_stacked, *cameras)
+
+
+def _stacked(*leaves: Array) -> Array:
+    """Stacked on the host: on the device that would be a program for each shape."""
+    return jnp.asarray(np.stack([np.asarray(leaf) for leaf in leaves]), leaves[0].dtype)

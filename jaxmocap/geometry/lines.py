@@ -46,10 +46,3 @@ def incidence(lines: Lines, points: Array) -> Array:
 def perpendiculars(lines: Lines, points: Array) -> Array:
     """From each line to its point (..., 3), at right angles to the line, metres."""
     return jnp.cross(lines.directions, incidence(lines, points))
-
-
-def distances(lines: Lines, points: Array) -> Array:
-    """(...) of points from their lines, metres: equations (3.3) and (3.4); derivative 0 at 0."""
-    squared = jnp.sum(incidence(lines, points) ** 2, -1)
-    off = squared > 0
-    return jnp.where(off, jnp.sqrt(jnp.where(off, squared, 1.0)), 0.0)

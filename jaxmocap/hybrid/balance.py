@@ -20,7 +20,6 @@ from jaxmocap.evidence.markers import Goals
 from jaxmocap.hybrid.ik import reach
 from jaxmocap.hybrid.settings import IKSettings
 
-SPINE = ("spine1", "spine2", "spine3")
 # The pelvis' turns about the world's horizontal axes, among the degrees of freedom.
 LEAN = np.array([3, 4], np.int32)
 # The squat that the factors are computed for, metres.
@@ -33,9 +32,10 @@ SUPPORTS = ("ankle_l", "ankle_r", "toe_l", "toe_r")
 
 
 def spine_dofs(skeleton: Skeleton) -> np.ndarray:
-    """Indices (3,) of the degrees of freedom that bow the spine."""
+    """Indices (S,) of the degrees of freedom that bow the spine: the first of each bone."""
     tree = skeleton.tree
-    return np.array([tree.dof_bones.index(tree.bone(name)) for name in SPINE], np.int32)
+    bones = [bone for bone in tree.bones_in("spine") if bone in tree.dof_bones]
+    return np.array([tree.dof_bones.index(bone) for bone in bones], np.int32)
 
 
 def standing_height(skeleton: Skeleton) -> Array:
@@ -89,7 +89,7 @@ def bow_on_feet(
     """
     sites = landmark_sites(skeleton, ("ankle_l", "ankle_r"))
     ankles = site_positions(skeleton, forward(skeleton, pose), sites)
-    height = skeleton.diameters[skeleton.tree.bone("foot_l"), 0]
+    height = skeleton.diameters[skeleton.tree.bones_in("foot", side="l")[0], 0]
     sunk = sinking(skeleton, pose)
     bows = on_both_feet(ankles, settings.floor, height) & (sunk > LEAST_SINKING)
     bowed = bow(skeleton, pose, factors * sunk)
@@ -108,7 +108,7 @@ def imbalance(skeleton: Skeleton, pose: Pose) -> tuple[Array, Array]:
     gravity = centre_of_gravity(skeleton, frames)[:2]
     supports = site_positions(skeleton, frames, landmark_sites(skeleton, SUPPORTS))
     low, high = base_of_support(supports)
-    facing = frames.R_world_bone[skeleton.tree.bone("hip_l"), :2, 0]
+    facing = frames.R_world_bone[skeleton.tree.bones_in("hip", side="l")[0], :2, 0]
     facing = facing / jnp.maximum(jnp.sqrt(jnp.sum(facing**2)), 1e-6)
     ahead = jnp.sum((gravity - (low + high) / 2) * facing)
     outside = jnp.maximum(jnp.maximum(low - gravity, gravity - high), 0.0)
@@ -116,7 +116,7 @@ def imbalance(skeleton: Skeleton, pose: Pose) -> tuple[Array, Array]:
 
 
 def bow_factors(skeleton: Skeleton, settings: IKSettings, trials: int = 9) -> Array:
-    """Factors p_i (3,), radians per metre, for a squat of ``SQUAT`` metres.
+    """Factors p_i (S,), radians per metre, for a squat of ``SQUAT`` metres.
 
     The three bones share the bow in proportion to their ranges.
     """

@@ -15,21 +15,10 @@ from jax import Array
 from jaxmocap.body.kinematics import forward, site_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, relaxed_pose
-from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
+from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.evidence.markers import are_present
 from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix, rotate
 from jaxmocap.hybrid.settings import IKSettings
-
-# On feet that carry no marker: factors on the costs mu of the trunk's joints,
-TRUNK_STIFFNESS = 3.0
-# of the neck's,
-NECK_STIFFNESS = 2.0
-# and of hips and knees.
-LEG_STIFFNESS = 0.4
-# There, how far knees are bent at ease, radians,
-SOFT_KNEE = float(np.radians(20.0))
-# and at least.
-LEAST_KNEE = float(np.radians(8.0))
 
 
 class FootPlacement(NamedTuple):
@@ -54,26 +43,13 @@ def on_unmarked_feet(model: Model) -> Model:
     if not model.no_foot_is_marked:
         return model
     skeleton = model.skeleton
-    costs, relaxed = np.ones(len(skeleton.costs)), np.zeros(len(skeleton.relaxed))
-    least = np.full(len(skeleton.relaxed), -np.inf)
-    costs[3:ROOT_DOF] = TRUNK_STIFFNESS
-    for i, name in enumerate(skeleton.tree.joints):
-        if name.startswith(("spine", "neck")):
-            costs[ROOT_DOF + i] = TRUNK_STIFFNESS if name.startswith("spine") else NECK_STIFFNESS
-        if name.startswith(("hip", "knee")):
-            costs[ROOT_DOF + i] = LEG_STIFFNESS
-        if name.startswith("knee"):
-            relaxed[i], least[i] = SOFT_KNEE, LEAST_KNEE
-        if name.startswith("hip_flexion"):
-            relaxed[i] = SOFT_KNEE / 2
-    dtype = skeleton.costs.dtype
-    low = jnp.maximum(skeleton.limits[:, 0], jnp.asarray(least, dtype))
+    low = jnp.maximum(skeleton.limits[:, 0], skeleton.unmarked_least)
     return replace(
         model,
         skeleton=replace(
             skeleton,
-            costs=skeleton.costs * jnp.asarray(costs, dtype),
-            relaxed=jnp.maximum(skeleton.relaxed, jnp.asarray(relaxed, dtype)),
+            costs=skeleton.costs * skeleton.unmarked_costs,
+            relaxed=jnp.maximum(skeleton.relaxed, skeleton.unmarked_relaxed),
             limits=jnp.stack([low, skeleton.limits[:, 1]], -1),
         ),
     )
@@ -99,10 +75,8 @@ def replant(
     skeleton = model.skeleton
     above, is_known = _head_target(model, targets)
     middle = jnp.mean(feet.ankles, 0)
-    leg = (
-        skeleton.lengths[skeleton.tree.bone("femur_l")]
-        + skeleton.lengths[skeleton.tree.bone("tibia_l")]
-    )
+    thigh, shank = skeleton.tree.bones_in("thigh", "shank", side="l")
+    leg = skeleton.lengths[thigh] + skeleton.lengths[shank]
     away = jnp.sum((above - middle)[:2] ** 2) > (settings.stance_radius * leg) ** 2
     planted = is_known & (away | feet.overstretched)
     below = stand_below(skeleton, settings, above, quaternion_to_matrix(pose.quaternion)[:, 1])
@@ -112,8 +86,7 @@ def replant(
 
 def _head_target(model: Model, targets: Array) -> tuple[Array, Array]:
     """Mean (3,) of the markers on head or neck that are there, and whether there is one."""
-    names = model.skeleton.tree.bones
-    on_head = np.array([names[bone] in ("head", "neck") for bone in model.markers.bones])
+    on_head = np.isin(model.markers.bones, model.skeleton.tree.bones_in("head"))
     chosen = are_present(targets) & on_head
     total = jnp.sum(jnp.where(chosen[:, None], targets, 0.0), 0)
     return total / jnp.maximum(jnp.sum(chosen), 1).astype(total.dtype), jnp.any(chosen)
@@ -123,8 +96,8 @@ def stand_below(skeleton: Skeleton, settings: IKSettings, above: Array, left: Ar
     """Ankles (2, 3) on the ground, hip-width apart along ``left`` (3,), below a point."""
     level = left.at[2].set(0.0)
     level = level / jnp.maximum(jnp.linalg.norm(level), 1e-6)
-    hip = skeleton.lengths[skeleton.tree.bone("hip_l")]
-    ankle = skeleton.diameters[skeleton.tree.bone("foot_l"), 0]
+    hip = skeleton.lengths[skeleton.tree.bones_in("hip", side="l")[0]]
+    ankle = skeleton.diameters[skeleton.tree.bones_in("foot", side="l")[0], 0]
     ground = above.at[2].set(settings.floor + ankle)
     return jnp.stack([ground + hip * level, ground - hip * level])
 
@@ -160,7 +133,7 @@ def place(model: Model, settings: IKSettings, targets: Array) -> tuple[Pose, Foo
 def landmark_above(skeleton: Skeleton, pose: Pose) -> Array:
     """The head bone's far end (3,) of a pose."""
     frames = forward(skeleton, pose)
-    head = skeleton.tree.bone("head")
+    head = skeleton.tree.bones_in("head")[-1]
     along = skeleton.lengths[head] * skeleton.directions[head]
     return frames.joints_world[head] + jnp.matmul(
         frames.R_world_bone[head], along, precision=HIGHEST

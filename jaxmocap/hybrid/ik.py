@@ -217,8 +217,7 @@ def _room(skeleton: Skeleton, pose: Pose) -> tuple[Array, Array]:
 
 
 def _arm_length(skeleton: Skeleton) -> Array:
-    bones = [skeleton.tree.bone(name) for name in ("humerus_l", "radius_l", "hand_l")]
-    return jnp.sum(skeleton.lengths[np.array(bones)])
+    return jnp.sum(skeleton.lengths[skeleton.tree.bones_in("arm", side="l")])
 
 
 def goals_of(model: Model, settings: IKSettings, feet: FootPlacement, targets: Array) -> Goals:
@@ -227,10 +226,8 @@ def goals_of(model: Model, settings: IKSettings, feet: FootPlacement, targets: A
     What is below the pelvis weighs less: where a leg is too short to reach, the feet give way
     before the head and the hands do.
     """
-    names, effectors = model.skeleton.tree.bones, model.effectors
-    low = np.array(
-        [names[b].startswith(("hip", "femur", "tibia", "foot")) for b in effectors.bones]
-    )
+    effectors = model.effectors
+    low = np.isin(effectors.bones, model.skeleton.tree.bones_in("hip", "leg"))
     weights = jnp.where(low, settings.leg_weight, 1.0)
     sides = np.array([SIDES.index(side) for side in model.unmarked_feet], np.int32)
     mask = are_present(targets)

@@ -14,11 +14,13 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d, map_coordinates
 from scipy.sparse.csgraph import dijkstra
 
-from jaxmocap.modelling.pictures.corners import bends, even
-from jaxmocap.modelling.pictures.medial_axis import Skeleton, path
+from jaxmocap.modelling.pictures.corners import evenly_spaced, turning_angles
+from jaxmocap.modelling.pictures.medial_axis import MedialAxis, path
 
-# The axis is smoothed over so many pixels; a corner is looked for with arms of so much of the way.
-SMOOTH_PX, ARM_OF_CORNER = 4.0, 0.05
+# Deviation of the blur over an axis, pixels.
+SMOOTH_PX = 4.0
+# A corner is searched for with triangles whose sides are this share of the axis.
+CORNER_REACH = 0.05
 # A bent elbow turns the axis by at least so much, radians.
 LEAST_BEND = 0.5
 # The elbow's joint lies so far from the axis' corner towards the rim: the paper says half-way; two
@@ -26,13 +28,14 @@ LEAST_BEND = 0.5
 TOWARDS_RIM = 0.25
 # The axis turns before the elbow: by this share of its way from shoulder to tip, by the same
 # two people.
-EARLY = 0.007
-# The wrist's joint lies so far beyond the thinnest place before the palm, by the same share; the
-# silhouette's pixels make no place thin over so many along the axis.
-BEYOND_THINNEST, SMOOTH_RADII_PX = 0.022, 3.0
+ELBOW_BEYOND_CORNER = 0.007
+# The wrist's joint lies so far beyond the thinnest place before the palm, by the same share.
+WRIST_BEYOND_THINNEST = 0.022
+# Deviation of the blur over radii along the axis, pixels: single pixels make no place thin.
+SMOOTH_RADII_PX = 3.0
 
 
-class Arm(NamedTuple):
+class ArmPixels(NamedTuple):
     """One arm in the joint view: pixels (x, y).
 
     Attributes:
@@ -52,7 +55,9 @@ class Arm(NamedTuple):
     axis: np.ndarray
 
 
-def arm_axis(axis: Skeleton, start_xy: np.ndarray, pit_xy: np.ndarray, lowest: float) -> np.ndarray:
+def arm_axis(
+    axis: MedialAxis, start_xy: np.ndarray, pit_xy: np.ndarray, lowest: float
+) -> np.ndarray:
     """(K, 2) the way from a place in the trunk to the farthest end beyond an arm pit's column.
 
     Args:
@@ -69,11 +74,11 @@ def arm_axis(axis: Skeleton, start_xy: np.ndarray, pit_xy: np.ndarray, lowest: f
     begin = int(np.argmin(np.sum((axis.pixels_xy - start_xy) ** 2, 1)))
     ways = dijkstra(axis.edges, indices=begin)
     tip = axis.pixels_xy[np.argmax(np.where(beyond, ways, -1.0))]
-    way = even(axis.pixels_xy[path(axis, start_xy, tip)].astype(float))
-    return even(gaussian_filter1d(way, SMOOTH_PX, axis=0, mode="nearest"))
+    way = evenly_spaced(axis.pixels_xy[path(axis, start_xy, tip)].astype(float))
+    return evenly_spaced(gaussian_filter1d(way, SMOOTH_PX, axis=0, mode="nearest"))
 
 
-def arm_joints(axis: np.ndarray, distance: np.ndarray, shoulder: np.ndarray) -> Arm:
+def arm_joints(axis: np.ndarray, distance: np.ndarray, shoulder: np.ndarray) -> ArmPixels:
     """Joints of one arm.
 
     Args:
@@ -85,7 +90,7 @@ def arm_joints(axis: np.ndarray, distance: np.ndarray, shoulder: np.ndarray) -> 
         ValueError: the arm is not bent, or no wrist is slimmer than the palm.
     """
     first = int(np.argmin(np.sum((axis - shoulder) ** 2, 1)))
-    turned = bends(axis, ARM_OF_CORNER * len(axis))
+    turned = turning_angles(axis, CORNER_REACH * len(axis))
     # Where hand and trunk begin, other corners may be.
     inner = slice(first + (len(axis) - first) // 6, first + 7 * (len(axis) - first) // 10)
     middle = inner.start + int(np.argmax(turned[inner]))
@@ -93,11 +98,11 @@ def arm_joints(axis: np.ndarray, distance: np.ndarray, shoulder: np.ndarray) -> 
         degrees = np.degrees(turned[middle])
         raise ValueError(f"found an arm bent by {degrees:.0f} degrees, expected a bent elbow")
     long = len(axis) - first
-    middle += round(EARLY * long)
-    wrist = _wrist(axis, distance, middle, round(BEYOND_THINNEST * long))
+    middle += round(ELBOW_BEYOND_CORNER * long)
+    wrist = _wrist(axis, distance, middle, round(WRIST_BEYOND_THINNEST * long))
     corner = axis[middle]
     elbow = corner + TOWARDS_RIM * _rim(corner, axis[first], axis[wrist], distance)
-    return Arm(shoulder, elbow, corner, axis[wrist], axis[-1], axis)
+    return ArmPixels(shoulder, elbow, corner, axis[wrist], axis[-1], axis)
 
 
 def _wrist(axis: np.ndarray, distance: np.ndarray, elbow: int, beyond: int) -> int:

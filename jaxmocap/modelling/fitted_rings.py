@@ -12,28 +12,28 @@ import numpy as np
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import rest_nodes
-from jaxmocap.modelling.slices import Slices
+from jaxmocap.modelling.slices import BodySlices
 
 # A ring of less than this is the closed end of a limb, metres.
 CLOSED_M = 1e-4
-# Girth by which exponents of girth are told.
-STOUT = 1.1
+# Girth of the surface that exponents of girth are measured with.
+STOUTER_GIRTH = 1.1
 
 
-def fitted(grid: np.ndarray, side: float, measured: Slices) -> np.ndarray:
+def fitted_grid(grid: np.ndarray, side: float, measured: BodySlices) -> np.ndarray:
     """(along, around, 3) the rings as they were measured; ``side`` is -1 on the right."""
     levels, phi = grid[:, 0, 2], 2 * np.pi * np.arange(grid.shape[1]) / grid.shape[1]
     middles, radii = _polar(grid[..., :2] * [1.0, side], phi)
-    ratios, shifts = _told(levels, middles, radii, phi, measured)
+    ratios, shifts = _ratios_and_shifts(levels, middles, radii, phi, measured)
     middles, radii = middles + shifts, radii * ratios
     across = middles[:, None] + radii[..., None] * np.stack([np.cos(phi), np.sin(phi)], -1)
     return np.concatenate([across * [1.0, side], grid[..., 2:]], -1)
 
 
-def stoutness(skeleton: Skeleton, measured: dict[str, Slices]) -> float:
+def stoutness(skeleton: Skeleton, measured: dict[str, BodySlices]) -> float:
     """The girth at which a generic surface suits best what was measured, ring by ring."""
     joints, slopes, ratios = rest_joints(skeleton), [], []
-    usual, stout = (generic_surface(skeleton, girth) for girth in (1.0, STOUT))
+    usual, stout = (generic_surface(skeleton, girth) for girth in (1.0, STOUTER_GIRTH))
     nodes, thick = rest_nodes(usual, joints), rest_nodes(stout, joints)
     for patch in usual.patches:
         if patch.name not in measured:
@@ -41,11 +41,11 @@ def stoutness(skeleton: Skeleton, measured: dict[str, Slices]) -> float:
         side = -1.0 if patch.name.endswith("_r") else 1.0
         grids = [patch.grid(n) for n in (nodes, thick)]
         low, high = np.sort(measured[patch.name].levels)[[0, -1]]
-        seen = (grids[0][:, 0, 2] > low) & (grids[0][:, 0, 2] < high)
-        seen[[0, -1]] = False
-        new = fitted(grids[0], side, measured[patch.name])
-        was, grown, now = (np.log(_size(grid[seen])) for grid in (*grids, new))
-        slopes.append((grown - was) / np.log(STOUT))
+        within = (grids[0][:, 0, 2] > low) & (grids[0][:, 0, 2] < high)
+        within[[0, -1]] = False
+        new = fitted_grid(grids[0], side, measured[patch.name])
+        was, grown, now = (np.log(_size(grid[within])) for grid in (*grids, new))
+        slopes.append((grown - was) / np.log(STOUTER_GIRTH))
         ratios.append(now - was)
     slope, ratio = np.concatenate(slopes), np.concatenate(ratios)
     return float(np.exp(slope @ ratio / (slope @ slope)))
@@ -56,12 +56,12 @@ def _size(grid: np.ndarray) -> np.ndarray:
     return np.ptp(grid[..., :2], axis=1).mean(-1) / 2
 
 
-def _told(
+def _ratios_and_shifts(
     levels: np.ndarray,
     middles: np.ndarray,
     radii: np.ndarray,
     phi: np.ndarray,
-    measured: Slices,
+    measured: BodySlices,
 ) -> tuple[np.ndarray, np.ndarray]:
     """From generic to measured: ratios (along, around) of radii, shifts (along, 2) of middles."""
     order = np.argsort(measured.levels)

@@ -9,15 +9,19 @@ INPUTS: the front View, its landmarks, the arms' joints in the joint view. OUTPU
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from jaxmocap.modelling.arm_surface import Bones
-from jaxmocap.modelling.separation import Landmarks, trunk_run
-from jaxmocap.modelling.views import View
+from jaxmocap.modelling.arm_surface import ArmBones
+from jaxmocap.modelling.separation import FrontLandmarks, trunk_run
+from jaxmocap.modelling.views import PhotographView
 
+# Deviation of the blur over the middles of an arm's rows.
 SMOOTH_ROWS = 3.0
+# The world's unit vector that the person faces.
 AHEAD = np.array([1.0, 0.0, 0.0])
 
 
-def lifted_arms(front: View, landmarks: Landmarks, bent: tuple[Bones, ...]) -> tuple[Bones, ...]:
+def lifted_arms(
+    front: PhotographView, landmarks: FrontLandmarks, bent: tuple[ArmBones, ...]
+) -> tuple[ArmBones, ...]:
     """Left and right arm in the front view, in the plane through their shoulders."""
     return tuple(
         _lifted(front, pit, side, bones)
@@ -25,7 +29,7 @@ def lifted_arms(front: View, landmarks: Landmarks, bent: tuple[Bones, ...]) -> t
     )
 
 
-def _lifted(front: View, pit: np.ndarray, side: int, bones: Bones) -> Bones:
+def _lifted(front: PhotographView, pit: np.ndarray, side: int, bones: ArmBones) -> ArmBones:
     """Of an arm on the right (1) or left (-1) of the image."""
     middles, outer = [], float(pit[0])
     for row in range(int(pit[1]) + 1, len(front.mask)):
@@ -40,11 +44,11 @@ def _lifted(front: View, pit: np.ndarray, side: int, bones: Bones) -> Bones:
     if not middles:
         raise ValueError("found no arm beside the trunk, expected arms lifted off the trunk")
     way = gaussian_filter1d(np.array(middles), SMOOTH_ROWS, axis=0, mode="nearest")
-    places = front.on_plane(way, bones.shoulder, AHEAD)
+    places = front.plane_points(way, bones.shoulder, AHEAD)
     ends, after = [bones.shoulder], 0
     for length in bones.lengths:
         far = np.linalg.norm(places[after:] - ends[-1], axis=1)
         after += int(np.argmin(np.abs(far - length)))
         towards = places[after] - ends[-1]
         ends.append(ends[-1] + length * towards / np.linalg.norm(towards))
-    return Bones(*ends)
+    return ArmBones(*ends)

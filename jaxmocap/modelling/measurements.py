@@ -8,17 +8,20 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from jaxmocap.modelling.arm_surface import INNER, SLICES
+from jaxmocap.modelling.arm_surface import INNER_RINGS, SLICES
 from jaxmocap.modelling.person import PersonModel
 
-# Shares of the way from the bottom line to the arm pits among which chest, waist and hips are
-# looked for: the stoutest, the slimmest, the stoutest.
-CHEST, WAIST, HIPS = (0.75, 0.98), (0.25, 0.75), (0.02, 0.4)
+# Shares of the way from the bottom line to the arm pits: within them the chest is stoutest,
+CHEST = (0.75, 0.98)
+# the waist slimmest,
+WAIST = (0.25, 0.75)
+# and the hips are stoutest.
+HIPS = (0.02, 0.4)
 # Where on its bone an arm is measured.
-AT = {"upper_arm": (0, 0.5), "forearm": (SLICES[0], 0.25)}
+MEASURED_AT = {"upper_arm": (0, 0.5), "forearm": (SLICES[0], 0.25)}
 
 
-class Section(NamedTuple):
+class GirthSection(NamedTuple):
     """One place: metres.
 
     Attributes:
@@ -36,27 +39,27 @@ class Section(NamedTuple):
         return {name: round(value, 4) for name, value in self._asdict().items()}
 
 
-def section(outline: np.ndarray) -> Section:
+def girth_section(outline: np.ndarray) -> GirthSection:
     """Of a closed outline (N, 2) across and ahead."""
     hull = outline[ConvexHull(outline).vertices]
     girth = np.linalg.norm(np.roll(hull, -1, 0) - hull, axis=1).sum()
     width, depth = np.ptp(outline, axis=0)
-    return Section(float(width), float(depth), float(girth))
+    return GirthSection(float(width), float(depth), float(girth))
 
 
-def girths(model: PersonModel) -> dict[str, Section]:
+def girths(model: PersonModel) -> dict[str, GirthSection]:
     """Neck, chest, waist, hips, and of either arm the upper arm, the forearm and the wrist."""
     rings = model.trunk.rings
     levels = rings[:, 0, 2]
     shares = (levels - levels[0]) / (model.trunk.pits[:, 2].mean() - levels[0])
-    all_ = [section(ring[:, [1, 0]]) for ring in rings]
+    all_ = [girth_section(ring[:, [1, 0]]) for ring in rings]
     found = {"neck": all_[int(np.argmin(np.abs(levels - model.neck_height())))]}
     for name, (low, high), sign in (("chest", CHEST, 1), ("waist", WAIST, -1), ("hips", HIPS, 1)):
         among = np.flatnonzero((shares > low) & (shares < high))
         found[name] = all_[max(among, key=lambda k: sign * all_[k].girth)]
     for side, arm in zip("lr", model.arms, strict=True):
-        for name, (first, share) in AT.items():
-            ring = arm[INNER + first + round(share * SLICES[0])]
-            found[f"{name}_{side}"] = section(ring[:, [2, 0]])
-        found[f"wrist_{side}"] = section(arm[INNER + sum(SLICES[:2])][:, [2, 0]])
+        for name, (first, share) in MEASURED_AT.items():
+            ring = arm[INNER_RINGS + first + round(share * SLICES[0])]
+            found[f"{name}_{side}"] = girth_section(ring[:, [2, 0]])
+        found[f"wrist_{side}"] = girth_section(arm[INNER_RINGS + sum(SLICES[:2])][:, [2, 0]])
     return found

@@ -12,33 +12,45 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.modelling.arm_joints import Arm, arm_axis, arm_joints
+from jaxmocap.modelling.arm_joints import ArmPixels, arm_axis, arm_joints
 from jaxmocap.modelling.arm_surface import (
-    Bones,
+    ArmBones,
     arm_rings,
-    reach_of_hand,
-    thickness,
-    unfolded,
+    arm_thickness,
+    hand_extent,
+    without_elbow_fold,
 )
 from jaxmocap.modelling.lifted_arms import lifted_arms
-from jaxmocap.modelling.pictures.medial_axis import chamfer, skeleton
-from jaxmocap.modelling.separation import Landmarks, narrowest, separate
-from jaxmocap.modelling.thighs import Thighs, thighs
-from jaxmocap.modelling.trunk import Trunk, trunk
-from jaxmocap.modelling.views import View
+from jaxmocap.modelling.pictures.medial_axis import chamfer, medial_axis
+from jaxmocap.modelling.separation import FrontLandmarks, find_landmarks, narrowest_neck
+from jaxmocap.modelling.thighs import Thighs, find_thighs
+from jaxmocap.modelling.trunk import Trunk, find_trunk
+from jaxmocap.modelling.views import PhotographView
 
-AHEAD, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+# Unit vectors of the world in which the person faces +x.
+AHEAD = np.array([1.0, 0.0, 0.0])
+UP = np.array([0.0, 0.0, 1.0])
+# Side -> the sign of its y.
 SIDES = (("l", 1.0), ("r", -1.0))
-# Of two people whose joints are known, and on whom nothing is tested, all by the stature: from
-# bottom line to vertex; the shoulder's joint from the middle, from the arm pit outwards and
-# upwards, from the shoulder's upper rim downwards with the arm held level, and from the middle
-# ahead; the elbow's joint above the axis of a stretched arm, its hinge upright.
+# All of two people whose joints are known, and on whom nothing is tested; shares of the stature.
+# From bottom line to vertex.
 UPPER_BODY = 0.532
+# The elbow's joint above the axis of a stretched arm, its hinge upright.
 ELBOW_ABOVE = 0.0024
-ASIDE, OUTWARDS, ABOVE_PIT, BELOW_RIM, BEFORE_MIDDLE = 0.102, 0.0053, 0.041, 0.0247, 0.005
-# So far from the shoulder, by the stature, the upper arm is clear of the trunk; and by its
-# thickness there the shoulder's joint lies so far below the rim.
-ALONG_ARM, BELOW_RIM_BY_ARM = 0.07, 0.44
+# The shoulder's joint from the middle to its side,
+SHOULDER_ASIDE = 0.102
+# from the arm pit outwards
+SHOULDER_OUTWARDS = 0.0053
+# and upwards,
+SHOULDER_ABOVE_PIT = 0.041
+# from the shoulder's upper rim downwards with the arm held level,
+SHOULDER_BELOW_RIM = 0.0247
+# and from the middle ahead.
+SHOULDER_AHEAD = 0.005
+# From the shoulder to where the upper arm is clear of the trunk.
+CLEAR_OF_TRUNK = 0.07
+# The shoulder's joint below the rim, by the arm's thickness there.
+SHOULDER_BELOW_RIM_BY_ARM = 0.44
 # Of a stretched arm's length, from the shoulder to the tip in a straight line.
 LEAST_STRAIGHT = 0.93
 
@@ -65,24 +77,24 @@ class PersonModel(NamedTuple):
     Attributes:
         front: landmarks of the front view.
         trunk: rings from the bottom line to the top of the head.
-        seen: the arms in the joint view, left and right: pixels.
+        arm_pixels: the arms in the joint view, left and right: pixels.
         bent: their joints there.
         stretched: their joints in the arms' side view.
         lifted: their joints in the front view.
         arms: (K, N, 3) each: rings, stretched out level to the side from the shoulder, thumb ahead.
         legs: thighs of the front and the side view.
-        moved: photograph -> (3,) how far the person has moved since the front view.
+        shifts: photograph -> (3,) how far the person has moved since the front view.
     """
 
-    front: Landmarks
+    front: FrontLandmarks
     trunk: Trunk
-    seen: tuple[Arm, ...]
-    bent: tuple[Bones, ...]
-    stretched: tuple[Bones, ...]
-    lifted: tuple[Bones, ...]
+    arm_pixels: tuple[ArmPixels, ...]
+    bent: tuple[ArmBones, ...]
+    stretched: tuple[ArmBones, ...]
+    lifted: tuple[ArmBones, ...]
     arms: tuple[np.ndarray, ...]
     legs: Thighs
-    moved: dict[str, np.ndarray]
+    shifts: dict[str, np.ndarray]
 
     @property
     def stature(self) -> float:
@@ -105,7 +117,7 @@ class PersonModel(NamedTuple):
         return found | {"shoulders": float(np.linalg.norm(across))}
 
 
-def person_model(views: dict[str, View], bottom: int | None = None) -> PersonModel:
+def person_model(views: dict[str, PhotographView], bottom: int | None = None) -> PersonModel:
     """A model from the views ``front``, ``side``, ``joint`` and ``arm_side``.
 
     Args:
@@ -116,30 +128,32 @@ def person_model(views: dict[str, View], bottom: int | None = None) -> PersonMod
         ValueError: what a view shows is not the stance that is asked for.
     """
     with _of("front"):
-        landmarks = separate(views["front"].mask, bottom)
+        landmarks = find_landmarks(views["front"].mask, bottom)
     with _of("side"):
-        body = trunk(views["front"], views["side"], landmarks)
+        body = find_trunk(views["front"], views["side"], landmarks)
     with _of("joint"):
-        joint = aligned(views["joint"], views["front"], landmarks, body)
-        seen, bent = bent_arms(joint, body)
+        joint = aligned_view(views["joint"], views["front"], landmarks, body)
+        pixels, bent = bent_arms(joint, body)
     with _of("arm_side"):
-        arm_side = aligned(views["arm_side"], views["front"], landmarks, body)
+        arm_side = aligned_view(views["arm_side"], views["front"], landmarks, body)
         stretched = stretched_arms(arm_side, body, bent)
     arms = tuple(
         arm_rings(
-            unfolded(thickness(joint, bones, bones.shoulder + bones.wrist - 2 * bones.elbow)),
-            thickness(arm_side, straight, UP),
+            without_elbow_fold(
+                arm_thickness(joint, bones, bones.shoulder + bones.wrist - 2 * bones.elbow)
+            ),
+            arm_thickness(arm_side, straight, UP),
             bones.shoulder,
-            np.append(bones.lengths[:2], reach_of_hand(bones)),
+            np.append(bones.lengths[:2], hand_extent(bones)),
         )
         for bones, straight in zip(bent, stretched, strict=True)
     )
     with _of("front"):
         lifted = lifted_arms(views["front"], landmarks, bent)
-        legs = thighs(views["front"], views["side"], landmarks, body.middles[0])
+        legs = find_thighs(views["front"], views["side"], landmarks, body.middles[0])
     moved = {"front": np.zeros(3), "side": np.zeros(3)}
-    moved |= {"joint": joint.moved, "arm_side": arm_side.moved}
-    return PersonModel(landmarks, body, seen, bent, stretched, lifted, arms, legs, moved)
+    moved |= {"joint": joint.shift, "arm_side": arm_side.shift}
+    return PersonModel(landmarks, body, pixels, bent, stretched, lifted, arms, legs, moved)
 
 
 @contextmanager
@@ -151,31 +165,37 @@ def _of(view: str) -> Iterator[None]:
         raise StanceError(view, str(error)) from None
 
 
-def bent_arms(joint: View, body: Trunk) -> tuple[tuple[Arm, ...], tuple[Bones, ...]]:
+def bent_arms(
+    joint: PhotographView, body: Trunk
+) -> tuple[tuple[ArmPixels, ...], tuple[ArmBones, ...]]:
     """Left and right arm in the joint view, in pixels and in metres."""
     shoulders, distance = shoulder_joints(body, joint), chamfer(joint.mask)
-    seen = tuple(
+    found = tuple(
         arm_joints(way, distance, joint.pixels(shoulder))
-        for way, shoulder in zip(arm_ways(joint, body), shoulders, strict=True)
+        for way, shoulder in zip(arm_axes(joint, body), shoulders, strict=True)
     )
-    ends = [np.array([arm.elbow, arm.wrist, arm.tip]) for arm in seen]
+    ends = [np.array([arm.elbow, arm.wrist, arm.tip]) for arm in found]
     bent = tuple(
-        Bones(shoulder, *joint.on_plane(pixels, shoulder, AHEAD))
+        ArmBones(shoulder, *joint.plane_points(pixels, shoulder, AHEAD))
         for pixels, shoulder in zip(ends, shoulders, strict=True)
     )
-    return seen, bent
+    return found, bent
 
 
-def stretched_arms(arm_side: View, body: Trunk, bent: tuple[Bones, ...]) -> tuple[Bones, ...]:
+def stretched_arms(
+    arm_side: PhotographView, body: Trunk, bent: tuple[ArmBones, ...]
+) -> tuple[ArmBones, ...]:
     """Left and right arm in their side view: the bones as long as in the joint view."""
     tall, found = np.ptp(body.rings[:, 0, 2]) / UPPER_BODY, []
-    for way, bones in zip(arm_ways(arm_side, body), bent, strict=True):
-        arm = laid_out(arm_side.on_plane(way, bones.shoulder, AHEAD), bones)
+    for way, bones in zip(arm_axes(arm_side, body), bent, strict=True):
+        arm = arm_on_axis(arm_side.plane_points(way, bones.shoulder, AHEAD), bones)
         found.append(arm._replace(elbow=arm.elbow + tall * ELBOW_ABOVE * UP))
     return tuple(found)
 
 
-def aligned(view: View, front: View, landmarks: Landmarks, body: Trunk) -> View:
+def aligned_view(
+    view: PhotographView, front: PhotographView, landmarks: FrontLandmarks, body: Trunk
+) -> PhotographView:
     """A view in which the person may have moved aside or up since the front view.
 
     Told by the neck's middle and the top of the head.
@@ -187,15 +207,15 @@ def aligned(view: View, front: View, landmarks: Landmarks, body: Trunk) -> View:
     if len(column) == 0 or column[0] >= there[1]:
         raise ValueError("found no head where the front view has it, expected the same place")
     top = int(column[0])
-    _, neck_x = narrowest(view.mask, top, int(there[1]), float(there[0]))
+    _, neck_x = narrowest_neck(view.mask, top, int(there[1]), float(there[0]))
     before, now = (
-        seen.on_plane(np.array([x, row]), middle, AHEAD)
-        for seen, x, row in ((front, landmarks.neck_x, landmarks.top), (view, neck_x, top))
+        each.plane_points(np.array([x, row]), middle, AHEAD)
+        for each, x, row in ((front, landmarks.neck_x, landmarks.top), (view, neck_x, top))
     )
-    return replace(view, moved=now - before)
+    return replace(view, shift=now - before)
 
 
-def shoulder_joints(body: Trunk, joint: View) -> np.ndarray:
+def shoulder_joints(body: Trunk, joint: PhotographView) -> np.ndarray:
     """(2, 3) left and right shoulder.
 
     Aside, half-way between where the arm pit and where the stature would have it: muscles carry
@@ -205,33 +225,33 @@ def shoulder_joints(body: Trunk, joint: View) -> np.ndarray:
     """
     stature = np.ptp(body.rings[:, 0, 2]) / UPPER_BODY
     out = np.array([[0.0, s, 0.0] for _, s in SIDES])
-    found = body.pits + stature * (OUTWARDS * out + ABOVE_PIT * UP)
-    usual = middle_at(body, found[:, 2].mean()) + stature * ASIDE * out
+    found = body.pits + stature * (SHOULDER_OUTWARDS * out + SHOULDER_ABOVE_PIT * UP)
+    usual = trunk_middle_at(body, found[:, 2].mean()) + stature * SHOULDER_ASIDE * out
     found[:, 1] = (found[:, 1] + usual[:, 1]) / 2
     found[:, 0] = usual[:, 0]
-    rim = found + joint.reach(found, UP, stature / 4)[:, None] * UP
-    arm = rim + stature * (ALONG_ARM * out - BELOW_RIM * UP)
-    thick = sum(joint.reach(arm, way, stature / 4) for way in (UP, -UP))
-    found[:, 2] = rim[:, 2] - (stature * BELOW_RIM + thick * BELOW_RIM_BY_ARM) / 2
-    found[:, 0] = middle_at(body, found[:, 2].mean())[0] + stature * BEFORE_MIDDLE
+    rim = found + joint.extent(found, UP, stature / 4)[:, None] * UP
+    arm = rim + stature * (CLEAR_OF_TRUNK * out - SHOULDER_BELOW_RIM * UP)
+    thick = sum(joint.extent(arm, way, stature / 4) for way in (UP, -UP))
+    found[:, 2] = rim[:, 2] - (stature * SHOULDER_BELOW_RIM + thick * SHOULDER_BELOW_RIM_BY_ARM) / 2
+    found[:, 0] = trunk_middle_at(body, found[:, 2].mean())[0] + stature * SHOULDER_AHEAD
     return found
 
 
-def middle_at(body: Trunk, height: float) -> np.ndarray:
+def trunk_middle_at(body: Trunk, height: float) -> np.ndarray:
     """(3,) the trunk's middle at a height."""
     levels = body.middles[:, 2]
     return np.array([np.interp(height, levels, line) for line in body.middles.T])
 
 
-def arm_ways(view: View, body: Trunk) -> list[np.ndarray]:
+def arm_axes(view: PhotographView, body: Trunk) -> list[np.ndarray]:
     """(K, 2) pixels each: the axes of left and right arm, from the trunk to the fingertip."""
-    axis = skeleton(view.mask)
-    start = view.pixels(middle_at(body, body.pits[:, 2].mean()))
+    axis = medial_axis(view.mask)
+    start = view.pixels(trunk_middle_at(body, body.pits[:, 2].mean()))
     lowest = view.pixels(body.middles[0])[1]
     return [arm_axis(axis, start, pit, lowest) for pit in view.pixels(body.pits)]
 
 
-def laid_out(way: np.ndarray, bones: Bones) -> Bones:
+def arm_on_axis(way: np.ndarray, bones: ArmBones) -> ArmBones:
     """A stretched arm's joints on its axis (K, 3), the bones as long as they are."""
     first = int(np.argmin(np.sum((way - bones.shoulder) ** 2, 1)))
     passed = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way[first:], axis=0), axis=1)))
@@ -254,4 +274,4 @@ def laid_out(way: np.ndarray, bones: Bones) -> Bones:
             )
         at += int(np.argmax(beyond))
         joints.append(way[at])
-    return Bones(bones.shoulder, joints[1], joints[2], way[-1])
+    return ArmBones(bones.shoulder, joints[1], joints[2], way[-1])

@@ -1,4 +1,4 @@
-"""A person's skeleton and surface for the tracker, of what four photographs told.
+"""A person's skeleton and surface for the tracker, by four photographs.
 
 The surface has the nodes of ``loft.generic_surface``, patch by patch, ring by ring: what was
 measured moves them, the rest stays as people of such bones and girths are. Two persons' surfaces
@@ -20,25 +20,36 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.subject import NECK_HEAD, TRUNK, scale_to_landmarks
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
-from jaxmocap.modelling.arm_surface import Bones, reach_of_hand
-from jaxmocap.modelling.fitted_rings import fitted, stoutness
-from jaxmocap.modelling.person import SIDES, PersonModel, middle_at
-from jaxmocap.modelling.slices import Slices, slices
+from jaxmocap.modelling.arm_surface import ArmBones, hand_extent
+from jaxmocap.modelling.fitted_rings import fitted_grid, stoutness
+from jaxmocap.modelling.person import SIDES, PersonModel, trunk_middle_at
+from jaxmocap.modelling.slices import BodySlices, measured_slices
 
-# Of two people whose joints are known, and on whom nothing is tested, all by the stature: the hips'
-# joints above the bottom line, from the middle and ahead of it; from the shoulders' middle to the
-# neck's joint and from there to the head's, ahead and up; the foot; how far the hips' joints are
-# above the floor, of which thigh and shank make so much.
-HIP_ABOVE, HIP_ASIDE, HIP_AHEAD = 0.0506, 0.0621, -0.0047
-NECK, HEAD = (-0.0044, 0.0283), (0.0175, 0.0879)
-FOOT, LEG, FEMUR, TIBIA = 0.0852, 0.534, 0.4565, 0.4646
+# All of two people whose joints are known, and on whom nothing is tested; shares of the stature.
+# The hips' joints above the bottom line,
+HIP_ABOVE = 0.0506
+# from the middle to either side,
+HIP_ASIDE = 0.0621
+# and ahead of it.
+HIP_AHEAD = -0.0047
+# From the shoulders' middle to the neck's joint, ahead and up.
+NECK_OFFSET = (-0.0044, 0.0283)
+# From there to the head's joint, ahead and up.
+HEAD_OFFSET = (0.0175, 0.0879)
+# A foot.
+FOOT_LENGTH = 0.0852
+# The hips' joints above the floor.
+LEG_LENGTH = 0.534
+# Thigh and shank, shares of that.
+FEMUR_SHARE = 0.4565
+TIBIA_SHARE = 0.4646
 # A leg is no smaller and no larger share of the body height.
-LEGS = 0.4, 0.62
-# Where in its patch a thigh's middle tells how far the leg is spread: from here on downwards.
+LEG_SHARES = (0.4, 0.62)
+# From this share of a thigh on downwards its middle shows how far the leg is spread.
 SPREAD_FROM = 0.5
 
 
-class Personal(NamedTuple):
+class PersonalModel(NamedTuple):
     """A person as the tracker wants one.
 
     Attributes:
@@ -53,7 +64,7 @@ class Personal(NamedTuple):
     poses: dict[str, Pose]
 
 
-def personal(model: PersonModel, height: float | None = None) -> Personal:
+def personal_model(model: PersonModel, height: float | None = None) -> PersonalModel:
     """Skeleton, surface and poses of a person.
 
     Args:
@@ -62,23 +73,25 @@ def personal(model: PersonModel, height: float | None = None) -> Personal:
             people with such a trunk and head.
 
     Raises:
-        ValueError: a height that does not suit the trunk and head that were seen.
+        ValueError: a height that does not suit the trunk and head in the photographs.
     """
-    marks = landmarks(model, height)
-    skeleton = standing(marks)
+    marks = landmarks_of_person(model, height)
+    skeleton = standing_skeleton(marks)
     joints, usual = rest_joints(skeleton), generic_surface(skeleton)
-    spread = spreads(model, skeleton, usual, marks)
-    measured = slices(model, skeleton, marks, spread)
+    spread = thigh_spreads(model, skeleton, usual, marks)
+    measured = measured_slices(model, skeleton, marks, spread)
     # What photographs do not show is as stout as what they show.
     stout = generic_surface(skeleton, stoutness(skeleton, measured))
-    nodes = _nodes(stout, skeleton, measured, tuple(map(reach_of_hand, model.bent)))
+    nodes = _nodes(stout, skeleton, measured, tuple(map(hand_extent, model.bent)))
     places = nodes[:, None] - joints[np.asarray(usual.points.bones)]
     dtype = jnp.asarray(usual.points.points_bone).dtype
     points = usual.points._replace(points_bone=jnp.asarray(places, dtype))
-    return Personal(skeleton, replace(usual, points=points), poses(model, skeleton, marks, spread))
+    return PersonalModel(
+        skeleton, replace(usual, points=points), photograph_poses(model, skeleton, marks, spread)
+    )
 
 
-def standing(marks: dict[str, np.ndarray]) -> Skeleton:
+def standing_skeleton(marks: dict[str, np.ndarray]) -> Skeleton:
     """The skeleton whose landmarks lie there with all angles 0."""
     skeleton = scale_to_landmarks(Skeleton.human(), {k: v[None] for k, v in marks.items()})
     # There the line from hips to neck is upright; here the person is, as in the photographs.
@@ -94,17 +107,17 @@ def standing(marks: dict[str, np.ndarray]) -> Skeleton:
     return replace(skeleton, directions=jnp.asarray(directions, skeleton.directions.dtype))
 
 
-def leg_length(model: PersonModel, height: float | None) -> float:
+def leg_length_of_person(model: PersonModel, height: float | None) -> float:
     """From the hips' joints to the floor, metres.
 
     Raises:
-        ValueError: a height that does not suit the trunk and head that were seen.
+        ValueError: a height that does not suit the trunk and head in the photographs.
     """
     if height is None:
-        return LEG * model.stature
+        return LEG_LENGTH * model.stature
     above = float(np.ptp(model.trunk.rings[:, 0, 2])) - HIP_ABOVE * model.stature
-    if not LEGS[0] < 1 - above / height < LEGS[1]:
-        low, high = (above / (1 - share) for share in LEGS)
+    if not LEG_SHARES[0] < 1 - above / height < LEG_SHARES[1]:
+        low, high = (above / (1 - share) for share in LEG_SHARES)
         raise ValueError(
             f"found a height of {height:g} m, expected {low:.2f} to {high:.2f} m of somebody whose "
             f"hips are {above:.2f} m below the top of the head"
@@ -112,13 +125,15 @@ def leg_length(model: PersonModel, height: float | None) -> float:
     return height - above
 
 
-def landmarks(model: PersonModel, height: float | None = None) -> dict[str, np.ndarray]:
+def landmarks_of_person(model: PersonModel, height: float | None = None) -> dict[str, np.ndarray]:
     """Landmark -> (3,) in the front view's stance, arms hanging, metres."""
-    tall, bent, leg = model.stature, model.bent, leg_length(model, height)
+    tall, bent, leg = model.stature, model.bent, leg_length_of_person(model, height)
     low, top = model.trunk.rings[0, 0, 2], model.trunk.rings[-1, 0, 2]
-    hips = middle_at(model.trunk, low + tall * HIP_ABOVE) + tall * np.array([HIP_AHEAD, 0, 0])
-    neck = (bent[0].shoulder + bent[1].shoulder) / 2 + tall * np.array([NECK[0], 0, NECK[1]])
-    vertex = np.array([neck[0] + tall * HEAD[0], neck[1], top])
+    hips = trunk_middle_at(model.trunk, low + tall * HIP_ABOVE) + tall * np.array([HIP_AHEAD, 0, 0])
+    neck = (bent[0].shoulder + bent[1].shoulder) / 2 + tall * np.array(
+        [NECK_OFFSET[0], 0, NECK_OFFSET[1]]
+    )
+    vertex = np.array([neck[0] + tall * HEAD_OFFSET[0], neck[1], top])
     found = {"neck": neck, "vertex": vertex}
     down, ahead = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0])
     for (side, sign), bones in zip(SIDES, bent, strict=True):
@@ -127,13 +142,13 @@ def landmarks(model: PersonModel, height: float | None = None) -> dict[str, np.n
         for name, length in zip(("elbow", "wrist", "hand"), bones.lengths, strict=True):
             found[f"{name}_{side}"] = at = at + length * down
         found[f"hip_{side}"] = at = hips + sign * tall * HIP_ASIDE * np.eye(3)[1]
-        for name, share in (("knee", FEMUR), ("ankle", TIBIA)):
+        for name, share in (("knee", FEMUR_SHARE), ("ankle", TIBIA_SHARE)):
             found[f"{name}_{side}"] = at = at + leg * share * down
-        found[f"toe_{side}"] = at + tall * FOOT * ahead
+        found[f"toe_{side}"] = at + tall * FOOT_LENGTH * ahead
     return found
 
 
-def spreads(
+def thigh_spreads(
     model: PersonModel, skeleton: Skeleton, surface: Surface, marks: dict[str, np.ndarray]
 ) -> np.ndarray:
     """(2,) by how much left and right thigh are spread in the front view, radians."""
@@ -156,14 +171,14 @@ def spreads(
     return np.array(found)
 
 
-def poses(
+def photograph_poses(
     model: PersonModel, skeleton: Skeleton, marks: dict[str, np.ndarray], spread: np.ndarray
 ) -> dict[str, Pose]:
     """Photograph -> pose: trunk upright, arms and thighs as they were found."""
     hips = (marks["hip_l"] + marks["hip_r"]) / 2
     arms = {"joint": model.bent, "front": model.lifted}
     found = {}
-    for name, moved in model.moved.items():
+    for name, moved in model.shifts.items():
         angles = np.zeros(len(skeleton.tree.joints))
         for k, (side, sign) in enumerate(SIDES):
             bones = arms.get(name, model.stretched)[k]
@@ -176,7 +191,7 @@ def poses(
     return found
 
 
-def arm_angles(bones: Bones, sign: float, straight: bool) -> dict[str, float]:
+def arm_angles(bones: ArmBones, sign: float, straight: bool) -> dict[str, float]:
     """Joint -> angle, radians, of an arm, the trunk upright and facing +x.
 
     Args:
@@ -214,7 +229,7 @@ def _grid(surface: Surface, nodes: np.ndarray, name: str) -> np.ndarray:
 
 
 def _nodes(
-    surface: Surface, skeleton: Skeleton, measured: dict[str, Slices], hands: tuple[float, ...]
+    surface: Surface, skeleton: Skeleton, measured: dict[str, BodySlices], hands: tuple[float, ...]
 ) -> np.ndarray:
     """(N, 3) at rest: a generic surface's, moved to what was measured; hands reach so far."""
     joints = rest_joints(skeleton)
@@ -227,5 +242,5 @@ def _nodes(
             longer = hands[0 if side > 0 else 1] / below[-1, 0] - 1
             grid[..., 2] -= longer * np.maximum(below, 0)
         if patch.name in measured:
-            grid[:] = fitted(grid, side, measured[patch.name])
+            grid[:] = fitted_grid(grid, side, measured[patch.name])
     return nodes

@@ -9,18 +9,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Over an arm the trunk's run leaps out by so much of its half; an arm's gap reaches down at least
-# so much of the way to the bottom line, and an arm pit lies at least so far above that line, of the
-# way to the head's top.
-LEAP, LEAST_GAP, LEAST_HEIGHT = 0.3, 0.2, 0.25
+# Over an arm the trunk's run leaps out by so much of its half, at least.
+LEAST_LEAP = 0.3
+# An arm's gap reaches down so much of the way to the bottom line, at least.
+LEAST_GAP = 0.2
+# An arm pit lies so far above that line, at least, of the way to the head's top.
+LEAST_HEIGHT = 0.25
 # Legs are apart where the gap between them is at least so many pixels wide and so many high.
-LEG_GAP_PX = 2, 6
-# The neck begins where a slice is so much narrower than the head's widest, and ends where one is
-# so much wider than its narrowest.
-NARROWER, WIDER = 0.94, 1.25
+LEG_GAP_PX = (2, 6)
+# The neck begins where a slice is so much narrower than the head's widest,
+NECK_BEGINS = 0.94
+# and ends where one is so much wider than its narrowest.
+NECK_ENDS = 1.25
 
 
-class Landmarks(NamedTuple):
+class FrontLandmarks(NamedTuple):
     """Places of a silhouette seen from the front, pixels (x, y).
 
     Attributes:
@@ -40,7 +43,7 @@ class Landmarks(NamedTuple):
     middle_x: float
 
 
-def separate(mask: np.ndarray, bottom: int | None = None) -> Landmarks:
+def find_landmarks(mask: np.ndarray, bottom: int | None = None) -> FrontLandmarks:
     """Landmarks of a silhouette (H, W) bool.
 
     Args:
@@ -55,8 +58,8 @@ def separate(mask: np.ndarray, bottom: int | None = None) -> Landmarks:
     first, last = trunk_run(mask, bottom)
     middle = (first + last) / 2
     pits = arm_pits(mask, bottom, middle)
-    neck, neck_x = narrowest(mask, top, int(pits[:, 1].min()), middle)
-    return Landmarks(top, neck, neck_x, pits, bottom, middle)
+    neck, neck_x = narrowest_neck(mask, top, int(pits[:, 1].min()), middle)
+    return FrontLandmarks(top, neck, neck_x, pits, bottom, middle)
 
 
 def crotch(mask: np.ndarray) -> int:
@@ -113,7 +116,7 @@ def _pit(mask: np.ndarray, runs: np.ndarray, top: int, bottom: int, side: int) -
     """(x, y) of the arm pit on the right (1) or the left (-1) of the image."""
     edges = runs[:, 1 if side > 0 else 0]
     half = side * (edges[bottom] - runs[bottom].mean())
-    leaps = side * np.diff(edges) < -LEAP * half
+    leaps = side * np.diff(edges) < -LEAST_LEAP * half
     if leaps[top:bottom].any():
         row = top + int(np.flatnonzero(leaps[top:bottom])[-1])
         # In this row the run is trunk and arm; below it the gap must stay open.
@@ -133,19 +136,19 @@ def _beyond(mask: np.ndarray, row: int, edge: int, side: int) -> bool:
     return bool((mask[row, edge + 2 :] if side > 0 else mask[row, : max(edge - 1, 0)]).any())
 
 
-def narrowest(mask: np.ndarray, top: int, pits: int, middle_x: float) -> tuple[int, float]:
+def narrowest_neck(mask: np.ndarray, top: int, pits: int, middle_x: float) -> tuple[int, float]:
     """Row of the neck's narrowest slice and its middle there, between head and shoulders."""
     rows = range(top, pits)
     runs = np.array([trunk_run(mask, row, middle_x) for row in rows])
     widths = runs[:, 1] - runs[:, 0] + 1
     # Down from the top: past the head's widest slice, and on until the shoulders begin.
     widest = np.maximum.accumulate(widths)
-    past = np.flatnonzero(widths < NARROWER * widest)
+    past = np.flatnonzero(widths < NECK_BEGINS * widest)
     if len(past) == 0:
         raise ValueError("found no neck, expected head and shoulders above the arms")
     below = widths[past[0] :]
     least = np.minimum.accumulate(below)
-    wider = np.flatnonzero(below > WIDER * least)
+    wider = np.flatnonzero(below > NECK_ENDS * least)
     end = wider[0] if len(wider) else len(below)
     slim = np.flatnonzero(below[:end] == below[:end].min()) + past[0]
     place = int(np.median(slim))

@@ -10,23 +10,24 @@ import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import rest_joints
-from jaxmocap.modelling.arm_surface import INNER, places, reach_of_hand
+from jaxmocap.modelling.arm_surface import INNER_RINGS, hand_extent, slice_positions
 from jaxmocap.modelling.person import SIDES, PersonModel
-from jaxmocap.modelling.trunk import ring
+from jaxmocap.modelling.trunk import superellipse_ring
 
 # From here on along an arm (0 the shoulder, 1 the elbow) slices are as they were measured; nearer
 # to the shoulder they run into the trunk.
 ARM_MEASURED = 0.35
 # Below the hips' joints the thighs are part of the trunk's slices.
 NEVER = np.inf
-# From the lowest slice of a thigh on its ratio to the generic surface fades to 1 within so much.
-THIGH_FADES_M = 0.15
+# From the lowest slice of a thigh on its ratio to the generic surface fades to 1, metres.
+THIGH_FADE_M = 0.15
+# Power of a thigh's superellipse.
 THIGH_FULLNESS = 2.0
-# The highest slice of the trunk is worn up to so much above it, metres.
+# The highest slice of the trunk holds up to so much above it, metres.
 CROWN_M = 0.01
 
 
-class Slices(NamedTuple):
+class BodySlices(NamedTuple):
     """Level slices of a limb at rest, from the pelvis, metres.
 
     Attributes:
@@ -41,9 +42,9 @@ class Slices(NamedTuple):
     fades: tuple[float, float]
 
 
-def slices(
+def measured_slices(
     model: PersonModel, skeleton: Skeleton, marks: dict[str, np.ndarray], spread: np.ndarray
-) -> dict[str, Slices]:
+) -> dict[str, BodySlices]:
     """Patch -> what was measured of it.
 
     Args:
@@ -61,7 +62,7 @@ def slices(
     return found
 
 
-def _trunk(model: PersonModel, pelvis: np.ndarray) -> Slices:
+def _trunk(model: PersonModel, pelvis: np.ndarray) -> BodySlices:
     """From the hips' joints up."""
     rings = model.trunk.rings - pelvis
     levels = rings[:, 0, 2]
@@ -69,22 +70,24 @@ def _trunk(model: PersonModel, pelvis: np.ndarray) -> Slices:
     # The last slice lies a little below the top of the head.
     levels = np.append(levels[first:], levels[-1] + CROWN_M)
     outlines = np.concatenate([rings[first:, :, :2], rings[-1:, :, :2]])
-    return Slices(levels, outlines, (NEVER, NEVER))
+    return BodySlices(levels, outlines, (NEVER, NEVER))
 
 
-def _arm(model: PersonModel, skeleton: Skeleton, k: int) -> Slices:
+def _arm(model: PersonModel, skeleton: Skeleton, k: int) -> BodySlices:
     """What looks ahead of a stretched arm does so of a hanging one, what looks up, outwards."""
     joints, tree, (side, sign) = rest_joints(skeleton), skeleton.tree, SIDES[k]
     ends = joints[[tree.bone(f"{bone}_{side}") for bone in ("humerus", "radius", "hand")]]
-    hand = reach_of_hand(model.bent[k])
-    at, rings = places(), model.arms[k][INNER:] - model.bent[k].shoulder
+    hand = hand_extent(model.bent[k])
+    at, rings = slice_positions(), model.arms[k][INNER_RINGS:] - model.bent[k].shoulder
     kept = at >= ARM_MEASURED
     levels = np.interp(at, np.arange(4.0), np.append(ends[:, 2], ends[2, 2] - hand))
     outlines = rings[..., [0, 2]] + ends[0, :2] * [1.0, sign]
-    return Slices(levels[kept], outlines[kept], (NEVER, NEVER))
+    return BodySlices(levels[kept], outlines[kept], (NEVER, NEVER))
 
 
-def _leg(model: PersonModel, skeleton: Skeleton, hip: np.ndarray, k: int, spread: float) -> Slices:
+def _leg(
+    model: PersonModel, skeleton: Skeleton, hip: np.ndarray, k: int, spread: float
+) -> BodySlices:
     """Edges seen across a spread thigh are as far from its bone at rest."""
     legs, sign = model.legs, SIDES[k][1]
     joint = rest_joints(skeleton)[skeleton.tree.bone(f"femur_{SIDES[k][0]}")]
@@ -101,5 +104,5 @@ def _leg(model: PersonModel, skeleton: Skeleton, hip: np.ndarray, k: int, spread
         1,
     )
     corners += joint[:2] * [1.0, sign]
-    outlines = np.stack([ring(each, THIGH_FULLNESS) for each in corners])
-    return Slices(joint[2] - down / np.cos(spread), outlines, (NEVER, THIGH_FADES_M))
+    outlines = np.stack([superellipse_ring(each, THIGH_FULLNESS) for each in corners])
+    return BodySlices(joint[2] - down / np.cos(spread), outlines, (NEVER, THIGH_FADE_M))

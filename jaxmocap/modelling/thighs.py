@@ -11,14 +11,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.modelling.separation import Landmarks, trunk_run
-from jaxmocap.modelling.views import View
+from jaxmocap.modelling.separation import FrontLandmarks, trunk_run
+from jaxmocap.modelling.views import PhotographView
 
-# Slices, from the crotch to the image's lower edge, and how many pixels they keep away from both.
-SLICES, MARGIN_PX = 12, 4
+# Slices from the crotch to the image's lower edge.
+SLICES = 12
+# Pixels that they keep away from both.
+MARGIN_PX = 4
 # A thigh reaches no farther ahead or back from the trunk's middle, metres.
 FARTHEST_M = 0.3
-# Less than so many pixels of thigh tell nothing.
+# Fewer rows of thigh are ignored, pixels.
 LEAST_PX = 40
 
 
@@ -36,7 +38,9 @@ class Thighs(NamedTuple):
     deep: np.ndarray
 
 
-def thighs(front: View, side: View, landmarks: Landmarks, middle: np.ndarray) -> Thighs:
+def find_thighs(
+    front: PhotographView, side: PhotographView, landmarks: FrontLandmarks, middle: np.ndarray
+) -> Thighs:
     """What two views show below the trunk; ``middle`` (3,) lies in it."""
     first, last = landmarks.bottom + 2 * MARGIN_PX, len(front.mask) - 1 - MARGIN_PX
     ahead, found = np.array([1.0, 0.0, 0.0]), []
@@ -54,11 +58,11 @@ def thighs(front: View, side: View, landmarks: Landmarks, middle: np.ndarray) ->
         if runs[0] == runs[1]:
             continue
         ends = np.array([[x, row] for run in runs for x in (run[0] - 0.5, run[1] + 0.5)])
-        edges = front.on_plane(ends, middle, ahead)
+        edges = front.plane_points(ends, middle, ahead)
         across, height = np.sort(edges[:, 1].reshape(2, 2), 1), edges[:, 2].mean()
         at = np.array([[middle[0], y, height] for y in across.mean(1)])
         # One thigh hides the other: each reaches as far as the nearer edge at most.
-        back, front_ = (side.reach(at, sign * ahead, FARTHEST_M).min() for sign in (-1, 1))
+        back, front_ = (side.extent(at, sign * ahead, FARTHEST_M).min() for sign in (-1, 1))
         if min(back, front_) > 0:
             found.append((height, across, middle[0] + np.array([-back, front_])))
     if not found:

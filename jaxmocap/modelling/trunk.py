@@ -14,13 +14,17 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
-from jaxmocap.modelling.separation import Landmarks
-from jaxmocap.modelling.views import View
+from jaxmocap.modelling.separation import FrontLandmarks
+from jaxmocap.modelling.views import PhotographView
 
-# Rings, and nodes of each; control points of a ring's spline.
-RINGS, AROUND, CONTROL = 72, 48, 16
+# Rings of trunk, neck and head.
+RINGS = 72
+# Nodes of each.
+RING_NODES = 48
+# Control points of a ring's spline.
+CONTROL_POINTS = 16
 # Deviation of the smoothing along a limb, slices.
-SMOOTH = 0.8
+SMOOTHING_SLICES = 0.8
 # How full a slice is, the power of its superellipse (2 for an ellipse), by the height above the
 # bottom line as a share of the arm pits': what two people, on whom nothing is tested, need.
 FULLNESS = (
@@ -45,42 +49,50 @@ class Trunk(NamedTuple):
     pits: np.ndarray
 
 
-def trunk(front: View, side: View, landmarks: Landmarks) -> Trunk:
+def find_trunk(front: PhotographView, side: PhotographView, landmarks: FrontLandmarks) -> Trunk:
     """Everything but the arms, from the bottom line to the top of the head."""
-    middle = met(front, side, landmarks)
+    middle = trunk_middle(front, side, landmarks)
     ahead = np.array([1.0, 0.0, 0.0])
-    pits = front.on_plane(landmarks.pits, middle, ahead)
+    pits = front.plane_points(landmarks.pits, middle, ahead)
     rows = np.array([[landmarks.middle_x, landmarks.bottom], [landmarks.neck_x, landmarks.top]])
-    low, high = front.on_plane(rows, middle, ahead)[:, 2]
+    low, high = front.plane_points(rows, middle, ahead)[:, 2]
     heights = np.linspace(low, high - 0.004, RINGS)
     corners, middles = [], []
     for height in heights:
         middle = np.append(middle[:2], height)
-        corners.append(quadrilateral(front, side, middle, pits))
+        corners.append(slice_corners(front, side, middle, pits))
         middle = np.append(corners[-1].mean(0), height)
         middles.append(middle)
     # A silhouette's rim is known to a pixel; over a few slices its steps cancel out.
-    corners = np.array(gaussian_filter1d(np.array(corners), SMOOTH, axis=0, mode="nearest"))
+    corners = np.array(
+        gaussian_filter1d(np.array(corners), SMOOTHING_SLICES, axis=0, mode="nearest")
+    )
     shares = (heights - low) / (pits[:, 2].mean() - low)
     fullness = np.interp(shares, *FULLNESS)
-    rings = np.stack([ring(c, full) for c, full in zip(corners, fullness, strict=True)])
+    rings = np.stack(
+        [superellipse_ring(c, full) for c, full in zip(corners, fullness, strict=True)]
+    )
     level = np.broadcast_to(heights[:, None, None], (*rings.shape[:2], 1))
     return Trunk(np.concatenate([rings, level], -1), np.array(middles), pits)
 
 
-def met(front: View, side: View, landmarks: Landmarks) -> np.ndarray:
+def trunk_middle(
+    front: PhotographView, side: PhotographView, landmarks: FrontLandmarks
+) -> np.ndarray:
     """(3,) where the front's ray through the trunk's middle passes the middle of the side view."""
     row = (landmarks.pits[:, 1].mean() + landmarks.bottom) / 2
     ray = front.rays(np.array([landmarks.middle_x, row]))
     along = np.linspace(0, 2 * np.linalg.norm(front.centre - side.centre), 4000)
-    seen = side.shows(front.centre + along[:, None] * ray)
-    if not seen.any():
+    is_covered = side.covers(front.centre + along[:, None] * ray)
+    if not is_covered.any():
         raise ValueError("the side view shows nobody where the front view does, expected both "
                          "photographs of one stance and their own cameras")  # fmt: skip
-    return front.centre + along[seen].mean() * ray
+    return front.centre + along[is_covered].mean() * ray
 
 
-def quadrilateral(front: View, side: View, middle: np.ndarray, pits: np.ndarray) -> np.ndarray:
+def slice_corners(
+    front: PhotographView, side: PhotographView, middle: np.ndarray, pits: np.ndarray
+) -> np.ndarray:
     """(4, 2) corners of a slice: front left, back left, back right, front right; metres.
 
     Args:
@@ -90,8 +102,8 @@ def quadrilateral(front: View, side: View, middle: np.ndarray, pits: np.ndarray)
         pits: (2, 3) arm pits: above them what lies farther out is arm.
     """
     left, ahead = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
-    across = [front.reach(middle[None], s * left, FARTHEST_M)[0] for s in (1, -1)]
-    deep = [side.reach(middle[None], s * ahead, FARTHEST_M)[0] for s in (1, -1)]
+    across = [front.extent(middle[None], s * left, FARTHEST_M)[0] for s in (1, -1)]
+    deep = [side.extent(middle[None], s * ahead, FARTHEST_M)[0] for s in (1, -1)]
     if middle[2] > pits[:, 2].min():
         across = [min(a, abs(pit[1] - middle[1])) for a, pit in zip(across, pits, strict=True)]
     lines_front = [
@@ -102,7 +114,7 @@ def quadrilateral(front: View, side: View, middle: np.ndarray, pits: np.ndarray)
     return np.stack([_crossing(lines_front[f], lines_side[s]) for f, s in order])
 
 
-def _line(view: View, edge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _line(view: PhotographView, edge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Seen from above: a point, and the direction from the camera through it."""
     return edge[:2], (edge - view.centre)[:2]
 
@@ -112,12 +124,12 @@ def _crossing(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]
     return a[0] + share * a[1]
 
 
-def ring(corners: np.ndarray, fullness: float, nodes: int = AROUND) -> np.ndarray:
+def superellipse_ring(corners: np.ndarray, fullness: float, nodes: int = RING_NODES) -> np.ndarray:
     """(N, 2) a closed cubic B-spline within a quadrilateral (4, 2), which it touches on all sides.
 
     From the middle of the front to the left; ``fullness`` is 2 for an ellipse, more is boxier.
     """
-    angle = 2 * np.pi * np.arange(CONTROL) / CONTROL
+    angle = 2 * np.pi * np.arange(CONTROL_POINTS) / CONTROL_POINTS
     c, s = np.cos(angle), np.sin(angle)
     u, v = (np.sign(t) * np.abs(t) ** (2 / fullness) for t in (c, s))
     u, v = (1 + u)[:, None] / 2, (1 + v)[:, None] / 2
@@ -125,5 +137,7 @@ def ring(corners: np.ndarray, fullness: float, nodes: int = AROUND) -> np.ndarra
     places = v * (u * front_left + (1 - u) * back_left)
     places = places + (1 - v) * (u * front_right + (1 - u) * back_right)
     closed = np.concatenate([places, places[:1]])
-    spline = make_interp_spline(np.linspace(0, 1, CONTROL + 1), closed, k=3, bc_type="periodic")
+    spline = make_interp_spline(
+        np.linspace(0, 1, CONTROL_POINTS + 1), closed, k=3, bc_type="periodic"
+    )
     return spline(np.arange(nodes) / nodes)

@@ -9,83 +9,77 @@ from functools import cached_property
 
 import numpy as np
 
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import Camera, on_host, pixel_components, plane_components
 
 # Steps along a line on which a silhouette is looked up, metres.
 STEP_M = 0.001
 
 
 @dataclass(frozen=True)
-class View:
+class PhotographView:
     """What one camera saw.
 
     Attributes:
         mask: (H, W) bool, the person.
         camera: calibrated in the world in which the person faces +x.
-        moved: (3,) how far the person has moved since the front view, metres: all points are
+        shift: (3,) how far the person has moved since the front view, metres: all points are
             where they were then.
     """
 
     mask: np.ndarray
     camera: Camera
-    moved: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    shift: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     @cached_property
-    def _numbers(self) -> tuple[np.ndarray, ...]:
+    def _extrinsics(self) -> tuple[np.ndarray, np.ndarray]:
+        """(3, 3) and (3,) from the person's place to the camera."""
         T = np.asarray(self.camera.T_cam_world, float)
-        matrix, distortion = self.camera.matrix, self.camera.distortion
-        R, shift = T[:3, :3], T[:3, 3] + T[:3, :3] @ self.moved
-        return R, shift, np.asarray(matrix, float), np.asarray(distortion, float)
+        return T[:3, :3], T[:3, 3] + T[:3, :3] @ self.shift
+
+    @cached_property
+    def _intrinsics(self) -> Camera:
+        return on_host(self.camera)
 
     @cached_property
     def centre(self) -> np.ndarray:
         """(3,) the camera's place as seen from the person, metres."""
-        R, shift, _, _ = self._numbers
+        R, shift = self._extrinsics
         return -R.T @ shift
 
     def pixels(self, points: np.ndarray) -> np.ndarray:
         """(..., 2) pixels (x, y) of (..., 3) points before the camera."""
-        R, shift, matrix, _ = self._numbers
-        points_cam = points @ R.T + shift
-        plane = points_cam[..., :2] / points_cam[..., 2:]
-        return self._distorted(plane) @ matrix[:2, :2].T + matrix[:2, 2]
-
-    def _distorted(self, plane: np.ndarray) -> np.ndarray:
-        k1, k2, p1, p2, k3, k4, k5, k6 = self._numbers[3]
-        r2 = np.sum(plane**2, -1, keepdims=True)
-        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-        tangential = 2 * plane @ np.array([p2, p1])
-        return plane * (radial + tangential[..., None]) + r2 * np.array([p2, p1])
+        R, shift = self._extrinsics
+        x, y, z = np.moveaxis(points @ R.T + shift, -1, 0)
+        return np.stack(pixel_components(self._intrinsics, x / z, y / z), -1)
 
     def rays(self, pixels_xy: np.ndarray) -> np.ndarray:
         """(..., 3) directions, world, of the rays through (..., 2) pixels."""
-        R, _, matrix, _ = self._numbers
-        seen = (pixels_xy - matrix[:2, 2]) @ np.linalg.inv(matrix[:2, :2]).T
-        plane = seen
-        for _ in range(8):
-            plane = plane - (self._distorted(plane) - seen)
-        return np.concatenate([plane, np.ones_like(plane[..., :1])], -1) @ R
+        R, _ = self._extrinsics
+        x, y = plane_components(self._intrinsics, pixels_xy[..., 0], pixels_xy[..., 1])
+        return np.stack([x, y, np.ones_like(x)], -1) @ R
 
-    def on_plane(self, pixels_xy: np.ndarray, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    def plane_points(
+        self, pixels_xy: np.ndarray, point: np.ndarray, normal: np.ndarray
+    ) -> np.ndarray:
         """(..., 3) where the rays through pixels meet the plane through a point, metres."""
         rays = self.rays(np.asarray(pixels_xy, float))
         share = (point - self.centre) @ normal / (rays @ normal)
         return self.centre + share[..., None] * rays
 
-    def shows(self, points: np.ndarray) -> np.ndarray:
+    def covers(self, points: np.ndarray) -> np.ndarray:
         """(...) bool: does the silhouette cover these points (..., 3)?"""
         columns, rows = np.moveaxis(np.rint(self.pixels(points)).astype(int), -1, 0)
         height, width = self.mask.shape
         within = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
         return within & self.mask[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
 
-    def reach(self, start: np.ndarray, direction: np.ndarray, most: float) -> np.ndarray:
+    def extent(self, start: np.ndarray, direction: np.ndarray, most: float) -> np.ndarray:
         """How far the silhouette reaches from points (N, 3) in a direction (3,) or (N, 3): (N,).
 
         Metres, at most ``most``; 0 where a point is not covered itself.
         """
         steps = np.arange(0.0, most, STEP_M)
         line = start[:, None] + steps[:, None] * np.broadcast_to(direction, start.shape)[:, None]
-        covered = self.shows(line)
+        covered = self.covers(line)
         free = np.argmin(covered, 1)
         return np.where(covered.all(1), most, np.maximum(free - 0.5, 0.0) * STEP_M)

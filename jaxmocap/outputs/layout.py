@@ -1,6 +1,6 @@
-"""How the rerun viewer lays a recording out: the blueprint.
+"""The layout of a recording in the rerun viewer: the blueprint.
 
-INPUTS: names of cameras and of their fields, a Scene to look at. OUTPUTS: a blueprint.
+INPUTS: names of cameras and of their fields, a BodyScene. OUTPUTS: a blueprint.
 """
 
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from jaxmocap.outputs.scene import Scene
+from jaxmocap.outputs.scene import BodyScene
 
 TIMELINE = "time"
 # Entity -> title of its view.
@@ -23,52 +23,60 @@ SERIES = {
 
 
 def lay_out(
-    cameras: Mapping[str, list[str]], scene: Scene, series: Mapping[str, str] = SERIES
+    cameras: Mapping[str, list[str]], scene: BodyScene, series: Mapping[str, str] = SERIES
 ) -> rrb.Blueprint:
     """Body to the left, all cameras and their fields to the right, all time series below.
 
     Args:
         cameras: camera name -> names of its fields.
-        scene: looked at from ahead, half from its left.
+        scene: shown from the front left.
         series: entities of time series and titles of their views.
     """
     body = rrb.Spatial3DView(origin="/world", name="Body", eye_controls=_eye(scene))
-    views = [
-        rrb.Spatial2DView(origin=entity_path("world", "cameras", name), name=name)
-        for name in cameras
-    ]
-    fields = [
-        rrb.Spatial2DView(origin=entity_path("fields", name, label), name=f"{name}: {label}")
-        for name, labels in cameras.items()
-        for label in labels
-    ]
-    curves = [
-        rrb.TimeSeriesView(
-            origin=f"/{entity}",
-            name=title,
-            axis_y=rrb.ScalarAxis(range=(0, 1)) if entity == "confidence" else None,
-            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
-        )
-        for entity, title in series.items()
-    ]
-    said = rrb.TextLogView(origin="/statuses", name="Statuses")
     top: list[rrb.View | rrb.Container] = [body]
-    if fields:
-        # Of several cameras one's fields are shown at a time, so that the images have room.
-        several = len(cameras) > 1
-        below = rrb.Tabs(*_by_camera(cameras, fields)) if several else rrb.Horizontal(*fields)
-        top.append(rrb.Vertical(rrb.Grid(*views), below, row_shares=[3 if several else 2, 1]))
-    elif views:
-        top.append(rrb.Grid(*views))
+    if cameras:
+        top.append(_camera_views(cameras))
+    curves = [_series_view(entity, title) for entity, title in series.items()]
+    statuses = rrb.TextLogView(origin="/statuses", name="Statuses")
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(*top),
-            rrb.Horizontal(*curves[:-1], rrb.Tabs(curves[-1], said)),
+            rrb.Horizontal(*curves[:-1], rrb.Tabs(curves[-1], statuses)),
             row_shares=[5, 2],
         ),
         rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
+    )
+
+
+def _camera_views(cameras: Mapping[str, list[str]]) -> rrb.Container:
+    """All cameras' images, and their fields below where there are any."""
+    images = rrb.Grid(
+        *(
+            rrb.Spatial2DView(origin=entity_path("world", "cameras", name), name=name)
+            for name in cameras
+        )
+    )
+    fields = [
+        rrb.Spatial2DView(origin=entity_path("fields", name, label), name=f"{name}: {label}")
+        for name, labels in cameras.items()
+        for label in labels
+    ]
+    if not fields:
+        return images
+    # Of several cameras one's fields are shown at a time, so that the images have room.
+    several = len(cameras) > 1
+    below = rrb.Tabs(*_by_camera(cameras, fields)) if several else rrb.Horizontal(*fields)
+    return rrb.Vertical(images, below, row_shares=[3 if several else 2, 1])
+
+
+def _series_view(entity: str, title: str) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin=f"/{entity}",
+        name=title,
+        axis_y=rrb.ScalarAxis(range=(0, 1)) if entity == "confidence" else None,
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
     )
 
 
@@ -84,7 +92,7 @@ def _by_camera(
     ]
 
 
-def _eye(scene: Scene) -> rrb.EyeControls3D:
+def _eye(scene: BodyScene) -> rrb.EyeControls3D:
     """Far enough ahead of the first pose to see the whole body."""
     centre = (scene.near[0].min(0) + scene.near[0].max(0)) / 2
     size = float(np.linalg.norm(np.ptp(scene.near[0], axis=0)))

@@ -1,8 +1,8 @@
-"""A live run in the rerun viewer: the body, what the cameras see, confidence and latency.
+"""A live run in the rerun viewer: the body, the cameras' images, confidence and latency.
 
 INPUTS: a viewer's address; poses and frames. OUTPUTS: none; the viewer shows them.
 
-A thread sends what is newest, as often as eyes see it, so that a slow viewer holds nothing up.
+A thread sends the newest snapshot at a limited rate, so that a slow viewer delays nothing.
 """
 
 from collections.abc import Mapping
@@ -17,18 +17,19 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.outputs import layout, recorder
-from jaxmocap.outputs.scene import Scene, make_scene
+from jaxmocap.outputs.scene import BodyScene, make_scene
 
+# Seconds between snapshots that are sent.
 INTERVAL_S = 1 / 25
-# Whoever closes the view waits so long for what is under way, seconds.
-CLOSED_S = 3.0
+# ``close`` waits at most so many seconds for the one being sent.
+CLOSE_TIMEOUT_S = 3.0
 LATENCY = "latency"
 SERIES = {"confidence": "Elbow confidence", "milliseconds": "Latency [ms]"}
 JPEG_QUALITY = 60
 
 
-class Shown(NamedTuple):
-    """What there is to show of one moment.
+class LiveSnapshot(NamedTuple):
+    """What is shown of one moment.
 
     Attributes:
         time: seconds.
@@ -79,42 +80,44 @@ class LiveView:
         self._thread = Thread(target=self._send, name="viewer", daemon=True)
         self._thread.start()
 
-    def show(self, shown: Shown) -> None:
-        """Show this soon, unless something newer comes first."""
+    def show(self, snapshot: LiveSnapshot) -> None:
+        """Show this soon, unless a newer one comes first."""
         with self._lock:
             images = {} if self._newest is None else self._newest.images
-            self._newest = shown._replace(images={**images, **shown.images})
+            self._newest = snapshot._replace(images={**images, **snapshot.images})
 
     def close(self) -> None:
-        """Send what is left; returns within some seconds, though a viewer may not answer."""
+        """Send what is left; returns within ``CLOSE_TIMEOUT_S``, though a viewer may not answer."""
         self._stop.set()
-        self._thread.join(CLOSED_S)
+        self._thread.join(CLOSE_TIMEOUT_S)
 
     def _send(self) -> None:
         try:
             while not self._stop.wait(INTERVAL_S):
                 with self._lock:
-                    shown, self._newest = self._newest, None
-                if shown is not None:
-                    self._log(shown)
+                    snapshot, self._newest = self._newest, None
+                if snapshot is not None:
+                    self._log(snapshot)
         # Whatever the viewer's library raises, the run goes on without it.
         except Exception as error:
             self.problem = f"nothing more is shown ({type(error).__name__})"
         finally:
             self._stream.disconnect()
 
-    def _scene(self, time: float, pose: Pose) -> Scene:
+    def _scene(self, time: float, pose: Pose) -> BodyScene:
         poses = Pose(*(np.asarray(part)[None] for part in pose))  # type: ignore[arg-type]
         return make_scene(Motion(self._skeleton, np.array([time]), poses))
 
-    def _log(self, shown: Shown) -> None:
-        scene = self._scene(shown.time, shown.pose)
+    def _log(self, snapshot: LiveSnapshot) -> None:
+        scene = self._scene(snapshot.time, snapshot.pose)
         recorder.log_moment(self._stream, scene)
-        for name, image in shown.images.items():
-            recorder.log_images(self._stream, name, [(shown.time, image)], JPEG_QUALITY)
+        for name, image in snapshot.images.items():
+            recorder.log_images(self._stream, name, [(snapshot.time, image)], JPEG_QUALITY)
             recorder.log_outlines(
-                self._stream, name, self._cameras[name], scene, np.array([shown.time])
+                self._stream, name, self._cameras[name], scene, np.array([snapshot.time])
             )
-        values = {side: float(c) for side, c in zip(recorder.SIDES, shown.confidence, strict=True)}
+        values = {
+            side: float(c) for side, c in zip(recorder.SIDES, snapshot.confidence, strict=True)
+        }
         recorder.log_values(self._stream, "confidence", values)
-        recorder.log_values(self._stream, "milliseconds", {LATENCY: shown.latency_ms})
+        recorder.log_values(self._stream, "milliseconds", {LATENCY: snapshot.latency_ms})

@@ -1,4 +1,4 @@
-"""OSC bundles whose texts stay and whose numbers change: laid out once, filled at every frame.
+"""OSC bundles whose texts are fixed and whose numbers change: built once, filled at every frame.
 
 INPUTS: addresses and arguments; numbers. OUTPUTS: datagrams.
 """
@@ -13,14 +13,17 @@ from pythonosc.osc_message_builder import OscMessageBuilder
 from jaxmocap.formats.files.addresses import Address, resolve_address
 
 Argument = str | int | float
-_WORD, _HEADER = 4, 16
+# Bytes of a word, to which OSC aligns everything.
+_WORD = 4
+# Bytes of a bundle's header.
+_HEADER = 16
 
 
 class Bundle:
     """A bundle "at once" of messages whose floats, which come last in each, can be changed."""
 
     def __init__(self, messages: Sequence[tuple[str, Sequence[Argument]]]):
-        """Lay it out.
+        """Build it.
 
         Args:
             messages: address and arguments of each.
@@ -45,7 +48,7 @@ class Bundle:
         return bytes(self._datagram)
 
 
-class Sender:
+class DatagramSender:
     """Sends datagrams to one address.
 
     Attributes:
@@ -59,14 +62,14 @@ class Sender:
         Raises:
             InputError: no such host.
         """
-        # Asked for once: to look a name up at every frame would hold the frames up.
+        # Resolved once: to look a name up at every frame would delay the frames.
         family, self._address = resolve_address(address)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self.sent = self.failed = 0
 
     def send(self, datagram: bytes) -> None:
-        """Send, or count what cannot be sent; who does not listen is no failure."""
+        """Send, or count a failure of the system; an address without a listener is none."""
         try:
             self._socket.sendto(datagram, self._address)
             self.sent += 1

@@ -4,7 +4,7 @@ INPUTS: frames of one camera (seconds of marker time, BGR), the camera, a Motion
 OUTPUTS: an H.264 video in an MP4 file that browsers play, each frame at its own time.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from fractions import Fraction
 from pathlib import Path
 
@@ -18,17 +18,22 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.formats.cameras.video_out import replacing_video
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.outputs.scene import Scene, limb_outlines, make_scene, pixels
+from jaxmocap.outputs.scene import BodyScene, limb_outlines, make_scene, pixels
 
-# BGR.
-BONES, JOINTS = (230, 230, 230), (255, 255, 255)
-OUTLINES = {"l": (255, 200, 60), "r": (60, 160, 255)}
-TARGETS = (255, 60, 255)
-UNKNOWN = (170, 170, 170)
-# Ticks per second of the file's clock, and the fixed point of OpenCV's drawing.
-CLOCK, SHIFT = 90_000, 4
-# Browsers play what begins with its table of contents.
-_BROWSERS = {"movflags": "faststart"}
+# Colours are BGR.
+BONE_COLOUR = (230, 230, 230)
+JOINT_COLOUR = (255, 255, 255)
+# Of the left and the right arm.
+OUTLINE_COLOURS = {"l": (255, 200, 60), "r": (60, 160, 255)}
+TARGET_COLOUR = (255, 60, 255)
+# Of an unknown confidence.
+UNKNOWN_COLOUR = (170, 170, 170)
+# Ticks per second of the file's clock.
+CLOCK_HZ = 90_000
+# Fractional bits of OpenCV's drawing.
+SHIFT = 4
+# Browsers need the table of contents at the file's beginning.
+_MP4_OPTIONS = {"movflags": "faststart"}
 
 
 def write_overlay(
@@ -43,8 +48,7 @@ def write_overlay(
 
     Args:
         path: of the .mp4 file; it appears when it is whole.
-        frames: time, seconds of marker time, rising, and image (H, W, 3) BGR uint8; black is
-            shown for None.
+        frames: seconds of marker time, rising, and image (H, W, 3) BGR uint8; None is black.
         camera: that took the frames.
         motion: drawn where it is at each frame's time.
         targets: marker -> (T, 3) measured positions at the motion's times, world, metres.
@@ -57,24 +61,27 @@ def write_overlay(
         InputError: not one frame to draw on.
         OutputError: it cannot be written whole; what was there before is as it was.
     """
-    artist = Artist(camera, motion, targets)
+    artist = OverlayArtist(camera, motion, targets)
     count, first, stamp, stream = 0, 0.0, -1, None
-    with replacing_video(path, format="mp4", options=_BROWSERS) as file:
-        for time, image in frames:
-            canvas = artist.canvas(image)
-            artist.draw(canvas, time)
+    with replacing_video(path, format="mp4", options=_MP4_OPTIONS) as file:
+        for time, canvas in artist.drawn(frames):
             if stream is None:
                 first, stream = time, _add_stream(file.container, canvas, rate)
             # Two frames of the same time would not be a valid file.
-            stamp = max(stamp + 1, round((time - first) * CLOCK))
-            frame = av.VideoFrame.from_ndarray(canvas, format="bgr24")
-            frame.pts, frame.time_base = stamp, Fraction(1, CLOCK)
-            file.write(stream.encode(frame))
+            stamp = max(stamp + 1, round((time - first) * CLOCK_HZ))
+            file.write(stream.encode(_video_frame(canvas, stamp)))
             count += 1
         if stream is None:
             raise InputError(path, "found no video frame to draw on")
         file.write(stream.encode(None))
     return count
+
+
+def _video_frame(canvas: np.ndarray, stamp: int) -> av.VideoFrame:
+    """A frame at so many ticks of ``CLOCK_HZ``."""
+    frame = av.VideoFrame.from_ndarray(canvas, format="bgr24")
+    frame.pts, frame.time_base = stamp, Fraction(1, CLOCK_HZ)
+    return frame
 
 
 def _add_stream(container: OutputContainer, canvas: np.ndarray, rate: float) -> VideoStream:
@@ -85,19 +92,19 @@ def _add_stream(container: OutputContainer, canvas: np.ndarray, rate: float) -> 
     )
     stream.height, stream.width = canvas.shape[:2]
     stream.pix_fmt = "yuv420p"
-    stream.codec_context.time_base = Fraction(1, CLOCK)
+    stream.codec_context.time_base = Fraction(1, CLOCK_HZ)
     return stream
 
 
-class Artist:
-    """Draws one motion as one camera sees it."""
+class OverlayArtist:
+    """Draws one motion into the images of one camera."""
 
     def __init__(
         self, camera: Camera, motion: Motion, targets: Mapping[str, np.ndarray] | None = None
     ):
         self.camera, self.motion = camera, motion
         self.targets = dict(targets or {})
-        self.scene: Scene = make_scene(motion)
+        self.scene: BodyScene = make_scene(motion)
         self._shape: tuple[int, int] | None = None
 
     def canvas(self, image: np.ndarray | None) -> np.ndarray:
@@ -111,6 +118,15 @@ class Artist:
             rows, columns = np.minimum(image.shape[:2], self._shape)
             canvas[:rows, :columns] = image[:rows, :columns]
         return canvas
+
+    def drawn(
+        self, frames: Iterable[tuple[float, np.ndarray | None]]
+    ) -> Iterator[tuple[float, np.ndarray]]:
+        """Time and canvas of each frame, with the body drawn over it."""
+        for time, image in frames:
+            canvas = self.canvas(image)
+            self.draw(canvas, time)
+            yield time, canvas
 
     def draw(self, canvas: np.ndarray, time: float) -> None:
         """Draw the body at that time, in place; beyond the motion only the legend."""
@@ -133,7 +149,7 @@ class Artist:
         arms = self.scene.arms
         loops = limb_outlines(self.camera, near[arms], far[arms], self.scene.radii[arms])
         for bone, loop in zip(arms, loops, strict=True):
-            _draw_line(canvas, loop, OUTLINES[self.scene.bones[bone][-1]], size)
+            _draw_line(canvas, loop, OUTLINE_COLOURS[self.scene.bones[bone][-1]], size)
 
     def _draw_points(
         self, canvas: np.ndarray, near: np.ndarray, far: np.ndarray, sample: int, size: int
@@ -145,16 +161,16 @@ class Artist:
             pixels(self.camera, points), [len(near), 2 * len(near)]
         )
         for line in np.stack([near_xy, far_xy], 1):
-            _draw_line(canvas, line, BONES, size)
+            _draw_line(canvas, line, BONE_COLOUR, size)
         confidence = self._confidence(sample)
         for bone, pixel in zip(self.scene.bones, near_xy, strict=True):
             elbow = bone.replace("radius", "elbow")
             if elbow in confidence:
                 _draw_dot(canvas, pixel, confidence_colour(confidence[elbow]), 5 * size)
             else:
-                _draw_dot(canvas, pixel, JOINTS, 2 * size)
+                _draw_dot(canvas, pixel, JOINT_COLOUR, 2 * size)
         for pixel in targets_xy:
-            _draw_cross(canvas, pixel, TARGETS, size)
+            _draw_cross(canvas, pixel, TARGET_COLOUR, size)
 
 
 def encode_jpeg(image: np.ndarray, quality: int) -> bytes:
@@ -165,7 +181,7 @@ def encode_jpeg(image: np.ndarray, quality: int) -> bytes:
 def confidence_colour(confidence: float) -> tuple[int, int, int]:
     """BGR: red at 0, yellow at one half, green at 1, grey where unknown."""
     if not np.isfinite(confidence):
-        return UNKNOWN
+        return UNKNOWN_COLOUR
     part = float(np.clip(confidence, 0.0, 1.0))
     return 0, round(255 * min(1.0, 2 * part)), round(255 * min(1.0, 2 - 2 * part))
 
@@ -197,7 +213,8 @@ def _draw_legend(
     """Time, both elbows' confidences in their colours, and what the colours and crosses mean."""
     scale = max(0.4, min(canvas.shape[:2]) / 1000)
     line, left = round(34 * scale), round(12 * scale)
-    lines = [(f"t = {time:.3f} s" + ("" if tracked else ", no pose"), JOINTS)]
+    title = f"t = {time:.3f} s" + ("" if tracked else ", no pose")
+    lines: list[tuple[str, tuple[int, int, int]]] = [(title, JOINT_COLOUR)]
     for side, name in (("l", "left"), ("r", "right")):
         value = confidence[f"elbow_{side}"]
         text = f"{name} elbow: confidence " + (f"{value:.2f}" if np.isfinite(value) else "unknown")
@@ -206,9 +223,9 @@ def _draw_legend(
         _write(canvas, text, (left, row * line), colour, scale)
     bottom = canvas.shape[0] - round(12 * scale)
     for text, colour in (
-        ("left arm", OUTLINES["l"]),
-        ("right arm", OUTLINES["r"]),
-        ("+ marker", TARGETS),
+        ("left arm", OUTLINE_COLOURS["l"]),
+        ("right arm", OUTLINE_COLOURS["r"]),
+        ("+ marker", TARGET_COLOUR),
     ):
         left += _write(canvas, text, (left, bottom), colour, scale) + line
 
@@ -216,7 +233,7 @@ def _draw_legend(
 def _write(
     canvas: np.ndarray, text: str, place: tuple[int, int], colour: tuple, scale: float
 ) -> int:
-    """Write text with a dark rim, readable on any ground; its width in pixels."""
+    """Write text with a dark rim, readable on any background; its width in pixels."""
     font, thick = cv2.FONT_HERSHEY_SIMPLEX, max(1, round(1.6 * scale))
     x, y = place
     # Shifted copies: a thicker stroke would be a wider text in OpenCV 5.

@@ -2,9 +2,10 @@
 
 INPUTS: a recording stream and what to log. OUTPUTS: none; the stream's sink holds the data.
 
-Poses, outlines and series go in whole columns, images one by one. Entities: ``world/body/BONE``,
-``world/skeleton``, ``world/trust``, ``world/markers/NAME``, ``world/cameras/NAME`` with ``image``,
-``outlines``, ``bones`` and ``markers``; ``fields/CAMERA/NAME``; one root per kind of time series.
+Poses, outlines and series are sent as columns, images one by one. Entities: ``world/body/BONE``,
+``world/skeleton``, ``world/deviations``, ``world/markers/NAME``, ``world/cameras/NAME`` with
+``image``, ``outlines``, ``bones`` and ``markers``; ``fields/CAMERA/NAME``; one root per kind
+of time series.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -23,19 +24,24 @@ from jaxmocap.geometry.rotations import quaternion_from_matrix
 from jaxmocap.geometry.solids import limb_solid
 from jaxmocap.outputs.layout import TIMELINE, entity_path
 from jaxmocap.outputs.overlay import encode_jpeg
-from jaxmocap.outputs.scene import Scene, limb_outlines, pixels
+from jaxmocap.outputs.scene import BodyScene, limb_outlines, pixels
 
-# RGB; middle, left and right of the body. The skeleton shines through the limbs.
+# RGB of the middle, the left and the right of the body.
 COLOURS = {"": (190, 190, 200), "l": (70, 170, 255), "r": (255, 160, 60)}
-OPACITY = 170
-TARGETS = (255, 60, 255)
-# Landmarks that are sure, doubtful and lost by these metres, and guesses.
-SPREADS_M = (0.02, 0.06, 0.15)
-SPREAD_COLOURS = ((60, 200, 90), (250, 210, 60), (230, 50, 40))
-GUESSED_COLOUR, TRUST_OPACITY = (140, 140, 140), 90
+# Of the limbs, 0 to 255: the skeleton is visible through them.
+LIMB_OPACITY = 170
+# RGB of measured markers.
+TARGET_COLOUR = (255, 60, 255)
+# Standard deviations, metres, at which an ellipsoid is green, yellow and red.
+DEVIATION_STEPS_M = (0.02, 0.06, 0.15)
+DEVIATION_COLOURS = ((60, 200, 90), (250, 210, 60), (230, 50, 40))
+# RGB of landmarks that only the prior determines.
+PRIOR_COLOUR = (140, 140, 140)
+# Of the ellipsoids, 0 to 255.
+DEVIATION_OPACITY = 90
 SIDES = ("left", "right")
 # RGB of a plot's lines that are of no side.
-LINES = (
+LINE_COLOURS = (
     (200, 60, 120), (60, 150, 90), (230, 170, 30), (110, 90, 200), (40, 160, 190), (140, 110, 80),
 )  # fmt: skip
 
@@ -44,8 +50,8 @@ LINES = (
 def recording(path: Path, blueprint: Blueprint) -> Iterator[rr.RecordingStream]:
     """A stream into a file, which is written at the end.
 
-    Until then it is in memory, for images and surfaces are few: on a full disk the library's own
-    files stop without a word, or it waits for ever.
+    Until then it is in memory, which holds the few images and surfaces. On a full disk the
+    library's own files end without an error, or it waits for ever.
 
     Raises:
         OSError: the file cannot be written.
@@ -55,14 +61,16 @@ def recording(path: Path, blueprint: Blueprint) -> Iterator[rr.RecordingStream]:
     stream.send_blueprint(blueprint)
     try:
         yield stream
-        # Whatever is read begins and ends as a file does, so it is read at once.
+        # Each read gives a complete file, so it is read at once.
         path.write_bytes(content.read() or b"")
     finally:
         stream.disconnect()
 
 
-def log_body(stream: rr.RecordingStream, motion: Motion, scene: Scene, limbs: bool = True) -> None:
-    """Limbs as solids, where wanted, that their bones' transforms carry; the skeleton as lines."""
+def log_body(
+    stream: rr.RecordingStream, motion: Motion, scene: BodyScene, limbs: bool = True
+) -> None:
+    """Limbs as solids, if wanted, moved by their bones' transforms; the skeleton as lines."""
     log_limbs(stream, motion.skeleton, limbs)
     wxyz = np.asarray(quaternion_from_matrix(jnp.asarray(scene.R_world_bone)))
     for i, bone in enumerate(scene.bones):
@@ -73,8 +81,8 @@ def log_body(stream: rr.RecordingStream, motion: Motion, scene: Scene, limbs: bo
     _send_strips(stream, "world/skeleton", scene.times, strips, rr.LineStrips3D)
 
 
-def log_moment(stream: rr.RecordingStream, scene: Scene) -> None:
-    """Where the body of ``log_limbs`` is at the one time of a scene."""
+def log_moment(stream: rr.RecordingStream, scene: BodyScene) -> None:
+    """The pose of the body of ``log_limbs`` at the one time of a scene."""
     stream.set_time(TIMELINE, duration=float(scene.times[0]))
     for i, bone in enumerate(scene.bones):
         placed = rr.Transform3D(translation=scene.near[0, i], mat3x3=scene.R_world_bone[0, i])
@@ -90,7 +98,7 @@ def log_values(stream: rr.RecordingStream, root: str, values: Mapping[str, float
 
 
 def log_limbs(stream: rr.RecordingStream, skeleton: Skeleton, solids: bool = True) -> None:
-    """What of a body stays: the limbs' solids, where wanted, the looks of the skeleton."""
+    """The static parts of a body: the limbs' solids, if wanted, the style of the skeleton."""
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     bones = skeleton.tree.bones
     reach = np.asarray(skeleton.lengths[:, None] * skeleton.directions)
@@ -103,7 +111,7 @@ def log_limbs(stream: rr.RecordingStream, skeleton: Skeleton, solids: bool = Tru
                 vertex_positions=solid.vertices,
                 vertex_normals=solid.normals,
                 triangle_indices=solid.triangles,
-                albedo_factor=(*_colour(bone), OPACITY),
+                albedo_factor=(*_colour(bone), LIMB_OPACITY),
             ),
             static=True,
         )
@@ -121,43 +129,46 @@ def log_targets(
     """Measured markers as points; none where one is missing."""
     for name, positions in targets.items():
         entity = entity_path("world", "markers", name)
-        style = rr.Points3D.from_fields(radii=0.012, colors=TARGETS, labels=name, show_labels=False)
+        style = rr.Points3D.from_fields(
+            radii=0.012, colors=TARGET_COLOUR, labels=name, show_labels=False
+        )
         stream.log(entity, style, static=True)
-        seen = np.isfinite(positions).all(-1)
-        columns = rr.Points3D.columns(positions=np.asarray(positions)[seen])
-        stream.send_columns(entity, [_at(times)], columns.partition(seen.astype(int)))
+        is_visible = np.isfinite(positions).all(-1)
+        columns = rr.Points3D.columns(positions=np.asarray(positions)[is_visible])
+        stream.send_columns(entity, [_at(times)], columns.partition(is_visible.astype(int)))
 
 
-def log_trust(stream: rr.RecordingStream, motion: Motion) -> None:
+def log_deviations(stream: rr.RecordingStream, motion: Motion) -> None:
     """An ellipsoid of one standard deviation about each landmark, coloured by how large it is.
 
-    What comes from the prior alone is grey; what has no deviation is left out.
+    A landmark that only the prior determines is grey; one without a deviation is left out.
     """
     report = motion.report
     if report is None:
         return
     centres = landmarks_over_time(motion.skeleton, motion.poses)
     deviations = np.asarray(report.landmarks_std, float)
-    known = np.isfinite(centres).all(-1) & np.isfinite(deviations).all(-1)
+    has_deviation = np.isfinite(centres).all(-1) & np.isfinite(deviations).all(-1)
     columns = rr.Ellipsoids3D.columns(
-        centers=centres[known],
-        half_sizes=deviations[known],
-        colors=trust_colours(deviations, np.asarray(report.from_prior))[known],
+        centers=centres[has_deviation],
+        half_sizes=deviations[has_deviation],
+        colors=deviation_colours(deviations, np.asarray(report.from_prior))[has_deviation],
     )
     style = rr.Ellipsoids3D.from_fields(fill_mode=rr.components.FillMode.Solid)
-    stream.log("world/trust", style, static=True)
-    counts = known.sum(1).astype(int)
-    stream.send_columns("world/trust", [_at(motion.times)], columns.partition(counts))
+    stream.log("world/deviations", style, static=True)
+    counts = has_deviation.sum(1).astype(int)
+    stream.send_columns("world/deviations", [_at(motion.times)], columns.partition(counts))
 
 
-def trust_colours(deviations: np.ndarray, from_prior: np.ndarray) -> np.ndarray:
+def deviation_colours(deviations: np.ndarray, from_prior: np.ndarray) -> np.ndarray:
     """RGBA (..., 4) of landmarks that deviate by (..., 3) metres: green, yellow, red, or grey."""
     spread = np.sqrt(np.sum(np.asarray(deviations) ** 2, -1))
     shares = [
-        np.interp(spread, SPREADS_M, channel) for channel in zip(*SPREAD_COLOURS, strict=True)
+        np.interp(spread, DEVIATION_STEPS_M, channel)
+        for channel in zip(*DEVIATION_COLOURS, strict=True)
     ]
-    colours = np.stack([*shares, np.full(spread.shape, TRUST_OPACITY)], -1)
-    colours[np.asarray(from_prior) > 0] = (*GUESSED_COLOUR, TRUST_OPACITY)
+    colours = np.stack([*shares, np.full(spread.shape, DEVIATION_OPACITY)], -1)
+    colours[np.asarray(from_prior) > 0] = (*PRIOR_COLOUR, DEVIATION_OPACITY)
     return np.nan_to_num(colours).astype(np.uint8)
 
 
@@ -200,7 +211,7 @@ def log_images(
 
 
 def log_outlines(
-    stream: rr.RecordingStream, name: str, camera: Camera, scene: Scene, times: np.ndarray
+    stream: rr.RecordingStream, name: str, camera: Camera, scene: BodyScene, times: np.ndarray
 ) -> None:
     """The arms' outlines and all bones over the image, at the frames' times."""
     arms, ends = scene.arms, [(time, scene.at(time)) for time in times]
@@ -220,7 +231,7 @@ def log_outlines(
         _send_strips(stream, entity, at, strips, rr.LineStrips2D)
 
 
-def log_seen_targets(
+def log_projected_targets(
     stream: rr.RecordingStream,
     name: str,
     camera: Camera,
@@ -230,11 +241,12 @@ def log_seen_targets(
     """Measured markers as points over the image, at the markers' times."""
     for marker, positions in targets.items():
         entity = entity_path("world", "cameras", name, "markers", marker)
-        style = rr.Points2D.from_fields(radii=rr.Radius.ui_points(3.0), colors=TARGETS)
+        style = rr.Points2D.from_fields(radii=rr.Radius.ui_points(3.0), colors=TARGET_COLOUR)
         stream.log(entity, style, static=True)
         at = pixels(camera, positions)
-        seen = np.isfinite(at).all(-1)
-        columns = rr.Points2D.columns(positions=at[seen]).partition(seen.astype(int))
+        is_visible = np.isfinite(at).all(-1)
+        columns = rr.Points2D.columns(positions=at[is_visible])
+        columns = columns.partition(is_visible.astype(int))
         stream.send_columns(entity, [_at(times)], columns)
 
 
@@ -244,30 +256,33 @@ def log_field(
     label: str,
     images: Iterable[tuple[float, np.ndarray]],
 ) -> None:
-    """Grey images of a part of the camera's image, in a view of their own."""
+    """Grey images of a region of the camera's image, in a view of their own."""
     for time, image in images:
         stream.set_time(TIMELINE, duration=time)
         stream.log(entity_path("fields", name, label), rr.Image(image, color_model="L"))
 
 
 def log_report(stream: rr.RecordingStream, times: np.ndarray, report: Report) -> None:
-    """Time series of what the tracker said, and its sentences."""
+    """Time series of a tracker's report, and its statuses."""
     errors = 1000 * np.asarray(report.marker_errors, float)
     _send_series(stream, "marker_errors", times, report.markers, errors)
     _send_series(stream, "arm_costs", times, SIDES, report.arm_costs)
     _send_series(stream, "confidence", times, SIDES, report.confidence)
     _send_series(stream, "swivel", times, SIDES, np.degrees(report.swivels))
     for i, (stage, spent) in enumerate(report.milliseconds.items()):
-        # What is done once would dwarf the rest.
+        # A stage that ran once would dwarf the rest.
         if len(spent) == 1 < len(times):
             continue
         # A stage that does not run at every sample has its calls spread evenly over the time.
         spread = np.linspace(times[0], times[-1], len(spent)) if len(spent) != len(times) else times
         _send_series(stream, "milliseconds", spread, (stage,), np.asarray(spent)[:, None], i)
-    said = [(time, "; ".join(lines)) for time, lines in zip(times, report.statuses, strict=True)]
-    spoken = [(time, text) for time, text in said if text]
-    if spoken:
-        at, texts = zip(*spoken, strict=True)
+    statuses = [
+        (time, "; ".join(lines))
+        for time, lines in zip(times, report.statuses, strict=True)
+        if lines
+    ]
+    if statuses:
+        at, texts = zip(*statuses, strict=True)
         stream.send_columns("statuses", [_at(np.array(at))], rr.TextLog.columns(text=texts))
 
 
@@ -281,17 +296,17 @@ def _send_series(
 ) -> None:
     """One line per column of (T, N) values; what is NaN is left out."""
     for i, (name, column) in enumerate(zip(names, np.asarray(values, float).T, strict=True)):
-        seen = np.isfinite(column)
-        if not seen.any():
+        is_finite = np.isfinite(column)
+        if not is_finite.any():
             continue
         log_line(stream, root, name, first + i)
-        columns = rr.Scalars.columns(scalars=column[seen])
-        stream.send_columns(entity_path(root, name), [_at(times[seen])], columns)
+        columns = rr.Scalars.columns(scalars=column[is_finite])
+        stream.send_columns(entity_path(root, name), [_at(times[is_finite])], columns)
 
 
 def log_line(stream: rr.RecordingStream, root: str, name: str, number: int) -> None:
-    """How the line of a time series looks: a side's is as the body's, others by their number."""
-    colour = COLOURS[name[0]] if name in SIDES else LINES[number % len(LINES)]
+    """The style of a time series' line: the body's colour of a side, others by their number."""
+    colour = COLOURS[name[0]] if name in SIDES else LINE_COLOURS[number % len(LINE_COLOURS)]
     style = rr.SeriesLines(names=name, colors=colour)
     stream.log(entity_path(root, name), style, static=True)
 
@@ -303,9 +318,9 @@ def _send_strips(
     strips: np.ndarray,
     archetype: type[rr.LineStrips2D] | type[rr.LineStrips3D],
 ) -> None:
-    """(T, N, P, 2 or 3) lines. One that cannot be seen shrinks to nothing and keeps its colour."""
-    whole = np.isfinite(strips).all((-1, -2), keepdims=True)
-    drawn = np.where(whole, strips, 0.0).astype(np.float32)
+    """(T, N, P, 2 or 3) lines. One with a NaN becomes a point, which keeps the others' colours."""
+    is_finite = np.isfinite(strips).all((-1, -2), keepdims=True)
+    drawn = np.where(is_finite, strips, 0.0).astype(np.float32)
     columns = archetype.columns(strips=list(drawn.reshape(-1, *drawn.shape[2:])))
     counts = np.full(len(drawn), drawn.shape[1])
     stream.send_columns(entity, [_at(times)], columns.partition(counts))

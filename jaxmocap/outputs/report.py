@@ -1,4 +1,4 @@
-"""The report of a run as JSON: how long it took, how far to trust it, on what it ran.
+"""The report of a run as JSON: its times, its standard deviations, the versions it ran on.
 
 INPUTS: a Motion with its Report. OUTPUTS: report.json; numbers that are missing are null.
 """
@@ -19,15 +19,15 @@ from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.formats.files.writing import replacing
 
 SIDES = ("left", "right")
-# A body this far off a marker in the median has not been tracked, metres: noise, clothes and wrong
-# lengths make a few centimetres of it, a wrong axis or a marker on another bone a metre.
-FAR_OFF_M = 0.25
-# OpenCV comes under several names, of which one is installed.
+# A body whose median error of a marker is larger, metres, has not been tracked: noise, clothes and
+# wrong lengths cause a few centimetres, a wrong axis or a marker on another bone a metre.
+MISFIT_M = 0.25
+# OpenCV's packages, of which one is installed.
 _OPENCV = ("opencv-python-headless", "opencv-python", "opencv-contrib-python-headless")
 
 
 def write_report(path: str | Path, motion: Motion, extra: Mapping | None = None) -> dict:
-    """Write what ``summarise`` says, and what the caller adds.
+    """Write the entries of ``summarise``, and those that the caller adds.
 
     Args:
         path: of the .json file; it appears when it is whole.
@@ -47,7 +47,7 @@ def write_report(path: str | Path, motion: Motion, extra: Mapping | None = None)
 def summarise(motion: Motion) -> dict:
     """Frames, milliseconds, costs, statuses, confidence, marker errors, settings, versions.
 
-    Where the body is far off its markers, ``misfit`` says so.
+    "misfit" is a warning where the body is far off its markers.
     """
     times = np.asarray(motion.times, float)
     summary: dict = {
@@ -61,19 +61,19 @@ def summarise(motion: Motion) -> dict:
 
 
 def misfit(motion: Motion) -> str | None:
-    """That the body is far off its markers in most samples, whatever the cause; None if it is not.
+    """A warning that the body is far off its markers in most samples; None if it is not.
 
     Such a motion is not that of the person recorded.
     """
     if (report := motion.report) is None:
         return None
     medians = [
-        (float(np.median(seen)), name)
+        (float(np.median(finite)), name)
         for name, column in zip(report.markers, np.asarray(report.marker_errors).T, strict=True)
-        if len(seen := column[np.isfinite(column)])
+        if len(finite := column[np.isfinite(column)])
     ]
     error, name = max(medians, default=(0.0, ""))
-    if error <= FAR_OFF_M:
+    if error <= MISFIT_M:
         return None
     return (
         f"the body is {100 * error:.0f} cm off marker {name!r} in the median, so it was not "
@@ -101,7 +101,7 @@ def _summarise_report(times: np.ndarray, report: Report) -> dict:
 
 
 def _by_landmark(report: Report) -> dict:
-    """Landmark -> its standard deviation over the three axes together, and how often a guess."""
+    """Landmark -> standard deviation over the three axes, share of samples from the prior alone."""
     deviations = np.sqrt(np.sum(np.asarray(report.landmarks_std, float) ** 2, -1))
     return {
         name: {
@@ -113,12 +113,12 @@ def _by_landmark(report: Report) -> dict:
 
 
 def statistics(values: np.ndarray, percentiles: Mapping[str, float]) -> dict:
-    """Count and mean of what is not NaN, and the percentiles named; NaN where there is nothing."""
+    """Count, mean and the named percentiles of what is not NaN; NaN where there is nothing."""
     values = np.asarray(values, float)
-    seen = values[np.isfinite(values)]
-    figures = {"count": len(seen), "mean": seen.mean() if len(seen) else np.nan}
+    finite = values[np.isfinite(values)]
+    figures = {"count": len(finite), "mean": finite.mean() if len(finite) else np.nan}
     for name, percent in percentiles.items():
-        figures[name] = np.percentile(seen, percent) if len(seen) else np.nan
+        figures[name] = np.percentile(finite, percent) if len(finite) else np.nan
     return figures
 
 
@@ -131,14 +131,14 @@ def _by_arm(values: np.ndarray, percentiles: Mapping[str, float]) -> dict:
 
 
 def _count_statuses(times: np.ndarray, statuses: tuple[tuple[str, ...], ...]) -> dict:
-    """Sentence -> how often it was said, and from when to when (seconds) without a break."""
-    said: dict[str, list[int]] = {}
+    """Status -> how often it occurred, and its spans (seconds) without a break."""
+    samples_of: dict[str, list[int]] = {}
     for sample, sentences in enumerate(statuses):
         for sentence in dict.fromkeys(sentences):
-            said.setdefault(sentence, []).append(sample)
+            samples_of.setdefault(sentence, []).append(sample)
     return {
         sentence: {"count": len(samples), "spans_s": _spans(times, np.array(samples))}
-        for sentence, samples in said.items()
+        for sentence, samples in samples_of.items()
     }
 
 
@@ -148,7 +148,7 @@ def _spans(times: np.ndarray, samples: np.ndarray) -> list[list[float]]:
 
 
 def versions() -> dict[str, str | None]:
-    """What ran; None for what is not installed as a package."""
+    """Package -> version; None for what is not installed as a package."""
     opencv = (version for name in _OPENCV if (version := _version(name)))
     return {
         "jaxmocap": _version("jaxmocap"),
@@ -172,7 +172,7 @@ def _backend() -> dict[str, str]:
 
 
 def plain(value: Any) -> Any:
-    """What JSON can hold: arrays as lists, dataclasses as dictionaries, NaN as None.
+    """A value for JSON: arrays as lists, dataclasses as dictionaries, NaN as None.
 
     Fields that no ``repr`` shows, such as whole surfaces, are left out.
     """

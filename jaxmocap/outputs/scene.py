@@ -1,4 +1,4 @@
-"""The body over time, as what draws it needs it: limbs in the world, outlines in an image.
+"""The body over time, for drawing: limbs in the world, outlines in an image.
 
 INPUTS: a Motion, a Camera. OUTPUTS: NumPy arrays, world (metres) or pixels (x, y).
 """
@@ -15,17 +15,19 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.cones import cones
-from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera, to_pixels
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, project, to_camera, to_pixels
 from jaxmocap.geometry.outlines import outline, project_limb
 
 ARM_BONES = tuple(f"{bone}_{side}" for side in "lr" for bone in ("humerus", "radius", "hand"))
-# Points on each straight side and on each round end of an outline: smooth at 500 pixels.
-ALONG, AROUND = 8, 12
+# Points on each straight side of an outline: smooth at 500 pixels.
+POINTS_ALONG = 8
+# Points on each round end of an outline.
+POINTS_AROUND = 12
 
 
 @dataclass(frozen=True)
-class Scene:
-    """B bones over T samples.
+class BodyScene:
+    """A body of B bones over T samples, in the world.
 
     Attributes:
         bones: names.
@@ -65,12 +67,12 @@ class Scene:
         return near, (1 - part) * self.far[before] + part * self.far[after]
 
 
-def make_scene(motion: Motion) -> Scene:
+def make_scene(motion: Motion) -> BodyScene:
     """Place every bone of a motion in the world."""
     dtype = motion.skeleton.lengths.dtype
     poses = Pose(*(jnp.asarray(part, dtype) for part in motion.poses))
     R, near, far = _place(motion.skeleton, poses)
-    return Scene(
+    return BodyScene(
         motion.skeleton.tree.bones,
         np.asarray(motion.times, float),
         np.asarray(R),
@@ -90,13 +92,13 @@ def _place(skeleton: Skeleton, poses: Pose) -> tuple[Array, Array, Array]:
 
 def pixels(camera: Camera, points_world: np.ndarray) -> np.ndarray:
     """Pixels (..., 2) of (..., 3) world points; NaN behind the camera or where missing."""
-    return np.asarray(_pixels(camera, jnp.asarray(points_world, camera.matrix.dtype)))
+    return np.asarray(_pixels(camera, jnp.asarray(points_world, camera.T_cam_world.dtype)))
 
 
 @jax.jit
 def _pixels(camera: Camera, points_world: Array) -> Array:
-    ahead = to_camera(camera, points_world)[..., 2:] > NEAREST_M
-    return jnp.where(ahead, project(camera, points_world), jnp.nan)
+    ahead = depth(camera, points_world) > NEAREST_M
+    return jnp.where(ahead[..., None], project(camera, points_world), jnp.nan)
 
 
 def limb_outlines(
@@ -110,7 +112,7 @@ def limb_outlines(
         far: (N, 3) world, metres.
         radii: (N, 2) metres.
     """
-    dtype = camera.matrix.dtype
+    dtype = camera.T_cam_world.dtype
     return np.asarray(_outlines(camera, *(jnp.asarray(part, dtype) for part in (near, far, radii))))
 
 
@@ -118,10 +120,10 @@ def limb_outlines(
 def _outlines(camera: Camera, near: Array, far: Array, radii: Array) -> Array:
     near_cam, far_cam = to_camera(camera, near), to_camera(camera, far)
     discs = project_limb(near_cam, far_cam, radii)
-    points = outline(discs, ALONG, AROUND, jnp.ones_like(radii)).points
+    points = outline(discs, POINTS_ALONG, POINTS_AROUND, jnp.ones_like(radii)).points
     # The pieces come as left side, right side, near arc, far arc: join them into one loop.
     left, right, round_near, round_far = jnp.split(
-        points, [ALONG, 2 * ALONG, 2 * ALONG + AROUND], axis=-2
+        points, [POINTS_ALONG, 2 * POINTS_ALONG, 2 * POINTS_ALONG + POINTS_AROUND], axis=-2
     )
     loop = [left, round_far[..., ::-1, :], right[..., ::-1, :], round_near[..., ::-1, :]]
     closed = jnp.concatenate([*loop, left[..., :1, :]], -2)

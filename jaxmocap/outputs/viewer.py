@@ -8,6 +8,7 @@ The viewer's library loads when ``write_rerun`` is called, not on import.
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,12 +16,15 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.outputs.scene import make_scene
+from jaxmocap.outputs.scene import BodyScene, make_scene
+
+if TYPE_CHECKING:
+    from rerun import RecordingStream
 
 
 @dataclass(frozen=True)
 class Footage:
-    """What one camera saw. The frames are gone through once.
+    """The frames of one camera, which are iterated over once, and its fields.
 
     Attributes:
         camera: its calibration.
@@ -48,12 +52,11 @@ def write_rerun(
 
     Args:
         path: of the .rrd file; it appears when it is whole.
-        motion: the limbs' solids and the skeleton; with a report also the time series, and how far
-            to trust each landmark.
-        footage: camera name -> what it saw.
+        motion: shown as limbs and skeleton; with a report also time series and standard deviations.
+        footage: camera name -> its frames.
         targets: marker -> (T, 3) measured positions at the motion's times, world, metres.
         jpeg_quality: of the images, 1 to 100.
-        surface: of the body, shown in the place of the limbs' solids.
+        surface: of the body, shown in place of the limbs' solids.
         picture: the surface's colours, as for ``log_skin``.
 
     Raises:
@@ -63,20 +66,33 @@ def write_rerun(
 
     footage, targets = dict(footage or {}), dict(targets or {})
     scene = make_scene(motion)
-    labels = {name: list(shot.fields) for name, shot in footage.items()}
-    blueprint = layout.lay_out(labels, scene)
+    blueprint = layout.lay_out({name: list(shot.fields) for name, shot in footage.items()}, scene)
     with replacing(path) as beside, recorder.recording(beside, blueprint) as stream:
         recorder.log_body(stream, motion, scene, limbs=surface is None)
         if surface is not None:
             viewer_skin.log_skin(stream, motion, surface, picture)
-        recorder.log_trust(stream, motion)
+        recorder.log_deviations(stream, motion)
         recorder.log_targets(stream, scene.times, targets)
         if motion.report is not None:
             recorder.log_report(stream, scene.times, motion.report)
         for name, shot in footage.items():
-            recorder.log_camera(stream, name, shot.camera)
-            times = recorder.log_images(stream, name, shot.frames, jpeg_quality)
-            recorder.log_outlines(stream, name, shot.camera, scene, times)
-            recorder.log_seen_targets(stream, name, shot.camera, scene.times, targets)
-            for label, images in shot.fields.items():
-                recorder.log_field(stream, name, label, images)
+            _log_footage(stream, name, shot, scene, targets, jpeg_quality)
+
+
+def _log_footage(
+    stream: "RecordingStream",
+    name: str,
+    shot: Footage,
+    scene: BodyScene,
+    targets: Mapping[str, np.ndarray],
+    jpeg_quality: int,
+) -> None:
+    """One camera: its images, the body and the markers over them, its fields."""
+    from jaxmocap.outputs import recorder
+
+    recorder.log_camera(stream, name, shot.camera)
+    times = recorder.log_images(stream, name, shot.frames, jpeg_quality)
+    recorder.log_outlines(stream, name, shot.camera, scene, times)
+    recorder.log_projected_targets(stream, name, shot.camera, scene.times, targets)
+    for label, images in shot.fields.items():
+        recorder.log_field(stream, name, label, images)

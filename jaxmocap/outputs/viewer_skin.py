@@ -1,6 +1,6 @@
 """A body's surface in a recording for the rerun viewer, which itself carries no skin on bones.
 
-INPUTS: a recording stream, a Motion, the body's Surface, by choice its colours.
+INPUTS: a recording stream, a Motion, the body's Surface, optionally its colours.
 OUTPUTS: none; entity ``world/skin``.
 
 Vertices are logged pose by pose, of so many poses at most: of a surface with fewer nodes, or, where
@@ -13,15 +13,17 @@ import rerun as rr
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.surfaces.host_skin import bones_over_time, nodes_over_time
 from jaxmocap.body.surfaces.loft import rest_joints
-from jaxmocap.body.surfaces.mesh import Mesh, atlas_of, coarser, mesh_of, normals_of
+from jaxmocap.body.surfaces.mesh import SurfaceMesh, atlas_of, coarser, mesh_of, normals_of
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
 from jaxmocap.formats.animation.skin import TEXEL_M
 from jaxmocap.outputs.layout import TIMELINE
 
-# Metres between nodes, and poses in a recording: about six megabytes together.
-SPACING_M, MOST_POSES = 0.045, 150
-# RGBA: what lies within shines through.
-COLOUR = (205, 175, 150, 150)
+# Metres between nodes; with MOST_POSES some six megabytes of a recording.
+SPACING_M = 0.045
+# Poses of the skin in a recording.
+MOST_POSES = 150
+# RGBA: the skeleton is visible through it.
+SKIN_COLOUR = (205, 175, 150, 150)
 
 
 def log_skin(
@@ -43,7 +45,7 @@ def log_skin(
         surface = coarser(surface, rest_nodes(surface, joints), SPACING_M)
     rest = rest_nodes(surface, joints)
     mesh = mesh_of(surface, rest, atlas_of(surface, rest, TEXEL_M))
-    _log_look(stream, mesh, picture)
+    _log_static_mesh(stream, mesh, picture)
     R, places = bones_over_time(motion.skeleton, motion.poses)
     for i in range(0, len(motion.times), -(-len(motion.times) // MOST_POSES)):
         (nodes,) = nodes_over_time(surface.points, R[i : i + 1], places[i : i + 1])
@@ -54,12 +56,14 @@ def log_skin(
         stream.log("world/skin", posed)
 
 
-def _log_look(stream: rr.RecordingStream, mesh: Mesh, picture: np.ndarray | None) -> None:
-    """What of the skin stays."""
-    look = rr.Mesh3D.from_fields(triangle_indices=mesh.triangles, albedo_factor=COLOUR)
+def _log_static_mesh(
+    stream: rr.RecordingStream, mesh: SurfaceMesh, picture: np.ndarray | None
+) -> None:
+    """The static part of the skin: triangles, and colours or a texture."""
+    static_mesh = rr.Mesh3D.from_fields(triangle_indices=mesh.triangles, albedo_factor=SKIN_COLOUR)
     if picture is not None:
         height, width = picture.shape[:2]
-        look = rr.Mesh3D.from_fields(
+        static_mesh = rr.Mesh3D.from_fields(
             triangle_indices=mesh.triangles,
             vertex_texcoords=mesh.places,
             albedo_texture_buffer=np.ascontiguousarray(picture[..., ::-1]).tobytes(),
@@ -67,4 +71,4 @@ def _log_look(stream: rr.RecordingStream, mesh: Mesh, picture: np.ndarray | None
                 width=width, height=height, color_model="RGB", channel_datatype="U8"
             ),
         )
-    stream.log("world/skin", look, static=True)
+    stream.log("world/skin", static_mesh, static=True)

@@ -1,14 +1,14 @@
 """Poses as the Virtual Motion Capture protocol has them: one bundle a frame.
 
-    /VMC/Ext/OK       loaded, calibrated, mode, whether there is anything to track by
+    /VMC/Ext/OK       loaded, calibrated, mode, whether the person is tracked
     /VMC/Ext/T        seconds
     /VMC/Ext/Root/Pos where the model's root lies: at the world's origin
-    /VMC/Ext/Bone/Pos for each bone its name in Unity, place and turn in its parent
+    /VMC/Ext/Bone/Pos for each bone its name in Unity, position and rotation in its parent
 
 INPUTS: a Skeleton; poses. OUTPUTS: datagrams.
 
-Turns are against the T pose and in Unity's frame, as a VRM model's normalised bones have them; the
-hips' place is that of the tracked person, metres.
+Rotations are from the T pose, in Unity's frame, as a VRM model's normalised bones have them; the
+hips' position is that of the tracked person, metres.
 """
 
 import numpy as np
@@ -19,9 +19,14 @@ from jaxmocap.formats.animation.joint_names import CONVENTIONS
 from jaxmocap.outputs.osc import Bundle
 from jaxmocap.outputs.unity import Joints, UnityBody
 
-# Loaded, calibrated, in the usual mode; the last says whether there is anything to track by.
-_LOADED, _CALIBRATED, _MODE = 1, 3, 0
-_NOTHING = [0.0] * 3 + [0.0, 0.0, 0.0, 1.0]
+# Values of /VMC/Ext/OK: the model is loaded.
+_LOADED = 1
+# It is calibrated.
+_CALIBRATED = 3
+# In the normal mode.
+_MODE = 0
+# No translation, no rotation (xyzw).
+_IDENTITY = [0.0] * 3 + [0.0, 0.0, 0.0, 1.0]
 
 
 class VMC:
@@ -33,15 +38,15 @@ class VMC:
     """
 
     def __init__(self, skeleton: Skeleton):
-        """Lay the bundles out."""
+        """Build the bundles."""
         self.body = UnityBody(skeleton)
         self.names = tuple(_in_unity(joint) for joint in self.body.joints)
-        bones = [("/VMC/Ext/Bone/Pos", [name, *_NOTHING]) for name in self.names]
+        bones = [("/VMC/Ext/Bone/Pos", [name, *_IDENTITY]) for name in self.names]
         self._tracked = Bundle(
             [
                 ("/VMC/Ext/OK", [_LOADED, _CALIBRATED, _MODE, 1]),
                 ("/VMC/Ext/T", [0.0]),
-                ("/VMC/Ext/Root/Pos", ["root", *_NOTHING]),
+                ("/VMC/Ext/Root/Pos", ["root", *_IDENTITY]),
                 *bones,
             ]
         )
@@ -57,10 +62,10 @@ class VMC:
         """
         local = self.body.local(pose)
         bones = np.hstack([local.positions, local.quaternions])
-        return self._tracked.filled(time, np.array(_NOTHING), bones), local
+        return self._tracked.filled(time, np.array(_IDENTITY), bones), local
 
     def lost(self, time: float) -> bytes:
-        """The bundle that says that nothing is tracked at the moment."""
+        """The bundle for a moment at which nobody is tracked."""
         return self._lost.filled(time)
 
 

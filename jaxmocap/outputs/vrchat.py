@@ -1,4 +1,4 @@
-"""Poses as VRChat's trackers: hip, chest, feet, elbows, knees, and the head to find the world by.
+"""Poses as VRChat's trackers: hip, chest, feet, elbows, knees; the head aligns the worlds.
 
     /tracking/trackers/1/position  metres         /tracking/trackers/1/rotation  degrees
     ... up to 8, and "head"
@@ -14,8 +14,8 @@ from jaxmocap.formats.animation.joint_names import PELVIS
 from jaxmocap.outputs.osc import Bundle
 from jaxmocap.outputs.unity import Joints, UnityBody, euler_degrees
 
-# Tracker -> joint where it is, joint that it turns with: those at elbow and knee sit above it.
-_WORN = {
+# Tracker -> joint of its position, joint of its rotation: those at elbow and knee sit above it.
+_TRACKER_JOINTS = {
     "hip": (PELVIS, PELVIS),
     "chest": ("spine3", "spine3"),
     "head": ("head", "head"),
@@ -29,16 +29,17 @@ class Trackers:
     """Makes bundles of one person's trackers."""
 
     def __init__(self, body: UnityBody, trackers: Sequence[str]):
-        """Lay the bundle out.
+        """Build the bundle.
 
         Args:
             body: of the person.
             trackers: names out of ``formats.live.TRACKED``; numbered in this order.
         """
         self._body = body
-        worn = [_WORN[name] for name in trackers]
-        self._places, self._turns = (
-            [body.joints.index(joint) for joint in joints] for joints in zip(*worn, strict=True)
+        joint_pairs = [_TRACKER_JOINTS[name] for name in trackers]
+        self._position_joints, self._rotation_joints = (
+            [body.joints.index(joint) for joint in joints]
+            for joints in zip(*joint_pairs, strict=True)
         )
         numbers = iter(range(1, len(trackers) + 1))
         names = [name if name == "head" else str(next(numbers)) for name in trackers]
@@ -53,5 +54,5 @@ class Trackers:
     def frame(self, local: Joints) -> bytes:
         """The bundle of a pose's joints in their parents."""
         world = self._body.in_world(local)
-        degrees = euler_degrees(world.quaternions[self._turns])
-        return self._bundle.filled(np.hstack([world.positions[self._places], degrees]))
+        degrees = euler_degrees(world.quaternions[self._rotation_joints])
+        return self._bundle.filled(np.hstack([world.positions[self._position_joints], degrees]))

@@ -1,4 +1,4 @@
-"""What ``check`` tells of a recording: who moves, how often it was sampled, who sees it.
+"""What ``check`` reports of a recording: the person, the markers, what each camera sees of them.
 
 INPUTS: a Recording. OUTPUTS: plain text; a dict for JSON; InputError where tracking is hopeless.
 """
@@ -16,14 +16,14 @@ from jaxmocap.formats.recordings.recording import Recording
 
 
 @dataclass(frozen=True)
-class Checked:
-    """A recording that was looked at.
+class RecordingCheck:
+    """What was found in a recording.
 
     Attributes:
         recording: with its markers.
-        findings: what is wrong, what is fatal first.
-        views: what each camera has of the markers.
-        warnings: what reading it said.
+        findings: what is wrong, fatal findings first.
+        views: what each camera sees of the markers.
+        warnings: of reading the videos.
     """
 
     recording: Recording
@@ -41,44 +41,44 @@ class Checked:
             "end_s": float(times[-1]),
             "rate_hz": 1 / interval if interval else None,
             "markers": list(self.recording.marker_names),
-            "cameras": [view.figures() for view in self.views],
+            "cameras": [asdict(view) for view in self.views],
             "findings": [asdict(finding) for finding in self.findings],
             "warnings": list(self.warnings),
         }
 
     def text(self) -> str:
-        """The same in lines to read."""
-        told = self.figures()
-        rate = f" at {told['rate_hz']:.4g} Hz" if told["rate_hz"] else ""
+        """The same figures as lines of text."""
+        figures = self.figures()
+        rate = f" at {figures['rate_hz']:.4g} Hz" if figures["rate_hz"] else ""
         lines = [
-            f"person   {told['stature_m']:.2f} m tall",
-            f"markers  {', '.join(told['markers'])}: {told['samples']} samples{rate}, "
-            f"{told['start_s']:.2f} to {told['end_s']:.2f} s",
-            *map(_line, self.views),
+            f"person   {figures['stature_m']:.2f} m tall",
+            f"markers  {', '.join(figures['markers'])}: {figures['samples']} samples{rate}, "
+            f"{figures['start_s']:.2f} to {figures['end_s']:.2f} s",
+            *map(_view_line, self.views),
             *(f"warning  {sentence}" for sentence in self.warnings),
             *(f"{'error' if f.fatal else 'warning':7}  {f.sentence}" for f in self.findings),
         ]
         return "\n".join(lines if self.findings else [*lines, "nothing wrong was found"])
 
-    def refuse(self) -> None:
-        """InputError by the first finding, if it is fatal."""
+    def raise_if_fatal(self) -> None:
+        """InputError with the first finding, if it is fatal."""
         if self.findings and self.findings[0].fatal:
             where = self.recording.path or self.recording.name
             raise InputError(where, self.findings[0].sentence)
 
 
-def _line(seen: MarkerVisibility) -> str:
+def _view_line(view: MarkerVisibility) -> str:
     return (
-        f"camera   {seen.camera}: {seen.distance:.2f} m from the markers, of which it shows "
-        f"{100 * seen.visible_share:.0f} %, during {100 * seen.covered_share:.0f} % of the samples"
+        f"camera   {view.camera}: {view.distance:.2f} m from the markers, of which it shows "
+        f"{100 * view.visible_share:.0f} %, during {100 * view.covered_share:.0f} % of the samples"
     )
 
 
-def check(recording: Recording) -> Checked:
-    """Look at a recording as ``track`` does before it begins."""
+def check(recording: Recording) -> RecordingCheck:
+    """Check a recording as ``track`` does before it begins."""
     videos, warnings = open_unchecked(recording.require_markers())
     times = [video.times for video in videos]
     views = [
         marker_visibility(recording, *each) for each in zip(recording.videos, times, strict=True)
     ]
-    return Checked(recording, check_recording(recording, times), views, warnings)
+    return RecordingCheck(recording, check_recording(recording, times), views, warnings)

@@ -33,10 +33,10 @@ from jaxmocap.synthetic.recording import (
     write_table_tennis,
 )
 
-ELBOWS = {"elbow_l": "elbow_l", "elbow_r": "elbow_r"}
-HEIGHT = 1.75
-PLOT = "elbow_errors.png"
-FILES = (*MOTION_FILES, "report.json", "recording.rrd", "overlay.mp4", PLOT)
+ELBOW_PAIRS = {"elbow_l": "elbow_l", "elbow_r": "elbow_r"}
+HEIGHT_M = 1.75
+PLOT_FILE = "elbow_errors.png"
+FILES = (*MOTION_FILES, "report.json", "recording.rrd", "overlay.mp4", PLOT_FILE)
 RECORDING_FILES = (
     *("recording.toml", "markers.trc", "static.trc", "truth.trc"),
     *("video.mp4", "calibration.toml"),
@@ -45,7 +45,7 @@ RECORDING_FILES = (
 
 @dataclass(frozen=True)
 class Demonstration:
-    """What the demo shows.
+    """The demo's results.
 
     Attributes:
         motion: by markers and video.
@@ -67,16 +67,16 @@ class Demonstration:
 
     @property
     def improvement(self) -> float:
-        """By which share video lowers the mean error."""
+        """The share by which video lowers the mean error."""
         return 1 - self.with_video.mean / self.markers_only.mean
 
     def table(self) -> str:
-        """Elbow errors with video, those before, and the rate."""
+        """Elbow errors with video and without, and the rate, as text."""
         rate = f"{self.frames_per_second:.0f} frames per second, once compiled"
         return f"{format_table(self.with_video, self.markers_only)}\n\n{rate}"
 
     def as_dict(self) -> dict:
-        """What JSON takes."""
+        """The same figures for JSON."""
         return {
             "markers_only": self.markers_only.as_dict(),
             "with_video": self.with_video.as_dict(),
@@ -89,7 +89,7 @@ class Demonstration:
 def demonstrate(
     directory: str | Path, seconds: float = 6.0, seed: int = 0, progress: bool = False
 ) -> Demonstration:
-    """Make a recording, track it, compare both elbows with the truth, and write it all down.
+    """Make a recording, track it, and compare both elbows with the truth.
 
     Args:
         directory: is made where missing; the recording goes to ``recording`` in it.
@@ -99,48 +99,48 @@ def demonstrate(
     """
     folder = OutputFolder(directory, MOTION, FILES)
     recording_folder = OutputFolder(folder.path / "recording", "recording", RECORDING_FILES)
-    # The tracker compiles while the frames are rendered: they share nothing but the plan.
+    # The tracker compiles while the frames are rendered.
     with (
         recording_folder.writing() as stage,
         ThreadPoolExecutor(1) as renderer,
         progress_bar("rendering", progress) as show,
     ):
-        person = {"height": HEIGHT, "progress": show}
+        person = {"height": HEIGHT_M, "progress": show}
         written = renderer.submit(write_table_tennis, stage, seconds, seed, **person)
         tracker = compiled_tracker()
         written.result()
     recording = Recording.load(recording_folder.path / "recording.toml")
     tracked = track_both(recording, progress=progress, tracker=tracker)
     truth = recording_folder.path / "truth.trc"
-    before, after = (evaluate(motion, truth, ELBOWS) for motion in reversed(tracked))
+    before, after = (evaluate(motion, truth, ELBOW_PAIRS) for motion in reversed(tracked))
 
     def write(stage: Path) -> list[Path]:
         files = write_tracked(tracked.motion, recording, stage, tracker.settings, progress)
         curves = after.times, _by_joint(before), _by_joint(after)
-        plot_elbow_errors(stage / PLOT, *curves, "Elbow errors")
-        return [*files, stage / PLOT]
+        plot_elbow_errors(stage / PLOT_FILE, *curves, "Elbow errors")
+        return [*files, stage / PLOT_FILE]
 
     return Demonstration(tracked.motion, before, after, folder.write(write))
 
 
 def compiled_tracker() -> HybridTracker:
-    """The demo's tracker, compiled by a step on somebody who stands still before a grey wall."""
-    recording = standing(1)
+    """The demo's tracker, compiled by a step on ``standing_recording``."""
+    recording = standing_recording(1)
     tracker = make_tracker(recording)
     track(recording, tracker=tracker)
     return tracker
 
 
-def standing(count: int) -> Recording:
+def standing_recording(count: int) -> Recording:
     """Somebody with the demo's markers who stands still before a grey wall, for so many frames."""
-    skeleton, camera = Skeleton.human(HEIGHT), webcam()
+    skeleton, camera = Skeleton.human(HEIGHT_M), webcam()
     places = tuple(MarkerPlace(name, **place) for name, place in marker_places().items())
     sites = marker_sites(skeleton, places)
     points = site_positions(skeleton, forward(skeleton, relaxed_pose(skeleton)), sites)
     width, height = np.asarray(camera.size, int)
     times = np.arange(count) / VIDEO_RATE
-    wall = (times, [np.full((height, width), 128, np.uint8)] * count)
-    video = VideoSource(CAMERA, camera, frames=wall)
+    frames = (times, [np.full((height, width), 128, np.uint8)] * count)
+    video = VideoSource(CAMERA, camera, frames=frames)
     positions_world = np.tile(np.asarray(points), (count, 1, 1))
     return Recording(skeleton, times, positions_world, places, (video,), "standing")
 

@@ -14,9 +14,12 @@ import jax
 from jaxmocap.compilation.programs import keep_in
 from jaxmocap.formats.private_cache import PrivateCache, others_can_write
 
-# Folders in the cache's folder: what tracing made, and what the compiler made.
-TRACED, COMPILED = "programs", "compiled"
-SUFFIX = ".executable"
+# Folder in the cache's folder: what tracing made.
+TRACED_FOLDER = "programs"
+# Folder in the cache's folder: what the compiler made.
+COMPILED_FOLDER = "compiled"
+EXECUTABLE_SUFFIX = ".executable"
+# Warnings that were printed already.
 _warned: set[str] = set()
 
 
@@ -34,17 +37,17 @@ def keep_compiled() -> Path:
     Neither is on where another user can write to the folder.
     """
     folder = cache_folder()
-    folders = folder, folder / TRACED, folder / COMPILED
+    folders = folder, folder / TRACED_FOLDER, folder / COMPILED_FOLDER
     problems = [(path, others_can_write(path)) for path in folders]
-    if found := [(path, problem) for path, problem in problems if problem]:
-        _warn("{}: {}".format(*found[0]))
+    if refused := [(path, problem) for path, problem in problems if problem]:
+        _warn("{}: {}".format(*refused[0]))
         keep_in(None)
         _keep_executables(None)
         return folder
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-    keep_in(PrivateCache(folder, TRACED, _warn))
-    _keep_executables(PrivateCache(folder, COMPILED, _warn))
+    keep_in(PrivateCache(folder, TRACED_FOLDER, _warn))
+    _keep_executables(PrivateCache(folder, COMPILED_FOLDER, _warn))
     return folder
 
 
@@ -59,7 +62,7 @@ def _keep_executables(files: PrivateCache | None) -> None:
             # Before XLA makes it, with what it tuned for a GPU.
             files.make_folder()
             _install(files)
-    # JAX promises no place for another cache than its own.
+    # JAX has no public place for another cache than its own.
     except (ImportError, AttributeError, TypeError) as error:
         files = None
         _warn(f"this release of JAX takes no cache but its own, so nothing is kept ({error})")
@@ -76,26 +79,26 @@ def _install(files: PrivateCache) -> None:
     from jax._src import compilation_cache
     from jax._src.compilation_cache_interface import CacheInterface
 
-    class Checked(CacheInterface):
-        """Entries with a checksum over key and value: exchanged files are noticed."""
+    class ChecksummedCache(CacheInterface):
+        """Entries with a checksum over key and value, so that exchanged files are detected."""
 
         _path = files.folder
 
         def get(self, key: str) -> Any:
-            return files.read(f"{key}{SUFFIX}", key)
+            return files.read(f"{key}{EXECUTABLE_SUFFIX}", key)
 
         def put(self, key: str, value: bytes) -> None:
-            files.write(f"{key}{SUFFIX}", key, value)
+            files.write(f"{key}{EXECUTABLE_SUFFIX}", key, value)
 
     with compilation_cache._cache_initialized_mutex:
-        # Asked for first: where one is missing, to set it would have no effect.
+        # Read first: where one is missing, setting it would have no effect.
         _ = compilation_cache._cache, compilation_cache._cache_initialized
-        compilation_cache._cache = Checked()
+        compilation_cache._cache = ChecksummedCache()
         compilation_cache._cache_initialized = True
 
 
 def _warn(sentence: str) -> None:
-    """Once on stderr."""
+    """Print a warning on stderr, once."""
     if sentence not in _warned:
         _warned.add(sentence)
         print(f"warning: {sentence}", file=sys.stderr)

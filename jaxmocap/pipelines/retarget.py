@@ -23,54 +23,58 @@ from jaxmocap.formats.motion_npz import load_motion
 from jaxmocap.formats.recordings.subject import read_subject
 from jaxmocap.outputs.viewer import write_rerun
 from jaxmocap.pipelines.silhouettes.person import person_files, read_person
-from jaxmocap.pipelines.writing import MOTION, MOTION_FILES, Warn, no_warning, write_motion
+from jaxmocap.pipelines.writing import MOTION, MOTION_FILES, Warn, ignore_warning, write_motion
 
 MOTION_NPZ = "motion.npz"
-RECORDING, PICTURE = "recording.rrd", "retargeted.png"
+VIEWER_FILE = "recording.rrd"
+PICTURE_FILE = "retargeted.png"
 
 
-class Retargeted(NamedTuple):
-    """A motion and what became of it.
+class RetargetedMotion(NamedTuple):
+    """A motion before and after it was retargeted.
 
     Attributes:
-        before: as it was tracked.
-        after: as the other person plays it.
-        surface: of the other person, or None.
+        tracked: as it was tracked.
+        retargeted: as the other body moves.
+        surface: of the other body, or None.
         picture: a PNG file's content, the surface's colours; or None.
     """
 
-    before: Motion
-    after: Motion
+    tracked: Motion
+    retargeted: Motion
     surface: Surface | None
     picture: bytes | None
 
     def figures(self) -> dict:
-        """Legs, metres; what feet on the ground do there, metres and metres per second."""
-        before, after = self.before, self.after
-        ours, theirs = (feet(motion.skeleton, motion.poses) for motion in (before, after))
-        low, off = grounded(ours), theirs - scaled(before, after.skeleton, ours)
-        apart = np.linalg.norm(np.diff(off, axis=0), axis=-1) / np.diff(before.times)[:, None]
+        """Lengths of the legs, metres; errors of feet on the ground, metres (per second)."""
+        before, after = self.tracked, self.retargeted
+        feet_before, feet_after = (
+            feet(motion.skeleton, motion.poses) for motion in (before, after)
+        )
+        on_ground = grounded(feet_before)
+        errors = feet_after - scaled(before, after.skeleton, feet_before)
+        speeds = np.linalg.norm(np.diff(errors, axis=0), axis=-1) / np.diff(before.times)[:, None]
         return {
             "legs_before": round(leg_length(before.skeleton), 4),
             "legs_after": round(leg_length(after.skeleton), 4),
-            "on_the_ground": dict(zip(FEET, low.mean(0).round(3).tolist(), strict=True)),
-            "slide": _mean(apart[low[1:] & low[:-1]]),
-            "height_off": _mean(np.abs(off[..., 2])[low]),
+            "on_the_ground": dict(zip(FEET, on_ground.mean(0).round(3).tolist(), strict=True)),
+            "slide": _mean(speeds[on_ground[1:] & on_ground[:-1]]),
+            "height_off": _mean(np.abs(errors[..., 2])[on_ground]),
         }
 
     def text(self, files: list[Path]) -> str:
-        """For the terminal."""
-        found = self.figures()
-        slide, height = (_centimetres(found[name]) for name in ("slide", "height_off"))
+        """The same figures, and the files, as lines of text."""
+        figures = self.figures()
+        slide, height = (_centimetres(figures[name]) for name in ("slide", "height_off"))
         lines = [
-            f"legs           {_centimetres(found['legs_before'])} before, "
-            f"{_centimetres(found['legs_after'])} now",
+            f"legs           {_centimetres(figures['legs_before'])} before, "
+            f"{_centimetres(figures['legs_after'])} now",
             f"on the ground  feet are {height} off their height and slide {slide} a second more",
         ]
         return "\n".join([*lines, *(f"written        {path}" for path in files)])
 
 
-def retarget(source: str | Path, onto: str | Path) -> Retargeted:
+def retarget(source: str | Path, onto: str | Path) -> RetargetedMotion:
     """Play a motion with another person's body.
 
     Args:
@@ -87,20 +91,20 @@ def retarget(source: str | Path, onto: str | Path) -> Retargeted:
     else:
         skeleton = read_subject(onto, "", {"file": onto.name})
     try:
-        return Retargeted(before, retargeted(before, skeleton), surface, picture)
+        return RetargetedMotion(before, retargeted(before, skeleton), surface, picture)
     except ValueError as error:
         raise InputError(source, str(error)) from None
 
 
 def retargeted_folder(directory: str | Path, source: str | Path, onto: str | Path) -> OutputFolder:
-    """The folder for a retargeted motion, looked at before any work; see ``tracked_folder``."""
+    """The folder for a retargeted motion, checked before any work; see ``tracked_folder``."""
     person = Path(onto)
     inputs = [_motion_file(source), *(person_files(person) if person.is_dir() else [person])]
-    return OutputFolder(directory, MOTION, [*MOTION_FILES, RECORDING, PICTURE], inputs)
+    return OutputFolder(directory, MOTION, [*MOTION_FILES, VIEWER_FILE, PICTURE_FILE], inputs)
 
 
 def write_retargeted(
-    played: Retargeted, folder: OutputFolder, warn: Warn = no_warning
+    motions: RetargetedMotion, folder: OutputFolder, warn: Warn = ignore_warning
 ) -> list[Path]:
     """Write the motion and the picture; see ``write_outputs``.
 
@@ -110,17 +114,20 @@ def write_retargeted(
     Raises:
         OutputError: the disk is full; what was there is as it was.
     """
-    return folder.write(partial(_write, played, warn))
+    return folder.write(partial(_write, motions, warn))
 
 
-def _write(played: Retargeted, warn: Warn, folder: Path) -> list[Path]:
+def _write(motions: RetargetedMotion, warn: Warn, folder: Path) -> list[Path]:
     """All files into a folder that is there."""
-    surface, picture = played.surface, played.picture
-    files = [*write_motion(played.after, folder, surface, picture, warn), folder / RECORDING]
+    surface, picture = motions.surface, motions.picture
+    files = [
+        *write_motion(motions.retargeted, folder, surface, picture, warn),
+        folder / VIEWER_FILE,
+    ]
     colours = None if picture is None else picture_of(folder, picture)
-    write_rerun(files[-1], played.after, surface=surface, picture=colours)
-    files.append(folder / PICTURE)
-    people = {"as tracked": played.before, "as played": played.after}
+    write_rerun(files[-1], motions.retargeted, surface=surface, picture=colours)
+    files.append(folder / PICTURE_FILE)
+    people = {"as tracked": motions.tracked, "as played": motions.retargeted}
     plot_stick_figures(files[-1], people)
     return files
 

@@ -43,18 +43,23 @@ def raised_on_sigterm() -> Iterator[None]:
 
 
 @contextmanager
-def held_back() -> Iterator[None]:
-    """Within it Ctrl-C and SIGTERM wait: nothing comes between what begins and what ends it."""
+def signals_deferred() -> Iterator[None]:
+    """Within it Ctrl-C and SIGTERM are deferred until its end."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    came: list[int] = []
-    held = [each for each in (signal.SIGINT, signal.SIGTERM) if callable(signal.getsignal(each))]
-    before = {each: signal.signal(each, lambda number, frame: came.append(number)) for each in held}
+    received: list[int] = []
+    deferred = [
+        each for each in (signal.SIGINT, signal.SIGTERM) if callable(signal.getsignal(each))
+    ]
+    before = {
+        each: signal.signal(each, lambda number, frame: received.append(number))
+        for each in deferred
+    }
     try:
         yield
     finally:
         for each, handler in before.items():
             signal.signal(each, handler)
-        for number in came[:1]:
+        for number in received[:1]:
             signal.raise_signal(number)

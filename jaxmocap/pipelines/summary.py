@@ -1,4 +1,4 @@
-"""What a run comes to: a few lines to read, and the same as figures.
+"""A run's results: a few lines of text, and the same as figures.
 
 INPUTS: a Motion with its Report. OUTPUTS: plain text; frames per second; JSON.
 """
@@ -13,8 +13,8 @@ from jaxmocap.body.motion import Motion, Report
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.outputs.report import misfit, plain, summarise
 
-# Stages that run once and compile on the way.
-ONCE = ("first_call", "smooth")
+# Stages that run once, compilation included.
+ONE_TIME_STAGES = ("first_call", "smooth")
 
 
 def frames_per_second(report: Report) -> float:
@@ -43,7 +43,7 @@ def summary(motion: Motion, files: Sequence[Path] = (), warnings: Sequence[str] 
         counts: dict[str, int] = {}
         for sentence in (line for lines in report.statuses for line in lines):
             counts[sentence] = counts.get(sentence, 0) + 1
-        rows += [("said", f"{sentence} ({n} samples)") for sentence, n in counts.items()]
+        rows += [("status", f"{sentence} ({n} samples)") for sentence, n in counts.items()]
         if on := report.settings.get("filters", {}).get("on"):
             rows.append(("filters", ", ".join(f"{name} = {value}" for name, value in on.items())))
         rows += [("warning", warning) for warning in report.settings.get("warnings", ())]
@@ -58,14 +58,14 @@ def summary(motion: Motion, files: Sequence[Path] = (), warnings: Sequence[str] 
 def _figures(report: Report) -> list[tuple[str, str]]:
     rows = [("rate", f"{frames_per_second(report):.0f} frames per second")]
     for stage, times in report.milliseconds.items():
-        if stage in ONCE:
+        if stage in ONE_TIME_STAGES:
             rows.append((stage, f"{times[0] / 1e3:.1f} s, compilation included"))
         else:
             rows.append((stage, f"{np.median(times):.2f} ms (median of {len(times)})"))
     errors = [f"{name} {_centimetres(column)}" for name, column in _columns(report)]
     if errors:
         rows.append(("off the markers", f"{', '.join(errors)} (95 %)"))
-    # Frames need not fall on a sample to have been looked at.
+    # Frames need not fall on a sample to have been observed.
     if "observe" in report.milliseconds:
         means = [f"{np.nanmean(column):.2f}" for column in report.confidence.T]
         rows.append(("confidence", f"left elbow {means[0]}, right elbow {means[1]}"))
@@ -77,8 +77,8 @@ def _columns(report: Report) -> list[tuple[str, np.ndarray]]:
 
 
 def _centimetres(errors: np.ndarray) -> str:
-    seen = errors[np.isfinite(errors)]
-    return f"{100 * np.percentile(seen, 95):.1f} cm" if len(seen) else "never seen"
+    finite = errors[np.isfinite(errors)]
+    return f"{100 * np.percentile(finite, 95):.1f} cm" if len(finite) else "never seen"
 
 
 def figures(motion: Motion) -> dict:

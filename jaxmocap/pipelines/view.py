@@ -1,6 +1,6 @@
-"""The rerun viewer: of what was written, or of a live run; in a window or in a browser.
+"""The rerun viewer, of a recording or a live run, in a window or in a browser.
 
-INPUTS: a folder that ``track`` wrote. OUTPUTS: a viewer, and a sentence about it.
+INPUTS: a folder that ``track`` wrote. OUTPUTS: a viewer's process, and a sentence about it.
 
 Whatever is opened listens to this machine alone.
 """
@@ -17,11 +17,11 @@ from typing import NamedTuple
 from urllib.parse import quote
 
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.pipelines.signals import held_back
+from jaxmocap.pipelines.signals import signals_deferred
 
 LOOPBACK = "127.0.0.1"
-# A viewer that is asked to end has so long to do so, seconds.
-ENDS_S = 5.0
+# A viewer that does not stop within so many seconds is killed.
+VIEWER_STOP_TIMEOUT_S = 5.0
 
 
 class Viewer(NamedTuple):
@@ -57,7 +57,7 @@ class Viewer(NamedTuple):
         """End it, and wait until it has ended."""
         self.process.terminate()
         try:
-            self.process.wait(ENDS_S)
+            self.process.wait(VIEWER_STOP_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
@@ -124,7 +124,7 @@ def start_viewer(
         options += ["--serve-web", "--web-viewer-port", str(web_port)]
         page = f"http://{LOOPBACK}:{web_port}/?url={quote(url, safe='')}"
     command = [*viewer_command(), *options, *arguments]
-    with held_back():
+    with signals_deferred():
         process = subprocess.Popen(
             command,
             start_new_session=stay,

@@ -6,7 +6,7 @@ OUTPUTS: JAX's compilation cache; how many programs were compiled, and how long 
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 
 import jax
@@ -17,44 +17,57 @@ from jaxmocap.capture.timeline import Mode
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.pipelines.demo import standing
+from jaxmocap.pipelines.demo import standing_recording
 from jaxmocap.pipelines.kept_programs import cache_folder, keep_compiled
 from jaxmocap.pipelines.tracking.track import make_tracker, track
 
-# Of a recording so much is tracked: enough frames that the smoother gives out poses.
-ENOUGH_S, STANDING_FRAMES = 0.5, 16
-# What each way of tracking is called here; a live run takes the steps of the second.
-WAYS: dict[Mode, str] = {"own": "track", "causal": "track --causal, live"}
-# JAX's names of what is counted.
-COMPILED, HIT = "/jax/core/compile/backend_compile_duration", "/jax/compilation_cache/cache_hits"
+# Seconds of a recording that are tracked: enough frames that the smoother gives out poses.
+TRACKED_S = 0.5
+# Frames of the recording that stands in where none is named; as many.
+STANDING_FRAMES = 16
+# Mode of tracking -> its name in the output; a live run needs the programs of the second.
+MODE_NAMES: dict[Mode, str] = {"own": "track", "causal": "track --causal, live"}
+# JAX's names of the events that are counted.
+COMPILE_EVENT = "/jax/core/compile/backend_compile_duration"
+CACHE_HIT_EVENT = "/jax/compilation_cache/cache_hits"
 
 
 @dataclass
-class Warmed:
-    """What one way of tracking took.
+class CompilationCounts:
+    """What compiling for one mode of tracking took.
 
     Attributes:
-        way: which one.
+        mode: its name in the output.
         seconds: in all, tracing and half a second of tracking included.
         programs: that it needs and that were not yet in this process.
-        found: how many of them an earlier run had compiled.
+        cached: how many of them an earlier run had compiled.
         longest: name -> seconds that the compiler took, the longest first.
     """
 
-    way: str
+    mode: str
     seconds: float = 0.0
     programs: int = 0
-    found: int = 0
+    cached: int = 0
     longest: dict[str, float] = field(default_factory=dict)
 
+    def figures(self) -> dict:
+        """The same for JSON."""
+        return {
+            "way": self.mode,
+            "seconds": self.seconds,
+            "programs": self.programs,
+            "found": self.cached,
+            "longest": self.longest,
+        }
+
     def text(self) -> str:
-        """One line to read."""
+        """One line."""
         names = ", ".join(f"{name} {spent:.1f} s" for name, spent in self.longest.items())
-        counts = f"{self.programs - self.found} programs compiled, {self.found} were there"
-        return f"{self.way}: {self.seconds:.1f} s, {counts}; longest: {names or 'none'}"
+        counts = f"{self.programs - self.cached} programs compiled, {self.cached} were there"
+        return f"{self.mode}: {self.seconds:.1f} s, {counts}; longest: {names or 'none'}"
 
 
-def warm_up(recording: Recording, settings: Settings | None = None) -> list[Warmed]:
+def warm_up(recording: Recording, settings: Settings | None = None) -> list[CompilationCounts]:
     """Compile what tracking the recording needs, offline and causally.
 
     Args:
@@ -63,32 +76,32 @@ def warm_up(recording: Recording, settings: Settings | None = None) -> list[Warm
         settings: of the tracker.
     """
     keep_compiled()
-    short, ways = opening(recording), []
+    short, counts = first_half_second(recording), []
     tracker = make_tracker(short, settings)
-    for mode, way in WAYS.items():
-        began, warmed = perf_counter(), Warmed(way)
-        with counted(warmed):
+    for mode, name in MODE_NAMES.items():
+        began, mode_counts = perf_counter(), CompilationCounts(name)
+        with counting_compilations(mode_counts):
             track(short, tracker=tracker, mode=mode)
-        ways.append(replace(warmed, seconds=perf_counter() - began))
-    return ways
+        counts.append(replace(mode_counts, seconds=perf_counter() - began))
+    return counts
 
 
-def asked_for(path: str | None) -> Recording:
-    """The recording named, or somebody with headset and controllers before a grey wall."""
-    return Recording.load(path) if path else standing(STANDING_FRAMES)
+def load_or_standing(path: str | None) -> Recording:
+    """A recording from its file, or without one of somebody who stands before a grey wall."""
+    return Recording.load(path) if path else standing_recording(STANDING_FRAMES)
 
 
-def opening(recording: Recording) -> Recording:
+def first_half_second(recording: Recording) -> Recording:
     """The first half second that markers and all videos have in common.
 
     Raises:
         InputError: there is none.
     """
-    seen = np.isfinite(recording.require_markers().positions_world).all(-1).any(-1)
+    is_visible = np.isfinite(recording.require_markers().positions_world).all(-1).any(-1)
     starts = [video.times[0] for video in open_footage(recording)[0] if len(video)]
-    begin = max([recording.times[seen.argmax()], *starts])
-    chosen = (recording.times >= begin) & (recording.times < begin + ENOUGH_S)
-    if not (chosen & seen).any():
+    begin = max([recording.times[is_visible.argmax()], *starts])
+    chosen = (recording.times >= begin) & (recording.times < begin + TRACKED_S)
+    if not (chosen & is_visible).any():
         raise InputError(recording.path or recording.name, "no marker is seen beside the video")
     return replace(
         recording,
@@ -98,18 +111,18 @@ def opening(recording: Recording) -> Recording:
 
 
 @contextmanager
-def counted(warmed: Warmed, most: int = 4) -> Iterator[None]:
-    """Count what JAX compiles meanwhile, and what it finds compiled."""
+def counting_compilations(counts: CompilationCounts, most: int = 4) -> Iterator[None]:
+    """Count what JAX compiles meanwhile, and what it reads from its cache; name the longest."""
     spent: dict[str, float] = {}
 
     def on_duration(event: str, duration_secs: float, **kwargs: str | int) -> None:
-        if event == COMPILED:
+        if event == COMPILE_EVENT:
             name = str(kwargs.get("fun_name", "")).removeprefix("jit(").removesuffix(")")
             spent[name] = spent.get(name, 0.0) + duration_secs
-            warmed.programs += 1
+            counts.programs += 1
 
     def on_event(event: str, **kwargs: str | int) -> None:
-        warmed.found += event == HIT
+        counts.cached += event == CACHE_HIT_EVENT
 
     jax.monitoring.register_event_duration_secs_listener(on_duration)
     jax.monitoring.register_event_listener(on_event)
@@ -119,14 +132,14 @@ def counted(warmed: Warmed, most: int = 4) -> Iterator[None]:
         jax.monitoring.unregister_event_duration_listener(on_duration)
         jax.monitoring.unregister_event_listener(on_event)
         longest = sorted(spent.items(), key=lambda pair: -pair[1])[:most]
-        warmed.longest.update({name.strip("_"): round(time, 3) for name, time in longest})
+        counts.longest.update({name.strip("_"): round(time, 3) for name, time in longest})
 
 
-def text(ways: list[Warmed]) -> str:
+def compilation_text(counts: list[CompilationCounts]) -> str:
     """What was compiled, and where it is kept."""
-    return "\n".join([*(warmed.text() for warmed in ways), f"kept in {cache_folder()}"])
+    return "\n".join([*(each.text() for each in counts), f"kept in {cache_folder()}"])
 
 
-def figures(ways: list[Warmed]) -> dict:
-    """What JSON takes."""
-    return {"ways": [asdict(warmed) for warmed in ways]}
+def compilation_figures(counts: list[CompilationCounts]) -> dict:
+    """The same counts for JSON."""
+    return {"ways": [each.figures() for each in counts]}

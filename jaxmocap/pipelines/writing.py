@@ -34,11 +34,11 @@ from jaxmocap.outputs.scene import ARM_BONES, make_scene, pixels
 from jaxmocap.outputs.viewer import Footage, write_rerun
 from jaxmocap.pipelines.progress import Progress, progress_bar
 
-# The viewer's recording holds at most so many frames of a camera.
-MOST_VIEWED = 300
+# Frames of a camera in the viewer's recording, at most.
+MOST_VIEWER_FRAMES = 300
 # Runs that write a motion into a folder replace each other's files.
 MOTION = "motion"
-# What holds a motion, in the order in which it is written.
+# The files of a motion, in the order in which they are written.
 MOTION_FILES = (
     "joints.trc",
     "angles.mot",
@@ -49,18 +49,18 @@ MOTION_FILES = (
 )
 
 
-# Takes a sentence that a user must know.
+# Called with a warning.
 Warn = Callable[[str], None]
 
 
-def no_warning(sentence: str) -> None:
-    """Where nobody asks."""
+def ignore_warning(sentence: str) -> None:
+    """A ``Warn`` that does nothing."""
 
 
 def tracked_folder(
     directory: str | Path, recording: Recording, others: Iterable[str] = ()
 ) -> OutputFolder:
-    """The folder for a tracked recording's files, looked at before any work.
+    """The folder for a tracked recording's files, checked before any work.
 
     Args:
         directory: of the outputs.
@@ -86,9 +86,9 @@ def write_outputs(
     directory: str | Path,
     settings: Settings | None = None,
     progress: Progress | bool | None = None,
-    warn: Warn = no_warning,
+    warn: Warn = ignore_warning,
 ) -> list[Path]:
-    """Write all files of a tracked recording, drawn by its cameras as they were found.
+    """Write all files of a tracked recording, drawn with its cameras as they were refined.
 
     Args:
         motion: tracked from the recording.
@@ -116,29 +116,29 @@ def write_tracked(
     folder: Path,
     settings: Settings | None = None,
     progress: Progress | bool | None = None,
-    warn: Warn = no_warning,
+    warn: Warn = ignore_warning,
 ) -> list[Path]:
-    """The same into a folder that is there, of which nothing is asked."""
+    """The same into an existing folder, without any check of it."""
     videos, warnings = open_footage(recording)
-    recording = as_found(recording, motion)
-    left_out: list[str] = []
-    files = write_motion(motion, folder, warn=left_out.append)
+    recording = with_refined_cameras(recording, motion)
+    motion_warnings: list[str] = []
+    files = write_motion(motion, folder, warn=motion_warnings.append)
     files.append(folder / "report.json")
-    warnings = [*warnings, *left_out]
+    warnings = [*warnings, *motion_warnings]
     extra = {"recording": recording.path or recording.name, "warnings": warnings}
     write_report(files[-1], motion, extra)
-    for sentence in left_out:
+    for sentence in motion_warnings:
         warn(sentence)
     targets = marker_tracks(recording)
     with progress_bar("drawing", progress) as show:
-        total = sum(len(video) + viewed(video) for video in videos)
-        counter = Counter(show, total)
+        total = sum(len(video) + viewer_frame_count(video) for video in videos)
+        counter = FrameCounter(show, total)
         files += write_overlays(motion, recording, videos, folder, targets, counter)
         files.append(folder / "recording.rrd")
         footage = {
             source.camera_name: Footage(
                 source.camera,
-                counter.over(thinned(video)),
+                counter.over(viewer_frames(video)),
                 arm_edges(video, source.camera, motion, settings or Settings()),
             )
             for source, video in zip(recording.videos, videos, strict=True)
@@ -152,7 +152,7 @@ def write_motion(
     folder: Path,
     surface: Surface | None = None,
     picture: bytes | None = None,
-    warn: Warn = no_warning,
+    warn: Warn = ignore_warning,
 ) -> list[Path]:
     """The motion in every format that others read.
 
@@ -178,18 +178,18 @@ def write_motion(
     return files
 
 
-def as_found(recording: Recording, motion: Motion) -> Recording:
-    """The recording with its cameras turned by what the motion's report says of them."""
-    told = {} if motion.report is None else motion.report.settings.get("camera_turns_deg", {})
+def with_refined_cameras(recording: Recording, motion: Motion) -> Recording:
+    """The recording with its cameras rotated as the motion's report states."""
+    turns_deg = {} if motion.report is None else motion.report.settings.get("camera_turns_deg", {})
 
-    def found(source: VideoSource) -> VideoSource:
-        if source.camera_name not in told:
+    def refined(source: VideoSource) -> VideoSource:
+        if source.camera_name not in turns_deg:
             return source
         camera = jax.tree.map(jnp.asarray, source.camera)
-        turn_cam = jnp.asarray(np.radians(told[source.camera_name]), camera.T_cam_world.dtype)
+        turn_cam = jnp.asarray(np.radians(turns_deg[source.camera_name]), camera.T_cam_world.dtype)
         return replace(source, camera=turned(camera, turn_cam))
 
-    return replace(recording, videos=tuple(map(found, recording.videos)))
+    return replace(recording, videos=tuple(map(refined, recording.videos)))
 
 
 def overlay_names(recording: Recording, kind: str = "overlay") -> list[str]:
@@ -206,7 +206,7 @@ def write_overlays(
     videos: list[FrameSource],
     folder: Path,
     targets: Mapping[str, np.ndarray],
-    counter: "Counter",
+    counter: "FrameCounter",
 ) -> list[Path]:
     """A video of each camera."""
     files = []
@@ -225,8 +225,8 @@ def marker_tracks(recording: Recording) -> dict[str, np.ndarray]:
     return dict(zip(recording.marker_names, columns, strict=True))
 
 
-class Counter:
-    """Tells a progress bar of every frame that goes by."""
+class FrameCounter:
+    """Shows every frame that is taken on a progress bar."""
 
     def __init__(self, show: Progress, total: int):
         self.show, self.total, self.done = show, total, 0
@@ -239,43 +239,43 @@ class Counter:
             self.show(self.done, self.total)
 
 
-def thinned(video: FrameSource, luma: bool = False) -> Iterator[TimedImage]:
-    """At most ``MOST_VIEWED`` frames, evenly over the video."""
+def viewer_frames(video: FrameSource, luma: bool = False) -> Iterator[TimedImage]:
+    """At most ``MOST_VIEWER_FRAMES`` frames, evenly over the video."""
     for i, frame in enumerate(video.frames(luma)):
         if i % _stride(video) == 0:
             yield frame
 
 
-def viewed(video: FrameSource) -> int:
-    """How many frames ``thinned`` gives."""
+def viewer_frame_count(video: FrameSource) -> int:
+    """The number of frames of ``viewer_frames``."""
     return -(-len(video) // _stride(video))
 
 
 def _stride(video: FrameSource) -> int:
-    return -(-len(video) // MOST_VIEWED)
+    return -(-len(video) // MOST_VIEWER_FRAMES)
 
 
 def arm_edges(
     video: FrameSource, camera: Camera, motion: Motion, settings: Settings
 ) -> dict[str, list[tuple[float, np.ndarray]]]:
-    """Canny's edges in both arms' regions of interest, at the frames of ``thinned``.
+    """Canny's edges in both arms' regions of interest, at the frames of ``viewer_frames``.
 
     Returns:
         Name -> time and edges (S, S), uint8, 255 on edges.
     """
-    chains = {"edges, left arm": Thresholds(), "edges, right arm": Thresholds()}
-    images: dict[str, list[tuple[float, np.ndarray]]] = {name: [] for name in chains}
+    thresholds_of = {"edges, left arm": Thresholds(), "edges, right arm": Thresholds()}
+    images: dict[str, list[tuple[float, np.ndarray]]] = {name: [] for name in thresholds_of}
     regions = arm_regions_over_time(camera, motion, video.times, settings)
     origins, scales = np.asarray(regions.origin), np.asarray(regions.scale)
     times = {float(time): i for i, time in enumerate(video.times)}
-    for time, image in thinned(video, luma=True):
+    for time, image in viewer_frames(video, luma=True):
         i = times[time]
-        for arm, (name, thresholds) in enumerate(list(chains.items())):
+        for arm, (name, thresholds) in enumerate(list(thresholds_of.items())):
             if image is None or not np.isfinite(origins[i, arm]).all():
                 continue
             part = crop(image, origins[i, arm], scales[i, arm], settings.region)
             dx, dy = gradients(part, settings.edge_detection)
-            edges, chains[name] = edge_image(dx, dy, settings.edge_detection, thresholds)
+            edges, thresholds_of[name] = edge_image(dx, dy, settings.edge_detection, thresholds)
             images[name].append((time, edges))
     return images
 
@@ -286,8 +286,8 @@ def arm_regions_over_time(
     """Regions (F, 2) around shoulder, elbow and hand of each arm at (F,) seconds; NaN unseen."""
     scene = make_scene(motion)
     bones = np.array([scene.bones.index(bone) for bone in ARM_BONES]).reshape(2, 3)
-    unknown = np.full((2, len(scene.bones), 3), np.nan)
-    ends = np.array([unknown if (pair := scene.at(t)) is None else pair for t in times])
+    missing = np.full((2, len(scene.bones), 3), np.nan)
+    ends = np.array([missing if (pair := scene.at(t)) is None else pair for t in times])
     near, far = ends[:, 0, bones], ends[:, 1, bones[:, 2:]]
     points = np.concatenate([near[:, :, :2], far], 2)
     margin = float(settings.margin)

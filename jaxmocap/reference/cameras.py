@@ -1,4 +1,4 @@
-"""Projection with OpenCV's distortion, point by point.
+"""Projection with OpenCV's distortion, of ordinary lenses and of fisheyes, point by point.
 
 INPUTS: a camera (anything with a Camera's attributes), points (metres) or pixels (x, y).
 OUTPUTS: pixels and rays; float64.
@@ -25,8 +25,26 @@ def normalise(points_cam: np.ndarray) -> np.ndarray:
 
 
 def distort(camera: Any, points_plane: np.ndarray) -> np.ndarray:
-    """OpenCV's rational radial and tangential distortion of (N, 2) points on the plane z = 1."""
-    k1, k2, p1, p2, k3, k4, k5, k6 = np.asarray(camera.distortion, float)
+    """OpenCV's distortion of (N, 2) points on the plane z = 1, by the camera's lens."""
+    of_lens = _fisheye if str(camera.lens) == "fisheye" else _brown_conrady
+    return of_lens(np.asarray(camera.distortion, float), points_plane)
+
+
+def _fisheye(coefficients: np.ndarray, points_plane: np.ndarray) -> np.ndarray:
+    """Kannala and Brandt's polynomial of the angle from the optical axis."""
+    k1, k2, k3, k4 = coefficients
+    distorted = []
+    for x, y in points_plane:
+        theta = np.arctan(np.hypot(x, y))
+        theta_d = theta * (1 + k1 * theta**2 + k2 * theta**4 + k3 * theta**6 + k4 * theta**8)
+        azimuth = np.arctan2(y, x)
+        distorted.append([theta_d * np.cos(azimuth), theta_d * np.sin(azimuth)])
+    return np.array(distorted)
+
+
+def _brown_conrady(coefficients: np.ndarray, points_plane: np.ndarray) -> np.ndarray:
+    """The rational radial and tangential distortion."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = coefficients
     distorted = []
     for x, y in points_plane:
         r = np.hypot(x, y)
@@ -49,7 +67,10 @@ def project(camera: Any, points_world: np.ndarray) -> np.ndarray:
 
 
 def pixel_rays(camera: Any, pixels_xy: np.ndarray, iterations: int = 8) -> np.ndarray:
-    """Directions (N, 3), unit length, world frame, of the rays through (N, 2) pixels."""
+    """Directions (N, 3), unit length, world frame, of the rays through (N, 2) pixels.
+
+    A fisheye's need more iterations the farther they are from the optical axis.
+    """
     inverse = np.linalg.inv(np.asarray(camera.matrix, float))
     R_world_cam = np.asarray(camera.T_cam_world, float)[:3, :3].T
     rays = []

@@ -1,1 +1,8 @@
-"""The second paper's system: silhouettes from one to four cameras, no markers."""
+"""The second paper's system: images of one to four cameras to a person's poses, without markers.
+
+A frame goes through ``tracker.step``: predict, segment (``segmentation/``), find the rim of the
+body's surface (``surfaces/``), pair both and solve (``fit/``), recover lost limbs (``recovery/``).
+A recording goes through ``passes.run_passes``, each pass of which learns backgrounds and the
+person's shape for the next. All that a tracker remembers is in ``state.State``; all that a user may
+tune is in ``settings.Settings``. Begin with ``tracker``.
+"""

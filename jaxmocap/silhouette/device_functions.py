@@ -14,14 +14,14 @@ from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.silhouette.correspond import pairs_of
+from jaxmocap.silhouette.fit.correspond import pairs_of
 from jaxmocap.silhouette.markers import MarkerRows
 from jaxmocap.silhouette.points import BodyPoints
 from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, solve_pose
-from jaxmocap.silhouette.surfaces.morph import Morph, free_of
+from jaxmocap.silhouette.surfaces.morph import Morph, without_followers
 
 
-class Seen(NamedTuple):
+class ContourPairs(NamedTuple):
     """Pairs of a cycle, C cameras with N each: see ``Matches``.
 
     Attributes:
@@ -29,7 +29,8 @@ class Seen(NamedTuple):
         pixels_xy: (C, N, 2).
         normals: (C, N, 2).
         weights: (C, N), 0 for no pair.
-        moves: (C * N, 3, S) of the points by steers, see ``morph``; None where nothing steers them.
+        moves: (C * N, 3, S) of the points by drivers, see ``morph``; None without any.
+        along_weight: of all pairs along the contour, by that across.
     """
 
     points: BodyPoints
@@ -37,17 +38,18 @@ class Seen(NamedTuple):
     normals: Array | np.ndarray
     weights: Array | np.ndarray
     moves: Array | np.ndarray | None = None
+    along_weight: Array | float = 0.0
 
 
 @jax.jit
-def predict(skeleton: Skeleton, pose: Pose, velocity: Array, ahead: Array) -> Pose:
+def predicted_pose(skeleton: Skeleton, pose: Pose, velocity: Array, ahead: Array) -> Pose:
     """A pose (..., ) moved on by a velocity (6 + D,) for so many seconds, within the limits."""
     moved = retract(pose, velocity * ahead)
     low, high = skeleton.limits[:, 0], skeleton.limits[:, 1]
     return moved._replace(angles=jnp.clip(moved.angles, low, high))
 
 
-free = jax.jit(free_of)
+free_pose = jax.jit(without_followers)
 
 
 @jax.jit
@@ -55,27 +57,27 @@ def fit(
     skeleton: Skeleton,
     cameras: Camera,
     pose: Pose,
-    seen: Seen,
+    pairs: ContourPairs,
     settings: PoseSettings,
     prior: Prior,
-    grip: Array | float,
     markers: MarkerRows | None = None,
     morph: Morph | None = None,
 ) -> PoseResult:
     """The pose that brings the rims' points to the contours' rays; see ``solve_pose``."""
-    pixels_xy, normals, weights = (jnp.asarray(part) for part in seen[1:4])
-    pairs = pairs_of(cameras, seen.points, pixels_xy, normals, weights, grip, seen.moves)
-    return solve_pose(skeleton, pose, pairs, settings, prior, markers=markers, morph=morph)
+    pixels_xy, normals, weights = (jnp.asarray(part) for part in pairs[1:4])
+    along_weight, moves = pairs.along_weight, pairs.moves
+    rays = pairs_of(cameras, pairs.points, pixels_xy, normals, weights, along_weight, moves)
+    return solve_pose(skeleton, pose, rays, settings, prior, markers=markers, morph=morph)
 
 
 @jax.jit
-def velocity_of(before: Pose, now: Pose, between: Array) -> Array:
+def velocity_between(before: Pose, now: Pose, between: Array) -> Array:
     """(6 + D,) metres and radians per second from one pose to another, seconds later."""
     return difference(now, before) / between
 
 
 @jax.jit
-def landmark_slopes(skeleton: Skeleton, pose: Pose) -> Array:
+def landmark_jacobian(skeleton: Skeleton, pose: Pose) -> Array:
     """(L, 3, 6 + D) derivatives of the landmarks by the tangent vector of ``retract``."""
     rest = jnp.zeros_like(skeleton.costs)
     return jax.jacfwd(lambda step: landmarks(skeleton, retract(pose, step)))(rest)

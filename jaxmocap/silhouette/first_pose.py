@@ -13,13 +13,16 @@ from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 
-# Deviations of a landmark and of a degree of freedom about the relaxed pose.
-NEAR_M, RELAXED = 0.02, 1.0
+# Deviation of a landmark, metres.
+LANDMARK_DEVIATION_M = 0.02
+# Deviation of a degree of freedom about the relaxed pose, metres and radians.
+RELAXED_DEVIATION = 1.0
+# Of Gauss and Newton.
 STEPS = 40
 landmark_points = jax.jit(landmarks)
 
 
-def pose_at(skeleton: Skeleton, points_world: np.ndarray) -> Pose:
+def pose_at_landmarks(skeleton: Skeleton, points_world: np.ndarray) -> Pose:
     """The pose nearest to landmarks.
 
     Args:
@@ -35,7 +38,7 @@ def pose_at(skeleton: Skeleton, points_world: np.ndarray) -> Pose:
     return _fitted(skeleton, start, jnp.asarray(points, skeleton.lengths.dtype))
 
 
-def standing_pose(skeleton: Skeleton, x: float, y: float, facing: float) -> Pose:
+def standing_pose_at(skeleton: Skeleton, x: float, y: float, facing: float) -> Pose:
     """A relaxed person standing on the floor at a place, metres, facing so, radians from +x."""
     pose = relaxed_pose(skeleton)
     lowest = np.asarray(landmark_points(skeleton, pose))[:, 2].min()
@@ -91,11 +94,13 @@ def _fitted(skeleton: Skeleton, start: Pose, points: Array) -> Pose:
     """Gauss-Newton from a placed pose, within the limits."""
     known = jnp.isfinite(points)
     targets = jnp.where(known, points, 0.0)
-    rest = jnp.concatenate([jnp.zeros(6, points.dtype), jnp.ones_like(start.angles) / RELAXED**2])
+    rest = jnp.concatenate(
+        [jnp.zeros(6, points.dtype), jnp.ones_like(start.angles) / RELAXED_DEVIATION**2]
+    )
 
     def off(pose: Pose, step: Array) -> Array:
         there = landmarks(skeleton, retract(pose, step))
-        return (jnp.where(known, there - targets, 0.0) / NEAR_M).ravel()
+        return (jnp.where(known, there - targets, 0.0) / LANDMARK_DEVIATION_M).ravel()
 
     def once(_: int, pose: Pose) -> Pose:
         none = jnp.zeros_like(rest)

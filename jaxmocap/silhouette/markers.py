@@ -17,7 +17,7 @@ from jaxmocap.body.kinematics import Frames, Sites
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.surface import BodyPoints, posed
 from jaxmocap.geometry.rotations import HIGHEST
-from jaxmocap.silhouette.points import slopes
+from jaxmocap.silhouette.points import point_jacobian
 
 
 class MarkerRows(NamedTuple):
@@ -50,7 +50,7 @@ def marker_equations(skeleton: Skeleton, frames: Frames, rows: MarkerRows) -> tu
     there = jnp.isfinite(positions).all(-1)
     off = posed(frames, rows.points) - jnp.where(there[:, None], positions, 0.0)
     sure = jnp.where(there, 1 / jnp.asarray(rows.deviations), 0.0)[:, None]
-    J = slopes(skeleton, frames, rows.points) * sure[..., None]
+    J = point_jacobian(skeleton, frames, rows.points) * sure[..., None]
     J = J.reshape(-1, J.shape[-1])
     information = jnp.matmul(J.T, J, precision=HIGHEST)
     return information, jnp.matmul(J.T, (off * sure).ravel(), precision=HIGHEST)

@@ -26,24 +26,24 @@ class PointRays(NamedTuple):
     """N points and the rays that they should lie on, of any number of cameras.
 
     Where the ray belongs to a contour, its point is known across the contour and not along it:
-    ``across`` is the contour's normal in space and ``grips`` how firmly the other direction holds.
-    With grips of 1 this is the incidence of (3.11), whatever ``across``.
+    ``across`` is the contour's normal in space and ``along_weights`` the other direction's weights.
+    With weights of 1 this is the incidence of (3.11), whatever ``across``.
 
     Attributes:
         points: of the body.
         lines: in the world, (N).
         across: (N, 3) unit vectors at right angles to their lines.
         weights: (N,) 0 where there is no pair, whatever the other fields then hold.
-        grips: (N,) from 0 to 1.
-        moves: (N, 3, S) how the points go along with steers (see ``morph``), metres in their bones'
-            frames; None where nothing steers them.
+        along_weights: (N,) from 0 to 1.
+        moves: (N, 3, S) of the points by drivers of 1, metres in their bones' frames, see
+            ``morph``; None where nothing drives them.
     """
 
     points: BodyPoints
     lines: Lines
     across: Array
     weights: Array
-    grips: Array
+    along_weights: Array
     moves: Array | np.ndarray | None = None
 
 
@@ -76,7 +76,7 @@ def contour_rays(camera: Camera, pixels_xy: Array, normals: Array) -> tuple[Line
     return lines, jnp.where(known, across / jnp.sqrt(jnp.where(known, squared, 1.0)), 0.0)
 
 
-def slopes(skeleton: Skeleton, frames: Frames, points: BodyPoints) -> Array:
+def point_jacobian(skeleton: Skeleton, frames: Frames, points: BodyPoints) -> Array:
     """Derivatives (N, 3, 6 + D) of the posed points by the tangent vector of ``retract``."""
     alone, shares = carried(frames, points), jnp.asarray(points.shares)
     total = jnp.zeros(())
@@ -86,8 +86,8 @@ def slopes(skeleton: Skeleton, frames: Frames, points: BodyPoints) -> Array:
     return total
 
 
-def steered_slopes(frames: Frames, points: BodyPoints, moves: Array | np.ndarray) -> Array:
-    """Derivatives (N, 3, S) of the posed points by the steers of their moves (N, 3, S)."""
+def driver_point_jacobian(frames: Frames, points: BodyPoints, moves: Array | np.ndarray) -> Array:
+    """Derivatives (N, 3, S) of the posed points by the drivers of their moves (N, 3, S)."""
     shares = jnp.asarray(points.shares)[..., None, None]
     R = jnp.sum(shares * frames.R_world_bone[points.bones], 1)
     return jnp.einsum("nab,nbs->nas", R, jnp.asarray(moves), precision=HIGHEST)
@@ -98,22 +98,22 @@ def linearised(skeleton: Skeleton, frames: Frames, pairs: PointRays) -> tuple[Ar
 
     x x n - m has three rows of rank two; here are its two components at right angles to the ray,
     across the contour and along it, unweighted but for the grip. Pairs of no weight give 0.
-    The last S columns are by what steers the points, where anything does.
+    The last S columns are by what drives the points, where anything does.
     """
     real = pairs.weights > 0
     along = jnp.cross(pairs.lines.directions, pairs.across)
-    ways = jnp.stack([pairs.across, pairs.grips[:, None] * along], 1)
+    ways = jnp.stack([pairs.across, pairs.along_weights[:, None] * along], 1)
     ways = jnp.where(real[:, None, None], ways, 0.0)
     lines = Lines(*(jnp.where(real[:, None], part, 0.0) for part in pairs.lines))
     off = perpendiculars(lines, posed(frames, pairs.points))
-    J = slopes(skeleton, frames, pairs.points)
+    J = point_jacobian(skeleton, frames, pairs.points)
     residuals = ways[..., 0] * off[:, None, 0]
     rows = ways[..., 0, None] * J[:, None, 0]
     for axis in (1, 2):
         residuals = residuals + ways[..., axis] * off[:, None, axis]
         rows = rows + ways[..., axis, None] * J[:, None, axis]
     if pairs.moves is not None:
-        steered = steered_slopes(frames, pairs.points, pairs.moves)
-        across = jnp.sum(ways[..., None] * steered[:, None], -2)
+        driven = driver_point_jacobian(frames, pairs.points, pairs.moves)
+        across = jnp.sum(ways[..., None] * driven[:, None], -2)
         rows = jnp.concatenate([rows, across], -1)
     return residuals, rows

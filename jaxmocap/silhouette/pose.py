@@ -27,12 +27,12 @@ from jaxmocap.silhouette.markers import MarkerRows, marker_equations
 from jaxmocap.silhouette.points import PointRays, linearised
 from jaxmocap.silhouette.surfaces.morph import (
     Morph,
-    free_of,
-    moved,
-    slopes_of,
-    steered,
-    whole_by_free,
-    whole_of,
+    driver_jacobian,
+    driver_values,
+    followed_jacobian,
+    moved_points,
+    with_followers,
+    without_followers,
 )
 from jaxmocap.solvers.status import Status
 
@@ -132,7 +132,7 @@ def solve_pose(
         free: (6 + D,) degrees of freedom that may move; all without it.
         markers: further rows, where there are any.
         morph: what goes along with the angles. Steps, damping and the prior are then those of the
-            free pose (``free_of``); the pairs' moves are its steers'.
+            free pose (``without_followers``); the pairs' moves are its drivers'.
     """
     moving = jnp.ones(skeleton.costs.shape, bool) if free is None else free
 
@@ -145,12 +145,12 @@ def solve_pose(
         normal = _normal_equations(skeleton, pose, pairs, settings, markers, morph)
         room = _room(skeleton, pose)
         if morph is not None:
-            normal = _by(whole_by_free(morph, pose.angles), normal)
-            pose = free_of(morph, pose)
+            normal = _by(followed_jacobian(morph, pose.angles), normal)
+            pose = without_followers(morph, pose)
         step = _step(pose, room, normal, settings, prior, moving)
         there = retract(pose, step)
         if morph is not None:
-            there = whole_of(morph, there, skeleton)
+            there = with_followers(morph, there, skeleton)
         return count + 1, there, jnp.max(jnp.abs(step))
 
     far = jnp.asarray(jnp.inf, pose.angles.dtype)
@@ -180,7 +180,7 @@ def _normal_equations(
     """Hessian and slope of half the squares of all pairs, in their robust deviations."""
     frames = forward(skeleton, pose)
     if morph is not None and pairs.moves is not None:
-        gone = moved(pairs.points, pairs.moves, steered(morph, pose.angles))
+        gone = moved_points(pairs.points, pairs.moves, driver_values(morph, pose.angles))
         pairs = pairs._replace(points=gone)
     residuals, rows = linearised(skeleton, frames, pairs)
     squared = jnp.sum(residuals**2, -1)
@@ -199,7 +199,7 @@ def _normal_equations(
     normal = _Normal(information, slope, distances, shares, spread)
     if morph is not None and pairs.moves is not None:
         same = jnp.eye(len(skeleton.costs), dtype=slope.dtype)
-        normal = _by(jnp.concatenate([same, slopes_of(morph, pose.angles)]), normal)
+        normal = _by(jnp.concatenate([same, driver_jacobian(morph, pose.angles)]), normal)
     if markers is not None:
         known, downhill = marker_equations(skeleton, frames, markers)
         information, slope = normal.information + known, normal.slope + downhill

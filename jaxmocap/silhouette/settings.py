@@ -5,15 +5,15 @@ INPUTS: nothing. OUTPUTS: Settings, whose defaults were chosen on rendered exerc
 
 from dataclasses import dataclass, field
 
-from jaxmocap.silhouette.correspond import MatchSettings
-from jaxmocap.silhouette.recovery.limb_particle_filter import SearchSettings
+from jaxmocap.silhouette.fit.correspond import MatchSettings
+from jaxmocap.silhouette.recovery.settings import LimbSearchSettings, RecoverySettings
 from jaxmocap.silhouette.segmentation import segment
-from jaxmocap.silhouette.segmentation.inner_edges import EdgeSettings
-from jaxmocap.silhouette.smoothing import SmoothingSettings
+from jaxmocap.silhouette.segmentation.inner_edges import InnerEdgeSettings
+from jaxmocap.silhouette.smoothing import PoseSmoothingSettings
 from jaxmocap.silhouette.surfaces.morph import Morphing
 from jaxmocap.silhouette.surfaces.rim import RimSettings
 
-# What finds starts that are off by 10 degrees and 6 cm, half of them.
+# Of a first pose that is off by 10 degrees and 6 cm: half of such poses are then found.
 FAR_OFF = (0.08, 0.08)
 
 
@@ -25,74 +25,75 @@ class Settings:
         rim: sizes; its canvases are the level sets' too, so that its margin holds a step's error.
         match: what makes a pair of rim and contour.
         level_set: of the segmentation, traced.
-        sharpen: whether pixels then say where exactly its contours are.
+        sharpen: whether single pixels then decide where exactly its contours are.
         points: of each camera's contour, static.
-        contrast: least of a contour's point, 0 to 1: below, the image does not tell its two sides.
+        contrast: least of a contour's point, 0 to 1: below, the image does not separate its two
+            sides.
         deviations: of points about their rays, metres, one cycle each. The first must be large: a
             limb that moved fast is an outlier to the rest, and would be left behind. The last is
             small: what another limb's outline was taken for is an outlier then.
-        starting: the same of cycles before those in the first frame, where its pose may be far
-            off, such as ``FAR_OFF``: each looks anew, and matches the surface's low-pass (coarse
-            to fine). From a pose nearly right they lead to no better one.
-        looks: cycles that begin with a segmentation; the first does in any case.
+        starting_deviations: the same of cycles before those in the first frame, where its pose may
+            be far off, such as ``FAR_OFF``: each segments anew, and matches the surface's low-pass
+            (coarse to fine). From a pose nearly right they lead to no better one.
+        segmentation_cycles: cycles that begin with a segmentation; the first does in any case.
         edges: what shows one limb before another.
         iterations: of the pose in each cycle.
-        expected: deviation of every degree of freedom about its prediction, metres and radians.
+        predicted_deviation: of every degree of freedom about its prediction, metres and radians.
             Pairs of one outline err alike, and count as if they did not: more freedom than this
             lets a stretched arm turn over.
-        held: the same of one of which the last frame told little.
-        held_at_rest: how joints' names begin, of which outlines tell little, and their deviations
-            about 0, radians; see ``posture``.
+        undetermined_deviation: the same of one that the last frame did not determine.
+        rest: factor on the skeleton's ``rest_deviations``, of joints that outlines hardly
+            determine; see ``expected_pose``.
         morphing: what goes along with the joints' angles; ``Morphing()`` for nothing. Joints that
             do are held at rest about where they go.
-        blind: deviation of a degree of freedom of which nothing is known.
-        told: it is told of where its deviation falls below this share of ``expected``, and seen
-            where below this share of ``blind``.
+        unknown_deviation: of a degree of freedom that nothing determines.
+        determined_share: a degree of freedom is determined where its deviation falls below this
+            share of ``predicted_deviation``, and observed where below this share of
+            ``unknown_deviation``.
         damping: share of the velocity that the next frame is predicted with.
-        newest: weight of a frame's own velocity.
-        changed: an image that differs from the last of its camera in more than this share of it is
-            torn, black or another camera's, and not looked at.
-        patience: frames of a camera, one after the other, that may be passed over so.
-        hypotheses: of where a limb is that may be lost, static; 1 for the pose found alone.
-        search: among them.
+        velocity_gain: weight of a frame's own velocity.
+        changed_share: an image that differs from the last of its camera in more than this share of
+            it is torn, black or another camera's, and ignored.
+        patience: frames of a camera, one after the other, that may be ignored so.
+        particles: of where a limb is that may be lost, static; 1 for the pose found alone.
+        limb_search: among them.
+        recovery: when to search for a limb, and what to believe of it.
         smoothing: of all frames of a recording together; None leaves them as they were found.
-        marked: deviation of markers, metres, where they are followed too. Hundreds of pairs that
-            err alike stand against each.
-        share: of a camera's rim and contour that must find each other.
-        apart: a camera whose pairs lie so many times as far apart as all is left out.
-        near: unless they are within this, metres.
-        settling: times that the first frame is looked at before tracking begins.
+        marker_deviation: metres, where markers are followed too. Hundreds of pairs that err alike
+            stand against each.
+        least_matched_share: of a camera's rim and contour that must find a partner.
+        disagreement: a camera whose pairs lie so many times as far apart as all is left out,
+        agreement_m: unless they are within this.
+        settling_steps: times that the first frame is tracked before the second.
     """
 
     rim: RimSettings = field(default_factory=lambda: RimSettings(margin=0.1))
     match: MatchSettings = field(default_factory=MatchSettings)
-    level_set: segment.Settings = field(default_factory=segment.Settings)
+    level_set: segment.LevelSetSettings = field(default_factory=segment.LevelSetSettings)
     sharpen: bool = True
     points: int = 512
     contrast: float = 0.1
     deviations: tuple[float, ...] = (0.03, 0.008, 0.004)
-    starting: tuple[float, ...] = ()
-    looks: tuple[int, ...] = (0,)
-    edges: EdgeSettings = field(default_factory=EdgeSettings)
+    starting_deviations: tuple[float, ...] = ()
+    segmentation_cycles: tuple[int, ...] = (0,)
+    edges: InnerEdgeSettings = field(default_factory=InnerEdgeSettings)
     iterations: int = 4
-    expected: float = 0.08
-    held: float = 0.02
-    held_at_rest: tuple[tuple[str, float], ...] = (
-        ("clavicle", 0.026), ("elbow_twist", 0.14), ("wrist_deviate", 0.1), ("neck", 0.05),
-        ("ankle_invert", 0.07),
-    )  # fmt: skip
+    predicted_deviation: float = 0.08
+    undetermined_deviation: float = 0.02
+    rest: float = 1.0
     morphing: Morphing = field(default_factory=Morphing)
-    blind: float = 0.25
-    told: float = 0.5
+    unknown_deviation: float = 0.25
+    determined_share: float = 0.5
     damping: float = 0.8
-    newest: float = 0.7
-    changed: float = 0.16
+    velocity_gain: float = 0.7
+    changed_share: float = 0.16
     patience: int = 15
-    hypotheses: int = 128
-    search: SearchSettings = field(default_factory=SearchSettings)
-    smoothing: SmoothingSettings | None = field(default_factory=SmoothingSettings)
-    marked: float = 0.003
-    share: float = 0.4
-    apart: float = 3.0
-    near: float = 0.03
-    settling: int = 4
+    particles: int = 128
+    limb_search: LimbSearchSettings = field(default_factory=LimbSearchSettings)
+    recovery: RecoverySettings = field(default_factory=RecoverySettings)
+    smoothing: PoseSmoothingSettings | None = field(default_factory=PoseSmoothingSettings)
+    marker_deviation: float = 0.003
+    least_matched_share: float = 0.4
+    disagreement: float = 3.0
+    agreement_m: float = 0.03
+    settling_steps: int = 4

@@ -1,4 +1,4 @@
-"""All poses of a recording at once: what each frame's pairs told, and that people move smoothly.
+"""All poses of a recording at once: by each frame's pairs, and because people move smoothly.
 
 A frame's pairs tell some directions of a pose well and others hardly: an arm's turn about its own
 axis shows only where the elbow is bent. What they leave open, prediction from the frames before
@@ -26,8 +26,8 @@ from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.evidence.smoothness import REACH, accelerations_of, smoothness
-from jaxmocap.silhouette.device_functions import landmark_slopes
-from jaxmocap.silhouette.surfaces.morph import Morph, free_of
+from jaxmocap.silhouette.device_functions import landmark_jacobian
+from jaxmocap.silhouette.surfaces.morph import Morph, without_followers
 from jaxmocap.smoothing.levenberg_marquardt import Linearised, SolverSettings, minimise
 
 # Frames that are linearised in one call: any recording's fill some, and compile once.
@@ -36,12 +36,12 @@ FRAMES_A_CALL = 32
 STEPS = 3
 
 
-class Told(NamedTuple):
+class FrameInformation(NamedTuple):
     """What the pairs of T frames tell.
 
     Attributes:
         poses: (T, ...) that were found.
-        information: (T, 6 + D, 6 + D) of ``PoseResult``; 0 where nothing was seen.
+        information: (T, 6 + D, 6 + D) of ``PoseResult``; 0 where nothing was visible.
         slope: (T, 6 + D) likewise.
     """
 
@@ -50,33 +50,33 @@ class Told(NamedTuple):
     slope: np.ndarray
 
 
-class SmoothingSettings(NamedTuple):
+class PoseSmoothingSettings(NamedTuple):
     """What a user may tune.
 
     Attributes:
         acceleration: deviation of the landmarks' accelerations, m / s^2 * sqrt(s), see
-            ``smoothness``, before the recording has told how each moves, and at most.
-        own: what counts from then on, as a share of each landmark's own. Pairs that err alike
+            ``smoothness``, before the recording has shown how each moves, and at most.
+        own_share: what counts from then on, as a share of each landmark's own. Pairs that err alike
             count as if they did not: less than 1 by as much.
-        least: of it all the same, m / s^2 * sqrt(s).
-        rounds: times that the recording is asked.
-        step: deviation of a pose about the one that was found, metres and radians: farther off the
-            pairs would be others.
+        least_acceleration: of it all the same, m / s^2 * sqrt(s).
+        rounds: times that accelerations are estimated.
+        pose_deviation: of a pose about the one that was found, metres and radians: farther off
+            the pairs would be others.
     """
 
     acceleration: float = 1.0
-    own: float = 0.5
-    least: float = 0.1
+    own_share: float = 0.5
+    least_acceleration: float = 0.1
     rounds: int = 3
-    step: float = 0.1
+    pose_deviation: float = 0.1
 
 
-def smoothed(
+def smoothed_poses(
     skeleton: Skeleton,
     times: np.ndarray,
-    told: Told,
+    information: FrameInformation,
     rest: np.ndarray,
-    settings: SmoothingSettings,
+    settings: PoseSmoothingSettings,
     morph: Morph | None = None,
 ) -> Pose:
     """The poses (T, ...) of a whole recording.
@@ -84,23 +84,23 @@ def smoothed(
     Args:
         skeleton: of the person.
         times: (T,) seconds.
-        told: frame by frame.
+        information: frame by frame.
         rest: (D,) deviations of joints that are held about 0, radians; infinite for the others.
         settings: how smoothly.
         morph: what goes along with the joints' angles: such joints are held about where they go.
     """
     if len(times) <= REACH:
-        return told.poses
-    held = rest**-2.0
-    slope = told.slope.astype(float)
-    H = told.information + np.eye(slope.shape[-1]) / settings.step**2
+        return information.poses
+    rest_precision = rest**-2.0
+    slope = information.slope.astype(float)
+    H = information.information + np.eye(slope.shape[-1]) / settings.pose_deviation**2
 
     def linearise(poses: Pose) -> Linearised:
         about = partial(_about, skeleton, morph)
-        off, angles, bent, points, by = in_batches(about, (poses, told.poses), FRAMES_A_CALL)
+        off, angles, bent, points, by = in_batches(about, (poses, information.poses), FRAMES_A_CALL)
         pulled = np.einsum("tij,tj->ti", H, off)
-        cost = np.sum(off * (pulled + 2 * slope), 1) + angles**2 @ held
-        firm = bent.swapaxes(1, 2) * held
+        cost = np.sum(off * (pulled + 2 * slope), 1) + angles**2 @ rest_precision
+        firm = bent.swapaxes(1, 2) * rest_precision
         gradient = pulled + slope + np.einsum("tid,td->ti", firm, angles)
         return Linearised(cost, H + firm @ bent, gradient, points, by)
 
@@ -110,11 +110,11 @@ def smoothed(
         with threadpool_limits(1, user_api="blas"):
             return minimise(linearise, move, poses, prior, SolverSettings(iterations=STEPS)).x
 
-    poses = smoothly(told.poses, np.full(3 * len(LANDMARKS), settings.acceleration))
+    poses = smoothly(information.poses, np.full(3 * len(LANDMARKS), settings.acceleration))
     for _ in range(settings.rounds):
-        own = settings.own * _accelerations(skeleton, times, poses)
+        own = settings.own_share * _accelerations(skeleton, times, poses)
         # A limb that was lost and found again has large ones too: never looser than at first.
-        own = np.clip(own, settings.least, settings.acceleration)
+        own = np.clip(own, settings.least_acceleration, settings.acceleration)
         poses = smoothly(poses, np.repeat(own, 3))
     return poses
 
@@ -143,14 +143,14 @@ def _about(
     """
 
     def own(pose: Pose) -> Array:
-        return (pose if morph is None else free_of(morph, pose)).angles
+        return (pose if morph is None else without_followers(morph, pose)).angles
 
     def bent(pose: Pose) -> Array:
         still = jnp.zeros(ROOT_DOF + pose.angles.size, pose.angles.dtype)
         return jax.jacfwd(lambda step: own(retract(pose, step)))(still)
 
     places = _places(skeleton, poses)
-    by = jax.vmap(partial(landmark_slopes, skeleton))(poses)
+    by = jax.vmap(partial(landmark_jacobian, skeleton))(poses)
     angles, slopes = jax.vmap(own)(poses), jax.vmap(bent)(poses)
     return difference(poses, found), angles, slopes, places, by.reshape(*places.shape, -1)
 

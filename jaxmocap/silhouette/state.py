@@ -1,6 +1,6 @@
-"""What a silhouette tracker remembers from frame to frame, and what it tells of each.
+"""What a silhouette tracker is given, what it remembers from frame to frame, and what it reports.
 
-INPUTS: nothing. OUTPUTS: State, StepReport, Moving.
+INPUTS: nothing. OUTPUTS: TrackerConstants; TrackedBody, State; StepReport, PoseEstimate.
 """
 
 from typing import NamedTuple
@@ -8,67 +8,130 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.body.pose import Pose
-from jaxmocap.silhouette.recovery.lost_limbs import Doubts
-from jaxmocap.silhouette.segmentation.image_changes import Glances
+from jaxmocap.body.surfaces.surface import BodyPoints
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.images.background_model import Background
+from jaxmocap.silhouette.recovery.lost_limbs import LimbMemory, LimbRecovery
+from jaxmocap.silhouette.segmentation.image_changes import ImageHistory
 from jaxmocap.silhouette.segmentation.outlines import Outlines
-from jaxmocap.silhouette.segmentation.segment import Histograms
-from jaxmocap.silhouette.surfaces.shape import Paired
+from jaxmocap.silhouette.segmentation.segment import Histograms, SegmentationPlan
+from jaxmocap.silhouette.settings import Settings
+from jaxmocap.silhouette.surfaces.body_shape import BodyShape
+from jaxmocap.silhouette.surfaces.rim import RimFinder
+from jaxmocap.silhouette.surfaces.shape import NodePairs
+
+
+class TrackerConstants(NamedTuple):
+    """What stays as it is for all frames and passes.
+
+    Attributes:
+        cameras: C, stacked.
+        settings: how to work.
+        finder: of rims.
+        rest_deviations: (D,) of joints held about 0, radians; infinite for the others.
+        carriers: (M,) the bone that carries most of each node of the surface.
+        plan: static choices of the segmentation.
+    """
+
+    cameras: Camera
+    settings: Settings
+    finder: RimFinder
+    rest_deviations: np.ndarray
+    carriers: np.ndarray
+    plan: SegmentationPlan
+
+
+class TrackedBody(NamedTuple):
+    """Who is tracked.
+
+    Attributes:
+        shape: bones and surface.
+        marker_points: of the body, where markers sit that are followed too; None without any.
+        recovery: of limbs of these bones' lengths.
+    """
+
+    shape: BodyShape
+    marker_points: BodyPoints | None
+    recovery: LimbRecovery
+
+
+class StepReport(NamedTuple):
+    """How a step went, and how well its pose is determined.
+
+    Attributes:
+        used: (C,) bool: cameras that counted.
+        matched_shares: (C,) of rim and contour that found a partner.
+        spread: standard deviation of the pairs, metres.
+        deviations: (6 + D,) standard deviations of the degrees of freedom, metres and radians.
+        observed: (6 + D,) bool: those that the images determine; the others keep their prediction.
+        information: (6 + D, 6 + D), see ``PoseResult``; by the pairs of parts that are visible.
+        slope: (6 + D,), likewise.
+        outlines: what was segmented.
+        relocated: (D,) bool: joints that a particle filter, or an earlier pass, put elsewhere.
+        hidden: (D,) bool: joints of parts that are not visible where the pose has them.
+        pairs: that the pose was fitted to.
+        revised: reports of the last frames, the oldest first, where this one withdraws what they
+            had of relocated joints; in place of theirs.
+    """
+
+    used: np.ndarray
+    matched_shares: np.ndarray
+    spread: float
+    deviations: np.ndarray
+    observed: np.ndarray
+    information: np.ndarray
+    slope: np.ndarray
+    outlines: Outlines
+    relocated: np.ndarray
+    hidden: np.ndarray
+    pairs: NodePairs
+    revised: "tuple[StepReport, ...]" = ()
+
+
+class RecentFrame(NamedTuple):
+    """A frame that a later one may still revise.
+
+    Attributes:
+        report: in full.
+        pose: that was found.
+        positions_world: (M, 3) of its markers, metres; None without any.
+    """
+
+    report: StepReport
+    pose: Pose
+    positions_world: np.ndarray | None
 
 
 class State(NamedTuple):
-    """What a tracker remembers.
+    """What a tracker remembers: all of it.
 
     Attributes:
         pose: at ``time``.
         velocity: (6 + D,) metres and radians per second.
         time: seconds; None before the first frame.
         histograms: of C cameras' images.
-        told: (6 + D,) bool: degrees of freedom that the last frame told much of.
-        glances: at what the cameras showed last.
-        doubts: limbs that may be elsewhere.
+        determined: (6 + D,) bool: degrees of freedom that the last frame determined well.
+        image_history: what the cameras showed last.
+        limbs: what is remembered of them.
+        body: who is tracked.
+        backgrounds: C models of what each camera shows where nobody stands; None where unknown.
+        recent: the last frames, the oldest first.
     """
 
     pose: Pose
     velocity: np.ndarray
     time: float | None
     histograms: Histograms
-    told: np.ndarray
-    glances: Glances
-    doubts: Doubts
+    determined: np.ndarray
+    image_history: ImageHistory
+    limbs: LimbMemory
+    body: TrackedBody
+    backgrounds: tuple[Background | None, ...]
+    recent: tuple[RecentFrame, ...] = ()
 
 
-class StepReport(NamedTuple):
-    """How far to trust a step.
-
-    Attributes:
-        used: (C,) bool: cameras that counted.
-        shares: (C,) of rim and contour that found each other.
-        spread: deviation of the pairs, metres.
-        deviations: (6 + D,) of the degrees of freedom, metres and radians.
-        seen: (6 + D,) bool: those that the images told of; the others are held.
-        information: (6 + D, 6 + D), see ``PoseResult``; by the pairs of parts that are seen.
-        slope: (6 + D,), likewise.
-        outlines: what was segmented.
-        moved: (D,) bool: joints that a hypothesis, or an earlier pass, put elsewhere.
-        hidden: (D,) bool: joints of parts that are not seen where they are thought to be.
-        pairs: that the pose was found by.
-    """
-
-    used: np.ndarray
-    shares: np.ndarray
-    spread: float
-    deviations: np.ndarray
-    seen: np.ndarray
-    information: np.ndarray
-    slope: np.ndarray
-    outlines: Outlines
-    moved: np.ndarray
-    hidden: np.ndarray
-    pairs: Paired
-
-
-class Moving(NamedTuple):
-    """A frame's pose and how it moves on, as a pass over the frames left them.
+class PoseEstimate(NamedTuple):
+    """A frame's pose and velocity, as a pass over the frames left them.
 
     Attributes:
         pose: that was found.

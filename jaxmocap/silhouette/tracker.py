@@ -1,21 +1,23 @@
 """The silhouette tracker: images of one or several cameras to a pose, frame by frame (section 5).
 
-    predict   the last pose moves on at its velocity
-    rim       of the surface at that pose, as each camera sees it (3.1.5)
-    look      level sets from the predicted silhouettes, their contours (4.1)
-    fit       rim -> contour, twist equations of all cameras in one system (3.2); again with the
-              rim of the pose that was found, and a narrower view of what is an outlier; in the
-              first frame begun with the surface's low-pass, coarse to fine
-    doubt     a limb that explains more where an earlier pass found it is fitted from there; person
-              that no limb explains, or a limb that is not there: many hypotheses, the best is
-              fitted again; parts that look otherwise than before are not seen
+    predict    the last pose moves on at its velocity
+    rim        of the surface at that pose, as each camera sees it (3.1.5)
+    segment    level sets from the predicted silhouettes, their contours (4.1)
+    fit        rim -> contour, twist equations of all cameras in one system (3.2); again with the
+               rim of the pose that was found, and a smaller deviation for outliers; in the first
+               frame begun with the surface's low-pass, coarse to fine
+    recover    a limb that explains more where an earlier pass found it is fitted from there; where
+               person is seen that no limb explains, or a limb explains nothing, a particle filter
+               proposes poses and the best is fitted; parts of another colour than before are hidden
+    withdraw   of limbs found elsewhere the last frames' information is taken back
 
 Cameras that show nothing of the person, or what the others deny, are left out frame by frame;
-joints that no camera tells of stay where they are expected, and the report says so.
+joints that no camera determines stay where they are predicted, and the report says so.
+
+INPUTS: a body, cameras; images. OUTPUTS: State, Pose and StepReport of each frame.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,76 +26,48 @@ import numpy as np
 from jaxmocap.body.kinematics import Sites
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
-from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
+from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.surface import Surface
-from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.cameras import Camera, stack_cameras
 from jaxmocap.images.background_model import Background
-from jaxmocap.silhouette.camera_agreement import chosen, denied, shares_found
-from jaxmocap.silhouette.correspond import matched
-from jaxmocap.silhouette.device_functions import Seen, fit, free, predict, velocity_of
-from jaxmocap.silhouette.expected_pose import expectation, resting
-from jaxmocap.silhouette.markers import MarkerRows, points_at
-from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, standard_deviations
+from jaxmocap.silhouette.device_functions import predicted_pose, velocity_between
+from jaxmocap.silhouette.fit.camera_agreement import kept_histograms
+from jaxmocap.silhouette.fit.cycles import (
+    FrameEvidence,
+    fit_pose,
+    information_without,
+    marker_rows,
+)
+from jaxmocap.silhouette.markers import points_at
+from jaxmocap.silhouette.pose import standard_deviations
 from jaxmocap.silhouette.recovery.limbs import carriers
-from jaxmocap.silhouette.recovery.lost_limbs import Better, Doubter, Doubts, freed
-from jaxmocap.silhouette.recovery.projected_body import Sight
-from jaxmocap.silhouette.segmentation.image_changes import Glances
-from jaxmocap.silhouette.segmentation.inner_edges import edge_pairs, joined
-from jaxmocap.silhouette.segmentation.outlines import Outlines, look
-from jaxmocap.silhouette.segmentation.segment import Histograms, Plan
+from jaxmocap.silhouette.recovery.lost_limbs import LimbRecovery
+from jaxmocap.silhouette.recovery.relocation import RecoveredPose, recover_limbs
+from jaxmocap.silhouette.recovery.withdrawal import remembered, slim, withdrawn
+from jaxmocap.silhouette.segmentation.image_changes import ImageHistory
+from jaxmocap.silhouette.segmentation.segment import Histograms, SegmentationPlan
 from jaxmocap.silhouette.settings import Settings
-from jaxmocap.silhouette.state import Moving, State, StepReport
-from jaxmocap.silhouette.surfaces.rim import RimFinder, stacked
-from jaxmocap.silhouette.surfaces.shape import Paired
+from jaxmocap.silhouette.state import (
+    PoseEstimate,
+    RecentFrame,
+    State,
+    StepReport,
+    TrackedBody,
+    TrackerConstants,
+)
+from jaxmocap.silhouette.surfaces.body_shape import BodyShape
+from jaxmocap.silhouette.surfaces.rim import RimFinder
 
-
-class _Shown(NamedTuple):
-    """What is known of a frame before it is looked at."""
-
-    images: Sequence[np.ndarray | None]
-    histograms: Histograms
-    markers: MarkerRows | None
-    first: bool
-
-
-class _Fitted(NamedTuple):
-    """What the last cycle found, from which cameras, by what they show."""
-
-    result: PoseResult
-    used: np.ndarray
-    shares: np.ndarray
-    outlines: Outlines
-    pairs: Paired
-
-
-class _Reconsidered(NamedTuple):
-    """What is left of a frame's result, and what became of the limbs.
-
-    Attributes:
-        fitted: the result.
-        moved: (D,) bool: joints that were moved elsewhere.
-        resumed: (D,) bool: those of them that are where an earlier pass found them.
-        hidden: (D,) bool: joints of parts that are not seen.
-        doubts: to remember.
-    """
-
-    fitted: _Fitted
-    moved: np.ndarray
-    resumed: np.ndarray
-    hidden: np.ndarray
-    doubts: Doubts
+# Shortest time between two frames that a velocity is taken over, seconds.
+SHORTEST_STEP_S = 1e-3
 
 
 class SilhouetteTracker:
-    """Tracks one person without markers. Its jitted parts trace once.
+    """Tracks one person without markers: a function of its State. Its jitted parts trace once.
 
     Attributes:
-        skeleton: of the person, moved by the joints of ``supple.toml`` or of another model.
-        cameras: C, stacked.
-        settings: how to work.
-        finder: of the rims.
-        rooms: what each camera shows where nobody stands, or None; may be set between frames.
-        rest: (D,) deviations of joints held about 0, radians; infinite for the others.
+        constants: what stays as it is for all frames.
+        body: who is tracked, before any pass has corrected it.
     """
 
     def __init__(
@@ -102,52 +76,69 @@ class SilhouetteTracker:
         cameras: Camera | Sequence[Camera],
         settings: Settings | None = None,
         surface: Surface | None = None,
-        rooms: Sequence[Background | None] | None = None,
         sites: Sites | None = None,
+        plan: SegmentationPlan | None = None,
     ):
         """Prepare a tracker.
 
         Args:
-            skeleton: of the person.
+            skeleton: of the person, moved by the joints of ``supple.toml`` or of another model.
             cameras: one or several.
             settings: defaults to ``Settings()``.
             surface: of the person; a generic one of the skeleton's proportions without it.
-            rooms: what is known of each camera's room.
             sites: of markers that are to be followed too.
+            plan: of the segmentation; defaults to ``SegmentationPlan()``.
         """
         listed = [cameras] if isinstance(cameras, Camera) else list(cameras)
-        self.settings = settings or Settings()
         dtype = skeleton.lengths.dtype
-        self.cameras = jax.tree.map(lambda part: jnp.asarray(part, dtype), stacked(listed))
+        stacked = jax.tree.map(lambda part: jnp.asarray(part, dtype), stack_cameras(listed))
+        s = settings or Settings()
         skin = generic_surface(skeleton) if surface is None else surface
-        self.finder = RimFinder(skeleton, skin, self.settings.rim, self.settings.morphing)
-        self._bones = carriers(self.finder.surface.points)
-        self.rest = resting(skeleton, dict(self.settings.held_at_rest))
-        self.rooms = [None] * len(listed) if rooms is None else list(rooms)
-        self.plan = Plan()
+        finder = RimFinder(skeleton, skin, s.rim, s.morphing)
+        self.constants = TrackerConstants(
+            stacked, s, finder, s.rest * np.asarray(skeleton.rest_deviations, float),
+            carriers(finder.initial_shape.surface.points), plan or SegmentationPlan(),
+        )  # fmt: skip
         self._sites = sites
-        self._take(skeleton)
+        self.body = self._body(finder.initial_shape)
 
-    def become(self, skeleton: Skeleton, surface: Surface) -> None:
-        """Take the person for another: bones of other lengths, a surface of as many nodes."""
-        self.finder.wear(surface, rest_joints(skeleton))
-        if skeleton is not self.skeleton:
-            self._take(skeleton)
+    def reshaped(self, body: TrackedBody, skeleton: Skeleton, surface: Surface) -> TrackedBody:
+        """The same person, corrected: bones of other lengths, a surface of as many nodes.
 
-    def _take(self, skeleton: Skeleton) -> None:
-        """Bones of other lengths: markers sit elsewhere, limbs reach farther."""
-        self.skeleton = skeleton
-        self._points = None if self._sites is None else points_at(skeleton, self._sites)
-        count = self.settings.hypotheses
-        self._doubter = Doubter(skeleton, self.finder.surface, self.cameras, count)
+        While the bones are the same, limbs are recovered as thick as they were.
+        """
+        shape = self.constants.finder.shape_of(skeleton, surface)
+        if skeleton is body.shape.skeleton:
+            return body._replace(shape=shape)
+        return self._body(shape)
 
-    def init(self, pose: Pose) -> State:
-        """The state before the first frame, the person about there."""
-        width = self.skeleton.costs.shape
-        cameras, still = len(self.rooms), np.zeros(width, np.float32)
-        empty, told = Histograms.empty(cameras, self.plan), np.ones(width, bool)
-        glances, doubts = Glances.none(cameras), self._doubter.none()
-        return State(pose, still, None, empty, told, glances, doubts)
+    def _body(self, shape: BodyShape) -> TrackedBody:
+        """Of other lengths markers sit elsewhere, limbs reach farther."""
+        points = None if self._sites is None else points_at(shape.skeleton, self._sites)
+        cameras, s = self.constants.cameras, self.constants.settings
+        recovery = LimbRecovery(shape.skeleton, shape.surface, cameras, s.particles, s.recovery)
+        return TrackedBody(shape, points, recovery)
+
+    def init(
+        self,
+        pose: Pose,
+        body: TrackedBody | None = None,
+        backgrounds: Sequence[Background | None] | None = None,
+    ) -> State:
+        """The state before the first frame.
+
+        Args:
+            pose: about there the person is.
+            body: who is tracked; ``self.body`` by default.
+            backgrounds: C models of what each camera shows where nobody stands, None where unknown.
+        """
+        body = self.body if body is None else body
+        width, count = body.shape.skeleton.costs.shape, len(self.constants.cameras.size)
+        known = (None,) * count if backgrounds is None else tuple(backgrounds)
+        histograms = Histograms.empty(count, self.constants.plan)
+        history, limbs = ImageHistory.empty(count), body.recovery.empty_memory()
+        still, determined = np.zeros(width, np.float32), np.ones(width, bool)
+        return State(pose, still, None, histograms, determined, history, limbs, body, known)
 
     def step(
         self,
@@ -155,7 +146,7 @@ class SilhouetteTracker:
         time: float,
         images: Sequence[np.ndarray | None],
         positions_world: np.ndarray | None = None,
-        earlier: Moving | None = None,
+        earlier: PoseEstimate | None = None,
     ) -> tuple[State, Pose, StepReport]:
         """One frame of all cameras.
 
@@ -170,169 +161,83 @@ class SilhouetteTracker:
         Returns:
             The state, the pose and a report.
         """
-        s = self.settings
-        images, glances = state.glances.believed(images, s.changed, s.patience)
-        ahead = 0.0 if state.time is None else max(time - state.time, 1e-3)
-        expected = predict(self.skeleton, state.pose, s.damping * state.velocity, np.float32(ahead))
-        beforehand = np.where(state.told, s.expected, s.held).astype(np.float32)
-        markers, first = self._markers(positions_world), state.time is None
-        shown = _Shown(images, state.histograms, markers, first)
-        fitted = self._fitted(shown, expected, beforehand)
-        fitted, moved, resumed, hidden, doubts = self._reconsidered(
-            state.doubts, shown, fitted, beforehand, earlier
-        )
-        result, used, outlines, pairs = fitted.result, fitted.used, fitted.outlines, fitted.pairs
-        if hidden.any():
-            result = self.told_without(hidden, result.pose, pairs, positions_world)
-        deviations = standard_deviations(result.information, s.blind)
-        seen = deviations < s.told * s.blind
-        told = standard_deviations(result.information, s.expected) < s.told * s.expected
-        seen[ROOT_DOF:][hidden] = False
-        velocity = self._velocity(state, result.pose, ahead) * told
-        velocity[ROOT_DOF:][moved] = 0
-        if earlier is not None:
-            velocity[ROOT_DOF:][resumed] = earlier.velocity[ROOT_DOF:][resumed]
-        if not told.any():
-            # Who is not seen for an instant moves on; for longer, comes to rest.
-            told, velocity = state.told, s.damping * state.velocity
-        histograms = chosen(used, outlines.segmented.histograms, state.histograms)
-        report = StepReport(
-            used, fitted.shares, float(result.spread), deviations, seen,
-            np.asarray(result.information), np.asarray(result.slope), outlines, moved, hidden,
-            pairs,
+        constants, body, s = self.constants, state.body, self.constants.settings
+        images, history = state.image_history.accepted(images, s.changed_share, s.patience)
+        elapsed = 0.0 if state.time is None else max(time - state.time, SHORTEST_STEP_S)
+        predicted, deviations = self._predicted(state, elapsed)
+        markers, is_first = marker_rows(body.marker_points, positions_world, s), state.time is None
+        frame = FrameEvidence(images, state.backgrounds, state.histograms, markers, is_first)
+        fitted = fit_pose(constants, body, frame, predicted, deviations)
+        recovered = recover_limbs(constants, body, state.limbs, frame, fitted, deviations, earlier)
+        report, pose, determined = self._reported(body, recovered, positions_world)
+        velocity = self._velocity(state, recovered, pose, determined, elapsed, earlier)
+        if not determined.any():
+            # Who is out of sight for an instant moves on; for longer, comes to rest.
+            determined, velocity = state.determined, s.damping * state.velocity
+        recent = state.recent
+        if report.relocated.any():
+            recent = withdrawn(constants, body, recent, report.relocated)
+            report = report._replace(revised=tuple(slim(each.report) for each in recent))
+        now = report.outlines.segmentation.histograms
+        after = State(
+            pose, velocity, time, kept_histograms(report.used, now, state.histograms), determined,
+            history, recovered.limbs, body, state.backgrounds,
+            remembered(recent, RecentFrame(report, pose, positions_world)),
         )  # fmt: skip
-        after = State(result.pose, velocity, time, histograms, told, glances, doubts)
-        return after, result.pose, report
+        return after, pose, report
 
-    def told_without(
-        self, hidden: np.ndarray, pose: Pose, pairs: Paired, positions_world: np.ndarray | None
-    ) -> PoseResult:
-        """What pairs tell about the pose found by them, without those of hidden joints (D,).
+    def _predicted(self, state: State, elapsed: float) -> tuple[Pose, np.ndarray]:
+        """The pose so many seconds later, and the prior's deviations (6 + D,) about it."""
+        s, velocity = self.constants.settings, self.constants.settings.damping * state.velocity
+        skeleton = state.body.shape.skeleton
+        pose = predicted_pose(skeleton, state.pose, velocity, np.float32(elapsed))
+        deviations = np.where(state.determined, s.predicted_deviation, s.undetermined_deviation)
+        return pose, deviations.astype(np.float32)
 
-        For what hides a part has outlines too; ``positions_world`` as in ``step``.
-        """
-        s, (nodes, seen) = self.settings, pairs
-        moved = np.any(self.skeleton.tree.carries[ROOT_DOF:][hidden], 0)
-        gone = moved[self._bones[nodes]]
-        left = seen._replace(weights=np.where(gone, np.float32(0), seen.weights))
-        how = PoseSettings(deviation=s.deviations[-1], iterations=0)
-        here = expectation(pose, np.full(self.skeleton.costs.shape, s.expected), self.rest)
-        return self._fit(pose, left, how, here, self._markers(positions_world))
+    def _reported(
+        self, body: TrackedBody, recovered: RecoveredPose, positions_world: np.ndarray | None
+    ) -> tuple[StepReport, Pose, np.ndarray]:
+        """The report, its pose, and which degrees of freedom (6 + D,) are well determined."""
+        s, (fitted, relocated, _, hidden, _) = self.constants.settings, recovered
+        result = fitted.result
+        if hidden.any():
+            result = information_without(
+                self.constants, body, hidden, result.pose, fitted.pairs, positions_world
+            )
+        deviations = standard_deviations(result.information, s.unknown_deviation)
+        observed = deviations < s.determined_share * s.unknown_deviation
+        observed[ROOT_DOF:][hidden] = False
+        posterior = standard_deviations(result.information, s.predicted_deviation)
+        determined = posterior < s.determined_share * s.predicted_deviation
+        report = StepReport(
+            fitted.used, fitted.matched_shares, float(result.spread), deviations, observed,
+            np.asarray(result.information), np.asarray(result.slope), fitted.outlines, relocated,
+            hidden, fitted.pairs,
+        )  # fmt: skip
+        return report, result.pose, determined
 
-    def covering(self, pose: Pose) -> np.ndarray:
-        """(C, N, 2) pixels of points all over the body, hidden or not."""
-        return self._doubter.covering(pose)
-
-    def _markers(self, positions_world: np.ndarray | None) -> MarkerRows | None:
-        """Rows of the markers, where any are followed."""
-        if self._points is None:
-            return None
-        count = len(self._points.bones)
-        nowhere = np.full((count, 3), np.nan)
-        there = nowhere if positions_world is None else positions_world
-        firm = np.full(count, self.settings.marked, np.float32)
-        return MarkerRows(self._points, np.asarray(there, np.float32), firm)
-
-    def _fitted(self, shown: _Shown, expected: Pose, beforehand: np.ndarray) -> _Fitted:
-        """Cycle by cycle from the predicted pose."""
-        s, pose, fitted = self.settings, expected, None
-        rough = s.starting if shown.first else ()
-        morph = self.finder.morph
-        apart = expected if morph is None else free(morph, expected)
-        prior = expectation(apart, beforehand, self.rest)
-        used, outlines = np.zeros(0, bool), None
-        for cycle, deviation in enumerate((*rough, *s.deviations)):
-            coarse = cycle < len(rough)
-            rim = self.finder.find(self.skeleton, pose, self.cameras, coarse)
-            if coarse or outlines is None or cycle - len(rough) in s.looks:
-                outlines = look(shown.images, self.rooms, rim, shown.histograms, s, self.plan)
-                used = np.ones(len(self.rooms), bool)
-            pairs = matched(rim, outlines.contours, s.match)
-            shares = shares_found(rim, pairs, [len(each.pixels_xy) for each in outlines.contours])
-            used = used & (shares >= s.share)
-            edges = edge_pairs(shown.images, rim, self._bones, s.edges)
-            weights = np.concatenate([pairs.real, s.edges.weight * edges.real], 1)
-            pairs = joined(pairs, edges)
-            weights = (weights * used[:, None]).astype(np.float32)
-            points = self.finder.points(pairs.nodes, coarse)
-            moves = self.finder.moves(pairs.nodes)
-            seen = Seen(points, pairs.pixels_xy, pairs.normals, weights, moves)
-            how = PoseSettings(deviation=deviation, iterations=s.iterations)
-            result = self._fit(pose, seen, how, prior, shown.markers)
-            apart = np.asarray(result.distances).reshape(weights.shape)
-            pose, used = result.pose, used & ~denied(apart, weights > 0, s.apart, s.near)
-            robust = np.asarray(result.shares).reshape(weights.shape)
-            left = Paired(pairs.nodes, seen._replace(weights=robust * weights))
-            fitted = _Fitted(result, used, shares, outlines, left)
-        assert fitted is not None
-        return fitted
-
-    def _fit(
-        self, pose: Pose, seen: Seen, how: PoseSettings, prior: Prior, markers: MarkerRows | None
-    ) -> PoseResult:
-        morph, grip = self.finder.morph, self.settings.match.grip
-        return fit(self.skeleton, self.cameras, pose, seen, how, prior, grip, markers, morph)
-
-    def _reconsidered(
+    def _velocity(
         self,
-        doubts: Doubts,
-        shown: _Shown,
-        fitted: _Fitted,
-        beforehand: np.ndarray,
-        earlier: Moving | None = None,
-    ) -> _Reconsidered:
-        """What was found, or what is found from elsewhere if that explains more."""
-        s, doubter = self.settings, self._doubter
-        none = doubter.joints_of(())
-        if not fitted.used.any():
-            return _Reconsidered(fitted, none, none, ~none, doubts)
-        sight = self._sight(fitted.result.pose, fitted, shown)
-        resumed, elsewhere = (), ()
-        # Who does not know the rooms takes what looks like a person for one, and learns it as none.
-        known = all(room is not None for room in self.rooms)
-        if s.hypotheses > 1 and known:
-            if earlier is not None:
-                better = doubter.found_earlier(doubts, sight, earlier.pose)
-                fitted, sight, resumed = self._tried(
-                    better, doubts, shown, fitted, sight, beforehand
-                )
-            better, doubts = doubter.better(doubts, sight, s.search)
-            fitted, sight, elsewhere = self._tried(better, doubts, shown, fitted, sight, beforehand)
-        hidden, doubts = doubter.hidden(doubts, sight, shown.images, (*resumed, *elsewhere))
-        there, anew = doubter.joints_of(resumed), doubter.joints_of(elsewhere)
-        return _Reconsidered(fitted, there | anew, there & ~anew, hidden, doubts)
+        state: State,
+        recovered: RecoveredPose,
+        pose: Pose,
+        determined: np.ndarray,
+        elapsed: float,
+        earlier: PoseEstimate | None,
+    ) -> np.ndarray:
+        """The velocity (6 + D,) as it is carried on; relocated joints begin anew."""
+        velocity = state.velocity
+        if state.time is not None:
+            now = np.asarray(velocity_between(state.pose, pose, np.float32(elapsed)))
+            gain = self.constants.settings.velocity_gain
+            velocity = (gain * now + (1 - gain) * state.velocity).astype(np.float32)
+        velocity = velocity * determined
+        velocity[ROOT_DOF:][recovered.relocated] = 0
+        if earlier is not None:
+            resumed = recovered.resumed
+            velocity[ROOT_DOF:][resumed] = earlier.velocity[ROOT_DOF:][resumed]
+        return velocity
 
-    def _tried(
-        self,
-        better: Better | None,
-        doubts: Doubts,
-        shown: _Shown,
-        fitted: _Fitted,
-        sight: Sight,
-        beforehand: np.ndarray,
-    ) -> tuple[_Fitted, Sight, tuple[int, ...]]:
-        """The best of better poses, each fitted, and its limbs; or what was found, and none."""
-        moved: tuple[int, ...] = ()
-        if better is None:
-            return fitted, sight, moved
-        wide = freed(beforehand, self._doubter.joints_of(better.limbs), self.settings.expected)
-        before, least = fitted, better.least
-        for pose in better.poses:
-            again = self._fitted(shown, pose, wide)
-            old, new = (self._sight(each.result.pose, again, shown) for each in (before, again))
-            more = self._doubter.gain(better.limbs, old, new, doubts.known)
-            if more > least:
-                least, fitted, moved, sight = more, again, better.limbs, new
-        return fitted, sight, moved
-
-    def _sight(self, pose: Pose, by: _Fitted, shown: _Shown) -> Sight:
-        """A pose laid over what was segmented."""
-        return self._doubter.sight(pose, by.outlines, by.used, shown.images, self.rooms)
-
-    def _velocity(self, state: State, pose: Pose, ahead: float) -> np.ndarray:
-        """The velocity (6 + D,) as it is carried on."""
-        if state.time is None:
-            return state.velocity
-        now = np.asarray(velocity_of(state.pose, pose, np.float32(ahead)))
-        newest = self.settings.newest
-        return (newest * now + (1 - newest) * state.velocity).astype(np.float32)
+    def body_pixels(self, state: State) -> np.ndarray:
+        """(C, N, 2) pixels of points all over the body in a state, hidden or not."""
+        return state.body.recovery.body_pixels(state.pose)

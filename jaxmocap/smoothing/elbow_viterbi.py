@@ -19,8 +19,6 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.arms import (
-    LIMBS,
-    SIDES,
     TURNS,
     Arms,
     arm_dofs,
@@ -37,14 +35,12 @@ from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.body.surfaces.cones import Cones, cones, project_cones
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.evidence.keypoints import SightLines, line_residuals
-from jaxmocap.evidence.posture import usual_deviations
 from jaxmocap.evidence.silhouettes import (
     SilhouetteGrids,
-    drawn_bones,
     nearest_surface,
     unhidden,
 )
-from jaxmocap.geometry.cameras import Camera, to_camera
+from jaxmocap.geometry.cameras import Camera, depth
 from jaxmocap.geometry.outlines import Discs, Touch, depth_along, touch
 from jaxmocap.geometry.rotations import compose, exp
 from jaxmocap.images.regions import Region, discs_in_region
@@ -53,7 +49,6 @@ from jaxmocap.smoothing.linearise import coarsely, rows_of, views_of
 from jaxmocap.smoothing.problem import UNTURNED, SmoothingProblem, Trajectory, all_turned
 from jaxmocap.smoothing.settings import ElbowPathSettings
 
-ARMS = [f"{limb}_{side}" for side in SIDES for limb in LIMBS]
 # The candidate that leaves an arm where it is.
 STAY = int(np.argmin(np.sum(TURNS**2, -1)))
 # Cells over which silhouettes fade, so softly that larger ones tell as much.
@@ -159,7 +154,7 @@ def _candidates(model: Model, settings: ElbowPathSettings, poses: Pose) -> tuple
     """Elbows (B, 2, K, 3) of a batch of poses, and what they cost by themselves (B, 2, K)."""
     skeleton = model.skeleton
     dofs = arm_dofs(skeleton.tree)
-    ranges, usual = skeleton.limits[dofs], usual_deviations(skeleton)[dofs]
+    ranges, usual = skeleton.limits[dofs], skeleton.usual_deviations[dofs]
 
     def of_pose(pose: Pose) -> tuple[Array, Array]:
         hung = hang(skeleton, pose, model.grips)
@@ -237,8 +232,8 @@ def view_costs(
         chosen: candidates of the left arm (A,) and of the right one (B,).
     """
     skeleton = model.skeleton
-    bones, frames = drawn_bones(skeleton.tree), forward(skeleton, pose)
-    kept = np.array([skeleton.tree.bones[bone] not in ARMS for bone in bones])
+    bones, frames = skeleton.tree.drawn, forward(skeleton, pose)
+    kept = ~np.isin(bones, skeleton.tree.bones_in("arm"))
     body = Cones(*(part[kept] for part in cones(skeleton, frames, bones)))
     x, y = cells(grids.person.probability.shape[-1], pose.angles.dtype)
     at = _touched(camera, grids.region, body, x, y)
@@ -254,10 +249,10 @@ def view_costs(
         def of_candidate(index: Array) -> tuple[Array, Array]:
             limb = flesh(_side(_side(moved, side), index))
             at = _touched(camera, grids.region, limb, x, y)
-            ends = (to_camera(camera, end)[:, 2:] for end in (limb.near, limb.far))
+            ends = (depth(camera, end)[:, None] for end in (limb.near, limb.far))
             _, radius, hand = depth_along(at, *ends)
-            depth = jnp.where(at.distance[1] < at.distance[2], radius, hand)
-            shown = coverage(jnp.min(at.distance[1:], 0)) * unhidden(surface, depth)
+            away = jnp.where(at.distance[1] < at.distance[2], radius, hand)
+            shown = coverage(jnp.min(at.distance[1:], 0)) * unhidden(surface, away)
             return jnp.min(at.distance, 0), shown
 
         return jax.vmap(of_candidate)(chosen[side])

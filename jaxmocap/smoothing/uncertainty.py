@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.skeleton import LANDMARKS, landmark_mismatches
 from jaxmocap.evidence.smoothness import Smoothness
 from jaxmocap.evidence.terms import Term
 from jaxmocap.smoothing.levenberg_marquardt import covariances, point_variances
@@ -24,12 +24,6 @@ from jaxmocap.smoothing.settings import SmoothingSettings
 GUESSED = 0.7
 # unless markers hold it already: below about so many metres.
 HELD_M = 0.01
-# What skeletons are wrong by, however sure the video: where they put a joint, and how far it is to
-# the next one. Horizontal and vertical deviations, metres, by how landmarks' names begin.
-MISMATCH_M = {
-    "vertex": (0.007, 0.012), "neck": (0.03, 0.015), "shoulder": (0.045, 0.02),
-    "elbow": (0.02, 0.012), "wrist": (0.007, 0.007), "hip": (0.045, 0.035), "knee": (0.035, 0.025),
-}  # fmt: skip
 
 
 def landmark_deviations(
@@ -40,22 +34,16 @@ def landmark_deviations(
     Args:
         variances: (T, L, 3) given all that was measured.
         without_video: (T, L, 3) without what the cameras show.
-        mismatch: of the skeleton, as a multiple of ``MISMATCH_M``; not where a marker holds.
+        mismatch: factor on ``landmark_mismatches``; none where a marker holds.
 
     Returns:
         Deviations (T, L, 3), metres; (T, L) 1 where a landmark comes from the prior, else 0.
     """
     loose = variances / (variances + HELD_M**2)
-    deviations = np.sqrt(variances + loose * (mismatch * mismatches()) ** 2)
+    deviations = np.sqrt(variances + loose * (mismatch * landmark_mismatches()) ** 2)
     from_prior = variances.sum(-1) > GUESSED * without_video.sum(-1)
     markers_hold = without_video.sum(-1) < 9 * HELD_M**2
     return deviations, (from_prior & ~markers_hold).astype(float)
-
-
-def mismatches() -> np.ndarray:
-    """What a skeleton's landmarks are wrong by, (L, 3) metres."""
-    starts = [[m for start, m in MISMATCH_M.items() if n.startswith(start)] for n in LANDMARKS]
-    return np.array([(m[0][0], *m[0]) if m else (0.0, 0.0, 0.0) for m in starts])
 
 
 def with_deviations(

@@ -24,8 +24,8 @@ from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.synthetic.lens import Lens, look_at
-from jaxmocap.synthetic.placement import Turned
+from jaxmocap.synthetic.drawing_camera import DrawingCamera, look_at
+from jaxmocap.synthetic.placement import RotatedMover
 from jaxmocap.synthetic.recording import VIDEO_RATE, write_video
 from jaxmocap.synthetic.renderer import Mover, Progress, Scene, render_frames, silhouette
 
@@ -35,15 +35,20 @@ HINGES = {
     for near, hinge, far in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
     for s in "lr"
 }
-# Azimuths about the person who faces +x, degrees, positive to the person's left; and heights.
-AROUND_DEG, HEIGHTS_M = (6.0, 82.0, 171.0, 262.0), (1.25, 1.75, 1.1, 1.95)
+# Azimuths about the person who faces +x, degrees, positive to the person's left.
+AZIMUTHS_DEG = (6.0, 82.0, 171.0, 262.0)
+# Of the cameras, metres.
+HEIGHTS_M = (1.25, 1.75, 1.1, 1.95)
+# From the person, metres.
 DISTANCE_M = 3.7
-# How much of half an image the movement fills, looked at so often.
-FILLED, LOOK_S = 0.94, 0.1
+# Share of half an image that the movement fills.
+IMAGE_SHARE = 0.94
+# Seconds between the times at which that is evaluated.
+SAMPLING_S = 0.1
 
 
 class Performer(Mover, Protocol):
-    """Someone whose joints are known."""
+    """Someone who moves and whose joints are known."""
 
     def landmarks(self, times: np.ndarray) -> dict[str, np.ndarray]:
         """Landmark name -> (T, 3), world, metres."""
@@ -51,7 +56,7 @@ class Performer(Mover, Protocol):
 
 
 @dataclass(frozen=True)
-class View:
+class RoomCamera:
     """One of the cameras, and the room that it looks into.
 
     Attributes:
@@ -79,15 +84,15 @@ class View:
         return self._at(self.azimuth, self.target)
 
     def scene(self, mover: Mover, seed: int) -> Scene:
-        """What it sees of someone, turned to where its room is."""
-        turned = Turned(mover, self.azimuth)
+        """Someone before the camera, rotated to where its room is."""
+        turned = RotatedMover(mover, self.azimuth)
         camera = self._at(0.0, turned.turn @ self.target)
         return Scene.in_room(camera, turned, 10 * seed + self.number)
 
     def mask(self, mover: Mover, time: float) -> np.ndarray:
-        """(H, W) bool, where it sees someone at a time."""
+        """(H, W) bool, the pixels of someone at a time."""
         vertices = mover.vertices(np.array([time]))[0]
-        return silhouette(mover.mesh, Lens.of(self.camera), vertices)
+        return silhouette(mover.mesh, DrawingCamera.of(self.camera), vertices)
 
     def _at(self, azimuth: float, target: np.ndarray) -> Camera:
         turn = np.deg2rad(azimuth)
@@ -95,20 +100,20 @@ class View:
         return look_at(position, (target[0], target[1], target[2]), focal=self.focal)
 
 
-def framed(mover: Mover, seconds: float) -> tuple[View, ...]:
+def cameras_around(mover: Mover, seconds: float) -> tuple[RoomCamera, ...]:
     """The four cameras, each as near as lets the whole movement fit into its image."""
-    seen = [mover.vertices(np.array([time]))[0] for time in np.arange(0, seconds, LOOK_S)]
-    low, high = (pick([pick(v, axis=0) for v in seen], axis=0) for pick in (np.min, np.max))
-    found = []
-    for number, (azimuth, height) in enumerate(zip(AROUND_DEG, HEIGHTS_M, strict=True), 1):
-        view = View(number, azimuth, height, (low + high) / 2, 1000.0)
-        lens = Lens.of(view.camera)
+    vertices = [mover.vertices(np.array([time]))[0] for time in np.arange(0, seconds, SAMPLING_S)]
+    low, high = (pick([pick(v, axis=0) for v in vertices], axis=0) for pick in (np.min, np.max))
+    cameras = []
+    for number, (azimuth, height) in enumerate(zip(AZIMUTHS_DEG, HEIGHTS_M, strict=True), 1):
+        view = RoomCamera(number, azimuth, height, (low + high) / 2, 1000.0)
+        camera = DrawingCamera.of(view.camera)
         reach = max(
-            np.max(np.abs(lens.pixels(v) - lens.matrix[:2, 2]) / np.divide(lens.size, 2))
-            for v in seen
+            np.max(np.abs(camera.pixels(v) - camera.matrix[:2, 2]) / np.divide(camera.size, 2))
+            for v in vertices
         )
-        found.append(replace(view, focal=FILLED * view.focal / reach))
-    return tuple(found)
+        cameras.append(replace(view, focal=IMAGE_SHARE * view.focal / reach))
+    return tuple(cameras)
 
 
 def write_four_cameras(
@@ -119,14 +124,14 @@ def write_four_cameras(
     height: float = 1.75,
     progress: Progress | None = None,
 ) -> Path:
-    """Write the recording of someone seen by the cameras of ``framed``.
+    """Write the recording of someone seen by the cameras of ``cameras_around``.
 
     Args:
         directory: is made where missing.
         performer: who moves.
         seconds: duration.
         seed: of rooms and sensor noise.
-        height: what the recording says of the person, metres.
+        height: of the person, as the recording states it, metres.
         progress: called with the frames done and their total.
 
     Returns:
@@ -140,7 +145,7 @@ def write_four_cameras(
         problem = f"{seconds:g} s hold no frame, expected at least {1 / VIDEO_RATE:.2g} s"
         raise InputError("--seconds", problem)
     directory.mkdir(parents=True, exist_ok=True)
-    views = framed(performer, seconds)
+    views = cameras_around(performer, seconds)
     for i, view in enumerate(views):
         frames = render_frames(view.scene(performer, seed), times)
         counted = _counted(frames, progress, i * len(times), len(views) * len(times))
@@ -158,13 +163,13 @@ def frame_times(seconds: float) -> np.ndarray:
 
 
 def write_truth(
-    directory: Path, performer: Performer, times: np.ndarray, views: tuple[View, ...]
+    directory: Path, performer: Performer, times: np.ndarray, views: tuple[RoomCamera, ...]
 ) -> None:
-    """Write where someone was, and was seen."""
+    """Write the true landmarks, angles and masks."""
     landmarks = performer.landmarks(times)
     write_trc(directory / "truth.trc", times, landmarks, rate=VIDEO_RATE)
     with replacing(directory / "truth_angles.npz") as beside:
-        np.savez(beside, times=times, **bends(landmarks))  # type: ignore[arg-type]
+        np.savez(beside, times=times, **flexion_angles(landmarks))  # type: ignore[arg-type]
     masks = {
         view.name: np.packbits([view.mask(performer, float(time)) for time in times], axis=-1)
         for view in views
@@ -173,7 +178,7 @@ def write_truth(
         np.savez_compressed(beside, **masks)  # type: ignore[arg-type]
 
 
-def bends(landmarks: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def flexion_angles(landmarks: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """``elbow_l`` and so on -> (T,) how far it is bent, radians; 0 is straight."""
     found = {}
     for hinge, (near, far) in HINGES.items():

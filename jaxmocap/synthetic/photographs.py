@@ -18,18 +18,19 @@ import numpy as np
 from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.files.writing import write_bytes
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.synthetic.lens import Lens, look_at
+from jaxmocap.synthetic.drawing_camera import DrawingCamera, look_at
 from jaxmocap.synthetic.movements.exerciser import Exerciser
 from jaxmocap.synthetic.movements.splines import Spline
-from jaxmocap.synthetic.movements.stances import Stance
+from jaxmocap.synthetic.movements.stances import KeyStance
 from jaxmocap.synthetic.people.rigged_mesh import Rig
-from jaxmocap.synthetic.placement import Turned
-from jaxmocap.synthetic.renderer import Scene, Sensor, light, silhouette
+from jaxmocap.synthetic.placement import RotatedMover
+from jaxmocap.synthetic.renderer import Scene, Sensor, exposure
 
 _LEG = (0.0, 7.0, -4.0, 0.0, 0.0)
-_LIFTED, _BENT, _SPREAD = (
-    *((-3.0, 36.0, 0.0, 6.0), (0.0, 84.0, -90.0, 80.0), (0.0, 88.0, 0.0, 6.0)),
-)
+# Arms of the stances, as in ``KeyStance``, degrees.
+_LIFTED = (-3.0, 36.0, 0.0, 6.0)
+_BENT = (0.0, 84.0, -90.0, 80.0)
+_SPREAD = (0.0, 88.0, 0.0, 6.0)
 # Photograph -> left and right arm of the stance, and the camera's azimuth, degrees.
 PHOTOGRAPHS: dict[str, tuple[tuple[float, float, float, float], float]] = {
     "front": (_LIFTED, 3.0),
@@ -37,40 +38,48 @@ PHOTOGRAPHS: dict[str, tuple[tuple[float, float, float, float], float]] = {
     "joint": (_BENT, 3.0),
     "arm_side": (_SPREAD, 3.0),
 }
+# Width and height, pixels.
 SIZE = (960, 720)
+# From the camera to the person, metres.
 DISTANCE_M = 8.0
-# Of the stature: where the camera looks, and how much of it fits into the image's height.
-LOOK_AT, SEEN = 0.75, 0.84
+# Height of the camera's target, a share of the stature.
+TARGET_SHARE = 0.75
+# Share of the stature that fits into the image's height.
+VISIBLE_SHARE = 0.84
 BACKDROP_BGR = np.array([118.0, 146.0, 92.0])
-# How much darker the backdrop is at its sides, its grain and its slow unevenness, grey levels.
-DARKER, GRAIN, UNEVEN = 0.16, 1.5, 2.5
+# By this share the backdrop is darker at its sides.
+SHADING = 0.16
+# Standard deviation of its grain, grey levels.
+GRAIN = 1.5
+# Of its slow waves, grey levels.
+WAVES = 2.5
 
 
-def stature(rig: Rig) -> float:
+def rest_height(rig: Rig) -> float:
     """Height of a person at rest, metres."""
     return float(np.ptp(rig.mesh.vertices[:, 2]))
 
 
-def standing(rig: Rig, photograph: str) -> Exerciser:
+def person_in_stance(rig: Rig, photograph: str) -> Exerciser:
     """A person as they stand for a photograph: facing +x, hips above the origin."""
     arm, _ = PHOTOGRAPHS[photograph]
-    stance = Stance(back=(0.0, 0.0, 0.0), arm_l=arm, arm_r=arm, leg_l=_LEG, leg_r=_LEG)
+    stance = KeyStance(back=(0.0, 0.0, 0.0), arm_l=arm, arm_r=arm, leg_l=_LEG, leg_r=_LEG)
     times = np.linspace(-1.0, 1.0, 5)
     return Exerciser(rig, Spline.through(times, np.tile(stance.channels(), (5, 1))))
 
 
 def camera_of(rig: Rig, photograph: str) -> Camera:
     """The camera that took a photograph of a person."""
-    return _camera(stature(rig), PHOTOGRAPHS[photograph][1])
+    return _camera(rest_height(rig), PHOTOGRAPHS[photograph][1])
 
 
 def _camera(height: float, azimuth: float) -> Camera:
     """At an azimuth about the origin, degrees."""
     turn = np.deg2rad(azimuth)
     position = (DISTANCE_M * np.cos(turn), DISTANCE_M * np.sin(turn), 0.8 * height)
-    focal = SIZE[1] * DISTANCE_M / (SEEN * height)
+    focal = SIZE[1] * DISTANCE_M / (VISIBLE_SHARE * height)
     distortion = (-0.05, 0.02, 0.0003, -0.0002)
-    return look_at(position, (0.0, 0.0, LOOK_AT * height), SIZE, focal, distortion)
+    return look_at(position, (0.0, 0.0, TARGET_SHARE * height), SIZE, focal, distortion)
 
 
 def photograph(rig: Rig, name: str, seed: int = 0, background: np.ndarray | None = None):
@@ -85,29 +94,22 @@ def photograph(rig: Rig, name: str, seed: int = 0, background: np.ndarray | None
     rng = np.random.default_rng([seed, list(PHOTOGRAPHS).index(name)])
     background = backdrop(rng) if background is None else background
     # The backdrop stands behind the person as the camera sees it.
-    turned = Turned(standing(rig, name), PHOTOGRAPHS[name][1])
-    camera = _camera(stature(rig), 0.0)
+    turned = RotatedMover(person_in_stance(rig, name), PHOTOGRAPHS[name][1])
+    camera = _camera(rest_height(rig), 0.0)
     scene = Scene(camera, background, turned)
-    return Sensor.create(SIZE, rng).exposed(light(scene, Lens.of(camera), 0.0))
-
-
-def true_mask(rig: Rig, name: str) -> np.ndarray:
-    """(H, W) bool, the pixels that show the person."""
-    person = standing(rig, name)
-    vertices = person.vertices(np.zeros(1))[0]
-    return silhouette(person.mesh, Lens.of(camera_of(rig, name)), vertices)
+    return Sensor.create(SIZE, rng).exposed(exposure(scene, DrawingCamera.of(camera), 0.0))
 
 
 def backdrop(rng: np.random.Generator) -> np.ndarray:
     """(H, W, 3) uint8, a sheet of one colour, lit unevenly, hanging in slight waves."""
     width, height = SIZE
     x, y = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
-    shade = 1 - DARKER * (0.7 * x**2 + 0.3 * (y - 0.2) ** 2)
+    shade = 1 - SHADING * (0.7 * x**2 + 0.3 * (y - 0.2) ** 2)
     waves = sum(
         np.cos(rng.uniform(2, 9) * x + rng.uniform(-1, 1) * y + rng.uniform(0, 2 * np.pi))
         for _ in range(4)
     )
-    sheet = (BACKDROP_BGR + UNEVEN * np.asarray(waves)[..., None] / 2) * shade[..., None]
+    sheet = (BACKDROP_BGR + WAVES * np.asarray(waves)[..., None] / 2) * shade[..., None]
     return np.clip(sheet + GRAIN * rng.standard_normal(sheet.shape), 0, 255).astype(np.uint8)
 
 

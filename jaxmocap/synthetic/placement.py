@@ -1,10 +1,10 @@
-"""Where the camera stands: at any azimuth about the person.
+"""The camera's position: at any azimuth about the person.
 
 The room turns with the camera: it lies behind the person as cluttered from every side, and never
 between the two.
 
 INPUTS: an azimuth, degrees from frontal, positive to the person's left.
-OUTPUTS: the camera in the world; a mover as the room sees it.
+OUTPUTS: the camera in the world; a mover in the room's frame.
 """
 
 from dataclasses import dataclass
@@ -12,24 +12,28 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.synthetic.lens import look_at
-from jaxmocap.synthetic.people.meshes import Mesh
+from jaxmocap.synthetic.drawing_camera import look_at
+from jaxmocap.synthetic.people.meshes import SkinnedMesh
 from jaxmocap.synthetic.renderer import Mover
 
-# Far enough for the whole person, from shoes to a raised hand, wherever the arms point.
-DISTANCE_M, HEIGHT_M, TARGET_M = 3.6, 1.30, 1.0
+# From the person, metres: far enough for the whole of them, from shoes to a raised hand.
+DISTANCE_M = 3.6
+# Of the camera, metres.
+HEIGHT_M = 1.30
+# Of the point that it looks at, metres.
+TARGET_HEIGHT_M = 1.0
 
 
 def camera_at(azimuth: float) -> Camera:
     """A camera that looks at a person at the world's origin, who faces +x."""
     turn = np.deg2rad(azimuth)
     position = (DISTANCE_M * np.cos(turn), DISTANCE_M * np.sin(turn), HEIGHT_M)
-    return look_at(position, (0.0, 0.0, TARGET_M))
+    return look_at(position, (0.0, 0.0, TARGET_HEIGHT_M))
 
 
 @dataclass(frozen=True)
-class Turned:
-    """A mover turned about the world's vertical, as it stands before a camera that stays.
+class RotatedMover:
+    """A mover rotated about the world's vertical, before a camera that stays in place.
 
     Attributes:
         mover: who moves.
@@ -40,12 +44,12 @@ class Turned:
     azimuth: float
 
     @property
-    def mesh(self) -> Mesh:
+    def mesh(self) -> SkinnedMesh:
         """At rest."""
         return self.mover.mesh
 
     def vertices(self, times: np.ndarray) -> np.ndarray:
-        """(T, V, 3) where the camera at azimuth 0 sees what the turned one sees, metres."""
+        """(T, V, 3) metres; the camera at azimuth 0 sees them as the rotated one sees the mover."""
         return self.mover.vertices(times) @ self.turn.T
 
     @property

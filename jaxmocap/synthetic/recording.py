@@ -9,7 +9,7 @@ the markers' times, world, metres, Z up.
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import av
 import numpy as np
@@ -19,31 +19,50 @@ from jaxmocap.formats.cameras.video_out import replacing_video
 from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.synthetic.lens import look_at
+from jaxmocap.synthetic.drawing_camera import look_at
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.movements.motions import Performance
-from jaxmocap.synthetic.people.clothed_person import MARKERS, dressed
-from jaxmocap.synthetic.people.mesh_person import MeshPerson
-from jaxmocap.synthetic.placement import Turned, camera_at
+from jaxmocap.synthetic.people.clothed_person import MARKERS, clothed_actor
+from jaxmocap.synthetic.placement import RotatedMover, camera_at
 from jaxmocap.synthetic.renderer import Progress, Scene, render_frames
 
-MARKER_RATE, VIDEO_RATE = 90, 30
+# Samples a second of the markers.
+MARKER_RATE = 90
+# Frames a second of the video.
+VIDEO_RATE = 30
 # Marker time of the first frame's middle of exposure: the two clocks never tick together.
 VIDEO_OFFSET_S = 0.0073
 CAMERA = "webcam"
-# A consumer headset's errors: white, and an offset that wanders within seconds; metres.
-JITTER_M, WANDER_M, WORST_M = 0.001, 0.005, 0.013
-WANDER_PERIODS_S = (2.5, 15.0)
-WAVES = 4
-# The five end effectors of the paper: marker, which is a landmark too -> bone that ends there.
-BODY_MARKERS = {
-    "vertex": "head",
-    **{
-        f"{mark}_{s}": f"{bone}_{s}"
-        for mark, bone in (("wrist", "radius"), ("ankle", "tibia"))
-        for s in "lr"
-    },
-}
+# Errors of a consumer headset: white noise, standard deviation on each axis, metres.
+JITTER_M = 0.001
+# And a drift, its root mean square, metres.
+DRIFT_M = 0.005
+# No error is larger, metres.
+LARGEST_ERROR_M = 0.013
+# Shortest and longest period of the drift, seconds.
+DRIFT_PERIODS_S = (2.5, 15.0)
+# Waves of each axis that make the drift.
+DRIFT_WAVES = 4
+
+
+class RecordingParts(NamedTuple):
+    """What the files of a recording hold, but for its video.
+
+    Attributes:
+        times: (T,) of the markers, seconds.
+        markers: name -> (T, 3) without noise, world, metres.
+        landmarks: name -> (T, 3) the truth.
+        camera: of the video.
+        places: the table [markers.on].
+        subject: the table [subject].
+    """
+
+    times: np.ndarray
+    markers: dict[str, np.ndarray]
+    landmarks: dict[str, np.ndarray]
+    camera: Camera
+    places: Mapping[str, Mapping[str, Any]]
+    subject: Mapping[str, Any]
 
 
 def write_table_tennis(
@@ -62,7 +81,7 @@ def write_table_tennis(
         seconds: duration.
         seed: of person, clothes, room, strokes and noise.
         strokes: played in turn.
-        height: what the recording says of the person, metres.
+        height: of the person, as the recording states it, metres.
         progress: called with the frames done and their total.
         azimuth: where the camera stands, degrees from frontal, positive to the person's left;
             None is ``webcam()``.
@@ -71,45 +90,6 @@ def write_table_tennis(
         The path of ``recording.toml``.
     """
     performance = motions.table_tennis(seconds, seed, strokes, height)
-    return write_performance(directory, performance, seconds, seed, progress, azimuth)
-
-
-def write_squat(
-    directory: str | Path,
-    seconds: float = 5.0,
-    seed: int = 0,
-    height: float = 1.75,
-    progress: Progress | None = None,
-    azimuth: float | None = None,
-) -> Path:
-    """Write a recording of a squat by 0.3 m; see ``write_table_tennis``."""
-    performance = motions.squat(seconds, seed, height)
-    return write_performance(directory, performance, seconds, seed, progress, azimuth)
-
-
-def write_reaching(
-    directory: str | Path,
-    seconds: float = 6.0,
-    seed: int = 0,
-    height: float = 1.75,
-    progress: Progress | None = None,
-    azimuth: float | None = None,
-) -> Path:
-    """Write a recording of reaching about; see ``write_table_tennis``."""
-    performance = motions.reaching(seconds, seed, height)
-    return write_performance(directory, performance, seconds, seed, progress, azimuth)
-
-
-def write_thrust(
-    directory: str | Path,
-    seconds: float = 6.0,
-    seed: int = 0,
-    height: float = 1.75,
-    progress: Progress | None = None,
-    azimuth: float = 0.0,
-) -> Path:
-    """Write a recording of fists thrust at the camera; see ``write_table_tennis``."""
-    performance = motions.thrust(seconds, seed, height, azimuth)
     return write_performance(directory, performance, seconds, seed, progress, azimuth)
 
 
@@ -124,52 +104,16 @@ def write_performance(
     """Write the recording of any performance, seen by one camera; see ``write_table_tennis``."""
     times = np.arange(int(seconds * MARKER_RATE)) / MARKER_RATE
     bones, figure = performance.bones(times), performance.figure
-    camera = webcam() if azimuth is None else camera_at(azimuth)
-    frames = video_times(seconds)
-    return write_parts(
-        Path(directory),
+    parts = RecordingParts(
         times,
-        {name: figure.points(bones, *on) for name, on in MARKERS.items()},
-        figure.landmarks(bones),
-        camera,
-        render_frames(scene(performance, seed, azimuth), frames, progress),
-        marker_places(),
-        {"height": figure.height},
-        seed,
+        markers={name: figure.points(bones, *on) for name, on in MARKERS.items()},
+        landmarks=figure.landmarks(bones),
+        camera=webcam() if azimuth is None else camera_at(azimuth),
+        places=marker_places(),
+        subject={"height": figure.height},
     )
-
-
-def write_person_recording(
-    directory: str | Path,
-    person: MeshPerson,
-    seconds: float,
-    seed: int = 0,
-    progress: Progress | None = None,
-) -> Path:
-    """Write the recording of a rigged mesh, moved by recorded markers.
-
-    Head, wrists and ankles carry markers, as in the paper; a static trial, ``static.trc``, tells
-    the subject's lengths.
-    """
-    directory = Path(directory)
-    directory.mkdir(parents=True, exist_ok=True)
-    times = np.arange(int(seconds * MARKER_RATE)) / MARKER_RATE
-    landmarks, standing = person.landmarks(times), person.standing()
-    # The rig's rest faces -y; a static trial may face anywhere.
-    write_trc(directory / "static.trc", np.zeros(1), standing, rate=MARKER_RATE)
-    camera = look_at((3.6, 0.75, 1.35), (0.0, 0.0, 1.18), focal=680.0)
-    scene = Scene.in_room(camera, person, seed)
-    return write_parts(
-        directory,
-        times,
-        {landmark: landmarks[landmark] for landmark in BODY_MARKERS},
-        landmarks,
-        camera,
-        render_frames(scene, video_times(seconds), progress),
-        {landmark: {"bone": bone, "at": 1.0} for landmark, bone in BODY_MARKERS.items()},
-        {"static": "static.trc", "landmarks": {name: name for name in standing if name != "head"}},
-        seed,
-    )
+    frames = render_frames(scene(performance, seed, azimuth), video_times(seconds), progress)
+    return write_parts(Path(directory), parts, frames, seed)
 
 
 def webcam() -> Camera:
@@ -178,11 +122,11 @@ def webcam() -> Camera:
 
 
 def scene(performance: Performance, seed: int = 0, azimuth: float | None = None) -> Scene:
-    """What the camera at that azimuth sees of a performance; None is ``webcam()``."""
-    actor = dressed(performance, seed)
+    """A performance before the camera at that azimuth; None is ``webcam()``."""
+    actor = clothed_actor(performance, seed)
     if azimuth is None:
         return Scene.in_room(webcam(), actor, seed)
-    return Scene.in_room(camera_at(0.0), Turned(actor, azimuth), seed)
+    return Scene.in_room(camera_at(0.0), RotatedMover(actor, azimuth), seed)
 
 
 def video_times(seconds: float) -> np.ndarray:
@@ -199,57 +143,47 @@ def marker_places() -> dict[str, dict[str, Any]]:
 
 
 def write_parts(
-    directory: Path,
-    times: np.ndarray,
-    markers: dict[str, np.ndarray],
-    landmarks: dict[str, np.ndarray],
-    camera: Camera,
-    frames: Iterable[np.ndarray],
-    places: Mapping[str, Mapping[str, Any]],
-    subject: Mapping[str, Any],
-    seed: int,
+    directory: Path, parts: RecordingParts, frames: Iterable[np.ndarray], seed: int
 ) -> Path:
     """Write every file of a recording.
 
     Args:
         directory: is made where missing.
-        times: (T,) of the markers, seconds.
-        markers: name -> (T, 3) without noise, world, metres.
-        landmarks: name -> (T, 3) the truth.
-        camera: of the video.
+        parts: what they hold.
         frames: (H, W, 3) BGR uint8, at ``video_times``.
-        places: [markers.on].
-        subject: [subject].
         seed: of the markers' noise.
+
+    Returns:
+        The path of ``recording.toml``.
     """
     directory.mkdir(parents=True, exist_ok=True)
-    noise = marker_noise(times, len(markers), np.random.default_rng([seed, 4]))
-    measured = {name: path + noise[:, i] for i, (name, path) in enumerate(markers.items())}
-    write_trc(directory / "markers.trc", times, measured, rate=MARKER_RATE)
-    write_trc(directory / "truth.trc", times, landmarks, rate=MARKER_RATE)
-    write_calibration(directory / "calibration.toml", {CAMERA: camera})
+    noise = marker_noise(parts.times, len(parts.markers), np.random.default_rng([seed, 4]))
+    measured = {name: path + noise[:, i] for i, (name, path) in enumerate(parts.markers.items())}
+    write_trc(directory / "markers.trc", parts.times, measured, rate=MARKER_RATE)
+    write_trc(directory / "truth.trc", parts.times, parts.landmarks, rate=MARKER_RATE)
+    write_calibration(directory / "calibration.toml", {CAMERA: parts.camera})
     write_video(directory / "video.mp4", frames)
     return write_recording(
         directory,
         "markers.trc",
-        places,
+        parts.places,
         videos=[{"file": "video.mp4", "camera": CAMERA, "offset": VIDEO_OFFSET_S}],
         calibration_file="calibration.toml",
-        subject=subject,
+        subject=parts.subject,
     )
 
 
 def marker_noise(times: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Errors (T, count, 3) of a consumer headset's tracking, metres, never above ``WORST_M``."""
-    shape = (1, count, 3, WAVES)
-    frequencies = 2 * np.pi / rng.uniform(*WANDER_PERIODS_S, shape)
+    """Errors (T, count, 3) of a consumer headset, metres, never above ``LARGEST_ERROR_M``."""
+    shape = (1, count, 3, DRIFT_WAVES)
+    frequencies = 2 * np.pi / rng.uniform(*DRIFT_PERIODS_S, shape)
     phases = rng.uniform(0, 2 * np.pi, shape)
     # Three axes of so many waves, each of mean square 1/2.
-    amplitude = WANDER_M / np.sqrt(1.5 * WAVES)
-    wander = amplitude * np.cos(times[:, None, None, None] * frequencies + phases).sum(-1)
-    error = wander + rng.normal(0, JITTER_M, wander.shape)
+    amplitude = DRIFT_M / np.sqrt(1.5 * DRIFT_WAVES)
+    drift = amplitude * np.cos(times[:, None, None, None] * frequencies + phases).sum(-1)
+    error = drift + rng.normal(0, JITTER_M, drift.shape)
     size = np.linalg.norm(error, axis=-1, keepdims=True)
-    return error * np.minimum(1.0, WORST_M / np.maximum(size, 1e-12))
+    return error * np.minimum(1.0, LARGEST_ERROR_M / np.maximum(size, 1e-12))
 
 
 def write_video(path: Path, frames: Iterable[np.ndarray], rate: int = VIDEO_RATE) -> None:

@@ -15,21 +15,38 @@ import cv2
 import numpy as np
 
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.synthetic.lens import Lens
-from jaxmocap.synthetic.people.meshes import Mesh
+from jaxmocap.synthetic.drawing_camera import DrawingCamera
+from jaxmocap.synthetic.people.meshes import SkinnedMesh
 from jaxmocap.synthetic.room import FRACTION_BITS, OVERSAMPLING, WALL_X, Room, to_fixed
 
 EXPOSURE_S = 0.010
-# Instants averaged within one exposure: as many as keep the steps at about this many pixels.
-BLUR_STEP_PX, MOST_INSTANTS = 3.0, 5
-# From the scene to the lamp, and how much light comes from there, from the camera's side, from all
-# around.
+# Instants averaged within one exposure are about so many pixels apart.
+BLUR_STEP_PX = 3.0
+# But there are at most so many of them.
+MOST_INSTANTS = 5
+# Unit vector from the scene to the lamp.
 LAMP = np.array([0.55, 0.45, 0.70]) / np.linalg.norm([0.55, 0.45, 0.70])
-DIRECT, FILL, AMBIENT = 0.62, 0.18, 0.38
-SHADOW, SHADOW_SCALE, SHADOW_BLUR = 0.38, 4, 11
+# Share of the light that comes from the lamp.
+DIRECT = 0.62
+# From the camera's side.
+FILL = 0.18
+# From everywhere.
+AMBIENT = 0.38
+# Share of the light that a shadow takes.
+SHADOW = 0.38
+# The shadow is drawn at this fraction of the image's size.
+SHADOW_SCALE = 4
+# And blurred by a box of so many pixels.
+SHADOW_BLUR = 11
+# Drawn around the mover's box.
 MARGIN_PX = 3
-READ_NOISE, SHOT_NOISE = 1.6, 0.12
+# Standard deviation of the sensor's noise in the dark, grey levels.
+READ_NOISE = 1.6
+# Its variance for each grey level of light.
+SHOT_NOISE = 0.12
+# By this share the corners are darker.
 VIGNETTING = 0.16
+# Called with the frames done and their total.
 Progress = Callable[[int, int], None]
 
 
@@ -37,7 +54,7 @@ class Mover(Protocol):
     """A mesh in motion."""
 
     @property
-    def mesh(self) -> Mesh:
+    def mesh(self) -> SkinnedMesh:
         """At rest: its faces and colours."""
         ...
 
@@ -65,7 +82,7 @@ class Scene:
     @classmethod
     def in_room(cls, camera: Camera, mover: Mover, seed: int = 0) -> "Scene":
         """A room furnished by the seed."""
-        room = Room.furnished(Lens.of(camera), np.random.default_rng([seed, 2]))
+        room = Room.furnished(DrawingCamera.of(camera), np.random.default_rng([seed, 2]))
         return cls(camera, room, mover, seed)
 
 
@@ -75,27 +92,27 @@ def render_frames(
     """Frames (H, W, 3), BGR uint8, one for each time.
 
     Args:
-        scene: what to see.
+        scene: to be rendered.
         times: (F,) the middles of the exposures, seconds.
         progress: called with the frames done and their total.
     """
-    lens = Lens.of(scene.camera)
-    sensor = Sensor.create(lens.size, np.random.default_rng([scene.seed, 3]))
+    camera = DrawingCamera.of(scene.camera)
+    sensor = Sensor.create(camera.size, np.random.default_rng([scene.seed, 3]))
     for i, time in enumerate(times):
-        yield sensor.exposed(light(scene, lens, float(time)))
+        yield sensor.exposed(exposure(scene, camera, float(time)))
         if progress:
             progress(i + 1, len(times))
 
 
-def light(scene: Scene, lens: Lens, time: float) -> np.ndarray:
-    """What falls onto the sensor during one exposure: (H, W, 3), BGR uint8, without noise."""
+def exposure(scene: Scene, camera: DrawingCamera, time: float) -> np.ndarray:
+    """The light of one exposure: (H, W, 3), BGR uint8, without the sensor's noise."""
     vertices = scene.mover.vertices(time + EXPOSURE_S * np.array([-0.5, 0.0, 0.5]))
-    middle, pixels = vertices[1], _blurred(lens.pixels(vertices))
-    image = shadowed(scene, lens, middle)
-    box = _box(pixels, lens.size)
+    middle, pixels = vertices[1], _blurred(camera.pixels(vertices))
+    image = shadowed(scene, camera, middle)
+    box = _box(pixels, camera.size)
     if box is None:
         return image
-    order, colours = _shaded(scene.mover.mesh, lens, middle)
+    order, colours = _shaded(scene.mover.mesh, camera, middle)
     faces = scene.mover.mesh.faces[order]
     corners = np.ascontiguousarray(to_fixed(pixels - box[0])[:, faces])
     (left, top), (right, bottom) = box
@@ -111,14 +128,14 @@ def light(scene: Scene, lens: Lens, time: float) -> np.ndarray:
     return image
 
 
-def silhouette(mesh: Mesh, lens: Lens, vertices: np.ndarray) -> np.ndarray:
+def silhouette(mesh: SkinnedMesh, camera: DrawingCamera, vertices: np.ndarray) -> np.ndarray:
     """Pixels (H, W) bool of which at least half shows the mesh, its vertices at (V, 3)."""
-    pixels = lens.pixels(vertices)
-    mask = np.zeros(lens.size[::-1], bool)
-    box = _box(pixels[None], lens.size)
+    pixels = camera.pixels(vertices)
+    mask = np.zeros(camera.size[::-1], bool)
+    box = _box(pixels[None], camera.size)
     if box is None:
         return mask
-    order, _ = _shaded(mesh, lens, vertices)
+    order, _ = _shaded(mesh, camera, vertices)
     corners = np.ascontiguousarray(to_fixed(pixels - box[0])[mesh.faces[order]])
     (left, top), (right, bottom) = box
     canvas = np.zeros(((bottom - top) * OVERSAMPLING, (right - left) * OVERSAMPLING), np.uint8)
@@ -153,13 +170,15 @@ def _box(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray | None:
     return box if (box[1] > box[0]).all() else None
 
 
-def _shaded(mesh: Mesh, lens: Lens, vertices: np.ndarray) -> tuple[np.ndarray, list[tuple]]:
-    """Faces that look at the camera, from back to front, and their colours, BGR 0 to 255."""
+def _shaded(
+    mesh: SkinnedMesh, camera: DrawingCamera, vertices: np.ndarray
+) -> tuple[np.ndarray, list[tuple]]:
+    """Faces towards the camera, from back to front, and their colours, BGR 0 to 255."""
     corners = vertices[mesh.faces]
     normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-12
     middles = corners.mean(1)
-    views = lens.position_world - middles
+    views = camera.position_world - middles
     facing = np.flatnonzero(np.sum(normals * views, -1) > 0)
     order = facing[np.argsort(-np.linalg.norm(views[facing], axis=-1), kind="stable")]
     n = normals[order]
@@ -171,20 +190,20 @@ def _shaded(mesh: Mesh, lens: Lens, vertices: np.ndarray) -> tuple[np.ndarray, l
     return order, [tuple(colour) for colour in colours.tolist()]
 
 
-def shadowed(scene: Scene, lens: Lens, vertices: np.ndarray) -> np.ndarray:
+def shadowed(scene: Scene, camera: DrawingCamera, vertices: np.ndarray) -> np.ndarray:
     """The room with the person's soft shadow on floor and back wall: (H, W, 3), BGR uint8."""
     to_floor = np.maximum(vertices[:, 2], 0) / LAMP[2]
     to_wall = (vertices[:, 0] - WALL_X) / LAMP[0]
     cast = vertices - np.minimum(to_floor, to_wall)[:, None] * LAMP
-    width, height = lens.size
+    width, height = camera.size
     mask = np.zeros((height // SHADOW_SCALE, width // SHADOW_SCALE), np.uint8)
-    in_front = np.where(lens.depths(cast)[:, None] > 0.3, lens.pixels(cast), -1e3)
+    in_front = np.where(camera.depths(cast)[:, None] > 0.3, camera.pixels(cast), -1e3)
     pixels = np.rint(np.clip(in_front, -1e4, 1e4) / SHADOW_SCALE).astype(np.int32)
     bones = scene.mover.mesh.bones[:, 0]
     for bone in np.unique(bones):
         cv2.fillConvexPoly(mask, cv2.convexHull(pixels[bones == bone]), 255)
     mask = cv2.blur(cv2.blur(mask, (SHADOW_BLUR, SHADOW_BLUR)), (SHADOW_BLUR, SHADOW_BLUR))
-    soft = cv2.resize(mask, lens.size, interpolation=cv2.INTER_LINEAR)
+    soft = cv2.resize(mask, camera.size, interpolation=cv2.INTER_LINEAR)
     factor = cv2.LUT(soft, np.rint(255 - SHADOW * np.arange(256)).astype(np.uint8))
     return cv2.multiply(scene.background, cv2.merge([factor] * 3), scale=1 / 255)
 
@@ -216,7 +235,7 @@ class Sensor:
         return cls(cv2.merge([falloff] * 3), grain, deviations, rng)
 
     def exposed(self, image: np.ndarray) -> np.ndarray:
-        """The frame (H, W, 3), BGR uint8, that comes of so much light."""
+        """The frame (H, W, 3), BGR uint8, of an exposure."""
         height, width = image.shape[:2]
         top = int(self.rng.integers(self.grain.shape[0] - height + 1))
         left = int(self.rng.integers(self.grain.shape[1] - width + 1))

@@ -1,7 +1,7 @@
 """A cluttered room behind the person, full of straight edges.
 
-INPUTS: a Lens, a random generator. OUTPUTS: an image of the empty room, BGR; where its floor and
-back wall are.
+INPUTS: a DrawingCamera, a random generator. OUTPUTS: an image of the empty room, BGR;
+where its floor and back wall are.
 """
 
 from dataclasses import dataclass
@@ -10,35 +10,40 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxmocap.synthetic.lens import Lens
+from jaxmocap.synthetic.drawing_camera import DrawingCamera
 
+# The back wall's x, metres.
 WALL_X = -1.9
-HALF_WIDTH, CEILING = 3.2, 2.9
-# Drawn at twice the size and averaged, so that edges are smooth.
+# From the middle to the side walls, metres.
+HALF_WIDTH = 3.2
+# Height of the ceiling, metres.
+CEILING = 2.9
+# Drawn at this multiple of the size and averaged, so that edges are smooth.
 OVERSAMPLING = 2
+# Fractional bits of OpenCV's drawing.
 FRACTION_BITS = 4
 
 
 @dataclass
 class Room:
-    """An image in the making.
+    """An image of a room while it is drawn.
 
     Attributes:
-        lens: what looks at the room.
+        camera: that sees the room.
         rng: of what stands where.
         image: (2 H, 2 W, 3) BGR uint8.
     """
 
-    lens: Lens
+    camera: DrawingCamera
     rng: np.random.Generator
     image: np.ndarray
 
     @classmethod
-    def furnished(cls, lens: Lens, rng: np.random.Generator) -> np.ndarray:
+    def furnished(cls, camera: DrawingCamera, rng: np.random.Generator) -> np.ndarray:
         """An image (H, W, 3), BGR uint8, of a room with everything in it."""
-        width, height = lens.size
+        width, height = camera.size
         room = cls(
-            lens, rng, np.full((height * OVERSAMPLING, width * OVERSAMPLING, 3), 90, np.uint8)
+            camera, rng, np.full((height * OVERSAMPLING, width * OVERSAMPLING, 3), 90, np.uint8)
         )
         room.walls()
         room.window((-1.25, 1.2), (0.85, 1.0))
@@ -62,7 +67,7 @@ class Room:
 
     def fill(self, outline: np.ndarray, colour: ArrayLike) -> None:
         """A flat shape (N, 3)."""
-        pixels = to_fixed(self.lens.pixels(outline))
+        pixels = to_fixed(self.camera.pixels(outline))
         paint = tuple(float(c) for c in np.clip(np.asarray(colour) * 255, 0, 255))
         cv2.fillPoly(self.image, [pixels], paint, cv2.LINE_AA, FRACTION_BITS)
 
@@ -142,7 +147,7 @@ class Room:
         w, d, h = self.rng.uniform(0.25, 0.55, 3)
         tone = np.array([0.38, 0.52, 0.66]) * self.rng.uniform(0.6, 1.15)
         self.panel([x, y, h], [d, 0, 0], [0, w, 0], tone * 1.2)
-        side = y + w if self.lens.position_world[1] > y + w else y
+        side = y + w if self.camera.position_world[1] > y + w else y
         self.panel([x, side, 0], [d, 0, 0], [0, 0, h], tone * 0.7)
         self.panel([x + d, y, 0], [0, w, 0], [0, 0, h], tone)
         self.panel([x + d, y + 0.45 * w, 0], [0, 0.05, 0], [0, 0, h], tone * 1.35)

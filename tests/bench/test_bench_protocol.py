@@ -8,13 +8,13 @@ import pytest
 from small_recording import small_recording
 
 from bench import accuracy
+from bench.acceleration import AccelerationAndLag
 from bench.clips import REAL_LANDMARKS, Clip, real, synthetic
 from bench.criteria import covered, criteria, table
 from bench.judging import Result, Sureness, shaken, sureness_of
+from bench.wrong_turns import wrong_turns
 from jaxmocap.body.skeleton import LANDMARKS
-from jaxmocap.evaluation.acceleration import Calm
 from jaxmocap.evaluation.errors import Errors
-from jaxmocap.evaluation.wrong_turns import wrong_turns
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.trc import write_trc
 
@@ -31,7 +31,7 @@ def errors(size: float) -> Errors:
 def result(group: str, name: str, alone: float, video: float, azimuth: float = 0.0) -> Result:
     clip = Clip(group, name, Path("recording.toml"), REAL_LANDMARKS, 0, azimuth)
     before, after = errors(alone), errors(video)
-    calm = Calm(np.full(2, 6.0), np.full(2, 6.0), np.full(2, 0.01), np.ones(2))
+    calm = AccelerationAndLag(np.full(2, 6.0), np.full(2, 6.0), np.full(2, 0.01), np.ones(2))
     turns = wrong_turns(TIMES, before.distances, after.distances)
     off = np.full((len(TIMES), 3), 0.001)
     return Result(clip, before, after, off, turns, calm, calm, 1 / 30, None)

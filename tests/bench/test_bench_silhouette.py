@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from bench import personal
+from bench.acceleration import AccelerationAndLag
 from bench.silhouette import Result, camera_rows, exercise_rows, metrics, real_rows, speed
 from bench.stages import REST, STAGES, WHOLE, StageClock, stages_timed
-from jaxmocap.evaluation.acceleration import Calm
 from jaxmocap.evaluation.errors import Errors
 from jaxmocap.pipelines.silhouettes.demo import JOINTS
 from jaxmocap.silhouette import tracker
+from jaxmocap.silhouette.fit import cycles
 
 
 def result(name: str, cameras: int, off_m: float, bend_deg: float) -> Result:
@@ -21,7 +22,7 @@ def result(name: str, cameras: int, off_m: float, bend_deg: float) -> Result:
     bend = np.radians(bend_deg)
     off = {f"{h}_{s}": np.full(3, bend / k) for h, k in (("elbow", 1), ("knee", 2)) for s in "lr"}
     truths, still = np.full(len(JOINTS), 2.0), np.zeros(len(JOINTS))
-    calm = Calm(1.5 * truths, truths, still, still)
+    calm = AccelerationAndLag(1.5 * truths, truths, still, still)
     return Result(name, cameras, Errors(tuple(JOINTS), np.arange(3.0), offsets), off, calm)
 
 
@@ -79,11 +80,11 @@ def test_a_stage_does_not_count_those_that_it_calls():
 
 
 def test_every_stage_is_there_to_be_timed_and_is_itself_again_afterwards():
-    before = tracker.fit, tracker.SilhouetteTracker.step
+    before = cycles.fit, tracker.SilhouetteTracker.step
     with stages_timed() as clock:
-        assert tracker.fit is not before[0]
+        assert cycles.fit is not before[0]
         assert tracker.SilhouetteTracker.step is not before[1]
-    assert (tracker.fit, tracker.SilhouetteTracker.step) == before
+    assert (cycles.fit, tracker.SilhouetteTracker.step) == before
     assert clock.frames == [] and {"rim", "segmentation", "fit"} < {*STAGES}
 
 

@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.orientations import body_turns
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.wrists import with_wrists
+from jaxmocap.body.skeleton import Skeleton, with_wrists
 from jaxmocap.cli import main
 from jaxmocap.formats.convert import ConversionOptions, convert_file
 from jaxmocap.formats.files.errors import InputError

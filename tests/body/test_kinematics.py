@@ -230,16 +230,3 @@ def test_new_numbers_in_a_skeleton_do_not_retrace(skeleton):
     vertex(Skeleton.human(1.6), pose)
     vertex(Skeleton.human(mass=60.0), retract(pose, jnp.full(27, 0.1)))
     assert len(traces) == 1
-
-
-def test_many_poses_at_once_are_each_pose_by_itself():
-    skeleton, rng = Skeleton.human(1.75), np.random.default_rng(0)
-    quaternions = rng.normal(size=(40, 4))
-    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
-    angles = rng.uniform(-3.1, 3.1, (40, len(skeleton.tree.joints)))
-    parts = (rng.normal(size=(40, 3)), quaternions, angles)
-    poses = Pose(*(jnp.asarray(part, jnp.float32) for part in parts))
-    found = jax.jit(kinematics.forward_many)(skeleton, poses)
-    expected = jax.jit(jax.vmap(kinematics.forward, (None, 0)))(skeleton, poses)
-    for ours, theirs in zip(found, expected, strict=True):
-        np.testing.assert_allclose(ours, theirs, atol=3e-6)

@@ -10,7 +10,7 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, with_joints
 from jaxmocap.body.subject import scale_to_landmarks
-from jaxmocap.body.surfaces.loft import generic_surface, limbs, rest_joints, stature_of
+from jaxmocap.body.surfaces.loft import generic_surface, lofted_parts, rest_joints, stature_of
 from jaxmocap.body.surfaces.surface import (
     Surface,
     joint_list,
@@ -55,7 +55,7 @@ def test_nodes_at_rest_are_where_the_bones_carry_them(surface):
 
 
 def test_the_patches_are_the_papers_with_about_as_many_knots(surface):
-    assert [patch.name for patch in surface.patches] == [limb.name for limb in limbs()]
+    assert [patch.name for patch in surface.patches] == [limb.name for limb in lofted_parts()]
     assert {"torso", "arm_l", "arm_r", "leg_l", "leg_r"} < {p.name for p in surface.patches}
     assert len(surface.patch_of()) == surface.patches[-1].nodes.stop == len(surface.points.bones)
     assert 3000 < len(surface.points.bones) < 4000

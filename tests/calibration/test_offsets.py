@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from held_devices import DEVICES, pivoting
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.calibration.offsets import DeviceOffset, estimate_offsets
@@ -16,7 +17,6 @@ from jaxmocap.formats.recordings.marker_places import MarkerPlace, read_place
 from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.time_series.csv import write_csv
 from jaxmocap.formats.time_series.tables import Markers
-from jaxmocap.synthetic.controllers import DEVICES, pivoting
 
 TIMES = np.arange(20 * 90) / 90
 PLACES = [MarkerPlace(name, device.bone, 0.0) for name, device in DEVICES.items()]
@@ -35,29 +35,29 @@ def found(**clip) -> dict[str, DeviceOffset]:
 
 def test_offsets_are_found_within_millimetres_and_their_deviations_are_honest():
     """Twenty clips of a consumer headset's noise, with joints that wander by millimetres."""
-    off, deviations = [], []
+    errors, deviations = [], []
     for seed in range(20):
         for name, held in found(seed=seed).items():
             assert held.warnings == () and held.windows == 20
-            off.append(held.offset - TRUTH[name])
+            errors.append(held.offset - TRUTH[name])
             deviations.append(held.std)
-    off, deviations = np.array(off), np.array(deviations)
-    assert np.abs(off).max() < 0.008
+    errors, deviations = np.array(errors), np.array(deviations)
+    assert np.abs(errors).max() < 0.008
     # Of a normal error with these deviations 68 % lie within one and 95 % within two.
-    assert 0.5 < (np.abs(off) < deviations).mean() < 0.85
-    assert (np.abs(off) < 2 * deviations).mean() > 0.85
+    assert 0.5 < (np.abs(errors) < deviations).mean() < 0.85
+    assert (np.abs(errors) < 2 * deviations).mean() > 0.85
 
 
 def test_turning_about_one_axis_leaves_the_offset_along_it_open_and_says_so():
     for name, held in found(seed=1, swing_deg=(35.0, 0.0, 0.0)).items():
-        (doubt,) = held.warnings
-        assert "not determined along" in doubt and "rotate it about the others too" in doubt
+        (warning,) = held.warnings
+        assert "not determined along" in warning and "rotate it about the others too" in warning
         # About the bone's left axis, seen in the marker's.
         axis = DEVICES[name].R_bone_device.T @ [0.0, 1.0, 0.0]
         assert axis @ held.covariance @ axis > 0.9
         across = np.linalg.svd(axis[None])[2][1:]
-        off = across @ (held.offset - TRUTH[name])
-        assert np.abs(off).max() < 0.008
+        errors = across @ (held.offset - TRUTH[name])
+        assert np.abs(errors).max() < 0.008
 
 
 def test_an_arm_that_moves_as_a_whole_is_no_wrist_and_is_doubted():
@@ -68,12 +68,12 @@ def test_an_arm_that_moves_as_a_whole_is_no_wrist_and_is_doubted():
     }
     for held in estimate_offsets(markers_of(longer, turns), PLACES):
         assert np.linalg.norm(held.offset) > 0.3
-        assert any("hardly the joint" in doubt for doubt in held.warnings)
+        assert any("hardly the joint" in warning for warning in held.warnings)
 
 
 def test_a_joint_that_strays_is_doubted_and_single_jerks_weigh_little():
     (held, *_) = found(seed=3, stray_m=0.2).values()
-    assert any("rest it" in doubt for doubt in held.warnings)
+    assert any("rest it" in warning for warning in held.warnings)
     points, turns = pivoting(TIMES, 3)
     jerk = 0.2 * np.sin(5 * TIMES)[:, None] * ((TIMES > 4) & (TIMES < 6))[:, None]
     moved = {name: place + jerk for name, place in points.items()}

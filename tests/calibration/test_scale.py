@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from jaxmocap import Recording
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.body.wrists import with_wrists
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_wrists
 from jaxmocap.calibration.static_trial import scale_by_static
 from jaxmocap.cli import main
 from jaxmocap.formats.files.errors import InputError
@@ -106,7 +105,7 @@ def test_a_real_static_trial_becomes_a_file(recordings, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("bones", "said"),
+    ("bones", "message"),
     [
         ({"wing": {"length": 0.3}}, "bones wing: unknown bone, expected one of spine1"),
         ({"hand_l": {"length": 30}}, "length: found 30, expected metres from 0.01 to 1"),
@@ -116,16 +115,16 @@ def test_a_real_static_trial_becomes_a_file(recordings, tmp_path):
         ({"hand_l": 0.2}, "expected a table"),
     ],
 )
-def test_what_no_bone_can_be_is_refused_by_field(tmp_path, bones, said):
+def test_what_no_bone_can_be_is_refused_by_field(tmp_path, bones, message):
     with pytest.raises(InputError) as caught:
         read_subject(tmp_path / "a.toml", "[subject]", {"height": 1.8, "bones": bones})
-    assert said in str(caught.value) and "\n" not in str(caught.value)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_the_command_refuses_in_one_sentence(tmp_path, capsys):
     write_trc(tmp_path / "a.trc", np.zeros(1), {"Head": np.ones((1, 3))})
     out = ["--out", str(tmp_path / "b.toml")]
-    for given, said in (
+    for given, message in (
         (["--height", "1.8", "--up", "y"], "--landmarks and --up are about a static trial"),
         ([], "expected one of --height, --static, --recording"),
         (["--height", "1.8", "--static", "a.trc"], "--height and --static exclude each other"),
@@ -136,5 +135,5 @@ def test_the_command_refuses_in_one_sentence(tmp_path, capsys):
         (["--static", str(tmp_path / "a.trc"), "--landmarks", "neck=Head"], "needs the landmark"),
     ):
         assert main(["scale", *given, *out]) == 2
-        assert said in capsys.readouterr().err
+        assert message in capsys.readouterr().err
     assert not (tmp_path / "b.toml").exists()

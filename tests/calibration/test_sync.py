@@ -17,7 +17,7 @@ from jaxmocap.capture.checks.cameras import project_to_pixels
 from jaxmocap.cli import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoSource
-from jaxmocap.synthetic.lens import look_at
+from jaxmocap.synthetic.drawing_camera import look_at
 
 SIZE, FPS, RATE, SECONDS = (160, 120), 30, 90, 3.0
 CAMERA = look_at((2.2, 0.0, 1.2), (0.0, 0.0, 1.2), size=SIZE, focal=190.0, distortion=())

@@ -165,8 +165,8 @@ def test_every_sample_and_every_frame_appears_exactly_once_in_order_of_time(reco
     np.testing.assert_array_equal(timeline.event_times[samples >= 0], markers)
     assert ((samples >= 0) | (frames >= 0).any(1)).all()
     for camera, times in enumerate(videos):
-        seen = frames[:, camera] >= 0
-        assert frames[seen, camera].tolist() == list(range(len(times)))
+        has_frame = frames[:, camera] >= 0
+        assert frames[has_frame, camera].tolist() == list(range(len(times)))
 
 
 @given(streams(), st.sampled_from(["own", "causal"]))
@@ -176,8 +176,8 @@ def test_a_frame_is_at_most_half_an_interval_from_its_event(recorded, mode):
     intervals = [np.median(np.diff(times)) for times in videos if len(times) > 1]
     reach = max(min(intervals, default=0) / 2, SIMULTANEOUS_S) + SIMULTANEOUS_S + 1e-9
     for camera, times in enumerate(videos):
-        seen = timeline.frame_index[:, camera] >= 0
-        late = times[timeline.frame_index[seen, camera]] - timeline.event_times[seen]
+        has_frame = timeline.frame_index[:, camera] >= 0
+        late = times[timeline.frame_index[has_frame, camera]] - timeline.event_times[has_frame]
         assert (np.abs(late) <= reach).all()
         if mode == "causal":
             assert (late <= SIMULTANEOUS_S + 1e-9).all()
@@ -387,9 +387,9 @@ def test_a_video_must_fit_its_calibration_to_two_percent(size, outcome):
         with pytest.raises(InputError, match="64 × 48, its calibration 66 × 48"):
             check_video_size(video, camera, "v.mp4")
         return
-    said = check_video_size(video, camera, "v.mp4")
-    assert (said is None) == (outcome == "fits")
-    assert said is None or "not rescaled" in said
+    message = check_video_size(video, camera, "v.mp4")
+    assert (message is None) == (outcome == "fits")
+    assert message is None or "not rescaled" in message
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 4])
@@ -402,8 +402,8 @@ def test_the_real_videos_have_60_frames_at_60_hertz(recordings, number):
     np.testing.assert_allclose(video.times, np.arange(60) / 60, atol=1e-9)
     assert video.size == ((1080, 1920) if number <= 2 else (1088, 1920))
     camera = read_calibration(recordings / "balancing" / "calibration.toml")[f"cam_0{number}"]
-    said = check_video_size(video, camera, path)
-    assert (said is None) == (number > 2)
+    message = check_video_size(video, camera, path)
+    assert (message is None) == (number > 2)
     images = [image for _, image in video.frames(luma=True)]
     assert all(image is not None and image.shape == video.size[::-1] for image in images)
 

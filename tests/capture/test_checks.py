@@ -7,6 +7,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from gait_person import BODY_MARKERS
 from small_recording import small_recording, write_small_recording
 
 from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
@@ -28,7 +29,7 @@ from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.people.clothed_person import MARKERS
 from jaxmocap.synthetic.placement import camera_at
-from jaxmocap.synthetic.recording import BODY_MARKERS, marker_noise
+from jaxmocap.synthetic.recording import marker_noise
 
 PLACES = tuple(MarkerPlace(name, *on) for name, on in MARKERS.items())
 FIVE = tuple(MarkerPlace(name, bone) for name, bone in BODY_MARKERS.items())
@@ -123,8 +124,8 @@ def test_markers_in_another_unit_are_refused(sound, factor, unit):
     trc = replace(spoilt, markers_file=Path("m.trc"))
     assert "change Units in its third line" in check_recording(trc, VIDEO_TIMES)[0].sentence
     if factor == 1000:
-        told = float(finding.sentence.split("person of ")[1].split(" m")[0])
-        assert 1200 < told < 2000
+        text = float(finding.sentence.split("person of ")[1].split(" m")[0])
+        assert 1200 < text < 2000
 
 
 def test_a_static_trial_in_millimetres_is_refused(sound):
@@ -142,15 +143,15 @@ def test_a_calibration_in_millimetres_is_refused(sound):
 
 @pytest.mark.parametrize("marked", ["sound", "five"])
 @pytest.mark.parametrize(
-    ("axes", "said"),
+    ("axes", "message"),
     [([2, 0, 1], "world's x"), ([1, 2, 0], "world's y"), ([0, 2, 1], "world's y")],
 )
-def test_another_axis_upwards_is_refused(request, marked, axes, said):
+def test_another_axis_upwards_is_refused(request, marked, axes, message):
     recording = request.getfixturevalue(marked)
     spoilt = replace(recording, positions_world=recording.positions_world[..., axes])
     finding = check_recording(spoilt, VIDEO_TIMES)[0]
     assert finding.check == "up axis" and finding.fatal
-    assert said in finding.sentence and "change [markers] up" in finding.sentence
+    assert message in finding.sentence and "change [markers] up" in finding.sentence
 
 
 def test_a_person_upside_down_is_refused(five):
@@ -174,8 +175,8 @@ def test_a_person_upside_down_above_the_floor_is_refused(request, marked, height
 def test_the_command_refuses_a_person_upside_down(tmp_path, capsys):
     path = write_small_recording(tmp_path)
     small = small_recording()
-    turned = small.positions_world * [1, -1, -1] + [0, 0, 1.7]
-    points = dict(zip(small.marker_names, np.moveaxis(turned, 1, 0), strict=True))
+    rotated = small.positions_world * [1, -1, -1] + [0, 0, 1.7]
+    points = dict(zip(small.marker_names, np.moveaxis(rotated, 1, 0), strict=True))
     write_trc(tmp_path / "markers.trc", small.times, points)
     assert main(["track", str(path), "--out", str(tmp_path / "out")]) == 2
     printed = capsys.readouterr().err
@@ -190,13 +191,13 @@ def test_a_handstand_for_part_of_a_recording_passes(five):
     assert names(replace(five, positions_world=positions, videos=())) == []
 
 
-@pytest.mark.parametrize("held", ["above the head", "up, lying on the back"])
-def test_hands_held_up_all_the_time_pass(sound, held):
+@pytest.mark.parametrize("raised", ["above the head", "up, lying on the back"])
+def test_hands_held_up_all_the_time_pass(sound, raised):
     places = {
         "above the head": [[0, 0, 1.7], [0, 0.2, 2.1], [0, -0.2, 2.1]],
         "up, lying on the back": [[0, 0, 0.1], [-0.3, 0.2, 0.68], [-0.3, -0.2, 0.68]],
     }
-    positions = np.tile(np.array(places[held]), (len(sound.times), 1, 1))
+    positions = np.tile(np.array(places[raised]), (len(sound.times), 1, 1))
     found = check_recording(replace(sound, positions_world=positions, videos=()), [])
     assert not any(finding.fatal for finding in found)
 
@@ -261,9 +262,9 @@ def test_a_marker_out_of_reach_is_told(sound, share, fatal):
         f.check: f for f in check_recording(replace(sound, positions_world=spoilt), VIDEO_TIMES)
     }
     assert found["reach"].fatal is fatal
-    told = f"in {rows.sum()} of {len(rows)} samples farther than"
+    text = f"in {rows.sum()} of {len(rows)} samples farther than"
     assert "[markers.on] RightController" in found["reach"].sentence
-    assert told in found["reach"].sentence
+    assert text in found["reach"].sentence
 
 
 @pytest.mark.parametrize("factor", [1000.0, RATE])

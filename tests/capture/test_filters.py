@@ -250,8 +250,8 @@ def test_it_does_not_depend_on_the_axes(seed):
     rng = np.random.default_rng(seed)
     times, points = np.arange(40) / RATE, np.cumsum(rng.normal(0, 0.01, (40, 2, 3)), 0)
     R = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    turned = filter_one_euro(times, points @ R.T, OneEuro())
-    np.testing.assert_allclose(turned, filter_one_euro(times, points, OneEuro()) @ R.T, atol=1e-12)
+    rotated = filter_one_euro(times, points @ R.T, OneEuro())
+    np.testing.assert_allclose(rotated, filter_one_euro(times, points, OneEuro()) @ R.T, atol=1e-12)
 
 
 def test_a_marker_that_was_lost_for_long_begins_anew_and_for_short_goes_on():
@@ -297,7 +297,7 @@ def test_a_recording_names_its_filters(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("hampel = 3", " hampel: found 3, expected true or false"),
         ("gaps = -0.1", " gaps: found -0.1, expected a positive number"),
@@ -307,10 +307,10 @@ def test_a_recording_names_its_filters(tmp_path):
         ("median = true", ": unknown key 'median', expected hampel, gaps, butterworth, one_euro"),
     ],
 )
-def test_a_field_that_does_not_fit_is_refused(tmp_path, text, said):
+def test_a_field_that_does_not_fit_is_refused(tmp_path, text, message):
     with pytest.raises(InputError) as refused:
         load(tmp_path, text)
-    assert f"[markers.filters]{said}" in str(refused.value)
+    assert f"[markers.filters]{message}" in str(refused.value)
 
 
 def test_a_cut_off_that_the_samples_cannot_hold_is_refused():
@@ -335,8 +335,8 @@ def test_filters_work_one_after_the_other_and_say_what_they_did():
     clean = small_recording().positions_world
     assert cleaning.outliers.sum() == 1 and cleaning.outliers[5, 1]
     assert cleaning.filled.sum() == 4 and cleaning.missing.sum() == 8
-    seen = ~cleaning.missing
-    assert np.abs(after.positions_world - clean)[seen].max() < 0.002
+    is_present = ~cleaning.missing
+    assert np.abs(after.positions_world - clean)[is_present].max() < 0.002
     assert cleaning.figures()["on"] == {"hampel": True, "gaps": 0.06, "butterworth": 12.0}
     assert cleaning.figures()["samples"]["LWrist"] == {"outliers": 1, "filled": 1, "missing": 0}
     assert cleaning.statuses(5) == ("marker LWrist was an outlier", "marker LWrist was filled in")

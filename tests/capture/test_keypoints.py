@@ -222,8 +222,8 @@ def test_what_is_missing_is_nan_with_no_confidence(tmp_path_factory, kinds):
         i = found.landmarks.index(landmark)
         confidence = expected.get(kinds[index], 0.0)
         assert found.confidences[:, 0, i].tolist() == [confidence] * 2
-        seen = np.isfinite(found.pixels_xy[:, 0, i])
-        assert (seen == (confidence > 0)).all()
+        is_detected = np.isfinite(found.pixels_xy[:, 0, i])
+        assert (is_detected == (confidence > 0)).all()
 
 
 def test_mmpose_writes_one_file_for_a_whole_video(tmp_path):
@@ -458,15 +458,15 @@ def test_markers_on_landmarks_say_who_is_tracked():
     np.testing.assert_array_equal(known[:, 1:], recording.positions_world[:3])
     # A second person stands a metre further, and is listed first in the second frame.
     places = [known + np.array([0, y, 0]) for y in (0, 1)]
-    seen = [np.asarray(project(CAMERA, jnp.asarray(place, float))) for place in places]
-    seen = np.stack(seen, 1)
-    seen[:, :, 0] = seen[:, :, 1]
-    seen[1] = seen[1, ::-1]
-    seen[2, 0] = np.nan
-    keypoints = Keypoints(landmarks, seen, np.where(np.isnan(seen[..., 0]), 0.0, 0.8))
+    is_detected = [np.asarray(project(CAMERA, jnp.asarray(place, float))) for place in places]
+    is_detected = np.stack(is_detected, 1)
+    is_detected[:, :, 0] = is_detected[:, :, 1]
+    is_detected[1] = is_detected[1, ::-1]
+    is_detected[2, 0] = np.nan
+    keypoints = Keypoints(landmarks, is_detected, np.where(np.isnan(is_detected[..., 0]), 0.0, 0.8))
     pixels, confidences = select_person(keypoints, CAMERA, known)
-    np.testing.assert_array_equal(pixels[0], seen[0, 0])
-    np.testing.assert_array_equal(pixels[1], seen[1, 1])
+    np.testing.assert_array_equal(pixels[0], is_detected[0, 0])
+    np.testing.assert_array_equal(pixels[1], is_detected[1, 1])
     assert np.isnan(pixels[2]).all()
     assert confidences.tolist() == [[0.8] * 6, [0.8] * 6, [0.0] * 6]
 

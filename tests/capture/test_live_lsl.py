@@ -80,9 +80,9 @@ def test_a_marker_of_a_stream_may_say_how_it_is_turned():
         assert wait_for(lambda: len(samples) == 3)
     finally:
         stream.stop()
-    turns = np.stack([sample.measurements.orientations_world for sample in samples])
-    np.testing.assert_allclose(turns[0, 0] @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-6)
-    assert np.isnan(turns[:, 1]).all()
+    orientations = np.stack([sample.measurements.orientations_world for sample in samples])
+    np.testing.assert_allclose(orientations[0, 0] @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-6)
+    assert np.isnan(orientations[:, 1]).all()
     np.testing.assert_allclose([s.positions_world[1, 0] for s in samples], 0.3, atol=1e-6)
 
 
@@ -98,7 +98,7 @@ def test_a_stream_without_such_channels_is_said():
 
 
 def test_a_stream_of_text_is_refused_and_its_labels_are_no_commands_to_a_terminal():
-    for kind, label, said in (
+    for kind, label, message in (
         ("string", "Head", "found text"),
         ("float32", "\x1b[2JHead", "\\x1b[2JHead"),
     ):
@@ -109,7 +109,7 @@ def test_a_stream_of_text_is_refused_and_its_labels_are_no_commands_to_a_termina
             assert wait_for(lambda stream=stream: stream.problem is not None)
         finally:
             stream.stop()
-        assert said in str(stream.problem) and str(stream.problem).isprintable() and not samples
+        assert message in str(stream.problem) and str(stream.problem).isprintable() and not samples
 
 
 @pytest.mark.parametrize("name", ["it's", "\\u001b[2J", "x" * 300])

@@ -221,8 +221,8 @@ def test_a_tracker_is_turned_by_its_own_message(together):
     about_up = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))
     for i in range(3):
         place = MarkerMessage(("Hmd",), (0.0, 1.0, 0.0))
-        turned = MarkerMessage(("Hmd",), None, about_up)
-        packets = [[place, turned]] if together else [[place], [turned]]
+        oriented = MarkerMessage(("Hmd",), None, about_up)
+        packets = [[place, oriented]] if together else [[place], [oriented]]
         for packet in packets:
             gathers.add(packet, i / 90, i / 90, together)
     assert len(out) == 3
@@ -245,7 +245,7 @@ def test_names_that_are_no_markers_are_remembered_a_few_of_them():
     gathers, out = gathering()
     for i in range(1000):
         gathers.add([MarkerMessage((f"who {i}",), (0.0, 0.0, 0.0))], 0.0, 0.0, True)
-    assert not out and len(gathers.unknown) == SampleAssembler.MAX_UNKNOWN
+    assert not out and len(gathers.unknown_names) == SampleAssembler.MAX_UNKNOWN
 
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=30))

@@ -41,12 +41,12 @@ def tracked(tmp_path_factory):
     folder = tmp_path_factory.mktemp("tracked")
     recording = write_small_recording(folder)
     with pytest.MonkeyPatch.context() as patch:
-        printed, said = (folder / "stdout").open("w"), (folder / "stderr").open("w")
+        printed, stderr = (folder / "stdout").open("w"), (folder / "stderr").open("w")
         patch.setattr(sys, "stdout", printed)
-        patch.setattr(sys, "stderr", said)
+        patch.setattr(sys, "stderr", stderr)
         code = main(["track", str(recording), "--out", str(folder / "out"), "--json", "-"])
         printed.close()
-        said.close()
+        stderr.close()
     return code, folder / "out", (folder / "stdout").read_text(), (folder / "stderr").read_text()
 
 
@@ -57,11 +57,12 @@ def test_track_writes_every_file_and_leaves_nothing_half_written(tracked):
 
 
 def test_track_prints_figures_as_json_and_the_summary_beside_them(tracked):
-    _, out, printed, said = tracked
+    _, out, printed, stderr = tracked
     figures = json.loads(printed)
     assert figures["frames"] == SAMPLES and figures["frames_per_second"] > 0
     assert figures["settings"]["recording"].endswith("recording.toml")
-    assert "tracking" in said and "frames per second" in said and str(out / "joints.trc") in said
+    for text in ("tracking", "frames per second", str(out / "joints.trc")):
+        assert text in stderr
 
 
 def test_evaluate_compares_with_a_reference_by_time_stamp(tracked, capsys, tmp_path):
@@ -346,8 +347,13 @@ def test_whatever_ends_a_command_is_one_clean_line(raised, code, says, monkeypat
 
     monkeypatch.setattr(cli, "check_report", fail)
     assert main(["check", "recording.toml"]) == code
-    said = capsys.readouterr().err
-    assert says in said and said.count("\n") == 1 and said[:-1].isprintable() and len(said) < 600
+    stderr = capsys.readouterr().err
+    assert (
+        says in stderr
+        and stderr.count("\n") == 1
+        and stderr[:-1].isprintable()
+        and len(stderr) < 600
+    )
 
 
 def test_a_fault_of_ours_is_not_hidden(monkeypatch):
@@ -398,9 +404,9 @@ def test_a_reader_that_has_gone_is_no_traceback(folder):
     command = [sys.executable, "-m", "jaxmocap.cli", "check", str(folder / "recording.toml")]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     process.stdout.close()
-    said = process.stderr.read()
+    stderr = process.stderr.read()
     assert process.wait(60) == 1
-    assert said == "jaxmocap check: the system: Broken pipe\n"
+    assert stderr == "jaxmocap check: the system: Broken pipe\n"
 
 
 TERMINATED_WHILE = """

@@ -17,14 +17,14 @@ from jaxmocap.cli import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.outputs import live_view
 from jaxmocap.outputs.layout import SERIES, lay_out
-from jaxmocap.outputs.live_view import LiveView, Shown
-from jaxmocap.outputs.scene import Scene
-from jaxmocap.pipelines.live.session import standing_pose
+from jaxmocap.outputs.live_view import LiveSnapshot, LiveView
+from jaxmocap.outputs.scene import BodyScene
+from jaxmocap.pipelines.live.session import relaxed_pose_on_floor
 from jaxmocap.pipelines.view import LOOPBACK, free_port, serve_page
-from jaxmocap.synthetic.lens import look_at
+from jaxmocap.synthetic.drawing_camera import look_at
 
 CAMERA = look_at((3.0, 0.6, 1.3), (0.0, 0.0, 0.95), size=(96, 72), focal=95.0, distortion=())
-SCENE = Scene(
+SCENE = BodyScene(
     ("head",),
     np.zeros(1),
     np.eye(3)[None, None],
@@ -34,20 +34,20 @@ SCENE = Scene(
 )
 
 
-def shown(part) -> set[str]:
+def visible_views(part) -> set[str]:
     """Names of the views that are seen: of tabs only the first."""
     if isinstance(part, rrb.Container):
         contents = list(part.contents)
         if isinstance(part, rrb.Tabs):
             contents = contents[:1]
-        return set().union(*(shown(each) for each in contents))
+        return set().union(*(visible_views(each) for each in contents))
     return {part.name}
 
 
 @pytest.mark.parametrize("cameras", [0, 1, 4])
 def test_body_cameras_and_curves_are_shown_without_a_click(cameras):
     labels = {f"cam {i}": ["edges, left", "edges, right"] for i in range(cameras)}
-    visible = shown(lay_out(labels, SCENE).root_container)
+    visible = visible_views(lay_out(labels, SCENE).root_container)
     assert visible >= {"Body", *labels, *SERIES.values()}
     assert len([name for name in visible if "edges" in name]) == min(2 * cameras, 2)
 
@@ -93,8 +93,8 @@ def test_sigterm_ends_the_command_and_its_server(folder):
         if "until Ctrl-C" in printed:
             break
     process.terminate()
-    _, said = process.communicate(timeout=60)
-    assert process.returncode == 143 and said == "jaxmocap view: terminated\n"
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 143 and stderr == "jaxmocap view: terminated\n"
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection((LOOPBACK, port), 5.0)
 
@@ -118,23 +118,23 @@ def test_a_live_view_shows_the_newest_pose_and_image_and_keeps_up(tmp_path, monk
     path = tmp_path / "live.rrd"
     monkeypatch.setattr(rr.RecordingStream, "connect_grpc", lambda self, url: self.save(path))
     skeleton = Skeleton.human(1.75)
-    pose = standing_pose(skeleton)
+    pose = relaxed_pose_on_floor(skeleton)
     sent = []
     monkeypatch.setattr(live_view, "INTERVAL_S", 0.02)
     view = LiveView("nowhere", skeleton, {"cam": CAMERA}, pose)
     log = view._log
-    view._log = lambda shown: (sent.append(shown), log(shown))  # type: ignore[method-assign]
+    view._log = lambda snapshot: (sent.append(snapshot), log(snapshot))  # type: ignore[method-assign]
     images = [np.full((72, 96, 3), i, np.uint8) for i in range(100)]
     for i, image in enumerate(images):
-        view.show(Shown(i / 100, pose, np.array([0.2, 0.9]), 5.0, {"cam": image}))
-        view.show(Shown(i / 100 + 0.005, pose, np.array([0.2, 0.9]), 5.0, {}))
+        view.show(LiveSnapshot(i / 100, pose, np.array([0.2, 0.9]), 5.0, {"cam": image}))
+        view.show(LiveSnapshot(i / 100 + 0.005, pose, np.array([0.2, 0.9]), 5.0, {}))
     end = time.monotonic() + 20
     while (not sent or sent[-1].time < 0.995) and time.monotonic() < end:
         time.sleep(0.01)
     view.close()
     # What is not shown in time is passed over, but an image waits for the next pose.
     assert len(sent) < 100 and sent[-1].time == 0.995
-    assert any(shown.images and (shown.images["cam"] == 99).all() for shown in sent)
+    assert any(snapshot.images and (snapshot.images["cam"] == 99).all() for snapshot in sent)
     entities = {chunk.entity_path for chunk in chunks.RrdReader(path).stream()}
     assert entities >= {"/world/cameras/cam/image", "/confidence/left", "/world/body/head"}
 
@@ -143,5 +143,5 @@ def test_who_stands_has_the_feet_on_the_floor():
     from jaxmocap.body.kinematics import forward
 
     skeleton = Skeleton.human(1.75)
-    joints = np.asarray(forward(skeleton, standing_pose(skeleton)).joints_world)
+    joints = np.asarray(forward(skeleton, relaxed_pose_on_floor(skeleton)).joints_world)
     assert abs(joints[:, 2].min()) < 1e-5 and joints[:, 2].max() > 1.3

@@ -13,7 +13,7 @@ from jaxmocap.compilation.programs import Program, keep_in
 from jaxmocap.formats.private_cache import PrivateCache
 from jaxmocap.pipelines import kept_programs
 from jaxmocap.pipelines.kept_programs import keep_compiled
-from jaxmocap.pipelines.warmup import Warmed, counted
+from jaxmocap.pipelines.warmup import CompilationCounts, counting_compilations
 
 NUMBERS = np.arange(7, dtype=np.float32)
 ON_POSIX = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="Windows has no such owners")
@@ -33,9 +33,9 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def compiled(factor: float) -> tuple[list[float], int, int]:
     """What a program that is new to this process returns; programs compiled, and those found."""
-    with counted(warmed := Warmed("")):
+    with counting_compilations(warmed := CompilationCounts("")):
         found = jax.jit(lambda x: x * factor)(NUMBERS)
-    return np.asarray(found).tolist(), warmed.programs, warmed.found
+    return np.asarray(found).tolist(), warmed.programs, warmed.cached
 
 
 def tripled() -> Program:

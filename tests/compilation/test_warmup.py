@@ -12,24 +12,28 @@ from small_recording import SAMPLES, small_recording, with_frames
 from jaxmocap.cli import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.pipelines import warmup
-from jaxmocap.pipelines.warmup import Warmed, counted, opening
+from jaxmocap.pipelines.warmup import CompilationCounts, counting_compilations, first_half_second
 
 
 def test_programs_are_counted_and_those_that_were_there_apart():
     def fresh():
         return jax.jit(lambda x: jnp.sin(x) * 3 + x.shape[0])
 
-    first, second, outside = Warmed("first"), Warmed("second"), Warmed("outside")
-    with counted(first):
+    first, second, outside = (
+        CompilationCounts("first"),
+        CompilationCounts("second"),
+        CompilationCounts("outside"),
+    )
+    with counting_compilations(first):
         fresh()(np.ones(7, np.float32))
-    with counted(second):
+    with counting_compilations(second):
         fresh()(np.ones(7, np.float32))
-    with counted(outside):
+    with counting_compilations(outside):
         pass
     fresh()(np.ones(8, np.float32))
-    assert (first.programs, second.programs, second.found) == (1, 1, 1)
+    assert (first.programs, second.programs, second.cached) == (1, 1, 1)
     assert list(first.longest) == ["<lambda>"] and first.longest["<lambda>"] > 0
-    assert outside == Warmed("outside")
+    assert outside == CompilationCounts("outside")
     assert "0 programs compiled, 1 were there" in second.text()
 
 
@@ -38,14 +42,18 @@ def test_what_is_tracked_is_the_first_half_second_that_has_both():
     positions = np.concatenate([recording.positions_world] * 3)
     positions[:4] = np.nan
     long = replace(recording, times=np.arange(3 * SAMPLES) / 60, positions_world=positions)
-    assert opening(replace(long, videos=())).times[[0, -1]] == pytest.approx([4 / 60, 33 / 60])
+    assert first_half_second(replace(long, videos=())).times[[0, -1]] == pytest.approx(
+        [4 / 60, 33 / 60]
+    )
     times, images = recording.videos[0].frames
-    late = opening(with_frames(long, times + 0.1, images))
+    late = first_half_second(with_frames(long, times + 0.1, images))
     assert late.times[[0, -1]] == pytest.approx([7 / 60, 36 / 60])
     assert late.videos and len(late.positions_world) == len(late.times)
     positions[10:60] = np.nan
     with pytest.raises(InputError, match="no marker is seen beside the video"):
-        opening(with_frames(replace(long, positions_world=positions), times + 0.2, images))
+        first_half_second(
+            with_frames(replace(long, positions_world=positions), times + 0.2, images)
+        )
 
 
 def test_the_command_tracks_both_ways_and_says_what_it_took(monkeypatch, capsys):
@@ -58,5 +66,7 @@ def test_the_command_tracks_both_ways_and_says_what_it_took(monkeypatch, capsys)
     printed = capsys.readouterr()
     assert [mode for _, _, mode in asked] == ["own", "causal"] and asked[0][1] == "gradient"
     assert asked[0][0].name == "standing" and len(asked[0][0].times) == 15
-    assert [way["way"] for way in json.loads(printed.out)["ways"]] == list(warmup.WAYS.values())
+    assert [way["way"] for way in json.loads(printed.out)["ways"]] == list(
+        warmup.MODE_NAMES.values()
+    )
     assert "live: 0.0 s, 0 programs compiled" in printed.err and "kept in" in printed.err

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxmocap.evaluation.errors import Errors, evaluate_directory, position_errors
-from jaxmocap.evaluation.plots import plot_elbow_errors, plot_joint_tracks
+from jaxmocap.evaluation.plots import plot_elbow_errors
 from jaxmocap.evaluation.series import high_pass, match
 from jaxmocap.evaluation.tables import format_table
 from jaxmocap.formats.files.errors import InputError
@@ -212,16 +212,6 @@ def test_the_plot_of_errors_shows_both_curves_in_their_colours(tmp_path):
     red = (image == np.array([0x28, 0x28, 0xC6])).all(-1).sum()
     blue = (image == np.array([0xB0, 0x57, 0x15])).all(-1).sum()
     assert red > 500 and blue > 200
-
-
-def test_the_plot_of_tracks_is_written_whole_with_gaps_in_the_data(tmp_path):
-    points = circle(TIMES)
-    points[20:30] = np.nan
-    plot_joint_tracks(
-        tmp_path / "b.png", TIMES, {"elbow_l": points}, TIMES, {"elbow_l": circle(TIMES)}
-    )
-    assert cv2.imread(str(tmp_path / "b.png")) is not None
-    assert [file.name for file in tmp_path.iterdir()] == ["b.png"]
 
 
 def test_evaluation_loads_matplotlib_only_to_plot():

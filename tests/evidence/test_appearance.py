@@ -8,7 +8,7 @@ from painted_motion import CAMERAS, PERSON, truth
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.evidence.appearance import learned
-from jaxmocap.evidence.appearance.learned import FEET, LEGS, POSES_A_CALL, ROWS, Drawing
+from jaxmocap.evidence.appearance.learned import POSES_A_CALL, ROWS, Drawing
 from jaxmocap.images.foreground import shrink
 
 COUNT = POSES_A_CALL + 3
@@ -28,7 +28,7 @@ def test_poses_are_drawn_where_a_camera_sees_them():
     assert there.size[1] == ROWS and there.ratio == pytest.approx(ROWS / SIZE[1])
     pose = Pose(*(part[1] for part in truth(COUNT)))
     painted = shrink(paint(CAMERAS[0], PERSON, pose, room(SIZE)).person, ROWS) > 0.5
-    covered = there.mask(1, 1.0, without=FEET)
+    covered = there.mask(1, 1.0, without=("foot",))
     assert painted.sum() > 3000 and (covered & painted).sum() > 0.97 * (covered | painted).sum()
 
 
@@ -38,7 +38,7 @@ def test_legs_that_no_marker_holds_may_be_a_stride_aside():
     aside = there._replace(angles=there.angles.copy())
     for name in ("hip_abduction_l", "hip_abduction_r"):
         aside.angles[:, PERSON.tree.joints.index(name)] += 0.3
-    legs = drawing(there).mask(0, 1.0, only=LEGS)
+    legs = drawing(there).mask(0, 1.0, only=("thigh", "shank"))
     held, astray = (drawing(aside).wherever(0, free) for free in (False, True))
     assert (legs & astray).sum() > 0.97 * legs.sum() > 1.5 * (legs & held).sum()
 

@@ -33,7 +33,7 @@ from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.geometry.outlines import Discs, touch
 from jaxmocap.images.regions import Region
 from jaxmocap.images.silhouette_grid import Grid, cells
-from jaxmocap.pipelines.scaling.lengths_report import VERDICTS, LengthsReport, verdict
+from jaxmocap.pipelines.scaling.lengths_report import VERDICTS, LengthsReport, verdict_of
 from jaxmocap.smoothing.problem import UNTURNED, Trajectory, Views
 from jaxmocap.solvers.status import Status
 
@@ -118,7 +118,7 @@ def test_lengths_that_are_stated_wrongly_are_found_by_silhouettes():
     for name, wrong in WRONG.items():
         row = NAMES.index(name)
         assert abs(fit.logarithms[row] + wrong) < 0.5 * abs(wrong), name
-        assert verdict(fit.before[row], fit.after[row]) == "determined"
+        assert verdict_of(fit.before[row], fit.after[row]) == "determined"
     assert abs(fit.logarithms[NAMES.index("shoulder breadth")]) < 0.04
 
 
@@ -152,7 +152,7 @@ def test_a_report_says_of_each_length_whether_it_is_determined(tmp_path):
     fit, stated = some_fit(), Skeleton.human(1.8)
     person = scaled(stated, jnp.asarray(fit.logarithms, jnp.float32))
     report = LengthsReport.of(stated, person, 1.8, fit, tmp_path / "subject.toml")
-    said = {length.name: length.said for length in report.lengths}
+    said = {length.name: length.verdict for length in report.lengths}
     assert said.pop("trunk length") == VERDICTS[0] and said.pop("upper arm") == VERDICTS[1]
     assert set(said.values()) == {VERDICTS[2]}
     figures = json.loads(json.dumps(report.figures()))

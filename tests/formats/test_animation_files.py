@@ -83,8 +83,8 @@ def test_a_bvh_files_rest_pose_is_a_t_that_stands_upright(folder):
 def test_angles_in_a_bvh_file_do_not_jump(tmp_path):
     """One who spins twice and lifts the arms overhead: turns go on beyond 180 degrees."""
     motion = moving_body()
-    turns = np.linspace(0, 4 * np.pi, SAMPLES)
-    quaternion = Rotation.from_euler("z", turns[:, None]).as_quat(scalar_first=True)
+    yaws = np.linspace(0, 4 * np.pi, SAMPLES)
+    quaternion = Rotation.from_euler("z", yaws[:, None]).as_quat(scalar_first=True)
     angles = np.zeros_like(motion.poses.angles)
     joints = motion.skeleton.tree.joints
     for side in "lr":
@@ -197,7 +197,7 @@ def read_bvh_of(motion, folder) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("HIERARCHY", "HIERACHY", "line 1: found 'HIERACHY', expected 'HIERARCHY'"),
         ("OFFSET 20.0 5.0 0.0", "OFFSET 20.0 5.0", "line 12: found 'OFFSET 20.0 5.0', expected"),
@@ -217,13 +217,13 @@ def read_bvh_of(motion, folder) -> np.ndarray:
         ("Frames: 2\nFrame Time: 0.04", "", "before its first frame"),
     ],
 )  # fmt: skip
-def test_bad_bvh_files_are_refused_in_one_sentence(tmp_path, old, new, said):
+def test_bad_bvh_files_are_refused_in_one_sentence(tmp_path, old, new, message):
     path = tmp_path / "a.bvh"
     text = FOREIGN.replace(old, new)
-    path.write_text(text.split("90 3")[0] if "before" in said else text)
+    path.write_text(text.split("90 3")[0] if "before" in message else text)
     with pytest.raises(InputError) as caught:
         read_bvh(path)
-    assert said in str(caught.value) and "\n" not in str(caught.value)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
 # glTF --------------------------------------------------------------------------------------------
@@ -240,8 +240,8 @@ def test_pygltflib_finds_every_joint_of_every_frame_where_we_have_it(viewer):
     names = landmark_names("vrm")
     for landmark, ours in joints_in_file().items():
         node = viewer.node(names[landmark])
-        seen = np.array([viewer.world(node, key)[:3, 3] for key in range(SAMPLES)])
-        assert np.abs(seen - ours).max() < MILLIMETRE, landmark
+        viewed = np.array([viewer.world(node, key)[:3, 3] for key in range(SAMPLES)])
+        assert np.abs(viewed - ours).max() < MILLIMETRE, landmark
 
 
 def test_quaternions_of_a_gltf_file_take_the_shorter_way(viewer):

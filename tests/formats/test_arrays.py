@@ -35,8 +35,8 @@ def motion(tmp_path_factory) -> dict[str, np.ndarray]:
 def complaint(path: Path, read: Callable = load_motion) -> str:
     with pytest.raises(InputError) as caught:
         read(path)
-    said = str(caught.value)
-    assert said.startswith(f"{path}: ") and said.isprintable() and len(said) <= 500
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ") and message.isprintable() and len(message) <= 500
     return caught.value.problem
 
 
@@ -139,14 +139,14 @@ def test_values_of_another_type_are_refused(tmp_path, descr):
 
 
 def test_names_must_print_and_be_short(tmp_path):
-    def said(*names: str) -> str:
+    def message(*names: str) -> str:
         path = changed(tmp_path, {"x": np.array(names)})
         return complaint(path, lambda path: NpzArrays(path).read({"x": ArraySpec(("N",), NAMES)}))
 
-    assert said("a", "\x1b[31mred") == r"x: found '\x1b[31mred', expected a name that prints"
-    assert "expected a name that prints" in said("a", "")
-    assert "found texts of 201 characters, expected at most 200" in said("a" * 201)
-    assert "expected at most 10000" in said(*map(str, range(10_001)))
+    assert message("a", "\x1b[31mred") == r"x: found '\x1b[31mred', expected a name that prints"
+    assert "expected a name that prints" in message("a", "")
+    assert "found texts of 201 characters, expected at most 200" in message("a" * 201)
+    assert "expected at most 10000" in message(*map(str, range(10_001)))
     beyond = header("<U1", "(1,)") + struct.pack("<I", 0x110000)
     path = zipped(tmp_path / "b.npz", ("x.npy", beyond))
     with pytest.raises(InputError, match="found what is no text"):
@@ -165,7 +165,7 @@ def test_other_orders_and_widths_are_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"times": None}, "the array 'times' is missing"),
         ({"times": np.zeros((SAMPLES, 2))}, "times: found shape (60, 2), expected (T)"),
@@ -190,8 +190,8 @@ def test_other_orders_and_widths_are_read(tmp_path):
         ({"skeleton__costs": np.ones(5)}, "skeleton.costs: found 5 numbers, expected 27"),
     ],
 )
-def test_a_motion_that_contradicts_itself_is_refused(tmp_path, motion, change, said):
-    assert said in complaint(changed(tmp_path, motion, **change))
+def test_a_motion_that_contradicts_itself_is_refused(tmp_path, motion, change, message):
+    assert message in complaint(changed(tmp_path, motion, **change))
 
 
 def report(**change) -> dict[str, np.ndarray]:
@@ -217,7 +217,7 @@ def test_a_report_may_hold_what_is_unknown_or_unbounded(tmp_path, motion):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"statuses": np.array("[[]]")}, "expected a JSON list of 60 lists"),
         ({"statuses": np.array(json.dumps([[1]] * SAMPLES))}, "found [1], expected sentences"),
@@ -230,8 +230,8 @@ def test_a_report_may_hold_what_is_unknown_or_unbounded(tmp_path, motion):
         ({"marker_errors": np.zeros((SAMPLES, 2))}, "with T = 60 as in times, M = 1 as in"),
     ],
 )
-def test_a_report_that_contradicts_its_motion_is_refused(tmp_path, motion, change, said):
-    assert said in complaint(changed(tmp_path, motion | report(**change)))
+def test_a_report_that_contradicts_its_motion_is_refused(tmp_path, motion, change, message):
+    assert message in complaint(changed(tmp_path, motion | report(**change)))
 
 
 # In bounded time and memory ---------------------------------------------------------------------
@@ -257,9 +257,9 @@ def measured(path: Path) -> tuple[str, int]:
         [sys.executable, "-c", MEASURED, str(path)],
         capture_output=True, text=True, timeout=LONGEST_S, check=True,
     )  # fmt: skip
-    said, size = done.stdout.splitlines()
+    message, size = done.stdout.splitlines()
     assert done.stderr == ""
-    return said, int(size)
+    return message, int(size)
 
 
 def test_a_bomb_is_refused_before_it_goes_off(tmp_path, motion):
@@ -272,8 +272,10 @@ def test_a_bomb_is_refused_before_it_goes_off(tmp_path, motion):
             member.write(header("<f8", f"({2**27},)"))
             for _ in range(64):
                 member.write(bytes(2**24))
-    said, size = measured(path)
-    assert said == f"{path}: times: states 1024 MB, expected at most 768 MB of arrays in one file"
+    message, size = measured(path)
+    assert (
+        message == f"{path}: times: states 1024 MB, expected at most 768 MB of arrays in one file"
+    )
     assert size < MOST_MB / 5
 
 
@@ -281,8 +283,8 @@ def test_sentences_of_many_empty_lists_take_little_memory(tmp_path, motion):
     text = "[" + "[]," * 3_000_000 + "[]]"
     path = tmp_path / "changed.npz"
     np.savez_compressed(path, **(motion | report(statuses=np.array(text))))
-    said, size = measured(path)
-    assert "parts, expected at most 2000000" in said and size < MOST_MB
+    message, size = measured(path)
+    assert "parts, expected at most 2000000" in message and size < MOST_MB
 
 
 # Rigged people and masks ------------------------------------------------------------------------
@@ -314,7 +316,7 @@ def test_the_first_person_of_a_file_will_do_where_nobody_is_called_man(tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"people": np.array([], str)}, "vertices: found shape (1, 8, 3)"),
         ({"quads": np.array([[0, 1, 2, 8]])}, "quads: found index 8, expected one below 8"),
@@ -330,12 +332,12 @@ def test_the_first_person_of_a_file_will_do_where_nobody_is_called_man(tmp_path)
         ({"joints": np.zeros((1, 20, 3))}, "found LeftArm and LeftForeArm at one place"),
     ],
 )
-def test_people_who_contradict_themselves_are_refused(tmp_path, change, said):
-    assert said in complaint(changed(tmp_path, rigged(**change)), load_rig)
+def test_people_who_contradict_themselves_are_refused(tmp_path, change, message):
+    assert message in complaint(changed(tmp_path, rigged(**change)), load_rig)
 
 
 def test_masks_of_another_size_are_refused(tmp_path):
     path = changed(tmp_path, {"cam_1": np.zeros((3, 48, 8), np.uint8)})
     assert read_masks(path, (64, 48))["cam_1"].shape == (3, 48, 64)
-    said = complaint(path, read_masks)
-    assert said == "cam_1: found shape (3, 48, 8), expected (F, 480, 80)"
+    message = complaint(path, read_masks)
+    assert message == "cam_1: found shape (3, 48, 8), expected (F, 480, 80)"

@@ -170,8 +170,8 @@ def test_a_recording_may_name_a_c3d_file(recordings, tmp_path):
 def test_a_file_without_a_rate_is_refused_in_these_words(tmp_path):
     content = foreign(tmp_path / "a.c3d", np.ones((4, 1, 4)), rate=100.0).read_bytes()
     (tmp_path / "a.c3d").write_bytes(content.replace(struct.pack("<f", 100), bytes(4)))
-    said = "POINT:RATE: found 0, expected frames per second, up to 1e+06"
-    assert complaint(tmp_path / "a.c3d") == said
+    message = "POINT:RATE: found 0, expected frames per second, up to 1e+06"
+    assert complaint(tmp_path / "a.c3d") == message
 
 
 def test_sizes_beyond_the_file_are_refused_whatever_the_header_says(tmp_path):
@@ -185,15 +185,15 @@ def test_sizes_beyond_the_file_are_refused_whatever_the_header_says(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("most", "said"),
+    ("most", "message"),
     [(2**31, "not read within 0.001 s"), (2**28, "damaged"), (4 * 10**8, "takes more than 0.4 GB")],
 )
-def test_a_file_may_take_so_much_time_and_memory_and_no_more(tmp_path, monkeypatch, most, said):
+def test_a_file_may_take_so_much_time_and_memory_and_no_more(tmp_path, monkeypatch, most, message):
     pytest.importorskip("resource", reason="this system has no limits of file sizes")
     path = foreign(tmp_path / "a.c3d", np.ones((4, 40, 40_000)))
     monkeypatch.setattr(c3d, "MAX_MEMORY_BYTES", most)
-    monkeypatch.setattr(c3d, "MAX_READ_S", 0.001 if "0.001" in said else 60)
-    assert said in complaint(path)
+    monkeypatch.setattr(c3d, "MAX_READ_S", 0.001 if "0.001" in message else 60)
+    assert message in complaint(path)
 
 
 @pytest.mark.parametrize("kind", ["pipe", "folder"])

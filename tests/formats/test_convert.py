@@ -90,8 +90,8 @@ def test_joints_of_any_motion_become_markers_with_z_up(folder, source, target):
             folder / "motion.npz", folder / f"motion.{source}", ConversionOptions(names="smpl")
         )
     wanted = ConversionOptions(names="smpl")
-    notes = convert_file(folder / f"motion.{source}", folder / f"joints.{target}", wanted)
-    assert notes == ["left out: the bones' orientations"]
+    warnings = convert_file(folder / f"motion.{source}", folder / f"joints.{target}", wanted)
+    assert warnings == ["left out: the bones' orientations"]
     markers, joints = read_markers(folder / f"joints.{target}").points(), moving_body().joints()
     for ours, theirs in (("elbow_l", "left_elbow"), ("hip_r", "right_hip"), ("neck", "neck")):
         np.testing.assert_allclose(markers[theirs], joints[ours], atol=1e-5)
@@ -142,8 +142,12 @@ def test_bvh_files_say_what_they_leave_out(folder):
     position = np.array(motion.poses.position)
     position[4] = np.nan
     save_motion(folder / "a.npz", with_parts(motion, motion.times + 2.5, position))
-    notes = " ".join(convert_file(folder / "a.npz", folder / "a.bvh"))
-    assert "masses" in notes and "1 samples without a pose" in notes and "2.5 s, not 0" in notes
+    warnings = " ".join(convert_file(folder / "a.npz", folder / "a.bvh"))
+    assert (
+        "masses" in warnings
+        and "1 samples without a pose" in warnings
+        and "2.5 s, not 0" in warnings
+    )
 
 
 def test_what_cannot_be_converted_is_refused_in_one_sentence(folder, recordings):
@@ -202,7 +206,7 @@ def test_angles_are_written_in_degrees_without_jumps(folder):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("endheader", "", "no line 'endheader'"),
         ("inDegrees=yes", "", "neither inDegrees=yes"),
@@ -212,7 +216,7 @@ def test_angles_are_written_in_degrees_without_jumps(folder):
         ("0.016666667\t", "0.016666667\tx\t", "line 9: found 29 columns, expected 28"),
     ],
 )
-def test_bad_mot_files_are_refused_in_one_sentence(folder, old, new, said):
+def test_bad_mot_files_are_refused_in_one_sentence(folder, old, new, message):
     convert_file(folder / "motion.npz", folder / "a.mot")
     text = (folder / "a.mot").read_text()
     assert old in text
@@ -221,7 +225,7 @@ def test_bad_mot_files_are_refused_in_one_sentence(folder, old, new, said):
         convert_file(
             folder / "a.mot", folder / "b.npz", ConversionOptions(body=folder / "motion.npz")
         )
-    assert said in str(caught.value) and "\n" not in str(caught.value)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
 # Comparing with ----------------------------------------------------------------------------------
@@ -249,8 +253,8 @@ def test_a_motion_is_compared_with_an_animation_file(folder, suffix, elbow):
 def test_the_command_converts_and_says_what_it_left_out(recordings, tmp_path, capsys):
     serve, out = recordings / "motions" / "tennis_serve.c3d", tmp_path / "serve.trc"
     assert main(["convert", str(serve), str(out)]) == 0
-    said = capsys.readouterr().out
-    assert "left out: the labels' prefix Derrick:" in said and f"written: {out}" in said
+    message = capsys.readouterr().out
+    assert "left out: the labels' prefix Derrick:" in message and f"written: {out}" in message
     there, back = read_markers(serve), read_markers(out)
     assert back.names == there.names
     np.testing.assert_allclose(back.positions, there.positions, atol=1e-6)
@@ -258,8 +262,8 @@ def test_the_command_converts_and_says_what_it_left_out(recordings, tmp_path, ca
 
 def test_the_command_refuses_in_one_sentence_with_exit_code_2(folder, capsys):
     assert main(["convert", str(folder / "motion.npz"), str(folder / "a.xyz")]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "unknown suffix '.xyz'" in said
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1 and "unknown suffix '.xyz'" in message
     with pytest.raises(SystemExit) as left:
         main(["convert", "a.npz", "b.bvh", "--unit", "ell"])
     assert left.value.code == 2

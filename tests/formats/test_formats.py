@@ -4,6 +4,7 @@ import pickle
 from dataclasses import fields, replace
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from jaxmocap.formats.time_series.csv import read_csv, write_csv
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.trc import read_trc, write_trc
 from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.lenses import FISHEYE
 
 # A tmp_path that examples share is fine: each of them overwrites what it reads.
 shared_folder = settings(
@@ -193,8 +195,8 @@ def test_csv_is_seconds_and_metres_with_empty_cells_where_missing(tmp_path):
         ("frame,Head.x,Head.y,Head.z\n", "line 1: found 'frame"),
         ("\n" + CSV, "line 1: found ''"),
         ("time\n0\n", "line 1: found 'time'"),
-        (CSV.replace("Head.y", "Head.q"), "line 1: found 'Head.q' where 'Head.y' belongs"),
-        (CSV.replace(",Hand.z", ""), "line 1: found 'the end of the line' where 'Hand.z' belongs"),
+        (CSV.replace("Head.y", "Head.q"), "line 1: found 'Head.q', expected 'Head.y'"),
+        (CSV.replace(",Hand.z", ""), "line 1: found 'the end of the line', expected 'Hand.z'"),
         (CSV.replace("Hand", "Head"), "line 1: marker 'Head' is named twice"),
         (CSV.replace("4,5,6\n0.5", "4,5\n0.5"), "line 2: found 6 columns, expected 7"),
         (CSV.replace("0.5", "-1"), "line 3: time runs backwards"),
@@ -263,10 +265,20 @@ def test_cameras_survive_a_round_trip(tmp_path, rotation, translation, distortio
     cameras = read_calibration(path)
     assert list(cameras) == ["cam_01", "the left one"]
     for read in cameras.values():
-        for field in fields(Camera):
-            np.testing.assert_allclose(
-                getattr(read, field.name), getattr(camera, field.name), atol=2e-5
-            )
+        assert read.lens == camera.lens
+        for ours, theirs in zip(jax.tree.leaves(read), jax.tree.leaves(camera), strict=True):
+            np.testing.assert_allclose(ours, theirs, atol=2e-5)
+
+
+def test_a_fisheye_survives_a_round_trip(tmp_path):
+    matrix = np.array([[300.0, 0.0, 320.0], [0.0, 301.0, 240.0], [0.0, 0.0, 1.0]])
+    camera = Camera.create((640, 480), matrix, [0.05, -0.02, 0.004, -1e-3], lens=FISHEYE)
+    path = tmp_path / "c.toml"
+    write_calibration(path, {"cam": camera})
+    assert "fisheye = true" in path.read_text()
+    (read,) = read_calibration(path).values()
+    assert read.lens == FISHEYE
+    np.testing.assert_allclose(read.distortion, camera.distortion, atol=1e-7)
 
 
 def test_a_rotation_may_be_a_matrix(tmp_path):
@@ -292,7 +304,8 @@ def test_a_rotation_may_be_a_matrix(tmp_path):
         ({"distortions": "[1, 2, 3, 4, 5, 6, 7, 8, 9]"}, "expected at most 8 numbers"),
         ({"size": "[640, 0]"}, "expected two positive numbers"),
         ({"size": "640"}, "[cam] size: found 640, expected [width, height]"),
-        ({"fisheye": "true"}, "[cam] fisheye: fisheye lenses are not supported"),
+        ({"fisheye": "'yes'"}, "[cam] fisheye: found 'yes', expected true or false"),
+        ({"fisheye": "true", "distortions": "[1, 2, 3, 4, 5]"}, "at most 4 numbers (k1 k2 k3 k4)"),
     ],
 )
 def test_bad_calibrations_are_refused_with_the_field(tmp_path, changes, says):
@@ -352,9 +365,9 @@ def test_the_real_calibration_puts_the_person_into_every_picture(recordings):
 def some_motion(report: Report | None) -> Motion:
     rng = np.random.default_rng(0)
     skeleton = Skeleton.human(1.68)
-    turns = rng.normal(size=(4, 4))
-    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
-    poses = Pose(rng.normal(size=(4, 3)), turns, rng.normal(size=(4, 21)))
+    quaternions = rng.normal(size=(4, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    poses = Pose(rng.normal(size=(4, 3)), quaternions, rng.normal(size=(4, 21)))
     return Motion(skeleton, np.arange(4) / 90, poses, report)
 
 

@@ -45,11 +45,11 @@ def test_a_viewer_stands_still_through_two_hours_and_then_jumps(tmp_path):
     assert write_animation(tmp_path / "a.glb", motion) is None
     back = read_gltf(tmp_path / "a.glb")
     before, after = motion.times[MIDDLE - 1], motion.times[MIDDLE]
-    held = (back.times > before) & (back.times < after)
-    assert held.sum() == 1 and after - back.times[held][0] < 2 / RATE + 1e-3
+    in_gap = (back.times > before) & (back.times < after)
+    assert in_gap.sum() == 1 and after - back.times[in_gap][0] < 2 / RATE + 1e-3
     last = back.positions[back.times <= before][-1]
-    np.testing.assert_array_equal(back.positions[held][0], last)
-    np.testing.assert_array_equal(back.rotations[held][0], back.rotations[MIDDLE - 1])
+    np.testing.assert_array_equal(back.positions[in_gap][0], last)
+    np.testing.assert_array_equal(back.rotations[in_gap][0], back.rotations[MIDDLE - 1])
     assert len(back.times) == SAMPLES + 1
 
 
@@ -63,15 +63,17 @@ def test_a_pose_that_is_unknown_for_long_is_held_as_well(tmp_path):
 
 
 def test_samples_that_single_precision_throws_together_leave_the_glb_file_out(tmp_path):
-    said = write_animation(tmp_path / "a.glb", with_gap(1e9))
-    assert said and said.startswith("a.glb is left out: glTF holds times in single precision")
+    message = write_animation(tmp_path / "a.glb", with_gap(1e9))
+    assert message and message.startswith("a.glb is left out: glTF holds times in single precision")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_bvh_file_with_a_gap_of_hours_is_left_out_and_says_why(tmp_path):
-    said = write_animation(tmp_path / "motion.bvh", with_gap(HOURS))
-    assert said and said.startswith("motion.bvh is left out: BVH has one rate only, and its 60")
-    assert "432" in said and "7200" in said and "\n" not in said
+    message = write_animation(tmp_path / "motion.bvh", with_gap(HOURS))
+    assert message and message.startswith(
+        "motion.bvh is left out: BVH has one rate only, and its 60"
+    )
+    assert "432" in message and "7200" in message and "\n" not in message
     assert not list(tmp_path.iterdir())
 
 
@@ -106,8 +108,10 @@ def test_more_samples_than_any_recording_are_refused_before_they_are_made(
     save_motion(tmp_path / "a.npz", with_gap(gap))
     with pytest.raises(InputError) as error:
         convert_file(tmp_path / "a.npz", tmp_path / target, ConversionOptions(rate=rate))
-    said = str(error.value)
-    assert f"a.npz: {rate:g} samples per second would be" in said and "expected at most" in said
+    message = str(error.value)
+    assert (
+        f"a.npz: {rate:g} samples per second would be" in message and "expected at most" in message
+    )
     assert not (tmp_path / target).exists()
 
 
@@ -119,8 +123,8 @@ def test_a_rate_that_is_none_is_refused(rate):
 
 def test_a_motion_that_a_target_cannot_hold_is_refused_in_one_sentence(tmp_path):
     save_motion(tmp_path / "a.npz", with_gap(1e9))
-    for target, said in (("b.glb", "single precision"), ("b.bvh", "one rate only")):
+    for target, message in (("b.glb", "single precision"), ("b.bvh", "one rate only")):
         with pytest.raises(InputError) as error:
             convert_file(tmp_path / "a.npz", tmp_path / target)
-        assert said in str(error.value) and "\n" not in str(error.value)
+        assert message in str(error.value) and "\n" not in str(error.value)
         assert not (tmp_path / target).exists()

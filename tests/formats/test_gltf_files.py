@@ -69,8 +69,8 @@ def put(content: dict, place: str, value: Any) -> dict:
 def complaint(path: Path) -> str:
     with pytest.raises(InputError) as caught:
         read_gltf(path)
-    said = str(caught.value)
-    assert said.startswith(f"{path}: ") and said.isprintable() and len(said) <= 500
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ") and message.isprintable() and len(message) <= 500
     return caught.value.problem
 
 
@@ -93,7 +93,7 @@ def test_numbers_of_other_programs_are_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("place", "value", "said"),
+    ("place", "value", "message"),
     [
         ("nodes", {}, "nodes: found {}, expected a JSON list"),
         ("nodes 0 children", [1, 1], "found node 1, which has a parent already"),
@@ -140,12 +140,12 @@ def test_numbers_of_other_programs_are_read(tmp_path):
         ("buffers 0 uri", "file:///dev/zero", "found numbers in another file"),
     ],
 )
-def test_a_document_that_contradicts_itself_is_refused(tmp_path, place, value, said):
-    assert said in complaint(written(tmp_path / "a.glb", put(document(), place, value)))
+def test_a_document_that_contradicts_itself_is_refused(tmp_path, place, value, message):
+    assert message in complaint(written(tmp_path / "a.glb", put(document(), place, value)))
 
 
 @pytest.mark.parametrize(
-    ("keys", "turns", "said"),
+    ("keys", "quaternions", "message"),
     [
         ([0, 1, np.nan, 3], TURNS, "accessors[0]: found what is no number"),
         ([0, 2, 1, 3], TURNS, "times of keys that do not ascend"),
@@ -154,13 +154,13 @@ def test_a_document_that_contradicts_itself_is_refused(tmp_path, place, value, s
         (KEYS, np.zeros((4, 4)), "found a quaternion of length 0, expected 1"),
     ],
 )
-def test_numbers_that_no_animation_has_are_refused(tmp_path, keys, turns, said):
-    block = np.array(keys, "<f4").tobytes() + np.array(turns, "<f4").tobytes()
-    assert said in complaint(written(tmp_path / "a.glb", document(), block))
+def test_numbers_that_no_animation_has_are_refused(tmp_path, keys, quaternions, message):
+    block = np.array(keys, "<f4").tobytes() + np.array(quaternions, "<f4").tobytes()
+    assert message in complaint(written(tmp_path / "a.glb", document(), block))
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (b"[" * 100_000, "JSON nested too deeply"),
         (b'{"a":' * 200 + b"1" + b"}" * 200, "JSON nested too deeply"),
@@ -172,8 +172,8 @@ def test_numbers_that_no_animation_has_are_refused(tmp_path, keys, turns, said):
         (b'"' + b"a" * 2**24 + b'"', "bytes of JSON, expected at most 16777216"),
     ],
 )
-def test_text_that_is_no_document_is_refused(tmp_path, text, said):
-    assert said in complaint(written(tmp_path / "a.glb", text))
+def test_text_that_is_no_document_is_refused(tmp_path, text, message):
+    assert message in complaint(written(tmp_path / "a.glb", text))
 
 
 def test_joints_without_end_are_refused(tmp_path):
@@ -221,7 +221,7 @@ def test_ways_that_meet_and_bytes_read_again_take_little_memory(tmp_path):
     animation["channels"] = [
         {"sampler": i, "target": {"node": i, "path": "rotation"}} for i in range(count)
     ]
-    for path, said in (
+    for path, message in (
         (written(tmp_path / "diamonds.glb", diamonds), "has a parent already"),
         (written(tmp_path / "again.glb", again, block), "expected at most 10000000 orientations"),
     ):
@@ -230,4 +230,4 @@ def test_ways_that_meet_and_bytes_read_again_take_little_memory(tmp_path):
             capture_output=True, text=True, timeout=LONGEST_S, check=True,
         )  # fmt: skip
         refusal, size = done.stdout.splitlines()
-        assert said in refusal and int(size) < MOST_MB and done.stderr == ""
+        assert message in refusal and int(size) < MOST_MB and done.stderr == ""

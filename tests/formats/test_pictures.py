@@ -119,8 +119,8 @@ def test_a_huge_picture_is_refused_before_it_is_decoded(tmp_path):
         [sys.executable, "-c", MEASURED, tmp_path / "room.png"],
         capture_output=True, text=True, timeout=LONGEST_S, check=True,
     )  # fmt: skip
-    said, size = done.stdout.splitlines()
-    assert said == "found an image of 30000 x 30000 pixels, expected up to 50 million"
+    message, size = done.stdout.splitlines()
+    assert message == "found an image of 30000 x 30000 pixels, expected up to 50 million"
     assert int(size) < MOST_MB and done.stderr == ""
 
 

@@ -122,11 +122,11 @@ def test_a_static_trial_has_axes_and_a_mass_of_its_own(folder):
     points = {k: np.tile(np.array(v)[[1, 2, 0]], (2, 1)) for k, v in STANDING.items()}
     write_trc(folder / "y.trc", np.arange(2) / 10, points)
     text = STATIC.replace("static.trc", "y.trc").replace("\n[sub", '\nup = "y"\nmass = 60\n[sub')
-    turned = load(folder, MARKERS + ON + text + NEEDED).skeleton
+    in_y_up = load(folder, MARKERS + ON + text + NEEDED).skeleton
     straight = load(folder, MARKERS + ON + STATIC + NEEDED).skeleton
-    np.testing.assert_allclose(turned.lengths, straight.lengths, atol=1e-6)
-    np.testing.assert_allclose(turned.directions, straight.directions, atol=1e-6)
-    assert float(turned.masses.sum()) == pytest.approx(60, rel=1e-5)
+    np.testing.assert_allclose(in_y_up.lengths, straight.lengths, atol=1e-6)
+    np.testing.assert_allclose(in_y_up.directions, straight.directions, atol=1e-6)
+    assert float(in_y_up.masses.sum()) == pytest.approx(60, rel=1e-5)
 
 
 def test_a_subject_may_have_a_file_with_paths_of_its_own(folder):
@@ -166,7 +166,7 @@ def test_a_subject_may_have_a_file_with_paths_of_its_own(folder):
         (WHOLE.replace('"head"', '"head", at = true'), "Head at: found True, expected a number"),
         (WHOLE.replace('"head"', '"head", offset = [1]'), "Head offset: found [1], expected 3"),
         (WHOLE.replace('"head"', '"head", to = 1'), "unknown key 'to', expected bone, at, offset"),
-        (WHOLE.replace("Head = ", "Gone = "), "all are NaN"),
+        (WHOLE.replace("Head = ", "Gone = "), "all positions are NaN"),
         (WHOLE.replace("v.mp4", "w.mp4"), "[[video]] number 1 file: no such file"),
         (WHOLE.replace("[[video]]", "[video]"), "expected [[video]] in double brackets"),
         (WHOLE.replace('camera = "cam"', ""), "[[video]] number 1: 'camera' is missing"),

@@ -50,9 +50,9 @@ def complaint(folder, suffix: str, text: str | bytes) -> str:
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(InputError) as error:
         (read_mot if suffix == ".mot" else read_markers)(path)
-    said = str(error.value)
-    assert said.startswith(str(path)) and said.isprintable() and len(said) <= 500
-    return said
+    message = str(error.value)
+    assert message.startswith(str(path)) and message.isprintable() and len(message) <= 500
+    return message
 
 
 @pytest.mark.parametrize("suffix", TEXTS)
@@ -172,5 +172,5 @@ def test_what_cannot_be_written_names_the_file(tmp_path):
 
 def test_samples_that_follow_one_another_faster_than_any_device_measures_are_refused(tmp_path):
     rows = "".join(f"{i}e-9,1,2,3\n" for i in range(5))
-    said = complaint(tmp_path, ".csv", f"time,Head.x,Head.y,Head.z\n{rows}")
-    assert "found samples 1e-09 s apart in the median, expected at least 1e-05 s" in said
+    message = complaint(tmp_path, ".csv", f"time,Head.x,Head.y,Head.z\n{rows}")
+    assert "found samples 1e-09 s apart in the median, expected at least 1e-05 s" in message

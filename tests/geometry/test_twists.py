@@ -1,21 +1,17 @@
-"""se(3) and lines: there and back, derivatives also at 0, SciPy's matrix exponential, screws."""
+"""se(3), which tests of kinematics use: there and back, derivatives also at 0, SciPy, screws."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
+import twists
 from conftest import double, on_device, vectors
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
-from jaxmocap.geometry import lines, twists
-from jaxmocap.geometry.cameras import Camera, project
-
 EXP, LOG = jax.jit(twists.exp), jax.jit(twists.log)
 TRANSPORT, ADJOINT = jax.jit(twists.transport), jax.jit(twists.adjoint)
 INVERSE, SCREW = jax.jit(twists.inverse), jax.jit(twists.screw)
-PROJECT, LINES = jax.jit(project), jax.jit(lines.camera_lines)
 
 
 @st.composite
@@ -125,36 +121,3 @@ def test_batches_are_their_members():
         back = LOG(all_at_once)
     np.testing.assert_allclose(all_at_once[1, 2], motion(many[1, 2]), atol=1e-12)
     np.testing.assert_allclose(motion(back[1, 2]), all_at_once[1, 2], atol=1e-12)
-
-
-def test_a_point_on_its_line_has_no_residual_and_any_other_its_distance():
-    rng = np.random.default_rng(1)
-    x, n, away = rng.normal(size=(3, 50, 3))
-    n /= np.linalg.norm(n, axis=1, keepdims=True)
-    away -= np.sum(away * n, 1, keepdims=True) * n
-    with double():
-        through = lines.lines_through(*on_device((x, n)))
-        np.testing.assert_allclose(lines.incidence(through, on_device(x + 3 * n)), 0, atol=1e-14)
-        far = on_device(x - 2 * n + away)
-        expected = np.linalg.norm(away, axis=1)
-        np.testing.assert_allclose(lines.distances(through, far), expected, atol=1e-14)
-        np.testing.assert_allclose(lines.perpendiculars(through, far), away, atol=1e-14)
-
-
-def test_the_distance_has_a_derivative_on_the_line_itself():
-    origin, up = jnp.zeros(3), jnp.array([0.0, 0, 1])
-    line = lines.lines_through(origin, up)
-    slope = jax.grad(lambda x: lines.distances(line, x))
-    np.testing.assert_array_equal(slope(up), 0)
-    np.testing.assert_allclose(slope(jnp.array([0.0, 2, 5])), [0, 1, 0], atol=1e-6)
-
-
-def test_a_pixels_ray_meets_the_point_that_it_shows():
-    """Through a lens that distorts, for a turned and shifted camera."""
-    matrix = np.array([[900.0, 0, 330], [0, 880, 250], [0, 0, 1]])
-    lens = [-0.2, 0.06, 1e-3, -2e-3, 0.01]
-    points = np.random.default_rng(2).uniform(-0.8, 0.8, (40, 3))
-    with double():
-        camera = Camera.create((640, 480), matrix, lens, [1.2, -0.4, 0.3], [0.1, 0.2, 4.0])
-        rays = LINES(camera, PROJECT(camera, on_device(points)))
-        assert lines.distances(rays, on_device(points)).max() < 1e-6

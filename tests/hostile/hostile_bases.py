@@ -31,7 +31,7 @@ from jaxmocap.formats.time_series.mot import write_mot
 from jaxmocap.formats.time_series.tables import Markers
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.pipelines.silhouettes.person import read_person
-from jaxmocap.synthetic.lens import look_at
+from jaxmocap.synthetic.drawing_camera import look_at
 
 STATIC = ("neck", "hip_l", "hip_r", "shoulder_l", "shoulder_r", "elbow_l", "knee_r")
 POSES, RATE, SLOW = 8, 30, 10

@@ -70,8 +70,8 @@ def _made(name: str, pool: Pool, folder: Path):
     return shown, held
 
 
-def judged(
-    tmp_path: Path, before=None, code=2, err="jaxmocap check: a.toml: no such file\n", **said
+def faults_in(
+    tmp_path: Path, before=None, code=2, err="jaxmocap check: a.toml: no such file\n", **message
 ):
     """What is found of an answer; ``before`` is done to the folder meanwhile."""
     inside = tmp_path / DEEP
@@ -81,16 +81,20 @@ def judged(
     was = Snapshot.of(tmp_path)
     if before is not None:
         before(inside)
-    answer = Answer(code, said.pop("seconds", 1.0), said.pop("memory", 10**8), "", err, **said)
+    answer = Answer(
+        code, message.pop("seconds", 1.0), message.pop("memory", 10**8), "", err, **message
+    )
     return " ".join(faults(answer, was, Snapshot.of(tmp_path), DEEP))
 
 
 def test_one_sentence_and_exit_code_2_are_as_promised(tmp_path):
-    assert judged(tmp_path, err="drawing:  40%|####\rjaxmocap check: a.toml: no such file\n") == ""
+    assert (
+        faults_in(tmp_path, err="drawing:  40%|####\rjaxmocap check: a.toml: no such file\n") == ""
+    )
 
 
 @pytest.mark.parametrize(
-    "said, found",
+    "message, found",
     [
         ({"err": "Traceback (most recent call last):\nKeyError: 'a'\n"}, "traceback"),
         ({"err": ""}, "0 lines on stderr"),
@@ -105,8 +109,8 @@ def test_one_sentence_and_exit_code_2_are_as_promised(tmp_path):
         ({"left": ("decoder",)}, "threads that do not end"),
     ],
 )
-def test_what_breaks_the_promise_is_found(said, found, tmp_path):
-    assert found in judged(tmp_path, **said)
+def test_what_breaks_the_promise_is_found(message, found, tmp_path):
+    assert found in faults_in(tmp_path, **message)
 
 
 @pytest.mark.parametrize(
@@ -120,7 +124,7 @@ def test_what_breaks_the_promise_is_found(said, found, tmp_path):
     ],
 )
 def test_files_that_are_changed_lost_or_left_are_found(act, found, tmp_path):
-    assert found in judged(tmp_path, act)
+    assert found in faults_in(tmp_path, act)
 
 
 def test_progress_is_no_sentence():

@@ -26,7 +26,7 @@ from jaxmocap.formats.time_series.mot import read_mot
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.synthetic.four_cameras import write_four_cameras
 from jaxmocap.synthetic.movements import motions
-from jaxmocap.synthetic.people.clothed_person import dressed
+from jaxmocap.synthetic.people.clothed_person import clothed_actor
 
 pytestmark = pytest.mark.slow
 
@@ -135,7 +135,7 @@ def test_track_is_killed(tmp_path):
 
 
 def test_silhouette_track_is_killed(tmp_path):
-    performer = dressed(motions.squat(0.2, 0, 1.75), 0)
+    performer = clothed_actor(motions.squat(0.2, 0, 1.75), 0)
     recording = write_four_cameras(tmp_path / "in", performer, 0.2)
     arguments = ["silhouette", "track", recording, "--at", "0,0,0", "--once"]
     rehearse(tmp_path / "in", tmp_path / "out", [*arguments, "--out", tmp_path / "out"])

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from held_devices import DEVICES, write_controllers
 from hypothesis import given
 from hypothesis import strategies as st
 from pythonosc.osc_message_builder import OscMessageBuilder
@@ -19,8 +20,7 @@ from jaxmocap.body.arms import arm_dofs, grips, hang
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.orientations import body_turns, quaternions
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.wrists import with_wrists
+from jaxmocap.body.skeleton import Skeleton, with_wrists
 from jaxmocap.capture.streams.osc import parse_packet
 from jaxmocap.capture.streams.sample_assembly import SampleAssembler
 from jaxmocap.formats.convert import ConversionOptions, convert_file
@@ -33,7 +33,6 @@ from jaxmocap.formats.time_series.csv import read_csv, write_csv
 from jaxmocap.formats.time_series.trc import read_trc, write_trc
 from jaxmocap.pipelines.live.recording import LiveRecording
 from jaxmocap.pipelines.tracking.track import make_tracker, marker_sites
-from jaxmocap.synthetic.controllers import DEVICES, write_controllers
 from jaxmocap.synthetic.movements import motions
 
 BODY = with_wrists(Skeleton.human(1.75))

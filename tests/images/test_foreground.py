@@ -29,9 +29,9 @@ from jaxmocap.images.foreground import (
     shrunk_size,
 )
 from jaxmocap.images.regions import crop
-from jaxmocap.synthetic.lens import Lens, look_at
+from jaxmocap.synthetic.drawing_camera import DrawingCamera, look_at
 from jaxmocap.synthetic.movements.motions import table_tennis
-from jaxmocap.synthetic.people.clothed_person import dressed
+from jaxmocap.synthetic.people.clothed_person import clothed_actor
 from jaxmocap.synthetic.renderer import Scene, render_frames
 
 HEIGHT, WIDTH, FRAMES = 72, 96, 24
@@ -355,7 +355,7 @@ def test_a_spot_shrinks_to_where_its_pixel_is_said_to_be(x, y, rows):
 def rendered() -> tuple[np.ndarray, np.ndarray, Camera]:
     """Frames of somebody playing table tennis, and the pixels that truly show the person."""
     camera = look_at((3.0, 0.75, 1.30), (0.1, 0.0, 1.12), size=(240, 180), focal=296.0)
-    scene = Scene.in_room(camera, dressed(table_tennis(4.0, 4), 4), 4)
+    scene = Scene.in_room(camera, clothed_actor(table_tennis(4.0, 4), 4), 4)
     times = np.arange(24) / 6
     frames = np.stack(list(render_frames(scene, times)))
     return frames, np.stack(list(bodies(scene, times))), camera
@@ -363,7 +363,7 @@ def rendered() -> tuple[np.ndarray, np.ndarray, Camera]:
 
 def bodies(scene: Scene, times: np.ndarray) -> Iterator[np.ndarray]:
     """Every face of the mesh, filled, at the middles of the exposures."""
-    lens = Lens.of(scene.camera)
+    lens = DrawingCamera.of(scene.camera)
     for vertices in scene.mover.vertices(times):
         corners = np.rint(lens.pixels(vertices)[scene.mover.mesh.faces] * 16).astype(np.int32)
         mask = np.zeros(lens.size[::-1], np.uint8)

@@ -274,9 +274,9 @@ def check_recovery(received: np.ndarray, sent: np.ndarray) -> dict[str, float]:
     return {fault: float(within(received, at) / within(sent, at)) for fault, at in after.items()}
 
 
-def check_said(said: list[dict]) -> None:
+def check_messages(messages: list[dict]) -> None:
     """The run told of each fault and, where it has an end, of that."""
-    text = [entry["what"] for entry in said]
+    text = [entry["what"] for entry in messages]
     for sentence in (
         "malformed packets ignored",
         "markers: nothing comes in",
@@ -385,7 +385,7 @@ def judge(figures: dict, got: Path, logs: list[Path], out: Path) -> None:
     for fault, value in shares.items():
         print(f"    {fault}: {100 * value:.0f} %")
     print(check_order_and_content(received, stamps, seen, sent))
-    check_said(figures["said"])
+    check_messages(figures["said"])
     assert len(received) >= figures["outputs"] * 0.999
     again = Recording.load(out / "recording.toml")
     frames = len(open_video(again.videos[0]))

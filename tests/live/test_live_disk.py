@@ -23,7 +23,7 @@ from jaxmocap.capture.video import Video, open_video
 from jaxmocap.formats.files.errors import InputError, OutputError
 from jaxmocap.formats.recordings.live import LiveSetup, load_live
 from jaxmocap.formats.time_series.trc import write_trc
-from jaxmocap.pipelines.live.files import Rows
+from jaxmocap.pipelines.live.files import LineFile
 from jaxmocap.pipelines.live.recording import LiveRecording, check_free
 
 LIVE = """
@@ -238,8 +238,8 @@ def test_a_disk_that_is_full_before_it_begins_is_said_at_once(tmp_path):
 
 def test_a_disk_on_which_no_line_fits_leaves_nothing_that_looks_like_a_recording(tmp_path):
     recording = LiveRecording(live_setup(tmp_path), tmp_path / "out")
-    recording._rows._file.write(b"x" * 4000)
-    recording._rows._file.complete()
+    recording._lines._file.write(b"x" * 4000)
+    recording._lines._file.mark_complete()
     with disk_full_at(4000):
         recording.add(sample(0.0))
         assert recording.close() is None
@@ -247,14 +247,18 @@ def test_a_disk_on_which_no_line_fits_leaves_nothing_that_looks_like_a_recording
 
 
 def test_lines_that_fit_stay_where_the_others_do_not(tmp_path):
-    rows = Rows(tmp_path / "rows.csv", "a,b")
+    rows = LineFile(tmp_path / "rows.csv", "a,b")
     for i in range(100):
         rows.add(f"{i:03d},{i:03d}")
     with disk_full_at(4 + 8 * 50 + 3), pytest.raises(OSError, match="large"):
         rows.flush()
     rows.close()
     lines = (tmp_path / "rows.csv").read_text().splitlines()
-    assert lines[0] == "a,b" and lines[-1] == "049,049" and (rows.rows, rows.lost) == (50, 50)
+    assert (
+        lines[0] == "a,b"
+        and lines[-1] == "049,049"
+        and (rows.line_count, rows.lost_count) == (50, 50)
+    )
 
 
 # What is there -----------------------------------------------------------------------------------
@@ -264,7 +268,7 @@ def test_a_recording_can_be_read_while_it_grows(tmp_path):
     recording = LiveRecording(live_setup(tmp_path), tmp_path / "out")
     record(recording, 1.0)
     end = time.monotonic() + 10
-    while recording._listed != (True, [0]) and time.monotonic() < end:
+    while recording._written_state != (True, [0]) and time.monotonic() < end:
         time.sleep(0.01)
     again = Recording.load(tmp_path / "out" / "recording.toml")
     assert len(again.times) > 20 and len(open_video(again.videos[0])) > 10

@@ -18,7 +18,7 @@ from jaxmocap.capture.streams.udp import MAX_PACKETS_HZ, MarkerSocket
 from jaxmocap.formats.files.addresses import LOOPBACK, Address
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.live import load_live
-from jaxmocap.outputs.osc import Sender
+from jaxmocap.outputs.osc import DatagramSender
 from jaxmocap.pipelines.live.status import FIRST_KEPT, NEWEST_KEPT, LiveStatus
 from jaxmocap.pipelines.live.stream_states import stream_states
 
@@ -56,10 +56,10 @@ def test_two_senders_with_two_clocks_are_no_clock_that_jumps(line):
         at = i / 90
         line.bring(packet(0.0, 5000, at=at, stamp=at + 1000), packet(0.0, 5001, at=at, stamp=at))
         for of, state in stream_states(line.socket, line.gathers, [], at):
-            status.state(at, of, state)
+            status.set_state(at, of, state)
     assert line.socket.clock_jumps == 0
     assert line.socket.sent() == {"127.0.0.1:5000": 900, "127.0.0.1:5001": 900}
-    assert not [each for each in status.said if "clock" in each.what]
+    assert not [each for each in status.messages if "clock" in each.what]
 
 
 def test_each_of_two_senders_keeps_its_own_rhythm(line):
@@ -74,15 +74,15 @@ def test_each_of_two_senders_keeps_its_own_rhythm(line):
 
 
 def test_a_clock_that_is_set_at_every_packet_is_said_at_every_tenfold(line):
-    said = StringIO()
-    status = LiveStatus(said)
+    output = StringIO()
+    status = LiveStatus(output)
     for i in range(20_000):
         at = i / 1000
         line.bring(packet(0.0, at=at, stamp=float(i % 7) * 100))
         for of, state in stream_states(line.socket, line.gathers, [], at):
-            status.state(at, of, state)
+            status.set_state(at, of, state)
     assert line.socket.clock_jumps > 10_000
-    lines = [each.what for each in status.said if "clock" in each.what]
+    lines = [each.what for each in status.messages if "clock" in each.what]
     assert lines == [
         f"the sender's clock: was set, {10**digits} or more times" for digits in range(5)
     ]
@@ -172,7 +172,7 @@ def test_what_is_no_port_is_refused_in_one_sentence(tmp_path, table, port):
 
 
 def test_a_host_that_is_not_there_is_refused_before_the_run_begins():
-    for opens in (lambda at: MarkerSocket(at, gathering()[0]), Sender):
+    for opens in (lambda at: MarkerSocket(at, gathering()[0]), DatagramSender):
         with pytest.raises(InputError, match="no such address"):
             opens(Address("no.such.host.invalid", 5000))
 
@@ -211,38 +211,38 @@ def test_many_senders_share_what_few_have_alone(line):
     assert "127.0.0.1:9999" in line.socket.sent()
 
 
-# What is said ------------------------------------------------------------------------------------
+# Messages ---------------------------------------------------------------------------------------
 
 
 def test_names_that_come_in_are_no_commands_to_a_terminal(line):
-    said = StringIO()
-    status = LiveStatus(said)
+    output = StringIO()
+    status = LiveStatus(output)
     for name in ("\x1b[2J\x1b]0;owned\x07", "a\nb", "\u202egnp.exe"):
         line.gathers.unknown.add(name)
     for of, state in stream_states(line.socket, line.gathers, [], 0.0):
-        status.state(0.0, of, state)
-    status.say(0.0, "\x1b[2J" + "x" * 10_000)
-    status.show(0.0, {"\x1b[2Jcam": 0.1}, {}, np.zeros(2))
-    text = said.getvalue()
+        status.set_state(0.0, of, state)
+    status.log(0.0, "\x1b[2J" + "x" * 10_000)
+    status.update_line(0.0, {"\x1b[2Jcam": 0.1}, {}, np.zeros(2))
+    text = output.getvalue()
     assert all(each.isprintable() for each in text.split("\n"))
     assert "\\x1b[2J" in text and "'a\\nb'" in text and max(map(len, text.split("\n"))) < 600
 
 
 def test_what_changes_all_the_time_is_said_from_time_to_time_and_as_it_then_is():
-    said = StringIO()
-    status = LiveStatus(said)
+    output = StringIO()
+    status = LiveStatus(output)
     for i in range(100_000):
-        status.state(i / 100, "markers", "coming in" if i % 2 else "nothing comes in")
-    assert 100 < len(status.said) < 200
-    status.state(2000.0, "markers", "waiting")
-    assert status.said[-1].what == "markers: waiting"
+        status.set_state(i / 100, "markers", "coming in" if i % 2 else "nothing comes in")
+    assert 100 < len(status.messages) < 200
+    status.set_state(2000.0, "markers", "waiting")
+    assert status.messages[-1].what == "markers: waiting"
 
 
 def test_of_what_was_said_the_first_and_the_newest_are_kept():
     status = LiveStatus(StringIO())
     for i in range(5000):
-        status.say(float(i), f"sentence {i}")
-    kept = [said.what for said in status.said]
+        status.log(float(i), f"sentence {i}")
+    kept = [message.what for message in status.messages]
     assert len(kept) == FIRST_KEPT + NEWEST_KEPT
     assert kept[0] == "sentence 0" and kept[-1] == "sentence 4999"
     figures = status.figures(1.0)
@@ -255,9 +255,9 @@ def test_a_log_on_a_full_disk_ends_no_run():
             raise OSError(28, "No space left on device")
 
     status = LiveStatus(Full())
-    status.say(0.0, "goes on")
-    status.show(0.0, {}, {}, np.zeros(2))
-    assert status.said[0].what == "goes on"
+    status.log(0.0, "goes on")
+    status.update_line(0.0, {}, {}, np.zeros(2))
+    assert status.messages[0].what == "goes on"
 
 
 def test_a_name_of_thousands_of_letters_is_no_marker():
@@ -269,4 +269,4 @@ def test_a_name_of_thousands_of_letters_is_no_marker():
     datagram = address + b"\0" * (4 - len(address) % 4) + b",fff\0\0\0\0" + b"\0" * 12
     with pytest.raises(BadPacketError, match="malformed"):
         parse_packet(datagram)
-    assert not gathers.unknown
+    assert not gathers.unknown_names

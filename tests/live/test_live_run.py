@@ -131,7 +131,7 @@ def test_what_is_not_said_is_loopback_and_unitys_axes(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "problem"),
     [
         ("device = 2", "device = 1.5", "device"),
         ("device = 2", "device = 2\nfile = 'cam.mp4'", "device and file"),
@@ -154,9 +154,9 @@ def test_what_is_not_said_is_loopback_and_unitys_axes(tmp_path):
         ("Hmd = {", '" Hmd" = { bone = "head" }\nHmd = {', "printable characters"),
     ],
 )
-def test_what_does_not_fit_is_said(tmp_path, old, new, said):
+def test_what_does_not_fit_is_refused(tmp_path, old, new, problem):
     assert old in FILE
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=problem):
         load_live(write_file(tmp_path, FILE.replace(old, new)))
 
 
@@ -279,7 +279,7 @@ def test_why_a_camera_does_not_come_is_said(tmp_path, monkeypatch):
 class Standing:
     """Stands in for the tracker: every sample finds somebody who stands still."""
 
-    colour, placed, late = False, 0, 0
+    needs_colour, placements, late_events = False, 0, 0
 
     def __init__(self, setup, settings, smooth):
         pose = relaxed_pose(setup.skeleton)
@@ -301,8 +301,8 @@ def test_markers_in_poses_out_and_a_recording_until_ctrl_c(tmp_path, monkeypatch
     receiver.bind(("127.0.0.1", 0))
     receiver.settimeout(0.3)
     vmc = Address(port=receiver.getsockname()[1])
-    setup, said = small_setup(tmp_path, vmc), StringIO()
-    status = LiveStatus(said)
+    setup, output = small_setup(tmp_path, vmc), StringIO()
+    status = LiveStatus(output)
     live = Live(setup, out=tmp_path / "out", status=status)
     recording = small_recording()
     names = recording.marker_names
@@ -342,8 +342,8 @@ def test_markers_in_poses_out_and_a_recording_until_ctrl_c(tmp_path, monkeypatch
     assert poses == trackers == figures["outputs"] >= 20 and lost >= 1
     assert figures["ignored"]["malformed"] == 48 and figures["frames"]["cam"] == 12
     assert figures["ignored"]["absurd"] == 24
-    assert "markers: coming in" in said.getvalue()
-    assert "markers: nothing comes in" in said.getvalue() and "cam: ended" in said.getvalue()
+    assert "markers: coming in" in output.getvalue()
+    assert "markers: nothing comes in" in output.getvalue() and "cam: ended" in output.getvalue()
     again = Recording.load(figures["recording"])
     assert len(again.times) == 24 and len(open_video(again.videos[0])) == 12
     json.dumps(figures)

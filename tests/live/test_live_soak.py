@@ -76,9 +76,9 @@ class Run:
                 self.vmc.frame(output.time, output.pose)
                 self.outputs += 1
         taken = time.perf_counter() - began
-        self.status.output(self.at, taken)
+        self.status.count_output(self.at, taken)
         for of, state in stream_states(self.socket, self.gathers, [], self.at):
-            self.status.state(self.at, of, state)
+            self.status.set_state(self.at, of, state)
         return taken
 
     def trouble(self, i: int) -> list[Datagram]:
@@ -103,7 +103,7 @@ def soak(run: Run, samples: int) -> None:
         print(f"{name} tenth: {median:.3f} ms (median), {most:.3f} ms (99 %)")
     print(f"peak of memory: {early_mb:.0f} MB after a tenth, {peak_mb():.0f} MB at the end")
     assert peak_mb() - early_mb < GROWTH_MB
-    assert len(run.status.said) <= 1000 and run.status.sentences < 20 + samples / RATE
+    assert len(run.status.messages) <= 1000 and run.status.message_count < 20 + samples / RATE
 
 
 def peak_mb() -> float:

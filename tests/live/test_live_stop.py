@@ -32,7 +32,7 @@ from jaxmocap.pipelines.live.loop import Live
 from jaxmocap.pipelines.live.session import live_summary, run_live
 from jaxmocap.pipelines.live.status import LiveStatus
 from jaxmocap.pipelines.live.stop import stopped_by_signals
-from jaxmocap.pipelines.signals import Terminated, held_back, raised_on_sigterm
+from jaxmocap.pipelines.signals import Terminated, raised_on_sigterm, signals_deferred
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals are sent as on POSIX")
 OURS = ("markers", "camera", "recording", "viewer")
@@ -118,7 +118,7 @@ def test_signals_that_are_ignored_stay_so_and_all_handlers_come_back():
 def test_a_signal_waits_until_what_was_begun_can_be_ended():
     done = []
     with pytest.raises(Terminated), raised_on_sigterm():
-        with held_back():
+        with signals_deferred():
             os.kill(os.getpid(), signal.SIGTERM)
             time.sleep(0.05)
             done.append("begun")
@@ -152,14 +152,14 @@ def test_a_run_that_received_nothing_says_so_and_leaves_nothing(tmp_path):
 
 
 def test_a_run_whose_recording_fails_goes_on_and_says_so_once(tmp_path, monkeypatch):
-    setup, said = replace(small_setup(tmp_path), videos=()), StringIO()
-    live = Live(setup, out=tmp_path / "out", status=LiveStatus(said))
+    setup, output = replace(small_setup(tmp_path), videos=()), StringIO()
+    live = Live(setup, out=tmp_path / "out", status=LiveStatus(output))
     assert live.recording is not None
 
     def full(sample) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(live.recording, "_note", full)
+    monkeypatch.setattr(live.recording, "_add_sample", full)
     stop = threading.Event()
     threading.Thread(target=send_markers, args=(live.address, stop), daemon=True).start()
     figures = live.run(seconds=1.0)
@@ -169,7 +169,7 @@ def test_a_run_whose_recording_fails_goes_on_and_says_so_once(tmp_path, monkeypa
     assert problem == (
         f"{tmp_path / 'out' / 'markers.csv'}: cannot be written any more (No space left on device)"
     )
-    assert said.getvalue().count("cannot be written any more") == 1
+    assert output.getvalue().count("cannot be written any more") == 1
 
 
 def test_a_fault_within_the_run_closes_the_recording_all_the_same(tmp_path, monkeypatch):
@@ -255,7 +255,7 @@ def test_a_viewer_that_does_not_listen_is_killed(monkeypatch):
     deaf = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print(); "
     deaf += "time.sleep(600)"
     monkeypatch.setattr(view, "viewer_command", lambda: [sys.executable, "-c", deaf])
-    monkeypatch.setattr(view, "ENDS_S", 0.5)
+    monkeypatch.setattr(view, "VIEWER_STOP_TIMEOUT_S", 0.5)
     viewer = view.start_viewer([], web=True, stay=False)
     time.sleep(1.0)
     viewer.end()
@@ -266,7 +266,8 @@ def test_a_viewer_that_does_not_listen_is_killed(monkeypatch):
 
 
 def left(script: str, **options) -> subprocess.CompletedProcess:
-    imported = "import atexit, sys, threading, time\nfrom jaxmocap.cli.process_exit import leave"
+    imported = "import atexit, sys, threading, time\n"
+    imported += "from jaxmocap.cli.process_exit import end_process"
     code = f"{imported}\n{script}"
     return subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, **options
@@ -276,18 +277,18 @@ def left(script: str, **options) -> subprocess.CompletedProcess:
 def test_a_process_whose_thread_cannot_be_ended_leaves_all_the_same():
     done = left(
         "threading.Thread(target=time.sleep, args=(600,), daemon=True).start()\n"
-        "sys.stdout.write('figures')\nleave(3)"
+        "sys.stdout.write('figures')\nend_process(3)"
     )
     assert (done.returncode, done.stdout, done.stderr) == (3, "figures", "")
 
 
 def test_a_process_that_was_stopped_does_not_wait_for_what_still_compiles():
-    done = left("threading.Thread(target=time.sleep, args=(600,)).start()\nleave(143)")
+    done = left("threading.Thread(target=time.sleep, args=(600,)).start()\nend_process(143)")
     assert done.returncode == 143
 
 
 def test_a_process_without_threads_ends_as_ever():
-    done = left("atexit.register(print, 'at exit')\nleave(0)")
+    done = left("atexit.register(print, 'at exit')\nend_process(0)")
     assert (done.returncode, done.stdout) == (0, "at exit\n")
 
 
@@ -303,9 +304,9 @@ def test_live_with_a_viewer_ends_cleanly_every_time(tmp_path, number, times):
     path.write_text(f"[markers.on]\n{places}\n[osc]\nlisten = {port}\n[subject]\nheight = 1.75\n")
     threading.Thread(target=send_markers, args=(Address(port=port), stop), daemon=True).start()
     for i in range(times):
-        code, said = _stopped(path, tmp_path / str(i), number)
+        code, output = _stopped(path, tmp_path / str(i), number)
         codes[code] += 1
-        assert "FATAL" not in said and "Traceback" not in said, said
+        assert "FATAL" not in output and "Traceback" not in output, output
         assert len(Recording.load(tmp_path / str(i) / "recording.toml").times) > 10
     stop.set()
     print(codes)
@@ -323,18 +324,18 @@ def _stopped(path: Path, out: Path, number: int) -> tuple[int, str]:
         start_new_session=True,
     )
     assert process.stderr is not None
-    said = ""
+    output = ""
     for line in process.stderr:
-        said += line
+        output += line
         if "coming in" in line:
             break
     time.sleep(0.5 + np.random.default_rng().uniform(0, 1.5))
     os.killpg(process.pid, number)
-    said += process.communicate(timeout=60)[1]
-    (page,) = re.findall(r"viewer at http://127\.0\.0\.1:(\d+)/", said)
+    output += process.communicate(timeout=60)[1]
+    (page,) = re.findall(r"viewer at http://127\.0\.0\.1:(\d+)/", output)
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", int(page)), 5.0)
-    return process.returncode, said
+    return process.returncode, output
 
 
 @posix

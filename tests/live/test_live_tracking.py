@@ -159,7 +159,7 @@ def test_smoothing_has_samples_and_frames_in_the_order_of_their_times(tracking):
             outputs += live.frames([frame((i - 1.5) / 90, delay=1.5 / 90)])
     outputs += live.flush()
     times = live._smoother.times
-    assert (np.diff(times) > 0).all() and live.late == 0
+    assert (np.diff(times) > 0).all() and live.late_events == 0
     assert [output.time for output in outputs] == [i / 90 for i in range(60)]
     assert all(output.time == output.arrived for output in outputs)
     at_frames = [
@@ -173,7 +173,7 @@ def test_smoothing_waits_for_frames_no_longer_than_a_moment(tracking):
     outputs = [output for i in range(60) for output in live.sample(sample(i / 90))]
     assert outputs[-1].time >= 59 / 90 - 0.12
     live.frames([frame(0.1, delay=0.5)])
-    assert live.late == 1
+    assert live.late_events == 1
 
 
 def test_markers_go_through_the_one_euro_filter_where_that_is_asked_for(tracking):

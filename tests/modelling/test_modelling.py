@@ -6,20 +6,25 @@ import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
+from photograph_masks import true_person_mask
 from scipy.spatial import Delaunay
 
+from bench.anthropometry import MeasuredPerson, tape_measure
 from jaxmocap.geometry.cameras import project
-from jaxmocap.modelling.arm_surface import INNER, SLICES
+from jaxmocap.modelling.arm_surface import INNER_RINGS, SLICES
 from jaxmocap.modelling.person import StanceError, person_model
 from jaxmocap.modelling.pictures.closed_mesh import closed_mesh, joined_meshes, volume
-from jaxmocap.modelling.pictures.corners import bends, even
-from jaxmocap.modelling.pictures.medial_axis import chamfer, path, skeleton
-from jaxmocap.modelling.separation import separate
-from jaxmocap.modelling.trunk import ring
-from jaxmocap.modelling.views import View
-from jaxmocap.synthetic.people.anthropometry import Body, measured
+from jaxmocap.modelling.pictures.corners import evenly_spaced, turning_angles
+from jaxmocap.modelling.pictures.medial_axis import chamfer, medial_axis, path
+from jaxmocap.modelling.separation import find_landmarks
+from jaxmocap.modelling.trunk import superellipse_ring
+from jaxmocap.modelling.views import PhotographView
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
-from jaxmocap.synthetic.photographs import PHOTOGRAPHS, camera_of, standing, true_mask
+from jaxmocap.synthetic.photographs import (
+    PHOTOGRAPHS,
+    camera_of,
+    person_in_stance,
+)
 
 
 def blank():
@@ -42,7 +47,7 @@ def figure(arms_out=90):
 def test_the_axis_of_a_bar_runs_along_its_middle():
     image = blank()
     cv2.rectangle(image, (50, 100), (450, 140), 1, -1)
-    found = skeleton(image.astype(bool))
+    found = medial_axis(image.astype(bool))
     inner = (found.pixels_xy[:, 0] > 80) & (found.pixels_xy[:, 0] < 420)
     assert np.abs(found.pixels_xy[inner, 1] - 120).max() <= 1
     assert np.abs(found.radii[inner] - 20.5).max() < 1.5
@@ -52,7 +57,7 @@ def test_a_broken_axis_is_closed_so_that_a_way_leads_everywhere():
     image = blank()
     for left in (50, 180, 310):
         cv2.rectangle(image, (left, 100), (left + 100, 130), 1, -1)
-    found = skeleton(image.astype(bool))
+    found = medial_axis(image.astype(bool))
     way = found.pixels_xy[path(found, np.array([60, 115]), np.array([400, 115]))]
     assert way[0, 0] < 80 and way[-1, 0] > 380
     gaps = np.linalg.norm(np.diff(way, axis=0), axis=1)
@@ -70,31 +75,31 @@ def test_the_sharpest_corner_is_where_two_lines_meet(angle, at):
     turn = np.deg2rad(angle)
     corner = np.array([float(at), 0.0])
     far = corner + 120 * np.array([np.cos(turn), np.sin(turn)])
-    turned = bends(even(np.array([[0.0, 0.0], corner, far])), 20)
+    turned = turning_angles(evenly_spaced(np.array([[0.0, 0.0], corner, far])), 20)
     assert abs(int(np.argmax(turned)) - at) <= 1
     assert np.degrees(turned.max()) == pytest.approx(angle, abs=4)
 
 
 def test_a_figure_is_separated_at_pits_neck_and_crotch():
-    found = separate(figure())
+    found = find_landmarks(figure())
     assert 80 < found.neck < 120 and found.neck_x == pytest.approx(250, abs=1)
     assert np.abs(found.pits[:, 0] - [310, 190]).max() < 4
     assert np.ptp(found.pits[:, 1]) <= 2 and 150 < found.pits[0, 1] < 190
     assert found.top == 25 and 290 < found.bottom < 330
-    assert separate(figure(), bottom=280).bottom == 280
+    assert find_landmarks(figure(), bottom=280).bottom == 280
 
 
 def test_arms_against_the_body_are_refused():
     with pytest.raises(ValueError, match="no gap between the left arm and the trunk"):
-        separate(figure(arms_out=-10))
+        find_landmarks(figure(arms_out=-10))
 
 
 def test_closed_legs_are_refused_unless_the_bottom_line_is_given():
     image = figure()
     image[300:, 190:310] = True
     with pytest.raises(ValueError, match="no gap between the legs"):
-        separate(image)
-    assert separate(image, bottom=290).bottom == 290
+        find_landmarks(image)
+    assert find_landmarks(image, bottom=290).bottom == 290
 
 
 @given(
@@ -105,7 +110,7 @@ def test_closed_legs_are_refused_unless_the_bottom_line_is_given():
 def test_a_slice_touches_the_four_lines_that_it_is_seen_by(half, fullness, lean):
     x, y = half
     corners = np.array([[x, y], [-x, y + lean], [-x, -y + lean], [x, -y]])
-    outline = ring(corners, fullness, 240)
+    outline = superellipse_ring(corners, fullness, 240)
     assert outline[:, 0].max() == pytest.approx(x, rel=0.02)
     assert outline[:, 0].min() == pytest.approx(-x, rel=0.02)
     slope = outline[:, 1] - lean / 2 * (1 - outline[:, 0] / x)
@@ -114,7 +119,9 @@ def test_a_slice_touches_the_four_lines_that_it_is_seen_by(half, fullness, lean)
 
 def test_a_full_slice_is_longer_around_than_an_ellipse():
     corners = np.array([[1.0, 2.0], [-1.0, 2.0], [-1.0, -2.0], [1.0, -2.0]])
-    girths = [measured(ring(corners, fullness, 400)).girth for fullness in (2.0, 3.0)]
+    girths = [
+        tape_measure(superellipse_ring(corners, fullness, 400)).girth for fullness in (2.0, 3.0)
+    ]
     assert girths[0] == pytest.approx(9.688, rel=5e-3)
     assert girths[0] < 0.96 * girths[1] < 0.96 * 12
 
@@ -135,22 +142,25 @@ def test_rings_become_a_watertight_mesh_of_the_right_volume():
 def subject(request, recordings):
     """A person as they stand, and their model from true silhouettes."""
     rig = load_rig(recordings / "person" / "person.npz", request.param)
-    views = {name: View(true_mask(rig, name), camera_of(rig, name)) for name in PHOTOGRAPHS}
+    views = {
+        name: PhotographView(true_person_mask(rig, name), camera_of(rig, name))
+        for name in PHOTOGRAPHS
+    }
     return rig, views, person_model(views)
 
 
 def test_a_view_in_numpy_is_the_camera(subject):
     rig, views, _ = subject
-    points = standing(rig, "front").vertices(np.zeros(1))[0][::500]
+    points = person_in_stance(rig, "front").vertices(np.zeros(1))[0][::500]
     pixels = views["side"].pixels(points)
     assert np.abs(pixels - np.asarray(project(views["side"].camera, points))).max() < 1e-3
-    back = views["side"].on_plane(pixels, np.zeros(3), np.array([0.0, 1.0, 0.0]))
+    back = views["side"].plane_points(pixels, np.zeros(3), np.array([0.0, 1.0, 0.0]))
     assert np.abs(views["side"].pixels(back) - pixels).max() < 1e-3
 
 
 def test_joints_lie_where_they_are(subject):
     rig, _, model = subject
-    truth = Body.of(standing(rig, "joint")).landmarks()
+    truth = MeasuredPerson.of(person_in_stance(rig, "joint")).landmarks()
     for bones, side in zip(model.bent, "lr", strict=True):
         for name in ("shoulder", "elbow", "wrist"):
             assert np.linalg.norm(getattr(bones, name) - truth[f"{name}_{side}"]) < 0.015
@@ -158,7 +168,7 @@ def test_joints_lie_where_they_are(subject):
 
 def test_bones_are_as_long_as_they_are(subject):
     rig, _, model = subject
-    truth, lengths = Body.of(standing(rig, "front")).landmarks(), model.lengths()
+    truth, lengths = MeasuredPerson.of(person_in_stance(rig, "front")).landmarks(), model.lengths()
     off = [
         lengths[f"{bone}_{side}"] - np.linalg.norm(truth[f"{near}_{side}"] - truth[f"{far}_{side}"])
         for bone, near, far in (("humerus", "shoulder", "elbow"), ("radius", "elbow", "wrist"))
@@ -169,13 +179,13 @@ def test_bones_are_as_long_as_they_are(subject):
 
 def test_the_trunk_is_as_wide_deep_and_stout_as_it_is(subject):
     rig, _, model = subject
-    body, rings = Body.of(standing(rig, "front")), model.trunk.rings
+    body, rings = MeasuredPerson.of(person_in_stance(rig, "front")), model.trunk.rings
     levels = rings[:, 0, 2]
     low, pits = levels[0], model.trunk.pits[:, 2].mean()
     off = []
     for share in np.linspace(0.1, 0.9, 7):
         k = int(np.argmin(np.abs(levels - low - share * (pits - low))))
-        truth, found = body.trunk(levels[k]), measured(rings[k][:, [1, 0]])
+        truth, found = body.trunk(levels[k]), tape_measure(rings[k][:, [1, 0]])
         off.append(
             (found.width - truth.width, found.depth - truth.depth, found.girth / truth.girth - 1)
         )
@@ -186,12 +196,12 @@ def test_the_trunk_is_as_wide_deep_and_stout_as_it_is(subject):
 
 def test_arms_are_as_thick_as_they_are(subject):
     rig, _, model = subject
-    body, off = Body.of(standing(rig, "front")), []
+    body, off = MeasuredPerson.of(person_in_stance(rig, "front")), []
     for rings, side in zip(model.arms, "lr", strict=True):
         for bone, first in (("humerus", 0), ("radius", SLICES[0])):
             for share in (0.375, 0.5, 0.75):
-                k = INNER + first + round(share * SLICES[0])
-                truth, found = body.arm(bone, side, share), measured(rings[k][:, [2, 0]])
+                k = INNER_RINGS + first + round(share * SLICES[0])
+                truth, found = body.arm(bone, side, share), tape_measure(rings[k][:, [2, 0]])
                 off.append([found.width - truth.width, found.depth - truth.depth,
                             found.girth / truth.girth - 1])  # fmt: skip
     off = np.abs(off)
@@ -212,7 +222,10 @@ def test_every_patch_of_the_surface_is_watertight_and_arms_begin_within_the_trun
 
 def test_a_view_of_another_stance_is_refused_by_its_name(recordings):
     rig = load_rig(recordings / "person" / "person.npz", "slim_woman")
-    views = {name: View(true_mask(rig, name), camera_of(rig, name)) for name in PHOTOGRAPHS}
+    views = {
+        name: PhotographView(true_person_mask(rig, name), camera_of(rig, name))
+        for name in PHOTOGRAPHS
+    }
     for name, other in (("front", "joint"), ("joint", "arm_side"), ("arm_side", "joint")):
         with pytest.raises(StanceError) as caught:
             person_model(views | {name: views[other]})

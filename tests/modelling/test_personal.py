@@ -14,26 +14,26 @@ from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
-from jaxmocap.modelling.arm_joints import Arm
+from jaxmocap.modelling.arm_joints import ArmPixels
 from jaxmocap.modelling.arm_surface import (
-    Bones,
+    ArmBones,
     arm_rings,
-    places,
-    stations,
-    thickness,
-    unfolded,
+    arm_thickness,
+    slice_positions,
+    slice_stations,
+    without_elbow_fold,
 )
-from jaxmocap.modelling.fitted_rings import fitted
+from jaxmocap.modelling.fitted_rings import fitted_grid
 from jaxmocap.modelling.lifted_arms import lifted_arms
-from jaxmocap.modelling.person import PersonModel, laid_out
-from jaxmocap.modelling.personal import arm_angles, personal
-from jaxmocap.modelling.separation import Landmarks
-from jaxmocap.modelling.slices import Slices
-from jaxmocap.modelling.thighs import Thighs, thighs
+from jaxmocap.modelling.person import PersonModel, arm_on_axis
+from jaxmocap.modelling.personal import arm_angles, personal_model
+from jaxmocap.modelling.separation import FrontLandmarks
+from jaxmocap.modelling.slices import BodySlices
+from jaxmocap.modelling.thighs import Thighs, find_thighs
 from jaxmocap.modelling.trunk import RINGS, Trunk
-from jaxmocap.modelling.views import View
-from jaxmocap.pipelines.silhouettes.person import modelled
-from jaxmocap.synthetic.lens import look_at
+from jaxmocap.modelling.views import PhotographView
+from jaxmocap.pipelines.silhouettes.person import with_model
+from jaxmocap.synthetic.drawing_camera import look_at
 
 PLACED, FRAMES = jax.jit(landmarks), jax.jit(forward)
 PHI = 2 * np.pi * np.arange(48) / 48
@@ -47,21 +47,21 @@ def mirrored(points: np.ndarray) -> np.ndarray:
     return points * np.array([1.0, -1.0, 1.0])
 
 
-def bones(upper: np.ndarray, lower: np.ndarray, side: int) -> Bones:
+def bones(upper: np.ndarray, lower: np.ndarray, side: int) -> ArmBones:
     """An arm along two directions; of the right side, mirrored."""
     ends = [SHOULDER]
     for way, length in zip((upper, lower, lower), LENGTHS, strict=True):
         ends.append(ends[-1] + length * way / np.linalg.norm(way))
     shoulder, elbow, wrist, tip = ends if side > 0 else map(mirrored, ends)
-    return Bones(shoulder, elbow, wrist, tip)
+    return ArmBones(shoulder, elbow, wrist, tip)
 
 
-def flat(arm: Bones) -> Bones:
+def flat(arm: ArmBones) -> ArmBones:
     """In the plane x = 0."""
     return arm._replace(**{name: at * [0, 1, 1] for name, at in arm._asdict().items()})
 
 
-def both(upper, lower) -> tuple[Bones, ...]:
+def both(upper, lower) -> tuple[ArmBones, ...]:
     return tuple(bones(np.array(upper), np.array(lower), side) for side in (1, -1))
 
 
@@ -75,12 +75,12 @@ def somebody() -> PersonModel:
     )
     middles = np.stack([np.zeros(RINGS), np.zeros(RINGS), levels], 1)
     pits = np.array([[0.0, WIDE, 1.33], [0.0, -WIDE, 1.33]])
-    bend, hinge = (np.tile(pair, (len(places()), 1)) for pair in (ARM[:2], ARM[2:]))
+    bend, hinge = (np.tile(pair, (len(slice_positions()), 1)) for pair in (ARM[:2], ARM[2:]))
     starts, nowhere = (SHOULDER, mirrored(SHOULDER)), np.zeros(2)
     return PersonModel(
-        Landmarks(0, 0, 0.0, np.zeros((2, 2)), 0, 0.0),
+        FrontLandmarks(0, 0, 0.0, np.zeros((2, 2)), 0, 0.0),
         Trunk(rings, middles, pits),
-        (Arm(nowhere, nowhere, nowhere, nowhere, nowhere, nowhere[None]),) * 2,
+        (ArmPixels(nowhere, nowhere, nowhere, nowhere, nowhere, nowhere[None]),) * 2,
         both([0, 1, 0.0], [0, -0.2, 1]),
         both([0, 1, -0.1], [0, 1, -0.1]),
         both([0, 0.6, -1], [0, 0.6, -1]),
@@ -92,7 +92,7 @@ def somebody() -> PersonModel:
 
 @pytest.fixture(scope="module")
 def person():
-    return personal(somebody())
+    return personal_model(somebody())
 
 
 def grid(person, name: str) -> np.ndarray:
@@ -147,7 +147,7 @@ def test_thighs_are_as_they_were_seen_and_what_is_below_goes_over_into_the_usual
     heights = np.linspace(0.75, 0.58, 8)
     across = np.tile([[0.02, 0.2], [-0.2, -0.02]], (8, 1, 1))
     wide, plain = (
-        personal(somebody()._replace(legs=legs))
+        personal_model(somebody()._replace(legs=legs))
         for legs in (Thighs(heights, across, np.tile([-0.1, 0.09], (8, 1))), NOTHING)
     )
     leg, usual = grid(wide, "leg_l"), grid(plain, "leg_l")
@@ -166,7 +166,7 @@ def test_poses_put_the_arms_where_the_photographs_have_them(person):
     names = list(LANDMARKS)
     for photograph, arms in (("joint", model.bent), ("side", model.stretched)):
         points = np.asarray(PLACED(person.skeleton, person.poses[photograph]))
-        points = points - model.moved[photograph]
+        points = points - model.shifts[photograph]
         for side, found in zip("lr", arms, strict=True):
             for name in ("shoulder", "elbow", "wrist"):
                 at = points[names.index(f"{name}_{side}")]
@@ -190,8 +190,8 @@ def test_an_arms_angles_turn_its_bones_there(person, sign, upper):
 
 def test_a_bent_arms_stations_lie_on_its_bones_but_about_the_elbow():
     arm = both([0, 1, 0], [0, 0, 1])[0]
-    points, across = stations(arm, arm.shoulder + arm.wrist - 2 * arm.elbow)
-    at = places()
+    points, across = slice_stations(arm, arm.shoulder + arm.wrist - 2 * arm.elbow)
+    at = slice_positions()
     along = np.linalg.norm(points[at <= 0.6] - arm.shoulder, axis=1)
     np.testing.assert_allclose(along, LENGTHS[0] * at[at <= 0.6], atol=1e-9)
     np.testing.assert_allclose(across[at <= 0.6], [[0, 0, 1]] * (at <= 0.6).sum(), atol=1e-9)
@@ -206,13 +206,17 @@ def test_a_round_arm_is_as_thick_bent_as_it_is_stretched():
     for lower in ([0, 1, 0], [0, -0.15, 1]):
         arm = flat(bones(np.array([0, 1, 0.0]), np.array(lower), 1))
         image = np.zeros((720, 720), np.uint8)
-        view = View(image, camera)
+        view = PhotographView(image, camera)
         ends = np.rint(view.pixels(np.array(arm))).astype(int)
         cv2.polylines(image, [ends], False, 1, round(2 * radius * 3000 / 8))
         inner = arm.shoulder + arm.wrist - 2 * arm.elbow
         towards = inner if np.linalg.norm(inner) > 0.1 else np.array([0, 0, 1.0])
-        found.append(unfolded(thickness(View(image.astype(bool), camera), arm, towards)))
-    about = (places() > 0.7) & (places() < 1.3)
+        found.append(
+            without_elbow_fold(
+                arm_thickness(PhotographView(image.astype(bool), camera), arm, towards)
+            )
+        )
+    about = (slice_positions() > 0.7) & (slice_positions() < 1.3)
     np.testing.assert_allclose(found[0][about], radius, atol=2e-3)
     # Its flesh is not squeezed in the fold, as a person's is.
     np.testing.assert_allclose(found[1][about].sum(1), 2 * radius, rtol=0.2)
@@ -222,11 +226,11 @@ def test_a_stretched_arms_bones_are_as_long_as_they_were_bent_though_its_flesh_h
     bent = both([0, 1, 0], [0, 0, 1])[0]
     side = np.arange(-0.1, 0.8, 0.001)[:, None] * [0.0, 1.0, 0.0]
     way = SHOULDER + side - np.array([0.0, 0.0, 0.06])
-    found = laid_out(way, bent)
+    found = arm_on_axis(way, bent)
     np.testing.assert_allclose(found.lengths[:2], LENGTHS[:2], atol=2e-3)
     np.testing.assert_allclose(found.tip, way[-1])
     with pytest.raises(ValueError, match="shorter than its 55 cm"):
-        laid_out(way[:550], bent)
+        arm_on_axis(way[:550], bent)
 
 
 def test_beyond_what_was_measured_a_ring_keeps_its_ratio_until_it_fades():
@@ -238,8 +242,8 @@ def test_beyond_what_was_measured_a_ring_keeps_its_ratio_until_it_fades():
     )
     fine = 2 * np.pi * np.arange(64) / 64
     outline = 0.1 * np.stack([np.cos(fine), np.sin(fine)], 1) + [0.01, 0]
-    measured = Slices(np.array([0.65, 0.35]), np.stack([outline] * 2), (np.inf, 0.2))
-    found = fitted(rings, 1.0, measured)
+    measured = BodySlices(np.array([0.65, 0.35]), np.stack([outline] * 2), (np.inf, 0.2))
+    found = fitted_grid(rings, 1.0, measured)
     sizes = np.ptp(found[..., 0], 1) / 2
     np.testing.assert_allclose(sizes[:7], 0.1, rtol=1e-3)
     np.testing.assert_allclose(found[..., 0].mean(1)[:7], 0.01, atol=1e-6)
@@ -248,16 +252,16 @@ def test_beyond_what_was_measured_a_ring_keeps_its_ratio_until_it_fades():
     np.testing.assert_array_equal(found[..., 2], rings[..., 2])
 
 
-def drawn(points: list[np.ndarray], azimuth: float) -> View:
+def drawn(points: list[np.ndarray], azimuth: float) -> PhotographView:
     """Limbs of rectangles, seen from afar: (K, 2) corners (y, z) each for the front, in x = 0."""
 
     turn = np.radians(azimuth)
     camera = look_at((8 * np.cos(turn), 8 * np.sin(turn), 1.0), (0.0, 0.0, 1.0), (640, 480), 1500)
-    view = View(np.zeros((480, 640), bool), camera)
+    view = PhotographView(np.zeros((480, 640), bool), camera)
     mask = np.zeros((480, 640), np.uint8)
     for corners in points:
         cv2.fillConvexPoly(mask, np.rint(view.pixels(corners)).astype(np.int32), 1)
-    return View(mask.astype(bool), camera)
+    return PhotographView(mask.astype(bool), camera)
 
 
 def test_lifted_arms_and_thighs_are_found_where_they_are_drawn():
@@ -273,12 +277,12 @@ def test_lifted_arms_and_thighs_are_found_where_they_are_drawn():
     side = drawn([np.array([[-0.08, 0, 1.5], [0.1, 0, 1.5], [0.1, 0, 0.4], [-0.08, 0, 0.4]])], 90.0)
     pit = front.pixels(np.array([[0.0, 0.135, 1.28], [0.0, -0.135, 1.28]]))
     bottom = front.pixels(np.array([0.0, 0.0, 0.9]))
-    marks = Landmarks(0, 0, 0.0, pit, round(bottom[1]), float(bottom[0]))
+    marks = FrontLandmarks(0, 0, 0.0, pit, round(bottom[1]), float(bottom[0]))
     bent = (down, down._replace(**{k: mirrored(v) for k, v in down._asdict().items()}))
     for found, true in zip(lifted_arms(front, marks, bent), bent, strict=True):
         for name in ("elbow", "wrist"):
             np.testing.assert_allclose(getattr(found, name), getattr(true, name), atol=0.012)
-    seen = thighs(front, side, marks, np.array([0.0, 0.0, 1.0]))
+    seen = find_thighs(front, side, marks, np.array([0.0, 0.0, 1.0]))
     assert len(seen.heights) >= 4
     inner = 0.02 + 0.02 * (1.0 - seen.heights) / 0.5
     for k, sign in ((0, 1), (1, -1)):
@@ -290,7 +294,7 @@ def test_lifted_arms_and_thighs_are_found_where_they_are_drawn():
 
 def test_without_a_model_a_recording_stays_as_it_is():
     recording = object()
-    assert modelled(recording, None) == (recording, None)  # type: ignore[arg-type]
+    assert with_model(recording, None) == (recording, None)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("names", [(), ("subject.toml",)])
@@ -299,11 +303,11 @@ def test_a_folder_without_a_model_is_refused_in_one_sentence(tmp_path, names):
         (tmp_path / name).write_text("height = 1.7\n")
     missing = "surface.npz" if names else "subject.toml"
     with pytest.raises(InputError, match=f"found no {missing}, expected what 'silhouette model'"):
-        modelled(Recording.load, tmp_path)  # type: ignore[arg-type]
+        with_model(Recording.load, tmp_path)  # type: ignore[arg-type]
 
 
 def test_a_height_tells_how_long_the_legs_are():
-    short, tall = (personal(somebody(), height).skeleton for height in (1.7, 1.8))
+    short, tall = (personal_model(somebody(), height).skeleton for height in (1.7, 1.8))
     grown = np.asarray(tall.lengths - short.lengths)
     of_leg = np.array([bone.startswith(("femur", "tibia")) for bone in short.tree.bones])
     # Ankles are the rest of ten centimetres.
@@ -313,4 +317,4 @@ def test_a_height_tells_how_long_the_legs_are():
 
 def test_a_height_that_suits_no_such_trunk_is_refused():
     with pytest.raises(ValueError, match=r"found a height of 3 m, expected 1\.\d\d to 2\.\d\d m"):
-        personal(somebody(), 3.0)
+        personal_model(somebody(), 3.0)

@@ -3,19 +3,19 @@
 import cv2
 import numpy as np
 import pytest
+from photograph_masks import true_person_mask
 
+from bench.anthropometry import MeasuredPerson, tape_measure
 from jaxmocap.formats.cameras.calibration import read_calibration
 from jaxmocap.modelling.pictures.backdrop import PhotographError, person_mask
-from jaxmocap.synthetic.lens import Lens
-from jaxmocap.synthetic.people.anthropometry import Body, measured
+from jaxmocap.synthetic.drawing_camera import DrawingCamera
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.photographs import (
     PHOTOGRAPHS,
     SIZE,
     backdrop,
     camera_of,
-    standing,
-    true_mask,
+    person_in_stance,
     write_photographs,
 )
 
@@ -56,19 +56,22 @@ def test_the_four_photographs_have_their_sections_in_the_calibration(shots, rig)
 def test_everybody_fits_into_every_photograph_but_for_the_legs(recordings, name):
     for who in ("tall_man", "short_woman", "broad_man"):
         person = load_rig(recordings / "person" / "person.npz", who)
-        pixels = Lens.of(camera_of(person, name)).pixels(
-            standing(person, name).vertices(np.zeros(1))[0]
+        pixels = DrawingCamera.of(camera_of(person, name)).pixels(
+            person_in_stance(person, name).vertices(np.zeros(1))[0]
         )
         assert pixels[:, 0].min() > 10 and pixels[:, 0].max() < SIZE[0] - 10
         assert pixels[:, 1].min() > 10 and pixels[:, 1].max() > SIZE[1]
 
 
 def test_a_section_of_the_trunk_is_as_wide_as_the_person_is_seen(rig):
-    body, lens = Body.of(standing(rig, "front")), Lens.of(camera_of(rig, "front"))
+    body, lens = (
+        MeasuredPerson.of(person_in_stance(rig, "front")),
+        DrawingCamera.of(camera_of(rig, "front")),
+    )
     landmarks = body.landmarks()
     waist = (0.6 * landmarks["pelvis"] + 0.4 * landmarks["neck"])[2]
     row, column = np.rint(lens.pixels(np.array([0.0, 0.0, waist])))[::-1].astype(int)
-    line = true_mask(rig, "front")[row]
+    line = true_person_mask(rig, "front")[row]
     left, right = (np.flatnonzero(~half)[0] for half in (line[column::-1], line[column:]))
     seen = (left + right - 1) * lens.depths(np.zeros(3)) / lens.matrix[0, 0]
     assert abs(body.trunk(waist).width - seen) < 0.006
@@ -78,22 +81,22 @@ def test_a_tape_goes_straight_over_hollows():
     angle = np.linspace(0, 2 * np.pi, 400)
     hollow = 1 - 0.3 * np.exp(-(((angle - np.pi) / 0.3) ** 2))
     kidney = np.stack([2 * hollow * np.cos(angle), hollow * np.sin(angle)], 1)
-    whole = measured(np.stack([2 * np.cos(angle), np.sin(angle)], 1))
+    whole = tape_measure(np.stack([2 * np.cos(angle), np.sin(angle)], 1))
     assert whole.width == pytest.approx(4, abs=1e-3)
     assert whole.depth == pytest.approx(2, abs=1e-3)
     assert whole.girth == pytest.approx(9.688, abs=5e-3)
-    assert measured(kidney).girth < whole.girth
+    assert tape_measure(kidney).girth < whole.girth
 
 
 def test_an_arm_is_measured_alike_however_it_is_held(rig):
-    lifted, bent = (Body.of(standing(rig, name)) for name in ("front", "joint"))
+    lifted, bent = (MeasuredPerson.of(person_in_stance(rig, name)) for name in ("front", "joint"))
     for bone, at in (("humerus", 0.6), ("radius", 0.5)):
         a, b = (np.array(body.arm(bone, "l", at)) for body in (lifted, bent))
         assert np.abs(a - b).max() < 0.012
 
 
 def test_the_person_is_told_from_the_sheet(front, rig):
-    mask, truth = person_mask(front), true_mask(rig, "front")
+    mask, truth = person_mask(front), true_person_mask(rig, "front")
     assert (mask & truth).sum() / (mask | truth).sum() > 0.97
 
 

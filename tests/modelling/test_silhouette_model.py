@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from bench.anthropometry import MeasuredPerson
 from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.capture.photographs import png_of
@@ -15,9 +16,8 @@ from jaxmocap.cli import main
 from jaxmocap.formats.cameras.calibration import read_calibration, write_calibration
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.pipelines.silhouettes.person import read_person
-from jaxmocap.synthetic.people.anthropometry import Body
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
-from jaxmocap.synthetic.photographs import PHOTOGRAPHS, standing, write_photographs
+from jaxmocap.synthetic.photographs import PHOTOGRAPHS, person_in_stance, write_photographs
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ def test_other_commands_find_the_person_in_the_folder(made, tmp_path):
 
 def test_the_files_hold_the_person(made, rig):
     report = json.loads((made / "report.json").read_text(encoding="utf-8"))
-    body = Body.of(standing(rig, "front"))
+    body = MeasuredPerson.of(person_in_stance(rig, "front"))
     truth = body.landmarks()
     for side in "lr":
         humerus = np.linalg.norm(truth[f"shoulder_{side}"] - truth[f"elbow_{side}"])

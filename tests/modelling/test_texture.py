@@ -12,20 +12,20 @@ from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.mesh import atlas_of, mesh_of
 from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.modelling.personal import Personal
+from jaxmocap.modelling.personal import PersonalModel
 from jaxmocap.modelling.texture.avatar import Avatar, avatar_of
 from jaxmocap.modelling.texture.fusion import (
     closed_holes,
-    feather,
-    from_rim,
+    feathered_weight,
     fused,
     gains,
-    smoothed,
+    rim_distance,
+    weighted_blur,
     wide_blend,
 )
 from jaxmocap.modelling.texture.splats import NONE, in_sight, nearest_points, splatted
 from jaxmocap.modelling.texture.texels import texels_of
-from jaxmocap.modelling.views import View
+from jaxmocap.modelling.views import PhotographView
 
 TEXEL = 0.008
 BACKDROP = np.array([90, 200, 60], np.uint8)
@@ -53,10 +53,10 @@ def person():
         for side in "lr":
             angles[skeleton.tree.joint(f"{name}_{side}")] = np.radians(degrees)
     pose = Pose(np.zeros(3), np.array([1.0, 0, 0, 0]), angles)  # type: ignore[arg-type]
-    return Personal(skeleton, generic_surface(skeleton), {"front": pose, "side": pose})
+    return PersonalModel(skeleton, generic_surface(skeleton), {"front": pose, "side": pose})
 
 
-def painted(person: Personal) -> tuple[Avatar, np.ndarray]:
+def painted(person: PersonalModel) -> tuple[Avatar, np.ndarray]:
     """Symmetric colours without green, slowly changing with where a place is at rest."""
     nodes = rest_nodes(person.surface, rest_joints(person.skeleton))
     atlas = atlas_of(person.surface, nodes, TEXEL)
@@ -79,10 +79,10 @@ def photographs(person):
     images, views = {}, {}
     for name, azimuth in {"front": 0.0, "side": 90.0}.items():
         camera = looking(azimuth)
-        empty = View(np.zeros(SHAPE, bool), camera)
-        image, shown = avatar.seen(nodes, empty, SHAPE)
+        empty = PhotographView(np.zeros(SHAPE, bool), camera)
+        image, shown = avatar.rendered(nodes, empty, SHAPE)
         images[name] = np.where(shown[..., None], image, BACKDROP)
-        views[name] = View(shown, camera)
+        views[name] = PhotographView(shown, camera)
     return images, views
 
 
@@ -151,7 +151,7 @@ def test_light_that_differs_slowly_is_the_same_where_two_pictures_meet():
     colours, weights = [dark, bright], [1 - share, share]
     wide = wide_blend(colours, weights)
     even = [
-        c * np.exp(smoothed((wide - np.log(c)).astype(np.float32), w, 6.0))
+        c * np.exp(weighted_blur((wide - np.log(c)).astype(np.float32), w, 6.0))
         for c, w in zip(colours, weights, strict=True)
     ]
     # In the middle they agree, details and all; at either end each is as it was.
@@ -196,5 +196,5 @@ def test_single_open_cells_of_a_picture_are_closed_and_wide_ones_are_not():
 def test_weights_fade_towards_what_is_hidden_and_towards_the_rim():
     hidden = np.zeros((5, 20), bool)
     hidden[:, 0] = True
-    assert feather(hidden, 10.0)[2, [0, 5, 15]] == pytest.approx([0, 0.5, 1], abs=0.05)
-    assert from_rim(np.ones((9, 9), bool))[4, [0, 4]] == pytest.approx([1, 5], abs=0.2)
+    assert feathered_weight(hidden, 10.0)[2, [0, 5, 15]] == pytest.approx([0, 0.5, 1], abs=0.05)
+    assert rim_distance(np.ones((9, 9), bool))[4, [0, 4]] == pytest.approx([1, 5], abs=0.2)

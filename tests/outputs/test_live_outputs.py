@@ -109,14 +109,14 @@ def test_trackers_are_numbered_and_turned_as_unity_says_it():
     vmc = VMC(SKELETON)
     _, local = vmc.frame(0.0, pose)
     datagram = Trackers(vmc.body, DEFAULT_TRACKED).frame(local)
-    told = {m.message.address: m.message.params for m in OscPacket(datagram).messages}
-    assert len(told) == 2 * len(DEFAULT_TRACKED)
-    np.testing.assert_allclose(told["/tracking/trackers/1/position"], [-2, 3, 1], atol=1e-5)
-    np.testing.assert_allclose(told["/tracking/trackers/1/rotation"], [0, -90, 0], atol=1e-3)
-    elbow = np.array(told[f"/tracking/trackers/{DEFAULT_TRACKED.index('elbow_l') + 1}/position"])
+    params = {m.message.address: m.message.params for m in OscPacket(datagram).messages}
+    assert len(params) == 2 * len(DEFAULT_TRACKED)
+    np.testing.assert_allclose(params["/tracking/trackers/1/position"], [-2, 3, 1], atol=1e-5)
+    np.testing.assert_allclose(params["/tracking/trackers/1/rotation"], [0, -90, 0], atol=1e-3)
+    elbow = np.array(params[f"/tracking/trackers/{DEFAULT_TRACKED.index('elbow_l') + 1}/position"])
     # Facing left, which is -x, the left arm points back, to -z.
     assert elbow[2] < 1 - 0.4 and elbow[1] > 3
-    assert told["/tracking/trackers/head/position"][1] > 3.4
+    assert params["/tracking/trackers/head/position"][1] > 3.4
     everything = Trackers(vmc.body, TRACKED).frame(local)
     assert "/tracking/trackers/8/rotation" in {
         m.message.address for m in OscPacket(everything).messages

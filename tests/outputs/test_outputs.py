@@ -19,7 +19,7 @@ from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.solids import limb_solid
-from jaxmocap.outputs.overlay import Artist, confidence_colour, write_overlay
+from jaxmocap.outputs.overlay import OverlayArtist, confidence_colour, write_overlay
 from jaxmocap.outputs.report import write_report
 from jaxmocap.outputs.scene import limb_outlines, make_scene, pixels
 from jaxmocap.outputs.viewer import Footage, write_rerun
@@ -126,7 +126,7 @@ def test_uneven_frame_times_and_odd_sizes_are_kept(tmp_path, motion):
 
 def test_elbows_outlines_and_targets_are_drawn_where_they_project(motion, targets):
     camera = make_camera(640, 480)
-    artist = Artist(camera, motion, targets)
+    artist = OverlayArtist(camera, motion, targets)
     canvas = artist.canvas(np.full((480, 640, 3), 90, np.uint8))
     time = float(motion.times[20])
     artist.draw(canvas, time)
@@ -147,15 +147,15 @@ def test_elbows_outlines_and_targets_are_drawn_where_they_project(motion, target
 
 
 def test_a_missing_marker_is_not_drawn_and_beyond_the_motion_there_is_no_body(motion, targets):
-    artist = Artist(make_camera(), motion, {"L Wrist:1": targets["L Wrist:1"]})
-    seen, gone, late = (artist.canvas(np.zeros((240, 320, 3), np.uint8)) for _ in range(3))
-    artist.draw(seen, float(motion.times[20]))
-    artist.draw(gone, float(motion.times[6]))
+    artist = OverlayArtist(make_camera(), motion, {"L Wrist:1": targets["L Wrist:1"]})
+    during, after, late = (artist.canvas(np.zeros((240, 320, 3), np.uint8)) for _ in range(3))
+    artist.draw(during, float(motion.times[20]))
+    artist.draw(after, float(motion.times[6]))
     artist.draw(late, float(motion.times[-1]) + 1.0)
     body = slice(60, 220)
-    purple = [(image[body] == (255, 60, 255)).all(-1).sum() for image in (seen, gone)]
+    purple = [(image[body] == (255, 60, 255)).all(-1).sum() for image in (during, after)]
     assert purple[0] > 5 and purple[1] == 0
-    assert gone[body].any() and not late[body].any()
+    assert after[body].any() and not late[body].any()
     assert late[:60].any()
 
 
@@ -164,7 +164,7 @@ def test_a_camera_amid_the_body_draws_only_what_is_before_it(motion):
     inside = Camera.create(
         (320, 240), np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]]), [], R, -R @ [0, 0, 1.2]
     )
-    artist = Artist(inside, motion)
+    artist = OverlayArtist(inside, motion)
     canvas = artist.canvas(None)
     artist.draw(canvas, float(motion.times[0]))
     scene = make_scene(motion)
@@ -332,7 +332,7 @@ def test_the_viewer_shows_how_far_to_trust_each_landmark(tmp_path, motion):
     report = replace(motion.report, landmarks_std=deviations, from_prior=guessed)
     write_rerun(tmp_path / "recording.rrd", replace(motion, report=report))
     timed, _ = read_recording(tmp_path / "recording.rrd")
-    (batch,) = timed["/world/trust"]
+    (batch,) = timed["/world/deviations"]
     sizes = batch.column("Ellipsoids3D:half_sizes").to_pylist()
     assert [len(row) for row in sizes] == [len(LANDMARKS) - (i == 3) for i in range(SAMPLES)]
     colours = np.array(batch.column("Ellipsoids3D:colors").to_pylist()[0], np.uint32)
@@ -429,6 +429,6 @@ def test_a_full_disk_is_an_error_and_leaves_the_earlier_file(tmp_path, name, sha
 
     assert run(2**30) == ("", "")
     whole = path.read_bytes()
-    said, printed = run(int(share * len(whole)))
-    assert said == f"{path}: cannot be written (File too large)" and printed == ""
+    message, printed = run(int(share * len(whole)))
+    assert message == f"{path}: cannot be written (File too large)" and printed == ""
     assert path.read_bytes() == whole and [file.name for file in tmp_path.iterdir()] == [name]

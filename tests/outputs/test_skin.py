@@ -74,8 +74,8 @@ def test_the_files_own_numbers_put_every_vertex_where_our_skinning_does(
 ):
     nodes = rest_nodes(surface, rest_joints(moving_body().skeleton))
     mesh = mesh_of(surface, nodes, atlas)
-    ours, seen = traced_nodes(surface, key), Player(folder / "motion.glb").vertices(key)
-    assert np.abs(seen - ours[mesh.nodes] @ R_FILE_WORLD.T).max() < TENTH_OF_A_MILLIMETRE
+    ours, played = traced_nodes(surface, key), Player(folder / "motion.glb").vertices(key)
+    assert np.abs(played - ours[mesh.nodes] @ R_FILE_WORLD.T).max() < TENTH_OF_A_MILLIMETRE
 
 
 def test_nodes_over_time_are_where_the_traced_ones_are(surface):
@@ -119,10 +119,10 @@ def test_every_vertex_has_the_colours_of_its_own_patch(folder, surface):
     picture = np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
     height, width, _ = picture.shape
     places = player.attribute("TEXCOORD_0") * [width, height]
-    seen = picture[places[:, 1].astype(int), places[:, 0].astype(int)]
+    colours = picture[places[:, 1].astype(int), places[:, 0].astype(int)]
     counts = [patch.along * (patch.around + 1) for patch in surface.patches]
     expected = np.repeat([colour(i) for i in range(len(counts))], counts, axis=0)
-    assert (seen == expected).all()
+    assert (colours == expected).all()
 
 
 def test_the_seam_lies_at_both_ends_of_a_row(surface, atlas):

@@ -25,10 +25,17 @@ from jaxmocap.formats.files.output_folder import OutputFolder
 from jaxmocap.formats.motion_npz import load_motion
 from jaxmocap.outputs.report import write_report
 from jaxmocap.pipelines.batch import batch, cluster, corpus
-from jaxmocap.pipelines.batch.batch import Job, Wanted, jobs_of, row_of, track_corpus, track_one
-from jaxmocap.pipelines.batch.corpus import find_recordings, fingerprint, inputs_of
+from jaxmocap.pipelines.batch.batch import (
+    Job,
+    TrackingOptions,
+    jobs_of,
+    row_of,
+    track_corpus,
+    track_one,
+)
+from jaxmocap.pipelines.batch.corpus import find_recordings, fingerprint, readable_inputs
 
-MARKERS_ONLY = Wanted(refine="none")
+MARKERS_ONLY = TrackingOptions(refine="none")
 BROKEN = "broken/recording.toml"
 OUTPUTS = {"joints.trc", "motion.npz", "report.json", "recording.rrd", "batch.json", "outputs.json"}
 
@@ -51,12 +58,12 @@ def whole(recording, tmp_path) -> Path:
 
 
 class Ran(NamedTuple):
-    """What the command left and said."""
+    """What the command wrote and printed."""
 
     out: Path
     code: int
     printed: str
-    said: str
+    stderr: str
 
 
 @pytest.fixture(scope="module")
@@ -70,9 +77,9 @@ def ran(recording, tmp_path_factory) -> Ran:
     (folder / "corpus" / "one" / "recording.toml").write_text(text.replace(video, ""))
     (folder / "corpus" / "broken" / "markers.trc").write_text("nothing")
     arguments = ["batch", str(folder / "corpus"), "--out", str(folder / "out")]
-    with redirect_stdout(StringIO()) as printed, redirect_stderr(StringIO()) as said:
+    with redirect_stdout(StringIO()) as printed, redirect_stderr(StringIO()) as stderr:
         code = main([*arguments, "--refine", "none", "--workers", "1", "--json", "-"])
-    return Ran(folder / "out", code, printed.getvalue(), said.getvalue())
+    return Ran(folder / "out", code, printed.getvalue(), stderr.getvalue())
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +93,7 @@ def here(monkeypatch, tracked):
 
     def each_done(client, function, jobs, timeout_s):
         for job in jobs:
-            yield cluster.Done(job, function(job), None)
+            yield cluster.JobResult(job, function(job), None)
 
     def written(motion, recording, folder, settings):
         write_report(folder / "report.json", motion)
@@ -96,8 +103,8 @@ def here(monkeypatch, tracked):
         def __enter__(self): ...
         def __exit__(self, *problem): ...
 
-    monkeypatch.setattr(batch, "connected", Nobody)
-    monkeypatch.setattr(batch, "each_done", each_done)
+    monkeypatch.setattr(batch, "cluster_client", Nobody)
+    monkeypatch.setattr(batch, "results_as_completed", each_done)
     monkeypatch.setattr(batch, "track", lambda recording, settings, mode: tracked)
     monkeypatch.setattr(batch, "write_tracked", written)
 
@@ -122,12 +129,12 @@ def dies_or_answers(number: int) -> int:
 
 
 def test_one_failure_leaves_the_others_and_is_told(ran):
-    assert ran.code == 1 and ran.said.endswith("jaxmocap batch: 1 recordings failed\n")
+    assert ran.code == 1 and ran.stderr.endswith("jaxmocap batch: 1 recordings failed\n")
     assert list(failures(ran.out)) == [BROKEN] and "markers.trc" in failures(ran.out)[BROKEN]
     assert [row["recording"] for row in table(ran.out)] == ["one/recording.toml"]
     figures = json.loads(ran.printed)
     assert figures["tracked"] == 1 and figures["earlier"] == 0
-    assert "recordings: 100%" in ran.said and f"{BROKEN}: " in ran.said
+    assert "recordings: 100%" in ran.stderr and f"{BROKEN}: " in ran.stderr
     assert {path.name for path in (ran.out / "one/recording").iterdir()} >= OUTPUTS
     assert [path.name for path in ran.out.iterdir() if path.is_dir()] == ["one"]
 
@@ -135,22 +142,25 @@ def test_one_failure_leaves_the_others_and_is_told(ran):
 def test_a_cluster_is_used_by_its_address_and_goes_on_when_a_process_dies(whole, tmp_path):
     jobs = jobs_of(whole, tmp_path / "out", MARKERS_ONLY)
     with (
-        dask.config.set(cluster.OWN | {"distributed.scheduler.allowed-failures": 0}),
-        distributed.LocalCluster(n_workers=1, **cluster.HERE) as elsewhere,
-        cluster.connected(elsewhere.scheduler_address, None) as client,
+        dask.config.set(cluster.CLUSTER_CONFIG | {"distributed.scheduler.allowed-failures": 0}),
+        distributed.LocalCluster(n_workers=1, **cluster.LOCAL_CLUSTER) as elsewhere,
+        cluster.cluster_client(elsewhere.scheduler_address, None) as client,
     ):
-        answers = {done.job: done for done in cluster.each_done(client, dies_or_answers, range(4))}
-        (broken,) = cluster.each_done(client, track_one, jobs[:1])
+        answers = {
+            done.job: done
+            for done in cluster.results_as_completed(client, dies_or_answers, range(4))
+        }
+        (broken,) = cluster.results_as_completed(client, track_one, jobs[:1])
     assert [answers[number].result for number in range(4)] == [None, 2, 4, 6]
     assert "its process died" in answers[0].problem and answers[1].problem is None
     assert broken.job.name == BROKEN and "markers.trc" in broken.result.problem
 
 
 def test_a_scheduler_that_is_not_there_is_bad_input(monkeypatch):
-    monkeypatch.setattr(cluster, "PATIENCE_S", 0.2)
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 0.2)
     for address in ("tcp://127.0.0.1:9", "nonsense://"):
         with pytest.raises(InputError, match="no scheduler answers"):
-            cluster.connected(address, None).__enter__()
+            cluster.cluster_client(address, None).__enter__()
 
 
 def sleeps_or_answers(number: int) -> int:
@@ -161,8 +171,10 @@ def sleeps_or_answers(number: int) -> int:
 
 
 def test_a_job_that_does_not_come_back_is_ended_and_the_others_are_done():
-    with cluster.connected(None, 1) as client:
-        done = list(cluster.each_done(client, sleeps_or_answers, range(3), timeout_s=6.0))
+    with cluster.cluster_client(None, 1) as client:
+        done = list(
+            cluster.results_as_completed(client, sleeps_or_answers, range(3), timeout_s=6.0)
+        )
     answers = {each.job: each for each in done}
     assert answers[0].problem == "took longer than 6 s (--job-timeout)"
     assert [answers[number].result for number in (1, 2)] == [2, 4]
@@ -195,8 +207,8 @@ def test_a_batch_into_its_own_inputs_is_refused_and_nothing_is_lost(recording, t
     (corpus_folder / "walk" / "recording.toml").unlink()
     before = files_of(tmp_path)
     for out in (corpus_folder, tmp_path, corpus_folder / "walk"):
-        said = refused(["batch", str(corpus_folder), "--out", str(out)], capsys)
-        assert "which is read; expected a folder of its own" in said
+        stderr = refused(["batch", str(corpus_folder), "--out", str(out)], capsys)
+        assert "which is read; expected a folder of its own" in stderr
     assert files_of(tmp_path) == before
 
 
@@ -209,8 +221,8 @@ def test_recordings_whose_outputs_would_lie_in_one_another_are_refused(names, tm
         path = tmp_path / "corpus" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("[markers]")
-    said = refused(["batch", str(tmp_path / "corpus"), "--out", str(tmp_path / "out")], capsys)
-    assert "would lie within one another" in said and names[0] in said
+    stderr = refused(["batch", str(tmp_path / "corpus"), "--out", str(tmp_path / "out")], capsys)
+    assert "would lie within one another" in stderr and names[0] in stderr
     assert not (tmp_path / "out").exists()
 
 
@@ -220,7 +232,7 @@ def test_a_foreign_file_in_an_output_folder_stays(whole, tmp_path, here):
     notes.write_text("mine")
     track_corpus(whole, tmp_path / "out", MARKERS_ONLY)
     (whole / "one" / "markers.trc").write_text((whole / "one/markers.trc").read_text() + "\n")
-    assert track_corpus(whole, tmp_path / "out", MARKERS_ONLY).earlier == 1
+    assert track_corpus(whole, tmp_path / "out", MARKERS_ONLY).earlier_count == 1
     assert notes.read_text() == "mine"
 
 
@@ -230,7 +242,7 @@ def test_an_output_that_was_edited_is_not_replaced_but_told(whole, tmp_path, her
     edited.write_text("mine")
     found = track_corpus(whole, tmp_path / "out", MARKERS_ONLY)
     assert "has changed since an earlier run wrote it" in found.failures["one/recording.toml"]
-    assert edited.read_text() == "mine" and found.earlier == 1
+    assert edited.read_text() == "mine" and found.earlier_count == 1
 
 
 def test_what_is_no_file_fails_alone(recording, tmp_path, here):
@@ -245,7 +257,7 @@ def test_what_is_no_file_fails_alone(recording, tmp_path, here):
     ):
         path = corpus_folder / name / "recording.toml"
         path.write_text(path.read_text().replace(old, new))
-    found = track_corpus(corpus_folder, tmp_path / "out", Wanted())
+    found = track_corpus(corpus_folder, tmp_path / "out", TrackingOptions())
     assert "good/recording.toml" in {row.recording for row in found.rows}
     assert {"pipe/recording.toml", "device/recording.toml"} <= set(found.failures)
 
@@ -256,11 +268,11 @@ def test_what_is_no_file_fails_alone(recording, tmp_path, here):
 def test_what_an_earlier_run_did_is_not_done_again(whole, tmp_path, here):
     out = tmp_path / "out"
     first = track_corpus(whole, out, MARKERS_ONLY)
-    assert (len(first.rows), first.earlier, list(first.failures)) == (2, 0, [BROKEN])
+    assert (len(first.rows), first.earlier_count, list(first.failures)) == (2, 0, [BROKEN])
     shutil.copy(whole / "one" / "markers.trc", whole / "broken" / "markers.trc")
     written = (out / "one/recording/report.json").stat().st_mtime_ns
     again = track_corpus(whole, out, MARKERS_ONLY)
-    assert (len(again.rows), again.earlier, again.failures) == (3, 2, {})
+    assert (len(again.rows), again.earlier_count, again.failures) == (3, 2, {})
     assert (out / "one/recording/report.json").stat().st_mtime_ns == written
     assert {row.recording: row for row in first.rows}.items() <= {
         row.recording: row for row in again.rows
@@ -269,17 +281,17 @@ def test_what_an_earlier_run_did_is_not_done_again(whole, tmp_path, here):
 
 
 def test_interrupted_it_tells_what_is_done_and_goes_on_there(whole, tmp_path, here, monkeypatch):
-    own = batch.each_done
+    own = batch.results_as_completed
 
     def interrupted(client, function, jobs, timeout_s):
         yield next(own(client, function, jobs[1:], timeout_s))
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(batch, "each_done", interrupted)
+        patch.setattr(batch, "results_as_completed", interrupted)
         track_corpus(whole, tmp_path / "out", MARKERS_ONLY)
     assert [row["recording"] for row in table(tmp_path / "out")] == ["deeper/two/recording.toml"]
-    assert track_corpus(whole, tmp_path / "out", MARKERS_ONLY).earlier == 1
+    assert track_corpus(whole, tmp_path / "out", MARKERS_ONLY).earlier_count == 1
 
 
 def test_a_row_says_how_long_how_good_and_what_is_missing(tmp_path, tracked):
@@ -288,10 +300,12 @@ def test_a_row_says_how_long_how_good_and_what_is_missing(tmp_path, tracked):
     errors[3, 1], confidence[4:7] = np.nan, [[0.2, 0.5], [0.3, 0.6], [0.9, 0.7]]
     # Frames of which only some fall on a sample.
     spent = report.milliseconds | {"observe": np.ones(5), "frame": np.array([2.0, 4.0, 9.0])}
-    told = replace(report, marker_errors=errors, confidence=confidence, milliseconds=spent)
+    changed_report = replace(
+        report, marker_errors=errors, confidence=confidence, milliseconds=spent
+    )
     job = Job("a/b.toml", tmp_path / "a/b.toml", tmp_path / "out/a/b", MARKERS_ONLY)
-    row = row_of(job, replace(tracked, report=told), 1.5)
-    expected = corpus.Row(
+    row = row_of(job, replace(tracked, report=changed_report), 1.5)
+    expected = corpus.CorpusRow(
         "a/b.toml", SAMPLES, 0.383333, 4.0, 1.5, 0.3, 0.6, round(1 / SAMPLES / 5, 6), "a/b"
     )
     assert row == expected
@@ -307,15 +321,15 @@ def test_a_row_says_how_long_how_good_and_what_is_missing(tmp_path, tracked):
 
 
 def done_before(folder: Path, mark: str) -> bool:
-    return corpus.kept(folder, mark) is not None
+    return corpus.read_record(folder, mark) is not None
 
 
 def test_outputs_that_are_not_whole_or_of_something_else_do_not_count(tmp_path):
-    row = corpus.Row("a.toml", 3, 0.1, 2.0, 1.0, None, 0.5, 0.0, "a")
+    row = corpus.CorpusRow("a.toml", 3, 0.1, 2.0, 1.0, None, 0.5, 0.0, "a")
     with OutputFolder(tmp_path, "motion").writing() as stage:
         (stage / "report.json").write_text("{}")
-        corpus.keep(stage, "mark", row)
-    assert corpus.kept(tmp_path, "mark") == row
+        corpus.write_record(stage, "mark", row)
+    assert corpus.read_record(tmp_path, "mark") == row
     assert not done_before(tmp_path, "other")
     (tmp_path / "report.json").write_text('{"frames": 3')
     assert not done_before(tmp_path, "mark")
@@ -323,17 +337,17 @@ def test_outputs_that_are_not_whole_or_of_something_else_do_not_count(tmp_path):
     assert not done_before(tmp_path, "mark")
 
 
-@pytest.mark.parametrize("changed", ["markers.trc", "cam.mp4", "calibration.toml", "told"])
+@pytest.mark.parametrize("changed", ["markers.trc", "cam.mp4", "calibration.toml", "options"])
 def test_other_inputs_and_settings_are_something_else(recording, tmp_path, changed):
     folder = shutil.copytree(recording, tmp_path / "copy")
-    path, told = folder / "recording.toml", asdict(MARKERS_ONLY)
-    before = fingerprint(path, told)
-    assert fingerprint(recording / "recording.toml", told) == before
-    if changed == "told":
-        told["mode"] = "causal"
+    path, options = folder / "recording.toml", asdict(MARKERS_ONLY)
+    before = fingerprint(path, options)
+    assert fingerprint(recording / "recording.toml", options) == before
+    if changed == "options":
+        options["mode"] = "causal"
     else:
         (folder / changed).write_bytes((folder / changed).read_bytes() + b" ")
-    assert fingerprint(path, told) != before
+    assert fingerprint(path, options) != before
 
 
 def test_inputs_are_what_the_files_name_wherever_it_lies(tmp_path):
@@ -346,7 +360,7 @@ def test_inputs_are_what_the_files_name_wherever_it_lies(tmp_path):
         '[markers]\nfile = "m.trc"\n[subject]\nfile = "subject.toml"\n'
         '[[video]]\nkeypoints = "points"\nfile = "gone.mp4"\n'
     )
-    assert [each.relative_to(tmp_path).as_posix() for each in inputs_of(path)] == [
+    assert [each.relative_to(tmp_path).as_posix() for each in readable_inputs(path)] == [
         "gone.mp4", "m.trc", "points/1.json", "recording.toml", "static.trc", "subject.toml",
     ]  # fmt: skip
 

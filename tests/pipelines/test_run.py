@@ -19,7 +19,7 @@ from small_recording import (
 
 from jaxmocap.body.motion import Motion
 from jaxmocap.capture.video import open_video
-from jaxmocap.cli.choose_recording import select_cameras, with_height
+from jaxmocap.cli.recording_options import select_cameras, with_height
 from jaxmocap.evaluation.motions import evaluate
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.motion_npz import load_motion
@@ -33,7 +33,7 @@ from jaxmocap.hybrid.step import EVENTS
 from jaxmocap.pipelines.summary import figures, frames_per_second, misfit, summary
 from jaxmocap.pipelines.tracking import warnings
 from jaxmocap.pipelines.tracking.track import choose_settings, make_tracker, track, track_both
-from jaxmocap.pipelines.writing import arm_edges, thinned, write_outputs
+from jaxmocap.pipelines.writing import arm_edges, viewer_frames, write_outputs
 from jaxmocap.smoothing.fixed_lag import DELAY_S
 
 WRISTS = {"wrist_l": "LWrist", "wrist_r": "RWrist"}
@@ -394,7 +394,7 @@ def test_the_viewer_gets_edges_of_both_arms_and_no_more_frames_than_it_can_hold(
         assert all(set(np.unique(im)) <= {0, 255} and im.shape == shape for _, im in images)
     assert any(im.any() for _, im in edges["edges, left arm"])
     many = with_frames(small_recording(), np.arange(700) / 30, [image(0)] * 700)
-    kept = [time for time, _ in thinned(open_video(many.videos[0]))]
+    kept = [time for time, _ in viewer_frames(open_video(many.videos[0]))]
     assert len(kept) == 234 and np.ptp(np.diff(kept)) < 1e-9
 
 

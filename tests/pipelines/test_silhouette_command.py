@@ -1,19 +1,15 @@
 """``silhouette track`` and ``silhouette demo``: bad input is one clear sentence and exit code 2."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from test_point_rays import ring
 
-from jaxmocap.body.pose import relaxed_pose
-from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.cli import main
 from jaxmocap.formats.cameras.calibration import write_calibration
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording, write_recording
-from jaxmocap.images.regions import Region
 from jaxmocap.pipelines.silhouettes import track
+from jaxmocap.silhouette.first_pose import standing_pose_at
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.synthetic.recording import write_video
 
@@ -97,21 +93,21 @@ def test_lengths_are_found_by_more_than_one_pass(folder, tmp_path, capsys):
     assert "argument --once: not allowed with argument --lengths" in said(capsys, "track", *given)
 
 
-@pytest.mark.parametrize(("given", "follow_along"), [((), False), (("--shoulders",), True)])
-def test_shoulders_go_along_where_asked_to(folder, tmp_path, monkeypatch, given, follow_along):
+@pytest.mark.parametrize(("given", "followers"), [((), False), (("--shoulders",), True)])
+def test_shoulders_go_along_where_asked_to(folder, tmp_path, monkeypatch, given, followers):
     asked = {}
 
     def follow(*_, settings, **__):
         asked["settings"] = settings
         raise InputError("recording.toml", "enough")
 
-    monkeypatch.setattr(track, "follow", follow)
+    monkeypatch.setattr(track, "track_silhouettes", follow)
     path = str(folder / "recording.toml")
     out = str(tmp_path / "out")
     assert main(["silhouette", "track", path, "--at", "0,0,0", "--out", out, *given]) == 2
-    assert bool(asked["settings"].morphing.followers) == follow_along
+    assert bool(asked["settings"].morphing.followers) == followers
     # Who says by hand where somebody stands says it roughly.
-    assert asked["settings"].starting
+    assert asked["settings"].starting_deviations
 
 
 def test_a_place_at_which_no_camera_looks_is_refused_before_anything_is_tracked(
@@ -131,42 +127,15 @@ def test_nothing_is_written_into_a_file(folder, tmp_path, capsys):
     assert taken.read_text() == "mine"
 
 
-def blind(skeleton, cameras: int) -> SimpleNamespace:
-    """A tracker to whom no camera shows anything."""
-    size = 8
-    region = Region(np.zeros((cameras, 2)), np.ones(cameras))
-    segmented = SimpleNamespace(phi=-np.ones((cameras, size, size)))
-
-    class Outlines(SimpleNamespace):
-        def _replace(self, **_):
-            return self
-
-    class Report(Outlines):
-        pass
-
-    outlines = Outlines(segmented=segmented, region=region)
-    report = Report(used=np.zeros(cameras, bool), outlines=outlines, moved=np.zeros(0, bool))
-    return SimpleNamespace(
-        skeleton=skeleton,
-        settings=Settings(settling=0),
-        finder=SimpleNamespace(surface=generic_surface(skeleton)),
-        rooms=[None] * cameras,
-        init=lambda pose: SimpleNamespace(pose=pose, velocity=np.zeros(skeleton.costs.shape)),
-        step=lambda state, *shown: (state, state.pose, report),
-        covering=lambda pose: np.zeros((cameras, 1, 2)),
-    )
-
-
-def test_an_empty_room_is_told(folder, monkeypatch):
-    recording = Recording.load(folder / "recording.toml")
-    seen = []
-    body = recording.skeleton
-    monkeypatch.setattr(track, "make_tracker", lambda *_: blind(body, 2))
+def test_a_recording_that_shows_nobody_is_refused(folder):
+    recording, progress = Recording.load(folder / "recording.toml"), []
+    start = standing_pose_at(track.supple_skeleton(recording.skeleton), 0.0, 0.0, 0.0)
+    settings = Settings(least_matched_share=2.0, settling_steps=0, particles=1)
     with pytest.raises(InputError, match="no camera shows the person in any frame"):
-        track.follow(
-            recording, relaxed_pose(body), passes=1, progress=lambda n, of: seen.append((n, of))
+        track.track_silhouettes(
+            recording, start, settings, passes=1, progress=lambda n, of: progress.append((n, of))
         )
-    assert seen == [(1, 3), (2, 3), (3, 3)]
+    assert progress == [(1, 3), (2, 3), (3, 3)]
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,35 @@ from test_rim import BODY, CAMERAS, FORWARD, SETTINGS, bent, filled, finder  # n
 from jaxmocap.body.pose import difference, retract
 from jaxmocap.body.skeleton import ROOT_DOF
 from jaxmocap.images.regions import Region
-from jaxmocap.silhouette.correspond import Contour, MatchSettings, contour_of, matched, pairs_of
+from jaxmocap.silhouette.fit.correspond import (
+    Contour,
+    MatchSettings,
+    matched_pairs,
+    pairs_of,
+)
 from jaxmocap.silhouette.pose import PoseSettings, Prior, solve_pose
+from jaxmocap.silhouette.surfaces.index_image import traced
 
 SETTINGS_OF_PAIRS = MatchSettings()
 PAIRS, SOLVE = jax.jit(pairs_of), jax.jit(solve_pose)
+
+
+def contour_of(phi: np.ndarray, origin: np.ndarray, scale: float) -> Contour:
+    """The zero line of a level set, to a fraction of a cell.
+
+    Args:
+        phi: (S, S) cells, positive within the person.
+        origin: (2,) of the canvas' region.
+        scale: of the region, pixels to a cell.
+    """
+    cells, normals = traced((phi > 0).astype(np.uint8))
+    x, y = cells.T
+    # The traced cells are the last within; the line lies beyond them by what phi says.
+    slope_x, slope_y = (phi[y, x + 1] - phi[y, x - 1]) / 2, (phi[y + 1, x] - phi[y - 1, x]) / 2
+    steepness = np.maximum(np.hypot(slope_x, slope_y), 0.2)
+    beyond = np.clip(phi[y, x] / steepness, 0.0, 1.5)
+    places = cells + beyond[:, None] * normals
+    return Contour(origin + (places + 0.5) * scale, normals)
 
 
 def level_set(finder, pose, camera: int, region: Region) -> np.ndarray:  # noqa: F811
@@ -45,25 +69,25 @@ def test_a_discs_contour_is_found_to_a_tenth_of_a_cell():
 
 
 def test_nothing_seen_matches_nothing(finder):  # noqa: F811
-    rim = finder.find(BODY, bent(), CAMERAS)
+    rim = finder.find(finder.initial_shape, bent(), CAMERAS)
     phi = np.full((4, SETTINGS.size, SETTINGS.size), -5.0, np.float32)
-    none = matched(rim, contours(phi, rim.region), SETTINGS_OF_PAIRS)
-    assert not none.real.any()
+    none = matched_pairs(rim, contours(phi, rim.region), SETTINGS_OF_PAIRS)
+    assert not none.valid.any()
     phi[0, 20:100, 50:70] = 5.0
-    some = matched(rim, contours(phi, rim.region), SETTINGS_OF_PAIRS)
+    some = matched_pairs(rim, contours(phi, rim.region), SETTINGS_OF_PAIRS)
     assert some.nodes.shape == none.nodes.shape
-    assert some.real[0].any() and not some.real[1:].any()
+    assert some.valid[0].any() and not some.valid[1:].any()
 
 
 def test_pairs_face_the_same_way_and_are_near(finder):  # noqa: F811
     truth = bent(arm_abduct_l=60)
     start = retract(truth, jnp.full(BODY.costs.shape, 0.02))
-    rim = finder.find(BODY, start, CAMERAS)
+    rim = finder.find(finder.initial_shape, start, CAMERAS)
     phi = np.stack([level_set(finder, truth, c, rim.region) for c in range(4)])
-    pairs = matched(rim, contours(phi, rim.region), SETTINGS_OF_PAIRS)
-    assert pairs.real.mean() > 0.7
-    assert pairs.distances[pairs.real].max() < 40 * rim.region.scale.max()
-    assert np.median(pairs.distances[pairs.real]) < 15
+    pairs = matched_pairs(rim, contours(phi, rim.region), SETTINGS_OF_PAIRS)
+    assert pairs.valid.mean() > 0.7
+    assert pairs.distances[pairs.valid].max() < 40 * rim.region.scale.max()
+    assert np.median(pairs.distances[pairs.valid]) < 15
     assert np.isfinite(pairs.pixels_xy).all()
 
 
@@ -77,14 +101,17 @@ def test_a_pose_is_found_from_four_silhouettes(finder, degrees):  # noqa: F811
     start = pose = retract(truth, jnp.asarray(off.astype(np.float32)))
     # A little must be known of what outlines hardly tell: how a forearm is twisted.
     prior = Prior(start, jnp.full(BODY.costs.shape, 0.5))
-    region = finder.find(BODY, start, CAMERAS).region
+    region = finder.find(finder.initial_shape, start, CAMERAS).region
     phi = np.stack([level_set(finder, truth, c, region) for c in range(4)])
     outlines = contours(phi, region)
     for _ in range(10):
-        found = matched(finder.find(BODY, pose, CAMERAS), outlines, SETTINGS_OF_PAIRS)
-        weights = jnp.asarray(found.real, jnp.float32)
-        rays = PAIRS(CAMERAS, finder.points(found.nodes), found.pixels_xy, found.normals, weights,
-                     SETTINGS_OF_PAIRS.grip)  # fmt: skip
+        found = matched_pairs(
+            finder.find(finder.initial_shape, pose, CAMERAS), outlines, SETTINGS_OF_PAIRS
+        )
+        weights = jnp.asarray(found.valid, jnp.float32)
+        points = finder.initial_shape.points(found.nodes)
+        along = SETTINGS_OF_PAIRS.along_weight
+        rays = PAIRS(CAMERAS, points, found.pixels_xy, found.normals, weights, along)
         pose = SOLVE(BODY, pose, rays, PoseSettings(iterations=3, deviation=0.005), prior).pose
     wrong = np.abs(np.asarray(difference(pose, truth)))
     hinges = [

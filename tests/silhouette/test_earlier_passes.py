@@ -4,15 +4,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from test_lost_limbs import WRIST, in_known_rooms, lifted
+from test_lost_limbs import WRIST, begun, four_cameras, lifted
 from test_rim import BODY
 from test_silhouette_tracker import painted
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ROOT_DOF
-from jaxmocap.pipelines.silhouettes import track
+from jaxmocap.silhouette import passes
 from jaxmocap.silhouette.first_pose import landmark_points
-from jaxmocap.silhouette.state import Moving
+from jaxmocap.silhouette.passes import FrameBundle, PassSettings, run_passes
+from jaxmocap.silhouette.segmentation.outlines import Outlines
+from jaxmocap.silhouette.state import PoseEstimate
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
@@ -24,17 +26,17 @@ ARM = [BODY.tree.joint(name) for name in ("arm_flex_l", "arm_abduct_l", "elbow_f
 @pytest.fixture(scope="module")
 def tracker() -> SilhouetteTracker:
     """That looks for no limb among hypotheses of its own."""
-    made = in_known_rooms()
-    made._doubter.better = lambda doubts, *_: (None, doubts)  # type: ignore[method-assign]
+    made = four_cameras()
+    made.body.recovery.propose = lambda memory, *_: (None, memory)  # type: ignore[method-assign]
     return made
 
 
 def after_a_jump(tracker: SilhouetteTracker, earlier: Pose | None):
     """The step in which an arm that hung down is up, and how far off its wrist is, metres."""
-    state = tracker.init(HANGING)
+    state = begun(tracker, HANGING)
     for frame in range(2):
         state, _, _ = tracker.step(state, frame / 30, painted(tracker, HANGING))
-    before = None if earlier is None else Moving(earlier, SPEEDS)
+    before = None if earlier is None else PoseEstimate(earlier, SPEEDS)
     state, pose, report = tracker.step(state, 2 / 30, painted(tracker, UP), None, before)
     found, true = (np.asarray(landmark_points(BODY, each)[WRIST]) for each in (pose, UP))
     return state, report, np.linalg.norm(found - true)
@@ -42,79 +44,76 @@ def after_a_jump(tracker: SilhouetteTracker, earlier: Pose | None):
 
 def test_a_lost_limb_is_where_an_earlier_pass_found_it_and_moves_on_as_it_did_there(tracker):
     state, report, off = after_a_jump(tracker, UP)
-    assert off < 0.1 and report.moved[ARM].all()
+    assert off < 0.1 and report.relocated[ARM].all()
     np.testing.assert_array_equal(state.velocity[ROOT_DOF:][ARM], SPEEDS[ROOT_DOF:][ARM])
     legs = np.array(["knee" in joint or "hip" in joint for joint in BODY.tree.joints])
-    assert not report.moved[legs].any()
+    assert not report.relocated[legs].any()
     assert (state.velocity[ROOT_DOF:][legs] != SPEEDS[ROOT_DOF:][legs]).all()
 
 
 @pytest.mark.parametrize("earlier", [None, ELSEWHERE, HANGING])
 def test_where_an_earlier_pass_was_lost_too_its_limbs_are_not_taken(tracker, earlier):
     state, report, off = after_a_jump(tracker, earlier)
-    assert off > 0.4 and not report.moved.any()
+    assert off > 0.4 and not report.relocated.any()
     assert (state.velocity[ROOT_DOF:][ARM] != SPEEDS[ROOT_DOF:][ARM]).all()
 
 
 def test_an_arm_that_both_passes_have_in_place_is_left_alone(tracker):
-    state = tracker.init(UP)
+    state = begun(tracker, UP)
     for frame in range(2):
-        shown = frame / 30, painted(tracker, UP), None, Moving(lifted(147.0), SPEEDS)
+        shown = frame / 30, painted(tracker, UP), None, PoseEstimate(lifted(147.0), SPEEDS)
         state, _, report = tracker.step(state, *shown)
-        assert not report.moved.any()
+        assert not report.relocated.any()
 
 
-def test_each_pass_is_shown_what_the_one_before_it_found(monkeypatch):
-    """Frame by frame; the first pass knows of none."""
-    shown, made = [], []
-
-    class Pass(SimpleNamespace):
-        count, seen, learners = 2, True, ()
-
-        def __init__(self, *_):
-            super().__init__(found=[f"pass {len(made)} frame {i}" for i in range(2)])
-            made.append(self)
-
-        def through(self, start, show, earlier):
-            shown.append(earlier)
-
-        smoothed = masks = report = lambda self, *_: None
-
-    person = SimpleNamespace(
-        finder=SimpleNamespace(surface=None), skeleton=None, rooms=(), become=lambda *_: None,
-        settings=None,
-    )  # fmt: skip
-    parts = {"path": "r", "name": "r", "videos": (), "marker_names": ()}
-    recording = SimpleNamespace(**parts, origin_world=np.zeros(3))
-    monkeypatch.setattr(track, "make_tracker", lambda *_: person)
-    monkeypatch.setattr(track, "_open", lambda *_: (SimpleNamespace(times=[]), ()))
-    monkeypatch.setattr(track, "_Pass", Pass)
-    monkeypatch.setattr(
-        track, "ShapeFinder", lambda *_: SimpleNamespace(fitted=lambda: (None, None))
+def track_by(step, shape=None):
+    """A tracker that steps so, of one camera that shows somebody in every frame."""
+    shape = SimpleNamespace(surface=None, skeleton=BODY) if shape is None else shape
+    constants = SimpleNamespace(
+        settings=SimpleNamespace(settling_steps=0), cameras=SimpleNamespace(size=[0])
     )
-    track.follow(recording, HANGING, passes=3)  # type: ignore[arg-type]
-    assert shown == [None, made[0].found, made[1].found]
+    return SimpleNamespace(
+        constants=constants, body=SimpleNamespace(shape=shape), step=step,
+        init=lambda pose, body=None, backgrounds=(): SimpleNamespace(
+            body=body, backgrounds=tuple(backgrounds), _replace=lambda **_: None
+        ),
+        body_pixels=lambda state: np.zeros((1, 1, 2)), reshaped=lambda body, *_: body,
+    )  # fmt: skip
 
 
-def test_a_pass_shows_each_frame_to_the_tracker_with_what_was_found_in_it(monkeypatch):
-    steps = []
+def test_each_pass_steps_each_frame_with_what_the_one_before_it_found(monkeypatch):
+    """Frame by frame; the first pass knows of none."""
+    steps, region = [], SimpleNamespace(origin=np.zeros((1, 2)), scale=np.zeros(1))
+
+    class Report(SimpleNamespace):
+        used, hidden, revised = np.ones(1, bool), np.zeros(1, bool), ()
+        outlines = Outlines((), SimpleNamespace(phi=np.zeros((1, 8, 8))), region, np.zeros(0))  # type: ignore[arg-type]
+        pairs = None
+
+        def _replace(self, **_):
+            return self
+
+    class After(SimpleNamespace):
+        body, backgrounds = None, (None,)
+
+        def _replace(self, **_):
+            return self
 
     def step(state, time, images, markers, earlier):
         steps.append(earlier)
-        return SimpleNamespace(velocity=time + np.zeros(1)), np.full(1, time), None
+        pose = np.full(1, float(len(steps)))
+        return After(pose=pose, velocity=time + np.zeros(1)), pose, Report()
 
-    person = SimpleNamespace(
-        rooms=[], settings=SimpleNamespace(settling=0), init=lambda start: start, step=step
-    )
-    frames = SimpleNamespace(
-        videos=[], times=np.array([0.0, 0.5]), indices=np.zeros((2, 0)),
-        positions_world=np.zeros((2, 0, 3)),
-    )  # fmt: skip
-    monkeypatch.setattr(track._Pass, "_keep", lambda *_: None)
-    monkeypatch.setattr(track, "Reports", lambda *_: SimpleNamespace(add=lambda *_: None))
-    first, second = (track._Pass(person, frames) for _ in range(2))  # type: ignore[arg-type]
-    first.through(HANGING, lambda done: None)
-    second.through(HANGING, lambda done: None, first.found)
-    assert steps == [None, None, *first.found]
-    assert [float(each.pose[0]) for each in first.found] == [0.0, 0.5]
-    assert [float(each.velocity[0]) for each in first.found] == [0.0, 0.5]
+    estimator = SimpleNamespace(estimate=lambda: (None, None))
+    monkeypatch.setattr(passes, "ShapeEstimator", lambda *_: estimator)
+    frames, done = [FrameBundle(t, [None], np.zeros((0, 3))) for t in (0.0, 0.5)], []
+    monkeypatch.setattr(passes.PassLearner, "add_frame", lambda *_: None)
+    result = run_passes(
+        track_by(step), HANGING, lambda: iter(frames), 2, PassSettings(3), [None],
+        lambda *counts: done.append(counts),
+    )  # type: ignore[arg-type]  # fmt: skip
+    assert steps[:2] == [None, None] and len(steps) == 6
+    assert [float(each.pose[0]) for each in steps[2:]] == [1, 2, 3, 4]
+    assert [float(each.velocity[0]) for each in steps[2:]] == [0.0, 0.5, 0.0, 0.5]
+    assert [float(each.pose[0]) for each in result.estimates] == [5, 6]
+    assert done == [(count, 6) for count in range(1, 7)]

@@ -7,14 +7,18 @@ import pytest
 from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton, with_joints
 from jaxmocap.images.regions import Region
-from jaxmocap.silhouette.correspond import Matches
-from jaxmocap.silhouette.expected_pose import expectation, resting
-from jaxmocap.silhouette.segmentation.inner_edges import EdgeSettings, edge_pairs, joined
-from jaxmocap.silhouette.segmentation.profiles import boundary, colour_profiles
+from jaxmocap.silhouette.fit.correspond import Matches
+from jaxmocap.silhouette.fit.expected_pose import combined_prior
+from jaxmocap.silhouette.segmentation.inner_edges import (
+    InnerEdgeSettings,
+    concatenated,
+    inner_edge_pairs,
+)
+from jaxmocap.silhouette.segmentation.profiles import colour_boundary, colour_profiles
 from jaxmocap.silhouette.surfaces.rim import Rim
 
 SKIN, SHIRT = np.array([120, 150, 200]), np.array([150, 70, 60])
-SETTINGS = EdgeSettings()
+SETTINGS = InnerEdgeSettings()
 ROWS = np.arange(20, 60, 2)
 
 
@@ -41,34 +45,34 @@ def rim_at(column: float, cameras: int = 1) -> Rim:
 
 
 def found(image: np.ndarray | None, column: float) -> Matches:
-    return edge_pairs([image], rim_at(column), np.zeros(len(ROWS) + 1, int), SETTINGS)
+    return inner_edge_pairs([image], rim_at(column), np.zeros(len(ROWS) + 1, int), SETTINGS)
 
 
 @pytest.mark.parametrize("off", [-4.0, -1.3, 0.0, 2.6, 4.0])
 def test_an_edge_is_found_from_a_place_beside_it(off):
     pairs = found(picture(SKIN, SHIRT, 40), 39.5 + off)
-    assert pairs.nodes.shape == (1, len(ROWS)) and pairs.real.mean() > 0.9
-    np.testing.assert_allclose(pairs.pixels_xy[pairs.real][:, 0], 39.5, atol=1.0)
+    assert pairs.nodes.shape == (1, len(ROWS)) and pairs.valid.mean() > 0.9
+    np.testing.assert_allclose(pairs.pixels_xy[pairs.valid][:, 0], 39.5, atol=1.0)
     np.testing.assert_array_equal(pairs.pixels_xy[0, :, 1], ROWS)
-    np.testing.assert_allclose(pairs.distances[pairs.real], abs(off), atol=1.0)
+    np.testing.assert_allclose(pairs.distances[pairs.valid], abs(off), atol=1.0)
 
 
 def test_one_and_the_same_shirt_has_no_edge_however_patterned():
     stripes = picture(SHIRT, SHIRT, 40)
     stripes[::6] = np.clip(stripes[::6] * 1.4, 0, 255)
     stripes[:, ::7] = np.clip(stripes[:, ::7] * 0.7, 0, 255)
-    assert not found(stripes, 40).real.any()
+    assert not found(stripes, 40).valid.any()
 
 
 def test_where_there_is_no_image_or_no_edge_within_reach_there_are_no_pairs():
-    assert not found(None, 40).real.any()
-    assert not found(picture(SKIN, SHIRT, 60), 40).real.any()
+    assert not found(None, 40).valid.any()
+    assert not found(picture(SKIN, SHIRT, 60), 40).valid.any()
 
 
 def test_too_few_points_of_a_bone_say_nothing_of_its_colours():
     image, rim = picture(SKIN, SHIRT, 40), rim_at(40)
     each_its_own = np.arange(len(ROWS) + 1)
-    assert not edge_pairs([image], rim, each_its_own, SETTINGS).real.any()
+    assert not inner_edge_pairs([image], rim, each_its_own, SETTINGS).valid.any()
 
 
 def test_profiles_run_along_the_normals():
@@ -80,37 +84,38 @@ def test_profiles_run_along_the_normals():
 
 def test_a_boundary_lies_between_the_last_sample_of_one_colour_and_the_first_of_the_other():
     profiles = np.where(np.arange(21)[:, None] < 13, SKIN, SHIRT)[None].repeat(5, 0).astype(float)
-    place, apart = boundary(profiles)
+    place, apart = colour_boundary(profiles)
     np.testing.assert_array_equal(place, 12.5)
     assert apart > 5
 
 
 def test_edges_are_further_pairs():
     edges = found(picture(SKIN, SHIRT, 40), 40)
-    both = joined(edges, edges)
-    assert both.real.shape == (1, 2 * len(ROWS)) and both.pixels_xy.dtype == np.float32
+    both = concatenated(edges, edges)
+    assert both.valid.shape == (1, 2 * len(ROWS)) and both.pixels_xy.dtype == np.float32
     np.testing.assert_array_equal(both.nodes[:, len(ROWS) :], edges.nodes)
 
 
 BODY = with_joints(Skeleton.human(1.75), "supple.toml")
 
 
-def test_joints_are_held_by_how_their_names_begin():
-    rest = resting(BODY, {"clavicle": 0.1, "wrist_flex_l": 0.2})
+def test_the_bodys_file_says_which_joints_are_held_at_rest():
+    rest = np.asarray(BODY.rest_deviations)
     held = {name: value for name, value in zip(BODY.tree.joints, rest, strict=True) if value < 1}
-    assert {name.rpartition("_")[0] for name in held} == {
-        "clavicle_raise", "clavicle_protract", "wrist_flex",
+    assert {name.removesuffix("_l").removesuffix("_r") for name in held} == {
+        "clavicle_raise", "clavicle_protract", "elbow_twist", "wrist_deviate", "ankle_invert",
+        "neck_flexion", "neck_bending", "neck_rotation",
     }  # fmt: skip
-    assert held["clavicle_raise_l"] == 0.1 and held["wrist_flex_l"] == 0.2
-    assert "wrist_flex_r" not in held
+    assert held["clavicle_raise_l"] == np.float32(0.026)
 
 
 def test_what_the_motion_and_rest_say_is_weighed_by_how_sure_they_are():
     pose = relaxed_pose(BODY)
     pose = pose._replace(angles=jnp.full_like(pose.angles, 0.3))
-    rest = resting(BODY, {"neck_flexion": 0.1})
-    prior = expectation(pose, np.full(len(BODY.costs), 0.2), rest)
     neck = BODY.tree.joint("neck_flexion")
+    rest = np.full(len(BODY.tree.joints), np.inf)
+    rest[neck] = 0.1
+    prior = combined_prior(pose, np.full(len(BODY.costs), 0.2), rest)
     angles, deviations = np.asarray(prior.pose.angles), np.asarray(prior.deviations)
     # One part of the motion's precision to four of rest's.
     assert angles[neck] == pytest.approx(0.3 / 5, rel=1e-5)

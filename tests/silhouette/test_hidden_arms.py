@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_lost_limbs import in_known_rooms
+from test_lost_limbs import LIKELIHOOD, begun, four_cameras, plain_walls
 from test_rim import BODY
 from test_silhouette_tracker import SMALL, WALL
 
@@ -16,17 +16,17 @@ from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.surface import posed
 from jaxmocap.silhouette.device_functions import fit
 from jaxmocap.silhouette.first_pose import landmark_points
-from jaxmocap.silhouette.recovery.hues import BodyHues
-from jaxmocap.silhouette.recovery.limb_particle_filter import explained
-from jaxmocap.silhouette.recovery.limbs import carriers, ends, halves_of, limbs_of
-from jaxmocap.silhouette.recovery.penetration import Parts, rings, within
-from jaxmocap.silhouette.recovery.projected_body import Sight, seen_at
-from jaxmocap.silhouette.segmentation.outlines import look
+from jaxmocap.silhouette.recovery.chromaticity import BodyAppearance
+from jaxmocap.silhouette.recovery.limb_likelihood import explained_log_ratio
+from jaxmocap.silhouette.recovery.limbs import bone_ends, carriers, halves_of, limb_chains
+from jaxmocap.silhouette.recovery.penetration import Obstacles, obstacle_rings, penetrating_share
+from jaxmocap.silhouette.recovery.projected_body import ProjectedBody, project_points
+from jaxmocap.silhouette.segmentation.outlines import find_outlines
 from jaxmocap.silhouette.state import State
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
-EXPLAINED = jax.jit(explained)
+EXPLAINED = jax.jit(explained_log_ratio, static_argnames="likelihood")
 WRIST = list(LANDMARKS).index("wrist_l")
 SHIRT, SKIN = (120, 50, 30), (80, 110, 170)
 # Of a hue more like skin than like the shirt, and not that of skin.
@@ -55,16 +55,18 @@ FOREARM = ("radius_l", "hand_l")
 
 @pytest.fixture(scope="module")
 def tracker() -> SilhouetteTracker:
-    return in_known_rooms()
+    return four_cameras()
 
 
 def dressed(tracker: SilhouetteTracker, pose: Pose) -> list[np.ndarray]:
     """The body painted point by point, the farthest first; forearms and hands are bare."""
-    points = tracker.finder.surface.points
+    points = tracker.body.shape.surface.points
     bare = [BODY.tree.bone(f"{bone}_{side}") for bone in ("radius", "hand") for side in "lr"]
     skin = np.isin(carriers(points), bare)
     images = []
-    for pixels, depths in zip(*seen_at(BODY, pose, tracker.cameras, points), strict=True):
+    for pixels, depths in zip(
+        *project_points(BODY, pose, tracker.constants.cameras, points), strict=True
+    ):
         image = np.full((480, 640, 3), WALL, np.uint8)
         places = np.rint(np.asarray(pixels)).astype(int)
         for i in np.argsort(-np.asarray(depths)):
@@ -83,44 +85,46 @@ def off(poses) -> float:
 @pytest.fixture(scope="module")
 def state(tracker) -> State:
     """After some frames that show which hues the body has."""
-    state, hanging = tracker.init(HANGING), dressed(tracker, HANGING)
+    state, hanging = begun(tracker, HANGING), dressed(tracker, HANGING)
     for _ in range(2):
         state, _, _ = tracker.step(state, 0.0, hanging)
         state = state._replace(time=None)
     return state
 
 
-def sight_of(tracker, state, pose: Pose, images) -> Sight:
-    """A pose laid over what all cameras show."""
-    rim = tracker.finder.find(BODY, pose, tracker.cameras)
-    seen = look(images, tracker.rooms, rim, state.histograms, SMALL, tracker.plan)
-    return tracker._doubter.sight(pose, seen, np.ones(4, bool), images, tracker.rooms)
+def projected_over(tracker, state, pose: Pose, images, used=(True,) * 4) -> ProjectedBody:
+    """A pose laid over what cameras show."""
+    constants, walls = tracker.constants, plain_walls(tracker)
+    rim = constants.finder.find(state.body.shape, pose, constants.cameras)
+    outlines = find_outlines(images, walls, rim, state.histograms, SMALL, constants.plan)
+    return state.body.recovery.project(pose, outlines, np.array(used), images, walls)
 
 
-def test_an_arm_that_no_silhouette_misses_is_missed_by_its_hue(tracker, state):
-    doubts, doubter, images = state.doubts, tracker._doubter, dressed(tracker, AHEAD)
-    rim = tracker.finder.find(BODY, LOST, tracker.cameras)
-    seen = look(images, tracker.rooms, rim, state.histograms, SMALL, tracker.plan)
-    left = doubter.names.index("arm_l")
+def test_an_arm_that_no_silhouette_misses_is_missed_by_its_colour(tracker, state):
+    memory, recovery, images = state.limbs, tracker.body.recovery, dressed(tracker, AHEAD)
+    left = recovery.names.index("arm_l")
     # From both sides one arm is before the other, and the lost one before or behind the trunk.
-    aside = doubter.sight(LOST, seen, SIDES, images, tracker.rooms)
-    better, after = doubter.better(doubts, aside, SMALL.search)
-    assert after.denied[left] and better is not None and better.limbs == (left,)
-    assert off(better.poses) < 0.5 < 0.8 < off([LOST])
-    unknown = doubts._replace(known=BodyHues.none(len(doubts.known.age)))
-    better, after = doubter.better(unknown, aside, SMALL.search)
-    assert better is None and not after.denied.any()
+    aside = projected_over(tracker, state, LOST, images, SIDES)
+    proposal, after = recovery.propose(memory, aside, SMALL.limb_search)
+    assert after.contradicted[left] and proposal is not None and proposal.limbs == (left,)
+    assert off(proposal.poses) < 0.5 < 0.8 < off([LOST])
+    count = len(memory.appearance.frames)
+    unknown = memory._replace(appearance=BodyAppearance.empty(count))
+    proposal, after = recovery.propose(unknown, aside, SMALL.limb_search)
+    assert proposal is None and not after.contradicted.any()
     # From ahead it would be seen before the wall.
-    every = doubter.sight(LOST, seen, np.ones(4, bool), images, tracker.rooms)
-    assert doubter.better(unknown, every, SMALL.search)[1].denied[left]
+    every = projected_over(tracker, state, LOST, images)
+    assert recovery.propose(unknown, every, SMALL.limb_search)[1].contradicted[left]
 
 
 def boxed(tracker: SilhouetteTracker, *bones: str) -> list[np.ndarray]:
     """Arms ahead, a box before some bones in all images: from both sides, before both arms."""
-    images, points = dressed(tracker, AHEAD), tracker.finder.surface.points
+    images, points = dressed(tracker, AHEAD), tracker.body.shape.surface.points
     behind = np.isin(carriers(points), [BODY.tree.bone(bone) for bone in bones])
     for image, pixels in zip(
-        images if bones else (), seen_at(BODY, AHEAD, tracker.cameras, points)[0], strict=False
+        images if bones else (),
+        project_points(BODY, AHEAD, tracker.constants.cameras, points)[0],
+        strict=False,
     ):
         at = np.asarray(pixels)[behind]
         low, high = at.min(0).astype(int) - 5, at.max(0).astype(int) + 5
@@ -130,11 +134,11 @@ def boxed(tracker: SilhouetteTracker, *bones: str) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("box", [False, True])
 def test_an_arm_behind_a_box_is_not_seen_and_stays(tracker, state, box):
-    doubter, images = tracker._doubter, boxed(tracker, *FOREARM if box else ())
-    true = sight_of(tracker, state, AHEAD, images)
-    better, after = doubter.better(state.doubts, true, SMALL.search)
-    assert after.denied.any() == box and better is None
-    hidden, _ = doubter.hidden(after, true, images)
+    recovery, images = tracker.body.recovery, boxed(tracker, *FOREARM if box else ())
+    true = projected_over(tracker, state, AHEAD, images)
+    proposal, after = recovery.propose(state.limbs, true, SMALL.limb_search)
+    assert after.contradicted.any() == box and proposal is None
+    hidden, _ = recovery.hidden_joints(after, true, images)
     assert hidden[[BODY.tree.joint(f"elbow_flex_{side}") for side in "lr"]].tolist() == [box, box]
     assert not hidden[BODY.tree.joint("knee_flexion_l")]
 
@@ -145,10 +149,10 @@ def test_the_outlines_of_what_hides_an_arm_tell_nothing_of_it(tracker, state, bo
     before = state._replace(pose=AHEAD)
     after, _, report = tracker.step(before, 0.0, boxed(tracker, *FOREARM if box else ()))
     elbow, knee = (ROOT_DOF + BODY.tree.joint(name) for name in ("elbow_flex_l", "knee_flexion_l"))
-    told = np.diagonal(report.information)
-    assert told[knee] > 1e3 and (told[elbow] == 0 if box else told[elbow] > 1e3)
+    precision = np.diagonal(report.information)
+    assert precision[knee] > 1e3 and (precision[elbow] == 0 if box else precision[elbow] > 1e3)
     # The next frame's pose has it where it is expected.
-    assert after.told[elbow] != box and after.told[knee]
+    assert after.determined[elbow] != box and after.determined[knee]
     assert fit._cache_size() == compiled  # type: ignore[attr-defined]
 
 
@@ -156,37 +160,46 @@ def test_the_outlines_of_what_hides_an_arm_tell_nothing_of_it(tracker, state, bo
 def test_a_forearm_is_not_seen_where_its_upper_arm_is_not(
     tracker, state, monkeypatch, half, unseen
 ):
-    sight, doubter = sight_of(tracker, state, ASIDE, dressed(tracker, ASIDE)), tracker._doubter
+    images, recovery = dressed(tracker, ASIDE), tracker.body.recovery
+    projected = projected_over(tracker, state, ASIDE, images)
     shown = np.where(np.arange(8) == half, -1.0, 1.0)
-    monkeypatch.setattr("jaxmocap.silhouette.recovery.lost_limbs._likenesses", lambda *_: shown)
-    hidden, _ = doubter.hidden(state.doubts, sight, dressed(tracker, ASIDE))
-    np.testing.assert_array_equal(hidden, np.any(doubter.joints[list(unseen)], 0))
+    monkeypatch.setattr(
+        "jaxmocap.silhouette.recovery.lost_limbs._log_ratios_of_parts", lambda *_: shown
+    )
+    hidden, _ = recovery.hidden_joints(state.limbs, projected, images)
+    np.testing.assert_array_equal(hidden, np.any(recovery.joints[list(unseen)], 0))
 
 
-def test_an_arm_that_was_learned_as_room_is_not_better_off_unseen(tracker, state):
-    doubter = tracker._doubter
-    left = doubter.names.index("arm_l")
-    sight = sight_of(tracker, state, ASIDE, dressed(tracker, ASIDE))
-    arms = sight.covered(np.any(doubter.nodes[:4], 0))
-    room = sight._replace(ratios=np.where(arms, np.float32(-2), sight.ratios))
-    better, after = doubter.better(state.doubts, room, SMALL.search)
-    assert after.denied[left] and better is None
+def test_an_arm_that_was_learned_as_background_is_not_better_off_unseen(tracker, state):
+    recovery = tracker.body.recovery
+    left = recovery.names.index("arm_l")
+    projected = projected_over(tracker, state, ASIDE, dressed(tracker, ASIDE))
+    arms = projected.covered(np.any(recovery.evidence.nodes[:4], 0))
+    log_ratios = np.where(arms, np.float32(-2), projected.log_ratios)
+    learned = projected._replace(log_ratios=log_ratios)
+    proposal, after = recovery.propose(state.limbs, learned, SMALL.limb_search)
+    assert after.contradicted[left] and proposal is None
 
 
 @pytest.mark.parametrize(("colour", "low", "high"), [(SKIN, 1.0, 2.5), (NEITHER, -0.1, 0.3)])
 def test_what_lies_before_the_trunk_is_the_arm_only_in_its_hue(tracker, state, colour, low, high):
-    doubter, images = tracker._doubter, dressed(tracker, HANGING)
-    points = tracker.finder.surface.points
+    recovery, images = tracker.body.recovery, dressed(tracker, HANGING)
+    points = tracker.body.shape.surface.points
     forearm = np.isin(carriers(points), [BODY.tree.bone("radius_l"), BODY.tree.bone("hand_l")])
-    pixels, _ = seen_at(BODY, CROSSED, tracker.cameras, points)
+    pixels, _ = project_points(BODY, CROSSED, tracker.constants.cameras, points)
     for image, at in zip(images, np.asarray(pixels)[:, forearm], strict=True):
         for place in np.rint(at).astype(int):
             cv2.circle(image, place.tolist(), 4, colour, -1)
-    sight = sight_of(tracker, state, HANGING, images)._replace(used=np.arange(4) == 0)
-    left = doubter.names.index("arm_l")
-    evidence = doubter._left_for(left, sight, state.doubts.known, doubter._nearest(sight))
-    below = halves_of(doubter.limbs[left])[1]
-    assert low < float(EXPLAINED(BODY, tracker.cameras, CROSSED, below, evidence)) < high
+    projected = projected_over(tracker, state, HANGING, images)
+    projected = projected._replace(used=np.arange(4) == 0)
+    left = recovery.names.index("arm_l")
+    finder = recovery.evidence
+    depths = finder.nearest_depths(projected)
+    evidence = finder.of_limb(left, projected, state.limbs.appearance, depths)
+    below = halves_of(recovery.limbs[left])[1]
+    cameras = tracker.constants.cameras
+    found = float(EXPLAINED(BODY, cameras, CROSSED, below, evidence, LIKELIHOOD))
+    assert low < found < high
 
 
 @pytest.mark.parametrize(
@@ -195,12 +208,12 @@ def test_what_lies_before_the_trunk_is_the_arm_only_in_its_hue(tracker, state, c
 )
 def test_an_arm_can_touch_the_trunk_and_not_be_within_it(pose, low, high):
     surface = generic_surface(BODY)
-    limb = limbs_of(BODY, surface)["arm_l"]
-    around = rings(surface, "arm_l")
+    limb = limb_chains(BODY, surface)["arm_l"]
+    around = obstacle_rings(surface, "arm_l")
 
     @jax.jit
     def share(pose: Pose):
-        others = Parts.of(posed(forward(BODY, pose), around))
-        return within(*ends(BODY, pose, limb), jnp.asarray(limb.radii), others)
+        others = Obstacles.of(posed(forward(BODY, pose), around))
+        return penetrating_share(*bone_ends(BODY, pose, limb), jnp.asarray(limb.radii), others)
 
     assert low <= float(share(pose)) <= high

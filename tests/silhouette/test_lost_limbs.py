@@ -11,35 +11,43 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from test_rim import BODY, ring
-from test_silhouette_tracker import SMALL, WALL, painted
+from test_silhouette_tracker import PLAIN, SMALL, WALL, painted, with_settings
 
 from jaxmocap.body.pose import relaxed_pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.first_pose import landmark_points
+from jaxmocap.silhouette.recovery import relocation
+from jaxmocap.silhouette.recovery.limb_likelihood import LimbEvidence, explained_log_ratio
 from jaxmocap.silhouette.recovery.limb_particle_filter import (
-    APART,
-    KEPT,
-    Evidence,
-    Found,
-    distinct,
-    explained,
-    systematic,
+    DISTINCT_RAD,
+    FITTED_PARTICLES,
+    LimbSearchResult,
+    distinct_particles,
+    systematic_resampling,
 )
-from jaxmocap.silhouette.recovery.limbs import carriers, limbs_of
-from jaxmocap.silhouette.recovery.lost_limbs import UNEXPLAINED, Better
-from jaxmocap.silhouette.recovery.part_appearance import YOUNG, Appearance
-from jaxmocap.silhouette.recovery.projected_body import seen_at
-from jaxmocap.silhouette.segmentation.canvas_coverage import covered
-from jaxmocap.silhouette.segmentation.image_changes import Glances
-from jaxmocap.silhouette.segmentation.segment import Plan, Stage
+from jaxmocap.silhouette.recovery.limbs import carriers, limb_chains
+from jaxmocap.silhouette.recovery.lost_limbs import LimbMemory, LimbProposal
+from jaxmocap.silhouette.recovery.part_appearance import PartAppearance
+from jaxmocap.silhouette.recovery.projected_body import project_points
+from jaxmocap.silhouette.recovery.settings import (
+    LimbLikelihood,
+    PartAppearanceSettings,
+    RecoverySettings,
+)
+from jaxmocap.silhouette.segmentation.canvas_coverage import covered_cells
+from jaxmocap.silhouette.segmentation.image_changes import ImageHistory
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
 WRIST = list(LANDMARKS).index("wrist_l")
-DRAWN, DISTINCT, EXPLAINED = jax.jit(systematic), jax.jit(distinct), jax.jit(explained)
+DRAWN, DISTINCT = jax.jit(systematic_resampling), jax.jit(distinct_particles)
+EXPLAINED = jax.jit(explained_log_ratio, static_argnames="likelihood")
+LIKELIHOOD = LimbLikelihood()
+PARTS = PartAppearanceSettings()
+LEAST_GAIN = RecoverySettings().least_gain
 
 
 def lifted(degrees: float):
@@ -56,26 +64,33 @@ def bent(degrees: float):
     return pose._replace(angles=pose.angles.at[joint].set(np.radians(degrees)))
 
 
-def in_known_rooms() -> SilhouetteTracker:
-    """Of four cameras, whose rooms are known to be of one plain colour."""
-    made = SilhouetteTracker(BODY, ring(4), SMALL)
-    made.plan = Plan(room=False, stages=(Stage(10, 2.0, 2.0, gap=1.0),))
-    width, height = np.asarray(made.cameras.size[0], int)
+def four_cameras() -> SilhouetteTracker:
+    """Of four cameras."""
+    return SilhouetteTracker(BODY, ring(4), SMALL, plan=PLAIN)
+
+
+def plain_walls(tracker: SilhouetteTracker) -> list[Background]:
+    """Of all four cameras."""
+    width, height = np.asarray(tracker.constants.cameras.size[0], int)
     flat, plain = np.ones((height, width), np.float32), np.ones((height, width, 3), np.float32)
-    made.rooms = 4 * [Background(plain * np.float32(WALL), 5 * flat, flat)]
-    return made
+    return 4 * [Background(plain * np.float32(WALL), 5 * flat, flat)]
+
+
+def begun(tracker: SilhouetteTracker, pose):
+    """The state before the first frame, all backgrounds known."""
+    return tracker.init(pose, backgrounds=plain_walls(tracker))
 
 
 @pytest.fixture(scope="module")
 def tracker() -> SilhouetteTracker:
-    return in_known_rooms()
+    return four_cameras()
 
 
 def wrist_off(tracker, count: int) -> float:
     """Metres, some frames after an arm that hung down is suddenly up, beyond what was looked at."""
-    tracker.settings = replace(SMALL, hypotheses=count)
+    with_settings(tracker, replace(SMALL, particles=count))
     hanging, up = lifted(10.0), lifted(150.0)
-    state = tracker.init(hanging)
+    state = begun(tracker, hanging)
     shown = [painted(tracker, hanging)] + 4 * [painted(tracker, up)]
     for frame, images in enumerate(shown):
         state, pose, _ = tracker.step(state, frame / 30, images)
@@ -92,87 +107,107 @@ def test_an_arm_that_one_hypothesis_loses_many_find_again(tracker):
     ("gains", "taken"),
     [({"first": 0.4, "best": 0.9, "last": 0.6}, "best"), ({"first": 0.1, "last": 0.14}, "found")],
 )
-def test_of_several_better_poses_the_best_is_taken_or_none(gains, taken):
-    """Each is fitted and held against what was found, not against the one before it."""
-    told = {"found": 0.0, **gains}
-    chooser = SilhouetteTracker.__new__(SilhouetteTracker)
-    chooser.settings, chooser.rooms = Settings(), [WALL]  # type: ignore[list-item]
+def test_of_several_better_poses_the_best_is_taken_or_none(monkeypatch, gains, taken):
+    """Each is fitted and compared with what was found, not with the one before it."""
+    explained = {"found": 0.0, **gains}
 
-    def ended(pose: str, *_):
+    def ended(pose: str):
         result = SimpleNamespace(pose=pose)
         return SimpleNamespace(result=result, used=np.ones(1, bool), outlines=None)
 
-    chooser._fitted = lambda shown, pose, _: ended(pose)
-    chooser._doubter = SimpleNamespace(
+    monkeypatch.setattr(relocation, "fit_pose", lambda model, body, frame, pose, _: ended(pose))
+    proposal = LimbProposal(tuple(gains), (0,), LEAST_GAIN)  # type: ignore[arg-type]
+    recovery = SimpleNamespace(
         joints_of=lambda limbs: np.full(4, bool(limbs)),
-        sight=lambda pose, *_: pose,
-        better=lambda doubts, *_: (Better(tuple(gains), (0,)), doubts),
-        gain=lambda limbs, before, after, known: told[after] - told[before],
-        hidden=lambda doubts, sight, images, moved: (np.zeros(4, bool), sight),
+        project=lambda pose, *_: pose,
+        propose=lambda memory, *_: (proposal, memory),
+        gain=lambda limbs, before, after, appearance: explained[after] - explained[before],
+        hidden_joints=lambda memory, projected, images, moved: (np.zeros(4, bool), projected),
     )
-    nothing = SimpleNamespace(images=[], known=None)
-    end = chooser._reconsidered(nothing, nothing, ended("found"), np.ones(ROOT_DOF + 4))
-    assert end.fitted.result.pose == end.doubts == taken
-    assert end.moved.all() == (taken != "found") and not end.resumed.any()
+    constants, body = SimpleNamespace(settings=Settings()), SimpleNamespace(recovery=recovery)
+    frame, memory = SimpleNamespace(images=[], backgrounds=[WALL]), SimpleNamespace(appearance=None)
+    deviations = np.ones(ROOT_DOF + 4)
+    end = relocation.recover_limbs(constants, body, memory, frame, ended("found"), deviations)  # type: ignore[arg-type]
+    assert end.fitted.result.pose == end.limbs == taken
+    assert end.relocated.all() == (taken != "found") and not end.resumed.any()
+
+
+def found_at(gain: float, baseline: float) -> LimbSearchResult:
+    """A search whose best particle explains so much."""
+    nothing = jnp.zeros((1, 6))
+    return LimbSearchResult(nothing, nothing, jnp.array([gain]), jnp.array(baseline))
 
 
 @pytest.mark.parametrize(("gain", "waits"), [(0.05, True), (0.1, False)])
-def test_a_limb_is_looked_for_again_at_once_where_a_place_was_nearly_better(
+def test_a_limb_is_searched_for_again_at_once_where_a_place_was_nearly_better(
     tracker, monkeypatch, gain, waits
 ):
-    doubter = tracker._doubter
-    found = Found(jnp.zeros((1, 6)), jnp.zeros((1, 6)), jnp.array([0.3 + gain]), jnp.array(0.3))
-    monkeypatch.setattr(doubter, "_search", lambda *_: found)
-    better, after = judged(doubter, monkeypatch, worth=0.3, missing=2 * UNEXPLAINED)
-    assert better is None and after.waits.any() == after.failures.any() == waits
+    recovery = tracker.body.recovery
+    monkeypatch.setattr(recovery, "_search", lambda *_: found_at(0.3 + gain, 0.3))
+    missing = 2 * RecoverySettings().unexplained_share
+    proposal, after = proposed(recovery, monkeypatch, explained=0.3, missing=missing)
+    assert proposal is None and after.waits.any() == after.failures.any() == waits
 
 
 @pytest.mark.parametrize(
-    ("worth", "missing", "denied"),
+    ("explained", "missing", "contradicted"),
     [(0.15, 0.5, True), (0.25, 0.5, False), (0.15, 0.0, False), (-0.15, 0.0, True)],
 )
 def test_a_limb_that_explains_little_is_not_there_where_somebody_is_unexplained(
-    tracker, monkeypatch, worth, missing, denied
+    tracker, monkeypatch, explained, missing, contradicted
 ):
-    doubter = tracker._doubter
-    nothing = Found(jnp.zeros((1, 6)), jnp.zeros((1, 6)), jnp.array([worth]), jnp.array(worth))
-    monkeypatch.setattr(doubter, "_search", lambda *_: nothing)
-    _, after = judged(doubter, monkeypatch, worth, missing)
-    assert (after.denied == denied).all()
+    recovery = tracker.body.recovery
+    monkeypatch.setattr(recovery, "_search", lambda *_: found_at(explained, explained))
+    _, after = proposed(recovery, monkeypatch, explained, missing)
+    assert (after.contradicted == contradicted).all()
 
 
-@pytest.mark.parametrize("denied", [True, False])
-def test_a_limb_whose_denial_ends_is_looked_for_once_more_and_at_once(tracker, monkeypatch, denied):
-    doubter, searched = tracker._doubter, []
-    nothing = Found(jnp.zeros((1, 6)), jnp.zeros((1, 6)), jnp.array([0.5]), jnp.array(0.5))
-    monkeypatch.setattr(doubter, "_search", lambda number, *_: searched.append(number) or nothing)
-    count = len(doubter.limbs)
-    before = doubter.none()._replace(denied=np.full(count, denied), waits=np.full(count, 3))
-    _, after = judged(doubter, monkeypatch, worth=0.5, missing=0.0, before=before)
-    assert len(searched) == count * denied and not after.denied.any()
-    judged(doubter, monkeypatch, worth=0.5, missing=0.0, before=after)
-    assert len(searched) == count * denied
+@pytest.mark.parametrize("contradicted", [True, False])
+def test_a_limb_whose_contradiction_ends_is_searched_for_once_more_and_at_once(
+    tracker, monkeypatch, contradicted
+):
+    recovery, searched = tracker.body.recovery, []
+
+    def search(number, *_):
+        searched.append(number)
+        return found_at(0.5, 0.5)
+
+    monkeypatch.setattr(recovery, "_search", search)
+    count = len(recovery.limbs)
+    before = recovery.empty_memory()._replace(
+        contradicted=np.full(count, contradicted), waits=np.full(count, 3)
+    )
+    _, after = proposed(recovery, monkeypatch, explained=0.5, missing=0.0, before=before)
+    assert len(searched) == count * contradicted and not after.contradicted.any()
+    proposed(recovery, monkeypatch, explained=0.5, missing=0.0, before=after)
+    assert len(searched) == count * contradicted
 
 
-def judged(doubter, monkeypatch, worth: float, missing: float, before=None):
+def proposed(recovery, monkeypatch, explained: float, missing: float, before=None):
     """What becomes of limbs that all explain so much, while so much is unexplained."""
-    monkeypatch.setattr(doubter, "_unexplained", lambda sight: np.full(4, missing))
-    monkeypatch.setattr(doubter, "_nearest", lambda sight: None)
-    monkeypatch.setattr(doubter, "_left_for", lambda *_: None)
-    monkeypatch.setattr(doubter, "_explains", lambda *_: worth)
-    return doubter.better(before or doubter.none(), SimpleNamespace(pose=None), SMALL.search)
+    finder = SimpleNamespace(
+        unexplained=lambda projected: np.full(4, missing),
+        nearest_depths=lambda projected: None,
+        of_limb=lambda *_: None,
+    )
+    monkeypatch.setattr(recovery, "evidence", finder)
+    monkeypatch.setattr(recovery, "_explains", lambda *_: explained)
+    memory = before if before is not None else LimbMemory(
+        (None,) * 4, np.zeros(4, int), np.zeros(4, int), None, None, np.zeros(4, bool), 0,
+    )  # type: ignore[arg-type]  # fmt: skip
+    return recovery.propose(memory, SimpleNamespace(pose=None), SMALL.limb_search)
 
 
 def test_a_forearm_laid_over_its_upper_arm_explains_nothing_twice(tracker):
-    surface = tracker.finder.surface
-    limb = limbs_of(BODY, surface)["arm_l"]
+    surface, cameras = tracker.body.shape.surface, tracker.constants.cameras
+    limb = limb_chains(BODY, surface)["arm_l"]
     upper = carriers(surface.points) == limb.bones[0]
     region = Region(np.full((4, 2), -0.5, np.float32), np.full(4, 8.0, np.float32))
-    pixels = np.asarray(seen_at(BODY, bent(0.0), tracker.cameras, surface.points)[0])[:, upper]
-    shown = [covered(at, Region(*r), 128, 0) for at, *r in zip(pixels, *region, strict=True)]
-    evidence = Evidence(np.stack(shown).astype(np.float32), region, np.ones(4, bool))
+    pixels = np.asarray(project_points(BODY, bent(0.0), cameras, surface.points)[0])[:, upper]
+    shown = [covered_cells(at, Region(*r), 128, 0) for at, *r in zip(pixels, *region, strict=True)]
+    evidence = LimbEvidence(np.stack(shown).astype(np.float32), region, np.ones(4, bool))
     straight, folded = (
-        float(EXPLAINED(BODY, tracker.cameras, bent(degrees), limb, evidence))
+        float(EXPLAINED(BODY, cameras, bent(degrees), limb, evidence, LIKELIHOOD))
         for degrees in (0.0, 150.0)
     )
     assert straight > 0.1 and folded < 1.2 * straight
@@ -185,12 +220,12 @@ def test_of_the_worthiest_particles_those_are_fitted_that_differ(seed):
     chosen = np.asarray(DISTINCT(jnp.asarray(angles, jnp.float32), jnp.asarray(worth)))
     assert chosen[0] == worth.argmax() and (np.diff(worth[chosen]) < 0).all()
     for one, other in combinations(chosen, 2):
-        assert np.sqrt(np.mean((angles[one] - angles[other]) ** 2)) > APART - 1e-3
+        assert np.sqrt(np.mean((angles[one] - angles[other]) ** 2)) > DISTINCT_RAD - 1e-3
     skipped = np.setdiff1d(np.flatnonzero(worth > worth[chosen[-1]]), chosen)
     for index in skipped:
         away = np.sqrt(np.mean((angles[chosen] - angles[index]) ** 2, 1))
-        assert away.min() < APART + 1e-3
-    assert len(chosen) == KEPT
+        assert away.min() < DISTINCT_RAD + 1e-3
+    assert len(chosen) == FITTED_PARTICLES
 
 
 @given(st.integers(0, 2**31 - 1), st.lists(st.floats(0.01, 1.0), min_size=8, max_size=8))
@@ -206,7 +241,7 @@ def test_systematic_resampling_draws_each_as_often_as_it_weighs(seed, weights):
 def test_a_body_covers_the_cells_about_its_points_and_no_others():
     region = Region(np.array([9.5, -0.5], np.float32), np.array(2.0, np.float32))
     # The middle of cell (3, 5) and a point beside the canvas.
-    mask = covered(np.array([[16.5, 10.5], [500.0, 3.0]]), region, 12, 1)
+    mask = covered_cells(np.array([[16.5, 10.5], [500.0, 3.0]]), region, 12, 1)
     expected = np.zeros((12, 12), bool)
     expected[4:7, 2:5] = True
     np.testing.assert_array_equal(mask, expected)
@@ -218,32 +253,32 @@ def test_torn_black_and_exchanged_frames_are_passed_over_until_patience_ends():
     room, other = (np.repeat(np.repeat(image, 8, 0), 8, 1) for image in (room, other))
     walked = room.copy()
     walked[100:300, 200:260] = 0
-    glances = Glances.none(1)
-    for image, believed in ((room, True), (walked, True), (room, True), (other, False)):
-        kept, glances = glances.believed([image], SMALL.changed, 3)
-        assert (kept[0] is not None) == believed
+    history = ImageHistory.empty(1)
+    for image, accepted in ((room, True), (walked, True), (room, True), (other, False)):
+        kept, history = history.accepted([image], SMALL.changed_share, 3)
+        assert (kept[0] is not None) == accepted
     torn = np.concatenate([room[:150], np.roll(room[150:], 200, 1)])
-    for image, believed in ((torn, False), (np.zeros_like(room), False), (other, True)):
-        kept, glances = glances.believed([image], SMALL.changed, 3)
-        assert (kept[0] is not None) == believed
-    assert glances.believed([None], 0.25, 3)[0] == [None]
+    for image, accepted in ((torn, False), (np.zeros_like(room), False), (other, True)):
+        kept, history = history.accepted([image], SMALL.changed_share, 3)
+        assert (kept[0] is not None) == accepted
+    assert history.accepted([None], 0.25, 3)[0] == [None]
 
 
-def test_a_box_before_a_part_is_told_by_its_hue_and_shade_is_not():
+def test_a_box_before_a_part_is_recognised_by_its_colour_and_shade_is_not():
     image = np.full((40, 60, 3), (60, 90, 140), np.uint8)
     rows, columns = np.mgrid[10:20, 10:20]
     pixels = np.stack([columns.ravel(), rows.ravel()], 1)[None].repeat(3, 0)
     parts = np.ones((1, 100), bool)
-    looks = Appearance.none(1, 3)
-    for frame in range(YOUNG):
+    appearance = PartAppearance.empty(1, 3)
+    for frame in range(PARTS.youngest):
         darker = np.uint8(image * (1 - 0.1 * frame))
-        other, looks = looks.judged(3 * [darker], pixels, parts)
+        other, appearance = appearance.compared(3 * [darker], pixels, parts, PARTS)
         assert not other.any()
     box = image.copy()
     box[8:22, 8:22] = 200
-    assert not looks.judged(3 * [image], pixels, parts)[0].any()
+    assert not appearance.compared(3 * [image], pixels, parts, PARTS)[0].any()
     # One of three cameras is not enough.
-    assert not looks.judged([box, image, image], pixels, parts)[0].any()
-    hidden, after = looks.judged([box, box, image], pixels, parts)
-    assert hidden.all() and (after.mean[:, :2] == looks.mean[:, :2]).all()
-    assert not looks.judged(3 * [None], pixels, parts)[0].any()
+    assert not appearance.compared([box, image, image], pixels, parts, PARTS)[0].any()
+    hidden, after = appearance.compared([box, box, image], pixels, parts, PARTS)
+    assert hidden.all() and (after.mean[:, :2] == appearance.mean[:, :2]).all()
+    assert not appearance.compared(3 * [None], pixels, parts, PARTS)[0].any()

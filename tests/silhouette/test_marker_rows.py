@@ -13,7 +13,7 @@ from jaxmocap.body.surfaces.surface import posed
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.lines import Lines
-from jaxmocap.pipelines.silhouettes.track import make_tracker
+from jaxmocap.pipelines.silhouettes.track import make_silhouette_tracker
 from jaxmocap.silhouette.markers import MarkerRows, marker_equations, points_at
 from jaxmocap.silhouette.points import on_rays
 from jaxmocap.silhouette.pose import PoseSettings, solve_pose
@@ -98,4 +98,4 @@ def test_the_rows_are_the_slope_and_hessian_of_half_the_squares():
 def test_markers_are_asked_of_a_recording_that_has_them():
     bare = Recording(BODY, np.zeros(0), np.zeros((0, 0, 3)), ())
     with pytest.raises(InputError, match=r"no \[\[video\]\]"):
-        make_tracker(bare, markers=True)
+        make_silhouette_tracker(bare, markers=True)

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import twists
 from conftest import double
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -20,23 +21,22 @@ from jaxmocap.body.surfaces.surface import (
     skin_of,
     skinned,
 )
-from jaxmocap.geometry import twists
-from jaxmocap.silhouette.points import slopes, steered_slopes
+from jaxmocap.silhouette.points import driver_point_jacobian, point_jacobian
 from jaxmocap.silhouette.surfaces import morph as m
 from jaxmocap.silhouette.surfaces import swelling as s
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
 BODY = with_joints(Skeleton.human(1.75), "supple.toml")
 SURFACE, JOINTS, TREE = generic_surface(BODY), rest_joints(BODY), BODY.tree
-LIFT = m.Steer(("arm_flex_l", "arm_abduct_l"))
-BENT = m.Steer(("elbow_flex_l",), "squared")
+LIFT = m.Driver(("arm_flex_l", "arm_abduct_l"))
+BENT = m.Driver(("elbow_flex_l",), "squared")
 TOP = m.Swelling("arm_l", LIFT, (1.2, 0.1), (0.8, 0.1), 0.03)
 AHEAD = m.Swelling("torso", BENT, (0.3, 0.6), (1.0, 0.2), 0.02, (1.0, 0.0, 0.0))
 SHOULDER = m.Morphing(
     (m.Follower("clavicle_raise_l", LIFT, 0.25), m.Follower("clavicle_protract_l", LIFT, -0.4)),
     (TOP, AHEAD),
 )
-MORPH = s.morphed(SHOULDER, TREE, SURFACE, JOINTS)
+MORPH = s.morph_around(SHOULDER, TREE, SURFACE, JOINTS)
 MOVES = np.asarray(MORPH.moves)
 ROWS = np.random.default_rng(0).choice(len(SURFACE.points.bones), 150, replace=False)
 # Away from limits, where angles stop.
@@ -44,6 +44,25 @@ LOW, HIGH = np.asarray(BODY.limits, float).T
 angles = st.lists(st.floats(0.15, 0.85), min_size=len(LOW), max_size=len(LOW)).map(
     lambda shares: LOW + np.array(shares) * (HIGH - LOW)
 )
+
+
+def interpolated(
+    first: BodyPoints, second: BodyPoints, t: jax.Array | float, weighting: str = "linear"
+) -> BodyPoints:
+    """F_t of (4.26): the second surface's points at t = 0, the first's at t = 1.
+
+    Args:
+        first: of one surface.
+        second: of another in correspondence, on the same bones: see ``corresponding``.
+        t: () from 0 to 1.
+        weighting: a name of ``WEIGHTINGS``.
+    """
+    weight = m.WEIGHTINGS[weighting](jnp.asarray(t))
+    places, shares = (
+        weight * jnp.asarray(a) + (1 - weight) * jnp.asarray(b)
+        for a, b in zip(first[1:], second[1:], strict=True)
+    )
+    return BodyPoints(first.bones, places, shares)
 
 
 def in_double(tree):
@@ -60,19 +79,21 @@ def standing(at) -> Pose:
 @jax.jit
 def moved_by(body, morph, points, moves, free, step):
     """Where points go with a tangent vector of the free pose."""
-    whole = m.whole_of(morph, retract(free, step), body)
-    return posed(forward(body, whole), m.moved(points, moves, m.steered(morph, whole.angles)))
+    whole = m.with_followers(morph, retract(free, step), body)
+    return posed(
+        forward(body, whole), m.moved_points(points, moves, m.driver_values(morph, whole.angles))
+    )
 
 
 @jax.jit
 def predicted(body, morph, points, moves, free):
     """(N, 3, 6 + D) the derivative that the tracker's system is made of."""
-    whole = m.whole_of(morph, free, body)
+    whole = m.with_followers(morph, free, body)
     frames = forward(body, whole)
-    gone = m.moved(points, moves, m.steered(morph, whole.angles))
-    by_steers = steered_slopes(frames, gone, moves) @ m.slopes_of(morph, whole.angles)
-    J = slopes(body, frames, gone) + by_steers
-    return J @ m.whole_by_free(morph, whole.angles)
+    gone = m.moved_points(points, moves, m.driver_values(morph, whole.angles))
+    by_drivers = driver_point_jacobian(frames, gone, moves) @ m.driver_jacobian(morph, whole.angles)
+    J = point_jacobian(body, frames, gone) + by_drivers
+    return J @ m.followed_jacobian(morph, whole.angles)
 
 
 @settings(max_examples=5)
@@ -143,18 +164,18 @@ def test_a_hanging_arm_moves_nothing_and_a_raised_one_its_own_side():
     assert at["clavicle_raise_r"] == at["clavicle_protract_r"] == 0
 
 
-def test_without_steers_all_is_as_it_was():
-    nothing = s.morphed(m.Morphing(), TREE, SURFACE, JOINTS)
+def test_without_drivers_all_is_as_it_was():
+    nothing = s.morph_around(m.Morphing(), TREE, SURFACE, JOINTS)
     pose = standing(np.linspace(0.1, 0.2, len(LOW)).clip(LOW, HIGH))
-    np.testing.assert_array_equal(m.whole_of(nothing, pose, BODY).angles, pose.angles)
+    np.testing.assert_array_equal(m.with_followers(nothing, pose, BODY).angles, pose.angles)
     assert nothing.moves is None
 
 
 @jax.jit
 def both_ways(skin, pose, frames):
     """Nodes as they are drawn, as they were, and as points on bones."""
-    gone = m.moved(SURFACE.points, MOVES, m.steered(MORPH, pose.angles))
-    worn = m.worn(skin, MORPH, pose.angles)
+    gone = m.moved_points(SURFACE.points, MOVES, m.driver_values(MORPH, pose.angles))
+    worn = m.morphed_skin(skin, MORPH, pose.angles)
     return skinned(frames, worn), skinned(frames, skin), posed(frames, gone)
 
 
@@ -188,9 +209,9 @@ def test_one_person_becomes_another():
     was = rest_nodes(generic_surface(other, 1.2), joints)
     np.testing.assert_allclose(rest_nodes(second, joints), was, atol=1e-6)
     first, second = SURFACE.points, second.points
-    np.testing.assert_allclose(s.between(first, second, 1.0).points_bone, first.points_bone)
-    np.testing.assert_allclose(s.between(first, second, 0.0).points_bone, second.points_bone)
-    half = s.between(first, second, 0.25, "square_root").points_bone
+    np.testing.assert_allclose(interpolated(first, second, 1.0).points_bone, first.points_bone)
+    np.testing.assert_allclose(interpolated(first, second, 0.0).points_bone, second.points_bone)
+    half = interpolated(first, second, 0.25, "square_root").points_bone
     middle = (np.asarray(first.points_bone) + np.asarray(second.points_bone)) / 2
     np.testing.assert_allclose(half, middle, atol=1e-6)
 
@@ -199,13 +220,13 @@ def test_one_person_becomes_another():
 def test_a_body_goes_over_into_another_as_equation_4_26_says(weighting):
     """Steered by an elbow's angle of 0 to 1 radian, node by node as ``between`` has it."""
     stouter = s.corresponding(generic_surface(BODY, 1.3), JOINTS, SURFACE)
-    over = m.Transition(m.Steer(("elbow_flex_l",), weighting), stouter)
-    morph = s.morphed(m.Morphing(transitions=(over,)), TREE, SURFACE, JOINTS)
+    over = m.Transition(m.Driver(("elbow_flex_l",), weighting), stouter)
+    morph = s.morph_around(m.Morphing(transitions=(over,)), TREE, SURFACE, JOINTS)
     for t in (0.0, 0.3, 1.0):
         at = np.zeros(len(LOW))
         at[TREE.joint("elbow_flex_l")] = t
-        gone = m.moved(SURFACE.points, np.asarray(morph.moves), m.steered(morph, at))
-        there = s.between(stouter.points, SURFACE.points, t, weighting)
+        gone = m.moved_points(SURFACE.points, np.asarray(morph.moves), m.driver_values(morph, at))
+        there = interpolated(stouter.points, SURFACE.points, t, weighting)
         frames = FORWARD(BODY, standing(at))
         np.testing.assert_allclose(posed(frames, gone), posed(frames, there), atol=2e-6)
 
@@ -214,7 +235,7 @@ def test_only_patches_that_are_named_go_over_and_denser_nodes_as_the_others():
     stouter = generic_surface(BODY, 1.3)
     over = m.Transition(LIFT, stouter, ("arm_l",))
     dense = resampled(SURFACE, JOINTS, 0.03)
-    moves = s.gone_over(SURFACE, JOINTS, over, 0.03)
+    moves = s.transition_offsets(SURFACE, JOINTS, over, 0.03)
     arm = next(patch for patch in dense.patches if patch.name == "arm_l")
     assert len(moves) == len(dense.points.bones)
     assert np.linalg.norm(moves[arm.nodes], axis=1).max() > 0.01
@@ -227,7 +248,7 @@ def test_surfaces_of_other_patches_do_not_correspond():
     with pytest.raises(ValueError, match="node for node"):
         s.corresponding(SURFACE, JOINTS, fewer)
     with pytest.raises(ValueError, match="node for node"):
-        s.gone_over(SURFACE, JOINTS, m.Transition(LIFT, fewer))
+        s.transition_offsets(SURFACE, JOINTS, m.Transition(LIFT, fewer))
 
 
 @given(
@@ -244,10 +265,10 @@ def test_the_radial_function_is_the_paper_s_around_a_limb(centre, radii):
 
 
 def test_a_swelling_is_highest_at_its_centre_and_goes_outwards():
-    moves = s.moves_of(SURFACE, JOINTS, (LIFT,), (TOP,))[..., 0]
+    moves = s.swelling_moves(SURFACE, JOINTS, (LIFT,), (TOP,))[..., 0]
     patch = next(each for each in SURFACE.patches if each.name == "arm_l")
     grid = rest_nodes(SURFACE, JOINTS)[patch.nodes].reshape(patch.along, patch.around, 3)
-    places = s.places_of(patch, grid)
+    places = s.patch_coordinates(patch, grid)
     far = np.linalg.norm(moves, axis=1)
     assert 0.9 * TOP.gain < far.max() <= TOP.gain + 1e-6
     assert np.abs(places[far[patch.nodes].argmax()] - TOP.centre).max() < 0.3
@@ -257,8 +278,8 @@ def test_a_swelling_is_highest_at_its_centre_and_goes_outwards():
     np.testing.assert_array_equal(np.delete(far, np.r_[patch.nodes]), 0)
 
 
-def test_several_places_swell_at_once_each_by_its_own_steer():
-    both = s.moves_of(SURFACE, JOINTS, (LIFT, BENT), (TOP, TOP, AHEAD))
+def test_several_places_swell_at_once_each_by_its_own_driver():
+    both = s.swelling_moves(SURFACE, JOINTS, (LIFT, BENT), (TOP, TOP, AHEAD))
     np.testing.assert_allclose(both[..., 0], 2 * MOVES[..., 0], atol=1e-7)
     np.testing.assert_allclose(both[..., 1], MOVES[..., 1], atol=1e-7)
     np.testing.assert_array_equal(both[:, 1:, 1], 0)
@@ -269,15 +290,17 @@ def test_the_shoulders_of_the_package_are_alike_on_both_sides():
     count = len(morphing.followers) // 2
     for left, right in zip(morphing.followers[:count], morphing.followers[count:], strict=True):
         assert left.gain == right.gain and left.joint[:-1] == right.joint[:-1]
-    assert len(morphing.steers) == 2
-    s.morphed(morphing, TREE, SURFACE, JOINTS)
+    assert len(morphing.drivers) == 2
+    s.morph_around(morphing, TREE, SURFACE, JOINTS)
 
 
 def test_a_trunk_s_swelling_is_mirrored_on_the_one_patch_that_it_has():
     row = {"patch": "torso", "single": True, "steered_by": ["arm_flex"], "gain": 0.01}
     row |= {"centre": [60.0, 0.6], "radii": [45.0, 0.1], "weighting": "squared"}
     morphing = m.morphing_of({"swelling": [row]})
-    left, right = np.moveaxis(np.asarray(s.morphed(morphing, TREE, SURFACE, JOINTS).moves), 2, 0)
+    left, right = np.moveaxis(
+        np.asarray(s.morph_around(morphing, TREE, SURFACE, JOINTS).moves), 2, 0
+    )
     at = rest_nodes(SURFACE, JOINTS)
     high = np.linalg.norm(left, axis=1).argmax()
     opposite = np.linalg.norm(at - at[high] * [1, -1, 1], axis=1).argmin()
@@ -290,15 +313,15 @@ def test_a_trunk_s_swelling_is_mirrored_on_the_one_patch_that_it_has():
     ("morphing", "kind", "says"),
     [
         (m.Morphing((m.Follower("wing_l", LIFT, 1.0),)), KeyError, "wing_l"),
-        (m.Morphing((m.Follower("arm_flex_l", LIFT, 1.0),)), ValueError, "steers and follows"),
+        (m.Morphing((m.Follower("arm_flex_l", LIFT, 1.0),)), ValueError, "drives and follows"),
         (m.Morphing((), (TOP._replace(patch="tail"),)), ValueError, "arm_l"),
         (m.Morphing(transitions=(m.Transition(LIFT, SURFACE, ("tail",)),)), ValueError, "tail"),
-        (m.Morphing((), (TOP._replace(steer=m.Steer(("arm_rot_l",), "cubed")),)), KeyError, "sq"),
+        (m.Morphing((), (TOP._replace(driver=m.Driver(("arm_rot_l",), "cubed")),)), KeyError, "sq"),
     ],
 )
 def test_what_cannot_go_along_is_named(morphing, kind, says):
     with pytest.raises(kind, match=says):
-        s.morphed(morphing, TREE, SURFACE, JOINTS)
+        s.morph_around(morphing, TREE, SURFACE, JOINTS)
 
 
-FORWARD, WHOLE, FREE = jax.jit(forward), jax.jit(m.whole_of), jax.jit(m.free_of)
+FORWARD, WHOLE, FREE = jax.jit(forward), jax.jit(m.with_followers), jax.jit(m.without_followers)

@@ -5,13 +5,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import twists
 from conftest import double, on_device, poses
 from hypothesis import given, settings
 
 from jaxmocap.body.kinematics import forward, jacobian
 from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
 from jaxmocap.body.surfaces.surface import BodyPoints, posed
-from jaxmocap.geometry import twists
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.geometry.lines import Lines, camera_lines
 from jaxmocap.geometry.rotations import quaternion_to_matrix
@@ -171,7 +171,7 @@ def test_rows_are_derivatives_of_the_residuals(skeleton64):
         pose = bent(skeleton64, rng)
         points = some_points(skeleton64, rng)
         lines = seen(ring(2), POSED(FORWARD(skeleton64, pose), points) + 0.03)
-        pairs = on_rays(points, lines)._replace(grips=on_device(rng.uniform(0, 1, PAIRS)))
+        pairs = on_rays(points, lines)._replace(along_weights=on_device(rng.uniform(0, 1, PAIRS)))
         way, h = on_device(rng.normal(size=6 + len(pose.angles))), 1e-6
         ends = [FORWARD(skeleton64, retract(pose, s * h * way)) for s in (1, -1)]
         after, before = (LINEARISED(skeleton64, end, pairs)[0] for end in ends)
@@ -256,7 +256,9 @@ def test_contours_outliers_a_prior_and_limits_lead_to_the_references_pose(skelet
         along = jnp.cross(pairs.lines.directions, pairs.across)
         across = jnp.cos(turn) * pairs.across + jnp.sin(turn) * along
         weights = on_device(rng.uniform(0.2, 1.0, PAIRS) * (np.arange(PAIRS) % 7 > 0))
-        pairs = pairs._replace(across=across, weights=weights, grips=on_device(np.full(PAIRS, 0.1)))
+        pairs = pairs._replace(
+            across=across, weights=weights, along_weights=on_device(np.full(PAIRS, 0.1))
+        )
         start = moved(truth._replace(angles=truth.angles.at[elbow].set(0.1)), rng, 0.02)
         deviations = on_device(rng.uniform(0.1, 0.5, skeleton64.costs.shape))
         prior = Prior(moved(truth, rng, 0.05), deviations)
@@ -378,4 +380,4 @@ def _outlines(skeleton, cameras):
     length = np.linalg.norm(across, axis=-1, keepdims=True)
     pairs = on_rays(points, lines, on_device((length[:, 0] > 0.2).astype(float)))
     across = on_device(across / np.maximum(length, 0.1))
-    return pairs._replace(across=across, grips=jnp.zeros(PAIRS))
+    return pairs._replace(across=across, along_weights=jnp.zeros(PAIRS))

@@ -15,11 +15,10 @@ from jaxmocap.body.pose import relaxed_pose, retract
 from jaxmocap.body.skeleton import Skeleton, with_joints
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import posed, skin_of, skinned
-from jaxmocap.geometry.cameras import project
+from jaxmocap.geometry.cameras import project, stack_cameras
 from jaxmocap.reference.silhouette import index_image as naive
 from jaxmocap.reference.silhouette import rim as naive_rim
 from jaxmocap.silhouette.points import contour_rays
-from jaxmocap.silhouette.segmentation.contours import even_contour, low_pass, normals
 from jaxmocap.silhouette.surfaces.index_image import (
     body_mask,
     index_image,
@@ -28,11 +27,11 @@ from jaxmocap.silhouette.surfaces.index_image import (
     nodes_at,
     outer_boundary,
 )
-from jaxmocap.silhouette.surfaces.rim import Rim, RimFinder, RimSettings, stacked
+from jaxmocap.silhouette.surfaces.rim import Rim, RimFinder, RimSettings
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
 BODY = with_joints(Skeleton.human(1.75), "whole.toml")
-CAMERAS = stacked(ring(4))
+CAMERAS = stack_cameras(ring(4))
 SETTINGS = RimSettings(size=128, outer=200, inner=40, spacing=0.012, margin=0.06)
 # An arm before the chest for one of the cameras, and behind it for another.
 FOLDED = {"arm_flex_l": 60, "elbow_flex_l": 100, "arm_rot_l": 60, "arm_abduct_r": 60}
@@ -56,16 +55,16 @@ def finder() -> RimFinder:
 
 @pytest.fixture(scope="module")
 def rim(finder) -> Rim:
-    return finder.find(BODY, bent(**FOLDED), CAMERAS)
+    return finder.find(finder.initial_shape, bent(**FOLDED), CAMERAS)
 
 
 def filled(finder, pose, camera: int, scale: float, origin, size: int) -> np.ndarray:
     """OpenCV's drawing of all faces of the surface on a canvas: an independent rasteriser."""
-    nodes = POSED(FORWARD(BODY, pose), finder.surface.points)
+    nodes = POSED(FORWARD(BODY, pose), finder.initial_shape.surface.points)
     pixels = np.asarray(PROJECT(CAMERAS, nodes))[camera]
     cells = ((pixels - origin) / scale - 0.5) * 16
     mask = np.zeros((size, size), np.uint8)
-    for patch in finder.surface.patches:
+    for patch in finder.initial_shape.surface.patches:
         grid = cells[patch.nodes].reshape(patch.along, patch.around, 2)
         beside = np.roll(grid, -1, 1)
         faces = np.stack([grid[:-1], beside[:-1], beside[1:], grid[1:]], 2).reshape(-1, 4, 2)
@@ -75,10 +74,10 @@ def filled(finder, pose, camera: int, scale: float, origin, size: int) -> np.nda
 
 
 def test_many_nodes_are_posed_as_few_are(finder):
-    skin = skin_of(finder.surface, rest_joints(BODY))
+    skin = skin_of(finder.initial_shape.surface, rest_joints(BODY))
     frames = FORWARD(BODY, bent(**FOLDED))
     nodes = np.stack(SKINNED(frames, skin), -1)
-    np.testing.assert_allclose(nodes, POSED(frames, finder.surface.points), atol=2e-5)
+    np.testing.assert_allclose(nodes, POSED(frames, finder.initial_shape.surface.points), atol=2e-5)
 
 
 @given(seed=st.integers(0, 99))
@@ -153,38 +152,43 @@ def test_rim_points_lie_on_the_outline_within_a_fraction_of_a_cell(finder, rim):
         fine = filled(finder, bent(**FOLDED), camera, scale / 4, origin, size)
         chains = cv2.findContours(fine, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)[0]
         outline = (np.concatenate(chains)[:, 0] + 0.5) * (scale / 4) + origin
-        outer = rim.real[camera] & ~rim.inner[camera]
+        outer = rim.valid[camera] & ~rim.inner[camera]
         away = KDTree(outline).query(rim.pixels_xy[camera][outer])[0]
         assert outer.sum() > 150
         assert np.median(away) < 0.35 * scale
         assert np.mean(away < scale) > 0.97
 
 
-def drawn_by(finder, pose, camera: int):
+def projected_by(finder, pose, camera: int):
     """Columns, rows, depths, places and keys of all nodes, and the whole picture, of a camera."""
-    drawn = jax.tree.map(lambda part: np.asarray(part)[camera], finder._draw(BODY, pose, CAMERAS))
-    cells = (np.stack([drawn.u, drawn.v], 1) - drawn.region.origin) / drawn.region.scale - 0.5
-    return cells, drawn
+    every = finder._project(finder.initial_shape.skin, finder.morph, BODY, pose, CAMERAS)
+    projected = jax.tree.map(lambda part: np.asarray(part)[camera], every)
+    cells = (
+        np.stack([projected.u, projected.v], 1) - projected.region.origin
+    ) / projected.region.scale - 0.5
+    return cells, projected
 
 
 def test_a_bodys_outline_and_its_nodes_are_the_naive_ones(finder):
-    cells, drawn = drawn_by(finder, bent(**FOLDED), 1)
-    keys = index_image(drawn.places, drawn.keys, SETTINGS.size)
+    cells, projected = projected_by(finder, bent(**FOLDED), 1)
+    keys = index_image(projected.places, projected.keys, SETTINGS.size)
     ours = outer_boundary(keys, body_mask(keys))
-    theirs = naive_rim.outline(cells[:, 0], cells[:, 1], drawn.depth, SETTINGS.size)
+    theirs = naive_rim.outline(cells[:, 0], cells[:, 1], projected.depth, SETTINGS.size)
     assert len(ours.cells) > 0.95 * len(theirs) > 300
     nodes = np.array([theirs[tuple(cell)] for cell in ours.cells.tolist()])
     # A node may be another one where both are as near, to a step in depth, or on a cell's edge.
-    apart = np.abs(drawn.depth[nodes] - drawn.depth[ours.nodes])
+    apart = np.abs(projected.depth[nodes] - projected.depth[ours.nodes])
     assert np.mean(nodes == ours.nodes) > 0.9
     assert np.mean(apart < 1e-3) > 0.98
 
 
 def test_what_the_rim_shows_no_limb_hides(finder, rim):
     """By rays against every triangle of the surface: self-occlusion, limbs before the trunk."""
-    nodes = np.asarray(POSED(FORWARD(BODY, bent(**FOLDED)), finder.surface.points), float)
+    nodes = np.asarray(
+        POSED(FORWARD(BODY, bent(**FOLDED)), finder.initial_shape.surface.points), float
+    )
     triangles = []
-    for patch in finder.surface.patches:
+    for patch in finder.initial_shape.surface.patches:
         grid = nodes[patch.nodes].reshape(patch.along, patch.around, 3)
         beside = np.roll(grid, -1, 1)
         for corners in ((grid[:-1], beside[:-1], beside[1:]), (grid[:-1], beside[1:], grid[1:])):
@@ -192,7 +196,7 @@ def test_what_the_rim_shows_no_limb_hides(finder, rim):
     faces = np.concatenate(triangles)
     for camera in (0, 2):
         T = np.linalg.inv(np.asarray(CAMERAS.T_cam_world[camera], float))
-        shown = rim.nodes[camera][rim.real[camera]][::8]
+        shown = rim.nodes[camera][rim.valid[camera]][::8]
         covered = naive_rim.hidden(T[:3, 3], nodes[shown], faces, 0.03)
         assert np.mean(covered) < 0.05
         every = naive_rim.hidden(T[:3, 3], nodes[:: len(nodes) // 24], faces, 0.03)
@@ -201,7 +205,7 @@ def test_what_the_rim_shows_no_limb_hides(finder, rim):
 
 def test_normals_point_out_of_the_body(rim):
     for camera in range(4):
-        outer = rim.real[camera] & ~rim.inner[camera]
+        outer = rim.valid[camera] & ~rim.inner[camera]
         cells = (rim.pixels_xy[camera] - rim.region.origin[camera]) / rim.region.scale[camera] - 0.5
         normals_ = rim.normals[camera]
         np.testing.assert_allclose(np.linalg.norm(normals_[outer], axis=1), 1, atol=1e-5)
@@ -211,10 +215,10 @@ def test_normals_point_out_of_the_body(rim):
 
 
 def test_a_limb_before_the_trunk_has_an_inner_rim_and_one_behind_it_none(finder, rim):
-    patches = finder.surface.patch_of()
-    names = np.array([patch.name for patch in finder.surface.patches])
+    patches = finder.initial_shape.surface.patch_of()
+    names = np.array([patch.name for patch in finder.initial_shape.surface.patches])
     arms = [
-        (rim.real[c] & rim.inner[c] & (names[patches[rim.nodes[c]]] == "arm_l")).sum()
+        (rim.valid[c] & rim.inner[c] & (names[patches[rim.nodes[c]]] == "arm_l")).sum()
         for c in range(4)
     ]
     # The camera ahead sees the forearm before the chest; to the one behind it is hidden.
@@ -228,29 +232,13 @@ def test_moving_bodies_and_cameras_are_traced_once(finder):
     rng = np.random.default_rng(1)
     for _ in range(5):
         step = rng.normal(0, 0.1, BODY.costs.shape).astype(np.float32)
-        found = finder.find(BODY, retract(relaxed_pose(BODY), jnp.asarray(step)), CAMERAS)
-        assert found.real[:, : SETTINGS.outer].mean() > 0.9
-    finder.wear(finder.surface, rest_joints(BODY))
-    assert finder.find(BODY, relaxed_pose(BODY), CAMERAS).real.any()
-    assert finder._drawing._cache_size() == 1
-
-
-def test_a_contours_low_pass_is_its_series_cut_short():
-    phi = 2 * np.pi * np.arange(64) / 64
-    coarse = np.stack([3 * np.cos(phi) + 1, 2 * np.sin(phi)], 1)
-    fine = coarse + 0.3 * np.stack([np.cos(7 * phi), np.sin(9 * phi)], 1)
-    np.testing.assert_allclose(low_pass(fine, 3), coarse, atol=1e-12)
-    np.testing.assert_allclose(low_pass(fine, 32), fine, atol=1e-12)
-    np.testing.assert_allclose(low_pass(fine, 9, 128)[::2], fine, atol=1e-12)
-    np.testing.assert_allclose(low_pass(fine, 0), np.tile([1.0, 0.0], (64, 1)), atol=1e-12)
-
-
-def test_a_square_is_walked_evenly_and_its_normals_stand_on_its_sides():
-    even = even_contour(np.array([[0.0, 0], [4, 0], [4, 4], [0, 4]]), 32)
-    np.testing.assert_allclose(np.linalg.norm(np.diff(even, axis=0), axis=1), 0.5, atol=1e-12)
-    phi = 2 * np.pi * np.arange(40) / 40
-    circle = np.stack([np.cos(phi), np.sin(phi)], 1)
-    np.testing.assert_allclose(normals(5 * circle + 2), circle, atol=1e-12)
+        found = finder.find(
+            finder.initial_shape, retract(relaxed_pose(BODY), jnp.asarray(step)), CAMERAS
+        )
+        assert found.valid[:, : SETTINGS.outer].mean() > 0.9
+    other = finder.shape_of(BODY, finder.initial_shape.surface)
+    assert finder.find(other, relaxed_pose(BODY), CAMERAS).valid.any()
+    assert finder._project._cache_size() == 1
 
 
 def test_contour_normals_in_space_are_seen_as_in_the_image():
@@ -261,6 +249,6 @@ def test_contour_normals_in_space_are_seen_as_in_the_image():
     np.testing.assert_allclose(jnp.sum(across * lines.directions, -1), 0, atol=1e-6)
     point = camera.position_world + 4 * lines.directions
     both = jnp.stack([point, point + 0.01 * across])
-    moved = np.diff(np.asarray(PROJECT(stacked([camera]), both))[0], axis=0)[0]
+    moved = np.diff(np.asarray(PROJECT(stack_cameras([camera]), both))[0], axis=0)[0]
     moved = moved / np.linalg.norm(moved, axis=1, keepdims=True)
     assert np.all(np.sum(moved * np.asarray(ways), 1) > 0.99)

@@ -17,26 +17,32 @@ from jaxmocap.images.canvases import Canvas, attached, canvas, follow, full_mask
 from jaxmocap.images.regions import Region
 from jaxmocap.reference.silhouette import level_set as reference
 from jaxmocap.silhouette.segmentation import densities
+from jaxmocap.silhouette.segmentation.background_models import background_of_picture
 from jaxmocap.silhouette.segmentation.contour import contours
-from jaxmocap.silhouette.segmentation.level_set import Motion, coarser, evolve, finer, step
-from jaxmocap.silhouette.segmentation.room_models import pictured
+from jaxmocap.silhouette.segmentation.level_set import (
+    LevelSetMotion,
+    downsampled,
+    evolve,
+    step,
+    upsampled,
+)
 from jaxmocap.silhouette.segmentation.segment import (
+    CanvasImages,
     Histograms,
-    Plan,
-    Seen,
-    Segmented,
-    Settings,
+    LevelSetSettings,
+    Segmentation,
+    SegmentationPlan,
     segment,
 )
-from jaxmocap.silhouette.segmentation.sharpen import sharpened
-from jaxmocap.synthetic.four_cameras import framed
+from jaxmocap.silhouette.segmentation.sharpen import sharpened_silhouette
+from jaxmocap.synthetic.four_cameras import cameras_around
 from jaxmocap.synthetic.movements.exercises import exercise
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.renderer import Sensor, render_frames
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
 SIZE = 64
-PLAN = Plan(room=False)
+PLAN = SegmentationPlan(background=False)
 Y, X = np.mgrid[:SIZE, :SIZE].astype(np.float32)
 
 
@@ -49,11 +55,11 @@ def overlap(a: np.ndarray, b: np.ndarray) -> float:
     return (a & b).sum() / (a | b).sum()
 
 
-def seen(image: np.ndarray, room: np.ndarray | None = None) -> Seen:
+def seen(image: np.ndarray, room: np.ndarray | None = None) -> CanvasImages:
     """A picture (SIZE, SIZE, 3) uint8 as a canvas, before a known room."""
     ones = np.ones((SIZE, SIZE), np.float32)
     behind = image if room is None else room
-    return Seen.of([Canvas(image, ones, behind, 4 * ones, ones * (room is not None))])
+    return CanvasImages.of([Canvas(image, ones, behind, 4 * ones, ones * (room is not None))])
 
 
 def painted(truth: np.ndarray, person, rest, noise=6.0) -> np.ndarray:
@@ -63,9 +69,11 @@ def painted(truth: np.ndarray, person, rest, noise=6.0) -> np.ndarray:
     return np.clip(noisy, 0, 255).astype(np.uint8)
 
 
-def segmented(seen: Seen, start: np.ndarray, plan: Plan = PLAN, **changed) -> Segmented:
+def segmented(
+    seen: CanvasImages, start: np.ndarray, plan: SegmentationPlan = PLAN, **changed
+) -> Segmentation:
     before = Histograms.empty(len(start), plan)
-    return segment(seen, jnp.asarray(start), before, Settings(**changed), plan)
+    return segment(seen, jnp.asarray(start), before, LevelSetSettings(**changed), plan)
 
 
 @given(seed=st.integers(0, 2**32 - 1), width=st.sampled_from([1.0, 1.5, 4.0]))
@@ -73,7 +81,7 @@ def test_a_step_is_the_references(seed, width):
     rng = np.random.default_rng(seed)
     phi = rng.uniform(-6, 6, (2, 12, 12)).astype(np.float32)
     ratio = rng.uniform(-3, 3, (2, 12, 12)).astype(np.float32)
-    moved = step(jnp.asarray(phi), jnp.asarray(ratio), Motion(0.7, 0.3, 0.35, 0.15), width)
+    moved = step(jnp.asarray(phi), jnp.asarray(ratio), LevelSetMotion(0.7, 0.3, 0.35, 0.15), width)
     for view in range(2):
         expected = reference.step(phi[view].astype(float), ratio[view], 0.7, 0.3, 0.35, 0.15, width)
         np.testing.assert_allclose(moved[view], expected, atol=2e-4)
@@ -84,13 +92,13 @@ def test_steps_lower_the_energy_of_the_paper():
     phi, energies = jnp.asarray(disc(x=36.0, radius=11.0)), []
     for _ in range(5):
         energies.append(reference.energy(np.asarray(phi[0], float), ratio[0], 0.5, 1.5))
-        phi = evolve(phi, jnp.asarray(ratio), Motion(0.5), 1.5, 6)
+        phi = evolve(phi, jnp.asarray(ratio), LevelSetMotion(0.5), 1.5, 6)
     assert all(later < before - 1 for before, later in pairwise(energies))
 
 
 def test_length_alone_rounds_a_corner_and_shrinks_a_disc():
     phi = jnp.asarray(disc(radius=10.0))
-    shrunk = evolve(phi, jnp.zeros_like(phi), Motion(1.0), 1.5, 30)
+    shrunk = evolve(phi, jnp.zeros_like(phi), LevelSetMotion(1.0), 1.5, 30)
     # dr/dt = -ν / r by (4.20).
     area = float((shrunk > 0).sum())
     expected = np.pi * (100 - 2 * 0.33 * 30)
@@ -99,7 +107,7 @@ def test_length_alone_rounds_a_corner_and_shrinks_a_disc():
 
 def test_the_level_set_stays_near_a_distance():
     ratio = np.where(disc(radius=22.0) > 0, 3.0, -3.0).astype(np.float32)
-    phi = evolve(jnp.clip(disc(radius=12.0), -8, 8), jnp.asarray(ratio), Motion(), 1.5, 60)
+    phi = evolve(jnp.clip(disc(radius=12.0), -8, 8), jnp.asarray(ratio), LevelSetMotion(), 1.5, 60)
     rows, columns = np.gradient(np.asarray(phi[0]))
     slope = np.hypot(rows, columns)[np.abs(phi[0]) < 2]
     assert slope.min() > 0.6 and slope.max() < 3
@@ -108,7 +116,7 @@ def test_the_level_set_stays_near_a_distance():
 
 def test_halving_and_doubling_keep_the_contour():
     phi = jnp.asarray(disc())
-    again = finer(coarser(phi) / 2)
+    again = upsampled(downsampled(phi) / 2)
     near = np.abs(disc()) < 4
     np.testing.assert_allclose(again[near], disc()[near], atol=0.1)
 
@@ -117,12 +125,12 @@ def test_a_histogram_is_a_smoothed_density():
     colour = np.zeros((1, 3, SIZE, SIZE), np.float32)
     colour[:] = 90.0
     colour[:, :, :, SIZE // 2 :] = 170.0
-    bins, weights = densities.colour_bins(jnp.asarray(colour)), jnp.ones((1, SIZE, SIZE))
-    counts = densities.counted(bins, weights, densities.LEVELS**3)
-    assert float(counts.sum()) == pytest.approx(SIZE**2 / densities.EVERY**2, rel=1e-3)
+    bins, weights = densities.joint_bins(jnp.asarray(colour)), jnp.ones((1, SIZE, SIZE))
+    counts = densities.histogram_counts(bins, weights, densities.LEVELS**3)
+    assert float(counts.sum()) == pytest.approx(SIZE**2 / densities.COUNT_STRIDE**2, rel=1e-3)
     density = densities.colour_density(counts)
     assert float(density.sum()) * (256 / densities.LEVELS) ** 3 == pytest.approx(1, rel=1e-4)
-    at = densities.looked_up(density, bins)
+    at = densities.lookup(density, bins)
     assert float(at[0, 0, 0]) == pytest.approx(float(at[0, 0, -1]), rel=0.2)
     even = densities.colour_density(jnp.zeros_like(counts))
     np.testing.assert_allclose(even, 256.0**-3, rtol=1e-5)
@@ -132,13 +140,15 @@ def test_a_shadow_on_the_room_is_still_the_room():
     room = jnp.full((1, 3, 2, 2), 150.0)
     noise = jnp.full((1, 2, 2), 4.0)
     lit, shaded, person = (
-        float(densities.room_density(room * share, room, noise)[0, 0, 0])
+        float(densities.background_density(room * share, room, noise)[0, 0, 0])
         for share in (1.0, 0.75, jnp.array([1.0, 0.5, 0.3])[:, None, None])
     )
     assert lit > shaded > 1e3 * person
 
 
-@pytest.mark.parametrize("plan", [Plan(colour=False, room=False), PLAN], ids=["grey", "colour"])
+@pytest.mark.parametrize(
+    "plan", [SegmentationPlan(colour=False, background=False), PLAN], ids=["grey", "colour"]
+)
 def test_a_disc_of_another_colour_is_found_from_a_start_that_is_off(plan):
     truth = disc()[0] > 0
     image = painted(truth, (60, 60, 160), (170, 150, 140))
@@ -155,7 +165,10 @@ def test_a_known_room_finds_whom_colours_cannot():
     image = np.where(truth[..., None], person, room).astype(np.uint8)
     start = disc(x=35.0, y=27.0, radius=12.0)
     by_colour = np.asarray(segmented(seen(image), start).phi[0]) > 0
-    by_room = np.asarray(segmented(seen(image, room.astype(np.uint8)), start, Plan()).phi[0]) > 0
+    by_room = (
+        np.asarray(segmented(seen(image, room.astype(np.uint8)), start, SegmentationPlan()).phi[0])
+        > 0
+    )
     assert overlap(by_room, truth) > 0.7
     assert overlap(by_room, truth) > overlap(by_colour, truth) + 0.1
 
@@ -167,7 +180,10 @@ def test_a_limb_beside_the_predicted_one_does_not_change_places_with_the_floor()
     # All of the room lies in shadow; the limb's colour shows nowhere in the predicted silhouette.
     image = np.where(truth[..., None], np.array([60, 60, 230]), 0.7 * room)
     image[limb[0] > 0] = (230, 90, 40)
-    found = np.asarray(segmented(seen(image.astype(np.uint8), room), start, Plan()).phi[0]) > 0
+    found = (
+        np.asarray(segmented(seen(image.astype(np.uint8), room), start, SegmentationPlan()).phi[0])
+        > 0
+    )
     assert overlap(start[0] > 0, truth) < 0.6
     assert overlap(found, truth) > 0.9
 
@@ -182,7 +198,7 @@ def test_pieces_that_lie_nowhere_near_the_prediction_are_not_the_person():
 def test_an_empty_room_is_read_from_a_picture_of_the_videos_size(tmp_path):
     picture = np.random.default_rng(0).integers(0, 256, (12, 16, 3), np.uint8)
     cv2.imwrite(str(tmp_path / "empty.png"), picture)
-    found = pictured(read_empty_room(tmp_path / "empty.png", (16, 12)))
+    found = background_of_picture(read_empty_room(tmp_path / "empty.png", (16, 12)))
     np.testing.assert_array_equal(found.colour, picture)
     assert found.known.min() == 1 and found.noise.min() > 1
     with pytest.raises(InputError, match=r"found 16 × 12 pixels, expected 640 × 480"):
@@ -194,7 +210,7 @@ def test_an_empty_room_is_read_from_a_picture_of_the_videos_size(tmp_path):
 
 def test_a_room_without_colours_is_refused():
     with pytest.raises(ValueError, match=r"expected plan\.colour = True"):
-        segmented(seen(np.zeros((SIZE, SIZE, 3), np.uint8)), disc(), Plan(colour=False))
+        segmented(seen(np.zeros((SIZE, SIZE, 3), np.uint8)), disc(), SegmentationPlan(colour=False))
 
 
 def test_the_prior_holds_the_contour_near_the_prediction():
@@ -202,7 +218,10 @@ def test_the_prior_holds_the_contour_near_the_prediction():
     beyond = ball | ((np.abs(X - 31) < 5) & (Y > 30))
     image = painted(beyond, (60, 60, 160), (170, 150, 140))
     free, held = (
-        np.asarray(segmented(seen(image), disc(radius=14.0), shape=shape, reach=6.0).phi[0]) > 0
+        np.asarray(
+            segmented(seen(image), disc(radius=14.0), shape_prior=shape, prior_reach=6.0).phi[0]
+        )
+        > 0
         for shape in (0.0, 6.0)
     )
     assert free[60, 31] and not held[60, 31]
@@ -214,8 +233,8 @@ def test_histograms_are_carried_to_the_next_frame():
     image = painted(truth, (60, 60, 160), (170, 150, 140))
     first = segmented(seen(image), disc(x=33.0))
     kept = first.histograms
-    assert float(kept.person.sum()) > 0.5 * truth.sum() / densities.EVERY**2
-    again = segment(seen(image), jnp.asarray(disc(x=33.0)), kept, Settings(), PLAN)
+    assert float(kept.person.sum()) > 0.5 * truth.sum() / densities.COUNT_STRIDE**2
+    again = segment(seen(image), jnp.asarray(disc(x=33.0)), kept, LevelSetSettings(), PLAN)
     assert overlap(np.asarray(again.phi[0]) > 0, truth) > 0.97
 
 
@@ -281,7 +300,7 @@ def test_a_canvas_follows_the_person_and_leads_back_to_the_image():
     room = Background(image.astype(np.float32), np.ones(mask.shape, np.float32), 1.0 * mask)
     taken = canvas(image.astype(np.uint8), region, SIZE, room)
     assert taken.colour.shape == (SIZE, SIZE, 3)
-    assert Seen.of([taken, taken]).colour.shape == (2, 3, SIZE, SIZE)
+    assert CanvasImages.of([taken, taken]).colour.shape == (2, 3, SIZE, SIZE)
     columns = region.origin[0] + (np.arange(SIZE) + 0.5) * region.scale
     within = (columns > 1) & (columns < 158)
     np.testing.assert_allclose(taken.colour[30, within, 2], columns[within], atol=0.6)
@@ -300,9 +319,9 @@ def test_a_canvas_of_nobody_is_the_whole_image_and_beyond_it_nothing_is_inside()
 
 def test_a_rendered_person_before_clutter_is_found_from_a_pose_that_is_off(recordings):
     person = exercise(load_rig(recordings / "person" / "person.npz"), "jumping", 1.0)
-    off, time = person.off(np.random.default_rng(3)), 0.9
+    off, time = person.displaced(np.random.default_rng(3)), 0.9
     frames, starts, rooms, truths = [], [], [], []
-    for view in framed(person, 1.0)[:1]:
+    for view in cameras_around(person, 1.0)[:1]:
         scene = view.scene(person, 0)
         frames += list(render_frames(scene, np.array([time])))
         sensor = Sensor.create((640, 480), np.random.default_rng(9))
@@ -312,10 +331,10 @@ def test_a_rendered_person_before_clutter_is_found_from_a_pose_that_is_off(recor
     regions = [follow(start, 192) for start in starts]
     canvases = [canvas(f, r, 192, b) for f, r, b in zip(frames, regions, rooms, strict=True)]
     phi = np.stack([signed_distance(m, r, 192) for m, r in zip(starts, regions, strict=True)])
-    found = segmented(Seen.of(canvases), phi, Plan())
+    found = segmented(CanvasImages.of(canvases), phi, SegmentationPlan())
     for view, truth in enumerate(truths):
         region, level_set = regions[view], np.asarray(found.phi[view])
         cells = overlap(full_mask(level_set, region, truth.shape), truth)
-        sharp = sharpened(frames[view], level_set, region, rooms[view]).full(truth.shape)
+        sharp = sharpened_silhouette(frames[view], level_set, region, rooms[view]).full(truth.shape)
         assert overlap(starts[view], truth) < 0.85 and cells > 0.88
         assert overlap(sharp, truth) > max(0.94, cells + 0.01)

@@ -14,11 +14,10 @@ from jaxmocap.body.proportions import LENGTHS, scaled, stretched
 from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.surface import BodyPoints, resampled, rest_nodes
 from jaxmocap.body.surfaces.swelling_fields import KINDS, fields_of, reshaped
-from jaxmocap.pipelines.silhouettes.track import _Pass
-from jaxmocap.silhouette.device_functions import Seen
-from jaxmocap.silhouette.segmentation.outlines import Outlines
-from jaxmocap.silhouette.surfaces.rim import stacked
-from jaxmocap.silhouette.surfaces.shape import DEVIATION_M, ShapeFinder, told
+from jaxmocap.geometry.cameras import stack_cameras
+from jaxmocap.silhouette.device_functions import ContourPairs
+from jaxmocap.silhouette.passes import PassLearner
+from jaxmocap.silhouette.surfaces.shape import DEVIATION_M, ShapeEstimator, shape_equations
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
 
@@ -84,7 +83,7 @@ def test_contours_of_a_stouter_body_tell_how_much_stouter(camera_pairs):
 def camera_pairs():
     """What one frame tells: nodes of a body in a bent pose, and where a stouter one's are seen."""
     rng = np.random.default_rng(2)
-    cameras, pose = stacked(ring(2)), relaxed_pose(BODY)
+    cameras, pose = stack_cameras(ring(2)), relaxed_pose(BODY)
     angles = np.asarray(pose.angles) + rng.uniform(-0.1, 0.1, len(pose.angles))
     pose = pose._replace(angles=jnp.asarray(angles, jnp.float32))
     amounts = 0.002 * rng.standard_normal(len(FIELDS.names))
@@ -95,8 +94,8 @@ def camera_pairs():
     turns = rng.uniform(0, 2 * np.pi, nodes.shape)
     normals = np.stack([np.cos(turns), np.sin(turns)], -1).astype(np.float32)
     points = BodyPoints(*(np.asarray(part)[nodes.ravel()] for part in SURFACE.points))
-    seen = Seen(points, pixels, normals, np.ones(nodes.shape, np.float32))
-    H, slope = told(BODY, cameras, pose, seen, FIELDS.moves[nodes.ravel()])
+    seen = ContourPairs(points, pixels, normals, np.ones(nodes.shape, np.float32))
+    H, slope = shape_equations(BODY, cameras, pose, seen, FIELDS.moves[nodes.ravel()])
     return np.asarray(H, float), np.asarray(slope, float), amounts
 
 
@@ -133,16 +132,16 @@ def test_a_stretched_body_lies_about_its_longer_bones_as_it_lay_about_the_shorte
 
 
 def test_contours_of_a_body_with_longer_bones_tell_how_much_longer(taller):
-    rng, cameras, pose = np.random.default_rng(4), stacked(ring(2)), relaxed_pose(BODY)
+    rng, cameras, pose = np.random.default_rng(4), stack_cameras(ring(2)), relaxed_pose(BODY)
     nodes = rng.integers(0, len(FIELDS.moves), (2, 300))
     every = PROJECT(cameras, POSED(FORWARD(taller[0], pose), taller[1].points))
     pixels = np.stack([np.asarray(every)[camera, nodes[camera]] for camera in range(2)])
     turns = rng.uniform(0, 2 * np.pi, nodes.shape)
     normals = np.stack([np.cos(turns), np.sin(turns)], -1).astype(np.float32)
     points = BodyPoints(*(np.asarray(part)[nodes.ravel()] for part in SURFACE.points))
-    seen = Seen(points, pixels, normals, np.ones(nodes.shape, np.float32))
+    seen = ContourPairs(points, pixels, normals, np.ones(nodes.shape, np.float32))
     moves = FIELDS.moves[nodes.ravel()]
-    H, slope = told(BODY, cameras, pose, seen, moves, lengths=len(LENGTHS))
+    H, slope = shape_equations(BODY, cameras, pose, seen, moves, lengths=len(LENGTHS))
     H, slope = np.asarray(H, float), np.asarray(slope, float)
     amounts = np.zeros(len(slope))
     amounts[-len(LENGTHS) :] = LOGARITHMS
@@ -151,21 +150,21 @@ def test_contours_of_a_body_with_longer_bones_tell_how_much_longer(taller):
 
 
 def test_lengths_are_found_beside_the_shape_and_worn():
-    rng, finder = np.random.default_rng(5), ShapeFinder(SURFACE, BODY, lengths=True)
-    count = len(finder.amounts)
+    rng, estimator = np.random.default_rng(5), ShapeEstimator(SURFACE, BODY, lengths=True)
+    count = len(estimator.amounts)
     truth = np.append(0.005 * rng.standard_normal(count - len(LENGTHS)), LOGARITHMS)
     for _ in range(4):
         rows = rng.standard_normal((3 * count, 6 + count))
-        finder.add(*equations(rng, 30 * rows, truth, 0.02 * rng.standard_normal(6)))
-    skeleton, surface = finder.fitted()
-    np.testing.assert_allclose(finder.amounts, truth, atol=5e-4)
+        estimator.add_equations(*equations(rng, 30 * rows, truth, 0.02 * rng.standard_normal(6)))
+    skeleton, surface = estimator.estimate()
+    np.testing.assert_allclose(estimator.amounts, truth, atol=5e-4)
     wanted = scaled(BODY, jnp.asarray(LOGARITHMS, jnp.float32)).lengths
     np.testing.assert_allclose(skeleton.lengths, wanted, rtol=1e-3)
     assert len(surface.points.bones) == len(SURFACE.points.bones)
 
 
 def test_lengths_of_which_nothing_is_told_stay():
-    skeleton, _ = ShapeFinder(SURFACE, BODY, lengths=True).fitted()
+    skeleton, _ = ShapeEstimator(SURFACE, BODY, lengths=True).estimate()
     np.testing.assert_allclose(skeleton.lengths, BODY.lengths, rtol=1e-6)
 
 
@@ -176,8 +175,8 @@ def equations(rng, rows: np.ndarray, shape: np.ndarray, pose: np.ndarray):
 
 
 def test_a_shape_is_found_whatever_the_poses_and_only_what_they_do_not_explain():
-    rng, finder = np.random.default_rng(0), ShapeFinder(SURFACE, BODY)
-    count = len(finder.amounts)
+    rng, estimator = np.random.default_rng(0), ShapeEstimator(SURFACE, BODY)
+    count = len(estimator.amounts)
     truth = 0.01 * rng.standard_normal(count)
     truth[1] = 0.0
     for _ in range(6):
@@ -185,46 +184,44 @@ def test_a_shape_is_found_whatever_the_poses_and_only_what_they_do_not_explain()
         # What this field does a pose does as well.
         rows[:, 5] = rows[:, 0]
         H, slope = equations(rng, 30 * rows, truth, 0.02 * rng.standard_normal(4))
-        finder.add(H, slope)
-    finder.fitted()
+        estimator.add_equations(H, slope)
+    estimator.estimate()
     rest = np.arange(count) != 1
-    np.testing.assert_allclose(finder.amounts[rest], truth[rest], atol=5e-4)
-    assert abs(finder.amounts[1]) < 2e-3
+    np.testing.assert_allclose(estimator.amounts[rest], truth[rest], atol=5e-4)
+    assert abs(estimator.amounts[1]) < 2e-3
 
 
 def test_without_frames_a_shape_is_peoples_mean():
-    finder = ShapeFinder(SURFACE, BODY)
-    finder.amounts = np.full(len(finder.amounts), 0.02)
-    skeleton, worn = finder.fitted()
+    estimator = ShapeEstimator(SURFACE, BODY)
+    estimator.amounts = np.full(len(estimator.amounts), 0.02)
+    skeleton, worn = estimator.estimate()
     assert skeleton is BODY
-    np.testing.assert_allclose(finder.amounts, 0, atol=1e-12)
+    np.testing.assert_allclose(estimator.amounts, 0, atol=1e-12)
     np.testing.assert_allclose(worn.points.points_bone, SURFACE.points.points_bone, atol=1e-6)
 
 
 def test_one_weak_frame_counts_by_how_people_differ():
-    finder = ShapeFinder(SURFACE, BODY)
-    count = len(finder.amounts)
-    known = np.asarray(finder.fields.deviations) ** -2.0
+    estimator = ShapeEstimator(SURFACE, BODY)
+    count = len(estimator.amounts)
+    known = np.asarray(estimator.fields.deviations) ** -2.0
     H = np.zeros((6 + count, 6 + count))
     # As sure as what is known of people: half-way.
     H[6:, 6:] = DEVIATION_M**2 * np.diag(known)
-    finder.add(H, -H @ np.append(np.zeros(6), np.full(count, 0.01)))
-    finder.fitted()
-    np.testing.assert_allclose(finder.amounts, 0.005, rtol=1e-6)
+    estimator.add_equations(H, -H @ np.append(np.zeros(6), np.full(count, 0.01)))
+    estimator.estimate()
+    np.testing.assert_allclose(estimator.amounts, 0.005, rtol=1e-6)
 
 
 @pytest.mark.parametrize("hidden", [False, True])
-def test_frames_of_which_a_part_is_not_seen_tell_nothing_of_the_shape(hidden):
+def test_frames_in_which_a_part_is_hidden_say_nothing_of_the_shape(hidden):
     """What hides an arm draws the trunk's outline along."""
-    frames, region = [], SimpleNamespace(origin=np.zeros((0, 2)), scale=np.zeros(0))
-    run = _Pass.__new__(_Pass)
-    run.tracker = SimpleNamespace(  # type: ignore[assignment]
-        covering=lambda pose: (), rooms=[], finder=SimpleNamespace(morph=None), skeleton=None,
-        cameras=None,
-    )  # fmt: skip
-    run.shape = SimpleNamespace(tell=lambda *frame: frames.append(frame))  # type: ignore[assignment]
-    run.learners, run._running, run._phi = [], {}, []
-    outlines = Outlines((), SimpleNamespace(phi=np.zeros((0, 8, 8))), region, np.zeros(0))  # type: ignore[arg-type]
-    report = SimpleNamespace(outlines=outlines, hidden=np.array([False, hidden]), pairs=None)
-    run._keep(np.zeros(0), report, [])  # type: ignore[arg-type]
+    frames, shape = [], SimpleNamespace(skeleton=None)
+    constants = SimpleNamespace(
+        cameras=SimpleNamespace(size=[]), finder=SimpleNamespace(morph=None)
+    )
+    estimator = SimpleNamespace(add_frame=lambda *frame: frames.append(frame))
+    learner = PassLearner(constants, 1, estimator)  # type: ignore[arg-type]
+    state = SimpleNamespace(body=SimpleNamespace(shape=shape), pose=np.zeros(0))
+    report = SimpleNamespace(hidden=np.array([False, hidden]), pairs=None)
+    learner.add_frame(state, report, {})  # type: ignore[arg-type]
     assert len(frames) == (not hidden)

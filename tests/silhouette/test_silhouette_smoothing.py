@@ -11,9 +11,8 @@ from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.pose import Pose, relaxed_pose, retract
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton, load_skeleton
 from jaxmocap.pipelines.silhouettes.track import MODEL
-from jaxmocap.silhouette.expected_pose import resting
-from jaxmocap.silhouette.smoothing import SmoothingSettings, Told, smoothed
-from jaxmocap.silhouette.surfaces.morph import Morphing, morph_of, shoulders, whole_of
+from jaxmocap.silhouette.smoothing import FrameInformation, PoseSmoothingSettings, smoothed_poses
+from jaxmocap.silhouette.surfaces.morph import Morphing, morph_of, shoulders, with_followers
 
 FRAMES = 40
 TIMES = np.arange(FRAMES) / 30
@@ -41,11 +40,11 @@ def swinging(skeleton: Skeleton) -> Pose:
     return moving(skeleton, wave)[0]
 
 
-def told(poses: Pose, sureness: np.ndarray | float) -> Told:
+def told(poses: Pose, sureness: np.ndarray | float) -> FrameInformation:
     """Frames of which each tells all directions alike; (T,) how surely."""
     size = 6 + poses.angles.shape[1]
     each = np.broadcast_to(sureness, len(poses.angles))
-    return Told(poses, each[:, None, None] * np.eye(size), np.zeros((len(each), size)))
+    return FrameInformation(poses, each[:, None, None] * np.eye(size), np.zeros((len(each), size)))
 
 
 def free(skeleton: Skeleton) -> np.ndarray:
@@ -58,7 +57,9 @@ def places(skeleton: Skeleton, poses: Pose) -> np.ndarray:
 
 def test_what_frames_are_sure_of_stays(skeleton):
     truth = swinging(skeleton)
-    found = smoothed(skeleton, TIMES, told(truth, SURE), free(skeleton), SmoothingSettings())
+    found = smoothed_poses(
+        skeleton, TIMES, told(truth, SURE), free(skeleton), PoseSmoothingSettings()
+    )
     np.testing.assert_allclose(places(skeleton, found), places(skeleton, truth), atol=1e-3)
 
 
@@ -70,8 +71,8 @@ def test_frames_that_show_nothing_lie_between_the_others(skeleton):
         part[unseen] = part[14]
     sureness = np.full(FRAMES, SURE)
     sureness[unseen] = 0.0
-    wide = SmoothingSettings(step=10.0)
-    bridged = smoothed(skeleton, TIMES, told(found, sureness), free(skeleton), wide)
+    wide = PoseSmoothingSettings(pose_deviation=10.0)
+    bridged = smoothed_poses(skeleton, TIMES, told(found, sureness), free(skeleton), wide)
     before, after = (
         np.linalg.norm(places(skeleton, each) - places(skeleton, truth), axis=-1)[unseen].max()
         for each in (found, bridged)
@@ -84,7 +85,9 @@ def test_noise_is_taken_out_and_the_motion_left(skeleton):
     rng, truth = np.random.default_rng(3), swinging(skeleton)
     noise = rng.normal(0, 0.02, (FRAMES, 6 + truth.angles.shape[1])).astype(np.float32)
     shaken = jax.tree.map(np.asarray, retract(truth, jnp.asarray(noise)))
-    calm = smoothed(skeleton, TIMES, told(shaken, 1 / 0.02**2), free(skeleton), SmoothingSettings())
+    calm = smoothed_poses(
+        skeleton, TIMES, told(shaken, 1 / 0.02**2), free(skeleton), PoseSmoothingSettings()
+    )
     exact = places(skeleton, truth)
     before, after = (
         np.linalg.norm(places(skeleton, each) - exact, axis=-1).mean() for each in (shaken, calm)
@@ -107,8 +110,8 @@ def test_who_stands_still_does_so_beside_what_swings(skeleton):
     seen, exact = told(shaken, 1 / 0.01**2), places(skeleton, truth)
     foot, hand = (list(LANDMARKS).index(name) for name in ("ankle_l", "wrist_l"))
     alike, own = (
-        places(skeleton, smoothed(skeleton, TIMES, seen, free(skeleton), settings))
-        for settings in (SmoothingSettings(rounds=0), SmoothingSettings(own=1.0))
+        places(skeleton, smoothed_poses(skeleton, TIMES, seen, free(skeleton), settings))
+        for settings in (PoseSmoothingSettings(rounds=0), PoseSmoothingSettings(own_share=1.0))
     )
 
     def shaking(found: np.ndarray) -> float:
@@ -128,8 +131,10 @@ def test_slopes_lead_from_where_prediction_dragged(skeleton):
     behind[:, 0] = -0.05
     lagging = jax.tree.map(np.asarray, retract(truth, jnp.asarray(behind)))
     size = behind.shape[1]
-    seen = Told(lagging, np.broadcast_to(SURE * np.eye(size), (FRAMES, size, size)), SURE * behind)
-    found = smoothed(skeleton, TIMES, seen, free(skeleton), SmoothingSettings())
+    seen = FrameInformation(
+        lagging, np.broadcast_to(SURE * np.eye(size), (FRAMES, size, size)), SURE * behind
+    )
+    found = smoothed_poses(skeleton, TIMES, seen, free(skeleton), PoseSmoothingSettings())
     np.testing.assert_allclose(places(skeleton, found), places(skeleton, truth), atol=1e-3)
 
 
@@ -141,9 +146,9 @@ def test_a_body_that_is_only_shifted_is_smoothed_as_a_dense_solve_says(skeleton)
     shaken, _ = moving(skeleton, wave)
     weights = np.full(size, 1e9)
     weights[:3] = 400.0
-    settings = SmoothingSettings(acceleration=2.0, rounds=0, step=1e3)
-    seen = Told(shaken, np.stack([np.diag(weights)] * FRAMES), np.zeros((FRAMES, size)))
-    found = smoothed(skeleton, TIMES, seen, free(skeleton), settings)
+    settings = PoseSmoothingSettings(acceleration=2.0, rounds=0, pose_deviation=1e3)
+    seen = FrameInformation(shaken, np.stack([np.diag(weights)] * FRAMES), np.zeros((FRAMES, size)))
+    found = smoothed_poses(skeleton, TIMES, seen, free(skeleton), settings)
     h = TIMES[1]
     second = (np.eye(FRAMES)[:-2] - 2 * np.eye(FRAMES)[1:-1] + np.eye(FRAMES)[2:]) / h**1.5
     stiff = len(LANDMARKS) / settings.acceleration**2 * second.T @ second
@@ -158,7 +163,9 @@ def test_no_joint_leaves_its_range(skeleton):
     # Pairs that would stretch it beyond.
     slope[:, 6 + elbow] = 10 * 400.0
     seen = told(truth, 400.0)._replace(slope=slope)
-    found = smoothed(skeleton, TIMES, seen, free(skeleton), SmoothingSettings(step=10.0))
+    found = smoothed_poses(
+        skeleton, TIMES, seen, free(skeleton), PoseSmoothingSettings(pose_deviation=10.0)
+    )
     low, high = np.asarray(skeleton.limits, float).T
     assert (found.angles >= low - 1e-6).all()
     assert (found.angles <= high + 1e-6).all()
@@ -169,7 +176,9 @@ def test_joints_held_at_rest_are_drawn_there_where_pairs_say_nothing(skeleton):
     truth, rest = swinging(skeleton), free(skeleton)
     elbow = skeleton.tree.joints.index("elbow_flex_l")
     rest[elbow] = 1e-3
-    found = smoothed(skeleton, TIMES, told(truth, UNSURE), rest, SmoothingSettings(step=10.0))
+    found = smoothed_poses(
+        skeleton, TIMES, told(truth, UNSURE), rest, PoseSmoothingSettings(pose_deviation=10.0)
+    )
     low = float(skeleton.limits[elbow, 0])
     assert np.abs(found.angles[:, elbow] - max(low, 0.0)).max() < 0.02
 
@@ -180,14 +189,17 @@ def test_joints_that_go_along_are_held_where_they_go(skeleton):
     wave = np.zeros((FRAMES, 6 + len(skeleton.tree.joints)))
     wave[:, 6 + skeleton.tree.joints.index("arm_flex_l")] = 1 - np.cos(2 * TIMES)
     alone = moving(skeleton, wave)[0]
-    truth = jax.tree.map(np.asarray, jax.vmap(partial(whole_of, morph, skeleton=skeleton))(alone))
-    rest = resting(skeleton, {"clavicle": 1e-3})
-    followers = morph.follows.any(1) & np.isfinite(rest)
+    truth = jax.tree.map(
+        np.asarray, jax.vmap(partial(with_followers, morph, skeleton=skeleton))(alone)
+    )
+    clavicles = [name.startswith("clavicle") for name in skeleton.tree.joints]
+    rest = np.where(clavicles, 1e-3, np.inf)
+    followers = morph.follower_gains.any(1) & np.isfinite(rest)
     went = np.abs(truth.angles - alone.angles)[:, followers].max(0)
     assert (went > 0.1).any()
     sureness = 1e4
     found, without = (
-        smoothed(skeleton, TIMES, told(truth, sureness), rest, SmoothingSettings(), goes)
+        smoothed_poses(skeleton, TIMES, told(truth, sureness), rest, PoseSmoothingSettings(), goes)
         for goes in (morph, None)
     )
     off, drawn = (
@@ -199,5 +211,7 @@ def test_joints_that_go_along_are_held_where_they_go(skeleton):
 
 def test_two_frames_have_no_acceleration_and_stay(skeleton):
     two = jax.tree.map(lambda part: part[:2], swinging(skeleton))
-    found = smoothed(skeleton, TIMES[:2], told(two, SURE), free(skeleton), SmoothingSettings())
+    found = smoothed_poses(
+        skeleton, TIMES[:2], told(two, SURE), free(skeleton), PoseSmoothingSettings()
+    )
     np.testing.assert_array_equal(found.angles, two.angles)

@@ -16,26 +16,25 @@ from jaxmocap.images.canvases import full_mask
 from jaxmocap.images.regions import Region
 from jaxmocap.pipelines.silhouettes.first_pose import start_pose
 from jaxmocap.silhouette.device_functions import fit
-from jaxmocap.silhouette.first_pose import landmark_points, pose_at, standing_pose
+from jaxmocap.silhouette.first_pose import landmark_points, pose_at_landmarks, standing_pose_at
+from jaxmocap.silhouette.segmentation.background_models import BackgroundLearner, OnlineBackground
 from jaxmocap.silhouette.segmentation.outlines import silhouette_distance
-from jaxmocap.silhouette.segmentation.room_models import RoomLearner, RunningRoom
-from jaxmocap.silhouette.segmentation.segment import Plan, Stage
+from jaxmocap.silhouette.segmentation.segment import SegmentationPlan, Stage
 from jaxmocap.silhouette.settings import FAR_OFF, Settings
 from jaxmocap.silhouette.surfaces.rim import RimSettings
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
 SMALL = Settings(rim=RimSettings(size=128, outer=128, inner=32, spacing=0.012, margin=0.1))
+# Plain walls need few steps, which compile sooner.
+PLAIN = SegmentationPlan(background=False, stages=(Stage(10, 2.0, 2.0, gap=1.0),))
 PERSON, WALL = (40, 60, 150), (190, 180, 170)
 POINTS = landmark_points
 
 
 @pytest.fixture(scope="module")
 def tracker() -> SilhouetteTracker:
-    made = SilhouetteTracker(BODY, ring(4), SMALL)
-    # Plain walls need few steps, which compile sooner.
-    made.plan = Plan(room=False, stages=(Stage(10, 2.0, 2.0, gap=1.0),))
-    return made
+    return SilhouetteTracker(BODY, ring(4), SMALL, plan=PLAIN)
 
 
 @pytest.fixture(scope="module")
@@ -48,10 +47,11 @@ def truth():
 
 def painted(tracker, pose) -> list[np.ndarray]:
     """The body itself, painted on walls with noise."""
-    rim = tracker.finder.find(BODY, pose, tracker.cameras)
+    cameras = tracker.constants.cameras
+    rim = tracker.constants.finder.find(tracker.body.shape, pose, cameras)
     rng, shown = np.random.default_rng(0), []
     for camera, mask in enumerate(rim.masks):
-        width, height = np.asarray(tracker.cameras.size[camera], int)
+        width, height = np.asarray(cameras.size[camera], int)
         region = Region(*(np.asarray(part)[camera] for part in rim.region))
         body = full_mask(silhouette_distance(mask), region, (height, width))
         image = np.where(body[..., None], PERSON, WALL) + rng.normal(0, 5, (height, width, 3))
@@ -69,6 +69,11 @@ def off_by(pose, truth) -> np.ndarray:
     return np.linalg.norm(np.asarray(POINTS(BODY, pose) - POINTS(BODY, truth)), axis=1)
 
 
+def with_settings(tracker, settings) -> None:
+    """Other settings, the same compiled programs."""
+    tracker.constants = tracker.constants._replace(settings=settings)
+
+
 def started(tracker, truth):
     """A state whose limbs are all a little off."""
     step = np.random.default_rng(1).choice([-0.06, 0.06], BODY.costs.shape)
@@ -82,7 +87,7 @@ def test_a_person_is_found_and_then_kept_without_the_cameras_that_fail(tracker, 
     state, _, _ = tracker.step(state, 0.0, images)
     state, _, _ = tracker.step(state, 1 / 30, images)
     state, pose, report = tracker.step(state, 2 / 30, images)
-    assert report.used.all() and report.shares.min() > 0.7
+    assert report.used.all() and report.matched_shares.min() > 0.7
     found = off_by(pose, truth)
     assert found.mean() < 0.5 * before and found.mean() < 0.03
     compiled = fit._cache_size()  # type: ignore[attr-defined]
@@ -104,7 +109,7 @@ def test_starts_far_off_are_found_coarse_to_fine_and_not_by_the_full_surface_alo
         start = retract(truth, jnp.asarray(step, jnp.float32))
         assert off_by(start, truth).mean() > 0.15
         for starting, found in left.items():
-            tracker.settings = replace(SMALL, starting=starting)
+            with_settings(tracker, replace(SMALL, starting_deviations=starting))
             state = tracker.init(start)
             for _ in range(3):
                 state, pose, _ = tracker.step(state, 0.0, images)
@@ -117,21 +122,21 @@ def test_without_any_image_the_pose_is_held_and_every_joint_said_to_be_unseen(tr
     state = tracker.init(truth)
     state, _, _ = tracker.step(state, 0.0, [None] * 4)
     state, pose, report = tracker.step(state, 1 / 30, [None] * 4)
-    assert not report.used.any() and not report.seen.any() and not state.velocity.any()
+    assert not report.used.any() and not report.observed.any() and not state.velocity.any()
     assert off_by(pose, truth).max() < 1e-3
 
 
 def test_a_pose_is_placed_at_known_landmarks(truth):
     points = np.array(POINTS(BODY, truth))
-    assert off_by(pose_at(BODY, points), truth).mean() < 0.01
+    assert off_by(pose_at_landmarks(BODY, points), truth).mean() < 0.01
     few = np.where(np.isin(list(LANDMARKS), ["head", "wrist_l"])[:, None], np.nan, points)
-    assert off_by(pose_at(BODY, few), truth).mean() < 0.05
+    assert off_by(pose_at_landmarks(BODY, few), truth).mean() < 0.05
     with pytest.raises(ValueError, match="neither both hips"):
-        pose_at(BODY, np.full_like(points, np.nan))
+        pose_at_landmarks(BODY, np.full_like(points, np.nan))
 
 
 def test_a_person_stands_on_the_floor_where_it_was_said():
-    pose = standing_pose(BODY, 1.0, -2.0, np.pi / 2)
+    pose = standing_pose_at(BODY, 1.0, -2.0, np.pi / 2)
     points = dict(zip(LANDMARKS, np.asarray(POINTS(BODY, pose)), strict=True))
     assert min(point[2] for point in points.values()) == pytest.approx(0, abs=1e-4)
     np.testing.assert_allclose(points["pelvis"][:2], [1.0, -2.0], atol=1e-4)
@@ -140,29 +145,29 @@ def test_a_person_stands_on_the_floor_where_it_was_said():
 
 
 def test_a_room_is_learned_where_the_person_was_not():
-    learner, room = RoomLearner(8), np.full((60, 80, 3), 120, np.uint8)
+    learner, room = BackgroundLearner(8), np.full((60, 80, 3), 120, np.uint8)
     region = Region(np.full(2, -0.5, np.float32), np.array(2.0, np.float32))
     for i in range(8):
         image, phi = room.copy(), np.full((40, 40), -8.0, np.float32)
         left = 4 + 6 * i
         image[20:40, left : left + 8] = 10
         phi[10:20, left // 2 : left // 2 + 4] = 8.0
-        learner.tell(image, phi, region)
-    learned = learner.learned()
+        learner.add_frame(image, phi, region)
+    learned = learner.background()
     assert learned is not None and learned.colour.shape == room.shape
     assert np.abs(learned.colour[learned.known > 0.5] - 120).max() < 2
     assert (learned.known > 0.5).mean() > 0.9
-    assert RoomLearner(8).learned() is None
+    assert BackgroundLearner(8).background() is None
 
 
 def test_what_a_shadow_lay_on_for_most_of_the_time_is_learned_as_it_is_lit():
     region = Region(np.full(2, -0.5, np.float32), np.array(2.0, np.float32))
-    learner, nobody = RoomLearner(10), np.full((40, 40), -8.0, np.float32)
+    learner, nobody = BackgroundLearner(10), np.full((40, 40), -8.0, np.float32)
     for i in range(10):
         image = np.full((60, 80, 3), 120, np.uint8)
         image[40:, : 80 if i < 6 else 40] = 80
-        learner.tell(image, nobody, region)
-    learned = learner.learned()
+        learner.add_frame(image, nobody, region)
+    learned = learner.background()
     assert learned is not None
     assert (learned.colour[:, 41:] > 115).all() and (learned.colour[41:, :39] < 85).all()
 
@@ -175,23 +180,23 @@ def test_a_hand_that_stands_still_is_no_room_where_the_body_has_it_and_segmentat
     hand = np.stack([columns.ravel(), rows.ravel()], 1).astype(float)
     learned = {}
     for seen in (False, True):
-        learner = RoomLearner(8)
+        learner = BackgroundLearner(8)
         for _ in range(8):
-            learner.tell(image, phi, region, hand if seen else None)
-        learned[seen] = learner.learned()
+            learner.add_frame(image, phi, region, hand if seen else None)
+        learned[seen] = learner.background()
     assert (learned[False].known > 0.5).all()
     assert not learned[True].known[20:30, 40:50].any() and learned[True].known[5:15, 5:75].all()
 
 
 def test_a_room_is_known_from_the_first_frames_but_about_the_person_and_there_once_they_have_left():
     region = Region(np.full(2, -0.5, np.float32), np.array(2.0, np.float32))
-    running, empty = RunningRoom(), np.full((60, 80, 3), 120, np.uint8)
+    running, empty = OnlineBackground(), np.full((60, 80, 3), 120, np.uint8)
     for left in (10, 10, 10, 50, 50, 50):
         image, phi = empty.copy(), np.full((40, 40), -8.0, np.float32)
         image[20:40, left : left + 8] = 10
         rows, columns = np.mgrid[20:40:4, left : left + 8 : 4]
         body = np.stack([columns.ravel(), rows.ravel()], 1).astype(float)
-        room = running.told(image, phi, region, body)
+        room = running.updated(image, phi, region, body)
         assert np.abs(room.colour[room.known > 0] - 120).max() < 2
         assert room.known[20:40, 10:18].any() == (left == 50) and room.known[20:40, 50:58].any()
     assert (room.known == 1).all()

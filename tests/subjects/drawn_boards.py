@@ -16,6 +16,13 @@ LENS = Intrinsics(
     np.array([[620.0, 0, 335], [0, 615, 228], [0, 0, 1]]),
     np.array([-0.12, 0.05, 0.001, -0.0005]),
 )
+# A camera that shows 115 degrees from side to side.
+FISHEYE_LENS = Intrinsics(
+    np.array(SIZE, float),
+    np.array([[310.0, 0, 325], [0, 308, 236], [0, 0, 1]]),
+    np.array([0.04, -0.02, 0.006, -0.001]),
+    fisheye=True,
+)
 BOARD = Board(4, 7, 0.06)
 CHARUCO = Board(4, 7, 0.06, "5X5_100", 0.045)
 # Each pixel is the mean of so many by so many samples.
@@ -24,19 +31,22 @@ PAPER, BLACK, WALL = 225.0, 25.0, 120.0
 
 
 @cache
-def rays() -> np.ndarray:
+def rays(fisheye: bool = False) -> np.ndarray:
     """(H · FINE, W · FINE, 2) points on the plane z = 1 that the samples of the image see."""
     x = (np.arange(SIZE[0] * FINE) + 0.5) / FINE - 0.5
     y = (np.arange(SIZE[1] * FINE) + 0.5) / FINE - 0.5
     grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 1, 2)
-    seen = cv2.undistortPoints(grid, LENS.matrix, LENS.distortions)
+    if fisheye:
+        seen = cv2.fisheye.undistortPoints(grid, FISHEYE_LENS.matrix, FISHEYE_LENS.distortions)
+    else:
+        seen = cv2.undistortPoints(grid, LENS.matrix, LENS.distortions)
     return seen.reshape(SIZE[1] * FINE, SIZE[0] * FINE, 2).astype(np.float32)
 
 
-def draw(board: Board, T_cam_board: np.ndarray, seed: int = 0) -> np.ndarray:
+def draw(board: Board, T_cam_board: np.ndarray, seed: int = 0, fisheye: bool = False) -> np.ndarray:
     """(480, 640, 3) BGR: the board before a wall, with a little noise."""
     M = np.linalg.inv(T_cam_board[:3, [0, 1, 3]])
-    plane = rays() @ M[:, :2].T.astype(np.float32) + M[:, 2].astype(np.float32)
+    plane = rays(fisheye) @ M[:, :2].T.astype(np.float32) + M[:, 2].astype(np.float32)
     across, up = np.moveaxis(plane[..., :2] / plane[..., 2:], -1, 0) / board.square
     shade = charuco_shade(board, across, up) if board.dictionary else chess_shade(board, across, up)
     paper = (across > -2) & (across < board.columns + 1) & (up > -2) & (up < board.rows + 1)
@@ -90,16 +100,35 @@ HELD = (
 )
 
 
+# The same of a board before the fisheye, near enough to be large.
+HELD_BEFORE_FISHEYE = (
+    (35, 0, 10, (-0.2, -0.05, 0.42)),
+    (-35, 10, 0, (0.22, 0.1, 0.45)),
+    (0, 35, 80, (0.05, -0.18, 0.4)),
+    (5, -35, 95, (-0.1, 0.18, 0.42)),
+    (25, 25, 45, (0.3, -0.15, 0.5)),
+    (-25, 25, -30, (-0.3, 0.15, 0.5)),
+    (20, -25, 175, (0.0, 0.0, 0.38)),
+    (-20, -30, 20, (0.3, 0.2, 0.5)),
+    (30, 20, -70, (-0.3, -0.2, 0.5)),
+)
+
+
 def views(board: Board = BOARD) -> list[np.ndarray]:
     """T_cam_board of each of HELD."""
     return [held(board, a, b, c, at) for a, b, c, at in HELD]
 
 
-def write_views(folder: Path, board: Board = BOARD) -> list[str]:
+def views_of_fisheye(board: Board = BOARD) -> list[np.ndarray]:
+    """T_cam_board of each of HELD_BEFORE_FISHEYE."""
+    return [held(board, a, b, c, at) for a, b, c, at in HELD_BEFORE_FISHEYE]
+
+
+def write_views(folder: Path, board: Board = BOARD, fisheye: bool = False) -> list[str]:
     """Photographs ``view_1.png`` and so on; their paths."""
     paths = []
-    for i, T_cam_board in enumerate(views(board), 1):
+    for i, T_cam_board in enumerate(views_of_fisheye(board) if fisheye else views(board), 1):
         path = folder / f"view_{i}.png"
-        cv2.imwrite(str(path), draw(board, T_cam_board, seed=i))
+        cv2.imwrite(str(path), draw(board, T_cam_board, seed=i, fisheye=fisheye))
         paths.append(str(path))
     return paths

@@ -19,7 +19,7 @@ from jaxmocap.formats.recordings.recording import (
 from jaxmocap.formats.time_series.trc import write_trc
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.tracking.track import make_tracker
-from jaxmocap.synthetic.lens import look_at
+from jaxmocap.synthetic.drawing_camera import look_at
 from jaxmocap.synthetic.recording import write_video
 
 # The five end effectors of the paper, as the real recording names and places them.

@@ -6,13 +6,18 @@ import pytest
 
 from jaxmocap.formats.recordings.recording import load_recording
 from jaxmocap.formats.time_series.trc import read_trc
-from jaxmocap.synthetic.four_cameras import bends, framed, read_masks, write_four_cameras
-from jaxmocap.synthetic.lens import Lens
+from jaxmocap.synthetic.drawing_camera import DrawingCamera
+from jaxmocap.synthetic.four_cameras import (
+    cameras_around,
+    flexion_angles,
+    read_masks,
+    write_four_cameras,
+)
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.movements.exercises import EXERCISES, PLANTED, exercise
-from jaxmocap.synthetic.people.clothed_person import dressed
+from jaxmocap.synthetic.people.clothed_person import clothed_actor
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
-from jaxmocap.synthetic.renderer import light
+from jaxmocap.synthetic.renderer import exposure
 
 TIMES = np.linspace(0.0, 3.0, 61)
 BONES = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
@@ -25,7 +30,7 @@ def rig(recordings):
 
 def bent(rig, name):
     """Degrees by which elbows and knees are bent, over time."""
-    angles = bends(exercise(rig, name).landmarks(TIMES))
+    angles = flexion_angles(exercise(rig, name).landmarks(TIMES))
     return {hinge: np.degrees(angle) for hinge, angle in angles.items()}
 
 
@@ -79,7 +84,7 @@ def test_a_jump_leaves_the_floor_and_scissors_cross_the_legs(rig):
 
 def test_a_pose_that_is_off_is_off_by_so_much(rig):
     person = exercise(rig, "arm_raises")
-    away = person.off(np.random.default_rng(0), degrees=5.0, metres=0.03)
+    away = person.displaced(np.random.default_rng(0), degrees=5.0, metres=0.03)
     R, joints = person.rig(TIMES[:20])
     R_off, joints_off = away.rig(TIMES[:20])
     foot, elbow = (person.body.names.index(name) for name in ("LeftFoot", "LeftForeArm"))
@@ -87,7 +92,9 @@ def test_a_pose_that_is_off_is_off_by_so_much(rig):
     assert 0.01 < moved.mean() < 0.2
     turned = np.einsum("tij,tij->t", R[:, foot], R_off[:, foot])
     assert 1.0 < np.degrees(np.arccos((turned - 1) / 2)).mean() < 25.0
-    shift = person.off(np.random.default_rng(0), degrees=0.0).rig(TIMES)[1] - person.rig(TIMES)[1]
+    shift = (
+        person.displaced(np.random.default_rng(0), degrees=0.0).rig(TIMES)[1] - person.rig(TIMES)[1]
+    )
     np.testing.assert_allclose(np.linalg.norm(shift, axis=-1), 0.03, atol=1e-9)
 
 
@@ -98,11 +105,11 @@ def test_an_unknown_exercise_is_refused_with_the_valid_ones(rig):
 
 def test_a_mask_is_where_the_person_changes_the_picture(rig):
     person, time = exercise(rig, "scissors"), 1.0
-    view = framed(person, 0.3)[1]
+    view = cameras_around(person, 0.3)[1]
     scene = view.scene(person, 0)
     scene.background[:] = (0, 255, 0)
-    seen = light(scene, Lens.of(scene.camera), time)
-    away = (seen[..., 0] > 10) | (seen[..., 2] > 10)
+    image = exposure(scene, DrawingCamera.of(scene.camera), time)
+    away = (image[..., 0] > 10) | (image[..., 2] > 10)
     mask = view.mask(person, time)
     assert (away & mask).sum() / (away | mask).sum() > 0.95
     # Away from the outline both agree wholly, but for what movement blurs.
@@ -125,14 +132,14 @@ def test_four_synchronous_videos_and_the_truth_are_written(rig, tmp_path):
         mask = masks[video.camera_name]
         assert mask.shape == (2, 480, 640)
         # A pelvis is deep within the body, seen from anywhere.
-        x, y = np.rint(Lens.of(video.camera).pixels(points["pelvis"][0])).astype(int)
+        x, y = np.rint(DrawingCamera.of(video.camera).pixels(points["pelvis"][0])).astype(int)
         assert mask[0, y - 4 : y + 5, x - 4 : x + 5].all() and 0.02 < mask.mean() < 0.4
     with np.load(tmp_path / "truth_angles.npz") as angles:
-        np.testing.assert_allclose(angles["knee_l"], bends(points)["knee_l"])
+        np.testing.assert_allclose(angles["knee_l"], flexion_angles(points)["knee_l"])
 
 
 def test_whoever_moves_can_be_seen_by_four_cameras(tmp_path):
-    actor = dressed(motions.squat(1.0))
+    actor = clothed_actor(motions.squat(1.0))
     path = write_four_cameras(tmp_path, actor, 0.04)
     assert len(load_recording(path).videos) == 4
     assert {"elbow_l", "knee_r"} < set(np.load(tmp_path / "truth_angles.npz"))

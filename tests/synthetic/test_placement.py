@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from jaxmocap.formats.recordings.recording import load_recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.synthetic import recording
-from jaxmocap.synthetic.lens import Lens
+from jaxmocap.synthetic.drawing_camera import DrawingCamera
 from jaxmocap.synthetic.movements import motions
-from jaxmocap.synthetic.people.meshes import Mesh
-from jaxmocap.synthetic.placement import Turned, camera_at
+from jaxmocap.synthetic.people.meshes import SkinnedMesh
+from jaxmocap.synthetic.placement import RotatedMover, camera_at
 from jaxmocap.synthetic.renderer import render_frames
 
 ARMS = ("shoulder_l", "shoulder_r", "elbow_l", "elbow_r", "wrist_l", "wrist_r")
@@ -30,7 +30,7 @@ class Dots:
     def __init__(self, points: np.ndarray):
         self.points, on_root, whole = points, np.zeros((len(points), 1), int), np.ones(len(points))
         nothing = np.zeros((0, 4), int)
-        self.mesh = Mesh(points, nothing, np.zeros((0, 3)), on_root, whole[:, None])
+        self.mesh = SkinnedMesh(points, nothing, np.zeros((0, 3)), on_root, whole[:, None])
 
     def vertices(self, times: np.ndarray) -> np.ndarray:
         return np.broadcast_to(self.points, (len(times), *self.points.shape))
@@ -39,22 +39,22 @@ class Dots:
 @given(st.floats(-180, 180), st.integers(0, 1000))
 def test_a_turned_person_looks_as_from_a_turned_camera(azimuth, seed):
     points = np.random.default_rng(seed).uniform((-0.8, -0.8, 0), (0.8, 0.8, 2), (20, 3))
-    seen = Lens.of(camera_at(azimuth)).pixels(points)
-    turned = Turned(Dots(points), azimuth).vertices(np.zeros(1))[0]
-    np.testing.assert_allclose(seen, Lens.of(camera_at(0.0)).pixels(turned), atol=5e-3)
+    pixels = DrawingCamera.of(camera_at(azimuth)).pixels(points)
+    turned = RotatedMover(Dots(points), azimuth).vertices(np.zeros(1))[0]
+    np.testing.assert_allclose(pixels, DrawingCamera.of(camera_at(0.0)).pixels(turned), atol=5e-3)
 
 
 def test_positive_azimuths_are_to_the_persons_left():
-    left = Lens.of(camera_at(60.0)).position_world
+    left = DrawingCamera.of(camera_at(60.0)).position_world
     assert left[1] > 1 and left[0] > 1  # who faces +x has +y to the left
-    assert Lens.of(camera_at(0.0)).position_world[1] == pytest.approx(0, abs=1e-6)
+    assert DrawingCamera.of(camera_at(0.0)).position_world[1] == pytest.approx(0, abs=1e-6)
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("azimuth", [-60.0, 0.0, 60.0])
 def test_the_whole_person_is_in_view_from_every_side(motion, azimuth):
     scene = recording.scene(MOTIONS[motion](azimuth), 3, azimuth)
-    pixels = Lens.of(scene.camera).pixels(scene.mover.vertices(np.arange(0, 6, 0.2)))
+    pixels = DrawingCamera.of(scene.camera).pixels(scene.mover.vertices(np.arange(0, 6, 0.2)))
     assert pixels.min() > 0
     assert (pixels < np.array([639, 479])).all()
 
@@ -72,7 +72,7 @@ def test_the_arms_are_where_the_files_say_from_every_side(tmp_path, azimuth):
     person = away.max(-1) > 22
     hits = []
     for name in ARMS:
-        x, y = np.rint(Lens.of(source.camera).pixels(truth[name][0])).astype(int)
+        x, y = np.rint(DrawingCamera.of(source.camera).pixels(truth[name][0])).astype(int)
         hits.append(person[y - 3 : y + 4, x - 3 : x + 4].any())
     assert np.mean(hits) > 0.8
 
@@ -81,15 +81,15 @@ def test_the_arms_are_where_the_files_say_from_every_side(tmp_path, azimuth):
 def test_thrusts_go_straight_at_the_camera_and_take_the_elbows_along(azimuth):
     times = np.arange(0, 6, 1 / 90)
     points = motions.thrust(6.0, 1, azimuth=azimuth).landmarks(times)
-    camera = Lens.of(camera_at(azimuth)).position_world
+    camera = DrawingCamera.of(camera_at(azimuth)).position_world
     for name, share, depth in (("wrist", 0.95, 0.45), ("elbow", 0.6, 0.45)):
         for side in "lr":
             path = points[f"{name}_{side}"]
-            sight = camera - path.mean(0)
-            sight /= np.linalg.norm(sight)
+            line_of_sight = camera - path.mean(0)
+            line_of_sight /= np.linalg.norm(line_of_sight)
             velocity = np.diff(path, axis=0)
-            assert np.sum((velocity @ sight) ** 2) > share * np.sum(velocity**2)
-            assert np.ptp(path @ sight) > depth
+            assert np.sum((velocity @ line_of_sight) ** 2) > share * np.sum(velocity**2)
+            assert np.ptp(path @ line_of_sight) > depth
 
 
 def test_without_an_azimuth_the_camera_is_the_webcam():
@@ -100,7 +100,8 @@ def test_without_an_azimuth_the_camera_is_the_webcam():
 
 
 def test_a_thrust_is_written_with_its_camera(tmp_path):
-    path = recording.write_thrust(tmp_path, 0.1, azimuth=-30.0)
+    performance = motions.thrust(0.1, azimuth=-30.0)
+    path = recording.write_performance(tmp_path, performance, 0.1, azimuth=-30.0)
     (source,) = load_recording(path).videos
     np.testing.assert_allclose(
         source.camera.position_world, camera_at(-30.0).position_world, atol=1e-5

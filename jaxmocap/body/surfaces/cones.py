@@ -12,7 +12,7 @@ from jax import Array
 
 from jaxmocap.body.kinematics import Frames
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.geometry.cameras import Camera, to_camera, to_pixels
+from jaxmocap.geometry.cameras import Camera, radii_in_pixels, to_camera, to_pixels
 from jaxmocap.geometry.outlines import Discs, project_limb
 from jaxmocap.geometry.rotations import rotate
 
@@ -40,11 +40,11 @@ def cones(skeleton: Skeleton, frames: Frames, bones: np.ndarray) -> Cones:
 
 
 def project_cones(camera: Camera, flesh: Cones) -> Discs:
-    """Limbs (N) in the image, pixels; the lens' distortion moves the discs, not their radii."""
+    """Limbs (N) in the image, pixels."""
     plane = project_limb(to_camera(camera, flesh.near), to_camera(camera, flesh.far), flesh.radii)
-    focal_px = (camera.matrix[0, 0] + camera.matrix[1, 1]) / 2
     ends = to_pixels(camera, plane.near), to_pixels(camera, plane.far)
-    return Discs(*ends, plane.radii * focal_px)
+    centres = jnp.stack([plane.near, plane.far], -2)
+    return Discs(*ends, radii_in_pixels(camera, centres, plane.radii))
 
 
 def volumes(flesh: Cones) -> Array:

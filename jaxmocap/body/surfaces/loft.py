@@ -25,7 +25,7 @@ BLEND = 0.3
 
 
 @dataclass(frozen=True)
-class Limb:
+class LoftedPart:
     """One limb of the table.
 
     Attributes:
@@ -60,12 +60,12 @@ def generic_surface(skeleton: Skeleton, girth: float = 1.0) -> Surface:
 
     Args:
         skeleton: scaled to the person, with any joints.
-        girth: of trunk and limbs by the mean person's: a stout one's is above 1.
+        girth: of trunk and lofted_parts by the mean person's: a stout one's is above 1.
     """
     joints, stature = rest_joints(skeleton), stature_of(skeleton)
     grids, shares = {}, {}
-    for limb in limbs():
-        places = places_along(skeleton, limb, stature)
+    for limb in lofted_parts():
+        places = ring_places(skeleton, limb, stature)
         phi = 2 * np.pi * np.arange(limb.around) / limb.around
         size = stature * girth ** PchipInterpolator(limb.at, limb.stout)(places)[:, None]
         radii = size * radii_at(limb, places, phi)
@@ -93,13 +93,13 @@ def rest_joints(skeleton: Skeleton) -> np.ndarray:
 def stature_of(skeleton: Skeleton) -> float:
     """Body height by the lengths of trunk, head and legs, metres."""
     lengths, tree = np.asarray(skeleton.lengths, float), skeleton.tree
-    middle = sum(lengths[tree.bone(bone)] for bone in tree.bones[: tree.bones.index("head") + 1])
-    legs = [lengths[tree.bone(f"{bone}_{s}")] for bone in ("femur", "tibia") for s in "lr"]
-    return (middle + sum(legs) / 2) / UPRIGHT
+    middle = lengths[tree.bones_in("spine", "head")]
+    legs = lengths[tree.bones_in("thigh", "shank")]
+    return (sum(middle) + sum(legs) / 2) / UPRIGHT
 
 
 def ring_frames(
-    skeleton: Skeleton, limb: Limb, places: np.ndarray, stature: float
+    skeleton: Skeleton, limb: LoftedPart, places: np.ndarray, stature: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centres (R, 3) of rings with all angles 0, and the directions (3,) of phi = 0 and 90 degrees.
 
@@ -117,7 +117,7 @@ def ring_frames(
     return centres, np.eye(3)[0 if upright else 2], limb.side * np.eye(3)[1]
 
 
-def places_along(skeleton: Skeleton, limb: Limb, stature: float) -> np.ndarray:
+def ring_places(skeleton: Skeleton, limb: LoftedPart, stature: float) -> np.ndarray:
     """(along,) places of rings, evenly spaced from the table's first ring to its last.
 
     The first and the last are there twice: once more without a radius, so that ends are closed.
@@ -129,7 +129,7 @@ def places_along(skeleton: Skeleton, limb: Limb, stature: float) -> np.ndarray:
     return np.interp(np.concatenate([[0], even, [way[-1]]]), way, fine)
 
 
-def radii_at(limb: Limb, places: np.ndarray, phi: np.ndarray) -> np.ndarray:
+def radii_at(limb: LoftedPart, places: np.ndarray, phi: np.ndarray) -> np.ndarray:
     """Radii (R, U) by the stature at places (R,) and angles (U,); the ends are closed."""
     waves = PchipInterpolator(limb.at, limb.waves)(places)
     orders = np.arange(waves.shape[-1])[:, None] * phi
@@ -139,7 +139,7 @@ def radii_at(limb: Limb, places: np.ndarray, phi: np.ndarray) -> np.ndarray:
 
 
 def bone_shares(
-    tree: Tree, limb: Limb, places: np.ndarray, grid: np.ndarray, joints: np.ndarray
+    tree: Tree, limb: LoftedPart, places: np.ndarray, grid: np.ndarray, joints: np.ndarray
 ) -> np.ndarray:
     """(R, U, B) of each bone at the nodes: one going over into the next about their joint."""
     bones = [tree.bone(bone) for bone in limb.bones]
@@ -161,13 +161,15 @@ def _give_shoulder(
     tree: Tree, side: str, sign: int, shares: np.ndarray, grid: np.ndarray, joints: np.ndarray
 ) -> None:
     """What lies by a shoulder follows its clavicle, more so farther out; changes ``shares``."""
-    breadth = abs(joints[tree.bone(f"humerus_{side}"), 1])
+    arm, clavicle = tree.bones_in("arm", side=side)[0], tree.bones_in("shoulder", side=side)
+    chest, neck = tree.bones_in("spine")[-1:], tree.bones_in("neck")[0]
+    breadth = abs(joints[arm, 1])
     outwards = _smooth((sign * grid[..., 1] / breadth - 0.3) / 0.6)
-    bottom, top = joints[tree.bone("spine3"), 2], joints[tree.bone("neck"), 2]
+    bottom, top = joints[chest[0], 2], joints[neck, 2]
     upwards = _smooth((grid[..., 2] - bottom) / (top - bottom) * 1.5 - 0.3)
-    part = (outwards * upwards)[..., None] * shares[..., [tree.bone("spine3")]]
-    shares[..., [tree.bone(f"clavicle_{side}")]] += part
-    shares[..., [tree.bone("spine3")]] -= part
+    part = (outwards * upwards)[..., None] * shares[..., chest]
+    shares[..., clavicle] += part
+    shares[..., chest] -= part
 
 
 def _smooth(x: np.ndarray) -> np.ndarray:
@@ -176,8 +178,8 @@ def _smooth(x: np.ndarray) -> np.ndarray:
     return x * x * (3 - 2 * x)
 
 
-def limbs() -> tuple[Limb, ...]:
-    """All limbs of the table, the paired ones left and right."""
+def lofted_parts() -> tuple[LoftedPart, ...]:
+    """All lofted_parts of the table, the paired ones left and right."""
     found = []
     for row in _table()["patch"]:
         at = np.array([ring["at"] for ring in row["ring"]])
@@ -190,7 +192,7 @@ def limbs() -> tuple[Limb, ...]:
             above = row["above"] + end if row["above"] else ""
             size = row["around"], row["along"]
             found.append(
-                Limb(
+                LoftedPart(
                     row["name"] + end,
                     side,
                     bones,

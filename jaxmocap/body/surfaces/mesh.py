@@ -73,7 +73,7 @@ class Atlas(NamedTuple):
     rectangles: tuple[Rectangle, ...]
 
 
-class Mesh(NamedTuple):
+class SurfaceMesh(NamedTuple):
     """V vertices and F triangles.
 
     Attributes:
@@ -139,7 +139,7 @@ def coarser(surface: Surface, nodes: np.ndarray, spacing: float) -> Surface:
     return Surface(tuple(patches), points)
 
 
-def mesh_of(surface: Surface, nodes: np.ndarray, atlas: Atlas) -> Mesh:
+def mesh_of(surface: Surface, nodes: np.ndarray, atlas: Atlas) -> SurfaceMesh:
     """The surface's mesh, its nodes (N, 3) at rest."""
     numbers, places, triangles, count = [], [], [], 0
     for patch, rectangle in zip(surface.patches, atlas.rectangles, strict=True):
@@ -151,7 +151,7 @@ def mesh_of(surface: Surface, nodes: np.ndarray, atlas: Atlas) -> Mesh:
         triangles.append(count + _outwards(nodes[own], grid_triangles(patch.along, patch.around)))
         numbers.append(own)
         count += len(own)
-    return Mesh(np.concatenate(numbers), np.concatenate(places), np.concatenate(triangles))
+    return SurfaceMesh(np.concatenate(numbers), np.concatenate(places), np.concatenate(triangles))
 
 
 def grid_triangles(along: int, around: int) -> np.ndarray:

@@ -24,7 +24,7 @@ SIDED = ("aside", "skew")
 
 
 @dataclass(frozen=True)
-class Fields:
+class SwellingFields:
     """P fields over the N nodes of a surface.
 
     Attributes:
@@ -38,7 +38,7 @@ class Fields:
     deviations: np.ndarray
 
 
-def fields_of(surface: Surface, joints: np.ndarray) -> Fields:
+def fields_of(surface: Surface, joints: np.ndarray) -> SwellingFields:
     """The fields of a surface, however dense, around bones with these joints (B, 3) at rest."""
     names = _names(surface)
     moves = np.zeros((len(surface.points.bones), 3, len(names)), np.float32)
@@ -51,10 +51,10 @@ def fields_of(surface: Surface, joints: np.ndarray) -> Fields:
             if of == limb:
                 moved = parts[:, stretch, None, None] * ways[kind]
                 moves[patch.nodes, :, column] = moved.reshape(-1, 3)
-    return Fields(names, moves, np.array([KINDS[kind] for _, kind, _ in names]))
+    return SwellingFields(names, moves, np.array([KINDS[kind] for _, kind, _ in names]))
 
 
-def reshaped(surface: Surface, fields: Fields, amounts: np.ndarray) -> Surface:
+def reshaped(surface: Surface, fields: SwellingFields, amounts: np.ndarray) -> Surface:
     """The surface with amounts (P,) of its fields."""
     points = surface.points
     moved = np.asarray(points.points_bone) + (fields.moves @ amounts)[:, None]

@@ -13,8 +13,8 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
 
-# Bones of limbs and the patches about them.
-LIMBS = {"humerus": "arm", "radius": "arm", "femur": "leg", "tibia": "leg"}
+# Patches of limbs, and the bones that are as thick as these.
+MEASURED = {"arm": ("upper_arm", "forearm"), "leg": ("thigh", "shank")}
 # A limb's rings from here to there along its bone, as a share of it: joints and muscles at its ends
 # belong to others. A cone through these tells the ends.
 FROM, TO = 0.2, 0.9
@@ -29,10 +29,8 @@ def with_thickness(skeleton: Skeleton, surface: Surface) -> Skeleton:
         grid = patch.grid(nodes)
         middles = grid.mean(1)
         girths = np.linalg.norm(np.roll(grid, -1, 1) - grid, axis=-1).sum(1)
-        for name in (
-            f"{limb}{patch.name[3:]}" for limb, on in LIMBS.items() if on == patch.name[:3]
-        ):
-            bone = skeleton.tree.bone(name)
+        limb, _, side = patch.name.partition("_")
+        for bone in skeleton.tree.bones_in(*MEASURED.get(limb, ()), side=side):
             axis = np.asarray(skeleton.directions[bone], float) * float(skeleton.lengths[bone])
             at = (middles - joints[bone]) @ axis / (axis @ axis)
             kept = (at > FROM) & (at < TO)

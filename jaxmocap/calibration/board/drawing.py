@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from jaxmocap.calibration.board.opencv_lenses import project_points
 from jaxmocap.formats.cameras.calibration import Intrinsics
 from jaxmocap.formats.files.writing import replacing
 
@@ -109,8 +110,7 @@ class AnnotatedPicture:
         if ((tips @ T_cam_frame[2, :3]) + T_cam_frame[2, 3] <= 0.05).any():
             return
         rvec, _ = cv2.Rodrigues(T_cam_frame[:3, :3])
-        pixels, _ = cv2.projectPoints(tips, rvec, T_cam_frame[:3, 3], lens.matrix, lens.distortions)
-        origin, *ends = pixels.reshape(-1, 2)
+        origin, *ends = project_points(tips, rvec, T_cam_frame[:3, 3], lens)
         for end, (axis, colour) in zip(ends, AXIS_COLOURS.items(), strict=True):
             self.line(origin, end, colour, 3)
             self.text(axis, end + 6, WHITE)
@@ -146,10 +146,10 @@ def draw_coverage(
     return canvas
 
 
-def write_annotated(path: Path, canvas: AnnotatedPicture) -> Path:
+def write_annotated(path: Path, picture: AnnotatedPicture) -> Path:
     """Write a JPEG file; its path."""
     with replacing(path) as temporary:
         temporary.write_bytes(
-            cv2.imencode(".jpg", canvas.image, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes()
+            cv2.imencode(".jpg", picture.image, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes()
         )
     return path

@@ -96,7 +96,7 @@ def _chosen_frames(video: Video, board: Board) -> tuple[list[Picture], str]:
                     _FrameView(number, _sharpness(grey, pixels), _features(pixels, board, grey))
                 )
     examined = -(-len(video) // step)
-    sentence = f"{video.path.name}: board seen in {len(candidates)} of {examined} frames looked at"
+    sentence = f"{video.path.name}: board found in {len(candidates)} of {examined} frames examined"
     if not candidates:
         return [], sentence
     limit = MIN_SHARPNESS * float(np.median([view.sharpness for view in candidates]))

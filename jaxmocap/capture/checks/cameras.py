@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 
 from jaxmocap.capture.checks.body_reach import standing_points
@@ -20,7 +19,15 @@ from jaxmocap.capture.checks.markers import (
 )
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.recordings.recording import Recording, VideoSource
-from jaxmocap.geometry.cameras import NEAREST_M, Camera
+from jaxmocap.geometry.cameras import (
+    NEAREST_M,
+    Camera,
+    camera_components,
+    on_host,
+    pinhole_components,
+    pixel_components,
+)
+from jaxmocap.geometry.lenses import FISHEYE
 
 # Nobody is filmed from further away; a calibration in millimetres puts the camera there.
 MAX_DISTANCE_M = 150.0
@@ -103,20 +110,21 @@ def marker_visibility(
 def project_to_pixels(camera: Camera, points_world: np.ndarray) -> np.ndarray:
     """(N, 2) pixels of (N, 3) world points, in double precision; NaN behind the camera."""
     pinhole_xy, bent_xy = _projections(camera, points_world)
+    if camera.lens == FISHEYE:
+        return bent_xy
     size = np.asarray(camera.size, float)
     near = np.asarray((np.abs(pinhole_xy - size / 2) <= (0.5 + DISTORTION_MARGIN) * size).all(-1))
     return np.where(near[:, None], bent_xy, pinhole_xy)
 
 
 def _projections(camera: Camera, points_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    T, matrix = np.asarray(camera.T_cam_world, float), np.asarray(camera.matrix, float)
-    points_cam = np.asarray(points_world, float) @ T[:3, :3].T + T[:3, 3]
-    ahead = points_cam[:, 2:] > NEAREST_M
-    safe = np.where(ahead, points_cam, [0.0, 0.0, 1.0])
-    flat = np.zeros(3)
+    camera = on_host(camera)
+    x, y, z = camera_components(camera, *np.asarray(points_world, float).T)
+    ahead = z > NEAREST_M
+    depths = np.where(ahead, z, 1.0)
     both = [
-        np.where(ahead, cv2.projectPoints(safe, flat, flat, matrix, bends)[0][:, 0], np.nan)
-        for bends in (np.zeros(8), np.asarray(camera.distortion, float))
+        np.where(ahead, components(camera, x / depths, y / depths), np.nan).T
+        for components in (pinhole_components, pixel_components)
     ]
     return both[0], both[1]
 

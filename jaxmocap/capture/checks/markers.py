@@ -58,7 +58,6 @@ MIN_HANDS_AHEAD_M = 0.2
 MIN_AGREEING_SHARE = 0.8
 # and the recording is long enough for a habit to show, seconds.
 MIN_DURATION_S = 3.0
-HAND_BONES = ("hand", "radius")
 
 
 @dataclass(frozen=True)
@@ -266,9 +265,8 @@ def facing_of_pairs(recording: Recording) -> list[tuple[tuple[int, int], float, 
         metres before the head. Nothing where head or hands are not present for long enough.
     """
     head = [i for i, place in enumerate(recording.places) if place.bone == "head"]
-    hands = [
-        p for p in left_right_pairs(recording) if recording.places[p[0]].bone[:-2] in HAND_BONES
-    ]
+    on_hands = recording.skeleton.tree.names_in("forearm", "hand")
+    hands = [p for p in left_right_pairs(recording) if recording.places[p[0]].bone in on_hands]
     if not (head and hands) or np.ptp(recording.times) < MIN_DURATION_S:
         return []
     positions = recording.positions_world[..., :2]

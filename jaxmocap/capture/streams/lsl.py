@@ -61,12 +61,12 @@ class MarkerStream:
         problem: why the stream cannot be used, or None.
     """
 
-    def __init__(self, name: str, gathering: SampleAssembler, now: Callable[[], float] = monotonic):
+    def __init__(self, name: str, assembler: SampleAssembler, now: Callable[[], float] = monotonic):
         """Prepare.
 
         Args:
             name: of the stream.
-            gathering: takes the markers.
+            assembler: takes the markers.
             now: seconds.
 
         Raises:
@@ -84,7 +84,7 @@ class MarkerStream:
         self.packets, self.last_arrival, self.problem = 0, None, None
         self.clock, self.address = StreamClock(), f"the LSL stream {short_repr(name)}"
         self.refused_hosts: set[str] = set()
-        self._name, self._gathering, self._now = name, gathering, now
+        self._name, self._assembler, self._now = name, assembler, now
         self._stop = Event()
         self._thread = Thread(target=self._listen, name="markers", daemon=True)
 
@@ -149,7 +149,7 @@ class MarkerStream:
                     messages.append(MarkerMessage((name,), (x, y, z), quaternion))
             if messages:
                 self.last_arrival = arrived
-                self._gathering.add(messages, self.clock.time(arrived, stamp), arrived, True)
+                self._assembler.add(messages, self.clock.time(arrived, stamp), arrived, True)
 
     def _channels(self, info: Any) -> dict[str, MarkerChannels]:
         """Marker -> where it is."""

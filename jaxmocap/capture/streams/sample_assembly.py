@@ -53,7 +53,7 @@ class SampleAssembler:
     """Gives out a sample when every marker that is still sent has come, or one comes again.
 
     Attributes:
-        unknown: names that were sent and are no markers of ours, at most ``MAX_UNKNOWN``.
+        unknown_names: names that were sent and are no markers of ours, at most ``MAX_UNKNOWN``.
     """
 
     MAX_UNKNOWN = 16
@@ -88,7 +88,7 @@ class SampleAssembler:
         self._messages: dict[int, MarkerMessage] = {}
         self._orientations: dict[int, tuple[float, MarkerMessage]] = {}
         self._time, self._arrived, self._last_time = 0.0, 0.0, -np.inf
-        self.unknown: set[str] = set()
+        self.unknown_names: set[str] = set()
 
     def add(
         self, messages: Iterable[MarkerMessage], time: float, arrived: float, is_complete: bool
@@ -106,8 +106,8 @@ class SampleAssembler:
         for each in messages:
             marker = next((self._index[name] for name in each.names if name in self._index), None)
             if marker is None:
-                if len(self.unknown) < self.MAX_UNKNOWN:
-                    self.unknown.add(each.names[0])
+                if len(self.unknown_names) < self.MAX_UNKNOWN:
+                    self.unknown_names.add(each.names[0])
                 continue
             if each.orientation is not None:
                 self._orientations[marker] = arrived, each

@@ -1,7 +1,7 @@
 """Who sends: for each sender a clock and a share of what can be read, of a few senders at a time.
 
 INPUTS: hosts and ports that datagrams come from; the networks whose packets count.
-OUTPUTS: Senders with their clocks; which of the datagrams that wait are read.
+OUTPUTS: PacketSenders with their clocks; which of the datagrams that wait are read.
 
 A sender is a host and a port, for two programs on one machine have two clocks; whether it may send
 at all is decided by its host. Beyond ``MAX_SENDERS`` at a time the rest share one entry, whose
@@ -77,7 +77,7 @@ class PacketSenders:
     def __init__(self, allowed: Sequence[Network] = LOOPBACK):
         """Nobody has sent yet; only these networks' packets count."""
         self._allowed = tuple(allowed)
-        self._admitted: dict[str, bool] = {}
+        self._is_allowed: dict[str, bool] = {}
         self._senders: dict[tuple[str, int], PacketSender] = {}
         self._others: PacketSender | None = None
         self._earlier_jumps = 0
@@ -85,13 +85,13 @@ class PacketSenders:
 
     def is_allowed(self, host: str) -> bool:
         """May this host send?"""
-        if host not in self._admitted:
-            if len(self._admitted) >= MAX_HOSTS:
-                self._admitted.clear()
-            self._admitted[host] = is_in_networks(host, self._allowed)
-        if not self._admitted[host] and len(self.refused_hosts) < MAX_REFUSED_NAMED:
+        if host not in self._is_allowed:
+            if len(self._is_allowed) >= MAX_HOSTS:
+                self._is_allowed.clear()
+            self._is_allowed[host] = is_in_networks(host, self._allowed)
+        if not self._is_allowed[host] and len(self.refused_hosts) < MAX_REFUSED_NAMED:
             self.refused_hosts.add(host)
-        return self._admitted[host]
+        return self._is_allowed[host]
 
     def sender_at(self, host: str, port: int, now: float) -> PacketSender:
         """The sender there."""

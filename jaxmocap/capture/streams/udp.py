@@ -60,7 +60,7 @@ class MarkerSocket:
     def __init__(
         self,
         address: Address,
-        gathering: SampleAssembler,
+        assembler: SampleAssembler,
         raw: bool = False,
         now: Callable[[], float] = monotonic,
         allowed: Sequence[Network] = LOOPBACK,
@@ -69,7 +69,7 @@ class MarkerSocket:
 
         Args:
             address: where to listen; port 0 takes a free one.
-            gathering: takes the markers.
+            assembler: takes the markers.
             raw: see ``osc.parse_packet``.
             now: seconds.
             allowed: networks that may send.
@@ -80,7 +80,7 @@ class MarkerSocket:
         self.ignored: Counter[str] = Counter()
         self.packets, self.last_arrival = 0, None
         self.senders = PacketSenders(allowed)
-        self._gathering, self._raw, self._now = gathering, raw, now
+        self._assembler, self._raw, self._now = assembler, raw, now
         self._bucket = TokenBucket(MAX_PACKETS_HZ, MAX_BURST, now())
         self._stop = Event()
         self._socket = _bound_socket(address)
@@ -181,7 +181,7 @@ class MarkerSocket:
             return
         self.last_arrival = datagram.arrived
         time = sender.time(datagram.arrived, packet.stamp)
-        self._gathering.add(packet.markers, time, datagram.arrived, packet.is_bundle)
+        self._assembler.add(packet.markers, time, datagram.arrived, packet.is_bundle)
 
 
 def _bound_socket(address: Address) -> socket.socket:

@@ -19,13 +19,13 @@ from jax import Array
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton, Tree
 from jaxmocap.body.surfaces.cones import cones, project_cones
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.evidence.appearance.hulls import draw_hulls
 from jaxmocap.evidence.appearance.part_mask import part_odds
 from jaxmocap.evidence.silhouettes import FOREARMS, LegGrid, SilhouetteGrids
-from jaxmocap.geometry.cameras import NEAREST_M, Camera, project, to_camera
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, pixels_per_metre, project
 from jaxmocap.geometry.outlines import Discs
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.colours import Colours, learn_colours
@@ -59,15 +59,11 @@ CORE = 0.7
 WHEREVER = 1.4
 # and so many metres more, by which poses err.
 POSE_ERROR_M = 0.03
-# By how much legs err that no marker holds, metres. Somebody who stands still would be learned as
-# furniture if legs were drawn aside of where they are.
-ASTRAY_M = {"femur": 0.12, "tibia": 0.2, "foot": 0.2}
+# By how much parts of legs err that no marker holds, metres. Somebody who stands still would be
+# learned as furniture if legs were drawn aside of where they are.
+ASTRAY_M = {"thigh": 0.12, "shank": 0.2, "foot": 0.2}
 # Along the forearm: skin, whatever the sleeve; the markers hold its far half best.
 BARE = (0.5, 0.95)
-LEGS = ("femur_l", "femur_r", "tibia_l", "tibia_r")
-HEAD = ("head", "neck")
-PELVIS = ("hip_l", "hip_r")
-FEET = ("foot_l", "foot_r")
 # No cone is like a head with its head-set, or a pelvis: so many times as thick as they are drawn
 # silhouettes tell nothing.
 GROWN = 1.6
@@ -97,8 +93,8 @@ def in_image(skeleton: Skeleton, camera: Camera, pose: Pose) -> tuple[Discs, Arr
     """All limbs (K), pixels of the full image, and how many of them make a metre at the person."""
     every = np.arange(len(skeleton.tree.bones))
     flesh = cones(skeleton, forward(skeleton, pose), every)
-    depth = jnp.maximum(jnp.mean(to_camera(camera, flesh.near)[:, 2]), NEAREST_M)
-    return project_cones(camera, flesh), camera.matrix[0, 0] / depth
+    away = jnp.maximum(jnp.mean(depth(camera, flesh.near)), NEAREST_M)
+    return project_cones(camera, flesh), pixels_per_metre(camera, away)
 
 
 _all_in_image = jax.jit(jax.vmap(in_image, (None, None, 0)))
@@ -113,14 +109,14 @@ class Drawing:
         per_metre: (F,) pixels of a metre at the person.
         size: width and height of the shrunk images.
         ratio: (2,) their size over that of the full ones.
-        names: of the K bones.
+        tree: of the K bones.
     """
 
     discs: Discs
     per_metre: np.ndarray
     size: tuple[int, int]
     ratio: np.ndarray
-    names: list[str]
+    tree: Tree
 
     @classmethod
     def of(
@@ -142,7 +138,7 @@ class Drawing:
         ratio = np.divide(small, size)
         near, far = ((end + 0.5) * ratio - 0.5 for end in (limbs.near, limbs.far))
         discs = Discs(near, far, limbs.radii * ratio[0])
-        return cls(discs, per_metre * ratio[0], small, ratio, list(skeleton.tree.bones))
+        return cls(discs, per_metre * ratio[0], small, ratio, skeleton.tree)
 
     def mask(
         self,
@@ -153,8 +149,13 @@ class Drawing:
         without: Sequence[str] = (),
         part: tuple[float, float] = (0.0, 1.0),
     ) -> np.ndarray:
-        """Limbs (h, w) bool with their radii scaled and enlarged, or a part of their length."""
-        kept = [n not in without and (only is None or n in only) for n in self.names]
+        """Limbs (h, w) bool with their radii scaled and enlarged, or a part of their length.
+
+        ``only`` and ``without`` name groups of bones or their parts.
+        """
+        bones = np.arange(len(self.tree.bones))
+        kept = np.isin(bones, bones if only is None else self.tree.bones_in(*only))
+        kept &= ~np.isin(bones, self.tree.bones_in(*without))
         near, far, radii = (each[frame][kept] for each in self.discs)
         ends = [near + at * (far - near) for at in part]
         widths = radii[:, :1] + np.array(part) * (radii[:, 1:] - radii[:, :1])
@@ -162,21 +163,20 @@ class Drawing:
 
     def core(self, frame: int, without: Sequence[str] = ()) -> np.ndarray:
         """Where (h, w) the person surely is."""
-        return self.mask(frame, CORE, without=(*FEET, *without))
+        return self.mask(frame, CORE, without=("foot", *without))
 
     def wherever(self, frame: int, feet_astray: bool) -> np.ndarray:
         """Where (h, w) the person may be; ``feet_astray`` where no marker holds the feet."""
         metre = float(self.per_metre[frame])
         found = self.mask(frame, WHEREVER, POSE_ERROR_M * metre)
-        for start, metres in ASTRAY_M.items() if feet_astray else ():
-            legs = [name for name in (*LEGS, *FEET) if name.startswith(start)]
-            found |= self.mask(frame, WHEREVER, metres * metre, only=legs)
+        for part, metres in ASTRAY_M.items() if feet_astray else ():
+            found |= self.mask(frame, WHEREVER, metres * metre, only=(part,))
         return found
 
     def unlike(self, frame: int) -> np.ndarray:
         """Where (h, w) the person is not like what is drawn."""
-        shoes = self.mask(frame, 1.0, SHOE_M * float(self.per_metre[frame]), only=FEET)
-        return self.mask(frame, GROWN, only=(*HEAD, *PELVIS)) | shoes
+        shoes = self.mask(frame, 1.0, SHOE_M * float(self.per_metre[frame]), only=("foot",))
+        return self.mask(frame, GROWN, only=("head", "hip")) | shoes
 
 
 class Regions(NamedTuple):
@@ -233,8 +233,8 @@ def learn_appearance(
             for frame, body in zip(frames, bodies, strict=True)
         ]
     )
-    arms = np.stack([drawing.mask(i, CORE, only=FOREARMS[:2], part=BARE) for i in which])
-    others = np.stack([drawing.core(i, without=(*FOREARMS, *HEAD)) for i in which])
+    arms = np.stack([drawing.mask(i, CORE, only=FOREARMS[:1], part=BARE) for i in which])
+    others = np.stack([drawing.core(i, without=(*FOREARMS, "head")) for i in which])
     near = np.stack([drawing.mask(i, 2.0, only=FOREARMS) for i in which])
     rest = others & ~near & (odds > -0.5)
     rest = rest if rest.any() else others
@@ -280,7 +280,7 @@ def body_grids(
     window, corner = _window(image, {CELLS: upper, LEG_CELLS: lower})
     odds = np.zeros(image.shape[:2], np.float32)
     odds[window] = log_odds(image, learned.background, learned.person, window=window)
-    head = drawing.mask(frame, GROWN, only=HEAD)[window]
+    head = drawing.mask(frame, GROWN, only=("head",))[window]
     forearms = part_odds(image[window], odds[window], learned.forearms, head)
     person = np.where(drawing.unlike(frame)[window], np.float32(0), odds[window])
 

@@ -24,7 +24,6 @@ from jaxmocap.evidence.appearance.learned import (
     BARE,
     CELLS,
     CORE,
-    HEAD,
     LEG_CELLS,
     LEG_MARGIN,
     LOWER,
@@ -188,8 +187,8 @@ class RunningAppearance:
     ) -> None:
         self._nothing_learned, self._learned = False, None
         core, body = drawing.core(0), drawing.wherever(0, self._astray)
-        arms = drawing.mask(0, CORE, only=FOREARMS[:2], part=BARE)
-        others = drawing.core(0, without=(*FOREARMS, *HEAD))
+        arms = drawing.mask(0, CORE, only=FOREARMS[:1], part=BARE)
+        others = drawing.core(0, without=(*FOREARMS, "head"))
         others &= ~drawing.mask(0, 2.0, only=FOREARMS)
         hidden = body
         if odds is not None and known is not None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxmocap.formats.files.errors import InputError
 
-# What a file may hold: joints (fingers and faces take some hundred), and how deep they may hang.
+# What a file may hold: joints (fingers and faces take some hundred), and their depth in the tree.
 MAX_JOINTS = 2000
 MAX_DEPTH = 200
 # Rotations, joints times samples: half an hour of 25 joints at 200 Hz is 9 million.

@@ -20,8 +20,7 @@ from scipy.spatial.transform import Rotation
 from jaxmocap.body.motion import Motion, near_origin
 from jaxmocap.body.orientations import body_turns, local_turns, matrices
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.body.wrists import with_wrists
+from jaxmocap.body.skeleton import Skeleton, with_wrists
 from jaxmocap.formats.animation.armature import Armature
 from jaxmocap.formats.animation.joint_names import (
     CONVENTIONS,

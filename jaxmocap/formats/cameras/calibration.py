@@ -30,6 +30,7 @@ from jaxmocap.formats.files.toml import (
 from jaxmocap.formats.files.writing import write_text
 from jaxmocap.formats.time_series.tables import FARTHEST_M
 from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.lenses import BROWN_CONRADY, FISHEYE, LENSES
 from jaxmocap.geometry.rotations import log
 
 # A section of this name is about the calibration, not of a camera.
@@ -44,7 +45,6 @@ LARGEST_FOCAL = 1e8
 LARGEST_DISTORTION = 1e6
 # Radians of a Rodrigues vector, which need not be the shortest.
 LARGEST_ROTATION = 1e3
-_COUNTS = [(n,) for n in range(9)]
 _Section = TypeVar("_Section")
 
 
@@ -55,17 +55,24 @@ class Intrinsics:
     Attributes:
         size: (2,) width and height, pixels.
         matrix: (3, 3) intrinsic matrix, pixels.
-        distortions: up to 8 of OpenCV's k1 k2 p1 p2 k3 k4 k5 k6.
+        distortions: up to 8 of OpenCV's k1 k2 p1 p2 k3 k4 k5 k6; of a fisheye up to 4, k1 k2 k3 k4.
+        fisheye: whether it is one.
     """
 
     size: np.ndarray
     matrix: np.ndarray
     distortions: np.ndarray
+    fisheye: bool = False
+
+    @property
+    def model(self) -> str:
+        """Its name in ``geometry.lenses.LENSES``."""
+        return FISHEYE if self.fisheye else BROWN_CONRADY
 
     def entries(self) -> dict[str, Any]:
         """Its fields in a section of the file."""
         fields = {"size": self.size, "matrix": self.matrix, "distortions": self.distortions}
-        return fields | {"fisheye": False}
+        return fields | {"fisheye": self.fisheye}
 
 
 def read_calibration(path: str | Path, origin_world: np.ndarray | None = None) -> dict[str, Camera]:
@@ -126,27 +133,34 @@ def _camera(fields: TomlTable, origin_world: np.ndarray) -> Camera:
     # In double precision, before a camera has it in single.
     R = rotation if rotation.ndim == 2 else Rotation.from_rotvec(rotation).as_matrix()
     translation = translation + R @ origin_world
-    return Camera.create(size, lens.matrix, lens.distortions, rotation, translation)
+    return Camera.create(size, lens.matrix, lens.distortions, rotation, translation, lens.model)
 
 
 def _intrinsics(fields: TomlTable) -> Intrinsics:
-    refuse_fisheye(fields)
     size = fields.array("size", [(2,)], "[width, height] in pixels", LARGEST_SIZE)
     if (size < 1).any():
         raise fields.error("size", f"found {size.tolist()}, expected two positive numbers")
-    expected = "at most 8 numbers (k1 k2 p1 p2 k3 k4 k5 k6)"
+    fisheye = fields.entries.get("fisheye", False)
+    if not isinstance(fisheye, bool):
+        raise fields.error("fisheye", f"found {short_repr(fisheye)}, expected true or false")
+    names = LENSES[FISHEYE if fisheye else BROWN_CONRADY].coefficients
+    expected = f"at most {len(names)} numbers ({' '.join(names)})"
+    counts = [(n,) for n in range(len(names) + 1)]
     distortions = (
-        fields.array("distortions", _COUNTS, expected, LARGEST_DISTORTION)
+        fields.array("distortions", counts, expected, LARGEST_DISTORTION)
         if "distortions" in fields
         else np.zeros(0)
     )
-    return Intrinsics(size, _matrix(fields), distortions)
+    return Intrinsics(size, _matrix(fields), distortions, fisheye)
 
 
-def refuse_fisheye(fields: TomlTable) -> None:
-    """InputError where a camera's section says that its lens is a fisheye."""
-    if fields.entries.get("fisheye", False):
-        raise fields.error("fisheye", "fisheye lenses are not supported yet, expected false")
+def check_one_kind(top: TomlTable, cameras: Mapping[str, Camera]) -> None:
+    """InputError where some of a recording's cameras are fisheyes and others are not."""
+    fisheyes = [name for name, camera in cameras.items() if camera.lens == FISHEYE]
+    others = [name for name in cameras if name not in fisheyes]
+    if fisheyes and others:
+        problem = f"found fisheye lenses ({comma_list(fisheyes)}) beside ordinary ones"
+        raise top.error("[[video]]", f"{problem} ({comma_list(others)}), expected one kind")
 
 
 def _matrix(fields: TomlTable) -> np.ndarray:
@@ -182,7 +196,7 @@ def write_calibration(path: str | Path, cameras: dict[str, Camera]) -> None:
     tables = []
     for name, camera in cameras.items():
         distortion = np.asarray(camera.distortion, float)
-        # Four coefficients where that is all, as most readers expect them.
+        # Four coefficients where that is all, as most readers expect them; a fisheye has four.
         count = 4 if not distortion[4:].any() else 5 if not distortion[5:].any() else 8
         T_cam_world = np.asarray(camera.T_cam_world, float)
         entries = {
@@ -192,7 +206,7 @@ def write_calibration(path: str | Path, cameras: dict[str, Camera]) -> None:
             "distortions": distortion[:count],
             "rotation": np.asarray(log(camera.T_cam_world[:3, :3]), float),
             "translation": T_cam_world[:3, 3],
-            "fisheye": False,
+            "fisheye": camera.lens == FISHEYE,
         }
         tables.append((f"[{toml_key(name)}]", entries))
     write_toml(path, tables)
@@ -206,7 +220,7 @@ def write_camera(path: str | Path, name: str, entries: Mapping[str, Any]) -> Non
     Args:
         path: of the .toml file; it is made where there is none.
         name: of the section.
-        entries: such as ``Lens.entries()``, or rotation and translation.
+        entries: such as ``Intrinsics.entries()``, or rotation and translation.
 
     Raises:
         InputError: the file is there and no TOML, or the name is not a camera's.
@@ -232,5 +246,4 @@ def check_camera_writable(path: Path, name: str) -> None:
     if problem := file_name_problem(name):
         raise InputError(path, f"found {short_repr(name)} as a camera's name, {problem}")
     if path.exists():
-        table = read_toml(path).get(name, {})
-        refuse_fisheye(TomlTable(path, f"[{name}]", table))
+        TomlTable(path, f"[{name}]", read_toml(path).get(name, {}))

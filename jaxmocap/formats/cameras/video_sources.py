@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxmocap.formats.cameras.calibration import pick_camera, read_calibration
+from jaxmocap.formats.cameras.calibration import check_one_kind, pick_camera, read_calibration
 from jaxmocap.formats.files.short_repr import short_repr
 from jaxmocap.formats.files.toml import TomlTable, same_file_name
 from jaxmocap.formats.recordings.keypoint_files import LARGEST_FRAME_NUMBER
@@ -78,6 +78,7 @@ def read_videos(top: TomlTable, origin_world: np.ndarray | None = None) -> tuple
         raise top.error("[[video]]", f"found {len(tables)}, expected at most {MAX_VIDEOS}")
     videos = [_video(top.path, i, table, file, cameras) for i, table in enumerate(tables, 1)]
     _check_names(top, [video.camera_name for video in videos])
+    check_one_kind(top, {video.camera_name: video.camera for video in videos})
     return tuple(videos)
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.formats.cameras.calibration import pick_camera, read_calibration
+from jaxmocap.formats.cameras.calibration import check_one_kind, pick_camera, read_calibration
 from jaxmocap.formats.files.addresses import (
     LOOPBACK,
     Address,
@@ -254,6 +254,7 @@ def _videos(top: TomlTable) -> tuple[Path | None, tuple[LiveVideo, ...]]:
     file = calibration.file("file")
     cameras = read_calibration(file)
     videos = tuple(_video(top.path, i, table, file, cameras) for i, table in enumerate(tables, 1))
+    check_one_kind(top, {video.camera_name: video.camera for video in videos})
     names = [video.camera_name for video in videos]
     # Their videos are files side by side.
     if len(set(map(same_file_name, names))) < len(names):

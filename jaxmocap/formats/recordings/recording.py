@@ -74,7 +74,7 @@ class Recording:
             raise InputError(where, f"marker positions: found shape {found}, expected {expected}")
         check_times(where, self.times, SampleLabels("marker sample"))
         if self.places and not np.isfinite(self.positions_world).all(-1).any():
-            raise InputError(where, "no marker has a position in any sample, all are NaN")
+            raise InputError(where, "no marker has a position in any sample, all positions are NaN")
         bones = self.skeleton.tree.bones
         for place in self.places:
             if place.bone not in bones:

@@ -25,7 +25,7 @@ MAX_ORIENTATIONS = 5_000_000
 MIN_WIDTH_M = 0.005
 
 
-def read_sets(fields: TomlTable) -> dict[str, list[str]]:
+def read_rigid_sets(fields: TomlTable) -> dict[str, list[str]]:
     """Name -> markers of each set of [markers.rigid]."""
     sets = {}
     for name, members in fields.entries.items():
@@ -46,7 +46,7 @@ def with_rigid_sets(fields: TomlTable, markers: Markers, names: Collection[str])
         InputError: a set's marker that is not in the file, a set called as a marker is, or one
             that is never complete or lies on a line; or more orientations than memory holds.
     """
-    sets = read_sets(fields)
+    sets = read_rigid_sets(fields)
     if not sets:
         return markers
     by_name, samples = markers.points(), len(markers.times)

@@ -42,23 +42,23 @@ def read_csv(path: str | Path) -> Markers:
         InputError: no such file, or the line that does not fit.
     """
     lines = numbered_lines(path)
-    names, turned = _names(path, next(lines)[1])
+    names, has_orientation = _names(path, next(lines)[1])
     data = ((number, line.split(",")) for number, line in lines)
-    widths = [7 if turns else 3 for turns in turned]
-    most = MAX_VALUES_WITH_ORIENTATIONS if any(turned) else MAX_VALUES
+    widths = [7 if oriented else 3 for oriented in has_orientation]
+    most = MAX_VALUES_WITH_ORIENTATIONS if any(has_orientation) else MAX_VALUES
     table, numbers = parse_rows(path, data, 1 + sum(widths), most)
-    if not any(turned):
+    if not any(has_orientation):
         return make_markers(path, table, numbers, names, "line 1")
     starts = 1 + np.concatenate([[0], np.cumsum(widths)[:-1]])
-    places = [0, *(first + axis for first in starts for axis in range(3))]
-    markers = make_markers(path, table[:, places], numbers, names, "line 1")
-    turns = np.full((len(table), len(names), 3, 3), np.nan)
+    columns_of = [0, *(first + axis for first in starts for axis in range(3))]
+    markers = make_markers(path, table[:, columns_of], numbers, names, "line 1")
+    orientations = np.full((len(table), len(names), 3, 3), np.nan)
     for i, first in enumerate(starts):
-        if turned[i]:
-            found = table[:, first + 3 : first + 7]
-            _check_lengths(path, names[i], found, numbers)
-            turns[:, i] = matrices(found)
-    return replace(markers, orientations=turns)
+        if has_orientation[i]:
+            quaternions = table[:, first + 3 : first + 7]
+            _check_lengths(path, names[i], quaternions, numbers)
+            orientations[:, i] = matrices(quaternions)
+    return replace(markers, orientations=orientations)
 
 
 def _check_lengths(path: str | Path, name: str, quaternions: np.ndarray, lines: np.ndarray) -> None:
@@ -83,21 +83,19 @@ def _names(path: str | Path, header: str) -> tuple[list[str], list[bool]]:
         raise InputError(path, f"line 1: {error}, expected {HEADER}") from None
     if cells[0] != "time" or len(cells) < 2:
         raise InputError(path, f"line 1: found {header[:40]!r}, expected {HEADER}")
-    names, turned, i = [], [], 1
+    names, has_orientation, i = [], [], 1
     while i < len(cells):
         names.append(cells[i].rpartition(".")[0])
-        turned.append(cells[i + 3 : i + 4] == [f"{names[-1]}.qw"])
-        axes = ("x", "y", "z", *(("qw", "qx", "qy", "qz") if turned[-1] else ()))
+        has_orientation.append(cells[i + 3 : i + 4] == [f"{names[-1]}.qw"])
+        axes = ("x", "y", "z", *(("qw", "qx", "qy", "qz") if has_orientation[-1] else ()))
         for axis in axes:
             expected = f"{names[-1]}.{axis}"
-            found = cells[i] if i < len(cells) else "the end of the line"
-            if found != expected or not names[-1]:
-                problem = (
-                    f"found {short_repr(found)} where {short_repr(expected)} belongs ({HEADER})"
-                )
+            cell = cells[i] if i < len(cells) else "the end of the line"
+            if cell != expected or not names[-1]:
+                problem = f"found {short_repr(cell)}, expected {short_repr(expected)} ({HEADER})"
                 raise InputError(path, f"line 1: {problem}")
             i += 1
-    return names, turned
+    return names, has_orientation
 
 
 def write_csv(

@@ -1,4 +1,4 @@
-"""Photographs before a plain backdrop: masks, medial axes, corners, drawings.
+"""A photograph's silhouette: the person before a backdrop, medial axes, corners; and drawings.
 
-Begin with ``backdrop``.
+Begin with ``backdrop.person_mask``.
 """

@@ -15,23 +15,36 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-# Samples: this share of width and height at the left, right and upper side; every so many pixels.
-BORDER, STRIDE = 0.06, 2
+# Samples lie within this share of width and height at the left, right and upper side.
+BORDER_SHARE = 0.06
+# One pixel in so many columns and rows.
+SAMPLE_STRIDE = 2
 # Which term of the surface is x y.
-XY = 4
-# Noise is judged on images blurred by so many pixels.
+XY_TERM = 4
+# Noise is measured on images blurred by so many pixels.
 BLUR_PX = 0.8
-# At least so many of the samples must lie within so many deviations of the smooth surface; these
-# are taken for at least and at most so much of the colour.
-LEAST_LIKE, FAR, LEAST_UNEVEN, MOST_UNEVEN = 0.93, 3.5, 0.01, 0.03
-# A threshold is so many times what the samples reach, but at least so much of the colour.
-MARGIN, LEAST_CHROMA, LEAST_DARKER, SHADOW = 1.3, 0.045, 0.12, 0.42
-# The person covers at least and at most so much of the image.
-LEAST_AREA, MOST_AREA = 0.02, 0.7
+# Share of the samples, at least, that must lie near the smooth surface,
+LEAST_EVEN = 0.93
+# within so many deviations,
+FAR_DEVIATIONS = 3.5
+# which are taken for at least and at most so much of the colour.
+LEAST_UNEVEN = 0.01
+MOST_UNEVEN = 0.03
+# A threshold is so many times what the samples reach,
+THRESHOLD_MARGIN = 1.3
+# but at least so much of the colour: in chromaticity,
+LEAST_CHROMA = 0.045
+# and in brightness.
+LEAST_DARKER = 0.12
+# A shadow darkens the backdrop by this share at most.
+LARGEST_SHADOW = 0.42
+# Share of the image that the person covers, at least and at most.
+LEAST_AREA = 0.02
+MOST_AREA = 0.7
 # From its rim so many pixels inwards the person surely covers a pixel.
 RIM_PX = 3
 # Holes smaller than this share of the person are noise.
-HOLE = 0.002
+LARGEST_HOLE = 0.002
 
 
 class PhotographError(ValueError):
@@ -50,7 +63,7 @@ class PhotographError(ValueError):
         return self.problem
 
 
-class Difference(NamedTuple):
+class BackdropDifference(NamedTuple):
     """How an image differs from its backdrop.
 
     Attributes:
@@ -72,18 +85,18 @@ def person_mask(photograph: np.ndarray) -> np.ndarray:
     image = cv2.GaussianBlur(photograph, (0, 0), BLUR_PX).astype(np.float32)
     samples = border(image.shape[:2])
     surface = smooth_surface(image, samples)
-    different = difference(image, surface)
+    different = backdrop_difference(image, surface)
     dark, bright, chroma = thresholds(different, samples, photograph)
-    shown = (different.chromaticity > chroma) | (different.brightness > bright)
-    shown |= different.brightness < dark
-    mask = cleaned(shown)
+    foreground = (different.chromaticity > chroma) | (different.brightness > bright)
+    foreground |= different.brightness < dark
+    mask = largest_piece(foreground)
     _check(mask, photograph)
-    return cleaned(half_covered(mask, image, surface))
+    return largest_piece(half_covered(mask, image, surface))
 
 
 def border(shape: tuple[int, int]) -> np.ndarray:
     """(H, W) bool, pixels at the left, right and upper side."""
-    rows, columns = (max(2, int(BORDER * n)) for n in shape)
+    rows, columns = (max(2, int(BORDER_SHARE * n)) for n in shape)
     samples = np.ones(shape, bool)
     samples[rows:, columns:-columns] = False
     return samples
@@ -92,9 +105,9 @@ def border(shape: tuple[int, int]) -> np.ndarray:
 def smooth_surface(image: np.ndarray, samples: np.ndarray) -> np.ndarray:
     """(H, W, 3) float32, quadratic in x and y, through most of the samples' colours."""
     height, width = samples.shape
-    rows, columns = np.nonzero(samples[::STRIDE, ::STRIDE])
-    basis = _quadratic(columns * STRIDE / width, rows * STRIDE / height)
-    colours = image[::STRIDE, ::STRIDE][rows, columns]
+    rows, columns = np.nonzero(samples[::SAMPLE_STRIDE, ::SAMPLE_STRIDE])
+    basis = _quadratic(columns * SAMPLE_STRIDE / width, rows * SAMPLE_STRIDE / height)
+    colours = image[::SAMPLE_STRIDE, ::SAMPLE_STRIDE][rows, columns]
     weights, fit = np.ones(len(colours)), np.zeros((basis.shape[1], 3))
     for _ in range(8):
         weighted = basis * weights[:, None]
@@ -107,7 +120,7 @@ def smooth_surface(image: np.ndarray, samples: np.ndarray) -> np.ndarray:
     across, down = _quadratic(x, np.full_like(x, 0.5)), _quadratic(np.full_like(y, 0.5), y)
     fit = fit.astype(np.float32)
     surface = (across @ fit)[None] + (down @ fit)[:, None] - fit[0]
-    surface += ((2 * y - 1)[:, None] * (2 * x - 1))[..., None] * fit[XY]
+    surface += ((2 * y - 1)[:, None] * (2 * x - 1))[..., None] * fit[XY_TERM]
     return np.maximum(surface, 4.0)
 
 
@@ -117,16 +130,16 @@ def _quadratic(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], -1)
 
 
-def difference(image: np.ndarray, surface: np.ndarray) -> Difference:
+def backdrop_difference(image: np.ndarray, surface: np.ndarray) -> BackdropDifference:
     """An image against the backdrop's colours (H, W, 3)."""
     square = np.sum(surface * surface, -1)
     factor = np.sum(image * surface, -1) / square
     left = np.linalg.norm(image - factor[..., None] * surface, axis=-1)
-    return Difference(factor, left / np.sqrt(square))
+    return BackdropDifference(factor, left / np.sqrt(square))
 
 
 def thresholds(
-    different: Difference, samples: np.ndarray, photograph: np.ndarray
+    different: BackdropDifference, samples: np.ndarray, photograph: np.ndarray
 ) -> tuple[float, float, float]:
     """Darkest and brightest factor, and largest chromaticity, of the backdrop.
 
@@ -137,31 +150,35 @@ def thresholds(
     # Either is about one deviation of what most samples do.
     spread = [1.48 * float(np.median(v[samples])) for v in (off, left)]
     near_off, near_left = np.clip(spread, LEAST_UNEVEN, MOST_UNEVEN)
-    odd = (off > FAR * near_off) | (left > FAR * near_left)
+    odd = (off > FAR_DEVIATIONS * near_off) | (left > FAR_DEVIATIONS * near_left)
     like = 1 - np.mean(odd[samples])
-    if like < LEAST_LIKE:
+    if like < LEAST_EVEN:
         raise PhotographError(
             f"the background is not uniform: {100 * like:.0f} % of its samples at the image's "
-            f"sides and top follow one smooth colour, expected at least {100 * LEAST_LIKE:.0f} %",
+            f"sides and top follow one smooth colour, expected at least {100 * LEAST_EVEN:.0f} %",
             _marked(photograph, samples & odd, samples),
         )
     usual = samples & ~odd
     far_off, far_left = (float(np.quantile(v[usual], 0.999)) for v in (off, left))
-    bright = 1 + max(MARGIN * far_off, LEAST_DARKER)
-    return 1 - max(MARGIN * far_off, SHADOW), bright, max(MARGIN * far_left, LEAST_CHROMA)
+    bright = 1 + max(THRESHOLD_MARGIN * far_off, LEAST_DARKER)
+    return (
+        1 - max(THRESHOLD_MARGIN * far_off, LARGEST_SHADOW),
+        bright,
+        max(THRESHOLD_MARGIN * far_left, LEAST_CHROMA),
+    )
 
 
-def cleaned(shown: np.ndarray) -> np.ndarray:
+def largest_piece(foreground: np.ndarray) -> np.ndarray:
     """(H, W) bool: the largest piece, smoothed, without small holes."""
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
-    mask = cv2.morphologyEx(shown.astype(np.uint8), cv2.MORPH_OPEN, disc)
+    mask = cv2.morphologyEx(foreground.astype(np.uint8), cv2.MORPH_OPEN, disc)
     mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, disc)
     count, pieces, stats, _ = cv2.connectedComponentsWithStats(mask)
     if count < 2:
-        return np.zeros(shown.shape, bool)
+        return np.zeros(foreground.shape, bool)
     person = pieces == 1 + np.argmax(stats[1:, cv2.CC_STAT_AREA])
     _, holes, stats, _ = cv2.connectedComponentsWithStats((~person).astype(np.uint8))
-    small = stats[:, cv2.CC_STAT_AREA] < HOLE * person.sum()
+    small = stats[:, cv2.CC_STAT_AREA] < LARGEST_HOLE * person.sum()
     # Label 0 is the person itself.
     small[0] = False
     return person | small[holes]

@@ -1,12 +1,12 @@
 """Corners of a path: where it turns most sharply, after Chetverikov and Szabo (the paper's [12]).
 
-INPUTS: points along a path. OUTPUTS: angles at them; the sharpest corners in order.
+INPUTS: points along a path. OUTPUTS: points evenly along it, and the angles at them.
 """
 
 import numpy as np
 
 
-def even(points: np.ndarray, spacing: float = 1.0) -> np.ndarray:
+def evenly_spaced(points: np.ndarray, spacing: float = 1.0) -> np.ndarray:
     """(N, 2) points so far apart along a path through (M, 2) points."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     way = np.append(0.0, np.cumsum(steps))
@@ -15,7 +15,7 @@ def even(points: np.ndarray, spacing: float = 1.0) -> np.ndarray:
     return np.stack([np.interp(places, way[kept], line[kept]) for line in points.T], 1)
 
 
-def bends(points: np.ndarray, reach: float) -> np.ndarray:
+def turning_angles(points: np.ndarray, reach: float) -> np.ndarray:
     """(N,) by how much a path with points 1 apart turns at each of them, radians; 0 at its ends.
 
     The arms of the angle reach from the point to those ``reach`` before and after: the largest
@@ -29,14 +29,3 @@ def bends(points: np.ndarray, reach: float) -> np.ndarray:
     cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     turned[k:-k] = np.abs(np.arctan2(cross, np.sum(before * after, 1)))
     return turned
-
-
-def corners(turned: np.ndarray, apart: int, least: float) -> np.ndarray:
-    """(C,) places of the largest turns of at least so many radians, so far apart, in order."""
-    found: list[int] = []
-    for place in np.argsort(-turned, kind="stable"):
-        if turned[place] < least:
-            break
-        if all(abs(place - other) >= apart for other in found):
-            found.append(int(place))
-    return np.array(sorted(found), int)

@@ -9,7 +9,11 @@ from collections.abc import Iterable
 import cv2
 import numpy as np
 
-RIM, AXIS, RING, POINT = (255, 255, 0), (40, 40, 230), (90, 220, 255), (255, 0, 255)
+# Colours of what is drawn, BGR.
+RIM = (255, 255, 0)
+AXIS = (40, 40, 230)
+RING = (90, 220, 255)
+POINT = (255, 0, 255)
 # Digits after the point in OpenCV's fixed-point coordinates.
 BITS = 4
 SKIN_BGR = np.array([150.0, 175.0, 215.0])
@@ -43,11 +47,11 @@ def shaded(vertices: np.ndarray, faces: np.ndarray, turn: float, width: int = 90
     """A mesh (V, 3), (F, 3) from afar, z up: +x towards the viewer, who goes round by ``turn``."""
     cosine, sine = np.cos(turn), np.sin(turn)
     towards = np.array([cosine, sine, 0.0])
-    seen = vertices @ np.stack([[-sine, cosine, 0.0], [0.0, 0.0, -1.0]], 1)
-    low, high = seen.min(0), seen.max(0)
+    projected = vertices @ np.stack([[-sine, cosine, 0.0], [0.0, 0.0, -1.0]], 1)
+    low, high = projected.min(0), projected.max(0)
     scale = 0.94 * width / max(high[0] - low[0], 1.0)
     height = int(1.08 * scale * (high[1] - low[1]))
-    pixels = (seen - (low + high) / 2) * scale + np.array([width, height]) / 2
+    pixels = (projected - (low + high) / 2) * scale + np.array([width, height]) / 2
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12

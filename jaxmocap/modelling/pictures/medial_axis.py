@@ -25,7 +25,7 @@ LEAST_PX = 1.5
 SMALLEST = 4
 
 
-class Skeleton(NamedTuple):
+class MedialAxis(NamedTuple):
     """N pixels of an axis, all of them connected.
 
     Attributes:
@@ -47,7 +47,7 @@ def chamfer(mask: np.ndarray) -> np.ndarray:
     return cv2.distanceTransform(padded, cv2.DIST_L2, 5)[1:-1, 1:-1]
 
 
-def skeleton(mask: np.ndarray) -> Skeleton:
+def medial_axis(mask: np.ndarray) -> MedialAxis:
     """The closed skeleton of a silhouette."""
     distance = chamfer(mask)
     smooth = cv2.GaussianBlur(distance, (0, 0), 0.8)
@@ -58,7 +58,7 @@ def skeleton(mask: np.ndarray) -> Skeleton:
     ridge[areas[np.asarray(pieces, int)] < SMALLEST] = 0
     rows, columns = np.nonzero(ridge)
     pixels = np.stack([columns, rows], 1)
-    return Skeleton(pixels, distance[rows, columns], closed(pixels))
+    return MedialAxis(pixels, distance[rows, columns], closed(pixels))
 
 
 def closed(pixels_xy: np.ndarray) -> csr_array:
@@ -88,7 +88,7 @@ def _both_ways(pixels_xy: np.ndarray, pairs: np.ndarray) -> csr_array:
     return csr_array((np.tile(lengths, 2), (rows, columns)), shape=(size, size))
 
 
-def path(axis: Skeleton, start_xy: np.ndarray, end_xy: np.ndarray) -> np.ndarray:
+def path(axis: MedialAxis, start_xy: np.ndarray, end_xy: np.ndarray) -> np.ndarray:
     """(K,) indices of the skeleton's pixels from the one nearest a place to that nearest another.
 
     The way keeps to the middle: a step costs the more the narrower the silhouette is there.

@@ -1,6 +1,6 @@
 """A person with their colours on: the model's surface, its texture, and how true it is.
 
-INPUTS: a Personal; the photographs and what was seen in them.
+INPUTS: a PersonalModel; the photographs and their views.
 OUTPUTS: an Avatar; pictures of it; how far its colours are from the photographs'.
 """
 
@@ -12,18 +12,20 @@ import numpy as np
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.surfaces.host_skin import bones_over_time, nodes_over_time
 from jaxmocap.body.surfaces.loft import rest_joints
-from jaxmocap.body.surfaces.mesh import Atlas, Mesh, atlas_of, mesh_of
+from jaxmocap.body.surfaces.mesh import Atlas, SurfaceMesh, atlas_of, mesh_of
 from jaxmocap.body.surfaces.surface import rest_nodes
-from jaxmocap.modelling.personal import Personal
+from jaxmocap.modelling.personal import PersonalModel
 from jaxmocap.modelling.texture.fused import baked
 from jaxmocap.modelling.texture.splats import splatted
-from jaxmocap.modelling.texture.texels import Shot, texels_of
-from jaxmocap.modelling.views import View
+from jaxmocap.modelling.texture.texels import SurfacePhotograph, texels_of
+from jaxmocap.modelling.views import PhotographView
 
-# Whence a person is shown: from ahead, from the left, from behind, from the right, degrees.
-AROUND_DEG = (0.0, 90.0, 180.0, 270.0)
-# Of pictures: pixels to a metre, and the room for one, metres across and upwards.
-PER_M, ROOM_M = 400.0, (1.5, 2.1)
+# A person is shown from ahead, from the left, from behind and from the right.
+DIRECTIONS_DEG = (0.0, 90.0, 180.0, 270.0)
+# Of pictures.
+PIXELS_PER_METRE = 400.0
+# Size of one, metres across and upwards.
+PICTURE_M = (1.5, 2.1)
 
 
 class Avatar(NamedTuple):
@@ -37,14 +39,14 @@ class Avatar(NamedTuple):
         shots: photograph -> what it is of.
     """
 
-    person: Personal
+    person: PersonalModel
     atlas: Atlas
-    mesh: Mesh
+    mesh: SurfaceMesh
     picture: np.ndarray
-    shots: dict[str, Shot]
+    shots: dict[str, SurfacePhotograph]
 
-    def seen(
-        self, nodes: np.ndarray, view: View, shape: tuple[int, int]
+    def rendered(
+        self, nodes: np.ndarray, view: PhotographView, shape: tuple[int, int]
     ) -> tuple[np.ndarray, np.ndarray]:
         """The person with nodes at (N, 3) as a camera sees them, and where: (H, W, 3), (H, W)."""
         texels = texels_of(self.person.surface, self.atlas, self.mesh, nodes)
@@ -58,8 +60,8 @@ class Avatar(NamedTuple):
         """Photograph -> mean difference of its colours from the avatar's, grey levels of 255."""
         found = {}
         for name, shot in self.shots.items():
-            picture, shown = self.seen(shot.nodes_world, shot.view, shot.view.mask.shape)
-            both = shown & shot.view.mask
+            picture, drawn = self.rendered(shot.nodes_world, shot.view, shot.view.mask.shape)
+            both = drawn & shot.view.mask
             off = np.abs(picture[both].astype(float) - shot.image[both])
             found[name] = round(float(off.mean()), 2)
         return found
@@ -70,12 +72,12 @@ class Avatar(NamedTuple):
         texels = texels_of(self.person.surface, self.atlas, self.mesh, nodes)
         points = texels.points - (nodes.min(0) + nodes.max(0)) / 2
         colours = self.picture[texels.rows, texels.columns]
-        size = np.round(PER_M * np.array(ROOM_M)).astype(int)
+        size = np.round(PIXELS_PER_METRE * np.array(PICTURE_M)).astype(int)
         pictures = []
-        for turn in np.radians(AROUND_DEG):
+        for turn in np.radians(DIRECTIONS_DEG):
             towards = np.array([np.cos(turn), np.sin(turn), 0.0])
             aside = np.array([-np.sin(turn), np.cos(turn), 0.0])
-            pixels = PER_M * np.stack([points @ aside, -points[:, 2]], 1) + size / 2
+            pixels = PIXELS_PER_METRE * np.stack([points @ aside, -points[:, 2]], 1) + size / 2
             front = texels.normals @ towards > 0
             cloud = pixels[front], -(points @ towards)[front], colours[front]
             pictures.append(splatted(*cloud, (size[1], size[0]))[0])
@@ -83,15 +85,15 @@ class Avatar(NamedTuple):
 
 
 def avatar_of(
-    person: Personal,
+    person: PersonalModel,
     images: Mapping[str, np.ndarray],
-    views: Mapping[str, View],
+    views: Mapping[str, PhotographView],
     texel: float,
 ) -> Avatar:
     """A person's colours from the photographs.
 
     Args:
-        person: what they told of the shape.
+        person: of the shape that they gave.
         images: photograph -> (H, W, 3) BGR uint8.
         views: photograph -> mask and camera.
         texel: of the picture, metres on the surface.
@@ -102,7 +104,7 @@ def avatar_of(
     poses = Pose(*(np.stack(part) for part in zip(*person.poses.values(), strict=True)))  # type: ignore[arg-type]
     nodes = nodes_over_time(person.surface.points, *bones_over_time(person.skeleton, poses))
     shots = {
-        name: Shot(images[name], views[name], at)
+        name: SurfacePhotograph(images[name], views[name], at)
         for name, at in zip(person.poses, nodes, strict=True)
     }
     return Avatar(person, atlas, mesh, baked(person.surface, atlas, mesh, shots), shots)

@@ -13,34 +13,38 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from jaxmocap.body.surfaces.mesh import MARGIN, Atlas, Mesh
+from jaxmocap.body.surfaces.mesh import MARGIN, Atlas, SurfaceMesh
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.modelling.texture.fusion import (
-    behind,
+    background_colour,
     closed_holes,
-    feather,
-    from_rim,
+    feathered_weight,
     fused,
     gains,
     resized,
-    sampled,
-    smoothed,
+    rim_distance,
+    sampled_colours,
+    weighted_blur,
     wide_blend,
 )
 from jaxmocap.modelling.texture.splats import in_sight
-from jaxmocap.modelling.texture.texels import Shot, Texels, texels_of
+from jaxmocap.modelling.texture.texels import SurfacePhotograph, Texels, texels_of
 
-# A surface that faces a camera by a smaller cosine is not looked at.
+# A surface that faces a camera by a smaller cosine is ignored.
 LEAST_FACING = 0.15
-# Pixels from the mask's rim that are left out, and from there on to full weight.
-LEFT_OUT_PX, RIM_PX = 2.0, 4.0
+# Pixels from the mask's rim that are left out.
+LEFT_OUT_PX = 2.0
+# Pixels from there on to full weight.
+RIM_PX = 4.0
 # Over so many texels a photograph's weight goes down to where something hides it.
 FEATHER = 12.0
 # What changes over more texels than this is light.
 SLOW = 10.0
 # What hides a point: within so many cells, what lies so far before it, metres. Hands are not held
 # as the surface has them, so that what lies far before a point hides it from farther aside.
-HIDING, CELL_TEXELS = ((1, 0.015), (14, 0.12)), 2.0
+OCCLUSION_SLACKS = ((1, 0.015), (14, 0.12))
+# Texels to a cell in which occlusion is tested.
+CELL_TEXELS = 2.0
 # How much a photograph counts for arms and for the rest: others were taken for those. From the side
 # a spread arm is seen end-on.
 COUNTS = {"front": (0.25, 1.0), "side": (0.0, 1.0), "joint": (1.0, 0.25), "arm_side": (1.0, 0.25)}
@@ -51,7 +55,9 @@ MIRRORED = 0.3
 Part = tuple[np.ndarray, np.ndarray]
 
 
-def baked(surface: Surface, atlas: Atlas, mesh: Mesh, shots: Mapping[str, Shot]) -> np.ndarray:
+def baked(
+    surface: Surface, atlas: Atlas, mesh: SurfaceMesh, shots: Mapping[str, SurfacePhotograph]
+) -> np.ndarray:
     """The atlas' picture (H, W, 3), BGR uint8.
 
     Args:
@@ -68,7 +74,7 @@ def baked(surface: Surface, atlas: Atlas, mesh: Mesh, shots: Mapping[str, Shot])
         counts = [COUNTS[name][not patch.name.startswith("arm")] for patch in surface.patches]
         colours.append(colour)
         weights.append(weight * np.array(counts)[texels.patches])
-    backdrops = np.array([behind(shot.image, shot.view.mask) for shot in shots.values()])
+    backdrops = np.array([background_colour(shot.image, shot.view.mask) for shot in shots.values()])
     factors = gains(colours, weights, backdrops)
     colours = [c * factor for c, factor in zip(colours, factors, strict=True)]
     at = clouds[0].rows, clouds[0].columns
@@ -79,7 +85,9 @@ def baked(surface: Surface, atlas: Atlas, mesh: Mesh, shots: Mapping[str, Shot])
     return np.clip(np.rint(_completed(surface, atlas, picture, weight)), 0, 255).astype(np.uint8)
 
 
-def _looked_at(texels: Texels, atlas: Atlas, shot: Shot) -> tuple[np.ndarray, np.ndarray]:
+def _looked_at(
+    texels: Texels, atlas: Atlas, shot: SurfacePhotograph
+) -> tuple[np.ndarray, np.ndarray]:
     """(K, 3) colours that a photograph shows at texels; (K,) how much it counts, from 0 to 1."""
     view, (height, width) = shot.view, shot.image.shape[:2]
     pixels = view.pixels(texels.points)
@@ -90,13 +98,15 @@ def _looked_at(texels: Texels, atlas: Atlas, shot: Shot) -> tuple[np.ndarray, np
     step = float(np.percentile(np.linalg.norm(np.diff(pixels, axis=0)[beside], axis=1), 90))
     cell = CELL_TEXELS * step
     canvas = int(height / cell) + 2, int(width / cell) + 2
-    seen = in_sight(pixels / cell, depths, canvas, HIDING) & (facing > LEAST_FACING)
-    rim = np.clip((sampled(from_rim(view.mask), pixels, 1.0)[:, 0] - LEFT_OUT_PX) / RIM_PX, 0, 1)
+    is_visible = in_sight(pixels / cell, depths, canvas, OCCLUSION_SLACKS) & (facing > LEAST_FACING)
+    rim = np.clip(
+        (sampled_colours(rim_distance(view.mask), pixels, 1.0)[:, 0] - LEFT_OUT_PX) / RIM_PX, 0, 1
+    )
     hidden = np.zeros((atlas.height, atlas.width), bool)
-    hidden[texels.rows, texels.columns] = ~seen
-    soft = feather(hidden, FEATHER)[texels.rows, texels.columns]
+    hidden[texels.rows, texels.columns] = ~is_visible
+    soft = feathered_weight(hidden, FEATHER)[texels.rows, texels.columns]
     weight = (facing - LEAST_FACING) / (1 - LEAST_FACING) * rim * soft
-    return sampled(shot.image, pixels, step), np.where(seen, weight, 0)
+    return sampled_colours(shot.image, pixels, step), np.where(is_visible, weight, 0)
 
 
 def _of_one_light(
@@ -117,7 +127,7 @@ def _of_one_light(
         off[at], known[at] = wide - np.log(np.maximum(colour, 1)), weight
         for rectangle in atlas.rectangles:
             here = rectangle.within
-            off[here] = smoothed(off[here], known[here], SLOW)
+            off[here] = weighted_blur(off[here], known[here], SLOW)
         found.append(colour * np.exp(off[at]))
     return found
 

@@ -20,7 +20,7 @@ DARKEST = 8.0
 ASIDE = 6
 
 
-def sampled(image: np.ndarray, pixels_xy: np.ndarray, step: float) -> np.ndarray:
+def sampled_colours(image: np.ndarray, pixels_xy: np.ndarray, step: float) -> np.ndarray:
     """(K, C) float32 values of an image (H, W, C) or (H, W) at (K, 2) pixels, ``step`` apart."""
     smooth = image
     if step > 1.5:
@@ -40,8 +40,8 @@ def gains(
 ) -> np.ndarray:
     """(P, 3) factors that bring P pictures to the first one's exposure and white balance.
 
-    Told by the backdrop, where it is the same: where that makes colours of places agree which both
-    pictures show. By these alone it could not be told from light that comes from one side.
+    By the backdrop, where it is the same: where that makes colours of places agree which both
+    pictures show. By these alone it could not be separated from light that comes from one side.
 
     Args:
         colours: P times (K, 3), grey levels.
@@ -53,10 +53,10 @@ def gains(
         both = (np.minimum(weights[0], weight) > FAINT) & (
             np.minimum(colours[0], colour).min(1) > DARKEST
         )
-        told = np.maximum(backdrops[0], DARKEST) / np.maximum(backdrop, DARKEST)
+        by_backdrop = np.maximum(backdrops[0], DARKEST) / np.maximum(backdrop, DARKEST)
         off = np.median(np.log(colours[0][both] / colour[both]), 0) if both.any() else np.zeros(3)
-        better = np.abs(off - np.log(told)).sum() < np.abs(off).sum()
-        found.append(told if better else np.ones(3))
+        better = np.abs(off - np.log(by_backdrop)).sum() < np.abs(off).sum()
+        found.append(by_backdrop if better else np.ones(3))
     return np.array(found)
 
 
@@ -83,7 +83,7 @@ def wide_blend(colours: Sequence[np.ndarray], weights: Sequence[np.ndarray]) -> 
     return np.sum([(w / total)[..., None] * np.log(np.maximum(c, 1)) for c, w in parts], 0)
 
 
-def smoothed(values: np.ndarray, weight: np.ndarray, width: float) -> np.ndarray:
+def weighted_blur(values: np.ndarray, weight: np.ndarray, width: float) -> np.ndarray:
     """(H, W, 3) weighted means of values about each place, by a Gaussian of so many cells."""
     both = np.concatenate([values * weight[..., None], weight[..., None]], -1).astype(np.float32)
     blurred = cv2.GaussianBlur(both, (0, 0), width)
@@ -104,8 +104,10 @@ def closed_holes(picture: np.ndarray, known: np.ndarray) -> np.ndarray:
     there = np.pad(known, wide, mode="wrap").astype(np.float32)
     colour = np.pad(picture.astype(np.float32), [*wide, (0, 0)], mode="wrap") * there[..., None]
     narrow = max((width + 2 * half) // ASIDE, 1), height
-    small, seen = (cv2.resize(p, narrow, interpolation=cv2.INTER_AREA) for p in (colour, there))
-    filled = cv2.resize(_pulled(small, seen), (width + 2 * half, height))
+    small, coarse_weight = (
+        cv2.resize(p, narrow, interpolation=cv2.INTER_AREA) for p in (colour, there)
+    )
+    filled = cv2.resize(_pulled(small, coarse_weight), (width + 2 * half, height))
     return np.where(known[..., None], picture, filled[:, half : half + width]).astype(np.float32)
 
 
@@ -116,27 +118,27 @@ def _pulled(colour: np.ndarray, weight: np.ndarray) -> np.ndarray:
         mean = colour.sum((0, 1)) / max(float(weight.sum()), 1e-6)
         return np.where(weight[..., None] > 0, own, mean).astype(np.float32)
     # The coarser picture's weights, where anything is known, count fully: means, not shades.
-    small, seen = cv2.pyrDown(colour), cv2.pyrDown(weight)
-    full = np.minimum(1.0, 4 * seen)
-    small = small * (full / np.maximum(seen, 1e-6))[..., None]
+    small, coarse_weight = cv2.pyrDown(colour), cv2.pyrDown(weight)
+    full = np.minimum(1.0, 4 * coarse_weight)
+    small = small * (full / np.maximum(coarse_weight, 1e-6))[..., None]
     coarse = cv2.pyrUp(_pulled(small, full), dstsize=weight.shape[::-1])
     part = np.minimum(weight, 1)[..., None]
     return part * own + (1 - part) * coarse
 
 
-def feather(hidden: np.ndarray, width: float) -> np.ndarray:
+def feathered_weight(hidden: np.ndarray, width: float) -> np.ndarray:
     """(H, W) from 0 where hidden to 1 at ``width`` cells from there."""
     distance = cv2.distanceTransform((~hidden).astype(np.uint8), cv2.DIST_L2, 3)
     return np.minimum(distance / width, 1).astype(np.float32)
 
 
-def from_rim(mask: np.ndarray) -> np.ndarray:
+def rim_distance(mask: np.ndarray) -> np.ndarray:
     """(H, W) float32 pixels from a mask's rim inwards; the image's border is a rim too."""
     framed = np.pad(mask.astype(np.uint8), 1)
     return cv2.distanceTransform(framed, cv2.DIST_L2, 5)[1:-1, 1:-1]
 
 
-def behind(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def background_colour(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """(3,) middle colour of what an image (H, W, 3) shows well beside a mask (H, W)."""
     near = cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8))
     return np.ones(3) if near.all() else np.median(image[near == 0], 0)

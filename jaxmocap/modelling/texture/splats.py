@@ -54,9 +54,9 @@ def in_sight(
     before = np.min(near, 0)
     columns, rows = np.rint(cells_xy).astype(int).T
     inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
-    seen = np.zeros(len(depths), bool)
-    seen[inside] = depths[inside] <= before[rows[inside], columns[inside]]
-    return seen
+    is_visible = np.zeros(len(depths), bool)
+    is_visible[inside] = depths[inside] <= before[rows[inside], columns[inside]]
+    return is_visible
 
 
 def splatted(
@@ -71,13 +71,13 @@ def splatted(
         shape: of the picture.
     """
     found = nearest_points(cells_xy, depths, shape)
-    shown = found != NONE
-    picture = np.where(shown[..., None], colours[found], np.uint8(PAPER)).astype(np.uint8)
-    closed = cv2.morphologyEx(shown.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-    open_cells = (closed > 0) & ~shown
+    filled = found != NONE
+    picture = np.where(filled[..., None], colours[found], np.uint8(PAPER)).astype(np.uint8)
+    closed = cv2.morphologyEx(filled.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    open_cells = (closed > 0) & ~filled
     # The mean of those beside an open cell that are not.
-    total = cv2.blur(picture * shown[..., None].astype(np.float32), (3, 3))
-    count = cv2.blur(shown.astype(np.float32), (3, 3))
+    total = cv2.blur(picture * filled[..., None].astype(np.float32), (3, 3))
+    count = cv2.blur(filled.astype(np.float32), (3, 3))
     mended = total / np.maximum(count, 1e-6)[..., None]
     picture[open_cells] = np.rint(mended[open_cells]).astype(np.uint8)
     return picture, closed > 0

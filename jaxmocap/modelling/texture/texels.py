@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.body.surfaces.mesh import Atlas, Mesh, normals_of
+from jaxmocap.body.surfaces.mesh import Atlas, SurfaceMesh, normals_of
 from jaxmocap.body.surfaces.surface import Surface
-from jaxmocap.modelling.views import View
+from jaxmocap.modelling.views import PhotographView
 
 
-class Shot(NamedTuple):
+class SurfacePhotograph(NamedTuple):
     """A photograph of the surface.
 
     Attributes:
@@ -22,7 +22,7 @@ class Shot(NamedTuple):
     """
 
     image: np.ndarray
-    view: View
+    view: PhotographView
     nodes_world: np.ndarray
 
 
@@ -44,7 +44,7 @@ class Texels(NamedTuple):
     normals: np.ndarray
 
 
-def texels_of(surface: Surface, atlas: Atlas, mesh: Mesh, nodes: np.ndarray) -> Texels:
+def texels_of(surface: Surface, atlas: Atlas, mesh: SurfaceMesh, nodes: np.ndarray) -> Texels:
     """All texels, the nodes at (N, 3)."""
     upright = np.zeros_like(nodes)
     upright[mesh.nodes] = normals_of(nodes[mesh.nodes], mesh.triangles)

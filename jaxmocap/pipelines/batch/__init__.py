@@ -1,4 +1,4 @@
-"""Many recordings, side by side.
+"""Many recordings, tracked side by side by processes here or on a cluster.
 
-Begin with ``batch``.
+Begin with ``batch``; ``corpus`` finds recordings and writes the tables, ``cluster`` runs the jobs.
 """

@@ -20,16 +20,16 @@ from jaxmocap.capture.timeline import Mode
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.output_folder import LIST_NAME, OutputFolder
 from jaxmocap.formats.recordings.recording import load_recording
-from jaxmocap.pipelines.batch.cluster import connected, each_done
+from jaxmocap.pipelines.batch.cluster import JobResult, cluster_client, results_as_completed
 from jaxmocap.pipelines.batch.corpus import (
-    KEPT,
-    Row,
+    RECORD_FILE,
+    CorpusRow,
     find_recordings,
     fingerprint,
-    inputs_of,
-    keep,
-    kept,
+    read_record,
+    readable_inputs,
     write_failures,
+    write_record,
     write_rows,
 )
 from jaxmocap.pipelines.kept_programs import keep_compiled
@@ -43,8 +43,8 @@ TABLES = ("corpus.csv", "failures.json")
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """How recordings are to be tracked, in the words of ``track``."""
+class TrackingOptions:
+    """How recordings are tracked: the options of ``track``."""
 
     refine: Literal["simplex", "gradient", "none"] = "simplex"
     mode: Mode = "own"
@@ -53,67 +53,67 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Job:
-    """One recording to be tracked; all that is sent to whoever does it.
+    """One recording to be tracked; all that is sent to the process that tracks it.
 
     Attributes:
         name: of the recording within the corpus.
         recording: its file, an absolute path.
         folder: for its outputs, an absolute path.
-        wanted: how.
+        options: how it is tracked.
         inputs: all files that are read.
     """
 
     name: str
     recording: Path
     folder: Path
-    wanted: Wanted
+    options: TrackingOptions
     inputs: tuple[Path, ...] = ()
 
 
 class Outcome(NamedTuple):
-    """What came of a job.
+    """The result of a job.
 
     Attributes:
         row: of the table, or None.
-        earlier: whether an earlier run had done it already.
+        from_earlier_run: whether an earlier run had tracked it.
         problem: why there is no row, or None.
     """
 
-    row: Row | None
-    earlier: bool = False
+    row: CorpusRow | None
+    from_earlier_run: bool = False
     problem: str | None = None
 
 
 @dataclass(frozen=True)
 class Batch:
-    """What came of a corpus.
+    """The results of a corpus.
 
     Attributes:
         rows: of the recordings tracked.
-        earlier: how many of them an earlier run had tracked.
+        earlier_count: how many of them an earlier run had tracked.
         failures: recording -> reason.
         files: that were written besides the recordings' own.
     """
 
-    rows: list[Row]
-    earlier: int
+    rows: list[CorpusRow]
+    earlier_count: int
     failures: dict[str, str]
     files: list[Path]
 
     def text(self) -> str:
-        """A few lines to read."""
+        """The same as lines of text."""
         lines = [
-            f"tracked  {len(self.rows)} recordings, {self.earlier} of them by an earlier run",
+            f"tracked  {len(self.rows)} recordings, {self.earlier_count} of them by an earlier run",
             f"failed   {len(self.failures)}",
             *(f"         {name}: {why}" for name, why in sorted(self.failures.items())),
         ]
         return "\n".join([*lines, *(f"written  {path}" for path in self.files)])
 
     def figures(self) -> dict:
-        """What JSON takes."""
+        """The same for JSON."""
         return {
             "tracked": len(self.rows),
-            "earlier": self.earlier,
+            "earlier": self.earlier_count,
             "failures": self.failures,
             "recordings": [asdict(row) for row in self.rows],
         }
@@ -122,7 +122,7 @@ class Batch:
 def track_corpus(
     corpus: str | Path,
     out: str | Path,
-    wanted: Wanted | None = None,
+    options: TrackingOptions | None = None,
     *,
     scheduler: str | None = None,
     workers: int | None = None,
@@ -133,9 +133,8 @@ def track_corpus(
 
     Args:
         corpus: folder; recordings are found at any depth.
-        out: gets a folder for each, named as the recording is, and both tables; these are written
-            when all are done, or when it is interrupted.
-        wanted: how to track; defaults to ``track``'s way.
+        out: gets a folder named as each recording, and both tables at the end or when interrupted.
+        options: how to track; defaults to those of ``track``.
         scheduler: address of a Dask cluster whose machines reach both folders by the same paths,
             or None for processes here.
         workers: processes here; defaults to one per core.
@@ -147,16 +146,16 @@ def track_corpus(
             inputs, or recordings whose outputs would lie within one another.
         OutputError: the tables cannot be written.
     """
-    jobs = jobs_of(corpus, out, wanted or Wanted())
+    jobs = jobs_of(corpus, out, options or TrackingOptions())
     folder = OutputFolder(out, "batch", TABLES, [path for job in jobs for path in job.inputs])
     batch = Batch([], 0, {}, [folder.path / name for name in TABLES])
     most = None if workers is None else min(workers, len(jobs))
-    with connected(scheduler, most) as client, progress_bar("recordings", progress) as show:
+    with cluster_client(scheduler, most) as client, progress_bar("recordings", progress) as show:
         try:
             show(0, len(jobs))
-            for count, done in enumerate(each_done(client, track_one, jobs, timeout_s), 1):
-                outcome = done.result or Outcome(None, problem=done.problem)
-                batch = _with(batch, done.job.name, outcome)
+            results = results_as_completed(client, track_one, jobs, timeout_s)
+            for count, result in enumerate(results, 1):
+                batch = _with_result(batch, result)
                 show(count, len(jobs))
         finally:
             # Before the cluster is closed, which may take its time.
@@ -170,7 +169,7 @@ def _write_tables(folder: OutputFolder, batch: Batch) -> None:
         write_failures(stage / TABLES[1], batch.failures)
 
 
-def jobs_of(corpus: str | Path, out: str | Path, wanted: Wanted) -> list[Job]:
+def jobs_of(corpus: str | Path, out: str | Path, options: TrackingOptions) -> list[Job]:
     """One for each recording.
 
     Raises:
@@ -182,8 +181,8 @@ def jobs_of(corpus: str | Path, out: str | Path, wanted: Wanted) -> list[Job]:
             (name := path.relative_to(root)).as_posix(),
             path,
             folder / name.with_suffix(""),
-            wanted,
-            tuple(inputs_of(path)),
+            options,
+            tuple(readable_inputs(path)),
         )
         for path in find_recordings(corpus, out)
     ]
@@ -206,22 +205,24 @@ def _check_apart(corpus: Path, out: Path, jobs: list[Job]) -> None:
         taken[parts] = job.name
 
 
-def _with(batch: Batch, name: str, outcome: Outcome) -> Batch:
+def _with_result(batch: Batch, result: JobResult) -> Batch:
+    """The batch with the result of one more job."""
+    name, outcome = result.job.name, result.result or Outcome(None, problem=result.problem)
     if outcome.row is None:
         return replace(batch, failures=batch.failures | {name: str(outcome.problem)})
-    rows, earlier = [*batch.rows, outcome.row], batch.earlier + outcome.earlier
-    return replace(batch, rows=rows, earlier=earlier)
+    count = batch.earlier_count + outcome.from_earlier_run
+    return replace(batch, rows=[*batch.rows, outcome.row], earlier_count=count)
 
 
 def track_one(job: Job) -> Outcome:
-    """Track one recording, unless its outputs are there already; says so where it cannot.
+    """Track one recording, unless its outputs are there already; an Outcome says why it failed.
 
     The outputs' folder appears whole or not at all.
     """
     try:
-        mark = fingerprint(job.recording, asdict(job.wanted))
-        if earlier := kept(job.folder, mark):
-            return Outcome(replace(earlier, recording=job.name), earlier=True)
+        mark = fingerprint(job.recording, asdict(job.options))
+        if earlier := read_record(job.folder, mark):
+            return Outcome(replace(earlier, recording=job.name), from_earlier_run=True)
         return Outcome(_tracked(job, mark))
     except (InputError, OSError) as error:
         return Outcome(None, problem=str(error))
@@ -229,30 +230,31 @@ def track_one(job: Job) -> Outcome:
         return Outcome(None, problem=f"{type(error).__name__}: {error}")
 
 
-def _tracked(job: Job, mark: str) -> Row:
+def _tracked(job: Job, mark: str) -> CorpusRow:
     """Track and write everything."""
     began = perf_counter()
     keep_compiled()
     recording = load_recording(job.recording)
-    folder = tracked_folder(job.folder, recording, [KEPT])
-    settings = choose_settings(job.wanted.refine, job.wanted.paper)
-    motion = track(recording, settings, mode=job.wanted.mode)
+    folder = tracked_folder(job.folder, recording, [RECORD_FILE])
+    settings = choose_settings(job.options.refine, job.options.paper)
+    motion = track(recording, settings, mode=job.options.mode)
     with folder.writing() as stage:
         write_tracked(motion, recording, stage, settings)
         row = row_of(job, motion, perf_counter() - began)
-        keep(stage, mark, row)
+        write_record(stage, mark, row)
     return row
 
 
-def row_of(job: Job, motion: Motion, took_s: float) -> Row:
+def row_of(job: Job, motion: Motion, took_s: float) -> CorpusRow:
     """A tracked recording's line of the table."""
     report = motion.report
     assert report is not None
-    # Frames need not fall on a sample to have been looked at.
-    told = report.confidence if "observe" in report.milliseconds else np.full((1, 2), np.nan)
-    known = told[np.isfinite(told).all(1)]
-    left, right = np.median(known, axis=0) if len(known) else (np.nan, np.nan)
-    return Row(
+    # Frames need not fall on a sample to have been observed.
+    is_observed = "observe" in report.milliseconds
+    confidence = report.confidence if is_observed else np.full((1, 2), np.nan)
+    finite = confidence[np.isfinite(confidence).all(1)]
+    left, right = np.median(finite, axis=0) if len(finite) else (np.nan, np.nan)
+    return CorpusRow(
         recording=job.name,
         frames=len(motion.times),
         seconds=round(float(motion.times[-1] - motion.times[0]), 6),

@@ -14,24 +14,26 @@ from typing import Any, NamedTuple
 
 from jaxmocap.formats.files.errors import InputError
 
-# Seconds after which a scheduler that does not answer is not there.
-PATIENCE_S = 10
-# How often it is looked whether a job is done, and whether one takes too long, seconds.
-LOOK_S = 0.05
-CLOCK_S = 1.0
-# A job may end so many processes; none waits where another is done, to be blamed for its end.
-# Dask's own also has a process give memory back at once, only to ask for it anew: half of a
-# recording's time went there.
-ENVIRONMENT = {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
-OWN = {
+# A scheduler that does not answer within so many seconds is taken for absent.
+CONNECT_TIMEOUT_S = 10
+# Seconds between looks for finished jobs.
+POLL_INTERVAL_S = 0.05
+# Seconds between looks for jobs that take too long.
+TIMEOUT_CHECK_S = 1.0
+# Environment of the workers. Dask's own also sets MALLOC_TRIM_THRESHOLD_, with which a process
+# gives memory back only to allocate it again: half of a recording's time went there.
+WORKER_ENVIRONMENT = {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
+# A job may end so many processes. No job waits at a worker, where it would be blamed for the
+# worker's end.
+CLUSTER_CONFIG = {
     "distributed.scheduler.allowed-failures": 2,
     "distributed.scheduler.worker-saturation": 1.0,
-    "distributed.nanny.pre-spawn-environ": ENVIRONMENT,
+    "distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT,
 }
 
-# Its page takes a free port, since another cluster may have the usual one; nothing but paths goes
-# round, so there is nothing that a limit of memory could spill.
-HERE: dict[str, Any] = {
+# The dashboard takes a free port, since another cluster may have the usual one. Only paths are
+# sent, so there is nothing that a limit of memory could spill to disk.
+LOCAL_CLUSTER: dict[str, Any] = {
     "threads_per_worker": 1,
     "host": "127.0.0.1",
     "dashboard_address": "127.0.0.1:0",
@@ -40,8 +42,8 @@ HERE: dict[str, Any] = {
 }
 
 
-class Done(NamedTuple):
-    """One job that is done with.
+class JobResult(NamedTuple):
+    """One job that has ended.
 
     Attributes:
         job: as it was given.
@@ -55,7 +57,7 @@ class Done(NamedTuple):
 
 
 @contextmanager
-def connected(scheduler: str | None, workers: int | None) -> Iterator[Any]:
+def cluster_client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
     """A client of the scheduler at an address, or of processes of this machine's own.
 
     Args:
@@ -73,22 +75,22 @@ def connected(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         raise InputError("jaxmocap batch", problem) from None
     with ExitStack() as stack:
         if scheduler is None:
-            stack.enter_context(dask_config.set(OWN))
-            cluster = LocalCluster(n_workers=workers or os.cpu_count() or 1, **HERE)
+            stack.enter_context(dask_config.set(CLUSTER_CONFIG))
+            cluster = LocalCluster(n_workers=workers or os.cpu_count() or 1, **LOCAL_CLUSTER)
             stack.enter_context(cluster)
             yield stack.enter_context(Client(cluster))
             return
         try:
-            client = Client(scheduler, timeout=PATIENCE_S)
+            client = Client(scheduler, timeout=CONNECT_TIMEOUT_S)
         except (OSError, ValueError) as error:
             raise InputError(scheduler, f"no scheduler answers there ({error})") from None
         yield stack.enter_context(client)
 
 
-def each_done(
+def results_as_completed(
     client: Any, function: Callable, jobs: Sequence[Any], timeout_s: float | None = None
-) -> Iterator[Done]:
-    """Every job, in the order in which they are done with; those left are dropped at the end.
+) -> Iterator[JobResult]:
+    """Every job, in the order in which they end; those left are cancelled when the caller stops.
 
     Args:
         client: of the cluster.
@@ -100,7 +102,7 @@ def each_done(
 
     futures = client.map(function, jobs, pure=False, retries=0)
     left = {future.key: (future, job) for future, job in zip(futures, jobs, strict=True)}
-    completed, clock = as_completed(futures, raise_errors=False), _Clock(client, timeout_s)
+    completed, clock = as_completed(futures, raise_errors=False), _JobTimer(client, timeout_s)
     try:
         while left:
             for future in completed.next_batch(block=False):
@@ -108,36 +110,38 @@ def each_done(
                     continue
                 _, job = left.pop(future.key)
                 if future.status == "finished":
-                    yield Done(job, future.result(), None)
+                    yield JobResult(job, future.result(), None)
                 else:
-                    yield Done(job, None, _why(future))
-                # The scheduler need not remember it.
+                    yield JobResult(job, None, _reason(future))
+                # So that the scheduler forgets it.
                 future.release()
             for key, worker in clock.overdue(left):
                 future, job = left.pop(key)
                 future.cancel()
-                _end(client, worker)
-                yield Done(job, None, f"took longer than {timeout_s:g} s (--job-timeout)")
-            sleep(LOOK_S)
+                _restart_worker(client, worker)
+                yield JobResult(job, None, f"took longer than {timeout_s:g} s (--job-timeout)")
+            sleep(POLL_INTERVAL_S)
     finally:
         client.cancel(futures)
 
 
-class _Clock:
-    """Knows since when jobs are being done."""
+class _JobTimer:
+    """Since when each job is being processed."""
 
     def __init__(self, client: Any, timeout_s: float | None):
-        self._client, self._timeout, self._looked = client, timeout_s, -math.inf
+        self._client, self._timeout, self._checked_at = client, timeout_s, -math.inf
         self._began: dict[tuple[str, str], float] = {}
 
     def overdue(self, keys: Container[str]) -> list[tuple[str, str]]:
-        """Keys of jobs that take too long, and whose worker does them."""
+        """Keys of jobs that take too long, and their workers."""
         now = monotonic()
-        if self._timeout is None or now - self._looked < CLOCK_S:
+        if self._timeout is None or now - self._checked_at < TIMEOUT_CHECK_S:
             return []
-        self._looked = now
-        doing = {(key, worker) for worker, ks in self._client.processing().items() for key in ks}
-        self._began = {each: self._began.get(each, now) for each in doing}
+        self._checked_at = now
+        processing = {
+            (key, worker) for worker, ks in self._client.processing().items() for key in ks
+        }
+        self._began = {each: self._began.get(each, now) for each in processing}
         return [
             each
             for each, began in self._began.items()
@@ -145,13 +149,13 @@ class _Clock:
         ]
 
 
-def _end(client: Any, worker: str) -> None:
-    """End a worker's process, which is begun again; what cannot be ended is left alone."""
+def _restart_worker(client: Any, worker: str) -> None:
+    """End a worker's process and start it again; one that cannot be ended is left alone."""
     with suppress(Exception):
-        client.restart_workers([worker], timeout=PATIENCE_S)
+        client.restart_workers([worker], timeout=CONNECT_TIMEOUT_S)
 
 
-def _why(future: Any) -> str:
+def _reason(future: Any) -> str:
     """Why a future has no result, in one sentence."""
     if future.status == "cancelled":
         return "was cancelled"

@@ -1,4 +1,4 @@
-"""A corpus: the recordings in a folder, what each was tracked from, and what came of it.
+"""A corpus: the recordings in a folder, what each was tracked from, and its results.
 
 INPUTS: a folder; the files that recordings name.
 OUTPUTS: paths of recordings; fingerprints; corpus.csv and failures.json, each whole or not at all.
@@ -22,13 +22,13 @@ from jaxmocap.formats.files.writing import replacing, write_text
 from jaxmocap.formats.recordings.recording_files import input_files
 from jaxmocap.pipelines.writing import MOTION
 
-# In a tracked recording's folder: what it was tracked from, and its row.
-KEPT = "batch.json"
+# In a tracked recording's folder: a fingerprint of what it was tracked from, and its row.
+RECORD_FILE = "batch.json"
 
 
 @dataclass(frozen=True)
-class Row:
-    """What one recording came to.
+class CorpusRow:
+    """One recording's results.
 
     Attributes:
         recording: its path within the corpus.
@@ -81,7 +81,7 @@ def _is_recording(path: Path) -> bool:
         return True
 
 
-def inputs_of(recording: Path) -> list[Path]:
+def readable_inputs(recording: Path) -> list[Path]:
     """The recording's file and every file that its fields name; itself alone if it is broken."""
     try:
         return input_files(recording)
@@ -89,37 +89,37 @@ def inputs_of(recording: Path) -> list[Path]:
         return [recording]
 
 
-def fingerprint(recording: Path, told: Mapping[str, Any]) -> str:
-    """Of all that the outputs depend on: the inputs' contents, what was told, the version."""
-    whole = hashlib.sha256(json.dumps([__version__, dict(told)], sort_keys=True).encode())
-    for path in filter(Path.is_file, inputs_of(recording)):
+def fingerprint(recording: Path, options: Mapping[str, Any]) -> str:
+    """Of all that the outputs depend on: the inputs' contents, the options, the version."""
+    digest = hashlib.sha256(json.dumps([__version__, dict(options)], sort_keys=True).encode())
+    for path in filter(Path.is_file, readable_inputs(recording)):
         with path.open("rb") as file:
             content = hashlib.file_digest(file, "sha256").hexdigest()
-        whole.update(f"{os.path.relpath(path, recording.parent)} {content} ".encode())
-    return whole.hexdigest()
+        digest.update(f"{os.path.relpath(path, recording.parent)} {content} ".encode())
+    return digest.hexdigest()
 
 
-def keep(folder: Path, mark: str, row: Row) -> None:
-    """Remember in the outputs' folder what they were made from, and their row."""
+def write_record(folder: Path, mark: str, row: CorpusRow) -> None:
+    """Write into the outputs' folder what they were made from, and their row."""
     text = json.dumps({"fingerprint": mark, "row": asdict(row)}, indent=2, ensure_ascii=False)
-    write_text(folder / KEPT, text + "\n")
+    write_text(folder / RECORD_FILE, text + "\n")
 
 
-def kept(folder: Path, mark: str) -> Row | None:
+def read_record(folder: Path, mark: str) -> CorpusRow | None:
     """The row of outputs that are whole and were made from the same, or None."""
     try:
-        found = json.loads(read_bytes(folder / KEPT))
-        if found["fingerprint"] != mark or not OutputFolder(folder, MOTION).is_complete():
+        record = json.loads(read_bytes(folder / RECORD_FILE))
+        if record["fingerprint"] != mark or not OutputFolder(folder, MOTION).is_complete():
             return None
-        return Row(**found["row"])
+        return CorpusRow(**record["row"])
     except (ValueError, TypeError, KeyError, RecursionError):
         return None
 
 
-def write_rows(path: Path, rows: Sequence[Row]) -> None:
+def write_rows(path: Path, rows: Sequence[CorpusRow]) -> None:
     """Write corpus.csv: a line of names, and one line per recording, by path."""
     with replacing(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
-        table = csv.DictWriter(file, [field.name for field in fields(Row)])
+        table = csv.DictWriter(file, [field.name for field in fields(CorpusRow)])
         table.writeheader()
         table.writerows(asdict(row) for row in sorted(rows, key=lambda row: row.recording))
 

@@ -1,4 +1,6 @@
-"""Devices to poses as they come.
+"""A live run: samples and frames of devices in, poses out, as they come.
 
-Begin with ``session``, then ``loop``.
+Begin with ``session``, the command from its file to its end, then ``loop``, which connects devices,
+tracker and receivers. ``tracking`` steps the tracker, ``recording`` and ``files`` write to disk,
+``status`` and ``stream_states`` report what happens, ``stop`` ends the run.
 """

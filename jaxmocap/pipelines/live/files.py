@@ -1,9 +1,9 @@
-"""Files that a live run writes as it goes: whatever ends it, what is on disk is whole.
+"""Files that grow during a live run and are valid at any time, whatever ends it.
 
-INPUTS: lines; frames. OUTPUTS: a text file of whole lines; an MP4 file of whole fragments.
+INPUTS: lines; frames. OUTPUTS: a text file of complete lines; an MP4 file of complete fragments.
 
-Nothing waits in a buffer for long, so a process that is killed loses what came in within half a
-second and two frames. On a full disk what does not fit is taken off again, and the rest is whole.
+Little is buffered: a process that is killed loses half a second of lines and two frames. On a full
+disk an incomplete part is removed again, so that the rest stays valid.
 """
 
 import os
@@ -18,23 +18,24 @@ from av.error import FFmpegError
 from jaxmocap.capture.streams.inbox import LiveFrame
 from jaxmocap.formats.files.writing import as_output_error
 
-CLOCK = 90_000
-# A fragment takes so many microseconds, and goes to the file at once.
-MP4 = {
+# Ticks per second of the file's clock.
+CLOCK_HZ = 90_000
+# Fragments of so many microseconds, each written at once.
+MP4_OPTIONS = {
     "movflags": "empty_moov+default_base_moof",
     "frag_duration": "250000",
     "flush_packets": "1",
 }
-# No frame waits in the encoder for the next ones.
-QUICK = {"preset": "ultrafast", "tune": "zerolatency", "crf": "20", "g": "30"}
+# No frame is held back in the encoder.
+ENCODER_OPTIONS = {"preset": "ultrafast", "tune": "zerolatency", "crf": "20", "g": "30"}
 
 
 class GrowingFile:
-    """A new file that grows by whole parts.
+    """A new file that grows by complete parts.
 
     Attributes:
         path: of it.
-        whole: bytes up to the end of the last whole part.
+        complete_bytes: up to the end of the last complete part.
     """
 
     def __init__(self, path: Path):
@@ -43,7 +44,7 @@ class GrowingFile:
         Raises:
             OutputError: there is one of that name, or it cannot be made.
         """
-        self.path, self.whole, self._end = path, 0, 0
+        self.path, self.complete_bytes, self._end = path, 0, 0
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
         with as_output_error(path):
             self._file = os.open(path, flags, 0o666)
@@ -65,39 +66,39 @@ class GrowingFile:
             rest, self._end = rest[written:], self._end + written
         return len(content)
 
-    def complete(self) -> None:
-        """What is written so far is whole."""
+    def mark_complete(self) -> None:
+        """Mark what is written so far as complete."""
         if not self._broken:
-            self.whole = self._end
+            self.complete_bytes = self._end
 
-    def written(self) -> int:
-        """Bytes that are on disk beyond the whole parts."""
-        return self._end - self.whole
+    def incomplete_bytes(self) -> int:
+        """Bytes on disk beyond the complete parts."""
+        return self._end - self.complete_bytes
 
-    def cut(self, kept: int = 0) -> None:
-        """Take off what is not whole, but for so many bytes."""
-        self.whole = self._end = self.whole + kept
-        os.ftruncate(self._file, self.whole)
+    def drop_incomplete(self, kept: int = 0) -> None:
+        """Remove what is incomplete, but for its first ``kept`` bytes, which become complete."""
+        self.complete_bytes = self._end = self.complete_bytes + kept
+        os.ftruncate(self._file, self.complete_bytes)
 
     def close(self) -> None:
-        """Take off what is not whole, and wait until the rest is on the disk.
+        """Remove what is incomplete, and wait until the rest is on the disk.
 
         Raises:
             OSError: it could not be.
         """
         try:
-            self.cut()
+            self.drop_incomplete()
             os.fsync(self._file)
         finally:
             os.close(self._file)
 
 
-class Rows:
+class LineFile:
     """A text file of lines, UTF-8.
 
     Attributes:
-        rows: lines on disk, but for the header.
-        lost: lines that did not fit there.
+        line_count: lines on disk, but for the header.
+        lost_count: lines that did not fit there.
     """
 
     def __init__(self, path: Path, header: str):
@@ -106,7 +107,7 @@ class Rows:
         Raises:
             OutputError: there is one of that name, or it cannot be written.
         """
-        self._file, self.rows, self.lost = GrowingFile(path), 0, 0
+        self._file, self.line_count, self.lost_count = GrowingFile(path), 0, 0
         self._lines: list[str] = []
         try:
             with as_output_error(path):
@@ -114,19 +115,19 @@ class Rows:
         except BaseException:
             self.remove()
             raise
-        self._file.complete()
+        self._file.mark_complete()
 
     @property
-    def begun(self) -> bool:
-        """Is any line on disk, or waits to be?"""
-        return bool(self.rows or self._lines)
+    def has_lines(self) -> bool:
+        """Whether any line is on disk or waits to be written."""
+        return bool(self.line_count or self._lines)
 
     def add(self, line: str) -> None:
         """Add a line, which ``flush`` writes."""
         self._lines.append(line)
 
     def flush(self) -> None:
-        """Write the lines that wait, as one whole.
+        """Write the lines that wait, as one part.
 
         Raises:
             OSError: the disk is full; the lines that fit are there.
@@ -138,13 +139,13 @@ class Rows:
         try:
             self._file.write(content)
         except OSError:
-            fit = content[: self._file.written()]
-            self._file.cut(fit.rfind(b"\n") + 1)
-            self.rows += fit.count(b"\n")
-            self.lost += count - fit.count(b"\n")
+            written = content[: self._file.incomplete_bytes()]
+            self._file.drop_incomplete(kept=written.rfind(b"\n") + 1)
+            self.line_count += written.count(b"\n")
+            self.lost_count += count - written.count(b"\n")
             raise
-        self._file.complete()
-        self.rows += count
+        self._file.mark_complete()
+        self.line_count += count
 
     def close(self) -> None:
         """Write what waits.
@@ -162,12 +163,12 @@ class Rows:
         _close_and_remove(self._file)
 
 
-class Film:
+class GrowingVideo:
     """One camera's video, each frame at its own time.
 
     Attributes:
         path: of the file.
-        first: time of the first frame, seconds.
+        first_time: of the first frame, seconds.
     """
 
     def __init__(self, path: Path, frame: LiveFrame):
@@ -177,27 +178,29 @@ class Film:
             OutputError: there is one of that name, or it cannot be made.
             OSError, FFmpegError: it cannot be written.
         """
-        self.path, self.first, self._last = path, frame.time, -1
+        self.path, self.first_time, self._last = path, frame.time, -1
         self._file = GrowingFile(path)
         try:
-            self._container = av.open(self._file, "w", format="mp4", options=MP4)
-            self._stream: av.VideoStream = self._container.add_stream("libx264", options=QUICK)
+            self._container = av.open(self._file, "w", format="mp4", options=MP4_OPTIONS)
+            self._stream: av.VideoStream = self._container.add_stream(
+                "libx264", options=ENCODER_OPTIONS
+            )
             height, width = frame.image.shape[:2]
-            # Chroma comes by twos; an odd last row or column is left out.
+            # Chroma is sampled for two rows and columns; an odd last one is left out.
             self._stream.width, self._stream.height = width - width % 2, height - height % 2
             self._stream.pix_fmt = "yuv420p"
-            self._stream.codec_context.time_base = self._stream.time_base = Fraction(1, CLOCK)
+            self._stream.codec_context.time_base = self._stream.time_base = Fraction(1, CLOCK_HZ)
             self._container.start_encoding()
         except BaseException:
             _close_and_remove(self._file)
             raise
-        self._file.complete()
-        self._header = self._file.whole
+        self._file.mark_complete()
+        self._header = self._file.complete_bytes
 
     @property
     def is_readable(self) -> bool:
-        """Is any frame of it on disk?"""
-        return self._file.whole > self._header
+        """Whether any frame is on disk."""
+        return self._file.complete_bytes > self._header
 
     def add(self, frame: LiveFrame) -> None:
         """Add a frame, later than the last.
@@ -208,13 +211,13 @@ class Film:
         image = frame.image[: self._stream.height, : self._stream.width]
         colours = "bgr24" if image.ndim == 3 else "gray"
         picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format=colours)
-        stamp = max(round((frame.time - self.first) * CLOCK), self._last + 1)
-        picture.pts, picture.time_base, self._last = stamp, Fraction(1, CLOCK), stamp
+        stamp = max(round((frame.time - self.first_time) * CLOCK_HZ), self._last + 1)
+        picture.pts, picture.time_base, self._last = stamp, Fraction(1, CLOCK_HZ), stamp
         self._container.mux(self._stream.encode(picture))
-        self._file.complete()
+        self._file.mark_complete()
 
     def close(self) -> None:
-        """Write what waits; after an error what was whole stays.
+        """Write what waits; after an error the complete parts stay.
 
         Raises:
             OSError, FFmpegError: it cannot be.
@@ -222,7 +225,7 @@ class Film:
         try:
             self._container.mux(self._stream.encode())
             self._container.close()
-            self._file.complete()
+            self._file.mark_complete()
         finally:
             with suppress(OSError, FFmpegError):
                 self._container.close()

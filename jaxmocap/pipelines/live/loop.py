@@ -2,15 +2,15 @@
 
     socket ──── gathering ─┐                                    ┌── VMC, VRChat
                            ├─ inbox ── tracking ── Output ──────┤
-    cameras ───────────────┘   (the newest win)                 └── viewer
+    cameras ───────────────┘   (the newest ones)                └── viewer
         └── recording on disk
 
-Everything that waits for something has a thread; the tracker has this one.
+Each device has a thread of its own; the tracker runs in this one.
 
 INPUTS: a LiveSetup. OUTPUTS: datagrams, a recording, figures.
 
-Whatever ends it, all threads are asked to stop and waited for, the recording is closed, and only
-then comes the end.
+Whatever ends it, all threads are stopped and joined and the recording is closed before ``run``
+returns.
 """
 
 import sys
@@ -32,7 +32,7 @@ from jaxmocap.capture.streams.udp import MarkerSocket
 from jaxmocap.formats.recordings.live import LiveSetup
 from jaxmocap.formats.recordings.marker_places import bone_point_positions
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.outputs.osc import Sender
+from jaxmocap.outputs.osc import DatagramSender
 from jaxmocap.outputs.vmc import VMC
 from jaxmocap.outputs.vrchat import Trackers
 from jaxmocap.pipelines.live.recording import LiveRecording
@@ -40,20 +40,20 @@ from jaxmocap.pipelines.live.status import LiveStatus
 from jaxmocap.pipelines.live.stream_states import SILENT_S, stream_states
 from jaxmocap.pipelines.live.tracking import LiveTracking, Output
 
-# Samples that may wait: a tenth of a second of a headset's. Where more come than can be tracked, a
-# longer queue would only make all poses later.
-WAITING = 8
-# How often those who receive poses are told that there are none, seconds.
+# Samples in the queue, at most: a tenth of a second of a headset's. Where more arrive than can be
+# tracked, a longer queue would only add latency.
+LONGEST_QUEUE = 8
+# Seconds between messages to the receivers of poses that nothing is tracked.
 HEARTBEAT_S = 0.25
-# Threads take turns more often than Python's default of 5 ms, which a sample would notice.
-SWITCH_S = 5e-4
+# Seconds after which Python switches threads: its default of 5 ms would add to a sample's latency.
+THREAD_SWITCH_S = 5e-4
 
 
 class Live:
     """One live run.
 
     Attributes:
-        status: what it tells.
+        status: messages and figures of the run.
         tracking: the tracker.
         recording: on disk, or None.
     """
@@ -68,7 +68,7 @@ class Live:
         viewer: Callable[[Output, dict[str, LiveFrame]], None] | None = None,
         status: LiveStatus | None = None,
     ):
-        """Open everything and compile; nothing is listened to yet.
+        """Open everything and compile; no device is read yet.
 
         Args:
             setup: what to listen to, whose body it is, where poses go.
@@ -76,7 +76,7 @@ class Live:
             smooth: poses wait for two more video frames, 0.1 s at most.
             out: folder for a recording, or None.
             viewer: shows poses and frames; must return at once.
-            status: what tells of the run.
+            status: takes messages and figures of the run.
 
         Raises:
             InputError: what cannot be opened.
@@ -90,13 +90,13 @@ class Live:
     def _open(
         self, settings: Settings, smooth: bool, out: str | Path | None, ending: ExitStack
     ) -> None:
-        """Open everything; what was opened is closed by ``ending``."""
+        """Open everything; ``ending`` closes it."""
         setup = self._setup
-        # First: nothing is opened where it cannot be recorded.
+        # First, so that no device is opened where it cannot be recorded.
         self.recording = LiveRecording(setup, out) if out is not None else None
         if self.recording is not None:
             ending.callback(self.recording.close)
-        self._inbox = Inbox(WAITING, keep_turns=not smooth)
+        self._inbox = Inbox(LONGEST_QUEUE, keep_turns=not smooth)
         self._began = monotonic()
         bind = partial(bone_point_positions, setup.skeleton, setup.places)
         gathering = SampleAssembler(
@@ -112,19 +112,19 @@ class Live:
         ]
         for camera in self._cameras:
             ending.callback(camera.stop)
-        self._vmc, self._to_vmc = VMC(setup.skeleton), Sender(setup.vmc)
+        self._vmc, self._to_vmc = VMC(setup.skeleton), DatagramSender(setup.vmc)
         ending.callback(self._to_vmc.close)
-        self._to_vrchat = Sender(setup.vrchat) if setup.vrchat else None
+        self._to_vrchat = DatagramSender(setup.vrchat) if setup.vrchat else None
         if self._to_vrchat is not None:
             ending.callback(self._to_vrchat.close)
         self._trackers = Trackers(self._vmc.body, setup.trackers) if setup.vrchat else None
         self.tracking = LiveTracking(setup, settings, smooth)
         self._confidence, self._newest_sample = np.zeros(2), -np.inf
-        self._beat, self._ended, self._frames_shown = 0.0, 0.0, {}
+        self._last_heartbeat, self._ended, self._frames_shown = 0.0, 0.0, {}
 
     @property
     def address(self) -> Any:
-        """Where markers are listened for."""
+        """Where markers are received."""
         return self._socket.address
 
     def _now(self) -> float:
@@ -145,7 +145,7 @@ class Live:
 
         Args:
             seconds: how long, or None.
-            stop: set by whoever stops it.
+            stop: the event that ends it.
 
         Returns:
             Figures of the run.
@@ -153,16 +153,16 @@ class Live:
         stop = stop or threading.Event()
         self._began, self._newest_sample = monotonic(), -np.inf
         sources = (self._socket, *self._cameras)
-        with self._ending, _taking_turns():
+        with self._ending, _short_switch_interval():
             try:
                 for each in sources:
                     each.start()
-                self.status.say(0.0, f"listening at {self.address}, VMC to {self._setup.vmc}")
+                self.status.log(0.0, f"listening at {self.address}, VMC to {self._setup.vmc}")
                 while not stop.is_set() and (seconds is None or self._now() < seconds):
-                    self._turn()
+                    self._handle_next()
             finally:
                 self._ended = self._now()
-                # All at once, so that they are waited for together.
+                # All of them before any is joined, so that they end at the same time.
                 for each in sources:
                     each.ask_to_stop()
             for each in sources:
@@ -175,8 +175,8 @@ class Live:
         """Close everything that is still open; ``run`` does so itself."""
         self._ending.close()
 
-    def _turn(self) -> None:
-        """Take one thing that came in, and tell how things are."""
+    def _handle_next(self) -> None:
+        """Take one sample, or the newest frames, from the inbox; track it; update the status."""
         taken = self._inbox.take(0.05)
         if isinstance(taken, MarkerSample):
             self._newest_sample = taken.arrived
@@ -189,10 +189,10 @@ class Live:
         for output in outputs:
             self._send(output)
         now = self._now()
-        if now - self._newest_sample > SILENT_S and now - self._beat > HEARTBEAT_S:
-            self._beat = now
+        if now - self._newest_sample > SILENT_S and now - self._last_heartbeat > HEARTBEAT_S:
+            self._last_heartbeat = now
             self._to_vmc.send(self._vmc.lost(now))
-        self._tell(now)
+        self._update_status(now)
 
     def _send(self, output: Output) -> None:
         datagram, joints = self._vmc.frame(output.time, output.pose)
@@ -200,24 +200,24 @@ class Live:
         if self._to_vrchat and self._trackers:
             self._to_vrchat.send(self._trackers.frame(joints))
         now = self._now()
-        self.status.output(now, now - output.arrived)
+        self.status.count_output(now, now - output.arrived)
         self._confidence = output.confidence
         if self._viewer is not None:
             self._viewer(output, self._frames_shown)
             self._frames_shown = {}
 
-    def _tell(self, now: float) -> None:
-        """Say what has changed, and draw the line."""
-        for of, state in stream_states(self._socket, self._gathering, self._cameras, now):
-            self.status.state(now, of, state)
+    def _update_status(self, now: float) -> None:
+        """Log changed states, and update the status line."""
+        for subject, state in stream_states(self._socket, self._gathering, self._cameras, now):
+            self.status.set_state(now, subject, state)
         if self.recording is not None and self.recording.problem:
-            self.status.state(now, "recording", self.recording.problem)
-        ages = {"markers": self._socket.last_arrival} | {
+            self.status.set_state(now, "recording", self.recording.problem)
+        received_at = {"markers": self._socket.last_arrival} | {
             c.name: c.last_arrival for c in self._cameras
         }
-        self.status.show(
+        self.status.update_line(
             now,
-            {name: None if heard is None else now - heard for name, heard in ages.items()},
+            {name: None if at is None else now - at for name, at in received_at.items()},
             self._dropped(),
             self._confidence,
         )
@@ -226,13 +226,13 @@ class Live:
         return {
             "samples": self._inbox.dropped_samples,
             "frames": self._inbox.dropped_frames,
-            **({"late": self.tracking.late} if self.tracking.late else {}),
+            **({"late": self.tracking.late_events} if self.tracking.late_events else {}),
         }
 
     def _figures(self) -> dict[str, Any]:
         """The run's figures, once all is closed."""
         recording = self.recording
-        self.status.finish()
+        self.status.end_line()
         return self.status.figures(self._ended) | {
             "packets": self._socket.packets,
             "senders": self._socket.packets_by_sender(),
@@ -240,14 +240,14 @@ class Live:
             "clock_jumps": self._socket.clock_jumps,
             "dropped": self._dropped() | {"not recorded": recording.dropped if recording else 0},
             "frames": {camera.name: camera.frames for camera in self._cameras},
-            "placed_anew": self.tracking.placed,
+            "placed_anew": self.tracking.placements,
             "not_sent": self._to_vmc.failed,
             "recording": str(recording.path) if recording and recording.path else None,
             "problems": list(self._problems()),
         }
 
     def _problems(self) -> Iterator[str]:
-        """Why the run did not do what it was to do."""
+        """Why the run received or recorded nothing, or not all."""
         if self._socket.last_arrival is None:
             reason = f": {self._socket.problem}" if self._socket.problem else ""
             yield f"no marker came in at {self.address}{reason}"
@@ -258,16 +258,16 @@ class Live:
 def _source(
     setup: LiveSetup, gathering: SampleAssembler, now: Callable[[], float]
 ) -> MarkerSocket | MarkerStream:
-    """Where markers come from."""
+    """The source of markers."""
     if setup.lsl is not None:
         return MarkerStream(setup.lsl, gathering, now)
     return MarkerSocket(setup.listen, gathering, setup.raw, now, setup.allowed_networks)
 
 
 @contextmanager
-def _taking_turns() -> Iterator[None]:
+def _short_switch_interval() -> Iterator[None]:
     before = sys.getswitchinterval()
-    sys.setswitchinterval(SWITCH_S)
+    sys.setswitchinterval(THREAD_SWITCH_S)
     try:
         yield
     finally:

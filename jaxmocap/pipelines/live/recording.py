@@ -40,15 +40,16 @@ from jaxmocap.formats.recordings.live import LiveSetup
 from jaxmocap.formats.recordings.marker_places import MarkerPlace
 from jaxmocap.formats.recordings.recording import write_recording
 from jaxmocap.formats.time_series.tables import format_rows
-from jaxmocap.pipelines.live.files import Film, Rows
+from jaxmocap.pipelines.live.files import GrowingVideo, LineFile
 
-# So many things wait to be written, a tenth of them frames; more are dropped and counted.
-MOST_WAITING = 600
-# Lines wait so long to be written together, seconds.
-FLUSHED_S = 0.2
-# Writing what waits at the end takes no longer, unless the disk has stopped working, seconds.
-MOST_CLOSING_S = 30.0
-MARKERS, LIST = "markers.csv", "recording.toml"
+# Samples and frames in the queue, at most, a tenth of them frames; more are dropped and counted.
+LONGEST_QUEUE = 600
+# Seconds between writes of lines.
+FLUSH_INTERVAL_S = 0.2
+# A disk that has not written the queue within so many seconds has stopped working.
+CLOSE_TIMEOUT_S = 30.0
+MARKERS_FILE = "markers.csv"
+RECORDING_FILE = "recording.toml"
 
 
 class LiveRecording:
@@ -71,21 +72,21 @@ class LiveRecording:
         self.path: Path | None = None
         self._setup, self._copies, self._subject = setup, _copies(setup), _subject(setup)
         check_free(setup, self.folder)
-        self._made_folder = not self.folder.exists()
-        self._failed: dict[str, str] = {}
-        self._films: dict[int, Film] = {}
-        self._listed: Any = None
+        self._created_folder = not self.folder.exists()
+        self._problems: dict[str, str] = {}
+        self._videos: dict[int, GrowingVideo] = {}
+        self._written_state: Any = None
         try:
             with as_output_error(self.folder):
                 self.folder.mkdir(parents=True, exist_ok=True)
             for name, source in self._copies.items():
                 write_bytes(self.folder / name, read_bytes(source))
-            self._rows = Rows(self.folder / MARKERS, self._header())
+            self._lines = LineFile(self.folder / MARKERS_FILE, self._header())
         except BaseException:
             self._remove(self._copies)
             raise
         self._flushed = monotonic()
-        self._queue: Queue[MarkerSample | LiveFrame | None] = Queue(MOST_WAITING)
+        self._queue: Queue[MarkerSample | LiveFrame | None] = Queue(LONGEST_QUEUE)
         self._ending = Event()
         self._closed = False
         self._thread = Thread(target=self._write, name="recording", daemon=True)
@@ -95,15 +96,15 @@ class LiveRecording:
     def problem(self) -> str | None:
         """What could not be written and why, in a sentence; or None."""
         # The thread that writes may add to it meanwhile.
-        if not (failed := list(self._failed)):
+        if not (failed := list(self._problems)):
             return None
         first, *rest = failed
         files = ", ".join([str(self.folder / first), *rest])
-        return f"{files}: cannot be written any more ({self._failed[first]})"
+        return f"{files}: cannot be written any more ({self._problems[first]})"
 
     def add(self, event: MarkerSample | LiveFrame) -> None:
         """Write a sample or a frame, soon."""
-        full = self._queue.qsize() > MOST_WAITING // 10 and isinstance(event, LiveFrame)
+        full = self._queue.qsize() > LONGEST_QUEUE // 10 and isinstance(event, LiveFrame)
         try:
             if full:
                 raise Full
@@ -119,26 +120,26 @@ class LiveRecording:
         self._ending.set()
         with suppress(Full):
             self._queue.put_nowait(None)
-        self._thread.join(MOST_CLOSING_S)
+        self._thread.join(CLOSE_TIMEOUT_S)
         if self._thread.is_alive():
-            self._failed[MARKERS] = "the disk does not answer"
+            self._problems[MARKERS_FILE] = "the disk does not answer"
             return self.path
         for name, close in self._open_files():
             try:
                 close()
             except (OSError, FFmpegError, ValueError) as error:
-                self._failed.setdefault(name, _why(error))
-        self.dropped += self._rows.lost
+                self._problems.setdefault(name, _reason(error))
+        self.dropped += self._lines.lost_count
         # There may be room for it now.
-        self._failed.pop(LIST, None)
-        self._list(again=True)
-        self._remove(self._empty())
+        self._problems.pop(RECORDING_FILE, None)
+        self._write_recording(again=True)
+        self._remove(self._empty_files())
         self.path = self.path if self.path and self.path.exists() else None
         return self.path
 
     def _open_files(self) -> list[tuple[str, Callable[[], None]]]:
-        films = [(film.path.name, film.close) for film in self._films.values()]
-        return [(MARKERS, self._rows.close), *films]
+        videos_on_disk = [(video.path.name, video.close) for video in self._videos.values()]
+        return [(MARKERS_FILE, self._lines.close), *videos_on_disk]
 
     def _header(self) -> str:
         parts = (*"xyz", "qw", "qx", "qy", "qz") if self._setup.lsl is None else "xyz"
@@ -151,87 +152,91 @@ class LiveRecording:
         """What the thread does."""
         while True:
             try:
-                event = self._queue.get(timeout=FLUSHED_S)
+                event = self._queue.get(timeout=FLUSH_INTERVAL_S)
             except Empty:
                 event = None
             if isinstance(event, LiveFrame):
-                name = _film_name(self._setup, event.camera)
-                self.dropped += not self._attempt(name, self._film, event)
+                name = _video_name(self._setup, event.camera)
+                self.dropped += not self._try_write(name, self._add_frame, event)
             elif event is not None:
-                self.dropped += not self._attempt(MARKERS, self._note, event)
+                self.dropped += not self._try_write(MARKERS_FILE, self._add_sample, event)
             elif self._ending.is_set() and self._queue.empty():
                 return
-            if monotonic() - self._flushed >= FLUSHED_S:
+            if monotonic() - self._flushed >= FLUSH_INTERVAL_S:
                 self._flushed = monotonic()
                 # In this order: no row is ever on disk without the file that says what it is.
-                self._list()
-                self._attempt(MARKERS, self._rows.flush)
+                self._write_recording()
+                self._try_write(MARKERS_FILE, self._lines.flush)
 
-    def _attempt(self, name: str, act: Callable[..., Any], *arguments: Any) -> bool:
+    def _try_write(self, name: str, act: Callable[..., Any], *arguments: Any) -> bool:
         """Write to one file, if that has not failed before; whether it was written.
 
         A full disk must not end the run, and no other file's writing.
         """
-        if name in self._failed:
+        if name in self._problems:
             return False
         try:
             act(*arguments)
         except (OSError, FFmpegError, ValueError) as error:
-            self._failed[name] = _why(error)
+            self._problems[name] = _reason(error)
             return False
         return True
 
-    def _note(self, sample: MarkerSample) -> None:
-        measured = sample.measurements
-        columns = sample.positions_world if measured is None else measured.positions_world
+    def _add_sample(self, sample: MarkerSample) -> None:
+        measurements = sample.measurements
+        columns = sample.positions_world if measurements is None else measurements.positions_world
         if self._setup.lsl is None:
             missing = np.full((len(columns), 4), np.nan)
-            turns = missing if measured is None else quaternions(measured.orientations_world)
+            turns = (
+                missing if measurements is None else quaternions(measurements.orientations_world)
+            )
             columns = np.hstack([columns, turns])
-        self._rows.add(",".join([f"{sample.time:.9f}", *format_rows(columns).ravel()]))
+        self._lines.add(",".join([f"{sample.time:.9f}", *format_rows(columns).ravel()]))
 
-    def _film(self, frame: LiveFrame) -> None:
-        if frame.camera not in self._films:
-            path = self.folder / _film_name(self._setup, frame.camera)
-            self._films[frame.camera] = Film(path, frame)
-        self._films[frame.camera].add(frame)
+    def _add_frame(self, frame: LiveFrame) -> None:
+        if frame.camera not in self._videos:
+            path = self.folder / _video_name(self._setup, frame.camera)
+            self._videos[frame.camera] = GrowingVideo(path, frame)
+        self._videos[frame.camera].add(frame)
 
-    def _list(self, again: bool = False) -> None:
+    def _write_recording(self, again: bool = False) -> None:
         """Write recording.toml, if there is more to read than it says, or once again."""
-        films = [(i, film) for i, film in sorted(self._films.items()) if film.is_readable]
-        there = self._rows.begun, [i for i, _ in films]
-        if there == (False, []) or (there == self._listed and not again):
+        videos_on_disk = [
+            (i, video) for i, video in sorted(self._videos.items()) if video.is_readable
+        ]
+        there = self._lines.has_lines, [i for i, _ in videos_on_disk]
+        if there == (False, []) or (there == self._written_state and not again):
             return
         videos = [
             {
-                "file": film.path.name,
+                "file": video.path.name,
                 "camera": self._setup.videos[i].camera_name,
-                "offset": film.first,
+                "offset": video.first_time,
             }
-            for i, film in films
+            for i, video in videos_on_disk
         ]
-        on = {place.name: _place(place) for place in self._setup.places}
-        markers = MARKERS if there[0] else None
+        on = {place.name: _marker_entry(place) for place in self._setup.places}
+        markers = MARKERS_FILE if there[0] else None
         calibration = next((name for name in self._copies if name.startswith("calib")), None)
         content = markers, on, videos, calibration if videos else None, self._subject
-        if self._attempt(LIST, write_recording, self.folder, *content):
-            self.path, self._listed = self.folder / LIST, there
+        if self._try_write(RECORDING_FILE, write_recording, self.folder, *content):
+            self.path, self._written_state = self.folder / RECORDING_FILE, there
 
-    def _empty(self) -> Iterator[str]:
+    def _empty_files(self) -> Iterator[str]:
         """Files of the run that hold nothing, so that none refers to them."""
-        empty = [film.path.name for film in self._films.values() if not film.is_readable]
-        if not self._rows.rows:
-            yield MARKERS
+        empty = [video.path.name for video in self._videos.values() if not video.is_readable]
+        if not self._lines.line_count:
+            yield MARKERS_FILE
         yield from empty
-        if not self._rows.rows and len(empty) == len(self._films):
-            yield from (LIST, *self._copies)
+        if not self._lines.line_count and len(empty) == len(self._videos):
+            yield from (RECORDING_FILE, *self._copies)
 
     def _remove(self, names: Iterable[str]) -> None:
         """Remove files of this run, and the folder where it made it and it is empty."""
         for name in names:
             with suppress(OSError):
                 (self.folder / name).unlink(missing_ok=True)
-        if self._made_folder:
+        if self._created_folder:
             with suppress(OSError):
                 self.folder.rmdir()
 
@@ -246,19 +251,19 @@ def check_free(setup: LiveSetup, folder: str | Path) -> None:
     check_file_name(folder)
     check_folder_writable(folder)
     remove_stale_temporaries(folder)
-    taken = [name for name in _names(setup) if os.path.lexists(folder / name)]
+    taken = [name for name in _file_names(setup) if os.path.lexists(folder / name)]
     if taken:
         problem = f"holds {comma_list(taken)} already, which is not overwritten"
         raise InputError(folder, f"{problem}; expected another folder")
 
 
-def _names(setup: LiveSetup) -> list[str]:
+def _file_names(setup: LiveSetup) -> list[str]:
     """Every file that a run may write."""
-    videos = [_film_name(setup, i) for i in range(len(setup.videos))]
-    return [MARKERS, LIST, *videos, *_copies(setup)]
+    videos = [_video_name(setup, i) for i in range(len(setup.videos))]
+    return [MARKERS_FILE, RECORDING_FILE, *videos, *_copies(setup)]
 
 
-def _film_name(setup: LiveSetup, camera: int) -> str:
+def _video_name(setup: LiveSetup, camera: int) -> str:
     return f"{setup.videos[camera].camera_name}.mp4"
 
 
@@ -267,12 +272,12 @@ def _copies(setup: LiveSetup) -> dict[str, Path]:
     found = {}
     if setup.videos and setup.calibration is not None:
         found[f"calibration{setup.calibration.suffix.lower()}"] = setup.calibration
-    if static := _static(setup):
+    if static := _static_file(setup):
         found[f"static{static.suffix.lower()}"] = static
     return found
 
 
-def _stated(setup: LiveSetup) -> tuple[Path, dict[str, Any]]:
+def _subject_table(setup: LiveSetup) -> tuple[Path, dict[str, Any]]:
     """The table [subject], its own file's in its place; and what its paths are relative to."""
     table = dict(setup.subject or {})
     if "file" not in table:
@@ -283,20 +288,20 @@ def _stated(setup: LiveSetup) -> tuple[Path, dict[str, Any]]:
     return file.parent, content | ({"wrists": True} if wrists else {})
 
 
-def _static(setup: LiveSetup) -> Path | None:
-    folder, table = _stated(setup)
+def _static_file(setup: LiveSetup) -> Path | None:
+    folder, table = _subject_table(setup)
     return folder / table["static"] if "static" in table else None
 
 
 def _subject(setup: LiveSetup) -> dict[str, Any] | None:
     """The table [subject] of the recording, its static trial beside it."""
-    _, table = _stated(setup)
-    if static := _static(setup):
+    _, table = _subject_table(setup)
+    if static := _static_file(setup):
         table["static"] = f"static{static.suffix.lower()}"
     return table or None
 
 
-def _place(place: MarkerPlace) -> dict[str, Any]:
+def _marker_entry(place: MarkerPlace) -> dict[str, Any]:
     """The entry of [markers.on], without what is usual."""
     entry: dict[str, Any] = {"bone": place.bone, "at": place.at, "offset": list(place.offset)}
     if place.offset_in == "marker":
@@ -306,6 +311,6 @@ def _place(place: MarkerPlace) -> dict[str, Any]:
     return entry
 
 
-def _why(error: Exception) -> str:
+def _reason(error: Exception) -> str:
     strerror = error.strerror if isinstance(error, OSError) else None
     return strerror or getattr(error, "problem", None) or str(error) or type(error).__name__

@@ -1,6 +1,6 @@
 """A live run from its file to its end, as the command has it.
 
-INPUTS: the file of a live run and what is wanted of it. OUTPUTS: figures, and a text about them.
+INPUTS: the file of a live run, options. OUTPUTS: figures, and their text.
 """
 
 from collections.abc import Callable, Mapping
@@ -26,9 +26,9 @@ from jaxmocap.pipelines.live.tracking import Output
 from jaxmocap.pipelines.tracking.track import choose_settings
 from jaxmocap.pipelines.view import start_viewer
 
-View = Literal["window", "web"]
-# Until a viewer listens, seconds.
-VIEWER_STARTS_S = 1.5
+ViewerKind = Literal["window", "web"]
+# A viewer accepts connections after about so many seconds.
+VIEWER_START_S = 1.5
 
 
 def run_live(
@@ -38,7 +38,7 @@ def run_live(
     smooth: bool = False,
     refine: Literal["simplex", "gradient", "none"] = "simplex",
     seconds: float | None = None,
-    view: View | None = None,
+    view: ViewerKind | None = None,
     status: LiveStatus | None = None,
 ) -> dict[str, Any]:
     """Run until Ctrl-C or SIGTERM, or so many seconds.
@@ -50,21 +50,18 @@ def run_live(
         refine: as for ``track``.
         seconds: how long, or None.
         view: show it in rerun's window or in a browser.
-        status: what tells of the run.
+        status: takes messages and figures of the run.
 
     Returns:
-        Figures of the run; "problems" are sentences of what it did not do, and "terminated" says
+        Figures of the run; "problems" are sentences about what it did not do, and "terminated" is
         whether SIGTERM ended it.
 
     Raises:
         InputError: what cannot be read or opened.
         OutputError: the disk is full before it begins.
     """
-    setup, status = load_live(path), status or LiveStatus()
-    if out is not None:
-        check_free(setup, out)
-    for warning in setup.warnings:
-        status.say(0.0, warning)
+    status = status or LiveStatus()
+    setup = _load(path, out, status)
     with ExitStack() as ending:
         viewer = _viewer(setup, view, status, ending) if view else None
         live = Live(
@@ -76,34 +73,45 @@ def run_live(
         return figures | {"terminated": stop.terminated}
 
 
-def _viewer(
-    setup: LiveSetup, view: View, status: LiveStatus, ending: ExitStack
-) -> Callable[[Output, dict[str, LiveFrame]], None]:
-    """Open a viewer; what shows it a pose and frames."""
-    from jaxmocap.outputs.live_view import LiveView, Shown
+def _load(path: str | Path, out: str | Path | None, status: LiveStatus) -> LiveSetup:
+    """The run's file, its warnings logged, with a folder that can be recorded in."""
+    setup = load_live(path)
+    if out is not None:
+        check_free(setup, out)
+    for warning in setup.warnings:
+        status.log(0.0, warning)
+    return setup
 
-    opened = start_viewer([], view == "web", stay=False)
-    ending.callback(opened.end)
-    sleep(VIEWER_STARTS_S)
+
+def _viewer(
+    setup: LiveSetup, view: ViewerKind, status: LiveStatus, ending: ExitStack
+) -> Callable[[Output, dict[str, LiveFrame]], None]:
+    """Open a viewer; a function that shows it a pose and frames."""
+    from jaxmocap.outputs.live_view import LiveSnapshot, LiveView
+
+    viewer = start_viewer([], view == "web", stay=False)
+    ending.callback(viewer.end)
+    sleep(VIEWER_START_S)
     cameras = {video.camera_name: video.camera for video in setup.videos}
-    shown = LiveView(opened.url, setup.skeleton, cameras, standing_pose(setup.skeleton))
-    ending.callback(shown.close)
-    status.say(0.0, f"viewer at {opened.page}" if opened.page else "viewer in a window")
+    live_view = LiveView(viewer.url, setup.skeleton, cameras, relaxed_pose_on_floor(setup.skeleton))
+    ending.callback(live_view.close)
+    status.log(0.0, f"viewer at {viewer.page}" if viewer.page else "viewer in a window")
     began = monotonic()
 
     def show(output: Output, frames: dict[str, LiveFrame]) -> None:
-        if not opened.is_open or shown.problem:
-            status.state(monotonic() - began, "viewer", shown.problem or "closed")
+        if not viewer.is_open or live_view.problem:
+            status.set_state(monotonic() - began, "viewer", live_view.problem or "closed")
             return
         images = {name: frame.image for name, frame in frames.items()}
         latency = 1e3 * status.newest_latency
-        shown.show(Shown(monotonic() - began, output.pose, output.confidence, latency, images))
+        time = monotonic() - began
+        live_view.show(LiveSnapshot(time, output.pose, output.confidence, latency, images))
 
     return show
 
 
-def standing_pose(skeleton: Skeleton) -> Pose:
-    """At ease, facing x, with the lowest joint on the floor at the world's origin."""
+def relaxed_pose_on_floor(skeleton: Skeleton) -> Pose:
+    """The relaxed pose, facing x, with the lowest joint on the floor at the world's origin."""
     pose = relaxed_pose(skeleton)
     lowest = float(np.asarray(forward(skeleton, pose).joints_world)[:, 2].min())
     return pose._replace(position=pose.position - np.array([0.0, 0.0, lowest], np.float32))

@@ -1,9 +1,9 @@
-"""What a live run tells: a line that stays up to date, sentences when something changes, figures.
+"""The status of a live run: a line that is kept up to date, messages, figures.
 
 INPUTS: outputs, counts, ages. OUTPUTS: text on a terminal; a dictionary of figures.
 
-However long the run and whatever comes in, little is kept and little is said: what changes all the
-time is said from time to time, and nothing that a stranger sent reaches the terminal unescaped.
+Memory and output stay bounded, however long the run: a state that changes all the time is printed
+at a limited rate. Nothing that was received reaches the terminal unescaped.
 """
 
 import sys
@@ -18,24 +18,30 @@ from jaxmocap.capture.streams.senders import TokenBucket
 from jaxmocap.formats.files.errors import printable, shortened
 from jaxmocap.formats.files.short_repr import short_name
 
-# Of what was said so many first and so many newest sentences are kept.
+# Messages that are kept: of the first ones.
 FIRST_KEPT = 500
+# And of the newest ones.
 NEWEST_KEPT = 500
-# The state of one thing is said at each of so many changes, and then so often a second.
-CHANGES = 20
-CHANGES_A_SECOND = 0.1
-# Latencies are told of so many of the newest outputs, and of these that line speaks of.
-REMEMBERED, RECENT = 20_000, 300
-# A terminal's line is drawn anew so often; elsewhere a line is written more rarely; seconds.
-REDRAWN_S, WRITTEN_S = 0.25, 5.0
+# Changes of a subject's state that are printed without a limit of their rate.
+STATE_CHANGES_AT_ONCE = 20
+# Changes a second that are printed after these.
+STATE_CHANGES_HZ = 0.1
+# Newest outputs whose latencies the figures are of.
+LATENCIES_KEPT = 20_000
+# Newest outputs whose latencies the status line is of.
+LATENCIES_SHOWN = 300
+# Seconds between updates of the status line on a terminal.
+TERMINAL_INTERVAL_S = 0.25
+# The same where the output is no terminal.
+LOG_INTERVAL_S = 5.0
 
 
-class Said(NamedTuple):
-    """A sentence.
+class StatusMessage(NamedTuple):
+    """A message.
 
     Attributes:
-        seconds: of the run.
-        what: the sentence.
+        seconds: since the run began.
+        what: its sentence.
     """
 
     seconds: float
@@ -43,28 +49,28 @@ class Said(NamedTuple):
 
 
 class LiveStatus:
-    """Keeps count of a run and says what happens.
+    """Counts the outputs of a run and prints its messages.
 
     Attributes:
-        outputs: how many poses went out.
-        sentences: that were said.
+        outputs: number of poses that were sent.
+        message_count: number of messages.
     """
 
     def __init__(self, out: TextIO | None = None):
         """Write to a stream; standard error by default."""
         self._out = sys.stderr if out is None else out
-        self._drawn = self._out.isatty()
-        self.outputs = self.sentences = 0
-        self._first: list[Said] = []
-        self._newest: deque[Said] = deque(maxlen=NEWEST_KEPT)
-        self._latencies: deque[float] = deque(maxlen=REMEMBERED)
-        self._times: deque[float] = deque(maxlen=RECENT)
+        self._is_terminal = self._out.isatty()
+        self.outputs = self.message_count = 0
+        self._first: list[StatusMessage] = []
+        self._newest: deque[StatusMessage] = deque(maxlen=NEWEST_KEPT)
+        self._latencies: deque[float] = deque(maxlen=LATENCIES_KEPT)
+        self._times: deque[float] = deque(maxlen=LATENCIES_SHOWN)
         self._states: dict[str, str] = {}
-        self._shares: dict[str, TokenBucket] = {}
-        self._next = 0.0
+        self._state_rates: dict[str, TokenBucket] = {}
+        self._next_line_at = 0.0
 
-    def output(self, now: float, latency: float) -> None:
-        """A pose went out, so many seconds after its sample came in."""
+    def count_output(self, now: float, latency: float) -> None:
+        """Count a pose that was sent so many seconds after its sample arrived."""
         self.outputs += 1
         self._latencies.append(1e3 * latency)
         self._times.append(now)
@@ -75,32 +81,34 @@ class LiveStatus:
         return self._latencies[-1] / 1e3 if self._latencies else float("nan")
 
     @property
-    def said(self) -> list[Said]:
-        """What was said, but for what was between the first and the newest sentences."""
+    def messages(self) -> list[StatusMessage]:
+        """The first and the newest messages."""
         return [*self._first, *self._newest]
 
-    def state(self, now: float, of: str, state: str) -> None:
-        """Say so when the state of something has changed; "" says nothing.
+    def set_state(self, now: float, subject: str, state: str) -> None:
+        """Log the state of a subject when it has changed; "" is not printed.
 
-        What changes more often than ``CHANGES_A_SECOND`` is said later, as it then is. There are
-        to be few things that have a state.
+        A state that changes more often than ``STATE_CHANGES_HZ`` is logged later, as it is then.
+        Memory grows with the number of subjects.
         """
-        if state == self._states.get(of):
+        if state == self._states.get(subject):
             return
-        share = self._shares.setdefault(of, TokenBucket(CHANGES_A_SECOND, CHANGES, now))
+        share = self._state_rates.setdefault(
+            subject, TokenBucket(STATE_CHANGES_HZ, STATE_CHANGES_AT_ONCE, now)
+        )
         if not share.available(now):
             return
         share.take(1)
-        self._states[of] = state
+        self._states[subject] = state
         if state:
-            self.say(now, f"{of}: {state}")
+            self.log(now, f"{subject}: {state}")
 
-    def say(self, now: float, sentence: str) -> None:
-        """Say a sentence, with its time."""
-        said = Said(round(now, 3), shortened(printable(sentence)))
-        self.sentences += 1
-        (self._first if len(self._first) < FIRST_KEPT else self._newest).append(said)
-        self._print(f"{self._clear()}{now:8.2f} s  {said.what}\n")
+    def log(self, now: float, sentence: str) -> None:
+        """Print a message with its time."""
+        message = StatusMessage(round(now, 3), shortened(printable(sentence)))
+        self.message_count += 1
+        (self._first if len(self._first) < FIRST_KEPT else self._newest).append(message)
+        self._print(f"{self._clear()}{now:8.2f} s  {message.what}\n")
 
     def _print(self, text: str) -> None:
         # A terminal that is gone, or a log on a full disk, ends no run.
@@ -109,35 +117,35 @@ class LiveStatus:
 
     def latency_ms(self, count: int | None = None) -> tuple[float, float]:
         """Median and 99th percentile of the newest outputs; NaN before the first."""
-        newest = list(self._latencies)[-(count or REMEMBERED) :]
+        newest = list(self._latencies)[-(count or LATENCIES_KEPT) :]
         if not newest:
             return float("nan"), float("nan")
         median, most = np.percentile(newest, [50, 99])
         return float(median), float(most)
 
     def rate(self, now: float) -> float:
-        """Poses that went out within the last second."""
+        """Poses that were sent within the last second."""
         return float(sum(now - time <= 1.0 for time in self._times))
 
-    def show(
+    def update_line(
         self,
         now: float,
         ages: Mapping[str, float | None],
         dropped: Mapping[str, int],
         confidence: np.ndarray,
     ) -> None:
-        """Draw the line, if it is time to.
+        """Print the status line, if it is due.
 
         Args:
             now: seconds.
-            ages: stream -> seconds since something came, None before.
-            dropped: what -> how many.
+            ages: stream -> seconds since it last received something, None before that.
+            dropped: kind -> number of dropped ones.
             confidence: (2,) in the elbows.
         """
-        if now < self._next:
+        if now < self._next_line_at:
             return
-        self._next = now + (REDRAWN_S if self._drawn else WRITTEN_S)
-        median, most = self.latency_ms(RECENT)
+        self._next_line_at = now + (TERMINAL_INTERVAL_S if self._is_terminal else LOG_INTERVAL_S)
+        median, most = self.latency_ms(LATENCIES_SHOWN)
         shown = [
             f"{self.rate(now):3.0f} /s",
             f"latency {median:.1f} ms, 99 % {most:.1f} ms",
@@ -145,27 +153,27 @@ class LiveStatus:
             "age " + ", ".join(f"{short_name(name)} {_age(age)}" for name, age in ages.items()),
             "elbows " + " ".join(f"{100 * value:.0f} %" for value in confidence),
         ]
-        end = "" if self._drawn else "\n"
+        end = "" if self._is_terminal else "\n"
         self._print(f"{self._clear()}{' | '.join(shown)}{end}")
 
     def _clear(self) -> str:
-        return "\r\x1b[K" if self._drawn else ""
+        return "\r\x1b[K" if self._is_terminal else ""
 
-    def finish(self) -> None:
-        """Leave the line."""
-        if self._drawn:
+    def end_line(self) -> None:
+        """End the status line."""
+        if self._is_terminal:
             self._print("\n")
 
     def figures(self, seconds: float) -> dict[str, Any]:
-        """What the run came to."""
+        """The run's figures."""
         median, most = self.latency_ms()
         return {
             "seconds": seconds,
             "outputs": self.outputs,
             "rate_hz": self.outputs / seconds if seconds > 0 else 0.0,
             "latency_ms": {"median": median, "p99": most, "of": len(self._latencies)},
-            "said": [said._asdict() for said in self.said],
-            "sentences": self.sentences,
+            "said": [message._asdict() for message in self.messages],
+            "sentences": self.message_count,
         }
 
 

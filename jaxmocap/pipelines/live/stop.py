@@ -1,6 +1,6 @@
-"""What ends a live run: Ctrl-C, SIGTERM, or a terminal that is closed.
+"""The signals that end a live run: Ctrl-C, SIGTERM, or a terminal that is closed.
 
-INPUTS: signals. OUTPUTS: an event that they set, which knows whether it was to terminate.
+INPUTS: signals. OUTPUTS: an event that they set.
 """
 
 import signal
@@ -11,7 +11,7 @@ from typing import Any
 
 
 class Stop(threading.Event):
-    """Set when a run shall end.
+    """The event that ends a run.
 
     Attributes:
         terminated: whether by SIGTERM or a closed terminal, not by Ctrl-C.
@@ -35,10 +35,10 @@ def stopped_by_signals() -> Iterator[Stop]:
         if number == signal.SIGINT:
             signal.signal(signal.SIGINT, signal.default_int_handler)
 
-    wanted = {signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}
+    signals = {signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}
     if threading.current_thread() is not threading.main_thread():
-        wanted = set()
-    taken = [each for each in wanted if signal.getsignal(each) is not signal.SIG_IGN]
+        signals = set()
+    taken = [each for each in signals if signal.getsignal(each) is not signal.SIG_IGN]
     before = {each: signal.signal(each, set_stop) for each in taken}
     try:
         yield stop

@@ -1,8 +1,8 @@
-"""What there is to say of a live run's streams: a few things, each in one of a few states.
+"""The states of a live run's streams.
 
-INPUTS: the streams as they are. OUTPUTS: (what, state) pairs, as ``LiveStatus.state`` takes them.
+INPUTS: the streams. OUTPUTS: (subject, state) pairs, as ``LiveStatus.set_state`` takes them.
 
-A count is news at every tenfold, not at every packet; names come as they print, shortened.
+A count changes its state at every tenfold, not at every packet. Names are shortened and printable.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,7 +13,7 @@ from jaxmocap.capture.streams.sample_assembly import SampleAssembler
 from jaxmocap.capture.streams.udp import MarkerSocket
 from jaxmocap.formats.files.short_repr import comma_list, short_name
 
-# A stream that was silent for so long is said to be; poses are then no news, seconds.
+# A stream that received nothing for so many seconds is silent; no pose is sent then.
 SILENT_S = 0.3
 
 
@@ -23,11 +23,11 @@ def stream_states(
     cameras: Sequence[LiveCamera],
     now: float,
 ) -> Iterator[tuple[str, str]]:
-    """What there is to say of every stream.
+    """The state of every stream.
 
     Args:
-        markers: where they come from.
-        gathering: what they become.
+        markers: their source.
+        gathering: that makes samples of them.
         cameras: all of them.
         now: seconds.
     """
@@ -41,8 +41,8 @@ def stream_states(
     if markers.refused_hosts:
         hosts = comma_list(sorted(markers.refused_hosts.copy()))
         yield "strangers", f"{hosts}; [osc] from = [...] lists who may send"
-    if gathering.unknown:
-        yield "no markers of ours", comma_list(sorted(gathering.unknown.copy()))
+    if gathering.unknown_names:
+        yield "no markers of ours", comma_list(sorted(gathering.unknown_names.copy()))
     for camera in cameras:
         reason = f" ({camera.reason})" if camera.reason else ""
         yield short_name(camera.name), camera.problem or f"{camera.status}{reason}"
@@ -57,5 +57,5 @@ def _markers_state(markers: MarkerSocket | MarkerStream, now: float) -> str:
 
 
 def tenfold(count: int) -> str:
-    """A count by the place of its first digit."""
+    """A count by its power of ten."""
     return f"{10 ** (len(str(count)) - 1)} or more"

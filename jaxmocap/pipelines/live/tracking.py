@@ -1,9 +1,9 @@
-"""The tracker, fed by what comes in: samples and frames in, poses out.
+"""The tracker of a live run: samples and frames in, poses out.
 
-    sample ── trail ── step ──────────────────────────── Output
-    frame ─── trail, at the frame's own time ── step ─── (the elbows that the next samples have)
+    sample ── recent markers ── step ───────────────────────────── Output
+    frame ─── recent markers, at the frame's own time ── step ──── (elbows of the next samples)
 
-and with smoothing both in the order of their times, each Output once two more frames were seen.
+With smoothing both are stepped in the order of their times, and each Output comes two frames later.
 
 INPUTS: Samples, Frames. OUTPUTS: Outputs.
 """
@@ -31,20 +31,20 @@ from jaxmocap.hybrid.tracker import HybridTracker, State
 from jaxmocap.pipelines.tracking.track import marker_sites
 from jaxmocap.smoothing.fixed_lag import FixedLagSmoother, SmoothedPose
 
-# Smoothing waits so long for a frame that may be older than a sample, seconds.
-WAIT_S = 0.1
-# A tracker begins with all its markers, or after so many samples with what there is.
-PATIENCE = 45
+# With smoothing a sample waits so many seconds for frames that are older than it.
+REORDERING_S = 0.1
+# Tracking begins at the first sample with all markers, or after so many with those there are.
+MOST_INCOMPLETE_SAMPLES = 45
 
 
 class Output(NamedTuple):
-    """A pose that goes out.
+    """A pose to be sent.
 
     Attributes:
         time: of its sample, seconds.
         pose: of the person.
         confidence: (2,) in the elbows, 0 to 1.
-        arrived: when its sample came in, seconds on the same clock.
+        arrived: when its sample was received, seconds on the same clock.
     """
 
     time: float
@@ -54,13 +54,13 @@ class Output(NamedTuple):
 
 
 class LiveTracking:
-    """One person, tracked as it happens.
+    """One person, tracked live.
 
     Attributes:
         tracker: compiled.
-        colour: whether frames are wanted in BGR.
-        placed: how often the body was placed anew.
-        late: samples and frames that came too late for the smoothing.
+        needs_colour: whether frames are to be BGR.
+        placements: how often the body was placed from scratch.
+        late_events: samples and frames that arrived too late for the smoothing.
     """
 
     def __init__(
@@ -75,29 +75,29 @@ class LiveTracking:
         Args:
             setup: person, markers, cameras.
             settings: of the tracker.
-            smooth: poses wait for two more frames.
+            smooth: whether poses are smoothed, two frames late.
             tracker: of this person, these markers and cameras, compiled before.
         """
         cameras = [v.camera for v in setup.videos] if settings.refine != "none" else []
         places = bone_points(setup.skeleton, setup.places)
         sites = marker_sites(setup.skeleton, places)
         self.tracker = tracker or HybridTracker(setup.skeleton, cameras, settings, sites)
-        self._cameras, self.colour = len(cameras), smooth and bool(cameras)
+        self._cameras, self.needs_colour = len(cameras), smooth and bool(cameras)
         self._filter = None if setup.one_euro is None else OneEuro(setup.one_euro)
-        self._begin()
+        self._reset()
         self._warm_up()
-        self._begin()
+        self._reset()
 
-    def _begin(self) -> None:
-        """Nobody is tracked."""
-        self.placed = self.late = 0
+    def _reset(self) -> None:
+        """Forget who was tracked."""
+        self.placements = self.late_events = 0
         self._state: State | None = None
-        self._waited, self._last = 0, -np.inf
+        self._samples_waited, self._last = 0, -np.inf
         points = len(self.tracker.model.markers.bones)
-        self._trail = RecentMarkers(points)
+        self._recent_markers = RecentMarkers(points)
         self._filtered = None if self._filter is None else self._filter.init(points)
-        self._smoother = self._new_smoother() if self.colour else None
-        self._held: list[MarkerSample | LiveFrame] = []
+        self._smoother = self._new_smoother() if self.needs_colour else None
+        self._pending: list[MarkerSample | LiveFrame] = []
         # Of each event behind the smoother: its sample's arrival, or None.
         self._arrivals: deque[tuple[int, float | None]] = deque()
         self._events = 0
@@ -106,45 +106,47 @@ class LiveTracking:
         return FixedLagSmoother(self.tracker.model, self.tracker.settings.smoothing)
 
     def _warm_up(self) -> None:
-        """Compile, by somebody who stands still before a grey wall."""
+        """Compile, by tracking somebody who stands still before a grey wall."""
         model = self.tracker.model
         skeleton = model.skeleton
         frames = forward(skeleton, relaxed_pose(skeleton))
         points = np.asarray(site_positions(skeleton, frames, model.markers), float)
         sizes = [] if model.cameras is None else np.asarray(model.cameras.size, int)
-        for i in range(12 if self.colour else 2):
+        for i in range(12 if self.needs_colour else 2):
             time = i / 30
             self.sample(MarkerSample(time, points, time))
             for camera, (width, height) in enumerate(sizes):
-                wall = np.full((height, width, 3)[: 3 if self.colour else 2], 128, np.uint8)
+                wall = np.full((height, width, 3)[: 3 if self.needs_colour else 2], 128, np.uint8)
                 self.frames([LiveFrame(camera, time + 0.01, wall, time + 0.01)])
 
     def sample(self, sample: MarkerSample) -> list[Output]:
-        """Take a sample; the poses that go out now."""
+        """Take a sample; the poses to be sent now."""
         if self._filter is not None and self._filtered is not None:
             points = sample.positions_world
             self._filtered, points = self._filter.step(self._filtered, sample.time, points)
             sample = sample._replace(positions_world=points)
-        self._trail.add(sample.time, sample.positions_world)
+        self._recent_markers.add(sample.time, sample.positions_world)
         if self._state is None:
-            known = np.isfinite(sample.positions_world).all(-1)
-            self._waited += 1
-            if not known.all() and (self._waited < PATIENCE or not known.any()):
+            is_visible = np.isfinite(sample.positions_world).all(-1)
+            self._samples_waited += 1
+            if not is_visible.all() and (
+                self._samples_waited < MOST_INCOMPLETE_SAMPLES or not is_visible.any()
+            ):
                 return []
             self._state = self.tracker.init(sample.positions_world)
         if self._smoother is not None:
             return self._in_order([sample])
-        pose, report = self._step(sample.time, self._filled(sample), None)
+        pose, report = self._step(sample.time, self._with_gaps_filled(sample), None)
         return [Output(sample.time, pose, np.asarray(report.confidence), sample.arrived)]
 
     def frames(self, frames: Sequence[LiveFrame]) -> list[Output]:
-        """Take frames, the newest of their cameras; the poses that go out now."""
+        """Take frames, the newest of their cameras; the poses to be sent now."""
         if self._state is None or self.tracker.model.cameras is None:
             return []
         if self._smoother is not None:
             return self._in_order(frames)
         for frame in frames:
-            self._step(frame.time, self._trail.at(frame.time), self._images(frame))
+            self._step(frame.time, self._recent_markers.at(frame.time), self._images(frame))
         return []
 
     def flush(self) -> list[Output]:
@@ -152,14 +154,14 @@ class LiveTracking:
         if self._smoother is None:
             return []
         outputs = self._release(np.inf)
-        return [*outputs, *self._given(self._smoother.flush())]
+        return [*outputs, *self._outputs_of(self._smoother.flush())]
 
-    def _filled(self, sample: MarkerSample) -> np.ndarray:
-        """The sample, its missing markers carried on as far as that goes."""
-        seen = np.isfinite(sample.positions_world).all(-1, keepdims=True)
-        if seen.all():
+    def _with_gaps_filled(self, sample: MarkerSample) -> np.ndarray:
+        """A sample's positions, those of missing markers extrapolated."""
+        is_visible = np.isfinite(sample.positions_world).all(-1, keepdims=True)
+        if is_visible.all():
             return sample.positions_world
-        return np.where(seen, sample.positions_world, self._trail.at(sample.time))
+        return np.where(is_visible, sample.positions_world, self._recent_markers.at(sample.time))
 
     def _images(self, frame: LiveFrame) -> list[np.ndarray | None]:
         images: list[np.ndarray | None] = [None] * self._cameras
@@ -173,43 +175,43 @@ class LiveTracking:
         assert self._state is not None
         step = self.tracker.step(self._state, time, markers_world, images)
         self._state, pose, report = jax.device_get(step)
-        self.placed += bool(report.placed)
+        self.placements += bool(report.placed)
         return pose, report
 
     def _in_order(self, new: Sequence[MarkerSample | LiveFrame]) -> list[Output]:
-        """Hold events until no older one is expected, and smooth what is let go."""
-        self._held = sorted([*self._held, *new], key=lambda event: event.time)
-        newest = max(event.arrived for event in self._held)
-        seen = [event.time for event in self._held if isinstance(event, LiveFrame)]
-        return self._release(max([newest - WAIT_S, *seen]))
+        """Hold events until no older one is expected, then smooth them in order."""
+        self._pending = sorted([*self._pending, *new], key=lambda event: event.time)
+        newest = max(event.arrived for event in self._pending)
+        frame_times = [event.time for event in self._pending if isinstance(event, LiveFrame)]
+        return self._release(max([newest - REORDERING_S, *frame_times]))
 
     def _release(self, until: float) -> list[Output]:
         outputs = []
-        while self._held and self._held[0].time <= until:
-            outputs += self._smoothed(self._held.pop(0))
+        while self._pending and self._pending[0].time <= until:
+            outputs += self._smoothed(self._pending.pop(0))
         return outputs
 
     def _smoothed(self, event: MarkerSample | LiveFrame) -> list[Output]:
         """One event through tracker and smoother."""
         assert self._smoother is not None
         if event.time <= self._last:
-            self.late += 1
+            self.late_events += 1
             return []
         self._last = event.time
         if isinstance(event, MarkerSample):
             images, arrived = None, event.arrived
-            here, there = self._filled(event), event.positions_world
+            filled, measured = self._with_gaps_filled(event), event.positions_world
         else:
             images, arrived = self._images(event), None
-            here = self._trail.at(event.time)
-            there = np.full_like(here, np.nan)
-        pose, report = self._step(event.time, here, images)
+            filled = self._recent_markers.at(event.time)
+            measured = np.full_like(filled, np.nan)
+        pose, report = self._step(event.time, filled, images)
         self._arrivals.append((self._events, arrived))
         self._events += 1
-        return self._given(self._smoother.step(event.time, there, images, pose, report))
+        return self._outputs_of(self._smoother.step(event.time, measured, images, pose, report))
 
-    def _given(self, given: Sequence[SmoothedPose]) -> list[Output]:
-        """Of what is final, the samples' poses."""
+    def _outputs_of(self, given: Sequence[SmoothedPose]) -> list[Output]:
+        """The poses of samples among the smoothed events."""
         outputs = []
         for each in given:
             while self._arrivals and self._arrivals[0][0] < each.number:

@@ -1,4 +1,4 @@
-"""A person's body from height and mass, a static trial, or a clip of movement.
+"""A person's body from height and mass, a static trial, or a recording of movement.
 
-Begin with ``scale``.
+Begin with ``scale``; ``fit_lengths`` is the way by a recording, ``lengths_report`` its results.
 """

@@ -13,9 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.proportions import LENGTHS, scaled
-from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.skeleton import Skeleton, with_wrists
 from jaxmocap.body.subject import scale_to_height
-from jaxmocap.body.wrists import with_wrists
 from jaxmocap.capture.checks.body_reach import skeleton_stature
 from jaxmocap.capture.footage import forward_readers
 from jaxmocap.capture.frame_cache import cached_frames
@@ -34,12 +33,15 @@ from jaxmocap.pipelines.tracking.first_pass import scanned
 from jaxmocap.pipelines.tracking.track import make_tracker, open_recording, with_sight_lines
 from jaxmocap.smoothing.batch import FINELY, solve_recording
 
-# Whose markers say where head and hands are.
-HEAD, HANDS = ("head", "neck"), ("radius", "hand")
-# Hands that keep to less than this about the head (RMS, metres), and clips of fewer seconds of
-# video than this, show too few postures.
-LEAST_MOVEMENT_M, LEAST_SECONDS = 0.10, 1.0
-HOW = "film 5 to 10 s of stretching, swinging and bending both arms"
+# Bones of which one must carry a marker.
+HEAD_BONES = ("head", "neck")
+# The same of each side.
+HAND_BONES = ("radius", "hand")
+# Hands that move less than this about the head (RMS, metres) show too few postures.
+LEAST_MOVEMENT_M = 0.10
+# So do clips of fewer seconds.
+LEAST_SECONDS = 1.0
+ADVICE = "film 5 to 10 s of stretching, swinging and bending both arms"
 
 
 def scale_by_recording(
@@ -49,7 +51,7 @@ def scale_by_recording(
     mass: float | None = None,
     progress: Progress | bool | None = None,
 ) -> LengthsReport:
-    """Write the body of the person in a recording, and beside it a picture of what it rests on.
+    """Write the body of the person in a recording, and beside it a picture of the estimates.
 
     Args:
         out: subject.toml; the picture has its name, and ends in .png.
@@ -59,12 +61,12 @@ def scale_by_recording(
         progress: see ``track``.
 
     Raises:
-        InputError: a recording that cannot tell lengths; what ``track`` would refuse.
+        InputError: a recording that cannot determine lengths; what ``track`` would refuse.
     """
     recording = _of_person(load_recording(path), height, mass)
     fit = fit_recording(recording, progress)
     stated = recording.skeleton
-    # The girths found are those of clothes and headset, which the file is not to keep.
+    # The girths are those of clothes and headset, which the file is not to hold.
     lengths = fit.logarithms[: len(LENGTHS)]
     person = scaled(stated, jnp.asarray(lengths, stated.lengths.dtype))
     tall = skeleton_stature(stated) if height is None else height
@@ -76,8 +78,8 @@ def scale_by_recording(
 
 
 def fit_recording(recording: Recording, progress: Progress | bool | None = None) -> LengthsFit:
-    """Lengths and girths with which a recording's motion costs least; see ``hybrid.lengths``."""
-    _refuse(recording)
+    """Lengths and girths with which a recording's motion costs least; see ``fitting.lengths``."""
+    _check_recording(recording)
     tracker, clock = make_tracker(recording), Clock(False)
     with progress_bar("fitting lengths", progress) as show:
         opened = open_recording(recording)
@@ -114,29 +116,31 @@ def _of_person(recording: Recording, height: float | None, mass: float | None) -
     return replace(recording, skeleton=skeleton)
 
 
-def _refuse(recording: Recording) -> None:
-    """Say of a recording that cannot tell lengths what it lacks.
+def _check_recording(recording: Recording) -> None:
+    """Check that a recording can determine lengths.
 
     Raises:
-        InputError: it cannot.
+        InputError: it cannot; the message says what it lacks.
     """
     where = _name(recording)
     if not recording.videos:
         problem = "no [[video]]: three markers alone do not determine bone lengths, film the"
         raise InputError(where, f"{problem} movement as well")
-    head = _rows(recording.places, HEAD)
-    hands = [_rows(recording.places, tuple(f"{bone}_{side}" for bone in HANDS)) for side in "lr"]
+    head = _rows(recording.places, HEAD_BONES)
+    hands = [
+        _rows(recording.places, tuple(f"{bone}_{side}" for bone in HAND_BONES)) for side in "lr"
+    ]
     if not head or not all(hands):
         found = ", ".join(f"{p.name} on {p.bone}" for p in recording.places) or "no marker"
         problem = f"[markers.on]: found {found}, expected markers at the head and at both hands"
         raise InputError(where, problem)
     seconds = float(np.ptp(recording.times))
     if seconds < LEAST_SECONDS:
-        raise InputError(where, f"{seconds:.2f} s of markers are too few, {HOW}")
+        raise InputError(where, f"{seconds:.2f} s of markers are too few, {ADVICE}")
     moved = max(_movement(recording.positions_world, head[0], hand[0]) for hand in hands)
     if moved < LEAST_MOVEMENT_M:
         problem = f"the hands keep within {100 * moved:.0f} cm (RMS) of one place before the head"
-        raise InputError(where, f"{problem}, too little to tell lengths: {HOW}")
+        raise InputError(where, f"{problem}, too little to tell lengths: {ADVICE}")
 
 
 def _rows(places: tuple[MarkerPlace, ...], bones: tuple[str, ...]) -> list[int]:
@@ -144,12 +148,12 @@ def _rows(places: tuple[MarkerPlace, ...], bones: tuple[str, ...]) -> list[int]:
 
 
 def _movement(positions_world: np.ndarray, head: int, hand: int) -> float:
-    """How far (RMS, metres) a hand goes from where it is on average, seen from the head."""
-    away = positions_world[:, hand] - positions_world[:, head]
-    away = away[np.isfinite(away).all(-1)]
-    if not len(away):
+    """How far (RMS, metres) a hand goes from where it is on average, relative to the head."""
+    relative = positions_world[:, hand] - positions_world[:, head]
+    relative = relative[np.isfinite(relative).all(-1)]
+    if not len(relative):
         return 0.0
-    return float(np.sqrt(np.mean(np.sum((away - away.mean(0)) ** 2, -1))))
+    return float(np.sqrt(np.mean(np.sum((relative - relative.mean(0)) ** 2, -1))))
 
 
 def _name(recording: Recording) -> str | Path:

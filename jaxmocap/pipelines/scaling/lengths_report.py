@@ -1,4 +1,4 @@
-"""What a recording told of a person's bone lengths, for readers, programs and pictures.
+"""The bone lengths that a recording determines: as text, figures and a picture.
 
 INPUTS: a body before and after, the fit of its lengths. OUTPUTS: text, figures, intervals.
 """
@@ -13,58 +13,64 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.evaluation.interval_plot import Interval
 from jaxmocap.fitting.lengths import LengthsFit
 
-# A length is determined where the recording leaves less than the first share of the deviation that
-# it had among people of the stated body, partly where it leaves less than the second.
-DETERMINED, PARTLY = 0.5, 0.7
-VERDICTS = YES, HALF, NO = (
-    "determined", "partly determined", "not determined by this recording",
-)  # fmt: skip
+# A length is determined where its standard deviation given the recording is at most this share of
+# that among people of the stated body.
+DETERMINED_SHARE = 0.5
+# The same of a length that is partly determined.
+PARTLY_SHARE = 0.7
+DETERMINED = "determined"
+PARTLY_DETERMINED = "partly determined"
+NOT_DETERMINED = "not determined by this recording"
+# From the best to the worst.
+VERDICTS = (DETERMINED, PARTLY_DETERMINED, NOT_DETERMINED)
 RULE = (
     "Of one side each, breadths from the middle; ± is one standard deviation.",
-    f"Determined: ± is at most {DETERMINED:.0%} of what it was before; partly: at most "
-    f"{PARTLY:.0%};",
+    f"Determined: ± is at most {DETERMINED_SHARE:.0%} of what it was before; partly: at most "
+    f"{PARTLY_SHARE:.0%};",
     "otherwise the length is hardly more than the guess that it was.",
 )
 
 
-def verdict(before: float, after: float) -> str:
+def verdict_of(before: float, after: float) -> str:
     """Whether a recording determines a length, by the deviations before and after it."""
     share = after / before
-    return YES if share <= DETERMINED else HALF if share <= PARTLY else NO
+    if share <= DETERMINED_SHARE:
+        return DETERMINED
+    return PARTLY_DETERMINED if share <= PARTLY_SHARE else NOT_DETERMINED
 
 
 @dataclass(frozen=True)
-class Length:
-    """What is known of one length.
+class LengthEstimate:
+    """One length as it was estimated.
 
     Attributes:
         name: of the proportion.
         bones: that it is the length of, in sum, those of one side.
-        metres: as found.
-        stated: as it was, metres.
-        before: standard deviation among people, a share of the length.
-        after: given the recording.
+        metres: as estimated.
+        stated_metres: as stated.
+        deviation_before: standard deviation among people, a share of the length.
+        deviation_after: the same given the recording.
     """
 
     name: str
     bones: tuple[str, ...]
     metres: float
-    stated: float
-    before: float
-    after: float
+    stated_metres: float
+    deviation_before: float
+    deviation_after: float
 
     @property
-    def said(self) -> str:
+    def verdict(self) -> str:
         """Whether the recording determines it."""
-        return verdict(self.before, self.after)
+        return verdict_of(self.deviation_before, self.deviation_after)
 
     @property
     def line(self) -> str:
-        """All of it."""
-        change = self.metres / self.stated - 1
+        """All of it as a line of text."""
+        change = self.metres / self.stated_metres - 1
         return (
             f"{self.name.ljust(16)} {self.metres:.4f} m ({change:+.1%})  "
-            f"± {self.after:.1%}, before ± {self.before:.1%}  {self.said}"
+            f"± {self.deviation_after:.1%}, before ± {self.deviation_before:.1%}  {self.verdict}"
         )
 
 
@@ -83,7 +89,7 @@ class LengthsReport:
 
     skeleton: Skeleton
     height: float
-    lengths: tuple[Length, ...]
+    lengths: tuple[LengthEstimate, ...]
     girths: dict[str, float]
     correlation: np.ndarray
     path: Path
@@ -92,7 +98,7 @@ class LengthsReport:
     def of(
         cls, stated: Skeleton, person: Skeleton, height: float, fit: LengthsFit, path: Path
     ) -> "LengthsReport":
-        """Of a body as stated, as found, and the fit that changed it."""
+        """Of a body as stated, as estimated, and the fit that changed it."""
         lengths = []
         for row, proportion in enumerate(LENGTHS):
             bones = [
@@ -102,7 +108,9 @@ class LengthsReport:
             ]
             before, after = (_sum(body, bones) for body in (stated, person))
             deviations = float(fit.before[row]), float(fit.after[row])
-            lengths.append(Length(proportion.name, tuple(bones), after, before, *deviations))
+            lengths.append(
+                LengthEstimate(proportion.name, tuple(bones), after, before, *deviations)
+            )
         count = len(LENGTHS)
         spread = fit.after[:count]
         correlation = fit.covariance[:count, :count] / np.outer(spread, spread)
@@ -116,11 +124,11 @@ class LengthsReport:
         return self.path.with_suffix(".png")
 
     def lines(self) -> list[str]:
-        """What each length rests on."""
+        """A line for each length, and how to read them."""
         return [*(length.line for length in self.lengths), *RULE]
 
     def text(self) -> str:
-        """The same with what was written."""
+        """The same with height, mass and the files."""
         mass = float(self.skeleton.masses.sum())
         written = [f"written: {self.path}", f"written: {self.picture}"]
         return "\n".join([f"{self.height:.3f} m, {mass:.1f} kg", *self.lines(), *written])
@@ -130,16 +138,16 @@ class LengthsReport:
         return [
             Interval(
                 f"{length.name}\n{length.metres:.3f} m",
-                length.metres / length.stated - 1,
-                2 * length.before,
-                2 * length.after,
-                length.said,
+                length.metres / length.stated_metres - 1,
+                2 * length.deviation_before,
+                2 * length.deviation_after,
+                length.verdict,
             )
             for length in self.lengths
         ]
 
     def figures(self) -> dict:
-        """The same for programs."""
+        """The same for JSON."""
         return {
             "height_m": self.height,
             "mass_kg": float(self.skeleton.masses.sum()),
@@ -148,10 +156,10 @@ class LengthsReport:
                 length.name: {
                     "bones": list(length.bones),
                     "length_m": length.metres,
-                    "stated_m": length.stated,
-                    "deviation_before": length.before,
-                    "deviation_after": length.after,
-                    "said": length.said,
+                    "stated_m": length.stated_metres,
+                    "deviation_before": length.deviation_before,
+                    "deviation_after": length.deviation_after,
+                    "said": length.verdict,
                 }
                 for length in self.lengths
             },

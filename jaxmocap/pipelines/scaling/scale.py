@@ -1,35 +1,57 @@
 """A person's body by any of the three ways: height, static trial, a recording of movement.
 
-INPUTS: what the command was given. OUTPUTS: subject.toml, what its lengths rest on.
+INPUTS: a BodySource. OUTPUTS: subject.toml, what its lengths rest on.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from jaxmocap.calibration import static_trial as at_rest
+from jaxmocap.calibration import static_trial
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.pipelines.progress import Progress
 
 
-def scale(
-    out: str | Path,
-    height: float | None = None,
-    static: str | Path | None = None,
-    recording: str | Path | None = None,
-    landmarks: Mapping[str, str] | None = None,
-    up: str | None = None,
-    mass: float | None = None,
-    wrists: bool = False,
-    progress: Progress | bool | None = None,
-):
-    """Write a body; see ``setup.scale_subject`` and, for a recording, ``run.lengths``.
+@dataclass(frozen=True)
+class BodySource:
+    """What a body is made of; one of height, static trial and recording says whose it is.
+
+    Attributes:
+        height: metres.
+        mass: kilograms.
+        static: file of markers of the person standing upright.
+        landmarks: landmark -> marker of the static trial.
+        up: the static trial's vertical axis, "z" or "y".
+        wrists: whether the body gets a neck that turns, forearms that twist, and wrists.
+        recording: file of a recording of movement, with video.
+    """
+
+    height: float | None = None
+    mass: float | None = None
+    static: str | Path | None = None
+    landmarks: Mapping[str, str] = field(default_factory=dict)
+    up: str | None = None
+    wrists: bool = False
+    recording: str | Path | None = None
+
+
+def write_body(out: str | Path, source: BodySource, progress: Progress | bool | None = None):
+    """Write a body; see ``scale_subject`` and, for a recording, ``scale_by_recording``.
 
     Raises:
         InputError: options that do not go together.
     """
-    if recording is None:
-        return at_rest.scale_subject(out, height, static, landmarks, up, mass, wrists)
-    if landmarks or up or wrists:
+    if source.recording is None:
+        return static_trial.scale_subject(
+            out,
+            source.height,
+            source.static,
+            source.landmarks,
+            source.up,
+            source.mass,
+            source.wrists,
+        )
+    if source.landmarks or source.up or source.wrists:
         problem = "--landmarks, --up and --wrists do not go with --recording, whose file says them"
         raise InputError(out, problem)
     # A recording takes what tracks, which height and static trial do without.
@@ -37,4 +59,4 @@ def scale(
     from jaxmocap.pipelines.scaling.fit_lengths import scale_by_recording
 
     keep_compiled()
-    return scale_by_recording(out, recording, height, mass, progress)
+    return scale_by_recording(out, source.recording, source.height, source.mass, progress)

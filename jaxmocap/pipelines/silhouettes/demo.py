@@ -23,16 +23,20 @@ from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.progress import progress_bar
 from jaxmocap.pipelines.silhouettes.model import PHOTOGRAPHS, model_folder, model_from, write_model
-from jaxmocap.pipelines.silhouettes.person import Person, modelled
-from jaxmocap.pipelines.silhouettes.track import Followed, follow, whole_body
-from jaxmocap.pipelines.silhouettes.writing import KINDS, write_all
+from jaxmocap.pipelines.silhouettes.person import Person, with_model
+from jaxmocap.pipelines.silhouettes.track import (
+    SilhouetteResult,
+    supple_skeleton,
+    track_silhouettes,
+)
+from jaxmocap.pipelines.silhouettes.writing import VIDEO_KINDS, write_into
 from jaxmocap.pipelines.summary import frames_per_second
 from jaxmocap.pipelines.writing import MOTION, MOTION_FILES
-from jaxmocap.silhouette.first_pose import pose_at
-from jaxmocap.synthetic.four_cameras import Performer, bends, write_four_cameras
+from jaxmocap.silhouette.first_pose import pose_at_landmarks
+from jaxmocap.synthetic.four_cameras import Performer, flexion_angles, write_four_cameras
 from jaxmocap.synthetic.movements import motions
 from jaxmocap.synthetic.movements.exercises import exercise
-from jaxmocap.synthetic.people.clothed_person import dressed
+from jaxmocap.synthetic.people.clothed_person import clothed_actor
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.photographs import write_photographs
 
@@ -44,8 +48,8 @@ RECORDING_FILES = (
 )
 FILES = (
     *(*MOTION_FILES, "report.json", "recording.rrd"),
-    *(f"{kind}.mp4" for kind in KINDS),
-    *(f"{kind}_{camera}.mp4" for kind in KINDS for camera in CAMERAS[1:]),
+    *(f"{kind}.mp4" for kind in VIDEO_KINDS),
+    *(f"{kind}_{camera}.mp4" for kind in VIDEO_KINDS for camera in CAMERAS[1:]),
 )
 JOINTS = {
     f"{joint}_{side}": f"{joint}_{side}"
@@ -55,7 +59,7 @@ JOINTS = {
 
 
 @dataclass(frozen=True)
-class Shown:
+class SilhouetteDemo:
     """What the demo shows.
 
     Attributes:
@@ -102,14 +106,14 @@ class Shown:
         }
 
 
-def demonstrate(
+def demonstrate_silhouettes(
     directory: str | Path,
     seconds: float = 2.0,
     seed: int = 0,
     person: str | None = None,
     kind: str = "arm_raises",
     progress: bool = False,
-) -> Shown:
+) -> SilhouetteDemo:
     """Make a recording, track it, compare it with the truth, and write it all down.
 
     Args:
@@ -124,24 +128,24 @@ def demonstrate(
     recording_folder = OutputFolder(folder / "recording", "recording", RECORDING_FILES)
     outputs = OutputFolder(folder, MOTION, FILES)
     with recording_folder.writing() as stage, progress_bar("rendering", progress) as show:
-        performer = performing(seconds, seed, person, kind)
+        performer = performer_of(seconds, seed, person, kind)
         write_four_cameras(stage, performer, seconds, seed, HEIGHT, show)
     recording = Recording.load(recording_folder.path / "recording.toml")
     truth = recording_folder.path / "truth.trc"
     before, files, own = None, [], None
     if person is not None:
-        motion = followed_from(recording, truth, progress).motion
+        motion = tracked_from_truth(recording, truth, progress).motion
         before = evaluate(motion, truth, JOINTS), bend_errors_deg(motion, truth)
-        files += photographed(folder, person, seed)
-        recording, own = modelled(recording, folder / "model")
-    followed = followed_from(recording, truth, progress, own)
-    files += outputs.write(lambda stage: write_all(followed, recording, stage, progress, own))
-    errors = evaluate(followed.motion, truth, JOINTS)
-    off = bend_errors_deg(followed.motion, truth)
-    return Shown(followed.motion, errors, off, before, files)
+        files += photograph_and_model(folder, person, seed)
+        recording, own = with_model(recording, folder / "model")
+    result = tracked_from_truth(recording, truth, progress, own)
+    files += outputs.write(lambda stage: write_into(result, recording, stage, progress, own))
+    errors = evaluate(result.motion, truth, JOINTS)
+    off = bend_errors_deg(result.motion, truth)
+    return SilhouetteDemo(result.motion, errors, off, before, files)
 
 
-def photographed(folder: Path, person: str, seed: int) -> list[Path]:
+def photograph_and_model(folder: Path, person: str, seed: int) -> list[Path]:
     """Photograph a mesh and make the person's model, in ``photographs`` and ``model``."""
     pictures = [f"{name}.png" for name in PHOTOGRAPHS]
     taken = OutputFolder(folder / "photographs", "photographs", [*pictures, "calibration.toml"])
@@ -152,26 +156,26 @@ def photographed(folder: Path, person: str, seed: int) -> list[Path]:
     return write_model(model_from(files, calibration, model.path), model)
 
 
-def followed_from(
+def tracked_from_truth(
     recording: Recording, truth: Path, progress: bool, own: Person | None = None
-) -> Followed:
+) -> SilhouetteResult:
     """Track from the truth's first pose, with the person's own model where there is one."""
-    known = read_trc(truth).points()
-    first = np.array([known[n][0] if n in known else np.full(3, np.nan) for n in LANDMARKS])
-    start = pose_at(whole_body(recording.skeleton), first)
-    return follow(recording, start, surface=own and own.surface, progress=progress)
+    points = read_trc(truth).points()
+    first = np.array([points[n][0] if n in points else np.full(3, np.nan) for n in LANDMARKS])
+    start = pose_at_landmarks(supple_skeleton(recording.skeleton), first)
+    return track_silhouettes(recording, start, surface=own and own.surface, progress=progress)
 
 
 def bend_errors_deg(motion: Motion, truth: Path) -> dict[str, float]:
     """Hinge -> mean error of how far it is bent, degrees."""
-    found, expected = bends(motion.joints()), bends(read_trc(truth).points())
+    found, expected = flexion_angles(motion.joints()), flexion_angles(read_trc(truth).points())
     return {
         name: float(np.degrees(np.abs(found[name] - expected[name]).mean())) for name in expected
     }
 
 
-def performing(seconds: float, seed: int, person: str | None, kind: str) -> Performer:
+def performer_of(seconds: float, seed: int, person: str | None, kind: str) -> Performer:
     """Who moves."""
     if person is None:
-        return dressed(motions.squat(seconds, seed, HEIGHT), seed)
+        return clothed_actor(motions.squat(seconds, seed, HEIGHT), seed)
     return exercise(load_rig(person, seed=seed), kind, seconds, seed)

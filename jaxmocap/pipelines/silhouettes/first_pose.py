@@ -8,21 +8,21 @@ import numpy as np
 from jaxmocap.body.pose import Pose
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
-from jaxmocap.geometry.cameras import project, to_camera
+from jaxmocap.geometry.cameras import depth, project
 from jaxmocap.hybrid.settings import Settings as Hybrid
 from jaxmocap.hybrid.tracker import HybridTracker
-from jaxmocap.pipelines.silhouettes.track import whole_body
+from jaxmocap.pipelines.silhouettes.track import supple_skeleton
 from jaxmocap.pipelines.tracking.track import marker_sites
-from jaxmocap.silhouette.first_pose import landmark_points, pose_at, standing_pose
+from jaxmocap.silhouette.first_pose import landmark_points, pose_at_landmarks, standing_pose_at
 from jaxmocap.silhouette.settings import FAR_OFF, Settings
 from jaxmocap.silhouette.surfaces.morph import Morphing, shoulders
 
 
 def settings_for(by_hand: bool, go_along: bool) -> Settings:
-    """Of the tracker, where the first pose was said by hand, and shoulders go along with arms."""
-    # Who says by hand where somebody stands says it roughly.
+    """Of the tracker, where the first pose was given by hand, and shoulders go along with arms."""
+    # Given by hand it is rough.
     starting = FAR_OFF if by_hand else ()
-    return Settings(starting=starting, morphing=shoulders() if go_along else Morphing())
+    return Settings(starting_deviations=starting, morphing=shoulders() if go_along else Morphing())
 
 
 def start_pose(recording: Recording, at: tuple[float, float, float] | None = None) -> Pose:
@@ -39,7 +39,7 @@ def start_pose(recording: Recording, at: tuple[float, float, float] | None = Non
     where = recording.path or recording.name
     if at is not None:
         x, y, _ = np.array([*at[:2], 0.0]) - recording.origin_world
-        pose = standing_pose(whole_body(recording.skeleton), x, y, np.radians(at[2]))
+        pose = standing_pose_at(supple_skeleton(recording.skeleton), x, y, np.radians(at[2]))
     elif not recording.places:
         problem = "no [markers] to begin from, expected --at X,Y,FACING of a person who stands"
         raise InputError(where, f"{problem} upright")
@@ -55,22 +55,22 @@ def start_pose(recording: Recording, at: tuple[float, float, float] | None = Non
 
 def in_view(recording: Recording, pose: Pose) -> bool:
     """Whether any camera sees any landmark of the pose."""
-    points = landmark_points(whole_body(recording.skeleton), pose)
+    points = landmark_points(supple_skeleton(recording.skeleton), pose)
     for source in recording.videos:
-        depth = np.asarray(to_camera(source.camera, points))[:, 2]
+        depths = np.asarray(depth(source.camera, points))
         pixels = np.asarray(project(source.camera, points))
         within = ((pixels >= 0) & (pixels < np.asarray(source.camera.size))).all(1)
-        if (within & (depth > 0)).any():
+        if (within & (depths > 0)).any():
             return True
     return False
 
 
 def _by_markers(recording: Recording) -> Pose:
     """The pose that the markers' inverse kinematics finds in the first sample that has most."""
-    seen = np.isfinite(recording.positions_world).all(-1).sum(1)
-    first = recording.positions_world[int(np.argmax(seen))]
+    count = np.isfinite(recording.positions_world).all(-1).sum(1)
+    first = recording.positions_world[int(np.argmax(count))]
     skeleton = recording.skeleton
     sites = marker_sites(skeleton, recording.places)
     tracker = HybridTracker(skeleton, None, Hybrid(), sites)
     points = landmark_points(tracker.model.skeleton, tracker.init(first).pose)
-    return pose_at(whole_body(skeleton), np.asarray(points))
+    return pose_at_landmarks(supple_skeleton(skeleton), np.asarray(points))

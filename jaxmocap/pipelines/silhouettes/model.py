@@ -24,12 +24,12 @@ from jaxmocap.formats.files.writing import replacing, write_text
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.modelling.measurements import girths
 from jaxmocap.modelling.person import PersonModel, StanceError, person_model
-from jaxmocap.modelling.personal import Personal, personal
+from jaxmocap.modelling.personal import PersonalModel, personal_model
 from jaxmocap.modelling.pictures import drawing
 from jaxmocap.modelling.pictures.backdrop import PhotographError, person_mask
 from jaxmocap.modelling.pictures.closed_mesh import joined_meshes
-from jaxmocap.modelling.pictures.medial_axis import skeleton
-from jaxmocap.modelling.views import View
+from jaxmocap.modelling.pictures.medial_axis import medial_axis
+from jaxmocap.modelling.views import PhotographView
 from jaxmocap.pipelines.silhouettes.person import PERSON_FILES, write_person
 
 PHOTOGRAPHS = ("front", "side", "joint", "arm_side")
@@ -39,8 +39,8 @@ REFUSED = "_refused"
 DRAWN = 3
 
 
-class Modelled(NamedTuple):
-    """What four photographs told.
+class ModelResult(NamedTuple):
+    """What four photographs gave.
 
     Attributes:
         model: of the person.
@@ -52,8 +52,8 @@ class Modelled(NamedTuple):
 
     model: PersonModel
     images: dict[str, np.ndarray]
-    views: dict[str, View]
-    person: Personal
+    views: dict[str, PhotographView]
+    person: PersonalModel
     seconds: float
 
     def figures(self) -> dict:
@@ -75,7 +75,7 @@ def model_from(
     out: str | Path,
     bottom: int | None = None,
     height: float | None = None,
-) -> Modelled:
+) -> ModelResult:
     """Make a model of photographs.
 
     Args:
@@ -94,19 +94,19 @@ def model_from(
     views = {}
     for name, image in images.items():
         try:
-            views[name] = View(person_mask(image), cameras[name])
+            views[name] = PhotographView(person_mask(image), cameras[name])
         except PhotographError as error:
-            shown = _show_refused(Path(out), name, error.picture)
-            raise InputError(files[name], f"{error.problem} (see {shown})") from None
+            where = _show_refused(Path(out), name, error.picture)
+            raise InputError(files[name], f"{error.problem} (see {where})") from None
     try:
         model = person_model(views, bottom)
     except StanceError as error:
         raise InputError(files[error.view], error.problem) from None
     try:
-        person = personal(model, height)
+        person = personal_model(model, height)
     except ValueError as error:
         raise InputError(files["front"], str(error)) from None
-    return Modelled(model, images, views, person, perf_counter() - start)
+    return ModelResult(model, images, views, person, perf_counter() - start)
 
 
 def _cameras(calibration: str | Path) -> dict[str, Camera]:
@@ -118,7 +118,7 @@ def _cameras(calibration: str | Path) -> dict[str, Camera]:
 
 
 def model_folder(directory: str | Path, inputs: Iterable[str | Path] = ()) -> OutputFolder:
-    """The folder for a person's model, looked at before any work; see ``OutputFolder``.
+    """The folder for a person's model, checked before any work; see ``OutputFolder``.
 
     Args:
         directory: of the outputs.
@@ -130,12 +130,12 @@ def model_folder(directory: str | Path, inputs: Iterable[str | Path] = ()) -> Ou
 
 def _show_refused(folder: Path, name: str, picture: np.ndarray) -> Path:
     """What is wrong with a photograph, as a picture beside whatever the folder holds."""
-    shown = f"{name}{REFUSED}.png"
-    refused = OutputFolder(folder, "refused photograph", [shown])
-    return refused.write(lambda stage: [write_picture(stage / shown, picture)])[0]
+    file = f"{name}{REFUSED}.png"
+    refused = OutputFolder(folder, "refused photograph", [file])
+    return refused.write(lambda stage: [write_picture(stage / file, picture)])[0]
 
 
-def write_model(modelled: Modelled, folder: OutputFolder) -> list[Path]:
+def write_model(modelled: ModelResult, folder: OutputFolder) -> list[Path]:
     """Write model, report and pictures.
 
     Returns:
@@ -147,7 +147,7 @@ def write_model(modelled: Modelled, folder: OutputFolder) -> list[Path]:
     return folder.write(partial(_write, modelled))
 
 
-def _write(modelled: Modelled, directory: Path) -> list[Path]:
+def _write(modelled: ModelResult, directory: Path) -> list[Path]:
     """All files into a folder that is there."""
     model = modelled.model
     vertices, faces = joined_meshes([model.trunk.rings, *model.arms])
@@ -173,31 +173,33 @@ def _write(modelled: Modelled, directory: Path) -> list[Path]:
     return [*files, *write_person(modelled.person, modelled.images, modelled.views, directory)]
 
 
-def pictures(modelled: Modelled) -> dict[str, np.ndarray]:
+def pictures(modelled: ModelResult) -> dict[str, np.ndarray]:
     """Photograph -> what was found in it: rim, skeletons, joints, slices."""
     model, views = modelled.model, modelled.views
-    shown = {
+    drawn = {
         name: drawing.outlined(image, views[name].mask) for name, image in modelled.images.items()
     }
     for name in ("front", "side"):
         rings = [views[name].pixels(ring) for ring in model.trunk.rings[::DRAWN]]
-        shown[name] = drawing.with_lines(shown[name], rings, drawing.RING, closed=True)
+        drawn[name] = drawing.with_lines(drawn[name], rings, drawing.RING, closed=True)
     marks = model.front
-    width = shown["front"].shape[1]
+    width = drawn["front"].shape[1]
     levels = [np.array([[0.0, row], [width, row]]) for row in (marks.neck, marks.bottom)]
-    shown["front"] = drawing.with_lines(shown["front"], levels, drawing.POINT, closed=False)
-    shown["front"] = drawing.with_points(shown["front"], marks.pits)
+    drawn["front"] = drawing.with_lines(drawn["front"], levels, drawing.POINT, closed=False)
+    drawn["front"] = drawing.with_points(drawn["front"], marks.pits)
     for name in ("joint", "arm_side"):
-        axis = skeleton(views[name].mask).pixels_xy
-        shown[name][axis[:, 1], axis[:, 0]] = drawing.AXIS
-    bent = np.concatenate([[arm.shoulder, arm.elbow, arm.wrist, arm.tip] for arm in model.seen])
-    shown["joint"] = drawing.with_points(shown["joint"], bent)
+        axis = medial_axis(views[name].mask).pixels_xy
+        drawn[name][axis[:, 1], axis[:, 0]] = drawing.AXIS
+    bent = np.concatenate(
+        [[arm.shoulder, arm.elbow, arm.wrist, arm.tip] for arm in model.arm_pixels]
+    )
+    drawn["joint"] = drawing.with_points(drawn["joint"], bent)
     straight = views["arm_side"].pixels(np.concatenate([np.array(b) for b in model.stretched]))
-    shown["arm_side"] = drawing.with_points(shown["arm_side"], straight)
-    return shown
+    drawn["arm_side"] = drawing.with_points(drawn["arm_side"], straight)
+    return drawn
 
 
-def model_text(modelled: Modelled, files: list[Path]) -> str:
+def model_text(modelled: ModelResult, files: list[Path]) -> str:
     """For the terminal."""
     figures = modelled.figures()
     lines = [f"{name:12} {100 * length:6.1f} cm" for name, length in figures["lengths"].items()]

@@ -1,6 +1,6 @@
 """A person as ``silhouette model`` leaves them to other commands and other programs.
 
-INPUTS: what four photographs told, and a folder; or such a folder.
+INPUTS: a PersonalModel of four photographs, and a folder; or such a folder.
 OUTPUTS: ``subject.toml``, the bones, for either tracker; ``surface.npz``, the body around them;
 ``texture.png``, its colours; ``model.glb``, all of it with a skeleton and a skin; ``person.png``,
 the person from four sides. Or a Person.
@@ -26,11 +26,14 @@ from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.recordings.subject import read_subject, write_subject
 from jaxmocap.formats.recordings.surface import check_surface_extent, load_surface, save_surface
-from jaxmocap.modelling.personal import Personal
+from jaxmocap.modelling.personal import PersonalModel
 from jaxmocap.modelling.texture.avatar import avatar_of
-from jaxmocap.modelling.views import View
+from jaxmocap.modelling.views import PhotographView
 
-SUBJECT, SURFACE, TEXTURE = "subject.toml", "surface.npz", "texture.png"
+# Bones, the body around them, its colours.
+SUBJECT = "subject.toml"
+SURFACE = "surface.npz"
+TEXTURE = "texture.png"
 PERSON_FILES = (SUBJECT, SURFACE, TEXTURE, "model.glb", "person.png")
 RESTS_ON = "Lengths and diameters by four photographs; what they do not show, by the stature."
 
@@ -50,15 +53,15 @@ class Person(NamedTuple):
 
 
 def write_person(
-    person: Personal,
+    person: PersonalModel,
     images: Mapping[str, np.ndarray],
-    views: Mapping[str, View],
+    views: Mapping[str, PhotographView],
     directory: str | Path,
 ) -> list[Path]:
     """Write the files; their paths.
 
     Args:
-        person: what the photographs told of the shape.
+        person: the shape by the photographs.
         images: photograph -> (H, W, 3) BGR uint8.
         views: photograph -> mask and camera.
         directory: where to.
@@ -79,7 +82,7 @@ def write_person(
     return files
 
 
-def modelled(recording: Recording, model: str | Path | None) -> tuple[Recording, Person | None]:
+def with_model(recording: Recording, model: str | Path | None) -> tuple[Recording, Person | None]:
     """The recording with a model's bones, and the person of the model; as it is without a model.
 
     Args:

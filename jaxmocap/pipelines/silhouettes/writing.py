@@ -1,6 +1,6 @@
 """Everything that ``silhouette track`` writes: what ``track`` does, and what was segmented.
 
-INPUTS: what silhouettes told, the Recording, a folder.
+INPUTS: a SilhouetteResult, the Recording, a folder.
 OUTPUTS: joints.trc, angles.mot and the motion's other files, report.json, recording.rrd, overlay
 videos; and segmentation.mp4, segmentation_NAME.mp4 of the other cameras.
 """
@@ -24,17 +24,17 @@ from jaxmocap.outputs.report import write_report
 from jaxmocap.outputs.viewer import Footage, write_rerun
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.silhouettes.person import Person
-from jaxmocap.pipelines.silhouettes.track import Followed, Masks
+from jaxmocap.pipelines.silhouettes.track import Masks, SilhouetteResult
 from jaxmocap.pipelines.writing import (
     MOTION,
     MOTION_FILES,
-    Counter,
+    FrameCounter,
     Warn,
+    ignore_warning,
     inputs_of,
-    no_warning,
     overlay_names,
-    thinned,
-    viewed,
+    viewer_frame_count,
+    viewer_frames,
     write_motion,
     write_overlays,
 )
@@ -42,24 +42,26 @@ from jaxmocap.pipelines.writing import (
 # Metres between the nodes of a skin in files: the tracker's are denser.
 SKIN_M = 0.018
 # Videos of each camera.
-KINDS = ("overlay", "segmentation")
-# BGR, and how much of it lies over the person.
-TINT, COVER = np.array([60, 220, 60]), 0.45
+VIDEO_KINDS = ("overlay", "segmentation")
+# Colour over the person, BGR.
+TINT_BGR = np.array([60, 220, 60])
+# Its weight there.
+TINT_WEIGHT = 0.45
 
 
-def write_followed(
-    followed: Followed,
+def write_results(
+    result: SilhouetteResult,
     recording: Recording,
     directory: str | Path,
     progress: Progress | bool | None = None,
     person: Person | None = None,
     inputs: Iterable[Path] = (),
-    warn: Warn = no_warning,
+    warn: Warn = ignore_warning,
 ) -> list[Path]:
     """Write all files.
 
     Args:
-        followed: from the recording.
+        result: from the recording.
         recording: with its videos.
         directory: is made where missing.
         progress: called with the frames drawn and their total; True shows a bar on stderr.
@@ -74,31 +76,31 @@ def write_followed(
         InputError: see ``tracked_folder``.
         OutputError: the disk is full; what was there is as it was.
     """
-    return followed_folder(directory, recording, inputs).write(
-        lambda stage: write_all(followed, recording, stage, progress, person, warn)
+    return results_folder(directory, recording, inputs).write(
+        lambda stage: write_into(result, recording, stage, progress, person, warn)
     )
 
 
-def followed_folder(
+def results_folder(
     directory: str | Path, recording: Recording, inputs: Iterable[Path] = ()
 ) -> OutputFolder:
-    """The folder for these files, looked at before any work; see ``tracked_folder``."""
-    videos = [name for kind in KINDS for name in overlay_names(recording, kind)]
+    """The folder for these files, checked before any work; see ``tracked_folder``."""
+    videos = [name for kind in VIDEO_KINDS for name in overlay_names(recording, kind)]
     names = [*MOTION_FILES, "report.json", "recording.rrd", *videos]
     return OutputFolder(directory, MOTION, names, [*inputs_of(recording), *inputs])
 
 
-def write_all(
-    followed: Followed,
+def write_into(
+    result: SilhouetteResult,
     recording: Recording,
     folder: Path,
     progress: Progress | bool | None = None,
     person: Person | None = None,
-    warn: Warn = no_warning,
+    warn: Warn = ignore_warning,
 ) -> list[Path]:
     """The same into a folder that is there, of which nothing is asked."""
-    motion = followed.motion
-    skin, picture = _skin(followed, person)
+    motion = result.motion
+    skin, picture = _skin(result, person)
     left_out: list[str] = []
     files = write_motion(motion, folder, skin, picture, left_out.append)
     files.append(folder / "report.json")
@@ -108,12 +110,14 @@ def write_all(
         warn(sentence)
     videos = [open_video(source) for source in recording.videos]
     with progress_bar("drawing", progress) as show:
-        counter = Counter(show, sum(2 * len(video) + viewed(video) for video in videos))
+        counter = FrameCounter(
+            show, sum(2 * len(video) + viewer_frame_count(video) for video in videos)
+        )
         files += write_overlays(motion, recording, videos, folder, {}, counter)
-        files += _write_segmentations(followed, recording, videos, folder, counter)
+        files += _write_segmentations(result, recording, videos, folder, counter)
         files.append(folder / "recording.rrd")
         footage = {
-            source.camera_name: Footage(source.camera, counter.over(thinned(video)))
+            source.camera_name: Footage(source.camera, counter.over(viewer_frames(video)))
             for source, video in zip(recording.videos, videos, strict=True)
         }
         colours = None if picture is None else picture_of(folder, picture)
@@ -121,33 +125,33 @@ def write_all(
     return files
 
 
-def _skin(followed: Followed, person: Person | None) -> tuple[Surface, bytes | None]:
+def _skin(result: SilhouetteResult, person: Person | None) -> tuple[Surface, bytes | None]:
     """What the body looks like in files: as photographed, or else as tracked."""
     if person is not None and person.picture is not None:
         return person.surface, person.picture
-    nodes = rest_nodes(followed.surface, rest_joints(followed.motion.skeleton))
-    return coarser(followed.surface, nodes, SKIN_M), None
+    nodes = rest_nodes(result.surface, rest_joints(result.motion.skeleton))
+    return coarser(result.surface, nodes, SKIN_M), None
 
 
 def _write_segmentations(
-    followed: Followed,
+    result: SilhouetteResult,
     recording: Recording,
     videos: list[FrameSource],
     folder: Path,
-    counter: Counter,
+    counter: FrameCounter,
 ) -> list[Path]:
     """The frames with the person tinted as segmented, and the body over them."""
     files = []
     names = overlay_names(recording, "segmentation")
     for name, source, video in zip(names, recording.videos, videos, strict=True):
         files.append(folder / name)
-        frames = tinted(counter.over(video.frames()), followed.masks[source.camera_name])
-        write_overlay(files[-1], frames, source.camera, followed.motion, rate=video.fps or 30.0)
+        frames = tinted(counter.over(video.frames()), result.masks[source.camera_name])
+        write_overlay(files[-1], frames, source.camera, result.motion, rate=video.fps or 30.0)
     return files
 
 
 def tinted(frames: Iterable[TimedImage], masks: Masks) -> Iterator[TimedImage]:
-    """The frames, the person's pixels in another colour; as they are where nothing was seen."""
+    """The frames, the person's pixels in another colour; as they are where nobody was segmented."""
     for time, image in frames:
         k = int(np.argmin(np.abs(masks.times - time)))
         if image is None:
@@ -155,6 +159,8 @@ def tinted(frames: Iterable[TimedImage], masks: Masks) -> Iterator[TimedImage]:
             continue
         region = Region(masks.origins[k], masks.scales[k])
         mask = full_mask(masks.phi[k].astype(np.float32), region, image.shape[:2])
-        shown = image.copy()
-        shown[mask] = ((1 - COVER) * image[mask] + COVER * TINT).astype(np.uint8)
-        yield time, shown
+        tinted_image = image.copy()
+        tinted_image[mask] = ((1 - TINT_WEIGHT) * image[mask] + TINT_WEIGHT * TINT_BGR).astype(
+            np.uint8
+        )
+        yield time, tinted_image

@@ -28,10 +28,11 @@ def contour_rows(skeleton: Any, frames: Any, pairs: Any) -> tuple[np.ndarray, np
     x, J = posed(frames, pairs.points), slopes(skeleton, frames, pairs.points)
     residuals, rows = np.zeros((len(x), 2)), np.zeros((len(x), 2, J.shape[-1]))
     lines = zip(*(np.asarray(part, float) for part in pairs.lines), strict=True)
-    across, grips = np.asarray(pairs.across, float), np.asarray(pairs.grips, float)
+    across = np.asarray(pairs.across, float)
+    along_weights = np.asarray(pairs.along_weights, float)
     for i, (direction, moment) in enumerate(lines):
         off = x[i] - np.cross(direction, moment)
-        ways = np.stack([across[i], grips[i] * np.cross(direction, across[i])])
+        ways = np.stack([across[i], along_weights[i] * np.cross(direction, across[i])])
         residuals[i], rows[i] = ways @ off, ways @ J[i]
     return residuals, rows
 

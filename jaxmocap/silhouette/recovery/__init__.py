@@ -1,4 +1,7 @@
-"""Finding a lost limb again: which limbs the images deny, and where they may be instead.
+"""Finding a lost limb again.
 
-Begin with ``lost_limbs``.
+Where person is seen that no limb explains, or a limb explains nothing, a particle filter searches
+for it; parts in front of which something else stands are hidden, and count for nothing. Begin with
+``relocation``, which a frame goes through: ``lost_limbs`` decides, ``limb_particle_filter``
+searches by ``limb_likelihood``; ``withdrawal`` takes back what the last frames had wrong.
 """

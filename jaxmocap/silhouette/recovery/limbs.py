@@ -14,18 +14,8 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.surface import BodyPoints, Surface
 
-# Limb -> its bones from the body outwards, and its joints; as many of each.
-LIMBS = {
-    "arm": (("humerus", "radius", "hand"),
-            ("clavicle_raise", "clavicle_protract", "arm_flex", "arm_abduct", "arm_rot",
-             "elbow_flex")),
-    "leg": (("femur", "tibia", "foot"),
-            ("hip_flexion", "hip_abduction", "hip_rotation", "knee_flexion", "ankle_dorsiflex",
-             "ankle_invert")),
-}  # fmt: skip
 
-
-class Limb(NamedTuple):
+class LimbChain(NamedTuple):
     """A limb of B bones and K joints.
 
     Attributes:
@@ -39,26 +29,30 @@ class Limb(NamedTuple):
     radii: np.ndarray
 
 
-def limbs_of(skeleton: Skeleton, surface: Surface) -> dict[str, Limb]:
-    """``arm_l`` and so on, those that the skeleton's joints move in full."""
+def limb_chains(skeleton: Skeleton, surface: Surface) -> dict[str, LimbChain]:
+    """``arm_l`` and so on, those searched by joints of as many bones as they have."""
     tree, found = skeleton.tree, {}
-    for kind, (bones, joints) in LIMBS.items():
+    turned = np.array(tree.dof_bones, np.int32)
+    for kind in ("arm", "leg"):
         for side in "lr":
-            names = [f"{joint}_{side}" for joint in joints]
-            if set(names) <= set(tree.joints):
-                rows = np.array([tree.bone(f"{bone}_{side}") for bone in bones], np.int32)
-                moved = np.array([tree.joint(name) for name in names], np.int32)
-                found[f"{kind}_{side}"] = Limb(rows, moved, radii(skeleton, surface, rows))
+            bones = tree.bones_in(kind, side=side)
+            on_side = [tree.segments[bone].side == side for bone in turned]
+            joints = np.flatnonzero((np.array(tree.searched) == kind) & on_side)
+            if len(bones) and len(np.unique(turned[joints])) >= len(bones):
+                # From the body outwards.
+                joints = joints[np.argsort(turned[joints], kind="stable")].astype(np.int32)
+                radii = bone_radii(skeleton, surface, bones)
+                found[f"{kind}_{side}"] = LimbChain(bones, joints, radii)
     return found
 
 
-def halves_of(limb: Limb) -> tuple[Limb, Limb]:
+def halves_of(limb: LimbChain) -> tuple[LimbChain, LimbChain]:
     """The limb's first bone, and what follows it: what is left out is given no thickness."""
     first = np.arange(len(limb.bones)) < 1
     return tuple(limb._replace(radii=np.where(of, limb.radii, 0)) for of in (first, ~first))  # type: ignore[return-value]
 
 
-def ends(skeleton: Skeleton, pose: Pose, limb: Limb) -> tuple[Array, Array]:
+def bone_ends(skeleton: Skeleton, pose: Pose, limb: LimbChain) -> tuple[Array, Array]:
     """(B, 3) near and far ends of a limb's bones in the world, metres."""
     frames = forward(skeleton, pose)
     near = frames.joints_world[limb.bones]
@@ -66,7 +60,7 @@ def ends(skeleton: Skeleton, pose: Pose, limb: Limb) -> tuple[Array, Array]:
     return near, near + jnp.sum(frames.R_world_bone[limb.bones] * reach[:, None], -1)
 
 
-def radii(skeleton: Skeleton, surface: Surface, bones: np.ndarray) -> np.ndarray:
+def bone_radii(skeleton: Skeleton, surface: Surface, bones: np.ndarray) -> np.ndarray:
     """(B,) metres from bones to the surface's nodes that they carry alone or most."""
     carrier, places = carried_most(surface.points)
     ways = np.asarray(skeleton.directions)
@@ -90,8 +84,8 @@ def carried_most(points: BodyPoints) -> tuple[np.ndarray, np.ndarray]:
     return bones[rows, most], np.asarray(points.points_bone)[rows, most]
 
 
-def places_along(
-    skeleton: Skeleton, limb: Limb, points: BodyPoints, shares: np.ndarray
+def bins_along(
+    skeleton: Skeleton, limb: LimbChain, points: BodyPoints, shares: np.ndarray
 ) -> np.ndarray:
     """(N,) numbers of the places, A of each bone one after the other, that points lie nearest to.
 

@@ -1,4 +1,4 @@
-"""What of a canvas points of a body cover, and what lies about it that is not the room.
+"""What of a canvas points of a body cover, and what lies about it that is no background.
 
 INPUTS: pixels of many points, where a canvas lies; log-ratios on it, an image, its Background.
 OUTPUTS: a mask of its cells; log-ratios on a wider canvas.
@@ -11,11 +11,13 @@ from jaxmocap.images.background_model import Background
 from jaxmocap.images.canvases import canvas, sampled
 from jaxmocap.images.regions import Region
 
-# What is not the room differs from it by so many deviations and grey levels.
-DEVIATIONS, LEVELS = 6.0, 30.0
+# What is no background differs from it by so many of its deviations,
+DIFFERENT_DEVIATIONS = 6.0
+# and by so many grey levels beyond.
+DIFFERENT_LEVELS = 30.0
 
 
-def covered(pixels_xy: np.ndarray, region: Region, size: int, around: int) -> np.ndarray:
+def covered_cells(pixels_xy: np.ndarray, region: Region, size: int, around: int) -> np.ndarray:
     """(S, S) bool: cells within ``around`` cells of a point, by rows or columns.
 
     Args:
@@ -31,40 +33,40 @@ def covered(pixels_xy: np.ndarray, region: Region, size: int, around: int) -> np
     return cv2.dilate(mask, np.ones((2 * around + 1,) * 2, np.uint8)) > 0
 
 
-def widened(
+def extended_log_ratio(
     ratios: np.ndarray,
     region: Region,
     image: np.ndarray | None,
-    room: Background | None,
+    background: Background | None,
     size: int,
-    share: float,
-    most: float,
+    extent: float,
+    largest: float,
 ) -> tuple[np.ndarray, Region]:
-    """Log-ratios on a canvas about another, and beyond that one by what differs from the room.
+    """Log-ratios on a canvas about another, and beyond that by what differs from the background.
 
     Args:
         ratios: (S, S) on the canvas of ``region``.
         region: of that canvas.
         image: (H, W, 3) uint8.
-        room: what is known of it where nobody stands; without it, or an image, there is nothing.
+        background: its model; without it, or an image, the rest is 0.
         size: of the wider canvas, cells.
-        share: how many times as wide it is.
-        most: log-ratio of what surely is, or is not, the room.
+        extent: how many times as wide it is.
+        largest: log-ratio of what surely is, or is not, background.
 
     Returns:
         (size, size) and where they lie.
     """
     cells, origin, scale = len(ratios), np.asarray(region.origin), float(region.scale)
-    wide_scale = share * cells / size * scale
-    wide = origin - (share - 1) / 2 * cells * scale
+    wide_scale = extent * cells / size * scale
+    wide = origin - (extent - 1) / 2 * cells * scale
     around = Region(wide.astype(np.float32), np.array(wide_scale, np.float32))
     inner = Region((wide - origin) / scale - 0.5, np.array(wide_scale / scale))
     within = sampled(cv2.blur(ratios, (3, 3)), inner, size)
     places = inner.origin[:, None] + (np.arange(size) + 0.5) * inner.scale
     x, y = (places >= 0) & (places <= cells - 1)
-    if image is None or room is None:
+    if image is None or background is None:
         return np.where(y[:, None] & x, within, 0).astype(np.float32), around
-    seen = canvas(image, around, size, room)
-    off = np.abs(seen.colour.astype(np.float32) - seen.room).max(-1)
-    other = np.where(off > DEVIATIONS * seen.noise + LEVELS, most, -most)
-    return np.where(y[:, None] & x, within, seen.known * other).astype(np.float32), around
+    shown = canvas(image, around, size, background)
+    off = np.abs(shown.colour.astype(np.float32) - shown.room).max(-1)
+    other = np.where(off > DIFFERENT_DEVIATIONS * shown.noise + DIFFERENT_LEVELS, largest, -largest)
+    return np.where(y[:, None] & x, within, shown.known * other).astype(np.float32), around

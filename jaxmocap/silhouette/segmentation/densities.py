@@ -1,4 +1,4 @@
-"""How likely a region's pixels are: histograms, a known room, normals about local means.
+"""How likely a region's pixels are: histograms, a known background, normals about local means.
 
 INPUTS: colours on a canvas, how far each cell belongs to a region. OUTPUTS: densities, per grey
 level or cubic grey level.
@@ -11,20 +11,25 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-# Grey levels in a histogram; levels of each of three channels in a joint one; and the deviation of
-# the Gaussian kernel that smooths them, bins.
-GREYS, LEVELS = 64, 16
-GREY_BLUR, COLOUR_BLUR = 1.5, 0.5
+# Bins of a histogram of grey levels.
+GREYS = 64
+# Bins of each of three channels in a joint histogram.
+LEVELS = 16
+# Deviations of the Gaussian kernels that smooth either, bins.
+GREY_BLUR = 1.5
+COLOUR_BLUR = 0.5
 # Every colour has this share of the even distribution: what was never seen is not impossible.
 EVEN_SHARE = 1e-3
 # OpenCV's weights of blue, green and red.
 LUMINANCE = (0.114, 0.587, 0.299)
-# Histograms are counted on every other cell of every other row.
-EVERY = 2
-# Of the room, how much lies in shadow, and how much light is left there at least.
-SHADED, DARKEST = 0.05, 0.6
-# Beyond this exponent a normal density is none at all.
-FARTHEST = 60.0
+# Histograms are counted on one cell in so many of one row in so many.
+COUNT_STRIDE = 2
+# Share of the background that lies in shadow.
+SHADED_SHARE = 0.05
+# Light that is left there, at least.
+DARKEST_SHADOW = 0.6
+# Exponents of a normal density are cut off here, so that it stays above 0.
+LARGEST_EXPONENT = 60.0
 
 
 def grey_bins(colour: Array) -> Array:
@@ -33,19 +38,21 @@ def grey_bins(colour: Array) -> Array:
     return ((blue + green + red) * (GREYS / 256)).astype(jnp.int32)
 
 
-def colour_bins(colour: Array) -> Array:
+def joint_bins(colour: Array) -> Array:
     """Joint histogram bin (...) of BGR colours (V, 3, S, S)."""
     levels = (colour * (LEVELS / 256)).astype(jnp.int32)
     return (levels[:, 0] * LEVELS + levels[:, 1]) * LEVELS + levels[:, 2]
 
 
-def counted(bins: Array, weights: Array, count: int) -> Array:
+def histogram_counts(bins: Array, weights: Array, count: int) -> Array:
     """Histograms (V, count), not smoothed, of weighted bins (V, S, S)."""
 
     def one(bins: Array, weights: Array) -> Array:
         return jnp.zeros(count, weights.dtype).at[bins.ravel()].add(weights.ravel())
 
-    return jax.vmap(one)(bins[:, ::EVERY, ::EVERY], weights[:, ::EVERY, ::EVERY])
+    return jax.vmap(one)(
+        bins[:, ::COUNT_STRIDE, ::COUNT_STRIDE], weights[:, ::COUNT_STRIDE, ::COUNT_STRIDE]
+    )
 
 
 def grey_density(counts: Array) -> Array:
@@ -69,29 +76,30 @@ def _share(smoothed: Array) -> Array:
     return (1 - EVEN_SHARE) * share + EVEN_SHARE / bins
 
 
-def looked_up(density: Array, bins: Array) -> Array:
+def lookup(density: Array, bins: Array) -> Array:
     """Density (V, B) of the bin of every cell (V, S, S)."""
     return jax.vmap(lambda table, places: table[places])(density, bins)
 
 
-def room_density(colour: Array, room: Array, noise: Array) -> Array:
-    """Density (V, S, S), per cubic grey level, of colours (V, 3, S, S) before an empty room.
+def background_density(colour: Array, background: Array, noise: Array) -> Array:
+    """Density (V, S, S), per cubic grey level, of colours (V, 3, S, S) before the background.
 
-    The room is lit or in shadow.
-    Normal about the room's colour; or, in shadow, evenly on the way from there towards black as far
-    as ``DARKEST``, and normal across it: what ``images.foreground`` does on the host.
+    The background is lit or in shadow: normal about its colour; or, in shadow, evenly on the way
+    from there towards black as far as ``DARKEST_SHADOW``, and normal across it, as
+    ``images.foreground`` has it on the host.
     """
-    room_room, seen_room = jnp.sum(room * room, 1) + 1, jnp.sum(colour * room, 1)
-    seen_seen = jnp.sum(colour * colour, 1)
-    lit = jnp.clip(seen_room / room_room, DARKEST, 1)
-    across = seen_seen - lit * (2 * seen_room - lit * room_room)
-    away = seen_seen - 2 * seen_room + room_room
+    squared, product = jnp.sum(background * background, 1) + 1, jnp.sum(colour * background, 1)
+    colour_squared = jnp.sum(colour * colour, 1)
+    lit = jnp.clip(product / squared, DARKEST_SHADOW, 1)
+    across = colour_squared - lit * (2 * product - lit * squared)
+    away = colour_squared - 2 * product + squared
     precision = 0.5 / noise**2
     planar = precision / jnp.pi
-    plain = planar * jnp.sqrt(planar) * jnp.exp(-jnp.minimum(away * precision, FARTHEST))
-    length = (1 - DARKEST) * jnp.sqrt(room_room)
-    shaded = planar / length * jnp.exp(-jnp.minimum(across * precision, FARTHEST))
-    return (1 - SHADED) * plain + SHADED * shaded
+    plain = jnp.exp(-jnp.minimum(away * precision, LARGEST_EXPONENT))
+    plain = planar * jnp.sqrt(planar) * plain
+    length = (1 - DARKEST_SHADOW) * jnp.sqrt(squared)
+    shaded = planar / length * jnp.exp(-jnp.minimum(across * precision, LARGEST_EXPONENT))
+    return (1 - SHADED_SHARE) * plain + SHADED_SHARE * shaded
 
 
 @lru_cache

@@ -1,9 +1,9 @@
-"""Glances: does a camera that stands still show about what it showed before, or something else?
+"""Does a camera that stands still show about what it showed before, or something else?
 
 A torn frame, a black one, one of another camera differ from the last good one nearly everywhere;
-a person who moves, or other people behind, change a small part of it.
+a person who moves, or other people behind, change a thumbnails part of it.
 
-INPUTS: images of C cameras, frame after frame. OUTPUTS: which of them are what they seem.
+INPUTS: images of C cameras, frame after frame. OUTPUTS: those that are to be used.
 """
 
 from collections.abc import Sequence
@@ -12,57 +12,59 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-# Cells of a glance, width and height; a cell differs by so many grey levels of any colour.
-CELLS, DIFFERENT = (40, 30), 25.0
+# Size of a thumbnail: columns and rows.
+THUMBNAIL_SIZE = (40, 30)
+# Its cells differ from so many grey levels of any colour on.
+DIFFERENT_LEVELS = 25.0
 
 
-class Glances(NamedTuple):
-    """What C cameras showed last, and for how long they have not.
+class ImageHistory(NamedTuple):
+    """What C cameras showed last.
 
     Attributes:
-        small: of each camera the last image that was believed, in few cells; None before it.
-        refused: frames of each, one after the other, that were not believed.
+        thumbnails: of each camera, of the last image that was accepted; None before it.
+        rejections: frames of each, one after the other, that were rejected.
     """
 
-    small: tuple[np.ndarray | None, ...]
-    refused: tuple[int, ...]
+    thumbnails: tuple[np.ndarray | None, ...]
+    rejections: tuple[int, ...]
 
     @classmethod
-    def none(cls, cameras: int) -> "Glances":
+    def empty(cls, cameras: int) -> "ImageHistory":
         """Before the first frame."""
         return cls((None,) * cameras, (0,) * cameras)
 
-    def believed(
+    def accepted(
         self, images: Sequence[np.ndarray | None], share: float, patience: int
-    ) -> tuple[list[np.ndarray | None], "Glances"]:
-        """The images that are to be believed, None in place of the others.
+    ) -> tuple[list[np.ndarray | None], "ImageHistory"]:
+        """The images that are to be used, None in place of the others.
 
         Args:
             images: (H, W, 3) uint8 of each camera, None where there is none.
-            share: of its cells in which an image may differ from the last believed one.
-            patience: after so many frames a camera is believed again, whatever it shows: somebody
-                switched the light on.
+            share: of its cells in which an image may differ from the last accepted one.
+            patience: after so many rejections a camera is accepted again, whatever it shows:
+                somebody switched the light on.
         """
-        kept, small, refused = [], [], []
-        for image, last, count in zip(images, self.small, self.refused, strict=True):
-            now = None if image is None else glance(image)
-            other = now is not None and last is not None and changed(last, now) > share
+        kept, thumbnails, rejections = [], [], []
+        for image, last, count in zip(images, self.thumbnails, self.rejections, strict=True):
+            now = None if image is None else thumbnail(image)
+            other = now is not None and last is not None and changed_share(last, now) > share
             if other and count < patience:
                 kept.append(None)
-                small.append(last)
-                refused.append(count + 1)
+                thumbnails.append(last)
+                rejections.append(count + 1)
                 continue
             kept.append(image)
-            small.append(last if now is None else now)
-            refused.append(0)
-        return kept, Glances(tuple(small), tuple(refused))
+            thumbnails.append(last if now is None else now)
+            rejections.append(0)
+        return kept, ImageHistory(tuple(thumbnails), tuple(rejections))
 
 
-def glance(image: np.ndarray) -> np.ndarray:
-    """An image (H, W, 3) uint8 in few cells, int16."""
-    return cv2.resize(image, CELLS, interpolation=cv2.INTER_AREA).astype(np.int16)
+def thumbnail(image: np.ndarray) -> np.ndarray:
+    """An image (H, W, 3) uint8 in few cells (30, 40, 3), int16."""
+    return cv2.resize(image, THUMBNAIL_SIZE, interpolation=cv2.INTER_AREA).astype(np.int16)
 
 
-def changed(before: np.ndarray, now: np.ndarray) -> float:
-    """The share of cells in which two glances differ."""
-    return float(np.mean(np.abs(now - before).max(-1) > DIFFERENT))
+def changed_share(before: np.ndarray, now: np.ndarray) -> float:
+    """The share of cells in which two thumbnails differ."""
+    return float(np.mean(np.abs(now - before).max(-1) > DIFFERENT_LEVELS))

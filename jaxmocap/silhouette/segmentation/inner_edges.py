@@ -8,32 +8,32 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.silhouette.correspond import Matches
-from jaxmocap.silhouette.segmentation.profiles import boundary, colour_profiles
+from jaxmocap.silhouette.fit.correspond import Matches
+from jaxmocap.silhouette.segmentation.profiles import colour_boundary, colour_profiles
 from jaxmocap.silhouette.surfaces.rim import Rim
 
 
-class EdgeSettings(NamedTuple):
+class InnerEdgeSettings(NamedTuple):
     """What makes a pair.
 
     Attributes:
         reach: cells of the rim's canvas to either side within which an edge is looked for.
         samples: to either side.
-        clear: two limbs' colours must lie so many times their deviations apart: an arm in a shirt
-            before the same shirt has no edge, though the shirt's pattern has.
-        fewest: points of one bone's boundary that say what colours they are.
+        contrast: two limbs' colours must lie so many times their deviations apart: an arm in a
+            shirt before the same shirt has no edge, though the shirt's pattern has.
+        least_points: of one bone's boundary that determine its two colours.
         weight: of a pair, by that of the outline's.
     """
 
     reach: float = 4.0
     samples: int = 10
-    clear: float = 1.4
-    fewest: int = 5
+    contrast: float = 1.4
+    least_points: int = 5
     weight: float = 0.5
 
 
-def edge_pairs(
-    images: Sequence[np.ndarray | None], rim: Rim, bones: np.ndarray, settings: EdgeSettings
+def inner_edge_pairs(
+    images: Sequence[np.ndarray | None], rim: Rim, bones: np.ndarray, settings: InnerEdgeSettings
 ) -> Matches:
     """Pairs (C, R) of the rims' inner points and the edges next to them.
 
@@ -48,7 +48,7 @@ def edge_pairs(
 
 
 def _of_camera(
-    image: np.ndarray | None, rim: Rim, bones: np.ndarray, camera: int, settings: EdgeSettings
+    image: np.ndarray | None, rim: Rim, bones: np.ndarray, camera: int, settings: InnerEdgeSettings
 ) -> tuple[np.ndarray, ...]:
     """One camera's row of all fields."""
     inner = rim.inner[camera]
@@ -60,10 +60,10 @@ def _of_camera(
         profiles = colour_profiles(image, pixels, normals, offsets)
         for bone in np.unique(bones[nodes[real]]):
             one = np.flatnonzero(real & (bones[nodes] == bone))
-            if len(one) < settings.fewest:
+            if len(one) < settings.least_points:
                 continue
-            place, apart = boundary(profiles[one])
-            if apart > settings.clear:
+            place, apart = colour_boundary(profiles[one])
+            if apart > settings.contrast:
                 offset[one] = np.interp(place, np.arange(len(offsets)), offsets)
     found = np.isfinite(offset)
     offset = np.where(found, offset, 0.0)
@@ -71,7 +71,7 @@ def _of_camera(
     return nodes, there, normals.astype(np.float32), np.abs(offset), found
 
 
-def joined(outlines: Matches, edges: Matches) -> Matches:
+def concatenated(outlines: Matches, edges: Matches) -> Matches:
     """Pairs (C, N) of outlines and (C, R) of edges as one."""
     both = zip(outlines, edges, strict=True)
     return Matches(*(np.concatenate([a, b.astype(a.dtype)], 1) for a, b in both))

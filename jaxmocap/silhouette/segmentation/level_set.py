@@ -20,7 +20,7 @@ BAND = 8.0
 FLAT = 1e-2
 
 
-class Motion(NamedTuple):
+class LevelSetMotion(NamedTuple):
     """How a level set moves; traced numbers.
 
     Attributes:
@@ -41,12 +41,14 @@ def heaviside(phi: Array, width: Array | float) -> Array:
     return 0.5 * (1 + jax.lax.erf(phi / width))
 
 
-def evolve(phi: Array, log_ratio: Array, motion: Motion, width: Array | float, steps: int) -> Array:
+def evolve(
+    phi: Array, log_ratio: Array, motion: LevelSetMotion, width: Array | float, steps: int
+) -> Array:
     """Φ (V, S, S) after a static number of steps."""
     return jax.lax.fori_loop(0, steps, lambda _, now: step(now, log_ratio, motion, width), phi)
 
 
-def step(phi: Array, log_ratio: Array, motion: Motion, width: Array | float) -> Array:
+def step(phi: Array, log_ratio: Array, motion: LevelSetMotion, width: Array | float) -> Array:
     """One step of (4.20) for V level sets.
 
     H' is taken relative to its peak, so that ``speed`` is that of the contour, in cells per unit of
@@ -76,13 +78,13 @@ def step(phi: Array, log_ratio: Array, motion: Motion, width: Array | float) -> 
     return jnp.clip(phi + force + kept + along, -BAND, BAND)
 
 
-def coarser(values: Array) -> Array:
+def downsampled(values: Array) -> Array:
     """Means (..., S/2, S/2) of two by two cells."""
     rows = values[..., ::2, :] + values[..., 1::2, :]
     return (rows[..., ::2] + rows[..., 1::2]) / 4
 
 
-def finer(phi: Array) -> Array:
+def upsampled(phi: Array) -> Array:
     """Φ (V, S, S) on cells of half the size (V, 2 S, 2 S), in those."""
     count, size, _ = phi.shape
     return 2 * jax.image.resize(phi, (count, 2 * size, 2 * size), "linear")

@@ -1,4 +1,4 @@
-"""Looking: what C cameras show of the person, as contours, or that a camera shows nothing of use.
+"""What C cameras show of the person, as contours, or that a camera shows nothing of use.
 
 INPUTS: images of C cameras, rims of the predicted pose. OUTPUTS: contours, and the level sets.
 """
@@ -12,17 +12,23 @@ import numpy as np
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.canvases import Canvas, attached, canvas, signed_distance
 from jaxmocap.images.regions import Region
-from jaxmocap.silhouette.correspond import Contour
-from jaxmocap.silhouette.segmentation.contour import contours
-from jaxmocap.silhouette.segmentation.segment import Histograms, Plan, Seen, Segmented, segment
-from jaxmocap.silhouette.segmentation.sharpen import sharpened
+from jaxmocap.silhouette.fit.correspond import Contour
+from jaxmocap.silhouette.segmentation.contour import Contours, contours
+from jaxmocap.silhouette.segmentation.segment import (
+    CanvasImages,
+    Histograms,
+    Segmentation,
+    SegmentationPlan,
+    segment,
+)
+from jaxmocap.silhouette.segmentation.sharpen import sharpened_silhouette
 from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.surfaces.rim import Rim
 
 # Fewer points of a contour are none.
-FEWEST = 16
+LEAST_POINTS = 16
 # OpenCV lets other threads work meanwhile.
-_THREADS = ThreadPoolExecutor(2, "looking")
+_THREADS = ThreadPoolExecutor(2, "sharpening")
 
 
 class Outlines(NamedTuple):
@@ -30,30 +36,30 @@ class Outlines(NamedTuple):
 
     Attributes:
         contours: one a camera; without points where it shows nothing.
-        segmented: level sets (C, S, S), on the canvases of ``region``.
+        segmentation: level sets (C, S, S), on the canvases of ``region``.
         region: the canvases' places.
-        valid: (C,) share of the contour's points that the image tells.
+        valid_share: (C,) share of the contour's points with enough contrast.
     """
 
     contours: tuple[Contour, ...]
-    segmented: Segmented
+    segmentation: Segmentation
     region: Region
-    valid: np.ndarray
+    valid_share: np.ndarray
 
 
-def look(
+def find_outlines(
     images: Sequence[np.ndarray | None],
-    rooms: Sequence[Background | None],
+    backgrounds: Sequence[Background | None],
     rim: Rim,
     before: Histograms,
     settings: Settings,
-    plan: Plan,
+    plan: SegmentationPlan,
 ) -> Outlines:
     """Segment the images from the silhouettes that are predicted.
 
     Args:
         images: (H, W, 3) BGR uint8 of each camera, or None.
-        rooms: what is known of each camera's room, or None.
+        backgrounds: of each camera, or None.
         rim: at the predicted pose.
         before: histograms of the frames before.
         settings: of the tracker.
@@ -61,31 +67,42 @@ def look(
     """
     size, region = settings.rim.size, Region(*map(np.asarray, rim.region))
     views = [Region(*each) for each in zip(*region, strict=True)]
-    taken = [_canvas(*each, size) for each in zip(images, views, rooms, strict=True)]
+    taken = [_canvas(*each, size) for each in zip(images, views, backgrounds, strict=True)]
     start = np.stack([silhouette_distance(mask) for mask in rim.masks])
-    seen = Seen.of(taken)
-    found = segment(seen, start, before, settings.level_set, plan)
-    phi = np.stack([attached(*each) for each in zip(np.asarray(found.phi), start, strict=True)])
-    if settings.sharpen:
-        phi = _sharpened(images, rooms, phi, views)
-    found = found._replace(phi=phi)
-    points = contours(
-        found.phi, found.log_ratio, seen.inside, region, settings.points, settings.level_set.most
+    canvases = CanvasImages.of(taken)
+    segmentation = segment(canvases, start, before, settings.level_set, plan)
+    phi = np.stack(
+        [attached(*each) for each in zip(np.asarray(segmentation.phi), start, strict=True)]
     )
-    places, normals, _, contrast, valid = map(np.asarray, points)
-    told = valid & (contrast > settings.contrast)
+    if settings.sharpen:
+        phi = _sharpened(images, backgrounds, phi, views)
+    segmentation = segmentation._replace(phi=phi)
+    found = contours(
+        segmentation.phi, segmentation.log_ratio, canvases.inside, region, settings.points,
+        settings.level_set.largest_log_ratio,
+    )  # fmt: skip
+    clear = np.asarray(found.valid) & (np.asarray(found.contrast) > settings.contrast)
+    lines = _lines(found, clear, images)
+    share = clear.sum(1) / np.maximum(np.asarray(found.valid).sum(1), 1)
+    return Outlines(lines, segmentation, region, share)
+
+
+def _lines(
+    found: Contours, clear: np.ndarray, images: Sequence[np.ndarray | None]
+) -> tuple[Contour, ...]:
+    """Each camera's clear points (C, N) bool; none where there are few of them, or no image."""
+    points, normals = np.asarray(found.points_xy), np.asarray(found.normals)
     lines = []
     for camera, image in enumerate(images):
-        kept = told[camera] & (image is not None)
-        kept = kept & (kept.sum() >= FEWEST)
-        lines.append(Contour(places[camera][kept], normals[camera][kept]))
-    share = told.sum(1) / np.maximum(valid.sum(1), 1)
-    return Outlines(tuple(lines), found, region, share)
+        kept = clear[camera] & (image is not None)
+        kept = kept & (kept.sum() >= LEAST_POINTS)
+        lines.append(Contour(points[camera][kept], normals[camera][kept]))
+    return tuple(lines)
 
 
 def _sharpened(
     images: Sequence[np.ndarray | None],
-    rooms: Sequence[Background | None],
+    backgrounds: Sequence[Background | None],
     phi: np.ndarray,
     views: Sequence[Region],
 ) -> np.ndarray:
@@ -95,7 +112,9 @@ def _sharpened(
         image, now, view = images[camera], phi[camera], views[camera]
         if image is None or not (now > 0).any():
             return now
-        return attached(sharpened(image, now, view, rooms[camera]).phi(view, len(now)), now)
+        return attached(
+            sharpened_silhouette(image, now, view, backgrounds[camera]).phi(view, len(now)), now
+        )
 
     return np.stack(list(_THREADS.map(one, range(len(phi)))))
 
@@ -106,9 +125,11 @@ def silhouette_distance(mask: np.ndarray) -> np.ndarray:
     return signed_distance(mask > 0, whole, len(mask))
 
 
-def _canvas(image: np.ndarray | None, region: Region, room: Background | None, size: int) -> Canvas:
+def _canvas(
+    image: np.ndarray | None, region: Region, background: Background | None, size: int
+) -> Canvas:
     if image is None:
         nothing = np.zeros((size, size), np.float32)
         black = np.zeros((size, size, 3), np.uint8)
         return Canvas(black, nothing, black, nothing + 1, nothing)
-    return canvas(image, region, size, room)
+    return canvas(image, region, size, background)

@@ -8,7 +8,7 @@ import numpy as np
 
 # Colours are averaged over so many places along the line, this far apart, pixels.
 ALONG = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
-# Samples next to the line, of either side, that tell nothing of the sides' colours.
+# Samples next to the line, on either side, that mix the sides' colours.
 BETWEEN = 3
 
 
@@ -35,7 +35,7 @@ def colour_profiles(
     return np.add.reduce([several[:, :, i] for i in range(len(ALONG))]) / np.float32(len(ALONG))
 
 
-def boundary(profiles: np.ndarray) -> tuple[np.ndarray, float]:
+def colour_boundary(profiles: np.ndarray) -> tuple[np.ndarray, float]:
     """Where profiles (R, K, 3) of one line go over from the colour before to the one behind.
 
     Returns:

@@ -2,10 +2,10 @@
 
 A level set starts from the silhouette of the predicted pose and moves to where the densities of
 person and rest explain the image best (4.19). Densities are estimated as the contour moves:
-histograms, of grey levels or of colours, and, for a camera that stands still, what is known of the
-room behind every single cell. What looks like the room tells nothing of the person, and what does
-not tells nothing of the rest: so a predicted limb that lies beside the true one does not make floor
-and limb change places. Where exactly the contour lies is for ``images.sharpen`` to say.
+histograms, of grey levels or of colours, and, for a camera that stands still, a model of
+the background behind every single cell. What looks like background is kept out of the person's
+histograms, and what does not out of the rest's: so a predicted limb that lies beside the true one
+does not make floor and limb change places. Where exactly the contour lies, ``sharpen`` decides.
 
 INPUTS: images of V cameras on canvases of one static size; Φ of the predicted silhouettes.
 OUTPUTS: Φ, the log-ratio of the densities, histograms to begin the next frame with.
@@ -24,43 +24,46 @@ from jaxmocap.images.canvases import Canvas
 from jaxmocap.silhouette.segmentation import densities
 from jaxmocap.silhouette.segmentation.level_set import (
     BAND,
-    Motion,
-    coarser,
+    LevelSetMotion,
+    downsampled,
     evolve,
-    finer,
     heaviside,
+    upsampled,
 )
 
-# A cell is the room's as far as this is likelier than such a density, per cubic grey level.
-ANYTHING = 1e-6
+# A cell is background as far as it is likelier than such a density, per cubic grey level.
+ANYTHING_DENSITY = 1e-6
 # Width of H where it weighs pixels of the two regions, cells.
-SOFT = 1.5
-LEAST = 1e-30
+REGION_WIDTH = 1.5
+# Of a logarithm's argument, per cubic grey level.
+LEAST_DENSITY = 1e-30
 
 
-class Seen(NamedTuple):
+class CanvasImages(NamedTuple):
     """V cameras' images on canvases of S x S cells.
 
     Attributes:
         colour: (V, 3, S, S) uint8, BGR, channel by channel: XLA takes a tenth longer to pick them
             out of pixels.
         inside: (V, S, S) 0 to 1, how far the cell lies within the image.
-        room: (V, 3, S, S) uint8, what the cell shows where nobody stands.
+        background: (V, 3, S, S) uint8, what the cell shows where nobody stands.
         noise: (V, S, S) float32, its deviation, grey levels.
-        known: (V, S, S) float32, 0 to 1, how surely that is known.
+        certainty: (V, S, S) float32, 0 to 1, how surely that is known.
     """
 
     colour: Array | np.ndarray
     inside: Array | np.ndarray
-    room: Array | np.ndarray
+    background: Array | np.ndarray
     noise: Array | np.ndarray
-    known: Array | np.ndarray
+    certainty: Array | np.ndarray
 
     @classmethod
-    def of(cls, canvases: Sequence[Canvas]) -> "Seen":
-        """What V cameras' canvases show."""
-        colour, inside, room, *rest = (np.stack(parts) for parts in zip(*canvases, strict=True))
-        planes = (np.moveaxis(image, -1, 1).copy() for image in (colour, room))
+    def of(cls, canvases: Sequence[Canvas]) -> "CanvasImages":
+        """Of V cameras' canvases."""
+        colour, inside, background, *rest = (
+            np.stack(parts) for parts in zip(*canvases, strict=True)
+        )
+        planes = (np.moveaxis(image, -1, 1).copy() for image in (colour, background))
         return cls(next(planes), inside, next(planes), *rest)
 
 
@@ -70,29 +73,30 @@ class Stage(NamedTuple):
     Attributes:
         steps: how many.
         width: of H' in cells, of twice the size where ``coarse``.
-        known: the same where the room is known: a limb beside the predicted one is seen from afar.
+        background_width: the same where the background is known: a limb beside the predicted one
+            attracts the contour from afar.
         coarse: whether on cells of twice the size.
         gap: cells about the contour that histograms leave out.
     """
 
     steps: int
     width: float
-    known: float
+    background_width: float
     coarse: bool = False
     gap: float = 0.0
 
 
-class Plan(NamedTuple):
+class SegmentationPlan(NamedTuple):
     """What is computed; static.
 
     Attributes:
         colour: joint histograms of colours rather than of grey levels.
-        room: whether anything is known of the rooms; their densities are of colours.
+        background: whether any background is known; its densities are of colours.
         stages: in turn.
     """
 
     colour: bool = True
-    room: bool = True
+    background: bool = True
     stages: tuple[Stage, ...] = (
         Stage(8, 4.0, 8.0, coarse=True, gap=2.0),
         Stage(8, 2.0, 2.0, coarse=True, gap=1.0),
@@ -100,24 +104,24 @@ class Plan(NamedTuple):
     )
 
 
-class Settings(NamedTuple):
+class LevelSetSettings(NamedTuple):
     """Traced numbers.
 
     Attributes:
         motion: of the level set.
-        most: log-ratios are cut off here.
-        strange: share of the room that does not look as it is known.
-        shape: log-ratio by which a cell far from the predicted silhouette must do better.
-        reach: how far that is, cells.
-        fade: weight of the histograms before in those of the next frame.
+        largest_log_ratio: log-ratios are cut off here.
+        outlier_share: share of the background that does not look as its model.
+        shape_prior: log-ratio by which a cell far from the predicted silhouette must do better.
+        prior_reach: how far that is, cells.
+        histogram_decay: weight of the histograms before in those of the next frame.
     """
 
-    motion: Motion = Motion()
-    most: Array | float = 3.0
-    strange: Array | float = 0.002
-    shape: Array | float = 0.0
-    reach: Array | float = 12.0
-    fade: Array | float = 0.9
+    motion: LevelSetMotion = LevelSetMotion()
+    largest_log_ratio: Array | float = 3.0
+    outlier_share: Array | float = 0.002
+    shape_prior: Array | float = 0.0
+    prior_reach: Array | float = 12.0
+    histogram_decay: Array | float = 0.9
 
 
 class Histograms(NamedTuple):
@@ -127,15 +131,15 @@ class Histograms(NamedTuple):
     rest: Array
 
     @classmethod
-    def empty(cls, views: int, plan: Plan) -> "Histograms":
+    def empty(cls, views: int, plan: SegmentationPlan) -> "Histograms":
         """Before the first frame."""
         bins = densities.LEVELS**3 if plan.colour else densities.GREYS
         zero = jnp.zeros((views, bins), jnp.float32)
         return cls(zero, zero)
 
 
-class Segmented(NamedTuple):
-    """What V cameras see of the person.
+class Segmentation(NamedTuple):
+    """Where V cameras show the person.
 
     Attributes:
         phi: (V, S, S) cells, positive within the person.
@@ -150,39 +154,47 @@ class Segmented(NamedTuple):
 
 @partial(jax.jit, static_argnames="plan")
 def segment(
-    seen: Seen, start: Array, before: Histograms, settings: Settings, plan: Plan
-) -> Segmented:
+    images: CanvasImages,
+    start: Array,
+    before: Histograms,
+    settings: LevelSetSettings,
+    plan: SegmentationPlan,
+) -> Segmentation:
     """Segment V images.
 
     Args:
-        seen: the images.
+        images: the images.
         start: (V, S, S) signed distance to the predicted silhouette, cells, positive within.
         before: of the frames before; ``Histograms.empty`` at first.
         settings: traced numbers.
         plan: static choices; another one compiles anew.
     """
-    if plan.room and not plan.colour:
-        raise ValueError("plan.room without plan.colour: expected plan.colour = True too")
-    fine = _Pixels.of(seen, plan)
+    if plan.background and not plan.colour:
+        raise ValueError("plan.background without plan.colour: expected plan.colour = True too")
+    fine = _Pixels.of(images, plan)
     coarse = fine.halved(plan)
     phi, ratio, now = jnp.clip(start, -BAND, BAND), jnp.zeros_like(start), before
-    beyond = jnp.clip(start + settings.reach, -settings.reach, 0.0)
-    prior = settings.shape * beyond / settings.reach
+    beyond = jnp.clip(start + settings.prior_reach, -settings.prior_reach, 0.0)
+    prior = settings.shape_prior * beyond / settings.prior_reach
     for stage in plan.stages:
         pixels = coarse if stage.coarse else fine
-        here = coarser(phi) / 2 if stage.coarse else phi
+        here = downsampled(phi) / 2 if stage.coarse else phi
         now = _histograms(here, pixels, before.person.shape[-1], stage, plan)
         mixed = Histograms(*(a + b for a, b in zip(now, before, strict=True)))
         ratio = _log_ratio(mixed, pixels, settings, plan)
         ratio = ratio * pixels.inside
-        force = ratio + (coarser(prior) if stage.coarse else prior)
+        force = ratio + (downsampled(prior) if stage.coarse else prior)
         width = (
-            stage.width + (stage.known - stage.width) * pixels.known if plan.room else stage.width
+            stage.width + (stage.background_width - stage.width) * pixels.certainty
+            if plan.background
+            else stage.width
         )
         moved = evolve(here, force, settings.motion, width, stage.steps)
-        phi = jnp.clip(finer(moved), -BAND, BAND) if stage.coarse else moved
-    kept = Histograms(*(settings.fade * (a + b) for a, b in zip(before, now, strict=True)))
-    return Segmented(phi, ratio, kept)
+        phi = jnp.clip(upsampled(moved), -BAND, BAND) if stage.coarse else moved
+    kept = Histograms(
+        *(settings.histogram_decay * (a + b) for a, b in zip(before, now, strict=True))
+    )
+    return Segmentation(phi, ratio, kept)
 
 
 class _Pixels(NamedTuple):
@@ -190,52 +202,68 @@ class _Pixels(NamedTuple):
 
     colour: Array
     inside: Array
-    room: Array
+    background: Array
     noise: Array
-    known: Array
+    certainty: Array
     bins: Array
-    empty: Array
+    background_density: Array
 
     @classmethod
-    def of(cls, seen: Seen, plan: Plan) -> "_Pixels":
-        colour, room = (
-            jnp.asarray(image).astype(jnp.float32) for image in (seen.colour, seen.room)
+    def of(cls, images: CanvasImages, plan: SegmentationPlan) -> "_Pixels":
+        colour, background = (
+            jnp.asarray(image).astype(jnp.float32) for image in (images.colour, images.background)
         )
-        inside, noise, known = (jnp.asarray(a) for a in (seen.inside, seen.noise, seen.known))
-        return cls._with(plan, colour, inside, room, noise, known)
+        inside, noise, certainty = (
+            jnp.asarray(a) for a in (images.inside, images.noise, images.certainty)
+        )
+        return cls._with(plan, colour, inside, background, noise, certainty)
 
     @classmethod
-    def _with(cls, plan: Plan, colour: Array, *rest: Array) -> "_Pixels":
-        """With what follows from the rest: bins, and the density of the room."""
-        inside, room, noise, known = rest
-        bins = (densities.colour_bins if plan.colour else densities.grey_bins)(colour)
-        empty = densities.room_density(colour, room, noise) if plan.room else jnp.zeros(())
-        return cls(colour, inside, room, noise, known, bins, empty)
+    def _with(cls, plan: SegmentationPlan, colour: Array, *rest: Array) -> "_Pixels":
+        """With what follows from the rest: bins, and the density of the background."""
+        inside, background, noise, certainty = rest
+        bins = (densities.joint_bins if plan.colour else densities.grey_bins)(colour)
+        density = (
+            densities.background_density(colour, background, noise)
+            if plan.background
+            else jnp.zeros(())
+        )
+        return cls(colour, inside, background, noise, certainty, bins, density)
 
-    def halved(self, plan: Plan) -> "_Pixels":
+    def halved(self, plan: SegmentationPlan) -> "_Pixels":
         """On cells of twice the size."""
-        return self._with(plan, *(coarser(part) for part in self[:5]))
+        return self._with(plan, *(downsampled(part) for part in self[:5]))
 
 
-def _histograms(phi: Array, pixels: _Pixels, count: int, stage: Stage, plan: Plan) -> Histograms:
+def _histograms(
+    phi: Array, pixels: _Pixels, count: int, stage: Stage, plan: SegmentationPlan
+) -> Histograms:
     """Counts of both sides, but for the cells next to the contour that the stage leaves out."""
     # A coarse cell counts as the four that it is, so that histograms can be added.
     weight = 4.0 if stage.coarse else 1.0
     person, rest = (
-        weight * heaviside(sign * phi - stage.gap, SOFT) * pixels.inside for sign in (1.0, -1.0)
+        weight * heaviside(sign * phi - stage.gap, REGION_WIDTH) * pixels.inside
+        for sign in (1.0, -1.0)
     )
-    if plan.room:
-        room = pixels.empty / (pixels.empty + ANYTHING)
-        person, rest = person * (1 - pixels.known * room), rest * (1 - pixels.known * (1 - room))
-    return Histograms(*(densities.counted(pixels.bins, side, count) for side in (person, rest)))
+    if plan.background:
+        share = pixels.background_density / (pixels.background_density + ANYTHING_DENSITY)
+        person = person * (1 - pixels.certainty * share)
+        rest = rest * (1 - pixels.certainty * (1 - share))
+    return Histograms(
+        *(densities.histogram_counts(pixels.bins, side, count) for side in (person, rest))
+    )
 
 
-def _log_ratio(histograms: Histograms, pixels: _Pixels, settings: Settings, plan: Plan) -> Array:
-    """Log p1 - log p2 (V, S, S), by histograms and the room."""
+def _log_ratio(
+    histograms: Histograms, pixels: _Pixels, settings: LevelSetSettings, plan: SegmentationPlan
+) -> Array:
+    """Log p1 - log p2 (V, S, S), by histograms and the background."""
     density = densities.colour_density if plan.colour else densities.grey_density
-    person, rest = (densities.looked_up(density(each), pixels.bins) for each in histograms)
-    if plan.room:
-        empty = (1 - settings.strange) * pixels.empty + settings.strange * rest
-        rest = pixels.known * empty + (1 - pixels.known) * rest
-    ratio = jnp.log(person + LEAST) - jnp.log(rest + LEAST)
-    return jnp.clip(ratio, -settings.most, settings.most)
+    person, rest = (densities.lookup(density(each), pixels.bins) for each in histograms)
+    if plan.background:
+        empty = (
+            1 - settings.outlier_share
+        ) * pixels.background_density + settings.outlier_share * rest
+        rest = pixels.certainty * empty + (1 - pixels.certainty) * rest
+    ratio = jnp.log(person + LEAST_DENSITY) - jnp.log(rest + LEAST_DENSITY)
+    return jnp.clip(ratio, -settings.largest_log_ratio, settings.largest_log_ratio)

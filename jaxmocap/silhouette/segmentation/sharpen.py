@@ -1,8 +1,8 @@
 """Sharpening: where exactly a silhouette ends that is known to some pixels already.
 
-Cells of a level set are larger than pixels, and a histogram held against a sharply known room calls
-every pixel the person's that is not quite the room's. Here each pixel next to the contour is asked
-how much of it the person covers: its colour lies between those that person and room have close by.
+Cells of a level set are larger than pixels, and a histogram against a sharp background takes
+every pixel for the person that is not quite background. Here each pixel next to the contour is
+estimated by how much the person covers it: its colour lies between those of both close by.
 
 INPUTS: an image uint8, Φ on a canvas, a Background. OUTPUTS: a mask of the image's own pixels, of a
 few of them at a time where the person is large; Φ of it on the canvas again.
@@ -17,14 +17,18 @@ from jaxmocap.images.background_model import Background
 from jaxmocap.images.canvases import FARTHEST, full_mask, sampled
 from jaxmocap.images.regions import Region
 
-# Pixels from the contour to where a side's colours are its own; and, round by round, how far it may
-# move inwards and outwards: the first has to find the limbs' ends, the second starts next to them.
-DEPTH, ROUNDS = 1, ((2, 5), (2, 2))
-# Window over which each side's colours, and the light on the room, are averaged, pixels to a side;
-# and that over which the contour is smoothed where pixels tell nothing.
-BESIDE_PX, SMOOTH_PX = 7, 11
-# Light on the room may fall to, or rise to, so much of what is known of it.
-DIMMEST, BRIGHTEST = 0.5, 1.3
+# Pixels from the contour to where a side's colours are its own.
+DEPTH_PX = 1
+# Round by round, how many pixels the contour may move inwards and outwards: the first has to find
+# the limbs' ends, the second starts next to them.
+ROUNDS = ((2, 5), (2, 2))
+# Window over which each side's colours, and the light on the background, are averaged, pixels.
+BESIDE_PX = 7
+# Window over which the contour is smoothed where colours do not separate the sides, pixels.
+SMOOTH_PX = 11
+# Light on the background may fall to, or rise to, so much of the model's.
+DIMMEST = 0.5
+BRIGHTEST = 1.3
 # Brightness, and two chromaticities, by blue, green, red and 1. Videos hold chromaticities at half
 # the resolution, blurred over a silhouette's edge: they count for less.
 BLURRED = 0.6
@@ -34,20 +38,22 @@ CHANNELS = np.array([
     [BLURRED * -0.081, BLURRED * -0.419, BLURRED * 0.5, 128],
 ], np.float32)  # fmt: skip
 BLACK = np.array([0, 128, 128, 255], np.float32)
-EVERY = np.ones(4, np.float32)
+ALL_CHANNELS = np.ones(4, np.float32)
 # Squared difference of two images of the same place by their noise, of those channels.
-NOISE = 40.0
+SQUARED_NOISE = 40.0
 # A pixel is the person's from this share on: bodies are darker at their rim than the mean beside.
-COVERED = 0.4
-# Contrast of the two sides, squared levels, from which they are believed.
-CONTRAST = 150.0
-# Of the decision, pixels.
-SOFTNESS = 0.7
-# Pixels around the silhouette that are looked at; pixels to a cell of the canvas that suffice.
-MARGIN_PX, FINE = 16, 2.0
+COVERED_SHARE = 0.4
+# Contrast of the two sides, squared levels, at which their decision counts by half.
+HALF_CONTRAST = 150.0
+# Deviation of the blur over the decision, pixels.
+SOFTNESS_PX = 0.7
+# Pixels around the silhouette that are examined.
+MARGIN_PX = 16
+# Pixels to a cell of the canvas that suffice.
+FINE = 2.0
 
 
-class Patch(NamedTuple):
+class SilhouettePatch(NamedTuple):
     """A part of an image, maybe shrunk.
 
     Attributes:
@@ -69,43 +75,43 @@ class Patch(NamedTuple):
         """(H, W) bool on the image of that shape."""
         height, width = self.mask.shape
         step = round(float(self.region.scale))
-        whole = np.zeros(shape, bool)
+        filled = np.zeros(shape, bool)
         left, top = (round(float(value) + 0.5) for value in self.region.origin)
-        part = whole[top : top + step * height, left : left + step * width]
+        part = filled[top : top + step * height, left : left + step * width]
         if step == 1:
             part[:] = self.mask
         else:
             size = (step * width, step * height)
             wide = cv2.resize(_distance(self.mask), size, interpolation=cv2.INTER_LINEAR)
             part[:] = wide[: part.shape[0], : part.shape[1]] > 0
-        return whole
+        return filled
 
 
-def sharpened(
-    image: np.ndarray, phi: np.ndarray, region: Region, room: Background | None = None
-) -> Patch:
+def sharpened_silhouette(
+    image: np.ndarray, phi: np.ndarray, region: Region, background: Background | None = None
+) -> SilhouettePatch:
     """The silhouette to a pixel.
 
     Args:
         image: (H, W, 3) BGR uint8.
         phi: (S, S) cells, positive within the person.
         region: where the canvas lies.
-        room: what is known of what stands behind; without it, what is seen beside the person.
+        background: its model; without it, what is visible beside the person.
     """
     step = max(1, int(float(region.scale) / FINE))
     rows, columns = _box(phi > 0, region, image.shape[:2], step)
     corner = np.array([columns.start, rows.start], np.float32)
     there = Region(np.asarray(region.origin) - corner, region.scale)
     before = full_mask(phi, there, (rows.stop - rows.start, columns.stop - columns.start))
-    seen = _channels(_shrunk(image[rows, columns], step))
+    channels = _channels(_shrunk(image[rows, columns], step))
     behind = None
-    if room is not None:
-        colour, known = room.colour[rows, columns], room.known[rows, columns]
+    if background is not None:
+        colour, known = background.colour[rows, columns], background.known[rows, columns]
         behind = _channels(cv2.convertScaleAbs(_shrunk(colour, step))), _shrunk(known, step)
     found = _shrunk(255 * before.astype(np.uint8), step) > 127
     for inwards, outwards in ROUNDS:
-        found = _moved(seen, found, behind, inwards, outwards)
-    return Patch(found, Region(corner - np.float32(0.5), np.array(step, np.float32)))
+        found = _moved(channels, found, behind, inwards, outwards)
+    return SilhouettePatch(found, Region(corner - np.float32(0.5), np.array(step, np.float32)))
 
 
 def _channels(image: np.ndarray) -> np.ndarray:
@@ -114,48 +120,50 @@ def _channels(image: np.ndarray) -> np.ndarray:
 
 
 def _moved(
-    seen: np.ndarray,
+    channels: np.ndarray,
     mask: np.ndarray,
-    room: tuple[np.ndarray, np.ndarray] | None,
+    background: tuple[np.ndarray, np.ndarray] | None,
     inwards: int,
     outwards: int,
 ) -> np.ndarray:
-    """The mask (h, w) after a look at the pixels (h, w, 4) uint8 next to its border.
+    """The mask (h, w) after its border has moved by the pixels (h, w, 4) uint8 next to it.
 
-    How much of a pixel is the person's is told by how far its colour lies from the room's: where
-    the room is known, in any direction, for a body has more colours than their mean beside; else
-    along the way to the person's, for a room has more than one as well.
+    How much of a pixel is the person's follows from how far its colour lies from the background's:
+    where that is known, in any direction, for a body has more colours than their mean beside; else
+    along the way to the person's, for a background has more than one as well.
     """
-    whole = mask.astype(np.uint8)
-    inner, outer = cv2.erode(whole, _disc(DEPTH)), 1 - cv2.dilate(whole, _disc(DEPTH))
-    near = cv2.dilate(whole, _square(outwards)) - cv2.erode(whole, _square(inwards))
+    filled = mask.astype(np.uint8)
+    inner, outer = cv2.erode(filled, _disc(DEPTH_PX)), 1 - cv2.dilate(filled, _disc(DEPTH_PX))
+    near = cv2.dilate(filled, _square(outwards)) - cv2.erode(filled, _square(inwards))
     at = np.flatnonzero(near.view(bool))
-    (person, sure), (other, free) = (_beside(seen, side, at) for side in (inner, outer))
+    (person, sure), (other, free) = (_beside(channels, side, at) for side in (inner, outer))
     known = np.zeros(len(at), np.float32)
-    if room is not None:
-        known = _taken(room[1], at)
-        (lit, _), colour = _beside(room[0], outer, at), _taken(room[0], at) - BLACK
+    if background is not None:
+        known = _taken(background[1], at)
+        (lit, _), colour = _beside(background[0], outer, at), _taken(background[0], at) - BLACK
         light = np.clip(other[:, 0] / np.maximum(lit[:, 0], 1.0), DIMMEST, BRIGHTEST)
         behind = BLACK + np.where(free, light, np.float32(1))[:, None] * colour
         other += known[:, None] * (behind - other)
         free = free | (known > 0.5)
-    apart, away = person - other, _taken(seen, at) - other
-    contrast, off = apart**2 @ EVERY, away**2 @ EVERY
-    along = (apart * away) @ EVERY / np.maximum(contrast, 1.0)
-    far = np.sqrt(np.maximum(off - NOISE, 0) / np.maximum(contrast, 1.0))
+    apart, away = person - other, _taken(channels, at) - other
+    contrast, off = apart**2 @ ALL_CHANNELS, away**2 @ ALL_CHANNELS
+    along = (apart * away) @ ALL_CHANNELS / np.maximum(contrast, 1.0)
+    far = np.sqrt(np.maximum(off - SQUARED_NOISE, 0) / np.maximum(contrast, 1.0))
     covered = along + known * (far - along)
-    trust = contrast / (contrast + CONTRAST) * (sure & free)
-    before = _taken(cv2.blur(255 * whole, (SMOOTH_PX, SMOOTH_PX)), at)
-    share = 255 * np.clip(covered - COVERED + 0.5, 0, 1)
-    decided = 255 * whole
-    decided.ravel()[at] = np.rint(before + trust * (share - before))
-    return cv2.GaussianBlur(decided, (0, 0), SOFTNESS) > 127
+    weight = contrast / (contrast + HALF_CONTRAST) * (sure & free)
+    before = _taken(cv2.blur(255 * filled, (SMOOTH_PX, SMOOTH_PX)), at)
+    share = 255 * np.clip(covered - COVERED_SHARE + 0.5, 0, 1)
+    decided = 255 * filled
+    decided.ravel()[at] = np.rint(before + weight * (share - before))
+    return cv2.GaussianBlur(decided, (0, 0), SOFTNESS_PX) > 127
 
 
-def _beside(seen: np.ndarray, side: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _beside(
+    channels: np.ndarray, side: np.ndarray, at: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Mean channels (N, 4) of a side (h, w) about some pixels, and whether any of it is there."""
-    held = cv2.bitwise_and(seen, seen, mask=side)
-    sums = cv2.boxFilter(held, cv2.CV_16U, (BESIDE_PX, BESIDE_PX), normalize=False)
+    one_side = cv2.bitwise_and(channels, channels, mask=side)
+    sums = cv2.boxFilter(one_side, cv2.CV_16U, (BESIDE_PX, BESIDE_PX), normalize=False)
     chosen = _taken(sums, at)
     weight = chosen[:, 3:]
     return chosen * (255 / np.maximum(weight, 1.0)), weight[:, 0] > 0
@@ -173,7 +181,7 @@ def _taken(image: np.ndarray, at: np.ndarray) -> np.ndarray:
 def _box(
     within: np.ndarray, region: Region, shape: tuple[int, ...], step: int
 ) -> tuple[slice, slice]:
-    """Rows and columns of an image about what a canvas (S, S) shows, whole multiples of ``step``.
+    """Rows and columns of an image about what a canvas (S, S) shows, filled multiples of ``step``.
 
     One of them, where that is nothing or wholly outside.
     """
@@ -207,9 +215,9 @@ def _square(radius: int) -> np.ndarray:
 
 def _distance(mask: np.ndarray) -> np.ndarray:
     """(h, w) float32: pixels from the border of a mask, positive within, slightly smoothed."""
-    whole = mask.astype(np.uint8)
+    filled = mask.astype(np.uint8)
     if not mask.any() or mask.all():
         return np.full(mask.shape, FARTHEST if mask.any() else -FARTHEST, np.float32)
-    inner, outer = (cv2.distanceTransform(part, cv2.DIST_L2, 3) for part in (whole, 1 - whole))
+    inner, outer = (cv2.distanceTransform(part, cv2.DIST_L2, 3) for part in (filled, 1 - filled))
     away = np.where(mask, inner - 0.5, 0.5 - outer)
-    return cv2.GaussianBlur(np.clip(away, -FARTHEST, FARTHEST), (0, 0), SOFTNESS)
+    return cv2.GaussianBlur(np.clip(away, -FARTHEST, FARTHEST), (0, 0), SOFTNESS_PX)

@@ -89,7 +89,7 @@ def outer_boundary(keys: np.ndarray, mask: np.ndarray, count: int | None = None)
         count: of cells, at most, evenly along it; all without it.
     """
     found = traced(mask)
-    return _with_nodes(keys, *(found if count is None else thinned(found, count)))
+    return _with_nodes(keys, *(found if count is None else subsampled(found, count)))
 
 
 def traced(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -194,7 +194,7 @@ def _steps_back(
     return x, y
 
 
-def thinned(parts: tuple[np.ndarray, ...], count: int) -> tuple[np.ndarray, ...]:
+def subsampled(parts: tuple[np.ndarray, ...], count: int) -> tuple[np.ndarray, ...]:
     """At most ``count`` of the rows that all parts have, evenly along them."""
     rows = len(parts[0])
     if rows <= count:

@@ -21,16 +21,14 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.surface import (
-    BodyPoints,
     Skin,
     Surface,
-    low_pass,
     resampled,
-    skin_of,
     skinned,
 )
-from jaxmocap.geometry.cameras import NEAREST_M, Camera, pixel_components
+from jaxmocap.geometry.cameras import NEAREST_M, Camera, camera_components, pixel_components
 from jaxmocap.images.regions import Region, region_around
+from jaxmocap.silhouette.surfaces.body_shape import BodyShape
 from jaxmocap.silhouette.surfaces.index_image import (
     Boundary,
     body_mask,
@@ -38,13 +36,13 @@ from jaxmocap.silhouette.surfaces.index_image import (
     inner_boundary,
     node_keys,
     outer_boundary,
-    thinned,
+    subsampled,
 )
-from jaxmocap.silhouette.surfaces.morph import Morph, Morphing, worn
-from jaxmocap.silhouette.surfaces.swelling import morphed
+from jaxmocap.silhouette.surfaces.morph import Morph, Morphing, morphed_skin
+from jaxmocap.silhouette.surfaces.swelling import morph_around
 
-# How often a node may move on to a neighbour that stands out farther.
-CLIMBS = 3
+# Steps of a node to a neighbour that lies farther out along its normal, at most.
+OUTWARD_STEPS = 3
 
 
 @dataclass(frozen=True)
@@ -80,7 +78,7 @@ class Rim(NamedTuple):
         pixels_xy: (C, R, 2) where they are seen, in the whole image.
         normals: (C, R, 2) unit vectors in the image, out of the body.
         inner: (C, R) is it a boundary between limbs, which no mask shows?
-        real: (C, R) False for padding.
+        valid: (C, R) False for padding.
         masks: (C, size, size) uint8 of the body on the canvases.
         region: the canvases' places in the images.
     """
@@ -89,12 +87,12 @@ class Rim(NamedTuple):
     pixels_xy: np.ndarray
     normals: np.ndarray
     inner: np.ndarray
-    real: np.ndarray
+    valid: np.ndarray
     masks: np.ndarray
     region: Region
 
 
-class Drawn(NamedTuple):
+class ProjectedNodes(NamedTuple):
     """M nodes as C cameras see them.
 
     Attributes:
@@ -114,17 +112,11 @@ class Drawn(NamedTuple):
     region: Region
 
 
-def stacked(cameras: list[Camera]) -> Camera:
-    """C cameras as one, each of its arrays with a new first axis."""
-    return jax.tree.map(lambda *parts: jnp.stack(parts), *cameras)
-
-
 class RimFinder:
-    """Finds rims of one person's surface.
+    """Finds rims of surfaces that are alike node for node.
 
     Attributes:
-        surface: the denser one, whose nodes rims consist of.
-        coarse: its low-pass, node for node.
+        initial_shape: of the person, before any pass has corrected it.
         settings: static.
         morph: what of it goes along with the joints' angles; None if nothing does.
     """
@@ -138,34 +130,29 @@ class RimFinder:
     ):
         """Prepare for a surface around a skeleton; traces once for a number of cameras."""
         self.settings = settings or RimSettings()
-        joints = rest_joints(skeleton)
-        self.wear(resampled(surface, joints, self.settings.spacing), joints)
+        joints, spacing = rest_joints(skeleton), self.settings.spacing
+        self.initial_shape = self.shape_of(skeleton, resampled(surface, joints, spacing))
         self.morph = None
-        if morphing is not None and morphing.steers:
-            self.morph = morphed(morphing, skeleton.tree, surface, joints, self.settings.spacing)
-        self._beside = neighbours(self.surface)
-        self._limbs = limbs_of(self.surface)
-        self._drawing = jax.jit(self._drawn)
+        if morphing is not None and morphing.drivers:
+            self.morph = morph_around(morphing, skeleton.tree, surface, joints, spacing)
+        self._neighbours = neighbours(self.initial_shape.surface)
+        self._limbs = limb_numbers(self.initial_shape.surface)
+        self._project = jax.jit(self._projected)
 
-    def wear(self, surface: Surface, joints: np.ndarray) -> None:
-        """Take another surface of as many nodes, around joints (B, 3) at rest, from now on."""
-        self.surface, self.coarse = surface, low_pass(surface, joints, *self.settings.coarse)
-        self._skins = skin_of(surface, joints), skin_of(self.coarse, joints)
+    def shape_of(self, skeleton: Skeleton, surface: Surface) -> BodyShape:
+        """Another shape of the same person: a surface of as many nodes, around a skeleton."""
+        return BodyShape.of(skeleton, surface, self.settings.coarse)
 
-    def _draw(self, skeleton: Skeleton, pose: Pose, cameras: Camera, coarse: bool = False) -> Drawn:
-        return self._drawing(self._skins[coarse], self.morph, skeleton, pose, cameras)
-
-    def _drawn(
+    def _projected(
         self, skin: Skin, morph: Morph | None, skeleton: Skeleton, pose: Pose, cameras: Camera
-    ) -> Drawn:
+    ) -> ProjectedNodes:
         """What C cameras see of all nodes; their places on canvases about the person."""
-        skin = skin if morph is None else worn(skin, morph, pose.angles)
+        skin = skin if morph is None else morphed_skin(skin, morph, pose.angles)
         x, y, z = skinned(forward(skeleton, pose), skin)
         s = self.settings
 
-        def seen(camera: Camera) -> Drawn:
-            T = camera.T_cam_world
-            at_cam = [T[i, 0] * x + T[i, 1] * y + T[i, 2] * z + T[i, 3] for i in range(3)]
+        def one(camera: Camera) -> ProjectedNodes:
+            at_cam = camera_components(camera, x, y, z)
             depth = jnp.maximum(at_cam[2], NEAREST_M)
             u, v = pixel_components(camera, at_cam[0] / depth, at_cam[1] / depth)
             corners = jnp.stack([jnp.stack([jnp.min(u), jnp.min(v)]),
@@ -174,60 +161,61 @@ class RimFinder:
             column = (u - region.origin[0]) / region.scale - 0.5
             row = (v - region.origin[1]) / region.scale - 0.5
             places, keys = node_keys(column, row, depth, s.size)
-            return Drawn(u, v, depth, places, keys, region)
+            return ProjectedNodes(u, v, depth, places, keys, region)
 
-        return jax.vmap(seen)(cameras)
+        return jax.vmap(one)(cameras)
 
-    def find(self, skeleton: Skeleton, pose: Pose, cameras: Camera, coarse: bool = False) -> Rim:
-        """The rims as C cameras (``stacked``) see them, of the surface or of its low-pass."""
-        drawn = jax.tree.map(np.asarray, self._draw(skeleton, pose, cameras, coarse))
-        views = [jax.tree.map(lambda part, c=c: part[c], drawn) for c in range(len(drawn.u))]
+    def find(self, shape: BodyShape, pose: Pose, cameras: Camera, coarse: bool = False) -> Rim:
+        """The rims as C cameras (stacked) see them, of the surface or of its low-pass."""
+        skin = shape.coarse_skin if coarse else shape.skin
+        projected = self._project(skin, self.morph, shape.skeleton, pose, cameras)
+        projected = jax.tree.map(np.asarray, projected)
+        count = len(projected.u)
+        views = [jax.tree.map(lambda part, c=c: part[c], projected) for c in range(count)]
         rows = zip(*(self._of_camera(view) for view in views), strict=True)
-        nodes, pixels, normals, inner, real, masks = (np.stack(parts) for parts in rows)
-        return Rim(nodes, pixels, normals, inner, real, masks, drawn.region)
+        nodes, pixels, normals, inner, valid, masks = (np.stack(parts) for parts in rows)
+        return Rim(nodes, pixels, normals, inner, valid, masks, projected.region)
 
-    def _of_camera(self, drawn: Drawn) -> tuple[np.ndarray, ...]:
+    def _of_camera(self, projected: ProjectedNodes) -> tuple[np.ndarray, ...]:
         """One camera's row of all fields but the region."""
         s = self.settings
-        keys = index_image(drawn.places, drawn.keys, s.size)
+        keys = index_image(projected.places, projected.keys, s.size)
         mask = body_mask(keys)
         found = [outer_boundary(keys, mask, s.outer)]
         if s.inner:
             found.append(
-                Boundary(*thinned(inner_boundary(keys, drawn.depth, s.jump, self._limbs), s.inner))
+                Boundary(
+                    *subsampled(inner_boundary(keys, projected.depth, s.jump, self._limbs), s.inner)
+                )
             )
         nodes, normals = np.zeros(s.outer + s.inner, int), np.zeros((s.outer + s.inner, 2))
         real = np.zeros(len(nodes), bool)
         for part, start in zip(found, (0, s.outer), strict=False):
             rows = np.s_[start : start + len(part.nodes)]
             nodes[rows], normals[rows], real[rows] = part.nodes, part.normals, True
-        nodes = self._standing_out(nodes, normals, drawn)
-        pixels = np.stack([drawn.u[nodes], drawn.v[nodes]], 1)
+        nodes = self._outermost(nodes, normals, projected)
+        pixels = np.stack([projected.u[nodes], projected.v[nodes]], 1)
         is_inner = np.arange(len(nodes)) >= s.outer
         return nodes, pixels, normals.astype(pixels.dtype), is_inner, real, mask
 
-    def _standing_out(self, nodes: np.ndarray, normals: np.ndarray, drawn: Drawn) -> np.ndarray:
+    def _outermost(
+        self, nodes: np.ndarray, normals: np.ndarray, projected: ProjectedNodes
+    ) -> np.ndarray:
         """Nodes (R,) moved to neighbours that are seen farthest along the normals."""
-        for _ in range(CLIMBS):
-            options = self._beside[nodes]
-            outwards = drawn.u[options] * normals[:, :1] + drawn.v[options] * normals[:, 1:]
+        for _ in range(OUTWARD_STEPS):
+            options = self._neighbours[nodes]
+            outwards = projected.u[options] * normals[:, :1] + projected.v[options] * normals[:, 1:]
             nodes = options[np.arange(len(nodes)), outwards.argmax(1)]
         return nodes
 
-    def points(self, nodes: np.ndarray, coarse: bool = False) -> BodyPoints:
-        """Nodes of the denser surface, or of its low-pass, on bones, for ``solve_pose``."""
-        every = (self.coarse if coarse else self.surface).points
-        chosen = nodes.ravel()
-        return BodyPoints(*(np.asarray(part)[chosen] for part in every))
-
     def moves(self, nodes: np.ndarray) -> np.ndarray | None:
-        """How the same nodes go along with steers, (N, 3, S); None if nothing does."""
+        """How the same nodes go along with drivers, (N, 3, S); None if nothing does."""
         if self.morph is None or self.morph.moves is None:
             return None
         return np.asarray(self.morph.moves)[nodes.ravel()]
 
 
-def limbs_of(surface: Surface) -> np.ndarray:
+def limb_numbers(surface: Surface) -> np.ndarray:
     """(M,) uint8 number of every node's limb; a foot and its leg are one."""
     names = [patch.name.replace("foot", "leg") for patch in surface.patches]
     return np.array([names.index(name) for name in names], np.uint8)[surface.patch_of()]

@@ -28,10 +28,10 @@ from jaxmocap.body.surfaces.surface import Surface, posed
 from jaxmocap.body.surfaces.swelling_fields import fields_of, reshaped
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.geometry.rotations import HIGHEST
-from jaxmocap.silhouette.correspond import pairs_of
-from jaxmocap.silhouette.device_functions import Seen
+from jaxmocap.silhouette.device_functions import ContourPairs
+from jaxmocap.silhouette.fit.correspond import pairs_of
 from jaxmocap.silhouette.points import linearised
-from jaxmocap.silhouette.surfaces.morph import Morph, moved, steered
+from jaxmocap.silhouette.surfaces.morph import Morph, driver_values, moved_points
 
 # Deviation of a pair, metres, such that a whole recording's pairs count as what they are worth:
 # neighbours on a contour err alike, and so does one place of the body in all frames.
@@ -40,24 +40,24 @@ DEVIATION_M = 0.15
 FREEDOM = 10.0
 
 
-class Paired(NamedTuple):
+class NodePairs(NamedTuple):
     """The pairs that a pose was found with.
 
     Attributes:
         nodes: (C, N) of the surface.
-        seen: the same pairs, with what robust weighting leaves of their weights.
+        pairs: the same pairs, with what robust weighting leaves of their weights.
     """
 
     nodes: np.ndarray
-    seen: Seen
+    pairs: ContourPairs
 
 
 @partial(jax.jit, static_argnames="lengths")
-def told(
+def shape_equations(
     skeleton: Skeleton,
     cameras: Camera,
     pose: Pose,
-    seen: Seen,
+    pairs: ContourPairs,
     moves: Array,
     morph: Morph | None = None,
     lengths: int = 0,
@@ -66,45 +66,45 @@ def told(
 
     Args:
         skeleton: of the person.
-        cameras: C, ``stacked``.
+        cameras: C, stacked.
         pose: that was found.
-        seen: its pairs, with what robust weighting leaves of their weights.
+        pairs: its own, with what robust weighting leaves of their weights.
         moves: (C * N, 3, P) of the pairs' nodes.
         morph: what goes along with the pose.
         lengths: so many of the ``LENGTHS`` are part of the shape; static.
     """
-    if morph is not None and seen.moves is not None:
-        gone = moved(seen.points, seen.moves, steered(morph, pose.angles))
-        seen = seen._replace(points=gone)
-    pixels_xy, normals, weights = (jnp.asarray(part) for part in seen[1:4])
-    pairs = pairs_of(cameras, seen.points, pixels_xy, normals, weights, 0.0)
+    if morph is not None and pairs.moves is not None:
+        gone = moved_points(pairs.points, pairs.moves, driver_values(morph, pose.angles))
+        pairs = pairs._replace(points=gone)
+    pixels_xy, normals, weights = (jnp.asarray(part) for part in pairs[1:4])
+    rays = pairs_of(cameras, pairs.points, pixels_xy, normals, weights, 0.0)
     frames = forward(skeleton, pose)
-    residuals, rows = linearised(skeleton, frames, pairs)
-    shares = jnp.asarray(seen.points.shares)[..., None, None]
-    R = jnp.sum(shares * frames.R_world_bone[seen.points.bones], 1)
-    across = jnp.einsum("na,nab->nb", pairs.across, R, precision=HIGHEST)
+    residuals, rows = linearised(skeleton, frames, rays)
+    shares = jnp.asarray(pairs.points.shares)[..., None, None]
+    R = jnp.sum(shares * frames.R_world_bone[pairs.points.bones], 1)
+    across = jnp.einsum("na,nab->nb", rays.across, R, precision=HIGHEST)
     shape = jnp.einsum("nb,nbp->np", across, moves, precision=HIGHEST)
     both = jnp.concatenate([rows[:, 0], shape], 1)
     if lengths:
-        longer = _by_lengths(skeleton, pose, seen, lengths)
-        along = jnp.einsum("na,nal->nl", pairs.across, longer, precision=HIGHEST)
+        longer = _by_lengths(skeleton, pose, pairs, lengths)
+        along = jnp.einsum("na,nal->nl", rays.across, longer, precision=HIGHEST)
         both = jnp.concatenate([both, along], 1)
     weighted = weights.ravel()[:, None] * both
     H = jnp.matmul(weighted.T, both, precision=HIGHEST)
     return H, jnp.matmul(weighted.T, residuals[:, 0], precision=HIGHEST)
 
 
-def _by_lengths(skeleton: Skeleton, pose: Pose, seen: Seen, count: int) -> Array:
+def _by_lengths(skeleton: Skeleton, pose: Pose, pairs: ContourPairs, count: int) -> Array:
     """(N, 3, L) derivatives of the pairs' points, world, by logarithms of the bones' lengths."""
 
     def placed(logarithms: Array) -> Array:
-        points = stretched(skeleton, seen.points, logarithms)
+        points = stretched(skeleton, pairs.points, logarithms)
         return posed(forward(scaled(skeleton, logarithms), pose), points)
 
     return jax.jacfwd(placed)(jnp.zeros(count, skeleton.lengths.dtype))
 
 
-class ShapeFinder:
+class ShapeEstimator:
     """Adds up what the frames of a recording tell of a person's shape.
 
     Attributes:
@@ -137,19 +137,21 @@ class ShapeFinder:
         count = len(self.amounts)
         self._information, self._slope = np.zeros((count, count)), np.zeros(count)
 
-    def tell(
+    def add_frame(
         self,
         skeleton: Skeleton,
         cameras: Camera,
         pose: Pose,
-        pairs: Paired,
+        pairs: NodePairs,
         morph: Morph | None = None,
     ) -> None:
-        """A frame: C cameras (``stacked``), the pose found by its pairs, what goes along."""
+        """A frame: C cameras (stacked), the pose found by its pairs, what goes along."""
         moves = self.fields.moves[pairs.nodes.ravel()]
-        self.add(*told(skeleton, cameras, pose, pairs.seen, moves, morph, self._lengths))
+        self.add_equations(
+            *shape_equations(skeleton, cameras, pose, pairs.pairs, moves, morph, self._lengths)
+        )
 
-    def add(self, H: Array | np.ndarray, slope: Array | np.ndarray) -> None:
+    def add_equations(self, H: Array | np.ndarray, slope: Array | np.ndarray) -> None:
         """Normal equations (6 + D + P) of a frame's pose and the shape; the pose is eliminated."""
         H, slope = np.asarray(H, float), np.asarray(slope, float)
         first = len(slope) - len(self.amounts)
@@ -159,8 +161,8 @@ class ShapeFinder:
         self._information += H[first:, first:] - explained[:, :-1]
         self._slope += slope[first:] - explained[:, -1]
 
-    def fitted(self) -> tuple[Skeleton, Surface]:
-        """What suits all frames told of, and people; then those are forgotten."""
+    def estimate(self) -> tuple[Skeleton, Surface]:
+        """What suits all frames added, and people; then those are forgotten."""
         H = self._information / DEVIATION_M**2 + self._known
         slope = self._slope / DEVIATION_M**2 + self._known @ self.amounts
         self.amounts = self.amounts - np.linalg.solve(H, slope)

@@ -1,7 +1,7 @@
 """Surfaces between surfaces, and places that swell (second paper, 4.2.2 and 4.2.3).
 
 INPUTS: Surfaces in correspondence, node for node; places of their patches.
-OUTPUTS: what lies between them; moves of the nodes.
+OUTPUTS: moves of the nodes.
 """
 
 from collections.abc import Sequence
@@ -21,10 +21,9 @@ from jaxmocap.body.surfaces.surface import (
     rest_nodes,
 )
 from jaxmocap.silhouette.surfaces.morph import (
-    WEIGHTINGS,
+    Driver,
     Morph,
     Morphing,
-    Steer,
     Swelling,
     Transition,
     morph_of,
@@ -46,7 +45,7 @@ def radial(places: Array, centre: Array, radii: Array) -> Array:
     return jnp.exp(-((around / radii[0]) ** 2)) * jnp.exp(-((along / radii[1]) ** 2))
 
 
-def places_of(patch: Patch, grid: np.ndarray) -> np.ndarray:
+def patch_coordinates(patch: Patch, grid: np.ndarray) -> np.ndarray:
     """(along * around, 2) phi1, radians, and phi2, share of the way along, of a patch's nodes."""
     steps = np.linalg.norm(np.diff(grid.mean(1), axis=0), axis=1)
     way = np.append(0.0, np.cumsum(steps)) / steps.sum()
@@ -63,38 +62,40 @@ def grid_normals(grid: np.ndarray) -> np.ndarray:
     return np.sign(outwards) * across / np.where(length > 1e-12, length, np.inf)
 
 
-def moves_of(
-    surface: Surface, joints: np.ndarray, steers: Sequence[Steer], swellings: Sequence[Swelling]
+def swelling_moves(
+    surface: Surface, joints: np.ndarray, drivers: Sequence[Driver], swellings: Sequence[Swelling]
 ) -> np.ndarray:
-    """(N, 3, S) what each steer moves of a surface, lambda e r of (4.28), all places together.
+    """(N, 3, S) what each driver moves of a surface, lambda e r of (4.28), all places together.
 
     Args:
         surface: N nodes, however dense.
         joints: (B, 3) of the bones with all angles 0, metres.
-        steers: S of them.
+        drivers: S of them.
         swellings: each by one of these.
 
     Raises:
         ValueError: no such patch.
     """
-    moves = np.zeros((len(surface.points.bones), 3, len(steers)), np.float32)
+    moves = np.zeros((len(surface.points.bones), 3, len(drivers)), np.float32)
     nodes, patches = rest_nodes(surface, joints), {each.name: each for each in surface.patches}
     for swelling in swellings:
         if swelling.patch not in patches:
             raise ValueError(f"no patch {swelling.patch!r}: expected of {', '.join(patches)}")
         patch = patches[swelling.patch]
         grid = patch.grid(nodes)
-        r = radial(places_of(patch, grid), np.array(swelling.centre), np.array(swelling.radii))  # type: ignore[arg-type]
+        r = radial(
+            patch_coordinates(patch, grid), np.array(swelling.centre), np.array(swelling.radii)
+        )  # type: ignore[arg-type]
         ways = grid_normals(grid).reshape(-1, 3)
         if swelling.direction is not None:
             ways = np.broadcast_to(np.array(swelling.direction), ways.shape)
-        moves[patch.nodes, :, steers.index(swelling.steer)] += (
+        moves[patch.nodes, :, drivers.index(swelling.driver)] += (
             swelling.gain * np.asarray(r)[:, None] * ways
         )
     return moves
 
 
-def gone_over(
+def transition_offsets(
     surface: Surface, joints: np.ndarray, transition: Transition, spacing: float | None = None
 ) -> np.ndarray:
     """(M, 3) from a surface's nodes, resampled at ``spacing`` where given, to the other's.
@@ -113,7 +114,7 @@ def gone_over(
     return moves if spacing is None else resampled_moves(surface, joints, spacing, moves)
 
 
-def morphed(
+def morph_around(
     morphing: Morphing,
     tree: Tree,
     surface: Surface,
@@ -131,36 +132,17 @@ def morphed(
 
     Raises:
         KeyError: no such joint, or no such weighting.
-        ValueError: no such patch, surfaces of other patches, or a joint steers and follows.
+        ValueError: no such patch, surfaces of other patches, or a joint drives and follows.
     """
     if not (morphing.swellings or morphing.transitions):
         return morph_of(morphing, tree)
-    steers = morphing.steers
+    drivers = morphing.drivers
     worn = surface if spacing is None else resampled(surface, joints, spacing)
-    moves = moves_of(worn, joints, steers, morphing.swellings)
+    moves = swelling_moves(worn, joints, drivers, morphing.swellings)
     for transition in morphing.transitions:
-        gone = gone_over(surface, joints, transition, spacing)
-        moves[..., steers.index(transition.steer)] += gone
+        gone = transition_offsets(surface, joints, transition, spacing)
+        moves[..., drivers.index(transition.driver)] += gone
     return morph_of(morphing, tree, moves)
-
-
-def between(
-    first: BodyPoints, second: BodyPoints, t: Array | float, weighting: str = "linear"
-) -> BodyPoints:
-    """F_t of (4.26): the second surface's points at t = 0, the first's at t = 1.
-
-    Args:
-        first: of one surface.
-        second: of another in correspondence, on the same bones: see ``corresponding``.
-        t: () from 0 to 1.
-        weighting: a name of ``WEIGHTINGS``.
-    """
-    weight = WEIGHTINGS[weighting](jnp.asarray(t))
-    places, shares = (
-        weight * jnp.asarray(a) + (1 - weight) * jnp.asarray(b)
-        for a, b in zip(first[1:], second[1:], strict=True)
-    )
-    return BodyPoints(first.bones, places, shares)
 
 
 def corresponding(surface: Surface, joints: np.ndarray, like: Surface) -> Surface:

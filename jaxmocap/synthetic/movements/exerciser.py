@@ -1,4 +1,4 @@
-"""A rigged mesh that goes through stances: what they make of its joints.
+"""A rigged mesh that moves through key stances: its joints at any time.
 
 The whole body moves, legs too, and whatever is lowest touches the floor. Planted hands stay where
 they are and bend the elbows.
@@ -13,54 +13,60 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.synthetic.movements.splines import Spline
-from jaxmocap.synthetic.movements.stances import Curves, Stance
+from jaxmocap.synthetic.movements.stances import KeyStance, StanceChannels
 from jaxmocap.synthetic.people.figure import middle_joint
-from jaxmocap.synthetic.people.rigged_mesh import RiggedMesh, basis, between, turn, unit
+from jaxmocap.synthetic.people.rigged_mesh import (
+    RiggedMesh,
+    basis,
+    rotation_between,
+    rotation_onto,
+    unit,
+)
 from jaxmocap.synthetic.people.shoulder_girdle import Girdle
 
-# How far below a joint the skin touches the floor, metres.
-SOLES = {
+# Joint -> how far below it the skin touches the floor, metres.
+SKIN_DEPTHS_M = {
     **{f"{side}ToeBase": 0.027 for side in ("Left", "Right")},
     **{f"{side}Foot": 0.072 for side in ("Left", "Right")},
     **{f"{side}UpLeg": 0.095 for side in ("Left", "Right")},
     **{f"{side}Arm": 0.07 for side in ("Left", "Right")},
 }
-# The lowest of them gives way to another one within about so many metres.
-GIVE_M = 0.01
-# Between the foot and the horizontal at rest.
-FOOT_DROP = np.deg2rad(17.0)
-# From rest, facing -y, to facing +x.
-AHEAD = Rotation.from_euler("z", 90, degrees=True).as_matrix()
+# Width of the smooth minimum over these heights, metres.
+SOFT_MINIMUM_M = 0.01
+# Angle between the foot and the horizontal at rest, radians.
+FOOT_PITCH_RAD = np.deg2rad(17.0)
+# Rotation from rest, facing -y, to facing +x.
+R_FORWARD_REST = Rotation.from_euler("z", 90, degrees=True).as_matrix()
 
 
 @dataclass(frozen=True)
 class Exerciser(RiggedMesh):
-    """A rigged mesh that goes through stances.
+    """A rigged mesh that moves through key stances.
 
     Attributes:
-        curves: channels of ``Stance`` over time.
+        curves: channels of ``KeyStance`` over time.
         hands: (2, 3) where left and right wrist are planted, world, metres; None: nowhere.
-        error: (28,) off the stances' channels, which leaves the place that stances and floor give.
-        shift: (3,) off that place, metres.
+        angle_errors: (28,) added to the channels, but for the position on the floor.
+        position_error: (3,) added to the position, metres.
         girdle: how far the shoulders go with raised arms; None: they stay on the chest.
     """
 
     curves: Spline
     hands: np.ndarray | None = None
-    error: np.ndarray | None = None
-    shift: np.ndarray | None = None
+    angle_errors: np.ndarray | None = None
+    position_error: np.ndarray | None = None
     girdle: Girdle | None = None
 
     def rig(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Turns (T, J, 3, 3) from rest, and positions (T, J, 3), of the joints."""
         channels = self.curves(np.atleast_1d(times))
-        stance = Stance.split(channels)
+        stance = KeyStance.split(channels)
         turned = self._turned(stance)
         R, joints = self.chained(turned, np.zeros((len(channels), 3)))
         place = np.append(stance.place, stance.lift - self._lowest(joints), -1)
-        place = place if self.shift is None else place + self.shift
-        if self.error is not None:
-            turned = self._turned(Stance.split(channels + self.error))
+        place = place if self.position_error is None else place + self.position_error
+        if self.angle_errors is not None:
+            turned = self._turned(KeyStance.split(channels + self.angle_errors))
             R, joints = self.chained(turned, np.zeros((len(channels), 3)))
         if self.hands is None:
             return R, joints + place[:, None]
@@ -69,20 +75,20 @@ class Exerciser(RiggedMesh):
             turned |= self._planted(turned["Hips"], shoulder, hand, side, out)
         return self.chained(turned, place)
 
-    def off(
+    def displaced(
         self, rng: np.random.Generator, degrees: float = 5.0, metres: float = 0.03
     ) -> "Exerciser":
-        """The same, every joint turned by so much in some direction, and the body moved."""
-        error, aside = Stance.error(rng, degrees), metres * unit(rng.standard_normal(3))
+        """The same, with every joint rotated by so much in some direction, and the body moved."""
+        error, aside = KeyStance.random_error(rng, degrees), metres * unit(rng.standard_normal(3))
         hands = None if self.hands is None else self.hands + aside
-        return replace(self, error=error, shift=aside, hands=hands)
+        return replace(self, angle_errors=error, position_error=aside, hands=hands)
 
     def _lowest(self, joints: np.ndarray) -> np.ndarray:
-        """(T, 1) height of the skin's lowest place, smooth in time."""
-        soles = [joints[:, self.body.names.index(name), 2] - r for name, r in SOLES.items()]
-        return -GIVE_M * np.logaddexp.reduce(-np.array(soles) / GIVE_M, 0)[:, None]
+        """(T, 1) height of the skin's lowest point, smooth in time."""
+        soles = [joints[:, self.body.names.index(name), 2] - r for name, r in SKIN_DEPTHS_M.items()]
+        return -SOFT_MINIMUM_M * np.logaddexp.reduce(-np.array(soles) / SOFT_MINIMUM_M, 0)[:, None]
 
-    def _turned(self, stance: Curves) -> dict[str, np.ndarray]:
+    def _turned(self, stance: StanceChannels) -> dict[str, np.ndarray]:
         """Joint -> its turn (T, 3, 3) from rest, where it differs from its parent's."""
         turned = self._trunk(stance)
         for side, out in (("Left", 1.0), ("Right", -1.0)):
@@ -90,26 +96,29 @@ class Exerciser(RiggedMesh):
             turned |= self._arm(stance, turned["Spine1"], side, out)
         return turned
 
-    def _trunk(self, stance: Curves) -> dict[str, np.ndarray]:
+    def _trunk(self, stance: StanceChannels) -> dict[str, np.ndarray]:
         hips = Rotation.from_euler("ZYX", stance.turn, degrees=True).as_matrix()
         chest = hips @ Rotation.from_euler("YXZ", stance.back, degrees=True).as_matrix()
         head = chest @ Rotation.from_euler("Y", stance.neck, degrees=True).as_matrix()
-        hips, chest, head = hips @ AHEAD, chest @ AHEAD, head @ AHEAD
-        bowed = {"LowerBack": between(hips, chest, 1 / 3), "Spine": between(hips, chest, 2 / 3)}
+        hips, chest, head = hips @ R_FORWARD_REST, chest @ R_FORWARD_REST, head @ R_FORWARD_REST
+        bowed = {
+            "LowerBack": rotation_between(hips, chest, 1 / 3),
+            "Spine": rotation_between(hips, chest, 2 / 3),
+        }
         return {"Hips": hips, "Spine1": chest, "Head": head, **bowed} | {
-            "Neck1": between(chest, head, 0.5)
+            "Neck1": rotation_between(chest, head, 0.5)
         }
 
-    def _arm(self, stance: Curves, chest: np.ndarray, side: str, out: float) -> dict:
+    def _arm(self, stance: StanceChannels, chest: np.ndarray, side: str, out: float) -> dict:
         upper, elbow = getattr(stance, f"arm_{side[0].lower()}")
-        R = chest @ AHEAD.T @ _ball(upper, out)
+        R = chest @ R_FORWARD_REST.T @ _ball(upper, out)
         straight, hinge = np.array([0.0, 0.0, -1.0]), np.array([0.0, -1.0, 0.0])
         lower = Rotation.from_euler("Y", -elbow, degrees=True).as_matrix() @ straight
         along = self._arm_along(side, R @ straight, np.einsum("tij,tj->ti", R, lower), R @ hinge)
         if self.girdle is None:
             return along
         carried = self.girdle.turn(_ball(upper, out) @ straight, out)
-        return along | {side + "Shoulder": chest @ AHEAD.T @ carried @ AHEAD}
+        return along | {side + "Shoulder": chest @ R_FORWARD_REST.T @ carried @ R_FORWARD_REST}
 
     def _arm_along(
         self, side: str, upper: np.ndarray, lower: np.ndarray, hinge: np.ndarray
@@ -118,8 +127,8 @@ class Exerciser(RiggedMesh):
         shoulder, elbow, wrist = (self.at(side + joint) for joint in ("Arm", "ForeArm", "Hand"))
         rest = np.cross(elbow - shoulder, wrist - elbow)
         return {
-            side + "Arm": turn(upper, hinge, elbow - shoulder, rest),
-            side + "ForeArm": turn(lower, hinge, wrist - elbow, rest),
+            side + "Arm": rotation_onto(upper, hinge, elbow - shoulder, rest),
+            side + "ForeArm": rotation_onto(lower, hinge, wrist - elbow, rest),
         }
 
     def _planted(
@@ -141,21 +150,23 @@ class Exerciser(RiggedMesh):
             side + "Hand": basis(ahead - 0.1 * out * left, -across) @ basis(finger, rest_across).T
         }
 
-    def _leg(self, stance: Curves, hips: np.ndarray, side: str, out: float) -> dict:
+    def _leg(self, stance: StanceChannels, hips: np.ndarray, side: str, out: float) -> dict:
         thigh, knee, ankle = getattr(stance, f"leg_{side[0].lower()}")
-        R = hips @ AHEAD.T @ _ball(thigh, out)
+        R = hips @ R_FORWARD_REST.T @ _ball(thigh, out)
         bent = R @ Rotation.from_euler("Y", knee, degrees=True).as_matrix()
         stretched = bent @ Rotation.from_euler("Y", ankle, degrees=True).as_matrix()
         down, left = np.array([0.0, 0.0, -1.0]), np.array([0.0, 1.0, 0.0])
-        seen = {
+        directions = {
             "UpLeg": ("Leg", R @ down),
             "Leg": ("Foot", bent @ down),
-            "Foot": ("ToeBase", stretched @ [np.cos(FOOT_DROP), 0.0, -np.sin(FOOT_DROP)]),
+            "Foot": ("ToeBase", stretched @ [np.cos(FOOT_PITCH_RAD), 0.0, -np.sin(FOOT_PITCH_RAD)]),
         }
         rest_left = np.array([1.0, 0.0, 0.0])
         return {
-            side + bone: turn(now, R @ left, self.at(side + end) - self.at(side + bone), rest_left)
-            for bone, (end, now) in seen.items()
+            side + bone: rotation_onto(
+                now, R @ left, self.at(side + end) - self.at(side + bone), rest_left
+            )
+            for bone, (end, now) in directions.items()
         }
 
 

@@ -14,50 +14,51 @@ from scipy.spatial.transform import Rotation
 
 from jaxmocap.synthetic.movements.exerciser import Exerciser
 from jaxmocap.synthetic.movements.splines import Spline
-from jaxmocap.synthetic.movements.stances import Stance
+from jaxmocap.synthetic.movements.stances import KeyStance
 from jaxmocap.synthetic.people.rigged_mesh import Rig
 from jaxmocap.synthetic.people.shoulder_girdle import Girdle
 
-Keys = list[tuple[float, Stance]]
+Keys = list[tuple[float, KeyStance]]
+# Each angle of a stance varies by up to so many degrees.
 VARIATION_DEG = 2.0
-STANDING = Stance()
-# Where wrists are planted, metres: ahead of the middle, aside, up.
+STANDING = KeyStance()
+# Wrists of push-ups, metres: ahead of the middle, to the left, up.
 PLANTED = np.array([[0.43, 0.30, 0.075], [0.43, -0.30, 0.075]])
 _TUCKED = (0.0, 3.0, 0.0, 2.0, -4.0)
-_HIGH = Stance(place=(-0.02, 0.0), turn=(0.0, 73.0, 0.0), neck=-22, leg_l=_TUCKED, leg_r=_TUCKED)
+_HIGH = KeyStance(place=(-0.02, 0.0), turn=(0.0, 73.0, 0.0), neck=-22, leg_l=_TUCKED, leg_r=_TUCKED)
 _LOW = replace(_HIGH, place=(0.03, 0.0), turn=(0.0, 83.0, 0.0), neck=-30)
 _FEET = (52.0, 6.0, 0.0, 98.0, 42.0)
 _AHEAD = (30.0, 12.0, 12.0, 40.0)
-_LYING = Stance(
+_LYING = KeyStance(
     turn=(0.0, -88.0, 0.0), back=(4.0, 0.0, 0.0), neck=12, leg_l=_FEET, leg_r=_FEET,
     arm_l=_AHEAD, arm_r=_AHEAD,
 )  # fmt: skip
 _KNEES_UP = (104.0, 6.0, 0.0, 98.0, 42.0)
 _REACHING = (72.0, 10.0, 10.0, 22.0)
-_SITTING = Stance(
+_SITTING = KeyStance(
     turn=(0.0, -36.0, 0.0), back=(46.0, 0.0, 0.0), neck=4, leg_l=_KNEES_UP, leg_r=_KNEES_UP,
     arm_l=_REACHING, arm_r=_REACHING,
 )  # fmt: skip
 # One step: the left heel strikes; then the right leg swings past it.
-_STRIKE = Stance(
+_STRIKE = KeyStance(
     turn=(-4.0, 3.0, 0.0), back=(2.0, 0.0, 8.0),
     leg_l=(20.0, 2.0, -6.0, 4.0, -4.0), leg_r=(-13.0, 2.0, -6.0, 14.0, 8.0),
     arm_l=(-16.0, 9.0, 0.0, 16.0), arm_r=(20.0, 9.0, 0.0, 28.0),
 )  # fmt: skip
-_PASSING = Stance(
+_PASSING = KeyStance(
     turn=(0.0, 3.0, 2.0), leg_l=(3.0, 1.0, -6.0, 8.0, 2.0), leg_r=(22.0, 3.0, -6.0, 56.0, 10.0)
 )
-_CROUCHED = Stance(
+_CROUCHED = KeyStance(
     turn=(0.0, 32.0, 0.0), back=(10.0, 0.0, 0.0), neck=-24, leg_l=(84.0, 5.0, -8.0, 92.0, -24.0),
     leg_r=(84.0, 5.0, -8.0, 92.0, -24.0), arm_l=(-38.0, 12.0, 0.0, 12.0),
     arm_r=(-38.0, 12.0, 0.0, 12.0),
 )  # fmt: skip
-_STRETCHED = Stance(
+_STRETCHED = KeyStance(
     turn=(0.0, 4.0, 0.0), leg_l=(4.0, 5.0, -6.0, 6.0, 38.0), leg_r=(4.0, 5.0, -6.0, 6.0, 38.0),
     arm_l=(118.0, 14.0, 0.0, 24.0), arm_r=(118.0, 14.0, 0.0, 24.0),
 )  # fmt: skip
 _BALANCED = (8.0, 62.0, 0.0, 24.0)
-_APART = Stance(
+_APART = KeyStance(
     leg_l=(8.0, 24.0, -6.0, 10.0, 8.0), leg_r=(8.0, 24.0, -6.0, 10.0, 8.0), arm_l=_BALANCED,
     arm_r=_BALANCED,
 )  # fmt: skip
@@ -104,7 +105,7 @@ def _raised(elevation: float, ahead: float) -> tuple[float, float, float, float]
     return float(flexion), float(abduction), float(rotation), 14.0
 
 
-def turn(seconds: float, rng: np.random.Generator) -> Keys:
+def turning(seconds: float, rng: np.random.Generator) -> Keys:
     """Half a turn on the spot in small steps, then towards the first camera, the arms swinging."""
     keys, steps = [], 10
     for i, stance in enumerate(_gait(steps)):
@@ -152,11 +153,16 @@ def scissors(seconds: float, rng: np.random.Generator) -> Keys:
 
 
 EXERCISES: dict[str, Callable[[float, np.random.Generator], Keys]] = {
-    each.__name__: each
-    for each in (push_ups, sit_ups, arm_raises, turn, walking, jumping, scissors)
+    "push_ups": push_ups,
+    "sit_ups": sit_ups,
+    "arm_raises": arm_raises,
+    "turn": turning,
+    "walking": walking,
+    "jumping": jumping,
+    "scissors": scissors,
 }
-# Beyond those that the tracker's benchmark goes through.
-RAISES = {overhead.__name__: overhead}
+# Exercises that the tracker's benchmark does not include.
+RAISES = {"overhead": overhead}
 
 
 def exercise(
@@ -174,25 +180,25 @@ def exercise(
     Raises:
         ValueError: an unknown exercise; the message lists the valid ones.
     """
-    known = EXERCISES | RAISES
-    if name not in known:
-        raise ValueError(f"unknown exercise {name!r}; expected one of {', '.join(known)}")
-    keys = known[name](seconds, np.random.default_rng([seed, 6]))
+    exercises = EXERCISES | RAISES
+    if name not in exercises:
+        raise ValueError(f"unknown exercise {name!r}; expected one of {', '.join(exercises)}")
+    keys = exercises[name](seconds, np.random.default_rng([seed, 6]))
     times, stances = zip(*keys, strict=True)
     curves = Spline.through(np.array(times), np.stack([stance.channels() for stance in stances]))
     return Exerciser(rig, curves, PLANTED if name == "push_ups" else None, girdle=girdle)
 
 
-def _gait(steps: int) -> list[Stance]:
+def _gait(steps: int) -> list[KeyStance]:
     """Heel strikes and swings in turn: ``steps`` halves of steps, and the last one's end."""
     cycle = (_STRIKE, _PASSING, _STRIKE.mirrored(), _PASSING.mirrored())
     return [cycle[i % 4] for i in range(steps + 1)]
 
 
 def _repeated(
-    stances: tuple[Stance, ...], seconds: float, pace: float, rng: np.random.Generator
+    stances: tuple[KeyStance, ...], seconds: float, pace: float, rng: np.random.Generator
 ) -> Keys:
-    """Stances in turn, about ``pace`` seconds apart, as long as they last."""
+    """Stances in turn, about ``pace`` seconds apart, for so many seconds."""
     keys, now = [], 0.0
     while now < seconds + pace:
         keys.append((now, stances[len(keys) % len(stances)]))
@@ -201,7 +207,7 @@ def _repeated(
 
 
 def _varied(keys: Keys, rng: np.random.Generator) -> Keys:
-    """The same, each stance as it comes out one time."""
+    """The same with random variations of each stance."""
 
     def by(angles: tuple) -> tuple:
         return tuple(np.asarray(angles) + rng.uniform(-VARIATION_DEG, VARIATION_DEG, len(angles)))

@@ -16,12 +16,17 @@ import numpy as np
 
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.synthetic.movements.splines import Spline
-from jaxmocap.synthetic.people.figure import Bones, Channels, Figure, Posture
+from jaxmocap.synthetic.people.figure import BoneFrames, Figure, Posture, PostureChannels
 
-LIMB_SPREAD = 0.03
-# Swivels at which an elbow is low, between strokes, or high; degrees. Strokes alternate between low
-# and high; at the relaxed pose's, which is 0, it never is.
-LOW_SWIVEL, MIDDLE_SWIVEL, HIGH_SWIVEL = (12.0, 15.0), (28.0, 42.0), (94.0, 97.0)
+# A person's bones differ from the tables' by up to this share.
+LIMB_VARIATION = 0.03
+# Swivels of a low elbow, degrees. Strokes alternate between low and high; no stroke has the relaxed
+# pose's swivel, which is 0.
+LOW_SWIVEL_DEG = (12.0, 15.0)
+# Swivels between strokes, degrees.
+MIDDLE_SWIVEL_DEG = (28.0, 42.0)
+# Swivels of a high elbow, degrees.
+HIGH_SWIVEL_DEG = (94.0, 97.0)
 
 READY = Posture(
     pelvis=(-0.02, 0.0, -0.04),
@@ -34,10 +39,14 @@ READY = Posture(
 STANDING = Posture(
     pelvis=(0.0, 0.0, -0.01), reach_l=(0.37, 0.21, -0.79), reach_r=(0.37, 0.21, -0.79)
 )
-# Between thrusts; how far ahead of the shoulder the fists are then and at the end of one, and how
-# far below it, in arm lengths.
+# The posture between thrusts.
 GUARD = Posture(pelvis=(-0.01, 0.0, -0.05), pitch=3, flexion=5)
-FOLDED, STRETCHED, BELOW = 0.08, (0.82, 0.90), 0.33
+# How far the fists are ahead of the shoulders between thrusts, arm lengths.
+FOLDED_REACH = 0.08
+# The same at the end of a thrust.
+STRETCHED_REACH = (0.82, 0.90)
+# How far the fists are below the shoulders, arm lengths.
+FIST_DROP = 0.33
 # A stroke: key postures at seconds from its start. Wrists in arm lengths: forward, out, up.
 _BACKSWING = replace(
     READY,
@@ -126,7 +135,9 @@ STROKES: dict[str, tuple[tuple[float, Posture], ...]] = {
     "backhand": ((0.40, _COIL), (0.56, _PUNCH), (0.70, _OPEN)),
     "serve": ((0.40, _PALM), (0.72, _TOSS), (0.98, _BRUSH)),
 }
+# From the end of a stroke to the ready posture.
 RECOVERY_S = 0.5
+# Before the first stroke.
 REST_S = 0.25
 
 
@@ -135,7 +146,7 @@ class Performance:
     """A movement of one person, at any time.
 
     Attributes:
-        figure: who moves.
+        figure: the person who moves.
         curves: posture channels over time.
         starts: (S,) seconds at which a stroke, or a reach, begins; what follows the last is rest.
     """
@@ -144,9 +155,9 @@ class Performance:
     curves: Spline
     starts: np.ndarray
 
-    def bones(self, times: np.ndarray) -> Bones:
+    def bones(self, times: np.ndarray) -> BoneFrames:
         """Frames of all bones at (T,) times, seconds."""
-        return self.figure.place(Channels.split(self.curves(times)))
+        return self.figure.place(PostureChannels.split(self.curves(times)))
 
     def landmarks(self, times: np.ndarray) -> dict[str, np.ndarray]:
         """Landmark name -> (T, 3) positions in the world, metres, at (T,) times, seconds."""
@@ -154,15 +165,15 @@ class Performance:
 
     def swivels(self, times: np.ndarray) -> np.ndarray:
         """(T, 2) of the left and the right elbow, radians; see ``Posture``."""
-        channels = Channels.split(self.curves(times))
+        channels = PostureChannels.split(self.curves(times))
         return np.stack([channels.swivel_l, channels.swivel_r], -1)
 
 
-def person(height: float, rng: np.random.Generator) -> Figure:
+def varied_figure(height: float, rng: np.random.Generator) -> Figure:
     """Someone of that height (metres) whose bones differ from the tables' by up to 3 %."""
     average = Skeleton.human(height)
     names = [name.removesuffix("_l").removesuffix("_r") for name in average.tree.bones]
-    spread = {name: rng.uniform(-LIMB_SPREAD, LIMB_SPREAD) for name in dict.fromkeys(names)}
+    spread = {name: rng.uniform(-LIMB_VARIATION, LIMB_VARIATION) for name in dict.fromkeys(names)}
     factors = jnp.asarray([1 + spread[name] for name in names], average.lengths.dtype)
     return Figure.standing(replace(average, lengths=average.lengths * factors), height)
 
@@ -182,7 +193,7 @@ def table_tennis(
         if stroke not in STROKES:
             raise ValueError(f"unknown stroke {stroke!r}; expected one of {', '.join(STROKES)}")
     rng = np.random.default_rng(seed)
-    figure = person(height, rng)
+    figure = varied_figure(height, rng)
     keys, starts, now, first = [(0.0, _eased(READY, rng))], [], REST_S, int(rng.integers(2))
     while not starts or now < seconds:
         number = len(starts)
@@ -192,7 +203,7 @@ def table_tennis(
             keys.append((now + pace * after, _lifted(_varied(posture, rng), rng, first + number)))
         now = keys[-1][0] + RECOVERY_S
         keys.append((now, _eased(READY, rng)))
-    return Performance(figure, through(keys), np.array(starts))
+    return Performance(figure, spline_through(keys), np.array(starts))
 
 
 def squat(seconds: float = 5.0, seed: int = 0, height: float = 1.75) -> Performance:
@@ -212,13 +223,15 @@ def squat(seconds: float = 5.0, seed: int = 0, height: float = 1.75) -> Performa
     shares = (0.0, 0.12, 0.42, 0.56, 0.88, 1.0)
     postures = (upright, upright, down, replace(down, swivel_l=54), upright, upright)
     keys = [(share * seconds, posture) for share, posture in zip(shares, postures, strict=True)]
-    return Performance(person(height, rng), through(keys), np.array([shares[1] * seconds]))
+    return Performance(
+        varied_figure(height, rng), spline_through(keys), np.array([shares[1] * seconds])
+    )
 
 
 def reaching(seconds: float = 6.0, seed: int = 0, height: float = 1.75) -> Performance:
     """Left and right hand in turn to places around the body, at elbow heights of their own."""
     rng = np.random.default_rng(seed)
-    figure = person(height, rng)
+    figure = varied_figure(height, rng)
     keys, starts, now = [(0.0, _eased(STANDING, rng))], [], 0.3
     while not starts or now < seconds:
         # Ahead, between chest and head, at four fifths of the arm's length.
@@ -233,7 +246,7 @@ def reaching(seconds: float = 6.0, seed: int = 0, height: float = 1.75) -> Perfo
         keys += [(now + 0.8, posture), (now + 1.1, posture)]
         starts.append(now)
         now += 1.1
-    return Performance(figure, through(keys), np.array(starts))
+    return Performance(figure, spline_through(keys), np.array(starts))
 
 
 def thrust(
@@ -251,18 +264,18 @@ def thrust(
             chest turn towards it, by half the way.
     """
     rng = np.random.default_rng(seed)
-    figure = person(height, rng)
-    guard = _aimed(GUARD, azimuth, FOLDED, FOLDED)
+    figure = varied_figure(height, rng)
+    guard = _aimed(GUARD, azimuth, FOLDED_REACH, FOLDED_REACH)
     keys, starts, now = [(0.0, _eased(guard, rng))], [], 0.2
     while not starts or now < seconds:
-        left, right = rng.uniform(*STRETCHED, 2)
-        fists = ((left, FOLDED), (FOLDED, right), (left, right))[len(starts) % 3]
+        left, right = rng.uniform(*STRETCHED_REACH, 2)
+        fists = ((left, FOLDED_REACH), (FOLDED_REACH, right), (left, right))[len(starts) % 3]
         aimed = _aimed(replace(GUARD, twist=rng.uniform(-4, 4)), azimuth, *fists)
         struck = _lifted(aimed, rng, len(starts))
         keys += [(now + 0.30, struck), (now + 0.40, struck), (now + 0.75, _eased(guard, rng))]
         starts.append(now)
         now += 0.85
-    return Performance(figure, through(keys), np.array(starts))
+    return Performance(figure, spline_through(keys), np.array(starts))
 
 
 def _aimed(posture: Posture, azimuth: float, left: float, right: float) -> Posture:
@@ -277,26 +290,26 @@ def _aimed(posture: Posture, azimuth: float, left: float, right: float) -> Postu
         posture,
         yaw=azimuth / 4,
         twist=posture.twist + azimuth / 4,
-        reach_l=tuple(left * left_ahead - BELOW * up),
-        reach_r=tuple(right * right_ahead - BELOW * up),
+        reach_l=tuple(left * left_ahead - FIST_DROP * up),
+        reach_r=tuple(right * right_ahead - FIST_DROP * up),
     )
 
 
 def _eased(posture: Posture, rng: np.random.Generator) -> Posture:
     """The posture with its elbows between low and high."""
-    left, right = rng.uniform(*MIDDLE_SWIVEL, 2)
+    left, right = rng.uniform(*MIDDLE_SWIVEL_DEG, 2)
     return replace(posture, swivel_l=left, swivel_r=right)
 
 
 def _lifted(posture: Posture, rng: np.random.Generator, number: int) -> Posture:
     """The posture with its elbows low or high, the two sides in opposite turns."""
-    high, low = rng.uniform(*HIGH_SWIVEL), rng.uniform(*LOW_SWIVEL)
+    high, low = rng.uniform(*HIGH_SWIVEL_DEG), rng.uniform(*LOW_SWIVEL_DEG)
     left, right = (low, high) if number % 2 else (high, low)
     return replace(posture, swivel_l=left, swivel_r=right)
 
 
 def _varied(posture: Posture, rng: np.random.Generator) -> Posture:
-    """The posture as it comes out one time: no two strokes are the same."""
+    """The posture with random variations: no two strokes are the same."""
     around = {
         name: tuple(np.asarray(getattr(posture, name)) + rng.uniform(-0.05, 0.05, 3))
         for name in ("reach_l", "reach_r")
@@ -304,7 +317,7 @@ def _varied(posture: Posture, rng: np.random.Generator) -> Posture:
     return replace(posture, twist=posture.twist + rng.uniform(-4, 4), **around)
 
 
-def through(keys: list[tuple[float, Posture]]) -> Spline:
+def spline_through(keys: list[tuple[float, Posture]]) -> Spline:
     """The spline through key postures at times in seconds."""
     return Spline.through(
         np.array([time for time, _ in keys]), np.stack([key.channels() for _, key in keys])

@@ -15,12 +15,12 @@ class Spline:
     Attributes:
         times: (K,) key times, seconds, increasing.
         values: (K, C) at the keys.
-        bends: (K, C) second derivatives at the keys.
+        second_derivatives: (K, C) at the keys.
     """
 
     times: np.ndarray
     values: np.ndarray
-    bends: np.ndarray
+    second_derivatives: np.ndarray
 
     @classmethod
     def through(cls, times: np.ndarray, values: np.ndarray) -> "Spline":
@@ -51,5 +51,5 @@ class Spline:
         b = (t - self.times[k])[:, None] / step
         a = 1 - b
         straight = a * self.values[k] + b * self.values[k + 1]
-        bend = (a**3 - a) * self.bends[k] + (b**3 - b) * self.bends[k + 1]
+        bend = (a**3 - a) * self.second_derivatives[k] + (b**3 - b) * self.second_derivatives[k + 1]
         return straight + step**2 / 6 * bend

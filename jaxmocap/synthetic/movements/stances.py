@@ -1,6 +1,6 @@
-"""Stances of a whole body: the angles of its joints, where it is and how high.
+"""Key stances of a whole body: the angles of its joints, its position and height.
 
-INPUTS: angles in degrees, places in metres. OUTPUTS: a Stance, and its channels for a spline.
+INPUTS: angles in degrees, places in metres. OUTPUTS: a KeyStance, and its channels for a spline.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -8,14 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Channels of which one error turns together, of so many degrees in all.
+# First channel and number of channels of each joint, which one random error rotates.
 _JOINTS = ((3, 3), (6, 3), (9, 1), *((i, n) for s in (10, 14) for i, n in ((s, 3), (s + 3, 1))))
 _JOINTS += tuple((i, n) for s in (18, 23) for i, n in ((s, 3), (s + 3, 1), (s + 4, 1)))
+# Numbers of a stance.
 CHANNELS = 28
 
 
-class Curves(NamedTuple):
-    """A stance over time: the channels of ``Stance`` as (T, n), degrees and metres."""
+class StanceChannels(NamedTuple):
+    """A stance over time: the channels of ``KeyStance`` as (T, n), degrees and metres."""
 
     place: np.ndarray
     lift: np.ndarray
@@ -29,8 +30,8 @@ class Curves(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Stance:
-    """How a body stands: degrees, metres.
+class KeyStance:
+    """The stance of a body at one time: degrees, metres.
 
     Attributes:
         place: of the hips' middle on the floor, x (ahead) and y (left).
@@ -59,7 +60,7 @@ class Stance:
         """(28,) all of it."""
         return np.concatenate([np.ravel(getattr(self, field.name)) for field in fields(self)])
 
-    def mirrored(self) -> "Stance":
+    def mirrored(self) -> "KeyStance":
         """Left and right in each other's place."""
         (x, y), (yaw, pitch, roll), (bow, side, twist) = self.place, self.turn, self.back
         return replace(
@@ -74,7 +75,7 @@ class Stance:
         )
 
     @staticmethod
-    def split(values: np.ndarray) -> Curves:
+    def split(values: np.ndarray) -> StanceChannels:
         """Channels (T, 28) by their names."""
         v = values.T
         place, lift, turn, back, neck = (
@@ -82,10 +83,10 @@ class Stance:
         )
         arm_l, arm_r = ((v[i : i + 3].T, v[i + 3 : i + 4].T) for i in (10, 14))
         leg_l, leg_r = ((v[i : i + 3].T, v[i + 3 : i + 4].T, v[i + 4 : i + 5].T) for i in (18, 23))
-        return Curves(place, lift, turn, back, neck, arm_l, arm_r, leg_l, leg_r)
+        return StanceChannels(place, lift, turn, back, neck, arm_l, arm_r, leg_l, leg_r)
 
     @staticmethod
-    def error(rng: np.random.Generator, degrees: float) -> np.ndarray:
+    def random_error(rng: np.random.Generator, degrees: float) -> np.ndarray:
         """(28,) an error of every joint by so many degrees, in some direction each."""
         error = np.zeros(CHANNELS)
         for first, count in _JOINTS:

@@ -1,4 +1,4 @@
-"""What a synthetic person looks like: muscle, clothes, hair, headset, racket.
+"""The shape of a synthetic person: muscle, clothes, hair, headset, racket.
 
 Nothing here is the tracker's flesh: limbs are elliptical and bulge, sleeves are wider than arms
 and wrinkled, the trunk is a superellipse, and a racket covers part of the hand.
@@ -14,7 +14,7 @@ import numpy as np
 from jaxmocap.synthetic.movements.motions import Performance
 from jaxmocap.synthetic.movements.splines import Spline
 from jaxmocap.synthetic.people.figure import Figure
-from jaxmocap.synthetic.people.meshes import Mesh, grid_faces, joined, loft, waves
+from jaxmocap.synthetic.people.meshes import SkinnedMesh, grid_faces, loft, merged_meshes, waves
 
 # Where headset and controllers sit: bone, fraction of its length, offset in its frame (metres).
 MARKERS: dict[str, tuple[str, float, tuple[float, float, float]]] = {
@@ -49,7 +49,9 @@ PELVIS = (
     *((-0.30, 0.070, 0.090), (-0.22, 0.106, 0.168), (-0.12, 0.124, 0.192), (0.0, 0.120, 0.190)),
     (0.10, 0.108, 0.165),
 )
+# Latitudes of the rings of a limb's round end, radians.
 CAP_ANGLES = np.deg2rad([20.0, 50.0, 75.0, 89.0])
+# Colours to choose from, BGR, 0 to 1.
 SHIRTS = ((0.62, 0.30, 0.16), (0.20, 0.24, 0.66), (0.30, 0.52, 0.24), (0.72, 0.72, 0.70))
 TROUSERS = ((0.44, 0.31, 0.23), (0.30, 0.31, 0.33), (0.38, 0.50, 0.58))
 SKINS = ((0.50, 0.60, 0.82), (0.36, 0.46, 0.66), (0.22, 0.30, 0.44))
@@ -62,11 +64,11 @@ class Actor:
 
     Attributes:
         mesh: at rest.
-        performance: what its bones do.
+        performance: the movement of its bones.
         rest: (B, 3) joints of the bones at rest, metres.
     """
 
-    mesh: Mesh
+    mesh: SkinnedMesh
     performance: Performance
     rest: np.ndarray
 
@@ -80,13 +82,13 @@ class Actor:
         return self.performance.landmarks(times)
 
 
-def dressed(performance: Performance, seed: int = 0) -> Actor:
+def clothed_actor(performance: Performance, seed: int = 0) -> Actor:
     """The performer with a body, clothes, a headset, and a racket in the right hand."""
-    tailor = _Tailor(performance.figure, np.random.default_rng([seed, 1]))
-    return Actor(tailor.person(), performance, tailor.rest)
+    parts = _PersonMesh(performance.figure, np.random.default_rng([seed, 1]))
+    return Actor(parts.person(), performance, parts.rest)
 
 
-class _Tailor:
+class _PersonMesh:
     """Builds the parts of one person at rest: every bone's frame upright, arms hanging."""
 
     def __init__(self, figure: Figure, rng: np.random.Generator):
@@ -103,14 +105,14 @@ class _Tailor:
         self.hair = np.array(HAIRS[rng.integers(len(HAIRS))])
         self.long_sleeves = bool(rng.random() < 0.4)
 
-    def person(self) -> Mesh:
+    def person(self) -> SkinnedMesh:
         """All parts."""
         parts = [*self._trunk(), *self._head(), self._racket()]
         for side in "lr":
             parts += [*self._arm(side), *self._leg(side)]
-        return joined(parts)
+        return merged_meshes(parts)
 
-    def _arm(self, side: str) -> list[Mesh]:
+    def _arm(self, side: str) -> list[SkinnedMesh]:
         humerus, radius, hand = (f"{bone}_{side}" for bone in ("humerus", "radius", "hand"))
         bare = [
             self._limb(humerus, UPPER_ARM, self.skin),
@@ -123,7 +125,7 @@ class _Tailor:
             return [*bare, upper, self._limb(radius, CUFF, self.shirt, folds=0.04, sides=18)]
         return [*bare, self._limb(humerus, SLEEVE, self.shirt, folds=0.05, sides=18, caps=(1, 0))]
 
-    def _leg(self, side: str) -> list[Mesh]:
+    def _leg(self, side: str) -> list[SkinnedMesh]:
         foot = self.tree.bone(f"foot_{side}")
         reach = self.figure.reach(f"foot_{side}")
         shoe = self._ball(
@@ -143,7 +145,7 @@ class _Tailor:
         folds: float = 0.0,
         sides: int = 14,
         caps: tuple[int, int] = (1, 1),
-    ) -> Mesh:
+    ) -> SkinnedMesh:
         """A tube along a bone through a profile, with round ends."""
         i, reach = self.tree.bone(bone), self.figure.reach(bone)
         table = np.array(profile, float)
@@ -158,7 +160,7 @@ class _Tailor:
         vertices = loft(centres, radii, _across(reach), sides, swell=swell)
         return self._painted(vertices, len(centres), sides, colour, i, 0.05 + 2 * folds)
 
-    def _trunk(self) -> list[Mesh]:
+    def _trunk(self) -> list[SkinnedMesh]:
         names = ("hip_l", "spine1", "spine2", "spine3")
         bones = np.array([self.tree.bone(name) for name in names])
         top = self.rest[self.tree.bone("neck"), 2]
@@ -183,7 +185,7 @@ class _Tailor:
     def _spine(self) -> list[float]:
         return [self.figure.length(f"spine{i}") for i in (1, 2, 3)]
 
-    def _printed(self, shirt: Mesh) -> Mesh:
+    def _printed(self, shirt: SkinnedMesh) -> SkinnedMesh:
         """Stripes across the chest and a patch at the front."""
         middle = shirt.vertices[shirt.faces].mean(1)
         top = middle[:, 2].max()
@@ -196,9 +198,11 @@ class _Tailor:
         )
         colours = shirt.colours.copy()
         colours[stripe | patch] *= (self.print / self.shirt)[None]
-        return Mesh(shirt.vertices, shirt.faces, np.clip(colours, 0, 1), shirt.bones, shirt.weights)
+        return SkinnedMesh(
+            shirt.vertices, shirt.faces, np.clip(colours, 0, 1), shirt.bones, shirt.weights
+        )
 
-    def _head(self) -> list[Mesh]:
+    def _head(self) -> list[SkinnedMesh]:
         head = self.rest[self.tree.bone("head")]
         crown = self.figure.length("head")
         centre = head + np.array([0.012, 0.0, crown - 0.125 * self.scale])
@@ -210,7 +214,7 @@ class _Tailor:
         headset = self._ball("head", visor, (0.055, 0.088, 0.048), np.full(3, 0.09), exponent=5)
         return [self._limb("neck", NECK, self.skin), skull, headset]
 
-    def _racket(self) -> Mesh:
+    def _racket(self) -> SkinnedMesh:
         """A blade beyond the right fist, in the plane of the forearm's flexion."""
         hand = self.tree.bone("hand_r")
         end = self.rest[hand] + 0.6 * self.figure.reach("hand_r")
@@ -227,9 +231,9 @@ class _Tailor:
             np.array([0.35, 0.5, 0.65]),
             exponent=4,
         )
-        return joined([rubber, grip])
+        return merged_meshes([rubber, grip])
 
-    def _controller(self, hand: str) -> Mesh:
+    def _controller(self, hand: str) -> SkinnedMesh:
         bone, at, offset = MARKERS["LeftController" if hand.endswith("l") else "RightController"]
         centre = self.rest[self.tree.bone(bone)] + at * self.figure.reach(bone) + offset
         return self._ball(hand, centre, (0.045, 0.022, 0.024), np.full(3, 0.12), exponent=4)
@@ -243,7 +247,7 @@ class _Tailor:
         rings: int = 9,
         sides: int = 14,
         exponent: float = 2.0,
-    ) -> Mesh:
+    ) -> SkinnedMesh:
         """An ellipsoid, or a rounded box with a larger exponent, of half-axes in metres."""
         polar = np.linspace(0.02, np.pi - 0.02, rings)[:, None]
         power = 2 / exponent
@@ -262,7 +266,7 @@ class _Tailor:
         colour: np.ndarray,
         bone: int,
         contrast: float,
-    ) -> Mesh:
+    ) -> SkinnedMesh:
         """Rings closed to a mesh on one bone, its colour unevenly worn."""
         cloud = waves(self.rng, rings - 1, sides, 4, 2.0) + self.rng.normal(
             0, 0.5, (rings - 1, sides)
@@ -271,7 +275,7 @@ class _Tailor:
         colours = np.clip(shade.reshape(-1, 1) * colour, 0.02, 1.0)
         bones = np.full((len(vertices), 2), bone)
         weights = np.tile([1.0, 0.0], (len(vertices), 1))
-        return Mesh(vertices, grid_faces(rings, sides), colours, bones, weights)
+        return SkinnedMesh(vertices, grid_faces(rings, sides), colours, bones, weights)
 
 
 def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -292,11 +296,11 @@ def _capped(centres: np.ndarray, radii: np.ndarray, end: int) -> tuple[np.ndarra
     return np.concatenate([centres, middles]), np.concatenate([radii, rings])
 
 
-def _blended(part: Mesh, bones: np.ndarray, middles: np.ndarray) -> Mesh:
+def _blended(part: SkinnedMesh, bones: np.ndarray, middles: np.ndarray) -> SkinnedMesh:
     """A part carried by the two of several stacked bones whose middles (heights) are nearest."""
     z = np.clip(part.vertices[:, 2], middles[0], middles[-1])
     below = np.clip(np.searchsorted(middles, z, side="right") - 1, 0, len(middles) - 2)
     share = (z - middles[below]) / (middles[below + 1] - middles[below])
     carriers = np.stack([bones[below], bones[below + 1]], -1)
     weights = np.stack([1 - share, share], -1)
-    return Mesh(part.vertices, part.faces, part.colours, carriers, weights)
+    return SkinnedMesh(part.vertices, part.faces, part.colours, carriers, weights)

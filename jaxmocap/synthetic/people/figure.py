@@ -4,7 +4,7 @@ Feet stay planted: legs are two-bone chains from the moving hips to standing ank
 two-bone chains from the shoulder to a wrist, turned about that axis by a swivel of their own.
 Unlike the tracker's model the trunk twists, the collarbones glide, and the wrist is not stiff.
 
-INPUTS: a Skeleton and posture channels (T, C). OUTPUTS: Bones over T instants, world, Z up.
+INPUTS: a Skeleton and posture channels (T, C). OUTPUTS: BoneFrames over T instants, world, Z up.
 """
 
 from dataclasses import dataclass, fields
@@ -15,8 +15,12 @@ import numpy as np
 
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 
-# Of the arm's length; a straight arm has no elbow plane, and a folded one collides with itself.
-NEAREST_REACH, FARTHEST_REACH = 0.30, 0.975
+# Shortest distance of the wrist from the shoulder, arm lengths: a folded arm would collide with
+# itself.
+NEAREST_REACH = 0.30
+# The longest: a straight arm has no elbow plane.
+FARTHEST_REACH = 0.975
+# Rotation of the collarbone by an arm's length of reach, radians.
 CLAVICLE_GLIDE = np.deg2rad(9.0)
 ANKLE_HEIGHT = 0.039  # of the body height (Winter's Fig. 4.1)
 FOOT_PITCH = np.deg2rad(17.0)
@@ -71,7 +75,7 @@ class Posture:
         return np.concatenate(parts)
 
 
-class Channels(NamedTuple):
+class PostureChannels(NamedTuple):
     """Posture channels over T instants, radians: the attributes of ``Posture`` as arrays."""
 
     pelvis: np.ndarray
@@ -89,7 +93,7 @@ class Channels(NamedTuple):
     wrist_r: np.ndarray
 
     @classmethod
-    def split(cls, values: np.ndarray) -> "Channels":
+    def split(cls, values: np.ndarray) -> "PostureChannels":
         """Name the columns of (T, 22) values."""
         v = values
         return cls(
@@ -98,7 +102,7 @@ class Channels(NamedTuple):
         )
 
 
-class Bones(NamedTuple):
+class BoneFrames(NamedTuple):
     """Frames of B bones over T instants.
 
     Attributes:
@@ -147,7 +151,7 @@ class Figure:
         """Length of a bone, metres."""
         return float(np.linalg.norm(self.reach(bone)))
 
-    def place(self, channels: Channels) -> Bones:
+    def place(self, channels: PostureChannels) -> BoneFrames:
         """Frames of all bones.
 
         Raises:
@@ -163,9 +167,11 @@ class Figure:
             self._leg(frames, root, R_pelvis, side)
             self._arm(frames, channels, side)
         placed = [frames[name] for name in self.skeleton.tree.bones]
-        return Bones(np.stack([p for p, _ in placed], 1), np.stack([R for _, R in placed], 1))
+        return BoneFrames(np.stack([p for p, _ in placed], 1), np.stack([R for _, R in placed], 1))
 
-    def _trunk(self, frames: dict, at: np.ndarray, R: np.ndarray, channels: Channels) -> None:
+    def _trunk(
+        self, frames: dict, at: np.ndarray, R: np.ndarray, channels: PostureChannels
+    ) -> None:
         """Spine, neck and head, from the pelvis up."""
         for bone in ("spine1", "spine2", "spine3"):
             R = R @ _turns("zyx", channels.twist / 3, channels.flexion / 3, channels.bend / 3)
@@ -197,7 +203,7 @@ class Figure:
         frames[tibia] = (knee, _frame(knee - ankle, forward))
         frames[foot] = (ankle, np.broadcast_to(R_foot, (len(start), 3, 3)))
 
-    def _arm(self, frames: dict, channels: Channels, side: str) -> None:
+    def _arm(self, frames: dict, channels: PostureChannels, side: str) -> None:
         """Collarbone, upper arm, forearm and hand of one side."""
         out = 1.0 if side == "l" else -1.0
         clavicle, humerus, radius = (f"{bone}_{side}" for bone in ("clavicle", "humerus", "radius"))
@@ -225,13 +231,15 @@ class Figure:
         frames[radius] = (elbow, R_radius)
         frames[f"hand_{side}"] = (end, R_radius @ _turns("yz", -wrist[:, 0], -out * wrist[:, 1]))
 
-    def points(self, bones: Bones, bone: str, at: float, offset: tuple = (0, 0, 0)) -> np.ndarray:
+    def points(
+        self, bones: BoneFrames, bone: str, at: float, offset: tuple = (0, 0, 0)
+    ) -> np.ndarray:
         """(T, 3) a point fixed to a bone, at a fraction of its length plus an offset, metres."""
         i = self.skeleton.tree.bone(bone)
         local = at * self.reach(bone) + np.asarray(offset, float)
         return bones.joints_world[:, i] + bones.R_world_bone[:, i] @ local
 
-    def landmarks(self, bones: Bones) -> dict[str, np.ndarray]:
+    def landmarks(self, bones: BoneFrames) -> dict[str, np.ndarray]:
         """Landmark name -> (T, 3) world, metres."""
         return {name: self.points(bones, *on) for name, on in LANDMARKS.items()}
 

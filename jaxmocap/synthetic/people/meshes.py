@@ -11,7 +11,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Mesh:
+class SkinnedMesh:
     """V vertices in F quadrilaterals, skinned to bones by linear blending.
 
     Attributes:
@@ -42,10 +42,10 @@ class Mesh:
         return np.einsum("tvij,vj->tvi", blended[..., :3], self.vertices) + blended[..., 3]
 
 
-def joined(parts: list[Mesh]) -> Mesh:
+def merged_meshes(parts: list[SkinnedMesh]) -> SkinnedMesh:
     """One mesh of several with equally many bones per vertex."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-    return Mesh(
+    return SkinnedMesh(
         np.concatenate([part.vertices for part in parts]),
         np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]),
         np.concatenate([part.colours for part in parts]),

@@ -1,4 +1,4 @@
-"""A body mesh with a rig of its own, however it is moved: its skin, its clothes, its landmarks.
+"""A body mesh with a rig of its own: its skin, its clothes, its landmarks.
 
 The rest faces -y, left is +x, the feet stand on z = 0. The body is not of our making: the truth is
 the rig's own joints.
@@ -19,28 +19,34 @@ import numpy as np
 from jaxmocap.formats.files.arrays import INTEGERS, NAMES, ArraySpec, NpzArrays
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import comma_list
-from jaxmocap.synthetic.people.meshes import Mesh
+from jaxmocap.synthetic.people.meshes import SkinnedMesh
 
-# A file of people: P of them, V vertices, F faces, J joints; metres.
-REACH_M = 100.0
-WEIGHTS_OFF = 1e-2
-STATED = {
+# Of a vertex or joint of a file.
+LARGEST_COORDINATE_M = 100.0
+# A vertex's skin weights add up to 1 within this.
+WEIGHT_TOLERANCE = 1e-2
+# Arrays of a file of people: P of them, V vertices, F faces, J joints; metres.
+FILE_ARRAYS = {
     "people": ArraySpec(("P",), NAMES),
-    "vertices": ArraySpec(("P", "V", 3), low=-REACH_M, high=REACH_M),
+    "vertices": ArraySpec(("P", "V", 3), low=-LARGEST_COORDINATE_M, high=LARGEST_COORDINATE_M),
     "quads": ArraySpec(("F", 4), INTEGERS, low=0),
     "skin_joint": ArraySpec(("V", "K"), INTEGERS, low=0),
-    "skin_weight": ArraySpec(("V", "K"), low=0, high=1 + WEIGHTS_OFF),
+    "skin_weight": ArraySpec(("V", "K"), low=0, high=1 + WEIGHT_TOLERANCE),
     "joint_names": ArraySpec(("J",), NAMES),
     "joint_parents": ArraySpec(("J",), INTEGERS, low=-1),
-    "joints": ArraySpec(("P", "J", 3), low=-REACH_M, high=REACH_M),
+    "joints": ArraySpec(("P", "J", 3), low=-LARGEST_COORDINATE_M, high=LARGEST_COORDINATE_M),
 }
-# Of vertices, faces and joints; a frame is drawn face by face.
+# Largest numbers of vertices, faces and joints: a frame is drawn face by face.
 MOST_PARTS = {"vertices": 200_000, "quads": 200_000, "joint_names": 500}
-# How tall a person of a file may be, and how far two joints of a limb are apart, metres.
-SHORTEST_M, TALLEST_M, APART_M = 0.5, 2.5, 0.01
-# Who is taken if nobody is named.
-USUAL = "man"
-# Landmark -> joint of the rig, for one side and for the middle.
+# The shortest person of a file, metres.
+SHORTEST_M = 0.5
+# And the tallest.
+TALLEST_M = 2.5
+# The shortest distance between two joints of a limb, metres.
+SHORTEST_LIMB_M = 0.01
+# The person who is taken where none is named.
+DEFAULT_PERSON = "man"
+# Landmark -> joint of the rig, both without their side.
 _PAIRED = {
     **{"shoulder": "Arm", "elbow": "ForeArm", "wrist": "Hand", "hand": "HandFinger1"},
     **{"hip": "UpLeg", "knee": "Leg", "ankle": "Foot", "toe": "ToeBase"},
@@ -61,13 +67,12 @@ LIMBS = [
     for chain in (("Arm", "ForeArm", "Hand", "HandFinger1"), ("UpLeg", "Leg", "Foot", "ToeBase"))
     for near, far in pairwise(chain)
 ]
-SHIRT, TROUSERS, SKIN, HAIR, SHOES = (
-    np.array(colour)
-    for colour in (
-        *((0.24, 0.30, 0.66), (0.36, 0.30, 0.24), (0.50, 0.60, 0.82)),
-        *((0.10, 0.14, 0.20), (0.70, 0.70, 0.70)),
-    )
-)
+# Colours of what is worn, BGR, 0 to 1.
+SHIRT = np.array([0.24, 0.30, 0.66])
+TROUSERS = np.array([0.36, 0.30, 0.24])
+SKIN = np.array([0.50, 0.60, 0.82])
+HAIR = np.array([0.10, 0.14, 0.20])
+SHOES = np.array([0.70, 0.70, 0.70])
 
 
 class Rig(NamedTuple):
@@ -80,7 +85,7 @@ class Rig(NamedTuple):
         rest: (J, 3) joints at rest, metres: facing -y, left is +x.
     """
 
-    mesh: Mesh
+    mesh: SkinnedMesh
     names: tuple[str, ...]
     parents: tuple[int, ...]
     rest: np.ndarray
@@ -88,7 +93,7 @@ class Rig(NamedTuple):
 
 @dataclass(frozen=True)
 class RiggedMesh(ABC):
-    """A rigged mesh; what moves it is said by those that derive from it.
+    """A rigged mesh, moved by the ``rig`` of the classes that derive from it.
 
     Attributes:
         body: mesh and joints at rest.
@@ -97,7 +102,7 @@ class RiggedMesh(ABC):
     body: Rig
 
     @property
-    def mesh(self) -> Mesh:
+    def mesh(self) -> SkinnedMesh:
         """At rest: its faces and colours."""
         return self.body.mesh
 
@@ -180,7 +185,7 @@ def load_rig(file: str | Path, who: str | None = None, seed: int = 0) -> Rig:
     """One of the people of a file, in clothes worn as the seed says.
 
     Args:
-        file: .npz of people, see ``STATED``.
+        file: .npz of people, see ``FILE_ARRAYS``.
         who: by name; None is the one called man, or else the first.
         seed: of the clothes.
 
@@ -190,11 +195,11 @@ def load_rig(file: str | Path, who: str | None = None, seed: int = 0) -> Rig:
     """
     data = _read(file)
     people = data["people"].tolist()
-    who = (USUAL if USUAL in people else people[0]) if who is None else who
+    who = (DEFAULT_PERSON if DEFAULT_PERSON in people else people[0]) if who is None else who
     if who not in people:
         raise ValueError(f"unknown person {who!r}; expected one of {', '.join(people)}")
     i = people.index(who)
-    mesh = Mesh(
+    mesh = SkinnedMesh(
         data["vertices"][i].astype(float),
         data["quads"],
         np.zeros((len(data["quads"]), 3)),
@@ -211,21 +216,21 @@ def load_rig(file: str | Path, who: str | None = None, seed: int = 0) -> Rig:
 def _read(file: str | Path) -> dict[str, np.ndarray]:
     """The arrays of a file of people, checked."""
     arrays = NpzArrays(file)
-    if not set(STATED) <= set(arrays.names):
-        expected = f"expected an .npz with {', '.join(STATED)}"
+    if not set(FILE_ARRAYS) <= set(arrays.names):
+        expected = f"expected an .npz with {', '.join(FILE_ARRAYS)}"
         raise InputError(file, f"holds no rigged meshes, {expected}")
-    data = arrays.read(STATED)
-    for name in STATED:
+    data = arrays.read(FILE_ARRAYS)
+    for name in FILE_ARRAYS:
         count = max(data[name].shape[:2]) if name == "vertices" else len(data[name])
         if not data[name].size or count > MOST_PARTS.get(name, count):
             expected = f"expected 1 to {MOST_PARTS.get(name, count)}"
             raise InputError(file, f"{name}: found {count}, {expected}")
     _check_below(file, "quads", data["quads"], data["vertices"].shape[1])
     _check_below(file, "skin_joint", data["skin_joint"], len(data["joint_names"]))
-    together = data["skin_weight"].sum(-1)
-    if np.abs(together - 1).max() > WEIGHTS_OFF:
-        i = int(np.abs(together - 1).argmax())
-        raise InputError(file, f"skin_weight[{i}]: together {together[i]:.4g}, expected 1")
+    sums = data["skin_weight"].sum(-1)
+    if np.abs(sums - 1).max() > WEIGHT_TOLERANCE:
+        i = int(np.abs(sums - 1).argmax())
+        raise InputError(file, f"skin_weight[{i}]: together {sums[i]:.4g}, expected 1")
     names = data["joint_names"].tolist()
     _check_tree(file, names, data["joint_parents"].tolist())
     for who, vertices, joints in zip(
@@ -244,7 +249,7 @@ def _check_body(
         expected = f"expected {SHORTEST_M:g} to {TALLEST_M:g} m"
         raise InputError(file, f"{who}: found a body {tall:.4g} m tall, {expected}")
     for near, far in LIMBS:
-        if np.linalg.norm(joints[far] - joints[near]) < APART_M:
+        if np.linalg.norm(joints[far] - joints[near]) < SHORTEST_LIMB_M:
             raise InputError(file, f"{who}: found {near} and {far} at one place")
 
 
@@ -274,7 +279,7 @@ def _check_tree(file: str | Path, names: list[str], parents: list[int]) -> None:
 
 
 def _colours(
-    mesh: Mesh, names: tuple[str, ...], rest: np.ndarray, rng: np.random.Generator
+    mesh: SkinnedMesh, names: tuple[str, ...], rest: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
     """(F, 3) clothes by the bone that carries a face most: shirt, trousers, shoes, bare skin."""
     carrier = mesh.bones[np.arange(len(mesh.bones)), mesh.weights.argmax(-1)][mesh.faces[:, 0]]
@@ -308,14 +313,14 @@ def basis(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.stack([x, np.cross(z, x), z], -1)
 
 
-def turn(
-    seen: np.ndarray, beside: np.ndarray, rest: np.ndarray, rest_beside: np.ndarray
+def rotation_onto(
+    direction: np.ndarray, beside: np.ndarray, rest: np.ndarray, rest_beside: np.ndarray
 ) -> np.ndarray:
-    """Turns (..., 3, 3) of one pair of directions (3,), at rest, onto another (..., 3)."""
-    return basis(seen, beside) @ basis(rest, rest_beside).T
+    """Rotations (..., 3, 3) of one pair of directions (3,), at rest, onto another (..., 3)."""
+    return basis(direction, beside) @ basis(rest, rest_beside).T
 
 
-def between(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
-    """A turn (T, 3, 3) between two that are not far apart."""
+def rotation_between(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
+    """A rotation (T, 3, 3) between two that are not far apart."""
     mixed = (1 - share) * a + share * b
     return basis(mixed[..., 0], mixed[..., 1])

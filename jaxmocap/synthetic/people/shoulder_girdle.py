@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-# Over so many degrees the girdle begins to move.
-SOFT_DEG = 6.0
+# Width of the smooth onset of its movement, degrees of the arm's elevation.
+SETTING_WIDTH_DEG = 6.0
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,9 @@ class Girdle:
 
     def angles(self, elevation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How far (...) it is up and back, by an arm's elevation (...) from hanging; degrees."""
-        beyond = SOFT_DEG * np.logaddexp(0.0, (elevation - self.setting) / SOFT_DEG)
+        beyond = SETTING_WIDTH_DEG * np.logaddexp(
+            0.0, (elevation - self.setting) / SETTING_WIDTH_DEG
+        )
         return self.raised * beyond, self.drawn_back * beyond
 
     def turn(self, upper: np.ndarray, out: float) -> np.ndarray:

@@ -1,0 +1,98 @@
+"""The files that say what a body is like: bones, joints, landmarks.
+
+INPUTS: a name in ``body/data``, or the path of a file of the same form; ``human.toml`` says what
+each column means. OUTPUTS: rows as dicts.
+
+A file may take bones or joints from others (``bones_of``, ``joints_of``) and add its own.
+"""
+
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+HUMAN = "human.toml"
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """What a body's file says.
+
+    Attributes:
+        bones: rows, parents before children.
+        joints: rows, proximal to distal.
+        root: of the virtual root.
+    """
+
+    bones: list[dict]
+    joints: list[dict]
+    root: dict
+
+
+# The file is kept, not its arrays: those would outlive a trace or a change of precision.
+@cache
+def read_model(name: str | Path) -> ModelFile:
+    """Read a body's file.
+
+    Raises:
+        FileNotFoundError: no such file in ``body/data``, nor at that path.
+    """
+    data = _data(name)
+    own = data.get("bone", [])
+    if "bones_of" not in data:
+        return ModelFile(own, _joint_rows(name), data["root"])
+    source = read_model(_beside(name, data["bones_of"]))
+    return ModelFile([*source.bones, *own], _joint_rows(name), data.get("root", source.root))
+
+
+@cache
+def joint_rows(name: str | Path) -> list[dict]:
+    """The joints alone: of a body, or of a file that only adds joints to bodies."""
+    return _joint_rows(name)
+
+
+def landmark_rows_of(name: str | Path) -> list[dict]:
+    """The landmarks of a body's file."""
+    return _data(name)["landmark"]
+
+
+@cache
+def bodies() -> tuple[str, ...]:
+    """Names of the files in ``body/data`` that are bodies."""
+    names = sorted(
+        file.name
+        for file in resources.files("jaxmocap.body").joinpath("data").iterdir()
+        if file.name.endswith(".toml")
+    )
+    return tuple(name for name in names if {"bone", "bones_of"} & set(_data(name)))
+
+
+@cache
+def known_joints() -> dict[str, dict]:
+    """Joint -> its row, of all files in ``body/data``."""
+    names = [*bodies(), "wrists.toml"]
+    return {row["name"]: row for name in names for row in _joint_rows(name)}
+
+
+def _joint_rows(name: str | Path) -> list[dict]:
+    """A file's joints: those that it takes from other files, all or some, then its own."""
+    data, taken = _data(name), []
+    for source in data.get("joints_of", []):
+        rows = {row["name"]: row for row in _joint_rows(_beside(name, source["file"]))}
+        taken += [rows[joint] for joint in source.get("names", rows)]
+    return taken + data.get("joint", [])
+
+
+def _beside(name: str | Path, other: str) -> str | Path:
+    """A file that another names: beside it, or else ours."""
+    there = Path(name).parent / other
+    return there if isinstance(name, Path) and there.exists() else other
+
+
+def _data(name: str | Path) -> dict:
+    """What a file holds."""
+    if isinstance(name, Path):
+        return tomllib.loads(name.read_text(encoding="utf-8"))
+    text = resources.files("jaxmocap.body").joinpath("data", name).read_text(encoding="utf-8")
+    return tomllib.loads(text)

@@ -1,0 +1,232 @@
+"""What OpenCV does with either kind of lens: project, find poses, calibrate.
+
+INPUTS: points (metres, any frame), pixels, Intrinsics. OUTPUTS: pixels, derivatives, poses, a lens.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+
+from jaxmocap.formats.cameras.calibration import Intrinsics
+from jaxmocap.geometry.lenses import BROWN_CONRADY, FISHEYE, LENSES
+
+# Coefficients of an ordinary lens that can be asked for, and what OpenCV then holds at zero.
+ORDINARY = {
+    0: cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
+    1: cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
+    2: cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
+    4: cv2.CALIB_FIX_K3,
+    5: 0,
+}
+# An ordinary lens's coefficients beyond these are not calibrated.
+_CALIBRATED = 5
+_FISHEYE_STEPS = 200
+_FISHEYE_PRECISION = 1e-10
+
+
+@dataclass(frozen=True)
+class LensKind:
+    """The lens that a calibration looks for.
+
+    Attributes:
+        coefficients: how many of its distortion; the others are 0.
+        fisheye: whether it is a fisheye.
+    """
+
+    coefficients: int = 4
+    fisheye: bool = False
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of all that may be found."""
+        names = LENSES[FISHEYE if self.fisheye else BROWN_CONRADY].coefficients[:_CALIBRATED]
+        return ("fx", "fy", "cx", "cy", *names)
+
+
+@dataclass(frozen=True)
+class LensFit:
+    """One calibration.
+
+    Attributes:
+        lens: the result.
+        rms: reprojection error, pixels.
+        values: in the order of the kind's parameters, pixels and plain numbers.
+        std: standard deviations by least squares; 0 of what was held at zero.
+    """
+
+    lens: Intrinsics
+    rms: float
+    values: np.ndarray
+    std: np.ndarray
+
+
+def project_points(
+    points: np.ndarray, rvec: np.ndarray, tvec: np.ndarray, lens: Intrinsics
+) -> np.ndarray:
+    """Pixels (N, 2) of points (N, 3) that a pose takes to the camera's frame."""
+    return _projected(points, rvec, tvec, lens)[0]
+
+
+def pose_jacobian(
+    points: np.ndarray, rvec: np.ndarray, tvec: np.ndarray, lens: Intrinsics
+) -> np.ndarray:
+    """(2 N, 6) derivatives of the pixels by the Rodrigues vector and the translation."""
+    return _projected(points, rvec, tvec, lens)[1]
+
+
+def _projected(
+    points: np.ndarray, rvec: np.ndarray, tvec: np.ndarray, lens: Intrinsics
+) -> tuple[np.ndarray, np.ndarray]:
+    if not lens.fisheye:
+        pixels, J = cv2.projectPoints(points, rvec, tvec, lens.matrix, lens.distortions)
+        return pixels.reshape(-1, 2), J[:, :6]
+    pixels, J = _fisheye_projected(points, rvec, tvec, lens)
+    return pixels, J[:, 8:14]
+
+
+def _fisheye_projected(
+    points: np.ndarray, rvec: np.ndarray, tvec: np.ndarray, lens: Intrinsics
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (N, 2), and (2 N, 15) by fx fy cx cy k1 to k4, the pose and the skew."""
+    r, t = (np.array(part, float).reshape(3, 1) for part in (rvec, tvec))
+    points = np.array(points, float).reshape(-1, 1, 3)
+    pixels, J = cv2.fisheye.projectPoints(points, r, t, lens.matrix, _four(lens))
+    return pixels.reshape(-1, 2), J
+
+
+def _four(lens: Intrinsics) -> np.ndarray:
+    return np.concatenate([lens.distortions, np.zeros(4)])[:4]
+
+
+def pose_candidates(
+    points: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics, method: int
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Rodrigues vectors and translations, refined, of a camera that sees points at pixels.
+
+    Args:
+        points: (N, 3) metres.
+        pixels_xy: (N, 2).
+        lens: of the camera.
+        method: OpenCV's, such as SOLVEPNP_IPPE.
+
+    Raises:
+        cv2.error: OpenCV finds none.
+    """
+    points, pixels_xy = np.ascontiguousarray(points), np.ascontiguousarray(pixels_xy)
+    K, d = lens.matrix, lens.distortions
+    if not lens.fisheye:
+        _, rvecs, tvecs, _ = cv2.solvePnPGeneric(points, pixels_xy, K, d, flags=method)
+        return [
+            cv2.solvePnPRefineLM(points, pixels_xy, K, d, r.copy(), t.copy())
+            for r, t in zip(rvecs, tvecs, strict=True)
+        ]
+    plane = cv2.fisheye.undistortPoints(pixels_xy[:, None].astype(float), K, _four(lens))
+    _, rvecs, tvecs, _ = cv2.solvePnPGeneric(points, plane, np.eye(3), np.zeros(4), flags=method)
+    return [
+        _refined(points, pixels_xy, lens, np.concatenate([r.ravel(), t.ravel()]))
+        for r, t in zip(rvecs, tvecs, strict=True)
+        if np.isfinite(r).all() and np.isfinite(t).all()
+    ]
+
+
+def _refined(
+    points: np.ndarray, pixels_xy: np.ndarray, lens: Intrinsics, pose: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """A pose (6,) by Levenberg-Marquardt on the pixels."""
+
+    def off(pose: np.ndarray) -> np.ndarray:
+        return (project_points(points, pose[:3], pose[3:], lens) - pixels_xy).ravel()
+
+    def slopes(pose: np.ndarray) -> np.ndarray:
+        return pose_jacobian(points, pose[:3], pose[3:], lens)
+
+    found = least_squares(off, pose, jac=slopes, method="lm").x  # type: ignore[arg-type]
+    return found[:3], found[3:]
+
+
+def fit_lens(
+    points: Sequence[np.ndarray],
+    pixels: Sequence[np.ndarray],
+    size: tuple[int, int],
+    kind: LensKind,
+) -> LensFit:
+    """Calibrate from V views of a flat board.
+
+    Args:
+        points: (N, 3) of each view, metres.
+        pixels: (N, 2) of each view.
+        size: width and height of the pictures, pixels.
+        kind: of the lens.
+
+    Raises:
+        ArithmeticError: OpenCV finds nothing, or nothing finite.
+    """
+    fit = _fit_fisheye if kind.fisheye else _fit_ordinary
+    try:
+        found = fit(points, pixels, size, kind)
+    except (cv2.error, np.linalg.LinAlgError) as problem:
+        why = problem.err if isinstance(problem, cv2.error) else problem
+        raise ArithmeticError(f"OpenCV finds no calibration ({why})") from None
+    if not np.isfinite([*found.values, found.rms]).all():
+        raise ArithmeticError("OpenCV finds no finite calibration")
+    return found
+
+
+def _fit_ordinary(
+    points: Sequence[np.ndarray],
+    pixels: Sequence[np.ndarray],
+    size: tuple[int, int],
+    kind: LensKind,
+) -> LensFit:
+    on_board, in_image = ([part.astype(np.float32) for part in views] for views in (points, pixels))
+    flags = ORDINARY[kind.coefficients]
+    error, K, d, _, _, std, _, _ = cv2.calibrateCameraExtended(
+        on_board, in_image, size, np.eye(3), np.zeros(5), flags=flags
+    )
+    values = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *d.ravel()[:5]])
+    distortions = d.ravel()[: max(kind.coefficients, 4)].astype(float)
+    lens = Intrinsics(np.array(size, float), K, distortions)
+    return LensFit(lens, float(error), values, std.ravel()[:9])
+
+
+def _fit_fisheye(
+    points: Sequence[np.ndarray],
+    pixels: Sequence[np.ndarray],
+    size: tuple[int, int],
+    kind: LensKind,
+) -> LensFit:
+    """OpenCV gives no deviations: they are of its own derivatives, by least squares."""
+    held = [f"CALIB_FIX_K{i}" for i in range(kind.coefficients + 1, 5)]
+    flags = sum(_flag(name) for name in ("CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW", *held))
+    stop = cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, _FISHEYE_STEPS, _FISHEYE_PRECISION
+    _, K, d, rvecs, tvecs = cv2.fisheye.calibrate(
+        [part[None].astype(float) for part in points],
+        [part[None].astype(float) for part in pixels],
+        size, np.eye(3), np.zeros(4), flags=flags, criteria=stop,
+    )  # fmt: skip
+    lens = Intrinsics(np.array(size, float), K, d.ravel(), fisheye=True)
+    values = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *d.ravel()])
+    if not np.isfinite(values).all():
+        return LensFit(lens, np.inf, values, np.zeros(8))
+    free = 4 + kind.coefficients
+    off, rows = [], []
+    for view, (seen, r, t) in enumerate(zip(pixels, rvecs, tvecs, strict=True)):
+        shown, J = _fisheye_projected(points[view], r, t, lens)
+        row = np.zeros((len(J), free + 6 * len(points)))
+        row[:, :free] = J[:, :free]
+        row[:, free + 6 * view : free + 6 * view + 6] = J[:, 8:14]
+        off.append((shown - seen).ravel())
+        rows.append(row)
+    residuals, A = np.concatenate(off), np.concatenate(rows)
+    variance = residuals @ residuals / max(1, len(residuals) - A.shape[1])
+    std = np.zeros(8)
+    std[:free] = np.sqrt(variance * np.diag(np.linalg.pinv(A.T @ A))[:free])
+    return LensFit(lens, float(np.sqrt(2 * np.mean(residuals**2))), values, std)
+
+
+def _flag(name: str) -> int:
+    """OpenCV 4 has a fisheye's flags beside its functions, OpenCV 5 among all others."""
+    return getattr(cv2.fisheye, name, None) or getattr(cv2, name)

@@ -1,0 +1,49 @@
+"""Options of a chessboard or a ChArUco board, and the text that explains them.
+
+INPUTS: a command's parser. OUTPUTS: the parser with its options.
+"""
+
+import argparse
+
+from jaxmocap.cli.option_types import charuco_markers, inner_corners, positive_number
+
+BOARD_TEXT = """\
+Of a board its inner corners are counted, where four squares meet: a board of 5 x 8 squares is
+--board 4x7. Its x axis runs along the first number, y along the second, z out of the print. Its
+origin is the inner corner at the bottom left when you hold it with x to the right and y up, and
+that end whose two outermost squares are black at the bottom (at the left where the first number is
+odd). Of a ChArUco board: at the bottom left with its markers upright. --pictures draws the axes."""
+
+
+def add_board(parser: argparse.ArgumentParser, required: bool) -> None:
+    """Options of the board, of the camera, and of what is written.
+
+    Args:
+        parser: of a kind of ``calibrate``.
+        required: whether there must be a board.
+    """
+    parser.add_argument(
+        "--board",
+        metavar="COLUMNSxROWS",
+        type=inner_corners,
+        required=required,
+        help="inner corners",
+    )
+    parser.add_argument(
+        "--square",
+        metavar="M",
+        type=positive_number,
+        required=required,
+        help="its side, metres",
+    )
+    parser.add_argument(
+        "--charuco",
+        metavar="DICT,M",
+        type=charuco_markers,
+        help="a ChArUco board: its dictionary and the side of a marker, such as 5X5_100,0.045",
+    )
+    parser.add_argument("--camera", metavar="NAME", required=True, help="its section in the file")
+    parser.add_argument(
+        "--out", metavar="CALIBRATION.toml", required=True, help="only that section is changed"
+    )
+    parser.add_argument("--pictures", metavar="DIR", help="draw what was found, to look at")

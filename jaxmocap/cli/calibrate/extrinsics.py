@@ -1,0 +1,77 @@
+"""``jaxmocap calibrate extrinsics``: where a camera stands.
+
+INPUTS: a picture of a board or of measured points. OUTPUTS: the camera's section of a calibration
+file.
+"""
+
+import argparse
+
+from jaxmocap.cli.calibrate.board_options import BOARD_TEXT, add_board
+from jaxmocap.cli.command import Command
+from jaxmocap.cli.option_types import numbers
+from jaxmocap.cli.reporting import report
+
+POSE_TEXT = """\
+--pose X,Y,Z,RX,RY,RZ is the board's place in the world: its origin in metres, then its turns in
+degrees about the world's fixed axes, about x first, then y, then z (extrinsic xyz; R = Rz Ry Rx).
+A board that lies on the floor, print up, its axes along the world's, has turns of 0,0,0; one that
+stands upright with y up and its print towards the world's -y has 90,0,0. --points instead is a
+file of columns x,y,z,u,v (or name,x,y,z,u,v): metres in the world, pixels in the picture; at least
+four on a plane, better six or more that are not."""
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.description = f"{parser.description}\n\n{BOARD_TEXT}\n\n{POSE_TEXT}"
+    parser.add_argument("image", metavar="IMAGE")
+    place = parser.add_mutually_exclusive_group(required=True)
+    place.add_argument("--pose", metavar="X,Y,Z,RX,RY,RZ", type=numbers(6), help="of the board")
+    place.add_argument("--points", metavar="POINTS.csv", help="listed points, instead of a board")
+    add_board(parser, required=False)
+    parser.add_argument(
+        "--origin",
+        metavar="U,V",
+        type=numbers(2),
+        help="pixel near the board's origin, for boards that look the same when turned",
+    )
+    parser.add_argument(
+        "--up", choices=("y", "z"), default="z", help="vertical axis of what was measured"
+    )
+    parser.add_argument(
+        "--upside-down",
+        action="store_true",
+        help="the camera hangs upside down, as from a ceiling; else one that comes out so is "
+        "refused",
+    )
+    parser.add_argument(
+        "--intrinsics", metavar="FILE", help=".toml or OpenCV's .yml; default: what --out holds"
+    )
+
+
+def _run(options: argparse.Namespace) -> None:
+    from jaxmocap.calibration.calibration_report import extrinsics_figures, extrinsics_text
+    from jaxmocap.calibration.place_camera import parse_target, place_camera
+
+    measurement = parse_target(
+        options.board,
+        options.square,
+        options.charuco,
+        options.pose,
+        options.origin,
+        options.points,
+        options.up,
+    )
+    files = options.out, options.intrinsics, options.pictures
+    calibrated = place_camera(
+        options.image, measurement, options.camera, *files, options.upside_down
+    )
+    report(options, extrinsics_text(calibrated), extrinsics_figures(calibrated))
+
+
+COMMAND = Command(
+    name="extrinsics",
+    purpose="find where a camera stands",
+    run=_run,
+    add_options=_add_options,
+    example="jaxmocap calibrate extrinsics floor.jpg --board 4x7 --square 0.06 "
+    "--pose 0.5,1.2,0,0,0,90 --camera cam_01 --out calibration.toml --pictures checked",
+)

@@ -1,0 +1,109 @@
+"""How the values of options are read: the ``type`` functions of argparse.
+
+INPUTS: the text of an option. OUTPUTS: its value; ArgumentTypeError where it is none.
+"""
+
+import argparse
+import math
+from collections.abc import Callable
+
+# A whole number has at most so many digits: a longer one would not fit into 32 bits.
+MOST_DIGITS = 9
+LARGEST_PORT = 65_535
+
+
+def positive_number(text: str) -> float:
+    """A number above 0."""
+    value = float(text)
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"found {text}, expected a positive number")
+    return value
+
+
+def finite_number(text: str) -> float:
+    """Any number but infinity and NaN."""
+    if not abs(value := float(text)) < math.inf:
+        raise argparse.ArgumentTypeError(f"found {text}, expected a finite number")
+    return value
+
+
+def whole_number(text: str) -> int:
+    """A whole number from 0 on."""
+    if not _is_whole(text):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number from 0 on")
+    return int(text)
+
+
+def positive_whole_number(text: str) -> int:
+    """A whole number from 1 on."""
+    if not (_is_whole(text) and int(text)):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number above 0")
+    return int(text)
+
+
+def port_number(text: str) -> int:
+    """A TCP port."""
+    if not (_is_whole(text) and int(text) <= LARGEST_PORT):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a port, 0 to {LARGEST_PORT}")
+    return int(text)
+
+
+def _is_whole(text: str) -> bool:
+    return text.isascii() and text.isdecimal() and len(text) <= MOST_DIGITS
+
+
+def names(text: str) -> list[str]:
+    """Names between commas."""
+    return [name.strip() for name in text.split(",")]
+
+
+def numbers(count: int) -> Callable[[str], tuple[float, ...]]:
+    """Reads so many finite numbers between commas."""
+
+    def read(text: str) -> tuple[float, ...]:
+        try:
+            values = tuple(float(part) for part in text.split(","))
+        except ValueError:
+            values = ()
+        if len(values) != count or not all(map(math.isfinite, values)):
+            raise argparse.ArgumentTypeError(f"found {text!r}, expected {count} numbers")
+        return values
+
+    return read
+
+
+def pair(expected: str) -> Callable[[str], tuple[str, str]]:
+    """Reads two names with = between them; ``expected`` is their form, such as JOINT=MARKER."""
+
+    def read(text: str) -> tuple[str, str]:
+        left, equals, right = text.partition("=")
+        if not (left and equals and right):
+            raise argparse.ArgumentTypeError(f"found {text!r}, expected {expected}")
+        return left, right
+
+    return read
+
+
+def inner_corners(text: str) -> tuple[int, int]:
+    """COLUMNSxROWS of a chessboard's inner corners."""
+    columns, _, rows = text.lower().partition("x")
+    if not (columns.isdecimal() and rows.isdecimal()):
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected inner corners such as 4x7")
+    return int(columns), int(rows)
+
+
+def charuco_markers(text: str) -> tuple[str, float]:
+    """DICTIONARY,METRES of a ChArUco board's markers."""
+    dictionary, _, side = text.partition(",")
+    return dictionary.strip(), positive_number(side)
+
+
+def place_and_facing(text: str) -> tuple[float, float, float]:
+    """X,Y,FACING: metres, metres and degrees."""
+    try:
+        x, y, facing = map(float, text.split(","))
+        if not all(map(math.isfinite, (x, y, facing))):
+            raise ValueError
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected X,Y,FACING") from None
+    return x, y, facing

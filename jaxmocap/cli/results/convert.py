@@ -1,0 +1,71 @@
+"""``jaxmocap convert``: a file of markers or of a motion in another format.
+
+INPUTS: a file. OUTPUTS: another file; warnings of what its format cannot hold.
+"""
+
+import argparse
+from pathlib import Path
+
+from jaxmocap.cli.command import Command
+from jaxmocap.cli.option_types import positive_number
+from jaxmocap.cli.reporting import print_lines
+
+FORMATS_TEXT = """\
+Markers: .c3d .trc .csv. Motions: .npz .bvh .glb .mot; their joints can become markers. What a
+format cannot hold is left out and said. .bvh and .glb are Y up, facing Z, their rest pose a T with
+the arms out to the sides; joints made of them are Z up. Markers keep their file's axes."""
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.description = f"{parser.description}\n\n{FORMATS_TEXT}"
+    parser.add_argument("source", metavar="FROM")
+    parser.add_argument("target", metavar="TO")
+    parser.add_argument(
+        "--names",
+        choices=("jaxmocap", "vrm", "humanik", "smpl", "isb"),
+        help="what joints are called; default: humanik in .bvh, vrm in .glb, else as they are",
+    )
+    parser.add_argument(
+        "--unit",
+        choices=("m", "cm", "mm", "in"),
+        help="of the .bvh (the one written, if both are), which does not say; default: metres when "
+        "written, told by the body's size when read",
+    )
+    parser.add_argument(
+        "--rate",
+        metavar="HZ",
+        type=positive_number,
+        help="samples per second; default: as they are",
+    )
+    parser.add_argument(
+        "--body", metavar="FILE", type=Path, help=".npz, .bvh or .glb of the body that a .mot is of"
+    )
+    parser.add_argument(
+        "--angles",
+        choices=("hinges", "isb"),
+        help="of the .mot written: the skeleton's hinges, from which the motion can be read again, "
+        "or joint angles by ISB's conventions; default: hinges",
+    )
+
+
+def _run(options: argparse.Namespace) -> None:
+    from jaxmocap.formats.convert import ConversionOptions, convert_file
+    from jaxmocap.formats.files.writing import check_target
+
+    body = [] if options.body is None else [options.body]
+    check_target(options.target, [options.source, *body])
+    conversion = ConversionOptions(
+        options.names, options.unit, options.rate, options.body, options.angles
+    )
+    warnings = convert_file(options.source, options.target, conversion)
+    print_lines([*warnings, f"written: {options.target}"])
+
+
+COMMAND = Command(
+    name="convert",
+    purpose="make a file into another that carries the same",
+    run=_run,
+    add_options=_add_options,
+    example="jaxmocap convert tracked/motion.npz motion.bvh --unit cm",
+    reports_figures=False,
+)

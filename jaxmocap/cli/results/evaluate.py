@@ -1,0 +1,52 @@
+"""``jaxmocap evaluate``: tracked joints against a reference.
+
+INPUTS: a folder that ``track`` wrote, a reference's file. OUTPUTS: errors of each joint.
+"""
+
+import argparse
+
+from jaxmocap.cli.command import Command
+from jaxmocap.cli.option_types import finite_number, pair
+from jaxmocap.cli.reporting import report
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("directory", metavar="DIR", help="what track --out was given")
+    parser.add_argument("truth", metavar="TRUTH.trc", help="reference: .trc .csv .c3d .bvh .glb")
+    parser.add_argument(
+        "--match",
+        metavar="JOINT=MARKER",
+        type=pair("JOINT=MARKER"),
+        nargs="+",
+        required=True,
+        help="a joint and its marker in the reference",
+    )
+    parser.add_argument(
+        "--up", choices=("y", "z"), help="the reference's vertical; default: y of .bvh .glb, else z"
+    )
+    parser.add_argument(
+        "--offset",
+        metavar="S",
+        type=finite_number,
+        default=0.0,
+        help="add to the reference's times",
+    )
+
+
+def _run(options: argparse.Namespace) -> None:
+    from jaxmocap.evaluation.errors import evaluate_directory
+    from jaxmocap.evaluation.tables import format_table
+
+    errors = evaluate_directory(
+        options.directory, options.truth, dict(options.match), options.up, options.offset
+    )
+    report(options, format_table(errors), errors.as_dict())
+
+
+COMMAND = Command(
+    name="evaluate",
+    purpose="compare tracked joints with a reference",
+    run=_run,
+    add_options=_add_options,
+    example="jaxmocap evaluate tracked truth.trc --match elbow_l=LElbow elbow_r=RElbow",
+)

@@ -1,0 +1,40 @@
+"""``jaxmocap retarget``: a tracked motion played with another person's body.
+
+INPUTS: what ``track`` wrote, another body. OUTPUTS: a folder with that body's motion.
+"""
+
+import argparse
+
+from jaxmocap.cli.command import Command
+from jaxmocap.cli.reporting import report
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("source", metavar="DIR", help="that 'track' wrote, or a motion.npz")
+    parser.add_argument(
+        "--onto",
+        metavar="PERSON",
+        required=True,
+        help="a subject file, as 'scale' writes, or a folder that 'silhouette model' wrote",
+    )
+    parser.add_argument("--out", metavar="DIR", required=True, help="where to write")
+
+
+def _run(options: argparse.Namespace) -> None:
+    from jaxmocap.pipelines.retarget import retarget, retargeted_folder, write_retargeted
+
+    folder = retargeted_folder(options.out, options.source, options.onto)
+    result = retarget(options.source, options.onto)
+    warnings: list[str] = []
+    files = write_retargeted(result, folder, warnings.append)
+    lines = [result.text(files), *(f"warning        {sentence}" for sentence in warnings)]
+    report(options, "\n".join(lines), result.figures())
+
+
+COMMAND = Command(
+    name="retarget",
+    purpose="play a tracked motion with another person's body",
+    run=_run,
+    add_options=_add_options,
+    example="jaxmocap retarget tracked --onto subject.toml --out played",
+)

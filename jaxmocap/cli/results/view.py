@@ -1,0 +1,43 @@
+"""``jaxmocap view``: the rerun viewer, in a window or for a browser.
+
+INPUTS: a folder that ``track`` wrote. OUTPUTS: a viewer.
+"""
+
+import argparse
+
+from jaxmocap.cli.command import Command
+from jaxmocap.cli.option_types import port_number
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("directory", metavar="DIR", help="what track --out was given")
+    parser.add_argument("--web", action="store_true", help="serve it to a browser, until Ctrl-C")
+    parser.add_argument(
+        "--port",
+        metavar="N",
+        type=port_number,
+        default=9090,
+        help="of the page; default: %(default)s",
+    )
+
+
+def _run(options: argparse.Namespace) -> None:
+    from jaxmocap.pipelines.view import open_viewer, recording_in, serve_page
+
+    path = recording_in(options.directory)
+    if not options.web:
+        print(open_viewer(path))
+        return
+    viewer = serve_page(path, options.port)
+    print(f"{path}\nat {viewer.page}\nuntil Ctrl-C", flush=True)
+    viewer.until_interrupted()
+
+
+COMMAND = Command(
+    name="view",
+    purpose="show what track wrote in the rerun viewer",
+    run=_run,
+    add_options=_add_options,
+    example="jaxmocap view tracked",
+    reports_figures=False,
+)

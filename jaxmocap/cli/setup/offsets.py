@@ -1,0 +1,53 @@
+"""``jaxmocap offsets``: where devices sit in the hands and on the head.
+
+INPUTS: a recording of devices that are turned about resting joints. OUTPUTS: lines for
+[markers.on], with their standard deviations.
+"""
+
+import argparse
+
+from jaxmocap.cli.command import Command
+from jaxmocap.cli.option_types import numbers
+from jaxmocap.cli.reporting import report
+
+TURNING_TEXT = """\
+For every marker that says how it is turned: where it sits seen from its bone's joint, in its own
+axes. Rest the forearms on a table and turn the hands about the wrists for ten seconds or more: up
+and down, to the sides, and twisting; nod, turn and tilt the head. Prints lines for [markers.on]
+(those of a doubtful answer are left out) and their standard deviations."""
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.description = f"{parser.description}\n\n{TURNING_TEXT}"
+    parser.add_argument("recording", metavar="RECORDING.toml")
+    parser.add_argument(
+        "--turning",
+        metavar="S,S",
+        type=numbers(2),
+        help="from when to when the devices turn about resting joints, seconds; default: always",
+    )
+    parser.add_argument(
+        "--still",
+        metavar="S,S",
+        type=numbers(2),
+        help="from when to when you stand upright, arms hanging, thumbs and nose forward; tells "
+        "how the devices are held",
+    )
+
+
+def _run(options: argparse.Namespace) -> None:
+    from jaxmocap.calibration.offsets import find_offsets
+    from jaxmocap.calibration.offsets_report import offsets_figures, offsets_text
+
+    turning = options.turning or (float("-inf"), float("inf"))
+    offsets = find_offsets(options.recording, options.still, turning)
+    report(options, offsets_text(offsets), offsets_figures(offsets))
+
+
+COMMAND = Command(
+    name="offsets",
+    purpose="find where devices sit in the hands",
+    run=_run,
+    add_options=_add_options,
+    example="jaxmocap offsets turning.toml --turning 5,20 --still 0,3",
+)

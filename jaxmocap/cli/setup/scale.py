@@ -1,0 +1,81 @@
+"""``jaxmocap scale``: a person's body, by height, a static trial or a recording of movement.
+
+INPUTS: a height, a static trial or a recording. OUTPUTS: subject.toml; its lengths and mass.
+"""
+
+import argparse
+from pathlib import Path
+
+from jaxmocap.cli.command import Command
+from jaxmocap.cli.option_types import pair, positive_number
+from jaxmocap.cli.reporting import files_read, report
+
+LENGTHS_TEXT = """\
+One of --height, --static and --recording says whose body it is. From a recording every length is
+found that makes its motion fit best, markers and video, with how far lengths vary among people
+beside it; each is said to be determined, partly, or not. Stretch both arms and swing them to the
+side, to shoulder height and down, bend and stretch the elbows with the upper arms hanging, swing
+the arms ahead, bend them before the chest, then bend the knees: 6 to 10 s, facing the camera."""
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.description = f"{parser.description}\n\n{LENGTHS_TEXT}"
+    parser.add_argument(
+        "--height",
+        metavar="M",
+        type=positive_number,
+        help="metres; proportions are Winter's, and with --recording where its lengths start from",
+    )
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument("--static", metavar="FILE", help="markers of the person standing upright")
+    source.add_argument(
+        "--recording",
+        metavar="RECORDING.toml",
+        help="markers on head and hands, and video, of the arms stretched, swung and bent",
+    )
+    parser.add_argument(
+        "--mass", metavar="KG", type=positive_number, help="kilograms; default: 23 kg/m²"
+    )
+    parser.add_argument(
+        "--landmarks",
+        metavar="LANDMARK=MARKER",
+        type=pair("LANDMARK=MARKER"),
+        nargs="+",
+        default=[],
+        help="neck, hips, shoulders, and any others of the static trial; without it, those that "
+        "are called as landmarks are",
+    )
+    parser.add_argument("--up", choices=("y", "z"), help="the static file's vertical; default: z")
+    parser.add_argument(
+        "--wrists", action="store_true", help="neck that turns, forearms that twist, wrists"
+    )
+    parser.add_argument("--out", metavar="FILE", required=True, help="subject.toml")
+
+
+def _run(options: argparse.Namespace) -> None:
+    from jaxmocap.formats.files.writing import check_target
+    from jaxmocap.formats.recordings.subject import check_replaceable
+    from jaxmocap.pipelines.scaling.scale import BodySource, write_body
+
+    check_target(options.out, files_read(options))
+    check_replaceable(Path(options.out))
+    source = BodySource(
+        height=options.height,
+        mass=options.mass,
+        static=options.static,
+        landmarks=dict(options.landmarks),
+        up=options.up,
+        wrists=options.wrists,
+        recording=options.recording,
+    )
+    body = write_body(options.out, source, progress=True)
+    report(options, body.text(), body.figures())
+
+
+COMMAND = Command(
+    name="scale",
+    purpose="write a person's body to a file",
+    run=_run,
+    add_options=_add_options,
+    example="jaxmocap scale --height 1.80 --mass 75 --out subject.toml",
+)

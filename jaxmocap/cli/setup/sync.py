@@ -1,0 +1,44 @@
+"""``jaxmocap sync``: the videos' offsets from the markers' clock, by the motion itself.
+
+INPUTS: a recording. OUTPUTS: an offset for each video; exit code 1 where one cannot be determined.
+The recording's file is not changed.
+"""
+
+import argparse
+
+from jaxmocap.cli.command import Command
+from jaxmocap.cli.option_types import positive_number
+from jaxmocap.cli.recording_options import add_cameras, recording_of
+from jaxmocap.cli.reporting import exit_code, report
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("recording", metavar="RECORDING.toml")
+    parser.add_argument(
+        "--search",
+        metavar="S",
+        type=positive_number,
+        default=1.0,
+        help="how far the stated offsets may be off, seconds; default: %(default)s",
+    )
+    add_cameras(parser, "find those of these cameras only")
+
+
+def _run(options: argparse.Namespace) -> int:
+    from dataclasses import asdict
+
+    from jaxmocap.calibration.sync import estimate_video_offsets, sync_text
+
+    videos = estimate_video_offsets(recording_of(options), options.search)
+    report(options, sync_text(videos), {"videos": [asdict(video) for video in videos]})
+    count = sum(not video.is_found for video in videos)
+    return exit_code(options, [f"no offset of {count} of {len(videos)} videos"] if count else [])
+
+
+COMMAND = Command(
+    name="sync",
+    purpose="find the videos' offsets from the motion itself",
+    run=_run,
+    add_options=_add_options,
+    example="jaxmocap sync recording.toml",
+)

@@ -1,0 +1,9 @@
+"""The kinds of ``jaxmocap silhouette``: tracking without markers.
+
+Begin with ``track``.
+"""
+
+from jaxmocap.cli.silhouette import demo, model, track
+
+PURPOSE = "track a person without markers, by silhouettes"
+COMMANDS = (track.COMMAND, demo.COMMAND, model.COMMAND)

@@ -1,0 +1,52 @@
+"""``jaxmocap silhouette demo``: a synthetic recording by four cameras, tracked and evaluated.
+
+INPUTS: a folder, a duration, a seed, by choice a rigged mesh. OUTPUTS: the recording, its tracked
+files, errors against the truth.
+"""
+
+import argparse
+
+from jaxmocap.cli.command import Command
+from jaxmocap.cli.option_types import positive_number, whole_number
+from jaxmocap.cli.reporting import report
+
+# The names of ``synthetic.movements.exercises.EXERCISES``; --help does not load that.
+EXERCISES = ("push_ups", "sit_ups", "arm_raises", "turn", "walking", "jumping", "scissors")
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--out", metavar="DIR", default="jaxmocap-silhouettes", help="default: %(default)s"
+    )
+    parser.add_argument("--seconds", type=positive_number, default=2.0, help="default: %(default)s")
+    parser.add_argument(
+        "--seed", type=whole_number, default=0, help="of the rooms, the movement and noise"
+    )
+    parser.add_argument(
+        "--person",
+        metavar="PERSON.npz",
+        help="a rigged mesh that moves; default: a simple person made here, who squats",
+    )
+    parser.add_argument(
+        "--exercise", choices=EXERCISES, default="arm_raises", help="of the mesh; %(default)s"
+    )
+
+
+def _run(options: argparse.Namespace) -> None:
+    from jaxmocap.pipelines.kept_programs import keep_compiled
+    from jaxmocap.pipelines.silhouettes.demo import demonstrate_silhouettes
+
+    keep_compiled()
+    chosen = options.seconds, options.seed, options.person, options.exercise
+    demonstration = demonstrate_silhouettes(options.out, *chosen, progress=True)
+    files = "\n".join(f"written  {path}" for path in demonstration.files)
+    report(options, f"{demonstration.text()}\n\n{files}", demonstration.as_dict())
+
+
+COMMAND = Command(
+    name="demo",
+    purpose="make a synthetic recording by four cameras and track it",
+    run=_run,
+    add_options=_add_options,
+    example="jaxmocap silhouette demo --out jaxmocap-silhouettes",
+)

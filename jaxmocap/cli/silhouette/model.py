@@ -1,0 +1,63 @@
+"""``jaxmocap silhouette model``: a person's own body and surface, of four photographs.
+
+INPUTS: four photographs and their calibration. OUTPUTS: a folder with the model, and a picture of
+every step.
+"""
+
+import argparse
+
+from jaxmocap.cli.command import Command
+from jaxmocap.cli.option_types import positive_number, whole_number
+from jaxmocap.cli.reporting import report
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    for name, stance in (
+        ("front", "arms lifted off the trunk"),
+        ("side", "from the left, arms spread towards and away from the camera"),
+        ("joint", "from the front, upper arms level, forearms up, hands flat"),
+        ("arm-side", "from the front, arms spread level, palms down"),
+    ):
+        parser.add_argument(f"--{name}", metavar="IMAGE", required=True, help=stance)
+    parser.add_argument(
+        "--calibration",
+        metavar="FILE.toml",
+        required=True,
+        help="sections front and side, and joint and arm_side where it was another camera; in its "
+        "world z is up and the person faces +x",
+    )
+    parser.add_argument("--out", metavar="DIR", required=True, help="where to write")
+    parser.add_argument(
+        "--bottom",
+        metavar="ROW",
+        type=whole_number,
+        help="row of the front photograph where the trunk ends; default: where the legs part",
+    )
+    parser.add_argument(
+        "--height",
+        metavar="METRES",
+        type=positive_number,
+        help="of the body, which tells how long the legs are; default: as people's of such a trunk",
+    )
+
+
+def _run(options: argparse.Namespace) -> None:
+    from jaxmocap.pipelines.silhouettes import model as modelling
+
+    photographs = {name: getattr(options, name) for name in modelling.PHOTOGRAPHS}
+    folder = modelling.model_folder(options.out, [*photographs.values(), options.calibration])
+    model = modelling.model_from(
+        photographs, options.calibration, options.out, options.bottom, options.height
+    )
+    files = modelling.write_model(model, folder)
+    report(options, modelling.model_text(model, files), model.figures())
+
+
+COMMAND = Command(
+    name="model",
+    purpose="make a person's own model of four photographs",
+    run=_run,
+    add_options=_add_options,
+    example="jaxmocap silhouette model --front front.png --side side.png --joint joint.png "
+    "--arm-side arm_side.png --calibration calibration.toml --out model",
+)

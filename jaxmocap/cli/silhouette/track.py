@@ -1,0 +1,94 @@
+"""``jaxmocap silhouette track``: a person before one to four cameras, without markers.
+
+INPUTS: a recording. OUTPUTS: a folder with the motion in every format, a report, overlay videos.
+"""
+
+import argparse
+from pathlib import Path
+
+from jaxmocap.cli.command import Command
+from jaxmocap.cli.option_types import place_and_facing
+from jaxmocap.cli.recording_options import add_cameras, recording_of
+from jaxmocap.cli.reporting import report
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("recording", metavar="RECORDING.toml")
+    parser.add_argument("--out", metavar="DIR", required=True, help="where to write")
+    add_cameras(parser, "use these of the recording's cameras")
+    parser.add_argument(
+        "--at",
+        metavar="X,Y,FACING",
+        type=place_and_facing,
+        help="where the person stands upright at first, metres, and faces, degrees from x towards "
+        "y; default: as the recording's markers say",
+    )
+    _add_passes(parser)
+    parser.add_argument("--markers", action="store_true", help="follow the recording's markers too")
+    parser.add_argument(
+        "--shoulders",
+        action="store_true",
+        help="let shoulders go along with raised arms, up and back, as most people's do",
+    )
+    parser.add_argument(
+        "--model",
+        metavar="DIR",
+        help="the person's own, as 'silhouette model' wrote it; default: a body of people's mean "
+        "proportions around the recording's [subject]",
+    )
+
+
+def _add_passes(parser: argparse.ArgumentParser) -> None:
+    passes = parser.add_mutually_exclusive_group()
+    passes.add_argument(
+        "--once",
+        dest="passes",
+        action="store_const",
+        const=1,
+        default=3,
+        help="one pass, which knows of the rooms what its frames so far showed, and no girths; "
+        "default: two passes learn both",
+    )
+    passes.add_argument(
+        "--lengths",
+        action="store_true",
+        help="let these passes correct the bones' lengths too, where no static trial tells them",
+    )
+
+
+def _run(options: argparse.Namespace) -> None:
+    from jaxmocap.pipelines.kept_programs import keep_compiled
+    from jaxmocap.pipelines.silhouettes.first_pose import settings_for, start_pose
+    from jaxmocap.pipelines.silhouettes.person import person_files, with_model
+    from jaxmocap.pipelines.silhouettes.track import track_silhouettes
+    from jaxmocap.pipelines.silhouettes.writing import results_folder, write_results
+    from jaxmocap.pipelines.summary import figures, summary
+
+    keep_compiled()
+    recording, person = with_model(recording_of(options), options.model)
+    model_files = person_files(Path(options.model)) if options.model else []
+    results_folder(options.out, recording, model_files)
+    start = start_pose(recording, options.at)
+    followed = track_silhouettes(
+        recording,
+        start,
+        passes=options.passes,
+        markers=options.markers,
+        lengths=options.lengths,
+        surface=person and person.surface,
+        settings=settings_for(options.at is not None, options.shoulders),
+        progress=True,
+    )
+    warnings: list[str] = []
+    where = recording, options.out, True, person, model_files, warnings.append
+    files = write_results(followed, *where)
+    report(options, summary(followed.motion, files, warnings), figures(followed.motion))
+
+
+COMMAND = Command(
+    name="track",
+    purpose="track a recording of one to four cameras",
+    run=_run,
+    add_options=_add_options,
+    example="jaxmocap silhouette track recording.toml --out tracked --at 0,0,90",
+)

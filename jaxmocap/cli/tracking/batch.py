@@ -1,0 +1,70 @@
+"""``jaxmocap batch``: every recording of a folder, side by side.
+
+INPUTS: a folder of recordings. OUTPUTS: a folder for each, a table of all; exit code 1 where one
+failed. What an earlier run has tracked is kept.
+"""
+
+import argparse
+
+from jaxmocap.cli.command import Command
+from jaxmocap.cli.option_types import positive_number, positive_whole_number
+from jaxmocap.cli.recording_options import add_refine
+from jaxmocap.cli.reporting import exit_code, report
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("corpus", metavar="CORPUS_DIR", help="recordings, at any depth")
+    parser.add_argument(
+        "--out", metavar="DIR", required=True, help="gets a folder for each, and corpus.csv"
+    )
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--scheduler", metavar="ADDRESS", help="a Dask cluster's, such as tcp://10.0.0.1:8786"
+    )
+    where.add_argument(
+        "--workers",
+        metavar="N",
+        type=positive_whole_number,
+        help="processes here; default: one per core",
+    )
+    parser.add_argument(
+        "--job-timeout",
+        metavar="SECONDS",
+        type=positive_number,
+        help="a recording that takes longer fails; default: as long as it takes",
+    )
+    add_refine(parser, "see 'track'")
+    parser.add_argument(
+        "--causal",
+        dest="mode",
+        action="store_const",
+        const="causal",
+        default="own",
+        help="see 'track'",
+    )
+
+
+def _run(options: argparse.Namespace) -> int:
+    from jaxmocap.pipelines.batch.batch import TrackingOptions, track_corpus
+
+    batch = track_corpus(
+        options.corpus,
+        options.out,
+        TrackingOptions(options.refine, options.mode),
+        scheduler=options.scheduler,
+        workers=options.workers,
+        timeout_s=options.job_timeout,
+        progress=True,
+    )
+    report(options, batch.text(), batch.figures())
+    count = len(batch.failures)
+    return exit_code(options, [f"{count} recordings failed"] if count else [])
+
+
+COMMAND = Command(
+    name="batch",
+    purpose="track every recording in a folder, side by side",
+    run=_run,
+    add_options=_add_options,
+    example="jaxmocap batch recordings --out tracked --workers 2",
+)

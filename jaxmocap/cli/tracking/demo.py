@@ -1,0 +1,39 @@
+"""``jaxmocap demo``: a synthetic recording, tracked by markers alone and with video.
+
+INPUTS: a folder, a duration, a seed. OUTPUTS: the recording, its tracked files, errors.
+"""
+
+import argparse
+
+from jaxmocap.cli.command import Command
+from jaxmocap.cli.option_types import positive_number, whole_number
+from jaxmocap.cli.reporting import report
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--out", metavar="DIR", default="jaxmocap-demo", help="default: %(default)s"
+    )
+    parser.add_argument("--seconds", type=positive_number, default=6.0, help="default: %(default)s")
+    parser.add_argument(
+        "--seed", type=whole_number, default=0, help="of person, room, strokes and noise"
+    )
+
+
+def _run(options: argparse.Namespace) -> None:
+    from jaxmocap.pipelines.demo import demonstrate
+    from jaxmocap.pipelines.kept_programs import keep_compiled
+
+    keep_compiled()
+    demonstration = demonstrate(options.out, options.seconds, options.seed, progress=True)
+    files = "\n".join(f"written  {path}" for path in demonstration.files)
+    report(options, f"{demonstration.table()}\n\n{files}", demonstration.as_dict())
+
+
+COMMAND = Command(
+    name="demo",
+    purpose="make a synthetic recording and track it",
+    run=_run,
+    add_options=_add_options,
+    example="jaxmocap demo --out jaxmocap-demo",
+)

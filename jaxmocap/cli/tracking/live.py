@@ -1,0 +1,58 @@
+"""``jaxmocap live``: markers and cameras, tracked as they come in, until Ctrl-C.
+
+INPUTS: the file of a live run. OUTPUTS: poses over the network, by choice a recording; figures.
+Exit code 1 where nothing came in or it was not all recorded, 143 where SIGTERM ended it.
+"""
+
+import argparse
+
+from jaxmocap.cli.command import Command
+from jaxmocap.cli.option_types import positive_number
+from jaxmocap.cli.recording_options import add_refine
+from jaxmocap.cli.reporting import exit_code, report
+from jaxmocap.pipelines.signals import Terminated
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("setup", metavar="LIVE.toml", help="what to listen to and where to send")
+    parser.add_argument("--out", metavar="DIR", help="record there what 'track' reads again")
+    parser.add_argument(
+        "--smooth",
+        action="store_true",
+        help="give each pose out once two more video frames were seen, smoothed",
+    )
+    add_refine(parser, "how video refines the markers' pose, see 'track'")
+    parser.add_argument(
+        "--view", choices=("window", "web"), help="show it in rerun's viewer, or in a browser"
+    )
+    parser.add_argument(
+        "--seconds", metavar="S", type=positive_number, help="how long; default: until Ctrl-C"
+    )
+
+
+def _run(options: argparse.Namespace) -> int:
+    from jaxmocap.pipelines.kept_programs import keep_compiled
+    from jaxmocap.pipelines.live.session import live_summary, run_live
+
+    keep_compiled()
+    figures = run_live(
+        options.setup,
+        out=options.out,
+        smooth=options.smooth,
+        refine=options.refine,
+        seconds=options.seconds,
+        view=options.view,
+    )
+    report(options, live_summary(figures), figures)
+    if figures["terminated"]:
+        raise Terminated
+    return exit_code(options, figures["problems"])
+
+
+COMMAND = Command(
+    name="live",
+    purpose="track markers and cameras as they come",
+    run=_run,
+    add_options=_add_options,
+    example="jaxmocap live live.toml --out session",
+)

@@ -1,0 +1,74 @@
+"""``jaxmocap track``: a recording with markers, with or without video.
+
+INPUTS: a recording. OUTPUTS: a folder with the motion in every format, a report, overlay videos;
+exit code 1 where the body is far off its markers.
+"""
+
+import argparse
+
+from jaxmocap.cli.command import Command
+from jaxmocap.cli.option_types import positive_number
+from jaxmocap.cli.recording_options import add_cameras, add_refine, recording_of
+from jaxmocap.cli.reporting import exit_code, report
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("recording", metavar="RECORDING.toml")
+    parser.add_argument("--out", metavar="DIR", required=True, help="where to write")
+    add_refine(
+        parser,
+        "how video refines the markers' pose: each arm by a simplex, the whole body by "
+        "least squares, or not at all (markers only)",
+    )
+    mode = parser.add_mutually_exclusive_group()
+    mode.add_argument(
+        "--causal",
+        dest="mode",
+        action="store_const",
+        const="causal",
+        help="use no later marker or frame than a live run would, which smooths each pose once it "
+        "has seen two more video frames",
+    )
+    mode.add_argument(
+        "--nearest",
+        dest="mode",
+        action="store_const",
+        const="nearest",
+        help="use the frame nearest to each marker sample, as in the paper",
+    )
+    parser.add_argument(
+        "--paper", action="store_true", help="the paper's edges, cost and simplex, no memory"
+    )
+    add_cameras(parser, "use these of the recording's cameras")
+    parser.add_argument(
+        "--height", metavar="M", type=positive_number, help="metres, in place of the [subject]"
+    )
+    parser.set_defaults(mode="own")
+
+
+def _run(options: argparse.Namespace) -> int:
+    from jaxmocap.pipelines.kept_programs import keep_compiled
+    from jaxmocap.pipelines.summary import figures, misfit, summary
+    from jaxmocap.pipelines.tracking.track import choose_settings, track
+    from jaxmocap.pipelines.writing import tracked_folder, write_outputs
+
+    keep_compiled()
+    recording = recording_of(options)
+    settings = choose_settings(options.refine, options.paper)
+    # Whether the folder can be written to, before any work.
+    tracked_folder(options.out, recording)
+    motion = track(recording, settings, mode=options.mode, progress=True)
+    warnings: list[str] = []
+    files = write_outputs(motion, recording, options.out, settings, True, warnings.append)
+    report(options, summary(motion, files, warnings), figures(motion))
+    problem = misfit(motion)
+    return exit_code(options, [problem] if problem else [])
+
+
+COMMAND = Command(
+    name="track",
+    purpose="track a recording",
+    run=_run,
+    add_options=_add_options,
+    example="jaxmocap track recording.toml --out tracked",
+)

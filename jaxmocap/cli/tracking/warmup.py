@@ -1,0 +1,38 @@
+"""``jaxmocap warmup``: compile ahead what tracking and a live run will need.
+
+INPUTS: a recording, or none for the demo's. OUTPUTS: compiled programs on disk; what they took.
+"""
+
+import argparse
+
+from jaxmocap.cli.command import Command
+from jaxmocap.cli.recording_options import add_refine
+from jaxmocap.cli.reporting import report
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "recording",
+        metavar="RECORDING.toml",
+        nargs="?",
+        help="whose markers and cameras; default: the demo's, headset and controllers, one camera",
+    )
+    add_refine(parser, "see 'track'")
+
+
+def _run(options: argparse.Namespace) -> None:
+    from jaxmocap.pipelines import warmup
+    from jaxmocap.pipelines.tracking.track import choose_settings
+
+    recording = warmup.load_or_standing(options.recording)
+    compilations = warmup.warm_up(recording, choose_settings(options.refine))
+    report(options, warmup.compilation_text(compilations), warmup.compilation_figures(compilations))
+
+
+COMMAND = Command(
+    name="warmup",
+    purpose="compile what tracking and a live run will need",
+    run=_run,
+    add_options=_add_options,
+    example="jaxmocap warmup recording.toml",
+)

@@ -1,0 +1,156 @@
+"""Correspondences: the contour's pixels and the points of the surface's rim (3.1.4, 3.2).
+
+INPUTS: contours of C cameras, for example of level sets; the rims at the present pose.
+OUTPUTS: pairs of body points and rays, for ``solve_pose``.
+
+A rim point goes with the nearest pixel of the contour, and a pixel of the contour with the nearest
+rim point: one way alone, what sticks out of the other would go unmatched. Near means near in place
+and in direction: the two sides of an arm are close to each other and face apart.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from scipy.spatial import KDTree
+
+from jaxmocap.geometry.cameras import Camera
+from jaxmocap.geometry.lines import Lines
+from jaxmocap.silhouette.points import BodyPoints, PointRays, contour_rays
+from jaxmocap.silhouette.surfaces.index_image import subsampled
+from jaxmocap.silhouette.surfaces.rim import Rim
+
+
+class MatchSettings(NamedTuple):
+    """What makes a pair.
+
+    Attributes:
+        pixels: kept of each camera's contour, evenly along it; static.
+        normal_weight: cells of the rim's canvas that a radian between normals is worth, nearly.
+        least_cosine: least cosine between the normals of a pair.
+        largest_distance: cells between the two of a pair, at most.
+        along_weight: weight of a pair along the contour, by that across.
+    """
+
+    pixels: int = 256
+    normal_weight: float = 20.0
+    least_cosine: float = 0.5
+    largest_distance: float = 40.0
+    along_weight: float = 0.1
+
+
+class Contour(NamedTuple):
+    """K pixels of one camera's contour.
+
+    Attributes:
+        pixels_xy: (K, 2) in the whole image.
+        normals: (K, 2) unit vectors out of the person.
+    """
+
+    pixels_xy: np.ndarray
+    normals: np.ndarray
+
+
+class Matches(NamedTuple):
+    """N pairs of each of C cameras, padded.
+
+    Attributes:
+        nodes: (C, N) of the rim's surface.
+        pixels_xy: (C, N, 2) where the contour is seen.
+        normals: (C, N, 2) of the contour there.
+        distances: (C, N) between them, pixels; 0 for padding.
+        valid: (C, N) False for padding, and where nothing fits.
+    """
+
+    nodes: np.ndarray
+    pixels_xy: np.ndarray
+    normals: np.ndarray
+    distances: np.ndarray
+    valid: np.ndarray
+
+
+def matched_pairs(rim: Rim, contours: Sequence[Contour], settings: MatchSettings) -> Matches:
+    """Pairs of the rims' outer points and the contours of C cameras, however those were found."""
+    rows = []
+    for camera, contour in enumerate(contours):
+        # What no mask shows has no pair.
+        outline = ~rim.inner[camera]
+        nodes, pixels, normals, real = (part[camera][outline] for part in rim[:3] + rim[4:5])
+        scale = float(rim.region.scale[camera])
+        rows.append(_matched(nodes, pixels, normals, real, contour, scale, settings))
+    return Matches(*(np.stack(parts) for parts in zip(*rows, strict=True)))
+
+
+def _matched(
+    nodes: np.ndarray,
+    pixels: np.ndarray,
+    normals: np.ndarray,
+    kept: np.ndarray,
+    contour: Contour,
+    scale: float,
+    settings: MatchSettings,
+) -> Matches:
+    """One camera's pairs: first from every rim point, then from pixels of the contour."""
+    width = len(nodes) + settings.pixels
+    if not kept.any() or not len(contour.pixels_xy):
+        empty = np.zeros(width, np.float32)
+        places = np.zeros((width, 2), np.float32)
+        return Matches(np.zeros(width, nodes.dtype), places, places, empty, np.zeros(width, bool))
+    chosen = Contour(*subsampled(contour, settings.pixels))
+    rims = np.flatnonzero(kept)
+    turn = settings.normal_weight * scale
+    to_contour = KDTree(_places(*contour, turn)).query(_places(pixels, normals, turn))[1]
+    to_rim = rims[
+        KDTree(_places(pixels[rims], normals[rims], turn)).query(_places(*chosen, turn))[1]
+    ]
+    which = np.concatenate([np.arange(len(nodes)), to_rim])
+    there = np.concatenate([contour.pixels_xy[to_contour], chosen.pixels_xy])
+    ways = np.concatenate([contour.normals[to_contour], chosen.normals])
+    real = np.concatenate([kept, np.ones(len(to_rim), bool)])
+    away = np.linalg.norm(there - pixels[which], axis=1)
+    real &= np.sum(ways * normals[which], 1) > settings.least_cosine
+    real &= away < settings.largest_distance * scale
+    found = Matches(nodes[which], there, ways, np.where(real, away, 0.0), real)
+    return Matches(*(_filled(part, width) for part in found))
+
+
+def _places(pixels: np.ndarray, normals: np.ndarray, turn: float) -> np.ndarray:
+    """Place and direction as one point (N, 4)."""
+    return np.concatenate([pixels, turn * normals], 1)
+
+
+def _filled(part: np.ndarray, width: int) -> np.ndarray:
+    """A field up to its static length, in single precision where it has any."""
+    kind = np.float32 if part.dtype == np.float64 else part.dtype
+    padded = np.zeros((width, *part.shape[1:]), kind)
+    padded[: len(part)] = part
+    return padded
+
+
+def pairs_of(
+    cameras: Camera,
+    points: BodyPoints,
+    pixels_xy: Array,
+    normals: Array,
+    weights: Array,
+    along_weight: Array | float,
+    moves: Array | np.ndarray | None = None,
+) -> PointRays:
+    """Pairs (C * N) for ``solve_pose``.
+
+    Args:
+        cameras: C, stacked.
+        points: C * N, of the ``Matches``' nodes.
+        pixels_xy: (C, N, 2) of the contours.
+        normals: (C, N, 2) there.
+        weights: (C, N), 0 for no pair.
+        along_weight: of all pairs along the contour.
+        moves: (C * N, 3, S) of the points, where anything drives them.
+    """
+    lines, across = jax.vmap(contour_rays)(cameras, pixels_xy, normals)
+    flat = Lines(*(part.reshape(-1, 3) for part in lines))
+    firm = jnp.broadcast_to(jnp.asarray(along_weight, weights.dtype), weights.size)
+    return PointRays(points, flat, across.reshape(-1, 3), weights.ravel(), firm, moves)

@@ -1,0 +1,187 @@
+"""From a predicted pose to a fitted one: rim, contour, pairs, solve, cycle by cycle.
+
+INPUTS: a frame's images and what is known of them, a predicted pose. OUTPUTS: a FittedPose; what
+is left of its information without the pairs of some joints.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import ROOT_DOF
+from jaxmocap.body.surfaces.surface import BodyPoints
+from jaxmocap.images.background_model import Background
+from jaxmocap.silhouette.device_functions import ContourPairs, fit, free_pose
+from jaxmocap.silhouette.fit.camera_agreement import disagreeing, matched_shares
+from jaxmocap.silhouette.fit.correspond import matched_pairs
+from jaxmocap.silhouette.fit.expected_pose import combined_prior
+from jaxmocap.silhouette.markers import MarkerRows
+from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior
+from jaxmocap.silhouette.segmentation.inner_edges import concatenated, inner_edge_pairs
+from jaxmocap.silhouette.segmentation.outlines import Outlines, find_outlines
+from jaxmocap.silhouette.segmentation.segment import Histograms
+from jaxmocap.silhouette.settings import Settings
+from jaxmocap.silhouette.state import TrackedBody, TrackerConstants
+from jaxmocap.silhouette.surfaces.rim import Rim
+from jaxmocap.silhouette.surfaces.shape import NodePairs
+
+
+class FrameEvidence(NamedTuple):
+    """What a frame brings, and what is known before it is segmented.
+
+    Attributes:
+        images: (H, W, 3) BGR uint8 of each camera, None where it shows nothing of use.
+        backgrounds: of each camera, None where unknown.
+        histograms: of the frames before.
+        markers: rows of them, where any are followed.
+        is_first: whether it is the first frame.
+    """
+
+    images: Sequence[np.ndarray | None]
+    backgrounds: Sequence[Background | None]
+    histograms: Histograms
+    markers: MarkerRows | None
+    is_first: bool
+
+
+class FittedPose(NamedTuple):
+    """How the last cycle ended.
+
+    Attributes:
+        result: of the solve.
+        used: (C,) bool: cameras that counted.
+        matched_shares: (C,) of rim and contour that found a partner.
+        outlines: what the cameras show.
+        pairs: with what robust weighting leaves of their weights.
+    """
+
+    result: PoseResult
+    used: np.ndarray
+    matched_shares: np.ndarray
+    outlines: Outlines
+    pairs: NodePairs
+
+
+def fit_pose(
+    constants: TrackerConstants,
+    body: TrackedBody,
+    frame: FrameEvidence,
+    predicted: Pose,
+    deviations: np.ndarray,
+) -> FittedPose:
+    """The pose that brings the body's rims to the contours.
+
+    Args:
+        constants: of the tracker.
+        body: who is tracked.
+        frame: its images.
+        predicted: to start from, and the mean of the prior.
+        deviations: (6 + D,) of the prior, metres and radians.
+    """
+    s, finder, shape = constants.settings, constants.finder, body.shape
+    rough = s.starting_deviations if frame.is_first else ()
+    centre = predicted if finder.morph is None else free_pose(finder.morph, predicted)
+    prior = combined_prior(centre, deviations, constants.rest_deviations)
+    pose, fitted, outlines, used = predicted, None, None, np.zeros(0, bool)
+    for cycle, deviation in enumerate((*rough, *s.deviations)):
+        coarse = cycle < len(rough)
+        rim = finder.find(shape, pose, constants.cameras, coarse)
+        if coarse or outlines is None or cycle - len(rough) in s.segmentation_cycles:
+            outlines = find_outlines(
+                frame.images, frame.backgrounds, rim, frame.histograms, s, constants.plan
+            )
+            used = np.ones(len(frame.images), bool)
+        pairs, shares, used = _paired(constants, body, frame, rim, outlines, used, coarse)
+        how = PoseSettings(deviation=deviation, iterations=s.iterations)
+        result = solve_pairs(constants, body, pose, pairs.pairs, how, prior, frame.markers)
+        weights = pairs.pairs.weights
+        distances = np.asarray(result.distances).reshape(weights.shape)
+        used = used & ~disagreeing(
+            distances, np.asarray(weights) > 0, s.disagreement, s.agreement_m
+        )
+        pose = result.pose
+        robust = np.asarray(result.shares).reshape(weights.shape)
+        left = pairs._replace(pairs=pairs.pairs._replace(weights=robust * weights))
+        fitted = FittedPose(result, used, shares, outlines, left)
+    assert fitted is not None
+    return fitted
+
+
+def _paired(
+    constants: TrackerConstants,
+    body: TrackedBody,
+    frame: FrameEvidence,
+    rim: Rim,
+    outlines: Outlines,
+    used: np.ndarray,
+    coarse: bool,
+) -> tuple[NodePairs, np.ndarray, np.ndarray]:
+    """Pairs of rim and contour and of inner edges; shares that matched; cameras (C,) that count."""
+    s = constants.settings
+    matches = matched_pairs(rim, outlines.contours, s.match)
+    counts = [len(contour.pixels_xy) for contour in outlines.contours]
+    shares = matched_shares(rim, matches, counts)
+    used = used & (shares >= s.least_matched_share)
+    edges = inner_edge_pairs(frame.images, rim, constants.carriers, s.edges)
+    weights = np.concatenate([matches.valid, s.edges.weight * edges.valid], 1)
+    matches = concatenated(matches, edges)
+    weights = (weights * used[:, None]).astype(np.float32)
+    points = body.shape.points(matches.nodes, coarse)
+    moves = constants.finder.moves(matches.nodes)
+    along_weight = s.match.along_weight
+    pixels, normals = matches.pixels_xy, matches.normals
+    pairs = ContourPairs(points, pixels, normals, weights, moves, along_weight)
+    return NodePairs(matches.nodes, pairs), shares, used
+
+
+def solve_pairs(
+    constants: TrackerConstants,
+    body: TrackedBody,
+    pose: Pose,
+    pairs: ContourPairs,
+    how: PoseSettings,
+    prior: Prior,
+    markers: MarkerRows | None,
+) -> PoseResult:
+    """The pose that brings the pairs' points to their rays; see ``solve_pose``."""
+    skeleton, morph = body.shape.skeleton, constants.finder.morph
+    return fit(skeleton, constants.cameras, pose, pairs, how, prior, markers, morph)
+
+
+def information_without(
+    constants: TrackerConstants,
+    body: TrackedBody,
+    hidden: np.ndarray,
+    pose: Pose,
+    pairs: NodePairs,
+    positions_world: np.ndarray | None,
+) -> PoseResult:
+    """Hessian and slope at a pose by its pairs, without those of hidden joints (D,).
+
+    For what hides a part has outlines too; ``positions_world`` (M, 3) of the markers, metres.
+    """
+    s, skeleton = constants.settings, body.shape.skeleton
+    moved = np.any(skeleton.tree.carries[ROOT_DOF:][hidden], 0)
+    gone = moved[constants.carriers[pairs.nodes]]
+    weights = np.where(gone, np.float32(0), pairs.pairs.weights)
+    how = PoseSettings(deviation=s.deviations[-1], iterations=0)
+    flat = np.full(skeleton.costs.shape, s.predicted_deviation)
+    here = combined_prior(pose, flat, constants.rest_deviations)
+    markers = marker_rows(body.marker_points, positions_world, s)
+    return solve_pairs(
+        constants, body, pose, pairs.pairs._replace(weights=weights), how, here, markers
+    )
+
+
+def marker_rows(
+    points: BodyPoints | None, positions_world: np.ndarray | None, settings: Settings
+) -> MarkerRows | None:
+    """Rows of the markers at points of the body, where any are followed."""
+    if points is None:
+        return None
+    count = len(points.bones)
+    positions = np.full((count, 3), np.nan) if positions_world is None else positions_world
+    deviations = np.full(count, settings.marker_deviation, np.float32)
+    return MarkerRows(points, np.asarray(positions, np.float32), deviations)

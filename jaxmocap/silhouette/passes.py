@@ -1,0 +1,280 @@
+"""Passes over a recording: each tracks all frames, and learns what the next one begins with.
+
+A first pass learns the backgrounds, frame by frame, where the person is not, and the person's
+shape; the next ones begin with both, and with where the pass before them found each limb.
+
+INPUTS: a tracker, a first pose, frames as often as they are asked for.
+OUTPUTS: a PassResult; the poses that suit all frames together; how well landmarks are known.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jaxmocap.body.pose import Pose
+from jaxmocap.images.background_model import Background
+from jaxmocap.images.regions import Region
+from jaxmocap.silhouette.device_functions import landmark_jacobian
+from jaxmocap.silhouette.recovery.withdrawal import slim
+from jaxmocap.silhouette.segmentation.background_models import BackgroundLearner, OnlineBackground
+from jaxmocap.silhouette.smoothing import FrameInformation, smoothed_poses
+from jaxmocap.silhouette.state import PoseEstimate, State, StepReport, TrackedBody, TrackerConstants
+from jaxmocap.silhouette.surfaces.shape import ShapeEstimator
+from jaxmocap.silhouette.tracker import SilhouetteTracker
+
+# Level sets are kept as whole numbers of so many to a cell.
+PHI_STEPS = 8
+
+
+class FrameBundle(NamedTuple):
+    """What all cameras bring for one instant.
+
+    Attributes:
+        time: seconds.
+        images: (H, W, 3) BGR uint8 of each of C cameras, None where there is none.
+        positions_world: (M, 3) of the markers, metres; NaN where one is missing.
+    """
+
+    time: float
+    images: Sequence[np.ndarray | None]
+    positions_world: np.ndarray
+
+
+class PassSettings(NamedTuple):
+    """How often a recording is gone through, and what is learned.
+
+    Attributes:
+        passes: how many.
+        shape_deviation: how far the surface may be off, by how far a generic one is.
+        lengths: whether the bones' lengths are corrected as well.
+    """
+
+    passes: int = 3
+    shape_deviation: float = 1.0
+    lengths: bool = False
+
+
+@dataclass
+class PassResult:
+    """What a pass found in F frames.
+
+    Attributes:
+        body: as the pass had it.
+        times: (F,) seconds.
+        estimates: F of them.
+        reports: F, without what is large.
+        level_sets: F times (C, S, S) int8, ``PHI_STEPS`` to a cell, positive within the person.
+        milliseconds: F that the frames took.
+    """
+
+    body: TrackedBody
+    times: list[float] = field(default_factory=list)
+    estimates: list[PoseEstimate] = field(default_factory=list)
+    reports: list[StepReport] = field(default_factory=list)
+    level_sets: list[np.ndarray] = field(default_factory=list)
+    milliseconds: list[float] = field(default_factory=list)
+
+    @property
+    def is_anybody_visible(self) -> bool:
+        """Whether any camera counted in any frame."""
+        return any(report.used.any() for report in self.reports)
+
+    def add(self, time: float, state: State, report: StepReport, milliseconds: float) -> None:
+        """One more frame."""
+        self.times.append(time)
+        pose = jax.tree.map(np.asarray, state.pose)
+        self.estimates.append(PoseEstimate(pose, state.velocity))
+        revised = report.revised
+        self.reports[len(self.reports) - len(revised) :] = revised
+        self.reports.append(slim(report))
+        phi = np.round(PHI_STEPS * np.asarray(report.outlines.segmentation.phi))
+        self.level_sets.append(np.clip(phi, -127, 127).astype(np.int8))
+        self.milliseconds.append(milliseconds)
+
+    def poses(self) -> Pose:
+        """(F, ...) as they were found."""
+        return jax.tree.map(lambda *parts: np.stack(parts), *(each.pose for each in self.estimates))
+
+    def smoothed(self, constants: TrackerConstants) -> Pose:
+        """(F, ...) as all frames together have them."""
+        how = constants.settings.smoothing
+        if how is None:
+            return self.poses()
+        information = FrameInformation(
+            self.poses(),
+            np.stack([report.information for report in self.reports]),
+            np.stack([report.slope for report in self.reports]),
+        )
+        skeleton, rest, morph = (
+            self.body.shape.skeleton, constants.rest_deviations, constants.finder.morph,
+        )  # fmt: skip
+        return smoothed_poses(skeleton, np.array(self.times), information, rest, how, morph)
+
+    def landmark_deviations(self, constants: TrackerConstants) -> np.ndarray:
+        """(F, L, 3) standard deviations of the landmarks, metres, by what the pairs determine."""
+        every = zip(self.estimates, self.reports, strict=True)
+        unknown = constants.settings.unknown_deviation
+        return np.stack([self._landmarks(each.pose, report, unknown) for each, report in every])
+
+    def _landmarks(self, pose: Pose, report: StepReport, unknown: float) -> np.ndarray:
+        """(L, 3) metres, of one frame."""
+        H = np.asarray(report.information, float)
+        covariance = np.linalg.inv((H + H.T) / 2 + np.eye(len(H)) / unknown**2)
+        J = np.asarray(landmark_jacobian(self.body.shape.skeleton, pose), float)
+        return np.sqrt(np.einsum("lai,ij,laj->la", J, covariance, J))
+
+
+class CameraFrame(NamedTuple):
+    """One camera's frame, and where the person was found in it; arguments of both learners.
+
+    Attributes:
+        image: (H, W, 3) BGR uint8.
+        phi: (S, S) cells, positive within the person.
+        region: where those lie.
+        pixels_xy: (N, 2) of points all over the body.
+    """
+
+    image: np.ndarray
+    phi: np.ndarray
+    region: Region
+    pixels_xy: np.ndarray
+
+
+class PassLearner:
+    """Learns backgrounds and shape in one pass, for the next.
+
+    Attributes:
+        backgrounds: a learner for each camera.
+        shape: of the person; passes share it.
+    """
+
+    def __init__(self, constants: TrackerConstants, frames: int, shape: ShapeEstimator):
+        """Prepare for a recording of so many frames."""
+        self._constants, self.shape = constants, shape
+        self.backgrounds = [BackgroundLearner(frames) for _ in range(len(constants.cameras.size))]
+
+    def add_frame(self, state: State, report: StepReport, cameras: dict[int, CameraFrame]) -> None:
+        """A frame: the state after it, its report, and the cameras that counted, by number."""
+        for number, frame in cameras.items():
+            self.backgrounds[number].add_frame(*frame)
+        # What hides a part draws the outlines of others along.
+        if not report.hidden.any():
+            skeleton, c = state.body.shape.skeleton, self._constants
+            self.shape.add_frame(skeleton, c.cameras, state.pose, report.pairs, c.finder.morph)
+
+
+def run_passes(
+    tracker: SilhouetteTracker,
+    start: Pose,
+    frames: Callable[[], Iterable[FrameBundle]],
+    count: int,
+    settings: PassSettings,
+    backgrounds: Sequence[Background | None],
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> PassResult:
+    """What the last pass found; or the first in which no camera shows anybody.
+
+    Args:
+        tracker: of the person.
+        start: pose in the first frame.
+        frames: goes through the recording anew whenever it is called.
+        count: of frames.
+        settings: how many passes, and what they learn.
+        backgrounds: of each camera, where a picture shows it; None where passes are to learn it.
+        progress: called with the frames done and their total.
+    """
+    constants, body, known = tracker.constants, tracker.body, list(backgrounds)
+    shape = ShapeEstimator(
+        body.shape.surface, body.shape.skeleton, settings.shape_deviation, settings.lengths
+    )
+    result = None
+    for number in range(settings.passes):
+        is_last = number + 1 == settings.passes
+        learner = None if is_last else PassLearner(constants, count, shape)
+        earlier = None if result is None else result.estimates
+        done = number * count
+        result = run_pass(
+            tracker, tracker.init(start, body, known), frames(), learner, earlier,
+            lambda frame, done=done: progress(done + frame, settings.passes * count),
+        )  # fmt: skip
+        if not result.is_anybody_visible:
+            break
+        if learner is not None:
+            pictures = zip(backgrounds, learner.backgrounds, strict=True)
+            known = [picture or learned.background() for picture, learned in pictures]
+            body = tracker.reshaped(body, *shape.estimate())
+    assert result is not None, "expected one pass or several"
+    return result
+
+
+def run_pass(
+    tracker: SilhouetteTracker,
+    state: State,
+    frames: Iterable[FrameBundle],
+    learner: PassLearner | None = None,
+    earlier: Sequence[PoseEstimate] | None = None,
+    progress: Callable[[int], None] = lambda done: None,
+) -> PassResult:
+    """All frames from a state; the first is tracked until its pose rests.
+
+    Args:
+        tracker: of the person.
+        state: before the first frame.
+        frames: in order of time.
+        learner: of what the next pass begins with.
+        earlier: what an earlier pass found, frame by frame.
+        progress: called with the frames done.
+    """
+    result = PassResult(state.body)
+    online = {c: OnlineBackground() for c, each in enumerate(state.backgrounds) if each is None}
+    for number, frame in enumerate(frames):
+        if number == 0:
+            state = _settled(tracker, state, frame)
+        began = perf_counter()
+        before = None if earlier is None else earlier[number]
+        state, _, report = tracker.step(state, *frame, before)
+        result.add(frame.time, state, report, 1e3 * (perf_counter() - began))
+        cameras = dict(_camera_frames(tracker, state, report, frame.images))
+        if learner is not None:
+            learner.add_frame(state, report, cameras)
+        state = state._replace(backgrounds=_updated(state.backgrounds, online, cameras))
+        progress(number + 1)
+    return result
+
+
+def _settled(tracker: SilhouetteTracker, state: State, frame: FrameBundle) -> State:
+    """The state before the first frame, its pose at rest in it."""
+    for _ in range(tracker.constants.settings.settling_steps):
+        state = tracker.step(state, *frame)[0]._replace(time=None, recent=())
+    return state
+
+
+def _camera_frames(
+    tracker: SilhouetteTracker,
+    state: State,
+    report: StepReport,
+    images: Sequence[np.ndarray | None],
+) -> Iterator[tuple[int, CameraFrame]]:
+    """Those cameras that counted, by number."""
+    phi, region = np.asarray(report.outlines.segmentation.phi), report.outlines.region
+    pixels = tracker.body_pixels(state)
+    for camera, image in enumerate(images):
+        if image is not None and report.used[camera]:
+            here = Region(*(part[camera] for part in region))
+            yield camera, CameraFrame(image, phi[camera], here, pixels[camera])
+
+
+def _updated(
+    backgrounds: Sequence[Background | None],
+    online: dict[int, OnlineBackground],
+    cameras: dict[int, CameraFrame],
+) -> tuple[Background | None, ...]:
+    """Backgrounds after a frame: those learned frame by frame know a little more."""
+    return tuple(
+        online[number].updated(*cameras[number]) if number in online and number in cameras else each
+        for number, each in enumerate(backgrounds)
+    )

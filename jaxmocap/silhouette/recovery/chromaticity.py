@@ -1,0 +1,167 @@
+"""Chromaticity: which colour, regardless of brightness, each point of a body has.
+
+A point's chromaticity is learned where cameras see it; brightness changes with every turn of a
+limb and is ignored. Which points are visible follows from their depths, on canvases of few cells.
+
+INPUTS: images uint8, pixels and depths of a body's points. OUTPUTS: their chromaticities; on
+canvases, how far what is seen is from what the body would show.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from jaxmocap.images.canvases import sampled
+from jaxmocap.images.regions import Region
+from jaxmocap.silhouette.recovery.settings import ChromaticitySettings
+
+# A colour darker than this has no chromaticity, grey levels of all three channels together.
+DARKEST = 60.0
+# Cells about a point that it covers, columns and rows: as points lie apart.
+WINDOW = (3, 3)
+
+
+class BodyAppearance(NamedTuple):
+    """Chromaticities of N points of a body.
+
+    Attributes:
+        chromaticities: (N, 3) shares of blue, green and red, together 1.
+        frames: (N,) that they were learned from.
+    """
+
+    chromaticities: np.ndarray
+    frames: np.ndarray
+
+    @classmethod
+    def empty(cls, points: int) -> "BodyAppearance":
+        """Before the first frame."""
+        return cls(np.zeros((points, 3), np.float32), np.zeros(points, int))
+
+    def updated(
+        self, chromaticities: np.ndarray, visible: np.ndarray, settings: ChromaticitySettings
+    ) -> "BodyAppearance":
+        """After a frame with chromaticities (C, N, 3) of the points visible in it, (C, N) bool."""
+        counted = visible & np.isfinite(chromaticities[..., 0])
+        count = counted.sum(0)
+        sums = np.where(counted[..., None], chromaticities, 0).sum(0)
+        mean = sums / np.maximum(count, 1)[:, None]
+        gain = np.maximum(settings.least_gain, 1 / (self.frames + 1))
+        gain = np.where(count > 0, gain, 0)[:, None]
+        after = self.chromaticities + gain * (mean - self.chromaticities)
+        return BodyAppearance(after.astype(np.float32), self.frames + (count > 0))
+
+    def means(self, bins: np.ndarray, count: int) -> np.ndarray:
+        """(count, 3) mean chromaticities of points by their bins (N,); -1 where not known.
+
+        A negative bin is none.
+        """
+        on = (bins >= 0) & (self.frames > 0)
+        sums = _sums(bins[on], self.chromaticities[on], count)
+        mean = sums[:, :3] / np.maximum(sums[:, 3:], 1)
+        return np.where(sums[:, 3:] > 0, mean, -1).astype(np.float32)
+
+
+class PointCells(NamedTuple):
+    """Where N points lie on C canvases of S x S cells.
+
+    Attributes:
+        cells: (C, N) indices into a canvas; S * S for points beside it.
+        depths: (C, N) metres.
+        size: S.
+    """
+
+    cells: np.ndarray
+    depths: np.ndarray
+    size: int
+
+    @classmethod
+    def of(
+        cls, pixels_xy: np.ndarray, depths: np.ndarray, region: Region, size: int
+    ) -> "PointCells":
+        """Of pixels (C, N, 2) on canvases whose origins and scales are stacked."""
+        origin, scale = np.asarray(region.origin), np.asarray(region.scale)
+        at = np.rint((pixels_xy - origin[:, None]) / scale[:, None, None] - 0.5)
+        at = np.clip(np.nan_to_num(at, nan=-1.0), -1, size).astype(int)
+        inside = ((at >= 0) & (at < size)).all(-1)
+        cells = np.where(inside, at[..., 1] * size + at[..., 0], size * size)
+        return cls(cells, depths, size)
+
+    def nearest_depths(self, points: np.ndarray) -> np.ndarray:
+        """(C, S, S) depth of the nearest of some points (N,) bool about each cell, or infinite."""
+        found = np.full((len(self.cells), self.size**2 + 1), np.inf, np.float32)
+        for row, cells, depths in zip(found, self.cells, self.depths, strict=True):
+            np.minimum.at(row, cells[points], depths[points])
+        grids = found[:, :-1].reshape(-1, self.size, self.size)
+        about, edge = np.ones(WINDOW, np.uint8), cv2.BORDER_REPLICATE
+        return np.stack([cv2.erode(grid, about, borderType=edge) for grid in grids])
+
+    def visible(self, nearest: np.ndarray, settings: ChromaticitySettings) -> np.ndarray:
+        """(C, N) bool: points on the canvases that nothing nearer, (C, S, S) depths, hides."""
+        flat = nearest.reshape(len(nearest), -1)
+        flat = np.pad(flat, ((0, 0), (0, 1)), constant_values=-np.inf)
+        limit = np.take_along_axis(flat, self.cells, 1) + settings.depth_margin_m
+        return self.depths < limit
+
+    def appearance_cost(
+        self,
+        chromaticities: np.ndarray,
+        appearance: BodyAppearance,
+        visible: np.ndarray,
+        settings: ChromaticitySettings,
+    ) -> np.ndarray:
+        """(C, S, S) half squared deviations of (C, S, S, 3) from those of points visible (C, N).
+
+        0 where nothing is known: no point is about, or it is too dark.
+        """
+        found = np.zeros(chromaticities.shape[:3], np.float32)
+        rows = zip(found, chromaticities, self.cells, visible, strict=True)
+        for cost, shown, cells, on in rows:
+            known = on & (appearance.frames > 0)
+            sums = _sums(cells[known], appearance.chromaticities[known], self.size**2 + 1)[:-1]
+            sums = cv2.blur(sums.reshape(self.size, self.size, 4), WINDOW)
+            # The body is a small part of the canvas.
+            there = (sums[..., 3] > 1e-6) & np.isfinite(shown[..., 0])
+            expected = sums[there, :3] / sums[there, 3:]
+            squares = np.sum((shown[there] - expected) ** 2, -1)
+            cost[there] = np.minimum(squares / (2 * settings.deviation**2), settings.largest_cost)
+        return found
+
+
+def chromaticity(colour: np.ndarray) -> np.ndarray:
+    """(..., 3) shares of colours (..., 3) uint8; NaN where it is too dark to tell."""
+    colour = colour.astype(np.float32)
+    total = colour @ np.ones(3, np.float32)
+    total = np.where(total > DARKEST, total, np.nan)
+    return colour / total[..., None]
+
+
+def chromaticity_at(images: Sequence[np.ndarray | None], pixels_xy: np.ndarray) -> np.ndarray:
+    """(C, N, 3) at pixels (C, N, 2); NaN where there is no image, or it is too dark."""
+    found = np.full((*pixels_xy.shape[:2], 3), np.nan, np.float32)
+    for camera, (image, at) in enumerate(zip(images, pixels_xy, strict=True)):
+        if image is None:
+            continue
+        x, y = np.rint(np.nan_to_num(at, nan=-1.0)).astype(int).T
+        rows = np.flatnonzero((x >= 0) & (y >= 0) & (x < image.shape[1]) & (y < image.shape[0]))
+        found[camera, rows] = chromaticity(image[y[rows], x[rows]])
+    return found
+
+
+def chromaticity_canvases(
+    images: Sequence[np.ndarray | None], regions: Sequence[Region], size: int
+) -> np.ndarray:
+    """(C, S, S, 3) of images on canvases; NaN where there is none, or it is too dark."""
+    found = np.full((len(images), size, size, 3), np.nan, np.float32)
+    for camera, (image, region) in enumerate(zip(images, regions, strict=True)):
+        if image is not None:
+            found[camera] = chromaticity(sampled(image, region, size))
+    return found
+
+
+def _sums(bins: np.ndarray, chromaticities: np.ndarray, count: int) -> np.ndarray:
+    """(count, 4) sums of chromaticities (N, 3) by bin (N,), and of how many there are."""
+    channels = (*chromaticities.T, np.ones(len(bins)))
+    parts = [np.bincount(bins, channel, count) for channel in channels]
+    return np.stack(parts, -1).astype(np.float32)

@@ -1,0 +1,261 @@
+"""How well a limb in a pose explains what cameras show: the particle filter's likelihood.
+
+A limb is projected as bones of constant thickness, and log-ratios of person against rest are added
+up where it would be visible. Before the rest of the body its chromaticity tells it apart, and it
+cannot be within the rest.
+
+INPUTS: a pose, a limb; log-ratios on canvases, what the rest of the body covers, chromaticities.
+OUTPUTS: mean log-ratios of the limb's cells.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.geometry.cameras import Camera, depth, pixels_per_metre, project
+from jaxmocap.images.regions import Region
+from jaxmocap.images.sampling import look_up
+from jaxmocap.silhouette.recovery.limbs import LimbChain, bone_ends
+from jaxmocap.silhouette.recovery.penetration import Obstacles, penetrating_share
+from jaxmocap.silhouette.recovery.settings import LimbLikelihood
+
+# Where cells of a bone are sampled along it, shares of its length.
+ALONG_BONE = np.linspace(0.06, 0.94, 8)
+# And across it, in its radii.
+ACROSS_BONE = np.array([-0.6, 0.0, 0.6])
+# No limb is taken for nearer to a camera than this, metres.
+NEAREST_M = 0.3
+
+
+class LimbAppearance(NamedTuple):
+    """Chromaticities that C cameras show, and those of a limb of B bones with A places on each.
+
+    Attributes:
+        chromaticities: (C, S, S, 3) that are seen; NaN where there are none.
+        body_cost: (C, S, S) half their squared deviations from those of the rest of the body; 0
+            where nothing is known.
+        body_depth: (C, S, S) metres, of the rest of the body; infinite beside it.
+        limb_chromaticities: (B, A, 3) of the limb; -1 where not known.
+    """
+
+    chromaticities: Array | np.ndarray
+    body_cost: Array | np.ndarray
+    body_depth: Array | np.ndarray
+    limb_chromaticities: Array | np.ndarray
+
+
+class LimbEvidence(NamedTuple):
+    """What C cameras show of the person beyond the rest of the body.
+
+    Attributes:
+        log_ratios: (C, S, S) of person and rest; 0 where the rest of the body is visible.
+        region: of the canvases.
+        used: (C,) cameras that count.
+        appearance: chromaticities; None where none are known.
+        obstacles: parts of the body that the limb cannot be in; None for none.
+    """
+
+    log_ratios: Array | np.ndarray
+    region: Region
+    used: Array | np.ndarray
+    appearance: LimbAppearance | None = None
+    obstacles: Obstacles | None = None
+
+
+def explained_log_ratio(
+    skeleton: Skeleton,
+    cameras: Camera,
+    pose: Pose,
+    limb: LimbChain,
+    evidence: LimbEvidence,
+    likelihood: LimbLikelihood,
+) -> Array:
+    """() mean log-ratio of where the limb would be visible, by its size if all of it were.
+
+    Less what of it lies within other parts of the body.
+    """
+    visible, cost = _visible_and_cost(skeleton, cameras, pose, limb, evidence, likelihood)
+    return visible - cost
+
+
+def baseline_log_ratio(
+    skeleton: Skeleton,
+    cameras: Camera,
+    pose: Pose,
+    limb: LimbChain,
+    evidence: LimbEvidence,
+    likelihood: LimbLikelihood,
+) -> Array:
+    """() what another place must explain more than: no less than ``least_visible`` of it.
+
+    What contradicts a limb may be a thing before it, or be the limb itself, learned as background.
+    Else it were better off wherever nothing is seen of it.
+    """
+    visible, cost = _visible_and_cost(skeleton, cameras, pose, limb, evidence, likelihood)
+    return jnp.maximum(visible, likelihood.least_visible) - cost
+
+
+def visible_log_ratio(
+    skeleton: Skeleton,
+    cameras: Camera,
+    pose: Pose,
+    limb: LimbChain,
+    evidence: LimbEvidence,
+    likelihood: LimbLikelihood,
+) -> Array:
+    """() mean log-ratio of where the limb is visible; 0 where it is in no image."""
+    ends = bone_ends(skeleton, pose, limb)
+    gained, visible, _ = _summed(skeleton, cameras, ends, limb, evidence, likelihood)
+    return gained / jnp.maximum(visible, 1.0)
+
+
+def _visible_and_cost(
+    skeleton: Skeleton,
+    cameras: Camera,
+    pose: Pose,
+    limb: LimbChain,
+    evidence: LimbEvidence,
+    likelihood: LimbLikelihood,
+) -> tuple[Array, Array]:
+    """What images show of a limb, and what it costs that it lies within other parts."""
+    near, far = bone_ends(skeleton, pose, limb)
+    gained, _, full = _summed(skeleton, cameras, (near, far), limb, evidence, likelihood)
+    cost = jnp.zeros_like(gained)
+    if evidence.obstacles is not None:
+        share = penetrating_share(near, far, jnp.asarray(limb.radii), evidence.obstacles)
+        cost = likelihood.penetration_cost * share
+    return gained / jnp.maximum(full, 1.0), cost
+
+
+def _summed(
+    skeleton: Skeleton,
+    cameras: Camera,
+    ends: tuple[Array, Array],
+    limb: LimbChain,
+    evidence: LimbEvidence,
+    likelihood: LimbLikelihood,
+) -> tuple[Array, Array, Array]:
+    """Over the cameras that count: log-ratios of the limb's cells, how many, how many in full."""
+    log_ratios, radii = jnp.asarray(evidence.log_ratios), jnp.asarray(limb.radii)
+    region, appearance = jax.tree.map(jnp.asarray, (evidence.region, evidence.appearance))
+    lengths = skeleton.lengths[limb.bones]
+
+    def one(
+        camera: Camera, log_ratios: Array, region: Region, appearance: LimbAppearance | None
+    ) -> tuple[Array, Array, Array]:
+        bones = _project(camera, ends, radii, region)
+        return _of_camera(bones, lengths, log_ratios, appearance, likelihood)
+
+    each = None if appearance is None else LimbAppearance(0, 0, 0, None)  # type: ignore[arg-type]
+    sums = jax.vmap(one, (0, 0, 0, each))(cameras, log_ratios, region, appearance)
+    used = jnp.asarray(evidence.used)
+    gained, visible, full = (jnp.sum(jnp.where(used, part, 0.0)) for part in sums)
+    return gained, visible, full
+
+
+class _ProjectedBones(NamedTuple):
+    """B bones on a canvas: cells, but for depths (B,) of near ends and far ends, metres.
+
+    Attributes:
+        starts: (B, 2) near ends.
+        ways: (B, 2) to the far ends.
+        radii: (B,) in metres.
+        depths: of near and far ends.
+        cells: () to a metre.
+    """
+
+    starts: Array
+    ways: Array
+    radii: Array
+    depths: tuple[Array, Array]
+    cells: Array
+
+
+def _project(
+    camera: Camera, ends: tuple[Array, Array], radii: Array, region: Region
+) -> _ProjectedBones:
+    depths = depth(camera, ends[0]), depth(camera, ends[1])
+    cells = pixels_per_metre(camera, jnp.maximum(depths[0][0], NEAREST_M)) / region.scale
+    starts, stops = ((project(camera, end) - region.origin) / region.scale - 0.5 for end in ends)
+    return _ProjectedBones(starts, stops - starts, radii, depths, cells)
+
+
+def _of_camera(
+    bones: _ProjectedBones,
+    lengths: Array,
+    log_ratios: Array,
+    appearance: LimbAppearance | None,
+    likelihood: LimbLikelihood,
+) -> tuple[Array, Array, Array]:
+    """Of one camera: the sum of log-ratios over the limb's cells, how many, how many in full."""
+    starts, ways, radii, depths, cells = bones
+    length = jnp.sqrt(jnp.sum(ways**2, -1) + 1e-6)
+    aside = jnp.stack([-ways[:, 1], ways[:, 0]], -1) / length[:, None]
+    along, across = (jnp.asarray(part, ways.dtype) for part in (ALONG_BONE, ACROSS_BONE))
+    x, y = (
+        starts[:, None, None, k] + along[:, None] * ways[:, None, None, k]
+        + across * (cells * radii)[:, None, None] * aside[:, None, None, k]
+        for k in (0, 1)
+    )  # fmt: skip
+    edge = log_ratios.shape[0] - 1.0
+    on_canvas = (x >= 0) & (x <= edge) & (y >= 0) & (y <= edge)
+    # A forearm laid over its upper arm explains nothing more than that does.
+    counts = on_canvas & ~_on_earlier(jnp.stack([x, y], -1), starts, ways, cells * radii)
+    there = look_up(log_ratios[None], jnp.zeros((), jnp.int32), x, y)
+    if appearance is not None:
+        deep = depths[0][:, None] + along * (depths[1] - depths[0])[:, None] - radii[:, None] / 2
+        there = _by_colour(there, x, y, deep, appearance, likelihood)
+    there = jnp.where(counts, there, 0.0)
+    width = 2 * cells * radii
+    gained = jnp.sum(jnp.mean(there, (1, 2)) * length * width)
+    visible = jnp.sum(jnp.mean(counts.astype(x.dtype), (1, 2)) * length * width)
+    return gained, visible, jnp.sum(cells * lengths * width)
+
+
+def _by_colour(
+    log_ratios: Array,
+    x: Array,
+    y: Array,
+    depths: Array,
+    appearance: LimbAppearance,
+    likelihood: LimbLikelihood,
+) -> Array:
+    """Log-ratios (B, A, W) of cells, by their chromaticities too, of a limb's places (B, A).
+
+    Before the rest of the body the chromaticity tells that from the limb. What has another than the
+    limb is a third thing: no sign of the limb there, and a faint one beside the body, as it may
+    hide it.
+    """
+    colour, largest = likelihood.chromaticity, likelihood.largest_colour
+    edge = appearance.body_depth.shape[0] - 1
+    row, column = (jnp.clip(jnp.rint(part), 0, edge).astype(jnp.int32) for part in (y, x))
+    # One look-up of all is faster than one of each.
+    body = appearance.body_cost[..., None], appearance.body_depth[..., None]
+    there = jnp.concatenate([appearance.chromaticities, *body], -1)[row, column]
+    shown, body_cost, body_depth = there[..., :3], there[..., 3], there[..., 4]
+    limb = appearance.limb_chromaticities[:, :, None]
+    known = (limb[..., 0] >= 0) & jnp.isfinite(shown[..., 0])
+    cost = jnp.sum((jnp.nan_to_num(shown) - limb) ** 2, -1) / (2 * colour.deviation**2)
+    cost = jnp.where(known, jnp.minimum(cost, colour.largest_cost), 0.0)
+    before = known & (body_cost > 0) & (depths[..., None] < body_depth)
+    own = jnp.clip(likelihood.other_cost - cost, 0.0, largest)
+    either = jnp.where(before, jnp.clip(body_cost - cost, -largest, own), 0.0)
+    faint = jnp.minimum(log_ratios, likelihood.occluder)
+    alone = jnp.where(log_ratios > 0, jnp.maximum(log_ratios - cost, faint), log_ratios)
+    return jnp.where(jnp.isfinite(body_depth), either, alone)
+
+
+def _on_earlier(points: Array, starts: Array, ways: Array, radii: Array) -> Array:
+    """(B, ...) bool: points (B, ..., 2) of each bone that lie on a bone before it, (B, 2) cells."""
+    away = points[..., None, :] - starts
+    squared = jnp.sum(ways**2, -1) + 1e-6
+    along = jnp.sum(away * ways, -1) / squared
+    aside = jnp.abs(away[..., 0] * ways[:, 1] - away[..., 1] * ways[:, 0])
+    on = (along >= 0) & (along <= 1) & (aside < radii * jnp.sqrt(squared))
+    before = jnp.tril(jnp.ones((len(starts),) * 2, bool), -1)
+    return jnp.any(on & before[:, None, None], -1)

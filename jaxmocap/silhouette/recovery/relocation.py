@@ -1,0 +1,121 @@
+"""Putting lost limbs where they explain more: poses are proposed, fitted, and the best is kept.
+
+INPUTS: a fitted pose, the frame that it was fitted to, what is remembered of the limbs; an earlier
+pass's estimate, if there was one. OUTPUTS: a RecoveredPose.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmocap.body.pose import Pose
+from jaxmocap.silhouette.fit.cycles import FittedPose, FrameEvidence, fit_pose
+from jaxmocap.silhouette.recovery.lost_limbs import (
+    LimbMemory,
+    LimbProposal,
+    widened_deviations,
+)
+from jaxmocap.silhouette.recovery.projected_body import ProjectedBody
+from jaxmocap.silhouette.state import PoseEstimate, TrackedBody, TrackerConstants
+
+
+class RecoveredPose(NamedTuple):
+    """A frame's result, and what became of the limbs.
+
+    Attributes:
+        fitted: the result.
+        relocated: (D,) bool: joints that were put elsewhere.
+        resumed: (D,) bool: those of them that are where an earlier pass found them.
+        hidden: (D,) bool: joints of parts that are not visible.
+        limbs: to remember.
+    """
+
+    fitted: FittedPose
+    relocated: np.ndarray
+    resumed: np.ndarray
+    hidden: np.ndarray
+    limbs: LimbMemory
+
+
+class _Relocation(NamedTuple):
+    """The best pose so far, laid over the images, and the numbers of the limbs moved for it."""
+
+    fitted: FittedPose
+    projected: ProjectedBody
+    limbs: tuple[int, ...] = ()
+
+
+def recover_limbs(
+    constants: TrackerConstants,
+    body: TrackedBody,
+    limbs: LimbMemory,
+    frame: FrameEvidence,
+    fitted: FittedPose,
+    deviations: np.ndarray,
+    earlier: PoseEstimate | None = None,
+) -> RecoveredPose:
+    """The fitted pose, or one that explains more with limbs elsewhere.
+
+    Args:
+        constants: of the tracker.
+        body: who is tracked.
+        limbs: what is remembered of them.
+        frame: what the pose was fitted to.
+        fitted: the pose.
+        deviations: (6 + D,) of the prior that it was fitted with.
+        earlier: what an earlier pass found in this frame.
+    """
+    s, recovery = constants.settings, body.recovery
+    none = recovery.joints_of(())
+    if not fitted.used.any():
+        return RecoveredPose(fitted, none, none, ~none, limbs)
+    best = _Relocation(fitted, _projected(body, fitted.result.pose, fitted, frame))
+    resumed, searched = (), ()
+    # Without a background what looks like a person is taken for one, and learned as none.
+    known = all(background is not None for background in frame.backgrounds)
+    if s.particles > 1 and known:
+        if earlier is not None:
+            proposal = recovery.earlier_proposal(limbs, best.projected, earlier.pose)
+            best = _best_of(constants, body, proposal, limbs, frame, best, deviations)
+            resumed = best.limbs
+        proposal, limbs = recovery.propose(limbs, best.projected, s.limb_search)
+        best = _best_of(constants, body, proposal, limbs, frame, best, deviations)
+        searched = best.limbs
+    moved = (*resumed, *searched)
+    hidden, limbs = recovery.hidden_joints(limbs, best.projected, frame.images, moved)
+    old, new = recovery.joints_of(resumed), recovery.joints_of(searched)
+    return RecoveredPose(best.fitted, old | new, old & ~new, hidden, limbs)
+
+
+def _best_of(
+    constants: TrackerConstants,
+    body: TrackedBody,
+    proposal: LimbProposal | None,
+    limbs: LimbMemory,
+    frame: FrameEvidence,
+    best: _Relocation,
+    deviations: np.ndarray,
+) -> _Relocation:
+    """The best of the poses proposed, each fitted; or what there was, and no limbs."""
+    best = best._replace(limbs=())
+    if proposal is None:
+        return best
+    joints, before = body.recovery.joints_of(proposal.limbs), best.fitted
+    wide = widened_deviations(deviations, joints, constants.settings.predicted_deviation)
+    least = proposal.least_gain
+    for pose in proposal.poses:
+        again = fit_pose(constants, body, frame, pose, wide)
+        old, new = (_projected(body, each.result.pose, again, frame) for each in (before, again))
+        gain = body.recovery.gain(proposal.limbs, old, new, limbs.appearance)
+        if gain > least:
+            least, best = gain, _Relocation(again, new, proposal.limbs)
+    return best
+
+
+def _projected(
+    body: TrackedBody, pose: Pose, fitted: FittedPose, frame: FrameEvidence
+) -> ProjectedBody:
+    """A pose laid over what was segmented for another."""
+    return body.recovery.project(
+        pose, fitted.outlines, fitted.used, frame.images, frame.backgrounds
+    )

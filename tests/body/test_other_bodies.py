@@ -1,0 +1,123 @@
+"""Bodies that nobody thought of: a tail by a file alone, joints of other names, old files."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxmocap.body.kinematics import Sites, forward, joined_sites, landmark_sites, site_positions
+from jaxmocap.body.motion import Motion
+from jaxmocap.body.pose import Pose, relaxed_pose
+from jaxmocap.body.skeleton import (
+    LANDMARKS,
+    ROOT_DOF,
+    Skeleton,
+    landmark_mismatches,
+    load_skeleton,
+    with_joints,
+    with_wrists,
+)
+from jaxmocap.body.subject import scale_to_height
+from jaxmocap.evidence.posture import NearPose
+from jaxmocap.formats.motion_npz import load_motion, save_motion
+from jaxmocap.hybrid.tracker import HybridTracker
+
+TAILED = Path(__file__).parent / "tailed.toml"
+POINTS = jax.jit(lambda body, pose, sites: site_positions(body, forward(body, pose), sites))
+
+
+def tail_markers(body: Skeleton) -> Sites:
+    """The paper's head and wrists, and two markers on the tail."""
+    tail = Sites(body.tree.bones_in("tail"), jnp.ones(2), jnp.zeros((2, 3)))
+    return joined_sites(landmark_sites(body, ("vertex", "wrist_l", "wrist_r")), tail)
+
+
+def tracked(body: Skeleton, sites: Sites, moving: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Angles (T, D) of a wave of some joints, and as the tracker gives them by the markers."""
+    tracker = HybridTracker(body, markers=sites)
+    pose, joints = relaxed_pose(body), [body.tree.joint(name) for name in moving]
+    truth, found, state = [], [], None
+    for k in range(20):
+        wave = 0.3 * np.sin(0.15 * k + np.arange(len(joints)))
+        angles = pose.angles.at[np.array(joints)].add(wave)
+        position = jnp.asarray([0.0, 0.0, 0.95])
+        markers = POINTS(body, Pose(position, pose.quaternion, angles), sites)
+        state = tracker.init(markers) if state is None else state
+        state, solved, _ = tracker.step(state, k / 50, markers)
+        truth.append(np.asarray(markers))
+        found.append(np.asarray(POINTS(body, solved, sites)))
+    return np.array(truth), np.array(found)
+
+
+def test_a_body_with_a_tail_is_tracked_by_its_file_alone():
+    body = scale_to_height(load_skeleton(TAILED), 1.75, None)
+    assert body.tree.names_in("tail") == ("tail1", "tail2")
+    truth, found = tracked(body, tail_markers(body), ["tail_raise", "tail_wag", "tail_curl"])
+    assert np.ptp(truth[:, 4], axis=0).max() > 0.1
+    assert np.linalg.norm(found - truth, axis=-1)[5:, 3:].max() < 0.01
+
+
+def test_a_tail_grows_with_the_body_and_weighs_its_share():
+    drawn, body = load_skeleton(TAILED), scale_to_height(load_skeleton(TAILED), 1.9, 80.0)
+    human, tail = Skeleton.human(1.9, 80.0), drawn.tree.bones_in("tail")
+    others = np.setdiff1d(np.arange(len(drawn.tree.bones)), tail)
+    np.testing.assert_allclose(np.asarray(body.lengths)[others], human.lengths, rtol=1e-6)
+    assert float(body.masses.sum()) == pytest.approx(80.0, rel=1e-5)
+    grown = np.asarray(body.lengths)[others].sum() / np.asarray(drawn.lengths)[others].sum()
+    np.testing.assert_allclose(body.lengths[tail], drawn.lengths[tail] * grown, rtol=1e-5)
+
+
+def test_joints_named_ankle_and_clavicle_are_tracked():
+    body = with_joints(Skeleton.human(1.75), "whole.toml")
+    assert {name.split("_")[0] for name in body.tree.joints} >= {"ankle", "clavicle", "back"}
+    names = ("vertex", "wrist_l", "wrist_r", "ankle_l", "ankle_r", "toe_l", "toe_r")
+    sites = landmark_sites(body, (*names, "shoulder_l", "shoulder_r"))
+    moving = ["ankle_dorsiflex_l", "ankle_dorsiflex_r", "clavicle_raise_l", "clavicle_raise_r"]
+    truth, found = tracked(body, sites, moving)
+    assert np.linalg.norm(found - truth, axis=-1)[5:].max() < 0.02
+
+
+def test_every_joint_of_our_files_has_its_usual_deviation():
+    body = with_wrists(with_joints(Skeleton.human(), "whole.toml"))
+    assert (np.degrees(np.asarray(body.usual_deviations)) >= 14).all()
+    assert len(body.tree.groups_of_joints) == len(body.tree.searched) == len(body.tree.joints)
+    assert set(body.tree.groups_of_joints) == {"spine", "shoulder", "arm", "leg", "head"}
+
+
+def test_bones_are_asked_for_by_group_part_and_side():
+    tree = Skeleton.human().tree
+    assert tree.names_in("arm", side="l") == ("humerus_l", "radius_l", "hand_l")
+    assert tree.names_in("forearm", "hand") == ("radius_l", "hand_l", "radius_r", "hand_r")
+    assert tree.names_in("head") == ("neck", "head") and tree.names_in("neck") == ("neck",)
+    assert tree.names_in("spine", side="") == ("spine1", "spine2", "spine3")
+    assert tree.names_in("tail") == ()
+    assert set(range(len(tree.bones))) - set(tree.drawn) == set(tree.bones_in("foot"))
+
+
+def test_landmarks_and_their_mismatches_come_from_the_humans_file():
+    mismatches = dict(zip(LANDMARKS, landmark_mismatches(), strict=True))
+    np.testing.assert_array_equal(mismatches["elbow_l"], [0.02, 0.02, 0.012])
+    np.testing.assert_array_equal(mismatches["toe_r"], 0)
+    assert LANDMARKS["wrist_l"] == ("hand_l", 0.0) and len(LANDMARKS) == 20
+
+
+def test_a_motion_file_of_before_is_filled_from_the_bodies_files(tmp_path):
+    body = with_wrists(Skeleton.human(1.8))
+    pose = relaxed_pose(body)
+    poses = Pose(*(np.tile(part, (3, 1)) for part in pose))
+    save_motion(tmp_path / "motion.npz", Motion(body, np.arange(3) / 50, poses))
+    stored = np.load(tmp_path / "motion.npz").files
+    assert not [name for name in stored if "deviations" in name or "unmarked" in name]
+    read = load_motion(tmp_path / "motion.npz").skeleton
+    assert read.tree == body.tree
+    for ours, theirs in zip(jax.tree.leaves(read), jax.tree.leaves(body), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["whole.toml", "supple.toml", TAILED])
+def test_the_gradients_priors_know_joints_of_any_name(name):
+    body = load_skeleton(name)
+    deviations = NearPose().deviations(body)
+    assert deviations.shape == (ROOT_DOF + len(body.tree.joints),) and (deviations > 0).all()
