@@ -8,10 +8,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from tests.subjects.mujoco_body import MujocoBody
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
+from tests.subjects.mujoco_body import MujocoBody
 
 
 def limited_mujoco(skeleton: Skeleton) -> MujocoBody:
