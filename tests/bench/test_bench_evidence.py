@@ -90,7 +90,7 @@ def test_what_may_be_another_background_stays_as_it_is(what):
 def test_a_flattened_recording_has_its_frames_at_the_same_times():
     recording = small_recording()
     own = evidence.FirstRun.through(recording)
-    flat = flattened(recording, own.videos, own.passed.first_pass())
+    flat = flattened(recording, own.videos, own.first_pass)
     (before,), (after,) = own.videos, open_footage(flat)[0]
     np.testing.assert_array_equal(after.times, before.times)
     for (_, was), (_, now) in zip(before.frames(luma=True), after.frames(luma=True), strict=True):

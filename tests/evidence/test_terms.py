@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import double, on_device, poses
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import settings as hypothesis_settings
 from jax import Array
 from painted_motion import (
@@ -172,6 +172,8 @@ def _text(path: Path) -> str:
 @given(pose=poses(beyond=0.3))
 def test_a_terms_derivative_is_that_of_finite_differences(name, feet, pose):
     """Anywhere, joints beyond their ranges included."""
+    # The difference from a pose half a turn away is not continuous.
+    assume(abs(pose.quaternion[0]) > 0.05)
     measured = another_moment()
     if feet == "marked feet":
         measured["markers"] = np.concatenate([measured["markers"], measured["ankles"]])
