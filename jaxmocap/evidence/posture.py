@@ -3,16 +3,18 @@
 INPUTS: a posed body, where the markers' own pose leans and faces. OUTPUTS: whitened residuals.
 """
 
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxmocap.body.model import Model
-from jaxmocap.body.pose import difference
+from jaxmocap.body.pose import Pose, difference
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
+from jaxmocap.geometry.rotations import HIGHEST
 
 # Where no marker holds the feet, the markers' pose faces so many times less surely.
 UNMARKED_FACING = 3.0
@@ -83,3 +85,29 @@ class NearPose(Term):
         moved = difference(body.pose, measured["centre"])
         deviations = self.deviations(model.skeleton)
         return jnp.concatenate([moved / deviations, body.R_world_pelvis[:2, 2] / self.lean])
+
+
+class EstimatedPose(NamedTuple):
+    """A pose that something else estimated, and how surely, as a quadratic about it.
+
+    Attributes:
+        pose: that was estimated.
+        root: (N, N) whose root^T root is the Hessian of half the cost, by the tangent vector from
+            the pose.
+        offset: (N,) whose root^T offset is half the cost's derivative at the pose.
+    """
+
+    pose: Pose
+    root: Array | np.ndarray
+    offset: Array | np.ndarray
+
+
+@settings
+class NearEstimate(Term):
+    """A pose as something else estimated it; measured ``estimate``, an ``EstimatedPose``."""
+
+    def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(N,), N = 6 + D."""
+        estimate = measured["estimate"]
+        off = difference(body.pose, estimate.pose)
+        return jnp.matmul(estimate.root, off, precision=HIGHEST) + estimate.offset

@@ -8,32 +8,58 @@ are white noise, and all of it is solved as one banded system. How large a landm
 are the recording tells: a hand on the floor hardly moves, a jumper's does, and who is smoothed as
 the other either shakes or lags.
 
+It is the batch smoother of the smoothing room with two terms: what each frame estimated, and joints
+at rest.
+
 INPUTS: poses, Hessians and slopes of all frames, a Morph where joints go along.
 OUTPUTS: the poses that suit them all.
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from threadpoolctl import threadpool_limits
 
-from jaxmocap.body.kinematics import landmarks
-from jaxmocap.body.pose import Pose, difference, retract
-from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton
+from jaxmocap.body.kinematics import Sites, landmarks
+from jaxmocap.body.model import Model
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.compilation.batches import in_batches
+from jaxmocap.compilation.settings import group, settings
+from jaxmocap.evidence.posture import EstimatedPose, NearEstimate
 from jaxmocap.evidence.smoothness import REACH, accelerations_of, smoothness
-from jaxmocap.silhouette.device_functions import landmark_jacobian
+from jaxmocap.evidence.terms import Measurements, PosedBody, Term
 from jaxmocap.silhouette.surfaces.morph import Morph, without_followers
-from jaxmocap.smoothing.levenberg_marquardt import Linearised, SolverSettings, minimise
+from jaxmocap.smoothing.levenberg_marquardt import SolverSettings, minimise, positive
+from jaxmocap.smoothing.linearise import linearise_problem, two_workers
+from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views, moved_by
 
-# Frames that are linearised in one call: any recording's fill some, and compile once.
+# Frames in one call: any recording's fill some, and compile once.
 FRAMES_A_CALL = 32
-# In each round. The frames' quadratics hold near the poses found only: more are not worth it.
+# Steps in each round. The frames' quadratics hold near the poses found only: more are not worth it.
 STEPS = 3
+
+
+@settings
+class AtRest(Term):
+    """Joints that outlines hardly determine, held about 0, or about where a morph takes them."""
+
+    roots: Array = group(lambda: None, "(D,) inverse deviations, 1 / radians; 0 where none is held")
+    morph: Any = group(lambda: None, "what goes along with the joints' angles")
+
+    def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(D,)."""
+        own = body.pose if self.morph is None else without_followers(self.morph, body.pose)
+        return self.roots * own.angles
+
+
+class _Terms(NamedTuple):
+    """The settings of this smoother, as the smoothing room asks for them."""
+
+    terms: tuple[Term, ...]
 
 
 class FrameInformation(NamedTuple):
@@ -91,24 +117,15 @@ def smoothed_poses(
     """
     if len(times) <= REACH:
         return information.poses
-    rest_precision = rest**-2.0
-    slope = information.slope.astype(float)
-    H = information.information + np.eye(slope.shape[-1]) / settings.pose_deviation**2
-
-    def linearise(poses: Pose) -> Linearised:
-        about = partial(_about, skeleton, morph)
-        off, angles, bent, points, by = in_batches(about, (poses, information.poses), FRAMES_A_CALL)
-        pulled = np.einsum("tij,tj->ti", H, off)
-        cost = np.sum(off * (pulled + 2 * slope), 1) + angles**2 @ rest_precision
-        firm = bent.swapaxes(1, 2) * rest_precision
-        gradient = pulled + slope + np.einsum("tid,td->ti", firm, angles)
-        return Linearised(cost, H + firm @ bent, gradient, points, by)
+    problem = _problem(skeleton, times, information, (rest, morph), settings.pose_deviation)
 
     def smoothly(poses: Pose, accelerations: np.ndarray) -> Pose:
-        prior, move = smoothness(times, accelerations), partial(_moved, skeleton)
-        # A band is narrow: BLAS's own threads would only wait for one another.
-        with threadpool_limits(1, user_api="blas"):
-            return minimise(linearise, move, poses, prior, SolverSettings(iterations=STEPS)).x
+        start = Trajectory(poses, np.zeros(0, skeleton.lengths.dtype))
+        prior = smoothness(times, accelerations)
+        with two_workers() as workers:
+            linearise = partial(linearise_problem, problem, 0.0, workers)
+            move = partial(_moved, skeleton)
+            return minimise(linearise, move, start, prior, SolverSettings(iterations=STEPS)).x.poses
 
     poses = smoothly(information.poses, np.full(3 * len(LANDMARKS), settings.acceleration))
     for _ in range(settings.rounds):
@@ -119,45 +136,47 @@ def smoothed_poses(
     return poses
 
 
+def _problem(
+    skeleton: Skeleton,
+    times: np.ndarray,
+    information: FrameInformation,
+    at_rest: tuple[np.ndarray, Morph | None],
+    pose_deviation: float,
+) -> SmoothingProblem:
+    """What the frames estimated, as a problem of two terms."""
+    dtype, (rest, morph) = skeleton.lengths.dtype, at_rest
+    slope = information.slope.astype(float)
+    H = positive(information.information.astype(float))
+    factors = np.linalg.cholesky(H + np.eye(slope.shape[-1]) / pose_deviation**2)
+    offsets = np.linalg.solve(factors, slope[..., None])[..., 0]
+    roots = factors.swapaxes(1, 2)
+    estimate = EstimatedPose(information.poses, roots, offsets)
+    estimate = jax.tree.map(lambda part: np.asarray(part, dtype), estimate)
+    held = AtRest(jnp.asarray(1 / rest, dtype), morph)
+    nowhere = Sites((), jnp.zeros(0, dtype), jnp.zeros((0, 3), dtype))
+    model, terms = Model(skeleton, nowhere), _Terms((NearEstimate(), held))
+    return SmoothingProblem(model, terms, times, {"estimate": estimate}, Views.no_cameras())
+
+
 def _accelerations(skeleton: Skeleton, times: np.ndarray, poses: Pose) -> np.ndarray:
     """(L,) each landmark's, m / s^2 * sqrt(s), root mean square."""
-    (places,) = in_batches(partial(_places, skeleton), (poses,), FRAMES_A_CALL)
+    (places,) = in_batches(partial(_landmarks, skeleton), (poses,), FRAMES_A_CALL)
     squares = accelerations_of(times, places) ** 2
     return np.sqrt(squares.reshape(len(squares), -1, 3).mean((0, 2)))
 
 
 @jax.jit
-def _places(skeleton: Skeleton, poses: Pose) -> Array:
-    """(T, 3 L) landmarks."""
-    places = jax.vmap(partial(landmarks, skeleton))(poses)
-    return places.reshape(len(places), -1)
+def _landmarks(skeleton: Skeleton, poses: Pose) -> Array:
+    """(T, 3 L)."""
+    points = jax.vmap(partial(landmarks, skeleton))(poses)
+    return points.reshape(len(points), -1)
 
 
-@jax.jit
-def _about(
-    skeleton: Skeleton, morph: Morph | None, poses: Pose, found: Pose
-) -> tuple[Array, Array, Array, Array, Array]:
-    """T poses: off those found (T, 6 + D); joints' own angles (T, D), landmarks (T, 3 L).
-
-    Each of the two before its derivatives by the tangent vector of ``retract``.
-    """
-
-    def own(pose: Pose) -> Array:
-        return (pose if morph is None else without_followers(morph, pose)).angles
-
-    def bent(pose: Pose) -> Array:
-        still = jnp.zeros(ROOT_DOF + pose.angles.size, pose.angles.dtype)
-        return jax.jacfwd(lambda step: own(retract(pose, step)))(still)
-
-    places = _places(skeleton, poses)
-    by = jax.vmap(partial(landmark_jacobian, skeleton))(poses)
-    angles, slopes = jax.vmap(own)(poses), jax.vmap(bent)(poses)
-    return difference(poses, found), angles, slopes, places, by.reshape(*places.shape, -1)
-
-
-def _moved(skeleton: Skeleton, poses: Pose, steps: np.ndarray, _: np.ndarray) -> Pose:
-    """Poses moved by steps (T, 6 + D), within the joints' limits."""
-    there = retract(poses, jnp.asarray(steps, poses.angles.dtype))
-    low, high = skeleton.limits[:, 0], skeleton.limits[:, 1]
-    there = there._replace(angles=jnp.clip(there.angles, low, high))
-    return jax.tree.map(np.asarray, there)
+def _moved(
+    skeleton: Skeleton, trajectory: Trajectory, steps: np.ndarray, shared: np.ndarray
+) -> Trajectory:
+    """A trajectory moved by steps (T, 6 + D), within the joints' limits."""
+    moved = moved_by(trajectory, steps, shared)
+    low, high = (np.asarray(skeleton.limits[:, side]) for side in (0, 1))
+    angles = np.clip(moved.poses.angles, low, high)
+    return moved._replace(poses=moved.poses._replace(angles=angles))

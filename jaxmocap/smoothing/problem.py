@@ -69,6 +69,12 @@ class Views(NamedTuple):
     camera: np.ndarray
     grids: SilhouetteGrids
 
+    @classmethod
+    def no_cameras(cls) -> "Views":
+        """Where nothing is drawn at all."""
+        nothing = np.zeros(0, np.int32)
+        return cls(nothing, nothing, None)  # type: ignore[arg-type]
+
     @property
     def none(self) -> "Views":
         """No view at all."""
@@ -81,14 +87,15 @@ class SmoothingProblem:
 
     Attributes:
         model: of the person, the markers and the cameras.
-        settings: with the terms of evidence.
+        settings: with the terms of evidence: ``SmoothingSettings``, or what has ``terms`` only
+            where nothing is shared and there are no views.
         times: (T,) seconds.
         measured: name -> (T, ...) of each frame.
         views: of all cameras.
     """
 
     model: Model
-    settings: SmoothingSettings
+    settings: Any
     times: np.ndarray
     measured: Measurements
     views: Views
@@ -165,6 +172,8 @@ def shared_prior(
         trajectory: of T frames, over which the prior is spread.
     """
     proportions, turns_cam = trajectory.proportions, trajectory.turns_cam
+    if not proportions.size + turns_cam.size:
+        return np.zeros((0, 0)), np.zeros(0), 0.0
     cameras = len(turns_cam)
     own = np.linalg.inv(covariance_among_people(proportions.size)) * max(len(camera), 1)
     views = np.maximum(np.bincount(camera, minlength=cameras)[:cameras], 1)
