@@ -15,7 +15,8 @@ from bench.footage import Footage
 from bench.metrics import Metric
 from jaxmocap.body.kinematics import forward, jacobian
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import Skeleton, Tree
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.tree import Tree
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.step import solve

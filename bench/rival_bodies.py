@@ -10,7 +10,8 @@ import mujoco
 import numpy as np
 
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.tree import ROOT_DOF
 from tests.subjects.mujoco_body import MujocoBody
 
 

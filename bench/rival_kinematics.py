@@ -15,7 +15,8 @@ from bench.metrics import Metric, stage_metrics
 from bench.rival_bodies import PinocchioBody, limited_mujoco, mujoco_points, mujoco_vector
 from jaxmocap.body.kinematics import Frames
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import Skeleton, Tree
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.tree import Tree
 from jaxmocap.geometry.rotations import quaternion_to_matrix, sine_cosine
 
 POSES, ROUNDS = 4096, {True: 3, False: 15}

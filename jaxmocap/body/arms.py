@@ -12,8 +12,9 @@ from jax import Array
 
 from jaxmocap.body.kinematics import Frames, Sites, forward, site_positions
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import Skeleton, Tree, landmark_rows
+from jaxmocap.body.skeleton import Skeleton, landmark_rows
 from jaxmocap.body.surfaces.cones import Cones
+from jaxmocap.body.tree import Tree
 from jaxmocap.geometry.rotations import about_axis, compose, hinges_from_matrix, rotate
 
 SIDES = ("l", "r")

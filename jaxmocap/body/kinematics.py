@@ -13,7 +13,8 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.geometry.rotations import (
     about_axis,
     compose,

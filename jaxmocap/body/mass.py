@@ -10,7 +10,8 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import Frames
-from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.geometry.rotations import HIGHEST, rotate
 
 

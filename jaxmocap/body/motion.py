@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.kinematics import landmarks
-from jaxmocap.body.origin import local_origin
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.geometry.origin import local_origin
 
 # Poses at least in one call of the landmarks' function.
 FEWEST = 64
@@ -63,7 +63,7 @@ class Motion:
         poses: position (T, 3) seen from ``origin_world``, quaternion (T, 4), angles (T, D).
         report: on every sample, or None.
         origin_world: (3,) metres, float64; not zero where the world's own origin is far away, see
-            ``body.origin``.
+            ``geometry.origin``.
     """
 
     skeleton: Skeleton

@@ -3,13 +3,15 @@
 INPUTS: a model file (``data/human.toml`` holds Table 1 of the first paper).
 OUTPUTS: a Skeleton. Names and the tree are static; every number in it is a traced array, so that
 gradients reach lengths, masses, diameters, costs and limits.
+
+A height or a mass scales it by the proportions of D. A. Winter, "Biomechanics and Motor Control of
+Human Movement", 4th ed. (2009), Fig. 4.1 (lengths, after Drillis and Contini) and Table 4.1
+(masses).
 """
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,9 +19,7 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.model_files import HUMAN, joint_rows, landmark_rows_of, read_model
-
-# The virtual root's degrees of freedom: three translations, three rotations.
-ROOT_DOF = 6
+from jaxmocap.body.tree import ROOT_DOF, Segment, Tree, with_dofs
 
 _LANDMARKS = landmark_rows_of(HUMAN)
 # Landmark -> bone and fraction of its length from its joint.
@@ -51,129 +51,40 @@ def landmark_mismatches() -> np.ndarray:
     return np.array([(across, across, upright) for across, upright in sides], float)
 
 
-class Segment(NamedTuple):
-    """What kind of bone one is.
-
-    Attributes:
-        group: spine, head, shoulder, arm, hip, leg, or what else a body has; "" for none.
-        part: the bone's name within its group, the same on both sides.
-        side: "l", "r", or "" in the middle.
-        drawn: whether silhouettes show it as its cone.
-    """
-
-    group: str = ""
-    part: str = ""
-    side: str = ""
-    drawn: bool = True
-
-
-# Indices that are kept are int32: JAX remembers an int64 array as it was first seen, and a change
-# of precision between two traces would break the second.
-@dataclass(frozen=True)
-class Tree:
-    """What of a skeleton is static: names and who hangs on whom. Hashable.
-
-    Attributes:
-        bones: names of the B bones, parents before children.
-        parents: index of each bone's parent, -1 for bones that start at the virtual root.
-        joints: names of the D degrees of freedom.
-        dof_bones: index of the bone that each degree of freedom turns, proximal to distal.
-        segments: what kind of bone each is; () where that is not known of any.
-        searched: limb that is searched by each degree of freedom, "" for none; () for none at all.
-    """
-
-    bones: tuple[str, ...]
-    parents: tuple[int, ...]
-    joints: tuple[str, ...]
-    dof_bones: tuple[int, ...]
-    segments: tuple[Segment, ...] = ()
-    searched: tuple[str, ...] = ()
-
-    def bone(self, name: str) -> int:
-        """Index of a bone by name.
-
-        Raises:
-            KeyError: no such bone; the message lists the valid ones.
-        """
-        if name not in self.bones:
-            raise KeyError(f"unknown bone {name!r}; the bones are {', '.join(self.bones)}")
-        return self.bones.index(name)
-
-    def bones_in(self, *names: str, side: str | None = None) -> np.ndarray:
-        """Indices (K,) of the bones of groups or parts, parents before children.
-
-        Args:
-            names: of groups ("arm") or parts ("forearm"); a body that has none yields no bones.
-            side: only these, "l", "r" or ""; None for all.
-        """
-        chosen = [
-            i
-            for i, segment in enumerate(self.segments)
-            if (segment.group in names or segment.part in names) and side in (None, segment.side)
-        ]
-        return np.array(chosen, np.int32)
-
-    def names_in(self, *names: str, side: str | None = None) -> tuple[str, ...]:
-        """The names of ``bones_in``."""
-        return tuple(self.bones[i] for i in self.bones_in(*names, side=side))
-
-    @property
-    def groups_of_joints(self) -> tuple[str, ...]:
-        """The group (D) of the bone that each degree of freedom turns; "" for none."""
-        if not self.segments:
-            return ("",) * len(self.joints)
-        return tuple(self.segments[bone].group for bone in self.dof_bones)
-
-    @property
-    def drawn(self) -> np.ndarray:
-        """Indices (K,) of the bones that silhouettes show as their cones."""
-        if not self.segments:
-            return np.arange(len(self.bones), dtype=np.int32)
-        return np.flatnonzero([segment.drawn for segment in self.segments]).astype(np.int32)
-
-    def joint(self, name: str) -> int:
-        """Index of a degree of freedom by name; KeyError lists the valid ones."""
-        if name not in self.joints:
-            raise KeyError(f"unknown joint {name!r}; the joints are {', '.join(self.joints)}")
-        return self.joints.index(name)
-
-    def chain(self, bone: str) -> tuple[int, ...]:
-        """Indices of the bones on the path from the root to ``bone``: a kinematic chain."""
-        path = [self.bone(bone)]
-        while self.parents[path[-1]] >= 0:
-            path.append(self.parents[path[-1]])
-        return tuple(reversed(path))
-
-    @cached_property
-    def leaves(self) -> tuple[int, ...]:
-        """Bones that carry no other."""
-        return tuple(i for i in range(len(self.bones)) if i not in self.parents)
-
-    @cached_property
-    def carries(self) -> np.ndarray:
-        """(6 + D, B) booleans: does a degree of freedom, the root's first, move a bone?"""
-        chains = [set(self.chain(name)) for name in self.bones]
-        moved = [[bone in chain for chain in chains] for bone in self.dof_bones]
-        return np.vstack([np.ones((ROOT_DOF, len(self.bones)), bool), np.array(moved, bool)])
-
-    @cached_property
-    def hinge_slots(self) -> np.ndarray:
-        """(B, S) indices of each bone's degrees of freedom in turning order, -1 where empty."""
-        bones = range(len(self.bones))
-        per_bone = [[d for d, b in enumerate(self.dof_bones) if b == i] for i in bones]
-        slots = np.full((len(bones), max(map(len, per_bone))), -1, np.int32)
-        for i, dofs in enumerate(per_bone):
-            slots[i, : len(dofs)] = dofs
-        return slots
-
-    @cached_property
-    def doublings(self) -> tuple[np.ndarray, ...]:
-        """Ancestors at distance 1, 2, 4, ... of every bone; -1 past the root."""
-        rounds, ancestors = [], np.array(self.parents, np.int32)
-        while (ancestors >= 0).any():
-            rounds.append(ancestors)
-            ancestors = np.where(ancestors >= 0, ancestors[ancestors], -1)
-        return tuple(rounds)
+# Lengths as fractions of the body height. Trunk: hip (0.530) to the base of the neck (0.870);
+# neck and head: from there to the vertex. The shoulder lies at 0.818, 0.129 to the side.
+WINTER_LENGTHS = {
+    "trunk": 0.340,
+    "neck_head": 0.130,
+    "shoulder": float(np.hypot(0.129, 0.052)),
+    "upper_arm": 0.186,
+    "forearm": 0.146,
+    "hand": 0.108,
+    "hip": 0.0955,
+    "thigh": 0.245,
+    "shank": 0.246,
+    "foot": 0.110,
+}
+ANKLE_HEIGHT = 0.039
+CLAVICLE_DROP = 0.052 / 0.129
+# Masses as fractions of the body mass; trunk and head are split as Table 1 splits them.
+WINTER_MASSES = {
+    "trunk": 0.497,
+    "neck_head": 0.081,
+    "upper_arm": 0.028,
+    "forearm": 0.016,
+    "hand": 0.006,
+    "thigh": 0.100,
+    "shank": 0.0465,
+    "foot": 0.0145,
+}
+TRUNK = ("spine1", "spine2", "spine3")
+NECK_HEAD = ("neck", "head")
+# Groups of bones that share one number of the tables, in proportion to what they have.
+_LONG_TOGETHER = {"spine": "trunk", "head": "neck_head"}
+# Clavicles and hips weigh as parts of the trunk.
+_HEAVY_TOGETHER = {**_LONG_TOGETHER, "shoulder": "trunk", "hip": "trunk"}
+MEAN_BODY_MASS_INDEX = 23.0
 
 
 @jax.tree_util.register_dataclass
@@ -229,8 +140,6 @@ class Skeleton:
         Raises:
             ValueError: height outside 0.5 to 2.5 m, or mass outside 10 to 400 kg.
         """
-        from jaxmocap.body.subject import scale_to_height
-
         skeleton = load_skeleton(HUMAN)
         if height is None and mass is None:
             return skeleton
@@ -252,7 +161,7 @@ def load_skeleton(name: str | Path) -> Skeleton:
     )
     bones_alone = Tree(tuple(names), parents, (), (), segments)
     return Skeleton(
-        tree=_with_dofs(bones_alone, model.joints),
+        tree=with_dofs(bones_alone, model.joints),
         lengths=_column(model.bones, "length"),
         directions=_column(model.bones, "direction"),
         masses=_column(model.bones, "mass"),
@@ -303,7 +212,7 @@ def with_joints(skeleton: Skeleton, name: str) -> Skeleton:
     columns = joint_columns(model.joints, model.root)
     return replace(
         skeleton,
-        tree=_with_dofs(skeleton.tree, model.joints),
+        tree=with_dofs(skeleton.tree, model.joints),
         **{key: column.astype(dtype) for key, column in columns.items()},
     )
 
@@ -318,24 +227,12 @@ def with_wrists(skeleton: Skeleton) -> Skeleton:
         return skeleton
     return replace(
         skeleton,
-        tree=_with_dofs(skeleton.tree, rows, added=True),
+        tree=with_dofs(skeleton.tree, rows, added=True),
         **{
             key: jnp.concatenate([getattr(skeleton, key), column.astype(dtype)])
             for key, column in joint_columns(rows).items()
         },
     )
-
-
-def _with_dofs(tree: Tree, joints: list[dict], added: bool = False) -> Tree:
-    """The same bones turned by other degrees of freedom, or by more."""
-    names = tuple(joint["name"] for joint in joints)
-    turned = tuple(tree.bone(joint["bone"]) for joint in joints)
-    searched = tuple(joint.get("limb", "") for joint in joints)
-    if added:
-        before = tree.searched or ("",) * len(tree.joints)
-        names, turned = (*tree.joints, *names), (*tree.dof_bones, *turned)
-        searched = (*before, *searched)
-    return replace(tree, joints=names, dof_bones=turned, searched=searched)
 
 
 def _column(rows: list[dict], key: str, scale: float = 1.0) -> Array:
@@ -347,3 +244,68 @@ def _numbers(values: list, scale: float = 1.0) -> Array:
     """Converted on the host: on the device that would be a program for each shape."""
     dtype = jax.dtypes.canonicalize_dtype(float)
     return jnp.asarray((np.array(values, float) * scale).astype(dtype), dtype)
+
+
+def scale_to_height(skeleton: Skeleton, height: float | None, mass: float | None) -> Skeleton:
+    """Scale by height (metres) and mass (kilograms) with Winter's proportions.
+
+    Without a height only the masses change, all by the same factor.
+
+    Raises:
+        ValueError: height outside 0.5 to 2.5 m, or mass outside 10 to 400 kg.
+    """
+    if mass is not None and not 10.0 <= mass <= 400.0:
+        raise ValueError(f"mass = {mass}: expected kilograms between 10 and 400")
+    if height is None:
+        factor = 1.0 if mass is None else mass / float(skeleton.masses.sum())
+        return replace(skeleton, masses=skeleton.masses * factor)
+    if not 0.5 <= height <= 2.5:
+        raise ValueError(f"height = {height}: expected metres between 0.5 and 2.5")
+    lengths = _fractions(skeleton, WINTER_LENGTHS, _LONG_TOGETHER, skeleton.lengths) * height
+    directions = np.array(skeleton.directions)
+    for side, left in (("l", 1.0), ("r", -1.0)):
+        slope = np.array([0.0, left, -CLAVICLE_DROP])
+        directions[skeleton.tree.bones_in("shoulder", side=side)] = slope / np.linalg.norm(slope)
+    kilograms = MEAN_BODY_MASS_INDEX * height**2 if mass is None else mass
+    masses = _fractions(skeleton, WINTER_MASSES, _HEAVY_TOGETHER, skeleton.masses)
+    # Winter's masses are all of it: what he does not have takes its share from the others.
+    masses = masses * kilograms / (masses.sum() if masses.sum() > 1.001 else 1.0)
+    scaled = replace(
+        skeleton,
+        lengths=jnp.asarray(lengths, float),
+        directions=jnp.asarray(directions, float),
+        masses=jnp.asarray(masses, float),
+    )
+    return with_girths(skeleton, scaled)
+
+
+def _fractions(
+    skeleton: Skeleton, table: dict[str, float], together: dict[str, str], shares: Array
+) -> np.ndarray:
+    """One fraction per bone (B,).
+
+    Trunk and neck with head are split in proportion to ``shares``. A bone that the table does not
+    have, a tail's, keeps its proportion to all the others.
+
+    Args:
+        skeleton: of B bones.
+        table: of Winter.
+        together: group of bones -> the entry that they share.
+        shares: (B,) of the skeleton.
+    """
+    segments, own = skeleton.tree.segments, np.asarray(shares)
+    keys = [together.get(segment.group, segment.part) for segment in segments]
+    single = [segment.group not in together for segment in segments]
+    fractions = np.full(len(own), np.nan, own.dtype)
+    for i, key in enumerate(keys):
+        if key in table:
+            members = [i] if single[i] else [j for j, other in enumerate(keys) if other == key]
+            fractions[i] = table[key] * own[i] / sum(own[j] for j in members)
+    known = np.isfinite(fractions)
+    return np.where(known, fractions, own * fractions[known].sum() / own[known].sum())
+
+
+def with_girths(old: Skeleton, new: Skeleton) -> Skeleton:
+    """Diameters that keep each bone's density: they grow with the root of mass per length."""
+    density = jnp.sqrt((new.masses / new.lengths) / (old.masses / old.lengths))
+    return replace(new, diameters=old.diameters * density[:, None])

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmocap.body.skeleton import LANDMARKS, Tree
+from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.tree import Tree
 from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.formats.files.errors import InputError

@@ -19,8 +19,9 @@ from jax import Array
 from jaxmocap.body.kinematics import Frames, forward, jacobian
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.proportions import scaled
-from jaxmocap.body.skeleton import Skeleton, Tree
+from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.cones import Cones, cones, project_cones
+from jaxmocap.body.tree import Tree
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.geometry.cameras import (
     NEAREST_M,

@@ -27,7 +27,8 @@ from jaxmocap.body.kinematics import (
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.proportions import scaled
-from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.geometry.rotations import HIGHEST, quaternion_multiply, quaternion_to_matrix
 
 # Name of a measurement -> arrays; what a term does not find there it has no residuals of.

@@ -18,7 +18,8 @@ from jaxmocap.body.kinematics import forward, landmarks
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.proportions import scaled
-from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.silhouettes import SilhouetteGrids, limbs_fit, project_limbs
 from jaxmocap.evidence.terms import Measurements, Term, residuals
 from jaxmocap.geometry.cameras import Camera

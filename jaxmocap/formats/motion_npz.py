@@ -17,14 +17,8 @@ import numpy as np
 from jaxmocap.body.model_files import HUMAN, bodies, known_joints, read_model
 from jaxmocap.body.motion import Motion, Report, near_origin
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import (
-    LANDMARKS,
-    ROOT_DOF,
-    Skeleton,
-    Tree,
-    joint_columns,
-    load_skeleton,
-)
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton, joint_columns, load_skeleton
+from jaxmocap.body.tree import ROOT_DOF, Tree
 from jaxmocap.formats.files.arrays import INTEGERS, NAMES, TEXT, ArraySpec, NpzArrays
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.json_text import parse_json

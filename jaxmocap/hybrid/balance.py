@@ -15,7 +15,8 @@ from jax import Array
 from jaxmocap.body.kinematics import Sites, forward, landmark_sites, site_positions
 from jaxmocap.body.mass import base_of_support, centre_of_gravity
 from jaxmocap.body.pose import Pose, relaxed_pose
-from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.markers import Goals
 from jaxmocap.hybrid.ik import reach
 from jaxmocap.hybrid.settings import IKSettings

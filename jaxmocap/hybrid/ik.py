@@ -15,7 +15,8 @@ from jaxmocap.body.kinematics import Frames, forward, jacobian, site_positions
 from jaxmocap.body.mass import augmented_bodies
 from jaxmocap.body.model import SIDES, Model
 from jaxmocap.body.pose import Pose, retract
-from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.markers import Goals, are_present
 from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix
 from jaxmocap.hybrid.feet import FootPlacement, replant

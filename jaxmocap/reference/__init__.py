@@ -2,4 +2,6 @@
 
 Each mirrored module has the names and signatures of its original. Nothing here imports ours:
 skeletons, poses and cameras are anything with the same attributes.
+
+Begin with ``kinematics``, then ``hybrid/ik`` and ``silhouette``.
 """

@@ -21,7 +21,8 @@ from threadpoolctl import ThreadpoolController
 
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose, difference, retract
-from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.geometry.rotations import HIGHEST
 from jaxmocap.silhouette.markers import MarkerRows, marker_equations
 from jaxmocap.silhouette.points import PointRays, linearised_rays

@@ -25,9 +25,10 @@ import numpy as np
 
 from jaxmocap.body.kinematics import Sites
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
+from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.surface import Surface
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.geometry.cameras import Camera, stack_cameras
 from jaxmocap.images.background_model import Background
 from jaxmocap.silhouette.device_functions import predicted_pose, velocity_between

@@ -4,15 +4,16 @@ The same terms as over a whole recording, over the newest frames alone; what ear
 marginal prior. What changes behind a pose that was given out fades in, so that the track does not
 jump (``fading``).
 
-    tracker = HybridTracker(model)
-    state, smoother = tracker.init(markers), FixedLagSmoother(model, tracker.settings.smoothing)
+    tracker = HybridTracker(skeleton, [camera], settings, marker_names)
+    state = tracker.init(markers)
+    smoother = FixedLagSmoother(tracker.model, settings.smoothing)
     for time, markers, image in ...:  # NaN and None where there is nothing new
         state, pose, report = tracker.step(state, time, markers, [image])
         for final in smoother.step(time, markers, [image], pose, report):
             ...  # final.number, final.time, final.pose, final.deviations
     last = smoother.flush()
 
-INPUTS: what a tracker's steps measured and found. OUTPUTS: their poses, a little later.
+INPUTS: a tracker's steps: markers, images, poses, reports. OUTPUTS: smoothed poses, a little later.
 """
 
 from collections.abc import Sequence
@@ -22,20 +23,16 @@ import numpy as np
 from jax import Array
 from threadpoolctl import ThreadpoolController
 
-from jaxmocap.body.kinematics import landmarks
 from jaxmocap.body.model import Model
-from jaxmocap.body.pose import Pose, difference, pack, retract, unpack
-from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
-from jaxmocap.compilation.packing import packed, unpacked
+from jaxmocap.body.pose import Pose, pack, retract, unpack
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.appearance.running import MeasuredFrame, RunningAppearance
-from jaxmocap.evidence.ground import ANKLES
-from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.smoothing.facing import RunningFacing
 from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.uncertainty import landmark_deviations
 from jaxmocap.smoothing.window import SOFTNESS, SolvedWindow, Window, offsets, stacked
-from jaxmocap.smoothing.window_events import WindowEvent
+from jaxmocap.smoothing.window_events import WindowEvent, expected_at
 from jaxmocap.solvers.fading import Fading
 
 # A pose is given out once so many later video frames came,
@@ -56,11 +53,7 @@ LONGEST_GAP_S = 0.25
 BASELINE_S = 0.005
 
 
-# Of what an ``Expected`` holds beside the pose.
-_EXPECTED_SHAPES = np.empty(2), np.empty(2), np.empty((2, 3))
-
-
-class StepFound(Protocol):
+class StepReported(Protocol):
     """What a tracker's step reports of itself."""
 
     @property
@@ -98,44 +91,10 @@ class SmoothedPose(NamedTuple):
     from_prior: np.ndarray
 
 
-class Expected(NamedTuple):
-    """What is expected at an event before it is solved.
-
-    Attributes:
-        pose: the last one, moved as the markers' pose moved.
-        ahead: (2,) horizontal part of the x axis of the markers' pelvis.
-        upright: (2,) of its z axis.
-        ankles: (2, 3) of the markers' pose, world, metres.
-    """
-
-    pose: Pose
-    ahead: Array | np.ndarray
-    upright: Array | np.ndarray
-    ankles: Array | np.ndarray
-
-
 @program("quick")
 def _retract(pose: Array, step: Array) -> Array:
     """A packed pose (7 + D,) moved by a tangent vector."""
     return pack(retract(unpack(pose), step))
-
-
-@program("quick")
-def _expected(skeleton: Skeleton, poses: Array) -> Array:
-    """The last pose moved as the markers' pose moved; where that faces and leans; its ankles.
-
-    Args:
-        skeleton: D degrees of freedom.
-        poses: (3, 7 + D) packed: the last pose, the markers' pose there, and their pose now.
-
-    Returns:
-        A packed ``Expected``.
-    """
-    last, before, alone = (unpack(each) for each in poses)
-    ankles = landmarks(skeleton, alone)[ANKLES]
-    moved = retract(last, difference(alone, before))
-    R = quaternion_to_matrix(alone.quaternion)
-    return packed(Expected(moved, R[:2, 0], R[:2, 2], ankles))
 
 
 class FixedLagSmoother:
@@ -177,7 +136,7 @@ class FixedLagSmoother:
         markers_world: np.ndarray | Array,
         images: Sequence[np.ndarray | None] | None,
         pose: Pose,
-        report: StepFound,
+        report: StepReported,
     ) -> list[SmoothedPose]:
         """One step of the tracker.
 
@@ -187,8 +146,8 @@ class FixedLagSmoother:
                 this time are better left out.
             images: a BGR (for colours to tell) or grey uint8 frame per camera, None where there is
                 no new one.
-            pose: that it found.
-            report: and what it told.
+            pose: of that step.
+            report: of that step.
 
         Returns:
             What is final now: of no event, or of some, in order.
@@ -218,42 +177,41 @@ class FixedLagSmoother:
         markers_world: np.ndarray | Array,
         images: Sequence[np.ndarray | None] | None,
         pose: Pose,
-        report: StepFound,
+        report: StepReported,
     ) -> WindowEvent:
         """A step with the pose that is expected there, and what the cameras saw about it."""
         dtype = self.model.dtype
-        first, alone = (
-            Pose._make(np.asarray(part, dtype) for part in each)
-            for each in (pose, report.marker_pose)
-        )
+        both = (pose, report.marker_pose)
+        first, alone = (Pose._make(np.asarray(p, dtype) for p in each) for each in both)
         last = self._window.events[-1] if self._window.events else None
         before = alone if last is None or self._marker_pose is None else self._marker_pose
         three = [np.concatenate(each) for each in (last.pose if last else first, before, alone)]
-        vector = np.asarray(_expected(self.model.skeleton, np.stack(three)))
-        expected: Expected = unpacked(vector, Expected(alone, *_EXPECTED_SHAPES))
-        there, upright = expected.pose, expected.upright
+        expected = expected_at(self.model.skeleton, np.stack(three))
         self._marker_pose = alone
         facing = self._facing.step(
             np.asarray(expected.ahead), 0.0 if last is None else time - last.time
         )
         measured = {
             "markers": np.asarray(markers_world, dtype),
-            "upright": upright,
+            "upright": expected.upright,
             "facing": facing.astype(dtype),
             "ankles": expected.ankles,
             "elbows": self._no_goals,
         }
         frames = [
-            (camera, self._measured(appearance, image, there), (image.shape[1], image.shape[0]))
+            (
+                camera,
+                self._measured(appearance, image, expected.pose),
+                (image.shape[1], image.shape[0]),
+            )
             for camera, (appearance, image) in enumerate(
                 zip(self._appearances, images or (), strict=False)
             )
             if image is not None
         ]
-        self._count += 1
+        number, self._count = self._count, self._count + 1
         deviations = np.asarray(report.elbow_deviations, float)
-        number = self._count - 1
-        return WindowEvent(number, float(time), measured, there, first, deviations, frames)
+        return WindowEvent(number, float(time), measured, expected.pose, first, deviations, frames)
 
     def _measured(
         self, appearance: RunningAppearance, image: np.ndarray, pose: Pose

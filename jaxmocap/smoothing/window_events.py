@@ -7,11 +7,58 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from jax import Array
 
-from jaxmocap.body.pose import Pose
+from jaxmocap.body.kinematics import landmarks
+from jaxmocap.body.pose import Pose, difference, retract, unpack
+from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.compilation.packing import packed, unpacked
+from jaxmocap.compilation.programs import program
 from jaxmocap.evidence.appearance.running import MeasuredFrame
+from jaxmocap.evidence.ground import ANKLES
 from jaxmocap.evidence.terms import Measurements
+from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.smoothing.levenberg_marquardt import Linearised
+
+# Of what an ``Expected`` holds beside the pose.
+_EXPECTED_SHAPES = np.empty(2), np.empty(2), np.empty((2, 3))
+
+
+class Expected(NamedTuple):
+    """What is expected at an event before it is solved.
+
+    Attributes:
+        pose: the last one, moved as the markers' pose moved.
+        ahead: (2,) horizontal part of the x axis of the markers' pelvis.
+        upright: (2,) of its z axis.
+        ankles: (2, 3) of the markers' pose, world, metres.
+    """
+
+    pose: Pose
+    ahead: Array | np.ndarray
+    upright: Array | np.ndarray
+    ankles: Array | np.ndarray
+
+
+def expected_at(skeleton: Skeleton, poses: np.ndarray) -> Expected:
+    """The last pose moved as the markers' pose moved; where that faces and leans; its ankles.
+
+    Args:
+        skeleton: D degrees of freedom.
+        poses: (3, 7 + D) packed: the last pose, the markers' pose there, and their pose now.
+    """
+    vector = np.asarray(_expected(skeleton, poses))
+    return unpacked(vector, Expected(unpack(poses[0]), *_EXPECTED_SHAPES))
+
+
+@program("quick")
+def _expected(skeleton: Skeleton, poses: Array) -> Array:
+    """``expected_at``, packed."""
+    last, before, alone = (unpack(each) for each in poses)
+    ankles = landmarks(skeleton, alone)[ANKLES]
+    moved = retract(last, difference(alone, before))
+    R = quaternion_to_matrix(alone.quaternion)
+    return packed(Expected(moved, R[:2, 0], R[:2, 2], ankles))
 
 
 class SilhouetteQuadratic(NamedTuple):

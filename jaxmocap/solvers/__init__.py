@@ -1,1 +1,5 @@
-"""Functions of functions: optimisers that know no body and no image."""
+"""Functions of functions: optimisers that know no body and no image.
+
+Begin with ``sdls``: the step of the first paper's inverse kinematics. ``simplex`` searches without
+derivatives, ``least_squares`` with them; ``banded`` and ``arrow`` solve the systems of a smoother.
+"""

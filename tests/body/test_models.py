@@ -6,7 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import ROOT_DOF, Skeleton, load_skeleton, with_joints
+from jaxmocap.body.skeleton import Skeleton, load_skeleton, with_joints
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.formats.animation.armature import joint_positions, rotated_armature
 from jaxmocap.formats.animation.bvh_in import read_bvh
 from jaxmocap.formats.animation.export import write_animation

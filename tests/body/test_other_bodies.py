@@ -12,14 +12,14 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import (
     LANDMARKS,
-    ROOT_DOF,
     Skeleton,
     landmark_mismatches,
     load_skeleton,
+    scale_to_height,
     with_joints,
     with_wrists,
 )
-from jaxmocap.body.subject import scale_to_height
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.posture import NearPose
 from jaxmocap.formats.motion_npz import load_motion, save_motion
 from jaxmocap.hybrid.tracker import HybridTracker

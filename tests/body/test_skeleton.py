@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from conftest import double
 
-from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, ROOT_DOF, Skeleton, landmark_rows
+from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton, landmark_rows
+from jaxmocap.body.tree import ROOT_DOF
 
 # Table 1 as printed: length in millimetres, mass in grams, degrees of freedom.
 TABLE_1 = {

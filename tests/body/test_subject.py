@@ -7,8 +7,8 @@ from conftest import double, on_device
 
 from jaxmocap.body.kinematics import landmarks as landmarks_of
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
-from jaxmocap.body.subject import scale_to_height, scale_to_landmarks
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton, scale_to_height
+from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.formats.time_series.trc import read_trc
 
 LANDMARKS_OF = jax.jit(landmarks_of)

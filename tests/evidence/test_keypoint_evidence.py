@@ -30,7 +30,8 @@ from small_recording import CAMERA, PLACES, small_recording
 from jaxmocap.body.model import Model
 from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose, retract
-from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF
+from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.capture.keypoints import Keypoints
 from jaxmocap.capture.timeline import build_timeline
 from jaxmocap.capture.video import MemoryVideo

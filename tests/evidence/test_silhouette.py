@@ -17,7 +17,7 @@ from watched_arms import FRONT, PERSON, TRUTH
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import retract
 from jaxmocap.body.proportions import PROPORTIONS, scaled
-from jaxmocap.body.skeleton import ROOT_DOF
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.appearance.hulls import draw_hulls
 from jaxmocap.evidence.appearance.part_mask import BENEFIT, part_odds
 from jaxmocap.evidence.silhouettes import LegGrid, SilhouetteGrids, silhouette_cost, silhouette_fit

@@ -32,7 +32,8 @@ from jaxmocap.body.kinematics import joined_sites, landmark_sites, landmarks
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.proportions import PROPORTIONS, scaled
-from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, landmark_rows
+from jaxmocap.body.skeleton import LANDMARKS, landmark_rows
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.settings import group, settings, traced
 from jaxmocap.evidence.edges import EdgeFields, weighted_edges
 from jaxmocap.evidence.keypoints import lines_of_sight

@@ -8,7 +8,6 @@ import pytest
 from small_recording import CAMERA, small_recording, write_small_recording
 
 from jaxmocap.body.motion import Motion
-from jaxmocap.body.origin import local_origin
 from jaxmocap.capture.checks.markers import check_markers
 from jaxmocap.cli import main
 from jaxmocap.formats.cameras.calibration import write_camera
@@ -18,6 +17,7 @@ from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.mot import motion_from_angles, read_mot
 from jaxmocap.formats.time_series.trc import write_trc
+from jaxmocap.geometry.origin import local_origin
 from jaxmocap.pipelines.tracking.track import choose_settings, make_tracker, track
 from jaxmocap.pipelines.writing import write_motion
 

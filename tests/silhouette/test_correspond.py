@@ -8,7 +8,7 @@ import pytest
 from test_rim import BODY, CAMERAS, FORWARD, SETTINGS, bent, filled, finder  # noqa: F401
 
 from jaxmocap.body.pose import difference, retract
-from jaxmocap.body.skeleton import ROOT_DOF
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.fit.correspond import (
     Contour,

@@ -9,7 +9,7 @@ from test_rim import BODY
 from test_silhouette_tracker import painted
 
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import ROOT_DOF
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.silhouette import passes
 from jaxmocap.silhouette.first_pose import landmark_points
 from jaxmocap.silhouette.passes import FrameBundle, PassSettings, run_passes

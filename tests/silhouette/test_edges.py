@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from jaxmocap.body.pose import relaxed_pose
-from jaxmocap.body.skeleton import ROOT_DOF, Skeleton, with_joints
+from jaxmocap.body.skeleton import Skeleton, with_joints
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.fit.correspond import Matches
 from jaxmocap.silhouette.fit.expected_pose import combined_prior

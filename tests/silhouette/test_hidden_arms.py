@@ -11,9 +11,10 @@ from test_silhouette_tracker import SMALL, WALL
 
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose, relaxed_pose, retract
-from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF
+from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.surface import posed
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.silhouette.device_functions import fit
 from jaxmocap.silhouette.first_pose import landmark_points
 from jaxmocap.silhouette.recovery.chromaticity import BodyAppearance

@@ -14,7 +14,8 @@ from test_rim import BODY, ring
 from test_silhouette_tracker import PLAIN, SMALL, WALL, painted, with_settings
 
 from jaxmocap.body.pose import relaxed_pose, retract
-from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF
+from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.first_pose import landmark_points

@@ -8,8 +8,8 @@ from test_rim import BODY
 
 from jaxmocap.body.kinematics import Sites, forward, site_positions
 from jaxmocap.body.pose import relaxed_pose, retract
-from jaxmocap.body.skeleton import ROOT_DOF
 from jaxmocap.body.surfaces.surface import posed
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.lines import Lines

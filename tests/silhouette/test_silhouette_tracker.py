@@ -8,7 +8,8 @@ import pytest
 from test_rim import BODY, ring
 
 from jaxmocap.body.pose import relaxed_pose, retract
-from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, Skeleton
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.cli import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording

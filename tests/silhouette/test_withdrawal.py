@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from jaxmocap.body.skeleton import ROOT_DOF
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.silhouette.recovery import withdrawal
 from jaxmocap.silhouette.recovery.withdrawal import LOST_FRAMES, remembered, slim, withdrawn
 from jaxmocap.silhouette.segmentation.outlines import Outlines

@@ -24,7 +24,8 @@ from painted_motion import (
 
 from jaxmocap.body.kinematics import joined_sites, landmark_sites
 from jaxmocap.body.pose import Pose, retract
-from jaxmocap.body.skeleton import LANDMARKS, ROOT_DOF, landmark_mismatches
+from jaxmocap.body.skeleton import LANDMARKS, landmark_mismatches
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.balance import Balance
 from jaxmocap.evidence.ground import Ground
 from jaxmocap.evidence.limits import JointLimits

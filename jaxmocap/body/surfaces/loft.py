@@ -15,8 +15,9 @@ from importlib import resources
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from jaxmocap.body.skeleton import Skeleton, Tree
+from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.surface import Surface, surface_from_rest
+from jaxmocap.body.tree import Tree
 
 # Of the stature, by Winter's proportions: trunk, neck and head, thigh and shank together.
 UPRIGHT = 0.340 + 0.130 + 0.245 + 0.246

@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import Frames
-from jaxmocap.body.skeleton import Tree
+from jaxmocap.body.tree import Tree
 from jaxmocap.geometry.fourier import cosine_matrix, fourier_matrix, linear_matrix
 from jaxmocap.geometry.rotations import HIGHEST, rotate
 

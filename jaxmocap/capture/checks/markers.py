@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxmocap.body.origin import local_origin
 from jaxmocap.capture.checks.body_reach import (
     max_marker_distances,
     skeleton_stature,
@@ -20,6 +19,7 @@ from jaxmocap.capture.checks.body_reach import (
 )
 from jaxmocap.capture.markers import median_interval
 from jaxmocap.formats.recordings.recording import Recording
+from jaxmocap.geometry.origin import local_origin
 
 # Markers that span so many times as much as on somebody who stands are in another unit,
 MAX_SPAN_RATIO = 3.0

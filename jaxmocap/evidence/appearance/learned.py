@@ -19,8 +19,9 @@ from jax import Array
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton, Tree
+from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.body.surfaces.cones import cones, project_cones
+from jaxmocap.body.tree import Tree
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.evidence.appearance.hulls import draw_hulls
 from jaxmocap.evidence.appearance.part_mask import part_odds

@@ -19,12 +19,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import jaxmocap
-from jaxmocap.body.origin import local_origin
 from jaxmocap.formats.animation.armature import Armature, BeyondFormatError
 from jaxmocap.formats.animation.glb import BinaryChunk, write_document
 from jaxmocap.formats.animation.skinned_mesh import SkinnedMesh, limb_mesh
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.time_series.gaps import hold_across_gaps
+from jaxmocap.geometry.origin import local_origin
 
 SKIN_COLOUR = (0.62, 0.68, 0.76, 1.0)
 # glTF's numbers for what a view of the buffer holds: attributes of vertices, or indices.

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxmocap.body.origin import local_origin
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.formats.cameras.video_sources import VideoSource, read_videos
 from jaxmocap.formats.files.errors import InputError
@@ -31,6 +30,7 @@ from jaxmocap.formats.recordings.subject import subject_or_default
 from jaxmocap.formats.time_series.axes import read_axes, to_world
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.tables import Markers, SampleLabels, check_times
+from jaxmocap.geometry.origin import local_origin
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Recording:
         stated_rate: samples per second as that file states them, or None.
         filters: that the markers are to go through before they are tracked.
         origin_world: (3,) metres, float64: what was subtracted from the world's coordinates of
-            markers and cameras; not zero where they are far from 0, see ``body.origin``.
+            markers and cameras; not zero where they are far from 0, see ``geometry.origin``.
     """
 
     skeleton: Skeleton

@@ -10,9 +10,10 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmocap.body.skeleton import Skeleton, Tree
+from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.surface import BodyPoints, Patch, Surface, rest_nodes
+from jaxmocap.body.tree import Tree
 from jaxmocap.formats.files.arrays import INTEGERS, NAMES, ArraySpec, NpzArrays
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import comma_list, short_repr

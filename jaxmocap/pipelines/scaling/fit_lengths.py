@@ -13,8 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.proportions import LENGTHS, scaled
-from jaxmocap.body.skeleton import Skeleton, with_wrists
-from jaxmocap.body.subject import scale_to_height
+from jaxmocap.body.skeleton import Skeleton, scale_to_height, with_wrists
 from jaxmocap.capture.checks.body_reach import skeleton_stature
 from jaxmocap.capture.footage import forward_readers
 from jaxmocap.capture.frame_cache import cached_frames

@@ -12,8 +12,9 @@ import numpy as np
 
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, ROOT_DOF, Skeleton, with_joints
+from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton, with_joints
 from jaxmocap.body.surfaces.surface import Surface
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.capture.background_pictures import read_empty_room
 from jaxmocap.capture.footage import forward_readers
 from jaxmocap.capture.markers import interpolate_markers

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import ROOT_DOF
 from jaxmocap.body.surfaces.surface import BodyPoints
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.images.background_model import Background
 from jaxmocap.silhouette.device_functions import ContourPairs, fit, free_pose
 from jaxmocap.silhouette.fit.camera_agreement import disagreeing, matched_shares

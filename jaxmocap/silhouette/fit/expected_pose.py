@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import ROOT_DOF
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.silhouette.pose import Prior
 
 

@@ -19,8 +19,9 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import ROOT_DOF, Skeleton
+from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.surface import Surface
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.background_model import Background
 from jaxmocap.silhouette.recovery import limb_likelihood

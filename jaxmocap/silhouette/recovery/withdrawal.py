@@ -6,7 +6,7 @@ information.
 
 import numpy as np
 
-from jaxmocap.body.skeleton import ROOT_DOF
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.silhouette.fit.cycles import information_without
 from jaxmocap.silhouette.state import RecentFrame, StepReport, TrackedBody, TrackerConstants
 

@@ -26,8 +26,9 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import ROOT_DOF, Skeleton, Tree
+from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.surface import BodyPoints, Skin, Surface
+from jaxmocap.body.tree import ROOT_DOF, Tree
 from jaxmocap.geometry.rotations import HIGHEST
 
 

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.skeleton import Tree
 from jaxmocap.body.surfaces.surface import (
     BodyPoints,
     Patch,
@@ -20,6 +19,7 @@ from jaxmocap.body.surfaces.surface import (
     resampled_moves,
     rest_nodes,
 )
+from jaxmocap.body.tree import Tree
 from jaxmocap.silhouette.surfaces.morph import (
     Driver,
     Morph,
