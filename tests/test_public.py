@@ -29,7 +29,7 @@ PARAMETERS = {
     "evaluate": ["motion", "truth", "pairs", "up"],
     "HybridTracker": ["skeleton", "cameras", "settings", "markers"],
     "HybridTracker.init": ["self", "markers_world"],
-    "HybridTracker.step": ["self", "state", "time", "markers_world", "images"],
+    "HybridTracker.step": ["self", "state", "time", "markers_world", "images", "clock"],
     "Recording.load": ["path"],
     "Skeleton.human": ["height", "mass"],
     "Motion.joints": ["self"],

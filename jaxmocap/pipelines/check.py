@@ -41,7 +41,7 @@ class RecordingCheck:
             "end_s": float(times[-1]),
             "rate_hz": 1 / interval if interval else None,
             "markers": list(self.recording.marker_names),
-            "cameras": [asdict(view) for view in self.views],
+            "cameras": [view.figures() for view in self.views],
             "findings": [asdict(finding) for finding in self.findings],
             "warnings": list(self.warnings),
         }

@@ -58,7 +58,7 @@ def test_two_senders_with_two_clocks_are_no_clock_that_jumps(line):
         for of, state in stream_states(line.socket, line.gathers, [], at):
             status.set_state(at, of, state)
     assert line.socket.clock_jumps == 0
-    assert line.socket.sent() == {"127.0.0.1:5000": 900, "127.0.0.1:5001": 900}
+    assert line.socket.packets_by_sender() == {"127.0.0.1:5000": 900, "127.0.0.1:5001": 900}
     assert not [each for each in status.messages if "clock" in each.what]
 
 
@@ -100,7 +100,7 @@ def test_stamps_too_large_for_a_rhythm_are_left_out(stamp):
 def test_strangers_are_counted_named_and_otherwise_ignored(line):
     line.bring(*(packet(1.0, host=f"10.0.0.{i}") for i in range(200)), packet(2.0))
     assert line.socket.ignored["stranger"] == 200 and len(line.samples) == 1
-    assert len(line.socket.strangers) == MAX_REFUSED_NAMED
+    assert len(line.socket.refused_hosts) == MAX_REFUSED_NAMED
     states = dict(stream_states(line.socket, line.gathers, [], 0.0))
     assert states["stranger packets ignored"] == "100 or more"
     assert "10.0.0.0" in states["strangers"] and "[osc] from" in states["strangers"]
@@ -204,11 +204,11 @@ def test_many_senders_share_what_few_have_alone(line):
     for i in range(1000):
         line.bring(packet(float(i % 7), 1024 + i, at=i / 90, stamp=1e4 - i))
     assert len(line.samples) == 1000 and line.socket.clock_jumps == 0
-    sent = line.socket.sent()
+    sent = line.socket.packets_by_sender()
     assert len(sent) <= MAX_SENDERS + 1 and sent["others"] > 900
     # Who falls silent makes room for somebody new.
     line.bring(packet(0.0, 9999, at=1000.0))
-    assert "127.0.0.1:9999" in line.socket.sent()
+    assert "127.0.0.1:9999" in line.socket.packets_by_sender()
 
 
 # Messages ---------------------------------------------------------------------------------------
@@ -218,7 +218,7 @@ def test_names_that_come_in_are_no_commands_to_a_terminal(line):
     output = StringIO()
     status = LiveStatus(output)
     for name in ("\x1b[2J\x1b]0;owned\x07", "a\nb", "\u202egnp.exe"):
-        line.gathers.unknown.add(name)
+        line.gathers.unknown_names.add(name)
     for of, state in stream_states(line.socket, line.gathers, [], 0.0):
         status.set_state(0.0, of, state)
     status.log(0.0, "\x1b[2J" + "x" * 10_000)

@@ -278,14 +278,15 @@ def test_the_drawn_body_covers_the_painted_one(drawing):
 
 def test_parts_of_limbs_and_limbs_by_name_are_drawn(drawing):
     whole = drawing.mask(3, 1.0)
-    forearm = drawing.mask(3, 1.0, only=("radius_l",))
-    rest = drawing.mask(3, 1.0, without=("radius_l",))
-    half = drawing.mask(3, 1.0, only=("radius_l",), part=(0.5, 0.95))
+    forearm = drawing.mask(3, 1.0, only=("forearm",))
+    rest = drawing.mask(3, 1.0, without=("forearm",))
+    half = drawing.mask(3, 1.0, only=("forearm",), part=(0.5, 0.95))
     np.testing.assert_array_equal(whole, forearm | rest)
     assert 0 < half.sum() < 0.8 * forearm.sum()
     # The half's hull is rounded to pixels by itself.
     assert (half & ~forearm).sum() <= 0.05 * half.sum()
-    near, far, radii = (part[3][drawing.names.index("radius_l")][None] for part in drawing.discs)
+    rows = drawing.tree.bones_in("forearm")
+    near, far, radii = (part[3][rows] for part in drawing.discs)
     np.testing.assert_array_equal(
         forearm, draw_hulls(type(drawing.discs)(near, far, radii), drawing.size)
     )
