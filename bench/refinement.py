@@ -149,7 +149,7 @@ def _prepare(
     model, settings = tracker.model, tracker.settings
     goals = goals_of(model, settings.ik, solved.ik.feet, targets)
     arms = arms_of(model.skeleton, forward(model.skeleton, solved.ik.pose), model.grips)
-    _, elbows = refine.search_elbows(settings, model, arms, fields, belief)
+    _, elbows = refine.search_elbows(model, settings, arms, fields, belief)
     free = jnp.ones(model.skeleton.costs.shape, bool)
     start = refine.follow_elbows(model, settings, goals, belief.pose, free, elbows)
     return start, fields, arms.grip, Aims(goals, elbows, solved.ik.pose, free)

@@ -118,7 +118,7 @@ def refine(
     edges = None if settings.refine == "none" or model.cameras is None else fields
     if edges is not None:
         pose = _last_unless_lost(model, settings, goals, belief, pose)
-        belief, elbows = search_elbows(settings, model, arms, edges, belief)
+        belief, elbows = search_elbows(model, settings, arms, edges, belief)
     pose, centre, free, balanced = _balanced(model, settings, solved.ik.pose, pose, bow_factors)
     if edges is not None:
         pose = follow_elbows(model, settings, goals, pose, free, elbows)
@@ -161,7 +161,7 @@ def _last_unless_lost(
 
 
 def search_elbows(
-    settings: Settings, model: Model, arms: Arms, fields: EdgeFields, belief: ElbowBelief
+    model: Model, settings: Settings, arms: Arms, fields: EdgeFields, belief: ElbowBelief
 ) -> tuple[ElbowBelief, Array]:
     """The belief after the video and the (2, 3) elbows to follow.
 

@@ -69,7 +69,7 @@ def test_a_csv_file_keeps_turns_and_what_is_not_known_of_them(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("time,A.x,A.y,A.z,A.qw,A.qx,A.qy\n0,1,2,3,1,0,0\n", "found 'the end of the line', expected 'A.qz'"),
+        ("time,A.x,A.y,A.z,A.qw,A.qx,A.qy\n0,1,2,3,1,0,0\n", "end of the line', expected 'A.qz'"),
         ("time,A.x,A.y,A.z,A.qw,A.qx,A.qy,A.qz\n0,1,2,3,0,0,0,0\n", "line 2: the quaternion of"),
         ("time,A.x,A.y,A.z,A.qw,A.qx,A.qy,A.qz\n0,1,2,3,2,0,0,0\n", "has length 2, expected 1"),
         ("time,A.x,A.y,A.z,A.qx,A.qy,A.qz,A.qw\n0,1,2,3,0,0,0,1\n", "found 'A.qx', expected 'A.x'"),

@@ -50,7 +50,7 @@ def elbows_of(arms, turn):
 
 @jax.jit
 def searched(cameras, arms, fields, belief):
-    return search_elbows(SETTINGS, replace(MODEL, cameras=cameras), arms, fields, belief)
+    return search_elbows(replace(MODEL, cameras=cameras), SETTINGS, arms, fields, belief)
 
 
 def prior_belief():
