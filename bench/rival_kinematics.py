@@ -17,11 +17,34 @@ from jaxmocap.body.kinematics import Frames
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import Tree
-from jaxmocap.geometry.rotations import quaternion_to_matrix, sine_cosine
+from jaxmocap.geometry.rotations import quaternion_to_matrix
 
 POSES, ROUNDS = 4096, {True: 3, False: 15}
 # Positions agree within this, metres.
 SAME_M = 1e-5
+
+
+def sine_cosine(angles: Array) -> tuple[Array, Array]:
+    """Sines and cosines of many angles, radians, to float32's rounding within some turns.
+
+    By polynomials about the nearest quarter turn, which go through many angles at once, where the
+    library's functions take one after the other, ten times as long. In double precision: theirs.
+    """
+    if angles.dtype != jnp.float32:
+        return jnp.sin(angles), jnp.cos(angles)
+    quarters = jnp.round(angles * (2 / jnp.pi))
+    # A quarter turn in two parts: the first has so few digits that its multiples are exact.
+    rest = (angles - quarters * 1.5703125) - quarters * (jnp.pi / 2 - 1.5703125)
+    squared = rest * rest
+    odd = 1 + squared * (-1 / 6 + squared * (1 / 120 + squared * (-1 / 5040 + squared / 362880)))
+    sine = rest * odd
+    cosine = 1 + squared * (
+        -1 / 2 + squared * (1 / 24 + squared * (-1 / 720 + squared * (1 / 40320)))
+    )
+    turn = quarters.astype(jnp.int32)
+    swapped, below = (turn & 1) == 1, (turn & 2) == 2
+    s, c = jnp.where(swapped, cosine, sine), jnp.where(swapped, -sine, cosine)
+    return jnp.where(below, -s, s), jnp.where(below, -c, c)
 
 
 def random_poses(skeleton: Skeleton, count: int, seed: int = 0) -> Pose:

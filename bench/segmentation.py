@@ -26,7 +26,7 @@ from jaxmocap.capture.footage import forward_readers
 from jaxmocap.capture.video import open_video
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.images.background_model import Background
-from jaxmocap.images.canvases import full_mask, mask_canvas, region_about_mask
+from jaxmocap.images.canvases import full_mask, mask_canvas
 from jaxmocap.images.regions import Region
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.silhouette.segmentation.background_models import (
@@ -57,7 +57,29 @@ LEVEL_SETS = {
     "+ picture of the empty room": (SegmentationPlan(), "empty"),
 }
 START, GRABCUT = "starting silhouette", "GrabCut"
+# Around the expected silhouette, pixels, and as a share of its extent.
+MARGIN_PX, MARGIN = 12.0, 0.08
 MOG2_VIDEO, MOG2_EMPTY = "MOG2, of the video", "MOG2, of the empty room"
+
+
+def region_about_mask(mask: np.ndarray, size: int, finest: float = 1.0) -> Region:
+    """The window of ``size`` cells about a mask (H, W) bool; about the whole image if it is empty.
+
+    Args:
+        mask: where the person is expected.
+        size: cells to a side.
+        finest: pixels per cell at least.
+    """
+    rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
+    if not len(rows):
+        rows, columns = (np.array([0, n - 1]) for n in mask.shape)
+    low = np.array([columns[0], rows[0]], float)
+    high = np.array([columns[-1], rows[-1]], float)
+    extent = float((high - low).max()) + 1
+    # Of whole pixels, as ``crop`` takes it.
+    side = float(np.ceil(max(extent * (1 + 2 * MARGIN) + 2 * MARGIN_PX, finest * size)))
+    origin = np.round((low + high) / 2 - side / 2) - 0.5
+    return Region(origin.astype(np.float32), np.array(side / size, np.float32))
 
 
 class Look(NamedTuple):

@@ -4,12 +4,11 @@ INPUTS: a Skeleton, Sites, Cameras. OUTPUTS: a Model, one pytree that jit, vmap 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
 from jaxmocap.body import arms
 from jaxmocap.body.kinematics import Sites, joined_sites, landmark_sites
@@ -95,7 +94,3 @@ class Model:
     def camera_count(self) -> int:
         """C; 0 without video."""
         return 0 if self.cameras is None else len(self.cameras.size)
-
-    def with_offsets(self, offsets: Array) -> "Model":
-        """The same with the markers at other places (M, 3), metres, in their bones' frames."""
-        return replace(self, markers=replace(self.markers, offsets=offsets))

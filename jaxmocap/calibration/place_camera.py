@@ -132,9 +132,7 @@ def place_camera(
     placement = _checked_placement(target.points or path, points, lens, upside_down)
     drawings: list[Path] = []
     if folder is not None:
-        board = None
-        if target.board is not None and points.T_world_board is not None:
-            board = target.board, points.T_world_board
+        board = _placed_board(target, points)
         draw = partial(draw_placement, picture, lens, placement, points.pixels_xy, board)
         drawings = folder.write(lambda stage: [draw(stage)])
     advice = _advice(placement, points.T_world_board, upside_down)
@@ -151,6 +149,15 @@ def place_camera(
     return ExtrinsicsResult(
         camera, path.name, tuple(points.names), placement, warnings, (out, *drawings)
     )
+
+
+def _placed_board(
+    target: PlacementTarget, points: "_TargetPoints"
+) -> tuple[Board, np.ndarray] | None:
+    """The board and its place in the world, for what is drawn; None without one."""
+    if target.board is None or points.T_world_board is None:
+        return None
+    return target.board, points.T_world_board
 
 
 def _checked_placement(

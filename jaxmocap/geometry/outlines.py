@@ -105,17 +105,8 @@ def outline_pieces(
         shape = (*values.shape, *(1,) * (x.ndim - 1))
         return jnp.asarray(values, x.dtype).reshape(shape)
 
-    ahead_x, ahead_y = x[1] - x[0], y[1] - y[0]
-    squared = ahead_x**2 + ahead_y**2
-    end_on = squared < 1e-12
-    length = jnp.sqrt(jnp.where(end_on, 1e-12, squared))
-    u_x = jnp.where(end_on, 1.0, ahead_x / length)
-    u_y = jnp.where(end_on, 0.0, ahead_y / length)
-    # One disc within the other has no tangents: the hull is the larger disc alone.
-    sine = jnp.clip((radii[0] - radii[1]) / length, -0.999, 0.999)
+    u_x, u_y, distance, sine = _axes(x, y, radii)
     cosine = jnp.sqrt(1 - sine**2)
-    distance = jnp.sqrt(squared + 1e-12)
-
     aside = rows(np.array([[1.0], [-1.0]])) * cosine
     n_x, n_y = sine * u_x - aside * u_y, sine * u_y + aside * u_x
     t = rows((np.arange(along) + 0.5) / along)
@@ -139,6 +130,19 @@ def outline_pieces(
     share = open_ends + (1 - open_ends) * nested
     weights = share[:, None] * 2 * span * r / around
     return sides, Pieces(x[:, None] + r * n_x, y[:, None] + r * n_y, weights, n_x, n_y)
+
+
+def _axes(x: Array, y: Array, radii: Array) -> tuple[Array, Array, Array, Array]:
+    """Of hulls: unit vectors from near to far, by components; lengths; sines of the tapers."""
+    ahead_x, ahead_y = x[1] - x[0], y[1] - y[0]
+    squared = ahead_x**2 + ahead_y**2
+    end_on = squared < 1e-12
+    length = jnp.sqrt(jnp.where(end_on, 1e-12, squared))
+    u_x = jnp.where(end_on, 1.0, ahead_x / length)
+    u_y = jnp.where(end_on, 0.0, ahead_y / length)
+    # One disc within the other has no tangents: the hull is the larger disc alone.
+    sine = jnp.clip((radii[0] - radii[1]) / length, -0.999, 0.999)
+    return u_x, u_y, jnp.sqrt(squared + 1e-12), sine
 
 
 def joined(pieces: tuple[Pieces, Pieces]) -> Outline:

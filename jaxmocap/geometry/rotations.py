@@ -36,29 +36,6 @@ def hat(vectors: Array) -> Array:
     return jnp.stack(rows, -2)
 
 
-def sine_cosine(angles: Array) -> tuple[Array, Array]:
-    """Sines and cosines of many angles, radians, to float32's rounding within some turns.
-
-    By polynomials about the nearest quarter turn, which go through many angles at once, where the
-    library's functions take one after the other, ten times as long. In double precision: theirs.
-    """
-    if angles.dtype != jnp.float32:
-        return jnp.sin(angles), jnp.cos(angles)
-    quarters = jnp.round(angles * (2 / jnp.pi))
-    # A quarter turn in two parts: the first has so few digits that its multiples are exact.
-    rest = (angles - quarters * 1.5703125) - quarters * (jnp.pi / 2 - 1.5703125)
-    squared = rest * rest
-    odd = 1 + squared * (-1 / 6 + squared * (1 / 120 + squared * (-1 / 5040 + squared / 362880)))
-    sine = rest * odd
-    cosine = 1 + squared * (
-        -1 / 2 + squared * (1 / 24 + squared * (-1 / 720 + squared * (1 / 40320)))
-    )
-    turn = quarters.astype(jnp.int32)
-    swapped, below = (turn & 1) == 1, (turn & 2) == 2
-    s, c = jnp.where(swapped, cosine, sine), jnp.where(swapped, -sine, cosine)
-    return jnp.where(below, -s, s), jnp.where(below, -c, c)
-
-
 def about_axis(axes: Array, angles: Array) -> Array:
     """Rotations (..., 3, 3) by ``angles`` (...), radians, about unit ``axes`` (..., 3)."""
     s, c = jnp.sin(angles)[..., None, None], jnp.cos(angles)[..., None, None]

@@ -114,10 +114,6 @@ class HybridTracker:
         thresholds = no_thresholds(self.model.camera_count)
         return State(begun.pose, begun.feet, begun.belief, begun.bow_factors, thresholds, None)
 
-    def prepare(self, count: int) -> None:
-        """What comes before a first step by so many markers compiles beside from now on."""
-        START.beside(self.model, self.settings, self._like(count))
-
     def step(
         self,
         state: State,

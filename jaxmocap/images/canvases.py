@@ -15,8 +15,6 @@ import numpy as np
 from jaxmocap.images.background_model import Background
 from jaxmocap.images.regions import Region
 
-# Around the expected silhouette, pixels, and as a share of its extent.
-MARGIN_PX, MARGIN = 12.0, 0.08
 # Signed distances are cut off here, cells.
 FARTHEST = 32.0
 
@@ -37,26 +35,6 @@ class Canvas(NamedTuple):
     room: np.ndarray
     noise: np.ndarray
     known: np.ndarray
-
-
-def region_about_mask(mask: np.ndarray, size: int, finest: float = 1.0) -> Region:
-    """The window of ``size`` cells about a mask (H, W) bool; about the whole image if it is empty.
-
-    Args:
-        mask: where the person is expected.
-        size: cells to a side.
-        finest: pixels per cell at least.
-    """
-    rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
-    if not len(rows):
-        rows, columns = (np.array([0, n - 1]) for n in mask.shape)
-    low = np.array([columns[0], rows[0]], float)
-    high = np.array([columns[-1], rows[-1]], float)
-    extent = float((high - low).max()) + 1
-    # Of whole pixels, as ``crop`` takes it.
-    side = float(np.ceil(max(extent * (1 + 2 * MARGIN) + 2 * MARGIN_PX, finest * size)))
-    origin = np.round((low + high) / 2 - side / 2) - 0.5
-    return Region(origin.astype(np.float32), np.array(side / size, np.float32))
 
 
 def canvas(

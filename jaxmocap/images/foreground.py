@@ -55,12 +55,6 @@ def shrink(image: np.ndarray, rows: int) -> np.ndarray:
     return cv2.resize(image, shrunk_size((width, height), rows), interpolation=cv2.INTER_AREA)
 
 
-def shrunk_pixels(pixels_xy: np.ndarray, size: tuple[int, int], rows: int) -> np.ndarray:
-    """Where pixels (..., 2) of an image of width and height ``size`` lie once it is shrunk."""
-    ratio = np.divide(shrunk_size(size, rows), size)
-    return (np.asarray(pixels_xy) + 0.5) * ratio - 0.5
-
-
 def log_odds(
     frame: np.ndarray,
     background: Background,

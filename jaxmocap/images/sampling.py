@@ -7,17 +7,11 @@ import jax.numpy as jnp
 from jax import Array
 
 
-def bilinear(fields: Array, channels: Array, points_xy: Array) -> Array:
-    """Values (...) of (C, H, W) fields at (..., 2) points of the (...) channels.
-
-    Outside, the border's value. Differentiable by the points; the derivative is that of the
-    bilinear patch.
-    """
-    return look_up(fields, channels, points_xy[..., 0], points_xy[..., 1])
-
-
 def look_up(fields: Array, channels: Array, points_x: Array, points_y: Array) -> Array:
-    """``bilinear`` by components; channels may be fewer, to be broadcast."""
+    """Values (...) of (C, H, W) fields at points (...) of channels, which may be broadcast.
+
+    Bilinear; outside, the border's value. Differentiable by the points.
+    """
     _, height, width = fields.shape
     x = jnp.clip(points_x, 0, width - 1.001)
     y = jnp.clip(points_y, 0, height - 1.001)

@@ -158,19 +158,24 @@ def solve_pose(
         return count + 1, there, jnp.max(jnp.abs(step))
 
     far = jnp.asarray(jnp.inf, pose.angles.dtype)
-    count, found, moved = jax.lax.while_loop(
+    count, last, moved = jax.lax.while_loop(
         unfinished, iterate, (jnp.zeros((), jnp.int32), pose, far)
     )
-    told = jnp.any(pairs.weights > 0)
-    if markers is not None:
-        told = told | jnp.any(jnp.isfinite(jnp.asarray(markers.positions_world)))
-    broken = ~jnp.isfinite(moved) | ~told
-    found = jax.tree.map(lambda new, old: jnp.where(broken, old, new), found, pose)
-    end = _normal_equations(skeleton, found, pairs, settings, markers, morph)
+    broken = ~jnp.isfinite(moved) | ~_is_measured(pairs, markers)
+    last = jax.tree.map(lambda new, old: jnp.where(broken, old, new), last, pose)
+    end = _normal_equations(skeleton, last, pairs, settings, markers, morph)
     status = jnp.where(moved > settings.rest, Status.OUT_OF_STEPS, Status.CONVERGED)
     status = jnp.where(broken, Status.BROKEN, status).astype(jnp.int32)
     kept = end.distances, end.shares, end.spread, end.information, end.slope
-    return PoseResult(found, *kept, count, status)
+    return PoseResult(last, *kept, count, status)
+
+
+def _is_measured(pairs: PointRays, markers: MarkerRows | None) -> Array:
+    """Whether there is a pair or a marker at all."""
+    paired = jnp.any(pairs.weights > 0)
+    if markers is None:
+        return paired
+    return paired | jnp.any(jnp.isfinite(jnp.asarray(markers.positions_world)))
 
 
 def _normal_equations(

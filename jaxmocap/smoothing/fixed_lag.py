@@ -198,20 +198,21 @@ class FixedLagSmoother:
             "ankles": expected.ankles,
             "elbows": self._no_goals,
         }
-        frames = [
-            (
-                camera,
-                self._measured(appearance, image, expected.pose),
-                (image.shape[1], image.shape[0]),
-            )
-            for camera, (appearance, image) in enumerate(
-                zip(self._appearances, images or (), strict=False)
-            )
-            if image is not None
-        ]
+        frames = self._frames(images, expected.pose)
         number, self._count = self._count, self._count + 1
         deviations = np.asarray(report.elbow_deviations, float)
         return WindowEvent(number, float(time), measured, expected.pose, first, deviations, frames)
+
+    def _frames(
+        self, images: Sequence[np.ndarray | None] | None, pose: Pose
+    ) -> list[tuple[int, MeasuredFrame, tuple[int, int]]]:
+        """Camera, what its image shows about a pose, width and height; of new images only."""
+        pairs = enumerate(zip(self._appearances, images or (), strict=False))
+        return [
+            (camera, self._measured(appearance, image, pose), (image.shape[1], image.shape[0]))
+            for camera, (appearance, image) in pairs
+            if image is not None
+        ]
 
     def _measured(
         self, appearance: RunningAppearance, image: np.ndarray, pose: Pose

@@ -110,36 +110,13 @@ def _where(chosen: Array, yes: Array, no: Array) -> Array:
 
 def _learn(state: _State, values: Array, point_tolerance: float, cost_tolerance: float) -> _State:
     """What follows from the (B,) costs of the present points, and the next points."""
-    vertices, costs, stage = state.vertices, state.costs, state.stage
-    last = vertices.shape[1] - 1
+    last = state.vertices.shape[1] - 1
     rows = np.arange(last + 1, dtype=np.int32)
-    vertex, reflects, tries = stage <= last, stage == last + 1, stage == last + 2
-    best, second, worst = costs[:, 0], costs[:, -2], costs[:, -1]
+    decision = _decide(state, values)
+    _, f_reflected, _, seconds, shrinks, ends = decision
+    vertices, costs, tried = _moved(state, values, decision, rows)
 
-    f_reflected = jnp.where(tries, state.reflected, values)
-    expands, contracts, outside = f_reflected < best, f_reflected >= second, f_reflected < worst
-    reach = jnp.where(expands, EXPAND, jnp.where(outside, CONTRACT, -CONTRACT))
-    bar = jnp.where(expands | outside, f_reflected, worst)
-    better = jnp.where(outside & ~expands, values <= bar, values < bar)
-    seconds = reflects & (expands | contracts)
-    shrinks = tries & contracts & ~better
-    ends = (reflects & ~seconds) | (tries & ~shrinks)
-
-    centroid, away = _across(vertices)
-    tried = centroid + reach[:, None] * away
-    reflected = centroid + REFLECT * away
-    found = _where(tries & better, tried, reflected)
-    replaced = vertices.at[:, -1].set(_where(ends, found, vertices[:, -1]))
-    drawn = vertices[:, :1] + SHRINK * (vertices - vertices[:, :1])
-    vertices = _where(shrinks, drawn, replaced)
-
-    learned = rows == jnp.where(vertex, stage, jnp.where(ends, last, -1))[:, None]
-    told = jnp.where(tries & ~better, f_reflected, values)
-    # Of a shrunk simplex only the best vertex is known.
-    forgotten = shrinks[:, None] & (rows > 0)
-    costs = jnp.where(learned, told[:, None], jnp.where(forgotten, jnp.inf, costs))
-
-    whole = ends | (stage == last)
+    whole = ends | (state.stage == last)
     vertices, costs = (
         _where(whole, new, old)
         for new, old in zip(_ordered(vertices, costs), (vertices, costs), strict=True)
@@ -147,7 +124,7 @@ def _learn(state: _State, values: Array, point_tolerance: float, cost_tolerance:
     near = jnp.max(jnp.abs(vertices[:, 1:] - vertices[:, :1]), (1, 2)) <= point_tolerance
     flat = costs[:, -1] - costs[:, 0] <= cost_tolerance
 
-    following = jnp.where(whole, last + 1, jnp.where(seconds, last + 2, stage + 1))
+    following = jnp.where(whole, last + 1, jnp.where(seconds, last + 2, state.stage + 1))
     following = jnp.where(shrinks, 1, following)
     centroid, away = _across(vertices)
     chosen = rows == following[:, None]
@@ -155,6 +132,64 @@ def _learn(state: _State, values: Array, point_tolerance: float, cost_tolerance:
     point = _where(whole, centroid + REFLECT * away, _where(seconds, tried, point))
     counted = state.iterations + (ends | shrinks).astype(jnp.int32)
     return _State(vertices, costs, point, following, f_reflected, counted, whole & near & flat)
+
+
+class _Decision(NamedTuple):
+    """What (B,) costs of the present points decide, one simplex each.
+
+    Attributes:
+        factor: of the second point, along the way from the worst vertex through the middle.
+        f_reflected: cost of the reflected point.
+        better: whether the second point is kept.
+        seconds: whether a second point is asked for.
+        shrinks: whether the simplex shrinks.
+        ends: whether an iteration ends with the worst vertex replaced.
+    """
+
+    factor: Array
+    f_reflected: Array
+    better: Array
+    seconds: Array
+    shrinks: Array
+    ends: Array
+
+
+def _decide(state: _State, values: Array) -> _Decision:
+    last = state.vertices.shape[1] - 1
+    reflects, tries = state.stage == last + 1, state.stage == last + 2
+    best, second, worst = state.costs[:, 0], state.costs[:, -2], state.costs[:, -1]
+    f_reflected = jnp.where(tries, state.reflected, values)
+    expands, contracts, outside = f_reflected < best, f_reflected >= second, f_reflected < worst
+    factor = jnp.where(expands, EXPAND, jnp.where(outside, CONTRACT, -CONTRACT))
+    bound = jnp.where(expands | outside, f_reflected, worst)
+    better = jnp.where(outside & ~expands, values <= bound, values < bound)
+    seconds = reflects & (expands | contracts)
+    shrinks = tries & contracts & ~better
+    ends = (reflects & ~seconds) | (tries & ~shrinks)
+    return _Decision(factor, f_reflected, better, seconds, shrinks, ends)
+
+
+def _moved(
+    state: _State, values: Array, decision: _Decision, rows: np.ndarray
+) -> tuple[Array, Array, Array]:
+    """Vertices and costs after a decision, not ordered, and the second point (B, n)."""
+    factor, f_reflected, better, _, shrinks, ends = decision
+    vertices, last = state.vertices, len(rows) - 1
+    tries = state.stage == last + 2
+    centroid, away = _across(vertices)
+    tried = centroid + factor[:, None] * away
+    kept = _where(tries & better, tried, centroid + REFLECT * away)
+    replaced = vertices.at[:, -1].set(_where(ends, kept, vertices[:, -1]))
+    shrunk = vertices[:, :1] + SHRINK * (vertices - vertices[:, :1])
+    vertices = _where(shrinks, shrunk, replaced)
+
+    vertex = jnp.where(state.stage <= last, state.stage, jnp.where(ends, last, -1))
+    valued = rows == vertex[:, None]
+    value = jnp.where(tries & ~better, f_reflected, values)
+    # Of a shrunk simplex only the best vertex keeps its cost.
+    forgotten = shrinks[:, None] & (rows > 0)
+    costs = jnp.where(valued, value[:, None], jnp.where(forgotten, jnp.inf, state.costs))
+    return vertices, costs, tried
 
 
 def _across(vertices: Array) -> tuple[Array, Array]:

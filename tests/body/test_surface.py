@@ -13,7 +13,6 @@ from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.body.surfaces.loft import generic_surface, lofted_parts, rest_joints, stature_of
 from jaxmocap.body.surfaces.surface import (
     Surface,
-    joint_list,
     low_pass,
     posed,
     resampled,
@@ -72,6 +71,14 @@ def test_a_person_is_as_tall_as_the_skeleton_says_wider_than_deep_and_symmetric(
     for limb in ("arm", "leg", "foot"):
         left, right = (grid(surface, nodes, f"{limb}_{side}") for side in "lr")
         np.testing.assert_allclose(left * [1, -1, 1], right, atol=1e-5)
+
+
+def joint_list(tree, bones):
+    """The joints that move a node which these bones carry, root first: J(phi1, phi2) of 3.2."""
+    moving = {bone for each in bones for bone in tree.chain(tree.bones[each])}
+    return tuple(
+        name for name, bone in zip(tree.joints, tree.dof_bones, strict=True) if bone in moving
+    )
 
 
 def test_a_node_of_the_hand_has_the_arms_joints_in_order(surface):

@@ -111,7 +111,7 @@ def state(numbers: jax.Array) -> Model:
         skeleton=replace(skeleton, lengths=lengths),
         cameras=replace(cameras, T_cam_world=T, matrix=matrix),
     )
-    return moved.with_offsets(offsets)
+    return replace(moved, markers=replace(moved.markers, offsets=offsets))
 
 
 def stated_by(given: SmoothingProblem, numbers: jax.Array) -> SmoothingProblem:

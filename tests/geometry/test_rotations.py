@@ -195,12 +195,3 @@ def test_leading_shapes_are_kept():
     np.testing.assert_allclose(R[2, 3], EXP(many[2, 3]), atol=1e-6)
     assert LOG(R).shape == (4, 5, 3)
     np.testing.assert_allclose(LOG(R)[1, 1], LOG(R[1, 1]), atol=1e-6)
-
-
-def test_sines_and_cosines_are_the_librarys_to_float32s_rounding():
-    angles = np.linspace(-20, 20, 4001)
-    for ours, theirs in zip(
-        rotations.sine_cosine(jnp.asarray(angles, jnp.float32)), (np.sin, np.cos), strict=True
-    ):
-        expected = theirs(np.asarray(angles, np.float32).astype(float))
-        np.testing.assert_allclose(ours, expected, atol=5e-7)

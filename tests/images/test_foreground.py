@@ -25,7 +25,6 @@ from jaxmocap.images.foreground import (
     log_odds,
     person_grid,
     shrink,
-    shrunk_pixels,
     shrunk_size,
 )
 from jaxmocap.images.regions import crop
@@ -328,6 +327,12 @@ def test_the_grid_says_nothing_outside_the_image_and_where_nothing_is_known():
     assert weight[:, 28:].max() < 1e-3
     assert probability[:20, 10:22].max() < 0.05
     np.testing.assert_allclose(probability[:20, 32:], 0.5, atol=0.01)
+
+
+def shrunk_pixels(pixels_xy: np.ndarray, size: tuple[int, int], rows: int) -> np.ndarray:
+    """Where pixels (..., 2) of an image of width and height ``size`` lie once it is shrunk."""
+    ratio = np.divide(shrunk_size(size, rows), size)
+    return (np.asarray(pixels_xy) + 0.5) * ratio - 0.5
 
 
 @given(st.integers(2, 400), st.integers(2, 300), st.integers(1, 400))

@@ -16,8 +16,14 @@ from jaxmocap.images import edges, regions, sampling
 from jaxmocap.images.edges import FARTHEST_PX, EdgeSettings, Thresholds
 
 SIZE = 64
-LOOK = jax.jit(sampling.bilinear)
-SLOPE = jax.jit(jax.jacfwd(sampling.bilinear, argnums=2))
+
+
+def look_up(fields, channels, points_xy):
+    return sampling.look_up(fields, channels, points_xy[..., 0], points_xy[..., 1])
+
+
+LOOK = jax.jit(look_up)
+SLOPE = jax.jit(jax.jacfwd(look_up, argnums=2))
 SHARP = EdgeSettings(blur=0.0)
 
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from point_rays import on_rays
 from test_rim import BODY
 
 from jaxmocap.body.kinematics import Sites, forward, site_positions
@@ -15,7 +16,6 @@ from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.lines import Lines
 from jaxmocap.pipelines.silhouettes.track import make_silhouette_tracker
 from jaxmocap.silhouette.markers import MarkerRows, marker_equations, points_at
-from jaxmocap.silhouette.points import on_rays
 from jaxmocap.silhouette.pose import PoseSettings, solve_pose
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")

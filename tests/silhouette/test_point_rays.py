@@ -8,6 +8,7 @@ import pytest
 import twists
 from conftest import double, on_device, poses
 from hypothesis import given, settings
+from point_rays import on_rays
 
 from jaxmocap.body.kinematics import forward, jacobian
 from jaxmocap.body.pose import Pose, difference, relaxed_pose, retract
@@ -18,7 +19,7 @@ from jaxmocap.geometry.rotations import quaternion_to_matrix
 from jaxmocap.reference import kinematics as naive_kinematics
 from jaxmocap.reference.silhouette import points as naive
 from jaxmocap.reference.silhouette import pose as naive_pose
-from jaxmocap.silhouette.points import linearised_rays, on_rays
+from jaxmocap.silhouette.points import linearised_rays
 from jaxmocap.silhouette.pose import PoseSettings, Prior, solve_pose, standard_deviations
 from jaxmocap.solvers.status import Status
 

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bench.segmentation import region_about_mask
 from jaxmocap.capture.background_pictures import read_empty_room
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.images.background_model import Background, learn_background
@@ -18,7 +19,6 @@ from jaxmocap.images.canvases import (
     attached,
     canvas,
     full_mask,
-    region_about_mask,
     silhouette_signed_distance,
 )
 from jaxmocap.images.regions import Region

@@ -45,9 +45,3 @@ def project_cones(camera: Camera, flesh: Cones) -> Discs:
     ends = to_pixels(camera, plane.near), to_pixels(camera, plane.far)
     centres = jnp.stack([plane.near, plane.far], -2)
     return Discs(*ends, radii_in_pixels(camera, centres, plane.radii))
-
-
-def volumes(flesh: Cones) -> Array:
-    """Volumes (N,) of the truncated cones without their round ends, cubic metres."""
-    a, b = flesh.radii[:, 0], flesh.radii[:, 1]
-    return jnp.pi / 3 * jnp.linalg.norm(flesh.far - flesh.near, axis=-1) * (a * a + a * b + b * b)

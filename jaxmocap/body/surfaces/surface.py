@@ -17,7 +17,6 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import Frames
-from jaxmocap.body.tree import Tree
 from jaxmocap.geometry.fourier import cosine_matrix, fourier_matrix, linear_matrix
 from jaxmocap.geometry.rotations import HIGHEST, rotate
 
@@ -91,14 +90,6 @@ def carried_by_bones(frames: Frames, points: BodyPoints) -> Array:
     """(N, K, 3) where each bone alone would carry its points."""
     R, joints = frames.R_world_bone[points.bones], frames.joints_world[points.bones]
     return joints + rotate(R, jnp.asarray(points.points_bone))
-
-
-def joint_list(tree: Tree, bones: np.ndarray) -> tuple[str, ...]:
-    """The joints that move a node which these bones carry, root first: J(phi1, phi2) of 3.2."""
-    moving = {bone for each in bones for bone in tree.chain(tree.bones[each])}
-    return tuple(
-        name for name, bone in zip(tree.joints, tree.dof_bones, strict=True) if bone in moving
-    )
 
 
 def surface_from_rest(

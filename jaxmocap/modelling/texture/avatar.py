@@ -56,16 +56,6 @@ class Avatar(NamedTuple):
         depths, pixels = np.linalg.norm(towards, axis=1), view.pixels(texels.points)
         return splatted(pixels[front], depths[front], colours[front], shape)
 
-    def differences(self) -> dict[str, float]:
-        """Photograph -> mean difference of its colours from the avatar's, grey levels of 255."""
-        found = {}
-        for name, shot in self.shots.items():
-            picture, drawn = self.rendered(shot.nodes_world, shot.view, shot.view.mask.shape)
-            both = drawn & shot.view.mask
-            off = np.abs(picture[both].astype(float) - shot.image[both])
-            found[name] = round(float(off.mean()), 2)
-        return found
-
     def around(self) -> np.ndarray:
         """The person from four sides, as they stood for the front view: (H, W, 3) BGR uint8."""
         nodes = self.shots["front"].nodes_world

@@ -80,9 +80,9 @@ def motions(
         settings: for the report.
     """
     at_samples = np.flatnonzero(events.timeline.sample_index >= 0)
-    recording, reports = events.recording, first_pass.reports
+    recording = events.recording
 
-    def column(values: np.ndarray) -> np.ndarray:
+    def column(values: np.ndarray | Array) -> np.ndarray:
         kept = np.asarray(values)[at_samples]
         return np.concatenate([np.full((events.before, *kept.shape[1:]), np.nan), kept])
 
@@ -94,23 +94,24 @@ def motions(
     person = trajectory.person(model.skeleton) if len(trajectory.proportions) else model.skeleton
     errors, turns = _errors_and_swivels(model, person, first_pass, trajectory.poses)
     spread = np.sqrt(np.sum(trajectory.deviations[:, ELBOWS] ** 2, -1))
-    confidence = column(np.asarray(confidence_of(spread)))
+    columns = {
+        "marker_errors": errors,
+        "arm_costs": first_pass.reports.outline_px,
+        "swivels": turns,
+        "confidence": confidence_of(spread),
+        "landmarks_std": trajectory.deviations,
+        "from_prior": trajectory.from_prior,
+    }
+    columns = {name: column(values) for name, values in columns.items()}
     report = Report(
         markers=recording.marker_names,
-        marker_errors=column(errors),
-        arm_costs=column(np.asarray(reports.outline_px)),
-        swivels=column(turns),
-        confidence=confidence,
-        landmarks_std=column(trajectory.deviations),
-        from_prior=column(trajectory.from_prior),
-        statuses=_warnings(events, first_pass, confidence),
+        **columns,
+        statuses=_warnings(events, first_pass, columns["confidence"]),
         milliseconds={stage: np.array(times) for stage, times in milliseconds.items()},
         settings=settings,
     )
-    return Tracked(
-        motion(person, trajectory.poses, report),
-        motion(model.skeleton, reports.marker_pose, None),
-    )
+    alone = motion(model.skeleton, first_pass.reports.marker_pose, None)
+    return Tracked(motion(person, trajectory.poses, report), alone)
 
 
 def _warnings(

@@ -8,7 +8,7 @@ INPUTS: a Recording. OUTPUTS: a Motion with one row per marker sample, and its R
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -107,19 +107,27 @@ def track_both(
                 "smooth", _smoothed, opened, events, tracker, first,
                 lambda share: show(round(100 * share), 100),
             )  # fmt: skip
-    report = {
+    figures = _run_figures(recording, mode, opened, tracker.settings) | {
+        "camera_turns_deg": _turns_deg(recording, trajectory),
+        "latency": {"video frames": DELAY_FRAMES, "seconds": DELAY_S} if smoother else {},
+    }
+    ended = trajectory or unsmoothed(first)
+    return motions(tracker.model, events, first, ended, clock.milliseconds, plain(figures))
+
+
+def _run_figures(
+    recording: Recording, mode: Mode, opened: "Opened", settings: Settings
+) -> dict[str, Any]:
+    """What was tracked, and with which settings, for the report."""
+    return {
         "recording": recording.path or recording.name,
         "mode": mode,
         "cameras": [source.camera_name for source in recording.videos],
         "markers": recording.marker_names,
         "warnings": opened.warnings,
         "filters": opened.cleaning.figures(),
-        "tracker": tracker.settings,
-        "camera_turns_deg": _turns_deg(recording, trajectory),
-        "latency": {"video frames": DELAY_FRAMES, "seconds": DELAY_S} if smoother else {},
+        "tracker": settings,
     }
-    found = trajectory or unsmoothed(first)
-    return motions(tracker.model, events, first, found, clock.milliseconds, plain(report))
 
 
 class Opened(NamedTuple):
