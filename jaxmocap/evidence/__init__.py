@@ -1,4 +1,5 @@
 """Evidence about a pose: one file a term, with its settings, residual and Jacobian.
 
-Begin with ``residuals``. Solvers and smoothers take a tuple of terms.
+Begin with ``terms``: what a term is, and ``residuals`` of many. Solvers and smoothers take a tuple
+of terms.
 """

@@ -19,9 +19,9 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.surfaces.cones import Cones
 from jaxmocap.compilation.settings import settings, static, traced
-from jaxmocap.evidence.coverage import raster_distance
+from jaxmocap.evidence.outlines.coverage import raster_distance
+from jaxmocap.evidence.outlines.traced import blockers, hidden, outline_distance, trace_outline
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
-from jaxmocap.evidence.traced_outlines import blockers, hidden, outline_distance, trace_outline
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.regions import Region
 

@@ -26,9 +26,9 @@ from watched_arms import (
 from jaxmocap.body.arms import arms_of, flesh
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.surfaces.cones import Cones
-from jaxmocap.evidence.coverage import chamfer_sum, raster_distance
 from jaxmocap.evidence.edges import EdgeEvidence, EdgeFields
-from jaxmocap.evidence.traced_outlines import outline_distance
+from jaxmocap.evidence.outlines.coverage import chamfer_sum, raster_distance
+from jaxmocap.evidence.outlines.traced import outline_distance
 from jaxmocap.geometry.outlines import Discs
 from jaxmocap.hybrid.settings import Settings, SimplexSettings
 from jaxmocap.images.raster import soft_coverage
