@@ -65,7 +65,7 @@ DOORS = {
     "rerun": ("outputs/",),
     "ezc3d": ("formats/time_series/c3d.py", "formats/time_series/c3d_process.py"),
     "pylsl": ("capture/streams/lsl.py",),
-    "pythonosc": ("capture/streams/osc.py", "outputs/osc.py"),
+    "pythonosc": ("capture/streams/osc.py", "outputs/senders/osc.py"),
     "distributed": ("pipelines/batch/cluster.py",),
     "av": (
         "capture/",

@@ -14,19 +14,25 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.body.motion import Motion
-from jaxmocap.formats.animation.armature import (
-    Armature,
-    fill_from_nearest,
-    joint_positions,
-    rotated_armature,
-)
-from jaxmocap.formats.animation.body_armature import armature_of, motion_of
 from jaxmocap.formats.animation.bvh import write_bvh
 from jaxmocap.formats.animation.bvh_in import read_bvh
 from jaxmocap.formats.animation.export import DEFAULT_CONVENTION, R_FILE_WORLD
 from jaxmocap.formats.animation.gltf import write_gltf
 from jaxmocap.formats.animation.gltf_in import read_gltf
-from jaxmocap.formats.animation.joint_names import CONVENTIONS, landmark_names, names_to_ours
+from jaxmocap.formats.armatures.armature import (
+    Armature,
+    fill_from_nearest,
+    joint_positions,
+    rotated_armature,
+)
+from jaxmocap.formats.armatures.body_armature import armature_of, motion_of
+from jaxmocap.formats.armatures.joint_names import CONVENTIONS, landmark_names, names_to_ours
+from jaxmocap.formats.conversion.resampling import (
+    even_times,
+    resampled_armature,
+    resampled_markers,
+    resampled_motion,
+)
 from jaxmocap.formats.files.errors import FileError, InputError
 from jaxmocap.formats.files.short_repr import comma_list
 from jaxmocap.formats.motion_npz import load_motion, save_motion
@@ -34,12 +40,6 @@ from jaxmocap.formats.time_series.c3d import unconverted_content, write_c3d
 from jaxmocap.formats.time_series.csv import write_csv
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.formats.time_series.mot import motion_from_angles, read_mot, write_isb, write_mot
-from jaxmocap.formats.time_series.resampling import (
-    even_times,
-    resampled_armature,
-    resampled_markers,
-    resampled_motion,
-)
 from jaxmocap.formats.time_series.tables import Markers
 from jaxmocap.formats.time_series.trc import write_trc
 

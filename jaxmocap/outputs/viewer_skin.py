@@ -15,7 +15,7 @@ from jaxmocap.body.surfaces.host_skin import bones_over_time, nodes_over_time
 from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.mesh import SurfaceMesh, atlas_of, coarser, mesh_of, normals_of
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
-from jaxmocap.formats.animation.skin import TEXEL_M
+from jaxmocap.formats.armatures.skin import TEXEL_M
 from jaxmocap.outputs.layout import TIMELINE
 
 # Metres between nodes; with MOST_POSES some six megabytes of a recording.

@@ -31,8 +31,8 @@ from jaxmocap.evidence.appearance.running import MeasuredFrame, RunningAppearanc
 from jaxmocap.smoothing.facing import RunningFacing
 from jaxmocap.smoothing.settings import SmoothingSettings
 from jaxmocap.smoothing.uncertainty import landmark_deviations
-from jaxmocap.smoothing.window import SOFTNESS, SolvedWindow, Window, offsets, stacked
-from jaxmocap.smoothing.window_events import WindowEvent, expected_at
+from jaxmocap.smoothing.window.events import WindowEvent, expected_at
+from jaxmocap.smoothing.window.sliding import SOFTNESS, SolvedWindow, Window, offsets, stacked
 from jaxmocap.solvers.fading import Fading
 
 # A pose is given out once so many later video frames came,

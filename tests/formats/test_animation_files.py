@@ -9,12 +9,12 @@ from moving_body import HEIGHT, RATE, SAMPLES, moving_body, with_parts
 from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.skeleton import LANDMARKS
-from jaxmocap.formats.animation.armature import joint_positions
 from jaxmocap.formats.animation.bvh import write_bvh
 from jaxmocap.formats.animation.bvh_in import read_bvh
 from jaxmocap.formats.animation.export import write_animation
 from jaxmocap.formats.animation.gltf_in import read_gltf
-from jaxmocap.formats.animation.joint_names import CONVENTIONS, joint_of, landmark_names
+from jaxmocap.formats.armatures.armature import joint_positions
+from jaxmocap.formats.armatures.joint_names import CONVENTIONS, joint_of, landmark_names
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.geometry.solids import CORNERS, RINGS
 from jaxmocap.outputs.scene import make_scene

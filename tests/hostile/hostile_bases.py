@@ -20,7 +20,7 @@ from jaxmocap.body.surfaces.loft import generic_surface, rest_joints
 from jaxmocap.body.surfaces.mesh import atlas_of
 from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.formats.animation.export import write_animation
-from jaxmocap.formats.animation.skin import TEXEL_M
+from jaxmocap.formats.armatures.skin import TEXEL_M
 from jaxmocap.formats.cameras.calibration import write_calibration, write_camera
 from jaxmocap.formats.motion_npz import save_motion
 from jaxmocap.formats.recordings.subject import write_subject

@@ -32,8 +32,8 @@ from scipy.spatial.transform import Rotation
 
 from jaxmocap import Recording
 from jaxmocap.capture.video import open_video
-from jaxmocap.outputs.osc import Bundle
-from jaxmocap.outputs.unity import to_unity
+from jaxmocap.outputs.senders.osc import Bundle
+from jaxmocap.outputs.senders.unity import to_unity
 from jaxmocap.synthetic.recording import write_table_tennis
 
 RATE, FPS, GROUP = 90, 30, 15

@@ -18,7 +18,7 @@ from jaxmocap.capture.streams.udp import MAX_PACKETS_HZ, MarkerSocket
 from jaxmocap.formats.files.addresses import LOOPBACK, Address
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.live import load_live
-from jaxmocap.outputs.osc import DatagramSender
+from jaxmocap.outputs.senders.osc import DatagramSender
 from jaxmocap.pipelines.live.status import FIRST_KEPT, NEWEST_KEPT, LiveStatus
 from jaxmocap.pipelines.live.stream_states import stream_states
 

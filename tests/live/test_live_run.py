@@ -35,8 +35,8 @@ from jaxmocap.formats.recordings.live import (
     LiveVideo,
     load_live,
 )
-from jaxmocap.outputs.osc import Bundle
-from jaxmocap.outputs.unity import to_unity
+from jaxmocap.outputs.senders.osc import Bundle
+from jaxmocap.outputs.senders.unity import to_unity
 from jaxmocap.pipelines.live.loop import Live
 from jaxmocap.pipelines.live.recording import LiveRecording
 from jaxmocap.pipelines.live.session import live_summary

@@ -14,8 +14,8 @@ from jaxmocap.capture.streams.udp import Datagram, MarkerSocket
 from jaxmocap.formats.files.addresses import Address
 from jaxmocap.formats.recordings.live import LiveSetup, load_live
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.outputs.osc import Bundle
-from jaxmocap.outputs.vmc import VMC
+from jaxmocap.outputs.senders.osc import Bundle
+from jaxmocap.outputs.senders.vmc import VMC
 from jaxmocap.pipelines.live.recording import LiveRecording
 from jaxmocap.pipelines.live.status import LiveStatus
 from jaxmocap.pipelines.live.stream_states import stream_states

@@ -25,7 +25,7 @@ from jaxmocap.capture.streams import cameras
 from jaxmocap.capture.video import open_video
 from jaxmocap.formats.files.addresses import Address
 from jaxmocap.formats.files.errors import InputError, OutputError
-from jaxmocap.outputs.osc import Bundle
+from jaxmocap.outputs.senders.osc import Bundle
 from jaxmocap.pipelines import view
 from jaxmocap.pipelines.live import session
 from jaxmocap.pipelines.live.loop import Live

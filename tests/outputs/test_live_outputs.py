@@ -12,13 +12,13 @@ from scipy.spatial.transform import Rotation
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.formats.animation.armature import joint_positions
-from jaxmocap.formats.animation.body_armature import T_POSE, armature_of
+from jaxmocap.formats.armatures.armature import joint_positions
+from jaxmocap.formats.armatures.body_armature import T_POSE, armature_of
 from jaxmocap.formats.recordings.live import DEFAULT_TRACKED, TRACKED
-from jaxmocap.outputs.osc import Bundle
-from jaxmocap.outputs.unity import UnityBody, euler_degrees
-from jaxmocap.outputs.vmc import VMC
-from jaxmocap.outputs.vrchat import Trackers
+from jaxmocap.outputs.senders.osc import Bundle
+from jaxmocap.outputs.senders.unity import UnityBody, euler_degrees
+from jaxmocap.outputs.senders.vmc import VMC
+from jaxmocap.outputs.senders.vrchat import Trackers
 
 SKELETON = Skeleton.human(1.75)
 HALF = np.sqrt(0.5)

@@ -24,7 +24,7 @@ from jaxmocap.body.surfaces.surface import posed, rest_nodes
 from jaxmocap.body.surfaces.thickness import with_thickness
 from jaxmocap.capture.photographs import png_of
 from jaxmocap.formats.animation.export import write_animation, write_avatar
-from jaxmocap.formats.animation.skin import TEXEL_M
+from jaxmocap.formats.armatures.skin import TEXEL_M
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.outputs.viewer import write_rerun
 

@@ -22,7 +22,7 @@ from jaxmocap.evidence.markers import MarkerPositions
 from jaxmocap.evidence.silhouettes import SilhouetteGrids, Silhouettes
 from jaxmocap.evidence.smoothness import smoothness
 from jaxmocap.hybrid.refine import StepReport
-from jaxmocap.smoothing import fixed_lag, marginal_prior, window
+from jaxmocap.smoothing import fixed_lag, marginal_prior
 from jaxmocap.smoothing.fixed_lag import DELAY_FRAMES, FixedLagSmoother, SmoothedPose
 from jaxmocap.smoothing.levenberg_marquardt import (
     Linearised,
@@ -37,6 +37,7 @@ from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.marginal_prior import condensed, window_variances
 from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views
 from jaxmocap.smoothing.settings import SmoothingSettings
+from jaxmocap.smoothing.window.sliding import sliding
 from jaxmocap.solvers.arrow import Equations
 from jaxmocap.solvers.fading import Fading
 
@@ -252,9 +253,9 @@ def test_a_window_over_everything_agrees_with_the_second_pass(monkeypatch):
     views = Views(np.arange(count), np.zeros(count, int), SilhouetteGrids(*grids))
     problem = SmoothingProblem(smoother.model, smoother.settings, TIMES[:count], measured, views)
     usual = np.zeros(len(PROPORTIONS), np.float32)
-    offline = smooth_poses(problem, Trajectory(start, usual), (window.SOFTNESS,))
-    many = window.ONE_STEP._replace(iterations=30, relative=1e-7)
-    monkeypatch.setattr(window, "ONE_STEP", many)
+    offline = smooth_poses(problem, Trajectory(start, usual), (sliding.SOFTNESS,))
+    many = sliding.ONE_STEP._replace(iterations=30, relative=1e-7)
+    monkeypatch.setattr(sliding, "ONE_STEP", many)
     online = poses_of(smoother.flush())
     off = points_of(online) - points_of(offline.trajectory.poses)
     assert np.abs(off).max() < 0.01

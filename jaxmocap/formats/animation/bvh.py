@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxmocap.formats.animation.armature import MAX_DEPTH, Armature, BeyondFormatError
+from jaxmocap.formats.armatures.armature import MAX_DEPTH, Armature, BeyondFormatError
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.writing import replacing
 from jaxmocap.formats.time_series.tables import (

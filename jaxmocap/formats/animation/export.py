@@ -18,18 +18,18 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
-from jaxmocap.formats.animation.armature import (
+from jaxmocap.formats.animation.bvh import write_bvh
+from jaxmocap.formats.animation.gltf import write_gltf
+from jaxmocap.formats.armatures.armature import (
     Armature,
     BeyondFormatError,
     fill_from_nearest,
     rotated_armature,
 )
-from jaxmocap.formats.animation.body_armature import T_POSE, armature_of
-from jaxmocap.formats.animation.bvh import write_bvh
-from jaxmocap.formats.animation.gltf import write_gltf
-from jaxmocap.formats.animation.skin import surface_skin
+from jaxmocap.formats.armatures.body_armature import T_POSE, armature_of
+from jaxmocap.formats.armatures.skin import surface_skin
+from jaxmocap.formats.conversion.resampling import even_times, resampled_armature
 from jaxmocap.formats.time_series.axes import R_WORLD_OF_UP
-from jaxmocap.formats.time_series.resampling import even_times, resampled_armature
 from jaxmocap.formats.time_series.tables import is_even
 
 # What names joints have in a file if nothing else is asked for.

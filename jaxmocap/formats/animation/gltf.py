@@ -19,11 +19,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import jaxmocap
-from jaxmocap.formats.animation.armature import Armature, BeyondFormatError
 from jaxmocap.formats.animation.glb import BinaryChunk, write_document
-from jaxmocap.formats.animation.skinned_mesh import SkinnedMesh, limb_mesh
+from jaxmocap.formats.armatures.armature import Armature, BeyondFormatError
+from jaxmocap.formats.armatures.skinned_mesh import SkinnedMesh, limb_mesh
+from jaxmocap.formats.conversion.gaps import hold_across_gaps
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.time_series.gaps import hold_across_gaps
 from jaxmocap.geometry.origin import local_origin
 
 SKIN_COLOUR = (0.62, 0.68, 0.76, 1.0)

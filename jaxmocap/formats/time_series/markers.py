@@ -6,9 +6,9 @@ OUTPUTS: Markers in metres, in the file's own axes.
 
 from pathlib import Path
 
-from jaxmocap.formats.animation.armature import Armature, joint_positions
 from jaxmocap.formats.animation.bvh_in import read_bvh
 from jaxmocap.formats.animation.gltf_in import read_gltf
+from jaxmocap.formats.armatures.armature import Armature, joint_positions
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.time_series.c3d import read_c3d
 from jaxmocap.formats.time_series.csv import read_csv

@@ -32,9 +32,9 @@ from jaxmocap.capture.streams.udp import MarkerSocket
 from jaxmocap.formats.recordings.live import LiveSetup
 from jaxmocap.formats.recordings.marker_places import bone_point_positions
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.outputs.osc import DatagramSender
-from jaxmocap.outputs.vmc import VMC
-from jaxmocap.outputs.vrchat import Trackers
+from jaxmocap.outputs.senders.osc import DatagramSender
+from jaxmocap.outputs.senders.vmc import VMC
+from jaxmocap.outputs.senders.vrchat import Trackers
 from jaxmocap.pipelines.live.recording import LiveRecording
 from jaxmocap.pipelines.live.status import LiveStatus
 from jaxmocap.pipelines.live.stream_states import SILENT_S, stream_states

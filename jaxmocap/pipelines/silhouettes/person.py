@@ -19,7 +19,7 @@ from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.body.surfaces.thickness import with_thickness
 from jaxmocap.capture.photographs import picture_of, png_of, write_picture
 from jaxmocap.formats.animation.export import write_avatar
-from jaxmocap.formats.animation.skin import TEXEL_M, check_texture
+from jaxmocap.formats.armatures.skin import TEXEL_M, check_texture
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.reading import read_bytes
 from jaxmocap.formats.files.writing import replacing

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jaxmocap.formats.animation.armature import Armature, joint_positions
+from jaxmocap.formats.armatures.armature import Armature, joint_positions
 from jaxmocap.geometry.solids import limb_solid
 
 # Radius of a limb whose girth is unknown, as a share of its length.

@@ -21,8 +21,8 @@ from jaxmocap.body.motion import Motion, near_origin
 from jaxmocap.body.orientations import body_turns, local_turns, matrices
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, with_wrists
-from jaxmocap.formats.animation.armature import Armature
-from jaxmocap.formats.animation.joint_names import (
+from jaxmocap.formats.armatures.armature import Armature
+from jaxmocap.formats.armatures.joint_names import (
     CONVENTIONS,
     JOINTS_WITH_END,
     PELVIS,

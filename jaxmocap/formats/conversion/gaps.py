@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxmocap.formats.animation.armature import Armature
+from jaxmocap.formats.armatures.armature import Armature
 
 # Seconds: a hand moves by half a metre in less, so that a straight line would show another motion.
 LONGEST_BRIDGED_S = 0.5

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.formats.animation.body_armature import armature_of, rest_orientations
-from jaxmocap.formats.animation.joint_names import PELVIS
+from jaxmocap.formats.armatures.body_armature import armature_of, rest_orientations
+from jaxmocap.formats.armatures.joint_names import PELVIS
 from jaxmocap.formats.recordings.live import R_WORLD_UNITY
 
 

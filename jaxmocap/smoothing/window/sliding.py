@@ -37,7 +37,7 @@ from jaxmocap.smoothing.levenberg_marquardt import (
 from jaxmocap.smoothing.linearise import frames_fit
 from jaxmocap.smoothing.marginal_prior import MarginalPrior, condensed, weakened, window_variances
 from jaxmocap.smoothing.settings import SmoothingSettings
-from jaxmocap.smoothing.window_events import SilhouetteQuadratic, WindowEvent, WindowState
+from jaxmocap.smoothing.window.events import SilhouetteQuadratic, WindowEvent, WindowState
 
 # Cells over which silhouettes fade.
 SOFTNESS = 1.0

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxmocap.formats.animation.joint_names import PELVIS
-from jaxmocap.outputs.osc import Bundle
-from jaxmocap.outputs.unity import Joints, UnityBody, euler_degrees
+from jaxmocap.formats.armatures.joint_names import PELVIS
+from jaxmocap.outputs.senders.osc import Bundle
+from jaxmocap.outputs.senders.unity import Joints, UnityBody, euler_degrees
 
 # Tracker -> joint of its position, joint of its rotation: those at elbow and knee sit above it.
 _TRACKER_JOINTS = {

@@ -16,8 +16,8 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import rest_joints
 from jaxmocap.body.surfaces.mesh import atlas_of, mesh_of, normals_of
 from jaxmocap.body.surfaces.surface import Surface, rest_nodes
-from jaxmocap.formats.animation.body_armature import joint_tree, rest_orientations
-from jaxmocap.formats.animation.skinned_mesh import SkinnedMesh
+from jaxmocap.formats.armatures.body_armature import joint_tree, rest_orientations
+from jaxmocap.formats.armatures.skinned_mesh import SkinnedMesh
 from jaxmocap.formats.files.errors import InputError
 
 # Side of a texture's texel on the surface, metres.

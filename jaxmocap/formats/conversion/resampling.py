@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
-from jaxmocap.formats.animation.armature import Armature
+from jaxmocap.formats.armatures.armature import Armature
+from jaxmocap.formats.conversion.gaps import is_gap
 from jaxmocap.formats.files.errors import InputError
-from jaxmocap.formats.time_series.gaps import is_gap
 from jaxmocap.formats.time_series.tables import Markers
 
 # Numbers that may come of any recording, and at most: half an hour of a body at 200 Hz is 81

@@ -15,9 +15,9 @@ import numpy as np
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
-from jaxmocap.formats.animation.joint_names import CONVENTIONS
-from jaxmocap.outputs.osc import Bundle
-from jaxmocap.outputs.unity import Joints, UnityBody
+from jaxmocap.formats.armatures.joint_names import CONVENTIONS
+from jaxmocap.outputs.senders.osc import Bundle
+from jaxmocap.outputs.senders.unity import Joints, UnityBody
 
 # Values of /VMC/Ext/OK: the model is loaded.
 _LOADED = 1

@@ -1,0 +1,4 @@
+"""Samples over time made regular: other rates, and gaps.
+
+Begin with ``resampling``.
+"""
