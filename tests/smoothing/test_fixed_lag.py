@@ -37,7 +37,7 @@ from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.marginal_prior import condensed, window_variances
 from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views
 from jaxmocap.smoothing.settings import SmoothingSettings
-from jaxmocap.smoothing.window.sliding import sliding
+from jaxmocap.smoothing.window import sliding
 from jaxmocap.solvers.arrow import Equations
 from jaxmocap.solvers.fading import Fading
 
