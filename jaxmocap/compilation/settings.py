@@ -10,7 +10,7 @@
 A traced number is an array: it may be tuned, or differentiated by, without a new trace (a Python
 float in a pytree would trace again). A static one belongs to the program.
 
-INPUTS: a class with such fields. OUTPUTS: a frozen dataclass that is a pytree, its fields told in
+INPUTS: a class with such fields. OUTPUTS: a frozen dataclass that is a pytree, its fields listed in
 its docstring.
 """
 
@@ -40,7 +40,7 @@ def static(default: Any, meaning: str) -> Any:
 
 
 def group(make: Callable[[], Any], meaning: str) -> Any:
-    """Settings within settings, made anew for each."""
+    """Settings within settings, new for each."""
     return field(default_factory=make, metadata={"meaning": meaning})
 
 
@@ -56,8 +56,8 @@ def settings(cls: type[T]) -> type[T]:
         data_fields=[each.name for each in named if each.name not in shape],
         meta_fields=shape,
     )
-    told = [f"    {f.name}: {f.metadata['meaning']}." for f in named if "meaning" in f.metadata]
-    made.__doc__ = "\n".join([f"{cls.__doc__ or cls.__name__}\n", "Attributes:", *told])
+    listed = [f"    {f.name}: {f.metadata['meaning']}." for f in named if "meaning" in f.metadata]
+    made.__doc__ = "\n".join([f"{cls.__doc__ or cls.__name__}\n", "Attributes:", *listed])
     return made
 
 

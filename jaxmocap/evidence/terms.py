@@ -6,6 +6,7 @@ and know none by name. A new one needs its file, and one line in the settings of
 INPUTS: terms, a Model, a pose, what was measured. OUTPUTS: whitened residuals, their derivatives.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
@@ -53,7 +54,7 @@ class PosedBody(NamedTuple):
     pose: Pose
 
 
-class Term:
+class Term(ABC):
     """A kind of evidence or of prior knowledge; subclasses are settings (``compilation.settings``).
 
     Attributes:
@@ -63,6 +64,7 @@ class Term:
 
     errors_last: ClassVar[bool] = False
 
+    @abstractmethod
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """Whitened residuals (...): of unit variance where model and measurements are right.
 
@@ -71,7 +73,6 @@ class Term:
             body: as the pose puts it.
             measured: of this moment.
         """
-        raise NotImplementedError
 
 
 class Linear(NamedTuple):

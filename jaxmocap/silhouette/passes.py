@@ -181,7 +181,7 @@ def run_passes(
     Args:
         tracker: of the person.
         start: pose in the first frame.
-        frames: goes through the recording anew whenever it is called.
+        frames: goes through the recording again whenever it is called.
         count: of frames.
         settings: how many passes, and what they learn.
         backgrounds: of each camera, where a picture shows it; None where passes are to learn it.

@@ -33,7 +33,7 @@ class Settings:
             limb that moved fast is an outlier to the rest, and would be left behind. The last is
             small: what another limb's outline was taken for is an outlier then.
         starting_deviations: the same of cycles before those in the first frame, where its pose may
-            be far off, such as ``FAR_OFF``: each segments anew, and matches the surface's low-pass
+            be far off, such as ``FAR_OFF``: each segments again, and matches the surface's low-pass
             (coarse to fine). From a pose nearly right they lead to no better one.
         segmentation_cycles: cycles that begin with a segmentation; the first does in any case.
         edges: what shows one limb before another.

@@ -226,7 +226,7 @@ class SilhouetteTracker:
         elapsed: float,
         earlier: PoseEstimate | None,
     ) -> np.ndarray:
-        """The velocity (6 + D,) as it is carried on; relocated joints begin anew."""
+        """The velocity (6 + D,) as it is carried on; relocated joints begin again."""
         velocity = state.velocity
         if state.time is not None:
             now = np.asarray(velocity_between(state.pose, pose, np.float32(elapsed)))

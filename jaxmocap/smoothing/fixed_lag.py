@@ -1,8 +1,8 @@
 """Smoothing while it happens: each pose waits for two more video frames, and no longer.
 
-The same terms as over a whole recording, over the newest frames alone; what earlier ones told is a
-marginal prior. What changes behind a pose that was given out fades in, so that the track does not
-jump (``fading``).
+The same terms as over a whole recording, over the newest frames alone; earlier ones are condensed
+into a marginal prior. What changes behind a pose that was given out fades in, so that the track
+does not jump (``fading``).
 
     tracker = HybridTracker(skeleton, [camera], settings, marker_names)
     state = tracker.init(markers)

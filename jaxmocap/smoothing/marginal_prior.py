@@ -1,7 +1,7 @@
-"""The marginal prior of a window: what frames told that have left it.
+"""The marginal prior of a window: the measurements of frames that left it.
 
-Frames that leave a window leave what they told, as a quadratic of the two frames that the motion
-prior ties them to. Nothing is forgotten, and the window stays as short as its frames need.
+Frames that leave a window leave their measurements, as a quadratic of the two frames that the
+motion prior ties them to. Nothing is forgotten, and the window stays as short as its frames need.
 
 INPUTS: equations of a window's frames, the marginal prior before. OUTPUTS: the one after; variances
 of what stays.

@@ -53,11 +53,11 @@ def with_deviations(
     prior, soft = problem.motion_prior(), softened(problem, softness)
     with two_workers() as workers:
         alike = replace(soft, settings=counted_once(soft))
-        told = _variances(alike, softness, workers, trajectory, prior)
+        measured = _variances(alike, softness, workers, trajectory, prior)
         blind = _without_video(alike)
         guessed = _variances(blind, softness, workers, trajectory, prior)
     mismatch = float(problem.settings.mismatch)
-    deviations, from_prior = landmark_deviations(told, guessed, mismatch)
+    deviations, from_prior = landmark_deviations(measured, guessed, mismatch)
     return trajectory._replace(deviations=deviations, from_prior=from_prior)
 
 

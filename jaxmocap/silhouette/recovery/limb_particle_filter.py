@@ -3,7 +3,7 @@
 A limb that was hidden, or too fast, may be far from where one hypothesis looks for it: its rim
 finds the contour of something else, and stays there. Where the images show person that no part of
 the body explains, within a limb's reach, its particles are spread, weighed by what they would
-explain, drawn anew in proportion (systematic resampling), and so once more with less spread; fits
+explain, drawn again in proportion (systematic resampling), and so once more with less spread; fits
 then start from the best, and from the best elsewhere. Particles live on from frame to frame as long
 as the limb may be elsewhere.
 

@@ -1,4 +1,4 @@
-"""What the last frames said of a limb is withdrawn once it is found elsewhere.
+"""What was measured of a limb in the last frames is withdrawn once it is found elsewhere.
 
 INPUTS: the last frames, joints that were relocated. OUTPUTS: the frames, without those joints'
 information.

@@ -167,7 +167,7 @@ def segment(
         start: (V, S, S) signed distance to the predicted silhouette, cells, positive within.
         before: of the frames before; ``Histograms.empty`` at first.
         settings: traced numbers.
-        plan: static choices; another one compiles anew.
+        plan: static choices; another one compiles again.
     """
     if plan.background and not plan.colour:
         raise ValueError("plan.background without plan.colour: expected plan.colour = True too")
