@@ -22,6 +22,7 @@ from bench.clock import Span, ratio, timed
 from bench.metrics import Metric, stage_metrics
 from bench.rival_bodies import PinocchioBody, limited_mujoco, mujoco_points, mujoco_vector
 from jaxmocap.body.kinematics import Sites, forward
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.evidence.markers import Goals
@@ -132,7 +133,8 @@ def ours(skeleton: Skeleton, start: Pose, **steps: int) -> Follower:
 
     @jax.jit
     def solve(skeleton, settings, pose, targets):
-        pose, _ = ik.reach(skeleton, Goals(sites, targets, weights), settings, pose)
+        measured = {"goals": Goals(sites, targets, weights)}
+        pose, _ = ik.reach(Model.create(skeleton), settings, measured, pose)
         return pose, forward(skeleton, pose).joints_world[bones]
 
     settings, last = replace(IKSettings(), tolerance=TOLERANCE_M, **steps), [start]

@@ -9,11 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import Sites
+from jaxmocap.body.kinematics import Sites, forward, jacobian, landmark_sites, site_positions
 from jaxmocap.body.model import Model
-from jaxmocap.body.skeleton import ELBOWS, landmark_rows
+from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.compilation.settings import settings, traced
-from jaxmocap.evidence.terms import Measurements, PosedBody, Term
+from jaxmocap.evidence.terms import Measurements, PosedBody, Term, points_on
 
 
 def are_present(targets: Array | np.ndarray) -> Array:
@@ -37,6 +38,16 @@ class MarkerPositions(Term):
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(M, 3)."""
         return off_targets(body.markers, measured["markers"]) / self.deviation
+
+    def jacobian(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(M, 3, 6 + D)."""
+        present = are_present(measured["markers"])[:, None, None]
+        return jnp.where(present, _jacobian(model, body.pose, model.markers) / self.deviation, 0.0)
+
+    @property
+    def metres(self) -> Array:
+        """Of a residual of 1."""
+        return self.deviation
 
 
 class Goals(NamedTuple):
@@ -64,11 +75,21 @@ class PointGoals(Term):
     deviation: Array = traced(0.004, "of a marker about its point on the body, metres")
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
-        """(M + F, 3)."""
-        ankles = landmark_rows(f"ankle_{side}" for side in model.unmarked_feet)
-        points = jnp.concatenate([body.markers, body.landmarks[ankles]])
+        """(M, 3) of the goals' M points."""
         goals = measured["goals"]
+        points = points_on(model.skeleton, body.pose, goals.sites)
         return goals.weights[:, None] * goals.off(points) / self.deviation
+
+    def jacobian(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(M, 3, 6 + D): equation (4), with the goals' weights."""
+        goals = measured["goals"]
+        weights = (goals.weights / self.deviation)[:, None, None]
+        return weights * _jacobian(model, body.pose, goals.sites)
+
+    @property
+    def metres(self) -> Array:
+        """Of a residual of 1."""
+        return self.deviation
 
 
 @settings
@@ -80,8 +101,28 @@ class ElbowGoals(Term):
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(2, 3); none where nothing was searched for."""
         if "elbows" not in measured:
-            return jnp.zeros(0, body.landmarks.dtype)
+            return jnp.zeros((0, 3), body.landmarks.dtype)
         return off_targets(body.landmarks[ELBOWS], measured["elbows"]) / self.deviation
+
+    def jacobian(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(2, 3, 6 + D)."""
+        if "elbows" not in measured:
+            return jnp.zeros((0, 3, model.skeleton.costs.size), body.landmarks.dtype)
+        present = are_present(measured["elbows"])[:, None, None]
+        sites = landmark_sites(model.skeleton, ("elbow_l", "elbow_r"))
+        return jnp.where(present, _jacobian(model, body.pose, sites) / self.deviation, 0.0)
+
+    @property
+    def metres(self) -> Array:
+        """Of a residual of 1."""
+        return self.deviation
+
+
+def _jacobian(model: Model, pose: Pose, sites: Sites) -> Array:
+    """(M, 3, 6 + D) of points on bones: equation (4) without its weight."""
+    frames = forward(model.skeleton, pose)
+    points = site_positions(model.skeleton, frames, sites)
+    return jacobian(model.skeleton, frames, sites.bones, points)
 
 
 # Degrees of freedom of Student's t, by which a searched elbow may be wrong.

@@ -74,6 +74,19 @@ class Term(ABC):
             measured: of this moment.
         """
 
+    def jacobian(self, model: Model, body: PosedBody, measured: Measurements) -> Array | None:
+        """Derivatives (..., 6 + D) of the residual by the tangent vector of ``retract``.
+
+        None, as here, has them found by automatic differentiation. It is for what is solved often
+        and has a short formula.
+        """
+        return None
+
+    @property
+    def metres(self) -> Array | None:
+        """The length that a residual of 1 stands for; None where residuals are no lengths."""
+        return None
+
 
 class Linear(NamedTuple):
     """Residuals about a pose, and how they change with N = 6 + D + P unknowns.
@@ -129,6 +142,30 @@ def linearised(
             jnp.concatenate(pair, -1) for pair in zip((J, points_J), by_size, strict=True)
         )
     return Linear(r, J, points, points_J)
+
+
+def linearised_term(
+    term: Term, model: Model, pose: Pose, measured: Measurements
+) -> tuple[Array, Array]:
+    """A term's residuals (...) about a pose, and their derivatives (..., 6 + D).
+
+    Args:
+        term: of the evidence.
+        model: of the person, the markers and the cameras.
+        pose: of the person.
+        measured: of this moment.
+    """
+    body = posed_body(model, pose)
+    J = term.jacobian(model, body, measured)
+    if J is not None:
+        return term.residual(model, body, measured), J
+    still = jnp.zeros(ROOT_DOF + pose.angles.size, pose.angles.dtype)
+
+    def moved(step: Array) -> Array:
+        return term.residual(model, posed_body(model, retract(pose, step)), measured)
+
+    r, push = jax.linearize(moved, still)
+    return r, jax.vmap(push, -1, -1)(jnp.eye(still.size, dtype=still.dtype))
 
 
 def posed_body(model: Model, pose: Pose) -> PosedBody:

@@ -14,6 +14,7 @@ from jax import Array
 
 from jaxmocap.body.kinematics import Sites, forward, landmark_sites, site_positions
 from jaxmocap.body.mass import base_of_support, centre_of_gravity
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import ROOT_DOF
@@ -123,7 +124,8 @@ def bow_factors(skeleton: Skeleton, settings: IKSettings, trials: int = 9) -> Ar
     """
     dofs = spine_dofs(skeleton)
     most = skeleton.limits[dofs, 1] - skeleton.relaxed[dofs]
-    goals, standing = squat_goals(skeleton, SQUAT), relaxed_pose(skeleton)
+    model, standing = Model.create(skeleton), relaxed_pose(skeleton)
+    measured = {"goals": squat_goals(skeleton, SQUAT)}
     trunk_stays = all_but_trunk(skeleton)
 
     def ahead(share: Array) -> Array:
@@ -132,7 +134,7 @@ def bow_factors(skeleton: Skeleton, settings: IKSettings, trials: int = 9) -> Ar
             # but traced once.
             tau = share * most / SQUAT * sinking(skeleton, pose)
             bowed = bow(skeleton, pose, jnp.where(i == 1, tau, 0.0))
-            return reach(skeleton, goals, settings, bowed, (i == 0) | trunk_stays)[0]
+            return reach(model, settings, measured, bowed, (i == 0) | trunk_stays)[0]
 
         return imbalance(skeleton, jax.lax.fori_loop(0, 2, stage, standing))[0]
 

@@ -1,9 +1,13 @@
 """Inverse kinematics: markers to pose (section 4, algorithm 1).
 
+End effectors are the residuals of terms: by default markers, and feet that carry none. Secondary
+terms are approached as far as the first hold.
+
 INPUTS: a Model, marker targets (world, metres; NaN where missing), the last pose, where the feet
 stood. OUTPUTS: the pose that meets the markers, where the feet stand, how the solve ended.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -11,13 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.kinematics import Frames, forward, jacobian, site_positions
+from jaxmocap.body.kinematics import Frames, forward, site_positions
 from jaxmocap.body.mass import augmented_bodies
 from jaxmocap.body.model import SIDES, Model
 from jaxmocap.body.pose import Pose, retract
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.markers import Goals, are_present
+from jaxmocap.evidence.terms import Measurements, Term, linearised_term
 from jaxmocap.geometry.rotations import HIGHEST, quaternion_to_matrix
 from jaxmocap.hybrid.feet import FootPlacement, replant
 from jaxmocap.hybrid.settings import IKSettings
@@ -54,17 +59,15 @@ class IKResult(NamedTuple):
     planted: Array
 
 
-class _Linear(NamedTuple):
-    """M goals about a pose.
+class _Effectors(NamedTuple):
+    """K end effectors about a pose: the residuals of some terms, in three-vectors.
 
     Attributes:
-        frames: at the pose.
-        J: (3M, 6 + D) weighted Jacobian of their points.
-        error: (3M,) clamped and weighted, metres.
-        missed: () by how much the farthest is missed, metres.
+        J: (3K, 6 + D) their derivatives by the weighted degrees of freedom.
+        error: (3K,) what the residuals lack, clamped (4.1).
+        missed: () the largest residual, metres; infinite where one is not a length.
     """
 
-    frames: Frames
     J: Array
     error: Array
     missed: Array
@@ -86,12 +89,11 @@ def secondary_task(skeleton: Skeleton, frames: Frames, pose: Pose, settings: IKS
 
 
 def ik_step(
-    skeleton: Skeleton,
-    goals: Goals,
+    model: Model,
     settings: IKSettings,
+    measured: Measurements,
     pose: Pose,
     free: Array,
-    secondary: Goals | None = None,
     gain: Array | float = 1.0,
 ) -> tuple[Pose, Array, Array]:
     """One iteration of algorithm 1.
@@ -100,41 +102,40 @@ def ik_step(
     missed its farthest goal, metres.
 
     Args:
-        skeleton: D degrees of freedom.
-        goals: what is to be reached.
-        settings: traced.
+        model: its skeleton has D degrees of freedom.
+        settings: traced; its terms are what is reached for.
+        measured: ``goals``, and ``elbows`` where there are secondary goals.
         pose: to start from.
         free: (6 + D,) degrees of freedom that may move.
-        secondary: goals that are approached as far as the first hold.
         gain: factor on the secondary task and the secondary goals.
     """
-    here = _linearised(skeleton, forward(skeleton, pose), goals)
-    return *_stepped(skeleton, here, settings, pose, free, secondary, gain), here.missed
+    first = _effectors(model, settings.terms, measured, pose)
+    return *_stepped(model, settings, measured, pose, free, first, gain), first.missed
 
 
 def _stepped(
-    skeleton: Skeleton,
-    here: _Linear,
+    model: Model,
     settings: IKSettings,
+    measured: Measurements,
     pose: Pose,
     free: Array,
-    secondary: Goals | None,
+    first: _Effectors,
     gain: Array | float,
 ) -> tuple[Pose, Array]:
     """The pose after a step from where it was linearised, and the largest weighted angle of it."""
-    frames, J, error, _ = here
-    wanted = gain * skeleton.costs * secondary_task(skeleton, frames, pose, settings)
-    low, high = _room(skeleton, pose)
+    skeleton = model.skeleton
+    relaxing = secondary_task(skeleton, forward(skeleton, pose), pose, settings)
+    wanted, (low, high) = gain * skeleton.costs * relaxing, _room(skeleton, pose)
+    second = _effectors(model, settings.secondary_terms, measured, pose)
 
     def step(free: Array) -> Array:
         # Equation (1) in the weighted coordinates psi = mu * theta.
-        solved = sdls_step(jnp.where(free, J, 0.0), error, settings.largest_step)
+        solved = sdls_step(jnp.where(free, first.J, 0.0), first.error, settings.largest_step)
         beside = project_secondary(solved.row_space, jnp.where(free, wanted, 0.0))
-        if secondary is not None:
-            other = _linearised(skeleton, frames, secondary)
-            A = project_secondary(solved.row_space, jnp.where(free, other.J, 0.0))
-            rest = gain * other.error - jnp.matmul(A, beside, precision=HIGHEST)
-            beside = beside + damped_step(A, rest, settings.elbow_damping)
+        if second.error.size:
+            A = project_secondary(solved.row_space, jnp.where(free, second.J, 0.0))
+            rest = gain * second.error - jnp.matmul(A, beside, precision=HIGHEST)
+            beside = beside + damped_step(A, rest, 1.0)
         return solved.primary + clamp_max_abs(beside, settings.largest_step)
 
     psi = step_within(step, low, high, free, AT_LIMIT, ROUNDS)
@@ -142,40 +143,64 @@ def _stepped(
     return retract(pose, psi / skeleton.costs), jnp.max(jnp.abs(psi))
 
 
-def _linearised(skeleton: Skeleton, frames: Frames, goals: Goals) -> _Linear:
-    """The goals' points about a pose."""
-    points = site_positions(skeleton, frames, goals.sites)
-    weights, away = goals.weights[:, None], -goals.off(points)
-    error = weights * clamp_lengths(away, 0.1 * _arm_length(skeleton))
-    J = jacobian(skeleton, frames, goals.sites.bones, points) / skeleton.costs
-    J = (weights[..., None] * J).reshape(-1, J.shape[-1])
-    return _Linear(frames, J, error.ravel(), jnp.sqrt(jnp.max(jnp.sum(away**2, -1))))
+def _effectors(
+    model: Model, terms: Sequence[Term], measured: Measurements, pose: Pose
+) -> _Effectors:
+    """The residuals of terms about a pose; lengths are clamped to a tenth of an arm (4.1)."""
+    rows, errors, missed = [], [], [jnp.zeros((), pose.angles.dtype)]
+    for term in terms:
+        r, J = linearised_term(term, model, pose, measured)
+        r, J = _three_vectors(r), _three_vectors(J, derivatives=True)
+        if not r.size:
+            continue
+        if term.metres is None:
+            missed.append(jnp.asarray(jnp.inf, r.dtype))
+        else:
+            missed.append(term.metres * jnp.sqrt(jnp.max(jnp.sum(r**2, -1))))
+            r = clamp_lengths(r, 0.1 * _arm_length(model.skeleton) / term.metres)
+        rows.append(J.reshape(-1, J.shape[-1]) / model.skeleton.costs)
+        errors.append(-r.ravel())
+    if not errors:
+        nothing = jnp.zeros(0, pose.angles.dtype)
+        return _Effectors(jnp.zeros((0, model.skeleton.costs.size)), nothing, missed[0])
+    largest = jnp.max(jnp.stack(missed))
+    return _Effectors(jnp.concatenate(rows), jnp.concatenate(errors), largest)
+
+
+def _three_vectors(values: Array, derivatives: bool = False) -> Array:
+    """Residuals (..., 3), or any (...), as (K, 3); derivatives with their last axis kept."""
+    inner = values.shape[:-1] if derivatives else values.shape
+    last = values.shape[-1:] if derivatives else ()
+    if inner and inner[-1] == 3:
+        return values.reshape(-1, 3, *last)
+    alone = values.reshape(-1, 1, *last)
+    return jnp.pad(alone, [(0, 0), (0, 2), *([(0, 0)] if derivatives else [])])
 
 
 def reach(
-    skeleton: Skeleton,
-    goals: Goals,
+    model: Model,
     settings: IKSettings,
+    measured: Measurements,
     pose: Pose,
     free: Array | None = None,
-    secondary: Goals | None = None,
 ) -> tuple[Pose, Array]:
     """Algorithm 1: iterate from ``pose`` until the effectors are at their goals, or rest.
 
     Args:
-        skeleton: D degrees of freedom.
-        goals: what is to be reached.
-        settings: traced.
+        model: its skeleton has D degrees of freedom.
+        settings: traced; its terms are what is reached for.
+        measured: ``goals``. With ``elbows`` there are secondary goals, which are approached as far
+            as the first hold; the last iterations leave them alone, so that the first hold in the
+            end.
         pose: to start from.
         free: (6 + D,) degrees of freedom that may move; all without it.
-        secondary: goals that are approached as far as the first hold; the last iterations leave
-            them alone, so that the first hold in the end.
 
     Returns:
         The pose and the number of iterations.
     """
-    moving = jnp.ones(skeleton.costs.shape, bool) if free is None else free
-    least = settings.settle if secondary is None else settings.following
+    moving = jnp.ones(model.skeleton.costs.shape, bool) if free is None else free
+    follows = "elbows" in measured
+    least = settings.following if follows else settings.settle
 
     def unfinished(carry: tuple[Array, Pose, Array, Array]) -> Array:
         count, _, moved, met = carry
@@ -185,12 +210,12 @@ def reach(
     def iterate(carry: tuple[Array, Pose, Array, Array]) -> tuple[Array, Pose, Array, Array]:
         # Whether a step has met the goals is seen where the next one would begin.
         count, pose, moved, _ = carry
-        here = _linearised(skeleton, forward(skeleton, pose), goals)
-        met = (count >= least) & (here.missed <= settings.tolerance)
-        gain = 1.0 if secondary is None else jnp.where(count < settings.following, 1.0, 0.0)
+        first = _effectors(model, settings.terms, measured, pose)
+        met = (count >= least) & (first.missed <= settings.tolerance)
+        gain = jnp.where(count < settings.following, 1.0, 0.0) if follows else 1.0
 
         def step() -> tuple[Pose, Array]:
-            return _stepped(skeleton, here, settings, pose, moving, secondary, gain)
+            return _stepped(model, settings, measured, pose, moving, first, gain)
 
         pose, moved = jax.lax.cond(met, lambda: (pose, moved), step)
         return count + jnp.where(met, 0, 1), pose, moved, met
@@ -255,7 +280,7 @@ def solve_ik(
     """
     feet, planted = replant(model, settings, pose, feet, targets)
     goals = goals_of(model, settings, feet, targets)
-    pose, count = reach(model.skeleton, goals, settings, pose)
+    pose, count = reach(model, settings, {"goals": goals}, pose)
     misses = goal_distances(model.skeleton, goals, pose)
     missed = jnp.max(misses[len(targets) :], initial=0.0) > settings.leg_overstretch
     return IKResult(pose, feet._replace(overstretched=missed), misses, count, planted)

@@ -22,8 +22,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.arms import SIDES, Arms, arm_dofs, arms_of, flesh, hang, swing
-from jaxmocap.body.kinematics import forward, landmark_sites
+from jaxmocap.body.arms import Arms, arm_dofs, arms_of, flesh, hang, swing
+from jaxmocap.body.kinematics import forward
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, beyond_limits
 from jaxmocap.evidence.edges import EdgeFields
@@ -126,7 +126,7 @@ def refine(
         pose, status = _fit(model, settings, edges, pose, aims, arms.grip)
         belief = updated_belief(belief, arms, _arms(model, pose), edges, pose)
     elif settings.balance:
-        met = lambda: reach(model.skeleton, goals, settings.ik, pose, free)[0]  # noqa: E731
+        met = lambda: reach(model, settings.ik, {"goals": goals}, pose, free)[0]  # noqa: E731
         pose = jax.lax.cond(balanced, met, lambda: pose)
     found = _arms(model, pose)
     outline_px = jnp.full(2, jnp.nan, targets.dtype)
@@ -205,9 +205,7 @@ def follow_elbows(
     model: Model, settings: Settings, goals: Goals, pose: Pose, free: Array, elbows: Array
 ) -> Pose:
     """The body with its elbows where the search has them, as far as the markers hold."""
-    sites = landmark_sites(model.skeleton, tuple(f"elbow_{side}" for side in SIDES))
-    secondary = Goals(sites, elbows, jnp.ones(2, elbows.dtype))
-    return reach(model.skeleton, goals, settings.ik, pose, free, secondary)[0]
+    return reach(model, settings.ik, {"goals": goals, "elbows": elbows}, pose, free)[0]
 
 
 def _fit(

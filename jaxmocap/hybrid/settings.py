@@ -12,7 +12,7 @@ from jax import Array
 from jaxmocap.compilation.settings import counted, group, settings, static, traced
 from jaxmocap.evidence.edges import EdgeEvidence, OutlineEdges
 from jaxmocap.evidence.limits import JointLimits
-from jaxmocap.evidence.markers import PointGoals, SearchedElbows
+from jaxmocap.evidence.markers import ElbowGoals, PointGoals, SearchedElbows
 from jaxmocap.evidence.posture import NearPose
 from jaxmocap.evidence.terms import Term
 from jaxmocap.images.edges import EdgeSettings
@@ -21,7 +21,13 @@ from jaxmocap.smoothing.settings import SmoothingSettings
 
 @settings
 class IKSettings:
-    """What a user may tune of inverse kinematics."""
+    """What a user may tune of inverse kinematics; each ``Term`` among it is reached for.
+
+    Elbows come second: as far as the others hold, and against a weighted radian of deviation 1.
+    """
+
+    goals: PointGoals = group(PointGoals, "of markers and unmarked feet")
+    elbows: ElbowGoals = group(lambda: ElbowGoals(deviation=0.03), "of the searched elbows")  # type: ignore[arg-type]
 
     iterations: Array = counted(30, "most iterations of algorithm 1 in a frame")
     settle: Array = counted(
@@ -33,7 +39,6 @@ class IKSettings:
         "iterations that follow the elbows of the search; as many as are needed then bring the "
         "markers home",
     )
-    elbow_damping: Array = traced(0.03, "of those elbows' step, metres per weighted radian")
     tolerance: Array = traced(1e-3, "distance at which an effector is at its target, metres")
     rest: Array = traced(
         2e-3, "largest weighted angle of a step at which the solve has come to rest"
@@ -59,6 +64,17 @@ class IKSettings:
         0.6,
         "markers farther than this from the last pose's points: the body is placed again, metres",
     )
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """What is reached for, in the order of the fields."""
+        each = (getattr(self, field.name) for field in fields(self) if field.name != "elbows")
+        return tuple(term for term in each if isinstance(term, Term))
+
+    @property
+    def secondary_terms(self) -> tuple[Term, ...]:
+        """What is approached as far as the terms hold."""
+        return (self.elbows,)
 
 
 @settings

@@ -37,9 +37,10 @@ def squat(skeleton, start, depth, factors):
     foot = skeleton.diameters[skeleton.tree.bone("foot_l"), 0]
     lift = foot - goals.targets[3, 2]
     goals = goals._replace(targets=goals.targets.at[:, 2].add(lift))
-    pose, _ = ik.reach(skeleton, goals, settings, start)
+    model, measured = Model.create(skeleton), {"goals": goals}
+    pose, _ = ik.reach(model, settings, measured, start)
     bowed, free, bows = balance.bow_on_feet(skeleton, settings, pose, factors)
-    balanced, _ = ik.reach(skeleton, goals, settings, bowed, free)
+    balanced, _ = ik.reach(model, settings, measured, bowed, free)
     return pose, balanced, bows, ik.goal_distances(skeleton, goals, balanced)
 
 
@@ -107,8 +108,8 @@ def bowed(skeleton, pose, factors):
 @jax.jit
 def sunk_pose(skeleton, depth):
     """The relaxed body with bent knees, its head ``depth`` metres lower, feet on the ground."""
-    goals = balance.squat_goals(skeleton, depth)
-    pose, _ = ik.reach(skeleton, goals, IKSettings(), relaxed_pose(skeleton))
+    measured = {"goals": balance.squat_goals(skeleton, depth)}
+    pose, _ = ik.reach(Model.create(skeleton), IKSettings(), measured, relaxed_pose(skeleton))
     ankle = landmarks(skeleton, pose)[list(LANDMARKS).index("ankle_l"), 2]
     lift = skeleton.diameters[skeleton.tree.bone("foot_l"), 0] - ankle
     return pose._replace(position=pose.position.at[2].add(lift))

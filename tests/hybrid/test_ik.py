@@ -36,15 +36,14 @@ def five(skeleton: Skeleton) -> Sites:
 
 @jax.jit
 def step(skeleton, chosen, pose, targets, weights, free):
-    return ik.ik_step(skeleton, Goals(five(skeleton), targets, weights), chosen, pose, free)
+    measured = {"goals": Goals(five(skeleton), targets, weights)}
+    return ik.ik_step(Model.create(skeleton), chosen, measured, pose, free)
 
 
 @jax.jit
 def step_with_secondary(skeleton, chosen, pose, targets, weights, free, elbows):
-    sites = landmark_sites(skeleton, ("elbow_l", "elbow_r"))
-    secondary = Goals(sites, elbows, jnp.ones_like(elbows[:, 0]))
-    goals = Goals(five(skeleton), targets, weights)
-    return ik.ik_step(skeleton, goals, chosen, pose, free, secondary, 0.8)
+    measured = {"goals": Goals(five(skeleton), targets, weights), "elbows": elbows}
+    return ik.ik_step(Model.create(skeleton), chosen, measured, pose, free, 0.8)
 
 
 @jax.jit
@@ -137,7 +136,8 @@ def test_a_step_with_secondary_goals_is_the_references(skeleton64, pose, seed):
 
 @jax.jit
 def solved(skeleton, chosen, pose, targets, weights):
-    return ik.reach(skeleton, Goals(five(skeleton), targets, weights), chosen, pose)
+    measured = {"goals": Goals(five(skeleton), targets, weights)}
+    return ik.reach(Model.create(skeleton), chosen, measured, pose)
 
 
 @pytest.mark.parametrize("seed", range(4))

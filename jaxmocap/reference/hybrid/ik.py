@@ -76,7 +76,7 @@ def arm_length(skeleton: Any) -> float:
 
 
 def linearised(skeleton: Any, frames: Any, goals: Any) -> tuple[np.ndarray, np.ndarray, float]:
-    """Weighted Jacobian (4), clamped displacements (4.1) and the farthest miss of goals."""
+    """Weighted Jacobian (4), clamped displacements (4.1) and the farthest weighted miss."""
     points = site_positions(skeleton, frames, goals.sites)
     J = jacobian(skeleton, frames, goals.sites.bones, points) / np.asarray(skeleton.costs, float)
     away = np.zeros_like(points)
@@ -84,8 +84,8 @@ def linearised(skeleton: Any, frames: Any, goals: Any) -> tuple[np.ndarray, np.n
         if weight > 0:
             away[i] = goals.targets[i] - points[i]
         J[i] *= weight
-    clamped = sdls.clamp_targets(away, 0.1 * arm_length(skeleton))
-    error = clamped * goals.weights[:, None]
+    away = away * goals.weights[:, None]
+    error = sdls.clamp_targets(away, 0.1 * arm_length(skeleton))
     farthest = float(np.max(np.linalg.norm(away, axis=1)))
     return J.reshape(-1, J.shape[-1]), error.ravel(), farthest
 
@@ -124,7 +124,7 @@ def ik_step(
             A, away, _ = linearised(skeleton, frames, as_goals(secondary))
             A = (A * moving) @ projector
             rest = gain * away - A @ beside
-            ridge = float(settings.elbow_damping) ** 2 * np.eye(len(rest))
+            ridge = float(settings.elbows.deviation) ** 2 * np.eye(len(rest))
             beside = beside + A.T @ np.linalg.solve(A @ A.T + ridge, rest)
         return primary + sdls.clamp_max_abs(beside, gamma)
 
