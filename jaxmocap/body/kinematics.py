@@ -58,6 +58,11 @@ class Sites:
         # Hashable, since it belongs to a program's name.
         object.__setattr__(self, "bone_indices", tuple(int(bone) for bone in self.bone_indices))
 
+    @classmethod
+    def none(cls, dtype: jnp.dtype) -> "Sites":
+        """Of no point."""
+        return cls((), jnp.zeros(0, dtype), jnp.zeros((0, 3), dtype))
+
     @property
     def bones(self) -> np.ndarray:
         """(M,) int32, the same to index with."""

@@ -15,9 +15,8 @@ from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.silhouette.fit.correspond import pairs_of
-from jaxmocap.silhouette.markers import MarkerRows
 from jaxmocap.silhouette.points import BodyPoints
-from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, solve_pose
+from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, TermEvidence, solve_pose
 from jaxmocap.silhouette.surfaces.morph import Morph, without_followers
 
 
@@ -60,14 +59,14 @@ def fit(
     pairs: ContourPairs,
     settings: PoseSettings,
     prior: Prior,
-    markers: MarkerRows | None = None,
+    beside: TermEvidence | None = None,
     morph: Morph | None = None,
 ) -> PoseResult:
     """The pose that brings the rims' points to the contours' rays; see ``solve_pose``."""
     pixels_xy, normals, weights = (jnp.asarray(part) for part in pairs[1:4])
     along_weight, moves = pairs.along_weight, pairs.moves
     rays = pairs_of(cameras, pairs.points, pixels_xy, normals, weights, along_weight, moves)
-    return solve_pose(skeleton, pose, rays, settings, prior, markers=markers, morph=morph)
+    return solve_pose(skeleton, pose, rays, settings, prior, beside=beside, morph=morph)
 
 
 @jax.jit

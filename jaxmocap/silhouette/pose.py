@@ -10,6 +10,7 @@ of them, lose their weight (Tukey's biweight); a joint at its limit leaves the s
 left is solved again.
 """
 
+from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -20,11 +21,12 @@ from jax import Array
 from threadpoolctl import ThreadpoolController
 
 from jaxmocap.body.kinematics import forward
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, retract
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import ROOT_DOF
+from jaxmocap.evidence.terms import Measurements, Term, linearised_term
 from jaxmocap.geometry.rotations import HIGHEST
-from jaxmocap.silhouette.markers import MarkerRows, marker_equations
 from jaxmocap.silhouette.points import PointRays, linearised_rays
 from jaxmocap.silhouette.surfaces.morph import (
     Morph,
@@ -80,6 +82,33 @@ class Prior(NamedTuple):
     deviations: Array
 
 
+class TermEvidence(NamedTuple):
+    """What terms of evidence tell beside the rays, such as where markers were measured.
+
+    They are believed however far they are: what is wrong with them is to be found before.
+
+    Attributes:
+        model: of the person and the markers.
+        terms: in any order.
+        measured: of this frame.
+    """
+
+    model: Model
+    terms: Sequence[Term]
+    measured: Measurements
+
+    def equations(self, pose: Pose) -> tuple[Array, Array]:
+        """Hessian (6 + D, 6 + D) and slope (6 + D,) of half the residuals' squares."""
+        width, dtype = self.model.skeleton.costs.size, pose.angles.dtype
+        information, slope = jnp.zeros((width, width), dtype), jnp.zeros(width, dtype)
+        for term in self.terms:
+            r, J = linearised_term(term, self.model, pose, self.measured)
+            J = J.reshape(-1, width)
+            information = information + jnp.matmul(J.T, J, precision=HIGHEST)
+            slope = slope + jnp.matmul(J.T, r.ravel(), precision=HIGHEST)
+        return information, slope
+
+
 class PoseResult(NamedTuple):
     """How a solve ended.
 
@@ -122,7 +151,7 @@ def solve_pose(
     settings: PoseSettings,
     prior: Prior | None = None,
     free: Array | None = None,
-    markers: MarkerRows | None = None,
+    beside: TermEvidence | None = None,
     morph: Morph | None = None,
 ) -> PoseResult:
     """Iterate from ``pose`` until the points lie on their rays, or rest.
@@ -134,7 +163,7 @@ def solve_pose(
         settings: traced.
         prior: what is expected, beside the rays.
         free: (6 + D,) degrees of freedom that may move; all without it.
-        markers: further rows, where there are any.
+        beside: further evidence, where there is any.
         morph: what goes along with the angles. Steps, damping and the prior are then those of the
             free pose (``without_followers``); the pairs' moves are its drivers'.
     """
@@ -146,7 +175,7 @@ def solve_pose(
 
     def iterate(carry: tuple[Array, Pose, Array]) -> tuple[Array, Pose, Array]:
         count, pose, _ = carry
-        normal = _normal_equations(skeleton, pose, pairs, settings, markers, morph)
+        normal = _normal_equations(skeleton, pose, pairs, settings, beside, morph)
         bounds = _room(skeleton, pose)
         if morph is not None:
             normal = _by(followed_jacobian(morph, pose.angles), normal)
@@ -161,21 +190,21 @@ def solve_pose(
     count, last, moved = jax.lax.while_loop(
         unfinished, iterate, (jnp.zeros((), jnp.int32), pose, far)
     )
-    broken = ~jnp.isfinite(moved) | ~_is_measured(pairs, markers)
+    broken = ~jnp.isfinite(moved) | ~_is_measured(pairs, beside, pose)
     last = jax.tree.map(lambda new, old: jnp.where(broken, old, new), last, pose)
-    end = _normal_equations(skeleton, last, pairs, settings, markers, morph)
+    end = _normal_equations(skeleton, last, pairs, settings, beside, morph)
     status = jnp.where(moved > settings.rest, Status.OUT_OF_STEPS, Status.CONVERGED)
     status = jnp.where(broken, Status.BROKEN, status).astype(jnp.int32)
     kept = end.distances, end.shares, end.spread, end.information, end.slope
     return PoseResult(last, *kept, count, status)
 
 
-def _is_measured(pairs: PointRays, markers: MarkerRows | None) -> Array:
-    """Whether there is a pair or a marker at all."""
+def _is_measured(pairs: PointRays, beside: TermEvidence | None, pose: Pose) -> Array:
+    """Whether there is a pair, or a term that tells of the pose, at all."""
     paired = jnp.any(pairs.weights > 0)
-    if markers is None:
+    if beside is None:
         return paired
-    return paired | jnp.any(jnp.isfinite(jnp.asarray(markers.positions_world)))
+    return paired | jnp.any(jnp.diagonal(beside.equations(pose)[0]) > 0)
 
 
 def _normal_equations(
@@ -183,7 +212,7 @@ def _normal_equations(
     pose: Pose,
     pairs: PointRays,
     settings: PoseSettings,
-    markers: MarkerRows | None,
+    beside: TermEvidence | None,
     morph: Morph | None,
 ) -> _Normal:
     """Hessian and slope of half the squares of all pairs, in their robust deviations."""
@@ -209,10 +238,11 @@ def _normal_equations(
     if morph is not None and pairs.moves is not None:
         same = jnp.eye(len(skeleton.costs), dtype=slope.dtype)
         normal = _by(jnp.concatenate([same, driver_jacobian(morph, pose.angles)]), normal)
-    if markers is not None:
-        known, downhill = marker_equations(skeleton, frames, markers)
-        information, slope = normal.information + known, normal.slope + downhill
-        normal = normal._replace(information=information, slope=slope)
+    if beside is not None:
+        information, slope = beside.equations(pose)
+        normal = normal._replace(
+            information=normal.information + information, slope=normal.slope + slope
+        )
     return normal
 
 

@@ -5,6 +5,8 @@ INPUTS: nothing. OUTPUTS: Settings, whose defaults were chosen on rendered exerc
 
 from dataclasses import dataclass, field
 
+from jaxmocap.evidence.markers import MarkerPositions
+from jaxmocap.evidence.terms import Term
 from jaxmocap.silhouette.fit.correspond import MatchSettings
 from jaxmocap.silhouette.recovery.settings import LimbSearchSettings, RecoverySettings
 from jaxmocap.silhouette.segmentation import segment
@@ -59,8 +61,8 @@ class Settings:
         limb_search: among them.
         recovery: when to search for a limb, and what to believe of it.
         smoothing: of all frames of a recording together; None leaves them as they were found.
-        marker_deviation: metres, where markers are followed too. Hundreds of pairs that err alike
-            stand against each.
+        terms: of evidence beside the images. Markers count where any are followed; hundreds of
+            pairs that err alike stand against each.
         least_matched_share: of a camera's rim and contour that must find a partner.
         disagreement: a camera whose pairs lie so many times as far apart as all is left out,
         agreement_m: unless they are within this.
@@ -92,7 +94,7 @@ class Settings:
     limb_search: LimbSearchSettings = field(default_factory=LimbSearchSettings)
     recovery: RecoverySettings = field(default_factory=RecoverySettings)
     smoothing: PoseSmoothingSettings | None = field(default_factory=PoseSmoothingSettings)
-    marker_deviation: float = 0.003
+    terms: tuple[Term, ...] = field(default_factory=lambda: (MarkerPositions(deviation=0.003),))  # type: ignore[arg-type]
     least_matched_share: float = 0.4
     disagreement: float = 3.0
     agreement_m: float = 0.03

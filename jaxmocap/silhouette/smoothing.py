@@ -153,8 +153,7 @@ def _problem(
     estimate = EstimatedPose(information.poses, roots, offsets)
     estimate = jax.tree.map(lambda part: np.asarray(part, dtype), estimate)
     held = AtRest(jnp.asarray(1 / rest, dtype), morph)
-    nowhere = Sites((), jnp.zeros(0, dtype), jnp.zeros((0, 3), dtype))
-    model, terms = Model(skeleton, nowhere), _Terms((NearEstimate(), held))
+    model, terms = Model(skeleton, Sites.none(dtype)), _Terms((NearEstimate(), held))
     return SmoothingProblem(model, terms, times, {"estimate": estimate}, Views.no_cameras())
 
 

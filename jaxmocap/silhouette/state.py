@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.surfaces.surface import BodyPoints
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.background_model import Background
 from jaxmocap.silhouette.recovery.lost_limbs import LimbMemory, LimbRecovery
@@ -46,12 +46,12 @@ class TrackedBody(NamedTuple):
 
     Attributes:
         shape: bones and surface.
-        marker_points: of the body, where markers sit that are followed too; None without any.
+        model: bones, and where markers sit that are followed too.
         recovery: of limbs of these bones' lengths.
     """
 
     shape: BodyShape
-    marker_points: BodyPoints | None
+    model: Model
     recovery: LimbRecovery
 
 

@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body.kinematics import Sites
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import generic_surface
@@ -37,9 +38,8 @@ from jaxmocap.silhouette.fit.cycles import (
     FrameEvidence,
     fit_pose,
     information_without,
-    marker_rows,
+    term_evidence,
 )
-from jaxmocap.silhouette.markers import points_at
 from jaxmocap.silhouette.pose import standard_deviations
 from jaxmocap.silhouette.recovery.limbs import carriers
 from jaxmocap.silhouette.recovery.lost_limbs import LimbRecovery
@@ -100,7 +100,7 @@ class SilhouetteTracker:
             stacked, s, finder, s.rest * np.asarray(skeleton.rest_deviations, float),
             carriers(finder.initial_shape.surface.points), plan or SegmentationPlan(),
         )  # fmt: skip
-        self._sites = sites
+        self._sites = Sites.none(dtype) if sites is None else sites
         self.body = self._body(finder.initial_shape)
 
     def reshaped(self, body: TrackedBody, skeleton: Skeleton, surface: Surface) -> TrackedBody:
@@ -115,10 +115,9 @@ class SilhouetteTracker:
 
     def _body(self, shape: BodyShape) -> TrackedBody:
         """Of other lengths markers sit elsewhere, limbs reach farther."""
-        points = None if self._sites is None else points_at(shape.skeleton, self._sites)
         cameras, s = self.constants.cameras, self.constants.settings
         recovery = LimbRecovery(shape.skeleton, shape.surface, cameras, s.particles, s.recovery)
-        return TrackedBody(shape, points, recovery)
+        return TrackedBody(shape, Model(shape.skeleton, self._sites), recovery)
 
     def init(
         self,
@@ -166,8 +165,8 @@ class SilhouetteTracker:
         images, history = state.image_history.accepted(images, s.changed_share, s.patience)
         elapsed = 0.0 if state.time is None else max(time - state.time, SHORTEST_STEP_S)
         predicted, deviations = self._predicted(state, elapsed)
-        markers, is_first = marker_rows(body.marker_points, positions_world, s), state.time is None
-        frame = FrameEvidence(images, state.backgrounds, state.histograms, markers, is_first)
+        beside, is_first = term_evidence(body.model, positions_world, s), state.time is None
+        frame = FrameEvidence(images, state.backgrounds, state.histograms, beside, is_first)
         fitted = fit_pose(constants, body, frame, predicted, deviations)
         recovered = recover_limbs(constants, body, state.limbs, frame, fitted, deviations, earlier)
         report, pose, determined = self._reported(body, recovered, positions_world)

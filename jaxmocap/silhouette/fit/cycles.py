@@ -9,16 +9,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.surfaces.surface import BodyPoints
 from jaxmocap.body.tree import ROOT_DOF
+from jaxmocap.evidence.markers import MarkerPositions
 from jaxmocap.images.background_model import Background
 from jaxmocap.silhouette.device_functions import ContourPairs, fit, free_pose
 from jaxmocap.silhouette.fit.camera_agreement import disagreeing, matched_shares
 from jaxmocap.silhouette.fit.correspond import matched_pairs
 from jaxmocap.silhouette.fit.expected_pose import combined_prior
-from jaxmocap.silhouette.markers import MarkerRows
-from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior
+from jaxmocap.silhouette.pose import PoseResult, PoseSettings, Prior, TermEvidence
 from jaxmocap.silhouette.segmentation.inner_edges import concatenated, inner_edge_pairs
 from jaxmocap.silhouette.segmentation.outlines import Outlines, find_outlines
 from jaxmocap.silhouette.segmentation.segment import Histograms
@@ -35,14 +35,14 @@ class FrameEvidence(NamedTuple):
         images: (H, W, 3) BGR uint8 of each camera, None where it shows nothing of use.
         backgrounds: of each camera, None where unknown.
         histograms: of the frames before.
-        markers: rows of them, where any are followed.
+        beside: evidence that is no image, such as markers, where there is any.
         is_first: whether it is the first frame.
     """
 
     images: Sequence[np.ndarray | None]
     backgrounds: Sequence[Background | None]
     histograms: Histograms
-    markers: MarkerRows | None
+    beside: TermEvidence | None
     is_first: bool
 
 
@@ -95,7 +95,7 @@ def fit_pose(
             used = np.ones(len(frame.images), bool)
         pairs, shares, used = _paired(constants, body, frame, rim, outlines, used, coarse)
         how = PoseSettings(deviation=deviation, iterations=s.iterations)
-        result = solve_pairs(constants, body, pose, pairs.pairs, how, prior, frame.markers)
+        result = solve_pairs(constants, body, pose, pairs.pairs, how, prior, frame.beside)
         weights = pairs.pairs.weights
         distances = np.asarray(result.distances).reshape(weights.shape)
         used = used & ~disagreeing(
@@ -143,11 +143,11 @@ def solve_pairs(
     pairs: ContourPairs,
     how: PoseSettings,
     prior: Prior,
-    markers: MarkerRows | None,
+    beside: TermEvidence | None,
 ) -> PoseResult:
     """The pose that brings the pairs' points to their rays; see ``solve_pose``."""
     skeleton, morph = body.shape.skeleton, constants.finder.morph
-    return fit(skeleton, constants.cameras, pose, pairs, how, prior, markers, morph)
+    return fit(skeleton, constants.cameras, pose, pairs, how, prior, beside, morph)
 
 
 def information_without(
@@ -169,19 +169,19 @@ def information_without(
     how = PoseSettings(deviation=s.deviations[-1], iterations=0)
     flat = np.full(skeleton.costs.shape, s.predicted_deviation)
     here = combined_prior(pose, flat, constants.rest_deviations)
-    markers = marker_rows(body.marker_points, positions_world, s)
+    beside = term_evidence(body.model, positions_world, s)
     return solve_pairs(
-        constants, body, pose, pairs.pairs._replace(weights=weights), how, here, markers
+        constants, body, pose, pairs.pairs._replace(weights=weights), how, here, beside
     )
 
 
-def marker_rows(
-    points: BodyPoints | None, positions_world: np.ndarray | None, settings: Settings
-) -> MarkerRows | None:
-    """Rows of the markers at points of the body, where any are followed."""
-    if points is None:
+def term_evidence(
+    model: Model, positions_world: np.ndarray | None, settings: Settings
+) -> TermEvidence | None:
+    """What the settings' terms have to say; None where only markers would, and there are none."""
+    count = len(model.markers.bone_indices)
+    terms = tuple(t for t in settings.terms if count or not isinstance(t, MarkerPositions))
+    if not terms:
         return None
-    count = len(points.bones)
     positions = np.full((count, 3), np.nan) if positions_world is None else positions_world
-    deviations = np.full(count, settings.marker_deviation, np.float32)
-    return MarkerRows(points, np.asarray(positions, np.float32), deviations)
+    return TermEvidence(model, terms, {"markers": np.asarray(positions, np.float32)})

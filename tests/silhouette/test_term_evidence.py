@@ -1,4 +1,4 @@
-"""Markers beside silhouettes: rows of the same system that say where a point of the body is."""
+"""Terms beside silhouettes: markers, and one that nobody has written yet."""
 
 import jax
 import jax.numpy as jnp
@@ -8,15 +8,18 @@ from point_rays import on_rays
 from test_rim import BODY
 
 from jaxmocap.body.kinematics import Sites, forward, site_positions
+from jaxmocap.body.model import Model
 from jaxmocap.body.pose import relaxed_pose, retract
-from jaxmocap.body.surfaces.surface import posed
+from jaxmocap.body.surfaces.surface import BodyPoints
 from jaxmocap.body.tree import ROOT_DOF
+from jaxmocap.compilation.settings import settings, traced
+from jaxmocap.evidence.markers import MarkerPositions
+from jaxmocap.evidence.terms import Term
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.lines import Lines
 from jaxmocap.pipelines.silhouettes.track import make_silhouette_tracker
-from jaxmocap.silhouette.markers import MarkerRows, marker_equations, points_at
-from jaxmocap.silhouette.pose import PoseSettings, solve_pose
+from jaxmocap.silhouette.pose import PoseSettings, TermEvidence, solve_pose
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
 SITES = Sites(
@@ -25,15 +28,26 @@ SITES = Sites(
     jnp.asarray([[0.0, 0.0, 0.0], [0.0, 0.02, 0.0], [0.01, 0.0, 0.03]]),
 )
 SOLVE = jax.jit(solve_pose)
-EQUATIONS = jax.jit(lambda pose, rows: marker_equations(BODY, forward(BODY, pose), rows))
+EQUATIONS = jax.jit(lambda pose, beside: beside.equations(pose))
 MOVED = jax.jit(retract)
 PLACES = jax.jit(lambda pose: site_positions(BODY, forward(BODY, pose), SITES))
-POINTS = points_at(BODY, SITES)
 START = relaxed_pose(BODY)
 
 
-def rows(positions, deviation=0.01) -> MarkerRows:
-    return MarkerRows(POINTS, np.asarray(positions, np.float32), np.full(3, deviation, np.float32))
+@settings
+class PelvisHeight(Term):
+    """A term that the package does not have: the pelvis is so high."""
+
+    height: jax.Array = traced(1.2, "of the pelvis, metres")
+
+    def residual(self, model, body, measured):
+        """()."""
+        return (body.pose.position[2] - self.height) / 0.01
+
+
+def beside(positions, deviation=0.01, *more) -> TermEvidence:
+    terms = (MarkerPositions(deviation=deviation), *more)
+    return TermEvidence(Model(BODY, SITES), terms, {"markers": np.asarray(positions, np.float32)})
 
 
 def raised():
@@ -44,18 +58,13 @@ def raised():
     return retract(START, jnp.asarray(step))
 
 
-def alone(positions):
-    """Solved by markers; the only ray weighs nothing."""
+def alone(positions, *more):
+    """Solved by markers and other terms; the only ray weighs nothing."""
     nothing = jnp.zeros((1, 3))
-    first = jax.tree.map(lambda part: part[:1], POINTS)
+    first = BodyPoints(jnp.zeros((1, 1), jnp.int32), jnp.zeros((1, 1, 3)), jnp.ones((1, 1)))
     rays = on_rays(first, Lines(nothing + jnp.eye(3)[0], nothing), jnp.zeros(1))
-    settings = PoseSettings(iterations=30, damping=10.0)
-    return SOLVE(BODY, START, rays, settings, None, None, rows(positions))
-
-
-def test_points_of_markers_are_the_markers_sites():
-    points = jax.jit(lambda pose: posed(forward(BODY, pose), POINTS))(raised())
-    np.testing.assert_allclose(points, PLACES(raised()), atol=1e-5)
+    how = PoseSettings(iterations=30, damping=10.0)
+    return SOLVE(BODY, START, rays, how, None, None, beside(positions, 0.01, *more))
 
 
 def test_markers_alone_are_reached_and_a_missing_one_asks_for_nothing():
@@ -70,6 +79,12 @@ def test_markers_alone_are_reached_and_a_missing_one_asks_for_nothing():
     assert found.information[arm, arm] == 0
 
 
+def test_a_term_that_is_added_takes_part():
+    found = alone(np.full((3, 3), np.nan), PelvisHeight())
+    assert float(found.pose.position[2]) == pytest.approx(1.2, abs=1e-3)
+    np.testing.assert_allclose(found.pose.angles, START.angles, atol=1e-6)
+
+
 def test_without_any_marker_and_any_ray_nothing_moves():
     found = alone(np.full((3, 3), np.nan))
     np.testing.assert_array_equal(found.pose.angles, START.angles)
@@ -78,7 +93,7 @@ def test_without_any_marker_and_any_ray_nothing_moves():
 
 def test_the_rows_are_the_slope_and_hessian_of_half_the_squares():
     there = np.asarray(PLACES(raised()))
-    information, slope = EQUATIONS(START, rows(there, 0.02))
+    information, slope = EQUATIONS(START, beside(there, 0.02))
 
     def half_squares(step) -> float:
         off = (np.asarray(PLACES(MOVED(START, jnp.asarray(step))), float) - there) / 0.02
@@ -89,8 +104,8 @@ def test_the_rows_are_the_slope_and_hessian_of_half_the_squares():
         step[dof] = 0.01
         numeric = (half_squares(step) - half_squares(-step)) / 0.02
         assert slope[dof] == pytest.approx(numeric, rel=0.02, abs=0.5)
-    at_truth, _ = EQUATIONS(raised(), rows(there, 0.02))
-    exact, _ = EQUATIONS(raised(), rows(there, 0.01))
+    at_truth, _ = EQUATIONS(raised(), beside(there, 0.02))
+    exact, _ = EQUATIONS(raised(), beside(there, 0.01))
     np.testing.assert_allclose(exact, 4 * np.asarray(at_truth), rtol=1e-4)
     assert np.linalg.eigvalsh(np.asarray(information, float)).min() > -1
 
