@@ -45,7 +45,7 @@ class MarkerPositions(Term):
         return jnp.where(present, _jacobian(model, body.pose, model.markers) / self.deviation, 0.0)
 
     @property
-    def metres(self) -> Array:
+    def metres_per_deviation(self) -> Array:
         """Of a residual of 1."""
         return self.deviation
 
@@ -87,7 +87,7 @@ class PointGoals(Term):
         return weights * _jacobian(model, body.pose, goals.sites)
 
     @property
-    def metres(self) -> Array:
+    def metres_per_deviation(self) -> Array:
         """Of a residual of 1."""
         return self.deviation
 
@@ -113,7 +113,7 @@ class ElbowGoals(Term):
         return jnp.where(present, _jacobian(model, body.pose, sites) / self.deviation, 0.0)
 
     @property
-    def metres(self) -> Array:
+    def metres_per_deviation(self) -> Array:
         """Of a residual of 1."""
         return self.deviation
 

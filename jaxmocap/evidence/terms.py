@@ -83,7 +83,7 @@ class Term(ABC):
         return None
 
     @property
-    def metres(self) -> Array | None:
+    def metres_per_deviation(self) -> Array | None:
         """The length that a residual of 1 stands for; None where residuals are no lengths."""
         return None
 

@@ -153,11 +153,11 @@ def _effectors(
         r, J = _three_vectors(r), _three_vectors(J, derivatives=True)
         if not r.size:
             continue
-        if term.metres is None:
+        if term.metres_per_deviation is None:
             missed.append(jnp.asarray(jnp.inf, r.dtype))
         else:
-            missed.append(term.metres * jnp.sqrt(jnp.max(jnp.sum(r**2, -1))))
-            r = clamp_lengths(r, 0.1 * _arm_length(model.skeleton) / term.metres)
+            missed.append(term.metres_per_deviation * jnp.sqrt(jnp.max(jnp.sum(r**2, -1))))
+            r = clamp_lengths(r, 0.1 * _arm_length(model.skeleton) / term.metres_per_deviation)
         rows.append(J.reshape(-1, J.shape[-1]) / model.skeleton.costs)
         errors.append(-r.ravel())
     if not errors:

@@ -39,10 +39,18 @@ from jaxmocap.evidence.edges import EdgeFields, weighted_edges
 from jaxmocap.evidence.keypoints import lines_of_sight
 from jaxmocap.evidence.markers import Goals, SearchedElbows
 from jaxmocap.evidence.posture import EstimatedPose, NearEstimate
-from jaxmocap.evidence.terms import Measurements, PosedBody, Term, linearised, residuals
+from jaxmocap.evidence.terms import (
+    Measurements,
+    PosedBody,
+    Term,
+    linearised,
+    linearised_term,
+    residuals,
+)
 from jaxmocap.geometry.cameras import project
 from jaxmocap.hybrid.gradient import Aims, refine_body
-from jaxmocap.hybrid.settings import GradientSettings, Settings
+from jaxmocap.hybrid.ik import reach
+from jaxmocap.hybrid.settings import GradientSettings, IKSettings, Settings
 from jaxmocap.images.regions import Region
 from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.settings import SmoothingSettings
@@ -147,8 +155,8 @@ CASES = [(name, "unmarked feet") for name in TERMS] + [(name, "marked feet") for
 
 
 @jax.jit
-def both_jacobians(term, model, pose, measured):
-    """Of a term's residuals: by ``linearised``, and by central differences."""
+def all_jacobians(term, model, pose, measured):
+    """Of a term's residuals: by ``linearised``, by central differences, by its own formula."""
     dofs, logarithms = ROOT_DOF + pose.angles.size, jnp.asarray(LOGARITHMS, float)
 
     def moved(step):
@@ -157,7 +165,9 @@ def both_jacobians(term, model, pose, measured):
 
     steps = 1e-6 * jnp.eye(dofs + len(PROPORTIONS))
     rise = jax.vmap(moved)(steps) - jax.vmap(moved)(-steps)
-    return linearised((term,), model, logarithms, pose, measured).jacobian, rise.T / 2e-6
+    person = replace(model, skeleton=scaled(model.skeleton, logarithms))
+    alone = linearised_term(term, person, pose, measured)[1].reshape(-1, dofs)
+    return linearised((term,), model, logarithms, pose, measured).jacobian, rise.T / 2e-6, alone
 
 
 def test_there_are_all_terms_of_the_package():
@@ -185,9 +195,12 @@ def test_a_terms_derivative_is_that_of_finite_differences(name, feet, pose):
         term, model, measured = in_double(
             (TERMS[name], MODEL if feet == "unmarked feet" else MARKED_FEET, measured)
         )
-        ours, expected = map(np.asarray, both_jacobians(term, model, on_device(pose), measured))
+        ours, expected, alone = map(
+            np.asarray, all_jacobians(term, model, on_device(pose), measured)
+        )
     largest = max(1.0, np.abs(expected).max(initial=0))
     np.testing.assert_allclose(ours, expected, atol=1e-6 * largest)
+    np.testing.assert_allclose(alone, ours[:, : alone.shape[1]], atol=1e-9 * largest)
     # On marked feet the ground and balance are silent.
     silent = feet == "marked feet" and name in ("Ground", "Balance")
     assert (not ours.size) == silent
@@ -245,6 +258,24 @@ def test_a_new_term_takes_part_in_smoothing():
     np.testing.assert_allclose(
         smoothed(SmoothingWithAStick(stick=HandsApart(metres=0.45))), 0.45, atol=0.005
     )
+
+
+@settings
+class IKWithAStick(IKSettings):
+    """The settings and one term more."""
+
+    stick: HandsApart = group(HandsApart, "of the hands on a stick")
+
+
+def test_a_new_term_takes_part_in_inverse_kinematics():
+    start = on_device(Pose(*(part[1] for part in truth(COUNT))))
+    model = jax.tree.map(jnp.asarray, MODEL)
+    goals = another_moment()["goals"]._replace(weights=np.array([1.0, 0, 0, 1, 1], np.float32))
+    solve = jax.jit(lambda chosen: reach(model, chosen, {"goals": on_device(goals)}, start)[0])
+    apart = [hands_apart(points_of(jax.tree.map(lambda part: part[None], solve(chosen))))
+             for chosen in (IKSettings(), IKWithAStick())]  # fmt: skip
+    assert abs(apart[0] - 0.6) > 0.02
+    np.testing.assert_allclose(apart[1], 0.6, atol=0.001)
 
 
 def test_a_new_term_takes_part_in_the_gradient_refinement():
