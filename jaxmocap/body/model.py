@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmocap.body import arms
+from jaxmocap.body.arms import SIDES
 from jaxmocap.body.kinematics import Sites, joined_sites, landmark_sites
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera, stack_cameras
 
-SIDES = ("l", "r")
 # A marker on one of these parts of a leg holds the foot of its side.
 LOWER_LEG = ("shank", "foot")
 # The paper's five targets but the feet.

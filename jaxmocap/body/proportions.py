@@ -19,7 +19,7 @@ class Proportion(NamedTuple):
 
     Attributes:
         name: of it.
-        bones: how the bones' names begin.
+        bones: groups of them, or parts.
         deviation: of its logarithm among people, given the subject that a recording states.
     """
 
@@ -32,27 +32,27 @@ class Proportion(NamedTuple):
 # A trunk that bends is shorter than one that stands, and shoulders move on the ribs.
 PROPORTIONS = (
     Proportion("trunk length", ("spine",), 0.08),
-    Proportion("shoulder breadth", ("clavicle",), 0.08),
+    Proportion("shoulder breadth", ("shoulder",), 0.08),
 )
 # All that a clip made for it may correct. Lengths vary less among people of one stature than where
 # joints are said to lie among authors; both are in these deviations.
 LENGTHS = (
     *PROPORTIONS,
-    Proportion("neck and head", ("neck", "head"), 0.05),
-    Proportion("upper arm", ("humerus",), 0.05),
-    Proportion("forearm", ("radius",), 0.05),
+    Proportion("neck and head", ("head",), 0.05),
+    Proportion("upper arm", ("upper_arm",), 0.05),
+    Proportion("forearm", ("forearm",), 0.05),
     Proportion("hand", ("hand",), 0.05),
-    Proportion("hip breadth", ("hip_",), 0.08),
-    Proportion("thigh", ("femur",), 0.05),
-    Proportion("shank", ("tibia",), 0.05),
+    Proportion("hip breadth", ("hip",), 0.08),
+    Proportion("thigh", ("thigh",), 0.05),
+    Proportion("shank", ("shank",), 0.05),
 )
 # Clothes and muscle: held to be as stated, they would pass for lengths.
 GIRTHS = (
-    Proportion("head's girth", ("neck", "head"), 0.15),
-    Proportion("trunk's girth", ("spine", "clavicle", "hip_"), 0.15),
-    Proportion("upper arm's girth", ("humerus",), 0.15),
-    Proportion("forearm's girth", ("radius", "hand"), 0.15),
-    Proportion("leg's girth", ("femur", "tibia"), 0.15),
+    Proportion("head's girth", ("head",), 0.15),
+    Proportion("trunk's girth", ("spine", "shoulder", "hip"), 0.15),
+    Proportion("upper arm's girth", ("upper_arm",), 0.15),
+    Proportion("forearm's girth", ("forearm", "hand"), 0.15),
+    Proportion("leg's girth", ("thigh", "shank"), 0.15),
 )
 # By which a stature that somebody stated is wrong, and all lengths with it.
 STATURE = 0.02
@@ -73,8 +73,9 @@ def scaled(skeleton: Skeleton, logarithms: Array) -> Skeleton:
 
 def _factors(skeleton: Skeleton, proportions: tuple[Proportion, ...], logarithms: Array) -> Array:
     """One for each bone."""
-    bones = skeleton.tree.bones
-    scales = np.array([[bone.startswith(p.bones) for p in proportions] for bone in bones])
+    tree = skeleton.tree
+    bones = np.arange(len(tree.bones))
+    scales = np.array([np.isin(bones, tree.bones_in(*p.bones)) for p in proportions]).T
     return jnp.exp(jnp.asarray(scales, skeleton.lengths.dtype) @ logarithms)
 
 

@@ -38,12 +38,11 @@ def stoutness(skeleton: Skeleton, measured: dict[str, BodySlices]) -> float:
     for patch in usual.patches:
         if patch.name not in measured:
             continue
-        side = -1.0 if patch.name.endswith("_r") else 1.0
         grids = [patch.grid(n) for n in (nodes, thick)]
         low, high = np.sort(measured[patch.name].levels)[[0, -1]]
         within = (grids[0][:, 0, 2] > low) & (grids[0][:, 0, 2] < high)
         within[[0, -1]] = False
-        new = fitted_grid(grids[0], side, measured[patch.name])
+        new = fitted_grid(grids[0], patch.outwards, measured[patch.name])
         was, grown, now = (np.log(_size(grid[within])) for grid in (*grids, new))
         slopes.append((grown - was) / np.log(STOUTER_GIRTH))
         ratios.append(now - was)

@@ -236,11 +236,10 @@ def _nodes(
     nodes = rest_nodes(surface, joints)
     for patch in surface.patches:
         grid = patch.grid(nodes)
-        side = -1.0 if patch.name.endswith("_r") else 1.0
-        if patch.name.startswith("arm"):
-            below = joints[skeleton.tree.bone(f"hand_{patch.name[-1]}"), 2] - grid[..., 2]
-            longer = hands[0 if side > 0 else 1] / below[-1, 0] - 1
+        if patch.limb == "arm":
+            below = joints[skeleton.tree.bones_in("hand", side=patch.side)[0], 2] - grid[..., 2]
+            longer = hands["lr".index(patch.side)] / below[-1, 0] - 1
             grid[..., 2] -= longer * np.maximum(below, 0)
         if patch.name in measured:
-            grid[:] = fitted_grid(grid, side, measured[patch.name])
+            grid[:] = fitted_grid(grid, patch.outwards, measured[patch.name])
     return nodes

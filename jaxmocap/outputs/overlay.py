@@ -141,15 +141,16 @@ class OverlayArtist:
     def _confidence(self, sample: int) -> dict[str, float]:
         report = self.motion.report
         left, right = (np.nan, np.nan) if report is None else report.confidence[sample]
-        return {"elbow_l": float(left), "elbow_r": float(right)}
+        return {"l": float(left), "r": float(right)}
 
     def _draw_outlines(
         self, canvas: np.ndarray, near: np.ndarray, far: np.ndarray, size: int
     ) -> None:
-        arms = self.scene.arms
+        tree = self.scene.tree
+        arms = tree.bones_in("arm")
         loops = limb_outlines(self.camera, near[arms], far[arms], self.scene.radii[arms])
         for bone, loop in zip(arms, loops, strict=True):
-            _draw_line(canvas, loop, OUTLINE_COLOURS[self.scene.bones[bone][-1]], size)
+            _draw_line(canvas, loop, OUTLINE_COLOURS[tree.segments[bone].side], size)
 
     def _draw_points(
         self, canvas: np.ndarray, near: np.ndarray, far: np.ndarray, sample: int, size: int
@@ -163,10 +164,9 @@ class OverlayArtist:
         for line in np.stack([near_xy, far_xy], 1):
             _draw_line(canvas, line, BONE_COLOUR, size)
         confidence = self._confidence(sample)
-        for bone, pixel in zip(self.scene.bones, near_xy, strict=True):
-            elbow = bone.replace("radius", "elbow")
-            if elbow in confidence:
-                _draw_dot(canvas, pixel, confidence_colour(confidence[elbow]), 5 * size)
+        for segment, pixel in zip(self.scene.tree.segments, near_xy, strict=True):
+            if segment.part == "forearm":
+                _draw_dot(canvas, pixel, confidence_colour(confidence[segment.side]), 5 * size)
             else:
                 _draw_dot(canvas, pixel, JOINT_COLOUR, 2 * size)
         for pixel in targets_xy:
@@ -216,7 +216,7 @@ def _draw_legend(
     title = f"t = {time:.3f} s" + ("" if tracked else ", no pose")
     lines: list[tuple[str, tuple[int, int, int]]] = [(title, JOINT_COLOUR)]
     for side, name in (("l", "left"), ("r", "right")):
-        value = confidence[f"elbow_{side}"]
+        value = confidence[side]
         text = f"{name} elbow: confidence " + (f"{value:.2f}" if np.isfinite(value) else "unknown")
         lines.append((text, confidence_colour(value)))
     for row, (text, colour) in enumerate(lines, 1):

@@ -73,7 +73,7 @@ def log_body(
     """Limbs as solids, if wanted, moved by their bones' transforms; the skeleton as lines."""
     log_limbs(stream, motion.skeleton, limbs)
     wxyz = np.asarray(quaternion_from_matrix(jnp.asarray(scene.R_world_bone)))
-    for i, bone in enumerate(scene.bones):
+    for i, bone in enumerate(scene.tree.bones):
         turns = np.roll(wxyz[:, i], -1, axis=-1)
         columns = rr.Transform3D.columns(translation=scene.near[:, i], quaternion=turns)
         stream.send_columns(f"world/body/{bone}", [_at(scene.times)], columns)
@@ -84,7 +84,7 @@ def log_body(
 def log_moment(stream: rr.RecordingStream, scene: BodyScene) -> None:
     """The pose of the body of ``log_limbs`` at the one time of a scene."""
     stream.set_time(TIMELINE, duration=float(scene.times[0]))
-    for i, bone in enumerate(scene.bones):
+    for i, bone in enumerate(scene.tree.bones):
         placed = rr.Transform3D(translation=scene.near[0, i], mat3x3=scene.R_world_bone[0, i])
         stream.log(f"world/body/{bone}", placed)
     strips = np.stack([scene.near[0], scene.far[0]], 1)
@@ -100,10 +100,10 @@ def log_values(stream: rr.RecordingStream, root: str, values: Mapping[str, float
 def log_limbs(stream: rr.RecordingStream, skeleton: Skeleton, solids: bool = True) -> None:
     """The static parts of a body: the limbs' solids, if wanted, the style of the skeleton."""
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    bones = skeleton.tree.bones
+    colours = [COLOURS[segment.side] for segment in skeleton.tree.segments]
     reach = np.asarray(skeleton.lengths[:, None] * skeleton.directions)
     radii = np.asarray(skeleton.diameters) / 2
-    for i, bone in enumerate(bones if solids else ()):
+    for i, bone in enumerate(skeleton.tree.bones if solids else ()):
         solid = limb_solid(reach[i], radii[i])
         stream.log(
             f"world/body/{bone}",
@@ -111,16 +111,12 @@ def log_limbs(stream: rr.RecordingStream, skeleton: Skeleton, solids: bool = Tru
                 vertex_positions=solid.vertices,
                 vertex_normals=solid.normals,
                 triangle_indices=solid.triangles,
-                albedo_factor=(*_colour(bone), LIMB_OPACITY),
+                albedo_factor=(*colours[i], LIMB_OPACITY),
             ),
             static=True,
         )
-    style = rr.LineStrips3D.from_fields(radii=0.006, colors=[_colour(bone) for bone in bones])
+    style = rr.LineStrips3D.from_fields(radii=0.006, colors=colours)
     stream.log("world/skeleton", style, static=True)
-
-
-def _colour(bone: str) -> tuple[int, int, int]:
-    return COLOURS[bone[-1] if bone[-2:] in ("_l", "_r") else ""]
 
 
 def log_targets(
@@ -214,7 +210,7 @@ def log_outlines(
     stream: rr.RecordingStream, name: str, camera: Camera, scene: BodyScene, times: np.ndarray
 ) -> None:
     """The arms' outlines and all bones over the image, at the frames' times."""
-    arms, ends = scene.arms, [(time, scene.at(time)) for time in times]
+    arms, ends = scene.tree.bones_in("arm"), [(time, scene.at(time)) for time in times]
     at = np.array([time for time, pair in ends if pair is not None])
     if not len(at):
         return
@@ -222,7 +218,7 @@ def log_outlines(
     outlines = limb_outlines(camera, near[:, arms], far[:, arms], scene.radii[arms])
     bones = pixels(camera, np.stack([near, far], 2))
     for label, strips, colours, width in (
-        ("outlines", outlines, [_colour(scene.bones[i]) for i in arms], 1.0),
+        ("outlines", outlines, [COLOURS[scene.tree.segments[i].side] for i in arms], 1.0),
         ("bones", bones, COLOURS[""], 0.6),
     ):
         entity = entity_path("world", "cameras", name, label)

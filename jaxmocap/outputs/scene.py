@@ -15,10 +15,10 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.cones import cones
+from jaxmocap.body.tree import Tree
 from jaxmocap.geometry.cameras import NEAREST_M, Camera, depth, project, to_camera, to_pixels
 from jaxmocap.geometry.outlines import outline, project_limb
 
-ARM_BONES = tuple(f"{bone}_{side}" for side in "lr" for bone in ("humerus", "radius", "hand"))
 # Points on each straight side of an outline: smooth at 500 pixels.
 POINTS_ALONG = 8
 # Points on each round end of an outline.
@@ -30,7 +30,7 @@ class BodyScene:
     """A body of B bones over T samples, in the world.
 
     Attributes:
-        bones: names.
+        tree: names and kinds of the bones.
         times: (T,) seconds.
         R_world_bone: (T, B, 3, 3) orientations.
         near: (T, B, 3) the bones' joints, world, metres.
@@ -38,17 +38,12 @@ class BodyScene:
         radii: (B, 2) of the flesh at both ends, metres.
     """
 
-    bones: tuple[str, ...]
+    tree: Tree
     times: np.ndarray
     R_world_bone: np.ndarray
     near: np.ndarray
     far: np.ndarray
     radii: np.ndarray
-
-    @property
-    def arms(self) -> np.ndarray:
-        """Indices of the arms' bones that this body has."""
-        return np.array([i for i, name in enumerate(self.bones) if name in ARM_BONES], int)
 
     def at(self, time: float) -> tuple[np.ndarray, np.ndarray] | None:
         """Near and far ends (B, 3) at a time, between the samples on a straight line.
@@ -73,7 +68,7 @@ def make_scene(motion: Motion) -> BodyScene:
     poses = Pose(*(jnp.asarray(part, dtype) for part in motion.poses))
     R, near, far = _place(motion.skeleton, poses)
     return BodyScene(
-        motion.skeleton.tree.bones,
+        motion.skeleton.tree,
         np.asarray(motion.times, float),
         np.asarray(R),
         np.asarray(near),

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxmocap.body.arms import limb_bones
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.capture.footage import open_footage
@@ -30,7 +31,7 @@ from jaxmocap.images.edges import Thresholds, edge_image, gradients
 from jaxmocap.images.regions import Region, crop, region_around
 from jaxmocap.outputs.overlay import write_overlay
 from jaxmocap.outputs.report import write_report
-from jaxmocap.outputs.scene import ARM_BONES, make_scene, pixels
+from jaxmocap.outputs.scene import make_scene, pixels
 from jaxmocap.outputs.viewer import Footage, write_rerun
 from jaxmocap.pipelines.progress import Progress, progress_bar
 
@@ -285,8 +286,8 @@ def arm_regions_over_time(
 ) -> Region:
     """Regions (F, 2) around shoulder, elbow and hand of each arm at (F,) seconds; NaN unseen."""
     scene = make_scene(motion)
-    bones = np.array([scene.bones.index(bone) for bone in ARM_BONES]).reshape(2, 3)
-    missing = np.full((2, len(scene.bones), 3), np.nan)
+    bones = limb_bones(scene.tree)
+    missing = np.full((2, len(scene.tree.bones), 3), np.nan)
     ends = np.array([missing if (pair := scene.at(t)) is None else pair for t in times])
     near, far = ends[:, 0, bones], ends[:, 1, bones[:, 2:]]
     points = np.concatenate([near[:, :, :2], far], 2)

@@ -1,5 +1,6 @@
 """Bodies that nobody thought of: a tail by a file alone, joints of other names, old files."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -10,6 +11,7 @@ import pytest
 from jaxmocap.body.kinematics import Sites, forward, joined_sites, landmark_sites, site_positions
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose, relaxed_pose
+from jaxmocap.body.proportions import GIRTHS, LENGTHS, scaled
 from jaxmocap.body.skeleton import (
     LANDMARKS,
     Skeleton,
@@ -23,6 +25,8 @@ from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.posture import NearPose
 from jaxmocap.formats.motion_npz import load_motion, save_motion
 from jaxmocap.hybrid.tracker import HybridTracker
+from jaxmocap.outputs.overlay import OverlayArtist
+from jaxmocap.synthetic.drawing_camera import look_at
 
 TAILED = Path(__file__).parent / "tailed.toml"
 POINTS = jax.jit(lambda body, pose, sites: site_positions(body, forward(body, pose), sites))
@@ -94,6 +98,35 @@ def test_bones_are_asked_for_by_group_part_and_side():
     assert tree.names_in("spine", side="") == ("spine1", "spine2", "spine3")
     assert tree.names_in("tail") == ()
     assert set(range(len(tree.bones))) - set(tree.drawn) == set(tree.bones_in("foot"))
+
+
+def renamed(body: Skeleton, **names: str) -> Skeleton:
+    """The same body with other names for some bones."""
+    bones = tuple(names.get(name, name) for name in body.tree.bones)
+    return replace(body, tree=replace(body.tree, bones=bones))
+
+
+def test_a_tail_named_as_a_spine_is_not_scaled_as_one():
+    factors = jnp.linspace(-0.1, 0.1, len(LENGTHS) + len(GIRTHS))
+    body = load_skeleton(TAILED)
+    told, other = scaled(body, factors), scaled(renamed(body, tail1="spine_tail"), factors)
+    tail = body.tree.bones_in("tail")
+    np.testing.assert_array_equal(other.lengths[tail], body.lengths[tail])
+    np.testing.assert_array_equal(other.lengths, told.lengths)
+    np.testing.assert_array_equal(other.diameters, told.diameters)
+
+
+def test_bones_of_other_names_are_drawn_alike():
+    camera = look_at((3.0, 0.6, 1.3), (0.0, 0.0, 0.95), size=(96, 72), focal=95.0, distortion=())
+    body = load_skeleton(TAILED)
+    other = renamed(body, humerus_l="UpperArm.L", radius_l="ForeArm.L", hand_r="paw")
+    poses = Pose(*(np.asarray(part)[None] for part in relaxed_pose(body)))
+    canvases = []
+    for each in (body, other):
+        canvases.append(np.zeros((72, 96, 3), np.uint8))
+        OverlayArtist(camera, Motion(each, np.zeros(1), poses)).draw(canvases[-1], 0.0)
+    np.testing.assert_array_equal(*canvases)
+    assert canvases[0].any()
 
 
 def test_landmarks_and_their_mismatches_come_from_the_humans_file():

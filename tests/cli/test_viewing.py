@@ -13,6 +13,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.tree import Tree
 from jaxmocap.cli import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.outputs import live_view
@@ -25,7 +26,7 @@ from jaxmocap.synthetic.drawing_camera import look_at
 
 CAMERA = look_at((3.0, 0.6, 1.3), (0.0, 0.0, 0.95), size=(96, 72), focal=95.0, distortion=())
 SCENE = BodyScene(
-    ("head",),
+    Tree(("head",), (-1,), (), ()),
     np.zeros(1),
     np.eye(3)[None, None],
     np.zeros((1, 1, 3)),

@@ -48,7 +48,7 @@ def test_a_factor_changes_its_own_bones_and_nothing_else():
     for row, proportion in enumerate((*LENGTHS, *GIRTHS)):
         logarithms = jnp.zeros(ALL).at[row].set(0.1)
         person = scaled(PERSON, logarithms)
-        own = np.array([bone.startswith(proportion.bones) for bone in PERSON.tree.bones])
+        own = np.isin(PERSON.tree.bones, PERSON.tree.names_in(*proportion.bones))
         assert own.any()
         lengths = np.where(own & (row < len(LENGTHS)), np.exp(0.1), 1.0)
         girths = np.where(own & (row >= len(LENGTHS)), np.exp(0.1), 1.0)

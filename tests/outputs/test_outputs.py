@@ -137,13 +137,13 @@ def test_elbows_outlines_and_targets_are_drawn_where_they_project(motion, target
     x, y = pixels(camera, targets["Head"][20]).round().astype(int)
     np.testing.assert_allclose(canvas[y, x], (255, 60, 255), atol=60)
     scene = artist.scene
-    arms = scene.arms
+    arms = scene.tree.bones_in("arm")
     loops = limb_outlines(camera, scene.near[20, arms], scene.far[20, arms], scene.radii[arms])
     for bone, loop in zip(arms, loops, strict=True):
         x, y = loop.round().astype(int).T
         # Blue and red trade places between the left and the right arm's colours.
         cooler = canvas[y, x, 0].astype(int) - canvas[y, x, 2]
-        assert np.median(cooler if scene.bones[bone].endswith("_l") else -cooler) > 40
+        assert np.median(cooler if scene.tree.bones[bone].endswith("_l") else -cooler) > 40
 
 
 def test_a_missing_marker_is_not_drawn_and_beyond_the_motion_there_is_no_body(motion, targets):

@@ -40,7 +40,7 @@ class Patch:
     """A grid of nodes: rings of ``around`` nodes, ``along`` of them from the near end to the far.
 
     Attributes:
-        name: of the limb.
+        name: of the limb, and of its side: ``arm_l``.
         around: nodes of a ring.
         along: rings.
         start: index of its first node in the surface; node (ring v, place u) is
@@ -51,6 +51,26 @@ class Patch:
     around: int
     along: int
     start: int
+
+    @property
+    def limb(self) -> str:
+        """The name without the side."""
+        return self.name.partition("_")[0]
+
+    @property
+    def side(self) -> str:
+        """``l`` or ``r``; "" in the middle."""
+        return self.name.partition("_")[2]
+
+    @property
+    def outwards(self) -> int:
+        """Where 90 degrees around it lie: 1 to the left, -1 to the right."""
+        return -1 if self.side == "r" else 1
+
+    @property
+    def continued(self) -> str:
+        """Name of the patch whose limb it belongs to: a foot continues its leg."""
+        return self.name.replace("foot", "leg")
 
     @property
     def nodes(self) -> slice:

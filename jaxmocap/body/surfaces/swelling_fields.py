@@ -45,7 +45,7 @@ def fields_of(surface: Surface, joints: np.ndarray) -> SwellingFields:
     nodes = rest_nodes(surface, joints)
     for patch in surface.patches:
         grid = patch.grid(nodes)
-        limb = patch.name.partition("_")[0]
+        limb = patch.limb
         ways, parts = _ways(patch, grid), _parts(grid, STRETCHES[limb])
         for column, (of, kind, stretch) in enumerate(names):
             if of == limb:
@@ -63,7 +63,7 @@ def reshaped(surface: Surface, fields: SwellingFields, amounts: np.ndarray) -> S
 
 
 def _names(surface: Surface) -> tuple[tuple[str, str, int], ...]:
-    limbs = dict.fromkeys(patch.name.partition("_")[0] for patch in surface.patches)
+    limbs = dict.fromkeys(patch.limb for patch in surface.patches)
     return tuple(
         (limb, kind, stretch)
         for limb in limbs
@@ -78,7 +78,7 @@ def _ways(patch: Patch, grid: np.ndarray) -> dict[str, np.ndarray]:
     phi = 2 * np.pi * np.arange(patch.around) / patch.around
     upright = np.ptp(grid.mean(1)[:, 2]) > np.ptp(grid.mean(1)[:, 0])
     first = np.eye(3)[0 if upright else 2]
-    second = np.eye(3)[1] * (-1 if patch.name.endswith("_r") else 1)
+    second = np.eye(3)[1] * patch.outwards
     outwards = np.cos(phi)[:, None] * first + np.sin(phi)[:, None] * second
     ways = {
         "girth": outwards,

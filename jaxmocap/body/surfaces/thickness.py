@@ -29,8 +29,7 @@ def with_thickness(skeleton: Skeleton, surface: Surface) -> Skeleton:
         grid = patch.grid(nodes)
         middles = grid.mean(1)
         girths = np.linalg.norm(np.roll(grid, -1, 1) - grid, axis=-1).sum(1)
-        limb, _, side = patch.name.partition("_")
-        for bone in skeleton.tree.bones_in(*MEASURED.get(limb, ()), side=side):
+        for bone in skeleton.tree.bones_in(*MEASURED.get(patch.limb, ()), side=patch.side):
             axis = np.asarray(skeleton.directions[bone], float) * float(skeleton.lengths[bone])
             at = (middles - joints[bone]) @ axis / (axis @ axis)
             kept = (at > FROM) & (at < TO)

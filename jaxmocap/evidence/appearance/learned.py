@@ -17,6 +17,7 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import forward
+from jaxmocap.body.model import LOWER_LEG
 from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
@@ -70,9 +71,6 @@ BARE = (0.5, 0.95)
 GROWN = 1.6
 # Nor like a shoe: so many metres about it.
 SHOE_M = 0.06
-BELOW = ("knee", "ankle", "toe")
-UPPER = [i for i, name in enumerate(LANDMARKS) if not name.startswith(BELOW)]
-LOWER = [i for i, name in enumerate(LANDMARKS) if name.startswith(("hip", *BELOW))]
 
 
 @dataclass(frozen=True)
@@ -196,12 +194,20 @@ class Regions(NamedTuple):
         """Those of poses (F, ...), all at one scale."""
         points = landmarks_over_time(skeleton, poses)
         pixels = np.asarray(project(camera, jnp.asarray(points)))
-        upper = _region(pixels[:, UPPER], CELLS, MARGIN)
-        return cls(upper, _region(pixels[:, LOWER], LEG_CELLS, LEG_MARGIN))
+        upper, legs = landmark_halves(skeleton.tree)
+        around = _region(pixels[:, upper], CELLS, MARGIN)
+        return cls(around, _region(pixels[:, legs], LEG_CELLS, LEG_MARGIN))
 
     def of(self, frame: int) -> "Regions":
         """Of one frame."""
         return jax.tree.map(lambda part: part[frame], self)
+
+
+def landmark_halves(tree: Tree) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the landmarks of the upper half, and of those of the legs; hips are of both."""
+    bones = [tree.bone(bone) for bone, _ in LANDMARKS.values()]
+    is_low, is_leg = (np.isin(bones, tree.bones_in(*kind)) for kind in (LOWER_LEG, ("leg",)))
+    return np.flatnonzero(~is_low), np.flatnonzero(is_leg)
 
 
 def _region(pixels: np.ndarray, cells: int, margin: float) -> Region:

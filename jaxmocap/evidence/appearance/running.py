@@ -26,14 +26,13 @@ from jaxmocap.evidence.appearance.learned import (
     CORE,
     LEG_CELLS,
     LEG_MARGIN,
-    LOWER,
     MARGIN,
-    UPPER,
     AppearanceModel,
     Drawing,
     Regions,
     body_grids,
     in_image,
+    landmark_halves,
 )  # fmt: skip
 from jaxmocap.evidence.silhouettes import FOREARMS, SilhouetteGrids
 from jaxmocap.geometry.cameras import Camera, project
@@ -93,13 +92,13 @@ class _Window:
     """A region that follows some landmarks at a scale that hardly changes.
 
     Attributes:
-        landmarks: which.
+        landmarks: (K,) which.
         cells: to a side.
         margin: around them, as a share of their extent.
         side: of the region so far, pixels.
     """
 
-    landmarks: list[int]
+    landmarks: np.ndarray
     cells: int
     margin: float
     side: float = 0.0
@@ -134,8 +133,9 @@ class RunningAppearance:
         self.background, self.person = RunningBackground(), RunningColours()
         self.forearms = RunningColours()
         self._skeleton, self._camera, self._astray = skeleton, camera, feet_astray
-        self._upper = _Window(UPPER, CELLS, MARGIN)
-        self._lower = _Window(LOWER, LEG_CELLS, LEG_MARGIN)
+        upper, legs = landmark_halves(skeleton.tree)
+        self._upper = _Window(upper, CELLS, MARGIN)
+        self._lower = _Window(legs, LEG_CELLS, LEG_MARGIN)
         self._offered, self._nothing_learned = 0, True
         self._learned: AppearanceModel | None = None
 

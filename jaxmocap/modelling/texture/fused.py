@@ -71,7 +71,7 @@ def baked(
     colours, weights = [], []
     for (name, shot), texels in zip(shots.items(), clouds, strict=True):
         colour, weight = _looked_at(texels, atlas, shot)
-        counts = [COUNTS[name][not patch.name.startswith("arm")] for patch in surface.patches]
+        counts = [COUNTS[name][patch.limb != "arm"] for patch in surface.patches]
         colours.append(colour)
         weights.append(weight * np.array(counts)[texels.patches])
     backdrops = np.array([background_colour(shot.image, shot.view.mask) for shot in shots.values()])
@@ -144,10 +144,9 @@ def _completed(
     full = {name: _closed(part, _mirrored(parts, name)) for name, part in parts.items()}
     everything = np.zeros_like(picture)
     everything[:] = picture[weight > 0].mean(0) if weight.any() else 0
-    for name, rectangle in zip(names, atlas.rectangles, strict=True):
+    for patch, rectangle in zip(surface.patches, atlas.rectangles, strict=True):
         # Of a foot that no photograph shows the leg's lowest colours are all there is.
-        leg = full.get(name.replace("foot", "leg"))
-        colour = full[name]
+        colour, leg = full[patch.name], full.get(patch.continued)
         if colour is None and leg is not None:
             colour = np.broadcast_to(leg[-1:].mean((0, 1)), (rectangle.height, rectangle.width, 3))
         if colour is not None:

@@ -101,16 +101,11 @@ class LengthsReport:
         """Of a body as stated, as estimated, and the fit that changed it."""
         lengths = []
         for row, proportion in enumerate(LENGTHS):
-            bones = [
-                bone
-                for bone in stated.tree.bones
-                if bone.startswith(proportion.bones) and not bone.endswith("_r")
-            ]
+            named = stated.tree.names_in
+            bones = named(*proportion.bones, side="l") or named(*proportion.bones)
             before, after = (_sum(body, bones) for body in (stated, person))
             deviations = float(fit.before[row]), float(fit.after[row])
-            lengths.append(
-                LengthEstimate(proportion.name, tuple(bones), after, before, *deviations)
-            )
+            lengths.append(LengthEstimate(proportion.name, bones, after, before, *deviations))
         count = len(LENGTHS)
         spread = fit.after[:count]
         correlation = fit.covariance[:count, :count] / np.outer(spread, spread)
@@ -168,5 +163,5 @@ class LengthsReport:
         }
 
 
-def _sum(skeleton: Skeleton, bones: list[str]) -> float:
+def _sum(skeleton: Skeleton, bones: tuple[str, ...]) -> float:
     return float(sum(skeleton.lengths[skeleton.tree.bone(bone)] for bone in bones))

@@ -22,9 +22,8 @@ RING_NODES = 12
 RING_STRIDE = 6
 # Where a limb is tested, shares of each bone's length: its root is joined to the trunk.
 TESTED_SHARES = ((0.65, 0.9), (0.25, 0.75), (0.25, 0.75))
-# Limb -> patches that it cannot be in; thighs are joined to the trunk.
-OBSTACLE_PATCHES = {"arm_l": ("torso", "leg_l", "leg_r"), "arm_r": ("torso", "leg_l", "leg_r"),
-          "leg_l": ("leg_r",), "leg_r": ("leg_l",)}  # fmt: skip
+# Limb -> what else it cannot be in; thighs are joined to the trunk.
+OBSTACLES = {"arm": ("torso", "leg"), "leg": ("leg",)}
 
 
 class Obstacles(NamedTuple):
@@ -48,10 +47,11 @@ class Obstacles(NamedTuple):
 
 def obstacle_rings(surface: Surface, limb: str) -> BodyPoints:
     """Points of the parts that a limb cannot be in, ring by ring ``RING_NODES`` of each."""
+    own = next(patch for patch in surface.patches if patch.name == limb)
     chosen = [
         patch.start + np.arange(0, patch.along, RING_STRIDE)[:, None] * patch.around
         + np.arange(RING_NODES) * patch.around // RING_NODES
-        for patch in surface.patches if patch.name in OBSTACLE_PATCHES[limb]
+        for patch in surface.patches if patch != own and patch.limb in OBSTACLES[own.limb]
     ]  # fmt: skip
     nodes = np.concatenate(chosen).ravel()
     return BodyPoints(*(np.asarray(part)[nodes] for part in surface.points))

@@ -217,7 +217,7 @@ class RimFinder:
 
 def limb_numbers(surface: Surface) -> np.ndarray:
     """(M,) uint8 number of every node's limb; a foot and its leg are one."""
-    names = [patch.name.replace("foot", "leg") for patch in surface.patches]
+    names = [patch.continued for patch in surface.patches]
     return np.array([names.index(name) for name in names], np.uint8)[surface.patch_of()]
 
 
