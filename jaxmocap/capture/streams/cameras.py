@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Generator
 from contextlib import closing
 from pathlib import Path
-from threading import Event, Thread
+from threading import Event
 from time import monotonic
 from typing import Any
 
@@ -17,6 +17,7 @@ from av.codec.context import Flags
 from av.error import FFmpegError
 
 from jaxmocap.capture.streams.inbox import LiveFrame
+from jaxmocap.capture.streams.listener import Listener
 from jaxmocap.capture.video import SIZE_TOLERANCE, Video, image_of
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.files.short_repr import short_repr
@@ -36,7 +37,7 @@ LOW_LATENCY_OPTIONS = {
 }
 
 
-class LiveCamera:
+class LiveCamera(Listener):
     """One camera and its thread.
 
     Attributes:
@@ -68,34 +69,15 @@ class LiveCamera:
         Raises:
             InputError: a file that is no video, a device that is not there.
         """
-        self.name, self.last_arrival, self.status, self.problem = (
-            video.camera_name,
-            None,
-            "waiting",
-            None,
-        )
+        super().__init__(f"camera {index}", TIMEOUT_S + 1.0)
+        self.name, self.status = video.camera_name, "waiting"
+        self.last_arrival, self.problem = None, None
         self.frames, self.reason = 0, None
         self._video, self._index, self._on_frame, self._now = video, index, on_frame, now
-        self._stop = Event()
         self._is_retried = not isinstance(video.source, Path)
         self._open = _opener(video, colour, self._stop)
-        self._thread = Thread(target=self._run, name=f"camera {index}", daemon=True)
 
-    def start(self) -> None:
-        """Look from now on."""
-        self._thread.start()
-
-    def ask_to_stop(self) -> None:
-        """Look no more, soon."""
-        self._stop.set()
-
-    def stop(self) -> None:
-        """Look no more; returns within some seconds, though a driver may never let go."""
-        self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join(TIMEOUT_S + 1.0)
-
-    def _run(self) -> None:
+    def _listen(self) -> None:
         while not self._stop.is_set():
             try:
                 # Closed here, whatever ends it: a device is let go, a stream hung up.

@@ -11,10 +11,10 @@ pylsl is loaded when a stream is asked for; it is the extra ``lsl``.
 import math
 from collections import Counter
 from collections.abc import Callable
-from threading import Event, Thread
 from time import monotonic
 from typing import Any, NamedTuple
 
+from jaxmocap.capture.streams.listener import Listener
 from jaxmocap.capture.streams.osc import MAX_DISTANCE_M, MarkerMessage, unit_quaternion
 from jaxmocap.capture.streams.sample_assembly import SampleAssembler
 from jaxmocap.capture.streams.stream_clock import StreamClock
@@ -48,7 +48,7 @@ class MarkerChannels(NamedTuple):
     has_orientation: bool
 
 
-class MarkerStream:
+class MarkerStream(Listener):
     """Listens to a stream.
 
     Attributes:
@@ -77,6 +77,7 @@ class MarkerStream:
         except (ImportError, RuntimeError):
             problem = "needs pylsl, which pip install 'jaxmocap[lsl]' brings"
             raise InputError("[lsl]", problem) from None
+        super().__init__("markers", RESOLVE_TIMEOUT_S + 1.0)
         self._lsl: Any = pylsl
         self._numeric = {pylsl.cf_float32, pylsl.cf_double64, pylsl.cf_int64}
         self._numeric |= {pylsl.cf_int32, pylsl.cf_int16, pylsl.cf_int8}
@@ -85,8 +86,6 @@ class MarkerStream:
         self.clock, self.address = StreamClock(), f"the LSL stream {short_repr(name)}"
         self.refused_hosts: set[str] = set()
         self._name, self._assembler, self._now = name, assembler, now
-        self._stop = Event()
-        self._thread = Thread(target=self._listen, name="markers", daemon=True)
 
     @property
     def clock_jumps(self) -> int:
@@ -96,20 +95,6 @@ class MarkerStream:
     def packets_by_sender(self) -> dict[str, int]:
         """Sender -> packets that came in from there."""
         return {self._name: self.packets}
-
-    def start(self) -> None:
-        """Listen from now on."""
-        self._thread.start()
-
-    def ask_to_stop(self) -> None:
-        """Listen no more, soon."""
-        self._stop.set()
-
-    def stop(self) -> None:
-        """Listen no more; returns within some seconds."""
-        self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join(RESOLVE_TIMEOUT_S + 1.0)
 
     def _listen(self) -> None:
         while not self._stop.is_set() and self.problem is None:

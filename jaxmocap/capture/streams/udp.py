@@ -8,10 +8,10 @@ import select
 import socket
 from collections import Counter
 from collections.abc import Callable, Sequence
-from threading import Event, Thread
 from time import monotonic
 from typing import NamedTuple
 
+from jaxmocap.capture.streams.listener import Listener
 from jaxmocap.capture.streams.osc import BadPacketError, parse_packet
 from jaxmocap.capture.streams.sample_assembly import SampleAssembler
 from jaxmocap.capture.streams.senders import PacketSender, PacketSenders, TokenBucket, fair_shares
@@ -42,7 +42,7 @@ class Datagram(NamedTuple):
     port: int
 
 
-class MarkerSocket:
+class MarkerSocket(Listener):
     """Listens for markers.
 
     Attributes:
@@ -77,15 +77,14 @@ class MarkerSocket:
         Raises:
             InputError: the address cannot be had.
         """
+        super().__init__("markers", 1.0)
         self.ignored: Counter[str] = Counter()
         self.packets, self.last_arrival = 0, None
         self.senders = PacketSenders(allowed)
         self._assembler, self._raw, self._now = assembler, raw, now
         self._bucket = TokenBucket(MAX_PACKETS_HZ, MAX_BURST, now())
-        self._stop = Event()
         self._socket = _bound_socket(address)
         self.address = Address(address.host, self._socket.getsockname()[1])
-        self._thread = Thread(target=self._listen, name="markers", daemon=True)
 
     @property
     def clock_jumps(self) -> int:
@@ -105,17 +104,11 @@ class MarkerSocket:
         """Listen from now on; what came before is old."""
         self._waiting()
         self._bucket = TokenBucket(MAX_PACKETS_HZ, MAX_BURST, self._now())
-        self._thread.start()
-
-    def ask_to_stop(self) -> None:
-        """Listen no more, soon."""
-        self._stop.set()
+        super().start()
 
     def stop(self) -> None:
         """Listen no more; returns within about a second."""
-        self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join(1.0)
+        super().stop()
         self._socket.close()
 
     def _listen(self) -> None:
