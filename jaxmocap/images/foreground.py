@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxmocap.images.background_model import Background, as_learned, learn_background, spread
 from jaxmocap.images.colours import Colours, colour_bins, learn_colours
+from jaxmocap.images.shadows import lit_or_shaded_density
 
 # Rows and columns of an image.
 Window = tuple[slice, slice]
@@ -21,10 +22,6 @@ EVERYWHERE = (slice(None), slice(None))
 MOST_ODDS = 4.0
 # Of the background's pixels, how many show something else: passers-by, reflections, screens.
 STRANGE = 0.02
-# How many lie in shadow, and how much light is left there at least.
-SHADED, DARKEST = 0.05, 0.6
-# Beyond this exponent a normal density is none at all (and would underflow).
-FARTHEST = 60.0
 # Weight of the colours where they are all there is: neighbouring pixels share their errors.
 COLOURS_ALONE = 0.5
 # While learning, a pixel within the body's reach is background from these log-odds downwards.
@@ -109,22 +106,10 @@ def log_odds_of(
 
 
 def _like(frame: np.ndarray, background: Background) -> np.ndarray:
-    """Density (h, w), per cubic grey level, of a frame's colours under background, lit or shaded.
-
-    Normal about the background's colour; or, in shadow, evenly on the way from there towards black
-    as far as ``DARKEST``, and normal across it.
-    """
+    """``lit_or_shaded_density`` (h, w) of a frame's colours (h, w, 3) uint8."""
     seen, room = frame.astype(np.float32), background.colour
-    room_room, seen_room, seen_seen = _dot(room, room) + 1, _dot(seen, room), _dot(seen, seen)
-    lit = np.clip(seen_room / room_room, DARKEST, 1)
-    across = seen_seen - lit * (2 * seen_room - lit * room_room)
-    away = seen_seen - 2 * seen_room + room_room
-    precision = 0.5 / background.noise**2
-    planar = precision / np.pi
-    plain = planar * np.sqrt(planar) * cv2.exp(-np.minimum(away * precision, FARTHEST))
-    length = (1 - DARKEST) * np.sqrt(room_room)
-    shaded = planar / length * cv2.exp(-np.minimum(across * precision, FARTHEST))
-    return (1 - SHADED) * plain + SHADED * shaded
+    products = _dot(seen, seen), _dot(seen, room), _dot(room, room)
+    return lit_or_shaded_density(*products, background.noise, cv2.exp)
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -11,10 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxmocap.images.colours import LEVELS
+from jaxmocap.images.shadows import lit_or_shaded_density
+
 # Bins of a histogram of grey levels.
 GREYS = 64
-# Bins of each of three channels in a joint histogram.
-LEVELS = 16
 # Deviations of the Gaussian kernels that smooth either, bins.
 GREY_BLUR = 1.5
 COLOUR_BLUR = 0.5
@@ -24,12 +25,6 @@ EVEN_SHARE = 1e-3
 LUMINANCE = (0.114, 0.587, 0.299)
 # Histograms are counted on one cell in so many of one row in so many.
 COUNT_STRIDE = 2
-# Share of the background that lies in shadow.
-SHADED_SHARE = 0.05
-# Light that is left there, at least.
-DARKEST_SHADOW = 0.6
-# Exponents of a normal density are cut off here, so that it stays above 0.
-LARGEST_EXPONENT = 60.0
 
 
 def grey_bins(colour: Array) -> Array:
@@ -82,24 +77,10 @@ def lookup(density: Array, bins: Array) -> Array:
 
 
 def background_density(colour: Array, background: Array, noise: Array) -> Array:
-    """Density (V, S, S), per cubic grey level, of colours (V, 3, S, S) before the background.
-
-    The background is lit or in shadow: normal about its colour; or, in shadow, evenly on the way
-    from there towards black as far as ``DARKEST_SHADOW``, and normal across it, as
-    ``images.foreground`` has it on the host.
-    """
-    squared, product = jnp.sum(background * background, 1) + 1, jnp.sum(colour * background, 1)
-    colour_squared = jnp.sum(colour * colour, 1)
-    lit = jnp.clip(product / squared, DARKEST_SHADOW, 1)
-    across = colour_squared - lit * (2 * product - lit * squared)
-    away = colour_squared - 2 * product + squared
-    precision = 0.5 / noise**2
-    planar = precision / jnp.pi
-    plain = jnp.exp(-jnp.minimum(away * precision, LARGEST_EXPONENT))
-    plain = planar * jnp.sqrt(planar) * plain
-    length = (1 - DARKEST_SHADOW) * jnp.sqrt(squared)
-    shaded = planar / length * jnp.exp(-jnp.minimum(across * precision, LARGEST_EXPONENT))
-    return (1 - SHADED_SHARE) * plain + SHADED_SHARE * shaded
+    """``lit_or_shaded_density`` (V, S, S) of colours (V, 3, S, S) before a background's."""
+    pairs = (colour, colour), (colour, background), (background, background)
+    squared, product, expected = (jnp.sum(a * b, 1) for a, b in pairs)
+    return lit_or_shaded_density(squared, product, expected, noise, jnp.exp)
 
 
 @lru_cache
