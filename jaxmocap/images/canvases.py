@@ -50,7 +50,7 @@ def canvas(
         nothing = np.zeros((size, size), np.float32)
         room = np.zeros((size, size, 3), np.uint8)
         return Canvas(part(image), inside, room, nothing + 1, nothing)
-    known = part(background.known) * (inside > 0.5)
+    known = mask_canvas(background.known, region, size)
     return Canvas(
         part(image),
         inside,
@@ -60,13 +60,15 @@ def canvas(
     )
 
 
-def silhouette_signed_distance(mask: np.ndarray, region: Region, size: int) -> np.ndarray:
-    """Φ (S, S) float32 of a mask (H, W) bool: cells from its border, positive within."""
-    within = (mask_canvas(mask, region, size) > 0.5).astype(np.uint8)
+def silhouette_distance(mask: np.ndarray, chamfer: int = 5) -> np.ndarray:
+    """Φ (h, w) float32 of a mask (h, w): cells from its border, positive within.
+
+    By a chamfer of 3 x 3 or 5 x 5 cells.
+    """
+    within = (mask > 0).astype(np.uint8)
     if not within.any() or within.all():
-        return np.full((size, size), FARTHEST if within.any() else -FARTHEST, np.float32)
-    inner = cv2.distanceTransform(within, cv2.DIST_L2, 5)
-    outer = cv2.distanceTransform(1 - within, cv2.DIST_L2, 5)
+        return np.full(mask.shape, FARTHEST if within.any() else -FARTHEST, np.float32)
+    inner, outer = (cv2.distanceTransform(p, cv2.DIST_L2, chamfer) for p in (within, 1 - within))
     # From the border between cells, which lies half a cell from their middles.
     distance = np.where(within > 0, inner - 0.5, 0.5 - outer)
     return np.clip(distance, -FARTHEST, FARTHEST).astype(np.float32)

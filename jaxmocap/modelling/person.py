@@ -21,7 +21,7 @@ from jaxmocap.modelling.arm_surface import (
     without_elbow_fold,
 )
 from jaxmocap.modelling.lifted_arms import lifted_arms
-from jaxmocap.modelling.pictures.medial_axis import chamfer, medial_axis
+from jaxmocap.modelling.pictures.medial_axis import medial_axis, rim_distance
 from jaxmocap.modelling.separation import FrontLandmarks, find_landmarks, narrowest_neck
 from jaxmocap.modelling.thighs import Thighs, find_thighs
 from jaxmocap.modelling.trunk import Trunk, find_trunk
@@ -169,7 +169,7 @@ def bent_arms(
     joint: PhotographView, body: Trunk
 ) -> tuple[tuple[ArmPixels, ...], tuple[ArmBones, ...]]:
     """Left and right arm in the joint view, in pixels and in metres."""
-    shoulders, distance = shoulder_joints(body, joint), chamfer(joint.mask)
+    shoulders, distance = shoulder_joints(body, joint), rim_distance(joint.mask)
     found = tuple(
         arm_joints(way, distance, joint.pixels(shoulder))
         for way, shoulder in zip(arm_axes(joint, body), shoulders, strict=True)

@@ -15,7 +15,7 @@ from jaxmocap.modelling.arm_surface import INNER_RINGS, SLICES
 from jaxmocap.modelling.person import StanceError, person_model
 from jaxmocap.modelling.pictures.closed_mesh import closed_mesh, joined_meshes, volume
 from jaxmocap.modelling.pictures.corners import evenly_spaced, turning_angles
-from jaxmocap.modelling.pictures.medial_axis import chamfer, medial_axis, path
+from jaxmocap.modelling.pictures.medial_axis import medial_axis, path, rim_distance
 from jaxmocap.modelling.separation import find_landmarks
 from jaxmocap.modelling.trunk import superellipse_ring
 from jaxmocap.modelling.views import PhotographView
@@ -67,7 +67,7 @@ def test_a_broken_axis_is_closed_so_that_a_way_leads_everywhere():
 def test_beyond_the_lower_edge_a_person_goes_on():
     image = blank()
     image[200:, 200:300] = 1
-    assert chamfer(image.astype(bool))[-1, 250] > 45
+    assert rim_distance(image.astype(bool))[-1, 250] > 45
 
 
 @given(angle=st.floats(25, 155), at=st.integers(60, 140))

@@ -13,13 +13,13 @@ from jaxmocap.body.surfaces.mesh import atlas_of, mesh_of
 from jaxmocap.body.surfaces.surface import rest_nodes
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.modelling.personal import PersonalModel
+from jaxmocap.modelling.pictures.medial_axis import rim_distance
 from jaxmocap.modelling.texture.avatar import Avatar, avatar_of
 from jaxmocap.modelling.texture.fusion import (
     closed_holes,
     feathered_weight,
     fused,
     gains,
-    rim_distance,
     weighted_blur,
     wide_blend,
 )
@@ -200,4 +200,4 @@ def test_weights_fade_towards_what_is_hidden_and_towards_the_rim():
     hidden = np.zeros((5, 20), bool)
     hidden[:, 0] = True
     assert feathered_weight(hidden, 10.0)[2, [0, 5, 15]] == pytest.approx([0, 0.5, 1], abs=0.05)
-    assert rim_distance(np.ones((9, 9), bool))[4, [0, 4]] == pytest.approx([1, 5], abs=0.2)
+    assert rim_distance(np.ones((9, 9), bool), False)[4, [0, 4]] == pytest.approx([1, 5], abs=0.2)

@@ -19,7 +19,8 @@ from jaxmocap.images.canvases import (
     attached,
     canvas,
     full_mask,
-    silhouette_signed_distance,
+    mask_canvas,
+    silhouette_distance,
 )
 from jaxmocap.images.regions import Region
 from jaxmocap.reference.silhouette import level_set as reference
@@ -301,7 +302,7 @@ def test_a_canvas_follows_the_person_and_leads_back_to_the_image():
     cv2.ellipse(canvas_mask := mask.astype(np.uint8), (90, 60), (20, 45), 20, 0, 360, 1, -1)
     mask = canvas_mask > 0
     region = region_about_mask(mask, SIZE)
-    phi = silhouette_signed_distance(mask, region, SIZE)
+    phi = silhouette_distance(mask_canvas(mask, region, SIZE) > 0.5)
     assert overlap(full_mask(phi, region, mask.shape), mask) > 0.95
     image = np.dstack([np.full(mask.shape, 40), 255 * mask, np.indices(mask.shape)[1]])
     room = Background(image.astype(np.float32), np.ones(mask.shape, np.float32), 1.0 * mask)
@@ -321,7 +322,7 @@ def test_a_canvas_of_nobody_is_the_whole_image_and_beyond_it_nothing_is_inside()
     taken = canvas(np.zeros((60, 100, 3), np.uint8), region, SIZE)
     covered = taken.inside.sum() * float(region.scale) ** 2
     assert covered == pytest.approx(60 * 100, rel=1e-3)
-    assert (silhouette_signed_distance(nobody, region, SIZE) < 0).all()
+    assert (silhouette_distance(mask_canvas(nobody, region, SIZE)) < 0).all()
 
 
 def test_a_rendered_person_before_clutter_is_found_from_a_pose_that_is_off(recordings):
@@ -338,7 +339,10 @@ def test_a_rendered_person_before_clutter_is_found_from_a_pose_that_is_off(recor
     regions = [region_about_mask(start, 192) for start in starts]
     canvases = [canvas(f, r, 192, b) for f, r, b in zip(frames, regions, rooms, strict=True)]
     phi = np.stack(
-        [silhouette_signed_distance(m, r, 192) for m, r in zip(starts, regions, strict=True)]
+        [
+            silhouette_distance(mask_canvas(mask, region, 192) > 0.5)
+            for mask, region in zip(starts, regions, strict=True)
+        ]
     )
     found = segmented(CanvasImages.of(canvases), phi, SegmentationPlan())
     for view, truth in enumerate(truths):

@@ -13,13 +13,12 @@ from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.cli import main
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
-from jaxmocap.images.canvases import full_mask
+from jaxmocap.images.canvases import full_mask, silhouette_distance
 from jaxmocap.images.regions import Region
 from jaxmocap.pipelines.silhouettes.first_pose import start_pose
 from jaxmocap.silhouette.device_functions import fit
 from jaxmocap.silhouette.first_pose import landmark_points, pose_at_landmarks, standing_pose_at
 from jaxmocap.silhouette.segmentation.background_models import BackgroundLearner, OnlineBackground
-from jaxmocap.silhouette.segmentation.outlines import silhouette_distance
 from jaxmocap.silhouette.segmentation.segment import SegmentationPlan, Stage
 from jaxmocap.silhouette.settings import FAR_OFF, Settings
 from jaxmocap.silhouette.surfaces.rim import RimSettings

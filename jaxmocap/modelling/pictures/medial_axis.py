@@ -39,17 +39,20 @@ class MedialAxis(NamedTuple):
     edges: csr_array
 
 
-def chamfer(mask: np.ndarray) -> np.ndarray:
-    """(H, W) float32, pixels to the rim, by the 5 x 5 chamfer mask; beyond the image is nobody."""
+def rim_distance(mask: np.ndarray, goes_on_below: bool = True) -> np.ndarray:
+    """(H, W) float32, pixels to the rim, by the 5 x 5 chamfer mask; beyond the image is nobody.
+
+    But below, where a person goes on.
+    """
     padded = np.pad(mask.astype(np.uint8), 1)
-    # Below, a person goes on.
-    padded[-1] = padded[-2]
+    if goes_on_below:
+        padded[-1] = padded[-2]
     return cv2.distanceTransform(padded, cv2.DIST_L2, 5)[1:-1, 1:-1]
 
 
 def medial_axis(mask: np.ndarray) -> MedialAxis:
     """The closed skeleton of a silhouette."""
-    distance = chamfer(mask)
+    distance = rim_distance(mask)
     smooth = cv2.GaussianBlur(distance, (0, 0), 0.8)
     slope = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)) / 8
     ridge = ((slope < RIDGE) & (distance > LEAST_PX)).astype(np.uint8)

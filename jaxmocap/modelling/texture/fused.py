@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxmocap.body.surfaces.mesh import MARGIN, Atlas, SurfaceMesh
 from jaxmocap.body.surfaces.surface import Surface
+from jaxmocap.modelling.pictures.medial_axis import rim_distance
 from jaxmocap.modelling.texture.fusion import (
     background_colour,
     closed_holes,
@@ -22,7 +23,6 @@ from jaxmocap.modelling.texture.fusion import (
     fused,
     gains,
     resized,
-    rim_distance,
     sampled_colours,
     weighted_blur,
     wide_blend,
@@ -99,9 +99,8 @@ def _looked_at(
     cell = CELL_TEXELS * step
     canvas = int(height / cell) + 2, int(width / cell) + 2
     is_visible = in_sight(pixels / cell, depths, canvas, OCCLUSION_SLACKS) & (facing > LEAST_FACING)
-    rim = np.clip(
-        (sampled_colours(rim_distance(view.mask), pixels, 1.0)[:, 0] - LEFT_OUT_PX) / RIM_PX, 0, 1
-    )
+    inwards = sampled_colours(rim_distance(view.mask, goes_on_below=False), pixels, 1.0)[:, 0]
+    rim = np.clip((inwards - LEFT_OUT_PX) / RIM_PX, 0, 1)
     hidden = np.zeros((atlas.height, atlas.width), bool)
     hidden[texels.rows, texels.columns] = ~is_visible
     soft = feathered_weight(hidden, FEATHER)[texels.rows, texels.columns]

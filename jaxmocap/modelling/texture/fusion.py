@@ -132,12 +132,6 @@ def feathered_weight(hidden: np.ndarray, width: float) -> np.ndarray:
     return np.minimum(distance / width, 1).astype(np.float32)
 
 
-def rim_distance(mask: np.ndarray) -> np.ndarray:
-    """(H, W) float32 pixels from a mask's rim inwards; the image's border is a rim too."""
-    framed = np.pad(mask.astype(np.uint8), 1)
-    return cv2.distanceTransform(framed, cv2.DIST_L2, 5)[1:-1, 1:-1]
-
-
 def background_colour(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """(3,) middle colour of what an image (H, W, 3) shows well beside a mask (H, W)."""
     near = cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8))

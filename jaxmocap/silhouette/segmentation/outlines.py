@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmocap.images.background_model import Background
-from jaxmocap.images.canvases import Canvas, attached, canvas, silhouette_signed_distance
+from jaxmocap.images.canvases import Canvas, attached, canvas, silhouette_distance
 from jaxmocap.images.regions import Region
 from jaxmocap.silhouette.fit.correspond import Contour
 from jaxmocap.silhouette.segmentation.contour import Contours, contours
@@ -117,12 +117,6 @@ def _sharpened(
         )
 
     return np.stack(list(_THREADS.map(one, range(len(phi)))))
-
-
-def silhouette_distance(mask: np.ndarray) -> np.ndarray:
-    """Signed distance (S, S) of a mask on its own canvas, cells, positive within."""
-    whole = Region(np.full(2, -0.5, np.float32), np.array(1.0, np.float32))
-    return silhouette_signed_distance(mask > 0, whole, len(mask))
 
 
 def _canvas(

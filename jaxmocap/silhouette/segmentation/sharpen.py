@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from jaxmocap.images.background_model import Background
-from jaxmocap.images.canvases import FARTHEST, full_mask, resampled_values
+from jaxmocap.images.canvases import full_mask, resampled_values, silhouette_distance
 from jaxmocap.images.regions import Region
 
 # Pixels from the contour to where a side's colours are its own.
@@ -214,10 +214,5 @@ def _square(radius: int) -> np.ndarray:
 
 
 def _distance(mask: np.ndarray) -> np.ndarray:
-    """(h, w) float32: pixels from the border of a mask, positive within, slightly smoothed."""
-    filled = mask.astype(np.uint8)
-    if not mask.any() or mask.all():
-        return np.full(mask.shape, FARTHEST if mask.any() else -FARTHEST, np.float32)
-    inner, outer = (cv2.distanceTransform(part, cv2.DIST_L2, 3) for part in (filled, 1 - filled))
-    away = np.where(mask, inner - 0.5, 0.5 - outer)
-    return cv2.GaussianBlur(np.clip(away, -FARTHEST, FARTHEST), (0, 0), SOFTNESS_PX)
+    """``silhouette_distance`` (h, w), slightly smoothed."""
+    return cv2.GaussianBlur(silhouette_distance(mask, 3), (0, 0), SOFTNESS_PX)
