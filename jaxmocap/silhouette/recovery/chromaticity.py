@@ -143,10 +143,17 @@ def chromaticity_at(images: Sequence[np.ndarray | None], pixels_xy: np.ndarray) 
     for camera, (image, at) in enumerate(zip(images, pixels_xy, strict=True)):
         if image is None:
             continue
-        x, y = np.rint(np.nan_to_num(at, nan=-1.0)).astype(int).T
-        rows = np.flatnonzero((x >= 0) & (y >= 0) & (x < image.shape[1]) & (y < image.shape[0]))
-        found[camera, rows] = chromaticity(image[y[rows], x[rows]])
+        x, y, within = pixels_within(image, at)
+        found[camera, within] = chromaticity(image[y[within], x[within]])
     return found
+
+
+def pixels_within(
+    image: np.ndarray, pixels_xy: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Columns and rows (N,) nearest to pixels (N, 2), and whether an image (H, W, ...) has them."""
+    x, y = np.rint(np.nan_to_num(pixels_xy, nan=-1.0)).astype(int).T
+    return x, y, (x >= 0) & (y >= 0) & (x < image.shape[1]) & (y < image.shape[0])
 
 
 def chromaticity_canvases(

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.silhouette.recovery.chromaticity import DARKEST
+from jaxmocap.silhouette.recovery.chromaticity import DARKEST, pixels_within
 from jaxmocap.silhouette.recovery.settings import PartAppearanceSettings
 
 
@@ -80,8 +80,7 @@ def mean_chromaticities(
     found = np.full((len(parts), 3), np.nan)
     if image is None:
         return found
-    x, y = np.rint(np.nan_to_num(pixels_xy, nan=-1.0)).astype(int).T
-    within = (x >= 0) & (y >= 0) & (x < image.shape[1]) & (y < image.shape[0])
+    x, y, within = pixels_within(image, pixels_xy)
     for number, on in enumerate(parts & within):
         if on.sum() >= least_points:
             colour = image[y[on], x[on]].mean(0)
