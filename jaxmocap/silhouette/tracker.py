@@ -240,4 +240,4 @@ class SilhouetteTracker:
 
     def body_pixels(self, state: State) -> np.ndarray:
         """(C, N, 2) pixels of points all over the body in a state, hidden or not."""
-        return state.body.recovery.body_pixels(state.pose)
+        return state.body.recovery.projector.pixels_and_depths(state.pose)[0]

@@ -98,7 +98,7 @@ def projected_over(tracker, state, pose: Pose, images, used=(True,) * 4) -> Proj
     constants, walls = tracker.constants, plain_walls(tracker)
     rim = constants.finder.find(state.body.shape, pose, constants.cameras)
     outlines = find_outlines(images, walls, rim, state.histograms, SMALL, constants.plan)
-    return state.body.recovery.project(pose, outlines, np.array(used), images, walls)
+    return state.body.recovery.projector.project(pose, outlines, np.array(used), images, walls)
 
 
 def test_an_arm_that_no_silhouette_misses_is_missed_by_its_colour(tracker, state):

@@ -120,7 +120,7 @@ def test_of_several_better_poses_the_best_is_taken_or_none(monkeypatch, gains, t
     proposal = LimbProposal(tuple(gains), (0,), LEAST_GAIN)  # type: ignore[arg-type]
     recovery = SimpleNamespace(
         joints_of=lambda limbs: np.full(4, bool(limbs)),
-        project=lambda pose, *_: pose,
+        projector=SimpleNamespace(project=lambda pose, *_: pose),
         propose=lambda memory, *_: (proposal, memory),
         gain=lambda limbs, before, after, appearance: explained[after] - explained[before],
         hidden_joints=lambda memory, projected, images, moved: (np.zeros(4, bool), projected),

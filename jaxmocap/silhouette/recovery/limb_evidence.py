@@ -5,7 +5,6 @@ INPUTS: a ProjectedBody, the body's appearance. OUTPUTS: LimbEvidence; unexplain
 
 import jax
 import numpy as np
-from jax import Array
 
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
@@ -123,11 +122,6 @@ class EvidenceFinder:
         of, scale = self._cameras[camera], projected.regions[camera].scale
         away = max(depth(of, np.asarray(projected.pose.position)), NEAREST_M)
         return float(pixels_per_metre(of, away) / scale)
-
-
-def with_angles(pose: Pose, limb: LimbChain, angles: Array | np.ndarray) -> Pose:
-    """A pose whose limb has other angles (K,)."""
-    return pose._replace(angles=pose.angles.at[limb.joints].set(angles))
 
 
 @jax.jit

@@ -74,30 +74,31 @@ def explained_log_ratio(
     limb: LimbChain,
     evidence: LimbEvidence,
     likelihood: LimbLikelihood,
+    least: float = -np.inf,
 ) -> Array:
     """() mean log-ratio of where the limb would be visible, by its size if all of it were.
 
     Less what of it lies within other parts of the body.
+
+    Args:
+        skeleton: of the person.
+        cameras: C, stacked.
+        pose: of the person.
+        limb: of it.
+        evidence: what cameras show.
+        likelihood: static.
+        least: mean log-ratio, no less than which it counts. ``likelihood.least_visible`` is for the
+            pose that another must explain more than: what contradicts a limb may be a thing before
+            it, or be the limb itself, learned as background. Else it were better off wherever
+            nothing is seen of it.
     """
-    visible, cost = _visible_and_cost(skeleton, cameras, pose, limb, evidence, likelihood)
-    return visible - cost
-
-
-def baseline_log_ratio(
-    skeleton: Skeleton,
-    cameras: Camera,
-    pose: Pose,
-    limb: LimbChain,
-    evidence: LimbEvidence,
-    likelihood: LimbLikelihood,
-) -> Array:
-    """() what another place must explain more than: no less than ``least_visible`` of it.
-
-    What contradicts a limb may be a thing before it, or be the limb itself, learned as background.
-    Else it were better off wherever nothing is seen of it.
-    """
-    visible, cost = _visible_and_cost(skeleton, cameras, pose, limb, evidence, likelihood)
-    return jnp.maximum(visible, likelihood.least_visible) - cost
+    near, far = bone_ends(skeleton, pose, limb)
+    gained, _, full = _summed(skeleton, cameras, (near, far), limb, evidence, likelihood)
+    visible = jnp.maximum(gained / jnp.maximum(full, 1.0), least)
+    if evidence.obstacles is None:
+        return visible
+    share = penetrating_share(near, far, jnp.asarray(limb.radii), evidence.obstacles)
+    return visible - likelihood.penetration_cost * share
 
 
 def visible_log_ratio(
@@ -112,24 +113,6 @@ def visible_log_ratio(
     ends = bone_ends(skeleton, pose, limb)
     gained, visible, _ = _summed(skeleton, cameras, ends, limb, evidence, likelihood)
     return gained / jnp.maximum(visible, 1.0)
-
-
-def _visible_and_cost(
-    skeleton: Skeleton,
-    cameras: Camera,
-    pose: Pose,
-    limb: LimbChain,
-    evidence: LimbEvidence,
-    likelihood: LimbLikelihood,
-) -> tuple[Array, Array]:
-    """What images show of a limb, and what it costs that it lies within other parts."""
-    near, far = bone_ends(skeleton, pose, limb)
-    gained, _, full = _summed(skeleton, cameras, (near, far), limb, evidence, likelihood)
-    cost = jnp.zeros_like(gained)
-    if evidence.obstacles is not None:
-        share = penetrating_share(near, far, jnp.asarray(limb.radii), evidence.obstacles)
-        cost = likelihood.penetration_cost * share
-    return gained / jnp.maximum(full, 1.0), cost
 
 
 def _summed(

@@ -12,6 +12,8 @@ OUTPUTS: the limb's likeliest angles in some places, what they explain, the part
 frame.
 """
 
+import math
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -24,10 +26,9 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.silhouette.recovery.limb_likelihood import (
     LimbEvidence,
-    baseline_log_ratio,
     explained_log_ratio,
 )
-from jaxmocap.silhouette.recovery.limbs import LimbChain
+from jaxmocap.silhouette.recovery.limbs import LimbChain, with_angles
 from jaxmocap.silhouette.recovery.settings import LimbLikelihood, LimbSearchSettings
 
 # So many particles are fitted.
@@ -55,7 +56,7 @@ class LimbSearchResult(NamedTuple):
         particles: (P, K) angles, for the next frame.
         best: (H, K) angles of the best, and of the best that are elsewhere than those before them.
         gains: (H,) what they explain: the mean log-ratio where the limb would be visible.
-        baseline: () what they must explain more than, see ``baseline_log_ratio``.
+        baseline: () what they must explain more than, see ``explained_log_ratio``.
     """
 
     particles: Array
@@ -87,21 +88,41 @@ def search_limb(
         settings: traced.
         likelihood: static.
     """
-    here = pose.angles[limb.joints]
+    here, limits = pose.angles[limb.joints], skeleton.limits[limb.joints]
 
-    def value(angles: Array) -> Array:
-        there = pose._replace(angles=pose.angles.at[limb.joints].set(angles))
-        return explained_log_ratio(skeleton, cameras, there, limb, evidence, likelihood)
+    def explained(pose: Pose, least: float = -math.inf) -> Array:
+        return explained_log_ratio(skeleton, cameras, pose, limb, evidence, likelihood, least)
 
     def weigh(angles: Array) -> tuple[Array, Array]:
-        gains = jax.vmap(value)(angles)
+        gains = jax.vmap(lambda each: explained(with_angles(pose, limb, each)))(angles)
         distance = jnp.mean((angles - here) ** 2, -1) / settings.angle_deviation**2
         return gains, gains - distance / 2
+
+    left, angles, gains, scores = _layers(start, limits, settings, weigh)
+    best = distinct_particles(angles, scores)
+    baseline = explained(pose, likelihood.least_visible)
+    return LimbSearchResult(left, angles[best], gains[best], baseline)
+
+
+def _layers(
+    start: LimbParticles,
+    limits: Array,
+    settings: LimbSearchSettings,
+    weigh: Callable[[Array], tuple[Array, Array]],
+) -> tuple[Array, Array, Array, Array]:
+    """Particles (P, K) after all layers; angles (N, K), gains and scores (N,) of every layer's.
+
+    Args:
+        start: particles.
+        limits: (K, 2) of their angles.
+        settings: of the layers.
+        weigh: the gains and the scores (P,) of angles (P, K).
+    """
 
     def layer(carry: tuple[Array, Array], numbers: tuple) -> tuple[tuple[Array, Array], tuple]:
         old, uniform_share = carry
         key, spread, inverse_temperature = numbers
-        drawing, angles = _spread(skeleton, limb, old, key, uniform_share, spread)
+        drawing, angles = _spread(limits, old, key, uniform_share, spread)
         gains, scores = weigh(angles)
         weights = jax.nn.softmax(inverse_temperature * scores)
         kept = angles[systematic_resampling(drawing, weights)]
@@ -110,21 +131,17 @@ def search_limb(
     dtype = start.angles.dtype
     spreads, temperatures = (jnp.asarray(part, dtype) for part in settings[1:3])
     keys = jax.random.split(start.key, len(spreads))
-    uniform_share = jnp.asarray(settings.uniform_share, dtype)
-    (left, _), layers = jax.lax.scan(
-        layer, (start.angles, uniform_share), (keys, spreads, temperatures)
-    )
+    carry = start.angles, jnp.asarray(settings.uniform_share, dtype)
+    (left, _), layers = jax.lax.scan(layer, carry, (keys, spreads, temperatures))
     angles, gains, scores = (jnp.concatenate(part) for part in layers)
-    best = distinct_particles(angles, scores)
-    baseline = baseline_log_ratio(skeleton, cameras, pose, limb, evidence, likelihood)
-    return LimbSearchResult(left, angles[best], gains[best], baseline)
+    return left, angles, gains, scores
 
 
 def _spread(
-    skeleton: Skeleton, limb: LimbChain, old: Array, key: Array, uniform_share: Array, spread: Array
+    limits: Array, old: Array, key: Array, uniform_share: Array, spread: Array
 ) -> tuple[Array, Array]:
     """A key for what follows; particles (P, K) about the old ones, a share of them anywhere."""
-    low, high = skeleton.limits[limb.joints].T
+    low, high = limits.T
     fresh, moving, choosing, drawing = jax.random.split(key, 4)
     moved = old + spread * jax.random.normal(moving, old.shape, old.dtype)
     anywhere = low + (high - low) * jax.random.uniform(fresh, old.shape, old.dtype)

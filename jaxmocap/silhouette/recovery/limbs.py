@@ -52,6 +52,11 @@ def halves_of(limb: LimbChain) -> tuple[LimbChain, LimbChain]:
     return tuple(limb._replace(radii=np.where(of, limb.radii, 0)) for of in (first, ~first))  # type: ignore[return-value]
 
 
+def with_angles(pose: Pose, limb: LimbChain, angles: Array | np.ndarray) -> Pose:
+    """A pose whose limb has other angles (K,)."""
+    return pose._replace(angles=pose.angles.at[limb.joints].set(angles))
+
+
 def bone_ends(skeleton: Skeleton, pose: Pose, limb: LimbChain) -> tuple[Array, Array]:
     """(B, 3) near and far ends of a limb's bones in the world, metres."""
     frames = forward(skeleton, pose)

@@ -10,7 +10,7 @@ OUTPUTS: parts that are hidden where the pose has them; better poses to fit from
 what to remember.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -23,24 +23,27 @@ from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.surface import Surface
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.geometry.cameras import Camera
-from jaxmocap.images.background_model import Background
 from jaxmocap.silhouette.recovery import limb_likelihood
 from jaxmocap.silhouette.recovery.chromaticity import BodyAppearance, chromaticity_at
-from jaxmocap.silhouette.recovery.limb_evidence import EvidenceFinder, with_angles
+from jaxmocap.silhouette.recovery.limb_evidence import EvidenceFinder
 from jaxmocap.silhouette.recovery.limb_likelihood import LimbEvidence
 from jaxmocap.silhouette.recovery.limb_particle_filter import (
     LimbParticles,
     LimbSearchResult,
     search_limb,
 )
-from jaxmocap.silhouette.recovery.limbs import LimbChain, bone_ends, halves_of, limb_chains
+from jaxmocap.silhouette.recovery.limbs import (
+    LimbChain,
+    bone_ends,
+    halves_of,
+    limb_chains,
+    with_angles,
+)
 from jaxmocap.silhouette.recovery.part_appearance import PartAppearance
 from jaxmocap.silhouette.recovery.projected_body import BodyProjector, ProjectedBody
 from jaxmocap.silhouette.recovery.settings import LimbSearchSettings, RecoverySettings
-from jaxmocap.silhouette.segmentation.outlines import Outlines
 
-_explained = jax.jit(limb_likelihood.explained_log_ratio, static_argnames="likelihood")
-_baseline = jax.jit(limb_likelihood.baseline_log_ratio, static_argnames="likelihood")
+_explained = jax.jit(limb_likelihood.explained_log_ratio, static_argnames=("likelihood", "least"))
 
 
 @jax.jit
@@ -101,6 +104,7 @@ class LimbRecovery:
         limbs: in that order.
         joints: (2 * L, D) bool: those that move the near and the far half of each limb.
         evidence: of each limb, and which points of the body lie on it.
+        projector: lays poses over what the cameras show.
     """
 
     def __init__(
@@ -114,7 +118,7 @@ class LimbRecovery:
         """Prepare for C cameras (stacked); traces once."""
         self._skeleton, self._cameras = skeleton, cameras
         self._particles, self._settings = particles, settings
-        self._projector = BodyProjector(skeleton, surface, cameras, settings.projection)
+        self.projector = BodyProjector(skeleton, surface, cameras, settings.projection)
         chains = limb_chains(skeleton, surface)
         self.names, self.limbs = tuple(chains), tuple(chains.values())
         halves = [half for limb in self.limbs for half in halves_of(limb)]
@@ -122,7 +126,7 @@ class LimbRecovery:
         bones = [half.bones[half.radii > 0] for half in halves]
         moved = np.array(skeleton.tree.dof_bones)
         self.joints = np.array([np.isin(moved, each) for each in bones])
-        points = self._projector.points
+        points = self.projector.points
         self.evidence = EvidenceFinder(skeleton, surface, cameras, chains, points, settings)
 
     def empty_memory(self) -> LimbMemory:
@@ -131,21 +135,6 @@ class LimbRecovery:
         parts = PartAppearance.empty(2 * len(self.limbs), len(self._cameras.size))
         body = BodyAppearance.empty(self.evidence.nodes.shape[1])
         return LimbMemory((None,) * len(self.limbs), zeros, zeros, parts, body, zeros > 0, 0)
-
-    def body_pixels(self, pose: Pose) -> np.ndarray:
-        """(C, N, 2) pixels of points all over the body, hidden or not."""
-        return self._projector.pixels_and_depths(pose)[0]
-
-    def project(
-        self,
-        pose: Pose,
-        outlines: Outlines,
-        used: np.ndarray,
-        images: Sequence[np.ndarray | None],
-        backgrounds: Sequence[Background | None],
-    ) -> ProjectedBody:
-        """A pose laid over what the cameras show; see ``BodyProjector``."""
-        return self._projector.project(pose, outlines, used, images, backgrounds)
 
     def joints_of(self, limbs: tuple[int, ...]) -> np.ndarray:
         """(D,) bool: the joints of some limbs."""
@@ -208,7 +197,7 @@ class LimbRecovery:
                 continue
             depths = self.evidence.nearest_depths(projected) if depths is None else depths
             evidence = self.evidence.of_limb(number, projected, memory.appearance, depths)
-            before = self._explains(number, evidence, projected.pose, _baseline)
+            before = self._explains(number, evidence, projected.pose, s.likelihood.least_visible)
             if self._explains(number, evidence, there) > before + s.earlier_gain:
                 pose = with_angles(pose, limb, angles)
                 moved.append(number)
@@ -269,29 +258,24 @@ class LimbRecovery:
         appearance: BodyAppearance,
     ) -> float:
         """What some limbs explain more, together, in one pose than they did in another."""
-        finder = self.evidence
+        finder, least = self.evidence, self._settings.likelihood.least_visible
         new, old = finder.nearest_depths(after), finder.nearest_depths(before)
 
         def one(number: int) -> float:
             there = finder.of_limb(number, after, appearance, new)
             here = finder.of_limb(number, before, appearance, old)
-            baseline = self._explains(number, here, before.pose, _baseline)
+            baseline = self._explains(number, here, before.pose, least)
             return self._explains(number, there, after.pose) - baseline
 
         return sum(one(number) for number in limbs)
 
     def _explains(
-        self,
-        number: int,
-        evidence: LimbEvidence,
-        pose: Pose,
-        measure: Callable[..., Array] = _explained,
+        self, number: int, evidence: LimbEvidence, pose: Pose, least: float = -np.inf
     ) -> float:
-        """What one limb of a pose explains of what is left for it."""
-        limb, likelihood = self.limbs[number], self._settings.likelihood
-        return float(
-            measure(self._skeleton, self._cameras, pose, limb, evidence, likelihood=likelihood)
-        )
+        """What one limb of a pose explains of what is left for it; see ``explained_log_ratio``."""
+        likelihood, body = self._settings.likelihood, (self._skeleton, self._cameras)
+        limb = self.limbs[number]
+        return float(_explained(*body, pose, limb, evidence, likelihood=likelihood, least=least))
 
 
 class _Search:

@@ -116,6 +116,6 @@ def _projected(
     body: TrackedBody, pose: Pose, fitted: FittedPose, frame: FrameEvidence
 ) -> ProjectedBody:
     """A pose laid over what was segmented for another."""
-    return body.recovery.project(
+    return body.recovery.projector.project(
         pose, fitted.outlines, fitted.used, frame.images, frame.backgrounds
     )
