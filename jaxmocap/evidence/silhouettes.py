@@ -37,7 +37,6 @@ from jaxmocap.images.regions import Region, discs_in_region, in_other_region
 from jaxmocap.images.silhouette_grid import (
     CoverageFit,
     Grid,
-    coverage_cost,
     coverage_fit,
     distances,
     frontmost,
@@ -131,20 +130,6 @@ class Silhouettes:
         return person._replace(forearms=by(self.forearms)(grids.forearms))
 
 
-def silhouette_cost(
-    skeleton: Skeleton, frames: Frames, camera: Camera, grids: SilhouetteGrids, softness: Array
-) -> Array:
-    """Sum of squares of all pictures; ``softness`` in cells."""
-    discs, visible = project_limbs(skeleton, frames, camera, grids)
-    arms = Discs(*(part[forearms(skeleton.tree)] for part in discs))
-    cost = coverage_cost(discs, grids.person, softness)
-    cost += coverage_cost(arms, grids.forearms, softness, visible)
-    if grids.legs is not None:
-        below = in_other_region(discs, grids.region, grids.legs.region)
-        cost += coverage_cost(below, grids.legs.person, softness)
-    return cost
-
-
 def project_limbs(
     skeleton: Skeleton, frames: Frames, camera: Camera, grids: SilhouetteGrids
 ) -> tuple[Discs, Array]:
@@ -185,7 +170,7 @@ def silhouette_fit(
     grids: SilhouetteGrids,
     softness: Array,
 ) -> tuple[Array, Array, Array]:
-    """The same cost (), with J^T J (N, N) and J^T r (N,), N = 6 + D + P + 3.
+    """The cost () of all pictures, with J^T J (N, N) and J^T r (N,), N = 6 + D + P + 3.
 
     By the pose, then the proportions, then a turn of the camera in its own frame.
 

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.geometry.outlines import Discs, Swept, Touch, swept, touch, touch_swept
+from jaxmocap.geometry.outlines import Discs, Swept, Touch, swept, touch_swept
 from jaxmocap.geometry.rotations import HIGHEST
 
 # Of a limb: near x, y; far x, y; near and far radius.
@@ -120,10 +120,10 @@ def frontmost(limbs: Discs, size: int) -> tuple[Array, Touch]:
     return nearest, touch_swept(Swept(*own), *cells(size, away.dtype))
 
 
-def coverage_cost(
+def coverage_fit(
     limbs: Discs, grid: Grid, softness: Array | float, visible: Array | float = 1.0
-) -> Array:
-    """The sum of squared weighted differences between coverage and probability.
+) -> CoverageFit:
+    """The sum of squared weighted differences between coverage and probability, and its terms.
 
     Args:
         limbs: K, in cells.
@@ -131,20 +131,9 @@ def coverage_cost(
         softness: cells over which a limb's border fades.
         visible: (S * S,) share of a limb's coverage that nothing hides.
     """
-    size = grid.probability.shape[-1]
-    x, y = cells(size, limbs.near.dtype)
-    each = Discs(*(part[:, None] for part in limbs))
-    coverage = jax.nn.sigmoid(-jnp.min(touch(each, x, y).distance, 0) / softness)
-    return jnp.sum(_residuals(grid, coverage * visible) ** 2)
-
-
-def coverage_fit(
-    limbs: Discs, grid: Grid, softness: Array | float, visible: Array | float = 1.0
-) -> CoverageFit:
-    """The same with its Gauss-Newton terms; see ``coverage_cost``."""
     nearest, at = frontmost(limbs, grid.probability.shape[-1])
     coverage = jax.nn.sigmoid(-at.distance / softness)
-    residuals = _residuals(grid, coverage * visible)
+    residuals = (coverage * visible - grid.probability.ravel()) * grid.weight.ravel()
     slope = -coverage * (1 - coverage) / softness * visible * grid.weight.ravel()
     squared, pull = slope**2, slope * residuals
     x, y, far = at.normal_x, at.normal_y, at.along
@@ -183,7 +172,3 @@ def _expansion() -> tuple[np.ndarray, np.ndarray]:
 
 
 OF_TWO, OF_ONE = _expansion()
-
-
-def _residuals(grid: Grid, coverage: Array) -> Array:
-    return (coverage - grid.probability.ravel()) * grid.weight.ravel()

@@ -20,18 +20,39 @@ from jaxmocap.body.proportions import PROPORTIONS, scaled
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.evidence.appearance.hulls import draw_hulls
 from jaxmocap.evidence.appearance.part_mask import BENEFIT, part_odds
-from jaxmocap.evidence.silhouettes import LegGrid, SilhouetteGrids, silhouette_cost, silhouette_fit
+from jaxmocap.evidence.silhouettes import (
+    LegGrid,
+    SilhouetteGrids,
+    forearms,
+    project_limbs,
+    silhouette_fit,
+)
 from jaxmocap.geometry.cameras import turned
 from jaxmocap.geometry.outlines import Discs, signed_distance
 from jaxmocap.images.colours import Colours, colour_bins, learn_colours
-from jaxmocap.images.regions import Region
-from jaxmocap.images.silhouette_grid import Grid, blurred, cells, coverage_cost, coverage_fit
+from jaxmocap.images.regions import Region, in_other_region
+from jaxmocap.images.silhouette_grid import Grid, blurred, cells, coverage_fit
 from jaxmocap.reference.hybrid import silhouette as reference
 
 CELLS, LIMBS, SOFTNESS = 16, 4, 1.3
 # Silhouettes of the whole body.
 BODY_CELLS, BODY_REGION = 32, Region(np.array([111.5, 31.5]), np.array(13.0))
 LEGS_REGION = Region(np.array([190.5, 330.5]), np.array(17.0))
+
+
+def residuals(limbs: Discs, grid: Grid, softness, visible=1.0):
+    """Of all cells, each owned by the limb that reaches farthest over it."""
+    points = jnp.stack(cells(grid.probability.shape[-1], limbs.near.dtype), -1)
+    each = Discs(*(part[:, None] for part in limbs))
+    covered = jax.nn.sigmoid(-jnp.min(signed_distance(each, points), 0) / softness)
+    return grid.weight.ravel() * (covered * visible - grid.probability.ravel())
+
+
+def coverage_cost(limbs: Discs, grid: Grid, softness, visible=1.0):
+    """What ``coverage_fit`` is the Gauss-Newton form of."""
+    return jnp.sum(residuals(limbs, grid, softness, visible) ** 2)
+
+
 COST, FIT = jax.jit(coverage_cost), jax.jit(coverage_fit)
 
 
@@ -72,14 +93,6 @@ def test_the_cost_is_the_references_cell_by_cell(seed):
         assert float(FIT(*arguments).cost) == pytest.approx(expected, rel=1e-9)
     single = on_device((limbs, grid, SOFTNESS, visible), jnp.float32)
     assert float(FIT(*single).cost) == pytest.approx(expected, rel=1e-4)
-
-
-def residuals(limbs: Discs, grid: Grid, softness, visible):
-    """Of all cells, each owned by the limb that reaches farthest over it."""
-    points = jnp.stack(cells(CELLS, limbs.near.dtype), -1)
-    each = Discs(*(part[:, None] for part in limbs))
-    covered = jax.nn.sigmoid(-jnp.min(signed_distance(each, points), 0) / softness)
-    return grid.weight.ravel() * (covered * visible - grid.probability.ravel())
 
 
 def by_limb(derivatives: Discs) -> np.ndarray:
@@ -236,6 +249,18 @@ def test_the_parts_colours_are_told_from_the_rest_of_the_body(painted):
 
 
 # The body's silhouette ---------------------------------------------------------------------------
+
+
+def silhouette_cost(skeleton, frames, camera, grids: SilhouetteGrids, softness):
+    """What ``silhouette_fit`` is the Gauss-Newton form of."""
+    discs, visible = project_limbs(skeleton, frames, camera, grids)
+    arms = Discs(*(part[forearms(skeleton.tree)] for part in discs))
+    cost = coverage_cost(discs, grids.person, softness)
+    cost += coverage_cost(arms, grids.forearms, softness, visible)
+    if grids.legs is not None:
+        below = in_other_region(discs, grids.region, grids.legs.region)
+        cost += coverage_cost(below, grids.legs.person, softness)
+    return cost
 
 
 def moved_cost(step, skeleton, proportions, pose, camera, grids, softness):

@@ -45,17 +45,6 @@ class Avatar(NamedTuple):
     picture: np.ndarray
     shots: dict[str, SurfacePhotograph]
 
-    def rendered(
-        self, nodes: np.ndarray, view: PhotographView, shape: tuple[int, int]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The person with nodes at (N, 3) as a camera sees them, and where: (H, W, 3), (H, W)."""
-        texels = texels_of(self.person.surface, self.atlas, self.mesh, nodes)
-        towards = view.centre - texels.points
-        front = np.sum(towards * texels.normals, 1) > 0
-        colours = self.picture[texels.rows, texels.columns]
-        depths, pixels = np.linalg.norm(towards, axis=1), view.pixels(texels.points)
-        return splatted(pixels[front], depths[front], colours[front], shape)
-
     def around(self) -> np.ndarray:
         """The person from four sides, as they stood for the front view: (H, W, 3) BGR uint8."""
         nodes = self.shots["front"].nodes_world

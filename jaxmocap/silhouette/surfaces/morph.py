@@ -87,7 +87,7 @@ class Transition:
 
     Attributes:
         driver: at 0 the body has its own surface, at 1 the other.
-        to: in correspondence, around the same joints: see ``corresponding``.
+        to: of the same patches, node for node, around the same joints.
         patches: that go over; all of them without any.
     """
 

@@ -12,7 +12,6 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.surfaces.surface import (
-    BodyPoints,
     Patch,
     Surface,
     resampled,
@@ -103,7 +102,8 @@ def transition_offsets(
     Raises:
         ValueError: the two have other patches, or there is no such patch.
     """
-    _check_like(transition.to, surface)
+    if transition.to.patches != surface.patches:
+        raise ValueError("two surfaces of other patches: expected the same, node for node")
     known = [patch.name for patch in surface.patches]
     if strange := [name for name in transition.patches if name not in known]:
         raise ValueError(f"no patch {strange[0]!r}: expected of {', '.join(known)}")
@@ -143,20 +143,3 @@ def morph_around(
         gone = transition_offsets(surface, joints, transition, spacing)
         moves[..., drivers.index(transition.driver)] += gone
     return morph_of(morphing, tree, moves)
-
-
-def corresponding(surface: Surface, joints: np.ndarray, like: Surface) -> Surface:
-    """A surface carried by the same bones as another, node for node; at rest it stays as it is.
-
-    Raises:
-        ValueError: the two have other patches.
-    """
-    _check_like(surface, like)
-    nodes, bones = rest_nodes(surface, joints), like.points.bones
-    places = jnp.asarray(nodes[:, None] - joints[np.asarray(bones)], float)
-    return Surface(like.patches, BodyPoints(bones, places, like.points.shares))
-
-
-def _check_like(surface: Surface, like: Surface) -> None:
-    if surface.patches != like.patches:
-        raise ValueError("two surfaces of other patches: expected the same, node for node")
