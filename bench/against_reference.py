@@ -106,9 +106,10 @@ def observed(
     assert solved.region is not None
     spent, (fields, _) = timed(observe, settings, state.thresholds, [image], solved.region)
     origin, scale = (np.asarray(part, float)[0] for part in solved.region)
-    distances = np.asarray(fields.distances)[0, :, 0]
+    distances, camera = np.asarray(fields.distances)[0, :, 0], model.camera(0)
+    camera = jax.tree.map(np.asarray, camera)
     return spent, solved, [
-        pipeline.ArmView(*view) for view in zip(origin, scale, distances, strict=True)
+        pipeline.ArmView(camera, *view) for view in zip(origin, scale, distances, strict=True)
     ]  # fmt: skip
 
 
@@ -121,12 +122,12 @@ def by_reference(
 ) -> tuple:
     """One frame by the reference from our last poses; regions and feet are the tracker's."""
     model = tracker.model
-    body, camera, grips = jax.tree.map(np.asarray, (model.skeleton, model.camera(0), model.grips))
+    body, grips = jax.tree.map(np.asarray, (model.skeleton, model.grips))
     goals = goals_at(tracker, state._replace(feet=solved.ik.feet), markers)
     goals = jax.tree.map(np.asarray, goals)
     alone, _ = reference_ik.reach(body, goals, tracker.settings.ik, state.pose)
     refined = pipeline.refine(
-        body, camera, tracker.settings, np.asarray(state.bow_factors), goals, alone,
+        body, tracker.settings, np.asarray(state.bow_factors), goals, alone,
         state.belief.pose, views, grips,
     )  # fmt: skip
     return alone, refined

@@ -124,9 +124,9 @@ def test_the_papers_simplex_over_each_arm_is_the_references_in_double_precision(
     plain_body, plain_camera = jax.tree.map(np.asarray, (body, camera))
     for i, side in enumerate("lr"):
         origin, scale = np.asarray(region.origin)[0, i], float(region.scale[0, i])
-        view = reference.ArmView(origin, scale, plain[..., i])
+        view = reference.ArmView(plain_camera, origin, scale, plain[..., i])
         dofs, angles = reference.refine_arm(
-            plain_body, plain_camera, chosen, TRUTH, side, view, jax.tree.map(np.asarray, grips),
+            plain_body, chosen, TRUTH, side, view, jax.tree.map(np.asarray, grips),
             np.asarray(targets)[i],
         )  # fmt: skip
         assert dofs == DOFS[i].tolist()

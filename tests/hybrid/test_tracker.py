@@ -277,12 +277,13 @@ def of_reference(tracker, state, markers, image, start, last):
     by_markers, _ = reference_ik.reach(body, goals, settings.ik, start)
     fields, _ = observe(settings, state.thresholds, [image], solved.region)
     origin, scale = (np.asarray(part, float)[0] for part in solved.region)
+    distances = np.asarray(fields.distances)[0, :, 0]
     views = [
-        reference_pipeline.ArmView(origin[arm], scale[arm], np.asarray(fields.distances)[0, arm, 0])
+        reference_pipeline.ArmView(camera, origin[arm], scale[arm], distances[arm])
         for arm in range(2)
     ]
     refined = reference_pipeline.refine(
-        body, camera, settings, state.bow_factors, goals, by_markers, last, views,
+        body, settings, state.bow_factors, goals, by_markers, last, views,
         jax.tree.map(np.asarray, MODEL.grips),
     )  # fmt: skip
     return by_markers, refined

@@ -3,7 +3,7 @@
 The arms swing about the axis from shoulder to grip, and bend at shoulder and elbow, as in the
 tracker; the search and its memory are not mirrored.
 
-INPUTS: a skeleton, one camera, settings, goals, the fields of both arms. OUTPUTS: poses; float64.
+INPUTS: a skeleton, settings, goals, the fields of both arms in a camera. OUTPUTS: poses; float64.
 """
 
 from typing import Any, NamedTuple
@@ -21,8 +21,9 @@ LOST_M = 0.6
 
 
 class ArmView(NamedTuple):
-    """One arm in an image: origin (2,) and scale of its region, its plain field (S, S)."""
+    """One arm in a camera's image: origin (2,) and scale of its region, its plain field (S, S)."""
 
+    camera: Any
     origin: np.ndarray
     scale: float
     field: np.ndarray
@@ -49,7 +50,6 @@ def elbow_points(skeleton: Any) -> Points:
 
 def refine(
     skeleton: Any,
-    camera: Any,
     settings: Any,
     factors: np.ndarray,
     goals: Any,
@@ -62,7 +62,6 @@ def refine(
 
     Args:
         skeleton: D degrees of freedom.
-        camera: that sees the arms.
         settings: a Settings' attributes.
         factors: (3,) of balance.
         goals: markers and feet.
@@ -82,7 +81,7 @@ def refine(
     for arm, view in enumerate(views):
         if view is not None:
             dofs, found = refine_arm(
-                skeleton, camera, settings, pose, "lr"[arm], view, grip_sites, hands[arm]
+                skeleton, settings, pose, "lr"[arm], view, grip_sites, hands[arm]
             )
             angles[dofs] = found
     return ik.Pose(pose.position, pose.quaternion, angles)
@@ -149,7 +148,6 @@ def hinge_angles(R: np.ndarray, axes: np.ndarray, near: np.ndarray) -> np.ndarra
 
 def refine_arm(
     skeleton: Any,
-    camera: Any,
     settings: Any,
     pose: Any,
     side: str,
@@ -164,7 +162,7 @@ def refine_arm(
     def cost(moves: np.ndarray) -> float:
         joints, grip, angles = swing(skeleton, pose, side, grip_sites, moves)
         beyond = np.maximum(limits[:, 0] - angles, 0) + np.maximum(angles - limits[:, 1], 0)
-        off_edges = raster_distance(skeleton, camera, settings, side, view, joints)
+        off_edges = raster_distance(skeleton, settings, side, view, joints)
         off_marker = float(own.hold) * float(np.linalg.norm(hand - grip))
         return (
             off_edges / float(settings.edges.scale) + off_marker + float(own.limit) * beyond.sum()
@@ -178,14 +176,14 @@ def refine_arm(
 
 
 def raster_distance(
-    skeleton: Any, camera: Any, settings: Any, side: str, view: ArmView, joints: np.ndarray
+    skeleton: Any, settings: Any, side: str, view: ArmView, joints: np.ndarray
 ) -> float:
     """Equation (13) over the area of the arm seen from the side, metres."""
     bones = [skeleton.tree.bone(f"{limb}_{side}") for limb in LIMBS]
     radii = np.asarray(skeleton.diameters, float)[bones] / 2
-    in_region = (cameras.project(camera, joints) - view.origin) / view.scale - 0.5
-    depths = np.maximum(cameras.to_camera(camera, joints)[:, 2], cameras.NEAREST_M)
-    matrix = np.asarray(camera.matrix, float)
+    in_region = (cameras.project(view.camera, joints) - view.origin) / view.scale - 0.5
+    depths = np.maximum(cameras.to_camera(view.camera, joints)[:, 2], cameras.NEAREST_M)
+    matrix = np.asarray(view.camera.matrix, float)
     focal = (matrix[0, 0] + matrix[1, 1]) / 2 / view.scale
     projected = focal * radii / np.stack([depths[:-1], depths[1:]], 1)
     covered = raster.coverage(
