@@ -79,22 +79,44 @@ def motions(
         milliseconds: of the stages.
         settings: for the report.
     """
-    at_samples = np.flatnonzero(events.timeline.sample_index >= 0)
-    recording = events.recording
-
-    def column(values: np.ndarray | Array) -> np.ndarray:
-        kept = np.asarray(values)[at_samples]
-        return np.concatenate([np.full((events.before, *kept.shape[1:]), np.nan), kept])
-
-    def motion(skeleton: Skeleton, poses: Pose, report: Report | None) -> Motion:
-        poses = jax.tree.map(column, poses)
-        return Motion(skeleton, recording.times, poses, report, recording.origin_world)
-
-    assert trajectory.deviations is not None and trajectory.from_prior is not None
     person = trajectory.person(model.skeleton) if len(trajectory.proportions) else model.skeleton
+    columns = {
+        name: _at_samples(events, values)
+        for name, values in _columns(model, person, first_pass, trajectory).items()
+    }
+    report = Report(
+        markers=events.recording.marker_names,
+        **columns,
+        statuses=_warnings(events, first_pass, columns["confidence"]),
+        milliseconds={stage: np.array(times) for stage, times in milliseconds.items()},
+        settings=settings,
+    )
+    alone = _motion(events, model.skeleton, first_pass.reports.marker_pose)
+    return Tracked(_motion(events, person, trajectory.poses, report), alone)
+
+
+def _at_samples(events: Events, values: np.ndarray | Array) -> np.ndarray:
+    """(T, ...) of each sample, by values (E, ...) of the events; NaN before the first one."""
+    kept = np.asarray(values)[np.flatnonzero(events.timeline.sample_index >= 0)]
+    return np.concatenate([np.full((events.before, *kept.shape[1:]), np.nan), kept])
+
+
+def _motion(
+    events: Events, skeleton: Skeleton, poses: Pose, report: Report | None = None
+) -> Motion:
+    """All samples of poses (E, ...) of the events."""
+    recording, poses = events.recording, jax.tree.map(partial(_at_samples, events), poses)
+    return Motion(skeleton, recording.times, poses, report, recording.origin_world)
+
+
+def _columns(
+    model: Model, person: Skeleton, first_pass: FirstPass, trajectory: Trajectory
+) -> dict[str, np.ndarray | Array]:
+    """Of the report, field -> (E, ...) of the events."""
+    assert trajectory.deviations is not None and trajectory.from_prior is not None
     errors, turns = _errors_and_swivels(model, person, first_pass, trajectory.poses)
     spread = np.sqrt(np.sum(trajectory.deviations[:, ELBOWS] ** 2, -1))
-    columns = {
+    return {
         "marker_errors": errors,
         "arm_costs": first_pass.reports.outline_px,
         "swivels": turns,
@@ -102,16 +124,6 @@ def motions(
         "landmarks_std": trajectory.deviations,
         "from_prior": trajectory.from_prior,
     }
-    columns = {name: column(values) for name, values in columns.items()}
-    report = Report(
-        markers=recording.marker_names,
-        **columns,
-        statuses=_warnings(events, first_pass, columns["confidence"]),
-        milliseconds={stage: np.array(times) for stage, times in milliseconds.items()},
-        settings=settings,
-    )
-    alone = motion(model.skeleton, first_pass.reports.marker_pose, None)
-    return Tracked(motion(person, trajectory.poses, report), alone)
 
 
 def _warnings(
