@@ -76,7 +76,7 @@ def _trunk(model: PersonModel, pelvis: np.ndarray) -> BodySlices:
 def _arm(model: PersonModel, skeleton: Skeleton, k: int) -> BodySlices:
     """What looks ahead of a stretched arm does so of a hanging one, what looks up, outwards."""
     joints, tree, (side, sign) = rest_joints(skeleton), skeleton.tree, SIDES[k]
-    ends = joints[[tree.bone(f"{bone}_{side}") for bone in ("humerus", "radius", "hand")]]
+    ends = joints[tree.bones_in("arm", side=side)]
     hand = hand_extent(model.bent[k])
     at, rings = slice_positions(), model.arms[k][INNER_RINGS:] - model.bent[k].shoulder
     kept = at >= ARM_MEASURED
