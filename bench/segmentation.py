@@ -21,6 +21,7 @@ import numpy as np
 
 from bench.clips import Clip, exercises
 from bench.command_line import add_rendered, command
+from bench.displaced import displaced
 from bench.metrics import Metric, aligned, write_json
 from jaxmocap.capture.footage import forward_readers
 from jaxmocap.capture.video import open_video
@@ -210,7 +211,7 @@ class Case:
         self._exposed = [self._empty(view) for view in self._views]
 
     def _look(self, i: int, truths: dict[str, np.ndarray]) -> Look:
-        off = self._performer.displaced(self._rng)
+        off = displaced(self._performer, self._rng)
         starts = [view.mask(off, float(self._times[i])) for view in self._views]
         return Look(self._images[i], [truths[view.name][i] for view in self._views], starts)
 
@@ -231,7 +232,7 @@ class Case:
         learners = [BackgroundLearner(len(chosen)) for _ in self._views]
         plan, nothing = SegmentationPlan(), [None] * len(self._views)
         for i in chosen:
-            off = self._performer.displaced(self._rng)
+            off = displaced(self._performer, self._rng)
             starts = [view.mask(off, float(self._times[i])) for view in self._views]
             phi, region = looked(Look(self._images[i], [], starts), plan, nothing)
             for learner, image, camera, *where in zip(

@@ -7,7 +7,7 @@ INPUTS: a folder, someone who moves, a duration, a seed.
 OUTPUTS: in that folder ``recording.toml`` without [markers], ``cam_1.mp4`` to ``cam_4.mp4``
 (640 x 480 at 30 Hz, with one clock), ``calibration.toml``; ``truth.trc`` with every landmark at
 the frames' times, world, metres, Z up; ``truth_angles.npz`` with elbows and knees, radians; and
-``truth_masks.npz`` with the person's true pixels.
+``truth_masks.npz`` with the person's true pixels, which ``read_masks`` reads.
 """
 
 from collections.abc import Iterator, Mapping

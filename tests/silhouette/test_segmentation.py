@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bench.displaced import displaced
 from bench.segmentation import region_about_mask
 from jaxmocap.capture.background_pictures import read_empty_room
 from jaxmocap.formats.files.errors import InputError
@@ -327,7 +328,7 @@ def test_a_canvas_of_nobody_is_the_whole_image_and_beyond_it_nothing_is_inside()
 
 def test_a_rendered_person_before_clutter_is_found_from_a_pose_that_is_off(recordings):
     person = exercise(load_rig(recordings / "person" / "person.npz"), "jumping", 1.0)
-    off, time = person.displaced(np.random.default_rng(3)), 0.9
+    off, time = displaced(person, np.random.default_rng(3)), 0.9
     frames, starts, rooms, truths = [], [], [], []
     for view in cameras_around(person, 1.0)[:1]:
         scene = view.scene(person, 0)

@@ -6,7 +6,7 @@ they are and bend the elbows.
 INPUTS: a rig, stances over time. OUTPUTS: an Exerciser: vertices and landmarks at any time.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -46,42 +46,35 @@ class Exerciser(RiggedMesh):
     Attributes:
         curves: channels of ``KeyStance`` over time.
         hands: (2, 3) where left and right wrist are planted, world, metres; None: nowhere.
-        angle_errors: (28,) added to the channels, but for the position on the floor.
-        position_error: (3,) added to the position, metres.
         girdle: how far the shoulders go with raised arms; None: they stay on the chest.
     """
 
     curves: Spline
     hands: np.ndarray | None = None
-    angle_errors: np.ndarray | None = None
-    position_error: np.ndarray | None = None
     girdle: Girdle | None = None
 
     def rig(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Turns (T, J, 3, 3) from rest, and positions (T, J, 3), of the joints."""
         channels = self.curves(np.atleast_1d(times))
-        stance = KeyStance.split(channels)
-        turned = self._turned(stance)
-        R, joints = self.chained(turned, np.zeros((len(channels), 3)))
-        place = np.append(stance.place, stance.lift - self._lowest(joints), -1)
-        place = place if self.position_error is None else place + self.position_error
-        if self.angle_errors is not None:
-            turned = self._turned(KeyStance.split(channels + self.angle_errors))
-            R, joints = self.chained(turned, np.zeros((len(channels), 3)))
-        if self.hands is None:
-            return R, joints + place[:, None]
-        for side, out, hand in (("Left", 1.0, self.hands[0]), ("Right", -1.0, self.hands[1])):
-            shoulder = joints[:, self.body.names.index(side + "Arm")] + place
-            turned |= self._planted(turned["Hips"], shoulder, hand, side, out)
-        return self.chained(turned, place)
+        return self.rig_at(channels, self.places(channels))
 
-    def displaced(
-        self, rng: np.random.Generator, degrees: float = 5.0, metres: float = 0.03
-    ) -> "Exerciser":
-        """The same, with every joint rotated by so much in some direction, and the body moved."""
-        error, aside = KeyStance.random_error(rng, degrees), metres * unit(rng.standard_normal(3))
-        hands = None if self.hands is None else self.hands + aside
-        return replace(self, angle_errors=error, position_error=aside, hands=hands)
+    def places(self, channels: np.ndarray) -> np.ndarray:
+        """(T, 3) of the hips' middle by channels (T, 28), the lowest point as high as they say."""
+        stance = KeyStance.split(channels)
+        _, joints = self.chained(self._turned(stance), np.zeros((len(channels), 3)))
+        return np.append(stance.place, stance.lift - self._lowest(joints), -1)
+
+    def rig_at(self, channels: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """``rig`` by channels (T, 28), the hips' middle at places (T, 3)."""
+        turned = self._turned(KeyStance.split(channels))
+        R, joints = self.chained(turned, np.zeros((len(channels), 3)))
+        joints = joints + places[:, None]
+        if self.hands is None:
+            return R, joints
+        for side, out, hand in (("Left", 1.0, self.hands[0]), ("Right", -1.0, self.hands[1])):
+            shoulder = joints[:, self.body.names.index(side + "Arm")]
+            turned |= self._planted(turned["Hips"], shoulder, hand, side, out)
+        return self.chained(turned, places)
 
     def _lowest(self, joints: np.ndarray) -> np.ndarray:
         """(T, 1) height of the skin's lowest point, smooth in time."""

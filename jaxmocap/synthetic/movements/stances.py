@@ -8,12 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-# First channel and number of channels of each joint, which one random error rotates.
-_JOINTS = ((3, 3), (6, 3), (9, 1), *((i, n) for s in (10, 14) for i, n in ((s, 3), (s + 3, 1))))
-_JOINTS += tuple((i, n) for s in (18, 23) for i, n in ((s, 3), (s + 3, 1), (s + 4, 1)))
-# Numbers of a stance.
-CHANNELS = 28
-
 
 class StanceChannels(NamedTuple):
     """A stance over time: the channels of ``KeyStance`` as (T, n), degrees and metres."""
@@ -84,12 +78,3 @@ class KeyStance:
         arm_l, arm_r = ((v[i : i + 3].T, v[i + 3 : i + 4].T) for i in (10, 14))
         leg_l, leg_r = ((v[i : i + 3].T, v[i + 3 : i + 4].T, v[i + 4 : i + 5].T) for i in (18, 23))
         return StanceChannels(place, lift, turn, back, neck, arm_l, arm_r, leg_l, leg_r)
-
-    @staticmethod
-    def random_error(rng: np.random.Generator, degrees: float) -> np.ndarray:
-        """(28,) an error of every joint by so many degrees, in some direction each."""
-        error = np.zeros(CHANNELS)
-        for first, count in _JOINTS:
-            direction = rng.standard_normal(count)
-            error[first : first + count] = degrees * direction / np.linalg.norm(direction)
-        return error
