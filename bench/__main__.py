@@ -17,15 +17,15 @@ from bench.command_line import command
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    whole = command("bench", __doc__)
-    add = whole.add_argument
+    result = command("bench", __doc__)
+    add = result.add_argument
     add("--quick", action="store_true", help="less than a minute: what the gate needs")
     add("--json", metavar="FILE", help="write the metrics")
     add("--gate", action="store_true", help="exit 1 where a ratio is worse than the baseline's")
     add("--only", choices=("frame rate", "rivals", "growth"), help="one part; not with --gate")
     add("--all-cores", action="store_true", help="do not keep to one core")
     add("--samples", type=int, metavar="N", help="of the long run; 100000 takes minutes")
-    return whole
+    return result
 
 
 def keep_to_one_core() -> None:
@@ -35,10 +35,10 @@ def keep_to_one_core() -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    whole = parser()
-    options = whole.parse_args(arguments)
+    command_line = parser()
+    options = command_line.parse_args(arguments)
     if options.gate and options.only:
-        whole.error("--gate needs all parts: leave --only out")
+        command_line.error("--gate needs all parts: leave --only out")
     if not options.all_cores:
         keep_to_one_core()
     # XLA counts the cores when it is loaded.
@@ -60,8 +60,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(table(metrics, baseline))
     if options.json:
         write_json(metrics, options.json)
-    if options.gate and (said := failures(metrics, baseline, skipped)):
-        sys.exit("\n".join(said))
+    if options.gate and (problems := failures(metrics, baseline, skipped)):
+        sys.exit("\n".join(problems))
 
 
 if __name__ == "__main__":

@@ -98,8 +98,8 @@ def resampled_by_spline(times: np.ndarray, values: np.ndarray, wanted: np.ndarra
     inside = (wanted >= t[0] - 1e-6) & (wanted <= t[-1] + 1e-6)
     near = np.minimum(np.abs(wanted - t[after]), np.abs(wanted - t[after - 1])) <= 1e-6
     no_gap = (t[after] - t[after - 1] < 1.5 * sample_step(np.asarray(times, float))) | near
-    found = CubicSpline(t, np.asarray(values, float)[is_finite])(wanted)
-    return np.where((inside & no_gap)[..., None], found, np.nan)
+    resampled = CubicSpline(t, np.asarray(values, float)[is_finite])(wanted)
+    return np.where((inside & no_gap)[..., None], resampled, np.nan)
 
 
 def _per_joint(points: np.ndarray) -> np.ndarray:

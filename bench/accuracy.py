@@ -22,7 +22,7 @@ import numpy as np
 from bench.clips import MOTIONS, Clip, real, synthetic
 from bench.command_line import command, numbers, seeds
 from bench.criteria import covered, criteria, pool, table
-from bench.judging import Result, judge
+from bench.evaluation import Result, evaluate_clip
 from bench.metrics import Metric, aligned, write_json
 from jaxmocap.evaluation.errors import Errors
 from jaxmocap.hybrid.settings import Settings
@@ -43,9 +43,9 @@ USUAL, KINDS = ("real", "tennis", "thrust"), ("real", *MOTIONS)
 
 def spread(errors: Errors) -> list[float]:
     """Mean, median, 95th percentile and RMS above 0.3 Hz over both elbows, metres."""
-    found = errors.distances[np.isfinite(errors.distances)]
+    distances = errors.distances[np.isfinite(errors.distances)]
     fast = float(np.sqrt(np.nanmean(errors.high_passed**2)))
-    return [errors.mean, float(np.median(found)), float(np.percentile(found, 95)), fast]
+    return [errors.mean, float(np.median(distances)), float(np.percentile(distances, 95)), fast]
 
 
 def error_row(result: Result) -> list[str]:
@@ -100,7 +100,7 @@ def sure_rows(group: str, results: list[Result]) -> list[list[str]]:
 def metrics(result: Result) -> list[Metric]:
     """The figures that a baseline holds."""
     name, calm = result.clip.name, 100 * abs(result.calm.ratio - 1)
-    found = [
+    listed = [
         Metric(f"{name}, elbows, markers", 100 * result.alone.mean, "cm", tolerance=0.03),
         Metric(f"{name}, elbows, video", 100 * result.video.mean, "cm", tolerance=0.05),
         Metric(f"{name}, elbows, video, 95 %", 100 * spread(result.video)[2], "cm", tolerance=0.1),
@@ -111,7 +111,7 @@ def metrics(result: Result) -> list[Metric]:
         Metric(f"{name}, acceleration off the reference's", calm, "%"),
         Metric(f"{name}, lag", abs(result.lag_frames), "frames"),
     ]
-    return [metric for metric in found if math.isfinite(metric.value)]
+    return [metric for metric in listed if math.isfinite(metric.value)]
 
 
 def report(groups: dict[str, list[Result]], causal: bool) -> str:
@@ -140,16 +140,16 @@ def chosen_clips(options: argparse.Namespace, keep: Path) -> dict[str, list[Clip
 
 def kinds(text: str) -> list[str]:
     """Such as ``real,tennis``."""
-    found = text.split(",")
-    if unknown := [kind for kind in found if kind not in KINDS]:
+    chosen = text.split(",")
+    if unknown := [kind for kind in chosen if kind not in KINDS]:
         raise argparse.ArgumentTypeError(f"{unknown[0]!r}: expected of {', '.join(KINDS)}")
-    return found
+    return chosen
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    whole = command("bench.accuracy", __doc__)
-    add = whole.add_argument
+    command_line = command("bench.accuracy", __doc__)
+    add = command_line.add_argument
     add("recordings", nargs="?", help="folder of the real recordings")
     add(
         "--seeds", type=seeds, default=seeds("0-9"), metavar="0-9",
@@ -163,15 +163,15 @@ def parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     add("--noise", type=float, default=0.0, help="on the markers, metres, such as 0.005")
     add("--causal", action="store_true", help="as a live run would have it")
-    known = get_args(get_type_hints(Settings)["refine"])
-    add("--refine", choices=known, default=Settings().refine, help="what follows the search")
+    choices = get_args(get_type_hints(Settings)["refine"])
+    add("--refine", choices=choices, default=Settings().refine, help="what follows the search")
     add(
         "--only", type=kinds, default=list(USUAL), metavar="KIND,...",
         help=f"of {', '.join(KINDS)}; usually {', '.join(USUAL)}",
     )  # fmt: skip
     add("--keep", metavar="DIR", help="keep synthetic recordings here, rendered once")
     add("--json", metavar="FILE", help="write the metrics")
-    return whole
+    return command_line
 
 
 def main() -> None:
@@ -183,11 +183,13 @@ def main() -> None:
         for group, clips in chosen_clips(options, Path(options.keep or folder)).items():
             for clip in clips:
                 print(f"tracking {clip.name}", file=sys.stderr, flush=True)
-                groups.setdefault(group, []).append(judge(clip, settings, mode, options.noise))
+                groups.setdefault(group, []).append(
+                    evaluate_clip(clip, settings, mode, options.noise)
+                )
     print(report(groups, options.causal))
     if options.json:
-        found = (metric for results in groups.values() for r in results for metric in metrics(r))
-        write_json(found, options.json)
+        every = (metric for results in groups.values() for r in results for metric in metrics(r))
+        write_json(every, options.json)
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ def measure(footage: Footage, quick: bool) -> Iterator[Metric]:
     recording = footage.recording
     yield from inverse_kinematics(recording, SOLVES[quick])
     if not quick:
-        yield from whole_frames(recording)
+        yield from full_frames(recording)
 
 
 def inverse_kinematics(recording: Recording, solves: int) -> Iterator[Metric]:
@@ -70,7 +70,7 @@ def goals_at(tracker: HybridTracker, state: State, markers: np.ndarray) -> Goals
     return ik.goals_of(tracker.model, tracker.settings.ik, state.feet, targets)
 
 
-def whole_frames(recording: Recording) -> Iterator[Metric]:
+def full_frames(recording: Recording) -> Iterator[Metric]:
     """The paper's own way, ours and the reference's; both get the same fields of the image."""
     simplex = replace(SimplexSettings(), iterations=STEPS)
     small = replace(Settings.paper(), region=REGION, simplex=simplex)

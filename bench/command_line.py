@@ -28,11 +28,11 @@ def add_rendered(parser: argparse.ArgumentParser) -> None:
 
 def seeds(text: str) -> list[int]:
     """Such as ``0-9`` or ``3`` or ``0,4-6``."""
-    found: list[int] = []
+    result: list[int] = []
     for part in text.split(","):
         first, _, last = part.partition("-")
-        found += range(int(first), int(last or first) + 1)
-    return found
+        result += range(int(first), int(last or first) + 1)
+    return result
 
 
 def numbers(text: str) -> list[float]:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bench.evaluation import Result, Sureness
 from bench.interval_coverage import IntervalCoverage, interval_coverage
-from bench.judging import Result, Sureness
 from bench.metrics import aligned
 
 # Of the real recording, which these cameras see from the front and the sides.
@@ -31,54 +31,54 @@ class Criterion:
 
     Attributes:
         name: what is measured.
-        found: every figure that has to fulfil it.
+        values: every figure that has to fulfil it.
         least: bound from below.
         most: bound from above.
         unit: cm, s, frames, % or x.
     """
 
     name: str
-    found: Sequence[float]
+    values: Sequence[float]
     least: float
     most: float
     unit: str
 
     @property
     def met(self) -> bool:
-        """Whether every figure is known and within the bounds."""
-        return bool(self.found) and all(self.least <= value <= self.most for value in self.found)
+        """Whether every figure is measured and within the bounds."""
+        return bool(self.values) and all(self.least <= value <= self.most for value in self.values)
 
     def row(self) -> list[str]:
-        """Name, what was found, what was wanted, and the verdict."""
-        known = [value for value in self.found if not np.isnan(value)]
-        found = "unknown"
-        if known:
-            low, high = min(known), max(known)
-            found = f"{low:.2f}" if low == high else f"{low:.2f} to {high:.2f}"
-            found += "" if len(known) == len(self.found) else ", some unknown"
+        """Name, what was measured, what was wanted, and the verdict."""
+        finite = [value for value in self.values if not np.isnan(value)]
+        measured = "unknown"
+        if finite:
+            low, high = min(finite), max(finite)
+            measured = f"{low:.2f}" if low == high else f"{low:.2f} to {high:.2f}"
+            measured += "" if len(finite) == len(self.values) else ", some unknown"
         wanted = f"{self.least:g} to {self.most:g}"
         if np.isinf(self.least) or np.isinf(self.most):
             bounded = ("at least", self.least) if np.isinf(self.most) else ("at most", self.most)
             wanted = f"{bounded[0]} {bounded[1]:g}"
-        return [self.name, found, wanted, self.unit, "met" if self.met else "MISSED"]
+        return [self.name, measured, wanted, self.unit, "met" if self.met else "MISSED"]
 
 
 def table(criteria: Iterable[Criterion]) -> str:
     """One row for each."""
-    heading = ["criterion", "found", "wanted", "", ""]
+    heading = ["criterion", "measured", "wanted", "", ""]
     return aligned([heading, *(criterion.row() for criterion in criteria)])
 
 
 def criteria(groups: dict[str, list[Result]], causal: bool) -> list[Criterion]:
     """All demands on the groups that were tracked."""
-    found = []
+    result = []
     for group, results in groups.items():
         if group == "balancing":
-            found += real_errors(results)
+            result += real_errors(results)
         elif group in MOST_SYNTHETIC_M:
-            found.append(synthetic_errors(group, results))
-        found += behaviour(group, results, causal)
-    return found
+            result.append(synthetic_errors(group, results))
+        result += behaviour(group, results, causal)
+    return result
 
 
 def real_errors(results: list[Result]) -> list[Criterion]:
@@ -93,7 +93,7 @@ def real_errors(results: list[Result]) -> list[Criterion]:
         "balancing, cameras 1, 2, 4",
     )
     gain = 100 * (1 - after / alone)
-    found = [
+    listed = [
         _below(f"{cameras}, mean", [100 * after], 100 * MOST_REAL_M, "cm"),
         _below(f"{cameras}, 95 %", [100 * float(np.mean(far))], 100 * MOST_REAL_95_M, "cm"),
         Criterion(f"{cameras}, below IK alone", [gain], 100 * LEAST_GAIN, np.inf, "%"),
@@ -101,8 +101,8 @@ def real_errors(results: list[Result]) -> list[Criterion]:
     ]
     if REAR in by_name:
         rear = 100 * by_name[REAR].video.mean
-        found.append(_below("balancing, camera 3, IK alone", [rear], round(100 * alone, 2), "cm"))
-    return found
+        listed.append(_below("balancing, camera 3, IK alone", [rear], round(100 * alone, 2), "cm"))
+    return listed
 
 
 def synthetic_errors(group: str, results: list[Result]) -> Criterion:
@@ -110,7 +110,7 @@ def synthetic_errors(group: str, results: list[Result]) -> Criterion:
     placements: dict[float, list[Result]] = {}
     for result in results:
         placements.setdefault(result.clip.azimuth, []).append(result)
-    means = [100 * mean_error(seen) for seen in placements.values()]
+    means = [100 * mean_error(errors) for errors in placements.values()]
     return _below(f"{group}, mean of each placement", means, 100 * MOST_SYNTHETIC_M[group], "cm")
 
 
@@ -121,7 +121,7 @@ def behaviour(group: str, results: list[Result], causal: bool) -> list[Criterion
     wrong = 100 * float(np.mean([result.wrong_share for result in results]))
     longest = [float(np.nanmax(result.turns.longest)) for result in results]
     bounds = CALM_CAUSAL if causal else CALM
-    found = [
+    listed = [
         Criterion(f"{group}, acceleration / reference", calm, *bounds, "x"),
         _below(f"{group}, lag", lags, MOST_LAG_FRAMES, "frames"),
         _below(f"{group}, wrong turns", [wrong], 100 * MOST_WRONG, "%"),
@@ -133,9 +133,9 @@ def behaviour(group: str, results: list[Result], causal: bool) -> list[Criterion
             for values in (100 * sure.share, sure.ratio)
         )
         low, high = (100 * share for share in COVERED)
-        found.append(Criterion(f"{group}, truths in the 90 % interval", shares, low, high, "%"))
-        found.append(_below(f"{group}, deviation / RMS error", widths, MOST_WIDTH, "x"))
-    return found
+        listed.append(Criterion(f"{group}, truths in the 90 % interval", shares, low, high, "%"))
+        listed.append(_below(f"{group}, deviation / RMS error", widths, MOST_WIDTH, "x"))
+    return listed
 
 
 def mean_error(results: list[Result]) -> float:
@@ -153,12 +153,12 @@ def covered(results: list[Result]) -> IntervalCoverage | None:
 
 def pool(results: list[Result]) -> Sureness | None:
     """The samples of all recordings; None where there are no deviations."""
-    known = [result.sureness for result in results if result.sureness is not None]
-    if not known:
+    available = [result.sureness for result in results if result.sureness is not None]
+    if not available:
         return None
-    columns = (np.concatenate(parts) for parts in zip(*(s[1:] for s in known), strict=True))
-    return Sureness(known[0].landmarks, *columns)
+    columns = (np.concatenate(parts) for parts in zip(*(s[1:] for s in available), strict=True))
+    return Sureness(available[0].landmarks, *columns)
 
 
-def _below(name: str, found: Sequence[float], most: float, unit: str) -> Criterion:
-    return Criterion(name, found, -np.inf, most, unit)
+def _below(name: str, values: Sequence[float], most: float, unit: str) -> Criterion:
+    return Criterion(name, values, -np.inf, most, unit)

@@ -117,12 +117,12 @@ class FirstRun:
         usual = self.tracker.settings.smoothing
         silhouettes = replace(usual.silhouettes, person=kind.person, forearms=kind.forearms)
         chosen = replace(usual, silhouettes=silhouettes)
-        found = smooth_recording(model, chosen, first, self.videos, lambda _: None)
-        return self.tracked(found).motion
+        second_pass = smooth_recording(model, chosen, first, self.videos, lambda _: None)
+        return self.tracked(second_pass).motion
 
-    def tracked(self, found: Trajectory | None = None) -> Tracked:
-        """As motions, by what a second pass found, or by the first pass alone."""
-        trajectory = found or unsmoothed(self.first_pass)
+    def tracked(self, smoothed: Trajectory | None = None) -> Tracked:
+        """As motions, by what a second pass estimated, or by the first pass alone."""
+        trajectory = smoothed or unsmoothed(self.first_pass)
         return motions(self.tracker.model, self.events, self.first_pass, trajectory, {}, {})
 
 
@@ -192,7 +192,7 @@ def write_keypoints(folder: Path, clip: Clip, camera: Camera, times: np.ndarray)
     false = there & (rng.random(there.shape) < FALSE)
     table[false, :2] += rng.uniform(-ASTRAY_PX, ASTRAY_PX, (false.sum(), 2))
     table[false, 2] = rng.uniform(*UNSURE, false.sum())
-    # A false point may be beyond the world in which the truth was known.
+    # A false point may be beyond the world of the truth.
     table[~np.isfinite(table).all(-1)] = 0.0
     folder.mkdir(parents=True, exist_ok=True)
     for frame, points in enumerate(table):
@@ -203,19 +203,22 @@ def write_keypoints(folder: Path, clip: Clip, camera: Camera, times: np.ndarray)
 
 def spread(distances: np.ndarray) -> list[float]:
     """Mean, median and 95th percentile over both elbows, centimetres."""
-    found = 100 * distances[np.isfinite(distances)]
-    return [float(v) for v in (found.mean(), np.median(found), np.percentile(found, 95))]
+    centimetres = 100 * distances[np.isfinite(distances)]
+    return [
+        float(v)
+        for v in (centimetres.mean(), np.median(centimetres), np.percentile(centimetres, 95))
+    ]
 
 
-def table(found: dict[str, dict[str, np.ndarray]]) -> str:
+def table(distances: dict[str, dict[str, np.ndarray]]) -> str:
     """One group's table: kinds down; means over the recordings, then each one's mean, across.
 
     Args:
-        found: recording -> kind -> (N, 2) metres.
+        distances: recording -> kind -> (N, 2) metres.
     """
-    rows = [["", "mean", "median", "95 %", *found]]
-    for kind in next(iter(found.values())):
-        each = [spread(kinds[kind]) for kinds in found.values() if kind in kinds]
+    rows = [["", "mean", "median", "95 %", *distances]]
+    for kind in next(iter(distances.values())):
+        each = [spread(kinds[kind]) for kinds in distances.values() if kind in kinds]
         cells = [*np.mean(each, 0), *(values[0] for values in each)]
         rows.append([kind, *(f"{value:.1f}" for value in cells)])
     return aligned(rows)
@@ -234,27 +237,27 @@ def measure_all(
 ) -> dict[str, dict[str, dict[str, np.ndarray]]]:
     """Group -> recording -> kind -> (N, 2) distances, metres."""
     kinds = 2 + (len(QUICK) if quick else 1 + len(FRAME_BY_FRAME) + len(OVER_TIME))
-    found: dict[str, dict[str, dict[str, np.ndarray]]] = {}
+    result: dict[str, dict[str, dict[str, np.ndarray]]] = {}
     with tempfile.TemporaryDirectory() as folder:
         for i, clip in enumerate(clips):
-            own = found.setdefault(clip.group, {}).setdefault(clip.name, {})
+            own = result.setdefault(clip.group, {}).setdefault(clip.name, {})
             for name, distances in measure(clip, quick, Path(folder)):
                 own[name] = distances
                 show(i * kinds + len(own), len(clips) * kinds)
             show((i + 1) * kinds, len(clips) * kinds)
-    return found
+    return result
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    whole = command("bench.evidence", __doc__)
-    add = whole.add_argument
+    command_line = command("bench.evidence", __doc__)
+    add = command_line.add_argument
     add("recordings", nargs="?", help="folder of the real recordings")
     add("--seeds", type=seeds, default=seeds("0-2"), metavar="0-2", help="of table tennis")
     add("--keep", metavar="DIR", help="keep synthetic recordings here, rendered once")
     add("--quick", action="store_true", help="half a second of one seed, few kinds of evidence")
     add("--json", metavar="FILE", help="write the metrics")
-    return whole
+    return command_line
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -262,15 +265,15 @@ def main(arguments: list[str] | None = None) -> None:
     keep_compiled()
     with tempfile.TemporaryDirectory() as folder, progress_bar("measuring", True) as show:
         clips = chosen_clips(options, Path(options.keep or folder))
-        found = measure_all(clips, options.quick, show)
+        measured = measure_all(clips, options.quick, show)
     print("elbows: distance from the truth, cm; of each recording the mean")
-    for group, of_group in found.items():
+    for group, of_group in measured.items():
         print(f"\n{group}\n{table(of_group)}")
     if options.json:
         write_json(
             (
                 Metric(f"{name}, {kind}", spread(distances)[0], "cm", tolerance=0.05)
-                for of_group in found.values()
+                for of_group in measured.values()
                 for name, kinds in of_group.items()
                 for kind, distances in kinds.items()
             ),

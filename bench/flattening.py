@@ -1,7 +1,7 @@
 """A recording's videos with their backgrounds made flat, so that edges are left before them alone.
 
 What a pixel shows fades into a blurred background as far as it does not differ from what the camera
-sees there without the person. Where that is not known the pixel stays as it is.
+sees there without the person. Where that was not learned the pixel stays as it is.
 
 INPUTS: a recording, its videos, poses of every frame. OUTPUTS: the recording, videos in memory.
 """
@@ -75,11 +75,11 @@ def _flat_frames(video: FrameSource, background: Background) -> Iterator[np.ndar
 
 def flat_frame(image: np.ndarray, background: Background) -> np.ndarray:
     """One frame (H, W, 3) uint8, grey, before its background (h, w) made flat."""
-    small, trust = as_learned(shrink(image, ROWS), background)
+    small, agreement = as_learned(shrink(image, ROWS), background)
     away = np.abs(small.astype(np.float32) - background.colour).max(-1) / background.noise
     differs = np.clip((away - ALIKE) / (DIFFERENT - ALIKE), 0, 1)
-    # Where the background is not known, or this is not that room, nothing is alike.
-    share = 1 - trust * background.known * (1 - differs)
+    # Where the background was not learned, or this is not that room, nothing is alike.
+    share = 1 - agreement * background.certainty * (1 - differs)
     size, grey = image.shape[1::-1], cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     share = cv2.resize(cv2.GaussianBlur(share, (0, 0), SOFT_PX), size)
     flat = cv2.cvtColor(cv2.GaussianBlur(background.colour, (0, 0), FLAT_PX), cv2.COLOR_BGR2GRAY)

@@ -103,7 +103,7 @@ def causal(
     state = tracker.init(recording.positions_world[0])
     pace = Pace(duration_s=float(line.event_times[-1] - line.event_times[0]))
     for event, time in enumerate(line.event_times):
-        frame, whole = int(line.frame_index[event, 0]), Stopwatch()
+        frame, total = int(line.frame_index[event, 0]), Stopwatch()
         images = [None if frame < 0 else image_at(frame)]
         step = Stopwatch()
         state, pose, report = tracker.step(state, time, markers[event], images, clock)
@@ -114,9 +114,9 @@ def causal(
             there = markers[event] if line.sample_index[event] >= 0 else np.nan * markers[event]
             clock.timed("smooth", smoother.step, time, there, images, pose, report)
         if frame < 0:
-            pace.keep("sample", whole.read())
+            pace.keep("sample", total.read())
             continue
-        clock.spans["frame"] = whole.read()
+        clock.spans["frame"] = total.read()
         for stage, span in clock.spans.items():
             pace.keep(stage, span)
         pace.keep("chain", timed(chain, frame)[0])
@@ -195,15 +195,15 @@ def offline(tracker: HybridTracker, footage: Footage, pace: Pace) -> Iterator[Me
     before, _ = timed(lambda: track(footage.decoded, tracker=tracker))
     watch = Stopwatch()
     report = track(footage.decoded, tracker=tracker).report
-    whole, frames = watch.read(), len(footage.images)
+    total, frames = watch.read(), len(footage.images)
     assert report is not None
     second_pass = float(report.milliseconds["smooth"][0])
-    compiling = max(before.wall - whole.wall, 0.0) / 1e3
+    compiling = max(before.wall - total.wall, 0.0) / 1e3
     yield Metric("start: second pass, trace and compile", compiling, "s", tolerance=0.5)
-    yield Metric("640x480, first pass, per frame", (whole.wall - second_pass) / frames, "ms")
+    yield Metric("640x480, first pass, per frame", (total.wall - second_pass) / frames, "ms")
     yield Metric("640x480, second pass, per frame", second_pass / frames, "ms")
     chain = float(np.median(pace.of("chain")[:, 1]))
-    yield Metric("offline_over_image_chain", whole.busy / frames / chain, "x")
+    yield Metric("offline_over_image_chain", total.busy / frames / chain, "x")
 
 
 def at_all_sizes(footage: Footage) -> Iterator[Metric]:

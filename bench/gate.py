@@ -33,37 +33,37 @@ def read_baseline(mode: Mode, path: Path = BASELINE) -> list[Metric]:
     return [Metric(**entry) for entry in json.loads(path.read_text(encoding="utf-8"))[mode]]
 
 
-def worsening(found: Metric, committed: Metric) -> float:
+def worsening(measured: Metric, committed: Metric) -> float:
     """By what share a figure is worse than the committed one; negative where it is better."""
-    better, worse = (committed.value, found.value)
+    better, worse = (committed.value, measured.value)
     if committed.direction == "higher":
         better, worse = worse, better
     return worse / better - 1
 
 
 def failures(
-    found: Iterable[Metric], baseline: Iterable[Metric], skipped: Sequence[str] = ()
+    measured: Iterable[Metric], baseline: Iterable[Metric], skipped: Sequence[str] = ()
 ) -> list[str]:
     """What keeps a run from passing: a sentence for each ratio that is worse, or missing.
 
     Args:
-        found: in the run.
+        measured: in the run.
         baseline: committed.
         skipped: parts of the names of ratios that may be missing, such as rivals not installed.
     """
-    by_name = {metric.name: metric for metric in found}
-    said = []
+    by_name = {metric.name: metric for metric in measured}
+    sentences = []
     for committed in baseline:
         metric = by_name.get(committed.name)
         if metric is None:
             if not any(rival in committed.name for rival in skipped):
-                said.append(f"{committed.name}: not measured, expected {committed.value:.3g}")
+                sentences.append(f"{committed.name}: not measured, expected {committed.value:.3g}")
         elif (change := worsening(metric, committed)) > committed.tolerance:
-            said.append(
+            sentences.append(
                 f"{committed.name}: {metric.value:.3g}, {change:.0%} worse than the baseline's "
                 f"{committed.value:.3g}; {committed.tolerance:.0%} may be chance"
             )
-    return said
+    return sentences
 
 
 def medians(runs: Sequence[Iterable[Metric]]) -> list[Metric]:

@@ -166,18 +166,18 @@ def _fields(
 def compared(name: str, work: Work, devices: dict[str, Any]) -> Iterator[Metric]:
     """The same call on each device, in turn: milliseconds, their ratio, and how far they differ."""
     call, arguments = work
-    jitted, ways, found = jax.jit(call), {}, {}
+    jitted, ways, results = jax.jit(call), {}, {}
     for device, where in devices.items():
         there = jax.device_put(arguments, where)
         ways[device] = lambda given=there: jitted(*given)
-        found[device] = jax.device_get(ways[device]())
+        results[device] = jax.device_get(ways[device]())
     spans = interleaved(ways, ROUNDS, warm=1)
     for device, times in spans.items():
         yield Metric(f"{name}, {device}", float(np.median(times[:, 0])), "ms")
     for device in list(devices)[1:]:
         own, cpu = (float(np.median(spans[d][:, 0])) for d in (device, "cpu"))
         yield Metric(f"{name}, cpu over {device}", cpu / own, "x", "higher")
-        most = max(jax.tree.leaves(jax.tree.map(farthest, *found.values())))
+        most = max(jax.tree.leaves(jax.tree.map(farthest, *results.values())))
         yield Metric(f"{name}, {device} from cpu at most", most, "of its unit")
 
 
@@ -191,11 +191,11 @@ def against_float64() -> Iterator[Metric]:
     skeleton = Skeleton.human(1.75)
     poses = random_poses(skeleton, CHECKED)
     call, arguments = kinematics(skeleton, CHECKED)
-    found = np.asarray(jax.jit(call)(*arguments))
+    actual = np.asarray(jax.jit(call)(*arguments))
     body = jax.tree.map(np.asarray, skeleton)
     each = (Pose._make(np.asarray(p, float) for p in pose) for pose in zip(*poses, strict=True))
     expected = np.stack([reference.forward(body, pose).joints_world for pose in each])
-    apart = 1e6 * float(np.abs(found - expected).max())
+    apart = 1e6 * float(np.abs(actual - expected).max())
     yield Metric(f"joints from float64 at most, {jax.default_backend()}", apart, "µm")
 
 

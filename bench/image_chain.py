@@ -1,7 +1,7 @@
 """The yardstick: OpenCV's bare image chain on both arms' regions, one thread.
 
-Nothing that looks for an arm's edges can do with less; so a tracker's step is told as a multiple of
-it, taken in the same run.
+Nothing that looks for an arm's edges can do with less; so a tracker's step is reported as a
+multiple of it, taken in the same run.
 
 INPUTS: frames, and where the elbows are in them. OUTPUTS: crops; their distance transforms.
 """

@@ -17,7 +17,7 @@ class IntervalCoverage:
     """Figures of each column, shaped as a row of what they were made of, such as (3,) or (L, 3).
 
     Attributes:
-        samples: where all three were known.
+        samples: where all three were measured.
         share: of these, truths within the interval; NaN where there is none.
         ratio: median standard deviation over root mean square error; NaN where there is none,
             infinite where there is no error.

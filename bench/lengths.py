@@ -1,8 +1,8 @@
 """``python -m bench.lengths [--seeds 0-2] [--keep DIR]``: what ``scale --recording`` finds.
 
 People of one stature and unusual proportions go through a range of motion before one camera. Each
-length that is found is held against the truth in its own standard deviations; then the same
-recording is tracked with the body as stated, as found and as it is.
+length that is estimated is held against the truth in its own standard deviations; then the same
+recording is tracked with the body as stated, as estimated and as it is.
 
 INPUTS: seeds. OUTPUTS: a table, and Metrics.
 """
@@ -39,10 +39,10 @@ class Found(NamedTuple):
 
     Attributes:
         stated: (P,) logarithms of true lengths over stated ones: errors of the guess.
-        errors: (P,) of what was found.
-        deviations: (P,) that it was said to have.
+        errors: (P,) of the estimates.
+        deviations: (P,) as reported.
         shares: (P,) of the deviations that were there before.
-        elbows: mean distance from the truth, metres: with the body stated, found, true.
+        elbows: mean distance from the truth, metres: with the body stated, estimated, true.
     """
 
     stated: np.ndarray
@@ -63,13 +63,13 @@ def measure(folder: Path, seed: int) -> Found:
     recording = Recording.load(where / "recording.toml")
     person = unusual(HEIGHT, np.random.default_rng([seed, 77])).skeleton
     fit, count = fit_recording(recording, True), len(LENGTHS)
-    found = fit.logarithms[:count]
-    body = scaled(recording.skeleton, jnp.asarray(found, recording.skeleton.lengths.dtype))
+    fitted = fit.logarithms[:count]
+    body = scaled(recording.skeleton, jnp.asarray(fitted, recording.skeleton.lengths.dtype))
     true = replace(recording.skeleton, lengths=person.lengths)
     truth = logarithms(person, recording.skeleton)
     after, before = fit.after[:count], fit.before[:count]
     elbows = [_elbows(recording, body, where) for body in (recording.skeleton, body, true)]
-    return Found(truth, found - truth, after, after / before, (elbows[0], elbows[1], elbows[2]))
+    return Found(truth, fitted - truth, after, after / before, (elbows[0], elbows[1], elbows[2]))
 
 
 def logarithms(person: Skeleton, stated: Skeleton) -> np.ndarray:
@@ -89,14 +89,14 @@ def _elbows(recording: Recording, body: Skeleton, where: Path) -> float:
 
 def text(people: dict[int, Found]) -> str:
     """A line for each person, one for each length."""
-    head = ["person", "lengths off, stated", "found", "in deviations"]
-    lines = [[*head, "elbows, stated", "found", "true"]]
-    for seed, found in people.items():
-        shown = [rms(found.stated), rms(found.errors)]
-        elbows = [f"{100 * error:.2f} cm" for error in found.elbows]
-        off = f"{np.sqrt(np.mean((found.errors / found.deviations) ** 2)):.2f}"
+    head = ["person", "lengths off, stated", "estimated", "in deviations"]
+    lines = [[*head, "elbows, stated", "estimated", "true"]]
+    for seed, fit in people.items():
+        shown = [rms(fit.stated), rms(fit.errors)]
+        elbows = [f"{100 * error:.2f} cm" for error in fit.elbows]
+        off = f"{np.sqrt(np.mean((fit.errors / fit.deviations) ** 2)):.2f}"
         lines.append([str(seed), *(f"{100 * value:.1f} %" for value in shown), off, *elbows])
-    each = [["length", "off, stated", "found", "said to be", "of what it was"]]
+    each = [["length", "off, stated", "estimated", "reported", "of what it was"]]
     for i, proportion in enumerate(LENGTHS):
         columns = [np.array([getattr(f, name)[i] for f in people.values()]) for name in
                    ("stated", "errors", "deviations", "shares")]  # fmt: skip
@@ -113,12 +113,14 @@ def rms(values: np.ndarray) -> float:
 def metrics(people: dict[int, Found]) -> Iterator[Metric]:
     """The table's means."""
     for name in ("stated", "errors"):
-        every = np.concatenate([getattr(found, name) for found in people.values()])
-        yield Metric(f"lengths off, {'found' if name == 'errors' else name}", 100 * rms(every), "%")
-    every = np.concatenate([found.errors / found.deviations for found in people.values()])
+        every = np.concatenate([getattr(fit, name) for fit in people.values()])
+        yield Metric(
+            f"lengths off, {'estimated' if name == 'errors' else name}", 100 * rms(every), "%"
+        )
+    every = np.concatenate([fit.errors / fit.deviations for fit in people.values()])
     yield Metric("lengths off, in deviations", rms(every), "x")
-    elbows = np.mean([found.elbows for found in people.values()], 0)
-    for name, error in zip(("stated", "found", "true"), elbows.tolist(), strict=True):
+    elbows = np.mean([fit.elbows for fit in people.values()], 0)
+    for name, error in zip(("stated", "estimated", "true"), elbows.tolist(), strict=True):
         yield Metric(f"elbows, lengths {name}", 100 * error, "cm")
 
 

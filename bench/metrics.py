@@ -57,10 +57,10 @@ def read_json(path: str | Path) -> list[Metric]:
 
 def table(metrics: Iterable[Metric], baseline: Iterable[Metric] = ()) -> str:
     """One row for each figure, with its 99th percentile and the committed value beside it."""
-    found, committed = list(metrics), {metric.name: metric for metric in baseline}
-    late = {m.name.removesuffix(LATE): m for m in found if m.name.endswith(LATE)}
+    measured, committed = list(metrics), {metric.name: metric for metric in baseline}
+    late = {m.name.removesuffix(LATE): m for m in measured if m.name.endswith(LATE)}
     rows = [["", "median", "99 %", "unit", "baseline"]]
-    for metric in found:
+    for metric in measured:
         if metric.name.endswith(LATE):
             continue
         name = metric.name.removesuffix(MEDIAN)

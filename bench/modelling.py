@@ -1,7 +1,7 @@
 """``python -m bench.modelling RECORDINGS [--json FILE]``: models of four photographs each.
 
-Photographs of people of the independent mesh, of known joints, lengths and girths. What the method
-knows of people's proportions it has from ``man`` and ``woman``, who therefore are not among those
+Photographs of people of the independent mesh, of true joints, lengths and girths. What the method
+assumes of people's proportions it has from ``man`` and ``woman``, who therefore are not among those
 that count.
 
 INPUTS: the folder of recordings, with ``person/person.npz`` in it. OUTPUTS: a table, and Metrics.
@@ -28,7 +28,7 @@ PEOPLE = ("tall_man", "short_woman", "broad_man", "slim_woman")
 # each bone.
 TRUNK_AT = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)
 ARMS_AT = {"humerus": (0.375, 0.5, 0.625, 0.75), "radius": (0.125, 0.25, 0.5, 0.75)}
-# Points along each side of a quadrilateral of the mesh, between which distances are told.
+# Points along each side of a quadrilateral of the mesh, between which distances are measured.
 DENSE = 4
 
 
@@ -68,20 +68,20 @@ def errors(rig: Rig, folder: Path, seed: int = 0) -> Errors:
 def joints(made: ModelResult, rig: Rig) -> np.ndarray:
     """(6,) metres, in the joint view's stance."""
     truth = MeasuredPerson.of(person_in_stance(rig, "joint")).landmarks()
-    found = zip(made.model.bent, "lr", strict=True)
+    pairs = zip(made.model.bent, "lr", strict=True)
     names = ("shoulder", "elbow", "wrist")
-    off = [getattr(b, name) - truth[f"{name}_{s}"] for b, s in found for name in names]
+    off = [getattr(b, name) - truth[f"{name}_{s}"] for b, s in pairs for name in names]
     return np.linalg.norm(off, axis=1)
 
 
 def lengths(made: ModelResult, body: MeasuredPerson) -> np.ndarray:
     """(5,) metres."""
-    at, found = body.landmarks(), made.model.lengths()
+    at, measured = body.landmarks(), made.model.lengths()
     ends = {"shoulders": ("shoulder_l", "shoulder_r")}
     for s in "lr":
         ends |= {f"humerus_{s}": (f"shoulder_{s}", f"elbow_{s}")}
         ends |= {f"radius_{s}": (f"elbow_{s}", f"wrist_{s}")}
-    return np.abs([found[k] - np.linalg.norm(at[a] - at[b]) for k, (a, b) in ends.items()])
+    return np.abs([measured[k] - np.linalg.norm(at[a] - at[b]) for k, (a, b) in ends.items()])
 
 
 def sections(made: ModelResult, body: MeasuredPerson) -> tuple[np.ndarray, np.ndarray]:
@@ -97,8 +97,8 @@ def sections(made: ModelResult, body: MeasuredPerson) -> tuple[np.ndarray, np.nd
             for share in shares:
                 outline = arm[INNER_RINGS + first + round(share * SLICES[0])][:, [2, 0]]
                 pairs.append((tape_measure(outline), body.arm(bone, side, share)))
-    found, truth = np.array(pairs).swapaxes(0, 1)
-    return np.abs(found - truth)[:, :2].ravel(), np.abs(found / truth - 1)[:, 2]
+    measured, truth = np.array(pairs).swapaxes(0, 1)
+    return np.abs(measured - truth)[:, :2].ravel(), np.abs(measured / truth - 1)[:, 2]
 
 
 def surface(made: ModelResult, body: MeasuredPerson) -> np.ndarray:
@@ -124,8 +124,8 @@ def text(rows: dict[str, Errors]) -> str:
     ]
     cells = [head]
     for name, row in rows.items():
-        told = [f"{100 * e.mean():.1f} ({100 * e.max():.1f})" for e in row[:5]]
-        cells.append([name, *told, f"{row.seconds.mean():.1f}"])
+        errors = [f"{100 * e.mean():.1f} ({100 * e.max():.1f})" for e in row[:5]]
+        cells.append([name, *errors, f"{row.seconds.mean():.1f}"])
     return aligned(cells)
 
 
@@ -136,23 +136,23 @@ def together(rows: Sequence[Errors]) -> Errors:
 
 def metrics(every: Errors) -> list[Metric]:
     """Means and largest of everybody."""
-    found = []
+    result = []
     for name, off in zip(Errors._fields[:5], every, strict=False):
         unit, factor = ("%", 100) if name == "girths" else ("cm", 100)
-        found.append(Metric(f"model {name} mean", float(factor * off.mean()), unit))
-        found.append(Metric(f"model {name} largest", float(factor * off.max()), unit))
-    return found
+        result.append(Metric(f"model {name} mean", float(factor * off.mean()), unit))
+        result.append(Metric(f"model {name} largest", float(factor * off.max()), unit))
+    return result
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Parse, measure, print."""
-    whole = command("bench.modelling", __doc__)
-    whole.add_argument("recordings", metavar="RECORDINGS")
-    whole.add_argument("--people", default=",".join(PEOPLE), help="default: %(default)s")
-    whole.add_argument("--seed", type=int, default=0, help="of backdrops and noise")
-    whole.add_argument("--keep", metavar="DIR", help="keep photographs here")
-    whole.add_argument("--json", metavar="FILE", help="write the metrics")
-    options = whole.parse_args(arguments)
+    parser = command("bench.modelling", __doc__)
+    parser.add_argument("recordings", metavar="RECORDINGS")
+    parser.add_argument("--people", default=",".join(PEOPLE), help="default: %(default)s")
+    parser.add_argument("--seed", type=int, default=0, help="of backdrops and noise")
+    parser.add_argument("--keep", metavar="DIR", help="keep photographs here")
+    parser.add_argument("--json", metavar="FILE", help="write the metrics")
+    options = parser.parse_args(arguments)
     people, rows = Path(options.recordings) / "person" / "person.npz", {}
     with tempfile.TemporaryDirectory() as scratch:
         for who in options.people.split(","):

@@ -18,7 +18,7 @@ import numpy as np
 from bench.clips import Clip, exercises
 from bench.command_line import add_rendered, command
 from bench.metrics import Metric, aligned, write_json
-from bench.silhouette import Result, judged
+from bench.silhouette import Result, evaluated
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.formats.recordings.recording import Recording
@@ -49,7 +49,7 @@ def tracked(clip: Clip, morphing: Morphing) -> Result:
     first = np.concatenate([standing.get(name, missing) for name in LANDMARKS])
     start = pose_at_landmarks(supple_skeleton(skeleton), first)
     settings = Settings(morphing=morphing)
-    return judged(clip, replace(recording, skeleton=skeleton), start, settings)
+    return evaluated(clip, replace(recording, skeleton=skeleton), start, settings)
 
 
 def rows(results: dict[str, tuple[Result, Result]]) -> list[list[str]]:

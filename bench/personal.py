@@ -8,7 +8,7 @@ person are then tracked by four cameras with each of
     model    the person of the photographs and of the true height
 
 All begin at the truth's first pose, and correct the surface while they track. What the method
-knows of people's proportions it has from ``man`` and ``woman``, who therefore are not among those
+assumes of people's proportions it has from ``man`` and ``woman``, who therefore are not among those
 that count.
 
 INPUTS: the folder of recordings, with ``person/person.npz`` in it. OUTPUTS: a table, and Metrics.
@@ -27,7 +27,7 @@ import numpy as np
 from bench.clips import Clip, exercises
 from bench.command_line import add_rendered, command
 from bench.metrics import Metric, aligned, write_json
-from bench.silhouette import KINDS, Result, judged
+from bench.silhouette import KINDS, Result, evaluated
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.body.subject import scale_to_landmarks
 from jaxmocap.body.surfaces.surface import Surface
@@ -59,9 +59,9 @@ class Row(NamedTuple):
 
     def figures(self) -> np.ndarray:
         """(3, bodies) elbows and knees, degrees, and joints, centimetres."""
-        found = self.results.values()
-        angles = [[result.angle(kind) for result in found] for kind in ("elbow", "knee")]
-        return np.array([*angles, [result.place(*KINDS) for result in found]])
+        results = self.results.values()
+        angles = [[result.angle(kind) for result in results] for kind in ("elbow", "knee")]
+        return np.array([*angles, [result.place(*KINDS) for result in results]])
 
 
 def photographed(rig: Rig, folder: Path, seed: int) -> PersonalModel:
@@ -80,7 +80,9 @@ def tracked(clip: Clip, rig: Rig, person: PersonalModel, bodies: Sequence[str]) 
         print(f"tracking {clip.name} by {name}", file=sys.stderr, flush=True)
         skeleton, surface = built(name, recording, rig, truth, person)
         start = pose_at_landmarks(supple_skeleton(skeleton), points)
-        results[name] = judged(clip, replace(recording, skeleton=skeleton), start, surface=surface)
+        results[name] = evaluated(
+            clip, replace(recording, skeleton=skeleton), start, surface=surface
+        )
     return Row(clip.name, results)
 
 
@@ -122,21 +124,21 @@ def metrics(rows: Sequence[Row]) -> Iterator[Metric]:
 
 def bodies(names: str) -> list[str]:
     """Such as ``bones,model``."""
-    found = names.split(",")
-    if unknown := [name for name in found if name not in BODIES]:
+    chosen = names.split(",")
+    if unknown := [name for name in chosen if name not in BODIES]:
         raise argparse.ArgumentTypeError(f"{unknown[0]!r}: expected of {', '.join(BODIES)}")
-    return found
+    return chosen
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Photograph, render, track, compare, print."""
-    whole = command("bench.personal", __doc__)
-    whole.add_argument("recordings", metavar="RECORDINGS")
-    whole.add_argument("--only", default=EXERCISE, help=f"of {', '.join(EXERCISES)}")
-    whole.add_argument("--bodies", type=bodies, default=list(BODIES), help="default: all three")
-    add_rendered(whole)
-    whole.set_defaults(people=",".join(PEOPLE))
-    options = whole.parse_args(arguments)
+    parser = command("bench.personal", __doc__)
+    parser.add_argument("recordings", metavar="RECORDINGS")
+    parser.add_argument("--only", default=EXERCISE, help=f"of {', '.join(EXERCISES)}")
+    parser.add_argument("--bodies", type=bodies, default=list(BODIES), help="default: all three")
+    add_rendered(parser)
+    parser.set_defaults(people=",".join(PEOPLE))
+    options = parser.parse_args(arguments)
     keep_compiled()
     people, rows = Path(options.recordings) / "person" / "person.npz", []
     with tempfile.TemporaryDirectory() as scratch:

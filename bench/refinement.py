@@ -111,8 +111,8 @@ class Row:
 
 def error_cells(errors: np.ndarray) -> list[str]:
     """Mean and 95th percentile, centimetres."""
-    found = errors[np.isfinite(errors)]
-    return [f"{100 * value:.2f}" for value in (found.mean(), np.percentile(found, 95))]
+    finite = errors[np.isfinite(errors)]
+    return [f"{100 * value:.2f}" for value in (finite.mean(), np.percentile(finite, 95))]
 
 
 def frames(recording: Recording, tracker: HybridTracker, truth: Path) -> Iterator[Frame]:
@@ -239,8 +239,8 @@ def within(
 
 def compare(tracker: HybridTracker, given: list[Frame], budget: float) -> str:
     """The table of all rivals."""
-    found = jax.jit(lambda pose: _elbows(tracker, pose))
-    before = np.stack([np.asarray(found(frame.start)) - frame.elbows for frame in given])
+    elbows_of = jax.jit(lambda pose: _elbows(tracker, pose))
+    before = np.stack([np.asarray(elbows_of(frame.start)) - frame.elbows for frame in given])
     rows = [*HEADINGS, ["start", *error_cells(np.linalg.norm(before, axis=-1)), *[""] * 7]]
     for name in RIVALS:
         plenty = PLENTY.get(name, 100)
@@ -257,11 +257,11 @@ def compare(tracker: HybridTracker, given: list[Frame], budget: float) -> str:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    whole = command("bench.refinement", __doc__)
-    whole.add_argument("recordings", nargs="+", metavar="RECORDING.toml")
-    whole.add_argument("--every", type=int, default=1, help="one frame in so many")
-    whole.add_argument("--budget", type=float, default=1.5, help="milliseconds that each may take")
-    return whole
+    result = command("bench.refinement", __doc__)
+    result.add_argument("recordings", nargs="+", metavar="RECORDING.toml")
+    result.add_argument("--every", type=int, default=1, help="one frame in so many")
+    result.add_argument("--budget", type=float, default=1.5, help="milliseconds that each may take")
+    return result
 
 
 def main() -> None:

@@ -71,16 +71,16 @@ def measure(quick: bool, without: set[str]) -> Iterator[Metric]:
     skeleton = Skeleton.human(1.75)
     start, targets = motion(skeleton, FRAMES[quick])
     for block, label, suffix in ((1, "", ""), (BLOCK, f", {BLOCK} at a time", "_at_a_time")):
-        found, misses = followed(everybody(skeleton, start, without), targets, block)
-        for name, times in found.items():
+        durations, misses = followed(everybody(skeleton, start, without), targets, block)
+        for name, times in durations.items():
             yield from stage_metrics(f"IK, {name}{label}", times[:, 0])
             if block == 1:
                 met = 100 * float(np.mean(misses[name] < 1.05 * TOLERANCE_M))
                 yield Metric(f"IK, {name}, met within 1 mm", met, "%", "higher")
-        for name, times in found.items():
+        for name, times in durations.items():
             if name != "ours":
                 yield Metric(
-                    f"ik_{name}_over_ours{suffix}", ratio(times, found["ours"]), "x", "higher"
+                    f"ik_{name}_over_ours{suffix}", ratio(times, durations["ours"]), "x", "higher"
                 )
     logging.disable(logging.NOTSET)
 
@@ -211,10 +211,10 @@ def by_scipy(skeleton: Skeleton, start: Pose, limits: bool) -> Follower:
         if limits:
             angles = q[body.positions]
             bounds[:, body.velocities] = (np.minimum(low - angles, -1e-9), high - angles + 1e-9)
-        found = least_squares(
+        solution = least_squares(
             residuals, np.zeros(model.nv), slopes, bounds, method="trf", xtol=1e-4, ftol=1e-6
         )
-        q[:] = moved(found.x)
+        q[:] = moved(solution.x)
         return mujoco_points(body, q)[rows]
 
     return follow

@@ -98,7 +98,7 @@ def scene() -> tuple[np.ndarray, np.ndarray]:
 
 
 def measure(quick: bool) -> Iterator[Metric]:
-    """Everybody in turn on both arms; the costs found beside the times."""
+    """Everybody in turn on both arms; the costs reached beside the times."""
     fields, grips = scene()
     ways = {
         "ours": ours(fields, grips),
@@ -158,10 +158,10 @@ def by_optimistix(fields: np.ndarray, grips: np.ndarray) -> Callable[[], np.ndar
             def cost(hinges, _):
                 return arm_cost(jnp, field, grip, jnp.stack(hinges))
 
-            found = optimistix.minimise(
+            solution = optimistix.minimise(
                 cost, solver, tuple(start), max_steps=STEPS, throw=False
             ).value
-            return jnp.stack(found)
+            return jnp.stack(solution)
 
         return jax.vmap(one)(fields, grips, start)
 

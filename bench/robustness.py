@@ -48,7 +48,7 @@ class Outcome(NamedTuple):
         usual: mean error of the joints without it, metres.
         worst: the largest mean error while it lasts and until the joints are back, metres.
         back: seconds of each fault from its end until they are.
-        said: share of the frames with a fault of which the report says what was not seen.
+        reported: share of the frames with a fault of which the report says what was not seen.
         false: share of the other frames of which it says so.
     """
 
@@ -56,7 +56,7 @@ class Outcome(NamedTuple):
     usual: float
     worst: float
     back: np.ndarray
-    said: float
+    reported: float
     false: float
 
     def row(self) -> list[str]:
@@ -69,14 +69,14 @@ class Outcome(NamedTuple):
             f"{np.median(self.back):.2f}",
             f"{late:.2f}" if math.isfinite(late) else "never",
             f"{np.mean(self.back <= ASKED_S):.0%}",
-            f"{self.said:.0%}",
+            f"{self.reported:.0%}",
             f"{self.false:.0%}",
         ]
 
     def metrics(self) -> list[Metric]:
         """Figures for JSON; what never came back is left out of the worst time."""
         late = self.back[np.isfinite(self.back)]
-        found = [
+        result = [
             Metric(f"{self.name}, worst error", 100 * self.worst, "cm"),
             Metric(
                 f"{self.name}, back in time",
@@ -84,14 +84,14 @@ class Outcome(NamedTuple):
                 "%",
                 "higher",
             ),
-            Metric(f"{self.name}, said", 100 * self.said, "%", "higher"),
-            Metric(f"{self.name}, said falsely", 100 * self.false, "%"),
+            Metric(f"{self.name}, reported", 100 * self.reported, "%", "higher"),
+            Metric(f"{self.name}, reported falsely", 100 * self.false, "%"),
         ]
-        return found + ([Metric(f"{self.name}, back after", late.max(), "s")] if len(late) else [])
+        return result + ([Metric(f"{self.name}, back after", late.max(), "s")] if len(late) else [])
 
 
 HEADINGS = [
-    ["exercise and fault", "usual", "worst", "back after", "", "in 0.5 s", "said", "falsely"],
+    ["exercise and fault", "usual", "worst", "back after", "", "in 0.5 s", "reported", "falsely"],
     ["", "cm", "cm", "median s", "at most s", "", "", ""],
 ]
 
@@ -100,7 +100,7 @@ def measured(folder: Path, faults: Sequence[str], settings: Settings) -> list[Ou
     """All outcomes of a recording."""
     recording, truth = loaded(folder)
     clean = errors(tracked(recording, truth, settings), truth)
-    found = []
+    result = []
     for name in faults:
         faulty = FAULTS[name](recording.videos, truth)
         if faulty is None:
@@ -110,15 +110,17 @@ def measured(folder: Path, faults: Sequence[str], settings: Settings) -> list[Ou
             fewer = tracked(select_cameras(recording, faulty.fewer), truth, settings)
             usual = np.maximum(clean, errors(fewer, truth))
         motion = tracked(replace(recording, videos=faulty.videos), truth, settings)
-        found.append(judged(f"{folder.name}, {name}", motion, errors(motion, truth), usual, faulty))
-        print(aligned([found[-1].row()]), flush=True)
-    return found
+        result.append(
+            evaluated(f"{folder.name}, {name}", motion, errors(motion, truth), usual, faulty)
+        )
+        print(aligned([result[-1].row()]), flush=True)
+    return result
 
 
 def loaded(folder: Path) -> tuple[Recording, Truth]:
     """A recording, its frames in memory and its person of the true lengths; and the truth."""
-    recording, known = load_recording(folder / "recording.toml"), read_trc(folder / "truth.trc")
-    truth = dict(zip(known.names, np.moveaxis(known.positions, 1, 0), strict=True))
+    recording, reference = load_recording(folder / "recording.toml"), read_trc(folder / "truth.trc")
+    truth = dict(zip(reference.names, np.moveaxis(reference.positions, 1, 0), strict=True))
     skeleton = scale_to_landmarks(recording.skeleton, truth)
     videos = tuple(in_memory(video) for video in recording.videos)
     return replace(recording, skeleton=skeleton, videos=videos), truth
@@ -134,12 +136,12 @@ def tracked(recording: Recording, truth: Truth, settings: Settings) -> Motion:
 
 def errors(motion: Motion, truth: Truth) -> np.ndarray:
     """(T, J) metres."""
-    found, count = motion.joints(), len(motion.times)
-    off = [np.linalg.norm(found[name] - truth[name][:count], axis=1) for name in JOINTS]
+    joints, count = motion.joints(), len(motion.times)
+    off = [np.linalg.norm(joints[name] - truth[name][:count], axis=1) for name in JOINTS]
     return np.stack(off, 1)
 
 
-def judged(
+def evaluated(
     name: str, motion: Motion, off: np.ndarray, usual: np.ndarray, faulty: Faulty
 ) -> Outcome:
     """Compare errors (T, J) with the usual ones."""
@@ -156,8 +158,8 @@ def judged(
         off[span.start : max(min(b, end), span.stop)].mean(1).max()
         for span, b, end in zip(faulty.spans, frames, ends, strict=True)
     ]
-    said, false = reported(motion, faulty)
-    return Outcome(name, usual.mean(), max(troubled), np.array(after), said, false)
+    reported_share, false = reported(motion, faulty)
+    return Outcome(name, usual.mean(), max(troubled), np.array(after), reported_share, false)
 
 
 def back_at(within: np.ndarray, start: int, end: int) -> int:
@@ -171,15 +173,17 @@ def back_at(within: np.ndarray, start: int, end: int) -> int:
 def reported(motion: Motion, faulty: Faulty) -> tuple[float, float]:
     """Shares of frames with, and without, a fault of which the report says what was not seen."""
     assert motion.report is not None
-    told = motion.report.statuses
-    stays, named = bool(faulty.fewer), [set[str]() for _ in told]
+    statuses = motion.report.statuses
+    stays, named = bool(faulty.fewer), [set[str]() for _ in statuses]
     for span in faulty.spans:
-        for frame in range(span.start, len(told) if stays else span.stop):
+        for frame in range(span.start, len(statuses) if stays else span.stop):
             named[frame] |= unseen(span)
     expected = set[str]().union(*named)
-    during = [names <= set(said) for names, said in zip(named, told, strict=True) if names]
+    during = [names <= set(status) for names, status in zip(named, statuses, strict=True) if names]
     other = [
-        bool(expected & set(said)) for names, said in zip(named, told, strict=True) if not names
+        bool(expected & set(status))
+        for names, status in zip(named, statuses, strict=True)
+        if not names
     ]
     return float(np.mean(during)), float(np.mean(other or [False]))
 
@@ -192,27 +196,27 @@ def unseen(span: Span) -> set[str]:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    whole = command(
+    result = command(
         "bench.robustness",
         __doc__,
         epilog="example: python -m bench.robustness demo/recording --only 'a limb hidden'",
     )
-    add = whole.add_argument
+    add = result.add_argument
     add("folders", nargs="+", type=Path, metavar="FOLDER", help="of a rendered exercise")
     add("--only", action="append", choices=tuple(FAULTS), help="this fault; may be repeated")
     add("--json", metavar="FILE", help="write the metrics")
-    return whole
+    return result
 
 
 def main(arguments: Sequence[str] | None = None, settings: Settings | None = None) -> None:
     options = parser().parse_args(arguments)
     keep_compiled()
-    faults, found = options.only or list(FAULTS), []
+    faults, outcomes = options.only or list(FAULTS), []
     for folder in options.folders:
-        found += measured(folder, faults, settings or Settings())
-    print(aligned([*HEADINGS, *(outcome.row() for outcome in found)]))
+        outcomes += measured(folder, faults, settings or Settings())
+    print(aligned([*HEADINGS, *(outcome.row() for outcome in outcomes)]))
     if options.json:
-        write_json([metric for outcome in found for metric in outcome.metrics()], options.json)
+        write_json([metric for outcome in outcomes for metric in outcome.metrics()], options.json)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ Rendered exercises by four cameras before clutter. Each look starts from the per
 in a pose whose joints are all off by 5 degrees, and which stands off by 3 cm. Level sets know
 nothing of the room, or what was learned of it over the whole recording from such looks, or a
 picture of it without the person. GrabCut starts from the same silhouette, certain of nothing but
-what is farther off than so many pixels; MOG2 follows the video, or has seen the empty room.
+what is farther off than so many pixels; MOG2 follows the video, or has learned the empty room.
 
 INPUTS: the folder of recordings, with ``person/person.npz`` in it. OUTPUTS: a table, and Metrics.
 """
@@ -43,14 +43,14 @@ from jaxmocap.synthetic.movements.exercises import EXERCISES, exercise
 from jaxmocap.synthetic.people.rigged_mesh import load_rig
 from jaxmocap.synthetic.renderer import Sensor
 
-# Frames of a recording that are judged; exposures of an empty room; every so many frames a room is
-# learned from.
-JUDGED, EXPOSURES, LEARNED_EVERY = 3, 8, 3
+# Evaluated frames of a recording; exposures of an empty room; a room is learned from every so many
+# frames.
+EVALUATED, EXPOSURES, LEARNED_EVERY = 3, 8, 3
 # What GrabCut may call the person lies this near to where it starts, pixels; and its rounds.
 GRABBED_PX, GRABS = 24, 4
 MOG2 = {"history": 60, "varThreshold": 16, "detectShadows": True}
 PERSON = 255
-# Name of a row -> plan and which rooms are known.
+# Name of a row -> plan and which rooms are learned.
 LEVEL_SETS = {
     "level set, grey": (SegmentationPlan(colour=False, background=False), "none"),
     "level set, colour": (SegmentationPlan(background=False), "none"),
@@ -114,14 +114,14 @@ class Scored(NamedTuple):
 Found = Callable[[Look], list[np.ndarray]]
 
 
-def overlap(found: np.ndarray, truth: np.ndarray) -> float:
+def overlap(mask: np.ndarray, truth: np.ndarray) -> float:
     """Intersection over union."""
-    return float((found & truth).sum() / max((found | truth).sum(), 1))
+    return float((mask & truth).sum() / max((mask | truth).sum(), 1))
 
 
-def contour_distance(found: np.ndarray, truth: np.ndarray) -> float:
+def contour_distance(measured: np.ndarray, truth: np.ndarray) -> float:
     """Mean distance between two outlines, from each to the other, pixels; NaN if one has none."""
-    edges = [outline(mask) for mask in (found, truth)]
+    edges = [outline(mask) for mask in (measured, truth)]
     if not all(edge.any() for edge in edges):
         return np.nan
     away = [cv2.distanceTransform((~edge).astype(np.uint8), cv2.DIST_L2, 5) for edge in edges]
@@ -130,67 +130,67 @@ def contour_distance(found: np.ndarray, truth: np.ndarray) -> float:
 
 def outline(mask: np.ndarray) -> np.ndarray:
     """(H, W) bool: a mask's pixels with a neighbour outside."""
-    whole = mask.astype(np.uint8)
-    return mask & (cv2.erode(whole, np.ones((3, 3), np.uint8), borderValue=1) == 0)
+    filled = mask.astype(np.uint8)
+    return mask & (cv2.erode(filled, np.ones((3, 3), np.uint8), borderValue=1) == 0)
 
 
 def scored(finder: Found, looks: Sequence[Look]) -> list[Scored]:
     """Every image of every look."""
-    found = []
-    for seen in looks:
+    result = []
+    for look in looks:
         began = perf_counter()
-        masks = finder(seen)
+        masks = finder(look)
         spent = 1e3 * (perf_counter() - began)
-        for mask, truth in zip(masks, seen.truths, strict=True):
-            found.append(Scored(overlap(mask, truth), contour_distance(mask, truth), spent))
-    return found
+        for mask, truth in zip(masks, look.truths, strict=True):
+            result.append(Scored(overlap(mask, truth), contour_distance(mask, truth), spent))
+    return result
 
 
 def level_set(
-    seen: Look, plan: SegmentationPlan, rooms: Sequence[Background | None]
+    look: Look, plan: SegmentationPlan, rooms: Sequence[Background | None]
 ) -> list[np.ndarray]:
     """Masks by one look of the tracker."""
-    phi, region = looked(seen, plan, rooms)
+    phi, region = looked(look, plan, rooms)
     views = [Region(*each) for each in zip(*region, strict=True)]
-    shape = seen.images[0].shape[:2]
+    shape = look.images[0].shape[:2]
     return [full_mask(each, view, shape) for each, view in zip(phi, views, strict=True)]
 
 
 def looked(
-    seen: Look, plan: SegmentationPlan, rooms: Sequence[Background | None]
+    look: Look, plan: SegmentationPlan, rooms: Sequence[Background | None]
 ) -> tuple[np.ndarray, Region]:
     """Φ (C, S, S) and where the canvases are, by one look of the tracker."""
     settings = Settings()
     size, none = settings.rim.size, np.zeros(0)
-    views = [region_about_mask(start, size) for start in seen.starts]
+    views = [region_about_mask(start, size) for start in look.starts]
     masks = [
-        mask_canvas(start, view, size) > 0.5 for start, view in zip(seen.starts, views, strict=True)
+        mask_canvas(start, view, size) > 0.5 for start, view in zip(look.starts, views, strict=True)
     ]
     region = Region(*(np.stack(parts) for parts in zip(*views, strict=True)))
     rim = Rim(none, none, none, none, none, np.stack(masks).astype(np.uint8), region)
     before = Histograms.empty(len(views), plan)
-    outlines = find_outlines(seen.images, rooms, rim, before, settings, plan)
+    outlines = find_outlines(look.images, rooms, rim, before, settings, plan)
     return np.asarray(outlines.segmentation.phi), region
 
 
-def grabbed(seen: Look) -> list[np.ndarray]:
+def grabbed(look: Look) -> list[np.ndarray]:
     """Masks by GrabCut."""
-    found = []
-    for image, start in zip(seen.images, seen.starts, strict=True):
+    result = []
+    for image, start in zip(look.images, look.starts, strict=True):
         near = np.ones((2 * GRABBED_PX + 1,) * 2, np.uint8)
         marks = np.where(cv2.dilate(start.astype(np.uint8), near), cv2.GC_PR_BGD, cv2.GC_BGD)
         marks = np.where(start, cv2.GC_PR_FGD, marks).astype(np.uint8)
         models = np.zeros((2, 1, 65))
         cv2.grabCut(image, marks, None, *models, GRABS, cv2.GC_INIT_WITH_MASK)  # type: ignore[call-overload]
-        found.append((marks == cv2.GC_FGD) | (marks == cv2.GC_PR_FGD))
-    return found
+        result.append((marks == cv2.GC_FGD) | (marks == cv2.GC_PR_FGD))
+    return result
 
 
 class Case:
-    """A rendered recording, what is known of its rooms, and its looks.
+    """A rendered recording, the models of its rooms, and its looks.
 
     Attributes:
-        looks: those that are judged.
+        looks: those that are evaluated.
     """
 
     def __init__(self, clip: Clip, people: Path, who: str, seconds: float):
@@ -205,9 +205,9 @@ class Case:
                 [np.array(reader.at(i)) for reader in readers] for i in range(len(videos[0].times))
             ]
         self._times = videos[0].times
-        judged = np.linspace(0, len(self._times) - 1, JUDGED + 2).round().astype(int)[1:-1]
-        self.looks = [self._look(i, truths) for i in judged]
-        self._judged, self._seed = judged, clip.seed
+        evaluated = np.linspace(0, len(self._times) - 1, EVALUATED + 2).round().astype(int)[1:-1]
+        self.looks = [self._look(i, truths) for i in evaluated]
+        self._evaluated, self._seed = evaluated, clip.seed
         self._exposed = [self._empty(view) for view in self._views]
 
     def _look(self, i: int, truths: dict[str, np.ndarray]) -> Look:
@@ -222,7 +222,7 @@ class Case:
         return np.stack([sensor.exposed(room) for _ in range(EXPOSURES)])
 
     def rooms(self, which: str) -> Sequence[Background | None]:
-        """What is known of them: ``none``, ``learned`` or ``empty``."""
+        """The models of them: ``none``, ``learned`` or ``empty``."""
         if which == "empty":
             return [background_of_picture(exposed[0]) for exposed in self._exposed]
         return self._learned() if which == "learned" else [None] * len(self._views)
@@ -242,7 +242,7 @@ class Case:
         return [learner.background() for learner in learners]
 
     def subtracted(self, empty: bool) -> list[Scored]:
-        """By MOG2 as it has followed the video, or seen the empty room."""
+        """By MOG2 as it has followed the video, or learned the empty room."""
         makers = [cv2.createBackgroundSubtractorMOG2(**MOG2) for _ in self._views]
         if empty:
             for maker, exposed in zip(makers, self._exposed, strict=True):
@@ -251,30 +251,30 @@ class Case:
             rate = 0.0
         else:
             rate = -1.0
-        found = []
+        result = []
         for i, images in enumerate(self._images):
-            if empty and i not in self._judged:
+            if empty and i not in self._evaluated:
                 continue
 
-            def masks(seen: Look, images: list[np.ndarray] = images) -> list[np.ndarray]:
+            def masks(look: Look, images: list[np.ndarray] = images) -> list[np.ndarray]:
                 pairs = zip(makers, images, strict=True)
                 return [maker.apply(image, None, rate) == PERSON for maker, image in pairs]
 
-            if i in self._judged:
-                found += scored(masks, [self.looks[int(np.flatnonzero(self._judged == i)[0])]])
+            if i in self._evaluated:
+                result += scored(masks, [self.looks[int(np.flatnonzero(self._evaluated == i)[0])]])
             else:
                 masks(self.looks[0])
-        return found
+        return result
 
     def results(self) -> dict[str, list[Scored]]:
         """Name of a row -> every image."""
-        found = {START: scored(lambda seen: seen.starts, self.looks)}
+        result = {START: scored(lambda look: look.starts, self.looks)}
         for name, (plan, which) in LEVEL_SETS.items():
             rooms = self.rooms(which)
             level_set(self.looks[0], plan, rooms)
-            found[name] = scored(lambda seen, p=plan, r=rooms: level_set(seen, p, r), self.looks)
-        found[GRABCUT] = scored(grabbed, self.looks)
-        return found | {
+            result[name] = scored(lambda look, p=plan, r=rooms: level_set(look, p, r), self.looks)
+        result[GRABCUT] = scored(grabbed, self.looks)
+        return result | {
             MOG2_VIDEO: self.subtracted(False), MOG2_EMPTY: self.subtracted(True)
         }  # fmt: skip
 
@@ -284,10 +284,10 @@ def text(rows: dict[str, list[Scored]]) -> str:
     lines = [["", "overlap, median", "mean", "10 %", "outlines, median", "mean", "time, median"]]
     for name, every in rows.items():
         over, apart, spent = np.array(every).T
-        known = apart[np.isfinite(apart)]
+        finite = apart[np.isfinite(apart)]
         figures = [np.median(over), over.mean(), np.percentile(over, 10)]
         cells = [f"{value:.3f}" for value in figures]
-        cells += [f"{np.median(known):.2f} px", f"{known.mean():.2f} px"]
+        cells += [f"{np.median(finite):.2f} px", f"{finite.mean():.2f} px"]
         lines.append([name, *cells, f"{np.median(spent):.0f} ms" if name != START else ""])
     return aligned(lines)
 
@@ -304,13 +304,13 @@ def metrics(rows: dict[str, list[Scored]]) -> Iterator[Metric]:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    whole = command("bench.segmentation", __doc__)
-    add = whole.add_argument
+    result = command("bench.segmentation", __doc__)
+    add = result.add_argument
     add("recordings", help="folder with person/person.npz")
     add("--exercises", default=",".join(EXERCISES), metavar="A,B", help="default: %(default)s")
     add("--quick", action="store_true", help="two exercises of a second each")
-    add_rendered(whole)
-    return whole
+    add_rendered(result)
+    return result
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -324,8 +324,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         keep = Path(options.keep or scratch)
         for who in options.people.split(","):
             for clip in exercises(people, names, options.seeds, [who], seconds, keep):
-                for name, found in Case(clip, people, who, seconds).results().items():
-                    rows.setdefault(name, []).extend(found)
+                for name, scores in Case(clip, people, who, seconds).results().items():
+                    rows.setdefault(name, []).extend(scores)
     print(text(rows))
     if options.json:
         write_json(list(metrics(rows)), options.json)

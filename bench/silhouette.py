@@ -23,7 +23,7 @@ from bench.acceleration import AccelerationAndLag, compare_tracks
 from bench.clips import REAL_LANDMARKS, Clip, exercises
 from bench.command_line import add_rendered, command
 from bench.metrics import Metric, aligned, stage_metrics, table, write_json
-from bench.stages import STAGES, WHOLE, stages_timed
+from bench.stages import STAGES, WHOLE_FRAME, stages_timed
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.subject import scale_to_landmarks
@@ -43,7 +43,7 @@ from jaxmocap.synthetic.four_cameras import flexion_angles, write_four_cameras
 from jaxmocap.synthetic.movements.exercises import EXERCISES
 
 KINDS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-# What the real recording is judged by.
+# Joints by which the real recording is evaluated.
 REAL_KINDS = ("elbow", "shoulder", "hip", "knee")
 REAL, PAINTED = "balancing", "squat"
 
@@ -93,16 +93,16 @@ def track_exercise(clip: Clip, cameras: int) -> Result:
     missing = np.full(3, np.nan)
     first = np.array([truth[name][0] if name in truth else missing for name in LANDMARKS])
     start = pose_at_landmarks(supple_skeleton(recording.skeleton), first)
-    return judged(clip, recording, start)
+    return evaluated(clip, recording, start)
 
 
 def track_real(clip: Clip) -> Result:
     """The real recording by all its cameras, begun where the markers say."""
     recording = Recording.load(clip.path)
-    return judged(clip, recording, start_pose(recording))
+    return evaluated(clip, recording, start_pose(recording))
 
 
-def judged(
+def evaluated(
     clip: Clip,
     recording: Recording,
     start: Pose,
@@ -116,8 +116,8 @@ def judged(
     pairs = {name: name for name in JOINTS}
     errors = position_errors(motion.times, joints, truth.times, points, pairs)
     ours, theirs = match(motion.times, truth.times)
-    found, expected = flexion_angles(joints), flexion_angles(points)
-    off = {hinge: np.abs(found[hinge][ours] - expected[hinge][theirs]) for hinge in found}
+    actual, expected = flexion_angles(joints), flexion_angles(points)
+    off = {hinge: np.abs(actual[hinge][ours] - expected[hinge][theirs]) for hinge in actual}
     places = [np.stack([each[name] for name in JOINTS], 1) for each in (joints, points)]
     calm = compare_tracks(motion.times, places[0], truth.times, places[1])
     return Result(clip.name, len(recording.videos), errors, off, calm)
@@ -163,7 +163,7 @@ def camera_rows(results: Sequence[Result]) -> list[list[str]]:
 def real_rows(result: Result) -> list[list[str]]:
     """The real recording, joint kind by joint kind."""
     kinds = [f"{kind}s" for kind in KINDS]
-    rows = [["real, four cameras", *kinds, "judged by", "elbows", "acceleration"]]
+    rows = [["real, four cameras", *kinds, "all four kinds", "elbows", "acceleration"]]
     rows.append(["", *("cm" for _ in KINDS), "cm", "deg", "truth's"])
     places = [result.place(kind) for kind in KINDS] + [result.place(*REAL_KINDS)]
     others = [result.angle("elbow"), result.shaking()]
@@ -175,7 +175,7 @@ def metrics(result: Result) -> Iterator[Metric]:
     name = f"{result.name}, {result.cameras} cameras"
     yield Metric(f"{name}, joints", result.place(*KINDS), "cm", tolerance=0.1)
     if result.name == REAL:
-        yield Metric(f"{name}, judged by", result.place(*REAL_KINDS), "cm", tolerance=0.05)
+        yield Metric(f"{name}, all four kinds", result.place(*REAL_KINDS), "cm", tolerance=0.05)
     yield Metric(f"{name}, acceleration", result.shaking(), "truth's", tolerance=0.1)
     for kind in ("elbow", "knee"):
         yield Metric(f"{name}, {kind}s bent", result.angle(kind), "deg", tolerance=0.1)
@@ -184,12 +184,12 @@ def metrics(result: Result) -> Iterator[Metric]:
 def speed(name: str, frames: Sequence[dict[str, float]]) -> list[Metric]:
     """What a frame takes, stage by stage; the very first, which compiles, apart."""
     first, usual = frames[0], frames[1:]
-    found = [Metric(f"{name}, first call", first[WHOLE] / 1e3, "s")]
+    result = [Metric(f"{name}, first call", first[WHOLE_FRAME] / 1e3, "s")]
     # A stage that a frame does without takes no time.
     for stage in dict.fromkeys([*STAGES, *first]):
-        found += stage_metrics(f"{name}, {stage}", [frame.get(stage, 0.0) for frame in usual])
-    rate = 1e3 / np.median([frame[WHOLE] for frame in usual])
-    return [*found, Metric(f"{name}, frames per second", float(rate), "1/s", "higher")]
+        result += stage_metrics(f"{name}, {stage}", [frame.get(stage, 0.0) for frame in usual])
+    rate = 1e3 / np.median([frame[WHOLE_FRAME] for frame in usual])
+    return [*result, Metric(f"{name}, frames per second", float(rate), "1/s", "higher")]
 
 
 def chosen(options: argparse.Namespace, keep: Path) -> list[Clip]:
@@ -213,33 +213,37 @@ def chosen(options: argparse.Namespace, keep: Path) -> list[Clip]:
 
 def kinds(text: str) -> list[str]:
     """Such as ``push_ups,balancing``."""
-    found = text.split(",")
-    if unknown := [kind for kind in found if kind not in (*EXERCISES, REAL)]:
-        known = ", ".join((*EXERCISES, REAL))
-        raise argparse.ArgumentTypeError(f"{unknown[0]!r}: expected of {known}")
-    return found
+    chosen = text.split(",")
+    if unknown := [kind for kind in chosen if kind not in (*EXERCISES, REAL)]:
+        names = ", ".join((*EXERCISES, REAL))
+        raise argparse.ArgumentTypeError(f"{unknown[0]!r}: expected of {names}")
+    return chosen
 
 
 def counts(text: str) -> list[int]:
     """Such as ``4,2``."""
-    found = text.split(",")
-    if not set(found) <= set("1234"):
+    chosen = text.split(",")
+    if not set(chosen) <= set("1234"):
         raise argparse.ArgumentTypeError(f"{text!r}: expected of 4,3,2,1")
-    return [int(part) for part in found]
+    return [int(part) for part in chosen]
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    whole = command("bench.silhouette", __doc__)
-    add = whole.add_argument
+    result = command("bench.silhouette", __doc__)
+    add = result.add_argument
     add("recordings", nargs="?", help="folder of the real recording and of the rigged meshes")
-    known = (*EXERCISES, REAL)
+    choices = (*EXERCISES, REAL)
     add(
-        "--only", type=kinds, default=list(known), metavar="NAME,...", help=f"of {', '.join(known)}"
+        "--only",
+        type=kinds,
+        default=list(choices),
+        metavar="NAME,...",
+        help=f"of {', '.join(choices)}",
     )
     add("--cameras", type=counts, default=counts("4,3,2,1"), metavar="4,3,...", help="how many")
-    add_rendered(whole)
-    return whole
+    add_rendered(result)
+    return result
 
 
 def main() -> None:
@@ -247,34 +251,34 @@ def main() -> None:
     options = parser().parse_args()
     keep_compiled()
     with tempfile.TemporaryDirectory() as folder:
-        found, timed = measured(options, Path(options.keep or folder))
-    rendered = [result for result in found if result.name != REAL]
+        results, timed = measured(options, Path(options.keep or folder))
+    rendered = [result for result in results if result.name != REAL]
     most = [r for r in rendered if r.cameras == max(options.cameras)]
     parts = [exercise_rows(most)] if rendered else []
     parts += [camera_rows(rendered)] if len(options.cameras) > 1 and rendered else []
-    parts += [real_rows(result) for result in found if result.name == REAL]
+    parts += [real_rows(result) for result in results if result.name == REAL]
     print("\n\n".join([*map(aligned, parts), table(timed)]))
     if options.json:
-        write_json([*(m for result in found for m in metrics(result)), *timed], options.json)
+        write_json([*(m for result in results for m in metrics(result)), *timed], options.json)
 
 
 def measured(options: argparse.Namespace, keep: Path) -> tuple[list[Result], list[Metric]]:
     """Everything that was asked for, and what a frame took by each number of cameras."""
-    found: list[Result] = []
+    results: list[Result] = []
     timed: list[Metric] = []
     clips = chosen(options, keep)
     for number in options.cameras if clips else ():
         with stages_timed() as clock:
             for clip in clips:
                 print(f"tracking {clip.name} by {number}", file=sys.stderr, flush=True)
-                found.append(track_exercise(clip, number))
+                results.append(track_exercise(clip, number))
         timed += speed(f"{number} cameras" if number > 1 else "1 camera", clock.frames)
     if REAL in options.only and options.recordings:
         path = Path(options.recordings) / REAL / "recording_all_cameras.toml"
         with stages_timed() as clock:
-            found.append(track_real(Clip(REAL, REAL, path, REAL_LANDMARKS)))
+            results.append(track_real(Clip(REAL, REAL, path, REAL_LANDMARKS)))
         timed += speed("real, 4 cameras", clock.frames)
-    return found, timed
+    return results, timed
 
 
 if __name__ == "__main__":

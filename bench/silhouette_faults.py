@@ -137,10 +137,10 @@ def walking_out(videos: Sequence[VideoSource], truth: Truth) -> Faulty | None:
     out = int(np.argmax(beyond))
     columns = slice(0, edge) if rightwards else slice(edge, None)
     cut = [image[:, columns].copy() for image in _images(video)]
-    seen = replace(_windowed(video, columns), frames=(_times(video), cut))
+    shifted = replace(_windowed(video, columns), frames=(_times(video), cut))
     left = tuple(each.camera_name for each in videos if each is not video)
     span = Span(out, out + 1, (video.camera_name,))
-    return Faulty(tuple(seen if v is video else v for v in videos), (span,), left)
+    return Faulty(tuple(shifted if v is video else v for v in videos), (span,), left)
 
 
 FAULTS = {
@@ -174,7 +174,7 @@ def _boxed(image: np.ndarray, camera: Camera, points_world: np.ndarray) -> np.nd
 
 
 def _bodies(truth: Truth) -> np.ndarray:
-    """(T, L, 3) all joints that are known."""
+    """(T, L, 3) all true joints."""
     return np.stack(list(truth.values()), 1)
 
 

@@ -31,7 +31,7 @@ STAGES: dict[str, tuple[tuple[object, str], ...]] = {
     "fit": ((cycles, "fit"),),
     "hypotheses": ((tracker, "recover_limbs"),),
 }
-REST, WHOLE = "the rest", "whole frame"
+REST, WHOLE_FRAME = "the rest", "whole frame"
 
 
 class StageClock:
@@ -69,7 +69,7 @@ class StageClock:
             result = function(*arguments, **named)
             spent = 1e3 * (perf_counter() - began)
             rest = spent - (sum(self._now.values()) - waited)
-            self.frames.append({**self._now, REST: rest, WHOLE: spent + waited})
+            self.frames.append({**self._now, REST: rest, WHOLE_FRAME: spent + waited})
             self._now = {}
             return result
 

@@ -1,4 +1,4 @@
-"""``python -m bench.where FOUND.json --out FILE.png``: where the time of a causal step goes.
+"""``python -m bench.where MEASURED.json --out FILE.png``: where the time of a causal step goes.
 
 A bar for each way of working, stage upon stage, as multiples of OpenCV's bare image chain; the line
 is what was aimed at.
@@ -23,12 +23,12 @@ REST, LIMIT = "the rest: crossings, reports", 2.0
 COLOURS = {"observe": "C0", "solve": "C2", "refine": "C1", "smooth": "C3", "rest": "0.7"}
 
 
-def stages_over_chain(found: dict[str, float]) -> dict[str, dict[str, float]]:
+def stages_over_chain(figures: dict[str, float]) -> dict[str, dict[str, float]]:
     """Bar -> stage -> multiples of the image chain."""
 
-    def bar(names: list[str], whole: str) -> dict[str, float]:
-        parts = {name: found[f"{name}_over_image_chain"] for name in names}
-        return parts | {"rest": max(found[whole] - sum(parts.values()), 0.0)}
+    def bar(names: list[str], total: str) -> dict[str, float]:
+        parts = {name: figures[f"{name}_over_image_chain"] for name in names}
+        return parts | {"rest": max(figures[total] - sum(parts.values()), 0.0)}
 
     frame = ["observe", "solve", "refine"]
     return {
@@ -39,11 +39,11 @@ def stages_over_chain(found: dict[str, float]) -> dict[str, dict[str, float]]:
 
 def draw(axes: Axes, bars: dict[str, dict[str, float]]) -> None:
     """Stacked bars with their sums, and the limit."""
-    said = STAGES | {"rest": REST}
+    colours = STAGES | {"rest": REST}
     for row, (name, parts) in enumerate(bars.items()):
         left = 0.0
         for stage, size in parts.items():
-            label = said[stage] if name == list(bars)[-1] else None
+            label = colours[stage] if name == list(bars)[-1] else None
             axes.barh(row, size, left=left, color=COLOURS[stage], label=label)
             if size > 0.7:
                 axes.text(left + size / 2, row, f"{size:.1f}", ha="center", va="center")
@@ -59,12 +59,12 @@ def draw(axes: Axes, bars: dict[str, dict[str, float]]) -> None:
 
 def main() -> None:
     parser = command("bench.where", __doc__)
-    parser.add_argument("found", help="JSON of python -m bench")
+    parser.add_argument("measured", help="JSON of python -m bench")
     parser.add_argument("--out", required=True, help="picture to write")
     options = parser.parse_args()
-    found = {metric.name: metric.value for metric in read_json(options.found)}
+    figures = {metric.name: metric.value for metric in read_json(options.measured)}
     figure, axes = plt.subplots(figsize=(9, 3.6), layout="constrained")
-    draw(axes, stages_over_chain(found))
+    draw(axes, stages_over_chain(figures))
     figure.savefig(options.out, dpi=110)
 
 

@@ -38,13 +38,14 @@ def wrong_turns(
         video: (N, J) errors with video, likewise. Unknown samples count neither way.
         worse_by: metres.
     """
-    known = np.isfinite(alone) & np.isfinite(video)
-    wrong = known & (video > alone + worse_by)
-    counts = known.sum(0)
+    is_measured = np.isfinite(alone) & np.isfinite(video)
+    wrong = is_measured & (video > alone + worse_by)
+    counts = is_measured.sum(0)
     share = np.where(counts > 0, wrong.sum(0) / np.maximum(counts, 1), np.nan)
     step = sample_step(times)
     longest = [
-        _longest(times[seen], bad[seen], step) for seen, bad in zip(known.T, wrong.T, strict=True)
+        _longest(times[rows], bad[rows], step)
+        for rows, bad in zip(is_measured.T, wrong.T, strict=True)
     ]
     return WrongTurns(share, np.array(longest))
 

@@ -39,7 +39,7 @@ def main() -> int:
     paths = sorted(Path(__file__).parent.glob("*.ipynb"))
     # Much of a notebook's time one core waits for the compiler.
     with ThreadPoolExecutor(AT_A_TIME) as beside:
-        wrong = [said for said in beside.map(executed, paths) if said]
+        wrong = [problem for problem in beside.map(executed, paths) if problem]
     print(*wrong, sep="\n", end="", file=sys.stderr)
     return 1 if wrong else 0
 

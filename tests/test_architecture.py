@@ -1,4 +1,4 @@
-"""The import table of the design, held: who may know whom, and who opens which third party."""
+"""The import table of the design, held: who may import whom, and who opens which third party."""
 
 import ast
 import subprocess
@@ -37,13 +37,13 @@ ROOMS = (
     "cli",
     "reference",
 )
-# Rooms that know fewer than those above them.
-KNOWS = {
+# Rooms that import fewer than those above them.
+ALLOWED = {
     "solvers": set(),
     "compilation": set(),
     "reference": set(),
     "images": {"geometry"},
-    # Neither tracker knows the other.
+    # Neither tracker imports the other.
     "silhouette": set(ROOMS[: ROOMS.index("hybrid")]),
     "modelling": {"geometry", "body", "images"},
     "formats": {"geometry", "body", "compilation"},
@@ -109,16 +109,16 @@ def room_of(path: Path) -> str:
 
 def imports(path: Path) -> set[str]:
     """Full names of everything imported anywhere in a file, inside functions too."""
-    found = set()
+    actual = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            actual |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             here = ("jaxmocap", *Path(within(path)).parts[:-1])
             base = ".".join(here[: len(here) + 1 - node.level]) + "." if node.level else ""
             module = (base + (node.module or "")).rstrip(".")
-            found |= {module} | {f"{module}.{alias.name}" for alias in node.names}
-    return found
+            actual |= {module} | {f"{module}.{alias.name}" for alias in node.names}
+    return actual
 
 
 def rooms_imported(path: Path) -> set[str]:
@@ -127,7 +127,7 @@ def rooms_imported(path: Path) -> set[str]:
 
 
 def may_import(room: str) -> set[str]:
-    return KNOWS.get(room, set(ROOMS[: ROOMS.index(room)])) - {"reference"}
+    return ALLOWED.get(room, set(ROOMS[: ROOMS.index(room)])) - {"reference"}
 
 
 @pytest.mark.parametrize("path", FILES, ids=within)
@@ -141,9 +141,9 @@ def test_a_room_imports_only_what_the_table_allows(path):
     assert not imports(path) & FORBIDDEN_MODULES.get(room, set())
 
 
-def test_what_a_room_knows_stands_above_it():
-    for room, known in KNOWS.items():
-        assert known <= set(ROOMS[: ROOMS.index(room)])
+def test_what_a_room_imports_stands_above_it():
+    for room, allowed in ALLOWED.items():
+        assert allowed <= set(ROOMS[: ROOMS.index(room)])
 
 
 def test_a_room_has_twelve_modules_at_most():
@@ -211,8 +211,8 @@ def test_every_room_says_what_it_is_for_and_where_to_begin():
 
 def test_modules_import_one_another_in_no_circle():
     names = {path: dotted(path) for path in FILES}
-    known = {name: path for path, name in names.items()}
-    leads = {names[path]: imports(path) & set(known) - {names[path]} for path in FILES}
+    paths = {name: path for path, name in names.items()}
+    leads = {names[path]: imports(path) & set(paths) - {names[path]} for path in FILES}
     finished: set[str] = set()
 
     def walk(name: str, above: tuple[str, ...]) -> None:

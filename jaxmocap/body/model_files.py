@@ -69,7 +69,7 @@ def bodies() -> tuple[str, ...]:
 
 
 @cache
-def known_joints() -> dict[str, dict]:
+def joints_of_models() -> dict[str, dict]:
     """Joint -> its row, of all files in ``body/data``."""
     names = [*bodies(), "wrists.toml"]
     return {row["name"]: row for name in names for row in _joint_rows(name)}

@@ -20,7 +20,7 @@ FEWEST = 64
 
 @dataclass(frozen=True)
 class Report:
-    """How far to trust each of T samples.
+    """How good each of T samples is.
 
     Attributes:
         markers: names of the M markers tracked.
@@ -33,12 +33,12 @@ class Report:
         confidence: (T, 2) between 0 and 1, left and right elbow; one half where the elbow's
             standard deviation is 5 cm.
         landmarks_std: (T, L, 3) standard deviations of the ``LANDMARKS``' coordinates, world,
-            metres; NaN where nothing is said of them.
+            metres; NaN where they were not estimated.
         from_prior: (T, L) 1 where a landmark comes from the prior alone, neither marker nor video
-            telling much of it, else 0; NaN where nothing is said.
+            determining much of it, else 0; NaN where it was not estimated.
         statuses: T tuples of sentences; empty where there is nothing to say.
         milliseconds: stage -> times of its calls.
-        settings: what the tracker was told.
+        settings: of the tracker.
     """
 
     markers: tuple[str, ...]

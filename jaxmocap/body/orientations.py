@@ -31,22 +31,22 @@ def body_turns(skeleton: Skeleton, angles: np.ndarray) -> np.ndarray:
 
 def about(axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Rotations (T, 3, 3) by (T,) radians about a unit axis; NaN where an angle is."""
-    known = np.isfinite(angles)
-    turn = np.where(known, angles, 0.0)[:, None] * axis
-    return np.where(known[:, None, None], Rotation.from_rotvec(turn).as_matrix(), np.nan)
+    is_finite = np.isfinite(angles)
+    turn = np.where(is_finite, angles, 0.0)[:, None] * axis
+    return np.where(is_finite[:, None, None], Rotation.from_rotvec(turn).as_matrix(), np.nan)
 
 
 def matrices(quaternions: np.ndarray) -> np.ndarray:
     """Rotations (..., 3, 3) of (..., 4) wxyz; NaN where unknown."""
-    known = np.isfinite(quaternions.sum(-1, keepdims=True))
-    safe = np.where(known, quaternions, [1.0, 0, 0, 0]).reshape(-1, 4)
+    is_finite = np.isfinite(quaternions.sum(-1, keepdims=True))
+    safe = np.where(is_finite, quaternions, [1.0, 0, 0, 0]).reshape(-1, 4)
     R = Rotation.from_quat(safe, scalar_first=True).as_matrix()
-    return np.where(known[..., None], R.reshape(*known.shape[:-1], 3, 3), np.nan)
+    return np.where(is_finite[..., None], R.reshape(*is_finite.shape[:-1], 3, 3), np.nan)
 
 
 def quaternions(R: np.ndarray) -> np.ndarray:
     """Quaternions (..., 4), wxyz, w not negative, of (..., 3, 3) rotations; NaN where unknown."""
-    known = np.isfinite(R.sum((-2, -1)))[..., None]
-    safe = np.where(known[..., None], R, np.eye(3)).reshape(-1, 3, 3)
-    found = Rotation.from_matrix(safe).as_quat(canonical=True, scalar_first=True)
-    return np.where(known, found.reshape(*known.shape[:-1], 4), np.nan)
+    is_finite = np.isfinite(R.sum((-2, -1)))[..., None]
+    safe = np.where(is_finite[..., None], R, np.eye(3)).reshape(-1, 3, 3)
+    converted = Rotation.from_matrix(safe).as_quat(canonical=True, scalar_first=True)
+    return np.where(is_finite, converted.reshape(*is_finite.shape[:-1], 4), np.nan)

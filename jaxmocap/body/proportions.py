@@ -35,7 +35,7 @@ PROPORTIONS = (
     Proportion("shoulder breadth", ("shoulder",), 0.08),
 )
 # All that a clip made for it may correct. Lengths vary less among people of one stature than where
-# joints are said to lie among authors; both are in these deviations.
+# authors place the joints; both are in these deviations.
 LENGTHS = (
     *PROPORTIONS,
     Proportion("neck and head", ("head",), 0.05),
@@ -94,8 +94,8 @@ def stretched(skeleton: Skeleton, points: BodyPoints, logarithms: Array) -> Body
 
 def covariance_among_people(count: int) -> np.ndarray:
     """Of logarithms (P,), (P, P); all lengths but the two of every recording share a stature."""
-    known = (*LENGTHS, *GIRTHS)[:count]
-    independent = np.diag([proportion.deviation**2 for proportion in known])
+    chosen = (*LENGTHS, *GIRTHS)[:count]
+    independent = np.diag([proportion.deviation**2 for proportion in chosen])
     if count <= len(PROPORTIONS):
         return independent
     of_lengths = np.arange(count) < len(LENGTHS)

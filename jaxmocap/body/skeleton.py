@@ -34,11 +34,11 @@ def landmark_rows(names: Iterable[str]) -> np.ndarray:
     Raises:
         KeyError: no such landmark; the message lists the valid ones.
     """
-    rows, known = [], list(LANDMARKS)
+    rows, landmarks = [], list(LANDMARKS)
     for name in names:
         if name not in LANDMARKS:
-            raise KeyError(f"unknown landmark {name!r}; the landmarks are {', '.join(known)}")
-        rows.append(known.index(name))
+            raise KeyError(f"unknown landmark {name!r}; the landmarks are {', '.join(landmarks)}")
+        rows.append(landmarks.index(name))
     return np.array(rows, np.int32)
 
 
@@ -301,8 +301,10 @@ def _fractions(
         if key in table:
             members = [i] if single[i] else [j for j, other in enumerate(keys) if other == key]
             fractions[i] = table[key] * own[i] / sum(own[j] for j in members)
-    known = np.isfinite(fractions)
-    return np.where(known, fractions, own * fractions[known].sum() / own[known].sum())
+    is_measured = np.isfinite(fractions)
+    return np.where(
+        is_measured, fractions, own * fractions[is_measured].sum() / own[is_measured].sum()
+    )
 
 
 def with_girths(old: Skeleton, new: Skeleton) -> Skeleton:

@@ -38,8 +38,8 @@ _MEASURED = {
 def scale_to_landmarks(skeleton: Skeleton, landmarks: dict[str, np.ndarray]) -> Skeleton:
     """Scale by a static trial: robust means of lengths, and the directions of what has no DoF.
 
-    The person stands upright, arms anywhere. What no landmark tells follows from the height that
-    the known lengths suggest. The pelvis is the midpoint of the hips; spine and neck with head
+    The person stands upright, arms anywhere. What no landmark measures follows from the height that
+    the measured lengths suggest. The pelvis is the midpoint of the hips; spine and neck with head
     are split as in the skeleton given.
 
     Args:
@@ -74,7 +74,7 @@ def scale_to_landmarks(skeleton: Skeleton, landmarks: dict[str, np.ndarray]) -> 
 
 
 def _distance(landmarks: dict[str, np.ndarray], a: str, b: str) -> float | None:
-    """Median distance over the frames in which both are seen, or None."""
+    """Median distance over the frames that show both, or None."""
     if a not in landmarks or b not in landmarks:
         return None
     lengths = np.linalg.norm(landmarks[a] - landmarks[b], axis=-1)
@@ -84,7 +84,7 @@ def _distance(landmarks: dict[str, np.ndarray], a: str, b: str) -> float | None:
 def _height(
     landmarks: dict[str, np.ndarray], measured: dict[tuple[str, str], float | None]
 ) -> float:
-    """Body height, metres: from vertex to ankles where both are known, else from the limbs.
+    """Body height, metres: from vertex to ankles where both are measured, else from the limbs.
 
     The limbs' height is the median of those at which Winter's limbs are as long as the measured.
     """

@@ -40,7 +40,7 @@ class Tree:
         parents: index of each bone's parent, -1 for bones that start at the virtual root.
         joints: names of the D degrees of freedom.
         dof_bones: index of the bone that each degree of freedom turns, proximal to distal.
-        segments: what kind of bone each is; () where that is not known of any.
+        segments: what kind of bone each is; () where that is specified of none.
         searched: limb that is searched by each degree of freedom, "" for none; () for none at all.
     """
 

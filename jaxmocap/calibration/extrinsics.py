@@ -3,7 +3,7 @@
 INPUTS: points (metres, world, Z up), their pixels, Intrinsics. OUTPUTS: a Placement.
 
 As the paper's section 3 has it: the board lies where it was measured in the marker system's world,
-so its corners' places in the world are known, and the camera follows from them.
+so its corners' places in the world are given, and the camera follows from them.
 """
 
 from dataclasses import dataclass, field
@@ -169,7 +169,7 @@ def _without_outlier(
     for i in range(len(points_world)):
         rest = np.arange(len(points_world)) != i
         without.append(candidate_poses(points_world[rest], pixels_xy[rest], lens))
-    errors = [found[0].rms if found else np.inf for found in without]
+    errors = [pose[0].rms if pose else np.inf for pose in without]
     i = int(np.argmin(errors))
     if poses[0].rms > 1.0 and errors[i] < _OUTLIER_RATIO * poses[0].rms:
         used[i] = False
@@ -205,8 +205,8 @@ def _uncertainty_warnings(std_m: np.ndarray) -> list[str]:
     if std_m.max() < _UNCERTAIN_M:
         return []
     return [
-        f"the camera's place is only roughly known, ± {100 * std_m.max():.0f} cm: the board or the "
-        "points fill too little of the picture, or lie square to the view"
+        f"the camera's place is only roughly estimated, ± {100 * std_m.max():.0f} cm: the board or "
+        "the points fill too little of the picture, or lie square to the view"
     ]
 
 

@@ -78,9 +78,9 @@ class MarkerPath:
     def at(self, times: np.ndarray) -> np.ndarray:
         """(K, 3) positions at (K,) seconds; NaN outside the samples and in gaps."""
         after = np.searchsorted(self.times, times).clip(1, len(self.times) - 1)
-        is_known = (times >= self.times[0]) & (times <= self.times[-1])
-        is_known &= self.times[after] - self.times[after - 1] <= self.max_interval
-        return np.where(is_known[:, None], self.spline(times), np.nan)
+        is_valid = (times >= self.times[0]) & (times <= self.times[-1])
+        is_valid &= self.times[after] - self.times[after - 1] <= self.max_interval
+        return np.where(is_valid[:, None], self.spline(times), np.nan)
 
 
 @dataclass(frozen=True)
@@ -115,16 +115,16 @@ class HandFlow:
             measured.append(self._around(at_xy[:-1], radius[:-1]))
             predicted.append(np.diff(xy, axis=0))
         pair = FlowPair(np.stack(measured, 1), np.stack(predicted, 1))
-        is_known = np.isfinite(pair.measured + pair.predicted).all(-1, keepdims=True)
-        return FlowPair(*(np.where(is_known, part, np.nan) for part in pair))
+        is_valid = np.isfinite(pair.measured + pair.predicted).all(-1, keepdims=True)
+        return FlowPair(*(np.where(is_valid, part, np.nan) for part in pair))
 
     def _projected(self, path: MarkerPath, lag: float) -> tuple[np.ndarray, np.ndarray]:
         """(K + 1, 2) pixels of a hand, and (K + 1,) half the side of the square about it."""
         points = path.at(self.times + lag)
-        is_known = np.isfinite(points).all(-1)
+        is_valid = np.isfinite(points).all(-1)
         xy = np.full((len(points), 2), np.nan)
-        if is_known.any():
-            xy[is_known] = project_to_pixels(self.camera, points[is_known])
+        if is_valid.any():
+            xy[is_valid] = project_to_pixels(self.camera, points[is_valid])
         camera = on_host(self.camera)
         return xy, HAND_HALF_SIDE_M * np.asarray(pixels_per_metre(camera, depth(camera, points)))
 

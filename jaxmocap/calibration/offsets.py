@@ -224,10 +224,10 @@ def _with_orientation(
     offset: DeviceOffset, orientations: np.ndarray, R_world_body: np.ndarray
 ) -> DeviceOffset:
     """With the device's orientation on its bone, from (T, 3, 3) while the bones are upright."""
-    R_known = orientations[np.isfinite(orientations.sum((1, 2)))]
-    if not len(R_known):
+    R_measured = orientations[np.isfinite(orientations.sum((1, 2)))]
+    if not len(R_measured):
         raise ValueError(f"{offset.place.name}: has no orientation while standing")
-    R = Rotation.from_matrix(R_world_body.T @ R_known)
+    R = Rotation.from_matrix(R_world_body.T @ R_measured)
     spread = float(np.degrees(np.sqrt(np.mean((R.mean().inv() * R).magnitude() ** 2))))
     return replace(offset, orientation=R.mean().as_matrix(), orientation_rms=spread)
 

@@ -186,14 +186,16 @@ def _photo_size_warnings(path: Path, photo: np.ndarray, lens: Intrinsics) -> lis
     size, expected = np.array(photo.shape[1::-1]), lens.size
     if (size == expected).all():
         return []
-    found = f"is {size[0]} × {size[1]}, the calibration {expected[0]:g} × {expected[1]:g} pixels"
+    difference = (
+        f"is {size[0]} × {size[1]}, the calibration {expected[0]:g} × {expected[1]:g} pixels"
+    )
     if (np.abs(size - expected) > SIZE_TOLERANCE * expected).any():
-        raise InputError(path, f"{found}, expected the same camera and the same resolution")
-    return [f"{path.name} {found}: taken as cropped on the right and at the bottom"]
+        raise InputError(path, f"{difference}, expected the same camera and the same resolution")
+    return [f"{path.name} {difference}: taken as cropped on the right and at the bottom"]
 
 
 class _TargetPoints(NamedTuple):
-    """Points at known places in a photograph.
+    """Points at measured places in a photograph.
 
     Attributes:
         T_world_board: (4, 4) of the board; None with listed points.
@@ -245,19 +247,19 @@ def _ordered(path: Path, corners: Corners, origin_xy: tuple[float, float] | None
         raise InputError(
             path,
             "the board looks the same when it is turned (both counts even, or both odd), so its "
-            f"origin cannot be told: say where in the picture it is, {places}",
+            f"origin is ambiguous: state where in the picture it is, {places}",
         )
     return min(orders, key=lambda order: float(np.linalg.norm(order[0] - origin_xy)))
 
 
 def _refusal(upside_down: bool, advice: str | None) -> str:
     """Why a camera is not written."""
-    found = "the camera comes out upside down, expected it upright"
+    problem = "the camera comes out upside down, expected it upright"
     remedy = "or does it hang upside down (--upside-down)?"
     if upside_down:
-        found = "the camera comes out upright, expected it upside down as --upside-down states"
+        problem = "the camera comes out upright, expected it upside down as --upside-down states"
         remedy = "or leave that out"
-    return "; ".join(filter(None, (found, advice, remedy)))
+    return "; ".join(filter(None, (problem, advice, remedy)))
 
 
 def _residual_warnings(placement: Placement, names: list[str]) -> list[str]:

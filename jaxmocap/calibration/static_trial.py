@@ -165,12 +165,12 @@ def length_deviations(landmarks: Mapping[str, np.ndarray]) -> dict[str, tuple[fl
     points = dict(landmarks)
     if "hip_l" in points and "hip_r" in points:
         points["hips"] = (points["hip_l"] + points["hip_r"]) / 2
-    found = {}
+    deviations = {}
     for bone, (near, far) in _BONE_ENDS.items():
         if near in points and far in points:
             distance = np.linalg.norm(points[near] - points[far], axis=-1)
             if frames := int(np.isfinite(distance).sum()):
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore", RuntimeWarning)
-                    found[bone] = float(np.nanstd(distance)), frames
-    return found
+                    deviations[bone] = float(np.nanstd(distance)), frames
+    return deviations

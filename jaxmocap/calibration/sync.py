@@ -43,7 +43,7 @@ MIN_CORRELATION = 0.3
 OTHER_PEAK_DISTANCE_S = 0.15
 # by this factor.
 MIN_PEAK_RATIO = 1.08
-# An offset is known if the standard deviation of least squares is no more than this, seconds,
+# An offset is determined if the standard deviation of least squares is no more than this, seconds,
 MAX_STD_S = 0.005
 # and that of the lag at which flow and markers are nearest, which is coarser, no more than this.
 MAX_NEAREST_STD_S = 0.008
@@ -251,9 +251,9 @@ def _least_squares(flow: HandFlow, lag: float) -> tuple[float, float]:
 
 def _bootstrap_std(lags: np.ndarray, costs: np.ndarray, times: np.ndarray) -> float:
     """Deviation of the lag of the smallest mean distance (L, K, H) over blocks of time."""
-    blocks, is_known = _blocks(times), np.isfinite(costs)
-    sums = np.array([np.bincount(blocks, row) for row in np.where(is_known, costs, 0.0).sum(2)])
-    counts = np.array([np.bincount(blocks, row) for row in is_known.sum(2)])
+    blocks, is_finite = _blocks(times), np.isfinite(costs)
+    sums = np.array([np.bincount(blocks, row) for row in np.where(is_finite, costs, 0.0).sum(2)])
+    counts = np.array([np.bincount(blocks, row) for row in is_finite.sum(2)])
     draws = _bootstrap_counts(sums.shape[1])
     best = ((sums @ draws.T) / np.maximum(counts @ draws.T, 1)).argmin(0)
     return float(np.std(lags[best]))
@@ -314,7 +314,7 @@ def sync_text(offsets: Sequence[VideoOffset]) -> str:
             continue
         lines.append(
             f"{each.camera}: offset = {each.offset:.4f}  (± {each.std:.4f} s, correlation "
-            f"{each.correlation:.2f}; the recording says {each.stated_offset:g})"
+            f"{each.correlation:.2f}; the recording states {each.stated_offset:g})"
         )
         if np.isfinite(each.drift):
             lines.append(

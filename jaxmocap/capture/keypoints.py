@@ -129,14 +129,14 @@ def choose_person(pixels_xy: np.ndarray, predicted_xy: np.ndarray, gate_px: floa
         more are predicted).
     """
     pixels_xy, predicted_xy = np.asarray(pixels_xy, float), np.asarray(predicted_xy, float)
-    is_known = np.isfinite(predicted_xy).all(-1)
-    if not is_known.any() or not len(pixels_xy):
+    is_predicted = np.isfinite(predicted_xy).all(-1)
+    if not is_predicted.any() or not len(pixels_xy):
         return -1
-    distances = np.linalg.norm(pixels_xy[:, is_known] - predicted_xy[is_known], axis=-1)
+    distances = np.linalg.norm(pixels_xy[:, is_predicted] - predicted_xy[is_predicted], axis=-1)
     # NaN, a point that was not detected, is never near.
     near = distances <= gate_px
     costs = np.where(near, distances, gate_px).mean(-1)
-    costs[near.sum(-1) < min(2, is_known.sum())] = np.inf
+    costs[near.sum(-1) < min(2, is_predicted.sum())] = np.inf
     best = int(costs.argmin())
     return best if np.isfinite(costs[best]) else -1
 
@@ -150,7 +150,7 @@ def select_person(
         keypoints: of F frames.
         camera: that took them.
         points_world: (F, P, 3) where the key points' landmarks are at the frames' times, metres,
-            as far as that is known: NaN elsewhere.
+            as far as that is predicted: NaN elsewhere.
         gate_m: metres; see ``choose_person``.
 
     Returns:

@@ -45,14 +45,14 @@ def interpolate_markers(
     first = np.clip(newest - 1 if causal else newest, 0, len(times) - 2)
     start, end = times[first], times[first + 1]
     if causal:
-        is_known = (newest >= 1) & (at - end <= interval)
+        is_valid = (newest >= 1) & (at - end <= interval)
     else:
-        is_known = (at - times[-1] <= interval / 2) & (times[0] - at <= interval / 2)
-    is_known &= end - start <= GAP_INTERVALS * interval
+        is_valid = (at - times[-1] <= interval / 2) & (times[0] - at <= interval / 2)
+    is_valid &= end - start <= GAP_INTERVALS * interval
     weight, step = (at - start) / (end - start), positions[first + 1] - positions[first]
-    is_known = is_known[:, None] & (
+    is_valid = is_valid[:, None] & (
         np.linalg.norm(step, axis=-1) <= MAX_SPEED_M_S * (end - start)[:, None]
     )
     line = positions[first] + weight[:, None, None] * step
-    line = np.where(is_known[..., None], line, np.nan)
+    line = np.where(is_valid[..., None], line, np.nan)
     return np.where(exact[:, None, None], positions[newest], line)

@@ -37,9 +37,9 @@ def read_photograph(path: str | Path, camera: Camera) -> np.ndarray:
     image = read_picture(path)
     width, height = (int(n) for n in np.asarray(camera.size))
     if image.shape[:2] != (height, width):
-        found = f"{image.shape[1]} x {image.shape[0]}"
+        size = f"{image.shape[1]} x {image.shape[0]}"
         raise InputError(
-            path, f"found an image of {found} pixels, the calibration says {width} x {height}"
+            path, f"found an image of {size} pixels, the calibration says {width} x {height}"
         )
     return image
 
@@ -93,7 +93,7 @@ def _decoded(content: bytes) -> np.ndarray | None:
 
 @contextmanager
 def _silenced_decoders() -> Iterator[None]:
-    """What decoders print of damage, in words of their own and past Python, goes nowhere."""
+    """What decoders print of damage, in words of their own and not through Python, goes nowhere."""
     try:
         kept = os.dup(_STANDARD_ERROR)
     except OSError:

@@ -126,8 +126,8 @@ class Video(FrameSource):
             raise InputError(self.path, f"{NO_VIDEO}, nothing decodes its video stream")
         if context.width * context.height > MAX_PIXELS:
             container.close()
-            found = f"found images of {context.width} × {context.height} pixels"
-            raise InputError(self.path, f"{found}, expected up to {MAX_PIXELS / 1e6:.0f} million")
+            problem = f"found images of {context.width} × {context.height} pixels"
+            raise InputError(self.path, f"{problem}, expected up to {MAX_PIXELS / 1e6:.0f} million")
         return container
 
     def _scan(self) -> tuple[np.ndarray | None, np.ndarray]:
@@ -147,8 +147,8 @@ class Video(FrameSource):
                 if not 0 < rate <= MAX_RATE_HZ:
                     raise InputError(self.path, f"found {rate:g} frames per second")
                 return None, np.arange(len(stamps)) / rate
-            found = np.unique(np.asarray(stamps, np.int64))
-            return found, self._seconds(found, stream)
+            distinct = np.unique(np.asarray(stamps, np.int64))
+            return distinct, self._seconds(distinct, stream)
 
     def _seconds(self, stamps: np.ndarray, stream: VideoStream) -> np.ndarray:
         """Since the stream's start, of ascending stamps."""
@@ -159,8 +159,10 @@ class Video(FrameSource):
         # Python's numbers do not overflow.
         first, last = (tick * (int(stamp) - start) for stamp in stamps[[0, -1]])
         if not -MAX_DURATION_S <= first <= last <= MAX_DURATION_S:
-            found = f"found frames {first:.4g} to {last:.4g} s after its start"
-            raise InputError(self.path, f"{found}, expected within {MAX_DURATION_S / 86400:g} days")
+            problem = f"found frames {first:.4g} to {last:.4g} s after its start"
+            raise InputError(
+                self.path, f"{problem}, expected within {MAX_DURATION_S / 86400:g} days"
+            )
         return (stamps - start) * tick
 
     def _first_image(self) -> np.ndarray:
@@ -293,10 +295,13 @@ def check_video_size(video: FrameSource, camera: Camera, path: str | Path) -> st
     size, expected = np.array(video.size), np.asarray(camera.size, float)
     if (size == expected).all():
         return None
-    found = f"the video is {size[0]} × {size[1]}, its calibration {expected[0]:g} × {expected[1]:g}"
+    difference = (
+        f"the video is {size[0]} × {size[1]}, its calibration {expected[0]:g} × {expected[1]:g}"
+    )
     if (np.abs(size - expected) > SIZE_TOLERANCE * expected).any():
-        raise InputError(path, f"{found} pixels, expected at most 2 % of difference")
-    return f"{path}: {found} pixels; taken as cropped on the right and at the bottom, not rescaled"
+        raise InputError(path, f"{difference} pixels, expected at most 2 % of difference")
+    taken = "taken as cropped on the right and at the bottom, not rescaled"
+    return f"{path}: {difference} pixels; {taken}"
 
 
 def _packets(container: InputContainer, stream: VideoStream) -> Iterator[Packet]:

@@ -21,8 +21,8 @@ def in_batches(
     count = len(jax.tree.leaves(stacked)[0])
 
     def of_batch(rows: np.ndarray) -> list[np.ndarray]:
-        found = call(*jax.tree.map(lambda part: np.asarray(part)[rows], stacked))
-        return [np.asarray(part, np.float64) for part in jax.tree.leaves(found)]
+        result = call(*jax.tree.map(lambda part: np.asarray(part)[rows], stacked))
+        return [np.asarray(part, np.float64) for part in jax.tree.leaves(result)]
 
     each = workers.map if workers else map
     parts = list(each(of_batch, _batches(count, size)))

@@ -49,7 +49,7 @@ class Store(Protocol):
     """Where bytes are kept from one start to the next."""
 
     def read(self, name: str, key: str) -> bytes | None:
-        """What was written by that name and that key; None if it is not there or not whole."""
+        """What was written by that name and that key; None if it is not there or not complete."""
         ...
 
     def write(self, name: str, key: str, content: bytes) -> None:
@@ -106,8 +106,8 @@ class Program:
         Args:
             function: of pytrees of arrays; it may close over nothing else but what follows from
                 this package's code and from ``static``.
-            name: tells it from others.
-            static: what else it depends on; its ``repr`` tells it from others.
+            name: distinguishes it from others.
+            static: what else it depends on; its ``repr`` distinguishes it from others.
             effort: of the compiler.
         """
         self.name, self.jitted, self._effort = name, jax.jit(function), effort
@@ -198,8 +198,10 @@ class Program:
 
         def flat(*leaves: Array) -> list[Array]:
             nonlocal result
-            found, result = jax.tree.flatten(self.jitted(*jax.tree.unflatten(structure, leaves)))
-            return found
+            flattened, result = jax.tree.flatten(
+                self.jitted(*jax.tree.unflatten(structure, leaves))
+            )
+            return flattened
 
         try:
             blob = bytes(export.export(jax.jit(flat))(*like).serialize())
@@ -217,7 +219,7 @@ _store: Store | None = None
 def keep_in(store: Store | None) -> None:
     """Keep what tracing makes from now on in a store of the user's own; None keeps nothing.
 
-    What the store returns is trusted: it must be what was written by the same name and key.
+    What the store returns is not checked again: it must have been written by the same name and key.
     """
     global _store
     _store = store
@@ -241,7 +243,7 @@ def _compiler() -> ThreadPoolExecutor:
 
 @lru_cache
 def _compiler_options(effort: Effort) -> dict[str, bool | int] | None:
-    """Of an effort, where this compiler knows them."""
+    """Of an effort, where this compiler has them."""
     options = EFFORTS[effort]
     if not options or jax.default_backend() != "cpu":
         return None

@@ -37,7 +37,7 @@ def from_json(text: str) -> Any:
     try:
         return jax.tree.structure(_filled(json.loads(text)))
     except (_UnknownError, RecursionError):
-        raise ValueError("not a structure that is known here") from None
+        raise ValueError("not a structure that can be restored here") from None
 
 
 def _described(structure: Any) -> Any:
@@ -84,8 +84,8 @@ def _filled(described: Any) -> Any:
 def _named_tuple(name: str) -> type | None:
     """The NamedTuple ``module:qualified.name`` if its module is imported, else None."""
     module, _, path = name.partition(":")
-    found: Any = sys.modules.get(module)
+    item: Any = sys.modules.get(module)
     for part in path.split("."):
-        found = vars(found).get(part) if hasattr(found, "__dict__") else None
-    is_one = isinstance(found, type) and issubclass(found, tuple) and hasattr(found, "_fields")
-    return found if is_one else None
+        item = vars(item).get(part) if hasattr(item, "__dict__") else None
+    is_one = isinstance(item, type) and issubclass(item, tuple) and hasattr(item, "_fields")
+    return item if is_one else None

@@ -103,7 +103,7 @@ def new_panels(
 
 
 def save_figure(figure: Figure, path: str | Path, title: str) -> None:
-    """Write a figure to a picture file, moved into place when it is whole."""
+    """Write a figure to a picture file, moved into place when it is complete."""
     if title:
         figure.suptitle(title)
     with replacing(path) as beside:

@@ -55,9 +55,9 @@ def second_difference(times: np.ndarray, values: np.ndarray) -> np.ndarray:
     NaN across a gap in the times.
     """
     step = sample_step(times)
-    found = np.diff(np.asarray(values, float), 2, axis=0) / step**2
-    found[np.abs(times[2:] - times[:-2] - 2 * step) > step / 2] = np.nan
-    return found
+    differences = np.diff(np.asarray(values, float), 2, axis=0) / step**2
+    differences[np.abs(times[2:] - times[:-2] - 2 * step) > step / 2] = np.nan
+    return differences
 
 
 def high_pass(times: np.ndarray, values: np.ndarray, cutoff: float = HIGH_PASS_HZ) -> np.ndarray:

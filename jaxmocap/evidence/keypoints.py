@@ -52,8 +52,8 @@ def lines_of_sight(
     origin = np.tile(np.asarray(camera.position_world, float), (count, 1))
     ways, sure = np.full((count, len(LANDMARKS), 3), np.nan), np.zeros((count, len(LANDMARKS)))
     ways[:, columns] = np.asarray(pixel_rays(camera, jnp.asarray(pixels_xy, float)))
-    seen = np.isfinite(ways[:, columns]).all(-1)
-    sure[:, columns] = np.where(seen, confidences, 0.0)
+    is_detected = np.isfinite(ways[:, columns]).all(-1)
+    sure[:, columns] = np.where(is_detected, confidences, 0.0)
     return SightLines(*(np.asarray(part, np.float32)[:, None] for part in (origin, ways, sure)))
 
 
@@ -67,13 +67,15 @@ def line_residuals(points_world: Array, lines: SightLines, deviation: Array) -> 
         lines: of C cameras.
         deviation: of a point of full confidence, metres at the person.
     """
-    seen = (
+    is_detected = (
         jnp.isfinite(lines.directions).all(-1, keepdims=True) & (lines.confidences > 0)[..., None]
     )
-    way = jnp.where(seen, lines.directions, 0.0)
+    way = jnp.where(is_detected, lines.directions, 0.0)
     off = points_world[..., None, :, :] - lines.origin[..., None, :]
     across = off - jnp.sum(off * way, -1, keepdims=True) * way
-    return _with_tails(jnp.where(seen, across * lines.confidences[..., None] / deviation, 0.0))
+    return _with_tails(
+        jnp.where(is_detected, across * lines.confidences[..., None] / deviation, 0.0)
+    )
 
 
 def _with_tails(off: Array) -> Array:

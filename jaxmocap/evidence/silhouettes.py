@@ -1,10 +1,10 @@
 """The body's silhouette: how far the drawn body covers what the cameras saw of it.
 
 Two pictures of the same grid round the upper half: the whole person against the background, and the
-forearms against all else, so that an arm before the torso is seen as well. A coarser grid round the
+forearms against all else, so that an arm before the torso counts as well. A coarser grid round the
 legs shows where the person stands.
 
-INPUTS: a skeleton, a pose, a camera, what was seen on a grid.
+INPUTS: a skeleton, a pose, a camera, measured silhouettes on a grid.
 OUTPUTS: a cost, and its Gauss-Newton terms by the pose's tangent vector.
 """
 
@@ -133,7 +133,7 @@ class Silhouettes:
 def project_limbs(
     skeleton: Skeleton, frames: Frames, camera: Camera, grids: SilhouetteGrids
 ) -> tuple[Discs, Array]:
-    """The body's limbs (K) in cells, and how much (S * S,) of a forearm is to be seen."""
+    """The body's limbs (K) in cells, and the visible share (S * S,) of a forearm."""
     flesh = cones(skeleton, frames, skeleton.tree.drawn)
     discs = discs_in_region(grids.region, project_cones(camera, flesh))
     return discs, _visible(skeleton.tree, camera, flesh, discs, grids.person)
@@ -212,9 +212,9 @@ def forearms(tree: Tree) -> np.ndarray:
 
 
 def _visible(tree: Tree, camera: Camera, flesh: Cones, discs: Discs, grid: Grid) -> Array:
-    """How much (S * S,) of the frontmost forearm is to be seen.
+    """Visible share (S * S,) of the frontmost forearm.
 
-    Seen as it is: what hides a limb has no derivative.
+    Without a derivative: what hides a limb has none.
     """
     fore = np.isin(np.arange(len(discs.near)), forearms(tree))
     size = grid.probability.shape[-1]
@@ -239,7 +239,7 @@ def nearest_surface(camera: Camera, flesh: Cones, away: Array) -> Array:
 
 
 def unhidden(surface: Array, away: Array) -> Array:
-    """Share (C,) of a limb at a depth (C,) that a surface before or behind it leaves to be seen."""
+    """Share (C,) of a limb at a depth (C,) that a surface before or behind it leaves visible."""
     return jax.nn.sigmoid((surface + HIDDEN_BEYOND_M - away) / HIDDEN_SOFTLY_M)
 
 

@@ -1,4 +1,4 @@
-"""What is known of a motion before it is seen: accelerations are white noise.
+"""The prior of a motion: accelerations are white noise.
 
 M coordinates of points over T frames at any times. The prior is a sum of squares, the integral of
 (acceleration / deviation)^2 over time in its discrete form, so that it does not depend on how often
@@ -21,7 +21,7 @@ class Stencil(NamedTuple):
 
     Attributes:
         coefficients: (K, w).
-        weights: (M,) 1 / deviation; 0 where nothing is known.
+        weights: (M,) 1 / deviation; 0 where there is no prior.
     """
 
     coefficients: np.ndarray

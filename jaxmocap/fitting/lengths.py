@@ -86,20 +86,20 @@ def fit_lengths(
     """
     weighed = _weighed(problem, worth)
     solved = smooth_poses(weighed, _freed(start), softness)
-    found, count = solved.trajectory, len(LENGTHS) + len(GIRTHS)
+    trajectory, count = solved.trajectory, len(LENGTHS) + len(GIRTHS)
     prior, soft = weighed.motion_prior(), softened(weighed, softness[-1])
     with two_workers() as workers:
-        linear = linearise_problem(soft, softness[-1], workers, found)
+        linear = linearise_problem(soft, softness[-1], workers, trajectory)
     # The prior weighs in as many views as there are: undone, it is the prior that people have.
     views = max(len(problem.views.camera), 1) / worth
     shared = views * covariances(linear, prior).shared[:count, :count]
-    logarithms = np.asarray(found.proportions, float)
+    logarithms = np.asarray(trajectory.proportions, float)
     people = covariance_among_people(count)
-    return LengthsFit(logarithms, shared, people, found, solved.status)
+    return LengthsFit(logarithms, shared, people, trajectory, solved.status)
 
 
 def _weighed(problem: SmoothingProblem, worth: float) -> SmoothingProblem:
-    """The same as lengths are judged by."""
+    """The same for the report."""
     lasting = lasting_errors(problem)
     silhouettes = replace(lasting.silhouettes, forearms=0.0)
     settings = replace(lasting, silhouettes=silhouettes, proportions=1 / worth)

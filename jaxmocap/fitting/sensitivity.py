@@ -5,8 +5,8 @@ stays zero: H dx = -(dg/ds) ds, the implicit function theorem. H is the cost's w
 what Gauss-Newton leaves out, yet banded as the solve's own: every residual belongs to one frame,
 and of the prior that joins the frames only the landmarks' curvature is new.
 
-Held fixed: what was seen (the grids, the background and colours that they come from, where they
-lie), how the cameras were found turned, the markers, what hides a forearm, facing and ankles of the
+Held fixed: the measurements (the grids, the background and colours that they come from, where they
+lie), the cameras' estimated rotations, the markers, what hides a forearm, facing and ankles of the
 markers' pose. Which limb reaches farthest over a cell changes in jumps, which have no derivative.
 
 INPUTS: a recording's problem, its solution. OUTPUTS: the derivative, forwards and backwards.
@@ -80,7 +80,7 @@ class Sensitivity:
         (gradient,) = pull(there.backwards(jax.grad(loss)(there.landmarks)))
 
     Attributes:
-        problem: the recording, seen as softly as it is drawn.
+        problem: the recording, its grids blurred as softly as they are drawn.
         trajectory: its solution.
         softness: () of the silhouettes' borders, cells.
         prior: of the landmarks' motion.
@@ -100,14 +100,20 @@ class Sensitivity:
         """At the trajectory that ``smooth_poses`` found, with the last softness that it was given.
 
         The derivative is as exact as the trajectory is a minimum (``slopes.exact``: whether it is
-        one); ``settled`` brings it closer. Cameras that were found turned are stated so.
+        one); ``settled`` brings it closer. Cameras have their estimated rotations.
         """
         cameras = all_turned(problem.model.cameras, trajectory.turns_cam)
         problem = replace(problem, model=replace(problem.model, cameras=cameras))
         trajectory = trajectory._replace(turns_cam=UNTURNED)
-        seen, prior = softened(problem, softness), problem.motion_prior()
+        softened_problem, prior = softened(problem, softness), problem.motion_prior()
         soft = jnp.asarray(softness, trajectory.proportions.dtype)
-        return cls(seen, trajectory, soft, prior, _slopes(seen, trajectory, soft, prior))
+        return cls(
+            softened_problem,
+            trajectory,
+            soft,
+            prior,
+            _slopes(softened_problem, trajectory, soft, prior),
+        )
 
     @property
     def landmarks(self) -> np.ndarray:
@@ -166,8 +172,8 @@ class Sensitivity:
             for lens, part in zip(lenses, by_view[skeleton:], strict=True):
                 np.add.at(lens, views.camera, part)
         leaves, tree = jax.tree.flatten(model)
-        found = zip((*body, *lenses), leaves, strict=True)
-        return jax.tree.unflatten(tree, [jnp.asarray(own, leaf.dtype) for own, leaf in found])
+        pairs = zip((*body, *lenses), leaves, strict=True)
+        return jax.tree.unflatten(tree, [jnp.asarray(own, leaf.dtype) for own, leaf in pairs])
 
     def _solved(self, slope: np.ndarray) -> np.ndarray:
         """H^-1 times slopes (T, N + P), of which the last P add up: (T, N + P), the last alike."""

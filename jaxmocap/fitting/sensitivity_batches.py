@@ -63,7 +63,7 @@ def _drawn_by(
     view: SilhouetteGrids,
     step: Array,
 ) -> tuple[Array, Array]:
-    """Limbs (K, 6) of a person moved by a step (N + P,), and how much of a forearm is seen."""
+    """Limbs (K, 6) of a person moved by a step (N + P,), and the visible share of a forearm."""
     n = ROOT_DOF + pose.angles.size
     person = scaled(skeleton, proportions + step[n:])
     frames = forward(person, retract(pose, step[:n]))
@@ -159,8 +159,8 @@ def frames_backwards(
 
     def of_frame(pose: Pose, one: Measurements, pull: Array, *back: Array) -> Model:
         uphill = _frame_uphill((terms, proportions), pose, one, pull)
-        (passed,) = jax.vjp(uphill, model)[1](back)
-        return passed
+        (pulled_back,) = jax.vjp(uphill, model)[1](back)
+        return pulled_back
 
     return jax.vmap(of_frame)(poses, measured, pull, by_uphill, by_points)
 

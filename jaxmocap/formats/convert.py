@@ -97,8 +97,8 @@ def convert_file(
             expected = ", ".join((*MARKER_SUFFIXES, *MOTION_SUFFIXES))
             raise InputError(path, f"unknown suffix {kind!r}, expected one of {expected}")
     if kinds[0] in MARKER_SUFFIXES and kinds[1] in MOTION_SUFFIXES:
-        found = "positions of markers, not orientations of bones"
-        problem = f"cannot be made from {conversion.source}: {found}"
+        content = "positions of markers, not orientations of bones"
+        problem = f"cannot be made from {conversion.source}: {content}"
         raise InputError(target, f"{problem} (jaxmocap track finds those)")
     _check_options(conversion, *kinds)
     if kinds[0] in MARKER_SUFFIXES:
@@ -123,7 +123,7 @@ def _check_options(conversion: _Conversion, source: str, target: str) -> None:
     }
     for option, given in useless.items():
         if given:
-            raise InputError(conversion.source, f"{option} says nothing about {source} to {target}")
+            raise InputError(conversion.source, f"{option} does not apply to {source} to {target}")
     if source == ".mot" and options.body is None:
         problem = "holds angles without bones: name a file with the same body"
         raise InputError(conversion.source, f"{problem} (--body motion.npz)")
@@ -154,7 +154,7 @@ def _write_markers(conversion: _Conversion, markers: Markers) -> None:
             return
         if kind == ".csv":
             write_csv(
-                conversion.target, markers.times, markers.points(), markers.known_orientations()
+                conversion.target, markers.times, markers.points(), markers.measured_orientations()
             )
         else:
             write_trc(conversion.target, markers.times, markers.points())
@@ -206,7 +206,7 @@ def _joint_names(conversion: _Conversion, joints: tuple[str, ...]) -> tuple[str,
         return joints
     ours, convention = names_to_ours(joints), CONVENTIONS[conversion.options.names]
     if ours is None:
-        raise InputError(conversion.source, f"joints of no known convention: {comma_list(joints)}")
+        raise InputError(conversion.source, f"joints of no supported naming: {comma_list(joints)}")
     return tuple(convention[ours[name]] if name in ours else name for name in joints)
 
 
@@ -219,7 +219,7 @@ def _write_armature(conversion: _Conversion, armature: Armature) -> None:
     if conversion.target.suffix.lower() == ".glb":
         write_gltf(conversion.target, armature)
         return
-    if unknown := int((~armature.is_known).sum()):
+    if unknown := int((~armature.is_valid).sum()):
         conversion.warnings.append(
             f"added: {unknown} samples without a pose hold that of the nearest"
         )

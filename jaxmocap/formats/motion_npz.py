@@ -14,7 +14,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmocap.body.model_files import HUMAN, bodies, known_joints, read_model
+from jaxmocap.body.model_files import HUMAN, bodies, joints_of_models, read_model
 from jaxmocap.body.motion import Motion, Report, near_origin
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton, joint_columns, load_skeleton
@@ -166,18 +166,18 @@ def _skeleton(file: NpzArrays) -> Skeleton:
     """The bones of one of our bodies, with any of the joints that our files have."""
     arrays = file.read(_TREE_SPECS)
     tree = Tree(*(tuple(arrays[f"tree.{name}"].tolist()) for name in _TREE_FIELDS))
-    known = _known_bones()
-    ours = known.get(tree.bones, known[Skeleton.human().tree.bones])
-    for name, found, expected in (
+    trees = _trees_by_bones()
+    ours = trees.get(tree.bones, trees[Skeleton.human().tree.bones])
+    for name, names, expected in (
         ("tree.bones", tree.bones, ours.bones),
         ("tree.parents", tree.parents, ours.parents),
     ):
-        if found != expected:
+        if names != expected:
             problem = (
-                f"found {comma_list(map(str, found))}, expected {', '.join(map(str, expected))}"
+                f"found {comma_list(map(str, names))}, expected {', '.join(map(str, expected))}"
             )
             raise InputError(file.path, f"{name}: {problem}")
-    rows = known_joints()
+    rows = joints_of_models()
     _check_joints(file.path, tree, {joint: row["bone"] for joint, row in rows.items()})
     body = file.read(_BODY_SPECS)
     _check_body(file.path, body)
@@ -188,7 +188,7 @@ def _skeleton(file: NpzArrays) -> Skeleton:
 
 
 @cache
-def _known_bones() -> dict[tuple[str, ...], Tree]:
+def _trees_by_bones() -> dict[tuple[str, ...], Tree]:
     """Bones -> the tree of one of our bodies that has them."""
     trees = [load_skeleton(name).tree for name in bodies()]
     return {tree.bones: tree for tree in trees}
@@ -211,9 +211,9 @@ def _check_body(path: str | Path, body: dict[str, np.ndarray]) -> None:
         _check_units(path, name, body[name])
     if not (body["skeleton.lengths"] > 0).all():
         raise InputError(path, "skeleton.lengths: found 0, expected metres above 0")
-    found, expected = len(body["skeleton.costs"]), ROOT_DOF + len(body["skeleton.axes"])
-    if found != expected:
-        raise InputError(path, f"skeleton.costs: found {found} numbers, expected {expected}")
+    count, expected = len(body["skeleton.costs"]), ROOT_DOF + len(body["skeleton.axes"])
+    if count != expected:
+        raise InputError(path, f"skeleton.costs: found {count} numbers, expected {expected}")
     low, high = body["skeleton.limits"].T
     if (low > high).any():
         i = int((low > high).argmax())
@@ -256,8 +256,8 @@ def _statuses(path: str | Path, text: str, count: int) -> tuple[tuple[str, ...],
         raise InputError(path, f"report.statuses: expected a JSON list of {count} lists")
     for i, sentences in enumerate(lists):
         if not isinstance(sentences, list) or not all(isinstance(s, str) for s in sentences):
-            found = short_repr(sentences)
-            raise InputError(path, f"report.statuses[{i}]: found {found}, expected sentences")
+            listed = short_repr(sentences)
+            raise InputError(path, f"report.statuses[{i}]: found {listed}, expected sentences")
     return tuple(map(tuple, lists))
 
 

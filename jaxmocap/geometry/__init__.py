@@ -1,6 +1,6 @@
-"""Mathematics of rotations, cameras, lines and outlines; knows no body and no image.
+"""Mathematics of rotations, cameras, lines and outlines, without body or image.
 
-Begin with ``rotations`` (matrices, quaternions, hinges) and ``cameras``: all that is known of
+Begin with ``rotations`` (matrices, quaternions, hinges) and ``cameras``: all that depends on
 intrinsics is asked of a ``Camera``, whose lens is a class of ``lenses``. ``outlines`` projects
 limbs as sphere-swept cones; ``solids`` makes meshes of them; ``lines`` are pixels' rays; ``euler``
 and ``fourier`` serve files and surfaces.

@@ -3,7 +3,7 @@
 INPUTS: points in the world (metres, Z up), a Camera.
 OUTPUTS: pixels (x right, y down, centres at whole numbers), depths, rays, derivatives.
 
-All that is known of intrinsics is asked of here: nothing else reads ``matrix`` or ``distortion``.
+All that depends on intrinsics is here: nothing else reads ``matrix`` or ``distortion``.
 What goes by components works alike with JAX and, of a camera ``on_host``, with NumPy.
 """
 
@@ -241,7 +241,7 @@ def _slopes(camera: Camera, x: Array, y: Array) -> tuple[Array, Array, Array] | 
 def project(camera: Camera, points_world: Array) -> Array:
     """Project (..., 3) world points, metres, to (..., 2) pixels (x, y); equation (11).
 
-    Points behind the camera get a finite pixel; ``depth(camera, points) <= 0`` tells them.
+    Points behind the camera get a finite pixel; ``depth(camera, points) <= 0`` marks them.
     """
     return to_pixels(camera, normalise(to_camera(camera, points_world)))
 

@@ -17,10 +17,10 @@ def continuous_euler(R: np.ndarray, order: str) -> np.ndarray:
     """Angles (T, J, 3), radians, of (T, J, 3, 3) rotations; NaN where those are.
 
     Every turn has two triples of angles, and each angle any number of whole turns; of these the
-    nearest to the last known sample is taken. At the first one they are between -pi and pi, the
+    nearest to the last measured sample is taken. At the first one they are between -pi and pi, the
     second angle between -pi/2 and pi/2, or, where the outer axes are the same, between -pi and 0.
     Where the outer axes fall together (gimbal lock) only the sum or the difference of the outer
-    angles is told: the first one stays as it was, or as it will be where it has not been yet.
+    angles is determined: the first one stays as it was, or as it will be where it has not been yet.
 
     Args:
         R: rotations.
@@ -32,34 +32,34 @@ def continuous_euler(R: np.ndarray, order: str) -> np.ndarray:
     middle = ways[0, ..., 1]
     apart = np.sin(middle) if same else np.cos(middle)
     locked = np.asarray(np.abs(apart) < LOCK)
-    known = np.asarray(np.isfinite(middle))
-    angles, before = np.empty(ways.shape[1:]), _start(ways[0], known & ~locked)
+    is_measured = np.asarray(np.isfinite(middle))
+    angles, before = np.empty(ways.shape[1:]), _start(ways[0], is_measured & ~locked)
     for i in range(len(angles)):
         near = before + _wrapped(ways[:, i] - before)
         far = np.abs(near - before).sum(-1)
         angles[i] = np.where((far[1] < far[0] - 1e-9)[:, None], near[1], near[0])
         for j in np.flatnonzero(locked[i]):
             angles[i, j] = _in_lock(R[i, j], order, angles[i, j, 1], before[j])
-        before = np.where(known[i][:, None], angles[i], before)
+        before = np.where(is_measured[i][:, None], angles[i], before)
     return angles
 
 
 def _ways(R: np.ndarray, order: str, same: bool) -> tuple[np.ndarray, np.ndarray]:
     """Both triples (T, J, 3) of every turn, the customary one first; NaN where it is unknown."""
-    known = np.isfinite(R.sum((-2, -1)))
-    safe = np.where(known[..., None, None], R, np.eye(3)).reshape(-1, 3, 3)
+    is_finite = np.isfinite(R.sum((-2, -1)))
+    safe = np.where(is_finite[..., None, None], R, np.eye(3)).reshape(-1, 3, 3)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Gimbal lock")
-        found = Rotation.from_matrix(safe).as_euler(order).reshape(*known.shape, 3)
-    found = np.where(known[..., None], found, np.nan)
-    other = _wrapped(found * [1, -1, 1] + (np.pi, 0.0 if same else np.pi, np.pi))
-    return (other, found) if same else (found, other)
+        angles = Rotation.from_matrix(safe).as_euler(order).reshape(*is_finite.shape, 3)
+    angles = np.where(is_finite[..., None], angles, np.nan)
+    other = _wrapped(angles * [1, -1, 1] + (np.pi, 0.0 if same else np.pi, np.pi))
+    return (other, angles) if same else (angles, other)
 
 
 def _start(angles: np.ndarray, usable: np.ndarray) -> np.ndarray:
     """Each joint's angles (J, 3) at its first usable sample; 0 where there is none."""
-    found = angles[usable.argmax(0), np.arange(angles.shape[1])]
-    return np.where(np.any(usable, 0, keepdims=True).T, found, 0.0)
+    start = angles[usable.argmax(0), np.arange(angles.shape[1])]
+    return np.where(np.any(usable, 0, keepdims=True).T, start, 0.0)
 
 
 def _in_lock(R: np.ndarray, order: str, second: float, before: np.ndarray) -> np.ndarray:

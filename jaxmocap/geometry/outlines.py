@@ -89,7 +89,7 @@ class Pieces(NamedTuple):
 def outline_pieces(
     x: Array, y: Array, radii: Array, along: int, around: int, open_ends: Array
 ) -> tuple[Pieces, Pieces]:
-    """The hulls' sides and arcs by components; what ``outline`` tells in rows of points.
+    """The hulls' sides and arcs by components; what ``outline`` gives in rows of points.
 
     Args:
         x: (2, ...) of the discs' centres, near and far.

@@ -89,8 +89,8 @@ def search(
         deviation = jnp.sqrt(jnp.sum(share * jnp.sum((elbows - mean) ** 2, -1)))
         return posterior, turn, deviation
 
-    found = jax.vmap(of_arm)(arms, fields.by_arm(), belief.log_weights)
-    return ElbowBelief(*found, jnp.zeros_like(belief.age), belief.pose)
+    result = jax.vmap(of_arm)(arms, fields.by_arm(), belief.log_weights)
+    return ElbowBelief(*result, jnp.zeros_like(belief.age), belief.pose)
 
 
 def _candidate_costs(

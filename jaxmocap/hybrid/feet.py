@@ -36,7 +36,7 @@ class FootPlacement(NamedTuple):
 def on_unmarked_feet(model: Model) -> Model:
     """The model as inverse kinematics takes it while neither foot carries a marker.
 
-    Nothing tells then how the trunk leans, and a straight leg cannot be shortened to the first
+    Nothing determines then how the trunk leans, and a straight leg cannot be shortened to the first
     order: a sinking head would bend neck and trunk instead of the knees. So the knees stay soft
     and cheap, and the trunk is stiff. With markers on both legs the skeleton stays as it is.
     """
@@ -73,12 +73,12 @@ def replant(
     if not model.unmarked_feet:
         return feet, jnp.zeros((), bool)
     skeleton = model.skeleton
-    above, is_known = _head_target(model, targets)
+    above, is_measured = _head_target(model, targets)
     middle = jnp.mean(feet.ankles, 0)
     thigh, shank = skeleton.tree.bones_in("thigh", "shank", side="l")
     leg = skeleton.lengths[thigh] + skeleton.lengths[shank]
     away = jnp.sum((above - middle)[:2] ** 2) > (settings.stance_radius * leg) ** 2
-    planted = is_known & (away | feet.overstretched)
+    planted = is_measured & (away | feet.overstretched)
     below = stand_below(skeleton, settings, above, quaternion_to_matrix(pose.quaternion)[:, 1])
     ankles = jnp.where(planted, below, feet.ankles)
     return FootPlacement(ankles, jnp.zeros((), bool)), planted
@@ -122,9 +122,9 @@ def place(model: Model, settings: IKSettings, targets: Array) -> tuple[Pose, Foo
     zero = jnp.zeros_like(yaw)
     quaternion = jnp.stack([jnp.cos(yaw / 2), zero, zero, jnp.sin(yaw / 2)])
     R = quaternion_to_matrix(quaternion)
-    above, is_known = _head_target(model, targets)
+    above, is_measured = _head_target(model, targets)
     by_head = above - rotate(R, landmark_above(skeleton, pose))
-    position = jnp.where(is_known, by_head, mean_world - rotate(R, mean_body))
+    position = jnp.where(is_measured, by_head, mean_world - rotate(R, mean_body))
     ankles = stand_below(skeleton, settings, position, R[:, 1])
     placed = FootPlacement(ankles, jnp.zeros((), bool))
     return Pose(position, quaternion, pose.angles), placed

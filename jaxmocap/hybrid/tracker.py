@@ -183,12 +183,12 @@ class HybridTracker:
                 fields, frames = observed.result()
                 rows = scan.rows(events)
                 inputs = RefineInputs(solved, scan.markers(rows), fields, scan.elapsed(rows))
-                belief, found = clock.timed(
+                belief, result = clock.timed(
                     "refine", refine, self.model, self.settings, state.bow_factors, inputs,
                     belief, among=EVENTS,
                 )  # fmt: skip
                 keep = slice(len(events))
-                poses, reports = jax.tree.map(lambda part, k=keep: np.asarray(part)[k], found)
+                poses, reports = jax.tree.map(lambda part, k=keep: np.asarray(part)[k], result)
                 yield Chunk(events, poses, reports, frames)
 
     def _beside(self, count: int) -> tuple[Callable[[], Callable], Callable[[], Callable]]:

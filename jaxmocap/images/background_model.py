@@ -5,7 +5,7 @@ background is unknown rather than guessed. A camera that brightens or darkens as
 frame by frame.
 
 INPUTS: frames (N, h, w, 3) uint8, masks (N, h, w) bool of where the body may be. OUTPUTS: a
-Background; or, for a live run, a RunningBackground, which knows the past alone.
+Background; or, for a live run, a RunningBackground, which uses earlier frames alone.
 """
 
 from dataclasses import dataclass, field, fields
@@ -13,12 +13,12 @@ from dataclasses import dataclass, field, fields
 import cv2
 import numpy as np
 
-# More frames than these, spread over the recording, tell nothing new of a room.
+# More frames than these, spread over the recording, add nothing to what is learned of a room.
 MOST_FRAMES = 60
-# A pixel is known once this share of the frames shows it, and never by fewer than so many of them.
-KNOWN_SHARE, KNOWN_FRAMES = 0.1, 3
-# Noise below this cannot be told from compression and rounding (grey levels); noise above is not
-# the sensor's: something moves there, and the pixel counts as unknown by and by.
+# A pixel is certain once this share of the frames shows it, and at least so many of them.
+CERTAIN_SHARE, CERTAIN_FRAMES = 0.1, 3
+# Noise below this may be compression and rounding (grey levels); noise above is not the sensor's:
+# something moves there, and the pixel becomes uncertain.
 LEAST_NOISE, MOST_NOISE = 3.0, 12.0
 # A normal distribution's standard deviation by its median and its mean absolute deviation.
 SIGMA_PER_MAD, SIGMA_PER_MEAN = 1.4826, 1.2533
@@ -28,7 +28,7 @@ SAMPLED_ROWS = 40
 MOST_GAIN, LEAST_GAIN = 2.0, 0.005
 # Values that tell an exposure (grey levels), and the fewest of them.
 DARK, BRIGHT, FEWEST = 20, 245, 50
-# Shares of the sampled pixels that agree with the background where it is trusted not at all, fully.
+# Shares of the sampled pixels that agree with the background where it is used not at all, fully.
 AGREEING = (0.25, 0.5)
 # Rows at a time: what the processor's cache holds.
 ROWS = 8
@@ -41,12 +41,12 @@ class Background:
     Attributes:
         colour: (h, w, 3) float32, grey levels in the frames' own order of channels.
         noise: (h, w) float32, standard deviation of each channel, grey levels.
-        known: (h, w) float32, 0 to 1: how surely the pixel was seen without the person.
+        certainty: (h, w) float32, 0 to 1: of having observed the pixel without the person.
     """
 
     colour: np.ndarray
     noise: np.ndarray
-    known: np.ndarray
+    certainty: np.ndarray
 
     def part(self, rows_columns: tuple[slice, slice]) -> "Background":
         """Some rows and columns of it."""
@@ -76,15 +76,17 @@ def learn_background(
     frames = frames[chosen]
     free = np.ones(frames.shape[:3], bool) if bodies is None else ~bodies[chosen]
     frames = _equally_exposed(frames, free)
-    colour, noise, seen = _ranked(frames, free, share)
-    return Background(colour, *_trusted(noise, seen, KNOWN_SHARE * len(frames)))
+    colour, noise, counts = _ranked(frames, free, share)
+    return Background(colour, *_noise_and_certainty(noise, counts, CERTAIN_SHARE * len(frames)))
 
 
-def _trusted(noise: np.ndarray, seen: np.ndarray, enough: float) -> tuple[np.ndarray, np.ndarray]:
-    """Noise within its bounds, and how surely pixels are known by sightings and their scatter."""
+def _noise_and_certainty(
+    noise: np.ndarray, counts: np.ndarray, enough: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Noise within its bounds, and pixels' certainty by counts of sightings and their scatter."""
     steady = np.minimum(1, (MOST_NOISE / np.maximum(noise, MOST_NOISE)) ** 2)
-    known = np.minimum(1, seen / max(enough, KNOWN_FRAMES)) * steady
-    return np.clip(noise, LEAST_NOISE, MOST_NOISE).astype(np.float32), known.astype(np.float32)
+    certainty = np.minimum(1, counts / max(enough, CERTAIN_FRAMES)) * steady
+    return np.clip(noise, LEAST_NOISE, MOST_NOISE).astype(np.float32), certainty.astype(np.float32)
 
 
 def _ranked(
@@ -93,12 +95,12 @@ def _ranked(
     """Colour (h, w, 3) brighter than a share, scatter (h, w), sightings (h, w) of free pixels."""
     colour = np.empty(frames.shape[1:], np.float32)
     noise = np.empty(frames.shape[1:3], np.float32)
-    seen = free.sum(0, dtype=np.int32)
+    counts = free.sum(0, dtype=np.int32)
     for top in range(0, frames.shape[1], ROWS):
         rows = slice(top, top + ROWS)
         covered = ~free[:, rows, :, None]
         # Covered pixels sort behind all others: the last is that of the others.
-        last = np.maximum(seen[rows, :, None], 1) - 1
+        last = np.maximum(counts[rows, :, None], 1) - 1
         part = np.where(covered, np.uint8(255), frames[:, rows])
         usual = ranked(part, (share * last).astype(last.dtype))
         away = np.where(
@@ -106,7 +108,7 @@ def _ranked(
         )
         colour[rows] = usual
         noise[rows] = SIGMA_PER_MAD * ranked(away, last // 2).mean(-1)
-    return colour, np.where(seen > 0, noise, 0), seen
+    return colour, np.where(counts > 0, noise, 0), counts
 
 
 def ranked(values: np.ndarray, rank: np.ndarray) -> np.ndarray:
@@ -115,16 +117,16 @@ def ranked(values: np.ndarray, rank: np.ndarray) -> np.ndarray:
     Found bit by bit, highest first: eight counts of what lies below, which takes a tenth of the
     time of sorting.
     """
-    found = np.zeros(values.shape[1:], np.uint8)
-    below, less = np.empty_like(found), np.empty(found.shape, bool)
+    result = np.zeros(values.shape[1:], np.uint8)
+    below, less = np.empty_like(result), np.empty(result.shape, bool)
     for bit in (128, 64, 32, 16, 8, 4, 2, 1):
-        middle = found + np.uint8(bit)
+        middle = result + np.uint8(bit)
         below.fill(0)
         for value in values:
             np.less(value, middle, out=less)
             np.add(below, less.view(np.uint8), out=below)
-        found = np.where(below <= rank, middle, found)
-    return found
+        result = np.where(below <= rank, middle, result)
+    return result
 
 
 def exposure_sample(image: np.ndarray) -> tuple[slice, slice]:
@@ -137,14 +139,14 @@ def exposure_sample(image: np.ndarray) -> tuple[slice, slice]:
 def _equally_exposed(frames: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Frames brought to the exposure of their median, as far as they show it."""
     few, open_ = frames[:, *exposure_sample(frames[0])], free[:, *exposure_sample(frames[0])]
-    usual, _, seen = _ranked(few, open_, 0.5)
-    shown = open_ & (seen > 0)
+    usual, _, counts = _ranked(few, open_, 0.5)
+    shown = open_ & (counts > 0)
     gains = [gain(few[i][shown[i]], usual[shown[i]]) for i in range(len(frames))]
     return np.stack([regained(frame, g) for frame, g in zip(frames, gains, strict=True)])
 
 
 def gain(pixels: np.ndarray, expected: np.ndarray) -> np.ndarray | None:
-    """How much brighter each channel is than expected: (3,), or None where nothing tells.
+    """How much brighter each channel is than expected: (3,), or None where too few pixels show it.
 
     The median of the ratios of (K, 3) values, then of those near it, so that what stands before
     the background does not count. Dark and overexposed values do not tell.
@@ -185,7 +187,7 @@ def as_learned(frame: np.ndarray, background: Background) -> tuple[np.ndarray, f
 
 def _exposed(frame: np.ndarray, few: Background) -> tuple[np.ndarray, float]:
     """``as_learned`` by the background at every so many pixels."""
-    sure = few.known > 0.5
+    sure = few.certainty > 0.5
     pixels, expected = frame[exposure_sample(frame)][sure], few.colour[sure]
     gains = gain(pixels, expected)
     if gains is None:
@@ -205,59 +207,59 @@ class RunningBackground:
     that the camera must have been moved, it starts again.
 
     Attributes:
-        memory: sightings after which the past fades.
-        enough: sightings after which a pixel is known.
+        memory: sightings after which earlier ones fade.
+        enough: sightings after which a pixel is certain.
         patience: frames in a row that may disagree.
     """
 
     memory: float = 300.0
     enough: float = 6.0
     patience: int = 30
-    _seen: np.ndarray | None = field(default=None, repr=False)
+    _counts: np.ndarray | None = field(default=None, repr=False)
     _colour: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)
     _noise: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)
     _strangers: int = field(default=0, repr=False)
 
     def update(self, frame: np.ndarray, body: np.ndarray | None = None) -> None:
         """Look at a frame (h, w, 3) uint8, except where the body (h, w) bool may be."""
-        if self._seen is None or self._strangers >= self.patience:
+        if self._counts is None or self._strangers >= self.patience:
             self._start(frame.shape)
-        elif ((some := self._sample(frame)).known > 0).sum() >= FEWEST:
-            frame, trust = _exposed(frame, some)
-            self._strangers = 0 if trust > 0 else self._strangers + 1
-            if trust == 0:
+        elif ((some := self._sample(frame)).certainty > 0).sum() >= FEWEST:
+            frame, agreement = _exposed(frame, some)
+            self._strangers = 0 if agreement > 0 else self._strangers + 1
+            if agreement == 0:
                 return
         self._learn(frame, np.zeros(frame.shape[:2], bool) if body is None else body)
 
     def background(self) -> Background:
-        """What is known so far: a copy, which later frames leave as it is."""
-        if self._seen is None:
-            raise ValueError("RunningBackground has seen no frame yet: call update first")
-        noise, known = _trusted(self._noise, self._seen, self.enough)
-        return Background(self._colour.copy(), noise, known)
+        """The model so far: a copy, which later frames leave as it is."""
+        if self._counts is None:
+            raise ValueError("RunningBackground has no frame yet: call update first")
+        noise, certainty = _noise_and_certainty(self._noise, self._counts, self.enough)
+        return Background(self._colour.copy(), noise, certainty)
 
     def _sample(self, frame: np.ndarray) -> Background:
-        """Every so many pixels; whatever was seen at all is good enough to read the exposure."""
-        assert self._seen is not None
+        """Every so many pixels; one sighting is good enough to read the exposure."""
+        assert self._counts is not None
         some = exposure_sample(frame)
         noise = np.maximum(self._noise[some], LEAST_NOISE)
-        return Background(self._colour[some], noise, np.minimum(self._seen[some], 1))
+        return Background(self._colour[some], noise, np.minimum(self._counts[some], 1))
 
     def _start(self, shape: tuple[int, ...]) -> None:
         """Forget everything."""
-        self._seen, self._noise = np.zeros(shape[:2], np.float32), np.zeros(shape[:2], np.float32)
+        self._counts, self._noise = np.zeros(shape[:2], np.float32), np.zeros(shape[:2], np.float32)
         self._colour, self._strangers = np.zeros(shape, np.float32), 0
 
     def _learn(self, frame: np.ndarray, body: np.ndarray) -> None:
         """Move each free pixel's mean and noise towards the frame, by bounded steps."""
-        assert self._seen is not None
-        self._seen = np.minimum(self._seen + ~body, np.float32(self.memory))
-        rate = np.where(body, np.float32(0), 1 / np.maximum(self._seen, 1))
+        assert self._counts is not None
+        self._counts = np.minimum(self._counts + ~body, np.float32(self.memory))
+        rate = np.where(body, np.float32(0), 1 / np.maximum(self._counts, 1))
         step = cv2.subtract(frame, self._colour, dtype=cv2.CV_32F)
         away = cv2.transform(np.abs(step), np.full((1, 3), SIGMA_PER_MEAN / 3))
-        usual = np.where(self._seen > self.enough, np.maximum(self._noise, LEAST_NOISE), 255)
+        usual = np.where(self._counts > self.enough, np.maximum(self._noise, LEAST_NOISE), 255)
         bounded = np.minimum(away, 3 * usual)
         cv2.multiply(step, cv2.merge([rate * (bounded / np.maximum(away, 1))] * 3), dst=step)
         cv2.add(self._colour, step, dst=self._colour)
         # The first sighting is a colour, not yet a deviation.
-        self._noise += np.where(self._seen > 1, rate, np.float32(0)) * (bounded - self._noise)
+        self._noise += np.where(self._counts > 1, rate, np.float32(0)) * (bounded - self._noise)

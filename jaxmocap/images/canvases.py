@@ -27,20 +27,20 @@ class Canvas(NamedTuple):
         inside: (S, S) float32, 0 to 1, how far the cell lies within the image.
         room: (S, S, 3) uint8, the background's colour.
         noise: (S, S) float32, its deviation.
-        known: (S, S) float32, 0 to 1.
+        certainty: (S, S) float32, 0 to 1, of the background.
     """
 
     colour: np.ndarray
     inside: np.ndarray
     room: np.ndarray
     noise: np.ndarray
-    known: np.ndarray
+    certainty: np.ndarray
 
 
 def canvas(
     image: np.ndarray, region: Region, size: int, background: Background | None = None
 ) -> Canvas:
-    """An image (H, W, 3) uint8, and what is known of the room, on a region's cells."""
+    """An image (H, W, 3) uint8, and the learned room, on a region's cells."""
 
     def part(values: np.ndarray) -> np.ndarray:
         return resampled_values(values, region, size)
@@ -50,13 +50,13 @@ def canvas(
         nothing = np.zeros((size, size), np.float32)
         room = np.zeros((size, size, 3), np.uint8)
         return Canvas(part(image), inside, room, nothing + 1, nothing)
-    known = mask_canvas(background.known, region, size)
+    certainty = mask_canvas(background.certainty, region, size)
     return Canvas(
         part(image),
         inside,
         np.rint(part(background.colour)).astype(np.uint8),
         part(background.noise),
-        known,
+        certainty,
     )
 
 

@@ -14,7 +14,7 @@ from jaxmocap.images.background_model import spread
 # Levels of each channel in a histogram, and the blur between neighbouring bins.
 LEVELS, BIN_BLUR = 16, 0.7
 BINS = LEVELS**3
-# Every colour has this share of the even distribution: what was never seen is not impossible.
+# Every colour has this share of the even distribution: what was never observed is not impossible.
 EVEN_SHARE = 1e-4
 
 
@@ -50,7 +50,7 @@ class RunningColours:
         self.rest += np.bincount(bins[~body], minlength=BINS)
 
     def colours(self) -> Colours:
-        """What is known so far; even distributions before the first frame."""
+        """The densities so far; even distributions before the first frame."""
         return Colours(_density(self.body), _density(self.rest))
 
 

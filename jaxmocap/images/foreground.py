@@ -61,7 +61,7 @@ def log_odds(
 ) -> np.ndarray:
     """How much more likely each pixel of a frame (h, w, 3) uint8 is under the person.
 
-    With what the background there would look like, p, and how surely it is known, k, with the
+    With what the background there would look like, p, and its certainty, k, with the
     body's colours b and the rest's r, and a share e of strange things, within ``MOST_ODDS``:
     ``-log[ k ((1 - e) p(I) + e r(I)) / b(I) + (1 - k) (r(I) / b(I))^alone ]``.
 
@@ -69,21 +69,23 @@ def log_odds(
         frame: is brought to the background's exposure; one that does not show it has no odds.
         background: learned.
         colours: learned.
-        alone: weight of the colours where no background is known; 0 says nothing there.
+        alone: weight of the colours where no background was learned; with 0 the odds there are 0.
         window: the part of the frame that is asked for.
 
     Returns:
-        (h, w) of the window, float32, slightly blurred; 0 where nothing is known.
+        (h, w) of the window, float32, slightly blurred; 0 where nothing was learned.
     """
-    frame, trust = as_learned(frame, background)
+    frame, agreement = as_learned(frame, background)
     frame, background = frame[window], background.part(window)
-    if trust == 0:
+    if agreement == 0:
         return np.zeros(frame.shape[:2], np.float32)
     bins, unlike = colour_bins(frame), colours.rest / colours.body
     lit = _like(frame, background) * ((1 - STRANGE) / colours.body)[bins]
-    known = background.known
-    odds = -cv2.log(known * (lit + (STRANGE * unlike)[bins]) + (1 - known) * (unlike**alone)[bins])
-    return cv2.GaussianBlur(trust * np.clip(odds, -MOST_ODDS, MOST_ODDS), (0, 0), SOFTNESS)
+    certainty = background.certainty
+    odds = -cv2.log(
+        certainty * (lit + (STRANGE * unlike)[bins]) + (1 - certainty) * (unlike**alone)[bins]
+    )
+    return cv2.GaussianBlur(agreement * np.clip(odds, -MOST_ODDS, MOST_ODDS), (0, 0), SOFTNESS)
 
 
 def log_odds_of(
@@ -107,8 +109,8 @@ def log_odds_of(
 
 def _like(frame: np.ndarray, background: Background) -> np.ndarray:
     """``lit_or_shaded_density`` (h, w) of a frame's colours (h, w, 3) uint8."""
-    seen, room = frame.astype(np.float32), background.colour
-    products = _dot(seen, seen), _dot(seen, room), _dot(room, room)
+    observed, room = frame.astype(np.float32), background.colour
+    products = _dot(observed, observed), _dot(observed, room), _dot(room, room)
     return lit_or_shaded_density(*products, background.noise, cv2.exp)
 
 
@@ -123,7 +125,7 @@ def learn_foreground(
     """Background and colours of a recording, each helping the other.
 
     At first a pixel is background where the body cannot be. Then also where it might be, in frames
-    in which it looks like what is known of the background; what nobody has seen free stays unknown,
+    in which it looks like the learned background; what was never visible stays unknown,
     so that someone who hardly moves is not taken for furniture.
 
     Args:
@@ -162,7 +164,7 @@ def person_grid(
 
     Returns:
         P (size, size) float32, the probability that the person is there, mean by weight; and W, the
-        weights' own mean, 0 to 1: 0 where nothing is known and outside the image. The middle of
+        weights' own mean, 0 to 1: 0 where nothing was learned and outside the image. The middle of
         cell i lies at pixel ``origin + (i + 0.5) cell``.
     """
     weight = np.minimum(np.abs(odds) / FULL_WEIGHT_ODDS, 1)
@@ -181,6 +183,8 @@ def person_grid(
     outside = coarse[..., 2] < 0.5
     if blur > 0:
         coarse = cv2.GaussianBlur(coarse, (0, 0), blur, borderType=cv2.BORDER_REPLICATE)
-    person, total, seen = np.moveaxis(coarse, -1, 0)
+    person, total, weight_sum = np.moveaxis(coarse, -1, 0)
     probability = (person + 0.5e-3) / (total + 1e-3)
-    return probability, np.where(outside, 0, total / np.maximum(seen, 1e-3)).astype(np.float32)
+    return probability, np.where(outside, 0, total / np.maximum(weight_sum, 1e-3)).astype(
+        np.float32
+    )

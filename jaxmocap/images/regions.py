@@ -88,7 +88,7 @@ def crop(
     height, width = image.shape[:2]
     side = max(1, round(float(scale) * size))
     x, y = (round(float(value) + 0.5) for value in origin)
-    # Of a region wholly outside, or of an arm beside the lens, nothing is to be seen.
+    # Of a region wholly outside, or of an arm beside the lens, nothing is visible.
     x0, x1 = (int(np.clip(value, 0, width)) for value in (x, x + side))
     y0, y1 = (int(np.clip(value, 0, height)) for value in (y, y + side))
     if x0 >= x1 or y0 >= y1 or side > LARGEST_SIDE * max(height, width):

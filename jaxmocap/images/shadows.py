@@ -1,4 +1,4 @@
-"""How likely colours are before a known background, lit or in shadow: on the host and the device.
+"""How likely colours are before a learned background, lit or in shadow: on the host and the device.
 
 INPUTS: scalar products of colours with the background's. OUTPUTS: densities.
 """
@@ -13,7 +13,7 @@ FARTHEST = 60.0
 
 
 def lit_or_shaded_density(
-    seen_seen: Any, seen_room: Any, room_room: Any, noise: Any, exp: Callable[[Any], Any]
+    observed_observed: Any, observed_room: Any, room_room: Any, noise: Any, exp: Callable[[Any], Any]
 ) -> Any:
     """Density (...), per cubic grey level, of colours before a background, lit or shaded.
 
@@ -21,16 +21,16 @@ def lit_or_shaded_density(
     as far as ``DARKEST``, and normal across it.
 
     Args:
-        seen_seen: (...) NumPy's or JAX's: squares of the colours,
-        seen_room: products with those of the background,
+        observed_observed: (...) NumPy's or JAX's: squares of the colours,
+        observed_room: products with those of the background,
         room_room: and squares of these, grey levels.
         noise: (...) standard deviation of each channel of the background, grey levels.
         exp: that is fastest for such arrays.
     """
     xp, room_room = room_room.__array_namespace__(), room_room + 1
-    lit = xp.clip(seen_room / room_room, DARKEST, 1)
-    across = seen_seen - lit * (2 * seen_room - lit * room_room)
-    away = seen_seen - 2 * seen_room + room_room
+    lit = xp.clip(observed_room / room_room, DARKEST, 1)
+    across = observed_observed - lit * (2 * observed_room - lit * room_room)
+    away = observed_observed - 2 * observed_room + room_room
     precision = 0.5 / noise**2
     planar = precision / xp.pi
     plain = planar * xp.sqrt(planar) * exp(-xp.minimum(away * precision, FARTHEST))

@@ -21,16 +21,16 @@ from jaxmocap.geometry.rotations import HIGHEST
 
 # Of a limb: near x, y; far x, y; near and far radius.
 OUTLINE_NUMBERS = 6
-# Limbs to be told apart in one picture.
+# Limbs to be distinguished in one picture.
 MOST_LIMBS = 32
 
 
 class Grid(NamedTuple):
-    """What was seen on S x S cells.
+    """A measured silhouette on S x S cells.
 
     Attributes:
         probability: (..., S, S) that the cell shows the limbs, 0 to 1.
-        weight: (..., S, S) how much the cell tells; 0 where nothing is known.
+        weight: (..., S, S) how much the cell counts; 0 where nothing was measured.
     """
 
     probability: Array | np.ndarray
@@ -38,19 +38,19 @@ class Grid(NamedTuple):
 
 
 def blurred(grid: Grid, softness: float) -> Grid:
-    """Grids (V, S, S) seen as softly as they are drawn; on the host.
+    """Grids (V, S, S) blurred as softly as the body is drawn; on the host.
 
-    What is seen is averaged by weight, and so is the weight.
+    The probability is averaged by weight, and so is the weight.
     """
 
     def blur(values: np.ndarray) -> np.ndarray:
         way = cv2.BORDER_REPLICATE
         return cv2.GaussianBlur(values, (0, 0), float(softness), borderType=way)
 
-    seen, weight = (np.array(part) for part in grid)
-    for p, w in zip(seen, weight, strict=True):
+    probability, weight = (np.array(part) for part in grid)
+    for p, w in zip(probability, weight, strict=True):
         p[:], w[:] = blur(p * w), blur(w)
-    return Grid(seen / np.maximum(weight, 1e-3), weight)
+    return Grid(probability / np.maximum(weight, 1e-3), weight)
 
 
 def halved(grid: Grid) -> Grid:
@@ -61,8 +61,8 @@ def halved(grid: Grid) -> Grid:
         return np.reshape(values, (*batch, size // 2, 2, size // 2, 2)).mean((-3, -1))
 
     weight = mean(grid.weight)
-    seen = mean(grid.probability * grid.weight) / np.maximum(weight, 1e-3)
-    return Grid(seen, 2 * weight)
+    probability = mean(grid.probability * grid.weight) / np.maximum(weight, 1e-3)
+    return Grid(probability, 2 * weight)
 
 
 class CoverageFit(NamedTuple):
@@ -89,14 +89,14 @@ def cells(size: int, dtype: jnp.dtype) -> tuple[Array, Array]:
 def distances(limbs: Discs, size: int) -> Array:
     """From S * S cells to the outlines of K limbs, (K, S * S) cells, negative inside.
 
-    In their last bits, which no picture tells, stands the limb's number, so that a minimum over
-    limbs tells whose it is: many times faster than looking for it.
+    In their last bits, which no picture shows, stands the limb's number, so that a minimum over
+    limbs gives its limb as well: many times faster than looking for it.
     """
     x, y = cells(size, limbs.near.dtype)
     away = touch_swept(Swept(*(part[:, None] for part in swept(limbs))), x, y).distance
-    whole, last = _numbering(away)
-    limb = jnp.arange(len(away), dtype=whole)[:, None]
-    bits = jax.lax.bitcast_convert_type(jax.lax.stop_gradient(away), whole)
+    integer, last = _numbering(away)
+    limb = jnp.arange(len(away), dtype=integer)[:, None]
+    bits = jax.lax.bitcast_convert_type(jax.lax.stop_gradient(away), integer)
     return jax.lax.bitcast_convert_type((bits & ~last) | limb, away.dtype)
 
 
@@ -112,8 +112,8 @@ def frontmost(limbs: Discs, size: int) -> tuple[Array, Touch]:
         size: S.
     """
     away = distances(limbs, size)
-    whole, last = _numbering(away)
-    bits = jax.lax.bitcast_convert_type(jnp.min(away, 0), whole)
+    integer, last = _numbering(away)
+    bits = jax.lax.bitcast_convert_type(jnp.min(away, 0), integer)
     nearest = (bits & last).astype(jnp.int32)
     each = jnp.stack(swept(limbs))
     own = each.at[:, nearest].get(mode="promise_in_bounds", wrap_negative_indices=False)

@@ -24,7 +24,7 @@ CORNER_REACH = 0.05
 # A bent elbow turns the axis by at least so much, radians.
 LEAST_BEND = 0.5
 # The elbow's joint lies so far from the axis' corner towards the rim: the paper says half-way; two
-# people whose joints are known, and on whom nothing is tested, say 0.37 and 0.14.
+# people whose joints were measured, and on whom nothing is tested, have 0.37 and 0.14.
 TOWARDS_RIM = 0.25
 # The axis turns before the elbow: by this share of its way from shoulder to tip, by the same
 # two people.

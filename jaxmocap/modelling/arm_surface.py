@@ -79,13 +79,13 @@ def slice_stations(bones: ArmBones, towards: np.ndarray) -> tuple[np.ndarray, np
     upper, lower = (ends[k + 1] - ends[k] for k in (0, 1))
     units = np.stack([way / np.linalg.norm(way) for way in (upper, lower)])
     lengths = np.append(bones.lengths[:2], hand_extent(bones))
-    passed = np.interp(at, np.arange(4.0), np.append(0.0, np.cumsum(lengths))) - lengths[0]
+    arc_length = np.interp(at, np.arange(4.0), np.append(0.0, np.cumsum(lengths))) - lengths[0]
     part = np.clip((at - 1) / (2 * BLEND) + 0.5, 0, 1)
     part = (part * part * (3 - 2 * part))[:, None]
     across = np.stack([np.zeros(2), -units[:, 2], units[:, 1]], 1)
     across *= np.sign(across @ towards)[:, None]
     way, cross = ((1 - part) * each[0] + part * each[1] for each in (units, across))
-    return ends[1] + passed[:, None] * way, cross / np.linalg.norm(cross, axis=1, keepdims=True)
+    return ends[1] + arc_length[:, None] * way, cross / np.linalg.norm(cross, axis=1, keepdims=True)
 
 
 def hand_extent(bones: ArmBones) -> float:

@@ -68,12 +68,14 @@ def _ratios_and_shifts(
     there, around = _polar(outlines, phi)
     open_ = radii.min(1) > CLOSED_M
     within = open_ & (levels >= heights[0]) & (levels <= heights[-1])
-    known = np.flatnonzero(within)
-    known = known[np.argsort(levels[known])]
-    at = levels[known]
-    found = [np.interp(at, heights, line) for line in np.concatenate([there, around], 1).T]
-    found = np.stack(found, 1)
-    change = np.concatenate([found[:, :2] - middles[known], found[:, 2:] / radii[known] - 1], 1)
+    rows_within = np.flatnonzero(within)
+    rows_within = rows_within[np.argsort(levels[rows_within])]
+    at = levels[rows_within]
+    result = [np.interp(at, heights, line) for line in np.concatenate([there, around], 1).T]
+    result = np.stack(result, 1)
+    change = np.concatenate(
+        [result[:, :2] - middles[rows_within], result[:, 2:] / radii[rows_within] - 1], 1
+    )
     carried = np.stack([np.interp(levels, at, line) for line in change.T], 1)
     (above, below) = measured.fades
     fade = 1 - np.clip(np.maximum((levels - at[-1]) / above, (at[0] - levels) / below), 0, 1)

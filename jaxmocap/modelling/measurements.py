@@ -53,13 +53,13 @@ def girths(model: PersonModel) -> dict[str, GirthSection]:
     levels = rings[:, 0, 2]
     shares = (levels - levels[0]) / (model.trunk.pits[:, 2].mean() - levels[0])
     all_ = [girth_section(ring[:, [1, 0]]) for ring in rings]
-    found = {"neck": all_[int(np.argmin(np.abs(levels - model.neck_height())))]}
+    result = {"neck": all_[int(np.argmin(np.abs(levels - model.neck_height())))]}
     for name, (low, high), sign in (("chest", CHEST, 1), ("waist", WAIST, -1), ("hips", HIPS, 1)):
         among = np.flatnonzero((shares > low) & (shares < high))
-        found[name] = all_[max(among, key=lambda k: sign * all_[k].girth)]
+        result[name] = all_[max(among, key=lambda k: sign * all_[k].girth)]
     for side, arm in zip("lr", model.arms, strict=True):
         for name, (first, share) in MEASURED_AT.items():
             ring = arm[INNER_RINGS + first + round(share * SLICES[0])]
-            found[f"{name}_{side}"] = girth_section(ring[:, [2, 0]])
-        found[f"wrist_{side}"] = girth_section(arm[INNER_RINGS + sum(SLICES[:2])][:, [2, 0]])
-    return found
+            result[f"{name}_{side}"] = girth_section(ring[:, [2, 0]])
+        result[f"wrist_{side}"] = girth_section(arm[INNER_RINGS + sum(SLICES[:2])][:, [2, 0]])
+    return result

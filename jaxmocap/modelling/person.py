@@ -32,7 +32,7 @@ AHEAD = np.array([1.0, 0.0, 0.0])
 UP = np.array([0.0, 0.0, 1.0])
 # Side -> the sign of its y.
 SIDES = (("l", 1.0), ("r", -1.0))
-# All of two people whose joints are known, and on whom nothing is tested; shares of the stature.
+# All of two people of measured joints, on whom nothing is tested; shares of the stature.
 # From bottom line to vertex.
 UPPER_BODY = 0.532
 # The elbow's joint above the axis of a stretched arm, its hinge upright.
@@ -109,12 +109,12 @@ class PersonModel(NamedTuple):
 
     def lengths(self) -> dict[str, float]:
         """Bone -> length, metres; ``shoulders`` is from the one joint to the other."""
-        found = {}
+        result = {}
         for (name, _), bones in zip(SIDES, self.bent, strict=True):
             for bone, length in zip(("humerus", "radius", "hand"), bones.lengths, strict=True):
-                found[f"{bone}_{name}"] = float(length)
+                result[f"{bone}_{name}"] = float(length)
         across = self.bent[0].shoulder - self.bent[1].shoulder
-        return found | {"shoulders": float(np.linalg.norm(across))}
+        return result | {"shoulders": float(np.linalg.norm(across))}
 
 
 def person_model(views: dict[str, PhotographView], bottom: int | None = None) -> PersonModel:
@@ -170,27 +170,27 @@ def bent_arms(
 ) -> tuple[tuple[ArmPixels, ...], tuple[ArmBones, ...]]:
     """Left and right arm in the joint view, in pixels and in metres."""
     shoulders, distance = shoulder_joints(body, joint), rim_distance(joint.mask)
-    found = tuple(
+    result = tuple(
         arm_joints(way, distance, joint.pixels(shoulder))
         for way, shoulder in zip(arm_axes(joint, body), shoulders, strict=True)
     )
-    ends = [np.array([arm.elbow, arm.wrist, arm.tip]) for arm in found]
+    ends = [np.array([arm.elbow, arm.wrist, arm.tip]) for arm in result]
     bent = tuple(
         ArmBones(shoulder, *joint.plane_points(pixels, shoulder, AHEAD))
         for pixels, shoulder in zip(ends, shoulders, strict=True)
     )
-    return found, bent
+    return result, bent
 
 
 def stretched_arms(
     arm_side: PhotographView, body: Trunk, bent: tuple[ArmBones, ...]
 ) -> tuple[ArmBones, ...]:
     """Left and right arm in their side view: the bones as long as in the joint view."""
-    tall, found = np.ptp(body.rings[:, 0, 2]) / UPPER_BODY, []
+    tall, result = np.ptp(body.rings[:, 0, 2]) / UPPER_BODY, []
     for way, bones in zip(arm_axes(arm_side, body), bent, strict=True):
         arm = arm_on_axis(arm_side.plane_points(way, bones.shoulder, AHEAD), bones)
-        found.append(arm._replace(elbow=arm.elbow + tall * ELBOW_ABOVE * UP))
-    return tuple(found)
+        result.append(arm._replace(elbow=arm.elbow + tall * ELBOW_ABOVE * UP))
+    return tuple(result)
 
 
 def aligned_view(
@@ -198,7 +198,7 @@ def aligned_view(
 ) -> PhotographView:
     """A view in which the person may have moved aside or up since the front view.
 
-    Told by the neck's middle and the top of the head.
+    By the neck's middle and the top of the head.
     """
     middle = body.middles[-1]
     there = view.pixels(np.append(middle[:2], body.pits[:, 2].min()))
@@ -225,16 +225,18 @@ def shoulder_joints(body: Trunk, joint: PhotographView) -> np.ndarray:
     """
     stature = np.ptp(body.rings[:, 0, 2]) / UPPER_BODY
     out = np.array([[0.0, s, 0.0] for _, s in SIDES])
-    found = body.pits + stature * (SHOULDER_OUTWARDS * out + SHOULDER_ABOVE_PIT * UP)
-    usual = trunk_middle_at(body, found[:, 2].mean()) + stature * SHOULDER_ASIDE * out
-    found[:, 1] = (found[:, 1] + usual[:, 1]) / 2
-    found[:, 0] = usual[:, 0]
-    rim = found + joint.extent(found, UP, stature / 4)[:, None] * UP
+    joints = body.pits + stature * (SHOULDER_OUTWARDS * out + SHOULDER_ABOVE_PIT * UP)
+    usual = trunk_middle_at(body, joints[:, 2].mean()) + stature * SHOULDER_ASIDE * out
+    joints[:, 1] = (joints[:, 1] + usual[:, 1]) / 2
+    joints[:, 0] = usual[:, 0]
+    rim = joints + joint.extent(joints, UP, stature / 4)[:, None] * UP
     arm = rim + stature * (CLEAR_OF_TRUNK * out - SHOULDER_BELOW_RIM * UP)
     thick = sum(joint.extent(arm, way, stature / 4) for way in (UP, -UP))
-    found[:, 2] = rim[:, 2] - (stature * SHOULDER_BELOW_RIM + thick * SHOULDER_BELOW_RIM_BY_ARM) / 2
-    found[:, 0] = trunk_middle_at(body, found[:, 2].mean())[0] + stature * SHOULDER_AHEAD
-    return found
+    joints[:, 2] = (
+        rim[:, 2] - (stature * SHOULDER_BELOW_RIM + thick * SHOULDER_BELOW_RIM_BY_ARM) / 2
+    )
+    joints[:, 0] = trunk_middle_at(body, joints[:, 2].mean())[0] + stature * SHOULDER_AHEAD
+    return joints
 
 
 def trunk_middle_at(body: Trunk, height: float) -> np.ndarray:
@@ -254,8 +256,8 @@ def arm_axes(view: PhotographView, body: Trunk) -> list[np.ndarray]:
 def arm_on_axis(way: np.ndarray, bones: ArmBones) -> ArmBones:
     """A stretched arm's joints on its axis (K, 3), the bones as long as they are."""
     first = int(np.argmin(np.sum((way - bones.shoulder) ** 2, 1)))
-    passed = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way[first:], axis=0), axis=1)))
-    straight = float(np.linalg.norm(way[-1] - way[first]) / passed[-1])
+    length_m = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way[first:], axis=0), axis=1)))
+    straight = float(np.linalg.norm(way[-1] - way[first]) / length_m[-1])
     if straight < LEAST_STRAIGHT:
         raise ValueError(
             f"found an arm whose ends are {100 * straight:.0f} % of its length apart, expected "
@@ -268,7 +270,7 @@ def arm_on_axis(way: np.ndarray, bones: ArmBones) -> ArmBones:
         beyond = np.linalg.norm(way[at:] - joints[-1], axis=1) >= length
         if not beyond.any():
             raise ValueError(
-                f"the arm in the arms' side view is {100 * passed[-1]:.0f} cm long, shorter than "
+                f"the arm in the arms' side view is {100 * length_m[-1]:.0f} cm long, shorter than "
                 f"its {100 * bones.lengths[:2].sum():.0f} cm from shoulder to wrist in the joint "
                 "view"
             )

@@ -25,7 +25,7 @@ from jaxmocap.modelling.fitted_rings import fitted_grid, stoutness
 from jaxmocap.modelling.person import SIDES, PersonModel, trunk_middle_at
 from jaxmocap.modelling.slices import BodySlices, measured_slices
 
-# All of two people whose joints are known, and on whom nothing is tested; shares of the stature.
+# All of two people of measured joints, on whom nothing is tested; shares of the stature.
 # The hips' joints above the bottom line,
 HIP_ABOVE = 0.0506
 # from the middle to either side,
@@ -69,7 +69,7 @@ def personal_model(model: PersonModel, height: float | None = None) -> PersonalM
 
     Args:
         model: of four photographs.
-        height: of the body, metres, which tells how long the legs are; by default as those of
+        height: of the body, metres, which gives the legs' length; by default as those of
             people with such a trunk and head.
 
     Raises:
@@ -134,25 +134,25 @@ def landmarks_of_person(model: PersonModel, height: float | None = None) -> dict
         [NECK_OFFSET[0], 0, NECK_OFFSET[1]]
     )
     vertex = np.array([neck[0] + tall * HEAD_OFFSET[0], neck[1], top])
-    found = {"neck": neck, "vertex": vertex}
+    landmarks = {"neck": neck, "vertex": vertex}
     down, ahead = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0])
     for (side, sign), bones in zip(SIDES, bent, strict=True):
         at = bones.shoulder
-        found[f"shoulder_{side}"] = at
+        landmarks[f"shoulder_{side}"] = at
         for name, length in zip(("elbow", "wrist", "hand"), bones.lengths, strict=True):
-            found[f"{name}_{side}"] = at = at + length * down
-        found[f"hip_{side}"] = at = hips + sign * tall * HIP_ASIDE * np.eye(3)[1]
+            landmarks[f"{name}_{side}"] = at = at + length * down
+        landmarks[f"hip_{side}"] = at = hips + sign * tall * HIP_ASIDE * np.eye(3)[1]
         for name, share in (("knee", FEMUR_SHARE), ("ankle", TIBIA_SHARE)):
-            found[f"{name}_{side}"] = at = at + leg * share * down
-        found[f"toe_{side}"] = at + tall * FOOT_LENGTH * ahead
-    return found
+            landmarks[f"{name}_{side}"] = at = at + leg * share * down
+        landmarks[f"toe_{side}"] = at + tall * FOOT_LENGTH * ahead
+    return landmarks
 
 
 def thigh_spreads(
     model: PersonModel, skeleton: Skeleton, surface: Surface, marks: dict[str, np.ndarray]
 ) -> np.ndarray:
     """(2,) by how much left and right thigh are spread in the front view, radians."""
-    legs, found = model.legs, []
+    legs, spreads = model.legs, []
     if len(legs.heights) < 2:
         return np.zeros(2)
     joints = rest_joints(skeleton)
@@ -167,8 +167,8 @@ def thigh_spreads(
         levels = rest[2] - grid[1:-1, 0, 2]
         off = (grid[1:-1, :, 1].max(1) + grid[1:-1, :, 1].min(1)) / 2 - rest[1]
         aside = legs.across[:, k].mean(1) - np.interp(far * length, levels, off)
-        found.append(np.median(np.arctan2(aside - hip[1], hip[2] - legs.heights)[low]))
-    return np.array(found)
+        spreads.append(np.median(np.arctan2(aside - hip[1], hip[2] - legs.heights)[low]))
+    return np.array(spreads)
 
 
 def photograph_poses(
@@ -177,7 +177,7 @@ def photograph_poses(
     """Photograph -> pose: trunk upright, arms and thighs as they were found."""
     hips = (marks["hip_l"] + marks["hip_r"]) / 2
     arms = {"joint": model.bent, "front": model.lifted}
-    found = {}
+    poses = {}
     for name, moved in model.shifts.items():
         angles = np.zeros(len(skeleton.tree.joints))
         for k, (side, sign) in enumerate(SIDES):
@@ -187,8 +187,8 @@ def photograph_poses(
                 angles[skeleton.tree.joint(f"{joint}_{side}")] = angle
         dtype = skeleton.lengths.dtype
         parts = hips + moved, np.eye(4)[0], angles
-        found[name] = Pose(*(jnp.asarray(part, dtype) for part in parts))
-    return found
+        poses[name] = Pose(*(jnp.asarray(part, dtype) for part in parts))
+    return poses
 
 
 def arm_angles(bones: ArmBones, sign: float, straight: bool) -> dict[str, float]:

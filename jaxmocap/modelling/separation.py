@@ -143,13 +143,13 @@ def narrowest_neck(mask: np.ndarray, top: int, pits: int, middle_x: float) -> tu
     widths = runs[:, 1] - runs[:, 0] + 1
     # Down from the top: past the head's widest slice, and on until the shoulders begin.
     widest = np.maximum.accumulate(widths)
-    past = np.flatnonzero(widths < NECK_BEGINS * widest)
-    if len(past) == 0:
+    slim_rows = np.flatnonzero(widths < NECK_BEGINS * widest)
+    if len(slim_rows) == 0:
         raise ValueError("found no neck, expected head and shoulders above the arms")
-    below = widths[past[0] :]
+    below = widths[slim_rows[0] :]
     least = np.minimum.accumulate(below)
     wider = np.flatnonzero(below > NECK_ENDS * least)
     end = wider[0] if len(wider) else len(below)
-    slim = np.flatnonzero(below[:end] == below[:end].min()) + past[0]
+    slim = np.flatnonzero(below[:end] == below[:end].min()) + slim_rows[0]
     place = int(np.median(slim))
     return top + place, float(runs[place].mean())

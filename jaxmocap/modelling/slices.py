@@ -54,12 +54,12 @@ def measured_slices(
         spread: (2,) of left and right thigh in the front view, radians.
     """
     pelvis = (marks["hip_l"] + marks["hip_r"]) / 2
-    found = {"torso": _trunk(model, pelvis)}
+    slices = {"torso": _trunk(model, pelvis)}
     for k, (side, _) in enumerate(SIDES):
-        found[f"arm_{side}"] = _arm(model, skeleton, k)
+        slices[f"arm_{side}"] = _arm(model, skeleton, k)
         if len(model.legs.heights):
-            found[f"leg_{side}"] = _leg(model, skeleton, marks[f"hip_{side}"], k, spread[k])
-    return found
+            slices[f"leg_{side}"] = _leg(model, skeleton, marks[f"hip_{side}"], k, spread[k])
+    return slices
 
 
 def _trunk(model: PersonModel, pelvis: np.ndarray) -> BodySlices:

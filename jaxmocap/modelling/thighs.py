@@ -1,6 +1,6 @@
 """Thighs, as far down as the front and the side photograph show them.
 
-The front view tells where either thigh lies across, the side view how far both reach ahead and
+The front view shows where either thigh lies across, the side view how far both reach ahead and
 back.
 
 INPUTS: two Views nearly at right angles; landmarks of the front view; a point in the trunk.
@@ -25,7 +25,7 @@ LEAST_PX = 40
 
 
 class Thighs(NamedTuple):
-    """Slices from the crotch downwards, world, metres; none where no thigh is seen.
+    """Slices from the crotch downwards, world, metres; none where no thigh is visible.
 
     Attributes:
         heights: (S,) of the slices.
@@ -43,7 +43,7 @@ def find_thighs(
 ) -> Thighs:
     """What two views show below the trunk; ``middle`` (3,) lies in it."""
     first, last = landmarks.bottom + 2 * MARGIN_PX, len(front.mask) - 1 - MARGIN_PX
-    ahead, found = np.array([1.0, 0.0, 0.0]), []
+    ahead, slices = np.array([1.0, 0.0, 0.0]), []
     rows = np.linspace(first, last, SLICES).astype(int) if last - first > LEAST_PX else ()
     for row in rows:
         columns = np.flatnonzero(front.mask[row])
@@ -64,7 +64,7 @@ def find_thighs(
         # One thigh hides the other: each reaches as far as the nearer edge at most.
         back, front_ = (side.extent(at, sign * ahead, FARTHEST_M).min() for sign in (-1, 1))
         if min(back, front_) > 0:
-            found.append((height, across, middle[0] + np.array([-back, front_])))
-    if not found:
+            slices.append((height, across, middle[0] + np.array([-back, front_])))
+    if not slices:
         return Thighs(np.zeros(0), np.zeros((0, 2, 2)), np.zeros((0, 2)))
-    return Thighs(*(np.array(part) for part in zip(*found, strict=True)))
+    return Thighs(*(np.array(part) for part in zip(*slices, strict=True)))

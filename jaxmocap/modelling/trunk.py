@@ -63,7 +63,7 @@ def find_trunk(front: PhotographView, side: PhotographView, landmarks: FrontLand
         corners.append(slice_corners(front, side, middle, pits))
         middle = np.append(corners[-1].mean(0), height)
         middles.append(middle)
-    # A silhouette's rim is known to a pixel; over a few slices its steps cancel out.
+    # A silhouette's rim is accurate to a pixel; over a few slices its steps cancel out.
     corners = np.array(
         gaussian_filter1d(np.array(corners), SMOOTHING_SLICES, axis=0, mode="nearest")
     )

@@ -47,7 +47,7 @@ def write_overlay(
     """Write a video with the body drawn over every frame.
 
     Args:
-        path: of the .mp4 file; it appears when it is whole.
+        path: of the .mp4 file; it appears when it is complete.
         frames: seconds of marker time, rising, and image (H, W, 3) BGR uint8; None is black.
         camera: that took the frames.
         motion: drawn where it is at each frame's time.
@@ -59,7 +59,7 @@ def write_overlay(
 
     Raises:
         InputError: not one frame to draw on.
-        OutputError: it cannot be written whole; what was there before is as it was.
+        OutputError: it cannot be written completely; what was there before is as it was.
     """
     artist = OverlayArtist(camera, motion, targets)
     count, first, stamp, stream = 0, 0.0, -1, None

@@ -30,7 +30,7 @@ def write_report(path: str | Path, motion: Motion, extra: Mapping | None = None)
     """Write the entries of ``summarise``, and those that the caller adds.
 
     Args:
-        path: of the .json file; it appears when it is whole.
+        path: of the .json file; it appears when it is complete.
         motion: with or without a report.
         extra: more entries, such as warnings or the recording's name.
 

@@ -51,7 +51,7 @@ def write_rerun(
     The timeline "time" holds seconds of marker time.
 
     Args:
-        path: of the .rrd file; it appears when it is whole.
+        path: of the .rrd file; it appears when it is complete.
         motion: shown as limbs and skeleton; with a report also time series and standard deviations.
         footage: camera name -> its frames.
         targets: marker -> (T, 3) measured positions at the motion's times, world, metres.

@@ -4,7 +4,7 @@ INPUTS: a recording stream, a Motion, the body's Surface, optionally its colours
 OUTPUTS: none; entity ``world/skin``.
 
 Vertices are logged pose by pose, of so many poses at most: of a surface with fewer nodes, or, where
-its colours are known, of the surface itself, without shades.
+its colours were measured, of the surface itself, without shades.
 """
 
 import numpy as np

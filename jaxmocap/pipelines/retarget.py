@@ -2,7 +2,7 @@
 
 INPUTS: a folder that ``track`` or ``silhouette track`` wrote, or its motion.npz; a subject file, or
 a folder of ``silhouette model``.
-OUTPUTS: that person's motion in every format, with their skin where it is known; recording.rrd;
+OUTPUTS: that person's motion in every format, with their skin where it was measured; recording.rrd;
 retargeted.png, a picture of both.
 """
 
@@ -147,4 +147,4 @@ def _mean(values: np.ndarray) -> float | None:
 
 
 def _centimetres(metres: float | None) -> str:
-    return "never seen" if metres is None else f"{100 * metres:.1f} cm"
+    return "never measured" if metres is None else f"{100 * metres:.1f} cm"

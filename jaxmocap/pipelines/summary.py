@@ -78,7 +78,7 @@ def _columns(report: Report) -> list[tuple[str, np.ndarray]]:
 
 def _centimetres(errors: np.ndarray) -> str:
     finite = errors[np.isfinite(errors)]
-    return f"{100 * np.percentile(finite, 95):.1f} cm" if len(finite) else "never seen"
+    return f"{100 * np.percentile(finite, 95):.1f} cm" if len(finite) else "never measured"
 
 
 def figures(motion: Motion) -> dict:

@@ -102,7 +102,8 @@ def first_half_second(recording: Recording) -> Recording:
     begin = max([recording.times[is_visible.argmax()], *starts])
     chosen = (recording.times >= begin) & (recording.times < begin + TRACKED_S)
     if not (chosen & is_visible).any():
-        raise InputError(recording.path or recording.name, "no marker is seen beside the video")
+        name = recording.path or recording.name
+        raise InputError(name, "no marker was measured beside the video")
     return replace(
         recording,
         times=recording.times[chosen],

@@ -1,4 +1,4 @@
-"""Everything that ``track`` writes, each file moved into place when it is whole.
+"""Everything that ``track`` writes, each file moved into place when it is complete.
 
 INPUTS: a Motion, its Recording, a folder.
 OUTPUTS: joints.trc, angles.mot, angles_isb.mot, motion.npz, motion.bvh, motion.glb, report.json,
@@ -94,7 +94,7 @@ def write_outputs(
     Args:
         motion: tracked from the recording.
         recording: with its videos.
-        directory: is made where missing; it changes when everything is whole.
+        directory: is made where missing; it changes when everything is complete.
         settings: of the tracker, for the edges that the viewer shows.
         progress: called with the frames drawn and their total; True shows a bar on stderr.
         warn: called with a sentence for each file that cannot hold the motion and is left out.

@@ -75,10 +75,10 @@ def pixel_rays(camera: Any, pixels_xy: np.ndarray, iterations: int = 8) -> np.nd
     R_world_cam = np.asarray(camera.T_cam_world, float)[:3, :3].T
     rays = []
     for pixel in np.asarray(pixels_xy, float):
-        seen = (inverse @ np.append(pixel, 1.0))[:2]
-        plane = seen
+        distorted = (inverse @ np.append(pixel, 1.0))[:2]
+        plane = distorted
         for _ in range(iterations):
-            plane = plane + seen - distort(camera, plane[None])[0]
+            plane = plane + distorted - distort(camera, plane[None])[0]
         ray_cam = np.append(plane, 1.0)
         rays.append(R_world_cam @ ray_cam / np.linalg.norm(ray_cam))
     return np.array(rays)

@@ -1,4 +1,4 @@
-"""The first pose: the one whose landmarks lie nearest to where some are known to be.
+"""The first pose: the one whose landmarks lie nearest to the given ones.
 
 INPUTS: a Skeleton, landmarks' positions in the world (metres), NaN where unknown.
 OUTPUTS: a Pose.
@@ -28,7 +28,7 @@ def pose_at_landmarks(skeleton: Skeleton, points_world: np.ndarray) -> Pose:
     Args:
         skeleton: of the person.
         points_world: (L, 3) metres, in the order of ``LANDMARKS``; NaN where unknown. Both hips
-            or both shoulders must be known, they say where the person faces.
+            or both shoulders must be given, they determine where the person faces.
 
     Raises:
         ValueError: neither is.
@@ -55,7 +55,7 @@ def _placed(skeleton: Skeleton, points: np.ndarray) -> Pose:
         if np.isfinite(left).all():
             break
     else:
-        raise ValueError("neither both hips nor both shoulders are known: no facing")
+        raise ValueError("neither both hips nor both shoulders are given: no facing")
     hips = _middle(at, "hip")
     trunk = _middle(at, "shoulder") - hips
     up = trunk if np.isfinite(trunk).all() else np.array([0.0, 0.0, 1.0])
@@ -92,15 +92,15 @@ def _quaternion(R: np.ndarray) -> np.ndarray:
 @jax.jit
 def _fitted(skeleton: Skeleton, start: Pose, points: Array) -> Pose:
     """Gauss-Newton from a placed pose, within the limits."""
-    known = jnp.isfinite(points)
-    targets = jnp.where(known, points, 0.0)
+    is_measured = jnp.isfinite(points)
+    targets = jnp.where(is_measured, points, 0.0)
     rest = jnp.concatenate(
         [jnp.zeros(6, points.dtype), jnp.ones_like(start.angles) / RELAXED_DEVIATION**2]
     )
 
     def off(pose: Pose, step: Array) -> Array:
         there = landmarks(skeleton, retract(pose, step))
-        return (jnp.where(known, there - targets, 0.0) / LANDMARK_DEVIATION_M).ravel()
+        return (jnp.where(is_measured, there - targets, 0.0) / LANDMARK_DEVIATION_M).ravel()
 
     def once(_: int, pose: Pose) -> Pose:
         none = jnp.zeros_like(rest)

@@ -4,7 +4,7 @@ A first pass learns the backgrounds, frame by frame, where the person is not, an
 shape; the next ones begin with both, and with where the pass before them found each limb.
 
 INPUTS: a tracker, a first pose, frames as often as they are asked for.
-OUTPUTS: a PassResult; the poses that suit all frames together; how well landmarks are known.
+OUTPUTS: a PassResult; the poses that suit all frames together; the landmarks' standard deviations.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -187,7 +187,7 @@ def run_passes(
         backgrounds: of each camera, where a picture shows it; None where passes are to learn it.
         progress: called with the frames done and their total.
     """
-    constants, body, known = tracker.constants, tracker.body, list(backgrounds)
+    constants, body, models = tracker.constants, tracker.body, list(backgrounds)
     shape = ShapeEstimator(
         body.shape.surface, body.shape.skeleton, settings.shape_deviation, settings.lengths
     )
@@ -198,14 +198,14 @@ def run_passes(
         earlier = None if result is None else result.estimates
         done = number * count
         result = run_pass(
-            tracker, tracker.init(start, body, known), frames(), learner, earlier,
+            tracker, tracker.init(start, body, models), frames(), learner, earlier,
             lambda frame, done=done: progress(done + frame, settings.passes * count),
         )  # fmt: skip
         if not result.is_anybody_visible:
             break
         if learner is not None:
             pictures = zip(backgrounds, learner.backgrounds, strict=True)
-            known = [picture or learned.background() for picture, learned in pictures]
+            models = [picture or learned.background() for picture, learned in pictures]
             body = tracker.reshaped(body, *shape.estimate())
     assert result is not None, "expected one pass or several"
     return result

@@ -25,7 +25,7 @@ from jaxmocap.geometry.rotations import HIGHEST
 class PointRays(NamedTuple):
     """N points and the rays that they should lie on, of any number of cameras.
 
-    Where the ray belongs to a contour, its point is known across the contour and not along it:
+    Where the ray belongs to a contour, its point is measured across the contour and not along it:
     ``across`` is the contour's normal in space and ``along_weights`` the other direction's weights.
     With weights of 1 this is the incidence of (3.11), whatever ``across``.
 
@@ -50,15 +50,17 @@ class PointRays(NamedTuple):
 def contour_rays(camera: Camera, pixels_xy: Array, normals: Array) -> tuple[Lines, Array]:
     """Rays through a contour's pixels (N, 2), and (N, 3) its unit normals (N, 2) in space.
 
-    Points on the ray's plane along the contour are all seen on its tangent.
+    Points on the ray's plane along the contour all project onto its tangent.
     """
     lines = camera_lines(camera, pixels_xy)
     beside = pixel_rays(camera, pixels_xy + normals) - lines.directions
     along = jnp.sum(beside * lines.directions, -1, keepdims=True) * lines.directions
     across = beside - along
     squared = jnp.sum(across**2, -1, keepdims=True)
-    known = squared > 0
-    return lines, jnp.where(known, across / jnp.sqrt(jnp.where(known, squared, 1.0)), 0.0)
+    is_measured = squared > 0
+    return lines, jnp.where(
+        is_measured, across / jnp.sqrt(jnp.where(is_measured, squared, 1.0)), 0.0
+    )
 
 
 def point_jacobian(skeleton: Skeleton, frames: Frames, points: BodyPoints) -> Array:

@@ -7,7 +7,7 @@
                rim of the pose that was found, and a smaller deviation for outliers; in the first
                frame begun with the surface's low-pass, coarse to fine
     recover    a limb that explains more where an earlier pass found it is fitted from there; where
-               person is seen that no limb explains, or a limb explains nothing, a particle filter
+               no limb explains a visible person, or a limb explains nothing, a particle filter
                proposes poses and the best is fitted; parts of another colour than before are hidden
     withdraw   of limbs found elsewhere the last frames' information is taken back
 
@@ -134,11 +134,11 @@ class SilhouetteTracker:
         """
         body = self.body if body is None else body
         width, count = body.shape.skeleton.costs.shape, len(self.constants.cameras.size)
-        known = (None,) * count if backgrounds is None else tuple(backgrounds)
+        models = (None,) * count if backgrounds is None else tuple(backgrounds)
         histograms = Histograms.empty(count, self.constants.plan)
         history, limbs = ImageHistory.empty(count), body.recovery.empty_memory()
         still, determined = np.zeros(width, np.float32), np.ones(width, bool)
-        return State(pose, still, None, histograms, determined, history, limbs, body, known)
+        return State(pose, still, None, histograms, determined, history, limbs, body, models)
 
     def step(
         self,
@@ -172,7 +172,7 @@ class SilhouetteTracker:
         report, pose, determined = self._reported(body, recovered, positions_world)
         velocity = self._velocity(state, recovered, pose, determined, elapsed, earlier)
         if not determined.any():
-            # Who is out of sight for an instant moves on; for longer, comes to rest.
+            # Who is not visible for an instant moves on; for longer, comes to rest.
             determined, velocity = state.determined, s.damping * state.velocity
         recent = state.recent
         if report.relocated.any():

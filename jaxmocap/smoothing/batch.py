@@ -153,26 +153,26 @@ def solve_recording(
         return None
     measured = _measured(model, first_pass)
 
-    def measured_about(found: Trajectory) -> SmoothingProblem:
-        views = _views(model, cameras, found)
+    def measured_about(trajectory: Trajectory) -> SmoothingProblem:
+        views = _views(model, cameras, trajectory)
         return SmoothingProblem(model, settings, first_pass.times, measured, views)
 
-    def decided(problem: SmoothingProblem, found: Trajectory) -> Trajectory:
-        goals = elbow_goals(problem, found)
+    def decided(problem: SmoothingProblem, trajectory: Trajectory) -> Trajectory:
+        goals = elbow_goals(problem, trajectory)
         guided = problem.with_measured(elbows=goals)
-        return smooth_poses(guided, found, DECIDING, PREPARED).trajectory
+        return smooth_poses(guided, trajectory, DECIDING, PREPARED).trajectory
 
     no_change = np.zeros(len(PROPORTIONS), model.dtype)
-    found = Trajectory(first_pass.poses, no_change, _as_calibrated(model, settings))
-    problem = measured_about(found)
-    found = smooth_poses(problem, found, ROUGHLY, PREPARED, coarse=True).trajectory
+    trajectory = Trajectory(first_pass.poses, no_change, _as_calibrated(model, settings))
+    problem = measured_about(trajectory)
+    trajectory = smooth_poses(problem, trajectory, ROUGHLY, PREPARED, coarse=True).trajectory
     show(0.3)
     for turn in range(DECISIONS):
-        found = decided(problem, found)
+        trajectory = decided(problem, trajectory)
         # Better poses teach better what the person looks like.
-        problem = measured_about(found)
+        problem = measured_about(trajectory)
         show(0.3 + 0.4 * (turn + 1) / DECISIONS)
-    return SolvedProblem(problem, smooth_poses(problem, found, FINELY).trajectory)
+    return SolvedProblem(problem, smooth_poses(problem, trajectory, FINELY).trajectory)
 
 
 def _as_calibrated(model: Model, settings: SmoothingSettings) -> np.ndarray:
@@ -185,11 +185,11 @@ def _frames_of_cameras(
     frame_index: np.ndarray, videos: Sequence[VideoFrames]
 ) -> list[CameraFrames]:
     """The frames of each camera that has some; one that serves several events counts for each."""
-    found = [
+    result = [
         CameraFrames(camera, np.flatnonzero(column >= 0), column[column >= 0], video)
         for camera, (column, video) in enumerate(zip(frame_index.T, videos, strict=True))
     ]
-    return [each for each in found if len(each.events)]
+    return [each for each in result if len(each.events)]
 
 
 def _measured(model: Model, first_pass: FirstPass) -> Measurements:
@@ -204,11 +204,11 @@ def _measured(model: Model, first_pass: FirstPass) -> Measurements:
     return {**measured, "sight_lines": lines}
 
 
-def _views(model: Model, cameras: Sequence[CameraFrames], found: Trajectory) -> Views:
+def _views(model: Model, cameras: Sequence[CameraFrames], trajectory: Trajectory) -> Views:
     """What all cameras show, by what the poses found so far teach."""
-    turned = all_turned(model.cameras, found.turns_cam)
-    person = replace(model, skeleton=found.person(model.skeleton), cameras=turned)
-    each = [_views_of(person, own, rows_of(found.poses, own.events)) for own in cameras]
+    turned = all_turned(model.cameras, trajectory.turns_cam)
+    person = replace(model, skeleton=trajectory.person(model.skeleton), cameras=turned)
+    each = [_views_of(person, own, rows_of(trajectory.poses, own.events)) for own in cameras]
     return jax.tree.map(lambda *parts: np.concatenate(parts), *each)
 
 

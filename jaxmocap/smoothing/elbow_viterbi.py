@@ -2,7 +2,7 @@
 
 A solve that goes downhill leaves an elbow in the valley it began in, and a silhouette hardly tells
 before the image plane from behind it. So every frame of every camera prices the whole grid of
-candidates that the search knows, with the rest of the body where it is; dynamic programming over
+candidates of the search, with the rest of the body where it is; dynamic programming over
 time (Viterbi) then decides, so that clear frames decide for the ambiguous ones before and after.
 
 INPUTS: a recording's problem and its trajectory so far. OUTPUTS: goals for the elbows.

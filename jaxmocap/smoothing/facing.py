@@ -32,8 +32,8 @@ def references(skeleton: Skeleton, times: np.ndarray, poses: Pose) -> dict[str, 
     step = np.median(np.diff(times)) if len(times) > 1 else 1.0
     ahead = gaussian_filter1d(R[:, :2, 0], AROUND_S / step, axis=0, mode="nearest")
     points = landmarks_over_time(skeleton, poses)
-    found = {"upright": R[:, :2, 2], "facing": _level(ahead), "ankles": points[:, ANKLES]}
-    return {name: np.asarray(part, skeleton.lengths.dtype) for name, part in found.items()}
+    result = {"upright": R[:, :2, 2], "facing": _level(ahead), "ankles": points[:, ANKLES]}
+    return {name: np.asarray(part, skeleton.lengths.dtype) for name, part in result.items()}
 
 
 class RunningFacing:

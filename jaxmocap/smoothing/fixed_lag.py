@@ -101,7 +101,7 @@ class FixedLagSmoother:
     """Smooths one person's poses, at most ``DELAY_FRAMES`` video frames behind the tracker."""
 
     def __init__(self, model: Model, settings: SmoothingSettings):
-        """Prepare for a model with cameras; nothing is known of the room yet.
+        """Prepare for a model with cameras; nothing of the room is learned yet.
 
         Args:
             model: of the person, the markers and the cameras.
@@ -121,7 +121,7 @@ class FixedLagSmoother:
         self._begin()
 
     def _begin(self) -> None:
-        """No events, no marginal prior; the room and the person's colours stay known."""
+        """No events, no marginal prior; the learned room and the person's colours stay."""
         self._window.begin()
         self._marker_pose: Pose | None = None
         self._facing = RunningFacing()
@@ -299,7 +299,7 @@ class FixedLagSmoother:
             self._learn_from(event)
 
     def _learn(self) -> None:
-        """Learn from frames whose poses are known as well as they ever will be."""
+        """Learn from frames whose poses are final."""
         for event in self._window.events:
             if event.number < self._given:
                 self._learn_from(event)

@@ -45,7 +45,7 @@ class Linearised(NamedTuple):
         cost: (T,) r^T r.
         hessian: (T, N, N) J^T J.
         gradient: (T, N) J^T r, half the cost's derivative.
-        points: (T, M) the coordinates whose motion the prior judges.
+        points: (T, M) the coordinates whose motion the prior weighs.
         jacobian: (T, M, N) their derivative.
         cross: (T, N, P) J^T J_p; without shared parameters this and the rest are left out.
         shared_hessian: (T, P, P) J_p^T J_p; a prior on p belongs to one frame, or a T-th to each.
@@ -197,13 +197,13 @@ def covariances(
 
 
 def point_variances(
-    jacobian: ArrayLike, found: Covariances, shared_jacobian: ArrayLike = UNSHARED
+    jacobian: ArrayLike, covariances_of: Covariances, shared_jacobian: ArrayLike = UNSHARED
 ) -> np.ndarray:
     """Variances (T, M) of coordinates, by their derivatives (T, M, N) and (T, M, P)."""
     own, common = _double(jacobian), _double(shared_jacobian)
     common = np.broadcast_to(common, (*own.shape[:2], common.shape[-1]))
-    spread = own @ found.frames + common @ found.cross.swapaxes(1, 2)
-    across = own @ found.cross + common @ found.shared
+    spread = own @ covariances_of.frames + common @ covariances_of.cross.swapaxes(1, 2)
+    across = own @ covariances_of.cross + common @ covariances_of.shared
     return np.sum(spread * own, 2) + np.sum(across * common, 2)
 
 

@@ -40,7 +40,7 @@ class MarginalPrior(NamedTuple):
 def with_marginal(
     equations: Equations, marginal: MarginalPrior | None, offset: np.ndarray
 ) -> Equations:
-    """A window's equations, and what a marginal prior tells of its first two frames."""
+    """A window's equations, and a marginal prior of its first two frames."""
     if marginal is None:
         return equations
     rows, gradient = equations.rows.copy(), equations.gradient.copy()
@@ -55,7 +55,7 @@ def with_marginal(
 def condensed(
     equations: Equations, marginal: MarginalPrior | None, offset: np.ndarray
 ) -> MarginalPrior:
-    """What a window tells without all but the last two of its frames, about where those stand.
+    """A window's evidence without all but the last two of its frames, about where those stand.
 
     Args:
         equations: of three frames or more, the first of the window (``leaving``).
@@ -64,14 +64,14 @@ def condensed(
     """
     equations = with_marginal(equations, marginal, offset)
     frames, size = equations.gradient.shape
-    whole = np.zeros((frames * size, (frames + REACH) * size))
+    dense = np.zeros((frames * size, (frames + REACH) * size))
     for row, block in enumerate(equations.rows):
-        whole[row * size : (row + 1) * size, row * size : (row + REACH + 1) * size] = block
-    whole = np.triu(whole[:, : frames * size])
+        dense[row * size : (row + 1) * size, row * size : (row + REACH + 1) * size] = block
+    dense = np.triu(dense[:, : frames * size])
     gone = (frames - REACH) * size
-    left, pull = whole[gone:, gone:], equations.gradient.ravel()
-    right = np.column_stack([whole[:gone, gone:], pull[:gone]])
-    own = _mirrored(whole[:gone, :gone]) + FLOOR * np.eye(gone)
+    left, pull = dense[gone:, gone:], equations.gradient.ravel()
+    right = np.column_stack([dense[:gone, gone:], pull[:gone]])
+    own = _mirrored(dense[:gone, :gone]) + FLOOR * np.eye(gone)
     tied = right[:, :-1].T @ np.linalg.solve(own, right)
     return MarginalPrior(
         _mirrored(left) - (tied[:, :-1] + tied[:, :-1].T) / 2, pull[gone:] - tied[:, -1]

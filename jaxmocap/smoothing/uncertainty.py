@@ -70,8 +70,8 @@ def _variances(
 ) -> np.ndarray:
     """(T, L, 3) of the landmarks' coordinates."""
     linear = linearise_problem(problem, softness, workers, trajectory)
-    found = point_variances(linear.jacobian, covariances(linear, prior), linear.shared_jacobian)
-    return found.reshape(-1, len(LANDMARKS), 3)
+    variances = point_variances(linear.jacobian, covariances(linear, prior), linear.shared_jacobian)
+    return variances.reshape(-1, len(LANDMARKS), 3)
 
 
 def counted_once(problem: SmoothingProblem) -> SmoothingSettings:

@@ -13,7 +13,7 @@ import numpy as np
 
 
 class Fading(NamedTuple):
-    """What is left of past corrections.
+    """What is left of earlier corrections.
 
     Attributes:
         offset: (N,) to be added to the track.

@@ -116,22 +116,24 @@ def _learn(state: _State, values: Array, point_tolerance: float, cost_tolerance:
     _, f_reflected, _, seconds, shrinks, ends = decision
     vertices, costs, tried = _moved(state, values, decision, rows)
 
-    whole = ends | (state.stage == last)
+    is_complete = ends | (state.stage == last)
     vertices, costs = (
-        _where(whole, new, old)
+        _where(is_complete, new, old)
         for new, old in zip(_ordered(vertices, costs), (vertices, costs), strict=True)
     )
     near = jnp.max(jnp.abs(vertices[:, 1:] - vertices[:, :1]), (1, 2)) <= point_tolerance
     flat = costs[:, -1] - costs[:, 0] <= cost_tolerance
 
-    following = jnp.where(whole, last + 1, jnp.where(seconds, last + 2, state.stage + 1))
+    following = jnp.where(is_complete, last + 1, jnp.where(seconds, last + 2, state.stage + 1))
     following = jnp.where(shrinks, 1, following)
     centroid, away = _across(vertices)
     chosen = rows == following[:, None]
     point = jnp.sum(jnp.where(chosen[..., None], vertices, 0.0), 1)
-    point = _where(whole, centroid + REFLECT * away, _where(seconds, tried, point))
+    point = _where(is_complete, centroid + REFLECT * away, _where(seconds, tried, point))
     counted = state.iterations + (ends | shrinks).astype(jnp.int32)
-    return _State(vertices, costs, point, following, f_reflected, counted, whole & near & flat)
+    return _State(
+        vertices, costs, point, following, f_reflected, counted, is_complete & near & flat
+    )
 
 
 class _Decision(NamedTuple):

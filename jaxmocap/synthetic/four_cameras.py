@@ -48,7 +48,7 @@ SAMPLING_S = 0.1
 
 
 class Performer(Mover, Protocol):
-    """Someone who moves and whose joints are known."""
+    """Someone who moves, with true joints."""
 
     def landmarks(self, times: np.ndarray) -> dict[str, np.ndarray]:
         """Landmark name -> (T, 3), world, metres."""
@@ -180,12 +180,12 @@ def write_truth(
 
 def flexion_angles(landmarks: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """``elbow_l`` and so on -> (T,) how far it is bent, radians; 0 is straight."""
-    found = {}
+    angles = {}
     for hinge, (near, far) in HINGES.items():
         upper, lower = landmarks[hinge] - landmarks[near], landmarks[far] - landmarks[hinge]
         across = np.linalg.norm(np.cross(upper, lower), axis=-1)
-        found[hinge] = np.arctan2(across, np.sum(upper * lower, -1))
-    return found
+        angles[hinge] = np.arctan2(across, np.sum(upper * lower, -1))
+    return angles
 
 
 def read_masks(path: str | Path, size: tuple[int, int] = (640, 480)) -> dict[str, np.ndarray]:

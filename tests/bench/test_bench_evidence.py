@@ -32,16 +32,16 @@ def test_made_key_points_lie_near_the_truth_but_for_some(tmp_path):
     same = {name: name for name in LANDMARKS}
     clip = Clip("tennis", "clip", tmp_path / "recording.toml", same, seed=3)
     evidence.write_keypoints(tmp_path / "points", clip, CAMERA, times)
-    found = read_keypoints(tmp_path / "points", evidence.MODEL)
-    assert found.numbers.tolist() == list(range(FRAMES))
-    assert {"elbow_l", "elbow_r", "wrist_l", "vertex"} <= set(found.landmarks)
+    actual = read_keypoints(tmp_path / "points", evidence.MODEL)
+    assert actual.numbers.tolist() == list(range(FRAMES))
+    assert {"elbow_l", "elbow_r", "wrist_l", "vertex"} <= set(actual.landmarks)
     true = np.stack(
-        [np.asarray(project(CAMERA, jnp.asarray(points[name]))) for name in found.landmarks], 1
+        [np.asarray(project(CAMERA, jnp.asarray(points[name]))) for name in actual.landmarks], 1
     )
-    off = np.linalg.norm(found.pixels_xy[:, 0] - true, axis=-1)
+    off = np.linalg.norm(actual.pixels_xy[:, 0] - true, axis=-1)
     assert np.median(off) == pytest.approx(1.18 * evidence.NOISE_PX, rel=0.1)
     assert 0.5 * evidence.FALSE < np.mean(off > 15) < 1.2 * evidence.FALSE
-    assert found.confidences.min() >= 0.19 and found.confidences.max() <= 1
+    assert actual.confidences.min() >= 0.19 and actual.confidences.max() <= 1
 
 
 # A background made flat --------------------------------------------------------------------------
@@ -49,7 +49,7 @@ def test_made_key_points_lie_near_the_truth_but_for_some(tmp_path):
 
 WALL = np.full((120, 160, 3), 90, np.uint8)
 WALL[:, ::16] = 150
-KNOWN = Background(
+LEARNED = Background(
     WALL.astype(np.float32), np.full((120, 160), 3.0, np.float32), np.ones((120, 160))
 )
 BODY = np.s_[30:90, 50:110]
@@ -65,7 +65,7 @@ def test_what_is_like_the_background_is_flat_and_what_is_before_it_stays():
     frame[BODY] = 220
     frame[BODY][:, 25:35] = 180
     frame = frame.astype(np.uint8)
-    flat = flat_frame(frame, KNOWN)
+    flat = flat_frame(frame, LEARNED)
     assert flat.shape == frame.shape[:2] and flat.dtype == np.uint8
     assert steepest(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), np.s_[:, :40]) > 50
     assert steepest(flat, np.s_[:, :40]) < 5 and steepest(flat, np.s_[:, 120:]) < 5
@@ -80,8 +80,8 @@ def test_what_is_like_the_background_is_flat_and_what_is_before_it_stays():
 @pytest.mark.parametrize("what", ["unknown", "another room"])
 def test_what_may_be_another_background_stays_as_it_is(what):
     frame = WALL if what == "unknown" else np.random.default_rng(1).integers(0, 255, WALL.shape)
-    nothing = np.zeros_like(KNOWN.known)
-    background = replace(KNOWN, known=nothing) if what == "unknown" else KNOWN
+    nothing = np.zeros_like(LEARNED.certainty)
+    background = replace(LEARNED, certainty=nothing) if what == "unknown" else LEARNED
     frame = frame.astype(np.uint8)
     grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
     np.testing.assert_array_equal(flat_frame(frame, background), grey)
@@ -103,6 +103,6 @@ def test_a_quick_run_measures_key_points(tmp_path, capsys):
     evidence.main(["--quick", "--seeds", "0", "--json", str(tmp_path / "found.json")])
     assert "silhouettes, colours, key points" in capsys.readouterr().out
     metrics = json.loads((tmp_path / "found.json").read_text())["metrics"]
-    found = {metric["name"].split(", ", 1)[1]: metric["value"] for metric in metrics}
-    assert list(found) == ["markers alone", evidence.USUAL, *evidence.QUICK]
-    assert 0 < found[evidence.QUICK[0]] < found["markers alone"]
+    actual = {metric["name"].split(", ", 1)[1]: metric["value"] for metric in metrics}
+    assert list(actual) == ["markers alone", evidence.USUAL, *evidence.QUICK]
+    assert 0 < actual[evidence.QUICK[0]] < actual["markers alone"]

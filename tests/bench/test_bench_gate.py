@@ -35,8 +35,8 @@ def with_value(metric: Metric, value: float) -> Metric:
 )
 def test_only_what_is_worse_by_more_than_its_tolerance_fails(committed, within, beyond):
     assert gate.failures([with_value(committed, within)], [committed]) == []
-    (said,) = gate.failures([with_value(committed, beyond)], [committed])
-    assert said.startswith(committed.name) and f"{beyond:.3g}" in said and "25%" in said
+    (message,) = gate.failures([with_value(committed, beyond)], [committed])
+    assert message.startswith(committed.name) and f"{beyond:.3g}" in message and "25%" in message
 
 
 @given(positive, st.sampled_from([SLOWER, FASTER]))
@@ -55,8 +55,8 @@ def test_twice_as_slow_is_as_bad_whichever_way_the_ratio_is_taken(value, times):
 
 def test_a_ratio_that_was_not_measured_fails_unless_its_rival_is_missing():
     rival = Metric("ik_mink_over_ours", 3.0, "x", "higher")
-    (said,) = gate.failures([SLOWER], [SLOWER, rival])
-    assert "ik_mink_over_ours: not measured" in said
+    (message,) = gate.failures([SLOWER], [SLOWER, rival])
+    assert "ik_mink_over_ours: not measured" in message
     assert gate.failures([SLOWER], [SLOWER, rival], skipped=["mink"]) == []
 
 
@@ -93,17 +93,17 @@ def test_spread_tells_how_far_runs_scatter_and_writes_their_medians(tmp_path, ca
 
 
 def test_json_has_what_a_baseline_needs_of_every_metric(tmp_path):
-    found = [SLOWER, *stage_metrics("solve", [1.0, 2.0, 3.0])]
-    write_json(found, tmp_path / "found.json")
+    actual = [SLOWER, *stage_metrics("solve", [1.0, 2.0, 3.0])]
+    write_json(actual, tmp_path / "found.json")
     entries = json.loads((tmp_path / "found.json").read_text())["metrics"]
     fields = {"name", "value", "unit", "direction", "tolerance"}
     assert all(set(entry) == fields for entry in entries)
-    assert read_json(tmp_path / "found.json") == found
+    assert read_json(tmp_path / "found.json") == actual
 
 
 def test_the_table_puts_late_times_and_committed_values_beside_the_medians():
-    found = [*stage_metrics("solve", [1.0, 2.0, 3.0]), with_value(SLOWER, 2.1)]
-    heading, solve, step = table(found, [SLOWER]).splitlines()
+    actual = [*stage_metrics("solve", [1.0, 2.0, 3.0]), with_value(SLOWER, 2.1)]
+    heading, solve, step = table(actual, [SLOWER]).splitlines()
     assert heading.split() == ["median", "99", "%", "unit", "baseline"]
     assert solve.split() == ["solve", "2", "2.98", "ms"]
     assert step.split() == ["step_over_chain", "2.1", "x", "2"]
@@ -113,7 +113,7 @@ def test_rivals_are_called_in_turn_and_the_first_rounds_do_not_count():
     called = []
     spans = interleaved({n: lambda n=n: called.append(n) for n in "ab"}, rounds=3, warm=1)
     assert called == list("abababab")
-    assert all(found.shape == (3, 2) for found in spans.values())
+    assert all(actual.shape == (3, 2) for actual in spans.values())
 
 
 def test_a_ratio_is_of_the_processors_medians():
@@ -124,8 +124,8 @@ def test_a_ratio_is_of_the_processors_medians():
 def test_start_up_keeps_trace_compile_and_first_call_apart():
     import jax
 
-    found = start_up("double", jax.jit(lambda x: 2 * x), jnp.ones(3))
-    assert [metric.name for metric in found] == [
+    actual = start_up("double", jax.jit(lambda x: 2 * x), jnp.ones(3))
+    assert [metric.name for metric in actual] == [
         "double, trace", "double, compile", "double, first call after it"
     ]  # fmt: skip
     span, result = timed(jax.jit(lambda x: 2 * x), jnp.ones(3))

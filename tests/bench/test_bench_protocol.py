@@ -1,4 +1,4 @@
-"""The protocol's command: what it is told, what it keeps, what it demands."""
+"""The protocol's command: its options, what it keeps, what it demands."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,7 +11,7 @@ from bench import accuracy
 from bench.acceleration import AccelerationAndLag
 from bench.clips import REAL_LANDMARKS, Clip, real, synthetic
 from bench.criteria import covered, criteria, table
-from bench.judging import Result, Sureness, shaken, sureness_of
+from bench.evaluation import Result, Sureness, shaken, sureness_of
 from bench.wrong_turns import wrong_turns
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.evaluation.errors import Errors
@@ -85,8 +85,8 @@ def test_wrong_turns_miss_by_their_share_and_by_their_length():
         result("tennis", "a", 0.15, 0.01),
         turns=wrong_turns(TIMES, errors(0.15).distances, after.distances),
     )
-    found = verdicts([bad])
-    assert not found["tennis, wrong turns"] and not found["tennis, recovery"]
+    actual = verdicts([bad])
+    assert not actual["tennis, wrong turns"] and not actual["tennis, recovery"]
 
 
 def test_confidence_is_demanded_of_each_coordinate_by_itself():
@@ -172,7 +172,7 @@ class Moved:
 
 
 @dataclass
-class Said:
+class Deviations:
     """What a report says of confidence."""
 
     landmarks_std: np.ndarray
@@ -184,13 +184,15 @@ def test_deviations_are_paired_with_their_landmark_and_time(tmp_path):
     write_trc(tmp_path / "truth.trc", TIMES[30:], truth)
     points = {name: np.full((90, 3), i + 0.01) for i, name in enumerate(LANDMARKS)}
     deviations = np.arange(90)[:, None, None] + 0.001 * np.arange(len(LANDMARKS))[:, None]
-    said = Said(np.broadcast_to(deviations, (90, len(LANDMARKS), 3)))
-    said.from_prior[40, 2] = True
+    sureness = Deviations(np.broadcast_to(deviations, (90, len(LANDMARKS), 3)))
+    sureness.from_prior[40, 2] = True
     clip = Clip("a", "a", tmp_path / "recording.toml", {"elbow_r": "elbow_r", "head": "head"})
-    found = sureness_of(Moved(TIMES, points, said), clip)
-    assert found is not None and found.landmarks == ("elbow_r", "head")
-    np.testing.assert_allclose(found.offsets, 0.01, atol=1e-6)
-    assert found.deviations[0, 0, 0] == pytest.approx(30 + 0.001 * list(LANDMARKS).index("elbow_r"))
-    assert found.deviations[5, 1, 2] == pytest.approx(35 + 0.001 * list(LANDMARKS).index("head"))
-    assert np.flatnonzero(found.from_prior[:, 1]).tolist() == [10]
+    actual = sureness_of(Moved(TIMES, points, sureness), clip)
+    assert actual is not None and actual.landmarks == ("elbow_r", "head")
+    np.testing.assert_allclose(actual.offsets, 0.01, atol=1e-6)
+    assert actual.deviations[0, 0, 0] == pytest.approx(
+        30 + 0.001 * list(LANDMARKS).index("elbow_r")
+    )
+    assert actual.deviations[5, 1, 2] == pytest.approx(35 + 0.001 * list(LANDMARKS).index("head"))
+    assert np.flatnonzero(actual.from_prior[:, 1]).tolist() == [10]
     assert sureness_of(Moved(TIMES, points, object()), clip) is None

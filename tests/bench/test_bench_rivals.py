@@ -81,8 +81,8 @@ def test_who_is_missing_is_said_and_left_out(monkeypatch, capsys):
     monkeypatch.setattr(rivals.rival_simplex, "measure", lambda quick: iter(()))
     absent = rivals.missing()
     assert absent == list(rivals.OPTIONAL)
-    said = capsys.readouterr().err.splitlines()
-    assert said[1] == "mink is not installed: left out of IK"
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[1] == "mink is not installed: left out of IK"
     assert list(rivals.measure(True, absent)) == []
     committed = [m for m in read_baseline("quick") if m.name.startswith(("ik_", "kinematics_"))]
     assert committed and failures([], committed, rivals.unmeasured(absent)) == []
@@ -127,9 +127,9 @@ def test_a_chain_has_so_many_hinges_in_a_row():
 def test_growth_by_hinges_measures_every_length(monkeypatch):
     monkeypatch.setattr(growth, "HINGES", (3, 6))
     monkeypatch.setattr(growth, "ROUNDS", 2)
-    found = list(growth.by_hinges())
-    assert [m.name for m in found] == [f"growth: IK step, hinges {n}" for n in (3, 6)]
-    assert all(metric.value > 0 for metric in found)
+    actual = list(growth.by_hinges())
+    assert [m.name for m in actual] == [f"growth: IK step, hinges {n}" for n in (3, 6)]
+    assert all(metric.value > 0 for metric in actual)
 
 
 def test_sines_and_cosines_are_the_librarys_to_float32s_rounding():

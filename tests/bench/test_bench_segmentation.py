@@ -1,4 +1,4 @@
-"""How the segmentation's benchmark judges masks."""
+"""How the segmentation's benchmark evaluates masks."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ def square(left: int, top: int, side: int = 20) -> np.ndarray:
     return mask
 
 
-def test_overlap_and_distance_of_squares_are_known():
+def test_overlap_and_distance_of_squares():
     assert overlap(square(10, 10), square(10, 10)) == 1
     assert overlap(square(10, 10), square(20, 10)) == pytest.approx(1 / 3)
     assert contour_distance(square(10, 10), square(10, 10)) == 0
@@ -22,9 +22,9 @@ def test_overlap_and_distance_of_squares_are_known():
 
 
 def test_every_image_is_scored_and_medians_are_reported():
-    seen = Look([np.zeros((60, 80, 3), np.uint8)] * 2, [square(10, 10), square(30, 10)], [])
-    found = scored(lambda _: [square(10, 10), square(40, 10)], [seen])
-    assert [each.overlap for each in found] == [1, pytest.approx(1 / 3)]
+    look = Look([np.zeros((60, 80, 3), np.uint8)] * 2, [square(10, 10), square(30, 10)], [])
+    actual = scored(lambda _: [square(10, 10), square(40, 10)], [look])
+    assert [each.overlap for each in actual] == [1, pytest.approx(1 / 3)]
     rows = {"ours": [Scored(0.5, 1.0, 9.0), Scored(0.7, 3.0, 9.0), Scored(0.9, np.nan, 6.0)]}
     named = {metric.name: metric.value for metric in metrics(rows)}
     assert named["overlap, ours"] == pytest.approx(70)
@@ -34,5 +34,5 @@ def test_every_image_is_scored_and_medians_are_reported():
 def test_grabcut_finds_a_square_of_another_colour():
     truth = square(30, 20)
     image = np.where(truth[..., None], 200, 60) + np.random.default_rng(0).normal(0, 4, (60, 80, 3))
-    found = grabbed(Look([image.astype(np.uint8)], [truth], [square(34, 23)]))
-    assert overlap(found[0], truth) > 0.9
+    actual = grabbed(Look([image.astype(np.uint8)], [truth], [square(34, 23)]))
+    assert overlap(actual[0], truth) > 0.9

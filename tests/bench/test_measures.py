@@ -45,8 +45,8 @@ def test_a_constant_offset_changes_neither_calm_nor_lag():
 
 @given(st.floats(-0.2, 0.2))
 def test_a_delay_is_found_to_a_tenth_of_a_sample(delay):
-    found, likeness = lag(TIMES, swing(TIMES - delay), TIMES, swing(TIMES))
-    assert found == pytest.approx(delay, abs=0.1 / 90)
+    actual, likeness = lag(TIMES, swing(TIMES - delay), TIMES, swing(TIMES))
+    assert actual == pytest.approx(delay, abs=0.1 / 90)
     assert likeness > 0.99
 
 
@@ -54,8 +54,8 @@ def test_a_delay_is_found_through_jitter_and_gaps():
     noise = np.random.default_rng(0).normal(scale=1e-3, size=(len(TIMES), 3))
     track = swing(TIMES - 0.031) + noise
     track[100:130] = np.nan
-    found, _ = lag(TIMES, track, TIMES, swing(TIMES))
-    assert found == pytest.approx(0.031, abs=0.002)
+    actual, _ = lag(TIMES, track, TIMES, swing(TIMES))
+    assert actual == pytest.approx(0.031, abs=0.002)
 
 
 def test_a_reference_of_another_rate_is_matched_by_time():
@@ -94,8 +94,8 @@ def test_one_frozen_elbow_leaves_the_lag_of_both_unknown():
 
 def test_a_joint_that_moves_otherwise_has_no_lag():
     other = np.random.default_rng(0).normal(size=(len(TIMES), 3)).cumsum(0)
-    found, likeness = lag(TIMES, other, TIMES, swing(TIMES))
-    assert np.isnan(found) and likeness < 0.5
+    actual, likeness = lag(TIMES, other, TIMES, swing(TIMES))
+    assert np.isnan(actual) and likeness < 0.5
 
 
 def test_missing_samples_are_left_out_of_both_accelerations():
@@ -115,8 +115,8 @@ def test_resampling_meets_the_samples_and_leaves_gaps_missing():
         resampled_by_spline(TIMES, values, between), swing(between), atol=1e-4
     )
     values[50:60] = np.nan
-    found = resampled_by_spline(TIMES, values, between)
-    assert np.isnan(found[49:60]).all() and np.isfinite(found[:49]).all()
+    actual = resampled_by_spline(TIMES, values, between)
+    assert np.isnan(actual[49:60]).all() and np.isfinite(actual[:49]).all()
     assert np.isnan(resampled_by_spline(TIMES, values, np.array([-0.1, 6.2]))).all()
     assert np.isnan(resampled_by_spline(TIMES[:1], values[:1], TIMES)).all()
 
@@ -163,11 +163,11 @@ def test_right_deviations_cover_their_share_and_others_do_not(scale, level):
     rng = np.random.default_rng(0)
     deviation = scale * np.array([0.01, 0.03, 0.1])
     truth = np.zeros((20_000, 3))
-    found = interval_coverage(
+    actual = interval_coverage(
         truth, rng.normal(scale=deviation, size=truth.shape), truth + deviation, level
     )
-    np.testing.assert_allclose(found.share, level, atol=0.01)
-    np.testing.assert_allclose(found.ratio, 1.0, atol=0.03)
+    np.testing.assert_allclose(actual.share, level, atol=0.01)
+    np.testing.assert_allclose(actual.ratio, 1.0, atol=0.03)
     half = interval_coverage(
         truth, rng.normal(scale=2 * deviation, size=truth.shape), truth + deviation
     )
@@ -181,7 +181,7 @@ def test_coverage_keeps_landmarks_and_coordinates_apart_and_leaves_out_the_unkno
     estimate[:30, 0, 2] = 1.0
     estimate[:, 1, 0] = np.nan
     estimate[:50, 1, 1] = np.nan
-    found = interval_coverage(truth, estimate, deviation)
-    np.testing.assert_allclose(found.share, [[1, 1, 0.7], [np.nan, 1, 1]])
-    np.testing.assert_array_equal(found.samples, [[100, 100, 100], [0, 50, 100]])
-    np.testing.assert_allclose(found.ratio[1], [np.nan, 2.0, 2.0])
+    actual = interval_coverage(truth, estimate, deviation)
+    np.testing.assert_allclose(actual.share, [[1, 1, 0.7], [np.nan, 1, 1]])
+    np.testing.assert_array_equal(actual.samples, [[100, 100, 100], [0, 50, 100]])
+    np.testing.assert_allclose(actual.ratio[1], [np.nan, 2.0, 2.0])

@@ -75,11 +75,11 @@ def test_all_angles_are_0_upright_with_the_arms_hanging():
     ],
 )
 def test_a_pose_has_the_angles_that_an_anatomist_reads_off_it(side, hinges, expected):
-    found = angles_of({f"{name}_{side}": angle for name, angle in hinges.items()})
+    actual = angles_of({f"{name}_{side}": angle for name, angle in hinges.items()})
     other = "r" if side == "l" else "l"
     for name, angle in expected.items():
-        assert found[f"{name}_{side}"] == pytest.approx(angle, abs=1e-4), name
-        assert found[f"{name}_{other}"] == pytest.approx(0, abs=1e-4)
+        assert actual[f"{name}_{side}"] == pytest.approx(angle, abs=1e-4), name
+        assert actual[f"{name}_{other}"] == pytest.approx(0, abs=1e-4)
 
 
 @pytest.mark.parametrize("side", ["l", "r"])
@@ -91,26 +91,26 @@ def test_a_body_with_wrists_has_pronation_from_the_anatomical_position(side):
         joint = name if name == "neck_rotation" else f"{name}_{side}"
         angles[0, body.tree.joint(joint)] = np.radians(angle)
     held: list[Any] = [np.zeros((1, 3)), np.eye(4)[:1], angles]
-    found = isb_angles(Motion(body, np.zeros(1), Pose(*held)))
+    actual = isb_angles(Motion(body, np.zeros(1), Pose(*held)))
     for name, angle in (("elbow_flexion", 90), ("elbow_pronation", 30), ("wrist_flexion", 40),
                         ("wrist_deviation", 15)):  # fmt: skip
-        assert np.degrees(found[f"{name}_{side}"][0]) == pytest.approx(angle, abs=1e-4)
-    assert np.degrees(found["neck_rotation"][0]) == pytest.approx(35, abs=1e-4)
-    assert f"wrist_rotation_{side}" not in found and f"elbow_carrying_{side}" not in found
+        assert np.degrees(actual[f"{name}_{side}"][0]) == pytest.approx(angle, abs=1e-4)
+    assert np.degrees(actual["neck_rotation"][0]) == pytest.approx(35, abs=1e-4)
+    assert f"wrist_rotation_{side}" not in actual and f"elbow_carrying_{side}" not in actual
     # The other hangs with its thumb forward.
-    assert found[f"elbow_pronation_{'r' if side == 'l' else 'l'}"][0] == pytest.approx(np.pi / 2)
+    assert actual[f"elbow_pronation_{'r' if side == 'l' else 'l'}"][0] == pytest.approx(np.pi / 2)
 
 
 def test_a_deep_squat_with_a_bow_reads_as_one():
     bow = {f"spine{i}_flexion": 10.0 for i in (1, 2, 3)}
     legs = {f"{joint}_{s}": a for s in "lr" for joint, a in (("hip_flexion", 100.0),
                                                              ("knee_flexion", 120.0))}  # fmt: skip
-    found = angles_of(bow | legs | {"neck_bending": 15.0, "neck_flexion": -20.0})
-    assert found["trunk_extension"] == pytest.approx(-30, abs=1e-4)
-    assert found["thorax_tilt"] == pytest.approx(-30, abs=1e-4)
-    assert found["neck_extension"] == pytest.approx(20, abs=1e-4)
-    assert found["neck_bending"] == pytest.approx(15, abs=1e-4)
-    assert found["hip_flexion_l"] == found["hip_flexion_r"] == pytest.approx(100, abs=1e-4)
+    actual = angles_of(bow | legs | {"neck_bending": 15.0, "neck_flexion": -20.0})
+    assert actual["trunk_extension"] == pytest.approx(-30, abs=1e-4)
+    assert actual["thorax_tilt"] == pytest.approx(-30, abs=1e-4)
+    assert actual["neck_extension"] == pytest.approx(20, abs=1e-4)
+    assert actual["neck_bending"] == pytest.approx(15, abs=1e-4)
+    assert actual["hip_flexion_l"] == actual["hip_flexion_r"] == pytest.approx(100, abs=1e-4)
 
 
 @given(st.floats(-179, 179), st.floats(-80, 80), st.floats(-80, 80))
@@ -118,10 +118,10 @@ def test_lean_and_tilt_are_the_persons_whichever_way_they_face(yaw, lean, tilt):
     # In the world's axes: about z, then about the own forward axis, then about the own right.
     turn = Rotation.from_euler("ZXY", [yaw, lean, -tilt], degrees=True)
     motion = motion_of({}, quaternion=turn.as_quat(scalar_first=True)[None])
-    found = isb_angles(motion)
+    actual = isb_angles(motion)
     for name, angle in (("rotation", yaw), ("lean", lean), ("tilt", tilt)):
-        assert np.degrees(found[f"pelvis_{name}"][0]) == pytest.approx(angle, abs=1e-6)
-        np.testing.assert_allclose(found[f"thorax_{name}"], found[f"pelvis_{name}"], atol=1e-9)
+        assert np.degrees(actual[f"pelvis_{name}"][0]) == pytest.approx(angle, abs=1e-6)
+        np.testing.assert_allclose(actual[f"thorax_{name}"], actual[f"pelvis_{name}"], atol=1e-9)
 
 
 # Against SciPy, in any pose ----------------------------------------------------------------------
@@ -131,7 +131,7 @@ def test_lean_and_tilt_are_the_persons_whichever_way_they_face(yaw, lean, tilt):
 def test_the_angles_make_the_turn_between_the_segments(pose):
     """Right limbs; x forward, y up, z right, turned by SciPy in the order that ISB names."""
     held: list[Any] = [np.asarray(part)[None] for part in pose]
-    found = isb_angles(Motion(SKELETON, np.zeros(1), Pose(*held)))
+    actual = isb_angles(Motion(SKELETON, np.zeros(1), Pose(*held)))
     R = body_turns(SKELETON, held[2])[0]
     axes = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # rows: ISB's axes in ours
     for near, far, order, names, signs in (
@@ -142,7 +142,7 @@ def test_the_angles_make_the_turn_between_the_segments(pose):
     ):
         R_near = np.eye(3) if near is None else R[SKELETON.tree.bone(near)]
         expected = axes @ R_near.T @ R[SKELETON.tree.bone(far)] @ axes.T
-        turns = [s * found[f"{n}_r"][0] if n else 0.0 for n, s in zip(names, signs, strict=True)]
+        turns = [s * actual[f"{n}_r"][0] if n else 0.0 for n, s in zip(names, signs, strict=True)]
         np.testing.assert_allclose(Rotation.from_euler(order, turns).as_matrix(), expected,
                                    atol=3e-6)  # fmt: skip
 
@@ -158,9 +158,9 @@ def test_left_and_right_mean_the_same(pose):
     held: list[Any] = [np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)),
                        np.stack([angles, mirrored])]  # fmt: skip
     parts = [Pose(*(part[i : i + 1] for part in held)) for i in range(2)]
-    found, image = (isb_angles(Motion(SKELETON, np.zeros(1), part)) for part in parts)
+    actual, image = (isb_angles(Motion(SKELETON, np.zeros(1), part)) for part in parts)
     for name in OF_LIMBS:
-        np.testing.assert_allclose(found[f"{name}_l"], image[f"{name}_r"], atol=1e-6)
+        np.testing.assert_allclose(actual[f"{name}_l"], image[f"{name}_r"], atol=1e-6)
 
 
 # Continuity --------------------------------------------------------------------------------------
@@ -169,41 +169,41 @@ def test_left_and_right_mean_the_same(pose):
 def test_an_arm_swings_through_hanging_without_a_jump():
     swing = 40 * np.sin(np.linspace(0, 4 * np.pi, 201))
     assert 0.0 in swing[:1]
-    found = isb_angles(motion_of({"arm_flex_r": swing}, len(swing)))
+    actual = isb_angles(motion_of({"arm_flex_r": swing}, len(swing)))
     # Forwards at first; behind the body it is the other side of the same plane.
-    np.testing.assert_allclose(np.degrees(found["shoulder_plane_r"]), 90, atol=1e-4)
-    np.testing.assert_allclose(np.degrees(found["shoulder_elevation_r"]), -swing, atol=1e-4)
-    np.testing.assert_allclose(np.degrees(found["shoulder_rotation_r"]), -90, atol=1e-4)
+    np.testing.assert_allclose(np.degrees(actual["shoulder_plane_r"]), 90, atol=1e-4)
+    np.testing.assert_allclose(np.degrees(actual["shoulder_elevation_r"]), -swing, atol=1e-4)
+    np.testing.assert_allclose(np.degrees(actual["shoulder_rotation_r"]), -90, atol=1e-4)
 
 
 def test_an_arm_that_comes_to_hang_keeps_its_plane():
     down = np.concatenate([np.linspace(60, 0, 31), np.zeros(20)])
     turning = np.concatenate([np.zeros(31), np.linspace(0, 45, 20)])
-    found = isb_angles(motion_of({"arm_abduct_l": down, "arm_rot_l": turning}, 51))
-    np.testing.assert_allclose(found["shoulder_plane_l"], 0, atol=1e-6)
-    np.testing.assert_allclose(np.degrees(found["shoulder_rotation_l"]), turning, atol=1e-4)
+    actual = isb_angles(motion_of({"arm_abduct_l": down, "arm_rot_l": turning}, 51))
+    np.testing.assert_allclose(actual["shoulder_plane_l"], 0, atol=1e-6)
+    np.testing.assert_allclose(np.degrees(actual["shoulder_rotation_l"]), turning, atol=1e-4)
 
 
 def test_turning_about_goes_on_past_180_and_over_unknown_samples():
     turning = np.linspace(0, 1080, 241)
     quaternion = Rotation.from_euler("z", turning[:, None], degrees=True).as_quat(scalar_first=True)
     quaternion[40:50] = np.nan
-    found = isb_angles(motion_of({}, len(turning), quaternion))
-    assert np.isnan(found["pelvis_rotation"][40:50]).all()
-    assert np.isfinite(found["hip_flexion_r"]).all()
-    known = np.isfinite(quaternion[:, 0])
-    np.testing.assert_allclose(np.degrees(found["pelvis_rotation"][known]), turning[known],
+    actual = isb_angles(motion_of({}, len(turning), quaternion))
+    assert np.isnan(actual["pelvis_rotation"][40:50]).all()
+    assert np.isfinite(actual["hip_flexion_r"]).all()
+    measured = np.isfinite(quaternion[:, 0])
+    np.testing.assert_allclose(np.degrees(actual["pelvis_rotation"][measured]), turning[measured],
                                atol=1e-6)  # fmt: skip
 
 
 def test_no_angle_of_a_lively_motion_jumps():
     """Of a shoulder's plane and rotation as much is meant as the arm is raised."""
     motion = moving_body()
-    found = isb_angles(resampled_motion(motion, even_times(motion.times, 10 * RATE)))
-    for name, angle in found.items():
+    actual = isb_angles(resampled_motion(motion, even_times(motion.times, 10 * RATE)))
+    for name, angle in actual.items():
         raised = np.ones(len(angle) - 1)
         if name.startswith(("shoulder_plane", "shoulder_rotation")):
-            raised = np.sin(found[f"shoulder_elevation_{name[-1]}"])[1:]
+            raised = np.sin(actual[f"shoulder_elevation_{name[-1]}"])[1:]
         assert np.abs(np.diff(angle) * raised).max() < np.radians(8), name
         assert np.abs(np.diff(angle)).max() < np.radians(100), name
 
@@ -217,11 +217,11 @@ def test_continuous_angles_make_the_turns_they_were_made_of(order, seed):
     angles[::3, :, 1] = np.pi / 2 if order[0] != order[2] else np.pi
     R = Rotation.from_euler(order, angles.reshape(-1, 3)).as_matrix().reshape(12, 2, 3, 3)
     R[4, 1] = np.nan
-    found = continuous_euler(R, order)
-    known = np.isfinite(R[..., 0, 0])
-    assert (np.isfinite(found).all(-1) == known).all()
-    again = Rotation.from_euler(order, found[known]).as_matrix()
-    np.testing.assert_allclose(again, R[known], atol=3e-6)
+    actual = continuous_euler(R, order)
+    measured = np.isfinite(R[..., 0, 0])
+    assert (np.isfinite(actual).all(-1) == measured).all()
+    again = Rotation.from_euler(order, actual[measured]).as_matrix()
+    np.testing.assert_allclose(again, R[measured], atol=3e-6)
 
 
 # Files -------------------------------------------------------------------------------------------
@@ -239,5 +239,5 @@ def test_a_motion_becomes_a_table_of_isb_angles_in_degrees(tmp_path):
                                atol=1e-5)  # fmt: skip
     with pytest.raises(InputError, match="ISB's angles, which hinges cannot be read from"):
         convert_file(target, tmp_path / "b.npz", ConversionOptions(body=tmp_path / "motion.npz"))
-    with pytest.raises(InputError, match="--angles says nothing about"):
+    with pytest.raises(InputError, match="--angles does not apply to"):
         convert_file(tmp_path / "motion.npz", tmp_path / "b.bvh", ConversionOptions(angles="isb"))

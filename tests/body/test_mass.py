@@ -36,10 +36,10 @@ def mujoco_body(skeleton64):
 @given(pose=poses(beyond=2.0))
 def test_centre_of_gravity_is_mujocos(skeleton64, mujoco_body, pose):
     with double():
-        centres, whole, _, _ = weighed(skeleton64, on_device(pose))
+        centres, total, _, _ = weighed(skeleton64, on_device(pose))
     mujoco_body.move(pose)
     data = mujoco_body.data
-    np.testing.assert_allclose(whole, data.subtree_com[0], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(total, data.subtree_com[0], rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(centres, data.xipos[mujoco_body.ids], rtol=1e-9, atol=1e-12)
 
 
@@ -61,10 +61,10 @@ def test_augmented_bodies_are_mujocos_subtrees(skeleton64, mujoco_body, pose):
 def test_double_precision_agrees_with_the_reference(skeleton64, pose):
     frames = reference_kinematics.forward(skeleton64, pose)
     with double():
-        centres, whole, distal, proximal = weighed(skeleton64, on_device(pose))
+        centres, total, distal, proximal = weighed(skeleton64, on_device(pose))
     exact = {"rtol": 1e-9, "atol": 1e-12}
     np.testing.assert_allclose(centres, reference.bone_centres(skeleton64, frames), **exact)
-    np.testing.assert_allclose(whole, reference.centre_of_gravity(skeleton64, frames), **exact)
+    np.testing.assert_allclose(total, reference.centre_of_gravity(skeleton64, frames), **exact)
     for ours, apart in ((distal, False), (proximal, True)):
         theirs = reference.augmented_bodies(skeleton64, frames, proximal=apart)
         np.testing.assert_allclose(ours.masses, theirs.masses, **exact)
@@ -77,10 +77,10 @@ def test_double_precision_agrees_with_the_reference(skeleton64, pose):
 def test_float32_stays_within_its_tolerances(skeleton, skeleton64, pose):
     frames = reference_kinematics.forward(skeleton64, pose)
     expected = reference.augmented_bodies(skeleton64, frames)
-    _, whole, bodies, _ = weighed(skeleton, on_device(pose))
+    _, total, bodies, _ = weighed(skeleton, on_device(pose))
     table = FLOAT32_TOLERANCES
     centre = reference.centre_of_gravity(skeleton64, frames)
-    assert np.abs(whole - centre).max() < table["centre_of_gravity"]
+    assert np.abs(total - centre).max() < table["centre_of_gravity"]
     assert np.abs(bodies.masses - expected.masses).max() < table["masses"]
     assert np.abs(bodies.arms - expected.arms).max() < table["arms"]
 

@@ -119,5 +119,5 @@ def test_all_outputs_take_these_bodies(model, tmp_path):
     held = {landmark: name for landmark, name in names.items() if name in armature.names}
     assert len(held) >= 15  # all but ends of limbs, which have other names there
     for landmark, name in held.items():
-        found = in_file[:, armature.names.index(name)]
-        np.testing.assert_allclose(found, joints[landmark], atol=1e-3, err_msg=landmark)
+        actual = in_file[:, armature.names.index(name)]
+        np.testing.assert_allclose(actual, joints[landmark], atol=1e-3, err_msg=landmark)

@@ -42,7 +42,7 @@ def tracked(body: Skeleton, sites: Sites, moving: list[str]) -> tuple[np.ndarray
     """Angles (T, D) of a wave of some joints, and as the tracker gives them by the markers."""
     tracker = HybridTracker(body, markers=sites)
     pose, joints = relaxed_pose(body), [body.tree.joint(name) for name in moving]
-    truth, found, state = [], [], None
+    truth, actual, state = [], [], None
     for k in range(20):
         wave = 0.3 * np.sin(0.15 * k + np.arange(len(joints)))
         angles = pose.angles.at[np.array(joints)].add(wave)
@@ -51,16 +51,16 @@ def tracked(body: Skeleton, sites: Sites, moving: list[str]) -> tuple[np.ndarray
         state = tracker.init(markers) if state is None else state
         state, solved, _ = tracker.step(state, k / 50, markers)
         truth.append(np.asarray(markers))
-        found.append(np.asarray(POINTS(body, solved, sites)))
-    return np.array(truth), np.array(found)
+        actual.append(np.asarray(POINTS(body, solved, sites)))
+    return np.array(truth), np.array(actual)
 
 
 def test_a_body_with_a_tail_is_tracked_by_its_file_alone():
     body = scale_to_height(load_skeleton(TAILED), 1.75, None)
     assert body.tree.names_in("tail") == ("tail1", "tail2")
-    truth, found = tracked(body, tail_markers(body), ["tail_raise", "tail_wag", "tail_curl"])
+    truth, actual = tracked(body, tail_markers(body), ["tail_raise", "tail_wag", "tail_curl"])
     assert np.ptp(truth[:, 4], axis=0).max() > 0.1
-    assert np.linalg.norm(found - truth, axis=-1)[5:, 3:].max() < 0.01
+    assert np.linalg.norm(actual - truth, axis=-1)[5:, 3:].max() < 0.01
 
 
 def test_a_tail_grows_with_the_body_and_weighs_its_share():
@@ -79,8 +79,8 @@ def test_joints_named_ankle_and_clavicle_are_tracked():
     names = ("vertex", "wrist_l", "wrist_r", "ankle_l", "ankle_r", "toe_l", "toe_r")
     sites = landmark_sites(body, (*names, "shoulder_l", "shoulder_r"))
     moving = ["ankle_dorsiflex_l", "ankle_dorsiflex_r", "clavicle_raise_l", "clavicle_raise_r"]
-    truth, found = tracked(body, sites, moving)
-    assert np.linalg.norm(found - truth, axis=-1)[5:].max() < 0.02
+    truth, actual = tracked(body, sites, moving)
+    assert np.linalg.norm(actual - truth, axis=-1)[5:].max() < 0.02
 
 
 def test_every_joint_of_our_files_has_its_usual_deviation():

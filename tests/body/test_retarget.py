@@ -115,5 +115,5 @@ def test_who_is_not_there_is_said_in_one_sentence(tmp_path, capsys, onto, proble
     asked = ["retarget", str(tmp_path), "--onto", str(tmp_path / onto), "--out"]
     asked.append(str(tmp_path / "out"))
     assert main(asked) == 2
-    said = capsys.readouterr().err
-    assert problem in said and said.count("\n") == 1
+    message = capsys.readouterr().err
+    assert problem in message and message.count("\n") == 1

@@ -169,8 +169,8 @@ def test_gaps_and_a_wild_frame_do_not_matter(skeleton, static_trial):
     marred["elbow_l"][:4] = np.nan
     marred["neck"][5] = np.nan
     marred["wrist_r"][7] += 0.5
-    whole, other = (scale_to_landmarks(skeleton, points) for points in (static_trial, marred))
-    np.testing.assert_allclose(other.lengths, whole.lengths, atol=2e-3)
+    complete, other = (scale_to_landmarks(skeleton, points) for points in (static_trial, marred))
+    np.testing.assert_allclose(other.lengths, complete.lengths, atol=2e-3)
 
 
 def test_what_no_landmark_tells_follows_from_the_limbs(skeleton):

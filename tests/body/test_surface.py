@@ -180,7 +180,7 @@ def test_a_surface_comes_back_from_its_file(surface, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"bone_names": None}, "the array 'bone_names' is missing"),
         ({"shares": np.ones((7, 2))}, "shares"),
@@ -191,12 +191,12 @@ def test_a_surface_comes_back_from_its_file(surface, tmp_path):
         ({"points_bone": np.full((3576, 2, 3), np.nan)}, "found nan, expected numbers from -3"),
     ],
 )
-def test_bad_surface_files_are_refused_in_one_sentence(surface, tmp_path, change, said):
+def test_bad_surface_files_are_refused_in_one_sentence(surface, tmp_path, change, message):
     save_surface(tmp_path / "skin.npz", surface, TALL.tree)
     with np.load(tmp_path / "skin.npz") as data:
         arrays = {name: data[name] for name in data} | change
     np.savez(tmp_path / "bad.npz", **{k: v for k, v in arrays.items() if v is not None})
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         load_surface(tmp_path / "bad.npz", TALL.tree)
     with pytest.raises(InputError, match="no such file"):
         load_surface(tmp_path / "none.npz", TALL.tree)

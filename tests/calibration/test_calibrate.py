@@ -65,7 +65,7 @@ def calibrated(photographs, tmp_path_factory):
     return folder, json.loads(figures.read_text())
 
 
-def seen(T_cam_board, noise: float = 0.1, board: Board = BOARD, seed: int = 0) -> np.ndarray:
+def projected(T_cam_board, noise: float = 0.1, board: Board = BOARD, seed: int = 0) -> np.ndarray:
     """Corners (N, 2) as the lens shows them, with noise in pixels."""
     rvec, _ = cv2.Rodrigues(T_cam_board[:3, :3])
     points, tvec = board.points_board, T_cam_board[:3, 3]
@@ -76,7 +76,9 @@ def seen(T_cam_board, noise: float = 0.1, board: Board = BOARD, seed: int = 0) -
 
 def noisy_views(noise: float = 0.1) -> list[BoardView]:
     placed = enumerate(views())
-    return [BoardView(f"view {i}", BOARD.points_board, seen(T, noise, seed=i)) for i, T in placed]
+    return [
+        BoardView(f"view {i}", BOARD.points_board, projected(T, noise, seed=i)) for i, T in placed
+    ]
 
 
 # What is found -----------------------------------------------------------------------------------
@@ -84,9 +86,9 @@ def noisy_views(noise: float = 0.1) -> list[BoardView]:
 
 def test_known_intrinsics_are_recovered_within_their_deviations(calibrated):
     _, figures = calibrated
-    found = figures["parameters"]
-    values = np.array([found[name]["value"] for name in PARAMETERS])
-    doubt = np.array([max(found[n]["std"], found[n]["jackknife_std"]) for n in PARAMETERS])
+    actual = figures["parameters"]
+    values = np.array([actual[name]["value"] for name in PARAMETERS])
+    doubt = np.array([max(actual[n]["std"], actual[n]["jackknife_std"]) for n in PARAMETERS])
     assert np.abs(values[:2] / TRUTH[:2] - 1).max() < 0.002
     assert np.abs(values[2:4] - TRUTH[2:4]).max() < 2.0
     # Four standard deviations; k3 is not asked for and has none.
@@ -97,8 +99,8 @@ def test_known_intrinsics_are_recovered_within_their_deviations(calibrated):
 def test_every_picture_is_told_with_its_error_and_the_tilt_it_was_held_at(calibrated):
     _, figures = calibrated
     truth = [np.degrees(np.arccos(-T[2, 2])) for T in views()]
-    found = [picture["tilt_deg"] for picture in figures["pictures"]]
-    np.testing.assert_allclose(found, truth, atol=0.5)
+    actual = [picture["tilt_deg"] for picture in figures["pictures"]]
+    np.testing.assert_allclose(actual, truth, atol=0.5)
     assert all(picture["rms_px"] < 0.1 for picture in figures["pictures"])
 
 
@@ -154,7 +156,7 @@ def test_the_origin_is_found_however_the_board_is_turned(board, turn):
     T_cam_board = held(board, 20, -15, turn)
     corners = find_corners(draw(board, T_cam_board), board)
     assert corners is not None and not corners.orders
-    np.testing.assert_allclose(corners.pixels_xy, seen(T_cam_board, 0, board), atol=0.3)
+    np.testing.assert_allclose(corners.pixels_xy, projected(T_cam_board, 0, board), atol=0.3)
 
 
 def test_a_board_that_looks_the_same_turned_is_told_in_every_reading():
@@ -162,7 +164,7 @@ def test_a_board_that_looks_the_same_turned_is_told_in_every_reading():
         T_cam_board = held(board, 20, -15, 100)
         corners = find_corners(draw(board, T_cam_board), board)
         assert corners is not None and len(corners.orders) + 1 == count
-        truth = seen(T_cam_board, 0, board)
+        truth = projected(T_cam_board, 0, board)
         errors = [np.abs(o - truth).max() for o in (corners.pixels_xy, *corners.orders)]
         assert sorted(errors)[0] < 0.3 and sorted(errors)[1] > 50
 
@@ -171,16 +173,16 @@ def test_a_charuco_board_calibrates_though_parts_of_it_are_hidden(tmp_path):
     paths = write_views(tmp_path, CHARUCO)
     for path, T_cam_board in zip(paths[:3], views(CHARUCO), strict=False):
         image = cv2.imread(path)
-        image[int(seen(T_cam_board, 0, CHARUCO)[:, 1].mean()) + 20 :] = WALL
+        image[int(projected(T_cam_board, 0, CHARUCO)[:, 1].mean()) + 20 :] = WALL
         cv2.imwrite(path, image)
     out = tmp_path / "c.toml"
-    found = calibrate_camera(paths, CHARUCO, "cam", out)
+    actual = calibrate_camera(paths, CHARUCO, "cam", out)
     assert (
-        min(len(view.pixels_xy) for view in found.detections.views) < 28
-        and len(found.detections.views) == 7
+        min(len(view.pixels_xy) for view in actual.detections.views) < 28
+        and len(actual.detections.views) == 7
     )
-    np.testing.assert_allclose(found.estimate.values[:2], TRUTH[:2], rtol=0.004)
-    np.testing.assert_allclose(read_intrinsics(out, "cam").matrix, found.estimate.lens.matrix)
+    np.testing.assert_allclose(actual.estimate.values[:2], TRUTH[:2], rtol=0.004)
+    np.testing.assert_allclose(read_intrinsics(out, "cam").matrix, actual.estimate.lens.matrix)
 
 
 def test_of_a_video_sharp_frames_that_differ_are_chosen(tmp_path):
@@ -192,22 +194,22 @@ def test_of_a_video_sharp_frames_that_differ_are_chosen(tmp_path):
         for frame in (cv2.blur(sharp, (7, 7)), sharp, sharp, np.full_like(sharp, int(WALL))):
             writer.write(frame)
     writer.release()
-    found = calibrate_camera([path], BOARD, "cam", tmp_path / "c.toml")
-    numbers = [int(view.name.split()[-1]) for view in found.detections.views]
+    actual = calibrate_camera([path], BOARD, "cam", tmp_path / "c.toml")
+    numbers = [int(view.name.split()[-1]) for view in actual.detections.views]
     assert sorted(n // 4 for n in numbers) == list(range(7))
     assert all(n % 4 in (1, 2) for n in numbers)
-    np.testing.assert_allclose(found.estimate.values[:2], TRUTH[:2], rtol=0.005)
-    assert "board found in 21 of 28 frames examined, 7 blurred, 7 chosen" in found.warnings[0]
+    np.testing.assert_allclose(actual.estimate.values[:2], TRUTH[:2], rtol=0.005)
+    assert "board found in 21 of 28 frames examined, 7 blurred, 7 chosen" in actual.warnings[0]
 
 
 def test_distortion_that_turns_back_within_the_image_is_said():
-    found = estimate_intrinsics(noisy_views(), SIZE)
+    actual = estimate_intrinsics(noisy_views(), SIZE)
     coverage = image_coverage(noisy_views(), SIZE)
-    assert not any("turns back" in message for message in intrinsics_warnings(found, coverage))
+    assert not any("turns back" in message for message in intrinsics_warnings(actual, coverage))
     folded = Intrinsics(LENS.size, LENS.matrix, np.array([-0.9, 0.0, 0.0, 0.0]))
     assert any(
         "turns back" in message
-        for message in intrinsics_warnings(replace(found, lens=folded), coverage)
+        for message in intrinsics_warnings(replace(actual, lens=folded), coverage)
     )
 
 
@@ -216,14 +218,14 @@ def test_files_of_one_name_from_two_folders_are_told_apart(photographs, tmp_path
     image = cv2.imread(photographs[6])
     cv2.imwrite(str(tmp_path / "other" / "view_1.png"), image)
     paths = [*photographs[:4], tmp_path / "other" / "view_1.png"]
-    found = calibrate_camera(paths, BOARD, "cam", tmp_path / "c.toml", pictures=tmp_path / "d")
-    names = [view.name for view in found.detections.views]
+    actual = calibrate_camera(paths, BOARD, "cam", tmp_path / "c.toml", pictures=tmp_path / "d")
+    names = [view.name for view in actual.detections.views]
     assert names[0] == photographs[0] and names[-1].endswith("other/view_1.png")
     assert len(set(names)) == 5 and len(list((tmp_path / "d").glob("*.jpg"))) == 6
 
 
 def test_coverage_names_the_parts_of_the_image_where_no_board_was():
-    left = [BoardView("a", BOARD.points_board, seen(held(BOARD, 0, 0, 0, (-0.35, 0.0, 1.2))))]
+    left = [BoardView("a", BOARD.points_board, projected(held(BOARD, 0, 0, 0, (-0.35, 0.0, 1.2))))]
     coverage = image_coverage(left, SIZE)
     assert coverage.empty and all("left" not in name for name in coverage.empty if "right" in name)
     assert {"top right", "middle right", "bottom right"} <= set(coverage.empty)
@@ -241,20 +243,22 @@ def test_one_wrong_corner_leaves_its_view_out_and_nothing_else(view, corner, dir
     wrong = given[view].pixels_xy.copy()
     wrong[corner] += pixels * np.array([np.cos(direction), np.sin(direction)])
     given[view] = BoardView("wrong", BOARD.points_board, wrong)
-    found = estimate_intrinsics(given, SIZE)
-    assert [i for i, used in enumerate(found.used) if not used] == [view]
-    np.testing.assert_allclose(found.values[:2], TRUTH[:2], rtol=0.01)
+    actual = estimate_intrinsics(given, SIZE)
+    assert [i for i, used in enumerate(actual.used) if not used] == [view]
+    np.testing.assert_allclose(actual.values[:2], TRUTH[:2], rtol=0.01)
 
 
 def test_a_view_of_nonsense_spoils_nothing():
     given = noisy_views()
     nonsense = np.random.default_rng(1).uniform(0, 400, (28, 2))
     clean = estimate_intrinsics(given, SIZE)
-    found = estimate_intrinsics([*given, BoardView("nonsense", BOARD.points_board, nonsense)], SIZE)
-    assert found.used == (*clean.used, False)
+    actual = estimate_intrinsics(
+        [*given, BoardView("nonsense", BOARD.points_board, nonsense)], SIZE
+    )
+    assert actual.used == (*clean.used, False)
     # OpenCV sums in parallel, in no fixed order, and stops a little elsewhere each time: a
-    # thousandth of what a value is known to is far more than that and far less than the spoilt one.
-    assert (np.abs(found.values - clean.values) <= 1e-3 * clean.std).all()
+    # thousandth of a value's accuracy is far more than that and far less than the spoilt one.
+    assert (np.abs(actual.values - clean.values) <= 1e-3 * clean.std).all()
 
 
 def test_a_false_detection_is_named_with_its_error(photographs, tmp_path, capsys):
@@ -427,9 +431,9 @@ def test_real_photographs_agree_with_the_optical_systems_calibration(
     out = tmp_path / "c.toml"
     given = recordings / "balancing" / "calibration.toml"
     out.write_bytes(given.read_bytes())
-    found = calibrate_camera(paths, BOARD, f"cam_0{camera}", out)
-    result = found.estimate
-    assert sum(result.used) >= 6 and len(found.detections.views) == found_in and result.rms < 0.2
+    actual = calibrate_camera(paths, BOARD, f"cam_0{camera}", out)
+    result = actual.estimate
+    assert sum(result.used) >= 6 and len(actual.detections.views) == found_in and result.rms < 0.2
     truth = read_intrinsics(given, f"cam_0{camera}").matrix
     focal = np.array([truth[0, 0], truth[1, 1]])
     np.testing.assert_allclose(result.values[:2], focal, rtol=0.01)
@@ -437,7 +441,7 @@ def test_real_photographs_agree_with_the_optical_systems_calibration(
     # The principal points do differ, by far more than either deviation: systematically.
     centre = np.array([truth[0, 2], truth[1, 2]])
     assert 20 < np.linalg.norm(result.values[2:4] - centre) < 45
-    message = " ".join(found.warnings)
+    message = " ".join(actual.warnings)
     assert "cx by +2" in message and "differ systematically" in message
     assert "determine the principal point poorly" in message
     assert tomllib.loads(out.read_text())["cam_03"] == tomllib.loads(given.read_text())["cam_03"]

@@ -1,4 +1,4 @@
-"""Where a camera stands: by a board or by listed points, and when that cannot be told."""
+"""Where a camera stands: by a board or by listed points, and when that is ambiguous."""
 
 import json
 import tomllib
@@ -88,10 +88,10 @@ def test_a_board_at_a_measured_place_places_the_camera(folder, capsys):
     np.testing.assert_allclose(camera.position_world, [0.9, -0.5, 0.8], atol=0.004)
     np.testing.assert_allclose(camera.T_cam_world[:3, :3], T_CAM_WORLD[:3, :3], atol=0.005)
     np.testing.assert_allclose(camera.matrix, LENS.matrix, rtol=1e-6)
-    found = json.loads(figures.read_text())
-    assert found["rms_px"] < 0.2 and len(found["points"]) == 28 and found["remarks"] == []
-    error = np.subtract(found["position"], [0.9, -0.5, 0.8])
-    assert (np.abs(error) < 5 * np.array(found["position_std_m"])).all()
+    actual = json.loads(figures.read_text())
+    assert actual["rms_px"] < 0.2 and len(actual["points"]) == 28 and actual["remarks"] == []
+    error = np.subtract(actual["position"], [0.9, -0.5, 0.8])
+    assert (np.abs(error) < 5 * np.array(actual["position_std_m"])).all()
     assert "stands at (0.9" in capsys.readouterr().out
     picture = cv2.imread(str(drawn / "floor_placed.jpg"))
     plain = cv2.imread(str(folder / "floor.png"))
@@ -110,7 +110,7 @@ def test_a_charuco_board_places_the_camera_though_half_is_hidden(folder):
 
 
 def test_what_was_measured_with_y_up_is_turned_to_z_up(folder):
-    # The same board told in a system of y up: world = (z, x, y) of the file.
+    # The same board given in a system of y up: world = (z, x, y) of the file.
     from_world = np.eye(3)[[1, 2, 0]]
     T = board_to_world(POSE)
     from scipy.spatial.transform import Rotation
@@ -240,14 +240,14 @@ def test_of_two_mirrored_answers_the_one_above_the_floor_is_taken_and_said():
     rises = 0
     for seed in range(6):
         noise = np.random.default_rng(seed).normal(0, 0.3, (28, 2))
-        found = estimate_placement(points, pixels_of(points, T) + noise, LENS)
-        assert found.mirrored is not None
-        below = position_world_of(found.mirrored)[2]
+        actual = estimate_placement(points, pixels_of(points, T) + noise, LENS)
+        assert actual.mirrored is not None
+        below = position_world_of(actual.mirrored)[2]
         if below < 0:
             rises += 1
-            assert found.position_world[2] > 0
-            assert "two cameras explain the picture alike" in found.warnings[0]
-            assert "taken is the one that is above the floor" in found.warnings[0]
+            assert actual.position_world[2] > 0
+            assert "two cameras explain the picture alike" in actual.warnings[0]
+            assert "taken is the one that is above the floor" in actual.warnings[0]
     assert rises >= 3
 
 
@@ -255,34 +255,34 @@ def test_a_mirrored_answer_that_nothing_rules_out_is_said_to_be_one():
     # At a wall, seen from the right: mirrored it is seen from the left.
     points = 0.3 * corners_world((0, 0, 0.0, 90, 0, 0)) + (0, 0, 1)
     T = looking((0, 0, 1), (1.2, -3.0, 1.0))
-    found = estimate_placement(points, pixels_of(points, T, noise=0.2), LENS)
-    assert found.mirrored is not None
-    np.testing.assert_allclose(position_world_of(found.mirrored), [-1.2, -3, 1], atol=0.3)
-    assert found.mirrored_ratio < 2 and "which may be wrong" in found.warnings[0]
-    assert "bring it nearer" in found.warnings[0]
+    actual = estimate_placement(points, pixels_of(points, T, noise=0.2), LENS)
+    assert actual.mirrored is not None
+    np.testing.assert_allclose(position_world_of(actual.mirrored), [-1.2, -3, 1], atol=0.3)
+    assert actual.mirrored_ratio < 2 and "which may be wrong" in actual.warnings[0]
+    assert "bring it nearer" in actual.warnings[0]
 
 
 def test_a_camera_that_is_only_roughly_placed_is_said_to_be():
     points = 0.25 * corners_world((0, 0, 1.0, 0, 0, 0))
     T = looking((0, 0, 1), (0.05, 0.3, 4.0))
-    found = estimate_placement(points, pixels_of(points, T, noise=0.2), LENS)
-    assert found.std_m.max() > 0.2 and "only roughly known" in " ".join(found.warnings)
+    actual = estimate_placement(points, pixels_of(points, T, noise=0.2), LENS)
+    assert actual.std_m.max() > 0.2 and "only roughly estimated" in " ".join(actual.warnings)
 
 
 def test_a_board_seen_well_leaves_no_doubt():
-    found = estimate_placement(corners_world(), pixels_of(corners_world(), noise=0.2), LENS)
-    assert found.mirrored_ratio > 4 and found.warnings == ()
-    error = found.position_world - position_world_of(T_CAM_WORLD)
-    assert (np.abs(error) < 4 * found.std_m).all() and found.std_m.max() < 0.01
+    actual = estimate_placement(corners_world(), pixels_of(corners_world(), noise=0.2), LENS)
+    assert actual.mirrored_ratio > 4 and actual.warnings == ()
+    error = actual.position_world - position_world_of(T_CAM_WORLD)
+    assert (np.abs(error) < 4 * actual.std_m).all() and actual.std_m.max() < 0.01
 
 
 def test_deviations_are_as_large_as_errors_are():
     errors, claimed = [], []
     for seed in range(40):
         noise = np.random.default_rng(seed).normal(0, 0.5, (28, 2))
-        found = estimate_placement(corners_world(), pixels_of(corners_world()) + noise, LENS)
-        errors.append(found.position_world - position_world_of(T_CAM_WORLD))
-        claimed.append(found.std_m)
+        actual = estimate_placement(corners_world(), pixels_of(corners_world()) + noise, LENS)
+        errors.append(actual.position_world - position_world_of(T_CAM_WORLD))
+        claimed.append(actual.std_m)
     ratio = np.std(errors, axis=0) / np.mean(claimed, axis=0)
     assert (ratio > 0.7).all() and (ratio < 1.4).all()
 

@@ -55,10 +55,10 @@ def calibrated(tmp_path_factory):
 
 def test_a_fisheye_is_recovered_within_its_deviations(calibrated):
     folder, figures = calibrated
-    found = figures["parameters"]
-    assert list(found) == ["fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"]
-    values = np.array([figure["value"] for figure in found.values()])
-    deviations = [max(each["std"], each["jackknife_std"]) for each in found.values()]
+    actual = figures["parameters"]
+    assert list(actual) == ["fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"]
+    values = np.array([figure["value"] for figure in actual.values()])
+    deviations = [max(each["std"], each["jackknife_std"]) for each in actual.values()]
     assert np.abs(values[:4] - TRUTH[:4]).max() < 1.5
     assert (np.abs(values - TRUTH) < 4 * np.array(deviations)).all()
     assert figures["used"] == 9 and figures["rms_px"] < 0.25
@@ -67,16 +67,16 @@ def test_a_fisheye_is_recovered_within_its_deviations(calibrated):
 
 
 def test_the_deviations_are_what_repeated_calibrations_scatter_by():
-    found = [estimate_intrinsics(noisy_views(0.1, seed), SIZE, KIND) for seed in range(6)]
-    scatter = np.std([each.values for each in found], axis=0, ddof=1)
-    stated = np.mean([each.std for each in found], axis=0)
+    actual = [estimate_intrinsics(noisy_views(0.1, seed), SIZE, KIND) for seed in range(6)]
+    scatter = np.std([each.values for each in actual], axis=0, ddof=1)
+    stated = np.mean([each.std for each in actual], axis=0)
     assert (scatter / stated > 0.3).all() and (scatter / stated < 2.5).all()
 
 
 def test_fewer_coefficients_leave_the_others_at_zero():
-    found = estimate_intrinsics(noisy_views(0.05), SIZE, LensKind(2, fisheye=True))
-    assert (found.values[6:] == 0).all() and (found.std[6:] == 0).all()
-    assert (found.std[:6] > 0).all()
+    actual = estimate_intrinsics(noisy_views(0.05), SIZE, LensKind(2, fisheye=True))
+    assert (actual.values[6:] == 0).all() and (actual.std[6:] == 0).all()
+    assert (actual.std[:6] > 0).all()
 
 
 def test_the_camera_is_placed_through_its_fisheye(calibrated, tmp_path):

@@ -1,4 +1,4 @@
-"""Where a device sits seen from the joint it turns about, how surely, and when nobody can tell."""
+"""A device's offset from the joint it turns about, its deviation, and when it is open."""
 
 import json
 import tomllib
@@ -28,7 +28,7 @@ def markers_of(points: dict[str, np.ndarray], turns: dict[str, np.ndarray]) -> M
     return Markers(TIMES, tuple(points), stacked[0], orientations=stacked[1])
 
 
-def found(**clip) -> dict[str, DeviceOffset]:
+def device_offsets(**clip) -> dict[str, DeviceOffset]:
     held = estimate_offsets(markers_of(*pivoting(TIMES, **clip)), PLACES)
     return {each.place.name: each for each in held}
 
@@ -37,7 +37,7 @@ def test_offsets_are_found_within_millimetres_and_their_deviations_are_honest():
     """Twenty clips of a consumer headset's noise, with joints that wander by millimetres."""
     errors, deviations = [], []
     for seed in range(20):
-        for name, held in found(seed=seed).items():
+        for name, held in device_offsets(seed=seed).items():
             assert held.warnings == () and held.windows == 20
             errors.append(held.offset - TRUTH[name])
             deviations.append(held.std)
@@ -49,7 +49,7 @@ def test_offsets_are_found_within_millimetres_and_their_deviations_are_honest():
 
 
 def test_turning_about_one_axis_leaves_the_offset_along_it_open_and_says_so():
-    for name, held in found(seed=1, swing_deg=(35.0, 0.0, 0.0)).items():
+    for name, held in device_offsets(seed=1, swing_deg=(35.0, 0.0, 0.0)).items():
         (warning,) = held.warnings
         assert "not determined along" in warning and "rotate it about the others too" in warning
         # About the bone's left axis, seen in the marker's.
@@ -72,7 +72,7 @@ def test_an_arm_that_moves_as_a_whole_is_no_wrist_and_is_doubted():
 
 
 def test_a_joint_that_strays_is_doubted_and_single_jerks_weigh_little():
-    (held, *_) = found(seed=3, stray_m=0.2).values()
+    (held, *_) = device_offsets(seed=3, stray_m=0.2).values()
     assert any("rest it" in warning for warning in held.warnings)
     points, turns = pivoting(TIMES, 3)
     jerk = 0.2 * np.sin(5 * TIMES)[:, None] * ((TIMES > 4) & (TIMES < 6))[:, None]
@@ -103,7 +103,7 @@ def test_standing_still_tells_how_the_devices_are_held():
         estimate_offsets(markers, [PLACES[0]] * 3, (18.1, 19.9))
 
 
-def test_what_is_not_known_of_a_clip_is_left_out_or_refused():
+def test_what_a_clip_does_not_determine_is_left_out_or_refused():
     points, turns = pivoting(TIMES, 5)
     markers = markers_of(points, turns)
     for name in ("Headset", "LeftController"):
@@ -115,7 +115,7 @@ def test_what_is_not_known_of_a_clip_is_left_out_or_refused():
     assert held.place.name == "RightController"
     with pytest.raises(ValueError, match="no marker has an orientation"):
         estimate_offsets(Markers(TIMES, markers.names, markers.positions), PLACES)
-    doubted = found(seed=1, swing_deg=(35.0, 0.0, 0.0))["Headset"]
+    doubted = device_offsets(seed=1, swing_deg=(35.0, 0.0, 0.0))["Headset"]
     assert offsets_text([doubted]).endswith("[markers.on]")
 
 

@@ -71,9 +71,9 @@ def test_a_static_trial_says_what_each_length_rests_on(tmp_path, capsys):
     """Arms and trunk are measured, legs follow from the height that those suggest."""
     person = Skeleton.human(1.70)
     rng, frames = np.random.default_rng(0), 50
-    seen = {name: at for name, at in standing(person).items()
+    landmarks = {name: at for name, at in standing(person).items()
             if not name.startswith(("knee", "ankle", "toe", "head"))}  # fmt: skip
-    noisy = {n: at + rng.normal(0, 0.002, (frames, 3)) for n, at in seen.items()}
+    noisy = {n: at + rng.normal(0, 0.002, (frames, 3)) for n, at in landmarks.items()}
     write_trc(tmp_path / "static.trc", np.arange(frames) / 100, noisy)
     out = tmp_path / "subject.toml"
     given = ["scale", "--static", str(tmp_path / "static.trc"), "--out", str(out), "--json", "-"]
@@ -81,11 +81,11 @@ def test_a_static_trial_says_what_each_length_rests_on(tmp_path, capsys):
     printed = capsys.readouterr()
     figures, body = json.loads(printed.out), read_back(out)
     for bone, length in zip(body.tree.bones, np.asarray(body.lengths), strict=True):
-        told = figures["bones"][bone]
-        assert told["length_m"] == pytest.approx(length, abs=1e-5)
-        assert told["measured"] == (not bone.startswith(("femur", "tibia", "foot"))), bone
-        if told["measured"]:
-            assert 0.5e-3 < told["std_m"] < 5e-3
+        figure = figures["bones"][bone]
+        assert figure["length_m"] == pytest.approx(length, abs=1e-5)
+        assert figure["measured"] == (not bone.startswith(("femur", "tibia", "foot"))), bone
+        if figure["measured"]:
+            assert 0.5e-3 < figure["std_m"] < 5e-3
     i = body.tree.bone("humerus_l")
     assert float(body.lengths[i]) == pytest.approx(float(person.lengths[i]), abs=2e-3)
     assert "femur_l     " in printed.err and "by height (Winter)" in printed.err

@@ -1,4 +1,4 @@
-"""Offsets between clocks: found where the motion tells them, and only there."""
+"""Offsets between clocks: found where the motion determines them, and only there."""
 
 import json
 from dataclasses import replace
@@ -72,36 +72,36 @@ def recorded(hands, offset: float, seed: int = 0, film=None) -> Recording:
 
 @pytest.mark.parametrize(("seed", "offset"), [(0, 0.5), (1, -0.5), (3, 0.0041)])
 def test_an_offset_is_found_within_five_milliseconds(seed, offset):
-    (found,) = estimate_video_offsets(recorded(waving(seed), offset, seed), search=0.6)
-    assert found.is_found and found.reason == "" and found.stated_offset == 0.0
-    assert abs(found.offset - offset) < FIVE_MS
-    assert abs(found.offset - offset) < 4 * found.std < 4 * FIVE_MS
-    assert found.correlation > 0.6 and np.isnan(found.drift)
+    (actual,) = estimate_video_offsets(recorded(waving(seed), offset, seed), search=0.6)
+    assert actual.is_found and actual.reason == "" and actual.stated_offset == 0.0
+    assert abs(actual.offset - offset) < FIVE_MS
+    assert abs(actual.offset - offset) < 4 * actual.std < 4 * FIVE_MS
+    assert actual.correlation > 0.6 and np.isnan(actual.drift)
 
 
 def test_an_offset_that_is_stated_is_where_the_search_begins():
     recording = recorded(waving(1), 0.4)
     (source,) = recording.videos
     recording = replace(recording, videos=(replace(source, offset=0.35),))
-    (found,) = estimate_video_offsets(recording, search=0.1)
-    assert found.stated_offset == 0.35 and abs(found.offset - 0.4) < FIVE_MS
-    (found,) = estimate_video_offsets(
+    (actual,) = estimate_video_offsets(recording, search=0.1)
+    assert actual.stated_offset == 0.35 and abs(actual.offset - 0.4) < FIVE_MS
+    (actual,) = estimate_video_offsets(
         replace(recording, videos=(replace(source, offset=0.2),)), search=0.1
     )
-    assert np.isnan(found.offset) and found.reason and not found.is_found
+    assert np.isnan(actual.offset) and actual.reason and not actual.is_found
 
 
 def test_the_result_does_not_follow_the_markers_sample_clock():
     """Jitter from sample to sample is no acceleration; if it were, lags would stick to samples."""
     recording = recorded(waving(4), 0.1)
-    found = [
+    actual = [
         estimate_video_offsets(replace(recording, times=recording.times + shift), search=0.2)[
             0
         ].offset
         - shift
         for shift in (0.0, 0.4 / RATE)
     ]
-    assert np.ptp(found) < 1e-3
+    assert np.ptp(actual) < 1e-3
 
 
 # What cannot be found ----------------------------------------------------------------------------
@@ -112,19 +112,19 @@ def still(times: np.ndarray) -> np.ndarray:
 
 
 def test_hands_at_rest_are_asked_to_move():
-    (found,) = estimate_video_offsets(recorded(still, 0.1), search=0.2)
-    assert np.isnan(found.offset) and np.isnan(found.std)
-    assert "not identifiable: move the hands faster" in found.reason
+    (actual,) = estimate_video_offsets(recorded(still, 0.1), search=0.2)
+    assert np.isnan(actual.offset) and np.isnan(actual.std)
+    assert "not identifiable: move the hands faster" in actual.reason
 
 
 def test_slow_hands_are_asked_to_move_faster():
-    (found,) = estimate_video_offsets(recorded(waving(5, speed=0.02), 0.1), search=0.2)
-    assert np.isnan(found.offset) and "move the hands faster" in found.reason
+    (actual,) = estimate_video_offsets(recorded(waving(5, speed=0.02), 0.1), search=0.2)
+    assert np.isnan(actual.offset) and "move the hands faster" in actual.reason
 
 
 def test_an_image_of_other_motion_is_told_from_the_hands():
-    (found,) = estimate_video_offsets(recorded(waving(6), 0.1, film=waving(7)), search=0.3)
-    assert np.isnan(found.offset) and found.reason.startswith("not identifiable")
+    (actual,) = estimate_video_offsets(recorded(waving(6), 0.1, film=waving(7)), search=0.3)
+    assert np.isnan(actual.offset) and actual.reason.startswith("not identifiable")
 
 
 def test_motion_that_repeats_itself_has_no_offset():
@@ -133,15 +133,15 @@ def test_motion_that_repeats_itself_has_no_offset():
         y, z = 0.15 * np.cos(turn), 0.15 * np.sin(turn)
         return still(times) + np.stack([0 * y, y, z, 0 * y, y, z], -1)
 
-    (found,) = estimate_video_offsets(recorded(circling, 0.1))
-    assert np.isnan(found.offset) and "the motion repeats itself" in found.reason
+    (actual,) = estimate_video_offsets(recorded(circling, 0.1))
+    assert np.isnan(actual.offset) and "the motion repeats itself" in actual.reason
 
 
 def test_hands_out_of_the_image_are_told():
     recording = recorded(waving(0), 0.1)
     away = replace(recording, positions_world=recording.positions_world + 9.0)
-    (found,) = estimate_video_offsets(away, search=0.2)
-    assert found.reason == "not identifiable: the image does not show the hands"
+    (actual,) = estimate_video_offsets(away, search=0.2)
+    assert actual.reason == "not identifiable: the image does not show the hands"
 
 
 def test_a_recording_without_video_or_markers_is_refused():
@@ -163,13 +163,13 @@ def test_stretches_are_put_together_by_their_weights_and_tell_the_drift():
     lost = StretchLag(200.0, np.nan, np.nan, 0.1, "not identifiable")
     rows = [*map(StretchLag, middles, lags, stds, [0.9, 0.8, 0.7, 0.6]), lost]
     source = recorded(still, 0.0).videos[0]
-    found = combine_lags(replace(source, offset=1.0), rows)
+    actual = combine_lags(replace(source, offset=1.0), rows)
     fitted, covariance = np.polyfit(middles, lags, 1, w=1 / stds, cov="unscaled")
-    assert found.drift == pytest.approx(fitted[0]) == pytest.approx(1e-4)
-    assert found.drift_std == pytest.approx(covariance[0, 0] ** 0.5)
-    assert found.offset == pytest.approx(1.0 + np.average(lags, weights=stds**-2))
-    assert found.correlation == 0.9
-    assert "gains 100 ±" in synced.sync_text([found]), "microseconds a second"
+    assert actual.drift == pytest.approx(fitted[0]) == pytest.approx(1e-4)
+    assert actual.drift_std == pytest.approx(covariance[0, 0] ** 0.5)
+    assert actual.offset == pytest.approx(1.0 + np.average(lags, weights=stds**-2))
+    assert actual.correlation == 0.9
+    assert "gains 100 ±" in synced.sync_text([actual]), "microseconds a second"
     near = combine_lags(source, rows[:2])
     assert np.isnan(near.drift) and near.std > (1e-6 + 4e-6) ** 0.5 / 4, "they disagree"
     assert combine_lags(source, [lost]).reason == "not identifiable"

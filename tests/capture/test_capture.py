@@ -52,7 +52,7 @@ def write_video(
 
 
 def numbers(video) -> list[int | None]:
-    """Which picture each frame is, told by its brightness."""
+    """Which picture each frame is, by its brightness."""
     levels = [None if image is None else float(image[24:, 32:].mean()) for _, image in video]
     return [None if level is None else round((level - 20) / 8) for level in levels]
 
@@ -67,11 +67,11 @@ def test_interpolation_is_exact_for_a_straight_motion(times, data):
     at = np.array(data.draw(st.lists(st.floats(float(times[0]), float(times[-1])), max_size=10)))
     velocity = np.array([1.0, -2.0, 3.0])
     positions = times[:, None, None] * velocity + np.ones((1, 2, 1))
-    found = interpolate_markers(times, positions, at)
+    actual = interpolate_markers(times, positions, at)
     gap = np.diff(times)[np.clip(np.searchsorted(times, at, "right") - 1, 0, len(times) - 2)]
-    known = (gap <= 3 * np.median(np.diff(times))) | np.isin(at, times)
-    expected = np.where(known[:, None, None], at[:, None, None] * velocity + 1, np.nan)
-    np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), atol=1e-9)
+    is_valid = (gap <= 3 * np.median(np.diff(times))) | np.isin(at, times)
+    expected = np.where(is_valid[:, None, None], at[:, None, None] * velocity + 1, np.nan)
+    np.testing.assert_allclose(actual, np.broadcast_to(expected, actual.shape), atol=1e-9)
 
 
 @given(ascending, st.booleans(), st.integers(0, 99))
@@ -80,19 +80,19 @@ def test_at_a_samples_own_time_it_is_that_sample_gaps_or_not(times, causal, seed
     positions = rng.normal(size=(len(times), 3, 3))
     positions[rng.random(positions.shape[:2]) < 0.4] = np.nan
     order = rng.permutation(len(times))
-    found = interpolate_markers(times, positions, times[order], causal)
-    np.testing.assert_array_equal(found, positions[order])
+    actual = interpolate_markers(times, positions, times[order], causal)
+    np.testing.assert_array_equal(actual, positions[order])
 
 
 @given(ascending, st.integers(0, 99))
-def test_causal_interpolation_knows_no_later_sample(times, seed):
+def test_causal_interpolation_uses_no_later_sample(times, seed):
     rng = np.random.default_rng(seed)
     positions = rng.normal(size=(len(times), 1, 3))
     at = rng.uniform(times[0] - 0.01, times[-1] + 0.05, 10)
-    found = interpolate_markers(times, positions, at, causal=True)
-    for t, here in zip(at, found, strict=True):
-        past = times <= t
-        altered = np.where(past[:, None, None], positions, 1e6)
+    actual = interpolate_markers(times, positions, at, causal=True)
+    for t, here in zip(at, actual, strict=True):
+        is_earlier = times <= t
+        altered = np.where(is_earlier[:, None, None], positions, 1e6)
         np.testing.assert_array_equal(
             interpolate_markers(times, altered, np.array([t]), True)[0], here
         )
@@ -102,17 +102,17 @@ def test_a_missing_neighbour_leaves_the_marker_unknown_and_no_other():
     times = np.array([0.0, 0.1, 0.2, 0.3])
     positions = np.zeros((4, 2, 3))
     positions[1, 0] = np.nan
-    found = interpolate_markers(times, positions, np.array([0.05, 0.15, 0.25]))
-    assert np.isnan(found[:, 0]).all(-1).tolist() == [True, True, False]
-    assert (found[:, 1] == 0).all()
+    actual = interpolate_markers(times, positions, np.array([0.05, 0.15, 0.25]))
+    assert np.isnan(actual[:, 0]).all(-1).tolist() == [True, True, False]
+    assert (actual[:, 1] == 0).all()
 
 
 def test_gaps_and_the_outside_are_unknown():
     times = np.array([0.0, 0.1, 0.2, 0.6, 0.7, 0.8])
     positions = np.ones((6, 1, 3)) * times[:, None, None]
     at = np.array([-0.06, -0.04, 0.4, 0.84, 0.86])
-    found = interpolate_markers(times, positions, at)[:, 0, 0]
-    np.testing.assert_allclose(found, [np.nan, -0.04, np.nan, 0.84, np.nan], atol=1e-12)
+    actual = interpolate_markers(times, positions, at)[:, 0, 0]
+    np.testing.assert_allclose(actual, [np.nan, -0.04, np.nan, 0.84, np.nan], atol=1e-12)
     causal = interpolate_markers(times, positions, np.array([0.05, 0.25, 0.31, 0.65, 0.89]), True)[
         :, 0, 0
     ]
@@ -125,14 +125,14 @@ def test_a_leap_is_no_motion_to_be_followed(causal):
     positions = np.zeros((6, 2, 3))
     positions[3:, 0] += [1.5, 0.0, 0.0]
     at = np.array([3.3, 4.3]) / 60 if causal else np.array([2.3, 3.3]) / 60
-    found = interpolate_markers(times, positions, at, causal)
-    assert np.isnan(found[0, 0]).all() and np.isfinite(found[0, 1]).all()
-    np.testing.assert_allclose(found[1, 0], [1.5, 0.0, 0.0])
+    actual = interpolate_markers(times, positions, at, causal)
+    assert np.isnan(actual[0, 0]).all() and np.isfinite(actual[0, 1]).all()
+    np.testing.assert_allclose(actual[1, 0], [1.5, 0.0, 0.0])
 
 
-def test_a_single_sample_is_known_at_its_time_only():
-    found = interpolate_markers(np.array([1.0]), np.ones((1, 1, 3)), np.array([0.9, 1.0, 1.1]))
-    assert np.isfinite(found).all((1, 2)).tolist() == [False, True, False]
+def test_a_single_sample_is_valid_at_its_time_only():
+    actual = interpolate_markers(np.array([1.0]), np.ones((1, 1, 3)), np.array([0.9, 1.0, 1.1]))
+    assert np.isfinite(actual).all((1, 2)).tolist() == [False, True, False]
 
 
 # Events ------------------------------------------------------------------------------------------
@@ -284,10 +284,10 @@ def test_a_truncated_video_just_ends(tmp_path):
     content = path.read_bytes()
     path.write_bytes(content[: int(len(content) * 0.8)])
     video = Video(path)
-    found = numbers(video)
-    assert 0 < len([i for i in found if i is not None]) < 20
-    assert len(found) == len(video.times)
-    assert all(i == n for i, n in enumerate(found) if n is not None)
+    actual = numbers(video)
+    assert 0 < len([i for i in actual if i is not None]) < 20
+    assert len(actual) == len(video.times)
+    assert all(i == n for i, n in enumerate(actual) if n is not None)
 
 
 def test_frames_that_a_decoder_skips_repeats_or_shuffles_keep_their_places(tmp_path, monkeypatch):
@@ -298,10 +298,10 @@ def test_frames_that_a_decoder_skips_repeats_or_shuffles_keep_their_places(tmp_p
 
 
 def test_broken_bytes_never_stop_a_video(tmp_path):
-    whole = write_video(tmp_path / "whole.mp4").read_bytes()
+    intact = write_video(tmp_path / "whole.mp4").read_bytes()
     rng = np.random.default_rng(0)
     for i in range(20):
-        content = bytearray(whole)
+        content = bytearray(intact)
         for place in rng.integers(40, len(content), 6):
             content[place] = rng.integers(256)
         path = tmp_path / f"broken{i}.mp4"

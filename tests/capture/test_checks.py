@@ -65,11 +65,11 @@ def five() -> Recording:
 
 
 def names(recording: Recording, video_times=VIDEO_TIMES) -> list[tuple[str, bool]]:
-    found = check_recording(recording, video_times[: len(recording.videos)])
-    return [(finding.check, finding.fatal) for finding in found]
+    actual = check_recording(recording, video_times[: len(recording.videos)])
+    return [(finding.check, finding.fatal) for finding in actual]
 
 
-def seen_by(recording: Recording, camera: Camera) -> Recording:
+def projected_in(recording: Recording, camera: Camera) -> Recording:
     return replace(recording, videos=(VideoSource("webcam", camera),))
 
 
@@ -137,7 +137,7 @@ def test_a_static_trial_in_millimetres_is_refused(sound):
 def test_a_calibration_in_millimetres_is_refused(sound):
     camera = sound.videos[0].camera
     T = camera.T_cam_world.at[:3, 3].multiply(1000)
-    (finding,) = check_recording(seen_by(sound, replace(camera, T_cam_world=T)), VIDEO_TIMES)
+    (finding,) = check_recording(projected_in(sound, replace(camera, T_cam_world=T)), VIDEO_TIMES)
     assert finding.fatal and "translation must be in metres" in finding.sentence
 
 
@@ -198,8 +198,8 @@ def test_hands_held_up_all_the_time_pass(sound, raised):
         "up, lying on the back": [[0, 0, 0.1], [-0.3, 0.2, 0.68], [-0.3, -0.2, 0.68]],
     }
     positions = np.tile(np.array(places[raised]), (len(sound.times), 1, 1))
-    found = check_recording(replace(sound, positions_world=positions, videos=()), [])
-    assert not any(finding.fatal for finding in found)
+    actual = check_recording(replace(sound, positions_world=positions, videos=()), [])
+    assert not any(finding.fatal for finding in actual)
 
 
 @pytest.mark.parametrize("value", [1e200, -1e308, 2e7, np.inf])
@@ -237,20 +237,20 @@ def test_left_and_right_exchanged_is_a_warning(sound, five):
     assert "ankle_l and ankle_r" in finding.sentence and "left-handed" in finding.sentence
 
 
-def test_a_mirror_image_that_leaves_the_picture_is_known_as_one(sound):
+def test_a_mirror_image_that_leaves_the_picture_is_recognised(sound):
     away = np.array([0.0, 3.0, 0.0])
     there = replace(sound, positions_world=sound.positions_world + away)
     T_away = np.eye(4)
     T_away[:3, 3] = -away
-    there = seen_by(there, moved(sound.videos[0].camera, T_away))
+    there = projected_in(there, moved(sound.videos[0].camera, T_away))
     assert names(there) == []
     spoilt = replace(there, positions_world=there.positions_world * [1, -1, 1])
-    found = {finding.check: finding for finding in check_recording(spoilt, VIDEO_TIMES)}
-    assert set(found) == {"handedness", "left and right"}
+    actual = {finding.check: finding for finding in check_recording(spoilt, VIDEO_TIMES)}
+    assert set(actual) == {"handedness", "left and right"}
     assert "x, -y, z in place of x, y, z (a mirror image, left-handed)" in (
-        found["handedness"].sentence
+        actual["handedness"].sentence
     )
-    assert found["handedness"].fatal, "no camera sees anything of the person"
+    assert actual["handedness"].fatal, "no camera sees anything of the person"
 
 
 @pytest.mark.parametrize(("share", "fatal"), [(0.02, False), (0.6, True)])
@@ -258,13 +258,13 @@ def test_a_marker_out_of_reach_is_told(sound, share, fatal):
     spoilt = sound.positions_world.copy()
     rows = np.arange(len(spoilt)) < share * len(spoilt)
     spoilt[rows, 2] += [0, 1.0, 3.0]
-    found = {
+    actual = {
         f.check: f for f in check_recording(replace(sound, positions_world=spoilt), VIDEO_TIMES)
     }
-    assert found["reach"].fatal is fatal
+    assert actual["reach"].fatal is fatal
     text = f"in {rows.sum()} of {len(rows)} samples farther than"
-    assert "[markers.on] RightController" in found["reach"].sentence
-    assert text in found["reach"].sentence
+    assert "[markers.on] RightController" in actual["reach"].sentence
+    assert text in actual["reach"].sentence
 
 
 @pytest.mark.parametrize("factor", [1000.0, RATE])
@@ -296,17 +296,17 @@ def test_a_camera_below_the_floor_is_a_warning(sound):
     camera = sound.videos[0].camera
     below = np.diag([1.0, 1.0, 1.0, 1.0])
     below[2, 3] = 1.7
-    found = check_recording(seen_by(sound, moved(camera, below)), VIDEO_TIMES)
-    (finding,) = [finding for finding in found if finding.check == "camera below the floor"]
+    actual = check_recording(projected_in(sound, moved(camera, below)), VIDEO_TIMES)
+    (finding,) = [finding for finding in actual if finding.check == "camera below the floor"]
     assert not finding.fatal and "stands at z = -0.40 m" in finding.sentence
 
 
 def test_an_inverted_calibration_shows_nobody_and_is_refused(sound):
     camera = sound.videos[0].camera
     T = jnp.asarray(np.linalg.inv(np.asarray(camera.T_cam_world)), camera.T_cam_world.dtype)
-    found = check_recording(seen_by(sound, replace(camera, T_cam_world=T)), VIDEO_TIMES)
-    assert (found[0].check, found[0].fatal) == ("person out of the image", True)
-    assert "[webcam] of the calibration" in found[0].sentence
+    actual = check_recording(projected_in(sound, replace(camera, T_cam_world=T)), VIDEO_TIMES)
+    assert (actual[0].check, actual[0].fatal) == ("person out of the image", True)
+    assert "[webcam] of the calibration" in actual[0].sentence
 
 
 def test_a_person_out_of_one_of_two_images_is_a_warning(sound):
@@ -315,9 +315,9 @@ def test_a_person_out_of_one_of_two_images_is_a_warning(sound):
     turn[0, 3] = 8.0
     other = VideoSource("other", moved(camera, turn))
     both = replace(sound, videos=(sound.videos[0], other))
-    found = check_recording(both, [*VIDEO_TIMES, *VIDEO_TIMES])
-    assert [(f.check, f.fatal) for f in found] == [("person out of the image", False)]
-    assert "[other] of the calibration" in found[0].sentence
+    actual = check_recording(both, [*VIDEO_TIMES, *VIDEO_TIMES])
+    assert [(f.check, f.fatal) for f in actual] == [("person out of the image", False)]
+    assert "[other] of the calibration" in actual[0].sentence
 
 
 def test_missing_markers_are_no_mistake(sound):
@@ -353,13 +353,13 @@ def test_reach_is_the_length_of_the_stretched_body():
         MarkerPlace("c", "humerus_l", 0.9),
         MarkerPlace("d", "femur_r", 0.5),
     )
-    found = max_marker_distances(skeleton, places)
+    actual = max_marker_distances(skeleton, places)
     arm = length["humerus_l"] / 2 + length["radius_l"] + length["hand_l"] / 4 + 0.05
-    assert found[0, 1] == found[1, 0] == pytest.approx(arm)
-    assert found[0, 2] == pytest.approx(0.4 * length["humerus_l"])
+    assert actual[0, 1] == actual[1, 0] == pytest.approx(arm)
+    assert actual[0, 2] == pytest.approx(0.4 * length["humerus_l"])
     trunk = sum(length[f"spine{i}"] for i in (1, 2, 3)) + length["clavicle_l"]
     leg = length["hip_r"] + length["femur_r"] / 2
-    assert found[0, 3] == pytest.approx(trunk + length["humerus_l"] / 2 + leg)
+    assert actual[0, 3] == pytest.approx(trunk + length["humerus_l"] / 2 + leg)
 
 
 def test_pixels_are_those_of_the_camera_model(sound):

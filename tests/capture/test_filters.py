@@ -48,18 +48,18 @@ def one(path: np.ndarray) -> np.ndarray:
 
 def hampel_by_hand(path: np.ndarray, half: int) -> list[bool]:
     """Hampel's identifier of one coordinate, sample by sample."""
-    found = []
+    actual = []
     for i, value in enumerate(path):
         window = sorted(v for v in path[max(0, i - half) : i + half + 1] if v == v)
         if value != value:
-            found.append(False)
+            actual.append(False)
             continue
         n = len(window)
         middle = (window[(n - 1) // 2] + window[n // 2]) / 2
         away = sorted(abs(v - middle) for v in window)
         spread = 1.4826 * (away[(n - 1) // 2] + away[n // 2]) / 2
-        found.append(abs(value - middle) > max(3 * spread, 0.02))
-    return found
+        actual.append(abs(value - middle) > max(3 * spread, 0.02))
+    return actual
 
 
 @given(st.integers(0, 10_000))
@@ -68,8 +68,8 @@ def test_outliers_are_those_of_hampels_definition(seed):
     path = np.cumsum(rng.normal(0, 0.01, 60))
     path[rng.random(60) < 0.1] += 0.3
     path[rng.random(60) < 0.2] = np.nan
-    found = find_outliers(np.arange(60) / 60, one(path))
-    assert found[:, 0].tolist() == hampel_by_hand(path, 3)
+    actual = find_outliers(np.arange(60) / 60, one(path))
+    assert actual[:, 0].tolist() == hampel_by_hand(path, 3)
 
 
 def test_the_window_is_a_twentieth_of_a_second_at_high_rates():
@@ -86,8 +86,8 @@ def test_no_stroke_is_an_outlier_and_most_jumps_are(seed):
     rng = np.random.default_rng(seed)
     rows = rng.choice(len(times), 25, replace=False)
     points[rows, 2] += rng.choice([-0.3, 0.3], (25, 3))
-    found = find_outliers(times, points)
-    assert found[rows, 2].mean() > 0.85 and found.sum() == found[rows, 2].sum()
+    actual = find_outliers(times, points)
+    assert actual[rows, 2].mean() > 0.85 and actual.sum() == actual[rows, 2].sum()
 
 
 def test_real_recordings_have_hardly_an_outlier(recordings):

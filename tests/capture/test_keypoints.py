@@ -59,8 +59,8 @@ FRONT |= {
 
 def points(model: str, shift: float = 0.0, score: float = 0.5) -> np.ndarray:
     """(K, 3) the person as a model's points, some pixels to the right."""
-    found = [(*np.add(FRONT.get(name, (0, 0)), (shift, 0)), score) for name in MODELS[model]]
-    return np.array(found, float)
+    actual = [(*np.add(FRONT.get(name, (0, 0)), (shift, 0)), score) for name in MODELS[model]]
+    return np.array(actual, float)
 
 
 def pixel(landmark: str, shift: float = 0.0) -> list[float]:
@@ -97,8 +97,8 @@ def write(folder: Path, files: Mapping[str, object]) -> Path:
 
 def assert_the_person(detections: Detections, frame: int, person: int, shift: float) -> None:
     for i, landmark in enumerate(detections.landmarks):
-        found = detections.pixels_xy[frame, person, i].tolist()
-        assert found == pixel(landmark, shift), landmark
+        actual = detections.pixels_xy[frame, person, i].tolist()
+        assert actual == pixel(landmark, shift), landmark
 
 
 # Models ------------------------------------------------------------------------------------------
@@ -133,9 +133,9 @@ def test_points_are_counted_as_their_makers_count_them(model, count, indices):
 @pytest.mark.parametrize("model", ["BODY_25", "BODY_25B"])
 def test_the_faces_tell_the_two_models_of_25_points_apart(tmp_path, model):
     write(tmp_path, {f"{i}.json": openpose(points(model, i)) for i in range(3)})
-    found = read_keypoints(tmp_path)
-    assert f'keypoints_model = "{model}"' in found.warnings[0]
-    assert_the_person(found, 2, 0, 2)
+    actual = read_keypoints(tmp_path)
+    assert f'keypoints_model = "{model}"' in actual.warnings[0]
+    assert_the_person(actual, 2, 0, 2)
     assert read_keypoints(tmp_path, model).warnings == ()
 
 
@@ -145,8 +145,8 @@ def test_where_no_face_is_seen_the_model_must_be_stated(tmp_path):
     write(tmp_path, {"0.json": openpose(person)})
     with pytest.raises(InputError, match=r"state keypoints_model = \"BODY_25\" or \"BODY_25B\""):
         read_keypoints(tmp_path)
-    found = read_keypoints(tmp_path, "BODY_25B")
-    assert found.pixels_xy[0, 0, found.landmarks.index("elbow_l")].tolist() == pixel("elbow_l")
+    actual = read_keypoints(tmp_path, "BODY_25B")
+    assert actual.pixels_xy[0, 0, actual.landmarks.index("elbow_l")].tolist() == pixel("elbow_l")
 
 
 def test_people_who_disagree_do_not_tell_a_model():
@@ -159,14 +159,14 @@ def test_people_who_disagree_do_not_tell_a_model():
 
 
 @pytest.mark.parametrize(
-    ("times_larger", "told"),
+    ("times_larger", "model"),
     [(3.0, "BODY_25B"), (1.5, None), (1 / 1.5, None), (1 / 3, "BODY_25")],
 )
-def test_a_face_must_be_clearly_smaller_to_tell_the_model(times_larger, told):
+def test_a_face_must_be_clearly_smaller_to_tell_the_model(times_larger, model):
     person = points("BODY_25B")[None, :, :2]
     # Nose, eyes and ears are 0 to 4 in the one reading, 0 and 15 to 18 in the other.
     person[:, 15:19] = person[:, :1] + times_larger * (person[:, 1:5] - person[:, :1])
-    assert model_by_faces(person, ("BODY_25", "BODY_25B")) == told
+    assert model_by_faces(person, ("BODY_25", "BODY_25B")) == model
 
 
 # Files -------------------------------------------------------------------------------------------
@@ -176,12 +176,12 @@ def test_a_face_must_be_clearly_smaller_to_tell_the_model(times_larger, told):
 def test_openpose_files_of_every_other_count_need_no_model(tmp_path, model):
     names = [f"cam_01_{i:012d}_keypoints.json" for i in range(8, 12)]
     write(tmp_path, {name: openpose(points(model, i)) for i, name in enumerate(names)})
-    found = read_keypoints(tmp_path)
-    assert found.numbers.tolist() == [8, 9, 10, 11] and found.warnings == ()
-    assert found.landmarks == tuple(landmark_indices(MODELS[model]))
-    assert (found.confidences == 0.5).all()
+    actual = read_keypoints(tmp_path)
+    assert actual.numbers.tolist() == [8, 9, 10, 11] and actual.warnings == ()
+    assert actual.landmarks == tuple(landmark_indices(MODELS[model]))
+    assert (actual.confidences == 0.5).all()
     for i in range(4):
-        assert_the_person(found, i, 0, i)
+        assert_the_person(actual, i, 0, i)
 
 
 def test_frames_may_hold_many_people_one_or_none(tmp_path):
@@ -190,14 +190,14 @@ def test_frames_may_hold_many_people_one_or_none(tmp_path):
     nobody = {"people": [faceless]}
     write(tmp_path, {"a_2.json": openpose(other), "a_0.json": openpose(some, other)})
     write(tmp_path, {"a_1.json": nobody, "a_3.json": {"people": []}, ".a_4.json": "leavings"})
-    found = read_keypoints(tmp_path)
-    assert found.pixels_xy.shape == (4, 2, 12, 2)
-    assert_the_person(found, 0, 0, 0)
-    assert_the_person(found, 0, 1, 200)
-    assert_the_person(found, 2, 0, 200)
-    missing = np.isnan(found.pixels_xy).all((2, 3))
+    actual = read_keypoints(tmp_path)
+    assert actual.pixels_xy.shape == (4, 2, 12, 2)
+    assert_the_person(actual, 0, 0, 0)
+    assert_the_person(actual, 0, 1, 200)
+    assert_the_person(actual, 2, 0, 200)
+    missing = np.isnan(actual.pixels_xy).all((2, 3))
     assert missing.tolist() == [[False, False], [True, True], [False, True], [True, True]]
-    np.testing.assert_array_equal(found.confidences == 0, np.isnan(found.pixels_xy[..., 0]))
+    np.testing.assert_array_equal(actual.confidences == 0, np.isnan(actual.pixels_xy[..., 0]))
 
 
 @given(
@@ -216,13 +216,13 @@ def test_what_is_missing_is_nan_with_no_confidence(tmp_path_factory, kinds):
         elif kind == "large":
             point[2] = 1.3
     scores = {"keypoints": [p[:2] for p in person], "keypoint_scores": [p[2] for p in person]}
-    found = read_keypoints(write(folder, {"0.json": [scores], "1.json": [{"keypoints": person}]}))
+    actual = read_keypoints(write(folder, {"0.json": [scores], "1.json": [{"keypoints": person}]}))
     expected = {"whole": 0.5, "large": 1.0}
     for landmark, index in landmark_indices(MODELS["COCO_17"]).items():
-        i = found.landmarks.index(landmark)
+        i = actual.landmarks.index(landmark)
         confidence = expected.get(kinds[index], 0.0)
-        assert found.confidences[:, 0, i].tolist() == [confidence] * 2
-        is_detected = np.isfinite(found.pixels_xy[:, 0, i])
+        assert actual.confidences[:, 0, i].tolist() == [confidence] * 2
+        is_detected = np.isfinite(actual.pixels_xy[:, 0, i])
         assert (is_detected == (confidence > 0)).all()
 
 
@@ -231,20 +231,20 @@ def test_mmpose_writes_one_file_for_a_whole_video(tmp_path):
         {"frame_id": i, "instances": [instance(points("HALPE_26", i))] * (i != 2)} for i in range(4)
     ]
     for folder in (write(tmp_path / "a", {"cam.json": frames}), tmp_path / "a" / "cam.json"):
-        found = read_keypoints(folder)
-        assert found.numbers.tolist() == [0, 1, 2, 3]
-        assert_the_person(found, 3, 0, 3)
-        assert np.isnan(found.pixels_xy[2]).all()
-        assert found.name == str(folder)
+        actual = read_keypoints(folder)
+        assert actual.numbers.tolist() == [0, 1, 2, 3]
+        assert_the_person(actual, 3, 0, 3)
+        assert np.isnan(actual.pixels_xy[2]).all()
+        assert actual.name == str(folder)
 
 
 def test_mmpose_writes_one_file_per_image(tmp_path):
     write(tmp_path, {f"img{i}.json": [instance(points("COCO_17", i))] for i in (9, 10)})
     write(tmp_path, {"img11.json": []})
-    found = read_keypoints(tmp_path)
-    assert found.numbers.tolist() == [9, 10, 11]
-    assert_the_person(found, 0, 0, 9)
-    assert_the_person(found, 1, 0, 10)
+    actual = read_keypoints(tmp_path)
+    assert actual.numbers.tolist() == [9, 10, 11]
+    assert_the_person(actual, 0, 0, 9)
+    assert_the_person(actual, 1, 0, 10)
 
 
 def test_names_in_the_file_come_before_the_count(tmp_path):
@@ -254,15 +254,15 @@ def test_names_in_the_file_come_before_the_count(tmp_path):
     meta = {"keypoint_id2name": {str(i): name for i, name in enumerate(names)}}
     frames = [{"frame_id": 1, "instances": [instance(person)]}]
     write(tmp_path, {"results_cam.json": {"meta_info": meta, "instance_info": frames}})
-    found = read_keypoints(tmp_path)
-    assert found.landmarks[0] == "pelvis" and len(found.landmarks) == 13
-    assert_the_person(found, 0, 0, 0)
+    actual = read_keypoints(tmp_path)
+    assert actual.landmarks[0] == "pelvis" and len(actual.landmarks) == 13
+    assert_the_person(actual, 0, 0, 0)
     write(tmp_path, {"results_cam.json": {"meta_info": {}, "instance_info": [instance(person)]}})
     with pytest.raises(InputError, match="no frame number in its name"):
         read_keypoints(tmp_path)
 
 
-WHOLE = points("COCO_17")
+COMPLETE = points("COCO_17")
 
 
 @pytest.mark.parametrize(
@@ -273,20 +273,32 @@ WHOLE = points("COCO_17")
         ({"0.json": {"bodies": []}}, None, "0.json: found no key points, expected 'people'"),
         ({"0.json": {"people": {}}}, None, "0.json: people: found {}, expected a list"),
         ({"0.json": {"people": [3]}}, None, "people[0].pose_keypoints_2d: found None, expected a"),
-        ({"0.json": openpose(WHOLE.ravel()[:-1])}, None, "found 50 numbers, expected x, y, c"),
-        ({"0.json": openpose(WHOLE[:14])}, None, "found 14 points, expected those of BODY_25 (25)"),
-        ({"0.json": openpose(WHOLE), "1.json": openpose(WHOLE[1:])}, None, "1.json: found 16 poi"),
-        ({"0.json": openpose(WHOLE)}, "HALPE_26", "found 17 points, but HALPE_26 names 26"),
-        ({"0.json": openpose(WHOLE)}, "BODY_26", "unknown model 'BODY_26', expected BODY_25, "),
-        ({"0.json": openpose(WHOLE / 640)}, None, "expected pixels (--keypoint_scale 0)"),
-        ({"a.json": openpose(WHOLE)}, None, "a.json: found no frame number in its name"),
-        ({f"{9**30}.json": openpose(WHOLE)}, None, "found no frame number in its name"),
-        ({"a_7.json": openpose(WHOLE), "b_7.json": openpose(WHOLE)}, None, "frame 7 is in a_7"),
+        ({"0.json": openpose(COMPLETE.ravel()[:-1])}, None, "found 50 numbers, expected x, y, c"),
+        (
+            {"0.json": openpose(COMPLETE[:14])},
+            None,
+            "found 14 points, expected those of BODY_25 (25)",
+        ),
+        (
+            {"0.json": openpose(COMPLETE), "1.json": openpose(COMPLETE[1:])},
+            None,
+            "1.json: found 16 poi",
+        ),
+        ({"0.json": openpose(COMPLETE)}, "HALPE_26", "found 17 points, but HALPE_26 names 26"),
+        ({"0.json": openpose(COMPLETE)}, "BODY_26", "unknown model 'BODY_26', expected BODY_25, "),
+        ({"0.json": openpose(COMPLETE / 640)}, None, "expected pixels (--keypoint_scale 0)"),
+        ({"a.json": openpose(COMPLETE)}, None, "a.json: found no frame number in its name"),
+        ({f"{9**30}.json": openpose(COMPLETE)}, None, "found no frame number in its name"),
+        (
+            {"a_7.json": openpose(COMPLETE), "b_7.json": openpose(COMPLETE)},
+            None,
+            "frame 7 is in a_7",
+        ),
         ({"0.json": [{"keypoints": [["x", 1]]}]}, None, "[0].keypoints: found other than equally"),
         ({"0.json": [{"keypoints": [[1, 2], [3]]}]}, None, "[0].keypoints: found other than equal"),
         ({"0.json": [{"keypoints": [[1, 2]]}]}, None, "[0].keypoints: found shape (1, 2)"),
         (
-            {"0.json": [instance(WHOLE) | {"keypoint_scores": [1.0]}]},
+            {"0.json": [instance(COMPLETE) | {"keypoint_scores": [1.0]}]},
             None,
             "[0].keypoint_scores: found shape (1,), expected one score for each key point (17)",
         ),
@@ -296,7 +308,7 @@ WHOLE = points("COCO_17")
             {
                 "0.json": {
                     "meta_info": {"keypoint_id2name": {"0": "left_elbow"}},
-                    "instance_info": [instance(WHOLE)],
+                    "instance_info": [instance(COMPLETE)],
                 }
             },
             None,
@@ -306,7 +318,7 @@ WHOLE = points("COCO_17")
             {
                 "0.json": {
                     "meta_info": {"keypoint_id2name": {"0": "tail"}},
-                    "instance_info": [instance(WHOLE[:1])],
+                    "instance_info": [instance(COMPLETE[:1])],
                 }
             },
             None,
@@ -368,13 +380,13 @@ def detections(numbers) -> Detections:
     ],
 )
 def test_the_first_frames_number_follows_the_rule_or_is_stated(numbers, frames, stated, first):
-    found = align_detections(detections(numbers), frames, stated)
+    actual = align_detections(detections(numbers), frames, stated)
     expected = [n if n in set(numbers) else np.nan for n in range(first, first + frames)]
-    np.testing.assert_array_equal(found.pixels_xy[:, 0, 0, 0], expected)
-    np.testing.assert_array_equal(found.confidences[:, 0, 0], np.isfinite(expected))
+    np.testing.assert_array_equal(actual.pixels_xy[:, 0, 0, 0], expected)
+    np.testing.assert_array_equal(actual.confidences[:, 0, 0], np.isfinite(expected))
     count = int(np.isfinite(expected).sum())
-    told = f"keys: key points of {count} of the video's {frames} frames"
-    assert found.warnings == ((told,) if count < frames else ())
+    warning = f"keys: key points of {count} of the video's {frames} frames"
+    assert actual.warnings == ((warning,) if count < frames else ())
 
 
 @pytest.mark.parametrize(
@@ -398,10 +410,10 @@ def test_a_recordings_video_opens_its_key_points(tmp_path):
     assert open_keypoints(source, video) is None
     files = {f"{i:04d}.json": openpose(points("BODY_25", i)) for i in range(1, len(video) + 1)}
     folder = write(tmp_path, files)
-    found = open_keypoints(replace(source, keypoints=folder, keypoints_model="BODY_25"), video)
-    assert found is not None and found.warnings == ()
-    elbow = found.landmarks.index("elbow_l")
-    assert found.pixels_xy[0, 0, elbow].tolist() == pixel("elbow_l", 1)
+    actual = open_keypoints(replace(source, keypoints=folder, keypoints_model="BODY_25"), video)
+    assert actual is not None and actual.warnings == ()
+    elbow = actual.landmarks.index("elbow_l")
+    assert actual.pixels_xy[0, 0, elbow].tolist() == pixel("elbow_l", 1)
     read = read_keypoints(folder, "BODY_25")
     again = open_keypoints(replace(source, keypoints=read, keypoints_first=2), video)
     assert again is not None
@@ -423,21 +435,21 @@ def test_the_person_nearest_to_the_prediction_is_chosen_in_any_order(order, seed
     predicted = np.where(rng.random((17, 1)) < 0.7, NEAR, np.nan)
     chosen = choose_person(people[list(order)], predicted, GATE)
     shared = np.isfinite(people[0] + predicted).all(-1).sum()
-    known = np.isfinite(predicted).all(-1).sum()
-    expected = order.index(0) if shared >= max(1, min(2, known)) else -1
+    count = np.isfinite(predicted).all(-1).sum()
+    expected = order.index(0) if shared >= max(1, min(2, count)) else -1
     assert chosen == expected
 
 
 def test_neither_a_stray_wrist_nor_a_fragment_decides():
-    whole, fragment = NEAR + 10.0, np.full_like(NEAR, np.nan)
-    whole[9] = [5000, 5000]
+    complete, fragment = NEAR + 10.0, np.full_like(NEAR, np.nan)
+    complete[9] = [5000, 5000]
     fragment[5:7] = NEAR[5:7]
-    assert choose_person(np.stack([fragment, whole]), NEAR, GATE) == 1
-    assert choose_person(np.stack([whole, fragment]), NEAR, GATE) == 0
+    assert choose_person(np.stack([fragment, complete]), NEAR, GATE) == 1
+    assert choose_person(np.stack([complete, fragment]), NEAR, GATE) == 0
     assert choose_person(fragment[None], NEAR, GATE) == 0
 
 
-def test_nobody_is_chosen_where_nobody_or_nothing_is_known():
+def test_nobody_is_chosen_where_nobody_or_nothing_is_predicted():
     nothing = np.full_like(NEAR, np.nan)
     assert choose_person(NEAR[None], nothing, GATE) == -1
     assert choose_person(nothing[None], NEAR, GATE) == -1
@@ -453,18 +465,18 @@ def test_markers_on_landmarks_say_who_is_tracked():
     recording = small_recording()
     landmarks = ("elbow_l", *(landmark for _, landmark in PLACES.values()))
     times = recording.times[:3]
-    known = marked_landmarks(recording, landmarks, times)
-    assert np.isnan(known[:, 0]).all()
-    np.testing.assert_array_equal(known[:, 1:], recording.positions_world[:3])
+    predicted = marked_landmarks(recording, landmarks, times)
+    assert np.isnan(predicted[:, 0]).all()
+    np.testing.assert_array_equal(predicted[:, 1:], recording.positions_world[:3])
     # A second person stands a metre further, and is listed first in the second frame.
-    places = [known + np.array([0, y, 0]) for y in (0, 1)]
+    places = [predicted + np.array([0, y, 0]) for y in (0, 1)]
     is_detected = [np.asarray(project(CAMERA, jnp.asarray(place, float))) for place in places]
     is_detected = np.stack(is_detected, 1)
     is_detected[:, :, 0] = is_detected[:, :, 1]
     is_detected[1] = is_detected[1, ::-1]
     is_detected[2, 0] = np.nan
     keypoints = Keypoints(landmarks, is_detected, np.where(np.isnan(is_detected[..., 0]), 0.0, 0.8))
-    pixels, confidences = select_person(keypoints, CAMERA, known)
+    pixels, confidences = select_person(keypoints, CAMERA, predicted)
     np.testing.assert_array_equal(pixels[0], is_detected[0, 0])
     np.testing.assert_array_equal(pixels[1], is_detected[1, 1])
     assert np.isnan(pixels[2]).all()
@@ -472,15 +484,15 @@ def test_markers_on_landmarks_say_who_is_tracked():
 
 
 def test_what_lies_behind_the_camera_predicts_nothing():
-    # Both wrists behind the camera, then the left one only: the right one is all that is known.
-    known = np.tile(np.array([6.0, 1.2, 1.3]), (2, 2, 1))
-    known[1, 1] = [0.0, 0.0, 1.0]
-    pixels = np.asarray(project(CAMERA, jnp.asarray(known, float)))[:, None]
+    # Both wrists behind the camera, then the left one only: the right one is all that is predicted.
+    predicted = np.tile(np.array([6.0, 1.2, 1.3]), (2, 2, 1))
+    predicted[1, 1] = [0.0, 0.0, 1.0]
+    pixels = np.asarray(project(CAMERA, jnp.asarray(predicted, float)))[:, None]
     only_right = np.where([[[[False], [True]]]], pixels, np.nan)
     keypoints = Keypoints(("wrist_l", "wrist_r"), only_right, np.ones((2, 1, 2)))
-    found, _ = select_person(keypoints, CAMERA, known)
-    assert np.isnan(found[0]).all()
-    np.testing.assert_array_equal(found[1], only_right[1, 0])
+    actual, _ = select_person(keypoints, CAMERA, predicted)
+    assert np.isnan(actual[0]).all()
+    np.testing.assert_array_equal(actual[1], only_right[1, 0])
 
 
 @pytest.mark.parametrize(
@@ -497,12 +509,14 @@ def test_a_bones_far_end_is_the_next_ones_landmark(bone, at, landmark):
     only = Recording(
         Skeleton.human(), recording.times, recording.positions_world[:, :1], places, name="x"
     )
-    known = marked_landmarks(only, tuple(LANDMARKS), recording.times[:1])
-    there = [name for name, point in zip(LANDMARKS, known[0], strict=True) if np.isfinite(point[0])]
+    predicted = marked_landmarks(only, tuple(LANDMARKS), recording.times[:1])
+    there = [
+        name for name, point in zip(LANDMARKS, predicted[0], strict=True) if np.isfinite(point[0])
+    ]
     assert there == ([landmark] if landmark else [])
-    assert landmark is None or known[0, list(LANDMARKS).index(landmark)].tolist() == pytest.approx(
-        standing()[0].tolist()
-    )
+    assert landmark is None or predicted[
+        0, list(LANDMARKS).index(landmark)
+    ].tolist() == pytest.approx(standing()[0].tolist())
 
 
 # The real recording ------------------------------------------------------------------------------
@@ -538,8 +552,8 @@ def test_the_tracked_persons_elbows_lie_on_the_projected_reference(
     keypoints = open_keypoints(replace(source, keypoints=folder), video)
     assert keypoints is not None and len(keypoints.pixels_xy) == len(video) == 60
     assert "taken as BODY_25B" in keypoints.warnings[0]
-    known = marked_landmarks(balancing, keypoints.landmarks, video.times)
-    pixels, confidences = select_person(keypoints, source.camera, known)
+    predicted = marked_landmarks(balancing, keypoints.landmarks, video.times)
+    pixels, confidences = select_person(keypoints, source.camera, predicted)
     index = [keypoints.landmarks.index(name) for name in TRUTH]
     expected = np.asarray(project(source.camera, jnp.asarray(reference, float)))
     distances = np.linalg.norm(pixels[:, index] - expected, axis=-1)
@@ -558,18 +572,18 @@ def test_the_tracked_persons_elbows_lie_on_the_projected_reference(
 
 
 def test_a_bystander_is_never_taken_for_the_tracked_person(balancing, recordings):
-    found = read_keypoints(recordings / "balancing" / "keypoints" / "cam_01", "BODY_25B")
-    keypoints = align_detections(found, 60)
-    known = marked_landmarks(balancing, keypoints.landmarks, balancing.times)
+    actual = read_keypoints(recordings / "balancing" / "keypoints" / "cam_01", "BODY_25B")
+    keypoints = align_detections(actual, 60)
+    predicted = marked_landmarks(balancing, keypoints.landmarks, balancing.times)
     camera = balancing.videos[0].camera
-    pixels, _ = select_person(keypoints, camera, known)
+    pixels, _ = select_person(keypoints, camera, predicted)
     taken = (keypoints.pixels_xy == pixels[:, None]).any((2, 3))
     assert (taken.sum(1) == 1).all()
     others = replace(
         keypoints, pixels_xy=np.where(taken[..., None, None], np.nan, keypoints.pixels_xy)
     )
     assert np.isfinite(others.pixels_xy).any((1, 2, 3)).all()
-    left, _ = select_person(others, camera, known)
+    left, _ = select_person(others, camera, predicted)
     # In one frame the detector tore the tracked person in two, and the other half is found.
     assert np.flatnonzero(np.isfinite(left).any((1, 2))).tolist() == [37]
     assert np.nanmedian(others.pixels_xy[..., 0]) < 100 < 400 < np.nanmedian(left[37, :, 0])

@@ -261,8 +261,8 @@ def test_between_samples_markers_are_known_and_a_little_beyond_each_at_its_own_r
     for i in range(10):
         fast, slow = [i / 90, 0, 0], [i / 90, 1, 0] if i % 3 == 0 else [np.nan] * 3
         trail.add(i / 90, np.array([fast, slow]))
-    found = trail.at(8.5 / 90)
-    np.testing.assert_allclose(found, [[8.5 / 90, 0, 0], [8.5 / 90, 1, 0]], atol=1e-9)
+    actual = trail.at(8.5 / 90)
+    np.testing.assert_allclose(actual, [[8.5 / 90, 0, 0], [8.5 / 90, 1, 0]], atol=1e-9)
     ahead = trail.at(11.5 / 90)
     assert np.isnan(ahead[0]).all()
     np.testing.assert_allclose(ahead[1], [11.5 / 90, 1, 0], atol=1e-9)

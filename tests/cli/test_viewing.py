@@ -36,7 +36,7 @@ SCENE = BodyScene(
 
 
 def visible_views(part) -> set[str]:
-    """Names of the views that are seen: of tabs only the first."""
+    """Names of the visible views: of tabs only the first."""
     if isinstance(part, rrb.Container):
         contents = list(part.contents)
         if isinstance(part, rrb.Tabs):

@@ -34,8 +34,8 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def compiled(factor: float) -> tuple[list[float], int, int]:
     """What a program that is new to this process returns; programs compiled, and those found."""
     with counting_compilations(warmed := CompilationCounts("")):
-        found = jax.jit(lambda x: x * factor)(NUMBERS)
-    return np.asarray(found).tolist(), warmed.programs, warmed.cached
+        actual = jax.jit(lambda x: x * factor)(NUMBERS)
+    return np.asarray(actual).tolist(), warmed.programs, warmed.cached
 
 
 def tripled() -> Program:
@@ -67,11 +67,11 @@ def test_an_executable_is_found_by_the_next_start(root: Path) -> None:
 @pytest.mark.parametrize(
     "spoilt",
     [
-        lambda whole: whole[:-9] + bytes([whole[-9] ^ 4]) + whole[-8:],
-        lambda whole: bytes([whole[0] ^ 1]) + whole[1:],
-        lambda whole: whole[: len(whole) // 2],
-        lambda whole: b"",
-        lambda whole: b"\x80\x04N.",
+        lambda intact: intact[:-9] + bytes([intact[-9] ^ 4]) + intact[-8:],
+        lambda intact: bytes([intact[0] ^ 1]) + intact[1:],
+        lambda intact: intact[: len(intact) // 2],
+        lambda intact: b"",
+        lambda intact: b"\x80\x04N.",
     ],
     ids=["flipped", "flipped at the start", "cut off", "empty", "a pickle"],
 )
@@ -79,8 +79,8 @@ def test_an_executable_that_is_broken_is_made_again(root: Path, spoilt) -> None:
     keep_compiled()
     compiled(3.0)
     (file,) = entries(root)
-    whole = file.read_bytes()
-    file.write_bytes(spoilt(whole))
+    intact = file.read_bytes()
+    file.write_bytes(spoilt(intact))
     assert compiled(3.0) == ((3 * NUMBERS).tolist(), 1, 0)
     assert compiled(3.0) == ((3 * NUMBERS).tolist(), 1, 1)
     assert entries(root) == [file]
@@ -94,9 +94,9 @@ def test_executables_that_were_exchanged_are_made_again(root: Path) -> None:
     contents = first.read_bytes(), second.read_bytes()
     first.write_bytes(contents[1])
     second.write_bytes(contents[0])
-    for found in (0, 1):
-        assert compiled(3.0) == ((3 * NUMBERS).tolist(), 1, found)
-        assert compiled(5.0) == ((5 * NUMBERS).tolist(), 1, found)
+    for actual in (0, 1):
+        assert compiled(3.0) == ((3 * NUMBERS).tolist(), 1, actual)
+        assert compiled(5.0) == ((5 * NUMBERS).tolist(), 1, actual)
 
 
 @ON_POSIX
@@ -122,9 +122,9 @@ def given_away(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stat = os.stat
 
     def with_other_owner(asked, *args, **kwargs):
-        found = stat(asked, *args, **kwargs)
+        actual = stat(asked, *args, **kwargs)
         is_it = os.fspath(asked) == os.fspath(path)
-        return os.stat_result([*found[:4], 12345, *found[5:]]) if is_it else found
+        return os.stat_result([*actual[:4], 12345, *actual[5:]]) if is_it else actual
 
     monkeypatch.setattr(os, "stat", with_other_owner)
 

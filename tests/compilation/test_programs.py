@@ -59,7 +59,7 @@ def test_a_later_start_reads_what_an_earlier_one_traced(folder: Path) -> None:
     assert float(later.parts["length"]) == pytest.approx(5.0, rel=1e-5)
 
 
-def test_it_tells_what_the_function_tells(folder: Path) -> None:
+def test_it_returns_what_the_function_returns(folder: Path) -> None:
     kept = counted([])
     np.testing.assert_allclose(kept(ANGLE, POINT).point, kept.jitted(ANGLE, POINT).point, 1e-6)
 
@@ -104,9 +104,9 @@ def test_a_file_with_a_flipped_byte_is_made_again(folder: Path, share: float) ->
     traced: list[int] = []
     counted(traced)(ANGLE, POINT)
     (file,) = folder.iterdir()
-    whole = file.read_bytes()
-    broken = bytearray(whole)
-    broken[int(share * len(whole))] ^= 1
+    intact = file.read_bytes()
+    broken = bytearray(intact)
+    broken[int(share * len(intact))] ^= 1
     file.write_bytes(broken)
     assert float(counted(traced)(ANGLE, POINT).parts["length"]) == pytest.approx(5.0, rel=1e-5)
     assert len(traced) == 2
@@ -211,7 +211,7 @@ def test_within_what_is_traced_it_is_the_function(folder: Path) -> None:
     assert not folder.exists()
 
 
-def test_shapes_are_known_before_anything_is_compiled(folder: Path) -> None:
+def test_shapes_are_given_before_anything_is_compiled(folder: Path) -> None:
     traced: list[int] = []
     like = jax.ShapeDtypeStruct((), np.float32), jax.ShapeDtypeStruct((2,), np.float32)
     program = counted(traced)
@@ -244,6 +244,6 @@ def test_what_cannot_be_kept_runs_all_the_same(
         raise ValueError("custom calls without compatibility guarantees")
 
     monkeypatch.setattr(programs.export, "export", refused)
-    found = counted([])(ANGLE, POINT)
-    assert float(found.parts["length"]) == pytest.approx(5.0, rel=1e-5)
+    actual = counted([])(ANGLE, POINT)
+    assert float(actual.parts["length"]) == pytest.approx(5.0, rel=1e-5)
     assert not any(folder.glob("*"))

@@ -105,9 +105,9 @@ def declared(own: object):
 
 
 def test_every_field_of_the_trackers_settings_has_a_meaning():
-    found = list(declared(Settings()))
-    assert len(found) > 15
-    for own in found:
+    actual = list(declared(Settings()))
+    assert len(actual) > 15
+    for own in actual:
         for field in fields(own):  # type: ignore[arg-type]
             assert field.metadata.get("meaning"), (type(own), field.name)
             assert f"    {field.name}: " in (type(own).__doc__ or "")

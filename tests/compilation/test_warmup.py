@@ -1,4 +1,4 @@
-"""Compiling ahead: what is tracked for it, what is counted, what is said."""
+"""Compiling ahead: what is tracked for it, what is counted, what is reported."""
 
 import json
 from dataclasses import replace
@@ -50,7 +50,7 @@ def test_what_is_tracked_is_the_first_half_second_that_has_both():
     assert late.times[[0, -1]] == pytest.approx([7 / 60, 36 / 60])
     assert late.videos and len(late.positions_world) == len(late.times)
     positions[10:60] = np.nan
-    with pytest.raises(InputError, match="no marker is seen beside the video"):
+    with pytest.raises(InputError, match="no marker was measured beside the video"):
         first_half_second(
             with_frames(replace(long, positions_world=positions), times + 0.2, images)
         )

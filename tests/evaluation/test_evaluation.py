@@ -1,4 +1,4 @@
-"""Errors against a reference: what the figures mean, and what bad input is told."""
+"""Errors against a reference: what the figures mean, and what bad input is answered."""
 
 import json
 import subprocess
@@ -148,21 +148,21 @@ def test_a_reference_with_y_up_is_turned_into_the_world(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("pairs", "found", "listed"),
+    ("pairs", "actual", "listed"),
     [
         ({"elbow": "LElbow"}, "elbow", "elbow_l, head"),
         ({"elbow_l": "LElbo"}, "LElbo", "LElbow"),
         ({}, "nothing", "elbow_r=RElbow"),
     ],
 )
-def test_an_unknown_name_is_told_with_the_file_and_the_names_that_are_there(
-    tmp_path, pairs, found, listed
+def test_an_unknown_name_is_reported_with_the_file_and_the_names_that_are_there(
+    tmp_path, pairs, actual, listed
 ):
     write_directory(tmp_path)
     write_trc(tmp_path / "truth.trc", TIMES, {"LElbow": circle(TIMES)})
     with pytest.raises(InputError) as caught:
         evaluate_directory(tmp_path, tmp_path / "truth.trc", pairs)
-    assert found in str(caught.value) and listed in str(caught.value)
+    assert actual in str(caught.value) and listed in str(caught.value)
     assert ".trc" in str(caught.value)
 
 

@@ -183,16 +183,16 @@ def test_an_outline_looks_into_the_channel_of_its_normal(angle):
     limb = Cones(*(jnp.asarray(np.tile(p, (3, 1)), float) for p in (middle - way, middle + way)),
                  jnp.full((3, 2), 0.03))  # fmt: skip
     region = Region(jnp.array([200.0, 120.0]), jnp.array(240 / SIZE))
-    found = []
+    actual = []
     for channel in range(6):
         fields = np.full((6, SIZE, SIZE), 20.0)
         fields[channel] = 0
-        found.append(float(OUTLINE(camera, region, on_device(fields), limb, 0.05)[0]))
+        actual.append(float(OUTLINE(camera, region, on_device(fields), limb, 0.05)[0]))
     normal = (angle + 90) % 180
     # A normal on the border of two channels may take either.
     own = {int(normal // 30), int((normal - 1) % 180 // 30), int((normal + 1) % 180 // 30)}
-    assert int(np.argmin(found)) in own
-    assert sorted(found)[0] < 0.02 < sorted(found)[1]
+    assert int(np.argmin(actual)) in own
+    assert sorted(actual)[0] < 0.02 < sorted(actual)[1]
 
 
 def shifted(arms, offset):

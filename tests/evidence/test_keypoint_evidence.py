@@ -1,4 +1,4 @@
-"""2-D key points as evidence: lines of sight that decide where nothing else is to be seen."""
+"""2-D key points as evidence: lines of sight that decide where nothing else is visible."""
 
 from dataclasses import replace
 from functools import cache
@@ -85,8 +85,8 @@ def smoothed(sight_lines: SightLines | None) -> SmoothedPoses:
     return smooth_poses(without_silhouettes(sight_lines), disturbed(COUNT), SOFTNESS)
 
 
-def errors(found: SmoothedPoses) -> np.ndarray:
-    return elbow_errors(found.trajectory.poses)
+def errors(actual: SmoothedPoses) -> np.ndarray:
+    return elbow_errors(actual.trajectory.poses)
 
 
 # One line ----------------------------------------------------------------------------------------
@@ -142,10 +142,10 @@ def test_lines_run_through_what_they_were_detected_of():
     points = points_of(truth(COUNT))
     pixels = np.asarray(project(CAMERAS[1], jnp.asarray(points)), float)
     pixels[3, 4] = np.nan
-    found = lines_of_sight(CAMERAS[1], tuple(LANDMARKS), pixels, np.ones(pixels.shape[:2]))
-    off = np.asarray(line_residuals(jnp.asarray(points), found, jnp.asarray(1.0)))
+    actual = lines_of_sight(CAMERAS[1], tuple(LANDMARKS), pixels, np.ones(pixels.shape[:2]))
+    off = np.asarray(line_residuals(jnp.asarray(points), actual, jnp.asarray(1.0)))
     assert np.abs(off).max() < 1e-3
-    assert found.confidences[3, 0, 4] == 0 and found.confidences.sum() == pixels[..., 0].size - 1
+    assert actual.confidences[3, 0, 4] == 0 and actual.confidences.sum() == pixels[..., 0].size - 1
 
 
 # A frame -----------------------------------------------------------------------------------------
@@ -216,9 +216,9 @@ def test_wrong_points_and_points_of_no_confidence_do_not_drag(by_lines):
 def test_frames_without_points_are_bridged(by_lines):
     directions = lines().directions.copy()
     directions[6:9], directions[12] = np.nan, np.nan
-    found = errors(smoothed(lines()._replace(directions=directions)))
-    assert np.isfinite(found).all() and found.max() < 0.05
-    assert found.mean() < 2 * errors(by_lines).mean()
+    actual = errors(smoothed(lines()._replace(directions=directions)))
+    assert np.isfinite(actual).all() and actual.max() < 0.05
+    assert actual.mean() < 2 * errors(by_lines).mean()
 
 
 def test_two_cameras_find_more_than_one(by_lines):
@@ -269,14 +269,14 @@ def test_the_persons_lines_are_those_of_the_events_frames():
     keypoints, there = person_and_bystander(recording, 12)
     keypoints.pixels_xy[5] = np.nan
     alone = standing_poses(len(timeline.event_times))
-    found = lines_at_events(recording, [keypoints], timeline, alone)
-    assert found is not None and found.directions.shape == (24, 1, len(LANDMARKS), 3)
+    actual = lines_at_events(recording, [keypoints], timeline, alone)
+    assert actual is not None and actual.directions.shape == (24, 1, len(LANDMARKS), 3)
     has_frame = timeline.frame_index[:, 0] >= 0
-    has_lines = np.asarray(np.isfinite(found.directions).all(-1))[:, 0].any(-1)
+    has_lines = np.asarray(np.isfinite(actual.directions).all(-1))[:, 0].any(-1)
     np.testing.assert_array_equal(has_lines, has_frame & (timeline.frame_index[:, 0] != 5))
     expected = lines_of_sight(CAMERA, keypoints.landmarks, there[None], np.full((1, 5), 0.9))
-    np.testing.assert_allclose(found.directions[0], expected.directions[0], atol=1e-5)
-    np.testing.assert_allclose(found.confidences[0], expected.confidences[0])
+    np.testing.assert_allclose(actual.directions[0], expected.directions[0], atol=1e-5)
+    np.testing.assert_allclose(actual.confidences[0], expected.confidences[0])
     assert lines_at_events(recording, [None], timeline, alone) is None
 
 
@@ -289,10 +289,10 @@ def test_where_no_marker_sits_on_a_landmark_the_person_is_found_by_the_poses():
     people = np.tile(np.stack([pixels + np.array([40, 0]), pixels]), (12, 1, 1, 1))
     keypoints = Keypoints(tuple(LANDMARKS), people, np.ones(people.shape[:3]))
     places = tuple(replace(place, at=0.5) for place in recording.places)
-    found = lines_at_events(replace(recording, places=places), [keypoints], timeline, poses)
-    assert found is not None
+    actual = lines_at_events(replace(recording, places=places), [keypoints], timeline, poses)
+    assert actual is not None
     expected = lines_of_sight(CAMERA, keypoints.landmarks, pixels[None], np.ones((1, len(pixels))))
-    np.testing.assert_allclose(found.directions[0], expected.directions[0], atol=1e-5)
+    np.testing.assert_allclose(actual.directions[0], expected.directions[0], atol=1e-5)
 
 
 def test_key_points_count_where_the_frames_of_their_camera_cannot_be_read():
@@ -306,9 +306,9 @@ def test_key_points_count_where_the_frames_of_their_camera_cannot_be_read():
         sight_lines=lines(wrong=0.05),
     )  # fmt: skip
     model = Model.create(PERSON, MODEL.markers, CAMERAS[0])
-    found = smooth_recording(model, SmoothingSettings(), first, [video], lambda share: None)
-    assert found is not None
-    assert elbow_errors(start).mean() > 0.05 and elbow_errors(found.poses).mean() < 0.03
+    actual = smooth_recording(model, SmoothingSettings(), first, [video], lambda share: None)
+    assert actual is not None
+    assert elbow_errors(start).mean() > 0.05 and elbow_errors(actual.poses).mean() < 0.03
 
 
 def test_key_points_that_do_not_fit_the_video_are_refused_before_anything_is_tracked():

@@ -107,8 +107,8 @@ GRADIENT, ROWS = jax.jit(jax.grad(coverage_cost)), jax.jit(jax.jacfwd(residuals)
 def test_the_fits_gradient_is_half_the_costs(seed):
     with double():
         arguments = on_device((*example(seed)[:2], SOFTNESS, example(seed)[2]))
-        found, expected = FIT(*arguments).gradient, by_limb(GRADIENT(*arguments)) / 2
-    np.testing.assert_allclose(found, expected, atol=1e-9 * max(1, np.abs(expected).max()))
+        actual, expected = FIT(*arguments).gradient, by_limb(GRADIENT(*arguments)) / 2
+    np.testing.assert_allclose(actual, expected, atol=1e-9 * max(1, np.abs(expected).max()))
     assert np.abs(expected).max() > 0.01
 
 
@@ -116,8 +116,8 @@ def test_the_fits_gradient_is_half_the_costs(seed):
 def test_the_fits_hessian_is_that_of_the_rows_of_each_limb(seed):
     with double():
         arguments = on_device((*example(seed)[:2], SOFTNESS, example(seed)[2]))
-        found, rows = np.asarray(FIT(*arguments).hessian), by_limb(ROWS(*arguments))
-    np.testing.assert_allclose(found, np.einsum("cki,ckj->kij", rows, rows), atol=1e-9)
+        actual, rows = np.asarray(FIT(*arguments).hessian), by_limb(ROWS(*arguments))
+    np.testing.assert_allclose(actual, np.einsum("cki,ckj->kij", rows, rows), atol=1e-9)
     # Limbs do not share cells.
     between = np.einsum("cki,clj->klij", rows, rows)
     assert not between[~np.eye(LIMBS, dtype=bool)].any()
@@ -147,11 +147,11 @@ def test_blurring_keeps_what_is_unknown_without_weight():
 def test_blurring_averages_by_weight():
     ones = np.ones((1, 30, 30), np.float32)
     left = np.arange(30) < 15
-    # Where nothing is known a wild guess stands; it must not spread.
+    # Where nothing was measured a wild guess stands; it must not spread.
     grid = Grid(np.where(left, ones, 0.3 * ones), np.where(left, 0 * ones, ones))
     soft = blurred(grid, 2.0)
-    seen = soft.weight > 0.01
-    np.testing.assert_allclose(soft.probability[seen], 0.3, atol=0.03)
+    weighted = soft.weight > 0.01
+    np.testing.assert_allclose(soft.probability[weighted], 0.3, atol=0.03)
     even = blurred(Grid(ones * left, ones), 2.0)
     expected = cv2.GaussianBlur((ones * left)[0], (0, 0), 2.0, borderType=cv2.BORDER_REPLICATE)
     np.testing.assert_allclose(even.probability[0], expected, atol=2e-3)
@@ -208,33 +208,33 @@ def test_hulls_outside_the_image_draw_nothing():
 @pytest.fixture(scope="module")
 def painted():
     """The body as it is painted, and colours of its forearms against the rest of it."""
-    seen = paint(FRONT, PERSON, TRUTH, room(SIZE))
-    fore, body = seen.forearms > 0.9, seen.person > 0.9
-    return seen, learn_colours(seen.image[None], fore[None], ~(body & ~fore)[None])
+    picture = paint(FRONT, PERSON, TRUTH, room(SIZE))
+    fore, body = picture.forearms > 0.9, picture.person > 0.9
+    return picture, learn_colours(picture.image[None], fore[None], ~(body & ~fore)[None])
 
 
 def test_a_part_is_found_by_its_colours_on_the_person(painted):
-    seen, colours = painted
-    person = np.where(seen.person > 0.5, np.float32(3), np.float32(-3))
+    picture, colours = painted
+    person = np.where(picture.person > 0.5, np.float32(3), np.float32(-3))
     nowhere = np.zeros(person.shape, bool)
-    odds = part_odds(seen.image, person, colours, nowhere)
-    inner = cv2.erode((seen.forearms > 0.9).astype(np.uint8), np.ones((5, 5))) > 0
+    odds = part_odds(picture.image, person, colours, nowhere)
+    inner = cv2.erode((picture.forearms > 0.9).astype(np.uint8), np.ones((5, 5))) > 0
     # Half-covered pixels at the border of trousers and wall have colours of their own.
-    shirt = (np.abs(seen.image.astype(int) - SHIRT).max(-1) < 2) & (seen.person == 1)
+    shirt = (np.abs(picture.image.astype(int) - SHIRT).max(-1) < 2) & (picture.person == 1)
     shirt = cv2.erode(shirt.astype(np.uint8), np.ones((7, 7))) > 0
     assert inner.sum() > 100 and shirt.sum() > 1000
     assert (odds[inner] > 1).all() and (odds[shirt] < -1).all()
-    away = cv2.dilate((seen.person > 0).astype(np.uint8), np.ones((9, 9))) == 0
+    away = cv2.dilate((picture.person > 0).astype(np.uint8), np.ones((9, 9))) == 0
     assert (odds[away] < 0).all()
 
 
 def test_a_part_is_hardly_surer_than_the_person_and_unknown_elsewhere(painted):
-    seen, colours = painted
-    elsewhere = np.zeros(seen.person.shape, bool)
+    picture, colours = painted
+    elsewhere = np.zeros(picture.person.shape, bool)
     elsewhere[:100] = True
     for doubt in (-2.0, 0.0):
         odds = part_odds(
-            seen.image, np.full(elsewhere.shape, np.float32(doubt)), colours, elsewhere
+            picture.image, np.full(elsewhere.shape, np.float32(doubt)), colours, elsewhere
         )
         assert odds[100:].max() <= doubt + BENEFIT + 1e-4
         assert not odds[:100].any() and odds[100:].any()
@@ -351,11 +351,11 @@ def test_the_silhouettes_hessian_is_the_costs_where_all_is_as_drawn():
         ones = on_device(np.ones((BODY_CELLS, BODY_CELLS)))
 
         def covered(probability):
-            seen = grids._replace(person=Grid(probability, ones))
+            observed = grids._replace(person=Grid(probability, ones))
             return silhouette_cost(
                 scaled(skeleton, proportions),
                 forward(scaled(skeleton, proportions), pose),
-                camera, seen, softness,
+                camera, observed, softness,
             )  # fmt: skip
 
         # Of the sum of (c - p)^2 about p = 0 the derivative by p is -2 c.
@@ -368,8 +368,8 @@ def test_the_silhouettes_hessian_is_the_costs_where_all_is_as_drawn():
         there = 1e-5 * direction
         pulls = [np.asarray(STEPPED(on_device(s * there), *arguments)) / 2 for s in (1, -1)]
     expected = (pulls[0] - pulls[1]) / 2e-5
-    found = hessian @ direction
-    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(found).max())
+    actual = hessian @ direction
+    np.testing.assert_allclose(actual, expected, atol=2e-3 * np.abs(actual).max())
 
 
 ACROSS = {"arm_flex": (25, 25), "arm_rot": (80, 80), "elbow_flex": (100, 100)}
@@ -377,12 +377,12 @@ ACROSS = {"arm_flex": (25, 25), "arm_rot": (80, 80), "elbow_flex": (100, 100)}
 
 def forearms_cost(forearms, skeleton, pose, camera, grids, softness):
     """The cost of a grids with other forearms (S, S)."""
-    seen = grids._replace(forearms=grids.forearms._replace(probability=forearms))
-    return silhouette_cost(skeleton, forward(skeleton, pose), camera, seen, softness)
+    observed = grids._replace(forearms=grids.forearms._replace(probability=forearms))
+    return silhouette_cost(skeleton, forward(skeleton, pose), camera, observed, softness)
 
 
 def expected_forearms(camera, pose) -> np.ndarray:
-    """What (S, S) of forearms is to be seen: of (c - p)^2 about p = 0 the derivative is -2 c."""
+    """Visible share (S, S) of forearms: of (c - p)^2 about p = 0 the derivative is -2 c."""
     nothing = np.zeros((BODY_CELLS, BODY_CELLS))
     grids = SilhouetteGrids(BODY_REGION, Grid(nothing, nothing), Grid(nothing, nothing + 1))
     skeleton, _, *rest = body_arguments(grids, camera, pose, 0.3)
@@ -407,6 +407,6 @@ def test_forearms_before_the_torso_are_expected_and_behind_it_they_are_not():
     assert crossing > 3 and painted_forearms(behind, pose)[torso].sum() == 0
     assert expected_forearms(before, pose)[torso].sum() == pytest.approx(crossing, rel=0.2)
     assert expected_forearms(behind, pose)[torso].sum() < 0.05 * crossing
-    # Beside the torso they are seen from behind as well.
+    # Beside the torso they are visible from behind as well.
     beside = painted_forearms(behind, pose).sum()
     assert beside > 3 and expected_forearms(behind, pose).sum() == pytest.approx(beside, rel=0.5)

@@ -91,9 +91,9 @@ def test_the_derivative_is_that_of_going_through_everything(kind):
 
     still = jnp.zeros(dofs + len(PROPORTIONS))
     (r, at), (J, by) = jax.jit(lambda step: (moved(step), jax.jacfwd(moved)(step)))(still)
-    found = jax.jit(linearised)(SETTINGS.terms, MODEL, LOGARITHMS, pose, one)
-    assert found[1].shape == (r.size, still.size)
-    for ours, theirs in zip(found, (r, J, at, by), strict=True):
+    actual = jax.jit(linearised)(SETTINGS.terms, MODEL, LOGARITHMS, pose, one)
+    assert actual[1].shape == (r.size, still.size)
+    for ours, theirs in zip(actual, (r, J, at, by), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=2e-5, atol=2e-5 * np.abs(theirs).max())
     assert np.abs(J[:, dofs:]).max() > 0.1, "lengths matter to the markers"
 
@@ -249,8 +249,8 @@ def test_a_new_term_takes_part_in_smoothing():
     given = problem(count, views(count).none, measured)
 
     def smoothed(chosen: SmoothingSettings) -> np.ndarray:
-        found = smooth_poses(replace(given, settings=chosen), disturbed(count), (1.0,))
-        return hands_apart(points_of(found.trajectory.poses))
+        actual = smooth_poses(replace(given, settings=chosen), disturbed(count), (1.0,))
+        return hands_apart(points_of(actual.trajectory.poses))
 
     plain, own = smoothed(SmoothingSettings()), smoothed(SmoothingWithAStick())
     assert np.abs(plain - 0.6).min() > 0.02
@@ -290,8 +290,8 @@ def test_a_new_term_takes_part_in_the_gradient_refinement():
 
     def refined(chosen: GradientSettings) -> np.ndarray:
         settings = Settings(refine="gradient", search=False, gradient=chosen)
-        found = jax.jit(refine_body)(model, settings, fields, start, aims).pose
-        return hands_apart(np.asarray(landmarks(PERSON, found)))
+        actual = jax.jit(refine_body)(model, settings, fields, start, aims).pose
+        return hands_apart(np.asarray(landmarks(PERSON, actual)))
 
     plain, own = refined(GradientSettings(steps=40)), refined(GradientWithAStick(steps=40))
     assert abs(plain - 0.6) > 0.02 and abs(own - 0.6) < 0.005

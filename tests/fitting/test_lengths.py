@@ -1,4 +1,4 @@
-"""Bone lengths from a recording: found where it shows them, and said to be open where not."""
+"""Bone lengths from a recording: estimated where it shows them, and reported as open where not."""
 
 import json
 import tomllib
@@ -152,9 +152,9 @@ def test_a_report_says_of_each_length_whether_it_is_determined(tmp_path):
     fit, stated = some_fit(), Skeleton.human(1.8)
     person = scaled(stated, jnp.asarray(fit.logarithms, jnp.float32))
     report = LengthsReport.of(stated, person, 1.8, fit, tmp_path / "subject.toml")
-    said = {length.name: length.verdict for length in report.lengths}
-    assert said.pop("trunk length") == VERDICTS[0] and said.pop("upper arm") == VERDICTS[1]
-    assert set(said.values()) == {VERDICTS[2]}
+    verdicts = {length.name: length.verdict for length in report.lengths}
+    assert verdicts.pop("trunk length") == VERDICTS[0] and verdicts.pop("upper arm") == VERDICTS[1]
+    assert set(verdicts.values()) == {VERDICTS[2]}
     figures = json.loads(json.dumps(report.figures()))
     arm = figures["lengths"]["upper arm"]
     assert arm["bones"] == ["humerus_l"]
@@ -188,9 +188,9 @@ def standing_still(folder: Path, seconds: float, places=PLACES) -> Path:
 
 def refused(capsys, *given: str) -> str:
     assert main(["scale", *given]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    return said
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    return message
 
 
 def test_what_cannot_tell_lengths_is_refused_in_one_sentence(tmp_path, capsys, monkeypatch):

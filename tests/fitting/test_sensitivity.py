@@ -66,8 +66,8 @@ def in_double(tree):
     """Floats in double precision, indices as they are."""
 
     def wide(leaf):
-        whole = np.asarray(leaf).dtype.kind in "iu"
-        return leaf if whole else np.asarray(leaf, np.float64)
+        is_integer = np.asarray(leaf).dtype.kind in "iu"
+        return leaf if is_integer else np.asarray(leaf, np.float64)
 
     return jax.tree.map(wide, tree)
 
@@ -78,12 +78,12 @@ def recording(blind: bool = False) -> tuple[SmoothingProblem, Trajectory]:
     with jax.enable_x64(False):
         shown = untied(views(COUNT, (0, 1)))
         single = problem(COUNT, shown.none if blind else shown)
-        found = smooth_poses(single, disturbed(COUNT, 5.0), (SOFTNESS,))
+        actual = smooth_poses(single, disturbed(COUNT, 5.0), (SOFTNESS,))
     parts = {
         name: in_double(getattr(single, name))
         for name in ("model", "settings", "measured", "views")
     }
-    return replace(single, **parts), in_double(found.trajectory)
+    return replace(single, **parts), in_double(actual.trajectory)
 
 
 @cache
@@ -132,9 +132,9 @@ def test_landmarks_follow_as_differences_between_minima_say(number):
         change = jax.jvp(state, (still,), (way,))[1]
         ahead, behind = (resolved(sign * STEP * np.asarray(way)) for sign in (1, -1))
         expected = (ahead - behind) / (2 * STEP)
-        found = solution().forwards(change)
+        actual = solution().forwards(change)
     assert np.abs(expected).max() > 0.01
-    np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+    np.testing.assert_allclose(actual, expected, atol=1e-5 * np.abs(expected).max())
 
 
 def test_cameras_that_were_found_turned_belong_to_the_model():
@@ -145,11 +145,11 @@ def test_cameras_that_were_found_turned_belong_to_the_model():
         wrong = replace(given, model=replace(given.model, cameras=cameras))
         back = np.asarray(all_turned(cameras, -turns).T_cam_world)
         np.testing.assert_allclose(back, given.model.cameras.T_cam_world, atol=1e-12)
-        found = Sensitivity.at(wrong, there._replace(turns_cam=-turns), SOFTNESS)
+        actual = Sensitivity.at(wrong, there._replace(turns_cam=-turns), SOFTNESS)
         expected = Sensitivity.at(given, there, SOFTNESS).slopes.equations.gradient
         unaware = Sensitivity.at(wrong, there, SOFTNESS).slopes.equations.gradient
     scale = np.abs(expected).max()
-    np.testing.assert_allclose(found.slopes.equations.gradient, expected, atol=1e-9 * scale)
+    np.testing.assert_allclose(actual.slopes.equations.gradient, expected, atol=1e-9 * scale)
     assert np.abs(unaware - expected).max() > 0.01 * scale
 
 
@@ -160,7 +160,7 @@ def test_without_silhouettes_the_markers_alone_move_the_body():
         assert here.slopes.exact and here.slopes.equations.step(0.0, 0.0).largest() < 1e-9
         still = jnp.zeros(len(NUMBERS))
         ways = {name: jnp.eye(len(NUMBERS))[i] for i, name in enumerate(NUMBERS)}
-        found = {
+        actual = {
             name: here.forwards(jax.jvp(state, (still,), (way,))[1]) for name, way in ways.items()
         }
         moved = STEP * ways["marker moved"]
@@ -170,9 +170,9 @@ def test_without_silhouettes_the_markers_alone_move_the_body():
         )
     expected = (ahead.landmarks - behind.landmarks) / (2 * STEP)
     assert np.abs(expected).max() > 0.5
-    np.testing.assert_allclose(found["marker moved"], expected, atol=1e-5)
+    np.testing.assert_allclose(actual["marker moved"], expected, atol=1e-5)
     # No camera has a view.
-    assert not found["camera turned"].any() and not found["focal length"].any()
+    assert not actual["camera turned"].any() and not actual["focal length"].any()
 
 
 def test_a_losss_gradient_is_what_the_landmarks_pass_back():
@@ -181,11 +181,11 @@ def test_a_losss_gradient_is_what_the_landmarks_pass_back():
     with double():
         away = solution().landmarks - really
         _, pull = jax.vjp(state, jnp.zeros(len(NUMBERS)))
-        (found,) = pull(solution().backwards(2 * away))
+        (actual,) = pull(solution().backwards(2 * away))
         ways = jnp.eye(len(NUMBERS))
         changes = [jax.jvp(state, (0 * way,), (way,))[1] for way in ways]
         expected = [np.sum(2 * away * solution().forwards(change)) for change in changes]
-    np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-10)
+    np.testing.assert_allclose(actual, expected, rtol=1e-7, atol=1e-10)
 
 
 @settings(max_examples=10)
@@ -202,8 +202,8 @@ def test_backwards_is_the_transpose_of_forwards(seed):
         passed = jax.tree.leaves(here.backwards(by_landmarks))
         expected = np.sum(here.forwards(change) * by_landmarks)
         pairs = zip(passed, jax.tree.leaves(change), strict=True)
-        found = sum(float(jnp.sum(own * way)) for own, way in pairs)
-    assert found == pytest.approx(expected, rel=1e-7, abs=1e-6)
+        actual = sum(float(jnp.sum(own * way)) for own, way in pairs)
+    assert actual == pytest.approx(expected, rel=1e-7, abs=1e-6)
 
 
 def test_newtons_steps_square_the_distance_to_the_minimum():

@@ -187,7 +187,7 @@ def test_a_bvh_file_has_a_pose_for_every_frame_at_one_rate(tmp_path):
     np.testing.assert_allclose(longer.positions[:30], read_bvh_of(motion, tmp_path)[:30], atol=2e-6)
     nowhere = with_parts(motion, position=np.full_like(unknown, np.nan))
     for name in ("c.bvh", "c.glb"):
-        with pytest.raises(InputError, match="no pose is known"):
+        with pytest.raises(InputError, match="every sample's pose is missing"):
             write_animation(tmp_path / name, nowhere)
 
 
@@ -289,7 +289,7 @@ def test_a_gltf_file_leaves_unknown_poses_out_and_keeps_the_start(tmp_path):
 
 
 def test_bad_gltf_files_are_refused_in_one_sentence(folder, tmp_path):
-    whole, path = (folder / "motion.glb").read_bytes(), tmp_path / "a.glb"
+    intact, path = (folder / "motion.glb").read_bytes(), tmp_path / "a.glb"
 
     def complaint(content: bytes) -> str:
         path.write_bytes(content)
@@ -299,12 +299,12 @@ def test_bad_gltf_files_are_refused_in_one_sentence(folder, tmp_path):
         return caught.value.problem
 
     assert "not a binary glTF file" in complaint(b"{}")
-    assert "cut off" in complaint(whole[:-9])
-    assert "version 1" in complaint(whole[:4] + b"\1" + whole[5:])
-    assert "no readable JSON" in complaint(whole.replace(b'{"asset"', b'x"asset"'))
-    assert "nodes: found None" in complaint(whole.replace(b'"nodes":[{', b'"odes" :[{'))
-    assert "found 'SPLINE', expected" in complaint(whole.replace(b'"LINEAR"', b'"SPLINE"'))
-    assert "no animation" in complaint(whole.replace(b'"animations"', b'"animatiens"'))
+    assert "cut off" in complaint(intact[:-9])
+    assert "version 1" in complaint(intact[:4] + b"\1" + intact[5:])
+    assert "no readable JSON" in complaint(intact.replace(b'{"asset"', b'x"asset"'))
+    assert "nodes: found None" in complaint(intact.replace(b'"nodes":[{', b'"odes" :[{'))
+    assert "found 'SPLINE', expected" in complaint(intact.replace(b'"LINEAR"', b'"SPLINE"'))
+    assert "no animation" in complaint(intact.replace(b'"animations"', b'"animatiens"'))
 
 
 def test_every_convention_names_all_joints_differently():

@@ -43,8 +43,8 @@ def complaint(path: Path, read: Callable = load_motion) -> str:
 def changed(folder: Path, arrays: dict[str, np.ndarray], **change) -> Path:
     """A file of arrays, some of them others; None leaves one out."""
     path = folder / "changed.npz"
-    found = arrays | {name.replace("__", "."): array for name, array in change.items()}
-    np.savez(path, **{name: a for name, a in found.items() if a is not None})  # type: ignore[arg-type]
+    actual = arrays | {name.replace("__", "."): array for name, array in change.items()}
+    np.savez(path, **{name: a for name, a in actual.items() if a is not None})  # type: ignore[arg-type]
     return path
 
 
@@ -251,7 +251,7 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
 
 
 def measured(path: Path) -> tuple[str, int]:
-    """What is said of a file, and by how many MB the reader's process grew."""
+    """The message about a file, and by how many MB the reader's process grew."""
     pytest.importorskip("resource", reason="this system has no limits of file sizes")
     done = subprocess.run(
         [sys.executable, "-c", MEASURED, str(path)],

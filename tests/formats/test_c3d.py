@@ -1,4 +1,4 @@
-"""C3D: what is written is read back, with gaps and residuals; other writers' habits are known."""
+"""C3D: what is written is read back, with gaps and residuals; other writers' habits are read."""
 
 import os
 import struct
@@ -119,8 +119,8 @@ def test_bad_files_are_refused_in_one_sentence(tmp_path):
         foreign(path, np.ones((4, 1, 1)), "furlong")
     )
     assert "'A' is named twice" in complaint(foreign(path, np.ones((4, 2, 1)), labels=["A", "A"]))
-    whole = foreign(path, np.ones((4, 3, 400))).read_bytes()
-    path.write_bytes(whole[: len(whole) // 2])
+    intact = foreign(path, np.ones((4, 3, 400))).read_bytes()
+    path.write_bytes(intact[: len(intact) // 2])
     assert "the header says 400 frames, the file ends after" in complaint(path)
 
 
@@ -231,7 +231,7 @@ def test_a_full_disk_leaves_an_earlier_file_as_it_was(tmp_path, most):
         capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 1 and done.stdout == ""
-    problem = "cannot be written whole, is the disk full?"
+    problem = "cannot be written completely, is the disk full?"
     assert done.stderr == f"jaxmocap convert: {tmp_path / 'b.c3d'}: {problem}\n"
     assert (tmp_path / "b.c3d").read_bytes() == earlier
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.csv", "b.c3d"]

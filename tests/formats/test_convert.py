@@ -1,4 +1,4 @@
-"""Converting: what both formats hold survives, what one does not hold is said or refused."""
+"""Converting: what both formats hold survives, what one does not hold is a warning or refused."""
 
 import numpy as np
 import pytest
@@ -78,8 +78,8 @@ def test_joints_by_any_convention_are_recognised(folder, names):
         np.testing.assert_allclose(points, joints[name], atol=1e-5)
     elbow = {"vrm": "leftLowerArm", "humanik": "LeftForeArm", "smpl": "left_elbow",
              "isb": "forearm_l", "jaxmocap": "radius_l"}[names]  # fmt: skip
-    found = read_markers(folder / "joints.trc").points()[elbow]
-    np.testing.assert_allclose(found, joints["elbow_l"], atol=1e-5)
+    actual = read_markers(folder / "joints.trc").points()[elbow]
+    np.testing.assert_allclose(actual, joints["elbow_l"], atol=1e-5)
 
 
 @pytest.mark.parametrize("source", ["npz", "bvh", "glb"])
@@ -164,13 +164,13 @@ def test_what_cannot_be_converted_is_refused_in_one_sentence(folder, recordings)
     assert "unknown suffix '.fbx', expected one of .c3d, .trc" in complaint("a.trc", "b.fbx")
     assert "angles without bones" in complaint("a.mot", "b.bvh")
     assert "expected a .npz, .bvh or .glb" in complaint("a.mot", "b.bvh", body=folder / "a.trc")
-    assert "--unit says nothing about .npz to .glb" in complaint("motion.npz", "b.glb", unit="cm")
-    assert "--names says nothing about .trc to .csv" in complaint("a.trc", "b.csv", names="smpl")
+    assert "--unit does not apply to .npz to .glb" in complaint("motion.npz", "b.glb", unit="cm")
+    assert "--names does not apply to .trc to .csv" in complaint("a.trc", "b.csv", names="smpl")
     assert "no such file" in complaint("none.npz", "b.bvh")
     text = (folder / "a.bvh").read_text()
     (folder / "c.bvh").write_text(text.replace("left_elbow", "Ellbogen"))
     assert "not our skeleton, whatever its joints" in complaint("c.bvh", "b.npz")
-    assert "no known convention" in complaint("c.bvh", "b.glb", names="vrm")
+    assert "no supported naming" in complaint("c.bvh", "b.glb", names="vrm")
     # The left wrist turned by 50 degrees, which ours cannot.
     lines = text.splitlines()
     values = lines[-1].split()

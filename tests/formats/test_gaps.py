@@ -80,12 +80,12 @@ def test_a_bvh_file_with_a_gap_of_hours_is_left_out_and_says_why(tmp_path):
 def test_a_bvh_file_holds_its_poses_through_a_short_gap(tmp_path):
     assert write_animation(tmp_path / "a.bvh", with_gap(2.0)) is None
     back = read_markers(tmp_path / "a.bvh").positions
-    whole = tmp_path / "whole.bvh"
-    write_animation(whole, moving_body())
-    known = read_markers(whole).positions
+    complete = tmp_path / "whole.bvh"
+    write_animation(complete, moving_body())
+    measured = read_markers(complete).positions
     within = back[MIDDLE:-MIDDLE]
     assert len(within) == 2 * RATE
-    near = [np.abs(within - known[i]).max((1, 2)) < 2e-6 for i in (MIDDLE - 1, MIDDLE)]
+    near = [np.abs(within - measured[i]).max((1, 2)) < 2e-6 for i in (MIDDLE - 1, MIDDLE)]
     assert (near[0] | near[1]).all() and near[0][0] and near[1][-1]
 
 

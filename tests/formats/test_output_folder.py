@@ -141,9 +141,9 @@ def test_a_kill_at_any_moment_leaves_whole_files_and_the_next_run_leaves_nothing
     (tmp_path / "notes").write_text("mine")
     done = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path), str(moves)])
     assert (done.returncode == -9) == (moves < 6)
-    found = texts_of_files(tmp_path)
-    assert found.pop("notes") == "mine" and set(found.values()) <= {"old", "new"}
-    assert {"b", "c"} <= set(found)
+    actual = texts_of_files(tmp_path)
+    assert actual.pop("notes") == "mine" and set(actual.values()) <= {"old", "new"}
+    assert {"b", "c"} <= set(actual)
     write(tmp_path, b="newest")
     assert texts(tmp_path) == {"b": "newest", "notes": "mine"}
 
@@ -218,7 +218,7 @@ def test_a_full_disk_is_one_sentence_exit_code_1_and_the_file_as_it_was(tmp_path
 def test_a_writer_that_does_not_notice_is_checked(tmp_path):
     (tmp_path / "a.c3d").write_text("earlier")
     with (
-        pytest.raises(OutputError, match="cannot be written whole"),
+        pytest.raises(OutputError, match="cannot be written completely"),
         replacing(tmp_path / "a.c3d", check=lambda path: path.read_text() == "whole") as beside,
     ):
         beside.write_text("who")

@@ -1,4 +1,4 @@
-"""Pictures from files: their size is known before they are decoded, whatever the file states."""
+"""Pictures from files: their size is read before they are decoded, whatever the file states."""
 
 import os
 import struct
@@ -59,9 +59,9 @@ def test_the_header_tells_the_size_that_the_decoder_finds(tmp_path, suffix):
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_a_picture_that_is_cut_off_anywhere_is_refused_or_read(tmp_path, suffix):
     """A decoder may make up what is missing at the end; nothing else may happen."""
-    path, whole = tmp_path / f"a.{suffix}", content(suffix)
-    for end in (0, 1, 4, 11, 17, 25, 30, len(whole) // 2, len(whole) - 1):
-        path.write_bytes(whole[:end])
+    path, intact = tmp_path / f"a.{suffix}", content(suffix)
+    for end in (0, 1, 4, 11, 17, 25, 30, len(intact) // 2, len(intact) - 1):
+        path.write_bytes(intact[:end])
         try:
             assert read_picture(path).shape == (30, 50, 3)
         except InputError as error:
@@ -70,9 +70,9 @@ def test_a_picture_that_is_cut_off_anywhere_is_refused_or_read(tmp_path, suffix)
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_nothing_is_printed_of_damage_whatever_comes_of_it(tmp_path, capfd, suffix):
-    path, whole, rng = tmp_path / f"a.{suffix}", content(suffix), np.random.default_rng(0)
-    for place in rng.integers(0, len(whole), 60):
-        path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x55]) + whole[place + 1 :])
+    path, intact, rng = tmp_path / f"a.{suffix}", content(suffix), np.random.default_rng(0)
+    for place in rng.integers(0, len(intact), 60):
+        path.write_bytes(intact[:place] + bytes([intact[place] ^ 0x55]) + intact[place + 1 :])
         with suppress(InputError):
             read_picture(path)
     assert capfd.readouterr() == ("", "")

@@ -27,7 +27,7 @@ ON = '[markers.on]\nHead = { bone = "head" }\n'
 VIDEO = '[[video]]\nfile = "v.mp4"\ncamera = "cam"\n'
 CALIBRATION = '[calibration]\nfile = "c.toml"\n'
 SUBJECT = "[subject]\nheight = 1.7\n"
-WHOLE = MARKERS + ON + VIDEO + CALIBRATION + SUBJECT
+COMPLETE = MARKERS + ON + VIDEO + CALIBRATION + SUBJECT
 KEYPOINTS = MARKERS + ON + CALIBRATION + VIDEO + 'keypoints = "keys"\n'
 STATIC = '[subject]\nstatic = "static.trc"\n[subject.landmarks]\n'
 STANDING = {
@@ -146,50 +146,68 @@ def test_a_subject_may_have_a_file_with_paths_of_its_own(folder):
     [
         ("", "r.toml: neither [markers] nor [[video]]"),
         ("[markers", "not TOML"),
-        (WHOLE + "[extra]\n", "unknown key 'extra', expected markers, video, calibration, subject"),
-        (WHOLE.replace("m.trc", "n.trc"), "[markers] file: no such file: "),
-        (WHOLE.replace('"m.trc"', "3"), "[markers] file: found 3, expected text"),
-        (WHOLE.replace("file =", "fiel =", 1), "[markers]: unknown key 'fiel', expected file, up"),
+        (
+            COMPLETE + "[extra]\n",
+            "unknown key 'extra', expected markers, video, calibration, subject",
+        ),
+        (COMPLETE.replace("m.trc", "n.trc"), "[markers] file: no such file: "),
+        (COMPLETE.replace('"m.trc"', "3"), "[markers] file: found 3, expected text"),
+        (
+            COMPLETE.replace("file =", "fiel =", 1),
+            "[markers]: unknown key 'fiel', expected file, up",
+        ),
         (MARKERS + 'up = "x"\n' + ON, "[markers] up: found 'x', expected 'z' or 'y'"),
         (MARKERS + "to_world = [[1, 0], [0, 1]]\n" + ON, "[markers] to_world: found [[1, 0]"),
         (MARKERS + "to_world = [[2, 0, 0], [0, 1, 0], [0, 0, 1]]\n" + ON, "unit rows"),
         (MARKERS + 'up = "z"\nto_world = 3\n' + ON, "found both 'up' and 'to_world'"),
         (MARKERS, "[markers]: 'on' is missing"),
         (MARKERS + "[markers.on]\n", "[markers.on]: names no marker"),
-        (WHOLE.replace("Head =", "Haed ="), "[markers.on] Haed: no such marker in "),
-        (WHOLE.replace("Head =", "Haed ="), "found Head, Gone"),
-        (WHOLE.replace('"head"', '"skull"'), "[markers.on] Head: unknown bone 'skull', expected"),
-        (WHOLE.replace('"head"', '"skull"'), "radius_l"),
-        (WHOLE.replace('{ bone = "head" }', "1"), "[markers.on] Head: found 1, expected a table"),
-        (WHOLE.replace('bone = "head"', "at = 1"), "[markers.on] Head: 'bone' is missing"),
-        (WHOLE.replace('"head"', '"head", at = 1.5'), "Head at: found 1.5, expected a fraction"),
-        (WHOLE.replace('"head"', '"head", at = true'), "Head at: found True, expected a number"),
-        (WHOLE.replace('"head"', '"head", offset = [1]'), "Head offset: found [1], expected 3"),
-        (WHOLE.replace('"head"', '"head", to = 1'), "unknown key 'to', expected bone, at, offset"),
-        (WHOLE.replace("Head = ", "Gone = "), "all positions are NaN"),
-        (WHOLE.replace("v.mp4", "w.mp4"), "[[video]] number 1 file: no such file"),
-        (WHOLE.replace("[[video]]", "[video]"), "expected [[video]] in double brackets"),
-        (WHOLE.replace('camera = "cam"', ""), "[[video]] number 1: 'camera' is missing"),
-        (WHOLE.replace('"cam"', '"cam_2"'), "c.toml: section [cam_2] is missing, found cam"),
-        (WHOLE.replace('"cam"', '"cam"\noffset = "1"'), "offset: found '1', expected a number"),
-        (WHOLE.replace('"cam"', '"cam"\noffset = nan'), "offset: found nan, expected a number"),
-        (WHOLE.replace('"cam"', '"cam"\nkeypoints = "k"'), "keypoints: no such folder"),
-        (WHOLE.replace('"cam"', '"cam"\nkeypoints = "k.json"'), "keypoints: no such file"),
-        (WHOLE.replace('"cam"', '"cam"\nkeypoints = 3'), "keypoints: found 3, expected text"),
+        (COMPLETE.replace("Head =", "Haed ="), "[markers.on] Haed: no such marker in "),
+        (COMPLETE.replace("Head =", "Haed ="), "found Head, Gone"),
+        (
+            COMPLETE.replace('"head"', '"skull"'),
+            "[markers.on] Head: unknown bone 'skull', expected",
+        ),
+        (COMPLETE.replace('"head"', '"skull"'), "radius_l"),
+        (
+            COMPLETE.replace('{ bone = "head" }', "1"),
+            "[markers.on] Head: found 1, expected a table",
+        ),
+        (COMPLETE.replace('bone = "head"', "at = 1"), "[markers.on] Head: 'bone' is missing"),
+        (COMPLETE.replace('"head"', '"head", at = 1.5'), "Head at: found 1.5, expected a fraction"),
+        (COMPLETE.replace('"head"', '"head", at = true'), "Head at: found True, expected a number"),
+        (COMPLETE.replace('"head"', '"head", offset = [1]'), "Head offset: found [1], expected 3"),
+        (
+            COMPLETE.replace('"head"', '"head", to = 1'),
+            "unknown key 'to', expected bone, at, offset",
+        ),
+        (COMPLETE.replace("Head = ", "Gone = "), "all positions are NaN"),
+        (COMPLETE.replace("v.mp4", "w.mp4"), "[[video]] number 1 file: no such file"),
+        (COMPLETE.replace("[[video]]", "[video]"), "expected [[video]] in double brackets"),
+        (COMPLETE.replace('camera = "cam"', ""), "[[video]] number 1: 'camera' is missing"),
+        (COMPLETE.replace('"cam"', '"cam_2"'), "c.toml: section [cam_2] is missing, found cam"),
+        (COMPLETE.replace('"cam"', '"cam"\noffset = "1"'), "offset: found '1', expected a number"),
+        (COMPLETE.replace('"cam"', '"cam"\noffset = nan'), "offset: found nan, expected a number"),
+        (COMPLETE.replace('"cam"', '"cam"\nkeypoints = "k"'), "keypoints: no such folder"),
+        (COMPLETE.replace('"cam"', '"cam"\nkeypoints = "k.json"'), "keypoints: no such file"),
+        (COMPLETE.replace('"cam"', '"cam"\nkeypoints = 3'), "keypoints: found 3, expected text"),
         (KEYPOINTS + 'keypoints_model = "BODY"\n', "number 1 keypoints_model: found 'BODY', expec"),
         (KEYPOINTS + 'keypoints_model = "BODY"\n', "one of BODY_25, BODY_25B, COCO_18, COCO_17"),
         (KEYPOINTS + "keypoints_first = 0.5\n", "keypoints_first: found 0.5, expected a whole"),
         (KEYPOINTS + "keypoints_first = '1'\n", "keypoints_first: found '1', expected a number"),
         (
-            WHOLE.replace('"cam"', '"cam"\nkeypoints_model = "BODY_25"'),
+            COMPLETE.replace('"cam"', '"cam"\nkeypoints_model = "BODY_25"'),
             "[[video]] number 1 keypoints_model: found without 'keypoints'",
         ),
-        (WHOLE.replace(CALIBRATION, ""), "[calibration] is missing"),
-        (WHOLE.replace("c.toml", "d.toml"), "[calibration] file: no such file"),
-        (WHOLE.replace("1.7", "17"), "[subject]: height = 17.0: expected metres between"),
-        (WHOLE.replace("height = 1.7", ""), "[subject]: found none, expected one of file, height"),
-        (WHOLE + "static = 'a'\n", "[subject]: found height and static, expected one of"),
-        (WHOLE + "up = 'z'\n", "[subject]: unknown key 'up', expected height, mass"),
+        (COMPLETE.replace(CALIBRATION, ""), "[calibration] is missing"),
+        (COMPLETE.replace("c.toml", "d.toml"), "[calibration] file: no such file"),
+        (COMPLETE.replace("1.7", "17"), "[subject]: height = 17.0: expected metres between"),
+        (
+            COMPLETE.replace("height = 1.7", ""),
+            "[subject]: found none, expected one of file, height",
+        ),
+        (COMPLETE + "static = 'a'\n", "[subject]: found height and static, expected one of"),
+        (COMPLETE + "up = 'z'\n", "[subject]: unknown key 'up', expected height, mass"),
         (MARKERS + ON + STATIC + NEEDED + "nose = 'Neck'\n", "unknown key 'nose', expected pelvis"),
         (MARKERS + ON + STATIC + NEEDED.replace("LHip", "Hip"), "marker 'Hip' is not in"),
         (MARKERS + ON + STATIC + NEEDED.replace("LHip", "Gone"), "needs the landmark 'hip_l'"),
@@ -215,7 +233,7 @@ def test_videos_alone_make_a_recording_which_no_marker_tracker_takes(folder):
     for user in (Recording.require_markers, track, check, estimate_video_offsets, warm_up):
         with pytest.raises(InputError, match=r"r\.toml: \[markers\] is missing"):
             user(recording)
-    marked = load(folder, WHOLE)
+    marked = load(folder, COMPLETE)
     assert marked.require_markers() is marked
 
 

@@ -40,13 +40,13 @@ def folder(tmp_path):
     return tmp_path
 
 
-def found(folder) -> list[str]:
+def listed(folder) -> list[str]:
     files = input_files(folder / "recording.toml")
     return [path.relative_to(folder).as_posix() for path in files]
 
 
-def test_the_files_of_known_fields_are_found_and_no_others(folder):
-    assert found(folder) == [
+def test_the_files_of_documented_fields_are_found_and_no_others(folder):
+    assert listed(folder) == [
         *("c.toml", "gone.mp4", "m.trc", "points/1.json"),
         *("recording.toml", "room.png", "static.trc", "subject.toml"),
     ]
@@ -60,13 +60,13 @@ def test_devices_system_folders_and_names_of_no_file_are_passed_over_at_once(fol
     fields = f'[[video]]\nfile = "{text}"\nkeypoints = "{text}"\n[subject]\nfile = "{text}"\n'
     (folder / "recording.toml").write_text(fields)
     begun = time.monotonic()
-    assert found(folder) == ["recording.toml"]
+    assert listed(folder) == ["recording.toml"]
     assert time.monotonic() - begun < 5
 
 
 def test_fields_of_the_wrong_kind_are_passed_over(folder):
     (folder / "recording.toml").write_text("markers = 1\nvideo = 2\nsubject = []\n")
-    assert found(folder) == ["recording.toml"]
+    assert listed(folder) == ["recording.toml"]
 
 
 def test_a_recording_that_is_not_there_is_refused(tmp_path):

@@ -62,9 +62,9 @@ def test_the_reference_agrees_in_double_precision():
         theirs = plain(ours)
         pixels = np.asarray(PROJECT(ours, on_device(points)))
         np.testing.assert_allclose(pixels, reference.project(theirs, points), **exact)
-        seen = pixels[:8]
-        rays = RAYS(ours, on_device(seen))
-    np.testing.assert_allclose(rays, reference.pixel_rays(theirs, seen), **exact)
+        pixels_xy = pixels[:8]
+        rays = RAYS(ours, on_device(pixels_xy))
+    np.testing.assert_allclose(rays, reference.pixel_rays(theirs, pixels_xy), **exact)
 
 
 @given(point=vectors(3, 0.8))

@@ -121,8 +121,8 @@ def test_the_projections_jacobian_is_its_derivative(lens):
         given = FISHEYE_K if lens == FISHEYE else ()
         one = cameras.Camera.create((1280, 960), even, given, ROTATION, TRANSLATION, lens)
         expected = jax.vmap(jax.jacfwd(partial(cameras.project, one)))(on_device(points))
-        found = cameras.projection_jacobian(one, on_device(points))
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+        actual = cameras.projection_jacobian(one, on_device(points))
+    np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_small_discs_keep_the_area_that_a_fisheye_shows_of_them():

@@ -81,8 +81,8 @@ TOUCH = jax.jit(outlines.touch)
 
 def touched(limb: Discs, points: np.ndarray) -> outlines.Touch:
     with double():
-        found = TOUCH(on_device(limb), *on_device((points[:, 0], points[:, 1])))
-    return outlines.Touch(*(np.asarray(part) for part in found))
+        actual = TOUCH(on_device(limb), *on_device((points[:, 0], points[:, 1])))
+    return outlines.Touch(*(np.asarray(part) for part in actual))
 
 
 @given(vectors(2), vectors(2), radii, radii, st.integers(0, 1000))
@@ -91,19 +91,19 @@ def test_the_nearest_disc_along_the_axis_is_the_one_that_touches(near, far, a, b
     length = np.linalg.norm(near - far)
     assume(abs(length - abs(a - b)) > 2e-3 and length > 1e-5)
     points = np.random.default_rng(seed).uniform(-1.5, 1.5, (12, 2))
-    found = touched(limb, points)
+    actual = touched(limb, points)
     share = np.linspace(0, 1, 2001)[:, None]
     family = np.linalg.norm(points - ((1 - share) * near + share * far)[:, None], axis=-1)
     family = family - ((1 - share) * a + share * b)
     # The step between two discs of the family, squared, bounds what the finer one gains.
-    np.testing.assert_allclose(found.distance, family.min(0), atol=2e-3)
-    assert (found.distance <= family.min(0) + 1e-9).all()
-    along = found.along[:, None]
+    np.testing.assert_allclose(actual.distance, family.min(0), atol=2e-3)
+    assert (actual.distance <= family.min(0) + 1e-9).all()
+    along = actual.along[:, None]
     centre, radius = (1 - along) * near + along * far, (1 - along) * a + along * b
-    normal = np.stack([found.normal_x, found.normal_y], 1)
+    normal = np.stack([actual.normal_x, actual.normal_y], 1)
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1, atol=1e-6)
     np.testing.assert_allclose(
-        centre + (radius + found.distance[:, None]) * normal, points, atol=1e-5
+        centre + (radius + actual.distance[:, None]) * normal, points, atol=1e-5
     )
 
 
@@ -128,10 +128,10 @@ def by_finite_differences(limb: Discs, points: np.ndarray, step: float = 1e-6) -
     return np.stack(columns, 1) / (2 * step)
 
 
-def by_the_touching_circle(found: outlines.Touch) -> np.ndarray:
+def by_the_touching_circle(actual: outlines.Touch) -> np.ndarray:
     """The same by the envelope theorem."""
-    near, far = 1 - found.along, found.along
-    x, y = found.normal_x, found.normal_y
+    near, far = 1 - actual.along, actual.along
+    x, y = actual.normal_x, actual.normal_y
     return -np.stack([near * x, near * y, far * x, far * y, near, far], 1)
 
 
@@ -159,10 +159,10 @@ def test_a_nested_disc_has_no_say_in_the_distance(near, turn, share, seed):
         far = near + share * 0.2 * np.array([np.cos(turn), np.sin(turn)])
         limb = discs(near, far, larger, smaller)
         points = off_the_medial_axis(limb, np.random.default_rng(seed).uniform(-1, 1, (8, 2)))
-        found = by_the_touching_circle(touched(limb, points))
-        np.testing.assert_allclose(found, by_finite_differences(limb, points), atol=2e-4)
+        actual = by_the_touching_circle(touched(limb, points))
+        np.testing.assert_allclose(actual, by_finite_differences(limb, points), atol=2e-4)
         inner = [2, 3, 5] if larger > smaller else [0, 1, 4]
-        assert not found[:, inner].any()
+        assert not actual[:, inner].any()
 
 
 @given(vectors(2), vectors(2), radii, radii)
@@ -170,8 +170,8 @@ def test_outline_points_lie_on_the_outline_and_weigh_its_length(near, far, a, b)
     limb = discs(near, far, a, b)
     assume(np.linalg.norm(near - far) > abs(a - b) + 0.01)
     with double():
-        found = OUTLINE(on_device(limb), ALONG, AROUND, jnp.ones(2))
-        points, weights = found.points, found.weights
+        actual = OUTLINE(on_device(limb), ALONG, AROUND, jnp.ones(2))
+        points, weights = actual.points, actual.weights
         distances = DISTANCE(on_device(limb), points)
     assert points.shape == (2 * ALONG + 2 * AROUND, 2)
     np.testing.assert_allclose(distances, 0, atol=1e-6)
@@ -186,8 +186,8 @@ def test_normals_point_outwards_from_the_outline(near, far, a, b):
     limb = discs(near, far, a, b)
     assume(np.linalg.norm(near - far) > abs(a - b) + 0.01)
     with double():
-        found = OUTLINE(on_device(limb), ALONG, AROUND, jnp.ones(2))
-        farther = DISTANCE(on_device(limb), found.points + 0.01 * found.normals)
+        actual = OUTLINE(on_device(limb), ALONG, AROUND, jnp.ones(2))
+        farther = DISTANCE(on_device(limb), actual.points + 0.01 * actual.normals)
     np.testing.assert_allclose(farther, 0.01, atol=1e-6)
 
 
@@ -215,8 +215,8 @@ def test_a_closed_limb_seen_end_on_still_has_an_outline():
 
 def spheres_to_everything(near_cam, far_cam, radii):
     limb = outlines.project_limb(near_cam, far_cam, radii)
-    found = outlines.outline(limb, ALONG, AROUND, jnp.array([0.0, 1.0]))
-    points, weights = found.points, found.weights
+    actual = outlines.outline(limb, ALONG, AROUND, jnp.array([0.0, 1.0]))
+    points, weights = actual.points, actual.weights
     inside = outlines.signed_distance(limb, jnp.array([[0.05, -0.02], [0.0, 0.0], [0.4, 0.3]]))
     return jnp.sum(points * weights[:, None]), jnp.sum(inside)
 

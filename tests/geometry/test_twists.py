@@ -58,8 +58,8 @@ def test_log_undoes_exp_in_float32(twist):
 def test_log_is_the_matrix_logarithm():
     twist = np.array([0.4, -1.0, 0.3, 0.9, -0.2, 1.1])
     with double():
-        found = LOG(on_device(motion(twist)))
-        np.testing.assert_allclose(twists.hat(found), np.real(logm(motion(twist))), atol=1e-10)
+        actual = LOG(on_device(motion(twist)))
+        np.testing.assert_allclose(twists.hat(actual), np.real(logm(motion(twist))), atol=1e-10)
 
 
 @given(twist=some_twists())

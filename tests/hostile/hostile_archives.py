@@ -173,8 +173,8 @@ def _zipped(members) -> bytes:
 
 def _header(dtype: str, count: int) -> bytes:
     held = io.BytesIO()
-    told = {"descr": dtype, "fortran_order": False, "shape": (count,)}
-    np.lib.format.write_array_header_2_0(held, told)
+    fields = {"descr": dtype, "fortran_order": False, "shape": (count,)}
+    np.lib.format.write_array_header_2_0(held, fields)
     return held.getvalue()
 
 
@@ -209,9 +209,9 @@ def _with_zeros(archive: bytes, name: str, header: bytes) -> bytes:
     directory_size, directory = struct.unpack_from("<II", archive, end + 12)
     sizes = struct.pack("<III", _checksum(header), len(stored), BOMB + len(header))
     # Version, flags, deflated, midnight of a day in 1980.
-    told = struct.pack("<HHHHH", 20, 0, 8, 0, 33) + sizes
-    local = b"PK\3\4" + told + struct.pack("<HH", len(name), 0) + name.encode() + stored
-    entry = b"PK\1\2" + struct.pack("<H", 20) + told
+    fields = struct.pack("<HHHHH", 20, 0, 8, 0, 33) + sizes
+    local = b"PK\3\4" + fields + struct.pack("<HH", len(name), 0) + name.encode() + stored
+    entry = b"PK\1\2" + struct.pack("<H", 20) + fields
     entry += struct.pack("<HHHHHII", len(name), 0, 0, 0, 0, 0, directory) + name.encode()
     body = archive[:directory] + local + archive[directory : directory + directory_size] + entry
     counts = struct.pack("<HHHH", 0, 0, count + 1, count + 1)

@@ -226,7 +226,7 @@ def _report() -> Report:
     landmarks = np.full((POSES, len(LANDMARKS), 3), 0.02)
     return Report(
         tuple(PLACES), each, pair, pair, pair, landmarks, landmarks[..., 0] * 0,
-        (("said",),) * POSES, {"solve": np.full(POSES, 0.5)}, {"refine": "none"},
+        (("held",),) * POSES, {"solve": np.full(POSES, 0.5)}, {"refine": "none"},
     )  # fmt: skip
 
 

@@ -141,12 +141,12 @@ def lines_changed(rng: np.random.Generator, content: bytes) -> Mutated:
 def numbers_changed(rng: np.random.Generator, content: bytes) -> Mutated:
     """One number, or all of a line, become hostile ones."""
     pattern = rb"-?\d+(\.\d+)?([eE][+-]?\d+)?"
-    found = list(islice(re.finditer(pattern, content), MOST_PLACES))
-    if not found:
+    actual = list(islice(re.finditer(pattern, content), MOST_PLACES))
+    if not actual:
         return flipped(rng, content)
     # Headers come first and are few: half of the time one of the first.
-    few = min(len(found), int(rng.choice([8, 60, len(found)])))
-    match, number = found[rng.integers(few)], hostile_number(rng)
+    few = min(len(actual), int(rng.choice([8, 60, len(actual)])))
+    match, number = actual[rng.integers(few)], hostile_number(rng)
     if rng.random() < 0.2:
         start = content.rfind(b"\n", 0, match.start()) + 1
         end = content.find(b"\n", match.start()) % (len(content) + 1)
@@ -158,10 +158,10 @@ def numbers_changed(rng: np.random.Generator, content: bytes) -> Mutated:
 
 def words_changed(rng: np.random.Generator, content: bytes) -> Mutated:
     """A word becomes a hostile text."""
-    found = list(islice(re.finditer(rb"[A-Za-z_][\w.]*", content), MOST_PLACES))
-    if not found:
+    actual = list(islice(re.finditer(rb"[A-Za-z_][\w.]*", content), MOST_PLACES))
+    if not actual:
         return flipped(rng, content)
-    match, text = found[rng.integers(min(len(found), 60))], hostile_text(rng)
+    match, text = actual[rng.integers(min(len(actual), 60))], hostile_text(rng)
     new = content[: match.start()] + text.encode() + content[match.end() :]
     return new, f"{match[0].decode()} at byte {match.start()} = {brief(text)}"
 
@@ -246,8 +246,8 @@ def jpeg_changed(rng: np.random.Generator, content: bytes) -> Mutated:
 def boxes_changed(rng: np.random.Generator, content: bytes) -> Mutated:
     """A box of an MP4 file claims another size or content."""
     names = rb"ftyp|moov|mvhd|trak|tkhd|mdia|mdhd|minf|stbl|stsd|stts|stsc|stsz|stco|ctts|mdat|avc1"
-    found = [match.start() for match in re.finditer(names, content)]
-    at = found[rng.integers(len(found))] + int(rng.choice([-4, 4, 8, 12, 16, 20, 24]))
+    actual = [match.start() for match in re.finditer(names, content)]
+    at = actual[rng.integers(len(actual))] + int(rng.choice([-4, 4, 8, 12, 16, 20, 24]))
     word = WORDS[rng.integers(len(WORDS))]
     return content[:at] + struct.pack(">I", word) + content[at + 4 :], f"{word} at byte {at}"
 

@@ -241,7 +241,7 @@ def _write(path: Path, content: bytes) -> None:
 
 
 def run_case(case: Case, pool: Pool) -> Case:
-    """Run a case in one of the pool's processes and judge it."""
+    """Run a case in one of the pool's processes and check it."""
     before = Snapshot.of(case.folder)
     case.answer = pool.run(case.arguments, case.inside, case.folder)
     case.faults = faults(case.answer, before, Snapshot.of(case.folder), DEEP, named(case))
@@ -252,21 +252,21 @@ def named(case: Case) -> set[str]:
     """What hostile arguments name themselves, and where links among it lead: it may be written."""
     if case.kind != ARGUMENTS:
         return set()
-    root, found = os.path.realpath(case.folder), set()
+    root, actual = os.path.realpath(case.folder), set()
     for argument in case.arguments:
         name = argument.rpartition("=")[2]
         # What no file can be called leads nowhere.
         if "\0" in name or len(name) > 255:
             continue
         path = os.path.join(root, DEEP, name)
-        found |= {os.path.relpath(way, root) for way in (path, os.path.realpath(path))}
-    return found
+        actual |= {os.path.relpath(way, root) for way in (path, os.path.realpath(path))}
+    return actual
 
 
 def run_cases(
     seed: int, numbers, pool: Pool, where: Path, costly: bool = False, show=None
 ) -> list[Case]:
-    """Make, run and judge cases, side by side; the folders of those without a fault are removed."""
+    """Make, run and check cases, side by side; the folders of those without a fault are removed."""
 
     def one(number: int) -> Case:
         folder = where / f"{seed}-{number}"

@@ -153,22 +153,22 @@ class Pool:
         paths = {name: folder.with_name(f"{folder.name}.{name}") for name in ("out", "err")}
         question = {"arguments": arguments, "folder": str(inside)}
         worker, began = self._free.get(), perf_counter()
-        told = worker.ask(question | {name: str(path) for name, path in paths.items()})
+        reply = worker.ask(question | {name: str(path) for name, path in paths.items()})
         texts = {name: _text(path) for name, path in paths.items()}
         for path in paths.values():
             path.unlink(missing_ok=True)
-        if isinstance(told, str):
+        if isinstance(reply, str):
             self._free.put(self._new())
-            return Answer(None, perf_counter() - began, None, **texts, ended=told)
+            return Answer(None, perf_counter() - began, None, **texts, ended=reply)
         if worker.fresh is None:
-            worker.fresh = told["held"]
-        memory = None if told["grown"] is None else worker.fresh + told["grown"]
-        if told["left"] or (told["held"] or 0) > (worker.fresh or 0) + KEPT_BYTES:
+            worker.fresh = reply["held"]
+        memory = None if reply["grown"] is None else worker.fresh + reply["grown"]
+        if reply["left"] or (reply["held"] or 0) > (worker.fresh or 0) + KEPT_BYTES:
             worker.end()
             worker = self._new()
         self._free.put(worker)
-        left = tuple(told["left"])
-        return Answer(told["code"], told["seconds"], memory, **texts, left=left)
+        left = tuple(reply["left"])
+        return Answer(reply["code"], reply["seconds"], memory, **texts, left=left)
 
 
 def _text(path: Path) -> str:

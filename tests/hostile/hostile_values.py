@@ -110,10 +110,10 @@ def places_in(tree: Any, path: tuple = ()) -> Iterator[tuple]:
 
 def change_tree(rng: np.random.Generator, tree: Any) -> str:
     """Change one place of a tree in place; what was done, as a few words."""
-    found = list(places_in(tree))
-    if not found:
+    actual = list(places_in(tree))
+    if not actual:
         return "nothing"
-    path = found[rng.integers(len(found))]
+    path = actual[rng.integers(len(actual))]
     parent = tree
     for key in path[:-1]:
         parent = parent[key]
@@ -126,7 +126,7 @@ def change_tree(rng: np.random.Generator, tree: Any) -> str:
         parent[name := hostile_text(rng)] = parent.pop(key)
         return f"{at} renamed {brief(name)}"
     if how == 2:
-        other = found[rng.integers(len(found))]
+        other = actual[rng.integers(len(actual))]
         parent[key] = json.loads(json.dumps(_value_at(tree, other)))
         return f"{at} becomes a copy of {'/'.join(map(str, other))}"
     if how == 3 and isinstance(parent[key], list):

@@ -21,7 +21,7 @@ INTERNAL = re.compile(
     r"\barray\(|dtype\(|<class "
 )
 PROGRESS = re.compile(r"\d+it \[|\d+%\||it/s|s/it")
-# Characters that steer a terminal, or are not to be seen: controls, directions, half pairs.
+# Characters that steer a terminal, or are invisible: controls, directions, half pairs.
 UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
@@ -31,12 +31,12 @@ class Snapshot(dict):
     @classmethod
     def of(cls, folder: Path) -> "Snapshot":
         """What a folder and those below it hold."""
-        found = cls()
+        actual = cls()
         for above, folders, files in os.walk(folder):
             for name in (*folders, *files):
                 path = Path(above, name)
-                found[path.relative_to(folder).as_posix()] = _what(path)
-        return found
+                actual[path.relative_to(folder).as_posix()] = _what(path)
+        return actual
 
 
 def _what(path: Path) -> str:
@@ -66,14 +66,14 @@ def faults(
     files = [] if before == after else _of_files(before, after, deep, answer, named)
     if answer.ended:
         return [answer.ended, *files]
-    found = []
+    actual = []
     if answer.seconds > LIMIT_S:
-        found.append(f"took {answer.seconds:.0f} s")
+        actual.append(f"took {answer.seconds:.0f} s")
     if answer.memory and answer.memory > MOST_BYTES:
-        found.append(f"took {answer.memory / 2**30:.1f} GB")
+        actual.append(f"took {answer.memory / 2**30:.1f} GB")
     if answer.left:
-        found.append(f"threads that do not end: {', '.join(answer.left)}")
-    return found + _of_texts(answer) + files
+        actual.append(f"threads that do not end: {', '.join(answer.left)}")
+    return actual + _of_texts(answer) + files
 
 
 def _of_texts(answer: Answer) -> list[str]:
@@ -81,17 +81,17 @@ def _of_texts(answer: Answer) -> list[str]:
     lines = printed(answer.err)
     if any("Traceback (most recent" in line for line in lines):
         return [f"traceback: {lines[-1][:200]!a}"]
-    found = []
+    actual = []
     if answer.code not in CODES:
-        found.append(f"exit code {answer.code}")
+        actual.append(f"exit code {answer.code}")
     if unseen := sorted({c for c in answer.out if _unseen(c) and c not in "\n\t\r"}):
-        found.append(f"printed {''.join(unseen)!a} to stdout")
+        actual.append(f"printed {''.join(unseen)!a} to stdout")
     if answer.code == 0:
         # Figures may go to standard output, and the text about them to the other.
-        return found + [f"on stderr: {line[:300]!a}" for line in lines if _is_unclean(line)][:2]
+        return actual + [f"on stderr: {line[:300]!a}" for line in lines if _is_unclean(line)][:2]
     if len(lines) != 1:
-        return [*found, f"{len(lines)} lines on stderr: {[line[:200] for line in lines[:3]]!a}"]
-    return found + [f"{problem}: {lines[0][:400]!a}" for problem in of_sentence(lines[0])]
+        return [*actual, f"{len(lines)} lines on stderr: {[line[:200] for line in lines[:3]]!a}"]
+    return actual + [f"{problem}: {lines[0][:400]!a}" for problem in of_sentence(lines[0])]
 
 
 def of_sentence(sentence: str) -> list[str]:
@@ -103,7 +103,7 @@ def of_sentence(sentence: str) -> list[str]:
         "is about the program's inside": INTERNAL.search(sentence) is not None,
         "says nothing": len(sentence.split()) < 3,
     }
-    return [problem for problem, found in problems.items() if found]
+    return [problem for problem, actual in problems.items() if actual]
 
 
 def _is_unclean(line: str) -> bool:
@@ -124,7 +124,7 @@ def _of_files(
     before: Snapshot, after: Snapshot, deep: Path, answer: Answer, named: Collection[str]
 ) -> list[str]:
     """Of what became of the files."""
-    found, out = [], f"{deep.as_posix()}/out/"
+    actual, out = [], f"{deep.as_posix()}/out/"
     for path, was in before.items():
         now = after.get(path)
         if now == was:
@@ -132,13 +132,13 @@ def _of_files(
         what = "is gone" if now is None else "was changed"
         if not path.startswith(out):
             if path not in named or answer.code == 2:
-                found.append(f"{path} {what}")
+                actual.append(f"{path} {what}")
         elif answer.code == 2 or path.endswith("notes.txt"):
-            found.append(f"the earlier {path} {what}")
+            actual.append(f"the earlier {path} {what}")
     for path in set(after) - set(before):
         above = {path, *(parent.as_posix() for parent in Path(path).parents)}
         if not path.startswith(out) and not above & set(named):
-            found.append(f"{path!a} was written outside")
+            actual.append(f"{path!a} was written outside")
         elif Path(path).name.startswith(".") and not answer.ended:
-            found.append(f"hidden {path!a} was left")
-    return found
+            actual.append(f"hidden {path!a} was left")
+    return actual

@@ -48,14 +48,14 @@ def test_inputs_are_taken_as_they_are_before_they_are_mutated(kind, pool, tmp_pa
 @pytest.mark.parametrize("name", NAMES)
 def test_mutated_inputs_end_well_or_in_one_sentence(name, pool, tmp_path):
     numbers = [number for number in range(EACH * (len(NAMES) + 1)) if kind_of(number) == name]
-    assert not (found := failures(run_cases(SEED, numbers, pool, tmp_path))), found
+    assert not (actual := failures(run_cases(SEED, numbers, pool, tmp_path))), actual
 
 
 @pytest.mark.slow
 def test_two_thousand_mutated_inputs_end_well_or_in_one_sentence(pool, tmp_path):
     cases = run_cases(ANOTHER_SEED, range(MANY), pool, tmp_path, costly=True)
     print(table(cases))
-    assert not (found := failures(cases)), found
+    assert not (actual := failures(cases)), actual
 
 
 def test_a_case_is_the_same_each_time_it_is_made(pool, tmp_path):
@@ -94,7 +94,7 @@ def test_one_sentence_and_exit_code_2_are_as_promised(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "message, found",
+    "message, actual",
     [
         ({"err": "Traceback (most recent call last):\nKeyError: 'a'\n"}, "traceback"),
         ({"err": ""}, "0 lines on stderr"),
@@ -109,12 +109,12 @@ def test_one_sentence_and_exit_code_2_are_as_promised(tmp_path):
         ({"left": ("decoder",)}, "threads that do not end"),
     ],
 )
-def test_what_breaks_the_promise_is_found(message, found, tmp_path):
-    assert found in faults_in(tmp_path, **message)
+def test_what_breaks_the_promise_is_found(message, actual, tmp_path):
+    assert actual in faults_in(tmp_path, **message)
 
 
 @pytest.mark.parametrize(
-    "act, found",
+    "act, actual",
     [
         (lambda inside: (inside / "input").write_text("other"), "input was changed"),
         (lambda inside: (inside / "input").unlink(), "input is gone"),
@@ -123,8 +123,8 @@ def test_what_breaks_the_promise_is_found(message, found, tmp_path):
         (lambda inside: (inside / "out" / ".part").write_text("other"), "hidden"),
     ],
 )
-def test_files_that_are_changed_lost_or_left_are_found(act, found, tmp_path):
-    assert found in faults_in(tmp_path, act)
+def test_files_that_are_changed_lost_or_left_are_found(act, actual, tmp_path):
+    assert actual in faults_in(tmp_path, act)
 
 
 def test_progress_is_no_sentence():

@@ -85,7 +85,7 @@ def hidden_in(folder: Path) -> list[str]:
 
 def check(out: Path, earlier: set[str]) -> int:
     """Every file is whole, in a list, and none of the earlier ones is missing; how many hidden."""
-    hidden, found = 0, set()
+    hidden, actual = 0, set()
     for path in out.rglob("*"):
         within = path.relative_to(out)
         if any(part.startswith(".") for part in within.parts):
@@ -97,8 +97,8 @@ def check(out: Path, earlier: set[str]) -> int:
                 READERS[path.suffix](path)
             elif path.name == "motion.npz":
                 load_motion(path)
-            found.add(str(within))
-    assert earlier <= found, f"lost: {earlier - found}"
+            actual.add(str(within))
+    assert earlier <= actual, f"lost: {earlier - actual}"
     assert (out / "notes.txt").read_text() == "mine"
     return hidden
 

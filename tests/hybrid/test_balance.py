@@ -89,15 +89,15 @@ def test_the_factors_follow_the_bodys_proportions():
     heavy_head[paper.tree.bone("head")] *= 3
     bodies.append(replace(paper, lengths=on_device(long_femurs)))
     bodies.append(replace(paper, masses=on_device(heavy_head)))
-    found = np.array([FACTORS(each, settings) for each in bodies])
-    assert (found > 0).all()
-    assert np.ptp(found[:, 0]) > 0.1
-    gaps = np.abs(found[:, None, 0] - found[None, :, 0])[~np.eye(len(bodies), dtype=bool)]
+    actual = np.array([FACTORS(each, settings) for each in bodies])
+    assert (actual > 0).all()
+    assert np.ptp(actual[:, 0]) > 0.1
+    gaps = np.abs(actual[:, None, 0] - actual[None, :, 0])[~np.eye(len(bodies), dtype=bool)]
     assert gaps.min() > 1e-3
     # The three bones share the bow in proportion to their ranges.
     dofs = balance.spine_dofs(paper)
     ranges = np.asarray(paper.limits)[dofs, 1] - np.asarray(paper.relaxed)[dofs]
-    np.testing.assert_allclose(found[0] / found[0, 0], ranges / ranges[0], rtol=1e-5)
+    np.testing.assert_allclose(actual[0] / actual[0, 0], ranges / ranges[0], rtol=1e-5)
 
 
 @jax.jit

@@ -97,9 +97,9 @@ def test_elbows_that_were_moved_away_come_back_to_their_edges(off):
     moved = np.array(off) != 0
     before = elbow_errors(arms_in(start).elbow)
     assert (before[moved] > 0.035).all()
-    found = refined(start)
-    assert int(found.status) == Status.CONVERGED
-    assert (elbow_errors(arms_in(found.pose).elbow) < 0.02).all()
+    actual = refined(start)
+    assert int(actual.status) == Status.CONVERGED
+    assert (elbow_errors(arms_in(actual.pose).elbow) < 0.02).all()
 
 
 def test_an_elbow_eight_centimetres_away_comes_back():
@@ -109,8 +109,8 @@ def test_an_elbow_eight_centimetres_away_comes_back():
 
 
 def test_markers_are_held_while_the_edges_pull():
-    found = refined(pose_off_by(-0.3, 0.25)).pose
-    assert np.linalg.norm(markers_of(found) - markers_of(TRUTH), axis=1).max() < 0.01
+    actual = refined(pose_off_by(-0.3, 0.25)).pose
+    assert np.linalg.norm(markers_of(actual) - markers_of(TRUTH), axis=1).max() < 0.01
 
 
 def test_a_trunk_that_leans_wrongly_is_set_right_by_both_arms():
@@ -134,29 +134,29 @@ def test_joints_stay_within_their_range_however_the_start_lies(off):
 @pytest.mark.parametrize("lost", range(3))
 def test_a_missing_marker_leaves_the_others_held(lost):
     mask = [i != lost for i in range(3)]
-    found = refined(pose_off_by(0.25, -0.25), goals=goals_for(TRUTH, mask))
-    missed = np.linalg.norm(markers_of(found.pose) - markers_of(TRUTH), axis=1)
+    actual = refined(pose_off_by(0.25, -0.25), goals=goals_for(TRUTH, mask))
+    missed = np.linalg.norm(markers_of(actual.pose) - markers_of(TRUTH), axis=1)
     assert np.isfinite(missed).all()
     assert missed[mask].max() < 0.01
-    assert (elbow_errors(arms_in(found.pose).elbow) < 0.06).all()
+    assert (elbow_errors(arms_in(actual.pose).elbow) < 0.06).all()
 
 
 def test_a_black_image_leaves_the_pose_as_it_was():
     start = pose_off_by(0.25, -0.25)
     black = [np.zeros((480, 640), np.uint8)]
-    found = refined(start, fields=observed(black, CAMERAS, arms_in(start)))
-    assert int(found.status) == Status.CONVERGED and int(found.steps) == 0
-    for part, same in zip(found.pose, start, strict=True):
+    actual = refined(start, fields=observed(black, CAMERAS, arms_in(start)))
+    assert int(actual.status) == Status.CONVERGED and int(actual.steps) == 0
+    for part, same in zip(actual.pose, start, strict=True):
         np.testing.assert_array_equal(part, same)
 
 
 def test_an_arm_without_an_image_stays_within_its_prior():
     start = pose_off_by(-0.3, -0.3)
     fields = observed(pictures(FRONT), CAMERAS, arms_in(start))
-    found = refined(start, fields=fields._replace(available=np.array([[True, False]])))
-    after = elbow_errors(arms_in(found.pose).elbow)
+    actual = refined(start, fields=fields._replace(available=np.array([[True, False]])))
+    after = elbow_errors(arms_in(actual.pose).elbow)
     assert after[0] < 0.02
-    moved = np.linalg.norm(np.asarray(arms_in(found.pose).elbow - arms_in(start).elbow), axis=1)
+    moved = np.linalg.norm(np.asarray(arms_in(actual.pose).elbow - arms_in(start).elbow), axis=1)
     assert moved[1] < 0.02
 
 
@@ -218,16 +218,16 @@ END_ON = arm_pose(
 @partial(jax.grad, argnums=3)
 def _by_targets(start, fields, elbows, targets, weights):
     aims = gradient.Aims(Goals(EFFECTORS, targets, weights), elbows, start, FREE)
-    found = gradient.refine_body(replace(MODEL, cameras=CAMERAS), ALONE, fields, start, aims)
-    return jnp.sum(found.pose.angles**2)
+    actual = gradient.refine_body(replace(MODEL, cameras=CAMERAS), ALONE, fields, start, aims)
+    return jnp.sum(actual.pose.angles**2)
 
 
 @pytest.mark.parametrize("pose", [STRAIGHT, END_ON, TRUTH], ids=["stretched", "end-on", "bent"])
 def test_derivatives_are_finite_at_stretched_arms(pose):
     start, goals = on_device(pose), goals_for(pose)
     fields = observed(pictures(FRONT), CAMERAS, arms_in(start))
-    found = _by_targets(start, fields, arms_in(start).elbow, goals.targets, goals.weights)
-    assert np.isfinite(found).all() and np.abs(found).max() > 0
+    actual = _by_targets(start, fields, arms_in(start).elbow, goals.targets, goals.weights)
+    assert np.isfinite(actual).all() and np.abs(actual).max() > 0
 
 
 def test_the_tracked_pose_moves_with_lengths_camera_and_offsets_as_finite_differences_say():
@@ -277,9 +277,11 @@ def test_the_tracked_pose_moves_with_lengths_camera_and_offsets_as_finite_differ
         # Plain fields tell little of a camera's turn and of its focal length.
         for way in jnp.diag(jnp.array([1e-5, 1e-5, 1e-5, 1e-4, 1e-4])):
             ahead, behind = (along(at, way)[0] for at in (way, -way))
-            found = np.asarray(along(0 * way, way)[1])
-            assert np.abs(found).max() > 2e-8
-            np.testing.assert_allclose(found, (ahead - behind) / 2, atol=1e-3 * np.abs(found).max())
+            actual = np.asarray(along(0 * way, way)[1])
+            assert np.abs(actual).max() > 2e-8
+            np.testing.assert_allclose(
+                actual, (ahead - behind) / 2, atol=1e-3 * np.abs(actual).max()
+            )
 
 
 def test_one_trace_over_twenty_frames_whatever_comes(monkeypatch):

@@ -170,8 +170,8 @@ def test_the_pose_that_is_returned_is_the_one_that_met_its_goals(skeleton64, see
         chosen = IKSettings(settle=1, rest=0.0)
         targets = points_of(skeleton64, on_device(pose._replace(angles=moved)))
         start, weights = on_device(pose._replace(angles=near)), on_device(np.ones(5))
-        found, count = solved(skeleton64, chosen, start, targets, weights)
-        missed = np.linalg.norm(points_of(skeleton64, found) - targets, axis=1).max()
+        actual, count = solved(skeleton64, chosen, start, targets, weights)
+        missed = np.linalg.norm(points_of(skeleton64, actual) - targets, axis=1).max()
     assert missed <= float(chosen.tolerance) or int(count) == int(chosen.iterations)
 
 
@@ -295,8 +295,8 @@ def misses(skeleton, pose, targets):
 @given(seed=st.integers(0, 2**20), share=st.floats(0, 0.8))
 def test_from_the_relaxed_pose_it_finds_any_reachable_pose_without_help(skeleton, seed, share):
     targets = points_of(skeleton, random_pose(skeleton, seed, share))[:3]
-    found = settled(skeleton, targets)
-    assert misses(skeleton, found.pose, targets).max() < 0.005
+    actual = settled(skeleton, targets)
+    assert misses(skeleton, actual.pose, targets).max() < 0.005
 
 
 @given(seed=st.integers(0, 2**20), yaw=st.floats(-np.pi, np.pi))
@@ -329,22 +329,22 @@ def test_limits_are_respected_whatever_is_asked(skeleton, values, pose):
 def test_any_marker_may_be_missing(skeleton, present):
     targets = np.array(points_of(skeleton, random_pose(skeleton, 5)))[:3]
     targets[~np.array(present)] = np.nan
-    found = settled(skeleton, on_device(targets), 4)
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found))
-    assert np.linalg.norm(found.pose.quaternion) == pytest.approx(1, abs=1e-5)
-    missed = misses(skeleton, found.pose, np.nan_to_num(targets))[np.array(present)]
+    actual = settled(skeleton, on_device(targets), 4)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(actual))
+    assert np.linalg.norm(actual.pose.quaternion) == pytest.approx(1, abs=1e-5)
+    missed = misses(skeleton, actual.pose, np.nan_to_num(targets))[np.array(present)]
     assert missed.max(initial=0) < 0.005
 
 
 def test_lost_markers_leave_the_pose_where_it_was(skeleton):
     targets = points_of(skeleton, random_pose(skeleton, 7))[:3]
-    found = settled(skeleton, targets)
+    actual = settled(skeleton, targets)
     nothing = jnp.full((3, 3), jnp.nan)
-    lost = solve(skeleton, IKSettings(), found.pose, found.feet, nothing)
-    moved = LANDMARKS_OF(skeleton, lost.pose) - LANDMARKS_OF(skeleton, found.pose)
+    lost = solve(skeleton, IKSettings(), actual.pose, actual.feet, nothing)
+    moved = LANDMARKS_OF(skeleton, lost.pose) - LANDMARKS_OF(skeleton, actual.pose)
     # It may relax, but it does not run away.
     assert np.abs(moved).max() < 0.5
-    assert misses(skeleton, lost.pose, points_of(skeleton, found.pose))[3:].max() < 0.02
+    assert misses(skeleton, lost.pose, points_of(skeleton, actual.pose))[3:].max() < 0.02
 
 
 def test_the_default_effectors_are_the_papers_five(skeleton):
@@ -417,22 +417,22 @@ def standing(skeleton):
 
 
 def test_feet_stay_where_they_stand_while_the_head_sways(skeleton):
-    targets, found = standing(skeleton)
-    pose, placement = found.pose, found.feet
+    targets, actual = standing(skeleton)
+    pose, placement = actual.pose, actual.feet
     for sway in np.sin(np.linspace(0, 2 * np.pi, 12)):
         moved = targets + on_device(np.array([0.1 * sway, 0.1 * sway, -0.05 * abs(sway)]))
         result = solve(skeleton, IKSettings(), pose, placement, moved)
         pose, placement = result.pose, result.feet
         assert not result.planted
-        np.testing.assert_array_equal(placement.ankles, found.feet.ankles)
+        np.testing.assert_array_equal(placement.ankles, actual.feet.ankles)
         assert misses(skeleton, pose, moved).max() < 0.01
         assert np.abs(points_of(skeleton, pose)[3:] - placement.ankles).max() < 0.03
 
 
 def test_feet_are_planted_again_when_the_head_leaves_the_stance(skeleton):
-    targets, found = standing(skeleton)
+    targets, actual = standing(skeleton)
     away = targets + jnp.array([0.8, 0.0, 0.0])
-    result = solve(skeleton, IKSettings(), found.pose, found.feet, away)
+    result = solve(skeleton, IKSettings(), actual.pose, actual.feet, away)
     assert bool(result.planted)
     middle = np.asarray(result.feet.ankles).mean(0)
     np.testing.assert_allclose(middle[:2], away[0, :2], atol=1e-5)
@@ -442,11 +442,11 @@ def test_feet_are_planted_again_when_the_head_leaves_the_stance(skeleton):
 
 
 def test_feet_are_planted_again_when_a_leg_was_overstretched(skeleton):
-    targets, found = standing(skeleton)
+    targets, actual = standing(skeleton)
     # Out to the side as far as the stance allows, and up on the toes.
     away = targets + jnp.array([0.35, 0.0, 0.06])
     chosen = IKSettings()
-    first = solve(skeleton, chosen, found.pose, found.feet, away)
+    first = solve(skeleton, chosen, actual.pose, actual.feet, away)
     assert bool(first.feet.overstretched) and not first.planted
     second = solve(skeleton, chosen, first.pose, first.feet, away)
     assert bool(second.planted)
@@ -455,18 +455,18 @@ def test_feet_are_planted_again_when_a_leg_was_overstretched(skeleton):
 
 
 def test_without_a_marker_on_the_head_feet_are_never_planted_again(skeleton):
-    targets, found = standing(skeleton)
+    targets, actual = standing(skeleton)
     away = (targets + jnp.array([0.8, 0.0, 0.0])).at[0].set(jnp.nan)
-    result = solve(skeleton, IKSettings(), found.pose, found.feet, away)
+    result = solve(skeleton, IKSettings(), actual.pose, actual.feet, away)
     assert not result.planted
 
 
 def test_it_stops_when_it_rests_and_never_goes_on_for_ever(skeleton):
-    targets, found = standing(skeleton)
+    targets, actual = standing(skeleton)
     chosen = IKSettings(iterations=12, settle=3)
-    assert solve(skeleton, chosen, found.pose, found.feet, targets).iterations == 3
+    assert solve(skeleton, chosen, actual.pose, actual.feet, targets).iterations == 3
     hopeless = targets + jnp.array([0.0, 0.0, 5.0])
-    assert solve(skeleton, chosen, found.pose, found.feet, hopeless).iterations <= 12
+    assert solve(skeleton, chosen, actual.pose, actual.feet, hopeless).iterations <= 12
 
 
 def test_what_may_not_move_does_not(skeleton):

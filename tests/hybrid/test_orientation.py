@@ -47,7 +47,7 @@ def random_turns(seed: int, *shape: int) -> np.ndarray:
 # Files -------------------------------------------------------------------------------------------
 
 
-def test_a_csv_file_keeps_turns_and_what_is_not_known_of_them(tmp_path):
+def test_a_csv_file_keeps_orientations_and_their_gaps(tmp_path):
     points = {"A": np.ones((5, 3)), "B": np.arange(15.0).reshape(5, 3), "C": np.zeros((5, 3))}
     turns = {"A": random_turns(0, 5), "C": random_turns(1, 5)}
     turns["A"][2] = np.nan
@@ -55,19 +55,19 @@ def test_a_csv_file_keeps_turns_and_what_is_not_known_of_them(tmp_path):
     header = (tmp_path / "a.csv").read_text().splitlines()[0]
     assert header == ("time,A.x,A.y,A.z,A.qw,A.qx,A.qy,A.qz,B.x,B.y,B.z,"
                       "C.x,C.y,C.z,C.qw,C.qx,C.qy,C.qz")  # fmt: skip
-    found = read_csv(tmp_path / "a.csv")
+    actual = read_csv(tmp_path / "a.csv")
     assert (
-        set(found.known_orientations()) == {"A", "C"}
-        and np.isnan(found.known_orientations()["A"][2]).all()
+        set(actual.measured_orientations()) == {"A", "C"}
+        and np.isnan(actual.measured_orientations()["A"][2]).all()
     )
     for name, R in turns.items():
-        np.testing.assert_allclose(found.known_orientations()[name], R, atol=3e-6)
+        np.testing.assert_allclose(actual.measured_orientations()[name], R, atol=3e-6)
     for name, positions in points.items():
-        np.testing.assert_allclose(found.points()[name], positions, atol=1e-6)
+        np.testing.assert_allclose(actual.points()[name], positions, atol=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("time,A.x,A.y,A.z,A.qw,A.qx,A.qy\n0,1,2,3,1,0,0\n", "end of the line', expected 'A.qz'"),
         ("time,A.x,A.y,A.z,A.qw,A.qx,A.qy,A.qz\n0,1,2,3,0,0,0,0\n", "line 2: the quaternion of"),
@@ -76,11 +76,11 @@ def test_a_csv_file_keeps_turns_and_what_is_not_known_of_them(tmp_path):
         ("time,A.x,A.y,A.z,A.qw,A.qx,A.qy,A.qz\n0,1,2,3,1,0,0\n", "line 2: found 7 columns"),
     ],
 )  # fmt: skip
-def test_bad_quaternions_are_refused_in_one_sentence(tmp_path, text, said):
+def test_bad_quaternions_are_refused_in_one_sentence(tmp_path, text, message):
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(InputError) as caught:
         read_csv(tmp_path / "a.csv")
-    assert said in str(caught.value) and "\n" not in str(caught.value)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_converting_keeps_turns_or_says_that_it_does_not(tmp_path):
@@ -88,7 +88,7 @@ def test_converting_keeps_turns_or_says_that_it_does_not(tmp_path):
     write_csv(tmp_path / "a.csv", TIMES, {"A": np.ones((5, 3))}, turns)
     assert convert_file(tmp_path / "a.csv", tmp_path / "b.csv", ConversionOptions(rate=20)) == []
     yaw = np.degrees(
-        Rotation.from_matrix(read_csv(tmp_path / "b.csv").known_orientations()["A"]).as_rotvec()
+        Rotation.from_matrix(read_csv(tmp_path / "b.csv").measured_orientations()["A"]).as_rotvec()
     )
     np.testing.assert_allclose(yaw[:, 2], np.arange(0, 41, 5), atol=1e-3)
     assert "the markers' orientations" in convert_file(tmp_path / "a.csv", tmp_path / "b.trc")[0]
@@ -115,7 +115,7 @@ def write_cluster(folder: Path, members: int = 4, spoil: Any = None, **place: An
     return path
 
 
-def test_a_rigid_set_is_one_marker_that_knows_how_it_is_turned(tmp_path):
+def test_a_rigid_set_is_one_marker_with_an_orientation(tmp_path):
     """Its axes: x to the second marker, z upright on the first three, origin in the middle."""
     offset = [0.0, 0.0, 0.1]
     spoil = np.zeros((5, 4, 3))
@@ -130,7 +130,7 @@ def test_a_rigid_set_is_one_marker_that_knows_how_it_is_turned(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("members", "spoil", "line", "said"),
+    ("members", "spoil", "line", "message"),
     [
         (4, 0, 'Set = ["W0", "W1"]', "expected a list of three or more different markers"),
         (4, 0, 'Set = ["W0", "W1", "W9"]', "found no marker 'W9' in the file"),
@@ -139,7 +139,7 @@ def test_a_rigid_set_is_one_marker_that_knows_how_it_is_turned(tmp_path):
         (3, "apart", None, "found W0, W1, W2 in no common sample"),
     ],
 )
-def test_sets_that_are_none_are_refused(tmp_path, members, spoil, line, said):
+def test_sets_that_are_none_are_refused(tmp_path, members, spoil, line, message):
     moved = None
     if spoil == "line":
         moved = np.array([0, 0, -0.06])[:, None] * random_turns(3, 5)[:, None, :, 1]
@@ -151,7 +151,7 @@ def test_sets_that_are_none_are_refused(tmp_path, members, spoil, line, said):
         path.write_text(path.read_text().replace('Set = ["W0", "W1", "W2", "W3"]', line))
     with pytest.raises(InputError) as caught:
         Recording.load(path)
-    assert said in str(caught.value) and "\n" not in str(caught.value)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
 # Places on the body ------------------------------------------------------------------------------
@@ -184,11 +184,11 @@ def test_points_of_a_turned_marker_lie_where_its_bone_has_them(seed):
                                  (turned[i] @ held)[None])  # fmt: skip
         points = bone_points(BODY, [place])
         assert len(points) == 3 and {point.bone for point in points} == {bone}
-        found = [joints[i] + turned[i] @ (along + np.array(point.offset)) for point in points]
-        np.testing.assert_allclose(wanted, found, atol=1e-6)
+        actual = [joints[i] + turned[i] @ (along + np.array(point.offset)) for point in points]
+        np.testing.assert_allclose(wanted, actual, atol=1e-6)
 
 
-def test_where_it_is_not_known_how_a_marker_is_turned_its_point_is_missing():
+def test_where_a_markers_orientation_is_missing_its_point_is_missing():
     place = MarkerPlace("C", "hand_l", 0.0, (0.0, 0.0, 0.1), "marker")
     R = np.full((1, 3, 3), np.nan)
     assert np.isnan(bone_point_positions(BODY, [place], np.ones((1, 3)), R)).all()
@@ -197,7 +197,7 @@ def test_where_it_is_not_known_how_a_marker_is_turned_its_point_is_missing():
 
 
 @pytest.mark.parametrize(
-    ("entry", "said"),
+    ("entry", "message"),
     [
         ({"offset_in": "hand"}, "found 'hand', expected 'bone' or 'marker'"),
         ({"turn": [0, 0, 0, 0]}, "turn: found a quaternion of length 0, expected 1"),
@@ -208,12 +208,12 @@ def test_where_it_is_not_known_how_a_marker_is_turned_its_point_is_missing():
         ({"bone": "wing"}, "unknown bone 'wing'"),
     ],
 )
-def test_places_that_cannot_be_are_refused_by_field(tmp_path, entry, said):
+def test_places_that_cannot_be_are_refused_by_field(tmp_path, entry, message):
     write_trc(tmp_path / "markers.trc", TIMES, {"C": np.ones((5, 3))})
     path = write_recording(tmp_path, "markers.trc", {"C": {"bone": "hand_l"} | entry})
     with pytest.raises(InputError) as caught:
         Recording.load(path)
-    assert said in str(caught.value) and "[markers.on] C" in str(caught.value)
+    assert message in str(caught.value) and "[markers.on] C" in str(caught.value)
 
 
 def test_an_orientation_survives_a_file_with_y_up(tmp_path):
@@ -224,7 +224,8 @@ def test_an_orientation_survives_a_file_with_y_up(tmp_path):
     R_file_world = np.eye(3)[[1, 2, 0]]
     write_csv(tmp_path / "markers.csv", markers.times,
               {n: p @ R_file_world.T for n, p in markers.points().items()},
-              {n: R_file_world @ R for n, R in markers.known_orientations().items()})  # fmt: skip
+              {n: R_file_world @ R
+               for n, R in markers.measured_orientations().items()})  # fmt: skip
     path = tmp_path / "recording.toml"
     path.write_text(path.read_text().replace('up = "z"', 'up = "y"'))
     np.testing.assert_allclose(Recording.load(path).positions_world, there.positions_world,
@@ -256,7 +257,7 @@ def sent(name: str, position: np.ndarray, R: np.ndarray) -> bytes:
     return built.build().dgram
 
 
-def test_devices_that_come_over_osc_tell_how_they_are_turned_and_are_recorded_so(tmp_path):
+def test_devices_over_osc_send_orientations_that_are_recorded(tmp_path):
     (tmp_path / "live.toml").write_text(LIVE)
     setup, samples = load_live(tmp_path / "live.toml"), []
     bind = partial(bone_point_positions, setup.skeleton, setup.places)
@@ -266,16 +267,16 @@ def test_devices_that_come_over_osc_tell_how_they_are_turned_and_are_recorded_so
         packets = (sent(n, at[i, m], R[i, m]) for m, n in enumerate(setup.marker_names))
         placed = [placed for packet in packets for placed in parse_packet(packet).markers]
         gathers.add(placed, i / 90, i / 90, is_complete=True)
-    told = bone_point_positions(setup.skeleton, setup.places, at, R)
-    found = np.stack([sample.positions_world for sample in samples])
-    np.testing.assert_allclose(found, told, atol=1e-6)
+    positions_world = bone_point_positions(setup.skeleton, setup.places, at, R)
+    actual = np.stack([sample.positions_world for sample in samples])
+    np.testing.assert_allclose(actual, positions_world, atol=1e-6)
     written = LiveRecording(setup, tmp_path / "out")
     for sample in samples:
         written.add(sample)
     path = written.close()
     assert path is not None
     again = Recording.load(path)
-    np.testing.assert_allclose(again.positions_world, told, atol=3e-6)
+    np.testing.assert_allclose(again.positions_world, positions_world, atol=3e-6)
     # As measured it is there too, for jaxmocap offsets.
     measured, _ = load_markers(path)
     np.testing.assert_allclose(measured.positions, at, atol=1e-6)
@@ -344,7 +345,7 @@ def test_an_arm_that_hangs_ready_to_swing_keeps_its_bent_wrist():
         np.testing.assert_allclose(tip, hung.arms.tip[side], atol=1e-5)
 
 
-def test_subjects_have_wrists_if_they_say_so(tmp_path):
+def test_subjects_have_wrists_if_they_state_so(tmp_path):
     write_trc(tmp_path / "markers.trc", TIMES, {"C": np.ones((5, 3))})
     for wrists, joints in ((True, 28), (False, 21)):
         path = write_recording(tmp_path, "markers.trc", {"C": {"bone": "head"}},
@@ -392,6 +393,6 @@ def test_how_head_and_hands_are_turned_reaches_the_outputs(played, tmp_path):
         for name, device in DEVICES.items():
             R = root @ R_body[:, there.skeleton.tree.bone(device.bone)] @ device.R_bone_device
             off = Rotation.from_matrix(
-                R.swapaxes(-1, -2) @ markers.known_orientations()[name]
+                R.swapaxes(-1, -2) @ markers.measured_orientations()[name]
             ).magnitude()
             assert np.degrees(off).max() < 4, name

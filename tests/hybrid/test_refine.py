@@ -138,12 +138,12 @@ def test_the_papers_simplex_over_each_arm_is_the_references_in_double_precision(
 def test_each_arm_goes_to_its_own_edges(off):
     start = pose_off_by(*off)
     before = elbow_errors(arms_in(start).elbow)
-    found = arms_in(refined(start))
-    after = elbow_errors(found.elbow)
+    actual = arms_in(refined(start))
+    after = elbow_errors(actual.elbow)
     moved = np.array(off) != 0
     assert (before[moved] > 0.035).all()
     assert (after < 0.02).all()
-    assert np.linalg.norm(found.grip - true_arms().grip, axis=1).max() < 0.02
+    assert np.linalg.norm(actual.grip - true_arms().grip, axis=1).max() < 0.02
 
 
 def test_swapped_regions_would_be_noticed():

@@ -128,39 +128,39 @@ def test_the_picture_of_arms_is_the_picture_of_their_pose():
 
 def test_memory_outlives_a_bad_image():
     arms = turned_by(0.8, -0.8)
-    found = believed(pictures(FRONT), ONE, arms)
-    after = believed([stripes()], ONE, arms, 1, found)
+    actual = believed(pictures(FRONT), ONE, arms)
+    after = believed([stripes()], ONE, arms, 1, actual)
     assert (elbow_errors(elbows_of(arms, after.turn)) < 0.06).all()
-    assert (np.asarray(after.deviation) > np.asarray(found.deviation)).all()
+    assert (np.asarray(after.deviation) > np.asarray(actual.deviation)).all()
 
 
 def test_a_blind_arm_drifts_back_to_the_markers():
     arms = turned_by(0.8, -0.8)
-    found = believed(pictures(FRONT), ONE, arms)
+    actual = believed(pictures(FRONT), ONE, arms)
     fields = observed(pictures(FRONT), ONE, arms)
     left_only = fields._replace(available=np.array([[True, False]]))
-    belief = found
+    belief = actual
     for _ in range(20):
         belief = step(ONE, left_only, arms, belief)
     left, right = elbow_errors(elbows_of(arms, belief.turn))
     assert left < 0.03
     assert right > 0.08
-    assert belief.deviation[1] > 2 * found.deviation[1]
+    assert belief.deviation[1] > 2 * actual.deviation[1]
 
 
 def test_without_images_the_turn_fades_and_the_doubt_grows():
     arms = turned_by(0.8, -0.8)
-    found = believed(pictures(FRONT), ONE, arms)
+    actual = believed(pictures(FRONT), ONE, arms)
     ages = [0.0, 0.1, 0.3, 0.6, 1.0, 2.0, 10.0]
     turns, spreads, certain = [], [], []
     for age in ages:
         turn, spread = elbow_search.without_image(
-            SEARCH, found._replace(age=jnp.asarray(age, float))
+            SEARCH, actual._replace(age=jnp.asarray(age, float))
         )
         turns.append(np.linalg.norm(turn, axis=1))
         spreads.append(np.asarray(spread))
         certain.append(np.asarray(elbow_search.confidence_of(spread)))
-    np.testing.assert_allclose(turns[0], np.linalg.norm(found.turn, axis=1), rtol=1e-5)
+    np.testing.assert_allclose(turns[0], np.linalg.norm(actual.turn, axis=1), rtol=1e-5)
     assert (np.diff(turns, axis=0) < 0).all() and (turns[-1] < 1e-3).all()
     assert (np.diff(spreads, axis=0) >= 0).all()
     np.testing.assert_allclose(spreads[-1], SEARCH.elbow_prior, rtol=1e-5)
@@ -170,9 +170,9 @@ def test_without_images_the_turn_fades_and_the_doubt_grows():
 
 def test_a_frame_without_an_image_changes_no_belief():
     arms = turned_by(0.5, -0.5)
-    found = believed(pictures(FRONT), ONE, arms)
+    actual = believed(pictures(FRONT), ONE, arms)
     nothing = observed([None], ONE, arms)
-    later = found._replace(age=jnp.asarray(0.1, jnp.float32))
+    later = actual._replace(age=jnp.asarray(0.1, jnp.float32))
     kept, elbows = searched(ONE, arms, nothing, later)
     for part, before in zip(jax.tree.leaves(kept), jax.tree.leaves(later), strict=True):
         np.testing.assert_array_equal(part, before)

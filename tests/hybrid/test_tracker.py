@@ -220,11 +220,11 @@ def test_markers_alone_are_tracked_without_a_camera(markers_only):
 
 
 def test_the_papers_markers_are_the_default(markers_only):
-    found = markers_only.model
-    assert found.markers.bone_indices == MARKERS.bone_indices
-    np.testing.assert_array_equal(found.markers.at, MARKERS.at)
-    np.testing.assert_array_equal(found.markers.offsets, MARKERS.offsets)
-    assert found.unmarked_feet == ("l", "r")
+    actual = markers_only.model
+    assert actual.markers.bone_indices == MARKERS.bone_indices
+    np.testing.assert_array_equal(actual.markers.at, MARKERS.at)
+    np.testing.assert_array_equal(actual.markers.offsets, MARKERS.offsets)
+    assert actual.unmarked_feet == ("l", "r")
 
 
 def squatting(depth):

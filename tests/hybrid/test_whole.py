@@ -56,8 +56,8 @@ def both_ways(recording, tracker):
         videos, _ = open_footage(recording)
         events, shown = Events.of(recording, videos, "own"), []
         with forward_readers(videos) as readers:
-            found = way(events, tracker, readers, lambda *call: shown.append(call), Clock())
-        return found, shown
+            actual = way(events, tracker, readers, lambda *call: shown.append(call), Clock())
+        return actual, shown
 
     def step_by_step(events, tracker, readers, show, clock):
         return stepped(events, tracker, readers, None, show, clock)[0]
@@ -65,36 +65,38 @@ def both_ways(recording, tracker):
     return gone_through(scanned), gone_through(step_by_step)
 
 
-def assert_same(found, expected):
+def assert_same(actual, expected):
     """To float32's tolerance, over many iterations."""
-    for own, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+    for own, other in zip(jax.tree.leaves(actual), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(own, other, atol=1e-3, rtol=1e-3)
 
 
 def test_two_scans_find_what_the_steps_find(both_ways):
-    (found, shown), (expected, _) = both_ways
-    assert_same((found.poses, found.reports), (expected.poses, expected.reports))
+    (actual, shown), (expected, _) = both_ways
+    assert_same((actual.poses, actual.reports), (expected.poses, expected.reports))
     assert shown == [(EVENTS, SAMPLES), (SAMPLES, SAMPLES)]
     # Lost markers are reported, and what video found is carried to events without a frame.
-    lost = np.isnan(found.markers_world).any(-1)
-    np.testing.assert_array_equal(np.isnan(found.reports.marker_errors), lost)
+    lost = np.isnan(actual.markers_world).any(-1)
+    np.testing.assert_array_equal(np.isnan(actual.reports.marker_errors), lost)
     assert (
-        np.isnan(found.reports.outline_px[2]).all() and abs(found.reports.swivels[2]).max() > 0.01
+        np.isnan(actual.reports.outline_px[2]).all() and abs(actual.reports.swivels[2]).max() > 0.01
     )
 
 
 def test_two_scans_warn_of_what_the_steps_warn_of(both_ways):
-    (found, _), (expected, _) = both_ways
-    assert found.warnings == expected.warnings
-    unread = [i for i, own in enumerate(found.warnings) if any("cannot be read" in s for s in own)]
+    (actual, _), (expected, _) = both_ways
+    assert actual.warnings == expected.warnings
+    unread = [i for i, own in enumerate(actual.warnings) if any("cannot be read" in s for s in own)]
     assert unread == [10]
 
 
 def test_the_body_rests_on_its_first_markers(recording, tracker):
     first = recording.positions_world[0]
-    found = tracker.init(first)
-    again = SOLVE(tracker.model, tracker.settings, found.pose, found.feet, first.astype(np.float32))
-    assert np.abs(again.ik.pose.angles - found.pose.angles).max() < 0.01
+    actual = tracker.init(first)
+    again = SOLVE(
+        tracker.model, tracker.settings, actual.pose, actual.feet, first.astype(np.float32)
+    )
+    assert np.abs(again.ik.pose.angles - actual.pose.angles).max() < 0.01
 
 
 def test_recordings_side_by_side_are_solved_as_each_by_itself():

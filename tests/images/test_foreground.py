@@ -97,7 +97,7 @@ def test_the_background_is_the_masked_median_with_its_noise():
     assert np.abs(learned.colour - np.ma.median(masked, 0)).max() < 9
     assert np.abs(learned.colour - wall()).mean() < 2
     assert abs(np.median(learned.noise) - 5.0) < 0.7
-    assert (learned.known == 1).all()
+    assert (learned.certainty == 1).all()
 
 
 def test_a_static_torso_is_unknown_and_never_background():
@@ -105,7 +105,7 @@ def test_a_static_torso_is_unknown_and_never_background():
     cores = core(shown)
     background, colours = learn_foreground(frames, cores, reach)
     always = np.logical_and.reduce(shown)
-    assert background.known[always].max() == 0
+    assert background.certainty[always].max() == 0
     silent = np.stack([log_odds(frame, background, colours, alone=0) for frame in frames])
     inner = core(np.stack([always]))[0]
     np.testing.assert_allclose(silent[:, inner], 0, atol=1e-6)
@@ -114,10 +114,10 @@ def test_a_static_torso_is_unknown_and_never_background():
 
 def test_what_covers_nothing_new_never_becomes_background_in_further_rounds():
     frames, shown, reach = clip(standing())
-    known = [learn_foreground(frames, core(shown), reach, n)[0].known for n in (1, 2, 4)]
-    for further in known[1:]:
+    certainty = [learn_foreground(frames, core(shown), reach, n)[0].certainty for n in (1, 2, 4)]
+    for further in certainty[1:]:
         assert further[shown.all(0)].max() == 0
-        assert (further >= known[0] - 1e-6).all()
+        assert (further >= certainty[0] - 1e-6).all()
 
 
 def test_someone_who_leaves_leaves_no_ghost():
@@ -154,9 +154,9 @@ def test_gain_is_read_past_somebody_in_the_way():
     frames, _, reach = clip(walking())
     background = learn_background(frames, reach)
     brighter = np.clip(frames[5] * np.array([1.2, 1.1, 0.9]), 0, 255).astype(np.uint8)
-    restored, trust = as_learned(brighter, background)
+    restored, agreement = as_learned(brighter, background)
     free = np.logical_not(reach[5])
-    assert trust == 1
+    assert agreement == 1
     assert np.abs(restored[free] - background.colour[free]).mean() < 2
     assert np.abs(brighter[free] - background.colour[free]).mean() > 10
 
@@ -210,17 +210,17 @@ def test_without_any_pixel_every_colour_is_alike():
     np.testing.assert_array_equal(log_odds(frame, nothing, even), 0)
 
 
-def test_the_running_background_knows_only_the_past():
+def test_the_running_background_uses_earlier_frames_only():
     frames, _, reach = clip(walking(), noise=6.0)
     running = RunningBackground()
     for i in range(5):
         running.update(frames[i], reach[i])
     then = running.background()
-    kept = Background(then.colour.copy(), then.noise.copy(), then.known.copy())
+    kept = Background(then.colour.copy(), then.noise.copy(), then.certainty.copy())
     for i in range(5, FRAMES):
         running.update(frames[i], reach[i])
     now = running.background()
-    for name in ("colour", "noise", "known"):
+    for name in ("colour", "noise", "certainty"):
         np.testing.assert_array_equal(getattr(then, name), getattr(kept, name))
         assert (getattr(now, name) != getattr(then, name)).any()
     assert np.abs(now.colour - wall()).mean() < 3
@@ -243,9 +243,9 @@ def test_the_running_background_grows_sure_with_unmasked_sightings():
     running, last = RunningBackground(), np.zeros((HEIGHT, WIDTH), np.float32)
     for frame, body in zip(frames, reach, strict=True):
         running.update(frame, body)
-        known = running.background().known
-        assert (known >= last - 1e-6).all()
-        last = known
+        certainty = running.background().certainty
+        assert (certainty >= last - 1e-6).all()
+        last = certainty
     assert last[shown.all(0)].max() == 0
     assert last[~reach.any(0)].min() == 1
 
@@ -317,7 +317,7 @@ def test_the_grid_lies_where_a_region_of_the_same_origin_lies():
     np.testing.assert_allclose(shifted[:, :-1], straight[:, 1:], atol=1e-5)
 
 
-def test_the_grid_says_nothing_outside_the_image_and_where_nothing_is_known():
+def test_the_grid_weighs_nothing_outside_the_image_and_where_nothing_was_learned():
     odds = np.full((40, 60), -4, np.float32)
     odds[:, 30:] = 0
     probability, weight = person_grid(odds, np.array([-20.5, -0.5]), 2.0, 40)
@@ -352,8 +352,8 @@ def test_a_spot_shrinks_to_where_its_pixel_is_said_to_be(x, y, rows):
     spot = np.exp(-((j - x) ** 2 + (i - y) ** 2) / 200).astype(np.float32)
     small = shrink(spot, rows)
     v, u = np.mgrid[: small.shape[0], : small.shape[1]]
-    found = np.array([(small * u).sum(), (small * v).sum()]) / small.sum()
-    np.testing.assert_allclose(found, shrunk_pixels(np.array([x, y]), (200, 140), rows), atol=0.02)
+    actual = np.array([(small * u).sum(), (small * v).sum()]) / small.sum()
+    np.testing.assert_allclose(actual, shrunk_pixels(np.array([x, y]), (200, 140), rows), atol=0.02)
 
 
 @pytest.fixture(scope="module")
@@ -387,7 +387,7 @@ def test_a_rendered_player_is_told_from_the_room(rendered):
     three = np.ones((3, 3), np.uint8)
     inside = np.stack([cv2.erode(mask.astype(np.uint8), three) > 0 for mask in shown])
     outside = np.stack([cv2.dilate(mask.astype(np.uint8), three) == 0 for mask in shown])
-    visible = inside & (background.known > 0.5)
+    visible = inside & (background.certainty > 0.5)
     assert (odds[outside] < 0).mean() > 0.97
     assert (odds[visible] > 0).mean() > 0.95
     assert (odds[inside] > 0).mean() > 0.8
@@ -401,5 +401,5 @@ def test_odds_stay_within_their_bounds_and_noise_above_its_floor(rendered):
     assert odds.dtype == np.float32
     assert np.abs(odds).max() <= foreground.MOST_ODDS + 1e-5
     assert background.noise.min() >= LEAST_NOISE
-    assert background.known.min() >= 0
-    assert background.known.max() <= 1
+    assert background.certainty.min() >= 0
+    assert background.certainty.max() <= 1

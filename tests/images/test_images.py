@@ -54,9 +54,9 @@ def test_distances_are_those_to_the_nearest_edge(seed, density):
 @pytest.mark.parametrize("channels", [1, 6])
 @pytest.mark.parametrize("grey", [0, 128, 255])
 def test_without_any_edge_everything_is_as_far_as_can_be(grey, channels):
-    fields, found = fields_of(np.full((SIZE, SIZE), grey, np.uint8), channels)
+    fields, actual = fields_of(np.full((SIZE, SIZE), grey, np.uint8), channels)
     np.testing.assert_array_equal(fields, np.full((channels, SIZE, SIZE), FARTHEST_PX, np.float32))
-    assert not found.any()
+    assert not actual.any()
 
 
 def test_the_sensors_noise_alone_makes_no_edges():
@@ -66,8 +66,8 @@ def test_the_sensors_noise_alone_makes_no_edges():
 
 
 def test_edges_lie_where_the_brightness_changes():
-    _, found = fields_of(bar(90))
-    rows, columns = np.nonzero(found[4:-4])
+    _, actual = fields_of(bar(90))
+    rows, columns = np.nonzero(actual[4:-4])
     assert len(np.unique(rows)) == SIZE - 8
     # The bar is 15 pixels wide about column 32.
     assert set(np.unique(columns)) <= {22, 23, 24, 25, 39, 40, 41}
@@ -93,12 +93,12 @@ def test_thresholds_follow_the_images_slowly():
 @pytest.mark.parametrize("angle", [0, 15, 37, 45, 75, 90, 105, 120, 150, 178])
 def test_edges_go_to_the_channels_of_their_normals(angle, channels):
     """The line's normal is 90 degrees on; the two channels whose middles are nearest hold it."""
-    fields, found = fields_of(bar(angle), channels)
+    fields, actual = fields_of(bar(angle), channels)
     normal = (angle + 90) % 180
     middles = (np.arange(channels) + 0.5) * 180 / channels
     apart = np.abs((middles - normal + 90) % 180 - 90)
     inner = np.zeros((SIZE, SIZE), bool)
-    inner[8:-8, 8:-8] = found[8:-8, 8:-8] > 0
+    inner[8:-8, 8:-8] = actual[8:-8, 8:-8] > 0
     within = [(fields[k][inner] == 0).mean() for k in range(channels)]
     nearest = int(np.argmin(apart))
     assert inner.sum() > 50
@@ -155,16 +155,16 @@ def test_a_bright_dot_is_found_where_its_pixel_is_mapped_to(scale, dot):
     small = cropped(image, region).astype(float)
     expected = np.asarray(regions.to_region(region, on_device(np.array([dot], float))))[0]
     rows, columns = np.indices(small.shape)
-    found = [np.sum(axis * small) / np.sum(small) for axis in (columns, rows)]
-    np.testing.assert_allclose(found, expected, atol=0.5)
+    actual = [np.sum(axis * small) / np.sum(small) for axis in (columns, rows)]
+    np.testing.assert_allclose(actual, expected, atol=0.5)
 
 
 def test_limbs_in_one_region_are_the_same_limbs_in_another():
     rng = np.random.default_rng(4)
     limbs = Discs(*(on_device(rng.uniform(0, 300, (3, 2))) for _ in range(3)))
     here, there = window((40, 20), 3.0), window((100, 7), 7.5)
-    found = regions.in_other_region(regions.discs_in_region(here, limbs), here, there)
-    for own, expected in zip(found, regions.discs_in_region(there, limbs), strict=True):
+    actual = regions.in_other_region(regions.discs_in_region(here, limbs), here, there)
+    for own, expected in zip(actual, regions.discs_in_region(there, limbs), strict=True):
         np.testing.assert_allclose(own, expected, atol=1e-4)
 
 
@@ -283,5 +283,5 @@ def test_fields_of_fewer_samples_have_the_same_distances_to_a_sample():
 @pytest.mark.parametrize("count", [1, 2, 50])
 def test_percentiles_are_numpys(count):
     values = np.random.default_rng(count).integers(0, 900, count).astype(np.int16)
-    found = edges.percentiles(values, (75.0, 90.0))
-    np.testing.assert_allclose(found, np.percentile(values, (75.0, 90.0)))
+    actual = edges.percentiles(values, (75.0, 90.0))
+    np.testing.assert_allclose(actual, np.percentile(values, (75.0, 90.0)))

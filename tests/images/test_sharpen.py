@@ -22,9 +22,9 @@ def overlap(a: np.ndarray, b: np.ndarray) -> float:
     return (a & b).sum() / (a | b).sum()
 
 
-@pytest.mark.parametrize("known", [True, False], ids=["room", "no room"])
+@pytest.mark.parametrize("learned", [True, False], ids=["room", "no room"])
 @pytest.mark.parametrize("larger", [1, 4])
-def test_pixels_say_where_a_contour_lies_that_is_known_to_some(known, larger):
+def test_pixels_correct_a_contour_that_is_some_pixels_off(learned, larger):
     y, x = np.mgrid[: 200 * larger, : 240 * larger] / larger
     truth = np.hypot(x - 110.3, y - 90.6) < 50.2
     room = np.stack([120 + 0.3 * x, 150 - 0.2 * y, 90 + 0 * x], -1)
@@ -32,16 +32,16 @@ def test_pixels_say_where_a_contour_lies_that_is_known_to_some(known, larger):
     image = cv2.GaussianBlur(sharp, (0, 0), larger) + np.random.default_rng(0).normal(
         0, 3, sharp.shape
     )
-    behind = Background(room.astype(np.float32), 3 + 0 * x, known * np.ones_like(x, np.float32))
+    behind = Background(room.astype(np.float32), 3 + 0 * x, learned * np.ones_like(x, np.float32))
     region = Region(np.array([29.5, 19.5], np.float32) * larger, np.array(2.5 * larger, np.float32))
     middle = (np.array([110.3, 90.6]) + 0.5) / 2.5 - np.array([29.5, 19.5]) / 2.5 - 0.5
     off = np.clip(50.2 / 2.5 + 0.8 * np.cos(3 * np.arctan2(Y - middle[1], X - middle[0]))
                   - np.hypot(X - middle[0], Y - middle[1]), -8, 8).astype(np.float32)  # fmt: skip
-    found = sharpened_silhouette(np.clip(image, 0, 255).astype(np.uint8), off, region, behind)
+    actual = sharpened_silhouette(np.clip(image, 0, 255).astype(np.uint8), off, region, behind)
     before = full_mask(off, region, truth.shape)
     assert overlap(before, truth) < 0.96
-    assert overlap(found.full(truth.shape), truth) > 0.985
-    again = full_mask(found.phi(region, SIZE), region, truth.shape)
+    assert overlap(actual.full(truth.shape), truth) > 0.985
+    again = full_mask(actual.phi(region, SIZE), region, truth.shape)
     assert overlap(again, truth) > 0.98
 
 
@@ -59,12 +59,12 @@ def test_a_contour_is_found_to_a_pixel_in_a_video_whose_colours_are_stored_coars
         half = cv2.resize(stored[..., channel], (120, 100), interpolation=cv2.INTER_AREA)
         stored[..., channel] = cv2.resize(half, (240, 200), interpolation=cv2.INTER_LINEAR)
     image = cv2.cvtColor(stored, cv2.COLOR_YCrCb2BGR)
-    known = Background(room.astype(np.float32), *np.float32([3 + 0 * x, 1 + 0 * x]))
+    background = Background(room.astype(np.float32), *np.float32([3 + 0 * x, 1 + 0 * x]))
     region = Region(np.array([29.5, 19.5], np.float32), np.array(2.5, np.float32))
     start = circle(31.62, 27.74, 20.68)
-    found = sharpened_silhouette(image, start, region, known).full(truth.shape)
+    actual = sharpened_silhouette(image, start, region, background).full(truth.shape)
     assert overlap(full_mask(start, region, truth.shape), truth) < 0.94
-    assert overlap(found, truth) > 0.974
+    assert overlap(actual, truth) > 0.974
 
 
 def test_nothing_and_what_lies_beyond_the_image_has_no_pixels():

@@ -67,7 +67,7 @@ FAULTS = {
 RECOVERY_S, SECONDS = 1.0, 60.0
 # A pose meets its markers within this; the reference bodies are not ours to the millimetre.
 NEAR_M = 0.05
-# A sample's time is told from its packets' stamps and arrivals, which a busy machine blurs.
+# A sample's time is inferred from its packets' stamps and arrivals, which a busy machine blurs.
 NEAR_S = 0.05
 
 
@@ -100,22 +100,22 @@ def play(recording: Path, port: int, begin: float, log: Path) -> None:
     # As long as the video, so that both come back at the same time.
     points = to_unity(loaded.positions_world)[: (frames - 1) * RATE // FPS + 1]
     turns = np.tile([0.0, 0, 0, 1], (len(NAMES), 1))
-    whole, one_hand = (
+    both_hands, one_hand = (
         Bundle([("/VMC/Ext/T", [0.0]), *(("/VMC/Ext/Con/Pos", [n, *[0.0] * 7]) for n in names)])
         for names in (NAMES, NAMES[:2])
     )
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    now, told_to, began = begin, log.open("w", buffering=1), signal_given()
+    now, informed_at, began = begin, log.open("w", buffering=1), signal_given()
     while now < SECONDS:
         time.sleep(max(began + now - time.monotonic(), 0))
         index = there_and_back(int(now * RATE + 1e-6), len(points))
         lost = FAULTS["one hand lost"][0] <= now < FAULTS["one hand lost"][1]
         jump = 1.0 if now >= FAULTS["clock jump of 1 s"][0] else 0.0
         placed = np.hstack([points[index], turns])
-        told = (one_hand, placed[:2]) if lost else (whole, placed)
-        sender.sendto(told[0].filled(now + jump, told[1]), ("127.0.0.1", port))
+        packet = (one_hand, placed[:2]) if lost else (both_hands, placed)
+        sender.sendto(packet[0].filled(now + jump, packet[1]), ("127.0.0.1", port))
         at = time.monotonic() - began
-        print(at, *points[index].ravel().tolist(), file=told_to)
+        print(at, *points[index].ravel().tolist(), file=informed_at)
         fast = FAULTS["5 times the packets"][0] <= now < FAULTS["5 times the packets"][1]
         # A headset that was held up does not send what it has missed.
         missed = max(int((at - now) * RATE), 0)
@@ -192,10 +192,10 @@ def started(*arguments: object, **options) -> subprocess.Popen:
 # What was received -------------------------------------------------------------------------------
 
 
-def seen_markers(packet: bytes) -> tuple[float, np.ndarray] | None:
+def sent_markers(packet: bytes) -> tuple[float, np.ndarray] | None:
     """When a bundle says that it is, and where (3, 3) head and hands would carry the markers.
 
-    By what a receiver knows: bones' places and turns in their parents. In Unity's T pose the hands
+    By what a receiver gets: bones' places and turns in their parents. In Unity's T pose the hands
     reach out along x; the markers sit as the file of the live run says.
     """
     messages = [timed.message for timed in OscPacket(packet).messages]
@@ -203,7 +203,7 @@ def seen_markers(packet: bytes) -> tuple[float, np.ndarray] | None:
     if not bones:
         return None
     trunk = ("Hips", "Spine", "Chest", "UpperChest")
-    found = []
+    actual = []
     head, hand = LENGTHS
     for chain, site in (
         ((*trunk, "Neck", "Head"), (0.0, 0.7 * head, 0.1)),
@@ -214,8 +214,8 @@ def seen_markers(packet: bytes) -> tuple[float, np.ndarray] | None:
         for bone in chain:
             numbers = bones[bone]
             place, turn = place + turn.apply(numbers[:3]), turn * Rotation.from_quat(numbers[3:])
-        found.append(place + turn.apply(site))
-    return messages[1].params[0], np.array(found)
+        actual.append(place + turn.apply(site))
+    return messages[1].params[0], np.array(actual)
 
 
 def arm(side: str) -> tuple[str, ...]:
@@ -223,7 +223,7 @@ def arm(side: str) -> tuple[str, ...]:
 
 
 def check_order_and_content(
-    received: np.ndarray, stamps: np.ndarray, seen: np.ndarray, sent: np.ndarray
+    received: np.ndarray, stamps: np.ndarray, sent_points: np.ndarray, sent: np.ndarray
 ) -> dict[str, float]:
     """Poses' times ascend, and each pose is where a sample of about its time was.
 
@@ -237,7 +237,7 @@ def check_order_and_content(
         """When a sample within these times was sent that fits a pose, and how far off it is."""
         first, last = np.searchsorted(sent_at, [begin, end])
         assert first < last, f"a pose came at {received[i]:.2f} s, when no marker was sent"
-        apart = np.linalg.norm(points[first:last] - seen[i], axis=-1).max(-1)
+        apart = np.linalg.norm(points[first:last] - sent_points[i], axis=-1).max(-1)
         return sent_at[first + int(apart.argmin())], float(apart.min())
 
     fits = [best(i, received[i] - 1.0, received[i])[0] for i in calm]
@@ -275,7 +275,7 @@ def check_recovery(received: np.ndarray, sent: np.ndarray) -> dict[str, float]:
 
 
 def check_messages(messages: list[dict]) -> None:
-    """The run told of each fault and, where it has an end, of that."""
+    """The run reported each fault and, where it has an end, that."""
     text = [entry["what"] for entry in messages]
     for sentence in (
         "malformed packets ignored",
@@ -284,9 +284,9 @@ def check_messages(messages: list[dict]) -> None:
         "missing: RightController",
         "the sender's clock: was set",
     ):
-        assert any(sentence in line for line in text), f"not said: {sentence}"
+        assert any(sentence in line for line in text), f"not reported: {sentence}"
     for sentence in ("markers: coming in", "webcam: on"):
-        assert text.count(sentence) >= 2, f"not said again: {sentence}"
+        assert text.count(sentence) >= 2, f"not reported again: {sentence}"
     assert text[::-1].index("missing: none") < text[::-1].index("missing: RightController")
 
 
@@ -307,9 +307,9 @@ def rehearse(recording: Path, smooth: bool) -> None:
     line += ["--json", figures_file, *(["--smooth"] if smooth else [])]
     live = subprocess.Popen([str(part) for part in line], stderr=subprocess.PIPE, text=True)
     assert live.stderr is not None
-    for told in live.stderr:
-        print("   ", told, end="")
-        if "listening" in told:
+    for text_line in live.stderr:
+        print("   ", text_line, end="")
+        if "listening" in text_line:
             break
     forward = started_reader(live.stderr)
     got, logs = folder / "received.npz", [folder / "sent_0.txt", folder / "sent_1.txt"]
@@ -340,7 +340,7 @@ def rehearse(recording: Path, smooth: bool) -> None:
     assert players[1].wait(10) == 0
     assert taker.wait(10) == 0
     forward.join(5)
-    judge(json.loads(figures_file.read_text()), got, logs, out)
+    check_run(json.loads(figures_file.read_text()), got, logs, out)
 
 
 def given_signal(processes: list[subprocess.Popen]) -> float:
@@ -360,21 +360,24 @@ def started_reader(stream):
     import threading
 
     def read() -> None:
-        for told in stream:
-            print("   ", told, end="", flush=True)
+        for text_line in stream:
+            print("   ", text_line, end="", flush=True)
 
     thread = threading.Thread(target=read, daemon=True)
     thread.start()
     return thread
 
 
-def judge(figures: dict, got: Path, logs: list[Path], out: Path) -> None:
+def check_run(figures: dict, got: Path, logs: list[Path], out: Path) -> None:
     """Assert what must hold, and print what was measured."""
     kept = np.load(got, allow_pickle=True)
-    decoded = [(at, seen_markers(p)) for at, p in zip(kept["times"], kept["packets"], strict=True)]
-    poses = [(at, *found) for at, found in decoded if found is not None]
+    decoded = [(at, sent_markers(p)) for at, p in zip(kept["times"], kept["packets"], strict=True)]
+    poses = [(at, *actual) for at, actual in decoded if actual is not None]
     received = np.array([at for at, *_ in poses])
-    stamps, seen = np.array([t for _, t, _ in poses]), np.array([points for *_, points in poses])
+    stamps, sent_points = (
+        np.array([t for _, t, _ in poses]),
+        np.array([points for *_, points in poses]),
+    )
     rows = [line.split() for log in logs for line in log.read_text().splitlines()]
     sent = np.array([[float(cell) for cell in row] for row in rows if len(row) == 10])
     print(f"latency: {figures['latency_ms']}; dropped: {figures['dropped']}")
@@ -384,8 +387,8 @@ def judge(figures: dict, got: Path, logs: list[Path], out: Path) -> None:
     print(f"delivered {100 * share:.2f} %; a second after each fault:")
     for fault, value in shares.items():
         print(f"    {fault}: {100 * value:.0f} %")
-    print(check_order_and_content(received, stamps, seen, sent))
-    check_messages(figures["said"])
+    print(check_order_and_content(received, stamps, sent_points, sent))
+    check_messages(figures["warnings"])
     assert len(received) >= figures["outputs"] * 0.999
     again = Recording.load(out / "recording.toml")
     frames = len(open_video(again.videos[0]))

@@ -201,7 +201,7 @@ def disk_full_at(size: int):
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def test_on_a_full_disk_what_was_written_is_a_whole_recording_and_one_sentence_says_so(tmp_path):
+def test_on_a_full_disk_what_was_written_is_a_complete_recording_and_one_sentence_says_so(tmp_path):
     setup, out = live_setup(tmp_path), tmp_path / "out"
     recording = LiveRecording(setup, out)
     with disk_full_at(60_000):
@@ -230,7 +230,7 @@ def test_a_disk_that_is_full_for_the_video_leaves_the_markers_going_on(tmp_path)
     assert again.videos == () and not (tmp_path / "out" / "cam.mp4").exists()
 
 
-def test_a_disk_that_is_full_before_it_begins_is_said_at_once(tmp_path):
+def test_a_disk_that_is_full_before_it_begins_is_reported_at_once(tmp_path):
     with disk_full_at(10), pytest.raises(OutputError, match="cannot be written"):
         LiveRecording(live_setup(tmp_path), tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -1,4 +1,4 @@
-"""Who may send to a live run, how much, and by which clock; and what of it is said and kept."""
+"""Who may send to a live run, how much, and by which clock; and what of it is reported and kept."""
 
 from io import StringIO
 
@@ -50,7 +50,7 @@ def line():
 
 
 def test_two_senders_with_two_clocks_are_no_clock_that_jumps(line):
-    """One clock for both said 54 lines a second."""
+    """One clock for both printed 54 lines a second."""
     status = LiveStatus(StringIO())
     for i in range(900):
         at = i / 90
@@ -73,7 +73,7 @@ def test_each_of_two_senders_keeps_its_own_rhythm(line):
     assert np.diff(times[::2])[100:].std() < 3e-4
 
 
-def test_a_clock_that_is_set_at_every_packet_is_said_at_every_tenfold(line):
+def test_a_clock_that_is_set_at_every_packet_is_reported_at_every_tenfold(line):
     output = StringIO()
     status = LiveStatus(output)
     for i in range(20_000):
@@ -228,7 +228,7 @@ def test_names_that_come_in_are_no_commands_to_a_terminal(line):
     assert "\\x1b[2J" in text and "'a\\nb'" in text and max(map(len, text.split("\n"))) < 600
 
 
-def test_what_changes_all_the_time_is_said_from_time_to_time_and_as_it_then_is():
+def test_what_changes_all_the_time_is_reported_from_time_to_time_and_as_it_then_is():
     output = StringIO()
     status = LiveStatus(output)
     for i in range(100_000):
@@ -238,7 +238,7 @@ def test_what_changes_all_the_time_is_said_from_time_to_time_and_as_it_then_is()
     assert status.messages[-1].what == "markers: waiting"
 
 
-def test_of_what_was_said_the_first_and_the_newest_are_kept():
+def test_of_the_warnings_the_first_and_the_newest_are_kept():
     status = LiveStatus(StringIO())
     for i in range(5000):
         status.log(float(i), f"sentence {i}")
@@ -246,7 +246,7 @@ def test_of_what_was_said_the_first_and_the_newest_are_kept():
     assert len(kept) == FIRST_KEPT + NEWEST_KEPT
     assert kept[0] == "sentence 0" and kept[-1] == "sentence 4999"
     figures = status.figures(1.0)
-    assert len(figures["said"]) == len(kept) and figures["sentences"] == 5000
+    assert len(figures["warnings"]) == len(kept) and figures["sentences"] == 5000
 
 
 def test_a_log_on_a_full_disk_ends_no_run():

@@ -116,7 +116,7 @@ def test_the_file_of_a_live_run_is_read(tmp_path):
     np.testing.assert_array_equal(setup.R_world_source, R_WORLD_UNITY)
 
 
-def test_what_is_not_said_is_loopback_and_unitys_axes(tmp_path):
+def test_defaults_are_loopback_and_unitys_axes(tmp_path):
     path = write_file(tmp_path, "[markers.on]\nHmd = { bone = 'head' }\n")
     setup = load_live(path)
     assert setup.listen == DEFAULT_LISTEN and setup.listen.host == setup.vmc.host == "127.0.0.1"
@@ -211,7 +211,7 @@ def test_a_file_is_played_at_its_own_pace_and_then_ends(tmp_path):
     assert frames[-1].time - began > 11 / 30 - 0.05
 
 
-def test_a_device_that_is_not_there_is_said_and_one_that_leaves_is_asked_for_again(
+def test_a_device_that_is_not_there_is_reported_and_one_that_leaves_is_asked_for_again(
     tmp_path, monkeypatch
 ):
     setup = small_setup(tmp_path)
@@ -261,7 +261,7 @@ def test_a_stream_of_far_larger_images_than_calibrated_is_not_decoded(tmp_path):
         list(cameras.stream_frames(clip, False, 1000))
 
 
-def test_why_a_camera_does_not_come_is_said(tmp_path, monkeypatch):
+def test_why_a_camera_does_not_come_is_reported(tmp_path, monkeypatch):
     monkeypatch.setattr(cameras, "RETRY_S", 0.01)
     video = replace(small_setup(tmp_path).videos[0], source="tcp://127.0.0.1:9")
     camera = LiveCamera(video, 0, lambda _: None, colour=False)

@@ -74,7 +74,7 @@ def free_port() -> int:
     ("number", "terminated"),
     [(signal.SIGINT, False), (signal.SIGTERM, True), (signal.SIGHUP, True)],
 )
-def test_a_run_that_a_signal_ends_is_whole_and_knows_which(tmp_path, number, terminated):
+def test_a_run_that_a_signal_ends_is_complete_and_reports_which(tmp_path, number, terminated):
     live_setup(tmp_path)
     port = free_port()
     path = tmp_path / "live.toml"
@@ -127,16 +127,16 @@ def test_a_signal_waits_until_what_was_begun_can_be_ended():
 
 
 def test_a_run_outside_the_main_thread_has_no_signals():
-    found = []
+    actual = []
 
     def run() -> None:
         with stopped_by_signals() as stop:
-            found.append(stop.is_set())
+            actual.append(stop.is_set())
 
     thread = threading.Thread(target=run)
     thread.start()
     thread.join()
-    assert found == [False]
+    assert actual == [False]
 
 
 # Runs that come to nothing -----------------------------------------------------------------------
@@ -342,7 +342,7 @@ def _stopped(path: Path, out: Path, number: int) -> tuple[int, str]:
 @pytest.mark.slow
 def test_forty_kills_of_the_command_lose_nothing_and_leave_nothing_hidden(tmp_path):
     """SIGKILL at any time: while it loads, compiles, listens and records."""
-    port, stop, found = free_port(), threading.Event(), Counter()
+    port, stop, actual = free_port(), threading.Event(), Counter()
     live_setup(tmp_path)
     path = tmp_path / "live.toml"
     path.write_text(f"{path.read_text()}\n[osc]\nlisten = {port}\n")
@@ -355,10 +355,10 @@ def test_forty_kills_of_the_command_lose_nothing_and_leave_nothing_hidden(tmp_pa
         time.sleep(after)
         process.kill()
         process.wait()
-        found[_left_by_a_kill(path, out)] += 1
+        actual[_left_by_a_kill(path, out)] += 1
     stop.set()
-    print(f"it listened after {listens:.1f} s; {dict(found)}")
-    assert sum(found.values()) == 40 and found["a recording"] > 5
+    print(f"it listened after {listens:.1f} s; {dict(actual)}")
+    assert sum(actual.values()) == 40 and actual["a recording"] > 5
 
 
 def _seconds_until_it_listens(path: Path) -> float:

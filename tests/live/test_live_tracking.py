@@ -119,12 +119,12 @@ def test_a_missing_marker_is_carried_on_for_a_moment_and_then_missing(tracking):
     live = tracking()
     for i in range(4):
         live.sample(sample(i / 90))
-    found = []
+    actual = []
     for i in range(4, 8):
         live.sample(sample(i / 90, missing=(1,)))
-        found.append(live.tracker.steps[-1][1][1])
-    np.testing.assert_allclose(found[0], [4 / 90, 1, 0], atol=1e-6)
-    assert np.isnan(found[1:]).all()
+        actual.append(live.tracker.steps[-1][1][1])
+    np.testing.assert_allclose(actual[0], [4 / 90, 1, 0], atol=1e-6)
+    assert np.isnan(actual[1:]).all()
 
 
 def test_tracking_begins_with_all_markers_or_after_a_while_with_some(tracking):

@@ -47,18 +47,18 @@ def figure(arms_out=90):
 def test_the_axis_of_a_bar_runs_along_its_middle():
     image = blank()
     cv2.rectangle(image, (50, 100), (450, 140), 1, -1)
-    found = medial_axis(image.astype(bool))
-    inner = (found.pixels_xy[:, 0] > 80) & (found.pixels_xy[:, 0] < 420)
-    assert np.abs(found.pixels_xy[inner, 1] - 120).max() <= 1
-    assert np.abs(found.radii[inner] - 20.5).max() < 1.5
+    actual = medial_axis(image.astype(bool))
+    inner = (actual.pixels_xy[:, 0] > 80) & (actual.pixels_xy[:, 0] < 420)
+    assert np.abs(actual.pixels_xy[inner, 1] - 120).max() <= 1
+    assert np.abs(actual.radii[inner] - 20.5).max() < 1.5
 
 
 def test_a_broken_axis_is_closed_so_that_a_way_leads_everywhere():
     image = blank()
     for left in (50, 180, 310):
         cv2.rectangle(image, (left, 100), (left + 100, 130), 1, -1)
-    found = medial_axis(image.astype(bool))
-    way = found.pixels_xy[path(found, np.array([60, 115]), np.array([400, 115]))]
+    actual = medial_axis(image.astype(bool))
+    way = actual.pixels_xy[path(actual, np.array([60, 115]), np.array([400, 115]))]
     assert way[0, 0] < 80 and way[-1, 0] > 380
     gaps = np.linalg.norm(np.diff(way, axis=0), axis=1)
     assert np.sum(gaps > 10) == 2
@@ -81,11 +81,11 @@ def test_the_sharpest_corner_is_where_two_lines_meet(angle, at):
 
 
 def test_a_figure_is_separated_at_pits_neck_and_crotch():
-    found = find_landmarks(figure())
-    assert 80 < found.neck < 120 and found.neck_x == pytest.approx(250, abs=1)
-    assert np.abs(found.pits[:, 0] - [310, 190]).max() < 4
-    assert np.ptp(found.pits[:, 1]) <= 2 and 150 < found.pits[0, 1] < 190
-    assert found.top == 25 and 290 < found.bottom < 330
+    actual = find_landmarks(figure())
+    assert 80 < actual.neck < 120 and actual.neck_x == pytest.approx(250, abs=1)
+    assert np.abs(actual.pits[:, 0] - [310, 190]).max() < 4
+    assert np.ptp(actual.pits[:, 1]) <= 2 and 150 < actual.pits[0, 1] < 190
+    assert actual.top == 25 and 290 < actual.bottom < 330
     assert find_landmarks(figure(), bottom=280).bottom == 280
 
 
@@ -185,9 +185,9 @@ def test_the_trunk_is_as_wide_deep_and_stout_as_it_is(subject):
     off = []
     for share in np.linspace(0.1, 0.9, 7):
         k = int(np.argmin(np.abs(levels - low - share * (pits - low))))
-        truth, found = body.trunk(levels[k]), tape_measure(rings[k][:, [1, 0]])
+        truth, actual = body.trunk(levels[k]), tape_measure(rings[k][:, [1, 0]])
         off.append(
-            (found.width - truth.width, found.depth - truth.depth, found.girth / truth.girth - 1)
+            (actual.width - truth.width, actual.depth - truth.depth, actual.girth / truth.girth - 1)
         )
     off = np.abs(off)
     assert off[:, :2].mean() < 0.01 and off[:, :2].max() < 0.02
@@ -201,9 +201,9 @@ def test_arms_are_as_thick_as_they_are(subject):
         for bone, first in (("humerus", 0), ("radius", SLICES[0])):
             for share in (0.375, 0.5, 0.75):
                 k = INNER_RINGS + first + round(share * SLICES[0])
-                truth, found = body.arm(bone, side, share), tape_measure(rings[k][:, [2, 0]])
-                off.append([found.width - truth.width, found.depth - truth.depth,
-                            found.girth / truth.girth - 1])  # fmt: skip
+                truth, actual = body.arm(bone, side, share), tape_measure(rings[k][:, [2, 0]])
+                off.append([actual.width - truth.width, actual.depth - truth.depth,
+                            actual.girth / truth.girth - 1])  # fmt: skip
     off = np.abs(off)
     assert off[:, :2].mean() < 0.01 and off[:, :2].max() < 0.02
     assert off[:, 2].mean() < 0.03 and off[:, 2].max() < 0.06

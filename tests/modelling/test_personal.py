@@ -112,8 +112,8 @@ def test_the_surface_is_the_generic_one_node_for_node(person):
 def test_bones_are_as_long_as_the_models(person):
     tree, length = person.skeleton.tree, np.asarray(person.skeleton.lengths)
     for side in "lr":
-        found = [length[tree.bone(f"{bone}_{side}")] for bone in ("humerus", "radius", "hand")]
-        np.testing.assert_allclose(found, LENGTHS, atol=1e-5)
+        actual = [length[tree.bone(f"{bone}_{side}")] for bone in ("humerus", "radius", "hand")]
+        np.testing.assert_allclose(actual, LENGTHS, atol=1e-5)
     joints = rest_joints(person.skeleton)
     across = joints[tree.bone("humerus_l")] - joints[tree.bone("humerus_r")]
     np.testing.assert_allclose(across, [0, 2 * SHOULDER[1], 0], atol=1e-5)
@@ -152,10 +152,10 @@ def test_thighs_are_as_they_were_seen_and_what_is_below_goes_over_into_the_usual
     )
     leg, usual = grid(wide, "leg_l"), grid(plain, "leg_l")
     pelvis = 0.8 + 0.0506 * somebody().stature
-    seen = (leg[:, 0, 2] + pelvis < 0.74) & (leg[:, 0, 2] + pelvis > 0.6)
-    assert seen.sum() >= 3
-    np.testing.assert_allclose(np.ptp(leg[seen][..., 0], 1), 0.19, atol=3e-3)
-    np.testing.assert_allclose(np.ptp(leg[seen][..., 1], 1), 0.18, atol=4e-3)
+    measured = (leg[:, 0, 2] + pelvis < 0.74) & (leg[:, 0, 2] + pelvis > 0.6)
+    assert measured.sum() >= 3
+    np.testing.assert_allclose(np.ptp(leg[measured][..., 0], 1), 0.19, atol=3e-3)
+    np.testing.assert_allclose(np.ptp(leg[measured][..., 1], 1), 0.18, atol=4e-3)
     assert np.ptp(leg[..., 1], 1)[1:-1].max() < 0.2
     ankles = np.ptp(leg[-3], 0)[1] / np.ptp(usual[-3], 0)[1]
     assert 0.9 < ankles < 1.3
@@ -167,10 +167,10 @@ def test_poses_put_the_arms_where_the_photographs_have_them(person):
     for photograph, arms in (("joint", model.bent), ("side", model.stretched)):
         points = np.asarray(PLACED(person.skeleton, person.poses[photograph]))
         points = points - model.shifts[photograph]
-        for side, found in zip("lr", arms, strict=True):
+        for side, actual in zip("lr", arms, strict=True):
             for name in ("shoulder", "elbow", "wrist"):
                 at = points[names.index(f"{name}_{side}")]
-                np.testing.assert_allclose(at, getattr(found, name), atol=2e-3)
+                np.testing.assert_allclose(at, getattr(actual, name), atol=2e-3)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -202,7 +202,7 @@ def test_a_bent_arms_stations_lie_on_its_bones_but_about_the_elbow():
 
 def test_a_round_arm_is_as_thick_bent_as_it_is_stretched():
     camera = look_at((8.0, 0.0, 1.4), (0.0, 0.4, 1.4), (720, 720), 3000.0, (0.0,) * 4)
-    radius, found = 0.04, []
+    radius, actual = 0.04, []
     for lower in ([0, 1, 0], [0, -0.15, 1]):
         arm = flat(bones(np.array([0, 1, 0.0]), np.array(lower), 1))
         image = np.zeros((720, 720), np.uint8)
@@ -211,24 +211,24 @@ def test_a_round_arm_is_as_thick_bent_as_it_is_stretched():
         cv2.polylines(image, [ends], False, 1, round(2 * radius * 3000 / 8))
         inner = arm.shoulder + arm.wrist - 2 * arm.elbow
         towards = inner if np.linalg.norm(inner) > 0.1 else np.array([0, 0, 1.0])
-        found.append(
+        actual.append(
             without_elbow_fold(
                 arm_thickness(PhotographView(image.astype(bool), camera), arm, towards)
             )
         )
     about = (slice_positions() > 0.7) & (slice_positions() < 1.3)
-    np.testing.assert_allclose(found[0][about], radius, atol=2e-3)
+    np.testing.assert_allclose(actual[0][about], radius, atol=2e-3)
     # Its flesh is not squeezed in the fold, as a person's is.
-    np.testing.assert_allclose(found[1][about].sum(1), 2 * radius, rtol=0.2)
+    np.testing.assert_allclose(actual[1][about].sum(1), 2 * radius, rtol=0.2)
 
 
 def test_a_stretched_arms_bones_are_as_long_as_they_were_bent_though_its_flesh_hangs_lower():
     bent = both([0, 1, 0], [0, 0, 1])[0]
     side = np.arange(-0.1, 0.8, 0.001)[:, None] * [0.0, 1.0, 0.0]
     way = SHOULDER + side - np.array([0.0, 0.0, 0.06])
-    found = arm_on_axis(way, bent)
-    np.testing.assert_allclose(found.lengths[:2], LENGTHS[:2], atol=2e-3)
-    np.testing.assert_allclose(found.tip, way[-1])
+    actual = arm_on_axis(way, bent)
+    np.testing.assert_allclose(actual.lengths[:2], LENGTHS[:2], atol=2e-3)
+    np.testing.assert_allclose(actual.tip, way[-1])
     with pytest.raises(ValueError, match="shorter than its 55 cm"):
         arm_on_axis(way[:550], bent)
 
@@ -243,13 +243,13 @@ def test_beyond_what_was_measured_a_ring_keeps_its_ratio_until_it_fades():
     fine = 2 * np.pi * np.arange(64) / 64
     outline = 0.1 * np.stack([np.cos(fine), np.sin(fine)], 1) + [0.01, 0]
     measured = BodySlices(np.array([0.65, 0.35]), np.stack([outline] * 2), (np.inf, 0.2))
-    found = fitted_grid(rings, 1.0, measured)
-    sizes = np.ptp(found[..., 0], 1) / 2
+    actual = fitted_grid(rings, 1.0, measured)
+    sizes = np.ptp(actual[..., 0], 1) / 2
     np.testing.assert_allclose(sizes[:7], 0.1, rtol=1e-3)
-    np.testing.assert_allclose(found[..., 0].mean(1)[:7], 0.01, atol=1e-6)
+    np.testing.assert_allclose(actual[..., 0].mean(1)[:7], 0.01, atol=1e-6)
     assert 0.05 < sizes[7] < 0.1
     np.testing.assert_allclose(sizes[9:], 0.05, rtol=1e-9)
-    np.testing.assert_array_equal(found[..., 2], rings[..., 2])
+    np.testing.assert_array_equal(actual[..., 2], rings[..., 2])
 
 
 def drawn(points: list[np.ndarray], azimuth: float) -> PhotographView:
@@ -279,17 +279,19 @@ def test_lifted_arms_and_thighs_are_found_where_they_are_drawn():
     bottom = front.pixels(np.array([0.0, 0.0, 0.9]))
     marks = FrontLandmarks(0, 0, 0.0, pit, round(bottom[1]), float(bottom[0]))
     bent = (down, down._replace(**{k: mirrored(v) for k, v in down._asdict().items()}))
-    for found, true in zip(lifted_arms(front, marks, bent), bent, strict=True):
+    for actual, true in zip(lifted_arms(front, marks, bent), bent, strict=True):
         for name in ("elbow", "wrist"):
-            np.testing.assert_allclose(getattr(found, name), getattr(true, name), atol=0.012)
-    seen = find_thighs(front, side, marks, np.array([0.0, 0.0, 1.0]))
-    assert len(seen.heights) >= 4
-    inner = 0.02 + 0.02 * (1.0 - seen.heights) / 0.5
+            np.testing.assert_allclose(getattr(actual, name), getattr(true, name), atol=0.012)
+    thighs = find_thighs(front, side, marks, np.array([0.0, 0.0, 1.0]))
+    assert len(thighs.heights) >= 4
+    inner = 0.02 + 0.02 * (1.0 - thighs.heights) / 0.5
     for k, sign in ((0, 1), (1, -1)):
-        edges = np.sort(sign * seen.across[:, k], 1)
+        edges = np.sort(sign * thighs.across[:, k], 1)
         np.testing.assert_allclose(edges[:, 0], inner, atol=0.006)
         np.testing.assert_allclose(edges[:, 1], inner + 0.11, atol=0.006)
-    np.testing.assert_allclose(seen.deep, np.tile([-0.08, 0.1], (len(seen.deep), 1)), atol=0.006)
+    np.testing.assert_allclose(
+        thighs.deep, np.tile([-0.08, 0.1], (len(thighs.deep), 1)), atol=0.006
+    )
 
 
 def test_without_a_model_a_recording_stays_as_it_is():

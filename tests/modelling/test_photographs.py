@@ -1,4 +1,4 @@
-"""Photographs of a test person, what a tape would measure of them, and who is told from a sheet."""
+"""Photographs of a test person, what a tape would measure, and the person before a sheet."""
 
 import cv2
 import numpy as np
@@ -73,19 +73,19 @@ def test_a_section_of_the_trunk_is_as_wide_as_the_person_is_seen(rig):
     row, column = np.rint(lens.pixels(np.array([0.0, 0.0, waist])))[::-1].astype(int)
     line = true_person_mask(rig, "front")[row]
     left, right = (np.flatnonzero(~half)[0] for half in (line[column::-1], line[column:]))
-    seen = (left + right - 1) * lens.depths(np.zeros(3)) / lens.matrix[0, 0]
-    assert abs(body.trunk(waist).width - seen) < 0.006
+    width = (left + right - 1) * lens.depths(np.zeros(3)) / lens.matrix[0, 0]
+    assert abs(body.trunk(waist).width - width) < 0.006
 
 
 def test_a_tape_goes_straight_over_hollows():
     angle = np.linspace(0, 2 * np.pi, 400)
     hollow = 1 - 0.3 * np.exp(-(((angle - np.pi) / 0.3) ** 2))
     kidney = np.stack([2 * hollow * np.cos(angle), hollow * np.sin(angle)], 1)
-    whole = tape_measure(np.stack([2 * np.cos(angle), np.sin(angle)], 1))
-    assert whole.width == pytest.approx(4, abs=1e-3)
-    assert whole.depth == pytest.approx(2, abs=1e-3)
-    assert whole.girth == pytest.approx(9.688, abs=5e-3)
-    assert tape_measure(kidney).girth < whole.girth
+    girth = tape_measure(np.stack([2 * np.cos(angle), np.sin(angle)], 1))
+    assert girth.width == pytest.approx(4, abs=1e-3)
+    assert girth.depth == pytest.approx(2, abs=1e-3)
+    assert girth.girth == pytest.approx(9.688, abs=5e-3)
+    assert tape_measure(kidney).girth < girth.girth
 
 
 def test_an_arm_is_measured_alike_however_it_is_held(rig):
@@ -95,7 +95,7 @@ def test_an_arm_is_measured_alike_however_it_is_held(rig):
         assert np.abs(a - b).max() < 0.012
 
 
-def test_the_person_is_told_from_the_sheet(front, rig):
+def test_the_person_is_separated_from_the_sheet(front, rig):
     mask, truth = person_mask(front), true_person_mask(rig, "front")
     assert (mask & truth).sum() / (mask | truth).sum() > 0.97
 

@@ -125,21 +125,25 @@ def test_the_files_hold_the_person(made, rig):
 def sentence(capsys, arguments):
     """What the command says, once, of bad input."""
     assert main(arguments) == 2
-    said = capsys.readouterr().err.strip()
-    assert said.startswith("jaxmocap silhouette") and "\n" not in said and "Traceback" not in said
-    return said
+    message = capsys.readouterr().err.strip()
+    assert (
+        message.startswith("jaxmocap silhouette")
+        and "\n" not in message
+        and "Traceback" not in message
+    )
+    return message
 
 
 def test_a_photograph_of_another_size_is_refused(shots, tmp_path, capsys):
     small = tmp_path / "small.png"
     cv2.imwrite(str(small), read(shots / "side.png")[::2, ::2])
-    said = sentence(capsys, asked(shots, tmp_path / "out", side=small))
-    assert "small.png" in said and "480 x 360" in said and "960 x 720" in said
+    message = sentence(capsys, asked(shots, tmp_path / "out", side=small))
+    assert "small.png" in message and "480 x 360" in message and "960 x 720" in message
 
 
 def test_what_is_no_image_is_refused(shots, tmp_path, capsys):
-    said = sentence(capsys, asked(shots, tmp_path / "out", joint=shots / "calibration.toml"))
-    assert "calibration.toml: is not an image" in said
+    message = sentence(capsys, asked(shots, tmp_path / "out", joint=shots / "calibration.toml"))
+    assert "calibration.toml: is not an image" in message
 
 
 def test_a_background_with_a_pattern_is_refused_with_a_picture(shots, tmp_path, capsys):
@@ -148,8 +152,8 @@ def test_a_background_with_a_pattern_is_refused_with_a_picture(shots, tmp_path, 
     image[checks] //= 2
     patterned, out = tmp_path / "patterned.png", tmp_path / "out"
     cv2.imwrite(str(patterned), image)
-    said = sentence(capsys, asked(shots, out, front=patterned))
-    assert "patterned.png: the background is not uniform" in said
+    message = sentence(capsys, asked(shots, out, front=patterned))
+    assert "patterned.png: the background is not uniform" in message
     assert read(out / "front_refused.png").shape == image.shape
 
 
@@ -160,8 +164,8 @@ def test_nobody_and_somebody_cut_off_are_refused(shots, tmp_path, capsys):
     cv2.rectangle(image, (480, 300), (960, 330), (60, 60, 190), -1)
     cv2.imwrite(str(cut), image)
     assert "found nobody" in sentence(capsys, asked(shots, tmp_path / "out", front=empty))
-    said = sentence(capsys, asked(shots, tmp_path / "out", front=cut))
-    assert "cut.png: the person is cut off at the right side" in said
+    message = sentence(capsys, asked(shots, tmp_path / "out", front=cut))
+    assert "cut.png: the person is cut off at the right side" in message
 
 
 def test_arms_against_the_body_are_refused(shots, tmp_path, capsys):
@@ -170,15 +174,15 @@ def test_arms_against_the_body_are_refused(shots, tmp_path, capsys):
     between = np.array([[300, 300], [660, 300], [700, 560], [260, 560]])
     cv2.fillConvexPoly(image, between, (60, 60, 190))
     cv2.imwrite(str(hanging), image)
-    said = sentence(capsys, asked(shots, tmp_path / "out", front=hanging))
-    assert "hanging.png: found no gap between" in said
+    message = sentence(capsys, asked(shots, tmp_path / "out", front=hanging))
+    assert "hanging.png: found no gap between" in message
 
 
 def test_a_calibration_without_the_side_camera_is_refused(shots, tmp_path, capsys):
     cameras = read_calibration(shots / "calibration.toml")
     write_calibration(tmp_path / "one.toml", {"front": cameras["front"]})
-    said = sentence(capsys, asked(shots, tmp_path / "out", calibration=tmp_path / "one.toml"))
-    assert "one.toml: section [side] is missing" in said
+    message = sentence(capsys, asked(shots, tmp_path / "out", calibration=tmp_path / "one.toml"))
+    assert "one.toml: section [side] is missing" in message
 
 
 def test_three_photographs_are_refused(shots, tmp_path, capsys):

@@ -23,7 +23,7 @@ from jaxmocap.modelling.texture.fusion import (
     weighted_blur,
     wide_blend,
 )
-from jaxmocap.modelling.texture.splats import NONE, in_sight, nearest_points, splatted
+from jaxmocap.modelling.texture.splats import NONE, nearest_points, splatted, visible_points
 from jaxmocap.modelling.texture.texels import texels_of
 from jaxmocap.modelling.views import PhotographView
 
@@ -135,11 +135,11 @@ def test_exposure_and_white_balance_are_undone_by_the_backdrop():
     rng = np.random.default_rng(0)
     colours, ones = rng.uniform(40, 200, (500, 3)), np.ones(500)
     exposed, backdrop = np.array([0.7, 0.8, 0.9]), np.array([120.0, 90, 60])
-    found = gains(
+    actual = gains(
         [colours, colours * exposed], [ones, ones], np.array([backdrop, backdrop * exposed])
     )
-    np.testing.assert_allclose(found[0], 1)
-    np.testing.assert_allclose(found[1], 1 / exposed)
+    np.testing.assert_allclose(actual[0], 1)
+    np.testing.assert_allclose(actual[1], 1 / exposed)
 
 
 def test_another_wall_behind_the_person_is_not_taken_for_exposure():
@@ -179,14 +179,14 @@ def test_light_that_differs_slowly_is_the_same_where_two_pictures_meet():
 def test_holes_are_filled_from_aside_and_across_the_seam():
     picture = np.zeros((60, 96, 3), np.float32)
     picture[:30], picture[30:] = 50, 200
-    known = np.ones((60, 96), bool)
-    known[:, :20] = known[:, -20:] = False
-    filled = closed_holes(np.where(known[..., None], picture, 0), known)
-    assert (filled[known] == picture[known]).all()
+    valid = np.ones((60, 96), bool)
+    valid[:, :20] = valid[:, -20:] = False
+    filled = closed_holes(np.where(valid[..., None], picture, 0), valid)
+    assert (filled[valid] == picture[valid]).all()
     assert np.abs(filled - picture)[np.r_[:22, 38:60]].max() < 25
 
 
-def test_a_picture_of_which_nothing_is_known_stays():
+def test_a_picture_without_valid_places_stays():
     picture = np.full((8, 9, 3), 7.0)
     assert (closed_holes(picture, np.zeros((8, 9), bool)) == 7).all()
 
@@ -194,10 +194,16 @@ def test_a_picture_of_which_nothing_is_known_stays():
 def test_the_nearest_point_of_a_cell_is_kept_and_what_lies_behind_is_hidden():
     cells = np.array([[2.0, 1], [2.2, 0.9], [4, 3], [-1, 0], [9, 9]])
     depths = np.array([3.0, 2.0, 5.0, 1.0, 1.0])
-    found = nearest_points(cells, depths, (5, 6))
-    assert found[1, 2] == 1 and found[3, 4] == 2 and (found != NONE).sum() == 2
-    assert in_sight(cells, depths, (5, 6), [(0, 0.1)]).tolist() == [False, True, True, False, False]
-    assert not in_sight(cells, depths, (5, 6), [(2, 0.1)])[2]
+    actual = nearest_points(cells, depths, (5, 6))
+    assert actual[1, 2] == 1 and actual[3, 4] == 2 and (actual != NONE).sum() == 2
+    assert visible_points(cells, depths, (5, 6), [(0, 0.1)]).tolist() == [
+        False,
+        True,
+        True,
+        False,
+        False,
+    ]
+    assert not visible_points(cells, depths, (5, 6), [(2, 0.1)])[2]
 
 
 def test_single_open_cells_of_a_picture_are_closed_and_wide_ones_are_not():

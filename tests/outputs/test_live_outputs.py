@@ -71,8 +71,8 @@ def test_unitys_joints_lie_where_the_mirrored_armature_has_them(pose):
     expected = joint_positions(armature)[0][rows] @ MIRROR.T
     np.testing.assert_allclose(world.positions, expected, atol=2e-6)
     R = np.einsum("ij,njk,lk->nil", MIRROR, armature.rotations[0][rows], MIRROR)
-    found = Rotation.from_quat(body.local(pose).quaternions).as_matrix()
-    np.testing.assert_allclose(found, R, atol=2e-6)
+    actual = Rotation.from_quat(body.local(pose).quaternions).as_matrix()
+    np.testing.assert_allclose(actual, R, atol=2e-6)
 
 
 def test_a_frame_of_vmc_is_one_bundle_of_what_its_receivers_ask_for():

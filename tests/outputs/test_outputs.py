@@ -323,7 +323,7 @@ def test_the_recorded_transforms_carry_the_solids_to_the_joints(tmp_path, motion
     assert [len(row) for row in points] == [0 if 5 <= i < 9 else 1 for i in range(SAMPLES)]
 
 
-def test_the_viewer_shows_how_far_to_trust_each_landmark(tmp_path, motion):
+def test_the_viewer_shows_each_landmarks_deviation(tmp_path, motion):
     deviations = np.full((SAMPLES, len(LANDMARKS), 3), 0.01)
     deviations[3, 0] = np.nan
     deviations[:, 2] = 0.2
@@ -428,7 +428,7 @@ def test_a_full_disk_is_an_error_and_leaves_the_earlier_file(tmp_path, name, sha
         return done.stdout.strip(), done.stderr
 
     assert run(2**30) == ("", "")
-    whole = path.read_bytes()
-    message, printed = run(int(share * len(whole)))
+    intact = path.read_bytes()
+    message, printed = run(int(share * len(intact)))
     assert message == f"{path}: cannot be written (File too large)" and printed == ""
-    assert path.read_bytes() == whole and [file.name for file in tmp_path.iterdir()] == [name]
+    assert path.read_bytes() == intact and [file.name for file in tmp_path.iterdir()] == [name]

@@ -57,7 +57,7 @@ def folder(surface, atlas, tmp_path_factory):
 
 
 def colour(patch: int) -> tuple[int, int, int]:
-    """RGB by which a patch is told."""
+    """RGB by which a patch is identified."""
     return 30 * patch + 10, 200 - 20 * patch, 90
 
 
@@ -88,15 +88,15 @@ def test_nodes_over_time_are_where_the_traced_ones_are(surface):
 def test_every_patch_of_a_skin_is_closed_and_faces_outwards(folder, surface):
     player = Player(folder / "motion.glb")
     triangles = player.numbers(player.file.meshes[0].primitives[0].indices).reshape(-1, 3)
-    whole = trimesh.Trimesh(player.attribute("POSITION"), triangles, process=False)
+    mesh = trimesh.Trimesh(player.attribute("POSITION"), triangles, process=False)
     normals = np.asarray(player.attribute("NORMAL"))
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
-    kept = whole.nondegenerate_faces()
-    towards = np.sum(normals[triangles[:, 0]] * whole.face_normals, 1)[kept]
+    kept = mesh.nondegenerate_faces()
+    towards = np.sum(normals[triangles[:, 0]] * mesh.face_normals, 1)[kept]
     assert np.mean(towards > 0) > 0.99
-    whole.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=5)
-    whole.update_faces(whole.nondegenerate_faces())
-    parts = whole.split()
+    mesh.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=5)
+    mesh.update_faces(mesh.nondegenerate_faces())
+    parts = mesh.split()
     assert len(parts) == len(surface.patches)
     assert all(part.is_watertight and part.volume > 1e-4 for part in parts)
 
@@ -147,17 +147,17 @@ def test_a_coarser_surface_is_the_same_body_with_fewer_nodes(surface):
     fewer = rest_nodes(thin, joints)
     assert len(fewer) < 0.5 * len(nodes)
     assert {tuple(node) for node in fewer.tolist()} <= {tuple(node) for node in nodes.tolist()}
-    for patch, whole in zip(thin.patches, surface.patches, strict=True):
-        extents = [np.ptp(part, axis=0) for part in (fewer[patch.nodes], nodes[whole.nodes])]
+    for patch, full in zip(thin.patches, surface.patches, strict=True):
+        extents = [np.ptp(part, axis=0) for part in (fewer[patch.nodes], nodes[full.nodes])]
         np.testing.assert_allclose(*extents, atol=0.02)
     # What is to be finer than it is stays.
     assert coarser(surface, nodes, 0.001).patches == surface.patches
 
 
 def test_the_viewer_shows_the_skin_where_the_motion_carries_it(surface, tmp_path):
-    whole = moving_body()
-    few = Pose(*(np.asarray(part)[[0, 37]] for part in whole.poses))
-    motion = Motion(whole.skeleton, whole.times[[0, 37]], few)
+    moving = moving_body()
+    few = Pose(*(np.asarray(part)[[0, 37]] for part in moving.poses))
+    motion = Motion(moving.skeleton, moving.times[[0, 37]], few)
     write_rerun(tmp_path / "a.rrd", motion, surface=surface)
     timed, static = read_recording(tmp_path / "a.rrd")
     assert "/world/body/humerus_l" not in static
@@ -175,10 +175,10 @@ def test_the_viewer_shows_the_skin_where_the_motion_carries_it(surface, tmp_path
 
 
 def test_the_viewer_shows_a_skin_with_its_colours(surface, atlas, tmp_path):
-    whole = moving_body()
-    first = Pose(*(np.asarray(part)[:1] for part in whole.poses))
+    moving = moving_body()
+    first = Pose(*(np.asarray(part)[:1] for part in moving.poses))
     picture = np.full((atlas.height, atlas.width, 3), (10, 20, 30), np.uint8)
-    motion = Motion(whole.skeleton, whole.times[:1], first)
+    motion = Motion(moving.skeleton, moving.times[:1], first)
     write_rerun(tmp_path / "a.rrd", motion, surface=surface, picture=picture)
     timed, static = read_recording(tmp_path / "a.rrd")
     (look,) = static["/world/skin"]
@@ -188,7 +188,7 @@ def test_the_viewer_shows_a_skin_with_its_colours(surface, atlas, tmp_path):
     (batch,) = timed["/world/skin"]
     vertices = np.array(batch.column("Mesh3D:vertex_positions").to_pylist()[0])
     assert len(places) == len(vertices) and places.min() > 0 and places.max() < 1
-    nodes = rest_nodes(surface, rest_joints(whole.skeleton))
+    nodes = rest_nodes(surface, rest_joints(moving.skeleton))
     own = traced_nodes(surface, 0)[mesh_of(surface, nodes, atlas).nodes]
     assert np.abs(vertices - own).max() < TENTH_OF_A_MILLIMETRE
 

@@ -49,7 +49,7 @@ def recording(tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def whole(recording, tmp_path) -> Path:
+def finished_run(recording, tmp_path) -> Path:
     """A corpus of three: one below another, one whose markers are no markers."""
     for name in ("one", "deeper/two", "broken"):
         shutil.copytree(recording, tmp_path / "corpus" / name)
@@ -128,7 +128,7 @@ def dies_or_answers(number: int) -> int:
     return 2 * number
 
 
-def test_one_failure_leaves_the_others_and_is_told(ran):
+def test_one_failure_leaves_the_others_and_is_reported(ran):
     assert ran.code == 1 and ran.stderr.endswith("jaxmocap batch: 1 recordings failed\n")
     assert list(failures(ran.out)) == [BROKEN] and "markers.trc" in failures(ran.out)[BROKEN]
     assert [row["recording"] for row in table(ran.out)] == ["one/recording.toml"]
@@ -139,8 +139,8 @@ def test_one_failure_leaves_the_others_and_is_told(ran):
     assert [path.name for path in ran.out.iterdir() if path.is_dir()] == ["one"]
 
 
-def test_a_cluster_is_used_by_its_address_and_goes_on_when_a_process_dies(whole, tmp_path):
-    jobs = jobs_of(whole, tmp_path / "out", MARKERS_ONLY)
+def test_a_cluster_is_used_by_its_address_and_goes_on_when_a_process_dies(finished_run, tmp_path):
+    jobs = jobs_of(finished_run, tmp_path / "out", MARKERS_ONLY)
     with (
         dask.config.set(cluster.CLUSTER_CONFIG | {"distributed.scheduler.allowed-failures": 0}),
         distributed.LocalCluster(n_workers=1, **cluster.LOCAL_CLUSTER) as elsewhere,
@@ -226,23 +226,25 @@ def test_recordings_whose_outputs_would_lie_in_one_another_are_refused(names, tm
     assert not (tmp_path / "out").exists()
 
 
-def test_a_foreign_file_in_an_output_folder_stays(whole, tmp_path, here):
+def test_a_foreign_file_in_an_output_folder_stays(finished_run, tmp_path, here):
     notes = tmp_path / "out/one/recording/notes.txt"
     notes.parent.mkdir(parents=True)
     notes.write_text("mine")
-    track_corpus(whole, tmp_path / "out", MARKERS_ONLY)
-    (whole / "one" / "markers.trc").write_text((whole / "one/markers.trc").read_text() + "\n")
-    assert track_corpus(whole, tmp_path / "out", MARKERS_ONLY).earlier_count == 1
+    track_corpus(finished_run, tmp_path / "out", MARKERS_ONLY)
+    (finished_run / "one" / "markers.trc").write_text(
+        (finished_run / "one/markers.trc").read_text() + "\n"
+    )
+    assert track_corpus(finished_run, tmp_path / "out", MARKERS_ONLY).earlier_count == 1
     assert notes.read_text() == "mine"
 
 
-def test_an_output_that_was_edited_is_not_replaced_but_told(whole, tmp_path, here):
-    track_corpus(whole, tmp_path / "out", MARKERS_ONLY)
+def test_an_output_that_was_edited_is_not_replaced_but_reported(finished_run, tmp_path, here):
+    track_corpus(finished_run, tmp_path / "out", MARKERS_ONLY)
     edited = tmp_path / "out/one/recording/report.json"
     edited.write_text("mine")
-    found = track_corpus(whole, tmp_path / "out", MARKERS_ONLY)
-    assert "has changed since an earlier run wrote it" in found.failures["one/recording.toml"]
-    assert edited.read_text() == "mine" and found.earlier_count == 1
+    actual = track_corpus(finished_run, tmp_path / "out", MARKERS_ONLY)
+    assert "has changed since an earlier run wrote it" in actual.failures["one/recording.toml"]
+    assert edited.read_text() == "mine" and actual.earlier_count == 1
 
 
 def test_what_is_no_file_fails_alone(recording, tmp_path, here):
@@ -257,21 +259,21 @@ def test_what_is_no_file_fails_alone(recording, tmp_path, here):
     ):
         path = corpus_folder / name / "recording.toml"
         path.write_text(path.read_text().replace(old, new))
-    found = track_corpus(corpus_folder, tmp_path / "out", TrackingOptions())
-    assert "good/recording.toml" in {row.recording for row in found.rows}
-    assert {"pipe/recording.toml", "device/recording.toml"} <= set(found.failures)
+    actual = track_corpus(corpus_folder, tmp_path / "out", TrackingOptions())
+    assert "good/recording.toml" in {row.recording for row in actual.rows}
+    assert {"pipe/recording.toml", "device/recording.toml"} <= set(actual.failures)
 
 
 # One after the other -----------------------------------------------------------------------------
 
 
-def test_what_an_earlier_run_did_is_not_done_again(whole, tmp_path, here):
+def test_what_an_earlier_run_did_is_not_done_again(finished_run, tmp_path, here):
     out = tmp_path / "out"
-    first = track_corpus(whole, out, MARKERS_ONLY)
+    first = track_corpus(finished_run, out, MARKERS_ONLY)
     assert (len(first.rows), first.earlier_count, list(first.failures)) == (2, 0, [BROKEN])
-    shutil.copy(whole / "one" / "markers.trc", whole / "broken" / "markers.trc")
+    shutil.copy(finished_run / "one" / "markers.trc", finished_run / "broken" / "markers.trc")
     written = (out / "one/recording/report.json").stat().st_mtime_ns
-    again = track_corpus(whole, out, MARKERS_ONLY)
+    again = track_corpus(finished_run, out, MARKERS_ONLY)
     assert (len(again.rows), again.earlier_count, again.failures) == (3, 2, {})
     assert (out / "one/recording/report.json").stat().st_mtime_ns == written
     assert {row.recording: row for row in first.rows}.items() <= {
@@ -280,7 +282,9 @@ def test_what_an_earlier_run_did_is_not_done_again(whole, tmp_path, here):
     assert failures(out) == {}
 
 
-def test_interrupted_it_tells_what_is_done_and_goes_on_there(whole, tmp_path, here, monkeypatch):
+def test_interrupted_it_tells_what_is_done_and_goes_on_there(
+    finished_run, tmp_path, here, monkeypatch
+):
     own = batch.results_as_completed
 
     def interrupted(client, function, jobs, timeout_s):
@@ -289,9 +293,9 @@ def test_interrupted_it_tells_what_is_done_and_goes_on_there(whole, tmp_path, he
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(batch, "results_as_completed", interrupted)
-        track_corpus(whole, tmp_path / "out", MARKERS_ONLY)
+        track_corpus(finished_run, tmp_path / "out", MARKERS_ONLY)
     assert [row["recording"] for row in table(tmp_path / "out")] == ["deeper/two/recording.toml"]
-    assert track_corpus(whole, tmp_path / "out", MARKERS_ONLY).earlier_count == 1
+    assert track_corpus(finished_run, tmp_path / "out", MARKERS_ONLY).earlier_count == 1
 
 
 def test_a_row_says_how_long_how_good_and_what_is_missing(tmp_path, tracked):
@@ -371,11 +375,11 @@ def test_recordings_are_toml_files_with_markers_at_any_depth(tmp_path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("[markers]" if name != "no.toml" else "[camera]")
     (tmp_path / "damaged.toml").write_text("[markers")
-    found = [
+    actual = [
         path.relative_to(tmp_path.resolve()).as_posix()
         for path in find_recordings(tmp_path, tmp_path / "out")
     ]
-    assert found == ["a.toml", "b/other.toml", "b/recording.toml", "damaged.toml"]
+    assert actual == ["a.toml", "b/other.toml", "b/recording.toml", "damaged.toml"]
     folders = [
         job.folder.relative_to(tmp_path.resolve() / "out").as_posix()
         for job in jobs_of(tmp_path, tmp_path / "out", MARKERS_ONLY)

@@ -86,9 +86,9 @@ def test_joints_are_in_the_world_and_as_good_as_near_its_origin(both):
     motion, near = both
     np.testing.assert_array_equal(motion.origin_world, PLACE)
     for name, points in near.joints().items():
-        found = motion.joints()[name]
-        assert found.dtype == np.float64
-        np.testing.assert_allclose(found - PLACE, points, atol=1e-4)
+        actual = motion.joints()[name]
+        assert actual.dtype == np.float64
+        np.testing.assert_allclose(actual - PLACE, points, atol=1e-4)
     assert np.nanmax(motion.report.marker_errors) < np.nanmax(near.report.marker_errors) + 1e-4
 
 

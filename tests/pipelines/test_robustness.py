@@ -1,9 +1,9 @@
-"""The bench of faults: what is done to recordings, and how outcomes are told."""
+"""The bench of faults: what is done to recordings, and how outcomes are reported."""
 
 import numpy as np
 import pytest
 
-from bench.robustness import JOINTS, back_at, judged, unseen
+from bench.robustness import JOINTS, back_at, evaluated, unseen
 from bench.silhouette_faults import Faulty, Span, all_corrupted, camera_lost, one_corrupted, torn
 from jaxmocap.body.motion import Motion, Report
 from jaxmocap.body.pose import Pose
@@ -61,19 +61,19 @@ def test_who_is_well_for_one_frame_only_is_not_back():
     assert back_at(np.zeros(5, bool), 0, 5) > 5
 
 
-def test_times_and_reports_are_told_of_each_fault():
+def test_times_and_reports_are_given_for_each_fault():
     span = Span(10, 11, ("a",))
     faulty = Faulty((), (span, Span(20, 21, ("a",))))
     usual = np.full((FRAMES, len(JOINTS)), 0.01)
     off = usual.copy()
     off[10:14, 3], off[20, 5] = 0.2, 0.2
-    said: list[tuple[str, ...]] = [()] * FRAMES
-    said[10] = said[30] = tuple(unseen(span))
+    statuses: list[tuple[str, ...]] = [()] * FRAMES
+    statuses[10] = statuses[30] = tuple(unseen(span))
     none = np.zeros((FRAMES, 0))
-    report = Report((), none, none, none, none, none, none, tuple(said), {}, {})
+    report = Report((), none, none, none, none, none, none, tuple(statuses), {}, {})
     still = Pose(np.zeros((FRAMES, 3)), np.zeros((FRAMES, 4)), none)  # type: ignore[arg-type]
     motion = Motion(Skeleton.human(), np.arange(FRAMES) / 30, still, report)
-    outcome = judged("made up", motion, off, usual, faulty)
+    outcome = evaluated("made up", motion, off, usual, faulty)
     np.testing.assert_allclose(outcome.back, [4 / 30, 1 / 30])
-    assert outcome.said == 0.5 and outcome.false == pytest.approx(1 / (FRAMES - 2))
+    assert outcome.reported == 0.5 and outcome.false == pytest.approx(1 / (FRAMES - 2))
     assert outcome.worst == pytest.approx((11 * 0.01 + 0.2) / 12)

@@ -141,7 +141,7 @@ def test_progress_is_shown_chunk_by_chunk():
     assert calls[:chunks] == [(end, total) for end in ends]
     # The second pass counts for itself, in percent.
     percents = [done for done, _ in calls[chunks:]]
-    assert {whole for _, whole in calls[chunks:]} == {100}
+    assert {most for _, most in calls[chunks:]} == {100}
     assert percents == sorted(percents) and percents[-1] == 100
 
 
@@ -210,7 +210,7 @@ def test_samples_before_the_first_marker_are_unknown_with_a_warning():
     motion = track(replace(recording, positions_world=positions), tracker=compiled())
     assert np.isnan(motion.poses.position[:3]).all() and np.isnan(motion.joints()["head"][:3]).all()
     assert all(np.isfinite(part[3:]).all() for part in motion.poses)
-    assert samples_with(motion, "no marker has been seen yet") == [0, 1, 2]
+    assert samples_with(motion, "no marker has been measured yet") == [0, 1, 2]
 
 
 def test_a_video_that_ends_early_is_tracked_through_with_warnings():
@@ -340,7 +340,7 @@ def test_the_report_counts_warnings(written, tmp_path):
     write_outputs(track(gaps, tracker=compiled()), gaps, tmp_path)
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["statuses"]["marker LWrist is missing"]["count"] == 4
-    assert report["statuses"]["no marker has been seen yet"]["count"] == 2
+    assert report["statuses"]["no marker has been measured yet"]["count"] == 2
     assert np.isnan(read_markers(tmp_path / "joints.trc").points()["head"][:2]).all()
 
 
@@ -445,14 +445,14 @@ def test_a_motion_is_evaluated_against_points_in_memory_and_in_a_file(written, t
 
 
 def test_a_real_recording_is_tracked_from_memory(recordings):
-    whole = Recording.load(recordings / "balancing" / "recording_cam_01.toml")
-    video, count = open_video(whole.videos[0]), 12
+    complete = Recording.load(recordings / "balancing" / "recording_cam_01.toml")
+    video, count = open_video(complete.videos[0]), 12
     images = [frame for _, (_, frame) in zip(range(count), video.frames(), strict=False)]
-    source = replace(whole.videos[0], path=None, frames=(video.times[:count], images))
+    source = replace(complete.videos[0], path=None, frames=(video.times[:count], images))
     recording = replace(
-        whole,
-        times=whole.times[:count],
-        positions_world=whole.positions_world[:count],
+        complete,
+        times=complete.times[:count],
+        positions_world=complete.positions_world[:count],
         videos=(source,),
     )
     motion = track(recording)

@@ -23,7 +23,7 @@ def folder(tmp_path_factory):
     made = tmp_path_factory.mktemp("empty")
     for video in VIDEOS:
         write_video(made / video["file"], [np.full((480, 640, 3), 120, np.uint8)] * 3)
-    cameras = {str(video["camera"]): seen for video, seen in zip(VIDEOS, ring(2), strict=True)}
+    cameras = {str(video["camera"]): camera for video, camera in zip(VIDEOS, ring(2), strict=True)}
     write_calibration(made / "calibration.toml", cameras)
     write_recording(made, None, {}, VIDEOS, "calibration.toml", {"height": 1.75})
     (made / "noise.mp4").write_bytes(bytes(range(256)) * 20)
@@ -41,7 +41,7 @@ def changed(folder, old: str, new: str):
     return path
 
 
-def said(capsys, *arguments: str) -> str:
+def message_of(capsys, *arguments: str) -> str:
     """The one sentence on stderr of a command that must end with 2."""
     try:
         code = main(["silhouette", *map(str, arguments)])
@@ -65,13 +65,13 @@ def test_a_recording_whose_videos_do_not_fit_is_refused(
     folder, tmp_path, capsys, old, new, expected
 ):
     path = changed(folder, old, new)
-    assert expected in said(capsys, "track", path, "--out", tmp_path, "--at", "0,0,0")
+    assert expected in message_of(capsys, "track", path, "--out", tmp_path, "--at", "0,0,0")
 
 
 def test_a_recording_without_markers_and_video_is_none(folder, tmp_path, capsys):
     path = folder / "none.toml"
     path.write_text("[subject]\nheight = 1.75\n")
-    sentence = said(capsys, "track", path, "--out", tmp_path, "--at", "0,0,0")
+    sentence = message_of(capsys, "track", path, "--out", tmp_path, "--at", "0,0,0")
     assert "none.toml: neither [markers] nor [[video]]" in sentence
 
 
@@ -79,18 +79,20 @@ def test_a_camera_that_the_recording_does_not_have_is_named_with_those_that_it_h
     folder, tmp_path, capsys
 ):
     given = [folder / "recording.toml", "--out", tmp_path, "--cameras", "left,top"]
-    assert "no [[video]] of camera 'top', found left, right" in said(capsys, "track", *given)
+    assert "no [[video]] of camera 'top', found left, right" in message_of(capsys, "track", *given)
 
 
 @pytest.mark.parametrize("at", ["here", "1,2", "1,2,nan", "1,inf,0", "1,2,3,4", ""])
 def test_a_place_that_is_none_is_refused(folder, tmp_path, capsys, at):
     given = [folder / "recording.toml", "--out", tmp_path, f"--at={at}"]
-    assert f"--at: found {at!r}, expected X,Y,FACING" in said(capsys, "track", *given)
+    assert f"--at: found {at!r}, expected X,Y,FACING" in message_of(capsys, "track", *given)
 
 
 def test_lengths_are_found_by_more_than_one_pass(folder, tmp_path, capsys):
     given = [folder / "recording.toml", "--out", tmp_path, "--lengths", "--once"]
-    assert "argument --once: not allowed with argument --lengths" in said(capsys, "track", *given)
+    assert "argument --once: not allowed with argument --lengths" in message_of(
+        capsys, "track", *given
+    )
 
 
 @pytest.mark.parametrize(("given", "followers"), [((), False), (("--shoulders",), True)])
@@ -114,7 +116,7 @@ def test_a_place_at_which_no_camera_looks_is_refused_before_anything_is_tracked(
     folder, tmp_path, capsys
 ):
     given = [folder / "recording.toml", "--out", tmp_path, "--at", "-80,30,0"]
-    sentence = said(capsys, "track", *given)
+    sentence = message_of(capsys, "track", *given)
     assert "x = -80.00, y = 30.00 m, where no camera looks" in sentence
     assert "left, right" in sentence
 
@@ -123,7 +125,7 @@ def test_nothing_is_written_into_a_file(folder, tmp_path, capsys):
     taken = tmp_path / "taken"
     taken.write_text("mine")
     given = [folder / "recording.toml", "--out", taken, "--at", "0,0,0"]
-    assert "is a file" in said(capsys, "track", *given)
+    assert "is a file" in message_of(capsys, "track", *given)
     assert taken.read_text() == "mine"
 
 
@@ -154,4 +156,4 @@ def test_a_demo_of_nobody_or_no_time_is_refused(
     folder, tmp_path, monkeypatch, capsys, given, expected
 ):
     monkeypatch.chdir(folder)
-    assert expected in said(capsys, "demo", "--out", tmp_path / "demo", *given)
+    assert expected in message_of(capsys, "demo", "--out", tmp_path / "demo", *given)

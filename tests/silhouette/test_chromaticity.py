@@ -53,15 +53,18 @@ def test_points_beside_the_canvas_are_not_seen():
 
 
 def test_a_chromaticity_is_learned_where_it_is_visible_and_brightness_ignored():
-    known, visible = BodyAppearance.empty(3), np.array([[True, True, False], [False, True, False]])
+    appearance, visible = (
+        BodyAppearance.empty(3),
+        np.array([[True, True, False], [False, True, False]]),
+    )
     shades = np.stack([SKIN, SKIN // 2, SHIRT])[None].repeat(2, 0)
     for _ in range(3):
-        known = known.updated(chromaticity(shades), visible, SETTINGS)
-    np.testing.assert_array_equal(known.frames, [3, 3, 0])
+        appearance = appearance.updated(chromaticity(shades), visible, SETTINGS)
+    np.testing.assert_array_equal(appearance.frames, [3, 3, 0])
     np.testing.assert_allclose(
-        known.chromaticities[:2], np.stack([SKIN / SKIN.sum()] * 2), atol=0.01
+        appearance.chromaticities[:2], np.stack([SKIN / SKIN.sum()] * 2), atol=0.01
     )
-    means = known.means(np.array([1, 1, 0]), 3)
+    means = appearance.means(np.array([1, 1, 0]), 3)
     np.testing.assert_allclose(means[1], SKIN / SKIN.sum(), atol=0.01)
     assert (means[[0, 2]] == -1).all()
     assert np.isnan(chromaticity(np.array([[5, 9, 12]], np.uint8))).all()
@@ -70,18 +73,18 @@ def test_a_chromaticity_is_learned_where_it_is_visible_and_brightness_ignored():
 def test_cells_that_look_like_the_arm_are_unlike_the_trunk_behind_it(trunk_and_arm):
     cells, on_arm = trunk_and_arm
     colours = np.where(on_arm[:, None], SKIN / SKIN.sum(), SHIRT / SHIRT.sum()).astype(np.float32)
-    known = BodyAppearance(colours, np.ones(len(colours), int))
+    appearance = BodyAppearance(colours, np.ones(len(colours), int))
     image = np.tile(SHIRT, (SIZE, SIZE, 1))
     image[6:10, 6:10] = SKIN
     shown = chromaticity_canvases([image], [Region(*(part[0] for part in REGION))], SIZE)
     trunk = cells.visible(cells.nearest_depths(~on_arm), SETTINGS) & ~on_arm
-    cost = cells.appearance_cost(shown, known, trunk, SETTINGS)[0]
+    cost = cells.appearance_cost(shown, appearance, trunk, SETTINGS)[0]
     assert cost[8, 8] == SETTINGS.largest_cost and cost[4, 4] < 0.1
     assert not cells.appearance_cost(
         shown, BodyAppearance.empty(len(colours)), trunk, SETTINGS
     ).any()
     assert not cells.appearance_cost(
-        chromaticity_canvases([None], [REGION], SIZE), known, trunk, SETTINGS
+        chromaticity_canvases([None], [REGION], SIZE), appearance, trunk, SETTINGS
     ).any()
 
 

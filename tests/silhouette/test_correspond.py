@@ -60,12 +60,12 @@ def test_a_discs_contour_is_found_to_a_tenth_of_a_cell():
     y, x = np.mgrid[:64, :64]
     for middle, radius in (((30.3, 33.8), 20.0), ((31.0, 31.0), 12.4)):
         phi = radius - np.hypot(x - middle[0], y - middle[1])
-        found = contour_of(phi.astype(np.float32), np.array([100.0, 50.0]), 2.0)
-        places = (found.pixels_xy - [100.0, 50.0]) / 2.0 - 0.5 - middle
+        actual = contour_of(phi.astype(np.float32), np.array([100.0, 50.0]), 2.0)
+        places = (actual.pixels_xy - [100.0, 50.0]) / 2.0 - 0.5 - middle
         assert np.abs(np.linalg.norm(places, axis=1) - radius).max() < 0.25
         assert np.abs(np.linalg.norm(places, axis=1) - radius).mean() < 0.1
         outwards = places / np.linalg.norm(places, axis=1, keepdims=True)
-        assert np.sum(outwards * found.normals, 1).min() > 0.9
+        assert np.sum(outwards * actual.normals, 1).min() > 0.9
 
 
 def test_nothing_seen_matches_nothing(finder):  # noqa: F811
@@ -99,19 +99,19 @@ def test_a_pose_is_found_from_four_silhouettes(finder, degrees):  # noqa: F811
     off = rng.choice([-1, 1], BODY.costs.shape) * np.radians(degrees)
     off[:3] = 0.03 / np.sqrt(3)
     start = pose = retract(truth, jnp.asarray(off.astype(np.float32)))
-    # A little must be known of what outlines hardly tell: how a forearm is twisted.
+    # A prior must hold what outlines hardly determine: how a forearm is twisted.
     prior = Prior(start, jnp.full(BODY.costs.shape, 0.5))
     region = finder.find(finder.initial_shape, start, CAMERAS).region
     phi = np.stack([level_set(finder, truth, c, region) for c in range(4)])
     outlines = contours(phi, region)
     for _ in range(10):
-        found = matched_pairs(
+        actual = matched_pairs(
             finder.find(finder.initial_shape, pose, CAMERAS), outlines, SETTINGS_OF_PAIRS
         )
-        weights = jnp.asarray(found.valid, jnp.float32)
-        points = finder.initial_shape.points(found.nodes)
+        weights = jnp.asarray(actual.valid, jnp.float32)
+        points = finder.initial_shape.points(actual.nodes)
         along = SETTINGS_OF_PAIRS.along_weight
-        rays = PAIRS(CAMERAS, points, found.pixels_xy, found.normals, weights, along)
+        rays = PAIRS(CAMERAS, points, actual.pixels_xy, actual.normals, weights, along)
         pose = SOLVE(BODY, pose, rays, PoseSettings(iterations=3, deviation=0.005), prior).pose
     wrong = np.abs(np.asarray(difference(pose, truth)))
     hinges = [

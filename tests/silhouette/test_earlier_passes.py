@@ -38,8 +38,8 @@ def after_a_jump(tracker: SilhouetteTracker, earlier: Pose | None):
         state, _, _ = tracker.step(state, frame / 30, painted(tracker, HANGING))
     before = None if earlier is None else PoseEstimate(earlier, SPEEDS)
     state, pose, report = tracker.step(state, 2 / 30, painted(tracker, UP), None, before)
-    found, true = (np.asarray(landmark_points(BODY, each)[WRIST]) for each in (pose, UP))
-    return state, report, np.linalg.norm(found - true)
+    actual, true = (np.asarray(landmark_points(BODY, each)[WRIST]) for each in (pose, UP))
+    return state, report, np.linalg.norm(actual - true)
 
 
 def test_a_lost_limb_is_where_an_earlier_pass_found_it_and_moves_on_as_it_did_there(tracker):
@@ -82,7 +82,7 @@ def track_by(step, shape=None):
 
 
 def test_each_pass_steps_each_frame_with_what_the_one_before_it_found(monkeypatch):
-    """Frame by frame; the first pass knows of none."""
+    """Frame by frame; the first pass has none."""
     steps, region = [], SimpleNamespace(origin=np.zeros((1, 2)), scale=np.zeros(1))
 
     class Report(SimpleNamespace):

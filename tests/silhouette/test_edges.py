@@ -45,13 +45,13 @@ def rim_at(column: float, cameras: int = 1) -> Rim:
     return Rim(*fields, masks, region)
 
 
-def found(image: np.ndarray | None, column: float) -> Matches:
+def edges_of(image: np.ndarray | None, column: float) -> Matches:
     return inner_edge_pairs([image], rim_at(column), np.zeros(len(ROWS) + 1, int), SETTINGS)
 
 
 @pytest.mark.parametrize("off", [-4.0, -1.3, 0.0, 2.6, 4.0])
 def test_an_edge_is_found_from_a_place_beside_it(off):
-    pairs = found(picture(SKIN, SHIRT, 40), 39.5 + off)
+    pairs = edges_of(picture(SKIN, SHIRT, 40), 39.5 + off)
     assert pairs.nodes.shape == (1, len(ROWS)) and pairs.valid.mean() > 0.9
     np.testing.assert_allclose(pairs.pixels_xy[pairs.valid][:, 0], 39.5, atol=1.0)
     np.testing.assert_array_equal(pairs.pixels_xy[0, :, 1], ROWS)
@@ -62,12 +62,12 @@ def test_one_and_the_same_shirt_has_no_edge_however_patterned():
     stripes = picture(SHIRT, SHIRT, 40)
     stripes[::6] = np.clip(stripes[::6] * 1.4, 0, 255)
     stripes[:, ::7] = np.clip(stripes[:, ::7] * 0.7, 0, 255)
-    assert not found(stripes, 40).valid.any()
+    assert not edges_of(stripes, 40).valid.any()
 
 
 def test_where_there_is_no_image_or_no_edge_within_reach_there_are_no_pairs():
-    assert not found(None, 40).valid.any()
-    assert not found(picture(SKIN, SHIRT, 60), 40).valid.any()
+    assert not edges_of(None, 40).valid.any()
+    assert not edges_of(picture(SKIN, SHIRT, 60), 40).valid.any()
 
 
 def test_too_few_points_of_a_bone_say_nothing_of_its_colours():
@@ -91,7 +91,7 @@ def test_a_boundary_lies_between_the_last_sample_of_one_colour_and_the_first_of_
 
 
 def test_edges_are_further_pairs():
-    edges = found(picture(SKIN, SHIRT, 40), 40)
+    edges = edges_of(picture(SKIN, SHIRT, 40), 40)
     both = concatenated(edges, edges)
     assert both.valid.shape == (1, 2 * len(ROWS)) and both.pixels_xy.dtype == np.float32
     np.testing.assert_array_equal(both.nodes[:, len(ROWS) :], edges.nodes)

@@ -79,8 +79,8 @@ def dressed(tracker: SilhouetteTracker, pose: Pose) -> list[np.ndarray]:
 def off(poses) -> float:
     """Metres from the nearest of some left wrists to the true one."""
     true = np.asarray(landmark_points(BODY, AHEAD))[WRIST]
-    found = [np.asarray(landmark_points(BODY, pose))[WRIST] for pose in poses]
-    return float(np.linalg.norm(np.array(found) - true, axis=1).min())
+    actual = [np.asarray(landmark_points(BODY, pose))[WRIST] for pose in poses]
+    return float(np.linalg.norm(np.array(actual) - true, axis=1).min())
 
 
 @pytest.fixture(scope="module")
@@ -199,8 +199,8 @@ def test_what_lies_before_the_trunk_is_the_arm_only_in_its_hue(tracker, state, c
     evidence = finder.of_limb(left, projected, state.limbs.appearance, depths)
     below = halves_of(recovery.limbs[left])[1]
     cameras = tracker.constants.cameras
-    found = float(EXPLAINED(BODY, cameras, CROSSED, below, evidence, LIKELIHOOD))
-    assert low < found < high
+    actual = float(EXPLAINED(BODY, cameras, CROSSED, below, evidence, LIKELIHOOD))
+    assert low < actual < high
 
 
 @pytest.mark.parametrize(

@@ -78,7 +78,7 @@ def plain_walls(tracker: SilhouetteTracker) -> list[Background]:
 
 
 def begun(tracker: SilhouetteTracker, pose):
-    """The state before the first frame, all backgrounds known."""
+    """The state before the first frame, all backgrounds learned."""
     return tracker.init(pose, backgrounds=plain_walls(tracker))
 
 
@@ -95,8 +95,8 @@ def wrist_off(tracker, count: int) -> float:
     shown = [painted(tracker, hanging)] + 4 * [painted(tracker, up)]
     for frame, images in enumerate(shown):
         state, pose, _ = tracker.step(state, frame / 30, images)
-    found, true = (landmark_points(BODY, each)[WRIST] for each in (pose, up))
-    return float(np.linalg.norm(np.asarray(found - true)))
+    actual, true = (landmark_points(BODY, each)[WRIST] for each in (pose, up))
+    return float(np.linalg.norm(np.asarray(actual - true)))
 
 
 def test_an_arm_that_one_hypothesis_loses_many_find_again(tracker):

@@ -87,21 +87,21 @@ def standing(at) -> Pose:
 @jax.jit
 def moved_by(body, morph, points, moves, free, step):
     """Where points go with a tangent vector of the free pose."""
-    whole = m.with_followers(morph, retract(free, step), body)
+    full = m.with_followers(morph, retract(free, step), body)
     return posed(
-        forward(body, whole), m.moved_points(points, moves, m.driver_values(morph, whole.angles))
+        forward(body, full), m.moved_points(points, moves, m.driver_values(morph, full.angles))
     )
 
 
 @jax.jit
 def predicted(body, morph, points, moves, free):
     """(N, 3, 6 + D) the derivative that the tracker's system is made of."""
-    whole = m.with_followers(morph, free, body)
-    frames = forward(body, whole)
-    gone = m.moved_points(points, moves, m.driver_values(morph, whole.angles))
-    by_drivers = driver_point_jacobian(frames, gone, moves) @ m.driver_jacobian(morph, whole.angles)
+    full = m.with_followers(morph, free, body)
+    frames = forward(body, full)
+    gone = m.moved_points(points, moves, m.driver_values(morph, full.angles))
+    by_drivers = driver_point_jacobian(frames, gone, moves) @ m.driver_jacobian(morph, full.angles)
     J = point_jacobian(body, frames, gone) + by_drivers
-    return J @ m.followed_jacobian(morph, whole.angles)
+    return J @ m.followed_jacobian(morph, full.angles)
 
 
 @settings(max_examples=5)
@@ -144,29 +144,29 @@ def test_a_shoulder_s_hinges_are_carried_along_as_equation_4_21_says(at):
     at = at.copy()
     at[[RAISE, PROTRACT]] = 0.0
     free = standing(at)
-    whole = WHOLE(MORPH, free, BODY)
-    turns = np.asarray(whole.angles)[[RAISE, PROTRACT]]
+    full = WITH_FOLLOWERS(MORPH, free, BODY)
+    turns = np.asarray(full.angles)[[RAISE, PROTRACT]]
     assert turns[0] > 0 > turns[1]
     before = FORWARD(BODY, free)
     lifted = transported(screws(before, ARM), screws(before, [RAISE, PROTRACT]), turns)
-    np.testing.assert_allclose(screws(FORWARD(BODY, whole), ARM), lifted, atol=2e-5)
+    np.testing.assert_allclose(screws(FORWARD(BODY, full), ARM), lifted, atol=2e-5)
 
 
 @given(angles)
 def test_what_follows_can_be_taken_off_again(at):
     free = standing(at)
-    back = FREE(MORPH, WHOLE(MORPH, free, BODY))
-    inside = np.asarray(WHOLE(MORPH, free, BODY).angles)
+    back = FREE(MORPH, WITH_FOLLOWERS(MORPH, free, BODY))
+    inside = np.asarray(WITH_FOLLOWERS(MORPH, free, BODY).angles)
     kept = (inside > LOW + 1e-6) & (inside < HIGH - 1e-6)
     np.testing.assert_allclose(back.angles[kept], free.angles[kept], atol=1e-6)
 
 
 def test_a_hanging_arm_moves_nothing_and_a_raised_one_its_own_side():
-    hanging = WHOLE(MORPH, standing(np.zeros(len(LOW))), BODY)
+    hanging = WITH_FOLLOWERS(MORPH, standing(np.zeros(len(LOW))), BODY)
     np.testing.assert_array_equal(hanging.angles, 0)
     raised = np.zeros(len(LOW))
     raised[TREE.joint("arm_abduct_l")] = np.radians(150)
-    angles_then = np.asarray(WHOLE(MORPH, standing(raised), BODY).angles)
+    angles_then = np.asarray(WITH_FOLLOWERS(MORPH, standing(raised), BODY).angles)
     at = dict(zip(TREE.joints, angles_then, strict=True))
     assert at["clavicle_raise_l"] == pytest.approx(0.25 * 0.933, abs=1e-3)
     assert at["clavicle_raise_r"] == at["clavicle_protract_r"] == 0
@@ -266,8 +266,8 @@ def test_the_radial_function_is_the_paper_s_around_a_limb(centre, radii):
     r_x, r_y = np.square(radii)
     expected = np.exp(-((phi - centre[0]) ** 2) / r_x) * np.exp(-((share - centre[1]) ** 2) / r_y)
     places = np.stack([phi + 2 * np.pi, share], 1).astype(np.float32)
-    found = s.radial(places, np.float32(centre), np.float32(radii))
-    np.testing.assert_allclose(found, expected, atol=1e-4)
+    actual = s.radial(places, np.float32(centre), np.float32(radii))
+    np.testing.assert_allclose(actual, expected, atol=1e-4)
 
 
 def test_a_swelling_is_highest_at_its_centre_and_goes_outwards():
@@ -330,4 +330,8 @@ def test_what_cannot_go_along_is_named(morphing, kind, says):
         s.morph_around(morphing, TREE, SURFACE, JOINTS)
 
 
-FORWARD, WHOLE, FREE = jax.jit(forward), jax.jit(m.with_followers), jax.jit(m.without_followers)
+FORWARD, WITH_FOLLOWERS, FREE = (
+    jax.jit(forward),
+    jax.jit(m.with_followers),
+    jax.jit(m.without_followers),
+)

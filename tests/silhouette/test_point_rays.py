@@ -71,7 +71,7 @@ def ring(number: int) -> list[Camera]:
     return cameras
 
 
-def seen(cameras, points_world, noise=0.0, rng=None) -> Lines:
+def rays_to(cameras, points_world, noise=0.0, rng=None) -> Lines:
     """Rays of all cameras in turn: the first sees the first points, and so on."""
     parts = np.array_split(np.arange(len(points_world)), len(cameras))
     rays = []
@@ -154,7 +154,7 @@ def test_the_system_is_the_naive_one_without_its_empty_third(skeleton64):
         pose = bent(skeleton64, rng)
         points = some_points(skeleton64, rng)
         frames = FORWARD(skeleton64, pose)
-        pairs = on_rays(points, seen(ring(2), POSED(frames, points) + 0.03))
+        pairs = on_rays(points, rays_to(ring(2), POSED(frames, points) + 0.03))
         residuals, rows = (np.asarray(part) for part in LINEARISED(skeleton64, frames, pairs))
         x = np.asarray(POSED(frames, points))
     own = naive_kinematics.forward(skeleton64, pose)
@@ -171,7 +171,7 @@ def test_rows_are_derivatives_of_the_residuals(skeleton64):
     with double():
         pose = bent(skeleton64, rng)
         points = some_points(skeleton64, rng)
-        lines = seen(ring(2), POSED(FORWARD(skeleton64, pose), points) + 0.03)
+        lines = rays_to(ring(2), POSED(FORWARD(skeleton64, pose), points) + 0.03)
         pairs = on_rays(points, lines)._replace(along_weights=on_device(rng.uniform(0, 1, PAIRS)))
         way, h = on_device(rng.normal(size=6 + len(pose.angles))), 1e-6
         ends = [FORWARD(skeleton64, retract(pose, s * h * way)) for s in (1, -1)]
@@ -194,7 +194,7 @@ def test_a_rigid_body_gets_the_pose_that_opencv_finds(skeleton64, noise):
             x = np.asarray(POSED(FORWARD(skeleton64, truth), points))
             pixels = np.asarray(PROJECT(camera, on_device(x))) + rng.normal(0, noise, (PAIRS, 2))
             pairs = on_rays(points, LINES(camera, on_device(pixels)))
-            found = solved(skeleton64, at_rest(skeleton64), pairs, ALIKE, None, body_only)
+            actual = solved(skeleton64, at_rest(skeleton64), pairs, ALIKE, None, body_only)
             _, turn, shift = cv2.solvePnP(
                 np.ascontiguousarray(np.asarray(points.points_bone)[:, 0]),
                 pixels,
@@ -204,11 +204,11 @@ def test_a_rigid_body_gets_the_pose_that_opencv_finds(skeleton64, noise):
             T = np.eye(4)
             T[:3, :3], T[:3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
             T = np.linalg.inv(np.asarray(camera.T_cam_world)) @ T
-            R = np.asarray(quaternion_to_matrix(found.pose.quaternion))
-            ours.append(np.linalg.norm(found.pose.position - truth.position))
+            R = np.asarray(quaternion_to_matrix(actual.pose.quaternion))
+            ours.append(np.linalg.norm(actual.pose.position - truth.position))
             theirs.append(np.linalg.norm(T[:3, 3] - np.asarray(truth.position)))
             across.append(
-                max(np.abs(found.pose.position - T[:3, 3]).max(), np.abs(R - T[:3, :3]).max())
+                max(np.abs(actual.pose.position - T[:3, 3]).max(), np.abs(R - T[:3, :3]).max())
             )
     if noise:
         assert np.mean(ours) < 1.5 * np.mean(theirs) + 1e-4
@@ -223,10 +223,10 @@ def test_points_of_the_whole_body_give_its_pose_back(skeleton, cameras):
     rng = np.random.default_rng(6 + cameras)
     truth = bent(skeleton, rng)
     points = some_points(skeleton, rng)
-    pairs = on_rays(points, seen(ring(cameras), POSED(FORWARD(skeleton, truth), points)))
-    found = solved(skeleton, moved(truth, rng, 0.15), pairs, PATIENT)
-    assert np.abs(difference(found.pose, truth)).max() < 2e-3
-    assert found.distances.max() < 1e-4
+    pairs = on_rays(points, rays_to(ring(cameras), POSED(FORWARD(skeleton, truth), points)))
+    actual = solved(skeleton, moved(truth, rng, 0.15), pairs, PATIENT)
+    assert np.abs(difference(actual.pose, truth)).max() < 2e-3
+    assert actual.distances.max() < 1e-4
 
 
 def test_the_reference_finds_the_same_pose(skeleton64):
@@ -235,11 +235,11 @@ def test_the_reference_finds_the_same_pose(skeleton64):
         truth = bent(skeleton64, rng)
         points = some_points(skeleton64, rng)
         x = POSED(FORWARD(skeleton64, truth), points)
-        pairs = on_rays(points, seen(ring(2), x, 1.0, rng))
+        pairs = on_rays(points, rays_to(ring(2), x, 1.0, rng))
         start = moved(truth, rng, 0.02)
-        found = solved(skeleton64, start, pairs, ALIKE).pose
+        actual = solved(skeleton64, start, pairs, ALIKE).pose
         theirs = naive.solve_pose(skeleton64, start, pairs, iterations=8)
-        assert np.abs(difference(Pose(*on_device(theirs)), found)).max() < 1e-6
+        assert np.abs(difference(Pose(*on_device(theirs)), actual)).max() < 1e-6
 
 
 def test_contours_outliers_a_prior_and_limits_lead_to_the_references_pose(skeleton64):
@@ -252,7 +252,7 @@ def test_contours_outliers_a_prior_and_limits_lead_to_the_references_pose(skelet
         points = some_points(skeleton64, rng)
         x = np.array(POSED(FORWARD(skeleton64, truth), points))
         x[::6] += rng.normal(0, 0.3, (len(x[::6]), 3))
-        pairs = on_rays(points, seen(ring(4), on_device(x), 1.0, rng))
+        pairs = on_rays(points, rays_to(ring(4), on_device(x), 1.0, rng))
         turn = on_device(rng.uniform(0, np.pi, (PAIRS, 1)))
         along = jnp.cross(pairs.lines.directions, pairs.across)
         across = jnp.cos(turn) * pairs.across + jnp.sin(turn) * along
@@ -264,17 +264,17 @@ def test_contours_outliers_a_prior_and_limits_lead_to_the_references_pose(skelet
         deviations = on_device(rng.uniform(0.1, 0.5, skeleton64.costs.shape))
         prior = Prior(moved(truth, rng, 0.05), deviations)
         how = PATIENT._replace(rest=1e-9)
-        found = solved(skeleton64, start, pairs, how, prior)
+        actual = solved(skeleton64, start, pairs, how, prior)
         theirs = naive_pose.solve_pose(skeleton64, start, pairs, how._replace(iterations=15), prior)
         residuals, _ = naive_pose.contour_rows(
             skeleton64, naive_kinematics.forward(skeleton64, theirs), pairs
         )
         share, spread = naive_pose.shares(residuals, np.asarray(weights), how)
-        assert np.abs(difference(Pose(*on_device(theirs)), found.pose)).max() < 1e-5
+        assert np.abs(difference(Pose(*on_device(theirs)), actual.pose)).max() < 1e-5
     assert theirs.angles[elbow] == pytest.approx(0.0, abs=1e-9)
-    assert found.spread == pytest.approx(spread, rel=1e-4)
+    assert actual.spread == pytest.approx(spread, rel=1e-4)
     counting = np.asarray(weights) > 0
-    np.testing.assert_allclose(np.asarray(found.shares)[counting], share[counting], atol=1e-4)
+    np.testing.assert_allclose(np.asarray(actual.shares)[counting], share[counting], atol=1e-4)
     assert np.mean(share[::6] == 0) > 0.5
 
 
@@ -285,16 +285,16 @@ def test_a_fifth_of_wrong_pairs_is_told_by_its_distance_in_space(skeleton):
     x = np.array(POSED(FORWARD(skeleton, truth), points))
     wrong = rng.permutation(PAIRS) < PAIRS // 5
     x[wrong] += rng.normal(0, 0.3, (wrong.sum(), 3))
-    pairs = on_rays(points, seen(ring(4), on_device(x), 0.5, rng))
+    pairs = on_rays(points, rays_to(ring(4), on_device(x), 0.5, rng))
     start = moved(truth, rng, 0.05)
-    found = solved(skeleton, start, pairs, PATIENT)
+    actual = solved(skeleton, start, pairs, PATIENT)
     all_alike = solved(skeleton, start, pairs, ALIKE)
     error, unguarded = (
-        np.sqrt(np.mean(np.square(difference(each.pose, truth)))) for each in (found, all_alike)
+        np.sqrt(np.mean(np.square(difference(each.pose, truth)))) for each in (actual, all_alike)
     )
-    far = wrong & (np.asarray(found.distances) > 0.05)
-    assert np.all(np.asarray(found.shares)[far] == 0)
-    assert np.mean(np.asarray(found.shares)[~wrong] > 0.3) > 0.95
+    far = wrong & (np.asarray(actual.distances) > 0.05)
+    assert np.all(np.asarray(actual.shares)[far] == 0)
+    assert np.mean(np.asarray(actual.shares)[~wrong] > 0.3) > 0.95
     assert error < 0.02
     assert error < unguarded / 4
 
@@ -303,13 +303,13 @@ def test_padding_counts_for_nothing_whatever_it_holds(skeleton):
     rng = np.random.default_rng(9)
     truth = bent(skeleton, rng)
     points = some_points(skeleton, rng)
-    lines = seen(ring(2), POSED(FORWARD(skeleton, truth), points))
+    lines = rays_to(ring(2), POSED(FORWARD(skeleton, truth), points))
     empty = np.arange(PAIRS) >= 200
     lines = Lines(*(jnp.where(empty[:, None], jnp.nan, part) for part in lines))
     points = points._replace(points_bone=jnp.where(empty[:, None, None], 1e30, points.points_bone))
     pairs = on_rays(points, lines, jnp.where(empty, 0.0, 1.0))
-    found = solved(skeleton, moved(truth, rng, 0.05), pairs, PATIENT)
-    assert np.abs(difference(found.pose, truth)).max() < 2e-3
+    actual = solved(skeleton, moved(truth, rng, 0.05), pairs, PATIENT)
+    assert np.abs(difference(actual.pose, truth)).max() < 2e-3
     nothing = solved(skeleton, truth, on_rays(points, lines, jnp.zeros(PAIRS)), PATIENT)
     assert nothing.status == Status.BROKEN
     assert np.abs(difference(nothing.pose, truth)).max() < 1e-6
@@ -323,13 +323,13 @@ def test_a_joint_at_its_limit_leaves_the_system_and_the_rest_is_solved(skeleton)
     truth = rest._replace(angles=rest.angles.at[elbow].set(-0.2))
     start = rest._replace(angles=rest.angles.at[elbow].set(0.3))
     points = some_points(skeleton, rng)
-    pairs = on_rays(points, seen(ring(4), POSED(FORWARD(skeleton, truth), points)))
+    pairs = on_rays(points, rays_to(ring(4), POSED(FORWARD(skeleton, truth), points)))
     # All pairs count: the forearm's must not be rejected for what the limit does.
-    found = solved(skeleton, start, pairs, ALIKE)
-    assert found.pose.angles[elbow] == pytest.approx(0.0, abs=1e-6)
-    assert np.all(found.pose.angles >= skeleton.limits[:, 0] - 1e-6)
+    actual = solved(skeleton, start, pairs, ALIKE)
+    assert actual.pose.angles[elbow] == pytest.approx(0.0, abs=1e-6)
+    assert np.all(actual.pose.angles >= skeleton.limits[:, 0] - 1e-6)
     right = [i for i, name in enumerate(skeleton.tree.joints) if name.endswith("_r")]
-    assert np.abs(np.asarray(found.pose.angles - truth.angles))[right].max() < 0.02
+    assert np.abs(np.asarray(actual.pose.angles - truth.angles))[right].max() < 0.02
 
 
 def test_a_prior_holds_what_no_ray_tells_and_gives_way_to_what_rays_tell(skeleton):
@@ -338,13 +338,13 @@ def test_a_prior_holds_what_no_ray_tells_and_gives_way_to_what_rays_tell(skeleto
     arm = [skeleton.tree.bone(name) for name in ("humerus_l", "radius_l", "hand_l")]
     points = some_points(skeleton, rng)
     on_arm = np.isin(np.asarray(points.bones), arm).any(-1)
-    lines = seen(ring(4), POSED(FORWARD(skeleton, truth), points))
+    lines = rays_to(ring(4), POSED(FORWARD(skeleton, truth), points))
     pairs = on_rays(points, lines, jnp.where(on_arm, 0.0, 1.0))
     expected = moved(truth, rng, 0.1)
     prior = Prior(expected, jnp.full(skeleton.costs.shape, 0.5))
-    found = solved(skeleton, truth, pairs, PATIENT, prior).pose
+    actual = solved(skeleton, truth, pairs, PATIENT, prior).pose
     of_arm = [6 + d for d, b in enumerate(skeleton.tree.dof_bones) if b in arm]
-    off_truth, off_prior = (np.abs(difference(found, each)) for each in (truth, expected))
+    off_truth, off_prior = (np.abs(difference(actual, each)) for each in (truth, expected))
     assert off_prior[of_arm].max() < 1e-3
     assert np.delete(off_truth, of_arm).max() < 5e-3
 
@@ -354,18 +354,18 @@ def test_the_hessian_tells_what_outlines_leave_open(skeleton):
     deviations = []
     for cameras in (1, 2):
         pairs = _outlines(skeleton, ring(cameras))
-        found = solved(skeleton, relaxed_pose(skeleton), pairs, PATIENT._replace(iterations=0))
-        deviations.append(standard_deviations(found.information))
+        actual = solved(skeleton, relaxed_pose(skeleton), pairs, PATIENT._replace(iterations=0))
+        deviations.append(standard_deviations(actual.information))
     one, two = deviations
     dof = 6 + skeleton.tree.joint("arm_flex_l")
     assert one[dof] > 3 * two[dof]
     assert one[:3].max() > 3 * two[:3].max()
-    # Nothing seen leaves what was there before.
+    # Nothing measured leaves what was there before.
     np.testing.assert_allclose(standard_deviations(np.zeros((27, 27)), 0.7), 0.7)
 
 
 def _outlines(skeleton, cameras):
-    """Points at the sides of limbs as each camera sees them, known across the outline only."""
+    """Points at the sides of limbs as each camera sees them, measured across the outline only."""
     rng = np.random.default_rng(12)
     frames = FORWARD(skeleton, relaxed_pose(skeleton))
     points = some_points(skeleton, rng)
@@ -376,7 +376,7 @@ def _outlines(skeleton, cameras):
         np.asarray(frames.R_world_bone)[first],
         np.asarray(skeleton.directions)[first],
     )
-    lines = seen(cameras, on_device(x))
+    lines = rays_to(cameras, on_device(x))
     across = np.cross(np.asarray(lines.directions), along)
     length = np.linalg.norm(across, axis=-1, keepdims=True)
     pairs = on_rays(points, lines, on_device((length[:, 0] > 0.2).astype(float)))

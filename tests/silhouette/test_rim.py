@@ -115,13 +115,13 @@ def test_steps_in_depth_are_found_cell_by_cell():
     depths = np.where(bar, 2.0, 3.0).astype(np.float32)
     places, keys = (np.asarray(p) for p in KEYS(np.float32(x), np.float32(y), depths, size))
     image = index_image(places, keys, size)
-    found = inner_boundary(image, depths, 0.5)
+    actual = inner_boundary(image, depths, 0.5)
     depth = np.full((size, size), np.inf)
     depth[y, x] = depths
-    assert {tuple(cell) for cell in found.cells.tolist()} == naive.step_cells(depth, 0.5)
-    assert set(found.cells[:, 0].tolist()) == {12, 17}
-    assert np.all(bar[found.nodes])
-    np.testing.assert_array_equal(found.normals[:, 0], np.where(found.cells[:, 0] == 12, -1, 1))
+    assert {tuple(cell) for cell in actual.cells.tolist()} == naive.step_cells(depth, 0.5)
+    assert set(actual.cells[:, 0].tolist()) == {12, 17}
+    assert np.all(bar[actual.nodes])
+    np.testing.assert_array_equal(actual.normals[:, 0], np.where(actual.cells[:, 0] == 12, -1, 1))
 
 
 def test_a_surface_that_recedes_is_no_boundary_and_another_limb_is():
@@ -131,9 +131,9 @@ def test_a_surface_that_recedes_is_no_boundary_and_another_limb_is():
     depths = np.where(x < 10, 2.0, np.where(x < 18, 3.0, 4.0)).astype(np.float32)
     places, keys = (np.asarray(p) for p in KEYS(np.float32(x), np.float32(y), depths, size))
     limb = (x >= 18).astype(int)
-    found = inner_boundary(index_image(places, keys, size), depths, 0.5, limb)
-    assert set(found.cells[:, 0].tolist()) == {17}
-    assert len(found.cells) == 24
+    actual = inner_boundary(index_image(places, keys, size), depths, 0.5, limb)
+    assert set(actual.cells[:, 0].tolist()) == {17}
+    assert len(actual.cells) == 24
 
 
 def test_the_mask_is_what_opencv_fills(finder, rim):
@@ -232,10 +232,10 @@ def test_moving_bodies_and_cameras_are_traced_once(finder):
     rng = np.random.default_rng(1)
     for _ in range(5):
         step = rng.normal(0, 0.1, BODY.costs.shape).astype(np.float32)
-        found = finder.find(
+        actual = finder.find(
             finder.initial_shape, retract(relaxed_pose(BODY), jnp.asarray(step)), CAMERAS
         )
-        assert found.valid[:, : SETTINGS.outer].mean() > 0.9
+        assert actual.valid[:, : SETTINGS.outer].mean() > 0.9
     other = finder.shape_of(BODY, finder.initial_shape.surface)
     assert finder.find(other, relaxed_pose(BODY), CAMERAS).valid.any()
     assert finder._project._cache_size() == 1

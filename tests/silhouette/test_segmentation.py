@@ -1,4 +1,4 @@
-"""Segmentation by level sets: steps, densities, canvases and contours where the truth is known."""
+"""Segmentation by level sets: steps, densities, canvases and contours where there is a truth."""
 
 from itertools import pairwise
 
@@ -64,8 +64,8 @@ def overlap(a: np.ndarray, b: np.ndarray) -> float:
     return (a & b).sum() / (a | b).sum()
 
 
-def seen(image: np.ndarray, room: np.ndarray | None = None) -> CanvasImages:
-    """A picture (SIZE, SIZE, 3) uint8 as a canvas, before a known room."""
+def canvas_of(image: np.ndarray, room: np.ndarray | None = None) -> CanvasImages:
+    """A picture (SIZE, SIZE, 3) uint8 as a canvas, before a learned room."""
     ones = np.ones((SIZE, SIZE), np.float32)
     behind = image if room is None else room
     return CanvasImages.of([Canvas(image, ones, behind, 4 * ones, ones * (room is not None))])
@@ -79,10 +79,10 @@ def painted(truth: np.ndarray, person, rest, noise=6.0) -> np.ndarray:
 
 
 def segmented(
-    seen: CanvasImages, start: np.ndarray, plan: SegmentationPlan = PLAN, **changed
+    canvas_of: CanvasImages, start: np.ndarray, plan: SegmentationPlan = PLAN, **changed
 ) -> Segmentation:
     before = Histograms.empty(len(start), plan)
-    return segment(seen, jnp.asarray(start), before, LevelSetSettings(**changed), plan)
+    return segment(canvas_of, jnp.asarray(start), before, LevelSetSettings(**changed), plan)
 
 
 @given(seed=st.integers(0, 2**32 - 1), width=st.sampled_from([1.0, 1.5, 4.0]))
@@ -162,20 +162,22 @@ def test_a_disc_of_another_colour_is_found_from_a_start_that_is_off(plan):
     truth = disc()[0] > 0
     image = painted(truth, (60, 60, 160), (170, 150, 140))
     start = disc(x=36.0, y=26.0, radius=12.0)
-    found = np.asarray(segmented(seen(image), start, plan).phi[0]) > 0
+    actual = np.asarray(segmented(canvas_of(image), start, plan).phi[0]) > 0
     assert overlap(start[0] > 0, truth) < 0.6
-    assert overlap(found, truth) > 0.97
+    assert overlap(actual, truth) > 0.97
 
 
-def test_a_known_room_finds_whom_colours_cannot():
+def test_a_learned_room_finds_whom_colours_cannot():
     truth, rng = disc()[0] > 0, np.random.default_rng(1)
     # Both are speckled in the same colours: only the place of each speckle tells.
     room, person = rng.choice(np.array([[60, 60, 160], [170, 150, 140]]), (2, SIZE, SIZE))
     image = np.where(truth[..., None], person, room).astype(np.uint8)
     start = disc(x=35.0, y=27.0, radius=12.0)
-    by_colour = np.asarray(segmented(seen(image), start).phi[0]) > 0
+    by_colour = np.asarray(segmented(canvas_of(image), start).phi[0]) > 0
     by_room = (
-        np.asarray(segmented(seen(image, room.astype(np.uint8)), start, SegmentationPlan()).phi[0])
+        np.asarray(
+            segmented(canvas_of(image, room.astype(np.uint8)), start, SegmentationPlan()).phi[0]
+        )
         > 0
     )
     assert overlap(by_room, truth) > 0.7
@@ -189,27 +191,29 @@ def test_a_limb_beside_the_predicted_one_does_not_change_places_with_the_floor()
     # All of the room lies in shadow; the limb's colour shows nowhere in the predicted silhouette.
     image = np.where(truth[..., None], np.array([60, 60, 230]), 0.7 * room)
     image[limb[0] > 0] = (230, 90, 40)
-    found = (
-        np.asarray(segmented(seen(image.astype(np.uint8), room), start, SegmentationPlan()).phi[0])
+    actual = (
+        np.asarray(
+            segmented(canvas_of(image.astype(np.uint8), room), start, SegmentationPlan()).phi[0]
+        )
         > 0
     )
     assert overlap(start[0] > 0, truth) < 0.6
-    assert overlap(found, truth) > 0.9
+    assert overlap(actual, truth) > 0.9
 
 
 def test_pieces_that_lie_nowhere_near_the_prediction_are_not_the_person():
     person, hand, stranger = disc(20, 20, 10)[0], disc(40, 20, 4)[0], disc(45, 50, 8)[0]
-    found = attached(np.maximum(np.maximum(person, hand), stranger), disc(30, 20, 9)[0])
-    np.testing.assert_array_equal(found > 0, (person > 0) | (hand > 0))
+    actual = attached(np.maximum(np.maximum(person, hand), stranger), disc(30, 20, 9)[0])
+    np.testing.assert_array_equal(actual > 0, (person > 0) | (hand > 0))
     np.testing.assert_array_equal(attached(person, -np.ones_like(person)), person)
 
 
 def test_an_empty_room_is_read_from_a_picture_of_the_videos_size(tmp_path):
     picture = np.random.default_rng(0).integers(0, 256, (12, 16, 3), np.uint8)
     cv2.imwrite(str(tmp_path / "empty.png"), picture)
-    found = background_of_picture(read_empty_room(tmp_path / "empty.png", (16, 12)))
-    np.testing.assert_array_equal(found.colour, picture)
-    assert found.known.min() == 1 and found.noise.min() > 1
+    actual = background_of_picture(read_empty_room(tmp_path / "empty.png", (16, 12)))
+    np.testing.assert_array_equal(actual.colour, picture)
+    assert actual.certainty.min() == 1 and actual.noise.min() > 1
     with pytest.raises(InputError, match=r"found 16 × 12 pixels, expected 640 × 480"):
         read_empty_room(tmp_path / "empty.png", (640, 480))
     (tmp_path / "no.png").write_text("nothing")
@@ -219,7 +223,9 @@ def test_an_empty_room_is_read_from_a_picture_of_the_videos_size(tmp_path):
 
 def test_a_room_without_colours_is_refused():
     with pytest.raises(ValueError, match=r"expected plan\.colour = True"):
-        segmented(seen(np.zeros((SIZE, SIZE, 3), np.uint8)), disc(), SegmentationPlan(colour=False))
+        segmented(
+            canvas_of(np.zeros((SIZE, SIZE, 3), np.uint8)), disc(), SegmentationPlan(colour=False)
+        )
 
 
 def test_the_prior_holds_the_contour_near_the_prediction():
@@ -228,7 +234,9 @@ def test_the_prior_holds_the_contour_near_the_prediction():
     image = painted(beyond, (60, 60, 160), (170, 150, 140))
     free, held = (
         np.asarray(
-            segmented(seen(image), disc(radius=14.0), shape_prior=shape, prior_reach=6.0).phi[0]
+            segmented(canvas_of(image), disc(radius=14.0), shape_prior=shape, prior_reach=6.0).phi[
+                0
+            ]
         )
         > 0
         for shape in (0.0, 6.0)
@@ -240,10 +248,10 @@ def test_the_prior_holds_the_contour_near_the_prediction():
 def test_histograms_are_carried_to_the_next_frame():
     truth = disc()[0] > 0
     image = painted(truth, (60, 60, 160), (170, 150, 140))
-    first = segmented(seen(image), disc(x=33.0))
+    first = segmented(canvas_of(image), disc(x=33.0))
     kept = first.histograms
     assert float(kept.person.sum()) > 0.5 * truth.sum() / densities.COUNT_STRIDE**2
-    again = segment(seen(image), jnp.asarray(disc(x=33.0)), kept, LevelSetSettings(), PLAN)
+    again = segment(canvas_of(image), jnp.asarray(disc(x=33.0)), kept, LevelSetSettings(), PLAN)
     assert overlap(np.asarray(again.phi[0]) > 0, truth) > 0.97
 
 
@@ -261,8 +269,8 @@ def test_frames_of_any_kind_are_segmented_by_one_program():
         (np.full_like(disc(), -32.0), image),
         (np.full_like(disc(), 32.0), np.full_like(image, 255)),
     ):
-        found = segmented(seen(picture), start)
-        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found))
+        actual = segmented(canvas_of(picture), start)
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(actual))
     assert compiled() <= before + 1
 
 
@@ -271,31 +279,31 @@ def test_a_contours_points_lie_on_a_circle_and_look_out():
     phi = np.concatenate([disc(31.3, 30.6, r) for r in radii])
     origin = np.array([[10.5, 20.5]] * 3, np.float32)
     region = Region(origin, np.full(3, 1.7, np.float32))
-    found = contours(phi, np.clip(phi, -3, 3), np.ones_like(phi), region, 128)
+    actual = contours(phi, np.clip(phi, -3, 3), np.ones_like(phi), region, 128)
     middle = origin[0] + (np.array([31.3, 30.6]) + 0.5) * 1.7
     for view, radius in enumerate(radii):
-        valid = np.asarray(found.valid[view])
-        away = np.asarray(found.points_xy[view])[valid] - middle
+        valid = np.asarray(actual.valid[view])
+        away = np.asarray(actual.points_xy[view])[valid] - middle
         distance = np.hypot(*away.T)
         np.testing.assert_allclose(distance, 1.7 * radius, atol=0.08)
-        outward = np.sum(away / distance[:, None] * np.asarray(found.normals[view])[valid], -1)
+        outward = np.sum(away / distance[:, None] * np.asarray(actual.normals[view])[valid], -1)
         assert outward.min() > 0.99
-        around = np.asarray(found.lengths[view])[valid].sum()
+        around = np.asarray(actual.lengths[view])[valid].sum()
         assert around == pytest.approx(2 * np.pi * 1.7 * radius, rel=0.03)
         sectors = np.histogram(np.arctan2(away[:, 1], away[:, 0]), 8)[0]
         assert sectors.min() > 0.5 * sectors.mean()
     # Twice the change of Φ over four cells, of the largest change.
-    assert np.asarray(found.contrast)[1, :20].min() > 0.6
+    assert np.asarray(actual.contrast)[1, :20].min() > 0.6
 
 
 def test_a_border_of_the_image_is_no_contour_and_nothing_has_none():
     phi = np.concatenate([disc(x=2.0), np.full_like(disc(), -8.0)])
     inside = np.broadcast_to((X > 8).astype(np.float32), phi.shape)
     region = Region(np.zeros((2, 2), np.float32), np.ones(2, np.float32))
-    found = contours(phi, phi, inside, region, 128)
-    assert not found.valid[1].any() and np.isfinite(found.points_xy).all()
-    valid = np.asarray(found.valid[0])
-    assert valid.any() and np.asarray(found.points_xy[0])[valid, 0].min() > 7
+    actual = contours(phi, phi, inside, region, 128)
+    assert not actual.valid[1].any() and np.isfinite(actual.points_xy).all()
+    valid = np.asarray(actual.valid[0])
+    assert valid.any() and np.asarray(actual.points_xy[0])[valid, 0].min() > 7
 
 
 def test_a_canvas_follows_the_person_and_leads_back_to_the_image():
@@ -345,9 +353,9 @@ def test_a_rendered_person_before_clutter_is_found_from_a_pose_that_is_off(recor
             for mask, region in zip(starts, regions, strict=True)
         ]
     )
-    found = segmented(CanvasImages.of(canvases), phi, SegmentationPlan())
+    actual = segmented(CanvasImages.of(canvases), phi, SegmentationPlan())
     for view, truth in enumerate(truths):
-        region, level_set = regions[view], np.asarray(found.phi[view])
+        region, level_set = regions[view], np.asarray(actual.phi[view])
         cells = overlap(full_mask(level_set, region, truth.shape), truth)
         sharp = sharpened_silhouette(frames[view], level_set, region, rooms[view]).full(truth.shape)
         assert overlap(starts[view], truth) < 0.85 and cells > 0.88

@@ -81,7 +81,7 @@ def test_contours_of_a_stouter_body_tell_how_much_stouter(camera_pairs):
 
 @pytest.fixture(scope="module")
 def camera_pairs():
-    """What one frame tells: nodes of a body in a bent pose, and where a stouter one's are seen."""
+    """What one frame measures: nodes of a body in a bent pose, and where a stouter one's appear."""
     rng = np.random.default_rng(2)
     cameras, pose = stack_cameras(ring(2)), relaxed_pose(BODY)
     angles = np.asarray(pose.angles) + rng.uniform(-0.1, 0.1, len(pose.angles))
@@ -94,8 +94,8 @@ def camera_pairs():
     turns = rng.uniform(0, 2 * np.pi, nodes.shape)
     normals = np.stack([np.cos(turns), np.sin(turns)], -1).astype(np.float32)
     points = BodyPoints(*(np.asarray(part)[nodes.ravel()] for part in SURFACE.points))
-    seen = ContourPairs(points, pixels, normals, np.ones(nodes.shape, np.float32))
-    H, slope = shape_equations(BODY, cameras, pose, seen, FIELDS.moves[nodes.ravel()])
+    pairs = ContourPairs(points, pixels, normals, np.ones(nodes.shape, np.float32))
+    H, slope = shape_equations(BODY, cameras, pose, pairs, FIELDS.moves[nodes.ravel()])
     return np.asarray(H, float), np.asarray(slope, float), amounts
 
 
@@ -139,9 +139,9 @@ def test_contours_of_a_body_with_longer_bones_tell_how_much_longer(taller):
     turns = rng.uniform(0, 2 * np.pi, nodes.shape)
     normals = np.stack([np.cos(turns), np.sin(turns)], -1).astype(np.float32)
     points = BodyPoints(*(np.asarray(part)[nodes.ravel()] for part in SURFACE.points))
-    seen = ContourPairs(points, pixels, normals, np.ones(nodes.shape, np.float32))
+    pairs = ContourPairs(points, pixels, normals, np.ones(nodes.shape, np.float32))
     moves = FIELDS.moves[nodes.ravel()]
-    H, slope = shape_equations(BODY, cameras, pose, seen, moves, lengths=len(LENGTHS))
+    H, slope = shape_equations(BODY, cameras, pose, pairs, moves, lengths=len(LENGTHS))
     H, slope = np.asarray(H, float), np.asarray(slope, float)
     amounts = np.zeros(len(slope))
     amounts[-len(LENGTHS) :] = LOGARITHMS
@@ -203,10 +203,10 @@ def test_without_frames_a_shape_is_peoples_mean():
 def test_one_weak_frame_counts_by_how_people_differ():
     estimator = ShapeEstimator(SURFACE, BODY)
     count = len(estimator.amounts)
-    known = np.asarray(estimator.fields.deviations) ** -2.0
+    prior_information = np.asarray(estimator.fields.deviations) ** -2.0
     H = np.zeros((6 + count, 6 + count))
-    # As sure as what is known of people: half-way.
-    H[6:, 6:] = DEVIATION_M**2 * np.diag(known)
+    # As sure as the prior among people: half-way.
+    H[6:, 6:] = DEVIATION_M**2 * np.diag(prior_information)
     estimator.add_equations(H, -H @ np.append(np.zeros(6), np.full(count, 0.01)))
     estimator.estimate()
     np.testing.assert_allclose(estimator.amounts, 0.005, rtol=1e-6)

@@ -1,4 +1,4 @@
-"""All poses of a recording at once, against dense solves and motions that are known."""
+"""All poses of a recording at once, against dense solves and true motions."""
 
 from functools import partial
 
@@ -16,7 +16,7 @@ from jaxmocap.silhouette.surfaces.morph import Morphing, morph_of, shoulders, wi
 
 FRAMES = 40
 TIMES = np.arange(FRAMES) / 30
-# Of a pose that is known well, and of none at all.
+# Information of a sharp pose, and of none at all.
 SURE, UNSURE = 1e8, 1e-6
 
 
@@ -40,7 +40,7 @@ def swinging(skeleton: Skeleton) -> Pose:
     return moving(skeleton, wave)[0]
 
 
-def told(poses: Pose, sureness: np.ndarray | float) -> FrameInformation:
+def information_of(poses: Pose, sureness: np.ndarray | float) -> FrameInformation:
     """Frames of which each tells all directions alike; (T,) how surely."""
     size = 6 + poses.angles.shape[1]
     each = np.broadcast_to(sureness, len(poses.angles))
@@ -57,25 +57,27 @@ def places(skeleton: Skeleton, poses: Pose) -> np.ndarray:
 
 def test_what_frames_are_sure_of_stays(skeleton):
     truth = swinging(skeleton)
-    found = smoothed_poses(
-        skeleton, TIMES, told(truth, SURE), free(skeleton), PoseSmoothingSettings()
+    actual = smoothed_poses(
+        skeleton, TIMES, information_of(truth, SURE), free(skeleton), PoseSmoothingSettings()
     )
-    np.testing.assert_allclose(places(skeleton, found), places(skeleton, truth), atol=1e-3)
+    np.testing.assert_allclose(places(skeleton, actual), places(skeleton, truth), atol=1e-3)
 
 
 def test_frames_that_show_nothing_lie_between_the_others(skeleton):
-    """Their own poses are those of the last one seen, as the tracker leaves them."""
+    """Their own poses are those of the last visible one, as the tracker leaves them."""
     truth, unseen = swinging(skeleton), np.arange(15, 20)
-    found = jax.tree.map(np.copy, truth)
-    for part in found:
+    actual = jax.tree.map(np.copy, truth)
+    for part in actual:
         part[unseen] = part[14]
     sureness = np.full(FRAMES, SURE)
     sureness[unseen] = 0.0
     wide = PoseSmoothingSettings(pose_deviation=10.0)
-    bridged = smoothed_poses(skeleton, TIMES, told(found, sureness), free(skeleton), wide)
+    bridged = smoothed_poses(
+        skeleton, TIMES, information_of(actual, sureness), free(skeleton), wide
+    )
     before, after = (
         np.linalg.norm(places(skeleton, each) - places(skeleton, truth), axis=-1)[unseen].max()
-        for each in (found, bridged)
+        for each in (actual, bridged)
     )
     assert before > 0.1
     assert after < 0.02
@@ -86,7 +88,11 @@ def test_noise_is_taken_out_and_the_motion_left(skeleton):
     noise = rng.normal(0, 0.02, (FRAMES, 6 + truth.angles.shape[1])).astype(np.float32)
     shaken = jax.tree.map(np.asarray, retract(truth, jnp.asarray(noise)))
     calm = smoothed_poses(
-        skeleton, TIMES, told(shaken, 1 / 0.02**2), free(skeleton), PoseSmoothingSettings()
+        skeleton,
+        TIMES,
+        information_of(shaken, 1 / 0.02**2),
+        free(skeleton),
+        PoseSmoothingSettings(),
     )
     exact = places(skeleton, truth)
     before, after = (
@@ -107,18 +113,18 @@ def test_who_stands_still_does_so_beside_what_swings(skeleton):
     truth.position[:] = truth.position[0]
     noise = rng.normal(0, 0.01, (FRAMES, 6 + truth.angles.shape[1])).astype(np.float32)
     shaken = jax.tree.map(np.asarray, retract(truth, jnp.asarray(noise)))
-    seen, exact = told(shaken, 1 / 0.01**2), places(skeleton, truth)
+    measured, exact = information_of(shaken, 1 / 0.01**2), places(skeleton, truth)
     foot, hand = (list(LANDMARKS).index(name) for name in ("ankle_l", "wrist_l"))
     alike, own = (
-        places(skeleton, smoothed_poses(skeleton, TIMES, seen, free(skeleton), settings))
+        places(skeleton, smoothed_poses(skeleton, TIMES, measured, free(skeleton), settings))
         for settings in (PoseSmoothingSettings(rounds=0), PoseSmoothingSettings(own_share=1.0))
     )
 
-    def shaking(found: np.ndarray) -> float:
-        return float(np.linalg.norm(np.diff(found[:, foot], 2, axis=0), axis=-1).mean())
+    def shaking(actual: np.ndarray) -> float:
+        return float(np.linalg.norm(np.diff(actual[:, foot], 2, axis=0), axis=-1).mean())
 
-    def off(found: np.ndarray) -> float:
-        return float(np.linalg.norm(found - exact, axis=-1)[:, hand].mean())
+    def off(actual: np.ndarray) -> float:
+        return float(np.linalg.norm(actual - exact, axis=-1)[:, hand].mean())
 
     assert shaking(own) < 0.3 * shaking(alike)
     assert off(own) < 1.1 * off(alike)
@@ -131,11 +137,11 @@ def test_slopes_lead_from_where_prediction_dragged(skeleton):
     behind[:, 0] = -0.05
     lagging = jax.tree.map(np.asarray, retract(truth, jnp.asarray(behind)))
     size = behind.shape[1]
-    seen = FrameInformation(
+    measured = FrameInformation(
         lagging, np.broadcast_to(SURE * np.eye(size), (FRAMES, size, size)), SURE * behind
     )
-    found = smoothed_poses(skeleton, TIMES, seen, free(skeleton), PoseSmoothingSettings())
-    np.testing.assert_allclose(places(skeleton, found), places(skeleton, truth), atol=1e-3)
+    actual = smoothed_poses(skeleton, TIMES, measured, free(skeleton), PoseSmoothingSettings())
+    np.testing.assert_allclose(places(skeleton, actual), places(skeleton, truth), atol=1e-3)
 
 
 def test_a_body_that_is_only_shifted_is_smoothed_as_a_dense_solve_says(skeleton):
@@ -147,13 +153,15 @@ def test_a_body_that_is_only_shifted_is_smoothed_as_a_dense_solve_says(skeleton)
     weights = np.full(size, 1e9)
     weights[:3] = 400.0
     settings = PoseSmoothingSettings(acceleration=2.0, rounds=0, pose_deviation=1e3)
-    seen = FrameInformation(shaken, np.stack([np.diag(weights)] * FRAMES), np.zeros((FRAMES, size)))
-    found = smoothed_poses(skeleton, TIMES, seen, free(skeleton), settings)
+    measured = FrameInformation(
+        shaken, np.stack([np.diag(weights)] * FRAMES), np.zeros((FRAMES, size))
+    )
+    actual = smoothed_poses(skeleton, TIMES, measured, free(skeleton), settings)
     h = TIMES[1]
     second = (np.eye(FRAMES)[:-2] - 2 * np.eye(FRAMES)[1:-1] + np.eye(FRAMES)[2:]) / h**1.5
     stiff = len(LANDMARKS) / settings.acceleration**2 * second.T @ second
     dense = np.linalg.solve(400.0 * np.eye(FRAMES) + stiff, 400.0 * shaken.position)
-    np.testing.assert_allclose(found.position, dense, atol=2e-4)
+    np.testing.assert_allclose(actual.position, dense, atol=2e-4)
 
 
 def test_no_joint_leaves_its_range(skeleton):
@@ -162,25 +170,29 @@ def test_no_joint_leaves_its_range(skeleton):
     slope = np.zeros((FRAMES, 6 + truth.angles.shape[1]))
     # Pairs that would stretch it beyond.
     slope[:, 6 + elbow] = 10 * 400.0
-    seen = told(truth, 400.0)._replace(slope=slope)
-    found = smoothed_poses(
-        skeleton, TIMES, seen, free(skeleton), PoseSmoothingSettings(pose_deviation=10.0)
+    measured = information_of(truth, 400.0)._replace(slope=slope)
+    actual = smoothed_poses(
+        skeleton, TIMES, measured, free(skeleton), PoseSmoothingSettings(pose_deviation=10.0)
     )
     low, high = np.asarray(skeleton.limits, float).T
-    assert (found.angles >= low - 1e-6).all()
-    assert (found.angles <= high + 1e-6).all()
-    assert (found.angles[:, elbow] < truth.angles[:, elbow] - 0.05).any()
+    assert (actual.angles >= low - 1e-6).all()
+    assert (actual.angles <= high + 1e-6).all()
+    assert (actual.angles[:, elbow] < truth.angles[:, elbow] - 0.05).any()
 
 
 def test_joints_held_at_rest_are_drawn_there_where_pairs_say_nothing(skeleton):
     truth, rest = swinging(skeleton), free(skeleton)
     elbow = skeleton.tree.joints.index("elbow_flex_l")
     rest[elbow] = 1e-3
-    found = smoothed_poses(
-        skeleton, TIMES, told(truth, UNSURE), rest, PoseSmoothingSettings(pose_deviation=10.0)
+    actual = smoothed_poses(
+        skeleton,
+        TIMES,
+        information_of(truth, UNSURE),
+        rest,
+        PoseSmoothingSettings(pose_deviation=10.0),
     )
     low = float(skeleton.limits[elbow, 0])
-    assert np.abs(found.angles[:, elbow] - max(low, 0.0)).max() < 0.02
+    assert np.abs(actual.angles[:, elbow] - max(low, 0.0)).max() < 0.02
 
 
 def test_joints_that_go_along_are_held_where_they_go(skeleton):
@@ -198,12 +210,14 @@ def test_joints_that_go_along_are_held_where_they_go(skeleton):
     went = np.abs(truth.angles - alone.angles)[:, followers].max(0)
     assert (went > 0.1).any()
     sureness = 1e4
-    found, without = (
-        smoothed_poses(skeleton, TIMES, told(truth, sureness), rest, PoseSmoothingSettings(), goes)
+    actual, without = (
+        smoothed_poses(
+            skeleton, TIMES, information_of(truth, sureness), rest, PoseSmoothingSettings(), goes
+        )
         for goes in (morph, None)
     )
     off, drawn = (
-        np.abs(each.angles - truth.angles)[:, followers].max() for each in (found, without)
+        np.abs(each.angles - truth.angles)[:, followers].max() for each in (actual, without)
     )
     assert off < 0.01
     assert drawn > 0.1
@@ -211,7 +225,7 @@ def test_joints_that_go_along_are_held_where_they_go(skeleton):
 
 def test_two_frames_have_no_acceleration_and_stay(skeleton):
     two = jax.tree.map(lambda part: part[:2], swinging(skeleton))
-    found = smoothed_poses(
-        skeleton, TIMES[:2], told(two, SURE), free(skeleton), PoseSmoothingSettings()
+    actual = smoothed_poses(
+        skeleton, TIMES[:2], information_of(two, SURE), free(skeleton), PoseSmoothingSettings()
     )
-    np.testing.assert_array_equal(found.angles, two.angles)
+    np.testing.assert_array_equal(actual.angles, two.angles)

@@ -88,8 +88,8 @@ def test_a_person_is_found_and_then_kept_without_the_cameras_that_fail(tracker, 
     state, _, _ = tracker.step(state, 1 / 30, images)
     state, pose, report = tracker.step(state, 2 / 30, images)
     assert report.used.all() and report.matched_shares.min() > 0.7
-    found = off_by(pose, truth)
-    assert found.mean() < 0.5 * before and found.mean() < 0.03
+    actual = off_by(pose, truth)
+    assert actual.mean() < 0.5 * before and actual.mean() < 0.03
     compiled = fit._cache_size()  # type: ignore[attr-defined]
     black = [np.zeros_like(images[0]), None, *images[2:]]
     state, pose, report = tracker.step(state, 0.1, black)
@@ -108,13 +108,13 @@ def test_starts_far_off_are_found_coarse_to_fine_and_not_by_the_full_surface_alo
         step[:3] = 0.06
         start = retract(truth, jnp.asarray(step, jnp.float32))
         assert off_by(start, truth).mean() > 0.15
-        for starting, found in left.items():
+        for starting, actual in left.items():
             with_settings(tracker, replace(SMALL, starting_deviations=starting))
             state = tracker.init(start)
             for _ in range(3):
                 state, pose, _ = tracker.step(state, 0.0, images)
                 state = state._replace(time=None)
-            found.append(off_by(pose, truth).mean())
+            actual.append(off_by(pose, truth).mean())
     assert max(left[FAR_OFF]) < 0.025 < 0.035 < np.mean(left[()])
 
 
@@ -126,7 +126,7 @@ def test_without_any_image_the_pose_is_held_and_every_joint_said_to_be_unseen(tr
     assert off_by(pose, truth).max() < 1e-3
 
 
-def test_a_pose_is_placed_at_known_landmarks(truth):
+def test_a_pose_is_placed_at_given_landmarks(truth):
     points = np.array(POINTS(BODY, truth))
     assert off_by(pose_at_landmarks(BODY, points), truth).mean() < 0.01
     few = np.where(np.isin(list(LANDMARKS), ["head", "wrist_l"])[:, None], np.nan, points)
@@ -155,8 +155,8 @@ def test_a_room_is_learned_where_the_person_was_not():
         learner.add_frame(image, phi, region)
     learned = learner.background()
     assert learned is not None and learned.colour.shape == room.shape
-    assert np.abs(learned.colour[learned.known > 0.5] - 120).max() < 2
-    assert (learned.known > 0.5).mean() > 0.9
+    assert np.abs(learned.colour[learned.certainty > 0.5] - 120).max() < 2
+    assert (learned.certainty > 0.5).mean() > 0.9
     assert BackgroundLearner(8).background() is None
 
 
@@ -179,16 +179,19 @@ def test_a_hand_that_stands_still_is_no_room_where_the_body_has_it_and_segmentat
     rows, columns = np.mgrid[20:30:3, 40:50:3]
     hand = np.stack([columns.ravel(), rows.ravel()], 1).astype(float)
     learned = {}
-    for seen in (False, True):
+    for is_masked in (False, True):
         learner = BackgroundLearner(8)
         for _ in range(8):
-            learner.add_frame(image, phi, region, hand if seen else None)
-        learned[seen] = learner.background()
-    assert (learned[False].known > 0.5).all()
-    assert not learned[True].known[20:30, 40:50].any() and learned[True].known[5:15, 5:75].all()
+            learner.add_frame(image, phi, region, hand if is_masked else None)
+        learned[is_masked] = learner.background()
+    assert (learned[False].certainty > 0.5).all()
+    assert (
+        not learned[True].certainty[20:30, 40:50].any()
+        and learned[True].certainty[5:15, 5:75].all()
+    )
 
 
-def test_a_room_is_known_from_the_first_frames_but_about_the_person_and_there_once_they_have_left():
+def test_a_room_is_learned_from_first_frames_but_about_the_person_and_there_once_they_have_left():
     region = Region(np.full(2, -0.5, np.float32), np.array(2.0, np.float32))
     running, empty = OnlineBackground(), np.full((60, 80, 3), 120, np.uint8)
     for left in (10, 10, 10, 50, 50, 50):
@@ -197,9 +200,12 @@ def test_a_room_is_known_from_the_first_frames_but_about_the_person_and_there_on
         rows, columns = np.mgrid[20:40:4, left : left + 8 : 4]
         body = np.stack([columns.ravel(), rows.ravel()], 1).astype(float)
         room = running.updated(image, phi, region, body)
-        assert np.abs(room.colour[room.known > 0] - 120).max() < 2
-        assert room.known[20:40, 10:18].any() == (left == 50) and room.known[20:40, 50:58].any()
-    assert (room.known == 1).all()
+        assert np.abs(room.colour[room.certainty > 0] - 120).max() < 2
+        assert (
+            room.certainty[20:40, 10:18].any() == (left == 50)
+            and room.certainty[20:40, 50:58].any()
+        )
+    assert (room.certainty == 1).all()
 
 
 def test_a_start_needs_markers_or_a_place(tmp_path, capsys):

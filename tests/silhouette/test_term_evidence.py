@@ -69,14 +69,14 @@ def alone(positions, *more):
 
 def test_markers_alone_are_reached_and_a_missing_one_asks_for_nothing():
     there = np.array(PLACES(raised()))
-    found = alone(there)
-    np.testing.assert_allclose(PLACES(found.pose), there, atol=1e-3)
+    actual = alone(there)
+    np.testing.assert_allclose(PLACES(actual.pose), there, atol=1e-3)
     there[1] = np.nan
-    found = alone(there)
-    np.testing.assert_allclose(np.asarray(PLACES(found.pose))[[0, 2]], there[[0, 2]], atol=1e-3)
-    assert np.isfinite(np.asarray(found.information)).all()
+    actual = alone(there)
+    np.testing.assert_allclose(np.asarray(PLACES(actual.pose))[[0, 2]], there[[0, 2]], atol=1e-3)
+    assert np.isfinite(np.asarray(actual.information)).all()
     arm = ROOT_DOF + BODY.tree.joint("arm_abduct_l")
-    assert found.information[arm, arm] == 0
+    assert actual.information[arm, arm] == 0
 
 
 def test_a_term_that_is_added_takes_part():
@@ -86,9 +86,9 @@ def test_a_term_that_is_added_takes_part():
 
 
 def test_without_any_marker_and_any_ray_nothing_moves():
-    found = alone(np.full((3, 3), np.nan))
-    np.testing.assert_array_equal(found.pose.angles, START.angles)
-    assert not np.asarray(found.information).any()
+    actual = alone(np.full((3, 3), np.nan))
+    np.testing.assert_array_equal(actual.pose.angles, START.angles)
+    assert not np.asarray(actual.information).any()
 
 
 def test_the_rows_are_the_slope_and_hessian_of_half_the_squares():

@@ -1,4 +1,4 @@
-"""What the frames of a pass told: later ones may deny it."""
+"""Evidence of a pass's frames, which later ones may contradict."""
 
 from types import SimpleNamespace
 
@@ -21,10 +21,11 @@ def only(joint: int) -> np.ndarray:
 
 def step(moved: np.ndarray = NONE, hidden: np.ndarray = NONE) -> StepReport:
     """A frame that tells of all joints that are not hidden, of each as much as 1."""
-    told, seen = 1.0 * ~hidden, np.append(np.ones(ROOT_DOF, bool), ~hidden)
+    information, is_free = 1.0 * ~hidden, np.append(np.ones(ROOT_DOF, bool), ~hidden)
     nothing, outlines = np.zeros(0), Outlines(("contour",), "level sets", None, None)  # type: ignore[arg-type]
     return StepReport(
-        nothing, nothing, 0.0, nothing, seen, np.diag(told), told, outlines, moved, hidden, "pairs",
+        nothing, nothing, 0.0, nothing, is_free, np.diag(information), information,
+        outlines, moved, hidden, "pairs",
     )  # type: ignore[arg-type]  # fmt: skip
 
 

@@ -62,9 +62,9 @@ def solved(cameras=(0,), free: bool = True) -> SmoothedPoses:
     return smooth_poses(misstated(cameras), start(free), SOFTNESS)
 
 
-def off(found: SmoothedPoses) -> float:
+def off(actual: SmoothedPoses) -> float:
     """Mean distance of the elbows from the truth, metres."""
-    return float(elbow_errors(found.trajectory.poses).mean())
+    return float(elbow_errors(actual.trajectory.poses).mean())
 
 
 # What is found -----------------------------------------------------------------------------------
@@ -78,8 +78,8 @@ def test_elbows_are_nearer_where_turned_cameras_may_turn(cameras):
 
 
 def test_cameras_are_found_to_be_turned_as_they_are():
-    found = np.asarray(solved((0, 1)).trajectory.turns_cam)
-    left = np.linalg.norm(found - TURNS, axis=1)
+    actual = np.asarray(solved((0, 1)).trajectory.turns_cam)
+    left = np.linalg.norm(actual - TURNS, axis=1)
     assert (left < 0.5 * np.linalg.norm(TURNS, axis=1)).all()
 
 
@@ -98,8 +98,8 @@ def test_the_surer_a_calibration_the_less_a_camera_turns():
     sizes = []
     for deviation in (1e-5, 2e-3, 1e-2):
         settings = replace(SETTINGS, camera=jnp.float32(deviation))
-        found = smooth_poses(misstated((0, 1), settings=settings), start(True), SOFTNESS)
-        sizes.append(float(np.linalg.norm(found.trajectory.turns_cam)))
+        actual = smooth_poses(misstated((0, 1), settings=settings), start(True), SOFTNESS)
+        sizes.append(float(np.linalg.norm(actual.trajectory.turns_cam)))
     assert sizes[0] < 1e-5 and sizes == sorted(sizes)
 
 
@@ -115,8 +115,8 @@ def test_deviations_are_no_smaller_where_cameras_may_turn():
 def test_candidates_for_the_elbows_are_priced_by_the_turned_cameras():
     poses, none = start(True).poses, start(False).proportions
     true = elbow_goals(misstated((0, 1), 0 * TURNS), Trajectory(poses, none))
-    found = elbow_goals(misstated((0, 1)), Trajectory(poses, none, TURNS))
-    assert (np.linalg.norm(found - true, axis=-1) < 1e-3).mean() > 0.9
+    actual = elbow_goals(misstated((0, 1)), Trajectory(poses, none, TURNS))
+    assert (np.linalg.norm(actual - true, axis=-1) < 1e-3).mean() > 0.9
 
 
 # The parts ---------------------------------------------------------------------------------------
@@ -129,8 +129,10 @@ VECTORS = st.lists(st.floats(-0.5, 0.5), min_size=3, max_size=3).map(np.float32)
 def test_a_turned_camera_stays_where_it_is_and_turns_what_it_sees(turn, point):
     other = turned(CAMERAS[0], on_device(turn))
     np.testing.assert_allclose(other.position_world, CAMERAS[0].position_world, atol=1e-5)
-    seen = np.asarray(exp(on_device(turn))) @ np.asarray(to_camera(CAMERAS[0], on_device(point)))
-    np.testing.assert_allclose(to_camera(other, on_device(point)), seen, atol=1e-5)
+    turned_point = np.asarray(exp(on_device(turn))) @ np.asarray(
+        to_camera(CAMERAS[0], on_device(point))
+    )
+    np.testing.assert_allclose(to_camera(other, on_device(point)), turned_point, atol=1e-5)
 
 
 def test_half_a_degree_moves_what_is_seen_by_that_angle():

@@ -95,8 +95,8 @@ def report(i: int, placed: bool = False) -> StepReport:
     nothing = dict.fromkeys(StepReport._fields, np.zeros(()))
     spread = np.full(2, 0.1)
     alone = at(shaking(), 0)._replace(position=shaking().position[i])
-    found = {"marker_pose": alone, "elbow_deviations": spread, "placed": np.bool_(placed)}
-    return StepReport(**(nothing | found))
+    actual = {"marker_pose": alone, "elbow_deviations": spread, "placed": np.bool_(placed)}
+    return StepReport(**(nothing | actual))
 
 
 def steps(
@@ -128,39 +128,41 @@ def accelerations(poses: Pose) -> float:
 
 
 @pytest.fixture(scope="module")
-def whole() -> list[list[SmoothedPose]]:
+def smoothed() -> list[list[SmoothedPose]]:
     return steps()
 
 
 # What comes out ----------------------------------------------------------------------------------
 
 
-def test_every_event_comes_out_once_in_order_at_its_own_time(whole):
-    assert [each.number for each in joined(whole)] == list(range(COUNT))
-    np.testing.assert_allclose([each.time for each in joined(whole)], TIMES)
+def test_every_event_comes_out_once_in_order_at_its_own_time(smoothed):
+    assert [each.number for each in joined(smoothed)] == list(range(COUNT))
+    np.testing.assert_allclose([each.time for each in joined(smoothed)], TIMES)
 
 
-def test_no_pose_waits_for_more_than_two_video_frames(whole):
-    for i, final in enumerate(whole[:-1]):
+def test_no_pose_waits_for_more_than_two_video_frames(smoothed):
+    for i, final in enumerate(smoothed[:-1]):
         assert all(i - each.number <= DELAY_FRAMES for each in final)
-    assert len(whole[-1]) == DELAY_FRAMES
+    assert len(smoothed[-1]) == DELAY_FRAMES
 
 
-def test_the_elbows_are_calm_and_nearer_than_the_first_pass(whole):
-    found = poses_of(joined(whole))
-    assert accelerations(found) < 0.15 * accelerations(shaking())
-    before, after = elbow_errors(shaking()), elbow_errors(found)
+def test_the_elbows_are_calm_and_nearer_than_the_first_pass(smoothed):
+    actual = poses_of(joined(smoothed))
+    assert accelerations(actual) < 0.15 * accelerations(shaking())
+    before, after = elbow_errors(shaking()), elbow_errors(actual)
     assert after[8:].mean() < 0.025 and after[8:].mean() < 0.7 * before[8:].mean()
 
 
-def test_the_first_frames_are_no_worse_than_the_first_pass_though_no_background_is_learned(whole):
-    found = poses_of(joined(whole)[:6])
-    assert elbow_errors(found).mean() < 1.2 * elbow_errors(shaking())[:6].mean()
+def test_the_first_frames_are_no_worse_than_the_first_pass_though_no_background_is_learned(
+    smoothed,
+):
+    actual = poses_of(joined(smoothed)[:6])
+    assert elbow_errors(actual).mean() < 1.2 * elbow_errors(shaking())[:6].mean()
 
 
-def test_deviations_hold_the_truth_and_the_wrists_are_surer_than_the_elbows(whole):
-    deviations = np.stack([each.deviations for each in joined(whole)])
-    off = points_of(poses_of(joined(whole))) - points_of(truth(COUNT))
+def test_deviations_hold_the_truth_and_the_wrists_are_surer_than_the_elbows(smoothed):
+    deviations = np.stack([each.deviations for each in joined(smoothed)])
+    off = points_of(poses_of(joined(smoothed))) - points_of(truth(COUNT))
     assert np.isfinite(deviations).all() and (deviations > 0).all()
     within = np.abs(off[:, ELBOWS]) < 1.645 * deviations[:, ELBOWS]
     assert within.mean() > 0.8
@@ -169,25 +171,25 @@ def test_deviations_hold_the_truth_and_the_wrists_are_surer_than_the_elbows(whol
     assert wrists and not set(wrists) & set(ELBOWS)
 
 
-def test_what_comes_later_changes_nothing_that_is_final(whole):
+def test_what_comes_later_changes_nothing_that_is_final(smoothed):
     half = COUNT // 2
     other, moved = list(images()), markers().copy()
     other[half:] = [image[::-1].copy() for image in other[half:]]
     moved[half:] += 0.1
     again = steps(other, moved)
-    for one, two in zip(whole[:half], again[:half], strict=True):
+    for one, two in zip(smoothed[:half], again[:half], strict=True):
         assert [each.number for each in one] == [each.number for each in two]
         for a, b in zip(one, two, strict=True):
             np.testing.assert_array_equal(a.pose.angles, b.pose.angles)
             np.testing.assert_array_equal(a.deviations, b.deviations)
-    late = [points_of(poses_of(joined(out)[half + 2 :])) for out in (whole, again)]
+    late = [points_of(poses_of(joined(out)[half + 2 :])) for out in (smoothed, again)]
     assert np.abs(late[0] - late[1]).max() > 0.03
 
 
 # What is missing ---------------------------------------------------------------------------------
 
 
-def test_missing_markers_images_and_grey_images_are_bridged(whole):
+def test_missing_markers_images_and_grey_images_are_bridged(smoothed):
     shown, targets = list(images()), markers().copy()
     shown[5] = shown[6] = None
     shown[9] = np.zeros_like(shown[9])
@@ -330,8 +332,8 @@ def compare_with_the_whole_chain(seed):
     jacobian = np.asarray(better.linear.jacobian)
     expected = np.einsum("tmi,tij,tmj->tm", jacobian, spread[-4:], jacobian)
     equations = normal_equations(better.linear, window)
-    found = window_variances(equations, jacobian, prior_before, np.arange(4))
-    np.testing.assert_allclose(found, expected, rtol=1e-4)
+    actual = window_variances(equations, jacobian, prior_before, np.arange(4))
+    np.testing.assert_allclose(actual, expected, rtol=1e-4)
 
 
 @settings(max_examples=20, deadline=None)
@@ -365,8 +367,8 @@ def test_what_nothing_determines_has_no_finite_variance():
     prior = smoothness(np.zeros(1), np.full(2, 3.0))
     equations = normal_equations(linear, prior)
     with without_floor():
-        found = window_variances(equations, linear.jacobian, None, np.arange(1))
-    assert np.isinf(found).all()
+        actual = window_variances(equations, linear.jacobian, None, np.arange(1))
+    assert np.isinf(actual).all()
 
 
 # Fading ------------------------------------------------------------------------------------------

@@ -116,10 +116,10 @@ def test_goals_lead_a_solve_out_of_a_valley_that_it_would_not_leave_alone():
     start, given = Trajectory(swivelled((0.0, 110.0)), NO_CHANGE), problem(COUNT, views(COUNT))
     alone = smooth_poses(given, start, (1.5, 0.8))
     guided = given.with_measured(elbows=goals_from(start.poses))
-    found = smooth_poses(given, smooth_poses(guided, start, (1.5,)).trajectory, (1.5, 0.8))
-    left, led = (off(points_of(each.trajectory.poses)[:, ELBOWS]) for each in (alone, found))
+    actual = smooth_poses(given, smooth_poses(guided, start, (1.5,)).trajectory, (1.5, 0.8))
+    left, led = (off(points_of(each.trajectory.poses)[:, ELBOWS]) for each in (alone, actual))
     assert left[:, 1].max() > 0.3 and led.max() < 0.03
-    assert found.cost < 0.8 * alone.cost
+    assert actual.cost < 0.8 * alone.cost
 
 
 def test_frames_without_a_view_have_no_goals():

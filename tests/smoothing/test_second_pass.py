@@ -107,9 +107,9 @@ def unsolved() -> Iterator[list[SmoothingProblem]]:
         kept.append(problem)
         return SmoothedPoses(start, 0.0, Status.CONVERGED)
 
-    def deviations(problem, found, softness):
+    def deviations(problem, actual, softness):
         shape = (len(problem.times), len(LANDMARKS))
-        return found._replace(deviations=np.full((*shape, 3), 0.02), from_prior=np.zeros(shape))
+        return actual._replace(deviations=np.full((*shape, 3), 0.02), from_prior=np.zeros(shape))
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(batch, "smooth_poses", keep)
@@ -157,9 +157,9 @@ def test_the_grids_show_the_person_and_the_bare_forearms():
     views = usual()[-1].views
     np.testing.assert_array_equal(views.frame, np.arange(0, 2 * FRAMES, 2))
     assert not views.camera.any()
-    upper, whole, forearms, legs = views.grids
+    upper, person, forearms, legs = views.grids
     for region, grid, part in (
-        (upper, whole, "person"), (upper, forearms, "forearms"), (*legs, "person"),
+        (upper, person, "person"), (upper, forearms, "forearms"), (*legs, "person"),
     ):  # fmt: skip
         cells = grid.probability.shape[-1]
         for i in range(FRAMES):
@@ -197,18 +197,18 @@ def test_without_any_frame_that_can_be_read_no_grid_has_weight(problems):
     video = MemoryVideo(later, [*[None] * FRAMES, painted()[0].image])
     timeline = build_timeline(TIMES, [video.times[:-1]], "own")
     first = first_pass(timeline, markers_world(), true_poses(), true_poses())
-    found = smooth_recording(MODEL, SETTINGS, first, [video], lambda share: None)
-    assert found is not None
+    actual = smooth_recording(MODEL, SETTINGS, first, [video], lambda share: None)
+    assert actual is not None
     for grid in grids(problems[-1]):
         assert grid.weight.shape[0] == FRAMES and not grid.weight.any()
 
 
 def test_a_video_narrower_than_its_calibration_keeps_its_pixels_in_place(problems):
-    whole = usual()[-1].views.grids
+    uncropped = usual()[-1].views.grids
     second_pass([image[:, :-9] for image in images()])
     narrow = problems[-1].views.grids
-    np.testing.assert_array_equal(narrow.region.origin, whole.region.origin)
-    for grid, other in zip(narrow[1:3], whole[1:3], strict=True):
+    np.testing.assert_array_equal(narrow.region.origin, uncropped.region.origin)
+    for grid, other in zip(narrow[1:3], uncropped[1:3], strict=True):
         both = (grid.weight > 0.5) & (other.weight > 0.5)
         assert both.mean() > 0.2
         difference = np.abs(grid.probability - other.probability)[both]
@@ -277,11 +277,11 @@ def test_the_drawn_body_covers_the_painted_one(drawing):
 
 
 def test_parts_of_limbs_and_limbs_by_name_are_drawn(drawing):
-    whole = drawing.mask(3, 1.0)
+    mask = drawing.mask(3, 1.0)
     forearm = drawing.mask(3, 1.0, only=("forearm",))
     rest = drawing.mask(3, 1.0, without=("forearm",))
     half = drawing.mask(3, 1.0, only=("forearm",), part=(0.5, 0.95))
-    np.testing.assert_array_equal(whole, forearm | rest)
+    np.testing.assert_array_equal(mask, forearm | rest)
     assert 0 < half.sum() < 0.8 * forearm.sum()
     # The half's hull is rounded to pixels by itself.
     assert (half & ~forearm).sum() <= 0.05 * half.sum()
@@ -302,7 +302,7 @@ def errors_of(poses: Pose) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def found():
+def smoothed_run():
     """The second pass from arms that are turned away, some frames unreadable; the shares shown."""
     angles, frames, shown = true_poses().angles.copy(), images(), []
     wrong = disturbed(1).poses.angles[0] - pose_at(0.0).angles
@@ -311,16 +311,16 @@ def found():
     return second_pass(frames, start=start, shown=shown), start, shown
 
 
-def test_elbows_that_the_frames_show_are_found(found):
-    smoothed, start, _ = found
+def test_elbows_that_the_frames_show_are_found(smoothed_run):
+    smoothed, start, _ = smoothed_run
     before, after = errors_of(start), errors_of(smoothed.poses)
     assert before.mean() > 0.06
     assert after.mean() < 0.04 and after.mean() < 0.5 * before.mean()
 
 
-def test_a_camera_whose_calibration_is_true_hardly_turns(found):
-    assert found[0].turns_cam.shape == (1, 3)
-    assert 0 < np.degrees(np.linalg.norm(found[0].turns_cam)) < 0.2
+def test_a_camera_whose_calibration_is_true_hardly_turns(smoothed_run):
+    assert smoothed_run[0].turns_cam.shape == (1, 3)
+    assert 0 < np.degrees(np.linalg.norm(smoothed_run[0].turns_cam)) < 0.2
 
 
 def test_calibrations_hold_where_the_settings_say_so(problems):
@@ -328,15 +328,15 @@ def test_calibrations_hold_where_the_settings_say_so(problems):
     assert problems and smoothed is not None and smoothed.turns_cam.shape == (0, 3)
 
 
-def test_every_event_has_deviations(found):
-    smoothed, events = found[0], len(TIMES)
+def test_every_event_has_deviations(smoothed_run):
+    smoothed, events = smoothed_run[0], len(TIMES)
     assert smoothed.deviations.shape == (events, len(LANDMARKS), 3)
     assert (smoothed.deviations > 0).all()
     assert smoothed.from_prior.shape == (events, len(LANDMARKS))
 
 
-def test_the_share_done_grows_to_one(found):
-    shown = found[2]
+def test_the_share_done_grows_to_one(smoothed_run):
+    shown = smoothed_run[2]
     assert shown == sorted(shown) and shown[0] > 0 and shown[-1] == pytest.approx(1)
 
 
@@ -345,12 +345,12 @@ def test_steps_have_deviations_of_the_elbows_only():
     still = Pose(*(part[0] for part in true_poses()))
     reports = StepReport(still, np.zeros((2, 3)), nothing, nothing, spread, *[nothing] * 5)
     first = first_pass(build_timeline(TIMES[:2], []), markers_world()[:2], still, still)
-    found = unsmoothed(first._replace(reports=reports))
-    assert found.deviations is not None and found.from_prior is not None
-    np.testing.assert_allclose(np.linalg.norm(found.deviations[:, ELBOWS], axis=-1), spread)
+    actual = unsmoothed(first._replace(reports=reports))
+    assert actual.deviations is not None and actual.from_prior is not None
+    np.testing.assert_allclose(np.linalg.norm(actual.deviations[:, ELBOWS], axis=-1), spread)
     assert reports.confidence[1, 0] == pytest.approx(0.5)
-    others = np.delete(found.deviations, ELBOWS, axis=1)
-    assert np.isnan(others).all() and np.isnan(found.from_prior).all()
+    others = np.delete(actual.deviations, ELBOWS, axis=1)
+    assert np.isnan(others).all() and np.isnan(actual.from_prior).all()
 
 
 # The whole way -----------------------------------------------------------------------------------
@@ -368,13 +368,13 @@ def recording() -> Recording:
 
 
 @pytest.fixture(scope="module")
-def whole_way(recording):
+def both_passes(recording):
     own = make_tracker(recording)
     return [track_both(recording, mode=mode, tracker=own) for mode in ("own", "causal")]
 
 
-def test_a_recording_is_smoothed_to_better_elbows_than_the_markers_alone(whole_way):
-    tracked, _ = whole_way
+def test_a_recording_is_smoothed_to_better_elbows_than_the_markers_alone(both_passes):
+    tracked, _ = both_passes
     alone, smoothed = (errors_of(motion.poses) for motion in (tracked.markers_only, tracked.motion))
     assert smoothed.mean() < 0.6 * alone.mean() and smoothed.mean() < 0.05
     assert tracked.motion.report.milliseconds["smooth"].shape == (1,)
@@ -382,23 +382,23 @@ def test_a_recording_is_smoothed_to_better_elbows_than_the_markers_alone(whole_w
     assert np.isin(tracked.motion.report.from_prior, [0, 1]).all()
 
 
-def test_the_report_has_errors_swivels_and_confidence_of_every_event(whole_way):
-    report, events = whole_way[0].motion.report, len(TIMES)
+def test_the_report_has_errors_swivels_and_confidence_of_every_event(both_passes):
+    report, events = both_passes[0].motion.report, len(TIMES)
     assert report.marker_errors.shape == (events, 3) and report.marker_errors.max() < 0.03
     assert report.swivels.shape == report.confidence.shape == (events, 2)
     assert ((report.confidence > 0) & (report.confidence < 1)).all()
 
 
-def test_the_report_has_the_turn_of_the_camera(whole_way):
-    over_all, causal = (tracked.motion.report.settings for tracked in whole_way)
+def test_the_report_has_the_turn_of_the_camera(both_passes):
+    over_all, causal = (tracked.motion.report.settings for tracked in both_passes)
     (turn,) = over_all["camera_turns_deg"].values()
     assert list(over_all["camera_turns_deg"]) == ["cam"] and len(turn) == 3
     assert 0 < np.linalg.norm(turn) < 0.2
     assert causal["camera_turns_deg"] == {}
 
 
-def test_causally_each_pose_waits_for_two_frames_as_the_report_has_it(whole_way):
-    motion = whole_way[1].motion
+def test_causally_each_pose_waits_for_two_frames_as_the_report_has_it(both_passes):
+    motion = both_passes[1].motion
     report = motion.report
     assert report.settings["latency"]["video frames"] == DELAY_FRAMES
     # At every frame but the first.
@@ -406,7 +406,7 @@ def test_causally_each_pose_waits_for_two_frames_as_the_report_has_it(whole_way)
     assert len(motion.times) == len(TIMES)
     assert all(np.isfinite(part).all() for part in motion.poses)
     assert np.isfinite(report.landmarks_std).all()
-    alone = errors_of(whole_way[1].markers_only.poses)
+    alone = errors_of(both_passes[1].markers_only.poses)
     assert errors_of(motion.poses).mean() < 0.8 * alone.mean()
 
 
@@ -424,10 +424,10 @@ def test_legs_that_no_marker_holds_are_found_where_they_stand():
         kneeling[PERSON.tree.joints.index(name)] = 0.35
     start = true_poses()
     start = start._replace(angles=start.angles + kneeling)
-    found = second_pass(start=start)
-    assert found is not None
+    actual = second_pass(start=start)
+    assert actual is not None
     ankles = [list(LANDMARKS).index(f"ankle_{side}") for side in "lr"]
     truth = points_of(true_poses())[:, ankles]
     before = np.linalg.norm(points_of(start)[:, ankles] - truth, axis=-1)
-    after = np.linalg.norm(points_of(found.poses)[:, ankles] - truth, axis=-1)
+    after = np.linalg.norm(points_of(actual.poses)[:, ankles] - truth, axis=-1)
     assert before.min() > 0.29 and after.max() < 0.15

@@ -61,9 +61,9 @@ def smoothed(shown=None, measured=None, count: int = COUNT) -> Found:
     return Found(*ended, sure.deviations, sure.from_prior)
 
 
-def elbow_spread(found: Found) -> np.ndarray:
+def elbow_spread(actual: Found) -> np.ndarray:
     """Standard deviations (T, 2) of the elbows, all coordinates together, metres."""
-    return np.linalg.norm(found.deviations[:, ELBOWS], axis=-1)
+    return np.linalg.norm(actual.deviations[:, ELBOWS], axis=-1)
 
 
 @pytest.fixture(scope="module")
@@ -72,10 +72,10 @@ def by_one_camera() -> Found:
 
 
 def test_who_may_keep_to_what_is_unusual_is_less_surely_guessed(by_one_camera):
-    given, found = problem(COUNT, views(COUNT)), by_one_camera.trajectory
+    given, actual = problem(COUNT, views(COUNT)), by_one_camera.trajectory
     each = [replace(SETTINGS, persistence=jnp.asarray(s, float)) for s in (0.0, 2.0)]
     brief, lasting = (
-        with_deviations(replace(given, settings=settings), found, 0.8) for settings in each
+        with_deviations(replace(given, settings=settings), actual, 0.8) for settings in each
     )
     assert (lasting.deviations >= brief.deviations - 1e-6).all()
     hips = [list(LANDMARKS).index(f"hip_{side}") for side in "lr"]
@@ -112,8 +112,10 @@ def test_the_result_depends_neither_on_the_batches_nor_on_the_order_of_views(by_
     order = np.random.default_rng(0).permutation(COUNT)
     assert not np.array_equal(order[:16], np.arange(16))
     mixed = smoothed(jax.tree.map(lambda part: part[order], views(COUNT)))
-    for found, expected in zip(mixed.trajectory.poses, by_one_camera.trajectory.poses, strict=True):
-        np.testing.assert_allclose(found, expected, atol=1e-4)
+    for actual, expected in zip(
+        mixed.trajectory.poses, by_one_camera.trajectory.poses, strict=True
+    ):
+        np.testing.assert_allclose(actual, expected, atol=1e-4)
     np.testing.assert_allclose(mixed.deviations, by_one_camera.deviations, rtol=1e-3)
 
 
@@ -141,20 +143,20 @@ def test_deviations_are_finite_and_positive_and_smallest_where_markers_hold(by_o
 def test_a_stretch_without_views_is_bridged_and_reported_as_a_guess():
     count, gap = 44, slice(6, 38)
     there = np.delete(np.arange(count), gap)
-    found = smoothed(views(count, frames=there), count=count)
-    spread, unbroken = elbow_spread(found), elbow_spread(smoothed(count=count))
+    actual = smoothed(views(count, frames=there), count=count)
+    spread, unbroken = elbow_spread(actual), elbow_spread(smoothed(count=count))
     middle = slice(18, 26)
     assert (spread[middle] > 1.2 * unbroken[middle]).all()
     assert (spread[middle].min(0) > spread[there[1:-1]].mean(0)).all()
-    assert found.from_prior[middle][:, ELBOWS].all()
-    assert not found.from_prior[there][:, ELBOWS].any()
+    assert actual.from_prior[middle][:, ELBOWS].all()
+    assert not actual.from_prior[there][:, ELBOWS].any()
     # The markers hold the wrists all the same.
-    assert not found.from_prior[:, WRIST_L].any()
-    errors = elbow_errors(found.trajectory.poses)
+    assert not actual.from_prior[:, WRIST_L].any()
+    errors = elbow_errors(actual.trajectory.poses)
     assert errors[there].mean() < 0.03
     # The truth lies within the deviations.
     assert (errors[middle] < 3 * spread[middle]).all()
-    steps = np.linalg.norm(np.diff(points_of(found.trajectory.poses)[:, ELBOWS], axis=0), axis=-1)
+    steps = np.linalg.norm(np.diff(points_of(actual.trajectory.poses)[:, ELBOWS], axis=0), axis=-1)
     assert steps.max() < 0.06
 
 
@@ -164,11 +166,11 @@ def test_without_silhouettes_the_elbows_are_guesses(weightless, by_one_camera):
     if weightless:
         grids = views(COUNT).grids.each_grid(lambda grid: grid._replace(weight=0 * grid.weight))
         shown = views(COUNT)._replace(grids=grids)
-    found = smoothed(shown)
-    assert found.from_prior[:, ELBOWS].all() and not found.from_prior[:, WRIST_L].any()
-    assert (elbow_spread(found) > elbow_spread(by_one_camera)).all()
-    assert all(np.isfinite(part).all() for part in found.trajectory.poses)
-    off = points_of(found.trajectory.poses) - points_of(truth(COUNT))
+    actual = smoothed(shown)
+    assert actual.from_prior[:, ELBOWS].all() and not actual.from_prior[:, WRIST_L].any()
+    assert (elbow_spread(actual) > elbow_spread(by_one_camera)).all()
+    assert all(np.isfinite(part).all() for part in actual.trajectory.poses)
+    off = points_of(actual.trajectory.poses) - points_of(truth(COUNT))
     assert np.linalg.norm(off[:, WRIST_L], axis=1).max() < 0.015
 
 
@@ -178,22 +180,22 @@ def test_without_silhouettes_the_elbows_are_guesses(weightless, by_one_camera):
 def test_missing_markers_are_bridged():
     measured = measurements(COUNT)
     measured["markers"][5:10, 1], measured["markers"][12] = np.nan, np.nan
-    found = smoothed(measured=measured)
-    assert all(np.isfinite(part).all() for part in found.trajectory.poses)
-    off = points_of(found.trajectory.poses) - points_of(truth(COUNT))
+    actual = smoothed(measured=measured)
+    assert all(np.isfinite(part).all() for part in actual.trajectory.poses)
+    off = points_of(actual.trajectory.poses) - points_of(truth(COUNT))
     assert np.linalg.norm(off[:, WRIST_L], axis=1).max() < 0.03
-    assert elbow_errors(found.trajectory.poses).mean() < 0.025
-    spread = np.linalg.norm(found.deviations[:, WRIST_L], axis=-1)
+    assert elbow_errors(actual.trajectory.poses).mean() < 0.025
+    spread = np.linalg.norm(actual.deviations[:, WRIST_L], axis=-1)
     assert spread[7] > spread[2]
 
 
 def test_a_frame_without_measurements_lies_between_its_neighbours(by_one_camera):
     measured, there = measurements(COUNT), np.delete(np.arange(COUNT), 8)
     measured["markers"][8] = np.nan
-    found = smoothed(views(COUNT, frames=there), measured)
-    off = points_of(found.trajectory.poses) - points_of(by_one_camera.trajectory.poses)
+    actual = smoothed(views(COUNT, frames=there), measured)
+    off = points_of(actual.trajectory.poses) - points_of(by_one_camera.trajectory.poses)
     assert np.linalg.norm(off[8], axis=-1).max() < 0.01
-    assert np.isfinite(found.deviations).all()
+    assert np.isfinite(actual.deviations).all()
 
 
 # The residuals -----------------------------------------------------------------------------------

@@ -43,12 +43,12 @@ def solve(start: Arm, measured: Measured, prior, settings: SolverSettings = EXAC
 @pytest.mark.parametrize("absent", [(), (4, 5)])
 def test_the_minimum_is_the_dense_one(shared, absent):
     start, measured, (times, prior) = problem(1, shared, absent)
-    found = solve(start, measured, prior)
+    actual = solve(start, measured, prior)
     expected, cost = dense_solution(start, measured, motion_matrix(times))
-    assert found.status == Status.CONVERGED
-    assert found.cost == pytest.approx(cost, rel=1e-9)
-    np.testing.assert_allclose(joints(found.x), joints(expected), atol=1e-6)
-    np.testing.assert_allclose(found.x.lengths, expected.lengths, atol=1e-6)
+    assert actual.status == Status.CONVERGED
+    assert actual.cost == pytest.approx(cost, rel=1e-9)
+    np.testing.assert_allclose(joints(actual.x), joints(expected), atol=1e-6)
+    np.testing.assert_allclose(actual.x.lengths, expected.lengths, atol=1e-6)
 
 
 @given(st.integers(0, 2**20), st.integers(0, 2))
@@ -56,29 +56,29 @@ def test_a_solve_never_ends_above_its_start(seed, shared):
     start, measured, (_, prior) = problem(seed, shared)
     start = start._replace(turns=start.turns * np.exp(2j * (seed % 5)))
     cost, points = evaluate(start, measured)
-    found = solve(start, measured, prior, SolverSettings(iterations=4))
-    cost_after, points_after = evaluate(found.x, measured)
-    assert found.cost <= cost.sum() + prior.cost(points)
-    assert found.cost == pytest.approx(cost_after.sum() + prior.cost(points_after), rel=1e-12)
+    actual = solve(start, measured, prior, SolverSettings(iterations=4))
+    cost_after, points_after = evaluate(actual.x, measured)
+    assert actual.cost <= cost.sum() + prior.cost(points)
+    assert actual.cost == pytest.approx(cost_after.sum() + prior.cost(points_after), rel=1e-12)
 
 
 @pytest.mark.parametrize("shared", [0, 2])
 def test_covariances_are_blocks_of_the_dense_inverse(shared):
     arm, measured, (times, prior) = problem(2, shared, absent=(5,))
     linear = linearise(arm, measured)
-    found = covariances(linear, prior, EXACT)
+    actual = covariances(linear, prior, EXACT)
     inverse = np.linalg.inv(dense_hessian(linear, motion_matrix(times)))
     frames = inverse[: FRAMES * 4, : FRAMES * 4].reshape(FRAMES, 4, FRAMES, 4)
-    np.testing.assert_allclose(found.frames, np.einsum("titj->tij", frames), atol=1e-9)
-    np.testing.assert_allclose(found.shared, inverse[FRAMES * 4 :, FRAMES * 4 :], atol=1e-9)
+    np.testing.assert_allclose(actual.frames, np.einsum("titj->tij", frames), atol=1e-9)
+    np.testing.assert_allclose(actual.shared, inverse[FRAMES * 4 :, FRAMES * 4 :], atol=1e-9)
     cross = inverse[: FRAMES * 4, FRAMES * 4 :].reshape(FRAMES, 4, shared)
-    np.testing.assert_allclose(found.cross, cross, atol=1e-9)
+    np.testing.assert_allclose(actual.cross, cross, atol=1e-9)
     leverage = np.zeros((FRAMES, len(ACCELERATIONS), len(inverse)))
     for t in range(FRAMES):
         leverage[t, :, t * 4 : t * 4 + 4] = np.asarray(linear.jacobian)[t]
     leverage[:, :, FRAMES * 4 :] = linear.shared_jacobian
     leverage = leverage.reshape(-1, len(inverse))
-    variances = point_variances(linear.jacobian, found, linear.shared_jacobian)
+    variances = point_variances(linear.jacobian, actual, linear.shared_jacobian)
     np.testing.assert_allclose(
         variances.ravel(), np.diag(leverage @ inverse @ leverage.T), atol=1e-9
     )
@@ -96,7 +96,7 @@ def line(measured: np.ndarray, weights: np.ndarray):
 
 
 def test_the_result_does_not_depend_on_the_sampling_rate():
-    wave, found, spread = np.sin, [], []
+    wave, actual, spread = np.sin, [], []
     for rate in (60, 240):
         times = np.arange(4 * rate + 1) / rate
         # As much evidence each second, however it is sampled.
@@ -107,9 +107,9 @@ def test_the_result_does_not_depend_on_the_sampling_rate():
         )
         linear, moved = line(wave(3 * times) + 0.2 * wave(40 * times), weights)
         solved = minimise(linear, moved, np.zeros(len(times)), prior, EXACT)
-        found.append(solved.x[:: rate // 60])
+        actual.append(solved.x[:: rate // 60])
         spread.append(covariances(linear(solved.x), prior, EXACT).frames[:: rate // 60, 0, 0])
-    np.testing.assert_allclose(found[0][20:-20], found[1][20:-20], atol=0.003)
+    np.testing.assert_allclose(actual[0][20:-20], actual[1][20:-20], atol=0.003)
     np.testing.assert_allclose(spread[0][20:-20], spread[1][20:-20], rtol=0.02)
 
 
@@ -123,8 +123,8 @@ def test_accelerations_are_as_the_prior_counts_them():
     pushed = rng.normal(0, 3.0, len(steps)) / np.sqrt(steps)
     speeds = np.append(0.0, np.cumsum(pushed * steps))
     places = np.append(0.0, np.cumsum(speeds[:-1] * steps))
-    found = accelerations_of(times, places[:, None])
-    assert np.sqrt((found**2).mean()) == pytest.approx(3.0, rel=0.05)
+    actual = accelerations_of(times, places[:, None])
+    assert np.sqrt((actual**2).mean()) == pytest.approx(3.0, rel=0.05)
 
 
 def test_absent_frames_are_bridged_by_the_calmest_curve():
@@ -166,12 +166,12 @@ def test_what_nothing_determines_stays_and_the_status_says_so(share, frames):
     np.testing.assert_allclose(solved.x @ keep, alone.x, atol=1e-3)
     if share == 0:
         np.testing.assert_array_equal(solved.x[:, 1], 7.0)
-    found = covariances(both(solved.x), prior).frames
+    actual = covariances(both(solved.x), prior).frames
     undetermined = np.array([-share, 1.0]) / np.hypot(share, 1.0)
     np.testing.assert_allclose(
-        undetermined @ found @ undetermined, 1 / SolverSettings().floor, rtol=1e-5
+        undetermined @ actual @ undetermined, 1 / SolverSettings().floor, rtol=1e-5
     )
-    assert (keep @ found @ keep < 1.01).all()
+    assert (keep @ actual @ keep < 1.01).all()
 
 
 def test_slow_movements_under_a_stiff_prior_take_few_linearisations():
@@ -190,10 +190,10 @@ def test_negative_curvature_from_rounding_leaves_covariances_sound():
     rounded = np.asarray(linear(np.zeros(6)).hessian) - [[[1 + 1e-3]]]
     prior = smoothness(np.arange(6.0), np.ones(1), np.ones(1))
     measured_once = np.where(np.arange(6)[:, None, None] == 3, 1.0, rounded)
-    found = covariances(linear(np.zeros(6))._replace(hessian=measured_once), prior).frames
-    assert np.isfinite(found).all()
-    assert found[3, 0, 0] == pytest.approx(1, rel=1e-3)
-    assert (found[:, 0, 0] >= found[3, 0, 0]).all()
+    actual = covariances(linear(np.zeros(6))._replace(hessian=measured_once), prior).frames
+    assert np.isfinite(actual).all()
+    assert actual[3, 0, 0] == pytest.approx(1, rel=1e-3)
+    assert (actual[:, 0, 0] >= actual[3, 0, 0]).all()
 
 
 def test_terms_that_are_not_finite_leave_the_start_as_it_was():
@@ -264,15 +264,15 @@ def pendulum_seen_measured_by_heights(dtype):
     noise = 0.01 * np.random.default_rng(0).normal(size=(120, 2))
     measured = jax.vmap(ends)(truth, zeros)[:, 1::2] + on(noise)
     linearise = jax.jit(lambda x: jax.vmap(terms)(x, measured))
-    found = minimise(
+    actual = minimise(
         linearise,
         jax.jit(lambda x, steps, _: jax.vmap(turn)(x, steps.astype(dtype))),
         jax.vmap(turn)(truth, on(np.full((120, 2), 0.2))),
         smoothness(times, np.full(4, 1.0)),
         SolverSettings(relative=1e-6),
     )
-    variances = covariances(linearise(found.x), smoothness(times, np.full(4, 1.0))).frames
-    return found, np.asarray(jax.vmap(ends)(found.x, zeros)), variances
+    variances = covariances(linearise(actual.x), smoothness(times, np.full(4, 1.0))).frames
+    return actual, np.asarray(jax.vmap(ends)(actual.x, zeros)), variances
 
 
 def test_terms_in_float32_lose_little_against_double_precision():

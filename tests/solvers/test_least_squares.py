@@ -1,4 +1,4 @@
-"""Least squares: minima that SciPy finds too, ends told as data, derivatives of the solution."""
+"""Least squares: SciPy's minima, failures returned as data, derivatives of the solution."""
 
 from collections.abc import Callable
 from typing import NamedTuple, get_args
@@ -35,8 +35,8 @@ def powell(x, xp):
 
 def decay(x, xp):
     """A curve through points that it cannot meet: residuals that stay."""
-    told = 2 * np.exp(-1.5 * TIMES) + 0.3 + 0.1 * np.sin(5 * TIMES)
-    return x[0] * xp.exp(-x[1] * TIMES.astype(x.dtype)) + x[2] - told.astype(x.dtype)
+    measured = 2 * np.exp(-1.5 * TIMES) + 0.3 + 0.1 * np.sin(5 * TIMES)
+    return x[0] * xp.exp(-x[1] * TIMES.astype(x.dtype)) + x[2] - measured.astype(x.dtype)
 
 
 def straight(x, xp):
@@ -52,10 +52,10 @@ PROBLEMS = {
 
 
 def scipys_cost(problem) -> float:
-    found = optimize.least_squares(
+    actual = optimize.least_squares(
         lambda x: problem.residuals(x, np), problem.start, xtol=1e-14, ftol=1e-14, gtol=1e-14
     )
-    return float(found.cost)
+    return float(actual.cost)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -63,41 +63,41 @@ def scipys_cost(problem) -> float:
 def test_every_method_finds_the_minimum_that_scipy_finds(name, method):
     problem = PROBLEMS[name]
     with double():
-        found = jax.jit(
+        actual = jax.jit(
             lambda start: least_squares(
                 lambda x, _: problem.residuals(x, jnp), start, method=method,
                 largest_steps=400, relative=1e-6, absolute=1e-6,
             )
         )(jnp.asarray(problem.start))  # fmt: skip
-    assert int(found.status) == Status.CONVERGED
-    assert float(found.cost) <= scipys_cost(problem) + 1e-9
+    assert int(actual.status) == Status.CONVERGED
+    assert float(actual.cost) <= scipys_cost(problem) + 1e-9
 
 
 def test_single_precision_stays_single_and_finds_it_too():
     problem = PROBLEMS["decay"]
     start = jnp.asarray(problem.start, jnp.float32)
-    found = least_squares(lambda x, _: problem.residuals(x, jnp), start, largest_steps=60)
-    assert found.point.dtype == found.cost.dtype == jnp.float32
-    assert found.status.dtype == found.steps.dtype == jnp.int32
-    assert float(found.cost) == pytest.approx(scipys_cost(problem), rel=1e-3)
+    actual = least_squares(lambda x, _: problem.residuals(x, jnp), start, largest_steps=60)
+    assert actual.point.dtype == actual.cost.dtype == jnp.float32
+    assert actual.status.dtype == actual.steps.dtype == jnp.int32
+    assert float(actual.cost) == pytest.approx(scipys_cost(problem), rel=1e-3)
 
 
-def test_running_out_of_steps_is_told_and_never_raised():
+def test_running_out_of_steps_is_reported_and_never_raised():
     problem = PROBLEMS["rosenbrock"]
     start = jnp.asarray(problem.start, jnp.float32)
-    found = least_squares(lambda x, _: problem.residuals(x, jnp), start, largest_steps=2)
-    assert int(found.status) == Status.OUT_OF_STEPS and int(found.steps) == 2
-    assert "not converged" in SENTENCES[Status(int(found.status))]
+    actual = least_squares(lambda x, _: problem.residuals(x, jnp), start, largest_steps=2)
+    assert int(actual.status) == Status.OUT_OF_STEPS and int(actual.steps) == 2
+    assert "not converged" in SENTENCES[Status(int(actual.status))]
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_residuals_that_break_down_leave_the_start(method):
     start = jnp.array([1.0, 2.0], jnp.float32)
-    found = jax.jit(
+    actual = jax.jit(
         lambda start: least_squares(lambda x, _: jnp.log(x - 5.0), start, method=method)
     )(start)
-    assert int(found.status) == Status.BROKEN
-    np.testing.assert_array_equal(found.point, start)
+    assert int(actual.status) == Status.BROKEN
+    np.testing.assert_array_equal(actual.point, start)
 
 
 def test_a_batch_is_each_problem_by_itself():
@@ -122,8 +122,10 @@ def test_the_solution_moves_with_its_parameters_as_finite_differences_say(method
 
         def residuals(x, p):
             times = jnp.asarray(TIMES)
-            told = 2 * jnp.exp(-1.5 * times) + 0.1 * jnp.sin(5 * p[2] * times)
-            return x[0] * jnp.exp(-x[1] * times) + 0.02 * p[0] * x[0] * times + 0.1 * p[1] - told
+            measured = 2 * jnp.exp(-1.5 * times) + 0.1 * jnp.sin(5 * p[2] * times)
+            return (
+                x[0] * jnp.exp(-x[1] * times) + 0.02 * p[0] * x[0] * times + 0.1 * p[1] - measured
+            )
 
         def solution(p):
             return least_squares(
@@ -132,10 +134,10 @@ def test_the_solution_moves_with_its_parameters_as_finite_differences_say(method
             ).point  # fmt: skip
 
         solve, step = jax.jit(solution), 1e-3
-        found = np.asarray(jax.jit(derivative(solution))(parameters))
+        actual = np.asarray(jax.jit(derivative(solution))(parameters))
         columns = [
             (solve(parameters.at[i].add(step)) - solve(parameters.at[i].add(-step))) / (2 * step)
             for i in range(3)
         ]
-    assert np.abs(found).min() > 1e-3
-    np.testing.assert_allclose(found, np.stack(columns, 1), rtol=1e-3, atol=1e-5)
+    assert np.abs(actual).min() > 1e-3
+    np.testing.assert_allclose(actual, np.stack(columns, 1), rtol=1e-3, atol=1e-5)

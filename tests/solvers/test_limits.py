@@ -21,8 +21,8 @@ def stepped(matrix, target, low, high, free=None, rounds=2):
         return jnp.linalg.pinv(A) @ jnp.asarray(target)
 
     moving = jnp.ones(len(low), bool) if free is None else jnp.asarray(free)
-    found = step_within(step, jnp.asarray(low), jnp.asarray(high), moving, NEAR, rounds)
-    return np.asarray(found)
+    actual = step_within(step, jnp.asarray(low), jnp.asarray(high), moving, NEAR, rounds)
+    return np.asarray(actual)
 
 
 def test_room_is_what_is_left_to_either_side():
@@ -88,8 +88,8 @@ def test_there_are_no_more_solves_than_asked_for(rounds):
         gone = jnp.sum(~moves)
         return pushes[jnp.minimum(gone, 2)]
 
-    found = step_within(step, -jnp.ones(3), jnp.zeros(3), jnp.ones(3, bool), NEAR, rounds)
-    np.testing.assert_array_equal(found, np.eye(3)[rounds - 1])
+    actual = step_within(step, -jnp.ones(3), jnp.zeros(3), jnp.ones(3, bool), NEAR, rounds)
+    np.testing.assert_array_equal(actual, np.eye(3)[rounds - 1])
 
 
 def naive(matrix, target, low, high, free, rounds):
@@ -125,6 +125,6 @@ def test_it_is_the_plain_loop(seed):
     high = np.where(rng.uniform(size=6) < 0.4, 0.0, rng.uniform(0, 1, 6))
     free = rng.uniform(size=6) < 0.8
     with double():
-        found = _within(*map(jnp.asarray, (matrix, target, low, high, free)))
-    np.testing.assert_allclose(found, naive(matrix, target, low, high, free, 3), atol=1e-9)
-    np.testing.assert_allclose(np.asarray(found)[~free], 0, atol=1e-12)
+        actual = _within(*map(jnp.asarray, (matrix, target, low, high, free)))
+    np.testing.assert_allclose(actual, naive(matrix, target, low, high, free, 3), atol=1e-9)
+    np.testing.assert_allclose(np.asarray(actual)[~free], 0, atol=1e-12)

@@ -100,12 +100,12 @@ def test_it_finds_scipys_minimum_with_as_many_evaluations(name):
 
     with double():
         simplices = on_device(first_simplex(problem)[None])
-        found = downhill_simplex(counted, simplices, MOST, TOLERANCE, TOLERANCE)
+        actual = downhill_simplex(counted, simplices, MOST, TOLERANCE, TOLERANCE)
         jax.effects_barrier()
     theirs = scipys(problem)
-    assert bool(found.converged[0]) and theirs.success
-    assert found.costs[0] == pytest.approx(problem.lowest, abs=1e-7)
-    np.testing.assert_allclose(found.points[0], theirs.x, atol=2e-3)
+    assert bool(actual.converged[0]) and theirs.success
+    assert actual.costs[0] == pytest.approx(problem.lowest, abs=1e-7)
+    np.testing.assert_allclose(actual.points[0], theirs.x, atol=2e-3)
     assert len(calls) <= 1.1 * theirs.nfev + 5
     assert len(calls) >= 0.9 * theirs.nfev - 5
 
@@ -117,10 +117,10 @@ def test_it_goes_the_textbooks_way_step_by_step(name):
         solve = jax.jit(lambda s, most: downhill_simplex(problem.cost, s, most, 0.0, 0.0))
         for iterations in (0, 1, 2, 5, 12, 25):
             expected = reference.minimise(problem.cost, first_simplex(problem), iterations)
-            found = solve(on_device(first_simplex(problem)[None]), iterations)
-            np.testing.assert_allclose(found.points[0], expected.point, rtol=1e-9, atol=1e-12)
-            np.testing.assert_allclose(found.costs[0], expected.value, rtol=1e-9, atol=1e-12)
-            assert found.iterations[0] == iterations
+            actual = solve(on_device(first_simplex(problem)[None]), iterations)
+            np.testing.assert_allclose(actual.points[0], expected.point, rtol=1e-9, atol=1e-12)
+            np.testing.assert_allclose(actual.costs[0], expected.value, rtol=1e-9, atol=1e-12)
+            assert actual.iterations[0] == iterations
 
 
 def mixed(points):
@@ -186,5 +186,5 @@ def test_a_cost_that_is_not_a_number_is_never_taken_for_the_best():
 
     with double():
         simplices = initial_simplex(on_device(np.ones((1, 2))), 0.3 * jnp.eye(2))
-        found = downhill_simplex(half_undefined, simplices, 200, 1e-6, 1e-6)
-    np.testing.assert_allclose(found.points[0], [0.1, 0.1], atol=1e-3)
+        actual = downhill_simplex(half_undefined, simplices, 200, 1e-6, 1e-6)
+    np.testing.assert_allclose(actual.points[0], [0.1, 0.1], atol=1e-3)

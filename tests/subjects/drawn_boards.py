@@ -1,4 +1,4 @@
-"""Boards seen through a lens, drawn pixel by pixel: what the calibration must find is known."""
+"""Boards seen through a lens, drawn pixel by pixel: with a true calibration."""
 
 from functools import cache
 from pathlib import Path
@@ -37,10 +37,12 @@ def rays(fisheye: bool = False) -> np.ndarray:
     y = (np.arange(SIZE[1] * FINE) + 0.5) / FINE - 0.5
     grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 1, 2)
     if fisheye:
-        seen = cv2.fisheye.undistortPoints(grid, FISHEYE_LENS.matrix, FISHEYE_LENS.distortions)
+        undistorted = cv2.fisheye.undistortPoints(
+            grid, FISHEYE_LENS.matrix, FISHEYE_LENS.distortions
+        )
     else:
-        seen = cv2.undistortPoints(grid, LENS.matrix, LENS.distortions)
-    return seen.reshape(SIZE[1] * FINE, SIZE[0] * FINE, 2).astype(np.float32)
+        undistorted = cv2.undistortPoints(grid, LENS.matrix, LENS.distortions)
+    return undistorted.reshape(SIZE[1] * FINE, SIZE[0] * FINE, 2).astype(np.float32)
 
 
 def draw(board: Board, T_cam_board: np.ndarray, seed: int = 0, fisheye: bool = False) -> np.ndarray:

@@ -46,16 +46,16 @@ def spheres(skeleton: Skeleton, pose: Pose):
 def contours(camera: Camera, centres: np.ndarray, radii: np.ndarray):
     """Nearest depths (K,) of spheres, and pixels (K, N, 2) of the circles that they are seen as."""
     T = np.asarray(camera.T_cam_world, float)
-    seen = centres @ T[:3, :3].T + T[:3, 3]
-    rays = seen / np.linalg.norm(seen, axis=1, keepdims=True)
+    centres_cam = centres @ T[:3, :3].T + T[:3, 3]
+    rays = centres_cam / np.linalg.norm(centres_cam, axis=1, keepdims=True)
     across = np.cross(rays, [0.0, 1.0, 0.0])
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)[:, None]
     circle = np.cos(turn) * across[:, None] + np.sin(turn) * np.cross(rays, across)[:, None]
-    points = seen[:, None] + radii[:, None, None] * circle
+    points = centres_cam[:, None] + radii[:, None, None] * circle
     lens = np.asarray(camera.matrix, float), np.asarray(camera.distortion, float)
     pixels, _ = cv2.projectPoints(points.reshape(-1, 3), np.zeros(3), np.zeros(3), *lens)
-    return seen[:, 2] - radii, pixels.reshape(*points.shape[:2], 2)
+    return centres_cam[:, 2] - radii, pixels.reshape(*points.shape[:2], 2)
 
 
 def paint(camera: Camera, skeleton: Skeleton, pose: Pose, room: np.ndarray) -> Painted:
@@ -75,11 +75,11 @@ def paint(camera: Camera, skeleton: Skeleton, pose: Pose, room: np.ndarray) -> P
         cv2.fillConvexPoly(image, hull, colour)
         cv2.fillConvexPoly(person, hull, 255)
         cv2.fillConvexPoly(forearms, hull, 255 * name.startswith(BARE[:2]))
-    whole, *shares = (
+    covered, *shares = (
         cv2.resize(each, (width, height), interpolation=cv2.INTER_AREA)
         for each in (image, person, forearms)
     )
-    return Painted(whole, *(share.astype(np.float32) / 255 for share in shares))
+    return Painted(covered, *(share.astype(np.float32) / 255 for share in shares))
 
 
 def room(size: tuple[int, int], seed: int = 0) -> np.ndarray:

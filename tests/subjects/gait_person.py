@@ -120,21 +120,21 @@ def _centres(markers: Spline, times: np.ndarray) -> dict[str, np.ndarray]:
     neck, pelvis = (m["C7"] + m["CLAV"]) / 2, (front + back) / 2
     across, up = m["LASI"] - m["RASI"], unit(neck - pelvis)
     width = np.linalg.norm(across, axis=-1, keepdims=True)
-    found = {"neck": neck, "up": up, "across": across, "chest": m["LSHO"] - m["RSHO"]}
-    found["ahead"] = m["LFHD"] + m["RFHD"] - m["LBHD"] - m["RBHD"]
-    found["head"] = m["LFHD"] + m["LBHD"] - m["RFHD"] - m["RBHD"]
+    actual = {"neck": neck, "up": up, "across": across, "chest": m["LSHO"] - m["RSHO"]}
+    actual["ahead"] = m["LFHD"] + m["RFHD"] - m["LBHD"] - m["RBHD"]
+    actual["head"] = m["LFHD"] + m["LBHD"] - m["RFHD"] - m["RBHD"]
     for side, s, other, out in (("Left", "L", "R", 1), ("Right", "R", "L", -1)):
         # After Bell: a hip lies behind, below and outside the middle of the pelvis' front.
         sideways = 0.36 * out * across - width * (0.30 * up + 0.19 * unit(front - back))
-        found[side + "UpLeg"] = front + sideways
-        found[side + "Arm"] = m[s + "SHO"] - SHOULDER_DEPTH * up
-        found[side + "ForeArm"] = _inward(m[s + "ELB"], (neck + pelvis) / 2, ELBOW_DEPTH)
-        found[side + "Hand"] = (m[s + "WRA"] + m[s + "WRB"]) / 2
-        found[side + "HandFinger1"] = m[s + "FIN"]
-        found[side + "Leg"] = _inward(m[s + "KNE"], m[other + "KNE"], KNEE_DEPTH)
-        found[side + "Foot"] = _inward(m[s + "ANK"], m[other + "ANK"], ANKLE_DEPTH)
-        found[side + "ToeBase"] = m[s + "TOE"]
-    return found
+        actual[side + "UpLeg"] = front + sideways
+        actual[side + "Arm"] = m[s + "SHO"] - SHOULDER_DEPTH * up
+        actual[side + "ForeArm"] = _inward(m[s + "ELB"], (neck + pelvis) / 2, ELBOW_DEPTH)
+        actual[side + "Hand"] = (m[s + "WRA"] + m[s + "WRB"]) / 2
+        actual[side + "HandFinger1"] = m[s + "FIN"]
+        actual[side + "Leg"] = _inward(m[s + "KNE"], m[other + "KNE"], KNEE_DEPTH)
+        actual[side + "Foot"] = _inward(m[s + "ANK"], m[other + "ANK"], ANKLE_DEPTH)
+        actual[side + "ToeBase"] = m[s + "TOE"]
+    return actual
 
 
 def _turns(person: MeshPerson, centres: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -157,10 +157,10 @@ def _turns(person: MeshPerson, centres: dict[str, np.ndarray]) -> dict[str, np.n
     }
     for side in ("Left", "Right"):
         bones = [side + part for part in ("Arm", "ForeArm", "Hand", "HandFinger1")]
-        seen = [centres[b] - centres[a] for a, b in pairwise(bones)]
+        directions = [centres[b] - centres[a] for a, b in pairwise(bones)]
         rest = [at(b) - at(a) for a, b in pairwise(bones)]
-        hinge, rest_hinge = np.cross(seen[0], seen[1]), np.cross(rest[0], rest[1])
-        for bone, now, before in zip(bones, seen, rest, strict=False):
+        hinge, rest_hinge = np.cross(directions[0], directions[1]), np.cross(rest[0], rest[1])
+        for bone, now, before in zip(bones, directions, rest, strict=False):
             turned[bone] = rotation_onto(now, hinge, before, rest_hinge)
         for bone, end in (("UpLeg", "Leg"), ("Leg", "Foot"), ("Foot", "ToeBase")):
             now = centres[side + end] - centres[side + bone]

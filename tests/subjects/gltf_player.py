@@ -20,17 +20,17 @@ class Player:
             self.curves[channel.target.node, channel.target.path] = keys, values
 
     def numbers(self, accessor: int) -> np.ndarray:
-        told = self.file.accessors[accessor]
-        view = self.file.bufferViews[told.bufferView]
-        width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}[told.type]
-        dtype = {5123: np.uint16, 5125: np.uint32, 5126: np.float32}[told.componentType]
-        start, count = (view.byteOffset or 0) + (told.byteOffset or 0), told.count * width
-        return np.frombuffer(self.blob, dtype, count, start).reshape(told.count, width)
+        entry = self.file.accessors[accessor]
+        view = self.file.bufferViews[entry.bufferView]
+        width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}[entry.type]
+        dtype = {5123: np.uint16, 5125: np.uint32, 5126: np.float32}[entry.componentType]
+        start, count = (view.byteOffset or 0) + (entry.byteOffset or 0), entry.count * width
+        return np.frombuffer(self.blob, dtype, count, start).reshape(entry.count, width)
 
     def local(self, node: int, key: int | None) -> np.ndarray:
         """(4, 4) of a node at a key frame, or as it rests."""
-        told = self.file.nodes[node]
-        place, turn = told.translation or [0, 0, 0], told.rotation or [0, 0, 0, 1]
+        entry = self.file.nodes[node]
+        place, turn = entry.translation or [0, 0, 0], entry.rotation or [0, 0, 0, 1]
         if key is not None:
             place = self.curves.get((node, "translation"), (0, {key: place}))[1][key]
             turn = self.curves.get((node, "rotation"), (0, {key: turn}))[1][key]

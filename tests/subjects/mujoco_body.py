@@ -1,4 +1,4 @@
-"""A Skeleton as a MuJoCo model: the independent judge of kinematics and mass."""
+"""A Skeleton as a MuJoCo model: the independent reference of kinematics and mass."""
 
 from dataclasses import dataclass
 

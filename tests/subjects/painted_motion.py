@@ -1,4 +1,4 @@
-"""A known motion, painted: its markers and silhouettes, ready to be smoothed."""
+"""A given motion, painted: its markers and silhouettes, ready to be smoothed."""
 
 from functools import cache
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""Points on rays that are known in both directions across them, as pixels of markers would be."""
+"""Points on rays, measured in both directions across them, as pixels of markers would be."""
 
 import jax.numpy as jnp
 from jax import Array
@@ -9,7 +9,7 @@ from jaxmocap.silhouette.points import PointRays
 
 
 def on_rays(points: BodyPoints, lines: Lines, weights: Array | None = None) -> PointRays:
-    """Points on rays in full, as in (3.11): known in both directions across the ray."""
+    """Points on rays in full, as in (3.11): measured in both directions across the ray."""
     n = lines.directions
     weights = jnp.ones_like(n[..., 0]) if weights is None else weights
     return PointRays(points, lines, any_normals(n), weights, jnp.ones_like(weights))

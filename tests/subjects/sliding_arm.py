@@ -149,10 +149,10 @@ def dense_solution(start: Arm, measured: Measured, motion: np.ndarray) -> tuple[
 
     unknowns = FRAMES * (2 + LINKS) + measured.shared
     tight = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-12}
-    found = least_squares(
+    actual = least_squares(
         lambda z: dense_residuals(at(z), measured, motion), np.zeros(unknowns), "3-point", **tight
     )
-    return at(found.x), 2 * found.cost
+    return at(actual.x), 2 * actual.cost
 
 
 def dense_hessian(linear: Linearised, motion: np.ndarray) -> np.ndarray:

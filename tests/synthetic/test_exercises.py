@@ -1,4 +1,4 @@
-"""Exercises of a rigged mesh before four cameras: what moves, what stays, what is seen."""
+"""Exercises of a rigged mesh before four cameras: what moves, what stays, what is visible."""
 
 import cv2
 import numpy as np

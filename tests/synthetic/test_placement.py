@@ -28,9 +28,9 @@ class Dots:
     """Points that stand still, each a mesh's vertex without a face."""
 
     def __init__(self, points: np.ndarray):
-        self.points, on_root, whole = points, np.zeros((len(points), 1), int), np.ones(len(points))
+        self.points, on_root, ones = points, np.zeros((len(points), 1), int), np.ones(len(points))
         nothing = np.zeros((0, 4), int)
-        self.mesh = QuadMesh(points, nothing, np.zeros((0, 3)), on_root, whole[:, None])
+        self.mesh = QuadMesh(points, nothing, np.zeros((0, 3)), on_root, ones[:, None])
 
     def vertices(self, times: np.ndarray) -> np.ndarray:
         return np.broadcast_to(self.points, (len(times), *self.points.shape))

@@ -181,7 +181,7 @@ def _smooth(x: np.ndarray) -> np.ndarray:
 
 def lofted_parts() -> tuple[LoftedPart, ...]:
     """All lofted_parts of the table, the paired ones left and right."""
-    found = []
+    parts = []
     for row in _table()["patch"]:
         at = np.array([ring["at"] for ring in row["ring"]])
         shifts = np.array([ring["shift"] for ring in row["ring"]]) / 1000
@@ -192,7 +192,7 @@ def lofted_parts() -> tuple[LoftedPart, ...]:
             bones = tuple(bone + end for bone in row["bones"])
             above = row["above"] + end if row["above"] else ""
             size = row["around"], row["along"]
-            found.append(
+            parts.append(
                 LoftedPart(
                     row["name"] + end,
                     side,
@@ -206,7 +206,7 @@ def lofted_parts() -> tuple[LoftedPart, ...]:
                     waves,
                 )
             )
-    return tuple(found)
+    return tuple(parts)
 
 
 def _waves(ring: dict) -> list[list[float]]:

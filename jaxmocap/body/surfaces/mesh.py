@@ -98,15 +98,15 @@ def atlas_of(surface: Surface, nodes: np.ndarray, texel: float) -> Atlas:
     sizes = [_size(patch.grid(nodes), texel) for patch in surface.patches]
     area = sum((w + 2 * MARGIN) * (h + 2 * MARGIN) for w, h, _ in sizes)
     wide = max(int(1.1 * area**0.5), *(w + 2 * MARGIN for w, _, _ in sizes))
-    found: dict[int, Rectangle] = {}
+    rectangles: dict[int, Rectangle] = {}
     left = top = tall = 0
     for i in sorted(range(len(sizes)), key=lambda i: -sizes[i][1]):
         width, height, levels = sizes[i]
         if left + width + 2 * MARGIN > wide:
             left, top, tall = 0, top + tall, 0
-        found[i] = Rectangle(left + MARGIN, top + MARGIN, width, height, levels)
+        rectangles[i] = Rectangle(left + MARGIN, top + MARGIN, width, height, levels)
         left, tall = left + width + 2 * MARGIN, max(tall, height + 2 * MARGIN)
-    return Atlas(wide, top + tall, tuple(found[i] for i in range(len(sizes))))
+    return Atlas(wide, top + tall, tuple(rectangles[i] for i in range(len(sizes))))
 
 
 def _size(grid: np.ndarray, texel: float) -> tuple[int, int, np.ndarray]:

@@ -5,7 +5,7 @@ OUTPUTS: nodes in the world; the same surface denser, or smoother.
 
 A patch is a two-parametric surface F(phi1, phi2): phi1 runs around a limb and is periodic, phi2
 along it. Every node's list of joints, in order, is the chain of the bones that carry it. Nothing
-here knows where the nodes come from: from ``loft``, or from scans of a person.
+here depends on where the nodes come from: ``loft``, or from scans of a person.
 """
 
 from dataclasses import dataclass, field, replace

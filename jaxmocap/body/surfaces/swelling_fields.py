@@ -3,7 +3,7 @@
 A field moves one stretch of a patch, fading towards the next: all around outwards (a thicker limb),
 to one side (flesh ahead of the bone), or outwards on two sides opposite each other (a flat limb).
 A limb and its fellow on the other side share their fields, mirrored: people are nearly symmetric,
-and what one camera sees of the left arm another tells of the right.
+and what one camera shows of the left arm determines the right one too.
 
 INPUTS: a Surface; amounts of its fields, metres. OUTPUTS: the fields; the surface with them.
 """

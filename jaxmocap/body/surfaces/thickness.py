@@ -16,7 +16,7 @@ from jaxmocap.body.surfaces.surface import Surface, rest_nodes
 # Patches of limbs, and the bones that are as thick as these.
 MEASURED = {"arm": ("upper_arm", "forearm"), "leg": ("thigh", "shank")}
 # A limb's rings from here to there along its bone, as a share of it: joints and muscles at its ends
-# belong to others. A cone through these tells the ends.
+# belong to others. A cone through these gives the ends.
 FROM, TO = 0.2, 0.9
 THINNEST_M = 0.02
 

@@ -42,7 +42,7 @@ class Corners:
 
 
 def find_corners(image: np.ndarray, board: Board) -> Corners | None:
-    """The corners to a fraction of a pixel: of a chessboard all, of a ChArUco board what is seen.
+    """The corners to a fraction of a pixel: of a chessboard all, of a ChArUco board those visible.
 
     Args:
         image: (H, W, 3) BGR, uint8.
@@ -66,8 +66,8 @@ def find_coarsely(grey: np.ndarray, board: Board) -> np.ndarray | None:
         corners = _find_charuco(small, board)
         is_complete = corners is not None and len(corners.pixels_xy) == board.columns * board.rows
         return corners.pixels_xy / scale if corners is not None and is_complete else None
-    found, pixels = cv2.findChessboardCorners(small, (board.columns, board.rows), flags=_FAST)
-    return pixels.reshape(-1, 2) / scale if found else None
+    is_detected, pixels = cv2.findChessboardCorners(small, (board.columns, board.rows), flags=_FAST)
+    return pixels.reshape(-1, 2) / scale if is_detected else None
 
 
 def _find_chessboard(grey: np.ndarray, board: Board) -> np.ndarray | None:
@@ -78,22 +78,22 @@ def _find_chessboard(grey: np.ndarray, board: Board) -> np.ndarray | None:
     what is no board: the first answer that is a plane's picture is taken, else the nearest to one.
     """
     size = (board.columns, board.rows)
-    found, rough = cv2.findChessboardCorners(grey, size, flags=_FAST)
+    is_complete, rough = cv2.findChessboardCorners(grey, size, flags=_FAST)
     left, top, right, bottom = 0, 0, grey.shape[1], grey.shape[0]
-    if found:
+    if is_complete:
         low, high = rough.reshape(-1, 2).min(0), rough.reshape(-1, 2).max(0)
         margin = _CROP_MARGIN * (high - low).max()
         left, top = np.maximum(low - margin, 0).astype(int)
         right, bottom = (high + margin).astype(int) + 1
     crop = np.ascontiguousarray(grey[top:bottom, left:right])
     answers = []
-    for flags in _SECTOR_FLAGS if found else _SECTOR_FLAGS[:2]:
+    for flags in _SECTOR_FLAGS if is_complete else _SECTOR_FLAGS[:2]:
         is_found, pixels = cv2.findChessboardCornersSB(crop, size, flags=flags)
         if is_found:
             answers.append(pixels.reshape(-1, 2).astype(float) + np.array([left, top]))
             if _planarity_error(answers[-1], board) < _MAX_PLANARITY_ERROR:
                 return answers[-1]
-    if found:
+    if is_complete:
         step = _shortest_step(rough.reshape(board.rows, board.columns, 2))
         radius = max(2, round(0.3 * step))
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-4)

@@ -143,8 +143,8 @@ def _refined(
     def slopes(pose: np.ndarray) -> np.ndarray:
         return pose_jacobian(points, pose[:3], pose[3:], lens)
 
-    found = least_squares(off, pose, jac=slopes, method="lm").x  # type: ignore[arg-type]
-    return found[:3], found[3:]
+    solution = least_squares(off, pose, jac=slopes, method="lm").x  # type: ignore[arg-type]
+    return solution[:3], solution[3:]
 
 
 def fit_lens(
@@ -166,13 +166,13 @@ def fit_lens(
     """
     fit = _fit_fisheye if kind.fisheye else _fit_ordinary
     try:
-        found = fit(points, pixels, size, kind)
+        lens = fit(points, pixels, size, kind)
     except (cv2.error, np.linalg.LinAlgError) as problem:
         why = problem.err if isinstance(problem, cv2.error) else problem
         raise ArithmeticError(f"OpenCV finds no calibration ({why})") from None
-    if not np.isfinite([*found.values, found.rms]).all():
+    if not np.isfinite([*lens.values, lens.rms]).all():
         raise ArithmeticError("OpenCV finds no finite calibration")
-    return found
+    return lens
 
 
 def _fit_ordinary(
@@ -213,12 +213,12 @@ def _fit_fisheye(
         return LensFit(lens, np.inf, values, np.zeros(8))
     free = 4 + kind.coefficients
     off, rows = [], []
-    for view, (seen, r, t) in enumerate(zip(pixels, rvecs, tvecs, strict=True)):
+    for view, (observed, r, t) in enumerate(zip(pixels, rvecs, tvecs, strict=True)):
         shown, J = _fisheye_projected(points[view], r, t, lens)
         row = np.zeros((len(J), free + 6 * len(points)))
         row[:, :free] = J[:, :free]
         row[:, free + 6 * view : free + 6 * view + 6] = J[:, 8:14]
-        off.append((shown - seen).ravel())
+        off.append((shown - observed).ravel())
         rows.append(row)
     residuals, A = np.concatenate(off), np.concatenate(rows)
     variance = residuals @ residuals / max(1, len(residuals) - A.shape[1])

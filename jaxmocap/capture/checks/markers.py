@@ -100,10 +100,10 @@ def _check_positions(recording: Recording) -> Iterator[Finding]:
     if not len(wrong):
         return
     sample, marker = wrong[0]
-    found = ", ".join(f"{value:.4g}" for value in positions[sample, marker])
+    place = ", ".join(f"{value:.4g}" for value in positions[sample, marker])
     yield Finding(
         "place",
-        f"[markers] file: {recording.marker_names[marker]} is at ({found}) m at "
+        f"[markers] file: {recording.marker_names[marker]} is at ({place}) m at "
         f"{recording.times[sample]:.4g} s, expected a place within {MAX_COORDINATE_M:.0e} m of the "
         "origin, and NaN where it is missing",
         fatal=True,

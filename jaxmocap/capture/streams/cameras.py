@@ -158,8 +158,8 @@ def stream_frames(url: str, colour: bool, max_pixels: int) -> Images:
         stream = container.streams.video[0]
         width, height = stream.codec_context.width, stream.codec_context.height
         if width * height > max_pixels:
-            found = f"images of {width} × {height} pixels"
-            raise InputError(short_repr(url), f"{found}, far more than it was calibrated for")
+            problem = f"images of {width} × {height} pixels"
+            raise InputError(short_repr(url), f"{problem}, far more than it was calibrated for")
         stream.codec_context.options = {"max_pixels": str(max_pixels)}
         stream.codec_context.flags |= Flags.low_delay
         # Threads that share the frames would each hold one back.

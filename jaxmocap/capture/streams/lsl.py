@@ -99,9 +99,9 @@ class MarkerStream(Listener):
     def _listen(self) -> None:
         while not self._stop.is_set() and self.problem is None:
             try:
-                found = self._lsl.resolve_byprop("name", self._name, timeout=RESOLVE_TIMEOUT_S)
-                if found:
-                    self._receive(self._lsl.StreamInlet(found[0], max_buflen=1, recover=False))
+                streams = self._lsl.resolve_byprop("name", self._name, timeout=RESOLVE_TIMEOUT_S)
+                if streams:
+                    self._receive(self._lsl.StreamInlet(streams[0], max_buflen=1, recover=False))
             except (RuntimeError, ValueError):
                 # Who sent has gone, maybe somebody comes back; or it describes itself in bytes
                 # that are not UTF-8.

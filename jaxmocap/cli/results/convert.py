@@ -12,8 +12,8 @@ from jaxmocap.cli.reporting import print_lines
 
 FORMATS_TEXT = """\
 Markers: .c3d .trc .csv. Motions: .npz .bvh .glb .mot; their joints can become markers. What a
-format cannot hold is left out and said. .bvh and .glb are Y up, facing Z, their rest pose a T with
-the arms out to the sides; joints made of them are Z up. Markers keep their file's axes."""
+format cannot hold is left out, with a warning. .bvh and .glb are Y up, facing Z, their rest pose a
+T with the arms out to the sides; joints made of them are Z up. Markers keep their file's axes."""
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +29,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         "--unit",
         choices=("m", "cm", "mm", "in"),
         help="of the .bvh (the one written, if both are), which does not say; default: metres when "
-        "written, told by the body's size when read",
+        "written, inferred from the body's size when read",
     )
     parser.add_argument(
         "--rate",

@@ -11,10 +11,11 @@ from jaxmocap.cli.option_types import numbers
 from jaxmocap.cli.reporting import report
 
 TURNING_TEXT = """\
-For every marker that says how it is turned: where it sits seen from its bone's joint, in its own
-axes. Rest the forearms on a table and turn the hands about the wrists for ten seconds or more: up
-and down, to the sides, and twisting; nod, turn and tilt the head. Prints lines for [markers.on]
-(those of a doubtful answer are left out) and their standard deviations."""
+For every marker with an orientation: its offset from its bone's joint, in its own axes.
+
+Rest the forearms on a table and turn the hands about the wrists for ten seconds or more: up and
+down, to the sides, and twisting; nod, turn and tilt the head. Prints lines for [markers.on] (those
+of a doubtful result are left out) and their standard deviations."""
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +31,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         "--still",
         metavar="S,S",
         type=numbers(2),
-        help="from when to when you stand upright, arms hanging, thumbs and nose forward; tells "
+        help="from when to when you stand upright, arms hanging, thumbs and nose forward; gives "
         "how the devices are held",
     )
 

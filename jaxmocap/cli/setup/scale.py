@@ -13,7 +13,7 @@ from jaxmocap.cli.reporting import files_read, report
 LENGTHS_TEXT = """\
 One of --height, --static and --recording says whose body it is. From a recording every length is
 found that makes its motion fit best, markers and video, with how far lengths vary among people
-beside it; each is said to be determined, partly, or not. Stretch both arms and swing them to the
+as a prior; each is reported as determined, partly, or not. Stretch both arms and swing them to the
 side, to shoulder height and down, bend and stretch the elbows with the upper arms hanging, swing
 the arms ahead, bend them before the chest, then bend the knees: 6 to 10 s, facing the camera."""
 

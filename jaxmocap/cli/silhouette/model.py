@@ -37,7 +37,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         "--height",
         metavar="METRES",
         type=positive_number,
-        help="of the body, which tells how long the legs are; default: as people's of such a trunk",
+        help="of the body, which gives the legs' length; default: as people's of such a trunk",
     )
 
 

@@ -46,13 +46,13 @@ def _add_passes(parser: argparse.ArgumentParser) -> None:
         action="store_const",
         const=1,
         default=3,
-        help="one pass, which knows of the rooms what its frames so far showed, and no girths; "
+        help="one pass, which learns the rooms from its frames so far, and no girths; "
         "default: two passes learn both",
     )
     passes.add_argument(
         "--lengths",
         action="store_true",
-        help="let these passes correct the bones' lengths too, where no static trial tells them",
+        help="let these passes correct the bones' lengths too, where no static trial measures them",
     )
 
 

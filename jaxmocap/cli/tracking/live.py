@@ -19,7 +19,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--smooth",
         action="store_true",
-        help="give each pose out once two more video frames were seen, smoothed",
+        help="give each pose out, smoothed, after two more video frames",
     )
     add_refine(parser, "how video refines the markers' pose, see 'track'")
     parser.add_argument(

@@ -1,4 +1,4 @@
-"""What a person looks like to one camera, and where that is to be seen in its frames.
+"""What a person looks like to one camera, and where that appears in its frames.
 
     learn    some frames + where the poses put the body -> background, colours
     measure  every frame -> grids: the person, the forearms; the legs
@@ -167,10 +167,10 @@ class Drawing:
     def wherever(self, frame: int, feet_astray: bool) -> np.ndarray:
         """Where (h, w) the person may be; ``feet_astray`` where no marker holds the feet."""
         metre = float(self.per_metre[frame])
-        found = self.mask(frame, WHEREVER, POSE_ERROR_M * metre)
+        mask = self.mask(frame, WHEREVER, POSE_ERROR_M * metre)
         for part, metres in ASTRAY_M.items() if feet_astray else ():
-            found |= self.mask(frame, WHEREVER, metres * metre, only=(part,))
-        return found
+            mask |= self.mask(frame, WHEREVER, metres * metre, only=(part,))
+        return mask
 
     def unlike(self, frame: int) -> np.ndarray:
         """Where (h, w) the person is not like what is drawn."""
@@ -259,7 +259,7 @@ def silhouette_grids(
 
     Args:
         images: F, shrunk, BGR; None where one cannot be read.
-        learned: of the person; None where nothing is known.
+        learned: of the person; None where nothing was learned.
         drawing: the body in the frames.
         regions: where the grids lie, in pixels of the full images.
     """
@@ -273,7 +273,7 @@ def silhouette_grids(
 
 
 def _no_grids(regions: Regions) -> SilhouetteGrids:
-    """Nothing is known where there is no image."""
+    """All weights are zero where there is no image."""
     upper, lower = (Grid(*np.zeros((2, cells, cells), np.float32)) for cells in (CELLS, LEG_CELLS))
     return SilhouetteGrids(regions.upper, upper, upper, LegGrid(regions.lower, lower))
 
@@ -295,9 +295,9 @@ def body_grids(
         origin = np.asarray(region.origin) - corner
         return Grid(*person_grid(odds, origin, float(region.scale), cells))
 
-    whole, part = (grid(each, upper, CELLS) for each in (person, forearms))
+    person_image, part = (grid(each, upper, CELLS) for each in (person, forearms))
     legs = LegGrid(regions.lower, grid(person, lower, LEG_CELLS))
-    return odds, SilhouetteGrids(regions.upper, whole, part, legs)
+    return odds, SilhouetteGrids(regions.upper, person_image, part, legs)
 
 
 def _in_shrunk(drawing: Drawing, region: Region) -> Region:

@@ -23,7 +23,7 @@ def part_odds(
         frame: (h, w, 3) uint8.
         person: (h, w) log-odds of the whole person.
         colours: of the part against the rest of the body.
-        elsewhere: (h, w) bool, where something else may have the part's colours: tells nothing.
+        elsewhere: (h, w) bool, where something else may have the part's colours: weighs nothing.
     """
     ratio = np.log(colours.body / colours.rest)[colour_bins(frame)]
     odds = np.clip(np.minimum(ratio, person + BENEFIT), -MOST_ODDS, MOST_ODDS)

@@ -1,7 +1,7 @@
-"""What a person looks like to one camera, learned while looking: the past alone, for a live run.
+"""What a person looks like to one camera, learned frame by frame, for a live run.
 
     measure  a frame + where the body is expected -> grids: the person, the forearms; the legs
-    learn    the same frame, once it is known better where the body was -> background, colours
+    learn    the same frame, once the body's pose is better determined -> background, colours
 
 Where the person stood from the start the background is unknown; there only colours tell, until the
 person has moved.
@@ -61,13 +61,13 @@ class MeasuredFrame(NamedTuple):
     Attributes:
         image: (h, w, 3) BGR, shrunk.
         odds: (h, w) that a pixel shows the person.
-        is_known: (h, w) whether the background there was known.
+        is_learned: (h, w) whether the background there was learned.
         grids: of the person.
     """
 
     image: np.ndarray
     odds: np.ndarray
-    is_known: np.ndarray
+    is_learned: np.ndarray
     grids: SilhouetteGrids
 
 
@@ -142,7 +142,7 @@ class RunningAppearance:
     def measure(self, image: np.ndarray, pose: Pose, softness: float) -> MeasuredFrame:
         """Look at a frame (H, W[, 3]) uint8 in which the body is expected in a pose.
 
-        The first frame is learned from beforehand: colours are known at once.
+        The first frame is learned from beforehand: colours are available at once.
         """
         size = image.shape[1], image.shape[0]
         small = shrink(_coloured(image), ROWS)
@@ -153,7 +153,7 @@ class RunningAppearance:
         learned = self._model()
         odds, grids = body_grids(small, learned, drawing, 0, regions)
         soft = grids.each_grid(lambda grid: _soft(grid, softness))
-        return MeasuredFrame(small, odds, learned.background.known > 0.5, soft)
+        return MeasuredFrame(small, odds, learned.background.certainty > 0.5, soft)
 
     def learn(self, frame: MeasuredFrame, size: tuple[int, int], pose: Pose) -> None:
         """Learn from a frame, whose full width and height is ``size``, where the body was.
@@ -162,7 +162,7 @@ class RunningAppearance:
         """
         self._offered += 1
         if self._offered <= FIRST_FRAMES or self._offered % LATER_EVERY == 0:
-            self._learn(frame.image, self._drawing(size, pose)[0], frame.odds, frame.is_known)
+            self._learn(frame.image, self._drawing(size, pose)[0], frame.odds, frame.is_learned)
 
     def _model(self) -> AppearanceModel:
         """All that was learned; asked for more often than it changes."""
@@ -183,7 +183,11 @@ class RunningAppearance:
         return drawing, pixels
 
     def _learn(
-        self, image: np.ndarray, drawing: Drawing, odds: np.ndarray | None, known: np.ndarray | None
+        self,
+        image: np.ndarray,
+        drawing: Drawing,
+        odds: np.ndarray | None,
+        is_learned: np.ndarray | None,
     ) -> None:
         self._nothing_learned, self._learned = False, None
         core, body = drawing.core(0), drawing.wherever(0, self._astray)
@@ -191,9 +195,9 @@ class RunningAppearance:
         others = drawing.core(0, without=(*FOREARMS, "head"))
         others &= ~drawing.mask(0, 2.0, only=FOREARMS)
         hidden = body
-        if odds is not None and known is not None:
-            # What looks like the background that is known there is background, body or not.
-            hidden = core | (body & ~(known & (odds <= -SURE_ODDS)))
+        if odds is not None and is_learned is not None:
+            # What looks like the background learned there is background, body or not.
+            hidden = core | (body & ~(is_learned & (odds <= -SURE_ODDS)))
             core, likely = core & (odds >= 0), odds > UNLIKELY_ODDS
             arms, others = arms & likely, others & likely
         self.background.update(image, hidden)
@@ -207,6 +211,6 @@ def _coloured(image: np.ndarray) -> np.ndarray:
 
 
 def _soft(grid: Grid, softness: float) -> Grid:
-    """One grid seen as softly as it is drawn, float32."""
+    """One grid blurred as softly as it is drawn, float32."""
     stacked = blurred(Grid(*(np.asarray(part)[None] for part in grid)), softness)
     return Grid(*(np.asarray(part[0], np.float32) for part in stacked))

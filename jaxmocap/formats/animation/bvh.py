@@ -43,8 +43,8 @@ def write_bvh(path: str | Path, armature: Armature, unit: str = "m") -> None:
         BeyondFormatError: joints too deep below one another, or a rate that no file has.
     """
     rate = even_rate(path, armature.times)
-    if not armature.is_known.all():
-        missing = int((~armature.is_known).sum())
+    if not armature.is_valid.all():
+        missing = int((~armature.is_valid).sum())
         raise InputError(path, f"{missing} samples have no pose, BVH needs one for every frame")
     if not SHORTEST_STEP_S <= 1 / rate <= LONGEST_STEP_S:
         raise BeyondFormatError(path, f"BVH holds no {rate:g} frames per second")

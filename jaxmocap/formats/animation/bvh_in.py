@@ -150,9 +150,9 @@ def _hierarchy(path: str | Path, lines: Iterator[tuple[int, str]]) -> list[_Join
         try:
             _parse_line(joints, open_joints, key, words)
         except (IndexError, ValueError) as error:
-            found = short_repr(" ".join(words)[:40])
+            text = short_repr(" ".join(words)[:40])
             detail = f", {error}" if isinstance(error, _ExpectedError) else ""
-            raise InputError(path, f"line {number}: found {found}{detail}") from None
+            raise InputError(path, f"line {number}: found {text}{detail}") from None
     raise InputError(path, f"line {number}: the file ends within its hierarchy")
 
 

@@ -4,8 +4,8 @@ INPUTS: a Motion, or a Skeleton; by choice the body's surface, and a picture of 
 OUTPUTS: a .bvh or .glb file, Y up, facing Z, metres, the rest pose a T.
 
 BVH has one rate only: samples that are not evenly spaced are resampled at their median rate, and
-where no pose is known the nearest one is repeated. Where that would take many times as many frames
-as there are samples (a recording with a gap of hours) no .bvh file is written, and the answer says
+where a pose is missing the nearest one is repeated. Where that would take many times as many frames
+as there are samples (a recording with a gap of hours) no .bvh file is written, and the result says
 so.
 """
 
@@ -58,7 +58,7 @@ def write_animation(
         A sentence where the format cannot hold the motion and nothing is written, else None.
 
     Raises:
-        InputError: no pose is known in any sample.
+        InputError: every sample's pose is missing.
     """
     kind = Path(path).suffix
     armature = rotated_armature(armature_of(motion, DEFAULT_CONVENTION[kind]), R_FILE_WORLD)
@@ -76,7 +76,7 @@ def write_animation(
 
 
 def _evenly_sampled(path: str | Path, armature: Armature) -> Armature:
-    """An armature at one rate; nothing is known within its gaps.
+    """An armature at one rate; poses within its gaps are missing.
 
     Raises:
         BeyondFormatError: it would be many times as long.

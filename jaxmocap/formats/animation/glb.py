@@ -81,12 +81,12 @@ class BinaryChunk:
 
 def write_document(path: str | Path, document: dict[str, Any], binary: BinaryChunk) -> None:
     """Write a document with the arrays that it refers to."""
-    whole = document | {
+    complete = document | {
         "accessors": binary.accessors,
         "bufferViews": binary.views,
         "buffers": [{"byteLength": len(binary.content)}],
     }
-    text = json.dumps(whole, separators=(",", ":"), allow_nan=False).encode()
+    text = json.dumps(complete, separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
     chunks = struct.pack("<I4s", len(text), _JSON) + text
     chunks += struct.pack("<I4s", len(binary.content), _BINARY) + bytes(binary.content)
@@ -140,9 +140,9 @@ class Accessors:
         if stated.has("sparse"):
             raise stated.error("found sparse numbers, which are not read")
         dtype = _DTYPES[stated["componentType"].choice(list(_DTYPES))]
-        found = _SHAPES[stated["type"].choice(list(_SHAPES))]
-        if found != shape:
-            raise stated["type"].error(f"found {_TYPES[found]}, expected {_TYPES[shape]}")
+        element = _SHAPES[stated["type"].choice(list(_SHAPES))]
+        if element != shape:
+            raise stated["type"].error(f"found {_TYPES[element]}, expected {_TYPES[shape]}")
         size = math.prod(shape)
         count = stated["count"].integer()
         self._numbers_left -= count * size

@@ -44,11 +44,11 @@ def write_gltf(
         still: without an animation, as the body stands in the first sample.
 
     Raises:
-        InputError: no pose is known.
+        InputError: every sample's pose is missing.
         BeyondFormatError: it lasts too long for single precision to separate its samples.
     """
-    if not armature.is_known.any():
-        raise InputError(path, "no pose is known in any sample")
+    if not armature.is_valid.any():
+        raise InputError(path, "every sample's pose is missing")
     origin = local_origin(armature.positions)
     armature = replace(armature, positions=armature.positions - origin)
     motion = hold_across_gaps(armature)
@@ -104,7 +104,7 @@ def _nodes(armature: Armature) -> list[dict[str, Any]]:
         children = [i for i, parent in enumerate(armature.parents) if parent == j]
         nodes.append(node | ({"children": children} if children else {}))
     # Until the animation plays, the body stands where it begins.
-    first = armature.positions[np.flatnonzero(armature.is_known)[0]]
+    first = armature.positions[np.flatnonzero(armature.is_valid)[0]]
     nodes[0]["translation"] = first.tolist()
     return nodes
 

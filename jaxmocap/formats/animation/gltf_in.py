@@ -53,8 +53,8 @@ def read_gltf(path: str | Path) -> Armature:
     curves = _curves(document, accessors, animation, set(joints))
     times = _merged_times([curve.times for curve in curves.values()])
     if len(times) * len(joints) > MAX_ROTATIONS:
-        found = f"found {len(times)} samples of {len(joints)} joints"
-        raise animation.error(f"{found}, expected at most {MAX_ROTATIONS} orientations")
+        problem = f"found {len(times)} samples of {len(joints)} joints"
+        raise animation.error(f"{problem}, expected at most {MAX_ROTATIONS} orientations")
     names = tuple(nodes[node]["name"].text(f"joint{node}") for node in joints)
     offsets, positions, R = _joint_motion(accessors, nodes, joints, parents, curves, times)
     extras = animation["extras"]
@@ -78,8 +78,8 @@ def _joints(document: JsonPart) -> tuple[list[int], tuple[int, ...]]:
             wanted.add(node)
     roots = [node for node in sorted(wanted) if node not in above]
     if len(roots) != 1:
-        found = comma_list(nodes[root]["name"].text(str(root)) for root in roots) or "none"
-        raise InputError(document.path, f"expected one skeleton, found roots {found}")
+        names = comma_list(nodes[root]["name"].text(str(root)) for root in roots) or "none"
+        raise InputError(document.path, f"expected one skeleton, found roots {names}")
     ordered, parents, depths = [roots[0]], [-1], [1]
     for parent, node in enumerate(ordered):
         below = [child for child in children[node] if child in wanted]

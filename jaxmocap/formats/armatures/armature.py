@@ -38,7 +38,7 @@ class Armature:
         rotations: (T, J, 3, 3) of each joint in its parent's frame, the root's in the file's;
             identity in the rest pose; NaN where the pose is unknown.
         radii: (J, 2) of the flesh from the parent's joint to this one, at both ends, metres; or
-            None where nothing is known of it.
+            None where it is not specified.
     """
 
     names: tuple[str, ...]
@@ -55,8 +55,8 @@ class Armature:
         return tuple(j for j in range(len(self.names)) if j not in self.parents)
 
     @property
-    def is_known(self) -> np.ndarray:
-        """(T,) whether the pose is known."""
+    def is_valid(self) -> np.ndarray:
+        """(T,) whether the pose is complete."""
         return np.isfinite(self.positions.sum(-1) + self.rotations.sum((1, 2, 3)))
 
 
@@ -93,23 +93,23 @@ def _blocks(armature: Armature) -> Iterator[slice]:
 
 
 def fill_from_nearest(armature: Armature, path: str | Path) -> Armature:
-    """Where the pose is unknown, that of the nearest sample where it is known.
+    """Missing poses replaced by that of the nearest complete sample.
 
     Raises:
-        InputError: it is known nowhere; ``path`` is what the message names.
+        InputError: all are missing; ``path`` is what the message names.
     """
-    known_samples = np.flatnonzero(armature.is_known)
-    if not len(known_samples):
-        raise InputError(path, "no pose is known in any sample")
-    if len(known_samples) == len(armature.times):
+    valid_samples = np.flatnonzero(armature.is_valid)
+    if not len(valid_samples):
+        raise InputError(path, "every sample's pose is missing")
+    if len(valid_samples) == len(armature.times):
         return armature
     after = np.clip(
-        np.searchsorted(known_samples, np.arange(len(armature.times))), 0, len(known_samples) - 1
+        np.searchsorted(valid_samples, np.arange(len(armature.times))), 0, len(valid_samples) - 1
     )
     before = np.maximum(after - 1, 0)
     t = armature.times
-    earlier = np.abs(t - t[known_samples[before]]) < np.abs(t - t[known_samples[after]])
-    nearest = known_samples[np.where(earlier, before, after)]
+    earlier = np.abs(t - t[valid_samples[before]]) < np.abs(t - t[valid_samples[after]])
+    nearest = valid_samples[np.where(earlier, before, after)]
     return replace(
         armature, positions=armature.positions[nearest], rotations=armature.rotations[nearest]
     )

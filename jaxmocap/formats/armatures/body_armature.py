@@ -142,11 +142,11 @@ def motion_of(armature: Armature, path: str | Path) -> Motion:
         # A body with wrists turns more; what it cannot turn either is refused in its words.
         skeleton = with_wrists(skeleton)
         angles = _angles(skeleton, armature, index, path)
-    is_known = armature.is_known[:, None]
-    root = np.where(is_known[..., None], armature.rotations[:, index[PELVIS]], np.eye(3))
+    is_valid = armature.is_valid[:, None]
+    root = np.where(is_valid[..., None], armature.rotations[:, index[PELVIS]], np.eye(3))
     quaternion = Rotation.from_matrix(root).as_quat(scalar_first=True)
     parts = [armature.positions, quaternion, angles]
-    parts_or_nan: list[Any] = [np.where(is_known, part, np.nan) for part in parts]
+    parts_or_nan: list[Any] = [np.where(is_valid, part, np.nan) for part in parts]
     poses = Pose(*parts_or_nan)
     return near_origin(Motion(skeleton, armature.times, poses))
 

@@ -87,9 +87,9 @@ def check_texture(path: str | Path, skeleton: Skeleton, surface: Surface, textur
         raise InputError(path, "is not a PNG file, which a texture is")
     atlas = atlas_of(surface, rest_nodes(surface, rest_joints(skeleton)), TEXEL_M)
     # Width and height, as its header says.
-    found = [int.from_bytes(texture[at : at + 4], "big") for at in (16, 20)]
-    if found != [atlas.width, atlas.height]:
-        size, expected = f"{found[0]} x {found[1]}", f"{atlas.width} x {atlas.height}"
+    stated = [int.from_bytes(texture[at : at + 4], "big") for at in (16, 20)]
+    if stated != [atlas.width, atlas.height]:
+        size, expected = f"{stated[0]} x {stated[1]}", f"{atlas.width} x {atlas.height}"
         raise InputError(
             path, f"a texture of {size} texels, expected {expected}, as this surface is laid out"
         )

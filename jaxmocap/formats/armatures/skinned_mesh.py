@@ -1,4 +1,4 @@
-"""A mesh that an armature's joints carry, as glTF holds it; the limbs' where nothing else is known.
+"""A mesh that an armature's joints carry, as glTF holds it; the limbs' where there is no surface.
 
 INPUTS: an Armature. OUTPUTS: a SkinnedMesh, in the armature's axes.
 """

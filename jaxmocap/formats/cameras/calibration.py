@@ -117,8 +117,8 @@ def _sections(path: Path) -> dict[str, Any]:
 def pick_camera(path: str | Path, cameras: Mapping[str, _Section], name: str) -> _Section:
     """The camera of that section; InputError lists the sections there are."""
     if name not in cameras:
-        found = f"found {comma_list(cameras)}" if cameras else "found no camera section"
-        raise InputError(path, f"section [{short_name(name)}] is missing, {found}")
+        sections = f"found {comma_list(cameras)}" if cameras else "found no camera section"
+        raise InputError(path, f"section [{short_name(name)}] is missing, {sections}")
     return cameras[name]
 
 

@@ -60,14 +60,14 @@ def _entries(path: Path) -> dict[str, Any]:
         bare = line.split("#")[0].rstrip()
         if not bare.strip() or bare.startswith(("%", "---", "...")):
             continue
-        found = _ENTRY.fullmatch(bare)
-        if found and not found[1]:
-            key, text = found[2], found[3]
+        match = _ENTRY.fullmatch(bare)
+        if match and not match[1]:
+            key, text = match[2], match[3]
             # A matrix, or another map: what is indented belongs to it.
             inside, last = ({}, None) if text in ("", *_TAGS) else (None, [text])
             entries[key] = last if inside is None else inside
-        elif found and inside is not None and found[2] in _MATRIX:
-            inside[found[2]] = last = [found[3]]
+        elif match and inside is not None and match[2] in _MATRIX:
+            inside[match[2]] = last = [match[3]]
         elif bare[0].isspace() and last is not None:
             last.append(bare.strip())
         elif not bare[0].isspace() and not bare.startswith(("-", "]")):

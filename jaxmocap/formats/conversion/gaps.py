@@ -29,17 +29,17 @@ def is_gap(times: np.ndarray) -> np.ndarray:
 
 def hold_across_gaps(armature: Armature) -> Armature:
     """The samples that have a pose, and the pose before each gap once more at its end."""
-    known_samples = np.flatnonzero(armature.is_known)
-    times = armature.times[known_samples]
+    valid_samples = np.flatnonzero(armature.is_valid)
+    times = armature.times[valid_samples]
     before = np.flatnonzero(is_gap(times))
-    if not len(before) and len(known_samples) == len(armature.times):
+    if not len(before) and len(valid_samples) == len(armature.times):
         return armature
-    order, later = known_samples, times
+    order, later = valid_samples, times
     if len(before):
         # One interval before the first pose after the gap, as if a sample were there.
         last = times[before + 1] - float(np.median(np.diff(times)))
         order, later = (
-            np.insert(known_samples, before + 1, known_samples[before]),
+            np.insert(valid_samples, before + 1, valid_samples[before]),
             np.insert(times, before + 1, last),
         )
     return replace(

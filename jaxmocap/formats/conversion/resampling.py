@@ -125,14 +125,14 @@ def slerp(R: np.ndarray, at: Interpolation) -> np.ndarray:
 
 def _slerp(R_before: np.ndarray, R_after: np.ndarray, fraction: np.ndarray) -> np.ndarray:
     """Rotations (N, ..., 3, 3) at (N,) fractions of the way from one to another."""
-    is_known = np.isfinite(R_before.sum((-2, -1)) + R_after.sum((-2, -1)))[..., None, None]
+    is_finite = np.isfinite(R_before.sum((-2, -1)) + R_after.sum((-2, -1)))[..., None, None]
     first, second = (
-        Rotation.from_matrix(np.where(is_known, each, np.eye(3)).reshape(-1, 3, 3))
+        Rotation.from_matrix(np.where(is_finite, each, np.eye(3)).reshape(-1, 3, 3))
         for each in (R_before, R_after)
     )
     fractions = np.repeat(fraction, int(np.prod(R_before.shape[1:-2], dtype=int)))[:, None]
     R = first * Rotation.from_rotvec(fractions * (first.inv() * second).as_rotvec())
-    return np.where(is_known, R.as_matrix().reshape(R_before.shape), np.nan)
+    return np.where(is_finite, R.as_matrix().reshape(R_before.shape), np.nan)
 
 
 def resampled_armature(armature: Armature, times: np.ndarray) -> Armature:
@@ -146,14 +146,14 @@ def resampled_motion(motion: Motion, times: np.ndarray) -> Motion:
     """A motion at (N,) other times; its report is dropped."""
     at = interpolation_at(motion.times, times)
     position, quaternion, angles = (np.asarray(part, float) for part in motion.poses)
-    is_known = np.isfinite(quaternion.sum(-1, keepdims=True))
-    safe = np.where(is_known, quaternion, [1.0, 0, 0, 0])
+    is_finite = np.isfinite(quaternion.sum(-1, keepdims=True))
+    safe = np.where(is_finite, quaternion, [1.0, 0, 0, 0])
     R = np.where(
-        is_known[..., None], Rotation.from_quat(safe, scalar_first=True).as_matrix(), np.nan
+        is_finite[..., None], Rotation.from_quat(safe, scalar_first=True).as_matrix(), np.nan
     )
     R_then = slerp(R, at)
-    is_known = np.isfinite(R_then.sum((-2, -1)))[:, None]
-    rotations = Rotation.from_matrix(np.where(is_known[..., None], R_then, np.eye(3)))
-    quaternion = np.where(is_known, rotations.as_quat(scalar_first=True), np.nan)
+    is_finite = np.isfinite(R_then.sum((-2, -1)))[:, None]
+    rotations = Rotation.from_matrix(np.where(is_finite[..., None], R_then, np.eye(3)))
+    quaternion = np.where(is_finite, rotations.as_quat(scalar_first=True), np.nan)
     parts: list[Any] = [lerp(position, at), quaternion, lerp(angles, at)]
     return replace(motion, times=times, poses=Pose(*parts), report=None)

@@ -59,7 +59,7 @@ class ArraySpec:
 
     Attributes:
         shape: a number, or a name for what other arrays have as many of; ``*`` is any number.
-        kind: NUMBERS, WHOLE, BYTES (any), NAMES (short, printable, not empty) or TEXT.
+        kind: NUMBERS, INTEGERS, BYTES (any), NAMES (short, printable, not empty) or TEXT.
         low: the smallest number.
         high: the largest number; it is finite if this is.
         allow_nan: whether NaN may stand for what is missing.
@@ -174,15 +174,16 @@ class NpzArrays:
     def _check_shape(self, name: str, shape: tuple[int, ...], stated: ArraySpec) -> None:
         sizes = [self._sizes.get(str(each), (each, ""))[0] for each in stated.shape]
         fits = len(shape) == len(sizes) and all(
-            isinstance(size, str) or size == found for size, found in zip(sizes, shape, strict=True)
+            isinstance(size, str) or size == length
+            for size, length in zip(sizes, shape, strict=True)
         )
         if not fits or any(size < 0 for size in shape):
             raise self._error(
                 name, f"found shape {short_repr(shape)}, expected {self._expected(stated)}"
             )
-        for each, found in zip(stated.shape, shape, strict=True):
+        for each, length in zip(stated.shape, shape, strict=True):
             if isinstance(each, str) and each != "*":
-                self._sizes.setdefault(each, (found, name))
+                self._sizes.setdefault(each, (length, name))
 
     def _expected(self, stated: ArraySpec) -> str:
         """Dimensions, and what their names stand for."""
@@ -290,15 +291,15 @@ def _opened(path: str | Path) -> zipfile.ZipFile:
 
 def _members(path: str | Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
     """Array's name -> member of the zip file."""
-    found: dict[str, zipfile.ZipInfo] = {}
+    members: dict[str, zipfile.ZipInfo] = {}
     for member in archive.infolist():
         name = re.sub(r"\.npy\Z", "", member.filename)
-        if name in found:
+        if name in members:
             raise InputError(path, f"the array {short_repr(name)} is there twice")
         if member.flag_bits & 1:
             raise InputError(path, f"{short_name(name)}: encrypted, which is not read")
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             problem = f"compressed by method {member.compress_type}, expected none or deflate"
             raise InputError(path, f"{short_name(name)}: {problem}")
-        found[name] = member
-    return found
+        members[name] = member
+    return members

@@ -82,9 +82,9 @@ def _read(path: str | Path, text: io.TextIOWrapper) -> str:
 
 def _check(path: str | Path, number: int, block: str) -> None:
     """InputError where something is no text; ``number`` lines stand before the block."""
-    if found := _NOT_TEXT.search(block):
-        line = number + block.count("\n", 0, found.start()) + 1
-        is_binary = found[0] == "\0"
+    if match := _NOT_TEXT.search(block):
+        line = number + block.count("\n", 0, match.start()) + 1
+        is_binary = match[0] == "\0"
         what = "binary data, expected text" if is_binary else "bytes that are not UTF-8 text"
         raise InputError(path, f"line {line}: found {what}")
 

@@ -52,8 +52,8 @@ def _reader(start: bytes) -> Callable[[bytes], Size | None] | None:
         b"GIF87a": lambda content: struct.unpack_from("<HH", content, 6),
         b"GIF89a": lambda content: struct.unpack_from("<HH", content, 6),
     }
-    found = [read for beginning, read in beginnings.items() if start.startswith(beginning)]
-    return found[0] if found else (_pnm if re.match(rb"P[1-6][\s#]", start) else None)
+    readers = [read for beginning, read in beginnings.items() if start.startswith(beginning)]
+    return readers[0] if readers else (_pnm if re.match(rb"P[1-6][\s#]", start) else None)
 
 
 def _jpeg(content: bytes) -> Size | None:
@@ -62,8 +62,8 @@ def _jpeg(content: bytes) -> Size | None:
         marker, length = struct.unpack_from(">HH", content, at)
         if marker == 0xFFFF:
             # Bytes to fill up with, as many as one likes.
-            found = re.compile(rb"\xff*").match(content, at)
-            at = (found.end() if found else at) - 1
+            match = re.compile(rb"\xff*").match(content, at)
+            at = (match.end() if match else at) - 1
             continue
         if marker >> 8 != 0xFF:
             return None
@@ -84,13 +84,13 @@ def _bmp(content: bytes) -> Size:
 
 def _tiff(content: bytes, order: str) -> Size | None:
     at = struct.unpack_from(f"{order}I", content, 4)[0]
-    found = {}
+    tags = {}
     for entry in range(struct.unpack_from(f"{order}H", content, at)[0]):
         place = at + 2 + 12 * entry
         tag, kind = struct.unpack_from(f"{order}HH", content, place)
         if tag in (_WIDTH, _HEIGHT) and kind in _TYPES:
-            found[tag] = struct.unpack_from(order + _TYPES[kind], content, place + 8)[0]
-    return (found[_WIDTH], found[_HEIGHT]) if len(found) == 2 else None
+            tags[tag] = struct.unpack_from(order + _TYPES[kind], content, place + 8)[0]
+    return (tags[_WIDTH], tags[_HEIGHT]) if len(tags) == 2 else None
 
 
 def _webp(content: bytes) -> Size | None:
@@ -108,5 +108,5 @@ def _webp(content: bytes) -> Size | None:
 
 
 def _pnm(content: bytes) -> Size | None:
-    found = _PNM.match(content)
-    return (int(found[1]), int(found[2])) if found else None
+    match = _PNM.match(content)
+    return (int(match[1]), int(match[2])) if match else None

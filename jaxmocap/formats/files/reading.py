@@ -93,5 +93,5 @@ def read_bytes(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:
 
 
 def _too_large(path: str | Path, size: int, most: int) -> InputError:
-    found = f"{size / 2**20:.0f} MB"
-    return InputError(path, f"found {found}, expected at most {most / 2**20:g} MB")
+    megabytes = f"{size / 2**20:.0f} MB"
+    return InputError(path, f"found {megabytes}, expected at most {most / 2**20:g} MB")

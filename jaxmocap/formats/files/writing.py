@@ -63,7 +63,7 @@ def replacing(path: str | Path, check: Callable[[Path], bool] | None = None) -> 
             yield temporary
             flush_to_disk(temporary)
             if check is not None and not check(temporary):
-                raise OutputError(path, "cannot be written whole, is the disk full?")
+                raise OutputError(path, "cannot be written completely, is the disk full?")
             os.replace(temporary, path)
         finally:
             _remove(temporary)
@@ -118,7 +118,7 @@ def check_folder_writable(folder: Path) -> None:
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:
-    """Write a whole file.
+    """Write a complete file.
 
     Raises:
         OutputError: see ``replacing``.

@@ -170,8 +170,8 @@ def _names(
         return names, ()
     fitting = models_of_count(count)
     if not fitting:
-        known = ", ".join(f"{name} ({len(points)})" for name, points in MODELS.items())
-        raise InputError(path, f"found {count} points, expected those of {known}")
+        models = ", ".join(f"{name} ({len(points)})" for name, points in MODELS.items())
+        raise InputError(path, f"found {count} points, expected those of {models}")
     if len(fitting) == 1:
         return MODELS[fitting[0]], ()
     guessed = model_by_faces(people[..., :2], fitting)

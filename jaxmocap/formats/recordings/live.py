@@ -232,8 +232,8 @@ def _pose_targets(top: TomlTable) -> dict[str, Any]:
 def _trackers(fields: TomlTable) -> tuple[str, ...]:
     """Which of ``TRACKED`` are sent, each once."""
     chosen = fields.entries.get("trackers", list(DEFAULT_TRACKED))
-    is_known = isinstance(chosen, list) and all(name in TRACKED for name in chosen)
-    if not is_known or not 0 < len(chosen) == len(set(chosen)):
+    is_valid = isinstance(chosen, list) and all(name in TRACKED for name in chosen)
+    if not is_valid or not 0 < len(chosen) == len(set(chosen)):
         expected = f"a list of some of {', '.join(TRACKED)}, each once"
         raise fields.error("trackers", f"found {short_repr(chosen)}, expected {expected}")
     return tuple(chosen)
@@ -269,8 +269,8 @@ def _video(
     fields = TomlTable(path, f"[[video]] number {number}", table, keys)
     given = [key for key in ("device", "file", "url") if key in fields]
     if len(given) != 1:
-        found = " and ".join(given) or "none"
-        raise fields.error("", f"found {found}, expected one of device, file, url")
+        stated = " and ".join(given) or "none"
+        raise fields.error("", f"found {stated}, expected one of device, file, url")
     name = fields.file_name("camera")
     camera = pick_camera(calibration, cameras, name)
     offset = fields.number("offset", 0.0, -MAX_DELAY_S, MAX_DELAY_S)

@@ -70,8 +70,8 @@ class Recording:
         """Check that the parts fit, wherever they came from."""
         where, expected = self.path or self.name, (len(self.times), len(self.places), 3)
         if np.shape(self.positions_world) != expected:
-            found = np.shape(self.positions_world)
-            raise InputError(where, f"marker positions: found shape {found}, expected {expected}")
+            shape = np.shape(self.positions_world)
+            raise InputError(where, f"marker positions: found shape {shape}, expected {expected}")
         check_times(where, self.times, SampleLabels("marker sample"))
         if self.places and not np.isfinite(self.positions_world).all(-1).any():
             raise InputError(where, "no marker has a position in any sample, all positions are NaN")

@@ -62,8 +62,10 @@ def with_rigid_sets(fields: TomlTable, markers: Markers, names: Collection[str])
     for i, (name, members) in enumerate(sets.items(), len(kept)):
         missing = [member for member in members if member not in by_name]
         if missing or name in by_name:
-            found = f"no marker {short_repr(missing[0])}" if missing else "a marker of that name"
-            raise fields.error(name, f"found {found} in the file, which has {comma_list(by_name)}")
+            problem = f"no marker {short_repr(missing[0])}" if missing else "a marker of that name"
+            raise fields.error(
+                name, f"found {problem} in the file, which has {comma_list(by_name)}"
+            )
         points = np.stack([by_name[m] for m in members], 1)
         centre, orientations[:, i] = _fitted_poses(fields, name, points, members)
         centres.append(centre)
@@ -91,10 +93,10 @@ def _fitted_poses(
         raise fields.error(
             name, "found all markers on one line, which determines no rotation about it"
         )
-    is_seen = np.isfinite(points.sum(-1))
-    enough = is_seen.sum(1) >= MIN_MARKERS
-    weights = is_seen[..., None] / np.maximum(is_seen.sum(1), 1)[:, None, None]
-    present = np.where(is_seen[..., None], points, 0.0)
+    is_measured = np.isfinite(points.sum(-1))
+    enough = is_measured.sum(1) >= MIN_MARKERS
+    weights = is_measured[..., None] / np.maximum(is_measured.sum(1), 1)[:, None, None]
+    present = np.where(is_measured[..., None], points, 0.0)
     centre = (weights * present).sum(1)
     shape_centre = (weights * shape).sum(1)
     H = np.einsum("tki,tkj->tij", weights * (present - centre[:, None]),

@@ -75,8 +75,8 @@ def read_subject(path: Path, where: str, table: Any) -> Skeleton:
         return with_wrists(skeleton) if wrists else skeleton
     chosen = [key for key in ("file", "height", "static") if key in fields]
     if len(chosen) != 1:
-        found = " and ".join(chosen) or "none"
-        raise fields.error("", f"found {found}, expected one of file, height, static")
+        stated = " and ".join(chosen) or "none"
+        raise fields.error("", f"found {stated}, expected one of file, height, static")
     if chosen == ["height"]:
         return _by_height(TomlTable(path, where, table, _HEIGHT_KEYS))
     if chosen == ["static"]:

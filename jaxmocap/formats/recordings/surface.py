@@ -74,8 +74,8 @@ def load_surface(path: str | Path, tree: Tree) -> Surface:
         raise InputError(path, f"shares[{i}]: together {shares[i].sum():.4g}, expected 1")
     index = _bones(path, arrays["bone_names"].tolist(), tree)
     if bones.max() >= len(index):
-        found = f"found {bones.max()}, expected an index below {len(index)}"
-        raise InputError(path, f"bones: {found}, of bone_names")
+        problem = f"found {bones.max()}, expected an index below {len(index)}"
+        raise InputError(path, f"bones: {problem}, of bone_names")
     patches = _patches(path, arrays["patch_names"].tolist(), sizes)
     points_bone = jnp.asarray(arrays["points_bone"], float)
     return Surface(patches, BodyPoints(index[bones], points_bone, jnp.asarray(shares, float)))
@@ -90,9 +90,9 @@ def check_surface_extent(path: str | Path, surface: Surface, skeleton: Skeleton)
         along = np.linalg.norm(np.diff(grid, axis=0), axis=-1).max(1).sum()
         middle = np.linalg.norm(np.diff(grid.mean(1), axis=0), axis=-1).sum()
         if around > _LONGEST_RING_M or along > _LONGEST_PATCH_M:
-            found = f"{around:.3g} m around and {along:.3g} m along"
+            size = f"{around:.3g} m around and {along:.3g} m along"
             expected = f"at most {_LONGEST_RING_M:g} m and {_LONGEST_PATCH_M:g} m"
-            raise InputError(path, f"patch {patch.name}: {found}, expected {expected}")
+            raise InputError(path, f"patch {patch.name}: {size}, expected {expected}")
         if middle < _SHORTEST_PATCH_M:
             raise InputError(path, f"patch {patch.name}: all rings lie at one place")
 
@@ -100,13 +100,13 @@ def check_surface_extent(path: str | Path, surface: Surface, skeleton: Skeleton)
 def _check_nodes(path: str | Path, sizes: np.ndarray, shape: tuple[int, ...]) -> None:
     nodes = sum(along * around for along, around in sizes.tolist())
     if nodes != shape[0]:
-        found = f"found bones of {shape[0]} nodes"
-        raise InputError(path, f"{found}, expected {nodes} nodes by patch_sizes")
+        problem = f"found bones of {shape[0]} nodes"
+        raise InputError(path, f"{problem}, expected {nodes} nodes by patch_sizes")
     if not nodes:
         raise InputError(path, "patch_sizes: found no patch, expected at least one")
     if not 0 < shape[1] <= MAX_BONES_PER_NODE:
-        found = f"found {shape[1]} bones for each node"
-        raise InputError(path, f"bones: {found}, expected 1 to {MAX_BONES_PER_NODE}")
+        problem = f"found {shape[1]} bones for each node"
+        raise InputError(path, f"bones: {problem}, expected 1 to {MAX_BONES_PER_NODE}")
 
 
 def _bones(path: str | Path, names: list[str], tree: Tree) -> np.ndarray:

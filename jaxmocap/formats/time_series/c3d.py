@@ -206,8 +206,8 @@ def write_c3d(path: str | Path, markers: Markers) -> None:
         raise InputError(path, f"{problem} {MAX_FRAMES}")
     long = [name for name in markers.names if len(name.encode()) > 127]
     if long or len(markers.names) > 255:
-        found = f"the name {long[0]!r}" if long else f"{len(markers.names)} markers"
-        raise InputError(path, f"{found}: C3D holds 255 markers, names of 127 bytes")
+        excess = f"the name {long[0]!r}" if long else f"{len(markers.names)} markers"
+        raise InputError(path, f"{excess}: C3D holds 255 markers, names of 127 bytes")
     positions = np.moveaxis(table.reshape(len(times), -1, 3), 2, 0).swapaxes(1, 2) / _METRES_PER_MM
     missing = np.asarray(np.isnan(positions).any(0))
     positions = np.where((np.abs(positions) < _SMALLEST_MM).all(0), _SMALLEST_MM, positions)
@@ -230,11 +230,11 @@ def _is_complete(path: Path, frames: int, points: int) -> bool:
         content = file.read(2 * _BLOCK_BYTES)
     if len(content) < 2 * _BLOCK_BYTES:
         return False
-    found, _, first, last = struct.unpack_from("<HHHH", content, 2)
+    stored, _, first, last = struct.unpack_from("<HHHH", content, 2)
     # Where the points begin is written at the very end: after the blocks of parameters.
     start, blocks = struct.unpack_from("<H", content, 16)[0], content[_BLOCK_BYTES + 2]
     size = (start - 1) * _BLOCK_BYTES + frames * points * _POINT_BYTES
-    counts = found, last - first + 1, start
+    counts = stored, last - first + 1, start
     expected = points, frames, content[0] + blocks
     return counts == expected and path.stat().st_size >= size
 

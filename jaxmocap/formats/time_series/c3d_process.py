@@ -24,8 +24,8 @@ def limit_memory(max_bytes: int) -> None:
 def stored_labels(group: Any, count: int) -> list[str]:
     """A name for every point; beyond 255 they go on in LABELS2, LABELS3, ..."""
     keys = ["LABELS", *(f"LABELS{i}" for i in range(2, 2 + count // 255))]
-    found = [str(name).strip() for key in keys if key in group for name in group[key]["value"]]
-    names = [name or f"point{i}" for i, name in enumerate(found[:count], 1)]
+    labels = [str(name).strip() for key in keys if key in group for name in group[key]["value"]]
+    names = [name or f"point{i}" for i, name in enumerate(labels[:count], 1)]
     return names + [f"point{i}" for i in range(len(names) + 1, count + 1)]
 
 

@@ -144,7 +144,7 @@ def _euler_angles(orders: list[str], R: list[np.ndarray]) -> list[np.ndarray]:
     """Angles (T, 3) of each joint's turns (T, 3, 3); joints of one order go together."""
     turns = [np.empty(0)] * len(orders)
     for order in set(orders):
-        alike = [i for i, found in enumerate(orders) if found == order]
+        alike = [i for i, other in enumerate(orders) if other == order]
         angles = continuous_euler(np.stack([R[i] for i in alike], 1), order)
         for column, i in enumerate(alike):
             turns[i] = angles[:, column]

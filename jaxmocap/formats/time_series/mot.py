@@ -45,11 +45,11 @@ def write_mot(path: str | Path, motion: Motion) -> None:
     """Write the angles of a motion; NaN where a pose is unknown."""
     names = (*TRANSLATION_COLUMNS, *ROTATION_COLUMNS, *motion.skeleton.tree.joints)
     quaternion = np.asarray(motion.poses.quaternion, float)
-    is_known = np.isfinite(quaternion.sum(-1))
-    turns = np.full((len(is_known), 3), np.nan)
-    if is_known.any():
-        R_world_pelvis = Rotation.from_quat(quaternion[is_known], scalar_first=True)
-        turns[is_known] = np.unwrap(R_world_pelvis.as_euler(_EULER_ORDER), axis=0)
+    is_finite = np.isfinite(quaternion.sum(-1))
+    turns = np.full((len(is_finite), 3), np.nan)
+    if is_finite.any():
+        R_world_pelvis = Rotation.from_quat(quaternion[is_finite], scalar_first=True)
+        turns[is_finite] = np.unwrap(R_world_pelvis.as_euler(_EULER_ORDER), axis=0)
     angles = np.degrees(np.concatenate([turns, np.asarray(motion.poses.angles, float)], 1))
     table = np.concatenate([motion.positions_world, angles], 1)
     _write_table(Path(path), motion.times, dict(zip(names, table.T, strict=True)))
@@ -133,11 +133,11 @@ def motion_from_angles(
             raise InputError(path, problem)
         raise InputError(path, f"no column {missing[0]!r}, found {comma_list(columns)}")
     table = np.stack([columns[name] for name in names], 1)
-    is_known = np.isfinite(table.sum(-1))
+    is_finite = np.isfinite(table.sum(-1))
     R_world_pelvis = Rotation.from_euler(
-        _EULER_ORDER, np.where(is_known[:, None], table[:, 3:6], 0.0)
+        _EULER_ORDER, np.where(is_finite[:, None], table[:, 3:6], 0.0)
     )
     quaternion = R_world_pelvis.as_quat(scalar_first=True)
-    quaternion = np.where(is_known[:, None], quaternion, np.nan)
+    quaternion = np.where(is_finite[:, None], quaternion, np.nan)
     parts: list[Any] = [table[:, :3], quaternion, table[:, 6:]]
     return near_origin(Motion(skeleton, times, Pose(*parts)))

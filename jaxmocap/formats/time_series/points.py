@@ -1,4 +1,4 @@
-"""Points whose places in space and in a picture are both known.
+"""Points whose places in space and in a picture are both measured.
 
 INPUTS: a comma-separated file whose header is ``x,y,z,u,v`` or ``name,x,y,z,u,v``: metres, and
 pixels (u to the right, v down); one row per point.

@@ -61,7 +61,7 @@ class Markers:
         """Name -> (T, 3) positions."""
         return {name: self.positions[:, i] for i, name in enumerate(self.names)}
 
-    def known_orientations(self) -> dict[str, np.ndarray]:
+    def measured_orientations(self) -> dict[str, np.ndarray]:
         """Name -> (T, 3, 3) orientations of the markers that have any."""
         if self.orientations is None:
             return {}
@@ -196,8 +196,8 @@ def _check_positions(
         marker, axis = np.argwhere(beyond)[0]
         column = positions[:, marker, axis]
         i = int((np.abs(column) > FARTHEST_M).argmax())
-        found = f"{labels(i)}: marker {short_repr(names[marker])} is at {column[i]:g} m"
-        raise InputError(path, f"{found}, expected a position within {FARTHEST_M:g} m")
+        problem = f"{labels(i)}: marker {short_repr(names[marker])} is at {column[i]:g} m"
+        raise InputError(path, f"{problem}, expected a position within {FARTHEST_M:g} m")
 
 
 @dataclass(frozen=True)
@@ -262,8 +262,8 @@ def even_rate(path: str | Path, times: np.ndarray) -> float:
         return 1.0
     steps, step = np.diff(times), (times[-1] - times[0]) / (len(times) - 1)
     if not is_even(times):
-        found = f"samples are {1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms apart"
-        raise InputError(path, f"{found}, the format holds one rate only (give --rate)")
+        spacing = f"samples are {1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms apart"
+        raise InputError(path, f"{spacing}, the format holds one rate only (give --rate)")
     # 60.000024 is what is left of 60 after rounding.
     rate = round(1 / step, 3)
     return rate if abs(rate * step - 1) * len(times) < 1e-3 else 1 / step

@@ -86,8 +86,8 @@ def _rate(header: dict[str, str]) -> float | None:
 def _names(path: str | Path, name_line: str, axis_line: str) -> list[str]:
     cells = _cells(name_line)
     if not cells[0].lower().startswith("frame") or cells[1:2] not in (["Time"], ["time"]):
-        found = repr(name_line[:20])
-        raise InputError(path, f"line 4: found {found}, expected 'Frame#', 'Time' and names")
+        text = repr(name_line[:20])
+        raise InputError(path, f"line 4: found {text}, expected 'Frame#', 'Time' and names")
     names = [cell for cell in cells[2:] if cell]
     axes = [cell for cell in _cells(axis_line) if cell]
     if not names:

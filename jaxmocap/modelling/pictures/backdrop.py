@@ -197,8 +197,8 @@ def half_covered(mask: np.ndarray, image: np.ndarray, surface: np.ndarray) -> np
     share = np.linalg.norm(image - surface, axis=-1)
     share /= np.maximum(np.linalg.norm(inside - surface, axis=-1), 1.0)
     # Limbs as thin as a finger have nothing solid to compare with.
-    known = weight[..., 0] > 1e-2
-    return mask & ((share >= 0.5) | ~known)
+    is_measured = weight[..., 0] > 1e-2
+    return mask & ((share >= 0.5) | ~is_measured)
 
 
 def _check(mask: np.ndarray, photograph: np.ndarray) -> None:

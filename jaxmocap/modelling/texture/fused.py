@@ -27,7 +27,7 @@ from jaxmocap.modelling.texture.fusion import (
     weighted_blur,
     wide_blend,
 )
-from jaxmocap.modelling.texture.splats import in_sight
+from jaxmocap.modelling.texture.splats import visible_points
 from jaxmocap.modelling.texture.texels import SurfacePhotograph, Texels, texels_of
 
 # A surface that faces a camera by a smaller cosine is ignored.
@@ -98,7 +98,8 @@ def _looked_at(
     step = float(np.percentile(np.linalg.norm(np.diff(pixels, axis=0)[beside], axis=1), 90))
     cell = CELL_TEXELS * step
     canvas = int(height / cell) + 2, int(width / cell) + 2
-    is_visible = in_sight(pixels / cell, depths, canvas, OCCLUSION_SLACKS) & (facing > LEAST_FACING)
+    visible = visible_points(pixels / cell, depths, canvas, OCCLUSION_SLACKS)
+    is_visible = visible & (facing > LEAST_FACING)
     inwards = sampled_colours(rim_distance(view.mask, goes_on_below=False), pixels, 1.0)[:, 0]
     rim = np.clip((inwards - LEFT_OUT_PX) / RIM_PX, 0, 1)
     hidden = np.zeros((atlas.height, atlas.width), bool)
@@ -116,19 +117,19 @@ def _of_one_light(
 ) -> list[np.ndarray]:
     """The photographs' colours (K, 3), without the light in which they differ.
 
-    What is seen twice is lit twice, from where the lamp was for each photograph: slow changes are
+    What two photographs show is lit twice, from where the lamp was for each: slow changes are
     blended over all that both show, and details, which have to be sharp, over less (Burt).
     """
-    wide, found = wide_blend(colours, weights), []
+    wide, result = wide_blend(colours, weights), []
     for colour, weight in zip(colours, weights, strict=True):
         off = np.zeros((atlas.height, atlas.width, 3), np.float32)
-        known = np.zeros((atlas.height, atlas.width), np.float32)
-        off[at], known[at] = wide - np.log(np.maximum(colour, 1)), weight
+        weight_map = np.zeros((atlas.height, atlas.width), np.float32)
+        off[at], weight_map[at] = wide - np.log(np.maximum(colour, 1)), weight
         for rectangle in atlas.rectangles:
             here = rectangle.within
-            off[here] = weighted_blur(off[here], known[here], SLOW)
-        found.append(colour * np.exp(off[at]))
-    return found
+            off[here] = weighted_blur(off[here], weight_map[here], SLOW)
+        result.append(colour * np.exp(off[at]))
+    return result
 
 
 def _completed(

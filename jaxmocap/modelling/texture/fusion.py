@@ -30,9 +30,9 @@ def sampled_colours(image: np.ndarray, pixels_xy: np.ndarray, step: float) -> np
     padded = np.zeros((-(-len(pixels_xy) // width) * width, 2), np.float32)
     padded[: len(pixels_xy)] = pixels_xy
     there = padded.reshape(-1, width, 2)
-    found = cv2.remap(smooth, there, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
+    sampled = cv2.remap(smooth, there, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
     channels = 1 if image.ndim == 2 else image.shape[2]
-    return found.reshape(-1, channels)[: len(pixels_xy)].astype(np.float32)
+    return sampled.reshape(-1, channels)[: len(pixels_xy)].astype(np.float32)
 
 
 def gains(
@@ -48,7 +48,7 @@ def gains(
         weights: P times (K,), 0 where a picture does not show the place.
         backdrops: (P, 3) their colours, grey levels.
     """
-    found = [np.ones(3)]
+    factors = [np.ones(3)]
     for colour, weight, backdrop in zip(colours[1:], weights[1:], backdrops[1:], strict=True):
         both = (np.minimum(weights[0], weight) > FAINT) & (
             np.minimum(colours[0], colour).min(1) > DARKEST
@@ -56,8 +56,8 @@ def gains(
         by_backdrop = np.maximum(backdrops[0], DARKEST) / np.maximum(backdrop, DARKEST)
         off = np.median(np.log(colours[0][both] / colour[both]), 0) if both.any() else np.zeros(3)
         better = np.abs(off - np.log(by_backdrop)).sum() < np.abs(off).sum()
-        found.append(by_backdrop if better else np.ones(3))
-    return np.array(found)
+        factors.append(by_backdrop if better else np.ones(3))
+    return np.array(factors)
 
 
 def fused(
@@ -90,25 +90,25 @@ def weighted_blur(values: np.ndarray, weight: np.ndarray, width: float) -> np.nd
     return blurred[..., :3] / np.maximum(blurred[..., 3:], 1e-6)
 
 
-def closed_holes(picture: np.ndarray, known: np.ndarray) -> np.ndarray:
+def closed_holes(picture: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """A picture (H, W, 3) float32 that closes around, its unknown places filled from those about.
 
-    By a pyramid: what a coarser picture, in which holes are small, says there.
+    By a pyramid: the coarser picture's colours, in which holes are small.
     """
-    height, width = known.shape
-    if known.all() or not known.any():
+    height, width = valid.shape
+    if valid.all() or not valid.any():
         return picture.astype(np.float32)
     # A half of a period on either side, so that left and right are neighbours.
     half = width // 2
     wide = [(0, 0), (half, half)]
-    there = np.pad(known, wide, mode="wrap").astype(np.float32)
+    there = np.pad(valid, wide, mode="wrap").astype(np.float32)
     colour = np.pad(picture.astype(np.float32), [*wide, (0, 0)], mode="wrap") * there[..., None]
     narrow = max((width + 2 * half) // ASIDE, 1), height
     small, coarse_weight = (
         cv2.resize(p, narrow, interpolation=cv2.INTER_AREA) for p in (colour, there)
     )
     filled = cv2.resize(_pulled(small, coarse_weight), (width + 2 * half, height))
-    return np.where(known[..., None], picture, filled[:, half : half + width]).astype(np.float32)
+    return np.where(valid[..., None], picture, filled[:, half : half + width]).astype(np.float32)
 
 
 def _pulled(colour: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -117,7 +117,7 @@ def _pulled(colour: np.ndarray, weight: np.ndarray) -> np.ndarray:
     if min(weight.shape) < 2:
         mean = colour.sum((0, 1)) / max(float(weight.sum()), 1e-6)
         return np.where(weight[..., None] > 0, own, mean).astype(np.float32)
-    # The coarser picture's weights, where anything is known, count fully: means, not shades.
+    # The coarser picture's weights, where there are any, count fully: means, not shades.
     small, coarse_weight = cv2.pyrDown(colour), cv2.pyrDown(weight)
     full = np.minimum(1.0, 4 * coarse_weight)
     small = small * (full / np.maximum(coarse_weight, 1e-6))[..., None]

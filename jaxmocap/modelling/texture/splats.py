@@ -30,7 +30,7 @@ def nearest_points(cells_xy: np.ndarray, depths: np.ndarray, shape: tuple[int, i
     return canvas
 
 
-def in_sight(
+def visible_points(
     cells_xy: np.ndarray,
     depths: np.ndarray,
     shape: tuple[int, int],
@@ -45,8 +45,8 @@ def in_sight(
         slacks: for each number of cells about a point's own, how far before it what lies there
             hides it.
     """
-    found = nearest_points(cells_xy, depths, shape)
-    buffer = np.where(found == NONE, np.inf, depths[found]).astype(np.float32)
+    nearest = nearest_points(cells_xy, depths, shape)
+    buffer = np.where(nearest == NONE, np.inf, depths[nearest]).astype(np.float32)
     near = [
         cv2.erode(buffer, np.ones((2 * cells + 1, 2 * cells + 1), np.uint8)) + np.float32(slack)
         for cells, slack in slacks
@@ -70,9 +70,9 @@ def splatted(
         colours: (K, 3) BGR uint8.
         shape: of the picture.
     """
-    found = nearest_points(cells_xy, depths, shape)
-    filled = found != NONE
-    picture = np.where(filled[..., None], colours[found], np.uint8(PAPER)).astype(np.uint8)
+    nearest = nearest_points(cells_xy, depths, shape)
+    filled = nearest != NONE
+    picture = np.where(filled[..., None], colours[nearest], np.uint8(PAPER)).astype(np.uint8)
     closed = cv2.morphologyEx(filled.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     open_cells = (closed > 0) & ~filled
     # The mean of those beside an open cell that are not.

@@ -50,13 +50,13 @@ def texels_of(surface: Surface, atlas: Atlas, mesh: SurfaceMesh, nodes: np.ndarr
     upright[mesh.nodes] = normals_of(nodes[mesh.nodes], mesh.triangles)
     # Half a million places: single numbers are exact to a micrometre.
     both = np.concatenate([nodes, upright], 1).astype(np.float32)
-    found = []
+    texels = []
     for i, (patch, rectangle) in enumerate(zip(surface.patches, atlas.rectangles, strict=True)):
         grid = both[patch.nodes].reshape(patch.along, patch.around, 6)
         values = rectangle.texels(grid).reshape(-1, 6)
         row, column = np.divmod(np.arange(len(values)), rectangle.width)
         number = np.full(len(values), i)
-        found.append((row + rectangle.top, column + rectangle.left, number, values))
-    rows, columns, patches, values = (np.concatenate(part) for part in zip(*found, strict=True))
+        texels.append((row + rectangle.top, column + rectangle.left, number, values))
+    rows, columns, patches, values = (np.concatenate(part) for part in zip(*texels, strict=True))
     lengths = np.linalg.norm(values[:, 3:], axis=1, keepdims=True)
     return Texels(rows, columns, patches, values[:, :3], values[:, 3:] / np.maximum(lengths, 1e-9))

@@ -217,7 +217,7 @@ def _with_result(batch: Batch, result: JobResult) -> Batch:
 def track_one(job: Job) -> Outcome:
     """Track one recording, unless its outputs are there already; an Outcome says why it failed.
 
-    The outputs' folder appears whole or not at all.
+    The outputs' folder appears complete or not at all.
     """
     try:
         mark = fingerprint(job.recording, asdict(job.options))

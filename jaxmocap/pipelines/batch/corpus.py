@@ -1,7 +1,7 @@
 """A corpus: the recordings in a folder, what each was tracked from, and its results.
 
 INPUTS: a folder; the files that recordings name.
-OUTPUTS: paths of recordings; fingerprints; corpus.csv and failures.json, each whole or not at all.
+OUTPUTS: paths of recordings; fingerprints; corpus.csv and failures.json, complete or not at all.
 """
 
 import csv
@@ -66,12 +66,12 @@ def find_recordings(corpus: str | Path, out: str | Path) -> list[Path]:
         raise InputError(corpus, "no such folder, expected one with recordings")
     there = (path for path in sorted(corpus.rglob("*.toml")) if path.is_file())
     below = out != corpus and out.is_relative_to(corpus)
-    found = [
+    recordings = [
         path for path in there if not (below and path.is_relative_to(out)) and _is_recording(path)
     ]
-    if not found:
+    if not recordings:
         raise InputError(corpus, "found no recording, expected .toml files with [markers]")
-    return found
+    return recordings
 
 
 def _is_recording(path: Path) -> bool:
@@ -106,7 +106,7 @@ def write_record(folder: Path, mark: str, row: CorpusRow) -> None:
 
 
 def read_record(folder: Path, mark: str) -> CorpusRow | None:
-    """The row of outputs that are whole and were made from the same, or None."""
+    """The row of outputs that are complete and were made from the same, or None."""
     try:
         record = json.loads(read_bytes(folder / RECORD_FILE))
         if record["fingerprint"] != mark or not OutputFolder(folder, MOTION).is_complete():

@@ -269,12 +269,12 @@ def _video_name(setup: LiveSetup, camera: int) -> str:
 
 def _copies(setup: LiveSetup) -> dict[str, Path]:
     """Name in the folder -> file that is copied there, so that it can be moved as a whole."""
-    found = {}
+    copies = {}
     if setup.videos and setup.calibration is not None:
-        found[f"calibration{setup.calibration.suffix.lower()}"] = setup.calibration
+        copies[f"calibration{setup.calibration.suffix.lower()}"] = setup.calibration
     if static := _static_file(setup):
-        found[f"static{static.suffix.lower()}"] = static
-    return found
+        copies[f"static{static.suffix.lower()}"] = static
+    return copies
 
 
 def _subject_table(setup: LiveSetup) -> tuple[Path, dict[str, Any]]:

@@ -172,7 +172,7 @@ class LiveStatus:
             "outputs": self.outputs,
             "rate_hz": self.outputs / seconds if seconds > 0 else 0.0,
             "latency_ms": {"median": median, "p99": most, "of": len(self._latencies)},
-            "said": [message._asdict() for message in self.messages],
+            "warnings": [message._asdict() for message in self.messages],
             "sentences": self.message_count,
         }
 

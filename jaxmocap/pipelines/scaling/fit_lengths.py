@@ -130,8 +130,8 @@ def _check_recording(recording: Recording) -> None:
         _rows(recording.places, tuple(f"{bone}_{side}" for bone in HAND_BONES)) for side in "lr"
     ]
     if not head or not all(hands):
-        found = ", ".join(f"{p.name} on {p.bone}" for p in recording.places) or "no marker"
-        problem = f"[markers.on]: found {found}, expected markers at the head and at both hands"
+        markers = ", ".join(f"{p.name} on {p.bone}" for p in recording.places) or "no marker"
+        problem = f"[markers.on]: found {markers}, expected markers at the head and at both hands"
         raise InputError(where, problem)
     seconds = float(np.ptp(recording.times))
     if seconds < LEAST_SECONDS:

@@ -154,7 +154,7 @@ class LengthsReport:
                     "stated_m": length.stated_metres,
                     "deviation_before": length.deviation_before,
                     "deviation_after": length.deviation_after,
-                    "said": length.verdict,
+                    "verdict": length.verdict,
                 }
                 for length in self.lengths
             },

@@ -168,9 +168,9 @@ def tracked_from_truth(
 
 def bend_errors_deg(motion: Motion, truth: Path) -> dict[str, float]:
     """Hinge -> mean error of how far it is bent, degrees."""
-    found, expected = flexion_angles(motion.joints()), flexion_angles(read_trc(truth).points())
+    actual, expected = flexion_angles(motion.joints()), flexion_angles(read_trc(truth).points())
     return {
-        name: float(np.degrees(np.abs(found[name] - expected[name]).mean())) for name in expected
+        name: float(np.degrees(np.abs(actual[name] - expected[name]).mean())) for name in expected
     }
 
 

@@ -1,4 +1,4 @@
-"""How silhouettes begin: where a person is, by the markers' first samples or as somebody says.
+"""How silhouettes begin: where a person is, by the markers' first samples or as stated.
 
 INPUTS: a Recording; a place; what is asked for. OUTPUTS: a Pose of the whole body; Settings.
 """

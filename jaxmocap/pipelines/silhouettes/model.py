@@ -83,7 +83,7 @@ def model_from(
         calibration: a .toml file.
         out: a folder, where a refused photograph's picture goes.
         bottom: row of the trunk's bottom line in the front photograph; by default found.
-        height: of the body, metres, which tells how long the legs are; by default guessed.
+        height: of the body, metres, which gives the legs' length; by default guessed.
 
     Raises:
         InputError: a photograph or the calibration cannot be used.
@@ -111,10 +111,10 @@ def model_from(
 
 def _cameras(calibration: str | Path) -> dict[str, Camera]:
     """Photograph -> camera; the front's also took the arms where they have no section."""
-    found = read_calibration(calibration)
+    cameras = read_calibration(calibration)
     for name in ("front", "side"):
-        pick_camera(calibration, found, name)
-    return {"joint": found["front"], "arm_side": found["front"]} | found
+        pick_camera(calibration, cameras, name)
+    return {"joint": cameras["front"], "arm_side": cameras["front"]} | cameras
 
 
 def model_folder(directory: str | Path, inputs: Iterable[str | Path] = ()) -> OutputFolder:

@@ -147,7 +147,7 @@ def track_silhouettes(
         start: where the person is in the first frames, a pose of ``supple_skeleton``.
         settings: of the tracker.
         passes: in 1 the backgrounds are what its frames so far showed, and the shape is generic;
-            2 learn both first; 3 once more, the shape with the backgrounds known. Limbs that
+            2 learn both first; 3 once more, the shape with the learned backgrounds. Limbs that
             explain more where the pass before found them are taken from it.
         markers: follow them too; without it they are ignored.
         surface: of the person's own model, around the recording's skeleton; without it a generic

@@ -65,7 +65,7 @@ def write_results(
         recording: with its videos.
         directory: is made where missing.
         progress: called with the frames drawn and their total; True shows a bar on stderr.
-        person: who was tracked: if their colours are known, their own surface is the skin.
+        person: who was tracked: if their colours were measured, their own surface is the skin.
         inputs: files that were read besides the recording's.
         warn: called with a sentence for each file that cannot hold the motion and is left out.
 

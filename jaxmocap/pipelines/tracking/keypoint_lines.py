@@ -54,14 +54,14 @@ def lines_at_events(
         (E, ...) of all these cameras; None where there is none.
     """
     points_world = landmarks_over_time(recording.skeleton, marker_poses)
-    found = [
+    lines = [
         _lines(recording, source, each, timeline, frames, points_world)
         for source, each, frames in zip(
             recording.videos, keypoints, timeline.frame_index.T, strict=True
         )
         if each is not None
     ]
-    return jax.tree.map(lambda *parts: np.concatenate(parts, 1), *found) if found else None
+    return jax.tree.map(lambda *parts: np.concatenate(parts, 1), *lines) if lines else None
 
 
 def _lines(

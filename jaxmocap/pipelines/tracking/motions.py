@@ -130,12 +130,12 @@ def _warnings(
     events: Events, first_pass: FirstPass, confidence: np.ndarray
 ) -> tuple[tuple[str, ...], ...]:
     """Of each sample, by the (T, 2) confidence in its elbows too."""
-    before = (("no marker has been seen yet",),) * events.before
-    found = list(events.sample_warnings(first_pass.warnings))
+    before = (("no marker has been measured yet",),) * events.before
+    listed = list(events.sample_warnings(first_pass.warnings))
     if events.without_video:
         unsure = map(warnings.of_confidence, confidence[len(before) :])
-        found = [(*own, *more) for own, more in zip(found, unsure, strict=True)]
-    return before + tuple(found)
+        listed = [(*own, *more) for own, more in zip(listed, unsure, strict=True)]
+    return before + tuple(listed)
 
 
 def _errors_and_swivels(

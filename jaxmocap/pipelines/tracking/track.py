@@ -165,7 +165,7 @@ def open_recording(recording: Recording, mode: Mode = "own") -> Opened:
 
 
 def with_sight_lines(opened: Opened, events: Events, first: FirstPass) -> FirstPass:
-    """A first pass with the lines of sight of its key points, which its poses tell from others'."""
+    """A first pass with lines of sight to the tracked person's key points, chosen by its poses."""
     lines = lines_at_events(
         opened.recording, opened.keypoints, events.timeline, first.reports.marker_pose
     )
@@ -185,7 +185,7 @@ def _smoothed(
 
 
 def _turns_deg(recording: Recording, trajectory: Trajectory | None) -> dict[str, list[float]]:
-    """Camera -> how it was found turned against its calibration, a vector in its frame, degrees."""
+    """Camera -> its estimated rotation against its calibration, a vector in its frame, degrees."""
     turns = [] if trajectory is None else np.degrees(trajectory.turns_cam).tolist()
     return dict(zip((source.camera_name for source in recording.videos), turns, strict=False))
 

@@ -80,10 +80,10 @@ def refine(
     angles = pose.angles.copy()
     for arm, view in enumerate(views):
         if view is not None:
-            dofs, found = refine_arm(
+            dofs, costs = refine_arm(
                 skeleton, settings, pose, "lr"[arm], view, grip_sites, hands[arm]
             )
-            angles[dofs] = found
+            angles[dofs] = costs
     return ik.Pose(pose.position, pose.quaternion, angles)
 
 
@@ -170,8 +170,8 @@ def refine_arm(
 
     edges = np.diag([float(own.swivel_edge)] + 3 * [float(own.other_edge)])
     first = np.vstack([np.zeros(4), edges])
-    found = simplex.minimise(cost, first, int(own.iterations))
-    angles = swing(skeleton, pose, side, grip_sites, found.point)[2]
+    minimum = simplex.minimise(cost, first, int(own.iterations))
+    angles = swing(skeleton, pose, side, grip_sites, minimum.point)[2]
     return dofs, np.clip(angles, limits[:, 0], limits[:, 1])
 
 

@@ -1,7 +1,7 @@
-"""How well limbs cover what was seen of them on a grid, cell by cell.
+"""How well limbs cover their measured silhouettes on a grid, cell by cell.
 
-INPUTS: limbs as convex hulls of two circles (centres and radii, cells), what was seen, its weight.
-OUTPUTS: coverage (rows, columns) in [0, 1], and a sum of squares.
+INPUTS: limbs as convex hulls of two circles (centres and radii, cells), the measured
+silhouette, its weight. OUTPUTS: coverage (rows, columns) in [0, 1], and a sum of squares.
 """
 
 import numpy as np

@@ -37,22 +37,22 @@ def _about(mask: np.ndarray, y: int, x: int) -> list[bool]:
 
 def boundary_cells(mask: np.ndarray) -> set[tuple[int, int]]:
     """(column, row) of the body's cells within the canvas that have something else beside them."""
-    size, found = len(mask), set()
+    size, cells = len(mask), set()
     for y in range(1, size - 1):
         for x in range(1, size - 1):
             if mask[y, x] and not all(mask[y + dy, x + dx] for dy, dx in BESIDE):
-                found.add((x, y))
-    return found
+                cells.add((x, y))
+    return cells
 
 
 def step_cells(depth: np.ndarray, jump: float) -> set[tuple[int, int]]:
     """(column, row) of the cells that lie farther in front than ``jump`` of one beside them."""
-    size, found = len(depth), set()
+    size, cells = len(depth), set()
     for y in range(size):
         for x in range(size):
             for dy, dx in BESIDE:
                 r, c = y + dy, x + dx
                 on_canvas = 0 <= r < size and 0 <= c < size
                 if on_canvas and np.isfinite(depth[r, c]) and depth[r, c] - depth[y, x] > jump:
-                    found.add((x, y))
-    return found
+                    cells.add((x, y))
+    return cells

@@ -35,14 +35,14 @@ def joint_screws(skeleton: Any, frames: Any) -> list[np.ndarray]:
 
 def posed(frames: Any, points: Any) -> np.ndarray:
     """Points (N, 3) in the world, metres."""
-    found = []
+    positions = []
     for bones, places, shares in zip(*(np.asarray(part) for part in points), strict=True):
         carried = [
             frames.joints_world[b] + frames.R_world_bone[b] @ x
             for b, x in zip(bones, places, strict=True)
         ]
-        found.append(shares @ np.array(carried))
-    return np.array(found)
+        positions.append(shares @ np.array(carried))
+    return np.array(positions)
 
 
 def slopes(skeleton: Any, frames: Any, points: Any) -> np.ndarray:
@@ -51,15 +51,15 @@ def slopes(skeleton: Any, frames: Any, points: Any) -> np.ndarray:
     root += [np.concatenate([np.cross(frames.root, axis), axis]) for axis in np.eye(3)]
     twists = root + joint_screws(skeleton, frames)
     tree, parts = skeleton.tree, [np.asarray(part) for part in points]
-    found = np.zeros((len(parts[0]), 3, len(twists)))
+    result = np.zeros((len(parts[0]), 3, len(twists)))
     for i, (bones, places, shares) in enumerate(zip(*parts, strict=True)):
         for bone, place, share in zip(bones, places, shares, strict=True):
             chain = tree.chain(tree.bones[bone])
             x = frames.joints_world[bone] + frames.R_world_bone[bone] @ place
             for j, twist in enumerate(twists):
                 if j < 6 or tree.dof_bones[j - 6] in chain:
-                    found[i, :, j] += share * (hat(twist) @ np.append(x, 1.0))[:3]
-    return found
+                    result[i, :, j] += share * (hat(twist) @ np.append(x, 1.0))[:3]
+    return result
 
 
 def linearised(skeleton: Any, frames: Any, pairs: Any) -> tuple[np.ndarray, np.ndarray]:

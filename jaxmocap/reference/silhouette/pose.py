@@ -56,13 +56,13 @@ def solve_pose(skeleton: Any, pose: Any, pairs: Any, settings: Any, prior: Any =
         firm = np.repeat(np.sqrt(share * weights) / spread, 2)
         A, b = [firm[:, None] * rows.reshape(len(firm), -1)], [firm * residuals.ravel()]
         if prior is not None:
-            known = 1 / np.asarray(prior.deviations, float)
+            prior_weights = 1 / np.asarray(prior.deviations, float)
             expected = Pose(*(np.asarray(part, float) for part in prior.pose))
-            A.append(np.diag(known))
-            b.append(known * difference(now, expected))
+            A.append(np.diag(prior_weights))
+            b.append(prior_weights * difference(now, expected))
         low, high = (np.asarray(skeleton.limits, float) - now.angles[:, None]).T
         endless = np.full(6, np.inf)
         bounds = np.append(-endless, np.minimum(low, 0.0)), np.append(endless, np.maximum(high, 0))
-        found = lsq_linear(np.concatenate(A), -np.concatenate(b), bounds, method="bvls")
-        now = moved(now, found.x)
+        solution = lsq_linear(np.concatenate(A), -np.concatenate(b), bounds, method="bvls")
+        now = moved(now, solution.x)
     return now

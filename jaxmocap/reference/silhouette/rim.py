@@ -25,7 +25,7 @@ def outline(
         depths: (M,) from the camera, metres.
         size: of the canvas.
     """
-    nodes, found = nearest_nodes(x, y, depths, size), {}
+    nodes, result = nearest_nodes(x, y, depths, size), {}
     for column, row in boundary_cells(body_mask(nodes)):
         node = nodes[row, column]
         beside = [nodes[row + dy, column + dx] for dy, dx in AROUND]
@@ -33,8 +33,8 @@ def outline(
         if node < 0 and beside:
             node = min(beside, key=lambda n: depths[n])
         if node >= 0:
-            found[column, row] = int(node)
-    return found
+            result[column, row] = int(node)
+    return result
 
 
 def hidden(eye: np.ndarray, points: np.ndarray, triangles: np.ndarray, nearer: float) -> np.ndarray:
@@ -49,7 +49,7 @@ def hidden(eye: np.ndarray, points: np.ndarray, triangles: np.ndarray, nearer: f
     corner, one, other = triangles[:, 0], *(triangles[:, k] - triangles[:, 0] for k in (1, 2))
     from_corner = eye - corner
     across = np.cross(from_corner, one)
-    found = np.zeros(len(points), bool)
+    is_hidden = np.zeros(len(points), bool)
     for i, point in enumerate(points):
         away = np.linalg.norm(point - eye)
         way = (point - eye) / away
@@ -62,5 +62,5 @@ def hidden(eye: np.ndarray, points: np.ndarray, triangles: np.ndarray, nearer: f
         v = across @ way / scale
         t = np.sum(other * across, 1) / scale
         hit = ~flat & (u >= 0) & (v >= 0) & (u + v <= 1)
-        found[i] = np.any(hit & (t > 0) & (t < away - nearer))
-    return found
+        is_hidden[i] = np.any(hit & (t > 0) & (t < away - nearer))
+    return is_hidden

@@ -59,7 +59,7 @@ class Matches(NamedTuple):
 
     Attributes:
         nodes: (C, N) of the rim's surface.
-        pixels_xy: (C, N, 2) where the contour is seen.
+        pixels_xy: (C, N, 2) of the contour.
         normals: (C, N, 2) of the contour there.
         distances: (C, N) between them, pixels; 0 for padding.
         valid: (C, N) False for padding, and where nothing fits.
@@ -113,8 +113,8 @@ def _matched(
     away = np.linalg.norm(there - pixels[which], axis=1)
     real &= np.sum(ways * normals[which], 1) > settings.least_cosine
     real &= away < settings.largest_distance * scale
-    found = Matches(nodes[which], there, ways, np.where(real, away, 0.0), real)
-    return Matches(*(_filled(part, width) for part in found))
+    matches = Matches(nodes[which], there, ways, np.where(real, away, 0.0), real)
+    return Matches(*(_filled(part, width) for part in matches))
 
 
 def _places(pixels: np.ndarray, normals: np.ndarray, turn: float) -> np.ndarray:

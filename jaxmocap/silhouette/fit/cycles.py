@@ -1,6 +1,6 @@
 """From a predicted pose to a fitted one: rim, contour, pairs, solve, cycle by cycle.
 
-INPUTS: a frame's images and what is known of them, a predicted pose. OUTPUTS: a FittedPose; what
+INPUTS: a frame's images and background models, a predicted pose. OUTPUTS: a FittedPose; what
 is left of its information without the pairs of some joints.
 """
 
@@ -29,7 +29,7 @@ from jaxmocap.silhouette.surfaces.shape import NodePairs
 
 
 class FrameEvidence(NamedTuple):
-    """What a frame brings, and what is known before it is segmented.
+    """What a frame brings, and what was learned before it is segmented.
 
     Attributes:
         images: (H, W, 3) BGR uint8 of each camera, None where it shows nothing of use.

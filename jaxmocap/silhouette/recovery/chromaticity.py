@@ -4,7 +4,7 @@ A point's chromaticity is learned where cameras see it; brightness changes with 
 limb and is ignored. Which points are visible follows from their depths, on canvases of few cells.
 
 INPUTS: images uint8, pixels and depths of a body's points. OUTPUTS: their chromaticities; on
-canvases, how far what is seen is from what the body would show.
+canvases, how far the image is from what the body would show.
 """
 
 from collections.abc import Sequence
@@ -53,7 +53,7 @@ class BodyAppearance(NamedTuple):
         return BodyAppearance(after.astype(np.float32), self.frames + (count > 0))
 
     def means(self, bins: np.ndarray, count: int) -> np.ndarray:
-        """(count, 3) mean chromaticities of points by their bins (N,); -1 where not known.
+        """(count, 3) mean chromaticities of points by their bins (N,); -1 where none was learned.
 
         A negative bin is none.
         """
@@ -90,10 +90,10 @@ class PointCells(NamedTuple):
 
     def nearest_depths(self, points: np.ndarray) -> np.ndarray:
         """(C, S, S) depth of the nearest of some points (N,) bool about each cell, or infinite."""
-        found = np.full((len(self.cells), self.size**2 + 1), np.inf, np.float32)
-        for row, cells, depths in zip(found, self.cells, self.depths, strict=True):
+        nearest = np.full((len(self.cells), self.size**2 + 1), np.inf, np.float32)
+        for row, cells, depths in zip(nearest, self.cells, self.depths, strict=True):
             np.minimum.at(row, cells[points], depths[points])
-        grids = found[:, :-1].reshape(-1, self.size, self.size)
+        grids = nearest[:, :-1].reshape(-1, self.size, self.size)
         about, edge = np.ones(WINDOW, np.uint8), cv2.BORDER_REPLICATE
         return np.stack([cv2.erode(grid, about, borderType=edge) for grid in grids])
 
@@ -113,20 +113,22 @@ class PointCells(NamedTuple):
     ) -> np.ndarray:
         """(C, S, S) half squared deviations of (C, S, S, 3) from those of points visible (C, N).
 
-        0 where nothing is known: no point is about, or it is too dark.
+        0 where nothing was learned: no point is about, or it is too dark.
         """
-        found = np.zeros(chromaticities.shape[:3], np.float32)
-        rows = zip(found, chromaticities, self.cells, visible, strict=True)
+        costs = np.zeros(chromaticities.shape[:3], np.float32)
+        rows = zip(costs, chromaticities, self.cells, visible, strict=True)
         for cost, shown, cells, on in rows:
-            known = on & (appearance.frames > 0)
-            sums = _sums(cells[known], appearance.chromaticities[known], self.size**2 + 1)[:-1]
+            is_learned = on & (appearance.frames > 0)
+            sums = _sums(
+                cells[is_learned], appearance.chromaticities[is_learned], self.size**2 + 1
+            )[:-1]
             sums = cv2.blur(sums.reshape(self.size, self.size, 4), WINDOW)
             # The body is a small part of the canvas.
             there = (sums[..., 3] > 1e-6) & np.isfinite(shown[..., 0])
             expected = sums[there, :3] / sums[there, 3:]
             squares = np.sum((shown[there] - expected) ** 2, -1)
             cost[there] = np.minimum(squares / (2 * settings.deviation**2), settings.largest_cost)
-        return found
+        return costs
 
 
 def chromaticity(colour: np.ndarray) -> np.ndarray:
@@ -139,13 +141,13 @@ def chromaticity(colour: np.ndarray) -> np.ndarray:
 
 def chromaticity_at(images: Sequence[np.ndarray | None], pixels_xy: np.ndarray) -> np.ndarray:
     """(C, N, 3) at pixels (C, N, 2); NaN where there is no image, or it is too dark."""
-    found = np.full((*pixels_xy.shape[:2], 3), np.nan, np.float32)
+    result = np.full((*pixels_xy.shape[:2], 3), np.nan, np.float32)
     for camera, (image, at) in enumerate(zip(images, pixels_xy, strict=True)):
         if image is None:
             continue
         x, y, within = pixels_within(image, at)
-        found[camera, within] = chromaticity(image[y[within], x[within]])
-    return found
+        result[camera, within] = chromaticity(image[y[within], x[within]])
+    return result
 
 
 def pixels_within(
@@ -160,11 +162,11 @@ def chromaticity_canvases(
     images: Sequence[np.ndarray | None], regions: Sequence[Region], size: int
 ) -> np.ndarray:
     """(C, S, S, 3) of images on canvases; NaN where there is none, or it is too dark."""
-    found = np.full((len(images), size, size, 3), np.nan, np.float32)
+    result = np.full((len(images), size, size, 3), np.nan, np.float32)
     for camera, (image, region) in enumerate(zip(images, regions, strict=True)):
         if image is not None:
-            found[camera] = chromaticity(resampled_values(image, region, size))
-    return found
+            result[camera] = chromaticity(resampled_values(image, region, size))
+    return result
 
 
 def _sums(bins: np.ndarray, chromaticities: np.ndarray, count: int) -> np.ndarray:

@@ -1,7 +1,7 @@
 """How well a limb in a pose explains what cameras show: the particle filter's likelihood.
 
 A limb is projected as bones of constant thickness, and log-ratios of person against rest are added
-up where it would be visible. Before the rest of the body its chromaticity tells it apart, and it
+up where it would be visible. Before the rest of the body its chromaticity distinguishes it, and it
 cannot be within the rest.
 
 INPUTS: a pose, a limb; log-ratios on canvases, what the rest of the body covers, chromaticities.
@@ -36,11 +36,11 @@ class LimbAppearance(NamedTuple):
     """Chromaticities that C cameras show, and those of a limb of B bones with A places on each.
 
     Attributes:
-        chromaticities: (C, S, S, 3) that are seen; NaN where there are none.
+        chromaticities: (C, S, S, 3) of the image; NaN where there are none.
         body_cost: (C, S, S) half their squared deviations from those of the rest of the body; 0
-            where nothing is known.
+            where nothing was learned.
         body_depth: (C, S, S) metres, of the rest of the body; infinite beside it.
-        limb_chromaticities: (B, A, 3) of the limb; -1 where not known.
+        limb_chromaticities: (B, A, 3) of the limb; -1 where none was learned.
     """
 
     chromaticities: Array | np.ndarray
@@ -56,7 +56,7 @@ class LimbEvidence(NamedTuple):
         log_ratios: (C, S, S) of person and rest; 0 where the rest of the body is visible.
         region: of the canvases.
         used: (C,) cameras that count.
-        appearance: chromaticities; None where none are known.
+        appearance: chromaticities; None where none were learned.
         obstacles: parts of the body that the limb cannot be in; None for none.
     """
 
@@ -210,8 +210,8 @@ def _by_colour(
 ) -> Array:
     """Log-ratios (B, A, W) of cells, by their chromaticities too, of a limb's places (B, A).
 
-    Before the rest of the body the chromaticity tells that from the limb. What has another than the
-    limb is a third thing: no sign of the limb there, and a faint one beside the body, as it may
+    Before the rest of the body the chromaticity separates that from the limb. What has another than
+    the limb is a third thing: no sign of the limb there, and a faint one beside the body, as it may
     hide it.
     """
     colour, largest = likelihood.chromaticity, likelihood.largest_colour
@@ -222,10 +222,10 @@ def _by_colour(
     there = jnp.concatenate([appearance.chromaticities, *body], -1)[row, column]
     shown, body_cost, body_depth = there[..., :3], there[..., 3], there[..., 4]
     limb = appearance.limb_chromaticities[:, :, None]
-    known = (limb[..., 0] >= 0) & jnp.isfinite(shown[..., 0])
+    is_learned = (limb[..., 0] >= 0) & jnp.isfinite(shown[..., 0])
     cost = jnp.sum((jnp.nan_to_num(shown) - limb) ** 2, -1) / (2 * colour.deviation**2)
-    cost = jnp.where(known, jnp.minimum(cost, colour.largest_cost), 0.0)
-    before = known & (body_cost > 0) & (depths[..., None] < body_depth)
+    cost = jnp.where(is_learned, jnp.minimum(cost, colour.largest_cost), 0.0)
+    before = is_learned & (body_cost > 0) & (depths[..., None] < body_depth)
     own = jnp.clip(likelihood.other_cost - cost, 0.0, largest)
     either = jnp.where(before, jnp.clip(body_cost - cost, -largest, own), 0.0)
     faint = jnp.minimum(log_ratios, likelihood.occluder)

@@ -31,7 +31,7 @@ class LimbChain(NamedTuple):
 
 def limb_chains(skeleton: Skeleton, surface: Surface) -> dict[str, LimbChain]:
     """``arm_l`` and so on, those searched by joints of as many bones as they have."""
-    tree, found = skeleton.tree, {}
+    tree, chains = skeleton.tree, {}
     turned = np.array(tree.dof_bones, np.int32)
     for kind in ("arm", "leg"):
         for side in "lr":
@@ -42,8 +42,8 @@ def limb_chains(skeleton: Skeleton, surface: Surface) -> dict[str, LimbChain]:
                 # From the body outwards.
                 joints = joints[np.argsort(turned[joints], kind="stable")].astype(np.int32)
                 radii = bone_radii(skeleton, surface, bones)
-                found[f"{kind}_{side}"] = LimbChain(bones, joints, radii)
-    return found
+                chains[f"{kind}_{side}"] = LimbChain(bones, joints, radii)
+    return chains
 
 
 def halves_of(limb: LimbChain) -> tuple[LimbChain, LimbChain]:
@@ -69,12 +69,12 @@ def bone_radii(skeleton: Skeleton, surface: Surface, bones: np.ndarray) -> np.nd
     """(B,) metres from bones to the surface's nodes that they carry alone or most."""
     carrier, places = carried_most(surface.points)
     ways = np.asarray(skeleton.directions)
-    found = []
+    radii = []
     for bone in bones:
         at = places[carrier == bone]
         away = np.linalg.norm(np.cross(at, ways[bone]), axis=1)
-        found.append(np.median(away) if len(at) else 0.03)
-    return np.array(found, np.float32)
+        radii.append(np.median(away) if len(at) else 0.03)
+    return np.array(radii, np.float32)
 
 
 def carriers(points: BodyPoints) -> np.ndarray:

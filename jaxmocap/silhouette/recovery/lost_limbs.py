@@ -1,6 +1,6 @@
 """Which parts of the limbs the images contradict, and where the limbs might be instead.
 
-A limb is searched for where person is seen that no limb explains; and where it explains less than
+A limb is searched for where no limb explains a visible person, and where it explains less than
 nothing: before the background, before the rest of the body where that is what is visible, within
 the rest of the body. So is found what no outline shows: an arm that one camera hides, and another
 sees before the trunk, leaves all silhouettes as they are.
@@ -138,10 +138,10 @@ class LimbRecovery:
 
     def joints_of(self, limbs: tuple[int, ...]) -> np.ndarray:
         """(D,) bool: the joints of some limbs."""
-        found = np.zeros(self.joints.shape[1], bool)
+        joints = np.zeros(self.joints.shape[1], bool)
         for number in limbs:
-            found[self.limbs[number].joints] = True
-        return found
+            joints[self.limbs[number].joints] = True
+        return joints
 
     def hidden_joints(
         self,
@@ -206,7 +206,7 @@ class LimbRecovery:
     def propose(
         self, memory: LimbMemory, projected: ProjectedBody, how: LimbSearchSettings
     ) -> tuple[LimbProposal | None, LimbMemory]:
-        """Poses that explain more of what is seen than the one found, if there are any."""
+        """Poses that explain more of the image than the present one, if there are any."""
         finder, s, pose = self.evidence, self._settings, projected.pose
         missing, depths = finder.unexplained(projected), finder.nearest_depths(projected)
         evidence = [
@@ -214,7 +214,7 @@ class LimbRecovery:
             for number in range(len(self.limbs))
         ]
         explained = np.array([self._explains(k, each, pose) for k, each in enumerate(evidence)])
-        # Where person is seen that nothing explains, a limb that explains little is not there.
+        # Where nothing explains a visible person, a limb that explains little is not there.
         is_missing = missing >= s.unexplained_share
         contradicted = explained < np.where(is_missing, s.weak, -s.contradicted)
         doubtful = is_missing | contradicted
@@ -225,8 +225,8 @@ class LimbRecovery:
             if not doubtful[number] and not back[number]:
                 search.forget(number)
             elif search.waits[number] <= 0 or back[number]:
-                found = self._search(number, evidence[number], memory, search.poses[0], how)
-                search.add(number, self.limbs[number], found, s)
+                result = self._search(number, evidence[number], memory, search.poses[0], how)
+                search.add(number, self.limbs[number], result, s)
         poses, moved = tuple(search.poses), tuple(search.moved)
         proposal = LimbProposal(poses, moved, s.least_gain) if moved else None
         return proposal, search.memory(contradicted)
@@ -291,20 +291,20 @@ class _Search:
         self._particles[number], self._failures[number] = None, 0
 
     def add(
-        self, number: int, limb: LimbChain, found: LimbSearchResult, s: RecoverySettings
+        self, number: int, limb: LimbChain, result: LimbSearchResult, s: RecoverySettings
     ) -> None:
         """What the search for a limb found: poses in which it is elsewhere, or a time to wait."""
-        self._particles[number] = np.asarray(found.particles)
-        baseline, poses = float(found.baseline), self.poses
-        better = np.asarray(found.gains) > baseline + s.least_gain
+        self._particles[number] = np.asarray(result.particles)
+        baseline, poses = float(result.baseline), self.poses
+        better = np.asarray(result.gains) > baseline + s.least_gain
         if better[0]:
             count = max(len(poses), int(better.sum()))
             self.poses = [
-                with_angles(poses[min(k, len(poses) - 1)], limb, found.best[k if better[k] else 0])
+                with_angles(poses[min(k, len(poses) - 1)], limb, result.best[k if better[k] else 0])
                 for k in range(count)
             ]
             self.moved.append(number)
-        elif np.max(found.gains) < baseline + s.promising_share * s.least_gain:
+        elif np.max(result.gains) < baseline + s.promising_share * s.least_gain:
             self.waits[number] = min(2 ** self._failures[number], s.longest_wait) + 1
             self._failures[number] += 1
 

@@ -58,9 +58,9 @@ class PartAppearance(NamedTuple):
         ], 1)  # fmt: skip
         there = np.isfinite(now[..., 0])
         off = np.where(there, np.abs(now - self.mean).max(-1), 0.0)
-        known = there & (self.frames >= settings.youngest)
-        strange = known & (off > settings.share + settings.deviations * np.sqrt(self.variance))
-        other = strange.any(1) & (2 * strange.sum(1) >= known.sum(1))
+        is_learned = there & (self.frames >= settings.youngest)
+        strange = is_learned & (off > settings.share + settings.deviations * np.sqrt(self.variance))
+        other = strange.any(1) & (2 * strange.sum(1) >= is_learned.sum(1))
         lasting = np.where(other, self.strange_frames + 1, 0)
         learn = there & (~strange | (lasting > settings.longest)[:, None])
         gain = np.where(learn, np.maximum(settings.gain, 1 / (self.frames + 1)), 0.0)
@@ -77,12 +77,12 @@ def mean_chromaticities(
     image: np.ndarray | None, pixels_xy: np.ndarray, parts: np.ndarray, least_points: int
 ) -> np.ndarray:
     """(P, 3) of the parts' points within an image; NaN of a part with few of them, or none."""
-    found = np.full((len(parts), 3), np.nan)
+    means = np.full((len(parts), 3), np.nan)
     if image is None:
-        return found
+        return means
     x, y, within = pixels_within(image, pixels_xy)
     for number, on in enumerate(parts & within):
         if on.sum() >= least_points:
             colour = image[y[on], x[on]].mean(0)
-            found[number] = colour / colour.sum() if colour.sum() > DARKEST else np.nan
-    return found
+            means[number] = colour / colour.sum() if colour.sum() > DARKEST else np.nan
+    return means

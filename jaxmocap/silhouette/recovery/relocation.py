@@ -72,8 +72,8 @@ def recover_limbs(
     best = _Relocation(fitted, _projected(body, fitted.result.pose, fitted, frame))
     resumed, searched = (), ()
     # Without a background what looks like a person is taken for one, and learned as none.
-    known = all(background is not None for background in frame.backgrounds)
-    if s.particles > 1 and known:
+    has_backgrounds = all(background is not None for background in frame.backgrounds)
+    if s.particles > 1 and has_backgrounds:
         if earlier is not None:
             proposal = recovery.earlier_proposal(limbs, best.projected, earlier.pose)
             best = _best_of(constants, body, proposal, limbs, frame, best, deviations)

@@ -43,7 +43,7 @@ class ChromaticitySettings(NamedTuple):
 
 
 class LimbLikelihood(NamedTuple):
-    """Log-ratios of a limb against what else may be seen in its place; static.
+    """Log-ratios of a limb against what else may be visible in its place; static.
 
     Attributes:
         chromaticity: how alike colours are.
@@ -89,7 +89,7 @@ class ProjectionSettings(NamedTuple):
     """The canvas that limbs are searched on.
 
     Attributes:
-        node_stride: of the surface's nodes one in so many says what the body covers.
+        node_stride: of the surface's nodes one in so many is drawn.
         cell_margin: cells about such a node that it covers.
         size: of the canvas, cells.
         extent: of the canvas, by that of the segmentation's.

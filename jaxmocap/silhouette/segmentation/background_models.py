@@ -28,7 +28,7 @@ ROWS = 720
 ONLINE_ROWS = 480
 # Cells about the person that count as the person.
 MARGIN_CELLS = 2
-# And about the body frame by frame, when the first poses are hardly known, nor the person's shape.
+# And about the body frame by frame, when the first poses and the shape are uncertain.
 ONLINE_MARGIN_CELLS = 6
 # Quantile of what a pixel shows that is background: a person's shadow darkens it for a while.
 LIT_QUANTILE = 0.7
@@ -132,5 +132,5 @@ def possible_person(
 
 def _enlarged(small: Background, size: tuple[int, int]) -> Background:
     """A background at an image's width and height."""
-    parts = (small.colour, small.noise, small.known)
+    parts = (small.colour, small.noise, small.certainty)
     return Background(*(cv2.resize(part, size) for part in parts))

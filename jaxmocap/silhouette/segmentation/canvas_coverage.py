@@ -69,4 +69,4 @@ def extended_log_ratio(
     shown = canvas(image, around, size, background)
     off = np.abs(shown.colour.astype(np.float32) - shown.room).max(-1)
     other = np.where(off > DIFFERENT_DEVIATIONS * shown.noise + DIFFERENT_LEVELS, largest, -largest)
-    return np.where(y[:, None] & x, within, shown.known * other).astype(np.float32), around
+    return np.where(y[:, None] & x, within, shown.certainty * other).astype(np.float32), around

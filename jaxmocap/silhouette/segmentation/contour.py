@@ -32,7 +32,7 @@ class Contours(NamedTuple):
         points_xy: (V, N, 2) pixels.
         normals: (V, N, 2) unit vectors, out of the person.
         lengths: (V, N) pixels of contour for which a point stands; they add up to all of it.
-        contrast: (V, N) 0 to 1: how clearly the image tells its two sides from each other.
+        contrast: (V, N) 0 to 1: how clearly its two sides differ in the image.
         valid: (V, N) bool; false where there is no point, or only the image's border.
     """
 

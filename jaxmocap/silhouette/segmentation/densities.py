@@ -1,4 +1,4 @@
-"""How likely a region's pixels are: histograms, a known background, normals about local means.
+"""How likely a region's pixels are: histograms, a learned background, normals about local means.
 
 INPUTS: colours on a canvas, how far each cell belongs to a region. OUTPUTS: densities, per grey
 level or cubic grey level.
@@ -19,7 +19,7 @@ GREYS = 64
 # Deviations of the Gaussian kernels that smooth either, bins.
 GREY_BLUR = 1.5
 COLOUR_BLUR = 0.5
-# Every colour has this share of the even distribution: what was never seen is not impossible.
+# Every colour has this share of the even distribution: what was never observed is not impossible.
 EVEN_SHARE = 1e-3
 # OpenCV's weights of blue, green and red.
 LUMINANCE = (0.114, 0.587, 0.299)

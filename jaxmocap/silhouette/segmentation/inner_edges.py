@@ -65,10 +65,10 @@ def _of_camera(
             place, apart = colour_boundary(profiles[one])
             if apart > settings.contrast:
                 offset[one] = np.interp(place, np.arange(len(offsets)), offsets)
-    found = np.isfinite(offset)
-    offset = np.where(found, offset, 0.0)
+    is_detected = np.isfinite(offset)
+    offset = np.where(is_detected, offset, 0.0)
     there = (pixels + offset[:, None] * normals).astype(np.float32)
-    return nodes, there, normals.astype(np.float32), np.abs(offset), found
+    return nodes, there, normals.astype(np.float32), np.abs(offset), is_detected
 
 
 def concatenated(outlines: Matches, edges: Matches) -> Matches:

@@ -77,21 +77,21 @@ def find_outlines(
     if settings.sharpen:
         phi = _sharpened(images, backgrounds, phi, views)
     segmentation = segmentation._replace(phi=phi)
-    found = contours(
+    traced = contours(
         segmentation.phi, segmentation.log_ratio, canvases.inside, region, settings.points,
         settings.level_set.largest_log_ratio,
     )  # fmt: skip
-    clear = np.asarray(found.valid) & (np.asarray(found.contrast) > settings.contrast)
-    lines = _lines(found, clear, images)
-    share = clear.sum(1) / np.maximum(np.asarray(found.valid).sum(1), 1)
+    clear = np.asarray(traced.valid) & (np.asarray(traced.contrast) > settings.contrast)
+    lines = _lines(traced, clear, images)
+    share = clear.sum(1) / np.maximum(np.asarray(traced.valid).sum(1), 1)
     return Outlines(lines, segmentation, region, share)
 
 
 def _lines(
-    found: Contours, clear: np.ndarray, images: Sequence[np.ndarray | None]
+    traced: Contours, clear: np.ndarray, images: Sequence[np.ndarray | None]
 ) -> tuple[Contour, ...]:
     """Each camera's clear points (C, N) bool; none where there are few of them, or no image."""
-    points, normals = np.asarray(found.points_xy), np.asarray(found.normals)
+    points, normals = np.asarray(traced.points_xy), np.asarray(traced.normals)
     lines = []
     for camera, image in enumerate(images):
         kept = clear[camera] & (image is not None)

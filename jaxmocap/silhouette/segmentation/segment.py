@@ -48,7 +48,7 @@ class CanvasImages(NamedTuple):
         inside: (V, S, S) 0 to 1, how far the cell lies within the image.
         background: (V, 3, S, S) uint8, what the cell shows where nobody stands.
         noise: (V, S, S) float32, its deviation, grey levels.
-        certainty: (V, S, S) float32, 0 to 1, how surely that is known.
+        certainty: (V, S, S) float32, 0 to 1, of that background.
     """
 
     colour: Array | np.ndarray
@@ -73,7 +73,7 @@ class Stage(NamedTuple):
     Attributes:
         steps: how many.
         width: of H' in cells, of twice the size where ``coarse``.
-        background_width: the same where the background is known: a limb beside the predicted one
+        background_width: the same where the background was learned: a limb beside the predicted one
             attracts the contour from afar.
         coarse: whether on cells of twice the size.
         gap: cells about the contour that histograms leave out.
@@ -91,7 +91,7 @@ class SegmentationPlan(NamedTuple):
 
     Attributes:
         colour: joint histograms of colours rather than of grey levels.
-        background: whether any background is known; its densities are of colours.
+        background: whether any background was learned; its densities are of colours.
         stages: in turn.
     """
 

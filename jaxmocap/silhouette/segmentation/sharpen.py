@@ -1,4 +1,4 @@
-"""Sharpening: where exactly a silhouette ends that is known to some pixels already.
+"""Sharpening: a silhouette's end to a pixel, from one that is some pixels off.
 
 Cells of a level set are larger than pixels, and a histogram against a sharp background takes
 every pixel for the person that is not quite background. Here each pixel next to the contour is
@@ -106,12 +106,12 @@ def sharpened_silhouette(
     channels = _channels(_shrunk(image[rows, columns], step))
     behind = None
     if background is not None:
-        colour, known = background.colour[rows, columns], background.known[rows, columns]
-        behind = _channels(cv2.convertScaleAbs(_shrunk(colour, step))), _shrunk(known, step)
-    found = _shrunk(255 * before.astype(np.uint8), step) > 127
+        colour, certainty = background.colour[rows, columns], background.certainty[rows, columns]
+        behind = _channels(cv2.convertScaleAbs(_shrunk(colour, step))), _shrunk(certainty, step)
+    mask = _shrunk(255 * before.astype(np.uint8), step) > 127
     for inwards, outwards in ROUNDS:
-        found = _moved(channels, found, behind, inwards, outwards)
-    return SilhouettePatch(found, Region(corner - np.float32(0.5), np.array(step, np.float32)))
+        mask = _moved(channels, mask, behind, inwards, outwards)
+    return SilhouettePatch(mask, Region(corner - np.float32(0.5), np.array(step, np.float32)))
 
 
 def _channels(image: np.ndarray) -> np.ndarray:
@@ -129,27 +129,27 @@ def _moved(
     """The mask (h, w) after its border has moved by the pixels (h, w, 4) uint8 next to it.
 
     How much of a pixel is the person's follows from how far its colour lies from the background's:
-    where that is known, in any direction, for a body has more colours than their mean beside; else
-    along the way to the person's, for a background has more than one as well.
+    where that was learned, in any direction, for a body has more colours than their mean beside;
+    else along the way to the person's, for a background has more than one as well.
     """
     filled = mask.astype(np.uint8)
     inner, outer = cv2.erode(filled, _disc(DEPTH_PX)), 1 - cv2.dilate(filled, _disc(DEPTH_PX))
     near = cv2.dilate(filled, _square(outwards)) - cv2.erode(filled, _square(inwards))
     at = np.flatnonzero(near.view(bool))
     (person, sure), (other, free) = (_beside(channels, side, at) for side in (inner, outer))
-    known = np.zeros(len(at), np.float32)
+    certainty = np.zeros(len(at), np.float32)
     if background is not None:
-        known = _taken(background[1], at)
+        certainty = _taken(background[1], at)
         (lit, _), colour = _beside(background[0], outer, at), _taken(background[0], at) - BLACK
         light = np.clip(other[:, 0] / np.maximum(lit[:, 0], 1.0), DIMMEST, BRIGHTEST)
         behind = BLACK + np.where(free, light, np.float32(1))[:, None] * colour
-        other += known[:, None] * (behind - other)
-        free = free | (known > 0.5)
+        other += certainty[:, None] * (behind - other)
+        free = free | (certainty > 0.5)
     apart, away = person - other, _taken(channels, at) - other
     contrast, off = apart**2 @ ALL_CHANNELS, away**2 @ ALL_CHANNELS
     along = (apart * away) @ ALL_CHANNELS / np.maximum(contrast, 1.0)
     far = np.sqrt(np.maximum(off - SQUARED_NOISE, 0) / np.maximum(contrast, 1.0))
-    covered = along + known * (far - along)
+    covered = along + certainty * (far - along)
     weight = contrast / (contrast + HALF_CONTRAST) * (sure & free)
     before = _taken(cv2.blur(255 * filled, (SMOOTH_PX, SMOOTH_PX)), at)
     share = 255 * np.clip(covered - COVERED_SHARE + 0.5, 0, 1)
@@ -185,7 +185,7 @@ def _box(
 
     One of them, where that is nothing or wholly outside.
     """
-    found = []
+    slices = []
     for axis, size in ((1, shape[0]), (0, shape[1])):
         some = np.flatnonzero(within.any(axis))
         cells = np.array([some[0], some[-1] + 1] if len(some) else [0, 0])
@@ -193,8 +193,8 @@ def _box(
         low, high = np.rint(edges).astype(int) + np.array([-1, 1]) * MARGIN_PX * step
         low = int(np.clip(low, 0, size - step))
         count = max(1, (min(int(high), size) - low) // step)
-        found.append(slice(low, low + count * step))
-    return found[0], found[1]
+        slices.append(slice(low, low + count * step))
+    return slices[0], slices[1]
 
 
 def _shrunk(image: np.ndarray, step: int) -> np.ndarray:

@@ -88,17 +88,17 @@ def outer_boundary(keys: np.ndarray, mask: np.ndarray, count: int | None = None)
         mask: (S, S) of ``body_mask``.
         count: of cells, at most, evenly along it; all without it.
     """
-    found = traced_boundary(mask)
-    return _with_nodes(keys, *(found if count is None else subsampled(found, count)))
+    boundary = traced_boundary(mask)
+    return _with_nodes(keys, *(boundary if count is None else subsampled(boundary, count)))
 
 
 def traced_boundary(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The cells (K, 2) along the inside of a mask's outlines, column and row, and their normals.
 
-    Cells at the canvas' edge, which is no edge of what is seen, are left out, and so are specks.
+    Cells at the canvas' edge, which is no edge of the body, are left out, and so are specks.
     """
-    found, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    chains = [chain[:, 0] for chain in found if len(chain) > 2 * TANGENT]
+    outlines, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    chains = [chain[:, 0] for chain in outlines if len(chain) > 2 * TANGENT]
     if not chains:
         return np.zeros((0, 2), int), np.zeros((0, 2))
     cells = np.concatenate(chains)
@@ -125,8 +125,8 @@ def _with_nodes(keys: np.ndarray, cells: np.ndarray, normals: np.ndarray) -> Bou
     here = padded[y + 1, x + 1]
     beside = np.min([padded[y + dy, x + dx] for dy in range(3) for dx in range(3)], 0)
     nodes = nodes_at(np.where(here == EMPTY, beside, here))
-    known = nodes >= 0
-    return Boundary(cells[known], nodes[known], normals[known])
+    has_node = nodes >= 0
+    return Boundary(cells[has_node], nodes[has_node], normals[has_node])
 
 
 def inner_boundary(
@@ -150,12 +150,12 @@ def inner_boundary(
     depth = np.where(nodes >= 0, depths[nodes], np.float32(np.inf)).astype(np.float32)
     # Single cells through which the far side shows take the depth of those about them.
     depth = cv2.morphologyEx(depth, cv2.MORPH_OPEN, SQUARE)
-    seen = np.isfinite(depth)
+    is_covered = np.isfinite(depth)
     if parts is not None:
         part = np.where(nodes >= 0, parts[nodes] + 1, 0).astype(np.uint8)
         least = cv2.erode(np.where(nodes >= 0, part, np.uint8(255)), SQUARE)
-        seen &= least != cv2.dilate(part, SQUARE)
-    x, y = _steps_back(depth, jump, *np.nonzero(seen))
+        is_covered &= least != cv2.dilate(part, SQUARE)
+    x, y = _steps_back(depth, jump, *np.nonzero(is_covered))
     rows, columns = np.nonzero(((x != 0) | (y != 0)) & (nodes >= 0))
     # Cells have but eight directions: those about them tell it better.
     x, y = (cv2.blur(steps, (5, 5)) for steps in (x, y))

@@ -75,7 +75,7 @@ class Rim(NamedTuple):
 
     Attributes:
         nodes: (C, R) of the denser surface.
-        pixels_xy: (C, R, 2) where they are seen, in the whole image.
+        pixels_xy: (C, R, 2) their projections, in the full image.
         normals: (C, R, 2) unit vectors in the image, out of the body.
         inner: (C, R) is it a boundary between limbs, which no mask shows?
         valid: (C, R) False for padding.
@@ -181,16 +181,16 @@ class RimFinder:
         s = self.settings
         keys = index_image(projected.places, projected.keys, s.size)
         mask = body_mask(keys)
-        found = [outer_boundary(keys, mask, s.outer)]
+        boundaries = [outer_boundary(keys, mask, s.outer)]
         if s.inner:
-            found.append(
+            boundaries.append(
                 Boundary(
                     *subsampled(inner_boundary(keys, projected.depth, s.jump, self._limbs), s.inner)
                 )
             )
         nodes, normals = np.zeros(s.outer + s.inner, int), np.zeros((s.outer + s.inner, 2))
         real = np.zeros(len(nodes), bool)
-        for part, start in zip(found, (0, s.outer), strict=False):
+        for part, start in zip(boundaries, (0, s.outer), strict=False):
             rows = np.s_[start : start + len(part.nodes)]
             nodes[rows], normals[rows], real[rows] = part.nodes, part.normals, True
         nodes = self._outermost(nodes, normals, projected)
@@ -201,7 +201,7 @@ class RimFinder:
     def _outermost(
         self, nodes: np.ndarray, normals: np.ndarray, projected: ProjectedNodes
     ) -> np.ndarray:
-        """Nodes (R,) moved to neighbours that are seen farthest along the normals."""
+        """Nodes (R,) moved to neighbours that appear farthest along the normals."""
         for _ in range(OUTWARD_STEPS):
             options = self._neighbours[nodes]
             outwards = projected.u[options] * normals[:, :1] + projected.v[options] * normals[:, 1:]

@@ -1,8 +1,8 @@
 """A person's shape by what a whole recording's contours tell of it.
 
 Every frame's pairs tell of its pose and of the shape, both linearly where the pose was found. A
-frame's pose is eliminated from its normal equations (Schur's complement): what it may explain tells
-nothing of the shape. The rest adds up over the frames, and is solved with what is known of people.
+frame's pose is eliminated from its normal equations (Schur's complement): what it may explain says
+nothing of the shape. The rest adds up over the frames, and is solved with the prior among people.
 Shape are the surface's fields and, where asked for, the lengths of the bones.
 
 INPUTS: pairs of frames and their poses; the fields of a surface. OUTPUTS: the surface that suits,
@@ -62,7 +62,7 @@ def shape_equations(
     morph: Morph | None = None,
     lengths: int = 0,
 ) -> tuple[Array, Array]:
-    """What a frame tells of pose and shape: their Hessian and slope, metres squared.
+    """A frame's evidence of pose and shape: their Hessian and slope, metres squared.
 
     Args:
         skeleton: of the person.
@@ -129,8 +129,8 @@ class ShapeEstimator:
         self._lengths = len(LENGTHS) if lengths else 0
         among_people = np.linalg.inv(covariance_among_people(self._lengths))
         both = block_diag(np.diag(self.fields.deviations**-2.0), among_people)
-        self._known = np.asarray(both)
-        self.amounts = np.zeros(len(self._known))
+        self._prior_information = np.asarray(both)
+        self.amounts = np.zeros(len(self._prior_information))
         self._forget()
 
     def _forget(self) -> None:
@@ -163,8 +163,8 @@ class ShapeEstimator:
 
     def estimate(self) -> tuple[Skeleton, Surface]:
         """What suits all frames added, and people; then those are forgotten."""
-        H = self._information / DEVIATION_M**2 + self._known
-        slope = self._slope / DEVIATION_M**2 + self._known @ self.amounts
+        H = self._information / DEVIATION_M**2 + self._prior_information
+        slope = self._slope / DEVIATION_M**2 + self._prior_information @ self.amounts
         self.amounts = self.amounts - np.linalg.solve(H, slope)
         self._forget()
         amounts, logarithms = np.split(self.amounts, [len(self.fields.names)])

@@ -104,9 +104,9 @@ def transition_offsets(
     """
     if transition.to.patches != surface.patches:
         raise ValueError("two surfaces of other patches: expected the same, node for node")
-    known = [patch.name for patch in surface.patches]
-    if strange := [name for name in transition.patches if name not in known]:
-        raise ValueError(f"no patch {strange[0]!r}: expected of {', '.join(known)}")
+    names = [patch.name for patch in surface.patches]
+    if strange := [name for name in transition.patches if name not in names]:
+        raise ValueError(f"no patch {strange[0]!r}: expected of {', '.join(names)}")
     moves = rest_nodes(transition.to, joints) - rest_nodes(surface, joints)
     for patch in surface.patches:
         if transition.patches and patch.name not in transition.patches:

@@ -220,12 +220,12 @@ class Window:
         measured = jax.tree.map(
             lambda *parts: np.stack(parts), *(event.measured for event in self.events)
         )
-        found = in_batches(
+        result = in_batches(
             lambda *batch: _events_fit(settings.terms, self._blind, *batch),
             (state.poses, state.steps.astype(dtype), measured),
             EVENTS_A_CALL,
         )
-        poses, cost, hessian, gradient, points, jacobian = found
+        poses, cost, hessian, gradient, points, jacobian = result
         state.poses = poses.astype(dtype)
         state.steps = np.zeros_like(state.steps)
         for i, event in enumerate(self.events):

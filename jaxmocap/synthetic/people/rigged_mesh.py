@@ -263,13 +263,13 @@ def _check_tree(file: str | Path, names: list[str], parents: list[int]) -> None:
     """InputError unless the joints that are asked for are there, and all hang on one root."""
     missing = [name for name in JOINTS if name not in names]
     if missing or len(set(names)) < len(names):
-        found = f"found no {missing[0]}" if missing else "found a name twice"
-        raise InputError(file, f"joint_names: {found}, expected {', '.join(JOINTS)} and others")
+        problem = f"found no {missing[0]}" if missing else "found a name twice"
+        raise InputError(file, f"joint_names: {problem}, expected {', '.join(JOINTS)} and others")
     roots = [name for name, parent in zip(names, parents, strict=True) if parent < 0]
     if roots != [ROOT] or max(parents) >= len(parents):
-        found = f"found roots (-1) {comma_list(roots)} and indices to {max(parents)}"
+        problem = f"found roots (-1) {comma_list(roots)} and indices to {max(parents)}"
         expected = f"expected {ROOT} alone and indices below {len(parents)}"
-        raise InputError(file, f"joint_parents: {found}, {expected}")
+        raise InputError(file, f"joint_parents: {problem}, {expected}")
     reached = [i for i, parent in enumerate(parents) if parent < 0]
     for joint in reached:
         reached += [i for i, parent in enumerate(parents) if parent == joint]

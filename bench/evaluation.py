@@ -1,4 +1,4 @@
-"""One recording, tracked by markers alone and with video, and what can be said of the two.
+"""One recording, tracked by markers alone and with video, and the figures of the two.
 
 INPUTS: a Clip, settings of the tracker. OUTPUTS: a Result.
 """
@@ -33,7 +33,7 @@ class Sureness(NamedTuple):
         landmarks: their names.
         offsets: (N, L, 3) tracked minus reference, metres; NaN where either is missing.
         deviations: (N, L, 3) metres.
-        from_prior: (N, L) whether the tracker says that it knows no better than its prior.
+        from_prior: (N, L) whether the tracker reports no more than its prior.
     """
 
     landmarks: tuple[str, ...]
@@ -84,7 +84,7 @@ class Result:
         return float(np.nanmean(self.turns.share))
 
 
-def judge(clip: Clip, settings: Settings, mode: Mode = "own", noise: float = 0.0) -> Result:
+def evaluate_clip(clip: Clip, settings: Settings, mode: Mode = "own", noise: float = 0.0) -> Result:
     """Track a recording by markers alone and with video, and hold both against the truth.
 
     Args:
