@@ -25,7 +25,7 @@ PAPERS_MARKERS = ("vertex", "wrist_l", "wrist_r")
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Model:
-    """What a pose is found of, and by what. Names, counts and bones are static, numbers traced.
+    """What a pose is estimated of, and by what. Names, counts and bones are static, numbers traced.
 
     Attributes:
         skeleton: of the person.

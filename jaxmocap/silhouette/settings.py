@@ -57,7 +57,7 @@ class Settings:
         changed_share: an image that differs from the last of its camera in more than this share of
             it is torn, black or another camera's, and ignored.
         patience: frames of a camera, one after the other, that may be ignored so.
-        particles: of where a limb is that may be lost, static; 1 for the pose found alone.
+        particles: of where a limb is that may be lost, static; 1 for the estimated pose alone.
         limb_search: among them.
         recovery: when to search for a limb, and what to believe of it.
         smoothing: of all frames of a recording together; None leaves them as they were found.

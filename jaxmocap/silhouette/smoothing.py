@@ -3,7 +3,7 @@
 A frame's pairs tell some directions of a pose well and others hardly: an arm's turn about its own
 axis shows only where the elbow is bent. What they leave open, prediction from the frames before
 fills in, and drags behind; the frames before and after together know better. Each frame counts by
-the quadratic that its pairs left about the pose found there, landmarks move with accelerations that
+the quadratic that its pairs left about the pose estimated there, landmarks move with accelerations that
 are white noise, and all of it is solved as one banded system. How large a landmark's accelerations
 are the recording tells: a hand on the floor hardly moves, a jumper's does, and who is smoothed as
 the other either shakes or lags.
@@ -39,7 +39,7 @@ from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views, move
 
 # Frames in one call: any recording's fill some, and compile once.
 FRAMES_A_CALL = 32
-# Steps in each round. The frames' quadratics hold near the poses found only: more are not worth it.
+# Steps in each round. The frames' quadratics hold near the estimated poses only: more are not worth it.
 STEPS = 3
 
 
@@ -66,7 +66,7 @@ class FrameInformation(NamedTuple):
     """What the pairs of T frames tell.
 
     Attributes:
-        poses: (T, ...) that were found.
+        poses: (T, ...) as estimated.
         information: (T, 6 + D, 6 + D) of ``PoseResult``; 0 where nothing was visible.
         slope: (T, 6 + D) likewise.
     """
@@ -86,7 +86,7 @@ class PoseSmoothingSettings(NamedTuple):
             count as if they did not: less than 1 by as much.
         least_acceleration: of it all the same, m / s^2 * sqrt(s).
         rounds: times that accelerations are estimated.
-        pose_deviation: of a pose about the one that was found, metres and radians: farther off
+        pose_deviation: of a pose about the estimated one, metres and radians: farther off
             the pairs would be others.
     """
 

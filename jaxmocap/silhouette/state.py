@@ -93,7 +93,7 @@ class RecentFrame(NamedTuple):
 
     Attributes:
         report: in full.
-        pose: that was found.
+        pose: as estimated.
         positions_world: (M, 3) of its markers, metres; None without any.
     """
 
@@ -134,7 +134,7 @@ class PoseEstimate(NamedTuple):
     """A frame's pose and velocity, as a pass over the frames left them.
 
     Attributes:
-        pose: that was found.
+        pose: as estimated.
         velocity: (6 + D,) metres and radians per second.
     """
 

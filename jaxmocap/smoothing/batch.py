@@ -205,7 +205,7 @@ def _measured(model: Model, first_pass: FirstPass) -> Measurements:
 
 
 def _views(model: Model, cameras: Sequence[CameraFrames], trajectory: Trajectory) -> Views:
-    """What all cameras show, by what the poses found so far teach."""
+    """What all cameras show, by what the poses estimated so far teach."""
     turned = all_turned(model.cameras, trajectory.turns_cam)
     person = replace(model, skeleton=trajectory.person(model.skeleton), cameras=turned)
     each = [_views_of(person, own, rows_of(trajectory.poses, own.events)) for own in cameras]

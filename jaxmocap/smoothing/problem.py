@@ -131,7 +131,7 @@ class Trajectory(NamedTuple):
     from_prior: np.ndarray | None = None
 
     def person(self, skeleton: Skeleton) -> Skeleton:
-        """The skeleton with the proportions found."""
+        """The skeleton with the estimated proportions."""
         return scaled(skeleton, jnp.asarray(self.proportions))
 
 

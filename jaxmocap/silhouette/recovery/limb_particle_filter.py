@@ -81,7 +81,7 @@ def search_limb(
     Args:
         skeleton: of the person.
         cameras: C, stacked.
-        pose: as it was found, one hypothesis.
+        pose: as estimated, one hypothesis.
         limb: that may be elsewhere.
         evidence: what is to be explained.
         start: particles.

@@ -5,7 +5,7 @@ nothing: before the background, before the rest of the body where that is what i
 the rest of the body. So is found what no outline shows: an arm that one camera hides, and another
 sees before the trunk, leaves all silhouettes as they are.
 
-INPUTS: a pose that was found, and what was segmented; what an earlier pass found, if there was one.
+INPUTS: an estimated pose, and what was segmented; what an earlier pass found, if there was one.
 OUTPUTS: parts that are hidden where the pose has them; better poses to fit from, if there are any;
 what to remember.
 """

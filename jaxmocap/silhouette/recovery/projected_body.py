@@ -27,7 +27,7 @@ class ProjectedBody(NamedTuple):
     """A pose and what the cameras show, laid over each other.
 
     Attributes:
-        pose: that was found.
+        pose: as estimated.
         pixels: (C, N, 2) of the body's points.
         cells: of the same on the canvases.
         log_ratios: (C, S, S) of person and rest.

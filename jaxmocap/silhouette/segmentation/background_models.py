@@ -1,6 +1,6 @@
 """Background models, by a picture, or learned while a person is tracked before the background.
 
-What the body covers in the pose found is no background, even where the level set has none of it: a
+What the body covers in the estimated pose is no background, even where the level set has none of it: a
 hand that stands on the floor all the time is else learned as floor once it has been missed. Nor is
 what was segmented beside the body, which may be a limb that was lost.
 
@@ -68,7 +68,7 @@ class BackgroundLearner:
             image: (H, W, 3) uint8.
             phi: (S, S) cells, positive within the person.
             region: where they lie.
-            pixels_xy: (N, 2) of points all over the body as it was found.
+            pixels_xy: (N, 2) of points all over the body as estimated.
         """
         self._count += 1
         if (self._count - 1) % self.every:

@@ -1,6 +1,6 @@
 """A person's shape by what a whole recording's contours tell of it.
 
-Every frame's pairs tell of its pose and of the shape, both linearly where the pose was found. A
+Every frame's pairs tell of its pose and of the shape, both linearly at the estimated pose. A
 frame's pose is eliminated from its normal equations (Schur's complement): what it may explain says
 nothing of the shape. The rest adds up over the frames, and is solved with the prior among people.
 Shape are the surface's fields and, where asked for, the lengths of the bones.
@@ -36,7 +36,7 @@ from jaxmocap.silhouette.surfaces.morph import Morph, driver_values, moved_point
 # Deviation of a pair, metres, such that a whole recording's pairs count as what they are worth:
 # neighbours on a contour err alike, and so does one place of the body in all frames.
 DEVIATION_M = 0.15
-# Deviation of every degree of freedom about the pose found, metres and radians, by one pair's.
+# Deviation of every degree of freedom about the estimated pose, metres and radians, by one pair's.
 FREEDOM = 10.0
 
 
@@ -67,7 +67,7 @@ def shape_equations(
     Args:
         skeleton: of the person.
         cameras: C, stacked.
-        pose: that was found.
+        pose: as estimated.
         pairs: its own, with what robust weighting leaves of their weights.
         moves: (C * N, 3, P) of the pairs' nodes.
         morph: what goes along with the pose.
@@ -145,7 +145,7 @@ class ShapeEstimator:
         pairs: NodePairs,
         morph: Morph | None = None,
     ) -> None:
-        """A frame: C cameras (stacked), the pose found by its pairs, what goes along."""
+        """A frame: C cameras (stacked), the pose estimated by its pairs, what goes along."""
         moves = self.fields.moves[pairs.nodes.ravel()]
         self.add_equations(
             *shape_equations(skeleton, cameras, pose, pairs.pairs, moves, morph, self._lengths)
