@@ -34,7 +34,7 @@ HEIGHT, SECONDS = 1.75, 6.0
 AZIMUTHS = (None, -30.0, 30.0, 0.0, 20.0)
 
 
-class Found(NamedTuple):
+class LengthErrors(NamedTuple):
     """Of one person.
 
     Attributes:
@@ -52,7 +52,7 @@ class Found(NamedTuple):
     elbows: tuple[float, float, float]
 
 
-def measure(folder: Path, seed: int) -> Found:
+def measure(folder: Path, seed: int) -> LengthErrors:
     """Render one person, or take what was rendered, find the lengths, and track."""
     where = folder / f"stretching_{seed:03d}"
     if not (where / "recording.toml").exists():
@@ -69,7 +69,9 @@ def measure(folder: Path, seed: int) -> Found:
     truth = logarithms(person, recording.skeleton)
     after, before = fit.after[:count], fit.before[:count]
     elbows = [_elbows(recording, body, where) for body in (recording.skeleton, body, true)]
-    return Found(truth, fitted - truth, after, after / before, (elbows[0], elbows[1], elbows[2]))
+    return LengthErrors(
+        truth, fitted - truth, after, after / before, (elbows[0], elbows[1], elbows[2])
+    )
 
 
 def logarithms(person: Skeleton, stated: Skeleton) -> np.ndarray:
@@ -87,7 +89,7 @@ def _elbows(recording: Recording, body: Skeleton, where: Path) -> float:
     return evaluate(motion, where / "truth.trc", {name: name for name in ELBOWS}).mean
 
 
-def text(people: dict[int, Found]) -> str:
+def text(people: dict[int, LengthErrors]) -> str:
     """A line for each person, one for each length."""
     head = ["person", "lengths off, stated", "estimated", "in deviations"]
     lines = [[*head, "elbows, stated", "estimated", "true"]]
@@ -110,7 +112,7 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def metrics(people: dict[int, Found]) -> Iterator[Metric]:
+def metrics(people: dict[int, LengthErrors]) -> Iterator[Metric]:
     """The table's means."""
     for name in ("stated", "errors"):
         every = np.concatenate([getattr(fit, name) for fit in people.values()])

@@ -111,7 +111,7 @@ class Scored(NamedTuple):
     milliseconds: float
 
 
-Found = Callable[[Look], list[np.ndarray]]
+Finder = Callable[[Look], list[np.ndarray]]
 
 
 def overlap(mask: np.ndarray, truth: np.ndarray) -> float:
@@ -134,7 +134,7 @@ def outline(mask: np.ndarray) -> np.ndarray:
     return mask & (cv2.erode(filled, np.ones((3, 3), np.uint8), borderValue=1) == 0)
 
 
-def scored(finder: Found, looks: Sequence[Look]) -> list[Scored]:
+def scored(finder: Finder, looks: Sequence[Look]) -> list[Scored]:
     """Every image of every look."""
     result = []
     for look in looks:

@@ -97,8 +97,8 @@ def smoothness(
 
     Args:
         times: (T,) seconds, increasing, at any intervals.
-        accelerations: (M,) deviations sigma, in units / s^2 * sqrt(s); infinite where nothing is
-            known. The mean acceleration over h seconds deviates by sigma / sqrt(h).
+        accelerations: (M,) deviations sigma, in units / s^2 * sqrt(s); infinite where there
+            is no prior. The mean acceleration over h seconds deviates by sigma / sqrt(h).
         velocities: (M,) or (), the same of velocities, in units / s * sqrt(s).
     """
     times, deviations = np.asarray(times, float), np.asarray(accelerations, float)

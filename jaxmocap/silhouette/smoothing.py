@@ -1,11 +1,11 @@
 """All poses of a recording at once: by each frame's pairs, and because people move smoothly.
 
-A frame's pairs tell some directions of a pose well and others hardly: an arm's turn about its own
-axis shows only where the elbow is bent. What they leave open, prediction from the frames before
-fills in, and drags behind; the frames before and after together know better. Each frame counts by
-the quadratic that its pairs left about the pose estimated there, landmarks move with accelerations that
-are white noise, and all of it is solved as one banded system. How large a landmark's accelerations
-are the recording tells: a hand on the floor hardly moves, a jumper's does, and who is smoothed as
+A frame's pairs determine some directions of a pose well and others hardly: an arm's turn about its
+own axis shows only where the elbow is bent. What they leave open, prediction from the frames before
+fills in, and drags behind; the frames before and after together are better. Each frame counts by
+the quadratic that its pairs left about its estimated pose, landmarks move with accelerations that
+are white noise, and all of it is solved as one banded system. The recording determines how large a
+landmark's accelerations are: a hand on the floor hardly moves, a jumper's does, and who is smoothed as
 the other either shakes or lags.
 
 It is the batch smoother of the smoothing room with two terms: what each frame estimated, and joints
@@ -39,7 +39,7 @@ from jaxmocap.smoothing.problem import SmoothingProblem, Trajectory, Views, move
 
 # Frames in one call: any recording's fill some, and compile once.
 FRAMES_A_CALL = 32
-# Steps in each round. The frames' quadratics hold near the estimated poses only: more are not worth it.
+# Steps in each round. The frames' quadratics hold near the estimates only: more are not worth it.
 STEPS = 3
 
 

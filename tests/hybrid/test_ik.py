@@ -25,7 +25,7 @@ from jaxmocap.reference.hybrid import ik as reference
 
 NAMES = ("vertex", "wrist_l", "wrist_r", "ankle_l", "ankle_r")
 # A step in float32 may lie this far from double precision, weighted radians: the singular
-# directions of a nearly stretched limb are known no better.
+# directions of a nearly stretched limb are determined no better.
 FLOAT32_STEP = 2e-3
 
 

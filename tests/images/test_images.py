@@ -1,4 +1,4 @@
-"""Edges, distance fields, regions and look-ups against brute force, SciPy and known pixels."""
+"""Edges, distance fields, regions and look-ups against brute force, SciPy and given pixels."""
 
 import cv2
 import jax

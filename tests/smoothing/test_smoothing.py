@@ -42,7 +42,7 @@ SOFTNESS = (3.0, 0.8)
 WRIST_L = list(LANDMARKS).index("wrist_l")
 
 
-class Found(NamedTuple):
+class SmoothedRun(NamedTuple):
     """What a solve ended with, and how sure it is."""
 
     trajectory: Trajectory
@@ -52,22 +52,22 @@ class Found(NamedTuple):
     from_prior: np.ndarray
 
 
-def smoothed(shown=None, measured=None, count: int = COUNT) -> Found:
+def smoothed(shown=None, measured=None, count: int = COUNT) -> SmoothedRun:
     """The disturbed motion, smoothed by views and markers; by default by all of camera 0."""
     given = problem(count, views(count) if shown is None else shown, measured)
     ended = smooth_poses(given, disturbed(count), SOFTNESS)
     sure = with_deviations(given, ended.trajectory, SOFTNESS[-1])
     assert sure.deviations is not None and sure.from_prior is not None
-    return Found(*ended, sure.deviations, sure.from_prior)
+    return SmoothedRun(*ended, sure.deviations, sure.from_prior)
 
 
-def elbow_spread(actual: Found) -> np.ndarray:
+def elbow_spread(actual: SmoothedRun) -> np.ndarray:
     """Standard deviations (T, 2) of the elbows, all coordinates together, metres."""
     return np.linalg.norm(actual.deviations[:, ELBOWS], axis=-1)
 
 
 @pytest.fixture(scope="module")
-def by_one_camera() -> Found:
+def by_one_camera() -> SmoothedRun:
     return smoothed()
 
 

@@ -111,7 +111,7 @@ def screw(points: Array, axes: Array) -> Array:
 def transport(T: Array, screws: Array) -> Array:
     """Joints (..., 6) carried along by rigid motions (..., 4, 4): equation (4.21).
 
-    (R o + t) x R omega is R v + t x R omega, so that no point o on the axis need be known.
+    (R o + t) x R omega is R v + t x R omega, so that no point o on the axis is needed.
     """
     axes = rotate(T[..., :3, :3], screws[..., 3:])
     moments = rotate(T[..., :3, :3], screws[..., :3]) + jnp.cross(T[..., :3, 3], axes)
