@@ -48,7 +48,7 @@ class Outcome(NamedTuple):
         usual: mean error of the joints without it, metres.
         worst: the largest mean error while it lasts and until the joints are back, metres.
         back: seconds of each fault from its end until they are.
-        reported: share of the frames with a fault of which the report says what was not seen.
+        reported: share of the frames with a fault of which the report lists what was not visible.
         false: share of the other frames of which it says so.
     """
 
@@ -171,7 +171,7 @@ def back_at(within: np.ndarray, start: int, end: int) -> int:
 
 
 def reported(motion: Motion, faulty: Faulty) -> tuple[float, float]:
-    """Shares of frames with, and without, a fault of which the report says what was not seen."""
+    """Shares of frames with and without a fault of which the report lists what is not visible."""
     assert motion.report is not None
     statuses = motion.report.statuses
     stays, named = bool(faulty.fewer), [set[str]() for _ in statuses]
@@ -191,7 +191,7 @@ def reported(motion: Motion, faulty: Faulty) -> tuple[float, float]:
 def unseen(span: Span) -> set[str]:
     """The sentences that a report should have."""
     cameras = {f"{name}: left out" for name in span.cameras}
-    return cameras | {f"held, not seen: {joint}" for joint in span.joints}
+    return cameras | {f"held, not visible: {joint}" for joint in span.joints}
 
 
 def parser() -> argparse.ArgumentParser:

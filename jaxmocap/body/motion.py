@@ -36,7 +36,7 @@ class Report:
             metres; NaN where they were not estimated.
         from_prior: (T, L) 1 where a landmark comes from the prior alone, neither marker nor video
             determining much of it, else 0; NaN where it was not estimated.
-        statuses: T tuples of sentences; empty where there is nothing to say.
+        statuses: T tuples of sentences; empty where there is no warning.
         milliseconds: stage -> times of its calls.
         settings: of the tracker.
     """

@@ -106,7 +106,7 @@ class Skeleton:
         costs: (6 + D,) mu of equation (4); the root's six first.
         relaxed: (D,) omega of equation (9), radians.
         usual_deviations: (D,) by which joints stray from relaxed, radians (standard deviations).
-        rest_deviations: (D,) by which joints stray from 0 of which outlines tell little, radians;
+        rest_deviations: (D,) by which joints stray from 0 that outlines hardly determine, radians;
             infinite for the others.
         unmarked_costs: (6 + D,) factors on costs where no marker holds the feet.
         unmarked_relaxed: (D,) least relaxed angles there, radians; minus infinity for none.
@@ -220,7 +220,7 @@ def with_joints(skeleton: Skeleton, name: str) -> Skeleton:
 def with_wrists(skeleton: Skeleton) -> Skeleton:
     """The skeleton with a neck that turns, forearms that twist and wrists; once is enough.
 
-    Three points tell nothing of these seven: they are for markers with an orientation.
+    Three points determine none of these seven: they are for markers with an orientation.
     """
     rows, dtype = joint_rows("wrists.toml"), skeleton.axes.dtype
     if rows[0]["name"] in skeleton.tree.joints:

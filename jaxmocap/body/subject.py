@@ -112,13 +112,13 @@ def _trunk_vectors(landmarks: dict[str, np.ndarray]) -> dict[tuple[str, ...], np
     x /= np.linalg.norm(x, axis=-1, keepdims=True)
     R_trunk_world = np.stack([x, np.cross(z, x), z], -2)
 
-    def seen(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    def vector(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return np.nanmedian(np.einsum("tij,tj->ti", R_trunk_world, b - a), axis=0)
 
-    vectors: dict[tuple[str, ...], np.ndarray] = {TRUNK: seen(pelvis, landmarks["neck"])}
+    vectors: dict[tuple[str, ...], np.ndarray] = {TRUNK: vector(pelvis, landmarks["neck"])}
     if "vertex" in landmarks and np.isfinite(landmarks["vertex"]).all(-1).any():
-        vectors[NECK_HEAD] = seen(landmarks["neck"], landmarks["vertex"])
+        vectors[NECK_HEAD] = vector(landmarks["neck"], landmarks["vertex"])
     for side in "lr":
-        vectors[(f"clavicle_{side}",)] = seen(landmarks["neck"], landmarks[f"shoulder_{side}"])
-        vectors[(f"hip_{side}",)] = seen(pelvis, landmarks[f"hip_{side}"])
+        vectors[(f"clavicle_{side}",)] = vector(landmarks["neck"], landmarks[f"shoulder_{side}"])
+        vectors[(f"hip_{side}",)] = vector(pelvis, landmarks[f"hip_{side}"])
     return vectors

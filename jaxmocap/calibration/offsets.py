@@ -8,7 +8,7 @@ held, by a while in which the person stands upright.
 A marker at p with orientation R, whose joint lies at w has the offset o with p = w + R o (pivot
 calibration). In every second of the clip w is an unknown of its own, so that the arm may shift and
 devices wander; all seconds share o, by least squares, those in which the joint strays more counting
-less. Three devices with six degrees of freedom know nothing of joints: what is found is the point
+less. Three devices with six degrees of freedom do not measure joints: the result is the point
 that stayed, and that this is the wrist is the clip's making. When the whole arm moves it is an
 elbow, a shoulder, or nothing; the offset's length and the joint's own motion show it.
 """

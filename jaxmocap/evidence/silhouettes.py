@@ -121,7 +121,7 @@ class Silhouettes:
         return 1 / float(self.deviation) ** 2
 
     def weighted(self, grids: SilhouetteGrids) -> SilhouetteGrids:
-        """Grids (...) on the host that count as the settings say."""
+        """Grids (...) on the host weighted as in the settings."""
 
         def by(weight: Array) -> Callable[[Grid], Grid]:
             return lambda grid: Grid(grid.probability, float(weight) * grid.weight)

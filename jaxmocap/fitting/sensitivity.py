@@ -1,7 +1,7 @@
 """How a smoothed recording depends on what was stated of it: the person, cameras, marker offsets.
 
-The trajectory x is where the gradient g(x, s) of the whole cost vanishes. With s it moves so that g
-stays zero: H dx = -(dg/ds) ds, the implicit function theorem. H is the cost's whole Hessian, with
+The trajectory x is where the gradient g(x, s) of the cost vanishes. With s it moves so that g
+stays zero: H dx = -(dg/ds) ds, the implicit function theorem. H is the cost's full Hessian, with
 what Gauss-Newton leaves out, yet banded as the solve's own: every residual belongs to one frame,
 and of the prior that joins the frames only the landmarks' curvature is new.
 
@@ -50,14 +50,14 @@ A_CALL = 16
 
 
 class Slopes(NamedTuple):
-    """Half the whole cost's derivatives by T frames' N unknowns and P shared ones.
+    """Half the full cost's derivatives by T frames' N unknowns and P shared ones.
 
     Attributes:
-        equations: the whole Hessian and the gradient.
+        equations: the full Hessian and the gradient.
         landmarks: (T, L * 3) world, metres.
         jacobian: (T, L * 3, N + P) of the landmarks.
         pull: (T, L * 3) of the prior, by the landmarks.
-        exact: the Hessian is the whole one. Where that is not positive, since noisy cells that
+        exact: the Hessian is the full one. Where that is not positive, since noisy cells that
             change hands make no smooth minimum, each frame's negative curvature is left out.
     """
 

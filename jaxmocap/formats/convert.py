@@ -201,7 +201,7 @@ def _as_armature(conversion: _Conversion, motion: Motion | Armature) -> Armature
 
 
 def _joint_names(conversion: _Conversion, joints: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of joints in the convention asked for; joints that it does not know keep theirs."""
+    """Names of joints in the convention asked for; joints that it does not name keep theirs."""
     if conversion.options.names is None:
         return joints
     ours, convention = names_to_ours(joints), CONVENTIONS[conversion.options.names]

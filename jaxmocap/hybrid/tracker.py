@@ -44,7 +44,7 @@ Images = Sequence[np.ndarray | None]
 
 
 class State(NamedTuple):
-    """What an event leaves to the next: a tracker's whole memory.
+    """What an event leaves to the next: all of a tracker's memory.
 
     Attributes:
         pose: of the markers alone.

@@ -26,7 +26,7 @@ SIGMA_PER_MAD, SIGMA_PER_MEAN = 1.4826, 1.2533
 # differs by less than that.
 SAMPLED_ROWS = 40
 MOST_GAIN, LEAST_GAIN = 2.0, 0.005
-# Values that tell an exposure (grey levels), and the fewest of them.
+# Values by which an exposure is measured (grey levels), and the fewest of them.
 DARK, BRIGHT, FEWEST = 20, 245, 50
 # Shares of the sampled pixels that agree with the background where it is used not at all, fully.
 AGREEING = (0.25, 0.5)
@@ -149,15 +149,15 @@ def gain(pixels: np.ndarray, expected: np.ndarray) -> np.ndarray | None:
     """How much brighter each channel is than expected: (3,), or None where too few pixels show it.
 
     The median of the ratios of (K, 3) values, then of those near it, so that what stands before
-    the background does not count. Dark and overexposed values do not tell.
+    the background does not count. Dark and overexposed values do not count.
     """
     gains = np.ones(3)
     for channel in range(3):
         a, b = pixels[:, channel].astype(np.float32), expected[:, channel]
-        telling = (b > DARK) & (b < BRIGHT) & (a < BRIGHT)
-        if telling.sum() < FEWEST:
+        usable = (b > DARK) & (b < BRIGHT) & (a < BRIGHT)
+        if usable.sum() < FEWEST:
             return None
-        ratios = a[telling] / b[telling]
+        ratios = a[usable] / b[usable]
         near = np.abs(ratios - _middle(ratios))
         gains[channel] = _middle(ratios[near <= 2 * _middle(near)])
     return gains if (gains < MOST_GAIN).all() and (gains > 1 / MOST_GAIN).all() else None

@@ -2,7 +2,7 @@
 
 A level slice is cut by four lines: through each camera and the two edges of its silhouette. The
 body's contour touches all four; a closed B-spline, about a superellipse within their quadrilateral,
-is what two silhouettes tell of it.
+is what two silhouettes determine of it.
 
 INPUTS: two Views nearly at right angles; the landmarks of the front view.
 OUTPUTS: a grid of closed rings from the bottom line to the top of the head, world, metres.

@@ -48,7 +48,7 @@ def standing_pose_at(skeleton: Skeleton, x: float, y: float, facing: float) -> P
 
 
 def _placed(skeleton: Skeleton, points: np.ndarray) -> Pose:
-    """The relaxed pose, upright as the trunk is, where and how the landmarks say."""
+    """The relaxed pose, upright as the trunk is, placed by the landmarks."""
     at = {name: points[i] for i, name in enumerate(LANDMARKS)}
     for pair in ("hip", "shoulder"):
         left = at[f"{pair}_l"] - at[f"{pair}_r"]

@@ -273,7 +273,7 @@ def _updated(
     online: dict[int, OnlineBackground],
     cameras: dict[int, CameraFrame],
 ) -> tuple[Background | None, ...]:
-    """Backgrounds after a frame: those learned frame by frame know a little more."""
+    """Backgrounds after a frame: those learned frame by frame include it."""
     return tuple(
         online[number].updated(*cameras[number]) if number in online and number in cameras else each
         for number, each in enumerate(backgrounds)

@@ -5,8 +5,8 @@ own axis shows only where the elbow is bent. What they leave open, prediction fr
 fills in, and drags behind; the frames before and after together are better. Each frame counts by
 the quadratic that its pairs left about its estimated pose, landmarks move with accelerations that
 are white noise, and all of it is solved as one banded system. The recording determines how large a
-landmark's accelerations are: a hand on the floor hardly moves, a jumper's does, and who is smoothed as
-the other either shakes or lags.
+landmark's accelerations are: a hand on the floor hardly moves, a jumper's does, and who is smoothed
+as the other either shakes or lags.
 
 It is the batch smoother of the smoothing room with two terms: what each frame estimated, and joints
 at rest.
@@ -63,7 +63,7 @@ class _Terms(NamedTuple):
 
 
 class FrameInformation(NamedTuple):
-    """What the pairs of T frames tell.
+    """The evidence of the pairs of T frames.
 
     Attributes:
         poses: (T, ...) as estimated.

@@ -176,7 +176,7 @@ def solve_recording(
 
 
 def _as_calibrated(model: Model, settings: SmoothingSettings) -> np.ndarray:
-    """Cameras that are not turned yet, and may be where the settings say so."""
+    """Cameras that are not turned yet, and may be where the settings allow it."""
     turns = np.zeros((model.camera_count, TURN), model.dtype)
     return turns if float(settings.camera) > 0 else UNTURNED
 

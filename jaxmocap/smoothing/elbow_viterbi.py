@@ -51,7 +51,7 @@ from jaxmocap.smoothing.settings import ElbowPathSettings
 
 # The candidate that leaves an arm where it is.
 STAY = int(np.argmin(np.sum(TURNS**2, -1)))
-# Cells over which silhouettes fade, so softly that larger ones tell as much.
+# Cells over which silhouettes fade, so softly that larger ones do as well.
 SOFTNESS = 1.5
 # Views in one call.
 VIEWS_A_CALL = 16

@@ -144,7 +144,7 @@ class FixedLagSmoother:
             time: as the tracker had it, later than the last one.
             markers_world: (M, 3) metres; NaN where missing. Markers that were only extrapolated to
                 this time are better left out.
-            images: a BGR (for colours to tell) or grey uint8 frame per camera, None where there is
+            images: a BGR (for colours to count) or grey uint8 frame per camera, None where there is
                 no new one.
             pose: of that step.
             report: of that step.
@@ -217,7 +217,7 @@ class FixedLagSmoother:
     def _measured(
         self, appearance: RunningAppearance, image: np.ndarray, pose: Pose
     ) -> MeasuredFrame:
-        """What a camera shows about a pose, counting as the settings say."""
+        """What a camera shows about a pose, weighted as in the settings."""
         frame = appearance.measure(image, pose, SOFTNESS)
         return frame._replace(grids=self.settings.silhouettes.weighted(frame.grids))
 

@@ -94,7 +94,7 @@ class Marginal(NamedTuple):
     """A marginal prior, and how far a trajectory's first frames are from where it was made.
 
     Attributes:
-        prior: what earlier frames tell of the first ones.
+        prior: evidence of earlier frames about the first ones.
         offset: a trajectory to (2 N,) tangent components.
     """
 
@@ -157,7 +157,7 @@ def minimise(
         prior: of the points' motion.
         settings: of the solve; with a marginal prior, whose cost has an unknown constant,
             ``relative`` is 0.
-        marginal: what earlier frames tell.
+        marginal: evidence of earlier frames.
     """
 
     def place(x: Any) -> _Place:
@@ -233,7 +233,7 @@ def normal_equations(linearised: Linearised, prior: Smoothness) -> Equations:
 
 
 def leaving(linear: Linearised, prior: Smoothness) -> Equations:
-    """What a window's first frames tell that leaves it with all of them but the last two.
+    """Evidence of a window's first frames that leaves it with all of them but the last two.
 
     Args:
         linear: of the window, about its present states.

@@ -101,7 +101,7 @@ def two_workers() -> Iterator[ThreadPoolExecutor]:
 
 
 def softened(problem: SmoothingProblem, softness: float) -> SmoothingProblem:
-    """The same, its grids as soft as what is drawn, and counting as the settings say."""
+    """The same, its grids as soft as what is drawn, and weighted as in the settings."""
     soft = problem.views.grids.each_grid(lambda grid: blurred(grid, softness))
     grids = problem.settings.silhouettes.weighted(soft)
     return replace(problem, views=problem.views._replace(grids=grids))
@@ -175,7 +175,7 @@ def linearise_problem(
     fit = FramesFit(*_over_frames(frames_fit, problem, workers, trajectory))
     cameras, size = len(trajectory.turns_cam), fit.jacobian.shape[2]
     n = size - trajectory.proportions.size
-    # Frames know nothing of cameras.
+    # Frames do not depend on cameras.
     wider = (0, TURN * cameras)
     cost, hessian = np.asarray(fit.cost), np.pad(fit.hessian, ((0, 0), wider, wider))
     gradient = np.pad(fit.gradient, ((0, 0), wider))

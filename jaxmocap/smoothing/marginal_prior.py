@@ -20,7 +20,7 @@ FLOOR = 1e-6
 
 
 class MarginalPrior(NamedTuple):
-    """What the frames before a window tell of its first two, as a quadratic of their offset.
+    """Evidence of the frames before a window about its first two, as a quadratic of their offset.
 
     In tangent directions, from where the two stood when it was made.
 

@@ -1,4 +1,4 @@
-"""Functions of functions: optimisers that know no body and no image.
+"""Functions of functions: optimisers without body or image.
 
 Begin with ``sdls``: the step of the first paper's inverse kinematics. ``simplex`` searches without
 derivatives, ``least_squares`` with them; ``banded`` and ``arrow`` solve the systems of a smoother.

@@ -90,7 +90,7 @@ def downhill_simplex(
     start = _State(simplices, unknown, simplices[:, 0], zero, unknown[:, 0], zero, zero > 0)
 
     def going(state: _State) -> Array:
-        """(B,) a simplex that was begun is evaluated whole, whatever the limits say."""
+        """(B,) a simplex that was begun is evaluated completely, whatever the limits are."""
         more = ~state.done & (state.iterations < iterations)
         return more | (state.stage != vertices)
 

@@ -1,4 +1,4 @@
-"""Synthetic head-set and controllers that know how they are turned.
+"""Synthetic headset and controllers with orientations.
 
 INPUTS: a performance, a duration, a seed.
 OUTPUTS: in a folder ``markers.csv`` (places and quaternions at 90 Hz), ``truth.trc`` with every

@@ -19,7 +19,7 @@ _SECTOR_FLAGS = (0, _THOROUGH, _THOROUGH | cv2.CALIB_CB_ACCURACY)
 _CROP_MARGIN = 0.25
 # A lens bends the picture of a plane by less than this part of a square.
 _MAX_PLANARITY_ERROR = 0.1
-# Fewer corners of a ChArUco board say too little of its place.
+# Fewer corners of a ChArUco board determine its place too little.
 _MIN_CHARUCO_CORNERS = 8
 # Frames of a video are searched at this length of the longer side, pixels.
 _COARSE_SIDE = 800
@@ -74,7 +74,7 @@ def _find_chessboard(grey: np.ndarray, board: Board) -> np.ndarray | None:
     """Corners (N, 2) in one of the orders that the board allows.
 
     The older detector is quick and finds where the board is; the sector-based one is more precise,
-    and surer in a crop than in the whole picture. Either may find what the other does not, or find
+    and surer in a crop than in the full picture. Either may find what the other does not, or find
     what is no board: the first answer that is a plane's picture is taken, else the nearest to one.
     """
     size = (board.columns, board.rows)

@@ -181,7 +181,7 @@ def _other_axes(recording: Recording, camera: Camera) -> tuple[str, float, bool]
 
     Returns:
         The axes that x, y, z would be, the share of the markers shown, whether it is a mirror
-        image. Where several do as well, it is a mirror image if left and right say so.
+        image. Where several do as well, it is a mirror image if left and right fit it.
     """
     facing = facing_of_pairs(recording)
     expected = bool(facing) and all(share <= 1 - MIN_AGREEING_SHARE for _, share, _ in facing)

@@ -67,7 +67,7 @@ ASTRAY_M = {"thigh": 0.12, "shank": 0.2, "foot": 0.2}
 # Along the forearm: skin, whatever the sleeve; the markers hold its far half best.
 BARE = (0.5, 0.95)
 # No cone is like a head with its head-set, or a pelvis: so many times as thick as they are drawn
-# silhouettes tell nothing.
+# silhouettes determine nothing.
 GROWN = 1.6
 # Nor like a shoe: so many metres about it.
 SHOE_M = 0.06

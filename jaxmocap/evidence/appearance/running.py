@@ -3,7 +3,7 @@
     measure  a frame + where the body is expected -> grids: the person, the forearms; the legs
     learn    the same frame, once the body's pose is better determined -> background, colours
 
-Where the person stood from the start the background is unknown; there only colours tell, until the
+Where the person stood from the start the background is unknown; there only colours count, until the
 person has moved.
 
 INPUTS: frames, poses. OUTPUTS: a SilhouetteGrids of each frame.

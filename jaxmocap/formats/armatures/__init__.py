@@ -1,4 +1,4 @@
-"""The body as animation programs know it: joints with a rest pose, names, and a skin.
+"""The body as animation programs have it: joints with a rest pose, names, and a skin.
 
 Begin with ``armature``; ``body_armature`` makes one from a skeleton, and a motion from one.
 """

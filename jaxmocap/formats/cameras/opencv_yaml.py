@@ -114,7 +114,7 @@ def _matrix(path: Path, name: str, entry: Any, flat: bool) -> list:
             raise ValueError
     except (KeyError, ValueError, TypeError):
         expected = "expected rows, cols and as many numbers in data"
-        raise InputError(path, f"{name}: is not a whole matrix, {expected}") from None
+        raise InputError(path, f"{name}: is not a complete matrix, {expected}") from None
     if flat and 1 in (rows, columns):
         # Later coefficients that are all zero change nothing (OpenCV writes up to 14).
         while len(data) > 8 and data[-1] == 0:

@@ -77,7 +77,7 @@ class LiveVideo:
 
 @dataclass(frozen=True)
 class LiveSetup:
-    """What a live run needs to know.
+    """The set-up of a live run.
 
     Attributes:
         path: of the file.

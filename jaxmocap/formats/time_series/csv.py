@@ -110,7 +110,7 @@ def write_csv(
         path: of the file.
         times: (T,) seconds, ascending.
         points: marker -> (T, 3) positions, metres; NaN where missing.
-        orientations: marker -> (T, 3, 3) from its own axes to the file's, of those that know it.
+        orientations: marker -> (T, 3, 3) from its own axes to the file's, of those that have one.
 
     Raises:
         ValueError: shapes or names that do not fit.

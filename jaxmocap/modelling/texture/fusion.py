@@ -13,7 +13,7 @@ import numpy as np
 LEAST_SHARE = 0.5
 # What counts less than this counts nothing.
 FAINT = 1e-3
-# Darker than this a channel's ratio to another says nothing, grey levels.
+# Darker than this a channel's ratio to another is not used, grey levels.
 DARKEST = 8.0
 # Holes are filled from aside rather than from above and below, by this factor: collars, sleeves and
 # belts run around a body.

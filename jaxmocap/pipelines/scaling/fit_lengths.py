@@ -139,7 +139,7 @@ def _check_recording(recording: Recording) -> None:
     moved = max(_movement(recording.positions_world, head[0], hand[0]) for hand in hands)
     if moved < LEAST_MOVEMENT_M:
         problem = f"the hands keep within {100 * moved:.0f} cm (RMS) of one place before the head"
-        raise InputError(where, f"{problem}, too little to tell lengths: {ADVICE}")
+        raise InputError(where, f"{problem}, too little to determine lengths: {ADVICE}")
 
 
 def _rows(places: tuple[MarkerPlace, ...], bones: tuple[str, ...]) -> list[int]:

@@ -31,7 +31,7 @@ def start_pose(recording: Recording, at: tuple[float, float, float] | None = Non
     Args:
         recording: with or without markers.
         at: x and y in metres and the direction that the person faces, degrees from x towards y,
-            for somebody who stands upright; without it the markers say.
+            for somebody who stands upright; without it as the markers are.
 
     Raises:
         InputError: neither a place nor markers, or a place at which no camera looks.

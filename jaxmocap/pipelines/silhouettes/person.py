@@ -118,7 +118,7 @@ def read_person(directory: str | Path) -> Person:
         return Person(skeleton, surface, None)
     picture = read_bytes(folder / TEXTURE)
     check_texture(folder / TEXTURE, skeleton, surface, picture)
-    # Whoever decodes it later would not know its name.
+    # A later decoder would not have its name.
     picture_of(folder / TEXTURE, picture)
     return Person(skeleton, surface, picture)
 

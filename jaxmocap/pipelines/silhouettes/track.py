@@ -235,5 +235,5 @@ def _warnings(report: StepReport, names: Sequence[str], joints: Sequence[str]) -
     held = [joint for joint, hidden in zip(joints, unseen, strict=True) if hidden]
     return (
         *(f"{name}: left out" for name in left_out),
-        *(f"held, not seen: {joint}" for joint in held),
+        *(f"held, not visible: {joint}" for joint in held),
     )

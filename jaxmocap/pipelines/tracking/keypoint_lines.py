@@ -48,7 +48,7 @@ def lines_at_events(
         recording: that the videos are of.
         keypoints: of each video.
         timeline: E events.
-        marker_poses: (E, ...) of the markers alone, which tell the person from others.
+        marker_poses: (E, ...) of the markers alone, which separate the person from others.
 
     Returns:
         (E, ...) of all these cameras; None where there is none.
@@ -75,7 +75,7 @@ def _lines(
     """One camera's lines (E, 1, ...), of its frames (E,) or -1."""
     names = keypoints.landmarks
     marked = marked_landmarks(recording, names, timeline.event_times)
-    # Markers tell the person more surely than a pose, where they sit on enough of the landmarks.
+    # Markers identify a person better than a pose, where they sit on enough of the landmarks.
     enough = np.isfinite(marked).all(-1).sum(1) >= 2
     posed = points_world[:, landmark_rows(names)]
     expected = np.where(enough[:, None, None], marked, posed)

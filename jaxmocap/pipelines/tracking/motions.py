@@ -43,7 +43,7 @@ class Tracked(NamedTuple):
 
 
 def unsmoothed(first_pass: FirstPass) -> Trajectory:
-    """The steps as they are, which know deviations of the elbows only."""
+    """The steps as they are, which have deviations of the elbows only."""
     of_elbows = np.asarray(first_pass.reports.elbow_deviations)
     deviations = np.full((len(of_elbows), len(LANDMARKS), 3), np.nan)
     deviations[:, ELBOWS] = of_elbows[..., None] / np.sqrt(3)

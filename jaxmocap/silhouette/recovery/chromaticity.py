@@ -132,7 +132,7 @@ class PointCells(NamedTuple):
 
 
 def chromaticity(colour: np.ndarray) -> np.ndarray:
-    """(..., 3) shares of colours (..., 3) uint8; NaN where it is too dark to tell."""
+    """(..., 3) shares of colours (..., 3) uint8; NaN where it is too dark."""
     colour = colour.astype(np.float32)
     total = colour @ np.ones(3, np.float32)
     total = np.where(total > DARKEST, total, np.nan)

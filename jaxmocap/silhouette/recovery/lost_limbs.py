@@ -172,7 +172,7 @@ class LimbRecovery:
             contradicted[number] = self._explains(number, evidence, projected.pose) < s.weak
         hidden = (np.asarray(log_ratios) < s.hidden_log_ratio) | strange
         hidden = hidden | np.repeat(contradicted, 2)
-        # A near half that is hidden does not say where the far one hangs.
+        # A near half that is hidden does not determine where the far one hangs.
         hidden[1::2] |= hidden[::2]
         colour = s.likelihood.chromaticity
         visible = projected.cells.visible(depths.min(0), colour)

@@ -1,8 +1,8 @@
 """Background models, by a picture, or learned while a person is tracked before the background.
 
-What the body covers in the estimated pose is no background, even where the level set has none of it:
-a hand that stands on the floor all the time is else learned as floor once it has been missed. Nor is
-what was segmented beside the body, which may be a limb that was lost.
+What the body covers in the estimated pose is no background, even where the level set has none of
+it: a hand that stands on the floor all the time is else learned as floor once it has been missed.
+Nor is what was segmented beside the body, which may be a limb that was lost.
 
 INPUTS: a picture without the person; or frames, and for each where the person is, as level sets on
 canvases and as the body's points. OUTPUTS: a Background.

@@ -106,7 +106,7 @@ def _sharpened(
     phi: np.ndarray,
     views: Sequence[Region],
 ) -> np.ndarray:
-    """Φ (C, S, S), its contours where pixels say they are; all cameras at once."""
+    """Φ (C, S, S), its contours corrected by pixels; all cameras at once."""
 
     def one(camera: int) -> np.ndarray:
         image, now, view = images[camera], phi[camera], views[camera]

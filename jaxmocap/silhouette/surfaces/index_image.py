@@ -157,7 +157,7 @@ def inner_boundary(
         is_covered &= least != cv2.dilate(part, SQUARE)
     x, y = _steps_back(depth, jump, *np.nonzero(is_covered))
     rows, columns = np.nonzero(((x != 0) | (y != 0)) & (nodes >= 0))
-    # Cells have but eight directions: those about them tell it better.
+    # Cells have but eight directions: those about them give it better.
     x, y = (cv2.blur(steps, (5, 5)) for steps in (x, y))
     ways = np.stack([x[rows, columns], y[rows, columns]], 1).astype(float)
     lengths = np.linalg.norm(ways, axis=1, keepdims=True)

@@ -9,7 +9,7 @@
 
 What follows is added to what moves freely: a collar bone's angle is that of its follower plus its
 own, which the tracker holds about 0. Held firmly the joint goes where the paper puts it; loosely,
-the images have a say. A Pose has the whole angles, so that nothing but the tracker need know.
+the images count too. A Pose has all angles, so that only the tracker depends on it.
 
 INPUTS: a Morphing, of a file or made by hand; a skeleton, its surface; angles.
 OUTPUTS: a Morph, the same as arrays; angles with and without what follows; moved points.

@@ -2,7 +2,7 @@
 
 INPUTS: a Surface around a Skeleton, a pose, C cameras.
 OUTPUTS: for each camera nodes of the surface on its occluding boundary, with the pixel where they
-are seen and the direction out of the body; boundaries between limbs, flagged, as well.
+appear and the direction out of the body; boundaries between limbs, flagged, as well.
 
 The surface is made denser than the canvas, projected, and its index image traced; so limbs before
 the trunk hide it. A cell's node is the nearest in it, not the outermost: the node is then moved

@@ -1,8 +1,8 @@
-"""A person's shape by what a whole recording's contours tell of it.
+"""A person's shape by all contours of a recording.
 
-Every frame's pairs tell of its pose and of the shape, both linearly at the estimated pose. A
-frame's pose is eliminated from its normal equations (Schur's complement): what it may explain says
-nothing of the shape. The rest adds up over the frames, and is solved with the prior among people.
+Every frame's pairs depend on its pose and on the shape, both linearly at the estimated pose. A
+frame's pose is eliminated from its normal equations (Schur's complement): what it may explain is no
+evidence of the shape. The rest adds up over the frames, and is solved with the prior among people.
 Shape are the surface's fields and, where asked for, the lengths of the bones.
 
 INPUTS: pairs of frames and their poses; the fields of a surface. OUTPUTS: the surface that suits,
@@ -105,7 +105,7 @@ def _by_lengths(skeleton: Skeleton, pose: Pose, pairs: ContourPairs, count: int)
 
 
 class ShapeEstimator:
-    """Adds up what the frames of a recording tell of a person's shape.
+    """Adds up the evidence of a person's shape in the frames of a recording.
 
     Attributes:
         fields: of the surface.

@@ -2,7 +2,7 @@
 
 Key postures joined by smooth splines; a continuous function of time, so that markers, video and
 the instants within one exposure sample the same movement. Every stroke lifts the elbow its own
-way: markers at head and hands say nothing about it.
+way: markers at head and hands do not determine it.
 
 INPUTS: a kind of movement, a duration, a seed. OUTPUTS: a Performance.
 """
@@ -254,7 +254,7 @@ def thrust(
 ) -> Performance:
     """Left fist, right fist and both in turn, straight at a camera and back, elbows swinging.
 
-    Along the line of sight the image hardly moves: what tells is the elbow, high or low.
+    Along the line of sight the image hardly moves: what shows is the elbow, high or low.
 
     Args:
         seconds: duration.
