@@ -1,8 +1,8 @@
 """A smoothing problem, and the trajectory that solves it.
 
 Frames share the person's proportions and how each camera is turned. A calibration errs by some
-tenths of a degree, which at three metres is a centimetre or two: the error of an
-elbow by a silhouette. All frames err by it alike, so that together they determine it.
+tenths of a degree, which at three metres is a centimetre or two: the error of an elbow by a
+silhouette. All frames err by it alike, so that together they determine it.
 
 INPUTS: a Model, settings, measurements over time. OUTPUTS: SmoothingProblem, Trajectory; those
 moved; the prior on what frames share.
