@@ -197,10 +197,10 @@ def test_what_ros_writes_is_read_by_its_cameras_name(tmp_path):
         ("image_width: 640\n", "", "'size' is missing"),
         ("image_width: 640", "image_width: wide", "size: found ['wide', 480.0], expected"),
         ("camera_matrix:", "cam:", "found no camera_matrix"),
-        ("[500.25, 0, 320,", "[500.25, 320,", "camera_matrix: is not a whole matrix"),
-        ("[500.25,", "[wide,", "camera_matrix: is not a whole matrix"),
+        ("[500.25, 0, 320,", "[500.25, 320,", "camera_matrix: is not a complete matrix"),
+        ("[500.25,", "[wide,", "camera_matrix: is not a complete matrix"),
         ("[500.25,", "[-5,", "matrix: found [[-5.0"),
-        ("-2.0e-05, 0]", "1, 1, 1, 1, 1, 1, 1]", "is not a whole matrix"),
+        ("-2.0e-05, 0]", "1, 1, 1, 1, 1, 1, 1]", "is not a complete matrix"),
         ("camera_name: narrow", "no yaml at all", "line 3: found 'no yaml at all'"),
     ],
 )
