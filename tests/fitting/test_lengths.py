@@ -207,7 +207,7 @@ def test_what_cannot_tell_lengths_is_refused_in_one_sentence(tmp_path, capsys, m
 
     lengths_loaded = fit_lengths.load_recording
     monkeypatch.setattr(fit_lengths, "load_recording", filmed)
-    assert "too little to tell lengths" in refused(capsys, *given)
+    assert "too little to determine lengths" in refused(capsys, *given)
     standing_still(tmp_path, 0.5)
     assert "s of markers are too few" in refused(capsys, *given)
     standing_still(tmp_path, 3.0, {name: PLACES[name] for name in ("Head", "Left")})
