@@ -231,7 +231,7 @@ def test_data_over_a_hundred_thousand_lines_is_read_in_seconds(tmp_path):
     path = tmp_path / "c.yml"
     path.write_text(YAML + "   data: [ 1,\n" + "  0,\n" * 200_000)
     begun = time.monotonic()
-    assert "is not a whole matrix" in complaint(read_calibration, path)
+    assert "is not a complete matrix" in complaint(read_calibration, path)
     assert time.monotonic() - begun < HANG_S
 
 
