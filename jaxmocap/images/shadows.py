@@ -13,7 +13,11 @@ FARTHEST = 60.0
 
 
 def lit_or_shaded_density(
-    observed_observed: Any, observed_room: Any, room_room: Any, noise: Any, exp: Callable[[Any], Any]
+    observed_observed: Any,
+    observed_room: Any,
+    room_room: Any,
+    noise: Any,
+    exp: Callable[[Any], Any],
 ) -> Any:
     """Density (...), per cubic grey level, of colours before a background, lit or shaded.
 
