@@ -208,7 +208,7 @@ def reach(
         return (count < least) | (moves & ~met)
 
     def iterate(carry: tuple[Array, Pose, Array, Array]) -> tuple[Array, Pose, Array, Array]:
-        # Whether a step has met the goals is seen where the next one would begin.
+        # Whether a step has met the goals shows where the next one would begin.
         count, pose, moved, _ = carry
         first = _effectors(model, settings.terms, measured, pose)
         met = (count >= least) & (first.missed <= settings.tolerance)

@@ -54,7 +54,7 @@ class Solved(NamedTuple):
 
 
 class StepReport(NamedTuple):
-    """What a step found besides the pose.
+    """What came of a step besides the pose.
 
     Attributes:
         marker_pose: of the markers alone.
@@ -114,7 +114,7 @@ def refine(
     goals = goals_of(model, settings.ik, solved.ik.feet, targets)
     arms = _arms(model, solved.ik.pose)
     pose, elbows, status = solved.ik.pose, arms.elbow, _no_status()
-    # Both are known when this is traced.
+    # Both are static: settled when this is traced.
     edges = None if settings.refine == "none" or model.cameras is None else fields
     if edges is not None:
         pose = _last_unless_lost(model, settings, goals, belief, pose)
@@ -128,14 +128,14 @@ def refine(
     elif settings.balance:
         met = lambda: reach(model, settings.ik, {"goals": goals}, pose, free)[0]  # noqa: E731
         pose = jax.lax.cond(balanced, met, lambda: pose)
-    found = _arms(model, pose)
+    refined = _arms(model, pose)
     outline_px = jnp.full(2, jnp.nan, targets.dtype)
     if edges is not None and model.cameras is not None:
-        outline_px = settings.edges.outline_px(model.cameras, edges, found)
+        outline_px = settings.edges.outline_px(model.cameras, edges, refined)
     mask = are_present(targets)
     errors = goal_distances(model.skeleton, goals, pose)[: len(mask)]
     report = StepReport(
-        solved.ik.pose, jnp.where(mask, errors, jnp.nan), outline_px, swivels(arms, found),
+        solved.ik.pose, jnp.where(mask, errors, jnp.nan), outline_px, swivels(arms, refined),
         without_image(settings.elbow_search, belief)[1], solved.ik.iterations, solved.ik.planted,
         solved.placed, balanced, status,
     )  # fmt: skip
@@ -297,11 +297,11 @@ def _arm_costs(
 
 
 def updated_belief(
-    belief: ElbowBelief, arms: Arms, found: Arms, fields: EdgeFields, pose: Pose
+    belief: ElbowBelief, arms: Arms, refined: Arms, fields: EdgeFields, pose: Pose
 ) -> ElbowBelief:
-    """The belief with the turns from the markers' forearms to those found in a new image."""
+    """The belief with the turns from the markers' forearms to those refined by a new image."""
     has_image = jnp.any(jnp.asarray(fields.available))
-    turn = jnp.where(has_image, turn_between(arms, found), belief.turn)
+    turn = jnp.where(has_image, turn_between(arms, refined), belief.turn)
     return belief._replace(turn=turn, pose=pose)
 
 

@@ -71,7 +71,7 @@ class PoseSettings(NamedTuple):
 
 
 class Prior(NamedTuple):
-    """What is known beforehand of the 6 + D degrees of freedom.
+    """What is expected beforehand of the 6 + D degrees of freedom.
 
     Attributes:
         pose: expected.
@@ -312,17 +312,17 @@ def standard_deviations(
 
     Args:
         information: (6 + D, 6 + D) of a ``PoseResult``.
-        beforehand: (6 + D,) or one number: deviations before anything is seen.
+        beforehand: (6 + D,) or one number: deviations before anything is measured.
     """
     H = np.asarray(information, float)
     H = (H + H.T) / 2
-    known = np.broadcast_to(1 / np.asarray(beforehand, float) ** 2, len(H))
+    prior = np.broadcast_to(1 / np.asarray(beforehand, float) ** 2, len(H))
     # So few rows: BLAS's threads would only wait for one another, for tens of milliseconds.
     with _blas().limit(limits=1, user_api="blas"):
-        values, vectors = np.linalg.eigh(H / np.sqrt(np.outer(known, known)))
+        values, vectors = np.linalg.eigh(H / np.sqrt(np.outer(prior, prior)))
     # float32 sums cannot tell a small eigenvalue from none.
     values = np.where(values > 1e-6 * values.max(), values, 0.0)
-    return np.sqrt(np.sum(vectors**2 / (1 + values), 1) / known)
+    return np.sqrt(np.sum(vectors**2 / (1 + values), 1) / prior)
 
 
 @cache
