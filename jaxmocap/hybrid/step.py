@@ -5,8 +5,8 @@
     refine   pose, fields of edges -> search and simplex (5.1, 5.2), balance (5.3) -> pose, belief
     scans    ``solve`` and ``refine`` over many events, without leaving the device in between
 
-``solve`` reads its own last pose only, so regions are settled before any image is looked at; what the
-video taught lives in refine's belief, and is carried to the samples between two video frames.
+``solve`` reads its own last pose only, so regions are settled before any image is looked at. What
+the video taught lives in refine's belief, and is carried to the samples between two video frames.
 
 The model is an argument: another person needs no new program. Many recordings go side by side by
 ``jax.vmap`` over the scans, whatever differs between them along a new first axis.
