@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,9 @@ from jaxmocap.images.regions import Region
 from jaxmocap.smoothing.linearise import smooth_poses
 from jaxmocap.smoothing.settings import SmoothingSettings
 
+# Much is compiled here and little of it computed.
+pytestmark = pytest.mark.usefixtures("plainly_compiled")
+
 LOGARITHMS = np.array([0.04, -0.03], np.float32)
 COUNT = 2
 
@@ -76,12 +80,9 @@ def frame(kind: str):
     return retract(pose, on_device(step)), one
 
 
-@pytest.mark.parametrize(
-    "kind",
-    ["markers", "a marker lost", "elbows with goals", "lines of sight"],
-)
-def test_the_derivative_is_that_of_going_through_everything(kind):
-    pose, one = frame(kind)
+@jax.jit
+def through_everything(pose, one):
+    """Residuals and landmarks, their derivatives by pushing tangents through; and ours."""
     dofs = ROOT_DOF + pose.angles.size
 
     def moved(step):
@@ -90,12 +91,22 @@ def test_the_derivative_is_that_of_going_through_everything(kind):
         return r, landmarks(person, there).ravel()
 
     still = jnp.zeros(dofs + len(PROPORTIONS))
-    (r, at), (J, by) = jax.jit(lambda step: (moved(step), jax.jacfwd(moved)(step)))(still)
-    actual = jax.jit(linearised)(SETTINGS.terms, MODEL, LOGARITHMS, pose, one)
-    assert actual[1].shape == (r.size, still.size)
+    ours = linearised(SETTINGS.terms, MODEL, LOGARITHMS, pose, one)
+    return moved(still), jax.jacfwd(moved)(still), ours
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["markers", "a marker lost", "elbows with goals", "lines of sight"],
+)
+def test_the_derivative_is_that_of_going_through_everything(kind):
+    pose, one = frame(kind)
+    (r, at), (J, by), actual = through_everything(pose, one)
+    lengths = J[:, ROOT_DOF + pose.angles.size :]
+    assert actual[1].shape == (r.size, ROOT_DOF + pose.angles.size + len(PROPORTIONS))
     for ours, theirs in zip(actual, (r, J, at, by), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=2e-5, atol=2e-5 * np.abs(theirs).max())
-    assert np.abs(J[:, dofs:]).max() > 0.1, "lengths matter to the markers"
+    assert np.abs(lengths).max() > 0.1, "lengths matter to the markers"
 
 
 # Every term's derivative -------------------------------------------------------------------------
@@ -126,22 +137,23 @@ def in_double(tree):
     return jax.tree.map(wide, tree)
 
 
+@cache
 def another_moment() -> dict[str, Any]:
     """All that any term may have measured, of a pose of its own."""
     pose = Pose(*(part[1] for part in truth(COUNT)))
     points, dofs = points_of(truth(COUNT)), ROOT_DOF + pose.angles.size
     pixels = np.asarray(project(CAMERAS[0], jnp.asarray(points)))
     lines = lines_of_sight(CAMERAS[0], tuple(LANDMARKS), pixels, np.full(points.shape[:2], 0.9))
-    markers = measurements(COUNT)["markers"][1]
-    targets = np.concatenate([markers, measurements(COUNT)["ankles"][1]])
+    measured = {name: part[1] for name, part in measurements(COUNT).items()}
+    targets = np.concatenate([measured["markers"], measured["ankles"]])
     return {
-        **{name: part[1] for name, part in measurements(COUNT).items()},
+        **measured,
         "elbows": points[1][ELBOWS] + 0.05,
         "sight_lines": jax.tree.map(lambda part: part[1], lines),
         "goals": Goals(MODEL.effectors, targets, np.array([1.0, 1.0, 0.0, 0.8, 0.8])),
         "centre": pose,
         "estimate": EstimatedPose(pose, np.eye(dofs) + 0.1, np.linspace(-1, 1, dofs)),
-        "edges": weighted_edges(MODEL, slanted_fields(), on_device(pose)),
+        "edges": jax.jit(weighted_edges)(MODEL, slanted_fields(), on_device(pose)),
     }
 
 
@@ -149,25 +161,25 @@ ALL = (*SETTINGS.terms, *GradientSettings().terms, SearchedElbows(), NearEstimat
 TERMS = {type(term).__name__: term for term in ALL}
 
 
-# Those that ask whether markers hold the feet.
-BY_FEET = ("Pelvis", "Ground", "Balance", "PointGoals")
-CASES = [(name, "unmarked feet") for name in TERMS] + [(name, "marked feet") for name in BY_FEET]
-
-
 @jax.jit
-def all_jacobians(term, model, pose, measured):
-    """Of a term's residuals: by ``linearised``, by central differences, by its own formula."""
+def all_jacobians(terms, model, pose, measured):
+    """Of all residuals of terms, and the terms' sizes.
+
+    By ``linearised``, by central differences, and by the terms' own formulas.
+    """
     dofs, logarithms = ROOT_DOF + pose.angles.size, jnp.asarray(LOGARITHMS, float)
 
     def moved(step):
         person = replace(model, skeleton=scaled(model.skeleton, logarithms + step[dofs:]))
-        return residuals((term,), person, retract(pose, step[:dofs]), measured)
+        return residuals(terms, person, retract(pose, step[:dofs]), measured)
 
     steps = 1e-6 * jnp.eye(dofs + len(PROPORTIONS))
-    rise = jax.vmap(moved)(steps) - jax.vmap(moved)(-steps)
+    ahead, behind = jnp.split(jax.vmap(moved)(jnp.concatenate([steps, -steps])), 2)
+    sizes = [jax.eval_shape(residuals, (term,), model, pose, measured).size for term in terms]
+    ours = linearised(terms, model, logarithms, pose, measured).jacobian
     person = replace(model, skeleton=scaled(model.skeleton, logarithms))
-    alone = linearised_term(term, person, pose, measured)[1].reshape(-1, dofs)
-    return linearised((term,), model, logarithms, pose, measured).jacobian, rise.T / 2e-6, alone
+    own = [linearised_term(term, person, pose, measured)[1].reshape(-1, dofs) for term in terms]
+    return ours, (ahead - behind).T / 2e-6, jnp.concatenate(own), jnp.array(sizes)
 
 
 def test_there_are_all_terms_of_the_package():
@@ -180,30 +192,31 @@ def _text(path: Path) -> str:
     return path.read_text(encoding="utf-8")
 
 
-@pytest.mark.usefixtures("plainly_compiled")
-@pytest.mark.parametrize(("name", "feet"), CASES)
+@pytest.mark.parametrize("feet", ["unmarked feet", "marked feet"])
 @hypothesis_settings(max_examples=10)
 @given(pose=poses(beyond=0.3))
-def test_a_terms_derivative_is_that_of_finite_differences(name, feet, pose):
-    """Anywhere, joints beyond their ranges included."""
-    measured = another_moment()
+def test_every_terms_derivative_is_that_of_finite_differences(feet, pose):
+    """Anywhere, joints beyond their ranges included; all terms in one compilation."""
+    measured = dict(another_moment())
     # The difference from a pose half a turn away is not continuous.
     assume(abs(np.dot(pose.quaternion, measured["centre"].quaternion)) > 0.05)
     if feet == "marked feet":
         measured["markers"] = np.concatenate([measured["markers"], measured["ankles"]])
     with double():
-        term, model, measured = in_double(
-            (TERMS[name], MODEL if feet == "unmarked feet" else MARKED_FEET, measured)
+        terms, model, measured = in_double(
+            (tuple(TERMS.values()), MODEL if feet == "unmarked feet" else MARKED_FEET, measured)
         )
-        ours, expected, alone = map(
-            np.asarray, all_jacobians(term, model, on_device(pose), measured)
-        )
-    largest = max(1.0, np.abs(expected).max(initial=0))
-    np.testing.assert_allclose(ours, expected, atol=1e-6 * largest)
-    np.testing.assert_allclose(alone, ours[:, : alone.shape[1]], atol=1e-9 * largest)
-    # On marked feet the ground and balance are silent.
-    silent = feet == "marked feet" and name in ("Ground", "Balance")
-    assert (not ours.size) == silent
+        jacobians = all_jacobians(terms, model, on_device(pose), measured)
+    *each, sizes = map(np.asarray, jacobians)
+    parts = (np.split(jacobian, np.cumsum(sizes)[:-1]) for jacobian in each)
+    for name, ours, expected, own in zip(TERMS, *parts, strict=True):
+        largest = max(1.0, np.abs(expected).max(initial=0))
+        np.testing.assert_allclose(ours, expected, atol=1e-6 * largest, err_msg=name)
+        by_pose = ours[:, : own.shape[1]]
+        np.testing.assert_allclose(own, by_pose, atol=1e-9 * largest, err_msg=name)
+        # Where markers hold the feet, the ground and balance are silent.
+        silent = feet == "marked feet" and name in ("Ground", "Balance")
+        assert (not ours.size) == silent, name
 
 
 # A term of one's own -----------------------------------------------------------------------------

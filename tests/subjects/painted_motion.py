@@ -76,6 +76,15 @@ def truth(count: int) -> Pose:
 _points = jax.jit(jax.vmap(landmarks, (None, 0)))
 
 
+@jax.jit
+@jax.vmap
+def _places(pose: Pose) -> jax.Array:
+    return site_positions(PERSON, forward(PERSON, pose), MARKERS)
+
+
+_turns = jax.jit(jax.vmap(quaternion_to_matrix))
+
+
 def points_of(poses: Pose) -> np.ndarray:
     """Landmarks (T, L, 3)."""
     return np.asarray(_points(PERSON, on_device(poses)))
@@ -123,12 +132,11 @@ def views(count: int, cameras=(0,), frames=None) -> Views:
 def measurements(count: int) -> dict[str, np.ndarray]:
     """Of each frame: markers on head and wrists, and what their own pose would be."""
     poses = on_device(truth(count))
-    places = jax.vmap(lambda pose: site_positions(PERSON, forward(PERSON, pose), MARKERS))(poses)
     points = points_of(truth(count))
-    R = np.asarray(jax.vmap(quaternion_to_matrix)(poses.quaternion))
+    R = np.asarray(_turns(poses.quaternion))
     ankles = points[:, [list(LANDMARKS).index(f"ankle_{side}") for side in "lr"]]
     measured = {
-        "markers": places,
+        "markers": _places(poses),
         "upright": R[:, :2, 2],
         "facing": R[:, :, 0],
         "ankles": ankles,
