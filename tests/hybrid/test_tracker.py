@@ -1,7 +1,7 @@
 """The tracker over many frames: one trace, what is lost and found, and the reference's answers."""
 
 from dataclasses import replace
-from functools import partial
+from functools import partial, update_wrapper
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +29,8 @@ from jaxmocap.reference import kinematics as reference
 from jaxmocap.reference.hybrid import ik as reference_ik
 from jaxmocap.reference.hybrid import pipeline as reference_pipeline
 
+pytestmark = pytest.mark.usefixtures("plainly_compiled")
+
 BLACK = np.zeros((480, 640, 3), np.uint8)
 MISSING = np.full((3, 3), np.nan)
 
@@ -55,9 +57,9 @@ def counted():
     with pytest.MonkeyPatch.context() as patched:
         for function in (solve, refine):
             name = function.__name__
-            patched.setattr(
-                tracker_module, name.upper(), Program(partial(counting, function), name)
-            )
+            # By its own name the compiler knows it from other tests.
+            own = update_wrapper(partial(counting, function), function)
+            patched.setattr(tracker_module, name.upper(), Program(own, name))
         yield
 
 

@@ -22,6 +22,8 @@ from jaxmocap.pipelines.tracking.events import Events
 from jaxmocap.pipelines.tracking.first_pass import scanned, stepped
 from jaxmocap.pipelines.tracking.track import make_tracker
 
+pytestmark = pytest.mark.usefixtures("plainly_compiled")
+
 SAMPLES = EVENTS + 4
 PLACES = (
     MarkerPlace("Head", "head"),
