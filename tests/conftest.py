@@ -24,6 +24,7 @@ from hypothesis.extra.numpy import arrays
 
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.pipelines.kept_programs import keep_compiled
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 settings.register_profile("tests", deadline=None, max_examples=25, derandomize=True)
@@ -74,6 +75,12 @@ def poses(draw, beyond: float = 0.0) -> Pose:
 def on_device(tree, dtype=None):
     """NumPy leaves as JAX arrays of the present precision, or of ``dtype``."""
     return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), dtype or float), tree)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def kept_programs():
+    """Programs are kept as by the commands, so that these, too, share what tests have compiled."""
+    keep_compiled()
 
 
 @pytest.fixture(scope="module")

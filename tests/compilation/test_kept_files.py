@@ -7,9 +7,8 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from jax.experimental.compilation_cache import compilation_cache
 
-from jaxmocap.compilation.programs import Program, keep_in
+from jaxmocap.compilation.programs import Program
 from jaxmocap.formats.private_cache import PrivateCache
 from jaxmocap.pipelines import kept_programs
 from jaxmocap.pipelines.kept_programs import keep_compiled
@@ -22,13 +21,11 @@ ON_POSIX = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="Windows has no
 @pytest.fixture
 def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The cache's folder during a test; afterwards this process keeps what it kept before."""
-    before = jax.config.jax_compilation_cache_dir
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setattr(kept_programs, "_warned", set())
     yield tmp_path / "cache"
-    keep_in(None)
-    jax.config.update("jax_compilation_cache_dir", before)
-    compilation_cache.reset_cache()
+    monkeypatch.undo()
+    keep_compiled()
 
 
 def compiled(factor: float) -> tuple[list[float], int, int]:

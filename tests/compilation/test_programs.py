@@ -15,6 +15,7 @@ from jaxmocap.compilation import programs
 from jaxmocap.compilation.programs import Program, keep_in
 from jaxmocap.compilation.structures import from_json, to_json
 from jaxmocap.formats.private_cache import PrivateCache
+from jaxmocap.pipelines.kept_programs import keep_compiled
 
 
 class Turned(NamedTuple):
@@ -30,7 +31,7 @@ def folder(tmp_path: Path) -> Iterator[Path]:
     """Where programs are kept during a test."""
     keep_in(PrivateCache(tmp_path, "programs"))
     yield tmp_path / "programs"
-    keep_in(None)
+    keep_compiled()
 
 
 def counted(traced: list[int], name: str = "turn", static: object = ()) -> Program:
@@ -64,11 +65,12 @@ def test_it_returns_what_the_function_returns(folder: Path) -> None:
     np.testing.assert_allclose(kept(ANGLE, POINT).point, kept.jitted(ANGLE, POINT).point, 1e-6)
 
 
-def test_nothing_is_kept_where_no_folder_was_chosen(tmp_path: Path) -> None:
+def test_nothing_is_kept_where_no_folder_was_chosen(folder: Path) -> None:
+    keep_in(None)
     traced: list[int] = []
     counted(traced)(ANGLE, POINT)
     counted(traced)(ANGLE, POINT)
-    assert len(traced) == 2 and not list(tmp_path.iterdir())
+    assert len(traced) == 2 and not folder.exists()
 
 
 @pytest.mark.parametrize(
@@ -199,7 +201,7 @@ def test_a_folder_that_cannot_be_made_is_no_hindrance(tmp_path: Path) -> None:
     try:
         assert np.isfinite(counted([])(ANGLE, POINT).point).all()
     finally:
-        keep_in(None)
+        keep_compiled()
 
 
 def test_within_what_is_traced_it_is_the_function(folder: Path) -> None:

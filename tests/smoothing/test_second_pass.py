@@ -23,11 +23,12 @@ from painted_motion import (
     points_of,
     pose_at,
 )  # fmt: skip
+from small_recording import PLACES
 
 from jaxmocap.body.kinematics import forward, site_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.skeleton import LANDMARKS, landmark_rows
 from jaxmocap.capture.timeline import build_timeline
 from jaxmocap.capture.video import MemoryVideo
 from jaxmocap.evidence.appearance.hulls import draw_hulls
@@ -358,13 +359,13 @@ def test_steps_have_deviations_of_the_elbows_only():
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    places = tuple(
-        MarkerPlace(name, bone)
-        for name, bone in (("Head", "head"), ("LWrist", "radius_l"), ("RWrist", "radius_r"))
-    )
+    """With the markers of the small recording, whose tracker is compiled already."""
+    places = tuple(MarkerPlace(name, bone) for name, (bone, _) in PLACES.items())
+    rows = landmark_rows(tuple(landmark for _, landmark in PLACES.values()))
     frames = (np.arange(FRAMES) * FRAME_S, images())
     video = VideoSource("cam", CAMERA, offset=0.0, frames=frames)
-    return Recording(PERSON, TIMES, markers_world(), places, (video,), "painted")
+    positions = points_of(true_poses())[:, rows].astype(float)
+    return Recording(PERSON, TIMES, positions, places, (video,), "painted")
 
 
 @pytest.fixture(scope="module")
@@ -384,7 +385,7 @@ def test_a_recording_is_smoothed_to_better_elbows_than_the_markers_alone(both_pa
 
 def test_the_report_has_errors_swivels_and_confidence_of_every_event(both_passes):
     report, events = both_passes[0].motion.report, len(TIMES)
-    assert report.marker_errors.shape == (events, 3) and report.marker_errors.max() < 0.03
+    assert report.marker_errors.shape == (events, len(PLACES)) and report.marker_errors.max() < 0.03
     assert report.swivels.shape == report.confidence.shape == (events, 2)
     assert ((report.confidence > 0) & (report.confidence < 1)).all()
 
@@ -412,7 +413,7 @@ def test_causally_each_pose_waits_for_two_frames_as_the_report_has_it(both_passe
 
 def test_smoothing_can_be_switched_off(recording, problems):
     settings = replace(Settings(), smooth=False)
-    few = replace(recording, times=TIMES[:3], positions_world=markers_world()[:3])
+    few = replace(recording, times=TIMES[:3], positions_world=recording.positions_world[:3])
     motion = track_both(few, tracker=make_tracker(few, settings)).motion
     assert not problems and np.isnan(motion.report.from_prior).all()
 
