@@ -36,11 +36,14 @@ from jaxmocap.images.regions import Region
 from jaxmocap.reference import cameras as reference_cameras
 from jaxmocap.reference.hybrid import raster as reference
 
+pytestmark = pytest.mark.usefixtures("plainly_compiled")
+
 GRID = 20
 COVERAGE = jax.jit(soft_coverage, static_argnums=1)
 CHAMFER = jax.jit(chamfer_sum)
 RASTER = jax.jit(raster_distance)
 OUTLINE = jax.jit(outline_distance)
+ARM_COST = jax.jit(EdgeEvidence.arm_cost)
 # Of coverage, 0 to 1, and of costs, relative.
 FLOAT32_COVERAGE, FLOAT32_COST = 2e-4, 1e-4
 
@@ -130,7 +133,7 @@ def test_the_raster_cost_with_its_hold_is_equation_14_in_another_unit(seed):
             on_device(fields)[None],
             np.array([True]),
         )
-        on_edges = float(chosen.arm_cost(stacked(camera), one, on_device(limbs)))
+        on_edges = float(ARM_COST(chosen, stacked(camera), one, on_device(limbs)))
         depth = np.mean(reference_cameras.to_camera(camera, limbs.near)[:, 2])
         samples_per_metre = 560.0 / depth / float(region.scale)
         lengths = np.linalg.norm(limbs.far - limbs.near, axis=1)

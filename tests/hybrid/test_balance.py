@@ -19,6 +19,8 @@ from jaxmocap.hybrid.feet import on_unmarked_feet
 from jaxmocap.hybrid.settings import IKSettings
 from jaxmocap.reference.hybrid import balance as reference
 
+pytestmark = pytest.mark.usefixtures("plainly_compiled")
+
 FACTORS = jax.jit(balance.bow_factors)
 LANDMARKS_OF = jax.jit(landmarks)
 # Body heights in metres; None is the paper's subject.

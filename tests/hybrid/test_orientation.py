@@ -35,6 +35,8 @@ from jaxmocap.pipelines.live.recording import LiveRecording
 from jaxmocap.pipelines.tracking.track import make_tracker, marker_sites
 from jaxmocap.synthetic.movements import motions
 
+pytestmark = pytest.mark.usefixtures("plainly_compiled")
+
 BODY = with_wrists(Skeleton.human(1.75))
 TIMES = np.arange(5) / 10
 

@@ -30,6 +30,8 @@ from jaxmocap.hybrid import elbow_search
 from jaxmocap.hybrid.refine import search_elbows, swivels, turn_between
 from jaxmocap.hybrid.settings import Settings
 
+pytestmark = pytest.mark.usefixtures("plainly_compiled")
+
 SETTINGS = Settings(region=SIZE)
 SEARCH = SETTINGS.elbow_search
 ONE, BOTH = stacked(FRONT), stacked(FRONT, SIDE)
