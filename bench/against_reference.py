@@ -42,14 +42,14 @@ def measure(footage: Footage, quick: bool) -> Iterator[Metric]:
 def inverse_kinematics(recording: Recording, solves: int) -> Iterator[Metric]:
     """Algorithm 1, jitted in float32 and in NumPy."""
     tracker, solve = make_tracker(recording, Settings(refine="none")), jax.jit(ik.reach)
-    skeleton, settings = tracker.model.skeleton, tracker.settings.ik
+    model, settings = tracker.model, tracker.settings.ik
     state = tracker.init(recording.positions_world[0])
     ours, theirs, farthest = [], [], 0.0
     for turn, markers in enumerate(recording.positions_world[1 : solves + 2]):
-        problem = (skeleton, goals_at(tracker, state, markers), settings)
-        time, (pose, _) = timed(solve, *problem, state.pose)
+        goals = goals_at(tracker, state, markers)
+        time, (pose, _) = timed(solve, model, settings, {"goals": goals}, state.pose)
         # As NumPy arrays: fetching each of its numbers from JAX would take most of its time.
-        plain = jax.tree.map(np.asarray, (*problem, state.pose))
+        plain = jax.tree.map(np.asarray, (model.skeleton, goals, settings, state.pose))
         theirs_took, (expected, _) = timed(reference_ik.reach, *plain)
         if turn:  # The first of ours compiles.
             ours.append(time)
