@@ -5,6 +5,7 @@ INPUTS: a clip. OUTPUTS: Metrics.
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -41,13 +42,15 @@ def measure(footage: Footage, quick: bool) -> Iterator[Metric]:
 
 def inverse_kinematics(recording: Recording, solves: int) -> Iterator[Metric]:
     """Algorithm 1, jitted in float32 and in NumPy."""
-    tracker, solve = make_tracker(recording, Settings(refine="none")), jax.jit(ik.reach)
+    tracker = make_tracker(recording, Settings(refine="none"))
     model, settings = tracker.model, tracker.settings.ik
+    # For one person: handing over a model's arrays takes as long as an iteration.
+    solve = jax.jit(partial(ik.reach, model, settings))
     state = tracker.init(recording.positions_world[0])
     ours, theirs, farthest = [], [], 0.0
     for turn, markers in enumerate(recording.positions_world[1 : solves + 2]):
         goals = goals_at(tracker, state, markers)
-        time, (pose, _) = timed(solve, model, settings, {"goals": goals}, state.pose)
+        time, (pose, _) = timed(solve, {"goals": goals}, state.pose)
         # As NumPy arrays: fetching each of its numbers from JAX would take most of its time.
         plain = jax.tree.map(np.asarray, (model.skeleton, goals, settings, state.pose))
         theirs_took, (expected, _) = timed(reference_ik.reach, *plain)
