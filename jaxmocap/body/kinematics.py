@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.skeleton import LANDMARK_PLACES, LANDMARKS, Skeleton
 from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.geometry.rotations import (
     about_axis,
@@ -144,10 +144,10 @@ def jacobian(
     return jnp.concatenate([shifting, turning], -1)
 
 
-def landmark_sites(skeleton: Skeleton, names: tuple[str, ...] = tuple(LANDMARKS)) -> Sites:
+def landmark_sites(skeleton: Skeleton, names: tuple[str, ...] = LANDMARKS) -> Sites:
     """The named landmarks as sites."""
-    bones = np.array([skeleton.tree.bone(LANDMARKS[name][0]) for name in names], np.int32)
-    at = np.array([LANDMARKS[name][1] for name in names], skeleton.lengths.dtype)
+    bones = np.array([skeleton.tree.bone(LANDMARK_PLACES[name][0]) for name in names], np.int32)
+    at = np.array([LANDMARK_PLACES[name][1] for name in names], skeleton.lengths.dtype)
     offsets = np.zeros((len(names), 3), at.dtype)
     return Sites(bones, jnp.asarray(at, at.dtype), jnp.asarray(offsets, at.dtype))
 

@@ -23,9 +23,11 @@ from jaxmocap.body.tree import ROOT_DOF, Segment, Tree, with_dofs
 
 _LANDMARKS = landmark_rows_of(HUMAN)
 # Landmark -> bone and fraction of its length from its joint.
-LANDMARKS: dict[str, tuple[str, float]] = {
+LANDMARK_PLACES: dict[str, tuple[str, float]] = {
     row["name"]: (row["bone"], float(row["at"])) for row in _LANDMARKS
 }
+# Their names, in the order of all arrays of them.
+LANDMARKS = tuple(LANDMARK_PLACES)
 
 
 def landmark_rows(names: Iterable[str]) -> np.ndarray:
@@ -34,11 +36,11 @@ def landmark_rows(names: Iterable[str]) -> np.ndarray:
     Raises:
         KeyError: no such landmark; the message lists the valid ones.
     """
-    rows, landmarks = [], list(LANDMARKS)
+    rows = []
     for name in names:
         if name not in LANDMARKS:
-            raise KeyError(f"unknown landmark {name!r}; the landmarks are {', '.join(landmarks)}")
-        rows.append(landmarks.index(name))
+            raise KeyError(f"unknown landmark {name!r}; the landmarks are {', '.join(LANDMARKS)}")
+        rows.append(LANDMARKS.index(name))
     return np.array(rows, np.int32)
 
 

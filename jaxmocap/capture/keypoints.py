@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.skeleton import LANDMARK_PLACES
 from jaxmocap.body.tree import Tree
 from jaxmocap.capture.markers import interpolate_markers
 from jaxmocap.capture.video import FrameSource
@@ -198,7 +198,7 @@ def marked_landmarks(
 def _landmark_at(tree: Tree, place: MarkerPlace) -> str | None:
     """The landmark at a marker's place; a bone's far end is the near end of the next."""
     bone = tree.bone(place.bone)
-    for name, (other, at) in LANDMARKS.items():
+    for name, (other, at) in LANDMARK_PLACES.items():
         follows = tree.parents[tree.bone(other)] == bone and (place.at, at) == (1.0, 0.0)
         if follows or (place.bone, place.at) == (other, at):
             return name

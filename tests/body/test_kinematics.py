@@ -205,7 +205,7 @@ def test_gradients_reach_lengths_directions_and_axes(skeleton):
     def height_of_hand(body: Skeleton):
         return kinematics.landmarks(body, relaxed_pose(body))[LANDMARK_INDEX, 2]
 
-    LANDMARK_INDEX = list(LANDMARKS).index("hand_r")
+    LANDMARK_INDEX = LANDMARKS.index("hand_r")
     gradient = jax.jit(jax.grad(height_of_hand))(skeleton)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
     spine, hand = skeleton.tree.bone("spine1"), skeleton.tree.bone("hand_r")

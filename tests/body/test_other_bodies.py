@@ -13,6 +13,7 @@ from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.proportions import GIRTHS, LENGTHS, scaled
 from jaxmocap.body.skeleton import (
+    LANDMARK_PLACES,
     LANDMARKS,
     Skeleton,
     landmark_mismatches,
@@ -133,7 +134,7 @@ def test_landmarks_and_their_mismatches_come_from_the_humans_file():
     mismatches = dict(zip(LANDMARKS, landmark_mismatches(), strict=True))
     np.testing.assert_array_equal(mismatches["elbow_l"], [0.02, 0.02, 0.012])
     np.testing.assert_array_equal(mismatches["toe_r"], 0)
-    assert LANDMARKS["wrist_l"] == ("hand_l", 0.0) and len(LANDMARKS) == 20
+    assert LANDMARK_PLACES["wrist_l"] == ("hand_l", 0.0) and len(LANDMARKS) == 20
 
 
 def test_a_motion_file_of_before_is_filled_from_the_bodies_files(tmp_path):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from conftest import double
 
-from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton, landmark_rows
+from jaxmocap.body.skeleton import ELBOWS, LANDMARK_PLACES, LANDMARKS, Skeleton, landmark_rows
 from jaxmocap.body.tree import ROOT_DOF
 
 # Table 1 as printed: length in millimetres, mass in grams, degrees of freedom.
@@ -153,15 +153,17 @@ def test_unknown_names_are_answered_with_the_valid_ones(skeleton):
 
 def test_landmarks_are_found_by_name_and_unknown_ones_answered_with_the_valid_ones():
     rows = landmark_rows(["wrist_r", "neck"])
-    assert [list(LANDMARKS)[row] for row in rows] == ["wrist_r", "neck"]
-    assert [list(LANDMARKS)[row] for row in ELBOWS] == ["elbow_l", "elbow_r"]
+    assert [LANDMARKS[row] for row in rows] == ["wrist_r", "neck"]
+    assert [LANDMARKS[row] for row in ELBOWS] == ["elbow_l", "elbow_r"]
     assert rows.dtype == np.int32 and landmark_rows([]).shape == (0,)
     with pytest.raises(KeyError, match="'ellbow'; the landmarks are pelvis, neck"):
         landmark_rows(["ellbow"])
 
 
 def test_landmarks_lie_on_bones(skeleton):
-    assert all(bone in skeleton.tree.bones and at in (0.0, 1.0) for bone, at in LANDMARKS.values())
+    assert all(
+        bone in skeleton.tree.bones and at in (0.0, 1.0) for bone, at in LANDMARK_PLACES.values()
+    )
 
 
 def test_only_names_and_tree_are_static(skeleton):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxmocap import Recording
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton, with_wrists
+from jaxmocap.body.skeleton import LANDMARK_PLACES, Skeleton, with_wrists
 from jaxmocap.calibration.static_trial import scale_by_static
 from jaxmocap.cli import main
 from jaxmocap.formats.files.errors import InputError
@@ -27,7 +27,7 @@ def standing(skeleton: Skeleton) -> dict[str, np.ndarray]:
             joints[bone] = joints[parent] + reach[parent]
     return {
         name: joints[skeleton.tree.bone(bone)] + at * reach[skeleton.tree.bone(bone)]
-        for name, (bone, at) in LANDMARKS.items()
+        for name, (bone, at) in LANDMARK_PLACES.items()
     }
 
 

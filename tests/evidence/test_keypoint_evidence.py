@@ -58,7 +58,7 @@ SIGMA = float(SETTINGS.keypoints.deviation)
 def detected(camera: int = 0, wrong: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Pixels (T, P, 2) and confidences (T, P) of the true landmarks, a share of them wrong."""
     rng = np.random.default_rng(camera)
-    points = points_of(truth(COUNT))[:, [list(LANDMARKS).index(name) for name in NAMES]]
+    points = points_of(truth(COUNT))[:, [LANDMARKS.index(name) for name in NAMES]]
     pixels = np.asarray(project(CAMERAS[camera], jnp.asarray(points)), float)
     pixels += rng.normal(0, NOISE_PX, pixels.shape)
     astray = rng.random(pixels.shape[:2]) < wrong
@@ -145,7 +145,7 @@ def test_lines_run_through_what_they_were_detected_of():
     points = points_of(truth(COUNT))
     pixels = np.asarray(project(CAMERAS[1], jnp.asarray(points)), float)
     pixels[3, 4] = np.nan
-    actual = lines_of_sight(CAMERAS[1], tuple(LANDMARKS), pixels, np.ones(pixels.shape[:2]))
+    actual = lines_of_sight(CAMERAS[1], LANDMARKS, pixels, np.ones(pixels.shape[:2]))
     off = np.asarray(LINE_RESIDUALS(points, actual, 1.0))
     assert np.abs(off).max() < 1e-3
     assert actual.confidences[3, 0, 4] == 0 and actual.confidences.sum() == pixels[..., 0].size - 1
@@ -290,7 +290,7 @@ def test_where_no_marker_sits_on_a_landmark_the_person_is_found_by_the_poses():
     where = landmarks_over_time(recording.skeleton, poses)[0]
     pixels = np.asarray(project(CAMERA, jnp.asarray(where, float)))
     people = np.tile(np.stack([pixels + np.array([40, 0]), pixels]), (12, 1, 1, 1))
-    keypoints = Keypoints(tuple(LANDMARKS), people, np.ones(people.shape[:3]))
+    keypoints = Keypoints(LANDMARKS, people, np.ones(people.shape[:3]))
     places = tuple(replace(place, at=0.5) for place in recording.places)
     actual = lines_at_events(replace(recording, places=places), [keypoints], timeline, poses)
     assert actual is not None

@@ -73,7 +73,7 @@ def frame(kind: str):
         there["elbows"] = np.full((COUNT, 2, 3), 0.3, np.float32)
     if kind == "lines of sight":
         pixels = np.asarray(project(CAMERAS[0], jnp.asarray(points_of(truth(COUNT)))))
-        names, sure = tuple(LANDMARKS), np.full(pixels.shape[:2], 0.9)
+        names, sure = LANDMARKS, np.full(pixels.shape[:2], 0.9)
         there["sight_lines"] = lines_of_sight(CAMERAS[0], names, pixels, sure)
     pose, one = jax.tree.map(lambda part: on_device(part[1]), (truth(COUNT), there))
     step = 0.1 * np.random.default_rng(3).standard_normal(ROOT_DOF + pose.angles.size)
@@ -143,7 +143,7 @@ def another_moment() -> dict[str, Any]:
     pose = Pose(*(part[1] for part in truth(COUNT)))
     points, dofs = points_of(truth(COUNT)), ROOT_DOF + pose.angles.size
     pixels = np.asarray(project(CAMERAS[0], jnp.asarray(points)))
-    lines = lines_of_sight(CAMERAS[0], tuple(LANDMARKS), pixels, np.full(points.shape[:2], 0.9))
+    lines = lines_of_sight(CAMERAS[0], LANDMARKS, pixels, np.full(points.shape[:2], 0.9))
     measured = {name: part[1] for name, part in measurements(COUNT).items()}
     targets = np.concatenate([measured["markers"], measured["ankles"]])
     return {

@@ -28,7 +28,7 @@ from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
 EXPLAINED = jax.jit(explained_log_ratio, static_argnames="likelihood")
-WRIST = list(LANDMARKS).index("wrist_l")
+WRIST = LANDMARKS.index("wrist_l")
 SHIRT, SKIN = (120, 50, 30), (80, 110, 170)
 # Of a hue more like skin than like the shirt, and not that of skin.
 NEITHER = (108, 117, 135)

@@ -43,7 +43,7 @@ from jaxmocap.silhouette.settings import Settings
 from jaxmocap.silhouette.tracker import SilhouetteTracker
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")
-WRIST = list(LANDMARKS).index("wrist_l")
+WRIST = LANDMARKS.index("wrist_l")
 DRAWN, DISTINCT = jax.jit(systematic_resampling), jax.jit(distinct_particles)
 EXPLAINED = jax.jit(explained_log_ratio, static_argnames="likelihood")
 LIKELIHOOD = LimbLikelihood()

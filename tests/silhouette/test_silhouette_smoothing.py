@@ -114,7 +114,7 @@ def test_who_stands_still_does_so_beside_what_swings(skeleton):
     noise = rng.normal(0, 0.01, (FRAMES, 6 + truth.angles.shape[1])).astype(np.float32)
     shaken = jax.tree.map(np.asarray, retract(truth, jnp.asarray(noise)))
     measured, exact = information_of(shaken, 1 / 0.01**2), places(skeleton, truth)
-    foot, hand = (list(LANDMARKS).index(name) for name in ("ankle_l", "wrist_l"))
+    foot, hand = (LANDMARKS.index(name) for name in ("ankle_l", "wrist_l"))
     alike, own = (
         places(skeleton, smoothed_poses(skeleton, TIMES, measured, free(skeleton), settings))
         for settings in (PoseSmoothingSettings(rounds=0), PoseSmoothingSettings(own_share=1.0))

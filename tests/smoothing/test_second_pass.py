@@ -175,7 +175,7 @@ def test_the_grids_show_the_person_and_the_bare_forearms():
 def test_a_head_and_a_pelvis_have_no_weight():
     measured = usual()[-1].views.grids
     for name in ("head", "pelvis"):
-        point = points_of(true_poses())[0, list(LANDMARKS).index(name)]
+        point = points_of(true_poses())[0, LANDMARKS.index(name)]
         pixel = np.asarray(project(CAMERA, jnp.asarray(point, float)))
         scale, origin = measured.region.scale[0], measured.region.origin[0]
         column, row = np.round((pixel - origin) / scale - 0.5).astype(int)
@@ -427,7 +427,7 @@ def test_legs_that_no_marker_holds_are_found_where_they_stand():
     start = start._replace(angles=start.angles + kneeling)
     actual = second_pass(start=start)
     assert actual is not None
-    ankles = [list(LANDMARKS).index(f"ankle_{side}") for side in "lr"]
+    ankles = [LANDMARKS.index(f"ankle_{side}") for side in "lr"]
     truth = points_of(true_poses())[:, ankles]
     before = np.linalg.norm(points_of(start)[:, ankles] - truth, axis=-1)
     after = np.linalg.norm(points_of(actual.poses)[:, ankles] - truth, axis=-1)

@@ -39,7 +39,7 @@ from jaxmocap.solvers.status import Status
 # One more than a batch of views, so that a second batch holds one of them alone.
 COUNT = 17
 SOFTNESS = (3.0, 0.8)
-WRIST_L = list(LANDMARKS).index("wrist_l")
+WRIST_L = LANDMARKS.index("wrist_l")
 
 
 class SmoothedRun(NamedTuple):
@@ -78,7 +78,7 @@ def test_who_may_keep_to_what_is_unusual_is_less_surely_guessed(by_one_camera):
         with_deviations(replace(given, settings=settings), actual, 0.8) for settings in each
     )
     assert (lasting.deviations >= brief.deviations - 1e-6).all()
-    hips = [list(LANDMARKS).index(f"hip_{side}") for side in "lr"]
+    hips = [LANDMARKS.index(f"hip_{side}") for side in "lr"]
     assert lasting.deviations[:, hips].mean() > 1.2 * brief.deviations[:, hips].mean()
 
 
@@ -95,7 +95,7 @@ def test_disturbed_elbows_are_found_again_by_one_camera(by_one_camera):
 def test_the_markers_are_met(by_one_camera):
     off = points_of(by_one_camera.trajectory.poses) - points_of(truth(COUNT))
     for name in ("vertex", "wrist_l", "wrist_r"):
-        assert np.linalg.norm(off[:, list(LANDMARKS).index(name)], axis=1).max() < 0.015, name
+        assert np.linalg.norm(off[:, LANDMARKS.index(name)], axis=1).max() < 0.015, name
 
 
 def test_two_cameras_are_better_than_either(by_one_camera):

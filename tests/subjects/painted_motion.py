@@ -27,7 +27,7 @@ from jaxmocap.smoothing.settings import SmoothingSettings
 
 PERSON = Skeleton.human(1.75)
 MARKERS = landmark_sites(PERSON, ("vertex", "wrist_l", "wrist_r"))
-ELBOWS = [list(LANDMARKS).index(f"elbow_{side}") for side in "lr"]
+ELBOWS = [LANDMARKS.index(f"elbow_{side}") for side in "lr"]
 CAMERAS = (
     camera_at((2.6, 0.4, 1.3), (0.0, 0.0, 1.15)),
     camera_at((1.2, -2.4, 1.4), (0.0, 0.0, 1.15)),
@@ -134,7 +134,7 @@ def measurements(count: int) -> dict[str, np.ndarray]:
     poses = on_device(truth(count))
     points = points_of(truth(count))
     R = np.asarray(_turns(poses.quaternion))
-    ankles = points[:, [list(LANDMARKS).index(f"ankle_{side}") for side in "lr"]]
+    ankles = points[:, [LANDMARKS.index(f"ankle_{side}") for side in "lr"]]
     measured = {
         "markers": _places(poses),
         "upright": R[:, :2, 2],

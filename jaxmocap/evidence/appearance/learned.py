@@ -20,7 +20,7 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.model import LOWER_LEG
 from jaxmocap.body.motion import landmarks_over_time
 from jaxmocap.body.pose import Pose
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.skeleton import LANDMARK_PLACES, Skeleton
 from jaxmocap.body.surfaces.cones import cones, project_cones
 from jaxmocap.body.tree import Tree
 from jaxmocap.compilation.batches import in_batches
@@ -205,7 +205,7 @@ class Regions(NamedTuple):
 
 def landmark_halves(tree: Tree) -> tuple[np.ndarray, np.ndarray]:
     """Rows of the landmarks of the upper half, and of those of the legs; hips are of both."""
-    bones = [tree.bone(bone) for bone, _ in LANDMARKS.values()]
+    bones = [tree.bone(bone) for bone, _ in LANDMARK_PLACES.values()]
     is_low, is_leg = (np.isin(bones, tree.bones_in(*kind)) for kind in (LOWER_LEG, ("leg",)))
     return np.flatnonzero(~is_low), np.flatnonzero(is_leg)
 

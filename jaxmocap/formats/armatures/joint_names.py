@@ -11,7 +11,7 @@ joint's with ``_end``.
 
 from collections.abc import Mapping
 
-from jaxmocap.body.skeleton import LANDMARKS
+from jaxmocap.body.skeleton import LANDMARK_PLACES, LANDMARKS
 
 PELVIS = "pelvis"
 _TRUNK: tuple[str, ...] = (PELVIS, "spine1", "spine2", "spine3", "neck", "head")
@@ -74,7 +74,7 @@ CONVENTIONS: dict[str, dict[str, str]] = {
 
 def joint_of(landmark: str) -> str:
     """Our name of the joint or end at which a landmark lies."""
-    bone, at = LANDMARKS[landmark]
+    bone, at = LANDMARK_PLACES[landmark]
     if landmark == PELVIS:
         return PELVIS
     return end_of(bone) if at else bone

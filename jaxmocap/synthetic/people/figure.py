@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmocap.body.skeleton import LANDMARKS, Skeleton
+from jaxmocap.body.skeleton import LANDMARK_PLACES, Skeleton
 
 # Shortest distance of the wrist from the shoulder, arm lengths: a folded arm would collide with
 # itself.
@@ -241,7 +241,7 @@ class Figure:
 
     def landmarks(self, bones: BoneFrames) -> dict[str, np.ndarray]:
         """Landmark name -> (T, 3) world, metres."""
-        return {name: self.points(bones, *on) for name, on in LANDMARKS.items()}
+        return {name: self.points(bones, *on) for name, on in LANDMARK_PLACES.items()}
 
 
 def _turns(axes: str, *angles: np.ndarray) -> np.ndarray:
