@@ -13,14 +13,13 @@ import cv2
 import jax
 import numpy as np
 
-from jaxmocap.body.model import Model
+from jaxmocap.body.model import Model, marker_sites
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.evidence.appearance.learned import ROWS, Drawing, learn_appearance
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.background_model import Background, as_learned, spread
 from jaxmocap.images.foreground import shrink
-from jaxmocap.pipelines.tracking.track import marker_sites
 from jaxmocap.smoothing.batch import CameraFrames
 from jaxmocap.smoothing.problem import FirstPass
 

@@ -14,6 +14,7 @@ from bench.clock import Stopwatch, interleaved, peak_mib
 from bench.footage import Footage
 from bench.metrics import Metric
 from jaxmocap.body.kinematics import forward, jacobian
+from jaxmocap.body.model import marker_sites
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import Tree
@@ -21,7 +22,6 @@ from jaxmocap.geometry.cameras import Camera
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.step import solve
 from jaxmocap.hybrid.tracker import HybridTracker
-from jaxmocap.pipelines.tracking.track import marker_sites
 from jaxmocap.solvers.sdls import sdls_step
 
 REGIONS, CAMERAS = (96, 160, 224), (1, 2, 4)

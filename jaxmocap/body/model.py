@@ -4,7 +4,8 @@ INPUTS: a Skeleton, Sites, Cameras. OUTPUTS: a Model, one pytree that jit, vmap 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +21,53 @@ from jaxmocap.geometry.cameras import Camera, stack_cameras
 LOWER_LEG = ("shank", "foot")
 # The paper's five targets but the feet.
 PAPERS_MARKERS = ("vertex", "wrist_l", "wrist_r")
+
+
+class Placed(Protocol):
+    """Where a marker sits: a bone, a fraction of its length, an offset in its frame, metres."""
+
+    @property
+    def bone(self) -> str:
+        """Its name."""
+        ...
+
+    @property
+    def at(self) -> float:
+        """Of the bone's length, from its joint."""
+        ...
+
+    @property
+    def offset(self) -> tuple[float, float, float]:
+        """In the bone's frame, metres."""
+        ...
+
+
+class Filmed(Protocol):
+    """A video, calibrated."""
+
+    @property
+    def camera(self) -> Camera:
+        """That took it."""
+        ...
+
+
+class Recorded(Protocol):
+    """What a model is made of: a ``Recording``, or anything alike."""
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """Of the person."""
+        ...
+
+    @property
+    def places(self) -> Sequence[Placed]:
+        """Of the markers."""
+        ...
+
+    @property
+    def videos(self) -> Sequence[Filmed]:
+        """Any number."""
+        ...
 
 
 @jax.tree_util.register_dataclass
@@ -54,6 +102,29 @@ class Model:
         listed = [cameras] if isinstance(cameras, Camera) else list(cameras or [])
         sites = landmark_sites(skeleton, PAPERS_MARKERS) if markers is None else markers
         return cls(skeleton, sites, stack_cameras(listed) if listed else None)
+
+    @classmethod
+    def of(cls, recording: Recorded) -> "Model":
+        """The model of a recording, as it is tracked; see ``on_unmarked_feet``.
+
+        Args:
+            recording: its skeleton, where its markers sit, its cameras.
+        """
+        skeleton = recording.skeleton
+        sites = marker_sites(skeleton, recording.places)
+        cameras = [video.camera for video in recording.videos]
+        return on_unmarked_feet(cls.create(skeleton, sites, cameras))
+
+    def __repr__(self) -> str:
+        """In one line: counts and names, no numbers."""
+        tree = self.skeleton.tree
+        bones = ", ".join(tree.bones[bone] for bone in self.markers.bone_indices)
+        cameras = f", {self.camera_count} cameras" if self.camera_count else ", no camera"
+        return (
+            f"Model({len(tree.bones)} bones with {len(tree.joints)} joints, "
+            f"{len(self.markers.bone_indices)} markers on {bones or 'nothing'}{cameras}, "
+            f"{self.dtype})"
+        )
 
     @property
     def unmarked_feet(self) -> tuple[str, ...]:
@@ -94,3 +165,33 @@ class Model:
     def camera_count(self) -> int:
         """C; 0 without video."""
         return 0 if self.cameras is None else len(self.cameras.size)
+
+
+def marker_sites(skeleton: Skeleton, places: Sequence[Placed]) -> Sites:
+    """The markers' points on the bones."""
+    bones = np.array([skeleton.tree.bone(place.bone) for place in places], np.int32)
+    at = np.array([place.at for place in places], float)
+    offsets = np.array([place.offset for place in places], float).reshape(-1, 3)
+    return Sites(bones, jnp.asarray(at, float), jnp.asarray(offsets, float))
+
+
+def on_unmarked_feet(model: Model) -> Model:
+    """The model as inverse kinematics takes it while neither foot carries a marker.
+
+    Nothing determines then how the trunk leans, and a straight leg cannot be shortened to the first
+    order: a sinking head would bend neck and trunk instead of the knees. So the knees stay soft
+    and cheap, and the trunk is stiff. With markers on both legs the skeleton stays as it is.
+    """
+    if not model.no_foot_is_marked:
+        return model
+    skeleton = model.skeleton
+    low = jnp.maximum(skeleton.limits[:, 0], skeleton.unmarked_least)
+    return replace(
+        model,
+        skeleton=replace(
+            skeleton,
+            costs=skeleton.costs * skeleton.unmarked_costs,
+            relaxed=jnp.maximum(skeleton.relaxed, skeleton.unmarked_relaxed),
+            limits=jnp.stack([low, skeleton.limits[:, 1]], -1),
+        ),
+    )

@@ -72,6 +72,15 @@ class Motion:
     report: Report | None = None
     origin_world: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
+    def __repr__(self) -> str:
+        """In one line."""
+        angles = np.asarray(self.poses.angles)
+        missing = int(np.isnan(angles).any(-1).sum())
+        span = f" from {self.times[0]:.2f} to {self.times[-1]:.2f} s" if len(self.times) else ""
+        report = "no report" if self.report is None else "a report"
+        joints = len(self.skeleton.tree.joints)
+        return f"Motion({len(angles)} poses of {joints} joints{span}, {missing} missing, {report})"
+
     @property
     def positions_world(self) -> np.ndarray:
         """(T, 3) where the pelvis is, world, Z up, metres."""

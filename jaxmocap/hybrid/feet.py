@@ -5,7 +5,6 @@ OUTPUTS: where they stand, planted again where the head has left them; the relax
 markers.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -31,28 +30,6 @@ class FootPlacement(NamedTuple):
 
     ankles: Array
     overstretched: Array
-
-
-def on_unmarked_feet(model: Model) -> Model:
-    """The model as inverse kinematics takes it while neither foot carries a marker.
-
-    Nothing determines then how the trunk leans, and a straight leg cannot be shortened to the first
-    order: a sinking head would bend neck and trunk instead of the knees. So the knees stay soft
-    and cheap, and the trunk is stiff. With markers on both legs the skeleton stays as it is.
-    """
-    if not model.no_foot_is_marked:
-        return model
-    skeleton = model.skeleton
-    low = jnp.maximum(skeleton.limits[:, 0], skeleton.unmarked_least)
-    return replace(
-        model,
-        skeleton=replace(
-            skeleton,
-            costs=skeleton.costs * skeleton.unmarked_costs,
-            relaxed=jnp.maximum(skeleton.relaxed, skeleton.unmarked_relaxed),
-            limits=jnp.stack([low, skeleton.limits[:, 1]], -1),
-        ),
-    )
 
 
 def replant(

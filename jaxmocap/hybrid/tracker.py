@@ -17,14 +17,14 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.body.kinematics import Sites
-from jaxmocap.body.model import Model
+from jaxmocap.body.model import Model, Recorded, marker_sites, on_unmarked_feet
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.hybrid.elbow_search import ElbowBelief
-from jaxmocap.hybrid.feet import FootPlacement, on_unmarked_feet
+from jaxmocap.hybrid.feet import FootPlacement
 from jaxmocap.hybrid.observe import ArmThresholds, no_thresholds, observe
 from jaxmocap.hybrid.refine import Solved, StepReport
 from jaxmocap.hybrid.settings import Settings
@@ -107,9 +107,28 @@ class HybridTracker:
         self.settings = chosen if self.model.camera_count else replace(chosen, refine="none")
         self._compiling: tuple[Callable, Callable] | None = None
 
+    @classmethod
+    def from_recording(
+        cls, recording: Recorded, settings: Settings | None = None
+    ) -> "HybridTracker":
+        """The tracker of a recording's person, markers and cameras.
+
+        Args:
+            recording: its skeleton, where its markers sit, its cameras.
+            settings: defaults to ``Settings()``; without refinement, cameras are left out.
+        """
+        settings = settings or Settings()
+        cameras = [video.camera for video in recording.videos] if settings.refine != "none" else []
+        sites = marker_sites(recording.skeleton, recording.places)
+        return cls(recording.skeleton, cameras, settings, sites)
+
     def init(self, markers_world: np.ndarray | Array) -> State:
-        """The state before the first event, at rest on its (M, 3) markers; NaN where missing."""
-        first = self.model, self.settings, np.asarray(markers_world, self.model.dtype)
+        """The state before the first event, at rest on its (M, 3) markers; NaN where missing.
+
+        Raises:
+            ValueError: other markers than the model's.
+        """
+        first = self.model, self.settings, self._targets(markers_world)
         begun = START.lowered(*first)()(*first)
         thresholds = no_thresholds(self.model.camera_count)
         return State(begun.pose, begun.feet, begun.belief, begun.bow_factors, thresholds, None)
@@ -133,9 +152,12 @@ class HybridTracker:
 
         Returns:
             The state, the refined pose and a report.
+
+        Raises:
+            ValueError: other markers than the model's.
         """
         model, settings, clock = self.model, self.settings, clock or Clock(False)
-        targets = np.asarray(markers_world, model.dtype)
+        targets = self._targets(markers_world)
         solved = clock.timed("solve", SOLVE, model, settings, state.pose, state.feet, targets)
         fields, thresholds = None, state.thresholds
         if solved.region is not None:
@@ -151,6 +173,15 @@ class HybridTracker:
             solved.ik.pose, solved.ik.feet, belief, state.bow_factors, thresholds, float(time)
         )
         return after, pose, report
+
+    def _targets(self, markers_world: np.ndarray | Array) -> np.ndarray:
+        targets = np.asarray(markers_world, self.model.dtype)
+        expected = (len(self.model.markers.bone_indices), 3)
+        if targets.shape != expected:
+            raise ValueError(
+                f"markers_world: found shape {targets.shape}, expected {expected}: {self.model}"
+            )
+        return targets
 
     def scan(
         self,

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxmocap.body.kinematics import forward, site_positions
+from jaxmocap.body.model import marker_sites
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.skeleton import Skeleton
@@ -23,7 +24,7 @@ from jaxmocap.formats.recordings.recording import MarkerPlace, Recording, VideoS
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.progress import progress_bar
 from jaxmocap.pipelines.summary import frames_per_second
-from jaxmocap.pipelines.tracking.track import make_tracker, marker_sites, track, track_both
+from jaxmocap.pipelines.tracking.track import make_tracker, track, track_both
 from jaxmocap.pipelines.writing import MOTION, MOTION_FILES, write_tracked
 from jaxmocap.synthetic.recording import (
     CAMERA,

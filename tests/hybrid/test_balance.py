@@ -11,11 +11,10 @@ from hypothesis import given
 
 from jaxmocap.body.kinematics import forward, landmarks
 from jaxmocap.body.mass import base_of_support, centre_of_gravity
-from jaxmocap.body.model import Model
+from jaxmocap.body.model import Model, on_unmarked_feet
 from jaxmocap.body.pose import relaxed_pose
 from jaxmocap.body.skeleton import LANDMARKS, Skeleton
 from jaxmocap.hybrid import balance, ik
-from jaxmocap.hybrid.feet import on_unmarked_feet
 from jaxmocap.hybrid.settings import IKSettings
 from jaxmocap.reference.hybrid import balance as reference
 
@@ -112,7 +111,7 @@ def sunk_pose(skeleton, depth):
     """The relaxed body with bent knees, its head ``depth`` metres lower, feet on the ground."""
     measured = {"goals": balance.squat_goals(skeleton, depth)}
     pose, _ = ik.reach(Model.create(skeleton), IKSettings(), measured, relaxed_pose(skeleton))
-    ankle = landmarks(skeleton, pose)[list(LANDMARKS).index("ankle_l"), 2]
+    ankle = landmarks(skeleton, pose)[LANDMARKS.index("ankle_l"), 2]
     lift = skeleton.diameters[skeleton.tree.bone("foot_l"), 0] - ankle
     return pose._replace(position=pose.position.at[2].add(lift))
 
@@ -130,7 +129,7 @@ def test_the_bow_is_in_proportion_to_the_sinking_and_bends_forward(skeleton):
         np.testing.assert_array_equal(np.delete(turned, dofs), 0)
         np.testing.assert_array_equal(np.flatnonzero(~np.asarray(free)), [3, 4, *(6 + dofs)])
         # Positive is forward: the head goes ahead (+x).
-        head = list(LANDMARKS).index("vertex")
+        head = LANDMARKS.index("vertex")
         ahead = LANDMARKS_OF(skeleton, after)[head, 0] - LANDMARKS_OF(skeleton, pose)[head, 0]
         assert ahead > 0.005
 

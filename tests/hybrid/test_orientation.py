@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxmocap import Recording, Settings
 from jaxmocap.body.arms import arm_dofs, grips, hang
+from jaxmocap.body.model import marker_sites
 from jaxmocap.body.motion import Motion
 from jaxmocap.body.orientations import body_turns, quaternions
 from jaxmocap.body.pose import Pose
@@ -32,7 +33,7 @@ from jaxmocap.formats.recordings.recording import load_markers, write_recording
 from jaxmocap.formats.time_series.csv import read_csv, write_csv
 from jaxmocap.formats.time_series.trc import read_trc, write_trc
 from jaxmocap.pipelines.live.recording import LiveRecording
-from jaxmocap.pipelines.tracking.track import make_tracker, marker_sites
+from jaxmocap.pipelines.tracking.track import make_tracker
 from jaxmocap.synthetic.movements import motions
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")

@@ -12,13 +12,12 @@ from watched_arms import FRONT, MARKERS, MODEL, PERSON, TRUTH, arms_in
 from waving_arms import RATE, frames, image_of, markers_of, waving
 
 from jaxmocap.body.kinematics import landmarks
-from jaxmocap.body.model import Model
+from jaxmocap.body.model import Model, on_unmarked_feet
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.compilation.programs import Program
 from jaxmocap.hybrid import tracker as tracker_module
 from jaxmocap.hybrid.balance import spine_dofs, squat_goals
-from jaxmocap.hybrid.feet import on_unmarked_feet
 from jaxmocap.hybrid.ik import goals_of
 from jaxmocap.hybrid.observe import observe
 from jaxmocap.hybrid.refine import refine

@@ -17,6 +17,7 @@ from small_recording import (
     with_frames,
 )
 
+from jaxmocap.body.model import Model
 from jaxmocap.body.motion import Motion
 from jaxmocap.capture.video import open_video
 from jaxmocap.cli.recording_options import select_cameras, with_height
@@ -30,6 +31,7 @@ from jaxmocap.formats.time_series.tables import Markers
 from jaxmocap.geometry.cameras import turned
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.step import EVENTS
+from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.summary import figures, frames_per_second, misfit, summary
 from jaxmocap.pipelines.tracking import warnings
 from jaxmocap.pipelines.tracking.track import choose_settings, make_tracker, track, track_both
@@ -48,6 +50,22 @@ def tracked():
 def samples_with(motion, sentence: str) -> list[int]:
     """Which samples have a warning."""
     return [i for i, lines in enumerate(motion.report.statuses) if sentence in lines]
+
+
+def test_recording_model_and_motion_say_what_they_are_in_a_line(tracked):
+    recording = small_recording()
+    for thing in (recording, Model.of(recording), tracked.motion):
+        assert len(repr(thing)) < 240 and "\n" not in repr(thing)
+    assert f"{len(tracked.motion.times)} poses" in repr(tracked.motion)
+    assert all(name in repr(recording) for name in recording.marker_names)
+
+
+def test_a_tracker_takes_its_recordings_markers_and_no_others():
+    recording = small_recording()
+    tracker, count = HybridTracker.from_recording(recording), len(recording.places)
+    assert repr(tracker.model) == repr(Model.of(recording))
+    with pytest.raises(ValueError, match=rf"found shape \({count - 1}, 3\), expected \({count}, 3"):
+        tracker.init(recording.positions_world[0, 1:])
 
 
 # What comes out ----------------------------------------------------------------------------------

@@ -84,6 +84,15 @@ class Recording:
                     f"{short_repr(place.bone)}, expected one of {', '.join(bones)}",
                 )
 
+    def __repr__(self) -> str:
+        """In one line."""
+        times, cameras = self.times, [source.camera_name for source in self.videos]
+        span = f" from {times[0]:.2f} to {times[-1]:.2f} s" if len(times) else ""
+        markers = f"{len(self.places)} markers ({comma_list(self.marker_names)})"
+        videos = f"{len(cameras)} videos ({comma_list(cameras)})"
+        name = short_name(self.name)
+        return f"Recording({name}: {len(times)} samples of {markers}{span}, {videos})"
+
     @property
     def marker_names(self) -> tuple[str, ...]:
         """Names of the M markers."""

@@ -16,6 +16,7 @@ import jax
 import numpy as np
 
 from jaxmocap.body.kinematics import forward, site_positions
+from jaxmocap.body.model import marker_sites
 from jaxmocap.body.pose import Pose, relaxed_pose
 from jaxmocap.body.skeleton import ELBOWS
 from jaxmocap.capture.one_euro import OneEuro
@@ -28,7 +29,6 @@ from jaxmocap.hybrid.elbow_search import confidence_of
 from jaxmocap.hybrid.refine import StepReport
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker, State
-from jaxmocap.pipelines.tracking.track import marker_sites
 from jaxmocap.smoothing.fixed_lag import FixedLagSmoother, SmoothedPose
 
 # With smoothing a sample waits so many seconds for frames that are older than it.

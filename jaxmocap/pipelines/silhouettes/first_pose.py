@@ -5,6 +5,7 @@ INPUTS: a Recording; a place; what is asked for. OUTPUTS: a Pose of the whole bo
 
 import numpy as np
 
+from jaxmocap.body.model import marker_sites
 from jaxmocap.body.pose import Pose
 from jaxmocap.formats.files.errors import InputError
 from jaxmocap.formats.recordings.recording import Recording
@@ -12,7 +13,6 @@ from jaxmocap.geometry.cameras import depth, project
 from jaxmocap.hybrid.settings import Settings as Hybrid
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.silhouettes.track import supple_skeleton
-from jaxmocap.pipelines.tracking.track import marker_sites
 from jaxmocap.silhouette.first_pose import landmark_points, pose_at_landmarks, standing_pose_at
 from jaxmocap.silhouette.settings import FAR_OFF, Settings
 from jaxmocap.silhouette.surfaces.morph import Morphing, shoulders
