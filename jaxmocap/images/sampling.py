@@ -27,3 +27,44 @@ def look_up(fields: Array, channels: Array, points_x: Array, points_y: Array) ->
     top = at * (1 - fx) + next_to * fx
     bottom = below * (1 - fx) + across * fx
     return top * (1 - fy) + bottom * fy
+
+
+def look_up_smoothly(fields: Array, turns: Array, points_x: Array, points_y: Array) -> Array:
+    """Values (...) of (C, H, W) fields, whose slope is continuous in all of points and turns.
+
+    By quadratic B-splines over the pixels, and from one channel to the next by a cubic, around:
+    what is minimised has its minimum where the slope vanishes, and not in a kink.
+
+    Args:
+        fields: (C, H, W); channel c is of turns around c + 0.5.
+        turns: (...) from 0 to C; C is 0 again.
+        points_x: (...) coordinates; outside, the border's value.
+        points_y: (...) likewise.
+    """
+    count, height, width = fields.shape
+    (x0, x_shares), (y0, y_shares) = (
+        _three_shares(jnp.clip(points, 1, size - 2.001))
+        for points, size in ((points_x, width), (points_y, height))
+    )
+    before = jnp.floor(turns - 0.5)
+    f = turns - 0.5 - before
+    after = f * f * (3 - 2 * f)
+    flat, total = fields.ravel().at, jnp.zeros_like(points_x)
+    for step, share in ((0, 1 - after), (1, after)):
+        channel = jnp.mod(before.astype(jnp.int32) + step, count)
+        corner = (channel * height + y0) * width + x0
+        for row, by_row in enumerate(y_shares):
+            for column, by_column in enumerate(x_shares):
+                value = flat[corner + row * width + column].get(
+                    mode="promise_in_bounds", wrap_negative_indices=False
+                )
+                total = total + share * by_row * by_column * value
+    return total
+
+
+def _three_shares(points: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+    """The first of three pixels (...) around points (...), and a quadratic B-spline's shares."""
+    middle = jnp.floor(points + 0.5)
+    f = points - middle
+    shares = (0.5 - f) ** 2 / 2, 0.75 - f**2, (0.5 + f) ** 2 / 2
+    return middle.astype(jnp.int32) - 1, shares

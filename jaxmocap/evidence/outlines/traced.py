@@ -33,7 +33,7 @@ from jaxmocap.geometry.outlines import (
     touch,
 )
 from jaxmocap.images.regions import Region
-from jaxmocap.images.sampling import look_up
+from jaxmocap.images.sampling import look_up, look_up_smoothly
 
 # Outline points along each side of a limb.
 POINTS_PER_SIDE = 8
@@ -72,7 +72,7 @@ class _Samples(NamedTuple):
 
 
 def _sampled(
-    camera: Camera, region: Region, fields: Array, limbs: Cones
+    camera: Camera, region: Region, fields: Array, limbs: Cones, smoothly: bool = False
 ) -> tuple[tuple[_Samples, _Samples], Array]:
     """Sides and arcs of limbs (..., 3), sampled in the fields; metres per pixel (3, ...) there."""
     batch = limbs.near.ndim - 2
@@ -86,31 +86,35 @@ def _sampled(
     pieces = outline_pieces(x * near, y * near, radii, POINTS_PER_SIDE, POINTS_PER_ARC, free)
     front = jnp.minimum(depths[0], depths[1]) > 0
     shares = jnp.where(front, jnp.asarray(LIMB_WEIGHTS, x.dtype).reshape(by_limb), 0.0)
-    sides, arcs = (_points_in_fields(camera, region, fields, piece, shares) for piece in pieces)
+    sides, arcs = (
+        _points_in_fields(camera, region, fields, piece, shares, smoothly) for piece in pieces
+    )
     return (sides, arcs), 1 / pixels_per_metre(camera, (depths[0] + depths[1]) / 2)
 
 
 def _points_in_fields(
-    camera: Camera, region: Region, fields: Array, points: Pieces, shares: Array
+    camera: Camera, region: Region, fields: Array, points: Pieces, shares: Array, smoothly: bool
 ) -> _Samples:
     """Points (2, K, 3, ...) in the fields; weighed by the limbs' (3, ...) shares."""
     x, y = pixel_components(camera, points.x, points.y)
-    normals = points.normal_x, points.normal_y
-    channels = _channels(
-        *normals_in_pixels(camera, (points.x, points.y), *normals), fields.shape[0]
-    )
+    normals = normals_in_pixels(camera, (points.x, points.y), points.normal_x, points.normal_y)
+    turns = _turns(*normals, fields.shape[0])
     samples = (
         (pixel - corner) / region.scale - 0.5
         for pixel, corner in ((x, region.origin[0]), (y, region.origin[1]))
     )
-    distances_px = look_up(fields, channels, *samples) * region.scale
+    if smoothly:
+        distances_px = look_up_smoothly(fields, turns, *samples) * region.scale
+    else:
+        channels = jnp.minimum(jnp.floor(turns).astype(jnp.int32), fields.shape[0] - 1)
+        distances_px = look_up(fields, channels, *samples) * region.scale
     right, bottom = camera.size[0] - 1 - BORDER_PX, camera.size[1] - 1 - BORDER_PX
     inside = (x >= BORDER_PX) & (x <= right) & (y >= BORDER_PX) & (y <= bottom)
     return _Samples(points, distances_px, jnp.where(inside, points.weights * shares, 0.0))
 
 
 def trace_outline(camera: Camera, region: Region, fields: Array, limbs: Cones) -> TracedOutline:
-    """Look an arm's outline up in the fields of its region.
+    """Look an arm's outline up in the fields of its region, with a continuous slope.
 
     Args:
         camera: that sees the arm.
@@ -118,7 +122,7 @@ def trace_outline(camera: Camera, region: Region, fields: Array, limbs: Cones) -
         fields: (K, S, S) distances, samples of the region.
         limbs: three cones, world, metres.
     """
-    samples, metres_per_px = _sampled(camera, region, fields, limbs)
+    samples, metres_per_px = _sampled(camera, region, fields, limbs, smoothly=True)
 
     def rows(parts: list[Array]) -> Array:
         return jnp.concatenate([part.reshape(-1, *part.shape[2:]) for part in parts]).T
@@ -168,8 +172,8 @@ def outline_distance(
     )
 
 
-def _channels(x: Array, y: Array, count: int) -> Array:
-    """Channel (...) of outline normals in the image.
+def _turns(x: Array, y: Array, count: int) -> Array:
+    """Turns (...) of outline normals in the image, from 0 to the fields' count of directions.
 
     The arc tangent, dear to XLA, is computed once and kept; counting the borders that a normal has
     passed would be repeated at each of the many look-ups.
@@ -178,7 +182,7 @@ def _channels(x: Array, y: Array, count: int) -> Array:
     flip = jnp.where((y < 0) | ((y == 0) & (x < 0)), -1.0, 1.0)
     still = (x == 0) & (y == 0)
     angle = jnp.arctan2(flip * y, jnp.where(still, 1.0, flip * x))
-    return jnp.minimum(jnp.floor(angle * (count / np.pi)).astype(jnp.int32), count - 1)
+    return angle * (count / np.pi)
 
 
 # A limb must be nearer by this, between the axes, to hide another, metres: limbs side by side and
