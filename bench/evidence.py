@@ -41,7 +41,7 @@ from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.progress import Progress, progress_bar
-from jaxmocap.pipelines.tracking.events import Events
+from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.pipelines.tracking.first_pass import scanned
 from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events, open_all_keypoints
 from jaxmocap.pipelines.tracking.motions import Tracked, motions, unsmoothed
@@ -95,14 +95,14 @@ class FirstRun:
     recording: Recording
     tracker: HybridTracker
     videos: list[FrameSource]
-    events: Events
+    events: RecordingEvents
     first_pass: FirstPass
 
     @classmethod
     def through(cls, recording: Recording) -> "FirstRun":
         """Track it."""
         videos, _ = open_footage(recording)
-        tracker, events = make_tracker(recording), Events.of(recording, videos, "own")
+        tracker, events = make_tracker(recording), RecordingEvents.of(recording, videos, "own")
         with forward_readers(videos) as readers:
             first_pass = scanned(events, tracker, readers, lambda done, total: None, Clock())
         return cls(recording, tracker, videos, events, first_pass)

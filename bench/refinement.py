@@ -39,7 +39,7 @@ from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.step import SOLVE
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.kept_programs import keep_compiled
-from jaxmocap.pipelines.tracking.events import Events
+from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.pipelines.tracking.track import make_tracker
 from jaxmocap.solvers.status import Status
 
@@ -118,7 +118,11 @@ def error_cells(errors: np.ndarray) -> list[str]:
 def frames(recording: Recording, tracker: HybridTracker, truth: Path) -> Iterator[Frame]:
     """Track a recording with the simplex, and keep what each of its refinements was given."""
     videos, _ = open_footage(recording)
-    model, settings, events = tracker.model, tracker.settings, Events.of(recording, videos, "own")
+    model, settings, events = (
+        tracker.model,
+        tracker.settings,
+        RecordingEvents.of(recording, videos, "own"),
+    )
     line = events.timeline
     elbows = _true_elbows(truth, line.event_times)
     prepare = jax.jit(lambda *arguments: _prepare(tracker, *arguments))

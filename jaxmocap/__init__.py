@@ -1,52 +1,87 @@
 """Human motion capture from three tracked points and one ordinary camera, in JAX.
 
-The public names are these; each is loaded when it is first used.
+``track`` takes a recording to a motion. ``solve``, ``refine``, ``landmarks`` and ``smooth`` are the
+same as pure functions of a ``Model``: jit, vmap and derivatives go through them. The public names
+are these; each is loaded when it is first used.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from jaxmocap.body.model import Model
     from jaxmocap.body.motion import Motion, Report
     from jaxmocap.body.pose import Pose
-    from jaxmocap.body.skeleton import Skeleton
+    from jaxmocap.body.skeleton import LANDMARKS, Skeleton
     from jaxmocap.evaluation.motions import evaluate
     from jaxmocap.formats.files.errors import InputError
     from jaxmocap.formats.recordings.recording import Recording
     from jaxmocap.geometry.cameras import Camera
+    from jaxmocap.hybrid.functions import (
+        Observation,
+        landmarks,
+        observe,
+        refine,
+        smooth,
+        solve,
+    )
     from jaxmocap.hybrid.settings import Settings
     from jaxmocap.hybrid.tracker import HybridTracker, State
+    from jaxmocap.pipelines.tracking.functions import first_pass
     from jaxmocap.pipelines.tracking.track import track
+    from jaxmocap.smoothing.functions import Events, SmoothMotion
 
 __version__ = "0.1.0"
 __all__ = [
+    "LANDMARKS",
     "Camera",
+    "Events",
     "HybridTracker",
     "InputError",
+    "Model",
     "Motion",
+    "Observation",
     "Pose",
     "Recording",
     "Report",
     "Settings",
     "Skeleton",
+    "SmoothMotion",
     "State",
     "__version__",
     "evaluate",
+    "first_pass",
+    "landmarks",
+    "observe",
+    "refine",
+    "smooth",
+    "solve",
     "track",
 ]
 
 _HOMES = {
     "Camera": "geometry.cameras",
+    "Events": "smoothing.functions",
     "HybridTracker": "hybrid.tracker",
     "InputError": "formats.files.errors",
+    "LANDMARKS": "body.skeleton",
+    "Model": "body.model",
     "Motion": "body.motion",
+    "Observation": "hybrid.functions",
     "Pose": "body.pose",
     "Recording": "formats.recordings.recording",
     "Report": "body.motion",
     "Settings": "hybrid.settings",
     "Skeleton": "body.skeleton",
+    "SmoothMotion": "smoothing.functions",
     "State": "hybrid.tracker",
     "evaluate": "evaluation.motions",
+    "first_pass": "pipelines.tracking.functions",
+    "landmarks": "hybrid.functions",
+    "observe": "hybrid.functions",
+    "refine": "hybrid.functions",
+    "smooth": "hybrid.functions",
+    "solve": "hybrid.functions",
     "track": "pipelines.tracking.track",
 }
 

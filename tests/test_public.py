@@ -10,29 +10,48 @@ import pytest
 import jaxmocap
 
 PUBLIC = {
+    "LANDMARKS",
     "Camera",
+    "Events",
     "HybridTracker",
     "InputError",
+    "Model",
     "Motion",
+    "Observation",
     "Pose",
     "Recording",
     "Report",
     "Settings",
     "Skeleton",
+    "SmoothMotion",
     "State",
     "__version__",
     "evaluate",
+    "first_pass",
+    "landmarks",
+    "observe",
+    "refine",
+    "smooth",
+    "solve",
     "track",
 }
 PARAMETERS = {
     "track": ["recording", "settings", "mode", "progress", "tracker"],
     "evaluate": ["motion", "truth", "pairs", "up"],
     "HybridTracker": ["skeleton", "cameras", "settings", "markers"],
+    "HybridTracker.from_recording": ["recording", "settings"],
     "HybridTracker.init": ["self", "markers_world"],
     "HybridTracker.step": ["self", "state", "time", "markers_world", "images", "clock"],
     "Recording.load": ["path"],
     "Skeleton.human": ["height", "mass"],
     "Motion.joints": ["self"],
+    "Model.of": ["recording"],
+    "solve": ["model", "settings", "markers_world", "start"],
+    "observe": ["model", "settings", "pose", "images"],
+    "refine": ["model", "settings", "pose", "observation"],
+    "landmarks": ["model", "pose"],
+    "smooth": ["model", "settings", "events"],
+    "first_pass": ["recording", "settings", "progress", "tracker"],
 }
 # Everything heavy, OpenCV and the viewer above all, loads when it is used.
 LIGHT = "import sys, jaxmocap; print(sorted(m for m in sys.modules if m.startswith('jaxmocap')))"

@@ -15,7 +15,13 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import Skeleton, landmark_rows
 from jaxmocap.body.surfaces.cones import Cones
 from jaxmocap.body.tree import Tree
-from jaxmocap.geometry.rotations import about_axis, compose, hinges_from_matrix, rotate
+from jaxmocap.geometry.rotations import (
+    about_axis,
+    compose,
+    hinges_from_matrix,
+    quaternion_log,
+    rotate,
+)
 
 SIDES = ("l", "r")
 # Rows (2, 4) of shoulder, elbow, wrist and tip among the landmarks.
@@ -267,3 +273,35 @@ def turn_forearm(arms: Arms, R_turn: Array) -> tuple[Arms, Array]:
     shoulder = elbow + upper * (arms.humerus_length / length)[..., None]
     moved = arms._replace(shoulder=shoulder, elbow=elbow, wrist=wrist, tip=tip)
     return moved, length - arms.humerus_length
+
+
+def turn_between(arms: Arms, refined: Arms) -> Array:
+    """Rotation vectors (2, 3) between two arms' forearms, in the frame of the first."""
+    R = arms.R_world_radius
+    a = rotate(R.swapaxes(1, 2), arms.elbow - arms.grip)
+    b = rotate(R.swapaxes(1, 2), refined.elbow - refined.grip)
+    return _shortest_turn(a, b)
+
+
+def _shortest_turn(a: Array, b: Array) -> Array:
+    """Rotation vectors (..., 3) of the shortest turns from (..., 3) ``a`` to ``b``."""
+    a = a / jnp.sqrt(jnp.sum(a**2, -1, keepdims=True) + 1e-12)
+    b = b / jnp.sqrt(jnp.sum(b**2, -1, keepdims=True) + 1e-12)
+    half = jnp.concatenate([1 + jnp.sum(a * b, -1, keepdims=True), jnp.cross(a, b)], -1)
+    norm = jnp.sqrt(jnp.sum(half**2, -1, keepdims=True) + 1e-12)
+    return quaternion_log(half / norm)
+
+
+def swivels(arms: Arms, refined: Arms) -> Array:
+    """Turns (2,) of the elbows about the axis from shoulder to grip, radians."""
+    axis = refined.grip - refined.shoulder
+    axis = axis / jnp.sqrt(jnp.sum(axis**2, -1, keepdims=True) + 1e-12)
+
+    def across(points: Array) -> Array:
+        return points - jnp.sum(points * axis, -1, keepdims=True) * axis
+
+    a, b = across(arms.elbow - arms.shoulder), across(refined.elbow - refined.shoulder)
+    sine = jnp.sum(jnp.cross(a, b) * axis, -1)
+    cosine = jnp.sum(a * b, -1)
+    still = jnp.abs(sine) + jnp.abs(cosine) < 1e-9
+    return jnp.where(still, 0.0, jnp.arctan2(sine, jnp.where(still, 1.0, cosine)))

@@ -9,9 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxmocap.body.kinematics import forward
+from jaxmocap.body.mass import augmented_bodies
 from jaxmocap.body.model import Model
-from jaxmocap.body.pose import Pose, difference
+from jaxmocap.body.pose import Pose, difference, relaxed_pose
 from jaxmocap.body.skeleton import Skeleton
+from jaxmocap.body.tree import ROOT_DOF
 from jaxmocap.compilation.settings import settings, traced
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
 from jaxmocap.geometry.rotations import HIGHEST
@@ -59,6 +62,44 @@ class Pelvis(Term):
         turn = jnp.cross(R[:, 0], measured["facing"])[2:]
         facing = self.facing * (UNMARKED_FACING if unmarked else 1.0)
         return jnp.concatenate([upright / self.lean, turn / facing])
+
+
+# Every joint has this share of the effort at least: some bear no weight, and are relaxed too.
+LEAST_SHARE = 1e-3
+
+
+@settings
+class EasyPosture(Term):
+    """The secondary task, equation (9), as what it minimises; measured ``centre``, a pose.
+
+    Joints are relaxed by their share of the effort m_i h_i in the relaxed pose, in weighted
+    coordinates; the pelvis is upright. Where nothing else determines the pelvis, it is at the
+    centre.
+    """
+
+    relaxation: Array = traced(0.9, "gain of (9)")
+    uprightness: Array = traced(0.1, "gain of the pull of the pelvis to the upright")
+    shift: Array = traced(1.0, "of the pelvis about the centre, metres")
+    turn: Array = traced(1.0, "of its orientation, radians")
+
+    def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
+        """(6 + D + 2,)."""
+        skeleton, pose, centre = model.skeleton, body.pose, measured["centre"]
+        bodies = augmented_bodies(skeleton, forward(skeleton, relaxed_pose(skeleton)))
+        effort = bodies.masses * bodies.arms
+        share = effort / jnp.sum(effort) + LEAST_SHARE
+        costs = skeleton.costs
+        away = (pose.angles - skeleton.relaxed) * costs[ROOT_DOF:]
+        upright = body.R_world_pelvis[:2, 2] * costs[3:5]
+        moved = difference(pose._replace(angles=centre.angles), centre)[:ROOT_DOF]
+        return jnp.concatenate(
+            [
+                moved[:3] / self.shift,
+                moved[3:] / self.turn,
+                away * jnp.sqrt(2 * self.relaxation * share),
+                upright * jnp.sqrt(self.uprightness),
+            ]
+        )
 
 
 @settings

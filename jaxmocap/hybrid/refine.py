@@ -22,13 +22,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.arms import Arms, arm_dofs, arms_of, flesh, hang, swing
+from jaxmocap.body.arms import Arms, arm_dofs, arms_of, flesh, hang, swing, swivels, turn_between
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, beyond_limits
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.evidence.markers import Goals, are_present, off_targets
-from jaxmocap.geometry.rotations import quaternion_log, rotate
 from jaxmocap.hybrid.balance import bow_on_feet
 from jaxmocap.hybrid.elbow_search import (
     ElbowBelief,
@@ -41,6 +40,7 @@ from jaxmocap.hybrid.gradient import Aims, refine_body
 from jaxmocap.hybrid.ik import IKResult, goal_distances, goals_of, reach
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.images.regions import Region
+from jaxmocap.solvers.optimum import curved_step
 from jaxmocap.solvers.simplex import downhill_simplex, initial_simplex
 from jaxmocap.solvers.status import Status
 
@@ -272,6 +272,40 @@ def refine_arms(
     return pose._replace(angles=pose.angles.at[dofs].set(angles))
 
 
+def arms_at_minimum(
+    model: Model,
+    settings: Settings,
+    fields: EdgeFields,
+    pose: Pose,
+    grip_targets: Array,
+    elbows: Array,
+) -> Pose:
+    """A pose that ``refine_arms`` found, with the derivatives of the minimum beside it.
+
+    The pose is as it was given; the arguments are those of ``refine_arms``.
+    """
+    costs = _arm_costs(model, settings, fields.by_arm(), grip_targets, elbows)
+    hung, dofs = hang(model.skeleton, pose, model.grips), arm_dofs(model.skeleton.tree)
+
+    def slope(moves: Array) -> Array:
+        def cost(moves: Array) -> Array:
+            arms, angles = swing(hung, moves)
+            return sum((jnp.sum(each(arms, angles)) for each in costs), start=jnp.zeros(()))
+
+        return jax.grad(cost)(moves)
+
+    step = jax.vmap(curved_step)(*_by_arm(slope, jnp.zeros_like(hung.angles)))
+    has_image = jnp.any(jnp.asarray(fields.available), 0)[:, None]
+    step = jnp.where(has_image, step - jax.lax.stop_gradient(step), 0.0)
+    return pose._replace(angles=pose.angles.at[dofs].set(swing(hung, step)[1]))
+
+
+def _by_arm(slope: Callable[[Array], Array], still: Array) -> tuple[Array, Array]:
+    """Each arm's slope (2, 4) and its Hessian (2, 4, 4): arms do not depend on one another."""
+    H = jax.jacfwd(slope)(still)
+    return slope(still), jnp.stack([H[arm, :, arm] for arm in range(len(still))])
+
+
 def _arm_costs(
     model: Model, settings: Settings, fields: EdgeFields, grip_targets: Array, elbows: Array
 ) -> tuple[ArmCost, ...]:
@@ -303,35 +337,3 @@ def updated_belief(
     has_image = jnp.any(jnp.asarray(fields.available))
     turn = jnp.where(has_image, turn_between(arms, refined), belief.turn)
     return belief._replace(turn=turn, pose=pose)
-
-
-def turn_between(arms: Arms, refined: Arms) -> Array:
-    """Rotation vectors (2, 3) between two arms' forearms, in the frame of the first."""
-    R = arms.R_world_radius
-    a = rotate(R.swapaxes(1, 2), arms.elbow - arms.grip)
-    b = rotate(R.swapaxes(1, 2), refined.elbow - refined.grip)
-    return _shortest_turn(a, b)
-
-
-def _shortest_turn(a: Array, b: Array) -> Array:
-    """Rotation vectors (..., 3) of the shortest turns from (..., 3) ``a`` to ``b``."""
-    a = a / jnp.sqrt(jnp.sum(a**2, -1, keepdims=True) + 1e-12)
-    b = b / jnp.sqrt(jnp.sum(b**2, -1, keepdims=True) + 1e-12)
-    half = jnp.concatenate([1 + jnp.sum(a * b, -1, keepdims=True), jnp.cross(a, b)], -1)
-    norm = jnp.sqrt(jnp.sum(half**2, -1, keepdims=True) + 1e-12)
-    return quaternion_log(half / norm)
-
-
-def swivels(arms: Arms, refined: Arms) -> Array:
-    """Turns (2,) of the elbows about the axis from shoulder to grip, radians."""
-    axis = refined.grip - refined.shoulder
-    axis = axis / jnp.sqrt(jnp.sum(axis**2, -1, keepdims=True) + 1e-12)
-
-    def across(points: Array) -> Array:
-        return points - jnp.sum(points * axis, -1, keepdims=True) * axis
-
-    a, b = across(arms.elbow - arms.shoulder), across(refined.elbow - refined.shoulder)
-    sine = jnp.sum(jnp.cross(a, b) * axis, -1)
-    cosine = jnp.sum(a * b, -1)
-    still = jnp.abs(sine) + jnp.abs(cosine) < 1e-9
-    return jnp.where(still, 0.0, jnp.arctan2(sine, jnp.where(still, 1.0, cosine)))

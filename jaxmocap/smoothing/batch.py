@@ -12,7 +12,7 @@ INPUTS: a model, a first pass, the videos' frames. OUTPUTS: a Trajectory with de
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import numpy as np
@@ -27,7 +27,6 @@ from jaxmocap.evidence.appearance.learned import (
     learn_appearance,
     silhouette_grids,
 )
-from jaxmocap.evidence.terms import Measurements
 from jaxmocap.images.background_model import spread
 from jaxmocap.images.foreground import shrink
 from jaxmocap.smoothing.elbow_viterbi import elbow_goals
@@ -151,7 +150,7 @@ def solve_recording(
     cameras = _frames_of_cameras(first_pass.frame_index, videos)
     if not cameras:
         return None
-    measured = _measured(model, first_pass)
+    measured = measurements_of(model, first_pass)
 
     def measured_about(trajectory: Trajectory) -> SmoothingProblem:
         views = _views(model, cameras, trajectory)
@@ -192,7 +191,7 @@ def _frames_of_cameras(
     return [each for each in result if len(each.events)]
 
 
-def _measured(model: Model, first_pass: FirstPass) -> Measurements:
+def measurements_of(model: Model, first_pass: FirstPass) -> dict[str, Any]:
     """What was measured of each event besides its silhouettes."""
     measured = references(model.skeleton, first_pass.times, first_pass.reports.marker_pose)
     measured["markers"] = np.asarray(first_pass.markers_world, model.dtype)

@@ -190,9 +190,7 @@ def test_deviations_are_paired_with_their_landmark_and_time(tmp_path):
     actual = sureness_of(Moved(TIMES, points, sureness), clip)
     assert actual is not None and actual.landmarks == ("elbow_r", "head")
     np.testing.assert_allclose(actual.offsets, 0.01, atol=1e-6)
-    assert actual.deviations[0, 0, 0] == pytest.approx(
-        30 + 0.001 * list(LANDMARKS).index("elbow_r")
-    )
-    assert actual.deviations[5, 1, 2] == pytest.approx(35 + 0.001 * list(LANDMARKS).index("head"))
+    assert actual.deviations[0, 0, 0] == pytest.approx(30 + 0.001 * LANDMARKS.index("elbow_r"))
+    assert actual.deviations[5, 1, 2] == pytest.approx(35 + 0.001 * LANDMARKS.index("head"))
     assert np.flatnonzero(actual.from_prior[:, 1]).tolist() == [10]
     assert sureness_of(Moved(TIMES, points, object()), clip) is None

@@ -509,14 +509,14 @@ def test_a_bones_far_end_is_the_next_ones_landmark(bone, at, landmark):
     only = Recording(
         Skeleton.human(), recording.times, recording.positions_world[:, :1], places, name="x"
     )
-    predicted = marked_landmarks(only, tuple(LANDMARKS), recording.times[:1])
+    predicted = marked_landmarks(only, LANDMARKS, recording.times[:1])
     there = [
         name for name, point in zip(LANDMARKS, predicted[0], strict=True) if np.isfinite(point[0])
     ]
     assert there == ([landmark] if landmark else [])
-    assert landmark is None or predicted[
-        0, list(LANDMARKS).index(landmark)
-    ].tolist() == pytest.approx(standing()[0].tolist())
+    assert landmark is None or predicted[0, LANDMARKS.index(landmark)].tolist() == pytest.approx(
+        standing()[0].tolist()
+    )
 
 
 # The real recording ------------------------------------------------------------------------------

@@ -24,10 +24,10 @@ from watched_arms import (
     turned_by,
 )
 
-from jaxmocap.body.arms import TURNS, turn_forearm
+from jaxmocap.body.arms import TURNS, swivels, turn_between, turn_forearm
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.hybrid import elbow_search
-from jaxmocap.hybrid.refine import search_elbows, swivels, turn_between
+from jaxmocap.hybrid.refine import search_elbows
 from jaxmocap.hybrid.settings import Settings
 
 pytestmark = pytest.mark.usefixtures("plainly_compiled")

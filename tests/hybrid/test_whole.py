@@ -18,7 +18,7 @@ from jaxmocap.hybrid.settings import Settings, SimplexSettings
 from jaxmocap.hybrid.step import EVENTS, SOLVE, SOLVE_EVENTS, EventFields, solve_events
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.images.regions import Region
-from jaxmocap.pipelines.tracking.events import Events
+from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.pipelines.tracking.first_pass import scanned, stepped
 from jaxmocap.pipelines.tracking.track import make_tracker
 
@@ -56,7 +56,7 @@ def tracker(recording):
 def both_ways(recording, tracker):
     def gone_through(way):
         videos, _ = open_footage(recording)
-        events, shown = Events.of(recording, videos, "own"), []
+        events, shown = RecordingEvents.of(recording, videos, "own"), []
         with forward_readers(videos) as readers:
             actual = way(events, tracker, readers, lambda *call: shown.append(call), Clock())
         return actual, shown

@@ -27,7 +27,7 @@ from jaxmocap.formats.recordings.recording import Recording, load_recording
 from jaxmocap.formats.recordings.subject import write_subject
 from jaxmocap.pipelines.progress import Progress, progress_bar
 from jaxmocap.pipelines.scaling.lengths_report import VERDICTS, LengthsReport
-from jaxmocap.pipelines.tracking.events import Events
+from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.pipelines.tracking.first_pass import scanned
 from jaxmocap.pipelines.tracking.track import make_tracker, open_recording, with_sight_lines
 from jaxmocap.smoothing.batch import FINELY, solve_recording
@@ -82,7 +82,7 @@ def fit_recording(recording: Recording, progress: Progress | bool | None = None)
     tracker, clock = make_tracker(recording), Clock(False)
     with progress_bar("fitting lengths", progress) as show:
         opened = open_recording(recording)
-        events = Events.of(opened.recording, opened.videos, "own", opened.cleaning)
+        events = RecordingEvents.of(opened.recording, opened.videos, "own", opened.cleaning)
         part = lambda done, total: show(round(36 * done / total), 100)  # noqa: E731
         with forward_readers(opened.videos) as readers:
             first = scanned(events, tracker, readers, part, clock)

@@ -1,6 +1,6 @@
 """The events of a recording: what a tracker goes through, and what they lack.
 
-INPUTS: a Recording, its videos. OUTPUTS: Events; warnings for the report.
+INPUTS: a Recording, its videos. OUTPUTS: RecordingEvents; warnings for the report.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,7 +17,7 @@ from jaxmocap.pipelines.tracking import warnings
 
 
 @dataclass(frozen=True)
-class Events:
+class RecordingEvents:
     """The E events of a recording, from the first sample with a marker to the last sample.
 
     Attributes:
@@ -43,7 +43,7 @@ class Events:
         videos: Sequence[FrameSource],
         mode: Mode,
         cleaning: Cleaning | None = None,
-    ) -> "Events":
+    ) -> "RecordingEvents":
         """The events of a recording, and the markers at them."""
         times, causal = recording.times, mode == "causal"
         line = build_timeline(times, [video.times for video in videos], mode)

@@ -3,7 +3,7 @@
 Offline a chunk of events at a time; causally one by one, as they would come in live, and a smoother
 behind gives out what is some frames old.
 
-INPUTS: Events, a tracker, readers of its videos. OUTPUTS: FirstPass; smoothed poses.
+INPUTS: RecordingEvents, a tracker, readers of its videos. OUTPUTS: FirstPass; smoothed poses.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -16,7 +16,7 @@ from jaxmocap.capture.footage import ForwardReader
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.pipelines.tracking import warnings
-from jaxmocap.pipelines.tracking.events import Events
+from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.smoothing.fixed_lag import FixedLagSmoother, SmoothedPose
 from jaxmocap.smoothing.problem import FirstPass
 
@@ -25,7 +25,7 @@ Show = Callable[[int, int], None]
 
 
 def scanned(
-    events: Events,
+    events: RecordingEvents,
     tracker: HybridTracker,
     readers: Sequence[ForwardReader],
     show: Show,
@@ -53,7 +53,7 @@ def scanned(
 
 
 def stepped(
-    events: Events,
+    events: RecordingEvents,
     tracker: HybridTracker,
     readers: Sequence[ForwardReader],
     smoother: FixedLagSmoother | None,
@@ -85,7 +85,7 @@ def stepped(
     return _first_pass(events, poses, reports, about), final
 
 
-def _first_pass(events: Events, poses, reports, about: list[list[str]]) -> FirstPass:
+def _first_pass(events: RecordingEvents, poses, reports, about: list[list[str]]) -> FirstPass:
     line = events.timeline
     return FirstPass(
         line.event_times, events.markers_world, line.frame_index, poses, reports, about
@@ -101,7 +101,7 @@ def _images_at(frames: np.ndarray, readers: Sequence[ForwardReader]) -> list[np.
 
 
 def _images(
-    events: Events, readers: Sequence[ForwardReader], about: list[list[str]]
+    events: RecordingEvents, readers: Sequence[ForwardReader], about: list[list[str]]
 ) -> Iterator[list[np.ndarray | None]]:
     """The images of each event; warnings about them are kept."""
     for event, frames in enumerate(events.timeline.frame_index):

@@ -1,6 +1,6 @@
 """From a trajectory to motions: one row per marker sample, and a report on each.
 
-INPUTS: Events, FirstPass, a Trajectory. OUTPUTS: Motions.
+INPUTS: RecordingEvents, FirstPass, a Trajectory. OUTPUTS: Motions.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxmocap.body.arms import arms_of
+from jaxmocap.body.arms import arms_of, swivels
 from jaxmocap.body.kinematics import forward, site_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.motion import Motion, Report
@@ -20,13 +20,12 @@ from jaxmocap.body.pose import Pose
 from jaxmocap.body.skeleton import ELBOWS, LANDMARKS, Skeleton
 from jaxmocap.compilation.batches import in_batches
 from jaxmocap.hybrid.elbow_search import confidence_of
-from jaxmocap.hybrid.refine import swivels
 from jaxmocap.pipelines.tracking import warnings
-from jaxmocap.pipelines.tracking.events import Events
+from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.smoothing.fixed_lag import SmoothedPose
 from jaxmocap.smoothing.problem import FirstPass, Trajectory
 
-# Events per call, so that they compile once.
+# RecordingEvents per call, so that they compile once.
 EVENTS_A_CALL = 64
 
 
@@ -63,7 +62,7 @@ def gathered(final: Sequence[SmoothedPose]) -> Trajectory:
 
 def motions(
     model: Model,
-    events: Events,
+    events: RecordingEvents,
     first_pass: FirstPass,
     trajectory: Trajectory,
     milliseconds: dict[str, list[float]],
@@ -95,14 +94,14 @@ def motions(
     return Tracked(_motion(events, person, trajectory.poses, report), alone)
 
 
-def _at_samples(events: Events, values: np.ndarray | Array) -> np.ndarray:
+def _at_samples(events: RecordingEvents, values: np.ndarray | Array) -> np.ndarray:
     """(T, ...) of each sample, by values (E, ...) of the events; NaN before the first one."""
     kept = np.asarray(values)[np.flatnonzero(events.timeline.sample_index >= 0)]
     return np.concatenate([np.full((events.before, *kept.shape[1:]), np.nan), kept])
 
 
 def _motion(
-    events: Events, skeleton: Skeleton, poses: Pose, report: Report | None = None
+    events: RecordingEvents, skeleton: Skeleton, poses: Pose, report: Report | None = None
 ) -> Motion:
     """All samples of poses (E, ...) of the events."""
     recording, poses = events.recording, jax.tree.map(partial(_at_samples, events), poses)
@@ -127,7 +126,7 @@ def _columns(
 
 
 def _warnings(
-    events: Events, first_pass: FirstPass, confidence: np.ndarray
+    events: RecordingEvents, first_pass: FirstPass, confidence: np.ndarray
 ) -> tuple[tuple[str, ...], ...]:
     """Of each sample, by the (T, 2) confidence in its elbows too."""
     before = (("no marker has been measured yet",),) * events.before

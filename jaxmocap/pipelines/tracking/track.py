@@ -1,21 +1,18 @@
 """A recording to a motion.
 
-    Recording ── Events ── first pass: scanned, or stepped as if live ── smoothing ── Motion
+    Recording ── events ── first pass: scanned, or stepped as if live ── smoothing ── Motion
                  (a marker sample, a video frame, or both at every event)
 
 INPUTS: a Recording. OUTPUTS: a Motion with one row per marker sample, and its Report.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
-from jaxmocap.body.kinematics import Sites
 from jaxmocap.body.motion import Motion
-from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.capture.filters import Cleaning, filter_markers
 from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.capture.frame_cache import cached_frames
@@ -24,12 +21,12 @@ from jaxmocap.capture.timeline import Mode
 from jaxmocap.capture.video import FrameSource
 from jaxmocap.compilation.clock import Clock
 from jaxmocap.evidence.appearance.learned import ROWS
-from jaxmocap.formats.recordings.recording import MarkerPlace, Recording
+from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.hybrid.tracker import HybridTracker
 from jaxmocap.outputs.report import plain
 from jaxmocap.pipelines.progress import Progress, progress_bar
-from jaxmocap.pipelines.tracking.events import Events
+from jaxmocap.pipelines.tracking.events import RecordingEvents
 from jaxmocap.pipelines.tracking.first_pass import scanned, stepped
 from jaxmocap.pipelines.tracking.keypoint_lines import lines_at_events, open_all_keypoints
 from jaxmocap.pipelines.tracking.motions import Tracked, gathered, motions, unsmoothed
@@ -89,7 +86,7 @@ def track_both(
     opened = open_recording(recording, mode)
     tracker = tracker or make_tracker(opened.recording, settings)
     used = opened.videos if tracker.model.camera_count else []
-    events = Events.of(opened.recording, used, mode, opened.cleaning)
+    events = RecordingEvents.of(opened.recording, used, mode, opened.cleaning)
     smooth = bool(used) and tracker.settings.smooth
     smoother = None
     if smooth and causal:
@@ -164,7 +161,7 @@ def open_recording(recording: Recording, mode: Mode = "own") -> Opened:
     return Opened(recording, videos, keypoints, cleaning, warnings)
 
 
-def with_sight_lines(opened: Opened, events: Events, first: FirstPass) -> FirstPass:
+def with_sight_lines(opened: Opened, events: RecordingEvents, first: FirstPass) -> FirstPass:
     """A first pass with lines of sight to the tracked person's key points, chosen by its poses."""
     lines = lines_at_events(
         opened.recording, opened.keypoints, events.timeline, first.reports.marker_pose
@@ -174,7 +171,7 @@ def with_sight_lines(opened: Opened, events: Events, first: FirstPass) -> FirstP
 
 def _smoothed(
     opened: Opened,
-    events: Events,
+    events: RecordingEvents,
     tracker: HybridTracker,
     first: FirstPass,
     show: Callable[[float], None],
@@ -192,18 +189,7 @@ def _turns_deg(recording: Recording, trajectory: Trajectory | None) -> dict[str,
 
 def make_tracker(recording: Recording, settings: Settings | None = None) -> HybridTracker:
     """The tracker for a recording's person, markers and cameras."""
-    settings = settings or Settings()
-    cameras = [source.camera for source in recording.videos] if settings.refine != "none" else None
-    sites = marker_sites(recording.skeleton, recording.places)
-    return HybridTracker(recording.skeleton, cameras, settings, sites)
-
-
-def marker_sites(skeleton: Skeleton, places: Sequence[MarkerPlace]) -> Sites:
-    """The markers' points on the bones."""
-    bones = np.array([skeleton.tree.bone(place.bone) for place in places], np.int32)
-    at = np.array([place.at for place in places], float)
-    offsets = np.array([place.offset for place in places], float).reshape(-1, 3)
-    return Sites(bones, jnp.asarray(at, float), jnp.asarray(offsets, float))
+    return HybridTracker.from_recording(recording, settings)
 
 
 def choose_settings(

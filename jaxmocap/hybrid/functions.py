@@ -1,0 +1,243 @@
+"""The hybrid tracker as pure functions of arrays: no memory, differentiable, jit and vmap.
+
+    solve      markers -> the pose at the optimum of inverse kinematics
+    observe    images -> fields, on the host (OpenCV)
+    refine     pose, fields -> the pose whose arms lie on the edges
+    landmarks  pose -> points
+    smooth     all events of a recording -> all poses at once
+
+``HybridTracker`` does the same frame after frame, with a memory, and stops sooner.
+
+INPUTS: a Model, Settings, markers, images. OUTPUTS: poses, points.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxmocap.body import kinematics
+from jaxmocap.body.arms import Arms, arms_of
+from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
+from jaxmocap.body.model import Model
+from jaxmocap.body.pose import Pose, difference, retract
+from jaxmocap.evidence.edges import EdgeFields, WeightedEdges, weighted_edges
+from jaxmocap.evidence.markers import Goals
+from jaxmocap.evidence.posture import EasyPosture, NearPose
+from jaxmocap.hybrid import step
+from jaxmocap.hybrid.elbow_search import no_belief
+from jaxmocap.hybrid.feet import FootPlacement, place, replant
+from jaxmocap.hybrid.ik import goals_of, reach, solve_ik
+from jaxmocap.hybrid.minimum import pose_at_minimum
+from jaxmocap.hybrid.observe import arm_regions, no_thresholds
+from jaxmocap.hybrid.observe import observe as edge_fields
+from jaxmocap.hybrid.refine import arms_at_minimum, refine_arms, search_elbows
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.images.regions import Region
+from jaxmocap.smoothing.functions import Events, SmoothMotion, smooth_events
+
+
+def landmarks(model: Model, pose: Pose) -> Array:
+    """Positions (L, 3) of the ``LANDMARKS``, in their order, world, metres."""
+    return kinematics.landmarks(model.skeleton, pose)
+
+
+def solve(
+    model: Model, settings: Settings, markers_world: Array | np.ndarray, start: Pose | None = None
+) -> Pose:
+    """Markers to the pose at the optimum of inverse kinematics (section 4).
+
+    Algorithm 1 comes near; a descent then ends at the minimum of its goals, of the joints' limits
+    and of the secondary task. The derivatives are the minimum's, by the implicit function theorem:
+    by the model, the settings, the markers and, where there is one, the start. What no marker
+    determines is at ease, or where it began.
+
+    Args:
+        model: of the person and M markers.
+        settings: ``ik`` of them is read.
+        markers_world: (M, 3) metres; NaN where missing.
+        start: a pose to begin with, whose feet stand; without it the body is placed by the markers.
+    """
+    settings, markers = in_precision(model, (settings, jnp.asarray(markers_world)))
+    ik = settings.ik
+    placed, feet = place(model, ik, markers)
+    if start is not None:
+        placed = in_precision(model, start)
+        feet, _ = replant(model, ik, placed, _standing(model, placed), markers)
+    near = _near(*jax.lax.stop_gradient((model, settings, markers)), start, feet)
+    measured = {"goals": goals_of(model, ik, feet, markers), "centre": placed}
+    prior = EasyPosture(relaxation=ik.relaxation, uprightness=ik.uprightness)
+    terms = (*ik.terms, in_precision(model, prior))
+    return pose_at_minimum(model, terms, measured, near, _usual(model))
+
+
+def _near(
+    model: Model, settings: Settings, markers: Array, start: Pose | None, feet: FootPlacement
+) -> Pose:
+    """Where algorithm 1 ends."""
+    if start is None:
+        return step.start(model, settings, markers).pose
+    held, feet = jax.lax.stop_gradient((in_precision(model, start), feet))
+    return solve_ik(model, settings.ik, held, feet, markers).pose
+
+
+def _standing(model: Model, pose: Pose) -> FootPlacement:
+    """The feet as a pose has them."""
+    ankles = landmark_sites(model.skeleton, ("ankle_l", "ankle_r"))
+    points = site_positions(model.skeleton, forward(model.skeleton, pose), ankles)
+    return FootPlacement(points, jnp.zeros((), bool))
+
+
+class Observation(NamedTuple):
+    """What images show about a pose: measurements, by each of which ``refine`` is differentiable.
+
+    Attributes:
+        edges: distance fields of both arms, and how much each point of an outline counts.
+        elbows: (2, 3) where the search over the fields expects the elbows, world, metres.
+    """
+
+    edges: WeightedEdges
+    elbows: Array
+
+
+def observe(
+    model: Model,
+    settings: Settings,
+    pose: Pose,
+    images: np.ndarray | Sequence[np.ndarray | None] | None,
+) -> Observation:
+    """What images show around the arms of a pose; on the host, by OpenCV.
+
+    Args:
+        model: of the person, the markers and C cameras.
+        settings: of the tracker.
+        pose: of the markers.
+        images: BGR or grey uint8 of each camera, None where there is none; of one camera alone, it.
+
+    Raises:
+        ValueError: as many images as cameras are expected.
+    """
+    each = [images] if images is None or isinstance(images, np.ndarray) else list(images)
+    if len(each) != model.camera_count or model.cameras is None:
+        raise ValueError(f"found {len(each)} images, expected one for each of the model's "
+                         f"{model.camera_count} cameras, None where there is none")  # fmt: skip
+    settings, pose = in_precision(model, (settings, pose))
+    region = _regions(model, settings, pose)
+    fields, _ = edge_fields(settings, no_thresholds(model.camera_count), each, region)
+    return _searched(model, settings, pose, in_precision(model, fields))
+
+
+@jax.jit
+def _regions(model: Model, settings: Settings, pose: Pose) -> Region:
+    assert model.cameras is not None
+    arms = _arms(model, pose)
+    return arm_regions(model.cameras, arms, settings.samples, settings.margin, settings.spacing)
+
+
+@jax.jit
+def _searched(model: Model, settings: Settings, pose: Pose, fields: EdgeFields) -> Observation:
+    """The fields, where the search has the elbows, and the outlines as they then show."""
+    arms, belief = _arms(model, pose), no_belief(settings.elbow_search, pose)
+    _, elbows = search_elbows(model, settings, arms, fields, belief)
+    measured = {"goals": _own_goals(model, settings, pose), "elbows": elbows}
+    followed, _ = reach(model, settings.ik, measured, pose)
+    return Observation(weighted_edges(model, fields, followed), elbows)
+
+
+def refine(model: Model, settings: Settings, pose: Pose, observation: Observation) -> Pose:
+    """The pose whose arms lie on the edges that were observed (section 5.2).
+
+    Markers stay where the pose has them. With ``settings.refine`` "gradient" the whole body goes to
+    the minimum of ``settings.gradient``'s terms. With "simplex" the body follows the elbows, and
+    each arm goes where the downhill simplex ends. Its iterations have no derivative; the minimum
+    beside which it ends has one, by the cost's own Hessian, and 0 in directions in which it is not
+    curved upwards. With "none", or without an image, the pose stays.
+
+    Args:
+        model: of the person, the markers and the cameras.
+        settings: of the tracker; ``refine`` of them is static.
+        pose: of the markers.
+        observation: of ``observe``.
+    """
+    if settings.refine == "none" or model.cameras is None:
+        return pose
+    settings, pose, seen = in_precision(model, (settings, pose, observation))
+    held = jax.lax.stop_gradient((model, settings, pose, seen))
+    followed = _followed(*held)
+    if settings.refine == "gradient":
+        refined = _by_gradient(model, settings, pose, seen, followed)
+    else:
+        refined = _by_simplex(model, settings, pose, seen, followed)
+    has_image = jnp.any(jnp.asarray(seen.edges.fields.available))
+    return jax.tree.map(lambda new, old: jnp.where(has_image, new, old), refined, pose)
+
+
+def _followed(model: Model, settings: Settings, pose: Pose, seen: Observation) -> Pose:
+    """The body with its elbows where they are expected, its markers held."""
+    measured = {"goals": _own_goals(model, settings, pose), "elbows": seen.elbows}
+    return reach(model, settings.ik, measured, pose)[0]
+
+
+def _by_gradient(
+    model: Model, settings: Settings, pose: Pose, seen: Observation, start: Pose
+) -> Pose:
+    measured = {"edges": seen.edges, "goals": _own_goals(model, settings, pose), "centre": pose}
+    if settings.search:
+        measured["elbows"] = seen.elbows
+    own = settings.gradient
+    scale = own.near.deviations(model.skeleton)
+    return pose_at_minimum(model, own.terms, measured, start, scale)
+
+
+def _by_simplex(
+    model: Model, settings: Settings, pose: Pose, seen: Observation, start: Pose
+) -> Pose:
+    fields, grip = seen.edges.fields, _arms(model, pose).grip
+    held = jax.lax.stop_gradient((model, settings, fields, start, grip, seen.elbows))
+    # What the body did to follow is held: it goes along with the pose.
+    change = difference(jax.lax.stop_gradient(refine_arms(*held)), jax.lax.stop_gradient(pose))
+    there = retract(pose, change)
+    return arms_at_minimum(model, settings, fields, there, grip, seen.elbows)
+
+
+def smooth(model: Model, settings: Settings, events: Events) -> SmoothMotion:
+    """All poses at once, by what was measured and because people move smoothly.
+
+    See ``smoothing.functions.smooth_events``; ``settings.smoothing`` is read.
+
+    Args:
+        model: of the person and the markers.
+        settings: of the tracker.
+        events: of ``first_pass``, or of one's own arrays.
+    """
+    settings, events = in_precision(model, (settings, events))
+    return smooth_events(model, settings.smoothing, events)
+
+
+def _own_goals(model: Model, settings: Settings, pose: Pose) -> Goals:
+    """The pose's own points of markers and unmarked feet, to be held."""
+    points = site_positions(model.skeleton, forward(model.skeleton, pose), model.markers)
+    return goals_of(model, settings.ik, _standing(model, pose), points)
+
+
+def _arms(model: Model, pose: Pose) -> Arms:
+    return arms_of(model.skeleton, forward(model.skeleton, pose), model.grips)
+
+
+def _usual(model: Model) -> Array:
+    """Usual sizes (6 + D,) of a change of each degree of freedom, metres and radians."""
+    return in_precision(model, NearPose()).deviations(model.skeleton)
+
+
+def in_precision(model: Model, tree: Any) -> Any:
+    """The floating-point leaves of anything, as precise as the model's."""
+
+    def convert(leaf: Any) -> Any:
+        array = jnp.asarray(leaf)
+        floating = jnp.issubdtype(array.dtype, jnp.floating)
+        return array.astype(model.dtype) if floating else leaf
+
+    return jax.tree.map(convert, tree)

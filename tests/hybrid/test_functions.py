@@ -1,0 +1,337 @@
+"""The pure functions: their derivatives are those of finite differences; they follow what is asked.
+
+Everything here is in double precision, with random directions over all numbers at once: bones,
+markers' places, targets, cameras, settings, fields. A derivative that is wrong by one of them is
+wrong along the direction.
+"""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import LIMITS, double, on_device
+from watched_arms import FRONT, MARKERS, PERSON, SIDE, SIZE, TRUTH, pictures
+
+import jaxmocap
+from jaxmocap import LANDMARKS
+from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
+from jaxmocap.body.model import Model, on_unmarked_feet
+from jaxmocap.body.pose import Pose
+from jaxmocap.hybrid.settings import Settings
+from jaxmocap.smoothing.facing import references
+from jaxmocap.smoothing.functions import Events
+from jaxmocap.synthetic.movements.motions import table_tennis
+
+pytestmark = pytest.mark.usefixtures("plainly_compiled")
+
+NAMES = ("vertex", "wrist_l", "wrist_r")
+ROWS = [LANDMARKS.index(name) for name in NAMES]
+ELBOW_ROWS = [LANDMARKS.index(name) for name in ("elbow_l", "elbow_r")]
+CHOSEN = Settings(region=SIZE)
+
+
+def tracked_model(cameras=None) -> Model:
+    return on_unmarked_feet(Model.create(PERSON, MARKERS, cameras))
+
+
+def in_double(tree: Any) -> Any:
+    """The floating-point leaves in float64; call it where that is enabled."""
+
+    def convert(leaf):
+        array = np.asarray(leaf)
+        return jnp.asarray(array, float) if np.issubdtype(array.dtype, np.floating) else leaf
+
+    return jax.tree.map(convert, tree)
+
+
+def any_direction(tree: Any, seed: int) -> Any:
+    """A random tangent of all floating-point leaves, as large as they are; float0 of the others."""
+    rng = np.random.default_rng(seed)
+
+    def tangent(leaf):
+        array = np.asarray(leaf)
+        if not np.issubdtype(array.dtype, np.floating):
+            return np.zeros(array.shape, jax.dtypes.float0)
+        size = np.where(np.isfinite(array), np.abs(array), 0)
+        return jnp.asarray(rng.normal(size=array.shape) * size, float)
+
+    return jax.tree.map(tangent, tree)
+
+
+def moved(tree: Any, way: Any, by: float) -> Any:
+    def step(leaf, tangent):
+        return leaf if tangent.dtype == jax.dtypes.float0 else leaf + by * tangent
+
+    return jax.tree.map(step, tree, way)
+
+
+@partial(jax.jit, static_argnums=0)
+def along(function, arguments, way):
+    """A function's derivative along a direction of its arguments."""
+    return jax.jvp(function, arguments, way)[1]
+
+
+def assert_is_its_finite_difference(function, arguments, seed: int, tolerance: float) -> None:
+    """A jitted function's derivative along a random direction of all of its arguments."""
+    way = any_direction(arguments, seed)
+    ahead, behind = (np.asarray(function(*moved(arguments, way, h))) for h in (1e-6, -1e-6))
+    expected = (ahead - behind) / 2e-6
+    actual = np.asarray(along(function, arguments, way))
+    largest = np.abs(expected).max()
+    assert largest > 1e-3 and np.isfinite(actual).all()
+    np.testing.assert_allclose(actual, expected, atol=tolerance * largest)
+
+
+# solve -------------------------------------------------------------------------------------------
+
+
+SOLVE, POINTS = jax.jit(jaxmocap.solve), jax.jit(jaxmocap.landmarks)
+
+
+def solved(*given):
+    """Landmarks of a solve; one program for all that ask for the pose or for them."""
+    return POINTS(given[0], SOLVE(*given))
+
+
+MARKED = jax.jit(lambda pose: site_positions(PERSON, forward(PERSON, pose), MARKERS))
+
+
+def random_markers(seed: int, kind: str) -> np.ndarray:
+    """Of a pose anywhere within the limits, upright; or out of reach, or some of them lost."""
+    rng = np.random.default_rng(seed)
+    low, high = LIMITS.T
+    angles = low + rng.uniform(0.1, 0.6, len(low)) * (high - low)
+    turn = np.array([np.cos(seed), 0, 0, np.sin(seed)])
+    pose = Pose(np.array([*rng.normal(size=2), 0.95]), turn, angles)
+    markers = np.array(MARKED(on_device(pose, jnp.float32)), float)
+    if kind == "straight arms":
+        markers[1:] = markers[0] + 3 * (markers[1:] - markers[0])
+    if kind == "a marker lost":
+        markers[1 + seed % 2] = np.nan
+    return markers
+
+
+KINDS = ("within reach", "straight arms", "a marker lost")
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_solved_pose_moves_as_finite_differences_say(kind, seed):
+    with double():
+        model, chosen = in_double((tracked_model(), Settings()))
+        arguments = model, chosen, jnp.asarray(random_markers(seed, kind))
+        assert_is_its_finite_difference(solved, arguments, seed, 1e-4)
+
+
+def test_forwards_and_backwards_are_the_same():
+    with double():
+        model, chosen = in_double((tracked_model(), Settings()))
+        given = (model, chosen, jnp.asarray(random_markers(5, "straight arms")))
+        way = any_direction(given, 0)
+        points, change = np.asarray(solved(*given)), np.asarray(along(solved, given, way))
+        both = zip(jax.tree.leaves(SLOPES(*given)), jax.tree.leaves(way), strict=True)
+        pulled = [float(jnp.sum(a * b)) for a, b in both if b.dtype != jax.dtypes.float0]
+    assert sum(pulled) == pytest.approx(2 * np.sum(points * change), rel=1e-8)
+
+
+def test_it_reaches_its_markers_and_keeps_its_limits():
+    with double():
+        model, chosen = in_double((tracked_model(), Settings()))
+        near = np.asarray(solved(model, chosen, jnp.asarray(random_markers(1, "within reach"))))
+        assert np.abs(near[ROWS] - random_markers(1, "within reach")).max() < 1e-3
+        far = SOLVE(model, chosen, jnp.asarray(random_markers(1, "straight arms")))
+        low, high = np.asarray(model.skeleton.limits).T
+        angles = np.asarray(far.angles)
+    assert (angles >= low - 1e-9).all() and (angles <= high + 1e-9).all()
+    elbow = PERSON.tree.joint("elbow_flex_l")
+    assert angles[elbow] == pytest.approx(low[elbow], abs=1e-9)
+
+
+def test_a_start_is_gone_on_from_and_differentiated_by():
+    with double():
+        model, chosen = in_double((tracked_model(), Settings()))
+        markers = jnp.asarray(random_markers(2, "a marker lost"))
+        start = SOLVE(model, chosen, jnp.asarray(random_markers(2, "within reach")))
+        assert_is_its_finite_difference(solved, (model, chosen, markers, start), 0, 1e-4)
+
+
+@pytest.mark.parametrize("kind", ["all lost", "all in one place", "far away"])
+def test_no_markers_answer_nan_and_none_raises(kind):
+    markers = {
+        "all lost": np.full((3, 3), np.nan),
+        "all in one place": np.tile([0.0, 0.0, 1.5], (3, 1)),
+        "far away": np.array([[0, 0, 1.7], [9, 0, 1], [0, -9, 1.0]]),
+    }[kind]
+    with double():
+        gradient = SLOPES(*in_double((tracked_model(), Settings(), markers)))
+    for leaf in jax.tree.leaves(gradient):
+        if np.issubdtype(np.asarray(leaf).dtype, np.floating):
+            assert np.isfinite(np.asarray(leaf)).all()
+
+
+SLOPES = jax.jit(
+    jax.grad(lambda *given: jnp.sum(solved(*given) ** 2), argnums=(0, 1, 2), allow_int=True)
+)
+
+
+def test_people_and_markers_go_side_by_side():
+    with double():
+        side_by_side(in_double(tracked_model()), in_double(Settings()))
+
+
+def side_by_side(model, chosen):
+    longer = jnp.linspace(0.95, 1.05, 4)
+    several = replace(
+        model, skeleton=replace(model.skeleton, lengths=jnp.outer(longer, model.skeleton.lengths))
+    )
+    axes = jax.tree.map(lambda _: None, model)
+    axes = replace(axes, skeleton=replace(axes.skeleton, lengths=0))
+    markers = np.stack([random_markers(seed, "within reach") for seed in range(4)])
+    together = jax.jit(jax.vmap(solved, (axes, None, 0)))(several, chosen, jnp.asarray(markers))
+    for i in range(4):
+        person = replace(model.skeleton, lengths=several.skeleton.lengths[i])
+        alone = solved(replace(model, skeleton=person), chosen, jnp.asarray(markers[i]))
+        np.testing.assert_allclose(together[i], alone, atol=1e-8)
+
+
+# observe, refine ---------------------------------------------------------------------------------
+
+
+@jax.jit
+def refined(model, chosen, pose, observation):
+    return jaxmocap.landmarks(model, jaxmocap.refine(model, chosen, pose, observation))
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """The true arms before two cameras, a pose that has the markers alone, what images show."""
+    markers = np.asarray(MARKED(on_device(TRUTH)), float)
+    with double():
+        model = in_double(tracked_model([FRONT, SIDE]))
+        pose = SOLVE(model, in_double(CHOSEN), jnp.asarray(markers))
+        return model, pose, jaxmocap.observe(model, CHOSEN, pose, pictures(FRONT, SIDE))
+
+
+def refined_by(way: str, scene) -> np.ndarray:
+    """Landmarks."""
+    model, pose, observation = scene
+    with double():
+        return np.asarray(refined(model, in_double(replace(CHOSEN, refine=way)), pose, observation))
+
+
+@pytest.mark.parametrize("way", ["simplex", "gradient"])
+def test_images_bring_the_elbows_nearer(scene, way):
+    with double():
+        before = np.asarray(POINTS(*scene[:2]))[ELBOW_ROWS]
+        truth = np.asarray(POINTS(scene[0], on_device(TRUTH)))[ELBOW_ROWS]
+    after = refined_by(way, scene)[ELBOW_ROWS]
+    off = [np.linalg.norm(points - truth, axis=1).max() for points in (before, after)]
+    assert off[1] < 0.05 < off[0], off
+
+
+def test_a_refined_pose_moves_as_finite_differences_say(scene):
+    """On the drawn pictures' own fields."""
+    with double():
+        chosen = in_double(replace(CHOSEN, refine="gradient"))
+        arguments = (scene[0], chosen, *scene[1:])
+        assert_is_its_finite_difference(refined, arguments, 0, 1e-3)
+
+
+def test_the_simplex_moves_with_the_elbows_that_were_expected(scene):
+    """By the cost's own curvature: along with them, and no farther."""
+    model, pose, observation = scene
+
+    def elbows(at):
+        points = refined(model, chosen, pose, observation._replace(elbows=at))
+        return points[jnp.array(ELBOW_ROWS)]
+
+    with double():
+        chosen = in_double(CHOSEN)
+        turned = np.asarray(jax.jit(jax.jacfwd(elbows))(observation.elbows))
+    for arm in range(2):
+        gains = np.linalg.eigvals(turned[arm, :, arm])
+        assert 0.05 < np.abs(gains).max() < 1.1
+        np.testing.assert_allclose(turned[arm, :, 1 - arm], 0, atol=1e-9)
+
+
+def test_without_an_image_the_pose_stays(scene):
+    model, pose, _ = scene
+    with double():
+        nothing = jaxmocap.observe(model, CHOSEN, pose, [None, None])
+        before = np.asarray(POINTS(model, pose))
+    for way in ("simplex", "gradient"):
+        stayed = refined_by(way, (model, pose, nothing))
+        np.testing.assert_allclose(stayed, before, atol=1e-12)
+
+
+def test_as_many_images_as_cameras_are_asked_for(scene):
+    model, pose, _ = scene
+    with pytest.raises(ValueError, match="found 1 images, expected one for each of the model's 2"):
+        jaxmocap.observe(model, CHOSEN, pose, pictures(FRONT)[0])
+
+
+# smooth ------------------------------------------------------------------------------------------
+
+
+@jax.jit
+def smoothed(model, chosen, events):
+    return jaxmocap.smooth(model, chosen, events).points
+
+
+def stroke(count: int = 8):
+    """Some samples of a table-tennis stroke, its elbows roughly measured."""
+    times = np.arange(count) / 30
+    truth = table_tennis(2.0, seed=0).landmarks(times)
+    markers = np.stack([truth[name] for name in NAMES], 1)
+    markers[3, 1] = np.nan
+    with double():
+        model, chosen = in_double((tracked_model(), Settings()))
+        each = [SOLVE(model, chosen, jnp.asarray(sample)) for sample in markers]
+        poses = jax.tree.map(lambda *parts: np.stack(parts), *each)
+        measured = references(model.skeleton, times, poses)
+        elbows = np.stack([truth["elbow_l"], truth["elbow_r"]], 1)
+        measured |= {"markers": markers, "elbows": elbows}
+        return in_double((model, chosen, Events(times, measured, poses))), truth
+
+
+@pytest.fixture(scope="module")
+def moving():
+    return stroke()
+
+
+def test_a_smoothed_motion_moves_as_finite_differences_say(moving):
+    (model, chosen, events), _ = moving
+    with double():
+        arguments = (model, chosen, *events[:2])
+        # Where it starts from changes nothing, and is no argument.
+        assert_is_its_finite_difference(FromTheStart(events.poses), arguments, 1, 1e-3)
+
+
+class FromTheStart:
+    """``smoothed`` of everything but the poses."""
+
+    def __init__(self, poses):
+        self.poses = poses
+
+    def __call__(self, model, chosen, times, measured):
+        return smoothed(model, chosen, Events(times, measured, self.poses))
+
+
+def test_a_smoothed_motion_is_near_the_truth(moving):
+    given, truth = moving
+    with double():
+        points = np.asarray(smoothed(*given))
+    assert points.shape == (len(given[2].times), len(LANDMARKS), 3)
+    off = np.linalg.norm(points[:, LANDMARKS.index("elbow_r")] - truth["elbow_r"], axis=-1)
+    assert off.max() < 0.04
+
+
+def test_landmarks_are_by_name():
+    points = np.asarray(jaxmocap.landmarks(tracked_model(), on_device(TRUTH)))
+    sites = landmark_sites(PERSON, ("knee_r",))
+    expected = site_positions(PERSON, forward(PERSON, on_device(TRUTH)), sites)
+    np.testing.assert_allclose(points[LANDMARKS.index("knee_r")], expected[0], atol=1e-6)
