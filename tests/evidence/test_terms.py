@@ -39,7 +39,7 @@ from jaxmocap.compilation.settings import group, settings, traced
 from jaxmocap.evidence.edges import EdgeFields, weighted_edges
 from jaxmocap.evidence.keypoints import lines_of_sight
 from jaxmocap.evidence.markers import Goals, SearchedElbows
-from jaxmocap.evidence.posture import EstimatedPose, NearEstimate
+from jaxmocap.evidence.posture import EasyPosture, EstimatedPose, NearEstimate
 from jaxmocap.evidence.terms import (
     Measurements,
     PosedBody,
@@ -157,7 +157,8 @@ def another_moment() -> dict[str, Any]:
     }
 
 
-ALL = (*SETTINGS.terms, *GradientSettings().terms, SearchedElbows(), NearEstimate())
+MORE = SearchedElbows(), NearEstimate(), EasyPosture()
+ALL = (*SETTINGS.terms, *GradientSettings().terms, *MORE)
 TERMS = {type(term).__name__: term for term in ALL}
 
 
