@@ -6,7 +6,8 @@ theorem. One Newton step from the minimum, its Hessian H held fixed, says just t
 backwards and in batches, and squares what is left of the distance besides.
 
 The descent takes the whole Hessian, not Gauss-Newton's: out of reach, where residuals are large,
-Levenberg-Marquardt creeps (``python -m bench.minima``).
+optimistix' Levenberg-Marquardt creeps, though it is ten times as quick within reach
+(``python -m bench.minima``).
 
 INPUTS: a cost on any manifold, its slope, bounds. OUTPUTS: the minimum; steps that carry
 derivatives.
