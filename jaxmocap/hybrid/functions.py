@@ -164,43 +164,43 @@ def refine(model: Model, settings: Settings, pose: Pose, observation: Observatio
     """
     if settings.refine == "none" or model.cameras is None:
         return pose
-    settings, pose, seen = in_precision(model, (settings, pose, observation))
-    held = jax.lax.stop_gradient((model, settings, pose, seen))
+    settings, pose, observed = in_precision(model, (settings, pose, observation))
+    held = jax.lax.stop_gradient((model, settings, pose, observed))
     followed = _followed(*held)
     if settings.refine == "gradient":
-        refined = _by_gradient(model, settings, pose, seen, followed)
+        refined = _by_gradient(model, settings, pose, observed, followed)
     else:
-        refined = _by_simplex(model, settings, pose, seen, followed)
-    has_image = jnp.any(jnp.asarray(seen.edges.fields.available))
+        refined = _by_simplex(model, settings, pose, observed, followed)
+    has_image = jnp.any(jnp.asarray(observed.edges.fields.available))
     return jax.tree.map(lambda new, old: jnp.where(has_image, new, old), refined, pose)
 
 
-def _followed(model: Model, settings: Settings, pose: Pose, seen: Observation) -> Pose:
+def _followed(model: Model, settings: Settings, pose: Pose, observed: Observation) -> Pose:
     """The body with its elbows where they are expected, its markers held."""
-    measured = {"goals": _own_goals(model, settings, pose), "elbows": seen.elbows}
+    measured = {"goals": _own_goals(model, settings, pose), "elbows": observed.elbows}
     return reach(model, settings.ik, measured, pose)[0]
 
 
 def _by_gradient(
-    model: Model, settings: Settings, pose: Pose, seen: Observation, start: Pose
+    model: Model, settings: Settings, pose: Pose, observed: Observation, start: Pose
 ) -> Pose:
-    measured = {"edges": seen.edges, "goals": _own_goals(model, settings, pose), "centre": pose}
+    measured = {"edges": observed.edges, "goals": _own_goals(model, settings, pose), "centre": pose}
     if settings.search:
-        measured["elbows"] = seen.elbows
+        measured["elbows"] = observed.elbows
     own = settings.gradient
     scale = own.near.deviations(model.skeleton)
     return pose_at_minimum(model, own.terms, measured, start, scale)
 
 
 def _by_simplex(
-    model: Model, settings: Settings, pose: Pose, seen: Observation, start: Pose
+    model: Model, settings: Settings, pose: Pose, observed: Observation, start: Pose
 ) -> Pose:
-    fields, grip = seen.edges.fields, _arms(model, pose).grip
-    held = jax.lax.stop_gradient((model, settings, fields, start, grip, seen.elbows))
+    fields, grip = observed.edges.fields, _arms(model, pose).grip
+    held = jax.lax.stop_gradient((model, settings, fields, start, grip, observed.elbows))
     # What the body did to follow is held: it goes along with the pose.
     change = difference(jax.lax.stop_gradient(refine_arms(*held)), jax.lax.stop_gradient(pose))
     there = retract(pose, change)
-    return arms_at_minimum(model, settings, fields, there, grip, seen.elbows)
+    return arms_at_minimum(model, settings, fields, there, grip, observed.elbows)
 
 
 def smooth(model: Model, settings: Settings, events: Events) -> SmoothMotion:
