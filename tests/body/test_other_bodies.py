@@ -110,11 +110,11 @@ def renamed(body: Skeleton, **names: str) -> Skeleton:
 def test_a_tail_named_as_a_spine_is_not_scaled_as_one():
     factors = jnp.linspace(-0.1, 0.1, len(LENGTHS) + len(GIRTHS))
     body = load_skeleton(TAILED)
-    told, other = scaled(body, factors), scaled(renamed(body, tail1="spine_tail"), factors)
+    named, other = scaled(body, factors), scaled(renamed(body, tail1="spine_tail"), factors)
     tail = body.tree.bones_in("tail")
     np.testing.assert_array_equal(other.lengths[tail], body.lengths[tail])
-    np.testing.assert_array_equal(other.lengths, told.lengths)
-    np.testing.assert_array_equal(other.diameters, told.diameters)
+    np.testing.assert_array_equal(other.lengths, named.lengths)
+    np.testing.assert_array_equal(other.diameters, named.diameters)
 
 
 def test_bones_of_other_names_are_drawn_alike():

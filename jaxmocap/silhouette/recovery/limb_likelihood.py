@@ -90,7 +90,7 @@ def explained_log_ratio(
         least: mean log-ratio, no less than which it counts. ``likelihood.least_visible`` is for the
             pose that another must explain more than: what contradicts a limb may be a thing before
             it, or be the limb itself, learned as background. Else it were better off wherever
-            nothing is seen of it.
+            nothing of it is visible.
     """
     near, far = bone_ends(skeleton, pose, limb)
     gained, _, full = _summed(skeleton, cameras, (near, far), limb, evidence, likelihood)
