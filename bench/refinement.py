@@ -27,7 +27,7 @@ from jaxmocap.body.kinematics import forward
 from jaxmocap.body.pose import Pose
 from jaxmocap.capture.footage import forward_readers, open_footage
 from jaxmocap.capture.markers import interpolate_markers
-from jaxmocap.evidence.edges import EdgeFields, OutlineEdges
+from jaxmocap.evidence.edges import EdgeEvidence, EdgeFields
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.markers import read_markers
 from jaxmocap.hybrid import refine
@@ -222,7 +222,7 @@ def evaluations(tracker: HybridTracker, given: list[Frame], name: str, steps: in
 
         return run
 
-    at = (refine, "swing") if name == "simplex" else (OutlineEdges, "residual")
+    at = (refine, "swing") if name == "simplex" else (EdgeEvidence, "residual")
     with mock.patch.object(*at, counted(getattr(*at))):
         run = rival(tracker, name, steps)
         for frame in given:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from jaxmocap.formats.recordings.recording import Recording
 
 REFINEMENTS = ("simplex", "gradient", "none")
+EVIDENCE = ("outline", "coverage")
 
 
 def add_cameras(parser: argparse.ArgumentParser, help_text: str) -> None:
@@ -25,8 +26,14 @@ def add_cameras(parser: argparse.ArgumentParser, help_text: str) -> None:
 
 
 def add_refine(parser: argparse.ArgumentParser, help_text: str) -> None:
-    """The option --refine."""
+    """The options --refine and --evidence."""
     parser.add_argument("--refine", choices=REFINEMENTS, default="simplex", help=help_text)
+    parser.add_argument(
+        "--evidence",
+        choices=EVIDENCE,
+        help="what of an arm is compared with the edges: its outline (default), or the area that "
+        "it covers, the first paper's sum (13)",
+    )
 
 
 def recording_of(options: argparse.Namespace) -> Recording:

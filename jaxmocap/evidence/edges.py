@@ -1,6 +1,7 @@
-"""Edges: how well arms' outlines lie on edges of the image that run their way (section 5.1).
+"""Edges: how well arms lie on edges of the image (section 5.1).
 
-The default is the mean distance along the outline; the paper's own sum is in ``coverage``.
+The default is the mean distance of the outline to edges that run its way; the other choice is the
+paper's own sum over the area (``outlines.coverage``).
 
 INPUTS: arms, cameras, the distance fields of their regions. OUTPUTS: costs, whitened residuals.
 """
@@ -19,8 +20,14 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose
 from jaxmocap.body.surfaces.cones import Cones
 from jaxmocap.compilation.settings import settings, static, traced
-from jaxmocap.evidence.outlines.coverage import raster_distance
-from jaxmocap.evidence.outlines.traced import blockers, hidden, outline_distance, trace_outline
+from jaxmocap.evidence.outlines.coverage import drawn_distance, integrated_distance, trace_area
+from jaxmocap.evidence.outlines.traced import (
+    TracedOutline,
+    blockers,
+    hidden,
+    outline_distance,
+    trace_outline,
+)
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
 from jaxmocap.geometry.cameras import Camera
 from jaxmocap.images.regions import Region
@@ -44,18 +51,44 @@ class EdgeFields(NamedTuple):
         return jax.tree.map(lambda part: jnp.swapaxes(jnp.asarray(part), 0, 1), self)
 
 
-@settings
-class EdgeEvidence:
-    """How distances to edges become costs."""
+class WeightedEdges(NamedTuple):
+    """Edges, and how much each outline point counts, which is settled where a solve starts.
 
-    compared: Literal["outline", "raster"] = static(
-        "outline", "the mean distance along the outline, or the paper's sum (13)"
+    Attributes:
+        fields: of both arms.
+        weights: (2, C, 3, K) roots of the points' shares of their outline; 0 where one is hidden.
+            For coverage, whose shares move with the limbs: (2, C, 3, 1), 1 where there is an image.
+    """
+
+    fields: EdgeFields
+    weights: Array
+
+
+@settings
+class EdgeEvidence(Term):
+    """Both arms on edges; measured ``edges``, a ``WeightedEdges``.
+
+    The simplex and the search take ``arm_cost``; least squares take the residual, whose distances d
+    cost d^2 / (sqrt(d^2 + b^2) + b): square near the edge, then straight. An outline's price levels
+    out towards the truncation.
+    """
+
+    compared: Literal["outline", "coverage"] = static(
+        "outline", "the mean distance along the outline, or the paper's sum (13) over the area"
+    )
+    drawn: bool = static(
+        False,
+        "draw the coverage, every sample of a soft raster, as the paper does; else, and always by "
+        "least squares, it is integrated over some points a limb",
+    )
+    bend: Array = traced(
+        0.005, "distance to an edge at which its price turns from square to straight, metres"
     )
     truncation: Array = traced(
-        0.06, "distances count no more than this, metres at the limb's depth"
+        0.06, "an outline's distances count no more than this, metres at the limb's depth"
     )
     scale: Array = traced(0.0042, "distance that costs one unit, metres at the limb's depth")
-    softness: Array = traced(1.0, "of the raster's borders, samples")
+    softness: Array = traced(1.0, "of the coverage's borders, samples")
 
     def arm_cost(self, cameras: Camera | None, fields: EdgeFields, limbs: Cones) -> Array:
         """Cost of one arm, summed over C cameras; 0 where no camera has an image of it.
@@ -70,7 +103,9 @@ class EdgeEvidence:
         def of_camera(camera: Camera, region: Region, distances: Array) -> Array:
             if self.compared == "outline":
                 return outline_distance(camera, region, distances, limbs, self.truncation)[0]
-            of_place = partial(raster_distance, camera, region, distances, softness=self.softness)
+            if not self.drawn:
+                return integrated_distance(camera, region, distances, limbs, self.softness)
+            of_place = partial(drawn_distance, camera, region, distances, softness=self.softness)
             for _ in range(limbs.near.ndim - 2):
                 of_place = jax.vmap(of_place)
             return of_place(limbs)
@@ -93,67 +128,51 @@ class EdgeEvidence:
 
         return jax.vmap(of_arm)(fields.by_arm(), flesh(arms))
 
-
-class WeightedEdges(NamedTuple):
-    """Edges, and how much each outline point counts, which is settled where a solve starts.
-
-    Attributes:
-        fields: of both arms.
-        weights: (2, C, 3, K) roots of the points' shares of their outline; 0 where one is hidden.
-    """
-
-    fields: EdgeFields
-    weights: Array
-
-
-@settings
-class OutlineEdges(Term):
-    """Outlines of both arms on edges; measured ``edges``, a ``WeightedEdges``.
-
-    A distance d costs d^2 / (sqrt(d^2 + b^2) + b): square near the edge, then straight, and it
-    levels out towards the truncation.
-    """
-
-    bend: Array = traced(
-        0.005, "distance to an edge at which its price turns from square to straight, metres"
-    )
-    truncation: Array = traced(0.06, "distance towards which the price levels out, metres")
-    scale: Array = traced(0.0042, "distance that costs one unit, metres at the limb's depth")
-
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(2, C, 3, K): roots of twice the prices, weighted."""
         edges = measured["edges"]
         radii = model.skeleton.diameters[limb_bones(model.skeleton.tree)] / 2
         ends = body.landmarks[ARM_LANDMARKS]
-
-        def of_camera(camera: Camera, region: Region, distances: Array, limbs: Cones) -> Array:
-            traced = trace_outline(camera, region, distances, limbs)
-            d = traced.distances_px * traced.metres_per_px
-            steep = jnp.sqrt(d**2 + self.bend**2) + self.bend
-            return d * jnp.sqrt(2 / (steep + d**2 / self.truncation) / self.scale)
-
         limbs = Cones(ends[:, :3], ends[:, 1:], radii)
+        of_camera = self._on_outline if self.compared == "outline" else self._over_area
         return edges.weights * _each_arm_and_camera(of_camera, model, edges.fields, limbs)
 
+    def _on_outline(self, camera: Camera, region: Region, distances: Array, limbs: Cones) -> Array:
+        traced = trace_outline(camera, region, distances, limbs)
+        return self._root_of_price(traced, self.truncation)
 
-def weighted_edges(model: Model, fields: EdgeFields, start: Pose) -> WeightedEdges:
-    """Edges with the weights of outline points as a pose shows them."""
-    frames = forward(model.skeleton, start)
-    arms = arms_of(model.skeleton, frames, model.grips)
+    def _over_area(self, camera: Camera, region: Region, distances: Array, limbs: Cones) -> Array:
+        traced = trace_area(camera, region, distances, limbs, self.softness)
+        # What is hidden has no share: its root has no slope.
+        shares = jnp.maximum(traced.weights, jnp.finfo(traced.weights.dtype).eps ** 2)
+        return jnp.sqrt(shares) * self._root_of_price(traced, jnp.inf)
 
-    def of_camera(
-        camera: Camera, region: Region, distances: Array, limbs: tuple[Cones, Cones]
-    ) -> Array:
-        own, others = limbs
-        traced = trace_outline(camera, region, distances, own)
-        share = traced.weights / jnp.maximum(jnp.sum(traced.weights), 1e-6)
-        return jnp.where(hidden(camera, own, traced.points, others), 0.0, share)
+    def _root_of_price(self, traced: TracedOutline, truncation: Array | float) -> Array:
+        d = traced.distances_px * traced.metres_per_px
+        steep = jnp.sqrt(d**2 + self.bend**2) + self.bend
+        return d * jnp.sqrt(2 / (steep + d**2 / truncation) / self.scale)
 
-    limbs = (flesh(arms), blockers(model.skeleton, frames, arms))
-    shares = _each_arm_and_camera(of_camera, model, fields, limbs)
-    counts = jnp.asarray(fields.available).T[..., None, None] & (shares > 0)
-    roots = jnp.where(counts, jnp.sqrt(jnp.where(counts, shares, 1.0)), 0.0)
-    return WeightedEdges(fields, roots)
+    def weighted(self, model: Model, fields: EdgeFields, start: Pose) -> WeightedEdges:
+        """Edges with the weights of points as a pose shows them."""
+        available = jnp.asarray(fields.available).T[..., None, None]
+        if self.compared == "coverage":
+            each = jnp.broadcast_to(available, (*available.shape[:2], 3, 1))
+            return WeightedEdges(fields, each.astype(model.dtype))
+        frames = forward(model.skeleton, start)
+        arms = arms_of(model.skeleton, frames, model.grips)
+        limbs = (flesh(arms), blockers(model.skeleton, frames, arms))
+        shares = _each_arm_and_camera(_shares, model, fields, limbs)
+        counts = available & (shares > 0)
+        roots = jnp.where(counts, jnp.sqrt(jnp.where(counts, shares, 1.0)), 0.0)
+        return WeightedEdges(fields, roots)
+
+
+def _shares(camera: Camera, region: Region, distances: Array, limbs: tuple[Cones, Cones]) -> Array:
+    """(3, K) of an arm's outline, as far as nothing hides it."""
+    own, others = limbs
+    traced = trace_outline(camera, region, distances, own)
+    share = traced.weights / jnp.maximum(jnp.sum(traced.weights), 1e-6)
+    return jnp.where(hidden(camera, own, traced.points, others), 0.0, share)
 
 
 def _each_arm_and_camera(function, model: Model, fields: EdgeFields, limbs) -> Array:

@@ -105,7 +105,7 @@ def outline_pieces(
         shape = (*values.shape, *(1,) * (x.ndim - 1))
         return jnp.asarray(values, x.dtype).reshape(shape)
 
-    u_x, u_y, distance, sine = _axes(x, y, radii)
+    u_x, u_y, distance, sine = hull_axes(x, y, radii)
     cosine = jnp.sqrt(1 - sine**2)
     aside = rows(np.array([[1.0], [-1.0]])) * cosine
     n_x, n_y = sine * u_x - aside * u_y, sine * u_y + aside * u_x
@@ -132,7 +132,7 @@ def outline_pieces(
     return sides, Pieces(x[:, None] + r * n_x, y[:, None] + r * n_y, weights, n_x, n_y)
 
 
-def _axes(x: Array, y: Array, radii: Array) -> tuple[Array, Array, Array, Array]:
+def hull_axes(x: Array, y: Array, radii: Array) -> tuple[Array, Array, Array, Array]:
     """Of hulls: unit vectors from near to far, by components; lengths; sines of the tapers."""
     ahead_x, ahead_y = x[1] - x[0], y[1] - y[0]
     squared = ahead_x**2 + ahead_y**2

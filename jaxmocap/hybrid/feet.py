@@ -47,7 +47,7 @@ def replant(
     Returns:
         Where they stand, and whether they were planted again.
     """
-    if not model.unmarked_feet:
+    if not model.unmarked_feet or settings.feet == "stand":
         return feet, jnp.zeros((), bool)
     skeleton = model.skeleton
     above, is_measured = _head_target(model, targets)

@@ -24,7 +24,7 @@ from jaxmocap.body.arms import Arms, arms_of
 from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, retract
-from jaxmocap.evidence.edges import EdgeFields, WeightedEdges, weighted_edges
+from jaxmocap.evidence.edges import EdgeFields, WeightedEdges
 from jaxmocap.evidence.markers import Goals
 from jaxmocap.evidence.posture import EasyPosture, NearPose
 from jaxmocap.hybrid import step
@@ -141,17 +141,19 @@ def _regions(model: Model, settings: Settings, pose: Pose) -> Region:
 def _searched(model: Model, settings: Settings, pose: Pose, fields: EdgeFields) -> Observation:
     """The fields, where the search has the elbows, and the outlines as they then show."""
     arms, belief = _arms(model, pose), no_belief(settings.elbow_search, pose)
-    _, elbows = search_elbows(model, settings, arms, fields, belief)
-    measured = {"goals": _own_goals(model, settings, pose), "elbows": elbows}
-    followed, _ = reach(model, settings.ik, measured, pose)
-    return Observation(weighted_edges(model, fields, followed), elbows)
+    followed, elbows = pose, arms.elbow
+    if settings.search:
+        _, elbows = search_elbows(model, settings, arms, fields, belief)
+        measured = {"goals": _own_goals(model, settings, pose), "elbows": elbows}
+        followed, _ = reach(model, settings.ik, measured, pose)
+    return Observation(settings.edges.weighted(model, fields, followed), elbows)
 
 
 def refine(model: Model, settings: Settings, pose: Pose, observation: Observation) -> Pose:
     """The pose whose arms lie on the edges that were observed (section 5.2).
 
     Markers stay where the pose has them. With ``settings.refine`` "gradient" the whole body goes to
-    the minimum of ``settings.gradient``'s terms. With "simplex" the body follows the elbows, and
+    the minimum of ``settings.gradient_terms``. With "simplex" the body follows the elbows, and
     each arm goes where the downhill simplex ends. Its iterations have no derivative; the minimum
     beside which it ends has one, by the cost's own Hessian, and 0 in directions in which it is not
     curved upwards. With "none", or without an image, the pose stays.
@@ -177,6 +179,8 @@ def refine(model: Model, settings: Settings, pose: Pose, observation: Observatio
 
 def _followed(model: Model, settings: Settings, pose: Pose, observed: Observation) -> Pose:
     """The body with its elbows where they are expected, its markers held."""
+    if not settings.search:
+        return pose
     measured = {"goals": _own_goals(model, settings, pose), "elbows": observed.elbows}
     return reach(model, settings.ik, measured, pose)[0]
 
@@ -187,9 +191,8 @@ def _by_gradient(
     measured = {"edges": observed.edges, "goals": _own_goals(model, settings, pose), "centre": pose}
     if settings.search:
         measured["elbows"] = observed.elbows
-    own = settings.gradient
-    scale = own.near.deviations(model.skeleton)
-    return pose_at_minimum(model, own.terms, measured, start, scale)
+    scale = settings.gradient.near.deviations(model.skeleton)
+    return pose_at_minimum(model, settings.gradient_terms, measured, start, scale)
 
 
 def _by_simplex(

@@ -17,7 +17,7 @@ from jax import Array
 
 from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, retract
-from jaxmocap.evidence.edges import EdgeFields, weighted_edges
+from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.evidence.markers import Goals
 from jaxmocap.evidence.terms import residuals
 from jaxmocap.hybrid.settings import Settings
@@ -74,17 +74,16 @@ def refine_body(
     # Here, since optimistix takes half a second to import, which the simplex does not need.
     from jaxmocap.solvers.least_squares import least_squares
 
-    own = settings.gradient
+    own, terms = settings.gradient, settings.gradient_terms
     start, centre = jax.lax.stop_gradient((start, aims.centre))
     scale = own.near.deviations(model.skeleton) * jnp.where(aims.free, 1.0, HELD)
-    measured = {
-        "edges": weighted_edges(model, fields, start), "goals": aims.goals, "centre": centre,
-    }  # fmt: skip
+    edges = settings.edges.weighted(model, fields, start)
+    measured = {"edges": edges, "goals": aims.goals, "centre": centre}
     if settings.search:
         measured["elbows"] = aims.elbows
 
     def whitened(point: Array, _: None) -> Array:
-        return residuals(own.terms, model, retract(start, scale * point), measured)
+        return residuals(terms, model, retract(start, scale * point), measured)
 
     def solved() -> Refined:
         point, cost, steps, status = least_squares(

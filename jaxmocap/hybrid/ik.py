@@ -79,7 +79,7 @@ def secondary_task(skeleton: Skeleton, frames: Frames, pose: Pose, settings: IKS
     m_i h_i is normalised by its sum, so that the gain is below 1 in any units. The root has no
     relaxed angle; its lean from the vertical is turned back.
     """
-    bodies = augmented_bodies(skeleton, frames)
+    bodies = augmented_bodies(skeleton, frames, settings.augmented_body == "proximal")
     effort = bodies.masses * bodies.arms
     share = effort / jnp.sum(effort)
     relaxing = -2 * settings.relaxation * share * (pose.angles - skeleton.relaxed)

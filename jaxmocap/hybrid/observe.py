@@ -16,7 +16,7 @@ from jaxmocap.body.arms import Arms
 from jaxmocap.evidence.edges import EdgeFields
 from jaxmocap.geometry.cameras import Camera, project
 from jaxmocap.hybrid.settings import Settings
-from jaxmocap.images.edges import FARTHEST_PX, Thresholds, distance_fields
+from jaxmocap.images.edges import Thresholds, distance_fields
 from jaxmocap.images.regions import Region, crop, region_around
 
 # Canny's thresholds of both arms in each camera, which the next frame begins with.
@@ -58,15 +58,16 @@ def observe(
         The fields, and the thresholds after these images.
     """
     cameras, size, spacing = len(thresholds), settings.samples, settings.spacing
-    shape = (cameras, 2, settings.directions, size, size)
+    shape = (cameras, 2, settings.channels, size, size)
+    farthest = settings.edge_detection.farthest / spacing
     if images is None or all(image is None for image in images):
-        return EdgeFields(region, *_nothing(shape, FARTHEST_PX / spacing)), thresholds
+        return EdgeFields(region, *_nothing(shape, farthest)), thresholds
     origins, scales = np.asarray(region.origin), np.asarray(region.scale)
     distances, available = np.empty(shape, np.float32), np.zeros(shape[:2], bool)
 
     def of_camera(camera: int) -> tuple[Thresholds, Thresholds]:
         if (image := images[camera]) is None:
-            distances[camera] = FARTHEST_PX / spacing
+            distances[camera] = farthest
             return thresholds[camera]
         each = []
         for arm in range(2):
@@ -74,7 +75,7 @@ def observe(
             grey = crop(image, origins[camera, arm], finer, size * spacing, True)
             _, edges, after = distance_fields(
                 grey, settings.edge_detection, thresholds[camera][arm],
-                settings.directions, spacing, distances[camera, arm],
+                settings.channels, spacing, distances[camera, arm],
             )  # fmt: skip
             # A black or featureless image is no evidence.
             available[camera, arm] = bool(edges.any())

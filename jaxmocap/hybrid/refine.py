@@ -1,7 +1,7 @@
 """Refinement of the markers' pose by the video (section 5).
 
-    search    where each elbow is, by edges, with memory
-    balance   the spine bows in a squat (5.3)
+    search    where each elbow is, by edges, with memory (ours)
+    balance   the spine bows in a squat (5.3); by choice as the last step, as in the paper
     follow    the body follows the elbows by inverse kinematics, the markers held, so that a
               shoulder that three markers placed wrongly moves as well
     fit       a downhill simplex over each arm's four degrees of freedom brings the outlines to
@@ -114,20 +114,23 @@ def refine(
     goals = goals_of(model, settings.ik, solved.ik.feet, targets)
     arms = _arms(model, solved.ik.pose)
     pose, elbows, status = solved.ik.pose, arms.elbow, _no_status()
-    # Both are static: settled when this is traced.
+    # All three are static: settled when this is traced.
     edges = None if settings.refine == "none" or model.cameras is None else fields
-    if edges is not None:
+    if edges is not None and settings.search:
         pose = _last_unless_lost(model, settings, goals, belief, pose)
         belief, elbows = search_elbows(model, settings, arms, edges, belief)
     pose, centre, free, balanced = _balanced(model, settings, solved.ik.pose, pose, bow_factors)
-    if edges is not None:
+    if edges is not None and settings.search:
         pose = follow_elbows(model, settings, goals, pose, free, elbows)
+    elif settings.balance == "before":
+        met = lambda: reach(model, settings.ik, {"goals": goals}, pose, free)[0]  # noqa: E731
+        pose = jax.lax.cond(balanced, met, lambda: pose)
+    if edges is not None:
         aims = Aims(goals, elbows, centre, free)
         pose, status = _fit(model, settings, edges, pose, aims, arms.grip)
         belief = updated_belief(belief, arms, _arms(model, pose), edges, pose)
-    elif settings.balance:
-        met = lambda: reach(model, settings.ik, {"goals": goals}, pose, free)[0]  # noqa: E731
-        pose = jax.lax.cond(balanced, met, lambda: pose)
+    if settings.balance == "after":
+        pose, _, balanced = bow_on_feet(model.skeleton, settings.ik, pose, bow_factors)
     refined = _arms(model, pose)
     outline_px = jnp.full(2, jnp.nan, targets.dtype)
     if edges is not None and model.cameras is not None:
@@ -165,15 +168,12 @@ def search_elbows(
 ) -> tuple[ElbowBelief, Array]:
     """The belief after the video and the (2, 3) elbows to follow.
 
-    A new image is searched; without one the last belief is carried on. Without the search, the
-    elbows are those of the markers' pose.
+    A new image is searched; without one the last belief is carried on.
     """
     assert model.cameras is not None
     cameras = model.cameras
 
     def by_image() -> tuple[ElbowBelief, Array]:
-        if not settings.search:
-            return belief._replace(age=jnp.zeros_like(belief.age)), jnp.zeros_like(belief.turn)
         new = search(settings, cameras, fields, arms, belief)
         return new, new.turn
 
@@ -191,7 +191,7 @@ def _balanced(
 
     From the markers' pose: one bow on another would pile up.
     """
-    if not settings.balance:
+    if settings.balance != "before":
         return pose, alone, jnp.ones(model.skeleton.costs.shape, bool), jnp.zeros((), bool)
     bowed, free, bows = bow_on_feet(model.skeleton, settings.ik, alone, bow_factors)
     pose, centre = (

@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 
 from jaxmocap.compilation.settings import counted, group, settings, static, traced
-from jaxmocap.evidence.edges import EdgeEvidence, OutlineEdges
+from jaxmocap.evidence.edges import EdgeEvidence
 from jaxmocap.evidence.limits import JointLimits
 from jaxmocap.evidence.markers import ElbowGoals, PointGoals, SearchedElbows
 from jaxmocap.evidence.posture import NearPose
@@ -59,6 +59,16 @@ class IKSettings:
     )
     leg_overstretch: Array = traced(
         0.03, "distance by which an unmarked foot is missed before it is planted again, metres"
+    )
+    feet: Literal["follow", "stand"] = static(
+        "follow",
+        "feet without markers are planted again where the head has left them, and their knees bend "
+        "easily; or they stand where they began, as in the paper",
+    )
+    augmented_body: Literal["distal", "proximal"] = static(
+        "distal",
+        "whose weight a joint bears in (9): of what it carries, or, in the paper's words, of what "
+        "is between root and joint",
     )
     lost: Array = traced(
         0.6,
@@ -118,7 +128,6 @@ class GradientSettings:
         "at rest where nothing moves by more than this share of its prior's deviation; BFGS, whose "
         "first steps are short, wants a smaller one",
     )
-    outlines: OutlineEdges = group(OutlineEdges, "of outlines on edges")
     goals: PointGoals = group(PointGoals, "of markers and unmarked feet")
     elbows: SearchedElbows = group(SearchedElbows, "of the searched elbows")
     near: NearPose = group(NearPose, "of the pose about that of the markers alone")
@@ -142,16 +151,20 @@ class Settings:
     )
     search: bool = static(
         True,
-        "look for the elbows globally and remember; without it the simplex starts from the "
-        "markers' pose in every frame, as in the paper",
+        "look for the elbows globally and remember; without it refinement starts from the markers' "
+        "pose in every frame, as in the paper",
     )
-    balance: bool = static(True, "bow the spine in a squat")
+    balance: Literal["before", "after", "none"] = static(
+        "before",
+        "when the spine bows in a squat: before the video refines the pose, so that the markers "
+        "are met again; or after it, and nothing else moves, as in the paper",
+    )
     region: int = static(
         160, "pixels along a side of a region of interest, in which edges are found"
     )
     spacing: int = static(2, "of them per sample of the distance fields")
     directions: int = static(
-        6, "channels into which edges are sorted; 1 is the paper's plain field"
+        6, "channels into which edges are sorted for outlines; 1 is a plain field, as for coverage"
     )
     edge_detection: EdgeSettings = static(EdgeSettings(), "how edges are found")
     smooth: bool = static(True, "smooth over time, what the first paper does not")
@@ -167,11 +180,23 @@ class Settings:
     def paper(cls) -> "Settings":
         """The first paper's own way: plain edges, its sum, the simplex, one pass, no memory."""
         return cls(
-            search=False, directions=1, spacing=1, edge_detection=EdgeSettings(equalise=True),
-            smooth=False, edges=EdgeEvidence(compared="raster"),
+            search=False, balance="after", spacing=1, smooth=False,
+            edge_detection=EdgeSettings(equalise=True, memory=0.0),
+            ik=IKSettings(feet="stand"),
+            edges=EdgeEvidence(compared="coverage", drawn=True),
         )  # fmt: skip
+
+    @property
+    def gradient_terms(self) -> tuple[Term, ...]:
+        """What gradient refinement minimises."""
+        return (self.edges, *self.gradient.terms)
 
     @property
     def samples(self) -> int:
         """Along a side of a distance field."""
         return self.region // self.spacing
+
+    @property
+    def channels(self) -> int:
+        """Distance fields of an arm: an area has no direction."""
+        return self.directions if self.edges.compared == "outline" else 1

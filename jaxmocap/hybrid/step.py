@@ -114,7 +114,7 @@ def start(model: Model, settings: Settings, targets: Array) -> Start:
     first = (jnp.zeros((), jnp.int32), far, pose, feet)
     _, _, pose, feet = jax.lax.while_loop(unsettled, settle, first)
     factors = jnp.zeros(3, targets.dtype)
-    if settings.balance:
+    if settings.balance != "none":
         factors = bow_factors(model.skeleton, settings.ik)
     return Start(pose, feet, belief, factors)
 

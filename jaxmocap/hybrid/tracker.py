@@ -102,8 +102,10 @@ class HybridTracker:
             settings: defaults to ``Settings()``.
             markers: points on bones; defaults to the paper's: the vertex and both wrists.
         """
-        self.model = on_unmarked_feet(Model.create(skeleton, markers, cameras))
         chosen = settings or Settings()
+        self.model = Model.create(skeleton, markers, cameras)
+        if chosen.ik.feet == "follow":
+            self.model = on_unmarked_feet(self.model)
         self.settings = chosen if self.model.camera_count else replace(chosen, refine="none")
         self._compiling: tuple[Callable, Callable] | None = None
 

@@ -12,8 +12,6 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-# Distances are cut off here (pixels of the crop): farther edges are some other thing's.
-FARTHEST_PX = 20.0
 # Of a Gaussian of this standard deviation 99 % lie within five pixels.
 WIDEST_OF_FIVE = 1.0
 
@@ -29,6 +27,8 @@ class EdgeSettings:
         percentiles: of the gradient's magnitude, Canny's low and high threshold.
         floor: least high threshold (L1 gradient of 8-bit grey): below it lies the sensor's noise.
         memory: share of the last frame's thresholds in the present ones.
+        farthest: distances are cut off here, pixels of the crop: farther edges are some other
+            thing's. The paper's are not.
     """
 
     blur: float = 1.0
@@ -36,6 +36,7 @@ class EdgeSettings:
     percentiles: tuple[float, float] = (75.0, 90.0)
     floor: float = 40.0
     memory: float = 0.8
+    farthest: float = 20.0
 
 
 class Thresholds(NamedTuple):
@@ -113,9 +114,7 @@ def by_direction(
     return sorted_edges.reshape(channels, rows, columns)
 
 
-def distance_field(
-    edges: np.ndarray, farthest: float = FARTHEST_PX, out: np.ndarray | None = None
-) -> np.ndarray:
+def distance_field(edges: np.ndarray, farthest: float, out: np.ndarray | None = None) -> np.ndarray:
     """Distances (H, W), float32, pixels, to the nearest edge, cut off at ``farthest``.
 
     The distance transform of the inverted edge image, equation (10). Without any edge all is
@@ -144,7 +143,7 @@ def distance_fields(
         out: (channels, H / spacing, W / spacing) float32 to write the fields to.
 
     Returns:
-        The fields, in samples of theirs, cut off at ``FARTHEST_PX`` pixels of the crop; the crop's
+        The fields, in samples of theirs, cut off at ``farthest``; the crop's
         edges (H, W); the thresholds for the next frame.
     """
     dx, dy = gradients(grey, settings)
@@ -152,5 +151,5 @@ def distance_fields(
     channel_edges = by_direction(edges, dx, dy, channels, spacing)
     fields = np.empty(channel_edges.shape, np.float32) if out is None else out
     for channel, field in zip(channel_edges, fields, strict=True):
-        distance_field(channel, FARTHEST_PX / spacing, field)
+        distance_field(channel, settings.farthest / spacing, field)
     return fields, edges, after

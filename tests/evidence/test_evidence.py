@@ -1,5 +1,6 @@
 """Equations (12) to (14) against the reference, and where the outline's distance is least."""
 
+import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,7 +28,7 @@ from jaxmocap.body.arms import arms_of, flesh
 from jaxmocap.body.kinematics import forward
 from jaxmocap.body.surfaces.cones import Cones
 from jaxmocap.evidence.edges import EdgeEvidence, EdgeFields
-from jaxmocap.evidence.outlines.coverage import chamfer_sum, raster_distance
+from jaxmocap.evidence.outlines.coverage import chamfer_sum, drawn_distance, integrated_distance
 from jaxmocap.evidence.outlines.traced import outline_distance
 from jaxmocap.geometry.outlines import Discs
 from jaxmocap.hybrid.settings import Settings, SimplexSettings
@@ -41,7 +42,7 @@ pytestmark = pytest.mark.usefixtures("plainly_compiled")
 GRID = 20
 COVERAGE = jax.jit(soft_coverage, static_argnums=1)
 CHAMFER = jax.jit(chamfer_sum)
-RASTER = jax.jit(raster_distance)
+DRAWN, INTEGRATED = jax.jit(drawn_distance), jax.jit(integrated_distance)
 OUTLINE = jax.jit(outline_distance)
 ARM_COST = jax.jit(EdgeEvidence.arm_cost)
 # Of coverage, 0 to 1, and of costs, relative.
@@ -127,7 +128,10 @@ def test_the_raster_cost_with_its_hold_is_equation_14_in_another_unit(seed):
     targets, positions = rng.normal(size=(2, 1, 3))
     with double():
         camera, region, fields, limbs = scene(seed)
-        chosen, weight = EdgeEvidence(compared="raster", softness=0.8), SimplexSettings().hold
+        chosen, weight = (
+            EdgeEvidence(compared="coverage", drawn=True, softness=0.8),
+            SimplexSettings().hold,
+        )
         one = EdgeFields(
             jax.tree.map(lambda part: on_device(part)[None], region),
             on_device(fields)[None],
@@ -143,6 +147,54 @@ def test_the_raster_cost_with_its_hold_is_equation_14_in_another_unit(seed):
         coverage, field = reference_chamfer(camera, region, fields, limbs, 0.8)
     expected = reference.cost(coverage, field, float(weight) * unit, targets, positions)
     assert (on_edges + hold) * unit == pytest.approx(expected, rel=1e-9)
+
+
+SIDE_SAMPLES = 96
+
+
+def arm_before_lines(seed):
+    """An arm in any pose, and the distances to a dozen lines across its region."""
+    rng = np.random.default_rng(seed)
+    camera = camera_at((2.0, 0.2, 1.2), distortion=(-0.1, 0.05, 1e-3, -1e-3))
+    ways = rng.normal(size=(3, 3))
+    ways *= np.array([[0.3], [0.26], [0.1]]) / np.linalg.norm(ways, axis=1, keepdims=True)
+    joints = np.array([0, 0, 1.3]) + np.cumsum(np.vstack([np.zeros(3), ways]), 0)
+    radii = np.array([[0.05, 0.045], [0.045, 0.03], [0.03, 0.025]])
+    pixels = reference_cameras.project(camera, joints)
+    low, high = pixels.min(0), pixels.max(0)
+    scale = 1.8 * (high - low).max() / SIDE_SAMPLES
+    region = Region((low + high) / 2 - scale * SIDE_SAMPLES / 2, np.array(scale))
+    lines = np.full((SIDE_SAMPLES, SIDE_SAMPLES), 255, np.uint8)
+    for start, end in rng.integers(0, SIDE_SAMPLES, (12, 2, 2)).tolist():
+        cv2.line(lines, start, end, 0)
+    field = np.minimum(cv2.distanceTransform(lines, cv2.DIST_L2, 5), 20)
+    return camera, *on_device((region, field[None], Cones(joints[:3], joints[1:], radii)))
+
+
+def test_integrated_coverage_is_the_drawn_one():
+    """By 84 points an arm instead of 9,216 samples, ends and limbs before limbs included."""
+    arms = [arm_before_lines(seed) for seed in range(60)]
+    sums = np.array([[float(way(*arm, 0.3)) for way in (INTEGRATED, DRAWN)] for arm in arms])
+    ratios = sums[:, 0] / sums[:, 1]
+    assert np.ptp(sums[:, 1]) > 0.01 and np.corrcoef(sums.T)[0, 1] > 0.99
+    assert abs(ratios.mean() - 1) < 0.02 and ratios.std() < 0.05
+    # What an arm covers, every place once: the sum over a field of ones.
+    covered = []
+    for camera, region, field, limbs in arms:
+        ones = jnp.ones_like(field)
+        covered.append(
+            [float(way(camera, region, ones, limbs, 0.3)) for way in (INTEGRATED, DRAWN)]
+        )
+    np.testing.assert_allclose(*np.transpose(covered), rtol=0.04)
+
+
+def test_integrated_coverage_of_many_places_is_that_of_each():
+    camera, region, field, limbs = arm_before_lines(0)
+    other = jax.tree.map(lambda part: part + 0.01, limbs)
+    both = jax.tree.map(lambda *parts: jnp.stack(parts), limbs, other)
+    together = INTEGRATED(camera, region, field, both, 0.3)
+    alone = [INTEGRATED(camera, region, field, each, 0.3) for each in (limbs, other)]
+    np.testing.assert_allclose(together, alone, rtol=1e-5)
 
 
 CAMERAS = stacked(FRONT)

@@ -21,6 +21,7 @@ from jaxmocap import LANDMARKS
 from jaxmocap.body.kinematics import forward, landmark_sites, site_positions
 from jaxmocap.body.model import Model, on_unmarked_feet
 from jaxmocap.body.pose import Pose
+from jaxmocap.evidence.edges import EdgeEvidence
 from jaxmocap.hybrid.settings import Settings
 from jaxmocap.smoothing.facing import references
 from jaxmocap.smoothing.functions import Events
@@ -233,11 +234,16 @@ def test_images_bring_the_elbows_nearer(scene, way):
     assert off[1] < 0.05 < off[0], off
 
 
-def test_a_refined_pose_moves_as_finite_differences_say(scene):
+@pytest.mark.parametrize("evidence", ["outline", "coverage"])
+def test_a_refined_pose_moves_as_finite_differences_say(scene, evidence):
     """On the drawn pictures' own fields."""
+    model, pose, observation = scene
+    compared = replace(CHOSEN, edges=EdgeEvidence(compared=evidence))
     with double():
-        chosen = in_double(replace(CHOSEN, refine="gradient"))
-        arguments = (scene[0], chosen, *scene[1:])
+        if evidence == "coverage":
+            observation = jaxmocap.observe(model, compared, pose, pictures(FRONT, SIDE))
+        chosen = in_double(replace(compared, refine="gradient"))
+        arguments = (model, chosen, pose, observation)
         assert_is_its_finite_difference(refined, arguments, 0, 1e-3)
 
 

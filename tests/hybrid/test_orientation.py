@@ -367,7 +367,7 @@ def played(tmp_path_factory) -> tuple[Motion, Path]:
     """Half a second of table tennis by head-set and controllers, solved sample by sample."""
     folder = tmp_path_factory.mktemp("played")
     recording = Recording.load(write_controllers(folder, motions.table_tennis(0.5, 1), 0.5, 1))
-    tracker = make_tracker(recording, Settings(refine="none", balance=False))
+    tracker = make_tracker(recording, Settings(refine="none", balance="none"))
     state, poses = tracker.init(recording.positions_world[0]), []
     for time, markers in zip(recording.times, recording.positions_world, strict=True):
         state, pose, _ = tracker.step(state, time, markers)

@@ -13,9 +13,9 @@ from scipy import ndimage
 
 from jaxmocap.geometry.outlines import Discs
 from jaxmocap.images import edges, regions, sampling
-from jaxmocap.images.edges import FARTHEST_PX, EdgeSettings, Thresholds
+from jaxmocap.images.edges import EdgeSettings, Thresholds
 
-SIZE = 64
+SIZE, FARTHEST_PX = 64, EdgeSettings().farthest
 
 
 def look_up(fields, channels, points_xy):
@@ -43,7 +43,7 @@ def fields_of(grey, channels=1, settings=EdgeSettings()):  # noqa: B008
 def test_distances_are_those_to_the_nearest_edge(seed, density):
     marks = np.random.default_rng(seed).uniform(size=(40, 50)) < density
     marks[7, 9] = True
-    field = edges.distance_field(np.where(marks, 255, 0).astype(np.uint8))
+    field = edges.distance_field(np.where(marks, 255, 0).astype(np.uint8), FARTHEST_PX)
     exact = np.minimum(ndimage.distance_transform_edt(~marks), FARTHEST_PX)
     # OpenCV's 5 x 5 mask approximates Euclid's distance to 2 %.
     np.testing.assert_allclose(field, exact, rtol=0.02, atol=1e-5)

@@ -300,7 +300,7 @@ def test_a_height_replaces_the_skeleton_and_a_wrong_one_is_refused():
 
 def test_settings_are_chosen_by_words():
     assert choose_settings("none").refine == "none" and choose_settings().search
-    assert choose_settings(paper=True).edges.compared == "raster"
+    assert choose_settings(paper=True).edges.compared == "coverage"
     assert make_tracker(small_recording(), choose_settings("none")).model.cameras is None
 
 

@@ -50,7 +50,7 @@ def _run(options: argparse.Namespace) -> int:
     batch = track_corpus(
         options.corpus,
         options.out,
-        TrackingOptions(options.refine, options.mode),
+        TrackingOptions(options.refine, options.evidence, options.mode),
         scheduler=options.scheduler,
         workers=options.workers,
         timeout_s=options.job_timeout,

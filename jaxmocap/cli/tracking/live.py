@@ -33,13 +33,14 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.live.session import live_summary, run_live
+    from jaxmocap.pipelines.tracking.track import choose_settings
 
     keep_compiled()
     figures = run_live(
         options.setup,
         out=options.out,
         smooth=options.smooth,
-        refine=options.refine,
+        settings=choose_settings(options.refine, options.evidence),
         seconds=options.seconds,
         view=options.view,
     )

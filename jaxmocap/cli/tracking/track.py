@@ -37,13 +37,15 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         help="use the frame nearest to each marker sample, as in the paper",
     )
     parser.add_argument(
-        "--paper", action="store_true", help="the paper's edges, cost and simplex, no memory"
+        "--paper",
+        action="store_true",
+        help="as the first paper prints it: its edges, cost, simplex and balance, nothing smoothed "
+        "or remembered, the nearest frame",
     )
     add_cameras(parser, "use these of the recording's cameras")
     parser.add_argument(
         "--height", metavar="M", type=positive_number, help="metres, in place of the [subject]"
     )
-    parser.set_defaults(mode="own")
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -54,10 +56,11 @@ def _run(options: argparse.Namespace) -> int:
 
     keep_compiled()
     recording = recording_of(options)
-    settings = choose_settings(options.refine, options.paper)
+    settings = choose_settings(options.refine, options.evidence, options.paper)
+    mode = options.mode or ("nearest" if options.paper else "own")
     # Whether the folder can be written to, before any work.
     tracked_folder(options.out, recording)
-    motion = track(recording, settings, mode=options.mode, progress=True)
+    motion = track(recording, settings, mode=mode, progress=True)
     warnings: list[str] = []
     files = write_outputs(motion, recording, options.out, settings, True, warnings.append)
     report(options, summary(motion, files, warnings), figures(motion))

@@ -25,7 +25,7 @@ def _run(options: argparse.Namespace) -> None:
     from jaxmocap.pipelines.tracking.track import choose_settings
 
     recording = warmup.load_or_standing(options.recording)
-    compilations = warmup.warm_up(recording, choose_settings(options.refine))
+    compilations = warmup.warm_up(recording, choose_settings(options.refine, options.evidence))
     report(options, warmup.compilation_text(compilations), warmup.compilation_figures(compilations))
 
 

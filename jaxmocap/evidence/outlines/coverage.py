@@ -1,18 +1,37 @@
-"""Coverage: how far the soft raster of an arm lies from edges, equations (12) to (14).
+"""Coverage: how far the area of an arm lies from edges, equations (12) to (14).
 
-The paper sums distances over the filled silhouette; such a sum falls when the limb hides or
-shrinks, so the default is the outline's mean distance (``edges``).
+The paper sums distances over the filled silhouette. Drawn, that is a soft raster of every sample of
+the region; integrated, it is a sum over few points that move with the limbs. Such a sum falls when
+the limb hides or shrinks, so the default evidence is the outline's (``traced``).
 
 INPUTS: one arm's limbs, a camera, the distance fields of its region. OUTPUTS: a cost.
 """
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxmocap.body.surfaces.cones import Cones, project_cones
-from jaxmocap.geometry.cameras import Camera, depth, pixels_per_metre
+from jaxmocap.evidence.outlines.traced import TracedOutline
+from jaxmocap.geometry.areas import Areas, area_points
+from jaxmocap.geometry.cameras import (
+    NEAREST_M,
+    Camera,
+    camera_components,
+    depth,
+    focal_length,
+    pixel_components,
+    pixels_per_metre,
+)
+from jaxmocap.geometry.outlines import Discs, swept, touch_swept
 from jaxmocap.images.raster import soft_coverage
 from jaxmocap.images.regions import Region, discs_in_region
+from jaxmocap.images.sampling import look_up, look_up_smoothly
+
+# Points along each limb, and from side to side.
+ALONG, ACROSS = 5, 4
+# Depths nearer than this count as this, metres.
+LEAST_DEPTH_M = 0.1
 
 
 def chamfer_sum(
@@ -27,7 +46,7 @@ def chamfer_sum(
     return jnp.sum(coverage * jnp.min(fields, 0))
 
 
-def raster_distance(
+def drawn_distance(
     camera: Camera, region: Region, fields: Array, limbs: Cones, softness: Array
 ) -> Array:
     """Equation (13) over the area that the limbs would cover seen from the side: metres.
@@ -35,8 +54,104 @@ def raster_distance(
     The area depends on the limbs' size and depth alone, so this is the paper's sum in another
     unit: it has the same minimum, and the priors' weights do not depend on the resolution.
     """
-    away = jnp.maximum(jnp.mean(depth(camera, limbs.near)), 0.1)
-    samples_per_metre = pixels_per_metre(camera, away) / region.scale
-    lengths = jnp.sqrt(jnp.sum((limbs.far - limbs.near) ** 2, -1) + 1e-12)
-    area = jnp.sum(lengths * jnp.sum(limbs.radii, -1)) * samples_per_metre**2
+    samples_per_metre = pixels_per_metre(camera, _depth(camera, limbs)) / region.scale
+    area = side_on_area(limbs) * samples_per_metre**2
     return chamfer_sum(camera, region, fields, limbs, softness) / area / samples_per_metre
+
+
+def _depth(camera: Camera, limbs: Cones) -> Array:
+    """(...) mean of the joints, metres."""
+    return jnp.maximum(jnp.mean(depth(camera, limbs.near), -1), LEAST_DEPTH_M)
+
+
+def side_on_area(limbs: Cones) -> Array:
+    """The area (...) of limbs (..., 3) seen from the side, square metres."""
+    lengths = jnp.sqrt(jnp.sum((limbs.far - limbs.near) ** 2, -1) + 1e-12)
+    return jnp.sum(lengths * jnp.sum(limbs.radii, -1), -1)
+
+
+def integrated_distance(
+    camera: Camera, region: Region, fields: Array, limbs: Cones, softness: Array
+) -> Array:
+    """``drawn_distance`` by few points: metres.
+
+    Args:
+        camera: that sees the arm.
+        region: of the arm in this camera (no batch).
+        fields: (K, S, S) distances, samples of the region.
+        limbs: (..., 3) cones, world, metres: one arm's, in one place or many.
+        softness: of the borders where one limb covers another, samples.
+    """
+    areas, distances_px = _sampled(camera, region, fields, limbs, softness, smoothly=False)
+    away = _depth(camera, limbs)
+    total = jnp.sum(areas.weights * distances_px, (0, 1)) * away**2
+    return total / side_on_area(limbs) / pixels_per_metre(camera, away)
+
+
+def trace_area(
+    camera: Camera, region: Region, fields: Array, limbs: Cones, softness: Array
+) -> TracedOutline:
+    """Look an arm's area up in the fields of its region, with a continuous slope.
+
+    The weights are shares of the area that the limbs would cover seen from the side.
+
+    Args:
+        camera: that sees the arm.
+        region: of the arm in this camera (no batch).
+        fields: (K, S, S) distances, samples of the region.
+        limbs: three cones, world, metres.
+        softness: of the borders where one limb covers another, samples.
+    """
+    areas, distances_px = _sampled(camera, region, fields, limbs, softness, smoothly=True)
+    away = _depth(camera, limbs)
+    return TracedOutline(
+        jnp.stack([areas.x, areas.y], -1).swapaxes(0, 1),
+        distances_px.T,
+        jnp.broadcast_to(1 / pixels_per_metre(camera, away), (len(limbs.near), 1)),
+        areas.weights.T * away**2 / side_on_area(limbs),
+    )
+
+
+def _sampled(
+    camera: Camera, region: Region, fields: Array, limbs: Cones, softness: Array, smoothly: bool
+) -> tuple[Areas, Array]:
+    """Points (K, 3, ...) over limbs (..., 3), each place counted once, and their distances, px."""
+    ends = jnp.moveaxis(jnp.stack([limbs.near, limbs.far]), (-1, -2), (0, 2))
+    x, y, depths = camera_components(camera, *ends)
+    near = 1 / jnp.maximum(depths, NEAREST_M)
+    radii = jnp.broadcast_to(limbs.radii, (*limbs.near.shape[:-1], 2))
+    discs = x * near, y * near, jnp.moveaxis(radii, (-1, -2), (0, 1)) * near
+    areas = area_points(*discs, ALONG, ACROSS)
+    soft = softness * region.scale / focal_length(camera)
+    in_front = jnp.minimum(depths[0], depths[1]) > 0
+    counted = jnp.where(in_front, areas.weights, 0.0) * _not_covered(discs, areas, soft)
+    pixels = pixel_components(camera, areas.x, areas.y)
+    samples = (
+        (pixel - corner) / region.scale - 0.5
+        for pixel, corner in zip(pixels, region.origin, strict=True)
+    )
+    plain = jnp.min(fields, 0, keepdims=True)
+    if smoothly:
+        distances = look_up_smoothly(plain, jnp.zeros_like(areas.x), *samples)
+    else:
+        distances = look_up(plain, jnp.zeros((), jnp.int32), *samples)
+    return areas._replace(weights=counted), distances * region.scale
+
+
+def _not_covered(discs: tuple[Array, Array, Array], areas: Areas, softness: Array) -> Array:
+    """(K, 3, ...) shares of points that no limb before theirs covers.
+
+    A union's coverage is ``b_1 + b_2 (1 - b_1) + b_3 (1 - b_1) (1 - b_2)``.
+    """
+    x, y, radii = discs
+    near, far = (jnp.stack([x[end], y[end]], -1) for end in (0, 1))
+    hulls = swept(Discs(near, far, jnp.moveaxis(radii, 0, -1)))
+    shares = [jnp.ones_like(areas.x[:, 0])]
+    for limb in range(1, areas.x.shape[1]):
+        free = jnp.ones_like(shares[0])
+        for other in range(limb):
+            hull = jax.tree.map(lambda part, i=other: part[i], hulls)
+            away = touch_swept(hull, areas.x[:, limb], areas.y[:, limb]).distance
+            free = free * jax.nn.sigmoid(away / softness)
+        shares.append(free)
+    return jnp.stack(shares, 1)

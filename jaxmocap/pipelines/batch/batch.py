@@ -47,8 +47,8 @@ class TrackingOptions:
     """How recordings are tracked: the options of ``track``."""
 
     refine: Literal["simplex", "gradient", "none"] = "simplex"
+    evidence: Literal["outline", "coverage"] | None = None
     mode: Mode = "own"
-    paper: bool = False
 
 
 @dataclass(frozen=True)
@@ -236,7 +236,7 @@ def _tracked(job: Job, mark: str) -> CorpusRow:
     keep_compiled()
     recording = load_recording(job.recording)
     folder = tracked_folder(job.folder, recording, [RECORD_FILE])
-    settings = choose_settings(job.options.refine, job.options.paper)
+    settings = choose_settings(job.options.refine, job.options.evidence)
     motion = track(recording, settings, mode=job.options.mode)
     with folder.writing() as stage:
         write_tracked(motion, recording, stage, settings)

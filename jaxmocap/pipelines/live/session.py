@@ -18,12 +18,12 @@ from jaxmocap.capture.streams.inbox import LiveFrame
 from jaxmocap.formats.files.errors import printable
 from jaxmocap.formats.files.short_repr import short_name
 from jaxmocap.formats.recordings.live import LiveSetup, load_live
+from jaxmocap.hybrid.settings import Settings
 from jaxmocap.pipelines.live.loop import Live
 from jaxmocap.pipelines.live.recording import check_free
 from jaxmocap.pipelines.live.status import LiveStatus
 from jaxmocap.pipelines.live.stop import stopped_by_signals
 from jaxmocap.pipelines.live.tracking import Output
-from jaxmocap.pipelines.tracking.track import choose_settings
 from jaxmocap.pipelines.view import start_viewer
 
 ViewerKind = Literal["window", "web"]
@@ -36,7 +36,7 @@ def run_live(
     *,
     out: str | Path | None = None,
     smooth: bool = False,
-    refine: Literal["simplex", "gradient", "none"] = "simplex",
+    settings: Settings | None = None,
     seconds: float | None = None,
     view: ViewerKind | None = None,
     status: LiveStatus | None = None,
@@ -47,7 +47,7 @@ def run_live(
         path: of the live run's file.
         out: folder for a recording, or None.
         smooth: poses wait for two more video frames.
-        refine: as for ``track``.
+        settings: of the tracker; defaults to ``Settings()``.
         seconds: how long, or None.
         view: show it in rerun's window or in a browser.
         status: takes messages and figures of the run.
@@ -65,7 +65,7 @@ def run_live(
     with ExitStack() as ending:
         viewer = _viewer(setup, view, status, ending) if view else None
         live = Live(
-            setup, choose_settings(refine), smooth=smooth, out=out, viewer=viewer, status=status
+            setup, settings or Settings(), smooth=smooth, out=out, viewer=viewer, status=status
         )
         ending.callback(live.close)
         with stopped_by_signals() as stop:

@@ -193,7 +193,12 @@ def make_tracker(recording: Recording, settings: Settings | None = None) -> Hybr
 
 
 def choose_settings(
-    refine: Literal["simplex", "gradient", "none"] = "simplex", paper: bool = False
+    refine: Literal["simplex", "gradient", "none"] = "simplex",
+    evidence: Literal["outline", "coverage"] | None = None,
+    paper: bool = False,
 ) -> Settings:
-    """The tracker's defaults, or the first paper's own way."""
-    return replace(Settings.paper() if paper else Settings(), refine=refine)
+    """The tracker's defaults or the first paper's own way, by other evidence where it is named."""
+    chosen = replace(Settings.paper() if paper else Settings(), refine=refine)
+    if evidence is None:
+        return chosen
+    return replace(chosen, edges=replace(chosen.edges, compared=evidence))

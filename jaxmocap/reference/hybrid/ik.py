@@ -56,7 +56,7 @@ def retract(pose: Any, step: np.ndarray) -> Pose:
 
 def secondary_task(skeleton: Any, frames: Any, pose: Any, settings: Any) -> np.ndarray:
     """Equation (9) for the joints; the root leans back to the upright."""
-    bodies = augmented_bodies(skeleton, frames)
+    bodies = augmented_bodies(skeleton, frames, settings.augmented_body == "proximal")
     relaxing = sdls.secondary_task(
         bodies.masses,
         bodies.arms,

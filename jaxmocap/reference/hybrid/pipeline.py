@@ -1,4 +1,4 @@
-"""A frame of the first paper's way: IK (4), balance (5.3), a simplex over each arm by (13), (14).
+"""A frame of the first paper's way: IK (4), a simplex over each arm by (13), (14), balance (5.3).
 
 The arms swing about the axis from shoulder to grip, and bend at shoulder and elbow, as in the
 tracker; the search and its memory are not mirrored.
@@ -16,8 +16,6 @@ from jaxmocap.reference.hybrid import balance, ik, raster, simplex
 from jaxmocap.reference.kinematics import bone_vector, forward, site_positions, turned
 
 LIMBS = ("humerus", "radius", "hand")
-# Markers farther than this from the last pose's points: it starts from the markers' pose, metres.
-LOST_M = 0.6
 
 
 class ArmView(NamedTuple):
@@ -29,54 +27,30 @@ class ArmView(NamedTuple):
     field: np.ndarray
 
 
-class Points(NamedTuple):
-    """Points on bones."""
-
-    bones: list[int]
-    at: np.ndarray
-    offsets: np.ndarray
-
-
 def grips_of(skeleton: Any, pose: Any, grip_sites: Any) -> np.ndarray:
     """The two points (2, 3) that the markers hold, world, metres."""
     return site_positions(skeleton, forward(skeleton, pose), grip_sites)
-
-
-def elbow_points(skeleton: Any) -> Points:
-    """Both elbows as points on the forearms."""
-    bones = [skeleton.tree.bone(f"radius_{side}") for side in "lr"]
-    return Points(bones, np.zeros(2), np.zeros((2, 3)))
 
 
 def refine(
     skeleton: Any,
     settings: Any,
     factors: np.ndarray,
-    goals: Any,
     markers_pose: Any,
-    last_pose: Any,
     views: list[ArmView | None],
     grip_sites: Any,
 ) -> ik.Pose:
-    """The markers' pose after balance and video.
+    """The markers' pose after video, and then balance of the spine alone.
 
     Args:
         skeleton: D degrees of freedom.
         settings: a Settings' attributes.
         factors: (3,) of balance.
-        goals: markers and feet.
-        markers_pose: of inverse kinematics.
-        last_pose: the last refined one.
+        markers_pose: of inverse kinematics: the search begins there in every frame.
         views: left and right; None where an arm has no image.
         grip_sites: the points that the markers hold.
     """
-    hands = grips_of(skeleton, markers_pose, grip_sites)
-    elbows = site_positions(skeleton, forward(skeleton, markers_pose), elbow_points(skeleton))
-    start = ik.as_pose(markers_pose if lost(skeleton, goals, last_pose) else last_pose)
-    bowed, free, balanced = balance.bow_on_feet(skeleton, settings.ik, markers_pose, factors)
-    secondary = ik.Goals(elbow_points(skeleton), elbows, np.ones(2))
-    first = bowed if balanced else start
-    pose, _ = ik.reach(skeleton, goals, settings.ik, first, free, secondary)
+    hands, pose = grips_of(skeleton, markers_pose, grip_sites), ik.as_pose(markers_pose)
     angles = pose.angles.copy()
     for arm, view in enumerate(views):
         if view is not None:
@@ -84,19 +58,8 @@ def refine(
                 skeleton, settings, pose, "lr"[arm], view, grip_sites, hands[arm]
             )
             angles[dofs] = costs
-    return ik.Pose(pose.position, pose.quaternion, angles)
-
-
-def lost(skeleton: Any, goals: Any, pose: Any) -> bool:
-    """Whether a marker on the upper body is far from where the pose has it."""
-    points = site_positions(skeleton, forward(skeleton, pose), goals.sites)
-    apart = np.linalg.norm(np.asarray(goals.targets) - points, axis=1)
-    feet = [skeleton.tree.bone(f"foot_{side}") for side in "lr"]
-    return any(
-        distance > LOST_M
-        for distance, bone, weight in zip(apart, goals.sites.bones, goals.weights, strict=True)
-        if weight > 0 and bone not in feet
-    )
+    refined = ik.Pose(pose.position, pose.quaternion, angles)
+    return balance.bow_on_feet(skeleton, settings.ik, refined, factors)[0]
 
 
 def arm_dofs(skeleton: Any, side: str) -> list[int]:
