@@ -73,6 +73,7 @@ def write_table_tennis(
     height: float = 1.75,
     progress: Progress | None = None,
     azimuth: float | None = None,
+    furnished: bool = True,
 ) -> Path:
     """Write a recording of table-tennis strokes.
 
@@ -85,12 +86,13 @@ def write_table_tennis(
         progress: called with the frames done and their total.
         azimuth: where the camera stands, degrees from frontal, positive to the person's left;
             None is ``webcam()``.
+        furnished: a room full of edges; or a bare one.
 
     Returns:
         The path of ``recording.toml``.
     """
     performance = motions.table_tennis(seconds, seed, strokes, height)
-    return write_performance(directory, performance, seconds, seed, progress, azimuth)
+    return write_performance(directory, performance, seconds, seed, progress, azimuth, furnished)
 
 
 def write_performance(
@@ -100,6 +102,7 @@ def write_performance(
     seed: int = 0,
     progress: Progress | None = None,
     azimuth: float | None = None,
+    furnished: bool = True,
 ) -> Path:
     """Write the recording of any performance, seen by one camera; see ``write_table_tennis``."""
     times = np.arange(int(seconds * MARKER_RATE)) / MARKER_RATE
@@ -112,7 +115,8 @@ def write_performance(
         places=marker_places(),
         subject={"height": figure.height},
     )
-    frames = render_frames(scene(performance, seed, azimuth), video_times(seconds), progress)
+    shown = scene(performance, seed, azimuth, furnished)
+    frames = render_frames(shown, video_times(seconds), progress)
     return write_parts(Path(directory), parts, frames, seed)
 
 
@@ -121,12 +125,17 @@ def webcam() -> Camera:
     return look_at((3.0, 0.75, 1.30), (0.1, 0.0, 1.12))
 
 
-def scene(performance: Performance, seed: int = 0, azimuth: float | None = None) -> Scene:
+def scene(
+    performance: Performance,
+    seed: int = 0,
+    azimuth: float | None = None,
+    furnished: bool = True,
+) -> Scene:
     """A performance before the camera at that azimuth; None is ``webcam()``."""
     actor = clothed_actor(performance, seed)
     if azimuth is None:
-        return Scene.in_room(webcam(), actor, seed)
-    return Scene.in_room(camera_at(0.0), RotatedMover(actor, azimuth), seed)
+        return Scene.in_room(webcam(), actor, seed, furnished)
+    return Scene.in_room(camera_at(0.0), RotatedMover(actor, azimuth), seed, furnished)
 
 
 def video_times(seconds: float) -> np.ndarray:

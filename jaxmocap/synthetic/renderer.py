@@ -80,9 +80,13 @@ class Scene:
     seed: int = 0
 
     @classmethod
-    def in_room(cls, camera: Camera, mover: Mover, seed: int = 0) -> "Scene":
-        """A room furnished by the seed."""
-        room = Room.furnished(DrawingCamera.of(camera), np.random.default_rng([seed, 2]))
+    def in_room(
+        cls, camera: Camera, mover: Mover, seed: int = 0, furnished: bool = True
+    ) -> "Scene":
+        """A room furnished by the seed, or a bare one."""
+        drawn = DrawingCamera.of(camera)
+        rng = np.random.default_rng([seed, 2])
+        room = Room.furnished(drawn, rng) if furnished else Room.bare(drawn)
         return cls(camera, room, mover, seed)
 
 

@@ -1,4 +1,4 @@
-"""A cluttered room behind the person, full of straight edges.
+"""A cluttered room behind the person, full of straight edges; or a bare one, without any.
 
 INPUTS: a DrawingCamera, a random generator. OUTPUTS: an image of the empty room, BGR;
 where its floor and back wall are.
@@ -18,6 +18,8 @@ WALL_X = -1.9
 HALF_WIDTH = 3.2
 # Height of the ceiling, metres.
 CEILING = 2.9
+# Grey of a bare room.
+BARE = 140
 # Drawn at this multiple of the size and averaged, so that edges are smooth.
 OVERSAMPLING = 2
 # Fractional bits of OpenCV's drawing.
@@ -57,6 +59,12 @@ class Room:
         room.table()
         image = cv2.GaussianBlur(room.image, (0, 0), 1.1)
         return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+
+    @classmethod
+    def bare(cls, camera: DrawingCamera) -> np.ndarray:
+        """An image (H, W, 3), BGR uint8, of nothing but one grey."""
+        width, height = camera.size
+        return np.full((height, width, 3), BARE, np.uint8)
 
     def panel(self, corner: ArrayLike, u: ArrayLike, v: ArrayLike, colour: ArrayLike) -> None:
         """A parallelogram from a corner (3,) along two edges; its edges bend with the lens."""
