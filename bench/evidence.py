@@ -71,8 +71,12 @@ class Kind(NamedTuple):
 
 USUAL = "edges by direction"
 BEFORE = "edges by direction, before a learned background"
+PAPER = "the paper's way"
 FRAME_BY_FRAME = {
-    "plain edges, the paper's sum, no memory": replace(Settings.paper(), smooth=False),
+    PAPER: Settings.paper(),
+    "areas on plain edges": replace(
+        Settings(), smooth=False, edges=replace(EdgeEvidence(), compared="coverage")
+    ),
     "plain edges": replace(Settings(), smooth=False, directions=1),
     "edges by direction, not truncated": replace(
         Settings(), smooth=False, edges=replace(EdgeEvidence(), truncation=1.0)
@@ -143,7 +147,7 @@ def measure(clip: Clip, quick: bool, folder: Path) -> Iterator[tuple[str, np.nda
     both = own.tracked()
     yield "markers alone", errors(both.markers_only)
     for name, settings in {} if quick else FRAME_BY_FRAME.items():
-        yield name, errors(track(recording, settings))
+        yield name, errors(track(recording, settings, mode="nearest" if name == PAPER else "own"))
     yield USUAL, errors(both.motion)
     if not quick:
         before = flattened(recording, own.videos, own.first_pass)
