@@ -3,7 +3,7 @@
 INPUTS: a posed body, where the markers' own pose leans and faces. OUTPUTS: whitened residuals.
 """
 
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +15,7 @@ from jaxmocap.body.model import Model
 from jaxmocap.body.pose import Pose, difference, relaxed_pose
 from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.tree import ROOT_DOF
-from jaxmocap.compilation.settings import settings, traced
+from jaxmocap.compilation.settings import settings, static, traced
 from jaxmocap.evidence.terms import Measurements, PosedBody, Term
 from jaxmocap.geometry.rotations import HIGHEST
 
@@ -81,11 +81,13 @@ class EasyPosture(Term):
     uprightness: Array = traced(0.1, "gain of the pull of the pelvis to the upright")
     shift: Array = traced(1.0, "of the pelvis about the centre, metres")
     turn: Array = traced(1.0, "of its orientation, radians")
+    augmented_body: Literal["distal", "proximal"] = static("distal", "of (9)")
 
     def residual(self, model: Model, body: PosedBody, measured: Measurements) -> Array:
         """(6 + D + 2,)."""
         skeleton, pose, centre = model.skeleton, body.pose, measured["centre"]
-        bodies = augmented_bodies(skeleton, forward(skeleton, relaxed_pose(skeleton)))
+        frames = forward(skeleton, relaxed_pose(skeleton))
+        bodies = augmented_bodies(skeleton, frames, self.augmented_body == "proximal")
         effort = bodies.masses * bodies.arms
         share = effort / jnp.sum(effort) + LEAST_SHARE
         costs = skeleton.costs

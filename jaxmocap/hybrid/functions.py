@@ -69,7 +69,9 @@ def solve(
         feet, _ = replant(model, ik, placed, _standing(model, placed), markers)
     near = _near(*jax.lax.stop_gradient((model, settings, markers)), start, feet)
     measured = {"goals": goals_of(model, ik, feet, markers), "centre": placed}
-    prior = EasyPosture(relaxation=ik.relaxation, uprightness=ik.uprightness)
+    prior = EasyPosture(
+        relaxation=ik.relaxation, uprightness=ik.uprightness, augmented_body=ik.augmented_body
+    )
     terms = (*ik.terms, in_precision(model, prior))
     return pose_at_minimum(model, terms, measured, near, _usual(model))
 

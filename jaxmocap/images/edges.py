@@ -28,7 +28,7 @@ class EdgeSettings:
         floor: least high threshold (L1 gradient of 8-bit grey): below it lies the sensor's noise.
         memory: share of the last frame's thresholds in the present ones.
         farthest: distances are cut off here, pixels of the crop: farther edges are some other
-            thing's. The paper's are not.
+            thing's.
     """
 
     blur: float = 1.0

@@ -192,16 +192,16 @@ def test_a_step_in_float32_stays_within_its_tolerance(skeleton, skeleton64, pose
     assert float(ours[2]) == pytest.approx(theirs[2], abs=1e-5)
 
 
+@pytest.mark.parametrize("body", ["distal", "proximal"])
 @given(pose=poses(beyond=0.3))
-def test_the_secondary_task_is_the_references(skeleton64, pose):
+def test_the_secondary_task_is_the_references(skeleton64, body, pose):
     with double():
-        chosen = IKSettings()
+        chosen = IKSettings(augmented_body=body)
         start = on_device(pose)
         task = secondary(skeleton64, start, chosen)
-    body = plain(skeleton64)
-    expected = reference.secondary_task(
-        body, reference_kinematics.forward(body, pose), pose, chosen
-    )
+    own = plain(skeleton64)
+    frames = reference_kinematics.forward(own, pose)
+    expected = reference.secondary_task(own, frames, pose, chosen)
     np.testing.assert_allclose(task, expected, rtol=1e-9, atol=1e-12)
 
 
