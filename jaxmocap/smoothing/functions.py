@@ -141,7 +141,8 @@ def _stencil(problem: _Problem) -> Array:
 def _accelerations(problem: _Problem, points: Array) -> Array:
     """(T - 2, M) of points (T, M), in their deviations; see ``evidence.smoothness``."""
     c = _stencil(problem)
-    return sum((c[:, k, None] * points[k : len(points) - 2 + k] for k in range(3)), jnp.zeros(()))
+    each = [c[:, k, None] * points[k : len(points) - 2 + k] for k in range(3)]
+    return each[0] + each[1] + each[2]
 
 
 def _ties(problem: _Problem) -> list[Array]:
