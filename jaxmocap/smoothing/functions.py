@@ -141,7 +141,8 @@ def _stencil(problem: _Problem) -> Array:
 def _accelerations(problem: _Problem, points: Array) -> Array:
     """(T - 2, M) of points (T, M), in their deviations; see ``evidence.smoothness``."""
     c = _stencil(problem)
-    return sum((c[:, k, None] * points[k : len(points) - 2 + k] for k in range(3)), jnp.zeros(()))
+    each = [c[:, k, None] * points[k : len(points) - 2 + k] for k in range(3)]
+    return each[0] + each[1] + each[2]
 
 
 def _ties(problem: _Problem) -> list[Array]:
@@ -178,15 +179,18 @@ def _whole(problem: _Problem, poses: Pose) -> _Slopes:
     still = jnp.zeros(model.skeleton.costs.size, poses.angles.dtype)
 
     def of_event(pose: Pose, own: Measurements, pull: Array) -> tuple[Array, Array, Array]:
-        def cost(step: Array) -> Array:
+        def cost(step: Array) -> tuple[Array, Array]:
             there = retract(pose, step)
             r = residuals(settings.terms, model, there, own)
-            return jnp.sum(r**2) / 2 + jnp.sum(pull * landmarks(model.skeleton, there).ravel())
+            at = landmarks(model.skeleton, there).ravel()
+            return jnp.sum(r**2) / 2 + jnp.sum(pull * at), at
 
-        def at(step: Array) -> Array:
-            return landmarks(model.skeleton, retract(pose, step)).ravel()
+        def uphill(step: Array) -> tuple[tuple[Array, Array], Array]:
+            slope, at = jax.grad(cost, has_aux=True)(step)
+            return (slope, at), slope
 
-        return jax.grad(cost)(still), jax.jacfwd(jax.grad(cost))(still), jax.jacfwd(at)(still)
+        (hessian, jacobian), gradient = jax.jacfwd(uphill, has_aux=True)(still)
+        return gradient, hessian, jacobian
 
     gradient, hessian, jacobian = jax.vmap(of_event)(poses, problem.measured, pull)
     hessian = (hessian + hessian.swapaxes(1, 2)) / 2

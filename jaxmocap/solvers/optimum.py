@@ -78,7 +78,8 @@ def descend(costs: Costs, start: Any, scale: Array, steps: int) -> Descent:
 
     def step(carry: tuple[Array, Array, Array, Descent]) -> tuple[Array, Array, Array, Descent]:
         count, undamped, damping, (x, _, _) = carry
-        g, H = costs.slope(x, still), jax.jacfwd(lambda step: costs.slope(x, step))(still)
+        # At one go, as the prices below: where the cost is written once more, it compiles anew.
+        H, g = jax.jacfwd(lambda step: 2 * (costs.slope(x, step),), has_aux=True)(still)
         low, high = costs.room(x)
         at_rest = rests(g, low, high)
         scaled = jnp.where(at_rest, 0.0, scale)
@@ -92,15 +93,16 @@ def descend(costs: Costs, start: Any, scale: Array, steps: int) -> Descent:
             return costs.move(x, jnp.clip(scaled * move, low, high))
 
         candidates = jnp.clip(damping * jnp.asarray(TRIED, scale.dtype), LEAST_DAMPING)
-        places = jax.vmap(moved)(jnp.append(candidates, 0.0))
+        there = jax.vmap(moved)(jnp.append(candidates, 0.0))
+        places = jax.tree.map(lambda new, old: jnp.concatenate([new, old[None]]), there, x)
         prices = jax.vmap(costs.cost)(places)
-        here, best = costs.cost(x), jnp.argmin(jnp.nan_to_num(prices[:-1], nan=jnp.inf))
+        here, best = prices[-1], jnp.argmin(jnp.nan_to_num(prices[:-2], nan=jnp.inf))
         lower = prices[best] < here
         promised = jnp.sum(along**2 / (sizes + LEAST_DAMPING)) / 2
         goes_on = (promised > tiny * (1e-3 + here)) & (count < steps) & (damping < LARGEST_DAMPING)
         # Where the costs differ by rounding alone, the slope still says where the minimum is.
-        ends = jnp.isfinite(prices[-1]) & (prices[-1] <= here + 1e-3 * (1e-3 + here))
-        taken, accepted = (jnp.where(undamped > 0, *pair) for pair in ((-1, best), (ends, lower)))
+        ends = jnp.isfinite(prices[-2]) & (prices[-2] <= here + 1e-3 * (1e-3 + here))
+        taken, accepted = (jnp.where(undamped > 0, *pair) for pair in ((-2, best), (ends, lower)))
         x = jax.tree.map(lambda new, old: jnp.where(accepted, new[taken], old), places, x)
         damping = jnp.where(lower, candidates[best], candidates[-1])
         left = jnp.where(undamped > 0, undamped - 1, jnp.where(goes_on, -1, UNDAMPED_STEPS))

@@ -19,7 +19,6 @@ from painted_motion import (
     CELLS,
     PERSON,
     disturbed,
-    points_of,
     problem,
     truth,
     views,
@@ -43,6 +42,8 @@ COUNT, SOFTNESS = 4, 0.6
 # Cells by which the second nearest limb is away where no two limbs meet, blurred as they are.
 APART = 3.0
 STEP = 1e-5
+# Newton steps to the solution.
+SETTLED = 4
 
 
 @jax.jit
@@ -91,7 +92,7 @@ def recording(blind: bool = False) -> tuple[SmoothingProblem, Trajectory]:
 
 @cache
 def solution() -> Sensitivity:
-    return Sensitivity.at(*recording(), SOFTNESS).settled(4)
+    return Sensitivity.at(*recording(), SOFTNESS).settled(SETTLED)
 
 
 NUMBERS = (
@@ -128,10 +129,10 @@ def resolved(numbers: np.ndarray) -> np.ndarray:
     return Sensitivity.at(given, there, SOFTNESS).settled(2).landmarks
 
 
-@pytest.mark.parametrize("number", range(len(NUMBERS)), ids=NUMBERS)
-def test_landmarks_follow_as_differences_between_minima_say(number):
+def test_landmarks_follow_as_differences_between_minima_say():
+    """Along all numbers at once: a derivative that is wrong by one of them is wrong along it."""
     with double():
-        still, way = jnp.zeros(len(NUMBERS)), jnp.zeros(len(NUMBERS)).at[number].set(1.0)
+        still, way = jnp.zeros(len(NUMBERS)), jnp.array([1.0, -0.7, 0.4, 0.8, -0.3, 0.6])
         change = jax.jvp(state, (still,), (way,))[1]
         ahead, behind = (resolved(sign * STEP * np.asarray(way)) for sign in (1, -1))
         expected = (ahead - behind) / (2 * STEP)
@@ -159,7 +160,7 @@ def test_cameras_that_were_found_turned_belong_to_the_model():
 def test_without_silhouettes_the_markers_alone_move_the_body():
     with double():
         blind, there = recording(blind=True)
-        here = Sensitivity.at(blind, there, SOFTNESS).settled(4)
+        here = Sensitivity.at(blind, there, SOFTNESS).settled(SETTLED)
         assert here.slopes.exact and here.slopes.equations.step(0.0, 0.0).largest() < 1e-9
         still = jnp.zeros(len(NUMBERS))
         ways = {name: jnp.eye(len(NUMBERS))[i] for i, name in enumerate(NUMBERS)}
@@ -176,19 +177,6 @@ def test_without_silhouettes_the_markers_alone_move_the_body():
     np.testing.assert_allclose(actual["marker moved"], expected, atol=1e-5)
     # No camera has a view.
     assert not actual["camera turned"].any() and not actual["focal length"].any()
-
-
-def test_a_losss_gradient_is_what_the_landmarks_pass_back():
-    """Any loss: here the squared distance from where the landmarks really were."""
-    really = points_of(truth(COUNT)).astype(float)
-    with double():
-        away = solution().landmarks - really
-        _, pull = jax.vjp(state, jnp.zeros(len(NUMBERS)))
-        (actual,) = pull(solution().backwards(2 * away))
-        ways = jnp.eye(len(NUMBERS))
-        changes = [jax.jvp(state, (0 * way,), (way,))[1] for way in ways]
-        expected = [np.sum(2 * away * solution().forwards(change)) for change in changes]
-    np.testing.assert_allclose(actual, expected, rtol=1e-7, atol=1e-10)
 
 
 @settings(max_examples=10)
@@ -209,11 +197,9 @@ def test_backwards_is_the_transpose_of_forwards(seed):
     assert actual == pytest.approx(expected, rel=1e-7, abs=1e-6)
 
 
-def test_newtons_steps_square_the_distance_to_the_minimum():
+def test_newtons_steps_end_at_the_minimum():
     with double():
-        sizes, here = [], Sensitivity.at(*recording(), SOFTNESS)
-        for _ in range(5):
-            sizes.append(here.slopes.equations.step(0.0, 0.0).largest())
-            here = here.settled()
-    assert sizes[0] > 1e-6 and sizes[-1] < 1e-10
+        begun, here = Sensitivity.at(*recording(), SOFTNESS), solution()
+        sizes = [at.slopes.equations.step(0.0, 0.0).largest() for at in (begun, here)]
+    assert sizes[0] > 1e-6 and sizes[1] < 1e-10
     assert here.slopes.exact

@@ -72,16 +72,29 @@ def moved(tree: Any, way: Any, by: float) -> Any:
 
 @partial(jax.jit, static_argnums=0)
 def along(function, arguments, way):
-    """A function's derivative along a direction of its arguments."""
-    return jax.jvp(function, arguments, way)[1]
+    """A function's value and its derivative along a direction of its arguments.
+
+    One program for both, since it is the compiler that takes long.
+    """
+    return jax.jvp(function, arguments, way)
+
+
+def value(function, *arguments):
+    """By the same program."""
+    return along(function, arguments, still(arguments))[0]
+
+
+def still(tree: Any) -> Any:
+    """The tangent that goes nowhere."""
+    return jax.tree.map(np.zeros_like, any_direction(tree, 0))
 
 
 def assert_is_its_finite_difference(function, arguments, seed: int, tolerance: float) -> None:
-    """A jitted function's derivative along a random direction of all of its arguments."""
+    """A function's derivative along a random direction of all of its arguments."""
     way = any_direction(arguments, seed)
-    ahead, behind = (np.asarray(function(*moved(arguments, way, h))) for h in (1e-6, -1e-6))
+    ahead, behind = (np.asarray(value(function, *moved(arguments, way, h))) for h in (1e-6, -1e-6))
     expected = (ahead - behind) / 2e-6
-    actual = np.asarray(along(function, arguments, way))
+    actual = np.asarray(along(function, arguments, way)[1])
     largest = np.abs(expected).max()
     assert largest > 1e-3 and np.isfinite(actual).all()
     np.testing.assert_allclose(actual, expected, atol=tolerance * largest)
@@ -133,7 +146,7 @@ def test_forwards_and_backwards_are_the_same():
         model, chosen = in_double((tracked_model(), Settings()))
         given = (model, chosen, jnp.asarray(random_markers(5, "straight arms")))
         way = any_direction(given, 0)
-        points, change = np.asarray(solved(*given)), np.asarray(along(solved, given, way))
+        points, change = map(np.asarray, along(solved, given, way))
         both = zip(jax.tree.leaves(SLOPES(*given)), jax.tree.leaves(way), strict=True)
         pulled = [float(jnp.sum(a * b)) for a, b in both if b.dtype != jax.dtypes.float0]
     assert sum(pulled) == pytest.approx(2 * np.sum(points * change), rel=1e-8)
@@ -202,80 +215,85 @@ def side_by_side(model, chosen):
 # observe, refine ---------------------------------------------------------------------------------
 
 
-@jax.jit
+@partial(jax.vmap, in_axes=(None, None, 0, 0))
 def refined(model, chosen, pose, observation):
+    """Landmarks (F, L, 3) of frames side by side."""
     return jaxmocap.landmarks(model, jaxmocap.refine(model, chosen, pose, observation))
 
 
 @pytest.fixture(scope="module")
 def scene():
-    """The true arms before two cameras, a pose that has the markers alone, what images show."""
+    """A model, poses that have the markers alone, what images show.
+
+    Of two frames: the true arms before two cameras, and the same with no image.
+    """
     markers = np.asarray(MARKED(on_device(TRUTH)), float)
     with double():
         model = in_double(tracked_model([FRONT, SIDE]))
         pose = SOLVE(model, in_double(CHOSEN), jnp.asarray(markers))
-        return model, pose, jaxmocap.observe(model, CHOSEN, pose, pictures(FRONT, SIDE))
+        poses = jax.tree.map(lambda part: jnp.stack([part, part]), pose)
+        return model, poses, observed(model, CHOSEN, pose)
 
 
-def refined_by(way: str, scene) -> np.ndarray:
-    """Landmarks."""
-    model, pose, observation = scene
-    with double():
-        return np.asarray(refined(model, in_double(replace(CHOSEN, refine=way)), pose, observation))
+def observed(model, chosen, pose):
+    """What both frames show about a pose."""
+    shown = (pictures(FRONT, SIDE), [None, None])
+    each = [jaxmocap.observe(model, chosen, pose, images) for images in shown]
+    return jax.tree.map(lambda *parts: jnp.stack(parts), *each)
+
+
+def refined_by(way: str, scene) -> tuple:
+    """Arguments of ``refined``; call it where float64 is enabled."""
+    return scene[0], in_double(replace(CHOSEN, refine=way)), *scene[1:]
 
 
 @pytest.mark.parametrize("way", ["simplex", "gradient"])
-def test_images_bring_the_elbows_nearer(scene, way):
+def test_images_bring_the_elbows_nearer_and_without_them_the_pose_stays(way, scene):
+    model, poses, _ = scene
     with double():
-        before = np.asarray(POINTS(*scene[:2]))[ELBOW_ROWS]
-        truth = np.asarray(POINTS(scene[0], on_device(TRUTH)))[ELBOW_ROWS]
-    after = refined_by(way, scene)[ELBOW_ROWS]
-    off = [np.linalg.norm(points - truth, axis=1).max() for points in (before, after)]
+        before = np.asarray(jax.vmap(POINTS, (None, 0))(model, poses))
+        truth = np.asarray(POINTS(model, on_device(TRUTH)))[ELBOW_ROWS]
+        after = np.asarray(value(refined, *refined_by(way, scene)))
+    off = [
+        np.linalg.norm(points[0, ELBOW_ROWS] - truth, axis=1).max() for points in (before, after)
+    ]
     assert off[1] < 0.05 < off[0], off
+    np.testing.assert_allclose(after[1], before[1], atol=1e-12)
 
 
 @pytest.mark.parametrize("evidence", ["outline", "coverage"])
 def test_a_refined_pose_moves_as_finite_differences_say(scene, evidence):
     """On the drawn pictures' own fields."""
-    model, pose, observation = scene
-    compared = replace(CHOSEN, edges=EdgeEvidence(compared=evidence))
+    chosen = replace(CHOSEN, refine="gradient", edges=EdgeEvidence(compared=evidence))
     with double():
+        model, poses, observation = scene
         if evidence == "coverage":
-            observation = jaxmocap.observe(model, compared, pose, pictures(FRONT, SIDE))
-        chosen = in_double(replace(compared, refine="gradient"))
-        arguments = (model, chosen, pose, observation)
+            observation = observed(model, chosen, jax.tree.map(lambda part: part[0], poses))
+        arguments = model, in_double(chosen), poses, observation
         assert_is_its_finite_difference(refined, arguments, 0, 1e-3)
 
 
 def test_the_simplex_moves_with_the_elbows_that_were_expected(scene):
     """By the cost's own curvature: along with them, and no farther."""
-    model, pose, observation = scene
-
-    def elbows(at):
-        points = refined(model, chosen, pose, observation._replace(elbows=at))
-        return points[jnp.array(ELBOW_ROWS)]
-
     with double():
-        chosen = in_double(CHOSEN)
-        turned = np.asarray(jax.jit(jax.jacfwd(elbows))(observation.elbows))
+        arguments = refined_by("simplex", scene)
+        *others, by_observation = still(arguments)
+
+        def followed(unit):
+            way = (*others, by_observation._replace(elbows=jnp.stack([unit, unit])))
+            return np.asarray(along(refined, arguments, way)[1])[0, ELBOW_ROWS]
+
+        units = jnp.eye(6).reshape(6, 2, 3)
+        turned = np.stack([followed(unit) for unit in units], -1).reshape(2, 3, 2, 3)
     for arm in range(2):
         gains = np.linalg.eigvals(turned[arm, :, arm])
         assert 0.05 < np.abs(gains).max() < 1.1
         np.testing.assert_allclose(turned[arm, :, 1 - arm], 0, atol=1e-9)
 
 
-def test_without_an_image_the_pose_stays(scene):
-    model, pose, _ = scene
-    with double():
-        nothing = jaxmocap.observe(model, CHOSEN, pose, [None, None])
-        before = np.asarray(POINTS(model, pose))
-    for way in ("simplex", "gradient"):
-        stayed = refined_by(way, (model, pose, nothing))
-        np.testing.assert_allclose(stayed, before, atol=1e-12)
-
-
 def test_as_many_images_as_cameras_are_asked_for(scene):
-    model, pose, _ = scene
+    model, poses, _ = scene
+    pose = jax.tree.map(lambda part: part[0], poses)
     with pytest.raises(ValueError, match="found 1 images, expected one for each of the model's 2"):
         jaxmocap.observe(model, CHOSEN, pose, pictures(FRONT)[0])
 
@@ -283,9 +301,14 @@ def test_as_many_images_as_cameras_are_asked_for(scene):
 # smooth ------------------------------------------------------------------------------------------
 
 
-@jax.jit
-def smoothed(model, chosen, events):
-    return jaxmocap.smooth(model, chosen, events).points
+class Smoothed:
+    """Points of ``smooth`` by all but the poses: where it starts from changes nothing."""
+
+    def __init__(self, poses):
+        self.poses = poses
+
+    def __call__(self, model, chosen, times, measured):
+        return jaxmocap.smooth(model, chosen, Events(times, measured, self.poses)).points
 
 
 def stroke(count: int = 8):
@@ -306,32 +329,22 @@ def stroke(count: int = 8):
 
 @pytest.fixture(scope="module")
 def moving():
-    return stroke()
+    """``Smoothed``, its arguments and the truth."""
+    (model, chosen, events), truth = stroke()
+    return Smoothed(events.poses), (model, chosen, *events[:2]), truth
 
 
 def test_a_smoothed_motion_moves_as_finite_differences_say(moving):
-    (model, chosen, events), _ = moving
+    smoothed, arguments, _ = moving
     with double():
-        arguments = (model, chosen, *events[:2])
-        # Where it starts from changes nothing, and is no argument.
-        assert_is_its_finite_difference(FromTheStart(events.poses), arguments, 1, 1e-3)
-
-
-class FromTheStart:
-    """``smoothed`` of everything but the poses."""
-
-    def __init__(self, poses):
-        self.poses = poses
-
-    def __call__(self, model, chosen, times, measured):
-        return smoothed(model, chosen, Events(times, measured, self.poses))
+        assert_is_its_finite_difference(smoothed, arguments, 1, 1e-3)
 
 
 def test_a_smoothed_motion_is_near_the_truth(moving):
-    given, truth = moving
+    smoothed, arguments, truth = moving
     with double():
-        points = np.asarray(smoothed(*given))
-    assert points.shape == (len(given[2].times), len(LANDMARKS), 3)
+        points = np.asarray(value(smoothed, *arguments))
+    assert points.shape == (len(arguments[2]), len(LANDMARKS), 3)
     off = np.linalg.norm(points[:, LANDMARKS.index("elbow_r")] - truth["elbow_r"], axis=-1)
     assert off.max() < 0.04
 
@@ -341,3 +354,24 @@ def test_landmarks_are_by_name():
     sites = landmark_sites(PERSON, ("knee_r",))
     expected = site_positions(PERSON, forward(PERSON, on_device(TRUTH)), sites)
     np.testing.assert_allclose(points[LANDMARKS.index("knee_r")], expected[0], atol=1e-6)
+
+
+# All of them -------------------------------------------------------------------------------------
+
+
+def test_a_float32_model_stays_in_float32_where_float64_is_on(scene, moving):
+    """Whatever precision markers, settings and observations come in."""
+    model, poses, observations = scene
+    pose, observation = jax.tree.map(lambda part: part[0], (poses, observations))
+    wide = (in_double(Settings()), in_double(replace(CHOSEN, refine="gradient")))
+    events = Events(*moving[1][2:], moving[0].poses)
+    with double():
+        single = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), (model, tracked_model()))
+        markers = jnp.zeros((3, 3))
+        answers = [
+            jax.eval_shape(jaxmocap.solve, single[1], wide[0], markers),
+            jax.eval_shape(jaxmocap.refine, single[0], wide[1], pose, observation),
+            jax.eval_shape(jaxmocap.smooth, single[1], wide[0], events),
+        ]
+        assert markers.dtype == pose.angles.dtype == events.times.dtype == jnp.float64
+    assert {leaf.dtype for leaf in jax.tree.leaves(answers)} == {jnp.dtype("float32")}
