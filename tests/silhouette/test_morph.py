@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import twists
+import screws
 from conftest import double
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -126,12 +126,12 @@ ARM = [TREE.joint(f"arm_{name}_l") for name in ("flex", "abduct", "rot")]
 
 
 @jax.jit
-def transported(screws, both, turns):
+def transported(carried, both, turns):
     """Screws moved as two others turn, one after the other."""
-    return twists.transport(twists.product_of_exponentials(both, turns), screws)
+    return screws.transport(screws.product_of_exponentials(both, turns), carried)
 
 
-def screws(frames, joints):
+def joint_screws(frames, joints):
     """(J, 6) of joints in the world."""
     pivots = np.asarray(frames.joints_world)[np.array(TREE.dof_bones)[joints]]
     axes = np.asarray(frames.axes_world)[joints]
@@ -148,8 +148,9 @@ def test_a_shoulder_s_hinges_are_carried_along_as_equation_4_21_says(at):
     turns = np.asarray(full.angles)[[RAISE, PROTRACT]]
     assert turns[0] > 0 > turns[1]
     before = FORWARD(BODY, free)
-    lifted = transported(screws(before, ARM), screws(before, [RAISE, PROTRACT]), turns)
-    np.testing.assert_allclose(screws(FORWARD(BODY, full), ARM), lifted, atol=2e-5)
+    both = joint_screws(before, [RAISE, PROTRACT])
+    lifted = transported(joint_screws(before, ARM), both, turns)
+    np.testing.assert_allclose(joint_screws(FORWARD(BODY, full), ARM), lifted, atol=2e-5)
 
 
 @given(angles)
