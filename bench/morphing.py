@@ -21,13 +21,13 @@ from bench.metrics import Metric, aligned, write_json
 from bench.silhouette import Result, evaluated
 from jaxmocap.body.skeleton import LANDMARKS
 from jaxmocap.body.subject import scale_to_landmarks
+from jaxmocap.body.surfaces.morphing import Morphing, shoulders
 from jaxmocap.formats.recordings.recording import Recording
 from jaxmocap.formats.time_series.trc import read_trc
 from jaxmocap.pipelines.kept_programs import keep_compiled
 from jaxmocap.pipelines.silhouettes.track import supple_skeleton
 from jaxmocap.silhouette.first_pose import pose_at_landmarks
 from jaxmocap.silhouette.settings import Settings
-from jaxmocap.silhouette.surfaces.morph import Morphing, shoulders
 from jaxmocap.synthetic.people.shoulder_girdle import Girdle
 
 EXERCISE = "overhead"
