@@ -48,7 +48,7 @@ READINGS = {"own": OWN, "paper": PAPER}
 
 
 def slice_ring(
-    corners: np.ndarray, fullness: float, reading: Reading = OWN, nodes: int = RING_NODES
+    corners: np.ndarray, fullness: float, reading: Reading, nodes: int = RING_NODES
 ) -> np.ndarray:
     """(N, 2) a closed curve within a quadrilateral (4, 2), which it touches on all sides.
 

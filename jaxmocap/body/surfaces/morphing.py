@@ -26,7 +26,8 @@ def _square_root(t: Array) -> Array:
     return jnp.where(above, jnp.sqrt(jnp.where(above, t, 1.0)), 0.0)
 
 
-# omega(t) of (4.26): 0 at 0, 1 at 1. The root begins fast and ends slowly, the square vice versa.
+# omega(t) of (4.26): 0 at 0, 1 at 1, as (4.24) has it; (4.25) as printed has it the other way. The
+# root begins fast and ends slowly, the square vice versa.
 WEIGHTINGS = {"linear": lambda t: t, "square_root": _square_root, "squared": lambda t: t * t}
 
 
