@@ -72,16 +72,15 @@ def _run(options: argparse.Namespace) -> None:
     from jaxmocap.pipelines.kept_programs import keep_compiled
     from jaxmocap.pipelines.silhouettes.first_pose import morphing_for, settings_for, start_pose
     from jaxmocap.pipelines.silhouettes.person import person_files, with_model
-    from jaxmocap.pipelines.silhouettes.track import track_silhouettes
+    from jaxmocap.pipelines.silhouettes.track import supple_skeleton, track_silhouettes
     from jaxmocap.pipelines.silhouettes.writing import results_folder, write_results
     from jaxmocap.pipelines.summary import figures, summary
 
     keep_compiled()
     recording, person = with_model(recording_of(options), options.model)
     model_files = person_files(Path(options.model)) if options.model else []
-    morphing = morphing_for(
-        recording, person and person.surface, options.shoulders, options.morphing
-    )
+    surface, body = person and person.surface, supple_skeleton(recording.skeleton)
+    morphing = morphing_for(body, surface, options.shoulders, options.morphing)
     inputs = [*model_files, Path(options.morphing)] if options.morphing else model_files
     results_folder(options.out, recording, inputs)
     start = start_pose(recording, options.at)
@@ -91,7 +90,7 @@ def _run(options: argparse.Namespace) -> None:
         passes=options.passes,
         markers=options.markers,
         lengths=options.lengths,
-        surface=person and person.surface,
+        surface=surface,
         settings=settings_for(options.at is not None, morphing),
         progress=True,
     )

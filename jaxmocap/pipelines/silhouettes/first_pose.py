@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxmocap.body.model import marker_sites
 from jaxmocap.body.pose import Pose
+from jaxmocap.body.skeleton import Skeleton
 from jaxmocap.body.surfaces.loft import generic_surface
 from jaxmocap.body.surfaces.morphing import Morphing, shoulders
 from jaxmocap.body.surfaces.surface import Surface
@@ -30,12 +31,12 @@ def settings_for(by_hand: bool, morphing: Morphing) -> Settings:
 
 
 def morphing_for(
-    recording: Recording, surface: Surface | None, go_along: bool, file: str | Path | None
+    skeleton: Skeleton, surface: Surface | None, go_along: bool, file: str | Path | None
 ) -> Morphing:
-    """What goes along with the joints of a recording's person.
+    """What goes along with the joints of a person.
 
     Args:
-        recording: of the person.
+        skeleton: of the person, with the joints that move them.
         surface: their own; a generic one without it.
         go_along: shoulders with raised arms.
         file: what goes along instead, such as ``body/data/shoulder.toml``.
@@ -45,7 +46,6 @@ def morphing_for(
     """
     if file is None:
         return shoulders() if go_along else Morphing()
-    skeleton = supple_skeleton(recording.skeleton)
     worn = generic_surface(skeleton) if surface is None else surface
     return read_morphing(file, skeleton.tree, worn.patches)
 
